@@ -1,0 +1,12 @@
+//! `egotac demo`.
+
+use std::process::ExitCode;
+
+/// Arguments of `egotac demo`.
+#[derive(Debug, clap::Args)]
+pub struct Args {}
+
+/// Runs the command.
+pub fn run(_args: Args) -> anyhow::Result<ExitCode> {
+    anyhow::bail!("not written yet")
+}

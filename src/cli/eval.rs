@@ -1,0 +1,12 @@
+//! `egotac eval`.
+
+use std::process::ExitCode;
+
+/// Arguments of `egotac eval`.
+#[derive(Debug, clap::Args)]
+pub struct Args {}
+
+/// Runs the command.
+pub fn run(_args: Args) -> anyhow::Result<ExitCode> {
+    anyhow::bail!("not written yet")
+}

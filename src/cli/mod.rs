@@ -1,0 +1,75 @@
+//! The command line: arguments and dispatch; one file per command.
+
+mod data;
+mod demo;
+mod doctor;
+mod eval;
+mod hand;
+mod model;
+mod predict;
+mod sim;
+mod train;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Touch from sight: dense force and contact on both hands, from egocentric RGB.
+#[derive(Debug, Parser)]
+#[command(version, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Check what is installed and say how to fix what is not.
+    Doctor(doctor::Args),
+    /// The hand model: forward, show, map.
+    Hand(hand::Args),
+    /// Simulated hand-object scenes: list, show, run.
+    Sim(sim::Args),
+    /// Train a network on stores.
+    Train(train::Args),
+    /// Predict touch for images or a store.
+    Predict(predict::Args),
+    /// Score predictions against truth.
+    Eval(eval::Args),
+    /// The network: forward, info.
+    Model(model::Args),
+    /// Stores: info.
+    Data(data::Args),
+    /// The main job, end to end, on this machine.
+    Demo(demo::Args),
+}
+
+/// Runs the command line; the exit status is 0 for success, 1 for a failed check or an error, 2 for bad usage.
+pub fn main() -> ExitCode {
+    let result = match Cli::parse().command {
+        Command::Doctor(args) => doctor::run(args),
+        Command::Hand(args) => hand::run(args),
+        Command::Sim(args) => sim::run(args),
+        Command::Train(args) => train::run(args),
+        Command::Predict(args) => predict::run(args),
+        Command::Eval(args) => eval::run(args),
+        Command::Model(args) => model::run(args),
+        Command::Data(args) => data::run(args),
+        Command::Demo(args) => demo::run(args),
+    };
+    match result {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("egotac: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// What a command says whose feature is not built in.
+#[allow(dead_code)]
+fn feature_off(command: &str, feature: &str) -> anyhow::Error {
+    anyhow::anyhow!(
+        "`egotac {command}` needs the feature `{feature}`: build with `cargo build --features {feature}` after `make setup`"
+    )
+}

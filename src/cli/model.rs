@@ -1,0 +1,12 @@
+//! `egotac model`.
+
+use std::process::ExitCode;
+
+/// Arguments of `egotac model`.
+#[derive(Debug, clap::Args)]
+pub struct Args {}
+
+/// Runs the command.
+pub fn run(_args: Args) -> anyhow::Result<ExitCode> {
+    anyhow::bail!("not written yet")
+}

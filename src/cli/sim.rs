@@ -1,0 +1,12 @@
+//! `egotac sim`.
+
+use std::process::ExitCode;
+
+/// Arguments of `egotac sim`.
+#[derive(Debug, clap::Args)]
+pub struct Args {}
+
+/// Runs the command.
+pub fn run(_args: Args) -> anyhow::Result<ExitCode> {
+    anyhow::bail!("not written yet")
+}

@@ -1,0 +1,76 @@
+//! Episodes: frames of image, touch and hand pose, in the formats people keep them in.
+
+pub mod zarr;
+
+use ::image::RgbImage;
+
+use crate::error::Result;
+use crate::hand::HandParams;
+use crate::tactile::{TactileField, Topology, Validity};
+
+/// One instant of an episode.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// Seconds.
+    pub timestamp: f64,
+    /// What the head camera sees.
+    pub camera_ego_rgb: RgbImage,
+    /// Force and contact on both hands (label c for simulated truth).
+    pub field: TactileField,
+    /// (1556) 1 = the force is supervised.
+    pub force_valid: Vec<u8>,
+    /// (1556) 1 = the contact is supervised.
+    pub contact_valid: Vec<u8>,
+    /// Whether the frame can be trusted.
+    pub validity: Validity,
+    /// Left hand in the world frame; None = absent (zeros in the store).
+    pub left_hand_pose: Option<HandParams>,
+    /// Right hand in the world frame; None = absent (zeros in the store).
+    pub right_hand_pose: Option<HandParams>,
+}
+
+/// What is true of a whole store.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Attributes {
+    /// What the vertex indices mean.
+    pub topology: Topology,
+    /// Width of the kernel that spread the contact forces, m.
+    pub sigma: f64,
+    /// Force above which truth is contact, N.
+    pub contact_force: f64,
+    /// Program that wrote the store.
+    pub producer: String,
+    /// Its version.
+    pub version: String,
+    /// Scene or source, one per store.
+    pub scene: String,
+    /// Seed of the first episode.
+    pub seed: u64,
+}
+
+/// Takes episodes, frame by frame.
+pub trait EpisodeWriter {
+    /// Appends one frame to the open episode.
+    ///
+    /// # Errors
+    /// If the frame does not fit the store (image size, topology) or can't be written.
+    fn push(&mut self, frame: Frame) -> Result<()>;
+    /// Ends the open episode; an empty one is an error.
+    ///
+    /// # Errors
+    /// If nothing was pushed since the last end, or writing fails.
+    fn end_episode(&mut self) -> Result<()>;
+}
+
+/// Gives frames by index over all episodes.
+pub trait EpisodeReader: Send + Sync {
+    /// What is true of the whole store.
+    fn attributes(&self) -> &Attributes;
+    /// Exclusive cumulative ends of the episodes.
+    fn episode_ends(&self) -> &[usize];
+    /// Reads one frame.
+    ///
+    /// # Errors
+    /// If the index is out of range or the store can't be read.
+    fn frame(&self, index: usize) -> Result<Frame>;
+}

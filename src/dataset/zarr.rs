@@ -1,0 +1,1 @@
+//! OXT-style Zarr v2 stores.

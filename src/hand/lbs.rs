@@ -1,0 +1,7 @@
+//! Linear blend skinning.
+
+use super::{HandModel, HandParams, PosedHand};
+
+pub(super) fn forward(_model: &HandModel, _params: &HandParams) -> PosedHand {
+    unimplemented!()
+}

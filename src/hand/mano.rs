@@ -1,0 +1,10 @@
+//! MANO files.
+
+use std::path::Path;
+
+use super::{HandModel, Side};
+use crate::error::Result;
+
+pub(super) fn load(_path: &Path, _side: Side) -> Result<HandModel> {
+    unimplemented!()
+}

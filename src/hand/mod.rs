@@ -1,0 +1,167 @@
+//! Hand model: MANO parameters to vertices and joints.
+//!
+//! Frames and units: metres, radians; the right hand lies as MANO's does in its flat rest pose: fingers along -x,
+//! palm facing -y, thumb towards +z; the left hand is its mirror image in x.
+
+mod builtin;
+mod lbs;
+mod mano;
+mod mesh;
+mod region;
+
+use std::path::Path;
+
+use glam::{Mat3, Vec3};
+use serde::{Deserialize, Serialize};
+
+use crate::error::Result;
+use crate::tactile::Topology;
+
+pub use mesh::{vertex_areas, vertex_normals};
+pub use region::Region;
+
+/// Vertices of one hand.
+pub const N_VERTICES: usize = 778;
+/// Joints of one hand, in MANO order: wrist, index 1-3, middle 1-3, little 1-3, ring 1-3, thumb 1-3.
+pub const N_JOINTS: usize = 16;
+/// Shape coefficients.
+pub const N_BETAS: usize = 10;
+
+/// Which hand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Side {
+    /// The left hand: vertices 0..777 of a field.
+    Left,
+    /// The right hand: vertices 778..1555 of a field.
+    Right,
+}
+
+impl Side {
+    /// Both hands in the order of every two-hand array: left first.
+    pub const BOTH: [Side; 2] = [Side::Left, Side::Right];
+
+    /// This hand's vertices in a two-hand array of 1556.
+    pub fn range(self) -> std::ops::Range<usize> {
+        match self {
+            Side::Left => 0..N_VERTICES,
+            Side::Right => N_VERTICES..2 * N_VERTICES,
+        }
+    }
+
+    /// `left` or `right`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Side::Left => "left",
+            Side::Right => "right",
+        }
+    }
+}
+
+/// MANO parameters of one hand: full axis-angle pose (no PCA), flat hand mean.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HandParams {
+    /// Shape coefficients.
+    pub betas: [f32; N_BETAS],
+    /// Rotation of the wrist, axis-angle, rad.
+    pub global_orient: Vec3,
+    /// Rotations of joints 1..16 relative to their parent, axis-angle, rad.
+    pub hand_pose: [Vec3; N_JOINTS - 1],
+    /// Translation added after posing, m: the wrist joint ends at J0(betas) + transl.
+    pub transl: Vec3,
+}
+
+impl Default for HandParams {
+    fn default() -> Self {
+        Self {
+            betas: [0.0; N_BETAS],
+            global_orient: Vec3::ZERO,
+            hand_pose: [Vec3::ZERO; N_JOINTS - 1],
+            transl: Vec3::ZERO,
+        }
+    }
+}
+
+impl HandParams {
+    /// The store form (CONVENTIONS: 61 numbers): transl 3, global_orient 3, hand_pose 45, betas 10.
+    pub fn to_array(&self) -> [f32; 61] {
+        let mut array = [0.0; 61];
+        array[..3].copy_from_slice(&self.transl.to_array());
+        array[3..6].copy_from_slice(&self.global_orient.to_array());
+        for (chunk, joint) in array[6..51].chunks_exact_mut(3).zip(&self.hand_pose) {
+            chunk.copy_from_slice(&joint.to_array());
+        }
+        array[51..].copy_from_slice(&self.betas);
+        array
+    }
+
+    /// Reads the store form that [`Self::to_array`] writes.
+    pub fn from_array(array: &[f32; 61]) -> Self {
+        let vec3 = |at: usize| Vec3::new(array[at], array[at + 1], array[at + 2]);
+        Self {
+            transl: vec3(0),
+            global_orient: vec3(3),
+            hand_pose: std::array::from_fn(|joint| vec3(6 + 3 * joint)),
+            betas: std::array::from_fn(|i| array[51 + i]),
+        }
+    }
+}
+
+/// A posed hand.
+#[derive(Debug, Clone)]
+pub struct PosedHand {
+    /// 778 vertices, m.
+    pub vertices: Vec<Vec3>,
+    /// 16 joints in MANO order, m.
+    pub joints: [Vec3; N_JOINTS],
+    /// World rotation of each joint.
+    pub rotations: [Mat3; N_JOINTS],
+}
+
+/// A skinned hand: template, shape and pose blend shapes, joint regressor, skinning weights.
+#[derive(Debug, Clone)]
+pub struct HandModel {
+    /// Which hand.
+    pub side: Side,
+    /// What its vertex indices mean.
+    pub topology: Topology,
+    /// (778, 3) m: the hand at rest with zero betas.
+    pub v_template: Vec<Vec3>,
+    /// Triangles, counter-clockwise seen from outside.
+    pub faces: Vec<[u32; 3]>,
+    /// (778, 3, 10) row-major: metres per unit of each beta.
+    pub shapedirs: Vec<f32>,
+    /// (778, 3, 135) row-major: metres per entry of (R - I) of joints 1..16; empty means none.
+    pub posedirs: Vec<f32>,
+    /// (16, 778) row-major: joints = j_regressor x shaped vertices.
+    pub j_regressor: Vec<f32>,
+    /// Parent of each joint; the wrist is its own parent.
+    pub parents: [usize; N_JOINTS],
+    /// (778, 16) row-major skinning weights; rows sum to 1.
+    pub lbs_weights: Vec<f32>,
+}
+
+impl HandModel {
+    /// The built-in hand, `egotac-hand-1`.
+    pub fn builtin(side: Side) -> Self {
+        builtin::hand(side)
+    }
+
+    /// Loads a MANO file: the published pickle or an `.npz` variant. Nothing of a pickle is executed.
+    ///
+    /// # Errors
+    /// If the file can't be read, is neither format, or an array is missing or misshapen.
+    pub fn load(path: &Path, side: Side) -> Result<Self> {
+        mano::load(path, side)
+    }
+
+    /// Poses the hand: blend shapes, rigid chain, linear blend skinning (MANO eq. 2-4).
+    pub fn forward(&self, params: &HandParams) -> PosedHand {
+        lbs::forward(self, params)
+    }
+
+    /// Region of each vertex, (778).
+    pub fn regions(&self) -> Vec<Region> {
+        region::of_vertices(self)
+    }
+}

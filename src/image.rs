@@ -1,0 +1,1 @@
+//! Images into the network: decode, resize, normalise.

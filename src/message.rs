@@ -1,0 +1,1 @@
+//! Wire form of the messages and their CDR bytes.
