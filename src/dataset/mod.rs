@@ -34,18 +34,49 @@ pub struct Frame {
 pub struct Attributes {
     /// What the vertex indices mean.
     pub topology: Topology,
-    /// Width of the kernel that spread the contact forces, m.
+    /// Width of the kernel that spread the contact forces, m; 0 = forces were not spread.
+    #[serde(default)]
     pub sigma: f64,
-    /// Force above which truth is contact, N.
+    /// Force above which truth is contact, N; stored as `{"thresholds": {"contact_force": ..}}`.
+    #[serde(default = "thresholds::default", rename = "thresholds", with = "thresholds")]
     pub contact_force: f64,
     /// Program that wrote the store.
+    #[serde(default)]
     pub producer: String,
     /// Its version.
+    #[serde(default)]
     pub version: String,
     /// Scene or source, one per store.
+    #[serde(default)]
     pub scene: String,
     /// Seed of the first episode.
+    #[serde(default)]
     pub seed: u64,
+}
+
+/// The `thresholds` attribute: an object, so that a store can name further thresholds.
+mod thresholds {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use crate::tactile::CONTACT_FORCE_N;
+
+    #[derive(Serialize, Deserialize)]
+    struct Thresholds {
+        contact_force: f64,
+    }
+
+    pub fn default() -> f64 {
+        // Through the shortest decimal, so that 0.05 stays 0.05 in f64.
+        CONTACT_FORCE_N.to_string().parse().unwrap_or(f64::from(CONTACT_FORCE_N))
+    }
+
+    pub fn serialize<S: Serializer>(contact_force: &f64, serializer: S) -> Result<S::Ok, S::Error> {
+        Thresholds { contact_force: *contact_force }.serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+        Ok(Thresholds::deserialize(deserializer)?.contact_force)
+    }
 }
 
 /// Takes episodes, frame by frame.

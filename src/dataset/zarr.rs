@@ -1,1 +1,204 @@
 //! OXT-style Zarr v2 stores.
+//!
+//! | array | shape | dtype | unit |
+//! |---|---|---|---|
+//! | `data/camera_ego_rgb` | (T, H, W, 3) | u8 | RGB |
+//! | `data/timestamps` | (T) | f64 | s |
+//! | `data/mano_force` | (T, 1556) | f32 | N, NaN = unknown |
+//! | `data/mano_contact` (truth) | (T, 1556) | u8 | 0 or 1 |
+//! | `data/mano_contact_score` (prediction) | (T, 1556) | f32 | probability |
+//! | `data/mano_force_valid`, `data/mano_contact_valid` | (T, 1556) | u8 | 1 = supervised |
+//! | `data/frame_validity` | (T) | u8 | 0 = valid, else the guard's code |
+//! | `data/left_hand_pose`, `data/right_hand_pose` | (T, 61) | f32 | transl 3 m, global_orient 3 rad, hand_pose 45 rad, betas 10; zeros = absent |
+//! | `meta/episode_ends` | (E) | i64 | exclusive cumulative ends |
+//!
+//! A producer may add arrays of its own, declared when the store is created. Chunks split the time axis alone and hold
+//! about 2 MB; chunks equal to the fill value are not written, so a missing chunk reads as zeros.
+
+mod reader;
+mod writer;
+
+use std::fmt;
+
+pub use reader::{ArrayInfo, ZarrReader, open_all};
+pub use writer::{Contact, ZarrWriter};
+
+/// Egocentric image, (T, H, W, 3) u8.
+pub const CAMERA_EGO_RGB: &str = "data/camera_ego_rgb";
+/// Time of each frame, (T) f64, s.
+pub const TIMESTAMPS: &str = "data/timestamps";
+/// Normal force, (T, 1556) f32, N.
+pub const MANO_FORCE: &str = "data/mano_force";
+/// Contact truth, (T, 1556) u8.
+pub const MANO_CONTACT: &str = "data/mano_contact";
+/// Predicted contact probability, (T, 1556) f32.
+pub const MANO_CONTACT_SCORE: &str = "data/mano_contact_score";
+/// 1 where the force is supervised, (T, 1556) u8.
+pub const MANO_FORCE_VALID: &str = "data/mano_force_valid";
+/// 1 where the contact is supervised, (T, 1556) u8.
+pub const MANO_CONTACT_VALID: &str = "data/mano_contact_valid";
+/// 0 where the frame can be trusted, else the guard's code, (T) u8.
+pub const FRAME_VALIDITY: &str = "data/frame_validity";
+/// Left hand's MANO parameters, (T, 61) f32.
+pub const LEFT_HAND_POSE: &str = "data/left_hand_pose";
+/// Right hand's MANO parameters, (T, 61) f32.
+pub const RIGHT_HAND_POSE: &str = "data/right_hand_pose";
+/// Exclusive cumulative ends of the episodes, (E) i64.
+pub const EPISODE_ENDS: &str = "meta/episode_ends";
+
+/// Element type of an array.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Dtype {
+    /// Unsigned byte.
+    U8,
+    /// 32-bit float.
+    F32,
+    /// 64-bit float.
+    F64,
+    /// 64-bit signed integer.
+    I64,
+}
+
+impl Dtype {
+    /// Bytes of one element.
+    pub fn size(self) -> usize {
+        match self {
+            Self::U8 => 1,
+            Self::F32 => 4,
+            Self::F64 | Self::I64 => 8,
+        }
+    }
+
+    /// The name as Zarr v2 writes it.
+    fn zarr_name(self) -> &'static str {
+        match self {
+            Self::U8 => "|u1",
+            Self::F32 => "<f4",
+            Self::F64 => "<f8",
+            Self::I64 => "<i8",
+        }
+    }
+}
+
+impl fmt::Display for Dtype {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::U8 => "u8",
+            Self::F32 => "f32",
+            Self::F64 => "f64",
+            Self::I64 => "i64",
+        })
+    }
+}
+
+/// An array a producer adds to the fixed ones.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ArraySpec {
+    /// Name with its group, e.g. `data/object_pose`.
+    pub name: String,
+    /// Shape of one frame's values, e.g. `[n_objects, 7]`; empty = one number per frame.
+    pub item: Vec<usize>,
+    /// Element type.
+    pub dtype: Dtype,
+}
+
+impl ArraySpec {
+    /// An array `name` with `item` values of `dtype` per frame.
+    pub fn new(name: impl Into<String>, item: impl Into<Vec<usize>>, dtype: Dtype) -> Self {
+        Self { name: name.into(), item: item.into(), dtype }
+    }
+}
+
+/// Values of one array, row-major.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Values {
+    /// Unsigned bytes.
+    U8(Vec<u8>),
+    /// 32-bit floats.
+    F32(Vec<f32>),
+    /// 64-bit floats.
+    F64(Vec<f64>),
+    /// 64-bit signed integers.
+    I64(Vec<i64>),
+}
+
+impl Values {
+    /// Element type.
+    pub fn dtype(&self) -> Dtype {
+        match self {
+            Self::U8(_) => Dtype::U8,
+            Self::F32(_) => Dtype::F32,
+            Self::F64(_) => Dtype::F64,
+            Self::I64(_) => Dtype::I64,
+        }
+    }
+
+    /// Number of elements.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::U8(v) => v.len(),
+            Self::F32(v) => v.len(),
+            Self::F64(v) => v.len(),
+            Self::I64(v) => v.len(),
+        }
+    }
+
+    /// Whether there is no element.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Elements `range` as a copy.
+    fn slice(&self, range: std::ops::Range<usize>) -> Self {
+        match self {
+            Self::U8(v) => Self::U8(v[range].to_vec()),
+            Self::F32(v) => Self::F32(v[range].to_vec()),
+            Self::F64(v) => Self::F64(v[range].to_vec()),
+            Self::I64(v) => Self::I64(v[range].to_vec()),
+        }
+    }
+
+    /// All values as f32; wider types are rounded.
+    pub fn into_f32(self) -> Vec<f32> {
+        match self {
+            Self::U8(v) => v.into_iter().map(f32::from).collect(),
+            Self::F32(v) => v,
+            Self::F64(v) => v.into_iter().map(|x| x as f32).collect(),
+            Self::I64(v) => v.into_iter().map(|x| x as f32).collect(),
+        }
+    }
+
+    /// All values as f64.
+    pub fn into_f64(self) -> Vec<f64> {
+        match self {
+            Self::U8(v) => v.into_iter().map(f64::from).collect(),
+            Self::F32(v) => v.into_iter().map(f64::from).collect(),
+            Self::F64(v) => v,
+            Self::I64(v) => v.into_iter().map(|x| x as f64).collect(),
+        }
+    }
+}
+
+impl From<Vec<u8>> for Values {
+    fn from(values: Vec<u8>) -> Self {
+        Self::U8(values)
+    }
+}
+
+impl From<Vec<f32>> for Values {
+    fn from(values: Vec<f32>) -> Self {
+        Self::F32(values)
+    }
+}
+
+impl From<Vec<f64>> for Values {
+    fn from(values: Vec<f64>) -> Self {
+        Self::F64(values)
+    }
+}
+
+impl From<Vec<i64>> for Values {
+    fn from(values: Vec<i64>) -> Self {
+        Self::I64(values)
+    }
+}

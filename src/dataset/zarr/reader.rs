@@ -1,0 +1,465 @@
+//! Reads a store: one frame, or a range of one array.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use ::image::RgbImage;
+use zarrs::array::{Array, ArraySubset, ElementOwned, data_type};
+use zarrs::filesystem::FilesystemStore;
+use zarrs::group::Group;
+use zarrs::storage::ReadableStorageTraits;
+
+use super::*;
+use crate::dataset::{Attributes, EpisodeReader, Frame};
+use crate::error::{Error, Result};
+use crate::hand::HandParams;
+use crate::tactile::{N_FIELD, TactileField, Topology, Validity};
+
+/// What an array of a store looks like.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ArrayInfo {
+    /// Name with its group.
+    pub name: String,
+    /// Whole shape; the first axis is time (or episodes in `meta/`).
+    pub shape: Vec<usize>,
+    /// Element type as the store names it.
+    pub dtype: String,
+    /// Shape of a chunk; empty if the chunks are not regular.
+    pub chunks: Vec<usize>,
+}
+
+/// An open store. Reads Zarr v2 as written here or by zarr-python (any of its Blosc, zlib, gzip, zstd or no
+/// compression), and v3.
+///
+/// Missing label arrays read as unknown (force and contact NaN, validity 0), missing validity arrays as valid, missing
+/// hand poses as absent.
+pub struct ZarrReader {
+    path: PathBuf,
+    attributes: Attributes,
+    raw_attributes: serde_json::Map<String, serde_json::Value>,
+    episode_ends: Vec<usize>,
+    arrays: BTreeMap<String, Column>,
+    // (H, W)
+    image_size: (usize, usize),
+}
+
+/// Opens every store that `paths` name: a store, or a folder with stores in it (`*.zarr`, by name).
+///
+/// # Errors
+/// If a path holds no store, one can't be opened, or two differ in topology.
+pub fn open_all(paths: &[PathBuf]) -> Result<Vec<ZarrReader>> {
+    let mut stores = Vec::new();
+    for path in paths {
+        if is_store(path) {
+            stores.push(ZarrReader::open(path)?);
+            continue;
+        }
+        let mut inside = Vec::new();
+        for entry in fs::read_dir(path).map_err(Error::io(path))? {
+            let entry = entry.map_err(Error::io(path))?.path();
+            if entry.extension().is_some_and(|e| e == "zarr") && is_store(&entry) {
+                inside.push(entry);
+            }
+        }
+        if inside.is_empty() {
+            return Err(Error::file(path, "is neither a Zarr store nor a folder of *.zarr stores"));
+        }
+        inside.sort();
+        for entry in &inside {
+            stores.push(ZarrReader::open(entry)?);
+        }
+    }
+    for pair in stores.windows(2) {
+        pair[0]
+            .attributes
+            .topology
+            .must_match(pair[1].attributes.topology)
+            .map_err(|error| Error::file(&pair[1].path, format!("beside {}: {error}", pair[0].path.display())))?;
+    }
+    Ok(stores)
+}
+
+impl ZarrReader {
+    /// Opens the store at `path`.
+    ///
+    /// # Errors
+    /// If it is not a store, a needed array is missing, or an array's shape or dtype is not the one of its name.
+    pub fn open(path: &Path) -> Result<Self> {
+        if !is_store(path) {
+            return Err(Error::file(path, "is not a Zarr store: neither .zgroup nor zarr.json in it"));
+        }
+        let storage: Arc<dyn ReadableStorageTraits> =
+            Arc::new(FilesystemStore::new(path).map_err(|e| Error::file(path, e))?);
+        let group = Group::open(storage.clone(), "/").map_err(|e| Error::file(path, e))?;
+        let raw_attributes = group.attributes().clone();
+
+        let mut arrays = BTreeMap::new();
+        for name in array_names(path)? {
+            let array = Array::open(storage.clone(), &format!("/{name}"))
+                .map_err(|e| Error::file(path, format!("{name}: {e}")))?;
+            arrays.insert(name.clone(), Column { name, array, last_chunk: Mutex::new(None) });
+        }
+        let attributes = attributes(path, &raw_attributes, &arrays)?;
+        let mut reader = Self {
+            path: path.to_path_buf(),
+            attributes,
+            raw_attributes,
+            episode_ends: Vec::new(),
+            arrays,
+            image_size: (0, 0),
+        };
+        reader.episode_ends = reader.read_episode_ends()?;
+        reader.image_size = reader.check_shapes()?;
+        Ok(reader)
+    }
+
+    /// Where the store lies.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// All attributes of the root group.
+    pub fn raw_attributes(&self) -> &serde_json::Map<String, serde_json::Value> {
+        &self.raw_attributes
+    }
+
+    /// Frames of all episodes together.
+    pub fn len(&self) -> usize {
+        self.episode_ends.last().copied().unwrap_or(0)
+    }
+
+    /// Whether there is no frame; never so for an opened store.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Height and width of the image.
+    pub fn image_size(&self) -> (usize, usize) {
+        self.image_size
+    }
+
+    /// Whether the store has an array of this name.
+    pub fn has(&self, name: &str) -> bool {
+        self.arrays.contains_key(name)
+    }
+
+    /// Every array of the store, by name.
+    pub fn arrays(&self) -> Vec<ArrayInfo> {
+        self.arrays.values().map(Column::info).collect()
+    }
+
+    /// Reads frames `range` of array `name`, row-major, decoding each chunk once.
+    ///
+    /// # Errors
+    /// If there is no such array, the range is not within it, its dtype is none of ours, or a chunk can't be decoded.
+    pub fn read(&self, name: &str, range: Range<usize>) -> Result<Values> {
+        self.column(name)?.read(range, &self.path)
+    }
+
+    /// [`Self::read`], as f32 whatever number is stored.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn read_f32(&self, name: &str, range: Range<usize>) -> Result<Vec<f32>> {
+        Ok(self.read(name, range)?.into_f32())
+    }
+
+    /// [`Self::read`] of an array of bytes.
+    ///
+    /// # Errors
+    /// As [`Self::read`], or if the array holds other numbers.
+    pub fn read_u8(&self, name: &str, range: Range<usize>) -> Result<Vec<u8>> {
+        self.bytes(name, self.read(name, range)?)
+    }
+
+    /// Contact of frames `range`, (n, 1556): the truth as 0 and 1, or else the predicted score.
+    ///
+    /// # Errors
+    /// As [`Self::read`]; a store without contact gives NaN.
+    pub fn read_contact(&self, range: Range<usize>) -> Result<Vec<f32>> {
+        match self.contact_name() {
+            Some(name) => self.read_f32(name, range),
+            None => Ok(vec![f32::NAN; range.len() * N_FIELD]),
+        }
+    }
+
+    fn contact_name(&self) -> Option<&'static str> {
+        [MANO_CONTACT, MANO_CONTACT_SCORE].into_iter().find(|name| self.has(name))
+    }
+
+    fn column(&self, name: &str) -> Result<&Column> {
+        self.arrays.get(name).ok_or_else(|| Error::Missing {
+            name: name.to_string(),
+            place: self.path.display().to_string(),
+            present: self.arrays.keys().cloned().collect::<Vec<_>>().join(", "),
+        })
+    }
+
+    fn bytes(&self, name: &str, values: Values) -> Result<Vec<u8>> {
+        match values {
+            Values::U8(values) => Ok(values),
+            other => Err(Error::file(&self.path, format!("{name}: expected dtype u8, got {}", other.dtype()))),
+        }
+    }
+
+    fn read_episode_ends(&self) -> Result<Vec<usize>> {
+        let column = self.column(EPISODE_ENDS)?;
+        let fail = |message: String| Error::file(&self.path, format!("{EPISODE_ENDS}: {message}"));
+        let values = self.read(EPISODE_ENDS, 0..column.info().shape.first().copied().unwrap_or(0))?;
+        let Values::I64(ends) = values else {
+            return Err(fail(format!("expected integers, got {}", values.dtype())));
+        };
+        let mut before = 0;
+        for end in &ends {
+            if *end <= before {
+                return Err(fail(format!("expected ends that grow from above 0, got {end} after {before}")));
+            }
+            before = *end;
+        }
+        if ends.is_empty() {
+            return Err(fail("the store has no episode".into()));
+        }
+        Ok(ends.into_iter().map(|end| end as usize).collect())
+    }
+
+    /// Every array's frames against the episodes, known arrays' shapes and dtypes against their names.
+    fn check_shapes(&self) -> Result<(usize, usize)> {
+        let n_frames = self.len();
+        for column in self.arrays.values().filter(|column| column.name.starts_with("data/")) {
+            let shape = column.info().shape;
+            if shape.first() != Some(&n_frames) {
+                let expected = format!("({n_frames}, ..), the last of {EPISODE_ENDS}");
+                return Err(self.named(Error::shape(&column.name, expected, shape)));
+            }
+        }
+        let fields = [MANO_FORCE, MANO_CONTACT, MANO_CONTACT_SCORE, MANO_FORCE_VALID, MANO_CONTACT_VALID];
+        let known = fields.into_iter().map(|name| (name, vec![n_frames, N_FIELD])).chain([
+            (FRAME_VALIDITY, vec![n_frames]),
+            (TIMESTAMPS, vec![n_frames]),
+            (LEFT_HAND_POSE, vec![n_frames, 61]),
+            (RIGHT_HAND_POSE, vec![n_frames, 61]),
+        ]);
+        for (name, expected) in known {
+            if let Some(column) = self.arrays.get(name)
+                && column.info().shape != expected
+            {
+                return Err(self.named(Error::shape(name, format!("{expected:?}"), column.info().shape)));
+            }
+        }
+        self.column(TIMESTAMPS)?;
+        let rgb = self.column(CAMERA_EGO_RGB)?.info();
+        match rgb.shape[..] {
+            [_, height, width, 3] if height > 0 && width > 0 => Ok((height, width)),
+            _ => Err(self.named(Error::shape(CAMERA_EGO_RGB, "(T, H, W, 3)", rgb.shape))),
+        }
+    }
+
+    fn named(&self, error: Error) -> Error {
+        Error::file(&self.path, error)
+    }
+
+    fn hand_pose(&self, name: &str, index: usize) -> Result<Option<HandParams>> {
+        let Some(column) = self.arrays.get(name) else { return Ok(None) };
+        let row = column.read_frame(index, &self.path)?.into_f32();
+        let array: [f32; 61] = row.try_into().map_err(|row: Vec<f32>| Error::shape(name, "[61]", [row.len()]))?;
+        Ok(array.iter().any(|x| *x != 0.0).then(|| HandParams::from_array(&array)))
+    }
+
+    /// One frame of a (T, 1556) array, or `missing` everywhere if the store has none.
+    fn field(&self, name: Option<&str>, index: usize, missing: f32) -> Result<Vec<f32>> {
+        match name.and_then(|name| self.arrays.get(name)) {
+            Some(column) => Ok(column.read_frame(index, &self.path)?.into_f32()),
+            None => Ok(vec![missing; N_FIELD]),
+        }
+    }
+
+    fn mask(&self, name: &str, label: Option<&str>, index: usize) -> Result<Vec<u8>> {
+        match self.arrays.get(name) {
+            Some(column) => self.bytes(name, column.read_frame(index, &self.path)?),
+            None => Ok(vec![u8::from(label.is_some_and(|label| self.has(label))); N_FIELD]),
+        }
+    }
+}
+
+impl EpisodeReader for ZarrReader {
+    fn attributes(&self) -> &Attributes {
+        &self.attributes
+    }
+
+    fn episode_ends(&self) -> &[usize] {
+        &self.episode_ends
+    }
+
+    fn frame(&self, index: usize) -> Result<Frame> {
+        let one = |name: &str| self.column(name)?.read_frame(index, &self.path);
+        let (height, width) = self.image_size;
+        let pixels = self.bytes(CAMERA_EGO_RGB, one(CAMERA_EGO_RGB)?)?;
+        let camera_ego_rgb = RgbImage::from_raw(width as u32, height as u32, pixels)
+            .ok_or_else(|| Error::file(&self.path, format!("{CAMERA_EGO_RGB}: frame {index} is too short")))?;
+        let code = match self.has(FRAME_VALIDITY) {
+            true => self.bytes(FRAME_VALIDITY, one(FRAME_VALIDITY)?)?.first().copied().unwrap_or(0),
+            false => 0,
+        };
+        let validity = Validity::ALL.get(usize::from(code)).copied().ok_or_else(|| {
+            let known = format!("a code below {}", Validity::ALL.len());
+            self.named(Error::value(format!("{FRAME_VALIDITY}[{index}]"), known, code))
+        })?;
+        Ok(Frame {
+            timestamp: one(TIMESTAMPS)?.into_f64().first().copied().unwrap_or(f64::NAN),
+            camera_ego_rgb,
+            field: TactileField {
+                topology: self.attributes.topology,
+                force: self.field(Some(MANO_FORCE), index, f32::NAN)?,
+                contact: self.field(self.contact_name(), index, f32::NAN)?,
+            },
+            force_valid: self.mask(MANO_FORCE_VALID, Some(MANO_FORCE), index)?,
+            contact_valid: self.mask(MANO_CONTACT_VALID, self.contact_name(), index)?,
+            validity,
+            left_hand_pose: self.hand_pose(LEFT_HAND_POSE, index)?,
+            right_hand_pose: self.hand_pose(RIGHT_HAND_POSE, index)?,
+        })
+    }
+}
+
+impl std::fmt::Debug for ZarrReader {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "ZarrReader({}, {} frames)", self.path.display(), self.len())
+    }
+}
+
+/// One array and the chunk of time it was last read from: frames are mostly read in order.
+struct Column {
+    name: String,
+    array: Array<dyn ReadableStorageTraits>,
+    last_chunk: Mutex<Option<(usize, Arc<Values>)>>,
+}
+
+impl Column {
+    fn info(&self) -> ArrayInfo {
+        let origin = vec![0; self.array.shape().len()];
+        let chunks = self.array.chunk_shape_usize(&origin).unwrap_or_default();
+        let dtype = match known_dtype(&self.array) {
+            Some(dtype) => dtype.to_string(),
+            None => format!("{:?}", self.array.data_type()),
+        };
+        let shape = self.array.shape().iter().map(|n| *n as usize).collect();
+        ArrayInfo { name: self.name.clone(), shape, dtype, chunks }
+    }
+
+    fn read_frame(&self, index: usize, path: &Path) -> Result<Values> {
+        let info = self.info();
+        let n_frames = info.shape.first().copied().unwrap_or(0);
+        if index >= n_frames {
+            return Err(Error::file(path, Error::value(&self.name, format!("a frame below {n_frames}"), index)));
+        }
+        let chunk_len = info.chunks.first().copied().unwrap_or(1).max(1);
+        let start = index - index % chunk_len;
+        let cached = {
+            let last = self.last_chunk.lock().unwrap_or_else(PoisonError::into_inner);
+            last.as_ref().filter(|(at, _)| *at == start).map(|(_, values)| values.clone())
+        };
+        let values = match cached {
+            Some(values) => values,
+            None => {
+                // Decoded outside the lock: another thread may want another chunk.
+                let values = Arc::new(self.read(start..(start + chunk_len).min(n_frames), path)?);
+                *self.last_chunk.lock().unwrap_or_else(PoisonError::into_inner) = Some((start, values.clone()));
+                values
+            }
+        };
+        let item = info.shape[1..].iter().product::<usize>();
+        let at = (index - start) * item;
+        Ok(values.slice(at..at + item))
+    }
+
+    fn read(&self, range: Range<usize>, path: &Path) -> Result<Values> {
+        let shape = self.array.shape();
+        let n_frames = shape.first().copied().unwrap_or(0);
+        if range.start > range.end || range.end as u64 > n_frames {
+            let got = format!("{}..{}", range.start, range.end);
+            return Err(Error::file(path, Error::value(&self.name, format!("frames within 0..{n_frames}"), got)));
+        }
+        let time = range.start as u64..range.end as u64;
+        let subset = ArraySubset::from(std::iter::once(time).chain(shape.iter().skip(1).map(|n| 0..*n)));
+        let array = &self.array;
+        let of = array.data_type().clone();
+        if of == data_type::uint8() {
+            return Ok(Values::U8(self.retrieve(&subset, path)?));
+        } else if of == data_type::bool() {
+            return Ok(Values::U8(self.retrieve::<bool>(&subset, path)?.into_iter().map(u8::from).collect()));
+        } else if of == data_type::float32() {
+            return Ok(Values::F32(self.retrieve(&subset, path)?));
+        } else if of == data_type::float64() {
+            return Ok(Values::F64(self.retrieve(&subset, path)?));
+        } else if of == data_type::int64() {
+            return Ok(Values::I64(self.retrieve(&subset, path)?));
+        } else if of == data_type::int32() {
+            return Ok(Values::I64(self.retrieve::<i32>(&subset, path)?.into_iter().map(i64::from).collect()));
+        }
+        let known = "uint8, bool, float32, float64, int32 or int64";
+        Err(Error::file(path, format!("{}: expected dtype {known}, got {of:?}", self.name)))
+    }
+
+    fn retrieve<T: ElementOwned>(&self, subset: &ArraySubset, path: &Path) -> Result<Vec<T>> {
+        self.array.retrieve_array_subset(subset).map_err(|e| Error::file(path, format!("{}: {e}", self.name)))
+    }
+}
+
+fn known_dtype(array: &Array<dyn ReadableStorageTraits>) -> Option<Dtype> {
+    let of = array.data_type();
+    let known = [
+        (data_type::uint8(), Dtype::U8),
+        (data_type::float32(), Dtype::F32),
+        (data_type::float64(), Dtype::F64),
+        (data_type::int64(), Dtype::I64),
+    ];
+    known.into_iter().find(|(dtype, _)| dtype == of).map(|(_, dtype)| dtype)
+}
+
+fn is_store(path: &Path) -> bool {
+    path.join(".zgroup").is_file() || path.join("zarr.json").is_file()
+}
+
+/// Names of the arrays in `data/` and `meta/`.
+fn array_names(path: &Path) -> Result<Vec<String>> {
+    let mut names = Vec::new();
+    for group in ["data", "meta"] {
+        let folder = path.join(group);
+        if !folder.is_dir() {
+            continue;
+        }
+        for entry in fs::read_dir(&folder).map_err(Error::io(&folder))? {
+            let entry = entry.map_err(Error::io(&folder))?;
+            let has = |file: &str| entry.path().join(file).is_file();
+            if has(".zarray") || (has("zarr.json") && !has(".zgroup")) {
+                names.push(format!("{group}/{}", entry.file_name().to_string_lossy()));
+            }
+        }
+    }
+    Ok(names)
+}
+
+/// The fixed attributes; a store without labels needs none of them.
+fn attributes(
+    path: &Path,
+    raw: &serde_json::Map<String, serde_json::Value>,
+    arrays: &BTreeMap<String, Column>,
+) -> Result<Attributes> {
+    let mut map = raw.clone();
+    if !map.contains_key("topology") {
+        let labels: Vec<&str> =
+            arrays.keys().filter(|name| name.starts_with("data/mano_")).map(String::as_str).collect();
+        if !labels.is_empty() {
+            let labels = labels.join(", ");
+            return Err(Error::file(
+                path,
+                format!("attribute topology is missing: what do the vertices of {labels} mean?"),
+            ));
+        }
+        map.insert("topology".into(), Topology::default().id().into());
+    }
+    serde_json::from_value(map.into()).map_err(|e| Error::file(path, format!("attributes: {e}")))
+}

@@ -1,0 +1,369 @@
+//! Writes a store frame by frame, in constant memory.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde_json::{Map, Value, json};
+use tempfile::TempDir;
+use zarrs::array::{Array, ArrayBytes, ArrayMetadata, ArrayMetadataV2};
+use zarrs::filesystem::FilesystemStore;
+
+use super::*;
+use crate::dataset::{Attributes, EpisodeWriter, Frame};
+use crate::error::{Error, Result};
+use crate::hand::HandParams;
+use crate::tactile::N_FIELD;
+
+/// Size of an uncompressed chunk, bytes: as many frames as first reach it.
+const CHUNK_BYTES: usize = 2_000_000;
+
+/// What the contact of the pushed frames is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Contact {
+    /// Truth: 0 or 1, stored as `data/mano_contact`; unknown (NaN) only where `contact_valid` is 0.
+    #[default]
+    Truth,
+    /// Predicted probability, stored as `data/mano_contact_score`.
+    Score,
+}
+
+/// Writes one store; it appears under its name when [`ZarrWriter::finish`] returns, complete or not at all.
+#[derive(Debug)]
+pub struct ZarrWriter {
+    path: PathBuf,
+    // Removed on drop; the store inside is renamed on finish.
+    folder: TempDir,
+    root: PathBuf,
+    store: Arc<FilesystemStore>,
+    attributes: Attributes,
+    more_attributes: Map<String, Value>,
+    contact: Contact,
+    extra: Vec<ArraySpec>,
+    // Known from the first frame on.
+    image_size: Option<(u32, u32)>,
+    columns: Vec<Column>,
+    n_frames: usize,
+    episode_ends: Vec<i64>,
+}
+
+impl ZarrWriter {
+    /// Starts a store that will lie at `path`; `extra` declares arrays beside the fixed ones.
+    ///
+    /// # Errors
+    /// If `path` exists, its folder can't be written, or an extra array's name is not `data/NAME` or taken.
+    pub fn create(path: &Path, attributes: Attributes, contact: Contact, extra: Vec<ArraySpec>) -> Result<Self> {
+        if path.exists() {
+            return Err(Error::file(path, "exists already; choose another name or remove it"));
+        }
+        let (Some(name), Some(parent)) = (path.file_name(), path.parent()) else {
+            return Err(Error::file(path, "is not a name for a store"));
+        };
+        let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
+        fs::create_dir_all(parent).map_err(Error::io(parent))?;
+        let prefix = format!(".{}.partial-", name.to_string_lossy());
+        let folder = tempfile::Builder::new().prefix(&prefix).tempdir_in(parent).map_err(Error::io(parent))?;
+        // A folder inside: the temporary one is private to the user, the store gets the usual permissions.
+        let root = folder.path().join(name);
+        fs::create_dir(&root).map_err(Error::io(&root))?;
+        let store = FilesystemStore::new(&root).map_err(|e| Error::file(&root, e))?;
+        let writer = Self {
+            path: path.to_path_buf(),
+            folder,
+            root,
+            store: Arc::new(store),
+            attributes,
+            more_attributes: Map::new(),
+            contact,
+            extra,
+            image_size: None,
+            columns: Vec::new(),
+            n_frames: 0,
+            episode_ends: Vec::new(),
+        };
+        writer.check_extra()?;
+        Ok(writer)
+    }
+
+    /// Sets an attribute beside the fixed ones, e.g. the camera's intrinsics.
+    pub fn set_attribute(&mut self, name: &str, value: Value) {
+        self.more_attributes.insert(name.to_string(), value);
+    }
+
+    /// Frames pushed so far, all episodes together.
+    pub fn n_frames(&self) -> usize {
+        self.n_frames
+    }
+
+    /// Appends one frame and, by name, the values of every extra array.
+    ///
+    /// # Errors
+    /// If the frame or an extra value does not fit the store (image size, topology, shape, dtype, range), an extra
+    /// array is missing or unknown, or writing fails.
+    pub fn push_with(&mut self, frame: Frame, extra: Vec<(&str, Values)>) -> Result<()> {
+        self.attributes.topology.must_match(frame.field.topology)?;
+        let size = frame.camera_ego_rgb.dimensions();
+        if *self.image_size.get_or_insert(size) != size {
+            let (w, h) = self.image_size.unwrap_or(size);
+            return Err(Error::shape(CAMERA_EGO_RGB, format!("({h}, {w}, 3)"), (size.1, size.0, 3)));
+        }
+        if size.0 == 0 || size.1 == 0 {
+            return Err(Error::shape(CAMERA_EGO_RGB, "(H, W, 3)", (size.1, size.0, 3)));
+        }
+        if self.columns.is_empty() {
+            self.columns = self.specs(size).into_iter().map(Column::new).collect();
+        }
+        let mut values = fixed_values(frame, self.contact)?;
+        for (name, value) in extra {
+            if !self.extra.iter().any(|spec| spec.name == name) {
+                return Err(Error::unknown("extra array", name, self.extra.iter().map(|s| s.name.as_str())));
+            }
+            values.insert(name.to_string(), value);
+        }
+        // All are checked before the first is taken, so that a refused frame leaves no half of itself.
+        for column in &self.columns {
+            column.check(values.get(&column.spec.name), &self.path)?;
+        }
+        for column in &mut self.columns {
+            if let Some(values) = values.remove(&column.spec.name) {
+                column.push(values, &self.store, &self.path)?;
+            }
+        }
+        self.n_frames += 1;
+        Ok(())
+    }
+
+    /// Writes what is left and gives the store its name.
+    ///
+    /// # Errors
+    /// If an episode is still open, there is none at all, `path` has come into being meanwhile, or writing fails.
+    pub fn finish(mut self) -> Result<()> {
+        let ended = self.episode_ends.last().copied().unwrap_or(0);
+        if ended != self.n_frames as i64 {
+            return Err(Error::file(&self.path, "an episode is still open; end it before finishing"));
+        }
+        if self.n_frames == 0 {
+            return Err(Error::file(&self.path, "no episode was written"));
+        }
+        for column in &mut self.columns {
+            column.finish(&self.store, &self.root, &self.path)?;
+        }
+        let mut ends = Column::new(ArraySpec::new(EPISODE_ENDS, [], Dtype::I64));
+        ends.compressed = false;
+        for end in &self.episode_ends {
+            ends.push(Values::I64(vec![*end]), &self.store, &self.path)?;
+        }
+        ends.finish(&self.store, &self.root, &self.path)?;
+
+        let mut attributes = match serde_json::to_value(&self.attributes) {
+            Ok(Value::Object(map)) => map,
+            _ => Map::new(),
+        };
+        attributes.append(&mut self.more_attributes);
+        for group in ["", "data", "meta"] {
+            write_json(&self.root.join(group).join(".zgroup"), &json!({ "zarr_format": 2 }))?;
+        }
+        write_json(&self.root.join(".zattrs"), &Value::Object(attributes))?;
+        if self.path.exists() {
+            return Err(Error::file(&self.path, "exists already; choose another name or remove it"));
+        }
+        fs::rename(&self.root, &self.path).map_err(Error::io(&self.path))?;
+        self.folder.close().map_err(Error::io(&self.path))
+    }
+
+    fn check_extra(&self) -> Result<()> {
+        let mut names: Vec<String> = self.specs((1, 1)).into_iter().map(|spec| spec.name).collect();
+        names.sort();
+        if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+            return Err(Error::value("extra array", "a name that is not taken", &twice[0]));
+        }
+        for spec in &self.extra {
+            let leaf = spec.name.strip_prefix("data/").unwrap_or("");
+            if leaf.is_empty() || leaf.contains(['/', '.']) {
+                return Err(Error::value("extra array", "a name of the form data/NAME", &spec.name));
+            }
+            if spec.item.contains(&0) {
+                return Err(Error::shape(&spec.name, "no empty dimension", &spec.item));
+            }
+        }
+        Ok(())
+    }
+
+    fn specs(&self, (width, height): (u32, u32)) -> Vec<ArraySpec> {
+        let contact = match self.contact {
+            Contact::Truth => ArraySpec::new(MANO_CONTACT, [N_FIELD], Dtype::U8),
+            Contact::Score => ArraySpec::new(MANO_CONTACT_SCORE, [N_FIELD], Dtype::F32),
+        };
+        let fixed = [
+            ArraySpec::new(CAMERA_EGO_RGB, [height as usize, width as usize, 3], Dtype::U8),
+            ArraySpec::new(TIMESTAMPS, [], Dtype::F64),
+            ArraySpec::new(MANO_FORCE, [N_FIELD], Dtype::F32),
+            contact,
+            ArraySpec::new(MANO_FORCE_VALID, [N_FIELD], Dtype::U8),
+            ArraySpec::new(MANO_CONTACT_VALID, [N_FIELD], Dtype::U8),
+            ArraySpec::new(FRAME_VALIDITY, [], Dtype::U8),
+            ArraySpec::new(LEFT_HAND_POSE, [61], Dtype::F32),
+            ArraySpec::new(RIGHT_HAND_POSE, [61], Dtype::F32),
+        ];
+        fixed.into_iter().chain(self.extra.iter().cloned()).collect()
+    }
+}
+
+impl EpisodeWriter for ZarrWriter {
+    fn push(&mut self, frame: Frame) -> Result<()> {
+        self.push_with(frame, Vec::new())
+    }
+
+    fn end_episode(&mut self) -> Result<()> {
+        if self.episode_ends.last().copied().unwrap_or(0) == self.n_frames as i64 {
+            return Err(Error::file(&self.path, "the episode to end has no frame"));
+        }
+        self.episode_ends.push(self.n_frames as i64);
+        Ok(())
+    }
+}
+
+/// One array: frames wait in `buffer` until a chunk is full.
+#[derive(Debug)]
+struct Column {
+    spec: ArraySpec,
+    compressed: bool,
+    // Frames of one chunk.
+    chunk_len: usize,
+    // Native-endian bytes of the frames of the open chunk.
+    buffer: Vec<u8>,
+    n_frames: usize,
+    n_chunks: usize,
+}
+
+impl Column {
+    fn new(spec: ArraySpec) -> Self {
+        let chunk_len = CHUNK_BYTES.div_ceil(frame_bytes(&spec)).max(1);
+        Self { spec, compressed: true, chunk_len, buffer: Vec::new(), n_frames: 0, n_chunks: 0 }
+    }
+
+    fn check(&self, values: Option<&Values>, path: &Path) -> Result<()> {
+        let Some(values) = values else {
+            return Err(Error::file(path, format!("{}: the pushed frame has no values for it", self.spec.name)));
+        };
+        if values.dtype() != self.spec.dtype {
+            return Err(Error::value(&self.spec.name, self.spec.dtype, values.dtype()));
+        }
+        if values.len() != self.spec.item.iter().product::<usize>() {
+            return Err(Error::shape(&self.spec.name, format!("{:?} per frame", self.spec.item), [values.len()]));
+        }
+        Ok(())
+    }
+
+    fn push(&mut self, values: Values, store: &Arc<FilesystemStore>, path: &Path) -> Result<()> {
+        match values {
+            Values::U8(v) => self.buffer.extend_from_slice(&v),
+            Values::F32(v) => v.iter().for_each(|x| self.buffer.extend_from_slice(&x.to_ne_bytes())),
+            Values::F64(v) => v.iter().for_each(|x| self.buffer.extend_from_slice(&x.to_ne_bytes())),
+            Values::I64(v) => v.iter().for_each(|x| self.buffer.extend_from_slice(&x.to_ne_bytes())),
+        }
+        self.n_frames += 1;
+        if self.buffer.len() == self.chunk_len * frame_bytes(&self.spec) {
+            self.flush(store, path)?;
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self, store: &Arc<FilesystemStore>, root: &Path, path: &Path) -> Result<()> {
+        if self.n_chunks == 0 {
+            // A short store needs no padding up to a whole chunk.
+            self.chunk_len = self.n_frames.max(1);
+        }
+        if !self.buffer.is_empty() {
+            // Zarr v2 stores the last chunk whole.
+            self.buffer.resize(self.chunk_len * frame_bytes(&self.spec), 0);
+            self.flush(store, path)?;
+        }
+        let file = root.join(&self.spec.name).join(".zarray");
+        write_json(&file, &self.metadata(self.n_frames))
+    }
+
+    fn flush(&mut self, store: &Arc<FilesystemStore>, path: &Path) -> Result<()> {
+        let fail = |error: &dyn std::fmt::Display| Error::file(path, format!("{}: {error}", self.spec.name));
+        let shape = (self.n_chunks + 1) * self.chunk_len;
+        let metadata: ArrayMetadataV2 = serde_json::from_value(self.metadata(shape)).map_err(|e| fail(&e))?;
+        let name = format!("/{}", self.spec.name);
+        let array =
+            Array::new_with_metadata(store.clone(), &name, ArrayMetadata::V2(metadata)).map_err(|e| fail(&e))?;
+        let mut chunk = vec![0; 1 + self.spec.item.len()];
+        chunk[0] = self.n_chunks as u64;
+        let bytes = ArrayBytes::new_flen(std::mem::take(&mut self.buffer));
+        array.store_chunk(&chunk, bytes).map_err(|e| fail(&e))?;
+        self.n_chunks += 1;
+        Ok(())
+    }
+
+    /// `.zarray` for `n_frames` frames.
+    fn metadata(&self, n_frames: usize) -> Value {
+        let with_item = |first: usize| -> Vec<usize> { [first].iter().chain(&self.spec.item).copied().collect() };
+        let compressor =
+            self.compressed.then(|| json!({"id": "blosc", "cname": "zstd", "clevel": 5, "shuffle": 2, "blocksize": 0}));
+        json!({
+            "zarr_format": 2,
+            "shape": with_item(n_frames),
+            "chunks": with_item(self.chunk_len),
+            "dtype": self.spec.dtype.zarr_name(),
+            "compressor": compressor,
+            "fill_value": match self.spec.dtype { Dtype::F32 | Dtype::F64 => json!(0.0), _ => json!(0) },
+            "order": "C",
+            "filters": null,
+            "dimension_separator": ".",
+        })
+    }
+}
+
+/// The values of every fixed array.
+fn fixed_values(frame: Frame, contact: Contact) -> Result<BTreeMap<String, Values>> {
+    let left = frame.left_hand_pose.as_ref().map_or([0.0; 61], HandParams::to_array).to_vec();
+    let right = frame.right_hand_pose.as_ref().map_or([0.0; 61], HandParams::to_array).to_vec();
+    let contact = match contact {
+        Contact::Score => (MANO_CONTACT_SCORE, Values::F32(frame.field.contact)),
+        Contact::Truth => {
+            let truth = contact_truth(&frame.field.contact, &frame.contact_valid)?;
+            (MANO_CONTACT, Values::U8(truth))
+        }
+    };
+    let force = frame.field.force;
+    if let Some(bad) = force.iter().position(|f| *f < 0.0 || f.is_infinite()) {
+        return Err(Error::value(format!("{MANO_FORCE}[{bad}]"), "a number >= 0, or NaN for unknown", force[bad]));
+    }
+    let values = [
+        (CAMERA_EGO_RGB, Values::U8(frame.camera_ego_rgb.into_raw())),
+        (TIMESTAMPS, Values::F64(vec![frame.timestamp])),
+        (MANO_FORCE, Values::F32(force)),
+        contact,
+        (MANO_FORCE_VALID, Values::U8(frame.force_valid)),
+        (MANO_CONTACT_VALID, Values::U8(frame.contact_valid)),
+        (FRAME_VALIDITY, Values::U8(vec![frame.validity.code()])),
+        (LEFT_HAND_POSE, Values::F32(left)),
+        (RIGHT_HAND_POSE, Values::F32(right)),
+    ];
+    Ok(values.into_iter().map(|(name, values)| (name.to_string(), values)).collect())
+}
+
+fn contact_truth(contact: &[f32], valid: &[u8]) -> Result<Vec<u8>> {
+    let one = |(vertex, contact): (usize, &f32)| match contact {
+        0.0 => Ok(0),
+        1.0 => Ok(1),
+        c if c.is_nan() && valid.get(vertex) == Some(&0) => Ok(0),
+        c => Err(Error::value(format!("{MANO_CONTACT}[{vertex}]"), "0 or 1, or unsupervised and NaN", c)),
+    };
+    contact.iter().enumerate().map(one).collect()
+}
+
+fn frame_bytes(spec: &ArraySpec) -> usize {
+    spec.dtype.size() * spec.item.iter().product::<usize>()
+}
+
+fn write_json(file: &Path, value: &Value) -> Result<()> {
+    if let Some(folder) = file.parent() {
+        fs::create_dir_all(folder).map_err(Error::io(folder))?;
+    }
+    fs::write(file, format!("{value:#}\n")).map_err(Error::io(file))
+}
