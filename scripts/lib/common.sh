@@ -1,0 +1,74 @@
+# shellcheck shell=bash
+# What the scripts share: folders, messages, hashes and steps that run once. Source it.
+
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd -P)
+lib="$root/scripts/lib"
+
+say() { printf '%s\n' "$*"; }
+
+fail() {
+    printf 'egotac: %s\n' "$*" >&2
+    exit 1
+}
+
+# Where built environments live, shared by all clones on this machine: $cache.
+find_cache() {
+    local base=${XDG_CACHE_HOME:-}
+    [[ $base == /* ]] || base=${HOME:-}/.cache # the XDG rule: a relative path counts as unset
+    cache=$base/egotac
+    if ! mkdir -p "$cache" 2>/dev/null || ! [ -w "$cache" ]; then
+        cache=$root/.env/cache
+        mkdir -p "$cache"
+    fi
+    cache=$(cd "$cache" && pwd -P)
+}
+
+# A short name for the content of the files named and the text on standard input.
+key_of() { # FILE...
+    cat "$@" - | sha256sum | cut -c1-16
+}
+
+# Fills the folder DIR with COMMAND DIR, unless that has been done. An interrupted or failed attempt counts as not
+# done, and a second process waits for the first.
+once() { # DIR WHAT COMMAND...
+    local dir=$1 what=$2
+    shift 2
+    [ -e "$dir/.complete" ] && return
+    mkdir -p "${dir%/*}"
+    (
+        flock 9
+        [ -e "$dir/.complete" ] && exit
+        say "egotac: $what"
+        rm -rf "$dir"
+        mkdir "$dir"
+        if ! "$@" "$dir" >"$dir.log" 2>&1; then
+            tail -n 30 "$dir.log" >&2
+            fail "failed: $what; the whole log is $dir.log"
+        fi
+        touch "$dir/.complete"
+    ) 9>"$dir.lock"
+}
+
+# The entries of a colon-separated list that are not below the folder BELOW.
+without() { # LIST BELOW
+    local entry result=()
+    while IFS= read -r -d : entry; do
+        [[ -z $entry || $entry == "$2"/* ]] || result+=("$entry")
+    done <<<"$1:"
+    join_path ${result[@]+"${result[@]}"}
+}
+
+# Joins the arguments that are not empty with colons.
+join_path() {
+    local entry result=
+    for entry in "$@"; do
+        [ -z "$entry" ] || result+=${result:+:}$entry
+    done
+    printf '%s' "$result"
+}
+
+# The hash that names a message layout: over the installed .idl files of egotac_msgs below PREFIX. build.rs and
+# launch/cargo.cmake compute the same.
+idl_hash() { # PREFIX
+    (cd "$1/share/egotac_msgs" && find . -name '*.idl' | LC_ALL=C sort | xargs sha256sum | sha256sum | cut -c1-16)
+}

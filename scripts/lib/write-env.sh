@@ -1,0 +1,81 @@
+# shellcheck shell=bash
+# Writes env.sh, the one file that make, CI and a person source. Source it after common.sh.
+
+# VALUE as one word of any POSIX shell.
+quoted() {
+    local escaped=${1//\'/\'\\\'\'}
+    printf "'%s'" "$escaped"
+}
+
+assign() { printf 'export %s=%s\n' "$1" "$(quoted "$2")"; }                 # NAME VALUE
+assign_unless_set() { printf 'export %s="${%s:-%s}"\n' "$1" "$1" "$2"; }    # NAME VALUE
+prepend() {                                                                # NAME LIST
+    printf 'case ":${%s:-}:" in *:%s:*) ;; *) export %s=%s${%s:+":$%s"} ;; esac\n' \
+        "$1" "$(quoted "$2")" "$1" "$(quoted "$2")" "$1" "$1"
+}
+
+# Uses: root venv msgs ros (wheels or sourced) mujoco, and for sourced ROS its variables.
+env_file() {
+    local site packages=() rpath
+    site=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+
+    printf '%s\n' "# Made by scripts/setup, which makes it anew when something changed. Source it: . ./env.sh"
+    assign EGOTAC_PYTHON "$venv/bin/python" # Python with the engine, the peers of the tests and (wheels) rclpy
+    assign EGOTAC_BIN "$venv/bin"           # cmake, ninja, colcon, shellcheck
+    assign EGOTAC_ROS "$ros"
+
+    if [ "$ros" = wheels ]; then
+        assign ROS_DISTRO jazzy
+        assign ROS_VERSION 2
+        assign RMW_IMPLEMENTATION rmw_fastrtps_cpp
+        assign AMENT_PREFIX_PATH "$msgs:$venv"
+        assign CMAKE_PREFIX_PATH "$msgs:$venv"
+        rpath=$(join_path "$msgs/lib" "$venv/lib" "$site"/ros_*.libs "$mujoco")
+    else
+        assign ROS_DISTRO "$ROS_DISTRO"
+        assign ROS_VERSION 2
+        assign AMENT_PREFIX_PATH "$(join_path "$msgs" "$(without "$AMENT_PREFIX_PATH" "$cache")")"
+        assign CMAKE_PREFIX_PATH \
+            "$(join_path "$msgs" "$(without "${CMAKE_PREFIX_PATH:-$AMENT_PREFIX_PATH}" "$cache")")"
+        prepend PYTHONPATH "$(without "${PYTHONPATH:-}" "$cache")"
+        rpath=$(join_path "$msgs/lib" "$(without "${LD_LIBRARY_PATH:-}" "$cache")" "$mujoco")
+    fi
+    prepend PYTHONPATH "$(dirname "$(find "$msgs" -type d -path '*-packages/egotac_msgs' | head -n 1)")"
+    assign EGOTAC_RPATH "$rpath" # where build.rs tells the binaries to look, so that they start without this file
+    # shellcheck disable=SC2016 # expanded when env.sh is sourced
+    printf '%s\n' 'case ":${LD_LIBRARY_PATH:-}:" in *":$EGOTAC_RPATH:"*) ;;' \
+        '*) export LD_LIBRARY_PATH="$EGOTAC_RPATH${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}" ;; esac'
+
+    # r2r: which messages to bind. The last name is no package: it changes with our messages' layout, which makes
+    # r2r's build scripts run again; bindings of another layout would be memory corruption, not a compile error.
+    mapfile -t packages <"$root/scripts/idl_packages.txt"
+    assign IDL_PACKAGE_FILTER "$(IFS=';' && echo "${packages[*]};egotac_idl_$(idl_hash "$msgs")")"
+    # That libclang has no headers of its own.
+    assign LIBCLANG_PATH "$site/clang/native"
+    assign BINDGEN_EXTRA_CLANG_ARGS "-I$(cc -print-file-name=include)"
+
+    assign MUJOCO_DYNAMIC_LINK_DIR "$mujoco"
+    assign_unless_set MUJOCO_GL egl
+    # Default settings lose camera images above half a megabyte; the first name is Jazzy's, the second is newer.
+    assign_unless_set FASTRTPS_DEFAULT_PROFILES_FILE "$(escaped_for_default "$root/launch/fastdds.xml")"
+    assign_unless_set FASTDDS_DEFAULT_PROFILES_FILE "$(escaped_for_default "$root/launch/fastdds.xml")"
+}
+
+# TEXT for use inside "${NAME:-TEXT}".
+escaped_for_default() {
+    # shellcheck disable=SC2001 # one pass over four characters
+    sed 's/[\\"$`}]/\\&/g' <<<"$1"
+}
+
+write_env() {
+    local temporary
+    temporary=$(mktemp "$root/.env/env.sh.XXXXXX")
+    env_file >"$temporary"
+    chmod 644 "$temporary"
+    if cmp -s "$temporary" "$root/env.sh"; then
+        rm -f "$temporary"
+    else
+        mv -f "$temporary" "$root/env.sh"
+        say "egotac: wrote $root/env.sh (ROS 2 ${ROS_DISTRO_USED}, from ${ros_from})"
+    fi
+}
