@@ -1,12 +1,131 @@
 //! `egotac model`.
 
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+
+use anyhow::Context;
+use candle_core::{DType, Device, Tensor};
+
+use crate::model::{Checkpoint, Config, checkpoint};
 
 /// Arguments of `egotac model`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// Run the network on prepared images and write what each stage gives.
+    Forward(Forward),
+    /// Say what a checkpoint is: geometry, parameters, metadata, hash.
+    Info(Info),
+}
+
+#[derive(Debug, clap::Args)]
+struct Forward {
+    /// Weights (safetensors).
+    #[arg(long, value_name = "FILE")]
+    weights: PathBuf,
+    /// Safetensors with key `images`: (B, T, 3, H, W) f32, ImageNet-normalised, oldest frame first.
+    #[arg(long, value_name = "FILE")]
+    input: PathBuf,
+    /// Safetensors to write: `tokens` (B T, P, dv), `z` (B, d), `force` and `contact_logits` (B, K, 1556).
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Geometry (JSON) to use in place of the one in the weights' metadata.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+#[derive(Debug, clap::Args)]
+struct Info {
+    /// Checkpoint (safetensors).
+    weights: PathBuf,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
 
 /// Runs the command.
-pub fn run(_args: Args) -> anyhow::Result<ExitCode> {
-    anyhow::bail!("not written yet")
+pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    match args.command {
+        Command::Forward(args) => forward(&args)?,
+        Command::Info(args) => info(&args)?,
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn forward(args: &Forward) -> anyhow::Result<()> {
+    let config = match &args.config {
+        Some(path) => {
+            let json = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            Some(Config::from_json(&json).with_context(|| path.display().to_string())?)
+        }
+        None => None,
+    };
+    let device = Device::Cpu;
+    let model = checkpoint::load_model(&args.weights, config.as_ref(), &device)?;
+    let images = images(&args.input, &device)?;
+    let stages = model.stages(&images).with_context(|| args.input.display().to_string())?;
+    let stages = BTreeMap::from([
+        ("tokens".to_string(), stages.tokens),
+        ("z".into(), stages.z),
+        ("force".into(), stages.force),
+        ("contact_logits".into(), stages.contact_logits),
+    ]);
+    for (name, tensor) in &stages {
+        println!("{name}: {:?}", tensor.dims());
+    }
+    checkpoint::save_tensors(&args.out, &stages)?;
+    println!("written to {}", args.out.display());
+    Ok(())
+}
+
+/// The input's `images`, as f32.
+fn images(path: &Path, device: &Device) -> anyhow::Result<Tensor> {
+    let mut tensors: HashMap<String, Tensor> =
+        candle_core::safetensors::load(path, device).with_context(|| path.display().to_string())?;
+    let Some(images) = tensors.remove("images") else {
+        let mut keys: Vec<_> = tensors.into_keys().collect();
+        keys.sort();
+        anyhow::bail!("{}: key `images` is missing; there: {}", path.display(), keys.join(", "));
+    };
+    Ok(images.to_dtype(DType::F32)?)
+}
+
+fn info(args: &Info) -> anyhow::Result<()> {
+    let Checkpoint { model, metadata, sha256 } = Checkpoint::load(&args.weights, &Device::Cpu)?;
+    let config = model.config();
+    let parameters = checkpoint::parameter_count(config)?;
+    if args.json {
+        let text = serde_json::json!({
+            "file": args.weights, "sha256": sha256, "parameters": parameters, "config": config,
+            "metadata": metadata.to_map(),
+        });
+        println!("{}", serde_json::to_string_pretty(&text)?);
+        return Ok(());
+    }
+    println!("{}", metadata.name);
+    println!("  sha256      {sha256}");
+    println!("  parameters  {:.2} M", parameters as f64 / 1e6);
+    println!(
+        "  encoder     {} x {} wide, {} heads; image {} px, patch {} px: {} tokens a frame",
+        config.vision_depth,
+        config.vision_width,
+        config.vision_heads,
+        config.image,
+        config.patch,
+        config.tokens()
+    );
+    println!("  decoder     {} x {} wide, {} heads", config.depth, config.width, config.heads);
+    println!("  window      {} frames, {} s apart; {} predicted", config.horizon, metadata.frame_dt, config.predict);
+    for (key, value) in metadata.to_map() {
+        if !["name", "frame_dt"].contains(&key.as_str()) {
+            println!("  {key:<11} {value}");
+        }
+    }
+    Ok(())
 }

@@ -1,0 +1,197 @@
+//! Linear layers, layer norms and attention blocks that encoder, temporal fusion and decoder share.
+
+use candle_core::{D, Result, Tensor};
+use candle_nn::VarBuilder;
+
+use super::init::Scheme;
+use super::ops;
+
+/// Epsilon of every layer norm.
+pub const EPS: f64 = 1e-6;
+
+/// `x Wᵀ + b`.
+#[derive(Debug, Clone)]
+pub struct Linear {
+    weight: Tensor, // (n, k)
+    bias: Tensor,   // (n)
+}
+
+impl Linear {
+    /// Tensors `weight` `(n, k)` and `bias` `(n)` of `vb`.
+    pub fn new(k: usize, n: usize, scheme: Scheme, vb: VarBuilder) -> Result<Self> {
+        let weight = vb.get_with_hints((n, k), "weight", scheme.weight(k))?;
+        let bias = vb.get_with_hints(n, "bias", scheme.bias(k))?;
+        Ok(Self { weight, bias })
+    }
+
+    /// A convolution over RGB patches, stride = kernel = `patch`, as a linear layer over their 3 · patch² values:
+    /// tensors `weight` `(n, 3, patch, patch)` and `bias` `(n)` of `vb`.
+    pub fn patches(n: usize, patch: usize, vb: VarBuilder) -> Result<Self> {
+        let k = 3 * patch * patch;
+        let weight = vb.get_with_hints((n, 3, patch, patch), "weight", Scheme::Dinov2.weight(k))?.reshape((n, k))?;
+        let bias = vb.get_with_hints(n, "bias", Scheme::Dinov2.bias(k))?;
+        Ok(Self { weight, bias })
+    }
+
+    /// `x`: `(.., k)`. Returns `(.., n)`.
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        ops::linear(x, &self.weight, &self.bias)
+    }
+
+    /// One layer whose output is the layers' outputs side by side.
+    fn packed(layers: &[Linear; 3]) -> Result<Self> {
+        let weight = Tensor::cat(&layers.each_ref().map(|layer| &layer.weight), 0)?;
+        let bias = Tensor::cat(&layers.each_ref().map(|layer| &layer.bias), 0)?;
+        Ok(Self { weight, bias })
+    }
+}
+
+/// Layer norm over the last dimension with weight and bias.
+#[derive(Debug, Clone)]
+pub struct LayerNorm {
+    weight: Tensor, // (d)
+    bias: Tensor,   // (d)
+}
+
+impl LayerNorm {
+    /// Tensors `weight` and `bias` `(d)` of `vb`.
+    pub fn new(d: usize, vb: VarBuilder) -> Result<Self> {
+        let weight = vb.get_with_hints(d, "weight", candle_nn::Init::Const(1.0))?;
+        let bias = vb.get_with_hints(d, "bias", candle_nn::Init::Const(0.0))?;
+        Ok(Self { weight, bias })
+    }
+
+    /// `x`: `(.., d)`.
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        ops::layer_norm(x, Some((&self.weight, &self.bias)), EPS)
+    }
+}
+
+/// Two linear layers with an exact GELU between, four times as wide inside.
+#[derive(Debug, Clone)]
+pub struct Mlp {
+    fc1: Linear,
+    fc2: Linear,
+}
+
+impl Mlp {
+    /// Tensors `fc1`, `fc2` of `vb`.
+    pub fn new(d: usize, scheme: Scheme, vb: VarBuilder) -> Result<Self> {
+        let fc1 = Linear::new(d, 4 * d, scheme, vb.pp("fc1"))?;
+        let fc2 = Linear::new(4 * d, d, scheme, vb.pp("fc2"))?;
+        Ok(Self { fc1, fc2 })
+    }
+
+    /// `x`: `(.., d)`.
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        self.fc2.forward(&ops::gelu(&self.fc1.forward(x)?)?)
+    }
+}
+
+/// Multi-head self-attention.
+///
+/// Queries, keys and values come from one matrix product over the three weights side by side, so that the input is
+/// read once and the backward pass gives its gradient in one product too.
+#[derive(Debug, Clone)]
+pub struct SelfAttention {
+    qkv: Qkv,
+    out: Linear,
+    heads: usize,
+}
+
+/// The three projections as the checkpoint has them (they may be trained), or packed once for inference.
+#[derive(Debug, Clone)]
+enum Qkv {
+    Parts(Box<[Linear; 3]>),
+    Packed(Linear),
+}
+
+/// Where the four linear layers of a self-attention lie below its `vb`.
+pub struct AttentionNames {
+    /// Query projection.
+    pub q: &'static str,
+    /// Key projection.
+    pub k: &'static str,
+    /// Value projection.
+    pub v: &'static str,
+    /// Output projection.
+    pub out: &'static str,
+}
+
+/// Names in temporal fusion and decoder.
+pub const OWN_NAMES: AttentionNames = AttentionNames { q: "q", k: "k", v: "v", out: "out" };
+
+impl SelfAttention {
+    /// Four `(d, d)` linear layers under `names` of `vb`.
+    pub fn new(d: usize, heads: usize, names: &AttentionNames, scheme: Scheme, vb: VarBuilder) -> Result<Self> {
+        let linear = |name| Linear::new(d, d, scheme, vb.pp(name));
+        let parts = [linear(names.q)?, linear(names.k)?, linear(names.v)?];
+        Ok(Self { qkv: Qkv::Parts(Box::new(parts)), out: linear(names.out)?, heads })
+    }
+
+    /// Packs the projections once; later changes of the parameters are not seen.
+    pub fn freeze(&mut self) -> Result<()> {
+        if let Qkv::Parts(parts) = &self.qkv {
+            self.qkv = Qkv::Packed(Linear::packed(parts)?);
+        }
+        Ok(())
+    }
+
+    /// `x`: `(B, N, d)`. Returns `(B, N, d)`.
+    ///
+    /// The softmax over a single key is 1, so for N = 1 the result is the value, and query and key get no gradient
+    /// (it is zero).
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        let y = match &self.qkv {
+            Qkv::Parts(parts) if x.dim(1)? == 1 => parts[2].forward(x)?,
+            Qkv::Parts(parts) => ops::self_attention(&Linear::packed(parts)?.forward(x)?, self.heads)?,
+            Qkv::Packed(packed) if x.dim(1)? == 1 => {
+                let d = x.dim(D::Minus1)?;
+                ops::linear(x, &packed.weight.narrow(0, 2 * d, d)?, &packed.bias.narrow(0, 2 * d, d)?)?
+            }
+            Qkv::Packed(packed) => ops::self_attention(&packed.forward(x)?, self.heads)?,
+        };
+        self.out.forward(&y)
+    }
+}
+
+/// Multi-head attention of one learned query, the same for the whole batch, over many tokens.
+///
+/// With one query per head the key projection can be moved over to it, `qₕ·(Wₖ x) = (Wₖᵀ qₕ)·x`, and the value
+/// projection behind the weighted sum, `Σ a (Wᵥ x) = Wᵥ (Σ a x)`: two products with `heads` columns instead of two
+/// with `d`. The bias of the key adds the same to every score, so the softmax drops it.
+#[derive(Debug, Clone)]
+pub struct PooledAttention {
+    q: Linear,
+    k: Linear,
+    v: Linear,
+    out: Linear,
+    heads: usize,
+}
+
+impl PooledAttention {
+    /// Tensors `q`, `k`, `v`, `out` of `vb`.
+    pub fn new(d: usize, heads: usize, vb: VarBuilder) -> Result<Self> {
+        let linear = |name| Linear::new(d, d, Scheme::Torch, vb.pp(name));
+        Ok(Self { q: linear("q")?, k: linear("k")?, v: linear("v")?, out: linear("out")?, heads })
+    }
+
+    /// `query`: `(1, d)`, `tokens`: `(B, N, d)`. Returns `(B, d)`.
+    pub fn forward(&self, query: &Tensor, tokens: &Tensor) -> Result<Tensor> {
+        let (b, n, d) = tokens.dims3()?;
+        let (heads, size) = (self.heads, d / self.heads);
+        let q = (self.q.forward(query)?.reshape((heads, 1, size))? / (size as f64).sqrt())?;
+        let folded = q.matmul(&self.k.weight.reshape((heads, size, d))?)?.reshape((heads, d))?;
+        let scores = tokens.reshape((b * n, d))?.matmul(&folded.t()?)?.reshape((b, n, heads))?;
+        let weights = candle_nn::ops::softmax(&scores.transpose(1, 2)?.contiguous()?, D::Minus1)?; // (B, heads, N)
+        let pooled = weights.matmul(tokens)?; // (B, heads, d)
+        let values = pooled
+            .transpose(0, 1)?
+            .contiguous()? // (heads, B, d)
+            .matmul(&self.v.weight.reshape((heads, size, d))?.transpose(1, 2)?)? // (heads, B, size)
+            .transpose(0, 1)?
+            .reshape((b, d))?
+            .broadcast_add(&self.v.bias)?;
+        self.out.forward(&values)
+    }
+}

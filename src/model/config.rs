@@ -1,0 +1,228 @@
+//! Geometry of the network.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+
+/// Widest width, deepest stack and largest image that a configuration may ask for; beyond lies a typing error.
+const MAX_WIDTH: usize = 8192;
+const MAX_DEPTH: usize = 96;
+const MAX_IMAGE: usize = 4096;
+const MAX_STEPS: usize = 256;
+
+/// Geometry of the network.
+///
+/// Its JSON form has exactly these keys, all required; unknown keys are refused. [`Config::from_json`] and the
+/// network's constructors run [`Config::check`].
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// dv: width of the vision encoder.
+    pub vision_width: usize,
+    /// Layers of the vision encoder.
+    pub vision_depth: usize,
+    /// Attention heads of the vision encoder.
+    pub vision_heads: usize,
+    /// d: width of temporal fusion and decoder.
+    pub width: usize,
+    /// Layers of the decoder.
+    pub depth: usize,
+    /// Attention heads of temporal fusion and decoder.
+    pub heads: usize,
+    /// Side of the square input image, pixels.
+    pub image: usize,
+    /// Side of a patch, pixels.
+    pub patch: usize,
+    /// Side of the image whose patch grid the position embeddings were learned on, pixels.
+    pub pretrain_image: usize,
+    /// T: frames in the observation window.
+    pub horizon: usize,
+    /// K: tactile steps predicted.
+    pub predict: usize,
+}
+
+impl Config {
+    /// Names of the presets, for [`Config::preset`].
+    pub const PRESETS: [&'static str; 5] = ["toy", "pocket", "tiny", "small", "base"];
+
+    /// The preset of this name.
+    ///
+    /// # Errors
+    /// If there is none.
+    pub fn preset(name: &str) -> Result<Self> {
+        match name {
+            "toy" => Ok(Self::toy()),
+            "pocket" => Ok(Self::pocket()),
+            "tiny" => Ok(Self::tiny()),
+            "small" => Ok(Self::small()),
+            "base" => Ok(Self::base()),
+            _ => Err(Error::unknown("preset", name, Self::PRESETS)),
+        }
+    }
+
+    /// For tests: 0.24 M parameters.
+    pub fn toy() -> Self {
+        Self {
+            vision_width: 48,
+            vision_depth: 2,
+            vision_heads: 3,
+            width: 32,
+            depth: 2,
+            heads: 4,
+            image: 56,
+            patch: 14,
+            pretrain_image: 70,
+            horizon: 3,
+            predict: 2,
+        }
+    }
+
+    /// The shipped checkpoint's geometry: 2.7 M parameters (10.6 MB in f32), 65 tokens per frame.
+    ///
+    /// Small enough to be trained from scratch on two CPU cores: one frame costs the encoder 0.16 GFLOP.
+    pub fn pocket() -> Self {
+        Self {
+            vision_width: 128,
+            vision_depth: 6,
+            vision_heads: 4,
+            width: 128,
+            depth: 3,
+            heads: 4,
+            image: 112,
+            patch: 14,
+            pretrain_image: 112,
+            horizon: 3,
+            predict: 1,
+        }
+    }
+
+    /// ViT-Ti sized encoder, 257 tokens per frame: 8.7 M parameters.
+    pub fn tiny() -> Self {
+        Self { vision_width: 192, vision_heads: 3, width: 192, depth: 4, heads: 3, ..Self::base() }
+    }
+
+    /// The published DINOv2 small encoder.
+    pub fn small() -> Self {
+        Self { vision_width: 384, vision_heads: 6, width: 384, heads: 6, ..Self::base() }
+    }
+
+    /// The published DINOv2 base encoder.
+    pub fn base() -> Self {
+        Self {
+            vision_width: 768,
+            vision_depth: 12,
+            vision_heads: 12,
+            width: 768,
+            depth: 12,
+            heads: 12,
+            image: 224,
+            patch: 14,
+            pretrain_image: 518,
+            horizon: 4,
+            predict: 1,
+        }
+    }
+
+    /// Reads the JSON form.
+    ///
+    /// # Errors
+    /// If it is not JSON, a key is unknown or missing, or a value is out of range.
+    pub fn from_json(json: &str) -> Result<Self> {
+        let config: Self = serde_json::from_str(json)
+            .map_err(|error| Error::value("config", "JSON with exactly the keys of the network's geometry", error))?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// The JSON form that [`Config::from_json`] reads.
+    pub fn to_json(&self) -> String {
+        // A struct of integers has no way to fail.
+        serde_json::to_string(self).unwrap_or_default()
+    }
+
+    /// Checks ranges and divisibility; every network is built from a configuration that passed.
+    ///
+    /// # Errors
+    /// Names the first key that is out of range, with what is allowed.
+    pub fn check(&self) -> Result<()> {
+        let ranges = [
+            ("vision_width", self.vision_width, MAX_WIDTH),
+            ("vision_depth", self.vision_depth, MAX_DEPTH),
+            ("vision_heads", self.vision_heads, MAX_WIDTH),
+            ("width", self.width, MAX_WIDTH),
+            ("depth", self.depth, MAX_DEPTH),
+            ("heads", self.heads, MAX_WIDTH),
+            ("image", self.image, MAX_IMAGE),
+            ("patch", self.patch, MAX_IMAGE),
+            ("pretrain_image", self.pretrain_image, MAX_IMAGE),
+            ("horizon", self.horizon, MAX_STEPS),
+            ("predict", self.predict, MAX_STEPS),
+        ];
+        for (key, value, max) in ranges {
+            if value == 0 || value > max {
+                return Err(Error::value(format!("config.{key}"), format!("1 to {max}"), value));
+            }
+        }
+        let divisors = [
+            ("vision_width", self.vision_width, "vision_heads", self.vision_heads),
+            ("width", self.width, "heads", self.heads),
+            ("image", self.image, "patch", self.patch),
+            ("pretrain_image", self.pretrain_image, "patch", self.patch),
+        ];
+        for (key, value, divisor_key, divisor) in divisors {
+            if value % divisor != 0 {
+                let expected = format!("a multiple of {divisor_key} = {divisor}");
+                return Err(Error::value(format!("config.{key}"), expected, value));
+            }
+        }
+        Ok(())
+    }
+
+    /// Patches along one side of the input image.
+    pub fn grid(&self) -> usize {
+        self.image / self.patch
+    }
+
+    /// Patches along one side of the image that the position embeddings were learned on.
+    pub fn pretrain_grid(&self) -> usize {
+        self.pretrain_image / self.patch
+    }
+
+    /// P + 1: vision tokens per frame, CLS included.
+    pub fn tokens(&self) -> usize {
+        self.grid() * self.grid() + 1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_preset_passes_its_own_check_and_survives_json() {
+        for name in Config::PRESETS {
+            let config = Config::preset(name).unwrap();
+            config.check().unwrap();
+            assert_eq!(Config::from_json(&config.to_json()).unwrap(), config, "{name}");
+        }
+        let error = Config::preset("huge").unwrap_err().to_string();
+        assert!(error.contains("huge") && error.contains("pocket"), "{error}");
+    }
+
+    #[test]
+    fn config_with_unknown_missing_or_impossible_key_is_refused() {
+        let json = Config::toy().to_json();
+        for (from, to, names) in [
+            ("\"depth\":2", "\"depht\":2", "depht"),
+            ("\"depth\":2,", "", "depth"),
+            ("\"heads\":4", "\"heads\":5", "config.width"),
+            ("\"image\":56", "\"image\":57", "config.image"),
+            ("\"horizon\":3", "\"horizon\":0", "config.horizon"),
+            ("\"predict\":2", "\"predict\":-1", "-1"),
+        ] {
+            assert!(json.contains(from), "{json}");
+            let error = Config::from_json(&json.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(error.contains(names), "{to}: {error}");
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! The tactile decoder: learned queries, conditioned on the scene vector, become force and contact.
+
+use candle_core::{Result, Tensor};
+use candle_nn::{Init, VarBuilder};
+
+use super::attention::{EPS, LayerNorm, Linear, Mlp, OWN_NAMES, SelfAttention};
+use super::config::Config;
+use super::init::{STD, Scheme};
+use super::ops;
+use crate::tactile::N_FIELD;
+
+/// K queries through AdaLN-conditioned layers to two heads.
+#[derive(Debug, Clone)]
+pub struct Decoder {
+    queries: Tensor, // (K, d)
+    layers: Vec<DecoderLayer>,
+    norm: LayerNorm,
+    force_head: Linear,
+    contact_head: Linear,
+}
+
+impl Decoder {
+    /// Tensors `queries`, `decoder.*`, `norm`, `force_head`, `contact_head` of `vb`, the network's root.
+    pub fn new(config: &Config, vb: VarBuilder) -> Result<Self> {
+        let d = config.width;
+        let normal = Init::Randn { mean: 0.0, stdev: STD };
+        let layers = (0..config.depth)
+            .map(|i| DecoderLayer::new(config, vb.pp(format!("decoder.{i}"))))
+            .collect::<Result<_>>()?;
+        Ok(Self {
+            queries: vb.get_with_hints((config.predict, d), "queries", normal)?,
+            layers,
+            norm: LayerNorm::new(d, vb.pp("norm"))?,
+            force_head: Linear::new(d, N_FIELD, Scheme::Torch, vb.pp("force_head"))?,
+            contact_head: Linear::new(d, N_FIELD, Scheme::Torch, vb.pp("contact_head"))?,
+        })
+    }
+
+    /// Prepares for inference: packs projections.
+    pub fn freeze(&mut self) -> Result<()> {
+        self.layers.iter_mut().try_for_each(|layer| layer.attn.freeze())
+    }
+
+    /// `z`: `(B, d)`. Returns normalised force and contact logits, `(B, K, 1556)` each.
+    pub fn forward(&self, z: &Tensor) -> Result<(Tensor, Tensor)> {
+        let (b, d) = z.dims2()?;
+        let condition = z.silu()?;
+        let mut h = self.queries.broadcast_as((b, self.queries.dim(0)?, d))?.contiguous()?;
+        for layer in &self.layers {
+            h = layer.forward(&h, &condition)?;
+        }
+        let h = self.norm.forward(&h)?;
+        Ok((self.force_head.forward(&h)?, self.contact_head.forward(&h)?))
+    }
+}
+
+/// Self-attention over the tactile steps and an MLP, each behind an AdaLN.
+#[derive(Debug, Clone)]
+struct DecoderLayer {
+    ada_attn: AdaLn,
+    ada_mlp: AdaLn,
+    attn: SelfAttention,
+    mlp: Mlp,
+}
+
+impl DecoderLayer {
+    fn new(config: &Config, vb: VarBuilder) -> Result<Self> {
+        let d = config.width;
+        Ok(Self {
+            ada_attn: AdaLn::new(d, vb.pp("ada_attn"))?,
+            ada_mlp: AdaLn::new(d, vb.pp("ada_mlp"))?,
+            attn: SelfAttention::new(d, config.heads, &OWN_NAMES, Scheme::Torch, vb.pp("attn"))?,
+            mlp: Mlp::new(d, Scheme::Torch, vb.pp("mlp"))?,
+        })
+    }
+
+    /// `h`: `(B, K, d)`, `condition`: `(B, d)`.
+    fn forward(&self, h: &Tensor, condition: &Tensor) -> Result<Tensor> {
+        let h = (h + self.attn.forward(&self.ada_attn.forward(h, condition)?)?)?;
+        &h + self.mlp.forward(&self.ada_mlp.forward(&h, condition)?)?
+    }
+}
+
+/// `(1 + γ(z)) LN(h) + β(z)` with a layer norm without parameters of its own; the linear layer yields `[γ, β]`.
+#[derive(Debug, Clone)]
+struct AdaLn {
+    linear: Linear,
+    d: usize,
+}
+
+impl AdaLn {
+    fn new(d: usize, vb: VarBuilder) -> Result<Self> {
+        Ok(Self { linear: Linear::new(d, 2 * d, Scheme::Zero, vb.pp("linear"))?, d })
+    }
+
+    /// `h`: `(B, K, d)`, `condition`: SiLU(z), `(B, d)`.
+    fn forward(&self, h: &Tensor, condition: &Tensor) -> Result<Tensor> {
+        let modulation = self.linear.forward(condition)?.unsqueeze(1)?; // (B, 1, 2 d)
+        let gamma = (modulation.narrow(2, 0, self.d)? + 1.0)?;
+        let beta = modulation.narrow(2, self.d, self.d)?;
+        ops::layer_norm(h, None, EPS)?.broadcast_mul(&gamma)?.broadcast_add(&beta)
+    }
+}

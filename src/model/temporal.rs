@@ -1,0 +1,63 @@
+//! Temporal fusion: the tokens of the observation window become one scene vector.
+
+use candle_core::{Result, Tensor, bail};
+use candle_nn::{Init, VarBuilder};
+
+use super::attention::{LayerNorm, Linear, Mlp, PooledAttention};
+use super::config::Config;
+use super::init::{STD, Scheme};
+
+/// One pre-norm block: a learned token attends to all tokens of the window, then an MLP.
+#[derive(Debug, Clone)]
+pub struct TemporalFusion {
+    proj: Linear,
+    step_embedding: Tensor, // (T, d)
+    token: Tensor,          // (1, 1, d)
+    norm_q: LayerNorm,
+    norm_kv: LayerNorm,
+    norm_mlp: LayerNorm,
+    norm_out: LayerNorm,
+    attn: PooledAttention,
+    mlp: Mlp,
+}
+
+impl TemporalFusion {
+    /// Tensors of `vb` under this struct's field names.
+    pub fn new(config: &Config, vb: VarBuilder) -> Result<Self> {
+        let d = config.width;
+        let normal = Init::Randn { mean: 0.0, stdev: STD };
+        let norm = |name: &str| LayerNorm::new(d, vb.pp(name));
+        Ok(Self {
+            proj: Linear::new(config.vision_width, d, Scheme::Torch, vb.pp("proj"))?,
+            step_embedding: vb.get_with_hints((config.horizon, d), "step_embedding", normal)?,
+            token: vb.get_with_hints((1, 1, d), "token", normal)?,
+            norm_q: norm("norm_q")?,
+            norm_kv: norm("norm_kv")?,
+            norm_mlp: norm("norm_mlp")?,
+            norm_out: norm("norm_out")?,
+            attn: PooledAttention::new(d, config.heads, vb.pp("attn"))?,
+            mlp: Mlp::new(d, Scheme::Torch, vb.pp("mlp"))?,
+        })
+    }
+
+    /// The part that depends on one frame alone, so that a stream computes it once per frame.
+    ///
+    /// `tokens`: `(.., P, dv)`. Returns `(.., P, d)`.
+    pub fn project(&self, tokens: &Tensor) -> Result<Tensor> {
+        self.proj.forward(tokens)
+    }
+
+    /// `projected`: `(B, T, P, d)`, oldest frame first. Returns z, `(B, d)`.
+    pub fn fuse(&self, projected: &Tensor) -> Result<Tensor> {
+        let (b, t, p, d) = projected.dims4()?;
+        if t != self.step_embedding.dim(0)? {
+            bail!("observation window: expected {} frames, got {t}", self.step_embedding.dim(0)?);
+        }
+        let steps = self.step_embedding.reshape((1, t, 1, d))?;
+        let kv = self.norm_kv.forward(&projected.broadcast_add(&steps)?.reshape((b, t * p, d))?)?;
+        let token = self.token.reshape((1, d))?;
+        let h = self.attn.forward(&self.norm_q.forward(&token)?, &kv)?.broadcast_add(&token)?; // (B, d)
+        let h = (&h + self.mlp.forward(&self.norm_mlp.forward(&h)?)?)?;
+        self.norm_out.forward(&h)
+    }
+}
