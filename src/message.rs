@@ -1,1 +1,0 @@
-//! Wire form of the messages and their CDR bytes.

@@ -1,0 +1,204 @@
+//! From the library's types to messages and back.
+
+use ::image::RgbImage;
+use glam::{DQuat, DVec3, Vec3};
+
+use super::{HandPose, HandTactile, Header, Image, Point, Pose, Quaternion, TactileFrame, TactileTruth};
+use crate::error::{Error, Result};
+use crate::hand::{HandModel, HandParams, Side};
+use crate::tactile::{TactileField, Topology, Validity};
+
+impl HandTactile {
+    /// One hand of a field.
+    ///
+    /// # Errors
+    /// If the field does not hold 1556 forces and contacts.
+    pub fn from_field(field: &TactileField, side: Side, score: f32) -> Result<Self> {
+        let hand = |name, values: &[f32]| {
+            let hand = values.get(side.range()).and_then(|hand| hand.try_into().ok());
+            hand.ok_or_else(|| Error::shape(name, "[1556]", [values.len()]))
+        };
+        Ok(Self {
+            side: side_code(side),
+            score,
+            force: hand("force", &field.force)?,
+            contact: hand("contact", &field.contact)?,
+            total_force: field.total_force(side),
+        })
+    }
+}
+
+impl TactileFrame {
+    /// Both hands of a field, left first. Score, inference time and model are unknown and the sequence number is 0:
+    /// the caller sets what it knows.
+    ///
+    /// # Errors
+    /// If the field does not hold 1556 forces and contacts.
+    pub fn from_field(header: Header, field: &TactileField) -> Result<Self> {
+        let hands = Side::BOTH.map(|side| HandTactile::from_field(field, side, f32::NAN));
+        Ok(Self {
+            header,
+            hands: hands.into_iter().collect::<Result<_>>()?,
+            sequence: 0,
+            inference_secs: f64::NAN,
+            model_id: String::new(),
+            topology: field.topology.id().to_owned(),
+            warming_up: false,
+        })
+    }
+
+    /// The field of both hands; a hand that is not in the message is zero.
+    ///
+    /// # Errors
+    /// If the topology or a side is unknown, a side comes twice, a force is negative or infinite, or a contact is not
+    /// within 0 to 1 (NaN means unknown and passes).
+    pub fn to_field(&self) -> Result<TactileField> {
+        let mut field = TactileField::zeros(Topology::from_id(&self.topology)?);
+        let mut seen = [false; 2];
+        for (index, hand) in self.hands.iter().enumerate() {
+            let name = |field: &str| format!("hands[{index}].{field}");
+            let side =
+                side_from_code(hand.side).map_err(|got| Error::value(name("side"), "0 (left) or 1 (right)", got))?;
+            if std::mem::replace(&mut seen[usize::from(hand.side)], true) {
+                return Err(Error::value(name("side"), "each hand once", format!("{} twice", side.name())));
+            }
+            if let Some(vertex) = hand.force.iter().position(|f| *f < 0.0 || f.is_infinite()) {
+                return Err(Error::value(
+                    name(&format!("force[{vertex}]")),
+                    "a number >= 0 or NaN",
+                    hand.force[vertex],
+                ));
+            }
+            if let Some(vertex) = hand.contact.iter().position(|c| *c < 0.0 || *c > 1.0) {
+                let got = hand.contact[vertex];
+                return Err(Error::value(name(&format!("contact[{vertex}]")), "a number from 0 to 1 or NaN", got));
+            }
+            field.force[side.range()].copy_from_slice(&hand.force);
+            field.contact[side.range()].copy_from_slice(&hand.contact);
+        }
+        Ok(field)
+    }
+}
+
+impl TactileTruth {
+    /// The truth of one simulated frame.
+    pub fn new(frame: TactileFrame, validity: Validity) -> Self {
+        Self { frame, validity: validity.code(), reason: validity.reason().to_owned() }
+    }
+
+    /// Whether the frame can be trusted, and which guard said no.
+    ///
+    /// # Errors
+    /// If the code is unknown.
+    pub fn validity(&self) -> Result<Validity> {
+        let known = Validity::ALL.into_iter().find(|validity| validity.code() == self.validity);
+        known.ok_or_else(|| Error::value("validity", format!("0 to {}", Validity::ALL.len() - 1), self.validity))
+    }
+}
+
+impl HandPose {
+    /// The pose of `model` under `params`, which are in `header.frame_id`; vertices are left to the receiver.
+    pub fn from_params(header: Header, model: &HandModel, params: &HandParams) -> Self {
+        let position = rest_wrist(model, params) + params.transl.as_dvec3();
+        let orientation = DQuat::from_scaled_axis(params.global_orient.as_dvec3());
+        let mut hand_pose = [0.0; 45];
+        for (chunk, joint) in hand_pose.chunks_exact_mut(3).zip(&params.hand_pose) {
+            chunk.copy_from_slice(&joint.to_array());
+        }
+        Self {
+            header,
+            side: side_code(model.side),
+            topology: model.topology.id().to_owned(),
+            wrist: Pose {
+                position: Point { x: position.x, y: position.y, z: position.z },
+                orientation: Quaternion { x: orientation.x, y: orientation.y, z: orientation.z, w: orientation.w },
+            },
+            hand_pose,
+            betas: params.betas,
+            vertices: Vec::new(),
+        }
+    }
+
+    /// Which hand.
+    ///
+    /// # Errors
+    /// If the code is unknown.
+    pub fn side(&self) -> Result<Side> {
+        side_from_code(self.side).map_err(|got| Error::value("side", "0 (left) or 1 (right)", got))
+    }
+
+    /// The parameters of `model` that give this pose.
+    ///
+    /// # Errors
+    /// If the message is for another hand or topology, a number is not finite, or the orientation is no rotation.
+    pub fn to_params(&self, model: &HandModel) -> Result<HandParams> {
+        if self.side()? != model.side {
+            return Err(Error::value("side", format!("{} ({})", side_code(model.side), model.side.name()), self.side));
+        }
+        Topology::from_id(&self.topology)?.must_match(model.topology)?;
+        let Point { x, y, z } = self.wrist.position;
+        let position = DVec3::new(x, y, z);
+        let Quaternion { x, y, z, w } = self.wrist.orientation;
+        let orientation = DQuat::from_xyzw(x, y, z, w);
+        if !position.is_finite() {
+            return Err(Error::value("wrist.position", "finite numbers", position));
+        }
+        // Publishers round quaternions; far from unit length it is no rotation at all.
+        if !((orientation.length() - 1.0).abs() < 1e-3) {
+            return Err(Error::value(
+                "wrist.orientation",
+                "a unit quaternion",
+                format!("length {}", orientation.length()),
+            ));
+        }
+        for (name, values) in [("hand_pose", &self.hand_pose[..]), ("betas", &self.betas[..])] {
+            if let Some(index) = values.iter().position(|value| !value.is_finite()) {
+                return Err(Error::value(format!("{name}[{index}]"), "a finite number", values[index]));
+            }
+        }
+        let mut params = HandParams {
+            betas: self.betas,
+            global_orient: orientation.normalize().to_scaled_axis().as_vec3(),
+            hand_pose: std::array::from_fn(|joint| Vec3::from_slice(&self.hand_pose[3 * joint..])),
+            transl: Vec3::ZERO,
+        };
+        params.transl = (position - rest_wrist(model, &params)).as_vec3();
+        Ok(params)
+    }
+}
+
+impl Image {
+    /// An `rgb8` image without row padding.
+    pub fn from_rgb(header: Header, image: &RgbImage) -> Self {
+        Self {
+            header,
+            height: image.height(),
+            width: image.width(),
+            encoding: "rgb8".to_owned(),
+            is_bigendian: 0,
+            step: 3 * image.width(),
+            data: image.as_raw().clone(),
+        }
+    }
+}
+
+/// J0(betas), m: where the wrist joint lies before `transl`; rotations turn the hand about it.
+fn rest_wrist(model: &HandModel, params: &HandParams) -> DVec3 {
+    let shaped = HandParams { betas: params.betas, ..HandParams::default() };
+    model.forward(&shaped).joints[0].as_dvec3()
+}
+
+fn side_code(side: Side) -> u8 {
+    match side {
+        Side::Left => HandTactile::LEFT,
+        Side::Right => HandTactile::RIGHT,
+    }
+}
+
+fn side_from_code(code: u8) -> std::result::Result<Side, u8> {
+    match code {
+        HandTactile::LEFT => Ok(Side::Left),
+        HandTactile::RIGHT => Ok(Side::Right),
+        other => Err(other),
+    }
+}

@@ -1,0 +1,162 @@
+#!/usr/bin/env python3
+"""Writes the messages of golden.rs as ROS 2 serialises them: one .cdr file per message, beside this script.
+
+Needs rclpy and a built egotac_msgs (`source env.sh`). Every number is exact in single precision.
+"""
+from pathlib import Path
+
+from builtin_interfaces.msg import Time
+from egotac_msgs.msg import HandModelInfo, HandPose, HandTactile, TactileFrame, TactileMetrics, TactileTruth
+from geometry_msgs.msg import Point, Point32, Pose, Quaternion
+from rcl_interfaces.msg import Log, Parameter, ParameterEvent, ParameterValue
+from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField, RegionOfInterest
+from std_msgs.msg import Header
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+N = 778
+NAN = float("nan")
+
+
+def header(frame_id="camera_optical"):
+    return Header(stamp=Time(sec=1_700_000_000, nanosec=123_456_789), frame_id=frame_id)
+
+
+def left():
+    return HandTactile(
+        side=HandTactile.LEFT,
+        score=0.75,
+        force=[i / 128 for i in range(N)],
+        contact=[(i % 5) / 4 for i in range(N)],
+        total_force=sum(range(N)) / 128,
+    )
+
+
+def right():
+    return HandTactile(side=HandTactile.RIGHT, score=NAN, force=[NAN] * N, contact=[0.0] * N, total_force=NAN)
+
+
+def frame():
+    return TactileFrame(
+        header=header(),
+        hands=[left(), right()],
+        sequence=2**40 + 7,
+        inference_secs=0.015625,
+        model_id="egotac-small/0123456789ab",
+        topology="egotac-hand-1",
+        warming_up=True,
+    )
+
+
+MESSAGES = {
+    "tactile_frame": frame(),
+    "tactile_frame_empty": TactileFrame(inference_secs=NAN),
+    "hand_tactile": left(),
+    "tactile_truth": TactileTruth(frame=frame(), validity=TactileTruth.TOO_DEEP, reason="too deep: 7 mm"),
+    "hand_model_info": HandModelInfo(
+        header=header(""),
+        model_id="m",
+        model_name="Modell für Hände",
+        weights_sha256="0" * 64,
+        hand_model="egotac built-in hand",
+        topology="mano",
+        vertex_count=778,
+        vertex_region=["thumb_tip", "palm", "", "dorsal"],
+        horizon=4,
+        frame_dt=0.04,
+        input_size=98,
+        force_scale=1.5,
+    ),
+    "hand_pose": HandPose(
+        header=header("world"),
+        side=HandPose.RIGHT,
+        topology="egotac-hand-1",
+        wrist=Pose(position=Point(x=0.25, y=-0.5, z=0.75), orientation=Quaternion(x=0.5, y=-0.5, z=0.5, w=0.5)),
+        hand_pose=[i / 64 for i in range(45)],
+        betas=[-i / 8 for i in range(10)],
+        vertices=[Point32(x=1.0, y=2.0, z=3.0), Point32(x=-1.0, y=-2.0, z=-3.0)],
+    ),
+    "tactile_metrics": TactileMetrics(
+        header=header(),
+        window_pairs=50,
+        window_secs=1.96,
+        pairs=100,
+        unmatched_predictions=1,
+        unmatched_truths=2,
+        invalid_truths=3,
+        names=["mae", "pooled.f1"],
+        values=[0.0125, NAN],
+    ),
+    "image": Image(
+        header=header(), height=2, width=3, encoding="rgb8", is_bigendian=0, step=10, data=bytes(range(20))
+    ),
+    "compressed_image": CompressedImage(header=header(), format="jpeg", data=bytes([255, 216, 255])),
+    "camera_info": CameraInfo(
+        header=header(),
+        height=240,
+        width=320,
+        distortion_model="plumb_bob",
+        d=[0.5, 0.25, 0.0, 0.0, 0.125],
+        k=[float(i) for i in range(9)],
+        r=[float(10 + i) for i in range(9)],
+        p=[float(20 + i) for i in range(12)],
+        binning_x=1,
+        binning_y=2,
+        roi=RegionOfInterest(x_offset=1, y_offset=2, height=3, width=4, do_rectify=True),
+    ),
+    "point_cloud2": PointCloud2(
+        header=header("world"),
+        height=1,
+        width=2,
+        fields=[PointField(name="x", offset=0, datatype=PointField.FLOAT32, count=1)],
+        is_bigendian=False,
+        point_step=4,
+        row_step=8,
+        data=bytes(range(8)),
+        is_dense=True,
+    ),
+    "clock": Clock(clock=Time(sec=12, nanosec=40_000_000)),
+    "log": Log(
+        stamp=Time(sec=3, nanosec=4), level=30, name="predictor", msg="image: step 5", file="f.rs", function="", line=7
+    ),
+    "diagnostic_array": DiagnosticArray(
+        header=header(""),
+        status=[
+            DiagnosticStatus(
+                level=DiagnosticStatus.WARN,
+                name="predictor: input",
+                message="slow",
+                hardware_id="cpu",
+                values=[KeyValue(key="rate", value="24.9")],
+            )
+        ],
+    ),
+    "parameter_event": ParameterEvent(
+        stamp=Time(sec=5, nanosec=6),
+        node="/predictor",
+        changed_parameters=[
+            Parameter(
+                name="scenes",
+                value=ParameterValue(
+                    type=9,
+                    bool_value=True,
+                    integer_value=-3,
+                    double_value=0.5,
+                    string_value="s",
+                    byte_array_value=[b"\x01"],
+                    bool_array_value=[True, False, True],
+                    integer_array_value=[1, -2],
+                    double_array_value=[0.25],
+                    string_array_value=["a", "bc"],
+                ),
+            )
+        ],
+    ),
+}
+
+if __name__ == "__main__":
+    for name, message in MESSAGES.items():
+        path = Path(__file__).with_name(f"{name}.cdr")
+        path.write_bytes(serialize_message(message))
+        print(f"{path.name}: {path.stat().st_size} bytes")

@@ -1,0 +1,255 @@
+//! Messages are byte for byte what ROS 2 serialises: `tests/data/message/*.cdr` come from rclpy (`make_golden.py`).
+
+use std::fmt::Debug;
+use std::path::Path;
+
+use egotac::message::*;
+
+fn header(frame_id: &str) -> Header {
+    Header { stamp: Time { sec: 1_700_000_000, nanosec: 123_456_789 }, frame_id: frame_id.into() }
+}
+
+fn left() -> HandTactile {
+    HandTactile {
+        side: HandTactile::LEFT,
+        score: 0.75,
+        force: std::array::from_fn(|i| i as f32 / 128.0),
+        contact: std::array::from_fn(|i| (i % 5) as f32 / 4.0),
+        total_force: (0..778).sum::<i32>() as f32 / 128.0,
+    }
+}
+
+fn frame() -> TactileFrame {
+    let right = HandTactile {
+        side: HandTactile::RIGHT,
+        score: f32::NAN,
+        force: [f32::NAN; 778],
+        contact: [0.0; 778],
+        total_force: f32::NAN,
+    };
+    TactileFrame {
+        header: header("camera_optical"),
+        hands: vec![left(), right],
+        sequence: (1 << 40) + 7,
+        inference_secs: 0.015625,
+        model_id: "egotac-small/0123456789ab".into(),
+        topology: "egotac-hand-1".into(),
+        warming_up: true,
+    }
+}
+
+/// Bytes equal both ways: what we write is what ROS writes, and what ROS writes we read and write again unchanged.
+fn agrees<M: Message + Debug>(name: &str, message: &M) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/message").join(format!("{name}.cdr"));
+    let golden = std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    let written = message.to_cdr();
+    let differs = golden.iter().zip(&written).position(|(a, b)| a != b);
+    assert_eq!(differs, None, "{name}: first different byte");
+    assert_eq!(golden.len(), written.len(), "{name}: length");
+    let read = M::from_cdr(&golden).unwrap();
+    // Debug text, because NaN equals NaN there.
+    assert_eq!(format!("{read:?}"), format!("{message:?}"), "{name}");
+}
+
+#[test]
+fn own_messages_are_what_ros_serialises() {
+    agrees("tactile_frame", &frame());
+    agrees(
+        "tactile_frame_empty",
+        &TactileFrame {
+            header: Header::default(),
+            hands: vec![],
+            sequence: 0,
+            inference_secs: f64::NAN,
+            model_id: String::new(),
+            topology: String::new(),
+            warming_up: false,
+        },
+    );
+    agrees("hand_tactile", &left());
+    agrees("tactile_truth", &TactileTruth { frame: frame(), validity: 4, reason: "too deep: 7 mm".into() });
+    agrees(
+        "hand_model_info",
+        &HandModelInfo {
+            header: header(""),
+            model_id: "m".into(),
+            model_name: "Modell für Hände".into(),
+            weights_sha256: "0".repeat(64),
+            hand_model: "egotac built-in hand".into(),
+            topology: "mano".into(),
+            vertex_count: 778,
+            vertex_region: ["thumb_tip", "palm", "", "dorsal"].map(String::from).to_vec(),
+            horizon: 4,
+            frame_dt: 0.04,
+            input_size: 98,
+            force_scale: 1.5,
+        },
+    );
+    agrees(
+        "hand_pose",
+        &HandPose {
+            header: header("world"),
+            side: 1,
+            topology: "egotac-hand-1".into(),
+            wrist: Pose {
+                position: Point { x: 0.25, y: -0.5, z: 0.75 },
+                orientation: Quaternion { x: 0.5, y: -0.5, z: 0.5, w: 0.5 },
+            },
+            hand_pose: std::array::from_fn(|i| i as f32 / 64.0),
+            betas: std::array::from_fn(|i| -(i as f32) / 8.0),
+            vertices: vec![Point32 { x: 1.0, y: 2.0, z: 3.0 }, Point32 { x: -1.0, y: -2.0, z: -3.0 }],
+        },
+    );
+    agrees(
+        "tactile_metrics",
+        &TactileMetrics {
+            header: header("camera_optical"),
+            window_pairs: 50,
+            window_secs: 1.96,
+            pairs: 100,
+            unmatched_predictions: 1,
+            unmatched_truths: 2,
+            invalid_truths: 3,
+            names: vec!["mae".into(), "pooled.f1".into()],
+            values: vec![0.0125, f64::NAN],
+        },
+    );
+}
+
+#[test]
+fn camera_messages_are_what_ros_serialises() {
+    agrees(
+        "image",
+        &Image {
+            header: header("camera_optical"),
+            height: 2,
+            width: 3,
+            encoding: "rgb8".into(),
+            is_bigendian: 0,
+            step: 10,
+            data: (0..20).collect(),
+        },
+    );
+    agrees(
+        "compressed_image",
+        &CompressedImage { header: header("camera_optical"), format: "jpeg".into(), data: vec![255, 216, 255] },
+    );
+    agrees(
+        "camera_info",
+        &CameraInfo {
+            header: header("camera_optical"),
+            height: 240,
+            width: 320,
+            distortion_model: "plumb_bob".into(),
+            d: vec![0.5, 0.25, 0.0, 0.0, 0.125],
+            k: std::array::from_fn(|i| i as f64),
+            r: std::array::from_fn(|i| (10 + i) as f64),
+            p: std::array::from_fn(|i| (20 + i) as f64),
+            binning_x: 1,
+            binning_y: 2,
+            roi: RegionOfInterest { x_offset: 1, y_offset: 2, height: 3, width: 4, do_rectify: true },
+        },
+    );
+    agrees(
+        "point_cloud2",
+        &PointCloud2 {
+            header: header("world"),
+            height: 1,
+            width: 2,
+            fields: vec![PointField { name: "x".into(), offset: 0, datatype: 7, count: 1 }],
+            is_bigendian: false,
+            point_step: 4,
+            row_step: 8,
+            data: (0..8).collect(),
+            is_dense: true,
+        },
+    );
+}
+
+#[test]
+fn node_messages_are_what_ros_serialises() {
+    agrees("clock", &Clock { clock: Time { sec: 12, nanosec: 40_000_000 } });
+    agrees(
+        "log",
+        &Log {
+            stamp: Time { sec: 3, nanosec: 4 },
+            level: 30,
+            name: "predictor".into(),
+            msg: "image: step 5".into(),
+            file: "f.rs".into(),
+            function: String::new(),
+            line: 7,
+        },
+    );
+    let status = DiagnosticStatus {
+        level: 1,
+        name: "predictor: input".into(),
+        message: "slow".into(),
+        hardware_id: "cpu".into(),
+        values: vec![KeyValue { key: "rate".into(), value: "24.9".into() }],
+    };
+    agrees("diagnostic_array", &DiagnosticArray { header: header(""), status: vec![status] });
+    let value = ParameterValue {
+        r#type: 9,
+        bool_value: true,
+        integer_value: -3,
+        double_value: 0.5,
+        string_value: "s".into(),
+        byte_array_value: vec![1],
+        bool_array_value: vec![true, false, true],
+        integer_array_value: vec![1, -2],
+        double_array_value: vec![0.25],
+        string_array_value: vec!["a".into(), "bc".into()],
+    };
+    agrees(
+        "parameter_event",
+        &ParameterEvent {
+            stamp: Time { sec: 5, nanosec: 6 },
+            node: "/predictor".into(),
+            new_parameters: vec![],
+            changed_parameters: vec![Parameter { name: "scenes".into(), value }],
+            deleted_parameters: vec![],
+        },
+    );
+}
+
+/// A `.msg` file's fields without comments, constants and alignment.
+fn fields_of(definition: &str) -> String {
+    let lines = definition.lines().map(|line| line.split('#').next().unwrap_or_default());
+    let fields = lines.filter(|line| !line.contains('=') || line.contains("<=")).map(str::split_whitespace);
+    fields.map(|words| words.collect::<Vec<_>>().join(" ") + "\n").filter(|line| line != "\n").collect()
+}
+
+#[test]
+fn structs_have_the_fields_of_their_msg_files() {
+    // Types of the own package are written without it in its files.
+    let check = |definition: String, fields: String| {
+        assert_eq!(fields_of(&definition).replace("egotac_msgs/", ""), fields.replace("egotac_msgs/", ""));
+    };
+    check(HandTactile::definition(), HandTactile::fields());
+    check(TactileFrame::definition(), TactileFrame::fields());
+    check(HandModelInfo::definition(), HandModelInfo::fields());
+    check(HandPose::definition(), HandPose::fields());
+    check(TactileTruth::definition(), TactileTruth::fields());
+    check(TactileMetrics::definition(), TactileMetrics::fields());
+}
+
+#[test]
+fn a_schema_holds_each_type_it_needs_once() {
+    let schema = TactileTruth::schema();
+    let sections: Vec<_> = schema.split(&"=".repeat(80)).collect();
+    assert!(sections[0].contains("TactileFrame frame"));
+    let mut names: Vec<_> =
+        sections[1..].iter().map(|text| text.trim_start().lines().next().unwrap_or_default()).collect();
+    names.sort();
+    assert_eq!(
+        names,
+        [
+            "MSG: builtin_interfaces/Time",
+            "MSG: egotac_msgs/HandTactile",
+            "MSG: egotac_msgs/TactileFrame",
+            "MSG: std_msgs/Header"
+        ]
+    );
+    assert!(schema.contains("MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"));
+}
