@@ -96,7 +96,7 @@ fn own_messages_are_what_ros_serialises() {
                 orientation: Quaternion { x: 0.5, y: -0.5, z: 0.5, w: 0.5 },
             },
             hand_pose: std::array::from_fn(|i| i as f32 / 64.0),
-            betas: std::array::from_fn(|i| -(i as f32) / 8.0),
+            betas: std::array::from_fn(|i| 0.0 - i as f32 / 8.0),
             vertices: vec![Point32 { x: 1.0, y: 2.0, z: 3.0 }, Point32 { x: -1.0, y: -2.0, z: -3.0 }],
         },
     );

@@ -144,12 +144,9 @@ impl HandPose {
             return Err(Error::value("wrist.position", "finite numbers", position));
         }
         // Publishers round quaternions; far from unit length it is no rotation at all.
-        if !((orientation.length() - 1.0).abs() < 1e-3) {
-            return Err(Error::value(
-                "wrist.orientation",
-                "a unit quaternion",
-                format!("length {}", orientation.length()),
-            ));
+        let length = orientation.length();
+        if !length.is_finite() || (length - 1.0).abs() > 1e-3 {
+            return Err(Error::value("wrist.orientation", "a unit quaternion", format!("length {length}")));
         }
         for (name, values) in [("hand_pose", &self.hand_pose[..]), ("betas", &self.betas[..])] {
             if let Some(index) = values.iter().position(|value| !value.is_finite()) {

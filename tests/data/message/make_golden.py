@@ -1,9 +1,19 @@
 #!/usr/bin/env python3
-"""Writes the messages of golden.rs as ROS 2 serialises them: one .cdr file per message, beside this script.
+"""Writes the messages of tests/message_golden.rs as ROS 2 serialises them: one .cdr file per message, beside this script.
 
-Needs rclpy and a built egotac_msgs (`source env.sh`). Every number is exact in single precision.
+Needs rclpy and a built egotac_msgs (`source env.sh`). Every number that is sent in single precision is exact in it.
+
+ROS leaves the bytes between aligned fields as its memory allocator gave them; the C library is told to give zeros
+(perturb = 255: new memory holds the complement; small blocks only without its cache), so that the files are the same
+each time.
 """
+import os
+import sys
 from pathlib import Path
+
+TUNABLES = "glibc.malloc.perturb=255:glibc.malloc.tcache_count=0"
+if os.environ.get("GLIBC_TUNABLES") != TUNABLES:
+    os.execve(sys.executable, [sys.executable, __file__], {**os.environ, "GLIBC_TUNABLES": TUNABLES})
 
 from builtin_interfaces.msg import Time
 from egotac_msgs.msg import HandModelInfo, HandPose, HandTactile, TactileFrame, TactileMetrics, TactileTruth
