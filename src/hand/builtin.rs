@@ -1,7 +1,127 @@
-//! The built-in 778-vertex hand.
+//! The built-in 778-vertex hand, `egotac-hand-1`, as committed.
 
-use super::{HandModel, Side};
+use std::sync::LazyLock;
 
-pub(super) fn hand(_side: Side) -> HandModel {
-    unimplemented!()
+use glam::Vec3;
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+
+use super::{HandModel, N_BETAS, N_JOINTS, N_VERTICES, Side, build, mesh};
+use crate::tactile::Topology;
+
+/// What `egotac hand build` wrote.
+static FILE: &[u8] = include_bytes!("builtin.safetensors");
+
+static RIGHT: LazyLock<HandModel> = LazyLock::new(|| {
+    // The file is part of this program, and a test loads it; a failure is a broken build, not an input error.
+    let mut model = read(FILE).unwrap_or_else(|name| panic!("the embedded hand has no usable tensor {name:?}"));
+    model.posedirs = posedirs(&model);
+    model
+});
+static LEFT: LazyLock<HandModel> = LazyLock::new(|| mirrored(&RIGHT));
+
+/// The built-in hand of one side; the left is the mirrored right.
+pub(super) fn hand(side: Side) -> HandModel {
+    match side {
+        Side::Left => LEFT.clone(),
+        Side::Right => RIGHT.clone(),
+    }
+}
+
+/// Bytes of the committed form of a right hand: a safetensors file of all arrays but `posedirs`, which follow from
+/// the weights.
+///
+/// # Errors
+/// If serialising fails.
+pub fn to_bytes(model: &HandModel) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+    let floats = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+    let indices = |values: Vec<u32>| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+    let vertices: Vec<f32> = model.v_template.iter().flat_map(|v| v.to_array()).collect();
+    let n = model.v_template.len();
+    let tensors = [
+        ("v_template", Dtype::F32, vec![n, 3], floats(&vertices)),
+        ("faces", Dtype::U32, vec![model.faces.len(), 3], indices(model.faces.concat())),
+        ("shapedirs", Dtype::F32, vec![n, 3, N_BETAS], floats(&model.shapedirs)),
+        ("j_regressor", Dtype::F32, vec![N_JOINTS, n], floats(&model.j_regressor)),
+        ("lbs_weights", Dtype::F32, vec![n, N_JOINTS], floats(&model.lbs_weights)),
+        ("tip_vertices", Dtype::U32, vec![5], indices(model.tip_vertices.to_vec())),
+    ];
+    let views = tensors
+        .iter()
+        .map(|(name, dtype, shape, data)| Ok((*name, TensorView::new(*dtype, shape.clone(), data)?)))
+        .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
+    safetensors::serialize(views, None)
+}
+
+/// Reads [`to_bytes`]; the error names the tensor that is missing or misshapen.
+fn read(bytes: &[u8]) -> Result<HandModel, &'static str> {
+    let file = SafeTensors::deserialize(bytes).map_err(|_| "(header)")?;
+    let words = |name: &'static str, length: usize| {
+        let view = file.tensor(name).map_err(|_| name)?;
+        let words: Vec<[u8; 4]> = view.data().as_chunks::<4>().0.to_vec();
+        if length != 0 && words.len() != length { Err(name) } else { Ok(words) }
+    };
+    let floats = |name, length| Ok(words(name, length)?.into_iter().map(f32::from_le_bytes).collect::<Vec<f32>>());
+    let indices = |name, length| Ok(words(name, length)?.into_iter().map(u32::from_le_bytes).collect::<Vec<u32>>());
+    Ok(HandModel {
+        side: Side::Right,
+        topology: Topology::EgotacHand1,
+        v_template: floats("v_template", 3 * N_VERTICES)?.as_chunks().0.iter().copied().map(Vec3::from_array).collect(),
+        faces: indices("faces", 0)?.as_chunks::<3>().0.to_vec(),
+        shapedirs: floats("shapedirs", 3 * N_BETAS * N_VERTICES)?,
+        posedirs: Vec::new(),
+        j_regressor: floats("j_regressor", N_JOINTS * N_VERTICES)?,
+        parents: build::PARENTS,
+        lbs_weights: floats("lbs_weights", N_JOINTS * N_VERTICES)?,
+        tip_vertices: indices("tip_vertices", 5)?.try_into().map_err(|_| "tip_vertices")?,
+    })
+}
+
+/// (778, 3, 135) pose blend shapes that keep a bent joint's back from caving in.
+///
+/// Where a vertex follows a joint with weight w and its parent with 1 - w, linear blend skinning draws it towards the
+/// joint by w (1 - w) (1 - cos t) of its distance, t the joint's angle. On the back of the joint that distance is given
+/// back here; inside the bend real flesh gives way too. 1 - cos t = -tr(R - I) / 2, so only the diagonal is used.
+fn posedirs(model: &HandModel) -> Vec<f32> {
+    const N_FEATURES: usize = 9 * (N_JOINTS - 1);
+    let normals = mesh::vertex_normals(&model.v_template, &model.faces);
+    let joints = super::lbs::rest_joints(model);
+    let mut posedirs = vec![0.0; model.v_template.len() * 3 * N_FEATURES];
+    for (vertex, weights) in model.lbs_weights.chunks_exact(N_JOINTS).enumerate() {
+        for joint in 1..N_JOINTS {
+            let blend = weights[joint] * weights[model.parents[joint]];
+            let bone = joints[joint] - joints[model.parents[joint]];
+            let outward = (model.v_template[vertex] - joints[joint]).reject_from(bone.normalize());
+            // Only the back: palmar skin faces -y (a thumb's back faces away from the fingers, also towards +y).
+            let back = normals[vertex].y.clamp(0.0, 1.0);
+            let offset = outward * (blend * back * -0.5);
+            for (axis, value) in offset.to_array().into_iter().enumerate() {
+                for diagonal in [0, 4, 8] {
+                    posedirs[(vertex * 3 + axis) * N_FEATURES + 9 * (joint - 1) + diagonal] = value;
+                }
+            }
+        }
+    }
+    posedirs
+}
+
+/// The other hand: mirrored in x, same vertex indices, faces turned so that they stay counter-clockwise.
+fn mirrored(model: &HandModel) -> HandModel {
+    const SIGN: [f32; 3] = [-1.0, 1.0, 1.0];
+    let mut other = model.clone();
+    other.side = match model.side {
+        Side::Left => Side::Right,
+        Side::Right => Side::Left,
+    };
+    other.v_template.iter_mut().for_each(|vertex| vertex.x = -vertex.x);
+    other.faces.iter_mut().for_each(|face| face.swap(1, 2));
+    for (row, values) in other.shapedirs.chunks_exact_mut(N_BETAS).enumerate() {
+        values.iter_mut().for_each(|value| *value *= SIGN[row % 3]);
+    }
+    // A mirrored rotation is M R M, so entry (i, k) of R - I changes sign with SIGN[i] SIGN[k].
+    for (row, values) in other.posedirs.chunks_exact_mut(9 * (N_JOINTS - 1)).enumerate() {
+        for (feature, value) in values.iter_mut().enumerate() {
+            *value *= SIGN[row % 3] * SIGN[feature % 9 / 3] * SIGN[feature % 3];
+        }
+    }
+    other
 }

@@ -3,6 +3,7 @@
 //! Frames and units: metres, radians; the right hand lies as MANO's does in its flat rest pose: fingers along -x,
 //! palm facing -y, thumb towards +z; the left hand is its mirror image in x.
 
+pub mod build;
 mod builtin;
 mod lbs;
 mod mano;
@@ -17,7 +18,8 @@ use serde::{Deserialize, Serialize};
 use crate::error::Result;
 use crate::tactile::Topology;
 
-pub use mesh::{vertex_areas, vertex_normals};
+pub use builtin::to_bytes as builtin_bytes;
+pub use mesh::{edges, vertex_areas, vertex_normals};
 pub use region::Region;
 
 /// Vertices of one hand.
@@ -26,6 +28,8 @@ pub const N_VERTICES: usize = 778;
 pub const N_JOINTS: usize = 16;
 /// Shape coefficients.
 pub const N_BETAS: usize = 10;
+/// Keypoints of one hand: wrist, then thumb, index, middle, ring, little, each from base to tip.
+pub const N_KEYPOINTS: usize = 21;
 
 /// Which hand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -139,6 +143,8 @@ pub struct HandModel {
     pub parents: [usize; N_JOINTS],
     /// (778, 16) row-major skinning weights; rows sum to 1.
     pub lbs_weights: Vec<f32>,
+    /// Vertex at the tip of each finger, thumb to little.
+    pub tip_vertices: [u32; 5],
 }
 
 impl HandModel {
@@ -158,6 +164,20 @@ impl HandModel {
     /// Poses the hand: blend shapes, rigid chain, linear blend skinning (MANO eq. 2-4).
     pub fn forward(&self, params: &HandParams) -> PosedHand {
         lbs::forward(self, params)
+    }
+
+    /// The 21 keypoints of a hand posed by this model, m: wrist, then thumb, index, middle, ring, little, each from base
+    /// to tip. Tips are vertices, the rest are joints.
+    pub fn keypoints(&self, posed: &PosedHand) -> [Vec3; N_KEYPOINTS] {
+        // First joint of thumb, index, middle, ring, little in MANO's joint order.
+        const FIRST_JOINT: [usize; 5] = [13, 1, 4, 10, 7];
+        std::array::from_fn(|keypoint| match keypoint {
+            0 => posed.joints[0],
+            _ => match ((keypoint - 1) / 4, (keypoint - 1) % 4) {
+                (finger, 3) => posed.vertices[self.tip_vertices[finger] as usize],
+                (finger, phalanx) => posed.joints[FIRST_JOINT[finger] + phalanx],
+            },
+        })
     }
 
     /// Region of each vertex, (778).

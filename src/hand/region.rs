@@ -1,10 +1,17 @@
 //! Regions of a hand: three phalanges per finger, palm, dorsal.
 
-use super::HandModel;
+use glam::Vec3;
+
+use super::{HandModel, N_JOINTS, mesh};
+use crate::error::{Error, Result};
 
 /// A named part of a hand's surface.
+///
+/// A finger's three parts go all around it and follow its joints: `proximal` moves with its first joint, `middle` with
+/// the second, `tip` with the third (for the thumb that is metacarpal, proximal and distal phalanx). What moves with
+/// the wrist is `palm` or `dorsal` by the side it faces at rest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[allow(missing_docs)]
+#[allow(missing_docs)] // The names say it.
 pub enum Region {
     ThumbTip,
     ThumbMiddle,
@@ -25,6 +32,113 @@ pub enum Region {
     Dorsal,
 }
 
-pub(super) fn of_vertices(_model: &HandModel) -> Vec<Region> {
-    unimplemented!()
+impl Region {
+    /// All regions, thumb to little finger from tip to base, then palm and dorsal.
+    pub const ALL: [Region; 17] = [
+        Self::ThumbTip,
+        Self::ThumbMiddle,
+        Self::ThumbProximal,
+        Self::IndexTip,
+        Self::IndexMiddle,
+        Self::IndexProximal,
+        Self::MiddleTip,
+        Self::MiddleMiddle,
+        Self::MiddleProximal,
+        Self::RingTip,
+        Self::RingMiddle,
+        Self::RingProximal,
+        Self::LittleTip,
+        Self::LittleMiddle,
+        Self::LittleProximal,
+        Self::Palm,
+        Self::Dorsal,
+    ];
+
+    /// The five fingertips, thumb to little finger.
+    pub const TIPS: [Region; 5] = [Self::ThumbTip, Self::IndexTip, Self::MiddleTip, Self::RingTip, Self::LittleTip];
+
+    /// The name files, messages and tables carry, e.g. `thumb_tip`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ThumbTip => "thumb_tip",
+            Self::ThumbMiddle => "thumb_middle",
+            Self::ThumbProximal => "thumb_proximal",
+            Self::IndexTip => "index_tip",
+            Self::IndexMiddle => "index_middle",
+            Self::IndexProximal => "index_proximal",
+            Self::MiddleTip => "middle_tip",
+            Self::MiddleMiddle => "middle_middle",
+            Self::MiddleProximal => "middle_proximal",
+            Self::RingTip => "ring_tip",
+            Self::RingMiddle => "ring_middle",
+            Self::RingProximal => "ring_proximal",
+            Self::LittleTip => "little_tip",
+            Self::LittleMiddle => "little_middle",
+            Self::LittleProximal => "little_proximal",
+            Self::Palm => "palm",
+            Self::Dorsal => "dorsal",
+        }
+    }
+
+    /// Reads a name.
+    ///
+    /// # Errors
+    /// If no region has that name.
+    pub fn from_name(name: &str) -> Result<Self> {
+        let found = Self::ALL.into_iter().find(|region| region.name() == name);
+        found.ok_or_else(|| Error::unknown("region", name, Self::ALL.map(Self::name)))
+    }
+
+    /// Position in [`Self::ALL`], 0..17.
+    pub fn index(self) -> usize {
+        self as usize
+    }
+}
+
+/// Region that moves with each joint, in MANO's joint order; the wrist's is told apart by the normal.
+const JOINT_REGION: [Region; N_JOINTS] = [
+    Region::Palm,
+    Region::IndexProximal,
+    Region::IndexMiddle,
+    Region::IndexTip,
+    Region::MiddleProximal,
+    Region::MiddleMiddle,
+    Region::MiddleTip,
+    Region::LittleProximal,
+    Region::LittleMiddle,
+    Region::LittleTip,
+    Region::RingProximal,
+    Region::RingMiddle,
+    Region::RingTip,
+    Region::ThumbProximal,
+    Region::ThumbMiddle,
+    Region::ThumbTip,
+];
+
+/// Region of each vertex from its strongest joint and, at the wrist, from the side its rest normal faces.
+pub(super) fn of_vertices(model: &HandModel) -> Vec<Region> {
+    let normals = mesh::vertex_normals(&model.v_template, &model.faces);
+    let region = |(weights, normal): (&[f32], &Vec3)| {
+        let joint = (0..N_JOINTS).max_by(|&a, &b| weights[a].total_cmp(&weights[b])).unwrap_or(0);
+        match joint {
+            // Both hands lie with the palm facing -y.
+            0 if normal.y > 0.0 => Region::Dorsal,
+            _ => JOINT_REGION[joint],
+        }
+    };
+    model.lbs_weights.chunks_exact(N_JOINTS).zip(&normals).map(region).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn region_names_are_unique_and_read_back() {
+        for (index, region) in Region::ALL.into_iter().enumerate() {
+            assert_eq!(Region::from_name(region.name()).unwrap(), region);
+            assert_eq!(region.index(), index);
+        }
+        assert!(Region::from_name("nail").unwrap_err().to_string().contains("thumb_tip"));
+    }
 }

@@ -1,1 +1,3 @@
-//! TODO render.
+//! Pictures of hands and fields, drawn on the CPU.
+
+pub mod raster;

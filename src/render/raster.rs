@@ -1,0 +1,144 @@
+//! A small software rasteriser: shaded triangles with a depth buffer, on the CPU, the same on every machine.
+
+use glam::{Mat3, Vec3};
+use image::{Rgb, RgbImage};
+
+/// Samples per pixel along each axis.
+const SUPERSAMPLING: u32 = 3;
+
+/// An orthographic camera.
+#[derive(Debug, Clone, Copy)]
+pub struct Camera {
+    /// Point in the middle of the picture, m.
+    pub target: Vec3,
+    /// Rows: the world directions that are right, up and towards the viewer in the picture.
+    pub view_from_world: Mat3,
+    /// Height of the picture, m.
+    pub height: f32,
+}
+
+/// Triangles with a normal and a colour per vertex.
+#[derive(Debug, Clone, Copy)]
+pub struct Mesh<'a> {
+    /// Vertices, m.
+    pub vertices: &'a [Vec3],
+    /// Unit normals, one per vertex.
+    pub normals: &'a [Vec3],
+    /// Colours, one per vertex.
+    pub colors: &'a [Rgb<u8>],
+    /// Triangles, counter-clockwise seen from outside.
+    pub faces: &'a [[u32; 3]],
+}
+
+/// What one vertex needs on the screen.
+#[derive(Clone, Copy)]
+struct Corner {
+    /// Pixels right, pixels down, metres towards the viewer.
+    at: Vec3,
+    normal: Vec3,
+    color: Vec3,
+}
+
+impl Camera {
+    /// A camera that looks along `-toward_viewer`, with `up` upwards in the picture.
+    pub fn new(target: Vec3, toward_viewer: Vec3, up: Vec3, height: f32) -> Self {
+        let toward = toward_viewer.normalize();
+        let up = up.reject_from_normalized(toward).normalize();
+        let right = up.cross(toward);
+        Self { target, view_from_world: Mat3::from_cols(right, up, toward).transpose(), height }
+    }
+}
+
+/// Draws a mesh on `background`, lit from the viewer's upper left.
+pub fn draw(mesh: &Mesh, camera: &Camera, background: Rgb<u8>, (width, height): (u32, u32)) -> RgbImage {
+    let (fine_width, fine_height) = (width * SUPERSAMPLING, height * SUPERSAMPLING);
+    let mut canvas = Canvas::new(fine_width, fine_height, linear(background));
+    let scale = fine_height as f32 / camera.height;
+    let corner = |vertex: u32| {
+        let vertex = vertex as usize;
+        let view = camera.view_from_world * (mesh.vertices[vertex] - camera.target);
+        Corner {
+            at: Vec3::new(0.5 * fine_width as f32 + view.x * scale, 0.5 * fine_height as f32 - view.y * scale, view.z),
+            normal: camera.view_from_world * mesh.normals[vertex],
+            color: linear(mesh.colors[vertex]),
+        }
+    };
+    for face in mesh.faces {
+        canvas.triangle(face.map(corner));
+    }
+    canvas.downsampled(width, height)
+}
+
+struct Canvas {
+    width: u32,
+    height: u32,
+    depth: Vec<f32>,
+    color: Vec<Vec3>,
+}
+
+impl Canvas {
+    fn new(width: u32, height: u32, background: Vec3) -> Self {
+        let pixels = (width * height) as usize;
+        Self { width, height, depth: vec![f32::NEG_INFINITY; pixels], color: vec![background; pixels] }
+    }
+
+    fn triangle(&mut self, [a, b, c]: [Corner; 3]) {
+        let area = edge(a.at, b.at, c.at);
+        if area.abs() < 1e-12 {
+            return;
+        }
+        let low = a.at.min(b.at).min(c.at).floor().max(Vec3::ZERO);
+        let high = a.at.max(b.at).max(c.at).ceil();
+        for y in low.y as u32..(high.y.max(0.0) as u32).min(self.height) {
+            for x in low.x as u32..(high.x.max(0.0) as u32).min(self.width) {
+                let pixel = Vec3::new(x as f32 + 0.5, y as f32 + 0.5, 0.0);
+                let weights =
+                    [edge(b.at, c.at, pixel), edge(c.at, a.at, pixel), edge(a.at, b.at, pixel)].map(|w| w / area);
+                if weights.iter().any(|&w| w < 0.0) {
+                    continue;
+                }
+                let mix = |get: fn(&Corner) -> Vec3| get(&a) * weights[0] + get(&b) * weights[1] + get(&c) * weights[2];
+                let slot = (y * self.width + x) as usize;
+                let depth = mix(|corner| corner.at).z;
+                if depth > self.depth[slot] {
+                    self.depth[slot] = depth;
+                    self.color[slot] =
+                        shade(mix(|corner| corner.color), mix(|corner| corner.normal).normalize_or_zero());
+                }
+            }
+        }
+    }
+
+    /// Box-filtered in linear light.
+    fn downsampled(&self, width: u32, height: u32) -> RgbImage {
+        RgbImage::from_fn(width, height, |x, y| {
+            let mut sum = Vec3::ZERO;
+            for (dx, dy) in (0..SUPERSAMPLING).flat_map(|dy| (0..SUPERSAMPLING).map(move |dx| (dx, dy))) {
+                sum += self.color[((y * SUPERSAMPLING + dy) * self.width + x * SUPERSAMPLING + dx) as usize];
+            }
+            encoded(sum / (SUPERSAMPLING * SUPERSAMPLING) as f32)
+        })
+    }
+}
+
+/// Twice the signed area of the triangle a, b, p on the screen.
+fn edge(a: Vec3, b: Vec3, p: Vec3) -> f32 {
+    (b.x - a.x) * (p.y - a.y) - (b.y - a.y) * (p.x - a.x)
+}
+
+/// Diffuse light from the upper left, a fill light, and a rim that darkens where the surface turns away.
+fn shade(color: Vec3, normal: Vec3) -> Vec3 {
+    const KEY: Vec3 = Vec3::new(-0.43, 0.52, 0.74);
+    const FILL: Vec3 = Vec3::new(0.63, -0.21, 0.75);
+    let light = 0.22 + 0.68 * normal.dot(KEY).max(0.0) + 0.22 * normal.dot(FILL).max(0.0);
+    color * light * (0.65 + 0.35 * normal.z.clamp(0.0, 1.0))
+}
+
+/// sRGB byte to linear light (approximated by a power of 2.2).
+fn linear(color: Rgb<u8>) -> Vec3 {
+    Vec3::from_array(color.0.map(|byte| (f32::from(byte) / 255.0).powf(2.2)))
+}
+
+fn encoded(color: Vec3) -> Rgb<u8> {
+    Rgb(color.to_array().map(|value| (value.clamp(0.0, 1.0).powf(1.0 / 2.2) * 255.0 + 0.5) as u8))
+}
