@@ -185,10 +185,10 @@ fn skinning_weights_sum_to_one_and_stay_on_their_finger() {
         assert!(weights.iter().all(|w| (0.0..=1.0).contains(w)));
         assert!((weights.iter().sum::<f32>() - 1.0).abs() < 1e-6);
         let strongest = (0..N_JOINTS).max_by(|&a, &b| weights[a].total_cmp(&weights[b])).unwrap();
-        // Beyond the web, nothing but the own finger and the palm moves a vertex by more than 1 %.
+        // Beyond the web, nothing but the own finger and the palm moves a vertex by more than 3 %.
         if strongest % 3 != 1 && strongest != 0 {
             for joint in 1..N_JOINTS {
-                assert!(finger(joint) == finger(strongest) || weights[joint] < 0.01, "vertex {vertex}: {weights:?}");
+                assert!(finger(joint) == finger(strongest) || weights[joint] < 0.03, "vertex {vertex}: {weights:?}");
             }
         }
     }
