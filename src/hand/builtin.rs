@@ -55,24 +55,26 @@ pub fn to_bytes(model: &HandModel) -> Result<Vec<u8>, safetensors::SafeTensorErr
 /// Reads [`to_bytes`]; the error names the tensor that is missing or misshapen.
 fn read(bytes: &[u8]) -> Result<HandModel, &'static str> {
     let file = SafeTensors::deserialize(bytes).map_err(|_| "(header)")?;
-    let words = |name: &'static str, length: usize| {
-        let view = file.tensor(name).map_err(|_| name)?;
-        let words: Vec<[u8; 4]> = view.data().as_chunks::<4>().0.to_vec();
-        if length != 0 && words.len() != length { Err(name) } else { Ok(words) }
+    let words = |name: &'static str| -> Result<Vec<[u8; 4]>, &'static str> {
+        Ok(file.tensor(name).map_err(|_| name)?.data().as_chunks::<4>().0.to_vec())
     };
-    let floats = |name, length| Ok(words(name, length)?.into_iter().map(f32::from_le_bytes).collect::<Vec<f32>>());
-    let indices = |name, length| Ok(words(name, length)?.into_iter().map(u32::from_le_bytes).collect::<Vec<u32>>());
+    let floats = |name, length| -> Result<Vec<f32>, &'static str> {
+        let words = words(name)?;
+        if words.len() == length { Ok(words.into_iter().map(f32::from_le_bytes).collect()) } else { Err(name) }
+    };
+    let indices =
+        |name| -> Result<Vec<u32>, &'static str> { Ok(words(name)?.into_iter().map(u32::from_le_bytes).collect()) };
     Ok(HandModel {
         side: Side::Right,
         topology: Topology::EgotacHand1,
         v_template: floats("v_template", 3 * N_VERTICES)?.as_chunks().0.iter().copied().map(Vec3::from_array).collect(),
-        faces: indices("faces", 0)?.as_chunks::<3>().0.to_vec(),
+        faces: indices("faces")?.as_chunks::<3>().0.to_vec(),
         shapedirs: floats("shapedirs", 3 * N_BETAS * N_VERTICES)?,
         posedirs: Vec::new(),
         j_regressor: floats("j_regressor", N_JOINTS * N_VERTICES)?,
         parents: build::PARENTS,
         lbs_weights: floats("lbs_weights", N_JOINTS * N_VERTICES)?,
-        tip_vertices: indices("tip_vertices", 5)?.try_into().map_err(|_| "tip_vertices")?,
+        tip_vertices: indices("tip_vertices")?.try_into().map_err(|_| "tip_vertices")?,
     })
 }
 
