@@ -1,0 +1,157 @@
+//! Checks what the features need before anything links, and tells the binaries where their libraries are.
+
+use std::env;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use sha2::{Digest, Sha256};
+
+fn main() {
+    println!("cargo::rerun-if-changed=build.rs");
+    for name in ["EGOTAC_RPATH", "AMENT_PREFIX_PATH", "IDL_PACKAGE_FILTER", "ROS_DISTRO", "MUJOCO_DYNAMIC_LINK_DIR"] {
+        println!("cargo::rerun-if-env-changed={name}");
+    }
+
+    let mut library_dirs = paths("EGOTAC_RPATH");
+    let mut facts = Facts::default();
+    if env::var_os("CARGO_FEATURE_ROS").is_some() {
+        check_messages(&mut facts);
+    }
+    if env::var_os("CARGO_FEATURE_SIM").is_some() {
+        library_dirs.extend(check_engine(&mut facts));
+    }
+    write_rpaths(&library_dirs);
+    facts.rustc = version_of_rustc();
+    facts.write();
+}
+
+/// What `egotac doctor` compares the machine with; empty = the feature is off.
+#[derive(Default)]
+struct Facts {
+    rustc: String,
+    ros_distro: String,
+    ament_prefix_path: String,
+    idl_hash: String,
+    mujoco_dir: String,
+}
+
+impl Facts {
+    fn write(&self) {
+        println!("cargo::rustc-env=EGOTAC_BUILD_RUSTC={}", self.rustc);
+        println!("cargo::rustc-env=EGOTAC_BUILD_ROS_DISTRO={}", self.ros_distro);
+        println!("cargo::rustc-env=EGOTAC_BUILD_AMENT_PREFIX_PATH={}", self.ament_prefix_path);
+        println!("cargo::rustc-env=EGOTAC_BUILD_IDL_HASH={}", self.idl_hash);
+        println!("cargo::rustc-env=EGOTAC_BUILD_MUJOCO_DIR={}", self.mujoco_dir);
+    }
+}
+
+/// Finds egotac_msgs and makes sure that r2r generated its bindings from just these messages.
+fn check_messages(facts: &mut Facts) {
+    let prefixes = paths("AMENT_PREFIX_PATH");
+    let share = prefixes.iter().map(|prefix| prefix.join("share/egotac_msgs")).find(|share| share.is_dir());
+    let Some(share) = share else {
+        return println!(
+            "cargo::error=feature `ros`: the message package egotac_msgs is not in AMENT_PREFIX_PATH ({}). \
+             Run `make setup` and `. ./env.sh`, or in a colcon workspace `colcon build --packages-select egotac_msgs` \
+             and `. install/setup.sh`",
+            list(&prefixes)
+        );
+    };
+    let hash = match idl_hash(&share) {
+        Ok(hash) => hash,
+        Err(error) => return println!("cargo::error={}: {error}", share.display()),
+    };
+    let filter = env::var("IDL_PACKAGE_FILTER").unwrap_or_default();
+    match filter.split(';').find_map(|name| name.trim().strip_prefix("egotac_idl_")) {
+        Some(marked) if marked != hash => println!(
+            "cargo::error=feature `ros`: the messages in {} are not those that IDL_PACKAGE_FILTER marks \
+             (egotac_idl_{marked}, found {hash}), so r2r may keep bindings of another layout. \
+             Run `make setup` and `. ./env.sh` again",
+            share.display()
+        ),
+        Some(_) => facts.idl_hash = hash,
+        None => {
+            println!(
+                "cargo::warning=IDL_PACKAGE_FILTER does not name the messages' hash, so a changed .msg will not \
+                 rebuild r2r's bindings. `. ./env.sh` sets it, and so does colcon"
+            );
+            facts.idl_hash = format!("unmarked-{hash}");
+        }
+    }
+    facts.ros_distro = env::var("ROS_DISTRO").unwrap_or_default();
+    facts.ament_prefix_path = env::var("AMENT_PREFIX_PATH").unwrap_or_default();
+}
+
+/// Finds libmujoco and returns its folder, if one is named.
+fn check_engine(facts: &mut Facts) -> Option<PathBuf> {
+    // Without the variable, mujoco-rs asks pkg-config; what it finds is on the system's library path.
+    let dir = PathBuf::from(env::var_os("MUJOCO_DYNAMIC_LINK_DIR")?);
+    if !dir.join("libmujoco.so").exists() {
+        println!(
+            "cargo::error=feature `sim`: there is no libmujoco.so in {} (MUJOCO_DYNAMIC_LINK_DIR). \
+             Run `make setup` and `. ./env.sh`",
+            dir.display()
+        );
+    }
+    facts.mujoco_dir = dir.display().to_string();
+    Some(dir)
+}
+
+/// Names the folders that the programs look for libraries in.
+fn write_rpaths(dirs: &[PathBuf]) {
+    if dirs.is_empty() {
+        return;
+    }
+    // RPATH, not the newer RUNPATH: only the former also serves the libraries that the libraries load.
+    println!("cargo::rustc-link-arg=-Wl,--disable-new-dtags");
+    for dir in dirs {
+        for argument in ["-rpath", &dir.display().to_string()] {
+            println!("cargo::rustc-link-arg=-Xlinker");
+            println!("cargo::rustc-link-arg={argument}");
+        }
+    }
+}
+
+/// The hash of the installed .idl files, as scripts/lib/common.sh and launch/cargo.cmake compute it: SHA-256 of what
+/// `sha256sum` prints for them in the order of their paths; 16 digits.
+fn idl_hash(share: &Path) -> std::io::Result<String> {
+    let mut files = Vec::new();
+    for folder in ["action", "msg", "srv"] {
+        let Ok(entries) = share.join(folder).read_dir() else { continue };
+        for entry in entries {
+            let path = entry?.path();
+            if path.extension().is_some_and(|extension| extension == "idl") {
+                files.push(format!("./{folder}/{}", path.file_name().unwrap_or_default().to_string_lossy()));
+            }
+        }
+    }
+    files.sort();
+    let mut sums = Sha256::new();
+    for file in files {
+        let path = share.join(&file);
+        println!("cargo::rerun-if-changed={}", path.display());
+        sums.update(format!("{:x}  {file}\n", Sha256::digest(std::fs::read(path)?)));
+    }
+    let mut digest = format!("{:x}", sums.finalize());
+    digest.truncate(16);
+    Ok(digest)
+}
+
+fn version_of_rustc() -> String {
+    let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+    let output = Command::new(rustc).arg("--version").output();
+    output.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_string()).unwrap_or_default()
+}
+
+/// The entries of a variable that is a list of paths.
+fn paths(name: &str) -> Vec<PathBuf> {
+    let list = env::var_os(name).unwrap_or_default();
+    env::split_paths(&list).filter(|path| !path.as_os_str().is_empty()).collect()
+}
+
+fn list(paths: &[PathBuf]) -> String {
+    match paths {
+        [] => "which is empty or not set".to_string(),
+        _ => paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", "),
+    }
+}
