@@ -1,1 +1,328 @@
-//! TODO metrics.
+//! Scores of predicted touch against truth, as the paper's appendix defines them.
+//!
+//! | score | file | undefined when |
+//! |---|---|---|
+//! | MAE, active MAE, temporal Pearson | [`force`] | nothing valid (active); fewer than two frames or a constant trace |
+//! | precision, recall, F1, IoU, AUROC | [`contact`] | no positives (AUROC: nor negatives) |
+//! | force cosine, rise F1, fall F1 | [`dynamics`] | a trace that is zero everywhere; no event on either side |
+//! | DFT Pearson, spectral convergence, dominant frequency | [`spectrum`] | fewer than three frames or a constant trace |
+//!
+//! An undefined score is `None` here, `null` in JSON, `undefined` in a table; it is never NaN and never a made-up
+//! number. A score is undefined, too, where the prediction itself is unknown (NaN) at a valid vertex.
+
+pub mod contact;
+pub mod dynamics;
+pub mod force;
+mod report;
+pub mod spectrum;
+
+use serde::Serialize;
+
+use crate::error::{Error, Result};
+use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField};
+
+pub use contact::{Counts, Scores};
+pub use dynamics::Calibration;
+pub use force::Errors;
+pub use report::table;
+
+/// Predicted or true touch over `T` frames.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Fields {
+    /// (T, 1556) N; NaN = unknown.
+    pub force: Vec<f32>,
+    /// (T, 1556) contact probability, or truth as 0 and 1; NaN = unknown.
+    pub contact: Vec<f32>,
+}
+
+impl Fields {
+    /// Fields from forces alone: contact is force > 0.05 N, unknown where the force is.
+    pub fn from_force(force: Vec<f32>) -> Self {
+        let contact = force.iter().map(|f| if f.is_nan() { f32::NAN } else { f32::from(*f > CONTACT_FORCE_N) });
+        Self { contact: contact.collect(), force }
+    }
+
+    /// Number of frames.
+    pub fn n_frames(&self) -> usize {
+        self.force.len() / N_FIELD
+    }
+
+    /// Appends one frame.
+    pub fn push(&mut self, field: &TactileField) {
+        self.force.extend_from_slice(&field.force);
+        self.contact.extend_from_slice(&field.contact);
+    }
+
+    fn check(&self, name: &str, n_frames: usize) -> Result<()> {
+        for (what, values) in [("force", &self.force), ("contact", &self.contact)] {
+            if values.len() != n_frames * N_FIELD {
+                let got = [values.len() / N_FIELD, values.len() % N_FIELD];
+                return Err(Error::shape(format!("{name} {what}"), format!("({n_frames}, {N_FIELD})"), got));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// How to score.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Options {
+    /// (T, 1556) 1 = force counts; empty = everywhere.
+    pub mask_force: Vec<u8>,
+    /// (T, 1556) 1 = contact counts; empty = everywhere.
+    pub mask_contact: Vec<u8>,
+    /// Exclusive cumulative ends of the episodes; empty = one episode.
+    pub episode_ends: Vec<usize>,
+    /// Frames per second; without it the dominant frequency is undefined.
+    pub fps: Option<f64>,
+    /// Range of the total force; without it each side's own.
+    pub calibration: Option<Calibration>,
+}
+
+/// All scores, under the names of `egotac eval --json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Report {
+    /// Mean absolute force error, N.
+    pub mae: Option<f64>,
+    /// The same where the true force is above 0.05 N.
+    pub active_mae: Option<f64>,
+    /// Pearson correlation of the total force over time, mean over episodes.
+    pub temporal_pearson: Option<f64>,
+    /// Contact scores of each frame that has positives, averaged.
+    pub frame_mean: Scores,
+    /// Contact scores over all vertices of all frames.
+    pub pooled: Scores,
+    /// Cosine of the normalised total force, mean over episodes.
+    pub force_cosine: Option<f64>,
+    /// F1 of the frames where the total force rises, mean over episodes.
+    pub rise_f1: Option<f64>,
+    /// F1 of the frames where it falls, mean over episodes.
+    pub fall_f1: Option<f64>,
+    /// Pearson correlation of the log-magnitude spectra, mean over episodes.
+    pub dft_pearson: Option<f64>,
+    /// Relative distance of the magnitude spectra, mean over episodes.
+    pub spectral_convergence: Option<f64>,
+    /// Distance of the dominant frequencies, Hz, mean over episodes.
+    pub dominant_frequency_error_hz: Option<f64>,
+    /// What the scores were computed from.
+    pub counts: ReportCounts,
+}
+
+/// What the scores were computed from.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct ReportCounts {
+    /// Frames.
+    pub frames: usize,
+    /// Episodes.
+    pub episodes: usize,
+    /// Frames without a contact in truth: left out of `frame_mean`.
+    pub frames_without_positives: usize,
+    /// (frame, vertex) pairs whose force counts.
+    pub force_entries: u64,
+    /// Those with a true force above 0.05 N.
+    pub active_entries: u64,
+    /// (frame, vertex) pairs whose contact counts.
+    pub contact_entries: u64,
+    /// Counted entries that the prediction leaves unknown; above 0 the scores they enter are undefined.
+    pub unknown_predictions: u64,
+}
+
+/// Scores `pred` against `target`. Entries that the target itself leaves unknown (NaN) do not count.
+///
+/// # Errors
+/// If lengths differ, or the episodes do not end where the data does.
+pub fn evaluate(pred: &Fields, target: &Fields, options: &Options) -> Result<Report> {
+    let n_frames = target.n_frames();
+    target.check("target", n_frames)?;
+    pred.check("pred", n_frames)?;
+    for (name, mask) in [("mask_force", &options.mask_force), ("mask_contact", &options.mask_contact)] {
+        if !mask.is_empty() && mask.len() != n_frames * N_FIELD {
+            return Err(Error::shape(name, format!("({n_frames}, {N_FIELD})"), [mask.len()]));
+        }
+    }
+    let episodes = episode_ranges(&options.episode_ends, n_frames)?;
+
+    let frames: Vec<FrameScore> = (0..n_frames).map(|t| FrameScore::at(pred, target, options, t)).collect();
+    let summary = summarize(&frames);
+    let traces = Traces::of(&frames);
+    let (pred_range, target_range) = match &options.calibration {
+        Some(calibration) => (calibration.pred(), calibration.target()),
+        None => (dynamics::range(&traces.pred), dynamics::range(&traces.target)),
+    };
+    let per_episode = |score: &dyn Fn(&[f64], &[f64]) -> Option<f64>| {
+        mean(episodes.iter().map(|e| score(traces.pred.get(e.clone())?, traces.target.get(e.clone())?)))
+    };
+    let normalised = |score: fn(&[f64], &[f64]) -> Option<f64>| {
+        per_episode(&|p, t| score(&dynamics::normalise(p, pred_range), &dynamics::normalise(t, target_range)))
+    };
+    Ok(Report {
+        temporal_pearson: per_episode(&pearson),
+        pooled: Scores { auroc: pooled_auroc(pred, target, options), ..summary.pooled },
+        force_cosine: normalised(dynamics::cosine),
+        rise_f1: normalised(dynamics::rise_f1),
+        fall_f1: normalised(dynamics::fall_f1),
+        dft_pearson: per_episode(&spectrum::dft_pearson),
+        spectral_convergence: per_episode(&spectrum::spectral_convergence),
+        dominant_frequency_error_hz: options
+            .fps
+            .and_then(|fps| per_episode(&|p, t| spectrum::dominant_frequency_error(p, t, fps))),
+        counts: ReportCounts { episodes: episodes.len(), ..summary.counts },
+        ..summary
+    })
+}
+
+/// What one frame adds to the scores; scores of many frames come from [`summarize`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameScore {
+    /// Force errors of the frame.
+    pub force: Errors,
+    /// Contact decisions of the frame.
+    pub contact: Counts,
+    /// AUROC within the frame.
+    pub auroc: Option<f64>,
+    /// Predicted total force, N; None if unknown.
+    pub pred_total: Option<f64>,
+    /// True total force, N.
+    pub target_total: f64,
+}
+
+impl FrameScore {
+    /// Scores one frame of 1556 vertices; an empty mask counts every vertex.
+    pub fn new(
+        pred_force: &[f32],
+        pred_contact: &[f32],
+        target_force: &[f32],
+        target_contact: &[f32],
+        mask_force: &[u8],
+        mask_contact: &[u8],
+    ) -> Self {
+        let forces = force::pairs(pred_force, target_force, mask_force);
+        let contacts = contact::pairs(pred_contact, target_contact, mask_contact);
+        let (pred_total, target_total) = force::totals(&forces);
+        Self {
+            force: Errors::of(&forces),
+            contact: Counts::of(&contacts),
+            auroc: contact::auroc(contacts),
+            pred_total,
+            target_total,
+        }
+    }
+
+    fn at(pred: &Fields, target: &Fields, options: &Options, t: usize) -> Self {
+        let rows = t * N_FIELD..(t + 1) * N_FIELD;
+        let mask = |mask: &'_ [u8]| if mask.is_empty() { Vec::new() } else { mask[rows.clone()].to_vec() };
+        Self::new(
+            &pred.force[rows.clone()],
+            &pred.contact[rows.clone()],
+            &target.force[rows.clone()],
+            &target.contact[rows.clone()],
+            &mask(&options.mask_force),
+            &mask(&options.mask_contact),
+        )
+    }
+}
+
+/// Scores of frames that follow each other: everything of [`Report`] that needs no more than [`FrameScore`]s (the
+/// pooled AUROC, dynamics and spectra are left undefined). Cheap enough to be called on every new frame of a window.
+pub fn summarize<'a>(frames: impl IntoIterator<Item = &'a FrameScore>) -> Report {
+    let frames: Vec<&FrameScore> = frames.into_iter().collect();
+    let force = frames.iter().fold(Errors::default(), |sum, frame| sum + frame.force);
+    let counts = frames.iter().fold(Counts::default(), |sum, frame| sum + frame.contact);
+    let with_positives: Vec<&&FrameScore> = frames.iter().filter(|f| f.contact.positives() > 0).collect();
+    let scores: Vec<Scores> = with_positives.iter().map(|f| Scores { auroc: f.auroc, ..f.contact.scores() }).collect();
+    let pick = |score: fn(&Scores) -> Option<f64>| {
+        // Unknown predictions spoil the mean as they spoil the pooled score.
+        (counts.unknown == 0).then(|| mean(scores.iter().map(score))).flatten()
+    };
+    let traces = Traces::of(frames.iter().copied());
+    Report {
+        mae: force.mae(),
+        active_mae: force.active_mae(),
+        temporal_pearson: pearson(&traces.pred, &traces.target),
+        frame_mean: Scores {
+            precision: pick(|s| s.precision),
+            recall: pick(|s| s.recall),
+            f1: pick(|s| s.f1),
+            iou: pick(|s| s.iou),
+            auroc: pick(|s| s.auroc),
+        },
+        pooled: counts.scores(),
+        force_cosine: None,
+        rise_f1: None,
+        fall_f1: None,
+        dft_pearson: None,
+        spectral_convergence: None,
+        dominant_frequency_error_hz: None,
+        counts: ReportCounts {
+            frames: frames.len(),
+            episodes: usize::from(!frames.is_empty()),
+            frames_without_positives: frames.len() - with_positives.len(),
+            force_entries: force.count,
+            active_entries: force.active_count,
+            contact_entries: counts.total(),
+            unknown_predictions: force.unknown + counts.unknown,
+        },
+    }
+}
+
+/// Pearson correlation; undefined for fewer than two points or a constant side.
+pub fn pearson(a: &[f64], b: &[f64]) -> Option<f64> {
+    if a.len() != b.len() || a.len() < 2 || is_constant(a) || is_constant(b) {
+        return None;
+    }
+    let n = a.len() as f64;
+    let (mean_a, mean_b) = (a.iter().sum::<f64>() / n, b.iter().sum::<f64>() / n);
+    let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
+    for (a, b) in a.iter().zip(b) {
+        let (a, b) = (a - mean_a, b - mean_b);
+        ab += a * b;
+        aa += a * a;
+        bb += b * b;
+    }
+    finite(ab / (aa.sqrt() * bb.sqrt())).map(|r| r.clamp(-1.0, 1.0))
+}
+
+/// Total force over time on both sides; empty if the prediction is unknown anywhere.
+struct Traces {
+    pred: Vec<f64>,
+    target: Vec<f64>,
+}
+
+impl Traces {
+    fn of<'a>(frames: impl IntoIterator<Item = &'a FrameScore>) -> Self {
+        let (pred, target): (Vec<Option<f64>>, Vec<f64>) =
+            frames.into_iter().map(|frame| (frame.pred_total, frame.target_total)).unzip();
+        Self { pred: pred.into_iter().collect::<Option<Vec<f64>>>().unwrap_or_default(), target }
+    }
+}
+
+fn pooled_auroc(pred: &Fields, target: &Fields, options: &Options) -> Option<f64> {
+    contact::auroc(contact::pairs(&pred.contact, &target.contact, &options.mask_contact))
+}
+
+fn episode_ranges(ends: &[usize], n_frames: usize) -> Result<Vec<std::ops::Range<usize>>> {
+    if ends.is_empty() {
+        return Ok(std::iter::once(0..n_frames).collect());
+    }
+    let growing = ends[0] > 0 && ends.windows(2).all(|pair| pair[0] < pair[1]);
+    if !growing || ends.last() != Some(&n_frames) {
+        let expected = format!("growing ends, the last one {n_frames}");
+        return Err(Error::value("episode_ends", expected, format!("{ends:?}")));
+    }
+    let starts = std::iter::once(0).chain(ends.iter().copied());
+    Ok(starts.zip(ends).map(|(start, end)| start..*end).collect())
+}
+
+/// Mean of the defined values.
+fn mean(values: impl IntoIterator<Item = Option<f64>>) -> Option<f64> {
+    let (sum, count) = values.into_iter().flatten().fold((0.0, 0usize), |(sum, count), x| (sum + x, count + 1));
+    (count > 0).then(|| sum / count as f64)
+}
+
+fn is_constant(values: &[f64]) -> bool {
+    values.windows(2).all(|pair| pair[0] == pair[1])
+}
+
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}

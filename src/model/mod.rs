@@ -13,7 +13,6 @@ mod decoder;
 mod dinov2;
 pub mod init;
 pub mod ops;
-pub mod predictor;
 mod temporal;
 
 use candle_core::Tensor;
@@ -21,9 +20,8 @@ use candle_nn::VarBuilder;
 
 use crate::error::{Error, Result};
 
-pub use checkpoint::{Checkpoint, Metadata};
+pub use checkpoint::{Checkpoint, Filter, Metadata, Resize};
 pub use config::Config;
-pub use predictor::{Prediction, Predictor};
 
 /// The whole network (EgoTac): vision encoder, temporal fusion, tactile decoder.
 #[derive(Debug, Clone)]

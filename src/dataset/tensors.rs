@@ -1,0 +1,156 @@
+//! Fields in safetensors files: what `egotac predict` writes and `egotac eval` reads.
+//!
+//! | tensor | shape | other names taken |
+//! |---|---|---|
+//! | `force` | (T, 1556) N | `mano_force` |
+//! | `contact` | (T, 1556) probability or truth | `mano_contact`, `mano_contact_score` |
+//! | `mask_force`, `mask_contact` | (T, 1556), optional | `mano_force_valid`, `mano_contact_valid` |
+//! | `timestamps` | (T) s, optional | |
+//! | `episode_ends` | (E), optional | |
+//!
+//! Floats may be f16, bf16, f32 or f64, the rest any integer or bool. The metadata carries `topology`.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+
+use crate::error::{Error, Result};
+use crate::metrics::Fields;
+use crate::tactile::{N_FIELD, Topology};
+
+/// Content of a field file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct FieldFile {
+    /// What the vertex indices mean; None = the file doesn't say.
+    pub topology: Option<Topology>,
+    /// Force and contact. A file with one of them alone leaves the other unknown (NaN), save that contact truth follows
+    /// from force.
+    pub fields: Fields,
+    /// (T, 1556) 1 = the force counts; empty = everywhere.
+    pub mask_force: Vec<u8>,
+    /// (T, 1556) 1 = the contact counts; empty = everywhere.
+    pub mask_contact: Vec<u8>,
+    /// (T) s; empty = not given.
+    pub timestamps: Vec<f64>,
+    /// Exclusive cumulative ends of the episodes; empty = not given.
+    pub episode_ends: Vec<usize>,
+}
+
+impl FieldFile {
+    /// Reads a field file.
+    ///
+    /// # Errors
+    /// If it is no safetensors file, holds neither field, or a tensor has another shape or dtype than its name demands.
+    pub fn read(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(Error::io(path))?;
+        let tensors = SafeTensors::deserialize(&bytes)
+            .map_err(|e| Error::file(path, format!("expected a safetensors file: {e}")))?;
+        let (_, metadata) = SafeTensors::read_metadata(&bytes).map_err(|e| Error::file(path, e))?;
+        let topology = match metadata.metadata().as_ref().and_then(|map| map.get("topology")) {
+            Some(id) => Some(Topology::from_id(id).map_err(|e| Error::file(path, e))?),
+            None => None,
+        };
+        let get = |names: &[&str]| names.iter().find_map(|name| Some((name.to_string(), tensors.tensor(name).ok()?)));
+        let force = get(&["force", "mano_force"]);
+        let contact = get(&["contact", "mano_contact", "mano_contact_score"]);
+        let Some(n_frames) = force.as_ref().or(contact.as_ref()).map(|(_, t)| t.shape().first().copied().unwrap_or(0))
+        else {
+            let present = tensors.names().join(", ");
+            return Err(Error::Missing { name: "force or contact".into(), place: path.display().to_string(), present });
+        };
+        let field = |tensor: Option<(String, TensorView)>| -> Result<Option<Vec<f64>>> {
+            let Some((name, tensor)) = tensor else { return Ok(None) };
+            numbers(&name, &tensor, &[n_frames, N_FIELD]).map(Some).map_err(|e| Error::file(path, e))
+        };
+        let f32s = |values: Vec<f64>| values.into_iter().map(|x| x as f32).collect::<Vec<_>>();
+        let mask = |names: &[&str]| -> Result<Vec<u8>> {
+            Ok(field(get(names))?.unwrap_or_default().into_iter().map(|x| u8::from(x != 0.0)).collect())
+        };
+        let row = |name: &str| -> Result<Vec<f64>> {
+            let Ok(tensor) = tensors.tensor(name) else { return Ok(Vec::new()) };
+            let expected = if name == "timestamps" { n_frames } else { tensor.shape().iter().product() };
+            numbers(name, &tensor, &[expected]).map_err(|e| Error::file(path, e))
+        };
+        let fields = match (field(force)?.map(f32s), field(contact)?.map(f32s)) {
+            (Some(force), Some(contact)) => Fields { force, contact },
+            (Some(force), None) => Fields::from_force(force),
+            (None, contact) => {
+                Fields { force: vec![f32::NAN; n_frames * N_FIELD], contact: contact.unwrap_or_default() }
+            }
+        };
+        Ok(Self {
+            topology,
+            fields,
+            mask_force: mask(&["mask_force", "mano_force_valid"])?,
+            mask_contact: mask(&["mask_contact", "mano_contact_valid"])?,
+            timestamps: row("timestamps")?,
+            episode_ends: row("episode_ends")?.into_iter().map(|end| end as usize).collect(),
+        })
+    }
+
+    /// Writes the file under a temporary name, then renames it.
+    ///
+    /// # Errors
+    /// If the arrays differ in length or the file can't be written.
+    pub fn write(&self, path: &Path, mut metadata: HashMap<String, String>) -> Result<()> {
+        let n_frames = self.fields.n_frames();
+        let field = [n_frames, N_FIELD];
+        let bytes = |values: &[f32]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
+        let mut tensors = vec![
+            ("force", Dtype::F32, field.to_vec(), bytes(&self.fields.force)),
+            ("contact", Dtype::F32, field.to_vec(), bytes(&self.fields.contact)),
+        ];
+        for (name, mask) in [("mask_force", &self.mask_force), ("mask_contact", &self.mask_contact)] {
+            if !mask.is_empty() {
+                tensors.push((name, Dtype::U8, field.to_vec(), mask.clone()));
+            }
+        }
+        if !self.timestamps.is_empty() {
+            let bytes = self.timestamps.iter().flat_map(|x| x.to_le_bytes()).collect();
+            tensors.push(("timestamps", Dtype::F64, vec![n_frames], bytes));
+        }
+        if !self.episode_ends.is_empty() {
+            let bytes = self.episode_ends.iter().flat_map(|x| (*x as i64).to_le_bytes()).collect();
+            tensors.push(("episode_ends", Dtype::I64, vec![self.episode_ends.len()], bytes));
+        }
+        if let Some(topology) = self.topology {
+            metadata.insert("topology".into(), topology.id().into());
+        }
+        let mut views = Vec::new();
+        for (name, dtype, shape, data) in &tensors {
+            let view = TensorView::new(*dtype, shape.clone(), data);
+            views.push((*name, view.map_err(|e| Error::file(path, format!("{name}: {e}")))?));
+        }
+        let content = safetensors::serialize(views, Some(metadata)).map_err(|e| Error::file(path, e))?;
+        super::write_file(path, &content)
+    }
+
+    /// Frames per second by the median step of the timestamps; None without at least two of them.
+    pub fn fps(&self) -> Option<f64> {
+        super::fps(&self.timestamps)
+    }
+}
+
+/// A tensor's numbers, whatever its dtype.
+fn numbers(name: &str, tensor: &TensorView, shape: &[usize]) -> Result<Vec<f64>> {
+    if tensor.shape() != shape {
+        return Err(Error::shape(name, format!("{shape:?}"), tensor.shape()));
+    }
+    fn each<const N: usize>(data: &[u8], number: impl Fn([u8; N]) -> f64) -> Vec<f64> {
+        data.as_chunks::<N>().0.iter().map(|bytes| number(*bytes)).collect()
+    }
+    let data = tensor.data();
+    Ok(match tensor.dtype() {
+        Dtype::F64 => each(data, f64::from_le_bytes),
+        Dtype::F32 => each(data, |b| f64::from(f32::from_le_bytes(b))),
+        Dtype::F16 => each(data, |b| half::f16::from_le_bytes(b).to_f64()),
+        Dtype::BF16 => each(data, |b| half::bf16::from_le_bytes(b).to_f64()),
+        Dtype::I64 => each(data, |b| i64::from_le_bytes(b) as f64),
+        Dtype::I32 => each(data, |b| f64::from(i32::from_le_bytes(b))),
+        Dtype::U8 | Dtype::BOOL => each(data, |b: [u8; 1]| f64::from(b[0])),
+        other => {
+            return Err(Error::value(name, "dtype F16, BF16, F32, F64, I32, I64, U8 or BOOL", format!("{other:?}")));
+        }
+    })
+}

@@ -1,0 +1,109 @@
+//! `egotac eval` on files that a stranger would bring.
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use egotac::tactile::N_FIELD;
+use safetensors::tensor::{Dtype, TensorView};
+use serde_json::Value;
+
+fn egotac(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_egotac")).args(args).output().unwrap()
+}
+
+/// Frame t touches vertices 0..10 with `scale` x (t + 1) N.
+fn field(frames: usize, scale: f32) -> Vec<f32> {
+    (0..frames * N_FIELD).map(|i| if i % N_FIELD < 10 { scale * (i / N_FIELD + 1) as f32 } else { 0.0 }).collect()
+}
+
+fn write(path: &Path, topology: &str, tensors: &[(&str, Dtype, Vec<usize>, Vec<u8>)]) {
+    let views = tensors
+        .iter()
+        .map(|(name, dtype, shape, data)| (name.to_string(), TensorView::new(*dtype, shape.clone(), data).unwrap()));
+    let metadata = HashMap::from([("topology".to_string(), topology.to_string())]);
+    std::fs::write(path, safetensors::serialize(views, Some(metadata)).unwrap()).unwrap();
+}
+
+fn f32_bytes(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|x| x.to_le_bytes()).collect()
+}
+
+#[test]
+fn eval_prints_the_scores_under_their_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let (pred, target) = (folder.path().join("a.safetensors"), folder.path().join("b.safetensors"));
+    let shape = vec![6, N_FIELD];
+    let truth = field(6, 1.0);
+    let guess = field(6, 0.5);
+    let sure: Vec<f32> = truth.iter().map(|f| if *f > 0.0 { 0.9 } else { 0.2 }).collect();
+    write(
+        &pred,
+        "mano",
+        &[
+            ("force", Dtype::F32, shape.clone(), f32_bytes(&guess)),
+            ("contact", Dtype::F32, shape.clone(), f32_bytes(&sure)),
+        ],
+    );
+    // Truth in f64, contact from force, the last vertex of the touched ones masked out.
+    let mask = (0..6 * N_FIELD).map(|i| u8::from(i % N_FIELD != 9)).collect();
+    write(
+        &target,
+        "mano",
+        &[
+            ("force", Dtype::F64, shape.clone(), truth.iter().flat_map(|x| f64::from(*x).to_le_bytes()).collect()),
+            ("mask_force", Dtype::BOOL, shape.clone(), mask),
+        ],
+    );
+    let [pred, target] = [&pred, &target].map(|p| p.to_str().unwrap());
+    let output = egotac(&["eval", "--pred", pred, "--target", target, "--fps", "30", "--json"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    // Half of 1..6 N on nine vertices: 1.75 N each.
+    assert!((json["active_mae"].as_f64().unwrap() - 1.75).abs() < 1e-6, "{json:#}");
+    assert!((json["mae"].as_f64().unwrap() - 1.75 * 9.0 / (N_FIELD - 1) as f64).abs() < 1e-9);
+    assert!((json["temporal_pearson"].as_f64().unwrap() - 1.0).abs() < 1e-9);
+    for part in ["frame_mean", "pooled"] {
+        for score in ["precision", "recall", "f1", "iou", "auroc"] {
+            assert_eq!(json[part][score], 1.0, "{part}.{score}");
+        }
+    }
+    for score in ["force_cosine", "rise_f1", "dft_pearson"] {
+        assert!((json[score].as_f64().unwrap() - 1.0).abs() < 0.2, "{score}: {json:#}");
+    }
+    assert_eq!(json["fall_f1"], Value::Null, "nothing ever falls");
+    assert_eq!(json["dominant_frequency_error_hz"], 0.0);
+    let table = String::from_utf8(egotac(&["eval", "--pred", pred, "--target", target]).stdout).unwrap();
+    assert!(table.contains("active MAE (N)") && table.contains("undefined") && table.contains("1.75000"), "{table}");
+}
+
+#[test]
+fn eval_refuses_what_does_not_fit_in_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
+    let force = |frames: usize| ("force", Dtype::F32, vec![frames, N_FIELD], f32_bytes(&field(frames, 1.0)));
+    write(Path::new(&file("six")), "mano", &[force(6)]);
+    write(Path::new(&file("five")), "mano", &[force(5)]);
+    write(Path::new(&file("ours")), "egotac-hand-1", &[force(6)]);
+    write(Path::new(&file("flat")), "mano", &[("force", Dtype::F32, vec![N_FIELD], f32_bytes(&field(1, 1.0)))]);
+    write(Path::new(&file("other")), "mano", &[("pressure", Dtype::U8, vec![1], vec![0])]);
+    std::fs::write(file("text"), "no tensors").unwrap();
+    std::fs::write(file("range"), r#"{"min": 3, "max": 3}"#).unwrap();
+    for (pred, extra, word) in [
+        ("five", None, "5 frames"),
+        ("ours", None, "topology"),
+        ("flat", None, "force"),
+        ("other", None, "pressure"),
+        ("text", None, "safetensors"),
+        ("absent", None, "absent"),
+        ("six", Some("range"), "min < max"),
+    ] {
+        let (pred, target) = (file(pred), file("six"));
+        let mut args = vec!["eval", "--pred", &pred, "--target", &target];
+        let extra = extra.map(file);
+        extra.iter().for_each(|extra| args.extend(["--calibration", extra]));
+        let output = egotac(&args);
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert!(!output.status.success() && error.contains(word) && error.lines().count() == 1, "{word}: {error}");
+    }
+}
