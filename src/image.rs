@@ -1,1 +1,142 @@
 //! Images into the network: decode, resize, normalise.
+
+mod raw;
+
+use std::io::Cursor;
+
+use ::image::{ImageReader, Limits, RgbImage};
+use fast_image_resize as fir;
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+
+pub use raw::{ENCODINGS, RawImage};
+
+/// Longest side that an image may have, pixels.
+pub const MAX_SIDE: u32 = 16_384;
+/// ImageNet's mean per RGB channel, of values in 0..1.
+pub const IMAGENET_MEAN: [f32; 3] = [0.485, 0.456, 0.406];
+/// ImageNet's standard deviation per RGB channel, of values in 0..1.
+pub const IMAGENET_STD: [f32; 3] = [0.229, 0.224, 0.225];
+
+/// How an image of any size becomes the square input.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Resize {
+    /// Shorter side to the input size, then the centre.
+    #[default]
+    Crop,
+    /// Longer side to the input size, then black bars.
+    Letterbox,
+    /// Both sides to the input size.
+    Squash,
+}
+
+/// Resampling filter; its support grows with the scale when shrinking (antialiasing).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Filter {
+    /// Linear.
+    #[default]
+    Triangle,
+    /// Cubic, Keys' kernel with a = -0.5 (Catmull-Rom).
+    Bicubic,
+}
+
+/// From an image of any size to the network's input.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Preparation {
+    /// Side of the square input, pixels.
+    pub side: usize,
+    /// How the image becomes square.
+    pub resize: Resize,
+    /// Resampling filter.
+    pub filter: Filter,
+    /// Mean per RGB channel, of values in 0..1.
+    pub mean: [f32; 3],
+    /// Standard deviation per RGB channel, of values in 0..1.
+    pub std: [f32; 3],
+}
+
+impl Preparation {
+    /// Resizes and normalises. Returns `(3, side, side)`, row-major, channels red, green, blue.
+    ///
+    /// # Errors
+    /// If the image is empty.
+    pub fn apply(&self, image: &RgbImage) -> Result<Vec<f32>> {
+        let square = resize(image, self.side, self.resize, self.filter)?;
+        Ok(normalise(&square, self.mean, self.std))
+    }
+}
+
+/// Decodes a PNG or JPEG file; grey becomes RGB, transparency is dropped, 16 bits become 8.
+///
+/// # Errors
+/// If the bytes are neither, are damaged, or the image has a side of more than [`MAX_SIDE`] pixels.
+pub fn decode(bytes: &[u8]) -> Result<RgbImage> {
+    let invalid = |error: &dyn std::fmt::Display| Error::value("image", "an intact PNG or JPEG file", error);
+    let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| invalid(&e))?;
+    if reader.format().is_none() {
+        let start: Vec<String> = bytes.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+        let got = format!("{} bytes that start with [{}]", bytes.len(), start.join(" "));
+        return Err(invalid(&got));
+    }
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    reader.limits(limits);
+    Ok(reader.decode().map_err(|e| invalid(&e))?.into_rgb8())
+}
+
+/// Resizes to a square of `side` pixels.
+///
+/// # Errors
+/// If the image is empty.
+pub fn resize(image: &RgbImage, side: usize, resize: Resize, filter: Filter) -> Result<RgbImage> {
+    let (width, height) = image.dimensions();
+    if width == 0 || height == 0 || side == 0 || side > MAX_SIDE as usize {
+        let expected = format!("at least one pixel, and an input side of 1 to {MAX_SIDE}");
+        return Err(Error::value("image", expected, format!("{width} x {height} pixels, input side {side}")));
+    }
+    let side = side as u32;
+    // Crop: the centre square of the source, to a fraction of a pixel. Letterbox: part of the output.
+    let short = f64::from(width.min(height));
+    let (crop_x, crop_y) = ((f64::from(width) - short) / 2.0, (f64::from(height) - short) / 2.0);
+    let shrunk = |length: u32| (f64::from(side * length) / f64::from(width.max(height))).round().max(1.0) as u32;
+    let (out_width, out_height) = match resize {
+        Resize::Letterbox => (shrunk(width), shrunk(height)),
+        Resize::Crop | Resize::Squash => (side, side),
+    };
+    let algorithm = fir::ResizeAlg::Convolution(match filter {
+        Filter::Triangle => fir::FilterType::Bilinear,
+        Filter::Bicubic => fir::FilterType::CatmullRom,
+    });
+    let mut options = fir::ResizeOptions::new().resize_alg(algorithm);
+    if resize == Resize::Crop {
+        options = options.crop(crop_x, crop_y, short, short);
+    }
+    let failed = |error: &dyn std::fmt::Display| Error::value("image", "one that can be resized", error);
+    let source = fir::images::ImageRef::new(width, height, image.as_raw(), fir::PixelType::U8x3);
+    let mut out = fir::images::Image::new(out_width, out_height, fir::PixelType::U8x3);
+    fir::Resizer::new().resize(&source.map_err(|e| failed(&e))?, &mut out, &options).map_err(|e| failed(&e))?;
+    let out = RgbImage::from_raw(out_width, out_height, out.into_vec());
+    let out = out.ok_or_else(|| failed(&"a buffer of another size"))?;
+    if (out_width, out_height) == (side, side) {
+        return Ok(out);
+    }
+    let mut square = RgbImage::new(side, side);
+    let (left, top) = ((side - out_width) / 2, (side - out_height) / 2);
+    ::image::imageops::replace(&mut square, &out, i64::from(left), i64::from(top));
+    Ok(square)
+}
+
+/// `(value / 255 - mean) / std` per channel. Returns `(3, H, W)`, row-major, channels red, green, blue.
+pub fn normalise(image: &RgbImage, mean: [f32; 3], std: [f32; 3]) -> Vec<f32> {
+    let pixels = image.as_raw();
+    let mut out = Vec::with_capacity(pixels.len());
+    for channel in 0..3 {
+        let table: [f32; 256] = std::array::from_fn(|v| (v as f32 / 255.0 - mean[channel]) / std[channel]);
+        out.extend(pixels.iter().skip(channel).step_by(3).map(|v| table[usize::from(*v)]));
+    }
+    out
+}

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
-use egotac::model::checkpoint::{self, Filter};
-use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Resize, init};
+use egotac::image::{Filter, Resize};
+use egotac::model::{Checkpoint, Config, EgoTac, Metadata, checkpoint, init};
 use sha2::{Digest, Sha256};
 
 fn network(config: &Config, seed: u64) -> (EgoTac, VarMap) {

@@ -10,41 +10,18 @@ use candle_nn::var_builder::SimpleBackend;
 use candle_nn::{Init, VarBuilder, VarMap};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::{Config, EgoTac};
 use crate::error::{Error, Result};
+use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
 use crate::tactile::Topology;
 
 /// Part of published DINOv2 checkpoints that inference never touches; allowed in a file and ignored.
 const MASK_TOKEN: &str = "encoder.embeddings.mask_token";
 /// Misfits named in one message.
 const MAX_NAMED: usize = 8;
-
-/// How an image of any size becomes the square input.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Resize {
-    /// Shorter side to the input size, then the centre.
-    #[default]
-    Crop,
-    /// Longer side to the input size, then black bars.
-    Letterbox,
-    /// Both sides to the input size.
-    Squash,
-}
-
-/// Resampling filter, antialiased when shrinking.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Filter {
-    /// Linear.
-    #[default]
-    Triangle,
-    /// Cubic, Keys' kernel with a = -0.5.
-    Bicubic,
-}
 
 /// What a checkpoint says beside its weights; one key of the file's metadata per field.
 #[derive(Debug, Clone, PartialEq)]
@@ -71,11 +48,6 @@ pub struct Metadata {
     pub training: String,
 }
 
-/// ImageNet's mean per RGB channel, of values in 0..1.
-pub const IMAGENET_MEAN: [f32; 3] = [0.485, 0.456, 0.406];
-/// ImageNet's standard deviation per RGB channel, of values in 0..1.
-pub const IMAGENET_STD: [f32; 3] = [0.229, 0.224, 0.225];
-
 impl Metadata {
     /// Of a network on our built-in hand with ImageNet statistics; `force_scale` in N, `frame_dt` in s.
     pub fn new(name: impl Into<String>, force_scale: f32, frame_dt: f64) -> Self {
@@ -91,6 +63,11 @@ impl Metadata {
             std: IMAGENET_STD,
             training: String::new(),
         }
+    }
+
+    /// How images become the input of a network of this geometry.
+    pub fn preparation(&self, config: &Config) -> Preparation {
+        Preparation { side: config.image, resize: self.resize, filter: self.filter, mean: self.mean, std: self.std }
     }
 
     /// Checks ranges.

@@ -13,6 +13,7 @@ mod decoder;
 mod dinov2;
 pub mod init;
 pub mod ops;
+pub mod predictor;
 mod temporal;
 
 use candle_core::Tensor;
@@ -20,8 +21,9 @@ use candle_nn::VarBuilder;
 
 use crate::error::{Error, Result};
 
-pub use checkpoint::{Checkpoint, Filter, Metadata, Resize};
+pub use checkpoint::{Checkpoint, Metadata};
 pub use config::Config;
+pub use predictor::{Prediction, Predictor};
 
 /// The whole network (EgoTac): vision encoder, temporal fusion, tactile decoder.
 #[derive(Debug, Clone)]

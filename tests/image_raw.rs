@@ -1,0 +1,103 @@
+//! Every raw encoding gives the colours it was made from; contradictions are named, never read.
+
+use egotac::image::{ENCODINGS, RawImage};
+use image::{Rgb, RgbImage};
+use proptest::prelude::*;
+
+/// Encodes from the definition: BT.601 luma, chroma differences scaled to video range.
+fn yuv(p: Rgb<u8>) -> [u8; 3] {
+    let [r, g, b] = p.0.map(|c| f64::from(c) / 255.0);
+    let y = 0.299 * r + 0.587 * g + 0.114 * b;
+    [16.0 + 219.0 * y, 128.0 + 224.0 * 0.5 * (b - y) / (1.0 - 0.114), 128.0 + 224.0 * 0.5 * (r - y) / (1.0 - 0.299)]
+        .map(|v| v.round() as u8)
+}
+
+/// The bytes of an image whose colour is constant over blocks of 2 x 2, rows padded with `padding` bytes of 0xAA.
+fn encode(image: &RgbImage, encoding: &str, padding: usize) -> (Vec<u8>, u32) {
+    let (width, height) = image.dimensions();
+    let at = |x: u32, y: u32| *image.get_pixel(x, y);
+    let row = |y: u32| -> Vec<u8> {
+        let pixels = (0..width).map(|x| at(x, y));
+        let pairs = (0..width / 2).map(|x| yuv(at(2 * x, y)));
+        match encoding {
+            "rgb8" => pixels.flat_map(|p| p.0).collect(),
+            "bgr8" => pixels.flat_map(|Rgb([r, g, b])| [b, g, r]).collect(),
+            "rgba8" => pixels.flat_map(|Rgb([r, g, b])| [r, g, b, 7]).collect(),
+            "bgra8" => pixels.flat_map(|Rgb([r, g, b])| [b, g, r, 7]).collect(),
+            "mono8" => pixels.map(|p| p.0[0]).collect(),
+            "yuyv" | "yuv422_yuy2" => pairs.flat_map(|[y, u, v]| [y, u, y, v]).collect(),
+            "uyvy" | "yuv422" => pairs.flat_map(|[y, u, v]| [u, y, v, y]).collect(),
+            _ => pixels.map(|p| yuv(p)[0]).collect(),
+        }
+    };
+    let chroma = |y: u32| -> Vec<u8> {
+        let pairs = (0..width / 2).map(|x| yuv(at(2 * x, 2 * y)));
+        pairs.flat_map(|[_, u, v]| if encoding == "nv12" { [u, v] } else { [v, u] }).collect()
+    };
+    let mut rows: Vec<Vec<u8>> = (0..height).map(row).collect();
+    if encoding.starts_with("nv") {
+        rows.extend((0..height / 2).map(chroma));
+    }
+    rows.iter_mut().for_each(|row| row.extend(std::iter::repeat_n(0xAA, padding)));
+    let step = rows[0].len() as u32;
+    (rows.concat(), step)
+}
+
+proptest! {
+    #[test]
+    fn every_encoding_gives_back_the_colours(
+        (half_width, half_height) in (1u32..9, 1u32..9), padding in 0usize..9, colours in prop::collection::vec(any::<[u8; 3]>(), 64),
+    ) {
+        let image = RgbImage::from_fn(2 * half_width, 2 * half_height, |x, y| {
+            Rgb(colours[(x / 2 + 8 * (y / 2)) as usize])
+        });
+        let (width, height) = image.dimensions();
+        for encoding in ENCODINGS {
+            let (data, step) = encode(&image, encoding, padding);
+            let rgb = RawImage { width, height, encoding, step, data: &data }.to_rgb().unwrap();
+            for (got, want) in rgb.pixels().zip(image.pixels()) {
+                let (want, tolerance) = match encoding {
+                    "rgb8" | "bgr8" | "rgba8" | "bgra8" => (*want, 0),
+                    "mono8" => (Rgb([want.0[0]; 3]), 0),
+                    // Eight-bit chroma steps are worth up to two steps of blue, plus rounding.
+                    _ => (*want, 3),
+                };
+                for (a, b) in got.0.iter().zip(want.0) {
+                    prop_assert!(a.abs_diff(b) <= tolerance, "{encoding}: {got:?} for {want:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_that_contradict_each_other_are_refused_and_never_panic(
+        width in 0u32..40, height in 0u32..40, step in 0u32..200, size in 0usize..4000, encoding in prop::sample::select(ENCODINGS.to_vec()),
+    ) {
+        let data = vec![1; size];
+        if let Ok(rgb) = (RawImage { width, height, encoding, step, data: &data }).to_rgb() {
+            prop_assert_eq!(rgb.dimensions(), (width, height));
+            let rows = if encoding.starts_with("nv") { height * 3 / 2 } else { height };
+            prop_assert_eq!(size, (rows * step) as usize);
+        }
+    }
+}
+
+#[test]
+fn refusals_name_what_is_wrong() {
+    let image = |width, height, encoding, step, size| {
+        let data = vec![0; size];
+        RawImage { width, height, encoding, step, data: &data }.to_rgb().unwrap_err().to_string()
+    };
+    for (error, parts) in [
+        (image(2, 2, "bayer_rggb8", 2, 4), ["bayer_rggb8", "rgb8, bgr8"]),
+        (image(2, 2, "16UC1", 4, 8), ["16UC1", "known"]),
+        (image(2, 2, "rgb8", 5, 10), ["image step", "at least 6 bytes"]),
+        (image(2, 2, "rgb8", 8, 15), ["image data", "15 bytes"]),
+        (image(3, 2, "yuyv", 6, 12), ["image width", "even"]),
+        (image(2, 3, "nv12", 2, 9), ["image height", "even"]),
+        (image(0, 3, "mono8", 0, 0), ["image width", "got 0"]),
+        (image(u32::MAX, u32::MAX, "rgba8", u32::MAX, 9), ["image width", "4294967295"]),
+    ] {
+        assert!(parts.iter().all(|part| error.contains(part)), "{error}");
+    }
+}

@@ -1,0 +1,165 @@
+//! A stream of images gives what whole clips give, and time's accidents are handled as promised.
+
+use candle_core::{Device, Tensor};
+use candle_nn::VarMap;
+use egotac::model::predictor::{Options, Predictor};
+use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
+use egotac::tactile::N_FIELD;
+use image::{Rgb, RgbImage};
+
+const DT: f64 = 0.04;
+
+/// A toy network with random weights, none of them at its zero start.
+fn predictor(has_force: bool, config: &Config) -> Predictor {
+    let vars = VarMap::new();
+    EgoTac::new(config, init::var_builder(&vars, 11, &Device::Cpu)).unwrap();
+    for (name, var) in vars.data().lock().unwrap().iter() {
+        if name.contains("ada") || name.starts_with("encoder") {
+            let noise = (var.as_tensor().randn_like(0.0, 0.2)).unwrap();
+            var.set(&(var.as_tensor() + noise).unwrap()).unwrap();
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("toy.safetensors");
+    let metadata = Metadata { has_force, ..Metadata::new("toy", 0.7, DT) };
+    Checkpoint::save(&path, config, &metadata, &vars).unwrap();
+    Predictor::load(&path, Options::default()).unwrap()
+}
+
+fn frame(i: usize) -> RgbImage {
+    RgbImage::from_fn(80, 60, |x, y| {
+        let v = |k: usize| ((x as usize * (3 + i) + y as usize * (7 + k) + 31 * i * i) % 256) as u8;
+        Rgb([v(0), v(5), v(11)])
+    })
+}
+
+/// What the whole network gives on a clip of frames, in newtons and probabilities.
+fn whole_clip(predictor: &Predictor, frames: &[usize]) -> (Vec<f32>, Vec<f32>) {
+    let preparation = predictor.metadata().preparation(predictor.config());
+    let side = predictor.config().image;
+    let pixels: Vec<f32> = frames.iter().flat_map(|i| preparation.apply(&frame(*i)).unwrap()).collect();
+    let images = Tensor::from_vec(pixels, (1, frames.len(), 3, side, side), &Device::Cpu).unwrap();
+    let (force, logits) = predictor.model().forward(&images).unwrap();
+    let step = |t: Tensor| t.get(0).unwrap().get(0).unwrap().to_vec1::<f32>().unwrap();
+    let scale = predictor.metadata().force_scale;
+    (
+        step(force).iter().map(|f| (f * scale).max(0.0)).collect(),
+        step(logits).iter().map(|l| 1.0 / (1.0 + (-l).exp())).collect(),
+    )
+}
+
+fn assert_close(got: &[f32], want: &[f32]) {
+    assert_eq!(got.len(), want.len());
+    let worst = got.iter().zip(want).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(worst < 1e-5, "largest difference {worst}");
+}
+
+#[test]
+fn a_stream_gives_what_the_whole_clip_gives() {
+    let mut predictor = predictor(true, &Config::toy());
+    for i in 0..6 {
+        // A late start and a little jitter, as real stamps have.
+        let stamp = 1.7e9 + i as f64 * DT + if i % 2 == 0 { 0.004 } else { -0.004 };
+        let prediction = predictor.push(&frame(i), stamp).unwrap();
+        let window = [i.saturating_sub(2), i.saturating_sub(1), i];
+        let (force, contact) = whole_clip(&predictor, &window);
+        assert_close(&prediction.field.force, &force);
+        assert_close(&prediction.field.contact, &contact);
+        assert_eq!((prediction.stamp_secs, prediction.warming_up, prediction.restarted), (stamp, i < 2, i == 0));
+        assert!(prediction.field.force.iter().any(|f| *f > 0.0) && prediction.field.force.iter().all(|f| *f >= 0.0));
+    }
+    assert!(predictor.cached_frames() <= 3);
+}
+
+#[test]
+fn a_horizon_of_one_is_never_warming_up() {
+    let mut predictor = predictor(true, &Config { horizon: 1, ..Config::toy() });
+    for i in 0..3 {
+        let prediction = predictor.push(&frame(i), i as f64).unwrap();
+        assert_close(&prediction.field.force, &whole_clip(&predictor, &[i]).0);
+        assert!(!prediction.warming_up);
+        assert_eq!(predictor.cached_frames(), 1);
+    }
+}
+
+#[test]
+fn the_window_takes_the_frames_nearest_in_time() {
+    let config = Config::toy();
+    let mut fast = predictor(true, &config);
+    // Five times as fast as the steps: every fifth frame counts.
+    for i in 0..=14 {
+        let prediction = fast.push(&frame(i), i as f64 * DT / 5.0).unwrap();
+        assert_eq!(prediction.warming_up, i < 8, "{i}");
+        if i >= 10 {
+            assert_close(&prediction.field.contact, &whole_clip(&fast, &[i - 10, i - 5, i]).1);
+        }
+    }
+    // A dropped frame: both neighbours are as near, and the stream goes on.
+    let mut dropped = predictor(true, &config);
+    for i in [0, 1, 2, 4] {
+        dropped.push(&frame(i), i as f64 * DT).unwrap();
+    }
+    let prediction = dropped.push(&frame(5), 5.0 * DT - 1e-3).unwrap();
+    assert_close(&prediction.field.contact, &whole_clip(&dropped, &[2, 4, 5]).1);
+    assert!(!prediction.restarted && !prediction.warming_up);
+}
+
+#[test]
+fn a_jump_back_or_a_long_silence_begins_anew() {
+    let mut predictor = predictor(true, &Config::toy());
+    for (i, stamp, restarted, warming_up) in [
+        (0, 5.0, true, true),
+        (1, 5.04, false, true),
+        (2, 5.08, false, false),
+        (3, 4.9, true, true),
+        (4, 5.89, false, false),
+        (5, 6.9, true, true),
+    ] {
+        let prediction = predictor.push(&frame(i), stamp).unwrap();
+        assert_eq!((prediction.restarted, prediction.warming_up), (restarted, warming_up), "{i}");
+        if restarted {
+            assert_close(&prediction.field.force, &whole_clip(&predictor, &[i, i, i]).0);
+        }
+    }
+    // The same stamp again replaces the image.
+    let again = predictor.push(&frame(9), 6.9).unwrap();
+    assert_close(&again.field.force, &whole_clip(&predictor, &[9, 9, 9]).0);
+    assert_eq!(predictor.cached_frames(), 1);
+    predictor.reset();
+    assert!(predictor.push(&frame(0), 7.0).unwrap().restarted);
+}
+
+#[test]
+fn memory_is_bounded_however_fast_the_camera_is() {
+    let mut predictor = predictor(true, &Config { vision_depth: 1, depth: 1, ..Config::toy() });
+    let image = frame(0);
+    let mut prediction = None;
+    for i in 0..300 {
+        prediction = Some(predictor.push(&image, f64::from(i) * 0.001).unwrap());
+        assert!(predictor.cached_frames() <= 24);
+    }
+    assert!(!prediction.unwrap().warming_up, "thinning out must not cut the window short");
+}
+
+#[test]
+fn a_network_without_force_says_nan() {
+    let mut predictor = predictor(false, &Config::toy());
+    let field = predictor.push(&frame(3), 0.0).unwrap().field;
+    assert_eq!(field.force.len(), N_FIELD);
+    assert!(field.force.iter().all(|f| f.is_nan()));
+    assert!(field.contact.iter().all(|c| (0.0..=1.0).contains(c)));
+}
+
+#[test]
+fn what_cannot_be_used_is_refused_and_leaves_the_stream_alone() {
+    let mut predictor = predictor(true, &Config::toy());
+    predictor.push(&frame(0), 0.0).unwrap();
+    assert!(predictor.push(&frame(1), f64::NAN).unwrap_err().to_string().contains("stamp"));
+    assert!(predictor.push(&RgbImage::new(0, 0), DT).unwrap_err().to_string().contains("0 x 0"));
+    let prediction = predictor.push(&frame(1), DT).unwrap();
+    assert_close(&prediction.field.force, &whole_clip(&predictor, &[0, 0, 1]).0);
+    let options = Options { max_gap_secs: Some(0.0), ..Options::default() };
+    let folder = tempfile::tempdir().unwrap();
+    let error = Predictor::load(&folder.path().join("absent.safetensors"), options).unwrap_err().to_string();
+    assert!(error.contains("absent.safetensors"), "{error}");
+}
