@@ -1,1 +1,11 @@
-//! TODO mujoco.
+//! MuJoCo behind a safe surface: checked options, a world that owns model and data, a headless renderer.
+//!
+//! The engine ends the process on some invalid options; nothing reaches it here that [`options`] has not checked.
+
+pub mod options;
+pub mod renderer;
+pub mod world;
+
+pub use options::{Cone, Integrator, PhysicsOptions, Solver};
+pub use renderer::Renderer;
+pub use world::{Contact, World};

@@ -1,1 +1,27 @@
-//! TODO sim.
+//! Simulated scenes: hands, driven by contact goals, touch objects before a head-mounted camera.
+//!
+//! ```text
+//! scene (YAML) --seed--> randomize::Episode --> mjcf --> mujoco::World
+//!                              |                             |
+//!                              +--> driver (ik, timeline) ---+--> rollout: picture, poses, label::force, guard
+//! ```
+//!
+//! World frame: origin on the table's top, z up, the person at negative y looking along +y; metres, seconds, newtons.
+
+pub mod camera;
+pub mod contact;
+pub mod driver;
+pub mod guard;
+pub mod ik;
+pub mod look;
+pub mod mjcf;
+pub mod object;
+pub mod randomize;
+pub mod rig;
+pub mod rollout;
+pub mod scene;
+pub mod span;
+pub mod timeline;
+
+pub use rollout::{Rollout, RolloutOptions, SimFrame};
+pub use scene::{SHIPPED, Scene};

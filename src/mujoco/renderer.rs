@@ -1,0 +1,53 @@
+//! Pictures of a world without a display.
+
+use ::image::RgbImage;
+use mujoco_rs::prelude::*;
+use mujoco_rs::renderer::MjRenderer;
+
+use super::world::World;
+use crate::error::{Error, Result};
+
+/// Renders one camera of a world through EGL.
+///
+/// It owns an OpenGL context, which belongs to one thread: make one renderer per thread and drop it there.
+#[derive(Debug)]
+pub struct Renderer {
+    inner: MjRenderer,
+    width: u32,
+    height: u32,
+}
+
+impl Renderer {
+    /// Opens an OpenGL context for `camera` of `world`, `width` x `height` pixels.
+    ///
+    /// # Errors
+    /// If the size is zero or above the model's offscreen buffer, or there is no working EGL.
+    pub fn new(world: &World, camera: usize, width: u32, height: u32) -> Result<Self> {
+        let global = &world.model().vis().global;
+        for (name, value, most) in [("width", width, global.offwidth), ("height", height, global.offheight)] {
+            if value == 0 || i64::from(value) > i64::from(most) {
+                return Err(Error::value(format!("picture {name}"), format!("1 to {most} pixels"), value));
+            }
+        }
+        let inner = MjRenderer::builder()
+            .width(width)
+            .height(height)
+            .camera(MjvCamera::new_fixed(camera))
+            .build(world.model())
+            .map_err(|e| Error::Engine(format!("no OpenGL context for rendering without a display: {e}")))?;
+        Ok(Self { inner, width, height })
+    }
+
+    /// Draws the world as its last `forward` left it.
+    ///
+    /// # Errors
+    /// If OpenGL fails.
+    pub fn render(&mut self, world: &mut World) -> Result<RgbImage> {
+        let failed = |e: RendererError| Error::Engine(format!("rendering failed: {e}"));
+        self.inner.sync_data(world.data_mut()).map_err(failed)?;
+        self.inner.render().map_err(failed)?;
+        let pixels = self.inner.rgb_flat().map(<[u8]>::to_vec).unwrap_or_default();
+        RgbImage::from_raw(self.width, self.height, pixels)
+            .ok_or_else(|| Error::Engine("the renderer gave no picture".into()))
+    }
+}

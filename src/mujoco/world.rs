@@ -1,0 +1,376 @@
+//! A simulated world: model and data owned together, names resolved once.
+
+use glam::{DMat3, DQuat, DVec3};
+use mujoco_rs::prelude::*;
+
+use super::options::{Integrator, PhysicsOptions};
+use crate::error::{Error, Result};
+
+/// A physics model with its state.
+///
+/// Positions are in the world frame, metres; quaternions are unit and rotate body to world.
+#[derive(Debug)]
+pub struct World {
+    data: MjData<Box<MjModel>>,
+    options: PhysicsOptions,
+}
+
+/// Index of a body in the world it was resolved in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Body(usize);
+
+/// A one-degree-of-freedom joint with the position servo that drives it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Servo {
+    qpos: usize,
+    dof: usize,
+    ctrl: usize,
+}
+
+/// A free joint: 7 positions (xyz, quaternion wxyz), 6 velocities (linear in the world, angular in the body frame).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct FreeJoint {
+    body: Body,
+    qpos: usize,
+    dof: usize,
+}
+
+/// One touching point of two geoms.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Contact {
+    /// The two bodies.
+    pub bodies: [Body; 2],
+    /// Midpoint between the two surfaces, m.
+    pub position: DVec3,
+    /// Unit normal from the first body to the second.
+    pub normal: DVec3,
+    /// Distance between the surfaces, m; negative means penetration.
+    pub distance: f64,
+    /// Normal force, N, never negative: the second body is pushed along `normal`, the first against it.
+    pub normal_force: f64,
+    /// Whole force on the second body in the world frame (normal and friction), N.
+    pub force: DVec3,
+}
+
+impl World {
+    /// Compiles MJCF and brings it to its initial state.
+    ///
+    /// Options in the text are replaced by `options`; automatic reset is off, so that a bad state stays visible.
+    ///
+    /// # Errors
+    /// If the text does not compile, or the model holds what `options` would make the engine end the process for.
+    pub fn from_mjcf(mjcf: &str, options: &PhysicsOptions) -> Result<Self> {
+        let mut model = MjModel::from_xml_string(mjcf).map_err(|e| Error::Engine(e.to_string()))?;
+        if model.ffi().nflex > 0 && options.integrator != Integrator::Discrete {
+            return Err(Error::value("integrator", "discrete, which a soft body needs", "another one"));
+        }
+        let opt = model.opt_mut();
+        opt.timestep = options.timestep;
+        opt.cone = match options.cone {
+            super::Cone::Pyramidal => MjtCone::mjCONE_PYRAMIDAL,
+            super::Cone::Elliptic => MjtCone::mjCONE_ELLIPTIC,
+        } as i32;
+        opt.impratio = options.impratio;
+        opt.solver = match options.solver {
+            super::Solver::Pgs => MjtSolver::mjSOL_PGS,
+            super::Solver::Cg => MjtSolver::mjSOL_CG,
+            super::Solver::Newton => MjtSolver::mjSOL_NEWTON,
+        } as i32;
+        opt.iterations = options.iterations as i32;
+        opt.tolerance = options.tolerance;
+        opt.noslip_iterations = options.noslip_iterations as i32;
+        opt.integrator = match options.integrator {
+            Integrator::Euler => MjtIntegrator::mjINT_EULER,
+            Integrator::Rk4 => MjtIntegrator::mjINT_RK4,
+            Integrator::Implicit => MjtIntegrator::mjINT_IMPLICIT,
+            Integrator::ImplicitFast => MjtIntegrator::mjINT_IMPLICITFAST,
+            Integrator::Discrete => MjtIntegrator::mjINT_DISCRETE,
+        } as i32;
+        opt.gravity = options.gravity;
+        opt.disableflags |= MjtDisableBit::mjDSBL_AUTORESET as i32;
+        let data = MjData::try_new(Box::new(model)).map_err(|e| Error::Engine(e.to_string()))?;
+        let mut world = Self { data, options: options.clone() };
+        world.forward();
+        Ok(world)
+    }
+
+    /// The options in force.
+    pub fn options(&self) -> &PhysicsOptions {
+        &self.options
+    }
+
+    /// Looks a body up.
+    ///
+    /// # Errors
+    /// If there is none of that name.
+    pub fn body(&self, name: &str) -> Result<Body> {
+        self.id(MjtObjBase::mjOBJ_BODY, "body", name).map(Body)
+    }
+
+    /// Looks a camera up.
+    ///
+    /// # Errors
+    /// If there is none of that name.
+    pub fn camera(&self, name: &str) -> Result<usize> {
+        self.id(MjtObjBase::mjOBJ_CAMERA, "camera", name)
+    }
+
+    /// Looks up a hinge or slide and the actuator of the same name.
+    ///
+    /// # Errors
+    /// If one of the two is missing.
+    pub fn servo(&self, name: &str) -> Result<Servo> {
+        let joint = self.id(MjtObjBase::mjOBJ_JOINT, "joint", name)?;
+        let ctrl = self.id(MjtObjBase::mjOBJ_ACTUATOR, "actuator", name)?;
+        let model = self.data.model();
+        Ok(Servo { qpos: model.jnt_qposadr()[joint] as usize, dof: model.jnt_dofadr()[joint] as usize, ctrl })
+    }
+
+    /// Looks up a body's free joint, which has the body's name.
+    ///
+    /// # Errors
+    /// If body or joint is missing.
+    pub fn free_joint(&self, name: &str) -> Result<FreeJoint> {
+        let body = self.body(name)?;
+        let joint = self.id(MjtObjBase::mjOBJ_JOINT, "joint", name)?;
+        let model = self.data.model();
+        Ok(FreeJoint { body, qpos: model.jnt_qposadr()[joint] as usize, dof: model.jnt_dofadr()[joint] as usize })
+    }
+
+    /// Looks up the index of a mocap body.
+    ///
+    /// # Errors
+    /// If there is no body of that name or it is not a mocap body.
+    pub fn mocap(&self, name: &str) -> Result<usize> {
+        let Body(body) = self.body(name)?;
+        let mocap = self.data.model().body_mocapid()[body];
+        usize::try_from(mocap).map_err(|_| Error::value(format!("body {name}"), "a mocap body", "another"))
+    }
+
+    /// Advances by one timestep.
+    pub fn step(&mut self) {
+        self.data.step();
+    }
+
+    /// Computes everything that follows from the state: poses, contacts, forces, accelerations.
+    pub fn forward(&mut self) {
+        self.data.forward();
+    }
+
+    /// Computes poses only, as [`Self::jacobian`] needs them.
+    pub fn kinematics(&mut self) {
+        self.data.kinematics();
+        self.data.com_pos();
+    }
+
+    /// Back to the initial state, time 0.
+    pub fn reset(&mut self) {
+        self.data.reset();
+    }
+
+    /// Simulated seconds.
+    pub fn time(&self) -> f64 {
+        self.data.time()
+    }
+
+    /// Whether every position, velocity and acceleration is finite.
+    pub fn is_finite(&self) -> bool {
+        [self.data.qpos(), self.data.qvel(), self.data.qacc()].iter().all(|array| array.iter().all(|x| x.is_finite()))
+    }
+
+    /// Positions of all joints, metres, radians or quaternions, in the engine's order.
+    pub fn qpos(&self) -> &[f64] {
+        self.data.qpos()
+    }
+
+    /// Velocities of all degrees of freedom, m/s or rad/s.
+    pub fn qvel(&self) -> &[f64] {
+        self.data.qvel()
+    }
+
+    /// Engine warnings since the start (bad state, full memory, ...).
+    pub fn warnings(&self) -> usize {
+        self.data.warning().iter().map(|warning| warning.number.max(0) as usize).sum()
+    }
+
+    /// Whether the solver used all its iterations in the last step.
+    pub fn hit_iteration_cap(&self) -> bool {
+        let islands = (self.data.nisland().max(1) as usize).min(self.data.solver_niter().len());
+        self.data.solver_niter()[..islands].iter().any(|n| *n >= self.options.iterations as i32)
+    }
+
+    /// Origin of a body.
+    pub fn position(&self, Body(body): Body) -> DVec3 {
+        DVec3::from_array(self.data.xpos()[body])
+    }
+
+    /// Orientation of a body.
+    pub fn orientation(&self, Body(body): Body) -> DQuat {
+        let [w, x, y, z] = self.data.xquat()[body];
+        DQuat::from_xyzw(x, y, z, w).normalize()
+    }
+
+    /// Mass of a body without its children, kg.
+    pub fn mass(&self, Body(body): Body) -> f64 {
+        self.data.model().body_mass()[body]
+    }
+
+    /// Position and orientation of a camera; it looks along -z, +y is up.
+    pub fn camera_pose(&self, camera: usize) -> (DVec3, DMat3) {
+        let m = &self.data.cam_xmat()[camera];
+        (DVec3::from_array(self.data.cam_xpos()[camera]), DMat3::from_cols_array(m).transpose())
+    }
+
+    /// Angle of a servo's joint, rad, or its displacement, m.
+    pub fn joint_position(&self, servo: Servo) -> f64 {
+        self.data.qpos()[servo.qpos]
+    }
+
+    /// Sets a servo's joint; call [`Self::forward`] or [`Self::kinematics`] afterwards.
+    pub fn set_joint_position(&mut self, servo: Servo, position: f64) {
+        self.data.qpos_mut()[servo.qpos] = position;
+    }
+
+    /// Sets a servo's target.
+    pub fn set_target(&mut self, servo: Servo, target: f64) {
+        self.data.ctrl_mut()[servo.ctrl] = target;
+    }
+
+    /// Places a free body.
+    pub fn set_pose(&mut self, joint: FreeJoint, position: DVec3, orientation: DQuat) {
+        let qpos = &mut self.data.qpos_mut()[joint.qpos..joint.qpos + 7];
+        qpos[..3].copy_from_slice(&position.to_array());
+        qpos[3..].copy_from_slice(&[orientation.w, orientation.x, orientation.y, orientation.z]);
+    }
+
+    /// Places a mocap body.
+    pub fn set_mocap(&mut self, mocap: usize, position: DVec3, orientation: DQuat) {
+        self.data.mocap_pos_mut()[mocap] = position.to_array();
+        self.data.mocap_quat_mut()[mocap] = [orientation.w, orientation.x, orientation.y, orientation.z];
+    }
+
+    /// Linear velocity of a free body's origin, m/s.
+    pub fn velocity(&self, joint: FreeJoint) -> DVec3 {
+        DVec3::from_slice(&self.data.qvel()[joint.dof..joint.dof + 3])
+    }
+
+    /// Acceleration of a free body's centre of mass, m/s²; valid after [`Self::forward`].
+    pub fn acceleration(&self, joint: FreeJoint) -> DVec3 {
+        let rotation = self.orientation(joint.body);
+        let arm = DVec3::from_array(self.data.xipos()[joint.body.0]) - self.position(joint.body);
+        let omega = rotation * DVec3::from_slice(&self.data.qvel()[joint.dof + 3..joint.dof + 6]);
+        let alpha = rotation * DVec3::from_slice(&self.data.qacc()[joint.dof + 3..joint.dof + 6]);
+        let origin = DVec3::from_slice(&self.data.qacc()[joint.dof..joint.dof + 3]);
+        origin + alpha.cross(arm) + omega.cross(omega.cross(arm))
+    }
+
+    /// The body of a free joint.
+    pub fn body_of(&self, joint: FreeJoint) -> Body {
+        joint.body
+    }
+
+    /// Velocity of a world point fixed to `body`, per unit velocity of each servo: one column per servo.
+    ///
+    /// Valid after [`Self::kinematics`] or [`Self::forward`].
+    pub fn jacobian(&self, Body(body): Body, point: DVec3, servos: &[Servo]) -> Vec<DVec3> {
+        let (jacp, _) = self.data.jac(true, false, &point.to_array(), body);
+        let nv = jacp.len() / 3;
+        servos.iter().map(|s| DVec3::new(jacp[s.dof], jacp[nv + s.dof], jacp[2 * nv + s.dof])).collect()
+    }
+
+    /// Angular velocity of `body` per unit velocity of each servo; validity as for [`Self::jacobian`].
+    pub fn angular_jacobian(&self, Body(body): Body, servos: &[Servo]) -> Vec<DVec3> {
+        let (_, jacr) = self.data.jac(false, true, &[0.0; 3], body);
+        let nv = jacr.len() / 3;
+        servos.iter().map(|s| DVec3::new(jacr[s.dof], jacr[nv + s.dof], jacr[2 * nv + s.dof])).collect()
+    }
+
+    /// All touching points of the last [`Self::forward`] or [`Self::step`], in the engine's order.
+    pub fn contacts(&self) -> impl Iterator<Item = Contact> + '_ {
+        let geom_body = self.data.model().geom_bodyid();
+        self.data.contact().iter().enumerate().filter_map(move |(index, contact)| {
+            let [Ok(geom1), Ok(geom2)] = contact.geom.map(usize::try_from) else {
+                return None; // a flex, not a geom
+            };
+            let axis = |row: usize| DVec3::from_slice(&contact.frame[3 * row..3 * row + 3]);
+            let [normal, t1, t2, ..] = self.data.contact_force(index);
+            Some(Contact {
+                bodies: [Body(geom_body[geom1] as usize), Body(geom_body[geom2] as usize)],
+                position: DVec3::from_array(contact.pos),
+                normal: axis(0),
+                distance: contact.dist,
+                normal_force: normal.max(0.0),
+                force: axis(0) * normal + axis(1) * t1 + axis(2) * t2,
+            })
+        })
+    }
+
+    pub(super) fn data_mut(&mut self) -> &mut MjData<Box<MjModel>> {
+        &mut self.data
+    }
+
+    pub(super) fn model(&self) -> &MjModel {
+        self.data.model()
+    }
+
+    fn id(&self, kind: MjtObjBase, kind_name: &'static str, name: &str) -> Result<usize> {
+        if name.contains('\0') {
+            return Err(Error::value(kind_name, "a name without NUL", format!("{name:?}")));
+        }
+        self.data.model().name_to_id(kind, name).ok_or_else(|| {
+            let known: Vec<&str> = (0..).map_while(|id| self.data.model().id_to_name(kind, id)).collect();
+            Error::unknown(kind_name, name, known)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BOX_ON_FLOOR: &str = r#"<mujoco><worldbody><geom name="floor" type="plane" size="1 1 .1"/>
+        <body name="box" pos="0 0 .0499"><freejoint name="box"/>
+        <geom type="box" size=".05 .05 .05" mass=".2" condim="4"/></body></worldbody></mujoco>"#;
+
+    #[test]
+    fn a_resting_box_is_carried_by_its_weight() {
+        let mut world = World::from_mjcf(BOX_ON_FLOOR, &PhysicsOptions::default()).unwrap();
+        for _ in 0..1000 {
+            world.step();
+        }
+        world.forward();
+        let lift: DVec3 = world.contacts().map(|c| c.force).sum();
+        assert!((lift - DVec3::new(0.0, 0.0, 0.2 * 9.81)).length() < 1e-3, "{lift}");
+        let normal: f64 = world.contacts().map(|c| c.normal_force).sum();
+        assert!((normal - 0.2 * 9.81).abs() < 1e-3, "{normal}");
+        assert_eq!(world.warnings(), 0);
+        assert!((world.time() - 2.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_unknown_name_lists_the_known_ones() {
+        let world = World::from_mjcf(BOX_ON_FLOOR, &PhysicsOptions::default()).unwrap();
+        let error = world.body("bux").unwrap_err().to_string();
+        assert!(error.contains("bux") && error.contains("box"), "{error}");
+    }
+
+    #[test]
+    fn a_bad_state_stays_visible_instead_of_being_reset() {
+        let mut world = World::from_mjcf(BOX_ON_FLOOR, &PhysicsOptions::default()).unwrap();
+        let joint = world.free_joint("box").unwrap();
+        for _ in 0..10 {
+            world.step();
+        }
+        world.set_pose(joint, DVec3::splat(f64::NAN), DQuat::IDENTITY);
+        world.step();
+        assert!(world.warnings() > 0);
+        assert!(!world.is_finite());
+        assert!(world.time() > 0.019);
+    }
+
+    #[test]
+    fn a_model_that_does_not_compile_is_an_error() {
+        let error = World::from_mjcf("<mujoco><worldbody><geom/></worldbody>", &PhysicsOptions::default());
+        assert!(matches!(error, Err(Error::Engine(_))));
+    }
+}

@@ -1,0 +1,100 @@
+//! The head-mounted camera: where it is, how it sways, what its pixels mean.
+
+use std::f64::consts::TAU;
+
+use glam::{DMat3, DQuat, DVec3};
+
+use super::randomize::CameraDraw;
+
+/// Pinhole intrinsics in pixels; no distortion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Intrinsics {
+    /// Picture width.
+    pub width: u32,
+    /// Picture height.
+    pub height: u32,
+    /// Focal length, the same for both axes.
+    pub focal: f64,
+    /// Principal point, x to the right and y down from the top left corner of the picture.
+    pub centre: [f64; 2],
+}
+
+/// Pose of the camera: rotation and position of `world_from_camera`.
+///
+/// The camera frame is the optical one: x to the right, y down, z forward.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CameraPose {
+    /// Position in the world, m.
+    pub position: DVec3,
+    /// Rotation from the optical frame to the world.
+    pub orientation: DQuat,
+}
+
+impl Intrinsics {
+    /// Intrinsics of a picture with the given vertical field of view, rad.
+    pub fn new(width: u32, height: u32, fovy: f64) -> Self {
+        let focal = 0.5 * f64::from(height) / (0.5 * fovy).tan();
+        Self { width, height, focal, centre: [0.5 * f64::from(width), 0.5 * f64::from(height)] }
+    }
+
+    /// Pixel of a point in the camera's optical frame; `None` behind the camera.
+    pub fn project(&self, point: DVec3) -> Option<[f64; 2]> {
+        (point.z > 1e-6).then(|| {
+            let [cx, cy] = self.centre;
+            [cx + self.focal * point.x / point.z, cy + self.focal * point.y / point.z]
+        })
+    }
+}
+
+impl CameraPose {
+    /// From the engine's camera, which looks along -z with y up.
+    pub fn from_engine((position, axes): (DVec3, DMat3)) -> Self {
+        let optical = DMat3::from_cols(axes.x_axis, -axes.y_axis, -axes.z_axis);
+        Self { position, orientation: DQuat::from_mat3(&optical).normalize() }
+    }
+
+    /// A world point in the optical frame.
+    pub fn camera_from_world(&self, point: DVec3) -> DVec3 {
+        self.orientation.inverse() * (point - self.position)
+    }
+}
+
+impl CameraDraw {
+    /// Pose of the head's body at `time`, s, in the engine's camera convention: a slow sway around the mean.
+    pub fn head(&self, time: f64) -> (DVec3, DQuat) {
+        // Frequencies of a sitting person's head; no common period.
+        const HERTZ: [f64; 6] = [0.31, 0.43, 0.23, 0.37, 0.53, 0.29];
+        let wave = |i: usize| (TAU * HERTZ[i] * time + self.phases[i]).sin();
+        let eye = self.eye + self.sway * DVec3::new(wave(0), wave(1), 0.5 * wave(2));
+        let target = self.target + self.sway * DVec3::new(wave(3), wave(4), wave(5));
+        let back = (eye - target).normalize_or(DVec3::Z);
+        let right = DVec3::Z.cross(back).normalize_or(DVec3::X);
+        let level = DMat3::from_cols(right, back.cross(right), back);
+        (eye, (DQuat::from_mat3(&level) * DQuat::from_rotation_z(self.roll)).normalize())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_target_is_seen_in_the_middle_and_up_is_up() {
+        let camera = CameraDraw {
+            eye: DVec3::new(0.1, -0.4, 0.4),
+            target: DVec3::new(0.0, 0.0, 0.05),
+            fovy: 1.0,
+            roll: 0.0,
+            sway: 0.0,
+            phases: [0.0; 6],
+        };
+        let (eye, orientation) = camera.head(0.7);
+        let pose = CameraPose::from_engine((eye, DMat3::from_quat(orientation)));
+        let intrinsics = Intrinsics::new(224, 224, camera.fovy);
+        let [x, y] = intrinsics.project(pose.camera_from_world(camera.target)).unwrap();
+        assert!((x - 112.0).abs() < 1e-6 && (y - 112.0).abs() < 1e-6, "{x} {y}");
+        let above = camera.target + DVec3::Z * 0.05;
+        assert!(intrinsics.project(pose.camera_from_world(above)).unwrap()[1] < 112.0);
+        assert!(intrinsics.project(pose.camera_from_world(eye + DVec3::Y * -0.1)).is_none());
+    }
+}

@@ -1,0 +1,238 @@
+//! Drives one hand along its script: places by inverse kinematics once, then servo targets in time.
+//!
+//! A site with a force goal is pushed by `J^T F` at its servos, corrected by what the contact is measured to carry, so
+//! that the same script closes on an object of any size until it is touched, and presses as hard as asked.
+
+use glam::DVec3;
+
+use super::ik::{self, Clearance, Freedom, Reach};
+use super::mjcf::{WRIST, WRIST_STIFFNESS};
+use super::randomize::{Act, Goal, HandDraw};
+use super::rig::{HandRig, JOINT_NAMES, site_of};
+use super::scene::Site;
+use crate::error::Result;
+use crate::mujoco::World;
+use crate::mujoco::world::{Body, Servo};
+
+/// Openings at which the fingers' places are solved; between them angles are interpolated.
+const OPENINGS: usize = 4;
+/// Seconds in which a missing force is made up.
+const FORCE_LAG: f64 = 0.25;
+/// The correction is at most this many times the goal.
+const MOST_CORRECTION: f64 = 1.5;
+/// Height of the table's top that the hand keeps away from when its place is chosen, m.
+const TABLE_CLEARANCE: f64 = 0.004;
+
+/// A hand in a world, with its plan.
+#[derive(Debug)]
+pub struct HandDriver {
+    wrist: [Servo; 6],
+    hinges: Vec<Servo>,
+    wrist_body: Body,
+    bodies: Vec<Body>,
+    plan: Plan,
+}
+
+#[derive(Debug)]
+struct Plan {
+    /// Wrist servos at the object.
+    wrist: [f64; 6],
+    /// Largest opening of the script, m.
+    widest: f64,
+    /// Hinge angles at openings from 0 to `widest`; one entry when the hand rests.
+    fingers: Vec<Vec<f64>>,
+    act: Option<Act>,
+    object: Option<Body>,
+    pushes: Vec<Push>,
+}
+
+/// How a goal's force is made.
+#[derive(Debug)]
+struct Push {
+    goal: Goal,
+    bodies: Vec<Body>,
+    /// Servo targets' change per newton: index into wrist (0..6) or hinges (6..).
+    per_newton: Vec<(usize, f64)>,
+    /// Integrated correction, N.
+    correction: f64,
+}
+
+impl HandDriver {
+    /// Resolves the hand in `world` and solves its places; the world is left in the hand's start pose.
+    ///
+    /// # Errors
+    /// If the world was not made from this hand.
+    pub fn new(world: &mut World, hand: &HandDraw, rig: &HandRig, objects: &[Body]) -> Result<Self> {
+        let servo = |name: &str| world.servo(&rig.name(name));
+        let wrist = WRIST.map(servo);
+        let mut servos = Vec::new();
+        for result in wrist {
+            servos.push(result?);
+        }
+        let wrist: [Servo; 6] = std::array::from_fn(|i| servos[i]);
+        let hinges = rig.hinges.iter().map(|h| world.servo(&rig.name(&h.name))).collect::<Result<Vec<_>>>()?;
+        let bodies = JOINT_NAMES.iter().map(|name| world.body(&rig.name(name))).collect::<Result<Vec<_>>>()?;
+        let resting = Plan {
+            wrist: [0.0; 6],
+            widest: 0.0,
+            fingers: vec![hand.posture.clone()],
+            act: None,
+            object: None,
+            pushes: Vec::new(),
+        };
+        let mut driver = Self { wrist, hinges, wrist_body: bodies[0], bodies, plan: resting };
+        if let Some(act) = &hand.act {
+            driver.plan = driver.solve(world, hand, act, rig, objects[act.object]);
+        }
+        let targets = driver.targets(0.0);
+        for (servo, target) in driver.servos().zip(&targets) {
+            world.set_joint_position(servo, *target);
+        }
+        driver.apply(world, &targets);
+        Ok(driver)
+    }
+
+    /// Body of the wrist.
+    pub fn wrist(&self) -> Body {
+        self.wrist_body
+    }
+
+    /// Bodies of the links in MANO's order of joints.
+    pub fn links(&self) -> &[Body] {
+        &self.bodies
+    }
+
+    /// Hinge angles as they are, in the rig's order, rad.
+    pub fn angles(&self, world: &World) -> Vec<f64> {
+        self.hinges.iter().map(|servo| world.joint_position(*servo)).collect()
+    }
+
+    /// Sets the servos for the next `interval` seconds.
+    pub fn drive(&mut self, world: &mut World, interval: f64) {
+        let time = world.time();
+        if let Some(act) = &self.plan.act {
+            let squeeze = act.timeline.at(time).squeeze;
+            for push in &mut self.plan.pushes {
+                if squeeze <= 0.0 {
+                    push.correction = 0.0;
+                    continue;
+                }
+                let touches = |c: &crate::mujoco::Contact| {
+                    let [a, b] = c.bodies;
+                    let object = self.plan.object;
+                    (push.bodies.contains(&a) && Some(b) == object) || (push.bodies.contains(&b) && Some(a) == object)
+                };
+                let measured: f64 = world.contacts().filter(touches).map(|c| c.normal_force).sum();
+                let most = MOST_CORRECTION * push.goal.force;
+                let missing = squeeze * push.goal.force - measured;
+                push.correction = (push.correction + missing * interval / FORCE_LAG).clamp(-most, most);
+            }
+        }
+        let targets = self.targets(time);
+        self.apply(world, &targets);
+    }
+
+    fn servos(&self) -> impl Iterator<Item = Servo> + '_ {
+        self.wrist.iter().chain(&self.hinges).copied()
+    }
+
+    fn apply(&self, world: &mut World, targets: &[f64]) {
+        for (servo, target) in self.servos().zip(targets) {
+            world.set_target(servo, *target);
+        }
+    }
+
+    /// Servo targets at `time`: wrist, then hinges.
+    fn targets(&self, time: f64) -> Vec<f64> {
+        let plan = &self.plan;
+        let mut targets = plan.wrist.to_vec();
+        let Some(act) = &plan.act else {
+            targets.extend(&plan.fingers[0]);
+            return targets;
+        };
+        let channels = act.timeline.at(time);
+        let displacement = act.from * channels.standoff + channels.shift;
+        for axis in 0..3 {
+            targets[axis] += displacement[axis];
+        }
+        let place = (channels.opening / plan.widest).clamp(0.0, 1.0) * (plan.fingers.len() - 1) as f64;
+        let low = (place as usize).min(plan.fingers.len().saturating_sub(2));
+        let high = (low + 1).min(plan.fingers.len() - 1);
+        let part = place - low as f64;
+        targets.extend(plan.fingers[low].iter().zip(&plan.fingers[high]).map(|(a, b)| a + (b - a) * part));
+        for push in &plan.pushes {
+            let force = (channels.squeeze * push.goal.force + push.correction).max(0.0);
+            for (index, per_newton) in &push.per_newton {
+                targets[*index] += force * per_newton;
+            }
+        }
+        targets
+    }
+
+    fn solve(&self, world: &mut World, hand: &HandDraw, act: &Act, rig: &HandRig, object: Body) -> Plan {
+        let clearance = Clearance {
+            hulls: self.bodies.iter().zip(&rig.hulls).map(|(body, hull)| (*body, hull.as_slice())).collect(),
+            height: TABLE_CLEARANCE,
+        };
+        let reach = |goal: &Goal, opening: f64| {
+            let pad = rig.pad(goal.site);
+            Reach { body: self.bodies[pad.joint], pad, point: goal.point + goal.normal * opening, normal: goal.normal }
+        };
+        let hinge = |index: usize| Freedom {
+            servo: self.hinges[index],
+            rest: hand.posture[index],
+            slack: 0.5,
+            range: rig.hinges[index].range,
+        };
+        for (servo, angle) in self.hinges.iter().zip(&hand.posture) {
+            world.set_joint_position(*servo, *angle);
+        }
+        // At the object: wrist and fingers together.
+        let slides = self.wrist[..3].iter().map(|s| Freedom { servo: *s, rest: 0.0, slack: 0.1, range: [-0.5, 0.5] });
+        let turns = self.wrist[3..].iter().map(|s| Freedom { servo: *s, rest: 0.0, slack: 0.25, range: [-1.2, 1.2] });
+        let all: Vec<Freedom> = slides.chain(turns).chain((0..self.hinges.len()).map(hinge)).collect();
+        let reaches: Vec<Reach> = act.goals.iter().map(|goal| reach(goal, 0.0)).collect();
+        let touch = ik::solve(world, &all, &reaches, &clearance, 120);
+        let pushes = act.goals.iter().map(|goal| self.push(world, goal, rig)).collect();
+
+        // Away from it: only the fingers with goals, from one opening to the next.
+        let moving: Vec<usize> = (0..self.hinges.len())
+            .filter(|i| act.goals.iter().any(|goal| goal.site == rig.hinges[*i].site))
+            .collect();
+        let widest = act.timeline.widest_opening().max(1e-3);
+        let mut fingers = vec![touch[6..].to_vec()];
+        for step in 1..OPENINGS {
+            let opening = widest * step as f64 / (OPENINGS - 1) as f64;
+            let mut angles = fingers[step - 1].clone();
+            // Stay near the last solution rather than the posture, so that the way between them is short.
+            let free: Vec<Freedom> = moving.iter().map(|i| Freedom { rest: angles[*i], ..hinge(*i) }).collect();
+            let reaches: Vec<Reach> = act.goals.iter().map(|goal| reach(goal, opening)).collect();
+            let solved = ik::solve(world, &free, &reaches, &clearance, 60);
+            for (index, angle) in moving.iter().zip(solved) {
+                angles[*index] = angle;
+            }
+            fingers.push(angles);
+        }
+        let wrist = std::array::from_fn(|i| touch[i]);
+        Plan { wrist, widest, fingers, act: Some(act.clone()), object: Some(object), pushes }
+    }
+
+    /// Servo changes that press a goal's site against the surface with 1 N, at the present pose.
+    fn push(&self, world: &World, goal: &Goal, rig: &HandRig) -> Push {
+        let pad = rig.pad(goal.site);
+        let body = self.bodies[pad.joint];
+        let inward = -goal.normal;
+        let per_newton = if goal.site == Site::Palm {
+            (0..3).map(|axis| (axis, inward[axis] / WRIST_STIFFNESS)).collect()
+        } else {
+            let own: Vec<usize> = (0..self.hinges.len()).filter(|i| rig.hinges[*i].site == goal.site).collect();
+            let servos: Vec<Servo> = own.iter().map(|i| self.hinges[*i]).collect();
+            let point = world.position(body) + world.orientation(body) * pad.position;
+            let columns = world.jacobian(body, point, &servos);
+            let torque = own.iter().zip(columns).map(|(i, column): (_, DVec3)| (6 + i, column.dot(inward) / rig.hinges[*i].stiffness));
+            torque.collect()
+        };
+        let bodies = (0..JOINT_NAMES.len()).filter(|j| site_of(*j) == goal.site).map(|j| self.bodies[j]).collect();
+        Push { goal: *goal, bodies, per_newton, correction: 0.0 }
+    }
+}

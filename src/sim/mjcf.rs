@@ -1,0 +1,229 @@
+//! An episode as MJCF, MuJoCo's model language.
+
+use std::fmt::Write;
+
+use glam::{DQuat, DVec3};
+
+use super::look::{Look, Rgb};
+use super::object::PieceShape;
+use super::randomize::{Episode, HandDraw, ObjectDraw};
+use super::rig::{HandRig, JOINT_NAMES};
+use crate::hand::N_JOINTS;
+
+/// Stiffness of the wrist's servos, N/m; [`super::driver`] turns forces into displacements with it.
+pub const WRIST_STIFFNESS: f64 = 2500.0;
+/// Name of the camera's mocap body and of the camera itself.
+pub const HEAD: &str = "head";
+/// Largest picture, pixels per side.
+pub const MAX_PICTURE: u32 = 1024;
+
+/// Names of the wrist's servos without the hand's prefix: three slides along the world's axes, three hinges.
+pub const WRIST: [&str; 6] = ["wrist_x", "wrist_y", "wrist_z", "wrist_rx", "wrist_ry", "wrist_rz"];
+
+/// Contact of skin and objects: 4 = sliding and torsional friction.
+const CONTACT: &str = r#"condim="4" solref="0.015 1" solimp="0.9 0.95 0.001""#;
+
+/// Writes the model of an episode; `shadows` costs ten times the rest of a picture.
+pub fn write(episode: &Episode, rigs: &[HandRig; 2], shadows: bool) -> String {
+    let mut assets = String::new();
+    let mut world = String::new();
+    let mut skins = String::new();
+    let mut excludes = String::new();
+    let mut actuators = String::new();
+    surroundings(&episode.look, &mut assets, &mut world, shadows);
+    for object in &episode.objects {
+        object_body(object, &mut assets, &mut world);
+    }
+    for hand in &episode.hands {
+        let rig = &rigs[hand.side as usize];
+        hand_assets(hand, rig, &mut assets);
+        hand_bodies(hand, rig, &mut world);
+        skin(rig, &mut skins);
+        for (a, b) in &rig.excluded {
+            let (a, b) = (rig.name(JOINT_NAMES[*a]), rig.name(JOINT_NAMES[*b]));
+            put(&mut excludes, format_args!(r#"<exclude body1="{a}" body2="{b}"/>"#));
+        }
+        servos(rig, &mut actuators);
+    }
+    let fovy = episode.camera.fovy.to_degrees();
+    let shadow_map = if shadows { 1024 } else { 0 };
+    let ambient = episode.look.ambient;
+    format!(
+        r#"<mujoco model="egotac">
+<compiler angle="radian" autolimits="true"/>
+<size memory="8M"/>
+<statistic extent="1" center="0 0 0.1"/>
+<visual>
+<global offwidth="{MAX_PICTURE}" offheight="{MAX_PICTURE}"/>
+<quality shadowsize="{shadow_map}" offsamples="0"/>
+<map znear="0.02" zfar="6" shadowclip="0.6"/>
+<headlight ambient="{ambient} {ambient} {ambient}" diffuse="0.12 0.12 0.12" specular="0 0 0"/>
+</visual>
+<asset>
+{assets}</asset>
+<worldbody>
+{world}<body name="{HEAD}" mocap="true"><camera name="{HEAD}" fovy="{fovy}"/></body>
+</worldbody>
+<deformable>
+{skins}</deformable>
+<contact>
+{excludes}</contact>
+<actuator>
+{actuators}</actuator>
+</mujoco>
+"#
+    )
+}
+
+fn surroundings(look: &Look, assets: &mut String, world: &mut String, shadows: bool) {
+    let [table, other] = look.table.map(rgb);
+    let [up, down] = look.background.map(rgb);
+    let (pattern, repeat, floor) = (look.table_pattern, look.table_repeat, rgb(look.floor));
+    put(assets, format_args!(r#"<texture name="sky" type="skybox" builtin="gradient" rgb1="{up}" rgb2="{down}" width="64" height="384"/>"#));
+    put(assets, format_args!(r#"<texture name="table" type="2d" builtin="{pattern}" mark="random" random="0.02" markrgb="{other}" rgb1="{table}" rgb2="{other}" width="256" height="256"/>"#));
+    put(assets, format_args!(r#"<material name="table" texture="table" texrepeat="{repeat} {repeat}" specular="0.1" shininess="0.2"/>"#));
+    for (position, power) in &look.lamps {
+        let (at, aim) = (vec3(*position), vec3((DVec3::ZERO - *position).normalize()));
+        put(world, format_args!(r#"<light pos="{at}" dir="{aim}" diffuse="{power} {power} {power}" specular="0.1 0.1 0.1" cutoff="80" exponent="1" castshadow="{shadows}"/>"#));
+    }
+    // Top of the table at z = 0.
+    put(world, format_args!(r#"<geom name="table" type="box" size="0.6 0.45 0.02" pos="0 0.1 -0.02" material="table" {CONTACT}/>"#));
+    put(world, format_args!(r#"<geom name="floor" type="plane" size="4 4 0.1" pos="0 0 -0.75" rgba="{floor} 1" contype="0" conaffinity="0"/>"#));
+}
+
+fn object_body(object: &ObjectDraw, assets: &mut String, world: &mut String) {
+    let (name, at, turn, colour) = (&object.name, vec3(object.position), quat(object.orientation), rgb(object.colour));
+    put(assets, format_args!(r#"<material name="{name}" rgba="{colour} 1" specular="0.4" shininess="0.6"/>"#));
+    put(world, format_args!(r#"<body name="{name}" pos="{at}" quat="{turn}"><freejoint name="{name}"/>"#));
+    if let Some((vertices, triangles)) = &object.shape.visual {
+        let vertices = join(vertices.iter().copied().map(vec3));
+        let faces = join(triangles.iter().map(|[a, b, c]| format!("{a} {b} {c}")));
+        put(assets, format_args!(r#"<mesh name="{name}/visual" vertex="{vertices}" face="{faces}" inertia="shell"/>"#));
+        put(world, format_args!(r#"<geom type="mesh" mesh="{name}/visual" contype="0" conaffinity="0" mass="0" group="1" material="{name}"/>"#));
+    }
+    let volume = object.shape.volume();
+    for (i, piece) in object.shape.pieces.iter().enumerate() {
+        let shape = match &piece.shape {
+            PieceShape::Box(half) => format!(r#"type="box" size="{}""#, vec3(*half)),
+            PieceShape::Ball(radius) => format!(r#"type="sphere" size="{radius}""#),
+            PieceShape::Cylinder(radius, half) => format!(r#"type="cylinder" size="{radius} {half}""#),
+            PieceShape::Capsule(radius, half) => format!(r#"type="capsule" size="{radius} {half}""#),
+            PieceShape::Hull(corners) => {
+                let corners = join(corners.iter().copied().map(vec3));
+                put(assets, format_args!(r#"<mesh name="{name}/{i}" vertex="{corners}"/>"#));
+                format!(r#"type="mesh" mesh="{name}/{i}""#)
+            }
+        };
+        let mass = object.mass * piece.volume() / volume;
+        let group = if piece.visible { 1 } else { 3 };
+        // Priority 1: the object's friction decides, whatever touches it.
+        let (friction, at, turn) = (object.friction, vec3(piece.position), quat(piece.orientation));
+        put(world, format_args!(r#"<geom {shape} pos="{at}" quat="{turn}" mass="{mass}" group="{group}" priority="1" friction="{friction} 0.01 0.0001" material="{name}" {CONTACT}/>"#));
+    }
+    world.push_str("</body>\n");
+}
+
+fn hand_assets(hand: &HandDraw, rig: &HandRig, assets: &mut String) {
+    let (skin, sleeve) = (rgb(hand.skin), rgb(hand.sleeve));
+    put(assets, format_args!(r#"<material name="{}" rgba="{skin} 1" specular="0.15" shininess="0.3"/>"#, rig.name("skin")));
+    put(assets, format_args!(r#"<material name="{}" rgba="{sleeve} 1" specular="0" shininess="0"/>"#, rig.name("sleeve")));
+    for (joint, hull) in rig.hulls.iter().enumerate() {
+        let corners = join(hull.iter().copied().map(vec3));
+        put(assets, format_args!(r#"<mesh name="{}" vertex="{corners}"/>"#, rig.name(JOINT_NAMES[joint])));
+    }
+}
+
+fn hand_bodies(hand: &HandDraw, rig: &HandRig, world: &mut String) {
+    let name = rig.name(JOINT_NAMES[0]);
+    put(world, format_args!(r#"<body name="{name}" pos="{}" quat="{}" gravcomp="1">"#, vec3(hand.wrist), quat(hand.orientation)));
+    for (i, word) in WRIST.iter().enumerate() {
+        // Slides run along the world's axes, hinges turn about the hand's own, the first outermost.
+        let axis = if i < 3 { hand.orientation.inverse() * DVec3::AXES[i] } else { DVec3::AXES[i - 3] };
+        let (kind, armature) = if i < 3 { ("slide", 0.1) } else { ("hinge", 0.002) };
+        let joint = rig.name(word);
+        put(world, format_args!(r#"<joint name="{joint}" type="{kind}" axis="{}" armature="{armature}"/>"#, vec3(axis)));
+    }
+    arm(rig, world);
+    link(0, rig, world);
+    world.push_str("</body>\n");
+}
+
+/// The part of the arm that a person sees of herself: forearm and sleeve, for the picture only.
+fn arm(rig: &HandRig, world: &mut String) {
+    let back = -rig.frame.fingers;
+    // The wrist's girth: vertices near the plane through its joint.
+    let off = |v: &glam::Vec3| v.as_dvec3() - rig.joints[0];
+    let near = rig.vertices.iter().map(off).filter(|v| v.dot(back).abs() < 0.012);
+    let (centre, count) = near.clone().fold((DVec3::ZERO, 0.0), |(sum, n), v| (sum + v.reject_from(back), n + 1.0));
+    let centre = centre / f64::max(count, 1.0);
+    let girth = near.map(|v| (v.reject_from(back) - centre).length()).sum::<f64>() / f64::max(count, 1.0);
+    let radius = girth.clamp(0.018, 0.04);
+    let thin = |material: &str, from: f64, to: f64, radius: f64, world: &mut String| {
+        let (a, b) = (vec3(centre + back * from), vec3(centre + back * to));
+        put(world, format_args!(r#"<geom type="capsule" fromto="{a} {b}" size="{radius}" contype="0" conaffinity="0" mass="0" group="1" material="{}"/>"#, rig.name(material)));
+    };
+    thin("skin", 0.018, 0.2, 0.93 * radius, world);
+    thin("sleeve", 0.1, 0.32, 1.25 * radius, world);
+}
+
+fn link(joint: usize, rig: &HandRig, world: &mut String) {
+    let name = rig.name(JOINT_NAMES[joint]);
+    put(world, format_args!(r#"<geom type="mesh" mesh="{name}" group="3" density="1000" friction="1 0.01 0.0001" {CONTACT}/>"#));
+    for child in (0..N_JOINTS).filter(|child| rig.parent(*child) == Some(joint)) {
+        let offset = vec3(rig.joints[child] - rig.joints[joint]);
+        put(world, format_args!(r#"<body name="{}" pos="{offset}" gravcomp="1">"#, rig.name(JOINT_NAMES[child])));
+        for hinge in rig.hinges.iter().filter(|hinge| hinge.joint == child) {
+            let (name, axis, [low, high]) = (rig.name(&hinge.name), vec3(hinge.axis), hinge.range);
+            put(world, format_args!(r#"<joint name="{name}" type="hinge" axis="{axis}" range="{low} {high}" armature="3e-4" damping="0.005"/>"#));
+        }
+        link(child, rig, world);
+        world.push_str("</body>\n");
+    }
+}
+
+fn skin(rig: &HandRig, skins: &mut String) {
+    let vertices = join(rig.vertices.iter().map(|v| vec3(v.as_dvec3())));
+    let faces = join(rig.model.faces.iter().map(|[a, b, c]| format!("{a} {b} {c}")));
+    put(skins, format_args!(r#"<skin name="{0}" material="{0}" vertex="{vertices}" face="{faces}">"#, rig.name("skin")));
+    for (joint, name) in JOINT_NAMES.iter().enumerate() {
+        let weights = rig.model.lbs_weights.iter().skip(joint).step_by(N_JOINTS).enumerate().filter(|(_, w)| **w > 0.0);
+        let (ids, weights): (Vec<String>, Vec<String>) = weights.map(|(v, w)| (v.to_string(), w.to_string())).unzip();
+        put(skins, format_args!(r#"<bone body="{}" bindpos="{}" bindquat="1 0 0 0" vertid="{}" vertweight="{}"/>"#, rig.name(name), vec3(rig.joints[joint]), ids.join(" "), weights.join(" ")));
+    }
+    skins.push_str("</skin>\n");
+}
+
+fn servos(rig: &HandRig, actuators: &mut String) {
+    for (i, word) in WRIST.iter().enumerate() {
+        let (stiffness, damping, most) = if i < 3 { (WRIST_STIFFNESS, 110.0, 40.0) } else { (30.0, 0.9, 4.0) };
+        servo(&rig.name(word), stiffness, damping, most, actuators);
+    }
+    for hinge in &rig.hinges {
+        servo(&rig.name(&hinge.name), hinge.stiffness, hinge.damping, hinge.torque, actuators);
+    }
+}
+
+fn servo(name: &str, stiffness: f64, damping: f64, most: f64, actuators: &mut String) {
+    put(actuators, format_args!(r#"<position name="{name}" joint="{name}" kp="{stiffness}" kv="{damping}" forcerange="-{most} {most}"/>"#));
+}
+
+fn put(text: &mut String, line: std::fmt::Arguments) {
+    // Writing to a String cannot fail.
+    let _ = writeln!(text, "{line}");
+}
+
+fn join(parts: impl Iterator<Item = String>) -> String {
+    parts.collect::<Vec<_>>().join(" ")
+}
+
+fn vec3(v: DVec3) -> String {
+    format!("{} {} {}", v.x, v.y, v.z)
+}
+
+fn quat(q: DQuat) -> String {
+    format!("{} {} {} {}", q.w, q.x, q.y, q.z)
+}
+
+fn rgb([r, g, b]: Rgb) -> String {
+    format!("{r:.4} {g:.4} {b:.4}")
+}

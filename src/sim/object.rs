@@ -1,0 +1,279 @@
+//! Objects as convex pieces: one list for the engine, for labels and for aiming.
+
+use std::f64::consts::{PI, TAU};
+
+use glam::{DQuat, DVec3, Vec3};
+use parry3d::math::{Pose, Vector};
+use parry3d::query::{PointQuery, Ray, RayCast};
+use parry3d::shape::{Shape as _, SharedShape};
+use rand::Rng;
+
+use super::scene::ShapeSpec;
+use crate::error::{Error, Result};
+use crate::label::SampledSurface;
+
+/// Sides of a mug's wall.
+const MUG_PIECES: usize = 20;
+/// Segments of a mug's handle.
+const HANDLE_PIECES: usize = 7;
+
+/// A rigid object in its own frame: origin at the centre of its shape, z up.
+#[derive(Debug, Clone)]
+pub struct Object {
+    /// Convex pieces.
+    pub pieces: Vec<Piece>,
+    /// Finer surface for the picture in place of the pieces marked as not visible: vertices and triangles.
+    pub visual: Option<(Vec<DVec3>, Vec<[u32; 3]>)>,
+    /// Half of its height, m.
+    pub half_height: f64,
+}
+
+/// One convex piece.
+#[derive(Debug, Clone)]
+pub struct Piece {
+    /// Its shape.
+    pub shape: PieceShape,
+    /// Its place in the object's frame, m.
+    pub position: DVec3,
+    /// Its orientation in the object's frame.
+    pub orientation: DQuat,
+    /// Whether the picture shows it.
+    pub visible: bool,
+    collider: SharedShape,
+}
+
+/// Shapes the engine knows; the axis of cylinder and capsule is z.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PieceShape {
+    /// Half edges.
+    Box(DVec3),
+    /// Radius.
+    Ball(f64),
+    /// Radius and half height.
+    Cylinder(f64, f64),
+    /// Radius and half length of the axis.
+    Capsule(f64, f64),
+    /// Corners of a convex hull.
+    Hull(Vec<DVec3>),
+}
+
+impl Object {
+    /// Draws an object of the given shape.
+    ///
+    /// # Errors
+    /// If a hull is degenerate.
+    pub fn sample(spec: &ShapeSpec, rng: &mut impl Rng) -> Result<Self> {
+        let single = |shape: PieceShape, half_height: f64| -> Result<Self> {
+            let piece = Piece::new(shape, DVec3::ZERO, DQuat::IDENTITY, true)?;
+            Ok(Self { pieces: vec![piece], visual: None, half_height })
+        };
+        match spec {
+            ShapeSpec::Box { size } => {
+                let half = DVec3::from_array(size.each_ref().map(|s| 0.5 * s.sample(rng)));
+                single(PieceShape::Box(half), half.z)
+            }
+            ShapeSpec::Cube { size } => {
+                let half = 0.5 * size.sample(rng);
+                single(PieceShape::Box(DVec3::splat(half)), half)
+            }
+            ShapeSpec::Ball { radius } => {
+                let radius = radius.sample(rng);
+                single(PieceShape::Ball(radius), radius)
+            }
+            ShapeSpec::Cylinder { radius, height } => {
+                let (radius, half) = (radius.sample(rng), 0.5 * height.sample(rng));
+                single(PieceShape::Cylinder(radius, half), half)
+            }
+            ShapeSpec::Mug { radius, height, wall } => mug(radius.sample(rng), height.sample(rng), wall.sample(rng)),
+        }
+    }
+
+    /// Volume, m³; overlaps of pieces count twice.
+    pub fn volume(&self) -> f64 {
+        self.pieces.iter().map(Piece::volume).sum()
+    }
+
+    /// Where a ray from outside towards `through` along `-direction` first meets the object: point and outward normal.
+    pub fn surface_towards(&self, direction: DVec3, through: DVec3) -> Option<(DVec3, DVec3)> {
+        const FAR: f64 = 20.0;
+        let direction = direction.normalize();
+        let ray = Ray::new(vector(through + direction * FAR), vector(-direction));
+        let hits = self.pieces.iter().filter_map(|piece| {
+            let hit = piece.collider.cast_ray_and_get_normal(&piece.pose(), &ray, FAR as f32, true)?;
+            Some((f64::from(hit.time_of_impact), DVec3::new(hit.normal.x.into(), hit.normal.y.into(), hit.normal.z.into())))
+        });
+        let (time, normal) = hits.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some((through + direction * (FAR - time), normal))
+    }
+
+    /// Signed distance of a point in the object's frame, m: exact outside, negative inside a piece.
+    pub fn distance(&self, point: DVec3) -> f64 {
+        let distance = |piece: &Piece| piece.collider.distance_to_point(&piece.pose(), vector(point), false);
+        self.pieces.iter().map(distance).fold(f32::INFINITY, f32::min).into()
+    }
+
+    /// Its surface as points, for label (a); points inside another piece are left out.
+    ///
+    /// # Errors
+    /// If `spacing` is not a positive length.
+    pub fn sampled_surface(&self, spacing: f32) -> Result<SampledSurface> {
+        let mut points = Vec::new();
+        for piece in &self.pieces {
+            let (vertices, triangles) = piece.mesh();
+            for point in crate::label::resample(&vertices, &triangles, spacing)? {
+                if self.distance(point.as_dvec3()) > -1e-4 {
+                    points.push(point);
+                }
+            }
+        }
+        SampledSurface::from_points(points, spacing)
+    }
+}
+
+impl Piece {
+    fn new(shape: PieceShape, position: DVec3, orientation: DQuat, visible: bool) -> Result<Self> {
+        let collider = match &shape {
+            PieceShape::Box(half) => SharedShape::cuboid(half.x as f32, half.y as f32, half.z as f32),
+            PieceShape::Ball(radius) => SharedShape::ball(*radius as f32),
+            // parry's cylinders and capsules stand along y; as hulls of their own mesh they keep our axis.
+            PieceShape::Cylinder(radius, half) => hull(&ring_points(*radius, *half))?,
+            PieceShape::Capsule(radius, half) => {
+                let end = Vector::new(0.0, 0.0, *half as f32);
+                SharedShape::capsule(-end, end, *radius as f32)
+            }
+            PieceShape::Hull(points) => hull(points)?,
+        };
+        Ok(Self { shape, position, orientation, visible, collider })
+    }
+
+    /// Volume, m³.
+    pub fn volume(&self) -> f64 {
+        match &self.shape {
+            PieceShape::Box(half) => 8.0 * half.x * half.y * half.z,
+            PieceShape::Ball(radius) => 4.0 / 3.0 * PI * radius.powi(3),
+            PieceShape::Cylinder(radius, half) => PI * radius.powi(2) * 2.0 * half,
+            PieceShape::Capsule(radius, half) => PI * radius.powi(2) * (2.0 * half + 4.0 / 3.0 * radius),
+            PieceShape::Hull(_) => f64::from(self.collider.mass_properties(1.0).mass()),
+        }
+    }
+
+    fn pose(&self) -> Pose {
+        let [x, y, z, w] = self.orientation.to_array().map(|v| v as f32);
+        Pose::from_parts(vector(self.position), parry3d::math::Rotation::from_xyzw(x, y, z, w))
+    }
+
+    /// Surface in the object's frame.
+    fn mesh(&self) -> (Vec<Vec3>, Vec<[u32; 3]>) {
+        let (vertices, triangles) = if let Some(cuboid) = self.collider.as_cuboid() {
+            cuboid.to_trimesh()
+        } else if let Some(ball) = self.collider.as_ball() {
+            ball.to_trimesh(32, 16)
+        } else if let Some(capsule) = self.collider.as_capsule() {
+            // Its mesh stands along y; ours along z.
+            let (mut vertices, triangles) = capsule.to_trimesh(12, 6);
+            let turn = parry3d::math::Rotation::from_rotation_x(std::f32::consts::FRAC_PI_2);
+            vertices.iter_mut().for_each(|v| *v = turn * *v);
+            (vertices, triangles)
+        } else if let Some(hull) = self.collider.as_convex_polyhedron() {
+            hull.to_trimesh()
+        } else {
+            (Vec::new(), Vec::new())
+        };
+        let pose = self.pose();
+        let place = |v: &Vector| {
+            let p = pose * *v;
+            Vec3::new(p.x, p.y, p.z)
+        };
+        (vertices.iter().map(place).collect(), triangles)
+    }
+}
+
+fn vector(v: DVec3) -> Vector {
+    Vector::new(v.x as f32, v.y as f32, v.z as f32)
+}
+
+fn hull(points: &[DVec3]) -> Result<SharedShape> {
+    let points: Vec<Vector> = points.iter().copied().map(vector).collect();
+    SharedShape::convex_hull(&points)
+        .ok_or_else(|| Error::value("convex piece", "points that span a volume", format!("{} points", points.len())))
+}
+
+fn ring_points(radius: f64, half: f64) -> Vec<DVec3> {
+    let ring = (0..48).map(|i| DVec3::new(radius * (TAU * i as f64 / 48.0).cos(), radius * (TAU * i as f64 / 48.0).sin(), 0.0));
+    ring.flat_map(|p| [p - DVec3::Z * half, p + DVec3::Z * half]).collect()
+}
+
+fn mug(radius: f64, height: f64, wall: f64) -> Result<Object> {
+    let half = 0.5 * height;
+    let inner = radius - wall;
+    let mut pieces = Vec::new();
+    let around = |angle: f64, r: f64, z: f64| DVec3::new(r * angle.cos(), r * angle.sin(), z);
+    // A polygon of the same mean radius as the round wall.
+    let outer = radius / (PI / MUG_PIECES as f64).cos().sqrt();
+    for i in 0..MUG_PIECES {
+        let angles = [i, i + 1].map(|k| TAU * k as f64 / MUG_PIECES as f64);
+        let corners = angles.into_iter().flat_map(|a| [-half, half].into_iter().flat_map(move |z| [outer, inner].map(|r| around(a, r, z))));
+        pieces.push(Piece::new(PieceShape::Hull(corners.collect()), DVec3::ZERO, DQuat::IDENTITY, false)?);
+    }
+    let floor = PieceShape::Cylinder(inner + 0.5 * wall, 0.5 * wall);
+    pieces.push(Piece::new(floor, DVec3::Z * (0.5 * wall - half), DQuat::IDENTITY, false)?);
+
+    // Handle: a half ellipse in the xz plane from wall to wall.
+    let reach = 0.028;
+    let tall = 0.36 * height;
+    let thick = 0.0045;
+    let point = |k: usize| {
+        let angle = PI * (k as f64 / HANDLE_PIECES as f64 - 0.5);
+        DVec3::new(radius - 0.5 * wall + reach * angle.cos(), 0.0, tall * angle.sin())
+    };
+    for k in 0..HANDLE_PIECES {
+        let (a, b) = (point(k), point(k + 1));
+        let turn = DQuat::from_rotation_arc(DVec3::Z, (b - a).normalize());
+        let capsule = PieceShape::Capsule(thick, 0.5 * (b - a).length());
+        pieces.push(Piece::new(capsule, 0.5 * (a + b), turn, true)?);
+    }
+    Ok(Object { pieces, visual: Some(mug_surface(radius, height, wall)), half_height: half })
+}
+
+/// The mug's body as a surface of revolution, finely faceted for the picture.
+fn mug_surface(radius: f64, height: f64, wall: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+    const AROUND: usize = 48;
+    let (half, inner) = (0.5 * height, radius - wall);
+    let rim = 0.3 * wall;
+    // Profile (r, z) from the middle of the underside around the rim to the middle of the inner floor. Corners appear
+    // twice, close together, so that averaged normals stay sharp there.
+    let profile = [
+        (0.0, -half),
+        (radius - 2.0 * rim, -half),
+        (radius - 0.3 * rim, -half + 0.3 * rim),
+        (radius, -half + 2.0 * rim),
+        (radius, half - 2.0 * rim),
+        (radius - 0.4 * rim, half - 0.4 * rim),
+        (0.5 * (radius + inner), half),
+        (inner + 0.4 * rim, half - 0.4 * rim),
+        (inner, half - 2.0 * rim),
+        (inner, -half + 2.0 * wall),
+        (inner - 0.5 * wall, -half + 1.2 * wall),
+        (inner - wall, -half + wall),
+        (0.0, -half + wall),
+    ];
+    let mut vertices = Vec::new();
+    for (r, z) in profile {
+        for i in 0..AROUND {
+            let angle = TAU * i as f64 / AROUND as f64;
+            // The axis is a small ring, not a point: coincident vertices would be merged.
+            let r = r.max(1e-4);
+            vertices.push(DVec3::new(r * angle.cos(), r * angle.sin(), z));
+        }
+    }
+    let mut triangles = Vec::new();
+    for row in 0..profile.len() - 1 {
+        for i in 0..AROUND {
+            let at = |row: usize, i: usize| (row * AROUND + i % AROUND) as u32;
+            let (a, b, c, d) = (at(row, i), at(row, i + 1), at(row + 1, i), at(row + 1, i + 1));
+            triangles.push([a, b, d]);
+            triangles.push([a, d, c]);
+        }
+    }
+    (vertices, triangles)
+}

@@ -1,0 +1,304 @@
+//! One episode of a scene: everything the scene leaves open, drawn from a seed.
+
+use std::f64::consts::PI;
+
+use glam::{DQuat, DVec3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use sha2::{Digest, Sha256};
+
+use super::look::{self, Look, Rgb};
+use super::object::Object;
+use super::rig::HandRig;
+use super::scene::{ActSpec, CameraSpec, HandSpec, ObjectSpec, Scene, Site, SideSpec};
+use super::timeline::Timeline;
+use crate::error::{Error, Result};
+use crate::hand::Side;
+
+/// An episode's drawn values.
+#[derive(Debug, Clone)]
+pub struct Episode {
+    /// Objects, in the scene's order.
+    pub objects: Vec<ObjectDraw>,
+    /// Hands that are there; an acting one first.
+    pub hands: Vec<HandDraw>,
+    /// The camera.
+    pub camera: CameraDraw,
+    /// Colours and lights.
+    pub look: Look,
+    /// Seconds until the last script ends.
+    pub duration: f64,
+}
+
+/// A drawn object.
+#[derive(Debug, Clone)]
+pub struct ObjectDraw {
+    /// Name.
+    pub name: String,
+    /// Shape.
+    pub shape: Object,
+    /// Mass, kg.
+    pub mass: f64,
+    /// Coefficient of sliding friction.
+    pub friction: f64,
+    /// Start in the world frame, m.
+    pub position: DVec3,
+    /// Start orientation.
+    pub orientation: DQuat,
+    /// Colour.
+    pub colour: Rgb,
+}
+
+/// A drawn hand.
+#[derive(Debug, Clone)]
+pub struct HandDraw {
+    /// Which hand.
+    pub side: Side,
+    /// Place of the wrist around which its slides and hinges move, m.
+    pub wrist: DVec3,
+    /// Orientation of the hand around which its wrist hinges move.
+    pub orientation: DQuat,
+    /// Angles the fingers have where no goal says otherwise, in the rig's order, rad.
+    pub posture: Vec<f64>,
+    /// What it does; `None` rests.
+    pub act: Option<Act>,
+    /// Colour of the skin.
+    pub skin: Rgb,
+    /// Colour of the sleeve.
+    pub sleeve: Rgb,
+}
+
+/// What a hand does.
+#[derive(Debug, Clone)]
+pub struct Act {
+    /// Index of the object.
+    pub object: usize,
+    /// Contact goals.
+    pub goals: Vec<Goal>,
+    /// Unit direction from the object to where the hand comes from, world frame.
+    pub from: DVec3,
+    /// Course in time.
+    pub timeline: Timeline,
+}
+
+/// A contact goal in the world frame, at the object's start.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Goal {
+    /// What shall touch.
+    pub site: Site,
+    /// Point on the surface, m.
+    pub point: DVec3,
+    /// Outward unit normal there.
+    pub normal: DVec3,
+    /// Normal force, N.
+    pub force: f64,
+}
+
+/// A drawn camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CameraDraw {
+    /// Mean position of the eye, m.
+    pub eye: DVec3,
+    /// Point looked at, m.
+    pub target: DVec3,
+    /// Vertical field of view, rad.
+    pub fovy: f64,
+    /// Tilt, rad.
+    pub roll: f64,
+    /// Amplitude of the head's motion, m.
+    pub sway: f64,
+    /// Phases of the head's motion, rad.
+    pub phases: [f64; 6],
+}
+
+impl Episode {
+    /// Draws an episode; the same scene, seed and rigs give the same one, bit for bit.
+    ///
+    /// # Errors
+    /// If a contact goal misses its object.
+    pub fn sample(scene: &Scene, seed: u64, rigs: &[HandRig; 2]) -> Result<Self> {
+        // One stream per concern: a scene that draws one number more for its objects keeps its camera and colours.
+        let stream = |index: u64| {
+            let digest = Sha256::digest(scene.name.as_bytes());
+            let name = u64::from_le_bytes(std::array::from_fn(|i| digest[i]));
+            let mut rng = ChaCha8Rng::seed_from_u64(seed ^ name);
+            rng.set_stream(index);
+            rng
+        };
+        let spec = &scene.spec;
+        let mut rng = stream(0);
+        let right_acts = rng.random::<bool>();
+        let actor = match spec.hands[0].side {
+            SideSpec::Left => Side::Left,
+            SideSpec::Right => Side::Right,
+            SideSpec::Either if right_acts => Side::Right,
+            SideSpec::Either => Side::Left,
+        };
+        let mirror = actor == Side::Left;
+        let mut rng = stream(1);
+        let objects =
+            spec.objects.iter().map(|o| ObjectDraw::sample(o, mirror, &mut rng)).collect::<Result<Vec<_>>>()?;
+        let mut hands = Vec::new();
+        for (index, hand) in spec.hands.iter().enumerate() {
+            let mut rng = stream(2 + index as u64);
+            let side = if (index == 0) == (actor == Side::Left) { Side::Left } else { Side::Right };
+            let present = rng.random::<f64>() < hand.presence;
+            if present {
+                hands.push(HandDraw::sample(hand, &rigs[side as usize], &objects, spec, &mut rng)?);
+            }
+        }
+        let acting = hands.iter().filter_map(|hand| hand.act.as_ref());
+        let duration = acting.map(|act| act.timeline.duration()).fold(1.0, f64::max);
+        let mut rng = stream(8);
+        // Both hands of a person have the same skin.
+        let (skin, sleeve) = (look::skin(&mut rng), look::colour(&mut rng, 0.0..0.8, 0.1..0.9));
+        hands.iter_mut().for_each(|hand| (hand.skin, hand.sleeve) = (skin, sleeve));
+        let look = Look::sample(&mut rng);
+        Ok(Self { objects, hands, camera: CameraDraw::sample(&spec.camera, &mut stream(9)), look, duration })
+    }
+}
+
+impl ObjectDraw {
+    fn sample(spec: &ObjectSpec, mirror: bool, rng: &mut impl Rng) -> Result<Self> {
+        let shape = Object::sample(&spec.shape, rng)?;
+        let [x, y] = spec.position.each_ref().map(|s| s.sample(rng));
+        let yaw = spec.yaw.sample(rng);
+        // Mirrored in the world's x, and since shapes are symmetric in their own y, that is another rotation.
+        let (x, yaw) = if mirror { (-x, PI - yaw) } else { (x, yaw) };
+        Ok(Self {
+            name: spec.name.clone(),
+            position: DVec3::new(x, y, shape.half_height),
+            orientation: DQuat::from_rotation_z(yaw),
+            mass: spec.mass.sample(rng),
+            friction: spec.friction.sample(rng),
+            colour: look::colour(rng, 0.15..0.95, 0.3..0.95),
+            shape,
+        })
+    }
+}
+
+impl HandDraw {
+    fn sample(
+        spec: &HandSpec,
+        rig: &HandRig,
+        objects: &[ObjectDraw],
+        scene: &super::scene::SceneSpec,
+        rng: &mut impl Rng,
+    ) -> Result<Self> {
+        let side = rig.side();
+        let (skin, sleeve) = ([0.0; 3], [0.0; 3]);
+        let Some(act) = &spec.act else {
+            let (wrist, orientation, posture) = resting(rig, rng);
+            return Ok(Self { side, wrist, orientation, posture, act: None, skin, sleeve });
+        };
+        let index = objects.iter().position(|o| o.name == act.object).ok_or_else(|| {
+            Error::unknown("object", &act.object, scene.objects.iter().map(|o| o.name.as_str()))
+        })?;
+        let object = &objects[index];
+        let local = |v: [f64; 3]| {
+            let flip = if side == Side::Left { -1.0 } else { 1.0 };
+            DVec3::new(v[0], flip * v[1], v[2]).normalize()
+        };
+        let world = |v: [f64; 3]| object.orientation * local(v);
+        let turn = DQuat::from_scaled_axis(direction(rng) * act.turn.sample(rng));
+        let orientation = turn * rig.orientation(world(act.fingers), world(act.palm));
+        let curl = act.curl.sample(rng);
+        let posture = posture(rig, act, curl, rng);
+        let goals = goals(act, object, local, rng)?;
+        let params = rig.params(DVec3::ZERO, orientation, &posture);
+        let posed = rig.model.forward(&params);
+        let pad = |goal: &Goal| {
+            let pad = rig.pad(goal.site);
+            posed.joints[pad.joint].as_dvec3() + posed.rotations[pad.joint].as_dmat3() * pad.position
+        };
+        let wrist = goals.iter().map(|g| g.point - pad(g)).sum::<DVec3>() / goals.len() as f64;
+        let mirror = if side == Side::Left { DVec3::new(-1.0, 1.0, 1.0) } else { DVec3::ONE };
+        let from = DQuat::from_scaled_axis(direction(rng) * act.from_turn.sample(rng)) * (DVec3::from_array(act.from) * mirror);
+        let timeline = Timeline::sample(&act.start, &act.script, side == Side::Left, rng);
+        let act = Act { object: index, goals, from: from.normalize(), timeline };
+        Ok(Self { side, wrist, orientation, posture, act: Some(act), skin, sleeve })
+    }
+}
+
+impl CameraDraw {
+    fn sample(spec: &CameraSpec, rng: &mut impl Rng) -> Self {
+        Self {
+            eye: DVec3::from_array(spec.eye.each_ref().map(|s| s.sample(rng))),
+            target: DVec3::from_array(spec.target.each_ref().map(|s| s.sample(rng))),
+            fovy: spec.fovy.sample(rng).to_radians(),
+            roll: spec.roll.sample(rng),
+            sway: spec.sway.sample(rng),
+            phases: std::array::from_fn(|_| rng.random_range(0.0..2.0 * PI)),
+        }
+    }
+}
+
+/// Angles before any goal: goal fingers half bent as for a grasp, the others as the scene says.
+fn posture(rig: &HandRig, act: &ActSpec, curl: f64, rng: &mut impl Rng) -> Vec<f64> {
+    let bend = |hinge: &super::rig::Hinge| match (hinge.site, act.contacts.contains_key(&hinge.site)) {
+        (Site::Thumb, true) => [0.45, 0.1, 0.25, 0.3][hinge_place(hinge)],
+        (_, true) => [0.0, 0.75, 0.7, 0.4][hinge_place(hinge)],
+        (Site::Thumb, false) => [0.2, 0.1, 0.3 * curl, 0.5 * curl][hinge_place(hinge)],
+        (_, false) => [0.0, 1.2 * curl, 1.5 * curl, 0.9 * curl][hinge_place(hinge)],
+    };
+    let angles = rig.hinges.iter().map(|hinge| (bend(hinge) + rng.random_range(-0.06..0.06)).clamp(hinge.range[0], hinge.range[1]));
+    angles.collect()
+}
+
+/// 0 for abduction and twist at the base, 1 to 3 for flexion along the finger.
+fn hinge_place(hinge: &super::rig::Hinge) -> usize {
+    match hinge.motion {
+        super::rig::Motion::Flex => hinge.joint - super::rig::base_joint(hinge.site) + 1,
+        super::rig::Motion::Abduct => 0,
+        super::rig::Motion::Twist => 1,
+    }
+}
+
+fn goals(
+    act: &ActSpec,
+    object: &ObjectDraw,
+    local: impl Fn([f64; 3]) -> DVec3,
+    rng: &mut impl Rng,
+) -> Result<Vec<Goal>> {
+    // Two opposite sides hold a weight m g when each presses with m g / 2 mu.
+    let holding = object.mass * 9.81 / (2.0 * object.friction) * act.grip.sample(rng);
+    let mut goals = Vec::new();
+    for (site, contact) in &act.contacts {
+        let at = local(contact.at);
+        let through = DVec3::Z * contact.height.sample(rng);
+        let (point, normal) = object.shape.surface_towards(at, through).ok_or_else(|| {
+            let expected = format!("a direction that meets {}", act.object);
+            Error::value(format!("contacts.{site:?}.at").to_lowercase(), expected, format!("{:?}", contact.at))
+        })?;
+        goals.push(Goal {
+            site: *site,
+            point: object.position + object.orientation * point,
+            normal: object.orientation * normal,
+            force: contact.force.sample(rng) + contact.share * holding,
+        });
+    }
+    Ok(goals)
+}
+
+/// A hand that lies on the table beside the scene, palm down.
+fn resting(rig: &HandRig, rng: &mut impl Rng) -> (DVec3, DQuat, Vec<f64>) {
+    let outward = if rig.side() == Side::Right { 1.0 } else { -1.0 };
+    let fingers = DVec3::new(outward * rng.random_range(-0.45..0.0), 1.0, -0.05);
+    let orientation = rig.orientation(fingers, DVec3::NEG_Z);
+    let curl = rng.random_range(0.02..0.25);
+    let angles: Vec<f64> = rig.hinges.iter().map(|hinge| [0.0, 0.5 * curl, 0.9 * curl, 0.6 * curl][hinge_place(hinge)]).collect();
+    let posed = rig.model.forward(&rig.params(DVec3::ZERO, orientation, &angles));
+    let lowest = posed.vertices.iter().map(|v| v.z).fold(f32::INFINITY, f32::min);
+    // Sunk in a little: the arm's weight on the table.
+    let height = -f64::from(lowest) - rng.random_range(0.0005..0.003);
+    let wrist = DVec3::new(outward * rng.random_range(0.19..0.27), rng.random_range(-0.16..-0.04), height);
+    (wrist, orientation, angles)
+}
+
+/// Uniform on the unit sphere.
+fn direction(rng: &mut impl Rng) -> DVec3 {
+    let z: f64 = rng.random_range(-1.0..1.0);
+    let angle = rng.random_range(0.0..2.0 * PI);
+    let r = (1.0 - z * z).sqrt();
+    DVec3::new(r * angle.cos(), r * angle.sin(), z)
+}

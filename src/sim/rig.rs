@@ -1,0 +1,365 @@
+//! A hand model as a driven mechanism: hinges, pads and collision hulls, found from its joints and skinning weights.
+
+use glam::{DMat3, DQuat, DVec3, Vec3};
+use parry3d::math::{Pose, Vector};
+use parry3d::shape::SharedShape;
+
+use super::scene::Site;
+use crate::error::{Error, Result};
+use crate::hand::{HandModel, HandParams, N_BETAS, N_JOINTS, Side};
+
+/// Names of the joints in MANO order.
+pub const JOINT_NAMES: [&str; N_JOINTS] = [
+    "wrist", "index1", "index2", "index3", "middle1", "middle2", "middle3", "little1", "little2", "little3", "ring1",
+    "ring2", "ring3", "thumb1", "thumb2", "thumb3",
+];
+
+/// Skinning weight from which a vertex belongs to a link's collision hull, also when another link leads it: the hulls
+/// of neighbours overlap, so that nothing slips into the knuckles.
+const HULL_WEIGHT: f32 = 0.3;
+/// Links this close in the rest pose never collide with each other, m.
+const REST_GAP: f32 = 0.002;
+
+/// A hand that can be built into a physics model.
+#[derive(Debug, Clone)]
+pub struct HandRig {
+    /// The hand it is made from.
+    pub model: HandModel,
+    /// Its shape coefficients.
+    pub betas: [f32; N_BETAS],
+    /// Rest positions of the joints, m.
+    pub joints: [DVec3; N_JOINTS],
+    /// Rest positions of the vertices, m.
+    pub vertices: Vec<Vec3>,
+    /// Directions of the hand at rest.
+    pub frame: HandFrame,
+    /// Hinges in the order in which the mechanism has them.
+    pub hinges: Vec<Hinge>,
+    /// Corners of each link's hull in the link's frame, m.
+    pub hulls: Vec<Vec<DVec3>>,
+    /// Pairs of links that never collide.
+    pub excluded: Vec<(usize, usize)>,
+    pads: [Pad; 6],
+}
+
+/// Unit directions of a hand at rest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HandFrame {
+    /// Where the stretched fingers point.
+    pub fingers: DVec3,
+    /// Where the palm faces.
+    pub palm: DVec3,
+    /// From the little finger's side to the thumb's.
+    pub thumb: DVec3,
+}
+
+/// One hinge.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Hinge {
+    /// Name without the hand's prefix, e.g. `index1_flex`.
+    pub name: String,
+    /// Joint it turns.
+    pub joint: usize,
+    /// Finger it belongs to.
+    pub site: Site,
+    /// What the turn is called.
+    pub motion: Motion,
+    /// Unit axis in the joint's frame.
+    pub axis: DVec3,
+    /// Limits, rad.
+    pub range: [f64; 2],
+    /// Servo stiffness, N m/rad.
+    pub stiffness: f64,
+    /// Servo damping, N m s/rad.
+    pub damping: f64,
+    /// Torque limit, N m.
+    pub torque: f64,
+}
+
+/// Kinds of hinges.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Motion {
+    /// Bends towards the palm.
+    Flex,
+    /// Spreads towards the thumb; lifts the thumb out of the palm's plane.
+    Abduct,
+    /// Turns about the bone.
+    Twist,
+}
+
+/// A spot of skin that is meant to touch.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pad {
+    /// Link it lies on.
+    pub joint: usize,
+    /// Place in the link's frame, m.
+    pub position: DVec3,
+    /// Outward unit normal in the link's frame.
+    pub normal: DVec3,
+}
+
+impl HandRig {
+    /// Finds hinges, pads and hulls of a hand of the given shape.
+    ///
+    /// # Errors
+    /// If joints coincide, or a link has too few vertices to span a hull.
+    pub fn new(model: HandModel, betas: [f32; N_BETAS]) -> Result<Self> {
+        let rest = model.forward(&HandParams { betas, ..HandParams::default() });
+        let joints = rest.joints.map(|j| j.as_dvec3());
+        let frame = HandFrame::of(model.side, &joints)?;
+        let hulls = hulls(&model, &rest.vertices, &joints);
+        let tips = Site::FINGERS.map(|site| tip(&model, &rest.vertices, &joints, base_joint(site)));
+        let pads = pads(&model, &rest.vertices, &joints, &frame, &tips);
+        let hinges = hinges(&joints, &frame, &tips);
+        let excluded = excluded(&hulls, &joints)?;
+        Ok(Self { model, betas, joints, vertices: rest.vertices, frame, hinges, hulls, excluded, pads })
+    }
+
+    /// Which hand.
+    pub fn side(&self) -> Side {
+        self.model.side
+    }
+
+    /// Name of a body, joint or mesh of this hand in a physics model.
+    pub fn name(&self, part: &str) -> String {
+        format!("{}/{part}", self.side().name())
+    }
+
+    /// The pad of a site.
+    pub fn pad(&self, site: Site) -> Pad {
+        self.pads[site as usize]
+    }
+
+    /// Parent of a joint; `None` for the wrist.
+    pub fn parent(&self, joint: usize) -> Option<usize> {
+        (self.model.parents[joint] != joint).then_some(self.model.parents[joint])
+    }
+
+    /// Parameters of the hand from the wrist's pose and the hinges' angles, exact.
+    ///
+    /// `angles` are in the order of `hinges`, rad. The hinges of one joint turn in their order, the first outermost.
+    pub fn params(&self, wrist: DVec3, orientation: DQuat, angles: &[f64]) -> HandParams {
+        let mut turns = [DQuat::IDENTITY; N_JOINTS];
+        for (hinge, angle) in self.hinges.iter().zip(angles) {
+            turns[hinge.joint] *= DQuat::from_axis_angle(hinge.axis, *angle);
+        }
+        HandParams {
+            betas: self.betas,
+            global_orient: rotation_vector(orientation).as_vec3(),
+            hand_pose: std::array::from_fn(|i| rotation_vector(turns[i + 1]).as_vec3()),
+            transl: (wrist - self.joints[0]).as_vec3(),
+        }
+    }
+
+    /// Rotation that turns the rest hand so that fingers and palm point as asked; `fingers` is kept exactly.
+    pub fn orientation(&self, fingers: DVec3, palm: DVec3) -> DQuat {
+        let basis = |fingers: DVec3, palm: DVec3| {
+            let f = fingers.normalize();
+            let p = palm.reject_from_normalized(f).try_normalize().unwrap_or_else(|| f.any_orthonormal_vector());
+            DMat3::from_cols(f, p, f.cross(p))
+        };
+        let world = basis(fingers, palm);
+        let rest = basis(self.frame.fingers, self.frame.palm);
+        DQuat::from_mat3(&(world * rest.transpose())).normalize()
+    }
+}
+
+/// Rotation vector (axis times angle, rad) of a unit quaternion, the one with angle at most pi.
+///
+/// Stable near 0 and near pi, where a logarithm by the matrix's trace loses all digits.
+pub fn rotation_vector(q: DQuat) -> DVec3 {
+    let q = if q.w < 0.0 { -q } else { q };
+    let v = DVec3::new(q.x, q.y, q.z);
+    let sine = v.length();
+    // angle / sin(angle/2) -> 2 / w as the angle goes to 0
+    let scale = if sine < 1e-9 { 2.0 / q.w } else { 2.0 * sine.atan2(q.w) / sine };
+    v * scale
+}
+
+/// First joint of a finger.
+///
+/// # Panics
+/// Never for a finger; the palm's is the wrist.
+pub fn base_joint(site: Site) -> usize {
+    match site {
+        Site::Thumb => 13,
+        Site::Index => 1,
+        Site::Middle => 4,
+        Site::Ring => 10,
+        Site::Little => 7,
+        Site::Palm => 0,
+    }
+}
+
+/// Site of a joint.
+pub fn site_of(joint: usize) -> Site {
+    match joint {
+        1..=3 => Site::Index,
+        4..=6 => Site::Middle,
+        7..=9 => Site::Little,
+        10..=12 => Site::Ring,
+        13..=15 => Site::Thumb,
+        _ => Site::Palm,
+    }
+}
+
+impl HandFrame {
+    fn of(side: Side, joints: &[DVec3; N_JOINTS]) -> Result<Self> {
+        let knuckles = [1, 4, 7, 10].map(|joint| joints[joint]).iter().sum::<DVec3>() / 4.0;
+        let flat = || Error::value("rest joints", "a hand that spans a plane", "coinciding joints");
+        let fingers = (knuckles - joints[0]).try_normalize().ok_or_else(flat)?;
+        let thumb = (joints[1] - joints[7]).reject_from_normalized(fingers).try_normalize().ok_or_else(flat)?;
+        let palm = match side {
+            Side::Right => thumb.cross(fingers),
+            Side::Left => fingers.cross(thumb),
+        };
+        Ok(Self { fingers, palm, thumb })
+    }
+
+    /// Where a finger's pad faces at rest: the palm's direction; the thumb's is turned towards the fingers.
+    fn pad_direction(&self, site: Site) -> DVec3 {
+        match site {
+            Site::Thumb => (0.55 * self.palm - 0.85 * self.thumb).normalize(),
+            _ => self.palm,
+        }
+    }
+}
+
+fn link_vertices<'a>(model: &'a HandModel, joint: usize, least: f32) -> impl Iterator<Item = usize> + 'a {
+    model.lbs_weights.chunks_exact(N_JOINTS).enumerate().filter_map(move |(vertex, weights)| {
+        let leads = weights.iter().all(|w| *w <= weights[joint]);
+        (leads || weights[joint] >= least).then_some(vertex)
+    })
+}
+
+fn hulls(model: &HandModel, vertices: &[Vec3], joints: &[DVec3; N_JOINTS]) -> Vec<Vec<DVec3>> {
+    let local = |joint: usize| {
+        link_vertices(model, joint, HULL_WEIGHT).map(|v| vertices[v].as_dvec3() - joints[joint]).collect()
+    };
+    (0..N_JOINTS).map(local).collect()
+}
+
+/// Farthest point of a finger's last link along its bone.
+fn tip(model: &HandModel, vertices: &[Vec3], joints: &[DVec3; N_JOINTS], base: usize) -> DVec3 {
+    let bone = (joints[base + 2] - joints[base + 1]).normalize_or_zero();
+    let along = |v: &usize| (vertices[*v].as_dvec3() - joints[base + 2]).dot(bone);
+    let far = link_vertices(model, base + 2, 0.5).max_by(|a, b| along(a).total_cmp(&along(b)));
+    far.map_or(joints[base + 2] + bone * 0.02, |v| joints[base + 2] + bone * along(&v))
+}
+
+fn pads(
+    model: &HandModel,
+    vertices: &[Vec3],
+    joints: &[DVec3; N_JOINTS],
+    frame: &HandFrame,
+    tips: &[DVec3; 5],
+) -> [Pad; 6] {
+    std::array::from_fn(|i| {
+        let Some(&site) = Site::FINGERS.get(i) else {
+            return palm_pad(model, vertices, joints, frame);
+        };
+        let joint = base_joint(site) + 2;
+        let bone = tips[i] - joints[joint];
+        let length = bone.length().max(1e-6);
+        let bone = bone / length;
+        let normal = frame.pad_direction(site).reject_from_normalized(bone).normalize_or_zero();
+        let sideways = bone.cross(normal);
+        let local = |v: usize| vertices[v].as_dvec3() - joints[joint];
+        // The middle of the pulp: half way to the tip, not at its side, as far out as the skin goes.
+        let score = |v: &usize| {
+            let p = local(*v);
+            p.dot(normal) - 0.5 * p.dot(sideways).abs() - 0.3 * (p.dot(bone) - 0.6 * length).abs()
+        };
+        let best = link_vertices(model, joint, 0.5).max_by(|a, b| score(a).total_cmp(&score(b)));
+        Pad { joint, position: best.map_or(DVec3::ZERO, local), normal }
+    })
+}
+
+fn palm_pad(model: &HandModel, vertices: &[Vec3], joints: &[DVec3; N_JOINTS], frame: &HandFrame) -> Pad {
+    let knuckles = [1, 4, 7, 10].map(|joint| joints[joint]).iter().sum::<DVec3>() / 4.0;
+    let centre = joints[0].lerp(knuckles, 0.6);
+    let local = |v: usize| vertices[v].as_dvec3() - centre;
+    let aside = |v: &usize| local(*v).reject_from_normalized(frame.palm).length();
+    let best = link_vertices(model, 0, 0.5)
+        .filter(|v| local(*v).dot(frame.palm) > 0.0)
+        .min_by(|a, b| aside(a).total_cmp(&aside(b)));
+    Pad { joint: 0, position: best.map_or(centre, |v| vertices[v].as_dvec3()) - joints[0], normal: frame.palm }
+}
+
+/// Hinges of a human hand: ranges in rad, torques such that a fingertip gives several newtons.
+fn hinges(joints: &[DVec3; N_JOINTS], frame: &HandFrame, tips: &[DVec3; 5]) -> Vec<Hinge> {
+    let mut hinges = Vec::new();
+    for (site, tip) in Site::FINGERS.into_iter().zip(tips) {
+        let base = base_joint(site);
+        let bones = [joints[base + 1] - joints[base], joints[base + 2] - joints[base + 1], *tip - joints[base + 2]];
+        let pad = frame.pad_direction(site);
+        let mut add = |link: usize, motion, axis: DVec3, range, stiffness, torque| {
+            let joint = base + link;
+            let word = match motion {
+                Motion::Flex => "flex",
+                Motion::Abduct => "abduct",
+                Motion::Twist => "twist",
+            };
+            let name = format!("{}_{word}", JOINT_NAMES[joint]);
+            let axis = axis.try_normalize().unwrap_or(frame.thumb);
+            let damping = 0.04 * stiffness;
+            hinges.push(Hinge { name, joint, site, motion, axis, range, stiffness, damping, torque });
+        };
+        // Turning about a x b moves a towards b.
+        if site == Site::Thumb {
+            let bone = bones[0];
+            add(0, Motion::Abduct, bone.cross(frame.palm), [-0.3, 1.0], 2.5, 1.2);
+            add(0, Motion::Flex, bone.cross(-frame.thumb), [-0.5, 0.7], 2.5, 1.2);
+            add(0, Motion::Twist, bone, [-0.8, 0.8], 1.5, 0.8);
+            add(1, Motion::Flex, bones[1].cross(pad), [-0.2, 0.9], 1.8, 0.8);
+            add(2, Motion::Flex, bones[2].cross(pad), [-0.3, 1.3], 1.2, 0.5);
+        } else {
+            add(0, Motion::Abduct, bones[0].cross(frame.thumb), [-0.3, 0.3], 1.5, 0.5);
+            add(0, Motion::Flex, bones[0].cross(pad), [-0.4, 1.6], 1.8, 1.0);
+            add(1, Motion::Flex, bones[1].cross(pad), [-0.05, 1.8], 1.4, 0.7);
+            add(2, Motion::Flex, bones[2].cross(pad), [-0.1, 1.2], 0.9, 0.4);
+        }
+    }
+    hinges
+}
+
+fn excluded(hulls: &[Vec<DVec3>], joints: &[DVec3; N_JOINTS]) -> Result<Vec<(usize, usize)>> {
+    let vector = |v: DVec3| Vector::new(v.x as f32, v.y as f32, v.z as f32);
+    let mut shapes = Vec::new();
+    for (joint, hull) in hulls.iter().enumerate() {
+        let points: Vec<Vector> = hull.iter().copied().map(vector).collect();
+        let shape = if points.len() < 4 { None } else { SharedShape::convex_hull(&points) };
+        shapes.push(shape.ok_or_else(|| {
+            let name = format!("lbs_weights of joint {joint} ({})", JOINT_NAMES[joint]);
+            Error::value(name, "vertices that span a volume", format!("{} vertices", points.len()))
+        })?);
+    }
+    let pose = |joint: usize| Pose::from_translation(vector(joints[joint]));
+    let mut pairs = Vec::new();
+    for a in 0..N_JOINTS {
+        for b in a + 1..N_JOINTS {
+            let gap = parry3d::query::distance(&pose(a), &*shapes[a], &pose(b), &*shapes[b]);
+            if gap.is_ok_and(|gap| gap < REST_GAP) {
+                pairs.push((a, b));
+            }
+        }
+    }
+    Ok(pairs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rotation_vectors_are_exact_near_zero_and_near_pi() {
+        let axis = DVec3::new(0.3, -0.5, 0.8).normalize();
+        for angle in [0.0, 1e-12, 1e-8, 1e-4, 1.0, 3.0, std::f64::consts::PI - 1e-8] {
+            let got = rotation_vector(DQuat::from_axis_angle(axis, angle));
+            assert!((got - axis * angle).length() < 1e-12, "angle {angle}: {got}");
+        }
+        // beyond pi the same rotation has a shorter vector the other way round
+        let got = rotation_vector(DQuat::from_axis_angle(axis, 4.0));
+        assert!((got + axis * (std::f64::consts::TAU - 4.0)).length() < 1e-12);
+    }
+}

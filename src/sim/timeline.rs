@@ -1,0 +1,94 @@
+//! The course of a script's channels in time: minimum-jerk from one phase's values to the next.
+
+use glam::DVec3;
+use rand::Rng;
+
+use super::scene::{Channels, PhaseSpec};
+
+/// Values of the channels at one instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ChannelValues {
+    /// Distance of the hand from its place at the object, m.
+    pub standoff: f64,
+    /// Distance of sites with goals from the surface, m.
+    pub opening: f64,
+    /// Share of the goal forces, 0 to 1.
+    pub squeeze: f64,
+    /// Displacement of the hand in the world frame, m.
+    pub shift: DVec3,
+}
+
+/// A script with drawn durations and values.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Timeline {
+    start: ChannelValues,
+    /// End of each phase, s, and the values there.
+    phases: Vec<(f64, ChannelValues)>,
+}
+
+impl Timeline {
+    /// Draws durations and values; `mirror` flips x of the shift, as for the left hand.
+    pub fn sample(start: &Channels, script: &[PhaseSpec], mirror: bool, rng: &mut impl Rng) -> Self {
+        let sign = DVec3::new(if mirror { -1.0 } else { 1.0 }, 1.0, 1.0);
+        let mut values = ChannelValues {
+            standoff: start.standoff.sample(rng),
+            opening: start.opening.sample(rng),
+            squeeze: start.squeeze.sample(rng),
+            shift: DVec3::from_array(start.shift.each_ref().map(|s| s.sample(rng))) * sign,
+        };
+        let start = values;
+        let mut time = 0.0;
+        let mut phases = Vec::new();
+        for phase in script {
+            time += phase.seconds.sample(rng);
+            let mut draw = |span: &Option<super::span::Span>, value: &mut f64| {
+                if let Some(span) = span {
+                    *value = span.sample(rng);
+                }
+            };
+            draw(&phase.standoff, &mut values.standoff);
+            draw(&phase.opening, &mut values.opening);
+            draw(&phase.squeeze, &mut values.squeeze);
+            if let Some(shift) = &phase.shift {
+                values.shift = DVec3::from_array(shift.each_ref().map(|s| s.sample(rng))) * sign;
+            }
+            phases.push((time, values));
+        }
+        Self { start, phases }
+    }
+
+    /// When the last phase ends, s.
+    pub fn duration(&self) -> f64 {
+        self.phases.last().map_or(0.0, |(end, _)| *end)
+    }
+
+    /// Largest opening of the whole script, m.
+    pub fn widest_opening(&self) -> f64 {
+        self.phases.iter().map(|(_, values)| values.opening).fold(self.start.opening, f64::max)
+    }
+
+    /// Values at `time`, s; before the start and after the end they stay.
+    pub fn at(&self, time: f64) -> ChannelValues {
+        let (mut begin, mut from) = (0.0, self.start);
+        for &(end, to) in &self.phases {
+            if time < end {
+                let s = minimum_jerk((time - begin) / (end - begin));
+                let mix = |a: f64, b: f64| a + (b - a) * s;
+                return ChannelValues {
+                    standoff: mix(from.standoff, to.standoff),
+                    opening: mix(from.opening, to.opening),
+                    squeeze: mix(from.squeeze, to.squeeze),
+                    shift: from.shift.lerp(to.shift, s),
+                };
+            }
+            (begin, from) = (end, to);
+        }
+        from
+    }
+}
+
+/// Smooth step from 0 to 1 whose velocity and acceleration are 0 at both ends, as of a hand that reaches.
+fn minimum_jerk(x: f64) -> f64 {
+    let x = x.clamp(0.0, 1.0);
+    x * x * x * (10.0 + x * (6.0 * x - 15.0))
+}
