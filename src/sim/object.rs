@@ -4,8 +4,8 @@ use std::f64::consts::{PI, TAU};
 
 use glam::{DQuat, DVec3, Vec3};
 use parry3d::math::{Pose, Vector};
-use parry3d::query::{PointQuery, Ray, RayCast};
-use parry3d::shape::{Shape as _, SharedShape};
+use parry3d::query::Ray;
+use parry3d::shape::SharedShape;
 use rand::Rng;
 
 use super::scene::ShapeSpec;

@@ -339,7 +339,7 @@ fn excluded(hulls: &[Vec<DVec3>], joints: &[DVec3; N_JOINTS]) -> Result<Vec<(usi
     for a in 0..N_JOINTS {
         for b in a + 1..N_JOINTS {
             let gap = parry3d::query::distance(&pose(a), &*shapes[a], &pose(b), &*shapes[b]);
-            if gap.is_ok_and(|gap| gap < REST_GAP) {
+            if gap.is_ok_and(|gap| gap.distance < REST_GAP) {
                 pairs.push((a, b));
             }
         }
