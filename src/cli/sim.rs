@@ -1,12 +1,304 @@
-//! `egotac sim`.
+//! `egotac sim`: simulated hand-object scenes.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Arguments of `egotac sim`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// List the scenes that are part of the program.
+    List,
+    /// Render a scene to a PNG: one instant, or a sheet of several.
+    Show(Show),
+    /// Simulate one episode and write it as a Zarr store.
+    Run(Run),
+    /// Simulate many episodes and write them as one Zarr store; the same command continues an interrupted one.
+    Generate(Generate),
+}
+
+#[derive(Debug, clap::Args)]
+struct Show {
+    /// Name of a scene (`egotac sim list`), or a YAML file.
+    scene: String,
+    /// Seed of everything the scene leaves open.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Simulated time to show, s; without it, the middle of the episode.
+    #[arg(long, conflicts_with = "sheet")]
+    time: Option<f64>,
+    /// Show this many instants side by side, evenly spread over the episode.
+    #[arg(long)]
+    sheet: Option<usize>,
+    /// Paint where the hand is touched: force of label c on the vertices, projected into the picture.
+    #[arg(long)]
+    touch: bool,
+    /// Draw shadows (ten times slower).
+    #[arg(long)]
+    shadows: bool,
+    /// Width and height of a picture, pixels.
+    #[arg(long, default_value_t = 448)]
+    size: u32,
+    /// PNG file to write.
+    #[arg(long)]
+    out: PathBuf,
+    #[command(flatten)]
+    hands: Hands,
+}
+
+#[derive(Debug, clap::Args)]
+struct Run {
+    /// Name of a scene (`egotac sim list`), or a YAML file.
+    scene: String,
+    /// Seed of everything the scene leaves open.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Width and height of the picture, pixels.
+    #[arg(long, default_value_t = 224)]
+    size: u32,
+    /// Draw shadows (ten times slower).
+    #[arg(long)]
+    shadows: bool,
+    /// Store to write; must not exist.
+    #[arg(long)]
+    out: PathBuf,
+    #[command(flatten)]
+    hands: Hands,
+}
+
+#[derive(Debug, clap::Args)]
+struct Generate {
+    /// Names of scenes, or YAML files; taken in turn.
+    #[arg(required = true)]
+    scenes: Vec<String>,
+    /// Episodes altogether.
+    #[arg(long, default_value_t = 100)]
+    episodes: usize,
+    /// Seed of the first episode; each further one has the next.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Width and height of the picture, pixels.
+    #[arg(long, default_value_t = 112)]
+    size: u32,
+    /// Draw shadows (ten times slower).
+    #[arg(long)]
+    shadows: bool,
+    /// Episodes simulated at a time.
+    #[arg(long, default_value_t = 2)]
+    jobs: usize,
+    /// Store to write; must not exist.
+    #[arg(long)]
+    out: PathBuf,
+    #[command(flatten)]
+    hands: Hands,
+}
+
+#[derive(Debug, clap::Args)]
+struct Hands {
+    /// Left MANO file in place of the built-in hand; needs --mano-right.
+    #[arg(long, requires = "mano_right")]
+    mano_left: Option<PathBuf>,
+    /// Right MANO file in place of the built-in hand; needs --mano-left.
+    #[arg(long, requires = "mano_left")]
+    mano_right: Option<PathBuf>,
+}
 
 /// Runs the command.
-pub fn run(_args: Args) -> anyhow::Result<ExitCode> {
-    anyhow::bail!("not written yet")
+#[cfg(not(feature = "sim"))]
+pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    let name = match args.command {
+        Command::List => "sim list",
+        Command::Show(_) => "sim show",
+        Command::Run(_) => "sim run",
+        Command::Generate(_) => "sim generate",
+    };
+    Err(super::feature_off(name, "sim"))
+}
+
+/// Runs the command.
+#[cfg(feature = "sim")]
+pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    match args.command {
+        Command::List => with_sim::list()?,
+        Command::Show(args) => with_sim::show(&args)?,
+        Command::Run(args) => with_sim::run(&args)?,
+        Command::Generate(args) => with_sim::generate(&args)?,
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+#[cfg(feature = "sim")]
+mod with_sim {
+    use std::path::Path;
+
+    use ::image::{GenericImage, Rgb, RgbImage};
+    use anyhow::{Context, ensure};
+    use indicatif::{ProgressBar, ProgressStyle};
+
+    use super::{Generate, Hands, Run, Show};
+    use crate::hand::{HandModel, Side};
+    use crate::sim::{self, Rollout, RolloutOptions, SHIPPED, Scene, SimFrame, Summary};
+
+    pub fn list() -> anyhow::Result<()> {
+        let width = SHIPPED.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
+        for (name, _) in SHIPPED {
+            println!("{name:width$}  {}", Scene::load(name)?.spec.description);
+        }
+        Ok(())
+    }
+
+    pub fn show(args: &Show) -> anyhow::Result<()> {
+        let mut rollout =
+            Rollout::new(&Scene::load(&args.scene)?, args.seed, &options(&args.hands, args.size, args.shadows)?)?;
+        let frames = rollout.frame_count();
+        let instants: Vec<usize> = match (args.time, args.sheet) {
+            (Some(time), _) => {
+                let last = (frames - 1) as f64 * rollout.interval();
+                ensure!((0.0..=last + 1e-9).contains(&time), "--time: expected 0 to {last:.2} s, got {time}");
+                vec![(time / rollout.interval()).round() as usize]
+            }
+            (None, Some(count)) => {
+                ensure!((1..=100).contains(&count), "--sheet: expected 1 to 100 pictures, got {count}");
+                (0..count).map(|i| (i * 2 + 1) * (frames - 1) / (2 * count)).collect()
+            }
+            (None, None) => vec![frames / 2],
+        };
+        let columns = (instants.len() as f64).sqrt().ceil() as u32;
+        let rows = (instants.len() as u32).div_ceil(columns);
+        let mut sheet = RgbImage::new(columns * args.size, rows * args.size);
+        let mut at = 0;
+        for (i, instant) in instants.iter().enumerate() {
+            while at < *instant {
+                ensure!(rollout.skip_frame(), "the simulation ended early, at {:.2} s", rollout.world().time());
+                at += 1;
+            }
+            let frame = rollout.next_frame()?.context("the simulation ended early")?;
+            at += 1;
+            let mut picture = frame.frame.camera_ego_rgb.clone();
+            if args.touch {
+                paint_touch(&mut picture, &frame, &rollout);
+            }
+            let (x, y) = (i as u32 % columns * args.size, i as u32 / columns * args.size);
+            sheet.copy_from(&picture, x, y)?;
+            let total: f64 = frame.hands.iter().flatten().map(|hand| hand.total).sum();
+            println!(
+                "t = {:.2} s: {:.2} N on the hands, {} vertices in contact",
+                frame.frame.timestamp,
+                total,
+                touched(&frame)
+            );
+        }
+        write_png(&sheet, &args.out)
+    }
+
+    pub fn run(args: &Run) -> anyhow::Result<()> {
+        let scene = Scene::load(&args.scene)?;
+        let bar = progress_bar("frames");
+        let options = options(&args.hands, args.size, args.shadows)?;
+        let summary = sim::record(&scene, args.seed, &options, &args.out, |done, all| step(&bar, done, all))?;
+        bar.finish_and_clear();
+        print(&summary, &args.out);
+        Ok(())
+    }
+
+    pub fn generate(args: &Generate) -> anyhow::Result<()> {
+        let plan = sim::Generate {
+            scenes: args.scenes.iter().map(|name| Scene::load(name)).collect::<crate::Result<Vec<_>>>()?,
+            episodes: args.episodes,
+            seed: args.seed,
+            jobs: args.jobs,
+            options: options(&args.hands, args.size, args.shadows)?,
+        };
+        let bar = progress_bar("episodes");
+        let summary = sim::generate(&plan, &args.out, |done, all| step(&bar, done, all))?;
+        bar.finish_and_clear();
+        print(&summary, &args.out);
+        Ok(())
+    }
+
+    fn options(hands: &Hands, size: u32, shadows: bool) -> anyhow::Result<RolloutOptions> {
+        let most = sim::mjcf::MAX_PICTURE;
+        ensure!((8..=most).contains(&size), "--size: expected 8 to {most} pixels, got {size}");
+        let hands = match (&hands.mano_left, &hands.mano_right) {
+            (Some(left), Some(right)) => [HandModel::load(left, Side::Left)?, HandModel::load(right, Side::Right)?],
+            _ => Side::BOTH.map(HandModel::builtin),
+        };
+        Ok(RolloutOptions { hands, picture: Some((size, size)), shadows, ..RolloutOptions::default() })
+    }
+
+    fn touched(frame: &SimFrame) -> usize {
+        frame.frame.field.contact.iter().filter(|c| **c > 0.5).count()
+    }
+
+    /// A disc on each vertex in contact, from yellow to red with its force.
+    fn paint_touch(picture: &mut RgbImage, frame: &SimFrame, rollout: &Rollout) {
+        for side in Side::BOTH {
+            let Some(params) = rollout.hand_params(side) else { continue };
+            let vertices = rollout.rigs()[side as usize].model.forward(&params).vertices;
+            for (vertex, force) in vertices.iter().zip(&frame.frame.field.force[side.range()]) {
+                let local = frame.camera.camera_from_world(vertex.as_dvec3());
+                let Some([x, y]) =
+                    rollout.intrinsics().project(local).filter(|_| *force > crate::tactile::CONTACT_FORCE_N)
+                else {
+                    continue;
+                };
+                let green = (230.0 * (1.0 - force / 0.6).clamp(0.0, 1.0)) as u8;
+                let radius = f64::from(picture.width()) / 180.0;
+                let reach = radius.ceil() as i64;
+                for (dx, dy) in (-reach..=reach).flat_map(|dx| (-reach..=reach).map(move |dy| (dx, dy))) {
+                    let (px, py) = (x as i64 + dx, y as i64 + dy);
+                    let inside = px >= 0 && py >= 0 && px < picture.width().into() && py < picture.height().into();
+                    if inside && ((dx * dx + dy * dy) as f64) <= radius * radius {
+                        picture.put_pixel(px as u32, py as u32, Rgb([255, green, 0]));
+                    }
+                }
+            }
+        }
+    }
+
+    fn write_png(picture: &RgbImage, out: &Path) -> anyhow::Result<()> {
+        let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let file = tempfile::Builder::new()
+            .suffix(".png")
+            .tempfile_in(parent)
+            .with_context(|| format!("{}", parent.display()))?;
+        picture.save_with_format(file.path(), ::image::ImageFormat::Png)?;
+        file.persist(out).with_context(|| format!("{}", out.display()))?;
+        println!("wrote {}", out.display());
+        Ok(())
+    }
+
+    fn print(summary: &Summary, out: &Path) {
+        println!(
+            "wrote {}: {} frames, {} with touch; most force {:.2} N; residuals: sum {:.1e}, moment {:.1e} N m",
+            out.display(),
+            summary.frames,
+            summary.touching,
+            summary.max_force,
+            summary.sum_residual,
+            summary.moment_residual,
+        );
+        for (reason, count) in &summary.invalid {
+            println!("{count} frames not valid: {reason}");
+        }
+    }
+
+    fn progress_bar(unit: &str) -> ProgressBar {
+        let bar = ProgressBar::new(0);
+        let template = format!("{{bar:40}} {{pos}}/{{len}} {unit} {{per_sec}} {{eta}} left");
+        if let Ok(style) = ProgressStyle::with_template(&template) {
+            bar.set_style(style);
+        }
+        bar
+    }
+
+    fn step(bar: &ProgressBar, done: usize, all: usize) {
+        bar.set_length(all as u64);
+        bar.set_position(done as u64);
+    }
 }

@@ -77,9 +77,9 @@ pub fn resample(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Resu
     for triangle in triangles {
         let mut corners = [Vec3::ZERO; 3];
         for (corner, index) in corners.iter_mut().zip(triangle) {
-            *corner = *vertices.get(*index as usize).ok_or_else(|| {
-                Error::value("triangle index", format!("below {}", vertices.len()), index)
-            })?;
+            *corner = *vertices
+                .get(*index as usize)
+                .ok_or_else(|| Error::value("triangle index", format!("below {}", vertices.len()), index))?;
         }
         let [a, b, c] = corners;
         let longest = (b - a).length().max((c - b).length()).max((a - c).length());

@@ -196,9 +196,8 @@ impl HandDriver {
         let pushes = act.goals.iter().map(|goal| self.push(world, goal, rig)).collect();
 
         // Away from it: only the fingers with goals, from one opening to the next.
-        let moving: Vec<usize> = (0..self.hinges.len())
-            .filter(|i| act.goals.iter().any(|goal| goal.site == rig.hinges[*i].site))
-            .collect();
+        let moving: Vec<usize> =
+            (0..self.hinges.len()).filter(|i| act.goals.iter().any(|goal| goal.site == rig.hinges[*i].site)).collect();
         let widest = act.timeline.widest_opening().max(1e-3);
         let mut fingers = vec![touch[6..].to_vec()];
         for step in 1..OPENINGS {
@@ -229,7 +228,10 @@ impl HandDriver {
             let servos: Vec<Servo> = own.iter().map(|i| self.hinges[*i]).collect();
             let point = world.position(body) + world.orientation(body) * pad.position;
             let columns = world.jacobian(body, point, &servos);
-            let torque = own.iter().zip(columns).map(|(i, column): (_, DVec3)| (6 + i, column.dot(inward) / rig.hinges[*i].stiffness));
+            let torque = own
+                .iter()
+                .zip(columns)
+                .map(|(i, column): (_, DVec3)| (6 + i, column.dot(inward) / rig.hinges[*i].stiffness));
             torque.collect()
         };
         let bodies = (0..JOINT_NAMES.len()).filter(|j| site_of(*j) == goal.site).map(|j| self.bodies[j]).collect();

@@ -50,7 +50,13 @@ const NORMAL_SLACK: f64 = 0.5;
 /// Moves `freedoms` until the pads reach; returns their positions, which are also left in `world`.
 ///
 /// Levenberg-Marquardt: minimises squared errors of points, facing, clearance and deviation from rest.
-pub fn solve(world: &mut World, freedoms: &[Freedom], reaches: &[Reach], clearance: &Clearance, iterations: usize) -> Vec<f64> {
+pub fn solve(
+    world: &mut World,
+    freedoms: &[Freedom],
+    reaches: &[Reach],
+    clearance: &Clearance,
+    iterations: usize,
+) -> Vec<f64> {
     let mut positions: Vec<f64> =
         freedoms.iter().map(|f| world.joint_position(f.servo).clamp(f.range[0], f.range[1])).collect();
     let place = |world: &mut World, positions: &[f64]| {

@@ -42,7 +42,8 @@ impl Look {
         let other = base.map(|c| (c * rng.random_range(0.7..1.15)).clamp(0.0, 1.0));
         let table_pattern = ["flat", "checker", "gradient"][rng.random_range(0..3)];
         let lamp = |rng: &mut dyn rand::RngCore, power: f64| {
-            let position = DVec3::new(rng.random_range(-1.2..1.2), rng.random_range(-1.0..1.0), rng.random_range(0.9..1.8));
+            let position =
+                DVec3::new(rng.random_range(-1.2..1.2), rng.random_range(-1.0..1.0), rng.random_range(0.9..1.8));
             (position, power * rng.random_range(0.7..1.2))
         };
         Self {

@@ -79,16 +79,46 @@ fn surroundings(look: &Look, assets: &mut String, world: &mut String, shadows: b
     let [table, other] = look.table.map(rgb);
     let [up, down] = look.background.map(rgb);
     let (pattern, repeat, floor) = (look.table_pattern, look.table_repeat, rgb(look.floor));
-    put(assets, format_args!(r#"<texture name="sky" type="skybox" builtin="gradient" rgb1="{up}" rgb2="{down}" width="64" height="384"/>"#));
-    put(assets, format_args!(r#"<texture name="table" type="2d" builtin="{pattern}" mark="random" random="0.02" markrgb="{other}" rgb1="{table}" rgb2="{other}" width="256" height="256"/>"#));
-    put(assets, format_args!(r#"<material name="table" texture="table" texrepeat="{repeat} {repeat}" specular="0.1" shininess="0.2"/>"#));
+    put(
+        assets,
+        format_args!(
+            r#"<texture name="sky" type="skybox" builtin="gradient" rgb1="{up}" rgb2="{down}" width="64" height="384"/>"#
+        ),
+    );
+    put(
+        assets,
+        format_args!(
+            r#"<texture name="table" type="2d" builtin="{pattern}" mark="random" random="0.02" markrgb="{other}" rgb1="{table}" rgb2="{other}" width="256" height="256"/>"#
+        ),
+    );
+    put(
+        assets,
+        format_args!(
+            r#"<material name="table" texture="table" texrepeat="{repeat} {repeat}" specular="0.1" shininess="0.2"/>"#
+        ),
+    );
     for (position, power) in &look.lamps {
         let (at, aim) = (vec3(*position), vec3((DVec3::ZERO - *position).normalize()));
-        put(world, format_args!(r#"<light pos="{at}" dir="{aim}" diffuse="{power} {power} {power}" specular="0.1 0.1 0.1" cutoff="80" exponent="1" castshadow="{shadows}"/>"#));
+        put(
+            world,
+            format_args!(
+                r#"<light pos="{at}" dir="{aim}" diffuse="{power} {power} {power}" specular="0.1 0.1 0.1" cutoff="80" exponent="1" castshadow="{shadows}"/>"#
+            ),
+        );
     }
     // Top of the table at z = 0.
-    put(world, format_args!(r#"<geom name="table" type="box" size="0.6 0.45 0.02" pos="0 0.1 -0.02" material="table" {CONTACT}/>"#));
-    put(world, format_args!(r#"<geom name="floor" type="plane" size="4 4 0.1" pos="0 0 -0.75" rgba="{floor} 1" contype="0" conaffinity="0"/>"#));
+    put(
+        world,
+        format_args!(
+            r#"<geom name="table" type="box" size="0.6 0.45 0.02" pos="0 0.1 -0.02" material="table" {CONTACT}/>"#
+        ),
+    );
+    put(
+        world,
+        format_args!(
+            r#"<geom name="floor" type="plane" size="4 4 0.1" pos="0 0 -0.75" rgba="{floor} 1" contype="0" conaffinity="0"/>"#
+        ),
+    );
 }
 
 fn object_body(object: &ObjectDraw, assets: &mut String, world: &mut String) {
@@ -99,7 +129,12 @@ fn object_body(object: &ObjectDraw, assets: &mut String, world: &mut String) {
         let vertices = join(vertices.iter().copied().map(vec3));
         let faces = join(triangles.iter().map(|[a, b, c]| format!("{a} {b} {c}")));
         put(assets, format_args!(r#"<mesh name="{name}/visual" vertex="{vertices}" face="{faces}" inertia="shell"/>"#));
-        put(world, format_args!(r#"<geom type="mesh" mesh="{name}/visual" contype="0" conaffinity="0" mass="0" group="1" material="{name}"/>"#));
+        put(
+            world,
+            format_args!(
+                r#"<geom type="mesh" mesh="{name}/visual" contype="0" conaffinity="0" mass="0" group="1" material="{name}"/>"#
+            ),
+        );
     }
     let volume = object.shape.volume();
     for (i, piece) in object.shape.pieces.iter().enumerate() {
@@ -118,15 +153,26 @@ fn object_body(object: &ObjectDraw, assets: &mut String, world: &mut String) {
         let group = if piece.visible { 1 } else { 3 };
         // Priority 1: the object's friction decides, whatever touches it.
         let (friction, at, turn) = (object.friction, vec3(piece.position), quat(piece.orientation));
-        put(world, format_args!(r#"<geom {shape} pos="{at}" quat="{turn}" mass="{mass}" group="{group}" priority="1" friction="{friction} 0.01 0.0001" material="{name}" {CONTACT}/>"#));
+        put(
+            world,
+            format_args!(
+                r#"<geom {shape} pos="{at}" quat="{turn}" mass="{mass}" group="{group}" priority="1" friction="{friction} 0.01 0.0001" material="{name}" {CONTACT}/>"#
+            ),
+        );
     }
     world.push_str("</body>\n");
 }
 
 fn hand_assets(hand: &HandDraw, rig: &HandRig, assets: &mut String) {
     let (skin, sleeve) = (rgb(hand.skin), rgb(hand.sleeve));
-    put(assets, format_args!(r#"<material name="{}" rgba="{skin} 1" specular="0.15" shininess="0.3"/>"#, rig.name("skin")));
-    put(assets, format_args!(r#"<material name="{}" rgba="{sleeve} 1" specular="0" shininess="0"/>"#, rig.name("sleeve")));
+    put(
+        assets,
+        format_args!(r#"<material name="{}" rgba="{skin} 1" specular="0.15" shininess="0.3"/>"#, rig.name("skin")),
+    );
+    put(
+        assets,
+        format_args!(r#"<material name="{}" rgba="{sleeve} 1" specular="0" shininess="0"/>"#, rig.name("sleeve")),
+    );
     for (joint, hull) in rig.hulls.iter().enumerate() {
         let corners = join(hull.iter().copied().map(vec3));
         put(assets, format_args!(r#"<mesh name="{}" vertex="{corners}"/>"#, rig.name(JOINT_NAMES[joint])));
@@ -135,13 +181,23 @@ fn hand_assets(hand: &HandDraw, rig: &HandRig, assets: &mut String) {
 
 fn hand_bodies(hand: &HandDraw, rig: &HandRig, world: &mut String) {
     let name = rig.name(JOINT_NAMES[0]);
-    put(world, format_args!(r#"<body name="{name}" pos="{}" quat="{}" gravcomp="1">"#, vec3(hand.wrist), quat(hand.orientation)));
+    put(
+        world,
+        format_args!(
+            r#"<body name="{name}" pos="{}" quat="{}" gravcomp="1">"#,
+            vec3(hand.wrist),
+            quat(hand.orientation)
+        ),
+    );
     for (i, word) in WRIST.iter().enumerate() {
         // Slides run along the world's axes, hinges turn about the hand's own, the first outermost.
         let axis = if i < 3 { hand.orientation.inverse() * DVec3::AXES[i] } else { DVec3::AXES[i - 3] };
         let (kind, armature) = if i < 3 { ("slide", 0.1) } else { ("hinge", 0.002) };
         let joint = rig.name(word);
-        put(world, format_args!(r#"<joint name="{joint}" type="{kind}" axis="{}" armature="{armature}"/>"#, vec3(axis)));
+        put(
+            world,
+            format_args!(r#"<joint name="{joint}" type="{kind}" axis="{}" armature="{armature}"/>"#, vec3(axis)),
+        );
     }
     arm(rig, world);
     link(0, rig, world);
@@ -160,7 +216,13 @@ fn arm(rig: &HandRig, world: &mut String) {
     let radius = girth.clamp(0.018, 0.04);
     let thin = |material: &str, from: f64, to: f64, radius: f64, world: &mut String| {
         let (a, b) = (vec3(centre + back * from), vec3(centre + back * to));
-        put(world, format_args!(r#"<geom type="capsule" fromto="{a} {b}" size="{radius}" contype="0" conaffinity="0" mass="0" group="1" material="{}"/>"#, rig.name(material)));
+        put(
+            world,
+            format_args!(
+                r#"<geom type="capsule" fromto="{a} {b}" size="{radius}" contype="0" conaffinity="0" mass="0" group="1" material="{}"/>"#,
+                rig.name(material)
+            ),
+        );
     };
     thin("skin", 0.018, 0.2, 0.93 * radius, world);
     thin("sleeve", 0.1, 0.32, 1.25 * radius, world);
@@ -168,13 +230,23 @@ fn arm(rig: &HandRig, world: &mut String) {
 
 fn link(joint: usize, rig: &HandRig, world: &mut String) {
     let name = rig.name(JOINT_NAMES[joint]);
-    put(world, format_args!(r#"<geom type="mesh" mesh="{name}" group="3" density="1000" friction="1 0.01 0.0001" {CONTACT}/>"#));
+    put(
+        world,
+        format_args!(
+            r#"<geom type="mesh" mesh="{name}" group="3" density="1000" friction="1 0.01 0.0001" {CONTACT}/>"#
+        ),
+    );
     for child in (0..N_JOINTS).filter(|child| rig.parent(*child) == Some(joint)) {
         let offset = vec3(rig.joints[child] - rig.joints[joint]);
         put(world, format_args!(r#"<body name="{}" pos="{offset}" gravcomp="1">"#, rig.name(JOINT_NAMES[child])));
         for hinge in rig.hinges.iter().filter(|hinge| hinge.joint == child) {
             let (name, axis, [low, high]) = (rig.name(&hinge.name), vec3(hinge.axis), hinge.range);
-            put(world, format_args!(r#"<joint name="{name}" type="hinge" axis="{axis}" range="{low} {high}" armature="3e-4" damping="0.005"/>"#));
+            put(
+                world,
+                format_args!(
+                    r#"<joint name="{name}" type="hinge" axis="{axis}" range="{low} {high}" armature="3e-4" damping="0.005"/>"#
+                ),
+            );
         }
         link(child, rig, world);
         world.push_str("</body>\n");
@@ -184,11 +256,23 @@ fn link(joint: usize, rig: &HandRig, world: &mut String) {
 fn skin(rig: &HandRig, skins: &mut String) {
     let vertices = join(rig.vertices.iter().map(|v| vec3(v.as_dvec3())));
     let faces = join(rig.model.faces.iter().map(|[a, b, c]| format!("{a} {b} {c}")));
-    put(skins, format_args!(r#"<skin name="{0}" material="{0}" vertex="{vertices}" face="{faces}">"#, rig.name("skin")));
+    put(
+        skins,
+        format_args!(r#"<skin name="{0}" material="{0}" vertex="{vertices}" face="{faces}">"#, rig.name("skin")),
+    );
     for (joint, name) in JOINT_NAMES.iter().enumerate() {
         let weights = rig.model.lbs_weights.iter().skip(joint).step_by(N_JOINTS).enumerate().filter(|(_, w)| **w > 0.0);
         let (ids, weights): (Vec<String>, Vec<String>) = weights.map(|(v, w)| (v.to_string(), w.to_string())).unzip();
-        put(skins, format_args!(r#"<bone body="{}" bindpos="{}" bindquat="1 0 0 0" vertid="{}" vertweight="{}"/>"#, rig.name(name), vec3(rig.joints[joint]), ids.join(" "), weights.join(" ")));
+        put(
+            skins,
+            format_args!(
+                r#"<bone body="{}" bindpos="{}" bindquat="1 0 0 0" vertid="{}" vertweight="{}"/>"#,
+                rig.name(name),
+                vec3(rig.joints[joint]),
+                ids.join(" "),
+                weights.join(" ")
+            ),
+        );
     }
     skins.push_str("</skin>\n");
 }
@@ -204,7 +288,12 @@ fn servos(rig: &HandRig, actuators: &mut String) {
 }
 
 fn servo(name: &str, stiffness: f64, damping: f64, most: f64, actuators: &mut String) {
-    put(actuators, format_args!(r#"<position name="{name}" joint="{name}" kp="{stiffness}" kv="{damping}" forcerange="-{most} {most}"/>"#));
+    put(
+        actuators,
+        format_args!(
+            r#"<position name="{name}" joint="{name}" kp="{stiffness}" kv="{damping}" forcerange="-{most} {most}"/>"#
+        ),
+    );
 }
 
 fn put(text: &mut String, line: std::fmt::Arguments) {

@@ -17,11 +17,13 @@ pub mod look;
 pub mod mjcf;
 pub mod object;
 pub mod randomize;
+pub mod record;
 pub mod rig;
 pub mod rollout;
 pub mod scene;
 pub mod span;
 pub mod timeline;
 
+pub use record::{Generate, Summary, generate, record};
 pub use rollout::{Rollout, RolloutOptions, SimFrame};
 pub use scene::{SHIPPED, Scene};

@@ -100,7 +100,10 @@ impl Object {
         let ray = Ray::new(vector(through + direction * FAR), vector(-direction));
         let hits = self.pieces.iter().filter_map(|piece| {
             let hit = piece.collider.cast_ray_and_get_normal(&piece.pose(), &ray, FAR as f32, true)?;
-            Some((f64::from(hit.time_of_impact), DVec3::new(hit.normal.x.into(), hit.normal.y.into(), hit.normal.z.into())))
+            Some((
+                f64::from(hit.time_of_impact),
+                DVec3::new(hit.normal.x.into(), hit.normal.y.into(), hit.normal.z.into()),
+            ))
         });
         let (time, normal) = hits.min_by(|a, b| a.0.total_cmp(&b.0))?;
         Some((through + direction * (FAR - time), normal))
@@ -199,7 +202,8 @@ fn hull(points: &[DVec3]) -> Result<SharedShape> {
 }
 
 fn ring_points(radius: f64, half: f64) -> Vec<DVec3> {
-    let ring = (0..48).map(|i| DVec3::new(radius * (TAU * i as f64 / 48.0).cos(), radius * (TAU * i as f64 / 48.0).sin(), 0.0));
+    let ring = (0..48)
+        .map(|i| DVec3::new(radius * (TAU * i as f64 / 48.0).cos(), radius * (TAU * i as f64 / 48.0).sin(), 0.0));
     ring.flat_map(|p| [p - DVec3::Z * half, p + DVec3::Z * half]).collect()
 }
 
@@ -212,7 +216,9 @@ fn mug(radius: f64, height: f64, wall: f64) -> Result<Object> {
     let outer = radius / (PI / MUG_PIECES as f64).cos().sqrt();
     for i in 0..MUG_PIECES {
         let angles = [i, i + 1].map(|k| TAU * k as f64 / MUG_PIECES as f64);
-        let corners = angles.into_iter().flat_map(|a| [-half, half].into_iter().flat_map(move |z| [outer, inner].map(|r| around(a, r, z))));
+        let corners = angles
+            .into_iter()
+            .flat_map(|a| [-half, half].into_iter().flat_map(move |z| [outer, inner].map(|r| around(a, r, z))));
         pieces.push(Piece::new(PieceShape::Hull(corners.collect()), DVec3::ZERO, DQuat::IDENTITY, false)?);
     }
     let floor = PieceShape::Cylinder(inner + 0.5 * wall, 0.5 * wall);

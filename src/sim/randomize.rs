@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 use super::look::{self, Look, Rgb};
 use super::object::Object;
 use super::rig::HandRig;
-use super::scene::{ActSpec, CameraSpec, HandSpec, ObjectSpec, Scene, Site, SideSpec};
+use super::scene::{ActSpec, CameraSpec, HandSpec, ObjectSpec, Scene, SideSpec, Site};
 use super::timeline::Timeline;
 use crate::error::{Error, Result};
 use crate::hand::Side;
@@ -191,9 +191,10 @@ impl HandDraw {
             let (wrist, orientation, posture) = resting(rig, rng);
             return Ok(Self { side, wrist, orientation, posture, act: None, skin, sleeve });
         };
-        let index = objects.iter().position(|o| o.name == act.object).ok_or_else(|| {
-            Error::unknown("object", &act.object, scene.objects.iter().map(|o| o.name.as_str()))
-        })?;
+        let index = objects
+            .iter()
+            .position(|o| o.name == act.object)
+            .ok_or_else(|| Error::unknown("object", &act.object, scene.objects.iter().map(|o| o.name.as_str())))?;
         let object = &objects[index];
         let local = |v: [f64; 3]| {
             let flip = if side == Side::Left { -1.0 } else { 1.0 };
@@ -213,7 +214,8 @@ impl HandDraw {
         };
         let wrist = goals.iter().map(|g| g.point - pad(g)).sum::<DVec3>() / goals.len() as f64;
         let mirror = if side == Side::Left { DVec3::new(-1.0, 1.0, 1.0) } else { DVec3::ONE };
-        let from = DQuat::from_scaled_axis(direction(rng) * act.from_turn.sample(rng)) * (DVec3::from_array(act.from) * mirror);
+        let from = DQuat::from_scaled_axis(direction(rng) * act.from_turn.sample(rng))
+            * (DVec3::from_array(act.from) * mirror);
         let timeline = Timeline::sample(&act.start, &act.script, side == Side::Left, rng);
         let act = Act { object: index, goals, from: from.normalize(), timeline };
         Ok(Self { side, wrist, orientation, posture, act: Some(act), skin, sleeve })
@@ -241,7 +243,10 @@ fn posture(rig: &HandRig, act: &ActSpec, curl: f64, rng: &mut impl Rng) -> Vec<f
         (Site::Thumb, false) => [0.2, 0.1, 0.3 * curl, 0.5 * curl][hinge_place(hinge)],
         (_, false) => [0.0, 1.2 * curl, 1.5 * curl, 0.9 * curl][hinge_place(hinge)],
     };
-    let angles = rig.hinges.iter().map(|hinge| (bend(hinge) + rng.random_range(-0.06..0.06)).clamp(hinge.range[0], hinge.range[1]));
+    let angles = rig
+        .hinges
+        .iter()
+        .map(|hinge| (bend(hinge) + rng.random_range(-0.06..0.06)).clamp(hinge.range[0], hinge.range[1]));
     angles.collect()
 }
 
@@ -286,7 +291,8 @@ fn resting(rig: &HandRig, rng: &mut impl Rng) -> (DVec3, DQuat, Vec<f64>) {
     let fingers = DVec3::new(outward * rng.random_range(-0.45..0.0), 1.0, -0.05);
     let orientation = rig.orientation(fingers, DVec3::NEG_Z);
     let curl = rng.random_range(0.02..0.25);
-    let angles: Vec<f64> = rig.hinges.iter().map(|hinge| [0.0, 0.5 * curl, 0.9 * curl, 0.6 * curl][hinge_place(hinge)]).collect();
+    let angles: Vec<f64> =
+        rig.hinges.iter().map(|hinge| [0.0, 0.5 * curl, 0.9 * curl, 0.6 * curl][hinge_place(hinge)]).collect();
     let posed = rig.model.forward(&rig.params(DVec3::ZERO, orientation, &angles));
     let lowest = posed.vertices.iter().map(|v| v.z).fold(f32::INFINITY, f32::min);
     // Sunk in a little: the arm's weight on the table.

@@ -13,7 +13,7 @@ use super::rig::HandRig;
 use super::scene::Scene;
 use crate::dataset::Frame;
 use crate::error::{Error, Result};
-use crate::hand::{HandModel, HandParams, N_BETAS, N_VERTICES, Side};
+use crate::hand::{HandModel, HandParams, N_BETAS, Side};
 use crate::label::{ForceSpreader, PROXIMITY, SIGMA, SampledSurface};
 use crate::mujoco::world::FreeJoint;
 use crate::mujoco::{Renderer, World};
@@ -129,7 +129,11 @@ impl Rollout {
         let mut objects = Vec::new();
         for object in &episode.objects {
             let joint = world.free_joint(&object.name)?;
-            objects.push(SceneObject { name: object.name.clone(), joint, surface: object.shape.sampled_surface(SPACING)? });
+            objects.push(SceneObject {
+                name: object.name.clone(),
+                joint,
+                surface: object.shape.sampled_surface(SPACING)?,
+            });
         }
         let bodies: Vec<_> = objects.iter().map(|object| world.body_of(object.joint)).collect();
         let mut hands = [None, None];
@@ -171,8 +175,21 @@ impl Rollout {
     /// # Errors
     /// If rendering fails.
     pub fn next_frame(&mut self) -> Result<Option<SimFrame>> {
+        match self.next_instant() {
+            Some(validity) => self.observe(validity).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    /// Goes to the next frame without a picture or labels; `false` at the end.
+    pub fn skip_frame(&mut self) -> bool {
+        self.next_instant().is_some()
+    }
+
+    /// Simulates up to the next frame's instant.
+    fn next_instant(&mut self) -> Option<Validity> {
         if self.next >= self.frames {
-            return Ok(None);
+            return None;
         }
         if self.next > 0 {
             self.advance();
@@ -186,7 +203,7 @@ impl Rollout {
         if matches!(validity, Validity::NotFinite | Validity::EngineWarning) {
             self.next = self.frames;
         }
-        self.observe(validity).map(Some)
+        Some(validity)
     }
 
     /// Frames of the whole episode.
@@ -259,7 +276,8 @@ impl Rollout {
             for (label, vertex) in proximity[side.range()].iter_mut().zip(&posed.vertices) {
                 *label = u8::from(self.objects.iter().any(|object| {
                     let body = self.world.body_of(object.joint);
-                    let local = self.world.orientation(body).inverse() * (vertex.as_dvec3() - self.world.position(body));
+                    let local =
+                        self.world.orientation(body).inverse() * (vertex.as_dvec3() - self.world.position(body));
                     object.surface.is_within(local.as_vec3(), PROXIMITY)
                 }));
             }
@@ -278,7 +296,6 @@ impl Rollout {
         // A hand that is there is supervised where the frame can be trusted; an absent one is surely not touched.
         let valid = u8::from(validity == Validity::Valid);
         let [left_hand_pose, right_hand_pose] = poses;
-        debug_assert_eq!(N_FIELD, 2 * N_VERTICES);
         let frame = Frame {
             timestamp: self.world.time(),
             camera_ego_rgb: picture,

@@ -1,0 +1,265 @@
+//! Rollouts to stores: one episode, or a training set in parts that survive an interruption.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use serde_json::{Value, json};
+
+use super::rollout::{Rollout, RolloutOptions, SimFrame};
+use super::scene::Scene;
+use crate::dataset::zarr::{ArraySpec, Contact, Dtype, Values, ZarrReader, ZarrWriter};
+use crate::dataset::{Attributes, EpisodeReader, EpisodeWriter};
+use crate::error::{Error, Result};
+use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
+
+/// (T, 1556) u8: 1 = an object's surface is within 1 cm.
+pub const PROXIMITY: &str = "data/mano_proximity";
+/// (T, objects, 7) f32: position in m and quaternion (w, x, y, z) of each object in the world; NaN = no such object.
+pub const OBJECT_POSE: &str = "data/object_pose";
+/// (T, 7) f32: position in m and quaternion (w, x, y, z) of the camera's optical frame in the world.
+pub const CAMERA_POSE: &str = "data/camera_pose";
+
+/// What came out of recording.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Summary {
+    /// Frames written.
+    pub frames: usize,
+    /// Frames that a guard refused, by its reason.
+    pub invalid: BTreeMap<&'static str, usize>,
+    /// Frames in which a vertex is in contact.
+    pub touching: usize,
+    /// Largest total normal force on one hand, N.
+    pub max_force: f64,
+    /// Largest relative difference between a hand's force and its contacts' sum.
+    pub sum_residual: f64,
+    /// Largest moment added by spreading, N m.
+    pub moment_residual: f64,
+}
+
+/// A training set to make.
+#[derive(Debug, Clone)]
+pub struct Generate {
+    /// Scenes, taken in turn.
+    pub scenes: Vec<Scene>,
+    /// Episodes altogether.
+    pub episodes: usize,
+    /// Seed of the first episode; episode `i` has seed + i.
+    pub seed: u64,
+    /// Threads.
+    pub jobs: usize,
+    /// What to simulate and record.
+    pub options: RolloutOptions,
+}
+
+/// Records one episode as a store of its own at `out`; `progress` is called after each frame with (done, all).
+///
+/// # Errors
+/// If the rollout fails or the store can't be written; then there is none.
+pub fn record(
+    scene: &Scene,
+    seed: u64,
+    options: &RolloutOptions,
+    out: &Path,
+    mut progress: impl FnMut(usize, usize),
+) -> Result<Summary> {
+    let mut rollout = Rollout::new(scene, seed, options)?;
+    let n_objects = scene.spec.objects.len();
+    let attributes = attributes(&[scene.clone()], seed, options);
+    let mut writer = ZarrWriter::create(out, attributes, Contact::Truth, extra_arrays(n_objects))?;
+    writer.set_attribute("episodes", json!([episode_entry(scene, seed, &rollout)]));
+    let mut summary = Summary::default();
+    while let Some(frame) = rollout.next_frame()? {
+        summary.count(&frame);
+        let extra = extra_values(&frame, n_objects);
+        writer.push_with(frame.frame, extra)?;
+        progress(summary.frames, rollout.frame_count());
+    }
+    writer.end_episode()?;
+    writer.finish()?;
+    Ok(summary)
+}
+
+/// Makes a training set as one store at `out`; `progress` is called after each episode with (done, all).
+///
+/// Finished episodes wait beside it in `OUT.parts`; the same call continues an interrupted one.
+///
+/// # Errors
+/// If there is already something at `out`, the parts belong to another call, or an episode fails.
+pub fn generate(plan: &Generate, out: &Path, progress: impl Fn(usize, usize) + Sync) -> Result<Summary> {
+    if out.exists() {
+        return Err(Error::file(out, "exists already; choose another name or remove it"));
+    }
+    if plan.scenes.is_empty() || plan.episodes == 0 || plan.jobs == 0 {
+        return Err(Error::value("scenes, episodes and jobs", "at least one of each", "none"));
+    }
+    let mut folder = out.as_os_str().to_owned();
+    folder.push(".parts");
+    let folder = PathBuf::from(folder);
+    claim(&folder, plan)?;
+    let part = |index: usize| folder.join(format!("{index:06}"));
+
+    let next = AtomicUsize::new(0);
+    let done = AtomicUsize::new(0);
+    let failed: Mutex<Option<Error>> = Mutex::new(None);
+    let summaries: Mutex<Vec<Summary>> = Mutex::new(Vec::new());
+    let work = || {
+        loop {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            if index >= plan.episodes || failed.lock().is_ok_and(|f| f.is_some()) {
+                return;
+            }
+            let scene = &plan.scenes[index % plan.scenes.len()];
+            if !part(index).exists() {
+                match record(scene, plan.seed + index as u64, &plan.options, &part(index), |_, _| ()) {
+                    Ok(summary) => {
+                        if let Ok(mut summaries) = summaries.lock() {
+                            summaries.push(summary);
+                        }
+                    }
+                    Err(error) => {
+                        let name = format!("{} with seed {}", scene.name, plan.seed + index as u64);
+                        if let Ok(mut failed) = failed.lock() {
+                            failed.get_or_insert(Error::file(name, error));
+                        }
+                        return;
+                    }
+                }
+            }
+            progress(done.fetch_add(1, Ordering::Relaxed) + 1, plan.episodes);
+        }
+    };
+    std::thread::scope(|scope| (0..plan.jobs).for_each(|_| drop(scope.spawn(work))));
+    if let Ok(Some(error)) = failed.into_inner() {
+        return Err(error);
+    }
+    merge(plan, out, &part)?;
+    fs::remove_dir_all(&folder).map_err(Error::io(&folder))?;
+    let mut total = Summary::default();
+    summaries.into_inner().unwrap_or_default().iter().for_each(|summary| total.add(summary));
+    Ok(total)
+}
+
+/// Makes the folder of parts, or refuses one that another plan has begun.
+fn claim(folder: &Path, plan: &Generate) -> Result<()> {
+    let scenes: Vec<String> = plan.scenes.iter().map(|s| format!("{} {:?}", s.name, s.spec)).collect();
+    let text = format!(
+        "{} {} {:?} {:?} {} {}\n{}\n",
+        plan.seed,
+        plan.options.hands[0].topology.id(),
+        plan.options.betas,
+        plan.options.picture,
+        plan.options.shadows,
+        plan.options.sigma,
+        scenes.join("\n")
+    );
+    let file = folder.join("plan");
+    if !file.exists() {
+        fs::create_dir_all(folder).map_err(Error::io(folder))?;
+        return fs::write(&file, text).map_err(Error::io(&file));
+    }
+    if fs::read_to_string(&file).map_err(Error::io(&file))? != text {
+        return Err(Error::file(
+            folder,
+            "holds episodes of other scenes, seeds or options; remove it or choose another --out",
+        ));
+    }
+    Ok(())
+}
+
+fn merge(plan: &Generate, out: &Path, part: &dyn Fn(usize) -> PathBuf) -> Result<()> {
+    let n_objects = plan.scenes.iter().map(|scene| scene.spec.objects.len()).max().unwrap_or(0);
+    let attributes = attributes(&plan.scenes, plan.seed, &plan.options);
+    let mut writer = ZarrWriter::create(out, attributes, Contact::Truth, extra_arrays(n_objects))?;
+    let mut entries: Vec<Value> = Vec::new();
+    for index in 0..plan.episodes {
+        let reader = ZarrReader::open(&part(index))?;
+        entries.extend(reader.raw_attributes().get("episodes").and_then(Value::as_array).cloned().unwrap_or_default());
+        for frame in 0..reader.len() {
+            let one = |name: &str| reader.read(name, frame..frame + 1);
+            let mut poses = reader.read_f32(OBJECT_POSE, frame..frame + 1)?;
+            poses.resize(n_objects * 7, f32::NAN);
+            let extra =
+                vec![(PROXIMITY, one(PROXIMITY)?), (OBJECT_POSE, Values::F32(poses)), (CAMERA_POSE, one(CAMERA_POSE)?)];
+            writer.push_with(reader.frame(frame)?, extra)?;
+        }
+        writer.end_episode()?;
+    }
+    writer.set_attribute("episodes", Value::Array(entries));
+    writer.finish()
+}
+
+fn attributes(scenes: &[Scene], seed: u64, options: &RolloutOptions) -> Attributes {
+    Attributes {
+        topology: options.hands[0].topology,
+        sigma: options.sigma,
+        contact_force: CONTACT_FORCE_N.into(),
+        producer: "egotac sim".into(),
+        version: env!("CARGO_PKG_VERSION").into(),
+        scene: scenes.iter().map(|scene| scene.name.as_str()).collect::<Vec<_>>().join(","),
+        seed,
+    }
+}
+
+fn episode_entry(scene: &Scene, seed: u64, rollout: &Rollout) -> Value {
+    let camera = rollout.intrinsics();
+    json!({
+        "scene": scene.name,
+        "seed": seed,
+        "objects": scene.spec.objects.iter().map(|object| object.name.as_str()).collect::<Vec<_>>(),
+        "intrinsics": {
+            "width": camera.width, "height": camera.height, "fx": camera.focal, "fy": camera.focal,
+            "cx": camera.centre[0], "cy": camera.centre[1],
+        },
+    })
+}
+
+fn extra_arrays(n_objects: usize) -> Vec<ArraySpec> {
+    let mut arrays =
+        vec![ArraySpec::new(PROXIMITY, [N_FIELD], Dtype::U8), ArraySpec::new(CAMERA_POSE, [7], Dtype::F32)];
+    if n_objects > 0 {
+        arrays.push(ArraySpec::new(OBJECT_POSE, [n_objects, 7], Dtype::F32));
+    }
+    arrays
+}
+
+fn extra_values(frame: &SimFrame, n_objects: usize) -> Vec<(&'static str, Values)> {
+    let pose = |position: glam::DVec3, q: glam::DQuat| {
+        [position.x, position.y, position.z, q.w, q.x, q.y, q.z].map(|x| x as f32)
+    };
+    let camera = pose(frame.camera.position, frame.camera.orientation).to_vec();
+    let mut values = vec![(PROXIMITY, Values::U8(frame.proximity.clone())), (CAMERA_POSE, Values::F32(camera))];
+    if n_objects > 0 {
+        let objects = frame.objects.iter().flat_map(|object| pose(object.position, object.orientation)).collect();
+        values.push((OBJECT_POSE, Values::F32(objects)));
+    }
+    values
+}
+
+impl Summary {
+    fn count(&mut self, frame: &SimFrame) {
+        self.frames += 1;
+        if frame.frame.validity != Validity::Valid {
+            *self.invalid.entry(frame.frame.validity.reason()).or_default() += 1;
+        }
+        self.touching += usize::from(frame.frame.field.contact.iter().any(|c| *c > 0.5));
+        for hand in frame.hands.iter().flatten() {
+            self.max_force = self.max_force.max(hand.total);
+            self.sum_residual = self.sum_residual.max(hand.sum_residual);
+            self.moment_residual = self.moment_residual.max(hand.moment_residual);
+        }
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.frames += other.frames;
+        for (reason, count) in &other.invalid {
+            *self.invalid.entry(reason).or_default() += count;
+        }
+        self.touching += other.touching;
+        self.max_force = self.max_force.max(other.max_force);
+        self.sum_residual = self.sum_residual.max(other.sum_residual);
+        self.moment_residual = self.moment_residual.max(other.moment_residual);
+    }
+}
