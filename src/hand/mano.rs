@@ -1,10 +1,211 @@
-//! MANO files.
+//! MANO files: the published pickle and the `.npz` variants.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
-use super::{HandModel, Side};
-use crate::error::Result;
+use glam::Vec3;
 
-pub(super) fn load(_path: &Path, _side: Side) -> Result<HandModel> {
-    Err(crate::error::Error::file(_path, "MANO files are not read yet"))
+use super::array::{Array, Outcome};
+use super::npz::Npz;
+use super::pickle::{Pickle, uncompressed, zipped};
+use super::{HandModel, N_BETAS, N_JOINTS, N_VERTICES, Side};
+use crate::error::{Error, Result};
+use crate::tactile::Topology;
+
+/// Largest file that is read; the published ones have 4 MB.
+const MAX_FILE: u64 = 256 << 20;
+/// Columns of the pose blend shapes: 15 rotations of 9 entries.
+const N_POSE: usize = 9 * (N_JOINTS - 1);
+/// Fingertips, thumb to little, as smplx has them.
+const TIP_VERTICES: [u32; 5] = [744, 320, 443, 554, 671];
+
+/// Loads a MANO file by its content, not its name.
+pub(super) fn load(path: &Path, side: Side) -> Result<HandModel> {
+    let mut bytes = Vec::new();
+    let file = File::open(path).map_err(Error::io(path))?;
+    file.take(MAX_FILE + 1).read_to_end(&mut bytes).map_err(Error::io(path))?;
+    if bytes.len() as u64 > MAX_FILE {
+        return Err(Error::file(path, format!("more than {MAX_FILE} bytes; a MANO file has about 4 million")));
+    }
+    let source = if bytes.starts_with(b"PK") {
+        Npz::open(&bytes).map(Source::Npz)
+    } else {
+        Pickle::read(&bytes).map(Source::Pickle)
+    };
+    let source = source.map_err(|message| Error::file(path, format!("not a MANO pickle or .npz: {message}")))?;
+    Reader { path, source }.model(side)
+}
+
+enum Source<'a> {
+    Pickle(Pickle<'a>),
+    Npz(Npz<'a>),
+}
+
+/// A file's arrays, with its path for the errors.
+struct Reader<'a> {
+    path: &'a Path,
+    source: Source<'a>,
+}
+
+impl Reader<'_> {
+    fn model(mut self, side: Side) -> Result<HandModel> {
+        let v_template = self.shaped("v_template", &[N_VERTICES, 3])?;
+        let model = HandModel {
+            side,
+            topology: Topology::Mano,
+            v_template: v_template.as_chunks().0.iter().copied().map(Vec3::from_array).collect(),
+            faces: self.faces()?,
+            shapedirs: self.shapedirs()?,
+            posedirs: self.posedirs()?,
+            j_regressor: self.j_regressor()?,
+            parents: self.parents()?,
+            lbs_weights: self.shaped("weights", &[N_VERTICES, N_JOINTS])?,
+            tip_vertices: TIP_VERTICES,
+        };
+        Ok(model)
+    }
+
+    fn faces(&mut self) -> Result<Vec<[u32; 3]>> {
+        let array = self.required("f")?;
+        if array.shape.len() != 2 || array.shape[1] != 3 {
+            return Err(self.misshapen("f", "[faces, 3]", &array.shape));
+        }
+        let indices = array.indices().map_err(|message| self.damaged("f", message))?;
+        if let Some(index) = indices.iter().find(|&&index| index >= N_VERTICES) {
+            return Err(self.damaged("f", format!("a face names vertex {index} of {N_VERTICES}")));
+        }
+        let indices: Vec<u32> = indices.into_iter().map(|index| index as u32).collect();
+        Ok(indices.as_chunks().0.to_vec())
+    }
+
+    /// The first ten shape directions; files of other model families have more.
+    fn shapedirs(&mut self) -> Result<Vec<f32>> {
+        let array = self.required("shapedirs")?;
+        let columns = match array.shape[..] {
+            [N_VERTICES, 3, columns] if columns >= N_BETAS => columns,
+            _ => return Err(self.misshapen("shapedirs", "[778, 3, at least 10]", &array.shape)),
+        };
+        let cut: Vec<f64> = array.data.chunks_exact(columns).flat_map(|row| &row[..N_BETAS]).copied().collect();
+        self.finite("shapedirs", &cut)
+    }
+
+    /// Per vertex and axis; some `.npz` variants flatten these two, as the released code does after loading.
+    fn posedirs(&mut self) -> Result<Vec<f32>> {
+        let array = self.required("posedirs")?;
+        match array.shape[..] {
+            [N_VERTICES, 3, N_POSE] => self.finite("posedirs", &array.data),
+            [rows, N_POSE] if rows == 3 * N_VERTICES => self.finite("posedirs", &array.data),
+            _ => Err(self.misshapen("posedirs", "[778, 3, 135]", &array.shape)),
+        }
+    }
+
+    /// Dense, a sparse object, or (in `.npz` variants) its parts as arrays of their own.
+    fn j_regressor(&mut self) -> Result<Vec<f32>> {
+        const NAME: &str = "J_regressor";
+        let shape = [N_JOINTS, N_VERTICES];
+        let parts = self.triplets(NAME)?;
+        let array = match parts {
+            Some(triplets) => Array::from_triplets(shape, triplets).map_err(|message| self.damaged(NAME, message))?,
+            None => self.required(NAME)?,
+        };
+        let array = match array.shape[..] {
+            // Rows of (joint, vertex, weight).
+            [n, 3] if n != N_JOINTS => {
+                let column = |k: usize| array.data.iter().skip(k).step_by(3).copied().collect::<Vec<f64>>();
+                let indices = |k: usize| Array { shape: vec![n], data: column(k) }.indices();
+                indices(0)
+                    .and_then(|joints| zipped(joints, indices(1)?, column(2)))
+                    .and_then(|triplets| Array::from_triplets(shape, triplets))
+                    .map_err(|message| self.damaged(NAME, message))?
+            }
+            _ => array,
+        };
+        if array.shape != shape {
+            return Err(self.misshapen(NAME, "[16, 778]", &array.shape));
+        }
+        self.finite(NAME, &array.data)
+    }
+
+    /// `NAME_data` with `NAME_indices` and `NAME_indptr` (columns compressed), or with `NAME_row` and `NAME_col`.
+    fn triplets(&mut self, name: &str) -> Result<Option<Vec<(usize, usize, f64)>>> {
+        let Some(data) = self.array(&format!("{name}_data"))? else { return Ok(None) };
+        let indices = |reader: &mut Self, part: &str| {
+            let name = format!("{name}_{part}");
+            let array = reader.required(&name)?;
+            array.indices().map_err(|message| reader.damaged(&name, message))
+        };
+        let triplets = if self.array(&format!("{name}_indptr"))?.is_some() {
+            let (rows, indptr) = (indices(self, "indices")?, indices(self, "indptr")?);
+            uncompressed(&indptr, data.data.len()).and_then(|columns| zipped(rows, columns, data.data))
+        } else {
+            let (rows, columns) = (indices(self, "row")?, indices(self, "col")?);
+            zipped(rows, columns, data.data)
+        };
+        triplets.map(Some).map_err(|message| self.damaged(name, message))
+    }
+
+    /// First row of `kintree_table`; the root's parent is written as -1 or the largest integer.
+    fn parents(&mut self) -> Result<[usize; N_JOINTS]> {
+        let array = self.required("kintree_table")?;
+        if array.shape != [2, N_JOINTS] {
+            return Err(self.misshapen("kintree_table", "[2, 16]", &array.shape));
+        }
+        let mut parents = [0; N_JOINTS];
+        for joint in 1..N_JOINTS {
+            let parent = array.data[joint];
+            if !(0.0..joint as f64).contains(&parent) {
+                return Err(
+                    self.damaged("kintree_table", format!("joint {joint} has parent {parent}, not an earlier joint"))
+                );
+            }
+            parents[joint] = parent as usize;
+        }
+        Ok(parents)
+    }
+
+    fn shaped(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
+        let array = self.required(name)?;
+        if array.shape != shape {
+            return Err(self.misshapen(name, &format!("{shape:?}"), &array.shape));
+        }
+        self.finite(name, &array.data)
+    }
+
+    fn required(&mut self, name: &str) -> Result<Array> {
+        if let Some(array) = self.array(name)? {
+            return Ok(array);
+        }
+        let mut present = match &self.source {
+            Source::Pickle(pickle) => pickle.keys(),
+            Source::Npz(npz) => npz.keys(),
+        };
+        present.sort();
+        let present = if present.is_empty() { "nothing".to_string() } else { present.join(", ") };
+        Err(Error::Missing { name: name.into(), place: self.path.display().to_string(), present })
+    }
+
+    fn array(&mut self, name: &str) -> Result<Option<Array>> {
+        let array: Outcome<Option<Array>> = match &mut self.source {
+            Source::Pickle(pickle) => pickle.array(name),
+            Source::Npz(npz) => npz.array(name),
+        };
+        array.map_err(|message| self.damaged(name, message))
+    }
+
+    fn finite(&self, name: &str, data: &[f64]) -> Result<Vec<f32>> {
+        let single: Vec<f32> = data.iter().map(|&value| value as f32).collect();
+        match single.iter().position(|value| !value.is_finite()) {
+            Some(index) => Err(self.damaged(name, format!("entry {index} is {}", data[index]))),
+            None => Ok(single),
+        }
+    }
+
+    fn damaged(&self, name: &str, message: impl std::fmt::Display) -> Error {
+        Error::file(self.path, format!("{name}: {message}"))
+    }
+
+    fn misshapen(&self, name: &str, expected: &str, got: &[usize]) -> Error {
+        Error::shape(format!("{}: {name}", self.path.display()), expected, got)
+    }
 }

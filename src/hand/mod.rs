@@ -3,11 +3,14 @@
 //! Frames and units: metres, radians; the right hand lies as MANO's does in its flat rest pose: fingers along -x,
 //! palm facing -y, thumb towards +z; the left hand is its mirror image in x.
 
+mod array;
 pub mod build;
 mod builtin;
 mod lbs;
 mod mano;
 mod mesh;
+mod npz;
+mod pickle;
 mod region;
 
 use std::path::Path;
@@ -159,6 +162,15 @@ impl HandModel {
     /// If the file can't be read, is neither format, or an array is missing or misshapen.
     pub fn load(path: &Path, side: Side) -> Result<Self> {
         mano::load(path, side)
+    }
+
+    /// Negates x of a left hand's `shapedirs`: cures the wrong sign in the published MANO_LEFT.
+    ///
+    /// Labels of some data sets were made with the cure, others without; so it is never done unasked.
+    pub fn fix_left_shapedirs(&mut self) {
+        for row in self.shapedirs.chunks_exact_mut(3 * N_BETAS) {
+            row[..N_BETAS].iter_mut().for_each(|x| *x = -*x);
+        }
     }
 
     /// Poses the hand: blend shapes, rigid chain, linear blend skinning (MANO eq. 2-4).
