@@ -11,7 +11,15 @@
 //! Training and inference run the same form: each fused one has its own backward, so a gradient never passes through
 //! candle's fused layer norm or softmax, which have none.
 
+mod attention;
+mod cpu;
+mod gelu;
+mod layer_norm;
+mod linear;
+mod matrix;
 pub mod plain;
+mod residual;
+mod simd;
 
 use candle_core::{Result, Tensor};
 
@@ -20,7 +28,7 @@ use candle_core::{Result, Tensor};
 /// # Errors
 /// If shapes, types or devices don't fit.
 pub fn linear(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
-    plain::linear(x, weight, bias)
+    if cpu::takes(&[x, weight, bias]) { linear::linear(x, weight, bias) } else { plain::linear(x, weight, bias) }
 }
 
 /// Normalises the last dimension to zero mean and unit variance, then scales and shifts it by `affine`, if there.
@@ -30,7 +38,7 @@ pub fn linear(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
 /// # Errors
 /// If shapes, types or devices don't fit.
 pub fn layer_norm(x: &Tensor, affine: Option<(&Tensor, &Tensor)>, eps: f64) -> Result<Tensor> {
-    plain::layer_norm(x, affine, eps)
+    if cpu::takes(&[x]) { layer_norm::layer_norm(x, affine, eps) } else { plain::layer_norm(x, affine, eps) }
 }
 
 /// `x Φ(x)` with the exact normal distribution function Φ (erf), element by element.
@@ -38,7 +46,7 @@ pub fn layer_norm(x: &Tensor, affine: Option<(&Tensor, &Tensor)>, eps: f64) -> R
 /// # Errors
 /// If the type is not a floating-point one.
 pub fn gelu(x: &Tensor) -> Result<Tensor> {
-    plain::gelu(x)
+    if cpu::takes(&[x]) { gelu::gelu(x) } else { plain::gelu(x) }
 }
 
 /// Multi-head self-attention from packed projections: softmax(q kᵀ / √(d / heads)) v for each head.
@@ -48,7 +56,7 @@ pub fn gelu(x: &Tensor) -> Result<Tensor> {
 /// # Errors
 /// If the last dimension is not three times a multiple of `heads`.
 pub fn self_attention(qkv: &Tensor, heads: usize) -> Result<Tensor> {
-    plain::self_attention(qkv, heads)
+    if cpu::takes(&[qkv]) { attention::self_attention(qkv, heads) } else { plain::self_attention(qkv, heads) }
 }
 
 /// `h + λ y`, λ per channel. `h`, `y`: `(.., d)`, `lambda`: `(d)`.
@@ -56,5 +64,9 @@ pub fn self_attention(qkv: &Tensor, heads: usize) -> Result<Tensor> {
 /// # Errors
 /// If shapes, types or devices don't fit.
 pub fn scaled_residual(h: &Tensor, y: &Tensor, lambda: &Tensor) -> Result<Tensor> {
-    plain::scaled_residual(h, y, lambda)
+    if cpu::takes(&[h, y, lambda]) {
+        residual::scaled_residual(h, y, lambda)
+    } else {
+        plain::scaled_residual(h, y, lambda)
+    }
 }

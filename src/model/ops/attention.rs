@@ -1,0 +1,168 @@
+//! Multi-head self-attention.
+
+use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
+use rayon::prelude::*;
+
+use super::cpu;
+use super::matrix::{Mat, MatMut, Onto, Threads, multiply};
+use super::simd;
+
+/// Queries whose scores are worked on at once, at most: their rows of scores stay in the cache.
+const TILE: usize = 64;
+
+/// softmax(q kᵀ / √size) v per head, from packed projections.
+struct SelfAttention {
+    heads: usize,
+}
+
+/// See [`super::self_attention`].
+pub fn self_attention(qkv: &Tensor, heads: usize) -> Result<Tensor> {
+    qkv.contiguous()?.apply_op1(SelfAttention { heads })
+}
+
+/// Sizes of one call.
+#[derive(Clone, Copy)]
+struct Sizes {
+    n: usize,
+    d: usize,
+    heads: usize,
+    size: usize,
+    scale: f32,
+}
+
+impl SelfAttention {
+    fn sizes(&self, dims: &[usize]) -> Result<Sizes> {
+        let heads = self.heads;
+        match *dims {
+            [_, n, d3] if heads > 0 && n > 0 && d3 > 0 && d3 % (3 * heads) == 0 => {
+                let (d, size) = (d3 / 3, d3 / 3 / heads);
+                Ok(Sizes { n, d, heads, size, scale: 1.0 / (size as f32).sqrt() })
+            }
+            _ => bail!("self-attention: {heads} heads, expected (B, N, 3 x a multiple of them), got {dims:?}"),
+        }
+    }
+}
+
+impl CustomOp1 for SelfAttention {
+    fn name(&self) -> &'static str {
+        "self-attention"
+    }
+
+    fn cpu_fwd(&self, qkv: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let sizes = self.sizes(layout.dims())?;
+        let Sizes { n, d, .. } = sizes;
+        let qkv = cpu::slice(qkv, layout)?;
+        let mut out = vec![0.0; qkv.len() / 3];
+        let tile = tile_rows(n);
+        let images = out.par_chunks_mut(n * d).zip(qkv.par_chunks(3 * n * d));
+        images.for_each(|(out, qkv)| {
+            out.par_chunks_mut(tile * d).enumerate().for_each_init(
+                || vec![0.0; tile * n],
+                |scores, (i, out)| sizes.forward_tile(qkv, i * tile, out, scores),
+            );
+        });
+        let shape = Shape::from((layout.dims()[0], n, d));
+        Ok((CpuStorage::F32(out), shape))
+    }
+
+    fn bwd(&self, qkv: &Tensor, out: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
+        let sizes = self.sizes(qkv.dims())?;
+        let Sizes { n, d, .. } = sizes;
+        let grad = grad.contiguous()?;
+        let mut dqkv = vec![0.0; qkv.elem_count()];
+        cpu::with_slice(qkv, |qkv| {
+            cpu::with_slice(out, |out| {
+                cpu::with_slice(&grad, |grad| {
+                    dqkv.par_chunks_mut(3 * n * d)
+                        .zip(qkv.par_chunks(3 * n * d))
+                        .zip(out.par_chunks(n * d).zip(grad.par_chunks(n * d)))
+                        .for_each(|((dqkv, qkv), (out, grad))| sizes.backward_image(qkv, out, grad, dqkv));
+                    Ok(())
+                })
+            })
+        })?;
+        Ok(Some(cpu::tensor_like(dqkv, qkv)?))
+    }
+}
+
+impl Sizes {
+    /// Queries, keys or values (`part` 0, 1, 2) of one head, from a token on: `(rows, size)`.
+    fn part<'a>(&self, qkv: &'a [f32], part: usize, head: usize, first: usize, rows: usize) -> Mat<'a> {
+        let start = 3 * self.d * first + part * self.d + head * self.size;
+        Mat::new(&qkv[start..], rows, self.size, 3 * self.d)
+    }
+
+    /// Attention weights of `rows` queries from `first` on: `(rows, n)` into `scores`.
+    fn weights(&self, qkv: &[f32], head: usize, first: usize, rows: usize, scores: &mut [f32]) {
+        let (q, k) = (self.part(qkv, 0, head, first, rows), self.part(qkv, 1, head, 0, self.n));
+        multiply(MatMut::new(scores, rows, self.n, self.n), Onto::Nothing, self.scale, q, k.t(), Threads::One);
+        simd::dispatch(|| scores.chunks_exact_mut(self.n).take(rows).for_each(softmax));
+    }
+
+    /// `out`: `(rows, d)` of the queries from `first` on.
+    fn forward_tile(&self, qkv: &[f32], first: usize, out: &mut [f32], scores: &mut [f32]) {
+        let Sizes { n, d, size, .. } = *self;
+        let rows = out.len() / d;
+        for head in 0..self.heads {
+            self.weights(qkv, head, first, rows, scores);
+            let (a, v) = (Mat::new(scores, rows, n, n), self.part(qkv, 2, head, 0, n));
+            multiply(MatMut::new(&mut out[head * size..], rows, size, d), Onto::Nothing, 1.0, a, v, Threads::One);
+        }
+    }
+
+    /// With a the weights, o the output, g its gradient: dv = aᵀ g, s = a ∘ (g vᵀ - rowsum(g ∘ o)) / √size, dq = s k,
+    /// dk = sᵀ q. The weights are computed again, tile by tile, rather than kept.
+    fn backward_image(&self, qkv: &[f32], out: &[f32], grad: &[f32], dqkv: &mut [f32]) {
+        let Sizes { n, d, size, .. } = *self;
+        let tile = tile_rows(n);
+        let (mut weights, mut scores) = (vec![0.0; tile * n], vec![0.0; tile * n]);
+        for head in 0..self.heads {
+            let offset = head * size;
+            let (k, v) = (self.part(qkv, 1, head, 0, n), self.part(qkv, 2, head, 0, n));
+            for first in (0..n).step_by(tile) {
+                let rows = tile.min(n - first);
+                let q = self.part(qkv, 0, head, first, rows);
+                let g = Mat::new(&grad[first * d + offset..], rows, size, d);
+                self.weights(qkv, head, first, rows, &mut weights);
+                let a = Mat::new(&weights, rows, n, n);
+                let dv = MatMut::new(&mut dqkv[2 * d + offset..], n, size, 3 * d);
+                multiply(dv, Onto::Existing, 1.0, a.t(), g, Threads::One);
+                multiply(MatMut::new(&mut scores, rows, n, n), Onto::Nothing, 1.0, g, v.t(), Threads::One);
+                simd::dispatch(|| {
+                    let lines = scores.chunks_exact_mut(n).zip(weights.chunks_exact(n));
+                    for (row, (score, weight)) in lines.take(rows).enumerate() {
+                        let at = (first + row) * d + offset;
+                        let along = simd::dot(&grad[at..at + size], &out[at..at + size]);
+                        for (score, weight) in score.iter_mut().zip(weight) {
+                            *score = weight * (*score - along);
+                        }
+                    }
+                });
+                let s = Mat::new(&scores, rows, n, n);
+                let dq = MatMut::new(&mut dqkv[first * 3 * d + offset..], rows, size, 3 * d);
+                multiply(dq, Onto::Nothing, self.scale, s, k, Threads::One);
+                let dk = MatMut::new(&mut dqkv[d + offset..], n, size, 3 * d);
+                multiply(dk, Onto::Existing, self.scale, s.t(), q, Threads::One);
+            }
+        }
+    }
+}
+
+/// eˣ over its sum along a row; the largest is subtracted first, so that nothing overflows.
+#[inline(always)]
+fn softmax(row: &mut [f32]) {
+    let largest = simd::max(row);
+    for x in row.iter_mut() {
+        *x = simd::exp(*x - largest);
+    }
+    let scale = 1.0 / simd::sum(row, |x| x);
+    for x in row.iter_mut() {
+        *x *= scale;
+    }
+}
+
+/// Rows of a tile, such that tiles are of equal size and their number suits an even number of threads.
+fn tile_rows(n: usize) -> usize {
+    let tiles = n.div_ceil(TILE).next_multiple_of(2);
+    n.div_ceil(tiles)
+}

@@ -1,0 +1,178 @@
+//! Layer norm over the last dimension.
+
+use candle_core::{CpuStorage, CustomOp1, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use rayon::prelude::*;
+
+use super::cpu;
+use super::simd;
+
+/// See [`super::layer_norm`].
+pub fn layer_norm(x: &Tensor, affine: Option<(&Tensor, &Tensor)>, eps: f64) -> Result<Tensor> {
+    let op = LayerNorm { eps: eps as f32 };
+    let x = x.contiguous()?;
+    match affine {
+        Some((weight, bias)) => x.apply_op3(&weight.contiguous()?, &bias.contiguous()?, op),
+        None => x.apply_op1(op),
+    }
+}
+
+/// With weight and bias, or without.
+struct LayerNorm {
+    eps: f32,
+}
+
+impl LayerNorm {
+    /// Mean of a row, and one over its standard deviation.
+    #[inline(always)]
+    fn statistics(&self, row: &[f32]) -> (f32, f32) {
+        let scale = 1.0 / row.len() as f32;
+        let mean = scale * simd::sum(row, |x| x);
+        let variance = scale * simd::sum(row, |x| (x - mean) * (x - mean));
+        (mean, 1.0 / (variance + self.eps).sqrt())
+    }
+
+    fn forward(&self, x: &[f32], d: usize, affine: Option<(&[f32], &[f32])>) -> Vec<f32> {
+        let mut out = vec![0.0; x.len()];
+        out.par_chunks_mut(cpu::ROWS * d).zip(x.par_chunks(cpu::ROWS * d)).for_each(|(out, x)| {
+            simd::dispatch(|| {
+                for (out, x) in out.chunks_exact_mut(d).zip(x.chunks_exact(d)) {
+                    let (mean, inverse) = self.statistics(x);
+                    match affine {
+                        Some((weight, bias)) => {
+                            for (((out, x), w), b) in out.iter_mut().zip(x).zip(weight).zip(bias) {
+                                *out = ((x - mean) * inverse).mul_add(*w, *b);
+                            }
+                        }
+                        None => {
+                            for (out, x) in out.iter_mut().zip(x) {
+                                *out = (x - mean) * inverse;
+                            }
+                        }
+                    }
+                }
+            })
+        });
+        out
+    }
+
+    /// With n the normalised row, g the gradient times the weight: dx = (g - mean(g) - n mean(g n)) / σ.
+    fn backward(&self, x: &[f32], weight: Option<&[f32]>, grad: &[f32], d: usize) -> Vec<f32> {
+        let mut dx = vec![0.0; x.len()];
+        let block = cpu::ROWS * d;
+        dx.par_chunks_mut(block).zip(x.par_chunks(block)).zip(grad.par_chunks(block)).for_each(|((dx, x), grad)| {
+            simd::dispatch(|| {
+                let rows = dx.chunks_exact_mut(d).zip(x.chunks_exact(d)).zip(grad.chunks_exact(d));
+                for ((dx, x), grad) in rows {
+                    let (mean, inverse) = self.statistics(x);
+                    // dx holds g for now.
+                    match weight {
+                        Some(weight) => {
+                            for ((g, grad), w) in dx.iter_mut().zip(grad).zip(weight) {
+                                *g = grad * w;
+                            }
+                        }
+                        None => dx.copy_from_slice(grad),
+                    }
+                    let [g, gn] = simd::sum2(dx, x, |g, x| [g, g * ((x - mean) * inverse)]);
+                    let (g_mean, gn_mean) = (g / d as f32, gn / d as f32);
+                    for (g, x) in dx.iter_mut().zip(x) {
+                        *g = (*g - g_mean - (x - mean) * inverse * gn_mean) * inverse;
+                    }
+                }
+            })
+        });
+        dx
+    }
+
+    /// Gradients of weight and bias: Σ over rows of grad n, and of grad.
+    fn backward_affine(&self, x: &[f32], grad: &[f32], d: usize) -> [Vec<f32>; 2] {
+        cpu::sum_rows(x.len() / d, d, |rows, [dweight, dbias]| {
+            simd::dispatch(|| {
+                let range = rows.start * d..rows.end * d;
+                for (x, grad) in x[range.clone()].chunks_exact(d).zip(grad[range].chunks_exact(d)) {
+                    let (mean, inverse) = self.statistics(x);
+                    for (((dw, db), x), grad) in dweight.iter_mut().zip(dbias.iter_mut()).zip(x).zip(grad) {
+                        *dw += grad * ((x - mean) * inverse);
+                        *db += grad;
+                    }
+                }
+            })
+        })
+    }
+}
+
+impl CustomOp1 for LayerNorm {
+    fn name(&self) -> &'static str {
+        "layer-norm"
+    }
+
+    fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let d = last_dim(layout)?;
+        Ok((CpuStorage::F32(self.forward(cpu::slice(x, layout)?, d, None)), layout.shape().clone()))
+    }
+
+    fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
+        let d = last_dim(x.layout())?;
+        let grad = grad.contiguous()?;
+        let dx = cpu::with_slice(x, |x| cpu::with_slice(&grad, |grad| Ok(self.backward(x, None, grad, d))))?;
+        Ok(Some(cpu::tensor_like(dx, x)?))
+    }
+}
+
+impl CustomOp3 for LayerNorm {
+    fn name(&self) -> &'static str {
+        "layer-norm-affine"
+    }
+
+    fn cpu_fwd(
+        &self,
+        x: &CpuStorage,
+        x_layout: &Layout,
+        weight: &CpuStorage,
+        weight_layout: &Layout,
+        bias: &CpuStorage,
+        bias_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let d = last_dim(x_layout)?;
+        if weight_layout.dims() != [d] || bias_layout.dims() != [d] {
+            let (x, weight, bias) = (x_layout.dims(), weight_layout.dims(), bias_layout.dims());
+            bail!("layer norm: x {x:?}, weight {weight:?}, bias {bias:?}");
+        }
+        let affine = (cpu::slice(weight, weight_layout)?, cpu::slice(bias, bias_layout)?);
+        let out = self.forward(cpu::slice(x, x_layout)?, d, Some(affine));
+        Ok((CpuStorage::F32(out), x_layout.shape().clone()))
+    }
+
+    fn bwd(
+        &self,
+        x: &Tensor,
+        weight: &Tensor,
+        bias: &Tensor,
+        _: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let d = last_dim(x.layout())?;
+        let grad = grad.contiguous()?;
+        cpu::with_slice(x, |values| {
+            cpu::with_slice(&grad, |grad| {
+                let dx = match x.track_op() {
+                    true => Some(cpu::with_slice(weight, |weight| Ok(self.backward(values, Some(weight), grad, d)))?),
+                    false => None,
+                };
+                let dx = dx.map(|dx| cpu::tensor_like(dx, x)).transpose()?;
+                if !weight.track_op() && !bias.track_op() {
+                    return Ok((dx, None, None));
+                }
+                let [dweight, dbias] = self.backward_affine(values, grad, d);
+                Ok((dx, Some(cpu::tensor_like(dweight, weight)?), Some(cpu::tensor_like(dbias, bias)?)))
+            })
+        })
+    }
+}
+
+fn last_dim(layout: &Layout) -> Result<usize> {
+    match layout.dims().last() {
+        Some(d) if *d > 0 => Ok(*d),
+        _ => bail!("layer norm: nothing to normalise in {:?}", layout.dims()),
+    }
+}
