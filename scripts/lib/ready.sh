@@ -8,6 +8,6 @@
 . "$root/env.sh"
 command -v cargo >/dev/null || PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
 command -v cargo >/dev/null || fail "there is no cargo: install Rust from https://rustup.rs"
-cd "$root"
+cd "$root" || exit
 # shellcheck disable=SC2034 # used by the scripts that source this
 target=${CARGO_TARGET_DIR:-$root/target}
