@@ -189,28 +189,6 @@ fn node_messages_are_what_ros_serialises() {
         values: vec![KeyValue { key: "rate".into(), value: "24.9".into() }],
     };
     agrees("diagnostic_array", &DiagnosticArray { header: header(""), status: vec![status] });
-    let value = ParameterValue {
-        r#type: 9,
-        bool_value: true,
-        integer_value: -3,
-        double_value: 0.5,
-        string_value: "s".into(),
-        byte_array_value: vec![1],
-        bool_array_value: vec![true, false, true],
-        integer_array_value: vec![1, -2],
-        double_array_value: vec![0.25],
-        string_array_value: vec!["a".into(), "bc".into()],
-    };
-    agrees(
-        "parameter_event",
-        &ParameterEvent {
-            stamp: Time { sec: 5, nanosec: 6 },
-            node: "/predictor".into(),
-            new_parameters: vec![],
-            changed_parameters: vec![Parameter { name: "scenes".into(), value }],
-            deleted_parameters: vec![],
-        },
-    );
 }
 
 /// A `.msg` file's fields without comments, constants and alignment.

@@ -2,8 +2,7 @@
 # What the scripts share: folders, messages, hashes and steps that run once. Source it.
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd -P)
-# shellcheck disable=SC2034 # used by the scripts that source this
-lib=$root/scripts/lib
+lib="$root/scripts/lib"
 
 say() { printf '%s\n' "$*"; }
 
@@ -61,11 +60,11 @@ without() { # LIST BELOW
 
 # Joins the arguments that are not empty with colons.
 join_path() {
-    local entry joined=
+    local entry result=
     for entry in "$@"; do
-        [ -z "$entry" ] || joined=${joined:+$joined:}$entry
+        [ -z "$entry" ] || result+=${result:+:}$entry
     done
-    printf '%s' "$joined"
+    printf '%s' "$result"
 }
 
 # The hash that names a message layout: over the installed .idl files of egotac_msgs below PREFIX. build.rs and

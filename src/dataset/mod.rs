@@ -1,7 +1,6 @@
 //! Episodes: frames of image, touch and hand pose, in the formats people keep them in.
 
 pub mod tensors;
-pub mod mcap;
 pub mod zarr;
 
 use std::path::Path;

@@ -15,8 +15,7 @@ pub use cdr::{Reader, Wire, Writer};
 pub use own::{HandModelInfo, HandPose, HandTactile, TactileFrame, TactileMetrics, TactileTruth};
 pub use standard::{
     CameraInfo, Clock, CompressedImage, DiagnosticArray, DiagnosticStatus, Duration, Header, Image, KeyValue, Log,
-    Parameter, ParameterEvent, ParameterValue, Point, Point32, PointCloud2, PointField, Pose, Quaternion,
-    RegionOfInterest, Time,
+    Point, Point32, PointCloud2, PointField, Pose, Quaternion, RegionOfInterest, Time,
 };
 
 /// A message that topics and recordings carry.
@@ -111,7 +110,7 @@ macro_rules! message {
                 $(
                     let kind = <$field_type as $crate::message::Wire>::ros_type();
                     $( let kind = kind.replace("[]", concat!("[<=", $max, "]")); )?
-                    text += &format!("{kind} {}\n", stringify!($field).trim_start_matches("r#"));
+                    text += &format!("{kind} {}\n", stringify!($field));
                 )*
                 text
             }

@@ -212,45 +212,6 @@ message! {
         /// Source line.
         line: u32,
     }
-
-    /// A parameter's value; `type` says which of the fields counts.
-    #[derive(Default)]
-    #[allow(missing_docs)]
-    ParameterValue = "rcl_interfaces/msg/ParameterValue" {
-        /// 0 not set, 1 bool, 2 integer, 3 double, 4 string, 5 to 9 arrays of byte, bool, integer, double, string.
-        r#type: u8,
-        bool_value: bool,
-        integer_value: i64,
-        double_value: f64,
-        string_value: String,
-        byte_array_value: Vec<u8>,
-        bool_array_value: Vec<bool>,
-        integer_array_value: Vec<i64>,
-        double_array_value: Vec<f64>,
-        string_array_value: Vec<String>,
-    }
-
-    /// A parameter with its value.
-    Parameter = "rcl_interfaces/msg/Parameter" {
-        /// Name.
-        name: String,
-        /// Value.
-        value: ParameterValue,
-    }
-
-    /// Parameters of a node that came, changed or went.
-    ParameterEvent = "rcl_interfaces/msg/ParameterEvent" {
-        /// When.
-        stamp: Time,
-        /// The node's full name.
-        node: String,
-        /// Those that came.
-        new_parameters: Vec<Parameter>,
-        /// Those that changed.
-        changed_parameters: Vec<Parameter>,
-        /// Those that went.
-        deleted_parameters: Vec<Parameter>,
-    }
 }
 
 impl Time {

@@ -18,7 +18,7 @@ if os.environ.get("GLIBC_TUNABLES") != TUNABLES:
 from builtin_interfaces.msg import Time
 from egotac_msgs.msg import HandModelInfo, HandPose, HandTactile, TactileFrame, TactileMetrics, TactileTruth
 from geometry_msgs.msg import Point, Point32, Pose, Quaternion
-from rcl_interfaces.msg import Log, Parameter, ParameterEvent, ParameterValue
+from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField, RegionOfInterest
@@ -139,27 +139,6 @@ MESSAGES = {
                 message="slow",
                 hardware_id="cpu",
                 values=[KeyValue(key="rate", value="24.9")],
-            )
-        ],
-    ),
-    "parameter_event": ParameterEvent(
-        stamp=Time(sec=5, nanosec=6),
-        node="/predictor",
-        changed_parameters=[
-            Parameter(
-                name="scenes",
-                value=ParameterValue(
-                    type=9,
-                    bool_value=True,
-                    integer_value=-3,
-                    double_value=0.5,
-                    string_value="s",
-                    byte_array_value=[b"\x01"],
-                    bool_array_value=[True, False, True],
-                    integer_array_value=[1, -2],
-                    double_array_value=[0.25],
-                    string_array_value=["a", "bc"],
-                ),
             )
         ],
     ),

@@ -1,0 +1,177 @@
+//! The six parameter services and `/parameter_events`, as `ros2 param` and `rqt` expect them.
+//!
+//! r2r's own handlers know neither ranges nor read-only parameters, and refuse a whole number for a double.
+
+use std::rc::Rc;
+use std::sync::Arc;
+
+use anyhow::Result;
+use r2r::rcl_interfaces::{msg, srv};
+
+use super::params::{Allowed, Parameter, Parameters, Value};
+use super::runtime::{RosClock, Runtime};
+
+/// Codes of `rcl_interfaces/msg/ParameterType`.
+mod code {
+    pub(super) const NOT_SET: u8 = 0;
+    pub(super) const BOOL: u8 = 1;
+    pub(super) const INTEGER: u8 = 2;
+    pub(super) const DOUBLE: u8 = 3;
+    pub(super) const TEXT: u8 = 4;
+    pub(super) const INTEGERS: u8 = 7;
+    pub(super) const TEXTS: u8 = 9;
+}
+
+/// Offers the services for the runtime's parameters and publishes their changes.
+pub(super) fn serve(runtime: &mut Runtime, node: String) -> Result<()> {
+    let parameters = Arc::clone(runtime.parameters());
+    let events = runtime.native_publisher("/parameter_events", r2r::QosProfile::parameter_events())?;
+    let setter = Setter { parameters: Arc::clone(&parameters), events, clock: runtime.clock().clone(), node };
+    setter.announce_all();
+
+    let table = Arc::clone(&parameters);
+    runtime.service::<srv::ListParameters::Service>("~/list_parameters", move |request| {
+        let wanted = |name: &str| {
+            let below = |prefix: &String| name == prefix || name.starts_with(&format!("{prefix}."));
+            request.prefixes.is_empty() || request.prefixes.iter().any(below)
+        };
+        let names = table.table().iter().map(|p| p.name).filter(|name| wanted(name)).map(String::from).collect();
+        srv::ListParameters::Response { result: msg::ListParametersResult { names, prefixes: Vec::new() } }
+    })?;
+
+    let table = Arc::clone(&parameters);
+    runtime.service::<srv::GetParameters::Service>("~/get_parameters", move |request| {
+        let value = |name: &String| table.value(name).map(to_message).unwrap_or_default();
+        srv::GetParameters::Response { values: request.names.iter().map(value).collect() }
+    })?;
+
+    let table = Arc::clone(&parameters);
+    runtime.service::<srv::GetParameterTypes::Service>("~/get_parameter_types", move |request| {
+        let type_of = |name: &String| table.value(name).as_ref().map_or(code::NOT_SET, type_code);
+        srv::GetParameterTypes::Response { types: request.names.iter().map(type_of).collect() }
+    })?;
+
+    runtime.service::<srv::DescribeParameters::Service>("~/describe_parameters", move |request| {
+        let describe = |name: &String| match parameters.table().iter().find(|p| p.name == name) {
+            Some(parameter) => descriptor(parameter),
+            None => msg::ParameterDescriptor { name: name.clone(), ..Default::default() },
+        };
+        srv::DescribeParameters::Response { descriptors: request.names.iter().map(describe).collect() }
+    })?;
+
+    let one_by_one = Rc::new(setter);
+    let at_once = Rc::clone(&one_by_one);
+    runtime.service::<srv::SetParameters::Service>("~/set_parameters", move |request| {
+        let results = request.parameters.iter().map(|p| one_by_one.set(std::slice::from_ref(p)));
+        srv::SetParameters::Response { results: results.collect() }
+    })?;
+    runtime.service::<srv::SetParametersAtomically::Service>("~/set_parameters_atomically", move |request| {
+        srv::SetParametersAtomically::Response { result: at_once.set(&request.parameters) }
+    })
+}
+
+struct Setter {
+    parameters: Arc<Parameters>,
+    events: r2r::Publisher<msg::ParameterEvent>,
+    clock: RosClock,
+    node: String,
+}
+
+impl Setter {
+    fn set(&self, wanted: &[msg::Parameter]) -> msg::SetParametersResult {
+        let checked: std::result::Result<Vec<_>, String> = wanted
+            .iter()
+            .map(|parameter| {
+                let value = from_message(&parameter.value);
+                let value = value.ok_or_else(|| format!("{}: no parameter has this type", parameter.name));
+                Ok((parameter.name.clone(), value?))
+            })
+            .collect();
+        let result = checked.and_then(|changes| self.parameters.set(changes));
+        if result.is_ok() {
+            let mut event = self.event();
+            event.changed_parameters = wanted.iter().filter_map(|p| self.current(&p.name)).collect();
+            self.publish(&event);
+        }
+        msg::SetParametersResult { successful: result.is_ok(), reason: result.err().unwrap_or_default() }
+    }
+
+    fn announce_all(&self) {
+        let mut event = self.event();
+        event.new_parameters = self.parameters.table().iter().filter_map(|p| self.current(p.name)).collect();
+        self.publish(&event);
+    }
+
+    fn event(&self) -> msg::ParameterEvent {
+        let now = self.clock.now();
+        let stamp = r2r::builtin_interfaces::msg::Time { sec: now.sec, nanosec: now.nanosec };
+        msg::ParameterEvent { stamp, node: self.node.clone(), ..Default::default() }
+    }
+
+    fn current(&self, name: &str) -> Option<msg::Parameter> {
+        Some(msg::Parameter { name: name.to_owned(), value: to_message(self.parameters.value(name)?) })
+    }
+
+    fn publish(&self, event: &msg::ParameterEvent) {
+        // An event that can't be sent changes nothing: the parameter is set and its service answers.
+        let _ = self.events.publish(event);
+    }
+}
+
+fn type_code(value: &Value) -> u8 {
+    match value {
+        Value::Bool(_) => code::BOOL,
+        Value::Integer(_) => code::INTEGER,
+        Value::Double(_) => code::DOUBLE,
+        Value::Text(_) => code::TEXT,
+        Value::Integers(_) => code::INTEGERS,
+        Value::Texts(_) => code::TEXTS,
+    }
+}
+
+fn to_message(value: Value) -> msg::ParameterValue {
+    let mut message = msg::ParameterValue { type_: type_code(&value), ..Default::default() };
+    match value {
+        Value::Bool(value) => message.bool_value = value,
+        Value::Integer(value) => message.integer_value = value,
+        Value::Double(value) => message.double_value = value,
+        Value::Text(value) => message.string_value = value,
+        Value::Integers(values) => message.integer_array_value = values,
+        Value::Texts(values) => message.string_array_value = values,
+    }
+    message
+}
+
+/// None for a type that no parameter has.
+fn from_message(message: &msg::ParameterValue) -> Option<Value> {
+    Some(match message.type_ {
+        code::BOOL => Value::Bool(message.bool_value),
+        code::INTEGER => Value::Integer(message.integer_value),
+        code::DOUBLE => Value::Double(message.double_value),
+        code::TEXT => Value::Text(message.string_value.clone()),
+        code::INTEGERS => Value::Integers(message.integer_array_value.clone()),
+        code::TEXTS => Value::Texts(message.string_array_value.clone()),
+        _ => return None,
+    })
+}
+
+fn descriptor(parameter: &Parameter) -> msg::ParameterDescriptor {
+    let mut descriptor = msg::ParameterDescriptor {
+        name: parameter.name.to_owned(),
+        type_: type_code(&parameter.default),
+        description: parameter.description.to_owned(),
+        read_only: parameter.read_only,
+        ..Default::default()
+    };
+    match parameter.allowed {
+        Allowed::Any => {}
+        Allowed::Integers(from_value, to_value) => {
+            descriptor.integer_range = vec![msg::IntegerRange { from_value, to_value, step: 0 }];
+        }
+        Allowed::Doubles(from_value, to_value) => {
+            descriptor.floating_point_range = vec![msg::FloatingPointRange { from_value, to_value, step: 0.0 }];
+        }
+        Allowed::OneOf(_) => descriptor.additional_constraints = parameter.constraint(),
+    }
+    descriptor
+}

@@ -1,0 +1,335 @@
+//! The node `verifier`: predictions against truth, by equal stamps.
+
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::io::Write as _;
+use std::path::Path;
+use std::rc::Rc;
+use std::time::Instant;
+
+use anyhow::Context as _;
+use serde_json::{Value, json};
+
+use super::diagnostics::{Level, Report, Tally};
+use super::log::Log;
+use super::pairing::Pairing;
+use super::params::{Allowed, Parameter, Parameters};
+use super::runtime::{Publisher, RosClock, Runtime};
+use super::{Shutdown, diagnostics, qos};
+use crate::message::{Header, TactileFrame, TactileMetrics, TactileTruth};
+use crate::metrics::{self, Fields, FrameScore, Options};
+use crate::tactile::Validity;
+
+/// Messages that may wait for their partner: seconds of any camera.
+const WAITING: usize = 500;
+/// A pause between two pairs that ends a stretch of time, s: correlations over time don't look across it.
+const PAUSE: f64 = 1.0;
+/// Pairs kept whole for the scores that need all vertices of all frames (100 MB at most).
+const KEPT: usize = 2000;
+
+/// The node's parameters.
+pub fn parameters() -> Vec<Parameter> {
+    vec![
+        Parameter::new(
+            "window_secs",
+            5.0,
+            Allowed::Doubles(0.1, 600.0),
+            "Length of the rolling window that ~/metrics is computed over, seconds.",
+        ),
+        Parameter::fixed("report", "", Allowed::Any, "JSON file to write the totals to at shutdown; empty = none."),
+        Parameter::new("print", true, Allowed::Any, "Print a line per second."),
+        Parameter::use_sim_time(),
+    ]
+}
+
+/// Creates the node and runs until `shutdown`.
+///
+/// # Errors
+/// As [`run`].
+pub fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
+    run(Runtime::create("verifier", &parameters())?, shutdown)
+}
+
+/// Runs the node until `shutdown`, then writes the report if one is wanted.
+///
+/// # Errors
+/// If ROS refuses something, or the report can't be written.
+pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
+    let verifier = Rc::new(RefCell::new(Verifier {
+        pairing: Pairing::new(WAITING),
+        scored: Scored::default(),
+        tally: Tally::default(),
+        clock: runtime.clock().clone(),
+        log: runtime.log().clone(),
+        started: Instant::now(),
+    }));
+    let predictions = Rc::clone(&verifier);
+    runtime.subscribe::<TactileFrame>("tactile", qos::every_input(), move |frame| {
+        predictions.borrow_mut().take_prediction(frame);
+    })?;
+    let truths = Rc::clone(&verifier);
+    runtime.subscribe::<TactileTruth>("truth", qos::every_input(), move |truth| {
+        truths.borrow_mut().take_truth(truth);
+    })?;
+
+    let publisher = runtime.publisher("~/metrics", qos::output())?;
+    let (topics, parameters) = (Rc::clone(&verifier), runtime.parameters().clone());
+    let names = (runtime.resolve("tactile"), runtime.resolve("truth"));
+    diagnostics::publish(&mut runtime, String::new(), move |_| {
+        topics.borrow_mut().tick(&publisher, &parameters, &names)
+    })?;
+
+    let report = runtime.parameters().get::<String>("report");
+    runtime.spin(shutdown);
+    drop(runtime);
+    let mut verifier = verifier.borrow_mut();
+    let summary = verifier.summary()?;
+    if !report.is_empty() {
+        write_report(Path::new(&report), &summary)?;
+    }
+    Ok(())
+}
+
+struct Verifier {
+    pairing: Pairing<TactileFrame, TactileTruth>,
+    scored: Scored,
+    tally: Tally,
+    clock: RosClock,
+    log: Log,
+    started: Instant,
+}
+
+/// Scores of the pairs so far.
+#[derive(Default)]
+struct Scored {
+    newest: Header,
+    model_id: String,
+    topology: String,
+    pairs: u64,
+    invalid: u64,
+    /// Stamp in seconds and score of each valid pair.
+    frames: Vec<(f64, FrameScore)>,
+    window: VecDeque<(f64, FrameScore)>,
+    kept: (Fields, Fields),
+    kept_count: usize,
+    /// Ends of stretches of time without a pause, in valid pairs.
+    ends: Vec<usize>,
+}
+
+impl Verifier {
+    fn take_prediction(&mut self, frame: crate::Result<TactileFrame>) {
+        self.tally.received();
+        match frame {
+            Ok(frame) => {
+                self.tally.processed(self.clock.secs_since(frame.header.stamp));
+                let pair = self.pairing.left(frame.header.stamp, frame);
+                self.score(pair);
+            }
+            Err(error) => self.refuse("tactile", &error),
+        }
+    }
+
+    fn take_truth(&mut self, truth: crate::Result<TactileTruth>) {
+        match truth {
+            Ok(truth) => {
+                let pair = self.pairing.right(truth.frame.header.stamp, truth);
+                self.score(pair);
+            }
+            Err(error) => self.refuse("truth", &error),
+        }
+    }
+
+    fn refuse(&mut self, topic: &'static str, error: &crate::Error) {
+        self.tally.dropped("malformed");
+        self.log.warn_throttled(topic, format!("{topic}: message left out: {error}"));
+    }
+
+    fn score(&mut self, pair: Option<(TactileFrame, TactileTruth)>) {
+        let Some((frame, truth)) = pair else { return };
+        if let Err(error) = self.scored.add(frame, &truth) {
+            self.refuse("pair", &error);
+        }
+    }
+
+    /// Once a second: metrics to the topic, a line to the terminal, and the node's state.
+    fn tick(
+        &mut self,
+        publisher: &Publisher<TactileMetrics>,
+        parameters: &Parameters,
+        (tactile, truth): &(String, String),
+    ) -> Report {
+        let rates = self.tally.counts().rates();
+        self.scored.slide(parameters.get("window_secs"));
+        let values = self.values(rates.1);
+        if let Err(error) = publisher.publish(&self.message(&values)) {
+            self.log.warn_throttled("metrics", format!("~/metrics: {error:#}"));
+        }
+        if parameters.get("print") && self.scored.pairs > 0 {
+            println!("{}", self.line(&values));
+        }
+        let (level, message) = match (rates.1 > 0.0, self.scored.window.is_empty()) {
+            (false, _) => (Level::Stale, format!("no predictions on {tactile}")),
+            (true, true) => (Level::Warn, format!("nothing on {truth} has the stamp of a prediction")),
+            (true, false) => (Level::Ok, format!("{} pairs", self.scored.pairs)),
+        };
+        Report { task: "pairs", level, message, values: self.tally.counts().values(rates) }
+    }
+
+    /// Names and values of the rolling metrics; NaN = undefined.
+    fn values(&self, rate: f64) -> Vec<(String, f64)> {
+        let report = metrics::summarize(self.scored.window.iter().map(|(_, score)| score));
+        let mut values = Vec::new();
+        flatten("", &json!(report), &mut values);
+        let counts = self.tally.counts();
+        values.push(("rate_hz".to_owned(), rate));
+        values.push(("latency_p50_secs".to_owned(), counts.latency(0.5)));
+        values.push(("latency_p95_secs".to_owned(), counts.latency(0.95)));
+        values
+    }
+
+    fn message(&self, values: &[(String, f64)]) -> TactileMetrics {
+        let (unmatched_predictions, unmatched_truths) = self.pairing.unmatched();
+        let window = &self.scored.window;
+        let span = window.front().zip(window.back()).map_or(0.0, |(first, last)| last.0 - first.0);
+        let (names, values) = values.iter().cloned().unzip();
+        TactileMetrics {
+            header: self.scored.newest.clone(),
+            window_pairs: window.len() as u32,
+            window_secs: span,
+            pairs: self.scored.pairs,
+            unmatched_predictions,
+            unmatched_truths,
+            invalid_truths: self.scored.invalid,
+            names,
+            values,
+        }
+    }
+
+    fn line(&self, values: &[(String, f64)]) -> String {
+        let value = |name: &str| values.iter().find(|(n, _)| n == name).map_or(f64::NAN, |(_, value)| *value);
+        format!(
+            "{:6} pairs {:5.1} Hz | MAE {:.4} N, active {:.3} N, r {:.2} | F1 {:.2}, IoU {:.2} | \
+             latency p50 {:.0} ms, p95 {:.0} ms | without prediction {}",
+            self.scored.pairs,
+            value("rate_hz"),
+            value("mae"),
+            value("active_mae"),
+            value("temporal_pearson"),
+            value("pooled.f1"),
+            value("pooled.iou"),
+            value("latency_p50_secs") * 1e3,
+            value("latency_p95_secs") * 1e3,
+            self.pairing.unmatched().1,
+        )
+    }
+
+    /// Everything since the start.
+    fn summary(&mut self) -> anyhow::Result<Value> {
+        let counts = self.tally.counts();
+        let (unmatched_predictions, unmatched_truths) = self.pairing.unmatched();
+        let secs = self.started.elapsed().as_secs_f64();
+        let report = self.scored.total()?;
+        Ok(json!({
+            "model_id": self.scored.model_id,
+            "topology": self.scored.topology,
+            "pairs": self.scored.pairs,
+            "unmatched_predictions": unmatched_predictions,
+            "unmatched_truths": unmatched_truths,
+            "invalid_truths": self.scored.invalid,
+            "malformed": counts.drops.get("malformed").copied().unwrap_or(0),
+            "duration_secs": secs,
+            "rate_hz": self.scored.rate(),
+            "latency_secs": {
+                "p50": finite(counts.latency(0.5)),
+                "p95": finite(counts.latency(0.95)),
+                "max": finite(counts.latency(1.0)),
+            },
+            "metrics": report,
+        }))
+    }
+}
+
+impl Scored {
+    fn add(&mut self, frame: TactileFrame, truth: &TactileTruth) -> crate::Result<()> {
+        let (predicted, target) = (frame.to_field()?, truth.frame.to_field()?);
+        predicted.topology.must_match(target.topology)?;
+        self.pairs += 1;
+        if truth.validity()? != Validity::Valid {
+            self.invalid += 1;
+            return Ok(());
+        }
+        let score = FrameScore::new(&predicted.force, &predicted.contact, &target.force, &target.contact, &[], &[]);
+        let stamp = frame.header.stamp.secs();
+        if self.frames.last().is_some_and(|(last, _)| !(0.0..=PAUSE).contains(&(stamp - last))) {
+            self.ends.push(self.frames.len());
+            self.window.clear();
+        }
+        self.frames.push((stamp, score.clone()));
+        self.window.push_back((stamp, score));
+        if self.kept_count < KEPT {
+            self.kept.0.push(&predicted);
+            self.kept.1.push(&target);
+            self.kept_count += 1;
+        }
+        self.newest = frame.header;
+        self.model_id = frame.model_id;
+        self.topology = frame.topology;
+        Ok(())
+    }
+
+    /// Drops what is older than the window.
+    fn slide(&mut self, window_secs: f64) {
+        let Some((newest, _)) = self.window.back() else { return };
+        let oldest = newest - window_secs;
+        self.window.retain(|(stamp, _)| *stamp >= oldest);
+    }
+
+    /// Valid pairs per second of their stamps, pauses left out; None of fewer than two.
+    fn rate(&self) -> Option<f64> {
+        let steps =
+            self.frames.windows(2).map(|pair| pair[1].0 - pair[0].0).filter(|step| (0.0..=PAUSE).contains(step));
+        let (secs, count) = steps.fold((0.0, 0), |(secs, count), step| (secs + step, count + 1));
+        (secs > 0.0).then(|| f64::from(count) / secs)
+    }
+
+    /// All scores; beyond the pairs kept whole, those that need all vertices of all frames are undefined.
+    fn total(&self) -> crate::Result<metrics::Report> {
+        if self.frames.len() > self.kept_count {
+            return Ok(metrics::summarize(self.frames.iter().map(|(_, score)| score)));
+        }
+        let mut episode_ends = self.ends.clone();
+        if !self.frames.is_empty() {
+            episode_ends.push(self.frames.len());
+        }
+        let options = Options { episode_ends, fps: self.rate(), ..Options::default() };
+        metrics::evaluate(&self.kept.0, &self.kept.1, &options)
+    }
+}
+
+/// Nested numbers under dotted names; null = NaN.
+fn flatten(prefix: &str, value: &Value, values: &mut Vec<(String, f64)>) {
+    match value {
+        Value::Object(entries) => {
+            for (key, value) in entries {
+                let name = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+                flatten(&name, value, values);
+            }
+        }
+        value => values.push((prefix.to_owned(), value.as_f64().unwrap_or(f64::NAN))),
+    }
+}
+
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+fn write_report(path: &Path, summary: &Value) -> anyhow::Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let write = || -> anyhow::Result<()> {
+        let mut file = tempfile::NamedTempFile::new_in(folder)?;
+        writeln!(file, "{summary:#}")?;
+        file.persist(path)?;
+        Ok(())
+    };
+    write().with_context(|| format!("cannot write the report {}", path.display()))
+}

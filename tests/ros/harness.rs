@@ -1,0 +1,154 @@
+//! Starts the nodes' programs and rclpy peers in a ROS domain and namespace of their own, and ends them always.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+use candle_core::{Device, Tensor};
+use candle_nn::VarMap;
+use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
+use tempfile::TempDir;
+
+/// Longest time that anything here may take before it counts as hung; nothing waits for it when all is well.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// One test's corner of ROS.
+pub struct Session {
+    domain: u32,
+    namespace: String,
+    folder: TempDir,
+    started: AtomicU32,
+}
+
+impl Session {
+    pub fn new() -> Self {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let (process, count) = (std::process::id(), COUNT.fetch_add(1, Ordering::SeqCst));
+        Self {
+            // Domains 1 to 101 keep clear of the ports that the system hands out.
+            domain: (process.wrapping_mul(7) + count) % 101 + 1,
+            namespace: format!("/test_{process}_{count}"),
+            folder: TempDir::new().unwrap(),
+            started: AtomicU32::new(0),
+        }
+    }
+
+    /// A path in this test's temporary folder.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// A checkpoint with random weights, so that its output depends on each pixel of the image.
+    pub fn checkpoint(&self, config: &Config) -> PathBuf {
+        let path = self.path("model.safetensors");
+        let vars = VarMap::new();
+        EgoTac::new(config, init::var_builder(&vars, 1, &Device::Cpu)).unwrap();
+        for var in vars.all_vars() {
+            var.set(&Tensor::randn(0f32, 0.2, var.shape(), &Device::Cpu).unwrap()).unwrap();
+        }
+        Checkpoint::save(&path, config, &Metadata::new("random", 2.0, 0.04), &vars).unwrap();
+        path
+    }
+
+    /// Starts a node's program; `ros_args` follow `--ros-args`.
+    pub fn node(&self, program: &str, ros_args: &[&str]) -> Running {
+        let mut command = Command::new(program);
+        command.arg("--ros-args").arg("-r").arg(format!("__ns:={}", self.namespace)).args(ros_args);
+        self.spawn(command, program)
+    }
+
+    /// Starts `tests/ros/<script>` under Python.
+    pub fn peer(&self, script: &str, arguments: &[&str]) -> Running {
+        let python = std::env::var("EGOTAC_PYTHON").expect("EGOTAC_PYTHON is not set: source env.sh first");
+        let mut command = Command::new(python);
+        command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/ros").join(script)).args(arguments);
+        command.env("EGOTAC_TEST_NAMESPACE", &self.namespace);
+        self.spawn(command, script)
+    }
+
+    /// Runs a peer to its end, which must be good.
+    pub fn check(&self, script: &str, arguments: &[&str]) {
+        let mut peer = self.peer(script, arguments);
+        let status = peer.wait();
+        assert!(status.success(), "{script} {arguments:?}: {status}\n{}", peer.output());
+    }
+
+    fn spawn(&self, mut command: Command, name: &str) -> Running {
+        let count = self.started.fetch_add(1, Ordering::SeqCst);
+        let stem = Path::new(name).file_stem().unwrap().to_string_lossy().into_owned();
+        let log = self.path(&format!("{count}_{stem}.log"));
+        let output = File::create(&log).unwrap();
+        command.env("ROS_DOMAIN_ID", self.domain.to_string());
+        command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+        command.env("ROS_LOG_DIR", self.folder.path());
+        command.env("PYTHONDONTWRITEBYTECODE", "1");
+        command.stdin(Stdio::null()).stdout(output.try_clone().unwrap()).stderr(output);
+        let child = command.spawn().unwrap_or_else(|error| panic!("{name}: {error}"));
+        Running { child, log }
+    }
+}
+
+/// A program that is killed when the test ends, however it ends.
+pub struct Running {
+    child: Child,
+    log: PathBuf,
+}
+
+impl Running {
+    /// Sends `INT`, `TERM` or another signal.
+    pub fn signal(&self, signal: &str) {
+        let status = Command::new("kill").arg(format!("-{signal}")).arg(self.child.id().to_string()).status();
+        assert!(status.unwrap().success());
+    }
+
+    /// Waits for the end.
+    pub fn wait(&mut self) -> ExitStatus {
+        let started = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status;
+            }
+            assert!(started.elapsed() < PATIENCE, "{} does not end\n{}", self.log.display(), self.output());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Asks the program to end and expects exit status 0.
+    pub fn ends_cleanly(&mut self, signal: &str) {
+        self.signal(signal);
+        let status = self.wait();
+        assert_eq!(status.code(), Some(0), "after SIG{signal}: {status}\n{}", self.output());
+    }
+
+    /// Whether it still runs.
+    pub fn is_running(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_none()
+    }
+
+    /// What it printed so far.
+    pub fn output(&self) -> String {
+        std::fs::read_to_string(&self.log).unwrap_or_default()
+    }
+
+    /// Waits until it prints `text`.
+    pub fn prints(&mut self, text: &str) {
+        let started = Instant::now();
+        while !self.output().contains(text) {
+            assert!(self.is_running(), "ended without printing {text:?}\n{}", self.output());
+            assert!(started.elapsed() < PATIENCE, "does not print {text:?}\n{}", self.output());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        if std::thread::panicking() {
+            eprintln!("--- {}\n{}", self.log.display(), self.output());
+        }
+    }
+}

@@ -1,0 +1,145 @@
+//! The node `predictor` against rclpy: what `tests/ros/predictor_peer.py` sees of the real program.
+#![cfg(feature = "ros")]
+
+#[path = "ros/harness.rs"]
+mod harness;
+
+use egotac::model::Config;
+use harness::{Running, Session};
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_egotac_predictor");
+const PEER: &str = "predictor_peer.py";
+
+/// A predictor with a small random network.
+fn predictor(session: &Session, ros_args: &[&str]) -> Running {
+    predictor_with(session, &Config::toy(), ros_args)
+}
+
+fn predictor_with(session: &Session, config: &Config, ros_args: &[&str]) -> Running {
+    let model = format!("model:={}", session.checkpoint(config).display());
+    session.node(PROGRAM, &[&["-p", &model], ros_args].concat())
+}
+
+/// Starts the node, lets the peer check one fact, and ends the node cleanly.
+fn holds(fact: &str, ros_args: &[&str]) {
+    let session = Session::new();
+    let mut node = predictor(&session, ros_args);
+    session.check(PEER, &[fact]);
+    node.ends_cleanly("INT");
+}
+
+#[test]
+fn images_of_every_encoding_size_and_padding_get_predictions_with_equal_stamps() {
+    holds("encodings", &[]);
+}
+
+#[test]
+fn a_frame_holds_both_hands_left_first() {
+    holds("frames", &[]);
+}
+
+#[test]
+fn png_and_jpeg_files_get_predictions_on_the_resolved_topic() {
+    let session = Session::new();
+    let mut node = predictor(&session, &["-p", "image_transport:=compressed", "-r", "image:=cam/image_raw"]);
+    session.check(PEER, &["compressed", concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/ros")]);
+    node.ends_cleanly("INT");
+}
+
+#[test]
+fn the_image_topic_can_be_remapped() {
+    holds("remapped", &["-r", "image:=cam/image_raw"]);
+}
+
+#[test]
+fn a_malformed_image_is_named_in_a_warning_and_survived() {
+    holds("malformed", &[]);
+}
+
+#[test]
+fn a_damaged_file_is_survived() {
+    holds("malformed_compressed", &["-p", "image_transport:=compressed"]);
+}
+
+#[test]
+fn sigint_and_sigterm_end_it_cleanly_while_images_flow() {
+    for signal in ["INT", "TERM"] {
+        let session = Session::new();
+        let mut node = predictor(&session, &[]);
+        let mut stream = session.peer(PEER, &["stream"]);
+        stream.prints("flows");
+        node.ends_cleanly(signal);
+    }
+}
+
+#[test]
+fn the_latched_description_reaches_a_late_subscriber() {
+    let session = Session::new();
+    let mut node = predictor(&session, &[]);
+    node.prints("images from");
+    session.check(PEER, &["latched"]);
+    node.ends_cleanly("TERM");
+}
+
+#[test]
+fn parameters_are_listed_described_set_and_refused() {
+    // A whole number serves as a double on the command line, too.
+    holds("parameters", &["-p", "contact_threshold:=0.25", "-p", "max_age_ms:=0"]);
+}
+
+#[test]
+fn the_newest_image_wins_over_a_slow_network() {
+    let session = Session::new();
+    let slow = Config { vision_width: 192, vision_depth: 12, image: 224, ..Config::toy() };
+    let mut node = predictor_with(&session, &slow, &["-p", "reliability:=reliable"]);
+    session.check(PEER, &["latest_wins"]);
+    node.ends_cleanly("INT");
+}
+
+#[test]
+fn it_can_be_switched_off_and_on() {
+    holds("enabled", &[]);
+}
+
+#[test]
+fn points_follow_the_frame_and_the_hand_pose() {
+    holds("points", &[]);
+}
+
+#[test]
+fn reliability_matches_a_publisher_that_comes_later() {
+    holds("match", &["-p", "reliability:=match"]);
+}
+
+#[test]
+fn large_images_arrive_with_the_transport_profile() {
+    holds("large", &[]);
+}
+
+/// Starts the program and expects it to refuse, with one line that says `text`.
+fn refuses(ros_args: &[&str], text: &str) {
+    let session = Session::new();
+    let mut node = session.node(PROGRAM, ros_args);
+    let status = node.wait();
+    let output = node.output();
+    assert_eq!(status.code(), Some(1), "{output}");
+    assert!(output.lines().any(|line| line.contains(text)), "{output}");
+    assert!(!output.contains("panicked"), "{output}");
+}
+
+#[test]
+fn it_refuses_what_it_cant_work_with_in_one_line() {
+    refuses(&["-p", "model:=/nowhere/model.safetensors"], "/nowhere/model.safetensors: no such file");
+    refuses(&["-p", "device:=tpu"], "parameter device: expected one of cpu, cuda, got \"tpu\"");
+    refuses(&["-p", "max_age_ms:=soon"], "parameter max_age_ms: expected double, got string \"soon\"");
+    refuses(&["-r", "image"], "ROS arguments: ");
+}
+
+#[test]
+fn parameters_are_described_without_ros() {
+    let output = std::process::Command::new(PROGRAM).arg("--describe-parameters").output().unwrap();
+    assert!(output.status.success());
+    let described: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(described["contact_threshold"]["maximum"], 1.0);
+    assert_eq!(described["image_transport"]["one_of"], serde_json::json!(["raw", "compressed"]));
+}
