@@ -1,13 +1,15 @@
 //! Checks what the features need before anything links, and tells the binaries where their libraries are.
 
 use std::env;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 
-use sha2::{Digest, Sha256};
+#[path = "src/cli/doctor/idl_hash.rs"]
+mod idl_hash;
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
+    println!("cargo::rerun-if-changed=src/cli/doctor/idl_hash.rs");
     for name in ["EGOTAC_RPATH", "AMENT_PREFIX_PATH", "IDL_PACKAGE_FILTER", "ROS_DISTRO", "MUJOCO_DYNAMIC_LINK_DIR"] {
         println!("cargo::rerun-if-env-changed={name}");
     }
@@ -57,10 +59,14 @@ fn check_messages(facts: &mut Facts) {
             list(&prefixes)
         );
     };
-    let hash = match idl_hash(&share) {
-        Ok(hash) => hash,
+    let found = idl_hash::idl_files(&share).and_then(|files| Ok((idl_hash::idl_hash(&share, &files)?, files)));
+    let (hash, files) = match found {
+        Ok(found) => found,
         Err(error) => return println!("cargo::error={}: {error}", share.display()),
     };
+    for file in files {
+        println!("cargo::rerun-if-changed={}", file.display());
+    }
     let filter = env::var("IDL_PACKAGE_FILTER").unwrap_or_default();
     match filter.split(';').find_map(|name| name.trim().strip_prefix("egotac_idl_")) {
         Some(marked) if marked != hash => println!(
@@ -110,31 +116,6 @@ fn write_rpaths(dirs: &[PathBuf]) {
             println!("cargo::rustc-link-arg={argument}");
         }
     }
-}
-
-/// The hash of the installed .idl files, as scripts/lib/common.sh and launch/cargo.cmake compute it: SHA-256 of what
-/// `sha256sum` prints for them in the order of their paths; 16 digits.
-fn idl_hash(share: &Path) -> std::io::Result<String> {
-    let mut files = Vec::new();
-    for folder in ["action", "msg", "srv"] {
-        let Ok(entries) = share.join(folder).read_dir() else { continue };
-        for entry in entries {
-            let path = entry?.path();
-            if path.extension().is_some_and(|extension| extension == "idl") {
-                files.push(format!("./{folder}/{}", path.file_name().unwrap_or_default().to_string_lossy()));
-            }
-        }
-    }
-    files.sort();
-    let mut sums = Sha256::new();
-    for file in files {
-        let path = share.join(&file);
-        println!("cargo::rerun-if-changed={}", path.display());
-        sums.update(format!("{:x}  {file}\n", Sha256::digest(std::fs::read(path)?)));
-    }
-    let mut digest = format!("{:x}", sums.finalize());
-    digest.truncate(16);
-    Ok(digest)
 }
 
 fn version_of_rustc() -> String {

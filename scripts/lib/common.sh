@@ -2,7 +2,8 @@
 # What the scripts share: folders, messages, hashes and steps that run once. Source it.
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd -P)
-lib="$root/scripts/lib"
+# shellcheck disable=SC2034 # used by the scripts that source this
+lib=$root/scripts/lib
 
 say() { printf '%s\n' "$*"; }
 
@@ -60,11 +61,11 @@ without() { # LIST BELOW
 
 # Joins the arguments that are not empty with colons.
 join_path() {
-    local entry result=
+    local entry joined=
     for entry in "$@"; do
-        [ -z "$entry" ] || result+=${result:+:}$entry
+        [ -z "$entry" ] || joined=${joined:+$joined:}$entry
     done
-    printf '%s' "$result"
+    printf '%s' "$joined"
 }
 
 # The hash that names a message layout: over the installed .idl files of egotac_msgs below PREFIX. build.rs and

@@ -1,5 +1,7 @@
 # shellcheck shell=bash
 # Writes env.sh, the one file that make, CI and a person source. Source it after common.sh.
+# shellcheck disable=SC2154 # scripts/setup sets the variables that are named at env_file
+# shellcheck disable=SC2016 # what is in single quotes expands when env.sh is sourced
 
 # VALUE as one word of any POSIX shell.
 quoted() {
@@ -7,14 +9,15 @@ quoted() {
     printf "'%s'" "$escaped"
 }
 
-assign() { printf 'export %s=%s\n' "$1" "$(quoted "$2")"; }                 # NAME VALUE
-assign_unless_set() { printf 'export %s="${%s:-%s}"\n' "$1" "$1" "$2"; }    # NAME VALUE
-prepend() {                                                                # NAME LIST
+# Each prints a line for: NAME VALUE, NAME VALUE, NAME LIST.
+assign() { printf 'export %s=%s\n' "$1" "$(quoted "$2")"; }
+assign_unless_set() { printf '[ -n "${%s:-}" ] || export %s=%s\n' "$1" "$1" "$(quoted "$2")"; }
+prepend() {
     printf 'case ":${%s:-}:" in *:%s:*) ;; *) export %s=%s${%s:+":$%s"} ;; esac\n' \
         "$1" "$(quoted "$2")" "$1" "$(quoted "$2")" "$1" "$1"
 }
 
-# Uses: root venv msgs ros (wheels or sourced) mujoco, and for sourced ROS its variables.
+# Uses root, cache, venv, msgs, ros (wheels or sourced), mujoco, and for a sourced ROS its variables.
 env_file() {
     local site packages=() rpath
     site=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
@@ -42,7 +45,6 @@ env_file() {
     fi
     prepend PYTHONPATH "$(dirname "$(find "$msgs" -type d -path '*-packages/egotac_msgs' | head -n 1)")"
     assign EGOTAC_RPATH "$rpath" # where build.rs tells the binaries to look, so that they start without this file
-    # shellcheck disable=SC2016 # expanded when env.sh is sourced
     printf '%s\n' 'case ":${LD_LIBRARY_PATH:-}:" in *":$EGOTAC_RPATH:"*) ;;' \
         '*) export LD_LIBRARY_PATH="$EGOTAC_RPATH${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}" ;; esac'
 
@@ -57,14 +59,8 @@ env_file() {
     assign MUJOCO_DYNAMIC_LINK_DIR "$mujoco"
     assign_unless_set MUJOCO_GL egl
     # Default settings lose camera images above half a megabyte; the first name is Jazzy's, the second is newer.
-    assign_unless_set FASTRTPS_DEFAULT_PROFILES_FILE "$(escaped_for_default "$root/launch/fastdds.xml")"
-    assign_unless_set FASTDDS_DEFAULT_PROFILES_FILE "$(escaped_for_default "$root/launch/fastdds.xml")"
-}
-
-# TEXT for use inside "${NAME:-TEXT}".
-escaped_for_default() {
-    # shellcheck disable=SC2001 # one pass over four characters
-    sed 's/[\\"$`}]/\\&/g' <<<"$1"
+    assign_unless_set FASTRTPS_DEFAULT_PROFILES_FILE "$root/launch/fastdds.xml"
+    assign_unless_set FASTDDS_DEFAULT_PROFILES_FILE "$root/launch/fastdds.xml"
 }
 
 write_env() {
@@ -76,6 +72,6 @@ write_env() {
         rm -f "$temporary"
     else
         mv -f "$temporary" "$root/env.sh"
-        say "egotac: wrote $root/env.sh (ROS 2 ${ROS_DISTRO_USED}, from ${ros_from})"
+        say "egotac: wrote $root/env.sh ($ros_about)"
     fi
 }

@@ -1,3 +1,22 @@
-//! Pictures of hands and fields, drawn on the CPU.
+//! Pictures of hands and fields, drawn on the CPU: the same on every machine, no display needed.
+//!
+//! ```
+//! use egotac::hand::{HandModel, HandParams, Side};
+//! use egotac::render::{View, force_colors, hand_picture};
+//!
+//! let model = HandModel::builtin(Side::Right);
+//! let mut force = vec![0.0; 778];
+//! force[model.tip_vertices[1] as usize] = 2.0;
+//! let posed = model.forward(&HandParams::default());
+//! let picture = hand_picture(&model, &posed, &force_colors(&force, 2.0), View::Palmar, (160, 200));
+//! assert_eq!(picture.dimensions(), (160, 200));
+//! ```
 
+pub mod color;
+pub mod font;
+mod hand;
 pub mod raster;
+mod smooth;
+
+pub use color::{color_bar, force_color, force_colors, region_colors};
+pub use hand::{View, hand_picture};

@@ -3,6 +3,8 @@
 use glam::{Mat3, Vec3};
 use image::{Rgb, RgbImage};
 
+use super::color::{encoded, linear};
+
 /// Samples per pixel along each axis.
 const SUPERSAMPLING: u32 = 3;
 
@@ -134,11 +136,49 @@ fn shade(color: Vec3, normal: Vec3) -> Vec3 {
     color * light * (0.65 + 0.35 * normal.z.clamp(0.0, 1.0))
 }
 
-/// sRGB byte to linear light (approximated by a power of 2.2).
-fn linear(color: Rgb<u8>) -> Vec3 {
-    Vec3::from_array(color.0.map(|byte| (f32::from(byte) / 255.0).powf(2.2)))
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-fn encoded(color: Vec3) -> Rgb<u8> {
-    Rgb(color.to_array().map(|value| (value.clamp(0.0, 1.0).powf(1.0 / 2.2) * 255.0 + 0.5) as u8))
+    const RED: Rgb<u8> = Rgb([255, 0, 0]);
+    const BLUE: Rgb<u8> = Rgb([0, 0, 255]);
+    const PAPER: Rgb<u8> = Rgb([255, 255, 255]);
+
+    /// Two crossed squares facing +z, the blue one in front.
+    fn picture() -> RgbImage {
+        let square = |z: f32, half: f32| {
+            [(-half, -half), (half, -half), (half, half), (-half, half)].map(|(x, y)| Vec3::new(x, y, z))
+        };
+        let vertices = [square(0.0, 0.4), square(0.1, 0.2)].concat();
+        let colors = [[RED; 4], [BLUE; 4]].concat();
+        // The nearer square comes first, so that only the depth buffer can put it in front.
+        let faces = [[4, 5, 6], [4, 6, 7], [0, 1, 2], [0, 2, 3]];
+        let camera = Camera::new(Vec3::ZERO, Vec3::Z, Vec3::Y, 1.0);
+        let mesh = Mesh { vertices: &vertices, normals: &[Vec3::Z; 8], colors: &colors, faces: &faces };
+        draw(&mesh, &camera, PAPER, (50, 50))
+    }
+
+    #[test]
+    fn nearer_surface_hides_the_farther() {
+        let picture = picture();
+        let strongest =
+            |x: u32, y: u32| picture.get_pixel(x, y).0.iter().enumerate().max_by_key(|(_, v)| **v).unwrap().0;
+        assert_eq!(strongest(25, 25), 2);
+        assert_eq!(strongest(8, 25), 0);
+        assert_eq!(*picture.get_pixel(2, 25), PAPER);
+    }
+
+    #[test]
+    fn drawn_area_is_the_projected_area() {
+        let inked = picture().pixels().filter(|pixel| **pixel != PAPER).count();
+        assert_eq!(inked, 40 * 40);
+    }
+
+    #[test]
+    fn surfaces_outside_the_picture_are_cut_off() {
+        let vertices = [Vec3::new(-9.0, -9.0, 0.0), Vec3::new(9.0, -9.0, 0.0), Vec3::new(0.0, 9.0, f32::NAN)];
+        let camera = Camera::new(Vec3::ZERO, Vec3::Z, Vec3::Y, 1.0);
+        let mesh = Mesh { vertices: &vertices, normals: &[Vec3::Z; 3], colors: &[RED; 3], faces: &[[0, 1, 2]] };
+        assert_eq!(draw(&mesh, &camera, PAPER, (8, 8)).dimensions(), (8, 8));
+    }
 }

@@ -1,0 +1,29 @@
+# Thin names for scripts/ and cargo.
+
+.PHONY: help setup demo test lint bench check-cuda
+
+help:
+	@echo 'make setup       what this machine lacks: Python environment, ROS 2, messages, MuJoCo; writes env.sh'
+	@echo 'make demo        the main job for 15 seconds: simulator, predictor, verifier; results in out/demo/'
+	@echo 'make test        everything that CI runs'
+	@echo 'make lint        formatting, clippy for each feature set, docs, shell scripts'
+	@echo 'make bench       criterion benchmarks'
+	@echo 'make check-cuda  clippy and a build of the feature cuda, with a toolkit from Python wheels'
+
+setup:
+	@scripts/setup
+
+demo:
+	@scripts/demo
+
+test:
+	@scripts/test
+
+lint:
+	@scripts/lint
+
+bench:
+	@scripts/bench
+
+check-cuda:
+	@scripts/check-cuda

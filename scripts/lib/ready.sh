@@ -1,0 +1,13 @@
+# shellcheck shell=bash
+# Makes a script ready to build: set-up has run, env.sh is active, cargo is found, $target is its folder. Source it.
+
+# shellcheck source=scripts/lib/common.sh
+. "$(dirname "${BASH_SOURCE[0]}")/common.sh"
+"$root/scripts/setup"
+# shellcheck disable=SC1091 # made by set-up
+. "$root/env.sh"
+command -v cargo >/dev/null || PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
+command -v cargo >/dev/null || fail "there is no cargo: install Rust from https://rustup.rs"
+cd "$root" || exit
+# shellcheck disable=SC2034 # used by the scripts that source this
+target=${CARGO_TARGET_DIR:-$root/target}

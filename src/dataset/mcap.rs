@@ -1,0 +1,198 @@
+//! Bags as rosbag2 writes them: a folder with one MCAP file and its `metadata.yaml`.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use mcap::records::MessageHeader;
+use mcap::{Compression, WriteOptions, Writer};
+use serde::Serialize;
+
+use crate::error::{Error, Result};
+
+/// Size at which a chunk is compressed and written, bytes.
+const CHUNK: u64 = 4 << 20;
+/// Layout of `metadata.yaml`: 5 is read by all distributions from Humble on.
+const METADATA_VERSION: u32 = 5;
+/// Name of the folder while it is written.
+const UNFINISHED: &str = ".unfinished";
+
+/// Writes a bag, message by message; the folder bears its name only once it is whole.
+pub struct BagWriter {
+    folder: PathBuf,
+    unfinished: PathBuf,
+    writer: Writer<BufWriter<File>>,
+    topics: BTreeMap<String, Topic>,
+    start: Option<u64>,
+    end: u64,
+}
+
+#[derive(Debug)]
+struct Topic {
+    channel: u16,
+    type_name: String,
+    messages: u64,
+}
+
+impl BagWriter {
+    /// Starts a bag that will lie in the folder `folder`.
+    ///
+    /// # Errors
+    /// If `folder` exists, or can't be written beside.
+    pub fn create(folder: &Path) -> Result<Self> {
+        if folder.exists() {
+            return Err(Error::file(folder, "expected a bag folder that does not exist yet"));
+        }
+        let mut unfinished = folder.as_os_str().to_owned();
+        unfinished.push(UNFINISHED);
+        let unfinished = PathBuf::from(unfinished);
+        if unfinished.exists() {
+            std::fs::remove_dir_all(&unfinished).map_err(Error::io(&unfinished))?;
+        }
+        std::fs::create_dir_all(&unfinished).map_err(Error::io(&unfinished))?;
+        let path = unfinished.join(file_name(folder));
+        let file = BufWriter::new(File::create(&path).map_err(Error::io(&path))?);
+        let options = WriteOptions::new().profile("ros2").compression(Some(Compression::Zstd)).chunk_size(Some(CHUNK));
+        let writer = options.create(file).map_err(|error| Error::file(&path, error))?;
+        Ok(Self { folder: folder.to_path_buf(), unfinished, writer, topics: BTreeMap::new(), start: None, end: 0 })
+    }
+
+    /// Adds a topic of messages of `type_name` (`package/msg/Name`), defined by `schema` in `ros2msg` form.
+    ///
+    /// # Errors
+    /// If the topic is there already, or the file can't be written.
+    pub fn add_topic(&mut self, topic: &str, type_name: &str, schema: &str) -> Result<()> {
+        if self.topics.contains_key(topic) {
+            return Err(Error::value("topic", "a new one", topic));
+        }
+        let wrap = |error| Error::file(&self.folder, error);
+        let schema = self.writer.add_schema(type_name, "ros2msg", schema.as_bytes()).map_err(wrap)?;
+        let metadata = BTreeMap::from([("offered_qos_profiles".to_owned(), String::new())]);
+        let channel = self.writer.add_channel(schema, topic, "cdr", &metadata).map_err(wrap)?;
+        self.topics.insert(topic.to_owned(), Topic { channel, type_name: type_name.to_owned(), messages: 0 });
+        Ok(())
+    }
+
+    /// Writes one message: `payload` is its CDR with encapsulation header, times are nanoseconds since 1970.
+    ///
+    /// # Errors
+    /// If the topic was not added, or the file can't be written.
+    pub fn write(&mut self, topic: &str, payload: &[u8], log_time: u64, publish_time: u64) -> Result<()> {
+        let Some(known) = self.topics.get_mut(topic) else {
+            return Err(Error::unknown("topic", topic, self.topics.keys().map(String::as_str)));
+        };
+        let header = MessageHeader { channel_id: known.channel, sequence: 0, log_time, publish_time };
+        self.writer.write_to_known_channel(&header, payload).map_err(|error| Error::file(&self.folder, error))?;
+        known.messages += 1;
+        self.start = Some(self.start.unwrap_or(log_time).min(log_time));
+        self.end = self.end.max(log_time);
+        Ok(())
+    }
+
+    /// Closes the bag, writes `metadata.yaml` and gives the folder its name.
+    ///
+    /// # Errors
+    /// If a file can't be written, or the folder has come to exist.
+    pub fn finish(mut self) -> Result<()> {
+        self.writer.finish().map_err(|error| Error::file(&self.folder, error))?;
+        let path = self.unfinished.join("metadata.yaml");
+        let yaml = serde_yaml::to_string(&self.metadata()).map_err(|error| Error::file(&path, error))?;
+        std::fs::write(&path, yaml).map_err(Error::io(&path))?;
+        std::fs::rename(&self.unfinished, &self.folder).map_err(Error::io(&self.folder))
+    }
+
+    fn metadata(&self) -> Metadata {
+        let start = self.start.unwrap_or(0);
+        let duration = Nanoseconds { nanoseconds: self.end.saturating_sub(start) };
+        let starting_time = SinceEpoch { nanoseconds_since_epoch: start };
+        let message_count = self.topics.values().map(|topic| topic.messages).sum();
+        let topics = self.topics.iter().map(|(name, topic)| TopicCount {
+            topic_metadata: TopicMetadata {
+                name: name.clone(),
+                r#type: topic.type_name.clone(),
+                serialization_format: "cdr",
+                offered_qos_profiles: "",
+            },
+            message_count: topic.messages,
+        });
+        let file = file_name(&self.folder);
+        Metadata {
+            rosbag2_bagfile_information: Information {
+                version: METADATA_VERSION,
+                storage_identifier: "mcap",
+                duration,
+                starting_time,
+                message_count,
+                topics_with_message_count: topics.collect(),
+                compression_format: "",
+                compression_mode: "",
+                relative_file_paths: vec![file.clone()],
+                files: vec![FileInformation { path: file, starting_time, duration, message_count }],
+            },
+        }
+    }
+}
+
+impl std::fmt::Debug for BagWriter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("BagWriter").field("folder", &self.folder).field("topics", &self.topics).finish_non_exhaustive()
+    }
+}
+
+/// Name of the one MCAP file in the bag `folder`, as rosbag2 numbers them.
+pub fn file_name(folder: &Path) -> String {
+    let name = folder.file_name().map_or_else(|| "bag".into(), |name| name.to_string_lossy());
+    format!("{name}_0.mcap")
+}
+
+#[derive(Serialize)]
+struct Metadata {
+    rosbag2_bagfile_information: Information,
+}
+
+#[derive(Serialize)]
+struct Information {
+    version: u32,
+    storage_identifier: &'static str,
+    duration: Nanoseconds,
+    starting_time: SinceEpoch,
+    message_count: u64,
+    topics_with_message_count: Vec<TopicCount>,
+    compression_format: &'static str,
+    compression_mode: &'static str,
+    relative_file_paths: Vec<String>,
+    files: Vec<FileInformation>,
+}
+
+#[derive(Serialize, Clone, Copy)]
+struct Nanoseconds {
+    nanoseconds: u64,
+}
+
+#[derive(Serialize, Clone, Copy)]
+struct SinceEpoch {
+    nanoseconds_since_epoch: u64,
+}
+
+#[derive(Serialize)]
+struct TopicCount {
+    topic_metadata: TopicMetadata,
+    message_count: u64,
+}
+
+#[derive(Serialize)]
+struct TopicMetadata {
+    name: String,
+    r#type: String,
+    serialization_format: &'static str,
+    offered_qos_profiles: &'static str,
+}
+
+#[derive(Serialize)]
+struct FileInformation {
+    path: String,
+    starting_time: SinceEpoch,
+    duration: Nanoseconds,
+    message_count: u64,
+}
