@@ -38,6 +38,9 @@ struct Show {
     /// Paint where the hand is touched: force of label c on the vertices, projected into the picture.
     #[arg(long)]
     touch: bool,
+    /// List the contacts of each instant: bodies, normal force, depth.
+    #[arg(long)]
+    contacts: bool,
     /// Draw shadows (ten times slower).
     #[arg(long)]
     shadows: bool,
@@ -192,8 +195,20 @@ mod with_sim {
                 total,
                 touched(&frame)
             );
+            if args.contacts {
+                print_contacts(&rollout);
+            }
         }
         write_png(&sheet, &args.out)
+    }
+
+    fn print_contacts(rollout: &Rollout) {
+        let world = rollout.world();
+        for contact in world.contacts() {
+            let [a, b] = contact.bodies.map(|body| world.body_name(body));
+            let depth = -1e3 * contact.distance;
+            println!("  {a:16} {b:16} {:7.3} N {depth:6.2} mm deep", contact.normal_force);
+        }
     }
 
     pub fn run(args: &Run) -> anyhow::Result<()> {

@@ -210,6 +210,11 @@ impl World {
         DQuat::from_xyzw(x, y, z, w).normalize()
     }
 
+    /// Name of a body; empty if it has none.
+    pub fn body_name(&self, Body(body): Body) -> &str {
+        self.data.model().id_to_name(MjtObjBase::mjOBJ_BODY, body).unwrap_or_default()
+    }
+
     /// Mass of a body without its children, kg.
     pub fn mass(&self, Body(body): Body) -> f64 {
         self.data.model().body_mass()[body]

@@ -7,6 +7,7 @@ use glam::DVec3;
 
 use super::ik::{self, Clearance, Freedom, Reach};
 use super::mjcf::{WRIST, WRIST_STIFFNESS};
+use super::object::Object;
 use super::randomize::{Act, Goal, HandDraw};
 use super::rig::{HandRig, JOINT_NAMES, site_of};
 use super::scene::Site;
@@ -62,7 +63,7 @@ impl HandDriver {
     ///
     /// # Errors
     /// If the world was not made from this hand.
-    pub fn new(world: &mut World, hand: &HandDraw, rig: &HandRig, objects: &[Body]) -> Result<Self> {
+    pub fn new(world: &mut World, hand: &HandDraw, rig: &HandRig, objects: &[(Body, &Object)]) -> Result<Self> {
         let servo = |name: &str| world.servo(&rig.name(name));
         let wrist = WRIST.map(servo);
         let mut servos = Vec::new();
@@ -82,7 +83,8 @@ impl HandDriver {
         };
         let mut driver = Self { wrist, hinges, wrist_body: bodies[0], bodies, plan: resting };
         if let Some(act) = &hand.act {
-            driver.plan = driver.solve(world, hand, act, rig, objects[act.object]);
+            let (body, shape) = objects[act.object];
+            driver.plan = driver.solve(world, hand, act, rig, body, shape);
         }
         let targets = driver.targets(0.0);
         for (servo, target) in driver.servos().zip(&targets) {
@@ -161,7 +163,7 @@ impl HandDriver {
         let part = place - low as f64;
         targets.extend(plan.fingers[low].iter().zip(&plan.fingers[high]).map(|(a, b)| a + (b - a) * part));
         for push in &plan.pushes {
-            let force = (channels.squeeze * push.goal.force + push.correction).max(0.0);
+            let force = channels.squeeze * push.goal.force + push.correction;
             for (index, per_newton) in &push.per_newton {
                 targets[*index] += force * per_newton;
             }
@@ -169,11 +171,22 @@ impl HandDriver {
         targets
     }
 
-    fn solve(&self, world: &mut World, hand: &HandDraw, act: &Act, rig: &HandRig, object: Body) -> Plan {
-        let clearance = Clearance {
-            hulls: self.bodies.iter().zip(&rig.hulls).map(|(body, hull)| (*body, hull.as_slice())).collect(),
-            height: TABLE_CLEARANCE,
+    fn solve(
+        &self,
+        world: &mut World,
+        hand: &HandDraw,
+        act: &Act,
+        rig: &HandRig,
+        object: Body,
+        shape: &Object,
+    ) -> Plan {
+        let (at, turn) = (world.position(object), world.orientation(object));
+        let depth = |point: DVec3| {
+            let (depth, out) = shape.depth(turn.inverse() * (point - at))?;
+            Some((depth, turn * out))
         };
+        let clearance =
+            Clearance { depth: &depth, rig, links: &self.bodies, pairs: rig.colliding(), height: TABLE_CLEARANCE };
         let reach = |goal: &Goal, opening: f64| {
             let pad = rig.pad(goal.site);
             Reach { body: self.bodies[pad.joint], pad, point: goal.point + goal.normal * opening, normal: goal.normal }

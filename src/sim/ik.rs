@@ -3,7 +3,7 @@
 use glam::DVec3;
 use nalgebra::{DMatrix, DVector};
 
-use super::rig::Pad;
+use super::rig::{HandRig, Pad};
 use crate::mujoco::World;
 use crate::mujoco::world::{Body, Servo};
 
@@ -33,19 +33,27 @@ pub struct Reach {
     pub normal: DVec3,
 }
 
-/// Bodies with the corners of their hulls, kept above a height.
-#[derive(Debug, Clone)]
+/// Links of a hand, kept above a height, out of an obstacle, and out of each other.
 pub struct Clearance<'a> {
-    /// Bodies and corners in their frames.
-    pub hulls: Vec<(Body, &'a [DVec3])>,
+    /// The hand.
+    pub rig: &'a HandRig,
+    /// Its links' bodies.
+    pub links: &'a [Body],
+    /// Pairs of links that may meet.
+    pub pairs: Vec<(usize, usize)>,
     /// Lowest height allowed, m.
     pub height: f64,
+    /// Depth of a world point in the obstacle, m, and the unit direction out of it.
+    pub depth: &'a dyn Fn(DVec3) -> Option<(f64, DVec3)>,
 }
 
 /// Error of a pad's place that counts 1, m.
 const POINT_SLACK: f64 = 1e-3;
 /// Error of a pad's direction that counts 1, as the length of the difference of unit vectors.
 const NORMAL_SLACK: f64 = 0.5;
+
+/// Gap that fingers keep from each other, m.
+const FINGER_GAP: f64 = 1.5e-3;
 
 /// Moves `freedoms` until the pads reach; returns their positions, which are also left in `world`.
 ///
@@ -129,13 +137,37 @@ fn linearise(
         let columns: Vec<DVec3> = spins.iter().map(|omega| omega.cross(facing)).collect();
         push(facing + reach.normal, &columns, NORMAL_SLACK);
     }
-    for (body, hull) in &clearance.hulls {
-        let (origin, turn) = (world.position(*body), world.orientation(*body));
-        let corners = hull.iter().map(|corner| origin + turn * *corner);
+    let mut push_out = |depth: f64, columns: Vec<f64>| {
+        errors.push(-depth / POINT_SLACK);
+        rows.push(columns.into_iter().map(|c| c / POINT_SLACK).collect());
+    };
+    let place = |link: usize| (world.position(clearance.links[link]), world.orientation(clearance.links[link]));
+    for (link, body) in clearance.links.iter().enumerate() {
+        let (origin, turn) = place(link);
+        let corners = clearance.rig.hulls[link].iter().map(|corner| origin + turn * *corner);
+        let deepest =
+            corners.clone().filter_map(|corner| (clearance.depth)(corner).map(|(depth, out)| (corner, depth, out)));
+        if let Some((corner, depth, out)) = deepest.max_by(|a, b| a.1.total_cmp(&b.1)) {
+            push_out(depth, world.jacobian(*body, corner, &servos).iter().map(|c| c.dot(out)).collect());
+        }
         let Some(lowest) = corners.min_by(|a, b| a.z.total_cmp(&b.z)) else { continue };
         if lowest.z < clearance.height {
-            errors.push((lowest.z - clearance.height) / POINT_SLACK);
-            rows.push(world.jacobian(*body, lowest, &servos).iter().map(|c| c.z / POINT_SLACK).collect());
+            let columns = world.jacobian(*body, lowest, &servos);
+            push_out(clearance.height - lowest.z, columns.iter().map(|c| c.z).collect());
+        }
+    }
+    for &(a, b) in &clearance.pairs {
+        let ((origin_a, turn_a), (origin_b, turn_b)) = (place(a), place(b));
+        let back = turn_b.inverse();
+        let inside = clearance.rig.hulls[a].iter().filter_map(|corner| {
+            let corner = origin_a + turn_a * *corner;
+            let (depth, out) = clearance.rig.depth(b, back * (corner - origin_b), FINGER_GAP)?;
+            Some((corner, depth, turn_b * out))
+        });
+        if let Some((corner, depth, out)) = inside.max_by(|x, y| x.1.total_cmp(&y.1)) {
+            let of_a = world.jacobian(clearance.links[a], corner, &servos);
+            let of_b = world.jacobian(clearance.links[b], corner, &servos);
+            push_out(depth, of_a.iter().zip(of_b).map(|(a, b)| (*a - b).dot(out)).collect());
         }
     }
     for (i, (freedom, position)) in freedoms.iter().zip(positions).enumerate() {

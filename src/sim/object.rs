@@ -23,10 +23,14 @@ pub struct Object {
     /// Convex pieces.
     pub pieces: Vec<Piece>,
     /// Finer surface for the picture in place of the pieces marked as not visible: vertices and triangles.
-    pub visual: Option<(Vec<DVec3>, Vec<[u32; 3]>)>,
+    pub visual: Option<Surface>,
     /// Half of its height, m.
     pub half_height: f64,
+    outline: SharedShape,
 }
+
+/// Vertices, m, and triangles, counter-clockwise from outside.
+pub type Surface = (Vec<DVec3>, Vec<[u32; 3]>);
 
 /// One convex piece.
 #[derive(Debug, Clone)]
@@ -65,7 +69,8 @@ impl Object {
     pub fn sample(spec: &ShapeSpec, rng: &mut impl Rng) -> Result<Self> {
         let single = |shape: PieceShape, half_height: f64| -> Result<Self> {
             let piece = Piece::new(shape, DVec3::ZERO, DQuat::IDENTITY, true)?;
-            Ok(Self { pieces: vec![piece], visual: None, half_height })
+            let outline = piece.collider.clone();
+            Ok(Self::new(vec![piece], None, half_height, outline))
         };
         match spec {
             ShapeSpec::Box { size } => {
@@ -86,6 +91,17 @@ impl Object {
             }
             ShapeSpec::Mug { radius, height, wall } => mug(radius.sample(rng), height.sample(rng), wall.sample(rng)),
         }
+    }
+
+    fn new(pieces: Vec<Piece>, visual: Option<Surface>, half_height: f64, outline: SharedShape) -> Self {
+        Self { pieces, visual, half_height, outline }
+    }
+
+    /// How deep a point is inside the convex outline, m, and the unit direction that leads out the shortest way.
+    ///
+    /// The outline leaves handles out and fills hollows: it is what a grasping hand keeps out of.
+    pub fn depth(&self, point: DVec3) -> Option<(f64, DVec3)> {
+        super::rig::depth(&self.outline, point, 0.0)
     }
 
     /// Volume, m³; overlaps of pieces count twice.
@@ -238,11 +254,12 @@ fn mug(radius: f64, height: f64, wall: f64) -> Result<Object> {
         let capsule = PieceShape::Capsule(thick, 0.5 * (b - a).length());
         pieces.push(Piece::new(capsule, 0.5 * (a + b), turn, true)?);
     }
-    Ok(Object { pieces, visual: Some(mug_surface(radius, height, wall)), half_height: half })
+    let outline = hull(&ring_points(radius, half))?;
+    Ok(Object::new(pieces, Some(mug_surface(radius, height, wall)), half, outline))
 }
 
 /// The mug's body as a surface of revolution, finely faceted for the picture.
-fn mug_surface(radius: f64, height: f64, wall: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+fn mug_surface(radius: f64, height: f64, wall: f64) -> Surface {
     const AROUND: usize = 48;
     let (half, inner) = (0.5 * height, radius - wall);
     let rim = 0.3 * wall;

@@ -214,8 +214,10 @@ impl HandDraw {
         };
         let wrist = goals.iter().map(|g| g.point - pad(g)).sum::<DVec3>() / goals.len() as f64;
         let mirror = if side == Side::Left { DVec3::new(-1.0, 1.0, 1.0) } else { DVec3::ONE };
-        let from = DQuat::from_scaled_axis(direction(rng) * act.from_turn.sample(rng))
-            * (DVec3::from_array(act.from) * mirror);
+        let turn = DQuat::from_scaled_axis(direction(rng) * act.from_turn.sample(rng));
+        let mut from = (turn * (DVec3::from_array(act.from) * mirror)).normalize();
+        // Never from below: the hand would come through the table.
+        from.z = from.z.max(0.15);
         let timeline = Timeline::sample(&act.start, &act.script, side == Side::Left, rng);
         let act = Act { object: index, goals, from: from.normalize(), timeline };
         Ok(Self { side, wrist, orientation, posture, act: Some(act), skin, sleeve })
@@ -246,7 +248,7 @@ fn posture(rig: &HandRig, act: &ActSpec, curl: f64, rng: &mut impl Rng) -> Vec<f
     let angles = rig
         .hinges
         .iter()
-        .map(|hinge| (bend(hinge) + rng.random_range(-0.06..0.06)).clamp(hinge.range[0], hinge.range[1]));
+        .map(|hinge| (bend(hinge) + rng.random_range(-0.05..0.05)).clamp(hinge.range[0], hinge.range[1]));
     angles.collect()
 }
 
@@ -291,8 +293,12 @@ fn resting(rig: &HandRig, rng: &mut impl Rng) -> (DVec3, DQuat, Vec<f64>) {
     let fingers = DVec3::new(outward * rng.random_range(-0.45..0.0), 1.0, -0.05);
     let orientation = rig.orientation(fingers, DVec3::NEG_Z);
     let curl = rng.random_range(0.02..0.25);
-    let angles: Vec<f64> =
-        rig.hinges.iter().map(|hinge| [0.0, 0.5 * curl, 0.9 * curl, 0.6 * curl][hinge_place(hinge)]).collect();
+    // The thumb lies beside the hand rather than under it.
+    let bend = |hinge: &super::rig::Hinge| match (hinge.site, hinge_place(hinge)) {
+        (Site::Thumb, place) => [-0.25, 0.0, 0.0, 0.1][place],
+        (_, place) => [0.0, 0.5 * curl, 0.9 * curl, 0.6 * curl][place],
+    };
+    let angles: Vec<f64> = rig.hinges.iter().map(bend).collect();
     let posed = rig.model.forward(&rig.params(DVec3::ZERO, orientation, &angles));
     let lowest = posed.vertices.iter().map(|v| v.z).fold(f32::INFINITY, f32::min);
     // Sunk in a little: the arm's weight on the table.

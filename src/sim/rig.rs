@@ -39,6 +39,7 @@ pub struct HandRig {
     pub hulls: Vec<Vec<DVec3>>,
     /// Pairs of links that never collide.
     pub excluded: Vec<(usize, usize)>,
+    shapes: Vec<SharedShape>,
     pads: [Pad; 6],
 }
 
@@ -111,8 +112,9 @@ impl HandRig {
         let tips = Site::FINGERS.map(|site| tip(&model, &rest.vertices, &joints, base_joint(site)));
         let pads = pads(&model, &rest.vertices, &joints, &frame, &tips);
         let hinges = hinges(&joints, &frame, &tips);
-        let excluded = excluded(&hulls, &joints)?;
-        Ok(Self { model, betas, joints, vertices: rest.vertices, frame, hinges, hulls, excluded, pads })
+        let shapes = shapes(&hulls)?;
+        let excluded = excluded(&shapes, &joints);
+        Ok(Self { model, betas, joints, vertices: rest.vertices, frame, hinges, hulls, excluded, shapes, pads })
     }
 
     /// Which hand.
@@ -133,6 +135,17 @@ impl HandRig {
     /// Parent of a joint; `None` for the wrist.
     pub fn parent(&self, joint: usize) -> Option<usize> {
         (self.model.parents[joint] != joint).then_some(self.model.parents[joint])
+    }
+
+    /// Pairs of links of different fingers that may touch each other.
+    pub fn colliding(&self) -> Vec<(usize, usize)> {
+        let all = (0..N_JOINTS).flat_map(|a| (a + 1..N_JOINTS).map(move |b| (a, b)));
+        all.filter(|(a, b)| site_of(*a) != site_of(*b) && !self.excluded.contains(&(*a, *b))).collect()
+    }
+
+    /// How deep a point in a link's frame is inside the link's hull grown by `margin`, m, and the unit direction out.
+    pub fn depth(&self, joint: usize, point: DVec3, margin: f64) -> Option<(f64, DVec3)> {
+        depth(&self.shapes[joint], point, margin)
     }
 
     /// Parameters of the hand from the wrist's pose and the hinges' angles, exact.
@@ -323,28 +336,61 @@ fn hinges(joints: &[DVec3; N_JOINTS], frame: &HandFrame, tips: &[DVec3; 5]) -> V
     hinges
 }
 
-fn excluded(hulls: &[Vec<DVec3>], joints: &[DVec3; N_JOINTS]) -> Result<Vec<(usize, usize)>> {
-    let vector = |v: DVec3| Vector::new(v.x as f32, v.y as f32, v.z as f32);
-    let mut shapes = Vec::new();
-    for (joint, hull) in hulls.iter().enumerate() {
+fn shapes(hulls: &[Vec<DVec3>]) -> Result<Vec<SharedShape>> {
+    let shape = |(joint, hull): (usize, &Vec<DVec3>)| {
         let points: Vec<Vector> = hull.iter().copied().map(vector).collect();
         let shape = if points.len() < 4 { None } else { SharedShape::convex_hull(&points) };
-        shapes.push(shape.ok_or_else(|| {
+        shape.ok_or_else(|| {
             let name = format!("lbs_weights of joint {joint} ({})", JOINT_NAMES[joint]);
             Error::value(name, "vertices that span a volume", format!("{} vertices", points.len()))
-        })?);
-    }
+        })
+    };
+    hulls.iter().enumerate().map(shape).collect()
+}
+
+fn excluded(shapes: &[SharedShape], joints: &[DVec3; N_JOINTS]) -> Vec<(usize, usize)> {
     let pose = |joint: usize| Pose::from_translation(vector(joints[joint]));
     let mut pairs = Vec::new();
     for a in 0..N_JOINTS {
         for b in a + 1..N_JOINTS {
             let gap = parry3d::query::distance(&pose(a), &*shapes[a], &pose(b), &*shapes[b]);
-            if gap.is_ok_and(|gap| gap.distance < REST_GAP) {
+            if are_web(a, b) || gap.is_ok_and(|gap| gap.distance < REST_GAP) {
                 pairs.push((a, b));
             }
         }
     }
-    Ok(pairs)
+    pairs
+}
+
+fn vector(v: DVec3) -> Vector {
+    Vector::new(v.x as f32, v.y as f32, v.z as f32)
+}
+
+/// How deep a point is inside a convex shape grown by `margin`, m, and the unit direction that leads out.
+pub(super) fn depth(shape: &SharedShape, point: DVec3, margin: f64) -> Option<(f64, DVec3)> {
+    let sphere = shape.compute_local_bounding_sphere();
+    if vector(point).distance(sphere.center) > sphere.radius + margin as f32 {
+        return None;
+    }
+    let projection = shape.project_local_point(vector(point), false);
+    let surface = DVec3::new(projection.point.x.into(), projection.point.y.into(), projection.point.z.into());
+    let gap = (point - surface).length();
+    if gap < 1e-7 {
+        return None; // on the surface the direction is noise
+    }
+    let out = (if projection.is_inside { surface - point } else { point - surface }) / gap;
+    let depth = margin + if projection.is_inside { gap } else { -gap };
+    (depth > 0.0).then_some((depth, out))
+}
+
+/// Whether two links meet at the web between two fingers, where skin always rubs on skin.
+fn are_web(a: usize, b: usize) -> bool {
+    let (finger_a, finger_b) = (site_of(a), site_of(b));
+    if finger_a == finger_b || finger_a == Site::Palm || finger_b == Site::Palm {
+        return false;
+    }
+    let (link_a, link_b) = (a - base_joint(finger_a), b - base_joint(finger_b));
+    link_a + link_b <= 1
 }
 
 #[cfg(test)]

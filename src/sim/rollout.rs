@@ -135,7 +135,8 @@ impl Rollout {
                 surface: object.shape.sampled_surface(SPACING)?,
             });
         }
-        let bodies: Vec<_> = objects.iter().map(|object| world.body_of(object.joint)).collect();
+        let bodies = objects.iter().map(|object| world.body_of(object.joint));
+        let bodies: Vec<_> = bodies.zip(episode.objects.iter().map(|object| &object.shape)).collect();
         let mut hands = [None, None];
         for hand in &episode.hands {
             let rig = &rigs[hand.side as usize];

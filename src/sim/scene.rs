@@ -254,9 +254,9 @@ pub struct CameraSpec {
 impl Default for CameraSpec {
     fn default() -> Self {
         Self {
-            eye: [Span::new(-0.06, 0.06), Span::new(-0.44, -0.34), Span::new(0.36, 0.46)],
+            eye: [Span::new(-0.06, 0.06), Span::new(-0.36, -0.26), Span::new(0.38, 0.48)],
             target: [Span::new(-0.02, 0.02), Span::new(-0.03, 0.03), Span::new(0.02, 0.06)],
-            fovy: Span::new(48.0, 58.0),
+            fovy: Span::new(40.0, 50.0),
             roll: Span::new(-0.06, 0.06),
             sway: Span::new(0.0, 0.008),
         }
