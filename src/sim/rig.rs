@@ -354,7 +354,7 @@ fn excluded(shapes: &[SharedShape], joints: &[DVec3; N_JOINTS]) -> Vec<(usize, u
     for a in 0..N_JOINTS {
         for b in a + 1..N_JOINTS {
             let gap = parry3d::query::distance(&pose(a), &*shapes[a], &pose(b), &*shapes[b]);
-            if are_web(a, b) || gap.is_ok_and(|gap| gap.distance < REST_GAP) {
+            if are_neighbours(a, b) || gap.is_ok_and(|gap| gap.distance < REST_GAP) {
                 pairs.push((a, b));
             }
         }
@@ -383,14 +383,14 @@ pub(super) fn depth(shape: &SharedShape, point: DVec3, margin: f64) -> Option<(f
     (depth > 0.0).then_some((depth, out))
 }
 
-/// Whether two links meet at the web between two fingers, where skin always rubs on skin.
-fn are_web(a: usize, b: usize) -> bool {
-    let (finger_a, finger_b) = (site_of(a), site_of(b));
-    if finger_a == finger_b || finger_a == Site::Palm || finger_b == Site::Palm {
-        return false;
-    }
-    let (link_a, link_b) = (a - base_joint(finger_a), b - base_joint(finger_b));
-    link_a + link_b <= 1
+/// Whether two links belong to fingers that lie side by side.
+///
+/// Their flanks rub all the time; as convex hulls they would press each other apart with newtons that no skin feels.
+/// The thumb may touch every finger, and every finger the palm.
+fn are_neighbours(a: usize, b: usize) -> bool {
+    let (a, b) = (site_of(a), site_of(b));
+    let between = [(Site::Index, Site::Middle), (Site::Middle, Site::Ring), (Site::Ring, Site::Little)];
+    between.contains(&(a, b)) || between.contains(&(b, a))
 }
 
 #[cfg(test)]
