@@ -7,9 +7,11 @@ use anyhow::{Context, bail};
 
 use crate::dataset::EpisodeReader;
 use crate::dataset::tensors::FieldFile;
-use crate::dataset::zarr::{FRAME_VALIDITY, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, TIMESTAMPS, ZarrReader};
+use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader};
 use crate::metrics::{self, Calibration, Fields, Options, Report};
-use crate::tactile::N_FIELD;
+use crate::model::Checkpoint;
+use crate::train::baseline;
+use crate::train::batch::{Dataset, read_labels};
 
 /// Arguments of `egotac eval`.
 #[derive(Debug, clap::Args)]
@@ -19,13 +21,23 @@ use crate::tactile::N_FIELD;
 )]
 pub struct Args {
     /// Predicted fields: safetensors with `force` and `contact`, (T, 1556) each.
-    #[arg(long, value_name = "FILE")]
-    pred: PathBuf,
+    #[arg(long, value_name = "FILE", requires = "target", required_unless_present = "checkpoint")]
+    pred: Option<PathBuf>,
     /// True fields: safetensors as above (also `mask_force`, `mask_contact`, `episode_ends`), or a Zarr store.
-    #[arg(long, value_name = "FILE|STORE")]
-    target: PathBuf,
+    #[arg(long, value_name = "FILE|STORE", requires = "pred")]
+    target: Option<PathBuf>,
+    /// Checkpoint to run on `--data` in place of `--pred` and `--target`.
+    #[arg(long, value_name = "FILE", requires = "data", conflicts_with = "pred")]
+    checkpoint: Option<PathBuf>,
+    /// Zarr stores with truth, or folders of them.
+    #[arg(long, value_name = "STORE", num_args = 1.., requires = "checkpoint")]
+    data: Vec<PathBuf>,
+    /// Training stores: score beside the checkpoint three constants, namely zero, and the mean and the median of each
+    /// vertex over these stores.
+    #[arg(long, value_name = "STORE", num_args = 1.., requires = "checkpoint")]
+    baselines_from: Vec<PathBuf>,
     /// Frames per second, for the dominant frequency; by default from the target's timestamps.
-    #[arg(long, value_name = "F", value_parser = positive)]
+    #[arg(long, value_name = "F", value_parser = super::positive)]
     fps: Option<f64>,
     /// JSON file with the range of the total force, N: {"min": .., "max": ..}, or one each under "pred" and "target";
     /// by default the range of the data.
@@ -38,23 +50,54 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let report = eval_files(&args)?;
-    print_reports(&[("prediction", &report)], args.json)?;
+    let reports = match (&args.pred, &args.target, &args.checkpoint) {
+        (Some(pred), Some(target), None) => vec![("prediction", eval_files(&args, pred, target)?)],
+        (None, None, Some(checkpoint)) => eval_checkpoint(&args, checkpoint)?,
+        _ => bail!("give --pred and --target, or --checkpoint and --data"),
+    };
+    let reports: Vec<(&str, &Report)> = reports.iter().map(|(name, report)| (*name, report)).collect();
+    print_reports(&reports, args.json)?;
     Ok(ExitCode::SUCCESS)
 }
 
-fn eval_files(args: &Args) -> anyhow::Result<Report> {
-    let pred = FieldFile::read(&args.pred)?;
-    let target = read_target(&args.target)?;
+/// The checkpoint's report, then those of the constants.
+fn eval_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Vec<(&'static str, Report)>> {
+    let device = candle_core::Device::Cpu;
+    let checkpoint = Checkpoint::load(checkpoint, &device)?;
+    let preparation = checkpoint.metadata.preparation(checkpoint.model.config());
+    let open = |paths: &[PathBuf]| -> anyhow::Result<Dataset> {
+        let data = Dataset::new(zarr::open_all(paths)?, preparation.clone(), false)?;
+        data.topology().must_match(checkpoint.metadata.topology)?;
+        Ok(data)
+    };
+    let data = open(&args.data)?;
+    let labels = data.labels()?;
+    let mut options = labels.options();
+    options.fps = args.fps.or(options.fps);
+    options.calibration = args.calibration.as_deref().map(read_calibration).transpose()?;
+    let predicted = super::predict::predict_stores(&checkpoint, &data, &device)?.fields;
+    let mut reports = vec![("model", metrics::evaluate(&predicted, &labels.fields, &options)?)];
+    if !args.baselines_from.is_empty() {
+        for constant in baseline::constants(&open(&args.baselines_from)?.labels()?) {
+            let fields = constant.fields(labels.fields.n_frames());
+            reports.push((constant.name, metrics::evaluate(&fields, &labels.fields, &options)?));
+        }
+    }
+    Ok(reports)
+}
+
+fn eval_files(args: &Args, pred_path: &Path, target_path: &Path) -> anyhow::Result<Report> {
+    let pred = FieldFile::read(pred_path)?;
+    let target = read_target(target_path)?;
     if let (Some(pred), Some(target)) = (pred.topology, target.topology) {
         pred.must_match(target)?;
     }
     if pred.fields.n_frames() != target.fields.n_frames() {
         bail!(
             "{} has {} frames, {} has {}",
-            args.pred.display(),
+            pred_path.display(),
             pred.fields.n_frames(),
-            args.target.display(),
+            target_path.display(),
             target.fields.n_frames()
         );
     }
@@ -63,10 +106,7 @@ fn eval_files(args: &Args) -> anyhow::Result<Report> {
 }
 
 fn options(target: &FieldFile, fps: Option<f64>, calibration: Option<&Path>) -> anyhow::Result<Options> {
-    let calibration = match calibration {
-        Some(path) => Some(read_calibration(path)?),
-        None => None,
-    };
+    let calibration = calibration.map(read_calibration).transpose()?;
     Ok(Options {
         mask_force: target.mask_force.clone(),
         mask_contact: target.mask_contact.clone(),
@@ -96,27 +136,13 @@ fn read_target(path: &Path) -> anyhow::Result<FieldFile> {
         return Ok(FieldFile::read(path)?);
     }
     let store = ZarrReader::open(path)?;
-    let frames = 0..store.len();
-    let mask = |name: &str| -> anyhow::Result<Vec<u8>> {
-        let mut mask = match store.has(name) {
-            true => store.read_u8(name, frames.clone())?,
-            false => vec![1; store.len() * N_FIELD],
-        };
-        if store.has(FRAME_VALIDITY) {
-            let validity = store.read_u8(FRAME_VALIDITY, frames.clone())?;
-            mask.chunks_mut(N_FIELD).zip(validity).filter(|(_, code)| *code != 0).for_each(|(row, _)| row.fill(0));
-        }
-        Ok(mask)
-    };
+    let labels = read_labels(&store, 0..store.len())?;
     Ok(FieldFile {
         topology: Some(store.attributes().topology),
-        fields: Fields {
-            force: store.read_f32(MANO_FORCE, frames.clone())?,
-            contact: store.read_contact(frames.clone())?,
-        },
-        mask_force: mask(MANO_FORCE_VALID)?,
-        mask_contact: mask(MANO_CONTACT_VALID)?,
-        timestamps: store.read(TIMESTAMPS, frames.clone())?.into_f64(),
+        fields: Fields { force: labels.force, contact: labels.contact },
+        mask_force: labels.mask_force,
+        mask_contact: labels.mask_contact,
+        timestamps: store.read(TIMESTAMPS, 0..store.len())?.into_f64(),
         episode_ends: store.episode_ends().to_vec(),
     })
 }
@@ -133,11 +159,4 @@ fn print_reports(reports: &[(&str, &Report)], json: bool) -> anyhow::Result<()> 
     };
     println!("{value:#}");
     Ok(())
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
-        _ => Err("expected a number above 0".into()),
-    }
 }

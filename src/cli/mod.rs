@@ -73,3 +73,22 @@ fn feature_off(command: &str, feature: &str) -> anyhow::Error {
         "`egotac {command}` needs the feature `{feature}`: build with `cargo build --features {feature}` after `make setup`"
     )
 }
+
+/// The CPU, or a CUDA device by index.
+fn device(cuda: Option<usize>) -> anyhow::Result<candle_core::Device> {
+    match cuda {
+        None => Ok(candle_core::Device::Cpu),
+        Some(_) if !cfg!(feature = "cuda") => {
+            anyhow::bail!("--cuda needs the feature `cuda`: build with `cargo build --features cuda`")
+        }
+        Some(index) => Ok(candle_core::Device::new_cuda(index)?),
+    }
+}
+
+/// Parses a number above 0.
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        _ => Err("expected a number above 0".into()),
+    }
+}

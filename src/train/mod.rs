@@ -1,1 +1,302 @@
-//! TODO train.
+//! Training: stores in, checkpoint out.
+//!
+//! [`train()`] is the whole loop. A run depends on its [`Config`] and data alone: started again it gives the same
+//! weights, stopped and resumed too.
+
+mod augment;
+pub mod baseline;
+pub mod batch;
+mod checkpoint;
+pub mod config;
+mod loader;
+mod log;
+pub mod loss;
+pub mod optimizer;
+mod predict;
+pub mod sampler;
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use candle_core::{Device, Tensor};
+use candle_nn::VarMap;
+
+use crate::dataset::{write_file, zarr};
+use crate::error::{Error, Result};
+use crate::metrics::{self, Report};
+use crate::model::{self, Checkpoint, EgoTac, Metadata, init};
+
+use batch::{Collate, Dataset, Labels};
+pub use config::Config;
+use loader::Loader;
+use loss::objective;
+use optimizer::AdamW;
+pub use predict::predict;
+
+/// Steps in a row whose gradient may be not finite before the run gives up.
+const MAX_BROKEN_STEPS: usize = 10;
+
+/// What a run tells while it runs.
+#[derive(Debug)]
+pub enum Event<'a> {
+    /// Everything is loaded; the first step comes.
+    Started(&'a Started),
+    /// A step was taken.
+    Stepped(&'a Step),
+    /// The averaged weights were scored on the held-out stores.
+    Validated(usize, &'a Report),
+    /// State and checkpoint were saved after this many steps.
+    Saved(usize),
+}
+
+/// Whether to go on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Control {
+    /// Take the next step.
+    Continue,
+    /// Save and return.
+    Stop,
+}
+
+/// What a run begins with.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Started {
+    /// Frames of the training stores.
+    pub frames: usize,
+    /// Frames of the held-out stores.
+    pub validation_frames: usize,
+    /// Trainable numbers.
+    pub parameters: usize,
+    /// N per normalised unit.
+    pub force_scale: f32,
+    /// Steps already taken, when resumed.
+    pub step: usize,
+    /// Steps of the whole run.
+    pub steps: usize,
+}
+
+/// One optimisation step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Step {
+    /// Steps taken, this one included.
+    pub step: usize,
+    /// Weighted objective.
+    pub loss: f32,
+    /// L_F, normalised units squared.
+    pub force: f32,
+    /// L_C.
+    pub contact: f32,
+    /// L_A, normalised units.
+    pub active: f32,
+    /// Of the step.
+    pub learning_rate: f64,
+    /// Norm of the gradient before clipping; not finite = the step changed nothing.
+    pub grad_norm: f64,
+    /// Observation windows in the step.
+    pub windows: usize,
+    /// Frames encoded for them.
+    pub frames: usize,
+    /// Wall-clock time of the step, s.
+    pub secs: f64,
+    /// Part of it spent waiting for data, s.
+    pub wait_secs: f64,
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outcome {
+    /// The checkpoint with the averaged weights.
+    pub checkpoint: PathBuf,
+    /// Its SHA-256.
+    pub sha256: String,
+    /// Steps taken; fewer than asked for if the observer stopped the run.
+    pub steps: usize,
+    /// Scores of the saved weights on the held-out stores, if there are any.
+    pub validation: Option<Report>,
+    /// Steps left out because their gradient was not finite.
+    pub broken_steps: usize,
+}
+
+/// Trains a network as `config` says; with `resume`, from the state that an earlier run left in its folder.
+///
+/// # Errors
+/// If the configuration or data don't fit, the state is another run's, gradients stay not finite, or a file can't be
+/// written.
+pub fn train(
+    config: &Config,
+    resume: bool,
+    device: &Device,
+    observe: &mut dyn FnMut(Event) -> Control,
+) -> Result<Outcome> {
+    config.check()?;
+    let geometry = config.geometry()?;
+    let yaml = serde_yaml::to_string(config).map_err(|e| Error::value("config", "one that YAML can hold", e))?;
+    let [state_file, checkpoint_file] =
+        ["state.safetensors", "checkpoint.safetensors"].map(|name| config.out.join(name));
+    if !resume && state_file.exists() {
+        return Err(Error::file(&state_file, "a run lies there already: resume it, or choose another folder"));
+    }
+
+    // Data.
+    let mut metadata = Metadata::new(&config.name, 1.0, config.frame_dt);
+    let preparation = metadata.preparation(&geometry);
+    let data = Dataset::new(zarr::open_all(&config.data)?, preparation.clone(), config.in_memory)?;
+    let validation = match config.validation.is_empty() {
+        true => None,
+        false => {
+            let held_out = Dataset::new(zarr::open_all(&config.validation)?, preparation, config.in_memory)?;
+            data.topology().must_match(held_out.topology())?;
+            let labels = held_out.labels()?;
+            Some((held_out, labels))
+        }
+    };
+    metadata.topology = data.topology();
+    match data.force_scale()? {
+        Some(force_scale) => metadata.force_scale = force_scale,
+        None => metadata.has_force = false,
+    }
+
+    // Network and optimiser.
+    let varmap = VarMap::new();
+    let network = EgoTac::new(&geometry, init::var_builder(&varmap, config.seed, device))?;
+    if let Some(path) = &config.init {
+        model::checkpoint::load_variables(path, &varmap)?;
+    }
+    let mut optimizer = AdamW::new(&varmap, config)?;
+    let first = if resume { checkpoint::load(&state_file, &mut optimizer, &yaml)? } else { 0 };
+    write_file(&config.out.join("config.yaml"), yaml.as_bytes())?;
+    let mut log = log::Log::open(&config.out.join("log.csv"), first)?;
+
+    let collate = Collate {
+        horizon: geometry.horizon,
+        predict: geometry.predict,
+        frame_dt: config.frame_dt,
+        force_scale: metadata.force_scale,
+        augment: config.augment,
+        seed: config.seed,
+    };
+    let started = Started {
+        frames: data.n_frames(),
+        validation_frames: validation.as_ref().map_or(0, |(held_out, _)| held_out.n_frames()),
+        parameters: varmap.all_vars().iter().map(|var| var.elem_count()).sum(),
+        force_scale: metadata.force_scale,
+        step: first,
+        steps: config.steps,
+    };
+    let mut stop = observe(Event::Started(&started)) == Control::Stop;
+
+    let save = |optimizer: &AdamW, step: usize, report: Option<&Report>| -> Result<String> {
+        checkpoint::save(&state_file, optimizer, step, &yaml)?;
+        let mut metadata = metadata.clone();
+        metadata.training = training_record(config, &started, step, report);
+        Checkpoint::save(&checkpoint_file, &geometry, &metadata, &averaged(optimizer, config, &geometry, device)?)
+    };
+    let score = |optimizer: &AdamW| -> Result<Option<Report>> {
+        let Some((held_out, labels)) = &validation else { return Ok(None) };
+        let varmap = averaged(optimizer, config, &geometry, device)?;
+        let network = EgoTac::new(&geometry, init::var_builder(&varmap, config.seed, device))?.freeze()?;
+        let predicted = predict(&network, &metadata, held_out, device, |_| ())?;
+        metrics::evaluate(&predicted, &labels.fields, &labels.options()).map(Some)
+    };
+
+    std::thread::scope(|scope| {
+        let mut loader = Loader::start(scope, &data, &collate, config, first);
+        let (mut step, mut broken, mut broken_in_a_row) = (first, 0, 0);
+        let mut report = None;
+        let mut began = Instant::now();
+        while step < config.steps && !stop {
+            let batch = loader.next()?;
+            let wait_secs = began.elapsed().as_secs_f64();
+            let (images, windows, truth) = batch.to_device(geometry.image, geometry.predict, device)?;
+
+            // Each frame is encoded once; the windows share its tokens, and its gradient gathers from all of them.
+            let tokens = network.project(&network.encode(&images)?)?; // (F, P, d)
+            let (frames, p, d) = tokens.dims3()?;
+            let clips = tokens.index_select(&windows, 0)?.reshape(((), geometry.horizon, p, d))?;
+            let (force, contact_logits) = network.heads(&network.fuse(&clips)?)?;
+            let objective = objective(&force, &contact_logits, &truth, metadata.force_scale, &config.loss)?;
+            let gradients = objective.total.backward()?;
+            let learning_rate = config.learning_rate(step);
+            let grad_norm = optimizer.step(&gradients, learning_rate)?;
+
+            step += 1;
+            broken_in_a_row = if grad_norm.is_finite() { 0 } else { broken_in_a_row + 1 };
+            broken += usize::from(!grad_norm.is_finite());
+            if broken_in_a_row >= MAX_BROKEN_STEPS {
+                let expected = "a finite number; a lower learning rate may help";
+                return Err(Error::value(format!("gradient at step {step}"), expected, grad_norm));
+            }
+            let scalar = |tensor: &Tensor| tensor.to_scalar::<f32>();
+            let taken = Step {
+                step,
+                loss: scalar(&objective.total)?,
+                force: scalar(&objective.force)?,
+                contact: scalar(&objective.contact)?,
+                active: scalar(&objective.active)?,
+                learning_rate,
+                grad_norm,
+                windows: force.dim(0)?,
+                frames,
+                secs: began.elapsed().as_secs_f64(),
+                wait_secs,
+            };
+            began = Instant::now();
+            log.push(&taken)?;
+            stop = observe(Event::Stepped(&taken)) == Control::Stop;
+
+            let last = stop || step == config.steps;
+            if last || step.is_multiple_of(config.validate_every) {
+                report = score(&optimizer)?;
+                if let Some(report) = &report {
+                    stop |= observe(Event::Validated(step, report)) == Control::Stop;
+                }
+            }
+            if last || step.is_multiple_of(config.save_every) {
+                save(&optimizer, step, report.as_ref())?;
+                stop |= observe(Event::Saved(step)) == Control::Stop;
+            }
+        }
+        let sha256 = save(&optimizer, step, report.as_ref())?;
+        Ok(Outcome {
+            checkpoint: checkpoint_file.clone(),
+            sha256,
+            steps: step,
+            validation: report,
+            broken_steps: broken,
+        })
+    })
+}
+
+impl Labels {
+    /// How predictions for these labels are scored.
+    pub fn options(&self) -> metrics::Options {
+        metrics::Options {
+            mask_force: self.mask_force.clone(),
+            mask_contact: self.mask_contact.clone(),
+            episode_ends: self.episode_ends.clone(),
+            fps: crate::dataset::fps(&self.timestamps),
+            calibration: None,
+        }
+    }
+}
+
+/// Variables with the averaged weights.
+fn averaged(optimizer: &AdamW, config: &Config, geometry: &model::Config, device: &Device) -> Result<VarMap> {
+    let mut varmap = VarMap::new();
+    EgoTac::new(geometry, init::var_builder(&varmap, config.seed, device))?;
+    optimizer.write_average(&mut varmap)?;
+    Ok(varmap)
+}
+
+/// What the checkpoint says about its making, as JSON.
+fn training_record(config: &Config, started: &Started, step: usize, report: Option<&Report>) -> String {
+    serde_json::json!({
+        "config": config,
+        "steps": step,
+        "frames": started.frames,
+        "validation_frames": started.validation_frames,
+        "validation": report,
+        "producer": concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")),
+    })
+    .to_string()
+}

@@ -1,0 +1,81 @@
+//! Constant predictors: what a network must beat to have seen anything.
+
+use super::batch::Labels;
+use crate::metrics::Fields;
+use crate::tactile::N_FIELD;
+
+/// A prediction that is the same in every frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Constant {
+    /// What it is, e.g. `mean`.
+    pub name: &'static str,
+    /// (1556) N
+    pub force: Vec<f32>,
+    /// (1556) probability
+    pub contact: Vec<f32>,
+}
+
+impl Constant {
+    /// The prediction over `n_frames` frames.
+    pub fn fields(&self, n_frames: usize) -> Fields {
+        Fields { force: self.force.repeat(n_frames), contact: self.contact.repeat(n_frames) }
+    }
+}
+
+/// Zero, and the mean and median of each vertex over its supervised training frames (0 where there is none).
+pub fn constants(train: &Labels) -> [Constant; 3] {
+    let column = |values: &[f32], mask: &[u8], vertex: usize| -> Vec<f32> {
+        let rows = values.chunks_exact(N_FIELD).zip(mask.chunks_exact(N_FIELD));
+        rows.filter(|(_, mask)| mask[vertex] == 1).map(|(values, _)| values[vertex]).collect()
+    };
+    let each = |statistic: fn(Vec<f32>) -> f32| {
+        let of = |values: &[f32], mask: &[u8]| (0..N_FIELD).map(|v| statistic(column(values, mask, v))).collect();
+        let force = of(&train.fields.force, &train.mask_force);
+        (force, of(&train.fields.contact, &train.mask_contact))
+    };
+    let [mean, median] = [each(mean), each(median)];
+    [
+        Constant { name: "zero", force: vec![0.0; N_FIELD], contact: vec![0.0; N_FIELD] },
+        Constant { name: "mean", force: mean.0, contact: mean.1 },
+        Constant { name: "median", force: median.0, contact: median.1 },
+    ]
+}
+
+fn mean(values: Vec<f32>) -> f32 {
+    match values.len() {
+        0 => 0.0,
+        n => (values.iter().map(|x| f64::from(*x)).sum::<f64>() / n as f64) as f32,
+    }
+}
+
+/// Middle value; of an even number of values the mean of the middle two.
+fn median(mut values: Vec<f32>) -> f32 {
+    values.sort_unstable_by(f32::total_cmp);
+    match values.len() {
+        0 => 0.0,
+        n if n % 2 == 1 => values[n / 2],
+        n => 0.5 * (values[n / 2 - 1] + values[n / 2]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn statistics_are_per_vertex_over_supervised_frames() {
+        let mut train =
+            Labels { mask_force: vec![1; 4 * N_FIELD], mask_contact: vec![1; 4 * N_FIELD], ..Default::default() };
+        train.fields = Fields { force: vec![0.0; 4 * N_FIELD], contact: vec![0.0; 4 * N_FIELD] };
+        for (frame, force) in [1.0, 2.0, 9.0, 100.0].into_iter().enumerate() {
+            train.fields.force[frame * N_FIELD + 5] = force;
+            train.fields.contact[frame * N_FIELD + 5] = 1.0;
+        }
+        train.mask_force[3 * N_FIELD + 5] = 0;
+        let [zero, mean, median] = constants(&train);
+        assert_eq!((zero.force[5], mean.force[5], median.force[5]), (0.0, 4.0, 2.0));
+        assert_eq!((zero.contact[5], mean.contact[5], median.contact[5]), (0.0, 1.0, 1.0));
+        assert_eq!((mean.force[6], median.force[6]), (0.0, 0.0));
+        assert_eq!(mean.fields(3).force[2 * N_FIELD + 5], 4.0);
+    }
+}

@@ -1,0 +1,364 @@
+//! Frames of stores as training sees them: prepared images, labels, masks.
+
+use std::ops::Range;
+
+use candle_core::{Device, Tensor};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use super::augment::Change;
+use super::config::Augment;
+use super::loss::Truth;
+use super::sampler::{self, Clip};
+use crate::dataset::EpisodeReader;
+use crate::dataset::zarr::{
+    CAMERA_EGO_RGB, FRAME_VALIDITY, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, TIMESTAMPS, ZarrReader,
+};
+use crate::error::{Error, Result};
+use crate::image::{Preparation, resize};
+use crate::metrics::Fields;
+use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Topology};
+
+/// Frames read at once while a store is scanned.
+const BLOCK: usize = 128;
+
+/// Stores, and how their images become the network's input.
+#[derive(Debug)]
+pub struct Dataset {
+    stores: Vec<Store>,
+    preparation: Preparation,
+}
+
+#[derive(Debug)]
+struct Store {
+    reader: ZarrReader,
+    timestamps: Vec<f64>,
+    memory: Option<Block>,
+}
+
+/// Consecutive frames of one store.
+#[derive(Debug, Clone, Default)]
+pub struct Block {
+    /// (n, side, side, 3) u8: resized, not yet normalised.
+    pub images: Vec<u8>,
+    /// (n, 1556) N; NaN = unknown.
+    pub force: Vec<f32>,
+    /// (n, 1556) 0 or 1; NaN = unknown.
+    pub contact: Vec<f32>,
+    /// (n, 1556) 1 = supervised, known, and in a frame that its guards let pass.
+    pub mask_force: Vec<u8>,
+    /// (n, 1556) as `mask_force`.
+    pub mask_contact: Vec<u8>,
+}
+
+/// One step's input, on the host.
+#[derive(Debug, Clone)]
+pub struct Batch {
+    /// (F, 3, side, side) normalised; every frame once.
+    pub frames: Vec<f32>,
+    /// (B T) frame of each place of each window, oldest first.
+    pub windows: Vec<u32>,
+    /// (B, K, 1556) normalised units.
+    pub force: Vec<f32>,
+    /// (B, K, 1556)
+    pub contact: Vec<f32>,
+    /// (B, K, 1556)
+    pub mask_force: Vec<f32>,
+    /// (B, K, 1556)
+    pub mask_contact: Vec<f32>,
+}
+
+/// What turns clips into batches beside the data itself.
+#[derive(Debug, Clone)]
+pub struct Collate {
+    /// T
+    pub horizon: usize,
+    /// K
+    pub predict: usize,
+    /// Seconds between observation steps.
+    pub frame_dt: f64,
+    /// N per normalised unit.
+    pub force_scale: f32,
+    /// Changes of the images.
+    pub augment: Augment,
+    /// Of the run.
+    pub seed: u64,
+}
+
+impl Dataset {
+    /// Takes stores; `in_memory` reads them whole at once.
+    ///
+    /// # Errors
+    /// If there is none, or one can't be read.
+    pub fn new(readers: Vec<ZarrReader>, preparation: Preparation, in_memory: bool) -> Result<Self> {
+        if readers.is_empty() {
+            return Err(Error::value("data", "at least one store", "none"));
+        }
+        let mut dataset = Self { stores: Vec::new(), preparation };
+        for reader in readers {
+            let timestamps = reader.read(TIMESTAMPS, 0..reader.len())?.into_f64();
+            dataset.stores.push(Store { reader, timestamps, memory: None });
+        }
+        if in_memory {
+            for index in 0..dataset.stores.len() {
+                let block = dataset.read(index, 0..dataset.stores[index].reader.len(), true)?;
+                dataset.stores[index].memory = Some(block);
+            }
+        }
+        Ok(dataset)
+    }
+
+    /// What the vertex indices of every store mean.
+    pub fn topology(&self) -> Topology {
+        self.stores.first().map(|store| store.reader.attributes().topology).unwrap_or_default()
+    }
+
+    /// Frames of all stores.
+    pub fn n_frames(&self) -> usize {
+        self.stores.iter().map(|store| store.reader.len()).sum()
+    }
+
+    /// Store and frames of every episode.
+    pub fn episodes(&self) -> Vec<(usize, Range<usize>)> {
+        let of = |(index, store): (usize, &Store)| {
+            let ends = store.reader.episode_ends();
+            let starts = std::iter::once(0).chain(ends.iter().copied());
+            starts.zip(ends).map(|(start, end)| (index, start..*end)).collect::<Vec<_>>()
+        };
+        self.stores.iter().enumerate().flat_map(of).collect()
+    }
+
+    /// Seconds of every frame of a store.
+    pub fn timestamps(&self, store: usize) -> &[f64] {
+        &self.stores[store].timestamps
+    }
+
+    /// Reads frames of a store; without labels, only `images` is filled.
+    ///
+    /// # Errors
+    /// If an array can't be read, or the store has no labels where they are asked for.
+    pub fn read(&self, store: usize, frames: Range<usize>, labels: bool) -> Result<Block> {
+        let Store { reader, memory, .. } = &self.stores[store];
+        let side = self.preparation.side;
+        if let Some(memory) = memory {
+            let pixels = side * side * 3;
+            let rows = frames.start * N_FIELD..frames.end * N_FIELD;
+            return Ok(Block {
+                images: memory.images[frames.start * pixels..frames.end * pixels].to_vec(),
+                force: memory.force[rows.clone()].to_vec(),
+                contact: memory.contact[rows.clone()].to_vec(),
+                mask_force: memory.mask_force[rows.clone()].to_vec(),
+                mask_contact: memory.mask_contact[rows].to_vec(),
+            });
+        }
+        let mut block = if labels { read_labels(reader, frames.clone())? } else { Block::default() };
+        let (height, width) = reader.image_size();
+        // Stores may be larger than what is kept of them: read and shrink in pieces.
+        let mut start = frames.start;
+        while start < frames.end {
+            let piece = start..(start + BLOCK).min(frames.end);
+            let raw = reader.read_u8(CAMERA_EGO_RGB, piece.clone())?;
+            let shrunk: Result<Vec<Vec<u8>>> = raw
+                .par_chunks(height * width * 3)
+                .map(|pixels| {
+                    let image =
+                        ::image::RgbImage::from_raw(width as u32, height as u32, pixels.to_vec()).ok_or_else(|| {
+                            Error::shape(CAMERA_EGO_RGB, format!("({height}, {width}, 3)"), [pixels.len()])
+                        })?;
+                    let Preparation { resize: how, filter, .. } = self.preparation;
+                    Ok(resize(&image, side, how, filter)?.into_raw())
+                })
+                .collect();
+            shrunk?.iter().for_each(|pixels| block.images.extend_from_slice(pixels));
+            start = piece.end;
+        }
+        Ok(block)
+    }
+
+    /// 99th percentile of the supervised forces above 0.05 N, N: what one unit of the network's output stands for.
+    /// None without such a force.
+    ///
+    /// # Errors
+    /// If a store can't be read.
+    pub fn force_scale(&self) -> Result<Option<f32>> {
+        let mut active = Vec::new();
+        for store in &self.stores {
+            let frames = store.reader.len();
+            for start in (0..frames).step_by(BLOCK) {
+                let block = match &store.memory {
+                    Some(memory) if start == 0 => memory,
+                    Some(_) => break,
+                    None => &read_labels(&store.reader, start..(start + BLOCK).min(frames))?,
+                };
+                let pairs = block.force.iter().zip(&block.mask_force);
+                active.extend(pairs.filter(|(f, m)| **m == 1 && **f > CONTACT_FORCE_N).map(|(f, _)| *f));
+            }
+        }
+        if active.is_empty() {
+            return Ok(None);
+        }
+        let at = ((active.len() - 1) as f64 * 0.99).round() as usize;
+        Ok(Some(*active.select_nth_unstable_by(at, f32::total_cmp).1))
+    }
+
+    /// All labels of all stores with their masks and episodes, in order.
+    ///
+    /// # Errors
+    /// If a store can't be read.
+    pub fn labels(&self) -> Result<Labels> {
+        let mut labels = Labels::default();
+        for store in &self.stores {
+            let block = match &store.memory {
+                Some(memory) => memory,
+                None => &read_labels(&store.reader, 0..store.reader.len())?,
+            };
+            let before = labels.fields.n_frames();
+            labels.fields.force.extend_from_slice(&block.force);
+            labels.fields.contact.extend_from_slice(&block.contact);
+            labels.mask_force.extend_from_slice(&block.mask_force);
+            labels.mask_contact.extend_from_slice(&block.mask_contact);
+            labels.episode_ends.extend(store.reader.episode_ends().iter().map(|end| before + end));
+            labels.timestamps.extend_from_slice(&store.timestamps);
+        }
+        Ok(labels)
+    }
+
+    /// Makes batch `index` of a run from its clips.
+    ///
+    /// # Errors
+    /// If a store can't be read.
+    pub fn batch(&self, collate: &Collate, index: usize, clips: &[Clip]) -> Result<Batch> {
+        let side = self.preparation.side;
+        let (pixels, item) = (3 * side * side, collate.predict * N_FIELD);
+        let n_windows: usize = clips.iter().map(|clip| clip.newest.len()).sum();
+        let mut batch = Batch {
+            frames: Vec::new(),
+            windows: Vec::with_capacity(n_windows * collate.horizon),
+            force: vec![0.0; n_windows * item],
+            contact: vec![0.0; n_windows * item],
+            mask_force: vec![0.0; n_windows * item],
+            mask_contact: vec![0.0; n_windows * item],
+        };
+        let mut rows = (0..).step_by(N_FIELD).map(|start| start..start + N_FIELD);
+        for (place, clip) in clips.iter().enumerate() {
+            let times = self.timestamps(clip.store);
+            let windows: Vec<Vec<usize>> = clip
+                .newest
+                .iter()
+                .map(|newest| sampler::window(times, clip.episode.start, *newest, collate.horizon, collate.frame_dt))
+                .collect();
+            let targets: Vec<Option<usize>> = clip
+                .newest
+                .iter()
+                .flat_map(|newest| {
+                    sampler::targets(times, clip.episode.end, *newest, collate.predict, collate.frame_dt)
+                })
+                .collect();
+            let mut needed: Vec<usize> = windows.iter().flatten().copied().collect();
+            needed.sort_unstable();
+            needed.dedup();
+            let (first, last) =
+                (needed[0], needed[needed.len() - 1].max(targets.iter().flatten().copied().max().unwrap_or(0)));
+            let block = self.read(clip.store, first..last + 1, true)?;
+
+            let before = (batch.frames.len() / pixels) as u32;
+            let place_of = |frame: &usize| before + needed.partition_point(|other| other < frame) as u32;
+            batch.windows.extend(windows.iter().flatten().map(place_of));
+
+            // Each clip of each step has a generator of its own, so that loading order is free.
+            let mut rng = ChaCha8Rng::seed_from_u64(collate.seed ^ 0x6175_676d_656e_7400);
+            rng.set_stream(((index as u64) << 16) | place as u64);
+            let change = Change::draw(&collate.augment, &mut rng);
+            let start = batch.frames.len();
+            batch.frames.resize(start + needed.len() * pixels, 0.0);
+            for (out, frame) in batch.frames[start..].chunks_exact_mut(pixels).zip(&needed) {
+                let at = (frame - first) * pixels;
+                let Preparation { mean, std, .. } = self.preparation;
+                change.apply(&block.images[at..at + pixels], side, mean, std, out);
+            }
+            for target in targets {
+                let Some(row) = rows.next() else { break };
+                let Some(target) = target else { continue };
+                let at = (target - first) * N_FIELD;
+                for (v, entry) in row.enumerate() {
+                    // A masked label may be NaN, and NaN times zero is NaN.
+                    if block.mask_force[at + v] == 1 {
+                        batch.mask_force[entry] = 1.0;
+                        batch.force[entry] = block.force[at + v] / collate.force_scale;
+                    }
+                    if block.mask_contact[at + v] == 1 {
+                        batch.mask_contact[entry] = 1.0;
+                        batch.contact[entry] = block.contact[at + v];
+                    }
+                }
+            }
+        }
+        Ok(batch)
+    }
+}
+
+/// All labels of a dataset.
+#[derive(Debug, Clone, Default)]
+pub struct Labels {
+    /// Force and contact.
+    pub fields: Fields,
+    /// (T, 1556)
+    pub mask_force: Vec<u8>,
+    /// (T, 1556)
+    pub mask_contact: Vec<u8>,
+    /// Exclusive cumulative ends of the episodes.
+    pub episode_ends: Vec<usize>,
+    /// (T) s
+    pub timestamps: Vec<f64>,
+}
+
+impl Batch {
+    /// Images `(F, 3, side, side)`, window indices `(B T)` and truth on a device.
+    ///
+    /// # Errors
+    /// If the device is out of memory.
+    pub fn to_device(self, side: usize, predict: usize, device: &Device) -> Result<(Tensor, Tensor, Truth)> {
+        let frames = self.frames.len() / (3 * side * side);
+        let truth_shape = (self.force.len() / (predict * N_FIELD), predict, N_FIELD);
+        let field = |values: Vec<f32>| Tensor::from_vec(values, truth_shape, device);
+        let truth = Truth {
+            force: field(self.force)?,
+            contact: field(self.contact)?,
+            mask_force: field(self.mask_force)?,
+            mask_contact: field(self.mask_contact)?,
+        };
+        let images = Tensor::from_vec(self.frames, (frames, 3, side, side), device)?;
+        let n_places = self.windows.len();
+        Ok((images, Tensor::from_vec(self.windows, n_places, device)?, truth))
+    }
+}
+
+/// Labels of a range of frames, masked where they are unknown or a guard refused the frame; no images.
+///
+/// # Errors
+/// If an array can't be read.
+pub fn read_labels(reader: &ZarrReader, frames: Range<usize>) -> Result<Block> {
+    let n = frames.len();
+    let force = match reader.has(MANO_FORCE) {
+        true => reader.read_f32(MANO_FORCE, frames.clone())?,
+        false => vec![f32::NAN; n * N_FIELD],
+    };
+    let contact = reader.read_contact(frames.clone())?;
+    let valid = match reader.has(FRAME_VALIDITY) {
+        true => reader.read_u8(FRAME_VALIDITY, frames.clone())?,
+        false => vec![0; n],
+    };
+    let mask = |name: &str, label: &[f32]| -> Result<Vec<u8>> {
+        let mut mask = match reader.has(name) {
+            true => reader.read_u8(name, frames.clone())?,
+            false => vec![1; n * N_FIELD],
+        };
+        for (entry, (mask, label)) in mask.iter_mut().zip(label).enumerate() {
+            *mask = u8::from(*mask != 0 && !label.is_nan() && valid[entry / N_FIELD] == 0);
+        }
+        Ok(mask)
+    };
+    let (mask_force, mask_contact) = (mask(MANO_FORCE_VALID, &force)?, mask(MANO_CONTACT_VALID, &contact)?);
+    Ok(Block { images: Vec::new(), force, contact, mask_force, mask_contact })
+}

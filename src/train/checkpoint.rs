@@ -1,0 +1,85 @@
+//! The resumable state of a run: weights, optimiser, averages, step.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use candle_core::Tensor;
+use safetensors::SafeTensors;
+use safetensors::tensor::{Dtype, TensorView};
+
+use super::optimizer::{AdamW, Param};
+use crate::dataset::write_file;
+use crate::error::{Error, Result};
+
+/// The parts of a variable's state; each tensor is named PART.VARIABLE.
+const PARTS: [&str; 4] = ["weight", "moment1", "moment2", "average"];
+
+/// Saves the state of a run, whole or not at all. `config` identifies the run: [`load`] refuses another's.
+///
+/// # Errors
+/// If the file can't be written.
+pub fn save(path: &Path, optimizer: &AdamW, step: usize, config: &str) -> Result<()> {
+    let bytes = |values: &[f32]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
+    let mut tensors = Vec::new();
+    for Param { name, var, moment1, moment2, average } in optimizer.params() {
+        let weight = var.flatten_all()?.to_vec1::<f32>()?;
+        for (part, values) in PARTS.into_iter().zip([&weight, moment1, moment2, average]) {
+            tensors.push((format!("{part}.{name}"), var.dims().to_vec(), bytes(values)));
+        }
+    }
+    let mut views = Vec::new();
+    for (name, shape, data) in &tensors {
+        let view = TensorView::new(Dtype::F32, shape.clone(), data);
+        views.push((name.as_str(), view.map_err(|e| Error::file(path, format!("{name}: {e}")))?));
+    }
+    let metadata = HashMap::from([
+        ("step".to_string(), step.to_string()),
+        ("optimizer_steps".to_string(), optimizer.steps().to_string()),
+        ("config".to_string(), config.to_string()),
+    ]);
+    let content = safetensors::serialize(views, Some(metadata)).map_err(|e| Error::file(path, e))?;
+    write_file(path, &content)
+}
+
+/// Puts a saved state back into variables and optimiser. Returns the step to go on with.
+///
+/// # Errors
+/// If the file is not a state, belongs to another configuration, or its variables are not the network's.
+pub fn load(path: &Path, optimizer: &mut AdamW, config: &str) -> Result<usize> {
+    let bytes = std::fs::read(path).map_err(Error::io(path))?;
+    let invalid = |error: &dyn std::fmt::Display| Error::file(path, format!("is not a training state: {error}"));
+    let tensors = SafeTensors::deserialize(&bytes).map_err(|e| invalid(&e))?;
+    let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| invalid(&e))?;
+    let metadata = header.metadata().clone().unwrap_or_default();
+    let number = |key: &str| {
+        metadata.get(key).and_then(|text| text.parse::<usize>().ok()).ok_or_else(|| invalid(&format!("no {key} in it")))
+    };
+    let (step, optimizer_steps) = (number("step")?, number("optimizer_steps")?);
+    if let Some(difference) = first_difference(metadata.get("config").map_or("", String::as_str), config) {
+        return Err(Error::file(path, format!("belongs to a run with another configuration: {difference}")));
+    }
+    let read = |part: &str, param: &Param| -> Result<Vec<f32>> {
+        let name = format!("{part}.{}", param.name);
+        let tensor = tensors.tensor(&name).map_err(|e| invalid(&e))?;
+        if tensor.dtype() != Dtype::F32 || tensor.shape() != param.var.dims() {
+            let got = format!("{:?} {:?}", tensor.dtype(), tensor.shape());
+            return Err(Error::file(path, format!("{name}: expected F32 {:?}, got {got}", param.var.dims())));
+        }
+        Ok(tensor.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect())
+    };
+    optimizer.restore(optimizer_steps, |param| {
+        let [weight, moment1, moment2, average] = PARTS.map(|part| read(part, param));
+        param.var.set(&Tensor::from_vec(weight?, param.var.shape(), param.var.device())?)?;
+        (param.moment1, param.moment2, param.average) = (moment1?, moment2?, average?);
+        Ok(())
+    })?;
+    Ok(step)
+}
+
+fn first_difference(saved: &str, now: &str) -> Option<String> {
+    if saved == now {
+        return None;
+    }
+    let differs = saved.lines().zip(now.lines()).find(|(a, b)| a != b);
+    Some(differs.map_or("its length".into(), |(a, b)| format!("`{}` then, `{}` now", a.trim(), b.trim())))
+}

@@ -1,0 +1,344 @@
+//! What a training run is told, in one YAML file.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+use crate::model;
+
+/// A run as written in YAML; unknown keys are refused. Paths are relative to the current folder.
+///
+/// [`Config::read`] and [`Config::check`] give a configuration that the rest relies on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Name that the checkpoint carries.
+    pub name: String,
+    /// Stores to learn from, or folders of `*.zarr`.
+    pub data: Vec<PathBuf>,
+    /// Held-out stores to score on the way; may be empty.
+    #[serde(default)]
+    pub validation: Vec<PathBuf>,
+    /// Folder for `checkpoint.safetensors`, `state.safetensors`, `config.yaml` and `log.csv`.
+    pub out: PathBuf,
+    /// The network: a preset's name or its geometry.
+    pub model: Geometry,
+    /// Checkpoint to start from; without it the weights start at random.
+    #[serde(default)]
+    pub init: Option<PathBuf>,
+    /// Fixes weights, order and augmentation.
+    pub seed: u64,
+    /// Seconds between observation steps.
+    #[serde(default = "default_frame_dt")]
+    pub frame_dt: f64,
+    /// Optimisation steps.
+    pub steps: usize,
+    /// What one step sees.
+    #[serde(default)]
+    pub batch: Batch,
+    /// AdamW and its schedule.
+    #[serde(default)]
+    pub optimizer: Optimizer,
+    /// Weights of the objective.
+    #[serde(default)]
+    pub loss: Loss,
+    /// Changes of the images.
+    #[serde(default)]
+    pub augment: Augment,
+    /// Decay per step of the averaged weights, which are the ones scored and saved; 0 = no averaging.
+    #[serde(default = "default_ema")]
+    pub ema: f64,
+    /// Steps between saves of the resumable state.
+    #[serde(default = "default_every")]
+    pub save_every: usize,
+    /// Steps between scores on the held-out stores.
+    #[serde(default = "default_every")]
+    pub validate_every: usize,
+    /// Threads that load and augment.
+    #[serde(default = "default_threads")]
+    pub threads: usize,
+    /// Whether the stores are kept in memory; otherwise each clip is read when it is needed.
+    #[serde(default = "default_true")]
+    pub in_memory: bool,
+}
+
+/// A preset's name or a geometry.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Geometry {
+    /// Name of a preset.
+    Preset(String),
+    /// All keys of the network's configuration.
+    Explicit(model::Config),
+}
+
+/// What one step sees: `clips` pieces of episodes with up to `windows` windows each. The frames of a clip are encoded
+/// once, whatever number of windows they appear in.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Batch {
+    /// Clips per step.
+    pub clips: usize,
+    /// Windows per clip.
+    pub windows: usize,
+}
+
+impl Default for Batch {
+    fn default() -> Self {
+        Self { clips: 4, windows: 12 }
+    }
+}
+
+/// AdamW with linear warm-up and cosine decay.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Optimizer {
+    /// Peak learning rate.
+    pub learning_rate: f64,
+    /// Learning rate of the last step.
+    pub final_learning_rate: f64,
+    /// Factor on the encoder's learning rate: below 1 where it starts from pretrained weights.
+    pub encoder_factor: f64,
+    /// Share of the steps in which the learning rate grows to its peak.
+    pub warmup: f64,
+    /// Decoupled weight decay, of matrices alone.
+    pub weight_decay: f64,
+    /// Gradients with a larger norm are scaled down to it.
+    pub max_grad_norm: f64,
+}
+
+impl Default for Optimizer {
+    fn default() -> Self {
+        Self {
+            learning_rate: 1e-4,
+            final_learning_rate: 1e-5,
+            encoder_factor: 1.0,
+            warmup: 0.05,
+            weight_decay: 1e-5,
+            max_grad_norm: 5.0,
+        }
+    }
+}
+
+/// Weights of the objective (paper, Training objective).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Loss {
+    /// Of the squared error of the normalised force.
+    pub force: f64,
+    /// Of the cross-entropy of contact.
+    pub contact: f64,
+    /// Of the Smooth-L1 error of the normalised force where the true force is above 0.05 N.
+    pub active: f64,
+    /// Weight of a vertex in contact against one without, in the cross-entropy.
+    pub positive_weight: f64,
+}
+
+impl Default for Loss {
+    fn default() -> Self {
+        Self { force: 1.0, contact: 1.0, active: 0.2, positive_weight: 2.0 }
+    }
+}
+
+/// Changes of the images, drawn once per clip: the same for all frames of a window.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Augment {
+    /// Brightness factor within 1 ± this.
+    pub brightness: f64,
+    /// Contrast factor within 1 ± this.
+    pub contrast: f64,
+    /// Saturation factor within 1 ± this.
+    pub saturation: f64,
+    /// Hue turned by up to this many radians either way.
+    pub hue: f64,
+    /// Side of the crop as a share of the image, from 1 - this to 1; its place is random.
+    pub crop: f64,
+    /// View scale within 1 ± this.
+    pub view_scale: f64,
+    /// How often the view is scaled.
+    pub view_scale_probability: f64,
+}
+
+impl Default for Augment {
+    fn default() -> Self {
+        Self {
+            brightness: 0.2,
+            contrast: 0.2,
+            saturation: 0.2,
+            hue: 0.1,
+            crop: 0.1,
+            view_scale: 0.1,
+            view_scale_probability: 0.8,
+        }
+    }
+}
+
+impl Augment {
+    /// Nothing is changed.
+    pub fn none() -> Self {
+        Self {
+            brightness: 0.0,
+            contrast: 0.0,
+            saturation: 0.0,
+            hue: 0.0,
+            crop: 0.0,
+            view_scale: 0.0,
+            view_scale_probability: 0.0,
+        }
+    }
+}
+
+impl Config {
+    /// Reads and checks a YAML file.
+    ///
+    /// # Errors
+    /// If it can't be read, is not YAML, a key is unknown, missing or of another type, or a value is out of range.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+        let config: Self = serde_yaml::from_str(&text).map_err(|e| Error::file(path, e))?;
+        config.check().map_err(|e| Error::file(path, e))?;
+        Ok(config)
+    }
+
+    /// Checks every range, and that inputs are there, before anything is computed.
+    ///
+    /// # Errors
+    /// Names the first key that does not fit, with what is allowed.
+    pub fn check(&self) -> Result<()> {
+        let at_least_one = [
+            ("steps", self.steps),
+            ("batch.clips", self.batch.clips),
+            ("batch.windows", self.batch.windows),
+            ("save_every", self.save_every),
+            ("validate_every", self.validate_every),
+            ("threads", self.threads),
+            ("data", self.data.len()),
+        ];
+        for (key, value) in at_least_one {
+            if value == 0 {
+                return Err(Error::value(key, "at least 1", value));
+            }
+        }
+        let (o, l, a) = (&self.optimizer, &self.loss, &self.augment);
+        let ranges = [
+            ("frame_dt", self.frame_dt, 1e-3, 10.0),
+            ("ema", self.ema, 0.0, 0.999_999),
+            ("optimizer.learning_rate", o.learning_rate, 1e-9, 1.0),
+            ("optimizer.final_learning_rate", o.final_learning_rate, 0.0, o.learning_rate),
+            ("optimizer.encoder_factor", o.encoder_factor, 0.0, 10.0),
+            ("optimizer.warmup", o.warmup, 0.0, 1.0),
+            ("optimizer.weight_decay", o.weight_decay, 0.0, 1.0),
+            ("optimizer.max_grad_norm", o.max_grad_norm, 1e-6, 1e6),
+            ("loss.force", l.force, 0.0, 1e3),
+            ("loss.contact", l.contact, 0.0, 1e3),
+            ("loss.active", l.active, 0.0, 1e3),
+            ("loss.positive_weight", l.positive_weight, 1e-3, 1e3),
+            ("augment.brightness", a.brightness, 0.0, 0.9),
+            ("augment.contrast", a.contrast, 0.0, 0.9),
+            ("augment.saturation", a.saturation, 0.0, 1.0),
+            ("augment.hue", a.hue, 0.0, std::f64::consts::PI),
+            ("augment.crop", a.crop, 0.0, 0.9),
+            ("augment.view_scale", a.view_scale, 0.0, 0.9),
+            ("augment.view_scale_probability", a.view_scale_probability, 0.0, 1.0),
+        ];
+        for (key, value, low, high) in ranges {
+            if !(value >= low && value <= high) {
+                return Err(Error::value(key, format!("a number from {low} to {high}"), value));
+            }
+        }
+        if l.force + l.contact + l.active == 0.0 {
+            return Err(Error::value("loss", "a weight above 0", "force, contact and active all 0"));
+        }
+        self.geometry()?;
+        for path in self.data.iter().chain(&self.validation).chain(&self.init) {
+            path.metadata().map_err(Error::io(path))?;
+        }
+        Ok(())
+    }
+
+    /// The network's geometry.
+    ///
+    /// # Errors
+    /// If the preset is unknown or the geometry is impossible.
+    pub fn geometry(&self) -> Result<model::Config> {
+        match &self.model {
+            Geometry::Preset(name) => model::Config::preset(name),
+            Geometry::Explicit(config) => config.check().map(|()| config.clone()),
+        }
+    }
+
+    /// Learning rate of step `step` of `steps`, counted from 0: linear warm-up, then half a cosine.
+    pub fn learning_rate(&self, step: usize) -> f64 {
+        let Optimizer { learning_rate, final_learning_rate, warmup, .. } = self.optimizer;
+        let warmup_steps = (warmup * self.steps as f64).ceil();
+        let step = step as f64;
+        if step < warmup_steps {
+            return learning_rate * (step + 1.0) / warmup_steps;
+        }
+        let progress = (step - warmup_steps) / (self.steps as f64 - 1.0 - warmup_steps).max(1.0);
+        let cosine = 0.5 * (1.0 + (std::f64::consts::PI * progress.min(1.0)).cos());
+        final_learning_rate + (learning_rate - final_learning_rate) * cosine
+    }
+}
+
+fn default_frame_dt() -> f64 {
+    0.12
+}
+
+fn default_ema() -> f64 {
+    0.999
+}
+
+fn default_every() -> usize {
+    500
+}
+
+fn default_threads() -> usize {
+    2
+}
+
+fn default_true() -> bool {
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MINIMAL: &str = "{name: a, data: [.], out: x, model: toy, seed: 1, steps: 100}";
+
+    #[test]
+    fn config_with_unknown_key_or_value_out_of_range_is_refused() {
+        let parsed = |text: &str| -> std::result::Result<Config, String> {
+            let config: Config = serde_yaml::from_str(text).map_err(|e| e.to_string())?;
+            config.check().map_err(|e| e.to_string())?;
+            Ok(config)
+        };
+        parsed(MINIMAL).unwrap();
+        for (added, names) in [
+            ("stepz: 4", "stepz"),
+            ("batch: {clip: 4}", "clip"),
+            ("batch: {clips: 0}", "batch.clips"),
+            ("frame_dt: 0", "frame_dt"),
+            ("frame_dt: .nan", "frame_dt"),
+            ("optimizer: {final_learning_rate: 1}", "optimizer.final_learning_rate"),
+            ("loss: {force: 0, contact: 0, active: 0}", "loss"),
+            ("validation: [no/such/store]", "no/such/store"),
+        ] {
+            let error = parsed(&MINIMAL.replace('}', &format!(", {added}}}"))).unwrap_err();
+            assert!(error.contains(names), "{added}: {error}");
+        }
+        assert!(parsed(&MINIMAL.replace("toy", "huge")).unwrap_err().contains("pocket"));
+    }
+
+    #[test]
+    fn the_learning_rate_warms_up_to_its_peak_and_ends_at_its_final_value() {
+        let config: Config = serde_yaml::from_str(MINIMAL).unwrap();
+        let rates: Vec<f64> = (0..100).map(|step| config.learning_rate(step)).collect();
+        assert!((rates[4] - 1e-4).abs() < 1e-12 && rates[0] < rates[1]);
+        assert!(rates[5..].windows(2).all(|pair| pair[1] <= pair[0]));
+        assert!((rates[99] - 1e-5).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,47 @@
+//! One line per step in a CSV file.
+
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use super::Step;
+use crate::dataset::write_file;
+use crate::error::{Error, Result};
+
+const HEADER: &str = "step,loss,force,contact,active,learning_rate,grad_norm,windows,frames,secs,wait_secs";
+
+/// An open log.
+#[derive(Debug)]
+pub struct Log {
+    path: PathBuf,
+    file: File,
+}
+
+impl Log {
+    /// Opens the log of a run that goes on after `step` steps: lines of later ones are dropped.
+    ///
+    /// # Errors
+    /// If the file can't be read or written.
+    pub fn open(path: &Path, step: usize) -> Result<Self> {
+        let before = if step > 0 { std::fs::read_to_string(path).unwrap_or_default() } else { String::new() };
+        let is_before = |line: &&str| {
+            line.split(',').next().and_then(|text| text.parse::<usize>().ok()).is_some_and(|at| at <= step)
+        };
+        let kept: String = before.lines().filter(is_before).map(|line| format!("{line}\n")).collect();
+        write_file(path, format!("{HEADER}\n{kept}").as_bytes())?;
+        let file = OpenOptions::new().append(true).open(path).map_err(Error::io(path))?;
+        Ok(Self { path: path.to_path_buf(), file })
+    }
+
+    /// Appends a step.
+    ///
+    /// # Errors
+    /// If the file can't be written.
+    pub fn push(&mut self, s: &Step) -> Result<()> {
+        let Step { step, loss, force, contact, active, learning_rate, grad_norm, windows, frames, secs, wait_secs } = s;
+        let line = format!(
+            "{step},{loss:.6},{force:.6},{contact:.6},{active:.6},{learning_rate:.3e},{grad_norm:.4},{windows},{frames},{secs:.4},{wait_secs:.4}\n"
+        );
+        self.file.write_all(line.as_bytes()).map_err(Error::io(&self.path))
+    }
+}

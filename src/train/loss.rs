@@ -1,0 +1,156 @@
+//! The objective: masked means over vertices (paper, Training objective).
+
+use candle_core::{DType, Tensor};
+
+use super::config::Loss;
+use crate::error::Result;
+use crate::tactile::CONTACT_FORCE_N;
+
+/// Truth of a batch, `(B, K, 1556)` each.
+#[derive(Debug, Clone)]
+pub struct Truth {
+    /// Force in normalised units (N / `force_scale`); anything where masked.
+    pub force: Tensor,
+    /// 0 or 1; anything where masked.
+    pub contact: Tensor,
+    /// 1 = the force is supervised.
+    pub mask_force: Tensor,
+    /// 1 = the contact is supervised.
+    pub mask_contact: Tensor,
+}
+
+/// The objective and its parts.
+#[derive(Debug, Clone)]
+pub struct Objective {
+    /// Weighted sum, a scalar to differentiate.
+    pub total: Tensor,
+    /// L_F: squared error of the normalised force.
+    pub force: Tensor,
+    /// L_C: cross-entropy of contact.
+    pub contact: Tensor,
+    /// L_A: Smooth-L1 error of the normalised force where the true force is above 0.05 N.
+    pub active: Tensor,
+}
+
+/// The objective of predicted `force` (normalised units) and `contact_logits`, `(B, K, 1556)` each.
+///
+/// # Errors
+/// If shapes differ.
+pub fn objective(
+    force: &Tensor,
+    contact_logits: &Tensor,
+    truth: &Truth,
+    force_scale: f32,
+    weights: &Loss,
+) -> Result<Objective> {
+    let error = (force - &truth.force)?;
+    let l_force = masked_mean(&error.sqr()?, &truth.mask_force)?;
+    let threshold = f64::from(CONTACT_FORCE_N / force_scale);
+    let mask_active = (truth.force.gt(threshold)?.to_dtype(DType::F32)? * &truth.mask_force)?;
+    let l_active = masked_mean(&smooth_l1(&error)?, &mask_active)?;
+    let cross_entropy = bce_with_logits(contact_logits, &truth.contact, weights.positive_weight)?;
+    let l_contact = masked_mean(&cross_entropy, &truth.mask_contact)?;
+    let total = ((&l_force * weights.force)? + (&l_contact * weights.contact)?)?;
+    let total = (total + (&l_active * weights.active)?)?;
+    Ok(Objective { total, force: l_force, contact: l_contact, active: l_active })
+}
+
+/// Mean of `values` where `mask` is 1; 0 where it is 0 everywhere (paper's epsilon in the denominator).
+pub fn masked_mean(values: &Tensor, mask: &Tensor) -> Result<Tensor> {
+    let count = (mask.sum_all()? + 1e-6)?;
+    Ok((values * mask)?.sum_all()?.div(&count)?)
+}
+
+/// Binary cross-entropy of logits x against y, positives weighted by w:
+/// (1 - y) x + (1 + (w - 1) y) softplus(-x), with softplus(-x) = max(-x, 0) + ln(1 + e^-|x|), which no x overflows.
+pub fn bce_with_logits(logits: &Tensor, target: &Tensor, positive_weight: f64) -> Result<Tensor> {
+    let softplus = (logits.neg()?.relu()? + (logits.abs()?.neg()?.exp()? + 1.0)?.log()?)?;
+    let weight = ((target * (positive_weight - 1.0))? + 1.0)?;
+    Ok(((target.neg()? + 1.0)? * logits)?.add(&(weight * softplus)?)?)
+}
+
+/// Smooth L1 with beta 1: e²/2 up to |e| = 1, |e| - 1/2 beyond. With m = min(|e|, 1) it is m (|e| - m/2).
+fn smooth_l1(error: &Tensor) -> Result<Tensor> {
+    let size = error.abs()?;
+    let small = size.minimum(1.0)?;
+    Ok((&small * (&size - (&small * 0.5)?)?)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use candle_core::{Device, Var};
+
+    use super::*;
+
+    fn tensor(values: &[f32]) -> Tensor {
+        Tensor::from_slice(values, (1, 1, values.len()), &Device::Cpu).unwrap()
+    }
+
+    fn value(tensor: &Tensor) -> f64 {
+        f64::from(tensor.to_scalar::<f32>().unwrap())
+    }
+
+    fn truth() -> Truth {
+        Truth {
+            force: tensor(&[0.0, 0.5, 3.0, 9.0]),
+            contact: tensor(&[0.0, 1.0, 1.0, 1.0]),
+            mask_force: tensor(&[1.0, 1.0, 1.0, 0.0]),
+            mask_contact: tensor(&[1.0, 1.0, 0.0, 1.0]),
+        }
+    }
+
+    #[test]
+    fn each_part_has_its_analytic_value() {
+        let weights = Loss { force: 2.0, contact: 3.0, active: 5.0, positive_weight: 2.0 };
+        let (force, logits) = (tensor(&[0.5, 0.0, 0.0, 0.0]), tensor(&[0.0, 2.0, 7.0, -60.0]));
+        let o = objective(&force, &logits, &truth(), 1.0, &weights).unwrap();
+        let l_force = (0.25 + 0.25 + 9.0) / 3.0;
+        let l_active = (0.125 + 2.5) / 2.0;
+        let l_contact = (2f64.ln() + 2.0 * (1.0 + (-2f64).exp()).ln() + 2.0 * 60.0) / 3.0;
+        assert!((value(&o.force) - l_force).abs() < 1e-5);
+        assert!((value(&o.active) - l_active).abs() < 1e-5);
+        assert!((value(&o.contact) - l_contact).abs() < 1e-4);
+        let total = 2.0 * l_force + 3.0 * l_contact + 5.0 * l_active;
+        assert!((value(&o.total) - total).abs() < 1e-3);
+    }
+
+    #[test]
+    fn the_active_threshold_is_in_newtons() {
+        // 0.5 units at 0.05 N per unit are 0.025 N: not active.
+        let zeros = tensor(&[0.0; 4]);
+        let o = objective(&zeros, &zeros, &truth(), 0.05, &Loss::default()).unwrap();
+        assert!((value(&o.active) - 2.5).abs() < 1e-5);
+    }
+
+    #[test]
+    fn gradients_agree_with_finite_differences_and_stop_at_masks() {
+        let weights = Loss { force: 1.0, contact: 1.0, active: 0.2, positive_weight: 2.0 };
+        let start = [[0.4f32, 0.1, 1.2, 0.3], [-0.7, 0.6, 0.2, 1.1]];
+        let total = |values: [[f32; 4]; 2]| {
+            value(&objective(&tensor(&values[0]), &tensor(&values[1]), &truth(), 1.0, &weights).unwrap().total)
+        };
+        let vars = start.map(|values| Var::from_tensor(&tensor(&values)).unwrap());
+        let o = objective(vars[0].as_tensor(), vars[1].as_tensor(), &truth(), 1.0, &weights).unwrap();
+        let grads = o.total.backward().unwrap();
+        for (side, var) in vars.iter().enumerate() {
+            let grad = grads.get(var).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
+            for entry in 0..4 {
+                let mut moved = [start; 2];
+                moved[0][side][entry] += 1e-2;
+                moved[1][side][entry] -= 1e-2;
+                let difference = (total(moved[0]) - total(moved[1])) / 2e-2;
+                assert!((f64::from(grad[entry]) - difference).abs() < 2e-4, "{side} {entry}: {grad:?} {difference}");
+            }
+            let masked = if side == 0 { 3 } else { 2 };
+            assert_eq!(grad[masked], 0.0);
+        }
+    }
+
+    #[test]
+    fn nothing_supervised_costs_nothing() {
+        let zeros = tensor(&[0.0; 4]);
+        let truth = Truth { mask_force: zeros.clone(), mask_contact: zeros.clone(), ..truth() };
+        let o = objective(&tensor(&[1.0; 4]), &tensor(&[1.0; 4]), &truth, 1.0, &Loss::default()).unwrap();
+        assert_eq!(value(&o.total), 0.0);
+    }
+}

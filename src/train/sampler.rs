@@ -1,0 +1,180 @@
+//! Which frames a step sees: observation windows over time, clips of windows, shuffled epochs of clips.
+
+use std::ops::Range;
+
+use rand::Rng;
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+
+/// A piece of one episode: windows whose newest frames follow each other by one observation step, so that they share
+/// most of their frames.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Clip {
+    /// Index of the store.
+    pub store: usize,
+    /// Frames of the episode within the store.
+    pub episode: Range<usize>,
+    /// Newest frame of each window.
+    pub newest: Vec<usize>,
+}
+
+/// The frames of the window whose newest frame is `newest`, oldest first: for i = `horizon`-1 .. 0 the frame nearest to
+/// t - i x `frame_dt`, of two equally near ones the older. At the start of the episode its first frame is repeated.
+///
+/// `timestamps`: seconds of every frame of the store, growing within the episode that starts at `start`.
+pub fn window(timestamps: &[f64], start: usize, newest: usize, horizon: usize, frame_dt: f64) -> Vec<usize> {
+    let mut frames = Vec::with_capacity(horizon);
+    let mut at = newest;
+    for i in 0..horizon {
+        let wanted = timestamps[newest] - i as f64 * frame_dt;
+        // Distances fall, then grow, on the way back in time. Rounding must not tell equal distances apart.
+        let distance = |frame: usize| (timestamps[frame] - wanted).abs();
+        while at > start && distance(at - 1) <= distance(at) + 1e-9 {
+            at -= 1;
+        }
+        frames.push(at);
+    }
+    frames.reverse();
+    frames
+}
+
+/// The frames that step k = 0 .. `predict`-1 of a prediction is about: t + k x `frame_dt`; None beyond the episode.
+pub fn targets(timestamps: &[f64], end: usize, newest: usize, predict: usize, frame_dt: f64) -> Vec<Option<usize>> {
+    let mut at = newest;
+    let step = |k: usize| {
+        let wanted = timestamps[newest] + k as f64 * frame_dt;
+        let distance = |frame: usize| (timestamps[frame] - wanted).abs();
+        while at + 1 < end && distance(at + 1) < distance(at) {
+            at += 1;
+        }
+        (distance(at) <= 0.5 * frame_dt).then_some(at)
+    };
+    (0..predict).map(step).collect()
+}
+
+/// Frames between observation steps: `frame_dt` in units of the episode's mean frame interval, at least 1.
+pub fn stride(timestamps: &[f64], episode: &Range<usize>, frame_dt: f64) -> usize {
+    let frames = episode.len();
+    if frames < 2 {
+        return 1;
+    }
+    let mean_dt = (timestamps[episode.end - 1] - timestamps[episode.start]) / (frames - 1) as f64;
+    if mean_dt > 0.0 { (frame_dt / mean_dt).round().max(1.0) as usize } else { 1 }
+}
+
+/// Cuts one episode into clips of at most `windows` windows. Every frame is the newest of exactly one window; where the
+/// cuts lie is drawn from `rng`.
+fn cut(
+    store: usize,
+    episode: &Range<usize>,
+    stride: usize,
+    windows: usize,
+    rng: &mut ChaCha8Rng,
+    clips: &mut Vec<Clip>,
+) {
+    for phase in 0..stride.min(episode.len()) {
+        let newest: Vec<usize> = (episode.start + phase..episode.end).step_by(stride).collect();
+        let first = rng.random_range(0..windows).min(newest.len());
+        let (head, tail) = newest.split_at(first);
+        let pieces = std::iter::once(head).filter(|head| !head.is_empty()).chain(tail.chunks(windows));
+        clips.extend(pieces.map(|newest| Clip { store, episode: episode.clone(), newest: newest.to_vec() }));
+    }
+}
+
+/// An endless sequence of batches of clips, a function of the seed alone: skipping `n` batches is how a run resumes.
+#[derive(Debug, Clone)]
+pub struct Sampler {
+    episodes: Vec<(usize, Range<usize>, usize)>, // store, frames, stride
+    windows: usize,
+    clips_per_batch: usize,
+    seed: u64,
+    epoch: u64,
+    left: Vec<Clip>,
+}
+
+impl Sampler {
+    /// Samples from `episodes`: (store, frames, stride) each.
+    pub fn new(episodes: Vec<(usize, Range<usize>, usize)>, windows: usize, clips_per_batch: usize, seed: u64) -> Self {
+        Self { episodes, windows, clips_per_batch, seed, epoch: 0, left: Vec::new() }
+    }
+
+    /// Epochs begun.
+    pub fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
+    fn begin_epoch(&mut self) {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        rng.set_stream(self.epoch);
+        let mut clips = Vec::new();
+        for (store, episode, stride) in &self.episodes {
+            cut(*store, episode, *stride, self.windows, &mut rng, &mut clips);
+        }
+        clips.shuffle(&mut rng);
+        self.left = clips;
+        self.epoch += 1;
+    }
+}
+
+impl Iterator for Sampler {
+    type Item = Vec<Clip>;
+
+    /// Never ends, unless there is no episode at all. The last batch of an epoch may be a short one.
+    fn next(&mut self) -> Option<Vec<Clip>> {
+        if self.left.is_empty() {
+            self.begin_epoch();
+        }
+        let rest = self.left.len().saturating_sub(self.clips_per_batch);
+        let batch = self.left.split_off(rest);
+        (!batch.is_empty()).then_some(batch)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_window_takes_the_nearest_frames_and_repeats_the_oldest() {
+        let at_25_hz: Vec<f64> = (0..20).map(|i| 3.0 + 0.04 * f64::from(i)).collect();
+        assert_eq!(window(&at_25_hz, 0, 10, 3, 0.12), [4, 7, 10]);
+        assert_eq!(window(&at_25_hz, 8, 10, 3, 0.12), [8, 8, 10], "the episode starts at 8");
+        assert_eq!(window(&at_25_hz, 0, 0, 4, 0.12), [0, 0, 0, 0]);
+        assert_eq!(window(&at_25_hz, 0, 10, 2, 0.1), [7, 10], "0.1 s before lies between 7 (0.12) and 8 (0.08)");
+        let dropped = [0.0, 0.04, 0.2, 0.24, 0.28];
+        assert_eq!(window(&dropped, 0, 4, 3, 0.12), [1, 2, 4]);
+    }
+
+    #[test]
+    fn targets_lie_ahead_and_end_with_the_episode() {
+        let times: Vec<f64> = (0..20).map(|i| 0.04 * f64::from(i)).collect();
+        assert_eq!(targets(&times, 20, 10, 3, 0.12), [Some(10), Some(13), Some(16)]);
+        assert_eq!(targets(&times, 14, 10, 3, 0.12), [Some(10), Some(13), None]);
+    }
+
+    #[test]
+    fn every_frame_is_the_newest_of_one_window_per_epoch() {
+        let mut sampler = Sampler::new(vec![(0, 0..50, 3), (1, 5..7, 3), (1, 7..30, 1)], 4, 5, 9);
+        let mut seen = Vec::new();
+        while sampler.epoch() < 2 {
+            let batch = sampler.next().unwrap();
+            if sampler.epoch() == 2 {
+                break;
+            }
+            assert!(batch.len() <= 5 && batch.iter().all(|clip| (1..=4).contains(&clip.newest.len())));
+            seen.extend(batch.iter().flat_map(|clip| clip.newest.iter().map(|f| (clip.store, *f))));
+        }
+        seen.sort_unstable();
+        let expected: Vec<(usize, usize)> = (0..50).map(|f| (0, f)).chain((5..30).map(|f| (1, f))).collect();
+        assert_eq!(seen, expected);
+    }
+
+    #[test]
+    fn batches_depend_on_the_seed_alone() {
+        let make = |seed| Sampler::new(vec![(0, 0..200, 2)], 4, 5, seed);
+        let batches: Vec<_> = make(1).take(40).collect();
+        assert_eq!(batches[17..], make(1).skip(17).take(23).collect::<Vec<_>>());
+        assert_ne!(batches, make(2).take(40).collect::<Vec<_>>());
+    }
+}

@@ -1,0 +1,260 @@
+//! Training learns what can be seen, is a function of its configuration, and resumes as if it had not stopped.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use candle_core::{Device, Tensor};
+use candle_nn::VarMap;
+use egotac::dataset::tensors::FieldFile;
+use egotac::dataset::zarr::{Contact, ZarrReader, ZarrWriter};
+use egotac::dataset::{Attributes, EpisodeReader, EpisodeWriter, Frame};
+use egotac::metrics::evaluate;
+use egotac::model::{self, Checkpoint, EgoTac, Predictor, init, predictor};
+use egotac::tactile::{N_FIELD, TactileField, Topology, Validity};
+use egotac::train::batch::Dataset;
+use egotac::train::{Config, Control, Event, baseline, predict, train};
+use image::{Rgb, RgbImage};
+use serde_json::Value;
+
+/// A disc wanders over grey; its quadrant says which vertices are touched, its brightness how hard.
+fn write_store(path: &Path, seed: u64, episodes: usize, frames: usize) {
+    let attributes = Attributes {
+        topology: Topology::EgotacHand1,
+        sigma: 0.0,
+        contact_force: 0.05,
+        producer: "test".into(),
+        version: "1".into(),
+        scene: "disc".into(),
+        seed,
+    };
+    let mut writer = ZarrWriter::create(path, attributes, Contact::Truth, Vec::new()).unwrap();
+    for episode in 0..episodes {
+        for t in 0..frames {
+            let phase = 0.23 * t as f64 + 1.7 * (seed as f64 + 10.0 * episode as f64);
+            let (x, y) = (32.0 + 18.0 * phase.cos(), 32.0 + 18.0 * (1.3 * phase).sin());
+            let press = (0.5 - 0.9 * (0.7 * phase).cos()).clamp(0.0, 1.0);
+            let image = RgbImage::from_fn(64, 64, |px, py| {
+                let inside = (f64::from(px) - x).powi(2) + (f64::from(py) - y).powi(2) < 81.0;
+                if inside { Rgb([(60.0 + 195.0 * press) as u8, 40, 200]) } else { Rgb([110, 110, 110]) }
+            });
+            let quadrant = usize::from(x > 32.0) + 2 * usize::from(y > 32.0);
+            let touched = 200 * quadrant..200 * quadrant + 60;
+            let force = (0..N_FIELD).map(|v| if touched.contains(&v) { 0.8 * press as f32 } else { 0.0 }).collect();
+            writer
+                .push(Frame {
+                    timestamp: 0.04 * t as f64,
+                    camera_ego_rgb: image,
+                    field: TactileField::from_force(Topology::EgotacHand1, force).unwrap(),
+                    force_valid: vec![1; N_FIELD],
+                    contact_valid: vec![1; N_FIELD],
+                    validity: Validity::Valid,
+                    left_hand_pose: None,
+                    right_hand_pose: None,
+                })
+                .unwrap();
+        }
+        writer.end_episode().unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+fn config(folder: &Path, out: &str, steps: usize, extra: &str) -> Config {
+    let folder = folder.display();
+    let text = format!(
+        "name: test\ndata: [{folder}/train.zarr]\nout: {folder}/{out}\nmodel: toy\nseed: 5\nsteps: {steps}\n\
+         optimizer: {{learning_rate: 0.004, final_learning_rate: 0.0001}}\nema: 0.9\nbatch: {{clips: 3, windows: 8}}\n{extra}"
+    );
+    serde_yaml::from_str(&text).unwrap()
+}
+
+fn run(config: &Config, resume: bool, stop_after: usize) -> egotac::train::Outcome {
+    let mut observe = |event: Event| match event {
+        Event::Stepped(step) if step.step == stop_after => Control::Stop,
+        _ => Control::Continue,
+    };
+    train(config, resume, &Device::Cpu, &mut observe).unwrap()
+}
+
+fn dataset(path: &Path, checkpoint: &Checkpoint) -> Dataset {
+    let preparation = checkpoint.metadata.preparation(checkpoint.model.config());
+    Dataset::new(vec![ZarrReader::open(path).unwrap()], preparation, false).unwrap()
+}
+
+#[test]
+fn a_tiny_store_is_learned_far_better_than_any_constant() {
+    let folder = tempfile::tempdir().unwrap();
+    write_store(&folder.path().join("train.zarr"), 1, 3, 80);
+    write_store(&folder.path().join("test.zarr"), 2, 1, 80);
+    let config = config(folder.path(), "out", 300, "augment: {crop: 0, view_scale: 0}\nloss: {active: 1}");
+    let outcome = run(&config, false, usize::MAX);
+    assert_eq!((outcome.steps, outcome.broken_steps), (300, 0));
+
+    let checkpoint = Checkpoint::load(&outcome.checkpoint, &Device::Cpu).unwrap();
+    assert_eq!(checkpoint.sha256, outcome.sha256);
+    assert!((checkpoint.metadata.force_scale - 0.8).abs() < 0.02, "the 99th percentile of 0..0.8 N");
+    let train = dataset(&folder.path().join("train.zarr"), &checkpoint);
+    let test = dataset(&folder.path().join("test.zarr"), &checkpoint);
+    let labels = test.labels().unwrap();
+    let predicted = predict(&checkpoint.model, &checkpoint.metadata, &test, &Device::Cpu, |_| ()).unwrap();
+    let ours = evaluate(&predicted, &labels.fields, &labels.options()).unwrap();
+    for constant in baseline::constants(&train.labels().unwrap()) {
+        let fields = constant.fields(labels.fields.n_frames());
+        let theirs = evaluate(&fields, &labels.fields, &labels.options()).unwrap();
+        assert!(ours.active_mae < theirs.active_mae.map(|mae| 0.6 * mae), "{}: {ours:?} {theirs:?}", constant.name);
+    }
+    assert!(ours.temporal_pearson > Some(0.8), "{ours:?}");
+}
+
+#[test]
+fn runs_repeat_and_resume_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    write_store(&folder.path().join("train.zarr"), 1, 2, 40);
+    let of = |out: &str, more: &str| config(folder.path(), out, 8, &format!("threads: 2\nsave_every: 100\n{more}"));
+    let whole = run(&of("whole", ""), false, usize::MAX);
+    assert_eq!(weights(&run(&of("again", ""), false, usize::MAX).checkpoint), weights(&whole.checkpoint));
+    let from_disk = run(&of("disk", "in_memory: false"), false, usize::MAX);
+    assert_eq!(weights(&from_disk.checkpoint), weights(&whole.checkpoint));
+
+    let stopped = run(&of("parts", ""), false, 3);
+    assert_eq!(stopped.steps, 3);
+    assert_ne!(weights(&stopped.checkpoint), weights(&whole.checkpoint));
+    assert!(train(&of("parts", ""), false, &Device::Cpu, &mut |_| Control::Continue).is_err(), "a run lies there");
+    let other = train(&of("parts", "frame_dt: 0.2"), true, &Device::Cpu, &mut |_| Control::Continue);
+    assert!(other.unwrap_err().to_string().contains("frame_dt"));
+    let resumed = run(&of("parts", ""), true, usize::MAX);
+    assert_eq!(resumed.steps, 8);
+    assert_eq!(weights(&resumed.checkpoint), weights(&whole.checkpoint));
+    let log = |out: &str| std::fs::read_to_string(folder.path().join(out).join("log.csv")).unwrap();
+    let losses =
+        |log: String| log.lines().map(|line| line.split(',').take(7).collect::<Vec<_>>().join(",")).collect::<Vec<_>>();
+    assert_eq!(losses(log("parts")), losses(log("whole")));
+}
+
+/// The bytes of the tensors alone: the record of the run in the header names its folder.
+fn weights(path: &Path) -> Vec<u8> {
+    let bytes = std::fs::read(path).unwrap();
+    let (header, _) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
+    bytes[8 + header..].to_vec()
+}
+
+#[test]
+fn windows_that_share_frames_have_the_loss_and_gradient_of_whole_clips() {
+    let geometry = model::Config::toy();
+    let varmap = VarMap::new();
+    let network = EgoTac::new(&geometry, init::var_builder(&varmap, 3, &Device::Cpu)).unwrap();
+    let frames = Tensor::randn(0f32, 1f32, (5, 3, 56, 56), &Device::Cpu).unwrap();
+    let windows = Tensor::new(&[0u32, 0, 1, 0, 1, 2, 1, 2, 3, 2, 3, 4], &Device::Cpu).unwrap();
+    let scalar =
+        |(force, logits): (Tensor, Tensor)| (force.sqr().unwrap() + logits.sqr().unwrap()).unwrap().sum_all().unwrap();
+
+    let tokens = network.project(&network.encode(&frames).unwrap()).unwrap();
+    let (_, p, d) = tokens.dims3().unwrap();
+    let clips = tokens.index_select(&windows, 0).unwrap().reshape((4, 3, p, d)).unwrap();
+    let shared = scalar(network.heads(&network.fuse(&clips).unwrap()).unwrap());
+    let images = frames.index_select(&windows, 0).unwrap().reshape((4, 3, 3, 56, 56)).unwrap();
+    let naive = scalar(network.forward(&images).unwrap());
+
+    let value = |t: &Tensor| t.to_scalar::<f32>().unwrap();
+    assert!((value(&shared) - value(&naive)).abs() < 1e-4 * value(&naive));
+    let (shared, naive) = (shared.backward().unwrap(), naive.backward().unwrap());
+    let mut compared = 0;
+    for (name, var) in varmap.data().lock().unwrap().iter() {
+        let [Some(a), Some(b)] = [shared.get(var), naive.get(var)] else { continue };
+        let norm = |t: &Tensor| value(&t.sqr().unwrap().sum_all().unwrap().sqrt().unwrap());
+        let difference = norm(&(a - b).unwrap());
+        assert!(difference <= 1e-3 * norm(b).max(1e-3), "{name}: {difference} of {}", norm(b));
+        compared += 1;
+    }
+    assert!(compared > 20, "{compared}");
+}
+
+#[test]
+fn whole_episodes_predict_as_a_stream_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("train.zarr");
+    write_store(&path, 1, 2, 40);
+    let outcome = run(&config(folder.path(), "out", 3, ""), false, usize::MAX);
+    let checkpoint = Checkpoint::load(&outcome.checkpoint, &Device::Cpu).unwrap();
+    let data = dataset(&path, &checkpoint);
+    let offline = predict(&checkpoint.model, &checkpoint.metadata, &data, &Device::Cpu, |_| ()).unwrap();
+    let store = ZarrReader::open(&path).unwrap();
+    let mut stream = Predictor::new(checkpoint, predictor::Options::default()).unwrap();
+    for index in 0..80 {
+        if index == 40 {
+            stream.reset();
+        }
+        let frame = store.frame(index).unwrap();
+        let field = stream.push(&frame.camera_ego_rgb, frame.timestamp).unwrap().field;
+        let rows = index * N_FIELD..(index + 1) * N_FIELD;
+        for (a, b) in [(&field.force, &offline.force), (&field.contact, &offline.contact)] {
+            let worst = a.iter().zip(&b[rows.clone()]).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(worst < 1e-4, "frame {index}: {worst}");
+        }
+    }
+}
+
+fn egotac(folder: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_egotac")).current_dir(folder).args(args).output().unwrap()
+}
+
+#[test]
+fn the_commands_train_predict_and_score() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| -> PathBuf { folder.path().join(name) };
+    write_store(&at("train.zarr"), 1, 2, 40);
+    write_store(&at("test.zarr"), 2, 1, 30);
+    let yaml = "name: test\ndata: [train.zarr]\nvalidation: [test.zarr]\nout: run\nmodel: toy\nseed: 5\nsteps: 4\n\
+                batch: {clips: 2, windows: 4}\n";
+    std::fs::write(at("train.yaml"), yaml).unwrap();
+    let ok = |args: &[&str]| {
+        let output = egotac(folder.path(), args);
+        assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let trained = ok(&["train", "--config", "train.yaml"]);
+    assert!(trained.contains("active MAE") && trained.contains("sha256"), "{trained}");
+    assert_eq!(std::fs::read_to_string(at("run/log.csv")).unwrap().lines().count(), 5);
+
+    let checkpoint = "run/checkpoint.safetensors";
+    ok(&["predict", "--checkpoint", checkpoint, "--data", "test.zarr", "--out", "fields.safetensors"]);
+    let file = FieldFile::read(&at("fields.safetensors")).unwrap();
+    assert_eq!((file.fields.n_frames(), file.episode_ends, file.topology), (30, vec![30], Some(Topology::EgotacHand1)));
+    let args = ["eval", "--checkpoint", checkpoint, "--data", "test.zarr", "--baselines-from", "train.zarr", "--json"];
+    let json: Value = serde_json::from_str(&ok(&args)).unwrap();
+    let keys: Vec<&String> = json.as_object().unwrap().keys().collect();
+    assert_eq!(keys, ["mean", "median", "model", "zero"]);
+    // The same scores by way of the files.
+    let by_file: Value =
+        serde_json::from_str(&ok(&["eval", "--pred", "fields.safetensors", "--target", "test.zarr", "--json"]))
+            .unwrap();
+    assert_eq!(by_file, json["model"]);
+    let table = ok(&args[..args.len() - 1]);
+    assert!(table.contains("model") && table.contains("median") && table.contains("active MAE (N)"), "{table}");
+
+    // Images: a folder by name.
+    std::fs::create_dir(at("images")).unwrap();
+    let store = ZarrReader::open(&at("test.zarr")).unwrap();
+    for index in 0..5 {
+        store.frame(3 * index).unwrap().camera_ego_rgb.save(at(&format!("images/{index}.png"))).unwrap();
+    }
+    ok(&["predict", "--checkpoint", checkpoint, "--data", "images", "--out", "images.safetensors"]);
+    assert_eq!(FieldFile::read(&at("images.safetensors")).unwrap().fields.n_frames(), 5);
+
+    let info = ok(&["data", "info", "train.zarr"]);
+    assert!(info.contains("80 frames in 2 episodes, 25.0 fps") && info.contains("data/mano_force"), "{info}");
+    let info: Value = serde_json::from_str(&ok(&["data", "info", "train.zarr", "--json"])).unwrap();
+    assert_eq!((&info["episodes"], &info["attributes"]["scene"]), (&2.into(), &"disc".into()));
+
+    for (args, word) in [
+        (vec!["train", "--config", "train.yaml"], "resume"),
+        (vec!["train", "--config", "absent.yaml"], "absent.yaml"),
+        (vec!["predict", "--checkpoint", "train.yaml", "--data", "test.zarr", "--out", "x"], "train.yaml"),
+        (vec!["predict", "--checkpoint", checkpoint, "--data", "run", "--out", "x"], "neither a Zarr store"),
+        (vec!["eval", "--pred", "fields.safetensors", "--target", "train.zarr"], "30 frames"),
+        (vec!["data", "info", "images"], "images"),
+    ] {
+        let output = egotac(folder.path(), &args);
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert!(!output.status.success() && error.contains(word) && error.lines().count() == 1, "{args:?}: {error}");
+    }
+}
