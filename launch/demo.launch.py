@@ -11,8 +11,14 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 ARGUMENTS = [
-    DeclareLaunchArgument("scene", default_value="", description="Scene to simulate. Empty: as the parameter file says."),
-    DeclareLaunchArgument("seed", default_value="", description="Seed of the scene. Empty: as the parameter file says."),
+    DeclareLaunchArgument(
+        "scenes",
+        default_value="",
+        description="Scenes to play in turn, separated by commas. Empty: as the parameter file says.",
+    ),
+    DeclareLaunchArgument(
+        "seed", default_value="", description="Seed of the first episode. Empty: as the parameter file says."
+    ),
     DeclareLaunchArgument("model", default_value="", description="Checkpoint. Empty: the one that comes with egotac."),
     DeclareLaunchArgument(
         "params_file",
@@ -26,10 +32,10 @@ ARGUMENTS = [
 
 
 def given(context):
-    """The scene and the seed, where they were given, as parameters that win over the file."""
+    """The scenes and the seed, where they were given, as parameters that win over the file."""
     parameters = {}
-    if scene := LaunchConfiguration("scene").perform(context):
-        parameters["scene"] = scene
+    if scenes := LaunchConfiguration("scenes").perform(context):
+        parameters["scenes"] = [scene.strip() for scene in scenes.split(",")]
     if seed := LaunchConfiguration("seed").perform(context):
         parameters["seed"] = int(seed)
     return parameters

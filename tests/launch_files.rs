@@ -77,7 +77,7 @@ fn each_node_of_the_launch_files_is_one_of_our_programs_with_its_own_parameters(
     let programs = program_names();
     let given =
         ["use_sim_time:=true", "image_transport:=compressed", "model:=/m.safetensors", "device:=cpu", "rviz:=true"];
-    let demo_given = ["scene:=pinch_cube", "seed:=3", "rviz:=true"];
+    let demo_given = ["scenes:=pinch_cube,lift_mug", "seed:=3", "rviz:=true"];
     for (file, given) in [("egotac.launch.py", &given[..]), ("demo.launch.py", &demo_given[..])] {
         for arguments in [&[], given] {
             let description = describe(file, arguments);
