@@ -50,11 +50,12 @@ once() { # DIR WHAT COMMAND...
     ) 9>"$dir.lock"
 }
 
-# The entries of a colon-separated list that are not below the folder BELOW.
+# The entries of a colon-separated list that are not below the folder BELOW, each once.
 without() { # LIST BELOW
-    local entry result=()
+    local entry result=() seen=:
     while IFS= read -r -d : entry; do
-        [[ -z $entry || $entry == "$2"/* ]] || result+=("$entry")
+        [[ -z $entry || $entry == "$2"/* || $seen == *:"$entry":* ]] || result+=("$entry")
+        seen+=$entry:
     done <<<"$1:"
     join_path ${result[@]+"${result[@]}"}
 }
