@@ -35,7 +35,7 @@ fn is_held(scene: &str, seed: u64) {
     assert!(rise > 0.02, "{scene}, seed {seed}: rose by {rise} m");
     assert!(force(&rollout, top) > 0.3, "{scene}, seed {seed}: held by {} N", force(&rollout, top));
     // Touched by two links or more, and by nothing but the hand: the net force is the weight.
-    let hand = top.hands.iter().flatten().max_by(|a, b| a.total.total_cmp(&b.total)).unwrap();
+    let hand = top.hands[rollout.episode().hands[0].side as usize].as_ref().unwrap();
     assert!(hand.contacts >= 2, "{scene}, seed {seed}: {} contacts", hand.contacts);
     let last = frames.last().unwrap();
     assert!(last.objects[0].position.z - frames[0].objects[0].position.z < 0.01, "{scene}, seed {seed}: set down");
@@ -126,8 +126,8 @@ fn hand_parameters_reproduce_bodies_and_skin() {
                 let error = posed.joints[joint].as_dvec3().distance(pose(joint).0);
                 assert!(error < 1e-5, "{scene}, {}, joint {joint}: {error} m", side.name());
             }
-            // The engine's skin is this sum over its bones.
-            for (vertex, rest) in rig.vertices.iter().enumerate() {
+            // The engine's skin is this sum over its bones; what is bound to them carries the pose blend shapes.
+            for (vertex, rest) in rig.bound_vertices(&posed).iter().enumerate() {
                 let skin: DVec3 = (0..N_JOINTS)
                     .map(|joint| {
                         let (position, orientation) = pose(joint);

@@ -1,6 +1,6 @@
 //! A simulated world: model and data owned together, names resolved once.
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3, Vec3};
 use mujoco_rs::prelude::*;
 
 use super::options::{Integrator, PhysicsOptions};
@@ -33,6 +33,13 @@ pub struct FreeJoint {
     body: Body,
     qpos: usize,
     dof: usize,
+}
+
+/// The vertices of a skin that bodies carry, for pictures only.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Skin {
+    first: usize,
+    count: usize,
 }
 
 /// One touching point of two geoms.
@@ -145,6 +152,33 @@ impl World {
         let Body(body) = self.body(name)?;
         let mocap = self.data.model().body_mocapid()[body];
         usize::try_from(mocap).map_err(|_| Error::value(format!("body {name}"), "a mocap body", "another"))
+    }
+
+    /// Looks a skin up.
+    ///
+    /// # Errors
+    /// If there is none of that name.
+    pub fn skin(&self, name: &str) -> Result<Skin> {
+        let skin = self.id(MjtObjBase::mjOBJ_SKIN, "skin", name)?;
+        let model = self.data.model();
+        Ok(Skin { first: model.skin_vertadr()[skin] as usize, count: model.skin_vertnum()[skin] as usize })
+    }
+
+    /// Replaces a skin's vertices in the pose in which its bones were bound, m; the next picture shows them.
+    ///
+    /// # Errors
+    /// If their number is another.
+    pub fn set_skin(&mut self, skin: Skin, vertices: &[Vec3]) -> Result<()> {
+        if vertices.len() != skin.count {
+            return Err(Error::shape("skin vertices", format!("[{}, 3]", skin.count), [vertices.len(), 3]));
+        }
+        // SAFETY: the model itself stays, with every size, index and address; only coordinates that nothing but the
+        // drawing of skins reads get other values.
+        #[allow(unsafe_code)]
+        let model = unsafe { self.data.model_mut() };
+        let all = &mut model.skin_vert_mut()[skin.first..skin.first + skin.count];
+        all.iter_mut().zip(vertices).for_each(|(old, new)| *old = new.to_array());
+        Ok(())
     }
 
     /// Advances by one timestep.

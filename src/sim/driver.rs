@@ -13,10 +13,12 @@ use super::rig::{HandRig, JOINT_NAMES, site_of};
 use super::scene::Site;
 use crate::error::Result;
 use crate::mujoco::World;
-use crate::mujoco::world::{Body, Servo};
+use crate::mujoco::world::{Body, Servo, Skin};
 
 /// Openings at which the fingers' places are solved; between them angles are interpolated.
 const OPENINGS: usize = 4;
+/// Share of the opening that every part of the hand keeps from the object.
+const SHARE_OF_OPENING: f64 = 0.6;
 /// Seconds in which a missing force is made up.
 const FORCE_LAG: f64 = 0.25;
 /// The correction is at most this many times the goal.
@@ -31,6 +33,7 @@ pub struct HandDriver {
     hinges: Vec<Servo>,
     wrist_body: Body,
     bodies: Vec<Body>,
+    skin: Skin,
     plan: Plan,
 }
 
@@ -81,7 +84,8 @@ impl HandDriver {
             object: None,
             pushes: Vec::new(),
         };
-        let mut driver = Self { wrist, hinges, wrist_body: bodies[0], bodies, plan: resting };
+        let skin = world.skin(&rig.name("skin"))?;
+        let mut driver = Self { skin, wrist, hinges, wrist_body: bodies[0], bodies, plan: resting };
         if let Some(act) = &hand.act {
             let (body, shape) = objects[act.object];
             driver.plan = driver.solve(world, hand, act, rig, body, shape);
@@ -92,6 +96,11 @@ impl HandDriver {
         }
         driver.apply(world, &targets);
         Ok(driver)
+    }
+
+    /// The hand's skin.
+    pub fn skin(&self) -> Skin {
+        self.skin
     }
 
     /// Body of the wrist.
@@ -181,12 +190,18 @@ impl HandDriver {
         shape: &Object,
     ) -> Plan {
         let (at, turn) = (world.position(object), world.orientation(object));
-        let depth = |point: DVec3| {
-            let (depth, out) = shape.depth(turn.inverse() * (point - at))?;
+        let depth = |point: DVec3, margin: f64| {
+            let (depth, out) = shape.depth(turn.inverse() * (point - at), margin)?;
             Some((depth, turn * out))
         };
-        let clearance =
-            Clearance { depth: &depth, rig, links: &self.bodies, pairs: rig.colliding(), height: TABLE_CLEARANCE };
+        let mut clearance = Clearance {
+            depth: &depth,
+            margin: 0.0,
+            rig,
+            links: &self.bodies,
+            pairs: rig.colliding(),
+            height: TABLE_CLEARANCE,
+        };
         let reach = |goal: &Goal, opening: f64| {
             let pad = rig.pad(goal.site);
             Reach { body: self.bodies[pad.joint], pad, point: goal.point + goal.normal * opening, normal: goal.normal }
@@ -216,6 +231,8 @@ impl HandDriver {
         for step in 1..OPENINGS {
             let opening = widest * step as f64 / (OPENINGS - 1) as f64;
             let mut angles = fingers[step - 1].clone();
+            // The whole finger keeps away, not only its pad.
+            clearance.margin = SHARE_OF_OPENING * opening;
             // Stay near the last solution rather than the posture, so that the way between them is short.
             let free: Vec<Freedom> = moving.iter().map(|i| Freedom { rest: angles[*i], ..hinge(*i) }).collect();
             let reaches: Vec<Reach> = act.goals.iter().map(|goal| reach(goal, opening)).collect();

@@ -43,8 +43,10 @@ pub struct Clearance<'a> {
     pub pairs: Vec<(usize, usize)>,
     /// Lowest height allowed, m.
     pub height: f64,
-    /// Depth of a world point in the obstacle, m, and the unit direction out of it.
-    pub depth: &'a dyn Fn(DVec3) -> Option<(f64, DVec3)>,
+    /// Depth of a world point in the obstacle grown by a margin, m, and the unit direction out of it.
+    pub depth: &'a dyn Fn(DVec3, f64) -> Option<(f64, DVec3)>,
+    /// Distance to keep from the obstacle, m.
+    pub margin: f64,
 }
 
 /// Error of a pad's place that counts 1, m.
@@ -145,8 +147,9 @@ fn linearise(
     for (link, body) in clearance.links.iter().enumerate() {
         let (origin, turn) = place(link);
         let corners = clearance.rig.hulls[link].iter().map(|corner| origin + turn * *corner);
-        let deepest =
-            corners.clone().filter_map(|corner| (clearance.depth)(corner).map(|(depth, out)| (corner, depth, out)));
+        let deepest = corners
+            .clone()
+            .filter_map(|corner| (clearance.depth)(corner, clearance.margin).map(|(depth, out)| (corner, depth, out)));
         if let Some((corner, depth, out)) = deepest.max_by(|a, b| a.1.total_cmp(&b.1)) {
             push_out(depth, world.jacobian(*body, corner, &servos).iter().map(|c| c.dot(out)).collect());
         }

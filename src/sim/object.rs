@@ -97,11 +97,11 @@ impl Object {
         Self { pieces, visual, half_height, outline }
     }
 
-    /// How deep a point is inside the convex outline, m, and the unit direction that leads out the shortest way.
+    /// How deep a point is inside the convex outline grown by `margin`, m, and the unit direction that leads out.
     ///
     /// The outline leaves handles out and fills hollows: it is what a grasping hand keeps out of.
-    pub fn depth(&self, point: DVec3) -> Option<(f64, DVec3)> {
-        super::rig::depth(&self.outline, point, 0.0)
+    pub fn depth(&self, point: DVec3, margin: f64) -> Option<(f64, DVec3)> {
+        super::rig::depth(&self.outline, point, margin)
     }
 
     /// Volume, m³; overlaps of pieces count twice.

@@ -1,12 +1,12 @@
 //! A hand model as a driven mechanism: hinges, pads and collision hulls, found from its joints and skinning weights.
 
-use glam::{DMat3, DQuat, DVec3, Vec3};
+use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 use parry3d::math::{Pose, Vector};
 use parry3d::shape::SharedShape;
 
 use super::scene::Site;
 use crate::error::{Error, Result};
-use crate::hand::{HandModel, HandParams, N_BETAS, N_JOINTS, Side};
+use crate::hand::{HandModel, HandParams, N_BETAS, N_JOINTS, PosedHand, Side};
 
 /// Names of the joints in MANO order.
 pub const JOINT_NAMES: [&str; N_JOINTS] = [
@@ -162,6 +162,32 @@ impl HandRig {
             hand_pose: std::array::from_fn(|i| rotation_vector(turns[i + 1]).as_vec3()),
             transl: (wrist - self.joints[0]).as_vec3(),
         }
+    }
+
+    /// Vertices at rest that blend to the posed ones when bones alone carry them, m.
+    ///
+    /// A skin in the engine knows no pose blend shapes; given these instead of the rest vertices it shows them too.
+    pub fn bound_vertices(&self, posed: &PosedHand) -> Vec<Vec3> {
+        let bones: Vec<DAffine3> = (0..N_JOINTS)
+            .map(|joint| {
+                let rotation = posed.rotations[joint].as_dmat3();
+                DAffine3::from_mat3_translation(
+                    rotation,
+                    posed.joints[joint].as_dvec3() - rotation * self.joints[joint],
+                )
+            })
+            .collect();
+        let blend = |weights: &[f32]| {
+            let mut sum = DAffine3 { matrix3: DMat3::ZERO, translation: DVec3::ZERO };
+            let total: f64 = weights.iter().map(|w| f64::from(*w)).sum();
+            for (bone, weight) in bones.iter().zip(weights).filter(|(_, weight)| **weight > 0.0) {
+                sum.matrix3 += bone.matrix3 * (f64::from(*weight) / total);
+                sum.translation += bone.translation * (f64::from(*weight) / total);
+            }
+            sum
+        };
+        let rows = self.model.lbs_weights.chunks_exact(N_JOINTS).zip(&posed.vertices);
+        rows.map(|(weights, vertex)| blend(weights).inverse().transform_point3(vertex.as_dvec3()).as_vec3()).collect()
     }
 
     /// Rotation that turns the rest hand so that fingers and palm point as asked; `fingers` is kept exactly.

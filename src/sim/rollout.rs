@@ -63,7 +63,7 @@ pub struct Rollout {
     objects: Vec<SceneObject>,
     episode: Episode,
     guard: Guard,
-    view: Option<(usize, Renderer)>,
+    view: Option<Renderer>,
     intrinsics: Intrinsics,
     camera: usize,
     head: usize,
@@ -148,7 +148,7 @@ impl Rollout {
         let (head, camera) = (world.mocap(HEAD)?, world.camera(HEAD)?);
         let (width, height) = options.picture.unwrap_or((1, 1));
         let view = match options.picture {
-            Some((width, height)) => Some((camera, Renderer::new(&world, camera, width, height)?)),
+            Some((width, height)) => Some(Renderer::new(&world, camera, width, height)?),
             None => None,
         };
         Ok(Self {
@@ -282,6 +282,10 @@ impl Rollout {
                     object.surface.is_within(local.as_vec3(), PROXIMITY)
                 }));
             }
+            if self.view.is_some() {
+                let (skin, rig) = (driver.skin(), &self.rigs[side as usize]);
+                self.world.set_skin(skin, &rig.bound_vertices(&posed))?;
+            }
             (forces[side as usize], poses[side as usize]) = (Some(label), Some(params));
         }
         let objects = self.objects.iter().map(|object| {
@@ -291,7 +295,7 @@ impl Rollout {
         });
         let objects = objects.collect();
         let picture = match &mut self.view {
-            Some((_, renderer)) if !lost => renderer.render(&mut self.world)?,
+            Some(renderer) if !lost => renderer.render(&mut self.world)?,
             _ => RgbImage::new(self.intrinsics.width, self.intrinsics.height),
         };
         // A hand that is there is supervised where the frame can be trusted; an absent one is surely not touched.
