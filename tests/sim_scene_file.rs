@@ -37,11 +37,11 @@ fn an_unknown_key_is_refused_by_file_and_name() {
 
 #[test]
 fn a_value_out_of_range_says_what_was_expected() {
-    let error = edited("mass: [0.03, 0.12]", "mass: [0.12, 0.03]");
+    let error = edited("mass: [0.02, 0.08]", "mass: [0.08, 0.02]");
     assert!(error.contains("low <= high"), "{error}");
-    let error = edited("mass: [0.03, 0.12]", "mass: 0");
+    let error = edited("mass: [0.02, 0.08]", "mass: 0");
     assert!(error.contains("objects[0].mass"), "{error}");
-    let error = edited("mass: [0.03, 0.12]", "mass: heavy");
+    let error = edited("mass: [0.02, 0.08]", "mass: heavy");
     assert!(error.contains("a number or a range"), "{error}");
     let error = edited("hands:", "rate: 30\nhands:");
     assert!(error.contains("whole number") && error.contains("0.002"), "{error}");

@@ -9,7 +9,7 @@ use super::ik::{self, Clearance, Freedom, Reach};
 use super::mjcf::{WRIST, WRIST_STIFFNESS};
 use super::object::Object;
 use super::randomize::{Act, Goal, HandDraw};
-use super::rig::{HandRig, JOINT_NAMES, site_of};
+use super::rig::{HandRig, Hinge, JOINT_NAMES, site_of};
 use super::scene::Site;
 use crate::error::Result;
 use crate::mujoco::World;
@@ -17,10 +17,12 @@ use crate::mujoco::world::{Body, Servo, Skin};
 
 /// Openings at which the fingers' places are solved; between them angles are interpolated.
 const OPENINGS: usize = 4;
+/// Distance that links without a goal of their own keep from the object, so that the pads touch first, m.
+const LINK_MARGIN: f64 = 0.002;
 /// Share of the opening that every part of the hand keeps from the object.
 const SHARE_OF_OPENING: f64 = 0.6;
 /// Seconds in which a missing force is made up.
-const FORCE_LAG: f64 = 0.25;
+const FORCE_LAG: f64 = 0.15;
 /// The correction is at most this many times the goal.
 const MOST_CORRECTION: f64 = 1.5;
 /// Height of the table's top that the hand keeps away from when its place is chosen, m.
@@ -39,12 +41,10 @@ pub struct HandDriver {
 
 #[derive(Debug)]
 struct Plan {
-    /// Wrist servos at the object.
-    wrist: [f64; 6],
     /// Largest opening of the script, m.
     widest: f64,
-    /// Hinge angles at openings from 0 to `widest`; one entry when the hand rests.
-    fingers: Vec<Vec<f64>>,
+    /// Positions of wrist and hinges at openings from 0 to `widest`; one entry when the hand rests.
+    places: Vec<Vec<f64>>,
     act: Option<Act>,
     object: Option<Body>,
     pushes: Vec<Push>,
@@ -77,9 +77,8 @@ impl HandDriver {
         let hinges = rig.hinges.iter().map(|h| world.servo(&rig.name(&h.name))).collect::<Result<Vec<_>>>()?;
         let bodies = JOINT_NAMES.iter().map(|name| world.body(&rig.name(name))).collect::<Result<Vec<_>>>()?;
         let resting = Plan {
-            wrist: [0.0; 6],
             widest: 0.0,
-            fingers: vec![hand.posture.clone()],
+            places: vec![[0.0; 6].iter().chain(&hand.posture).copied().collect()],
             act: None,
             object: None,
             pushes: Vec::new(),
@@ -156,21 +155,20 @@ impl HandDriver {
     /// Servo targets at `time`: wrist, then hinges.
     fn targets(&self, time: f64) -> Vec<f64> {
         let plan = &self.plan;
-        let mut targets = plan.wrist.to_vec();
         let Some(act) = &plan.act else {
-            targets.extend(&plan.fingers[0]);
-            return targets;
+            return plan.places[0].clone();
         };
         let channels = act.timeline.at(time);
+        let place = (channels.opening / plan.widest).clamp(0.0, 1.0) * (plan.places.len() - 1) as f64;
+        let low = (place as usize).min(plan.places.len().saturating_sub(2));
+        let high = (low + 1).min(plan.places.len() - 1);
+        let part = place - low as f64;
+        let between = plan.places[low].iter().zip(&plan.places[high]).map(|(a, b)| a + (b - a) * part);
+        let mut targets: Vec<f64> = between.collect();
         let displacement = act.from * channels.standoff + channels.shift;
         for axis in 0..3 {
             targets[axis] += displacement[axis];
         }
-        let place = (channels.opening / plan.widest).clamp(0.0, 1.0) * (plan.fingers.len() - 1) as f64;
-        let low = (place as usize).min(plan.fingers.len().saturating_sub(2));
-        let high = (low + 1).min(plan.fingers.len() - 1);
-        let part = place - low as f64;
-        targets.extend(plan.fingers[low].iter().zip(&plan.fingers[high]).map(|(a, b)| a + (b - a) * part));
         for push in &plan.pushes {
             let force = channels.squeeze * push.goal.force + push.correction;
             for (index, per_newton) in &push.per_newton {
@@ -196,7 +194,9 @@ impl HandDriver {
         };
         let mut clearance = Clearance {
             depth: &depth,
-            margin: 0.0,
+            margin: LINK_MARGIN,
+            pads: act.goals.iter().map(|goal| rig.pad(goal.site).joint).collect(),
+            pad_margin: 0.0,
             rig,
             links: &self.bodies,
             pairs: rig.colliding(),
@@ -223,27 +223,34 @@ impl HandDriver {
         let touch = ik::solve(world, &all, &reaches, &clearance, 120);
         let pushes = act.goals.iter().map(|goal| self.push(world, goal, rig)).collect();
 
-        // Away from it: only the fingers with goals, from one opening to the next.
-        let moving: Vec<usize> =
-            (0..self.hinges.len()).filter(|i| act.goals.iter().any(|goal| goal.site == rig.hinges[*i].site)).collect();
+        // Away from it: the wrist and the fingers with goals, from one opening to the next.
+        let has_goal = |hinge: &Hinge| act.goals.iter().any(|goal| goal.site == hinge.site);
+        let hinges = rig.hinges.iter().enumerate().filter(|(_, hinge)| has_goal(hinge)).map(|(i, _)| 6 + i);
+        let moving: Vec<usize> = (0..6).chain(hinges).collect();
         let widest = act.timeline.widest_opening().max(1e-3);
-        let mut fingers = vec![touch[6..].to_vec()];
+        let mut places = vec![touch];
         for step in 1..OPENINGS {
             let opening = widest * step as f64 / (OPENINGS - 1) as f64;
-            let mut angles = fingers[step - 1].clone();
-            // The whole finger keeps away, not only its pad.
-            clearance.margin = SHARE_OF_OPENING * opening;
-            // Stay near the last solution rather than the posture, so that the way between them is short.
-            let free: Vec<Freedom> = moving.iter().map(|i| Freedom { rest: angles[*i], ..hinge(*i) }).collect();
+            let mut place = places[step - 1].clone();
+            // The whole hand keeps away, not only the pads.
+            clearance.pad_margin = SHARE_OF_OPENING * opening;
+            clearance.margin = clearance.pad_margin.max(LINK_MARGIN);
+            // Near the last solution rather than the posture, so that the way between them is short; and rather with
+            // the fingers than with the wrist.
+            let near = |i: usize| match i {
+                0..3 => Freedom { rest: place[i], slack: 0.01, ..all[i] },
+                3..6 => Freedom { rest: place[i], slack: 0.1, ..all[i] },
+                _ => Freedom { rest: place[i], ..all[i] },
+            };
+            let free: Vec<Freedom> = moving.iter().map(|i| near(*i)).collect();
             let reaches: Vec<Reach> = act.goals.iter().map(|goal| reach(goal, opening)).collect();
             let solved = ik::solve(world, &free, &reaches, &clearance, 60);
-            for (index, angle) in moving.iter().zip(solved) {
-                angles[*index] = angle;
+            for (index, position) in moving.iter().zip(solved) {
+                place[*index] = position;
             }
-            fingers.push(angles);
+            places.push(place);
         }
-        let wrist = std::array::from_fn(|i| touch[i]);
-        Plan { wrist, widest, fingers, act: Some(act.clone()), object: Some(object), pushes }
+        Plan { widest, places, act: Some(act.clone()), object: Some(object), pushes }
     }
 
     /// Servo changes that press a goal's site against the surface with 1 N, at the present pose.

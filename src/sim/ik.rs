@@ -45,14 +45,18 @@ pub struct Clearance<'a> {
     pub height: f64,
     /// Depth of a world point in the obstacle grown by a margin, m, and the unit direction out of it.
     pub depth: &'a dyn Fn(DVec3, f64) -> Option<(f64, DVec3)>,
-    /// Distance to keep from the obstacle, m.
+    /// Distance that links keep from the obstacle, m.
     pub margin: f64,
+    /// Links whose pads have goals.
+    pub pads: Vec<usize>,
+    /// Distance that those keep from the obstacle, m.
+    pub pad_margin: f64,
 }
 
 /// Error of a pad's place that counts 1, m.
 const POINT_SLACK: f64 = 1e-3;
 /// Error of a pad's direction that counts 1, as the length of the difference of unit vectors.
-const NORMAL_SLACK: f64 = 0.5;
+const NORMAL_SLACK: f64 = 0.35;
 
 /// Gap that fingers keep from each other, m.
 const FINGER_GAP: f64 = 1.5e-3;
@@ -147,9 +151,10 @@ fn linearise(
     for (link, body) in clearance.links.iter().enumerate() {
         let (origin, turn) = place(link);
         let corners = clearance.rig.hulls[link].iter().map(|corner| origin + turn * *corner);
+        let margin = if clearance.pads.contains(&link) { clearance.pad_margin } else { clearance.margin };
         let deepest = corners
             .clone()
-            .filter_map(|corner| (clearance.depth)(corner, clearance.margin).map(|(depth, out)| (corner, depth, out)));
+            .filter_map(|corner| (clearance.depth)(corner, margin).map(|(depth, out)| (corner, depth, out)));
         if let Some((corner, depth, out)) = deepest.max_by(|a, b| a.1.total_cmp(&b.1)) {
             push_out(depth, world.jacobian(*body, corner, &servos).iter().map(|c| c.dot(out)).collect());
         }
