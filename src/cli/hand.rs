@@ -1,12 +1,375 @@
-//! `egotac hand`.
+//! `egotac hand`: pose a hand, show it, carry fields between the built-in hand and MANO, rebuild the built-in hand.
 
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+
+use ::image::{ImageFormat, RgbImage, imageops};
+use anyhow::{Context, bail, ensure};
+use candle_core::{DType, Device, Tensor};
+use clap::ValueEnum;
+use glam::Vec3;
+use safetensors::tensor::{Dtype, TensorView};
+
+use crate::dataset::tensors::FieldFile;
+use crate::dataset::write_file;
+use crate::hand::{self, HandMap, HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, Region, Side};
+use crate::metrics::Fields;
+use crate::render::{View, color, font, hand_picture, region_colors};
+use crate::tactile::{N_FIELD, Topology};
 
 /// Arguments of `egotac hand`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// Pose a hand: MANO parameters in, vertices and joints out.
+    Forward(Forward),
+    /// Draw a hand and its regions, palm and back.
+    Show(Show),
+    /// Register the built-in hand on a MANO file, or carry a field over.
+    Map(Map),
+    /// Make the built-in hand again from its anatomy (developers; vertex indices may change).
+    Build(Build),
+}
+
+#[derive(Debug, clap::Args)]
+struct Forward {
+    #[command(flatten)]
+    model: ModelArgs,
+    /// Safetensors with `betas` (B, 10), `global_orient` (B, 3) rad, `hand_pose` (B, 45) rad (full pose, flat hand mean),
+    /// `transl` (B, 3) m.
+    #[arg(long, value_name = "FILE")]
+    params: PathBuf,
+    /// Safetensors to write: `vertices` (B, 778, 3) and `joints` (B, 16, 3), f32, m.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+struct Show {
+    #[command(flatten)]
+    model: ModelArgs,
+    /// Safetensors with parameters as `hand forward` takes them; its first row is drawn. Default: the flat hand.
+    #[arg(long, value_name = "FILE")]
+    pose: Option<PathBuf>,
+    /// PNG to write.
+    #[arg(long, value_name = "FILE", default_value = "hand.png")]
+    out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+struct Map {
+    /// MANO file (the published pickle or an .npz) of one hand; the other hand's map is its mirror image.
+    #[arg(long, value_name = "FILE")]
+    mano: PathBuf,
+    /// Which hand that file holds.
+    #[arg(long, value_enum, default_value = "right")]
+    side: SideArg,
+    /// Safetensors with `force` and/or `contact` (T, 1556) to carry over; needs --to.
+    #[arg(long, value_name = "FILE", requires = "to")]
+    field: Option<PathBuf>,
+    /// The hand the field shall be on.
+    #[arg(long, value_enum, requires = "field")]
+    to: Option<To>,
+    /// Safetensors to write: the carried field, or without --field the map's sparse weights.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+struct Build {
+    /// Safetensors to write (the committed one is src/hand/builtin.safetensors).
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+struct ModelArgs {
+    /// `builtin`, or a MANO file (the published pickle or an .npz).
+    #[arg(long, value_name = "builtin|FILE", default_value = "builtin")]
+    model: String,
+    /// Which hand; never guessed from the file's name.
+    #[arg(long, value_enum, default_value = "right")]
+    side: SideArg,
+    /// Negate x of a left MANO file's shapedirs, which has the wrong sign in the published one.
+    #[arg(long)]
+    fix_left_shapedirs: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum SideArg {
+    Left,
+    Right,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum To {
+    Mano,
+    Builtin,
+}
 
 /// Runs the command.
-pub fn run(_args: Args) -> anyhow::Result<ExitCode> {
-    anyhow::bail!("not written yet")
+pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    match args.command {
+        Command::Forward(args) => forward(&args)?,
+        Command::Show(args) => show(&args)?,
+        Command::Map(args) => map(&args)?,
+        Command::Build(args) => build(&args)?,
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn forward(args: &Forward) -> anyhow::Result<()> {
+    let model = args.model.load()?;
+    let batch = read_params(&args.params)?;
+    let (mut vertices, mut joints) = (Vec::new(), Vec::new());
+    for params in &batch {
+        let posed = model.forward(params);
+        vertices.extend(posed.vertices.iter().flat_map(|vertex| vertex.to_array()));
+        joints.extend(posed.joints.iter().flat_map(|joint| joint.to_array()));
+    }
+    let tensors = [
+        ("vertices", vec![batch.len(), N_VERTICES, 3], floats(&vertices)),
+        ("joints", vec![batch.len(), N_JOINTS, 3], floats(&joints)),
+    ];
+    let metadata = HashMap::from([
+        ("topology".to_string(), model.topology.id().to_string()),
+        ("side".into(), model.side.name().into()),
+    ]);
+    write_tensors(&args.out, &tensors, metadata)?;
+    println!("{} {} hands posed, written to {}", batch.len(), model.side.name(), args.out.display());
+    Ok(())
+}
+
+fn show(args: &Show) -> anyhow::Result<()> {
+    let model = args.model.load()?;
+    let params = match &args.pose {
+        Some(path) => {
+            let mut batch = read_params(path)?;
+            ensure!(!batch.is_empty(), "{}: no parameters, expected at least one row", path.display());
+            batch.swap_remove(0)
+        }
+        None => HandParams::default(),
+    };
+    let picture = sheet(&model, &params);
+    let mut png = Vec::new();
+    picture.write_to(&mut std::io::Cursor::new(&mut png), ImageFormat::Png)?;
+    write_file(&args.out, &png)?;
+    println!("{} {} hand drawn to {}", model.side.name(), model.topology.id(), args.out.display());
+    Ok(())
+}
+
+/// Palm and back of the posed hand in skin colour, and the same by region, with the regions' names.
+fn sheet(model: &HandModel, params: &HandParams) -> RgbImage {
+    const PANEL: (u32, u32) = (420, 520);
+    const LEGEND: u32 = 210;
+    const TITLE: u32 = 40;
+    let posed = model.forward(params);
+    let skin = vec![color::SKIN; posed.vertices.len()];
+    let regions = region_colors(&model.regions());
+    let mut sheet = RgbImage::from_pixel(2 * PANEL.0 + LEGEND, 2 * PANEL.1 + TITLE, color::PAPER);
+    for (row, colors) in [&skin, &regions].into_iter().enumerate() {
+        for (column, view) in [View::Palmar, View::Dorsal].into_iter().enumerate() {
+            let panel = hand_picture(model, &posed, colors, view, PANEL);
+            let (x, y) = (column as u32 * PANEL.0, TITLE + row as u32 * PANEL.1);
+            imageops::replace(&mut sheet, &panel, x.into(), y.into());
+        }
+    }
+    let title = format!("{} hand, {}", model.side.name(), model.topology.id());
+    font::draw(&mut sheet, &title, (16, 12), 20.0, color::INK, font::Align::Left);
+    let left = 2 * PANEL.0 as i32 + 8;
+    for region in Region::ALL {
+        let y = (TITLE + PANEL.1) as i32 + 24 + 27 * region.index() as i32;
+        for (dx, dy) in (0..18).flat_map(|dx| (0..18).map(move |dy| (dx, dy))) {
+            sheet.put_pixel((left + dx) as u32, (y + dy) as u32, color::region_color(region));
+        }
+        font::draw(&mut sheet, region.name(), (left + 28, y), 16.0, color::INK, font::Align::Left);
+    }
+    sheet
+}
+
+fn map(args: &Map) -> anyhow::Result<()> {
+    let mano = HandModel::load(&args.mano, args.side.into())?;
+    let map = HandMap::new(&mano);
+    println!(
+        "built-in hand on {}: keypoints {:.2} mm, surface {:.2} mm mean, {:.2} mm max, scale {:.3}",
+        args.mano.display(),
+        1e3 * map.fit.residual,
+        1e3 * map.mean_distance,
+        1e3 * map.max_distance,
+        map.fit.scale
+    );
+    match (&args.field, args.to) {
+        (Some(field), Some(to)) => {
+            let carried = carry(&map, field, to.into())?;
+            carried.write(&args.out, HashMap::new())?;
+            println!("field carried to {}, written to {}", Topology::from(to).id(), args.out.display());
+        }
+        _ => {
+            write_map(&args.out, &map, &mano)?;
+            println!("weights written to {}", args.out.display());
+        }
+    }
+    Ok(())
+}
+
+/// The field of a file on the other hand.
+fn carry(map: &HandMap, path: &Path, to: Topology) -> anyhow::Result<FieldFile> {
+    let mut file = FieldFile::read(path)?;
+    let from = match to {
+        Topology::Mano => Topology::EgotacHand1,
+        Topology::EgotacHand1 => Topology::Mano,
+    };
+    if let Some(topology) = file.topology {
+        let (got, wanted) = (topology.id(), from.id());
+        ensure!(
+            topology == from,
+            "{}: topology: expected {wanted} (to carry to {}), got {got}",
+            path.display(),
+            to.id()
+        );
+    }
+    let transfer = map.towards(to);
+    let frames = |values: &[f32], carry: &dyn Fn(&[f32]) -> crate::Result<Vec<f32>>| -> crate::Result<Vec<f32>> {
+        let carried: crate::Result<Vec<_>> = values.chunks_exact(N_FIELD).map(carry).collect();
+        Ok(carried?.concat())
+    };
+    let masks = |values: &[u8]| -> crate::Result<Vec<u8>> {
+        let carried: crate::Result<Vec<_>> = values.chunks_exact(N_FIELD).map(|mask| transfer.mask(mask)).collect();
+        Ok(carried?.concat())
+    };
+    file.fields = Fields {
+        force: frames(&file.fields.force, &|force| transfer.force(force))?,
+        contact: frames(&file.fields.contact, &|contact| transfer.contact(contact))?,
+    };
+    file.mask_force = masks(&file.mask_force)?;
+    file.mask_contact = masks(&file.mask_contact)?;
+    file.topology = Some(to);
+    Ok(file)
+}
+
+/// Weights as sparse triplets: `{to_mano,to_builtin}.{contact,force}.{target,source}` u32 and `.weight` f32.
+fn write_map(path: &Path, map: &HandMap, mano: &HandModel) -> anyhow::Result<()> {
+    let mut tensors = Vec::new();
+    for (name, transfer) in [("to_mano", &map.to_mano), ("to_builtin", &map.to_builtin)] {
+        let contact = transfer.contact.iter().enumerate();
+        let contact = contact.flat_map(|(target, row)| row.iter().map(move |&(source, w)| (target as u32, source, w)));
+        let force = transfer.force.iter().enumerate();
+        let force = force.flat_map(|(source, row)| row.iter().map(move |&(target, w)| (target, source as u32, w)));
+        for (kind, triplets) in [("contact", contact.collect::<Vec<_>>()), ("force", force.collect())] {
+            let words = |get: fn(&(u32, u32, f32)) -> [u8; 4]| triplets.iter().flat_map(get).collect::<Vec<u8>>();
+            let shape = vec![triplets.len()];
+            tensors.push((format!("{name}.{kind}.target"), Dtype::U32, shape.clone(), words(|t| t.0.to_le_bytes())));
+            tensors.push((format!("{name}.{kind}.source"), Dtype::U32, shape.clone(), words(|t| t.1.to_le_bytes())));
+            tensors.push((format!("{name}.{kind}.weight"), Dtype::F32, shape, words(|t| t.2.to_le_bytes())));
+        }
+    }
+    let metadata = HashMap::from([
+        ("side".to_string(), mano.side.name().to_string()),
+        ("builtin".into(), Topology::EgotacHand1.id().into()),
+        ("mano".into(), Topology::Mano.id().into()),
+    ]);
+    let views =
+        tensors.iter().map(|(name, dtype, shape, data)| Ok((name, TensorView::new(*dtype, shape.clone(), data)?)));
+    let views = views.collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
+    write_file(path, &safetensors::serialize(views, Some(metadata))?)?;
+    Ok(())
+}
+
+fn build(args: &Build) -> anyhow::Result<()> {
+    let model = hand::build::build();
+    write_file(&args.out, &hand::builtin_bytes(&model)?)?;
+    println!("{} vertices, {} faces, written to {}", model.v_template.len(), model.faces.len(), args.out.display());
+    Ok(())
+}
+
+impl ModelArgs {
+    fn load(&self) -> anyhow::Result<HandModel> {
+        let side = self.side.into();
+        ensure!(
+            !self.fix_left_shapedirs || (side == Side::Left && self.model != "builtin"),
+            "--fix-left-shapedirs is for a left MANO file: add --side left and --model FILE"
+        );
+        if self.model == "builtin" {
+            return Ok(HandModel::builtin(side));
+        }
+        let mut model = HandModel::load(Path::new(&self.model), side)?;
+        if self.fix_left_shapedirs {
+            model.fix_left_shapedirs();
+        }
+        Ok(model)
+    }
+}
+
+impl From<SideArg> for Side {
+    fn from(side: SideArg) -> Self {
+        match side {
+            SideArg::Left => Self::Left,
+            SideArg::Right => Self::Right,
+        }
+    }
+}
+
+impl From<To> for Topology {
+    fn from(to: To) -> Self {
+        match to {
+            To::Mano => Self::Mano,
+            To::Builtin => Self::EgotacHand1,
+        }
+    }
+}
+
+/// Reads a batch of MANO parameters; all four keys are needed, with the same number of rows.
+fn read_params(path: &Path) -> anyhow::Result<Vec<HandParams>> {
+    let file = || path.display().to_string();
+    let tensors = candle_core::safetensors::load(path, &Device::Cpu).with_context(file)?;
+    let keys = [("betas", N_BETAS), ("global_orient", 3), ("hand_pose", 3 * (N_JOINTS - 1)), ("transl", 3)];
+    let missing: Vec<&str> = keys.iter().map(|(key, _)| *key).filter(|key| !tensors.contains_key(*key)).collect();
+    if !missing.is_empty() {
+        let mut present: Vec<&str> = tensors.keys().map(String::as_str).collect();
+        present.sort();
+        bail!("{}: missing {}; there: {}", file(), missing.join(", "), present.join(", "));
+    }
+    let rows = tensors["betas"].dims().first().copied().unwrap_or(0);
+    let [betas, global_orient, hand_pose, transl] = keys.map(|(key, width)| column(&tensors[key], key, rows, width));
+    let (betas, global_orient) = (betas.with_context(file)?, global_orient.with_context(file)?);
+    let (hand_pose, transl) = (hand_pose.with_context(file)?, transl.with_context(file)?);
+    let row = |b: usize| HandParams {
+        betas: std::array::from_fn(|i| betas[b * N_BETAS + i]),
+        global_orient: Vec3::from_slice(&global_orient[3 * b..]),
+        hand_pose: std::array::from_fn(|joint| Vec3::from_slice(&hand_pose[(b * (N_JOINTS - 1) + joint) * 3..])),
+        transl: Vec3::from_slice(&transl[3 * b..]),
+    };
+    Ok((0..rows).map(row).collect())
+}
+
+/// The numbers of one tensor, checked.
+fn column(tensor: &Tensor, key: &str, rows: usize, width: usize) -> anyhow::Result<Vec<f32>> {
+    ensure!(tensor.dims() == [rows, width], "{key}: expected shape [{rows}, {width}], got {:?}", tensor.dims());
+    let values = tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>()?;
+    if let Some(bad) = values.iter().position(|value| !value.is_finite()) {
+        bail!("{key}: expected finite numbers, got {} in row {}", values[bad], bad / width);
+    }
+    Ok(values)
+}
+
+fn floats(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|value| value.to_le_bytes()).collect()
+}
+
+fn write_tensors(
+    path: &Path,
+    tensors: &[(&str, Vec<usize>, Vec<u8>)],
+    metadata: HashMap<String, String>,
+) -> anyhow::Result<()> {
+    let views =
+        tensors.iter().map(|(name, shape, data)| Ok((*name, TensorView::new(Dtype::F32, shape.clone(), data)?)));
+    let views = views.collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
+    write_file(path, &safetensors::serialize(views, Some(metadata))?)?;
+    Ok(())
 }

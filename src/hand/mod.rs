@@ -6,12 +6,14 @@
 mod array;
 pub mod build;
 mod builtin;
+mod fit;
 mod lbs;
 mod mano;
 mod mesh;
 mod npz;
 mod pickle;
 mod region;
+mod transfer;
 
 use std::path::Path;
 
@@ -22,8 +24,10 @@ use crate::error::Result;
 use crate::tactile::Topology;
 
 pub use builtin::to_bytes as builtin_bytes;
+pub use fit::{Fit, fit_keypoints};
 pub use mesh::{edges, vertex_areas, vertex_normals};
 pub use region::Region;
+pub use transfer::{HandMap, Transfer};
 
 /// Vertices of one hand.
 pub const N_VERTICES: usize = 778;

@@ -10,6 +10,8 @@ use crate::hand::Region;
 pub const PAPER: Rgb<u8> = Rgb([255, 255, 255]);
 /// Colour of text in all pictures.
 pub const INK: Rgb<u8> = Rgb([30, 30, 36]);
+/// Colour of a hand that shows no field.
+pub const SKIN: Rgb<u8> = Rgb([224, 172, 140]);
 /// Colour of what is unknown (NaN).
 pub const UNKNOWN: Rgb<u8> = Rgb([150, 158, 168]);
 

@@ -45,9 +45,7 @@ pub fn draw(picture: &mut RgbImage, text: &str, at: (i32, i32), size: f64, color
     };
     let Rgb([red, green, blue]) = color;
     let color = RGBColor(red, green, blue);
-    let style = TextStyle::from((FAMILY, size).into_font())
-        .pos(Pos::new(horizontal, VPos::Top))
-        .color(&color);
+    let style = TextStyle::from((FAMILY, size).into_font()).pos(Pos::new(horizontal, VPos::Top)).color(&color);
     let mut backend = BitMapBackend::with_buffer(picture.as_mut(), dimensions);
     // Drawing into memory can't fail but for a font that isn't there, and it is.
     let _ = backend.draw_text(text, &style, at);

@@ -23,10 +23,9 @@ from smplx.utils import Struct
 N_JOINTS = 16
 
 
-def synthetic_model(rng):
+def synthetic_model(rng, order):
     """A right hand in MANO's arrays; values are coarse so that the files compress."""
     hand = load_file("../../../src/hand/builtin.safetensors")
-    order = rng.permutation(778)  # new index -> built-in index
     new_index = np.argsort(order)
     v = hand["v_template"][order].astype(np.float64)
     turn = 0.12
@@ -172,7 +171,13 @@ def parameters(rng):
 
 def main():
     rng = np.random.default_rng(7)
-    right = synthetic_model(rng)
+    order = rng.permutation(778)  # new index -> built-in index
+    # Fingertips where MANO has them.
+    tips = load_file("../../../src/hand/builtin.safetensors")["tip_vertices"]
+    for index, tip in zip([744, 320, 443, 554, 671], tips):
+        at = int(np.flatnonzero(order == tip)[0])
+        order[[index, at]] = order[[at, index]]
+    right = synthetic_model(rng, order)
     left = mirrored(right)
     ten = {**right, "shapedirs": right["shapedirs"][:, :, :10]}
     left_ten = {**left, "shapedirs": left["shapedirs"][:, :, :10]}
@@ -202,6 +207,7 @@ def main():
 
     params = parameters(rng)
     golden = dict(params)
+    golden["builtin_vertex"] = order.astype(np.int32)
     golden["right_vertices"], golden["right_joints"] = forward(ten, params, True)
     golden["left_vertices"], golden["left_joints"] = forward(left_ten, params, False)
     golden["left_fixed_vertices"], _ = forward(left_fixed, params, False)
