@@ -9,16 +9,8 @@ use super::{Id, Outcome, Pickle, Value};
 /// Most values a pickle may hold; a MANO file holds some hundreds. Each takes at least one byte of the file.
 const MAX_VALUES: usize = 1 << 20;
 
-/// Modules whose names are data to [`super::meaning`], or harmless parts of the objects in a MANO file.
-const KNOWN_MODULES: [&str; 7] = [
-    "numpy",
-    "numpy.core.multiarray",
-    "numpy._core.multiarray",
-    "numpy.core.numeric",
-    "numpy._core.numeric",
-    "scipy.sparse",
-    "chumpy",
-];
+/// Packages whose names are data to [`super::meaning`], or harmless parts of the objects in a MANO file.
+const KNOWN_PACKAGES: [&str; 3] = ["numpy", "scipy.sparse", "chumpy"];
 /// Other names, by themselves.
 const KNOWN_NAMES: [&str; 11] = [
     "copy_reg._reconstructor",
@@ -327,9 +319,8 @@ impl<'a> Machine<'a> {
 
     fn global(&mut self, module: &str, name: &str) -> Outcome<()> {
         let path = format!("{module}.{name}");
-        let known = KNOWN_MODULES.contains(&module)
-            || ["chumpy.", "scipy.sparse."].iter().any(|package| module.starts_with(package))
-            || KNOWN_NAMES.contains(&path.as_str());
+        let within = |package: &&str| module.strip_prefix(*package).is_some_and(|r| r.is_empty() || r.starts_with('.'));
+        let known = KNOWN_PACKAGES.iter().any(|package| within(package)) || KNOWN_NAMES.contains(&path.as_str());
         if !known {
             return Err(format!("the pickle names `{path}`, which is not part of a hand model"));
         }
