@@ -16,6 +16,13 @@ string(SUBSTRING "${hash}" 0 16 hash)
 list(APPEND packages "egotac_idl_${hash}")
 set(ENV{IDL_PACKAGE_FILTER} "${packages}")
 
+# The programs look for their libraries where set-up says (EGOTAC_RPATH), but first beside the messages they are bound
+# to: set-up has messages of its own, which may have another layout.
+get_filename_component(prefix "${MESSAGES}/../.." ABSOLUTE)
+string(CONCAT rpath "${prefix}/lib:" "$ENV{EGOTAC_RPATH}")
+string(REGEX REPLACE ":$" "" rpath "${rpath}")
+set(ENV{EGOTAC_RPATH} "${rpath}")
+
 execute_process(
   COMMAND "${CARGO}" build --locked --bins --features "${FEATURES}" --profile "${PROFILE}"
     --target-dir "${TARGET_DIR}" ${CARGO_ARGS}
