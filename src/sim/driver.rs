@@ -5,6 +5,7 @@
 
 use glam::DVec3;
 
+use super::convex;
 use super::ik::{self, Clearance, Freedom, Reach};
 use super::mjcf::{WRIST, WRIST_STIFFNESS};
 use super::object::Object;
@@ -187,13 +188,8 @@ impl HandDriver {
         object: Body,
         shape: &Object,
     ) -> Plan {
-        let (at, turn) = (world.position(object), world.orientation(object));
-        let depth = |point: DVec3, margin: f64| {
-            let (depth, out) = shape.depth(turn.inverse() * (point - at), margin)?;
-            Some((depth, turn * out))
-        };
         let mut clearance = Clearance {
-            depth: &depth,
+            obstacle: (shape.outline().clone(), convex::pose(world.position(object), world.orientation(object))),
             margin: LINK_MARGIN,
             pads: act.goals.iter().map(|goal| rig.pad(goal.site).joint).collect(),
             pad_margin: 0.0,

@@ -2,7 +2,10 @@
 
 use glam::DVec3;
 use nalgebra::{DMatrix, DVector};
+use parry3d::math::Pose;
+use parry3d::shape::SharedShape;
 
+use super::convex;
 use super::rig::{HandRig, Pad};
 use crate::mujoco::World;
 use crate::mujoco::world::{Body, Servo};
@@ -43,8 +46,8 @@ pub struct Clearance<'a> {
     pub pairs: Vec<(usize, usize)>,
     /// Lowest height allowed, m.
     pub height: f64,
-    /// Depth of a world point in the obstacle grown by a margin, m, and the unit direction out of it.
-    pub depth: &'a dyn Fn(DVec3, f64) -> Option<(f64, DVec3)>,
+    /// The obstacle, in the world frame.
+    pub obstacle: (SharedShape, Pose),
     /// Distance that links keep from the obstacle, m.
     pub margin: f64,
     /// Links whose pads have goals.
@@ -147,17 +150,17 @@ fn linearise(
         errors.push(-depth / POINT_SLACK);
         rows.push(columns.into_iter().map(|c| c / POINT_SLACK).collect());
     };
-    let place = |link: usize| (world.position(clearance.links[link]), world.orientation(clearance.links[link]));
+    let rig = clearance.rig;
+    let poses: Vec<Pose> =
+        clearance.links.iter().map(|link| convex::pose(world.position(*link), world.orientation(*link))).collect();
     for (link, body) in clearance.links.iter().enumerate() {
-        let (origin, turn) = place(link);
-        let corners = clearance.rig.hulls[link].iter().map(|corner| origin + turn * *corner);
         let margin = if clearance.pads.contains(&link) { clearance.pad_margin } else { clearance.margin };
-        let deepest = corners
-            .clone()
-            .filter_map(|corner| (clearance.depth)(corner, margin).map(|(depth, out)| (corner, depth, out)));
-        if let Some((corner, depth, out)) = deepest.max_by(|a, b| a.1.total_cmp(&b.1)) {
-            push_out(depth, world.jacobian(*body, corner, &servos).iter().map(|c| c.dot(out)).collect());
+        let (shape, pose) = &clearance.obstacle;
+        if let Some(hit) = convex::overlap((rig.shape(link), &poses[link]), (shape, pose), margin) {
+            push_out(hit.depth, world.jacobian(*body, hit.point, &servos).iter().map(|c| c.dot(hit.out)).collect());
         }
+        let (origin, turn) = (world.position(*body), world.orientation(*body));
+        let corners = rig.hulls[link].iter().map(|corner| origin + turn * *corner);
         let Some(lowest) = corners.min_by(|a, b| a.z.total_cmp(&b.z)) else { continue };
         if lowest.z < clearance.height {
             let columns = world.jacobian(*body, lowest, &servos);
@@ -165,17 +168,10 @@ fn linearise(
         }
     }
     for &(a, b) in &clearance.pairs {
-        let ((origin_a, turn_a), (origin_b, turn_b)) = (place(a), place(b));
-        let back = turn_b.inverse();
-        let inside = clearance.rig.hulls[a].iter().filter_map(|corner| {
-            let corner = origin_a + turn_a * *corner;
-            let (depth, out) = clearance.rig.depth(b, back * (corner - origin_b), FINGER_GAP)?;
-            Some((corner, depth, turn_b * out))
-        });
-        if let Some((corner, depth, out)) = inside.max_by(|x, y| x.1.total_cmp(&y.1)) {
-            let of_a = world.jacobian(clearance.links[a], corner, &servos);
-            let of_b = world.jacobian(clearance.links[b], corner, &servos);
-            push_out(depth, of_a.iter().zip(of_b).map(|(a, b)| (*a - b).dot(out)).collect());
+        if let Some(hit) = convex::overlap((rig.shape(a), &poses[a]), (rig.shape(b), &poses[b]), FINGER_GAP) {
+            let of_a = world.jacobian(clearance.links[a], hit.point, &servos);
+            let of_b = world.jacobian(clearance.links[b], hit.point, &servos);
+            push_out(hit.depth, of_a.iter().zip(of_b).map(|(a, b)| (*a - b).dot(hit.out)).collect());
         }
     }
     for (i, (freedom, position)) in freedoms.iter().zip(positions).enumerate() {

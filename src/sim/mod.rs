@@ -10,6 +10,7 @@
 
 pub mod camera;
 pub mod contact;
+pub mod convex;
 pub mod driver;
 pub mod guard;
 pub mod ik;

@@ -8,6 +8,7 @@ use parry3d::query::Ray;
 use parry3d::shape::SharedShape;
 use rand::Rng;
 
+use super::convex::{self, double, single};
 use super::scene::ShapeSpec;
 use crate::error::{Error, Result};
 use crate::label::SampledSurface;
@@ -97,11 +98,9 @@ impl Object {
         Self { pieces, visual, half_height, outline }
     }
 
-    /// How deep a point is inside the convex outline grown by `margin`, m, and the unit direction that leads out.
-    ///
-    /// The outline leaves handles out and fills hollows: it is what a grasping hand keeps out of.
-    pub fn depth(&self, point: DVec3, margin: f64) -> Option<(f64, DVec3)> {
-        super::rig::depth(&self.outline, point, margin)
+    /// Its convex outline: without handles, hollows filled; what a grasping hand keeps out of.
+    pub fn outline(&self) -> &SharedShape {
+        &self.outline
     }
 
     /// Volume, m³; overlaps of pieces count twice.
@@ -113,13 +112,10 @@ impl Object {
     pub fn surface_towards(&self, direction: DVec3, through: DVec3) -> Option<(DVec3, DVec3)> {
         const FAR: f64 = 20.0;
         let direction = direction.normalize();
-        let ray = Ray::new(vector(through + direction * FAR), vector(-direction));
+        let ray = Ray::new(single(through + direction * FAR), single(-direction));
         let hits = self.pieces.iter().filter_map(|piece| {
             let hit = piece.collider.cast_ray_and_get_normal(&piece.pose(), &ray, FAR as f32, true)?;
-            Some((
-                f64::from(hit.time_of_impact),
-                DVec3::new(hit.normal.x.into(), hit.normal.y.into(), hit.normal.z.into()),
-            ))
+            Some((f64::from(hit.time_of_impact), double(hit.normal)))
         });
         let (time, normal) = hits.min_by(|a, b| a.0.total_cmp(&b.0))?;
         Some((through + direction * (FAR - time), normal))
@@ -127,7 +123,7 @@ impl Object {
 
     /// Signed distance of a point in the object's frame, m: exact outside, negative inside a piece.
     pub fn distance(&self, point: DVec3) -> f64 {
-        let distance = |piece: &Piece| piece.collider.distance_to_point(&piece.pose(), vector(point), false);
+        let distance = |piece: &Piece| piece.collider.distance_to_point(&piece.pose(), single(point), false);
         self.pieces.iter().map(distance).fold(f32::INFINITY, f32::min).into()
     }
 
@@ -177,8 +173,7 @@ impl Piece {
     }
 
     fn pose(&self) -> Pose {
-        let [x, y, z, w] = self.orientation.to_array().map(|v| v as f32);
-        Pose::from_parts(vector(self.position), parry3d::math::Rotation::from_xyzw(x, y, z, w))
+        convex::pose(self.position, self.orientation)
     }
 
     /// Surface in the object's frame.
@@ -207,13 +202,8 @@ impl Piece {
     }
 }
 
-fn vector(v: DVec3) -> Vector {
-    Vector::new(v.x as f32, v.y as f32, v.z as f32)
-}
-
 fn hull(points: &[DVec3]) -> Result<SharedShape> {
-    let points: Vec<Vector> = points.iter().copied().map(vector).collect();
-    SharedShape::convex_hull(&points)
+    convex::hull(points)
         .ok_or_else(|| Error::value("convex piece", "points that span a volume", format!("{} points", points.len())))
 }
 

@@ -1,9 +1,9 @@
 //! A hand model as a driven mechanism: hinges, pads and collision hulls, found from its joints and skinning weights.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
-use parry3d::math::{Pose, Vector};
 use parry3d::shape::SharedShape;
 
+use super::convex;
 use super::scene::Site;
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, N_BETAS, N_JOINTS, PosedHand, Side};
@@ -143,9 +143,9 @@ impl HandRig {
         all.filter(|(a, b)| site_of(*a) != site_of(*b) && !self.excluded.contains(&(*a, *b))).collect()
     }
 
-    /// How deep a point in a link's frame is inside the link's hull grown by `margin`, m, and the unit direction out.
-    pub fn depth(&self, joint: usize, point: DVec3, margin: f64) -> Option<(f64, DVec3)> {
-        depth(&self.shapes[joint], point, margin)
+    /// Convex hull of a link in its frame.
+    pub fn shape(&self, joint: usize) -> &SharedShape {
+        &self.shapes[joint]
     }
 
     /// Parameters of the hand from the wrist's pose and the hinges' angles, exact.
@@ -363,19 +363,17 @@ fn hinges(joints: &[DVec3; N_JOINTS], frame: &HandFrame, tips: &[DVec3; 5]) -> V
 }
 
 fn shapes(hulls: &[Vec<DVec3>]) -> Result<Vec<SharedShape>> {
-    let shape = |(joint, hull): (usize, &Vec<DVec3>)| {
-        let points: Vec<Vector> = hull.iter().copied().map(vector).collect();
-        let shape = if points.len() < 4 { None } else { SharedShape::convex_hull(&points) };
-        shape.ok_or_else(|| {
+    let shape = |(joint, corners): (usize, &Vec<DVec3>)| {
+        convex::hull(corners).ok_or_else(|| {
             let name = format!("lbs_weights of joint {joint} ({})", JOINT_NAMES[joint]);
-            Error::value(name, "vertices that span a volume", format!("{} vertices", points.len()))
+            Error::value(name, "vertices that span a volume", format!("{} vertices", corners.len()))
         })
     };
     hulls.iter().enumerate().map(shape).collect()
 }
 
 fn excluded(shapes: &[SharedShape], joints: &[DVec3; N_JOINTS]) -> Vec<(usize, usize)> {
-    let pose = |joint: usize| Pose::from_translation(vector(joints[joint]));
+    let pose = |joint: usize| convex::pose(joints[joint], DQuat::IDENTITY);
     let mut pairs = Vec::new();
     for a in 0..N_JOINTS {
         for b in a + 1..N_JOINTS {
@@ -386,27 +384,6 @@ fn excluded(shapes: &[SharedShape], joints: &[DVec3; N_JOINTS]) -> Vec<(usize, u
         }
     }
     pairs
-}
-
-fn vector(v: DVec3) -> Vector {
-    Vector::new(v.x as f32, v.y as f32, v.z as f32)
-}
-
-/// How deep a point is inside a convex shape grown by `margin`, m, and the unit direction that leads out.
-pub(super) fn depth(shape: &SharedShape, point: DVec3, margin: f64) -> Option<(f64, DVec3)> {
-    let sphere = shape.compute_local_bounding_sphere();
-    if vector(point).distance(sphere.center) > sphere.radius + margin as f32 {
-        return None;
-    }
-    let projection = shape.project_local_point(vector(point), false);
-    let surface = DVec3::new(projection.point.x.into(), projection.point.y.into(), projection.point.z.into());
-    let gap = (point - surface).length();
-    if gap < 1e-7 {
-        return None; // on the surface the direction is noise
-    }
-    let out = (if projection.is_inside { surface - point } else { point - surface }) / gap;
-    let depth = margin + if projection.is_inside { gap } else { -gap };
-    (depth > 0.0).then_some((depth, out))
 }
 
 /// Whether two links belong to fingers that lie side by side.
