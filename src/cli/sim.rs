@@ -280,6 +280,8 @@ mod with_sim {
         let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let file = tempfile::Builder::new()
             .suffix(".png")
+            // As any new file: what the user's mask leaves of it.
+            .permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666))
             .tempfile_in(parent)
             .with_context(|| format!("{}", parent.display()))?;
         picture.save_with_format(file.path(), ::image::ImageFormat::Png)?;

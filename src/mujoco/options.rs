@@ -54,7 +54,7 @@ pub enum Solver {
 ///
 /// The default is the preset for training data: elliptic cone, impratio 10 (a held object does not creep out of the
 /// hand), Newton, 2 ms, implicitfast, tolerance 1e-8, at most 20 iterations.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Unchecked", into = "Unchecked")]
 pub struct PhysicsOptions(Unchecked);
 
@@ -95,12 +95,6 @@ impl Default for Unchecked {
             integrator: Integrator::ImplicitFast,
             gravity: [0.0, 0.0, -9.81],
         }
-    }
-}
-
-impl Default for PhysicsOptions {
-    fn default() -> Self {
-        Self(Unchecked::default())
     }
 }
 

@@ -67,6 +67,7 @@ impl World {
     /// # Errors
     /// If the text does not compile, or the model holds what `options` would make the engine end the process for.
     pub fn from_mjcf(mjcf: &str, options: &PhysicsOptions) -> Result<Self> {
+        keep_quiet();
         let mut model = MjModel::from_xml_string(mjcf).map_err(|e| Error::Engine(e.to_string()))?;
         if model.ffi().nflex > 0 && options.integrator != Integrator::Discrete {
             return Err(Error::value("integrator", "discrete, which a soft body needs", "another one"));
@@ -361,6 +362,19 @@ impl World {
             Error::unknown(kind_name, name, known)
         })
     }
+}
+
+/// Keeps the engine from leaving a MUJOCO_LOG.TXT in the working directory; its warnings are counted in the world.
+fn keep_quiet() {
+    static ONCE: std::sync::Once = std::sync::Once::new();
+    ONCE.call_once(|| {
+        // SAFETY: every use of the engine begins with World::from_mjcf, and its callers wait here until this is done,
+        // so no other thread uses the engine now.
+        #[allow(unsafe_code)]
+        unsafe {
+            set_log_config(log_config().with_logto_file(false));
+        }
+    });
 }
 
 #[cfg(test)]

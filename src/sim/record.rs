@@ -11,8 +11,9 @@ use serde_json::{Value, json};
 use super::rollout::{Rollout, RolloutOptions, SimFrame};
 use super::scene::Scene;
 use crate::dataset::zarr::{ArraySpec, Contact, Dtype, Values, ZarrReader, ZarrWriter};
-use crate::dataset::{Attributes, EpisodeReader, EpisodeWriter};
+use crate::dataset::{Attributes, EpisodeReader, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
+use crate::hand::Side;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
 
 /// (T, 1556) u8: 1 = an object's surface is within 1 cm.
@@ -33,9 +34,9 @@ pub struct Summary {
     pub touching: usize,
     /// Largest total normal force on one hand, N.
     pub max_force: f64,
-    /// Largest relative difference between a hand's force and its contacts' sum.
+    /// Largest relative difference between a hand's force and its contacts' sum, in episodes made by this call.
     pub sum_residual: f64,
-    /// Largest moment added by spreading, N m.
+    /// Largest moment added by spreading, N m, in episodes made by this call.
     pub moment_residual: f64,
 }
 
@@ -67,12 +68,13 @@ pub fn record(
 ) -> Result<Summary> {
     let mut rollout = Rollout::new(scene, seed, options)?;
     let n_objects = scene.spec.objects.len();
-    let attributes = attributes(&[scene.clone()], seed, options);
+    let attributes = attributes(std::slice::from_ref(scene), seed, options);
     let mut writer = ZarrWriter::create(out, attributes, Contact::Truth, extra_arrays(n_objects))?;
     writer.set_attribute("episodes", json!([episode_entry(scene, seed, &rollout)]));
     let mut summary = Summary::default();
     while let Some(frame) = rollout.next_frame()? {
-        summary.count(&frame);
+        summary.count(&frame.frame);
+        summary.residuals(&frame);
         let extra = extra_values(&frame, n_objects);
         writer.push_with(frame.frame, extra)?;
         progress(summary.frames, rollout.frame_count());
@@ -135,10 +137,12 @@ pub fn generate(plan: &Generate, out: &Path, progress: impl Fn(usize, usize) + S
     if let Ok(Some(error)) = failed.into_inner() {
         return Err(error);
     }
-    merge(plan, out, &part)?;
+    let mut total = merge(plan, out, &part)?;
     fs::remove_dir_all(&folder).map_err(Error::io(&folder))?;
-    let mut total = Summary::default();
-    summaries.into_inner().unwrap_or_default().iter().for_each(|summary| total.add(summary));
+    for summary in summaries.into_inner().unwrap_or_default() {
+        total.sum_residual = total.sum_residual.max(summary.sum_residual);
+        total.moment_residual = total.moment_residual.max(summary.moment_residual);
+    }
     Ok(total)
 }
 
@@ -169,7 +173,8 @@ fn claim(folder: &Path, plan: &Generate) -> Result<()> {
     Ok(())
 }
 
-fn merge(plan: &Generate, out: &Path, part: &dyn Fn(usize) -> PathBuf) -> Result<()> {
+fn merge(plan: &Generate, out: &Path, part: &dyn Fn(usize) -> PathBuf) -> Result<Summary> {
+    let mut summary = Summary::default();
     let n_objects = plan.scenes.iter().map(|scene| scene.spec.objects.len()).max().unwrap_or(0);
     let attributes = attributes(&plan.scenes, plan.seed, &plan.options);
     let mut writer = ZarrWriter::create(out, attributes, Contact::Truth, extra_arrays(n_objects))?;
@@ -183,12 +188,15 @@ fn merge(plan: &Generate, out: &Path, part: &dyn Fn(usize) -> PathBuf) -> Result
             poses.resize(n_objects * 7, f32::NAN);
             let extra =
                 vec![(PROXIMITY, one(PROXIMITY)?), (OBJECT_POSE, Values::F32(poses)), (CAMERA_POSE, one(CAMERA_POSE)?)];
-            writer.push_with(reader.frame(frame)?, extra)?;
+            let frame = reader.frame(frame)?;
+            summary.count(&frame);
+            writer.push_with(frame, extra)?;
         }
         writer.end_episode()?;
     }
     writer.set_attribute("episodes", Value::Array(entries));
-    writer.finish()
+    writer.finish()?;
+    Ok(summary)
 }
 
 fn attributes(scenes: &[Scene], seed: u64, options: &RolloutOptions) -> Attributes {
@@ -239,27 +247,21 @@ fn extra_values(frame: &SimFrame, n_objects: usize) -> Vec<(&'static str, Values
 }
 
 impl Summary {
-    fn count(&mut self, frame: &SimFrame) {
+    fn count(&mut self, frame: &Frame) {
         self.frames += 1;
-        if frame.frame.validity != Validity::Valid {
-            *self.invalid.entry(frame.frame.validity.reason()).or_default() += 1;
+        if frame.validity != Validity::Valid {
+            *self.invalid.entry(frame.validity.reason()).or_default() += 1;
         }
-        self.touching += usize::from(frame.frame.field.contact.iter().any(|c| *c > 0.5));
-        for hand in frame.hands.iter().flatten() {
-            self.max_force = self.max_force.max(hand.total);
-            self.sum_residual = self.sum_residual.max(hand.sum_residual);
-            self.moment_residual = self.moment_residual.max(hand.moment_residual);
+        self.touching += usize::from(frame.field.contact.iter().any(|c| *c > 0.5));
+        for side in Side::BOTH {
+            self.max_force = self.max_force.max(frame.field.total_force(side).into());
         }
     }
 
-    fn add(&mut self, other: &Self) {
-        self.frames += other.frames;
-        for (reason, count) in &other.invalid {
-            *self.invalid.entry(reason).or_default() += count;
+    fn residuals(&mut self, frame: &SimFrame) {
+        for hand in frame.hands.iter().flatten() {
+            self.sum_residual = self.sum_residual.max(hand.sum_residual);
+            self.moment_residual = self.moment_residual.max(hand.moment_residual);
         }
-        self.touching += other.touching;
-        self.max_force = self.max_force.max(other.max_force);
-        self.sum_residual = self.sum_residual.max(other.sum_residual);
-        self.moment_residual = self.moment_residual.max(other.moment_residual);
     }
 }

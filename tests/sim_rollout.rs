@@ -1,0 +1,201 @@
+//! Rollouts with other hands, with pictures, in stores, and with physics that goes wrong.
+#![cfg(feature = "sim")]
+
+use std::path::Path;
+
+use egotac::dataset::EpisodeReader;
+use egotac::dataset::zarr::ZarrReader;
+use egotac::hand::{HandModel, N_JOINTS, N_VERTICES, Side};
+use egotac::mujoco::{PhysicsOptions, World};
+use egotac::sim::guard::Guard;
+use egotac::sim::{Generate, Rollout, RolloutOptions, Scene, generate, record};
+use egotac::tactile::{Topology, Validity};
+use glam::{DQuat, DVec3};
+
+fn blind() -> RolloutOptions {
+    RolloutOptions { picture: None, ..RolloutOptions::default() }
+}
+
+/// The same hand with its vertices in the opposite order, as if from another file.
+fn renumbered(side: Side) -> HandModel {
+    let mut model = HandModel::builtin(side);
+    let reverse = |rows: &mut Vec<f32>, width: usize| {
+        *rows = rows.chunks_exact(width).rev().flatten().copied().collect();
+    };
+    model.v_template.reverse();
+    reverse(&mut model.lbs_weights, N_JOINTS);
+    reverse(&mut model.shapedirs, 30);
+    reverse(&mut model.posedirs, 3 * 135);
+    model.j_regressor = model.j_regressor.chunks_exact(N_VERTICES).flat_map(|row| row.iter().rev().copied()).collect();
+    let last = N_VERTICES as u32 - 1;
+    model.faces.iter_mut().for_each(|face| *face = face.map(|vertex| last - vertex));
+    model.topology = Topology::Mano;
+    model
+}
+
+#[test]
+fn another_vertex_order_gives_the_same_forces_in_that_order() {
+    let scene = Scene::load("pinch_cube").unwrap();
+    let other = RolloutOptions { hands: Side::BOTH.map(renumbered), ..blind() };
+    let mut a = Rollout::new(&scene, 1, &blind()).unwrap();
+    let mut b = Rollout::new(&scene, 1, &other).unwrap();
+    assert_eq!(b.topology(), Topology::Mano);
+    let mut touched = false;
+    while let (Some(a), Some(b)) = (a.next_frame().unwrap(), b.next_frame().unwrap()) {
+        for side in Side::BOTH {
+            let of_a = &a.frame.field.force[side.range()];
+            let of_b = &b.frame.field.force[side.range()];
+            let difference: f32 = of_a.iter().zip(of_b.iter().rev()).map(|(a, b)| (a - b).abs()).sum();
+            let total: f32 = of_a.iter().sum();
+            touched |= total > 0.5;
+            // Sums in another order differ in the last digits, which contact amplifies; the grasp is the same.
+            assert!(difference <= 0.1 * total.max(0.1), "{} s: {difference} N of {total} N", a.frame.timestamp);
+        }
+    }
+    assert!(touched);
+}
+
+#[test]
+fn the_picture_shows_the_hand_coming() {
+    let scene = Scene::load("lift_mug").unwrap();
+    let options = RolloutOptions { picture: Some((96, 72)), ..RolloutOptions::default() };
+    let mut rollout = Rollout::new(&scene, 5, &options).unwrap();
+    let first = rollout.next_frame().unwrap().unwrap();
+    assert_eq!(first.frame.camera_ego_rgb.dimensions(), (96, 72));
+    let colours: std::collections::HashSet<_> = first.frame.camera_ego_rgb.pixels().collect();
+    assert!(colours.len() > 50, "{} colours", colours.len());
+    // The colour at the object's centre is the mug's: no other thing there has its hue.
+    let mug = rollout.episode().objects[0].colour;
+    let [x, y] = rollout.intrinsics().project(first.camera.camera_from_world(first.objects[0].position)).unwrap();
+    let pixel = first.frame.camera_ego_rgb.get_pixel(x as u32, y as u32).0.map(f64::from);
+    let largest = |c: [f64; 3]| (0..3).max_by(|a, b| c[*a].total_cmp(&c[*b])).unwrap();
+    assert_eq!(largest(pixel), largest(mug), "{pixel:?} for {mug:?}");
+    // Half way through the hand is at the mug, and the picture there is another one.
+    for _ in 1..rollout.frame_count() / 2 {
+        assert!(rollout.skip_frame());
+    }
+    let later = rollout.next_frame().unwrap().unwrap();
+    let changed = first.frame.camera_ego_rgb.pixels().zip(later.frame.camera_ego_rgb.pixels());
+    let changed = changed.filter(|(a, b)| (0..3).any(|c| a.0[c].abs_diff(b.0[c]) > 24)).count();
+    assert!(changed > 96 * 72 / 50, "{changed} pixels changed");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_pictures() {
+    let scene = Scene::load("hover").unwrap();
+    let options = RolloutOptions { picture: Some((64, 64)), ..RolloutOptions::default() };
+    let picture = || {
+        let mut rollout = Rollout::new(&scene, 2, &options).unwrap();
+        (0..20).for_each(|_| assert!(rollout.skip_frame()));
+        rollout.next_frame().unwrap().unwrap().frame.camera_ego_rgb
+    };
+    assert_eq!(picture().as_raw(), picture().as_raw());
+}
+
+#[test]
+fn a_set_is_its_episodes_in_order_and_keeps_finished_parts() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = RolloutOptions { picture: Some((24, 24)), ..RolloutOptions::default() };
+    let scenes = ["hover", "pinch_cube"].map(|name| Scene::load(name).unwrap()).to_vec();
+    let plan = Generate { scenes: scenes.clone(), episodes: 3, seed: 7, jobs: 2, options: options.clone() };
+    let (store, parts) = (folder.path().join("set"), folder.path().join("set.parts"));
+    let alone = folder.path().join("alone");
+    record(&scenes[1], 8, &options, &alone, |_, _| ()).unwrap();
+
+    // What an interruption after the first episode leaves.
+    let left = folder.path().join("left");
+    let keep = |done: usize, _| {
+        if done == 1 {
+            copy_folder(&parts, &left)
+        }
+    };
+    let summary = generate(&plan, &store, keep).unwrap();
+    assert!(!parts.exists());
+    let set = ZarrReader::open(&store).unwrap();
+    let ends = set.episode_ends().to_vec();
+    assert_eq!((ends.len(), ends[2]), (3, summary.frames));
+    same_frames(&set, ends[0], &ZarrReader::open(&alone).unwrap());
+    assert!(generate(&plan, &store, |_, _| ()).unwrap_err().to_string().contains("exists already"));
+
+    // The same call goes on from there. Its first part is exchanged here, to see that it is taken and not made again.
+    std::fs::rename(&left, &parts).unwrap();
+    let first = parts.join("000000");
+    if first.exists() {
+        std::fs::remove_dir_all(&first).unwrap();
+    }
+    copy_folder(&alone, &first);
+    let again = folder.path().join("again");
+    let moved = folder.path().join("again.parts");
+    std::fs::rename(&parts, &moved).unwrap();
+    generate(&plan, &again, |_, _| ()).unwrap();
+    same_frames(&ZarrReader::open(&again).unwrap(), 0, &ZarrReader::open(&alone).unwrap());
+
+    // Parts of another plan are not taken for ours.
+    copy_folder(&alone, &folder.path().join("third.parts"));
+    std::fs::write(folder.path().join("third.parts/plan"), "another").unwrap();
+    let error = generate(&plan, &folder.path().join("third"), |_, _| ()).unwrap_err().to_string();
+    assert!(error.contains("other scenes, seeds or options"), "{error}");
+}
+
+fn same_frames(set: &ZarrReader, from: usize, alone: &ZarrReader) {
+    for name in ["data/mano_force", "data/camera_ego_rgb", "data/object_pose", "data/camera_pose"] {
+        let of_set = set.read(name, from..from + alone.len()).unwrap();
+        assert!(of_set == alone.read(name, 0..alone.len()).unwrap(), "{name}");
+    }
+}
+
+fn copy_folder(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap().flatten() {
+        let target = to.join(entry.file_name());
+        match entry.path().is_dir() {
+            // Episodes in the making have names with a dot, and may vanish.
+            true if entry.file_name().to_string_lossy().starts_with('.') => {}
+            true => copy_folder(&entry.path(), &target),
+            false => drop(std::fs::copy(entry.path(), target).unwrap()),
+        }
+    }
+}
+
+const BALL: &str = r#"<mujoco><worldbody><geom name="floor" type="plane" size="1 1 .1"/>
+    <body name="ball" pos="0 0 .05"><freejoint name="ball"/>
+    <geom type="sphere" size=".02" mass=".2"/></body></worldbody></mujoco>"#;
+
+fn guarded(prepare: impl Fn(&mut World)) -> Validity {
+    let mut world = World::from_mjcf(BALL, &PhysicsOptions::default()).unwrap();
+    let ball = world.free_joint("ball").unwrap();
+    let mut guard = Guard::new(&world, &[ball], 0.004);
+    prepare(&mut world);
+    world.step();
+    guard.after_step(&world);
+    world.forward();
+    guard.frame(&world)
+}
+
+#[test]
+fn guards_name_what_went_wrong_and_stay_quiet_otherwise() {
+    let move_to = |z: f64| {
+        move |world: &mut World| {
+            let ball = world.free_joint("ball").unwrap();
+            world.set_pose(ball, DVec3::new(0.0, 0.0, z), DQuat::IDENTITY);
+        }
+    };
+    assert_eq!(guarded(|_| ()), Validity::Valid);
+    assert_eq!(guarded(move_to(0.0195)), Validity::Valid);
+    assert_eq!(guarded(move_to(0.01)), Validity::TooDeep);
+    assert_eq!(guarded(move_to(f64::NAN)), Validity::NotFinite);
+    assert_eq!(guarded(move_to(1e12)), Validity::EngineWarning);
+}
+
+#[test]
+fn a_world_that_stands_still_is_not_valid() {
+    let world = World::from_mjcf(BALL, &PhysicsOptions::default()).unwrap();
+    let mut guard = Guard::new(&world, &[], 0.004);
+    guard.after_step(&world); // no step was made
+    let mut world = world;
+    assert_eq!(guard.frame(&world), Validity::NotFinite);
+    // What is lost stays lost.
+    world.step();
+    guard.after_step(&world);
+    assert_eq!(guard.frame(&world), Validity::NotFinite);
+}
