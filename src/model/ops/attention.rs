@@ -96,7 +96,14 @@ impl Sizes {
     fn weights(&self, qkv: &[f32], head: usize, first: usize, rows: usize, scores: &mut [f32]) {
         let (q, k) = (self.part(qkv, 0, head, first, rows), self.part(qkv, 1, head, 0, self.n));
         multiply(MatMut::new(scores, rows, self.n, self.n), Onto::Nothing, self.scale, q, k.t(), Threads::One);
-        simd::dispatch(|| scores.chunks_exact_mut(self.n).take(rows).for_each(softmax));
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                for row in scores.chunks_exact_mut(self.n).take(rows) {
+                    softmax(row);
+                }
+            },
+        );
     }
 
     /// `out`: `(rows, d)` of the queries from `first` on.
@@ -128,16 +135,19 @@ impl Sizes {
                 let dv = MatMut::new(&mut dqkv[2 * d + offset..], n, size, 3 * d);
                 multiply(dv, Onto::Existing, 1.0, a.t(), g, Threads::One);
                 multiply(MatMut::new(&mut scores, rows, n, n), Onto::Nothing, 1.0, g, v.t(), Threads::One);
-                simd::dispatch(|| {
-                    let lines = scores.chunks_exact_mut(n).zip(weights.chunks_exact(n));
-                    for (row, (score, weight)) in lines.take(rows).enumerate() {
-                        let at = (first + row) * d + offset;
-                        let along = simd::dot(&grad[at..at + size], &out[at..at + size]);
-                        for (score, weight) in score.iter_mut().zip(weight) {
-                            *score = weight * (*score - along);
+                simd::dispatch(
+                    #[inline(always)]
+                    || {
+                        let lines = scores.chunks_exact_mut(n).zip(weights.chunks_exact(n));
+                        for (row, (score, weight)) in lines.take(rows).enumerate() {
+                            let at = (first + row) * d + offset;
+                            let along = simd::dot(&grad[at..at + size], &out[at..at + size]);
+                            for (score, weight) in score.iter_mut().zip(weight) {
+                                *score = weight * (*score - along);
+                            }
                         }
-                    }
-                });
+                    },
+                );
                 let s = Mat::new(&scores, rows, n, n);
                 let dq = MatMut::new(&mut dqkv[first * 3 * d + offset..], rows, size, 3 * d);
                 multiply(dq, Onto::Nothing, self.scale, s, k, Threads::One);
@@ -155,7 +165,12 @@ fn softmax(row: &mut [f32]) {
     for x in row.iter_mut() {
         *x = simd::exp(*x - largest);
     }
-    let scale = 1.0 / simd::sum(row, |x| x);
+    let scale = 1.0
+        / simd::sum(
+            row,
+            #[inline(always)]
+            |x| x,
+        );
     for x in row.iter_mut() {
         *x *= scale;
     }

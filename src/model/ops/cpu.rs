@@ -47,21 +47,27 @@ pub fn zip(a: &[f32], b: &[f32], f: impl Fn(f32, f32) -> f32 + Sync) -> Vec<f32>
     match b.len() == a.len() {
         true => {
             out.par_chunks_mut(CHUNK).zip(a.par_chunks(CHUNK)).zip(b.par_chunks(CHUNK)).for_each(|((out, a), b)| {
-                simd::dispatch(|| {
-                    for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
-                        *out = f(*a, *b);
-                    }
-                })
+                simd::dispatch(
+                    #[inline(always)]
+                    || {
+                        for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
+                            *out = f(*a, *b);
+                        }
+                    },
+                )
             })
         }
         false => out.par_chunks_mut(rows.max(1)).zip(a.par_chunks(rows.max(1))).for_each(|(out, a)| {
-            simd::dispatch(|| {
-                for (out, a) in out.chunks_exact_mut(b.len()).zip(a.chunks_exact(b.len())) {
-                    for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
-                        *out = f(*a, *b);
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    for (out, a) in out.chunks_exact_mut(b.len()).zip(a.chunks_exact(b.len())) {
+                        for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
+                            *out = f(*a, *b);
+                        }
                     }
-                }
-            })
+                },
+            )
         }),
     }
     out

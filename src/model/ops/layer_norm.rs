@@ -26,31 +26,44 @@ impl LayerNorm {
     #[inline(always)]
     fn statistics(&self, row: &[f32]) -> (f32, f32) {
         let scale = 1.0 / row.len() as f32;
-        let mean = scale * simd::sum(row, |x| x);
-        let variance = scale * simd::sum(row, |x| (x - mean) * (x - mean));
+        let mean = scale
+            * simd::sum(
+                row,
+                #[inline(always)]
+                |x| x,
+            );
+        let variance = scale
+            * simd::sum(
+                row,
+                #[inline(always)]
+                |x| (x - mean) * (x - mean),
+            );
         (mean, 1.0 / (variance + self.eps).sqrt())
     }
 
     fn forward(&self, x: &[f32], d: usize, affine: Option<(&[f32], &[f32])>) -> Vec<f32> {
         let mut out = vec![0.0; x.len()];
         out.par_chunks_mut(cpu::ROWS * d).zip(x.par_chunks(cpu::ROWS * d)).for_each(|(out, x)| {
-            simd::dispatch(|| {
-                for (out, x) in out.chunks_exact_mut(d).zip(x.chunks_exact(d)) {
-                    let (mean, inverse) = self.statistics(x);
-                    match affine {
-                        Some((weight, bias)) => {
-                            for (((out, x), w), b) in out.iter_mut().zip(x).zip(weight).zip(bias) {
-                                *out = ((x - mean) * inverse).mul_add(*w, *b);
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    for (out, x) in out.chunks_exact_mut(d).zip(x.chunks_exact(d)) {
+                        let (mean, inverse) = self.statistics(x);
+                        match affine {
+                            Some((weight, bias)) => {
+                                for (((out, x), w), b) in out.iter_mut().zip(x).zip(weight).zip(bias) {
+                                    *out = ((x - mean) * inverse).mul_add(*w, *b);
+                                }
                             }
-                        }
-                        None => {
-                            for (out, x) in out.iter_mut().zip(x) {
-                                *out = (x - mean) * inverse;
+                            None => {
+                                for (out, x) in out.iter_mut().zip(x) {
+                                    *out = (x - mean) * inverse;
+                                }
                             }
                         }
                     }
-                }
-            })
+                },
+            )
         });
         out
     }
@@ -60,26 +73,34 @@ impl LayerNorm {
         let mut dx = vec![0.0; x.len()];
         let block = cpu::ROWS * d;
         dx.par_chunks_mut(block).zip(x.par_chunks(block)).zip(grad.par_chunks(block)).for_each(|((dx, x), grad)| {
-            simd::dispatch(|| {
-                let rows = dx.chunks_exact_mut(d).zip(x.chunks_exact(d)).zip(grad.chunks_exact(d));
-                for ((dx, x), grad) in rows {
-                    let (mean, inverse) = self.statistics(x);
-                    // dx holds g for now.
-                    match weight {
-                        Some(weight) => {
-                            for ((g, grad), w) in dx.iter_mut().zip(grad).zip(weight) {
-                                *g = grad * w;
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    let rows = dx.chunks_exact_mut(d).zip(x.chunks_exact(d)).zip(grad.chunks_exact(d));
+                    for ((dx, x), grad) in rows {
+                        let (mean, inverse) = self.statistics(x);
+                        // dx holds g for now.
+                        match weight {
+                            Some(weight) => {
+                                for ((g, grad), w) in dx.iter_mut().zip(grad).zip(weight) {
+                                    *g = grad * w;
+                                }
                             }
+                            None => dx.copy_from_slice(grad),
                         }
-                        None => dx.copy_from_slice(grad),
+                        let [g, gn] = simd::sum2(
+                            dx,
+                            x,
+                            #[inline(always)]
+                            |g, x| [g, g * ((x - mean) * inverse)],
+                        );
+                        let (g_mean, gn_mean) = (g / d as f32, gn / d as f32);
+                        for (g, x) in dx.iter_mut().zip(x) {
+                            *g = (*g - g_mean - (x - mean) * inverse * gn_mean) * inverse;
+                        }
                     }
-                    let [g, gn] = simd::sum2(dx, x, |g, x| [g, g * ((x - mean) * inverse)]);
-                    let (g_mean, gn_mean) = (g / d as f32, gn / d as f32);
-                    for (g, x) in dx.iter_mut().zip(x) {
-                        *g = (*g - g_mean - (x - mean) * inverse * gn_mean) * inverse;
-                    }
-                }
-            })
+                },
+            )
         });
         dx
     }
@@ -87,16 +108,19 @@ impl LayerNorm {
     /// Gradients of weight and bias: Σ over rows of grad n, and of grad.
     fn backward_affine(&self, x: &[f32], grad: &[f32], d: usize) -> [Vec<f32>; 2] {
         cpu::sum_rows(x.len() / d, d, |rows, [dweight, dbias]| {
-            simd::dispatch(|| {
-                let range = rows.start * d..rows.end * d;
-                for (x, grad) in x[range.clone()].chunks_exact(d).zip(grad[range].chunks_exact(d)) {
-                    let (mean, inverse) = self.statistics(x);
-                    for (((dw, db), x), grad) in dweight.iter_mut().zip(dbias.iter_mut()).zip(x).zip(grad) {
-                        *dw += grad * ((x - mean) * inverse);
-                        *db += grad;
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    let range = rows.start * d..rows.end * d;
+                    for (x, grad) in x[range.clone()].chunks_exact(d).zip(grad[range].chunks_exact(d)) {
+                        let (mean, inverse) = self.statistics(x);
+                        for (((dw, db), x), grad) in dweight.iter_mut().zip(dbias.iter_mut()).zip(x).zip(grad) {
+                            *dw += grad * ((x - mean) * inverse);
+                            *db += grad;
+                        }
                     }
-                }
-            })
+                },
+            )
         })
     }
 }

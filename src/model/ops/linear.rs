@@ -82,11 +82,14 @@ impl CustomOp3 for Linear {
             let dbias = match bias.track_op() {
                 true => {
                     let [sum] = cpu::sum_rows(rows, n, |rows, [sum]| {
-                        simd::dispatch(|| {
-                            for row in grad[rows.start * n..rows.end * n].chunks_exact(n) {
-                                cpu::add(sum, row);
-                            }
-                        })
+                        simd::dispatch(
+                            #[inline(always)]
+                            || {
+                                for row in grad[rows.start * n..rows.end * n].chunks_exact(n) {
+                                    cpu::add(sum, row);
+                                }
+                            },
+                        )
                     });
                     Some(cpu::tensor_like(sum, bias)?)
                 }
@@ -118,11 +121,14 @@ fn few_rows(x: &[f32], weight: &[f32], bias: &[f32]) -> Vec<f32> {
     for (x, out) in x.chunks_exact(k.max(1)).zip(out.chunks_exact_mut(n.max(1))) {
         let tasks = out.par_chunks_mut(outputs).zip(weight.par_chunks(outputs * k)).zip(bias.par_chunks(outputs));
         tasks.for_each(|((out, weight), bias)| {
-            simd::dispatch(|| {
-                for ((out, row), bias) in out.iter_mut().zip(weight.chunks_exact(k)).zip(bias) {
-                    *out = simd::dot(x, row) + bias;
-                }
-            })
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    for ((out, row), bias) in out.iter_mut().zip(weight.chunks_exact(k)).zip(bias) {
+                        *out = simd::dot(x, row) + bias;
+                    }
+                },
+            )
         });
     }
     out

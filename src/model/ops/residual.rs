@@ -36,13 +36,16 @@ impl CustomOp3 for ScaledResidual {
         let mut out = vec![0.0; h.len()];
         let block = cpu::ROWS * d;
         out.par_chunks_mut(block).zip(h.par_chunks(block)).zip(y.par_chunks(block)).for_each(|((out, h), y)| {
-            simd::dispatch(|| {
-                for ((out, h), y) in out.chunks_exact_mut(d).zip(h.chunks_exact(d)).zip(y.chunks_exact(d)) {
-                    for (((out, h), y), lambda) in out.iter_mut().zip(h).zip(y).zip(lambda) {
-                        *out = y.mul_add(*lambda, *h);
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    for ((out, h), y) in out.chunks_exact_mut(d).zip(h.chunks_exact(d)).zip(y.chunks_exact(d)) {
+                        for (((out, h), y), lambda) in out.iter_mut().zip(h).zip(y).zip(lambda) {
+                            *out = y.mul_add(*lambda, *h);
+                        }
                     }
-                }
-            })
+                },
+            )
         });
         Ok((CpuStorage::F32(out), h_layout.shape().clone()))
     }
@@ -68,14 +71,17 @@ impl CustomOp3 for ScaledResidual {
             })?;
             let [dlambda] = cpu::with_slice(y, |y| {
                 Ok(cpu::sum_rows(y.len() / d, d, |rows, [sum]| {
-                    simd::dispatch(|| {
-                        let range = rows.start * d..rows.end * d;
-                        for (y, grad) in y[range.clone()].chunks_exact(d).zip(grad[range].chunks_exact(d)) {
-                            for ((sum, y), grad) in sum.iter_mut().zip(y).zip(grad) {
-                                *sum = y.mul_add(*grad, *sum);
+                    simd::dispatch(
+                        #[inline(always)]
+                        || {
+                            let range = rows.start * d..rows.end * d;
+                            for (y, grad) in y[range.clone()].chunks_exact(d).zip(grad[range].chunks_exact(d)) {
+                                for ((sum, y), grad) in sum.iter_mut().zip(y).zip(grad) {
+                                    *sum = y.mul_add(*grad, *sum);
+                                }
                             }
-                        }
-                    })
+                        },
+                    )
                 }))
             })?;
             Ok((cpu::tensor_like(dy, y)?, cpu::tensor_like(dlambda, lambda)?))
