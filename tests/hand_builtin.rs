@@ -180,7 +180,7 @@ fn fingertip_pads_are_sampled_finely() {
 #[test]
 fn skinning_weights_sum_to_one_and_stay_on_their_finger() {
     let hand = HandModel::builtin(Side::Right);
-    let finger = |joint: usize| (joint + 2) / 3;
+    let finger = |joint: usize| joint.div_ceil(3);
     for (vertex, weights) in hand.lbs_weights.chunks_exact(N_JOINTS).enumerate() {
         assert!(weights.iter().all(|w| (0.0..=1.0).contains(w)));
         assert!((weights.iter().sum::<f32>() - 1.0).abs() < 1e-6);

@@ -64,7 +64,7 @@ fn interpolation_lands_on_the_true_vertex() {
             .collect();
         errors.sort_by(f32::total_cmp);
         let (median, most) = (errors[N_VERTICES / 2], errors[N_VERTICES * 95 / 100]);
-        assert!(median < 0.004 && most < 0.010, "{side:?}: median {median} m, 95 % {most} m");
+        assert!(median < 0.003 && most < 0.006, "{side:?}: median {median} m, 95 % {most} m");
     }
 }
 
@@ -78,7 +78,7 @@ fn regions_agree_after_carrying_over() {
         let carried = &map.to_mano.contact(&field).unwrap()[Side::Right.range()];
         let both = carried.iter().zip(&to).filter(|(c, r)| **c >= 0.5 && **r == region).count();
         let either = carried.iter().zip(&to).filter(|(c, r)| **c >= 0.5 || **r == region).count();
-        assert!(both * 10 >= either * 6, "{}: {both} of {either}", region.name());
+        assert!(both * 10 >= either * 7, "{}: {both} of {either}", region.name());
     }
 }
 

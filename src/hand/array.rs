@@ -69,7 +69,7 @@ impl Array {
         }
         let data: Vec<f64> = bytes.chunks_exact(dtype.size).map(|bytes| dtype.element(bytes)).collect();
         let array = Self { shape, data };
-        Ok(if fortran { array.from_fortran() } else { array })
+        Ok(if fortran { array.row_major() } else { array })
     }
 
     /// A dense matrix from (row, column, value) triplets; values at the same place add up.
@@ -93,7 +93,8 @@ impl Array {
         self.data.iter().map(index).collect()
     }
 
-    fn from_fortran(self) -> Self {
+    /// Undoes Fortran order, in which the first axis runs fastest.
+    fn row_major(self) -> Self {
         let mut data = vec![0.0; self.data.len()];
         let mut index = vec![0; self.shape.len()];
         for &value in &self.data {

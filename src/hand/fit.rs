@@ -1,4 +1,4 @@
-//! Fits a hand model to 21 keypoints: shape, pose, size and place, by damped least squares.
+//! Fits a hand model to keypoints and a surface: shape, pose, size and place, by damped least squares.
 
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
@@ -8,9 +8,13 @@ use super::{HandModel, HandParams, N_BETAS, N_JOINTS, N_KEYPOINTS, PosedHand};
 /// Unknowns: log scale, transl, global_orient, betas, hand_pose.
 const N_UNKNOWNS: usize = 1 + 3 + 3 + N_BETAS + 3 * (N_JOINTS - 1);
 /// What a beta of one costs, as metres of keypoint error: keypoints that don't need it leave it at zero.
-const BETA_COST: f64 = 0.0005;
+const BETA_COST: f64 = 0.001;
 /// What a radian of pose costs, as metres of keypoint error.
 const POSE_COST: f64 = 0.005;
+/// What doubling the size costs (per unit of log scale), as metres of keypoint error; the first beta is size, too.
+const SCALE_COST: f64 = 0.02;
+/// What a metre of distance between skins counts, against a metre between keypoints.
+const SKIN_WEIGHT: f64 = 0.3;
 
 /// A hand fitted to keypoints.
 #[derive(Debug, Clone)]
@@ -33,28 +37,44 @@ impl Fit {
     }
 }
 
+/// A vertex that shall lie on a plane: the nearest piece of another skin.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pull {
+    pub vertex: usize,
+    pub place: Vec3,
+    pub normal: Vec3,
+}
+
 /// Finds the shape, pose, size and place in which `model` has the given keypoints, starting from rest.
 ///
 /// `targets`: metres, in the order of [`HandModel::keypoints`]. What keypoints can't tell (twist, girth) stays at rest.
 pub fn fit_keypoints(model: &HandModel, targets: &[Vec3; N_KEYPOINTS]) -> Fit {
+    let rest = Fit { params: HandParams::default(), scale: 1.0, residual: f64::INFINITY };
+    refine(model, &rest, targets, &[])
+}
+
+/// Continues a fit with skin to follow as well.
+pub(super) fn refine(model: &HandModel, start: &Fit, targets: &[Vec3; N_KEYPOINTS], pulls: &[Pull]) -> Fit {
     // Pose blend shapes move tips by less than the fit's cost terms, and cost most of the time.
     let plain = HandModel { posedirs: Vec::new(), ..model.clone() };
-    let mut unknowns = DVector::zeros(N_UNKNOWNS);
-    let mut residuals = residuals(&plain, &unknowns, targets);
+    let goal = Goal { model: &plain, keypoints: targets, pulls };
+    let mut unknowns = packed(start);
+    let mut residuals = goal.residuals(&unknowns);
     let mut damping = 1e-3;
     for _ in 0..40 {
-        let jacobian = jacobian(&plain, &unknowns, targets);
+        let jacobian = goal.jacobian(&unknowns);
         let normal = jacobian.transpose() * &jacobian;
         let gradient = jacobian.transpose() * &residuals;
         let damped = &normal + DMatrix::from_diagonal(&normal.diagonal().map(|entry| damping * entry + 1e-12));
         let Some(step) = damped.cholesky().map(|damped| damped.solve(&gradient)) else { break };
         let next = &unknowns - &step;
-        let next_residuals = self::residuals(&plain, &next, targets);
+        let next_residuals = goal.residuals(&next);
         let gain = residuals.norm_squared() - next_residuals.norm_squared();
         if gain > 0.0 {
             (unknowns, residuals) = (next, next_residuals);
             damping = (damping * 0.3).max(1e-9);
-            if gain < 1e-12 {
+            // Of no use where the keypoints' rounding begins.
+            if gain < 1e-9 {
                 break;
             }
         } else {
@@ -69,30 +89,56 @@ pub fn fit_keypoints(model: &HandModel, targets: &[Vec3; N_KEYPOINTS]) -> Fit {
     Fit { params, scale, residual: (keypoints / N_KEYPOINTS as f64).sqrt() }
 }
 
-/// Keypoint errors, then the costs of leaving rest, m.
-fn residuals(model: &HandModel, unknowns: &DVector<f64>, targets: &[Vec3; N_KEYPOINTS]) -> DVector<f64> {
-    let (params, scale) = unpacked(unknowns);
-    let posed = Fit { params, scale, residual: 0.0 }.posed(model);
-    let keypoints = model.keypoints(&posed);
-    let errors = keypoints.iter().zip(targets).flat_map(|(point, target)| (*point - *target).as_dvec3().to_array());
-    let betas = unknowns.rows(7, N_BETAS);
-    let pose = unknowns.rows(7 + N_BETAS, 3 * (N_JOINTS - 1));
-    let costs = betas.iter().map(|beta| beta * BETA_COST).chain(pose.iter().map(|angle| angle * POSE_COST));
-    DVector::from_iterator(3 * N_KEYPOINTS + N_BETAS + 3 * (N_JOINTS - 1), errors.chain(costs))
+/// What the fit makes small.
+struct Goal<'a> {
+    model: &'a HandModel,
+    keypoints: &'a [Vec3; N_KEYPOINTS],
+    pulls: &'a [Pull],
 }
 
-/// By central differences; a step of 1e-3 is far above the rounding of single-precision vertices.
-fn jacobian(model: &HandModel, unknowns: &DVector<f64>, targets: &[Vec3; N_KEYPOINTS]) -> DMatrix<f64> {
-    const STEP: f64 = 1e-3;
-    let column = |k: usize| {
-        let at = |offset: f64| {
-            let mut moved = unknowns.clone();
-            moved[k] += offset;
-            residuals(model, &moved, targets)
+impl Goal<'_> {
+    /// Keypoint errors, the costs of leaving rest, then distances between skins, m.
+    fn residuals(&self, unknowns: &DVector<f64>) -> DVector<f64> {
+        let (params, scale) = unpacked(unknowns);
+        let posed = Fit { params, scale, residual: 0.0 }.posed(self.model);
+        let keypoints = self.model.keypoints(&posed);
+        let errors = keypoints.iter().zip(self.keypoints);
+        let errors = errors.flat_map(|(point, target)| (*point - *target).as_dvec3().to_array());
+        let cost = |k: usize| match k {
+            0 => SCALE_COST,
+            1..7 => 0.0,
+            7..17 => BETA_COST,
+            _ => POSE_COST,
         };
-        (at(STEP) - at(-STEP)) / (2.0 * STEP)
-    };
-    DMatrix::from_columns(&(0..N_UNKNOWNS).map(column).collect::<Vec<_>>())
+        let costs = unknowns.iter().enumerate().map(|(k, value)| value * cost(k));
+        let distance =
+            |pull: &Pull| f64::from((posed.vertices[pull.vertex] - pull.place).dot(pull.normal)) * SKIN_WEIGHT;
+        let distances = self.pulls.iter().map(distance);
+        let count = 3 * N_KEYPOINTS + N_UNKNOWNS + self.pulls.len();
+        DVector::from_iterator(count, errors.chain(costs).chain(distances))
+    }
+
+    /// By central differences; a step of 1e-3 is far above the rounding of single-precision vertices.
+    fn jacobian(&self, unknowns: &DVector<f64>) -> DMatrix<f64> {
+        const STEP: f64 = 1e-3;
+        let column = |k: usize| {
+            let at = |offset: f64| {
+                let mut moved = unknowns.clone();
+                moved[k] += offset;
+                self.residuals(&moved)
+            };
+            (at(STEP) - at(-STEP)) / (2.0 * STEP)
+        };
+        DMatrix::from_columns(&(0..N_UNKNOWNS).map(column).collect::<Vec<_>>())
+    }
+}
+
+fn packed(fit: &Fit) -> DVector<f64> {
+    let HandParams { betas, global_orient, hand_pose, transl } = &fit.params;
+    let vectors = [transl, global_orient].into_iter().flat_map(|v| v.to_array());
+    let pose = hand_pose.iter().flat_map(|v| v.to_array());
+    let rest = vectors.chain(*betas).chain(pose).map(f64::from);
+    DVector::from_iterator(N_UNKNOWNS, std::iter::once(fit.scale.ln()).chain(rest))
 }
 
 fn unpacked(unknowns: &DVector<f64>) -> (HandParams, f64) {

@@ -152,14 +152,14 @@ impl Reader<'_> {
             return Err(self.misshapen("kintree_table", "[2, 16]", &array.shape));
         }
         let mut parents = [0; N_JOINTS];
-        for joint in 1..N_JOINTS {
+        for (joint, slot) in parents.iter_mut().enumerate().skip(1) {
             let parent = array.data[joint];
             if !(0.0..joint as f64).contains(&parent) {
                 return Err(
                     self.damaged("kintree_table", format!("joint {joint} has parent {parent}, not an earlier joint"))
                 );
             }
-            parents[joint] = parent as usize;
+            *slot = parent as usize;
         }
         Ok(parents)
     }

@@ -5,7 +5,7 @@ use parry3d::math::Vector;
 use parry3d::query::PointQueryWithLocation;
 use parry3d::shape::Triangle;
 
-use super::fit::{Fit, fit_keypoints};
+use super::fit::{Fit, Pull, fit_keypoints, refine};
 use super::{HandModel, HandParams, N_JOINTS, N_VERTICES, mesh};
 use crate::error::{Error, Result};
 use crate::tactile::{N_FIELD, Topology};
@@ -14,6 +14,11 @@ use crate::tactile::{N_FIELD, Topology};
 const NORMAL_COST: f32 = 0.008;
 /// What a surface of another finger costs, as metres of distance.
 const FINGER_COST: f32 = 0.02;
+
+/// How often the nearest places of the skins are looked up and followed.
+const SKIN_ROUNDS: usize = 4;
+/// Skin farther away than this does not pull, m: MANO ends elsewhere at the wrist.
+const PULL_REACH: f32 = 0.012;
 
 /// Registration of the built-in hand on a MANO file of the same side.
 #[derive(Debug, Clone)]
@@ -59,16 +64,20 @@ struct Nearest {
 impl HandMap {
     /// Registers the built-in hand of `mano`'s side on it, both at rest with zero betas.
     ///
-    /// Similarity, betas and pose bring the built-in keypoints onto MANO's; then each vertex takes the nearest place of
+    /// Similarity, betas and pose bring the built-in keypoints onto MANO's, then keypoints and skin; then each vertex takes the nearest place of
     /// the other surface that faces the same way on the same finger.
     pub fn new(mano: &HandModel) -> Self {
         let builtin = with_outermost_tips(&HandModel::builtin(mano.side));
         let mano = &with_outermost_tips(mano);
         let rest = mano.forward(&HandParams::default());
-        let fit = fit_keypoints(&builtin, &mano.keypoints(&rest));
-        let fitted = Surface::new(&builtin, fit.posed(&builtin).vertices);
+        let keypoints = mano.keypoints(&rest);
         let target = Surface::new(mano, rest.vertices);
-
+        let mut fit = fit_keypoints(&builtin, &keypoints);
+        let mut fitted = Surface::new(&builtin, fit.posed(&builtin).vertices);
+        for _ in 0..SKIN_ROUNDS {
+            fit = refine(&builtin, &fit, &keypoints, &fitted.pulls_to(&target));
+            fitted = Surface::new(&builtin, fit.posed(&builtin).vertices);
+        }
         let on_builtin: Vec<Nearest> = target.nearest_on(&fitted);
         let on_mano: Vec<Nearest> = fitted.nearest_on(&target);
         let distances = on_builtin.iter().map(|nearest| nearest.distance);
@@ -197,6 +206,18 @@ impl Surface {
     fn nearest_on(&self, other: &Surface) -> Vec<Nearest> {
         let triangles: Vec<Triangle> = other.faces.iter().map(|face| triangle(&other.vertices, face)).collect();
         (0..self.vertices.len()).map(|vertex| self.nearest(vertex, other, &triangles)).collect()
+    }
+
+    /// Planes of `other` that own vertices shall lie on, where both skins face the same way.
+    fn pulls_to(&self, other: &Surface) -> Vec<Pull> {
+        let pull = |(vertex, nearest): (usize, Nearest)| {
+            let corners = nearest.corners(&other.faces);
+            let mix = |values: &[Vec3]| corners.iter().map(|&(v, weight)| values[v as usize] * weight).sum::<Vec3>();
+            let normal = mix(&other.normals).normalize_or_zero();
+            let fits = nearest.distance < PULL_REACH && normal.dot(self.normals[vertex]) > 0.6;
+            fits.then(|| Pull { vertex, place: mix(&other.vertices), normal })
+        };
+        self.nearest_on(other).into_iter().enumerate().filter_map(pull).collect()
     }
 
     fn nearest(&self, vertex: usize, other: &Surface, triangles: &[Triangle]) -> Nearest {

@@ -320,7 +320,7 @@ impl<'a> Machine<'a> {
     fn global(&mut self, module: &str, name: &str) -> Outcome<()> {
         let path = format!("{module}.{name}");
         let within = |package: &&str| module.strip_prefix(*package).is_some_and(|r| r.is_empty() || r.starts_with('.'));
-        let known = KNOWN_PACKAGES.iter().any(|package| within(package)) || KNOWN_NAMES.contains(&path.as_str());
+        let known = KNOWN_PACKAGES.iter().any(within) || KNOWN_NAMES.contains(&path.as_str());
         if !known {
             return Err(format!("the pickle names `{path}`, which is not part of a hand model"));
         }
