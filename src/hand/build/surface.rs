@@ -48,7 +48,7 @@ struct Sweep {
 }
 
 impl Surface {
-    /// The hand of [`anatomy`].
+    /// The hand of the anatomy tables.
     pub fn new() -> Self {
         let fingers = anatomy::fingers();
         Self {

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::cell::Cell;
 use std::collections::HashMap;
 
+use super::literal::{integer, number, python2_string, raw_unicode, text};
 use super::{Id, Outcome, Pickle, Value};
 
 /// Most values a pickle may hold; a MANO file holds some hundreds. Each takes at least one byte of the file.
@@ -90,7 +91,7 @@ impl<'a> Machine<'a> {
                 self.push(Value::Int(value.into()))
             }
             b'I' | b'L' => {
-                let value = integer_line(self.line()?)?;
+                let value = integer(self.line()?)?;
                 self.push(value)
             }
             0x8a => {
@@ -102,7 +103,7 @@ impl<'a> Machine<'a> {
                 self.long(length.into())
             }
             b'F' => {
-                let line = text_line(self.line()?)?;
+                let line = text(self.line()?)?;
                 let value = line.parse().map_err(|_| format!("{line:?} is not a number"))?;
                 self.push(Value::Float(value))
             }
@@ -112,7 +113,7 @@ impl<'a> Machine<'a> {
             }
 
             b'S' => {
-                let bytes = unquoted(self.line()?)?;
+                let bytes = python2_string(self.line()?)?;
                 self.push(Value::Bytes(Cow::Owned(bytes)))
             }
             b'U' | b'C' => {
@@ -182,7 +183,7 @@ impl<'a> Machine<'a> {
             }
 
             b'p' => {
-                let slot = memo_line(self.line()?)?;
+                let slot = number(self.line()?)?;
                 self.put(slot)
             }
             b'q' => {
@@ -195,7 +196,7 @@ impl<'a> Machine<'a> {
             }
             0x94 => self.put(self.memo.len() as u64),
             b'g' => {
-                let slot = memo_line(self.line()?)?;
+                let slot = number(self.line()?)?;
                 self.get(slot)
             }
             b'h' => {
@@ -208,8 +209,8 @@ impl<'a> Machine<'a> {
             }
 
             b'c' => {
-                let module = text_line(self.line()?)?;
-                let name = text_line(self.line()?)?;
+                let module = text(self.line()?)?;
+                let name = text(self.line()?)?;
                 self.global(module, name)
             }
             0x93 => {
@@ -236,8 +237,8 @@ impl<'a> Machine<'a> {
                 self.call(function, items)
             }
             b'i' => {
-                let module = text_line(self.line()?)?;
-                let name = text_line(self.line()?)?;
+                let module = text(self.line()?)?;
+                let name = text(self.line()?)?;
                 let items = self.pop_to_mark()?;
                 self.global(module, name)?;
                 let function = self.pop()?;
@@ -400,81 +401,4 @@ fn pairs(items: &[Id]) -> Outcome<Vec<(Id, Id)>> {
         return Err("a key without a value".into());
     }
     Ok(pairs.iter().map(|&[key, value]| (key, value)).collect())
-}
-
-fn text_line(line: &[u8]) -> Outcome<&str> {
-    std::str::from_utf8(line).map_err(|_| "a line that is no text".to_string())
-}
-
-fn memo_line(line: &[u8]) -> Outcome<u64> {
-    let line = text_line(line)?;
-    line.parse().map_err(|_| format!("{line:?} is no memo number"))
-}
-
-/// `I` and `L` lines: decimal, `L` perhaps with that letter at the end; 00 and 01 are booleans.
-fn integer_line<'a>(line: &[u8]) -> Outcome<Value<'a>> {
-    let line = text_line(line)?;
-    match line {
-        "00" => Ok(Value::Bool(false)),
-        "01" => Ok(Value::Bool(true)),
-        _ => {
-            let digits = line.strip_suffix('L').unwrap_or(line);
-            digits.parse().map(Value::Int).map_err(|_| format!("{line:?} is no integer of at most 64 bits"))
-        }
-    }
-}
-
-/// A Python 2 string literal with its quotes and escapes.
-fn unquoted(line: &[u8]) -> Outcome<Vec<u8>> {
-    let inner = match line {
-        [open @ (b'\'' | b'"'), inner @ .., close] if open == close => inner,
-        _ => return Err("a string without its quotes".into()),
-    };
-    let mut bytes = Vec::with_capacity(inner.len());
-    let mut rest = inner;
-    while let [first, tail @ ..] = rest {
-        rest = tail;
-        if *first != b'\\' {
-            bytes.push(*first);
-            continue;
-        }
-        let [escape, tail @ ..] = rest else { return Err("a string that ends in a backslash".into()) };
-        rest = tail;
-        match escape {
-            b'x' => {
-                let digits = rest.get(..2).and_then(|digits| std::str::from_utf8(digits).ok());
-                let byte = digits.and_then(|digits| u8::from_str_radix(digits, 16).ok());
-                bytes.push(byte.ok_or("a \\x without two hexadecimal digits")?);
-                rest = &rest[2..];
-            }
-            b'n' => bytes.push(b'\n'),
-            b'r' => bytes.push(b'\r'),
-            b't' => bytes.push(b'\t'),
-            b'\\' | b'\'' | b'"' => bytes.push(*escape),
-            _ => return Err(format!("the unknown escape \\{}", char::from(*escape))),
-        }
-    }
-    Ok(bytes)
-}
-
-/// Python's raw-unicode-escape: latin-1 with \uXXXX and \UXXXXXXXX.
-fn raw_unicode(line: &[u8]) -> Outcome<String> {
-    let mut text = String::with_capacity(line.len());
-    let mut rest = line;
-    while let [first, tail @ ..] = rest {
-        let length = match (first, tail.first()) {
-            (b'\\', Some(b'u')) => 4,
-            (b'\\', Some(b'U')) => 8,
-            _ => {
-                text.push(char::from(*first));
-                rest = tail;
-                continue;
-            }
-        };
-        let digits = tail.get(1..=length).and_then(|digits| std::str::from_utf8(digits).ok());
-        let code = digits.and_then(|digits| u32::from_str_radix(digits, 16).ok()).and_then(char::from_u32);
-        text.push(code.ok_or("a \\u that is no character")?);
-        rest = &tail[length + 1..];
-    }
-    Ok(text)
 }

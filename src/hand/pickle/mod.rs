@@ -3,6 +3,7 @@
 //! A pickle is a program for a stack machine. [`machine`] runs it, but where Python would call a function it only notes
 //! "this name, with these arguments"; [`meaning`] then knows what a few such notes of numpy, scipy and chumpy stand for.
 
+mod literal;
 mod machine;
 mod meaning;
 
