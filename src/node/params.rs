@@ -71,8 +71,9 @@ impl Parameter {
     fn check(&self, value: Value) -> std::result::Result<Value, String> {
         let value = match (&self.default, value) {
             (Value::Double(_), Value::Integer(whole)) => Value::Double(whole as f64),
-            // An empty list has no type of its own.
-            (Value::Integers(_), Value::Texts(texts)) if texts.is_empty() => Value::Integers(Vec::new()),
+            // A single one serves as a list.
+            (Value::Texts(_), Value::Text(text)) => Value::Texts(vec![text]),
+            (Value::Integers(_), Value::Integer(whole)) => Value::Integers(vec![whole]),
             (_, value) => value,
         };
         if std::mem::discriminant(&value) != std::mem::discriminant(&self.default) {
@@ -340,10 +341,12 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_number_serves_as_a_double() {
+    fn a_whole_number_serves_as_a_double_and_a_single_one_as_a_list() {
         let parameters = parameters();
         set(&parameters, "threshold", 1i64).unwrap();
         assert_eq!(parameters.get::<f64>("threshold"), 1.0);
+        set(&parameters, "seeds", 7i64).unwrap();
+        assert_eq!(parameters.get::<Vec<i64>>("seeds"), [7]);
     }
 
     #[test]

@@ -19,6 +19,16 @@ pub fn output() -> QosProfile {
     QosProfile::default()
 }
 
+/// Results that are all wanted, even by a subscriber that stalls for some seconds.
+pub fn every_output() -> QosProfile {
+    QosProfile { depth: 100, ..QosProfile::default() }
+}
+
+/// Raw images: reliable, with room for a stall of a second.
+pub fn image_output() -> QosProfile {
+    QosProfile { depth: 30, ..QosProfile::default() }
+}
+
 /// What is published once and kept for those who come later.
 pub fn latched() -> QosProfile {
     QosProfile { depth: 1, durability: DurabilityPolicy::TransientLocal, ..QosProfile::default() }

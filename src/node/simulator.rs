@@ -249,12 +249,12 @@ impl Outputs {
         let with_clock = parameters.get::<String>("pace") != "wall";
         Ok(Self {
             frame_id: parameters.get("frame_id"),
-            image: runtime.publisher("image_raw", qos::output())?,
-            compressed: compressed.then(|| runtime.publisher(&compressed_topic, qos::output())).transpose()?,
-            camera_info: runtime.publisher("camera_info", qos::output())?,
-            truth: runtime.publisher("truth/tactile", qos::output())?,
-            hand_pose: runtime.publisher("truth/hand_pose", qos::output())?,
-            clock: with_clock.then(|| runtime.publisher("/clock", qos::output())).transpose()?,
+            image: runtime.publisher("image_raw", qos::image_output())?,
+            compressed: compressed.then(|| runtime.publisher(&compressed_topic, qos::image_output())).transpose()?,
+            camera_info: runtime.publisher("camera_info", qos::every_output())?,
+            truth: runtime.publisher("truth/tactile", qos::every_output())?,
+            hand_pose: runtime.publisher("truth/hand_pose", qos::every_output())?,
+            clock: with_clock.then(|| runtime.publisher("/clock", qos::every_output())).transpose()?,
             hands: Side::BOTH.map(HandModel::builtin),
             sequence: 0,
         })

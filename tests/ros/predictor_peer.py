@@ -207,7 +207,9 @@ def latest_wins():
             return False
         received, processed = int(values[-1]["received"]), int(values[-1]["processed"])
         superseded = int(values[-1].get("dropped_superseded", 0))
-        return received == count and processed == len(camera.frames) and superseded == count - processed
+        # The middleware itself may let a newer image replace one that nobody took yet.
+        assert received <= count, received
+        return processed == len(camera.frames) and superseded == received - processed > 0
 
     peer.wait(complete, "diagnostics that account for each image")
 

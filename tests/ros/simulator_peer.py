@@ -1,0 +1,119 @@
+#!/usr/bin/env python3
+"""What a user of the node `simulator` sees, one fact per function; `tests/ros_simulator.rs` starts the node.
+
+Usage: simulator_peer.py FACT
+"""
+import sys
+
+import numpy as np
+from egotac_msgs.msg import HandPose, HandTactile, TactileTruth
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+from peer import RELIABLE, Peer
+
+
+def nanos(stamp):
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+def stamps(messages):
+    return [nanos(m.header.stamp) for m in messages]
+
+
+def frames():
+    """One second at 25 Hz in simulated time: 25 frames, 40 ms apart, everything of a frame under one stamp."""
+    peer = Peer()
+    infos = peer.listen(CameraInfo, "camera_info")
+    truths = peer.listen(TactileTruth, "truth/tactile")
+    poses = peer.listen(HandPose, "truth/hand_pose")
+    clocks = peer.listen(Clock, "/clock")
+    for topic in ["camera_info", "truth/tactile", "truth/hand_pose"]:
+        peer.wait(lambda: peer.count_publishers(peer.resolve_topic_name(topic)) > 0, topic)
+    peer.rest(0.5)
+    # The node waits for somebody to listen to the images.
+    images = peer.listen(Image, "image_raw")
+    peer.wait(lambda: len(images) == 25 and len(truths) == 25 and len(infos) == 25, "25 frames")
+    peer.wait(lambda: len(clocks) == 25, "25 times")
+    peer.rest(0.2)
+
+    times = stamps(images)
+    assert len(times) == 25 and set(np.diff(times)) == {40_000_000}, times
+    assert stamps(infos) == times and [nanos(t.frame.header.stamp) for t in truths] == times
+    assert [nanos(c.clock) for c in clocks] == times
+    assert poses and set(stamps(poses)) <= set(times)
+
+    for image, info in zip(images, infos):
+        assert (image.height, image.width, image.encoding, image.step) == (224, 224, "rgb8", 672)
+        assert np.frombuffer(bytes(image.data), np.uint8).std() > 5, "the picture is empty"
+        assert image.header.frame_id == info.header.frame_id == "camera_optical"
+        assert (info.height, info.width) == (224, 224) and info.k[0] > 100
+
+    for i, truth in enumerate(truths):
+        assert truth.frame.sequence == i and truth.frame.model_id == "simulator/lift_mug"
+        assert truth.frame.topology == "egotac-hand-1"
+        assert [h.side for h in truth.frame.hands] == [HandTactile.LEFT, HandTactile.RIGHT]
+        assert (truth.validity == 0) == (truth.reason == "")
+        present = {p.side for p in poses if nanos(p.header.stamp) == times[i]}
+        for hand in truth.frame.hands:
+            force, contact = np.asarray(hand.force), np.asarray(hand.contact)
+            assert (force >= 0).all() and np.array_equal(contact, (force > 0.05).astype("f4"))
+            assert np.isclose(hand.total_force, force.sum(dtype="f8"), rtol=1e-5, atol=1e-6)
+            assert hand.score == (1.0 if hand.side in present else 0.0)
+
+    k = infos[0].k
+    for pose in poses:
+        p, q = pose.wrist.position, pose.wrist.orientation
+        assert pose.header.frame_id == "camera_optical" and pose.topology == "egotac-hand-1"
+        assert 0.1 < p.z < 1.5, "the hand is before the camera, within an arm's length"
+        assert abs(np.linalg.norm([q.x, q.y, q.z, q.w]) - 1) < 1e-9
+        # A hand is 0.2 m long: its wrist may lie outside the picture by that much.
+        margin = 0.2 * k[0] / p.z
+        u, v = k[0] * p.x / p.z + k[2], k[4] * p.y / p.z + k[5]
+        assert -margin < u < 224 + margin and -margin < v < 224 + margin, (u, v)
+
+
+def wall():
+    """Stamps are the node's clock at publication: in order, not before the start, not after arrival."""
+    peer = Peer()
+    start = peer.get_clock().now().nanoseconds
+    images = peer.listen(Image, "image_raw")
+    peer.wait(lambda: len(images) == 10, "10 frames")
+    times = stamps(images)
+    assert times == sorted(set(times)) and start < times[0] and times[-1] < peer.get_clock().now().nanoseconds
+    assert (images[0].width, images[0].height) == (64, 48)
+
+
+def compressed():
+    """image_raw/compressed carries a JPEG file under the raw image's stamp."""
+    peer = Peer()
+    files = peer.listen(CompressedImage, "image_raw/compressed")
+    peer.wait(lambda: peer.count_publishers(peer.resolve_topic_name("image_raw/compressed")) > 0, "the topic")
+    peer.rest(0.5)
+    images = peer.listen(Image, "image_raw")
+    peer.wait(lambda: len(images) >= 5 and len(files) >= 5, "5 frames")
+    assert set(stamps(images)) & set(stamps(files))
+    for file in files:
+        data = bytes(file.data)
+        assert data[:3] == b"\xff\xd8\xff" and data[-2:] == b"\xff\xd9" and "jpeg" in file.format
+
+
+def episodes():
+    """Two scenes, one after the other; stamps go on."""
+    peer = Peer()
+    truths = peer.listen(TactileTruth, "truth/tactile")
+    peer.wait(lambda: peer.count_publishers(peer.resolve_topic_name("truth/tactile")) > 0, "the topic")
+    peer.rest(0.5)
+    peer.listen(Image, "image_raw")
+    names = lambda: [t.frame.model_id for t in truths]
+    peer.wait(lambda: "simulator/pinch_cube" in names(), "the second scene")
+    peer.wait(lambda: peer.count_publishers(peer.resolve_topic_name("truth/tactile")) == 0, "the end")
+    assert names() == sorted(names()) and set(names()) == {"simulator/hover", "simulator/pinch_cube"}
+    times = [nanos(t.frame.header.stamp) for t in truths]
+    assert times == sorted(set(times))
+    hover = [h for t in truths if t.frame.model_id.endswith("hover") for h in t.frame.hands]
+    assert max(h.total_force for h in hover) == 0.0, "hovering touches"
+
+
+if __name__ == "__main__":
+    globals()[sys.argv[1]](*sys.argv[2:])

@@ -1,0 +1,61 @@
+//! The node `simulator` against rclpy: what `tests/ros/simulator_peer.py` sees of the real program.
+#![cfg(all(feature = "ros", feature = "sim"))]
+
+#[path = "ros/harness.rs"]
+mod harness;
+
+use harness::Session;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_egotac_simulator");
+const PEER: &str = "simulator_peer.py";
+
+/// Lets the peer check one fact of a run that ends by itself.
+fn holds(fact: &str, ros_args: &[&str]) {
+    let session = Session::new();
+    let mut peer = session.peer(PEER, &[fact]);
+    let mut node = session.node(PROGRAM, &[&["-p", "wait_secs:=60.0"], ros_args].concat());
+    let status = node.wait();
+    assert_eq!(status.code(), Some(0), "{}", node.output());
+    let status = peer.wait();
+    assert!(status.success(), "{fact}: {status}\n{}\n{}", peer.output(), node.output());
+}
+
+#[test]
+fn a_frame_has_one_stamp_on_all_topics_and_the_hand_where_the_image_shows_it() {
+    holds("frames", &["-p", "scenes:=lift_mug", "-p", "pace:=clock", "-p", "duration:=1.0", "-p", "seed:=3"]);
+}
+
+#[test]
+fn stamps_of_the_wall_clock_are_the_time_of_publication() {
+    holds("wall", &["-p", "scenes:=[pinch_cube]", "-p", "duration:=0.4", "-p", "width:=64", "-p", "height:=48"]);
+}
+
+#[test]
+fn jpeg_files_come_on_request() {
+    holds("compressed", &["-p", "scenes:=[pinch_cube]", "-p", "duration:=0.4", "-p", "compressed:=true"]);
+}
+
+#[test]
+fn episodes_follow_each_other_in_the_order_of_scenes() {
+    let scenes = "scenes:=[hover, pinch_cube]";
+    let small = ["-p", scenes, "-p", "episodes:=2", "-p", "pace:=fast", "-p", "width:=16", "-p", "height:=16"];
+    holds("episodes", &small);
+}
+
+#[test]
+fn sigint_and_sigterm_end_it_cleanly_in_the_middle_of_an_episode() {
+    for signal in ["INT", "TERM"] {
+        let session = Session::new();
+        let mut node = session.node(PROGRAM, &["-p", "scenes:=[pinch_cube]"]);
+        node.prints("episode 0");
+        node.ends_cleanly(signal);
+    }
+}
+
+#[test]
+fn an_unknown_scene_is_refused_with_those_there_are() {
+    let session = Session::new();
+    let mut node = session.node(PROGRAM, &["-p", "scenes:=[juggle]"]);
+    assert_eq!(node.wait().code(), Some(1), "{}", node.output());
+    assert!(node.output().contains("scene \"juggle\" is unknown; known: "), "{}", node.output());
+}

@@ -1,0 +1,101 @@
+//! The node `verifier` against rclpy, which plays predictor and simulator; and all three nodes together.
+#![cfg(feature = "ros")]
+
+#[path = "ros/harness.rs"]
+mod harness;
+
+use harness::Session;
+use serde_json::Value;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_egotac_verifier");
+const PEER: &str = "verifier_peer.py";
+
+/// Runs a fact against the verifier; returns its report and what it printed.
+fn report(fact: &str) -> (Value, String) {
+    let session = Session::new();
+    let path = session.path("report.json");
+    let report = format!("report:={}", path.display());
+    let mut node = session.node(PROGRAM, &["-p", &report, "-p", "window_secs:=60.0"]);
+    session.check(PEER, &[fact]);
+    node.ends_cleanly("TERM");
+    (serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap(), node.output())
+}
+
+#[test]
+fn pairs_are_scored_as_numpy_scores_them() {
+    // The peer compares ~/metrics with its own arithmetic; the report holds the same totals.
+    let (report, printed) = report("scores");
+    assert_eq!(report["pairs"], 20);
+    assert_eq!(report["unmatched_predictions"], 1);
+    assert_eq!(report["unmatched_truths"], 3);
+    assert_eq!(report["invalid_truths"], 2);
+    assert_eq!(report["model_id"], "peer/1");
+    let mae = report["metrics"]["mae"].as_f64().unwrap();
+    assert!((mae - 0.25 * 100.0 / 1556.0).abs() < 1e-6, "{mae}");
+    assert!(report["metrics"]["pooled"]["auroc"].as_f64().is_some());
+    assert!(printed.contains("20 pairs"), "{printed}");
+}
+
+#[test]
+fn fields_of_two_topologies_are_not_compared() {
+    let (report, printed) = report("topologies");
+    assert_eq!(report["pairs"], 1);
+    assert!(printed.contains("topology mismatch: mano and egotac-hand-1"), "{printed}");
+}
+
+#[test]
+fn a_report_that_cant_be_written_fails_at_the_end_with_its_path() {
+    let session = Session::new();
+    let mut node = session.node(PROGRAM, &["-p", "report:=/nowhere/report.json"]);
+    // The node is up once its services answer.
+    session.check(PEER, &["up"]);
+    node.signal("INT");
+    assert_eq!(node.wait().code(), Some(1));
+    assert!(node.output().contains("cannot write the report /nowhere/report.json"), "{}", node.output());
+}
+
+/// Two simulated seconds through all three programs; returns the verifier's report.
+#[cfg(feature = "sim")]
+fn pipeline(simulator_args: &[&str], predictor_args: &[&str], verifier_args: &[&str]) -> Value {
+    let session = Session::new();
+    let model = format!("model:={}", session.checkpoint(&egotac::model::Config::toy()).display());
+    let path = session.path("report.json");
+    let report = format!("report:={}", path.display());
+    let verifier_fixed = ["-p", &report, "-r", "tactile:=predictor/tactile", "-r", "truth:=truth/tactile"];
+    let mut verifier = session.node(PROGRAM, &[&verifier_fixed, verifier_args].concat());
+    let predictor_fixed = ["-p", &model, "-p", "reliability:=reliable", "-r", "image:=image_raw"];
+    let mut predictor =
+        session.node(env!("CARGO_BIN_EXE_egotac_predictor"), &[&predictor_fixed, predictor_args].concat());
+    predictor.prints("images from");
+    session.check(PEER, &["up"]);
+    let simulator_fixed = ["-p", "scenes:=[pinch_cube]", "-p", "duration:=2.0", "-p", "wait_secs:=60.0"];
+    let mut simulator =
+        session.node(env!("CARGO_BIN_EXE_egotac_simulator"), &[&simulator_fixed, simulator_args].concat());
+    assert_eq!(simulator.wait().code(), Some(0), "{}", simulator.output());
+    predictor.ends_cleanly("INT");
+    verifier.ends_cleanly("INT");
+    let report: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    // A busy machine may skip frames, and the last one may still be under way.
+    let (pairs, alone) = (report["pairs"].as_u64().unwrap(), report["unmatched_truths"].as_u64().unwrap());
+    assert!(pairs >= 10 && pairs + alone <= 50, "{report:#}");
+    assert_eq!(report["unmatched_predictions"], 0, "{report:#}");
+    assert!(report["model_id"].as_str().unwrap().starts_with("random/"));
+    report
+}
+
+#[cfg(feature = "sim")]
+#[test]
+fn simulated_frames_are_predicted_and_verified() {
+    let report = pipeline(&[], &["-r", "hand_pose:=truth/hand_pose"], &[]);
+    assert!(report["latency_secs"]["p50"].as_f64().unwrap() > 0.0);
+}
+
+#[cfg(feature = "sim")]
+#[test]
+fn simulated_time_and_compressed_images_serve_as_well() {
+    let simulator = ["-p", "pace:=clock", "-p", "compressed:=true"];
+    let predictor = ["-p", "image_transport:=compressed", "-p", "use_sim_time:=true"];
+    let report = pipeline(&simulator, &predictor, &["-p", "use_sim_time:=true"]);
+    // Two simulated seconds have passed at most, whatever the wall clock says.
+    assert!(report["latency_secs"]["max"].as_f64().unwrap() < 2.0);
+}
