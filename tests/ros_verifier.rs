@@ -54,7 +54,7 @@ fn a_report_that_cant_be_written_fails_at_the_end_with_its_path() {
     assert!(node.output().contains("cannot write the report /nowhere/report.json"), "{}", node.output());
 }
 
-/// Two simulated seconds through all three programs; returns the verifier's report.
+/// Three simulated seconds through all three programs; returns the verifier's report.
 #[cfg(feature = "sim")]
 fn pipeline(simulator_args: &[&str], predictor_args: &[&str], verifier_args: &[&str]) -> Value {
     let session = Session::new();
@@ -68,7 +68,7 @@ fn pipeline(simulator_args: &[&str], predictor_args: &[&str], verifier_args: &[&
         session.node(env!("CARGO_BIN_EXE_egotac_predictor"), &[&predictor_fixed, predictor_args].concat());
     predictor.prints("images from");
     session.check(PEER, &["up"]);
-    let simulator_fixed = ["-p", "scenes:=[pinch_cube]", "-p", "duration:=2.0", "-p", "wait_secs:=60.0"];
+    let simulator_fixed = ["-p", "scenes:=[pinch_cube]", "-p", "duration:=3.0", "-p", "wait_secs:=60.0"];
     let mut simulator =
         session.node(env!("CARGO_BIN_EXE_egotac_simulator"), &[&simulator_fixed, simulator_args].concat());
     assert_eq!(simulator.wait().code(), Some(0), "{}", simulator.output());
@@ -77,7 +77,7 @@ fn pipeline(simulator_args: &[&str], predictor_args: &[&str], verifier_args: &[&
     let report: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     // A busy machine may skip frames, and the last one may still be under way.
     let (pairs, alone) = (report["pairs"].as_u64().unwrap(), report["unmatched_truths"].as_u64().unwrap());
-    assert!(pairs >= 10 && pairs + alone <= 50, "{report:#}");
+    assert!(pairs >= 10 && pairs + alone <= 75, "{report:#}");
     assert_eq!(report["unmatched_predictions"], 0, "{report:#}");
     assert!(report["model_id"].as_str().unwrap().starts_with("random/"));
     report
@@ -96,6 +96,6 @@ fn simulated_time_and_compressed_images_serve_as_well() {
     let simulator = ["-p", "pace:=clock", "-p", "compressed:=true"];
     let predictor = ["-p", "image_transport:=compressed", "-p", "use_sim_time:=true"];
     let report = pipeline(&simulator, &predictor, &["-p", "use_sim_time:=true"]);
-    // Two simulated seconds have passed at most, whatever the wall clock says.
-    assert!(report["latency_secs"]["max"].as_f64().unwrap() < 2.0);
+    // Three simulated seconds have passed at most, whatever the wall clock says.
+    assert!(report["latency_secs"]["max"].as_f64().unwrap() < 3.0);
 }

@@ -245,9 +245,14 @@ impl<M: Message> Publisher<M> {
         Ok(self.inner.publish_raw(&message.to_cdr())?)
     }
 
-    /// Whether anybody listens; true when ROS can't say.
+    /// How many subscribers are connected; 0 when ROS can't say.
+    pub fn listeners(&self) -> usize {
+        self.inner.get_inter_process_subscription_count().unwrap_or(0)
+    }
+
+    /// Whether anybody listens.
     pub fn is_heard(&self) -> bool {
-        self.inner.get_inter_process_subscription_count().map_or(true, |count| count > 0)
+        self.listeners() > 0
     }
 }
 

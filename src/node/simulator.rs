@@ -23,6 +23,8 @@ use crate::sim::{Rollout, RolloutOptions, SHIPPED, Scene, SimFrame};
 
 /// How long the last messages have to reach their subscribers before the node goes.
 const LINGER: Duration = Duration::from_millis(500);
+/// Nobody joined for so long: everybody who was starting is there.
+const SETTLED: Duration = Duration::from_millis(1500);
 /// JPEG quality of the compressed topic.
 const QUALITY: u8 = 90;
 
@@ -59,7 +61,7 @@ pub fn parameters() -> Vec<Parameter> {
             "wait_secs",
             0.0,
             Allowed::Doubles(0.0, 3600.0),
-            "Wait this long for somebody to listen to the images before the first one, seconds.",
+            "Before the first image, wait at most this long for somebody to listen, seconds.",
         ),
         Parameter::use_sim_time(),
     ]
@@ -157,7 +159,7 @@ impl Producer {
                 .with_context(|| format!("scene {} with seed {seed}", scene.name))?;
             let (name, interval) = (scene.name.clone(), rollout.interval());
             if !std::mem::replace(&mut waited, true) {
-                self.wait_for_listener(stop);
+                self.wait_for_listeners(stop);
             }
             self.log.info(format!("episode {episode}: {name}, seed {seed}, {} frames", rollout.frame_count()));
             let mut last = 0.0;
@@ -178,9 +180,19 @@ impl Producer {
         Ok(())
     }
 
-    fn wait_for_listener(&self, stop: &Shutdown) {
+    /// Waits for somebody to listen to the images, then until nobody has joined for a moment: whoever starts
+    /// together with the first listener gets the first frame as well.
+    fn wait_for_listeners(&self, stop: &Shutdown) {
         let started = Instant::now();
-        while !self.outputs.is_watched() && started.elapsed() < self.wait && !stop.requested() {
+        let (mut listeners, mut joined) = (0, started);
+        while started.elapsed() < self.wait && !stop.requested() {
+            let now = self.outputs.listeners();
+            if now != listeners {
+                (listeners, joined) = (now, Instant::now());
+            }
+            if self.outputs.is_watched() && joined.elapsed() > SETTLED {
+                break;
+            }
             std::thread::sleep(Duration::from_millis(20));
         }
     }
@@ -262,6 +274,14 @@ impl Outputs {
 
     fn is_watched(&self) -> bool {
         self.image.is_heard() || self.compressed.as_ref().is_some_and(Publisher::is_heard)
+    }
+
+    fn listeners(&self) -> usize {
+        self.image.listeners()
+            + self.compressed.as_ref().map_or(0, Publisher::listeners)
+            + self.camera_info.listeners()
+            + self.truth.listeners()
+            + self.hand_pose.listeners()
     }
 
     /// Publishes everything of one frame under one stamp: truth first, so that it is there when predictions come.

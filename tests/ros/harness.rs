@@ -1,3 +1,4 @@
+#![allow(dead_code)] // Each test file that takes this in uses a part of it.
 //! Starts the nodes' programs and rclpy peers in a ROS domain and namespace of their own, and ends them always.
 
 use std::fs::File;
