@@ -203,7 +203,8 @@ fn attributes(scenes: &[Scene], seed: u64, options: &RolloutOptions) -> Attribut
     Attributes {
         topology: options.hands[0].topology,
         sigma: options.sigma,
-        contact_force: CONTACT_FORCE_N.into(),
+        // Through the shortest decimal, so that 0.05 stays 0.05 in f64.
+        contact_force: CONTACT_FORCE_N.to_string().parse().unwrap_or(CONTACT_FORCE_N.into()),
         producer: "egotac sim".into(),
         version: env!("CARGO_PKG_VERSION").into(),
         scene: scenes.iter().map(|scene| scene.name.as_str()).collect::<Vec<_>>().join(","),
