@@ -1,5 +1,7 @@
 # shellcheck shell=bash
 # Makes a script ready to build: set-up has run, env.sh is active, cargo is found, $target is its folder. Source it.
+#
+# Demo, tests and the colcon workspace all build with --release, so that the dependencies are compiled once.
 
 # shellcheck source=scripts/lib/common.sh
 . "$(dirname "${BASH_SOURCE[0]}")/common.sh"
