@@ -50,11 +50,11 @@ once() { # DIR WHAT COMMAND...
     ) 9>"$dir.lock"
 }
 
-# The entries of a colon-separated list that are not below the folder BELOW, each once.
-without() { # LIST BELOW
+# The entries of a colon-separated list that are not the folder given, nor below it, each once.
+without() { # LIST FOLDER
     local entry result=() seen=:
     while IFS= read -r -d : entry; do
-        [[ -z $entry || $entry == "$2"/* || $seen == *:"$entry":* ]] || result+=("$entry")
+        [[ -z $entry || $entry/ == "$2"/* || $seen == *:"$entry":* ]] || result+=("$entry")
         seen+=$entry:
     done <<<"$1:"
     join_path ${result[@]+"${result[@]}"}
