@@ -15,6 +15,7 @@ pub mod params;
 mod points;
 pub mod predictor;
 pub mod qos;
+pub mod recorder;
 mod runtime;
 mod shipped;
 mod shutdown;

@@ -1,0 +1,55 @@
+//! `egotac demo`: the main job, end to end.
+
+#[cfg(feature = "ros")]
+mod bag;
+#[cfg(feature = "ros")]
+mod children;
+#[cfg(feature = "ros")]
+mod figure;
+#[cfg(feature = "ros")]
+mod report;
+#[cfg(feature = "ros")]
+mod run;
+#[cfg(feature = "ros")]
+mod topics;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Arguments of `egotac demo`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Where the report, the picture and the recording go; an earlier demo there is replaced.
+    #[arg(long, default_value = "out/demo")]
+    out: PathBuf,
+    /// Simulated seconds.
+    #[arg(long, default_value_t = 15.0)]
+    duration: f64,
+    /// Seed of the first rollout; training used none from 900000 on.
+    #[arg(long, default_value_t = 900_000)]
+    seed: u64,
+    /// Scenes, in turn.
+    #[arg(long, value_delimiter = ',', default_value = "pinch_cube,lift_mug,hover")]
+    scenes: Vec<String>,
+    /// Checkpoint for the predictor; the shipped one if absent.
+    #[arg(long)]
+    model: Option<PathBuf>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// If a node can't be started or fails, or the report can't be written.
+#[cfg(feature = "ros")]
+pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    run::run(&args)
+}
+
+/// Says which feature is missing.
+///
+/// # Errors
+/// Always.
+#[cfg(not(feature = "ros"))]
+pub fn run(_: Args) -> anyhow::Result<ExitCode> {
+    Err(super::feature_off("demo", "ros,sim"))
+}

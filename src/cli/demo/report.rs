@@ -1,0 +1,207 @@
+//! What the demo leaves behind: numbers as JSON and as a table, and the picture.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use anyhow::{Context, Result, ensure};
+use serde_json::{Value, json};
+
+use super::bag::{self, Run};
+use super::figure::{self, TracePoint};
+use crate::hand::{HandModel, HandParams, Side};
+use crate::message::TactileFrame;
+use crate::tactile::TactileField;
+
+/// Images, predictions and truths of a run, by stamp.
+struct Moment<'a> {
+    seconds: f64,
+    image: &'a crate::message::Image,
+    predicted: TactileField,
+    truth: TactileField,
+}
+
+/// Writes `demo.json`, `metrics.md` and `demo.png` into `out` and prints where they are, headline numbers last.
+///
+/// # Errors
+/// If the verifier's report or the recording can't be read, hold nothing to compare, or a file can't be written.
+pub fn write(out: &Path, bag: &Path, verifier_report: &Path) -> Result<()> {
+    let run = bag::read(&bag.join(crate::dataset::mcap::file_name(bag)))?;
+    let text = std::fs::read_to_string(verifier_report).with_context(|| verifier_report.display().to_string())?;
+    let verifier: Value = serde_json::from_str(&text).with_context(|| verifier_report.display().to_string())?;
+    let summary = summarize(&run, &verifier);
+    let table = table(&summary);
+    save(&out.join("demo.json"), &format!("{summary:#}\n"))?;
+    save(&out.join("metrics.md"), &table)?;
+    draw(&out.join("demo.png"), &run)?;
+    println!("\n{table}");
+    println!("picture    {}", out.join("demo.png").display());
+    println!("recording  {}", bag.display());
+    println!("numbers    {}", out.join("demo.json").display());
+    println!("{}", headline(&summary));
+    Ok(())
+}
+
+/// The demo's numbers: counts from the recording, scores and latency from the verifier.
+fn summarize(run: &Run, verifier: &Value) -> Value {
+    let count = |has: fn(&bag::Moment) -> bool| run.values().filter(|moment| has(moment)).count();
+    let images = count(|moment| moment.image.is_some());
+    let predictions = count(|moment| moment.predicted.is_some());
+    let unpaired = count(|moment| moment.image.is_some() && moment.predicted.is_none());
+    let strangers = count(|moment| moment.image.is_none() && moment.predicted.is_some());
+    json!({
+        "images": images,
+        "predictions": predictions,
+        "dropped_frames": unpaired,
+        "predictions_without_image": strangers,
+        "verifier": verifier,
+        "version": env!("CARGO_PKG_VERSION"),
+    })
+}
+
+/// Rows of the table: what it is, where it lies in the summary, factor and unit.
+const ROWS: [(&str, &str, f64, &str); 13] = [
+    ("images published", "/images", 1.0, ""),
+    ("predictions with an image's stamp", "/predictions", 1.0, ""),
+    ("dropped frames", "/dropped_frames", 1.0, ""),
+    ("rate", "/verifier/rate_hz", 1.0, "Hz"),
+    ("latency p50 (image stamp to result)", "/verifier/latency_secs/p50", 1e3, "ms"),
+    ("latency p95", "/verifier/latency_secs/p95", 1e3, "ms"),
+    ("force MAE, all vertices", "/verifier/metrics/mae", 1.0, "N"),
+    ("force MAE, vertices above 0.05 N", "/verifier/metrics/active_mae", 1.0, "N"),
+    ("temporal Pearson of the total force", "/verifier/metrics/temporal_pearson", 1.0, ""),
+    ("contact F1 (pooled)", "/verifier/metrics/pooled/f1", 1.0, ""),
+    ("contact IoU (pooled)", "/verifier/metrics/pooled/iou", 1.0, ""),
+    ("contact AUROC (pooled)", "/verifier/metrics/pooled/auroc", 1.0, ""),
+    ("frames left out as invalid", "/verifier/invalid_truths", 1.0, ""),
+];
+
+fn table(summary: &Value) -> String {
+    let mut text = String::from("| predicted against the simulator's truth | |\n|---|---|\n");
+    for (name, pointer, factor, unit) in ROWS {
+        let _ = writeln!(text, "| {name} | {} |", cell(summary.pointer(pointer), factor, unit));
+    }
+    text
+}
+
+fn cell(value: Option<&Value>, factor: f64, unit: &str) -> String {
+    let text = match value {
+        Some(Value::Number(number)) if number.is_u64() && factor == 1.0 => number.to_string(),
+        Some(Value::Number(number)) => significant(number.as_f64().unwrap_or(f64::NAN) * factor),
+        _ => return "undefined".into(),
+    };
+    if unit.is_empty() { text } else { format!("{text} {unit}") }
+}
+
+/// Three significant digits, without an exponent.
+fn significant(value: f64) -> String {
+    let magnitude = if value == 0.0 { 0 } else { value.abs().log10().floor() as i32 };
+    format!("{value:.*}", usize::try_from(2 - magnitude).unwrap_or(0))
+}
+
+fn headline(summary: &Value) -> String {
+    let get = |pointer: &str, factor, unit| cell(summary.pointer(pointer), factor, unit);
+    format!(
+        "{} predictions for {} images at {}, latency {} (p50); contact F1 {}, AUROC {}; active force error {}, temporal Pearson {}",
+        get("/predictions", 1.0, ""),
+        get("/images", 1.0, ""),
+        get("/verifier/rate_hz", 1.0, "Hz"),
+        get("/verifier/latency_secs/p50", 1e3, "ms"),
+        get("/verifier/metrics/pooled/f1", 1.0, ""),
+        get("/verifier/metrics/pooled/auroc", 1.0, ""),
+        get("/verifier/metrics/active_mae", 1.0, "N"),
+        get("/verifier/metrics/temporal_pearson", 1.0, ""),
+    )
+}
+
+fn draw(path: &Path, run: &Run) -> Result<()> {
+    let moments = complete(run)?;
+    ensure!(
+        !moments.is_empty(),
+        "no image has both a prediction and a truth: see the nodes' logs in {}",
+        path.with_file_name("").display()
+    );
+    let total = |field: &TactileField| f64::from(field.total_force(Side::Left) + field.total_force(Side::Right));
+    let trace: Vec<TracePoint> = moments
+        .iter()
+        .map(|m| TracePoint { seconds: m.seconds, predicted: total(&m.predicted), truth: total(&m.truth) })
+        .collect();
+    let shown = typical(&moments, &trace);
+    let side = if shown.truth.total_force(Side::Left) > shown.truth.total_force(Side::Right) {
+        Side::Left
+    } else {
+        Side::Right
+    };
+    let hand = HandModel::builtin(side);
+    let posed = hand.forward(&HandParams::default());
+    let image = bag::picture(shown.image)?;
+    let shown = figure::Moment {
+        seconds: shown.seconds,
+        image: &image,
+        predicted: &shown.predicted.force[side.range()],
+        truth: &shown.truth.force[side.range()],
+    };
+    figure::write(path, &hand, &posed, &shown, &trace)
+}
+
+/// Moments that have all three messages, in time order.
+fn complete(run: &Run) -> Result<Vec<Moment<'_>>> {
+    let first = run.keys().next().copied().unwrap_or(0);
+    let field = |frame: &TactileFrame| frame.to_field();
+    let mut moments = Vec::new();
+    for (stamp, moment) in run {
+        if let (Some(image), Some(predicted), Some(truth)) = (&moment.image, &moment.predicted, &moment.truth) {
+            moments.push(Moment {
+                seconds: (stamp - first) as f64 * 1e-9,
+                image,
+                predicted: field(predicted)?,
+                truth: field(&truth.frame)?,
+            });
+        }
+    }
+    Ok(moments)
+}
+
+/// Of the moments with real touch, the one whose error of the total force is the median: neither the best nor the worst.
+fn typical<'a, 'b>(moments: &'a [Moment<'b>], trace: &[TracePoint]) -> &'a Moment<'b> {
+    let peak = trace.iter().map(|point| point.truth).fold(0.0, f64::max);
+    let mut touched: Vec<usize> = (0..moments.len()).filter(|&i| trace[i].truth >= 0.3 * peak).collect();
+    touched.sort_by(|&a, &b| {
+        let error = |i: usize| (trace[i].predicted - trace[i].truth).abs();
+        error(a).total_cmp(&error(b))
+    });
+    touched.get(touched.len() / 2).map_or(&moments[0], |&index| &moments[index])
+}
+
+fn save(path: &Path, text: &str) -> Result<()> {
+    save_with(path, |file| Ok(std::fs::write(file, text)?))
+}
+
+/// Writes a file under another name and renames it once it is whole.
+pub fn save_with(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
+    let folder = path.parent().context("output has no folder")?;
+    let file = tempfile::NamedTempFile::new_in(folder).with_context(|| folder.display().to_string())?;
+    write(file.path()).with_context(|| path.display().to_string())?;
+    file.persist(path).with_context(|| path.display().to_string())?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_keep_three_significant_digits() {
+        let cases = [(0.0, "0.00"), (0.012_345, "0.0123"), (1.2345, "1.23"), (123.4, "123"), (98_765.0, "98765")];
+        for (value, text) in cases {
+            assert_eq!(significant(value), text);
+        }
+    }
+
+    #[test]
+    fn what_is_undefined_says_so() {
+        let summary = json!({ "images": 3, "verifier": { "metrics": { "mae": null } } });
+        let table = table(&summary);
+        assert!(table.contains("| images published | 3 |"), "{table}");
+        assert!(table.contains("| force MAE, all vertices | undefined |"), "{table}");
+    }
+}

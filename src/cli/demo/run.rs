@@ -1,0 +1,157 @@
+//! Simulator, predictor and verifier run as the nodes they are; what they say is recorded and reported.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::children::NodeProcess;
+use super::{Args, report, topics};
+use crate::message::{CameraInfo, HandModelInfo, HandPose, Image, TactileFrame, TactileMetrics, TactileTruth};
+use crate::node::recorder::{Recorder, Topic};
+
+/// Frames per simulated second.
+const FPS: f64 = 25.0;
+/// How long a node may take to come up or go down.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Runs the demo and writes its report.
+///
+/// # Errors
+/// If a node can't be started or fails, or the report can't be written.
+pub fn run(args: &Args) -> Result<ExitCode> {
+    if !(args.duration.is_finite() && args.duration >= 1.0) {
+        bail!("--duration: expected at least 1 second, got {}", args.duration);
+    }
+    let out = fresh_folder(&args.out)?;
+    let recorder = Recorder::start(&out.join("bag"), recorded_topics()).context("recorder")?;
+    let verifier_report = out.join("verifier.json");
+    let nodes = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    nodes.block_on(simulate(args, &out, &recorder, &verifier_report))?;
+    let bag = recorder.finish().context("recorder")?;
+    report::write(&out, &bag, &verifier_report)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// An empty folder at `path`; what an earlier demo left there is removed, anything else is not touched.
+fn fresh_folder(path: &Path) -> Result<PathBuf> {
+    const OURS: [&str; 8] = [
+        "bag",
+        "verifier.json",
+        "demo.json",
+        "metrics.md",
+        "demo.png",
+        "predictor.log",
+        "simulator.log",
+        "verifier.log",
+    ];
+    std::fs::create_dir_all(path).with_context(|| path.display().to_string())?;
+    for name in OURS {
+        let old = path.join(name);
+        let removed = if old.is_dir() { std::fs::remove_dir_all(&old) } else { std::fs::remove_file(&old) };
+        match removed {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(error).with_context(|| old.display().to_string());
+            }
+            _ => {}
+        }
+    }
+    path.canonicalize().with_context(|| path.display().to_string())
+}
+
+fn recorded_topics() -> Vec<Topic> {
+    vec![
+        Topic::of::<Image>(topics::IMAGE),
+        Topic::of::<CameraInfo>(topics::CAMERA_INFO),
+        Topic::of::<TactileTruth>(topics::TRUTH),
+        Topic::of::<HandPose>(topics::HAND_POSE),
+        Topic::of::<TactileFrame>(topics::TACTILE),
+        Topic::of::<HandModelInfo>(topics::MODEL_INFO).latched(),
+        Topic::of::<TactileMetrics>(topics::METRICS),
+    ]
+}
+
+/// Runs the three nodes until the simulator has shown all its images, or Ctrl-C.
+async fn simulate(args: &Args, out: &Path, recorder: &Recorder, verifier_report: &Path) -> Result<()> {
+    let mut predictor = NodeProcess::start("predictor", &predictor_arguments(args), out)?;
+    let mut verifier = NodeProcess::start("verifier", &verifier_arguments(verifier_report), out)?;
+    tokio::select! {
+        ready = network_is_ready(recorder) => ready.with_context(|| out.join("predictor.log").display().to_string())?,
+        end = predictor.ended() => end.and_then(|()| bail!("the predictor ended before the simulation began"))?,
+        end = verifier.ended() => end.and_then(|()| bail!("the verifier ended before the simulation began"))?,
+    }
+
+    let mut simulator = NodeProcess::start("simulator", &simulator_arguments(args), out)?;
+    tokio::select! {
+        end = simulator.ended() => end?,
+        end = predictor.ended() => end.and_then(|()| bail!("the predictor ended during the simulation"))?,
+        end = verifier.ended() => end.and_then(|()| bail!("the verifier ended during the simulation"))?,
+        () = show_progress(recorder, (args.duration * FPS).round() as u64) => bail!("the recording failed"),
+        interrupted = tokio::signal::ctrl_c() => interrupted?,
+    }
+    // The last image's prediction and metrics are still under way.
+    tokio::time::sleep(Duration::from_millis(1500)).await;
+    println!();
+    predictor.stop(PATIENCE).await?;
+    verifier.stop(PATIENCE).await
+}
+
+/// Returns once the predictor has told what it is.
+async fn network_is_ready(recorder: &Recorder) -> Result<()> {
+    let waiting = ProgressBar::new_spinner().with_message("loading the network");
+    let deadline = Instant::now() + PATIENCE;
+    while recorder.count(topics::MODEL_INFO) == 0 {
+        ensure!(Instant::now() < deadline, "nothing on {} within {PATIENCE:?}", topics::MODEL_INFO);
+        waiting.tick();
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    waiting.finish_and_clear();
+    Ok(())
+}
+
+/// Shows how far the run is; returns if the recording fails.
+async fn show_progress(recorder: &Recorder, images: u64) {
+    let style = ProgressStyle::with_template("simulating {bar:32} {pos}/{len} images, {msg}, {elapsed}");
+    let progress = ProgressBar::new(images).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    while !recorder.has_failed() {
+        progress.set_position(recorder.count(topics::TRUTH));
+        progress.set_message(format!("{} predictions", recorder.count(topics::TACTILE)));
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+}
+
+fn predictor_arguments(args: &Args) -> Vec<String> {
+    let mut parameters = vec![];
+    if let Some(model) = &args.model {
+        parameters.push(format!("model:={}", model.display()));
+    }
+    ros_arguments(&[("image", topics::IMAGE), ("hand_pose", topics::HAND_POSE)], &parameters)
+}
+
+fn verifier_arguments(report: &Path) -> Vec<String> {
+    ros_arguments(&[("tactile", topics::TACTILE), ("truth", topics::TRUTH)], &[format!("report:={}", report.display())])
+}
+
+fn simulator_arguments(args: &Args) -> Vec<String> {
+    let scenes = args.scenes.iter().map(|scene| format!("{scene:?}")).collect::<Vec<_>>().join(", ");
+    let parameters = [
+        format!("scenes:=[{scenes}]"),
+        format!("seed:={}", args.seed),
+        format!("duration:={:?}", args.duration),
+        format!("wait_secs:={:?}", PATIENCE.as_secs_f64()),
+    ];
+    ros_arguments(&[], &parameters)
+}
+
+fn ros_arguments(remappings: &[(&str, &str)], parameters: &[String]) -> Vec<String> {
+    let mut arguments = vec!["--ros-args".to_owned()];
+    for (from, to) in remappings {
+        arguments.extend(["-r".to_owned(), format!("{from}:={to}")]);
+    }
+    for parameter in parameters {
+        arguments.extend(["-p".to_owned(), parameter.clone()]);
+    }
+    arguments
+}
