@@ -115,7 +115,7 @@ fn text(info: &Value) -> String {
         text += &format!("\n  {count} frames refused: {reason}");
     }
     for (name, value) in info["attributes"].as_object().into_iter().flatten() {
-        text += &format!("\n  {name}: {value}");
+        text += &format!("\n  {name}: {}", shortened(&value.to_string()));
     }
     for array in info["arrays"].as_array().into_iter().flatten() {
         let name = array["name"].as_str().unwrap_or_default();
@@ -123,4 +123,13 @@ fn text(info: &Value) -> String {
         text += &format!("\n  {name:28} {dtype:4} {} in chunks of {}", array["shape"], array["chunks"]);
     }
     text
+}
+
+/// The beginning of a long text.
+fn shortened(text: &str) -> String {
+    const LONGEST: usize = 100;
+    match text.char_indices().nth(LONGEST) {
+        Some((end, _)) => format!("{} ... ({} characters; --json shows all)", &text[..end], text.chars().count()),
+        None => text.to_string(),
+    }
 }

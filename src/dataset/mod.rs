@@ -1,7 +1,7 @@
 //! Episodes: frames of image, touch and hand pose, in the formats people keep them in.
 
-pub mod tensors;
 pub mod mcap;
+pub mod tensors;
 pub mod zarr;
 
 use std::path::Path;
@@ -70,12 +70,20 @@ mod thresholds {
     }
 
     pub fn default() -> f64 {
-        // Through the shortest decimal, so that 0.05 stays 0.05 in f64.
-        CONTACT_FORCE_N.to_string().parse().unwrap_or(f64::from(CONTACT_FORCE_N))
+        shortest(f64::from(CONTACT_FORCE_N))
     }
 
     pub fn serialize<S: Serializer>(contact_force: &f64, serializer: S) -> Result<S::Ok, S::Error> {
-        Thresholds { contact_force: *contact_force }.serialize(serializer)
+        Thresholds { contact_force: shortest(*contact_force) }.serialize(serializer)
+    }
+
+    /// A number that came from f32 by its shortest decimal, so that 0.05 is written as 0.05.
+    fn shortest(value: f64) -> f64 {
+        let narrow = value as f32;
+        match f64::from(narrow) == value {
+            true => narrow.to_string().parse().unwrap_or(value),
+            false => value,
+        }
     }
 
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
