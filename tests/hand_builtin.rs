@@ -312,7 +312,7 @@ fn pose_correctives_keep_the_volume_of_a_fist() {
 }
 
 #[test]
-fn each_beta_moves_some_part_by_about_a_centimetre_at_three() {
+fn each_beta_moves_some_part_by_millimetres_to_centimetres_at_three() {
     let hand = HandModel::builtin(Side::Right);
     let neutral = rest(&hand);
     for beta in 0..N_BETAS {
@@ -334,6 +334,8 @@ fn generator_still_makes_the_committed_surface() {
     let (made, committed) = (build::build(), HandModel::builtin(Side::Right));
     assert_eq!(made.v_template.len(), committed.v_template.len());
     assert_eq!(made.faces.len(), committed.faces.len());
+    assert!(edges(&made.faces).values().all(|&count| count == 2));
+    assert_eq!(made.v_template.len() + made.faces.len(), edges(&made.faces).len() + 2);
     // Rounding may connect other vertices; every committed vertex must still lie on the generator's surface.
     let surface = build::Surface::new();
     for vertex in committed.v_template.iter().chain(&made.v_template) {
