@@ -127,6 +127,9 @@ pub struct ReportCounts {
     pub unknown_predictions: u64,
 }
 
+/// A score of a predicted trace against a true one.
+type TraceScore<'a> = dyn Fn(&[f64], &[f64]) -> Option<f64> + 'a;
+
 /// Scores `pred` against `target`. Entries that the target itself leaves unknown (NaN) do not count.
 ///
 /// # Errors
@@ -149,7 +152,7 @@ pub fn evaluate(pred: &Fields, target: &Fields, options: &Options) -> Result<Rep
         Some(calibration) => (calibration.pred(), calibration.target()),
         None => (dynamics::range(&traces.pred), dynamics::range(&traces.target)),
     };
-    let per_episode = |score: &dyn Fn(&[f64], &[f64]) -> Option<f64>| {
+    let per_episode = |score: &TraceScore<'_>| {
         mean(episodes.iter().map(|e| score(traces.pred.get(e.clone())?, traces.target.get(e.clone())?)))
     };
     let normalised = |score: fn(&[f64], &[f64]) -> Option<f64>| {

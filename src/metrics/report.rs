@@ -2,10 +2,13 @@
 
 use super::{Report, Scores};
 
+/// One score out of those of contact.
+type ContactScore = fn(&Scores) -> Option<f64>;
+
 /// A table with one column per named report; undefined scores say so.
 pub fn table(reports: &[(&str, &Report)]) -> String {
     let contact = |name: &'static str, part: fn(&Report) -> &Scores| {
-        let rows: [(&str, fn(&Scores) -> Option<f64>); 5] = [
+        let rows: [(&str, ContactScore); 5] = [
             ("precision", |s| s.precision),
             ("recall", |s| s.recall),
             ("F1", |s| s.f1),
