@@ -9,7 +9,7 @@ pub const LANES: usize = 16;
 /// Runs `f`, compiled for the widest vectors this processor has.
 ///
 /// Closures, `f` and those inside it, need `#[inline(always)]`: what stays a function of its own is compiled for the
-/// oldest processor, and its multiply-adds become library calls (measured: softmax 20 times slower).
+/// oldest processor, and its multiply-adds become library calls.
 #[inline(always)]
 pub fn dispatch<R>(f: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(f)
