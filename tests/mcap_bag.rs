@@ -1,7 +1,6 @@
 //! Bags that others can read: what is written comes back, byte for byte, by the Python package rosbags as well.
 
 use std::path::Path;
-use std::process::Command;
 
 use egotac::dataset::mcap::{BagWriter, file_name};
 use egotac::hand::Side;
@@ -83,7 +82,7 @@ with AnyReader([Path(sys.argv[1])]) as reader:
         message = reader.deserialize(data, connection.msgtype)
         print(connection.topic, connection.msgtype, time, data.hex(), message.sequence, float(max(message.hands[1].force)))
 ";
-    let output = Command::new(python).args(["-c", script]).arg(&folder).output().unwrap();
+    let output = std::process::Command::new(python).args(["-c", script]).arg(&folder).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let lines = String::from_utf8(output.stdout).unwrap();
     let expected: Vec<String> = payloads

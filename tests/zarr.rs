@@ -21,7 +21,8 @@ fn attributes(topology: Topology) -> Attributes {
 }
 
 fn frame(index: usize, size: (u32, u32)) -> Frame {
-    let force: Vec<f32> = (0..N_FIELD).map(|v| if (v + index) % 50 == 0 { 0.001 * v as f32 } else { 0.0 }).collect();
+    let force: Vec<f32> =
+        (0..N_FIELD).map(|v| if (v + index).is_multiple_of(50) { 0.001 * v as f32 } else { 0.0 }).collect();
     Frame {
         timestamp: 0.04 * index as f64,
         camera_ego_rgb: RgbImage::from_fn(size.0, size.1, |x, y| image::Rgb([index as u8, x as u8, y as u8])),
