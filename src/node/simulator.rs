@@ -25,6 +25,8 @@ use crate::sim::{Rollout, RolloutOptions, SHIPPED, Scene, SimFrame};
 const LINGER: Duration = Duration::from_millis(500);
 /// Nobody joined for so long: everybody who was starting is there.
 const SETTLED: Duration = Duration::from_millis(1500);
+/// Far below a frame's interval and far above the rounding of a sum of them, s.
+const ROUNDING: f64 = 1e-6;
 /// JPEG quality of the compressed topic.
 const QUALITY: u8 = 90;
 
@@ -165,7 +167,7 @@ impl Producer {
             let mut last = 0.0;
             while let Some(frame) = rollout.next_frame()? {
                 let simulated = before + frame.frame.timestamp;
-                if stop.requested() || (self.duration > 0.0 && simulated >= self.duration) {
+                if stop.requested() || (self.duration > 0.0 && simulated >= self.duration - ROUNDING) {
                     return Ok(());
                 }
                 self.tally.received();
