@@ -4,6 +4,7 @@
 pub mod cli;
 pub mod dataset;
 pub mod error;
+pub mod file;
 pub mod hand;
 pub mod image;
 pub mod label;

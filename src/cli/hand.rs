@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use ::image::{ImageFormat, RgbImage, imageops};
+use ::image::{RgbImage, imageops};
 use anyhow::{Context, bail, ensure};
 use candle_core::{DType, Device, Tensor};
 use clap::ValueEnum;
@@ -12,7 +12,7 @@ use glam::Vec3;
 use safetensors::tensor::{Dtype, TensorView};
 
 use crate::dataset::tensors::FieldFile;
-use crate::dataset::write_file;
+use crate::file;
 use crate::hand::{self, HandMap, HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, Region, Side};
 use crate::metrics::Fields;
 use crate::render::{View, color, font, hand_picture, region_colors};
@@ -157,9 +157,7 @@ fn show(args: &Show) -> anyhow::Result<()> {
         None => HandParams::default(),
     };
     let picture = sheet(&model, &params);
-    let mut png = Vec::new();
-    picture.write_to(&mut std::io::Cursor::new(&mut png), ImageFormat::Png)?;
-    write_file(&args.out, &png)?;
+    file::write_png(&args.out, &picture)?;
     println!("{} {} hand drawn to {}", model.side.name(), model.topology.id(), args.out.display());
     Ok(())
 }
@@ -277,13 +275,13 @@ fn write_map(path: &Path, map: &HandMap, mano: &HandModel) -> anyhow::Result<()>
     let views =
         tensors.iter().map(|(name, dtype, shape, data)| Ok((name, TensorView::new(*dtype, shape.clone(), data)?)));
     let views = views.collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
-    write_file(path, &safetensors::serialize(views, Some(metadata))?)?;
+    file::write(path, &safetensors::serialize(views, Some(metadata))?)?;
     Ok(())
 }
 
 fn build(args: &Build) -> anyhow::Result<()> {
     let model = hand::build::build();
-    write_file(&args.out, &hand::builtin_bytes(&model)?)?;
+    file::write(&args.out, &hand::builtin_bytes(&model)?)?;
     println!("{} vertices, {} faces, written to {}", model.v_template.len(), model.faces.len(), args.out.display());
     Ok(())
 }
@@ -370,6 +368,6 @@ fn write_tensors(
     let views =
         tensors.iter().map(|(name, shape, data)| Ok((*name, TensorView::new(Dtype::F32, shape.clone(), data)?)));
     let views = views.collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
-    write_file(path, &safetensors::serialize(views, Some(metadata))?)?;
+    file::write(path, &safetensors::serialize(views, Some(metadata))?)?;
     Ok(())
 }

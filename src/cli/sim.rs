@@ -144,6 +144,7 @@ mod with_sim {
     use indicatif::{ProgressBar, ProgressStyle};
 
     use super::{Generate, Hands, Run, Show};
+    use crate::file;
     use crate::hand::{HandModel, Side};
     use crate::sim::{self, Rollout, RolloutOptions, SHIPPED, Scene, SimFrame, Summary};
 
@@ -277,15 +278,7 @@ mod with_sim {
     }
 
     fn write_png(picture: &RgbImage, out: &Path) -> anyhow::Result<()> {
-        let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let file = tempfile::Builder::new()
-            .suffix(".png")
-            // As any new file: what the user's mask leaves of it.
-            .permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666))
-            .tempfile_in(parent)
-            .with_context(|| format!("{}", parent.display()))?;
-        picture.save_with_format(file.path(), ::image::ImageFormat::Png)?;
-        file.persist(out).with_context(|| format!("{}", out.display()))?;
+        file::write_png(out, picture)?;
         println!("wrote {}", out.display());
         Ok(())
     }

@@ -4,11 +4,9 @@ pub mod mcap;
 pub mod tensors;
 pub mod zarr;
 
-use std::path::Path;
-
 use ::image::RgbImage;
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::hand::HandParams;
 use crate::tactile::{TactileField, Topology, Validity};
 
@@ -123,22 +121,4 @@ pub fn fps(timestamps: &[f64]) -> Option<f64> {
     let mut steps: Vec<f64> = timestamps.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
     steps.sort_by(f64::total_cmp);
     steps.get(steps.len() / 2).map(|step| 1.0 / step)
-}
-
-/// Writes a file under a temporary name beside it, then renames it: it is there whole, or as it was before.
-///
-/// # Errors
-/// If the file can't be written.
-pub fn write_file(path: &Path, content: &[u8]) -> Result<()> {
-    let Some(name) = path.file_name() else {
-        return Err(Error::file(path, "is not a name for a file"));
-    };
-    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder).map_err(Error::io(folder))?;
-    }
-    let partial = path.with_file_name(format!(".{}.partial-{}", name.to_string_lossy(), std::process::id()));
-    std::fs::write(&partial, content).and_then(|()| std::fs::rename(&partial, path)).map_err(|error| {
-        let _ = std::fs::remove_file(&partial);
-        Error::io(path)(error)
-    })
 }

@@ -16,6 +16,7 @@ use std::path::Path;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
 use crate::error::{Error, Result};
+use crate::file;
 use crate::metrics::Fields;
 use crate::tactile::{N_FIELD, Topology};
 
@@ -123,7 +124,7 @@ impl FieldFile {
             views.push((*name, view.map_err(|e| Error::file(path, format!("{name}: {e}")))?));
         }
         let content = safetensors::serialize(views, Some(metadata)).map_err(|e| Error::file(path, e))?;
-        super::write_file(path, &content)
+        file::write(path, &content)
     }
 
     /// Frames per second by the median step of the timestamps; None without at least two of them.

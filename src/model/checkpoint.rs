@@ -1,7 +1,6 @@
 //! Checkpoints: weights in safetensors, with everything a stranger needs to use them in the file's metadata.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Write;
 use std::path::Path;
 use std::sync::Mutex;
 
@@ -15,6 +14,7 @@ use sha2::{Digest, Sha256};
 
 use super::{Config, EgoTac};
 use crate::error::{Error, Result};
+use crate::file;
 use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
 use crate::tactile::Topology;
 
@@ -177,7 +177,7 @@ impl Checkpoint {
         let mut map = metadata.to_map();
         map.insert("config".into(), config.to_json());
         let bytes = serialize(path, &tensors, &map)?;
-        write_atomically(path, &bytes)?;
+        file::write(path, &bytes)?;
         Ok(hex(&Sha256::digest(&bytes)))
     }
 }
@@ -224,7 +224,7 @@ pub fn load_variables(path: &Path, vars: &VarMap) -> Result<()> {
 /// # Errors
 /// If a value is not finite or the file can't be written.
 pub fn save_tensors(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<()> {
-    write_atomically(path, &serialize(path, tensors, &BTreeMap::new())?)
+    file::write(path, &serialize(path, tensors, &BTreeMap::new())?)
 }
 
 /// Parameters of a network of this geometry.
@@ -397,20 +397,6 @@ fn serialize(path: &Path, tensors: &BTreeMap<String, Tensor>, map: &BTreeMap<Str
 
 fn read(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(Error::io(path))
-}
-
-/// Writes beside the path, then renames, so that a reader never sees half a file.
-fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    // The library's default is readable by its owner alone; this leaves it to the umask, as for any other file.
-    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o666);
-    let mut file = tempfile::Builder::new().permissions(mode).tempfile_in(folder).map_err(Error::io(folder))?;
-    file.write_all(bytes).map_err(Error::io(path))?;
-    file.persist(path).map_err(|error| Error::io(path)(error.error))?;
-    Ok(())
 }
 
 /// JSON of a plain value, which has no way to fail.

@@ -2,7 +2,6 @@
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
-use std::io::Write as _;
 use std::path::Path;
 use std::rc::Rc;
 use std::time::Instant;
@@ -16,6 +15,7 @@ use super::pairing::Pairing;
 use super::params::{Allowed, Parameter, Parameters};
 use super::runtime::{Publisher, RosClock, Runtime};
 use super::{Shutdown, diagnostics, qos};
+use crate::file;
 use crate::message::{Header, TactileFrame, TactileMetrics, TactileTruth};
 use crate::metrics::{self, Fields, FrameScore, Options};
 use crate::tactile::Validity;
@@ -324,12 +324,5 @@ fn finite(value: f64) -> Option<f64> {
 }
 
 fn write_report(path: &Path, summary: &Value) -> anyhow::Result<()> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let write = || -> anyhow::Result<()> {
-        let mut file = tempfile::NamedTempFile::new_in(folder)?;
-        writeln!(file, "{summary:#}")?;
-        file.persist(path)?;
-        Ok(())
-    };
-    write().with_context(|| format!("cannot write the report {}", path.display()))
+    file::write(path, format!("{summary:#}\n").as_bytes()).context("cannot write the report")
 }

@@ -8,8 +8,8 @@ use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 
 use super::optimizer::{AdamW, Param};
-use crate::dataset::write_file;
 use crate::error::{Error, Result};
+use crate::file;
 
 /// The parts of a variable's state; each tensor is named PART.VARIABLE.
 const PARTS: [&str; 4] = ["weight", "moment1", "moment2", "average"];
@@ -38,7 +38,7 @@ pub fn save(path: &Path, optimizer: &AdamW, step: usize, config: &str) -> Result
         ("config".to_string(), config.to_string()),
     ]);
     let content = safetensors::serialize(views, Some(metadata)).map_err(|e| Error::file(path, e))?;
-    write_file(path, &content)
+    file::write(path, &content)
 }
 
 /// Puts a saved state back into variables and optimiser. Returns the step to go on with.

@@ -7,6 +7,7 @@ use image::RgbImage;
 use image::imageops::{FilterType, resize};
 use plotters::prelude::*;
 
+use crate::file;
 use crate::hand::{HandModel, PosedHand};
 use crate::render;
 
@@ -59,8 +60,7 @@ pub fn write(path: &Path, hand: &HandModel, posed: &PosedHand, moment: &Moment, 
         root.present()?;
     }
     let picture = RgbImage::from_raw(SIZE.0, SIZE.1, pixels).context("picture buffer has another size")?;
-    super::report::save_with(path, |file| Ok(picture.save_with_format(file, image::ImageFormat::Png)?))?;
-    Ok(())
+    Ok(file::write_png(path, &picture)?)
 }
 
 type Area<'a> = DrawingArea<BitMapBackend<'a>, plotters::coord::Shift>;
