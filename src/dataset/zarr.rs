@@ -43,6 +43,10 @@ pub const FRAME_VALIDITY: &str = "data/frame_validity";
 pub const LEFT_HAND_POSE: &str = "data/left_hand_pose";
 /// Right hand's MANO parameters, (T, 61) f32.
 pub const RIGHT_HAND_POSE: &str = "data/right_hand_pose";
+/// (T, objects, 7) f32: position in m and quaternion (w, x, y, z) of each object in the world; NaN = no such object.
+pub const OBJECT_POSE: &str = "data/object_pose";
+/// (T, 7) f32: position in m and quaternion (w, x, y, z) of the camera's optical frame in the world.
+pub const CAMERA_POSE: &str = "data/camera_pose";
 /// Exclusive cumulative ends of the episodes, (E) i64.
 pub const EPISODE_ENDS: &str = "meta/episode_ends";
 

@@ -44,7 +44,7 @@ pub struct HandDriver {
 struct Plan {
     /// Largest opening of the script, m.
     widest: f64,
-    /// Positions of wrist and hinges at openings from 0 to `widest`; one entry when the hand rests.
+    /// Positions of wrist and hinges at openings from 0 to `widest`; one entry when the hand is idle.
     places: Vec<Vec<f64>>,
     act: Option<Act>,
     object: Option<Body>,
@@ -77,7 +77,7 @@ impl HandDriver {
         let wrist: [Servo; 6] = std::array::from_fn(|i| servos[i]);
         let hinges = rig.hinges.iter().map(|h| world.servo(&rig.name(&h.name))).collect::<Result<Vec<_>>>()?;
         let bodies = JOINT_NAMES.iter().map(|name| world.body(&rig.name(name))).collect::<Result<Vec<_>>>()?;
-        let resting = Plan {
+        let idle = Plan {
             widest: 0.0,
             places: vec![[0.0; 6].iter().chain(&hand.posture).copied().collect()],
             act: None,
@@ -85,7 +85,7 @@ impl HandDriver {
             pushes: Vec::new(),
         };
         let skin = world.skin(&rig.name("skin"))?;
-        let mut driver = Self { skin, wrist, hinges, wrist_body: bodies[0], bodies, plan: resting };
+        let mut driver = Self { skin, wrist, hinges, wrist_body: bodies[0], bodies, plan: idle };
         if let Some(act) = &hand.act {
             let (body, shape) = objects[act.object];
             driver.plan = driver.solve(world, hand, act, rig, body, shape);

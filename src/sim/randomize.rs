@@ -60,7 +60,7 @@ pub struct HandDraw {
     pub orientation: DQuat,
     /// Angles the fingers have where no goal says otherwise, in the rig's order, rad.
     pub posture: Vec<f64>,
-    /// What it does; `None` rests.
+    /// What it does; `None` is idle.
     pub act: Option<Act>,
     /// Colour of the skin.
     pub skin: Rgb,
@@ -188,7 +188,7 @@ impl HandDraw {
         let side = rig.side();
         let (skin, sleeve) = ([0.0; 3], [0.0; 3]);
         let Some(act) = &spec.act else {
-            let (wrist, orientation, posture) = resting(rig, rng);
+            let (wrist, orientation, posture) = idle(rig, rng);
             return Ok(Self { side, wrist, orientation, posture, act: None, skin, sleeve });
         };
         let index = objects
@@ -287,8 +287,10 @@ fn goals(
     Ok(goals)
 }
 
-/// A hand that lies on the table beside the scene, palm down.
-fn resting(rig: &HandRig, rng: &mut impl Rng) -> (DVec3, DQuat, Vec<f64>) {
+/// A hand held still above the table beside the scene, palm down.
+///
+/// It does not lie on the table: a rigid convex palm would carry the arm's weight on one or two vertices.
+fn idle(rig: &HandRig, rng: &mut impl Rng) -> (DVec3, DQuat, Vec<f64>) {
     let outward = if rig.side() == Side::Right { 1.0 } else { -1.0 };
     let fingers = DVec3::new(outward * rng.random_range(-0.45..0.0), 1.0, -0.05);
     let orientation = rig.orientation(fingers, DVec3::NEG_Z);
@@ -301,8 +303,7 @@ fn resting(rig: &HandRig, rng: &mut impl Rng) -> (DVec3, DQuat, Vec<f64>) {
     let angles: Vec<f64> = rig.hinges.iter().map(bend).collect();
     let posed = rig.model.forward(&rig.params(DVec3::ZERO, orientation, &angles));
     let lowest = posed.vertices.iter().map(|v| v.z).fold(f32::INFINITY, f32::min);
-    // Sunk in a little: the arm's weight on the table.
-    let height = -f64::from(lowest) - rng.random_range(0.0005..0.003);
+    let height = -f64::from(lowest) + rng.random_range(0.02..0.07);
     let wrist = DVec3::new(outward * rng.random_range(0.19..0.27), rng.random_range(-0.16..-0.04), height);
     (wrist, orientation, angles)
 }

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use super::rollout::{Rollout, RolloutOptions, SimFrame};
 use super::scene::Scene;
-use crate::dataset::zarr::{ArraySpec, Contact, Dtype, Values, ZarrReader, ZarrWriter};
+use crate::dataset::zarr::{ArraySpec, CAMERA_POSE, Contact, Dtype, OBJECT_POSE, Values, ZarrReader, ZarrWriter};
 use crate::dataset::{Attributes, EpisodeReader, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
 use crate::hand::Side;
@@ -18,10 +18,6 @@ use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
 
 /// (T, 1556) u8: 1 = an object's surface is within 1 cm.
 pub const PROXIMITY: &str = "data/mano_proximity";
-/// (T, objects, 7) f32: position in m and quaternion (w, x, y, z) of each object in the world; NaN = no such object.
-pub const OBJECT_POSE: &str = "data/object_pose";
-/// (T, 7) f32: position in m and quaternion (w, x, y, z) of the camera's optical frame in the world.
-pub const CAMERA_POSE: &str = "data/camera_pose";
 
 /// What came out of recording.
 #[derive(Debug, Clone, Default, PartialEq)]

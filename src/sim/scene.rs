@@ -41,7 +41,7 @@ pub struct SceneSpec {
     pub physics: PhysicsOptions,
     /// Objects on the table.
     pub objects: Vec<ObjectSpec>,
-    /// Hands; the first is the actor, another one rests unless it has a script.
+    /// Hands; the first is the actor, another one is idle unless it has a script.
     pub hands: Vec<HandSpec>,
     /// The head-mounted camera.
     #[serde(default)]
@@ -115,7 +115,7 @@ pub struct HandSpec {
     /// Probability that the hand is there at all.
     #[serde(default = "one")]
     pub presence: f64,
-    /// What it does; without it the hand rests on the table.
+    /// What it does; without it the hand is held still above the table.
     pub act: Option<ActSpec>,
 }
 
