@@ -67,6 +67,18 @@ impl Preparation {
         let square = resize(image, self.side, self.resize, self.filter)?;
         Ok(normalise(&square, self.mean, self.std))
     }
+
+    /// Shares of the input's sides, x to the right, y down, of the place `pixel` in an image of this size; outside of
+    /// 0..1 where it is cropped.
+    pub fn place(&self, pixel: [f64; 2], width: usize, height: usize) -> [f64; 2] {
+        let sides = [width as f64, height as f64];
+        let (short, long) = (sides[0].min(sides[1]), sides[0].max(sides[1]));
+        std::array::from_fn(|axis| match self.resize {
+            Resize::Crop => 0.5 + (pixel[axis] - 0.5 * sides[axis]) / short,
+            Resize::Letterbox => 0.5 + (pixel[axis] - 0.5 * sides[axis]) / long,
+            Resize::Squash => pixel[axis] / sides[axis],
+        })
+    }
 }
 
 /// Decodes a PNG or JPEG file; grey becomes RGB, transparency is dropped, 16 bits become 8.

@@ -123,3 +123,27 @@ fn channels_are_normalised_into_planes() {
     let error = whole.apply(&RgbImage::new(0, 5)).unwrap_err().to_string();
     assert!(error.contains("0 x 5"), "{error}");
 }
+
+#[test]
+fn a_pixel_lands_where_its_place_says() {
+    // A dark picture with a bright block: the middle of the light, before and after.
+    let (width, height) = (180, 120);
+    let image = RgbImage::from_fn(width, height, |x, y| {
+        let inside = (90..102).contains(&x) && (30..42).contains(&y);
+        Rgb([if inside { 255 } else { 0 }; 3])
+    });
+    for how in [Resize::Crop, Resize::Letterbox, Resize::Squash] {
+        let preparation =
+            Preparation { side: 60, resize: how, filter: Filter::Triangle, mean: IMAGENET_MEAN, std: IMAGENET_STD };
+        let small = resize(&image, 60, how, Filter::Triangle).unwrap();
+        let mut sums = [0.0; 3];
+        for (x, y, pixel) in small.enumerate_pixels() {
+            let light = f64::from(pixel[0]);
+            let at = [f64::from(x) + 0.5, f64::from(y) + 0.5, 1.0];
+            sums.iter_mut().zip(at).for_each(|(sum, at)| *sum += light * at);
+        }
+        let seen = [sums[0], sums[1]].map(|sum| sum / sums[2] / 60.0);
+        let place = preparation.place([96.0, 36.0], width as usize, height as usize);
+        assert!((0..2).all(|axis| (seen[axis] - place[axis]).abs() < 5e-3), "{how:?}: {seen:?} {place:?}");
+    }
+}

@@ -71,7 +71,7 @@ fn batches_hold_each_frame_once_and_the_labels_of_the_newest() {
         assert_eq!((data.n_frames(), data.topology()), (12, Topology::Mano));
         assert_eq!(data.episodes(), [(0, 0..4), (0, 4..12)]);
         // 1..6 N, 8..11 N are active (7 is refused, and 0 N no touch): the 99th percentile is the largest.
-        assert_eq!(data.force_scale().unwrap(), Some(11.0));
+        assert_eq!(data.statistics().unwrap().force_scale, Some(11.0));
 
         let collate =
             Collate { horizon: 3, predict: 2, frame_dt: 0.2, force_scale: 2.0, augment: Augment::none(), seed: 1 };

@@ -8,15 +8,19 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use sha2::{Digest, Sha256};
 
-/// Standard deviation of everything drawn from a normal distribution: tokens, embeddings, encoder weights.
+/// Standard deviation of learned tokens and embeddings.
 pub const STD: f64 = 0.02;
+
+/// Width whose weights DINOv2 draws with [`STD`].
+const STD_WIDTH: f64 = 768.0;
 
 /// How the weight and bias of a linear layer start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scheme {
     /// As PyTorch starts a linear layer: both uniform in ±1/√k, k inputs (Kaiming with a = √5).
     Torch,
-    /// As DINOv2 starts: weight N(0, 0.02), bias zero.
+    /// As DINOv2 base starts: weight N(0, 0.02) at 768 inputs, bias zero. Other widths keep its gain, 0.02 √(768/k):
+    /// with 0.02 at 128 inputs each layer would pass on a fifth of its input, and six of them almost nothing.
     Dinov2,
     /// Both zero: AdaLN.
     Zero,
@@ -27,7 +31,7 @@ impl Scheme {
     pub fn weight(self, k: usize) -> Init {
         match self {
             Scheme::Torch => symmetric(k),
-            Scheme::Dinov2 => Init::Randn { mean: 0.0, stdev: STD },
+            Scheme::Dinov2 => Init::Randn { mean: 0.0, stdev: STD * (STD_WIDTH / k as f64).sqrt() },
             Scheme::Zero => Init::Const(0.0),
         }
     }

@@ -51,6 +51,11 @@ impl Change {
         }
     }
 
+    /// Where a place in the image, in shares of its sides, comes to lie.
+    pub fn place(&self, [x, y]: [f32; 2]) -> [f32; 2] {
+        [(x - self.left) / self.scale, (y - self.top) / self.scale]
+    }
+
     /// Applies the change and normalises: `pixels` `(side, side, 3)` u8 to `out` `(3, side, side)`, bilinear, the edge
     /// repeated beyond the image.
     pub fn apply(&self, pixels: &[u8], side: usize, mean: [f32; 3], std: [f32; 3], out: &mut [f32]) {
@@ -152,6 +157,25 @@ mod tests {
             let expected = 16.0 * (4.0 + (x as f32 + 0.5) * 0.5 - 0.5) / 255.0;
             assert!((out[5 * SIDE + x] - expected).abs() < 1e-5, "{x}: {} instead of {expected}", out[5 * SIDE + x]);
         }
+    }
+
+    #[test]
+    fn a_place_moves_with_what_is_seen_there() {
+        // A bright spot: where its middle lies afterwards.
+        let mut spot = vec![0u8; SIDE * SIDE * 3];
+        for (x, y) in [(9, 5), (10, 5), (9, 6), (10, 6)] {
+            spot[(y * SIDE + x) * 3..][..3].fill(255);
+        }
+        let change = Change { left: 0.2, top: 0.1, scale: 0.7, ..Change::identity() };
+        let out = apply(&change, &spot);
+        let mut sums = [0f32; 3];
+        for (i, value) in out[..SIDE * SIDE].iter().enumerate() {
+            let at = [(i % SIDE) as f32 + 0.5, (i / SIDE) as f32 + 0.5, 1.0];
+            sums.iter_mut().zip(at).for_each(|(sum, at)| *sum += value * at / SIDE as f32);
+        }
+        let seen = [sums[0], sums[1]].map(|sum| sum / (sums[2] * SIDE as f32));
+        let place = change.place([10.0 / SIDE as f32, 6.0 / SIDE as f32]);
+        assert!((0..2).all(|axis| (seen[axis] - place[axis]).abs() < 0.02), "{seen:?} {place:?}");
     }
 
     #[test]

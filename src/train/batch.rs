@@ -9,6 +9,7 @@ use rayon::prelude::*;
 
 use super::augment::Change;
 use super::config::Augment;
+use super::keypoints::{self, Points};
 use super::loss::Truth;
 use super::sampler::{self, Clip};
 use crate::dataset::EpisodeReader;
@@ -35,6 +36,7 @@ struct Store {
     reader: ZarrReader,
     timestamps: Vec<f64>,
     memory: Option<Block>,
+    keypoints: Option<Vec<Points>>,
 }
 
 /// Consecutive frames of one store.
@@ -52,6 +54,18 @@ pub struct Block {
     pub mask_contact: Vec<u8>,
 }
 
+/// What the supervised labels of a dataset say.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Statistics {
+    /// 99th percentile of the forces above 0.05 N, N: what one unit of the network's output stands for. None without
+    /// such a force.
+    pub force_scale: Option<f32>,
+    /// (1556) N; 0 where nothing is supervised.
+    pub mean_force: Vec<f32>,
+    /// (1556) share of frames in contact; 0 where nothing is supervised.
+    pub contact_rate: Vec<f32>,
+}
+
 /// One step's input, on the host.
 #[derive(Debug, Clone)]
 pub struct Batch {
@@ -67,6 +81,8 @@ pub struct Batch {
     pub mask_force: Vec<f32>,
     /// (B, K, 1556)
     pub mask_contact: Vec<f32>,
+    /// (F) keypoints; empty unless they were looked for.
+    pub points: Vec<Points>,
 }
 
 /// What turns clips into batches beside the data itself.
@@ -98,7 +114,7 @@ impl Dataset {
         let mut dataset = Self { stores: Vec::new(), preparation };
         for reader in readers {
             let timestamps = reader.read(TIMESTAMPS, 0..reader.len())?.into_f64();
-            dataset.stores.push(Store { reader, timestamps, memory: None });
+            dataset.stores.push(Store { reader, timestamps, memory: None, keypoints: None });
         }
         if in_memory {
             for index in 0..dataset.stores.len() {
@@ -107,6 +123,26 @@ impl Dataset {
             }
         }
         Ok(dataset)
+    }
+
+    /// Finds the keypoints in all frames, so that batches hold them.
+    ///
+    /// # Errors
+    /// If a store can't be read, or none says where camera and hands are.
+    pub fn find_keypoints(&mut self) -> Result<()> {
+        let mut known = false;
+        for store in &mut self.stores {
+            let points = keypoints::read(&store.reader, 0..store.reader.len(), &self.preparation)?;
+            known |= points.iter().flatten().any(|place| !place[0].is_nan());
+            store.keypoints = Some(points);
+        }
+        match known {
+            true => Ok(()),
+            false => {
+                let expected = "a store of the built-in hand with camera and hand poses, as `egotac sim` writes it";
+                Err(Error::value("data, for loss.keypoints", expected, "none"))
+            }
+        }
     }
 
     /// What the vertex indices of every store mean.
@@ -176,13 +212,13 @@ impl Dataset {
         Ok(block)
     }
 
-    /// 99th percentile of the supervised forces above 0.05 N, N: what one unit of the network's output stands for.
-    /// None without such a force.
+    /// What the supervised labels of all stores say, in one pass.
     ///
     /// # Errors
     /// If a store can't be read.
-    pub fn force_scale(&self) -> Result<Option<f32>> {
+    pub fn statistics(&self) -> Result<Statistics> {
         let mut active = Vec::new();
+        let mut sums = [(); 4].map(|()| vec![0f64; N_FIELD]);
         for store in &self.stores {
             let frames = store.reader.len();
             for start in (0..frames).step_by(BLOCK) {
@@ -191,15 +227,30 @@ impl Dataset {
                     Some(_) => break,
                     None => &read_labels(&store.reader, start..(start + BLOCK).min(frames))?,
                 };
-                let pairs = block.force.iter().zip(&block.mask_force);
-                active.extend(pairs.filter(|(f, m)| **m == 1 && **f > CONTACT_FORCE_N).map(|(f, _)| *f));
+                for (entry, (force, mask)) in block.force.iter().zip(&block.mask_force).enumerate() {
+                    if *mask == 1 {
+                        sums[0][entry % N_FIELD] += f64::from(*force);
+                        sums[1][entry % N_FIELD] += 1.0;
+                        active.extend((*force > CONTACT_FORCE_N).then_some(*force));
+                    }
+                }
+                for (entry, (contact, mask)) in block.contact.iter().zip(&block.mask_contact).enumerate() {
+                    if *mask == 1 {
+                        sums[2][entry % N_FIELD] += f64::from(*contact);
+                        sums[3][entry % N_FIELD] += 1.0;
+                    }
+                }
             }
         }
-        if active.is_empty() {
-            return Ok(None);
-        }
-        let at = ((active.len() - 1) as f64 * 0.99).round() as usize;
-        Ok(Some(*active.select_nth_unstable_by(at, f32::total_cmp).1))
+        let [force, force_count, contact, contact_count] = &sums;
+        let mean = |sum: &[f64], count: &[f64]| -> Vec<f32> {
+            sum.iter().zip(count).map(|(sum, count)| (sum / count.max(1.0)) as f32).collect()
+        };
+        let force_scale = (!active.is_empty()).then(|| {
+            let at = ((active.len() - 1) as f64 * 0.99).round() as usize;
+            *active.select_nth_unstable_by(at, f32::total_cmp).1
+        });
+        Ok(Statistics { force_scale, mean_force: mean(force, force_count), contact_rate: mean(contact, contact_count) })
     }
 
     /// All labels of all stores with their masks and episodes, in order.
@@ -239,6 +290,7 @@ impl Dataset {
             contact: vec![0.0; n_windows * item],
             mask_force: vec![0.0; n_windows * item],
             mask_contact: vec![0.0; n_windows * item],
+            points: Vec::new(),
         };
         let mut rows = (0..).step_by(N_FIELD).map(|start| start..start + N_FIELD);
         for (place, clip) in clips.iter().enumerate() {
@@ -276,6 +328,9 @@ impl Dataset {
                 let at = (frame - first) * pixels;
                 let Preparation { mean, std, .. } = self.preparation;
                 change.apply(&block.images[at..at + pixels], side, mean, std, out);
+            }
+            if let Some(points) = &self.stores[clip.store].keypoints {
+                batch.points.extend(needed.iter().map(|frame| points[*frame].map(|place| change.place(place))));
             }
             for target in targets {
                 let Some(row) = rows.next() else { break };

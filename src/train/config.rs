@@ -131,13 +131,16 @@ pub struct Loss {
     pub contact: f64,
     /// Of the Smooth-L1 error of the normalised force where the true force is above 0.05 N.
     pub active: f64,
+    /// Of finding the hands' keypoints, which helps a network that starts at random; needs stores of the built-in hand
+    /// that say where camera and hands are. The layers it trains are not saved.
+    pub keypoints: f64,
     /// Weight of a vertex in contact against one without, in the cross-entropy.
     pub positive_weight: f64,
 }
 
 impl Default for Loss {
     fn default() -> Self {
-        Self { force: 1.0, contact: 1.0, active: 0.2, positive_weight: 2.0 }
+        Self { force: 1.0, contact: 1.0, active: 0.2, keypoints: 0.0, positive_weight: 2.0 }
     }
 }
 
@@ -234,6 +237,7 @@ impl Config {
             ("loss.force", l.force, 0.0, 1e3),
             ("loss.contact", l.contact, 0.0, 1e3),
             ("loss.active", l.active, 0.0, 1e3),
+            ("loss.keypoints", l.keypoints, 0.0, 1e3),
             ("loss.positive_weight", l.positive_weight, 1e-3, 1e3),
             ("augment.brightness", a.brightness, 0.0, 0.9),
             ("augment.contrast", a.contrast, 0.0, 0.9),

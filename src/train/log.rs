@@ -5,10 +5,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use super::Step;
-use crate::dataset::write_file;
 use crate::error::{Error, Result};
+use crate::file;
 
-const HEADER: &str = "step,loss,force,contact,active,learning_rate,grad_norm,windows,frames,secs,wait_secs";
+const HEADER: &str = "step,loss,force,contact,active,keypoint_patch,keypoint_cls,keypoint_scene,learning_rate,grad_norm,windows,frames,secs,wait_secs";
 
 /// An open log.
 #[derive(Debug)]
@@ -28,7 +28,7 @@ impl Log {
             line.split(',').next().and_then(|text| text.parse::<usize>().ok()).is_some_and(|at| at <= step)
         };
         let kept: String = before.lines().filter(is_before).map(|line| format!("{line}\n")).collect();
-        write_file(path, format!("{HEADER}\n{kept}").as_bytes())?;
+        file::write(path, format!("{HEADER}\n{kept}").as_bytes())?;
         let file = OpenOptions::new().append(true).open(path).map_err(Error::io(path))?;
         Ok(Self { path: path.to_path_buf(), file })
     }
@@ -38,9 +38,24 @@ impl Log {
     /// # Errors
     /// If the file can't be written.
     pub fn push(&mut self, s: &Step) -> Result<()> {
-        let Step { step, loss, force, contact, active, learning_rate, grad_norm, windows, frames, secs, wait_secs } = s;
+        let Step {
+            step,
+            loss,
+            force,
+            contact,
+            active,
+            keypoint_patch,
+            keypoint_cls,
+            keypoint_scene,
+            learning_rate,
+            grad_norm,
+            windows,
+            frames,
+            secs,
+            wait_secs,
+        } = s;
         let line = format!(
-            "{step},{loss:.6},{force:.6},{contact:.6},{active:.6},{learning_rate:.3e},{grad_norm:.4},{windows},{frames},{secs:.4},{wait_secs:.4}\n"
+            "{step},{loss:.6},{force:.6},{contact:.6},{active:.6},{keypoint_patch:.6},{keypoint_cls:.6},{keypoint_scene:.6},{learning_rate:.3e},{grad_norm:.4},{windows},{frames},{secs:.4},{wait_secs:.4}\n"
         );
         self.file.write_all(line.as_bytes()).map_err(Error::io(&self.path))
     }

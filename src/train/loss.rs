@@ -101,7 +101,7 @@ mod tests {
 
     #[test]
     fn each_part_has_its_analytic_value() {
-        let weights = Loss { force: 2.0, contact: 3.0, active: 5.0, positive_weight: 2.0 };
+        let weights = Loss { force: 2.0, contact: 3.0, active: 5.0, keypoints: 0.0, positive_weight: 2.0 };
         let (force, logits) = (tensor(&[0.5, 0.0, 0.0, 0.0]), tensor(&[0.0, 2.0, 7.0, -60.0]));
         let o = objective(&force, &logits, &truth(), 1.0, &weights).unwrap();
         let l_force = (0.25 + 0.25 + 9.0) / 3.0;
@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn gradients_agree_with_finite_differences_and_stop_at_masks() {
-        let weights = Loss { force: 1.0, contact: 1.0, active: 0.2, positive_weight: 2.0 };
+        let weights = Loss { force: 1.0, contact: 1.0, active: 0.2, keypoints: 0.0, positive_weight: 2.0 };
         let start = [[0.4f32, 0.1, 1.2, 0.3], [-0.7, 0.6, 0.2, 1.1]];
         let total = |values: [[f32; 4]; 2]| {
             value(&objective(&tensor(&values[0]), &tensor(&values[1]), &truth(), 1.0, &weights).unwrap().total)

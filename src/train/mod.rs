@@ -8,12 +8,14 @@ pub mod baseline;
 pub mod batch;
 mod checkpoint;
 pub mod config;
+pub mod keypoints;
 mod loader;
 mod log;
 pub mod loss;
 pub mod optimizer;
 mod predict;
 pub mod sampler;
+pub mod start;
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -21,8 +23,9 @@ use std::time::Instant;
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
 
-use crate::dataset::{write_file, zarr};
+use crate::dataset::zarr;
 use crate::error::{Error, Result};
+use crate::file;
 use crate::metrics::{self, Report};
 use crate::model::{self, Checkpoint, EgoTac, Metadata, init};
 
@@ -88,6 +91,12 @@ pub struct Step {
     pub contact: f32,
     /// L_A, normalised units.
     pub active: f32,
+    /// Cross-entropy of the keypoints' patches; 0 if its weight is.
+    pub keypoint_patch: f32,
+    /// Error of the keypoints' coordinates by the CLS token, shares of the picture's side; 0 as above.
+    pub keypoint_cls: f32,
+    /// Error of the keypoints' coordinates by the scene vector; 0 as above.
+    pub keypoint_scene: f32,
     /// Of the step.
     pub learning_rate: f64,
     /// Norm of the gradient before clipping; not finite = the step changed nothing.
@@ -140,7 +149,7 @@ pub fn train(
     // Data.
     let mut metadata = Metadata::new(&config.name, 1.0, config.frame_dt);
     let preparation = metadata.preparation(&geometry);
-    let data = Dataset::new(zarr::open_all(&config.data)?, preparation.clone(), config.in_memory)?;
+    let mut data = Dataset::new(zarr::open_all(&config.data)?, preparation.clone(), config.in_memory)?;
     let validation = match config.validation.is_empty() {
         true => None,
         false => {
@@ -150,8 +159,12 @@ pub fn train(
             Some((held_out, labels))
         }
     };
+    if config.loss.keypoints > 0.0 {
+        data.find_keypoints()?;
+    }
     metadata.topology = data.topology();
-    match data.force_scale()? {
+    let statistics = data.statistics()?;
+    match statistics.force_scale {
         Some(force_scale) => metadata.force_scale = force_scale,
         None => metadata.has_force = false,
     }
@@ -159,12 +172,23 @@ pub fn train(
     // Network and optimiser.
     let varmap = VarMap::new();
     let network = EgoTac::new(&geometry, init::var_builder(&varmap, config.seed, device))?;
-    if let Some(path) = &config.init {
-        model::checkpoint::load_variables(path, &varmap)?;
+    match &config.init {
+        Some(path) => model::checkpoint::load_variables(path, &varmap)?,
+        None => {
+            start::positions(&varmap, &geometry)?;
+            start::heads(&varmap, &statistics, metadata.force_scale, config.loss.positive_weight as f32)?;
+        }
     }
+    let keypoint_heads = match config.loss.keypoints > 0.0 {
+        true => {
+            let vb = init::var_builder(&varmap, config.seed, device).pp("keypoints");
+            Some(keypoints::Heads::new(&geometry, vb)?)
+        }
+        false => None,
+    };
     let mut optimizer = AdamW::new(&varmap, config)?;
     let first = if resume { checkpoint::load(&state_file, &mut optimizer, &yaml)? } else { 0 };
-    write_file(&config.out.join("config.yaml"), yaml.as_bytes())?;
+    file::write(&config.out.join("config.yaml"), yaml.as_bytes())?;
     let mut log = log::Log::open(&config.out.join("log.csv"), first)?;
 
     let collate = Collate {
@@ -205,17 +229,29 @@ pub fn train(
         let mut report = None;
         let mut began = Instant::now();
         while step < config.steps && !stop {
-            let batch = loader.next()?;
+            let mut batch = loader.next()?;
             let wait_secs = began.elapsed().as_secs_f64();
+            let points = std::mem::take(&mut batch.points);
+            let newest = newest_points(&batch, &points, geometry.horizon);
             let (images, windows, truth) = batch.to_device(geometry.image, geometry.predict, device)?;
 
             // Each frame is encoded once; the windows share its tokens, and its gradient gathers from all of them.
-            let tokens = network.project(&network.encode(&images)?)?; // (F, P, d)
-            let (frames, p, d) = tokens.dims3()?;
-            let clips = tokens.index_select(&windows, 0)?.reshape(((), geometry.horizon, p, d))?;
-            let (force, contact_logits) = network.heads(&network.fuse(&clips)?)?;
+            let tokens = network.encode(&images)?; // (F, P, dv)
+            let projected = network.project(&tokens)?; // (F, P, d)
+            let (frames, p, d) = projected.dims3()?;
+            let clips = projected.index_select(&windows, 0)?.reshape(((), geometry.horizon, p, d))?;
+            let z = network.fuse(&clips)?;
+            let (force, contact_logits) = network.heads(&z)?;
+            let keypoints = match &keypoint_heads {
+                Some(heads) => Some(heads.loss(&tokens, &points, &z, &newest)?),
+                None => None,
+            };
             let objective = objective(&force, &contact_logits, &truth, metadata.force_scale, &config.loss)?;
-            let gradients = objective.total.backward()?;
+            let total = match &keypoints {
+                Some(keypoints) => (&objective.total + (&keypoints.total * config.loss.keypoints)?)?,
+                None => objective.total.clone(),
+            };
+            let gradients = total.backward()?;
             let learning_rate = config.learning_rate(step);
             let grad_norm = optimizer.step(&gradients, learning_rate)?;
 
@@ -229,10 +265,13 @@ pub fn train(
             let scalar = |tensor: &Tensor| tensor.to_scalar::<f32>();
             let taken = Step {
                 step,
-                loss: scalar(&objective.total)?,
+                loss: scalar(&total)?,
                 force: scalar(&objective.force)?,
                 contact: scalar(&objective.contact)?,
                 active: scalar(&objective.active)?,
+                keypoint_patch: keypoints.as_ref().map_or(Ok(0.0), |loss| scalar(&loss.patch))?,
+                keypoint_cls: keypoints.as_ref().map_or(Ok(0.0), |loss| scalar(&loss.cls))?,
+                keypoint_scene: keypoints.as_ref().map_or(Ok(0.0), |loss| scalar(&loss.scene))?,
                 learning_rate,
                 grad_norm,
                 windows: force.dim(0)?,
@@ -265,6 +304,12 @@ pub fn train(
             broken_steps: broken,
         })
     })
+}
+
+/// Keypoints in the newest frame of each window.
+fn newest_points(batch: &batch::Batch, points: &[keypoints::Points], horizon: usize) -> Vec<keypoints::Points> {
+    let newest = batch.windows.chunks_exact(horizon).map(|window| window[horizon - 1] as usize);
+    newest.filter_map(|frame| points.get(frame).copied()).collect()
 }
 
 impl Labels {

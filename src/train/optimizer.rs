@@ -1,6 +1,6 @@
 //! AdamW with weight averaging, its state in plain vectors.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use candle_core::backprop::GradStore;
 use candle_core::{CpuStorage, DType, Storage, Tensor, Var};
@@ -130,13 +130,16 @@ impl AdamW {
         Ok(norm)
     }
 
-    /// Sets the variables of `varmap`, which has the same names, to the averaged weights (the present ones without
-    /// averaging).
+    /// Sets the variables of `varmap` to the averages of the same names (to the present weights without averaging).
     ///
     /// # Errors
-    /// If a name is missing there.
+    /// If one has another shape.
     pub fn write_average(&self, varmap: &mut VarMap) -> Result<()> {
-        for param in &self.params {
+        let present: BTreeSet<String> = match varmap.data().lock() {
+            Ok(vars) => vars.keys().cloned().collect(),
+            Err(_) => return Err(Error::value("variables", "unlocked ones", "a thread died while it held them")),
+        };
+        for param in self.params.iter().filter(|param| present.contains(&param.name)) {
             let tensor = match self.ema > 0.0 {
                 true => Tensor::from_slice(&param.average, param.var.shape(), param.var.device())?,
                 false => param.var.as_tensor().clone(),

@@ -1,0 +1,207 @@
+//! Where the hands' keypoints lie in the picture: a task that teaches a small encoder to see.
+//!
+//! Touch alone says little about pixels: 1556 numbers that are zero most of the time. A network that starts at random
+//! finds the hands sooner when it is also asked where they are. Each patch token of the encoder is asked which keypoints
+//! lie in it (one softmax over the patches per keypoint, cross-entropy with the patch that is right); the encoder's CLS
+//! token and the scene vector are asked for the keypoints' coordinates (mean absolute error). The three linear layers that
+//! ask are not part of the network and are not saved.
+
+use std::ops::Range;
+
+use candle_core::{D, Tensor};
+use candle_nn::{Init, VarBuilder};
+use glam::{DQuat, DVec3};
+use rayon::prelude::*;
+
+use crate::dataset::EpisodeReader;
+use crate::dataset::zarr::{CAMERA_POSE, LEFT_HAND_POSE, OBJECT_POSE, RIGHT_HAND_POSE, ZarrReader};
+use crate::error::{Error, Result};
+use crate::hand::{HandModel, HandParams, N_KEYPOINTS, Side};
+use crate::image::Preparation;
+use crate::model::init::STD;
+use crate::model::{Config, ops};
+use crate::tactile::Topology;
+
+use super::loss::masked_mean;
+
+/// Points per frame: the keypoints of the left hand, of the right hand, and the first object's origin.
+pub const N_POINTS: usize = 2 * N_KEYPOINTS + 1;
+
+/// A coordinate that is off by the picture's side costs as much as this in cross-entropy of a patch.
+const COORDINATE_WEIGHT: f64 = 10.0;
+
+/// Places of the points of one frame as shares of the input's sides, x to the right, y down; NaN = unknown.
+pub type Points = [[f32; 2]; N_POINTS];
+
+/// Points of a range of frames. All are NaN in a store that does not say where camera and hands are, or whose hand is
+/// not the built-in one.
+///
+/// # Errors
+/// If an array can't be read.
+pub fn read(reader: &ZarrReader, frames: Range<usize>, preparation: &Preparation) -> Result<Vec<Points>> {
+    let unknown = [[f32::NAN; 2]; N_POINTS];
+    let needed = [CAMERA_POSE, LEFT_HAND_POSE, RIGHT_HAND_POSE];
+    if reader.attributes().topology != Topology::EgotacHand1 || needed.iter().any(|name| !reader.has(name)) {
+        return Ok(vec![unknown; frames.len()]);
+    }
+    let [cameras, left, right] = needed.map(|name| reader.read_f32(name, frames.clone()));
+    let (cameras, hands) = (cameras?, [left?, right?]);
+    let objects = if reader.has(OBJECT_POSE) { reader.read_f32(OBJECT_POSE, frames.clone())? } else { Vec::new() };
+    let models = Side::BOTH.map(HandModel::builtin);
+    let (height, width) = reader.image_size();
+    let of = |(row, frame): (usize, usize)| {
+        let mut points = unknown;
+        let episode = reader.episode_ends().partition_point(|end| *end <= frame);
+        let Some(camera) = Camera::read(reader, episode, &cameras[7 * row..7 * row + 7]) else { return points };
+        let mut put = |index: usize, world: DVec3| {
+            if let Some(pixel) = camera.project(world) {
+                points[index] = preparation.place(pixel, width, height).map(|share| share as f32);
+            }
+        };
+        for (hand, (poses, model)) in hands.iter().zip(&models).enumerate() {
+            let pose: [f32; 61] = std::array::from_fn(|i| poses[61 * row + i]);
+            if pose.iter().any(|x| *x != 0.0) {
+                let posed = model.forward(&HandParams::from_array(&pose));
+                for (k, point) in model.keypoints(&posed).iter().enumerate() {
+                    put(hand * N_KEYPOINTS + k, point.as_dvec3());
+                }
+            }
+        }
+        if let Some([x, y, z, ..]) = objects.get(row * objects.len() / frames.len()..) {
+            put(2 * N_KEYPOINTS, DVec3::new(f64::from(*x), f64::from(*y), f64::from(*z)));
+        }
+        points
+    };
+    Ok(frames.clone().enumerate().collect::<Vec<_>>().into_par_iter().map(of).collect())
+}
+
+/// A pinhole camera somewhere in the world.
+struct Camera {
+    position: DVec3,
+    /// From the optical frame (x right, y down, z forward) to the world.
+    orientation: DQuat,
+    focal: [f64; 2],
+    centre: [f64; 2],
+}
+
+impl Camera {
+    /// From a pose (position, quaternion w x y z) and the intrinsics that the store's attributes give for an episode.
+    fn read(reader: &ZarrReader, episode: usize, pose: &[f32]) -> Option<Self> {
+        let intrinsics = reader.raw_attributes().get("episodes")?.get(episode)?.get("intrinsics")?;
+        let number = |key: &str| intrinsics.get(key)?.as_f64();
+        let p: [f64; 7] = std::array::from_fn(|i| f64::from(pose[i]));
+        Some(Self {
+            position: DVec3::new(p[0], p[1], p[2]),
+            orientation: DQuat::from_xyzw(p[4], p[5], p[6], p[3]),
+            focal: [number("fx")?, number("fy")?],
+            centre: [number("cx")?, number("cy")?],
+        })
+    }
+
+    /// Pixel of a point; None behind the camera.
+    fn project(&self, world: DVec3) -> Option<[f64; 2]> {
+        let p = self.orientation.inverse() * (world - self.position);
+        (p.z > 1e-6).then(|| [self.centre[0] + self.focal[0] * p.x / p.z, self.centre[1] + self.focal[1] * p.y / p.z])
+    }
+}
+
+/// Index of the patch that a place lies in, row by row; None if it is unknown or outside of the picture.
+pub fn patch(place: [f32; 2], grid: usize) -> Option<usize> {
+    let inside = |share: f32| (0.0..1.0).contains(&share).then(|| ((share * grid as f32) as usize).min(grid - 1));
+    Some(inside(place[1])? * grid + inside(place[0])?)
+}
+
+/// The layers that are asked: weight and bias of each.
+#[derive(Debug, Clone)]
+pub struct Heads {
+    patch: (Tensor, Tensor), // (43, dv), (43)
+    cls: (Tensor, Tensor),   // (86, dv), (86)
+    scene: (Tensor, Tensor), // (86, d), (86)
+}
+
+/// What the answers cost, scalars.
+#[derive(Debug, Clone)]
+pub struct KeypointLoss {
+    /// To differentiate.
+    pub total: Tensor,
+    /// Mean cross-entropy of the patches of all points in the picture.
+    pub patch: Tensor,
+    /// Mean absolute error of the coordinates that the CLS token gives, in shares of the picture's side.
+    pub cls: Tensor,
+    /// As `cls`, of the scene vector and the newest frame.
+    pub scene: Tensor,
+}
+
+impl Heads {
+    /// Tensors `patch.weight`, `patch.bias`, and so on for `cls` and `scene`, of `vb`.
+    ///
+    /// # Errors
+    /// If they have another shape.
+    pub fn new(config: &Config, vb: VarBuilder) -> Result<Self> {
+        let linear = |name: &str, n: usize, k: usize| -> Result<(Tensor, Tensor)> {
+            let (vb, normal) = (vb.pp(name), Init::Randn { mean: 0.0, stdev: STD });
+            // Half: the middle of the picture.
+            Ok((vb.get_with_hints((n, k), "weight", normal)?, vb.get_with_hints(n, "bias", Init::Const(0.5))?))
+        };
+        Ok(Self {
+            patch: linear("patch", N_POINTS, config.vision_width)?,
+            cls: linear("cls", 2 * N_POINTS, config.vision_width)?,
+            scene: linear("scene", 2 * N_POINTS, config.width)?,
+        })
+    }
+
+    /// What the answers cost; 0 where no point is known.
+    ///
+    /// `tokens`: `(F, P, dv)`, CLS first, and `points` of the F frames. `z`: `(B, d)`, and `newest`: points of the newest
+    /// frames of the B windows.
+    ///
+    /// # Errors
+    /// If shapes don't fit.
+    pub fn loss(&self, tokens: &Tensor, points: &[Points], z: &Tensor, newest: &[Points]) -> Result<KeypointLoss> {
+        let patch = patch_loss(tokens, points, &self.patch)?;
+        let cls = coordinate_loss(&tokens.narrow(1, 0, 1)?.squeeze(1)?.contiguous()?, points, &self.cls)?;
+        let scene = coordinate_loss(z, newest, &self.scene)?;
+        let total = ((&patch + (&cls * COORDINATE_WEIGHT)?)? + (&scene * COORDINATE_WEIGHT)?)?;
+        Ok(KeypointLoss { total, patch, cls, scene })
+    }
+}
+
+/// Cross-entropy of the patch that each point in the picture lies in. `tokens`: `(F, P, dv)`.
+fn patch_loss(tokens: &Tensor, points: &[Points], (weight, bias): &(Tensor, Tensor)) -> Result<Tensor> {
+    let (frames, tokens_per_frame, _) = tokens.dims3()?;
+    check_count(points, frames)?;
+    let n_patches = tokens_per_frame - 1;
+    let logits = ops::linear(&tokens.narrow(1, 1, n_patches)?.contiguous()?, weight, bias)?;
+    let log_shares = candle_nn::ops::log_softmax(&logits.transpose(1, 2)?.contiguous()?, D::Minus1)?;
+    let grid = n_patches.isqrt();
+    let mut right = vec![0f32; frames * N_POINTS * n_patches];
+    let mut count = 0;
+    for (row, place) in right.chunks_exact_mut(n_patches).zip(points.iter().flatten()) {
+        if let Some(patch) = patch(*place, grid) {
+            row[patch] = -1.0;
+            count += 1;
+        }
+    }
+    let right = Tensor::from_vec(right, (frames, N_POINTS, n_patches), tokens.device())?;
+    Ok(((log_shares * right)?.sum_all()? / f64::from(count.max(1)))?)
+}
+
+/// Absolute error of the coordinates of all points in the picture. `x`: `(B, k)`.
+fn coordinate_loss(x: &Tensor, points: &[Points], (weight, bias): &(Tensor, Tensor)) -> Result<Tensor> {
+    let b = x.dim(0)?;
+    check_count(points, b)?;
+    let coordinates = ops::linear(x, weight, bias)?; // (B, 86)
+    let known = |place: &[f32; 2]| patch(*place, 1).is_some();
+    let places = || points.iter().flatten();
+    let mask: Vec<f32> = places().flat_map(|place| [f32::from(u8::from(known(place))); 2]).collect();
+    let truth: Vec<f32> = places().flat_map(|place| if known(place) { *place } else { [0.0; 2] }).collect();
+    let [mask, truth] = [mask, truth].map(|values| Tensor::from_vec(values, (b, 2 * N_POINTS), x.device()));
+    masked_mean(&(coordinates - truth?)?.abs()?, &mask?)
+}
+
+fn check_count(points: &[Points], expected: usize) -> Result<()> {
+    match points.len() == expected {
+        true => Ok(()),
+        false => Err(Error::shape("points", format!("({expected}, {N_POINTS}, 2)"), [points.len(), N_POINTS, 2])),
+    }
+}

@@ -1,0 +1,77 @@
+//! What the data say about the weights before the first step.
+//!
+//! A random start puts force and contact of every vertex at chance and all patches at one place. Both are statistics
+//! of the data or the geometry; learning them by gradient takes a small network most of its budget.
+
+use candle_core::{Tensor, Var};
+use candle_nn::VarMap;
+
+use super::batch::Statistics;
+use crate::error::{Error, Result};
+use crate::model::Config;
+
+/// Contact rates are kept this far from 0 and 1, so that logits stay where gradients reach them.
+const MIN_RATE: f32 = 1e-4;
+
+/// Amplitude of the position embeddings' waves: that of a patch's embedding at the random start.
+const AMPLITUDE: f64 = 0.5;
+
+/// Longest and shortest wave of the position embeddings, in grid sides.
+const WAVES: (f64, f64) = (4.0, 0.25);
+
+/// Makes the two heads begin with each vertex's training mean, whatever the image: force in normalised units, contact
+/// as the logit that minimises the cross-entropy with its `positive_weight`. Their weights begin at zero, since random
+/// ones would press every vertex with half a unit of force.
+///
+/// # Errors
+/// If a head is missing.
+pub fn heads(varmap: &VarMap, statistics: &Statistics, force_scale: f32, positive_weight: f32) -> Result<()> {
+    let force: Vec<f32> = statistics.mean_force.iter().map(|force| force / force_scale).collect();
+    let logit = |rate: &f32| {
+        let rate = rate.clamp(MIN_RATE, 1.0 - MIN_RATE);
+        (positive_weight * rate / (1.0 - rate)).ln()
+    };
+    let contact: Vec<f32> = statistics.contact_rate.iter().map(logit).collect();
+    for (head, bias) in [("force_head", force), ("contact_head", contact)] {
+        let weight = format!("{head}.weight");
+        let count = variable(varmap, &weight)?.elem_count();
+        set(varmap, &weight, vec![0.0; count])?;
+        set(varmap, &format!("{head}.bias"), bias)?;
+    }
+    Ok(())
+}
+
+/// Starts the position embeddings as plane waves over the patch grid (half along rows, half along columns; sine and
+/// cosine), so that a patch knows its place from the first step. CLS keeps its start.
+///
+/// # Errors
+/// If the embeddings are missing.
+pub fn positions(varmap: &VarMap, config: &Config) -> Result<()> {
+    const NAME: &str = "encoder.embeddings.position_embeddings";
+    let (dv, grid) = (config.vision_width, config.pretrain_grid());
+    let var = variable(varmap, NAME)?;
+    let mut values = var.flatten_all()?.to_vec1::<f32>()?;
+    let quarter = (dv / 4).max(1);
+    let (longest, shortest) = WAVES;
+    for (patch, out) in values.chunks_exact_mut(dv).skip(1).enumerate() {
+        for (channel, out) in out.iter_mut().enumerate() {
+            let (part, wave) = (channel / quarter, channel % quarter);
+            let along = if part % 4 < 2 { patch / grid } else { patch % grid };
+            let length = longest * (shortest / longest).powf(wave as f64 / quarter as f64) * grid as f64;
+            let phase = std::f64::consts::TAU * along as f64 / length;
+            *out = (AMPLITUDE * if part % 2 == 0 { phase.sin() } else { phase.cos() }) as f32;
+        }
+    }
+    set(varmap, NAME, values)
+}
+
+fn set(varmap: &VarMap, name: &str, values: Vec<f32>) -> Result<()> {
+    let var = variable(varmap, name)?;
+    Ok(var.set(&Tensor::from_vec(values, var.shape().clone(), var.device())?)?)
+}
+
+fn variable(varmap: &VarMap, name: &str) -> Result<Var> {
+    let vars = varmap.data().lock().ok();
+    let var = vars.as_ref().and_then(|vars| vars.get(name));
+    var.cloned().ok_or_else(|| Error::value("variables", name, "a network without it"))
+}
