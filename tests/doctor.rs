@@ -22,6 +22,7 @@ fn a_machine_after_set_up_has_all_that_this_build_needs() {
     let (output, rows) = doctor(&[], &[]);
     assert!(output.status.success(), "{rows:#?}");
     assert_eq!(state(&rows, "hand"), "ok");
+    assert_eq!(state(&rows, "checkpoint"), "ok");
     let expected = |built| if built { "ok" } else { "not_needed" };
     assert_eq!(state(&rows, "messages"), expected(cfg!(feature = "ros")));
     assert_eq!(state(&rows, "MuJoCo"), expected(cfg!(feature = "sim")));

@@ -10,7 +10,7 @@ use indicatif::ProgressBar;
 use crate::dataset::tensors::FieldFile;
 use crate::dataset::zarr;
 use crate::metrics::Fields;
-use crate::model::{Checkpoint, Predictor, predictor};
+use crate::model::{Checkpoint, Predictor, predictor, shipped};
 use crate::train::{batch::Dataset, predict};
 
 /// Arguments of `egotac predict`.
@@ -21,9 +21,9 @@ use crate::train::{batch::Dataset, predict};
     metadata's `topology`."
 )]
 pub struct Args {
-    /// Checkpoint to run.
+    /// Checkpoint to run; the one that comes with egotac if absent.
     #[arg(long, value_name = "FILE")]
-    checkpoint: PathBuf,
+    checkpoint: Option<PathBuf>,
     /// Zarr stores or folders of them; or PNG and JPEG files or folders of them, one sequence in time.
     #[arg(long, value_name = "PATH", num_args = 1.., required = true)]
     data: Vec<PathBuf>,
@@ -41,7 +41,8 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let device = super::device(args.cuda)?;
-    let checkpoint = Checkpoint::load(&args.checkpoint, &device)?;
+    let path = args.checkpoint.map_or_else(shipped::path, Ok)?;
+    let checkpoint = Checkpoint::load(&path, &device)?;
     let metadata = HashMap::from([
         ("model".to_string(), checkpoint.metadata.name.clone()),
         ("checkpoint_sha256".to_string(), checkpoint.sha256.clone()),

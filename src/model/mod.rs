@@ -14,6 +14,7 @@ mod dinov2;
 pub mod init;
 pub mod ops;
 pub mod predictor;
+pub mod shipped;
 mod temporal;
 
 use candle_core::Tensor;

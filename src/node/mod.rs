@@ -17,7 +17,6 @@ pub mod predictor;
 pub mod qos;
 pub mod recorder;
 mod runtime;
-mod shipped;
 mod shutdown;
 #[cfg(feature = "sim")]
 pub mod simulator;

@@ -191,10 +191,7 @@ impl Parameters {
         let mut unknown = Vec::new();
         for (name, value) in given {
             let Some(index) = table.iter().position(|parameter| parameter.name == name) else {
-                // Other parts of ROS read these.
-                if !name.starts_with("qos_overrides.") {
-                    unknown.push(name.to_owned());
-                }
+                unknown.push(name.to_owned());
                 continue;
             };
             let Some(value) = from_ros(value) else {

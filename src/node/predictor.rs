@@ -15,13 +15,14 @@ use super::mailbox::Mailbox;
 use super::params::{Allowed, Parameter, Parameters};
 use super::points::{self, Posed};
 use super::runtime::{self, Publisher, RosClock, Runtime};
-use super::{Shutdown, qos, shipped};
+use super::{Shutdown, qos};
 use crate::hand::{HandModel, N_VERTICES, Side};
 use crate::image::{self, RawImage};
 use crate::message::{
     CompressedImage, HandModelInfo, HandPose, Header, Image, Message as _, PointCloud2, TactileFrame, Time,
 };
 use crate::model::predictor::{Options, Predictor};
+use crate::model::shipped;
 use crate::tactile::{TactileField, Topology};
 
 /// A hand pose counts for an image whose stamp differs by at most this, s.
@@ -125,7 +126,9 @@ pub fn run(mut runtime: Runtime, mut predictor: Predictor, shutdown: &Shutdown) 
 
 fn load(parameters: &Parameters) -> anyhow::Result<(PathBuf, Predictor)> {
     let path = match parameters.get::<String>("model") {
-        path if path.is_empty() => shipped::model()?,
+        path if path.is_empty() => {
+            shipped::path().context("without `-p model:=PATH` the predictor takes the shipped checkpoint")?
+        }
         path => PathBuf::from(path),
     };
     let device = match parameters.get::<String>("device").as_str() {

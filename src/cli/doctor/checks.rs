@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use super::Row;
+use crate::error::Error;
 use crate::hand::{HandModel, HandParams, N_VERTICES, Side};
+use crate::model::{Checkpoint, Metadata, shipped};
 
 /// What makes a machine whole again.
 const SET_UP: &str = "`make setup`, `. ./env.sh`, then build again";
@@ -22,6 +24,7 @@ pub fn all(hand_model: &str) -> Vec<Row> {
         renderer(),
         gpu(),
         hand(hand_model),
+        checkpoint(),
     ]
 }
 
@@ -220,6 +223,22 @@ fn hand(model: &str) -> Row {
                 false => Row::missing(NAME, format!("{found}: expected {N_VERTICES} finite vertices"), fix),
             }
         }
+    }
+}
+
+/// The checkpoint that a predictor takes when it is given none: loaded for real.
+fn checkpoint() -> Row {
+    const NAME: &str = "checkpoint";
+    const FIX: &str = "`git checkout models`, or give programs one of your own";
+    let loaded = shipped::path().and_then(|path| {
+        let checkpoint = Checkpoint::load(&path, &candle_core::Device::Cpu)?;
+        let megabytes = path.metadata().map_err(Error::io(&path))?.len() as f64 / 1e6;
+        let Metadata { name, topology, .. } = &checkpoint.metadata;
+        Ok(format!("{name} for {}, {megabytes:.1} MB: {}", topology.id(), path.display()))
+    });
+    match loaded {
+        Ok(found) => Row::ok(NAME, found),
+        Err(error) => Row::missing(NAME, error.to_string(), FIX),
     }
 }
 
