@@ -25,7 +25,7 @@ pub struct Args {
     /// Simulated seconds.
     #[arg(long, default_value_t = 15.0)]
     duration: f64,
-    /// Seed of the first rollout; training used none from 900000 on.
+    /// Seed of the first rollout; the shipped checkpoint was trained and chosen on seeds below 900000.
     #[arg(long, default_value_t = 900_000)]
     seed: u64,
     /// Scenes, in turn.
@@ -34,6 +34,16 @@ pub struct Args {
     /// Checkpoint for the predictor; the shipped one if absent.
     #[arg(long)]
     model: Option<PathBuf>,
+}
+
+#[cfg(feature = "ros")]
+impl Args {
+    /// The command that does the same again.
+    fn command(&self) -> String {
+        let model = self.model.as_ref().map(|path| format!(" --model {}", path.display())).unwrap_or_default();
+        let Self { duration, seed, scenes, .. } = self;
+        format!("egotac demo --duration {duration} --seed {seed} --scenes {}{model}", scenes.join(","))
+    }
 }
 
 /// Runs the command.

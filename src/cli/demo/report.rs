@@ -6,8 +6,10 @@ use std::path::Path;
 use anyhow::{Context, Result, ensure};
 use serde_json::{Value, json};
 
+use super::Args;
 use super::bag::{self, Run};
 use super::figure::{self, TracePoint};
+use crate::file;
 use crate::hand::{HandModel, HandParams, Side};
 use crate::message::TactileFrame;
 use crate::tactile::TactileField;
@@ -24,14 +26,14 @@ struct Moment<'a> {
 ///
 /// # Errors
 /// If the verifier's report or the recording can't be read, hold nothing to compare, or a file can't be written.
-pub fn write(out: &Path, bag: &Path, verifier_report: &Path) -> Result<()> {
+pub fn write(args: &Args, out: &Path, bag: &Path, verifier_report: &Path) -> Result<()> {
     let run = bag::read(&bag.join(crate::dataset::mcap::file_name(bag)))?;
     let text = std::fs::read_to_string(verifier_report).with_context(|| verifier_report.display().to_string())?;
     let verifier: Value = serde_json::from_str(&text).with_context(|| verifier_report.display().to_string())?;
-    let summary = summarize(&run, &verifier);
+    let summary = summarize(args, &run, &verifier);
     let table = table(&summary);
-    save(&out.join("demo.json"), &format!("{summary:#}\n"))?;
-    save(&out.join("metrics.md"), &table)?;
+    file::write(&out.join("demo.json"), format!("{summary:#}\n").as_bytes())?;
+    file::write(&out.join("metrics.md"), table.as_bytes())?;
     draw(&out.join("demo.png"), &run)?;
     println!("\n{table}");
     println!("picture    {}", out.join("demo.png").display());
@@ -42,13 +44,15 @@ pub fn write(out: &Path, bag: &Path, verifier_report: &Path) -> Result<()> {
 }
 
 /// The demo's numbers: counts from the recording, scores and latency from the verifier.
-fn summarize(run: &Run, verifier: &Value) -> Value {
+fn summarize(args: &Args, run: &Run, verifier: &Value) -> Value {
     let count = |has: fn(&bag::Moment) -> bool| run.values().filter(|moment| has(moment)).count();
     let images = count(|moment| moment.image.is_some());
     let predictions = count(|moment| moment.predicted.is_some());
     let unpaired = count(|moment| moment.image.is_some() && moment.predicted.is_none());
     let strangers = count(|moment| moment.image.is_none() && moment.predicted.is_some());
     json!({
+        "command": args.command(),
+        "machine": machine(),
         "images": images,
         "predictions": predictions,
         "dropped_frames": unpaired,
@@ -75,11 +79,21 @@ const ROWS: [(&str, &str, f64, &str); 13] = [
     ("frames left out as invalid", "/verifier/invalid_truths", 1.0, ""),
 ];
 
+/// Processor and number of its cores that a program may use.
+fn machine() -> String {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = cpuinfo.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
+    format!("{}, {cores} cores", model.map_or("unknown processor", |(_, name)| name))
+}
+
 fn table(summary: &Value) -> String {
     let mut text = String::from("| predicted against the simulator's truth | |\n|---|---|\n");
     for (name, pointer, factor, unit) in ROWS {
         let _ = writeln!(text, "| {name} | {} |", cell(summary.pointer(pointer), factor, unit));
     }
+    let said = |pointer: &str| summary.pointer(pointer).and_then(Value::as_str).unwrap_or("unknown").to_owned();
+    let _ = writeln!(text, "\n`{}`, network {}, {}", said("/command"), said("/verifier/model_id"), said("/machine"));
     text
 }
 
@@ -170,19 +184,6 @@ fn typical<'a, 'b>(moments: &'a [Moment<'b>], trace: &[TracePoint]) -> &'a Momen
         error(a).total_cmp(&error(b))
     });
     touched.get(touched.len() / 2).map_or(&moments[0], |&index| &moments[index])
-}
-
-fn save(path: &Path, text: &str) -> Result<()> {
-    save_with(path, |file| Ok(std::fs::write(file, text)?))
-}
-
-/// Writes a file under another name and renames it once it is whole.
-pub fn save_with(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
-    let folder = path.parent().context("output has no folder")?;
-    let file = tempfile::NamedTempFile::new_in(folder).with_context(|| folder.display().to_string())?;
-    write(file.path()).with_context(|| path.display().to_string())?;
-    file.persist(path).with_context(|| path.display().to_string())?;
-    Ok(())
 }
 
 #[cfg(test)]

@@ -31,7 +31,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let nodes = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     nodes.block_on(simulate(args, &out, &recorder, &verifier_report))?;
     let bag = recorder.finish().context("recorder")?;
-    report::write(&out, &bag, &verifier_report)?;
+    report::write(args, &out, &bag, &verifier_report)?;
     Ok(ExitCode::SUCCESS)
 }
 
