@@ -1,11 +1,20 @@
-//! The nodes' documentation names each parameter that the programs have.
+//! What the documentation says of the nodes is true of the programs.
 #![cfg(all(feature = "ros", feature = "sim"))]
+
+#[path = "ros/harness.rs"]
+mod harness;
 
 use std::process::Command;
 
+use harness::Session;
+
+fn document(name: &str) -> String {
+    std::fs::read_to_string(std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap()
+}
+
 #[test]
 fn each_parameter_is_documented_under_its_node() {
-    let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/nodes.md")).unwrap();
+    let text = document("docs/nodes.md");
     let programs = [
         ("predictor", env!("CARGO_BIN_EXE_egotac_predictor")),
         ("simulator", env!("CARGO_BIN_EXE_egotac_simulator")),
@@ -19,4 +28,29 @@ fn each_parameter_is_documented_under_its_node() {
             assert!(section.contains(&format!("`{name}`")), "docs/nodes.md lacks {node}'s parameter {name}");
         }
     }
+}
+
+#[test]
+fn the_readmes_listener_hears_the_touch_of_each_image_under_its_stamp() {
+    let readme = document("README.md");
+    let (_, rest) = readme.split_once("<!-- file: listener.py -->\n```python\n").unwrap();
+    let (script, _) = rest.split_once("```").unwrap();
+    let predictor = readme.lines().find(|line| line.starts_with("target/release/egotac_predictor ")).unwrap();
+
+    let session = Session::new();
+    let path = session.path("listener.py");
+    std::fs::write(&path, script).unwrap();
+    let mut command = harness::python();
+    command.arg(&path);
+    let mut listener = session.spawn(command, "listener");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_egotac_predictor"));
+    command.args(predictor.split_whitespace().skip(1));
+    let mut node = session.spawn(command, "predictor");
+    session.check("predictor_peer.py", &["camera"]);
+    for count in 0..10 {
+        for side in ["left", "right"] {
+            listener.prints(&format!("{}.{:09} {side}: ", 1_700_000_000 + count, 5 + count));
+        }
+    }
+    node.ends_cleanly("INT");
 }

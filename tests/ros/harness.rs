@@ -62,8 +62,7 @@ impl Session {
 
     /// Starts `tests/ros/<script>` under Python.
     pub fn peer(&self, script: &str, arguments: &[&str]) -> Running {
-        let python = std::env::var("EGOTAC_PYTHON").expect("EGOTAC_PYTHON is not set: source env.sh first");
-        let mut command = Command::new(python);
+        let mut command = python();
         command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/ros").join(script)).args(arguments);
         command.env("EGOTAC_TEST_NAMESPACE", &self.namespace);
         self.spawn(command, script)
@@ -76,7 +75,8 @@ impl Session {
         assert!(status.success(), "{script} {arguments:?}: {status}\n{}", peer.output());
     }
 
-    fn spawn(&self, mut command: Command, name: &str) -> Running {
+    /// Starts any program in this corner of ROS.
+    pub fn spawn(&self, mut command: Command, name: &str) -> Running {
         let count = self.started.fetch_add(1, Ordering::SeqCst);
         let stem = Path::new(name).file_stem().unwrap().to_string_lossy().into_owned();
         let log = self.path(&format!("{count}_{stem}.log"));
@@ -89,6 +89,11 @@ impl Session {
         let child = command.spawn().unwrap_or_else(|error| panic!("{name}: {error}"));
         Running { child, log }
     }
+}
+
+/// The Python that set-up made, which has rclpy and our messages.
+pub fn python() -> Command {
+    Command::new(std::env::var("EGOTAC_PYTHON").expect("EGOTAC_PYTHON is not set: source env.sh first"))
 }
 
 /// A program that is killed when the test ends, however it ends.

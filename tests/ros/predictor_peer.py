@@ -182,6 +182,19 @@ def stream():
             print("flows", flush=True)
 
 
+def camera():
+    """A camera driver: ten pictures on /camera/image_raw, the next when the last one's touch is there."""
+    peer = Peer()
+    frames = peer.listen(TactileFrame, "/predictor/tactile")
+    publisher = peer.connected(peer.create_publisher(Image, "/camera/image_raw", BEST_EFFORT))
+    peer.wait(lambda: peer.count_subscribers("/predictor/tactile") > 1, "the listener")
+    for count in range(10):
+        image = message(photo(480, 640, seed=count), "bgr8", sec=0)
+        stamp(image, 1700000000 + count, 5 + count)
+        publisher.publish(image)
+        peer.wait(lambda: any(f.header == image.header for f in frames), f"a frame for {image.header}")
+
+
 def latest_wins():
     """With images faster than the network, the newest is processed, the others are counted, none is left behind."""
     peer = Peer()
