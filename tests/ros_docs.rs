@@ -35,7 +35,7 @@ fn the_readmes_listener_hears_the_touch_of_each_image_under_its_stamp() {
     let readme = document("README.md");
     let (_, rest) = readme.split_once("<!-- file: listener.py -->\n```python\n").unwrap();
     let (script, _) = rest.split_once("```").unwrap();
-    let predictor = readme.lines().find(|line| line.starts_with("target/release/egotac_predictor ")).unwrap();
+    let predictor = readme.lines().find(|line| line.starts_with("egotac_predictor ")).unwrap();
 
     let session = Session::new();
     let path = session.path("listener.py");

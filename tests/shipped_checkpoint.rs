@@ -1,0 +1,107 @@
+//! The shipped checkpoint does what its card says.
+
+use std::path::{Path, PathBuf};
+
+use egotac::model::{Checkpoint, Config, shipped};
+use egotac::tactile::Topology;
+use serde_json::Value;
+
+fn root(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+}
+
+/// What tells a network that sees from one that does not.
+struct Scores {
+    active_mae: f64,
+    temporal_pearson: Option<f64>,
+    auroc: f64,
+}
+
+/// The model's scores, then those of the constant predictors.
+fn read(reports: &Value) -> (Scores, Vec<Scores>) {
+    let scores = |name: &str| Scores {
+        active_mae: reports[name]["active_mae"].as_f64().unwrap(),
+        temporal_pearson: reports[name]["temporal_pearson"].as_f64(),
+        auroc: reports[name]["pooled"]["auroc"].as_f64().unwrap(),
+    };
+    (scores("model"), ["zero", "mean", "median"].map(scores).into())
+}
+
+/// `margin`: how far the pooled AUROC lies above the best constant's, at least.
+fn beats_the_constants(reports: &Value, margin: f64) {
+    let (model, constants) = read(reports);
+    let best = |score: fn(&Scores) -> f64| constants.iter().map(score);
+    let (error, auroc) = (best(|s| s.active_mae).fold(f64::MAX, f64::min), best(|s| s.auroc).fold(0.0, f64::max));
+    assert!(model.active_mae <= 0.8 * error, "active MAE {} N against {error} N", model.active_mae);
+    assert!(model.auroc >= auroc + margin, "AUROC {} against {auroc}", model.auroc);
+    assert!(model.temporal_pearson.unwrap() >= 0.5, "temporal Pearson {:?}", model.temporal_pearson);
+}
+
+#[test]
+fn it_is_small_and_for_the_built_in_hand() {
+    let path = shipped::path().unwrap();
+    assert_eq!(path, root("models/egotac.safetensors"));
+    assert!(path.metadata().unwrap().len() <= 12_000_000);
+    let checkpoint = Checkpoint::load(&path, &candle_core::Device::Cpu).unwrap();
+    assert_eq!(checkpoint.metadata.topology, Topology::EgotacHand1);
+    assert_eq!(checkpoint.model.config(), &Config::pocket());
+}
+
+#[test]
+fn its_card_shows_the_scores_that_the_command_wrote() {
+    let text = std::fs::read_to_string(root("models/egotac.eval.json")).unwrap();
+    let reports: Value = serde_json::from_str(&text).unwrap();
+    beats_the_constants(&reports, 0.04);
+    let card = std::fs::read_to_string(root("models/README.md")).unwrap();
+    let rows = [
+        ("MAE (N)", "/mae"),
+        ("active MAE (N)", "/active_mae"),
+        ("temporal Pearson", "/temporal_pearson"),
+        ("contact F1, pooled", "/pooled/f1"),
+        ("contact IoU, pooled", "/pooled/iou"),
+        ("contact AUROC, pooled", "/pooled/auroc"),
+        ("contact AUROC, frame mean", "/frame_mean/auroc"),
+    ];
+    for (name, pointer) in rows {
+        let cell = |predictor: &str| match reports[predictor].pointer(pointer).and_then(Value::as_f64) {
+            Some(value) => format!("{value:.4}"),
+            None => "undefined".into(),
+        };
+        let row = format!("| {name} | {} |", ["model", "zero", "mean", "median"].map(cell).join(" | "));
+        assert!(card.contains(&row), "models/README.md lacks the row {row}");
+    }
+}
+
+#[test]
+fn the_readme_shows_the_table_that_the_demo_wrote_and_links_to_what_is_there() {
+    let table = std::fs::read_to_string(root("docs/demo/metrics.md")).unwrap();
+    let readme = std::fs::read_to_string(root("README.md")).unwrap();
+    assert!(readme.contains(&table), "README.md does not hold docs/demo/metrics.md as it is");
+    for file in ["README.md", "models/README.md", "sim/README.md"] {
+        let text = std::fs::read_to_string(root(file)).unwrap();
+        let folder = root(file).parent().unwrap().to_path_buf();
+        for link in text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
+            assert!(link.starts_with("http") || folder.join(link).exists(), "{file} links to {link}");
+        }
+    }
+}
+
+#[cfg(feature = "sim")]
+#[test]
+fn it_beats_constants_on_rollouts_that_nobody_has_seen() {
+    let folder = tempfile::tempdir().unwrap();
+    let egotac = |arguments: &str| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_egotac"));
+        let output = command.args(arguments.split(' ')).current_dir(&folder).output().unwrap();
+        assert!(output.status.success(), "{arguments}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    egotac("sim generate pinch_cube lift_mug hover --episodes 12 --seed 700000 --size 224 --out test.zarr");
+    let checkpoint = root("models/egotac.safetensors");
+    let scores = egotac(&format!(
+        // The constants know the test's own means: harder to beat than those of the training set.
+        "eval --checkpoint {} --data test.zarr --baselines-from test.zarr --json",
+        checkpoint.display()
+    ));
+    beats_the_constants(&serde_json::from_str(&scores).unwrap(), 0.02);
+}
