@@ -1,11 +1,12 @@
 # Thin names for scripts/ and cargo.
 
-.PHONY: help setup demo test lint bench check-cuda
+.PHONY: help setup demo test doctor lint bench check-cuda
 
 help:
 	@echo 'make setup       what this machine lacks: Python environment, ROS 2, messages, MuJoCo; writes env.sh'
 	@echo 'make demo        the main job for 15 seconds: simulator, predictor, verifier; results in out/demo/'
 	@echo 'make test        everything that CI runs'
+	@echo 'make doctor      what is missing on this machine, and how to fix it'
 	@echo 'make lint        formatting, clippy for each feature set, docs, shell scripts'
 	@echo 'make bench       criterion benchmarks'
 	@echo 'make check-cuda  clippy and a build of the feature cuda, with a toolkit from Python wheels'
@@ -18,6 +19,9 @@ demo:
 
 test:
 	@scripts/test
+
+doctor:
+	@scripts/doctor
 
 lint:
 	@scripts/lint

@@ -11,5 +11,6 @@
 command -v cargo >/dev/null || PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
 command -v cargo >/dev/null || fail "there is no cargo: install Rust from https://rustup.rs"
 cd "$root" || exit
-# shellcheck disable=SC2034 # used by the scripts that source this
-target=${CARGO_TARGET_DIR:-$root/target}
+# The one folder, whatever cargo's configuration says and wherever a script goes.
+target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
+export CARGO_TARGET_DIR=$target

@@ -26,6 +26,7 @@ env_file() {
     assign EGOTAC_PYTHON "$venv/bin/python" # Python with the engine, the peers of the tests and (wheels) rclpy
     assign EGOTAC_BIN "$venv/bin"           # cmake, ninja, colcon, shellcheck
     assign EGOTAC_ROS "$ros"
+    prepend PATH "$root/target/release" # egotac and its nodes
 
     if [ "$ros" = wheels ]; then
         assign ROS_DISTRO jazzy
@@ -44,6 +45,7 @@ env_file() {
         rpath=$(join_path "$msgs/lib" "$(without "${LD_LIBRARY_PATH:-}" "$cache")" "$mujoco")
     fi
     prepend PYTHONPATH "$(dirname "$(find "$msgs" -type d -path '*-packages/egotac_msgs' | head -n 1)")"
+    rpath=$(without "$rpath" /nowhere) # each once: env.sh must not differ when it is active already
     assign EGOTAC_RPATH "$rpath" # where build.rs tells the binaries to look, so that they start without this file
     printf '%s\n' 'case ":${LD_LIBRARY_PATH:-}:" in *":$EGOTAC_RPATH:"*) ;;' \
         '*) export LD_LIBRARY_PATH="$EGOTAC_RPATH${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}" ;; esac'

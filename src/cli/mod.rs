@@ -70,7 +70,7 @@ pub fn main() -> ExitCode {
 #[allow(dead_code)]
 fn feature_off(command: &str, feature: &str) -> anyhow::Error {
     anyhow::anyhow!(
-        "`egotac {command}` needs the feature `{feature}`: build with `cargo build --features {feature}` after `make setup`"
+        "`egotac {command}` needs the feature `{feature}`: `make setup`, `. ./env.sh`, `cargo build --release --features {feature}`"
     )
 }
 
