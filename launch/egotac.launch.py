@@ -54,6 +54,9 @@ ARGUMENTS = [
         "device", default_value="", description="cpu or cuda. Empty: as the parameter file says, or cpu."
     ),
     DeclareLaunchArgument("rviz", default_value="false", description="true: show the point cloud in RViz."),
+    DeclareLaunchArgument(
+        "fixed_frame", default_value="camera_optical", description="For RViz: the frame_id of the camera's images."
+    ),
     DeclareLaunchArgument("log_level", default_value="info", description="debug, info, warn, error or fatal."),
     DeclareLaunchArgument(
         "fastdds_profile",
@@ -110,8 +113,8 @@ def generate_launch_description():
         executable="rviz2",
         name="rviz",
         namespace=LaunchConfiguration("namespace"),
-        arguments=["-d", packaged("launch", "egotac.rviz")],
-        remappings=[("points", "predictor/points")],
+        arguments=["-d", packaged("launch", "egotac.rviz"), "-f", LaunchConfiguration("fixed_frame")],
+        remappings=[("image_raw", LaunchConfiguration("image_topic"))],
         condition=IfCondition(LaunchConfiguration("rviz")),
     )
     return LaunchDescription(

@@ -16,7 +16,7 @@ fn frame(index: u32) -> TactileFrame {
 
 fn write_bag(folder: &Path) -> Vec<Vec<u8>> {
     let mut writer = BagWriter::create(folder).unwrap();
-    writer.add_topic("/tactile", TactileFrame::TYPE, &TactileFrame::schema()).unwrap();
+    writer.add_topic("/tactile", TactileFrame::TYPE, &TactileFrame::schema(), false).unwrap();
     let payloads: Vec<_> = (0..5).map(|index| frame(index).to_cdr()).collect();
     for (index, payload) in payloads.iter().enumerate() {
         writer.write("/tactile", payload, 1_000 + index as u64, 900 + index as u64).unwrap();
@@ -60,9 +60,27 @@ fn an_unfinished_bag_does_not_bear_its_name() {
 fn an_unknown_topic_is_named_with_the_known_ones() {
     let temp = tempfile::tempdir().unwrap();
     let mut writer = BagWriter::create(&temp.path().join("run")).unwrap();
-    writer.add_topic("/a", TactileFrame::TYPE, &TactileFrame::schema()).unwrap();
+    writer.add_topic("/a", TactileFrame::TYPE, &TactileFrame::schema(), false).unwrap();
     let error = writer.write("/b", &[], 0, 0).unwrap_err().to_string();
     assert!(error.contains("/b") && error.contains("/a"), "{error}");
+}
+
+#[test]
+fn a_latched_topic_says_so_to_who_plays_it_back() {
+    let temp = tempfile::tempdir().unwrap();
+    let folder = temp.path().join("run");
+    let mut writer = BagWriter::create(&folder).unwrap();
+    writer.add_topic("/a", TactileFrame::TYPE, &TactileFrame::schema(), true).unwrap();
+    writer.add_topic("/b", TactileFrame::TYPE, &TactileFrame::schema(), false).unwrap();
+    writer.finish().unwrap();
+    let text = std::fs::read_to_string(folder.join("metadata.yaml")).unwrap();
+    let metadata: serde_yaml::Value = serde_yaml::from_str(&text).unwrap();
+    let topics = &metadata["rosbag2_bagfile_information"]["topics_with_message_count"];
+    let profiles = [0, 1].map(|i| topics[i]["topic_metadata"]["offered_qos_profiles"].as_str().unwrap().to_owned());
+    // YAML within YAML: reliability 1 is reliable, durability 1 transient local (rmw/types.h).
+    let profile: serde_yaml::Value = serde_yaml::from_str(&profiles[0]).unwrap();
+    assert_eq!((profile[0]["reliability"].as_u64(), profile[0]["durability"].as_u64()), (Some(1), Some(1)));
+    assert_eq!(profiles[1], "");
 }
 
 /// Needs the Python environment of `make setup`.

@@ -31,6 +31,13 @@ fn stamps_of_the_wall_clock_are_the_time_of_publication() {
 }
 
 #[test]
+fn with_sim_time_somebody_elses_clock_sets_the_pace() {
+    let small = ["-p", "width:=32", "-p", "height:=32"];
+    let follows = ["-p", "scenes:=[pinch_cube]", "-p", "duration:=1.0", "-p", "use_sim_time:=true"];
+    holds("follows", &[&small[..], &follows[..]].concat());
+}
+
+#[test]
 fn jpeg_files_come_on_request() {
     holds("compressed", &["-p", "scenes:=[pinch_cube]", "-p", "duration:=0.4", "-p", "compressed:=true"]);
 }

@@ -15,6 +15,23 @@ use crate::error::{Error, Result};
 const CHUNK: u64 = 4 << 20;
 /// Layout of `metadata.yaml`: 5 is read by all distributions from Humble on.
 const METADATA_VERSION: u32 = 5;
+/// Keep the last, reliable, transient local, no deadlines: as rosbag2 writes it.
+const LATCHED_QOS: &str = "- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: 1
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false
+";
 /// Name of the folder while it is written.
 const UNFINISHED: &str = ".unfinished";
 
@@ -32,6 +49,7 @@ pub struct BagWriter {
 struct Topic {
     channel: u16,
     type_name: String,
+    qos: &'static str,
     messages: u64,
 }
 
@@ -58,19 +76,21 @@ impl BagWriter {
         Ok(Self { folder: folder.to_path_buf(), unfinished, writer, topics: BTreeMap::new(), start: None, end: 0 })
     }
 
-    /// Adds a topic of messages of `type_name` (`package/msg/Name`), defined by `schema` in `ros2msg` form.
+    /// Adds a topic of messages of `type_name` (`package/msg/Name`), defined by `schema` in `ros2msg` form. A `latched` one
+    /// is played back as it was: its last message reaches those who subscribe later.
     ///
     /// # Errors
     /// If the topic is there already, or the file can't be written.
-    pub fn add_topic(&mut self, topic: &str, type_name: &str, schema: &str) -> Result<()> {
+    pub fn add_topic(&mut self, topic: &str, type_name: &str, schema: &str, latched: bool) -> Result<()> {
         if self.topics.contains_key(topic) {
             return Err(Error::value("topic", "a new one", topic));
         }
         let wrap = |error| Error::file(&self.folder, error);
         let schema = self.writer.add_schema(type_name, "ros2msg", schema.as_bytes()).map_err(wrap)?;
-        let metadata = BTreeMap::from([("offered_qos_profiles".to_owned(), String::new())]);
+        let qos = if latched { LATCHED_QOS } else { "" };
+        let metadata = BTreeMap::from([("offered_qos_profiles".to_owned(), qos.to_owned())]);
         let channel = self.writer.add_channel(schema, topic, "cdr", &metadata).map_err(wrap)?;
-        self.topics.insert(topic.to_owned(), Topic { channel, type_name: type_name.to_owned(), messages: 0 });
+        self.topics.insert(topic.to_owned(), Topic { channel, type_name: type_name.to_owned(), qos, messages: 0 });
         Ok(())
     }
 
@@ -112,7 +132,7 @@ impl BagWriter {
                 name: name.clone(),
                 r#type: topic.type_name.clone(),
                 serialization_format: "cdr",
-                offered_qos_profiles: "",
+                offered_qos_profiles: topic.qos,
             },
             message_count: topic.messages,
         });

@@ -1,6 +1,7 @@
 //! The node `predictor`: images to touch.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -110,8 +111,9 @@ pub fn run(mut runtime: Runtime, mut predictor: Predictor, shutdown: &Shutdown) 
     };
     subscribe_pose(&mut runtime, poses)?;
     serve_set_enabled(&mut runtime)?;
-    report(&mut runtime, &input, &tally, info.model_id)?;
-    subscribe_image(&mut runtime, input, tally)?;
+    let reliable = Arc::new(AtomicBool::new(false));
+    report(&mut runtime, &input, &tally, info.model_id, Arc::clone(&reliable))?;
+    subscribe_image(&mut runtime, Source { input, tally, reliable })?;
 
     let stop = shutdown.clone();
     let worker = std::thread::Builder::new().name("inference".into()).spawn(move || {
@@ -187,7 +189,7 @@ fn model_info(predictor: &Predictor, now: Time) -> anyhow::Result<HandModelInfo>
 fn image_topic(runtime: &Runtime) -> String {
     let image = runtime.resolve("image");
     match is_compressed(runtime.parameters()) {
-        true => format!("{image}/compressed"),
+        true => runtime.resolve(&format!("{image}/compressed")),
         false => image,
     }
 }
@@ -196,35 +198,40 @@ fn is_compressed(parameters: &Parameters) -> bool {
     parameters.get::<String>("image_transport") == "compressed"
 }
 
+/// What a subscription to images feeds.
+struct Source {
+    input: Arc<Mailbox<Vec<u8>>>,
+    tally: Tally,
+    /// Whether the subscription is reliable, once there is one.
+    reliable: Arc<AtomicBool>,
+}
+
 /// Subscribes now, or with reliability `match` as soon as there is a publisher to match.
-fn subscribe_image(runtime: &mut Runtime, input: Arc<Mailbox<Vec<u8>>>, tally: Tally) -> anyhow::Result<()> {
+fn subscribe_image(runtime: &mut Runtime, source: Source) -> anyhow::Result<()> {
     let reliability = runtime.parameters().get::<String>("reliability");
     if reliability != "match" {
-        return subscribe_image_as(runtime, reliability == "reliable", input, tally);
+        return subscribe_image_as(runtime, reliability == "reliable", source);
     }
     let topic = image_topic(runtime);
-    let mut waiting = Some((input, tally));
+    let mut waiting = Some(source);
     runtime.every(Duration::from_millis(100), move |runtime| {
         let reliable = match runtime.publishers_are_reliable(&topic) {
             Ok(publishers) if publishers.is_empty() => return,
             Ok(publishers) => publishers.iter().all(|reliable| *reliable),
             Err(error) => return runtime.log().warn_throttled("match", format!("{topic}: {error:#}")),
         };
-        let Some((input, tally)) = waiting.take() else { return };
-        if let Err(error) = subscribe_image_as(runtime, reliable, input, tally) {
+        let Some(source) = waiting.take() else { return };
+        if let Err(error) = subscribe_image_as(runtime, reliable, source) {
             runtime.log().error(format!("{topic}: {error:#}"));
         }
     });
     Ok(())
 }
 
-fn subscribe_image_as(
-    runtime: &mut Runtime,
-    reliable: bool,
-    input: Arc<Mailbox<Vec<u8>>>,
-    tally: Tally,
-) -> anyhow::Result<()> {
+fn subscribe_image_as(runtime: &mut Runtime, reliable: bool, source: Source) -> anyhow::Result<()> {
     let parameters = Arc::clone(runtime.parameters());
+    let Source { input, tally, .. } = source;
+    source.reliable.store(reliable, Ordering::Relaxed);
     let take = move |payload: Vec<u8>| {
         tally.received();
         match parameters.get("enabled") {
@@ -263,7 +270,13 @@ fn serve_set_enabled(runtime: &mut Runtime) -> anyhow::Result<()> {
 }
 
 /// Reports on the input and what became of it.
-fn report(runtime: &mut Runtime, input: &Arc<Mailbox<Vec<u8>>>, tally: &Tally, model_id: String) -> anyhow::Result<()> {
+fn report(
+    runtime: &mut Runtime,
+    input: &Arc<Mailbox<Vec<u8>>>,
+    tally: &Tally,
+    model_id: String,
+    reliable: Arc<AtomicBool>,
+) -> anyhow::Result<()> {
     let (input, tally, topic) = (Arc::clone(input), tally.clone(), image_topic(runtime));
     let mut refused_before = 0;
     diagnostics::publish(runtime, model_id, move |runtime| {
@@ -272,12 +285,12 @@ fn report(runtime: &mut Runtime, input: &Arc<Mailbox<Vec<u8>>>, tally: &Tally, m
         let rates = counts.rates();
         let refused = ["malformed", "failed"].iter().filter_map(|cause| counts.drops.get(cause)).sum();
         let newly_refused = refused > std::mem::replace(&mut refused_before, refused);
-        let reliable = runtime.parameters().get::<String>("reliability") == "reliable";
-        let unheard = reliable && runtime.publishers_are_reliable(&topic).is_ok_and(|all| all.contains(&false));
+        let unheard = reliable.load(Ordering::Relaxed)
+            && runtime.publishers_are_reliable(&topic).is_ok_and(|all| all.contains(&false));
         let (level, message) = if !runtime.parameters().get::<bool>("enabled") {
             (Level::Ok, "disabled".to_owned())
         } else if unheard {
-            (Level::Error, format!("a best-effort publisher on {topic} can't be heard with reliability reliable"))
+            (Level::Error, format!("a best-effort publisher on {topic} can't be heard by a reliable subscription"))
         } else if rates.0 == 0.0 {
             (Level::Stale, format!("no images on {topic}"))
         } else if newly_refused {
@@ -290,6 +303,15 @@ fn report(runtime: &mut Runtime, input: &Arc<Mailbox<Vec<u8>>>, tally: &Tally, m
         }
         Report { task: "images", level, message, values: counts.values(rates) }
     })
+}
+
+/// What is wrong with an image, without what came: each cause has warnings of its own.
+fn cause(error: &crate::Error) -> &str {
+    match error {
+        crate::Error::Value { name, .. } | crate::Error::Shape { name, .. } => name,
+        crate::Error::Unknown { kind, .. } => kind,
+        _ => "image",
+    }
 }
 
 /// Turns the newest image into messages, on a thread of its own.
@@ -326,7 +348,8 @@ impl Worker {
             Ok(image) => image,
             Err(error) => {
                 self.tally.dropped("malformed");
-                return self.log.warn_throttled("malformed", format!("image on {} left out: {error}", self.topic));
+                let kind = format!("malformed {}", cause(&error));
+                return self.log.warn_throttled(&kind, format!("image on {} left out: {error}", self.topic));
             }
         };
         let max_age = self.parameters.get::<f64>("max_age_ms") * 1e-3;

@@ -7,7 +7,7 @@ use std::rc::Rc;
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, anyhow};
 use r2r::QosProfile;
@@ -22,11 +22,16 @@ pub struct Topic {
     type_name: &'static str,
     schema: String,
     qos: QosProfile,
+    latched: bool,
     subscribe: Subscribe,
 }
 
+/// Between two looks at who publishes.
+const LOOK: Duration = Duration::from_millis(100);
+
 type Subscribe = fn(&mut Runtime, &str, QosProfile, Box<dyn FnMut(Vec<u8>)>) -> Result<()>;
 type Counts = Arc<Mutex<BTreeMap<String, u64>>>;
+type Names = Arc<Mutex<Vec<String>>>;
 
 impl Topic {
     /// A topic of messages of type `M`, by its full name.
@@ -36,13 +41,14 @@ impl Topic {
             type_name: M::TYPE,
             schema: M::schema(),
             qos: qos::every_input(),
+            latched: false,
             subscribe: |runtime, name, qos, call| runtime.subscribe_bytes::<M>(name, qos, call),
         }
     }
 
     /// The same topic, whose publisher keeps its last message for late subscribers.
     pub fn latched(self) -> Self {
-        Self { qos: qos::latched(), ..self }
+        Self { qos: qos::latched(), latched: true, ..self }
     }
 }
 
@@ -51,6 +57,7 @@ impl Topic {
 pub struct Recorder {
     stop: Shutdown,
     counts: Counts,
+    published: Names,
     thread: Option<JoinHandle<Result<PathBuf>>>,
 }
 
@@ -60,15 +67,15 @@ impl Recorder {
     /// # Errors
     /// If the node, a subscription or the bag can't be made.
     pub fn start(bag: &Path, topics: Vec<Topic>) -> Result<Self> {
-        let (stop, counts) = (Shutdown::default(), Counts::default());
+        let (stop, counts, published) = (Shutdown::default(), Counts::default(), Names::default());
         let (ready_sender, ready) = channel();
         let thread = {
-            let (bag, stop, counts) = (bag.to_path_buf(), stop.clone(), counts.clone());
+            let (bag, stop, counts, published) = (bag.to_path_buf(), stop.clone(), counts.clone(), published.clone());
             std::thread::Builder::new()
                 .name("recorder".into())
-                .spawn(move || record(&bag, &topics, &stop, &counts, &ready_sender))?
+                .spawn(move || record(&bag, &topics, &stop, &counts, published, &ready_sender))?
         };
-        let mut recorder = Self { stop, counts, thread: Some(thread) };
+        let mut recorder = Self { stop, counts, published, thread: Some(thread) };
         if ready.recv().is_err() {
             // The thread ended before it was ready: its result says why.
             recorder.join()?;
@@ -80,6 +87,11 @@ impl Recorder {
     /// Messages recorded so far on `topic`.
     pub fn count(&self, topic: &str) -> u64 {
         lock(&self.counts).get(topic).copied().unwrap_or(0)
+    }
+
+    /// Topics of the recording that somebody publishes at present.
+    pub fn published(&self) -> Vec<String> {
+        lock(&self.published).clone()
     }
 
     /// Whether the recording ended by itself, which only an error makes it do.
@@ -112,11 +124,18 @@ impl Drop for Recorder {
 }
 
 /// The recorder's thread: one node, spun here; each message is written before the next look at ROS.
-fn record(bag: &Path, topics: &[Topic], stop: &Shutdown, counts: &Counts, ready: &Sender<()>) -> Result<PathBuf> {
+fn record(
+    bag: &Path,
+    topics: &[Topic],
+    stop: &Shutdown,
+    counts: &Counts,
+    published: Names,
+    ready: &Sender<()>,
+) -> Result<PathBuf> {
     let mut runtime = Runtime::create("recorder", &[super::params::Parameter::use_sim_time()])?;
     let mut writer = BagWriter::create(bag)?;
     for topic in topics {
-        writer.add_topic(&topic.name, topic.type_name, &topic.schema)?;
+        writer.add_topic(&topic.name, topic.type_name, &topic.schema, topic.latched)?;
     }
     let writer = Rc::new(RefCell::new(writer));
     let failure = Rc::new(RefCell::new(None));
@@ -135,6 +154,11 @@ fn record(bag: &Path, topics: &[Topic], stop: &Shutdown, counts: &Counts, ready:
         };
         (topic.subscribe)(&mut runtime, &topic.name, topic.qos.clone(), Box::new(write))?;
     }
+    let names: Vec<String> = topics.iter().map(|topic| topic.name.clone()).collect();
+    runtime.every(LOOK, move |runtime| {
+        let has_publisher = |name: &&String| runtime.publishers_are_reliable(name).is_ok_and(|all| !all.is_empty());
+        *lock(&published) = names.iter().filter(has_publisher).cloned().collect();
+    });
     let _ = ready.send(());
     runtime.spin(stop);
     drop(runtime);

@@ -52,8 +52,9 @@ pub fn parameters() -> Vec<Parameter> {
             "pace",
             "wall",
             Allowed::OneOf(&["wall", "clock", "fast"]),
-            "wall: frames at their rate, stamped with the node's time; clock: the same, stamped with simulated time, \
-             which /clock gives; fast: as clock, but as fast as it goes.",
+            "wall: frames at their rate by the node's time, which is /clock's with use_sim_time; clock: at their rate by \
+             the wall clock, stamped with simulated time, which this node publishes on /clock; fast: as clock, but as fast \
+             as it goes.",
         ),
         Parameter::fixed("width", 224, Allowed::Integers(16, 4096), "Width of the image, pixels."),
         Parameter::fixed("height", 224, Allowed::Integers(16, 4096), "Height of the image, pixels."),
@@ -206,6 +207,8 @@ struct Pace {
     start: Option<Instant>,
     paced: bool,
     simulated_stamps: bool,
+    /// Where the node's time at the first frame lies, s, if somebody else's /clock paces.
+    follows: Option<Option<f64>>,
     clock: RosClock,
     late: u64,
 }
@@ -213,11 +216,15 @@ struct Pace {
 impl Pace {
     fn new(parameters: &Parameters, clock: RosClock) -> Self {
         let pace = parameters.get::<String>("pace");
-        Self { start: None, paced: pace != "fast", simulated_stamps: pace != "wall", clock, late: 0 }
+        let follows = (pace == "wall" && parameters.get("use_sim_time")).then_some(None);
+        Self { start: None, paced: pace != "fast", simulated_stamps: pace != "wall", follows, clock, late: 0 }
     }
 
     /// Waits until the frame of `simulated` seconds since the first one is due; returns its stamp.
     fn wait(&mut self, simulated: f64, stop: &Shutdown) -> Time {
+        if self.follows.is_some() {
+            return self.follow(simulated, stop);
+        }
         if self.paced {
             let offset = Duration::from_secs_f64(simulated);
             let now = Instant::now();
@@ -239,6 +246,34 @@ impl Pace {
             // From 1 s on: a stamp of zero means "not set".
             true => Time::from_nanos(((simulated + 1.0) * 1e9).round() as i64),
             false => self.clock.now(),
+        }
+    }
+}
+
+impl Pace {
+    /// Waits until /clock, which somebody else publishes, has come as far as the frame; returns its time. A clock that
+    /// stands still holds the frames back, one that jumps back begins anew.
+    fn follow(&mut self, simulated: f64, stop: &Shutdown) -> Time {
+        let mut before = 0.0;
+        loop {
+            let now = self.clock.now();
+            let secs = now.secs();
+            if secs < before {
+                self.follows = Some(None);
+            }
+            before = secs;
+            // Zero: nobody has said what time it is.
+            if !now.is_zero() {
+                let start = self.follows.flatten().unwrap_or(secs - simulated);
+                self.follows = Some(Some(start));
+                if secs >= start + simulated - ROUNDING {
+                    return now;
+                }
+            }
+            if stop.requested() {
+                return now;
+            }
+            std::thread::sleep(Duration::from_millis(2));
         }
     }
 }

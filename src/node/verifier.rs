@@ -2,6 +2,7 @@
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
+use std::io::Write as _;
 use std::path::Path;
 use std::rc::Rc;
 use std::time::Instant;
@@ -22,8 +23,10 @@ use crate::tactile::Validity;
 
 /// Messages that may wait for their partner: seconds of any camera.
 const WAITING: usize = 500;
-/// A pause between two pairs that ends a stretch of time, s: correlations over time don't look across it.
+/// A pause of the truth that ends a stretch of time, s, if it is also out of step; correlations don't look across it.
 const PAUSE: f64 = 1.0;
+/// Seconds after which a message that waits for its partner counts as alone.
+const PATIENCE: f64 = 2.0;
 /// Pairs kept whole for the scores that need all vertices of all frames (100 MB at most).
 const KEPT: usize = 2000;
 
@@ -57,6 +60,7 @@ pub fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
 pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     let verifier = Rc::new(RefCell::new(Verifier {
         pairing: Pairing::new(WAITING),
+        stretches: Stretches::default(),
         scored: Scored::default(),
         tally: Tally::default(),
         clock: runtime.clock().clone(),
@@ -91,12 +95,41 @@ pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
 }
 
 struct Verifier {
-    pairing: Pairing<TactileFrame, TactileTruth>,
+    pairing: Pairing<TactileFrame, (u64, TactileTruth)>,
+    stretches: Stretches,
     scored: Scored,
     tally: Tally,
     clock: RosClock,
     log: Log,
     started: Instant,
+}
+
+/// Numbers the truth's stretches of time: an episode each, as far as the stream tells.
+#[derive(Default)]
+struct Stretches {
+    number: u64,
+    last: Option<f64>,
+    step: Option<f64>,
+    model_id: String,
+}
+
+impl Stretches {
+    /// The stretch that a truth belongs to. A new one begins with another scene, when stamps go back, and after a pause.
+    fn number_of(&mut self, truth: &TactileTruth) -> u64 {
+        let stamp = truth.frame.header.stamp.secs();
+        if let Some(last) = self.last {
+            let step = stamp - last;
+            let pauses = step > PAUSE && self.step.is_some_and(|usual| step > 3.0 * usual);
+            if step < 0.0 || pauses || self.model_id != truth.frame.model_id {
+                self.number += 1;
+            } else {
+                self.step = Some(step);
+            }
+        }
+        self.last = Some(stamp);
+        self.model_id.clone_from(&truth.frame.model_id);
+        self.number
+    }
 }
 
 /// Scores of the pairs so far.
@@ -112,8 +145,11 @@ struct Scored {
     window: VecDeque<(f64, FrameScore)>,
     kept: (Fields, Fields),
     kept_count: usize,
-    /// Ends of stretches of time without a pause, in valid pairs.
+    /// Ends of the truth's stretches of time, in valid pairs; the last one is open.
     ends: Vec<usize>,
+    /// Of the newest valid pair.
+    stretch: u64,
+    came: Option<Instant>,
 }
 
 impl Verifier {
@@ -132,7 +168,8 @@ impl Verifier {
     fn take_truth(&mut self, truth: crate::Result<TactileTruth>) {
         match truth {
             Ok(truth) => {
-                let pair = self.pairing.right(truth.frame.header.stamp, truth);
+                let stretch = self.stretches.number_of(&truth);
+                let pair = self.pairing.right(truth.frame.header.stamp, (stretch, truth));
                 self.score(pair);
             }
             Err(error) => self.refuse("truth", &error),
@@ -144,9 +181,9 @@ impl Verifier {
         self.log.warn_throttled(topic, format!("{topic}: message left out: {error}"));
     }
 
-    fn score(&mut self, pair: Option<(TactileFrame, TactileTruth)>) {
-        let Some((frame, truth)) = pair else { return };
-        if let Err(error) = self.scored.add(frame, &truth) {
+    fn score(&mut self, pair: Option<(TactileFrame, (u64, TactileTruth))>) {
+        let Some((frame, (stretch, truth))) = pair else { return };
+        if let Err(error) = self.scored.add(frame, &truth, stretch) {
             self.refuse("pair", &error);
         }
     }
@@ -165,10 +202,14 @@ impl Verifier {
             self.log.warn_throttled("metrics", format!("~/metrics: {error:#}"));
         }
         if parameters.get("print") && self.scored.pairs > 0 {
-            println!("{}", self.line(&values));
+            // Who listens may have gone; that ends nothing here.
+            let _ = writeln!(std::io::stdout(), "{}", self.line(&values));
         }
         let (level, message) = match (rates.1 > 0.0, self.scored.window.is_empty()) {
             (false, _) => (Level::Stale, format!("no predictions on {tactile}")),
+            (true, true) if self.scored.invalid > 0 => {
+                (Level::Warn, format!("no valid pair; {} frames of {truth} were invalid", self.scored.invalid))
+            }
             (true, true) => (Level::Warn, format!("nothing on {truth} has the stamp of a prediction")),
             (true, false) => (Level::Ok, format!("{} pairs", self.scored.pairs)),
         };
@@ -188,7 +229,7 @@ impl Verifier {
     }
 
     fn message(&self, values: &[(String, f64)]) -> TactileMetrics {
-        let (unmatched_predictions, unmatched_truths) = self.pairing.unmatched();
+        let (unmatched_predictions, unmatched_truths) = self.pairing.unmatched(PATIENCE);
         let window = &self.scored.window;
         let span = window.front().zip(window.back()).map_or(0.0, |(first, last)| last.0 - first.0);
         let (names, values) = values.iter().cloned().unzip();
@@ -219,14 +260,15 @@ impl Verifier {
             value("pooled.iou"),
             value("latency_p50_secs") * 1e3,
             value("latency_p95_secs") * 1e3,
-            self.pairing.unmatched().1,
+            self.pairing.unmatched(PATIENCE).1,
         )
     }
 
     /// Everything since the start.
     fn summary(&mut self) -> anyhow::Result<Value> {
         let counts = self.tally.counts();
-        let (unmatched_predictions, unmatched_truths) = self.pairing.unmatched();
+        // At the end nothing more will come for those that wait.
+        let (unmatched_predictions, unmatched_truths) = self.pairing.unmatched(0.0);
         let secs = self.started.elapsed().as_secs_f64();
         let report = self.scored.total()?;
         Ok(json!({
@@ -250,7 +292,12 @@ impl Verifier {
 }
 
 impl Scored {
-    fn add(&mut self, frame: TactileFrame, truth: &TactileTruth) -> crate::Result<()> {
+    fn add(&mut self, frame: TactileFrame, truth: &TactileTruth, stretch: u64) -> crate::Result<()> {
+        for (name, hands) in [("tactile.hands", &frame.hands), ("truth.hands", &truth.frame.hands)] {
+            if hands.is_empty() {
+                return Err(crate::Error::value(name, "at least one hand", "none, which means no result"));
+            }
+        }
         let (predicted, target) = (frame.to_field()?, truth.frame.to_field()?);
         predicted.topology.must_match(target.topology)?;
         self.pairs += 1;
@@ -260,10 +307,11 @@ impl Scored {
         }
         let score = FrameScore::new(&predicted.force, &predicted.contact, &target.force, &target.contact, &[], &[]);
         let stamp = frame.header.stamp.secs();
-        if self.frames.last().is_some_and(|(last, _)| !(0.0..=PAUSE).contains(&(stamp - last))) {
+        if std::mem::replace(&mut self.stretch, stretch) != stretch && !self.frames.is_empty() {
             self.ends.push(self.frames.len());
             self.window.clear();
         }
+        self.came = Some(Instant::now());
         self.frames.push((stamp, score.clone()));
         self.window.push_back((stamp, score));
         if self.kept_count < KEPT {
@@ -277,17 +325,32 @@ impl Scored {
         Ok(())
     }
 
-    /// Drops what is older than the window.
+    /// Drops what is older than the window, all of it if nothing came for as long as it is.
     fn slide(&mut self, window_secs: f64) {
+        if self.came.is_some_and(|came| came.elapsed().as_secs_f64() > window_secs) {
+            self.window.clear();
+        }
         let Some((newest, _)) = self.window.back() else { return };
         let oldest = newest - window_secs;
         self.window.retain(|(stamp, _)| *stamp >= oldest);
     }
 
-    /// Valid pairs per second of their stamps, pauses left out; None of fewer than two.
+    /// Ends of all stretches, in valid pairs.
+    fn all_ends(&self) -> Vec<usize> {
+        let open = (!self.frames.is_empty()).then_some(self.frames.len());
+        self.ends.iter().copied().chain(open).collect()
+    }
+
+    /// The valid pairs of each stretch.
+    fn stretches(&self) -> impl Iterator<Item = &[(f64, FrameScore)]> {
+        let ends = self.all_ends();
+        let starts = std::iter::once(0).chain(ends.clone());
+        starts.zip(ends).map(|(start, end)| &self.frames[start..end])
+    }
+
+    /// Valid pairs per second of their stamps, within stretches; None of fewer than two.
     fn rate(&self) -> Option<f64> {
-        let steps =
-            self.frames.windows(2).map(|pair| pair[1].0 - pair[0].0).filter(|step| (0.0..=PAUSE).contains(step));
+        let steps = self.stretches().flat_map(|stretch| stretch.windows(2).map(|pair| pair[1].0 - pair[0].0));
         let (secs, count) = steps.fold((0.0, 0), |(secs, count), step| (secs + step, count + 1));
         (secs > 0.0).then(|| f64::from(count) / secs)
     }
@@ -295,13 +358,12 @@ impl Scored {
     /// All scores; beyond the pairs kept whole, those that need all vertices of all frames are undefined.
     fn total(&self) -> crate::Result<metrics::Report> {
         if self.frames.len() > self.kept_count {
-            return Ok(metrics::summarize(self.frames.iter().map(|(_, score)| score)));
+            let summary = |frames: &[(f64, FrameScore)]| metrics::summarize(frames.iter().map(|(_, score)| score));
+            let each: Vec<f64> = self.stretches().filter_map(|stretch| summary(stretch).temporal_pearson).collect();
+            let temporal_pearson = (!each.is_empty()).then(|| each.iter().sum::<f64>() / each.len() as f64);
+            return Ok(metrics::Report { temporal_pearson, ..summary(&self.frames) });
         }
-        let mut episode_ends = self.ends.clone();
-        if !self.frames.is_empty() {
-            episode_ends.push(self.frames.len());
-        }
-        let options = Options { episode_ends, fps: self.rate(), ..Options::default() };
+        let options = Options { episode_ends: self.all_ends(), fps: self.rate(), ..Options::default() };
         metrics::evaluate(&self.kept.0, &self.kept.1, &options)
     }
 }

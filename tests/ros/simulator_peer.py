@@ -92,6 +92,35 @@ def compressed():
         assert data[:3] == b"\xff\xd8\xff" and data[-2:] == b"\xff\xd9" and "jpeg" in file.format
 
 
+def follows():
+    """Under somebody else's /clock frames come when it has come as far, and none while it stands still."""
+    peer = Peer()
+    images = peer.listen(Image, "image_raw")
+    clock = peer.connected(peer.create_publisher(Clock, "/clock", RELIABLE))
+    peer.wait(lambda: peer.count_publishers(peer.resolve_topic_name("image_raw")) > 0, "the simulator")
+    # Longer than the simulator waits for more listeners.
+    peer.rest(4.0)
+    assert not images, "frames came before anybody said what time it is"
+    # Half a second in steps of 10 ms: frames 0 to 12.
+    for i in range(51):
+        time = Clock()
+        time.clock.sec, time.clock.nanosec = 100, i * 10_000_000
+        clock.publish(time)
+        peer.rest(0.03)
+    peer.rest(1.0)
+    times = [t - 100_000_000_000 for t in stamps(images)]
+    assert 11 <= len(times) <= 13 and times == sorted(set(times)), times
+    assert 0 <= times[0] and times[-1] <= 500_000_000, times
+    steps = np.diff(times)
+    assert steps.min() >= 30_000_000 and abs(steps.mean() - 40_000_000) < 3_000_000, times
+    # The clock goes on, and so does the simulator, to its end.
+    while peer.count_publishers(peer.resolve_topic_name("image_raw")):
+        i += 1
+        time.clock.sec, time.clock.nanosec = 100 + i // 100, i % 100 * 10_000_000
+        clock.publish(time)
+        peer.rest(0.005)
+
+
 def episodes():
     """Two scenes, one after the other; stamps go on."""
     peer = Peer()

@@ -47,7 +47,7 @@ pub fn write(args: &Args, out: &Path, bag: &Path, verifier_report: &Path) -> Res
 fn summarize(args: &Args, run: &Run, verifier: &Value) -> Value {
     let count = |has: fn(&bag::Moment) -> bool| run.values().filter(|moment| has(moment)).count();
     let images = count(|moment| moment.image.is_some());
-    let predictions = count(|moment| moment.predicted.is_some());
+    let predictions = count(|moment| moment.image.is_some() && moment.predicted.is_some());
     let unpaired = count(|moment| moment.image.is_some() && moment.predicted.is_none());
     let strangers = count(|moment| moment.image.is_none() && moment.predicted.is_some());
     json!({

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
+use tokio::signal::unix::{SignalKind, signal};
 
 use super::children::NodeProcess;
 use super::{Args, report, topics};
@@ -14,6 +15,8 @@ use crate::node::recorder::{Recorder, Topic};
 
 /// Frames per simulated second.
 const FPS: f64 = 25.0;
+/// In which nodes that run find each other.
+const DISCOVERY: Duration = Duration::from_millis(1000);
 /// How long a node may take to come up or go down.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -29,7 +32,16 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let recorder = Recorder::start(&out.join("bag"), recorded_topics()).context("recorder")?;
     let verifier_report = out.join("verifier.json");
     let nodes = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    nodes.block_on(simulate(args, &out, &recorder, &verifier_report))?;
+    nodes.block_on(async {
+        refuse_strangers(&recorder).await?;
+        // Whatever ends this, the nodes end with it.
+        let mut ends = signal(SignalKind::terminate())?;
+        tokio::select! {
+            result = simulate(args, &out, &recorder, &verifier_report) => result,
+            _ = ends.recv() => bail!("ended by SIGTERM"),
+            interrupted = tokio::signal::ctrl_c() => { interrupted?; bail!("interrupted") }
+        }
+    })?;
     let bag = recorder.finish().context("recorder")?;
     report::write(args, &out, &bag, &verifier_report)?;
     Ok(ExitCode::SUCCESS)
@@ -73,7 +85,16 @@ fn recorded_topics() -> Vec<Topic> {
     ]
 }
 
-/// Runs the three nodes until the simulator has shown all its images, or Ctrl-C.
+/// Waits for a moment and fails if somebody else publishes what this demo's nodes will.
+async fn refuse_strangers(recorder: &Recorder) -> Result<()> {
+    tokio::time::sleep(DISCOVERY).await;
+    if let Some(topic) = recorder.published().into_iter().next() {
+        bail!("somebody publishes on {topic} already: stop that node, or set another ROS_DOMAIN_ID");
+    }
+    Ok(())
+}
+
+/// Runs the three nodes until the simulator has shown all its images.
 async fn simulate(args: &Args, out: &Path, recorder: &Recorder, verifier_report: &Path) -> Result<()> {
     let mut predictor = NodeProcess::start("predictor", &predictor_arguments(args), out)?;
     let mut verifier = NodeProcess::start("verifier", &verifier_arguments(verifier_report), out)?;
@@ -89,7 +110,6 @@ async fn simulate(args: &Args, out: &Path, recorder: &Recorder, verifier_report:
         end = predictor.ended() => end.and_then(|()| bail!("the predictor ended during the simulation"))?,
         end = verifier.ended() => end.and_then(|()| bail!("the verifier ended during the simulation"))?,
         () = show_progress(recorder, (args.duration * FPS).round() as u64) => bail!("the recording failed"),
-        interrupted = tokio::signal::ctrl_c() => interrupted?,
     }
     // The last image's prediction and metrics are still under way.
     tokio::time::sleep(Duration::from_millis(1500)).await;
