@@ -51,4 +51,12 @@ fn a_value_out_of_range_says_what_was_expected() {
     assert!(error.contains("ball") && error.contains("cube"), "{error}");
     let error = edited("at: [-1, 0, 0]", "at: [0, 0, 0]");
     assert!(error.contains("direction"), "{error}");
+    let error = edited("force: [0.4, 1.2]", "force: [-2, -1]");
+    assert!(error.contains("contacts.thumb.force") && error.contains("0 to 1000"), "{error}");
+    let error = edited("share: 1", "share: .nan");
+    assert!(error.contains("share"), "{error}");
+    let error = edited("name: cube", "name: table").replace("object: cube", "object: table");
+    assert!(error.contains("objects[0].name") && error.contains("a name of its own"), "{error}");
+    let error = edited("- presence: 0.3", "- { side: left, presence: 0.3 }");
+    assert!(error.contains("hands[1].side"), "{error}");
 }

@@ -183,11 +183,7 @@ impl Piece {
         } else if let Some(ball) = self.collider.as_ball() {
             ball.to_trimesh(32, 16)
         } else if let Some(capsule) = self.collider.as_capsule() {
-            // Its mesh stands along y; ours along z.
-            let (mut vertices, triangles) = capsule.to_trimesh(12, 6);
-            let turn = parry3d::math::Rotation::from_rotation_x(std::f32::consts::FRAC_PI_2);
-            vertices.iter_mut().for_each(|v| *v = turn * *v);
-            (vertices, triangles)
+            capsule.to_trimesh(12, 6)
         } else if let Some(hull) = self.collider.as_convex_polyhedron() {
             hull.to_trimesh()
         } else {

@@ -18,6 +18,9 @@ use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
 
 /// (T, 1556) u8: 1 = an object's surface is within 1 cm.
 pub const PROXIMITY: &str = "data/mano_proximity";
+/// (T, 2, 2) f32: for the left and the right hand, the relative difference between the sum of its forces and that of its
+/// contacts, and the moment that spreading adds, N m; zero for a hand that is absent.
+pub const FORCE_RESIDUAL: &str = "data/force_residual";
 
 /// What came out of recording.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -180,10 +183,19 @@ fn merge(plan: &Generate, out: &Path, part: &dyn Fn(usize) -> PathBuf) -> Result
         entries.extend(reader.raw_attributes().get("episodes").and_then(Value::as_array).cloned().unwrap_or_default());
         for frame in 0..reader.len() {
             let one = |name: &str| reader.read(name, frame..frame + 1);
-            let mut poses = reader.read_f32(OBJECT_POSE, frame..frame + 1)?;
-            poses.resize(n_objects * 7, f32::NAN);
-            let extra =
-                vec![(PROXIMITY, one(PROXIMITY)?), (OBJECT_POSE, Values::F32(poses)), (CAMERA_POSE, one(CAMERA_POSE)?)];
+            let mut extra = vec![];
+            for name in [PROXIMITY, FORCE_RESIDUAL, CAMERA_POSE] {
+                extra.push((name, one(name)?));
+            }
+            if n_objects > 0 {
+                // A scene without objects has no such array.
+                let mut poses = match reader.has(OBJECT_POSE) {
+                    true => reader.read_f32(OBJECT_POSE, frame..frame + 1)?,
+                    false => Vec::new(),
+                };
+                poses.resize(n_objects * 7, f32::NAN);
+                extra.push((OBJECT_POSE, Values::F32(poses)));
+            }
             let frame = reader.frame(frame)?;
             summary.count(&frame);
             writer.push_with(frame, extra)?;
@@ -222,8 +234,11 @@ fn episode_entry(scene: &Scene, seed: u64, rollout: &Rollout) -> Value {
 }
 
 fn extra_arrays(n_objects: usize) -> Vec<ArraySpec> {
-    let mut arrays =
-        vec![ArraySpec::new(PROXIMITY, [N_FIELD], Dtype::U8), ArraySpec::new(CAMERA_POSE, [7], Dtype::F32)];
+    let mut arrays = vec![
+        ArraySpec::new(PROXIMITY, [N_FIELD], Dtype::U8),
+        ArraySpec::new(FORCE_RESIDUAL, [2, 2], Dtype::F32),
+        ArraySpec::new(CAMERA_POSE, [7], Dtype::F32),
+    ];
     if n_objects > 0 {
         arrays.push(ArraySpec::new(OBJECT_POSE, [n_objects, 7], Dtype::F32));
     }
@@ -235,7 +250,14 @@ fn extra_values(frame: &SimFrame, n_objects: usize) -> Vec<(&'static str, Values
         [position.x, position.y, position.z, q.w, q.x, q.y, q.z].map(|x| x as f32)
     };
     let camera = pose(frame.camera.position, frame.camera.orientation).to_vec();
-    let mut values = vec![(PROXIMITY, Values::U8(frame.proximity.clone())), (CAMERA_POSE, Values::F32(camera))];
+    let residuals = frame.hands.iter().flat_map(|hand| {
+        hand.as_ref().map_or([0.0; 2], |hand| [hand.sum_residual as f32, hand.moment_residual as f32])
+    });
+    let mut values = vec![
+        (PROXIMITY, Values::U8(frame.proximity.clone())),
+        (FORCE_RESIDUAL, Values::F32(residuals.collect())),
+        (CAMERA_POSE, Values::F32(camera)),
+    ];
     if n_objects > 0 {
         let objects = frame.objects.iter().flat_map(|object| pose(object.position, object.orientation)).collect();
         values.push((OBJECT_POSE, Values::F32(objects)));

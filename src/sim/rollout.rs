@@ -69,6 +69,8 @@ pub struct Rollout {
     head: usize,
     steps_per_frame: usize,
     steps_per_control: usize,
+    /// Steps since the start: control follows them, whatever the frame rate.
+    steps: usize,
     interval: f64,
     frames: usize,
     next: usize,
@@ -153,6 +155,7 @@ impl Rollout {
         };
         Ok(Self {
             steps_per_frame: physics.steps_in(interval)?,
+            steps: 0,
             steps_per_control: (CONTROL_INTERVAL / physics.timestep).round().max(1.0) as usize,
             frames: (episode.duration * scene.spec.rate).floor() as usize + 1,
             intrinsics: Intrinsics::new(width, height, episode.camera.fovy),
@@ -250,14 +253,15 @@ impl Rollout {
     }
 
     fn advance(&mut self) {
-        for step in 0..self.steps_per_frame {
-            if step % self.steps_per_control == 0 {
+        for _ in 0..self.steps_per_frame {
+            if self.steps.is_multiple_of(self.steps_per_control) {
                 let interval = self.steps_per_control as f64 * self.world.options().timestep;
                 for hand in self.hands.iter_mut().flatten() {
                     hand.drive(&mut self.world, interval);
                 }
             }
             self.world.step();
+            self.steps += 1;
             self.guard.after_step(&self.world);
         }
     }

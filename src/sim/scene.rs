@@ -9,6 +9,13 @@ use super::span::Span;
 use crate::error::{Error, Result};
 use crate::mujoco::PhysicsOptions;
 
+/// Names that the world itself gives.
+const RESERVED: [&str; 4] = ["head", "table", "floor", "sky"];
+/// No hand presses harder, N.
+const MOST_FORCE: f64 = 1000.0;
+/// No hand is sent further, m.
+const FAR: f64 = 1.0;
+
 /// Scenes that are part of the program: name and text.
 pub const SHIPPED: [(&str, &str); 3] = [
     ("pinch_cube", include_str!("../../sim/scenes/pinch_cube.yaml")),
@@ -301,7 +308,8 @@ impl Scene {
             if object.name.is_empty() || !object.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') {
                 return Err(Error::value(key("name"), "letters, digits and _", format!("{:?}", object.name)));
             }
-            if spec.objects[..i].iter().any(|other| other.name == object.name) {
+            let taken = spec.objects[..i].iter().map(|other| other.name.as_str()).chain(RESERVED);
+            if taken.into_iter().any(|name| name == object.name) {
                 return Err(Error::value(key("name"), "a name of its own", &object.name));
             }
             positive(&key("mass"), object.mass)?;
@@ -310,6 +318,16 @@ impl Scene {
         }
         if spec.hands.is_empty() || spec.hands.len() > 2 {
             return Err(Error::value("hands", "one or two", spec.hands.len()));
+        }
+        if let [first, second] = spec.hands.as_slice() {
+            let fits = matches!(
+                (first.side, second.side),
+                (_, SideSpec::Either) | (SideSpec::Left, SideSpec::Right) | (SideSpec::Right, SideSpec::Left)
+            );
+            if !fits {
+                let got = format!("{:?}, beside {:?}", second.side, first.side).to_lowercase();
+                return Err(Error::value("hands[1].side", "either, or the other hand's side", got));
+            }
         }
         for (i, hand) in spec.hands.iter().enumerate() {
             if !(0.0..=1.0).contains(&hand.presence) {
@@ -359,14 +377,43 @@ impl ActSpec {
         if self.script.is_empty() {
             return Err(Error::value(format!("{key}.script"), "at least one phase", "none"));
         }
-        for (i, phase) in self.script.iter().enumerate() {
-            within(&format!("{key}.script[{i}].seconds"), phase.seconds, 0.0, 600.0)?;
-            if let Some(squeeze) = phase.squeeze {
-                within(&format!("{key}.script[{i}].squeeze"), squeeze, 0.0, 1.0)?;
+        within(&format!("{key}.grip"), self.grip, 0.0, MOST_FORCE)?;
+        within(&format!("{key}.curl"), self.curl, 0.0, 1.0)?;
+        for (site, contact) in &self.contacts {
+            let key = format!("{key}.contacts.{site:?}").to_lowercase();
+            within(&format!("{key}.force"), contact.force, 0.0, MOST_FORCE)?;
+            within(&format!("{key}.height"), contact.height, -FAR, FAR)?;
+            if !(0.0..=1.0).contains(&contact.share) {
+                return Err(Error::value(format!("{key}.share"), "0 to 1", contact.share));
             }
+        }
+        let Channels { standoff, opening, squeeze, shift } = &self.start;
+        channels(&format!("{key}.start"), Some(*standoff), Some(*opening), Some(*squeeze), Some(shift))?;
+        for (i, phase) in self.script.iter().enumerate() {
+            let key = format!("{key}.script[{i}]");
+            within(&format!("{key}.seconds"), phase.seconds, 0.0, 600.0)?;
+            channels(&key, phase.standoff, phase.opening, phase.squeeze, phase.shift.as_ref())?;
         }
         Ok(())
     }
+}
+
+/// Checks the channels that are given.
+fn channels(
+    key: &str,
+    standoff: Option<Span>,
+    opening: Option<Span>,
+    squeeze: Option<Span>,
+    shift: Option<&[Span; 3]>,
+) -> Result<()> {
+    let check = |name: &str, span: Option<Span>, low: f64, high: f64| match span {
+        Some(span) => within(&format!("{key}.{name}"), span, low, high),
+        None => Ok(()),
+    };
+    check("standoff", standoff, -FAR, FAR)?;
+    check("opening", opening, -FAR, FAR)?;
+    check("squeeze", squeeze, 0.0, 1.0)?;
+    shift.into_iter().flatten().try_for_each(|axis| check("shift", Some(*axis), -FAR, FAR))
 }
 
 fn positive(name: &str, span: Span) -> Result<()> {
