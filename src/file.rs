@@ -9,13 +9,18 @@ use ::image::{ImageFormat, RgbImage};
 use crate::error::{Error, Result};
 
 /// Writes a file under another name beside it, then renames it: a reader sees all of it, or what was there before.
-/// Folders that lack are made.
+/// Folders that lack are made, links are followed; what is no file, such as `/dev/stdout`, is written to as it is.
 ///
 /// # Errors
 /// If the path names no file, or writing fails.
 pub fn write(path: &Path, content: &[u8]) -> Result<()> {
     if path.file_name().is_none() {
         return Err(Error::file(path, "is not a name for a file"));
+    }
+    let real = path.canonicalize().ok();
+    let path = real.as_deref().unwrap_or(path);
+    if path.metadata().is_ok_and(|there| !there.is_file() && !there.is_dir()) {
+        return std::fs::write(path, content).map_err(Error::io(path));
     }
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder).map_err(Error::io(folder))?;
@@ -49,6 +54,19 @@ mod tests {
         write(&path, b"after").unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"after");
         assert_eq!(std::fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_link_is_followed_and_a_device_stays_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let [link, target] = ["link", "target"].map(|name| folder.path().join(name));
+        std::fs::write(&target, b"before").unwrap();
+        std::os::unix::fs::symlink(&target, &link).unwrap();
+        write(&link, b"after").unwrap();
+        assert!(link.is_symlink());
+        assert_eq!(std::fs::read(&target).unwrap(), b"after");
+        write(Path::new("/dev/null"), b"gone").unwrap();
+        assert!(!Path::new("/dev/null").metadata().unwrap().is_file());
     }
 
     #[test]

@@ -64,6 +64,7 @@ mod thresholds {
 
     #[derive(Serialize, Deserialize)]
     struct Thresholds {
+        #[serde(default = "default")]
         contact_force: f64,
     }
 

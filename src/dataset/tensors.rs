@@ -86,7 +86,7 @@ impl FieldFile {
             mask_force: mask(&["mask_force", "mano_force_valid"])?,
             mask_contact: mask(&["mask_contact", "mano_contact_valid"])?,
             timestamps: row("timestamps")?,
-            episode_ends: row("episode_ends")?.into_iter().map(|end| end as usize).collect(),
+            episode_ends: ends(row("episode_ends")?)?,
         })
     }
 
@@ -133,6 +133,15 @@ impl FieldFile {
     }
 }
 
+/// Whole numbers from 0 on.
+fn ends(values: Vec<f64>) -> Result<Vec<usize>> {
+    let whole = |end: f64| match end >= 0.0 && end.fract() == 0.0 {
+        true => Ok(end as usize),
+        false => Err(Error::value("episode_ends", "whole numbers from 0 on", end)),
+    };
+    values.into_iter().map(whole).collect()
+}
+
 /// A tensor's numbers, whatever its dtype.
 fn numbers(name: &str, tensor: &TensorView, shape: &[usize]) -> Result<Vec<f64>> {
     if tensor.shape() != shape {
@@ -149,9 +158,14 @@ fn numbers(name: &str, tensor: &TensorView, shape: &[usize]) -> Result<Vec<f64>>
         Dtype::BF16 => each(data, |b| half::bf16::from_le_bytes(b).to_f64()),
         Dtype::I64 => each(data, |b| i64::from_le_bytes(b) as f64),
         Dtype::I32 => each(data, |b| f64::from(i32::from_le_bytes(b))),
+        Dtype::I16 => each(data, |b| f64::from(i16::from_le_bytes(b))),
+        Dtype::U64 => each(data, |b| u64::from_le_bytes(b) as f64),
+        Dtype::U32 => each(data, |b| f64::from(u32::from_le_bytes(b))),
+        Dtype::U16 => each(data, |b| f64::from(u16::from_le_bytes(b))),
+        Dtype::I8 => each(data, |b: [u8; 1]| f64::from(b[0] as i8)),
         Dtype::U8 | Dtype::BOOL => each(data, |b: [u8; 1]| f64::from(b[0])),
         other => {
-            return Err(Error::value(name, "dtype F16, BF16, F32, F64, I32, I64, U8 or BOOL", format!("{other:?}")));
+            return Err(Error::value(name, "dtype F16, BF16, F32, F64, an integer or BOOL", format!("{other:?}")));
         }
     })
 }

@@ -32,7 +32,7 @@ impl Dtype {
         let [kind, size @ ..] = rest else { return Err(unknown()) };
         let size = std::str::from_utf8(size).ok().and_then(|size| size.parse().ok()).ok_or_else(unknown)?;
         match (kind, size) {
-            (b'f', 4 | 8) | (b'i' | b'u', 1 | 2 | 4 | 8) | (b'b', 1) => Ok(Self { big_endian, kind: *kind, size }),
+            (b'f', 2 | 4 | 8) | (b'i' | b'u', 1 | 2 | 4 | 8) | (b'b', 1) => Ok(Self { big_endian, kind: *kind, size }),
             _ => Err(unknown()),
         }
     }
@@ -51,6 +51,7 @@ impl Dtype {
         // Shifting up and down again extends the sign.
         let shift = 64 - 8 * self.size as u32;
         match (self.kind, self.size) {
+            (b'f', 2) => half::f16::from_bits(unsigned as u16).to_f64(),
             (b'f', 4) => f64::from(f32::from_bits(unsigned as u32)),
             (b'f', _) => f64::from_bits(unsigned),
             (b'i', _) => (((unsigned << shift) as i64) >> shift) as f64,

@@ -96,6 +96,12 @@ impl Reader<'_> {
         match array.shape[..] {
             [N_VERTICES, 3, N_POSE] => self.finite("posedirs", &array.data),
             [rows, N_POSE] if rows == 3 * N_VERTICES => self.finite("posedirs", &array.data),
+            // As smplx holds them in memory.
+            [N_POSE, columns] if columns == 3 * N_VERTICES => {
+                let transposed = (0..columns).flat_map(|c| array.data.iter().skip(c).step_by(columns));
+                let transposed: Vec<f64> = transposed.copied().collect();
+                self.finite("posedirs", &transposed)
+            }
             _ => Err(self.misshapen("posedirs", "[778, 3, 135]", &array.shape)),
         }
     }

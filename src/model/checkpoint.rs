@@ -202,9 +202,13 @@ pub fn load_model(path: &Path, config: Option<&Config>, device: &Device) -> Resu
 ///
 /// # Errors
 /// If the file can't be read, or its tensors are not exactly the variables, by name and shape.
-pub fn load_variables(path: &Path, vars: &VarMap) -> Result<()> {
+pub fn load_variables(path: &Path, vars: &VarMap) -> Result<Option<Metadata>> {
     let bytes = read(path)?;
     let file = File::parse(path, &bytes)?;
+    let metadata = match file.metadata.contains_key("topology") {
+        true => Some(Metadata::from_map(path, &file.metadata)?),
+        false => None,
+    };
     let loader = Loader::new(file.tensors);
     let vars = lock(vars)?;
     let mut pairs = Vec::new();
@@ -216,7 +220,7 @@ pub fn load_variables(path: &Path, vars: &VarMap) -> Result<()> {
     for (var, tensor) in pairs {
         var.set(&tensor)?;
     }
-    Ok(())
+    Ok(metadata)
 }
 
 /// Saves tensors under their names, without metadata, whole or not at all; f32.

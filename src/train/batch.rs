@@ -114,6 +114,7 @@ impl Dataset {
         let mut dataset = Self { stores: Vec::new(), preparation };
         for reader in readers {
             let timestamps = reader.read(TIMESTAMPS, 0..reader.len())?.into_f64();
+            check_timestamps(&reader, &timestamps)?;
             dataset.stores.push(Store { reader, timestamps, memory: None, keypoints: None });
         }
         if in_memory {
@@ -389,6 +390,22 @@ impl Batch {
     }
 }
 
+/// Time must go on within an episode: windows are found by it.
+fn check_timestamps(reader: &ZarrReader, timestamps: &[f64]) -> Result<()> {
+    let mut start = 0;
+    for end in reader.episode_ends() {
+        let episode = &timestamps[start..*end];
+        let stops = episode.windows(2).position(|pair| !(pair[1] > pair[0]));
+        if let Some(at) = stops {
+            let got = format!("{} after {} at frame {}", episode[at + 1], episode[at], start + at + 1);
+            let error = Error::value(TIMESTAMPS, "seconds that grow within an episode", got);
+            return Err(Error::file(reader.path(), error));
+        }
+        start = *end;
+    }
+    Ok(())
+}
+
 /// Labels of a range of frames, masked where they are unknown or a guard refused the frame; no images.
 ///
 /// # Errors
@@ -410,7 +427,9 @@ pub fn read_labels(reader: &ZarrReader, frames: Range<usize>) -> Result<Block> {
             false => vec![1; n * N_FIELD],
         };
         for (entry, (mask, label)) in mask.iter_mut().zip(label).enumerate() {
-            *mask = u8::from(*mask != 0 && !label.is_nan() && valid[entry / N_FIELD] == 0);
+            // What is no number, or no force, is unknown too: one of them would make every loss NaN.
+            let known = label.is_finite() && *label >= 0.0;
+            *mask = u8::from(*mask != 0 && known && valid[entry / N_FIELD] == 0);
         }
         Ok(mask)
     };

@@ -44,6 +44,11 @@ pub fn read(reader: &ZarrReader, frames: Range<usize>, preparation: &Preparation
     if reader.attributes().topology != Topology::EgotacHand1 || needed.iter().any(|name| !reader.has(name)) {
         return Ok(vec![unknown; frames.len()]);
     }
+    for array in reader.arrays().iter().filter(|array| array.name == CAMERA_POSE) {
+        if !matches!(array.shape[..], [_, 7]) {
+            return Err(Error::file(reader.path(), Error::shape(CAMERA_POSE, "(T, 7)", &array.shape)));
+        }
+    }
     let [cameras, left, right] = needed.map(|name| reader.read_f32(name, frames.clone()));
     let (cameras, hands) = (cameras?, [left?, right?]);
     let objects = if reader.has(OBJECT_POSE) { reader.read_f32(OBJECT_POSE, frames.clone())? } else { Vec::new() };

@@ -173,7 +173,13 @@ pub fn train(
     let varmap = VarMap::new();
     let network = EgoTac::new(&geometry, init::var_builder(&varmap, config.seed, device))?;
     match &config.init {
-        Some(path) => model::checkpoint::load_variables(path, &varmap)?,
+        Some(path) => {
+            if let Some(before) = model::checkpoint::load_variables(path, &varmap)? {
+                before.topology.must_match(metadata.topology).map_err(|error| Error::file(path, error))?;
+                // Newtons stay newtons in the new unit.
+                start::rescale_force(&varmap, before.force_scale / metadata.force_scale)?;
+            }
+        }
         None => {
             start::positions(&varmap, &geometry)?;
             start::heads(&varmap, &statistics, metadata.force_scale, config.loss.positive_weight as f32)?;
@@ -209,9 +215,11 @@ pub fn train(
     };
     let mut stop = observe(Event::Started(&started)) == Control::Stop;
 
-    let save = |optimizer: &AdamW, step: usize, report: Option<&Report>| -> Result<String> {
+    let save = |optimizer: &AdamW, step: usize, report: Option<&(usize, Report)>| -> Result<String> {
         checkpoint::save(&state_file, optimizer, step, &yaml)?;
         let mut metadata = metadata.clone();
+        // A report tells of the weights it was made with.
+        let report = report.filter(|(at, _)| *at == step).map(|(_, report)| report);
         metadata.training = training_record(config, &started, step, report);
         Checkpoint::save(&checkpoint_file, &geometry, &metadata, &averaged(optimizer, config, &geometry, device)?)
     };
@@ -285,8 +293,8 @@ pub fn train(
 
             let last = stop || step == config.steps;
             if last || step.is_multiple_of(config.validate_every) {
-                report = score(&optimizer)?;
-                if let Some(report) = &report {
+                report = score(&optimizer)?.map(|report| (step, report));
+                if let Some((_, report)) = &report {
                     stop |= observe(Event::Validated(step, report)) == Control::Stop;
                 }
             }
@@ -295,12 +303,15 @@ pub fn train(
                 stop |= observe(Event::Saved(step)) == Control::Stop;
             }
         }
+        if report.as_ref().is_none_or(|(at, _)| *at != step) {
+            report = score(&optimizer)?.map(|report| (step, report));
+        }
         let sha256 = save(&optimizer, step, report.as_ref())?;
         Ok(Outcome {
             checkpoint: checkpoint_file.clone(),
             sha256,
             steps: step,
-            validation: report,
+            validation: report.map(|(_, report)| report),
             broken_steps: broken,
         })
     })

@@ -30,7 +30,7 @@ pub fn window(timestamps: &[f64], start: usize, newest: usize, horizon: usize, f
         let wanted = timestamps[newest] - i as f64 * frame_dt;
         // Distances fall, then grow, on the way back in time. Rounding must not tell equal distances apart.
         let distance = |frame: usize| (timestamps[frame] - wanted).abs();
-        while at > start && distance(at - 1) <= distance(at) + 1e-9 {
+        while i > 0 && at > start && distance(at - 1) <= distance(at) + 1e-9 {
             at -= 1;
         }
         frames.push(at);

@@ -41,6 +41,18 @@ pub fn heads(varmap: &VarMap, statistics: &Statistics, force_scale: f32, positiv
     Ok(())
 }
 
+/// Multiplies the force head's output by `factor`.
+///
+/// # Errors
+/// If the head is missing.
+pub fn rescale_force(varmap: &VarMap, factor: f32) -> Result<()> {
+    for name in ["force_head.weight", "force_head.bias"] {
+        let var = variable(varmap, name)?;
+        var.set(&(var.as_tensor() * f64::from(factor))?)?;
+    }
+    Ok(())
+}
+
 /// Starts the position embeddings as plane waves over the patch grid (half along rows, half along columns; sine and
 /// cosine), so that a patch knows its place from the first step. CLS keeps its start.
 ///

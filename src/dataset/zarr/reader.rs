@@ -201,6 +201,9 @@ impl ZarrReader {
     fn bytes(&self, name: &str, values: Values) -> Result<Vec<u8>> {
         match values {
             Values::U8(values) => Ok(values),
+            Values::I64(values) if values.iter().all(|value| (0..=255).contains(value)) => {
+                Ok(values.into_iter().map(|value| value as u8).collect())
+            }
             other => Err(Error::file(&self.path, format!("{name}: expected dtype u8, got {}", other.dtype()))),
         }
     }
@@ -398,8 +401,16 @@ impl Column {
             return Ok(Values::I64(self.retrieve(&subset, path)?));
         } else if of == data_type::int32() {
             return Ok(Values::I64(self.retrieve::<i32>(&subset, path)?.into_iter().map(i64::from).collect()));
+        } else if of == data_type::uint32() {
+            return Ok(Values::I64(self.retrieve::<u32>(&subset, path)?.into_iter().map(i64::from).collect()));
+        } else if of == data_type::uint64() {
+            let too_large = |_| Error::file(path, format!("{}: expected numbers below 2^63", self.name));
+            let values = self.retrieve::<u64>(&subset, path)?.into_iter().map(i64::try_from);
+            return Ok(Values::I64(values.collect::<std::result::Result<_, _>>().map_err(too_large)?));
+        } else if of == data_type::float16() {
+            return Ok(Values::F32(self.retrieve::<half::f16>(&subset, path)?.into_iter().map(f32::from).collect()));
         }
-        let known = "uint8, bool, float32, float64, int32 or int64";
+        let known = "uint8, bool, float16, float32, float64, int32, int64, uint32 or uint64";
         Err(Error::file(path, format!("{}: expected dtype {known}, got {of:?}", self.name)))
     }
 
@@ -449,6 +460,14 @@ fn attributes(
     arrays: &BTreeMap<String, Column>,
 ) -> Result<Attributes> {
     let mut map = raw.clone();
+    // Who else writes stores may keep other things under names that only describe.
+    map.retain(|name, value| match name.as_str() {
+        "scene" | "producer" | "version" => value.is_string(),
+        "seed" => value.is_u64(),
+        "sigma" => value.is_number(),
+        "thresholds" => value.get("contact_force").is_none_or(serde_json::Value::is_number) && value.is_object(),
+        _ => true,
+    });
     if !map.contains_key("topology") {
         let labels: Vec<&str> =
             arrays.keys().filter(|name| name.starts_with("data/mano_")).map(String::as_str).collect();

@@ -99,7 +99,18 @@ impl Pickle<'_> {
                 let rows = uncompressed(&part("indptr")?.indices()?, data.len())?;
                 zipped(rows, part("indices")?.indices()?, data)?
             }
-            Some("coo_matrix") => zipped(part("row")?.indices()?, part("col")?.indices()?, data)?,
+            Some("coo_matrix" | "coo_array") => {
+                // SciPy 1.13 and later keep rows and columns together.
+                let (rows, columns) = match self.attribute(state, "coords") {
+                    Some(coords) => {
+                        let mut rows = self.to_array(coords, depth + 1)?.indices()?;
+                        let columns = rows.split_off(rows.len() / 2);
+                        (rows, columns)
+                    }
+                    None => (part("row")?.indices()?, part("col")?.indices()?),
+                };
+                zipped(rows, columns, data)?
+            }
             _ => return Err(format!("sparse matrices of {class} are not supported (csc, csr and coo are)")),
         };
         Array::from_triplets([rows, columns], triplets)
