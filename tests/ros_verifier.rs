@@ -78,7 +78,8 @@ fn pipeline(simulator_args: &[&str], predictor_args: &[&str], verifier_args: &[&
     // A busy machine may skip frames, and the last one may still be under way.
     let (pairs, alone) = (report["pairs"].as_u64().unwrap(), report["unmatched_truths"].as_u64().unwrap());
     assert!(pairs >= 10 && pairs + alone <= 75, "{report:#}");
-    assert_eq!(report["unmatched_predictions"], 0, "{report:#}");
+    // On a busy machine the verifier may find the simulator later than the predictor does.
+    assert!(pairs + report["unmatched_predictions"].as_u64().unwrap() <= 75, "{report:#}");
     assert!(report["model_id"].as_str().unwrap().starts_with("random/"));
     report
 }

@@ -16,6 +16,10 @@ fn blind() -> RolloutOptions {
     RolloutOptions { picture: None, ..RolloutOptions::default() }
 }
 
+fn small() -> RolloutOptions {
+    RolloutOptions { picture: Some((16, 16)), ..RolloutOptions::default() }
+}
+
 /// The same hand with its vertices in the opposite order, as if from another file.
 fn renumbered(side: Side) -> HandModel {
     let mut model = HandModel::builtin(side);
@@ -198,4 +202,56 @@ fn a_world_that_stands_still_is_not_valid() {
     world.step();
     guard.after_step(&world);
     assert_eq!(guard.frame(&world), Validity::NotFinite);
+}
+
+#[test]
+fn physics_does_not_depend_on_how_often_somebody_looks() {
+    let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/sim/scenes/pinch_cube.yaml")).unwrap();
+    let at_rate = |rate: f64| {
+        let scene = Scene::parse("rated", Path::new("rated.yaml"), &format!("rate: {rate}\n{text}")).unwrap();
+        let mut rollout = Rollout::new(&scene, 4, &blind()).unwrap();
+        let mut frames = Vec::new();
+        while let Some(frame) = rollout.next_frame().unwrap() {
+            frames.push(frame.frame);
+        }
+        frames
+    };
+    // 50 Hz are 10 steps a frame, which control every 4 steps does not divide.
+    let [slow, fast] = [25.0, 50.0].map(at_rate);
+    let mut touched = false;
+    for (at, frame) in slow.iter().enumerate() {
+        let other = &fast[2 * at];
+        assert!((frame.timestamp - other.timestamp).abs() < 1e-9);
+        assert_eq!(frame.field.force, other.field.force, "at {} s", frame.timestamp);
+        touched |= frame.field.force.iter().any(|force| *force > 0.1);
+    }
+    assert!(touched);
+}
+
+#[test]
+fn a_store_holds_each_frames_residuals() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.zarr");
+    let summary = record(&Scene::load("lift_mug").unwrap(), 2, &small(), &path, |_, _| ()).unwrap();
+    let store = ZarrReader::open(&path).unwrap();
+    let residuals = store.read_f32("data/force_residual", 0..store.len()).unwrap();
+    assert_eq!(residuals.len(), store.len() * 4);
+    let most = |k: usize| residuals.iter().skip(k).step_by(2).copied().fold(0f32, f32::max);
+    assert!((f64::from(most(0)) - summary.sum_residual).abs() < 1e-9, "{} {}", most(0), summary.sum_residual);
+    assert!((f64::from(most(1)) / summary.moment_residual - 1.0).abs() < 1e-5);
+    assert!(most(0) < 1e-6 && most(1) > 0.0);
+}
+
+#[test]
+fn scenes_with_and_without_objects_go_into_one_store() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("empty.zarr");
+    let text = "description: An idle hand.\nobjects: []\nhands:\n  - side: right\n";
+    let empty = Scene::parse("empty", Path::new("empty.yaml"), text).unwrap();
+    for scenes in [vec![empty.clone()], vec![Scene::load("hover").unwrap(), empty]] {
+        let plan = Generate { scenes, episodes: 2, seed: 0, options: small(), jobs: 1 };
+        generate(&plan, &path, |_, _| ()).unwrap();
+        assert_eq!(ZarrReader::open(&path).unwrap().episode_ends().len(), 2);
+        std::fs::remove_dir_all(&path).unwrap();
+    }
 }

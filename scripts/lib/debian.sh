@@ -42,7 +42,7 @@ install_debian_packages() { # PYTHON
     elif [ "$(id -u)" -eq 0 ]; then
         run=(env DEBIAN_FRONTEND=noninteractive)
     elif command -v sudo >/dev/null && sudo -n true 2>/dev/null; then
-        run=(sudo -n --preserve-env=http_proxy,https_proxy,no_proxy env DEBIAN_FRONTEND=noninteractive)
+        run=(sudo -n "--preserve-env=http_proxy,https_proxy,no_proxy" env DEBIAN_FRONTEND=noninteractive)
         by_hand="sudo sh -c '$by_hand'"
     else
         fail "Debian packages are missing and this is not root; run this, then set-up again:

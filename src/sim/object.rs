@@ -286,3 +286,34 @@ fn mug_surface(radius: f64, height: f64, wall: f64) -> Surface {
     }
     (vertices, triangles)
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+    use crate::sim::span::Span;
+
+    #[test]
+    fn sampled_points_lie_on_the_surface() {
+        let fixed = Span::fixed;
+        let shapes = [
+            ShapeSpec::Cube { size: fixed(0.04) },
+            ShapeSpec::Ball { radius: fixed(0.03) },
+            ShapeSpec::Cylinder { radius: fixed(0.02), height: fixed(0.1) },
+            ShapeSpec::Mug { radius: fixed(0.035), height: fixed(0.09), wall: fixed(0.004) },
+        ];
+        for spec in shapes {
+            let object = Object::sample(&spec, &mut rand_chacha::ChaCha8Rng::seed_from_u64(1)).unwrap();
+            for piece in &object.pieces {
+                let (vertices, _) = piece.mesh();
+                assert!(!vertices.is_empty());
+                for vertex in vertices {
+                    let gap = piece.collider.distance_to_point(&piece.pose(), single(vertex.as_dvec3()), false);
+                    // Facets of a round surface lie a little inside of it.
+                    assert!(gap.abs() < 1e-3, "{spec:?}: {gap} m from {:?}", piece.shape);
+                }
+            }
+        }
+    }
+}

@@ -1,5 +1,6 @@
 //! Frames of stores as training sees them: prepared images, labels, masks.
 
+use std::cmp::Ordering;
 use std::ops::Range;
 
 use candle_core::{Device, Tensor};
@@ -395,7 +396,7 @@ fn check_timestamps(reader: &ZarrReader, timestamps: &[f64]) -> Result<()> {
     let mut start = 0;
     for end in reader.episode_ends() {
         let episode = &timestamps[start..*end];
-        let stops = episode.windows(2).position(|pair| !(pair[1] > pair[0]));
+        let stops = episode.windows(2).position(|pair| pair[1].partial_cmp(&pair[0]) != Some(Ordering::Greater));
         if let Some(at) = stops {
             let got = format!("{} after {} at frame {}", episode[at + 1], episode[at], start + at + 1);
             let error = Error::value(TIMESTAMPS, "seconds that grow within an episode", got);
