@@ -5,7 +5,7 @@ use std::f64::consts::{PI, TAU};
 use glam::{DQuat, DVec3, Vec3};
 use parry3d::math::{Pose, Vector};
 use parry3d::query::Ray;
-use parry3d::shape::SharedShape;
+use parry3d::shape::{SharedShape, TriMeshFlags};
 use rand::Rng;
 
 use super::convex::{self, double, single};
@@ -45,6 +45,9 @@ pub struct Piece {
     /// Whether the picture shows it.
     pub visible: bool,
     collider: SharedShape,
+    /// Answers how far points are: a hull's triangles. For a hull itself parry searches, and near corners of pieces of a
+    /// few millimetres it ended 3.6 mm off.
+    gauge: SharedShape,
 }
 
 /// Shapes the engine knows; the axis of cylinder and capsule is z.
@@ -123,7 +126,7 @@ impl Object {
 
     /// Signed distance of a point in the object's frame, m: exact outside, negative inside a piece.
     pub fn distance(&self, point: DVec3) -> f64 {
-        let distance = |piece: &Piece| piece.collider.distance_to_point(&piece.pose(), single(point), false);
+        let distance = |piece: &Piece| piece.gauge.distance_to_point(&piece.pose(), single(point), false);
         self.pieces.iter().map(distance).fold(f32::INFINITY, f32::min).into()
     }
 
@@ -158,7 +161,15 @@ impl Piece {
             }
             PieceShape::Hull(points) => hull(points)?,
         };
-        Ok(Self { shape, position, orientation, visible, collider })
+        let gauge = match collider.as_convex_polyhedron() {
+            Some(hull) => {
+                let (vertices, triangles) = hull.to_trimesh();
+                SharedShape::trimesh_with_flags(vertices, triangles, TriMeshFlags::ORIENTED)
+                    .map_err(|error| Error::value("convex piece", "a closed surface", error))?
+            }
+            None => collider.clone(),
+        };
+        Ok(Self { shape, position, orientation, visible, collider, gauge })
     }
 
     /// Volume, m³.
@@ -295,7 +306,26 @@ mod tests {
     use crate::sim::span::Span;
 
     #[test]
-    fn sampled_points_lie_on_the_surface() {
+    fn distances_to_a_hull_are_exact_at_its_corners_and_inside() {
+        let corners = [-1.0, 1.0].map(|x| [-1.0, 1.0].map(|y| [-1.0, 1.0].map(|z| DVec3::new(x, y, z))));
+        let half = DVec3::new(0.002, 0.005, 0.045);
+        let corners = corners.iter().flatten().flatten().map(|corner| *corner * half).collect();
+        let piece = Piece::new(PieceShape::Hull(corners), DVec3::X * 0.03, DQuat::IDENTITY, true).unwrap();
+        let outline = piece.collider.clone();
+        let object = Object::new(vec![piece], None, half.z, outline);
+        for (from_centre, distance) in [
+            (half + DVec3::splat(1e-3), 3f64.sqrt() * 1e-3),
+            (half + DVec3::X * 1e-5, 1e-5),
+            (DVec3::ZERO, -half.x),
+            (half - DVec3::splat(5e-4), -5e-4),
+        ] {
+            let got = object.distance(DVec3::X * 0.03 + from_centre);
+            assert!((got - distance).abs() < 1e-6, "{from_centre}: {got} m instead of {distance} m");
+        }
+    }
+
+    #[test]
+    fn no_piece_samples_points_beside_itself() {
         let fixed = Span::fixed;
         let shapes = [
             ShapeSpec::Cube { size: fixed(0.04) },
@@ -309,7 +339,7 @@ mod tests {
                 let (vertices, _) = piece.mesh();
                 assert!(!vertices.is_empty());
                 for vertex in vertices {
-                    let gap = piece.collider.distance_to_point(&piece.pose(), single(vertex.as_dvec3()), false);
+                    let gap = piece.gauge.distance_to_point(&piece.pose(), single(vertex.as_dvec3()), false);
                     // Facets of a round surface lie a little inside of it.
                     assert!(gap.abs() < 1e-3, "{spec:?}: {gap} m from {:?}", piece.shape);
                 }
