@@ -66,6 +66,12 @@ pub fn parameters() -> Vec<Parameter> {
             Allowed::Doubles(0.0, 3600.0),
             "Before the first image, wait at most this long for somebody to listen, seconds.",
         ),
+        Parameter::fixed(
+            "wait_listeners",
+            1,
+            Allowed::Integers(1, 1000),
+            "How many must listen to the images before `wait_secs` ends early.",
+        ),
         Parameter::use_sim_time(),
     ]
 }
@@ -96,6 +102,7 @@ pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
         episodes: u64::try_from(parameters.get::<i64>("episodes"))?,
         duration: parameters.get("duration"),
         wait: Duration::from_secs_f64(parameters.get("wait_secs")),
+        awaited: usize::try_from(parameters.get::<i64>("wait_listeners"))?,
         options: RolloutOptions {
             picture: Some((side(&parameters, "width")?, side(&parameters, "height")?)),
             ..RolloutOptions::default()
@@ -141,6 +148,7 @@ struct Producer {
     episodes: u64,
     duration: f64,
     wait: Duration,
+    awaited: usize,
     options: RolloutOptions,
     outputs: Outputs,
     pace: Pace,
@@ -183,7 +191,7 @@ impl Producer {
         Ok(())
     }
 
-    /// Waits for somebody to listen to the images, then until nobody has joined for a moment: whoever starts
+    /// Waits until enough listen to the images, then until nobody has joined for a moment: whoever starts
     /// together with the first listener gets the first frame as well.
     fn wait_for_listeners(&self, stop: &Shutdown) {
         let started = Instant::now();
@@ -193,7 +201,7 @@ impl Producer {
             if now != listeners {
                 (listeners, joined) = (now, Instant::now());
             }
-            if self.outputs.is_watched() && joined.elapsed() > SETTLED {
+            if self.outputs.watchers() >= self.awaited && joined.elapsed() > SETTLED {
                 break;
             }
             std::thread::sleep(Duration::from_millis(20));
@@ -309,16 +317,12 @@ impl Outputs {
         })
     }
 
-    fn is_watched(&self) -> bool {
-        self.image.is_heard() || self.compressed.as_ref().is_some_and(Publisher::is_heard)
+    fn watchers(&self) -> usize {
+        self.image.listeners() + self.compressed.as_ref().map_or(0, Publisher::listeners)
     }
 
     fn listeners(&self) -> usize {
-        self.image.listeners()
-            + self.compressed.as_ref().map_or(0, Publisher::listeners)
-            + self.camera_info.listeners()
-            + self.truth.listeners()
-            + self.hand_pose.listeners()
+        self.watchers() + self.camera_info.listeners() + self.truth.listeners() + self.hand_pose.listeners()
     }
 
     /// Publishes everything of one frame under one stamp: truth first, so that it is there when predictions come.

@@ -161,6 +161,8 @@ fn simulator_arguments(args: &Args) -> Vec<String> {
         format!("seed:={}", args.seed),
         format!("duration:={:?}", args.duration),
         format!("wait_secs:={:?}", PATIENCE.as_secs_f64()),
+        // The predictor and the recorder.
+        "wait_listeners:=2".to_owned(),
     ];
     ros_arguments(&[], &parameters)
 }
