@@ -198,7 +198,8 @@ pub fn load_model(path: &Path, config: Option<&Config>, device: &Device) -> Resu
     file.model(path, &config, device)?.freeze()
 }
 
-/// Sets the variables of a network in training to a file's weights, all or none.
+/// Sets the variables of a network in training to a file's weights, all or none. Returns what the file says of itself
+/// beside its weights, if it does.
 ///
 /// # Errors
 /// If the file can't be read, or its tensors are not exactly the variables, by name and shape.

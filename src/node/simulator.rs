@@ -217,6 +217,8 @@ struct Pace {
     simulated_stamps: bool,
     /// Where the node's time at the first frame lies, s, if somebody else's /clock paces.
     follows: Option<Option<f64>>,
+    /// The newest time that was followed, s: an earlier one means that the clock jumped back.
+    followed: f64,
     clock: RosClock,
     late: u64,
 }
@@ -225,7 +227,15 @@ impl Pace {
     fn new(parameters: &Parameters, clock: RosClock) -> Self {
         let pace = parameters.get::<String>("pace");
         let follows = (pace == "wall" && parameters.get("use_sim_time")).then_some(None);
-        Self { start: None, paced: pace != "fast", simulated_stamps: pace != "wall", follows, clock, late: 0 }
+        Self {
+            start: None,
+            paced: pace != "fast",
+            simulated_stamps: pace != "wall",
+            follows,
+            followed: 0.0,
+            clock,
+            late: 0,
+        }
     }
 
     /// Waits until the frame of `simulated` seconds since the first one is due; returns its stamp.
@@ -262,14 +272,13 @@ impl Pace {
     /// Waits until /clock, which somebody else publishes, has come as far as the frame; returns its time. A clock that
     /// stands still holds the frames back, one that jumps back begins anew.
     fn follow(&mut self, simulated: f64, stop: &Shutdown) -> Time {
-        let mut before = 0.0;
         loop {
             let now = self.clock.now();
             let secs = now.secs();
-            if secs < before {
+            if secs < self.followed {
                 self.follows = Some(None);
             }
-            before = secs;
+            self.followed = secs;
             // Zero: nobody has said what time it is.
             if !now.is_zero() {
                 let start = self.follows.flatten().unwrap_or(secs - simulated);
