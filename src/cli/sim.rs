@@ -16,6 +16,8 @@ enum Command {
     List,
     /// Render a scene to a PNG: one instant, or a sheet of several.
     Show(Show),
+    /// Say which effects a scene simulates, why, and what each costs.
+    Explain(Explain),
     /// Simulate one episode and write it as a Zarr store.
     Run(Run),
     /// Simulate many episodes and write them as one Zarr store; the same command continues an interrupted one.
@@ -52,6 +54,24 @@ struct Show {
     out: PathBuf,
     #[command(flatten)]
     hands: Hands,
+}
+
+#[derive(Debug, clap::Args)]
+struct Explain {
+    /// Name of a scene (`egotac sim list`), or a YAML file.
+    scene: String,
+    /// Seed of the episode in which costs are measured.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Width and height of the picture, pixels.
+    #[arg(long, default_value_t = 224)]
+    size: u32,
+    /// Leave the costs away.
+    #[arg(long)]
+    no_cost: bool,
+    /// Print JSON in place of the table.
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Debug, clap::Args)]
@@ -117,6 +137,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let name = match args.command {
         Command::List => "sim list",
         Command::Show(_) => "sim show",
+        Command::Explain(_) => "sim explain",
         Command::Run(_) => "sim run",
         Command::Generate(_) => "sim generate",
     };
@@ -129,6 +150,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     match args.command {
         Command::List => with_sim::list()?,
         Command::Show(args) => with_sim::show(&args)?,
+        Command::Explain(args) => with_sim::explain(&args)?,
         Command::Run(args) => with_sim::run(&args)?,
         Command::Generate(args) => with_sim::generate(&args)?,
     }
@@ -143,7 +165,7 @@ mod with_sim {
     use anyhow::{Context, ensure};
     use indicatif::{ProgressBar, ProgressStyle};
 
-    use super::{Generate, Hands, Run, Show};
+    use super::{Explain, Generate, Hands, Run, Show};
     use crate::file;
     use crate::hand::{HandModel, Side};
     use crate::sim::{self, Rollout, RolloutOptions, SHIPPED, Scene, SimFrame, Summary};
@@ -210,6 +232,49 @@ mod with_sim {
             let depth = -1e3 * contact.distance;
             println!("  {a:16} {b:16} {:7.3} N {depth:6.2} mm deep", contact.normal_force);
         }
+    }
+
+    pub fn explain(args: &Explain) -> anyhow::Result<()> {
+        let scene = Scene::load(&args.scene)?;
+        let hands = Hands { mano_left: None, mano_right: None };
+        let options = options(&hands, args.size, false)?;
+        let mut effects = sim::explain::explain(&scene)?;
+        if !args.no_cost {
+            let bar = progress_bar("effects");
+            for (done, explained) in effects.iter_mut().enumerate() {
+                step(&bar, done, sim::Effect::ALL.len());
+                explained.cost = Some(sim::explain::cost(&scene, args.seed, &options, explained.effect)?);
+            }
+            bar.finish_and_clear();
+        }
+        println!("{}", if args.json { as_json(&effects)? } else { as_table(&effects) });
+        Ok(())
+    }
+
+    fn as_json(effects: &[sim::explain::Explained]) -> anyhow::Result<String> {
+        let entry = |e: &sim::explain::Explained| {
+            serde_json::json!({
+                "effect": e.effect.name(), "on": e.on, "reason": e.reason, "ms_per_simulated_second": e.cost,
+            })
+        };
+        Ok(serde_json::to_string_pretty(&effects.iter().map(entry).collect::<Vec<_>>())?)
+    }
+
+    /// A table for people; the cost of what is off stands in brackets.
+    fn as_table(effects: &[sim::explain::Explained]) -> String {
+        let row = |[a, b, c, d]: [&str; 4]| format!("{a:18}  {b:3}  {c:>10}  {d}");
+        let mut lines = vec![row(["effect", "", "ms/s", "why"])];
+        for explained in effects {
+            let cost = match explained.cost {
+                Some(cost) if explained.on => format!("{cost:.1}"),
+                Some(cost) => format!("({cost:.1})"),
+                None => String::new(),
+            };
+            let on = if explained.on { "on" } else { "off" };
+            lines.push(row([explained.effect.name(), on, &cost, &explained.reason]));
+        }
+        lines.push("ms/s: milliseconds per simulated second, with what comes and goes with the effect; (in brackets): what it would cost".into());
+        lines.join("\n")
     }
 
     pub fn run(args: &Run) -> anyhow::Result<()> {

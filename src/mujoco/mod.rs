@@ -2,10 +2,14 @@
 //!
 //! The engine ends the process on some invalid options; nothing reaches it here that [`options`] has not checked.
 
+pub mod facts;
+pub mod flex;
 pub mod options;
 pub mod renderer;
 pub mod world;
 
+pub use facts::Facts;
+pub use flex::Flex;
 pub use options::{Cone, Integrator, PhysicsOptions, Solver};
 pub use renderer::Renderer;
 pub use world::{Contact, World};

@@ -1,11 +1,15 @@
 //! Pictures of a world without a display.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use ::image::RgbImage;
 use mujoco_rs::prelude::*;
 use mujoco_rs::renderer::MjRenderer;
 
 use super::world::World;
 use crate::error::{Error, Result};
+
+static CONTEXTS: AtomicUsize = AtomicUsize::new(0);
 
 /// Renders one camera of a world through EGL.
 ///
@@ -18,11 +22,11 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Opens an OpenGL context for `camera` of `world`, `width` x `height` pixels.
+    /// Opens an OpenGL context for `camera` of `world`, `width` x `height` pixels, with distances where `depth` says so.
     ///
     /// # Errors
     /// If the size is zero or above the model's offscreen buffer, or there is no working EGL.
-    pub fn new(world: &World, camera: usize, width: u32, height: u32) -> Result<Self> {
+    pub fn new(world: &World, camera: usize, width: u32, height: u32, depth: bool) -> Result<Self> {
         let global = &world.model().vis().global;
         for (name, value, most) in [("width", width, global.offwidth), ("height", height, global.offheight)] {
             if value == 0 || i64::from(value) > i64::from(most) {
@@ -33,9 +37,21 @@ impl Renderer {
             .width(width)
             .height(height)
             .camera(MjvCamera::new_fixed(camera))
+            .depth(depth)
             .build(world.model())
             .map_err(|e| Error::Engine(format!("no OpenGL context for rendering without a display: {e}")))?;
+        CONTEXTS.fetch_add(1, Ordering::Relaxed);
         Ok(Self { inner, width, height })
+    }
+
+    /// OpenGL contexts that this process has opened so far.
+    pub fn contexts_opened() -> usize {
+        CONTEXTS.load(Ordering::Relaxed)
+    }
+
+    /// Distance from the camera's plane of each pixel of the last picture, m, row by row; empty unless it was asked for.
+    pub fn depth(&self) -> Vec<f32> {
+        self.inner.depth_flat().map(<[f32]>::to_vec).unwrap_or_default()
     }
 
     /// Draws the world as its last `forward` left it.

@@ -11,13 +11,15 @@ use crate::error::{Error, Result};
 /// Positions are in the world frame, metres; quaternions are unit and rotate body to world.
 #[derive(Debug)]
 pub struct World {
-    data: MjData<Box<MjModel>>,
+    pub(super) data: MjData<Box<MjModel>>,
     options: PhysicsOptions,
+    /// Body of each soft body's name.
+    pub(super) flex_bodies: Vec<Body>,
 }
 
 /// Index of a body in the world it was resolved in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Body(usize);
+pub struct Body(pub(super) usize);
 
 /// A one-degree-of-freedom joint with the position servo that drives it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -45,7 +47,7 @@ pub struct Skin {
 /// One touching point of two geoms.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
-    /// The two bodies.
+    /// The two bodies; of a soft body, the one that has its name.
     pub bodies: [Body; 2],
     /// Midpoint between the two surfaces, m.
     pub position: DVec3,
@@ -97,7 +99,8 @@ impl World {
         opt.gravity = options.gravity;
         opt.disableflags |= MjtDisableBit::mjDSBL_AUTORESET as i32;
         let data = MjData::try_new(Box::new(model)).map_err(|e| Error::Engine(e.to_string()))?;
-        let mut world = Self { data, options: options.clone() };
+        let mut world = Self { data, options: options.clone(), flex_bodies: Vec::new() };
+        world.flex_bodies = world.find_flex_bodies()?;
         world.forward();
         Ok(world)
     }
@@ -137,11 +140,14 @@ impl World {
     /// Looks up a body's free joint, which has the body's name.
     ///
     /// # Errors
-    /// If body or joint is missing.
+    /// If body or joint is missing, or the joint is of another kind.
     pub fn free_joint(&self, name: &str) -> Result<FreeJoint> {
         let body = self.body(name)?;
         let joint = self.id(MjtObjBase::mjOBJ_JOINT, "joint", name)?;
         let model = self.data.model();
+        if model.jnt_type()[joint] != MjtJoint::mjJNT_FREE {
+            return Err(Error::value(format!("joint {name}"), "a free joint", "a hinge or slide"));
+        }
         Ok(FreeJoint { body, qpos: model.jnt_qposadr()[joint] as usize, dof: model.jnt_dofadr()[joint] as usize })
     }
 
@@ -329,13 +335,16 @@ impl World {
     pub fn contacts(&self) -> impl Iterator<Item = Contact> + '_ {
         let geom_body = self.data.model().geom_bodyid();
         self.data.contact().iter().enumerate().filter_map(move |(index, contact)| {
-            let [Ok(geom1), Ok(geom2)] = contact.geom.map(usize::try_from) else {
-                return None; // a flex, not a geom
+            let side = |geom: i32, flex: i32| match (usize::try_from(geom), usize::try_from(flex)) {
+                (Ok(geom), _) => Some(Body(geom_body[geom] as usize)),
+                (_, Ok(flex)) => self.flex_bodies.get(flex).copied(),
+                _ => None,
             };
+            let bodies = [side(contact.geom[0], contact.flex[0])?, side(contact.geom[1], contact.flex[1])?];
             let axis = |row: usize| DVec3::from_slice(&contact.frame[3 * row..3 * row + 3]);
             let [normal, t1, t2, ..] = self.data.contact_force(index);
             Some(Contact {
-                bodies: [Body(geom_body[geom1] as usize), Body(geom_body[geom2] as usize)],
+                bodies,
                 position: DVec3::from_array(contact.pos),
                 normal: axis(0),
                 distance: contact.dist,

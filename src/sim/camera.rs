@@ -87,6 +87,8 @@ mod tests {
             roll: 0.0,
             sway: 0.0,
             phases: [0.0; 6],
+            noise: 0.0,
+            shutter: 0.0,
         };
         let (eye, orientation) = camera.head(0.7);
         let pose = CameraPose::from_engine((eye, DMat3::from_quat(orientation)));

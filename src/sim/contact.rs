@@ -29,16 +29,35 @@ pub struct HandForce {
 /// # Errors
 /// If a contact is not finite.
 pub fn hand_force(world: &World, links: &[Body], vertices: &[Vec3], spreader: &ForceSpreader) -> Result<HandForce> {
-    let mut contacts = Vec::new();
-    for contact in world.contacts().filter(|contact| contact.normal_force > 0.0) {
-        for (body, sign) in contact.bodies.into_iter().zip([-1.0, 1.0]) {
-            if let Some(link) = links.iter().position(|link| *link == body) {
-                let (position, normal) = (contact.position, contact.normal * sign);
-                contacts.push(LinkContact { link, position, normal, force: contact.normal_force });
-            }
-        }
-    }
+    let contacts: Vec<LinkContact> = hand_contacts(world, links).map(|(contact, _)| contact).collect();
     let label = spreader.spread(vertices, &contacts)?;
     let (sum_residual, moment_residual) = (label.sum_residual(), label.moment_residual.length());
     Ok(HandForce { total: label.total, sum_residual, moment_residual, contacts: contacts.len(), force: label.force })
+}
+
+/// (778) speed at which touching surfaces slide along each other, m/s: at each vertex the mean over contacts, weighted
+/// with the force that it has from each; 0 where it has none.
+///
+/// # Errors
+/// As [`hand_force`].
+pub fn hand_slip(world: &World, links: &[Body], vertices: &[Vec3], spreader: &ForceSpreader) -> Result<Vec<f32>> {
+    let (contacts, speeds): (Vec<LinkContact>, Vec<f64>) = hand_contacts(world, links).unzip();
+    let weighted = |(contact, speed): (&LinkContact, &f64)| LinkContact { force: contact.force * speed, ..*contact };
+    let force = spreader.spread(vertices, &contacts)?.force;
+    let sliding = spreader.spread(vertices, &contacts.iter().zip(&speeds).map(weighted).collect::<Vec<_>>())?.force;
+    Ok(sliding.iter().zip(force).map(|(sliding, force)| if force > 0.0 { sliding / force } else { 0.0 }).collect())
+}
+
+/// Contacts with force on a hand's links, each with the speed at which it slides, m/s.
+fn hand_contacts<'a>(world: &'a World, links: &'a [Body]) -> impl Iterator<Item = (LinkContact, f64)> + 'a {
+    let pressed = world.contacts().filter(|contact| contact.normal_force > 0.0);
+    pressed.flat_map(move |contact| {
+        let [first, second] = contact.bodies.map(|body| world.point_velocity(body, contact.position));
+        let speed = (second - first).reject_from_normalized(contact.normal).length();
+        contact.bodies.into_iter().zip([-1.0, 1.0]).filter_map(move |(body, sign)| {
+            let link = links.iter().position(|link| *link == body)?;
+            let (position, normal, force) = (contact.position, contact.normal * sign, contact.normal_force);
+            Some((LinkContact { link, position, normal, force }, speed))
+        })
+    })
 }

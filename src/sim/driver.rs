@@ -3,14 +3,15 @@
 //! A site with a force goal is pushed by `J^T F` at its servos, corrected by what the contact is measured to carry, so
 //! that the same script closes on an object of any size until it is touched, and presses as hard as asked.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3, EulerRot};
+use parry3d::math::Pose;
 
 use super::convex;
 use super::ik::{self, Clearance, Freedom, Reach};
 use super::mjcf::{WRIST, WRIST_STIFFNESS};
 use super::object::Object;
 use super::randomize::{Act, Goal, HandDraw};
-use super::rig::{HandRig, Hinge, JOINT_NAMES, site_of};
+use super::rig::{HandRig, Hinge, JOINT_NAMES, Motion, base_joint, site_of};
 use super::scene::Site;
 use crate::error::Result;
 use crate::mujoco::World;
@@ -29,6 +30,11 @@ const MOST_CORRECTION: f64 = 1.5;
 /// Height of the table's top that the hand keeps away from when its place is chosen, m.
 const TABLE_CLEARANCE: f64 = 0.004;
 
+/// Angles of a finger that has closed around nothing, from the knuckle on, rad.
+const CLOSED: [f64; 3] = [1.45, 1.6, 1.0];
+/// Share of the knuckle's torque that the hinges of a wrapping finger have, from the knuckle on.
+const WRAP_SHARES: [f64; 3] = [1.0, 0.7, 0.45];
+
 /// A hand in a world, with its plan.
 #[derive(Debug)]
 pub struct HandDriver {
@@ -37,7 +43,34 @@ pub struct HandDriver {
     wrist_body: Body,
     bodies: Vec<Body>,
     skin: Skin,
+    /// Place and orientation of the wrist where its servos are at zero.
+    zero: (DVec3, DQuat),
+    wraps: Vec<Wrap>,
     plan: Plan,
+}
+
+/// What a hand deals with, at its start.
+#[derive(Debug, Clone, Copy)]
+pub struct Target<'a> {
+    /// Its body; `None` for a place that is not solid.
+    pub body: Option<Body>,
+    /// Its shape.
+    pub shape: &'a Object,
+    /// Its place, m.
+    pub position: DVec3,
+    /// Its orientation.
+    pub orientation: DQuat,
+}
+
+/// A hinge of a wrapping finger.
+#[derive(Debug, Clone, Copy)]
+struct Wrap {
+    /// Index into the hinges.
+    hinge: usize,
+    /// Angle when closed, rad.
+    closed: f64,
+    /// How far the servo's target may lead the hinge, rad: torque over stiffness.
+    lead: f64,
 }
 
 #[derive(Debug)]
@@ -47,6 +80,8 @@ struct Plan {
     /// Positions of wrist and hinges at openings from 0 to `widest`; one entry when the hand is idle.
     places: Vec<Vec<f64>>,
     act: Option<Act>,
+    /// Upright axis of twists: a point on it, m.
+    pivot: DVec3,
     object: Option<Body>,
     pushes: Vec<Push>,
 }
@@ -67,7 +102,7 @@ impl HandDriver {
     ///
     /// # Errors
     /// If the world was not made from this hand.
-    pub fn new(world: &mut World, hand: &HandDraw, rig: &HandRig, objects: &[(Body, &Object)]) -> Result<Self> {
+    pub fn new(world: &mut World, hand: &HandDraw, rig: &HandRig, objects: &[Target]) -> Result<Self> {
         let servo = |name: &str| world.servo(&rig.name(name));
         let wrist = WRIST.map(servo);
         let mut servos = Vec::new();
@@ -81,16 +116,18 @@ impl HandDriver {
             widest: 0.0,
             places: vec![[0.0; 6].iter().chain(&hand.posture).copied().collect()],
             act: None,
+            pivot: DVec3::ZERO,
             object: None,
             pushes: Vec::new(),
         };
+        let zero = (hand.wrist, hand.orientation);
         let skin = world.skin(&rig.name("skin"))?;
-        let mut driver = Self { skin, wrist, hinges, wrist_body: bodies[0], bodies, plan: idle };
+        let mut driver =
+            Self { skin, wrist, hinges, wrist_body: bodies[0], bodies, zero, wraps: wraps(hand, rig), plan: idle };
         if let Some(act) = &hand.act {
-            let (body, shape) = objects[act.object];
-            driver.plan = driver.solve(world, hand, act, rig, body, shape);
+            driver.plan = driver.solve(world, hand, act, rig, &objects[act.object]);
         }
-        let targets = driver.targets(0.0);
+        let targets = driver.targets(world, 0.0);
         for (servo, target) in driver.servos().zip(&targets) {
             world.set_joint_position(servo, *target);
         }
@@ -128,10 +165,12 @@ impl HandDriver {
                     push.correction = 0.0;
                     continue;
                 }
+                // At a place that is not solid, whatever is there is meant: the other hand.
+                let object = self.plan.object;
+                let meant = |body: Body| object.map_or(!self.bodies.contains(&body), |object| object == body);
                 let touches = |c: &crate::mujoco::Contact| {
                     let [a, b] = c.bodies;
-                    let object = self.plan.object;
-                    (push.bodies.contains(&a) && Some(b) == object) || (push.bodies.contains(&b) && Some(a) == object)
+                    (push.bodies.contains(&a) && meant(b)) || (push.bodies.contains(&b) && meant(a))
                 };
                 let measured: f64 = world.contacts().filter(touches).map(|c| c.normal_force).sum();
                 let most = MOST_CORRECTION * push.goal.force;
@@ -139,8 +178,16 @@ impl HandDriver {
                 push.correction = (push.correction + missing * interval / FORCE_LAG).clamp(-most, most);
             }
         }
-        let targets = self.targets(time);
+        let targets = self.targets(world, time);
         self.apply(world, &targets);
+    }
+
+    /// Puts the hand where its plan has it at `time`, s, without servos or forces.
+    pub fn place(&self, world: &mut World, time: f64) {
+        let targets = self.targets(world, time);
+        for (servo, target) in self.servos().zip(&targets) {
+            world.set_joint_position(servo, *target);
+        }
     }
 
     fn servos(&self) -> impl Iterator<Item = Servo> + '_ {
@@ -154,7 +201,7 @@ impl HandDriver {
     }
 
     /// Servo targets at `time`: wrist, then hinges.
-    fn targets(&self, time: f64) -> Vec<f64> {
+    fn targets(&self, world: &World, time: f64) -> Vec<f64> {
         let plan = &self.plan;
         let Some(act) = &plan.act else {
             return plan.places[0].clone();
@@ -166,6 +213,14 @@ impl HandDriver {
         let part = place - low as f64;
         let between = plan.places[low].iter().zip(&plan.places[high]).map(|(a, b)| a + (b - a) * part);
         let mut targets: Vec<f64> = between.collect();
+        for wrap in self.wraps.iter().filter(|_| channels.wrap > 0.0) {
+            let target = &mut targets[6 + wrap.hinge];
+            let closing = *target + channels.wrap * (wrap.closed - *target);
+            *target = closing.min(world.joint_position(self.hinges[wrap.hinge]) + wrap.lead);
+        }
+        if channels.twist != 0.0 {
+            self.twist(channels.twist, &mut targets);
+        }
         let displacement = act.from * channels.standoff + channels.shift;
         for axis in 0..3 {
             targets[axis] += displacement[axis];
@@ -179,17 +234,22 @@ impl HandDriver {
         targets
     }
 
-    fn solve(
-        &self,
-        world: &mut World,
-        hand: &HandDraw,
-        act: &Act,
-        rig: &HandRig,
-        object: Body,
-        shape: &Object,
-    ) -> Plan {
+    /// Turns the wrist's targets by `angle` about the upright axis through the pivot.
+    fn twist(&self, angle: f64, targets: &mut [f64]) {
+        let turn = DQuat::from_rotation_z(angle);
+        let (origin, orientation) = self.zero;
+        let position = origin + DVec3::new(targets[0], targets[1], targets[2]);
+        let moved = self.plan.pivot + turn * (position - self.plan.pivot) - origin;
+        // The wrist's hinges turn about the hand's own axes, the first outermost.
+        let own = DQuat::from_euler(EulerRot::XYZ, targets[3], targets[4], targets[5]);
+        let (x, y, z) = (orientation.inverse() * turn * orientation * own).to_euler(EulerRot::XYZ);
+        targets[..6].copy_from_slice(&[moved.x, moved.y, moved.z, x, y, z]);
+    }
+
+    fn solve(&self, world: &mut World, hand: &HandDraw, act: &Act, rig: &HandRig, target: &Target) -> Plan {
+        let pose: Pose = convex::pose(target.position, target.orientation);
         let mut clearance = Clearance {
-            obstacle: (shape.outline().clone(), convex::pose(world.position(object), world.orientation(object))),
+            obstacles: target.body.map_or_else(Vec::new, |_| target.shape.obstacles(&pose)),
             margin: LINK_MARGIN,
             pads: act.goals.iter().map(|goal| rig.pad(goal.site).joint).collect(),
             pad_margin: 0.0,
@@ -246,7 +306,7 @@ impl HandDriver {
             }
             places.push(place);
         }
-        Plan { widest, places, act: Some(act.clone()), object: Some(object), pushes }
+        Plan { widest, places, act: Some(act.clone()), pivot: target.position, object: target.body, pushes }
     }
 
     /// Servo changes that press a goal's site against the surface with 1 N, at the present pose.
@@ -270,4 +330,20 @@ impl HandDriver {
         let bodies = (0..JOINT_NAMES.len()).filter(|j| site_of(*j) == goal.site).map(|j| self.bodies[j]).collect();
         Push { goal: *goal, bodies, per_newton, correction: 0.0 }
     }
+}
+
+/// Hinges of the fingers that wrap.
+fn wraps(hand: &HandDraw, rig: &HandRig) -> Vec<Wrap> {
+    let Some((fingers, torque)) = &hand.wrap else {
+        return Vec::new();
+    };
+    let flexing = rig.hinges.iter().enumerate().filter(|(_, hinge)| hinge.motion == Motion::Flex);
+    let wrapping = flexing.filter(|(_, hinge)| fingers.contains(&hinge.site));
+    let wrap = |(index, hinge): (usize, &Hinge)| {
+        let place = hinge.joint - base_joint(hinge.site);
+        let closed = if hinge.site == Site::Thumb { 0.9 } else { CLOSED[place] };
+        let lead = torque * WRAP_SHARES[place] / hinge.stiffness;
+        Wrap { hinge: index, closed: closed.clamp(hinge.range[0], hinge.range[1]), lead }
+    };
+    wrapping.map(wrap).collect()
 }

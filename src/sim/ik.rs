@@ -36,7 +36,7 @@ pub struct Reach {
     pub normal: DVec3,
 }
 
-/// Links of a hand, kept above a height, out of an obstacle, and out of each other.
+/// Links of a hand, kept above a height, out of obstacles, and out of each other.
 pub struct Clearance<'a> {
     /// The hand.
     pub rig: &'a HandRig,
@@ -46,13 +46,13 @@ pub struct Clearance<'a> {
     pub pairs: Vec<(usize, usize)>,
     /// Lowest height allowed, m.
     pub height: f64,
-    /// The obstacle, in the world frame.
-    pub obstacle: (SharedShape, Pose),
-    /// Distance that links keep from the obstacle, m.
+    /// The obstacles, in the world frame.
+    pub obstacles: Vec<(SharedShape, Pose)>,
+    /// Distance that links keep from the obstacles, m.
     pub margin: f64,
     /// Links whose pads have goals.
     pub pads: Vec<usize>,
-    /// Distance that those keep from the obstacle, m.
+    /// Distance that those keep from the obstacles, m.
     pub pad_margin: f64,
 }
 
@@ -155,9 +155,10 @@ fn linearise(
         clearance.links.iter().map(|link| convex::pose(world.position(*link), world.orientation(*link))).collect();
     for (link, body) in clearance.links.iter().enumerate() {
         let margin = if clearance.pads.contains(&link) { clearance.pad_margin } else { clearance.margin };
-        let (shape, pose) = &clearance.obstacle;
-        if let Some(hit) = convex::overlap((rig.shape(link), &poses[link]), (shape, pose), margin) {
-            push_out(hit.depth, world.jacobian(*body, hit.point, &servos).iter().map(|c| c.dot(hit.out)).collect());
+        for (shape, pose) in &clearance.obstacles {
+            if let Some(hit) = convex::overlap((rig.shape(link), &poses[link]), (shape, pose), margin) {
+                push_out(hit.depth, world.jacobian(*body, hit.point, &servos).iter().map(|c| c.dot(hit.out)).collect());
+            }
         }
         let (origin, turn) = (world.position(*body), world.orientation(*body));
         let corners = rig.hulls[link].iter().map(|corner| origin + turn * *corner);

@@ -67,6 +67,12 @@ pub fn skin(rng: &mut impl Rng) -> Rgb {
     [mix(0) + warmth, mix(1), mix(2) - warmth].map(|c| c.clamp(0.0, 1.0))
 }
 
+/// Draws a pattern for a surface of the given colour, and the pattern's second colour.
+pub fn texture(rng: &mut impl Rng, base: Rgb) -> (&'static str, Rgb) {
+    let pattern = ["checker", "gradient", "flat"][rng.random_range(0..3)];
+    (pattern, base.map(|c| (c * rng.random_range(0.4..1.3)).clamp(0.0, 1.0)))
+}
+
 /// Draws a colour of any hue with saturation and value in the given ranges.
 pub fn colour(rng: &mut impl Rng, saturation: std::ops::Range<f64>, value: std::ops::Range<f64>) -> Rgb {
     let hue = rng.random_range(0.0..6.0);

@@ -4,8 +4,9 @@ use std::fmt::Write;
 
 use glam::{DQuat, DVec3};
 
+use super::effect::{Effect, EffectSet};
 use super::look::{Look, Rgb};
-use super::object::PieceShape;
+use super::object::{JointMount, Mount, Piece, PieceShape};
 use super::randomize::{Episode, HandDraw, ObjectDraw};
 use super::rig::{HandRig, JOINT_NAMES};
 use crate::hand::N_JOINTS;
@@ -14,30 +15,34 @@ use crate::hand::N_JOINTS;
 pub const WRIST_STIFFNESS: f64 = 2500.0;
 /// Name of the camera's mocap body and of the camera itself.
 pub const HEAD: &str = "head";
+/// Points of a soft ball's grid per axis.
+const SOFT_COUNT: usize = 7;
 /// Largest picture, pixels per side.
 pub const MAX_PICTURE: u32 = 1024;
 
 /// Names of the wrist's servos without the hand's prefix: three slides along the world's axes, three hinges.
 pub const WRIST: [&str; 6] = ["wrist_x", "wrist_y", "wrist_z", "wrist_rx", "wrist_ry", "wrist_rz"];
 
-/// Contact of skin and objects: 4 = sliding and torsional friction.
-const CONTACT: &str = r#"condim="4" solref="0.015 1" solimp="0.9 0.95 0.001""#;
+/// Distance at which pairs are detected for their nearness alone, m: the paper's 1 cm, and what skin may stand out of
+/// the hulls.
+const NEAR: f64 = 0.014;
 
-/// Writes the model of an episode; `shadows` costs ten times the rest of a picture.
-pub fn write(episode: &Episode, rigs: &[HandRig; 2], shadows: bool) -> String {
+/// Writes the model of an episode with the given effects.
+pub fn write(episode: &Episode, rigs: &[HandRig; 2], effects: EffectSet) -> String {
+    let shadows = effects.contains(Effect::Shadows);
     let mut assets = String::new();
     let mut world = String::new();
     let mut skins = String::new();
     let mut excludes = String::new();
     let mut actuators = String::new();
-    surroundings(&episode.look, &mut assets, &mut world, shadows);
-    for object in &episode.objects {
-        object_body(object, &mut assets, &mut world);
+    surroundings(&episode.look, &mut assets, &mut world, effects);
+    for object in episode.objects.iter().filter(|object| object.solid) {
+        object_body(object, effects, &mut assets, &mut world, &mut excludes);
     }
     for hand in &episode.hands {
         let rig = &rigs[hand.side as usize];
         hand_assets(hand, rig, &mut assets);
-        hand_bodies(hand, rig, &mut world);
+        hand_bodies(hand, rig, effects, &mut world);
         skin(rig, &mut skins);
         for (a, b) in &rig.excluded {
             let (a, b) = (rig.name(JOINT_NAMES[*a]), rig.name(JOINT_NAMES[*b]));
@@ -48,9 +53,13 @@ pub fn write(episode: &Episode, rigs: &[HandRig; 2], shadows: bool) -> String {
     let fovy = episode.camera.fovy.to_degrees();
     let shadow_map = if shadows { 1024 } else { 0 };
     let ambient = episode.look.ambient;
+    let flag = |on: bool| if on { "enable" } else { "disable" };
+    let [contact, gravity, sleep] =
+        [Effect::RigidContact, Effect::Gravity, Effect::Sleep].map(|effect| flag(effects.contains(effect)));
     format!(
         r#"<mujoco model="egotac">
 <compiler angle="radian" autolimits="true"/>
+<option><flag contact="{contact}" gravity="{gravity}" sleep="{sleep}"/></option>
 <size memory="8M"/>
 <statistic extent="1" center="0 0 0.1"/>
 <visual>
@@ -75,7 +84,18 @@ pub fn write(episode: &Episode, rigs: &[HandRig; 2], shadows: bool) -> String {
     )
 }
 
-fn surroundings(look: &Look, assets: &mut String, world: &mut String, shadows: bool) {
+/// Contact of skin and objects: how many directions have friction, and how soft it is.
+fn contact(effects: EffectSet) -> String {
+    let condim = match (effects.contains(Effect::Friction), effects.contains(Effect::TorsionalFriction)) {
+        (false, _) => 1,
+        (true, false) => 3,
+        (true, true) => 4,
+    };
+    format!(r#"condim="{condim}" solref="0.015 1" solimp="0.9 0.95 0.001""#)
+}
+
+fn surroundings(look: &Look, assets: &mut String, world: &mut String, effects: EffectSet) {
+    let (contact, shadows) = (contact(effects), effects.contains(Effect::Shadows));
     let [table, other] = look.table.map(rgb);
     let [up, down] = look.background.map(rgb);
     let (pattern, repeat, floor) = (look.table_pattern, look.table_repeat, rgb(look.floor));
@@ -110,7 +130,7 @@ fn surroundings(look: &Look, assets: &mut String, world: &mut String, shadows: b
     put(
         world,
         format_args!(
-            r#"<geom name="table" type="box" size="0.6 0.45 0.02" pos="0 0.1 -0.02" material="table" {CONTACT}/>"#
+            r#"<geom name="table" type="box" size="0.6 0.45 0.02" pos="0 0.1 -0.02" material="table" {contact}/>"#
         ),
     );
     put(
@@ -121,10 +141,45 @@ fn surroundings(look: &Look, assets: &mut String, world: &mut String, shadows: b
     );
 }
 
-fn object_body(object: &ObjectDraw, assets: &mut String, world: &mut String) {
+fn object_body(
+    object: &ObjectDraw,
+    effects: EffectSet,
+    assets: &mut String,
+    world: &mut String,
+    excludes: &mut String,
+) {
     let (name, at, turn, colour) = (&object.name, vec3(object.position), quat(object.orientation), rgb(object.colour));
-    put(assets, format_args!(r#"<material name="{name}" rgba="{colour} 1" specular="0.4" shininess="0.6"/>"#));
-    put(world, format_args!(r#"<body name="{name}" pos="{at}" quat="{turn}"><freejoint name="{name}"/>"#));
+    if let Some((pattern, other)) = &object.texture {
+        let other = rgb(*other);
+        put(
+            assets,
+            format_args!(
+                r#"<texture name="{name}" type="cube" builtin="{pattern}" mark="random" random="0.03" markrgb="{other}" rgb1="{colour}" rgb2="{other}" width="64" height="64"/>"#
+            ),
+        );
+        put(assets, format_args!(r#"<material name="{name}" texture="{name}" specular="0.4" shininess="0.6"/>"#));
+    } else {
+        put(assets, format_args!(r#"<material name="{name}" rgba="{colour} 1" specular="0.4" shininess="0.6"/>"#));
+    }
+    if !object.shape.base.is_empty() {
+        put(world, format_args!(r#"<body name="{name}/base" pos="{at}" quat="{turn}">"#));
+        pieces(object, "base", &object.shape.base, effects, assets, world);
+        world.push_str("</body>\n");
+        put(excludes, format_args!(r#"<exclude body1="{name}" body2="{name}/base"/>"#));
+    }
+    put(world, format_args!(r#"<body name="{name}" pos="{at}" quat="{turn}">"#));
+    match &object.shape.mount {
+        _ if !effects.contains(Effect::Dynamics) => (),
+        Mount::Joint(joint) if effects.contains(Effect::Articulation) => put_joint(name, joint, world),
+        // A part whose joint is not simulated stands as fast as its base.
+        Mount::Joint(_) => (),
+        Mount::Soft { radius, stiffness } if effects.contains(Effect::SoftBody) => {
+            soft(object, *radius, *stiffness, effects, world);
+            world.push_str("</body>\n");
+            return;
+        }
+        Mount::Free | Mount::Soft { .. } => put(world, format_args!(r#"<freejoint name="{name}"/>"#)),
+    }
     if let Some((vertices, triangles)) = &object.shape.visual {
         let vertices = join(vertices.iter().copied().map(vec3));
         let faces = join(triangles.iter().map(|[a, b, c]| format!("{a} {b} {c}")));
@@ -136,8 +191,58 @@ fn object_body(object: &ObjectDraw, assets: &mut String, world: &mut String) {
             ),
         );
     }
-    let volume = object.shape.volume();
-    for (i, piece) in object.shape.pieces.iter().enumerate() {
+    pieces(object, "part", &object.shape.pieces, effects, assets, world);
+    world.push_str("</body>\n");
+    if let Some(friction) = object.table_friction.filter(|_| effects.contains(Effect::Friction)) {
+        for i in 0..object.shape.pieces.len() {
+            put(
+                excludes,
+                format_args!(
+                    r#"<pair geom1="table" geom2="{name}/part{i}" friction="{friction} {friction} 0.01 0.0001 0.0001" {}/>"#,
+                    contact(effects)
+                ),
+            );
+        }
+    }
+}
+
+fn put_joint(name: &str, joint: &JointMount, world: &mut String) {
+    let JointMount { kind, axis, anchor, range: [low, high], stiffness, damping, friction } = joint;
+    let (axis, anchor) = (vec3(*axis), vec3(*anchor));
+    let armature = if *kind == "slide" { 0.01 } else { 1e-5 };
+    put(
+        world,
+        format_args!(
+            r#"<joint name="{name}" type="{kind}" axis="{axis}" pos="{anchor}" range="{low} {high}" stiffness="{stiffness}" damping="{damping}" frictionloss="{friction}" armature="{armature}"/>"#
+        ),
+    );
+}
+
+/// An elastic ball: finite elements whose motion is interpolated from the corners of a box around it.
+fn soft(object: &ObjectDraw, radius: f64, stiffness: f64, effects: EffectSet, world: &mut String) {
+    let (name, mass, friction) = (&object.name, object.mass, object.friction);
+    let spacing = 2.0 * radius / (SOFT_COUNT - 1) as f64;
+    // Damping in the order of a step's stiffness, so that the ball does not ring.
+    put(
+        world,
+        format_args!(
+            r#"<flexcomp name="{name}" type="ellipsoid" count="{SOFT_COUNT} {SOFT_COUNT} {SOFT_COUNT}" spacing="{spacing} {spacing} {spacing}" radius="0.001" mass="{mass}" dof="trilinear" dim="3" material="{name}"><elasticity young="{stiffness}" poisson="0.4" damping="0.01"/><contact selfcollide="none" priority="1" friction="{friction} 0.01 0.0001" {}/></flexcomp>"#,
+            contact(effects)
+        ),
+    );
+}
+
+fn pieces(
+    object: &ObjectDraw,
+    part: &str,
+    pieces: &[Piece],
+    effects: EffectSet,
+    assets: &mut String,
+    world: &mut String,
+) {
+    let (name, contact) = (&object.name, contact(effects));
+    let volume: f64 = pieces.iter().map(Piece::volume).sum();
+    for (i, piece) in pieces.iter().enumerate() {
         let shape = match &piece.shape {
             PieceShape::Box(half) => format!(r#"type="box" size="{}""#, vec3(*half)),
             PieceShape::Ball(radius) => format!(r#"type="sphere" size="{radius}""#),
@@ -145,8 +250,8 @@ fn object_body(object: &ObjectDraw, assets: &mut String, world: &mut String) {
             PieceShape::Capsule(radius, half) => format!(r#"type="capsule" size="{radius} {half}""#),
             PieceShape::Hull(corners) => {
                 let corners = join(corners.iter().copied().map(vec3));
-                put(assets, format_args!(r#"<mesh name="{name}/{i}" vertex="{corners}"/>"#));
-                format!(r#"type="mesh" mesh="{name}/{i}""#)
+                put(assets, format_args!(r#"<mesh name="{name}/{part}{i}" vertex="{corners}"/>"#));
+                format!(r#"type="mesh" mesh="{name}/{part}{i}""#)
             }
         };
         let mass = object.mass * piece.volume() / volume;
@@ -156,11 +261,10 @@ fn object_body(object: &ObjectDraw, assets: &mut String, world: &mut String) {
         put(
             world,
             format_args!(
-                r#"<geom {shape} pos="{at}" quat="{turn}" mass="{mass}" group="{group}" priority="1" friction="{friction} 0.01 0.0001" material="{name}" {CONTACT}/>"#
+                r#"<geom name="{name}/{part}{i}" {shape} pos="{at}" quat="{turn}" mass="{mass}" group="{group}" priority="1" friction="{friction} 0.01 0.0001" material="{name}" {contact}/>"#
             ),
         );
     }
-    world.push_str("</body>\n");
 }
 
 fn hand_assets(hand: &HandDraw, rig: &HandRig, assets: &mut String) {
@@ -179,7 +283,7 @@ fn hand_assets(hand: &HandDraw, rig: &HandRig, assets: &mut String) {
     }
 }
 
-fn hand_bodies(hand: &HandDraw, rig: &HandRig, world: &mut String) {
+fn hand_bodies(hand: &HandDraw, rig: &HandRig, effects: EffectSet, world: &mut String) {
     let name = rig.name(JOINT_NAMES[0]);
     put(
         world,
@@ -200,7 +304,7 @@ fn hand_bodies(hand: &HandDraw, rig: &HandRig, world: &mut String) {
         );
     }
     arm(rig, world);
-    link(0, rig, world);
+    link(0, rig, effects, world);
     world.push_str("</body>\n");
 }
 
@@ -228,12 +332,14 @@ fn arm(rig: &HandRig, world: &mut String) {
     thin("sleeve", 0.1, 0.32, 1.25 * radius, world);
 }
 
-fn link(joint: usize, rig: &HandRig, world: &mut String) {
+fn link(joint: usize, rig: &HandRig, effects: EffectSet, world: &mut String) {
+    let contact = contact(effects);
+    let gap = if effects.contains(Effect::NearContact) { NEAR } else { 0.0 };
     let name = rig.name(JOINT_NAMES[joint]);
     put(
         world,
         format_args!(
-            r#"<geom type="mesh" mesh="{name}" group="3" density="1000" friction="1 0.01 0.0001" {CONTACT}/>"#
+            r#"<geom type="mesh" mesh="{name}" group="3" density="1000" friction="1 0.01 0.0001" gap="{gap}" {contact}/>"#
         ),
     );
     for child in (0..N_JOINTS).filter(|child| rig.parent(*child) == Some(joint)) {
@@ -248,7 +354,7 @@ fn link(joint: usize, rig: &HandRig, world: &mut String) {
                 ),
             );
         }
-        link(child, rig, world);
+        link(child, rig, effects, world);
         world.push_str("</body>\n");
     }
 }

@@ -10,10 +10,14 @@ use sha2::{Digest, Sha256};
 use super::look::{self, Look, Rgb};
 use super::object::Object;
 use super::rig::HandRig;
-use super::scene::{ActSpec, CameraSpec, HandSpec, ObjectSpec, Scene, SideSpec, Site};
+use super::scene::{ActSpec, CameraSpec, HandSpec, ObjectSpec, Scene, ShapeSpec, SideSpec, Site};
+use super::span::Span;
 use super::timeline::Timeline;
 use crate::error::{Error, Result};
 use crate::hand::Side;
+
+/// Distance that distractors keep from what hands deal with, m.
+const WORKSPACE: f64 = 0.1;
 
 /// An episode's drawn values.
 #[derive(Debug, Clone)]
@@ -45,8 +49,14 @@ pub struct ObjectDraw {
     pub position: DVec3,
     /// Start orientation.
     pub orientation: DQuat,
+    /// Friction against the table where it differs.
+    pub table_friction: Option<f64>,
+    /// Whether it is more than a place to reach.
+    pub solid: bool,
     /// Colour.
     pub colour: Rgb,
+    /// Pattern and second colour, where it has one.
+    pub texture: Option<(&'static str, Rgb)>,
 }
 
 /// A drawn hand.
@@ -62,6 +72,8 @@ pub struct HandDraw {
     pub posture: Vec<f64>,
     /// What it does; `None` is idle.
     pub act: Option<Act>,
+    /// Fingers that wrap, and the torque at the knuckle, N m.
+    pub wrap: Option<(Vec<Site>, f64)>,
     /// Colour of the skin.
     pub skin: Rgb,
     /// Colour of the sleeve.
@@ -109,13 +121,17 @@ pub struct CameraDraw {
     pub sway: f64,
     /// Phases of the head's motion, rad.
     pub phases: [f64; 6],
+    /// Standard deviation of the sensor's noise, in steps of the 8-bit picture.
+    pub noise: f64,
+    /// Time for which the shutter is open, s.
+    pub shutter: f64,
 }
 
 impl Episode {
     /// Draws an episode; the same scene, seed and rigs give the same one, bit for bit.
     ///
     /// # Errors
-    /// If a contact goal misses its object.
+    /// If a contact goal misses its object, or a mesh file can't be read.
     pub fn sample(scene: &Scene, seed: u64, rigs: &[HandRig; 2]) -> Result<Self> {
         // One stream per concern: a scene that draws one number more for its objects keeps its camera and colours.
         let stream = |index: u64| {
@@ -138,13 +154,20 @@ impl Episode {
         let mut rng = stream(1);
         let objects =
             spec.objects.iter().map(|o| ObjectDraw::sample(o, mirror, &mut rng)).collect::<Result<Vec<_>>>()?;
+        let mut objects = objects;
+        distractors(spec.distractors.sample(&mut stream(10)).round() as usize, &mut objects, &mut stream(11))?;
         let mut hands = Vec::new();
         for (index, hand) in spec.hands.iter().enumerate() {
             let mut rng = stream(2 + index as u64);
             let side = if (index == 0) == (actor == Side::Left) { Side::Left } else { Side::Right };
             let present = rng.random::<f64>() < hand.presence;
             if present {
-                hands.push(HandDraw::sample(hand, &rigs[side as usize], &objects, spec, &mut rng)?);
+                let rig = &rigs[side as usize];
+                let mut drawn = HandDraw::sample(hand, rig, &objects, spec, &mut rng)?;
+                if let (Some(act), Some(spec)) = (&mut drawn.act, hand.act.as_ref().filter(|act| act.in_step)) {
+                    act.timeline = Timeline::sample(&spec.start, &spec.script, mirror, &mut stream(12));
+                }
+                hands.push(drawn);
             }
         }
         let acting = hands.iter().filter_map(|hand| hand.act.as_ref());
@@ -165,16 +188,62 @@ impl ObjectDraw {
         let yaw = spec.yaw.sample(rng);
         // Mirrored in the world's x, and since shapes are symmetric in their own y, that is another rotation.
         let (x, yaw) = if mirror { (-x, PI - yaw) } else { (x, yaw) };
+        let (mass, friction) = (spec.mass.sample(rng), spec.friction.sample(rng));
+        let colour = look::colour(rng, 0.15..0.95, 0.3..0.95);
+        let raised = spec.raised.map_or(0.0, |raised| raised.sample(rng));
         Ok(Self {
             name: spec.name.clone(),
-            position: DVec3::new(x, y, shape.half_height),
+            position: DVec3::new(x, y, shape.half_height + raised),
             orientation: DQuat::from_rotation_z(yaw),
-            mass: spec.mass.sample(rng),
-            friction: spec.friction.sample(rng),
-            colour: look::colour(rng, 0.15..0.95, 0.3..0.95),
+            mass,
+            friction,
+            table_friction: spec.table_friction.map(|friction| friction.sample(rng)),
+            solid: spec.solid,
+            colour,
+            texture: spec.texture.then(|| look::texture(rng, colour)),
             shape,
         })
     }
+}
+
+/// Adds things that lie about on the table beside the place where the hands work.
+///
+/// Fewer than `count` where there is no room left.
+fn distractors(count: usize, objects: &mut Vec<ObjectDraw>, rng: &mut impl Rng) -> Result<()> {
+    let girth = |object: &ObjectDraw| f64::from(object.shape.outline().compute_local_aabb().half_extents().length());
+    for index in 0..count {
+        let mut size = || Span::fixed(rng.random_range(0.02..0.05));
+        let shape = match index % 3 {
+            0 => ShapeSpec::Box { size: [size(), size(), size()] },
+            1 => ShapeSpec::Cylinder { radius: Span::fixed(0.5 * size().low()), height: size() },
+            _ => ShapeSpec::Cube { size: size() },
+        };
+        let spec = ObjectSpec {
+            name: format!("distractor_{}", index + 1),
+            shape,
+            mass: Span::new(0.02, 0.15),
+            friction: Span::new(0.6, 1.0),
+            table_friction: None,
+            position: [Span::new(-0.4, 0.4), Span::new(-0.12, 0.42)],
+            raised: None,
+            yaw: Span::new(-PI, PI),
+            solid: true,
+            texture: index % 2 == 1,
+        };
+        let clear = |drawn: &ObjectDraw| {
+            let worked = objects.iter().filter(|other| !other.name.starts_with("distractor_"));
+            let far = worked.into_iter().all(|other| drawn.position.distance(other.position) > WORKSPACE + girth(other));
+            far && objects.iter().all(|other| drawn.position.distance(other.position) > girth(drawn) + girth(other))
+        };
+        for _ in 0..100 {
+            let drawn = ObjectDraw::sample(&spec, false, rng)?;
+            if clear(&drawn) {
+                objects.push(drawn);
+                break;
+            }
+        }
+    }
+    Ok(())
 }
 
 impl HandDraw {
@@ -189,7 +258,7 @@ impl HandDraw {
         let (skin, sleeve) = ([0.0; 3], [0.0; 3]);
         let Some(act) = &spec.act else {
             let (wrist, orientation, posture) = idle(rig, rng);
-            return Ok(Self { side, wrist, orientation, posture, act: None, skin, sleeve });
+            return Ok(Self { side, wrist, orientation, posture, act: None, wrap: None, skin, sleeve });
         };
         let index = objects
             .iter()
@@ -198,7 +267,7 @@ impl HandDraw {
         let object = &objects[index];
         let local = |v: [f64; 3]| {
             let flip = if side == Side::Left { -1.0 } else { 1.0 };
-            DVec3::new(v[0], flip * v[1], v[2]).normalize()
+            DVec3::new(v[0], flip * v[1], v[2]).normalize_or_zero()
         };
         let world = |v: [f64; 3]| object.orientation * local(v);
         let turn = DQuat::from_scaled_axis(direction(rng) * act.turn.sample(rng));
@@ -219,8 +288,9 @@ impl HandDraw {
         // Never from below: the hand would come through the table.
         from.z = from.z.max(0.15);
         let timeline = Timeline::sample(&act.start, &act.script, side == Side::Left, rng);
+        let wrap = act.wrap.as_ref().map(|wrap| (wrap.fingers.clone(), wrap.torque.sample(rng)));
         let act = Act { object: index, goals, from: from.normalize(), timeline };
-        Ok(Self { side, wrist, orientation, posture, act: Some(act), skin, sleeve })
+        Ok(Self { side, wrist, orientation, posture, act: Some(act), wrap, skin, sleeve })
     }
 }
 
@@ -233,16 +303,21 @@ impl CameraDraw {
             roll: spec.roll.sample(rng),
             sway: spec.sway.sample(rng),
             phases: std::array::from_fn(|_| rng.random_range(0.0..2.0 * PI)),
+            noise: spec.noise.sample(rng),
+            shutter: spec.shutter.sample(rng),
         }
     }
 }
 
 /// Angles before any goal: goal fingers half bent as for a grasp, the others as the scene says.
 fn posture(rig: &HandRig, act: &ActSpec, curl: f64, rng: &mut impl Rng) -> Vec<f64> {
+    let wraps = |site: Site| act.wrap.as_ref().is_some_and(|wrap| wrap.fingers.contains(&site));
     let bend = |hinge: &super::rig::Hinge| match (hinge.site, act.contacts.contains_key(&hinge.site)) {
+        (Site::Thumb, _) if wraps(Site::Thumb) => [0.3, 0.1, 0.05, 0.1][hinge_place(hinge)],
+        (site, _) if wraps(site) => [0.0, 0.2, 0.25, 0.15][hinge_place(hinge)],
         (Site::Thumb, true) => [0.45, 0.1, 0.25, 0.3][hinge_place(hinge)],
         (_, true) => [0.0, 0.75, 0.7, 0.4][hinge_place(hinge)],
-        (Site::Thumb, false) => [0.2, 0.1, 0.3 * curl, 0.5 * curl][hinge_place(hinge)],
+        (Site::Thumb, false) => [curl - 0.3, 0.1, 0.3 * curl, 0.5 * curl][hinge_place(hinge)],
         (_, false) => [0.0, 1.2 * curl, 1.5 * curl, 0.9 * curl][hinge_place(hinge)],
     };
     let angles = rig
@@ -272,7 +347,10 @@ fn goals(
     let mut goals = Vec::new();
     for (site, contact) in &act.contacts {
         let at = local(contact.at);
-        let through = DVec3::Z * contact.height.sample(rng);
+        let height = contact.height.sample(rng);
+        let [x, y] = contact.aside.map_or([0.0; 2], |aside| aside.map(|span| span.sample(rng)));
+        // `local` gives directions; mirroring is all that is wanted of it here.
+        let through = local([x, y, 0.0]) * x.hypot(y) + DVec3::Z * height;
         let (point, normal) = object.shape.surface_towards(at, through).ok_or_else(|| {
             let expected = format!("a direction that meets {}", act.object);
             Error::value(format!("contacts.{site:?}.at").to_lowercase(), expected, format!("{:?}", contact.at))

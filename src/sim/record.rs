@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use serde_json::{Value, json};
 
+use super::effect::Observation;
 use super::rollout::{Rollout, RolloutOptions, SimFrame};
 use super::scene::Scene;
 use crate::dataset::zarr::{ArraySpec, CAMERA_POSE, Contact, Dtype, OBJECT_POSE, Values, ZarrReader, ZarrWriter};
@@ -21,6 +22,11 @@ pub const PROXIMITY: &str = "data/mano_proximity";
 /// (T, 2, 2) f32: for the left and the right hand, the relative difference between the sum of its forces and that of its
 /// contacts, and the moment that spreading adds, N m; zero for a hand that is absent.
 pub const FORCE_RESIDUAL: &str = "data/force_residual";
+
+/// (T, 1556) f32: speed at which touching surfaces slide, m/s; there where the scene observes slip.
+pub const SLIP: &str = "data/mano_slip";
+/// (T, H, W) f32: distance from the camera's plane, m; there where the scene observes depth.
+pub const DEPTH: &str = "data/camera_ego_depth";
 
 /// What came out of recording.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -66,15 +72,15 @@ pub fn record(
     mut progress: impl FnMut(usize, usize),
 ) -> Result<Summary> {
     let mut rollout = Rollout::new(scene, seed, options)?;
-    let n_objects = scene.spec.objects.len();
+    let extras = Extras::of(std::slice::from_ref(scene), options);
     let attributes = attributes(std::slice::from_ref(scene), seed, options);
-    let mut writer = ZarrWriter::create(out, attributes, Contact::Truth, extra_arrays(n_objects))?;
+    let mut writer = ZarrWriter::create(out, attributes, Contact::Truth, extras.arrays())?;
     writer.set_attribute("episodes", json!([episode_entry(scene, seed, &rollout)]));
     let mut summary = Summary::default();
     while let Some(frame) = rollout.next_frame()? {
         summary.count(&frame.frame);
         summary.residuals(&frame);
-        let extra = extra_values(&frame, n_objects);
+        let extra = extras.values(&frame);
         writer.push_with(frame.frame, extra)?;
         progress(summary.frames, rollout.frame_count());
     }
@@ -174,9 +180,9 @@ fn claim(folder: &Path, plan: &Generate) -> Result<()> {
 
 fn merge(plan: &Generate, out: &Path, part: &dyn Fn(usize) -> PathBuf) -> Result<Summary> {
     let mut summary = Summary::default();
-    let n_objects = plan.scenes.iter().map(|scene| scene.spec.objects.len()).max().unwrap_or(0);
+    let extras = Extras::of(&plan.scenes, &plan.options);
     let attributes = attributes(&plan.scenes, plan.seed, &plan.options);
-    let mut writer = ZarrWriter::create(out, attributes, Contact::Truth, extra_arrays(n_objects))?;
+    let mut writer = ZarrWriter::create(out, attributes, Contact::Truth, extras.arrays())?;
     let mut entries: Vec<Value> = Vec::new();
     for index in 0..plan.episodes {
         let reader = ZarrReader::open(&part(index))?;
@@ -187,14 +193,14 @@ fn merge(plan: &Generate, out: &Path, part: &dyn Fn(usize) -> PathBuf) -> Result
             for name in [PROXIMITY, FORCE_RESIDUAL, CAMERA_POSE] {
                 extra.push((name, one(name)?));
             }
-            if n_objects > 0 {
-                // A scene without objects has no such array.
-                let mut poses = match reader.has(OBJECT_POSE) {
-                    true => reader.read_f32(OBJECT_POSE, frame..frame + 1)?,
+            // A scene that lacks what another observes leaves it unknown.
+            for (name, length) in extras.optional() {
+                let mut values = match reader.has(name) {
+                    true => reader.read_f32(name, frame..frame + 1)?,
                     false => Vec::new(),
                 };
-                poses.resize(n_objects * 7, f32::NAN);
-                extra.push((OBJECT_POSE, Values::F32(poses)));
+                values.resize(length, f32::NAN);
+                extra.push((name, Values::F32(values)));
             }
             let frame = reader.frame(frame)?;
             summary.count(&frame);
@@ -225,7 +231,7 @@ fn episode_entry(scene: &Scene, seed: u64, rollout: &Rollout) -> Value {
     json!({
         "scene": scene.name,
         "seed": seed,
-        "objects": scene.spec.objects.iter().map(|object| object.name.as_str()).collect::<Vec<_>>(),
+        "objects": rollout.objects().iter().filter(|o| o.body().is_some()).map(|o| o.name.as_str()).collect::<Vec<_>>(),
         "intrinsics": {
             "width": camera.width, "height": camera.height, "fx": camera.focal, "fy": camera.focal,
             "cx": camera.centre[0], "cy": camera.centre[1],
@@ -233,36 +239,76 @@ fn episode_entry(scene: &Scene, seed: u64, rollout: &Rollout) -> Value {
     })
 }
 
-fn extra_arrays(n_objects: usize) -> Vec<ArraySpec> {
-    let mut arrays = vec![
-        ArraySpec::new(PROXIMITY, [N_FIELD], Dtype::U8),
-        ArraySpec::new(FORCE_RESIDUAL, [2, 2], Dtype::F32),
-        ArraySpec::new(CAMERA_POSE, [7], Dtype::F32),
-    ];
-    if n_objects > 0 {
-        arrays.push(ArraySpec::new(OBJECT_POSE, [n_objects, 7], Dtype::F32));
-    }
-    arrays
+/// Arrays beside those that every store has.
+struct Extras {
+    n_objects: usize,
+    slip: bool,
+    /// Width and height.
+    depth: Option<(u32, u32)>,
 }
 
-fn extra_values(frame: &SimFrame, n_objects: usize) -> Vec<(&'static str, Values)> {
-    let pose = |position: glam::DVec3, q: glam::DQuat| {
-        [position.x, position.y, position.z, q.w, q.x, q.y, q.z].map(|x| x as f32)
-    };
-    let camera = pose(frame.camera.position, frame.camera.orientation).to_vec();
-    let residuals = frame.hands.iter().flat_map(|hand| {
-        hand.as_ref().map_or([0.0; 2], |hand| [hand.sum_residual as f32, hand.moment_residual as f32])
-    });
-    let mut values = vec![
-        (PROXIMITY, Values::U8(frame.proximity.clone())),
-        (FORCE_RESIDUAL, Values::F32(residuals.collect())),
-        (CAMERA_POSE, Values::F32(camera)),
-    ];
-    if n_objects > 0 {
-        let objects = frame.objects.iter().flat_map(|object| pose(object.position, object.orientation)).collect();
-        values.push((OBJECT_POSE, Values::F32(objects)));
+impl Extras {
+    fn of(scenes: &[Scene], options: &RolloutOptions) -> Self {
+        let solid = |scene: &Scene| scene.spec.objects.iter().filter(|object| object.solid).count();
+        let most = |scene: &Scene| solid(scene) + scene.spec.distractors.high().round() as usize;
+        let observed = |wanted: Observation| scenes.iter().any(|scene| scene.spec.observe.contains(&wanted));
+        Self {
+            n_objects: scenes.iter().map(most).max().unwrap_or(0),
+            slip: observed(Observation::Slip),
+            depth: options.picture.filter(|_| observed(Observation::Depth)),
+        }
     }
-    values
+
+    fn arrays(&self) -> Vec<ArraySpec> {
+        let mut arrays = vec![
+            ArraySpec::new(PROXIMITY, [N_FIELD], Dtype::U8),
+            ArraySpec::new(FORCE_RESIDUAL, [2, 2], Dtype::F32),
+            ArraySpec::new(CAMERA_POSE, [7], Dtype::F32),
+        ];
+        if self.n_objects > 0 {
+            arrays.push(ArraySpec::new(OBJECT_POSE, [self.n_objects, 7], Dtype::F32));
+        }
+        if self.slip {
+            arrays.push(ArraySpec::new(SLIP, [N_FIELD], Dtype::F32));
+        }
+        if let Some((width, height)) = self.depth {
+            arrays.push(ArraySpec::new(DEPTH, [height as usize, width as usize], Dtype::F32));
+        }
+        arrays
+    }
+
+    /// Arrays that not every scene of a set has: name and length of a frame.
+    fn optional(&self) -> Vec<(&'static str, usize)> {
+        let depth = self.depth.map(|(width, height)| (DEPTH, width as usize * height as usize));
+        let poses = Some((OBJECT_POSE, 7 * self.n_objects)).filter(|_| self.n_objects > 0);
+        let slip = Some((SLIP, N_FIELD)).filter(|_| self.slip);
+        [poses, slip, depth].into_iter().flatten().collect()
+    }
+
+    fn values(&self, frame: &SimFrame) -> Vec<(&'static str, Values)> {
+        let pose = |position: glam::DVec3, q: glam::DQuat| {
+            [position.x, position.y, position.z, q.w, q.x, q.y, q.z].map(|x| x as f32)
+        };
+        let camera = pose(frame.camera.position, frame.camera.orientation).to_vec();
+        let residuals = frame.hands.iter().flat_map(|hand| {
+            hand.as_ref().map_or([0.0; 2], |hand| [hand.sum_residual as f32, hand.moment_residual as f32])
+        });
+        let mut values = vec![
+            (PROXIMITY, Values::U8(frame.proximity.clone())),
+            (FORCE_RESIDUAL, Values::F32(residuals.collect())),
+            (CAMERA_POSE, Values::F32(camera)),
+        ];
+        for (name, length) in self.optional() {
+            let mut array: Vec<f32> = match name {
+                OBJECT_POSE => frame.objects.iter().flat_map(|object| pose(object.position, object.orientation)).collect(),
+                SLIP => frame.slip.clone().unwrap_or_default(),
+                _ => frame.depth.clone().unwrap_or_default(),
+            };
+            array.resize(length, f32::NAN);
+            values.push((name, Values::F32(array)));
+        }
+        values
+    }
 }
 
 impl Summary {

@@ -4,27 +4,31 @@ use ::image::RgbImage;
 use glam::{DQuat, DVec3};
 
 use super::camera::{CameraPose, Intrinsics};
-use super::contact::{HandForce, hand_force};
-use super::driver::HandDriver;
+use super::contact::{HandForce, hand_force, hand_slip};
+use super::driver::{HandDriver, Target};
+use super::effect::{Effect, EffectPlan, EffectSet, Observation};
 use super::guard::Guard;
 use super::mjcf::{self, HEAD};
 use super::randomize::Episode;
 use super::rig::HandRig;
 use super::scene::Scene;
+use super::scene_object::SceneObject;
+use super::view::{View, ViewOptions};
 use crate::dataset::Frame;
 use crate::error::{Error, Result};
-use crate::hand::{HandModel, HandParams, N_BETAS, Side};
-use crate::label::{ForceSpreader, PROXIMITY, SIGMA, SampledSurface};
+use crate::hand::{HandModel, HandParams, N_BETAS, N_VERTICES, PosedHand, Side};
+use crate::label::force::link_vertices;
+use crate::label::{ForceSpreader, PROXIMITY, SIGMA};
+use crate::mujoco::World;
 use crate::mujoco::world::FreeJoint;
-use crate::mujoco::{Renderer, World};
-use crate::tactile::{N_FIELD, TactileField, Topology, Validity};
+use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Topology, Validity};
 
 /// Seconds between two settings of the servos.
 const CONTROL_INTERVAL: f64 = 0.008;
 /// Depth of a contact that neither skin nor a mug's wall survives, m.
 const MAX_DEPTH: f64 = 0.004;
-/// Spacing of object surfaces for the 1 cm label, m.
-const SPACING: f32 = crate::label::proximity::SPACING;
+/// Distance from a surface at which a vertex counts as touching where no forces are simulated, m.
+pub const TOUCH_DISTANCE: f64 = 0.002;
 
 /// What to simulate and record beside the scene itself.
 #[derive(Debug, Clone)]
@@ -35,8 +39,10 @@ pub struct RolloutOptions {
     pub betas: [f32; N_BETAS],
     /// Width and height of the picture; `None` never opens an OpenGL context, and pictures are 1 x 1.
     pub picture: Option<(u32, u32)>,
-    /// Shadows in the picture, at ten times its price.
+    /// Shadows in the picture, at ten times its price, also where the scene does not list them.
     pub shadows: bool,
+    /// Effects in place of those that the scene calls for; for measuring what one costs.
+    pub effects: Option<EffectSet>,
     /// Width of the kernel that spreads contact forces, m.
     pub sigma: f64,
 }
@@ -48,6 +54,7 @@ impl Default for RolloutOptions {
             betas: [0.0; N_BETAS],
             picture: Some((224, 224)),
             shadows: false,
+            effects: None,
             sigma: SIGMA,
         }
     }
@@ -62,8 +69,10 @@ pub struct Rollout {
     spreaders: [ForceSpreader; 2],
     objects: Vec<SceneObject>,
     episode: Episode,
+    effects: EffectSet,
+    observe: Vec<Observation>,
     guard: Guard,
-    view: Option<Renderer>,
+    view: Option<View>,
     intrinsics: Intrinsics,
     camera: usize,
     head: usize,
@@ -76,13 +85,6 @@ pub struct Rollout {
     next: usize,
 }
 
-#[derive(Debug)]
-struct SceneObject {
-    name: String,
-    joint: FreeJoint,
-    surface: SampledSurface,
-}
-
 /// One frame: the data-set's part, and what else is true at that instant.
 #[derive(Debug, Clone)]
 pub struct SimFrame {
@@ -90,9 +92,13 @@ pub struct SimFrame {
     pub frame: Frame,
     /// (1556) 1 = an object's surface is within 1 cm (the paper's label).
     pub proximity: Vec<u8>,
-    /// Left and right hand's force with residuals; `None` = absent.
+    /// (1556) speed at which touching surfaces slide, m/s; `None` where it is not observed.
+    pub slip: Option<Vec<f32>>,
+    /// (H, W) distance from the camera's plane, m; `None` where it is not observed.
+    pub depth: Option<Vec<f32>>,
+    /// Left and right hand's force with residuals; `None` = absent, or without dynamics.
     pub hands: [Option<HandForce>; 2],
-    /// Name and pose of each object in the world frame, m.
+    /// Name and pose of each object that is solid, in the world frame, m.
     pub objects: Vec<ObjectPose>,
     /// Pose of the camera.
     pub camera: CameraPose,
@@ -125,36 +131,35 @@ impl Rollout {
         let rigs = [HandRig::new(left.clone(), options.betas)?, HandRig::new(right.clone(), options.betas)?];
         let spreaders = [ForceSpreader::new(left, options.sigma)?, ForceSpreader::new(right, options.sigma)?];
         let episode = Episode::sample(scene, seed, &rigs)?;
-        let physics = &scene.spec.physics;
-        let mut world = World::from_mjcf(&mjcf::write(&episode, &rigs, options.shadows), physics)?;
+        let plan = EffectPlan::of(&scene.spec)?;
+        let effects = chosen_effects(&plan, options)?;
+        let physics = plan.physics(effects, &scene.spec.physics)?;
+        let mut world = World::from_mjcf(&mjcf::write(&episode, &rigs, effects), &physics)?;
 
-        let mut objects = Vec::new();
-        for object in &episode.objects {
-            let joint = world.free_joint(&object.name)?;
-            objects.push(SceneObject {
-                name: object.name.clone(),
-                joint,
-                surface: object.shape.sampled_surface(SPACING)?,
-            });
-        }
-        let bodies = objects.iter().map(|object| world.body_of(object.joint));
-        let bodies: Vec<_> = bodies.zip(episode.objects.iter().map(|object| &object.shape)).collect();
+        let objects = episode.objects.iter().map(|draw| SceneObject::new(&world, draw)).collect::<Result<Vec<_>>>()?;
+        let targets: Vec<Target> = objects.iter().zip(&episode.objects).map(|(o, draw)| target(o, draw)).collect();
         let mut hands = [None, None];
         for hand in &episode.hands {
             let rig = &rigs[hand.side as usize];
-            hands[hand.side as usize] = Some(HandDriver::new(&mut world, hand, rig, &bodies)?);
+            hands[hand.side as usize] = Some(HandDriver::new(&mut world, hand, rig, &targets)?);
         }
-        let joints: Vec<FreeJoint> = objects.iter().map(|object| object.joint).collect();
+        let joints: Vec<FreeJoint> = objects.iter().filter_map(|object| object.joint).collect();
         let guard = Guard::new(&world, &joints, MAX_DEPTH);
         let interval = 1.0 / scene.spec.rate;
+        let steps_per_frame = physics.steps_in(interval)?;
         let (head, camera) = (world.mocap(HEAD)?, world.camera(HEAD)?);
-        let (width, height) = options.picture.unwrap_or((1, 1));
-        let view = match options.picture {
-            Some((width, height)) => Some(Renderer::new(&world, camera, width, height)?),
+        let observe = scene.spec.observe.clone();
+        let depth = observe.contains(&Observation::Depth);
+        let view = match options.picture.filter(|_| effects.contains(Effect::Rendering)) {
+            Some(size) => {
+                let options = ViewOptions { camera, size, depth, effects, steps_per_frame, seed };
+                Some(View::new(&world, &episode.camera, &options)?)
+            }
             None => None,
         };
+        let (width, height) = if view.is_some() { options.picture.unwrap_or((1, 1)) } else { (1, 1) };
         Ok(Self {
-            steps_per_frame: physics.steps_in(interval)?,
+            steps_per_frame,
             steps: 0,
             steps_per_control: (CONTROL_INTERVAL / physics.timestep).round().max(1.0) as usize,
             frames: (episode.duration * scene.spec.rate).floor() as usize + 1,
@@ -165,6 +170,8 @@ impl Rollout {
             spreaders,
             objects,
             episode,
+            effects,
+            observe,
             guard,
             view,
             camera,
@@ -179,7 +186,7 @@ impl Rollout {
     /// # Errors
     /// If rendering fails.
     pub fn next_frame(&mut self) -> Result<Option<SimFrame>> {
-        match self.next_instant() {
+        match self.next_instant(true)? {
             Some(validity) => self.observe(validity).map(Some),
             None => Ok(None),
         }
@@ -187,27 +194,50 @@ impl Rollout {
 
     /// Goes to the next frame without a picture or labels; `false` at the end.
     pub fn skip_frame(&mut self) -> bool {
-        self.next_instant().is_some()
+        // Without exposures nothing can fail.
+        matches!(self.next_instant(false), Ok(Some(_)))
     }
 
-    /// Simulates up to the next frame's instant.
-    fn next_instant(&mut self) -> Option<Validity> {
+    /// Simulates up to the next frame's instant, with the shutter's exposures on the way if `exposing`.
+    fn next_instant(&mut self, exposing: bool) -> Result<Option<Validity>> {
         if self.next >= self.frames {
-            return None;
+            return Ok(None);
         }
-        if self.next > 0 {
-            self.advance();
+        let dynamic = self.effects.contains(Effect::Dynamics);
+        if self.next > 0 && dynamic {
+            self.advance(exposing)?;
         }
+        let time = self.next as f64 * self.interval;
         self.next += 1;
-        let (eye, orientation) = self.episode.camera.head(self.world.time());
-        self.world.set_mocap(self.head, eye, orientation);
+        self.turn_head();
+        if !dynamic {
+            return self.place(time).map(Some);
+        }
         // Poses, contacts and forces of this very instant; a step leaves those of the instant before.
         self.world.forward();
         let validity = self.guard.frame(&self.world);
         if matches!(validity, Validity::NotFinite | Validity::EngineWarning) {
             self.next = self.frames;
         }
-        Some(validity)
+        Ok(Some(validity))
+    }
+
+    /// Puts the hands where their plan has them at `time`, without dynamics.
+    fn place(&mut self, time: f64) -> Result<Validity> {
+        for hand in self.hands.iter().flatten() {
+            hand.place(&mut self.world, time);
+        }
+        match self.effects.contains(Effect::RigidContact) {
+            true => self.world.detect(time),
+            false => self.world.place(time),
+        }
+        let finite = self.world.qpos().iter().all(|position| position.is_finite());
+        Ok(if finite { Validity::Valid } else { Validity::NotFinite })
+    }
+
+    fn turn_head(&mut self) {
+        let (eye, orientation) = self.episode.camera.head(self.world.time());
+        self.world.set_mocap(self.head, eye, orientation);
     }
 
     /// Frames of the whole episode.
@@ -240,6 +270,21 @@ impl Rollout {
         &self.rigs
     }
 
+    /// The effects at work.
+    pub fn effects(&self) -> EffectSet {
+        self.effects
+    }
+
+    /// The objects, in the episode's order.
+    pub fn objects(&self) -> &[SceneObject] {
+        &self.objects
+    }
+
+    /// Pictures drawn so far.
+    pub fn renders(&self) -> usize {
+        self.view.as_ref().map_or(0, View::renders)
+    }
+
     /// The physics.
     pub fn world(&self) -> &World {
         &self.world
@@ -252,8 +297,8 @@ impl Rollout {
         Some(self.rigs[side as usize].params(self.world.position(wrist), self.world.orientation(wrist), &angles))
     }
 
-    fn advance(&mut self) {
-        for _ in 0..self.steps_per_frame {
+    fn advance(&mut self, exposing: bool) -> Result<()> {
+        for step in 0..self.steps_per_frame {
             if self.steps.is_multiple_of(self.steps_per_control) {
                 let interval = self.steps_per_control as f64 * self.world.options().timestep;
                 for hand in self.hands.iter_mut().flatten() {
@@ -263,59 +308,160 @@ impl Rollout {
             self.world.step();
             self.steps += 1;
             self.guard.after_step(&self.world);
+            let left = self.steps_per_frame - step - 1;
+            if exposing && self.view.as_ref().is_some_and(|view| view.is_open(left)) && self.world.is_finite() {
+                self.turn_head();
+                self.world.forward();
+                self.set_skins()?;
+                if let Some(view) = &mut self.view {
+                    view.expose(&mut self.world)?;
+                }
+            }
         }
+        Ok(())
+    }
+
+    /// A present hand as it is, posed.
+    fn posed(&self, side: Side) -> Option<(HandParams, PosedHand)> {
+        let params = self.hand_params(side)?;
+        let posed = self.rigs[side as usize].model.forward(&params);
+        Some((params, posed))
+    }
+
+    /// Gives the engine's skins the vertices of the hands as they are.
+    fn set_skins(&mut self) -> Result<()> {
+        for side in Side::BOTH {
+            if let (Some(driver), Some((_, posed))) = (&self.hands[side as usize], self.posed(side)) {
+                let vertices = self.rigs[side as usize].bound_vertices(&posed);
+                self.world.set_skin(driver.skin(), &vertices)?;
+            }
+        }
+        Ok(())
     }
 
     fn observe(&mut self, validity: Validity) -> Result<SimFrame> {
         let lost = validity == Validity::NotFinite;
-        let mut force = vec![0.0; N_FIELD];
+        let observes = |wanted: Observation| self.observe.contains(&wanted);
+        // Effects in place of the scene's may not deliver what it observes: that is unknown then, not zero.
+        let delivers = |wanted: Observation| {
+            observes(wanted) && wanted.needs().iter().all(|effect| self.effects.contains(*effect))
+        };
+        let (wants_contact, wants_force) = (delivers(Observation::Contact), delivers(Observation::Force));
+        let wants_slip = delivers(Observation::Slip);
+        let dynamic = self.effects.contains(Effect::Dynamics);
+        if !lost {
+            self.objects.iter_mut().try_for_each(|object| object.refresh(&self.world))?;
+        }
+        let mut field = TactileField::zeros(self.topology());
         let mut proximity = vec![0; N_FIELD];
+        let mut slip = vec![0.0; N_FIELD];
         let mut poses = [None, None];
         let mut forces = [None, None];
         for side in Side::BOTH {
             let Some(driver) = self.hands[side as usize].as_ref().filter(|_| !lost) else { continue };
-            let Some(params) = self.hand_params(side) else { continue };
-            let posed = self.rigs[side as usize].model.forward(&params);
-            let label = hand_force(&self.world, driver.links(), &posed.vertices, &self.spreaders[side as usize])?;
-            force[side.range()].copy_from_slice(&label.force);
-            for (label, vertex) in proximity[side.range()].iter_mut().zip(&posed.vertices) {
-                *label = u8::from(self.objects.iter().any(|object| {
-                    let body = self.world.body_of(object.joint);
-                    let local =
-                        self.world.orientation(body).inverse() * (vertex.as_dvec3() - self.world.position(body));
-                    object.surface.is_within(local.as_vec3(), PROXIMITY)
-                }));
+            let Some((params, posed)) = self.posed(side) else { continue };
+            let (links, spreader) = (driver.links(), &self.spreaders[side as usize]);
+            if dynamic && (wants_force || wants_contact) {
+                let label = hand_force(&self.world, links, &posed.vertices, spreader)?;
+                field.force[side.range()].copy_from_slice(&label.force);
+                forces[side as usize] = Some(label);
             }
-            if self.view.is_some() {
-                let (skin, rig) = (driver.skin(), &self.rigs[side as usize]);
-                self.world.set_skin(skin, &rig.bound_vertices(&posed))?;
+            if wants_slip {
+                slip[side.range()].copy_from_slice(&hand_slip(&self.world, links, &posed.vertices, spreader)?);
             }
-            (forces[side as usize], poses[side as usize]) = (Some(label), Some(params));
+            if wants_contact {
+                let near = self.near_vertices(side, driver);
+                let candidates = near.iter().zip(&posed.vertices).enumerate().filter(|(_, (near, _))| **near);
+                for (vertex, (_, position)) in candidates {
+                    let (index, position) = (side.range().start + vertex, position.as_dvec3());
+                    proximity[index] = u8::from(self.objects.iter().any(|o| o.is_within(position, PROXIMITY)));
+                    if !dynamic && proximity[index] == 1 {
+                        let touches = self.objects.iter().any(|object| object.distance(position) <= TOUCH_DISTANCE);
+                        field.contact[index] = f32::from(touches);
+                    }
+                }
+            }
+            poses[side as usize] = Some(params);
         }
-        let objects = self.objects.iter().map(|object| {
-            let body = self.world.body_of(object.joint);
-            let (position, orientation) = (self.world.position(body), self.world.orientation(body));
-            ObjectPose { name: object.name.clone(), position, orientation }
-        });
-        let objects = objects.collect();
-        let picture = match &mut self.view {
-            Some(renderer) if !lost => renderer.render(&mut self.world)?,
-            _ => RgbImage::new(self.intrinsics.width, self.intrinsics.height),
-        };
+        if dynamic && wants_contact {
+            for (contact, force) in field.contact.iter_mut().zip(&field.force) {
+                *contact = f32::from(*force > CONTACT_FORCE_N);
+            }
+        }
+        if !wants_force {
+            field.force.fill(f32::NAN);
+        }
+        if !wants_contact {
+            field.contact.fill(f32::NAN);
+        }
+        let (picture, depth) = self.shoot(lost)?;
         // A hand that is there is supervised where the frame can be trusted; an absent one is surely not touched.
-        let valid = u8::from(validity == Validity::Valid);
+        let valid = validity == Validity::Valid;
         let [left_hand_pose, right_hand_pose] = poses;
         let frame = Frame {
             timestamp: self.world.time(),
             camera_ego_rgb: picture,
-            field: TactileField::from_force(self.topology(), force)?,
-            force_valid: vec![valid; N_FIELD],
-            contact_valid: vec![valid; N_FIELD],
+            field,
+            force_valid: vec![u8::from(valid && wants_force); N_FIELD],
+            contact_valid: vec![u8::from(valid && wants_contact); N_FIELD],
             validity,
             left_hand_pose,
             right_hand_pose,
         };
+        let solid = self.objects.iter().filter(|object| object.body().is_some());
+        let objects = solid.map(|object| {
+            let (position, orientation) = object.pose();
+            ObjectPose { name: object.name.clone(), position, orientation }
+        });
+        let objects = objects.collect();
         let camera = CameraPose::from_engine(self.world.camera_pose(self.camera));
-        Ok(SimFrame { frame, proximity, hands: forces, objects, camera })
+        let slip = wants_slip.then_some(slip);
+        Ok(SimFrame { frame, proximity, slip, depth, hands: forces, objects, camera })
     }
+
+    /// Vertices of a hand that may be within 1 cm of something: those of links that collision detection found near, and
+    /// all where it does not look for nearness.
+    fn near_vertices(&self, side: Side, driver: &HandDriver) -> Vec<bool> {
+        if !self.effects.contains(Effect::NearContact) {
+            return vec![true; N_VERTICES];
+        }
+        let mut near = vec![false; N_VERTICES];
+        let found: Vec<_> = self.world.contacts().flat_map(|contact| contact.bodies).collect();
+        let vertices = link_vertices(&self.rigs[side as usize].model);
+        for (link, _) in driver.links().iter().enumerate().filter(|(_, body)| found.contains(body)) {
+            vertices[link].iter().for_each(|vertex| near[*vertex as usize] = true);
+        }
+        near
+    }
+
+    fn shoot(&mut self, lost: bool) -> Result<(RgbImage, Option<Vec<f32>>)> {
+        if !lost && self.view.is_some() {
+            self.set_skins()?;
+        }
+        match self.view.as_mut().filter(|_| !lost) {
+            Some(view) => {
+                let (picture, depth) = view.shoot(&mut self.world)?;
+                Ok((picture, Some(depth).filter(|_| self.observe.contains(&Observation::Depth))))
+            }
+            None => Ok((RgbImage::new(self.intrinsics.width, self.intrinsics.height), None)),
+        }
+    }
+}
+
+/// Effects of a rollout: the scene's, or those asked for, without pictures where none are taken.
+fn chosen_effects(plan: &EffectPlan, options: &RolloutOptions) -> Result<EffectSet> {
+    let mut effects = options.effects.unwrap_or(plan.effects());
+    if options.shadows && effects.contains(Effect::Rendering) {
+        effects = effects.with(Effect::Shadows);
+    }
+    if options.picture.is_none() {
+        let pictures = [Effect::Rendering, Effect::Shadows, Effect::SensorNoise, Effect::MotionBlur];
+        effects = pictures.into_iter().fold(effects, EffectSet::without);
+    }
+    effects.check()?;
+    Ok(effects)
+}
+
+fn target<'a>(object: &SceneObject, draw: &'a super::randomize::ObjectDraw) -> Target<'a> {
+    Target { body: object.body(), shape: &draw.shape, position: draw.position, orientation: draw.orientation }
 }

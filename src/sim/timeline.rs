@@ -4,6 +4,7 @@ use glam::DVec3;
 use rand::Rng;
 
 use super::scene::{Channels, PhaseSpec};
+use super::span::Span;
 
 /// Values of the channels at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,6 +17,10 @@ pub struct ChannelValues {
     pub squeeze: f64,
     /// Displacement of the hand in the world frame, m.
     pub shift: DVec3,
+    /// Turn about the upright axis through the object's start, rad.
+    pub twist: f64,
+    /// How far wrapping fingers close, 0 to 1.
+    pub wrap: f64,
 }
 
 /// A script with drawn durations and values.
@@ -27,21 +32,24 @@ pub struct Timeline {
 }
 
 impl Timeline {
-    /// Draws durations and values; `mirror` flips x of the shift, as for the left hand.
+    /// Draws durations and values; `mirror` flips x of the shift and the twist, as for the left hand.
     pub fn sample(start: &Channels, script: &[PhaseSpec], mirror: bool, rng: &mut impl Rng) -> Self {
-        let sign = DVec3::new(if mirror { -1.0 } else { 1.0 }, 1.0, 1.0);
+        let flip = if mirror { -1.0 } else { 1.0 };
+        let sign = DVec3::new(flip, 1.0, 1.0);
         let mut values = ChannelValues {
             standoff: start.standoff.sample(rng),
             opening: start.opening.sample(rng),
             squeeze: start.squeeze.sample(rng),
             shift: DVec3::from_array(start.shift.each_ref().map(|s| s.sample(rng))) * sign,
+            twist: flip * drawn(start.twist, rng),
+            wrap: drawn(start.wrap, rng),
         };
         let start = values;
         let mut time = 0.0;
         let mut phases = Vec::new();
         for phase in script {
             time += phase.seconds.sample(rng);
-            let mut draw = |span: &Option<super::span::Span>, value: &mut f64| {
+            let mut draw = |span: &Option<Span>, value: &mut f64| {
                 if let Some(span) = span {
                     *value = span.sample(rng);
                 }
@@ -51,6 +59,12 @@ impl Timeline {
             draw(&phase.squeeze, &mut values.squeeze);
             if let Some(shift) = &phase.shift {
                 values.shift = DVec3::from_array(shift.each_ref().map(|s| s.sample(rng))) * sign;
+            }
+            if let Some(twist) = phase.twist {
+                values.twist = flip * twist.sample(rng);
+            }
+            if let Some(wrap) = phase.wrap {
+                values.wrap = wrap.sample(rng);
             }
             phases.push((time, values));
         }
@@ -79,12 +93,19 @@ impl Timeline {
                     opening: mix(from.opening, to.opening),
                     squeeze: mix(from.squeeze, to.squeeze),
                     shift: from.shift.lerp(to.shift, s),
+                    twist: mix(from.twist, to.twist),
+                    wrap: mix(from.wrap, to.wrap),
                 };
             }
             (begin, from) = (end, to);
         }
         from
     }
+}
+
+/// A channel's start; one that is fixed takes no random number.
+fn drawn(span: Span, rng: &mut impl Rng) -> f64 {
+    if span.low() == span.high() { span.low() } else { span.sample(rng) }
 }
 
 /// Smooth step from 0 to 1 whose velocity and acceleration are 0 at both ends, as of a hand that reaches.

@@ -1,0 +1,196 @@
+//! Surfaces of one's own: OBJ and STL files, taken apart into convex pieces by parry's VHACD.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use glam::{DQuat, DVec3};
+use parry3d::math::Vector;
+use parry3d::shape::SharedShape;
+use parry3d::transformation::vhacd::VHACDParameters;
+
+use super::piece::{Piece, PieceShape};
+use super::{Object, Surface};
+use crate::error::{Error, Result};
+use crate::sim::convex::{self, double, single};
+
+/// More triangles than this are for looking at, not for touching.
+const MOST_TRIANGLES: usize = 200_000;
+
+/// An object from a mesh file; its origin becomes the middle of its bounding box.
+///
+/// # Errors
+/// If the file can't be read, holds no surface, or spans no volume; the error names the file.
+pub(super) fn mesh(path: &Path, scale: f64) -> Result<Object> {
+    let (mut vertices, triangles) = load(path)?;
+    let low = vertices.iter().copied().fold(DVec3::INFINITY, DVec3::min);
+    let high = vertices.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
+    let middle = 0.5 * (low + high);
+    vertices.iter_mut().for_each(|vertex| *vertex = scale * (*vertex - middle));
+    let size = scale * (high - low);
+    if size.min_element() < 1e-4 || size.max_element() > 20.0 {
+        let got = format!("{:.2e} x {:.2e} x {:.2e} m", size.x, size.y, size.z);
+        return Err(Error::file(path, format!("expected 0.1 mm to 20 m along each axis, got {got}; check `scale`")));
+    }
+    let flat = || Error::file(path, "expected a surface that spans a volume, got a flat one");
+    let outline = convex::hull(&vertices).ok_or_else(flat)?;
+    let pieces = decompose(&vertices, &triangles, &outline).ok_or_else(flat)?;
+    Ok(Object { visual: Some((vertices, triangles)), ..Object::free(pieces, 0.5 * size.z, outline) })
+}
+
+/// Reads vertices and triangles of an OBJ or STL file.
+///
+/// # Errors
+/// If the file has another ending, can't be read, holds nothing, or a number that is not finite.
+fn load(path: &Path) -> Result<Surface> {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let open = || File::open(path).map(BufReader::new).map_err(Error::io(path));
+    let (vertices, triangles): Surface = match ending.as_str() {
+        "obj" => obj(path, &mut open()?)?,
+        "stl" => stl(path, &mut open()?)?,
+        _ => return Err(Error::file(path, format!("expected a mesh ending in .obj or .stl, got {ending:?}"))),
+    };
+    if !(4..=MOST_TRIANGLES).contains(&triangles.len()) {
+        let expected = format!("expected 4 to {MOST_TRIANGLES} triangles, got {}", triangles.len());
+        return Err(Error::file(path, expected));
+    }
+    if let Some(bad) = vertices.iter().position(|vertex| !vertex.is_finite()) {
+        return Err(Error::file(path, format!("vertex {bad}: expected finite numbers, got {}", vertices[bad])));
+    }
+    let count = vertices.len();
+    if let Some(bad) = triangles.iter().flatten().find(|index| **index as usize >= count) {
+        return Err(Error::file(path, format!("expected indices of {count} vertices, got {bad}")));
+    }
+    Ok((vertices, triangles))
+}
+
+fn obj(path: &Path, reader: &mut BufReader<File>) -> Result<Surface> {
+    let options = tobj::LoadOptions { triangulate: true, ignore_lines: true, ignore_points: true, ..Default::default() };
+    // Materials are not wanted; a file that names some loads without them.
+    let (models, _) = tobj::load_obj_buf(reader, &options, |_| Ok(Default::default())).map_err(|e| Error::file(path, e))?;
+    let mut surface = Surface::default();
+    for model in models {
+        let first = surface.0.len() as u32;
+        let corners = model.mesh.positions.chunks_exact(3);
+        surface.0.extend(corners.map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into())));
+        surface.1.extend(model.mesh.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]].map(|index| first + index)));
+    }
+    Ok(surface)
+}
+
+fn stl(path: &Path, reader: &mut BufReader<File>) -> Result<Surface> {
+    let mesh = stl_io::read_stl(reader).map_err(|e| Error::file(path, e))?;
+    let vertices = mesh.vertices.iter().map(|v| DVec3::new(v[0].into(), v[1].into(), v[2].into())).collect();
+    Ok((vertices, mesh.faces.iter().map(|face| face.vertices.map(|index| index as u32)).collect()))
+}
+
+/// Convex pieces that together fill the surface; the outline where the surface is convex already.
+fn decompose(vertices: &[DVec3], triangles: &[[u32; 3]], outline: &SharedShape) -> Option<Vec<Piece>> {
+    let points: Vec<Vector> = vertices.iter().copied().map(single).collect();
+    let hull_volume = f64::from(outline.mass_properties(1.0).mass());
+    let convex = hull_volume > 0.0 && volume(vertices, triangles) > 0.98 * hull_volume;
+    let hulls: Vec<SharedShape> = if convex {
+        vec![outline.clone()]
+    } else {
+        let parameters = VHACDParameters { resolution: 64, concavity: 0.005, ..VHACDParameters::default() };
+        let compound = SharedShape::convex_decomposition_with_params(&points, triangles, &parameters);
+        compound.as_compound()?.shapes().iter().map(|(_, shape)| shape.clone()).collect()
+    };
+    let piece = |shape: &SharedShape| {
+        let corners = shape.as_convex_polyhedron()?.points().iter().copied().map(double).collect();
+        // Slivers that span no volume are left out.
+        Piece::new(PieceShape::Hull(corners), DVec3::ZERO, DQuat::IDENTITY, false).ok()
+    };
+    let pieces: Vec<Piece> = hulls.iter().filter_map(piece).collect();
+    (!pieces.is_empty()).then_some(pieces)
+}
+
+/// Volume inside a closed surface, m³, whichever way its triangles face.
+fn volume(vertices: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
+    let of = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|index| vertices[index as usize]);
+        a.dot(b.cross(c)) / 6.0
+    };
+    triangles.iter().map(of).sum::<f64>().abs()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+
+    /// An L of three cubes with 20 mm edges.
+    fn corner_obj() -> String {
+        let outline = [[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]];
+        let mut text = String::new();
+        for z in [0, 1] {
+            for [x, y] in outline {
+                text += &format!("v {} {} {}\n", 20 * x, 20 * y, 20 * z);
+            }
+        }
+        // Bottom, top (a fan from the inner corner fits the L), sides.
+        for [a, b] in [[4, 5], [5, 6], [6, 1], [1, 2], [2, 3]] {
+            text += &format!("f 4 {b} {a}\n");
+            text += &format!("f 10 {} {}\n", a + 6, b + 6);
+        }
+        for a in 1..=6 {
+            let b = a % 6 + 1;
+            text += &format!("f {a} {b} {} {}\n", b + 6, a + 6);
+        }
+        text
+    }
+
+    #[test]
+    fn a_concave_mesh_keeps_its_hollow() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("corner.obj");
+        std::fs::write(&path, corner_obj()).unwrap();
+        let object = mesh(&path, 1e-3).unwrap();
+        assert!(object.pieces.len() > 1, "{} pieces", object.pieces.len());
+        assert!((object.half_height - 0.01).abs() < 1e-9);
+        // Origin: middle of the bounding box, which lies on the L's inner corner.
+        assert!(object.distance(DVec3::new(0.01, 0.01, 0.0)) > 0.008, "the hollow is filled");
+        assert!(object.distance(DVec3::new(-0.01, -0.01, 0.0)) < -0.005, "the corner is empty");
+        let full = 3.0 * 0.02f64.powi(3);
+        assert!((object.volume() / full - 1.0).abs() < 0.1, "{} of {full} m3", object.volume());
+    }
+
+    #[test]
+    fn a_convex_stl_is_one_piece() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("wedge.stl");
+        let corners = [[0.0f32, 0.0, 0.0], [30.0, 0.0, 0.0], [0.0, 20.0, 0.0], [0.0, 0.0, 40.0]];
+        let mut file = File::create(&path).unwrap();
+        writeln!(file, "solid wedge").unwrap();
+        for face in [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]] {
+            writeln!(file, "facet normal 0 0 0\nouter loop").unwrap();
+            for [x, y, z] in face.map(|i: usize| corners[i]) {
+                writeln!(file, "vertex {x} {y} {z}").unwrap();
+            }
+            writeln!(file, "endloop\nendfacet").unwrap();
+        }
+        writeln!(file, "endsolid wedge").unwrap();
+        drop(file);
+        let object = mesh(&path, 1e-3).unwrap();
+        assert_eq!(object.pieces.len(), 1);
+        assert!((object.volume() - 30.0 * 20.0 * 40.0 / 6.0 * 1e-9).abs() < 1e-9, "{}", object.volume());
+    }
+
+    #[test]
+    fn a_file_that_is_no_mesh_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let refused = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            let error = mesh(&path, 1.0).unwrap_err().to_string();
+            assert!(error.contains(name), "{error}");
+            error
+        };
+        assert!(refused("a.ply", "ply").contains(".obj or .stl"));
+        assert!(refused("b.obj", "v 0 0 0\n").contains("triangles"));
+        assert!(refused("c.obj", &corner_obj()).contains("scale"));
+        refused("d.stl", "nothing");
+        assert!(mesh(&folder.path().join("e.obj"), 1.0).unwrap_err().to_string().contains("e.obj"));
+    }
+}

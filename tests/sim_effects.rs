@@ -1,0 +1,242 @@
+//! Each effect is really absent when it is off: its counts, calls or traces are zero.
+#![cfg(feature = "sim")]
+
+use std::path::Path;
+
+use egotac::mujoco::Facts;
+use egotac::sim::{Effect, EffectPlan, EffectSet, Rollout, RolloutOptions, Scene, SimFrame};
+
+fn effects(of: &str) -> EffectSet {
+    EffectPlan::of(&Scene::load(of).unwrap().spec).unwrap().effects()
+}
+
+fn rollout(scene: &str, effects: EffectSet) -> Rollout {
+    let options = RolloutOptions { effects: Some(effects), picture: Some((48, 48)), ..RolloutOptions::default() };
+    Rollout::new(&Scene::load(scene).unwrap(), 3, &options).unwrap()
+}
+
+/// Frames of a whole episode with the counts at each.
+fn frames(mut rollout: Rollout) -> Vec<(SimFrame, Facts)> {
+    let mut frames = Vec::new();
+    while let Some(frame) = rollout.next_frame().unwrap() {
+        frames.push((frame, rollout.world().facts()));
+    }
+    frames
+}
+
+fn blind(effects: EffectSet) -> EffectSet {
+    effects.without(Effect::Rendering)
+}
+
+#[test]
+fn without_contact_nothing_is_ever_in_the_contact_list() {
+    let on = blind(effects("pinch_cube"));
+    assert!(frames(rollout("pinch_cube", on)).iter().any(|(_, facts)| facts.contacts > 4));
+    let off = frames(rollout("pinch_cube", EffectSet::default()));
+    assert!(off.iter().all(|(frame, facts)| facts.contacts == 0 && frame.hands.iter().all(Option::is_none)));
+}
+
+#[test]
+fn without_dynamics_no_constraint_is_solved_and_no_object_moves() {
+    let off = frames(rollout("pinch_cube", EffectSet::default().with(Effect::RigidContact)));
+    let start = off[0].0.objects[0].position;
+    assert!(off.iter().all(|(frame, facts)| facts.constraints == 0 && frame.objects[0].position == start));
+    let wrist = |at: usize| off[at].0.frame.left_hand_pose.as_ref().or(off[at].0.frame.right_hand_pose.as_ref()).unwrap().transl;
+    assert!(wrist(0).distance(wrist(off.len() / 2)) > 0.02, "the hand follows its plan all the same");
+    // A force that is not simulated is unknown, not zero.
+    assert!(off.iter().all(|(frame, _)| frame.frame.field.force.iter().all(|force| force.is_nan())));
+    assert!(off.iter().all(|(frame, _)| frame.frame.force_valid.iter().all(|valid| *valid == 0)));
+}
+
+#[test]
+fn friction_and_torsion_show_in_the_directions_of_contacts() {
+    let all = blind(effects("pinch_cube"));
+    let dimensions = |effects: EffectSet| {
+        frames(rollout("pinch_cube", effects)).iter().map(|(_, facts)| facts.contact_dimensions).max().unwrap()
+    };
+    assert_eq!(dimensions(all), 4);
+    let sliding = all.without(Effect::TorsionalFriction);
+    assert_eq!(dimensions(sliding), 3);
+    assert_eq!(dimensions(sliding.without(Effect::Friction)), 1);
+}
+
+#[test]
+fn without_friction_the_cube_stays_on_the_table() {
+    let highest = |effects: EffectSet| {
+        let frames = frames(rollout("pinch_cube", effects));
+        let start = frames[0].0.objects[0].position.z;
+        frames.iter().map(|(frame, _)| frame.objects[0].position.z - start).fold(0.0, f64::max)
+    };
+    let all = blind(effects("pinch_cube"));
+    assert!(highest(all) > 0.02);
+    assert!(highest(all.without(Effect::TorsionalFriction).without(Effect::Friction)) < 0.01);
+}
+
+#[test]
+fn without_gravity_nothing_weighs_on_the_table() {
+    let all = blind(effects("pinch_cube"));
+    let weight = |effects: EffectSet| {
+        let mut rollout = rollout("pinch_cube", effects);
+        for _ in 0..3 {
+            rollout.next_frame().unwrap();
+        }
+        (rollout.world().contacts().map(|contact| contact.normal_force).sum::<f64>(), rollout.world().facts().gravity)
+    };
+    let (force, gravity) = weight(all);
+    assert!(force > 0.1 && gravity, "{force} N");
+    let (force, gravity) = weight(all.without(Effect::Gravity));
+    assert!(force < 1e-3 && !gravity, "{force} N");
+}
+
+#[test]
+fn without_articulation_a_door_has_no_joint_and_does_not_move() {
+    let all = blind(effects("open_door"));
+    let turned = |effects: EffectSet| {
+        let frames = frames(rollout("open_door", effects));
+        let first = frames[0].0.objects[0].orientation;
+        let turn = frames.iter().map(|(frame, _)| frame.objects[0].orientation.angle_between(first)).fold(0.0, f64::max);
+        (turn, frames[0].1.joints)
+    };
+    let (turn, joints) = turned(all);
+    assert!(turn > 0.3, "{turn} rad");
+    let (fast, fewer) = turned(all.without(Effect::Articulation));
+    assert!(fast < 1e-9 && fewer == joints - 1, "{fast} rad, {fewer} of {joints} joints");
+}
+
+#[test]
+fn without_soft_bodies_the_ball_is_rigid_and_has_no_elements() {
+    let all = blind(effects("squeeze_ball"));
+    let soft = rollout("squeeze_ball", all);
+    assert_eq!(soft.world().facts().soft_bodies, 1);
+    assert_eq!(soft.world().options().integrator, egotac::mujoco::Integrator::Discrete);
+    let rigid = rollout("squeeze_ball", all.without(Effect::SoftBody));
+    assert_eq!(rigid.world().facts().soft_bodies, 0);
+    assert_ne!(rigid.world().options().integrator, egotac::mujoco::Integrator::Discrete);
+}
+
+#[test]
+fn idle_bodies_sleep_only_where_asked_and_wake_when_touched() {
+    let all = blind(effects("clutter"));
+    assert!(all.contains(Effect::Sleep));
+    let with = frames(rollout("clutter", all));
+    assert!(with.iter().any(|(_, facts)| facts.asleep > 5));
+    let cube = |frames: &[(SimFrame, Facts)]| {
+        let start = frames[0].0.objects[0].position.z;
+        frames.iter().map(|(frame, _)| frame.objects[0].position.z - start).fold(0.0, f64::max)
+    };
+    assert!(cube(&with) > 0.02, "a hand wakes what it takes: raised by {} m", cube(&with));
+    let without = frames(rollout("clutter", all.without(Effect::Sleep)));
+    assert!(without.iter().all(|(_, facts)| facts.asleep == 0));
+    // Sleep is a saving, not another physics: the hand carries the same force.
+    let total = |frames: &[(SimFrame, Facts)]| -> f64 {
+        frames.iter().flat_map(|(frame, _)| frame.hands.iter().flatten()).map(|hand| hand.total).sum()
+    };
+    let (a, b) = (total(&with), total(&without));
+    assert!((a - b).abs() < 0.02 * b, "{a} N and {b} N, summed over frames");
+}
+
+#[test]
+fn nearness_is_detected_only_where_asked_and_loses_no_vertex() {
+    let text = std::fs::read_to_string("sim/scenes/hover.yaml").unwrap() + "observe: [pose, contact]\n";
+    let scene = Scene::parse("hover", Path::new("hover.yaml"), &text).unwrap();
+    let planned = EffectPlan::of(&scene.spec).unwrap().effects();
+    assert_eq!(planned, [Effect::RigidContact, Effect::NearContact].into_iter().collect());
+    let run = |effects: EffectSet| {
+        let options = RolloutOptions { effects: Some(effects), picture: None, ..RolloutOptions::default() };
+        frames(Rollout::new(&scene, 3, &options).unwrap())
+    };
+    let (with, without) = (run(planned), run(planned.without(Effect::NearContact)));
+    assert!(with.iter().any(|(_, facts)| facts.near > 0));
+    assert!(without.iter().all(|(_, facts)| facts.near == 0));
+    assert!(without.iter().any(|(frame, _)| frame.proximity.contains(&1)), "the hand comes within 1 cm");
+    for ((a, _), (b, _)) in with.iter().zip(&without) {
+        assert_eq!(a.proximity, b.proximity, "{} s", a.frame.timestamp);
+    }
+}
+
+#[test]
+fn without_shadows_there_is_no_shadow_map() {
+    let all = effects("poke");
+    assert_eq!(rollout("poke", all).world().facts().shadow_map, 0);
+    assert!(rollout("poke", all.with(Effect::Shadows)).world().facts().shadow_map > 0);
+}
+
+#[test]
+fn noise_and_blur_change_the_picture_and_nothing_else() {
+    let plain = effects("clutter").without(Effect::SensorNoise).without(Effect::MotionBlur);
+    let noisy = plain.with(Effect::SensorNoise);
+    let blurred = plain.with(Effect::MotionBlur);
+    let run = |effects: EffectSet| {
+        let mut rollout = rollout("clutter", effects);
+        let mut frames = Vec::new();
+        for _ in 0..rollout.frame_count() / 2 {
+            frames.push(rollout.next_frame().unwrap().unwrap());
+        }
+        (frames, rollout.renders())
+    };
+    let (clean, renders) = run(plain);
+    assert_eq!(renders, clean.len(), "one picture per frame");
+    let (noise, renders) = run(noisy);
+    assert_eq!(renders, clean.len());
+    let sigma = rollout("clutter", noisy).episode().camera.noise;
+    let (mut squares, mut count) = (0.0, 0.0);
+    for (a, b) in clean.iter().zip(&noise) {
+        let pairs = a.frame.camera_ego_rgb.as_raw().iter().zip(b.frame.camera_ego_rgb.as_raw());
+        // Away from the ends, where values are clipped.
+        for (a, b) in pairs.filter(|(a, _)| (30..225).contains(*a)) {
+            (squares, count) = (squares + (f64::from(*b) - f64::from(*a)).powi(2), count + 1.0);
+        }
+    }
+    // Rounding to whole steps adds a twelfth.
+    let measured = f64::sqrt(squares / count - 1.0 / 12.0);
+    assert!((measured / sigma - 1.0).abs() < 0.05, "{measured} of {sigma}");
+    let (blur, renders) = run(blurred);
+    assert!(renders > clean.len(), "{renders} pictures");
+    let differs = |a: &SimFrame, b: &SimFrame| a.frame.camera_ego_rgb != b.frame.camera_ego_rgb;
+    assert!(clean.iter().zip(&blur).any(|(a, b)| differs(a, b)));
+    for other in [noise, blur] {
+        for (a, b) in clean.iter().zip(&other) {
+            assert_eq!(a.frame.field, b.frame.field);
+            assert_eq!(a.objects, b.objects);
+        }
+    }
+}
+
+#[test]
+fn distances_from_the_camera_are_those_of_the_geometry() {
+    let text = std::fs::read_to_string("sim/scenes/hover.yaml").unwrap() + "observe: [depth, pose]\n";
+    let scene = Scene::parse("hover", Path::new("hover.yaml"), &text).unwrap();
+    let options = RolloutOptions { picture: Some((65, 65)), ..RolloutOptions::default() };
+    let mut rollout = Rollout::new(&scene, 4, &options).unwrap();
+    let frame = rollout.next_frame().unwrap().unwrap();
+    let depth = frame.depth.unwrap();
+    assert_eq!(depth.len(), 65 * 65);
+    // Down the middle column from the lower edge: the table's plane, until something stands on it.
+    let camera = frame.camera;
+    let intrinsics = rollout.intrinsics();
+    let (x, y) = (2.0, 60.0);
+    let ray = camera.orientation
+        * glam::DVec3::new((x + 0.5 - intrinsics.centre[0]) / intrinsics.focal, (y + 0.5 - intrinsics.centre[1]) / intrinsics.focal, 1.0);
+    let along = -camera.position.z / ray.z;
+    let measured = f64::from(depth[60 * 65 + 2]);
+    assert!((measured - along).abs() < 0.003 * along, "{measured} m instead of {along} m");
+}
+
+#[test]
+fn slip_is_the_speed_of_a_card_under_the_fingers() {
+    let scene = Scene::load("slide_card").unwrap();
+    let options = RolloutOptions { picture: None, ..RolloutOptions::default() };
+    let mut rollout = Rollout::new(&scene, 3, &options).unwrap();
+    let mut seen = 0;
+    while let Some(frame) = rollout.next_frame().unwrap() {
+        let slip = frame.slip.unwrap();
+        for (slip, force) in slip.iter().zip(&frame.frame.field.force) {
+            assert!(slip.is_finite() && *slip >= 0.0);
+            assert!(*force > 0.0 || *slip == 0.0, "{slip} m/s without force");
+            seen += usize::from(*force > 0.05);
+            // The fingers carry the card with them: far slower than the hand, which moves at some 0.1 m/s.
+            assert!(*force < 0.2 || *slip < 0.1, "{slip} m/s at {force} N");
+        }
+    }
+    assert!(seen > 100);
+}
