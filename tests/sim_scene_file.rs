@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use egotac::sim::{SHIPPED, Scene};
+use egotac::sim::{Rollout, RolloutOptions, SHIPPED, Scene};
 
 fn edited(from: &str, to: &str) -> String {
     let text = SHIPPED.iter().find(|(name, _)| *name == "pinch_cube").unwrap().1;
@@ -59,4 +59,54 @@ fn a_value_out_of_range_says_what_was_expected() {
     assert!(error.contains("objects[0].name") && error.contains("a name of its own"), "{error}");
     let error = edited("- presence: 0.3", "- { side: left, presence: 0.3 }");
     assert!(error.contains("hands[1].side"), "{error}");
+}
+
+#[test]
+fn new_keys_are_checked_as_well() {
+    let error = edited("hands:", "observe: [rgb, smell]\nhands:");
+    assert!(error.contains("smell") && error.contains("slip"), "{error}");
+    let error = edited("squeeze: 1", "wrap: 1");
+    assert!(error.contains("act.wrap") && error.contains("fingers and torque"), "{error}");
+    let error = edited("curl: [0.3, 0.6]", "curl: 0.5\n      wrap: { fingers: [palm], torque: 0.1 }");
+    assert!(error.contains("wrap.fingers") && error.contains("palm"), "{error}");
+    let error = edited("mass:", "raised: 0.1\n    mass:");
+    assert!(error.contains("objects[0].raised") && error.contains("solid"), "{error}");
+    let error = edited("hands:", "distractors: [0, 400]\nhands:");
+    assert!(error.contains("distractors") && error.contains("40"), "{error}");
+    let error = edited("hands:", "camera: { shutter: 0.1 }\nhands:");
+    assert!(error.contains("camera.shutter") && error.contains("0.04"), "{error}");
+    let error = edited("shape: { cube: { size: [0.03, 0.048] } }", "shape: { soft: { radius: 0.03, stiffness: 1 } }");
+    assert!(error.contains("objects[0].shape.stiffness"), "{error}");
+}
+
+#[test]
+fn a_mesh_beside_the_scene_file_is_found_and_simulated() {
+    let folder = tempfile::tempdir().unwrap();
+    // A stump of a pyramid, 40 mm high, in millimetres.
+    let corners = [(0, 0), (40, 0), (40, 40), (0, 40)].map(|(x, y)| (x, y, 0));
+    let corners = corners.into_iter().chain([(10, 10), (30, 10), (30, 30), (10, 30)].map(|(x, y)| (x, y, 40)));
+    let faces = ["1 4 3 2", "5 6 7 8", "1 2 6 5", "2 3 7 6", "3 4 8 7", "4 1 5 8"];
+    let mut text: String = corners.map(|(x, y, z)| format!("v {x} {y} {z}\n")).collect();
+    text += &faces.map(|face| format!("f {face}\n")).concat();
+    std::fs::write(folder.path().join("stump.obj"), text).unwrap();
+    let scene = SHIPPED.iter().find(|(name, _)| *name == "hover").unwrap().1;
+    let start = scene.find("    shape:").unwrap();
+    let end = start + scene[start..].find('\n').unwrap();
+    let scene =
+        format!("{}    shape: {{ mesh: {{ file: stump.obj, scale: 0.001 }} }}{}", &scene[..start], &scene[end..]);
+    let path = folder.path().join("stump.yaml");
+    std::fs::write(&path, &scene).unwrap();
+    let options = RolloutOptions { picture: None, ..RolloutOptions::default() };
+    let mut rollout = Rollout::new(&Scene::load(path.to_str().unwrap()).unwrap(), 1, &options).unwrap();
+    let mut last = 0.0;
+    while let Some(frame) = rollout.next_frame().unwrap() {
+        last = frame.objects[0].position.z;
+        assert!(frame.frame.validity.reason().is_empty(), "{}", frame.frame.validity.reason());
+    }
+    // It rests on its bottom: the middle of its box is 20 mm up.
+    assert!((last - 0.02).abs() < 1e-3, "{last} m");
+    // The same file through another folder is not found, and says so.
+    let error = Rollout::new(&Scene::parse("stump", Path::new("elsewhere/stump.yaml"), &scene).unwrap(), 1, &options);
+    let error = error.unwrap_err().to_string();
+    assert!(error.contains("elsewhere/stump.obj"), "{error}");
 }

@@ -180,3 +180,119 @@ fn both_hands_act_and_both_sides_are_the_models() {
     let swapped = RolloutOptions { hands: [Side::Right, Side::Left].map(HandModel::builtin), ..blind() };
     assert!(Rollout::new(&Scene::load("hover").unwrap(), 0, &swapped).is_err());
 }
+
+/// What a shipped scene must show: frames with touch (0 = never), and what happens to its first object.
+enum Deed {
+    Nothing,
+    /// Rises by more than 2 cm.
+    Rises,
+    /// Moves by more than this along the table, m.
+    Slides(f64),
+    /// Turns by more than this about its joint, rad.
+    Turns(f64),
+}
+
+fn shows(scene: &str, touched: bool, deed: &Deed) {
+    for seed in [3, 4] {
+        let (_, frames) = frames(scene, seed);
+        let total = |frame: &SimFrame| frame.hands.iter().flatten().map(|hand| hand.total).sum::<f64>();
+        let pressed = frames.iter().filter(|frame| total(frame) > 0.1).count();
+        assert_eq!(pressed >= 8, touched, "{scene}, seed {seed}: {pressed} frames with touch");
+        assert_eq!(pressed == 0, !touched, "{scene}, seed {seed}: {pressed} frames with touch");
+        let refused = frames.iter().filter(|frame| frame.frame.validity != Validity::Valid).count();
+        assert!(refused * 20 < frames.len(), "{scene}, seed {seed}: {refused} frames refused");
+        let Some(start) = frames[0].objects.first() else { continue };
+        let most = |measure: &dyn Fn(&egotac::sim::rollout::ObjectPose) -> f64| {
+            frames.iter().map(|frame| measure(&frame.objects[0])).fold(0.0, f64::max)
+        };
+        let rise = most(&|pose| pose.position.z - start.position.z);
+        let slide = most(&|pose| (pose.position - start.position).truncate().length());
+        let turn = most(&|pose| pose.orientation.angle_between(start.orientation));
+        match deed {
+            Deed::Nothing => assert!(slide < 1e-3 && rise < 1e-3, "{scene}, seed {seed}: moved by {slide} m"),
+            Deed::Rises => assert!(rise > 0.02, "{scene}, seed {seed}: rose by {rise} m"),
+            Deed::Slides(least) => assert!(slide > *least && rise < 0.01, "{scene}, seed {seed}: slid by {slide} m"),
+            Deed::Turns(least) => assert!(turn > *least && rise < 1e-3, "{scene}, seed {seed}: turned by {turn} rad"),
+        }
+    }
+}
+
+#[test]
+fn what_is_grasped_is_lifted() {
+    for scene in ["tripod", "hold_plate", "carry_box", "clutter"] {
+        shows(scene, true, &Deed::Rises);
+    }
+}
+
+/// The fingers close with a drawn torque, and not every drawn bottle is held by it.
+#[test]
+fn a_bottle_in_the_whole_hand_is_lifted_more_often_than_not() {
+    let lifted = |seed: u64| {
+        let (_, frames) = frames("power_grasp", seed);
+        let start = frames[0].objects[0].position.z;
+        let links = frames.iter().flat_map(|frame| frame.hands.iter().flatten()).map(|hand| hand.contacts).max();
+        assert!(links.unwrap() >= 6, "seed {seed}: the whole hand takes part");
+        frames.iter().any(|frame| frame.objects[0].position.z - start > 0.02)
+    };
+    assert!((10..14).filter(|seed| lifted(*seed)).count() >= 3);
+}
+
+#[test]
+fn what_is_pushed_slides_and_what_has_a_joint_turns() {
+    shows("palm_push", true, &Deed::Slides(0.03));
+    shows("slide_card", true, &Deed::Slides(0.02));
+    shows("wipe_table", true, &Deed::Slides(0.02));
+    shows("turn_knob", true, &Deed::Turns(0.3));
+    shows("open_door", true, &Deed::Turns(0.3));
+}
+
+#[test]
+fn negatives_touch_nothing_or_only_themselves() {
+    shows("reach_past", false, &Deed::Nothing);
+    let (_, frames) = frames("rub_hands", 3);
+    let both = frames.iter().filter(|frame| frame.hands.iter().flatten().filter(|hand| hand.total > 0.5).count() == 2);
+    assert!(both.count() > 10, "each hand is touched by the other");
+    assert!(frames.iter().all(|frame| frame.objects.is_empty() && !frame.proximity.contains(&1)));
+}
+
+#[test]
+fn a_button_sinks_under_the_finger_and_comes_up() {
+    let (_, frames) = frames("press_button", 3);
+    let start = frames[0].objects[0].position.z;
+    let deepest = frames.iter().map(|frame| start - frame.objects[0].position.z).fold(0.0, f64::max);
+    assert!(deepest > 0.002, "sank by {deepest} m");
+    let last = frames.last().unwrap().objects[0].position.z;
+    assert!((last - start).abs() < 5e-4, "came up to {} m of where it was", last - start);
+}
+
+#[test]
+fn the_stick_goes_from_one_hand_to_the_other() {
+    let (rollout, frames) = frames("regrasp", 3);
+    let first = rollout.episode().hands[0].side as usize;
+    let force = |frame: &SimFrame, hand: usize| frame.hands[hand].as_ref().map_or(0.0, |hand| hand.total);
+    let raised: Vec<&SimFrame> =
+        frames.iter().filter(|frame| frame.objects[0].position.z - frames[0].objects[0].position.z > 0.01).collect();
+    let phase = |one: bool, other: bool| {
+        raised.iter().filter(|f| (force(f, first) > 0.5) == one && (force(f, 1 - first) > 0.5) == other).count()
+    };
+    assert!(phase(true, false) > 5 && phase(true, true) > 3 && phase(false, true) > 5);
+    assert_eq!(phase(false, false), 0, "nobody holds the raised stick");
+}
+
+#[test]
+fn a_soft_ball_gives_way_and_carries_the_fingers_force() {
+    let (rollout, frames) = frames("squeeze_ball", 3);
+    let egotac::sim::object::Mount::Soft { radius, .. } = rollout.episode().objects[0].shape.mount else {
+        panic!("the ball is soft")
+    };
+    let pressed = frames.iter().filter(|frame| force(&rollout, frame) > 0.5).count();
+    assert!(pressed > 10, "{pressed} frames");
+    // Between the fingers it is thinner than at rest.
+    let squeezed = frames.iter().max_by(|a, b| force(&rollout, a).total_cmp(&force(&rollout, b))).unwrap();
+    let hand = rollout.episode().hands[0].side;
+    let pose = if hand == Side::Left { &squeezed.frame.left_hand_pose } else { &squeezed.frame.right_hand_pose };
+    let vertices = rollout.rigs()[hand as usize].model.forward(pose.as_ref().unwrap()).vertices;
+    let centre = squeezed.objects[0].position;
+    let nearest = vertices.iter().map(|v| v.as_dvec3().distance(centre)).fold(f64::INFINITY, f64::min);
+    assert!(nearest < radius - 5e-4, "the skin stands {nearest} m from the middle of a ball of {radius} m");
+}

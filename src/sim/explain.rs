@@ -57,7 +57,7 @@ pub fn cost(scene: &Scene, seed: u64, options: &RolloutOptions, effect: Effect) 
     let mut rollouts = [rollout(with)?, rollout(without)?];
     let start = rollouts[0].frame_count().saturating_sub(FRAMES) / 2;
     for _ in 0..start {
-        rollouts.iter_mut().for_each(|rollout| drop(rollout.skip_frame()));
+        rollouts.iter_mut().for_each(|rollout| _ = rollout.skip_frame());
     }
     let mut differences = Vec::new();
     for _ in 0..FRAMES {
