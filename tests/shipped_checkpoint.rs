@@ -51,7 +51,7 @@ fn it_is_small_and_for_the_built_in_hand() {
 fn its_card_shows_the_scores_that_the_command_wrote() {
     let text = std::fs::read_to_string(root("models/egotac.eval.json")).unwrap();
     let reports: Value = serde_json::from_str(&text).unwrap();
-    beats_the_constants(&reports, 0.04);
+    beats_the_constants(&reports, 0.05);
     let card = std::fs::read_to_string(root("models/README.md")).unwrap();
     let rows = [
         ("MAE (N)", "/mae"),
@@ -103,5 +103,5 @@ fn it_beats_constants_on_rollouts_that_nobody_has_seen() {
         "eval --checkpoint {} --data test.zarr --baselines-from test.zarr --json",
         checkpoint.display()
     ));
-    beats_the_constants(&serde_json::from_str(&scores).unwrap(), 0.02);
+    beats_the_constants(&serde_json::from_str(&scores).unwrap(), 0.03);
 }
