@@ -23,5 +23,5 @@ pub use force::{ForceLabel, ForceSpreader, LinkContact, SIGMA};
 pub use hand_surface::HandSurface;
 pub use mesh::Sides;
 pub use proximity::{PROXIMITY, SPACING, SampledSurface, resample};
-pub use solid::Solid;
+pub use solid::{Sampling, Solid};
 pub use surface::Surface;

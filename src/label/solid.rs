@@ -100,7 +100,7 @@ impl Solid {
         if nearest <= cutoff { nearest } else { f32::INFINITY }
     }
 
-    /// Parts, triangles among them, and the first reason why an inside is not known.
+    /// Whether the inside of every part is known, or the first reason why not.
     pub fn sides(&self) -> Sides {
         let meshes = self.parts.iter().filter_map(|part| match &part.shape {
             Shape::Mesh(surface) => Some(surface.sides()),
@@ -118,6 +118,21 @@ impl Solid {
     pub fn is_empty(&self) -> bool {
         self.parts.is_empty()
     }
+}
+
+/// How finely a thing is sampled, and whether its inside is known.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Sampling {
+    /// The thing.
+    pub name: String,
+    /// Points of label (a).
+    pub points: usize,
+    /// Longest edge between neighbouring ones, m.
+    pub spacing: f32,
+    /// Parts of label (b)'s surface.
+    pub parts: usize,
+    /// What label (b) knows about its inside; distances are at least 0 where it is none.
+    pub sides: Sides,
 }
 
 impl Shape {

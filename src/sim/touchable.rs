@@ -11,7 +11,7 @@ use super::randomize::Episode;
 use super::rollout::ObjectPose;
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, N_VERTICES, Side};
-use crate::label::{HandSurface, SampledSurface, Sides, Solid};
+use crate::label::{HandSurface, SampledSurface, Sampling, Solid};
 use crate::tactile::N_FIELD;
 
 /// Everything that hands can touch in one episode.
@@ -36,21 +36,6 @@ pub struct Distances {
     pub points: Vec<f32>,
     /// (1556) from the nearest surface, negative inside: label (b) at any threshold.
     pub surface: Vec<f32>,
-}
-
-/// How finely a thing is sampled, and whether its inside is known.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
-pub struct Sampling {
-    /// The thing.
-    pub name: String,
-    /// Points of label (a).
-    pub points: usize,
-    /// Longest edge between neighbouring ones, m.
-    pub spacing: f32,
-    /// Parts of label (b)'s surface.
-    pub parts: usize,
-    /// What label (b) knows about its inside; distances are at least 0 where it is none.
-    pub sides: Sides,
 }
 
 impl Touchables {
