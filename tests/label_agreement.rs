@@ -58,9 +58,8 @@ fn scores_are_those_of_scikit_learn_and_scipy() {
         let force: Vec<f32> = (0..v)
             .map(|i| if noise(1, at(i)) > 0.9 && frame % 5 != 0 { noise(2, at(i)) as f32 } else { 0.0 })
             .collect();
-        let label: Vec<f32> = (0..v)
-            .map(|i| f32::from(noise(3, at(i)) + 0.5 * f64::from(u8::from(force[i] > 0.05)) > 0.75))
-            .collect();
+        let label: Vec<f32> =
+            (0..v).map(|i| f32::from(noise(3, at(i)) + 0.5 * f64::from(u8::from(force[i] > 0.05)) > 0.75)).collect();
         let guess: Vec<f32> = (0..v).map(|i| (f64::from(force[i]) * (0.5 + noise(4, at(i)))) as f32).collect();
         let truth = TruthFrame::new(0.04 * frame as f64, force, vec![1; v], positions.clone(), Some(&contacts));
         scorer.push(&truth.unwrap(), &label, &guess).unwrap();
@@ -109,7 +108,8 @@ fn a_perfect_label_scores_one_and_an_empty_one_nothing() {
 fn missed_force_and_false_mass_are_shares_of_force_and_of_vertices() {
     // Two touched vertices, 3 N and 1 N; the label finds the weaker one, and one on the other hand.
     let truth = truth(0.0, &[(100, 3.0), (400, 1.0)]);
-    let sums = Sums::of_frame(&parts(), &truth, &field(&[(400, 0.9), (N_VERTICES + 400, 0.6), (200, 0.5)]), &[]).unwrap();
+    let sums =
+        Sums::of_frame(&parts(), &truth, &field(&[(400, 0.9), (N_VERTICES + 400, 0.6), (200, 0.5)]), &[]).unwrap();
     assert_eq!(value(&sums, "missed_force"), Some(0.75));
     assert_eq!(value(&sums, "false_contact_mass"), Some(0.5));
     assert_eq!((value(&sums, "precision"), value(&sums, "recall")), (Some(0.5), Some(0.5)));

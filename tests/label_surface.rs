@@ -275,7 +275,10 @@ fn triangles_without_area_and_doubled_vertices_change_nothing() {
     for i in 0..500 {
         let f = |k: i32| ((i * k % 97) as f32 / 97.0 - 0.5) * 0.2;
         let p = Vec3::new(f(13), f(31), f(59));
-        assert!((f64::from(surface.distance(p, 1.0)) - box_distance(half.as_dvec3(), p.as_dvec3())).abs() < 1e-8, "{p}");
+        assert!(
+            (f64::from(surface.distance(p, 1.0)) - box_distance(half.as_dvec3(), p.as_dvec3())).abs() < 1e-8,
+            "{p}"
+        );
     }
     // A collinear triangle alone is the segment it covers.
     let line = surface_of_line();
@@ -424,6 +427,7 @@ fn a_skin_that_ends_at_the_wrist_is_closed_there() {
     assert!(!Surface::new(rest.clone(), model.faces.clone()).unwrap().sides().is_known());
     let skin = HandSurface::new(&model, 0.006).unwrap();
     assert_eq!(skin.surface().sides(), Sides::Closed);
-    let palm = model.forward(&HandParams::default()).joints[4].lerp(model.forward(&HandParams::default()).joints[0], 0.4);
+    let palm =
+        model.forward(&HandParams::default()).joints[4].lerp(model.forward(&HandParams::default()).joints[0], 0.4);
     assert!(skin.surface().distance(palm, 1.0) < 0.0);
 }

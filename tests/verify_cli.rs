@@ -38,7 +38,9 @@ fn refusal(arguments: &[&str]) -> String {
 fn score(report: &Value, candidate: &str, name: &str) -> f64 {
     let candidates = report["candidates"].as_array().unwrap();
     let found = candidates.iter().find(|c| c["name"] == candidate).unwrap_or_else(|| panic!("no {candidate}"));
-    found["scores"][name]["value"].as_f64().unwrap_or_else(|| panic!("{candidate}: {name} is {}", found["scores"][name]))
+    found["scores"][name]["value"]
+        .as_f64()
+        .unwrap_or_else(|| panic!("{candidate}: {name} is {}", found["scores"][name]))
 }
 
 struct Folder(TempDir);
@@ -155,12 +157,16 @@ fn predictions_are_scored_and_the_gate_sets_the_exit_status() {
     let force = reader.read_f32(MANO_FORCE, 0..reader.len()).unwrap();
     let [right, half, none] = ["right", "half", "none"].map(|name| folder.path(&format!("{name}.safetensors")));
     tensors(&right, Fields::from_force(force.clone()));
-    tensors(&half, Fields { contact: Fields::from_force(force.clone()).contact, force: force.iter().map(|f| f / 2.0).collect() });
+    tensors(
+        &half,
+        Fields { contact: Fields::from_force(force.clone()).contact, force: force.iter().map(|f| f / 2.0).collect() },
+    );
     tensors(&none, Fields::from_force(vec![0.0; force.len()]));
 
     // The store itself serves as well.
     for predictions in [&right, &store] {
-        let report = verify(&[&store, "--predictions", predictions, "--require", "f1=1,missed_force=0,onset_error_secs=0"]);
+        let report =
+            verify(&[&store, "--predictions", predictions, "--require", "f1=1,missed_force=0,onset_error_secs=0"]);
         assert_eq!(score(&report, "prediction", "link_force_error"), 0.0);
         assert_eq!(score(&report, "prediction", "cop_distance_mm"), 0.0);
     }
@@ -170,10 +176,16 @@ fn predictions_are_scored_and_the_gate_sets_the_exit_status() {
     assert!(!links.is_empty() && links.values().all(|link| (link["error"].as_f64().unwrap() - 0.5).abs() < 1e-6));
 
     let missed = refusal(&[&store, "--predictions", &none, "--require", "f1=0.7,missed_force=0.2,labelled=0"]);
-    assert!(missed.contains("labelled") && missed.contains("missed_force"), "an unknown name lists the known: {missed}");
+    assert!(
+        missed.contains("labelled") && missed.contains("missed_force"),
+        "an unknown name lists the known: {missed}"
+    );
     let missed = refusal(&[&store, "--predictions", &none, "--require", "f1=0.7,missed_force=0.2,mae=1"]);
     assert!(missed.contains("pooled.f1: at least 0.7 is required, got 0.0000, which misses by 0.7000"), "{missed}");
-    assert!(missed.contains("missed_force: at most 0.2 is required, got 1.0000") && !missed.contains("mae"), "{missed}");
+    assert!(
+        missed.contains("missed_force: at most 0.2 is required, got 1.0000") && !missed.contains("mae"),
+        "{missed}"
+    );
 
     tensors(&none, Fields::from_force(vec![0.0; N_FIELD]));
     assert!(refusal(&[&store, "--predictions", &none]).contains("frames, as the episodes have"));

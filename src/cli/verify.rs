@@ -149,8 +149,7 @@ fn gate(bars: &[Bar], report: &Report) -> anyhow::Result<ExitCode> {
 fn score_recording(args: &Args, path: &Path) -> anyhow::Result<Report> {
     let topics = Topics { tactile: args.tactile_topic.clone(), truth: args.truth_topic.clone() };
     let recording = recording::score(path, &topics, args.hands.from_files()?.as_ref())?;
-    let mut report =
-        Report::new(&[Candidate::Prediction], &recording.parts, &recording.episodes, args.seed, false)?;
+    let mut report = Report::new(&[Candidate::Prediction], &recording.parts, &recording.episodes, args.seed, false)?;
     let (predictions, truths) = (recording.unmatched_predictions, recording.unmatched_truths);
     report.unmatched = Some(Unmatched { predictions, truths });
     Ok(report)

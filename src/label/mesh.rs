@@ -157,7 +157,8 @@ pub fn crossing([a, b, c]: [Vec3; 3], point: Vec3) -> i32 {
 pub fn distance_squared([a, b, c]: [DVec3; 3], point: DVec3) -> f64 {
     let (ab, bc, ca) = (b - a, c - b, a - c);
     let normal = ab.cross(-ca);
-    let (area, longest) = (normal.length_squared(), ab.length_squared().max(bc.length_squared()).max(ca.length_squared()));
+    let (area, longest) =
+        (normal.length_squared(), ab.length_squared().max(bc.length_squared()).max(ca.length_squared()));
     let (pa, pb, pc) = (point - a, point - b, point - c);
     let over = |edge: DVec3, from: DVec3| normal.dot(edge.cross(from)) >= 0.0;
     // Single-precision corners of anything flatter are no triangle any more.

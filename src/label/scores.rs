@@ -91,12 +91,8 @@ pub const SCORES: [Score; 22] = [
 ];
 
 /// Short names for the pooled scores.
-const SHORT: [(&str, &str); 4] = [
-    ("precision", "pooled.precision"),
-    ("recall", "pooled.recall"),
-    ("f1", "pooled.f1"),
-    ("iou", "pooled.iou"),
-];
+const SHORT: [(&str, &str); 4] =
+    [("precision", "pooled.precision"), ("recall", "pooled.recall"), ("f1", "pooled.f1"), ("iou", "pooled.iou")];
 
 /// The score of that name; `f1` is short for `pooled.f1`, and so on.
 ///

@@ -127,8 +127,8 @@ pub struct Sampling {
     pub name: String,
     /// Points of label (a).
     pub points: usize,
-    /// Longest edge between neighbouring ones, m.
-    pub spacing: f32,
+    /// Longest edge between neighbouring ones, mm.
+    pub spacing_mm: f64,
     /// Parts of label (b)'s surface.
     pub parts: usize,
     /// What label (b) knows about its inside; distances are at least 0 where it is none.

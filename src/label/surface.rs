@@ -116,8 +116,7 @@ impl Surface {
     fn unsigned(&self, point: Vec3, cutoff: f32) -> Option<f32> {
         let at = point.as_dvec3();
         let distance = |leaf: u32| mesh::distance_squared(self.corners(leaf).map(Vec3::as_dvec3), at).sqrt() as f32;
-        let best =
-            self.bvh.find_best(cutoff.next_up(), |node, _| gap(node, point), |leaf, _| Some(distance(leaf)));
+        let best = self.bvh.find_best(cutoff.next_up(), |node, _| gap(node, point), |leaf, _| Some(distance(leaf)));
         best.map(|(_, distance)| distance)
     }
 

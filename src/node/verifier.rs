@@ -270,7 +270,8 @@ impl Verifier {
         });
         for (name, value) in scores_of(&touch) {
             // Beginnings and ends of touches are known at the end only; the rest is there by the same names.
-            if !values.iter().any(|(known, _)| known == name) && !ROLLING_UNKNOWN.iter().any(|part| name.contains(part)) {
+            if !values.iter().any(|(known, _)| known == name) && !ROLLING_UNKNOWN.iter().any(|part| name.contains(part))
+            {
                 values.push((name.to_owned(), value.unwrap_or(f64::NAN)));
             }
         }

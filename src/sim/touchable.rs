@@ -112,17 +112,18 @@ impl Touchables {
 
     /// How finely objects and hands are sampled; the table is a lattice of that spacing.
     pub fn samplings(&self) -> Vec<Sampling> {
+        let millimetres = |metres: f32| (f64::from(metres) * 1e6).round() / 1e3;
         let thing = |thing: &Thing| Sampling {
             name: thing.name.clone(),
             points: thing.points.points().len(),
-            spacing: thing.points.spacing(),
+            spacing_mm: millimetres(thing.points.spacing()),
             parts: thing.solid.len(),
             sides: thing.solid.sides(),
         };
         let hand = |(hand, side): (&HandSurface, Side)| Sampling {
             name: format!("{} hand", side.name()),
             points: hand.points().points().len(),
-            spacing: hand.points().spacing(),
+            spacing_mm: millimetres(hand.points().spacing()),
             parts: 1,
             sides: hand.surface().sides(),
         };

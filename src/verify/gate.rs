@@ -68,7 +68,9 @@ mod tests {
         assert_eq!(bars[2].candidate.as_deref(), Some("b_5mm"));
         assert_eq!((bars[0].missed(Some(0.7)), bars[1].missed(Some(0.2))), (None, None));
         assert!(bars[0].missed(Some(0.65)).unwrap().contains("misses by 0.0500"));
-        assert!(bars[1].missed(Some(0.5)).unwrap().contains("at most 0.2 is required, got 0.5000, which misses by 0.3"));
+        assert!(
+            bars[1].missed(Some(0.5)).unwrap().contains("at most 0.2 is required, got 0.5000, which misses by 0.3")
+        );
         assert!(bars[1].missed(None).unwrap().contains("undefined"));
         assert!(Bar::parse_all("").unwrap().is_empty());
     }

@@ -64,12 +64,13 @@ fn panel(area: &Area, title: &str, candidates: &[CandidateReport], curves: &[Cur
     let value = |candidate: &CandidateReport, name: &str| candidate.scores.get(name).and_then(|v| v.value);
     let all = candidates.iter().flat_map(|c| curves.iter().filter_map(|(_, name, _)| value(c, name)));
     let top = all.fold(1.0, f64::max) * 1.05;
-    let end = candidates.len() as f64 - 0.5;
+    // To the right, room for the legend.
+    let end = candidates.len() as f64 * 1.18 + 0.3;
     let mut chart = ChartBuilder::on(area)
         .margin(10)
         .x_label_area_size(34)
         .y_label_area_size(60)
-        .build_cartesian_2d(-0.5..end.max(0.5), 0.0..top)?;
+        .build_cartesian_2d(-0.5..end, 0.0..top)?;
     let names: Vec<&str> = candidates.iter().map(|candidate| candidate.name.as_str()).collect();
     let name_at = |x: &f64| match (x - x.round()).abs() < 1e-6 && *x > -0.5 {
         true => names.get(x.round() as usize).copied().unwrap_or_default().replace('_', " "),

@@ -20,7 +20,7 @@ pub struct Report {
     /// Seed of the confidence intervals' drawings.
     pub seed: u64,
     /// Force above which a vertex is touched, N.
-    pub contact_force: f32,
+    pub contact_force: f64,
     /// Where forces act, for `false_contact_mass`: `contacts` of the engine, or `touched_vertices` in their place.
     pub force_places: &'static str,
     /// Frames and touches.
@@ -135,7 +135,8 @@ impl Report {
         Ok(Self {
             version: env!("CARGO_PKG_VERSION"),
             seed,
-            contact_force: CONTACT_FORCE_N,
+            // In f64 it would be 0.05000000074505806.
+            contact_force: CONTACT_FORCE_N.to_string().parse().unwrap_or(CONTACT_FORCE_N.into()),
             force_places: if exact_places { "contacts" } else { "touched_vertices" },
             counts,
             candidates: reports.collect(),

@@ -142,7 +142,11 @@ fn find_scene(name: &str, given: &[Scene]) -> Result<Scene> {
         return Ok(scene.clone());
     }
     Scene::load(name).map_err(|error| {
-        Error::value("scene", "one that the program ships, or its YAML file with --scene FILE", format!("{name} ({error})"))
+        Error::value(
+            "scene",
+            "one that the program ships, or its YAML file with --scene FILE",
+            format!("{name} ({error})"),
+        )
     })
 }
 
