@@ -149,7 +149,7 @@ fn gate(bars: &[Bar], report: &Report) -> anyhow::Result<ExitCode> {
 fn score_recording(args: &Args, path: &Path) -> anyhow::Result<Report> {
     let topics = Topics { tactile: args.tactile_topic.clone(), truth: args.truth_topic.clone() };
     let recording = recording::score(path, &topics, args.hands.from_files()?.as_ref())?;
-    let mut report = Report::new(&[Candidate::Prediction], &recording.parts, &recording.episodes, args.seed, false)?;
+    let mut report = Report::new(&[Candidate::Prediction], &recording.parts, &recording.episodes, args.seed)?;
     let (predictions, truths) = (recording.unmatched_predictions, recording.unmatched_truths);
     report.unmatched = Some(Unmatched { predictions, truths });
     Ok(report)
@@ -176,7 +176,7 @@ mod with_sim {
     use crate::label::Parts;
     use crate::model::{Predictor, predictor, shipped};
     use crate::sim::{RolloutOptions, Scene, mjcf};
-    use crate::verify::predicted::{Predicted, must_have};
+    use crate::verify::predicted::{Predicted, must_fit};
     use crate::verify::store::Against;
     use crate::verify::{Candidate, Episode, Report, Settings, rollout, store};
 
@@ -188,7 +188,6 @@ mod with_sim {
         let scenes = scenes.into_iter().map(|name| Scene::load(name)).collect::<crate::Result<Vec<_>>>()?;
         let hands = args.hands.models()?;
         let mut predictor = open_predictor(args)?;
-        let exact_places = stores.is_empty();
 
         let mut episodes = score_stores(args, settings, &stores, &hands, predictor.as_mut())?;
         let most = mjcf::MAX_PICTURE;
@@ -217,7 +216,7 @@ mod with_sim {
         for episode in rollouts {
             episodes.push(episode?);
         }
-        Ok(Report::new(candidates, &Parts::links(&hands), &episodes, args.seed, exact_places)?)
+        Ok(Report::new(candidates, &Parts::links(&hands), &episodes, args.seed)?)
     }
 
     fn open_predictor(args: &Args) -> anyhow::Result<Option<Predictor>> {
@@ -242,11 +241,11 @@ mod with_sim {
             true => None,
             false => {
                 ensure!(
-                    stores.len() > 0 && args.sources.iter().all(|source| Path::new(source).is_dir()),
+                    !stores.is_empty() && args.sources.iter().all(|source| Path::new(source).is_dir()),
                     "--predictions: expected the stores that they are for, and no scene"
                 );
                 let predicted = Predicted::read(&args.predictions)?;
-                must_have(&predicted, stores)?;
+                must_fit(&predicted, stores)?;
                 Some(predicted)
             }
         };

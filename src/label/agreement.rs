@@ -74,6 +74,7 @@ pub struct TruthFrame {
     mask: Vec<u8>,
     positions: Vec<Vec3>,
     near: Vec<bool>,
+    has_contacts: bool,
 }
 
 impl TruthFrame {
@@ -113,7 +114,7 @@ impl TruthFrame {
             true => Vec::new(),
             false => near(&positions, &touched, contacts),
         };
-        Ok(Self { time, force, touched, mask, positions, near })
+        Ok(Self { time, force, touched, mask, positions, near, has_contacts: contacts.is_some() })
     }
 
     /// (1556) 1 = touched, 0 = not, NaN = unknown.
@@ -124,6 +125,11 @@ impl TruthFrame {
     /// (1556) N.
     pub fn force(&self) -> &[f32] {
         &self.force
+    }
+
+    /// Whether the places of contacts were given, rather than touched vertices taken in their place.
+    pub fn has_contacts(&self) -> bool {
+        self.has_contacts
     }
 
     fn counts(&self, vertex: usize) -> bool {
@@ -220,7 +226,7 @@ impl Sums {
                 sums.labelled.1 += u64::from(!truth.near[vertex]);
             }
         }
-        if force.iter().any(|f| !f.is_nan()) {
+        if !force.is_empty() {
             sums.errors = Errors::of(&force::pairs(force, &truth.force, &truth.mask));
             if sums.errors.unknown == 0 && parts.are_links {
                 sums.add_parts(parts, truth, force);
@@ -255,13 +261,14 @@ impl Sums {
 pub struct Scorer {
     parts: Parts,
     sums: Sums,
-    stretches: Vec<Vec<Instant>>, // one per part: frames since the last refused one
+    /// Frames since the last refused one: time, and a bit for each part that is truly touched, and that is labelled.
+    stretch: Vec<(f64, u64, u64)>,
 }
 
 impl Scorer {
     /// Starts an episode.
     pub fn new(parts: Parts) -> Self {
-        Self { stretches: vec![Vec::new(); parts.len()], parts, sums: Sums::default() }
+        Self { parts, sums: Sums::default(), stretch: Vec::new() }
     }
 
     /// Takes the next frame, as [`Sums::of_frame`], and returns what it adds.
@@ -270,27 +277,29 @@ impl Scorer {
     /// As [`Sums::of_frame`], or if time goes back.
     pub fn push(&mut self, truth: &TruthFrame, label: &[f32], force: &[f32]) -> Result<Sums> {
         let sums = Sums::of_frame(&self.parts, truth, label, force)?;
-        let before = self.stretches[0].last().map_or(f64::NEG_INFINITY, |(time, ..)| *time);
+        let before = self.stretch.last().map_or(f64::NEG_INFINITY, |(time, ..)| *time);
         if truth.time <= before {
             return Err(Error::value("time", format!("above {before} s, the frame before"), truth.time));
         }
-        let mut instants = vec![(truth.time, false, false); self.parts.len()];
+        let (mut touched, mut labelled) = (0, 0);
         for vertex in (0..N_FIELD).filter(|vertex| truth.counts(*vertex)) {
-            let instant = &mut instants[usize::from(self.parts.of_vertex[vertex])];
-            instant.1 |= truth.touched[vertex] > 0.5;
-            instant.2 |= label[vertex] > LABELLED;
+            let part = self.parts.of_vertex[vertex];
+            touched |= u64::from(truth.touched[vertex] > 0.5) << part;
+            labelled |= u64::from(label[vertex] > LABELLED) << part;
         }
-        self.stretches.iter_mut().zip(instants).for_each(|(stretch, instant)| stretch.push(instant));
+        self.stretch.push((truth.time, touched, labelled));
         self.sums += &sums;
         Ok(sums)
     }
 
     /// Leaves a frame out that cannot be trusted: touches are not followed across it.
     pub fn refuse(&mut self) {
-        for stretch in &mut self.stretches {
-            self.sums.timing.add(&timing::compare(stretch));
-            stretch.clear();
+        for part in 0..self.parts.len() {
+            let has = |bits: u64| bits >> part & 1 == 1;
+            let instants = self.stretch.iter().map(|(time, touched, labelled)| (*time, has(*touched), has(*labelled)));
+            self.sums.timing.add(&timing::compare(&instants.collect::<Vec<Instant>>()));
         }
+        self.stretch.clear();
     }
 
     /// Ends the episode.

@@ -160,15 +160,20 @@ pub fn distance_squared([a, b, c]: [DVec3; 3], point: DVec3) -> f64 {
     let (area, longest) =
         (normal.length_squared(), ab.length_squared().max(bc.length_squared()).max(ca.length_squared()));
     let (pa, pb, pc) = (point - a, point - b, point - c);
-    let over = |edge: DVec3, from: DVec3| normal.dot(edge.cross(from)) >= 0.0;
-    // Single-precision corners of anything flatter are no triangle any more.
-    if area > 1e-16 * longest * longest && over(ab, pa) && over(bc, pb) && over(ca, pc) {
-        return normal.dot(pa).powi(2) / area;
-    }
     let segment = |edge: DVec3, from: DVec3| {
         let length = edge.length_squared();
         let along = if length > 0.0 { (edge.dot(from) / length).clamp(0.0, 1.0) } else { 0.0 };
         (from - along * edge).length_squared()
     };
-    segment(ab, pa).min(segment(bc, pb)).min(segment(ca, pc))
+    // Single-precision corners of anything flatter are no triangle any more.
+    if area <= 1e-16 * longest * longest {
+        return segment(ab, pa).min(segment(bc, pb)).min(segment(ca, pc));
+    }
+    // Beyond an edge, one of those edges is nearest; beyond none, the point over the triangle.
+    let beyond = |edge: DVec3, from: DVec3| match normal.dot(edge.cross(from)) < 0.0 {
+        true => segment(edge, from),
+        false => f64::INFINITY,
+    };
+    let edge = beyond(ab, pa).min(beyond(bc, pb)).min(beyond(ca, pc));
+    if edge.is_finite() { edge } else { normal.dot(pa).powi(2) / area }
 }

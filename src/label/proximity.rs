@@ -8,7 +8,7 @@ use parry3d::bounding_volume::Aabb;
 use parry3d::partitioning::{Bvh, BvhBuildStrategy};
 
 use super::mesh;
-use super::surface::{gap, vector};
+use super::surface::{gap_squared, vector};
 use crate::error::{Error, Result};
 
 /// Distance below which the paper calls a vertex in contact, m.
@@ -80,17 +80,18 @@ impl SampledSurface {
             return f32::NAN;
         }
         let nearest = self.bvh.find_best(
-            cutoff.next_up(),
-            |node, _| gap(node, query),
-            |leaf, _| Some(self.points[leaf as usize].distance(query)),
+            (cutoff * cutoff).next_up(),
+            |node, _| gap_squared(node, query),
+            |leaf, _| Some(self.points[leaf as usize].distance_squared(query)),
         );
-        nearest.map_or(f32::INFINITY, |(_, distance)| distance)
+        nearest.map_or(f32::INFINITY, |(_, square)| square.sqrt())
     }
 
     /// Whether a point of the surface lies within `distance` of `query` (object frame).
     pub fn is_within(&self, query: Vec3, distance: f32) -> bool {
-        let mut near = self.bvh.leaves(|node| gap(node, query) <= distance);
-        near.any(|leaf| self.points[leaf as usize].distance(query) <= distance)
+        let square = distance * distance;
+        let mut near = self.bvh.leaves(|node| gap_squared(node, query) <= square);
+        near.any(|leaf| self.points[leaf as usize].distance_squared(query) <= square)
     }
 }
 

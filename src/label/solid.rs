@@ -110,13 +110,8 @@ impl Solid {
     }
 
     /// Number of parts.
-    pub fn len(&self) -> usize {
+    pub fn n_parts(&self) -> usize {
         self.parts.len()
-    }
-
-    /// Whether there is nothing to touch.
-    pub fn is_empty(&self) -> bool {
-        self.parts.is_empty()
     }
 }
 

@@ -66,13 +66,8 @@ impl Surface {
     }
 
     /// Number of triangles.
-    pub fn len(&self) -> usize {
+    pub fn n_triangles(&self) -> usize {
         self.triangles.len()
-    }
-
-    /// Never: a surface has a triangle.
-    pub fn is_empty(&self) -> bool {
-        self.triangles.is_empty()
     }
 
     /// Corners of the box around it, m.
@@ -115,9 +110,16 @@ impl Surface {
     /// Distance of the nearest triangle if that is within `cutoff`.
     fn unsigned(&self, point: Vec3, cutoff: f32) -> Option<f32> {
         let at = point.as_dvec3();
-        let distance = |leaf: u32| mesh::distance_squared(self.corners(leaf).map(Vec3::as_dvec3), at).sqrt() as f32;
-        let best = self.bvh.find_best(cutoff.next_up(), |node, _| gap(node, point), |leaf, _| Some(distance(leaf)));
-        best.map(|(_, distance)| distance)
+        let square = |leaf: u32| mesh::distance_squared(self.corners(leaf).map(Vec3::as_dvec3), at);
+        let best = self.bvh.find_best(
+            (cutoff * cutoff).next_up(),
+            |node, _| gap_squared(node, point),
+            |leaf, _| {
+                let square = square(leaf);
+                Some((square as f32, square))
+            },
+        );
+        best.map(|(_, (_, square))| square.sqrt() as f32)
     }
 
     fn corners(&self, triangle: u32) -> [Vec3; 3] {
@@ -138,10 +140,11 @@ fn boxes(vertices: &[Vec3], triangles: &[[u32; 3]]) -> impl Iterator<Item = Aabb
     })
 }
 
-/// Distance of a point from a node's box, m.
-pub(super) fn gap(node: &BvhNode, point: Vec3) -> f32 {
+/// Squared distance of a point from a node's box, m².
+pub(super) fn gap_squared(node: &BvhNode, point: Vec3) -> f32 {
     let (low, high) = (node.mins(), node.maxs());
-    box_gap(Vec3::new(low.x, low.y, low.z), Vec3::new(high.x, high.y, high.z), point)
+    let beyond = (Vec3::new(low.x, low.y, low.z) - point).max(point - Vec3::new(high.x, high.y, high.z));
+    beyond.max(Vec3::ZERO).length_squared()
 }
 
 /// Distance of a point from a box, m.

@@ -117,7 +117,7 @@ impl Touchables {
             name: thing.name.clone(),
             points: thing.points.points().len(),
             spacing_mm: millimetres(thing.points.spacing()),
-            parts: thing.solid.len(),
+            parts: thing.solid.n_parts(),
             sides: thing.solid.sides(),
         };
         let hand = |(hand, side): (&HandSurface, Side)| Sampling {
@@ -148,7 +148,7 @@ impl HandDistances<'_> {
     ) {
         for ((vertex, point), surface) in vertices.zip(self.points.iter_mut()).zip(self.surface.iter_mut()) {
             *point = point.min(points.distance(vertex, self.cutoff.min(*point)));
-            *surface = surface.min(distance(vertex, self.cutoff));
+            *surface = surface.min(distance(vertex, self.cutoff.min(surface.max(0.0))));
         }
     }
 

@@ -18,6 +18,8 @@ pub struct Episode {
     pub refused: BTreeMap<&'static str, u64>,
     /// Sums of each candidate.
     pub sums: Vec<Sums>,
+    /// Whether the places of contacts were known in each frame.
+    pub has_contacts: bool,
     /// How finely the things were sampled for label (a); empty where no distances were needed.
     pub samplings: Vec<Sampling>,
 }
@@ -37,13 +39,14 @@ pub struct EpisodeScorer {
     candidates: Vec<Candidate>,
     scorers: Vec<Scorer>,
     refused: BTreeMap<&'static str, u64>,
+    has_contacts: bool,
 }
 
 impl EpisodeScorer {
     /// Starts an episode.
     pub fn new(parts: &Parts, candidates: &[Candidate]) -> Self {
         let scorers = vec![Scorer::new(parts.clone()); candidates.len()];
-        Self { candidates: candidates.to_vec(), scorers, refused: BTreeMap::new() }
+        Self { candidates: candidates.to_vec(), scorers, refused: BTreeMap::new(), has_contacts: true }
     }
 
     /// Takes a frame: the truth, and what its candidates need of distances and prediction.
@@ -51,6 +54,7 @@ impl EpisodeScorer {
     /// # Errors
     /// If a candidate lacks what it needs, an array has another length, or time goes back.
     pub fn push(&mut self, truth: &TruthFrame, near: Option<Near>, prediction: Option<&TactileField>) -> Result<()> {
+        self.has_contacts &= truth.has_contacts();
         for (candidate, scorer) in self.candidates.iter().zip(&mut self.scorers) {
             let lacks = |what: &str| Error::value(format!("candidate {}", candidate.name()), what, "none");
             let within = |distances: &[f32], threshold: f32| -> Vec<f32> {
@@ -83,8 +87,9 @@ impl EpisodeScorer {
 
     /// Ends the episode.
     pub fn finish(self, name: impl Into<String>, seed: Option<u64>, samplings: Vec<Sampling>) -> Episode {
-        let sums = self.scorers.into_iter().map(Scorer::finish).collect();
-        Episode { name: name.into(), seed, refused: self.refused, sums, samplings }
+        let Self { scorers, refused, has_contacts, .. } = self;
+        let sums = scorers.into_iter().map(Scorer::finish).collect();
+        Episode { name: name.into(), seed, refused, sums, has_contacts, samplings }
     }
 }
 

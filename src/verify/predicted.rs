@@ -55,13 +55,8 @@ impl Predicted {
     }
 
     /// Frames.
-    pub fn len(&self) -> usize {
+    pub fn n_frames(&self) -> usize {
         self.fields.n_frames()
-    }
-
-    /// Never: [`Self::read`] refuses that.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 
     /// The field of one frame for truth on `topology`; files that don't say what their vertices mean are taken at their
@@ -75,16 +70,21 @@ impl Predicted {
         let of = |values: &[f32]| values.get(rows.clone()).map(<[f32]>::to_vec);
         match (of(&self.fields.force), of(&self.fields.contact)) {
             (Some(force), Some(contact)) => Ok(TactileField { topology, force, contact }),
-            _ => Err(Error::value("predictions", format!("more than {index} frames"), self.len())),
+            _ => Err(Error::value("predictions", format!("more than {index} frames"), self.n_frames())),
         }
     }
 }
 
-/// Lengths that must agree: a store has its predictions frame by frame.
-pub fn must_have(predicted: &Predicted, stores: &[ZarrReader]) -> Result<()> {
+/// Refuses predictions that are not as many frames as the stores are.
+///
+/// # Errors
+/// If they are more or less.
+pub fn must_fit(predicted: &Predicted, stores: &[ZarrReader]) -> Result<()> {
     let frames: usize = stores.iter().map(ZarrReader::len).sum();
-    match predicted.len() == frames {
+    match predicted.n_frames() == frames {
         true => Ok(()),
-        false => Err(Error::value("predictions", format!("{frames} frames, as the episodes have"), predicted.len())),
+        false => {
+            Err(Error::value("predictions", format!("{frames} frames, as the episodes have"), predicted.n_frames()))
+        }
     }
 }

@@ -21,7 +21,8 @@ pub struct Report {
     pub seed: u64,
     /// Force above which a vertex is touched, N.
     pub contact_force: f64,
-    /// Where forces act, for `false_contact_mass`: `contacts` of the engine, or `touched_vertices` in their place.
+    /// Where forces act, for `false_contact_mass`: `contacts` of the engine, `touched_vertices` in their place, or `both`
+    /// where episodes differ.
     pub force_places: &'static str,
     /// Frames and touches.
     pub counts: Counts,
@@ -112,17 +113,11 @@ pub struct Unmatched {
 }
 
 impl Report {
-    /// Sums episodes up; `seed` is that of the intervals' drawings, `exact_places` whether contacts' places were known.
+    /// Sums episodes up; `seed` is that of the intervals' drawings.
     ///
     /// # Errors
     /// If there is no episode, or none with a frame to score.
-    pub fn new(
-        candidates: &[Candidate],
-        parts: &Parts,
-        episodes: &[Episode],
-        seed: u64,
-        exact_places: bool,
-    ) -> Result<Self> {
+    pub fn new(candidates: &[Candidate], parts: &Parts, episodes: &[Episode], seed: u64) -> Result<Self> {
         let counts = counts(episodes);
         if counts.frames == 0 {
             let refused: u64 = counts.refused.values().sum();
@@ -137,7 +132,11 @@ impl Report {
             seed,
             // In f64 it would be 0.05000000074505806.
             contact_force: CONTACT_FORCE_N.to_string().parse().unwrap_or(CONTACT_FORCE_N.into()),
-            force_places: if exact_places { "contacts" } else { "touched_vertices" },
+            force_places: match episodes.iter().filter(|episode| episode.has_contacts).count() {
+                0 => "touched_vertices",
+                all if all == episodes.len() => "contacts",
+                _ => "both",
+            },
             counts,
             candidates: reports.collect(),
             episodes: episodes.iter().map(|episode| episode_report(candidates, episode)).collect(),
