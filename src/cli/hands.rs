@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use crate::hand::{HandModel, Side};
 
 /// Arguments that name hand models.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Default, clap::Args)]
 pub struct Hands {
     /// Left MANO file in place of the built-in hand; needs --mano-right.
     #[arg(long, requires = "mano_right")]

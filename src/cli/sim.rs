@@ -228,7 +228,7 @@ mod with_sim {
 
     pub fn explain(args: &Explain) -> anyhow::Result<()> {
         let scene = Scene::load(&args.scene)?;
-        let hands = Hands { mano_left: None, mano_right: None };
+        let hands = Hands::default();
         let options = options(&hands, args.size, false)?;
         let mut effects = sim::explain::explain(&scene)?;
         if !args.no_cost {

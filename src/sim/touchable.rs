@@ -1,9 +1,9 @@
 //! Labels (a) and (b) of a scene: how far the vertices of both hands are from everything that hands can touch.
 //!
 //! That is each object, the table, and the other hand's skin. A hand's touch on itself has no distance: each vertex lies
-//! on its own skin.
+//! on its own skin. A soft object counts as it is at rest.
 
-use glam::{DQuat, Vec3};
+use glam::{DQuat, DVec3, Vec3};
 
 use super::convex;
 use super::mjcf::{TABLE_CENTRE, TABLE_HALF};
@@ -27,6 +27,8 @@ struct Thing {
     name: String,
     points: SampledSurface,
     solid: Solid,
+    /// `world_from_object`, m, of what stands fast.
+    fixed: Option<(DVec3, DQuat)>,
 }
 
 /// Distances of the 1556 vertices from the nearest thing, m; infinity beyond the cutoff.
@@ -45,9 +47,14 @@ impl Touchables {
     /// If the spacing is not a positive length, or a shape has no surface.
     pub fn new(episode: &Episode, hands: [&HandModel; 2], spacing: f32) -> Result<Self> {
         let mut things = Vec::new();
-        for object in &episode.objects {
+        for object in episode.objects.iter().filter(|object| object.solid) {
             let (points, solid) = (object.shape.sampled_surface(spacing)?, object.shape.solid()?);
-            things.push(Thing { name: object.name.clone(), points, solid });
+            things.push(Thing { name: object.name.clone(), points, solid, fixed: None });
+            if let Some(points) = object.shape.sampled_base(spacing)? {
+                let fixed = Some((object.position, object.orientation));
+                let (name, solid) = (format!("base of {}", object.name), object.shape.base_solid()?);
+                things.push(Thing { name, points, solid, fixed });
+            }
         }
         let mut table = Solid::default();
         table.add_cuboid(TABLE_HALF.as_vec3(), convex::pose(TABLE_CENTRE, DQuat::IDENTITY))?;
@@ -93,9 +100,11 @@ impl Touchables {
                 cutoff,
             };
             for thing in &self.things {
-                let Some(pose) = objects.iter().find(|object| object.name == thing.name) else { continue };
-                if pose.position.is_finite() && pose.orientation.is_finite() {
-                    let local = |v: Vec3| (pose.orientation.inverse() * (v.as_dvec3() - pose.position)).as_vec3();
+                let moving = objects.iter().find(|object| object.name == thing.name);
+                let pose = thing.fixed.or_else(|| moving.map(|object| (object.position, object.orientation)));
+                let Some((position, orientation)) = pose else { continue };
+                if position.is_finite() && orientation.is_finite() {
+                    let local = |v: Vec3| (orientation.inverse() * (v.as_dvec3() - position)).as_vec3();
                     hand.take(vertices.iter().map(|v| local(*v)), &thing.points, |p, reach| {
                         thing.solid.distance(p, reach)
                     });

@@ -8,6 +8,7 @@ use crate::error::{Error, Result};
 use crate::hand::Side;
 use crate::label::{Parts, TruthFrame};
 use crate::model::Predictor;
+use crate::sim::effect::Observation;
 use crate::sim::{Rollout, RolloutOptions, Scene, SimFrame, Touchables};
 use crate::tactile::{N_FIELD, Validity};
 
@@ -35,6 +36,17 @@ fn run(
     settings: &Settings,
     mut predictor: Option<&mut Predictor>,
 ) -> Result<Episode> {
+    let observes = |observation| scene.spec.observe.contains(&observation);
+    if !observes(Observation::Force) {
+        return Err(Error::value(
+            "observe",
+            "force among it, for it is the truth",
+            format!("{:?}", scene.spec.observe),
+        ));
+    }
+    if predictor.is_some() && !observes(Observation::Rgb) {
+        return Err(Error::value("observe", "rgb among it, for the predictor", format!("{:?}", scene.spec.observe)));
+    }
     let parts = Parts::links(&options.hands);
     let mut rollout = Rollout::new(scene, seed, options)?;
     if let Some(predictor) = &mut predictor {
