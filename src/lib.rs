@@ -31,6 +31,7 @@
 //! | [`dataset`] | Zarr stores, tensor files, MCAP bags |
 //! | `mujoco`, `sim` | physics; scenes whose touch is known (feature `sim`) |
 //! | [`train`] | from stores to a checkpoint |
+//! | [`verify`] | labels and predictions against simulated truth |
 //! | `node` | the ROS 2 nodes (feature `ros`) |
 //! | [`cli`] | the commands |
 //!
@@ -59,6 +60,7 @@ pub mod render;
 pub mod sim;
 pub mod tactile;
 pub mod train;
+pub mod verify;
 
 pub use error::{Error, Result};
 pub use tactile::{TactileField, Topology, Validity};

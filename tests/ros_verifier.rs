@@ -54,6 +54,34 @@ fn a_report_that_cant_be_written_fails_at_the_end_with_its_path() {
     assert!(node.output().contains("cannot write the report: /dev/null"), "{}", node.output());
 }
 
+#[test]
+fn a_required_score_that_is_missed_is_logged_and_sets_the_exit_status() {
+    for (require, code) in [("require:=f1=0.5,missed_force=0.9", 0), ("require:=f1=0.5,mae=0.001", 1)] {
+        let session = Session::new();
+        let path = session.path("report.json");
+        let report = format!("report:={}", path.display());
+        let mut node = session.node(PROGRAM, &["-p", &report, "-p", require]);
+        session.check(PEER, &["scores"]);
+        node.signal("TERM");
+        assert_eq!(node.wait().code(), Some(code), "{require}: {}", node.output());
+        let missed = "mae: at most 0.001 is required, got 0.0161, which misses by 0.0151";
+        assert_eq!(node.output().contains(missed), code == 1, "{}", node.output());
+        assert!(!node.output().contains("f1: at least"), "{}", node.output());
+        // The report is written all the same.
+        let report: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+        assert_eq!(report["touch"]["pooled.f1"], report["metrics"]["pooled"]["f1"]);
+        assert!(report["touch"]["onset_error_secs"].is_f64());
+    }
+}
+
+#[test]
+fn a_gate_of_unknown_scores_ends_the_node_at_once() {
+    let session = Session::new();
+    let mut node = session.node(PROGRAM, &["-p", "require:=f2=0.5"]);
+    assert_eq!(node.wait().code(), Some(1));
+    assert!(node.output().contains("parameter require") && node.output().contains("missed_force"), "{}", node.output());
+}
+
 /// Three simulated seconds through all three programs; returns the verifier's report.
 #[cfg(feature = "sim")]
 fn pipeline(simulator_args: &[&str], predictor_args: &[&str], verifier_args: &[&str]) -> Value {

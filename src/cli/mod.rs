@@ -5,10 +5,12 @@ mod demo;
 mod doctor;
 mod eval;
 mod hand;
+mod hands;
 mod model;
 mod predict;
 mod sim;
 mod train;
+mod verify;
 
 use std::process::ExitCode;
 
@@ -36,6 +38,8 @@ enum Command {
     Predict(predict::Args),
     /// Score predictions against truth.
     Eval(eval::Args),
+    /// Score labels, or a network, against simulated contact forces; a gate for continuous integration.
+    Verify(verify::Args),
     /// The network: forward, info.
     Model(model::Args),
     /// Stores: info.
@@ -53,6 +57,7 @@ pub fn main() -> ExitCode {
         Command::Train(args) => train::run(args),
         Command::Predict(args) => predict::run(args),
         Command::Eval(args) => eval::run(args),
+        Command::Verify(args) => verify::run(args),
         Command::Model(args) => model::run(args),
         Command::Data(args) => data::run(args),
         Command::Demo(args) => demo::run(args),

@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use super::hands::Hands;
+
 /// Arguments of `egotac sim`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -121,16 +123,6 @@ struct Generate {
     hands: Hands,
 }
 
-#[derive(Debug, clap::Args)]
-struct Hands {
-    /// Left MANO file in place of the built-in hand; needs --mano-right.
-    #[arg(long, requires = "mano_right")]
-    mano_left: Option<PathBuf>,
-    /// Right MANO file in place of the built-in hand; needs --mano-left.
-    #[arg(long, requires = "mano_left")]
-    mano_right: Option<PathBuf>,
-}
-
 /// Runs the command.
 #[cfg(not(feature = "sim"))]
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
@@ -167,7 +159,7 @@ mod with_sim {
 
     use super::{Explain, Generate, Hands, Run, Show};
     use crate::file;
-    use crate::hand::{HandModel, Side};
+    use crate::hand::Side;
     use crate::sim::{self, Rollout, RolloutOptions, SHIPPED, Scene, SimFrame, Summary};
 
     pub fn list() -> anyhow::Result<()> {
@@ -236,7 +228,7 @@ mod with_sim {
 
     pub fn explain(args: &Explain) -> anyhow::Result<()> {
         let scene = Scene::load(&args.scene)?;
-        let hands = Hands { mano_left: None, mano_right: None };
+        let hands = Hands::default();
         let options = options(&hands, args.size, false)?;
         let mut effects = sim::explain::explain(&scene)?;
         if !args.no_cost {
@@ -305,11 +297,7 @@ mod with_sim {
     fn options(hands: &Hands, size: u32, shadows: bool) -> anyhow::Result<RolloutOptions> {
         let most = sim::mjcf::MAX_PICTURE;
         ensure!((8..=most).contains(&size), "--size: expected 8 to {most} pixels, got {size}");
-        let hands = match (&hands.mano_left, &hands.mano_right) {
-            (Some(left), Some(right)) => [HandModel::load(left, Side::Left)?, HandModel::load(right, Side::Right)?],
-            _ => Side::BOTH.map(HandModel::builtin),
-        };
-        Ok(RolloutOptions { hands, picture: Some((size, size)), shadows, ..RolloutOptions::default() })
+        Ok(RolloutOptions { hands: hands.models()?, picture: Some((size, size)), shadows, ..RolloutOptions::default() })
     }
 
     fn touched(frame: &SimFrame) -> usize {

@@ -33,6 +33,11 @@ pub use transfer::{HandMap, Transfer};
 pub const N_VERTICES: usize = 778;
 /// Joints of one hand, in MANO order: wrist, index 1-3, middle 1-3, little 1-3, ring 1-3, thumb 1-3.
 pub const N_JOINTS: usize = 16;
+/// Names of the joints, and of the links they move, in MANO order.
+pub const JOINT_NAMES: [&str; N_JOINTS] = [
+    "wrist", "index1", "index2", "index3", "middle1", "middle2", "middle3", "little1", "little2", "little3", "ring1",
+    "ring2", "ring3", "thumb1", "thumb2", "thumb3",
+];
 /// Shape coefficients.
 pub const N_BETAS: usize = 10;
 /// Keypoints of one hand: wrist, then thumb, index, middle, ring, little, each from base to tip.

@@ -4,7 +4,11 @@
 //! vertices yields next to no label), so the surface is resampled first, with the spacing as an explicit number.
 
 use glam::Vec3;
+use parry3d::bounding_volume::Aabb;
+use parry3d::partitioning::{Bvh, BvhBuildStrategy};
 
+use super::mesh;
+use super::surface::{gap_squared, vector};
 use crate::error::{Error, Result};
 
 /// Distance below which the paper calls a vertex in contact, m.
@@ -13,12 +17,14 @@ pub const PROXIMITY: f32 = 0.01;
 /// Spacing of the resampled object surface at most, m: recall of the surface rule is above 92 %.
 pub const SPACING: f32 = 0.006;
 
+/// Points that one surface may be resampled to: a hundred megabytes.
+const MOST_POINTS: usize = 4_000_000;
+
 /// A surface as points no farther apart than a given spacing, in the frame of its object.
 #[derive(Debug, Clone)]
 pub struct SampledSurface {
     points: Vec<Vec3>,
-    low: Vec3,
-    high: Vec3,
+    bvh: Bvh,
     spacing: f32,
 }
 
@@ -36,12 +42,26 @@ impl SampledSurface {
     /// # Errors
     /// If a point is not finite.
     pub fn from_points(points: Vec<Vec3>, spacing: f32) -> Result<Self> {
-        if let Some(bad) = points.iter().position(|p| !p.is_finite()) {
-            return Err(Error::value(format!("surface point {bad}"), "finite", points[bad]));
+        check_points(&points)?;
+        let bvh = Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes(&points).collect::<Vec<_>>());
+        Ok(Self { points, bvh, spacing })
+    }
+
+    /// Moves the points, which keep their number and order: the surface of something that bends.
+    ///
+    /// # Errors
+    /// If their number is another, or one is not finite.
+    pub fn set_points(&mut self, points: &[Vec3]) -> Result<()> {
+        if points.len() != self.points.len() {
+            return Err(Error::shape("surface points", format!("[{}, 3]", self.points.len()), [points.len(), 3]));
         }
-        let low = points.iter().copied().fold(Vec3::INFINITY, Vec3::min);
-        let high = points.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
-        Ok(Self { points, low, high, spacing })
+        check_points(points)?;
+        self.points.copy_from_slice(points);
+        for (leaf, around) in boxes(points).enumerate() {
+            self.bvh.insert_or_update_partially(around, leaf as u32, 0.0);
+        }
+        self.bvh.refit_without_opt();
+        Ok(())
     }
 
     /// The points, m.
@@ -54,46 +74,96 @@ impl SampledSurface {
         self.spacing
     }
 
+    /// Distance of the nearest point, m; infinity beyond `cutoff`, NaN for a query that is not finite.
+    pub fn distance(&self, query: Vec3, cutoff: f32) -> f32 {
+        if !query.is_finite() {
+            return f32::NAN;
+        }
+        let nearest = self.bvh.find_best(
+            (cutoff * cutoff).next_up(),
+            |node, _| gap_squared(node, query),
+            |leaf, _| Some(self.points[leaf as usize].distance_squared(query)),
+        );
+        nearest.map_or(f32::INFINITY, |(_, square)| square.sqrt())
+    }
+
     /// Whether a point of the surface lies within `distance` of `query` (object frame).
     pub fn is_within(&self, query: Vec3, distance: f32) -> bool {
-        let outside = (self.low - query).max(query - self.high).max(Vec3::ZERO);
-        outside.length_squared() <= distance * distance
-            && self.points.iter().any(|point| point.distance_squared(query) <= distance * distance)
+        let square = distance * distance;
+        let mut near = self.bvh.leaves(|node| gap_squared(node, query) <= square);
+        near.any(|leaf| self.points[leaf as usize].distance_squared(query) <= square)
+    }
+}
+
+fn boxes(points: &[Vec3]) -> impl Iterator<Item = Aabb> + '_ {
+    points.iter().map(|point| Aabb::new(vector(*point), vector(*point)))
+}
+
+fn check_points(points: &[Vec3]) -> Result<()> {
+    match points.iter().position(|p| !p.is_finite()) {
+        Some(bad) => Err(Error::value(format!("surface point {bad}"), "finite", points[bad])),
+        None => Ok(()),
+    }
+}
+
+/// A point of a triangle mesh: the triangle, and the weights of its second and third corner.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// Corners of the triangle.
+    pub triangle: [u32; 3],
+    /// Weights of the second and the third corner; the first one's is what is left to 1.
+    pub weights: [f32; 2],
+}
+
+impl Sample {
+    /// Where the point lies on the mesh of these vertices, m.
+    pub fn at(&self, vertices: &[Vec3]) -> Vec3 {
+        let [a, b, c] = self.triangle.map(|index| vertices[index as usize]);
+        a + (b - a) * self.weights[0] + (c - a) * self.weights[1]
     }
 }
 
 /// Points on a triangle mesh: its vertices, and as many more that no triangle edge between them exceeds `spacing`.
 ///
 /// # Errors
-/// If `spacing` is not a positive length, an index is out of range, or a coordinate is not finite.
+/// As [`samples`].
 pub fn resample(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Result<Vec<Vec3>> {
+    Ok(samples(vertices, triangles, spacing)?.iter().map(|sample| sample.at(vertices)).collect())
+}
+
+/// As [`resample`], but the points' places on the mesh: they stay valid while it bends.
+///
+/// # Errors
+/// If `spacing` is not a positive length, an index is out of range, a coordinate is not finite, or the points would be
+/// more than four million.
+pub fn samples(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Result<Vec<Sample>> {
     if !(spacing.is_finite() && spacing > 0.0) {
         return Err(Error::value("spacing", "a positive number of metres", spacing));
     }
-    if let Some(bad) = vertices.iter().position(|v| !v.is_finite()) {
-        return Err(Error::value(format!("vertex {bad}"), "finite", vertices[bad]));
-    }
-    let mut points = Vec::new();
-    for triangle in triangles {
-        let mut corners = [Vec3::ZERO; 3];
-        for (corner, index) in corners.iter_mut().zip(triangle) {
-            *corner = *vertices
-                .get(*index as usize)
-                .ok_or_else(|| Error::value("triangle index", format!("below {}", vertices.len()), index))?;
-        }
-        let [a, b, c] = corners;
+    mesh::check(vertices, triangles)?;
+    let parts = |triangle: &[u32; 3]| {
+        let [a, b, c] = triangle.map(|index| vertices[index as usize]);
         let longest = (b - a).length().max((c - b).length()).max((a - c).length());
         // Every edge of the n x n subdivision is 1/n of an edge of the triangle.
-        let n = (longest / spacing).ceil().max(1.0) as usize;
+        (longest / spacing).ceil().max(1.0)
+    };
+    let count: f64 = triangles.iter().map(|t| (f64::from(parts(t)) + 1.0) * (f64::from(parts(t)) + 2.0) / 2.0).sum();
+    if count > MOST_POINTS as f64 {
+        let expected = format!("one that gives at most {MOST_POINTS} points on this mesh");
+        return Err(Error::value("spacing", expected, format!("{spacing} m, which gives {count:.0}")));
+    }
+    let mut points = Vec::with_capacity(count as usize);
+    for triangle in triangles {
+        let n = parts(triangle) as usize;
         for i in 0..=n {
             for j in 0..=n - i {
-                points.push(a + (b - a) * (i as f32 / n as f32) + (c - a) * (j as f32 / n as f32));
+                let sample = Sample { triangle: *triangle, weights: [i as f32 / n as f32, j as f32 / n as f32] };
+                points.push((sample.at(vertices).to_array().map(|x| (f64::from(x) * 1e5).round() as i64), sample));
             }
         }
     }
     // Triangles share corners and edges; once is enough.
-    let key = |p: &Vec3| p.to_array().map(|x| (x * 1e5).round() as i64);
-    points.sort_unstable_by_key(key);
-    points.dedup_by_key(|p| key(p));
-    Ok(points)
+    points.sort_by_key(|(place, _)| *place);
+    points.dedup_by_key(|(place, _)| *place);
+    Ok(points.into_iter().map(|(_, sample)| sample).collect())
 }

@@ -10,6 +10,7 @@
 //! An undefined score is `None` here, `null` in JSON, `undefined` in a table; it is never NaN and never a made-up
 //! number. A score is undefined, too, where the prediction itself is unknown (NaN) at a valid vertex.
 
+pub mod bootstrap;
 pub mod contact;
 pub mod dynamics;
 pub mod force;

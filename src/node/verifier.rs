@@ -17,16 +17,21 @@ use super::params::{Allowed, Parameter, Parameters};
 use super::runtime::{Publisher, RosClock, Runtime};
 use super::{Shutdown, diagnostics, qos};
 use crate::file;
+use crate::label::{Scorer, Sums, TruthFrame};
 use crate::message::{Header, TactileFrame, TactileMetrics, TactileTruth};
 use crate::metrics::{self, Fields, FrameScore, Options};
-use crate::tactile::Validity;
+use crate::tactile::{TactileField, Validity};
+use crate::verify::Bar;
+use crate::verify::recording::RestHands;
+use crate::verify::report::scores_of;
+use crate::verify::stretches::Stretches;
 
 /// Messages that may wait for their partner: seconds of any camera.
 const WAITING: usize = 500;
-/// A pause of the truth that ends a stretch of time, s, if it is also out of step; correlations don't look across it.
-const PAUSE: f64 = 1.0;
 /// Seconds after which a message that waits for its partner counts as alone.
 const PATIENCE: f64 = 2.0;
+/// Parts of the names of scores that need whole touches.
+const ROLLING_UNKNOWN: [&str; 2] = ["_secs", "_touches"];
 /// Pairs kept whole for the scores that need all vertices of all frames (100 MB at most).
 const KEPT: usize = 2000;
 
@@ -40,6 +45,13 @@ pub fn parameters() -> Vec<Parameter> {
             "Length of the rolling window that ~/metrics is computed over, seconds.",
         ),
         Parameter::fixed("report", "", Allowed::Any, "JSON file to write the totals to at shutdown; empty = none."),
+        Parameter::fixed(
+            "require",
+            "",
+            Allowed::Any,
+            "Scores to reach over all pairs, such as f1=0.7,missed_force=0.2 (see egotac verify); one that is missed is \
+             logged at shutdown and makes the exit status 1.",
+        ),
         Parameter::new("print", true, Allowed::Any, "Print a line per second."),
         Parameter::use_sim_time(),
     ]
@@ -56,8 +68,9 @@ pub fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
 /// Runs the node until `shutdown`, then writes the report if one is wanted.
 ///
 /// # Errors
-/// If ROS refuses something, or the report can't be written.
+/// If ROS refuses something, `require` names no scores, the report can't be written, or a required score was not reached.
 pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
+    let bars = bars(&runtime.parameters().get::<String>("require"))?;
     let verifier = Rc::new(RefCell::new(Verifier {
         pairing: Pairing::new(WAITING),
         stretches: Stretches::default(),
@@ -85,13 +98,25 @@ pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
 
     let report = runtime.parameters().get::<String>("report");
     runtime.spin(shutdown);
+    let missed = verifier.borrow().missed(&bars);
+    // While the log still reaches others.
+    missed.iter().for_each(|missed| runtime.log().error(missed.clone()));
     drop(runtime);
     let mut verifier = verifier.borrow_mut();
     let summary = verifier.summary()?;
     if !report.is_empty() {
         write_report(Path::new(&report), &summary)?;
     }
+    anyhow::ensure!(missed.is_empty(), "{} of {} required scores not reached", missed.len(), bars.len());
     Ok(())
+}
+
+/// The bars of the parameter `require`: there is one candidate, so none is named.
+fn bars(text: &str) -> anyhow::Result<Vec<Bar>> {
+    let bars = Bar::parse_all(text).context("parameter require")?;
+    let named = bars.iter().find_map(|bar| bar.candidate.as_deref());
+    anyhow::ensure!(named.is_none(), "parameter require: expected NAME=NUMBER, got a label {:?}", named.unwrap_or(""));
+    Ok(bars)
 }
 
 struct Verifier {
@@ -104,34 +129,6 @@ struct Verifier {
     started: Instant,
 }
 
-/// Numbers the truth's stretches of time: an episode each, as far as the stream tells.
-#[derive(Default)]
-struct Stretches {
-    number: u64,
-    last: Option<f64>,
-    step: Option<f64>,
-    model_id: String,
-}
-
-impl Stretches {
-    /// The stretch that a truth belongs to. A new one begins with another scene, when stamps go back, and after a pause.
-    fn number_of(&mut self, truth: &TactileTruth) -> u64 {
-        let stamp = truth.frame.header.stamp.secs();
-        if let Some(last) = self.last {
-            let step = stamp - last;
-            let pauses = step > PAUSE && self.step.is_some_and(|usual| step > 3.0 * usual);
-            if step < 0.0 || pauses || self.model_id != truth.frame.model_id {
-                self.number += 1;
-            } else {
-                self.step = Some(step);
-            }
-        }
-        self.last = Some(stamp);
-        self.model_id.clone_from(&truth.frame.model_id);
-        self.number
-    }
-}
-
 /// Scores of the pairs so far.
 #[derive(Default)]
 struct Scored {
@@ -142,7 +139,7 @@ struct Scored {
     invalid: u64,
     /// Stamp in seconds and score of each valid pair.
     frames: Vec<(f64, FrameScore)>,
-    window: VecDeque<(f64, FrameScore)>,
+    window: VecDeque<(f64, FrameScore, Sums)>,
     kept: (Fields, Fields),
     kept_count: usize,
     /// Ends of the truth's stretches of time, in valid pairs; the last one is open.
@@ -150,6 +147,52 @@ struct Scored {
     /// Of the newest valid pair.
     stretch: u64,
     came: Option<Instant>,
+    touch: Touch,
+}
+
+/// Scores of touch as `egotac verify` has them, as far as fields tell: vertices lie as in the rest pose.
+#[derive(Default)]
+struct Touch {
+    hands: Option<RestHands>,
+    /// Of the open stretch.
+    open: Option<Scorer>,
+    /// Of the stretches before.
+    ended: Sums,
+}
+
+impl Touch {
+    /// Takes a valid pair and returns what it adds.
+    fn add(&mut self, secs: f64, predicted: &TactileField, target: &TactileField) -> crate::Result<Sums> {
+        if self.hands.as_ref().is_none_or(|hands| hands.topology != target.topology) {
+            self.end();
+            self.hands = Some(RestHands::of(target.topology, None)?);
+        }
+        let Some(hands) = &self.hands else { return Ok(Sums::default()) };
+        let truth = TruthFrame::new(secs, target.force.clone(), Vec::new(), hands.positions.clone(), None)?;
+        let scorer = self.open.get_or_insert_with(|| Scorer::new(hands.parts.clone()));
+        scorer.push(&truth, &predicted.contact, &predicted.force)
+    }
+
+    /// Leaves an invalid pair out.
+    fn refuse(&mut self) {
+        self.open.iter_mut().for_each(Scorer::refuse);
+    }
+
+    /// Ends the open stretch.
+    fn end(&mut self) {
+        if let Some(scorer) = self.open.take() {
+            self.ended += &scorer.finish();
+        }
+    }
+
+    /// Sums of all stretches, the open one as if it ended here.
+    fn total(&self) -> Sums {
+        let mut total = self.ended.clone();
+        if let Some(scorer) = &self.open {
+            total += &scorer.clone().finish();
+        }
+        total
+    }
 }
 
 impl Verifier {
@@ -218,9 +261,20 @@ impl Verifier {
 
     /// Names and values of the rolling metrics; NaN = undefined.
     fn values(&self, rate: f64) -> Vec<(String, f64)> {
-        let report = metrics::summarize(self.scored.window.iter().map(|(_, score)| score));
+        let report = metrics::summarize(self.scored.window.iter().map(|(_, score, _)| score));
         let mut values = Vec::new();
         flatten("", &json!(report), &mut values);
+        let touch = self.scored.window.iter().fold(Sums::default(), |mut sum, (_, _, sums)| {
+            sum += sums;
+            sum
+        });
+        for (name, value) in scores_of(&touch) {
+            // Beginnings and ends of touches are known at the end only; the rest is there by the same names.
+            if !values.iter().any(|(known, _)| known == name) && !ROLLING_UNKNOWN.iter().any(|part| name.contains(part))
+            {
+                values.push((name.to_owned(), value.unwrap_or(f64::NAN)));
+            }
+        }
         let counts = self.tally.counts();
         values.push(("rate_hz".to_owned(), rate));
         values.push(("latency_p50_secs".to_owned(), counts.latency(0.5)));
@@ -287,7 +341,14 @@ impl Verifier {
                 "max": finite(counts.latency(1.0)),
             },
             "metrics": report,
+            "touch": scores_of(&self.scored.touch.total()),
         }))
+    }
+
+    /// Which bars were missed, in words.
+    fn missed(&self, bars: &[Bar]) -> Vec<String> {
+        let total = self.scored.touch.total();
+        bars.iter().filter_map(|bar| bar.missed((bar.score.value)(&total))).collect()
     }
 }
 
@@ -303,6 +364,7 @@ impl Scored {
         self.pairs += 1;
         if truth.validity()? != Validity::Valid {
             self.invalid += 1;
+            self.touch.refuse();
             return Ok(());
         }
         let score = FrameScore::new(&predicted.force, &predicted.contact, &target.force, &target.contact, &[], &[]);
@@ -310,10 +372,12 @@ impl Scored {
         if std::mem::replace(&mut self.stretch, stretch) != stretch && !self.frames.is_empty() {
             self.ends.push(self.frames.len());
             self.window.clear();
+            self.touch.end();
         }
+        let sums = self.touch.add(stamp, &predicted, &target)?;
         self.came = Some(Instant::now());
         self.frames.push((stamp, score.clone()));
-        self.window.push_back((stamp, score));
+        self.window.push_back((stamp, score, sums));
         if self.kept_count < KEPT {
             self.kept.0.push(&predicted);
             self.kept.1.push(&target);
@@ -330,9 +394,9 @@ impl Scored {
         if self.came.is_some_and(|came| came.elapsed().as_secs_f64() > window_secs) {
             self.window.clear();
         }
-        let Some((newest, _)) = self.window.back() else { return };
+        let Some((newest, ..)) = self.window.back() else { return };
         let oldest = newest - window_secs;
-        self.window.retain(|(stamp, _)| *stamp >= oldest);
+        self.window.retain(|(stamp, ..)| *stamp >= oldest);
     }
 
     /// Ends of all stretches, in valid pairs.

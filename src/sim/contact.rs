@@ -1,6 +1,6 @@
 //! Contacts of the engine to labels of the hands.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use crate::error::Result;
 use crate::label::{ForceSpreader, LinkContact};
@@ -20,6 +20,8 @@ pub struct HandForce {
     pub moment_residual: f64,
     /// Touching points with force.
     pub contacts: usize,
+    /// Their places in the world frame, m.
+    pub places: Vec<DVec3>,
 }
 
 /// Label (c) of one hand: every contact in which one of `links` takes part; a hand that touches itself gets both sides.
@@ -32,7 +34,9 @@ pub fn hand_force(world: &World, links: &[Body], vertices: &[Vec3], spreader: &F
     let contacts: Vec<LinkContact> = hand_contacts(world, links).map(|(contact, _)| contact).collect();
     let label = spreader.spread(vertices, &contacts)?;
     let (sum_residual, moment_residual) = (label.sum_residual(), label.moment_residual.length());
-    Ok(HandForce { total: label.total, sum_residual, moment_residual, contacts: contacts.len(), force: label.force })
+    let places: Vec<DVec3> = contacts.iter().map(|contact| contact.position).collect();
+    let (force, total) = (label.force, label.total);
+    Ok(HandForce { force, total, sum_residual, moment_residual, contacts: places.len(), places })
 }
 
 /// (778) speed at which touching surfaces slide along each other, m/s: at each vertex the mean over contacts, weighted

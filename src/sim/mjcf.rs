@@ -17,6 +17,10 @@ pub const WRIST_STIFFNESS: f64 = 2500.0;
 pub const HEAD: &str = "head";
 /// Points of a soft ball's grid per axis.
 const SOFT_COUNT: usize = 7;
+/// Half edges of the table's board, m.
+pub const TABLE_HALF: DVec3 = DVec3::new(0.6, 0.45, 0.02);
+/// Its centre, m: its top is at z = 0.
+pub const TABLE_CENTRE: DVec3 = DVec3::new(0.0, 0.1, -0.02);
 /// Largest picture, pixels per side.
 pub const MAX_PICTURE: u32 = 1024;
 
@@ -126,12 +130,10 @@ fn surroundings(look: &Look, assets: &mut String, world: &mut String, effects: E
             ),
         );
     }
-    // Top of the table at z = 0.
+    let [size, place] = [TABLE_HALF, TABLE_CENTRE].map(|v| format!("{} {} {}", v.x, v.y, v.z));
     put(
         world,
-        format_args!(
-            r#"<geom name="table" type="box" size="0.6 0.45 0.02" pos="0 0.1 -0.02" material="table" {contact}/>"#
-        ),
+        format_args!(r#"<geom name="table" type="box" size="{size}" pos="{place}" material="table" {contact}/>"#),
     );
     put(
         world,

@@ -27,9 +27,11 @@ pub mod scene;
 pub mod scene_object;
 pub mod span;
 pub mod timeline;
+pub mod touchable;
 pub mod view;
 
 pub use effect::{Effect, EffectPlan, EffectSet};
 pub use record::{Generate, Summary, generate, record};
 pub use rollout::{Rollout, RolloutOptions, SimFrame};
 pub use scene::{SHIPPED, Scene};
+pub use touchable::{Distances, Touchables};

@@ -6,13 +6,8 @@ use parry3d::shape::SharedShape;
 use super::convex;
 use super::scene::Site;
 use crate::error::{Error, Result};
+pub use crate::hand::JOINT_NAMES;
 use crate::hand::{HandModel, HandParams, N_BETAS, N_JOINTS, PosedHand, Side};
-
-/// Names of the joints in MANO order.
-pub const JOINT_NAMES: [&str; N_JOINTS] = [
-    "wrist", "index1", "index2", "index3", "middle1", "middle2", "middle3", "little1", "little2", "little3", "ring1",
-    "ring2", "ring3", "thumb1", "thumb2", "thumb3",
-];
 
 /// Skinning weight from which a vertex belongs to a link's collision hull, also when another link leads it: the hulls
 /// of neighbours overlap, so that nothing slips into the knuckles.

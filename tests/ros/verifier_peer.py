@@ -87,9 +87,14 @@ def scores():
         "pooled.recall": recall,
         "pooled.f1": 2 * precision * recall / (precision + recall),
         "pooled.iou": hit / (positive | active).sum(),
+        "missed_force": target[active & ~positive].sum() / target[active].sum(),
+        "false_contact_mass": 0.0,  # no vertex is labelled that is not touched
+        "contact_ratio": active.mean(),
+        "labelled_ratio": positive.mean(),
     }
     for name, value in expected.items():
         assert math.isclose(values[name], value, rel_tol=1e-6), (name, values[name], value)
+    assert not any("_secs" in name and "onset" in name for name in values), "touches are whole at the end only"
 
 
 def topologies():

@@ -16,7 +16,7 @@ pub use piece::{Piece, PieceShape};
 use super::convex::single;
 use super::scene::ShapeSpec;
 use crate::error::Result;
-use crate::label::SampledSurface;
+use crate::label::{SampledSurface, Solid};
 
 /// An object in its own frame: origin at the centre of its shape, z up.
 #[derive(Debug, Clone)]
@@ -173,6 +173,22 @@ impl Object {
         sampled(&self.pieces, spacing)
     }
 
+    /// The moving part for label (b): round pieces and boxes exactly, hulls as their triangles.
+    ///
+    /// # Errors
+    /// If a piece has no extent.
+    pub fn solid(&self) -> Result<Solid> {
+        solid(&self.pieces)
+    }
+
+    /// As [`Self::solid`], of the part that stands fast; empty where there is none.
+    ///
+    /// # Errors
+    /// If a piece has no extent.
+    pub fn base_solid(&self) -> Result<Solid> {
+        solid(&self.base)
+    }
+
     /// Surface of the part that stands fast; `None` where there is none.
     ///
     /// # Errors
@@ -193,6 +209,22 @@ fn sampled(pieces: &[Piece], spacing: f32) -> Result<SampledSurface> {
         }
     }
     SampledSurface::from_points(points, spacing)
+}
+
+fn solid(pieces: &[Piece]) -> Result<Solid> {
+    let mut solid = Solid::default();
+    for piece in pieces {
+        match &piece.shape {
+            PieceShape::Box(half) => solid.add_cuboid(half.as_vec3(), piece.pose())?,
+            PieceShape::Ball(radius) => solid.add_ball(*radius as f32, piece.pose())?,
+            PieceShape::Capsule(radius, half) => solid.add_capsule(*half as f32, *radius as f32, piece.pose())?,
+            PieceShape::Cylinder(..) | PieceShape::Hull(_) => {
+                let (vertices, triangles) = piece.mesh();
+                solid.add_mesh(crate::label::Surface::new(vertices, triangles)?);
+            }
+        }
+    }
+    Ok(solid)
 }
 
 #[cfg(test)]

@@ -1,0 +1,265 @@
+//! `egotac verify`.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{bail, ensure};
+
+use super::hands::Hands;
+use crate::file;
+use crate::verify::recording::{self, Topics};
+use crate::verify::report::{self, Unmatched};
+use crate::verify::{Bar, Candidate, Report, Settings, picture};
+
+/// Arguments of `egotac verify`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Truth is the force of the simulator's contacts on the vertices (label c); a vertex is touched above \
+    0.05 N. Without predictions, labels a (a point of the resampled surface within a distance) and b (the surface within \
+    it) are swept over distances.\nScores that can be required: precision, recall, f1, iou (at least), missed_force, \
+    false_contact_mass, missed_touches, false_touches, onset_error_secs, offset_error_secs, mae, active_mae, \
+    link_force_error, cop_distance_mm (at most); frame_mean.f1 and so on average over frames; b_5mm:f1=0.6 is for one \
+    of several labels. A bar that is missed makes the exit status 1."
+)]
+pub struct Args {
+    /// Scenes to simulate (a name of `egotac sim list`, or a YAML file), or stores of `egotac sim run` and `generate`.
+    #[arg(value_name = "SCENE|EPISODE", required_unless_present = "recording", conflicts_with = "recording")]
+    sources: Vec<String>,
+    /// Rollouts of each scene.
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    seeds: u64,
+    /// Seed of each scene's first rollout, each next one has the next; and of the intervals' drawings.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Distances of labels a and b, millimetres.
+    #[arg(long, value_name = "MM,..", value_delimiter = ',', default_values_t = [0.0, 1.0, 2.0, 5.0, 10.0])]
+    thresholds: Vec<f32>,
+    /// Spacing of the points of label a, millimetres.
+    #[arg(long, value_name = "MM", default_value_t = 6.0)]
+    spacing: f32,
+    /// YAML files of the scenes of stores that the program does not ship, by file name.
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    scene: Vec<PathBuf>,
+    /// Checkpoint to score in place of the labels, on rendered pictures; `shipped` is the one that comes with egotac.
+    #[arg(long, value_name = "CHECKPOINT", conflicts_with_all = ["predictions", "recording"])]
+    predictor: Option<PathBuf>,
+    /// Predictions to score in place of the labels: tensor files or stores, frame by frame as the given stores.
+    #[arg(long, value_name = "STORE|FILE", num_args = 1.., conflicts_with = "recording")]
+    predictions: Vec<PathBuf>,
+    /// Bag or MCAP file with predictions (TactileFrame) and truth (TactileTruth) to score.
+    #[arg(long, value_name = "BAG")]
+    recording: Option<PathBuf>,
+    /// Topic of the recording's predictions, where there are several.
+    #[arg(long, value_name = "TOPIC", requires = "recording")]
+    tactile_topic: Option<String>,
+    /// Topic of the recording's truth, where there are several.
+    #[arg(long, value_name = "TOPIC", requires = "recording")]
+    truth_topic: Option<String>,
+    /// Scores to reach, such as `f1=0.7,missed_force=0.2`.
+    #[arg(long, value_name = "NAME=NUMBER,..")]
+    require: Option<String>,
+    /// JSON file to write; `-` prints JSON in place of the table.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// PNG file to draw.
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
+    /// Width and height of the pictures for a predictor, pixels.
+    #[arg(long, default_value_t = 224)]
+    size: u32,
+    /// Rollouts at a time (one with a predictor).
+    #[arg(long, default_value_t = 2)]
+    jobs: usize,
+    #[command(flatten)]
+    hands: Hands,
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    // Everything that can be wrong with the question, before hours of answering it.
+    let bars = Bar::parse_all(args.require.as_deref().unwrap_or_default())?;
+    let settings = settings(&args)?;
+    let candidates = match args.recording.is_some() || args.predictor.is_some() || !args.predictions.is_empty() {
+        true => vec![Candidate::Prediction],
+        false => settings.sweep(),
+    };
+    check_candidates(&bars, &candidates)?;
+    let report = match &args.recording {
+        Some(recording) => score_recording(&args, recording)?,
+        None => score_sources(&args, &settings, &candidates)?,
+    };
+    if let Some(path) = &args.picture {
+        file::write_png(path, &picture::draw(&report)?)?;
+    }
+    let json = format!("{:#}\n", serde_json::to_value(&report)?);
+    match args.json.as_deref() {
+        Some(path) if path == Path::new("-") => print!("{json}"),
+        Some(path) => {
+            file::write(path, json.as_bytes())?;
+            println!("{}", report::table(&report));
+        }
+        None => println!("{}", report::table(&report)),
+    }
+    gate(&bars, &report)
+}
+
+fn settings(args: &Args) -> anyhow::Result<Settings> {
+    let metres = |millimetres: &f32| (f64::from(*millimetres) * 1e-3) as f32;
+    let thresholds = args.thresholds.iter().map(metres).collect();
+    let settings = Settings { thresholds, spacing: metres(&args.spacing) };
+    settings.check()?;
+    ensure!(args.seeds > 0, "--seeds: expected at least 1");
+    ensure!(args.jobs > 0, "--jobs: expected at least 1");
+    Ok(settings)
+}
+
+/// Refuses bars for candidates that there will not be.
+fn check_candidates(bars: &[Bar], candidates: &[Candidate]) -> anyhow::Result<()> {
+    let names: Vec<String> = candidates.iter().map(|candidate| candidate.name()).collect();
+    for bar in bars {
+        match &bar.candidate {
+            None if names.len() > 1 => bail!(
+                "--require: {} of which label? Expected LABEL:NAME=NUMBER, with one of {}",
+                bar.score.name,
+                names.join(", ")
+            ),
+            Some(name) if !names.contains(name) => {
+                return Err(crate::Error::unknown("label", name, names.iter().map(String::as_str)).into());
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// Says which bars were missed; that makes the exit status.
+fn gate(bars: &[Bar], report: &Report) -> anyhow::Result<ExitCode> {
+    let mut status = ExitCode::SUCCESS;
+    for bar in bars {
+        let candidate = report.candidate(bar.candidate.as_deref())?;
+        let value = candidate.scores.get(bar.score.name).and_then(|scored| scored.value);
+        if let Some(missed) = bar.missed(value) {
+            eprintln!("egotac: {}: {missed}", candidate.name);
+            status = ExitCode::FAILURE;
+        }
+    }
+    Ok(status)
+}
+
+fn score_recording(args: &Args, path: &Path) -> anyhow::Result<Report> {
+    let topics = Topics { tactile: args.tactile_topic.clone(), truth: args.truth_topic.clone() };
+    let recording = recording::score(path, &topics, args.hands.from_files()?.as_ref())?;
+    let mut report = Report::new(&[Candidate::Prediction], &recording.parts, &recording.episodes, args.seed)?;
+    let (predictions, truths) = (recording.unmatched_predictions, recording.unmatched_truths);
+    report.unmatched = Some(Unmatched { predictions, truths });
+    Ok(report)
+}
+
+#[cfg(not(feature = "sim"))]
+fn score_sources(_: &Args, _: &Settings, _: &[Candidate]) -> anyhow::Result<Report> {
+    Err(super::feature_off("verify", "sim"))
+}
+
+#[cfg(feature = "sim")]
+use with_sim::score_sources;
+
+#[cfg(feature = "sim")]
+mod with_sim {
+    use std::path::{Path, PathBuf};
+
+    use anyhow::ensure;
+    use indicatif::ProgressBar;
+    use rayon::prelude::*;
+
+    use super::Args;
+    use crate::dataset::zarr::{self, ZarrReader};
+    use crate::label::Parts;
+    use crate::model::{Predictor, predictor, shipped};
+    use crate::sim::{RolloutOptions, Scene, mjcf};
+    use crate::verify::predicted::{Predicted, must_fit};
+    use crate::verify::store::Against;
+    use crate::verify::{Candidate, Episode, Report, Settings, rollout, store};
+
+    pub fn score_sources(args: &Args, settings: &Settings, candidates: &[Candidate]) -> anyhow::Result<Report> {
+        let (stores, scenes): (Vec<&String>, Vec<&String>) =
+            args.sources.iter().partition(|source| Path::new(source).is_dir());
+        let paths: Vec<PathBuf> = stores.into_iter().map(PathBuf::from).collect();
+        let stores = zarr::open_all(&paths)?;
+        let scenes = scenes.into_iter().map(|name| Scene::load(name)).collect::<crate::Result<Vec<_>>>()?;
+        let hands = args.hands.models()?;
+        let mut predictor = open_predictor(args)?;
+
+        let mut episodes = score_stores(args, settings, &stores, &hands, predictor.as_mut())?;
+        let most = mjcf::MAX_PICTURE;
+        ensure!((8..=most).contains(&args.size), "--size: expected 8 to {most} pixels, got {}", args.size);
+        let picture = predictor.is_some().then_some((args.size, args.size));
+        let options = RolloutOptions { hands: hands.clone(), picture, ..RolloutOptions::default() };
+        let plan: Vec<(&Scene, u64)> =
+            scenes.iter().flat_map(|scene| (0..args.seeds).map(move |i| (scene, args.seed + i))).collect();
+        let bar = ProgressBar::new(plan.len() as u64);
+        let done = |result| {
+            bar.inc(1);
+            result
+        };
+        let rollouts: Vec<crate::Result<Episode>> = match &mut predictor {
+            // The network takes all cores by itself.
+            Some(predictor) => plan
+                .iter()
+                .map(|(scene, seed)| done(rollout::score(scene, *seed, &options, settings, Some(predictor))))
+                .collect(),
+            None => rayon::ThreadPoolBuilder::new().num_threads(args.jobs).build()?.install(|| {
+                let score = |(scene, seed): &(&Scene, u64)| rollout::score(scene, *seed, &options, settings, None);
+                plan.par_iter().map(|rollout| done(score(rollout))).collect()
+            }),
+        };
+        bar.finish_and_clear();
+        for episode in rollouts {
+            episodes.push(episode?);
+        }
+        Ok(Report::new(candidates, &Parts::links(&hands), &episodes, args.seed)?)
+    }
+
+    fn open_predictor(args: &Args) -> anyhow::Result<Option<Predictor>> {
+        let path = match args.predictor.as_deref() {
+            None => return Ok(None),
+            Some(path) if path == Path::new("shipped") && !path.exists() => shipped::path()?,
+            Some(path) => path.to_path_buf(),
+        };
+        Ok(Some(Predictor::load(&path, predictor::Options::default())?))
+    }
+
+    fn score_stores(
+        args: &Args,
+        settings: &Settings,
+        stores: &[ZarrReader],
+        hands: &[crate::hand::HandModel; 2],
+        mut predictor: Option<&mut Predictor>,
+    ) -> anyhow::Result<Vec<Episode>> {
+        let given = args.scene.iter().map(|path| Scene::load(&path.to_string_lossy()));
+        let given = given.collect::<crate::Result<Vec<_>>>()?;
+        let predicted = match args.predictions.is_empty() {
+            true => None,
+            false => {
+                ensure!(
+                    !stores.is_empty() && args.sources.iter().all(|source| Path::new(source).is_dir()),
+                    "--predictions: expected the stores that they are for, and no scene"
+                );
+                let predicted = Predicted::read(&args.predictions)?;
+                must_fit(&predicted, stores)?;
+                Some(predicted)
+            }
+        };
+        let mut before = 0;
+        let mut episodes = Vec::new();
+        for reader in stores {
+            let against = match (&mut predictor, &predicted) {
+                (Some(predictor), _) => Against::Predictor(predictor),
+                (None, Some(predicted)) => Against::Predicted(predicted, before),
+                (None, None) => Against::Labels(&given),
+            };
+            episodes.extend(store::score(reader, hands, settings, against)?);
+            before += reader.len();
+        }
+        Ok(episodes)
+    }
+}

@@ -1,0 +1,272 @@
+//! `egotac verify` on scenes, stores, predictions and recordings.
+#![cfg(feature = "sim")]
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use candle_core::{Device, Tensor};
+use candle_nn::VarMap;
+use egotac::dataset::mcap::BagWriter;
+use egotac::dataset::tensors::FieldFile;
+use egotac::dataset::zarr::{MANO_FORCE, ZarrReader};
+use egotac::message::{Header, Message, TactileFrame, TactileTruth, Time};
+use egotac::metrics::Fields;
+use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
+use egotac::tactile::{N_FIELD, TactileField, Topology, Validity};
+use serde_json::Value;
+use tempfile::TempDir;
+
+fn egotac(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_egotac")).args(arguments).output().unwrap()
+}
+
+/// JSON that `egotac verify` prints, and its exit status; it must not be an error.
+fn verify(arguments: &[&str]) -> Value {
+    let output = egotac(&[&["verify", "--json", "-"], arguments].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// What `egotac verify` says when it refuses or a bar is missed; the status must be 1.
+fn refusal(arguments: &[&str]) -> String {
+    let output = egotac(&[&["verify"], arguments].concat());
+    assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stdout));
+    String::from_utf8(output.stderr).unwrap()
+}
+
+fn score(report: &Value, candidate: &str, name: &str) -> f64 {
+    let candidates = report["candidates"].as_array().unwrap();
+    let found = candidates.iter().find(|c| c["name"] == candidate).unwrap_or_else(|| panic!("no {candidate}"));
+    found["scores"][name]["value"]
+        .as_f64()
+        .unwrap_or_else(|| panic!("{candidate}: {name} is {}", found["scores"][name]))
+}
+
+struct Folder(TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    /// A store of one small episode.
+    fn store(&self, scene: &str, seed: &str) -> String {
+        let path = self.path(&format!("{}.zarr", Path::new(scene).file_stem().unwrap().to_string_lossy()));
+        let output = egotac(&["sim", "run", scene, "--seed", seed, "--size", "16", "--out", &path]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        path
+    }
+}
+
+#[test]
+fn labels_of_scenes_are_swept_the_same_way_each_time() {
+    let folder = Folder::new();
+    let (first, second) = (folder.path("a.json"), folder.path("b.json"));
+    let (picture, scenes) = (folder.path("a.png"), ["verify", "pinch_cube", "hover", "--seeds", "2", "--seed", "5"]);
+    let output = egotac(&[&scenes[..], &["--json", &first, "--picture", &picture]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let table = String::from_utf8(output.stdout).unwrap();
+    assert!(table.contains("b_5mm") && table.contains("missed force") && table.contains("4 episodes"), "{table}");
+    assert!(egotac(&[&scenes[..], &["--json", &second, "--jobs", "1"]].concat()).status.success());
+    let bytes = std::fs::read(&first).unwrap();
+    assert!(bytes == std::fs::read(&second).unwrap(), "not the same bit for bit");
+    assert!(image::open(&picture).unwrap().width() > 1000);
+
+    let report: Value = serde_json::from_slice(&bytes).unwrap();
+    assert_eq!((score(&report, "c", "pooled.f1"), score(&report, "c", "missed_force")), (1.0, 0.0));
+    let b = ["b_0mm", "b_1mm", "b_2mm", "b_5mm", "b_10mm"];
+    for pair in b.windows(2) {
+        let of = |name: &str| [0, 1].map(|k| score(&report, pair[k], name));
+        let [before, after] = of("pooled.recall");
+        assert!(before <= after, "recall of {pair:?}: {before} {after}");
+        let [before, after] = of("missed_force");
+        assert!(before >= after, "missed force of {pair:?}: {before} {after}");
+    }
+    assert!(score(&report, "b_10mm", "pooled.recall") > 0.9, "{report:#}");
+    // Points lie on the surface: whatever they label, the surface rule does, too.
+    for threshold in ["2mm", "5mm", "10mm"] {
+        let [a, b] = ["a", "b"].map(|rule| score(&report, &format!("{rule}_{threshold}"), "labelled_ratio"));
+        assert!(a <= b, "{threshold}: {a} {b}");
+    }
+    let interval = &report["candidates"][0]["scores"]["contact_ratio"]["interval"];
+    let value = score(&report, "c", "contact_ratio");
+    assert!(interval[0].as_f64().unwrap() <= value && value <= interval[1].as_f64().unwrap());
+    let sampling = &report["episodes"][0]["samplings"][0];
+    assert_eq!((&sampling["name"], &sampling["sides"]["kind"]), (&"cube".into(), &"closed".into()), "{sampling}");
+    assert!(sampling["points"].as_u64().unwrap() > 100);
+}
+
+#[test]
+fn finer_points_recall_more_of_the_vertex_rule() {
+    let recall = |spacing: &str| {
+        let report = verify(&["pinch_cube", "--seeds", "1", "--seed", "5", "--thresholds", "10", "--spacing", spacing]);
+        score(&report, "a_10mm", "pooled.recall")
+    };
+    let (coarse, fine) = (recall("100"), recall("3"));
+    assert!(coarse < 0.5 && fine > 0.9, "{coarse} {fine}");
+}
+
+#[test]
+fn a_store_scores_as_the_rollout_it_was_made_from() {
+    let folder = Folder::new();
+    let store = folder.store("pinch_cube", "5");
+    let (stored, run) = (verify(&[&store]), verify(&["pinch_cube", "--seed", "5", "--seeds", "1"]));
+    assert_eq!((&stored["force_places"], &run["force_places"]), (&"touched_vertices".into(), &"contacts".into()));
+    assert_eq!(stored["counts"]["frames"], run["counts"]["frames"]);
+    for candidate in ["c", "a_10mm", "b_1mm", "b_5mm", "b_10mm"] {
+        for name in ["pooled.f1", "frame_mean.recall", "missed_force", "labelled_ratio"] {
+            let (stored, run) = (score(&stored, candidate, name), score(&run, candidate, name));
+            assert!((stored - run).abs() < 0.01, "{candidate}, {name}: {stored} {run}");
+        }
+    }
+}
+
+#[test]
+fn a_store_of_an_own_scene_needs_its_file_as_it_was() {
+    let folder = Folder::new();
+    let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/sim/scenes/pinch_cube.yaml")).unwrap();
+    let scene = folder.path("mine.yaml");
+    std::fs::write(&scene, &text).unwrap();
+    let store = folder.store(&scene, "5");
+    let error = refusal(&[&store]);
+    assert!(error.contains("--scene FILE") && error.contains("mine"), "{error}");
+    assert!(score(&verify(&[&store, "--scene", &scene]), "b_5mm", "pooled.f1") > 0.0);
+    // Another scene by that name is not what the store was made from.
+    let other = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/sim/scenes/hover.yaml")).unwrap();
+    let moved = format!("{other}\n");
+    std::fs::write(&scene, moved).unwrap();
+    let error = refusal(&[&store, "--scene", &scene]);
+    assert!(error.contains("that the store was made from"), "{error}");
+}
+
+fn tensors(path: &str, fields: Fields) {
+    let file = FieldFile { topology: Some(Topology::EgotacHand1), fields, ..FieldFile::default() };
+    file.write(Path::new(path), HashMap::new()).unwrap();
+}
+
+#[test]
+fn predictions_are_scored_and_the_gate_sets_the_exit_status() {
+    let folder = Folder::new();
+    let store = folder.store("pinch_cube", "5");
+    let reader = ZarrReader::open(Path::new(&store)).unwrap();
+    let force = reader.read_f32(MANO_FORCE, 0..reader.len()).unwrap();
+    let [right, half, none] = ["right", "half", "none"].map(|name| folder.path(&format!("{name}.safetensors")));
+    tensors(&right, Fields::from_force(force.clone()));
+    tensors(
+        &half,
+        Fields { contact: Fields::from_force(force.clone()).contact, force: force.iter().map(|f| f / 2.0).collect() },
+    );
+    tensors(&none, Fields::from_force(vec![0.0; force.len()]));
+
+    // The store itself serves as well.
+    for predictions in [&right, &store] {
+        let report =
+            verify(&[&store, "--predictions", predictions, "--require", "f1=1,missed_force=0,onset_error_secs=0"]);
+        assert_eq!(score(&report, "prediction", "link_force_error"), 0.0);
+        assert_eq!(score(&report, "prediction", "cop_distance_mm"), 0.0);
+    }
+    let report = verify(&[&store, "--predictions", &half]);
+    assert!((score(&report, "prediction", "link_force_error") - 0.5).abs() < 1e-6);
+    let links = report["candidates"][0]["links"].as_object().unwrap();
+    assert!(!links.is_empty() && links.values().all(|link| (link["error"].as_f64().unwrap() - 0.5).abs() < 1e-6));
+
+    let missed = refusal(&[&store, "--predictions", &none, "--require", "f1=0.7,missed_force=0.2,labelled=0"]);
+    assert!(
+        missed.contains("labelled") && missed.contains("missed_force"),
+        "an unknown name lists the known: {missed}"
+    );
+    let missed = refusal(&[&store, "--predictions", &none, "--require", "f1=0.7,missed_force=0.2,mae=1"]);
+    assert!(missed.contains("pooled.f1: at least 0.7 is required, got 0.0000, which misses by 0.7000"), "{missed}");
+    assert!(
+        missed.contains("missed_force: at most 0.2 is required, got 1.0000") && !missed.contains("mae"),
+        "{missed}"
+    );
+
+    tensors(&none, Fields::from_force(vec![0.0; N_FIELD]));
+    assert!(refusal(&[&store, "--predictions", &none]).contains("frames, as the episodes have"));
+    assert!(refusal(&["pinch_cube", "--predictions", &right]).contains("expected the stores"));
+    assert!(refusal(&["pinch_cube", "--require", "f1=0.7"]).contains("of which label?"));
+    assert!(refusal(&["pinch_cube", "--require", "b_7mm:f1=0.7"]).contains("b_5mm"));
+    assert!(refusal(&["pinch_cube", "--thresholds", "5,1"]).contains("growing"));
+}
+
+#[test]
+fn a_network_is_scored_on_what_it_sees() {
+    let folder = Folder::new();
+    let path = PathBuf::from(folder.path("model.safetensors"));
+    let (vars, config) = (VarMap::new(), Config::toy());
+    EgoTac::new(&config, init::var_builder(&vars, 1, &Device::Cpu)).unwrap();
+    for var in vars.all_vars() {
+        var.set(&Tensor::randn(0f32, 0.2, var.shape(), &Device::Cpu).unwrap()).unwrap();
+    }
+    Checkpoint::save(&path, &config, &Metadata::new("random", 2.0, 0.04), &vars).unwrap();
+    let model = path.to_str().unwrap();
+    let arguments = ["pinch_cube", "--seeds", "1", "--seed", "5", "--size", "16", "--predictor", model];
+    let report = verify(&arguments);
+    let rate = score(&report, "prediction", "labelled_ratio");
+    assert!(rate > 0.0 && rate < 1.0, "{rate}");
+    let missed = refusal(&[&arguments[..], &["--require", "f1=0.99"]].concat());
+    assert!(missed.contains("prediction: pooled.f1: at least 0.99 is required"), "{missed}");
+    // The pictures of a store are the same ones.
+    let stored = verify(&[&folder.store("pinch_cube", "5"), "--predictor", model]);
+    for name in ["pooled.f1", "mae", "missed_force"] {
+        assert!((score(&stored, "prediction", name) - score(&report, "prediction", name)).abs() < 1e-9, "{name}");
+    }
+}
+
+/// A bag of 20 frames at 25 Hz with touch from the sixth on; frame 9's prediction is missing, frame 12's truth invalid.
+fn bag(folder: &Path, other: bool) {
+    let mut bag = BagWriter::create(folder).unwrap();
+    bag.add_topic("/predictor/tactile", TactileFrame::TYPE, &TactileFrame::schema(), false).unwrap();
+    bag.add_topic("/truth/tactile", TactileTruth::TYPE, &TactileTruth::schema(), false).unwrap();
+    if other {
+        bag.add_topic("/other/tactile", TactileFrame::TYPE, &TactileFrame::schema(), false).unwrap();
+    }
+    for index in 0..20i64 {
+        let stamp = Time::from_nanos(1_700_000_000_000_000_000 + index * 40_000_000);
+        let header = Header { stamp, frame_id: "camera".into() };
+        let mut force = vec![0.0; N_FIELD];
+        if index >= 6 {
+            force[100..110].fill(0.5);
+        }
+        let field = TactileField::from_force(Topology::EgotacHand1, force).unwrap();
+        let mut frame = TactileFrame::from_field(header, &field).unwrap();
+        frame.model_id = "simulator/pinch_cube".into();
+        let validity = if index == 12 { Validity::TooFast } else { Validity::Valid };
+        let time = stamp.nanos() as u64;
+        bag.write("/truth/tactile", &TactileTruth::new(frame.clone(), validity).to_cdr(), time, time).unwrap();
+        if index != 9 {
+            bag.write("/predictor/tactile", &frame.to_cdr(), time, time).unwrap();
+        }
+        if other {
+            bag.write("/other/tactile", &frame.to_cdr(), time, time).unwrap();
+        }
+    }
+    bag.finish().unwrap();
+}
+
+#[test]
+fn a_recording_is_scored_by_equal_stamps() {
+    let folder = Folder::new();
+    let [plain, ambiguous] = ["plain", "ambiguous"].map(|name| folder.path(name));
+    bag(Path::new(&plain), false);
+    bag(Path::new(&ambiguous), true);
+    let report = verify(&["--recording", &plain, "--require", "f1=1,missed_force=0"]);
+    assert_eq!(report["counts"]["frames"], 18);
+    assert_eq!(report["unmatched"]["truths"], 1);
+    assert_eq!(report["counts"]["refused"][Validity::TooFast.reason()], 1);
+    assert_eq!(score(&report, "prediction", "onset_error_secs"), 0.0);
+    assert_eq!(score(&report, "prediction", "link_force_error"), 0.0);
+    // One file of the bag serves as well.
+    let file = format!("{plain}/plain_0.mcap");
+    assert_eq!(verify(&["--recording", &file])["counts"], report["counts"]);
+    let error = refusal(&["--recording", &ambiguous]);
+    assert!(error.contains("/other/tactile, /predictor/tactile"), "{error}");
+    verify(&["--recording", &ambiguous, "--tactile-topic", "/predictor/tactile"]);
+    assert!(refusal(&["--recording", &ambiguous, "--tactile-topic", "/hand"]).contains("/other/tactile"));
+}
