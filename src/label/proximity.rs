@@ -13,6 +13,9 @@ pub const PROXIMITY: f32 = 0.01;
 /// Spacing of the resampled object surface at most, m: recall of the surface rule is above 92 %.
 pub const SPACING: f32 = 0.006;
 
+/// Most points a surface is resampled to: 50 MB; more is a spacing chosen for a smaller object.
+const MOST_POINTS: f64 = 4e6;
+
 /// A surface as points no farther apart than a given spacing, in the frame of its object.
 #[derive(Debug, Clone)]
 pub struct SampledSurface {
@@ -65,7 +68,8 @@ impl SampledSurface {
 /// Points on a triangle mesh: its vertices, and as many more that no triangle edge between them exceeds `spacing`.
 ///
 /// # Errors
-/// If `spacing` is not a positive length, an index is out of range, or a coordinate is not finite.
+/// If `spacing` is not a positive length or gives more than 4 million points, an index is out of range, or a coordinate is
+/// not finite.
 pub fn resample(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Result<Vec<Vec3>> {
     if !(spacing.is_finite() && spacing > 0.0) {
         return Err(Error::value("spacing", "a positive number of metres", spacing));
@@ -73,18 +77,21 @@ pub fn resample(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Resu
     if let Some(bad) = vertices.iter().position(|v| !v.is_finite()) {
         return Err(Error::value(format!("vertex {bad}"), "finite", vertices[bad]));
     }
-    let mut points = Vec::new();
-    for triangle in triangles {
-        let mut corners = [Vec3::ZERO; 3];
-        for (corner, index) in corners.iter_mut().zip(triangle) {
-            *corner = *vertices
-                .get(*index as usize)
-                .ok_or_else(|| Error::value("triangle index", format!("below {}", vertices.len()), index))?;
-        }
-        let [a, b, c] = corners;
+    let corners = triangles.iter().map(|triangle| corners(vertices, triangle)).collect::<Result<Vec<_>>>()?;
+    // Every edge of the n x n subdivision is 1/n of an edge of the triangle.
+    let subdivision = |[a, b, c]: &[Vec3; 3]| {
+        let [a, b, c] = [a, b, c].map(|corner| corner.as_dvec3());
         let longest = (b - a).length().max((c - b).length()).max((a - c).length());
-        // Every edge of the n x n subdivision is 1/n of an edge of the triangle.
-        let n = (longest / spacing).ceil().max(1.0) as usize;
+        (longest / f64::from(spacing)).ceil().max(1.0)
+    };
+    let count: f64 = corners.iter().map(&subdivision).map(|n| 0.5 * (n + 1.0) * (n + 2.0)).sum();
+    if count > MOST_POINTS {
+        let least = f64::from(spacing) * (count / MOST_POINTS).sqrt();
+        return Err(Error::value("spacing", format!("at least {least:.1e} m for a surface of this size"), spacing));
+    }
+    let mut points = Vec::with_capacity(count as usize);
+    for triangle in &corners {
+        let ([a, b, c], n) = (*triangle, subdivision(triangle) as usize);
         for i in 0..=n {
             for j in 0..=n - i {
                 points.push(a + (b - a) * (i as f32 / n as f32) + (c - a) * (j as f32 / n as f32));
@@ -96,4 +103,14 @@ pub fn resample(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Resu
     points.sort_unstable_by_key(key);
     points.dedup_by_key(|p| key(p));
     Ok(points)
+}
+
+fn corners(vertices: &[Vec3], triangle: &[u32; 3]) -> Result<[Vec3; 3]> {
+    let mut corners = [Vec3::ZERO; 3];
+    for (corner, index) in corners.iter_mut().zip(triangle) {
+        *corner = *vertices
+            .get(*index as usize)
+            .ok_or_else(|| Error::value("triangle index", format!("below {}", vertices.len()), index))?;
+    }
+    Ok(corners)
 }
