@@ -1,5 +1,6 @@
 //! The command line: arguments and dispatch; one file per command.
 
+mod bench;
 mod data;
 mod demo;
 mod doctor;
@@ -40,6 +41,8 @@ enum Command {
     Model(model::Args),
     /// Stores: info.
     Data(data::Args),
+    /// What accuracy costs and what breaks: hard cases, guards.
+    Bench(bench::Args),
     /// The main job, end to end, on this machine.
     Demo(demo::Args),
 }
@@ -55,6 +58,7 @@ pub fn main() -> ExitCode {
         Command::Eval(args) => eval::run(args),
         Command::Model(args) => model::run(args),
         Command::Data(args) => data::run(args),
+        Command::Bench(args) => bench::run(args),
         Command::Demo(args) => demo::run(args),
     };
     match result {
