@@ -1,6 +1,6 @@
 //! Nothing fails silently: each hard case is right as a user writes it, or flagged; and its remedy is right.
 
-use egotac::bench::hard_cases::{Family, registry, report, run};
+use egotac::bench::hard_cases::{Family, registry, run};
 
 /// Runs a family's cases and names those that fail.
 fn family(family: Family) {
@@ -18,6 +18,8 @@ fn family(family: Family) {
 
 #[cfg(feature = "sim")]
 mod engine {
+    use egotac::bench::hard_cases::report;
+
     use super::*;
 
     #[test]

@@ -1,7 +1,7 @@
 //! An episode that ends its process takes down nothing else, and is named.
 #![cfg(feature = "sim")]
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -77,7 +77,7 @@ fn working(parent: u32, parts: &Path) -> u32 {
 #[test]
 fn a_killed_worker_costs_one_episode_which_the_same_command_makes_again() {
     let folder = tempfile::tempdir().unwrap();
-    let (out, parts) = (folder.path().join("set"), PathBuf::from(folder.path().join("set.parts")));
+    let (out, parts) = (folder.path().join("set"), folder.path().join("set.parts"));
     let running = egotac(&out, &[]).spawn().unwrap();
     let worker = working(running.id(), &parts);
     assert!(Command::new("kill").args(["-9", &worker.to_string()]).status().unwrap().success());

@@ -304,7 +304,7 @@ impl World {
             return Err(Error::value("position", "finite metres", position));
         }
         let length = orientation.length();
-        if !((length - 1.0).abs() < 1e-3) {
+        if !length.is_finite() || (length - 1.0).abs() > 1e-3 {
             return Err(Error::value("orientation", "a unit quaternion", format!("length {length}")));
         }
         let orientation = orientation.normalize();

@@ -94,7 +94,7 @@ fn square() -> (Vec<Vec3>, Vec<[u32; 3]>) {
 fn normals_without_area() -> Result<Outcome> {
     let (vertices, faces) = square();
     // What normalising a vector of length 0 gives.
-    let plain = vertices[4..].iter().map(|v| (*v - *v).normalize()).filter(|n| !n.is_finite()).count();
+    let plain = vertices[4..].iter().map(|v| (0.0 * *v).normalize()).filter(|n| !n.is_finite()).count();
     let normals = vertex_normals(&vertices, &faces);
     let wrong = normals.iter().enumerate().filter(|(i, n)| **n != if *i < 4 { Vec3::Z } else { Vec3::ZERO }).count();
     let area: f32 = vertex_areas(&vertices, &faces).iter().sum();

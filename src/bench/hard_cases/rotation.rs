@@ -145,7 +145,7 @@ fn beyond_half_a_turn() -> Result<Outcome> {
     use glam::{DQuat, DVec3};
     let axis = DVec3::from_array(AXIS).normalize();
     let (mut of_vector, mut of_rotation) = (0f64, 0f64);
-    for angle in [3.2, 4.0, 5.0, 6.28, 7.0, 9.0, 12.0] {
+    for angle in [3.2, 4.0, 5.0, 6.2, 7.0, 9.0, 12.0] {
         let q = DQuat::from_axis_angle(axis, angle);
         let vector = crate::sim::rig::rotation_vector(q);
         of_vector = of_vector.max((vector - axis * angle).length());
