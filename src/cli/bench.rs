@@ -78,7 +78,8 @@ mod with_sim {
             let row = run(case).with_context(|| format!("case {}", case.name))?;
             let outcome = &row.outcome;
             let verdict = outcome.verdict();
-            println!("{:32} {:.3e} -> {:.3e}  {}", row.name, outcome.unguarded, outcome.remedied, outcome.guard);
+            let before = outcome.unguarded.map_or("refused".into(), |error| format!("{error:.2e}"));
+            println!("{:32} {before:>9} -> {:.2e}  {}", row.name, outcome.remedied, outcome.guard);
             if let Err(why) = verdict {
                 good = false;
                 println!("{:32} FAILED: {why}", "");

@@ -55,7 +55,7 @@ fn welded_and_gripped() -> Result<Outcome> {
     Ok(Outcome {
         error_of: "grip above 5 N, N",
         tolerance: 0.1,
-        unguarded: unguarded.0,
+        unguarded: Some(unguarded.0),
         guard: unguarded.1.said,
         remedied: remedied.0,
         remedied_guard: remedied.1.refused,
@@ -83,7 +83,7 @@ fn huge_servo_gain() -> Result<Outcome> {
     Ok(Outcome {
         error_of: "angle, rad",
         tolerance: 1e-5,
-        unguarded: unguarded.0,
+        unguarded: Some(unguarded.0),
         guard: unguarded.1.said,
         remedied: remedied.0,
         remedied_guard: remedied.1.refused,

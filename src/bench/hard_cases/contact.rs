@@ -61,7 +61,7 @@ pub(super) const CASES: &[HardCase] = &[
 fn pair(unguarded: (f64, Watched), remedied: (f64, Watched), error_of: &'static str, tolerance: f64) -> Outcome {
     let (unguarded, guard) = (unguarded.0, unguarded.1.said);
     let (remedied, remedied_guard) = (remedied.0, remedied.1.refused);
-    Outcome { error_of, tolerance, unguarded, guard, remedied, remedied_guard }
+    Outcome { error_of, tolerance, unguarded: Some(unguarded), guard, remedied, remedied_guard }
 }
 
 fn mass_ratio(ratio: f64) -> Result<Outcome> {
@@ -172,7 +172,7 @@ fn tiny_mass() -> Result<Outcome> {
         Err(error) => (1.0, error.to_string()),
     };
     let error_of = "models refused or taken against reason";
-    Ok(Outcome { error_of, tolerance: 0.0, unguarded, guard, remedied, remedied_guard })
+    Ok(Outcome { error_of, tolerance: 0.0, unguarded: Some(unguarded), guard, remedied, remedied_guard })
 }
 
 fn impact(speed: f64, time: f64, timestep: f64) -> Result<(f64, f64, Watched)> {

@@ -42,7 +42,7 @@ fn outcome<T, U>(bad: impl IntoIterator<Item = Result<T>>, good: Result<U>) -> R
     Ok(Outcome {
         error_of: "values taken that are no numbers",
         tolerance: 0.0,
-        unguarded: through,
+        unguarded: Some(through),
         // One that passes must not hide behind those that do not.
         guard: if through > 0.0 { String::new() } else { guard },
         remedied: 0.0,

@@ -40,7 +40,7 @@ fn whole_turns() -> Result<Outcome> {
     Ok(Outcome {
         error_of: "vertices, mm",
         tolerance: 0.05,
-        unguarded: many,
+        unguarded: Some(many),
         guard: String::new(),
         remedied: one,
         remedied_guard: String::new(),
@@ -67,7 +67,7 @@ fn without_numbers() -> Result<Outcome> {
     Ok(Outcome {
         error_of: "force on the vertices, relative",
         tolerance: 1e-6,
-        unguarded: f64::NAN,
+        unguarded: None,
         guard,
         remedied: good?,
         remedied_guard: String::new(),

@@ -61,7 +61,7 @@ fn held(as_written: impl FnOnce(&mut Unchecked), remedy: impl FnOnce(&mut Unchec
     Ok(Outcome {
         error_of: "slip of the held box, mm/s",
         tolerance: 0.5,
-        unguarded: unguarded.0,
+        unguarded: Some(unguarded.0),
         guard: unguarded.1.said,
         remedied: remedied.0,
         remedied_guard: remedied.1.refused,

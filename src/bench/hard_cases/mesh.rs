@@ -106,7 +106,7 @@ fn degenerate() -> Result<Outcome> {
         Err(error) => (1.0, error.to_string()),
     };
     let error_of = "meshes refused or taken against reason";
-    Ok(Outcome { error_of, tolerance: 0.0, unguarded, guard, remedied, remedied_guard })
+    Ok(Outcome { error_of, tolerance: 0.0, unguarded: Some(unguarded), guard, remedied, remedied_guard })
 }
 
 fn silently_faulty() -> Result<Outcome> {
@@ -141,7 +141,7 @@ fn outcome(meshes: &[Mesh], guard: String, clean: &Mesh) -> Result<Outcome> {
     Ok(Outcome {
         error_of: "faulty meshes that the engine takes",
         tolerance: 0.0,
-        unguarded: taken as f64,
+        unguarded: Some(taken as f64),
         guard,
         remedied: faults.len() as f64,
         remedied_guard: faults.join(", "),
@@ -163,7 +163,7 @@ fn paper_thin() -> Result<Outcome> {
     Ok(Outcome {
         error_of: "depth in the floor, % of its thickness",
         tolerance: 20.0,
-        unguarded: unguarded.0,
+        unguarded: Some(unguarded.0),
         guard: unguarded.1.said,
         remedied: remedied.0,
         remedied_guard: remedied.1.refused,
@@ -190,7 +190,7 @@ fn no_inertia() -> Result<Outcome> {
         Err(error) => (1.0, error.to_string()),
     };
     let error_of = "bodies refused or taken against reason";
-    Ok(Outcome { error_of, tolerance: 0.0, unguarded, guard, remedied, remedied_guard })
+    Ok(Outcome { error_of, tolerance: 0.0, unguarded: Some(unguarded), guard, remedied, remedied_guard })
 }
 
 /// A sliding ball rolls in the end; what friction takes depends on its inertia: 5/7 of the speed stay for a solid ball.
@@ -207,7 +207,7 @@ fn tiny_inertia() -> Result<Outcome> {
     Ok(Outcome {
         error_of: "speed of a ball that slid and rolls, %",
         tolerance: 2.0,
-        unguarded: unguarded.0,
+        unguarded: Some(unguarded.0),
         guard: unguarded.1.said,
         remedied: remedied.0,
         remedied_guard: remedied.1.refused,

@@ -84,9 +84,9 @@ pub struct Outcome {
     pub error_of: &'static str,
     /// The error that is borne.
     pub tolerance: f64,
-    /// Error as the user wrote it.
-    #[serde(serialize_with = "finite_or_word")]
-    pub unguarded: f64,
+    /// Error as the user wrote it; `None` = it was refused, and not run: the process or the machine's memory is at stake.
+    #[serde(serialize_with = "optional_or_word")]
+    pub unguarded: Option<f64>,
     /// What the guards say about it; empty = nothing.
     pub guard: String,
     /// Error with the remedy.
@@ -104,8 +104,13 @@ impl Outcome {
     pub fn verdict(&self) -> std::result::Result<(), String> {
         let right = |error: f64| error.abs() <= self.tolerance;
         let (error_of, tolerance) = (self.error_of, self.tolerance);
-        if !right(self.unguarded) && self.guard.is_empty() {
-            return Err(format!("{error_of} is {:.3e}, allowed {tolerance:.3e}, and no guard says so", self.unguarded));
+        let silent = self.guard.is_empty();
+        match self.unguarded {
+            Some(error) if !right(error) && silent => {
+                return Err(format!("{error_of} is {error:.3e}, allowed {tolerance:.3e}, and no guard says so"));
+            }
+            None if silent => return Err("it was not run, and nothing says why".into()),
+            _ => {}
         }
         if !right(self.remedied) {
             return Err(format!("{error_of} is {:.3e} with the remedy, allowed {tolerance:.3e}", self.remedied));
@@ -169,6 +174,14 @@ fn finite_or_word<S: Serializer>(value: &f64, serializer: S) -> std::result::Res
     match value.is_finite() {
         true => serializer.serialize_f64(*value),
         false => serializer.serialize_str("lost"),
+    }
+}
+
+/// `null` where there was no run.
+fn optional_or_word<S: Serializer>(value: &Option<f64>, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+    match value {
+        Some(value) => finite_or_word(value, serializer),
+        None => serializer.serialize_none(),
     }
 }
 

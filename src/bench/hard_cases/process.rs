@@ -42,7 +42,7 @@ pub(super) const CASES: &[HardCase] = &[
     case("small_memory", "36 boxes on the floor in 100 kB of memory", "the engine's own size", small_memory),
 ];
 
-/// What must be refused counts as lost without the refusal: the process would be.
+/// What must be refused is not run without the refusal: the process would end, or stand still.
 fn refused(bad: Vec<Result<World>>, good: Result<World>) -> Outcome {
     let (through, guard) = accepted(bad);
     let (remedied, remedied_guard) = match good {
@@ -53,7 +53,7 @@ fn refused(bad: Vec<Result<World>>, good: Result<World>) -> Outcome {
         Err(error) => (1.0, error.to_string()),
     };
     let guard = if through > 0.0 { String::new() } else { guard };
-    Outcome { error_of: "the process", tolerance: 0.0, unguarded: f64::NAN, guard, remedied, remedied_guard }
+    Outcome { error_of: "the process", tolerance: 0.0, unguarded: None, guard, remedied, remedied_guard }
 }
 
 fn invalid_options() -> Result<Outcome> {

@@ -19,7 +19,8 @@ pub fn markdown(rows: &[Row], machine: &Machine) -> String {
          numbers. Tests run the same rows: as written a case is right within its tolerance or flagged, and the remedy is right\n\
          and not flagged.\n\n\
          An audit looks at a model before its first step: its errors refuse the model, its advice is logged. A guard looks at\n\
-         every step and every frame, and its reason becomes the frame's validity. \"lost\" = not a number, or never came.\n",
+         every step and every frame, and its reason becomes the frame's validity. \"lost\" = not a number, or infinite;\n\
+         \"refused\" = not run: it would end the process, or take all memory.\n",
         env!("CARGO_PKG_VERSION"),
     );
     let mut family = None;
@@ -44,7 +45,7 @@ pub fn markdown(rows: &[Row], machine: &Machine) -> String {
                 cell(row.recipe),
                 cell(outcome.error_of),
                 number(outcome.tolerance),
-                number(outcome.unguarded),
+                outcome.unguarded.map_or("refused".into(), number),
                 cell(guard),
                 cell(row.remedy),
                 number(outcome.remedied),

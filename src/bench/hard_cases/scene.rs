@@ -57,10 +57,13 @@ fn rest(edge: f64, mass: f64, x: f64, camera: &str) -> Result<(f64, String)> {
     Ok((1e3 * (height - 0.5 * edge).abs(), said))
 }
 
-/// A run that is refused counts as lost, with the refusal as what was said.
+/// Where a run is refused, the refusal is what was said.
 fn outcome(as_written: Result<(f64, String)>, remedied: Result<(f64, String)>) -> Outcome {
-    let said = |run: Result<(f64, String)>| run.unwrap_or_else(|error| (f64::NAN, error.to_string()));
-    let ((unguarded, guard), (remedied, remedied_guard)) = (said(as_written), said(remedied));
+    let (unguarded, guard) = match as_written {
+        Ok((error, said)) => (Some(error), said),
+        Err(error) => (None, error.to_string()),
+    };
+    let (remedied, remedied_guard) = remedied.unwrap_or_else(|error| (f64::NAN, error.to_string()));
     Outcome { error_of: "height of the cube at rest, mm", tolerance: 0.1, unguarded, guard, remedied, remedied_guard }
 }
 

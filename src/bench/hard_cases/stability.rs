@@ -57,7 +57,7 @@ fn falls(flag: &str, solref: &str, physics: &PhysicsOptions) -> Result<(f64, Wat
 fn pair(unguarded: (f64, Watched), remedied: (f64, Watched), error_of: &'static str, tolerance: f64) -> Outcome {
     let (unguarded, guard) = (unguarded.0, unguarded.1.said);
     let (remedied, remedied_guard) = (remedied.0, remedied.1.refused);
-    Outcome { error_of, tolerance, unguarded, guard, remedied, remedied_guard }
+    Outcome { error_of, tolerance, unguarded: Some(unguarded), guard, remedied, remedied_guard }
 }
 
 fn stiff_without_refsafe() -> Result<Outcome> {

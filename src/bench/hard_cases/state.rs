@@ -86,7 +86,7 @@ fn not_a_number() -> Result<Outcome> {
     Ok(Outcome {
         error_of: "spoilt states that were simulated",
         tolerance: 0.0,
-        unguarded: f64::from(lost),
+        unguarded: Some(f64::from(lost)),
         guard,
         remedied: accepted(spoilt).0,
         remedied_guard: String::new(),
@@ -111,7 +111,14 @@ fn no_rotation() -> Result<Outcome> {
     let found = world.orientation(world.body_of(joint));
     let error_of = "rotation taken against reason, or missed, rad";
     let remedied = found.angle_between(turned);
-    Ok(Outcome { error_of, tolerance: 1e-7, unguarded, guard, remedied, remedied_guard: String::new() })
+    Ok(Outcome {
+        error_of,
+        tolerance: 1e-7,
+        unguarded: Some(unguarded),
+        guard,
+        remedied,
+        remedied_guard: String::new(),
+    })
 }
 
 fn full_memory() -> Result<Outcome> {
@@ -135,7 +142,7 @@ fn full_memory() -> Result<Outcome> {
     Ok(Outcome {
         error_of: "memory in use, %",
         tolerance: 80.0,
-        unguarded: unguarded.0,
+        unguarded: Some(unguarded.0),
         guard: unguarded.1.said,
         remedied: remedied.0,
         remedied_guard: remedied.1.refused,
@@ -153,7 +160,7 @@ fn sleeping() -> Result<Outcome> {
     Ok(Outcome {
         error_of: "force that carries the box, %",
         tolerance: 0.1,
-        unguarded: unguarded.0,
+        unguarded: Some(unguarded.0),
         guard: unguarded.1.said,
         remedied: remedied.0,
         remedied_guard: remedied.1.refused,
