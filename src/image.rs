@@ -62,8 +62,14 @@ impl Preparation {
     /// Resizes and normalises. Returns `(3, side, side)`, row-major, channels red, green, blue.
     ///
     /// # Errors
-    /// If the image is empty.
+    /// If the image is empty, or mean or deviation would give values that are not finite.
     pub fn apply(&self, image: &RgbImage) -> Result<Vec<f32>> {
+        if let Some(mean) = self.mean.iter().find(|mean| !mean.is_finite()) {
+            return Err(Error::value("mean", "finite numbers", mean));
+        }
+        if let Some(std) = self.std.iter().find(|std| !(std.is_normal() && **std > 0.0)) {
+            return Err(Error::value("std", "positive numbers", std));
+        }
         let square = resize(image, self.side, self.resize, self.filter)?;
         Ok(normalise(&square, self.mean, self.std))
     }

@@ -32,6 +32,7 @@
 //! | `mujoco`, `sim` | physics; scenes whose touch is known (feature `sim`) |
 //! | [`train`] | from stores to a checkpoint |
 //! | [`verify`] | labels and predictions against simulated truth |
+//! | [`bench`] | what accuracy costs, what breaks |
 //! | `node` | the ROS 2 nodes (feature `ros`) |
 //! | [`cli`] | the commands |
 //!
@@ -41,6 +42,7 @@
 //! hold the left hand first, 778 values each.
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
+pub mod bench;
 pub mod cli;
 pub mod dataset;
 pub mod error;

@@ -75,11 +75,19 @@ pub enum Validity {
     Unbalanced = 5,
     /// The solver hit its iteration cap.
     NotConverged = 6,
+    /// Kinetic energy came or went without work.
+    EnergyError = 7,
+    /// The engine's memory for contacts is nearly full.
+    MemoryFull = 8,
+    /// A held object slips slowly though friction should hold it.
+    Creeping = 9,
+    /// Friction is beyond what its cone allows.
+    OutsideCone = 10,
 }
 
 impl Validity {
     /// All kinds, in the order of their codes.
-    pub const ALL: [Validity; 7] = [
+    pub const ALL: [Validity; 11] = [
         Self::Valid,
         Self::EngineWarning,
         Self::NotFinite,
@@ -87,6 +95,10 @@ impl Validity {
         Self::TooDeep,
         Self::Unbalanced,
         Self::NotConverged,
+        Self::EnergyError,
+        Self::MemoryFull,
+        Self::Creeping,
+        Self::OutsideCone,
     ];
 
     /// The code as stores and messages carry it; 0 is valid.
@@ -104,6 +116,10 @@ impl Validity {
             Self::TooDeep => "a contact is deeper than the bodies allow",
             Self::Unbalanced => "contact forces do not balance weight and acceleration",
             Self::NotConverged => "the solver hit its iteration cap",
+            Self::EnergyError => "kinetic energy came or went without work",
+            Self::MemoryFull => "the engine's memory for contacts is nearly full",
+            Self::Creeping => "a held object slips slowly",
+            Self::OutsideCone => "friction is beyond its cone",
         }
     }
 }

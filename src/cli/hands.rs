@@ -9,10 +9,10 @@ use crate::hand::{HandModel, Side};
 pub struct Hands {
     /// Left MANO file in place of the built-in hand; needs --mano-right.
     #[arg(long, requires = "mano_right")]
-    mano_left: Option<PathBuf>,
+    pub mano_left: Option<PathBuf>,
     /// Right MANO file in place of the built-in hand; needs --mano-left.
     #[arg(long, requires = "mano_left")]
-    mano_right: Option<PathBuf>,
+    pub mano_right: Option<PathBuf>,
 }
 
 impl Hands {

@@ -1,5 +1,6 @@
 //! The command line: arguments and dispatch; one file per command.
 
+mod bench;
 mod data;
 mod demo;
 mod doctor;
@@ -44,6 +45,8 @@ enum Command {
     Model(model::Args),
     /// Stores: info.
     Data(data::Args),
+    /// What accuracy costs and what breaks: hard cases, guards.
+    Bench(bench::Args),
     /// The main job, end to end, on this machine.
     Demo(demo::Args),
 }
@@ -60,6 +63,7 @@ pub fn main() -> ExitCode {
         Command::Verify(args) => verify::run(args),
         Command::Model(args) => model::run(args),
         Command::Data(args) => data::run(args),
+        Command::Bench(args) => bench::run(args),
         Command::Demo(args) => demo::run(args),
     };
     match result {

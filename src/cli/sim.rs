@@ -24,6 +24,9 @@ enum Command {
     Run(Run),
     /// Simulate many episodes and write them as one Zarr store; the same command continues an interrupted one.
     Generate(Generate),
+    /// What `generate` starts: records the episodes that it is told on standard input.
+    #[command(hide = true)]
+    Worker(Worker),
 }
 
 #[derive(Debug, clap::Args)]
@@ -113,12 +116,33 @@ struct Generate {
     /// Draw shadows (ten times slower).
     #[arg(long)]
     shadows: bool,
-    /// Episodes simulated at a time.
+    /// Episodes simulated at a time, each in a process of its own.
     #[arg(long, default_value_t = 2)]
     jobs: usize,
+    /// Simulate in threads of this process: if the engine ends one episode, it ends all.
+    #[arg(long)]
+    in_process: bool,
+    /// Leave out episodes that fail, and name them, instead of writing no store.
+    #[arg(long, conflicts_with = "in_process")]
+    skip_failed: bool,
     /// Store to write; must not exist.
     #[arg(long)]
     out: PathBuf,
+    #[command(flatten)]
+    hands: Hands,
+}
+
+#[derive(Debug, clap::Args)]
+struct Worker {
+    /// Names of scenes, or YAML files.
+    #[arg(required = true)]
+    scenes: Vec<String>,
+    /// Width and height of the picture, pixels.
+    #[arg(long)]
+    size: u32,
+    /// Draw shadows.
+    #[arg(long)]
+    shadows: bool,
     #[command(flatten)]
     hands: Hands,
 }
@@ -132,6 +156,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Explain(_) => "sim explain",
         Command::Run(_) => "sim run",
         Command::Generate(_) => "sim generate",
+        Command::Worker(_) => "sim worker",
     };
     Err(super::feature_off(name, "sim"))
 }
@@ -145,22 +170,24 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Explain(args) => with_sim::explain(&args)?,
         Command::Run(args) => with_sim::run(&args)?,
         Command::Generate(args) => with_sim::generate(&args)?,
+        Command::Worker(args) => with_sim::work(&args)?,
     }
     Ok(ExitCode::SUCCESS)
 }
 
 #[cfg(feature = "sim")]
 mod with_sim {
+    use std::ffi::OsString;
     use std::path::Path;
 
     use ::image::{GenericImage, Rgb, RgbImage};
     use anyhow::{Context, ensure};
     use indicatif::{ProgressBar, ProgressStyle};
 
-    use super::{Explain, Generate, Hands, Run, Show};
+    use super::{Explain, Generate, Hands, Run, Show, Worker};
     use crate::file;
     use crate::hand::Side;
-    use crate::sim::{self, Rollout, RolloutOptions, SHIPPED, Scene, SimFrame, Summary};
+    use crate::sim::{self, Rollout, RolloutOptions, SHIPPED, Scene, SimFrame, Summary, Workers};
 
     pub fn list() -> anyhow::Result<()> {
         let width = SHIPPED.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
@@ -288,9 +315,36 @@ mod with_sim {
             options: options(&args.hands, args.size, args.shadows)?,
         };
         let bar = progress_bar("episodes");
-        let summary = sim::generate(&plan, &args.out, |done, all| step(&bar, done, all))?;
+        let progress = |done, all| step(&bar, done, all);
+        let summary = match args.in_process {
+            true => sim::generate(&plan, &args.out, progress)?,
+            false => sim::generate_isolated(&plan, &workers(args)?, args.skip_failed, &args.out, progress)?,
+        };
         bar.finish_and_clear();
         print(&summary, &args.out);
+        Ok(())
+    }
+
+    /// This program with the same scenes and options.
+    fn workers(args: &Generate) -> anyhow::Result<Workers> {
+        let program = std::env::current_exe().context("where this program lies")?;
+        let mut arguments: Vec<OsString> = ["sim", "worker"].map(OsString::from).to_vec();
+        arguments.extend(["--size".into(), args.size.to_string().into()]);
+        if args.shadows {
+            arguments.push("--shadows".into());
+        }
+        for (flag, path) in [("--mano-left", &args.hands.mano_left), ("--mano-right", &args.hands.mano_right)] {
+            arguments.extend(path.iter().flat_map(|path| [flag.into(), path.clone().into_os_string()]));
+        }
+        arguments.push("--".into());
+        arguments.extend(args.scenes.iter().map(OsString::from));
+        Ok(Workers { program, arguments })
+    }
+
+    pub fn work(args: &Worker) -> anyhow::Result<()> {
+        let scenes = args.scenes.iter().map(|name| Scene::load(name)).collect::<crate::Result<Vec<_>>>()?;
+        let options = options(&args.hands, args.size, args.shadows)?;
+        sim::isolate::serve(&scenes, &options, std::io::stdin().lock(), std::io::stdout().lock())?;
         Ok(())
     }
 
@@ -346,6 +400,9 @@ mod with_sim {
             summary.sum_residual,
             summary.moment_residual,
         );
+        for failed in &summary.failed {
+            println!("left out: {failed}");
+        }
         for (reason, count) in &summary.invalid {
             println!("{count} frames not valid: {reason}");
         }

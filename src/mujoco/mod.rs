@@ -2,14 +2,19 @@
 //!
 //! The engine ends the process on some invalid options; nothing reaches it here that [`options`] has not checked.
 
+pub mod audit;
 pub mod facts;
+mod fatal;
 pub mod flex;
+mod inspect;
 pub mod options;
 pub mod renderer;
 pub mod world;
 
+pub use audit::{Expectation, Finding, Rule, Severity, audit};
 pub use facts::Facts;
 pub use flex::Flex;
+pub use inspect::Grip;
 pub use options::{Cone, Integrator, PhysicsOptions, Solver};
 pub use renderer::Renderer;
 pub use world::{Contact, World};

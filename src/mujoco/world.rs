@@ -3,6 +3,7 @@
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use mujoco_rs::prelude::*;
 
+use super::fatal::refuse_what_ends_the_process;
 use super::options::{Integrator, PhysicsOptions};
 use crate::error::{Error, Result};
 
@@ -32,9 +33,9 @@ pub struct Servo {
 /// A free joint: 7 positions (xyz, quaternion wxyz), 6 velocities (linear in the world, angular in the body frame).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct FreeJoint {
-    body: Body,
-    qpos: usize,
-    dof: usize,
+    pub(super) body: Body,
+    pub(super) qpos: usize,
+    pub(super) dof: usize,
 }
 
 /// The vertices of a skin that bodies carry, for pictures only.
@@ -71,9 +72,7 @@ impl World {
     pub fn from_mjcf(mjcf: &str, options: &PhysicsOptions) -> Result<Self> {
         keep_quiet();
         let mut model = MjModel::from_xml_string(mjcf).map_err(|e| Error::Engine(e.to_string()))?;
-        if model.ffi().nflex > 0 && options.integrator != Integrator::Discrete {
-            return Err(Error::value("integrator", "discrete, which a soft body needs", "another one"));
-        }
+        refuse_what_ends_the_process(&model, options)?;
         let opt = model.opt_mut();
         opt.timestep = options.timestep;
         opt.cone = match options.cone {
@@ -209,6 +208,19 @@ impl World {
         self.data.reset();
     }
 
+    /// Everything that decides how the simulation goes on, to come back to with [`Self::set_state`].
+    pub fn state(&self) -> Vec<f64> {
+        self.data.state(MjtState::mjSTATE_INTEGRATION as u32).into_vec()
+    }
+
+    /// Goes back to a state.
+    ///
+    /// # Errors
+    /// If it is of another model.
+    pub fn set_state(&mut self, state: &[f64]) -> Result<()> {
+        self.data.set_state(state, MjtState::mjSTATE_INTEGRATION as u32).map_err(|e| Error::Engine(e.to_string()))
+    }
+
     /// Simulated seconds.
     pub fn time(&self) -> f64 {
         self.data.time()
@@ -283,10 +295,41 @@ impl World {
     }
 
     /// Places a free body.
-    pub fn set_pose(&mut self, joint: FreeJoint, position: DVec3, orientation: DQuat) {
+    ///
+    /// # Errors
+    /// If the position is not finite or the orientation is no rotation: the engine would take a zero quaternion for "not
+    /// turned" and keep one of another length as it is.
+    pub fn set_pose(&mut self, joint: FreeJoint, position: DVec3, orientation: DQuat) -> Result<()> {
+        if !position.is_finite() {
+            return Err(Error::value("position", "finite metres", position));
+        }
+        let length = orientation.length();
+        if !length.is_finite() || (length - 1.0).abs() > 1e-3 {
+            return Err(Error::value("orientation", "a unit quaternion", format!("length {length}")));
+        }
+        let orientation = orientation.normalize();
         let qpos = &mut self.data.qpos_mut()[joint.qpos..joint.qpos + 7];
         qpos[..3].copy_from_slice(&position.to_array());
         qpos[3..].copy_from_slice(&[orientation.w, orientation.x, orientation.y, orientation.z]);
+        Ok(())
+    }
+
+    /// Positions to overwrite, as [`Self::qpos`] has them. Nothing is checked here; a guard sees what becomes of it.
+    pub fn qpos_mut(&mut self) -> &mut [f64] {
+        self.data.qpos_mut()
+    }
+
+    /// Velocities to overwrite, as [`Self::qvel`] has them. Nothing is checked here; a guard sees what becomes of it.
+    pub fn qvel_mut(&mut self) -> &mut [f64] {
+        self.data.qvel_mut()
+    }
+
+    /// Pulls at a body's centre of mass in every step from now on: force, N, and torque, N m, in the world frame. Nothing
+    /// is checked here; a guard sees what becomes of it.
+    pub fn apply_force(&mut self, Body(body): Body, force: DVec3, torque: DVec3) {
+        let [fx, fy, fz] = force.to_array();
+        let [tx, ty, tz] = torque.to_array();
+        self.data.xfrc_applied_mut()[body] = [fx, fy, fz, tx, ty, tz];
     }
 
     /// Places a mocap body.
@@ -352,6 +395,10 @@ impl World {
                 force: axis(0) * normal + axis(1) * t1 + axis(2) * t2,
             })
         })
+    }
+
+    pub(super) fn data(&self) -> &MjData<Box<MjModel>> {
+        &self.data
     }
 
     pub(super) fn data_mut(&mut self) -> &mut MjData<Box<MjModel>> {
@@ -423,7 +470,7 @@ mod tests {
         for _ in 0..10 {
             world.step();
         }
-        world.set_pose(joint, DVec3::splat(f64::NAN), DQuat::IDENTITY);
+        world.qpos_mut()[joint.qpos] = f64::NAN;
         world.step();
         assert!(world.warnings() > 0);
         assert!(!world.is_finite());

@@ -16,6 +16,7 @@ pub mod effect;
 pub mod explain;
 pub mod guard;
 pub mod ik;
+pub mod isolate;
 pub mod look;
 pub mod mjcf;
 pub mod object;
@@ -31,6 +32,7 @@ pub mod touchable;
 pub mod view;
 
 pub use effect::{Effect, EffectPlan, EffectSet};
+pub use isolate::{Workers, generate_isolated};
 pub use record::{Generate, Summary, generate, record};
 pub use rollout::{Rollout, RolloutOptions, SimFrame};
 pub use scene::{SHIPPED, Scene};

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::effect::Observation;
@@ -43,6 +44,8 @@ pub struct Summary {
     pub sum_residual: f64,
     /// Largest moment added by spreading, N m, in episodes made by this call.
     pub moment_residual: f64,
+    /// Episodes that failed and were left out: scene, seed and why.
+    pub failed: Vec<String>,
 }
 
 /// A training set to make.
@@ -91,11 +94,41 @@ pub fn record(
 
 /// Makes a training set as one store at `out`; `progress` is called after each episode with (done, all).
 ///
-/// Finished episodes wait beside it in `OUT.parts`; the same call continues an interrupted one.
+/// Finished episodes wait beside it in `OUT.parts`; the same call continues an interrupted one. An episode that fails
+/// does not keep the others from being made.
 ///
 /// # Errors
-/// If there is already something at `out`, the parts belong to another call, or an episode fails.
+/// If there is already something at `out`, the parts belong to another call, or an episode fails; the error names the
+/// scenes and seeds of those.
 pub fn generate(plan: &Generate, out: &Path, progress: impl Fn(usize, usize) + Sync) -> Result<Summary> {
+    let recorder = || {
+        let record = |scene: usize, seed: u64, out: &Path| -> Result<Residuals> {
+            let summary = record(&plan.scenes[scene], seed, &plan.options, out, |_, _| ())?;
+            Ok(Residuals { sum: summary.sum_residual, moment: summary.moment_residual })
+        };
+        Box::new(record) as Recorder
+    };
+    generate_by(plan, &recorder, false, out, progress)
+}
+
+/// Records the episode (index of the scene, seed) as a store of its own.
+pub(super) type Recorder<'a> = Box<dyn FnMut(usize, u64, &Path) -> Result<Residuals> + 'a>;
+
+/// Largest residuals of an episode, as [`Summary`] has them.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Residuals {
+    pub sum: f64,
+    pub moment: f64,
+}
+
+/// [`generate`] by recorders, one for each job; `skip_failed` leaves out episodes that fail.
+pub(super) fn generate_by<'a>(
+    plan: &Generate,
+    recorder: &(dyn Fn() -> Recorder<'a> + Sync),
+    skip_failed: bool,
+    out: &Path,
+    progress: impl Fn(usize, usize) + Sync,
+) -> Result<Summary> {
     if out.exists() {
         return Err(Error::file(out, "exists already; choose another name or remove it"));
     }
@@ -110,45 +143,50 @@ pub fn generate(plan: &Generate, out: &Path, progress: impl Fn(usize, usize) + S
 
     let next = AtomicUsize::new(0);
     let done = AtomicUsize::new(0);
-    let failed: Mutex<Option<Error>> = Mutex::new(None);
-    let summaries: Mutex<Vec<Summary>> = Mutex::new(Vec::new());
+    let failed: Mutex<Vec<String>> = Mutex::new(Vec::new());
+    let residuals: Mutex<Residuals> = Mutex::new(Residuals::default());
     let work = || {
+        let mut record = recorder();
         loop {
             let index = next.fetch_add(1, Ordering::Relaxed);
-            if index >= plan.episodes || failed.lock().is_ok_and(|f| f.is_some()) {
+            if index >= plan.episodes {
                 return;
             }
-            let scene = &plan.scenes[index % plan.scenes.len()];
+            let (scene, seed) = (index % plan.scenes.len(), plan.seed + index as u64);
             if !part(index).exists() {
-                match record(scene, plan.seed + index as u64, &plan.options, &part(index), |_, _| ()) {
-                    Ok(summary) => {
-                        if let Ok(mut summaries) = summaries.lock() {
-                            summaries.push(summary);
-                        }
+                match (record(scene, seed, &part(index)), residuals.lock(), failed.lock()) {
+                    (Ok(new), Ok(mut most), _) => {
+                        *most = Residuals { sum: most.sum.max(new.sum), moment: most.moment.max(new.moment) };
                     }
-                    Err(error) => {
-                        let name = format!("{} with seed {}", scene.name, plan.seed + index as u64);
-                        if let Ok(mut failed) = failed.lock() {
-                            failed.get_or_insert(Error::file(name, error));
-                        }
-                        return;
+                    (Err(error), _, Ok(mut failed)) => {
+                        failed.push(format!("{} with seed {seed}: {error}", plan.scenes[scene].name));
                     }
+                    _ => {}
                 }
             }
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, plan.episodes);
         }
     };
     std::thread::scope(|scope| (0..plan.jobs).for_each(|_| drop(scope.spawn(work))));
-    if let Ok(Some(error)) = failed.into_inner() {
-        return Err(error);
+    let mut failed = failed.into_inner().unwrap_or_default();
+    failed.sort();
+    if failed.len() == plan.episodes || !(failed.is_empty() || skip_failed) {
+        return Err(Error::file(&folder, all_failed(&failed, plan.episodes)));
     }
     let mut total = merge(plan, out, &part)?;
     fs::remove_dir_all(&folder).map_err(Error::io(&folder))?;
-    for summary in summaries.into_inner().unwrap_or_default() {
-        total.sum_residual = total.sum_residual.max(summary.sum_residual);
-        total.moment_residual = total.moment_residual.max(summary.moment_residual);
-    }
+    let most = residuals.into_inner().unwrap_or_default();
+    (total.sum_residual, total.moment_residual) = (most.sum, most.moment);
+    total.failed = failed;
     Ok(total)
+}
+
+/// Names the first few.
+fn all_failed(failed: &[String], episodes: usize) -> String {
+    const NAMED: usize = 5;
+    let named = failed.iter().take(NAMED).map(String::as_str).collect::<Vec<_>>().join("; ");
+    let more = if failed.len() > NAMED { format!("; and {} more", failed.len() - NAMED) } else { String::new() };
+    format!("{} of {episodes} episodes failed: {named}{more}; the others are kept here", failed.len())
 }
 
 /// Makes the folder of parts, or refuses one that another plan has begun.
@@ -184,7 +222,8 @@ fn merge(plan: &Generate, out: &Path, part: &dyn Fn(usize) -> PathBuf) -> Result
     let attributes = attributes(&plan.scenes, plan.seed, &plan.options);
     let mut writer = ZarrWriter::create(out, attributes, Contact::Truth, extras.arrays())?;
     let mut entries: Vec<Value> = Vec::new();
-    for index in 0..plan.episodes {
+    // Those that failed left no part.
+    for index in (0..plan.episodes).filter(|index| part(*index).exists()) {
         let reader = ZarrReader::open(&part(index))?;
         entries.extend(reader.raw_attributes().get("episodes").and_then(Value::as_array).cloned().unwrap_or_default());
         for frame in 0..reader.len() {

@@ -20,6 +20,7 @@ use crate::hand::{HandModel, HandParams, N_BETAS, N_VERTICES, PosedHand, Side};
 use crate::label::force::link_vertices;
 use crate::label::{ForceSpreader, PROXIMITY, SIGMA};
 use crate::mujoco::World;
+use crate::mujoco::audit::{Expectation, Finding, audit, refuse_errors};
 use crate::mujoco::world::FreeJoint;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Topology, Validity};
 
@@ -144,6 +145,12 @@ impl Rollout {
             hands[hand.side as usize] = Some(HandDriver::new(&mut world, hand, rig, &targets)?);
         }
         let joints: Vec<FreeJoint> = objects.iter().filter_map(|object| object.joint).collect();
+        if effects.contains(Effect::Dynamics) {
+            world.forward();
+            for finding in check(&world)? {
+                tracing::debug!("scene {}, seed {seed}: {}", scene.name, finding.message);
+            }
+        }
         let guard = Guard::new(&world, &joints, MAX_DEPTH);
         let interval = 1.0 / scene.spec.rate;
         let steps_per_frame = physics.steps_in(interval)?;
@@ -288,6 +295,11 @@ impl Rollout {
     /// The physics.
     pub fn world(&self) -> &World {
         &self.world
+    }
+
+    /// The physics, to change it: what the rollout does next goes on from there.
+    pub fn world_mut(&mut self) -> &mut World {
+        &mut self.world
     }
 
     /// Parameters of a hand as it is; `None` = absent.
@@ -464,4 +476,14 @@ fn chosen_effects(plan: &EffectPlan, options: &RolloutOptions) -> Result<EffectS
 
 fn target<'a>(object: &SceneObject, draw: &'a super::randomize::ObjectDraw) -> Target<'a> {
     Target { body: object.body(), shape: &draw.shape, position: draw.position, orientation: draw.orientation }
+}
+
+/// What an episode's model is known to get wrong, looked at before the first step.
+///
+/// # Errors
+/// If something would make its labels false.
+fn check(world: &World) -> Result<Vec<Finding>> {
+    let findings = audit(world, Expectation::default());
+    refuse_errors(&findings)?;
+    Ok(findings)
 }

@@ -21,6 +21,10 @@ use crate::mujoco::PhysicsOptions;
 const RESERVED: [&str; 4] = ["head", "table", "floor", "sky"];
 /// As many as find room around the place where the hands work.
 const MOST_DISTRACTORS: f64 = 40.0;
+/// No camera is farther away, m.
+const FAR_EYE: f64 = 10.0;
+/// Any rotation, rad, and some.
+const TURN: f64 = 10.0;
 
 /// A checked scene.
 ///
@@ -192,7 +196,12 @@ impl Scene {
             }
         }
         within("distractors", spec.distractors, 0.0, MOST_DISTRACTORS)?;
+        for (name, point) in [("camera.eye", &spec.camera.eye), ("camera.target", &spec.camera.target)] {
+            point.iter().try_for_each(|axis| within(name, *axis, -FAR_EYE, FAR_EYE))?;
+        }
         within("camera.fovy", spec.camera.fovy, 5.0, 150.0)?;
+        within("camera.roll", spec.camera.roll, -TURN, TURN)?;
+        within("camera.sway", spec.camera.sway, 0.0, 1.0)?;
         within("camera.noise", spec.camera.noise, 0.0, 255.0)?;
         within("camera.shutter", spec.camera.shutter, 0.0, 1.0 / spec.rate)?;
         EffectPlan::of(spec).map(drop)

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::{positive, within, zero};
+use super::{TURN, positive, within, zero};
 use crate::error::{Error, Result};
 use crate::sim::span::Span;
 
@@ -123,6 +123,9 @@ impl ObjectSpec {
     pub(super) fn check(&self, key: &str) -> Result<()> {
         positive(&format!("{key}.mass"), self.mass)?;
         positive(&format!("{key}.friction"), self.friction)?;
+        // On the table or near it.
+        self.position.iter().try_for_each(|axis| within(&format!("{key}.position"), *axis, -1.0, 1.0))?;
+        within(&format!("{key}.yaw"), self.yaw, -TURN, TURN)?;
         if let Some(friction) = self.table_friction {
             positive(&format!("{key}.table_friction"), friction)?;
         }

@@ -1,0 +1,118 @@
+//! An episode that ends its process takes down nothing else, and is named.
+#![cfg(feature = "sim")]
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use egotac::dataset::EpisodeReader;
+use egotac::dataset::zarr::ZarrReader;
+use egotac::sim::{Generate, RolloutOptions, Scene, Workers, generate_isolated};
+
+fn plan(episodes: usize) -> Generate {
+    let scenes = vec![Scene::load("hover").unwrap()];
+    Generate { scenes, episodes, seed: 5, jobs: 1, options: RolloutOptions::default() }
+}
+
+/// A worker that is a line of shell.
+fn shell(line: &str) -> Workers {
+    Workers { program: "/bin/sh".into(), arguments: vec!["-c".into(), line.into()] }
+}
+
+#[test]
+fn a_process_that_dies_is_named_by_scene_seed_and_end() {
+    let folder = tempfile::tempdir().unwrap();
+    for (line, end) in [("read line; exit 1", "exit status: 1"), ("read line; kill -9 $$", "signal: 9 (SIGKILL)")] {
+        let out = folder.path().join("set");
+        let error = generate_isolated(&plan(2), &shell(line), false, &out, |_, _| ()).unwrap_err().to_string();
+        assert!(error.contains("2 of 2 episodes failed"), "{error}");
+        for seed in [5, 6] {
+            assert!(error.contains(&format!("hover with seed {seed}")), "{error}");
+        }
+        assert!(error.contains(end), "{error}");
+        assert!(!out.exists());
+    }
+}
+
+#[test]
+fn a_worker_that_talks_nonsense_or_cannot_start_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("set");
+    let error = generate_isolated(&plan(1), &shell("echo hello; cat"), false, &out, |_, _| ()).unwrap_err().to_string();
+    assert!(error.contains("hover with seed 5"), "{error}");
+    let none = Workers { program: "/nowhere/egotac".into(), arguments: vec![] };
+    let error = generate_isolated(&plan(1), &none, false, &out, |_, _| ()).unwrap_err().to_string();
+    assert!(error.contains("/nowhere/egotac"), "{error}");
+}
+
+fn egotac(out: &Path, more: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_egotac"));
+    command.args(["sim", "generate", "pinch_cube", "--episodes", "3", "--seed", "30", "--size", "32", "--jobs", "1"]);
+    command.args(more).arg("--out").arg(out).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+/// Children of a process, from the kernel's list.
+fn children(parent: u32) -> Vec<u32> {
+    let tasks = std::fs::read_dir(format!("/proc/{parent}/task")).into_iter().flatten().flatten();
+    let lists = tasks.map(|task| std::fs::read_to_string(task.path().join("children")).unwrap_or_default());
+    lists.flat_map(|list| list.split_whitespace().filter_map(|pid| pid.parse().ok()).collect::<Vec<_>>()).collect()
+}
+
+/// Waits for the first worker to be in the middle of an episode.
+fn working(parent: u32, parts: &Path) -> u32 {
+    let deadline = Instant::now() + Duration::from_secs(120);
+    loop {
+        assert!(Instant::now() < deadline, "no worker began an episode");
+        // Episodes in the making have names with a dot.
+        let entries = std::fs::read_dir(parts).into_iter().flatten().flatten();
+        let begun = entries.map(|entry| entry.file_name()).any(|name| name.to_string_lossy().starts_with('.'));
+        if let (true, Some(pid)) = (begun, children(parent).first()) {
+            return *pid;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn a_killed_worker_costs_one_episode_which_the_same_command_makes_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (out, parts) = (folder.path().join("set"), folder.path().join("set.parts"));
+    let running = egotac(&out, &[]).spawn().unwrap();
+    let worker = working(running.id(), &parts);
+    assert!(Command::new("kill").args(["-9", &worker.to_string()]).status().unwrap().success());
+    let ended = running.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert!(!ended.status.success());
+    assert!(said.contains("1 of 3 episodes failed: pinch_cube with seed 30") && said.contains("SIGKILL"), "{said}");
+    // The others were made, by a worker in its place.
+    let made = |index: usize| parts.join(format!("{index:06}")).exists();
+    assert!(!made(0) && made(1) && made(2) && !out.exists());
+
+    let again = egotac(&out, &[]).output().unwrap();
+    assert!(again.status.success(), "{}", String::from_utf8_lossy(&again.stderr));
+    assert_eq!(ZarrReader::open(&out).unwrap().episode_ends().len(), 3);
+    assert!(!parts.exists());
+
+    // Processes and threads make the same set.
+    let threads = folder.path().join("threads");
+    assert!(egotac(&threads, &["--in-process"]).status().unwrap().success());
+    let [a, b] = [&out, &threads].map(|path| ZarrReader::open(path).unwrap());
+    assert_eq!(a.len(), b.len());
+    for name in ["data/mano_force", "data/camera_ego_rgb"] {
+        assert!(a.read(name, 0..a.len()).unwrap() == b.read(name, 0..b.len()).unwrap(), "{name}");
+    }
+}
+
+#[test]
+fn failed_episodes_can_be_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let (out, parts) = (folder.path().join("set"), folder.path().join("set.parts"));
+    let running = egotac(&out, &["--skip-failed"]).spawn().unwrap();
+    let worker = working(running.id(), &parts);
+    assert!(Command::new("kill").args(["-9", &worker.to_string()]).status().unwrap().success());
+    let ended = running.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stdout);
+    assert!(ended.status.success() && said.contains("left out: pinch_cube with seed 30"), "{said}");
+    assert_eq!(ZarrReader::open(&out).unwrap().episode_ends().len(), 2);
+}
