@@ -31,6 +31,7 @@
 //! | [`dataset`] | Zarr stores, tensor files, MCAP bags |
 //! | `mujoco`, `sim` | physics; scenes whose touch is known (feature `sim`) |
 //! | [`train`] | from stores to a checkpoint |
+//! | [`bench`] | what accuracy costs in time |
 //! | `node` | the ROS 2 nodes (feature `ros`) |
 //! | [`cli`] | the commands |
 //!
@@ -40,6 +41,7 @@
 //! hold the left hand first, 778 values each.
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
+pub mod bench;
 pub mod cli;
 pub mod dataset;
 pub mod error;

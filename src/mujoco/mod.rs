@@ -5,11 +5,18 @@
 pub mod facts;
 pub mod flex;
 pub mod options;
+pub mod preset;
 pub mod renderer;
 pub mod world;
 
 pub use facts::Facts;
 pub use flex::Flex;
 pub use options::{Cone, Integrator, PhysicsOptions, Solver};
+pub use preset::Preset;
 pub use renderer::Renderer;
 pub use world::{Contact, World};
+
+/// Version of the engine this program runs with.
+pub fn version() -> &'static str {
+    mujoco_rs::mujoco_version()
+}

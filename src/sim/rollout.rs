@@ -45,6 +45,10 @@ pub struct RolloutOptions {
     pub effects: Option<EffectSet>,
     /// Width of the kernel that spreads contact forces, m.
     pub sigma: f64,
+    /// Corners that each link's collision hull keeps at most; `None` keeps all.
+    pub hull_corners: Option<usize>,
+    /// Whether guards watch every step; without, frames are checked only at their own instants.
+    pub guards: bool,
 }
 
 impl Default for RolloutOptions {
@@ -56,6 +60,8 @@ impl Default for RolloutOptions {
             shadows: false,
             effects: None,
             sigma: SIGMA,
+            hull_corners: None,
+            guards: true,
         }
     }
 }
@@ -72,6 +78,7 @@ pub struct Rollout {
     effects: EffectSet,
     observe: Vec<Observation>,
     guard: Guard,
+    guards: bool,
     view: Option<View>,
     intrinsics: Intrinsics,
     camera: usize,
@@ -128,7 +135,10 @@ impl Rollout {
                 return Err(Error::value("hands", "left, then right", model.side.name()));
             }
         }
-        let rigs = [HandRig::new(left.clone(), options.betas)?, HandRig::new(right.clone(), options.betas)?];
+        let mut rigs = [HandRig::new(left.clone(), options.betas)?, HandRig::new(right.clone(), options.betas)?];
+        if let Some(corners) = options.hull_corners {
+            rigs.iter_mut().try_for_each(|rig| rig.limit_corners(corners))?;
+        }
         let spreaders = [ForceSpreader::new(left, options.sigma)?, ForceSpreader::new(right, options.sigma)?];
         let episode = Episode::sample(scene, seed, &rigs)?;
         let plan = EffectPlan::of(&scene.spec)?;
@@ -173,6 +183,7 @@ impl Rollout {
             effects,
             observe,
             guard,
+            guards: options.guards,
             view,
             camera,
             head,
@@ -186,7 +197,15 @@ impl Rollout {
     /// # Errors
     /// If rendering fails.
     pub fn next_frame(&mut self) -> Result<Option<SimFrame>> {
-        match self.next_instant(true)? {
+        self.next_frame_watched(|_| ())
+    }
+
+    /// As [`Self::next_frame`]; `watch` sees the world after each step, with the forces that acted during it.
+    ///
+    /// # Errors
+    /// If rendering fails.
+    pub fn next_frame_watched(&mut self, watch: impl FnMut(&World)) -> Result<Option<SimFrame>> {
+        match self.next_instant(true, watch)? {
             Some(validity) => self.observe(validity).map(Some),
             None => Ok(None),
         }
@@ -194,18 +213,23 @@ impl Rollout {
 
     /// Goes to the next frame without a picture or labels; `false` at the end.
     pub fn skip_frame(&mut self) -> bool {
+        self.skip_frame_watched(|_| ())
+    }
+
+    /// As [`Self::skip_frame`]; `watch` sees the world after each step.
+    pub fn skip_frame_watched(&mut self, watch: impl FnMut(&World)) -> bool {
         // Without exposures nothing can fail.
-        matches!(self.next_instant(false), Ok(Some(_)))
+        matches!(self.next_instant(false, watch), Ok(Some(_)))
     }
 
     /// Simulates up to the next frame's instant, with the shutter's exposures on the way if `exposing`.
-    fn next_instant(&mut self, exposing: bool) -> Result<Option<Validity>> {
+    fn next_instant(&mut self, exposing: bool, watch: impl FnMut(&World)) -> Result<Option<Validity>> {
         if self.next >= self.frames {
             return Ok(None);
         }
         let dynamic = self.effects.contains(Effect::Dynamics);
         if self.next > 0 && dynamic {
-            self.advance(exposing)?;
+            self.advance(exposing, watch)?;
         }
         let time = self.next as f64 * self.interval;
         self.next += 1;
@@ -290,6 +314,11 @@ impl Rollout {
         &self.world
     }
 
+    /// The physics as it is now, without what drives and observes it.
+    pub fn into_world(self) -> World {
+        self.world
+    }
+
     /// Parameters of a hand as it is; `None` = absent.
     pub fn hand_params(&self, side: Side) -> Option<HandParams> {
         let driver = self.hands[side as usize].as_ref()?;
@@ -297,7 +326,7 @@ impl Rollout {
         Some(self.rigs[side as usize].params(self.world.position(wrist), self.world.orientation(wrist), &angles))
     }
 
-    fn advance(&mut self, exposing: bool) -> Result<()> {
+    fn advance(&mut self, exposing: bool, mut watch: impl FnMut(&World)) -> Result<()> {
         for step in 0..self.steps_per_frame {
             if self.steps.is_multiple_of(self.steps_per_control) {
                 let interval = self.steps_per_control as f64 * self.world.options().timestep;
@@ -307,7 +336,10 @@ impl Rollout {
             }
             self.world.step();
             self.steps += 1;
-            self.guard.after_step(&self.world);
+            if self.guards {
+                self.guard.after_step(&self.world);
+            }
+            watch(&self.world);
             let left = self.steps_per_frame - step - 1;
             if exposing && self.view.as_ref().is_some_and(|view| view.is_open(left)) && self.world.is_finite() {
                 self.turn_head();

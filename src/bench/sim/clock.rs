@@ -1,0 +1,96 @@
+//! Times of deterministic runs on a shared machine: part by part the least of several interleaved repetitions.
+
+use std::time::Instant;
+
+use super::knob::Setup;
+use crate::error::Result;
+use crate::sim::{Rollout, RolloutOptions, Scene};
+
+/// The least seconds that each part of a run took.
+///
+/// A run repeats bit by bit, so the k-th part does the same work each time. What disturbs a machine that others use too
+/// rarely hits one part of a few milliseconds in all repetitions.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Clock {
+    least: Vec<f64>,
+}
+
+impl Clock {
+    /// Takes down part `index`; parts come in order in each repetition.
+    pub fn add(&mut self, index: usize, seconds: f64) {
+        match self.least.get_mut(index) {
+            Some(least) => *least = least.min(seconds),
+            None => self.least.push(seconds),
+        }
+    }
+
+    /// Seconds of a whole run.
+    pub fn total(&self) -> f64 {
+        self.least.iter().sum()
+    }
+
+    /// Parts of a run.
+    pub fn len(&self) -> usize {
+        self.least.len()
+    }
+
+    /// Whether nothing was timed.
+    pub fn is_empty(&self) -> bool {
+        self.least.is_empty()
+    }
+}
+
+/// Seconds of computation per simulated second for each setup: steps, control, guards and the state at each frame, but
+/// no labels and no picture. `None` for a setup that the scene refuses.
+///
+/// # Errors
+/// If the scene refuses all of them.
+pub fn time_setups(
+    scene: &Scene,
+    seed: u64,
+    setups: &[&Setup],
+    options: &RolloutOptions,
+    repetitions: usize,
+) -> Result<Vec<Option<f64>>> {
+    let mut clocks = vec![Clock::default(); setups.len()];
+    let mut simulated = vec![0.0; setups.len()];
+    for _ in 0..repetitions {
+        for ((setup, clock), simulated) in setups.iter().zip(&mut clocks).zip(&mut simulated) {
+            let Ok(mut rollout) = rollout(scene, seed, setup, options) else { continue };
+            rollout.skip_frame();
+            for part in 0.. {
+                let begun = Instant::now();
+                if !rollout.skip_frame() {
+                    break;
+                }
+                clock.add(part, begun.elapsed().as_secs_f64());
+            }
+            *simulated = clock.len() as f64 * rollout.interval();
+        }
+    }
+    Ok(clocks.iter().zip(simulated).map(|(clock, time)| (time > 0.0).then(|| clock.total() / time)).collect())
+}
+
+/// A rollout of `scene` with another setup.
+///
+/// # Errors
+/// As [`Rollout::new`].
+pub fn rollout(scene: &Scene, seed: u64, setup: &Setup, options: &RolloutOptions) -> Result<Rollout> {
+    let mut scene = scene.clone();
+    scene.spec.physics = setup.physics.clone();
+    Rollout::new(&scene, seed, &RolloutOptions { hull_corners: setup.corners, ..options.clone() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_part_counts_with_its_best_repetition() {
+        let mut clock = Clock::default();
+        for run in [[3.0, 1.0, 5.0], [1.0, 4.0, 2.0]] {
+            run.into_iter().enumerate().for_each(|(index, seconds)| clock.add(index, seconds));
+        }
+        assert_eq!((clock.total(), clock.len()), (4.0, 3));
+    }
+}
