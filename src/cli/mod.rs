@@ -1,5 +1,6 @@
 //! The command line: arguments and dispatch; one file per command.
 
+mod bench;
 mod data;
 mod demo;
 mod doctor;
@@ -38,6 +39,8 @@ enum Command {
     Eval(eval::Args),
     /// The network: forward, info.
     Model(model::Args),
+    /// Measurements that the documentation holds: sim.
+    Bench(bench::Args),
     /// Stores: info.
     Data(data::Args),
     /// The main job, end to end, on this machine.
@@ -54,6 +57,7 @@ pub fn main() -> ExitCode {
         Command::Predict(args) => predict::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Model(args) => model::run(args),
+        Command::Bench(args) => bench::run(args),
         Command::Data(args) => data::run(args),
         Command::Demo(args) => demo::run(args),
     };

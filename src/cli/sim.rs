@@ -91,6 +91,8 @@ struct Run {
     #[arg(long)]
     out: PathBuf,
     #[command(flatten)]
+    accuracy: Accuracy,
+    #[command(flatten)]
     hands: Hands,
 }
 
@@ -118,7 +120,24 @@ struct Generate {
     #[arg(long)]
     out: PathBuf,
     #[command(flatten)]
+    accuracy: Accuracy,
+    #[command(flatten)]
     hands: Hands,
+}
+
+/// How exact the physics is, in place of what the scene says.
+#[derive(Debug, clap::Args)]
+struct Accuracy {
+    /// Physics preset: replay, fast, default, precise, reference or stiff.
+    #[arg(long, conflicts_with_all = ["budget", "error"])]
+    preset: Option<String>,
+    /// Computation per simulated second at most, without labels and pictures, e.g. 20ms: takes the most exact preset
+    /// within it, by the table of `egotac bench sim` that is part of the program.
+    #[arg(long, value_name = "TIME", value_parser = parse_budget)]
+    budget: Option<f64>,
+    /// Error of quasi-static forces at most, e.g. 1%: takes the cheapest preset that keeps it, by the same table.
+    #[arg(long, value_name = "PERCENT", value_parser = parse_error)]
+    error: Option<f64>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -129,6 +148,23 @@ struct Hands {
     /// Right MANO file in place of the built-in hand; needs --mano-left.
     #[arg(long, requires = "mano_left")]
     mano_right: Option<PathBuf>,
+}
+
+/// Reads seconds with their unit: `20ms`, `0.5s`.
+fn parse_budget(text: &str) -> Result<f64, String> {
+    let number = |text: &str| text.trim().parse::<f64>().ok();
+    let seconds = match text.strip_suffix("ms") {
+        Some(text) => number(text).map(|ms| 1e-3 * ms),
+        None => text.strip_suffix('s').and_then(number),
+    };
+    let expected = "expected a time above 0 with its unit, such as 20ms or 0.5s";
+    seconds.filter(|s| s.is_finite() && *s > 0.0).ok_or_else(|| expected.into())
+}
+
+/// Reads a share in percent: `1%`.
+fn parse_error(text: &str) -> Result<f64, String> {
+    let share = text.strip_suffix('%').and_then(|text| text.trim().parse::<f64>().ok()).map(|value| value / 100.0);
+    share.filter(|s| s.is_finite() && *s >= 0.0).ok_or_else(|| "expected a share in percent, such as 1%".into())
 }
 
 /// Runs the command.
@@ -165,9 +201,11 @@ mod with_sim {
     use anyhow::{Context, ensure};
     use indicatif::{ProgressBar, ProgressStyle};
 
-    use super::{Explain, Generate, Hands, Run, Show};
+    use super::{Accuracy, Explain, Generate, Hands, Run, Show};
+    use crate::bench::sim::pick::{self, Request};
     use crate::file;
     use crate::hand::{HandModel, Side};
+    use crate::mujoco::{PhysicsOptions, Preset};
     use crate::sim::{self, Rollout, RolloutOptions, SHIPPED, Scene, SimFrame, Summary};
 
     pub fn list() -> anyhow::Result<()> {
@@ -278,7 +316,7 @@ mod with_sim {
     }
 
     pub fn run(args: &Run) -> anyhow::Result<()> {
-        let scene = Scene::load(&args.scene)?;
+        let scene = with_accuracy(Scene::load(&args.scene)?, &args.accuracy)?;
         let bar = progress_bar("frames");
         let options = options(&args.hands, args.size, args.shadows)?;
         let summary = sim::record(&scene, args.seed, &options, &args.out, |done, all| step(&bar, done, all))?;
@@ -288,8 +326,9 @@ mod with_sim {
     }
 
     pub fn generate(args: &Generate) -> anyhow::Result<()> {
+        let scenes = args.scenes.iter().map(|name| with_accuracy(Scene::load(name)?, &args.accuracy));
         let plan = sim::Generate {
-            scenes: args.scenes.iter().map(|name| Scene::load(name)).collect::<crate::Result<Vec<_>>>()?,
+            scenes: scenes.collect::<anyhow::Result<_>>()?,
             episodes: args.episodes,
             seed: args.seed,
             jobs: args.jobs,
@@ -300,6 +339,32 @@ mod with_sim {
         bar.finish_and_clear();
         print(&summary, &args.out);
         Ok(())
+    }
+
+    /// The scene with the preset that is asked for or follows from the bench's table, which is told.
+    fn with_accuracy(mut scene: Scene, accuracy: &Accuracy) -> anyhow::Result<Scene> {
+        let request = Request { budget: accuracy.budget, error: accuracy.error };
+        let preset = match &accuracy.preset {
+            Some(name) => Preset::from_name(name)?,
+            None if request == Request::default() => return Ok(scene),
+            None => {
+                let choice = pick::pick(&pick::committed()?, &scene.name, request)?;
+                println!("{}: preset {choice}: {}, by {}", scene.name, choice.reason, choice.basis);
+                choice.preset
+            }
+        };
+        let physics = &scene.spec.physics;
+        if *physics != PhysicsOptions::preset(physics.preset) {
+            println!("{}: its own physics values give way to the preset's, except gravity", scene.name);
+        }
+        scene.spec.physics = physics.with_preset(preset);
+        let interval = 1.0 / scene.spec.rate;
+        scene
+            .spec
+            .physics
+            .steps_in(interval)
+            .with_context(|| format!("{} with preset {}", scene.name, preset.name()))?;
+        Ok(scene)
     }
 
     fn options(hands: &Hands, size: u32, shadows: bool) -> anyhow::Result<RolloutOptions> {
@@ -375,5 +440,24 @@ mod with_sim {
     fn step(bar: &ProgressBar, done: usize, all: usize) {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn budgets_and_errors_need_their_units() {
+        for (text, seconds) in [("20ms", 0.02), ("0.5s", 0.5), ("1.5 ms", 0.0015)] {
+            assert!((parse_budget(text).unwrap() - seconds).abs() < 1e-12, "{text}");
+        }
+        for text in ["20", "ms", "-1ms", "0s", "infs", "20us", "NaNs", ""] {
+            assert!(parse_budget(text).is_err(), "{text}");
+        }
+        assert!((parse_error("1%").unwrap() - 0.01).abs() < 1e-12 && parse_error("0.5 %").unwrap() == 0.005);
+        for text in ["1", "0.01", "-1%", "%", "inf%", "one%"] {
+            assert!(parse_error(text).is_err(), "{text}");
+        }
     }
 }

@@ -33,8 +33,7 @@ pub enum Preset {
 
 impl Preset {
     /// All presets.
-    pub const ALL: [Preset; 6] =
-        [Self::Replay, Self::Fast, Self::Default, Self::Precise, Self::Reference, Self::Stiff];
+    pub const ALL: [Preset; 6] = [Self::Replay, Self::Fast, Self::Default, Self::Precise, Self::Reference, Self::Stiff];
 
     /// Name, as in scenes and on the command line.
     pub fn name(self) -> &'static str {

@@ -497,7 +497,10 @@ mod tests {
             let contacts: Vec<Contact> = world.contacts().collect();
             assert_eq!((contacts.iter().filter(|c| c.distance < 0.0).count(), contacts.len()), (touching, near));
             for contact in contacts {
-                assert!((contact.distance - (height - 0.05)).abs() < 1e-9 && contact.normal_force == 0.0, "{contact:?}");
+                assert!(
+                    (contact.distance - (height - 0.05)).abs() < 1e-9 && contact.normal_force == 0.0,
+                    "{contact:?}"
+                );
             }
         }
         assert_eq!(world.time(), 0.0);

@@ -116,7 +116,19 @@ impl HandRig {
         let hinges = hinges(&joints, &frame, &tips);
         let shapes = shapes(&hulls)?;
         let excluded = excluded(&shapes, &joints);
-        Ok(Self { model, betas, joints, vertices: rest.vertices, frame, hinges, hulls, most_corners: None, excluded, shapes, pads })
+        Ok(Self {
+            model,
+            betas,
+            joints,
+            vertices: rest.vertices,
+            frame,
+            hinges,
+            hulls,
+            most_corners: None,
+            excluded,
+            shapes,
+            pads,
+        })
     }
 
     /// Has the engine collide with coarser hulls; plans keep the fine ones, so that the hand does the same.

@@ -2,6 +2,8 @@
 
 use std::time::Instant;
 
+use nix::time::ClockId;
+
 use super::knob::Setup;
 use crate::error::Result;
 use crate::sim::{Rollout, RolloutOptions, Scene};
@@ -9,7 +11,7 @@ use crate::sim::{Rollout, RolloutOptions, Scene};
 /// The least seconds that each part of a run took.
 ///
 /// A run repeats bit by bit, so the k-th part does the same work each time. What disturbs a machine that others use too
-/// rarely hits one part of a few milliseconds in all repetitions.
+/// rarely slows one part of a few milliseconds in all repetitions.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Clock {
     least: Vec<f64>,
@@ -40,18 +42,43 @@ impl Clock {
     }
 }
 
+/// Measures the processor time of this thread, which other programs on the machine don't lengthen by waiting; where the
+/// system doesn't tell it, the time on the wall.
+#[derive(Debug, Clone, Copy)]
+pub struct Stopwatch {
+    processor: Option<f64>,
+    wall: Instant,
+}
+
+impl Stopwatch {
+    /// Begins now.
+    pub fn start() -> Self {
+        Self { processor: processor_seconds(), wall: Instant::now() }
+    }
+
+    /// Seconds since the start.
+    pub fn seconds(&self) -> f64 {
+        match (self.processor, processor_seconds()) {
+            (Some(begun), Some(now)) => now - begun,
+            _ => self.wall.elapsed().as_secs_f64(),
+        }
+    }
+}
+
+fn processor_seconds() -> Option<f64> {
+    let time = ClockId::CLOCK_THREAD_CPUTIME_ID.now().ok()?;
+    Some(time.tv_sec() as f64 + 1e-9 * time.tv_nsec() as f64)
+}
+
 /// Seconds of computation per simulated second for each setup: steps, control, guards and the state at each frame, but
 /// no labels and no picture. `None` for a setup that the scene refuses.
-///
-/// # Errors
-/// If the scene refuses all of them.
 pub fn time_setups(
     scene: &Scene,
     seed: u64,
     setups: &[&Setup],
     options: &RolloutOptions,
     repetitions: usize,
-) -> Result<Vec<Option<f64>>> {
+) -> Vec<Option<f64>> {
     let mut clocks = vec![Clock::default(); setups.len()];
     let mut simulated = vec![0.0; setups.len()];
     for _ in 0..repetitions {
@@ -59,16 +86,16 @@ pub fn time_setups(
             let Ok(mut rollout) = rollout(scene, seed, setup, options) else { continue };
             rollout.skip_frame();
             for part in 0.. {
-                let begun = Instant::now();
+                let begun = Stopwatch::start();
                 if !rollout.skip_frame() {
                     break;
                 }
-                clock.add(part, begun.elapsed().as_secs_f64());
+                clock.add(part, begun.seconds());
             }
             *simulated = clock.len() as f64 * rollout.interval();
         }
     }
-    Ok(clocks.iter().zip(simulated).map(|(clock, time)| (time > 0.0).then(|| clock.total() / time)).collect())
+    clocks.iter().zip(simulated).map(|(clock, time)| (time > 0.0).then(|| clock.total() / time)).collect()
 }
 
 /// A rollout of `scene` with another setup.
@@ -84,6 +111,13 @@ pub fn rollout(scene: &Scene, seed: u64, setup: &Setup, options: &RolloutOptions
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn waiting_takes_no_processor_time() {
+        let begun = Stopwatch::start();
+        std::thread::sleep(std::time::Duration::from_millis(50));
+        assert!((0.0..0.04).contains(&begun.seconds()));
+    }
 
     #[test]
     fn each_part_counts_with_its_best_repetition() {

@@ -91,10 +91,9 @@ impl Knob {
                 ("4 ms", Change::Timestep(4e-3)),
                 ("8 ms", Change::Timestep(8e-3)),
             ]),
-            Self::Cone => variants(&[
-                ("elliptic", Change::Cone(Cone::Elliptic)),
-                ("pyramidal", Change::Cone(Cone::Pyramidal)),
-            ]),
+            Self::Cone => {
+                variants(&[("elliptic", Change::Cone(Cone::Elliptic)), ("pyramidal", Change::Cone(Cone::Pyramidal))])
+            }
             Self::Iterations => variants(&[
                 ("1", Change::Iterations(1)),
                 ("2", Change::Iterations(2)),
@@ -191,7 +190,8 @@ impl Setup {
     /// Never for a valid setup.
     pub fn reference(&self, scene: &PhysicsOptions) -> Result<Self> {
         let model = Self::model(scene)?;
-        let values = Unchecked { cone: self.physics.cone, impratio: self.physics.impratio, ..model.physics.clone().into() };
+        let values =
+            Unchecked { cone: self.physics.cone, impratio: self.physics.impratio, ..model.physics.clone().into() };
         let fine = Self { physics: values.clone().try_into()?, corners: self.corners };
         if fine == model {
             return Ok(model);

@@ -1,10 +1,8 @@
 //! The knob `label`: what each kind of label costs, and how far it is from the force label of 4 mm.
 
-use std::time::Instant;
-
 use glam::{DQuat, DVec3, Vec3};
 
-use super::clock::Clock;
+use super::clock::{Clock, Stopwatch};
 use super::errors::{Errors, Pool};
 use super::hands::Hand;
 use crate::error::Result;
@@ -54,12 +52,7 @@ struct Place<'a> {
 ///
 /// # Errors
 /// If the rollout fails.
-pub fn label_kinds(
-    scene: &Scene,
-    seed: u64,
-    options: &RolloutOptions,
-    repetitions: usize,
-) -> Result<Vec<LabelResult>> {
+pub fn label_kinds(scene: &Scene, seed: u64, options: &RolloutOptions, repetitions: usize) -> Result<Vec<LabelResult>> {
     let mut rollout = Rollout::new(scene, seed, options)?;
     let hands = Hand::of(&rollout)?;
     let shapes: Vec<Object> = rollout.episode().objects.iter().map(|object| object.shape.clone()).collect();
@@ -89,13 +82,13 @@ pub fn label_kinds(
         for repetition in 0..repetitions.max(1) {
             for (kind, (_, how)) in KINDS.iter().enumerate() {
                 let mut found = Vec::new();
-                let begun = Instant::now();
+                let begun = Stopwatch::start();
                 for ((hand, spreader), vertices) in hands.iter().zip(&spreaders[kind]).zip(&vertices) {
                     let first = hand.side.range().start as u32;
                     let label = label(*how, world, hand, spreader, vertices, &places)?;
                     found.extend((first..).zip(label).filter(|(_, touched)| *touched).map(|(vertex, _)| vertex));
                 }
-                clocks[kind].add(index, begun.elapsed().as_secs_f64());
+                clocks[kind].add(index, begun.seconds());
                 if repetition == 0 {
                     touched[kind].push(found);
                 }
@@ -126,10 +119,9 @@ fn label(
             .iter()
             .map(|v| places.iter().any(|place| place.surface.is_within(local(place, v).as_vec3(), most)))
             .collect(),
-        Kind::B(most) => vertices
-            .iter()
-            .map(|v| places.iter().any(|place| place.shape.distance(local(place, v)) <= most))
-            .collect(),
+        Kind::B(most) => {
+            vertices.iter().map(|v| places.iter().any(|place| place.shape.distance(local(place, v)) <= most)).collect()
+        }
         Kind::C(_) => {
             let force = hand_force(world, &hand.links, vertices, spreader)?.force;
             force.iter().map(|force| *force > CONTACT_FORCE_N).collect()

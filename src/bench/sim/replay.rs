@@ -1,8 +1,6 @@
 //! The preset `replay`: contact places on recorded poses, by kinematics and collision alone.
 
-use std::time::Instant;
-
-use super::clock::Clock;
+use super::clock::{Clock, Stopwatch};
 use super::hands::Hand;
 use crate::error::Result;
 use crate::label::SIGMA;
@@ -44,10 +42,10 @@ pub fn replay(
     let mut touched = Vec::new();
     for repetition in 0..repetitions.max(1) {
         for (index, state) in states.iter().enumerate() {
-            let begun = Instant::now();
+            let begun = Stopwatch::start();
             world.set_qpos(state)?;
             world.collide();
-            clock.add(index, begun.elapsed().as_secs_f64());
+            clock.add(index, begun.seconds());
             if repetition > 0 {
                 continue;
             }
