@@ -37,8 +37,8 @@ use crate::sim::{RolloutOptions, Scene};
 
 /// Shipped scenes on which single knobs are turned when no scenes are named; presets are compared on all.
 pub const KNOB_SCENES: [&str; 2] = ["pinch_cube", "lift_mug"];
-/// Timestep below which a run is so long that its time is taken only once, s.
-const TIMED_ONCE: f64 = 2e-4;
+/// Timestep below which a run is so long that its time is taken along with its forces, s.
+const TIMED_ALONG: f64 = 2e-4;
 
 /// What to measure.
 #[derive(Debug, Clone)]
@@ -137,15 +137,23 @@ impl SceneBench<'_> {
 
         progress("forces");
         let seeds: Vec<u64> = (0..self.plan.seeds.max(1)).map(|i| self.plan.seed + i).collect();
-        let traces: Vec<Vec<Result<Trace>>> =
+        let along: Vec<Vec<Result<(Trace, f64)>>> =
             setups.par_iter().map(|setup| seeds.par_iter().map(|seed| self.trace(setup, *seed)).collect()).collect();
+        let first = |runs: &Vec<Result<(Trace, f64)>>| runs.first().and_then(|run| run.as_ref().ok()).map(|run| run.1);
+        let seconds_along: Vec<Option<f64>> = along.iter().map(first).collect();
+        let traces: Vec<Vec<Result<Trace>>> =
+            along.into_iter().map(|runs| runs.into_iter().map(|run| run.map(|(trace, _)| trace)).collect()).collect();
         // Without the reference there is nothing to say; a setting that the scene refuses is told in its row.
         let models = collect(&traces[0])?;
         let quiet: Vec<Vec<usize>> = models.iter().map(|trace| trace.quiet()).collect();
 
         progress("times");
         let used: Vec<usize> = unique(settings.iter().map(|(_, setup, _)| *setup));
-        let times = self.times(&used.iter().map(|index| &setups[*index]).collect::<Vec<_>>());
+        let short = |index: &usize| setups[*index].physics.timestep >= TIMED_ALONG;
+        let timed: Vec<usize> = used.into_iter().filter(short).collect();
+        let timed_setups: Vec<&Setup> = timed.iter().map(|index| &setups[*index]).collect();
+        let repetitions = self.plan.repetitions.max(1);
+        let times = clock::time_setups(self.scene, self.plan.seed, &timed_setups, &self.blind(), repetitions);
 
         if self.knobs.contains(&Knob::Preset) {
             let entry = self.replay(&traces[1], &models)?;
@@ -165,7 +173,10 @@ impl SceneBench<'_> {
                 }
                 (Err(error), _) | (_, Err(error)) => entry.refused = Some(error.to_string()),
             }
-            let time = used.iter().position(|index| *index == setup).and_then(|index| times[index]);
+            let time = match timed.iter().position(|index| *index == setup) {
+                Some(index) => times[index],
+                None => seconds_along[setup],
+            };
             if let Some(seconds) = time {
                 entry.set_cost(seconds);
             }
@@ -181,23 +192,10 @@ impl SceneBench<'_> {
         })
     }
 
-    fn trace(&self, setup: &Setup, seed: u64) -> Result<Trace> {
+    fn trace(&self, setup: &Setup, seed: u64) -> Result<(Trace, f64)> {
         let mut scene = self.scene.clone();
         scene.spec.physics = setup.physics.clone();
-        Trace::record(&scene, seed, &RolloutOptions { hull_corners: setup.corners, ..self.blind() })
-    }
-
-    /// Seconds per simulated second of each setup.
-    fn times(&self, setups: &[&Setup]) -> Vec<Option<f64>> {
-        let (long, short): (Vec<_>, Vec<_>) =
-            setups.iter().copied().partition(|setup| setup.physics.timestep < TIMED_ONCE);
-        let time = |some: &[&Setup], repetitions| {
-            clock::time_setups(self.scene, self.plan.seed, some, &self.blind(), repetitions)
-        };
-        let (mut long, mut short) =
-            (time(&long, 1).into_iter(), time(&short, self.plan.repetitions.max(1)).into_iter());
-        let is_long = |setup: &Setup| setup.physics.timestep < TIMED_ONCE;
-        setups.iter().map(|s| if is_long(s) { long.next() } else { short.next() }.flatten()).collect()
+        Trace::record_timed(&scene, seed, &RolloutOptions { hull_corners: setup.corners, ..self.blind() })
     }
 
     /// The preset that has no forces: its contact places on the default model's recorded poses.

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use super::clock::Stopwatch;
 use crate::error::Result;
 use crate::hand::Side;
 use crate::mujoco::World;
@@ -49,11 +50,19 @@ struct Cast {
 }
 
 impl Trace {
-    /// Runs an episode and takes down what the hands and objects feel; no picture is drawn.
+    /// Runs an episode and takes down what the hands and objects feel.
     ///
     /// # Errors
     /// If the rollout can't be made or fails.
     pub fn record(scene: &Scene, seed: u64, options: &RolloutOptions) -> Result<Self> {
+        Self::record_timed(scene, seed, options).map(|(trace, _)| trace)
+    }
+
+    /// As [`Self::record`], and the processor seconds per simulated second that it took.
+    ///
+    /// # Errors
+    /// As [`Self::record`].
+    pub fn record_timed(scene: &Scene, seed: u64, options: &RolloutOptions) -> Result<(Self, f64)> {
         let mut rollout = Rollout::new(scene, seed, options)?;
         let cast = Cast::of(&rollout);
         let gravity = -scene.spec.physics.gravity[2];
@@ -63,6 +72,7 @@ impl Trace {
             weight: gravity * cast.objects.iter().map(mass).sum::<f64>(),
             ..Self::default()
         };
+        let begun = Stopwatch::start();
         let mut bin = ([0.0; N_SITES], 0.0);
         let mut velocities = cast.velocities(rollout.world());
         while let Some(frame) = rollout.next_frame_watched(|world| cast.add(world, &mut bin))? {
@@ -78,7 +88,8 @@ impl Trace {
             trace.states.push(rollout.world().qpos().to_vec());
             trace.invalid += usize::from(frame.frame.validity != Validity::Valid);
         }
-        Ok(trace)
+        let simulated = trace.interval * trace.impulses.len().max(1) as f64;
+        Ok((trace, begun.seconds() / simulated))
     }
 
     /// Bins in which neither forces nor objects change much: what is compared is a grasp, not a moment of it.
