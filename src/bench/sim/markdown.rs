@@ -14,8 +14,8 @@ press and neither forces nor objects change; *impulse* does the same with the ti
 of the vertices in contact (label c). *Lift* is the upward contact force on the objects over their weight in the quiet
 seconds: right is 1, with no reference needed. *Flagged* is the share of frames that a guard refused. Each number is the worst
 of the scenes. *ms* are milliseconds per simulated second: processor time of one thread, least of interleaved repetitions, with
-neither labels nor pictures except where these are the knob (pictures: time on the wall). *x real time* is its inverse. A dash:
-nothing to compare.
+neither labels nor pictures except where these are the knob (pictures: time on the wall); that of the reference is taken once,
+along with its forces. *x real time* is its inverse. A dash: nothing to compare.
 ";
 
 /// The report as Markdown.

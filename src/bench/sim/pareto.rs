@@ -82,7 +82,16 @@ fn points(report: &Report, error: ErrorOf) -> Vec<Point> {
         Some(Point { knob: row.knob.clone(), setting: row.setting.clone(), cost, error: error.max(FLOOR) })
     };
     let physics = report.rows.iter().filter(|row| row.knob != Knob::Label.name());
-    physics.filter_map(point).collect()
+    let mut points: Vec<Point> = physics.filter_map(point).collect();
+    // Knobs left at the recommended preset's value, or without effect, would hide its mark.
+    let same = |a: &Point, b: &Point| a.error == b.error && (a.cost / b.cost - 1.0).abs() < 0.05;
+    let is_preset = |point: &Point| point.knob == Knob::Preset.name();
+    if let Some(at) = points.iter().position(|p| is_preset(p) && p.setting == report.recommended.name()) {
+        let recommended = points.swap_remove(at);
+        points.retain(|point| is_preset(point) || !same(point, &recommended));
+        points.push(recommended);
+    }
+    points
 }
 
 fn draw_panel<B: DrawingBackend>(area: &DrawingArea<B, Shift>, title: &str, points: &[Point], marked: &str) -> Drawn<()>
