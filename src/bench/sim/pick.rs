@@ -56,9 +56,10 @@ pub fn pick(report: &Report, scene: &str, request: Request) -> Result<Choice> {
     let own = candidates(report, Some(scene));
     let (all, whose) = match own.len() == CANDIDATES.len() {
         true => (own, format!("scene {scene}")),
-        false => {
-            (candidates(report, None), format!("worst of {} scenes, as {scene} is not among them", report.scenes.len()))
-        }
+        false => (
+            candidates(report, None),
+            format!("worst of {} scenes, as {scene} has no row with forces", report.scenes.len()),
+        ),
     };
     let basis = format!("{whose}; table of {}", report.machine);
     let cheapest = |some: &[Choice]| some.iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).cloned();
