@@ -66,6 +66,24 @@ fn a_scene_may_name_a_preset_beside_single_values() {
 }
 
 #[test]
+fn the_preset_replay_has_no_dynamics_and_gives_no_forces() {
+    let replay = SQUEEZE.replace("{ preset: fast, impratio: 20 }", "{ preset: replay }");
+    let parse = |text: &str| Scene::parse("squeeze", Path::new("squeeze.yaml"), text);
+    let error = parse(&replay).and_then(|scene| Rollout::new(&scene, 0, &blind())).unwrap_err().to_string();
+    assert!(error.contains("dynamics") && error.contains("force"), "{error}");
+    let scene = parse(&replay.replace("objects:", "observe: [contact]\nobjects:")).unwrap();
+    let mut rollout = Rollout::new(&scene, 0, &blind()).unwrap();
+    let start = rollout.objects()[0].pose();
+    let mut touching = 0;
+    while let Some(frame) = rollout.next_frame().unwrap() {
+        touching += usize::from(frame.frame.field.contact.contains(&1.0));
+        assert!(frame.hands.iter().all(Option::is_none) && rollout.world().contacts().all(|c| c.normal_force == 0.0));
+    }
+    assert!(touching > 5, "{touching} frames");
+    assert_eq!(rollout.objects()[0].pose().0, start.0);
+}
+
+#[test]
 fn a_ten_times_finer_step_is_nearer_to_the_reference() {
     let scene = squeeze();
     let reference = at(&scene, 1e-4);

@@ -41,7 +41,9 @@ fn without_dynamics_no_constraint_is_solved_and_no_object_moves() {
     let off = frames(rollout("pinch_cube", EffectSet::default().with(Effect::RigidContact)));
     let start = off[0].0.objects[0].position;
     assert!(off.iter().all(|(frame, facts)| facts.constraints == 0 && frame.objects[0].position == start));
-    let wrist = |at: usize| off[at].0.frame.left_hand_pose.as_ref().or(off[at].0.frame.right_hand_pose.as_ref()).unwrap().transl;
+    let wrist = |at: usize| {
+        off[at].0.frame.left_hand_pose.as_ref().or(off[at].0.frame.right_hand_pose.as_ref()).unwrap().transl
+    };
     assert!(wrist(0).distance(wrist(off.len() / 2)) > 0.02, "the hand follows its plan all the same");
     // A force that is not simulated is unknown, not zero.
     assert!(off.iter().all(|(frame, _)| frame.frame.field.force.iter().all(|force| force.is_nan())));
@@ -94,7 +96,8 @@ fn without_articulation_a_door_has_no_joint_and_does_not_move() {
     let turned = |effects: EffectSet| {
         let frames = frames(rollout("open_door", effects));
         let first = frames[0].0.objects[0].orientation;
-        let turn = frames.iter().map(|(frame, _)| frame.objects[0].orientation.angle_between(first)).fold(0.0, f64::max);
+        let turn =
+            frames.iter().map(|(frame, _)| frame.objects[0].orientation.angle_between(first)).fold(0.0, f64::max);
         (turn, frames[0].1.joints)
     };
     let (turn, joints) = turned(all);
@@ -216,7 +219,11 @@ fn distances_from_the_camera_are_those_of_the_geometry() {
     let intrinsics = rollout.intrinsics();
     let (x, y) = (2.0, 60.0);
     let ray = camera.orientation
-        * glam::DVec3::new((x + 0.5 - intrinsics.centre[0]) / intrinsics.focal, (y + 0.5 - intrinsics.centre[1]) / intrinsics.focal, 1.0);
+        * glam::DVec3::new(
+            (x + 0.5 - intrinsics.centre[0]) / intrinsics.focal,
+            (y + 0.5 - intrinsics.centre[1]) / intrinsics.focal,
+            1.0,
+        );
     let along = -camera.position.z / ray.z;
     let measured = f64::from(depth[60 * 65 + 2]);
     assert!((measured - along).abs() < 0.003 * along, "{measured} m instead of {along} m");

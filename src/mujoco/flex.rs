@@ -22,7 +22,8 @@ impl World {
     /// If there is none of that name.
     pub fn flex(&self, name: &str) -> Result<Flex> {
         let model = self.data.model();
-        let names = (0..model.ffi().nflex as usize).map(|id| model.id_to_name(MjtObjBase::mjOBJ_FLEX, id).unwrap_or_default());
+        let names =
+            (0..model.ffi().nflex as usize).map(|id| model.id_to_name(MjtObjBase::mjOBJ_FLEX, id).unwrap_or_default());
         let id = names.clone().position(|other| other == name);
         let id = id.ok_or_else(|| Error::unknown("soft body", name, names))?;
         let (first, count) = (model.flex_vertadr()[id] as usize, model.flex_vertnum()[id] as usize);

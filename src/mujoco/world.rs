@@ -226,12 +226,6 @@ impl World {
         self.data.com_pos();
     }
 
-    /// Computes poses and contacts; these have places and distances, but no forces.
-    pub fn collide(&mut self) {
-        self.kinematics();
-        self.data.collision();
-    }
-
     /// Back to the initial state, time 0.
     pub fn reset(&mut self) {
         self.data.reset();
@@ -493,7 +487,7 @@ mod tests {
         for (height, touching, near) in [(0.0495, 4, 4), (0.0599, 0, 4), (0.0601, 0, 0)] {
             qpos[2] = height;
             world.set_qpos(&qpos).unwrap();
-            world.collide();
+            world.detect(0.0);
             let contacts: Vec<Contact> = world.contacts().collect();
             assert_eq!((contacts.iter().filter(|c| c.distance < 0.0).count(), contacts.len()), (touching, near));
             for contact in contacts {

@@ -232,7 +232,8 @@ fn distractors(count: usize, objects: &mut Vec<ObjectDraw>, rng: &mut impl Rng) 
         };
         let clear = |drawn: &ObjectDraw| {
             let worked = objects.iter().filter(|other| !other.name.starts_with("distractor_"));
-            let far = worked.into_iter().all(|other| drawn.position.distance(other.position) > WORKSPACE + girth(other));
+            let far =
+                worked.into_iter().all(|other| drawn.position.distance(other.position) > WORKSPACE + girth(other));
             far && objects.iter().all(|other| drawn.position.distance(other.position) > girth(drawn) + girth(other))
         };
         for _ in 0..100 {

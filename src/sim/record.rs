@@ -300,7 +300,9 @@ impl Extras {
         ];
         for (name, length) in self.optional() {
             let mut array: Vec<f32> = match name {
-                OBJECT_POSE => frame.objects.iter().flat_map(|object| pose(object.position, object.orientation)).collect(),
+                OBJECT_POSE => {
+                    frame.objects.iter().flat_map(|object| pose(object.position, object.orientation)).collect()
+                }
                 SLIP => frame.slip.clone().unwrap_or_default(),
                 _ => frame.depth.clone().unwrap_or_default(),
             };

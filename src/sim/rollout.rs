@@ -19,8 +19,8 @@ use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, N_BETAS, N_VERTICES, PosedHand, Side};
 use crate::label::force::link_vertices;
 use crate::label::{ForceSpreader, PROXIMITY, SIGMA};
-use crate::mujoco::World;
 use crate::mujoco::world::FreeJoint;
+use crate::mujoco::{PhysicsOptions, World};
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Topology, Validity};
 
 /// Seconds between two settings of the servos.
@@ -45,6 +45,8 @@ pub struct RolloutOptions {
     pub effects: Option<EffectSet>,
     /// Width of the kernel that spreads contact forces, m.
     pub sigma: f64,
+    /// Physics in place of what the scene and its effects ask for; for measuring what a value costs.
+    pub physics: Option<PhysicsOptions>,
     /// Corners that each link's collision hull keeps at most; `None` keeps all.
     pub hull_corners: Option<usize>,
     /// Whether guards watch every step; without, frames are checked only at their own instants.
@@ -60,6 +62,7 @@ impl Default for RolloutOptions {
             shadows: false,
             effects: None,
             sigma: SIGMA,
+            physics: None,
             hull_corners: None,
             guards: true,
         }
@@ -143,7 +146,10 @@ impl Rollout {
         let episode = Episode::sample(scene, seed, &rigs)?;
         let plan = EffectPlan::of(&scene.spec)?;
         let effects = chosen_effects(&plan, options)?;
-        let physics = plan.physics(effects, &scene.spec.physics)?;
+        let physics = match &options.physics {
+            Some(physics) => physics.clone(),
+            None => plan.physics(effects, &scene.spec.physics)?,
+        };
         let mut world = World::from_mjcf(&mjcf::write(&episode, &rigs, effects), &physics)?;
 
         let objects = episode.objects.iter().map(|draw| SceneObject::new(&world, draw)).collect::<Result<Vec<_>>>()?;

@@ -5,7 +5,6 @@ use std::time::Instant;
 use nix::time::ClockId;
 
 use super::knob::Setup;
-use crate::error::Result;
 use crate::sim::{Rollout, RolloutOptions, Scene};
 
 /// The least seconds that each part of a run took.
@@ -83,7 +82,8 @@ pub fn time_setups(
     let mut simulated = vec![0.0; setups.len()];
     for _ in 0..repetitions {
         for ((setup, clock), simulated) in setups.iter().zip(&mut clocks).zip(&mut simulated) {
-            let Ok(mut rollout) = rollout(scene, seed, setup, options) else { continue };
+            let rollout = setup.options(scene, options).and_then(|options| Rollout::new(scene, seed, &options));
+            let Ok(mut rollout) = rollout else { continue };
             rollout.skip_frame();
             for part in 0.. {
                 let begun = Stopwatch::start();
@@ -96,16 +96,6 @@ pub fn time_setups(
         }
     }
     clocks.iter().zip(simulated).map(|(clock, time)| (time > 0.0).then(|| clock.total() / time)).collect()
-}
-
-/// A rollout of `scene` with another setup.
-///
-/// # Errors
-/// As [`Rollout::new`].
-pub fn rollout(scene: &Scene, seed: u64, setup: &Setup, options: &RolloutOptions) -> Result<Rollout> {
-    let mut scene = scene.clone();
-    scene.spec.physics = setup.physics.clone();
-    Rollout::new(&scene, seed, &RolloutOptions { hull_corners: setup.corners, ..options.clone() })
 }
 
 #[cfg(test)]

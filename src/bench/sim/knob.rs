@@ -3,6 +3,8 @@
 use crate::error::{Error, Result};
 use crate::mujoco::options::Unchecked;
 use crate::mujoco::{Cone, Integrator, PhysicsOptions, Preset};
+use crate::sim::effect::EffectPlan;
+use crate::sim::{RolloutOptions, Scene};
 
 /// Timestep of references that share the model of what is compared, s.
 pub const SAME_MODEL_TIMESTEP: f64 = 1e-4;
@@ -199,6 +201,17 @@ impl Setup {
         Ok(Self { physics: Unchecked { timestep: SAME_MODEL_TIMESTEP, ..values }.try_into()?, ..fine })
     }
 
+    /// Options of a rollout of `scene` with it: with what the scene's effects ask for, but for impratio, which is as set.
+    ///
+    /// # Errors
+    /// If the scene's effects can't deliver what it observes.
+    pub fn options(&self, scene: &Scene, base: &RolloutOptions) -> Result<RolloutOptions> {
+        let plan = EffectPlan::of(&scene.spec)?;
+        let effects = base.effects.unwrap_or(plan.effects());
+        let values = Unchecked { impratio: self.physics.impratio, ..plan.physics(effects, &self.physics)?.into() };
+        Ok(RolloutOptions { physics: Some(values.try_into()?), hull_corners: self.corners, ..base.clone() })
+    }
+
     /// The one model that all are compared with: elliptic, impratio 100, 0.05 ms, all corners.
     ///
     /// # Errors
@@ -222,6 +235,16 @@ mod tests {
             assert!(setups.is_empty() || setups.iter().filter(|setup| **setup == default).count() == 1, "{knob:?}");
         }
         assert!(Knob::from_name("kone").unwrap_err().to_string().contains("timestep"));
+    }
+
+    #[test]
+    fn impratio_stays_as_set_where_a_scene_holds_something_for_long() {
+        let scene = Scene::load("lift_mug").unwrap();
+        for impratio in [1.0, 100.0] {
+            let setup = Setup::new(&scene.spec.physics, Change::Impratio(impratio)).unwrap();
+            let options = setup.options(&scene, &RolloutOptions::default()).unwrap();
+            assert_eq!(options.physics.unwrap().impratio, impratio);
+        }
     }
 
     #[test]

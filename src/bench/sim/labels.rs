@@ -1,15 +1,15 @@
 //! The knob `label`: what each kind of label costs, and how far it is from the force label of 4 mm.
 
-use glam::{DQuat, DVec3, Vec3};
+use glam::{DVec3, Vec3};
 
 use super::clock::{Clock, Stopwatch};
 use super::errors::{Errors, Pool};
 use super::hands::Hand;
 use crate::error::Result;
-use crate::label::{ForceSpreader, PROXIMITY, SampledSurface, proximity::SPACING};
+use crate::label::{ForceSpreader, PROXIMITY};
 use crate::mujoco::World;
 use crate::sim::contact::hand_force;
-use crate::sim::object::Object;
+use crate::sim::scene_object::SceneObject;
 use crate::sim::{Rollout, RolloutOptions, Scene};
 use crate::tactile::CONTACT_FORCE_N;
 
@@ -40,14 +40,6 @@ const TRUTH: usize = 6;
 /// A kind's name, its agreement with the truth, and its seconds per simulated second.
 pub type LabelResult = (&'static str, Errors, f64);
 
-/// An object where it is: exact shape, resampled surface, and how to come into its frame.
-struct Place<'a> {
-    shape: &'a Object,
-    surface: &'a SampledSurface,
-    position: DVec3,
-    inverse: DQuat,
-}
-
 /// Labels an episode in every way.
 ///
 /// # Errors
@@ -55,8 +47,6 @@ struct Place<'a> {
 pub fn label_kinds(scene: &Scene, seed: u64, options: &RolloutOptions, repetitions: usize) -> Result<Vec<LabelResult>> {
     let mut rollout = Rollout::new(scene, seed, options)?;
     let hands = Hand::of(&rollout)?;
-    let shapes: Vec<Object> = rollout.episode().objects.iter().map(|object| object.shape.clone()).collect();
-    let surfaces = shapes.iter().map(|shape| shape.sampled_surface(SPACING)).collect::<Result<Vec<_>>>()?;
     let mut spreaders = Vec::new();
     for (_, kind) in KINDS {
         let sigma = if let Kind::C(sigma) = kind { sigma } else { options.sigma };
@@ -65,19 +55,8 @@ pub fn label_kinds(scene: &Scene, seed: u64, options: &RolloutOptions, repetitio
     let mut clocks = vec![Clock::default(); KINDS.len()];
     let mut touched: Vec<Vec<Vec<u32>>> = vec![Vec::new(); KINDS.len()];
     let mut index = 0;
-    while let Some(frame) = rollout.next_frame()? {
+    while rollout.next_frame()?.is_some() {
         let world = rollout.world();
-        let places: Vec<Place> = shapes
-            .iter()
-            .zip(&surfaces)
-            .zip(&frame.objects)
-            .map(|((shape, surface), pose)| Place {
-                shape,
-                surface,
-                position: pose.position,
-                inverse: pose.orientation.inverse(),
-            })
-            .collect();
         let vertices: Vec<Vec<Vec3>> = hands.iter().map(|hand| hand.vertices(world)).collect();
         for repetition in 0..repetitions.max(1) {
             for (kind, (_, how)) in KINDS.iter().enumerate() {
@@ -85,7 +64,7 @@ pub fn label_kinds(scene: &Scene, seed: u64, options: &RolloutOptions, repetitio
                 let begun = Stopwatch::start();
                 for ((hand, spreader), vertices) in hands.iter().zip(&spreaders[kind]).zip(&vertices) {
                     let first = hand.side.range().start as u32;
-                    let label = label(*how, world, hand, spreader, vertices, &places)?;
+                    let label = label(*how, world, hand, spreader, vertices, rollout.objects())?;
                     found.extend((first..).zip(label).filter(|(_, touched)| *touched).map(|(vertex, _)| vertex));
                 }
                 clocks[kind].add(index, begun.seconds());
@@ -111,17 +90,14 @@ fn label(
     hand: &Hand,
     spreader: &ForceSpreader,
     vertices: &[Vec3],
-    places: &[Place],
+    objects: &[SceneObject],
 ) -> Result<Vec<bool>> {
-    let local = |place: &Place, vertex: &Vec3| place.inverse * (vertex.as_dvec3() - place.position);
+    let any = |holds: &dyn Fn(&SceneObject, DVec3) -> bool| {
+        vertices.iter().map(|v| objects.iter().any(|object| holds(object, v.as_dvec3()))).collect()
+    };
     Ok(match kind {
-        Kind::A(most) => vertices
-            .iter()
-            .map(|v| places.iter().any(|place| place.surface.is_within(local(place, v).as_vec3(), most)))
-            .collect(),
-        Kind::B(most) => {
-            vertices.iter().map(|v| places.iter().any(|place| place.shape.distance(local(place, v)) <= most)).collect()
-        }
+        Kind::A(most) => any(&|object, point| object.is_within(point, most)),
+        Kind::B(most) => any(&|object, point| object.distance(point) <= most),
         Kind::C(_) => {
             let force = hand_force(world, &hand.links, vertices, spreader)?.force;
             force.iter().map(|force| *force > CONTACT_FORCE_N).collect()

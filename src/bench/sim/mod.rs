@@ -193,9 +193,7 @@ impl SceneBench<'_> {
     }
 
     fn trace(&self, setup: &Setup, seed: u64) -> Result<(Trace, f64)> {
-        let mut scene = self.scene.clone();
-        scene.spec.physics = setup.physics.clone();
-        Trace::record_timed(&scene, seed, &RolloutOptions { hull_corners: setup.corners, ..self.blind() })
+        Trace::record_timed(self.scene, seed, &setup.options(self.scene, &self.blind())?)
     }
 
     /// The preset that has no forces: its contact places on the default model's recorded poses.

@@ -4,8 +4,8 @@ use super::clock::{Clock, Stopwatch};
 use super::hands::Hand;
 use crate::error::Result;
 use crate::label::SIGMA;
+use crate::mujoco::Preset;
 use crate::mujoco::world::Contact;
-use crate::mujoco::{PhysicsOptions, Preset};
 use crate::sim::{Rollout, RolloutOptions, Scene};
 use crate::tactile::CONTACT_FORCE_N;
 
@@ -32,9 +32,9 @@ pub fn replay(
     options: &RolloutOptions,
     repetitions: usize,
 ) -> Result<Replay> {
-    let mut scene = scene.clone();
-    scene.spec.physics = replay_options(&scene.spec.physics);
-    let rollout = Rollout::new(&scene, seed, options)?;
+    // The model with all its joints, since the poses are recorded; it is never stepped.
+    let physics = Some(scene.spec.physics.with_preset(Preset::Replay));
+    let rollout = Rollout::new(scene, seed, &RolloutOptions { physics, ..options.clone() })?;
     let (hands, interval) = (Hand::of(&rollout)?, rollout.interval());
     let spreaders = hands.iter().map(|hand| hand.spreader(SIGMA)).collect::<Result<Vec<_>>>()?;
     let mut world = rollout.into_world();
@@ -44,7 +44,7 @@ pub fn replay(
         for (index, state) in states.iter().enumerate() {
             let begun = Stopwatch::start();
             world.set_qpos(state)?;
-            world.collide();
+            world.detect(index as f64 * interval);
             clock.add(index, begun.seconds());
             if repetition > 0 {
                 continue;
@@ -61,8 +61,4 @@ pub fn replay(
         }
     }
     Ok(Replay { touched, cost: clock.total() / (interval * states.len().max(1) as f64) })
-}
-
-fn replay_options(scene: &PhysicsOptions) -> PhysicsOptions {
-    scene.with_preset(Preset::Replay)
 }

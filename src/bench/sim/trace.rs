@@ -65,7 +65,7 @@ impl Trace {
     pub fn record_timed(scene: &Scene, seed: u64, options: &RolloutOptions) -> Result<(Self, f64)> {
         let mut rollout = Rollout::new(scene, seed, options)?;
         let cast = Cast::of(&rollout);
-        let gravity = -scene.spec.physics.gravity[2];
+        let gravity = -rollout.world().options().gravity[2];
         let mass = |joint: &FreeJoint| rollout.world().mass(rollout.world().body_of(*joint));
         let mut trace = Self {
             interval: rollout.interval(),
@@ -137,8 +137,7 @@ impl Cast {
                 }
             }
         }
-        let objects = rollout.episode().objects.iter().filter_map(|object| world.free_joint(&object.name).ok());
-        Self { sites, objects: objects.collect() }
+        Self { sites, objects: rollout.objects().iter().filter_map(|object| object.joint).collect() }
     }
 
     /// Adds what a step's forces gave: on each site, and upwards on the objects.

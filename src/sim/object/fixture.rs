@@ -48,10 +48,8 @@ pub(super) fn knob(radius: f64, height: f64, resistance: f64) -> Result<Object> 
     let ridge = PieceShape::Box(DVec3::new(0.45 * radius, 0.12 * radius, 0.0015));
     let ridge = solid(ridge, DVec3::new(0.5 * radius, 0.0, half + 0.0015))?;
     let wide = radius + 0.012;
-    let plate = solid(
-        PieceShape::Box(DVec3::new(wide, wide, 0.5 * HOUSING)),
-        -DVec3::Z * (half + GAP + 0.5 * HOUSING),
-    )?;
+    let plate =
+        solid(PieceShape::Box(DVec3::new(wide, wide, 0.5 * HOUSING)), -DVec3::Z * (half + GAP + 0.5 * HOUSING))?;
     let joint = JointMount {
         kind: "hinge",
         axis: DVec3::Z,

@@ -65,9 +65,11 @@ fn load(path: &Path) -> Result<Surface> {
 }
 
 fn obj(path: &Path, reader: &mut BufReader<File>) -> Result<Surface> {
-    let options = tobj::LoadOptions { triangulate: true, ignore_lines: true, ignore_points: true, ..Default::default() };
+    let options =
+        tobj::LoadOptions { triangulate: true, ignore_lines: true, ignore_points: true, ..Default::default() };
     // Materials are not wanted; a file that names some loads without them.
-    let (models, _) = tobj::load_obj_buf(reader, &options, |_| Ok(Default::default())).map_err(|e| Error::file(path, e))?;
+    let (models, _) =
+        tobj::load_obj_buf(reader, &options, |_| Ok(Default::default())).map_err(|e| Error::file(path, e))?;
     let mut surface = Surface::default();
     for model in models {
         let first = surface.0.len() as u32;

@@ -125,4 +125,3 @@ pub(super) fn ring_points(radius: f64, half: f64) -> Vec<DVec3> {
         .map(|i| DVec3::new(radius * (TAU * i as f64 / 48.0).cos(), radius * (TAU * i as f64 / 48.0).sin(), 0.0));
     ring.flat_map(|p| [p - DVec3::Z * half, p + DVec3::Z * half]).collect()
 }
-
