@@ -51,12 +51,13 @@ fn seconds_per_picture(
     shadows: bool,
     options: &RolloutOptions,
 ) -> Result<f64> {
-    let mut rollout = Rollout::new(scene, seed, &RolloutOptions { shadows, picture: None, ..options.clone() })?;
+    let mut rollout =
+        Rollout::new(scene, seed, &RolloutOptions { shadows, picture: Some((width, height)), ..options.clone() })?;
     for _ in 0..rollout.frame_count() / 2 {
         rollout.skip_frame();
     }
     let mut world = rollout.into_world();
-    let mut renderer = Renderer::new(&world, world.camera(HEAD)?, width, height)?;
+    let mut renderer = Renderer::new(&world, world.camera(HEAD)?, width, height, false)?;
     renderer.render(&mut world)?;
     let mut least = f64::INFINITY;
     for _ in 0..PICTURES_PER_ROUND {
