@@ -8,7 +8,7 @@ help:
 	@echo 'make test        everything that CI runs'
 	@echo 'make doctor      what is missing on this machine, and how to fix it'
 	@echo 'make lint        formatting, clippy for each feature set, docs, shell scripts'
-	@echo 'make bench       criterion benchmarks'
+	@echo 'make bench       what accuracy costs in simulation (results in out/bench/), criterion benchmarks'
 	@echo 'make check-cuda  clippy and a build of the feature cuda, with a toolkit from Python wheels'
 
 setup:

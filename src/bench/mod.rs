@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 #[cfg(feature = "sim")]
 pub mod guards;
 pub mod hard_cases;
+pub mod sim;
 
 /// Where numbers were measured.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -43,6 +43,8 @@ enum Command {
     Verify(verify::Args),
     /// The network: forward, info.
     Model(model::Args),
+    /// Measurements that the documentation holds: sim.
+    Bench(bench::Args),
     /// Stores: info.
     Data(data::Args),
     /// What accuracy costs and what breaks: hard cases, guards.
@@ -62,6 +64,7 @@ pub fn main() -> ExitCode {
         Command::Eval(args) => eval::run(args),
         Command::Verify(args) => verify::run(args),
         Command::Model(args) => model::run(args),
+        Command::Bench(args) => bench::run(args),
         Command::Data(args) => data::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Demo(args) => demo::run(args),

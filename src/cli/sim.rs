@@ -96,6 +96,8 @@ struct Run {
     #[arg(long)]
     out: PathBuf,
     #[command(flatten)]
+    accuracy: Accuracy,
+    #[command(flatten)]
     hands: Hands,
 }
 
@@ -129,7 +131,24 @@ struct Generate {
     #[arg(long)]
     out: PathBuf,
     #[command(flatten)]
+    accuracy: Accuracy,
+    #[command(flatten)]
     hands: Hands,
+}
+
+/// How exact the physics is, in place of what the scene says.
+#[derive(Debug, clap::Args)]
+struct Accuracy {
+    /// Physics preset: replay, fast, default, precise, reference or stiff.
+    #[arg(long, conflicts_with_all = ["budget", "error"])]
+    preset: Option<String>,
+    /// Computation per simulated second at most, without labels and pictures, e.g. 20ms: takes the most exact preset
+    /// within it, by the table of `egotac bench sim` that is part of the program.
+    #[arg(long, value_name = "TIME", value_parser = parse_budget)]
+    budget: Option<f64>,
+    /// Error of quasi-static forces at most, e.g. 1%: takes the cheapest preset that keeps it, by the same table.
+    #[arg(long, value_name = "PERCENT", value_parser = parse_error)]
+    error: Option<f64>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -144,7 +163,26 @@ struct Worker {
     #[arg(long)]
     shadows: bool,
     #[command(flatten)]
+    accuracy: Accuracy,
+    #[command(flatten)]
     hands: Hands,
+}
+
+/// Reads seconds with their unit: `20ms`, `0.5s`.
+fn parse_budget(text: &str) -> Result<f64, String> {
+    let number = |text: &str| text.trim().parse::<f64>().ok();
+    let seconds = match text.strip_suffix("ms") {
+        Some(text) => number(text).map(|ms| 1e-3 * ms),
+        None => text.strip_suffix('s').and_then(number),
+    };
+    let expected = "expected a time above 0 with its unit, such as 20ms or 0.5s";
+    seconds.filter(|s| s.is_finite() && *s > 0.0).ok_or_else(|| expected.into())
+}
+
+/// Reads a share in percent: `1%`.
+fn parse_error(text: &str) -> Result<f64, String> {
+    let share = text.strip_suffix('%').and_then(|text| text.trim().parse::<f64>().ok()).map(|value| value / 100.0);
+    share.filter(|s| s.is_finite() && *s >= 0.0).ok_or_else(|| "expected a share in percent, such as 1%".into())
 }
 
 /// Runs the command.
@@ -184,9 +222,11 @@ mod with_sim {
     use anyhow::{Context, ensure};
     use indicatif::{ProgressBar, ProgressStyle};
 
-    use super::{Explain, Generate, Hands, Run, Show, Worker};
+    use super::{Accuracy, Explain, Generate, Hands, Run, Show, Worker};
+    use crate::bench::sim::pick::{self, Request};
     use crate::file;
     use crate::hand::Side;
+    use crate::mujoco::{PhysicsOptions, Preset};
     use crate::sim::{self, Rollout, RolloutOptions, SHIPPED, Scene, SimFrame, Summary, Workers};
 
     pub fn list() -> anyhow::Result<()> {
@@ -297,7 +337,7 @@ mod with_sim {
     }
 
     pub fn run(args: &Run) -> anyhow::Result<()> {
-        let scene = Scene::load(&args.scene)?;
+        let scene = told(Scene::load(&args.scene)?, &args.accuracy)?;
         let bar = progress_bar("frames");
         let options = options(&args.hands, args.size, args.shadows)?;
         let summary = sim::record(&scene, args.seed, &options, &args.out, |done, all| step(&bar, done, all))?;
@@ -307,8 +347,9 @@ mod with_sim {
     }
 
     pub fn generate(args: &Generate) -> anyhow::Result<()> {
+        let scenes = args.scenes.iter().map(|name| told(Scene::load(name)?, &args.accuracy));
         let plan = sim::Generate {
-            scenes: args.scenes.iter().map(|name| Scene::load(name)).collect::<crate::Result<Vec<_>>>()?,
+            scenes: scenes.collect::<anyhow::Result<_>>()?,
             episodes: args.episodes,
             seed: args.seed,
             jobs: args.jobs,
@@ -333,6 +374,13 @@ mod with_sim {
         if args.shadows {
             arguments.push("--shadows".into());
         }
+        let Accuracy { preset, budget, error } = &args.accuracy;
+        let preset = preset.clone().map(|name| ("--preset", name));
+        let budget = budget.map(|seconds| ("--budget", format!("{seconds}s")));
+        let error = error.map(|share| ("--error", format!("{}%", 100.0 * share)));
+        for (flag, value) in [preset, budget, error].into_iter().flatten() {
+            arguments.extend([flag.into(), value.into()]);
+        }
         for (flag, path) in [("--mano-left", &args.hands.mano_left), ("--mano-right", &args.hands.mano_right)] {
             arguments.extend(path.iter().flat_map(|path| [flag.into(), path.clone().into_os_string()]));
         }
@@ -342,10 +390,45 @@ mod with_sim {
     }
 
     pub fn work(args: &Worker) -> anyhow::Result<()> {
-        let scenes = args.scenes.iter().map(|name| Scene::load(name)).collect::<crate::Result<Vec<_>>>()?;
+        let scenes = args.scenes.iter().map(|name| Ok(with_accuracy(Scene::load(name)?, &args.accuracy)?.0));
+        let scenes = scenes.collect::<anyhow::Result<Vec<_>>>()?;
         let options = options(&args.hands, args.size, args.shadows)?;
         sim::isolate::serve(&scenes, &options, std::io::stdin().lock(), std::io::stdout().lock())?;
         Ok(())
+    }
+
+    /// As [`with_accuracy`], which is told.
+    fn told(scene: Scene, accuracy: &Accuracy) -> anyhow::Result<Scene> {
+        let (scene, news) = with_accuracy(scene, accuracy)?;
+        news.iter().for_each(|line| println!("{line}"));
+        Ok(scene)
+    }
+
+    /// The scene with the preset that is asked for or follows from the bench's table, and what a user should hear of it.
+    fn with_accuracy(mut scene: Scene, accuracy: &Accuracy) -> anyhow::Result<(Scene, Vec<String>)> {
+        let mut news = Vec::new();
+        let request = Request { budget: accuracy.budget, error: accuracy.error };
+        let preset = match &accuracy.preset {
+            Some(name) => Preset::from_name(name)?,
+            None if request == Request::default() => return Ok((scene, news)),
+            None => {
+                let choice = pick::pick(&pick::committed()?, &scene.name, request)?;
+                news.push(format!("{}: preset {choice}: {}, by {}", scene.name, choice.reason, choice.basis));
+                choice.preset
+            }
+        };
+        let physics = &scene.spec.physics;
+        if *physics != PhysicsOptions::preset(physics.preset) {
+            news.push(format!("{}: its own physics values give way to the preset's, except gravity", scene.name));
+        }
+        scene.spec.physics = physics.with_preset(preset);
+        let interval = 1.0 / scene.spec.rate;
+        scene
+            .spec
+            .physics
+            .steps_in(interval)
+            .with_context(|| format!("{} with preset {}", scene.name, preset.name()))?;
+        Ok((scene, news))
     }
 
     fn options(hands: &Hands, size: u32, shadows: bool) -> anyhow::Result<RolloutOptions> {
@@ -420,5 +503,24 @@ mod with_sim {
     fn step(bar: &ProgressBar, done: usize, all: usize) {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn budgets_and_errors_need_their_units() {
+        for (text, seconds) in [("20ms", 0.02), ("0.5s", 0.5), ("1.5 ms", 0.0015)] {
+            assert!((parse_budget(text).unwrap() - seconds).abs() < 1e-12, "{text}");
+        }
+        for text in ["20", "ms", "-1ms", "0s", "infs", "20us", "NaNs", ""] {
+            assert!(parse_budget(text).is_err(), "{text}");
+        }
+        assert!((parse_error("1%").unwrap() - 0.01).abs() < 1e-12 && parse_error("0.5 %").unwrap() == 0.005);
+        for text in ["1", "0.01", "-1%", "%", "inf%", "one%"] {
+            assert!(parse_error(text).is_err(), "{text}");
+        }
     }
 }

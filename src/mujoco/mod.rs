@@ -8,6 +8,7 @@ mod fatal;
 pub mod flex;
 mod inspect;
 pub mod options;
+pub mod preset;
 pub mod renderer;
 pub mod world;
 
@@ -16,5 +17,11 @@ pub use facts::Facts;
 pub use flex::Flex;
 pub use inspect::Grip;
 pub use options::{Cone, Integrator, PhysicsOptions, Solver};
+pub use preset::Preset;
 pub use renderer::Renderer;
 pub use world::{Contact, World};
+
+/// Version of the engine this program runs with.
+pub fn version() -> &'static str {
+    mujoco_rs::mujoco_version()
+}

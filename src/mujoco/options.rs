@@ -2,8 +2,11 @@
 
 use std::ops::RangeInclusive;
 
+use serde::de::{Deserializer, Error as _};
 use serde::{Deserialize, Serialize};
+use serde_yaml::{Mapping, Value};
 
+use super::preset::Preset;
 use crate::error::{Error, Result};
 
 /// Timesteps the engine is trusted with, s: below, time stands still in float noise; above, contacts are missed.
@@ -52,16 +55,18 @@ pub enum Solver {
 
 /// Physics options, checked: every value of this type is one the engine accepts.
 ///
-/// The default is the preset for training data: elliptic cone, impratio 10 (a held object does not creep out of the
-/// hand), Newton, 2 ms, implicitfast, tolerance 1e-8, at most 20 iterations.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Unchecked", into = "Unchecked")]
+/// In a file they are single values, or a preset next to values that replace the preset's:
+/// `{ preset: fast, impratio: 100 }`. Without a preset it is [`Preset::Default`].
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[serde(into = "Unchecked")]
 pub struct PhysicsOptions(Unchecked);
 
 /// Physics options as written, not yet checked.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Unchecked {
+    /// Where the values come from; single ones may differ.
+    pub preset: Preset,
     /// Seconds per step.
     pub timestep: f64,
     /// Shape of the friction cone.
@@ -84,17 +89,24 @@ pub struct Unchecked {
 
 impl Default for Unchecked {
     fn default() -> Self {
-        Self {
-            timestep: 2e-3,
-            cone: Cone::Elliptic,
-            impratio: 10.0,
-            solver: Solver::Newton,
-            iterations: 20,
-            tolerance: 1e-8,
-            noslip_iterations: 0,
-            integrator: Integrator::ImplicitFast,
-            gravity: [0.0, 0.0, -9.81],
-        }
+        Preset::Default.values()
+    }
+}
+
+impl<'de> Deserialize<'de> for PhysicsOptions {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
+        let written = Mapping::deserialize(deserializer)?;
+        let preset = match written.get("preset") {
+            Some(name) => serde_yaml::from_value(name.clone()).map_err(D::Error::custom)?,
+            None => Preset::Default,
+        };
+        let mut values = match serde_yaml::to_value(preset.values()).map_err(D::Error::custom)? {
+            Value::Mapping(values) => values,
+            _ => return Err(D::Error::custom("physics options are not a mapping")),
+        };
+        values.extend(written);
+        let values: Unchecked = serde_yaml::from_value(Value::Mapping(values)).map_err(D::Error::custom)?;
+        Self::try_from(values).map_err(D::Error::custom)
     }
 }
 
@@ -137,6 +149,20 @@ impl std::ops::Deref for PhysicsOptions {
 }
 
 impl PhysicsOptions {
+    /// The options of a preset.
+    pub fn preset(preset: Preset) -> Self {
+        Self(preset.values())
+    }
+
+    /// These options at another preset: gravity stays, and so does the discrete integrator, which soft bodies need.
+    pub fn with_preset(&self, preset: Preset) -> Self {
+        let mut values = Unchecked { gravity: self.gravity, ..preset.values() };
+        if self.integrator == Integrator::Discrete {
+            values.integrator = Integrator::Discrete;
+        }
+        Self(values)
+    }
+
     /// Steps in `interval` seconds.
     ///
     /// # Errors
@@ -183,6 +209,37 @@ mod tests {
     fn an_unknown_integrator_is_refused_by_name() {
         let error = serde_yaml::from_str::<PhysicsOptions>("integrator: leapfrog").unwrap_err().to_string();
         assert!(error.contains("leapfrog") && error.contains("implicitfast"), "{error}");
+    }
+
+    #[test]
+    fn a_preset_fills_what_is_not_written() {
+        let read = |text: &str| serde_yaml::from_str::<PhysicsOptions>(text);
+        assert_eq!(read("preset: fast").unwrap(), PhysicsOptions::preset(Preset::Fast));
+        assert_eq!(read("{}").unwrap(), PhysicsOptions::default());
+        let mixed = read("{ impratio: 3, preset: precise }").unwrap();
+        assert_eq!(*mixed, Unchecked { impratio: 3.0, ..Preset::Precise.values() });
+        let error = read("preset: fats").unwrap_err().to_string();
+        assert!(error.contains("fats") && error.contains("replay") && error.contains("stiff"), "{error}");
+        let error = read("{ preset: fast, timestep: 1 }").unwrap_err().to_string();
+        assert!(error.contains("timestep"), "{error}");
+        let error = read("{ preset: fast, imprato: 1 }").unwrap_err().to_string();
+        assert!(error.contains("imprato") && error.contains("impratio"), "{error}");
+        assert!(read("timestep: .nan").is_err());
+    }
+
+    #[test]
+    fn options_read_back_as_written() {
+        let options = PhysicsOptions::try_from(Unchecked { impratio: 3.5, ..Preset::Stiff.values() }).unwrap();
+        let text = serde_json::to_string(&options).unwrap();
+        assert_eq!(serde_json::from_str::<PhysicsOptions>(&text).unwrap(), options);
+    }
+
+    #[test]
+    fn another_preset_leaves_gravity_and_the_discrete_integrator() {
+        let soft = Unchecked { gravity: [0.0, 0.0, -1.6], integrator: Integrator::Discrete, ..Default::default() };
+        let soft = PhysicsOptions::try_from(soft).unwrap().with_preset(Preset::Precise);
+        assert_eq!((soft.gravity[2], soft.integrator), (-1.6, Integrator::Discrete));
+        assert_eq!((soft.timestep, soft.impratio, soft.preset), (1e-3, 100.0, Preset::Precise));
     }
 
     #[test]

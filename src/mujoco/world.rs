@@ -1,6 +1,7 @@
 //! A simulated world: model and data owned together, names resolved once.
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
+use mujoco_rs::mujoco_c::{mj_step, mjData, mjModel};
 use mujoco_rs::prelude::*;
 
 use super::fatal::refuse_what_ends_the_process;
@@ -96,7 +97,12 @@ impl World {
             Integrator::Discrete => MjtIntegrator::mjINT_DISCRETE,
         } as i32;
         opt.gravity = options.gravity;
+        let gap = options.preset.near_contact_gap();
         opt.disableflags |= MjtDisableBit::mjDSBL_AUTORESET as i32;
+        if gap > 0.0 {
+            // The gap of a pair is the sum of its two geoms'.
+            model.geom_gap_mut().fill(0.5 * gap);
+        }
         let data = MjData::try_new(Box::new(model)).map_err(|e| Error::Engine(e.to_string()))?;
         let mut world = Self { data, options: options.clone(), flex_bodies: Vec::new() };
         world.flex_bodies = world.find_flex_bodies()?;
@@ -192,6 +198,22 @@ impl World {
         self.data.step();
     }
 
+    /// Advances by `count` timesteps with nothing around the engine's own C function.
+    ///
+    /// For benchmarks: what [`Self::step`] is measured against.
+    pub fn step_bare(&mut self, count: usize) {
+        let model: *const mjModel = self.data.model().ffi();
+        // SAFETY: model and data belong together and live as long as self; mj_step keeps both valid, as it does in
+        // MjData::step, which is this call.
+        #[allow(unsafe_code)]
+        unsafe {
+            let data: *mut mjData = self.data.ffi_mut();
+            for _ in 0..count {
+                mj_step(model, data);
+            }
+        }
+    }
+
     /// Computes everything that follows from the state: poses, contacts, forces, accelerations.
     pub fn forward(&mut self) {
         self.data.forward();
@@ -234,6 +256,27 @@ impl World {
     /// Positions of all joints, metres, radians or quaternions, in the engine's order.
     pub fn qpos(&self) -> &[f64] {
         self.data.qpos()
+    }
+
+    /// Sets the positions of all joints, as [`Self::qpos`] gave them.
+    ///
+    /// # Errors
+    /// If their number is another, or one is not finite.
+    pub fn set_qpos(&mut self, qpos: &[f64]) -> Result<()> {
+        assign("qpos", self.data.qpos_mut(), qpos)
+    }
+
+    /// Targets of all servos, in the engine's order.
+    pub fn ctrl(&self) -> &[f64] {
+        self.data.ctrl()
+    }
+
+    /// Sets the targets of all servos, as [`Self::ctrl`] gave them.
+    ///
+    /// # Errors
+    /// As [`Self::set_qpos`].
+    pub fn set_ctrl(&mut self, ctrl: &[f64]) -> Result<()> {
+        assign("ctrl", self.data.ctrl_mut(), ctrl)
     }
 
     /// Velocities of all degrees of freedom, m/s or rad/s.
@@ -420,6 +463,17 @@ impl World {
     }
 }
 
+fn assign(name: &str, to: &mut [f64], from: &[f64]) -> Result<()> {
+    if to.len() != from.len() {
+        return Err(Error::shape(name, format!("[{}]", to.len()), [from.len()]));
+    }
+    if let Some(bad) = from.iter().position(|value| !value.is_finite()) {
+        return Err(Error::value(format!("{name}[{bad}]"), "a finite number", from[bad]));
+    }
+    to.copy_from_slice(from);
+    Ok(())
+}
+
 /// Keeps the engine from leaving a MUJOCO_LOG.TXT in the working directory; its warnings are counted in the world.
 fn keep_quiet() {
     static ONCE: std::sync::Once = std::sync::Once::new();
@@ -461,6 +515,37 @@ mod tests {
         let world = World::from_mjcf(BOX_ON_FLOOR, &PhysicsOptions::default()).unwrap();
         let error = world.body("bux").unwrap_err().to_string();
         assert!(error.contains("bux") && error.contains("box"), "{error}");
+    }
+
+    #[test]
+    fn bare_steps_are_the_same_steps() {
+        let mut a = World::from_mjcf(BOX_ON_FLOOR, &PhysicsOptions::default()).unwrap();
+        let mut b = World::from_mjcf(BOX_ON_FLOOR, &PhysicsOptions::default()).unwrap();
+        a.step_bare(50);
+        (0..50).for_each(|_| b.step());
+        assert_eq!((a.time(), a.qpos(), a.qvel()), (b.time(), b.qpos(), b.qvel()));
+    }
+
+    #[test]
+    fn replay_sees_what_is_within_a_centimetre_without_a_force() {
+        let options = PhysicsOptions::preset(crate::mujoco::Preset::Replay);
+        let mut world = World::from_mjcf(BOX_ON_FLOOR, &options).unwrap();
+        let mut qpos = world.qpos().to_vec();
+        for (height, touching, near) in [(0.0495, 4, 4), (0.0599, 0, 4), (0.0601, 0, 0)] {
+            qpos[2] = height;
+            world.set_qpos(&qpos).unwrap();
+            world.detect(0.0);
+            let contacts: Vec<Contact> = world.contacts().collect();
+            assert_eq!((contacts.iter().filter(|c| c.distance < 0.0).count(), contacts.len()), (touching, near));
+            for contact in contacts {
+                assert!(
+                    (contact.distance - (height - 0.05)).abs() < 1e-9 && contact.normal_force == 0.0,
+                    "{contact:?}"
+                );
+            }
+        }
+        assert_eq!(world.time(), 0.0);
+        assert!(world.set_qpos(&qpos[1..]).is_err() && world.set_qpos(&[f64::NAN; 7]).is_err());
     }
 
     #[test]

@@ -312,6 +312,7 @@ impl EffectPlan {
 /// What decides about effects.
 struct Facts {
     observed: Vec<Observation>,
+    replay: bool,
     presses: bool,
     lifts: bool,
     twists: bool,
@@ -335,6 +336,7 @@ impl Facts {
         let seconds = |act: &&&ActSpec| act.script.iter().map(|phase| phase.seconds.high()).sum::<f64>();
         Self {
             observed: scene.observe.clone(),
+            replay: !scene.physics.preset.has_dynamics(),
             presses: acts.iter().any(|act| act.presses()),
             lifts: acts.iter().any(|act| act.lifts()),
             twists: acts.iter().any(|act| act.twists()),
@@ -354,11 +356,12 @@ impl Facts {
         let forces = observes(&[Observation::Force, Observation::Slip]);
         let pictures = observes(&[Observation::Rgb, Observation::Depth]);
         let touch = observes(&[Observation::Contact, Observation::Force, Observation::Slip]);
-        let dynamics = forces || self.presses;
+        let dynamics = (forces || self.presses) && !self.replay;
         let unpressed = "no force is wanted and no hand presses: poses follow from the plan";
         let still = "without dynamics nothing pushes";
         [
             match (forces, self.presses) {
+                _ if self.replay => (false, "the preset replay has none: poses follow from the plan"),
                 (true, _) => (true, "force or slip is wanted"),
                 (_, true) => (true, "a hand presses on an object, which moves"),
                 _ => (false, unpressed),

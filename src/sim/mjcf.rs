@@ -281,7 +281,8 @@ fn hand_assets(hand: &HandDraw, rig: &HandRig, assets: &mut String) {
     );
     for (joint, hull) in rig.hulls.iter().enumerate() {
         let corners = join(hull.iter().copied().map(vec3));
-        put(assets, format_args!(r#"<mesh name="{}" vertex="{corners}"/>"#, rig.name(JOINT_NAMES[joint])));
+        let most = rig.most_corners.map(|most| format!(r#" maxhullvert="{most}""#)).unwrap_or_default();
+        put(assets, format_args!(r#"<mesh name="{}" vertex="{corners}"{most}/>"#, rig.name(JOINT_NAMES[joint])));
     }
 }
 

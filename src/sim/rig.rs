@@ -32,6 +32,8 @@ pub struct HandRig {
     pub hinges: Vec<Hinge>,
     /// Corners of each link's hull in the link's frame, m.
     pub hulls: Vec<Vec<DVec3>>,
+    /// Corners that the engine keeps of each hull at most; `None` keeps all.
+    pub most_corners: Option<usize>,
     /// Pairs of links that never collide.
     pub excluded: Vec<(usize, usize)>,
     shapes: Vec<SharedShape>,
@@ -109,7 +111,31 @@ impl HandRig {
         let hinges = hinges(&joints, &frame, &tips);
         let shapes = shapes(&hulls)?;
         let excluded = excluded(&shapes, &joints);
-        Ok(Self { model, betas, joints, vertices: rest.vertices, frame, hinges, hulls, excluded, shapes, pads })
+        Ok(Self {
+            model,
+            betas,
+            joints,
+            vertices: rest.vertices,
+            frame,
+            hinges,
+            hulls,
+            most_corners: None,
+            excluded,
+            shapes,
+            pads,
+        })
+    }
+
+    /// Has the engine collide with coarser hulls; plans keep the fine ones, so that the hand does the same.
+    ///
+    /// # Errors
+    /// If fewer than 4 corners are asked for, which span no volume.
+    pub fn limit_corners(&mut self, most: usize) -> Result<()> {
+        if most < 4 {
+            return Err(Error::value("hull corners", "at least 4", most));
+        }
+        self.most_corners = Some(most);
+        Ok(())
     }
 
     /// Which hand.

@@ -19,9 +19,9 @@ use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, N_BETAS, N_VERTICES, PosedHand, Side};
 use crate::label::force::link_vertices;
 use crate::label::{ForceSpreader, PROXIMITY, SIGMA};
-use crate::mujoco::World;
 use crate::mujoco::audit::{Expectation, Finding, audit, refuse_errors};
 use crate::mujoco::world::FreeJoint;
+use crate::mujoco::{PhysicsOptions, World};
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Topology, Validity};
 
 /// Seconds between two settings of the servos.
@@ -46,6 +46,12 @@ pub struct RolloutOptions {
     pub effects: Option<EffectSet>,
     /// Width of the kernel that spreads contact forces, m.
     pub sigma: f64,
+    /// Physics in place of what the scene and its effects ask for; for measuring what a value costs.
+    pub physics: Option<PhysicsOptions>,
+    /// Corners that each link's collision hull keeps at most; `None` keeps all.
+    pub hull_corners: Option<usize>,
+    /// Whether guards watch every step; without, frames are checked only at their own instants.
+    pub guards: bool,
 }
 
 impl Default for RolloutOptions {
@@ -57,6 +63,9 @@ impl Default for RolloutOptions {
             shadows: false,
             effects: None,
             sigma: SIGMA,
+            physics: None,
+            hull_corners: None,
+            guards: true,
         }
     }
 }
@@ -73,6 +82,7 @@ pub struct Rollout {
     effects: EffectSet,
     observe: Vec<Observation>,
     guard: Guard,
+    guards: bool,
     view: Option<View>,
     intrinsics: Intrinsics,
     camera: usize,
@@ -129,12 +139,18 @@ impl Rollout {
                 return Err(Error::value("hands", "left, then right", model.side.name()));
             }
         }
-        let rigs = [HandRig::new(left.clone(), options.betas)?, HandRig::new(right.clone(), options.betas)?];
+        let mut rigs = [HandRig::new(left.clone(), options.betas)?, HandRig::new(right.clone(), options.betas)?];
+        if let Some(corners) = options.hull_corners {
+            rigs.iter_mut().try_for_each(|rig| rig.limit_corners(corners))?;
+        }
         let spreaders = [ForceSpreader::new(left, options.sigma)?, ForceSpreader::new(right, options.sigma)?];
         let episode = Episode::sample(scene, seed, &rigs)?;
         let plan = EffectPlan::of(&scene.spec)?;
         let effects = chosen_effects(&plan, options)?;
-        let physics = plan.physics(effects, &scene.spec.physics)?;
+        let physics = match &options.physics {
+            Some(physics) => physics.clone(),
+            None => plan.physics(effects, &scene.spec.physics)?,
+        };
         let mut world = World::from_mjcf(&mjcf::write(&episode, &rigs, effects), &physics)?;
 
         let objects = episode.objects.iter().map(|draw| SceneObject::new(&world, draw)).collect::<Result<Vec<_>>>()?;
@@ -180,6 +196,7 @@ impl Rollout {
             effects,
             observe,
             guard,
+            guards: options.guards,
             view,
             camera,
             head,
@@ -193,7 +210,15 @@ impl Rollout {
     /// # Errors
     /// If rendering fails.
     pub fn next_frame(&mut self) -> Result<Option<SimFrame>> {
-        match self.next_instant(true)? {
+        self.next_frame_watched(|_| ())
+    }
+
+    /// As [`Self::next_frame`]; `watch` sees the world after each step, with the forces that acted during it.
+    ///
+    /// # Errors
+    /// If rendering fails.
+    pub fn next_frame_watched(&mut self, watch: impl FnMut(&World)) -> Result<Option<SimFrame>> {
+        match self.next_instant(true, watch)? {
             Some(validity) => self.observe(validity).map(Some),
             None => Ok(None),
         }
@@ -201,18 +226,23 @@ impl Rollout {
 
     /// Goes to the next frame without a picture or labels; `false` at the end.
     pub fn skip_frame(&mut self) -> bool {
+        self.skip_frame_watched(|_| ())
+    }
+
+    /// As [`Self::skip_frame`]; `watch` sees the world after each step.
+    pub fn skip_frame_watched(&mut self, watch: impl FnMut(&World)) -> bool {
         // Without exposures nothing can fail.
-        matches!(self.next_instant(false), Ok(Some(_)))
+        matches!(self.next_instant(false, watch), Ok(Some(_)))
     }
 
     /// Simulates up to the next frame's instant, with the shutter's exposures on the way if `exposing`.
-    fn next_instant(&mut self, exposing: bool) -> Result<Option<Validity>> {
+    fn next_instant(&mut self, exposing: bool, watch: impl FnMut(&World)) -> Result<Option<Validity>> {
         if self.next >= self.frames {
             return Ok(None);
         }
         let dynamic = self.effects.contains(Effect::Dynamics);
         if self.next > 0 && dynamic {
-            self.advance(exposing)?;
+            self.advance(exposing, watch)?;
         }
         let time = self.next as f64 * self.interval;
         self.next += 1;
@@ -302,6 +332,11 @@ impl Rollout {
         &mut self.world
     }
 
+    /// The physics as it is now, without what drives and observes it.
+    pub fn into_world(self) -> World {
+        self.world
+    }
+
     /// Parameters of a hand as it is; `None` = absent.
     pub fn hand_params(&self, side: Side) -> Option<HandParams> {
         let driver = self.hands[side as usize].as_ref()?;
@@ -309,7 +344,7 @@ impl Rollout {
         Some(self.rigs[side as usize].params(self.world.position(wrist), self.world.orientation(wrist), &angles))
     }
 
-    fn advance(&mut self, exposing: bool) -> Result<()> {
+    fn advance(&mut self, exposing: bool, mut watch: impl FnMut(&World)) -> Result<()> {
         for step in 0..self.steps_per_frame {
             if self.steps.is_multiple_of(self.steps_per_control) {
                 let interval = self.steps_per_control as f64 * self.world.options().timestep;
@@ -319,7 +354,10 @@ impl Rollout {
             }
             self.world.step();
             self.steps += 1;
-            self.guard.after_step(&self.world);
+            if self.guards {
+                self.guard.after_step(&self.world);
+            }
+            watch(&self.world);
             let left = self.steps_per_frame - step - 1;
             if exposing && self.view.as_ref().is_some_and(|view| view.is_open(left)) && self.world.is_finite() {
                 self.turn_head();

@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use super::Args;
 use super::bag::{self, Run};
 use super::figure::{self, TracePoint};
+use crate::bench::Machine;
 use crate::file;
 use crate::hand::{HandModel, HandParams, Side};
 use crate::message::TactileFrame;
@@ -52,7 +53,7 @@ fn summarize(args: &Args, run: &Run, verifier: &Value) -> Value {
     let strangers = count(|moment| moment.image.is_none() && moment.predicted.is_some());
     json!({
         "command": args.command(),
-        "machine": machine(),
+        "machine": Machine::this().to_string(),
         "images": images,
         "predictions": predictions,
         "dropped_frames": unpaired,
@@ -78,14 +79,6 @@ const ROWS: [(&str, &str, f64, &str); 13] = [
     ("contact AUROC (pooled)", "/verifier/metrics/pooled/auroc", 1.0, ""),
     ("frames left out as invalid", "/verifier/invalid_truths", 1.0, ""),
 ];
-
-/// Processor and number of its cores that a program may use.
-fn machine() -> String {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model = cpuinfo.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
-    format!("{}, {cores} cores", model.map_or("unknown processor", |(_, name)| name))
-}
 
 fn table(summary: &Value) -> String {
     let mut text = String::from("| predicted against the simulator's truth | |\n|---|---|\n");

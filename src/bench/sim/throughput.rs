@@ -1,0 +1,69 @@
+//! Rendered and labelled frames per second of `egotac sim generate`.
+
+use std::time::Instant;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+use crate::sim::{Generate, RolloutOptions, Scene, generate};
+
+/// Frames per second, planning and writing included.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Throughput {
+    /// Width and height of the picture, pixels.
+    pub size: u32,
+    /// Scenes, taken in turn.
+    pub scenes: Vec<String>,
+    /// Episodes altogether.
+    pub episodes: usize,
+    /// Frames altogether.
+    pub frames: usize,
+    /// Jobs and frames per second.
+    pub rates: Vec<Rate>,
+}
+
+/// Speed with some number of jobs.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Rate {
+    /// Episodes simulated at a time.
+    pub jobs: usize,
+    /// Frames per second.
+    pub frames_per_second: f64,
+}
+
+/// Generates the same store with each number of jobs in turn, `repetitions` times; the best time of each counts.
+///
+/// # Errors
+/// If there is no OpenGL, a rollout fails, or the temporary folder can't be written.
+pub fn measure(
+    scenes: &[Scene],
+    episodes: usize,
+    seed: u64,
+    jobs: &[usize],
+    options: &RolloutOptions,
+    repetitions: usize,
+) -> Result<Throughput> {
+    let size = 224;
+    let folder = tempfile::tempdir().map_err(Error::io(std::env::temp_dir()))?;
+    let mut least = vec![f64::INFINITY; jobs.len()];
+    let mut frames = 0;
+    for repetition in 0..repetitions.max(1) {
+        for (jobs, least) in jobs.iter().zip(&mut least) {
+            let options = RolloutOptions { picture: Some((size, size)), ..options.clone() };
+            let plan = Generate { scenes: scenes.to_vec(), episodes, seed, jobs: *jobs, options };
+            let out = folder.path().join(format!("{repetition}_{jobs}.zarr"));
+            let begun = Instant::now();
+            frames = generate(&plan, &out, |_, _| ())?.frames;
+            *least = least.min(begun.elapsed().as_secs_f64());
+            std::fs::remove_dir_all(&out).map_err(Error::io(&out))?;
+        }
+    }
+    let rate = |(jobs, least): (&usize, f64)| Rate { jobs: *jobs, frames_per_second: frames as f64 / least };
+    Ok(Throughput {
+        size,
+        scenes: scenes.iter().map(|scene| scene.name.clone()).collect(),
+        episodes,
+        frames,
+        rates: jobs.iter().zip(least).map(rate).collect(),
+    })
+}
