@@ -43,12 +43,10 @@ enum Command {
     Verify(verify::Args),
     /// The network: forward, info.
     Model(model::Args),
-    /// Measurements that the documentation holds: sim.
+    /// Measurements that the documentation holds: sim, hard-cases, guards.
     Bench(bench::Args),
     /// Stores: info.
     Data(data::Args),
-    /// What accuracy costs and what breaks: hard cases, guards.
-    Bench(bench::Args),
     /// The main job, end to end, on this machine.
     Demo(demo::Args),
 }
@@ -66,7 +64,6 @@ pub fn main() -> ExitCode {
         Command::Model(args) => model::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Data(args) => data::run(args),
-        Command::Bench(args) => bench::run(args),
         Command::Demo(args) => demo::run(args),
     };
     match result {

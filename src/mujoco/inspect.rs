@@ -72,7 +72,7 @@ impl World {
 
     /// Speed of a body's centre of mass, m/s, in the state before the last step or at the last [`Self::forward`].
     pub fn speed(&self, Body(body): Body) -> f64 {
-        self.point_velocity(body, DVec3::from_array(self.data().xipos()[body])).length()
+        self.point_velocity(Body(body), DVec3::from_array(self.data().xipos()[body])).length()
     }
 
     /// Both bodies' and geoms' indices and the distance of each touching point, m; without its force, so cheap.
@@ -95,7 +95,7 @@ impl World {
             let bodies = [geom_body[geom1] as usize, geom_body[geom2] as usize];
             let normal = DVec3::from_slice(&contact.frame[..3]);
             let place = DVec3::from_array(contact.pos);
-            let velocity = self.point_velocity(bodies[1], place) - self.point_velocity(bodies[0], place);
+            let velocity = self.point_velocity(Body(bodies[1]), place) - self.point_velocity(Body(bodies[0]), place);
             let [mu1, mu2, ..] = contact.friction;
             let cone_ratio = if contact.dim > 1 { (f1 / mu1).hypot(f2 / mu2) / normal_force } else { 0.0 };
             let slip = velocity.reject_from_normalized(normal);
@@ -125,12 +125,5 @@ impl World {
         let running = model.geom_surfacevel().iter().flatten().any(|v| *v != 0.0);
         let sticking = model.geom_adhesion().iter().any(|a| *a != 0.0);
         driven || running || sticking || model.ffi().neq > 0 || model.ffi().nflex > 0
-    }
-
-    fn point_velocity(&self, body: usize, place: DVec3) -> DVec3 {
-        let root = self.model().body_rootid()[body] as usize;
-        let velocity = &self.data().cvel()[body];
-        let (omega, linear) = (DVec3::from_slice(&velocity[..3]), DVec3::from_slice(&velocity[3..]));
-        linear + omega.cross(place - DVec3::from_array(self.data().subtree_com()[root]))
     }
 }
