@@ -46,10 +46,14 @@ impl World {
         points.iter().map(|point| DVec3::from_array(*point)).sum::<DVec3>() / flex.count.max(1) as f64
     }
 
-    /// For each soft body, the body of the same name.
-    pub(super) fn find_flex_bodies(&self) -> Result<Vec<Body>> {
+    /// For each soft body, the body of the same name; without one, the first that moves its points.
+    pub(super) fn find_flex_bodies(&self) -> Vec<Body> {
         let model = self.data.model();
-        let name = |id| model.id_to_name(MjtObjBase::mjOBJ_FLEX, id).unwrap_or_default();
-        (0..model.ffi().nflex as usize).map(|id| self.body(name(id))).collect()
+        let body = |id: usize| {
+            let name = model.id_to_name(MjtObjBase::mjOBJ_FLEX, id).unwrap_or_default();
+            let first = || model.flex_nodebodyid().get(model.flex_nodeadr()[id].max(0) as usize).copied().unwrap_or(0);
+            self.body(name).unwrap_or_else(|_| Body(first().max(0) as usize))
+        };
+        (0..model.ffi().nflex as usize).map(body).collect()
     }
 }

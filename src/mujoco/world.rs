@@ -105,7 +105,7 @@ impl World {
         }
         let data = MjData::try_new(Box::new(model)).map_err(|e| Error::Engine(e.to_string()))?;
         let mut world = Self { data, options: options.clone(), flex_bodies: Vec::new() };
-        world.flex_bodies = world.find_flex_bodies()?;
+        world.flex_bodies = world.find_flex_bodies();
         world.forward();
         Ok(world)
     }
