@@ -143,17 +143,26 @@ pub(super) fn tunnelling(world: &World, touches: &[Touch], speed: f64) -> Option
 pub(super) fn start_depth(world: &World) -> Option<Finding> {
     let limits = depth_limits(world, 2.0 * MOST_START_DEPTH);
     let excess = |geoms: [usize; 2], distance: f64| -distance - 0.5 * limits[geoms[0]].min(limits[geoms[1]]);
-    let (geoms, distance) = world.gaps().max_by(|a, b| excess(a.0, a.1).total_cmp(&excess(b.0, b.1)))?;
-    (excess(geoms, distance) > 0.0).then(|| {
-        let message = format!(
-            "{} and {} start {:.1} mm inside of each other, expected at most {:.1} mm: they would be thrown apart",
-            geom_name(world, geoms[0]),
-            geom_name(world, geoms[1]),
-            -1e3 * distance,
-            -1e3 * (distance + excess(geoms, distance)),
-        );
-        Finding { severity: Severity::Error, rule: Rule::StartDepth, message }
-    })
+    let bodies = world.model().geom_bodyid();
+    let tree = |geom: usize| world.model().body_treeid()[bodies[geom] as usize];
+    // Links of one mechanism are held by its joints: they part, and are not thrown.
+    let linked = |[a, b]: [usize; 2]| tree(a) >= 0 && tree(a) == tree(b);
+    let worst = |of_one: bool| {
+        let gaps = world.gaps().filter(|(geoms, distance)| linked(*geoms) == of_one && excess(*geoms, *distance) > 0.0);
+        gaps.max_by(|a, b| excess(a.0, a.1).total_cmp(&excess(b.0, b.1)))
+    };
+    let thrown = worst(false).map(|gap| (gap, Severity::Error, "they would be thrown apart"));
+    let (gap, severity, end) =
+        thrown.or_else(|| worst(true).map(|gap| (gap, Severity::Advice, "they press on each other")))?;
+    let (geoms, distance) = gap;
+    let message = format!(
+        "{} and {} start {:.1} mm inside of each other, expected at most {:.1} mm: {end}",
+        geom_name(world, geoms[0]),
+        geom_name(world, geoms[1]),
+        -1e3 * distance,
+        -1e3 * (distance + excess(geoms, distance)),
+    );
+    Some(Finding { severity, rule: Rule::StartDepth, message })
 }
 
 /// Bodies that turn freely with next to no inertia spin up from rounding.
