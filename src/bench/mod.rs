@@ -6,7 +6,9 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "sim")]
 pub mod guards;
+#[cfg(feature = "sim")]
 pub mod hard_cases;
+#[cfg(feature = "sim")]
 pub mod sim;
 
 /// Where numbers were measured.
