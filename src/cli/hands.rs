@@ -20,7 +20,7 @@ impl Hands {
     ///
     /// # Errors
     /// If one can't be read.
-    pub fn from_files(&self) -> crate::Result<Option<[HandModel; 2]>> {
+    pub fn files(&self) -> crate::Result<Option<[HandModel; 2]>> {
         match (&self.mano_left, &self.mano_right) {
             (Some(left), Some(right)) => {
                 Ok(Some([HandModel::load(left, Side::Left)?, HandModel::load(right, Side::Right)?]))
@@ -33,7 +33,8 @@ impl Hands {
     ///
     /// # Errors
     /// If a file can't be read.
+    #[cfg_attr(not(feature = "sim"), allow(dead_code))]
     pub fn models(&self) -> crate::Result<[HandModel; 2]> {
-        Ok(self.from_files()?.unwrap_or_else(|| Side::BOTH.map(HandModel::builtin)))
+        Ok(self.files()?.unwrap_or_else(|| Side::BOTH.map(HandModel::builtin)))
     }
 }

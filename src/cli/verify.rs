@@ -148,7 +148,7 @@ fn gate(bars: &[Bar], report: &Report) -> anyhow::Result<ExitCode> {
 
 fn score_recording(args: &Args, path: &Path) -> anyhow::Result<Report> {
     let topics = Topics { tactile: args.tactile_topic.clone(), truth: args.truth_topic.clone() };
-    let recording = recording::score(path, &topics, args.hands.from_files()?.as_ref())?;
+    let recording = recording::score(path, &topics, args.hands.files()?.as_ref())?;
     let mut report = Report::new(&[Candidate::Prediction], &recording.parts, &recording.episodes, args.seed)?;
     let (predictions, truths) = (recording.unmatched_predictions, recording.unmatched_truths);
     report.unmatched = Some(Unmatched { predictions, truths });
