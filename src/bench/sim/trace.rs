@@ -5,12 +5,13 @@ use std::collections::HashMap;
 use super::clock::Stopwatch;
 use crate::error::Result;
 use crate::hand::Side;
+use crate::metrics::contact::CONTACT_THRESHOLD;
 use crate::mujoco::World;
 use crate::mujoco::world::{Body, FreeJoint};
 use crate::sim::rig::{JOINT_NAMES, site_of};
 use crate::sim::scene::Site;
 use crate::sim::{Rollout, RolloutOptions, Scene, SimFrame};
-use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
+use crate::tactile::{N_FIELD, Validity};
 
 /// Sites of both hands: thumb to little finger and palm, left hand first.
 pub const N_SITES: usize = 12;
@@ -35,7 +36,7 @@ pub struct Trace {
     pub accelerations: Vec<f64>,
     /// Weight of the free objects together, N.
     pub weight: f64,
-    /// (frames) vertices above 0.05 N (label c), ascending.
+    /// (frames) vertices in contact (label c: above 0.05 N), ascending.
     pub touched: Vec<Vec<u32>>,
     /// (frames) positions of all joints.
     pub states: Vec<Vec<f64>>,
@@ -161,6 +162,7 @@ impl Cast {
 }
 
 fn touched(frame: &SimFrame) -> Vec<u32> {
-    let force = &frame.frame.field.force;
-    (0..N_FIELD as u32).filter(|vertex| force[*vertex as usize] > CONTACT_FORCE_N).collect()
+    // Without dynamics forces are unknown, but contact is not.
+    let contact = &frame.frame.field.contact;
+    (0..N_FIELD as u32).filter(|vertex| contact[*vertex as usize] > CONTACT_THRESHOLD).collect()
 }
