@@ -31,6 +31,9 @@ pub const WRIST: [&str; 6] = ["wrist_x", "wrist_y", "wrist_z", "wrist_rx", "wris
 /// the hulls.
 const NEAR: f64 = 0.014;
 
+/// Half thickness below which a piece counts as thin, m: a card, not a mug's wall.
+const THIN: f64 = 1.6e-3;
+
 /// Writes the model of an episode with the given effects.
 pub fn write(episode: &Episode, rigs: &[HandRig; 2], effects: EffectSet) -> String {
     let shadows = effects.contains(Effect::Shadows);
@@ -90,12 +93,23 @@ pub fn write(episode: &Episode, rigs: &[HandRig; 2], effects: EffectSet) -> Stri
 
 /// Contact of skin and objects: how many directions have friction, and how soft it is.
 fn contact(effects: EffectSet) -> String {
+    contact_over(effects, 0.015)
+}
+
+/// Contact of one piece of an object. What is thinner than [`THIN`] yields less, or a fingertip would press through it:
+/// depth goes with the square of the time constant.
+fn contact_of(piece: &Piece, effects: EffectSet) -> String {
+    contact_over(effects, if piece.half_thickness() < THIN { 0.005 } else { 0.015 })
+}
+
+/// Contact that returns within a time constant, s.
+fn contact_over(effects: EffectSet, time: f64) -> String {
     let condim = match (effects.contains(Effect::Friction), effects.contains(Effect::TorsionalFriction)) {
         (false, _) => 1,
         (true, false) => 3,
         (true, true) => 4,
     };
-    format!(r#"condim="{condim}" solref="0.015 1" solimp="0.9 0.95 0.001""#)
+    format!(r#"condim="{condim}" solref="{time} 1" solimp="0.9 0.95 0.001""#)
 }
 
 fn surroundings(look: &Look, assets: &mut String, world: &mut String, effects: EffectSet) {
@@ -196,12 +210,12 @@ fn object_body(
     pieces(object, "part", &object.shape.pieces, effects, assets, world);
     world.push_str("</body>\n");
     if let Some(friction) = object.table_friction.filter(|_| effects.contains(Effect::Friction)) {
-        for i in 0..object.shape.pieces.len() {
+        for (i, piece) in object.shape.pieces.iter().enumerate() {
             put(
                 excludes,
                 format_args!(
                     r#"<pair geom1="table" geom2="{name}/part{i}" friction="{friction} {friction} 0.01 0.0001 0.0001" {}/>"#,
-                    contact(effects)
+                    contact_of(piece, effects)
                 ),
             );
         }
@@ -242,7 +256,7 @@ fn pieces(
     assets: &mut String,
     world: &mut String,
 ) {
-    let (name, contact) = (&object.name, contact(effects));
+    let name = &object.name;
     let volume: f64 = pieces.iter().map(Piece::volume).sum();
     for (i, piece) in pieces.iter().enumerate() {
         let shape = match &piece.shape {
@@ -256,7 +270,7 @@ fn pieces(
                 format!(r#"type="mesh" mesh="{name}/{part}{i}""#)
             }
         };
-        let mass = object.mass * piece.volume() / volume;
+        let (mass, contact) = (object.mass * piece.volume() / volume, contact_of(piece, effects));
         let group = if piece.visible { 1 } else { 3 };
         // Priority 1: the object's friction decides, whatever touches it.
         let (friction, at, turn) = (object.friction, vec3(piece.position), quat(piece.orientation));

@@ -77,6 +77,20 @@ impl Piece {
         }
     }
 
+    /// Half of its least extent along its own axes, m.
+    pub fn half_thickness(&self) -> f64 {
+        match &self.shape {
+            PieceShape::Box(half) => half.min_element(),
+            PieceShape::Ball(radius) | PieceShape::Capsule(radius, _) => *radius,
+            PieceShape::Cylinder(radius, half) => radius.min(*half),
+            PieceShape::Hull(corners) => {
+                let low = corners.iter().copied().reduce(DVec3::min).unwrap_or_default();
+                let high = corners.iter().copied().reduce(DVec3::max).unwrap_or_default();
+                0.5 * (high - low).min_element()
+            }
+        }
+    }
+
     /// Where a ray first meets it: distance along the ray, m, and outward unit normal.
     pub(super) fn meet(&self, ray: &Ray, far: f64) -> Option<(f64, DVec3)> {
         let hit = self.collider.cast_ray_and_get_normal(&self.pose(), ray, far as f32, true)?;
