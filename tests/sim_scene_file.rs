@@ -1,7 +1,7 @@
 //! A scene file is checked in full before anything is simulated, and the message says what is wrong where.
 #![cfg(feature = "sim")]
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use egotac::sim::{Rollout, RolloutOptions, SHIPPED, Scene};
 
@@ -79,23 +79,45 @@ fn new_keys_are_checked_as_well() {
     assert!(error.contains("objects[0].shape.stiffness"), "{error}");
 }
 
-#[test]
-fn a_mesh_beside_the_scene_file_is_found_and_simulated() {
-    let folder = tempfile::tempdir().unwrap();
-    // A stump of a pyramid, 40 mm high, in millimetres.
+/// Writes a stump of a pyramid, 40 mm high, in millimetres, with the faces given; and the scene `hover` with it.
+fn write_stump(folder: &Path, faces: &[&str]) -> (PathBuf, String) {
     let corners = [(0, 0), (40, 0), (40, 40), (0, 40)].map(|(x, y)| (x, y, 0));
     let corners = corners.into_iter().chain([(10, 10), (30, 10), (30, 30), (10, 30)].map(|(x, y)| (x, y, 40)));
-    let faces = ["1 4 3 2", "5 6 7 8", "1 2 6 5", "2 3 7 6", "3 4 8 7", "4 1 5 8"];
     let mut text: String = corners.map(|(x, y, z)| format!("v {x} {y} {z}\n")).collect();
-    text += &faces.map(|face| format!("f {face}\n")).concat();
-    std::fs::write(folder.path().join("stump.obj"), text).unwrap();
+    text += &faces.iter().map(|face| format!("f {face}\n")).collect::<String>();
+    std::fs::write(folder.join("stump.obj"), text).unwrap();
     let scene = SHIPPED.iter().find(|(name, _)| *name == "hover").unwrap().1;
     let start = scene.find("    shape:").unwrap();
     let end = start + scene[start..].find('\n').unwrap();
     let scene =
         format!("{}    shape: {{ mesh: {{ file: stump.obj, scale: 0.001 }} }}{}", &scene[..start], &scene[end..]);
-    let path = folder.path().join("stump.yaml");
+    let path = folder.join("stump.yaml");
     std::fs::write(&path, &scene).unwrap();
+    (path, scene)
+}
+
+const STUMP: [&str; 6] = ["1 4 3 2", "5 6 7 8", "1 2 6 5", "2 3 7 6", "3 4 8 7", "4 1 5 8"];
+
+#[test]
+fn faults_of_a_mesh_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let faults = |faces: &[&str]| {
+        let (path, _) = write_stump(folder.path(), faces);
+        Scene::load(path.to_str().unwrap()).unwrap().mesh_faults().unwrap().concat()
+    };
+    assert_eq!(faults(&STUMP), "");
+    let open = faults(&STUMP[..5]);
+    assert!(open.contains("stump.obj") && open.contains("open: 4 edges"), "{open}");
+    let inverted = STUMP.map(|face| face.chars().rev().collect::<String>());
+    let inside_out = faults(&inverted.each_ref().map(String::as_str));
+    // The stump's volume: 40 mm x (40² + 20² + 40 x 20) mm² / 3.
+    assert!(inside_out.contains("inside out: its volume is -3.7e-5 m³"), "{inside_out}");
+}
+
+#[test]
+fn a_mesh_beside_the_scene_file_is_found_and_simulated() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, scene) = write_stump(folder.path(), &STUMP);
     let options = RolloutOptions { picture: None, ..RolloutOptions::default() };
     let mut rollout = Rollout::new(&Scene::load(path.to_str().unwrap()).unwrap(), 1, &options).unwrap();
     let mut last = 0.0;

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec3, Vec3};
 use parry3d::math::Vector;
 use parry3d::shape::SharedShape;
 use parry3d::transformation::vhacd::VHACDParameters;
@@ -12,6 +12,7 @@ use parry3d::transformation::vhacd::VHACDParameters;
 use super::piece::{Piece, PieceShape};
 use super::{Object, Surface};
 use crate::error::{Error, Result};
+use crate::mujoco::audit::{MeshFault, mesh_faults};
 use crate::sim::convex::{self, double, single};
 
 /// More triangles than this are for looking at, not for touching.
@@ -36,6 +37,17 @@ pub(super) fn mesh(path: &Path, scale: f64) -> Result<Object> {
     let outline = convex::hull(&vertices).ok_or_else(flat)?;
     let pieces = decompose(&vertices, &triangles, &outline).ok_or_else(flat)?;
     Ok(Object { visual: Some((vertices, triangles)), ..Object::free(pieces, 0.5 * size.z, outline) })
+}
+
+/// What is wrong with the surface in a file, at `scale`. An object is made of it all the same, from its convex pieces;
+/// but where it is open or inside out, those may not be what its author saw.
+///
+/// # Errors
+/// As [`load`].
+pub(in crate::sim) fn faults(path: &Path, scale: f64) -> Result<Vec<MeshFault>> {
+    let (vertices, triangles) = load(path)?;
+    let vertices: Vec<Vec3> = vertices.iter().map(|vertex| (scale * *vertex).as_vec3()).collect();
+    Ok(mesh_faults(&vertices, &triangles))
 }
 
 /// Reads vertices and triangles of an OBJ or STL file.

@@ -11,6 +11,7 @@ use parry3d::query::Ray;
 use parry3d::shape::SharedShape;
 use rand::Rng;
 
+pub(super) use mesh::faults as mesh_faults;
 pub use piece::{Piece, PieceShape};
 
 use super::convex::single;

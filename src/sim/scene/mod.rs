@@ -13,6 +13,7 @@ pub use object::{ObjectSpec, ShapeSpec};
 pub use shipped::SHIPPED;
 
 use super::effect::{EffectPlan, EffectsSpec, Observation};
+use super::object::mesh_faults;
 use super::span::Span;
 use crate::error::{Error, Result};
 use crate::mujoco::PhysicsOptions;
@@ -157,6 +158,25 @@ impl Scene {
         let scene = Self { name: name.to_owned(), spec };
         scene.check().map_err(|e| Error::file(path, e))?;
         Ok(scene)
+    }
+
+    /// What is wrong with the mesh files of its objects, a line per file; empty where all are closed surfaces that
+    /// face outwards.
+    ///
+    /// # Errors
+    /// If a file can't be read or holds no surface.
+    pub fn mesh_faults(&self) -> Result<Vec<String>> {
+        let mut lines = Vec::new();
+        for object in &self.spec.objects {
+            if let ShapeSpec::Mesh { file, scale } = &object.shape {
+                let faults = mesh_faults(file, scale.low())?;
+                if !faults.is_empty() {
+                    let faults: Vec<String> = faults.iter().map(ToString::to_string).collect();
+                    lines.push(format!("{}: the mesh {}", file.display(), faults.join(", ")));
+                }
+            }
+        }
+        Ok(lines)
     }
 
     fn check(&self) -> Result<()> {
