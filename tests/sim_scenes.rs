@@ -202,7 +202,7 @@ fn shows(scene: &str, touched: bool, deed: &Deed) {
         let refused = frames.iter().filter(|frame| frame.frame.validity != Validity::Valid).count();
         assert!(refused * 20 < frames.len(), "{scene}, seed {seed}: {refused} frames refused");
         let Some(start) = frames[0].objects.first() else { continue };
-        let most = |measure: &dyn Fn(&egotac::sim::rollout::ObjectPose) -> f64| {
+        let most = |measure: &dyn Fn(&egotac::sim::ObjectPose) -> f64| {
             frames.iter().map(|frame| measure(&frame.objects[0])).fold(0.0, f64::max)
         };
         let rise = most(&|pose| pose.position.z - start.position.z);

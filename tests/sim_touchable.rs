@@ -3,9 +3,9 @@
 
 use egotac::hand::{HandModel, HandParams, N_BETAS, N_VERTICES, Side};
 use egotac::label::Sides;
+use egotac::sim::ObjectPose;
 use egotac::sim::randomize::Episode;
 use egotac::sim::rig::HandRig;
-use egotac::sim::rollout::ObjectPose;
 use egotac::sim::{Scene, Touchables};
 use egotac::tactile::N_FIELD;
 use glam::{DQuat, DVec3, Vec3};

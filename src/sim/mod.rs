@@ -20,6 +20,7 @@ pub mod isolate;
 pub mod look;
 pub mod mjcf;
 pub mod object;
+pub mod observe;
 pub mod randomize;
 pub mod record;
 pub mod rig;
@@ -33,7 +34,8 @@ pub mod view;
 
 pub use effect::{Effect, EffectPlan, EffectSet};
 pub use isolate::{Workers, generate_isolated};
+pub use observe::{ObjectPose, SimFrame};
 pub use record::{Generate, Summary, generate, record};
-pub use rollout::{Rollout, RolloutOptions, SimFrame};
+pub use rollout::{Rollout, RolloutOptions};
 pub use scene::{SHIPPED, Scene};
 pub use touchable::{Distances, Touchables};

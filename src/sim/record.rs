@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::effect::Observation;
-use super::rollout::{Rollout, RolloutOptions, SimFrame};
+use super::observe::SimFrame;
+use super::rollout::{Rollout, RolloutOptions};
 use super::scene::Scene;
 use crate::dataset::zarr::{ArraySpec, CAMERA_POSE, Contact, Dtype, OBJECT_POSE, Values, ZarrReader, ZarrWriter};
 use crate::dataset::{Attributes, EpisodeReader, EpisodeWriter, Frame};

@@ -1,35 +1,28 @@
 //! A rollout: one episode of a scene, frame by frame.
 
-use ::image::RgbImage;
-use glam::{DQuat, DVec3};
-
-use super::camera::{CameraPose, Intrinsics};
-use super::contact::{HandForce, hand_force, hand_slip};
+use super::camera::Intrinsics;
 use super::driver::{HandDriver, Target};
 use super::effect::{Effect, EffectPlan, EffectSet, Observation};
 use super::guard::Guard;
 use super::mjcf::{self, HEAD};
+use super::observe::SimFrame;
 use super::randomize::Episode;
 use super::rig::HandRig;
 use super::scene::Scene;
 use super::scene_object::SceneObject;
 use super::view::{View, ViewOptions};
-use crate::dataset::Frame;
 use crate::error::{Error, Result};
-use crate::hand::{HandModel, HandParams, N_BETAS, N_VERTICES, PosedHand, Side};
-use crate::label::force::link_vertices;
-use crate::label::{ForceSpreader, PROXIMITY, SIGMA};
+use crate::hand::{HandModel, HandParams, N_BETAS, PosedHand, Side};
+use crate::label::{ForceSpreader, SIGMA};
 use crate::mujoco::audit::{Expectation, Finding, audit, refuse_errors};
 use crate::mujoco::world::FreeJoint;
 use crate::mujoco::{PhysicsOptions, World};
-use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Topology, Validity};
+use crate::tactile::{Topology, Validity};
 
 /// Seconds between two settings of the servos.
 const CONTROL_INTERVAL: f64 = 0.008;
 /// Depth of a contact that neither skin nor a mug's wall survives, m.
 const MAX_DEPTH: f64 = 0.004;
-/// Distance from a surface at which a vertex counts as touching where no forces are simulated, m.
-pub const TOUCH_DISTANCE: f64 = 0.002;
 
 /// What to simulate and record beside the scene itself.
 #[derive(Debug, Clone)]
@@ -40,7 +33,7 @@ pub struct RolloutOptions {
     pub betas: [f32; N_BETAS],
     /// Width and height of the picture; `None` never opens an OpenGL context, and pictures are 1 x 1.
     pub picture: Option<(u32, u32)>,
-    /// Shadows in the picture, at ten times its price, also where the scene does not list them.
+    /// Shadows in the picture, also where the scene does not list them.
     pub shadows: bool,
     /// Effects in place of those that the scene calls for; for measuring what one costs.
     pub effects: Option<EffectSet>,
@@ -73,57 +66,27 @@ impl Default for RolloutOptions {
 /// A running episode: a world, its hands, its camera.
 #[derive(Debug)]
 pub struct Rollout {
-    world: World,
-    rigs: [HandRig; 2],
-    hands: [Option<HandDriver>; 2],
-    spreaders: [ForceSpreader; 2],
-    objects: Vec<SceneObject>,
-    episode: Episode,
-    effects: EffectSet,
-    observe: Vec<Observation>,
-    guard: Guard,
-    guards: bool,
-    view: Option<View>,
-    intrinsics: Intrinsics,
-    camera: usize,
-    head: usize,
-    steps_per_frame: usize,
-    steps_per_control: usize,
+    pub(super) world: World,
+    pub(super) rigs: [HandRig; 2],
+    pub(super) hands: [Option<HandDriver>; 2],
+    pub(super) spreaders: [ForceSpreader; 2],
+    pub(super) objects: Vec<SceneObject>,
+    pub(super) episode: Episode,
+    pub(super) effects: EffectSet,
+    pub(super) observe: Vec<Observation>,
+    pub(super) guard: Guard,
+    pub(super) guards: bool,
+    pub(super) view: Option<View>,
+    pub(super) intrinsics: Intrinsics,
+    pub(super) camera: usize,
+    pub(super) head: usize,
+    pub(super) steps_per_frame: usize,
+    pub(super) steps_per_control: usize,
     /// Steps since the start: control follows them, whatever the frame rate.
-    steps: usize,
-    interval: f64,
-    frames: usize,
-    next: usize,
-}
-
-/// One frame: the data-set's part, and what else is true at that instant.
-#[derive(Debug, Clone)]
-pub struct SimFrame {
-    /// Picture, touch and hand poses, as data sets keep them.
-    pub frame: Frame,
-    /// (1556) 1 = an object's surface is within 1 cm (the paper's label).
-    pub proximity: Vec<u8>,
-    /// (1556) speed at which touching surfaces slide, m/s; `None` where it is not observed.
-    pub slip: Option<Vec<f32>>,
-    /// (H, W) distance from the camera's plane, m; `None` where it is not observed.
-    pub depth: Option<Vec<f32>>,
-    /// Left and right hand's force with residuals; `None` = absent, or without dynamics.
-    pub hands: [Option<HandForce>; 2],
-    /// Name and pose of each object that is solid, in the world frame, m.
-    pub objects: Vec<ObjectPose>,
-    /// Pose of the camera.
-    pub camera: CameraPose,
-}
-
-/// A named pose, `world_from_object`.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ObjectPose {
-    /// The object.
-    pub name: String,
-    /// Position, m.
-    pub position: DVec3,
-    /// Orientation.
-    pub orientation: DQuat,
+    pub(super) steps: usize,
+    pub(super) interval: f64,
+    pub(super) frames: usize,
+    pub(super) next: usize,
 }
 
 impl Rollout {
@@ -372,14 +335,14 @@ impl Rollout {
     }
 
     /// A present hand as it is, posed.
-    fn posed(&self, side: Side) -> Option<(HandParams, PosedHand)> {
+    pub(super) fn posed(&self, side: Side) -> Option<(HandParams, PosedHand)> {
         let params = self.hand_params(side)?;
         let posed = self.rigs[side as usize].model.forward(&params);
         Some((params, posed))
     }
 
     /// Gives the engine's skins the vertices of the hands as they are.
-    fn set_skins(&mut self) -> Result<()> {
+    pub(super) fn set_skins(&mut self) -> Result<()> {
         for side in Side::BOTH {
             if let (Some(driver), Some((_, posed))) = (&self.hands[side as usize], self.posed(side)) {
                 let vertices = self.rigs[side as usize].bound_vertices(&posed);
@@ -387,114 +350,6 @@ impl Rollout {
             }
         }
         Ok(())
-    }
-
-    fn observe(&mut self, validity: Validity) -> Result<SimFrame> {
-        let lost = validity == Validity::NotFinite;
-        let observes = |wanted: Observation| self.observe.contains(&wanted);
-        // Effects in place of the scene's may not deliver what it observes: that is unknown then, not zero.
-        let delivers = |wanted: Observation| {
-            observes(wanted) && wanted.needs().iter().all(|effect| self.effects.contains(*effect))
-        };
-        let (wants_contact, wants_force) = (delivers(Observation::Contact), delivers(Observation::Force));
-        let wants_slip = delivers(Observation::Slip);
-        let dynamic = self.effects.contains(Effect::Dynamics);
-        if !lost {
-            self.objects.iter_mut().try_for_each(|object| object.refresh(&self.world))?;
-        }
-        let mut field = TactileField::zeros(self.topology());
-        let mut proximity = vec![0; N_FIELD];
-        let mut slip = vec![0.0; N_FIELD];
-        let mut poses = [None, None];
-        let mut forces = [None, None];
-        for side in Side::BOTH {
-            let Some(driver) = self.hands[side as usize].as_ref().filter(|_| !lost) else { continue };
-            let Some((params, posed)) = self.posed(side) else { continue };
-            let (links, spreader) = (driver.links(), &self.spreaders[side as usize]);
-            if dynamic && (wants_force || wants_contact) {
-                let label = hand_force(&self.world, links, &posed.vertices, spreader)?;
-                field.force[side.range()].copy_from_slice(&label.force);
-                forces[side as usize] = Some(label);
-            }
-            if wants_slip {
-                slip[side.range()].copy_from_slice(&hand_slip(&self.world, links, &posed.vertices, spreader)?);
-            }
-            if wants_contact {
-                let near = self.near_vertices(side, driver);
-                let candidates = near.iter().zip(&posed.vertices).enumerate().filter(|(_, (near, _))| **near);
-                for (vertex, (_, position)) in candidates {
-                    let (index, position) = (side.range().start + vertex, position.as_dvec3());
-                    proximity[index] = u8::from(self.objects.iter().any(|o| o.is_within(position, PROXIMITY)));
-                    if !dynamic && proximity[index] == 1 {
-                        let touches = self.objects.iter().any(|object| object.distance(position) <= TOUCH_DISTANCE);
-                        field.contact[index] = f32::from(touches);
-                    }
-                }
-            }
-            poses[side as usize] = Some(params);
-        }
-        if dynamic && wants_contact {
-            for (contact, force) in field.contact.iter_mut().zip(&field.force) {
-                *contact = f32::from(*force > CONTACT_FORCE_N);
-            }
-        }
-        if !wants_force {
-            field.force.fill(f32::NAN);
-        }
-        if !wants_contact {
-            field.contact.fill(f32::NAN);
-        }
-        let (picture, depth) = self.shoot(lost)?;
-        // A hand that is there is supervised where the frame can be trusted; an absent one is surely not touched.
-        let valid = validity == Validity::Valid;
-        let [left_hand_pose, right_hand_pose] = poses;
-        let frame = Frame {
-            timestamp: self.world.time(),
-            camera_ego_rgb: picture,
-            field,
-            force_valid: vec![u8::from(valid && wants_force); N_FIELD],
-            contact_valid: vec![u8::from(valid && wants_contact); N_FIELD],
-            validity,
-            left_hand_pose,
-            right_hand_pose,
-        };
-        let solid = self.objects.iter().filter(|object| object.body().is_some());
-        let objects = solid.map(|object| {
-            let (position, orientation) = object.pose();
-            ObjectPose { name: object.name.clone(), position, orientation }
-        });
-        let objects = objects.collect();
-        let camera = CameraPose::from_engine(self.world.camera_pose(self.camera));
-        let slip = wants_slip.then_some(slip);
-        Ok(SimFrame { frame, proximity, slip, depth, hands: forces, objects, camera })
-    }
-
-    /// Vertices of a hand that may be within 1 cm of something: those of links that collision detection found near, and
-    /// all where it does not look for nearness.
-    fn near_vertices(&self, side: Side, driver: &HandDriver) -> Vec<bool> {
-        if !self.effects.contains(Effect::NearContact) {
-            return vec![true; N_VERTICES];
-        }
-        let mut near = vec![false; N_VERTICES];
-        let found: Vec<_> = self.world.contacts().flat_map(|contact| contact.bodies).collect();
-        let vertices = link_vertices(&self.rigs[side as usize].model);
-        for (link, _) in driver.links().iter().enumerate().filter(|(_, body)| found.contains(body)) {
-            vertices[link].iter().for_each(|vertex| near[*vertex as usize] = true);
-        }
-        near
-    }
-
-    fn shoot(&mut self, lost: bool) -> Result<(RgbImage, Option<Vec<f32>>)> {
-        if !lost && self.view.is_some() {
-            self.set_skins()?;
-        }
-        match self.view.as_mut().filter(|_| !lost) {
-            Some(view) => {
-                let (picture, depth) = view.shoot(&mut self.world)?;
-                Ok((picture, Some(depth).filter(|_| self.observe.contains(&Observation::Depth))))
-            }
-            None => Ok((RgbImage::new(self.intrinsics.width, self.intrinsics.height), None)),
-        }
     }
 }
 

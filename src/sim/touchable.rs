@@ -7,8 +7,8 @@ use glam::{DQuat, DVec3, Vec3};
 
 use super::convex;
 use super::mjcf::{TABLE_CENTRE, TABLE_HALF};
+use super::observe::ObjectPose;
 use super::randomize::Episode;
-use super::rollout::ObjectPose;
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, N_VERTICES, Side};
 use crate::label::{HandSurface, SampledSurface, Sampling, Solid};

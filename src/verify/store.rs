@@ -16,8 +16,8 @@ use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, N_BETAS, Side};
 use crate::label::{Parts, TruthFrame};
 use crate::model::Predictor;
+use crate::sim::ObjectPose;
 use crate::sim::rig::HandRig;
-use crate::sim::rollout::ObjectPose;
 use crate::sim::{Scene, Touchables, randomize};
 use crate::tactile::{N_FIELD, TactileField, Validity};
 
