@@ -9,6 +9,8 @@ mod hand;
 mod hands;
 mod model;
 mod predict;
+#[cfg(feature = "sim")]
+mod progress;
 mod sim;
 mod train;
 mod verify;

@@ -1,0 +1,40 @@
+//! `egotac sim explain`.
+
+use super::shared::{load, options};
+use super::{Explain, Hands};
+use crate::cli::progress;
+use crate::sim::{self, Effect};
+
+pub fn explain(args: &Explain) -> anyhow::Result<()> {
+    let scene = load(&args.scene)?;
+    let hands = Hands::default();
+    let options = options(&hands, args.size, false)?;
+    let mut effects = sim::explain::explain(&scene)?;
+    if !args.no_cost {
+        let bar = progress::bar("effects");
+        for (done, explained) in effects.iter_mut().enumerate() {
+            progress::step(&bar, done, Effect::ALL.len());
+            explained.cost = Some(sim::explain::cost(&scene, args.seed, &options, explained.effect)?);
+        }
+        bar.finish_and_clear();
+    }
+    println!("{}", if args.json { serde_json::to_string_pretty(&effects)? } else { as_table(&effects) });
+    Ok(())
+}
+
+/// A table for people; the cost of what is off stands in brackets.
+fn as_table(effects: &[sim::explain::Explained]) -> String {
+    let row = |[a, b, c, d]: [&str; 4]| format!("{a:18}  {b:3}  {c:>10}  {d}");
+    let mut lines = vec![row(["effect", "", "ms/s", "why"])];
+    for explained in effects {
+        let cost = match explained.cost {
+            Some(cost) if explained.on => format!("{cost:.1}"),
+            Some(cost) => format!("({cost:.1})"),
+            None => String::new(),
+        };
+        let on = if explained.on { "on" } else { "off" };
+        lines.push(row([explained.effect.name(), on, &cost, &explained.reason]));
+    }
+    lines.push("ms/s: milliseconds per simulated second, with what comes and goes with the effect; (in brackets): what it would cost".into());
+    lines.join("\n")
+}

@@ -1,0 +1,244 @@
+//! `egotac sim`: simulated hand-object scenes.
+
+#[cfg(feature = "sim")]
+mod explain;
+#[cfg(feature = "sim")]
+mod record;
+#[cfg(feature = "sim")]
+mod shared;
+#[cfg(feature = "sim")]
+mod show;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use super::hands::Hands;
+#[cfg(feature = "sim")]
+pub(super) use shared::load;
+
+/// Arguments of `egotac sim`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// List the scenes that are part of the program.
+    List,
+    /// Render a scene to a PNG: one instant, or a sheet of several.
+    Show(Show),
+    /// Say which effects a scene simulates, why, and what each costs.
+    Explain(Explain),
+    /// Simulate one episode and write it as a Zarr store.
+    Run(Run),
+    /// Simulate many episodes and write them as one Zarr store; the same command continues an interrupted one.
+    Generate(Generate),
+    /// What `generate` starts: records the episodes that it is told on standard input.
+    #[command(hide = true)]
+    Worker(Worker),
+}
+
+#[derive(Debug, clap::Args)]
+struct Show {
+    /// Name of a scene (`egotac sim list`), or a YAML file.
+    scene: String,
+    /// Seed of everything the scene leaves open.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Simulated time to show, s; without it, the middle of the episode.
+    #[arg(long, conflicts_with = "sheet")]
+    time: Option<f64>,
+    /// Show this many instants side by side, evenly spread over the episode.
+    #[arg(long)]
+    sheet: Option<usize>,
+    /// Paint where the hand is touched: force of label c on the vertices, projected into the picture.
+    #[arg(long)]
+    touch: bool,
+    /// List the contacts of each instant: bodies, normal force, depth.
+    #[arg(long)]
+    contacts: bool,
+    /// Draw shadows (ten times slower).
+    #[arg(long)]
+    shadows: bool,
+    /// Width and height of a picture, pixels.
+    #[arg(long, default_value_t = 448)]
+    size: u32,
+    /// PNG file to write.
+    #[arg(long)]
+    out: PathBuf,
+    #[command(flatten)]
+    hands: Hands,
+}
+
+#[derive(Debug, clap::Args)]
+struct Explain {
+    /// Name of a scene (`egotac sim list`), or a YAML file.
+    scene: String,
+    /// Seed of the episode in which costs are measured.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Width and height of the picture, pixels.
+    #[arg(long, default_value_t = 224)]
+    size: u32,
+    /// Leave the costs away.
+    #[arg(long)]
+    no_cost: bool,
+    /// Print JSON in place of the table.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct Run {
+    /// Name of a scene (`egotac sim list`), or a YAML file.
+    scene: String,
+    /// Seed of everything the scene leaves open.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Width and height of the picture, pixels.
+    #[arg(long, default_value_t = 224)]
+    size: u32,
+    /// Draw shadows (ten times slower).
+    #[arg(long)]
+    shadows: bool,
+    /// Store to write; must not exist.
+    #[arg(long)]
+    out: PathBuf,
+    #[command(flatten)]
+    accuracy: Accuracy,
+    #[command(flatten)]
+    hands: Hands,
+}
+
+#[derive(Debug, clap::Args)]
+struct Generate {
+    /// Names of scenes, or YAML files; taken in turn.
+    #[arg(required = true)]
+    scenes: Vec<String>,
+    /// Episodes altogether.
+    #[arg(long, default_value_t = 100)]
+    episodes: usize,
+    /// Seed of the first episode; each further one has the next.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Width and height of the picture, pixels.
+    #[arg(long, default_value_t = 112)]
+    size: u32,
+    /// Draw shadows (ten times slower).
+    #[arg(long)]
+    shadows: bool,
+    /// Episodes simulated at a time, each in a process of its own.
+    #[arg(long, default_value_t = 2)]
+    jobs: usize,
+    /// Simulate in threads of this process: if the engine ends one episode, it ends all.
+    #[arg(long)]
+    in_process: bool,
+    /// Leave out episodes that fail, and name them, instead of writing no store.
+    #[arg(long, conflicts_with = "in_process")]
+    skip_failed: bool,
+    /// Store to write; must not exist.
+    #[arg(long)]
+    out: PathBuf,
+    #[command(flatten)]
+    accuracy: Accuracy,
+    #[command(flatten)]
+    hands: Hands,
+}
+
+/// How exact the physics is, in place of what the scene says.
+#[derive(Debug, clap::Args)]
+struct Accuracy {
+    /// Physics preset: replay, fast, default, precise, reference or stiff.
+    #[arg(long, conflicts_with_all = ["budget", "error"])]
+    preset: Option<String>,
+    /// Computation per simulated second at most, without labels and pictures, e.g. 20ms: takes the most exact preset
+    /// within it, by the table of `egotac bench sim` that is part of the program.
+    #[arg(long, value_name = "TIME", value_parser = parse_budget)]
+    budget: Option<f64>,
+    /// Error of quasi-static forces at most, e.g. 1%: takes the cheapest preset that keeps it, by the same table.
+    #[arg(long, value_name = "PERCENT", value_parser = parse_error)]
+    error: Option<f64>,
+}
+
+#[derive(Debug, clap::Args)]
+struct Worker {
+    /// Names of scenes, or YAML files.
+    #[arg(required = true)]
+    scenes: Vec<String>,
+    /// Width and height of the picture, pixels.
+    #[arg(long)]
+    size: u32,
+    /// Draw shadows.
+    #[arg(long)]
+    shadows: bool,
+    #[command(flatten)]
+    accuracy: Accuracy,
+    #[command(flatten)]
+    hands: Hands,
+}
+
+/// Reads seconds with their unit: `20ms`, `0.5s`.
+fn parse_budget(text: &str) -> Result<f64, String> {
+    let number = |text: &str| text.trim().parse::<f64>().ok();
+    let seconds = match text.strip_suffix("ms") {
+        Some(text) => number(text).map(|ms| 1e-3 * ms),
+        None => text.strip_suffix('s').and_then(number),
+    };
+    let expected = "expected a time above 0 with its unit, such as 20ms or 0.5s";
+    seconds.filter(|s| s.is_finite() && *s > 0.0).ok_or_else(|| expected.into())
+}
+
+/// Reads a share in percent: `1%`.
+fn parse_error(text: &str) -> Result<f64, String> {
+    let share = text.strip_suffix('%').and_then(|text| text.trim().parse::<f64>().ok()).map(|value| value / 100.0);
+    share.filter(|s| s.is_finite() && *s >= 0.0).ok_or_else(|| "expected a share in percent, such as 1%".into())
+}
+
+/// Runs the command.
+#[cfg(not(feature = "sim"))]
+pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    let name = match args.command {
+        Command::List => "sim list",
+        Command::Show(_) => "sim show",
+        Command::Explain(_) => "sim explain",
+        Command::Run(_) => "sim run",
+        Command::Generate(_) => "sim generate",
+        Command::Worker(_) => "sim worker",
+    };
+    Err(super::feature_off(name, "sim"))
+}
+
+/// Runs the command.
+#[cfg(feature = "sim")]
+pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    match args.command {
+        Command::List => show::list()?,
+        Command::Show(args) => show::show(&args)?,
+        Command::Explain(args) => explain::explain(&args)?,
+        Command::Run(args) => record::run(&args)?,
+        Command::Generate(args) => record::generate(&args)?,
+        Command::Worker(args) => record::work(&args)?,
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn budgets_and_errors_need_their_units() {
+        for (text, seconds) in [("20ms", 0.02), ("0.5s", 0.5), ("1.5 ms", 0.0015)] {
+            assert!((parse_budget(text).unwrap() - seconds).abs() < 1e-12, "{text}");
+        }
+        for text in ["20", "ms", "-1ms", "0s", "infs", "20us", "NaNs", ""] {
+            assert!(parse_budget(text).is_err(), "{text}");
+        }
+        assert!((parse_error("1%").unwrap() - 0.01).abs() < 1e-12 && parse_error("0.5 %").unwrap() == 0.005);
+        for text in ["1", "0.01", "-1%", "%", "inf%", "one%"] {
+            assert!(parse_error(text).is_err(), "{text}");
+        }
+    }
+}

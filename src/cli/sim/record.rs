@@ -1,0 +1,122 @@
+//! `egotac sim run`, `egotac sim generate` and the workers that the latter starts.
+
+use std::ffi::OsString;
+use std::path::Path;
+
+use anyhow::Context;
+
+use super::shared::{load, options};
+use super::{Accuracy, Generate, Run, Worker};
+use crate::bench::sim::pick::{self, Request};
+use crate::cli::progress;
+use crate::mujoco::{PhysicsOptions, Preset};
+use crate::sim::{self, Scene, Summary, Workers};
+
+pub fn run(args: &Run) -> anyhow::Result<()> {
+    let scene = told(load(&args.scene)?, &args.accuracy)?;
+    let bar = progress::bar("frames");
+    let options = options(&args.hands, args.size, args.shadows)?;
+    let summary = sim::record(&scene, args.seed, &options, &args.out, |done, all| progress::step(&bar, done, all))?;
+    bar.finish_and_clear();
+    print(&summary, &args.out);
+    Ok(())
+}
+
+pub fn generate(args: &Generate) -> anyhow::Result<()> {
+    let scenes = args.scenes.iter().map(|name| told(load(name)?, &args.accuracy));
+    let plan = sim::Generate {
+        scenes: scenes.collect::<anyhow::Result<_>>()?,
+        episodes: args.episodes,
+        seed: args.seed,
+        jobs: args.jobs,
+        options: options(&args.hands, args.size, args.shadows)?,
+    };
+    let bar = progress::bar("episodes");
+    let progress = |done, all| progress::step(&bar, done, all);
+    let summary = match args.in_process {
+        true => sim::generate(&plan, &args.out, progress)?,
+        false => sim::generate_isolated(&plan, &workers(args)?, args.skip_failed, &args.out, progress)?,
+    };
+    bar.finish_and_clear();
+    print(&summary, &args.out);
+    Ok(())
+}
+
+/// This program with the same scenes and options.
+fn workers(args: &Generate) -> anyhow::Result<Workers> {
+    let program = std::env::current_exe().context("where this program lies")?;
+    let mut arguments: Vec<OsString> = ["sim", "worker"].map(OsString::from).to_vec();
+    arguments.extend(["--size".into(), args.size.to_string().into()]);
+    if args.shadows {
+        arguments.push("--shadows".into());
+    }
+    let Accuracy { preset, budget, error } = &args.accuracy;
+    let preset = preset.clone().map(|name| ("--preset", name));
+    let budget = budget.map(|seconds| ("--budget", format!("{seconds}s")));
+    let error = error.map(|share| ("--error", format!("{}%", 100.0 * share)));
+    for (flag, value) in [preset, budget, error].into_iter().flatten() {
+        arguments.extend([flag.into(), value.into()]);
+    }
+    for (flag, path) in [("--mano-left", &args.hands.mano_left), ("--mano-right", &args.hands.mano_right)] {
+        arguments.extend(path.iter().flat_map(|path| [flag.into(), path.clone().into_os_string()]));
+    }
+    arguments.push("--".into());
+    arguments.extend(args.scenes.iter().map(OsString::from));
+    Ok(Workers { program, arguments })
+}
+
+pub fn work(args: &Worker) -> anyhow::Result<()> {
+    let scenes = args.scenes.iter().map(|name| Ok(with_accuracy(Scene::load(name)?, &args.accuracy)?.0));
+    let scenes = scenes.collect::<anyhow::Result<Vec<_>>>()?;
+    let options = options(&args.hands, args.size, args.shadows)?;
+    sim::isolate::serve(&scenes, &options, std::io::stdin().lock(), std::io::stdout().lock())?;
+    Ok(())
+}
+
+/// As [`with_accuracy`], which is told.
+fn told(scene: Scene, accuracy: &Accuracy) -> anyhow::Result<Scene> {
+    let (scene, news) = with_accuracy(scene, accuracy)?;
+    news.iter().for_each(|line| println!("{line}"));
+    Ok(scene)
+}
+
+/// The scene with the preset that is asked for or follows from the bench's table, and what a user should hear of it.
+fn with_accuracy(mut scene: Scene, accuracy: &Accuracy) -> anyhow::Result<(Scene, Vec<String>)> {
+    let mut news = Vec::new();
+    let request = Request { budget: accuracy.budget, error: accuracy.error };
+    let preset = match &accuracy.preset {
+        Some(name) => Preset::from_name(name)?,
+        None if request == Request::default() => return Ok((scene, news)),
+        None => {
+            let choice = pick::pick(&pick::committed()?, &scene.name, request)?;
+            news.push(format!("{}: preset {choice}: {}, by {}", scene.name, choice.reason, choice.basis));
+            choice.preset
+        }
+    };
+    let physics = &scene.spec.physics;
+    if *physics != PhysicsOptions::preset(physics.preset) {
+        news.push(format!("{}: its own physics values give way to the preset's, except gravity", scene.name));
+    }
+    scene.spec.physics = physics.with_preset(preset);
+    let interval = 1.0 / scene.spec.rate;
+    scene.spec.physics.steps_in(interval).with_context(|| format!("{} with preset {}", scene.name, preset.name()))?;
+    Ok((scene, news))
+}
+
+fn print(summary: &Summary, out: &Path) {
+    println!(
+        "wrote {}: {} frames, {} with touch; most force {:.2} N; residuals: sum {:.1e}, moment {:.1e} N m",
+        out.display(),
+        summary.frames,
+        summary.touching,
+        summary.max_force,
+        summary.sum_residual,
+        summary.moment_residual,
+    );
+    for failed in &summary.failed {
+        println!("left out: {failed}");
+    }
+    for (reason, count) in &summary.invalid {
+        println!("{count} frames not valid: {reason}");
+    }
+}
