@@ -66,16 +66,19 @@ impl Folder {
 #[test]
 fn labels_of_scenes_are_swept_the_same_way_each_time() {
     let folder = Folder::new();
-    let (first, second) = (folder.path("a.json"), folder.path("b.json"));
+    let (first, out) = (folder.path("a.json"), folder.path("out"));
     let (picture, scenes) = (folder.path("a.png"), ["verify", "pinch_cube", "hover", "--seeds", "2", "--seed", "5"]);
     let output = egotac(&[&scenes[..], &["--json", &first, "--picture", &picture]].concat());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let table = String::from_utf8(output.stdout).unwrap();
     assert!(table.contains("b_5mm") && table.contains("missed force") && table.contains("4 episodes"), "{table}");
-    assert!(egotac(&[&scenes[..], &["--json", &second, "--jobs", "1"]].concat()).status.success());
+    assert!(egotac(&[&scenes[..], &["--out", &out, "--jobs", "1"]].concat()).status.success());
     let bytes = std::fs::read(&first).unwrap();
-    assert!(bytes == std::fs::read(&second).unwrap(), "not the same bit for bit");
-    assert!(image::open(&picture).unwrap().width() > 1000);
+    let in_folder = |name: &str| std::fs::read(Path::new(&out).join(name)).unwrap();
+    assert!(bytes == in_folder("verify.json"), "not the same bit for bit");
+    assert!(std::fs::read(&picture).unwrap() == in_folder("verify.png") && image::open(&picture).unwrap().width() > 1000);
+    let page = String::from_utf8(in_folder("verify.md")).unwrap();
+    assert!(page.contains(table.trim()) && page.contains("`egotac verify pinch_cube hover --seeds 2 --seed 5"), "{page}");
 
     let report: Value = serde_json::from_slice(&bytes).unwrap();
     assert_eq!((score(&report, "c", "pooled.f1"), score(&report, "c", "missed_force")), (1.0, 0.0));

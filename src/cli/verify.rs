@@ -64,6 +64,9 @@ pub struct Args {
     /// PNG file to draw.
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
+    /// Folder for verify.md, verify.json and verify.png.
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["json", "picture"])]
+    out: Option<PathBuf>,
     /// Width and height of the pictures for a predictor, pixels.
     #[arg(long, default_value_t = 224)]
     size: u32,
@@ -88,19 +91,38 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Some(recording) => score_recording(&args, recording)?,
         None => score_sources(&args, &settings, &candidates)?,
     };
-    if let Some(path) = &args.picture {
-        file::write_png(path, &picture::draw(&report)?)?;
-    }
-    let json = format!("{:#}\n", serde_json::to_value(&report)?);
-    match args.json.as_deref() {
-        Some(path) if path == Path::new("-") => print!("{json}"),
-        Some(path) => {
-            file::write(path, json.as_bytes())?;
-            println!("{}", report::table(&report));
-        }
-        None => println!("{}", report::table(&report)),
-    }
+    write(&args, &report)?;
     gate(&bars, &report)
+}
+
+/// Writes what is asked for; the table goes to standard output unless JSON does.
+fn write(args: &Args, report: &Report) -> anyhow::Result<()> {
+    let json = format!("{:#}\n", serde_json::to_value(report)?);
+    let table = report::table(report);
+    if args.json.as_deref() == Some(Path::new("-")) {
+        print!("{json}");
+    } else {
+        println!("{table}");
+    }
+    let in_folder = |name: &str| args.out.as_ref().map(|folder| folder.join(name));
+    let given = |path: &Option<PathBuf>| path.clone().filter(|path| path != Path::new("-"));
+    if let Some(path) = given(&args.json).or(in_folder("verify.json")) {
+        file::write(&path, json.as_bytes())?;
+    }
+    if let Some(path) = args.picture.clone().or(in_folder("verify.png")) {
+        file::write_png(&path, &picture::draw(report)?)?;
+    }
+    if let Some(path) = in_folder("verify.md") {
+        let words: Vec<String> = std::env::args().skip(1).collect();
+        let text = format!(
+            "# Labels and predictions against contact forces\n\nWritten by `egotac {}` (egotac {}). Numbers: \
+             `verify.json`.\n\n![Scores over the distance that counts as touch](verify.png)\n\n```\n{table}\n```\n",
+            words.join(" "),
+            env!("CARGO_PKG_VERSION"),
+        );
+        file::write(&path, text.as_bytes())?;
+    }
+    Ok(())
 }
 
 fn settings(args: &Args) -> anyhow::Result<Settings> {
@@ -172,6 +194,7 @@ mod with_sim {
     use rayon::prelude::*;
 
     use super::Args;
+    use crate::cli::sim::load;
     use crate::dataset::zarr::{self, ZarrReader};
     use crate::label::Parts;
     use crate::model::{Predictor, predictor, shipped};
@@ -185,7 +208,7 @@ mod with_sim {
             args.sources.iter().partition(|source| Path::new(source).is_dir());
         let paths: Vec<PathBuf> = stores.into_iter().map(PathBuf::from).collect();
         let stores = zarr::open_all(&paths)?;
-        let scenes = scenes.into_iter().map(|name| Scene::load(name)).collect::<crate::Result<Vec<_>>>()?;
+        let scenes = scenes.into_iter().map(|name| load(name)).collect::<anyhow::Result<Vec<_>>>()?;
         let hands = args.hands.models()?;
         let mut predictor = open_predictor(args)?;
 
