@@ -5,6 +5,8 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "sim")]
+pub mod effects;
+#[cfg(feature = "sim")]
 pub mod guards;
 #[cfg(feature = "sim")]
 pub mod hard_cases;

@@ -14,6 +14,8 @@ pub struct Args {
 enum Subject {
     /// What accuracy costs in simulation: errors against fine references, times, a Pareto plot.
     Sim(Sim),
+    /// What each scene simulates, and what each effect costs in it.
+    Effects(Effects),
     /// What goes wrong, what the guards say, and what helps: every hard case in three runs.
     HardCases(HardCases),
     /// What the guards cost: a step with and without them.
@@ -40,6 +42,21 @@ struct Sim {
     repetitions: u64,
     /// Folder for sim.json, sim.md, sim.png and sim.svg.
     #[arg(long)]
+    out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+struct Effects {
+    /// Names of scenes (`egotac sim list`), or YAML files; without them, all that are part of the program.
+    scenes: Vec<String>,
+    /// Seed of the episodes.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Width and height of the picture, pixels.
+    #[arg(long, default_value_t = 224, value_parser = clap::value_parser!(u32).range(8..=1024))]
+    size: u32,
+    /// Folder for `effects.md` and `effects.json`.
+    #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
 }
 
@@ -71,6 +88,7 @@ struct Guards {
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let name = match args.subject {
         Subject::Sim(_) => "bench sim",
+        Subject::Effects(_) => "bench effects",
         Subject::HardCases(_) => "bench hard-cases",
         Subject::Guards(_) => "bench guards",
     };
@@ -82,6 +100,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let good = match args.subject {
         Subject::Sim(args) => with_sim::sim(&args)?,
+        Subject::Effects(args) => with_sim::effects(&args)?,
         Subject::HardCases(args) => with_sim::hard_cases(&args)?,
         Subject::Guards(args) => with_sim::guards(&args)?,
     };
@@ -91,22 +110,19 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 #[cfg(feature = "sim")]
 mod with_sim {
     use anyhow::{Context, ensure};
-    use indicatif::{ProgressBar, ProgressStyle};
+    use indicatif::ProgressBar;
 
-    use super::{Guards, HardCases, Sim};
+    use super::{Effects, Guards, HardCases, Sim};
     use crate::bench::hard_cases::{registry, report, run};
     use crate::bench::sim::knob::Knob;
     use crate::bench::sim::{self, KNOB_SCENES, Plan, markdown, pareto};
-    use crate::bench::{Machine, guards};
+    use crate::bench::{Machine, effects, guards};
+    use crate::cli::progress;
     use crate::file;
     use crate::sim::{RolloutOptions, SHIPPED, Scene};
 
     pub fn sim(args: &Sim) -> anyhow::Result<bool> {
-        let names: Vec<String> = match args.scenes.is_empty() {
-            true => SHIPPED.iter().map(|(name, _)| (*name).to_owned()).collect(),
-            false => args.scenes.clone(),
-        };
-        let scenes = names.iter().map(|name| Scene::load(name)).collect::<crate::Result<Vec<_>>>()?;
+        let scenes = scenes(&args.scenes)?;
         let knob_scenes = match args.scenes.is_empty() {
             true => KNOB_SCENES.map(str::to_owned).into(),
             false => scenes.iter().map(|scene| scene.name.clone()).collect(),
@@ -126,15 +142,8 @@ mod with_sim {
             repetitions: args.repetitions as usize,
             options: RolloutOptions { picture: None, ..RolloutOptions::default() },
         };
-        let bar = ProgressBar::new(0);
-        if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} ({elapsed})") {
-            bar.set_style(style);
-        }
-        let report = sim::run(&plan, |what, done, all| {
-            bar.set_length(all as u64);
-            bar.set_position(done as u64);
-            bar.set_message(what.to_owned());
-        })?;
+        let bar = progress::told_bar();
+        let report = sim::run(&plan, |what, done, all| say(&bar, what, done, all))?;
         bar.finish_and_clear();
         let table = markdown::render(&report);
         file::write(&args.out.join("sim.json"), report.to_json()?.as_bytes())?;
@@ -145,6 +154,37 @@ mod with_sim {
             "\nwrote {}",
             ["sim.json", "sim.md", "sim.png", "sim.svg"].map(|f| args.out.join(f).display().to_string()).join(", ")
         );
+        Ok(true)
+    }
+
+    /// Those named, or all that are part of the program.
+    fn scenes(names: &[String]) -> crate::Result<Vec<Scene>> {
+        match names {
+            [] => SHIPPED.iter().map(|(name, _)| Scene::load(name)).collect(),
+            names => names.iter().map(|name| Scene::load(name)).collect(),
+        }
+    }
+
+    fn say(bar: &ProgressBar, what: &str, done: usize, all: usize) {
+        progress::step(bar, done, all);
+        bar.set_message(what.to_owned());
+    }
+
+    pub fn effects(args: &Effects) -> anyhow::Result<bool> {
+        let mut words = vec!["egotac bench effects".to_owned()];
+        words.extend(args.scenes.iter().cloned());
+        words.push(format!("--seed {} --size {} --out {}", args.seed, args.size, args.out.display()));
+        let bar = progress::told_bar();
+        let scenes = scenes(&args.scenes)?;
+        let report = effects::measure(words.join(" "), &scenes, args.seed, args.size, |what, done, all| {
+            say(&bar, what, done, all);
+        })?;
+        bar.finish_and_clear();
+        let table = effects::markdown(&report);
+        file::write(&args.out.join("effects.md"), table.as_bytes())?;
+        file::write(&args.out.join("effects.json"), serde_json::to_string_pretty(&report)?.as_bytes())?;
+        print!("{table}");
+        println!("wrote {0}/effects.md and {0}/effects.json", args.out.display());
         Ok(true)
     }
 

@@ -2,6 +2,8 @@
 
 use std::time::Instant;
 
+use serde::Serialize;
+
 use super::effect::{Effect, EffectPlan, EffectSet};
 use super::rollout::{Rollout, RolloutOptions};
 use super::scene::Scene;
@@ -11,7 +13,7 @@ use crate::error::Result;
 const FRAMES: usize = 24;
 
 /// One effect in one scene.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Explained {
     /// The effect.
     pub effect: Effect,
@@ -21,6 +23,7 @@ pub struct Explained {
     pub reason: String,
     /// What it costs, or would cost, ms per simulated second, together with the effects that come and go with it;
     /// `None` where it was not measured.
+    #[serde(rename = "ms_per_simulated_second")]
     pub cost: Option<f64>,
 }
 
