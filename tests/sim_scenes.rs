@@ -224,17 +224,18 @@ fn what_is_grasped_is_lifted() {
     }
 }
 
-/// The fingers close with a drawn torque, and not every drawn bottle is held by it.
 #[test]
-fn a_bottle_in_the_whole_hand_is_lifted_more_often_than_not() {
-    let lifted = |seed: u64| {
+fn a_bottle_in_the_whole_hand_is_lifted_and_stands_again() {
+    for seed in 10..13 {
         let (_, frames) = frames("power_grasp", seed);
-        let start = frames[0].objects[0].position.z;
-        let links = frames.iter().flat_map(|frame| frame.hands.iter().flatten()).map(|hand| hand.contacts).max();
-        assert!(links.unwrap() >= 6, "seed {seed}: the whole hand takes part");
-        frames.iter().any(|frame| frame.objects[0].position.z - start > 0.02)
-    };
-    assert!((10..14).filter(|seed| lifted(*seed)).count() >= 3);
+        let place = |frame: &SimFrame| (frame.objects[0].position.z, frame.objects[0].orientation * DVec3::Z);
+        let ((start, _), (end, up)) = (place(&frames[0]), place(&frames[frames.len() - 1]));
+        let rise = frames.iter().map(|frame| place(frame).0 - start).fold(0.0, f64::max);
+        assert!(rise > 0.02, "seed {seed}: it rises by {rise} m");
+        assert!((end - start).abs() < 0.005 && up.z > 0.98, "seed {seed}: it ends at {end} m, up is {up}");
+        let contacts = frames.iter().flat_map(|frame| frame.hands.iter().flatten()).map(|hand| hand.contacts).max();
+        assert!(contacts.unwrap() >= 6, "seed {seed}: the whole hand takes part");
+    }
 }
 
 #[test]

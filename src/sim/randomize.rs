@@ -314,7 +314,7 @@ impl CameraDraw {
 fn posture(rig: &HandRig, act: &ActSpec, curl: f64, rng: &mut impl Rng) -> Vec<f64> {
     let wraps = |site: Site| act.wrap.as_ref().is_some_and(|wrap| wrap.fingers.contains(&site));
     let bend = |hinge: &super::rig::Hinge| match (hinge.site, act.contacts.contains_key(&hinge.site)) {
-        (Site::Thumb, _) if wraps(Site::Thumb) => [0.3, 0.1, 0.05, 0.1][hinge_place(hinge)],
+        (Site::Thumb, _) if wraps(Site::Thumb) => [0.8, 0.1, 0.05, 0.1][hinge_place(hinge)],
         (site, _) if wraps(site) => [0.0, 0.2, 0.25, 0.15][hinge_place(hinge)],
         (Site::Thumb, true) => [0.45, 0.1, 0.25, 0.3][hinge_place(hinge)],
         (_, true) => [0.0, 0.75, 0.7, 0.4][hinge_place(hinge)],
