@@ -8,7 +8,6 @@ use serde::{Deserialize, Serialize};
 pub mod effects;
 #[cfg(feature = "sim")]
 pub mod guards;
-#[cfg(feature = "sim")]
 pub mod hard_cases;
 #[cfg(feature = "sim")]
 pub mod sim;

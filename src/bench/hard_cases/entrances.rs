@@ -9,6 +9,7 @@ use crate::image::Preparation;
 use crate::label::{ForceSpreader, LinkContact, SIGMA, SampledSurface, resample};
 use crate::message::{HandPose, Header, Message, TactileFrame};
 use crate::metrics::{self, Fields};
+use crate::model::Metadata;
 use crate::tactile::{N_FIELD, TactileField, Topology};
 
 const fn case(name: &'static str, recipe: &'static str, run: fn() -> Result<Outcome>) -> HardCase {
@@ -27,10 +28,17 @@ pub(super) const CASES: &[HardCase] = &[
         statistics,
     ),
     case("scores", "`metrics::evaluate` with infinite forces: an undefined score, never NaN", scores),
+    case(
+        "network_metadata",
+        "network `Metadata` with NaN or infinity as force scale, interval or image mean",
+        metadata,
+    ),
     #[cfg(feature = "sim")]
     case("physics_options", "`PhysicsOptions` with NaN or infinity in any number", physics),
     #[cfg(feature = "sim")]
     case("scene_file", "a scene file with .nan or .inf in any number", scene),
+    #[cfg(feature = "sim")]
+    case("mesh_file", "a mesh file with nan, inf or a number beyond any float in a vertex", mesh),
 ];
 
 const BAD: [f32; 2] = [f32::NAN, f32::INFINITY];
@@ -153,6 +161,22 @@ fn scores() -> Result<Outcome> {
     outcome([undefined(f32::NAN), undefined(f32::INFINITY), undefined(f32::NEG_INFINITY)], good)
 }
 
+fn metadata() -> Result<Outcome> {
+    let with = |change: &dyn Fn(&mut Metadata)| {
+        let mut metadata = Metadata::new("spoilt", 1.0, 0.1);
+        change(&mut metadata);
+        metadata.check()
+    };
+    let mut bad = Vec::new();
+    for value in BAD {
+        bad.push(with(&|m| m.force_scale = value));
+        bad.push(with(&|m| m.frame_dt = value.into()));
+        bad.push(with(&|m| m.mean[1] = value));
+        bad.push(with(&|m| m.std[2] = value));
+    }
+    outcome(bad, with(&|_| ()))
+}
+
 #[cfg(feature = "sim")]
 fn physics() -> Result<Outcome> {
     use crate::mujoco::PhysicsOptions;
@@ -190,4 +214,23 @@ fn scene() -> Result<Outcome> {
         return Err(crate::Error::value("numbers in the scene", "dozens", bad.len()));
     }
     outcome(bad, parse(text))
+}
+
+/// A tetrahedron in a scene's file.
+#[cfg(feature = "sim")]
+fn mesh() -> Result<Outcome> {
+    use crate::error::Error;
+    use crate::sim::{SHIPPED, Scene};
+    let folder = tempfile::tempdir().map_err(Error::io(std::env::temp_dir()))?;
+    let file = folder.path().join("spoilt.obj");
+    let shape = SHIPPED[0].1.lines().find(|line| line.trim_start().starts_with("shape:")).unwrap_or_default();
+    let text = SHIPPED[0].1.replacen(shape, "    shape: { mesh: { file: spoilt.obj, scale: 0.05 } }", 1);
+    let scene = Scene::parse("spoilt", &folder.path().join("spoilt.yaml"), &text)?;
+    let with = |word: &str| {
+        let corners = format!("v {word} 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n");
+        std::fs::write(&file, corners + "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n").map_err(Error::io(&file))?;
+        scene.mesh_faults()
+    };
+    let bad: Vec<_> = ["nan", "-inf", "1e999"].map(with).into();
+    outcome(bad, with("0"))
 }

@@ -7,43 +7,41 @@ use crate::error::Result;
 use crate::hand::{HandModel, HandParams, N_VERTICES, Side, vertex_areas, vertex_normals};
 use crate::label::{ForceSpreader, LinkContact, SIGMA, SampledSurface, resample};
 
-const fn case(
-    name: &'static str,
-    recipe: &'static str,
-    remedy: &'static str,
-    run: fn() -> Result<Outcome>,
-) -> HardCase {
-    HardCase { family: Family::Label, name, recipe, remedy, run }
-}
+const FAMILY: Family = Family::Label;
 
 pub(super) const CASES: &[HardCase] = &[
-    case(
+    FAMILY.case(
         "far_contact",
         "a contact 10 m from the hand: every Gaussian weight underflows, and 0 / 0 is shared out",
         "weights relative to the nearest vertex",
         far_contact,
     ),
-    case(
+    FAMILY.case(
         "coincident_vertices",
         "all vertices of the hand in one place, a contact in the same",
         "none needed",
         coincident_vertices,
     ),
-    case(
+    FAMILY.case(
         "normals_without_area",
         "vertices whose triangles have no area, normalised as they are",
         "a normal of zero",
         normals_without_area,
     ),
-    case(
+    FAMILY.case(
         "broken_surface",
         "distance label of a surface with a hole, faces inwards, and triangles without area",
         "none needed: the label takes points, not sides",
         broken_surface,
     ),
-    case("surface_of_10_m", "a cube of 10 m sampled at 6 mm: 33 million points", "a spacing of 50 mm", surface_of_10_m),
-    case("surface_of_1_mm", "a cube of 1 mm sampled at 6 mm", "none needed", surface_of_1_mm),
-    case("astronomic_surface", "a triangle of 1e30 m sampled at 6 mm", "a triangle of 100 mm", astronomic),
+    FAMILY.case(
+        "surface_of_10_m",
+        "a cube of 10 m sampled at 6 mm: 33 million points",
+        "a spacing of 50 mm",
+        surface_of_10_m,
+    ),
+    FAMILY.case("surface_of_1_mm", "a cube of 1 mm sampled at 6 mm", "none needed", surface_of_1_mm),
+    FAMILY.case("astronomic_surface", "a triangle of 1e30 m sampled at 6 mm", "a triangle of 100 mm", astronomic),
 ];
 
 fn contact(position: DVec3) -> LinkContact {

@@ -10,41 +10,34 @@ use crate::error::Result;
 use crate::mujoco::audit::mesh_faults;
 use crate::mujoco::{PhysicsOptions, World};
 
-const fn case(
-    name: &'static str,
-    recipe: &'static str,
-    remedy: &'static str,
-    run: fn() -> Result<Outcome>,
-) -> HardCase {
-    HardCase { family: Family::Mesh, name, recipe, remedy, run }
-}
+const FAMILY: Family = Family::Mesh;
 
 pub(super) const CASES: &[HardCase] = &[
-    case(
+    FAMILY.case(
         "degenerate_mesh",
         "collision meshes of 4 points in a plane, of 3 points, with a NaN, with a bad index, at scale 1e-8",
         "a cube",
         degenerate,
     ),
-    case(
+    FAMILY.case(
         "silently_faulty_mesh",
         "a triangle without area, three corners on a line, vertices twice, faces inwards, a hole, a needle of 1:20000",
         "a closed, outward-facing surface",
         silently_faulty,
     ),
-    case(
+    FAMILY.case(
         "paper_thin_mesh",
         "a sheet of 100 x 100 mm and 0.1 micrometres lies on the floor",
         "a sheet of 2 mm",
         paper_thin,
     ),
-    case(
+    FAMILY.case(
         "no_inertia",
         "a moving body without mass, with mass 0, with inertia 0, with A + B < C",
         "a ball of 50 g",
         no_inertia,
     ),
-    case(
+    FAMILY.case(
         "tiny_inertia",
         "a ball of 1 kg is given an inertia of 1e-12 and slides over the floor",
         "the inertia of its shape",

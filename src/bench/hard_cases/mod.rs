@@ -62,6 +62,19 @@ pub enum Family {
     Entrance,
 }
 
+impl Family {
+    /// A case of this family.
+    const fn case(
+        self,
+        name: &'static str,
+        recipe: &'static str,
+        remedy: &'static str,
+        run: fn() -> Result<Outcome>,
+    ) -> HardCase {
+        HardCase { family: self, name, recipe, remedy, run }
+    }
+}
+
 /// A recipe with its three runs.
 #[derive(Debug, Clone, Copy)]
 pub struct HardCase {

@@ -5,41 +5,34 @@ use crate::error::Result;
 use crate::mujoco::options::Unchecked;
 use crate::mujoco::{Integrator, PhysicsOptions, Solver, World};
 
-const fn case(
-    name: &'static str,
-    recipe: &'static str,
-    remedy: &'static str,
-    run: fn() -> Result<Outcome>,
-) -> HardCase {
-    HardCase { family: Family::Process, name, recipe, remedy, run }
-}
+const FAMILY: Family = Family::Process;
 
 pub(super) const CASES: &[HardCase] = &[
-    case(
+    FAMILY.case(
         "invalid_options",
         "a timestep of 0, below 0, NaN or 1000 s, no iterations, an integrator that does not exist",
         "values within their ranges",
         invalid_options,
     ),
-    case(
+    FAMILY.case(
         "tactile_beside_bare_sdf",
         "a tactile sensor in a model with an sdf geom that has no plugin",
         "a mesh in place of the sdf",
         tactile_beside_bare_sdf,
     ),
-    case(
+    FAMILY.case(
         "soft_body_with_implicitfast",
         "an elastic flex, and implicitfast, rk4, pgs or noslip set after the model is compiled",
         "integrator discrete, solver newton",
         soft_body,
     ),
-    case(
+    FAMILY.case(
         "discrete_inverse_with_rk4",
         "flags fwdinv and invdiscrete, and integrator rk4",
         "integrator implicitfast",
         discrete_inverse,
     ),
-    case("small_memory", "36 boxes on the floor in 100 kB of memory", "the engine's own size", small_memory),
+    FAMILY.case("small_memory", "36 boxes on the floor in 100 kB of memory", "the engine's own size", small_memory),
 ];
 
 /// What must be refused is not run without the refusal: the process would end, or stand still.

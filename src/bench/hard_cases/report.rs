@@ -1,11 +1,10 @@
 //! The hard cases as a document and as JSON.
 
-use std::fmt::Write;
-
 use serde_json::{Value, json};
 
 use super::Row;
 use crate::bench::Machine;
+use crate::text::put;
 
 /// The command that writes both.
 pub const COMMAND: &str = "egotac bench hard-cases --out docs";
@@ -81,9 +80,4 @@ fn number(value: f64) -> String {
 /// Text within a table.
 fn cell(text: &str) -> String {
     text.replace('|', "\\|").replace('\n', " ")
-}
-
-fn put(text: &mut String, line: std::fmt::Arguments) {
-    // Writing to a String cannot fail.
-    let _ = writeln!(text, "{line}");
 }

@@ -8,44 +8,37 @@ use super::{Family, HardCase, Outcome};
 use crate::error::Result;
 use crate::hand::{HandModel, HandParams, Side};
 
-const fn case(
-    name: &'static str,
-    recipe: &'static str,
-    remedy: &'static str,
-    run: fn() -> Result<Outcome>,
-) -> HardCase {
-    HardCase { family: Family::Rotation, name, recipe, remedy, run }
-}
+const FAMILY: Family = Family::Rotation;
 
 pub(super) const CASES: &[HardCase] = &[
-    case(
+    FAMILY.case(
         "axis_angle_near_zero",
         "axis-angle of 0 to 1e-6 rad, by sine over angle in single precision",
         "the hand model: a series in double precision",
         || axis_angle(&[0.0, 1e-30, 1e-20, 1e-12, 1e-8, 1e-7, 1e-6]),
     ),
-    case(
+    FAMILY.case(
         "axis_angle_near_pi",
         "axis-angle within 1e-6 rad of half and of whole turns, by its formula in single precision",
         "the hand model: double precision",
         || axis_angle(&[PI - 1e-6, PI, PI + 1e-6, 2.0 * PI - 1e-6, 2.0 * PI, 2.0 * PI + 1e-6, 20.0 * PI]),
     ),
     #[cfg(feature = "sim")]
-    case(
+    FAMILY.case(
         "logarithm_near_zero",
         "angle of a rotation by its matrix's trace, 1e-12 to 1e-6 rad",
         "the logarithm of its quaternion with atan2",
         || logarithm(&[1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6]),
     ),
     #[cfg(feature = "sim")]
-    case(
+    FAMILY.case(
         "logarithm_near_pi",
         "rotation vector by trace and skew part, within 1e-6 rad of half a turn",
         "the logarithm of its quaternion with atan2",
         || logarithm(&[PI - 1e-6, PI - 1e-8, PI - 1e-10, PI]),
     ),
     #[cfg(feature = "sim")]
-    case(
+    FAMILY.case(
         "logarithm_beyond_pi",
         "rotation vectors of 3.2 to 12 rad and back: another vector comes, of the same rotation",
         "compare rotations, not vectors",

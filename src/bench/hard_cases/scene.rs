@@ -7,24 +7,17 @@ use crate::error::Result;
 use crate::sim::{Rollout, RolloutOptions, Scene};
 use crate::tactile::Validity;
 
-const fn case(
-    name: &'static str,
-    recipe: &'static str,
-    remedy: &'static str,
-    run: fn() -> Result<Outcome>,
-) -> HardCase {
-    HardCase { family: Family::Scene, name, recipe, remedy, run }
-}
+const FAMILY: Family = Family::Scene;
 
 pub(super) const CASES: &[HardCase] = &[
-    case("object_of_1_mm", "a cube of 1 mm and 1 mg under a hovering hand", "a cube of 20 mm and 8 g", || {
+    FAMILY.case("object_of_1_mm", "a cube of 1 mm and 1 mg under a hovering hand", "a cube of 20 mm and 8 g", || {
         object_of(0.001, 1e-6, Good { edge: 0.02, mass: 0.008 })
     }),
-    case("object_of_10_m", "a cube of 10 m and 1 t around the whole scene", "a cube of 60 mm and 100 g", || {
+    FAMILY.case("object_of_10_m", "a cube of 10 m and 1 t around the whole scene", "a cube of 60 mm and 100 g", || {
         object_of(10.0, 1000.0, Good { edge: 0.06, mass: 0.1 })
     }),
-    case("far_away", "a cube a thousand kilometres away", "a cube on the table", far_away),
-    case("camera_looks_at_itself", "the camera's eye is where it looks", "an eye apart from it", camera),
+    FAMILY.case("far_away", "a cube a thousand kilometres away", "a cube on the table", far_away),
+    FAMILY.case("camera_looks_at_itself", "the camera's eye is where it looks", "an eye apart from it", camera),
 ];
 
 struct Good {

@@ -5,35 +5,34 @@ use super::{Family, HardCase, Outcome};
 use crate::error::Result;
 use crate::mujoco::{Integrator, PhysicsOptions, World};
 
-const fn case(
-    name: &'static str,
-    recipe: &'static str,
-    remedy: &'static str,
-    run: fn() -> Result<Outcome>,
-) -> HardCase {
-    HardCase { family: Family::Stability, name, recipe, remedy, run }
-}
+const FAMILY: Family = Family::Stability;
 
 pub(super) const CASES: &[HardCase] = &[
-    case(
+    FAMILY.case(
         "stiff_without_refsafe",
         "solref .001 with refsafe off at 2 ms; a box falls by 30 mm",
         "leave refsafe on",
         stiff_without_refsafe,
     ),
-    case("direct_1e6", "solref -1e6 -1e3 at 2 ms; a box falls by 30 mm", "integrator discrete", || direct("-1e6 -1e3")),
-    case("direct_1e9", "solref -1e9 -1e4 at 2 ms; a box falls by 30 mm", "integrator discrete", || direct("-1e9 -1e4")),
-    case(
+    FAMILY.case("direct_1e6", "solref -1e6 -1e3 at 2 ms; a box falls by 30 mm", "integrator discrete", || {
+        direct("-1e6 -1e3")
+    }),
+    FAMILY.case("direct_1e9", "solref -1e9 -1e4 at 2 ms; a box falls by 30 mm", "integrator discrete", || {
+        direct("-1e9 -1e4")
+    }),
+    FAMILY.case(
         "underdamped",
         "twelve dice, solref .004 with damping ratio 0.1, at 2 ms",
         "a timestep of an eighth of the time constant",
         underdamped,
     ),
-    case("fast_spin", "a 0.2 kg box spins at 100 rad/s in the air, 2 s at 1 ms", "integrator rk4", || {
+    FAMILY.case("fast_spin", "a 0.2 kg box spins at 100 rad/s in the air, 2 s at 1 ms", "integrator rk4", || {
         spin(100.0, Integrator::ImplicitFast, 2.0)
     }),
-    case("fast_spin_euler", "the same with integrator euler", "integrator rk4", || spin(100.0, Integrator::Euler, 2.0)),
-    case("slow_spin", "a 0.2 kg box spins at 10 rad/s in the air, 2 s at 1 ms", "integrator rk4", || {
+    FAMILY.case("fast_spin_euler", "the same with integrator euler", "integrator rk4", || {
+        spin(100.0, Integrator::Euler, 2.0)
+    }),
+    FAMILY.case("slow_spin", "a 0.2 kg box spins at 10 rad/s in the air, 2 s at 1 ms", "integrator rk4", || {
         spin(10.0, Integrator::ImplicitFast, 2.0)
     }),
 ];

@@ -7,30 +7,28 @@ use super::{Family, HardCase, Outcome, accepted};
 use crate::error::Result;
 use crate::mujoco::{PhysicsOptions, Solver, World};
 
-const fn case(
-    name: &'static str,
-    recipe: &'static str,
-    remedy: &'static str,
-    run: fn() -> Result<Outcome>,
-) -> HardCase {
-    HardCase { family: Family::State, name, recipe, remedy, run }
-}
+const FAMILY: Family = Family::State;
 
 pub(super) const CASES: &[HardCase] = &[
-    case(
+    FAMILY.case(
         "state_not_a_number",
         "NaN, infinity or 1e11 in a position, a velocity, a force, a torque or a servo's target",
         "place bodies through `World::set_pose`, which refuses them",
         not_a_number,
     ),
-    case(
+    FAMILY.case(
         "no_rotation",
         "a zero quaternion, one of length 2, one with NaN for a body's orientation",
         "a unit quaternion",
         no_rotation,
     ),
-    case("full_memory", "49 boxes on the floor in 552 kB of memory, solver pgs", "the engine's own size", full_memory),
-    case(
+    FAMILY.case(
+        "full_memory",
+        "49 boxes on the floor in 552 kB of memory, solver pgs",
+        "the engine's own size",
+        full_memory,
+    ),
+    FAMILY.case(
         "sleeping_bodies",
         "a box falls asleep on the floor: its contacts leave the list",
         "no sleep for what is labelled",
