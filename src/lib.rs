@@ -61,6 +61,7 @@ pub mod render;
 #[cfg(feature = "sim")]
 pub mod sim;
 pub mod tactile;
+pub mod text;
 pub mod train;
 pub mod verify;
 

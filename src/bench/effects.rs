@@ -1,13 +1,12 @@
 //! What each scene simulates, and what each effect costs or would cost in it.
 
-use std::fmt::Write;
-
 use serde::Serialize;
 
 use super::Machine;
 use crate::error::Result;
 use crate::sim::explain::{self, Explained};
 use crate::sim::{Effect, RolloutOptions, Scene};
+use crate::text::put;
 
 /// The effects of one scene.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -89,11 +88,6 @@ fn cell(explained: &Explained) -> String {
         Some(cost) => format!("({cost:.1})"),
         None => "–".into(),
     }
-}
-
-fn put(text: &mut String, line: std::fmt::Arguments<'_>) {
-    // Writing to a string cannot fail.
-    _ = writeln!(text, "{line}");
 }
 
 #[cfg(test)]

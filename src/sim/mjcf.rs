@@ -1,7 +1,5 @@
 //! An episode as MJCF, MuJoCo's model language.
 
-use std::fmt::Write;
-
 use glam::{DQuat, DVec3};
 
 use super::effect::{Effect, EffectSet};
@@ -10,6 +8,7 @@ use super::object::{JointMount, Mount, Piece, PieceShape};
 use super::randomize::{Episode, HandDraw, ObjectDraw};
 use super::rig::{HandRig, JOINT_NAMES};
 use crate::hand::N_JOINTS;
+use crate::text::put;
 
 /// Stiffness of the wrist's servos, N/m; [`super::driver`] turns forces into displacements with it.
 pub const WRIST_STIFFNESS: f64 = 2500.0;
@@ -417,11 +416,6 @@ fn servo(name: &str, stiffness: f64, damping: f64, most: f64, actuators: &mut St
             r#"<position name="{name}" joint="{name}" kp="{stiffness}" kv="{damping}" forcerange="-{most} {most}"/>"#
         ),
     );
-}
-
-fn put(text: &mut String, line: std::fmt::Arguments) {
-    // Writing to a String cannot fail.
-    let _ = writeln!(text, "{line}");
 }
 
 fn join(parts: impl Iterator<Item = String>) -> String {

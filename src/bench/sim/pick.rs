@@ -7,6 +7,7 @@ use super::knob::Knob;
 use super::table::Report;
 use crate::error::{Error, Result};
 use crate::mujoco::Preset;
+use crate::text::significant;
 
 /// The committed table: what `egotac bench sim` wrote.
 const COMMITTED: (&str, &str) = ("docs/bench/sim.json", include_str!("../../../docs/bench/sim.json"));
@@ -126,11 +127,11 @@ impl fmt::Display for Choice {
 }
 
 fn ms(seconds: f64) -> String {
-    format!("{} ms", super::markdown::significant(1e3 * seconds))
+    format!("{} ms", significant(1e3 * seconds))
 }
 
 fn percent(share: f64) -> String {
-    format!("{} %", super::markdown::significant(100.0 * share))
+    format!("{} %", significant(100.0 * share))
 }
 
 #[cfg(test)]

@@ -14,6 +14,7 @@ use crate::file;
 use crate::hand::{HandModel, HandParams, Side};
 use crate::message::TactileFrame;
 use crate::tactile::TactileField;
+use crate::text::significant;
 
 /// Images, predictions and truths of a run, by stamp.
 struct Moment<'a> {
@@ -99,12 +100,6 @@ fn cell(value: Option<&Value>, factor: f64, unit: &str) -> String {
     if unit.is_empty() { text } else { format!("{text} {unit}") }
 }
 
-/// Three significant digits, without an exponent.
-fn significant(value: f64) -> String {
-    let magnitude = if value == 0.0 { 0 } else { value.abs().log10().floor() as i32 };
-    format!("{value:.*}", usize::try_from(2 - magnitude).unwrap_or(0))
-}
-
 fn headline(summary: &Value) -> String {
     let get = |pointer: &str, factor, unit| cell(summary.pointer(pointer), factor, unit);
     format!(
@@ -182,14 +177,6 @@ fn typical<'a, 'b>(moments: &'a [Moment<'b>], trace: &[TracePoint]) -> &'a Momen
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn numbers_keep_three_significant_digits() {
-        let cases = [(0.0, "0.00"), (0.012_345, "0.0123"), (1.2345, "1.23"), (123.4, "123"), (98_765.0, "98765")];
-        for (value, text) in cases {
-            assert_eq!(significant(value), text);
-        }
-    }
 
     #[test]
     fn what_is_undefined_says_so() {
