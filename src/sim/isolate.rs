@@ -15,6 +15,9 @@ use super::rollout::RolloutOptions;
 use super::scene::Scene;
 use crate::error::{Error, Result};
 
+/// Environment variable of Mesa's llvmpipe: threads that draw.
+const RENDER_THREADS: &str = "LP_NUM_THREADS";
+
 /// How to start a worker.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Workers {
@@ -114,6 +117,10 @@ impl Running {
     fn start(workers: &Workers) -> Result<Self> {
         let mut command = Command::new(&workers.program);
         command.args(&workers.arguments).stdin(Stdio::piped()).stdout(Stdio::piped());
+        if std::env::var_os(RENDER_THREADS).is_none() {
+            // None beside the worker's own: jobs that draw with all cores wait for each other.
+            command.env(RENDER_THREADS, "0");
+        }
         let mut child = command.spawn().map_err(Error::io(&workers.program))?;
         let requests = child.stdin.take();
         let none = || Error::file(&workers.program, "gives no standard output");

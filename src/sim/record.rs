@@ -228,7 +228,7 @@ fn merge(plan: &Generate, out: &Path, part: &dyn Fn(usize) -> PathBuf) -> Result
         let reader = ZarrReader::open(&part(index))?;
         entries.extend(reader.raw_attributes().get("episodes").and_then(Value::as_array).cloned().unwrap_or_default());
         for frame in 0..reader.len() {
-            let one = |name: &str| reader.read(name, frame..frame + 1);
+            let one = |name: &str| reader.read_frame(name, frame);
             let mut extra = vec![];
             for name in [PROXIMITY, FORCE_RESIDUAL, CAMERA_POSE] {
                 extra.push((name, one(name)?));
@@ -236,7 +236,7 @@ fn merge(plan: &Generate, out: &Path, part: &dyn Fn(usize) -> PathBuf) -> Result
             // A scene that lacks what another observes leaves it unknown.
             for (name, length) in extras.optional() {
                 let mut values = match reader.has(name) {
-                    true => reader.read_f32(name, frame..frame + 1)?,
+                    true => one(name)?.into_f32(),
                     false => Vec::new(),
                 };
                 values.resize(length, f32::NAN);

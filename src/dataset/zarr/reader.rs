@@ -151,6 +151,14 @@ impl ZarrReader {
         self.arrays.values().map(Column::info).collect()
     }
 
+    /// Reads one frame of array `name`, keeping the chunk for the next ones.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn read_frame(&self, name: &str, index: usize) -> Result<Values> {
+        self.column(name)?.read_frame(index, &self.path)
+    }
+
     /// Reads frames `range` of array `name`, row-major, decoding each chunk once.
     ///
     /// # Errors
