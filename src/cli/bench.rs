@@ -115,17 +115,21 @@ mod with_sim {
     use super::{Effects, Guards, HardCases, Sim};
     use crate::bench::hard_cases::{registry, report, run};
     use crate::bench::sim::knob::Knob;
-    use crate::bench::sim::{self, KNOB_SCENES, Plan, markdown, pareto};
+    use crate::bench::sim::{self, KNOB_SCENES, Plan, markdown, pareto, throughput};
     use crate::bench::{Machine, effects, guards};
     use crate::cli::progress;
     use crate::file;
-    use crate::sim::{RolloutOptions, SHIPPED, Scene};
+    use crate::sim::{RolloutOptions, SHIPPED, Scene, Workers};
 
     pub fn sim(args: &Sim) -> anyhow::Result<bool> {
         let scenes = scenes(&args.scenes)?;
         let knob_scenes = match args.scenes.is_empty() {
             true => KNOB_SCENES.map(str::to_owned).into(),
             false => scenes.iter().map(|scene| scene.name.clone()).collect(),
+        };
+        let workers = match args.knobs.is_empty() {
+            true => Some(workers(args)?),
+            false => None,
         };
         let knobs = match args.knobs.is_empty() {
             true => Knob::ALL.into(),
@@ -135,7 +139,7 @@ mod with_sim {
             command: command(args),
             scenes,
             knob_scenes,
-            speed: args.knobs.is_empty(),
+            workers,
             knobs,
             seed: args.seed,
             seeds: args.seeds,
@@ -155,6 +159,23 @@ mod with_sim {
             ["sim.json", "sim.md", "sim.png", "sim.svg"].map(|f| args.out.join(f).display().to_string()).join(", ")
         );
         Ok(true)
+    }
+
+    /// This program with the scenes on which `generate` is timed.
+    fn workers(args: &Sim) -> anyhow::Result<Workers> {
+        let names = match args.scenes.as_slice() {
+            [] => SHIPPED
+                .iter()
+                .map(|(name, _)| *name)
+                .filter(|name| KNOB_SCENES.contains(name))
+                .map(Into::into)
+                .collect(),
+            names => names.to_vec(),
+        };
+        let program = std::env::current_exe().context("where this program lies")?;
+        let size = throughput::SIZE.to_string();
+        let arguments = ["sim", "worker", "--size", &size, "--"].map(Into::into);
+        Ok(Workers { program, arguments: arguments.into_iter().chain(names.into_iter().map(Into::into)).collect() })
     }
 
     /// Those named, or all that are part of the program.

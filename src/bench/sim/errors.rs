@@ -78,7 +78,7 @@ mod tests {
             impulses: vec![sites; 5],
             lifts: vec![0.04 * 3.0; 5],
             accelerations: vec![0.0; 5],
-            weight: 3.0,
+            weights: vec![0.04 * 3.0; 5],
             touched: vec![touched.to_vec(); 6],
             ..Trace::default()
         }

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use super::knob::Knob;
 use super::table::{Entry, Report, Row};
+use crate::text::significant;
 
 /// What the columns are, for the head of the page.
 const LEGEND: &str = "\
@@ -11,9 +12,8 @@ Errors are against two references: **same model** (same cone, impratio and hulls
 the numbers; **one model** (elliptic, impratio 100, 0.05 ms, all hull corners) is that of the model as well. *Force* sums
 |mean normal force - reference| over fingers and palms, relative to the reference's sum, over the seconds in which the hands
 press and neither forces nor objects change; *impulse* does the same with the time integral over the whole run; *F1* is that
-of the vertices in contact (label c). *Lift* is the upward contact force on the objects over their weight in the quiet
-seconds: right is 1, with no reference needed. *Flagged* is the share of frames that a guard refused. Each number is the worst
-of the scenes. *ms* are milliseconds per simulated second: processor time of one thread, least of interleaved repetitions, with
+of the vertices in contact (label c). *Lift* is the upward contact force on the objects that are awake over their weight in
+the quiet seconds: right is 1, with no reference needed. *Flagged* is the share of frames that a guard refused. *ms* are milliseconds per simulated second: processor time of one thread, least of interleaved repetitions, with
 neither labels nor pictures except where these are the knob (pictures: time on the wall); that of the reference is taken once,
 along with its forces. *x real time* is its inverse. A dash: nothing to compare.
 ";
@@ -34,6 +34,12 @@ pub fn render(report: &Report) -> String {
         report.recommended.name()
     );
     text.push_str(LEGEND);
+    let _ = writeln!(
+        text,
+        "\nEach number is the worst of the scenes: of all in the table of presets, of those in which single knobs are turned \
+         ({}) in the other tables and the plot.",
+        report.shared_scenes().join(", ")
+    );
     scenes(report, &mut text);
     for knob in Knob::ALL {
         let rows: Vec<&Row> = report.rows.iter().filter(|row| row.knob == knob.name()).collect();
@@ -46,12 +52,6 @@ pub fn render(report: &Report) -> String {
     }
     speed(report, &mut text);
     text
-}
-
-/// Three significant digits, without an exponent.
-pub fn significant(value: f64) -> String {
-    let magnitude = if value == 0.0 { 0 } else { value.abs().log10().floor() as i32 };
-    format!("{value:.*}", usize::try_from(2 - magnitude).unwrap_or(0).min(6))
 }
 
 fn scenes(report: &Report, text: &mut String) {
@@ -191,17 +191,4 @@ fn number(value: Option<f64>) -> String {
 
 fn percent(value: Option<f64>) -> String {
     value.map_or("—".into(), |value| format!("{} %", significant(100.0 * value)))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_keep_three_significant_digits() {
-        let cases = [(0.0, "0.00"), (0.012_345, "0.0123"), (1.2345, "1.23"), (123.4, "123"), (98_765.0, "98765")];
-        for (value, text) in cases {
-            assert_eq!(significant(value), text);
-        }
-    }
 }

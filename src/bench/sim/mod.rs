@@ -33,7 +33,7 @@ use self::trace::Trace;
 use crate::bench::Machine;
 use crate::error::Result;
 use crate::mujoco::{PhysicsOptions, Preset};
-use crate::sim::{RolloutOptions, Scene};
+use crate::sim::{RolloutOptions, Scene, Workers};
 
 /// Shipped scenes on which single knobs are turned when no scenes are named; presets are compared on all.
 pub const KNOB_SCENES: [&str; 2] = ["pinch_cube", "lift_mug"];
@@ -57,8 +57,9 @@ pub struct Plan {
     pub seeds: u64,
     /// Repetitions of which the least time counts.
     pub repetitions: usize,
-    /// Whether the wrapper's overhead and the speed of `generate` are measured too.
-    pub speed: bool,
+    /// Given, the wrapper's overhead and the speed of `generate` are measured too, with workers that know the scenes of
+    /// `knob_scenes` in the order of `scenes` and pictures of [`throughput::SIZE`].
+    pub workers: Option<Workers>,
     /// Hands and kernel; pictures are drawn only where they are what is measured.
     pub options: RolloutOptions,
 }
@@ -70,7 +71,7 @@ pub struct Plan {
 pub fn run(plan: &Plan, progress: impl Fn(&str, usize, usize)) -> Result<Report> {
     let mut rows = Vec::new();
     let mut scenes = Vec::new();
-    let count = plan.scenes.len() + usize::from(plan.speed);
+    let count = plan.scenes.len() + usize::from(plan.workers.is_some());
     for (index, scene) in plan.scenes.iter().enumerate() {
         let knobs: Vec<Knob> = match plan.knob_scenes.contains(&scene.name) {
             true => plan.knobs.clone(),
@@ -88,14 +89,14 @@ pub fn run(plan: &Plan, progress: impl Fn(&str, usize, usize)) -> Result<Report>
     let place = |row: &Row| Knob::ALL.iter().position(|knob| knob.name() == row.knob);
     rows.sort_by_key(place);
     let (mut wrapper, mut throughput) = (None, None);
-    if let (true, Some(first)) = (plan.speed, plan.scenes.first()) {
+    if let (Some(workers), Some(first)) = (&plan.workers, plan.scenes.first()) {
         progress("wrapper and generate", count - 1, count);
         wrapper = Some(wrapper::measure(first, plan.seed, &plan.options, plan.repetitions)?);
-        let scenes: Vec<Scene> = plan.scenes.iter().filter(|s| plan.knob_scenes.contains(&s.name)).cloned().collect();
+        let turned: Vec<Scene> = plan.scenes.iter().filter(|s| plan.knob_scenes.contains(&s.name)).cloned().collect();
         let mut jobs = vec![1, Machine::this().cores];
         jobs.dedup();
         let repetitions = plan.repetitions.min(2);
-        throughput = Some(throughput::measure(&scenes, 4, plan.seed, &jobs, &plan.options, repetitions)?);
+        throughput = Some(throughput::measure(&turned, 4, plan.seed, &jobs, &plan.options, workers, repetitions)?);
     }
     Ok(Report {
         command: plan.command.clone(),

@@ -69,15 +69,23 @@ where
         ("against elliptic, impratio 100, 0.05 ms", |entry| entry.model.force),
     ];
     for (panel, (title, error)) in panels.iter().zip(kinds) {
-        draw_panel(panel, title, &points(report, error), report.recommended.name())?;
+        draw_panel(
+            panel,
+            title,
+            &report.shared_scenes().join(", "),
+            &points(report, error),
+            report.recommended.name(),
+        )?;
     }
     root.present()?;
     Ok(())
 }
 
+/// Presets are measured in more scenes than single knobs; in the plot stand those in which all were.
 fn points(report: &Report, error: ErrorOf) -> Vec<Point> {
+    let shared = report.shared_scenes();
     let point = |row: &super::table::Row| {
-        let worst = row.worst();
+        let worst = row.worst_of(|scene| shared.contains(&scene));
         let (cost, error) = (worst.ms_per_second?, error(&worst)?);
         Some(Point { knob: row.knob.clone(), setting: row.setting.clone(), cost, error: error.max(FLOOR) })
     };
@@ -94,7 +102,13 @@ fn points(report: &Report, error: ErrorOf) -> Vec<Point> {
     points
 }
 
-fn draw_panel<B: DrawingBackend>(area: &DrawingArea<B, Shift>, title: &str, points: &[Point], marked: &str) -> Drawn<()>
+fn draw_panel<B: DrawingBackend>(
+    area: &DrawingArea<B, Shift>,
+    title: &str,
+    scenes: &str,
+    points: &[Point],
+    marked: &str,
+) -> Drawn<()>
 where
     B::ErrorType: 'static,
 {
@@ -112,7 +126,7 @@ where
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
-        .x_desc("milliseconds per simulated second (worst scene)")
+        .x_desc(format!("milliseconds per simulated second (worst of {scenes})"))
         .y_desc("error of quasi-static forces (worst scene)")
         .x_label_formatter(&|x| format!("{x}"))
         .y_label_formatter(&|y| format!("{} %", (100.0 * y * 1e6).round() / 1e6))

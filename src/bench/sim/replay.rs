@@ -2,6 +2,7 @@
 
 use super::clock::{Clock, Stopwatch};
 use super::hands::Hand;
+use super::knob::Setup;
 use crate::error::Result;
 use crate::label::SIGMA;
 use crate::mujoco::Preset;
@@ -33,8 +34,8 @@ pub fn replay(
     repetitions: usize,
 ) -> Result<Replay> {
     // The model with all its joints, since the poses are recorded; it is never stepped.
-    let physics = Some(scene.spec.physics.with_preset(Preset::Replay));
-    let rollout = Rollout::new(scene, seed, &RolloutOptions { physics, ..options.clone() })?;
+    let setup = Setup { physics: scene.spec.physics.with_preset(Preset::Replay), corners: None };
+    let rollout = Rollout::new(scene, seed, &setup.options(scene, options)?)?;
     let (hands, interval) = (Hand::of(&rollout)?, rollout.interval());
     let spreaders = hands.iter().map(|hand| hand.spreader(SIGMA)).collect::<Result<Vec<_>>>()?;
     let mut world = rollout.into_world();
@@ -61,4 +62,20 @@ pub fn replay(
         }
     }
     Ok(Replay { touched, cost: clock.total() / (interval * states.len().max(1) as f64) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_soft_body_is_replayed_though_its_dynamics_need_an_integrator_of_their_own() {
+        let scene = Scene::load("squeeze_ball").unwrap();
+        let options = RolloutOptions { picture: None, ..RolloutOptions::default() };
+        let start = Rollout::new(&scene, 0, &options).unwrap().world().qpos().to_vec();
+        let replay = replay(&scene, 0, &[start.clone(), start], &options, 1).unwrap();
+        // The hand waits away from the ball.
+        assert!(replay.touched.iter().all(Vec::is_empty) && replay.touched.len() == 2);
+        assert!(replay.cost > 0.0);
+    }
 }

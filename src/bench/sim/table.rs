@@ -95,12 +95,19 @@ impl Entry {
 }
 
 impl Row {
-    /// The worst over the scenes, value by value.
+    /// The worst over all scenes, value by value.
     pub fn worst(&self) -> Entry {
-        let most = |value: fn(&Entry) -> Option<f64>| self.entries.iter().filter_map(value).reduce(f64::max);
-        let least = |value: fn(&Entry) -> Option<f64>| self.entries.iter().filter_map(value).reduce(f64::min);
+        self.worst_of(|_| true)
+    }
+
+    /// The worst over the scenes that are `wanted`, value by value.
+    pub fn worst_of(&self, wanted: impl Fn(&str) -> bool) -> Entry {
+        let entries: Vec<&Entry> = self.entries.iter().filter(|entry| wanted(&entry.scene)).collect();
+        let values = |value: fn(&Entry) -> Option<f64>| entries.iter().filter_map(move |entry| value(entry));
+        let most = |value: fn(&Entry) -> Option<f64>| values(value).reduce(f64::max);
+        let least = |value: fn(&Entry) -> Option<f64>| values(value).reduce(f64::min);
         let off = |lift: f64| (lift - 1.0).abs();
-        let lifts = self.entries.iter().filter_map(|entry| entry.lift);
+        let lifts = values(|entry| entry.lift);
         Entry {
             scene: String::new(),
             same: Errors {
@@ -119,7 +126,7 @@ impl Row {
             invalid: most(|e| e.invalid),
             ms_per_second: most(|e| e.ms_per_second),
             real_time_factor: least(|e| e.real_time_factor),
-            refused: self.entries.iter().find_map(|e| e.refused.clone()),
+            refused: entries.iter().find_map(|e| e.refused.clone()),
         }
     }
 }
@@ -140,6 +147,14 @@ impl Report {
     pub fn to_json(&self) -> Result<String> {
         let text = serde_json::to_string_pretty(self).map_err(|error| Error::file("report", error))?;
         Ok(text + "\n")
+    }
+
+    /// Scenes in which all settings of physics were measured, so that these can be compared.
+    pub fn shared_scenes(&self) -> Vec<&str> {
+        let physics = |row: &&Row| row.entries.iter().any(|entry| entry.same.force.is_some());
+        let has = |row: &Row, name: &str| row.entries.iter().any(|entry| entry.scene == name);
+        let names = self.scenes.iter().map(|scene| scene.name.as_str());
+        names.filter(|name| self.rows.iter().filter(physics).all(|row| has(row, name))).collect()
     }
 
     /// The row of a setting.

@@ -5,7 +5,7 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
-use crate::sim::{Generate, RolloutOptions, Scene, generate};
+use crate::sim::{Generate, RolloutOptions, Scene, Workers, generate_isolated};
 
 /// Frames per second, planning and writing included.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -31,7 +31,11 @@ pub struct Rate {
     pub frames_per_second: f64,
 }
 
-/// Generates the same store with each number of jobs in turn, `repetitions` times; the best time of each counts.
+/// Width and height of the pictures, pixels.
+pub const SIZE: u32 = 224;
+
+/// Generates the same store with each number of jobs in turn, in child processes as `egotac sim generate` does,
+/// `repetitions` times; the best time of each counts. `workers` know the scenes and [`SIZE`].
 ///
 /// # Errors
 /// If there is no OpenGL, a rollout fails, or the temporary folder can't be written.
@@ -41,26 +45,26 @@ pub fn measure(
     seed: u64,
     jobs: &[usize],
     options: &RolloutOptions,
+    workers: &Workers,
     repetitions: usize,
 ) -> Result<Throughput> {
-    let size = 224;
     let folder = tempfile::tempdir().map_err(Error::io(std::env::temp_dir()))?;
     let mut least = vec![f64::INFINITY; jobs.len()];
     let mut frames = 0;
     for repetition in 0..repetitions.max(1) {
         for (jobs, least) in jobs.iter().zip(&mut least) {
-            let options = RolloutOptions { picture: Some((size, size)), ..options.clone() };
+            let options = RolloutOptions { picture: Some((SIZE, SIZE)), ..options.clone() };
             let plan = Generate { scenes: scenes.to_vec(), episodes, seed, jobs: *jobs, options };
             let out = folder.path().join(format!("{repetition}_{jobs}.zarr"));
             let begun = Instant::now();
-            frames = generate(&plan, &out, |_, _| ())?.frames;
+            frames = generate_isolated(&plan, workers, false, &out, |_, _| ())?.frames;
             *least = least.min(begun.elapsed().as_secs_f64());
             std::fs::remove_dir_all(&out).map_err(Error::io(&out))?;
         }
     }
     let rate = |(jobs, least): (&usize, f64)| Rate { jobs: *jobs, frames_per_second: frames as f64 / least };
     Ok(Throughput {
-        size,
+        size: SIZE,
         scenes: scenes.iter().map(|scene| scene.name.clone()).collect(),
         episodes,
         frames,

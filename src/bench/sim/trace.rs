@@ -34,8 +34,8 @@ pub struct Trace {
     pub lifts: Vec<f64>,
     /// (bins) largest mean acceleration of a free object, m/s².
     pub accelerations: Vec<f64>,
-    /// Weight of the free objects together, N.
-    pub weight: f64,
+    /// (bins) weight of the free objects that are awake, times time, N s; contacts of sleeping ones are not in the list.
+    pub weights: Vec<f64>,
     /// (frames) vertices in contact (label c: above 0.05 N), ascending.
     pub touched: Vec<Vec<u32>>,
     /// (frames) positions of all joints.
@@ -66,24 +66,19 @@ impl Trace {
     pub fn record_timed(scene: &Scene, seed: u64, options: &RolloutOptions) -> Result<(Self, f64)> {
         let mut rollout = Rollout::new(scene, seed, options)?;
         let cast = Cast::of(&rollout);
-        let gravity = -rollout.world().options().gravity[2];
-        let mass = |joint: &FreeJoint| rollout.world().mass(rollout.world().body_of(*joint));
-        let mut trace = Self {
-            interval: rollout.interval(),
-            weight: gravity * cast.objects.iter().map(mass).sum::<f64>(),
-            ..Self::default()
-        };
+        let mut trace = Self { interval: rollout.interval(), ..Self::default() };
         let begun = Stopwatch::start();
-        let mut bin = ([0.0; N_SITES], 0.0);
+        let mut bin = Bin::default();
         let mut velocities = cast.velocities(rollout.world());
         while let Some(frame) = rollout.next_frame_watched(|world| cast.add(world, &mut bin))? {
             if !trace.touched.is_empty() {
                 let now = cast.velocities(rollout.world());
                 let change = velocities.iter().zip(&now).map(|(a, b)| (*b - *a).length() / trace.interval);
                 trace.accelerations.push(change.fold(0.0, f64::max));
-                trace.impulses.push(bin.0);
-                trace.lifts.push(bin.1);
-                (bin, velocities) = (([0.0; N_SITES], 0.0), now);
+                trace.impulses.push(bin.sites);
+                trace.lifts.push(bin.lift);
+                trace.weights.push(bin.weight);
+                (bin, velocities) = (Bin::default(), now);
             }
             trace.touched.push(touched(&frame));
             trace.states.push(rollout.world().qpos().to_vec());
@@ -120,10 +115,18 @@ impl Trace {
 
     /// Upward force on the free objects over some bins, relative to their weight; 1 where they rest or are held still.
     pub fn lift(&self, bins: &[usize]) -> Option<f64> {
-        let lift: f64 = bins.iter().filter_map(|bin| self.lifts.get(*bin)).sum();
-        let weight = self.weight * self.interval * bins.len() as f64;
+        let sum = |values: &[f64]| bins.iter().filter_map(|bin| values.get(*bin)).sum::<f64>();
+        let (lift, weight) = (sum(&self.lifts), sum(&self.weights));
         (weight > 0.0).then(|| lift / weight)
     }
+}
+
+/// What the steps of one bin gave, N s.
+#[derive(Debug, Clone, Copy, Default)]
+struct Bin {
+    sites: [f64; N_SITES],
+    lift: f64,
+    weight: f64,
 }
 
 impl Cast {
@@ -142,15 +145,17 @@ impl Cast {
     }
 
     /// Adds what a step's forces gave: on each site, and upwards on the objects.
-    fn add(&self, world: &World, (sites, lift): &mut ([f64; N_SITES], f64)) {
+    fn add(&self, world: &World, bin: &mut Bin) {
         let dt = world.options().timestep;
+        let awake = self.objects.iter().map(|joint| world.body_of(*joint)).filter(|body| world.is_awake(*body));
+        bin.weight -= dt * world.options().gravity[2] * awake.map(|body| world.mass(body)).sum::<f64>();
         for contact in world.contacts().filter(|contact| contact.normal_force > 0.0) {
             for (body, sign) in contact.bodies.into_iter().zip([-1.0, 1.0]) {
                 if let Some(site) = self.sites.get(&body) {
-                    sites[*site] += contact.normal_force * dt;
+                    bin.sites[*site] += contact.normal_force * dt;
                 }
                 if self.objects.iter().any(|joint| world.body_of(*joint) == body) {
-                    *lift += sign * contact.force.z * dt;
+                    bin.lift += sign * contact.force.z * dt;
                 }
             }
         }
