@@ -134,7 +134,9 @@ fn balls_boxes_and_capsules_have_their_formulas_distances_wherever_they_lie() {
     let (shift, half) = (Vec3::new(0.1, -0.05, 0.2), Vec3::new(0.02, 0.03, 0.01));
     let pose =
         Pose::from_parts(Vector::new(shift.x, shift.y, shift.z), Rotation::from_xyzw(turn.x, turn.y, turn.z, turn.w));
-    let solids: [(&dyn Fn(&mut Solid), &dyn Fn(DVec3) -> f64); 3] = [
+    type Add<'a> = &'a dyn Fn(&mut Solid);
+    type Formula<'a> = &'a dyn Fn(DVec3) -> f64;
+    let solids: [(Add, Formula); 3] = [
         (&|solid| solid.add_ball(0.03, pose).unwrap(), &|p| p.length() - 0.03),
         (&|solid| solid.add_cuboid(half, pose).unwrap(), &|p| box_distance(half.as_dvec3(), p)),
         (&|solid| solid.add_capsule(0.04, 0.01, pose).unwrap(), &|p| {

@@ -76,9 +76,14 @@ fn labels_of_scenes_are_swept_the_same_way_each_time() {
     let bytes = std::fs::read(&first).unwrap();
     let in_folder = |name: &str| std::fs::read(Path::new(&out).join(name)).unwrap();
     assert!(bytes == in_folder("verify.json"), "not the same bit for bit");
-    assert!(std::fs::read(&picture).unwrap() == in_folder("verify.png") && image::open(&picture).unwrap().width() > 1000);
+    assert!(
+        std::fs::read(&picture).unwrap() == in_folder("verify.png") && image::open(&picture).unwrap().width() > 1000
+    );
     let page = String::from_utf8(in_folder("verify.md")).unwrap();
-    assert!(page.contains(table.trim()) && page.contains("`egotac verify pinch_cube hover --seeds 2 --seed 5"), "{page}");
+    assert!(
+        page.contains(table.trim()) && page.contains("`egotac verify pinch_cube hover --seeds 2 --seed 5"),
+        "{page}"
+    );
 
     let report: Value = serde_json::from_slice(&bytes).unwrap();
     assert_eq!((score(&report, "c", "pooled.f1"), score(&report, "c", "missed_force")), (1.0, 0.0));

@@ -59,7 +59,7 @@ struct Show {
     /// List the contacts of each instant: bodies, normal force, depth.
     #[arg(long)]
     contacts: bool,
-    /// Draw shadows (ten times slower).
+    /// Draw shadows (a picture takes about five times as long).
     #[arg(long)]
     shadows: bool,
     /// Width and height of a picture, pixels.
@@ -100,7 +100,7 @@ struct Run {
     /// Width and height of the picture, pixels.
     #[arg(long, default_value_t = 224)]
     size: u32,
-    /// Draw shadows (ten times slower).
+    /// Draw shadows (a picture takes about five times as long).
     #[arg(long)]
     shadows: bool,
     /// Store to write; must not exist.
@@ -126,7 +126,7 @@ struct Generate {
     /// Width and height of the picture, pixels.
     #[arg(long, default_value_t = 112)]
     size: u32,
-    /// Draw shadows (ten times slower).
+    /// Draw shadows (a picture takes about five times as long).
     #[arg(long)]
     shadows: bool,
     /// Episodes simulated at a time, each in a process of its own.

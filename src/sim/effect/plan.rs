@@ -213,7 +213,7 @@ impl Facts {
                 _ => (false, "touch is not wanted"),
             },
             if pictures { (true, "pictures are wanted") } else { (false, "no picture is wanted: no OpenGL context") },
-            (false, "only where a scene lists it: a shadow map costs ten times the picture"),
+            (false, "only where a scene lists it: a shadow map makes a picture five times as dear"),
             match (pictures, self.noise) {
                 (true, true) => (true, "the camera has noise"),
                 (false, _) => (false, "no picture is wanted"),
