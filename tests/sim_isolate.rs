@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use egotac::dataset::EpisodeReader;
-use egotac::dataset::zarr::ZarrReader;
+use egotac::dataset::zarr::{MANO_FORCE, ZarrReader};
 use egotac::sim::{Generate, RolloutOptions, Scene, Workers, generate_isolated};
 
 fn plan(episodes: usize) -> Generate {
@@ -45,9 +45,11 @@ fn a_worker_that_talks_nonsense_or_cannot_start_is_an_error() {
     assert!(error.contains("/nowhere/egotac"), "{error}");
 }
 
+const THREE: [&str; 2] = ["--episodes", "3"];
+
 fn egotac(out: &Path, more: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_egotac"));
-    command.args(["sim", "generate", "pinch_cube", "--episodes", "3", "--seed", "30", "--size", "32", "--jobs", "1"]);
+    command.args(["sim", "generate", "pinch_cube", "--seed", "30", "--size", "32", "--jobs", "1"]);
     command.args(more).arg("--out").arg(out).stdout(Stdio::piped()).stderr(Stdio::piped());
     command
 }
@@ -78,7 +80,7 @@ fn working(parent: u32, parts: &Path) -> u32 {
 fn a_killed_worker_costs_one_episode_which_the_same_command_makes_again() {
     let folder = tempfile::tempdir().unwrap();
     let (out, parts) = (folder.path().join("set"), folder.path().join("set.parts"));
-    let running = egotac(&out, &[]).spawn().unwrap();
+    let running = egotac(&out, &THREE).spawn().unwrap();
     let worker = working(running.id(), &parts);
     assert!(Command::new("kill").args(["-9", &worker.to_string()]).status().unwrap().success());
     let ended = running.wait_with_output().unwrap();
@@ -89,14 +91,14 @@ fn a_killed_worker_costs_one_episode_which_the_same_command_makes_again() {
     let made = |index: usize| parts.join(format!("{index:06}")).exists();
     assert!(!made(0) && made(1) && made(2) && !out.exists());
 
-    let again = egotac(&out, &[]).output().unwrap();
+    let again = egotac(&out, &THREE).output().unwrap();
     assert!(again.status.success(), "{}", String::from_utf8_lossy(&again.stderr));
     assert_eq!(ZarrReader::open(&out).unwrap().episode_ends().len(), 3);
     assert!(!parts.exists());
 
     // Processes and threads make the same set.
     let threads = folder.path().join("threads");
-    assert!(egotac(&threads, &["--in-process"]).status().unwrap().success());
+    assert!(egotac(&threads, &["--episodes", "3", "--in-process"]).status().unwrap().success());
     let [a, b] = [&out, &threads].map(|path| ZarrReader::open(path).unwrap());
     assert_eq!(a.len(), b.len());
     for name in ["data/mano_force", "data/camera_ego_rgb"] {
@@ -108,11 +110,32 @@ fn a_killed_worker_costs_one_episode_which_the_same_command_makes_again() {
 fn failed_episodes_can_be_left_out() {
     let folder = tempfile::tempdir().unwrap();
     let (out, parts) = (folder.path().join("set"), folder.path().join("set.parts"));
-    let running = egotac(&out, &["--skip-failed"]).spawn().unwrap();
+    let running = egotac(&out, &["--episodes", "3", "--skip-failed"]).spawn().unwrap();
     let worker = working(running.id(), &parts);
     assert!(Command::new("kill").args(["-9", &worker.to_string()]).status().unwrap().success());
     let ended = running.wait_with_output().unwrap();
     let said = String::from_utf8_lossy(&ended.stdout);
     assert!(ended.status.success() && said.contains("left out: pinch_cube with seed 30"), "{said}");
     assert_eq!(ZarrReader::open(&out).unwrap().episode_ends().len(), 2);
+}
+
+#[test]
+fn workers_spread_forces_with_the_kernel_that_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = |sigma: &str| {
+        let out = folder.path().join(sigma);
+        let output = egotac(&out, &["--episodes", "1", "--sigma", sigma]).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let reader = ZarrReader::open(&out).unwrap();
+        let force = reader.read_f32(MANO_FORCE, 0..reader.len()).unwrap();
+        (reader.attributes().sigma, force)
+    };
+    let ((narrow_sigma, narrow), (wide_sigma, wide)) = (store("2"), store("8"));
+    assert!((narrow_sigma - 0.002).abs() < 1e-12 && (wide_sigma - 0.008).abs() < 1e-12);
+    let sum = |force: &[f32]| force.iter().map(|f| f64::from(*f)).sum::<f64>();
+    assert!(sum(&narrow) > 1.0 && (sum(&wide) / sum(&narrow) - 1.0).abs() < 1e-5, "the kernel keeps the force");
+    let peak = |force: &[f32]| force.iter().copied().fold(0.0, f32::max);
+    assert!(peak(&narrow) > 2.0 * peak(&wide), "{} N, {} N", peak(&narrow), peak(&wide));
+    let refused = egotac(&folder.path().join("none"), &["--sigma", "0"]).output().unwrap();
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("0.1 to 50 millimetres"));
 }

@@ -1,4 +1,4 @@
-//! Which hand models a command uses: the built-in ones, or MANO files.
+//! What commands with hands share: the models, built-in ones or MANO files, and how wide forces are spread over them.
 
 use std::path::PathBuf;
 
@@ -37,4 +37,25 @@ impl Hands {
     pub fn models(&self) -> crate::Result<[HandModel; 2]> {
         Ok(self.files()?.unwrap_or_else(|| Side::BOTH.map(HandModel::builtin)))
     }
+}
+
+/// How wide a contact's force is spread over the vertices.
+#[derive(Debug, clap::Args)]
+pub struct Kernel {
+    /// Standard deviation of the Gaussian that spreads a contact's force over vertices (label c), millimetres.
+    #[arg(long, value_name = "MM", default_value_t = 4.0, value_parser = parse_sigma)]
+    pub sigma: f64,
+}
+
+impl Kernel {
+    /// The width, m.
+    #[cfg_attr(not(feature = "sim"), allow(dead_code))]
+    pub fn metres(&self) -> f64 {
+        1e-3 * self.sigma
+    }
+}
+
+fn parse_sigma(text: &str) -> Result<f64, String> {
+    let sigma = text.parse::<f64>().ok().filter(|sigma| (0.1..=50.0).contains(sigma));
+    sigma.ok_or_else(|| "expected 0.1 to 50 millimetres".into())
 }

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::{bail, ensure};
 
-use super::hands::Hands;
+use super::hands::{Hands, Kernel};
 use crate::file;
 use crate::verify::recording::{self, Topics};
 use crate::verify::report::{self, Unmatched};
@@ -73,6 +73,8 @@ pub struct Args {
     /// Rollouts at a time (one with a predictor).
     #[arg(long, default_value_t = 2)]
     jobs: usize,
+    #[command(flatten)]
+    kernel: Kernel,
     #[command(flatten)]
     hands: Hands,
 }
@@ -194,11 +196,11 @@ mod with_sim {
     use rayon::prelude::*;
 
     use super::Args;
-    use crate::cli::sim::load;
+    use crate::cli::sim::{load, picture};
     use crate::dataset::zarr::{self, ZarrReader};
     use crate::label::Parts;
     use crate::model::{Predictor, predictor, shipped};
-    use crate::sim::{RolloutOptions, Scene, mjcf};
+    use crate::sim::{RolloutOptions, Scene};
     use crate::verify::predicted::{Predicted, must_fit};
     use crate::verify::store::Against;
     use crate::verify::{Candidate, Episode, Report, Settings, rollout, store};
@@ -213,10 +215,12 @@ mod with_sim {
         let mut predictor = open_predictor(args)?;
 
         let mut episodes = score_stores(args, settings, &stores, &hands, predictor.as_mut())?;
-        let most = mjcf::MAX_PICTURE;
-        ensure!((8..=most).contains(&args.size), "--size: expected 8 to {most} pixels, got {}", args.size);
-        let picture = predictor.is_some().then_some((args.size, args.size));
-        let options = RolloutOptions { hands: hands.clone(), picture, ..RolloutOptions::default() };
+        let picture = match &predictor {
+            Some(_) => picture(args.size)?,
+            None => None,
+        };
+        let options =
+            RolloutOptions { hands: hands.clone(), picture, sigma: args.kernel.metres(), ..RolloutOptions::default() };
         let plan: Vec<(&Scene, u64)> =
             scenes.iter().flat_map(|scene| (0..args.seeds).map(move |i| (scene, args.seed + i))).collect();
         let bar = ProgressBar::new(plan.len() as u64);

@@ -14,6 +14,7 @@ use super::params::{Allowed, Parameter, Parameters};
 use super::runtime::{self, Publisher, RosClock, Runtime};
 use super::{Shutdown, qos};
 use crate::hand::{HandModel, Side};
+use crate::label::SIGMA;
 use crate::message::{
     CameraInfo, Clock, CompressedImage, HandPose, Header, Image, Point, Quaternion, RegionOfInterest, TactileFrame,
     TactileTruth, Time,
@@ -58,6 +59,12 @@ pub fn parameters() -> Vec<Parameter> {
         ),
         Parameter::fixed("width", 224, Allowed::Integers(16, 4096), "Width of the image, pixels."),
         Parameter::fixed("height", 224, Allowed::Integers(16, 4096), "Height of the image, pixels."),
+        Parameter::fixed(
+            "sigma",
+            SIGMA,
+            Allowed::Doubles(1e-4, 0.05),
+            "Standard deviation of the Gaussian that spreads a contact's force over vertices, m.",
+        ),
         Parameter::fixed("compressed", false, Allowed::Any, "Publish image_raw/compressed (JPEG) as well."),
         Parameter::fixed("frame_id", "camera_optical", Allowed::Any, "Name of the camera's optical frame."),
         Parameter::fixed(
@@ -105,6 +112,7 @@ pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
         awaited: usize::try_from(parameters.get::<i64>("wait_listeners"))?,
         options: RolloutOptions {
             picture: Some((side(&parameters, "width")?, side(&parameters, "height")?)),
+            sigma: parameters.get("sigma"),
             ..RolloutOptions::default()
         },
         tally: tally.clone(),

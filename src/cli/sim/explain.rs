@@ -1,14 +1,13 @@
 //! `egotac sim explain`.
 
-use super::shared::{load, options};
-use super::{Explain, Hands};
+use super::Explain;
+use super::shared::{load, picture};
 use crate::cli::progress;
-use crate::sim::{self, Effect};
+use crate::sim::{self, Effect, RolloutOptions};
 
 pub fn explain(args: &Explain) -> anyhow::Result<()> {
     let scene = load(&args.scene)?;
-    let hands = Hands::default();
-    let options = options(&hands, args.size, false)?;
+    let options = RolloutOptions { picture: picture(args.size)?, ..RolloutOptions::default() };
     let mut effects = sim::explain::explain(&scene)?;
     if !args.no_cost {
         let bar = progress::bar("effects");

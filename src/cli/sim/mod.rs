@@ -12,9 +12,9 @@ mod show;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use super::hands::Hands;
+use super::hands::{Hands, Kernel};
 #[cfg(feature = "sim")]
-pub(super) use shared::load;
+pub(super) use shared::{load, picture};
 
 /// Arguments of `egotac sim`.
 #[derive(Debug, clap::Args)]
@@ -59,9 +59,6 @@ struct Show {
     /// List the contacts of each instant: bodies, normal force, depth.
     #[arg(long)]
     contacts: bool,
-    /// Draw shadows (a picture takes about five times as long).
-    #[arg(long)]
-    shadows: bool,
     /// Width and height of a picture, pixels.
     #[arg(long, default_value_t = 448)]
     size: u32,
@@ -69,7 +66,7 @@ struct Show {
     #[arg(long)]
     out: PathBuf,
     #[command(flatten)]
-    hands: Hands,
+    making: Making,
 }
 
 #[derive(Debug, clap::Args)]
@@ -100,16 +97,13 @@ struct Run {
     /// Width and height of the picture, pixels.
     #[arg(long, default_value_t = 224)]
     size: u32,
-    /// Draw shadows (a picture takes about five times as long).
-    #[arg(long)]
-    shadows: bool,
     /// Store to write; must not exist.
     #[arg(long)]
     out: PathBuf,
     #[command(flatten)]
     accuracy: Accuracy,
     #[command(flatten)]
-    hands: Hands,
+    making: Making,
 }
 
 #[derive(Debug, clap::Args)]
@@ -126,9 +120,6 @@ struct Generate {
     /// Width and height of the picture, pixels.
     #[arg(long, default_value_t = 112)]
     size: u32,
-    /// Draw shadows (a picture takes about five times as long).
-    #[arg(long)]
-    shadows: bool,
     /// Episodes simulated at a time, each in a process of its own.
     #[arg(long, default_value_t = 2)]
     jobs: usize,
@@ -143,6 +134,18 @@ struct Generate {
     out: PathBuf,
     #[command(flatten)]
     accuracy: Accuracy,
+    #[command(flatten)]
+    making: Making,
+}
+
+/// With which hands and how an episode is drawn and labelled.
+#[derive(Debug, clap::Args)]
+struct Making {
+    /// Draw shadows (a picture takes about five times as long).
+    #[arg(long)]
+    shadows: bool,
+    #[command(flatten)]
+    kernel: Kernel,
     #[command(flatten)]
     hands: Hands,
 }
@@ -170,13 +173,10 @@ struct Worker {
     /// Width and height of the picture, pixels.
     #[arg(long)]
     size: u32,
-    /// Draw shadows.
-    #[arg(long)]
-    shadows: bool,
     #[command(flatten)]
     accuracy: Accuracy,
     #[command(flatten)]
-    hands: Hands,
+    making: Making,
 }
 
 /// Reads seconds with their unit: `20ms`, `0.5s`.

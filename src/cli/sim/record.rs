@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::Context;
 
 use super::shared::{load, options};
-use super::{Accuracy, Generate, Run, Worker};
+use super::{Accuracy, Generate, Making, Run, Worker};
 use crate::bench::sim::pick::{self, Request};
 use crate::cli::progress;
 use crate::mujoco::{PhysicsOptions, Preset};
@@ -15,7 +15,7 @@ use crate::sim::{self, Scene, Summary, Workers};
 pub fn run(args: &Run) -> anyhow::Result<()> {
     let scene = told(load(&args.scene)?, &args.accuracy)?;
     let bar = progress::bar("frames");
-    let options = options(&args.hands, args.size, args.shadows)?;
+    let options = options(&args.making, args.size)?;
     let summary = sim::record(&scene, args.seed, &options, &args.out, |done, all| progress::step(&bar, done, all))?;
     bar.finish_and_clear();
     print(&summary, &args.out);
@@ -29,7 +29,7 @@ pub fn generate(args: &Generate) -> anyhow::Result<()> {
         episodes: args.episodes,
         seed: args.seed,
         jobs: args.jobs,
-        options: options(&args.hands, args.size, args.shadows)?,
+        options: options(&args.making, args.size)?,
     };
     let bar = progress::bar("episodes");
     let progress = |done, all| progress::step(&bar, done, all);
@@ -47,7 +47,9 @@ fn workers(args: &Generate) -> anyhow::Result<Workers> {
     let program = std::env::current_exe().context("where this program lies")?;
     let mut arguments: Vec<OsString> = ["sim", "worker"].map(OsString::from).to_vec();
     arguments.extend(["--size".into(), args.size.to_string().into()]);
-    if args.shadows {
+    let Making { shadows, kernel, hands } = &args.making;
+    arguments.extend(["--sigma".into(), kernel.sigma.to_string().into()]);
+    if *shadows {
         arguments.push("--shadows".into());
     }
     let Accuracy { preset, budget, error } = &args.accuracy;
@@ -57,7 +59,7 @@ fn workers(args: &Generate) -> anyhow::Result<Workers> {
     for (flag, value) in [preset, budget, error].into_iter().flatten() {
         arguments.extend([flag.into(), value.into()]);
     }
-    for (flag, path) in [("--mano-left", &args.hands.mano_left), ("--mano-right", &args.hands.mano_right)] {
+    for (flag, path) in [("--mano-left", &hands.mano_left), ("--mano-right", &hands.mano_right)] {
         arguments.extend(path.iter().flat_map(|path| [flag.into(), path.clone().into_os_string()]));
     }
     arguments.push("--".into());
@@ -68,7 +70,7 @@ fn workers(args: &Generate) -> anyhow::Result<Workers> {
 pub fn work(args: &Worker) -> anyhow::Result<()> {
     let scenes = args.scenes.iter().map(|name| Ok(with_accuracy(Scene::load(name)?, &args.accuracy)?.0));
     let scenes = scenes.collect::<anyhow::Result<Vec<_>>>()?;
-    let options = options(&args.hands, args.size, args.shadows)?;
+    let options = options(&args.making, args.size)?;
     sim::isolate::serve(&scenes, &options, std::io::stdin().lock(), std::io::stdout().lock())?;
     Ok(())
 }

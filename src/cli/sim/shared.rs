@@ -2,7 +2,7 @@
 
 use anyhow::ensure;
 
-use super::Hands;
+use super::Making;
 use crate::sim::{RolloutOptions, Scene, mjcf};
 
 /// A scene; what is wrong with its meshes goes to standard error.
@@ -14,9 +14,20 @@ pub fn load(name_or_path: &str) -> anyhow::Result<Scene> {
     Ok(scene)
 }
 
-/// Options of a rollout with pictures of `size` x `size` pixels.
-pub fn options(hands: &Hands, size: u32, shadows: bool) -> anyhow::Result<RolloutOptions> {
+/// A picture of `size` x `size` pixels.
+pub fn picture(size: u32) -> anyhow::Result<Option<(u32, u32)>> {
     let most = mjcf::MAX_PICTURE;
     ensure!((8..=most).contains(&size), "--size: expected 8 to {most} pixels, got {size}");
-    Ok(RolloutOptions { hands: hands.models()?, picture: Some((size, size)), shadows, ..RolloutOptions::default() })
+    Ok(Some((size, size)))
+}
+
+/// Options of a rollout with pictures of `size` x `size` pixels.
+pub fn options(making: &Making, size: u32) -> anyhow::Result<RolloutOptions> {
+    Ok(RolloutOptions {
+        hands: making.hands.models()?,
+        picture: picture(size)?,
+        shadows: making.shadows,
+        sigma: making.kernel.metres(),
+        ..RolloutOptions::default()
+    })
 }

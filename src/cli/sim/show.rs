@@ -20,8 +20,7 @@ pub fn list() -> anyhow::Result<()> {
 }
 
 pub fn show(args: &Show) -> anyhow::Result<()> {
-    let mut rollout =
-        Rollout::new(&Scene::load(&args.scene)?, args.seed, &options(&args.hands, args.size, args.shadows)?)?;
+    let mut rollout = Rollout::new(&Scene::load(&args.scene)?, args.seed, &options(&args.making, args.size)?)?;
     let frames = rollout.frame_count();
     let instants: Vec<usize> = match (args.time, args.sheet) {
         (Some(time), _) => {
