@@ -40,6 +40,9 @@ pub const KNOB_SCENES: [&str; 2] = ["pinch_cube", "lift_mug"];
 /// Timestep below which a run is so long that its time is taken along with its forces, s.
 const TIMED_ALONG: f64 = 2e-4;
 
+/// Episodes of which the speed of `generate` is taken: enough that jobs end at about the same time.
+const EPISODES: usize = 12;
+
 /// What to measure.
 #[derive(Debug, Clone)]
 pub struct Plan {
@@ -96,7 +99,8 @@ pub fn run(plan: &Plan, progress: impl Fn(&str, usize, usize)) -> Result<Report>
         let mut jobs = vec![1, Machine::this().cores];
         jobs.dedup();
         let repetitions = plan.repetitions.min(2);
-        throughput = Some(throughput::measure(&turned, 4, plan.seed, &jobs, &plan.options, workers, repetitions)?);
+        throughput =
+            Some(throughput::measure(&turned, EPISODES, plan.seed, &jobs, &plan.options, workers, repetitions)?);
     }
     Ok(Report {
         command: plan.command.clone(),
