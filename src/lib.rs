@@ -32,7 +32,7 @@
 //! | `mujoco`, `sim` | physics; scenes whose touch is known (feature `sim`) |
 //! | [`train`] | from stores to a checkpoint |
 //! | [`verify`] | labels and predictions against simulated truth |
-//! | [`bench`] | what accuracy costs, what breaks |
+//! | [`mod@bench`] | what accuracy costs, what breaks |
 //! | `node` | the ROS 2 nodes (feature `ros`) |
 //! | [`cli`] | the commands |
 //!

@@ -120,7 +120,8 @@ mod tests {
     fn a_run_that_ended_early_misses_what_came_after() {
         let reference = trace(2.0, &[3]);
         let mut lost = reference.clone();
-        (lost.impulses.truncate(1), lost.touched.truncate(2));
+        lost.impulses.truncate(1);
+        lost.touched.truncate(2);
         let mut pool = Pool::default();
         pool.add(&lost, &reference, &reference.quiet());
         let errors = pool.errors();

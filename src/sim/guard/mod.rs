@@ -1,7 +1,7 @@
 //! Guards: reasons not to trust a frame. Engine warnings alone miss most of what goes wrong.
 //!
 //! Three things are watched: every step ([`step`], [`energy`]), the forces at each frame's instant ([`balance`]), and
-//! slow slip over many frames ([`creep`]). What a model tells before its first step is [`crate::mujoco::audit`]'s.
+//! slow slip over many frames ([`creep`]). What a model tells before its first step is [`mod@crate::mujoco::audit`]'s.
 //! A guard never says "no contact": a frame it refuses keeps its forces, and carries the reason.
 
 pub mod balance;
