@@ -208,6 +208,18 @@ fn bench_sim_writes_table_and_plots() {
 }
 
 #[test]
+fn where_no_hand_presses_there_is_a_table_but_nothing_to_plot() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let args = ["bench", "sim", "hover", "--knobs", "cone", "--repetitions", "1", "--out", out.to_str().unwrap()];
+    let output = egotac(&args);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(text.contains("no plot") && text.contains("| pyramidal |"), "{text}");
+    assert!(out.join("sim.json").exists() && out.join("sim.md").exists() && !out.join("sim.png").exists());
+}
+
+#[test]
 fn sim_run_takes_the_preset_that_fits_and_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("a.zarr");

@@ -152,12 +152,14 @@ mod with_sim {
         let table = markdown::render(&report);
         file::write(&args.out.join("sim.json"), report.to_json()?.as_bytes())?;
         file::write(&args.out.join("sim.md"), table.as_bytes())?;
-        pareto::write(&args.out, &report)?;
+        let mut written = vec!["sim.json", "sim.md"];
+        match pareto::write(&args.out, &report)? {
+            true => written.extend(["sim.png", "sim.svg"]),
+            false => println!("no plot: no hand presses in these scenes, so there are no forces to compare"),
+        }
         print!("{table}");
-        println!(
-            "\nwrote {}",
-            ["sim.json", "sim.md", "sim.png", "sim.svg"].map(|f| args.out.join(f).display().to_string()).join(", ")
-        );
+        let written: Vec<String> = written.iter().map(|file| args.out.join(file).display().to_string()).collect();
+        println!("\nwrote {}", written.join(", "));
         Ok(true)
     }
 

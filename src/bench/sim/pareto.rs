@@ -40,11 +40,21 @@ struct Point {
     error: f64,
 }
 
-/// Writes `sim.png` and `sim.svg` into `folder`.
+/// The two panels: what the error is against.
+const PANELS: [(&str, ErrorOf); 2] = [
+    ("against the same model at 0.1 ms", |entry| entry.same.force),
+    ("against elliptic, impratio 100, 0.05 ms", |entry| entry.model.force),
+];
+
+/// Writes `sim.png` and `sim.svg` into `folder`; `false` = there is nothing to plot: no setting has both a cost and an
+/// error, since no hand presses.
 ///
 /// # Errors
-/// If no setting has both a cost and an error, or a file can't be written.
-pub fn write(folder: &Path, report: &Report) -> Result<()> {
+/// If a file can't be written.
+pub fn write(folder: &Path, report: &Report) -> Result<bool> {
+    if PANELS.iter().any(|(_, error)| points(report, *error).is_empty()) {
+        return Ok(false);
+    }
     render::font::register();
     let (png, svg) = (folder.join("sim.png"), folder.join("sim.svg"));
     let mut pixels = vec![255u8; (SIZE.0 * SIZE.1 * 3) as usize];
@@ -55,7 +65,8 @@ pub fn write(folder: &Path, report: &Report) -> Result<()> {
     let mut text = String::new();
     draw(&SVGBackend::with_string(&mut text, SIZE).into_drawing_area(), report)
         .map_err(|error| Error::file(&svg, error))?;
-    file::write(&svg, text.as_bytes())
+    file::write(&svg, text.as_bytes())?;
+    Ok(true)
 }
 
 fn draw<B: DrawingBackend>(root: &DrawingArea<B, Shift>, report: &Report) -> Drawn<()>
@@ -64,11 +75,7 @@ where
 {
     root.fill(&WHITE)?;
     let panels = root.split_evenly((1, 2));
-    let kinds: [(&str, ErrorOf); 2] = [
-        ("against the same model at 0.1 ms", |entry| entry.same.force),
-        ("against elliptic, impratio 100, 0.05 ms", |entry| entry.model.force),
-    ];
-    for (panel, (title, error)) in panels.iter().zip(kinds) {
+    for (panel, (title, error)) in panels.iter().zip(PANELS) {
         draw_panel(
             panel,
             title,
@@ -114,7 +121,8 @@ where
 {
     let (least, most) =
         points.iter().fold((f64::INFINITY, 0.0f64), |(low, high), p| (low.min(p.cost), high.max(p.cost)));
-    if !(least > 0.0 && most.is_finite()) {
+    // The axis is logarithmic, and without end its ticks would be, too.
+    if !(least > 0.0 && least <= most && most.is_finite()) {
         return Err("no setting has both a cost and an error".into());
     }
     let mut chart = ChartBuilder::on(area)
