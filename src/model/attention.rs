@@ -38,6 +38,17 @@ impl Linear {
         ops::linear(x, &self.weight, &self.bias)
     }
 
+    /// Weight `(n, k)` and bias `(n)`, in rows.
+    pub fn values(&self) -> Result<(Vec<f32>, Vec<f32>)> {
+        Ok((self.weight.flatten_all()?.to_vec1()?, self.bias.to_vec1()?))
+    }
+
+    /// The layer whose outputs are scaled by `scale`, `(n)`.
+    pub fn scaled(&self, scale: &Tensor) -> Result<Self> {
+        let weight = self.weight.broadcast_mul(&scale.unsqueeze(1)?)?;
+        Ok(Self { weight, bias: (&self.bias * scale)? })
+    }
+
     /// One layer whose output is the layers' outputs side by side.
     fn packed(layers: &[Linear; 3]) -> Result<Self> {
         let weight = Tensor::cat(&layers.each_ref().map(|layer| &layer.weight), 0)?;
@@ -61,6 +72,11 @@ impl LayerNorm {
         Ok(Self { weight, bias })
     }
 
+    /// Weight and bias, `(d)` each.
+    pub fn values(&self) -> Result<(Vec<f32>, Vec<f32>)> {
+        Ok((self.weight.to_vec1()?, self.bias.to_vec1()?))
+    }
+
     /// `x`: `(.., d)`.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         ops::layer_norm(x, Some((&self.weight, &self.bias)), EPS)
@@ -80,6 +96,11 @@ impl Mlp {
         let fc1 = Linear::new(d, 4 * d, scheme, vb.pp("fc1"))?;
         let fc2 = Linear::new(4 * d, d, scheme, vb.pp("fc2"))?;
         Ok(Self { fc1, fc2 })
+    }
+
+    /// Both layers.
+    pub fn parts(self) -> (Linear, Linear) {
+        (self.fc1, self.fc2)
     }
 
     /// `x`: `(.., d)`.
@@ -137,6 +158,28 @@ impl SelfAttention {
         Ok(())
     }
 
+    /// The three projections as one layer, and the output projection.
+    pub fn parts(self) -> Result<(Linear, Linear)> {
+        match self.qkv {
+            Qkv::Parts(parts) => Ok((Linear::packed(&parts)?, self.out)),
+            Qkv::Packed(packed) => Ok((packed, self.out)),
+        }
+    }
+
+    /// The value projection and the output projection: all there is for a single token.
+    pub fn value_and_out(self) -> Result<(Linear, Linear)> {
+        match self.qkv {
+            Qkv::Parts(parts) => {
+                let [_, _, value] = *parts;
+                Ok((value, self.out))
+            }
+            Qkv::Packed(Linear { weight, bias }) => {
+                let d = weight.dim(1)?;
+                Ok((Linear { weight: weight.narrow(0, 2 * d, d)?, bias: bias.narrow(0, 2 * d, d)? }, self.out))
+            }
+        }
+    }
+
     /// `x`: `(B, N, d)`. Returns `(B, N, d)`.
     ///
     /// The softmax over a single key is 1, so for N = 1 the result is the value, and query and key get no gradient
@@ -164,9 +207,12 @@ impl SelfAttention {
 pub struct PooledAttention {
     q: Linear,
     k: Linear,
-    v: Linear,
-    out: Linear,
-    heads: usize,
+    /// Value projection.
+    pub v: Linear,
+    /// Output projection.
+    pub out: Linear,
+    /// Heads.
+    pub heads: usize,
 }
 
 impl PooledAttention {
@@ -176,12 +222,19 @@ impl PooledAttention {
         Ok(Self { q: linear("q")?, k: linear("k")?, v: linear("v")?, out: linear("out")?, heads })
     }
 
+    /// The query of each head through the key weights, over √size: `(heads, d)`. `query`: `(1, d)`.
+    pub fn folded(&self, query: &Tensor) -> Result<Tensor> {
+        let d = query.dim(D::Minus1)?;
+        let (heads, size) = (self.heads, d / self.heads);
+        let q = (self.q.forward(query)?.reshape((heads, 1, size))? / (size as f64).sqrt())?;
+        q.matmul(&self.k.weight.reshape((heads, size, d))?)?.reshape((heads, d))
+    }
+
     /// `query`: `(1, d)`, `tokens`: `(B, N, d)`. Returns `(B, d)`.
     pub fn forward(&self, query: &Tensor, tokens: &Tensor) -> Result<Tensor> {
         let (b, n, d) = tokens.dims3()?;
         let (heads, size) = (self.heads, d / self.heads);
-        let q = (self.q.forward(query)?.reshape((heads, 1, size))? / (size as f64).sqrt())?;
-        let folded = q.matmul(&self.k.weight.reshape((heads, size, d))?)?.reshape((heads, d))?;
+        let folded = self.folded(query)?;
         let scores = tokens.reshape((b * n, d))?.matmul(&folded.t()?)?.reshape((b, n, heads))?;
         let weights = candle_nn::ops::softmax(&scores.transpose(1, 2)?.contiguous()?, D::Minus1)?; // (B, heads, N)
         let pooled = weights.matmul(tokens)?; // (B, heads, d)

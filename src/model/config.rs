@@ -12,7 +12,7 @@ const MAX_STEPS: usize = 256;
 
 /// Geometry of the network.
 ///
-/// Its JSON form has exactly these keys, all required; unknown keys are refused. [`Config::from_json`] and the
+/// Its JSON form has exactly these keys, all required but `registers`; unknown keys are refused. [`Config::from_json`] and the
 /// network's constructors run [`Config::check`].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -39,6 +39,14 @@ pub struct Config {
     pub horizon: usize,
     /// K: tactile steps predicted.
     pub predict: usize,
+    /// Register tokens of the vision encoder; such an encoder resamples its position embeddings with antialiasing. 0
+    /// for an encoder without, and then absent from the JSON form.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub registers: usize,
+}
+
+fn is_zero(value: &usize) -> bool {
+    *value == 0
 }
 
 impl Config {
@@ -74,6 +82,7 @@ impl Config {
             pretrain_image: 70,
             horizon: 3,
             predict: 2,
+            registers: 0,
         }
     }
 
@@ -93,6 +102,7 @@ impl Config {
             pretrain_image: 112,
             horizon: 3,
             predict: 1,
+            registers: 0,
         }
     }
 
@@ -120,6 +130,7 @@ impl Config {
             pretrain_image: 518,
             horizon: 4,
             predict: 1,
+            registers: 0,
         }
     }
 
@@ -163,6 +174,9 @@ impl Config {
                 return Err(Error::value(format!("config.{key}"), format!("1 to {max}"), value));
             }
         }
+        if self.registers > MAX_STEPS {
+            return Err(Error::value("config.registers", format!("0 to {MAX_STEPS}"), self.registers));
+        }
         let divisors = [
             ("vision_width", self.vision_width, "vision_heads", self.vision_heads),
             ("width", self.width, "heads", self.heads),
@@ -188,7 +202,7 @@ impl Config {
         self.pretrain_image / self.patch
     }
 
-    /// P + 1: vision tokens per frame, CLS included.
+    /// P: vision tokens per frame that the encoder hands on, CLS included, registers not.
     pub fn tokens(&self) -> usize {
         self.grid() * self.grid() + 1
     }

@@ -12,11 +12,11 @@ use crate::tactile::N_FIELD;
 /// K queries through AdaLN-conditioned layers to two heads.
 #[derive(Debug, Clone)]
 pub struct Decoder {
-    queries: Tensor, // (K, d)
-    layers: Vec<DecoderLayer>,
-    norm: LayerNorm,
-    force_head: Linear,
-    contact_head: Linear,
+    pub(super) queries: Tensor, // (K, d)
+    pub(super) layers: Vec<DecoderLayer>,
+    pub(super) norm: LayerNorm,
+    pub(super) force_head: Linear,
+    pub(super) contact_head: Linear,
 }
 
 impl Decoder {
@@ -56,11 +56,11 @@ impl Decoder {
 
 /// Self-attention over the tactile steps and an MLP, each behind an AdaLN.
 #[derive(Debug, Clone)]
-struct DecoderLayer {
-    ada_attn: AdaLn,
-    ada_mlp: AdaLn,
-    attn: SelfAttention,
-    mlp: Mlp,
+pub struct DecoderLayer {
+    pub(super) ada_attn: AdaLn,
+    pub(super) ada_mlp: AdaLn,
+    pub(super) attn: SelfAttention,
+    pub(super) mlp: Mlp,
 }
 
 impl DecoderLayer {
@@ -83,8 +83,8 @@ impl DecoderLayer {
 
 /// `(1 + γ(z)) LN(h) + β(z)` with a layer norm without parameters of its own; the linear layer yields `[γ, β]`.
 #[derive(Debug, Clone)]
-struct AdaLn {
-    linear: Linear,
+pub struct AdaLn {
+    pub(super) linear: Linear,
     d: usize,
 }
 

@@ -14,9 +14,9 @@ const NAMES: AttentionNames =
 /// Images to tokens: the last hidden state after the final layer norm, CLS first.
 #[derive(Debug, Clone)]
 pub struct Dinov2 {
-    embeddings: Embeddings,
-    layers: Vec<Layer>,
-    layernorm: LayerNorm,
+    pub(super) embeddings: Embeddings,
+    pub(super) layers: Vec<Layer>,
+    pub(super) layernorm: LayerNorm,
 }
 
 impl Dinov2 {
@@ -42,14 +42,19 @@ impl Dinov2 {
         for layer in &self.layers {
             h = layer.forward(&h)?;
         }
+        if let Some(registers) = &self.embeddings.register_tokens {
+            let (first, count) = (1 + registers.dim(1)?, h.dim(1)?);
+            h = Tensor::cat(&[&h.narrow(1, 0, 1)?, &h.narrow(1, first, count - first)?], 1)?;
+        }
         self.layernorm.forward(&h)
     }
 }
 
 /// Patch projection, CLS token and position embeddings.
 #[derive(Debug, Clone)]
-struct Embeddings {
-    cls_token: Tensor, // (1, 1, dv)
+pub struct Embeddings {
+    cls_token: Tensor,               // (1, 1, dv)
+    register_tokens: Option<Tensor>, // (1, registers, dv)
     projection: Linear,
     positions: Positions,
     image: usize,
@@ -74,10 +79,15 @@ impl Embeddings {
         let learned = vb.get_with_hints((1, 1 + learned_grid * learned_grid, dv), "position_embeddings", normal)?;
         let resample = match grid == learned_grid {
             true => None,
-            false => Some(bicubic_grid(learned_grid, grid, &learned)?),
+            false => Some(bicubic_grid(learned_grid, grid, config.registers > 0, &learned)?),
+        };
+        let register_tokens = match config.registers {
+            0 => None,
+            count => Some(vb.get_with_hints((1, count, dv), "register_tokens", normal)?),
         };
         let projection = Linear::patches(dv, patch, vb.pp("patch_embeddings.projection"))?;
-        Ok(Self { cls_token, projection, positions: Positions::Learned(learned, resample), image: config.image, patch })
+        let positions = Positions::Learned(learned, resample);
+        Ok(Self { cls_token, register_tokens, projection, positions, image: config.image, patch })
     }
 
     fn freeze(&mut self) -> Result<()> {
@@ -111,19 +121,40 @@ impl Embeddings {
             .reshape((n, grid * grid, 3 * p * p))?;
         let patches = self.projection.forward(&patches)?;
         let cls = self.cls_token.broadcast_as((n, 1, patches.dim(2)?))?;
-        Tensor::cat(&[&cls, &patches], 1)?.broadcast_add(&self.positions()?)
+        let h = Tensor::cat(&[&cls, &patches], 1)?.broadcast_add(&self.positions()?)?;
+        match &self.register_tokens {
+            None => Ok(h),
+            // Behind CLS, without a position.
+            Some(registers) => {
+                let (_, count, dv) = registers.dims3()?;
+                let registers = registers.broadcast_as((n, count, dv))?;
+                Tensor::cat(&[&h.narrow(1, 0, 1)?, &registers, &h.narrow(1, 1, grid * grid)?], 1)
+            }
+        }
+    }
+
+    /// What the tokens are before the image comes, `(1 + registers + patches, dv)` in rows, and the patch projection.
+    pub fn parts(self) -> Result<(Vec<f32>, Linear)> {
+        let positions = self.positions()?;
+        let cls = (&self.cls_token + positions.narrow(1, 0, 1)?)?;
+        let patches = positions.narrow(1, 1, positions.dim(1)? - 1)?;
+        let start = match &self.register_tokens {
+            None => Tensor::cat(&[&cls, &patches], 1)?,
+            Some(registers) => Tensor::cat(&[&cls, registers, &patches], 1)?,
+        };
+        Ok((start.flatten_all()?.to_vec1()?, self.projection))
     }
 }
 
 /// Pre-norm transformer layer with scaled residuals.
 #[derive(Debug, Clone)]
-struct Layer {
-    norm1: LayerNorm,
-    attention: SelfAttention,
-    layer_scale1: Tensor, // (dv)
-    norm2: LayerNorm,
-    mlp: Mlp,
-    layer_scale2: Tensor, // (dv)
+pub struct Layer {
+    pub(super) norm1: LayerNorm,
+    pub(super) attention: SelfAttention,
+    pub(super) layer_scale1: Tensor, // (dv)
+    pub(super) norm2: LayerNorm,
+    pub(super) mlp: Mlp,
+    pub(super) layer_scale2: Tensor, // (dv)
 }
 
 impl Layer {
@@ -150,10 +181,11 @@ impl Layer {
 
 /// Bicubic resampling of a square grid as a matrix, `(to², from²)`, as PyTorch's `interpolate` does it.
 ///
-/// Half-pixel centres (`align_corners=False`), Keys' kernel with a = -0.75, borders repeated, no antialiasing. As a
-/// matrix product it needs no backward of its own. The result has the type and device of `like`.
-fn bicubic_grid(from: usize, to: usize, like: &Tensor) -> Result<Tensor> {
-    let line = bicubic_line(from, to); // (to, from)
+/// Half-pixel centres (`align_corners=False`). Without antialiasing Keys' kernel with a = -0.75 and borders repeated;
+/// with it a = -0.5, wider by the scale where the grid shrinks, and cut off at borders. As a matrix product it needs no
+/// backward of its own. The result has the type and device of `like`.
+fn bicubic_grid(from: usize, to: usize, antialias: bool, like: &Tensor) -> Result<Tensor> {
+    let line = if antialias { antialiased_line(from, to) } else { bicubic_line(from, to) }; // (to, from)
     let mut matrix = vec![0.0; to * to * from * from];
     for (row, weights) in matrix.chunks_exact_mut(from * from).enumerate() {
         let (y, x) = (row / to, row % to);
@@ -171,19 +203,36 @@ fn bicubic_line(from: usize, to: usize) -> Vec<f64> {
         let centre = (i as f64 + 0.5) * from as f64 / to as f64 - 0.5;
         for tap in -1..=2 {
             let at = centre.floor() + f64::from(tap);
-            weights[(at.max(0.0) as usize).min(from - 1)] += keys(centre - at);
+            weights[(at.max(0.0) as usize).min(from - 1)] += keys(centre - at, -0.75);
         }
     }
     matrix
 }
 
-/// Keys' cubic convolution kernel with a = -0.75.
-fn keys(x: f64) -> f64 {
-    const A: f64 = -0.75;
+/// As [`bicubic_line`], with antialiasing.
+fn antialiased_line(from: usize, to: usize) -> Vec<f64> {
+    let scale = from as f64 / to as f64;
+    let wider = scale.max(1.0);
+    let mut matrix = vec![0.0; to * from];
+    for (i, weights) in matrix.chunks_exact_mut(from).enumerate() {
+        let centre = (i as f64 + 0.5) * scale;
+        let first = (centre - 2.0 * wider + 0.5).max(0.0) as usize;
+        let last = ((centre + 2.0 * wider + 0.5) as usize).min(from);
+        for (at, weight) in weights.iter_mut().enumerate().take(last).skip(first) {
+            *weight = keys((at as f64 + 0.5 - centre) / wider, -0.5);
+        }
+        let sum: f64 = weights.iter().sum();
+        weights.iter_mut().for_each(|weight| *weight /= sum);
+    }
+    matrix
+}
+
+/// Keys' cubic convolution kernel.
+fn keys(x: f64, a: f64) -> f64 {
     let x = x.abs();
     match x {
-        _ if x <= 1.0 => ((A + 2.0) * x - (A + 3.0)) * x * x + 1.0,
-        _ if x < 2.0 => A * (((x - 5.0) * x + 8.0) * x - 4.0),
+        _ if x <= 1.0 => ((a + 2.0) * x - (a + 3.0)) * x * x + 1.0,
+        _ if x < 2.0 => a * (((x - 5.0) * x + 8.0) * x - 4.0),
         _ => 0.0,
     }
 }
@@ -195,11 +244,14 @@ mod tests {
     #[test]
     fn bicubic_rows_sum_to_one_and_equal_grids_give_the_identity() {
         for (from, to) in [(5, 4), (4, 5), (37, 16), (2, 9), (1, 3)] {
-            for row in bicubic_line(from, to).chunks_exact(from) {
-                assert!((row.iter().sum::<f64>() - 1.0).abs() < 1e-12, "{from} -> {to}: {row:?}");
+            for matrix in [bicubic_line(from, to), antialiased_line(from, to)] {
+                for row in matrix.chunks_exact(from) {
+                    assert!((row.iter().sum::<f64>() - 1.0).abs() < 1e-12, "{from} -> {to}: {row:?}");
+                }
             }
         }
         let same = bicubic_line(3, 3);
         assert_eq!(same, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+        assert_eq!(antialiased_line(3, 3), same);
     }
 }

@@ -139,7 +139,7 @@ impl Predictor {
         self.forget_what_no_window_needs();
 
         let (window, warming_up) = self.window(stamp_secs);
-        let (force, logits) = self.model().heads(&self.model().fuse(&Tensor::stack(&window, 1)?)?)?;
+        let (force, logits) = self.model().heads(&self.model().fuse_frames(&window)?)?;
         let field = self.field(&first_step(&force)?, &first_step(&logits)?);
         // A frame that breaks the network must not stay in the windows to come.
         let field = field.inspect_err(|_| drop(self.frames.pop_back()))?;

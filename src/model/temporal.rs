@@ -10,15 +10,15 @@ use super::init::{STD, Scheme};
 /// One pre-norm block: a learned token attends to all tokens of the window, then an MLP.
 #[derive(Debug, Clone)]
 pub struct TemporalFusion {
-    proj: Linear,
-    step_embedding: Tensor, // (T, d)
-    token: Tensor,          // (1, 1, d)
+    pub(super) proj: Linear,
+    pub(super) step_embedding: Tensor, // (T, d)
+    pub(super) token: Tensor,          // (1, 1, d)
     norm_q: LayerNorm,
-    norm_kv: LayerNorm,
-    norm_mlp: LayerNorm,
-    norm_out: LayerNorm,
-    attn: PooledAttention,
-    mlp: Mlp,
+    pub(super) norm_kv: LayerNorm,
+    pub(super) norm_mlp: LayerNorm,
+    pub(super) norm_out: LayerNorm,
+    pub(super) attn: PooledAttention,
+    pub(super) mlp: Mlp,
 }
 
 impl TemporalFusion {
@@ -45,6 +45,12 @@ impl TemporalFusion {
     /// `tokens`: `(.., P, dv)`. Returns `(.., P, d)`.
     pub fn project(&self, tokens: &Tensor) -> Result<Tensor> {
         self.proj.forward(tokens)
+    }
+
+    /// The query of each head through the key weights: `(heads, d)`, in rows.
+    pub fn folded_query(&self) -> Result<Vec<f32>> {
+        let token = self.token.reshape((1, ()))?;
+        self.attn.folded(&self.norm_q.forward(&token)?)?.flatten_all()?.to_vec1()
     }
 
     /// `projected`: `(B, T, P, d)`, oldest frame first. Returns z, `(B, d)`.

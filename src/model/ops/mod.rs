@@ -12,14 +12,14 @@
 //! candle's fused layer norm or softmax, which have none.
 
 mod attention;
-mod cpu;
+pub(super) mod cpu;
 mod gelu;
 mod layer_norm;
 mod linear;
 mod matrix;
 pub mod plain;
 mod residual;
-mod simd;
+pub(super) mod simd;
 
 use candle_core::{Result, Tensor};
 

@@ -1,0 +1,182 @@
+//! The tactile decoder on a few rows: what it costs is reading its weights.
+
+use super::attention::Attention;
+use super::norm::{Norm, modulated};
+use super::packed::{Packed, Then};
+use super::quantise::Quantised;
+use super::{finite, rows};
+use crate::error::Result;
+use crate::model::decoder as layers;
+use crate::model::precision::Precision;
+
+/// Weights of the decoder.
+#[derive(Debug, Clone)]
+pub struct Decoder {
+    queries: Vec<f32>, // (K, d)
+    layers: Vec<Layer>,
+    norm: Norm,
+    force_head: Packed,
+    contact_head: Packed,
+}
+
+#[derive(Debug, Clone)]
+struct Layer {
+    ada_attn: Packed,
+    ada_mlp: Packed,
+    /// The value projection alone where there is one step to attend to.
+    qkv: Packed,
+    out: Packed,
+    fc1: Packed,
+    fc2: Packed,
+}
+
+/// What a batch needs on its way.
+#[derive(Debug, Clone)]
+pub struct Buffers {
+    condition: Vec<f32>,  // (B, d)
+    modulation: Vec<f32>, // (B, 2 d)
+    h: Vec<f32>,          // (B K, d)
+    x: Vec<f32>,          // (B K, d)
+    qkv: Vec<f32>,        // (B K, d) or (B K, 3 d)
+    hidden: Vec<f32>,     // (B K, 4 d)
+    attention: Attention,
+}
+
+impl Decoder {
+    /// Takes the layers apart.
+    pub fn new(from: layers::Decoder, precision: Precision) -> Result<Self> {
+        let steps = from.queries.dim(0)?;
+        let layer = |layer| Layer::new(layer, steps, precision);
+        // The last products are small, and their rounding is not averaged by any layer behind.
+        let heads = precision.of_small_layers();
+        Ok(Self {
+            queries: from.queries.flatten_all()?.to_vec1()?,
+            layers: from.layers.into_iter().map(layer).collect::<Result<_>>()?,
+            norm: from.norm.lay_out()?,
+            force_head: from.force_head.lay_out(heads)?,
+            contact_head: from.contact_head.lay_out(heads)?,
+        })
+    }
+
+    /// Bytes of weights.
+    pub fn bytes(&self) -> usize {
+        let layers = self.layers.iter().flat_map(|l| [&l.ada_attn, &l.ada_mlp, &l.qkv, &l.out, &l.fc1, &l.fc2]);
+        let all = layers.chain([&self.force_head, &self.contact_head]);
+        all.map(|layer| layer.bytes()).sum::<usize>() + 4 * self.queries.len()
+    }
+
+    /// K: tactile steps.
+    pub fn steps(&self) -> usize {
+        self.queries.len() / self.norm.d()
+    }
+
+    /// Room to work in; it grows with the batch.
+    pub fn buffers(&self, heads: usize) -> Buffers {
+        let empty = Vec::new;
+        Buffers {
+            condition: empty(),
+            modulation: empty(),
+            h: empty(),
+            x: empty(),
+            qkv: empty(),
+            hidden: empty(),
+            attention: Attention::new(self.steps(), self.norm.d(), heads),
+        }
+    }
+
+    /// `z`: `(B, d)`, `force` and `contact`: `(B, K, 1556)`.
+    pub fn forward(
+        &self,
+        z: &[f32],
+        force: &mut [f32],
+        contact: &mut [f32],
+        buffers: &mut Buffers,
+        quantised: &mut Quantised,
+        checked: bool,
+    ) -> Result<()> {
+        let (d, steps) = (self.norm.d(), self.steps());
+        let batch = z.len() / d;
+        buffers.size(batch, steps, d);
+        let Buffers { condition, modulation, h, x, qkv, hidden, attention } = buffers;
+        for (condition, z) in condition.iter_mut().zip(z) {
+            *condition = z / (1.0 + (-z).exp());
+        }
+        for h in h.chunks_exact_mut(self.queries.len()) {
+            h.copy_from_slice(&self.queries);
+        }
+        for (i, layer) in self.layers.iter().enumerate() {
+            layer.ada_attn.forward(rows(condition, d), modulation, 2 * d, Then::Store, quantised);
+            modulate(h, modulation, steps, d, x);
+            let wide = layer.qkv.n();
+            layer.qkv.forward(rows(x, d), qkv, wide, Then::Store, quantised);
+            let attended = match steps {
+                1 => rows(qkv, d),
+                _ => {
+                    for (qkv, x) in qkv.chunks_exact(steps * wide).zip(x.chunks_exact_mut(steps * d)) {
+                        attention.forward(qkv, x);
+                    }
+                    rows(x, d)
+                }
+            };
+            layer.out.forward(attended, h, d, Then::Add, quantised);
+            if checked {
+                finite(&format!("decoder.{i}.attn"), h)?;
+            }
+            layer.ada_mlp.forward(rows(condition, d), modulation, 2 * d, Then::Store, quantised);
+            modulate(h, modulation, steps, d, x);
+            layer.fc1.forward(rows(x, d), hidden, 4 * d, Then::Gelu, quantised);
+            layer.fc2.forward(rows(hidden, 4 * d), h, d, Then::Add, quantised);
+            if checked {
+                finite(&format!("decoder.{i}.mlp"), h)?;
+            }
+        }
+        self.norm.forward(rows(h, d), x);
+        self.force_head.forward(rows(x, d), force, self.force_head.n(), Then::Store, quantised);
+        self.contact_head.forward(rows(x, d), contact, self.contact_head.n(), Then::Store, quantised);
+        if checked {
+            finite("force_head", force)?;
+            finite("contact_head", contact)?;
+        }
+        Ok(())
+    }
+}
+
+/// AdaLN of each row with its clip's γ and β.
+fn modulate(h: &[f32], modulation: &[f32], steps: usize, d: usize, out: &mut [f32]) {
+    for (row, (h, out)) in h.chunks_exact(d).zip(out.chunks_exact_mut(d)).enumerate() {
+        let (gamma, beta) = modulation[row / steps * 2 * d..][..2 * d].split_at(d);
+        modulated(h, gamma, beta, out);
+    }
+}
+
+impl Layer {
+    fn new(from: layers::DecoderLayer, steps: usize, precision: Precision) -> Result<Self> {
+        let layers::DecoderLayer { ada_attn, ada_mlp, attn, mlp } = from;
+        let (qkv, out) = match steps {
+            // The softmax over a single key is 1.
+            1 => attn.value_and_out()?,
+            _ => attn.parts()?,
+        };
+        let (fc1, fc2) = mlp.parts();
+        Ok(Self {
+            ada_attn: ada_attn.linear.lay_out(precision)?,
+            ada_mlp: ada_mlp.linear.lay_out(precision)?,
+            qkv: qkv.lay_out(precision)?,
+            out: out.lay_out(precision)?,
+            fc1: fc1.lay_out(precision)?,
+            fc2: fc2.lay_out(precision)?,
+        })
+    }
+}
+
+impl Buffers {
+    fn size(&mut self, batch: usize, steps: usize, d: usize) {
+        let wide = if steps == 1 { d } else { 3 * d };
+        self.condition.resize(batch * d, 0.0);
+        self.modulation.resize(batch * 2 * d, 0.0);
+        self.h.resize(batch * steps * d, 0.0);
+        self.x.resize(batch * steps * d, 0.0);
+        self.qkv.resize(batch * steps * wide, 0.0);
+        self.hidden.resize(batch * steps * 4 * d, 0.0);
+    }
+}

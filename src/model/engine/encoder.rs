@@ -1,0 +1,174 @@
+//! The vision encoder: one frame at a time, through one set of buffers.
+
+use super::attention::Attention;
+use super::norm::Norm;
+use super::packed::{Packed, Rows, Then};
+use super::quantise::Quantised;
+use super::{finite, rows};
+use crate::error::Result;
+use crate::model::config::Config;
+use crate::model::dinov2::{self, Dinov2};
+use crate::model::precision::Precision;
+
+/// Values by which a row of the hidden layer is longer than it is wide: rows whose distance is a multiple of a memory
+/// page would all fall into the same few places of the cache.
+const PADDING: usize = 16;
+
+/// Weights of the encoder.
+#[derive(Debug, Clone)]
+pub struct Encoder {
+    image: usize,
+    patch: usize,
+    registers: usize,
+    projection: Packed,
+    /// CLS and registers, and the position embedding of each patch: `(1 + registers + patches, dv)`.
+    start: Vec<f32>,
+    layers: Vec<Layer>,
+    norm: Norm,
+}
+
+/// The scales of the residuals lie in `out` and `fc2`.
+#[derive(Debug, Clone)]
+struct Layer {
+    norm1: Norm,
+    qkv: Packed,
+    out: Packed,
+    norm2: Norm,
+    fc1: Packed,
+    fc2: Packed,
+}
+
+/// What one frame needs on its way.
+#[derive(Debug, Clone)]
+pub struct Buffers {
+    patches: Vec<f32>, // (patches, 3 · patch²)
+    h: Vec<f32>,       // (tokens, dv)
+    x: Vec<f32>,       // (tokens, dv)
+    qkv: Vec<f32>,     // (tokens, 3 dv)
+    hidden: Vec<f32>,  // (tokens, 4 dv + PADDING)
+    attention: Attention,
+}
+
+impl Encoder {
+    /// Takes the layers apart, each as it is packed.
+    pub fn new(config: &Config, from: Dinov2, precision: Precision) -> Result<Self> {
+        let (start, projection) = from.embeddings.parts()?;
+        let layers = from.layers.into_iter().map(|layer| Layer::new(layer, precision)).collect::<Result<_>>()?;
+        Ok(Self {
+            image: config.image,
+            patch: config.patch,
+            registers: config.registers,
+            // A hundredth of the work; the picture meets it without a norm before.
+            projection: projection.lay_out(precision.of_small_layers())?,
+            start,
+            layers,
+            norm: from.layernorm.lay_out()?,
+        })
+    }
+
+    /// Bytes of weights.
+    pub fn bytes(&self) -> usize {
+        let layers = self.layers.iter().map(|l| l.qkv.bytes() + l.out.bytes() + l.fc1.bytes() + l.fc2.bytes());
+        self.projection.bytes() + 4 * self.start.len() + layers.sum::<usize>()
+    }
+
+    fn dv(&self) -> usize {
+        self.norm.d()
+    }
+
+    fn tokens(&self) -> usize {
+        self.start.len() / self.dv()
+    }
+
+    /// Room for one frame.
+    pub fn buffers(&self, heads: usize) -> Buffers {
+        let (tokens, dv) = (self.tokens(), self.dv());
+        let patches = tokens - 1 - self.registers;
+        Buffers {
+            patches: vec![0.0; patches * 3 * self.patch * self.patch],
+            h: vec![0.0; tokens * dv],
+            x: vec![0.0; tokens * dv],
+            qkv: vec![0.0; tokens * 3 * dv],
+            hidden: vec![0.0; tokens * (4 * dv + PADDING)],
+            attention: Attention::new(tokens, dv, heads),
+        }
+    }
+
+    /// `frame`: `(3, H, W)`, `out`: `(P, dv)`. With `checked`, the first step whose result is not finite is named.
+    pub fn forward(
+        &self,
+        frame: &[f32],
+        out: &mut [f32],
+        buffers: &mut Buffers,
+        quantised: &mut Quantised,
+        checked: bool,
+    ) -> Result<()> {
+        let (dv, tokens) = (self.dv(), self.tokens());
+        let Buffers { patches, h, x, qkv, hidden, attention } = buffers;
+        if checked {
+            finite("images", frame)?;
+        }
+        self.gather(frame, patches);
+        h.copy_from_slice(&self.start);
+        let size = 3 * self.patch * self.patch;
+        let place = &mut h[(1 + self.registers) * dv..];
+        self.projection.forward(rows(patches, size), place, dv, Then::Add, quantised);
+        if checked {
+            finite("encoder.embeddings", h)?;
+        }
+        let wide = 4 * dv + PADDING;
+        for (i, layer) in self.layers.iter().enumerate() {
+            layer.norm1.forward(rows(h, dv), x);
+            layer.qkv.forward(rows(x, dv), qkv, 3 * dv, Then::Store, quantised);
+            attention.forward(qkv, x);
+            layer.out.forward(rows(x, dv), h, dv, Then::Add, quantised);
+            if checked {
+                finite(&format!("encoder.encoder.layer.{i}.attention"), h)?;
+            }
+            layer.norm2.forward(rows(h, dv), x);
+            layer.fc1.forward(rows(x, dv), hidden, wide, Then::Gelu, quantised);
+            let input = Rows { data: hidden, stride: wide, count: tokens };
+            layer.fc2.forward(input, h, dv, Then::Add, quantised);
+            if checked {
+                finite(&format!("encoder.encoder.layer.{i}.mlp"), h)?;
+            }
+        }
+        // CLS, then the patches: registers stay behind.
+        self.norm.forward(rows(&h[..dv], dv), &mut out[..dv]);
+        self.norm.forward(rows(&h[(1 + self.registers) * dv..], dv), &mut out[dv..]);
+        if checked {
+            finite("encoder.layernorm", out)?;
+        }
+        Ok(())
+    }
+
+    /// The pixels of each patch: channel, row, column.
+    fn gather(&self, frame: &[f32], patches: &mut [f32]) {
+        let (side, patch) = (self.image, self.patch);
+        let grid = side / patch;
+        for (at, out) in patches.chunks_exact_mut(3 * patch * patch).enumerate() {
+            let (top, left) = (at / grid * patch, at % grid * patch);
+            for (line, out) in out.chunks_exact_mut(patch).enumerate() {
+                let (channel, y) = (line / patch, line % patch);
+                let first = (channel * side + top + y) * side + left;
+                out.copy_from_slice(&frame[first..first + patch]);
+            }
+        }
+    }
+}
+
+impl Layer {
+    fn new(from: dinov2::Layer, precision: Precision) -> Result<Self> {
+        let dinov2::Layer { norm1, attention, layer_scale1, norm2, mlp, layer_scale2 } = from;
+        let (qkv, out) = attention.parts()?;
+        let (fc1, fc2) = mlp.parts();
+        Ok(Self {
+            norm1: norm1.lay_out()?,
+            qkv: qkv.lay_out(precision)?,
+            out: out.scaled(&layer_scale1)?.lay_out(precision)?,
+            norm2: norm2.lay_out()?,
+            fc1: fc1.lay_out(precision)?,
+            fc2: fc2.scaled(&layer_scale2)?.lay_out(precision)?,
+        })
+    }
+}

@@ -1,0 +1,160 @@
+//! From floating point to 8 bits: weights once, activations row by row.
+
+use rayon::prelude::*;
+
+use super::packed::Rows;
+use super::tile8::GROUP;
+use crate::model::ops::simd;
+
+/// Rows that one task takes.
+const ROWS: usize = 32;
+
+/// Weights `(n, k)` as integers in -127..127, and one scale per output.
+pub fn quantise_weights(weight: &[f32], n: usize) -> (Vec<i8>, Vec<f32>) {
+    let k = weight.len() / n.max(1);
+    let mut bytes = Vec::with_capacity(weight.len());
+    let mut scales = Vec::with_capacity(n);
+    for row in weight.chunks_exact(k.max(1)) {
+        let largest = row.iter().fold(0.0f32, |largest, w| largest.max(w.abs()));
+        // Below that the inverse is not finite; such weights are zero beside any other number.
+        let scale = if largest > 1e-30 { largest / 127.0 } else { 0.0 };
+        let inverse = if scale > 0.0 { 1.0 / scale } else { 0.0 };
+        bytes.extend(row.iter().map(|w| (w * inverse).round_ties_even().clamp(-127.0, 127.0) as i8));
+        scales.push(scale);
+    }
+    (bytes, scales)
+}
+
+/// Rows of activations as unsigned integers: value = scale x (integer - zero point), scale and zero point per row.
+///
+/// Zero is exact. The rounding is the same on every processor.
+#[derive(Debug, Clone, Default)]
+pub struct Quantised {
+    bytes: Vec<u8>,
+    scales: Vec<(f32, i32)>,
+    stride: usize,
+}
+
+impl Quantised {
+    /// Takes over rows of `k` values.
+    pub fn set(&mut self, x: Rows, k: usize) {
+        self.stride = k.next_multiple_of(GROUP);
+        let count = x.count;
+        if self.bytes.len() < count * self.stride {
+            self.bytes.resize(count * self.stride, 0);
+        }
+        if self.scales.len() < count {
+            self.scales.resize(count, (0.0, 0));
+        }
+        let stride = self.stride;
+        let bytes = self.bytes[..count * stride].par_chunks_mut(ROWS * stride);
+        let scales = self.scales[..count].par_chunks_mut(ROWS);
+        bytes.zip(scales).enumerate().for_each(|(block, (bytes, scales))| {
+            for (i, (bytes, scale)) in bytes.chunks_exact_mut(stride).zip(scales).enumerate() {
+                let first = (block * ROWS + i) * x.stride;
+                *scale = quantise_row(&x.data[first..first + k], bytes);
+            }
+        });
+    }
+
+    /// The integers from a row on, and the distance of rows.
+    pub fn rows(&self, first: usize) -> (&[u8], usize) {
+        (&self.bytes[first * self.stride..], self.stride)
+    }
+
+    /// Scale and zero point of a row.
+    pub fn scale(&self, row: usize) -> (f32, i32) {
+        self.scales[row]
+    }
+}
+
+/// What is not a number stays visible: it makes the row's scale NaN.
+fn quantise_row(row: &[f32], bytes: &mut [u8]) -> (f32, i32) {
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            let (low, high) = extremes(row);
+            // Halved before the difference, so that it does not overflow.
+            let scale = (high / 255.0) - (low / 255.0);
+            if !(scale > 1e-30) {
+                bytes.fill(0);
+                return (if scale.is_nan() { f32::NAN } else { 0.0 }, 0);
+            }
+            let inverse = 1.0 / scale;
+            let zero = (-low * inverse).round_ties_even();
+            for (byte, value) in bytes.iter_mut().zip(row) {
+                // Adding 1.5 · 2²³ rounds to an integer, ties to even, and leaves it in the low bits.
+                let shifted = value.mul_add(inverse, zero).clamp(0.0, 255.0) + 12_582_912.0;
+                *byte = shifted.to_bits() as u8;
+            }
+            (scale, zero as i32)
+        },
+    )
+}
+
+/// Smallest and largest value, zero among them; NaN if a value is.
+#[inline(always)]
+fn extremes(row: &[f32]) -> (f32, f32) {
+    const LANES: usize = simd::LANES;
+    let (chunks, rest) = row.as_chunks::<LANES>();
+    let (mut low, mut high, mut sum) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
+    for chunk in chunks {
+        for i in 0..LANES {
+            low[i] = if chunk[i] < low[i] { chunk[i] } else { low[i] };
+            high[i] = if chunk[i] > high[i] { chunk[i] } else { high[i] };
+            sum[i] += 0.0 * chunk[i];
+        }
+    }
+    let mut broken: f32 = sum.iter().sum();
+    for value in rest {
+        low[0] = if *value < low[0] { *value } else { low[0] };
+        high[0] = if *value > high[0] { *value } else { high[0] };
+        broken += 0.0 * value;
+    }
+    let low = low.iter().fold(0.0f32, |a, b| a.min(*b));
+    let high = high.iter().fold(0.0f32, |a, b| a.max(*b));
+    // Zero, unless a value was not finite.
+    (low + broken, high + broken)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn restored(row: &[f32]) -> Vec<f32> {
+        let mut quantised = Quantised::default();
+        quantised.set(Rows { data: row, stride: row.len(), count: 1 }, row.len());
+        let (scale, zero) = quantised.scale(0);
+        quantised.rows(0).0[..row.len()].iter().map(|byte| scale * (i32::from(*byte) - zero) as f32).collect()
+    }
+
+    #[test]
+    fn a_row_comes_back_to_within_half_a_step() {
+        for (low, high) in [(-1.0f32, 1.0), (0.0, 3.0), (-0.17, 900.0), (-5.0, -1.0), (-1e-6, 2e-6), (-1e30, 3e38)] {
+            let row: Vec<f32> = (0..103).map(|i| low + (high - low) * (i as f32 * 0.37).sin().abs()).collect();
+            let step = (high.max(0.0) / 255.0) - (low.min(0.0) / 255.0);
+            for (value, back) in row.iter().zip(restored(&row)) {
+                assert!((value - back).abs() <= 0.501 * step * 1.01 + 0.5 * step, "{low} {high}: {back} for {value}");
+            }
+        }
+        assert_eq!(restored(&[0.0; 7]), [0.0; 7]);
+        assert_eq!(restored(&[3.0, 0.0, -2.0])[1], 0.0, "zero is exact");
+    }
+
+    #[test]
+    fn what_is_not_finite_shows() {
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            for at in [0, 16, 20] {
+                let mut row = vec![1.0; 21];
+                row[at] = bad;
+                assert!(restored(&row).iter().all(|value| value.is_nan()), "{bad} at {at}");
+            }
+        }
+    }
+
+    #[test]
+    fn subnormal_and_zero_weights_become_zero() {
+        let (bytes, scales) = quantise_weights(&[1e-40, -1e-42, 0.0, 0.0, 1.0, -0.5], 3);
+        assert_eq!((bytes, scales[0], scales[1]), (vec![0, 0, 0, 0, 127, -64], 0.0, 0.0));
+    }
+}

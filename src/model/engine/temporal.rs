@@ -1,0 +1,189 @@
+//! Temporal fusion with one query that never changes, so that its products with the key weights are made once.
+
+use rayon::prelude::*;
+
+use super::norm::Norm;
+use super::packed::{Packed, Rows, Then};
+use super::quantise::Quantised;
+use super::{finite, rows};
+use crate::error::Result;
+use crate::model::ops::simd;
+use crate::model::precision::Precision;
+use crate::model::temporal::TemporalFusion;
+
+/// Tokens that one task takes; fixed, so that sums don't depend on the number of threads.
+const TOKENS: usize = 64;
+
+/// Weights of the fusion.
+#[derive(Debug, Clone)]
+pub struct Temporal {
+    heads: usize,
+    proj: Packed,
+    steps: Vec<f32>,  // (T, d)
+    token: Vec<f32>,  // (d)
+    folded: Vec<f32>, // (heads, d): the query through the key weights, over √size
+    norm_kv: Norm,
+    value: Vec<f32>,      // (d, d)
+    value_bias: Vec<f32>, // (d)
+    out: Packed,
+    norm_mlp: Norm,
+    fc1: Packed,
+    fc2: Packed,
+    norm_out: Norm,
+}
+
+/// What one window needs on its way.
+#[derive(Debug, Clone, Default)]
+pub struct Buffers {
+    partial: Vec<f32>, // per task and head: largest score, sum, weighted sum (d)
+    pooled: Vec<f32>,  // (heads, d)
+    values: Vec<f32>,  // (d)
+    h: Vec<f32>,       // (d)
+    x: Vec<f32>,       // (d)
+    hidden: Vec<f32>,  // (4 d)
+}
+
+impl Temporal {
+    /// Takes the layers apart.
+    pub fn new(from: TemporalFusion, precision: Precision) -> Result<Self> {
+        let heads = from.attn.heads;
+        let folded = from.folded_query()?;
+        let (fc1, fc2) = from.mlp.parts();
+        let (value, value_bias) = from.attn.v.values()?;
+        Ok(Self {
+            heads,
+            proj: from.proj.lay_out(precision)?,
+            steps: from.step_embedding.flatten_all()?.to_vec1()?,
+            token: from.token.flatten_all()?.to_vec1()?,
+            folded,
+            norm_kv: from.norm_kv.lay_out()?,
+            value,
+            value_bias,
+            out: from.attn.out.lay_out(precision)?,
+            norm_mlp: from.norm_mlp.lay_out()?,
+            fc1: fc1.lay_out(precision)?,
+            fc2: fc2.lay_out(precision)?,
+            norm_out: from.norm_out.lay_out()?,
+        })
+    }
+
+    /// Bytes of weights.
+    pub fn bytes(&self) -> usize {
+        let layers = [&self.proj, &self.out, &self.fc1, &self.fc2];
+        let plain = self.steps.len() + self.token.len() + self.folded.len() + self.value.len() + self.value_bias.len();
+        layers.iter().map(|layer| layer.bytes()).sum::<usize>() + 4 * plain
+    }
+
+    /// `tokens`: `(rows, dv)`, `out`: `(rows, d)`.
+    pub fn project(&self, tokens: Rows, out: &mut [f32], quantised: &mut Quantised) {
+        self.proj.forward(tokens, out, self.token.len(), Then::Store, quantised);
+    }
+
+    /// `frames`: T times `(P, d)`, oldest first, `z`: `(d)`.
+    pub fn fuse(
+        &self,
+        frames: &[&[f32]],
+        z: &mut [f32],
+        buffers: &mut Buffers,
+        quantised: &mut Quantised,
+        checked: bool,
+    ) -> Result<()> {
+        let (d, heads) = (self.token.len(), self.heads);
+        let size = d / heads;
+        buffers.size(d, heads, frames);
+        let Buffers { partial, pooled, values, h, x, hidden } = buffers;
+        let blocks = frames.first().map_or(0, |frame| (frame.len() / d).div_ceil(TOKENS));
+        let room = || (vec![0.0; TOKENS * d], vec![0.0; heads * TOKENS]);
+        partial.par_chunks_exact_mut(heads * (2 + d)).enumerate().for_each_init(room, |(tokens, scores), (i, out)| {
+            let (frame, first) = (i / blocks, i % blocks * TOKENS * d);
+            let data = &frames[frame][first..frames[frame].len().min(first + TOKENS * d)];
+            self.block(data, &self.steps[frame * d..(frame + 1) * d], tokens, scores, out);
+        });
+        self.combine(partial, pooled);
+        if checked {
+            finite("temporal.attn", pooled)?;
+        }
+        for (i, (value, bias)) in values.iter_mut().zip(&self.value_bias).enumerate() {
+            let (row, pooled) = (&self.value[i * d..(i + 1) * d], &pooled[i / size * d..(i / size + 1) * d]);
+            *value = bias
+                + simd::dispatch(
+                    #[inline(always)]
+                    || simd::dot(row, pooled),
+                );
+        }
+        h.copy_from_slice(&self.token);
+        self.out.forward(rows(values, d), h, d, Then::Add, quantised);
+        self.norm_mlp.row(h, x);
+        self.fc1.forward(rows(x, d), hidden, 4 * d, Then::Gelu, quantised);
+        self.fc2.forward(rows(hidden, 4 * d), h, d, Then::Add, quantised);
+        self.norm_out.row(h, z);
+        if checked {
+            finite("temporal.norm_out", z)?;
+        }
+        Ok(())
+    }
+
+    /// Scores of up to [`TOKENS`] tokens against their own largest, and their weighted sums.
+    fn block(&self, data: &[f32], step: &[f32], tokens: &mut [f32], scores: &mut [f32], out: &mut [f32]) {
+        let d = step.len();
+        let count = data.len() / d;
+        for (x, token) in data.chunks_exact(d).zip(tokens.chunks_exact_mut(d)) {
+            self.norm_kv.sum(x, step, token);
+        }
+        for (head, out) in out.chunks_exact_mut(2 + d).enumerate() {
+            let query = &self.folded[head * d..(head + 1) * d];
+            let scores = &mut scores[head * TOKENS..head * TOKENS + count];
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    for (score, token) in scores.iter_mut().zip(tokens.chunks_exact(d)) {
+                        *score = simd::dot(query, token);
+                    }
+                    let largest = simd::max(scores);
+                    let mut sum = 0.0;
+                    let (statistics, weighted) = out.split_at_mut(2);
+                    weighted.fill(0.0);
+                    for (score, token) in scores.iter().zip(tokens.chunks_exact(d)) {
+                        let weight = simd::exp(score - largest);
+                        sum += weight;
+                        for (total, value) in weighted.iter_mut().zip(token) {
+                            *total = weight.mul_add(*value, *total);
+                        }
+                    }
+                    statistics[0] = largest;
+                    statistics[1] = sum;
+                },
+            );
+        }
+    }
+
+    /// The blocks' sums, each scaled from its own largest score to the largest of all.
+    fn combine(&self, partial: &[f32], pooled: &mut [f32]) {
+        let d = self.token.len();
+        let wide = 2 + d;
+        for (head, pooled) in pooled.chunks_exact_mut(d).enumerate() {
+            let parts = || partial.chunks_exact(self.heads * wide).map(|task| &task[head * wide..(head + 1) * wide]);
+            let largest = parts().fold(f32::NEG_INFINITY, |largest, part| largest.max(part[0]));
+            let total: f32 = parts().map(|part| part[1] * simd::exp(part[0] - largest)).sum();
+            pooled.fill(0.0);
+            for part in parts() {
+                let weight = simd::exp(part[0] - largest) / total;
+                for (pooled, value) in pooled.iter_mut().zip(&part[2..]) {
+                    *pooled += weight * value;
+                }
+            }
+        }
+    }
+}
+
+impl Buffers {
+    fn size(&mut self, d: usize, heads: usize, frames: &[&[f32]]) {
+        let blocks: usize = frames.iter().map(|frame| (frame.len() / d).div_ceil(TOKENS)).sum();
+        self.partial.resize(blocks * heads * (2 + d), 0.0);
+        self.pooled.resize(heads * d, 0.0);
+        for buffer in [&mut self.values, &mut self.h, &mut self.x] {
+            buffer.resize(d, 0.0);
+        }
+        self.hidden.resize(4 * d, 0.0);
+    }
+}

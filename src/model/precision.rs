@@ -1,0 +1,57 @@
+//! Number formats that a network can run in on the CPU.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+
+/// Number format of the weights, and with int8 of the activations that meet them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// Weights and arithmetic in f32.
+    #[default]
+    F32,
+    /// Weights in bf16, arithmetic in f32: half the memory.
+    Bf16,
+    /// Weights in int8 with a scale per output, activations in uint8 with scale and zero point per token; patch
+    /// projection, norms, attention weights and the two heads stay in f32.
+    Int8,
+}
+
+impl Precision {
+    /// All of them.
+    pub const ALL: [Precision; 3] = [Precision::F32, Precision::Bf16, Precision::Int8];
+    /// Their names, for options.
+    pub const NAMES: [&'static str; 3] = ["f32", "bf16", "int8"];
+
+    /// `f32`, `bf16` or `int8`.
+    pub fn name(self) -> &'static str {
+        Self::NAMES[self as usize]
+    }
+
+    /// Precision of the layers that cost little and lose most by 8 bits: the first and the last ones.
+    pub(super) fn of_small_layers(self) -> Self {
+        match self {
+            Precision::Int8 => Precision::F32,
+            other => other,
+        }
+    }
+}
+
+impl fmt::Display for Precision {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Precision {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        let found = Self::ALL.into_iter().find(|precision| precision.name() == name);
+        found.ok_or_else(|| Error::unknown("precision", name, Self::NAMES))
+    }
+}
