@@ -41,8 +41,9 @@ impl Attention {
         let (wide_n, wide_size) = (n.next_multiple_of(LANES), size.next_multiple_of(LANES));
         let keys = self.keys.par_chunks_exact_mut(size * wide_n);
         keys.zip(self.values.par_chunks_exact_mut(n * wide_size)).enumerate().for_each(|(head, (keys, values))| {
-            pack(n, size, |column, line| qkv[column * 3 * d + d + head * size + line], keys);
-            pack(size, n, |column, line| qkv[line * 3 * d + 2 * d + head * size + column], values);
+            let part = |token: usize, part: usize| &qkv[3 * d * token + part * d + head * size..][..size];
+            pack_keys(n, size, |token| part(token, 1), keys);
+            pack_values(n, size, |token| part(token, 2), values);
         });
         let blocks = n.div_ceil(QUERIES);
         let queries = n.div_ceil(blocks).next_multiple_of(ROWS);
@@ -130,15 +131,31 @@ fn panels(columns: usize) -> impl Iterator<Item = (usize, usize)> {
     })
 }
 
-/// Panels of `columns`, `lines` lines each; padding stays zero.
-fn pack(columns: usize, lines: usize, value: impl Fn(usize, usize) -> f32, out: &mut [f32]) {
-    for (first, vectors) in panels(columns) {
+/// Panels of keys, one column each; padding stays zero.
+fn pack_keys<'a>(n: usize, size: usize, key: impl Fn(usize) -> &'a [f32], out: &mut [f32]) {
+    for (first, vectors) in panels(n) {
         let width = vectors * LANES;
-        let there = width.min(columns - first);
-        for (line, out) in out[first * lines..(first + width) * lines].chunks_exact_mut(width).enumerate() {
-            for (column, out) in out.iter_mut().enumerate().take(there) {
-                *out = value(first + column, line);
+        let panel = &mut out[first * size..(first + width) * size];
+        for vector in (0..width).step_by(LANES) {
+            let there = LANES.min(n.saturating_sub(first + vector));
+            // Lanes without a key take the last one's place below, and are not written.
+            let keys: [&[f32]; LANES] = std::array::from_fn(|lane| key((first + vector + lane).min(n - 1)));
+            for (line, out) in panel.chunks_exact_mut(width).enumerate() {
+                for (out, key) in out[vector..vector + there].iter_mut().zip(&keys) {
+                    *out = key[line];
+                }
             }
+        }
+    }
+}
+
+/// Panels of a head's columns, one line per token; padding stays zero.
+fn pack_values<'a>(n: usize, size: usize, value: impl Fn(usize) -> &'a [f32], out: &mut [f32]) {
+    for (first, vectors) in panels(size) {
+        let width = vectors * LANES;
+        let there = width.min(size - first);
+        for (token, out) in out[first * n..(first + width) * n].chunks_exact_mut(width).enumerate() {
+            out[..there].copy_from_slice(&value(token)[first..first + there]);
         }
     }
 }

@@ -202,29 +202,32 @@ impl Packed {
             Weights::F32(weights) => float_tile(x, row, rows, weights, first, panel, k, bias, at, stride, add),
             Weights::Bf16(weights) => float_tile(x, row, rows, weights, first, panel, k, bias, at, stride, add),
             Weights::Int8 { weights, scales, sums } => {
-                let (bytes, lda) = quantised.rows(row);
+                let (bytes, lda, of_rows) = quantised.rows(row, rows);
                 let padded = k.next_multiple_of(GROUP);
-                let own = &weights[first * padded..(first + panel.width()) * padded];
-                let tile = Tile8 { a: bytes.as_ptr(), lda, b: own.as_ptr(), k: padded / GROUP };
                 assert!((rows - 1) * lda + padded <= bytes.len(), "the quantised rows leave their slice");
-                let mut products = [[0; VECTORS * LANES]; ROWS];
-                // SAFETY: rows and panel lie inside their slices, as asserted and sliced.
-                unsafe { tile8::compute(&tile, rows, panel.vectors, &mut products) };
-                let (scales, sums) = (&scales[first..first + cols], &sums[first..first + cols]);
-                for (r, products) in products.iter().enumerate().take(rows) {
-                    let (scale, zero) = quantised.scale(row + r);
-                    // SAFETY: inside the result, as `forward` asserted; no other task has these rows and columns.
-                    let out = unsafe { std::slice::from_raw_parts_mut(at.wrapping_add(r * stride), cols) };
-                    dequantise(products, scale, zero, scales, sums, bias, add, out);
-                }
+                let own = &weights[first * padded..(first + panel.width()) * padded];
+                let tile = Tile8 {
+                    a: bytes.as_ptr(),
+                    lda,
+                    b: own.as_ptr(),
+                    k: padded / GROUP,
+                    rows: of_rows.as_ptr(),
+                    scales: scales[first..first + cols].as_ptr(),
+                    sums: sums[first..first + cols].as_ptr(),
+                    bias: bias.as_ptr(),
+                    out: at,
+                    ldc: stride,
+                    cols,
+                    add,
+                };
+                // SAFETY: the slices above hold what the tile reads; `forward` asserted that the result has these rows
+                // and columns, and no other task has them.
+                unsafe { tile8::compute(&tile, rows, panel.vectors) };
             }
         }
         if then == Then::Gelu {
-            for r in 0..rows {
-                // SAFETY: as above.
-                let out = unsafe { std::slice::from_raw_parts_mut(at.wrapping_add(r * stride), cols) };
-                gelu(out);
-            }
+            // SAFETY: as above: the last row ends inside the result. Between the rows' columns nothing is touched.
+            gelu(|r| unsafe { std::slice::from_raw_parts_mut(at.wrapping_add(r * stride), cols) }, rows);
         }
     }
 }
@@ -261,36 +264,22 @@ fn float_tile<E: Weight>(
     unsafe { tile::compute(&tile, rows, panel.vectors) };
 }
 
-/// `scale x scale of the output x (product - zero point x sum of the weights) + bias (+ out)`.
-#[allow(clippy::too_many_arguments)]
-fn dequantise(
-    products: &[i32],
-    scale: f32,
-    zero: i32,
-    scales: &[f32],
-    sums: &[i32],
-    bias: &[f32],
-    add: bool,
-    out: &mut [f32],
-) {
+/// Exact GELU of `rows` rows.
+#[inline(always)]
+fn gelu<'a>(row: impl Fn(usize) -> &'a mut [f32], rows: usize) {
     simd::dispatch(
         #[inline(always)]
         || {
-            let parts = products.iter().zip(scales).zip(sums.iter().zip(bias));
-            for (out, ((product, of_output), (sum, bias))) in out.iter_mut().zip(parts) {
-                let value = ((product - zero * sum) as f32).mul_add(scale * of_output, *bias);
-                *out = if add { *out + value } else { value };
-            }
-        },
-    );
-}
-
-fn gelu(values: &mut [f32]) {
-    simd::dispatch(
-        #[inline(always)]
-        || {
-            for value in values.iter_mut() {
-                *value *= simd::normal(*value)[0];
+            for r in 0..rows {
+                let (chunks, rest) = row(r).as_chunks_mut::<LANES>();
+                for chunk in chunks {
+                    for value in chunk.iter_mut() {
+                        *value *= simd::normal(*value)[0];
+                    }
+                }
+                for value in rest {
+                    *value *= simd::normal(*value)[0];
+                }
             }
         },
     );

@@ -57,14 +57,9 @@ impl Quantised {
         });
     }
 
-    /// The integers from a row on, and the distance of rows.
-    pub fn rows(&self, first: usize) -> (&[u8], usize) {
-        (&self.bytes[first * self.stride..], self.stride)
-    }
-
-    /// Scale and zero point of a row.
-    pub fn scale(&self, row: usize) -> (f32, i32) {
-        self.scales[row]
+    /// Integers from row `first` on, the distance of rows, and scale and zero point of each of `count` rows.
+    pub fn rows(&self, first: usize, count: usize) -> (&[u8], usize, &[(f32, i32)]) {
+        (&self.bytes[first * self.stride..], self.stride, &self.scales[first..first + count])
     }
 }
 
@@ -124,8 +119,9 @@ mod tests {
     fn restored(row: &[f32]) -> Vec<f32> {
         let mut quantised = Quantised::default();
         quantised.set(Rows { data: row, stride: row.len(), count: 1 }, row.len());
-        let (scale, zero) = quantised.scale(0);
-        quantised.rows(0).0[..row.len()].iter().map(|byte| scale * (i32::from(*byte) - zero) as f32).collect()
+        let (bytes, _, scales) = quantised.rows(0, 1);
+        let (scale, zero) = scales[0];
+        bytes[..row.len()].iter().map(|byte| scale * (i32::from(*byte) - zero) as f32).collect()
     }
 
     #[test]
