@@ -1,5 +1,7 @@
 //! `egotac bench`: what accuracy costs and what breaks, measured on this machine.
 
+mod model;
+
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -12,6 +14,8 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Subject {
+    /// What the network costs: latency and memory by preset, precision and threads, beside accuracy.
+    Model(model::Args),
     /// What accuracy costs in simulation: errors against fine references, times, a Pareto plot.
     Sim(Sim),
     /// What each scene simulates, and what each effect costs in it.
@@ -87,6 +91,7 @@ struct Guards {
 #[cfg(not(feature = "sim"))]
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let name = match args.subject {
+        Subject::Model(args) => return status(model::run(&args)?),
         Subject::Sim(_) => "bench sim",
         Subject::Effects(_) => "bench effects",
         Subject::HardCases(_) => "bench hard-cases",
@@ -95,15 +100,20 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     Err(super::feature_off(name, "sim"))
 }
 
-/// Runs the command; the exit status is 1 if a case fails silently or the guards cost more than they may.
+/// Runs the command; the exit status is 1 if a case fails silently, the guards cost more than they
+/// may, or a stream's memory grows.
 #[cfg(feature = "sim")]
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let good = match args.subject {
+    status(match args.subject {
+        Subject::Model(args) => model::run(&args)?,
         Subject::Sim(args) => with_sim::sim(&args)?,
         Subject::Effects(args) => with_sim::effects(&args)?,
         Subject::HardCases(args) => with_sim::hard_cases(&args)?,
         Subject::Guards(args) => with_sim::guards(&args)?,
-    };
+    })
+}
+
+fn status(good: bool) -> anyhow::Result<ExitCode> {
     Ok(if good { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 

@@ -9,7 +9,7 @@ use crate::dataset::EpisodeReader;
 use crate::dataset::tensors::FieldFile;
 use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader};
 use crate::metrics::{self, Calibration, Fields, Options, Report};
-use crate::model::Checkpoint;
+use crate::model::{Checkpoint, Precision};
 use crate::train::baseline;
 use crate::train::batch::{Dataset, read_labels};
 
@@ -29,6 +29,9 @@ pub struct Args {
     /// Checkpoint to run on `--data` in place of `--pred` and `--target`.
     #[arg(long, value_name = "FILE", requires = "data", conflicts_with = "pred")]
     checkpoint: Option<PathBuf>,
+    /// Number format that the checkpoint runs in: f32, bf16 or int8.
+    #[arg(long, requires = "checkpoint", default_value = "f32")]
+    precision: Precision,
     /// Zarr stores with truth, or folders of them.
     #[arg(long, value_name = "STORE", num_args = 1.., requires = "checkpoint")]
     data: Vec<PathBuf>,
@@ -63,7 +66,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 /// The checkpoint's report, then those of the constants.
 fn eval_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Vec<(&'static str, Report)>> {
     let device = candle_core::Device::Cpu;
-    let checkpoint = Checkpoint::load(checkpoint, &device)?;
+    let checkpoint = Checkpoint::load_as(checkpoint, &device, args.precision)?;
     let preparation = checkpoint.metadata.preparation(checkpoint.model.config());
     let open = |paths: &[PathBuf]| -> anyhow::Result<Dataset> {
         let data = Dataset::new(zarr::open_all(paths)?, preparation.clone(), false)?;

@@ -9,7 +9,6 @@ mod hand;
 mod hands;
 mod model;
 mod predict;
-#[cfg(feature = "sim")]
 mod progress;
 mod sim;
 mod train;
@@ -45,7 +44,7 @@ enum Command {
     Verify(verify::Args),
     /// The network: forward, info.
     Model(model::Args),
-    /// Measurements that the documentation holds: sim, hard-cases, guards.
+    /// Measurements that the documentation holds: model, sim, effects, hard-cases, guards.
     Bench(bench::Args),
     /// Stores: info.
     Data(data::Args),

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 use candle_core::{DType, Device, Tensor};
 
-use crate::model::{Checkpoint, Config, checkpoint};
+use crate::model::{Checkpoint, Config, Precision, checkpoint};
 
 /// Arguments of `egotac model`.
 #[derive(Debug, clap::Args)]
@@ -38,6 +38,9 @@ struct Forward {
     /// Geometry (JSON) to use in place of the one in the weights' metadata.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Number format: f32, bf16 or int8.
+    #[arg(long, default_value = "f32")]
+    precision: Precision,
 }
 
 #[derive(Debug, clap::Args)]
@@ -67,7 +70,7 @@ fn forward(args: &Forward) -> anyhow::Result<()> {
         None => None,
     };
     let device = Device::Cpu;
-    let model = checkpoint::load_model(&args.weights, config.as_ref(), &device)?;
+    let model = checkpoint::load_model(&args.weights, config.as_ref(), &device)?.compile(args.precision)?;
     let images = images(&args.input, &device)?;
     let stages = model.stages(&images).with_context(|| args.input.display().to_string())?;
     let stages = BTreeMap::from([

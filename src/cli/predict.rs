@@ -10,7 +10,7 @@ use indicatif::ProgressBar;
 use crate::dataset::tensors::FieldFile;
 use crate::dataset::zarr;
 use crate::metrics::Fields;
-use crate::model::{Checkpoint, Predictor, predictor, shipped};
+use crate::model::{Checkpoint, Precision, Predictor, predictor, shipped};
 use crate::train::{batch::Dataset, predict};
 
 /// Arguments of `egotac predict`.
@@ -36,13 +36,16 @@ pub struct Args {
     /// CUDA device, by index; the CPU without it.
     #[arg(long, value_name = "INDEX")]
     cuda: Option<usize>,
+    /// Number format of the network: f32, bf16 or int8.
+    #[arg(long, default_value = "f32")]
+    precision: Precision,
 }
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let device = super::device(args.cuda)?;
     let path = args.checkpoint.map_or_else(shipped::path, Ok)?;
-    let checkpoint = Checkpoint::load(&path, &device)?;
+    let checkpoint = Checkpoint::load_as(&path, &device, args.precision)?;
     let metadata = HashMap::from([
         ("model".to_string(), checkpoint.metadata.name.clone()),
         ("checkpoint_sha256".to_string(), checkpoint.sha256.clone()),
@@ -88,7 +91,7 @@ fn predict_images(
 ) -> anyhow::Result<FieldFile> {
     let dt = fps.map_or(checkpoint.metadata.frame_dt, |fps| 1.0 / fps);
     // A sequence is one stream, however slow.
-    let options = predictor::Options { device, max_gap_secs: Some(f64::MAX) };
+    let options = predictor::Options { device, max_gap_secs: Some(f64::MAX), ..Default::default() };
     let mut predictor = Predictor::new(checkpoint, options)?;
     let mut fields = Fields::default();
     let mut timestamps = Vec::new();

@@ -12,7 +12,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
-use super::{Config, EgoTac};
+use super::{Config, EgoTac, Precision};
 use crate::error::{Error, Result};
 use crate::file;
 use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
@@ -153,12 +153,22 @@ impl Checkpoint {
     /// If the file can't be read, a key of the metadata is missing or out of range, or a tensor is missing, unexpected,
     /// misshapen, of an unknown type or not finite.
     pub fn load(path: &Path, device: &Device) -> Result<Self> {
+        Self::load_as(path, device, Precision::F32)
+    }
+
+    /// As [`Checkpoint::load`], compiled in the wanted precision.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::load`], and if the device has no such precision (int8 is for the CPU).
+    pub fn load_as(path: &Path, device: &Device, precision: Precision) -> Result<Self> {
         let bytes = read(path)?;
         let file = File::parse(path, &bytes)?;
+        let sha256 = hex(&Sha256::digest(&bytes));
+        drop(bytes);
         let metadata = Metadata::from_map(path, &file.metadata)?;
         let config = file.config(path)?;
-        let model = file.model(path, &config, device)?.freeze()?;
-        Ok(Self { model, metadata, sha256: hex(&Sha256::digest(&bytes)) })
+        let model = file.model(path, &config, device, precision)?.compile(precision)?;
+        Ok(Self { model, metadata, sha256 })
     }
 
     /// Saves the variables of a network in training, whole or not at all. Returns the file's SHA-256.
@@ -182,7 +192,7 @@ impl Checkpoint {
     }
 }
 
-/// Loads the network alone, frozen: for files that say nothing but their weights and perhaps their geometry.
+/// Loads the network alone, not yet compiled: for files that say nothing but their weights and perhaps their geometry.
 ///
 /// `config` is used in place of the file's own.
 ///
@@ -195,7 +205,7 @@ pub fn load_model(path: &Path, config: Option<&Config>, device: &Device) -> Resu
         Some(config) => config.clone(),
         None => file.config(path)?,
     };
-    file.model(path, &config, device)?.freeze()
+    file.model(path, &config, device, Precision::F32)
 }
 
 /// Sets the variables of a network in training to a file's weights, all or none. Returns what the file says of itself
@@ -271,9 +281,11 @@ impl File {
         Config::from_json(json).map_err(|error| Error::file(path, error))
     }
 
-    fn model(self, path: &Path, config: &Config, device: &Device) -> Result<EgoTac> {
+    /// The engine of the CPU takes f32, whatever it makes of it.
+    fn model(self, path: &Path, config: &Config, device: &Device, precision: Precision) -> Result<EgoTac> {
+        let dtype = if precision == Precision::Bf16 && !device.is_cpu() { DType::BF16 } else { DType::F32 };
         let loader = Loader::new(self.tensors);
-        let model = EgoTac::new(config, loader.var_builder(device))?;
+        let model = EgoTac::new(config, loader.var_builder_of(dtype, device))?;
         loader.finish(path)?;
         Ok(model)
     }
@@ -301,7 +313,11 @@ impl Loader {
     }
 
     fn var_builder(&self, device: &Device) -> VarBuilder<'static> {
-        VarBuilder::from_backend(Box::new(self.clone()), DType::F32, device.clone())
+        self.var_builder_of(DType::F32, device)
+    }
+
+    fn var_builder_of(&self, dtype: DType, device: &Device) -> VarBuilder<'static> {
+        VarBuilder::from_backend(Box::new(self.clone()), dtype, device.clone())
     }
 
     /// Says what did not fit, once everything has been asked for.

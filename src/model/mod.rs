@@ -7,6 +7,7 @@
 //! [`predictor::Predictor`] runs it on a stream of images.
 
 mod attention;
+pub mod budget;
 pub mod checkpoint;
 pub mod config;
 mod decoder;

@@ -6,7 +6,7 @@ use std::path::Path;
 use ::image::RgbImage;
 use candle_core::{DType, Device, Tensor};
 
-use super::{Checkpoint, Config, EgoTac, Metadata};
+use super::{Checkpoint, Config, EgoTac, Metadata, Precision};
 use crate::error::{Error, Result};
 use crate::tactile::{N_FIELD, TactileField};
 
@@ -18,14 +18,16 @@ const KEPT_PER_STEP: usize = 8;
 pub struct Options {
     /// Where the network runs.
     pub device: Device,
+    /// Number format it runs in; used by [`Predictor::load`].
+    pub precision: Precision,
     /// Silence after which the stream counts as a new one, s; None = twice the window, at least 1 s.
     pub max_gap_secs: Option<f64>,
 }
 
 impl Default for Options {
-    /// The CPU, and the default silence.
+    /// The CPU, f32, and the default silence.
     fn default() -> Self {
-        Self { device: Device::Cpu, max_gap_secs: None }
+        Self { device: Device::Cpu, precision: Precision::F32, max_gap_secs: None }
     }
 }
 
@@ -66,7 +68,7 @@ impl Predictor {
     /// # Errors
     /// As [`Checkpoint::load`], and if an option is out of range.
     pub fn load(path: &Path, options: Options) -> Result<Self> {
-        Self::new(Checkpoint::load(path, &options.device)?, options)
+        Self::new(Checkpoint::load_as(path, &options.device, options.precision)?, options)
     }
 
     /// Runs a checkpoint that is already on `options.device`.

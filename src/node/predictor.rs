@@ -1,6 +1,6 @@
 //! The node `predictor`: images to touch.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -23,7 +23,7 @@ use crate::message::{
     CompressedImage, HandModelInfo, HandPose, Header, Image, Message as _, PointCloud2, TactileFrame, Time,
 };
 use crate::model::predictor::{Options, Predictor};
-use crate::model::shipped;
+use crate::model::{Precision, budget, shipped};
 use crate::tactile::{TactileField, Topology};
 
 /// A hand pose counts for an image whose stamp differs by at most this, s.
@@ -32,8 +32,25 @@ const POSE_SLOP: f64 = 0.2;
 /// The node's parameters.
 pub fn parameters() -> Vec<Parameter> {
     vec![
-        Parameter::fixed("model", "", Allowed::Any, "Checkpoint file; empty = the one that comes with egotac."),
+        Parameter::fixed(
+            "model",
+            "",
+            Allowed::Any,
+            "Checkpoint file; empty = the one that comes with egotac. With latency_budget_ms also a folder of them.",
+        ),
         Parameter::fixed("device", "cpu", Allowed::OneOf(&["cpu", "cuda"]), "Where the network runs."),
+        Parameter::fixed(
+            "precision",
+            "f32",
+            Allowed::OneOf(&Precision::NAMES),
+            "Number format of the network; without effect where latency_budget_ms decides.",
+        ),
+        Parameter::fixed(
+            "latency_budget_ms",
+            0.0,
+            Allowed::Doubles(0.0, 60_000.0),
+            "Take the best checkpoint and number format that needs at most so long for an image here; 0 = as told.",
+        ),
         Parameter::fixed(
             "image_transport",
             "raw",
@@ -70,8 +87,7 @@ pub fn parameters() -> Vec<Parameter> {
 /// If ROS refuses something, or there is no usable checkpoint.
 pub fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
     let runtime = Runtime::create("predictor", &parameters())?;
-    let (path, predictor) = load(runtime.parameters())?;
-    runtime.log().info(format!("model {}", path.display()));
+    let predictor = load(runtime.parameters(), runtime.log())?;
     run(runtime, predictor, shutdown)
 }
 
@@ -126,7 +142,7 @@ pub fn run(mut runtime: Runtime, mut predictor: Predictor, shutdown: &Shutdown) 
     result
 }
 
-fn load(parameters: &Parameters) -> anyhow::Result<(PathBuf, Predictor)> {
+fn load(parameters: &Parameters, log: &Log) -> anyhow::Result<Predictor> {
     let path = match parameters.get::<String>("model") {
         path if path.is_empty() => {
             shipped::path().context("without `-p model:=PATH` the predictor takes the shipped checkpoint")?
@@ -137,15 +153,23 @@ fn load(parameters: &Parameters) -> anyhow::Result<(PathBuf, Predictor)> {
         "cuda" => Device::new_cuda(0).context("device cuda")?,
         _ => Device::Cpu,
     };
-    let predictor = load_from(&path, device)?;
-    Ok((path, predictor))
-}
-
-fn load_from(path: &Path, device: Device) -> anyhow::Result<Predictor> {
+    let precision = parameters.get::<String>("precision").parse()?;
+    let options = Options { device, precision, ..Options::default() };
+    let budget_ms = parameters.get::<f64>("latency_budget_ms");
+    if budget_ms > 0.0 {
+        let (predictor, choice) = budget::pick(&budget::candidates(&path)?, budget_ms, &options)?;
+        match choice.fits {
+            true => log.info(format!("model {choice}")),
+            false => log.warn(format!("model: {choice}")),
+        }
+        return Ok(predictor);
+    }
     if !path.is_file() {
         bail!("model {}: no such file; give a checkpoint with -p model:=PATH", path.display());
     }
-    Ok(Predictor::load(path, Options { device, ..Options::default() })?)
+    let predictor = Predictor::load(&path, options)?;
+    log.info(format!("model {} in {precision}", path.display()));
+    Ok(predictor)
 }
 
 /// Seconds that one image takes; the first one, which takes longer, goes before.
