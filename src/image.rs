@@ -19,6 +19,9 @@ pub const IMAGENET_MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 /// ImageNet's standard deviation per RGB channel, of values in 0..1.
 pub const IMAGENET_STD: [f32; 3] = [0.229, 0.224, 0.225];
 
+/// Share of the shorter side that [`Resize::Centre`] takes.
+const CENTRE: f64 = 7.0 / 8.0;
+
 /// How an image of any size becomes the square input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -26,6 +29,8 @@ pub enum Resize {
     /// Shorter side to the input size, then the centre.
     #[default]
     Crop,
+    /// Shorter side to 8/7 of the input size (256 for 224), then the centre, as published DINOv2 checkpoints have it.
+    Centre,
     /// Longer side to the input size, then black bars.
     Letterbox,
     /// Both sides to the input size.
@@ -80,6 +85,7 @@ impl Preparation {
         let sides = [width as f64, height as f64];
         let (short, long) = (sides[0].min(sides[1]), sides[0].max(sides[1]));
         std::array::from_fn(|axis| match self.resize {
+            Resize::Centre => 0.5 + (pixel[axis] - 0.5 * sides[axis]) / (CENTRE * short),
             Resize::Crop => 0.5 + (pixel[axis] - 0.5 * sides[axis]) / short,
             Resize::Letterbox => 0.5 + (pixel[axis] - 0.5 * sides[axis]) / long,
             Resize::Squash => pixel[axis] / sides[axis],
@@ -117,21 +123,22 @@ pub fn resize(image: &RgbImage, side: usize, resize: Resize, filter: Filter) -> 
         return Err(Error::value("image", expected, format!("{width} x {height} pixels, input side {side}")));
     }
     let side = side as u32;
-    // Crop: the centre square of the source, to a fraction of a pixel. Letterbox: part of the output.
+    // Crop and centre: a square of the source, to a fraction of a pixel. Letterbox: part of the output.
     let short = f64::from(width.min(height));
-    let (crop_x, crop_y) = ((f64::from(width) - short) / 2.0, (f64::from(height) - short) / 2.0);
+    let box_side = if resize == Resize::Centre { CENTRE * short } else { short };
+    let (crop_x, crop_y) = ((f64::from(width) - box_side) / 2.0, (f64::from(height) - box_side) / 2.0);
     let shrunk = |length: u32| (f64::from(side * length) / f64::from(width.max(height))).round().max(1.0) as u32;
     let (out_width, out_height) = match resize {
         Resize::Letterbox => (shrunk(width), shrunk(height)),
-        Resize::Crop | Resize::Squash => (side, side),
+        Resize::Crop | Resize::Centre | Resize::Squash => (side, side),
     };
     let algorithm = fir::ResizeAlg::Convolution(match filter {
         Filter::Triangle => fir::FilterType::Bilinear,
         Filter::Bicubic => fir::FilterType::CatmullRom,
     });
     let mut options = fir::ResizeOptions::new().resize_alg(algorithm);
-    if resize == Resize::Crop {
-        options = options.crop(crop_x, crop_y, short, short);
+    if matches!(resize, Resize::Crop | Resize::Centre) {
+        options = options.crop(crop_x, crop_y, box_side, box_side);
     }
     let failed = |error: &dyn std::fmt::Display| Error::value("image", "one that can be resized", error);
     let source = fir::images::ImageRef::new(width, height, image.as_raw(), fir::PixelType::U8x3);

@@ -42,7 +42,7 @@ enum Command {
     Eval(eval::Args),
     /// Score labels, or a network, against simulated contact forces; a gate for continuous integration.
     Verify(verify::Args),
-    /// The network: forward, info.
+    /// The network: forward, attention, import, start, info.
     Model(model::Args),
     /// Measurements that the documentation holds: model, sim, effects, hard-cases, guards.
     Bench(bench::Args),

@@ -1,5 +1,8 @@
 //! `egotac model`.
 
+mod attention;
+mod convert;
+
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -20,6 +23,12 @@ pub struct Args {
 enum Command {
     /// Run the network on prepared images and write what each stage gives.
     Forward(Forward),
+    /// Draw what the network attends to, on the images it saw.
+    Attention(attention::Args),
+    /// Turn another program's checkpoint into one of ours, by a table of names.
+    Import(convert::Import),
+    /// Begin a network around a published DINOv2 encoder.
+    Start(convert::Start),
     /// Say what a checkpoint is: geometry, parameters, metadata, hash.
     Info(Info),
 }
@@ -56,6 +65,9 @@ struct Info {
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     match args.command {
         Command::Forward(args) => forward(&args)?,
+        Command::Attention(args) => attention::run(&args)?,
+        Command::Import(args) => convert::import(&args)?,
+        Command::Start(args) => convert::start(&args)?,
         Command::Info(args) => info(&args)?,
     }
     Ok(ExitCode::SUCCESS)

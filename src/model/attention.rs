@@ -158,6 +158,22 @@ impl SelfAttention {
         Ok(())
     }
 
+    /// Attention weights of the first token: `x` `(B, N, d)`, returns `(B, heads, N)`.
+    pub fn first_weights(&self, x: &Tensor) -> Result<Tensor> {
+        let (b, n, d) = x.dims3()?;
+        let qkv = match &self.qkv {
+            Qkv::Parts(parts) => Linear::packed(parts)?.forward(x)?,
+            Qkv::Packed(packed) => packed.forward(x)?,
+        };
+        let (heads, size) = (self.heads, d / self.heads);
+        let part = |i: usize, count: usize| -> Result<Tensor> {
+            let part = qkv.narrow(2, i * d, d)?.narrow(1, 0, count)?;
+            part.reshape((b, count, heads, size))?.transpose(1, 2)?.contiguous()
+        };
+        let scores = (part(0, 1)?.matmul(&part(1, n)?.t()?)? / (size as f64).sqrt())?; // (B, heads, 1, N)
+        candle_nn::ops::softmax(&scores, D::Minus1)?.reshape((b, heads, n))
+    }
+
     /// The three projections as one layer, and the output projection.
     pub fn parts(self) -> Result<(Linear, Linear)> {
         match self.qkv {
@@ -230,13 +246,18 @@ impl PooledAttention {
         q.matmul(&self.k.weight.reshape((heads, size, d))?)?.reshape((heads, d))
     }
 
+    /// Attention weights. `query`: `(1, d)`, `tokens`: `(B, N, d)`. Returns `(B, heads, N)`.
+    pub fn weights(&self, query: &Tensor, tokens: &Tensor) -> Result<Tensor> {
+        let (b, n, d) = tokens.dims3()?;
+        let scores = tokens.reshape((b * n, d))?.matmul(&self.folded(query)?.t()?)?.reshape((b, n, self.heads))?;
+        candle_nn::ops::softmax(&scores.transpose(1, 2)?.contiguous()?, D::Minus1)
+    }
+
     /// `query`: `(1, d)`, `tokens`: `(B, N, d)`. Returns `(B, d)`.
     pub fn forward(&self, query: &Tensor, tokens: &Tensor) -> Result<Tensor> {
-        let (b, n, d) = tokens.dims3()?;
+        let (b, _, d) = tokens.dims3()?;
         let (heads, size) = (self.heads, d / self.heads);
-        let folded = self.folded(query)?;
-        let scores = tokens.reshape((b * n, d))?.matmul(&folded.t()?)?.reshape((b, n, heads))?;
-        let weights = candle_nn::ops::softmax(&scores.transpose(1, 2)?.contiguous()?, D::Minus1)?; // (B, heads, N)
+        let weights = self.weights(query, tokens)?; // (B, heads, N)
         let pooled = weights.matmul(tokens)?; // (B, heads, d)
         let values = pooled
             .transpose(0, 1)?

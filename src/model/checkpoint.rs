@@ -124,7 +124,7 @@ impl Metadata {
             force_scale: parse(path, "force_scale", &text("force_scale")?, "a number, newtons")?,
             has_force: parse(path, "has_force", &text("has_force")?, "true or false")?,
             frame_dt: parse(path, "frame_dt", &text("frame_dt")?, "a number, seconds")?,
-            resize: parse(path, "resize", &quoted("resize")?, "crop, letterbox or squash")?,
+            resize: parse(path, "resize", &quoted("resize")?, "crop, centre, letterbox or squash")?,
             filter: parse(path, "filter", &quoted("filter")?, "triangle or bicubic")?,
             mean: parse(path, "mean", &text("mean")?, "three numbers in brackets")?,
             std: parse(path, "std", &text("std")?, "three numbers in brackets")?,
@@ -179,14 +179,24 @@ impl Checkpoint {
     /// If `metadata` is out of range, the variables are not those of `config`, one of them is not finite, or the file
     /// can't be written.
     pub fn save(path: &Path, config: &Config, metadata: &Metadata, vars: &VarMap) -> Result<String> {
+        Self::save_tensors(path, config, metadata, &variables(vars)?)
+    }
+
+    /// As [`Checkpoint::save`], from f32 tensors on the CPU by name.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::save`].
+    pub fn save_tensors(
+        path: &Path,
+        config: &Config,
+        metadata: &Metadata,
+        tensors: &BTreeMap<String, Tensor>,
+    ) -> Result<String> {
         metadata.check()?;
-        let tensors = variables(vars)?;
-        let loader = Loader::new(tensors.clone());
-        EgoTac::new(config, loader.var_builder(&Device::Cpu))?;
-        loader.finish(path)?;
+        check(path, config, tensors)?;
         let mut map = metadata.to_map();
         map.insert("config".into(), config.to_json());
-        let bytes = serialize(path, &tensors, &map)?;
+        let bytes = serialize(path, tensors, &map)?;
         file::write(path, &bytes)?;
         Ok(hex(&Sha256::digest(&bytes)))
     }
@@ -206,6 +216,18 @@ pub fn load_model(path: &Path, config: Option<&Config>, device: &Device) -> Resu
         None => file.config(path)?,
     };
     file.model(path, &config, device, Precision::F32)
+}
+
+/// Loads a checkpoint's network not yet compiled, on the CPU: its attention can be looked at.
+///
+/// # Errors
+/// As [`Checkpoint::load`].
+pub fn load_layers(path: &Path) -> Result<(EgoTac, Metadata)> {
+    let bytes = read(path)?;
+    let file = File::parse(path, &bytes)?;
+    let metadata = Metadata::from_map(path, &file.metadata)?;
+    let config = file.config(path)?;
+    Ok((file.model(path, &config, &Device::Cpu, Precision::F32)?, metadata))
 }
 
 /// Sets the variables of a network in training to a file's weights, all or none. Returns what the file says of itself
@@ -250,6 +272,42 @@ pub fn parameter_count(config: &Config) -> Result<usize> {
     let loader = Loader::new(BTreeMap::new());
     EgoTac::new(config, loader.var_builder(&Device::Cpu))?;
     loader.0.asked.lock().map(|asked| asked.count).map_err(|_| Error::value("loader", "an intact one", "a dead one"))
+}
+
+/// A file's tensors as f32 on the CPU, by name: safetensors, or a PyTorch archive, which is read without executing what
+/// it asks for.
+///
+/// # Errors
+/// If the file can't be read, is neither, or a tensor is of an unknown type or not finite.
+pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>> {
+    let bytes = read(path)?;
+    if !bytes.starts_with(b"PK\x03\x04") {
+        return Ok(File::parse(path, &bytes)?.tensors);
+    }
+    drop(bytes);
+    let invalid = |error| Error::file(path, format!("not a PyTorch file of tensors: {error}"));
+    // Some programs save the tensors themselves, others a dictionary that has them under one of these names.
+    let mut tensors = candle_core::pickle::read_all(path).map_err(invalid)?;
+    for key in ["state_dict", "model", "model_state_dict"] {
+        if tensors.is_empty() {
+            tensors = candle_core::pickle::read_all_with_key(path, Some(key)).unwrap_or_default();
+        }
+    }
+    if tensors.is_empty() {
+        return Err(Error::file(
+            path,
+            "has no tensors, neither at the top nor under state_dict, model, model_state_dict",
+        ));
+    }
+    let checked = |(name, tensor): (String, Tensor)| {
+        let tensor = tensor.to_dtype(DType::F32)?.contiguous()?;
+        let bad = tensor.flatten_all()?.to_vec1::<f32>()?.into_iter().find(|value| !value.is_finite());
+        match bad {
+            Some(bad) => Err(Error::file(path, format!("{name}: expected finite numbers, found {bad}"))),
+            None => Ok((name, tensor)),
+        }
+    };
+    tensors.into_iter().map(checked).collect()
 }
 
 /// A parsed file.
@@ -377,8 +435,18 @@ fn tensor(path: &Path, name: &str, view: &TensorView) -> Result<Tensor> {
     Ok(Tensor::from_vec(values, view.shape(), &Device::Cpu)?)
 }
 
+/// Checks that tensors are exactly those of a geometry.
+///
+/// # Errors
+/// Names what is missing, unexpected or misshapen, and `path` as their home.
+pub(super) fn check(path: &Path, config: &Config, tensors: &BTreeMap<String, Tensor>) -> Result<()> {
+    let loader = Loader::new(tensors.clone());
+    EgoTac::new(config, loader.var_builder(&Device::Cpu))?;
+    loader.finish(path)
+}
+
 /// The variables by name, on the CPU.
-fn variables(vars: &VarMap) -> Result<BTreeMap<String, Tensor>> {
+pub(super) fn variables(vars: &VarMap) -> Result<BTreeMap<String, Tensor>> {
     lock(vars)?
         .iter()
         .map(|(name, var)| Ok((name.clone(), var.as_tensor().to_device(&Device::Cpu)?.to_dtype(DType::F32)?)))

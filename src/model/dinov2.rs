@@ -36,6 +36,20 @@ impl Dinov2 {
         self.layers.iter_mut().try_for_each(|layer| layer.attention.freeze())
     }
 
+    /// What the CLS token of a layer attends to: `(N, heads, patches)`, the patches' share of the weights.
+    pub fn attention(&self, frames: &Tensor, layer: usize) -> Result<Tensor> {
+        let mut h = self.embeddings.forward(frames)?;
+        for before in self.layers.iter().take(layer) {
+            h = before.forward(&h)?;
+        }
+        let Some(layer) = self.layers.get(layer) else {
+            bail!("layer {layer}: expected 0 to {}", self.layers.len().saturating_sub(1))
+        };
+        let weights = layer.attention.first_weights(&layer.norm1.forward(&h)?)?;
+        let patches = self.embeddings.grid() * self.embeddings.grid();
+        weights.narrow(2, h.dim(1)? - patches, patches)
+    }
+
     /// `frames`: `(N, 3, H, W)`, ImageNet-normalised, H = W = `config.image`. Returns `(N, P, dv)`, P with CLS.
     pub fn forward(&self, frames: &Tensor) -> Result<Tensor> {
         let mut h = self.embeddings.forward(frames)?;
@@ -88,6 +102,11 @@ impl Embeddings {
         let projection = Linear::patches(dv, patch, vb.pp("patch_embeddings.projection"))?;
         let positions = Positions::Learned(learned, resample);
         Ok(Self { cls_token, register_tokens, projection, positions, image: config.image, patch })
+    }
+
+    /// Patches along a side.
+    fn grid(&self) -> usize {
+        self.image / self.patch
     }
 
     fn freeze(&mut self) -> Result<()> {

@@ -13,6 +13,8 @@ pub mod config;
 mod decoder;
 mod dinov2;
 mod engine;
+pub mod hub;
+pub mod import;
 pub mod init;
 pub mod ops;
 pub mod precision;
@@ -182,7 +184,13 @@ impl EgoTac {
                 let (t, p, d) = (self.config.horizon, self.config.tokens(), self.config.width);
                 let b = match *projected.dims() {
                     [b, frames, tokens, width] if (frames, tokens, width) == (t, p, d) => b,
-                    _ => return Err(Error::shape("observation window", [0, t, p, d].map(dim).join(", "), projected.dims())),
+                    _ => {
+                        return Err(Error::shape(
+                            "observation window",
+                            [0, t, p, d].map(dim).join(", "),
+                            projected.dims(),
+                        ));
+                    }
                 };
                 let z = engine::with_values(projected, |values| {
                     engine.fuse(&values.chunks_exact(p * d).collect::<Vec<_>>())
@@ -210,7 +218,9 @@ impl EgoTac {
         ) -> Result<Vec<f32>> {
             match frames.split_first() {
                 None => run(slices),
-                Some((first, rest)) => engine::with_values(first, |values| borrow(rest, &[slices, &[values]].concat(), run)),
+                Some((first, rest)) => {
+                    engine::with_values(first, |values| borrow(rest, &[slices, &[values]].concat(), run))
+                }
             }
         }
         let z = borrow(frames, &[], &|slices| engine.fuse(slices))?;
@@ -284,6 +294,43 @@ impl Layers {
 /// A dimension in a message; 0 stands for a free one.
 fn dim(size: usize) -> String {
     if size == 0 { "B".into() } else { size.to_string() }
+}
+
+impl EgoTac {
+    /// What the CLS token attends to in a layer of the vision encoder.
+    ///
+    /// `frames`: `(N, 3, H, W)`. Returns `(N, heads, grid²)`: each patch's weight. CLS and registers have the rest to 1.
+    ///
+    /// # Errors
+    /// If there is no such layer, H or W is not `config.image`, or the network is compiled: that one keeps no weights of
+    /// attention.
+    pub fn encoder_attention(&self, frames: &Tensor, layer: usize) -> Result<Tensor> {
+        if layer >= self.config.vision_depth {
+            return Err(Error::value("layer", format!("0 to {}", self.config.vision_depth - 1), layer));
+        }
+        Ok(self.layers()?.encoder.attention(frames, layer)?)
+    }
+
+    /// What the temporal token attends to.
+    ///
+    /// `images`: `(B, T, 3, H, W)`, oldest frame first. Returns `(B, heads, T, P)`, CLS first; each head's sum is 1.
+    ///
+    /// # Errors
+    /// If T is not the horizon, H or W is not `config.image`, or the network is compiled.
+    pub fn temporal_attention(&self, images: &Tensor) -> Result<Tensor> {
+        let layers = self.layers()?;
+        let (b, t) = self.check_clip(images)?;
+        let tokens = self.encode(&images.flatten(0, 1)?)?;
+        let (_, p, dv) = tokens.dims3()?;
+        Ok(layers.temporal.attention(&self.project(&tokens.reshape((b, t, p, dv))?)?)?)
+    }
+
+    fn layers(&self) -> Result<&Layers> {
+        match &self.form {
+            Form::Layers(layers) => Ok(layers),
+            Form::Engine(_) => Err(Error::value("network", "one that is not compiled", "a compiled one")),
+        }
+    }
 }
 
 /// Every stage of a pass over whole clips, as `egotac model forward` writes them.

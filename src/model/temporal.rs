@@ -53,15 +53,28 @@ impl TemporalFusion {
         self.attn.folded(&self.norm_q.forward(&token)?)?.flatten_all()?.to_vec1()
     }
 
-    /// `projected`: `(B, T, P, d)`, oldest frame first. Returns z, `(B, d)`.
-    pub fn fuse(&self, projected: &Tensor) -> Result<Tensor> {
+    /// What the temporal token attends to: `(B, heads, T, P)`. `projected`: `(B, T, P, d)`.
+    pub fn attention(&self, projected: &Tensor) -> Result<Tensor> {
+        let (b, t, p, _) = projected.dims4()?;
+        let token = self.token.reshape((1, ()))?;
+        let weights = self.attn.weights(&self.norm_q.forward(&token)?, &self.keys(projected)?)?;
+        weights.reshape((b, self.attn.heads, t, p))
+    }
+
+    /// Tokens with their step's embedding, normalised: `(B, T P, d)`.
+    fn keys(&self, projected: &Tensor) -> Result<Tensor> {
         let (b, t, p, d) = projected.dims4()?;
         if t != self.step_embedding.dim(0)? {
             bail!("observation window: expected {} frames, got {t}", self.step_embedding.dim(0)?);
         }
         let steps = self.step_embedding.reshape((1, t, 1, d))?;
-        let kv = self.norm_kv.forward(&projected.broadcast_add(&steps)?.reshape((b, t * p, d))?)?;
-        let token = self.token.reshape((1, d))?;
+        self.norm_kv.forward(&projected.broadcast_add(&steps)?.reshape((b, t * p, d))?)
+    }
+
+    /// `projected`: `(B, T, P, d)`, oldest frame first. Returns z, `(B, d)`.
+    pub fn fuse(&self, projected: &Tensor) -> Result<Tensor> {
+        let kv = self.keys(projected)?;
+        let token = self.token.reshape((1, ()))?;
         let h = self.attn.forward(&self.norm_q.forward(&token)?, &kv)?.broadcast_add(&token)?; // (B, d)
         let h = (&h + self.mlp.forward(&self.norm_mlp.forward(&h)?)?)?;
         self.norm_out.forward(&h)

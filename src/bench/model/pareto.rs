@@ -55,7 +55,13 @@ where
         };
         report.rows.iter().filter_map(point).collect()
     };
-    panel(&left, "Size against latency", "million parameters", &points(|row| Some(row.parameters as f64 / 1e6)), false)?;
+    panel(
+        &left,
+        "Size against latency",
+        "million parameters",
+        &points(|row| Some(row.parameters as f64 / 1e6)),
+        false,
+    )?;
     let scored = points(|row| row.accuracy.as_ref()?.contact_f1);
     panel(&right, "Accuracy against latency: trained weights", "contact F1, held-out frames", &scored, true)?;
     root.present()?;

@@ -101,7 +101,8 @@ pub fn run(plan: &Plan, mut progress: impl FnMut(&str, usize, usize)) -> Result<
 }
 
 fn arguments(preset: &str, threads: usize, precision: Precision, runs: usize) -> Vec<String> {
-    let words = format!("bench model --preset {preset} --threads {threads} --precision {precision} --runs {runs} --json");
+    let words =
+        format!("bench model --preset {preset} --threads {threads} --precision {precision} --runs {runs} --json");
     words.split(' ').map(str::to_owned).collect()
 }
 

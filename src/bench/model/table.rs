@@ -98,7 +98,11 @@ fn beside(peer: &str, rounds: &[Rounds], text: &mut String) {
             let _ = writeln!(text, "| {} | OpenVINO | {openvino:.1} | — | — | — |", pair.preset);
         }
         let [encoder, streaming, clip] = pair.ratios();
-        let _ = writeln!(text, "| {} | **ours / theirs** | **{encoder:.2}** | **{streaming:.2}** | **{clip:.2}** | |", pair.preset);
+        let _ = writeln!(
+            text,
+            "| {} | **ours / theirs** | **{encoder:.2}** | **{streaming:.2}** | **{clip:.2}** | |",
+            pair.preset
+        );
         let (f32, int8) = (least(&pair.ours, |t| t.streaming_ms), least(&pair.ours_int8, |t| t.streaming_ms));
         let of_clip = f32 / least(&pair.peer, |t| t.clip_ms);
         let _ = writeln!(

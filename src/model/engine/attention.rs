@@ -25,7 +25,13 @@ impl Attention {
     pub fn new(n: usize, d: usize, heads: usize) -> Self {
         let size = d / heads;
         let (wide_n, wide_size) = (n.next_multiple_of(LANES), size.next_multiple_of(LANES));
-        Self { n, heads, size, keys: Aligned::zeros(heads * size * wide_n), values: Aligned::zeros(heads * n * wide_size) }
+        Self {
+            n,
+            heads,
+            size,
+            keys: Aligned::zeros(heads * size * wide_n),
+            values: Aligned::zeros(heads * n * wide_size),
+        }
     }
 
     /// softmax(q kᵀ / √size) v for each head.

@@ -248,17 +248,8 @@ fn float_tile<E: Weight>(
 ) {
     let a = &x.data[row * x.stride..(row + rows - 1) * x.stride + k];
     let b = &weights[first * k..(first + panel.width()) * k];
-    let tile = Tile {
-        a: a.as_ptr(),
-        lda: x.stride,
-        b: b.as_ptr(),
-        k,
-        bias: bias.as_ptr(),
-        out,
-        ldc,
-        cols: bias.len(),
-        add,
-    };
+    let tile =
+        Tile { a: a.as_ptr(), lda: x.stride, b: b.as_ptr(), k, bias: bias.as_ptr(), out, ldc, cols: bias.len(), add };
     // SAFETY: the slices above hold what the tile reads; `forward` asserted that the result has these rows and columns,
     // and no other task has them.
     unsafe { tile::compute(&tile, rows, panel.vectors) };

@@ -200,14 +200,27 @@ mod tests {
             let half: Vec<u16> = b.iter().map(|b| half::bf16::from_f32(*b).to_bits()).collect();
             let bias: Vec<f32> = (0..cols).map(|i| value(i + 99)).collect();
             let ldc = cols + 2;
-            for (add, portable_form, bf16) in
-                [(false, false, false), (true, false, false), (true, true, false), (false, false, true), (false, true, true)]
-            {
+            for (add, portable_form, bf16) in [
+                (false, false, false),
+                (true, false, false),
+                (true, true, false),
+                (false, false, true),
+                (false, true, true),
+            ] {
                 let mut out = vec![1.0f32; rows * ldc];
                 let base = Tile {
-                    a: a.as_ptr(), lda, b: b.as_ptr(), k, bias: bias.as_ptr(), out: out.as_mut_ptr(), ldc, cols, add,
+                    a: a.as_ptr(),
+                    lda,
+                    b: b.as_ptr(),
+                    k,
+                    bias: bias.as_ptr(),
+                    out: out.as_mut_ptr(),
+                    ldc,
+                    cols,
+                    add,
                 };
-                let with_half = Tile { b: half.as_ptr(), a: base.a, lda, k, bias: base.bias, out: base.out, ldc, cols, add };
+                let with_half =
+                    Tile { b: half.as_ptr(), a: base.a, lda, k, bias: base.bias, out: base.out, ldc, cols, add };
                 // SAFETY: all slices are as long as the tile says.
                 unsafe {
                     match (portable_form, bf16) {
@@ -220,7 +233,9 @@ mod tests {
                 for (i, got) in out.iter().enumerate() {
                     let (r, c) = (i / ldc, i % ldc);
                     let weight = |j: usize| if bf16 { half[j].value() } else { b[j] };
-                    let sum: f64 = (0..k).map(|j| f64::from(a[r * lda + j]) * f64::from(weight(j * width + c.min(width - 1)))).sum();
+                    let sum: f64 = (0..k)
+                        .map(|j| f64::from(a[r * lda + j]) * f64::from(weight(j * width + c.min(width - 1))))
+                        .sum();
                     let want = match c < cols {
                         true => sum + f64::from(bias[c]) + if add { 1.0 } else { 0.0 },
                         false => 1.0,

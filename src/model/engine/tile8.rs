@@ -172,16 +172,14 @@ mod tests {
             let width = vectors * LANES;
             let (lda, ldc) = (GROUP * k + 3, cols + 1);
             for (extreme, add) in [(false, false), (true, true), (false, true)] {
-                let a: Vec<u8> =
-                    (0..rows * lda).map(|i| if extreme { 255 } else { (i * 7919 % 256) as u8 }).collect();
+                let a: Vec<u8> = (0..rows * lda).map(|i| if extreme { 255 } else { (i * 7919 % 256) as u8 }).collect();
                 let weight = |i: usize| if extreme { -127 } else { (i * 104_729 % 255) as i16 - 127 };
                 let b: Vec<i8> = (0..k * width * GROUP).map(|i| weight(i) as i8).collect();
                 let of_rows: Vec<(f32, i32)> = (0..rows).map(|r| (0.5 + r as f32, 31 * r as i32)).collect();
                 let scales: Vec<f32> = (0..cols).map(|c| 0.01 + 0.001 * c as f32).collect();
                 let bias: Vec<f32> = (0..cols).map(|c| c as f32 - 7.0).collect();
                 let at = |i: usize, c: usize| (i / GROUP * width + c) * GROUP + i % GROUP;
-                let sums: Vec<i32> =
-                    (0..cols).map(|c| (0..GROUP * k).map(|i| i32::from(b[at(i, c)])).sum()).collect();
+                let sums: Vec<i32> = (0..cols).map(|c| (0..GROUP * k).map(|i| i32::from(b[at(i, c)])).sum()).collect();
                 let mut results = [vec![3.0f32; rows * ldc], vec![3.0; rows * ldc]];
                 for (form, out) in results.iter_mut().enumerate() {
                     let tile = Tile8 {

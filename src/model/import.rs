@@ -1,0 +1,255 @@
+//! Checkpoints of other programs: a table says which of their tensors is which of ours.
+//!
+//! ```yaml
+//! config: { vision_width: 384, vision_depth: 12, vision_heads: 6, width: 384, depth: 12, heads: 6, image: 224,
+//!           patch: 14, pretrain_image: 518, horizon: 4, predict: 1 }
+//! sidecar:
+//!   name: theirs
+//!   topology: mano            # or egotac-hand-1
+//!   force_scale: 1.7          # N per unit of the force head; leave out where it was never trained
+//!   hand_order: right_left    # of the heads' outputs; ours is left_right
+//!   mean: [0.485, 0.456, 0.406]
+//!   std: [0.229, 0.224, 0.225]
+//!   resize: crop
+//!   filter: bicubic
+//!   fps: 30                   # frames per second of their recordings,
+//!   frame_stride: 4           # of which every fourth is an observation step
+//! tensors:                    # ours: theirs; {i} stands for a number
+//!   queries: decoder.tactile_queries
+//!   encoder.encoder.layer.{i}.norm1.weight: backbone.blocks.{i}.norm1.weight
+//!   encoder.encoder.layer.{i}.attention.attention.query.weight: { from: backbone.blocks.{i}.attn.qkv.weight, part: [0, 3] }
+//!   temporal.proj.weight: { from: fuse.proj, transpose: true }
+//! same: true                  # ours that the table lacks have the same name there
+//! ignore: [optimizer.]        # beginnings of names that may be left over
+//! ```
+//!
+//! Dimensions of 1 need not agree. What is missing, left over or misshapen is named.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use candle_core::{Device, Tensor};
+use candle_nn::VarMap;
+use serde::Deserialize;
+
+use super::checkpoint::{self, Metadata};
+use super::config::Config;
+use super::{EgoTac, init};
+use crate::error::{Error, Result};
+use crate::hand::N_VERTICES;
+use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Resize};
+use crate::tactile::Topology;
+
+/// Problems named in one message.
+const MAX_NAMED: usize = 8;
+
+/// The table, as written.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Mapping {
+    config: Config,
+    sidecar: Sidecar,
+    #[serde(default)]
+    tensors: BTreeMap<String, Source>,
+    #[serde(default)]
+    same: bool,
+    #[serde(default)]
+    ignore: Vec<String>,
+}
+
+/// What the weights don't say.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Sidecar {
+    name: String,
+    topology: String,
+    force_scale: Option<f32>,
+    #[serde(default)]
+    hand_order: HandOrder,
+    #[serde(default = "imagenet_mean")]
+    mean: [f32; 3],
+    #[serde(default = "imagenet_std")]
+    std: [f32; 3],
+    #[serde(default)]
+    resize: Resize,
+    #[serde(default)]
+    filter: Filter,
+    fps: f64,
+    #[serde(default = "one")]
+    frame_stride: u32,
+}
+
+fn imagenet_mean() -> [f32; 3] {
+    IMAGENET_MEAN
+}
+
+fn imagenet_std() -> [f32; 3] {
+    IMAGENET_STD
+}
+
+fn one() -> u32 {
+    1
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum HandOrder {
+    #[default]
+    LeftRight,
+    RightLeft,
+}
+
+/// Where one of our tensors comes from.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(untagged)]
+enum Source {
+    Name(String),
+    Part(Part),
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Part {
+    from: String,
+    /// Which of how many equal parts along the first dimension.
+    part: Option<(usize, usize)>,
+    #[serde(default)]
+    transpose: bool,
+}
+
+impl Mapping {
+    /// Reads the table.
+    ///
+    /// # Errors
+    /// If it can't be read, a key is unknown or missing, or a value is out of range.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+        let mapping: Self = serde_yaml::from_str(&text).map_err(|error| Error::file(path, error))?;
+        mapping.config.check().map_err(|error| Error::file(path, error))?;
+        mapping.metadata().map_err(|error| Error::file(path, error))?;
+        for source in mapping.tensors.values() {
+            if let Source::Part(Part { part: Some((index, of)), .. }) = source
+                && index >= of
+            {
+                return Err(Error::file(
+                    path,
+                    Error::value("part", "an index below the count", format!("[{index}, {of}]")),
+                ));
+            }
+        }
+        Ok(mapping)
+    }
+
+    fn metadata(&self) -> Result<Metadata> {
+        let Sidecar { name, topology, force_scale, mean, std, resize, filter, fps, frame_stride, .. } = &self.sidecar;
+        let metadata = Metadata {
+            topology: Topology::from_id(topology)?,
+            has_force: force_scale.is_some(),
+            mean: *mean,
+            std: *std,
+            resize: *resize,
+            filter: *filter,
+            training: "imported".into(),
+            ..Metadata::new(name, force_scale.unwrap_or(1.0), f64::from(*frame_stride) / fps)
+        };
+        metadata.check()?;
+        Ok(metadata)
+    }
+
+    /// Turns another program's checkpoint into ours: geometry, metadata, tensors.
+    ///
+    /// # Errors
+    /// If the file can't be read, or a tensor is missing, left over or misshapen; all are named.
+    pub fn apply(&self, path: &Path) -> Result<(Config, Metadata, BTreeMap<String, Tensor>)> {
+        let theirs = checkpoint::read_tensors(path)?;
+        let vars = VarMap::new();
+        EgoTac::new(&self.config, init::var_builder(&vars, 0, &Device::Cpu))?;
+        let (mut tensors, mut used, mut problems) = (BTreeMap::new(), BTreeSet::new(), Vec::new());
+        for (name, like) in checkpoint::variables(&vars)? {
+            let Some(source) = self.source(&name) else {
+                problems.push(format!("{name}: the table does not name it"));
+                continue;
+            };
+            match theirs.get(&source.from) {
+                None => problems.push(format!("{name}: expected {:?} in {}, found none", like.dims(), source.from)),
+                Some(tensor) => {
+                    used.insert(source.from.clone());
+                    match take(tensor, &source, like.dims())? {
+                        Some(tensor) => drop(tensors.insert(name.clone(), self.in_our_order(&name, tensor)?)),
+                        None => {
+                            let (expected, found) = (like.dims(), tensor.dims());
+                            problems
+                                .push(format!("{name}: expected {expected:?} from {}, found {found:?}", source.from));
+                        }
+                    }
+                }
+            }
+        }
+        let is_ignored = |name: &str| self.ignore.iter().any(|beginning| name.starts_with(beginning.as_str()));
+        let left = theirs.iter().filter(|(name, _)| !used.contains(*name) && !is_ignored(name));
+        problems.extend(left.map(|(name, tensor)| format!("{name} {:?}: left over", tensor.dims())));
+        if !problems.is_empty() {
+            let more = problems.len().saturating_sub(MAX_NAMED);
+            let named = problems[..problems.len().min(MAX_NAMED)].join("; ");
+            let more = if more > 0 { format!("; and {more} more") } else { String::new() };
+            return Err(Error::file(path, format!("{} tensors do not fit: {named}{more}", problems.len())));
+        }
+        Ok((self.config.clone(), self.metadata()?, tensors))
+    }
+
+    /// Where our tensor of this name comes from.
+    fn source(&self, name: &str) -> Option<Part> {
+        let plain = |from: String| Part { from, part: None, transpose: false };
+        for (pattern, source) in &self.tensors {
+            let Some(number) = matched(pattern, name) else { continue };
+            let fill = |text: &str| text.replace("{i}", &number);
+            return Some(match source {
+                Source::Name(from) => plain(fill(from)),
+                Source::Part(part) => Part { from: fill(&part.from), ..part.clone() },
+            });
+        }
+        self.same.then(|| plain(name.to_owned()))
+    }
+
+    /// The heads' outputs with the left hand first.
+    fn in_our_order(&self, name: &str, tensor: Tensor) -> Result<Tensor> {
+        let is_head = name.starts_with("force_head.") || name.starts_with("contact_head.");
+        if !is_head || self.sidecar.hand_order == HandOrder::LeftRight {
+            return Ok(tensor);
+        }
+        let hand = |first| tensor.narrow(0, first, N_VERTICES);
+        Ok(Tensor::cat(&[hand(N_VERTICES)?, hand(0)?], 0)?)
+    }
+}
+
+/// The number that `{i}` stands for if the name fits the pattern; empty for a pattern without it.
+fn matched(pattern: &str, name: &str) -> Option<String> {
+    let Some((before, after)) = pattern.split_once("{i}") else {
+        return (pattern == name).then(String::new);
+    };
+    let number = name.strip_prefix(before)?.strip_suffix(after)?;
+    (!number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit())).then(|| number.to_owned())
+}
+
+/// The part that is asked for in our shape, if they agree but for dimensions of 1.
+fn take(tensor: &Tensor, source: &Part, dims: &[usize]) -> Result<Option<Tensor>> {
+    let mut tensor = tensor.clone();
+    if let Some((index, of)) = source.part {
+        match tensor.dims().first() {
+            Some(rows) if rows % of == 0 => tensor = tensor.narrow(0, index * (rows / of), rows / of)?,
+            _ => return Ok(None),
+        }
+    }
+    if source.transpose {
+        if tensor.rank() != 2 {
+            return Ok(None);
+        }
+        tensor = tensor.t()?;
+    }
+    // (d) for (1, 1, d) and the like.
+    let squeezed = |dims: &[usize]| dims.iter().copied().filter(|size| *size != 1).collect::<Vec<_>>();
+    match squeezed(tensor.dims()) == squeezed(dims) {
+        true => Ok(Some(tensor.contiguous()?.reshape(dims)?)),
+        false => Ok(None),
+    }
+}

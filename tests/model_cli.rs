@@ -1,0 +1,192 @@
+//! The commands of the network, as a user runs them.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn egotac(arguments: &[&str], folder: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_egotac")).args(arguments).current_dir(folder).output().unwrap()
+}
+
+fn good(arguments: &[&str], folder: &Path) -> String {
+    let output = egotac(arguments, folder);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn refused(arguments: &[&str], folder: &Path) -> String {
+    let output = egotac(arguments, folder);
+    assert!(!output.status.success(), "{arguments:?}");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+fn data(file: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/model").join(file)
+}
+
+#[test]
+fn bench_prints_one_configuration_as_json() {
+    let folder = tempfile::tempdir().unwrap();
+    for precision in ["f32", "bf16", "int8"] {
+        let text = good(
+            &["bench", "model", "--preset", "toy", "--threads", "1", "--precision", precision, "--runs", "3", "--json"],
+            folder.path(),
+        );
+        let row: Value = serde_json::from_str(&text).unwrap();
+        for key in ["streaming_ms", "clip_ms", "encoder_ms", "picture_ms", "peak_memory_mb", "weights_mb"] {
+            assert!(row[key].as_f64().unwrap() > 0.0, "{key} in {text}");
+        }
+        assert_eq!((row["precision"].as_str(), row["preset"].as_str()), (Some(precision), Some("toy")));
+        // The least of a window's times is no less than that of one of its frames.
+        assert!(row["clip"]["min"].as_f64() > row["encoder"]["min"].as_f64(), "{text}");
+    }
+}
+
+#[test]
+fn bench_writes_table_json_and_plot() {
+    let folder = tempfile::tempdir().unwrap();
+    let peer = r#"#!/bin/sh
+echo '{"encoder_ms": 1000, "streaming_ms": 2000, "clip_ms": 4000, "openvino_encoder_ms": 500}'
+"#;
+    std::fs::write(folder.path().join("peer.sh"), peer).unwrap();
+    let text = good(
+        &[
+            "bench",
+            "model",
+            "--preset",
+            "toy",
+            "--horizon",
+            "1,3",
+            "--precision",
+            "f32,int8",
+            "--threads",
+            "1",
+            "--runs",
+            "2",
+            "--peer",
+            "sh peer.sh",
+            "--rounds",
+            "2",
+            "--out",
+            "out",
+        ],
+        folder.path(),
+    );
+    for file in ["model.md", "model.json", "model.png", "model.svg"] {
+        assert!(folder.path().join("out").join(file).is_file(), "{file}");
+    }
+    let report: Value = serde_json::from_slice(&std::fs::read(folder.path().join("out/model.json")).unwrap()).unwrap();
+    assert_eq!(report["rows"].as_array().unwrap().len(), 4);
+    assert_eq!(report["rounds"][0]["peer"].as_array().unwrap().len(), 2);
+    assert_eq!(std::fs::read_to_string(folder.path().join("out/model.md")).unwrap(), text);
+    assert!(text.contains("egotac bench model --preset toy --horizon 1,3 --precision f32,int8"), "{text}");
+    assert!(text.contains("| toy | OpenVINO | 500.0 |") && text.contains("| — | — |"), "{text}");
+}
+
+#[test]
+fn a_stream_of_the_toy_network_keeps_its_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let text =
+        good(&["bench", "model", "--preset", "toy", "--threads", "1", "--growth", "3000", "--json"], folder.path());
+    let growth: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(growth["frames"], 3000);
+    assert!(growth["end_mb"].as_f64().unwrap() - growth["warm_mb"].as_f64().unwrap() < 8.0, "{text}");
+}
+
+#[test]
+fn bench_says_what_is_wrong() {
+    let folder = tempfile::tempdir().unwrap();
+    let bench = |more: &[&str]| refused(&[&["bench", "model"], more].concat(), folder.path());
+    assert!(bench(&["--preset", "huge"]).contains("known: toy, pocket, tiny, small, base"));
+    assert!(bench(&["--precision", "int4"]).contains("f32, bf16, int8"));
+    assert!(bench(&["--preset", "toy,tiny"]).contains("several values need --out"));
+    assert!(bench(&["--preset", "toy", "--image", "57"]).contains("config.image"));
+    assert!(bench(&["--preset", "toy", "--threads", "0"]).contains("1 to 1024"));
+}
+
+#[test]
+fn attention_is_drawn_for_layers_and_the_temporal_token() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = image::RgbImage::from_fn(64, 48, |x, y| image::Rgb([(4 * x) as u8, (5 * y) as u8, 90]));
+    picture.save(folder.path().join("a.png")).unwrap();
+    for (arguments, name) in
+        [(&[][..], "t.png"), (&["--layer", "5"], "l.png"), (&["--layer", "0", "--head", "3"], "h.png")]
+    {
+        let text = good(&[&["model", "attention", "a.png", "--out", name], arguments].concat(), folder.path());
+        let drawn = image::open(folder.path().join(name)).unwrap();
+        assert_eq!((drawn.width(), drawn.height()), (3 * 448, 448));
+        let shares: Vec<f64> =
+            text.lines().filter_map(|line| line.split(": ").nth(1)?.split(' ').next()?.parse().ok()).collect();
+        assert_eq!(shares.len(), 3, "{text}");
+        // A layer's weights sum to 1 in each image, the temporal token's over all images.
+        let sum: f64 = shares.iter().sum();
+        let most = if arguments.is_empty() { 100.5 } else { 300.5 };
+        assert!(shares.iter().all(|share| *share > 0.0) && sum <= most, "{text}");
+    }
+    let attention =
+        |more: &[&str]| refused(&[&["model", "attention", "a.png", "--out", "x.png"], more].concat(), folder.path());
+    assert!(attention(&["--layer", "6"]).contains("layer: expected 0 to 5, got 6"));
+    assert!(attention(&["--layer", "0", "--head", "4"]).contains("--head: expected 0 to 3"));
+}
+
+#[test]
+fn import_and_start_write_checkpoints_that_load() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = data("hub_registers.safetensors");
+    let start = [
+        "model",
+        "start",
+        "--encoder",
+        hub.to_str().unwrap(),
+        "--image",
+        "56",
+        "--depth",
+        "1",
+        "--out",
+        "start.safetensors",
+    ];
+    good(&start, folder.path());
+    let info: Value =
+        serde_json::from_str(&good(&["model", "info", "start.safetensors", "--json"], folder.path())).unwrap();
+    assert_eq!((&info["config"]["registers"], &info["metadata"]["resize"]), (&4.into(), &"centre".into()));
+    let import =
+        ["model", "import", "--weights", "start.safetensors", "--mapping", "table.yaml", "--out", "again.safetensors"];
+    let table = format!("config: {}\nsidecar: {{ name: n, topology: mano, fps: 25 }}\nsame: true\n", info["config"]);
+    std::fs::write(folder.path().join("table.yaml"), table).unwrap();
+    good(&import, folder.path());
+    let again: Value =
+        serde_json::from_str(&good(&["model", "info", "again.safetensors", "--json"], folder.path())).unwrap();
+    assert_eq!((&again["config"], &again["metadata"]["has_force"]), (&info["config"], &"false".into()));
+    std::fs::write(folder.path().join("table.yaml"), "config: 3").unwrap();
+    assert!(refused(&import, folder.path()).contains("table.yaml"));
+}
+
+#[test]
+fn forward_takes_a_precision() {
+    let folder = tempfile::tempdir().unwrap();
+    let (weights, input) = (data("toy_0_weights.safetensors"), data("toy_0_activations.safetensors"));
+    let forward = |precision: &str| {
+        good(
+            &[
+                "model",
+                "forward",
+                "--weights",
+                weights.to_str().unwrap(),
+                "--input",
+                input.to_str().unwrap(),
+                "--precision",
+                precision,
+                "--out",
+                precision,
+            ],
+            folder.path(),
+        );
+        let tensors = candle_core::safetensors::load(folder.path().join(precision), &candle_core::Device::Cpu).unwrap();
+        tensors["force"].flatten_all().unwrap().to_vec1::<f32>().unwrap()
+    };
+    let (f32, int8) = (forward("f32"), forward("int8"));
+    let norm = |values: &mut dyn Iterator<Item = f32>| values.map(|x| f64::from(x * x)).sum::<f64>().sqrt();
+    let error = norm(&mut f32.iter().zip(&int8).map(|(a, b)| a - b)) / norm(&mut f32.iter().copied());
+    assert!(error > 1e-4 && error < 0.05, "{error}");
+}
