@@ -1,12 +1,11 @@
-//! Times one geometry with random weights, on one line of JSON: the network's side of every speed comparison.
+//! Times a whole optimisation step with random weights, on one line of JSON; `egotac bench model` times inference.
 //!
 //! ```text
-//! cargo bench --bench model -- --preset tiny --threads 2 [--runs 5] [--step BATCH]
+//! cargo bench --bench model -- --preset tiny --threads 2 [--runs 5] [--batch 4]
 //! ```
 //!
-//! Medians in ms: `encoder_ms` one frame, `streaming_ms` one more frame of a stream whose other frames are kept,
-//! `clip_ms` the whole window; with `--step`, `step_ms` a whole optimisation step (forward, force and contact loss,
-//! backward, clipping, AdamW) of that many clips instead. `peak_memory_mb` is the process's.
+//! `step_ms` is the median of forward, force and contact loss, backward, clipping and AdamW on that many clips.
+//! `peak_memory_mb` is the process's.
 
 use std::time::Instant;
 
@@ -29,38 +28,12 @@ fn main() -> anyhow::Result<()> {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
 
     let config = Config::preset(&preset)?;
-    let mut report = serde_json::json!({ "preset": preset, "threads": threads, "dtype": "f32" });
-    let times = match number("--step", 0)? {
-        0 => inference(&config, runs)?,
-        batch => vec![("step_ms", step(&config, batch, runs)?)],
-    };
-    for (name, time) in times {
-        report[name] = time.into();
-    }
+    let batch = number("--batch", 4)?;
+    let mut report = serde_json::json!({ "preset": preset, "threads": threads, "batch": batch, "dtype": "f32" });
+    report["step_ms"] = step(&config, batch, runs)?.into();
     report["peak_memory_mb"] = peak_memory_mb().into();
     println!("{report}");
     Ok(())
-}
-
-fn inference(config: &Config, runs: usize) -> anyhow::Result<Vec<(&'static str, f64)>> {
-    let device = Device::Cpu;
-    let model = EgoTac::new(config, init::var_builder(&VarMap::new(), 0, &device))?.freeze()?;
-    let (side, horizon) = (config.image, config.horizon);
-    let frame = Tensor::randn(0f32, 1.0, (1, 3, side, side), &device)?;
-    let clip = frame.unsqueeze(1)?.expand((1, horizon, 3, side, side))?.contiguous()?;
-    let kept = model.project(&model.encode(&frame)?)?;
-    let streaming = || -> anyhow::Result<()> {
-        let new = model.project(&model.encode(&frame)?)?;
-        let mut window = vec![&kept; horizon - 1];
-        window.push(&new);
-        model.heads(&model.fuse(&Tensor::stack(&window, 1)?)?)?;
-        Ok(())
-    };
-    Ok(vec![
-        ("clip_ms", median(runs, || Ok(model.forward(&clip).map(drop)?))?),
-        ("streaming_ms", median(runs, streaming)?),
-        ("encoder_ms", median(runs, || Ok(model.encode(&frame).map(drop)?))?),
-    ])
 }
 
 fn step(config: &Config, batch: usize, runs: usize) -> anyhow::Result<f64> {
