@@ -211,19 +211,15 @@ impl EgoTac {
             return Err(Error::shape("observation window", format!("{t} frames of {size}"), [frames.len()]));
         }
         /// Each frame stays borrowed while the others are.
-        fn borrow(
-            frames: &[&Tensor],
-            slices: &[&[f32]],
-            run: &dyn Fn(&[&[f32]]) -> Result<Vec<f32>>,
-        ) -> Result<Vec<f32>> {
+        fn borrow(engine: &engine::Engine, frames: &[&Tensor], slices: &[&[f32]]) -> Result<Vec<f32>> {
             match frames.split_first() {
-                None => run(slices),
+                None => engine.fuse(slices),
                 Some((first, rest)) => {
-                    engine::with_values(first, |values| borrow(rest, &[slices, &[values]].concat(), run))
+                    engine::with_values(first, |values| borrow(engine, rest, &[slices, &[values]].concat()))
                 }
             }
         }
-        let z = borrow(frames, &[], &|slices| engine.fuse(slices))?;
+        let z = borrow(engine, frames, &[])?;
         Ok(Tensor::from_vec(z, (1, self.config.width), frames[0].device())?)
     }
 

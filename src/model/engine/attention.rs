@@ -1,14 +1,20 @@
 //! Self-attention of one sequence, from packed projections.
 
-use rayon::prelude::*;
+use std::cell::RefCell;
 
 use super::aligned::Aligned;
 use super::packed::Shared;
+use super::team;
 use super::tile::{self, LANES, ROWS, Tile, VECTORS};
 use crate::model::ops::simd;
 
 /// Queries that one task takes, at most.
 const QUERIES: usize = 64;
+
+thread_local! {
+    /// Scores of the rows that a thread works on.
+    static SCORES: RefCell<Aligned<f32>> = RefCell::new(Aligned::zeros(0));
+}
 
 /// Keys and values of one sequence, laid out for the tiles, and the sizes.
 #[derive(Debug, Clone)]
@@ -45,8 +51,8 @@ impl Attention {
         let d = heads * size;
         assert!(qkv.len() >= 3 * d * n && out.len() >= d * n, "attention of {n} tokens leaves its slices");
         let (wide_n, wide_size) = (n.next_multiple_of(LANES), size.next_multiple_of(LANES));
-        let keys = self.keys.par_chunks_exact_mut(size * wide_n);
-        keys.zip(self.values.par_chunks_exact_mut(n * wide_size)).enumerate().for_each(|(head, (keys, values))| {
+        let keys = (&mut self.keys[..], size * wide_n);
+        team::chunks2(keys, (&mut self.values[..], n * wide_size), |head, keys, values| {
             let part = |token: usize, part: usize| &qkv[3 * d * token + part * d + head * size..][..size];
             pack_keys(n, size, |token| part(token, 1), keys);
             pack_values(n, size, |token| part(token, 2), values);
@@ -55,16 +61,18 @@ impl Attention {
         let queries = n.div_ceil(blocks).next_multiple_of(ROWS);
         let this = &*self;
         let out = Shared(out.as_mut_ptr());
-        (0..heads * blocks).into_par_iter().for_each_init(
-            || Aligned::<f32>::zeros(ROWS * wide_n),
-            |scores, index| {
-                let (head, block) = (index / blocks, index % blocks);
-                let first = block * queries;
+        team::run(heads * blocks, |index| {
+            let (head, block) = (index / blocks, index % blocks);
+            let first = block * queries;
+            SCORES.with_borrow_mut(|scores| {
+                if scores.len() < ROWS * wide_n {
+                    *scores = Aligned::zeros(ROWS * wide_n);
+                }
                 for row in (first..n.min(first + queries)).step_by(ROWS) {
                     this.rows(qkv, head, row, ROWS.min(n - row), scores, out);
                 }
-            },
-        );
+            });
+        });
     }
 
     /// Up to [`ROWS`] queries of a head; writes their places of `out` and nothing else.

@@ -11,6 +11,7 @@ mod encoder;
 mod norm;
 mod packed;
 mod quantise;
+mod team;
 mod temporal;
 mod tile;
 mod tile8;
@@ -143,7 +144,7 @@ impl Engine {
         Ok([force, contact])
     }
 
-    /// Runs inside the thread pool, where handing out work is cheap.
+    /// Leads the threads of the pool.
     fn with_buffers(&self, run: impl FnOnce(&mut Buffers) -> Result<()> + Send) -> Result<()> {
         let spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let mut buffers = spare.unwrap_or_else(|| Buffers {
@@ -152,7 +153,7 @@ impl Engine {
             decoder: self.decoder.buffers(self.config.heads),
             quantised: Quantised::default(),
         });
-        let result = rayon::scope(|_| run(&mut buffers));
+        let result = team::lead(|| run(&mut buffers));
         self.spare.lock().unwrap_or_else(PoisonError::into_inner).push(buffers);
         result
     }

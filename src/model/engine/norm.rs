@@ -1,8 +1,7 @@
 //! Layer norm of rows.
 
-use rayon::prelude::*;
-
 use super::packed::Rows;
+use super::team;
 use crate::model::attention::EPS;
 use crate::model::ops::simd;
 
@@ -31,7 +30,7 @@ impl Norm {
     pub fn forward(&self, x: Rows, out: &mut [f32]) {
         let d = self.d();
         let rows = (TASK / d).max(1);
-        out[..x.count * d].par_chunks_mut(rows * d).enumerate().for_each(|(block, out)| {
+        team::chunks(&mut out[..x.count * d], rows * d, |block, out| {
             for (i, out) in out.chunks_exact_mut(d).enumerate() {
                 let first = (block * rows + i) * x.stride;
                 self.row(&x.data[first..first + d], out);

@@ -1,9 +1,8 @@
 //! A linear layer whose weights are laid out for the tiles, in one of the precisions.
 
-use rayon::prelude::*;
-
 use super::aligned::{Aligned, Number};
 use super::quantise::{Quantised, quantise_weights};
+use super::team;
 use super::tile::{self, LANES, ROWS, Tile, VECTORS, Weight};
 use super::tile8::{self, GROUP, Tile8};
 use crate::model::ops::simd;
@@ -176,7 +175,7 @@ impl Packed {
         if rows * self.k * self.n < SMALL {
             (0..tasks).for_each(task);
         } else {
-            (0..tasks).into_par_iter().for_each(task);
+            team::run(tasks, task);
         }
     }
 

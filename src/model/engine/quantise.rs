@@ -1,8 +1,7 @@
 //! From floating point to 8 bits: weights once, activations row by row.
 
-use rayon::prelude::*;
-
 use super::packed::Rows;
+use super::team;
 use super::tile8::GROUP;
 use crate::model::ops::simd;
 
@@ -47,9 +46,8 @@ impl Quantised {
             self.scales.resize(count, (0.0, 0));
         }
         let stride = self.stride;
-        let bytes = self.bytes[..count * stride].par_chunks_mut(ROWS * stride);
-        let scales = self.scales[..count].par_chunks_mut(ROWS);
-        bytes.zip(scales).enumerate().for_each(|(block, (bytes, scales))| {
+        let bytes = (&mut self.bytes[..count * stride], ROWS * stride);
+        team::chunks2(bytes, (&mut self.scales[..count], ROWS), |block, bytes, scales| {
             for (i, (bytes, scale)) in bytes.chunks_exact_mut(stride).zip(scales).enumerate() {
                 let first = (block * ROWS + i) * x.stride;
                 *scale = quantise_row(&x.data[first..first + k], bytes);
@@ -71,9 +69,9 @@ fn quantise_row(row: &[f32], bytes: &mut [u8]) -> (f32, i32) {
             let (low, high) = extremes(row);
             // Halved before the difference, so that it does not overflow.
             let scale = (high / 255.0) - (low / 255.0);
-            if !(scale > 1e-30) {
+            if scale.is_nan() || scale <= 1e-30 {
                 bytes.fill(0);
-                return (if scale.is_nan() { f32::NAN } else { 0.0 }, 0);
+                return (if scale.is_nan() { scale } else { 0.0 }, 0);
             }
             let inverse = 1.0 / scale;
             let zero = (-low * inverse).round_ties_even();

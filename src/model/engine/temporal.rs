@@ -1,10 +1,11 @@
 //! Temporal fusion with one query that never changes, so that its products with the key weights are made once.
 
-use rayon::prelude::*;
+use std::cell::RefCell;
 
 use super::norm::Norm;
 use super::packed::{Packed, Rows, Then};
 use super::quantise::Quantised;
+use super::team;
 use super::{finite, rows};
 use crate::error::Result;
 use crate::model::ops::simd;
@@ -13,6 +14,11 @@ use crate::model::temporal::TemporalFusion;
 
 /// Tokens that one task takes; fixed, so that sums don't depend on the number of threads.
 const TOKENS: usize = 64;
+
+thread_local! {
+    /// Normalised tokens of a block, and their scores for each head.
+    static ROOM: RefCell<(Vec<f32>, Vec<f32>)> = const { RefCell::new((Vec::new(), Vec::new())) };
+}
 
 /// Weights of the fusion.
 #[derive(Debug, Clone)]
@@ -93,11 +99,15 @@ impl Temporal {
         buffers.size(d, heads, frames);
         let Buffers { partial, pooled, values, h, x, hidden } = buffers;
         let blocks = frames.first().map_or(0, |frame| (frame.len() / d).div_ceil(TOKENS));
-        let room = || (vec![0.0; TOKENS * d], vec![0.0; heads * TOKENS]);
-        partial.par_chunks_exact_mut(heads * (2 + d)).enumerate().for_each_init(room, |(tokens, scores), (i, out)| {
+        team::chunks(partial, heads * (2 + d), |i, out| {
             let (frame, first) = (i / blocks, i % blocks * TOKENS * d);
             let data = &frames[frame][first..frames[frame].len().min(first + TOKENS * d)];
-            self.block(data, &self.steps[frame * d..(frame + 1) * d], tokens, scores, out);
+            let step = &self.steps[frame * d..(frame + 1) * d];
+            ROOM.with_borrow_mut(|(tokens, scores)| {
+                tokens.resize(TOKENS * d, 0.0);
+                scores.resize(heads * TOKENS, 0.0);
+                self.block(data, step, tokens, scores, out);
+            });
         });
         self.combine(partial, pooled);
         if checked {
