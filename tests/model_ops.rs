@@ -32,9 +32,9 @@ fn values(tensor: &Tensor) -> Vec<f64> {
 }
 
 /// Largest difference over the largest value.
-fn error(got: &[f64], want: &[f64]) -> f64 {
+fn error(got: &[f64], want: &[f64], least: f64) -> f64 {
     assert_eq!(got.len(), want.len());
-    let largest = want.iter().fold(1e-30, |a: f64, b| a.max(b.abs()));
+    let largest = want.iter().fold(least, |a: f64, b| a.max(b.abs()));
     got.iter().zip(want).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / largest
 }
 
@@ -51,11 +51,17 @@ fn with_gradients(inputs: &[Tensor], operation: Operation) -> Vec<Vec<f64>> {
 }
 
 fn assert_agree(name: &str, inputs: &[Tensor], fused: Operation, plain: Operation, tolerance: f64) {
+    assert_agree_above(1e-30, name, inputs, fused, plain, tolerance);
+}
+
+/// As [`assert_agree`], for results that are differences of numbers of about 1: where those cancel, the error is relative
+/// to `least`.
+fn assert_agree_above(least: f64, name: &str, inputs: &[Tensor], fused: Operation, plain: Operation, tolerance: f64) {
     let exact: Vec<Tensor> = inputs.iter().map(|t| t.to_dtype(DType::F64).unwrap()).collect();
     let (got, want) = (with_gradients(inputs, fused), with_gradients(&exact, plain));
     for (i, (got, want)) in got.iter().zip(&want).enumerate() {
         let what = if i == 0 { "result".into() } else { format!("gradient of input {}", i - 1) };
-        let error = error(got, want);
+        let error = error(got, want, least);
         let shapes: Vec<_> = inputs.iter().map(|t| t.dims()).collect();
         assert!(error < tolerance, "{name} {shapes:?}, {what}: relative error {error:e}");
     }
@@ -115,8 +121,8 @@ proptest! {
         assert_agree("linear", &tensors(&[vec![b, n, k], vec![d, k], vec![d]], seed, 1.0), &linear, &linear_plain, 1e-5);
         let wide = d + 7; // of a row of one or two values little but rounding errors is left
         let affine = [vec![b, n, wide], vec![wide], vec![wide]];
-        assert_agree("layer norm", &tensors(&affine, seed, 1.0), &norm, &norm_plain, 3e-4);
-        assert_agree("layer norm, bare", &tensors(&affine[..1], seed, 1.0), &norm, &norm_plain, 3e-4);
+        assert_agree_above(0.1, "layer norm", &tensors(&affine, seed, 1.0), &norm, &norm_plain, 3e-4);
+        assert_agree_above(0.1, "layer norm, bare", &tensors(&affine[..1], seed, 1.0), &norm, &norm_plain, 3e-4);
         assert_agree("residual", &tensors(&[vec![b, n, d], vec![b, n, d], vec![d]], seed, 1.0), &residual, &residual_plain, 1e-5);
         assert_agree("gelu", &tensors(&[vec![b, n, d]], seed, 2.0), &|t| ops::gelu(&t[0]), &|t| plain::gelu(&t[0]), 1e-5);
         let qkv = tensors(&[vec![b, n, 3 * d]], seed, 1.0);
