@@ -69,6 +69,9 @@ pub struct Args {
     /// Folder for model.md, model.json, model.png and model.svg.
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
+    /// Measure nothing: write table and plot of what an earlier model.json holds.
+    #[arg(long, value_name = "FILE", requires = "out")]
+    draw: Option<PathBuf>,
 }
 
 /// Runs the subject; false if memory grew.
@@ -78,7 +81,13 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
         Config::preset(preset)?;
     }
     match (&args.out, args.growth) {
-        (Some(out), _) => sweep(args, out),
+        (Some(out), _) => match &args.draw {
+            Some(path) => {
+                let text = std::fs::read_to_string(path).with_context(|| format!("{}", path.display()))?;
+                write(out, &serde_json::from_str(&text).with_context(|| format!("{}", path.display()))?)
+            }
+            None => write(out, &sweep(args, out)?),
+        },
         (None, Some(frames)) => grow(args, frames as usize),
         (None, None) => one(args),
     }
@@ -148,7 +157,7 @@ fn grow(args: &Args, frames: usize) -> anyhow::Result<bool> {
     Ok(growth.mb() <= GROWTH_MB)
 }
 
-fn sweep(args: &Args, out: &std::path::Path) -> anyhow::Result<bool> {
+fn sweep(args: &Args, out: &std::path::Path) -> anyhow::Result<sweep::Report> {
     let plan = Plan {
         command: command(args, out),
         presets: args.preset.clone(),
@@ -167,10 +176,14 @@ fn sweep(args: &Args, out: &std::path::Path) -> anyhow::Result<bool> {
         bar.set_message(what.to_owned());
     })?;
     bar.finish_and_clear();
-    let text = table::render(&report);
+    Ok(report)
+}
+
+fn write(out: &std::path::Path, report: &sweep::Report) -> anyhow::Result<bool> {
+    let text = table::render(report);
     file::write(&out.join("model.md"), text.as_bytes())?;
-    file::write(&out.join("model.json"), format!("{:#}\n", serde_json::to_value(&report)?).as_bytes())?;
-    pareto::write(out, &report)?;
+    file::write(&out.join("model.json"), format!("{:#}\n", serde_json::to_value(report)?).as_bytes())?;
+    pareto::write(out, report)?;
     print!("{text}");
     Ok(true)
 }
