@@ -12,6 +12,8 @@ use egotac::metrics::evaluate;
 use egotac::model::{self, Checkpoint, EgoTac, Predictor, init, predictor};
 use egotac::tactile::{N_FIELD, TactileField, Topology, Validity};
 use egotac::train::batch::Dataset;
+use egotac::train::config::{Augment, Batch};
+use egotac::train::source::Source;
 use egotac::train::{Config, Control, Event, baseline, predict, train};
 use image::{Rgb, RgbImage};
 use serde_json::Value;
@@ -73,6 +75,13 @@ fn run(config: &Config, resume: bool, stop_after: usize) -> egotac::train::Outco
         _ => Control::Continue,
     };
     train(config, resume, &Device::Cpu, &mut observe).unwrap()
+}
+
+/// A column of a run's log.
+fn logged(config: &Config, name: &str) -> Vec<f64> {
+    let log = std::fs::read_to_string(config.out.join("log.csv")).unwrap();
+    let column = log.lines().next().unwrap().split(',').position(|column| column == name).unwrap();
+    log.lines().skip(1).map(|line| line.split(',').nth(column).unwrap().parse().unwrap()).collect()
 }
 
 fn dataset(path: &Path, checkpoint: &Checkpoint) -> Dataset {
@@ -257,4 +266,44 @@ fn the_commands_train_predict_and_score() {
         let error = String::from_utf8(output.stderr).unwrap();
         assert!(!output.status.success() && error.contains(word) && error.lines().count() == 1, "{args:?}: {error}");
     }
+}
+
+#[test]
+fn gathered_gradients_are_those_of_the_whole_batch() {
+    let folder = tempfile::tempdir().unwrap();
+    write_store(&folder.path().join("train.zarr"), 1, 6, 8);
+    // Every clip has as many windows and labels as any other, so that the mean of means is the mean; the active term
+    // alone counts what is touched. Later steps differ: Adam makes full steps of rounding errors.
+    let first_step = |out: &str, batch: Batch| {
+        let mut config = config(folder.path(), out, 1, "");
+        (config.batch, config.augment, config.loss.active) = (batch, Augment::none(), 0.0);
+        run(&config, false, usize::MAX);
+        ["loss", "force", "contact", "consistency", "grad_norm", "windows"].map(|name| logged(&config, name)[0])
+    };
+    let whole = first_step("whole", Batch { clips: 2, windows: 1, accumulate: 1 });
+    let gathered = first_step("gathered", Batch { clips: 1, windows: 1, accumulate: 2 });
+    for (whole, gathered) in whole.iter().zip(&gathered) {
+        assert!((whole - gathered).abs() < 1e-3 * whole.abs(), "{whole} {gathered}");
+    }
+    let one = first_step("one", Batch { clips: 1, windows: 1, accumulate: 1 });
+    assert!((one[4] - whole[4]).abs() > 1e-2 * whole[4], "one batch has another gradient: {one:?} {whole:?}");
+}
+
+#[test]
+fn mixed_sources_resume_as_if_they_had_not_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    write_store(&folder.path().join("train.zarr"), 1, 2, 30);
+    write_store(&folder.path().join("small.zarr"), 2, 1, 5);
+    let config = |out: &str| {
+        let mut config = config(folder.path(), out, 12, "sampling: {epoch: 40}\n");
+        let small = Source { stores: vec![folder.path().join("small.zarr")], quota: 0.25, mirror: true };
+        config.data.push(small);
+        config
+    };
+    let (straight, halted) = (config("straight"), config("halted"));
+    let whole = run(&straight, false, usize::MAX);
+    run(&halted, false, 5);
+    assert_eq!(weights(&run(&halted, true, usize::MAX).checkpoint), weights(&whole.checkpoint));
+    assert!(logged(&straight, "consistency").iter().all(|value| *value > 0.0));
+    assert_eq!(logged(&straight, "loss"), logged(&halted, "loss"));
 }

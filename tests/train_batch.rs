@@ -9,6 +9,7 @@ use egotac::tactile::{N_FIELD, TactileField, Topology, Validity};
 use egotac::train::batch::{Collate, Dataset};
 use egotac::train::config::Augment;
 use egotac::train::sampler::Clip;
+use egotac::train::source::Source;
 use image::{Rgb, RgbImage};
 
 const SIDE: usize = 8;
@@ -111,4 +112,48 @@ fn batches_hold_each_frame_once_and_the_labels_of_the_newest() {
         assert_eq!(labels.mask_force[8 * N_FIELD + 3], 0, "unknown");
         assert_eq!(labels.mask_contact[8 * N_FIELD + 3], 1);
     }
+}
+
+#[test]
+fn a_mirrored_clip_shows_the_other_hand() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.zarr");
+    write_store(&path);
+    let preparation = Preparation {
+        side: SIDE,
+        resize: Default::default(),
+        filter: Default::default(),
+        mean: IMAGENET_MEAN,
+        std: IMAGENET_STD,
+    };
+    let collate = Collate {
+        horizon: 2,
+        predict: 1,
+        frame_dt: 0.2,
+        force_scale: 2.0,
+        augment: Augment { mirror: 1.0, ..Augment::none() },
+        seed: 1,
+    };
+    let clips = [Clip { store: 0, episode: 4..12, newest: vec![9] }];
+    let batch = |mirror: bool| {
+        let source = Source { stores: vec![path.clone()], quota: 0.0, mirror };
+        Dataset::open(&[source], preparation.clone(), true).unwrap().batch(&collate, 0, &clips).unwrap()
+    };
+    let (plain, mirrored) = (batch(false), batch(true));
+    // The picture from right to left, row by row.
+    for (row, reversed) in plain.frames.chunks_exact(SIDE).zip(mirrored.frames.chunks_exact(SIDE)) {
+        assert!(row.iter().eq(reversed.iter().rev()));
+    }
+    assert_ne!(plain.frames, mirrored.frames);
+    // The two hands' blocks, index for index.
+    for (plain, mirrored) in [
+        (&plain.force, &mirrored.force),
+        (&plain.contact, &mirrored.contact),
+        (&plain.mask_force, &mirrored.mask_force),
+        (&plain.mask_contact, &mirrored.mask_contact),
+    ] {
+        let (left, right) = plain.split_at(N_FIELD / 2);
+        assert!(mirrored.iter().eq(right.iter().chain(left)));
+    }
+    assert_eq!((plain.force[9], mirrored.force[9 + N_FIELD / 2]), (4.5, 4.5));
 }

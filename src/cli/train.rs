@@ -94,16 +94,18 @@ impl Pace {
     fn describe(&mut self, step: &Step) -> String {
         const KEEP: f64 = 0.98;
         self.loss =
-            Some(self.loss.map_or(f64::from(step.loss), |loss| KEEP * loss + (1.0 - KEEP) * f64::from(step.loss)));
+            Some(self.loss.map_or(f64::from(step.losses.total), |loss| {
+                KEEP * loss + (1.0 - KEEP) * f64::from(step.losses.total)
+            }));
         self.windows = KEEP * self.windows + step.windows as f64;
         self.secs = KEEP * self.secs + step.secs;
         self.wait_secs = KEEP * self.wait_secs + step.wait_secs;
         format!(
             "loss {:.4} (force {:.4}, contact {:.4}, active {:.4}), {:.0} windows/s, {:.0} % waiting for data",
             self.loss.unwrap_or_default(),
-            step.force,
-            step.contact,
-            step.active,
+            step.losses.force,
+            step.losses.contact,
+            step.losses.active,
             self.windows / self.secs.max(1e-9),
             100.0 * self.wait_secs / self.secs.max(1e-9)
         )

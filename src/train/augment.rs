@@ -17,17 +17,19 @@ pub struct Change {
     matrix: [[f32; 3]; 3],
     /// Added after the map.
     offset: f32,
+    /// Whether left and right are swapped after all that.
+    pub mirrored: bool,
 }
 
 impl Change {
     /// Leaves the image as it is.
     #[cfg(test)]
     pub fn identity() -> Self {
-        Self { left: 0.0, top: 0.0, scale: 1.0, matrix: mixing(1.0, 0.0, 1.0), offset: 0.0 }
+        Self { left: 0.0, top: 0.0, scale: 1.0, matrix: mixing(1.0, 0.0, 1.0), offset: 0.0, mirrored: false }
     }
 
-    /// Draws a change.
-    pub fn draw(config: &Augment, rng: &mut impl Rng) -> Self {
+    /// Draws a change; only what is `mirrorable` is ever mirrored.
+    pub fn draw(config: &Augment, mirrorable: bool, rng: &mut impl Rng) -> Self {
         let mut within = |half: f64| if half > 0.0 { rng.random_range(-half..=half) } else { 0.0 };
         let brightness = 1.0 + within(config.brightness);
         let contrast = 1.0 + within(config.contrast);
@@ -48,18 +50,23 @@ impl Change {
             matrix: mixing(brightness * contrast, hue, saturation),
             // Contrast turns about mid-grey.
             offset: (0.5 * (1.0 - contrast)) as f32,
+            mirrored: mirrorable && rng.random_bool(config.mirror),
         }
     }
 
     /// Where a place in the image, in shares of its sides, comes to lie.
     pub fn place(&self, [x, y]: [f32; 2]) -> [f32; 2] {
-        [(x - self.left) / self.scale, (y - self.top) / self.scale]
+        let x = (x - self.left) / self.scale;
+        [if self.mirrored { 1.0 - x } else { x }, (y - self.top) / self.scale]
     }
 
     /// Applies the change and normalises: `pixels` `(side, side, 3)` u8 to `out` `(3, side, side)`, bilinear, the edge
     /// repeated beyond the image.
     pub fn apply(&self, pixels: &[u8], side: usize, mean: [f32; 3], std: [f32; 3], out: &mut [f32]) {
-        let (columns, rows) = (taps(self.left, self.scale, side), taps(self.top, self.scale, side));
+        let (mut columns, rows) = (taps(self.left, self.scale, side), taps(self.top, self.scale, side));
+        if self.mirrored {
+            columns.reverse();
+        }
         let mut row = vec![[0f32; 3]; side];
         for (y, (top, bottom, below)) in rows.iter().enumerate() {
             let [upper, lower] = [top, bottom].map(|r| &pixels[r * side * 3..(r + 1) * side * 3]);
@@ -138,7 +145,7 @@ mod tests {
     fn no_change_gives_what_inference_sees() {
         let image = image::RgbImage::from_raw(SIDE as u32, SIDE as u32, picture()).unwrap();
         let expected = normalise(&image, IMAGENET_MEAN, IMAGENET_STD);
-        let drawn = Change::draw(&Augment::none(), &mut ChaCha8Rng::seed_from_u64(1));
+        let drawn = Change::draw(&Augment::none(), true, &mut ChaCha8Rng::seed_from_u64(1));
         for change in [Change::identity(), drawn] {
             let mut out = vec![0.0; expected.len()];
             change.apply(image.as_raw(), SIDE, IMAGENET_MEAN, IMAGENET_STD, &mut out);
@@ -179,6 +186,22 @@ mod tests {
     }
 
     #[test]
+    fn a_mirrored_picture_is_the_picture_from_right_to_left() {
+        let (plain, mirrored) = (Change::identity(), Change { mirrored: true, ..Change::identity() });
+        let (before, after) = (apply(&plain, &picture()), apply(&mirrored, &picture()));
+        for (row, reversed) in before.chunks_exact(SIDE).zip(after.chunks_exact(SIDE)) {
+            assert!(row.iter().eq(reversed.iter().rev()));
+        }
+        assert_eq!(mirrored.place([0.25, 0.75]), [0.75, 0.75]);
+        let drawn = |mirrorable| {
+            let mut rng = ChaCha8Rng::seed_from_u64(5);
+            (0..200).filter(|_| Change::draw(&Augment::default(), mirrorable, &mut rng).mirrored).count()
+        };
+        assert_eq!(drawn(false), 0);
+        assert!((70..130).contains(&drawn(true)), "{}", drawn(true));
+    }
+
+    #[test]
     fn grey_keeps_its_hue_and_a_third_of_a_turn_permutes_the_channels() {
         let turn = Change { matrix: mixing(1.0, 2.0 * std::f64::consts::PI / 3.0, 1.0), ..Change::identity() };
         assert!(apply(&turn, &[128; SIDE * SIDE * 3]).iter().all(|v| (v - 128.0 / 255.0).abs() < 1e-5));
@@ -190,7 +213,7 @@ mod tests {
 
     #[test]
     fn draws_depend_on_the_generator_alone() {
-        let draw = |seed| Change::draw(&Augment::default(), &mut ChaCha8Rng::seed_from_u64(seed));
+        let draw = |seed| Change::draw(&Augment::default(), true, &mut ChaCha8Rng::seed_from_u64(seed));
         assert_eq!(draw(3), draw(3));
         assert_ne!(draw(3), draw(4));
     }

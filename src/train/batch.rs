@@ -13,11 +13,13 @@ use super::config::Augment;
 use super::keypoints::{self, Points};
 use super::loss::Truth;
 use super::sampler::{self, Clip};
+use super::source::Source;
 use crate::dataset::EpisodeReader;
 use crate::dataset::zarr::{
-    CAMERA_EGO_RGB, FRAME_VALIDITY, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, TIMESTAMPS, ZarrReader,
+    self, CAMERA_EGO_RGB, FRAME_VALIDITY, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, TIMESTAMPS, ZarrReader,
 };
 use crate::error::{Error, Result};
+use crate::hand::N_VERTICES;
 use crate::image::{Preparation, resize};
 use crate::metrics::Fields;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Topology};
@@ -34,6 +36,10 @@ pub struct Dataset {
 
 #[derive(Debug)]
 struct Store {
+    /// Index of the source it belongs to.
+    source: usize,
+    /// Whether its images may be mirrored.
+    mirrorable: bool,
     reader: ZarrReader,
     timestamps: Vec<f64>,
     memory: Option<Block>,
@@ -109,14 +115,37 @@ impl Dataset {
     /// # Errors
     /// If there is none, or one can't be read.
     pub fn new(readers: Vec<ZarrReader>, preparation: Preparation, in_memory: bool) -> Result<Self> {
+        Self::of(readers.into_iter().map(|reader| (0, false, reader)).collect(), preparation, in_memory)
+    }
+
+    /// Opens the stores of several sources.
+    ///
+    /// # Errors
+    /// If one can't be opened or read, or two differ in topology.
+    pub fn open(sources: &[Source], preparation: Preparation, in_memory: bool) -> Result<Self> {
+        let mut readers: Vec<(usize, bool, ZarrReader)> = Vec::new();
+        for (index, source) in sources.iter().enumerate() {
+            for reader in zarr::open_all(&source.stores)? {
+                if let Some((_, _, first)) = readers.first() {
+                    let topology = reader.attributes().topology;
+                    let fits = first.attributes().topology.must_match(topology);
+                    fits.map_err(|error| Error::file(reader.path(), error))?;
+                }
+                readers.push((index, source.mirror, reader));
+            }
+        }
+        Self::of(readers, preparation, in_memory)
+    }
+
+    fn of(readers: Vec<(usize, bool, ZarrReader)>, preparation: Preparation, in_memory: bool) -> Result<Self> {
         if readers.is_empty() {
             return Err(Error::value("data", "at least one store", "none"));
         }
         let mut dataset = Self { stores: Vec::new(), preparation };
-        for reader in readers {
+        for (source, mirrorable, reader) in readers {
             let timestamps = reader.read(TIMESTAMPS, 0..reader.len())?.into_f64();
             check_timestamps(&reader, &timestamps)?;
-            dataset.stores.push(Store { reader, timestamps, memory: None, keypoints: None });
+            dataset.stores.push(Store { source, mirrorable, reader, timestamps, memory: None, keypoints: None });
         }
         if in_memory {
             for index in 0..dataset.stores.len() {
@@ -165,6 +194,11 @@ impl Dataset {
             starts.zip(ends).map(|(start, end)| (index, start..*end)).collect::<Vec<_>>()
         };
         self.stores.iter().enumerate().flat_map(of).collect()
+    }
+
+    /// Index of the source that a store belongs to.
+    pub fn source(&self, store: usize) -> usize {
+        self.stores[store].source
     }
 
     /// Seconds of every frame of a store.
@@ -323,7 +357,7 @@ impl Dataset {
             // Each clip of each step has a generator of its own, so that loading order is free.
             let mut rng = ChaCha8Rng::seed_from_u64(collate.seed ^ 0x6175_676d_656e_7400);
             rng.set_stream(((index as u64) << 16) | place as u64);
-            let change = Change::draw(&collate.augment, &mut rng);
+            let change = Change::draw(&collate.augment, self.stores[clip.store].mirrorable, &mut rng);
             let start = batch.frames.len();
             batch.frames.resize(start + needed.len() * pixels, 0.0);
             for (out, frame) in batch.frames[start..].chunks_exact_mut(pixels).zip(&needed) {
@@ -332,13 +366,16 @@ impl Dataset {
                 change.apply(&block.images[at..at + pixels], side, mean, std, out);
             }
             if let Some(points) = &self.stores[clip.store].keypoints {
-                batch.points.extend(needed.iter().map(|frame| points[*frame].map(|place| change.place(place))));
+                let seen = |points: Points| keypoints::seen(points, &change);
+                batch.points.extend(needed.iter().map(|frame| seen(points[*frame])));
             }
             for target in targets {
                 let Some(row) = rows.next() else { break };
                 let Some(target) = target else { continue };
                 let at = (target - first) * N_FIELD;
                 for (v, entry) in row.enumerate() {
+                    // In a mirrored picture the left hand is a right one, index for index.
+                    let v = if change.mirrored { (v + N_VERTICES) % N_FIELD } else { v };
                     // A masked label may be NaN, and NaN times zero is NaN.
                     if block.mask_force[at + v] == 1 {
                         batch.mask_force[entry] = 1.0;
@@ -371,12 +408,17 @@ pub struct Labels {
 }
 
 impl Batch {
+    /// Frames of `side` x `side` pixels in it.
+    pub fn n_frames(&self, side: usize) -> usize {
+        self.frames.len() / (3 * side * side)
+    }
+
     /// Images `(F, 3, side, side)`, window indices `(B T)` and truth on a device.
     ///
     /// # Errors
     /// If the device is out of memory.
     pub fn to_device(self, side: usize, predict: usize, device: &Device) -> Result<(Tensor, Tensor, Truth)> {
-        let frames = self.frames.len() / (3 * side * side);
+        let frames = self.n_frames(side);
         let truth_shape = (self.force.len() / (predict * N_FIELD), predict, N_FIELD);
         let field = |values: Vec<f32>| Tensor::from_vec(values, truth_shape, device);
         let truth = Truth {

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::source::Source;
 use crate::error::{Error, Result};
 use crate::model;
 
@@ -15,8 +16,11 @@ use crate::model;
 pub struct Config {
     /// Name that the checkpoint carries.
     pub name: String,
-    /// Stores to learn from, or folders of `*.zarr`.
-    pub data: Vec<PathBuf>,
+    /// Sources to learn from: stores, or folders of `*.zarr`.
+    pub data: Vec<Source>,
+    /// How sources are mixed.
+    #[serde(default)]
+    pub sampling: Sampling,
     /// Held-out stores to score on the way; may be empty.
     #[serde(default)]
     pub validation: Vec<PathBuf>,
@@ -63,6 +67,22 @@ pub struct Config {
     pub in_memory: bool,
 }
 
+/// How often each source is drawn from: p ~ n^temperature for a source of n windows (paper, Dataset sampling).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Sampling {
+    /// 1 = as large as they are, 0 = all alike.
+    pub temperature: f64,
+    /// Windows of an epoch; without it as many as there are frames.
+    pub epoch: Option<usize>,
+}
+
+impl Default for Sampling {
+    fn default() -> Self {
+        Self { temperature: 0.5, epoch: None }
+    }
+}
+
 /// A preset's name or a geometry.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
@@ -82,11 +102,13 @@ pub struct Batch {
     pub clips: usize,
     /// Windows per clip.
     pub windows: usize,
+    /// Batches whose mean gradient makes a step: more than fit into memory at once.
+    pub accumulate: usize,
 }
 
 impl Default for Batch {
     fn default() -> Self {
-        Self { clips: 4, windows: 12 }
+        Self { clips: 4, windows: 12, accumulate: 1 }
     }
 }
 
@@ -98,8 +120,8 @@ pub struct Optimizer {
     pub learning_rate: f64,
     /// Learning rate of the last step.
     pub final_learning_rate: f64,
-    /// Factor on the encoder's learning rate: below 1 where it starts from pretrained weights.
-    pub encoder_factor: f64,
+    /// Factor on the encoder's learning rate; without it 0.1 where it starts from trained weights (`init`), else 1.
+    pub encoder_factor: Option<f64>,
     /// Share of the steps in which the learning rate grows to its peak.
     pub warmup: f64,
     /// Decoupled weight decay, of matrices alone.
@@ -113,7 +135,7 @@ impl Default for Optimizer {
         Self {
             learning_rate: 1e-4,
             final_learning_rate: 1e-5,
-            encoder_factor: 1.0,
+            encoder_factor: None,
             warmup: 0.05,
             weight_decay: 1e-5,
             max_grad_norm: 5.0,
@@ -131,6 +153,8 @@ pub struct Loss {
     pub contact: f64,
     /// Of the Smooth-L1 error of the normalised force where the true force is above 0.05 N.
     pub active: f64,
+    /// Of the disagreement between force and contact.
+    pub consistency: f64,
     /// Of finding the hands' keypoints, which helps a network that starts at random; needs stores of the built-in hand
     /// that say where camera and hands are. The layers it trains are not saved.
     pub keypoints: f64,
@@ -140,7 +164,7 @@ pub struct Loss {
 
 impl Default for Loss {
     fn default() -> Self {
-        Self { force: 1.0, contact: 1.0, active: 0.2, keypoints: 0.0, positive_weight: 2.0 }
+        Self { force: 1.0, contact: 1.0, active: 0.2, consistency: 0.05, keypoints: 0.0, positive_weight: 2.0 }
     }
 }
 
@@ -162,6 +186,8 @@ pub struct Augment {
     pub view_scale: f64,
     /// How often the view is scaled.
     pub view_scale_probability: f64,
+    /// How often a clip of a source that allows it is mirrored.
+    pub mirror: f64,
 }
 
 impl Default for Augment {
@@ -174,6 +200,7 @@ impl Default for Augment {
             crop: 0.1,
             view_scale: 0.1,
             view_scale_probability: 0.8,
+            mirror: 0.5,
         }
     }
 }
@@ -189,6 +216,7 @@ impl Augment {
             crop: 0.0,
             view_scale: 0.0,
             view_scale_probability: 0.0,
+            mirror: 0.0,
         }
     }
 }
@@ -214,10 +242,13 @@ impl Config {
             ("steps", self.steps),
             ("batch.clips", self.batch.clips),
             ("batch.windows", self.batch.windows),
+            ("batch.accumulate", self.batch.accumulate),
             ("save_every", self.save_every),
             ("validate_every", self.validate_every),
             ("threads", self.threads),
             ("data", self.data.len()),
+            ("data.stores", self.data.iter().map(|source| source.stores.len()).min().unwrap_or(0)),
+            ("sampling.epoch", self.sampling.epoch.unwrap_or(1)),
         ];
         for (key, value) in at_least_one {
             if value == 0 {
@@ -230,13 +261,14 @@ impl Config {
             ("ema", self.ema, 0.0, 0.999_999),
             ("optimizer.learning_rate", o.learning_rate, 1e-9, 1.0),
             ("optimizer.final_learning_rate", o.final_learning_rate, 0.0, o.learning_rate),
-            ("optimizer.encoder_factor", o.encoder_factor, 0.0, 10.0),
+            ("optimizer.encoder_factor", self.encoder_factor(), 0.0, 10.0),
             ("optimizer.warmup", o.warmup, 0.0, 1.0),
             ("optimizer.weight_decay", o.weight_decay, 0.0, 1.0),
             ("optimizer.max_grad_norm", o.max_grad_norm, 1e-6, 1e6),
             ("loss.force", l.force, 0.0, 1e3),
             ("loss.contact", l.contact, 0.0, 1e3),
             ("loss.active", l.active, 0.0, 1e3),
+            ("loss.consistency", l.consistency, 0.0, 1e3),
             ("loss.keypoints", l.keypoints, 0.0, 1e3),
             ("loss.positive_weight", l.positive_weight, 1e-3, 1e3),
             ("augment.brightness", a.brightness, 0.0, 0.9),
@@ -246,17 +278,29 @@ impl Config {
             ("augment.crop", a.crop, 0.0, 0.9),
             ("augment.view_scale", a.view_scale, 0.0, 0.9),
             ("augment.view_scale_probability", a.view_scale_probability, 0.0, 1.0),
+            ("augment.mirror", a.mirror, 0.0, 1.0),
+            ("sampling.temperature", self.sampling.temperature, 0.0, 10.0),
         ];
         for (key, value, low, high) in ranges {
             if !(value >= low && value <= high) {
                 return Err(Error::value(key, format!("a number from {low} to {high}"), value));
             }
         }
+        for (i, source) in self.data.iter().enumerate() {
+            if !(0.0..=1.0).contains(&source.quota) {
+                return Err(Error::value(format!("data[{i}].quota"), "a share from 0 to 1", source.quota));
+            }
+        }
+        let quotas: f64 = self.data.iter().map(|source| source.quota).sum();
+        if quotas > 1.0 + 1e-9 {
+            return Err(Error::value("data, sum of quotas", "at most 1", quotas));
+        }
         if l.force + l.contact + l.active == 0.0 {
             return Err(Error::value("loss", "a weight above 0", "force, contact and active all 0"));
         }
         self.geometry()?;
-        for path in self.data.iter().chain(&self.validation).chain(&self.init) {
+        let stores = self.data.iter().flat_map(|source| &source.stores);
+        for path in stores.chain(&self.validation).chain(&self.init) {
             path.metadata().map_err(Error::io(path))?;
         }
         Ok(())
@@ -271,6 +315,11 @@ impl Config {
             Geometry::Preset(name) => model::Config::preset(name),
             Geometry::Explicit(config) => config.check().map(|()| config.clone()),
         }
+    }
+
+    /// Factor on the encoder's learning rate.
+    pub fn encoder_factor(&self) -> f64 {
+        self.optimizer.encoder_factor.unwrap_or(if self.init.is_some() { 0.1 } else { 1.0 })
     }
 
     /// Learning rate of step `step` of `steps`, counted from 0: linear warm-up, then half a cosine.
@@ -329,12 +378,34 @@ mod tests {
             ("frame_dt: .nan", "frame_dt"),
             ("optimizer: {final_learning_rate: 1}", "optimizer.final_learning_rate"),
             ("loss: {force: 0, contact: 0, active: 0}", "loss"),
+            ("loss: {consistency: -1}", "loss.consistency"),
+            ("sampling: {temperature: -0.5}", "sampling.temperature"),
+            ("sampling: {epoch: 0}", "sampling.epoch"),
+            ("batch: {accumulate: 0}", "batch.accumulate"),
+            ("augment: {mirror: 2}", "augment.mirror"),
             ("validation: [no/such/store]", "no/such/store"),
         ] {
             let error = parsed(&MINIMAL.replace('}', &format!(", {added}}}"))).unwrap_err();
             assert!(error.contains(names), "{added}: {error}");
         }
+        for (data, names) in [
+            ("{stores: [.], quota: 1.5}", "data[0].quota"),
+            ("{stores: [.], quota: 0.7}, {stores: [.], quota: 0.7}", "sum of quotas"),
+            ("{stores: []}", "data.stores"),
+            ("{stores: [.], mirrors: true}", "mirrors"),
+        ] {
+            let error = parsed(&MINIMAL.replace("data: [.]", &format!("data: [{data}]"))).unwrap_err();
+            assert!(error.contains(names), "{data}: {error}");
+        }
         assert!(parsed(&MINIMAL.replace("toy", "huge")).unwrap_err().contains("pocket"));
+    }
+
+    #[test]
+    fn a_trained_encoder_learns_at_a_tenth_unless_told_otherwise() {
+        let of = |added: &str| -> Config { serde_yaml::from_str(&MINIMAL.replace('}', added)).unwrap() };
+        assert_eq!(of("}").encoder_factor(), 1.0);
+        assert_eq!(of(", init: a.safetensors}").encoder_factor(), 0.1);
+        assert_eq!(of(", init: a.safetensors, optimizer: {encoder_factor: 0.5}}").encoder_factor(), 0.5);
     }
 
     #[test]

@@ -22,6 +22,7 @@ use crate::model::init::STD;
 use crate::model::{Config, ops};
 use crate::tactile::Topology;
 
+use super::augment::Change;
 use super::loss::masked_mean;
 
 /// Points per frame: the keypoints of the left hand, of the right hand, and the first object's origin.
@@ -78,6 +79,16 @@ pub fn read(reader: &ZarrReader, frames: Range<usize>, preparation: &Preparation
         points
     };
     Ok(frames.clone().enumerate().collect::<Vec<_>>().into_par_iter().map(of).collect())
+}
+
+/// Where the points lie in a changed picture; in a mirrored one the left hand is a right one.
+pub(super) fn seen(points: Points, change: &Change) -> Points {
+    let mut places = points.map(|place| change.place(place));
+    if change.mirrored {
+        let (left, rest) = places.split_at_mut(N_KEYPOINTS);
+        left.swap_with_slice(&mut rest[..N_KEYPOINTS]);
+    }
+    places
 }
 
 /// A pinhole camera somewhere in the world.

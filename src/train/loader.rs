@@ -5,7 +5,8 @@ use std::thread::Scope;
 
 use super::batch::{Batch, Collate, Dataset};
 use super::config::Config;
-use super::sampler::{self, Sampler};
+use super::mixture;
+use super::sampler::{self, Pool, Sampler};
 use crate::error::{Error, Result};
 
 /// Batches that each thread keeps ready.
@@ -19,22 +20,17 @@ pub struct Loader {
 
 impl Loader {
     /// Starts the threads of `config`; the first batch handed out is number `first` of the run.
+    ///
+    /// # Errors
+    /// If the sources can't be mixed as the configuration asks.
     pub fn start<'scope>(
         scope: &'scope Scope<'scope, '_>,
         data: &'scope Dataset,
         collate: &'scope Collate,
         config: &Config,
         first: usize,
-    ) -> Self {
-        let episodes = data
-            .episodes()
-            .into_iter()
-            .map(|(store, episode)| {
-                let stride = sampler::stride(data.timestamps(store), &episode, config.frame_dt);
-                (store, episode, stride)
-            })
-            .collect();
-        let sampler = Sampler::new(episodes, config.batch.windows, config.batch.clips, config.seed);
+    ) -> Result<Self> {
+        let sampler = Sampler::new(pools(data, config)?, config.batch.windows, config.batch.clips, config.seed);
         let receivers = (0..config.threads)
             .map(|thread| {
                 let (sender, receiver) = sync_channel(AHEAD);
@@ -50,7 +46,7 @@ impl Loader {
                 receiver
             })
             .collect();
-        Self { receivers, next: 0 }
+        Ok(Self { receivers, next: 0 })
     }
 
     /// The next batch.
@@ -62,4 +58,25 @@ impl Loader {
         self.next += 1;
         receiver.recv().map_err(|_| Error::value("loader", "a running thread", "one that died"))?
     }
+}
+
+/// What an epoch takes from each source of `config`.
+///
+/// # Errors
+/// As [`mixture::counts`].
+pub fn pools(data: &Dataset, config: &Config) -> Result<Vec<Pool>> {
+    let mut pools: Vec<Pool> = config.data.iter().map(|_| Pool { episodes: Vec::new(), count: 0 }).collect();
+    for (store, episode) in data.episodes() {
+        let stride = sampler::stride(data.timestamps(store), &episode, config.frame_dt);
+        pools[data.source(store)].episodes.push((store, episode, stride));
+    }
+    let size = |pool: &Pool| pool.episodes.iter().map(|(_, frames, _)| frames.len()).sum();
+    let sizes: Vec<usize> = pools.iter().map(size).collect();
+    let epoch = config.sampling.epoch.unwrap_or(sizes.iter().sum());
+    let quotas: Vec<usize> = config.data.iter().map(|source| (source.quota * epoch as f64) as usize).collect();
+    let counts = mixture::counts(&sizes, &quotas, epoch, config.sampling.temperature)?;
+    for (pool, count) in pools.iter_mut().zip(counts) {
+        pool.count = count;
+    }
+    Ok(pools)
 }

@@ -5,10 +5,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use super::Step;
+use super::pass::Losses;
 use crate::error::{Error, Result};
 use crate::file;
 
-const HEADER: &str = "step,loss,force,contact,active,keypoint_patch,keypoint_cls,keypoint_scene,learning_rate,grad_norm,windows,frames,secs,wait_secs";
+/// Columns after the step and the losses.
+const COLUMNS: &str = "learning_rate,grad_norm,windows,frames,secs,wait_secs";
 
 /// An open log.
 #[derive(Debug)]
@@ -28,7 +30,7 @@ impl Log {
             line.split(',').next().and_then(|text| text.parse::<usize>().ok()).is_some_and(|at| at <= step)
         };
         let kept: String = before.lines().filter(is_before).map(|line| format!("{line}\n")).collect();
-        file::write(path, format!("{HEADER}\n{kept}").as_bytes())?;
+        file::write(path, format!("step,{},{COLUMNS}\n{kept}", Losses::NAMES.join(",")).as_bytes())?;
         let file = OpenOptions::new().append(true).open(path).map_err(Error::io(path))?;
         Ok(Self { path: path.to_path_buf(), file })
     }
@@ -38,24 +40,11 @@ impl Log {
     /// # Errors
     /// If the file can't be written.
     pub fn push(&mut self, s: &Step) -> Result<()> {
-        let Step {
-            step,
-            loss,
-            force,
-            contact,
-            active,
-            keypoint_patch,
-            keypoint_cls,
-            keypoint_scene,
-            learning_rate,
-            grad_norm,
-            windows,
-            frames,
-            secs,
-            wait_secs,
-        } = s;
+        let Step { step, losses, learning_rate, grad_norm, windows, frames, secs, wait_secs } = s;
+        let losses: Vec<String> = losses.values().iter().map(|value| format!("{value:.6}")).collect();
         let line = format!(
-            "{step},{loss:.6},{force:.6},{contact:.6},{active:.6},{keypoint_patch:.6},{keypoint_cls:.6},{keypoint_scene:.6},{learning_rate:.3e},{grad_norm:.4},{windows},{frames},{secs:.4},{wait_secs:.4}\n"
+            "{step},{},{learning_rate:.3e},{grad_norm:.4},{windows},{frames},{secs:.4},{wait_secs:.4}\n",
+            losses.join(",")
         );
         self.file.write_all(line.as_bytes()).map_err(Error::io(&self.path))
     }

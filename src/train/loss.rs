@@ -30,7 +30,12 @@ pub struct Objective {
     pub contact: Tensor,
     /// L_A: Smooth-L1 error of the normalised force where the true force is above 0.05 N.
     pub active: Tensor,
+    /// L_cons: cross-entropy of (F_raw - 0.05 N) / 0.03 N as a logit against the predicted contact probability.
+    pub consistency: Tensor,
 }
+
+/// Force by which the logit of the consistency term grows by one, N.
+const CONSISTENCY_SCALE_N: f32 = 0.03;
 
 /// The objective of predicted `force` (normalised units) and `contact_logits`, `(B, K, 1556)` each.
 ///
@@ -50,9 +55,20 @@ pub fn objective(
     let l_active = masked_mean(&smooth_l1(&error)?, &mask_active)?;
     let cross_entropy = bce_with_logits(contact_logits, &truth.contact, weights.positive_weight)?;
     let l_contact = masked_mean(&cross_entropy, &truth.mask_contact)?;
+    let l_consistency = consistency(force, contact_logits, &truth.mask_contact, force_scale)?;
     let total = ((&l_force * weights.force)? + (&l_contact * weights.contact)?)?;
     let total = (total + (&l_active * weights.active)?)?;
-    Ok(Objective { total, force: l_force, contact: l_contact, active: l_active })
+    let total = (total + (&l_consistency * weights.consistency)?)?;
+    Ok(Objective { total, force: l_force, contact: l_contact, active: l_active, consistency: l_consistency })
+}
+
+/// Force must agree with contact where contact is supervised. The probability is a target and learns nothing from it.
+fn consistency(force: &Tensor, contact_logits: &Tensor, mask: &Tensor, force_scale: f32) -> Result<Tensor> {
+    let (scale, shift) = (force_scale / CONSISTENCY_SCALE_N, CONTACT_FORCE_N / CONSISTENCY_SCALE_N);
+    let logit = force.affine(scale.into(), -f64::from(shift))?;
+    // 1 / (1 + e^-x) = (1 + tanh(x/2)) / 2, which no x overflows.
+    let probability = (contact_logits.detach() * 0.5)?.tanh()?.affine(0.5, 0.5)?;
+    masked_mean(&bce_with_logits(&logit, &probability, 1.0)?, mask)
 }
 
 /// Mean of `values` where `mask` is 1; 0 where it is 0 everywhere (paper's epsilon in the denominator).
@@ -101,7 +117,8 @@ mod tests {
 
     #[test]
     fn each_part_has_its_analytic_value() {
-        let weights = Loss { force: 2.0, contact: 3.0, active: 5.0, keypoints: 0.0, positive_weight: 2.0 };
+        let weights =
+            Loss { force: 2.0, contact: 3.0, active: 5.0, consistency: 7.0, keypoints: 0.0, positive_weight: 2.0 };
         let (force, logits) = (tensor(&[0.5, 0.0, 0.0, 0.0]), tensor(&[0.0, 2.0, 7.0, -60.0]));
         let o = objective(&force, &logits, &truth(), 1.0, &weights).unwrap();
         let l_force = (0.25 + 0.25 + 9.0) / 3.0;
@@ -110,7 +127,12 @@ mod tests {
         assert!((value(&o.force) - l_force).abs() < 1e-5);
         assert!((value(&o.active) - l_active).abs() < 1e-5);
         assert!((value(&o.contact) - l_contact).abs() < 1e-4);
-        let total = 2.0 * l_force + 3.0 * l_contact + 5.0 * l_active;
+        // Logits of the forces 0.5, 0, 0 N; the third vertex is not supervised. Probabilities of the logits 0, 2, -60.
+        let entropy = |x: f64, p: f64| (1.0 + (-x).exp()).ln() * p + (1.0 + x.exp()).ln() * (1.0 - p);
+        let p = |x: f64| 1.0 / (1.0 + (-x).exp());
+        let l_consistency = (entropy(15.0, p(0.0)) + entropy(-5.0 / 3.0, p(2.0)) + entropy(-5.0 / 3.0, p(-60.0))) / 3.0;
+        assert!((value(&o.consistency) - l_consistency).abs() < 1e-4, "{} {l_consistency}", value(&o.consistency));
+        let total = 2.0 * l_force + 3.0 * l_contact + 5.0 * l_active + 7.0 * l_consistency;
         assert!((value(&o.total) - total).abs() < 1e-3);
     }
 
@@ -124,7 +146,9 @@ mod tests {
 
     #[test]
     fn gradients_agree_with_finite_differences_and_stop_at_masks() {
-        let weights = Loss { force: 1.0, contact: 1.0, active: 0.2, keypoints: 0.0, positive_weight: 2.0 };
+        // Consistency has a test of its own: its target moves with the logits, but has no gradient.
+        let weights =
+            Loss { force: 1.0, contact: 1.0, active: 0.2, consistency: 0.0, keypoints: 0.0, positive_weight: 2.0 };
         let start = [[0.4f32, 0.1, 1.2, 0.3], [-0.7, 0.6, 0.2, 1.1]];
         let total = |values: [[f32; 4]; 2]| {
             value(&objective(&tensor(&values[0]), &tensor(&values[1]), &truth(), 1.0, &weights).unwrap().total)
@@ -144,6 +168,57 @@ mod tests {
             let masked = if side == 0 { 3 } else { 2 };
             assert_eq!(grad[masked], 0.0);
         }
+    }
+
+    /// A loss of consistency alone and its gradients on forces and logits.
+    fn consistency_alone(force: &[f32], logits: &[f32], truth: &Truth) -> (f64, Vec<f32>, Option<Vec<f32>>) {
+        let weights =
+            Loss { force: 0.0, contact: 0.0, active: 0.0, consistency: 1.0, keypoints: 0.0, positive_weight: 2.0 };
+        let [force, logits] = [force, logits].map(|values| Var::from_tensor(&tensor(values)).unwrap());
+        let o = objective(force.as_tensor(), logits.as_tensor(), truth, 0.1, &weights).unwrap();
+        let grads = o.consistency.backward().unwrap();
+        let of = |var: &Var| grads.get(var).map(|grad| grad.flatten_all().unwrap().to_vec1::<f32>().unwrap());
+        (value(&o.total), of(&force).unwrap(), of(&logits))
+    }
+
+    #[test]
+    fn consistency_moves_the_force_alone_and_only_where_contact_is_known() {
+        let (force, logits) = ([0.4f32, 0.1, 1.2, 0.3], [-0.7, 0.6, 0.2, 1.1]);
+        let (_, grad, on_logits) = consistency_alone(&force, &logits, &truth());
+        for entry in 0..4 {
+            let moved = [1e-2, -1e-2].map(|by| {
+                let mut force = force;
+                force[entry] += by;
+                consistency_alone(&force, &logits, &truth()).0
+            });
+            let difference = (moved[0] - moved[1]) / 2e-2;
+            assert!((f64::from(grad[entry]) - difference).abs() < 1e-3, "{entry}: {grad:?} {difference}");
+        }
+        assert_eq!(grad[2], 0.0, "its contact is masked");
+        assert!(on_logits.is_none_or(|grad| grad.iter().all(|g| *g == 0.0)), "the probability is a target");
+    }
+
+    #[test]
+    fn a_sample_with_contact_alone_reaches_the_force_head_through_consistency_alone() {
+        let truth = Truth { mask_force: tensor(&[0.0; 4]), ..truth() };
+        let (force, logits) = ([0.4f32, 0.1, 1.2, 0.3], [-0.7, 0.6, 0.2, 1.1]);
+        let grad = |weights: &Loss| {
+            let var = Var::from_tensor(&tensor(&force)).unwrap();
+            let o = objective(var.as_tensor(), &tensor(&logits), &truth, 0.1, weights).unwrap();
+            o.total.backward().unwrap().get(&var).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap()
+        };
+        assert_eq!(grad(&Loss { consistency: 0.0, ..Loss::default() }), [0.0; 4]);
+        let alone = consistency_alone(&force, &logits, &truth).1;
+        let scaled: Vec<f32> = alone.iter().map(|g| 0.05 * g).collect();
+        for (all, alone) in grad(&Loss::default()).iter().zip(scaled) {
+            assert!((all - alone).abs() < 1e-7, "{all} {alone}");
+        }
+    }
+
+    #[test]
+    fn consistency_of_huge_numbers_is_finite() {
+        let (total, grad, _) = consistency_alone(&[1e6, -1e6, 0.0, 1e6], &[-200.0, 200.0, 0.0, 1e30], &truth());
+        assert!(total.is_finite() && grad.iter().all(|g| g.is_finite()), "{total} {grad:?}");
     }
 
     #[test]

@@ -12,15 +12,18 @@ pub mod keypoints;
 mod loader;
 mod log;
 pub mod loss;
+pub mod mixture;
 pub mod optimizer;
+mod pass;
 mod predict;
 pub mod sampler;
+pub mod source;
 pub mod start;
 
 use std::path::PathBuf;
 use std::time::Instant;
 
-use candle_core::{Device, Tensor};
+use candle_core::Device;
 use candle_nn::VarMap;
 
 use crate::dataset::zarr;
@@ -32,8 +35,8 @@ use crate::model::{self, Checkpoint, EgoTac, Metadata, init};
 use batch::{Collate, Dataset, Labels};
 pub use config::Config;
 use loader::Loader;
-use loss::objective;
 use optimizer::AdamW;
+use pass::{Losses, Pass};
 pub use predict::predict;
 
 /// Steps in a row whose gradient may be not finite before the run gives up.
@@ -83,20 +86,8 @@ pub struct Started {
 pub struct Step {
     /// Steps taken, this one included.
     pub step: usize,
-    /// Weighted objective.
-    pub loss: f32,
-    /// L_F, normalised units squared.
-    pub force: f32,
-    /// L_C.
-    pub contact: f32,
-    /// L_A, normalised units.
-    pub active: f32,
-    /// Cross-entropy of the keypoints' patches; 0 if its weight is.
-    pub keypoint_patch: f32,
-    /// Error of the keypoints' coordinates by the CLS token, shares of the picture's side; 0 as above.
-    pub keypoint_cls: f32,
-    /// Error of the keypoints' coordinates by the scene vector; 0 as above.
-    pub keypoint_scene: f32,
+    /// The objective and its parts.
+    pub losses: Losses,
     /// Of the step.
     pub learning_rate: f64,
     /// Norm of the gradient before clipping; not finite = the step changed nothing.
@@ -149,7 +140,7 @@ pub fn train(
     // Data.
     let mut metadata = Metadata::new(&config.name, 1.0, config.frame_dt);
     let preparation = metadata.preparation(&geometry);
-    let mut data = Dataset::new(zarr::open_all(&config.data)?, preparation.clone(), config.in_memory)?;
+    let mut data = Dataset::open(&config.data, preparation.clone(), config.in_memory)?;
     let validation = match config.validation.is_empty() {
         true => None,
         false => {
@@ -232,34 +223,34 @@ pub fn train(
     };
 
     std::thread::scope(|scope| {
-        let mut loader = Loader::start(scope, &data, &collate, config, first);
+        let mut loader = Loader::start(scope, &data, &collate, config, first * config.batch.accumulate)?;
+        let pass = Pass {
+            network: &network,
+            keypoint_heads: keypoint_heads.as_ref(),
+            geometry: &geometry,
+            force_scale: metadata.force_scale,
+            weights: &config.loss,
+            device,
+        };
         let (mut step, mut broken, mut broken_in_a_row) = (first, 0, 0);
         let mut report = None;
         let mut began = Instant::now();
         while step < config.steps && !stop {
-            let mut batch = loader.next()?;
-            let wait_secs = began.elapsed().as_secs_f64();
-            let points = std::mem::take(&mut batch.points);
-            let newest = newest_points(&batch, &points, geometry.horizon);
-            let (images, windows, truth) = batch.to_device(geometry.image, geometry.predict, device)?;
-
-            // Each frame is encoded once; the windows share its tokens, and its gradient gathers from all of them.
-            let tokens = network.encode(&images)?; // (F, P, dv)
-            let projected = network.project(&tokens)?; // (F, P, d)
-            let (frames, p, d) = projected.dims3()?;
-            let clips = projected.index_select(&windows, 0)?.reshape(((), geometry.horizon, p, d))?;
-            let z = network.fuse(&clips)?;
-            let (force, contact_logits) = network.heads(&z)?;
-            let keypoints = match &keypoint_heads {
-                Some(heads) => Some(heads.loss(&tokens, &points, &z, &newest)?),
-                None => None,
-            };
-            let objective = objective(&force, &contact_logits, &truth, metadata.force_scale, &config.loss)?;
-            let total = match &keypoints {
-                Some(keypoints) => (&objective.total + (&keypoints.total * config.loss.keypoints)?)?,
-                None => objective.total.clone(),
-            };
-            let gradients = total.backward()?;
+            // The mean gradient of all batches of the step.
+            let mut wait_secs = 0.0;
+            let (mut gradients, mut losses, mut windows, mut frames) = (None, Losses::default(), 0, 0);
+            let share = 1.0 / config.batch.accumulate as f64;
+            for _ in 0..config.batch.accumulate {
+                let waiting = Instant::now();
+                let batch = loader.next()?;
+                wait_secs += waiting.elapsed().as_secs_f64();
+                frames += batch.n_frames(geometry.image);
+                windows += batch.windows.len() / geometry.horizon;
+                let one = pass.run(batch, share)?;
+                losses.add(&one.losses, share as f32);
+                optimizer.gather(&mut gradients, one.gradients)?;
+            }
+            let Some(gradients) = gradients else { break };
             let learning_rate = config.learning_rate(step);
             let grad_norm = optimizer.step(&gradients, learning_rate)?;
 
@@ -270,19 +261,12 @@ pub fn train(
                 let expected = "a finite number; a lower learning rate may help";
                 return Err(Error::value(format!("gradient at step {step}"), expected, grad_norm));
             }
-            let scalar = |tensor: &Tensor| tensor.to_scalar::<f32>();
             let taken = Step {
                 step,
-                loss: scalar(&total)?,
-                force: scalar(&objective.force)?,
-                contact: scalar(&objective.contact)?,
-                active: scalar(&objective.active)?,
-                keypoint_patch: keypoints.as_ref().map_or(Ok(0.0), |loss| scalar(&loss.patch))?,
-                keypoint_cls: keypoints.as_ref().map_or(Ok(0.0), |loss| scalar(&loss.cls))?,
-                keypoint_scene: keypoints.as_ref().map_or(Ok(0.0), |loss| scalar(&loss.scene))?,
+                losses,
                 learning_rate,
                 grad_norm,
-                windows: force.dim(0)?,
+                windows,
                 frames,
                 secs: began.elapsed().as_secs_f64(),
                 wait_secs,
@@ -315,12 +299,6 @@ pub fn train(
             broken_steps: broken,
         })
     })
-}
-
-/// Keypoints in the newest frame of each window.
-fn newest_points(batch: &batch::Batch, points: &[keypoints::Points], horizon: usize) -> Vec<keypoints::Points> {
-    let newest = batch.windows.chunks_exact(horizon).map(|window| window[horizon - 1] as usize);
-    newest.filter_map(|frame| points.get(frame).copied()).collect()
 }
 
 impl Labels {

@@ -19,6 +19,7 @@ const EPS: f32 = 1e-8;
 pub struct AdamW {
     params: Vec<Param>, // by name
     config: Optimizer,
+    encoder_factor: f64,
     ema: f32,
     steps: usize,
 }
@@ -57,7 +58,13 @@ impl AdamW {
             let zeros = vec![0.0; average.len()];
             params.push(Param { name, var, moment1: zeros.clone(), moment2: zeros, average });
         }
-        Ok(Self { params, config: config.optimizer, ema: config.ema as f32, steps: 0 })
+        Ok(Self {
+            params,
+            config: config.optimizer,
+            encoder_factor: config.encoder_factor(),
+            ema: config.ema as f32,
+            steps: 0,
+        })
     }
 
     /// Steps taken.
@@ -74,6 +81,28 @@ impl AdamW {
     pub fn restore(&mut self, steps: usize, mut state: impl FnMut(&mut Param) -> Result<()>) -> Result<()> {
         self.params.iter_mut().try_for_each(&mut state)?;
         self.steps = steps;
+        Ok(())
+    }
+
+    /// Adds the gradients of one more batch to those gathered before.
+    ///
+    /// # Errors
+    /// If the device is out of memory.
+    pub fn gather(&self, gathered: &mut Option<GradStore>, mut more: GradStore) -> Result<()> {
+        let Some(sum) = gathered else {
+            *gathered = Some(more);
+            return Ok(());
+        };
+        for param in &self.params {
+            let var = param.var.as_tensor();
+            if let Some(new) = more.remove(var) {
+                let both = match sum.get(var) {
+                    Some(old) => (old + new)?,
+                    None => new,
+                };
+                sum.insert(var, both);
+            }
+        }
         Ok(())
     }
 
@@ -104,10 +133,10 @@ impl AdamW {
         let correction2 = 1.0 - BETA2.powi(self.steps as i32);
         // Early on the average follows closely, so that it forgets the random start.
         let decay = self.ema.min((1.0 + self.steps as f32) / (10.0 + self.steps as f32));
-        let Self { params, config, .. } = self;
+        let Self { params, config, encoder_factor, .. } = self;
         params.par_iter_mut().zip(&gradients).try_for_each(|(param, grad)| -> Result<()> {
             let encoder = param.name.starts_with("encoder.");
-            let rate = (learning_rate * if encoder { config.encoder_factor } else { 1.0 }) as f32;
+            let rate = (learning_rate * if encoder { *encoder_factor } else { 1.0 }) as f32;
             let decays = param.var.rank() >= 2;
             let shrink = 1.0 - if decays { rate * config.weight_decay as f32 } else { 0.0 };
             let mut weights = host(param.var.as_tensor())?;

@@ -82,10 +82,51 @@ fn cut(
     }
 }
 
+/// What an epoch takes from one source.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Pool {
+    /// Store, frames and stride of each episode.
+    pub episodes: Vec<(usize, Range<usize>, usize)>,
+    /// Windows of an epoch, exactly: fewer than there are frames, or some of them more than once.
+    pub count: usize,
+}
+
+impl Pool {
+    /// Every frame once.
+    pub fn whole(episodes: Vec<(usize, Range<usize>, usize)>) -> Self {
+        let count = episodes.iter().map(|(_, frames, _)| frames.len()).sum();
+        Self { episodes, count }
+    }
+
+    /// The clips of an epoch, in random order.
+    fn draw(&self, windows: usize, rng: &mut ChaCha8Rng) -> Vec<Clip> {
+        let (mut drawn, mut left) = (Vec::new(), self.count);
+        while left > 0 {
+            let mut clips = Vec::new();
+            for (store, episode, stride) in &self.episodes {
+                cut(*store, episode, *stride, windows, rng, &mut clips);
+            }
+            clips.shuffle(rng);
+            if clips.is_empty() {
+                break;
+            }
+            for mut clip in clips {
+                clip.newest.truncate(left);
+                left -= clip.newest.len();
+                drawn.push(clip);
+                if left == 0 {
+                    break;
+                }
+            }
+        }
+        drawn
+    }
+}
+
 /// An endless sequence of batches of clips, a function of the seed alone: skipping `n` batches is how a run resumes.
 #[derive(Debug, Clone)]
 pub struct Sampler {
-    episodes: Vec<(usize, Range<usize>, usize)>, // store, frames, stride
+    pools: Vec<Pool>,
     windows: usize,
     clips_per_batch: usize,
     seed: u64,
@@ -94,9 +135,9 @@ pub struct Sampler {
 }
 
 impl Sampler {
-    /// Samples from `episodes`: (store, frames, stride) each.
-    pub fn new(episodes: Vec<(usize, Range<usize>, usize)>, windows: usize, clips_per_batch: usize, seed: u64) -> Self {
-        Self { episodes, windows, clips_per_batch, seed, epoch: 0, left: Vec::new() }
+    /// Samples from the pools of all sources.
+    pub fn new(pools: Vec<Pool>, windows: usize, clips_per_batch: usize, seed: u64) -> Self {
+        Self { pools, windows, clips_per_batch, seed, epoch: 0, left: Vec::new() }
     }
 
     /// Epochs begun.
@@ -107,11 +148,10 @@ impl Sampler {
     fn begin_epoch(&mut self) {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(self.epoch);
-        let mut clips = Vec::new();
-        for (store, episode, stride) in &self.episodes {
-            cut(*store, episode, *stride, self.windows, &mut rng, &mut clips);
+        let mut clips: Vec<Clip> = self.pools.iter().flat_map(|pool| pool.draw(self.windows, &mut rng)).collect();
+        if self.pools.len() > 1 {
+            clips.shuffle(&mut rng);
         }
-        clips.shuffle(&mut rng);
         self.left = clips;
         self.epoch += 1;
     }
@@ -155,7 +195,7 @@ mod tests {
 
     #[test]
     fn every_frame_is_the_newest_of_one_window_per_epoch() {
-        let mut sampler = Sampler::new(vec![(0, 0..50, 3), (1, 5..7, 3), (1, 7..30, 1)], 4, 5, 9);
+        let mut sampler = Sampler::new(vec![Pool::whole(vec![(0, 0..50, 3), (1, 5..7, 3), (1, 7..30, 1)])], 4, 5, 9);
         let mut seen = Vec::new();
         while sampler.epoch() < 2 {
             let batch = sampler.next().unwrap();
@@ -171,8 +211,27 @@ mod tests {
     }
 
     #[test]
+    fn an_epoch_holds_exactly_what_each_pool_is_to_give() {
+        let pool = |store, frames: usize, count| Pool { episodes: vec![(store, 0..frames, 2)], count };
+        let mut sampler = Sampler::new(vec![pool(0, 100, 37), pool(1, 20, 53), pool(2, 9, 0)], 4, 5, 3);
+        for epoch in 1..=3 {
+            let mut taken = [Vec::new(), Vec::new(), Vec::new()];
+            while taken.iter().map(Vec::len).sum::<usize>() < 90 {
+                for clip in sampler.next().unwrap() {
+                    taken[clip.store].extend(clip.newest);
+                }
+            }
+            assert_eq!((sampler.epoch(), taken.each_ref().map(Vec::len)), (epoch, [37, 53, 0]));
+            // Of the large one no frame twice; of the small one each twice, and 13 a third time.
+            let times = |store: usize, frame: usize| taken[store].iter().filter(|f| **f == frame).count();
+            assert!((0..100).all(|frame| times(0, frame) <= 1));
+            assert!((0..20).all(|frame| (2..=3).contains(&times(1, frame))));
+        }
+    }
+
+    #[test]
     fn batches_depend_on_the_seed_alone() {
-        let make = |seed| Sampler::new(vec![(0, 0..200, 2)], 4, 5, seed);
+        let make = |seed| Sampler::new(vec![Pool::whole(vec![(0, 0..200, 2)])], 4, 5, seed);
         let batches: Vec<_> = make(1).take(40).collect();
         assert_eq!(batches[17..], make(1).skip(17).take(23).collect::<Vec<_>>());
         assert_ne!(batches, make(2).take(40).collect::<Vec<_>>());

@@ -1,0 +1,89 @@
+//! A source of training data: stores that are drawn from together.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use serde::de::{self, MapAccess, Visitor, value::MapAccessDeserializer};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Stores that look alike and are labelled alike; in YAML a path, or `{ stores: [..], quota: .., mirror: .. }`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Source {
+    /// Stores, or folders of `*.zarr`.
+    pub stores: Vec<PathBuf>,
+    /// Share of each epoch that it gets at least, 0 to 1.
+    pub quota: f64,
+    /// Whether its images may be mirrored, which swaps the two hands.
+    pub mirror: bool,
+}
+
+/// The long form.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Written {
+    stores: Vec<PathBuf>,
+    #[serde(default)]
+    quota: f64,
+    #[serde(default)]
+    mirror: bool,
+}
+
+impl Source {
+    /// One store, drawn from by its size alone.
+    pub fn path(path: impl Into<PathBuf>) -> Self {
+        Self { stores: vec![path.into()], quota: 0.0, mirror: false }
+    }
+}
+
+impl<'de> Deserialize<'de> for Source {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct PathOrMap;
+        impl<'de> Visitor<'de> for PathOrMap {
+            type Value = Source;
+
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                write!(f, "a path, or a map of stores, quota and mirror")
+            }
+
+            fn visit_str<E: de::Error>(self, path: &str) -> Result<Source, E> {
+                Ok(Source::path(path))
+            }
+
+            fn visit_map<M: MapAccess<'de>>(self, map: M) -> Result<Source, M::Error> {
+                let Written { stores, quota, mirror } = Written::deserialize(MapAccessDeserializer::new(map))?;
+                Ok(Source { stores, quota, mirror })
+            }
+        }
+        deserializer.deserialize_any(PathOrMap)
+    }
+}
+
+impl Serialize for Source {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self { stores, quota, mirror: false } if stores.len() == 1 && *quota == 0.0 => {
+                stores[0].serialize(serializer)
+            }
+            Self { stores, quota, mirror } => {
+                Written { stores: stores.clone(), quota: *quota, mirror: *mirror }.serialize(serializer)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_source_is_a_path_or_a_map_and_is_written_as_it_was_read() {
+        let text = "- a.zarr\n- stores:\n  - b.zarr\n  - c.zarr\n  quota: 0.2\n  mirror: true\n";
+        let sources: Vec<Source> = serde_yaml::from_str(text).unwrap();
+        let long = Source { stores: vec!["b.zarr".into(), "c.zarr".into()], quota: 0.2, mirror: true };
+        assert_eq!(sources, [Source::path("a.zarr"), long]);
+        assert_eq!(serde_yaml::to_string(&sources).unwrap(), text);
+        let error = |text: &str| serde_yaml::from_str::<Source>(text).unwrap_err().to_string();
+        assert!(error("{stores: [a], quotum: 3}").contains("quotum"));
+        assert!(error("3").contains("a path, or a map of stores"));
+    }
+}
