@@ -15,7 +15,7 @@ pub struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum Subject {
     /// What the network costs: latency and memory by preset, precision and threads, beside accuracy.
-    Model(model::Args),
+    Model(Box<model::Args>),
     /// What accuracy costs in simulation: errors against fine references, times, a Pareto plot.
     Sim(Sim),
     /// What each scene simulates, and what each effect costs in it.
