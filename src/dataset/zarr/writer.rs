@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::thread::JoinHandle;
 
 use serde_json::{Map, Value, json};
 use tempfile::TempDir;
@@ -32,6 +33,8 @@ pub enum Contact {
 /// Writes one store; it appears under its name when [`ZarrWriter::finish`] returns, complete or not at all.
 #[derive(Debug)]
 pub struct ZarrWriter {
+    // Before the folder: what is still being written ends before the folder is removed.
+    columns: Vec<Column>,
     path: PathBuf,
     // Removed on drop; the store inside is renamed on finish.
     folder: TempDir,
@@ -43,7 +46,6 @@ pub struct ZarrWriter {
     extra: Vec<ArraySpec>,
     // Known from the first frame on.
     image_size: Option<(u32, u32)>,
-    columns: Vec<Column>,
     n_frames: usize,
     episode_ends: Vec<i64>,
 }
@@ -69,6 +71,7 @@ impl ZarrWriter {
         fs::create_dir(&root).map_err(Error::io(&root))?;
         let store = FilesystemStore::new(&root).map_err(|e| Error::file(&root, e))?;
         let writer = Self {
+            columns: Vec::new(),
             path: path.to_path_buf(),
             folder,
             root,
@@ -78,7 +81,6 @@ impl ZarrWriter {
             contact,
             extra,
             image_size: None,
-            columns: Vec::new(),
             n_frames: 0,
             episode_ends: Vec::new(),
         };
@@ -149,12 +151,16 @@ impl ZarrWriter {
         for column in &mut self.columns {
             column.finish(&self.store, &self.root, &self.path)?;
         }
+        for column in &mut self.columns {
+            column.writing.wait(&self.path)?;
+        }
         let mut ends = Column::new(ArraySpec::new(EPISODE_ENDS, [], Dtype::I64));
         ends.compressed = false;
         for end in &self.episode_ends {
             ends.push(Values::I64(vec![*end]), &self.store, &self.path)?;
         }
         ends.finish(&self.store, &self.root, &self.path)?;
+        ends.writing.wait(&self.path)?;
 
         let mut attributes = match serde_json::to_value(&self.attributes) {
             Ok(Value::Object(map)) => map,
@@ -235,12 +241,41 @@ struct Column {
     buffer: Vec<u8>,
     n_frames: usize,
     n_chunks: usize,
+    writing: Background,
+}
+
+/// A chunk on its way to the disk, on a thread of its own: the next frames need not wait for its compression.
+#[derive(Debug, Default)]
+struct Background(Option<JoinHandle<Result<()>>>);
+
+impl Background {
+    fn wait(&mut self, path: &Path) -> Result<()> {
+        let died = |_| Err(Error::file(path, "the thread that wrote a chunk died"));
+        self.0.take().map_or(Ok(()), |thread| thread.join().unwrap_or_else(died))
+    }
+}
+
+impl Drop for Background {
+    fn drop(&mut self) {
+        // An abandoned store: whether its chunk could be written does not matter.
+        if let Some(thread) = self.0.take() {
+            let _ = thread.join();
+        }
+    }
 }
 
 impl Column {
     fn new(spec: ArraySpec) -> Self {
         let chunk_len = CHUNK_BYTES.div_ceil(frame_bytes(&spec)).max(1);
-        Self { spec, compressed: true, chunk_len, buffer: Vec::new(), n_frames: 0, n_chunks: 0 }
+        Self {
+            spec,
+            compressed: true,
+            chunk_len,
+            buffer: Vec::new(),
+            n_frames: 0,
+            n_chunks: 0,
+            writing: Background::default(),
+        }
     }
 
     fn check(&self, values: Option<&Values>, path: &Path) -> Result<()> {
@@ -284,7 +319,9 @@ impl Column {
         write_json(&file, &self.metadata(self.n_frames))
     }
 
+    /// Begins to write the open chunk, when the one before is written; at most one of each array is under way.
     fn flush(&mut self, store: &Arc<FilesystemStore>, path: &Path) -> Result<()> {
+        self.writing.wait(path)?;
         let fail = |error: &dyn std::fmt::Display| Error::file(path, format!("{}: {error}", self.spec.name));
         let shape = (self.n_chunks + 1) * self.chunk_len;
         let metadata: ArrayMetadataV2 = serde_json::from_value(self.metadata(shape)).map_err(|e| fail(&e))?;
@@ -293,8 +330,12 @@ impl Column {
             Array::new_with_metadata(store.clone(), &name, ArrayMetadata::V2(metadata)).map_err(|e| fail(&e))?;
         let mut chunk = vec![0; 1 + self.spec.item.len()];
         chunk[0] = self.n_chunks as u64;
-        let bytes = ArrayBytes::new_flen(std::mem::take(&mut self.buffer));
-        array.store_chunk(&chunk, bytes).map_err(|e| fail(&e))?;
+        let bytes = std::mem::take(&mut self.buffer);
+        let path = path.to_path_buf();
+        self.writing = Background(Some(std::thread::spawn(move || {
+            let written = array.store_chunk(&chunk, ArrayBytes::new_flen(bytes));
+            written.map_err(|error| Error::file(&path, format!("{name}: {error}")))
+        })));
         self.n_chunks += 1;
         Ok(())
     }
