@@ -125,6 +125,16 @@ fn no_number_enters_that_is_none() {
 }
 
 #[test]
+fn networks_at_the_edge_of_numbers() {
+    family(Family::Network);
+}
+
+#[test]
+fn training_on_what_is_no_number() {
+    family(Family::Training);
+}
+
+#[test]
 fn names_are_unique_and_everything_is_said() {
     let cases = registry();
     let names: std::collections::BTreeSet<_> = cases.iter().map(|case| case.name).collect();

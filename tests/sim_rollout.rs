@@ -8,7 +8,7 @@ use egotac::dataset::zarr::ZarrReader;
 use egotac::hand::{HandModel, N_JOINTS, N_VERTICES, Side};
 use egotac::mujoco::{PhysicsOptions, World};
 use egotac::sim::guard::Guard;
-use egotac::sim::{Generate, Rollout, RolloutOptions, Scene, generate, record};
+use egotac::sim::{Generate, Progress, Rollout, RolloutOptions, Scene, generate, record};
 use egotac::tactile::{Topology, Validity};
 
 fn blind() -> RolloutOptions {
@@ -107,8 +107,8 @@ fn a_set_is_its_episodes_in_order_and_keeps_finished_parts() {
 
     // What an interruption after the first episode leaves.
     let left = folder.path().join("left");
-    let keep = |done: usize, _| {
-        if done == 1 {
+    let keep = |at| {
+        if at == Progress::Episodes(1, 3) {
             copy_folder(&parts, &left)
         }
     };
@@ -118,7 +118,7 @@ fn a_set_is_its_episodes_in_order_and_keeps_finished_parts() {
     let ends = set.episode_ends().to_vec();
     assert_eq!((ends.len(), ends[2]), (3, summary.frames));
     same_frames(&set, ends[0], &ZarrReader::open(&alone).unwrap());
-    assert!(generate(&plan, &store, |_, _| ()).unwrap_err().to_string().contains("exists already"));
+    assert!(generate(&plan, &store, |_| ()).unwrap_err().to_string().contains("exists already"));
 
     // The same call goes on from there. Its first part is exchanged here, to see that it is taken and not made again.
     std::fs::rename(&left, &parts).unwrap();
@@ -130,13 +130,13 @@ fn a_set_is_its_episodes_in_order_and_keeps_finished_parts() {
     let again = folder.path().join("again");
     let moved = folder.path().join("again.parts");
     std::fs::rename(&parts, &moved).unwrap();
-    generate(&plan, &again, |_, _| ()).unwrap();
+    generate(&plan, &again, |_| ()).unwrap();
     same_frames(&ZarrReader::open(&again).unwrap(), 0, &ZarrReader::open(&alone).unwrap());
 
     // Parts of another plan are not taken for ours.
     copy_folder(&alone, &folder.path().join("third.parts"));
     std::fs::write(folder.path().join("third.parts/plan"), "another").unwrap();
-    let error = generate(&plan, &folder.path().join("third"), |_, _| ()).unwrap_err().to_string();
+    let error = generate(&plan, &folder.path().join("third"), |_| ()).unwrap_err().to_string();
     assert!(error.contains("other scenes, seeds or options"), "{error}");
 }
 
@@ -244,7 +244,7 @@ fn scenes_with_and_without_objects_go_into_one_store() {
     let empty = Scene::parse("empty", Path::new("empty.yaml"), text).unwrap();
     for scenes in [vec![empty.clone()], vec![Scene::load("hover").unwrap(), empty]] {
         let plan = Generate { scenes, episodes: 2, seed: 0, options: small(), jobs: 1 };
-        generate(&plan, &path, |_, _| ()).unwrap();
+        generate(&plan, &path, |_| ()).unwrap();
         assert_eq!(ZarrReader::open(&path).unwrap().episode_ends().len(), 2);
         std::fs::remove_dir_all(&path).unwrap();
     }

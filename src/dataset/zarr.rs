@@ -15,11 +15,16 @@
 //! A producer may add arrays of its own, declared when the store is created. Chunks split the time axis alone and hold
 //! about 2 MB; chunks equal to the fill value are not written, so a missing chunk reads as zeros.
 
+mod concatenate;
+mod folder;
 mod reader;
 mod writer;
 
 use std::fmt;
 
+use serde_json::{Value, json};
+
+pub use concatenate::concatenate;
 pub use reader::{ArrayInfo, ZarrReader, open_all};
 pub use writer::{Contact, ZarrWriter};
 
@@ -49,6 +54,32 @@ pub const OBJECT_POSE: &str = "data/object_pose";
 pub const CAMERA_POSE: &str = "data/camera_pose";
 /// Exclusive cumulative ends of the episodes, (E) i64.
 pub const EPISODE_ENDS: &str = "meta/episode_ends";
+
+/// Size of an uncompressed chunk, bytes: as many frames as first reach it.
+const CHUNK_BYTES: usize = 2_000_000;
+
+/// How chunks are compressed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Compression {
+    /// Small, for keeping: Blosc with zstd, level 5, bits shuffled.
+    #[default]
+    Keep,
+    /// Quick, for what is soon read again: Blosc with lz4, level 1.
+    Pass,
+    /// None.
+    None,
+}
+
+impl Compression {
+    /// The `compressor` of `.zarray`.
+    fn zarr(self) -> Value {
+        match self {
+            Self::Keep => json!({"id": "blosc", "cname": "zstd", "clevel": 5, "shuffle": 2, "blocksize": 0}),
+            Self::Pass => json!({"id": "blosc", "cname": "lz4", "clevel": 1, "shuffle": 0, "blocksize": 0}),
+            Self::None => Value::Null,
+        }
+    }
+}
 
 /// Element type of an array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -110,6 +141,20 @@ impl ArraySpec {
     /// An array `name` with `item` values of `dtype` per frame.
     pub fn new(name: impl Into<String>, item: impl Into<Vec<usize>>, dtype: Dtype) -> Self {
         Self { name: name.into(), item: item.into(), dtype }
+    }
+
+    fn frame_bytes(&self) -> usize {
+        self.dtype.size() * self.item.iter().product::<usize>()
+    }
+
+    /// Frames of a chunk.
+    fn chunk_len(&self) -> usize {
+        CHUNK_BYTES.div_ceil(self.frame_bytes().max(1)).max(1)
+    }
+
+    /// Index of the `n`-th chunk of time.
+    fn chunk_index(&self, n: usize) -> Vec<u64> {
+        std::iter::once(n as u64).chain(self.item.iter().map(|_| 0)).collect()
     }
 }
 

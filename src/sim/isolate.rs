@@ -10,7 +10,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use serde::{Deserialize, Serialize};
 
-use super::record::{Generate, Recorder, Residuals, Summary, generate_by, record};
+use super::record::{Generate, Progress, Recorder, Summary, generate_by, record_part};
 use super::rollout::RolloutOptions;
 use super::scene::Scene;
 use crate::error::{Error, Result};
@@ -41,7 +41,7 @@ struct Request {
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Answer {
-    Done(Residuals),
+    Done,
     Failed(String),
 }
 
@@ -54,11 +54,11 @@ pub fn generate_isolated(
     workers: &Workers,
     skip_failed: bool,
     out: &Path,
-    progress: impl Fn(usize, usize) + Sync,
+    progress: impl Fn(Progress) + Sync,
 ) -> Result<Summary> {
     let recorder = || {
         let mut running: Option<Running> = None;
-        let record = move |scene: usize, seed: u64, out: &Path| -> Result<Residuals> {
+        let record = move |scene: usize, seed: u64, out: &Path| -> Result<()> {
             let mut worker = match running.take() {
                 Some(worker) => worker,
                 None => Running::start(workers)?,
@@ -67,7 +67,7 @@ pub fn generate_isolated(
                 Some(answer) => {
                     running = Some(worker);
                     match answer {
-                        Answer::Done(residuals) => Ok(residuals),
+                        Answer::Done => Ok(()),
                         Answer::Failed(why) => Err(Error::Engine(why)),
                     }
                 }
@@ -92,10 +92,11 @@ pub fn serve(
     for line in requests.lines() {
         let line = line.map_err(Error::io("standard input"))?;
         let request: Request = serde_json::from_str(&line).map_err(|e| Error::file("standard input", e))?;
-        let expected = || Error::value("scene", format!("below {}", scenes.len()), request.scene);
-        let scene = scenes.get(request.scene).ok_or_else(expected)?;
-        let answer = match record(scene, request.seed, options, &request.out, |_, _| ()) {
-            Ok(summary) => Answer::Done(Residuals { sum: summary.sum_residual, moment: summary.moment_residual }),
+        if request.scene >= scenes.len() {
+            return Err(Error::value("scene", format!("below {}", scenes.len()), request.scene));
+        }
+        let answer = match record_part(scenes, request.scene, request.seed, options, &request.out) {
+            Ok(()) => Answer::Done,
             Err(error) => Answer::Failed(error.to_string()),
         };
         let text = serde_json::to_string(&answer).map_err(|e| Error::file("standard output", e))?;

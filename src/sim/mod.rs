@@ -35,7 +35,7 @@ pub mod view;
 pub use effect::{Effect, EffectPlan, EffectSet};
 pub use isolate::{Workers, generate_isolated};
 pub use observe::{ObjectPose, SimFrame};
-pub use record::{Generate, Summary, generate, record};
+pub use record::{Generate, Progress, Summary, generate, record};
 pub use rollout::{Rollout, RolloutOptions};
 pub use scene::{SHIPPED, Scene};
 pub use touchable::{Distances, Touchables};

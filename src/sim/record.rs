@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -13,8 +13,10 @@ use super::effect::Observation;
 use super::observe::SimFrame;
 use super::rollout::{Rollout, RolloutOptions};
 use super::scene::Scene;
-use crate::dataset::zarr::{ArraySpec, CAMERA_POSE, Contact, Dtype, OBJECT_POSE, Values, ZarrReader, ZarrWriter};
-use crate::dataset::{Attributes, EpisodeReader, EpisodeWriter, Frame};
+use crate::dataset::zarr::{
+    ArraySpec, CAMERA_POSE, Compression, Contact, Dtype, OBJECT_POSE, Values, ZarrReader, ZarrWriter, concatenate,
+};
+use crate::dataset::{Attributes, EpisodeWriter};
 use crate::error::{Error, Result};
 use crate::hand::Side;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
@@ -30,23 +32,36 @@ pub const SLIP: &str = "data/mano_slip";
 /// (T, H, W) f32: distance from the camera's plane, m; there where the scene observes depth.
 pub const DEPTH: &str = "data/camera_ego_depth";
 
+/// Attribute of a store: its [`Summary`].
+const SUMMARY: &str = "summary";
+
 /// What came out of recording.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Summary {
     /// Frames written.
     pub frames: usize,
     /// Frames that a guard refused, by its reason.
-    pub invalid: BTreeMap<&'static str, usize>,
+    pub invalid: BTreeMap<String, usize>,
     /// Frames in which a vertex is in contact.
     pub touching: usize,
     /// Largest total normal force on one hand, N.
     pub max_force: f64,
-    /// Largest relative difference between a hand's force and its contacts' sum, in episodes made by this call.
+    /// Largest relative difference between a hand's force and its contacts' sum.
     pub sum_residual: f64,
-    /// Largest moment added by spreading, N m, in episodes made by this call.
+    /// Largest moment added by spreading, N m.
     pub moment_residual: f64,
     /// Episodes that failed and were left out: scene, seed and why.
     pub failed: Vec<String>,
+}
+
+/// What a training set's making is at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Progress {
+    /// Episodes simulated, and all.
+    Episodes(usize, usize),
+    /// Chunks of the store written, and all.
+    Chunks(usize, usize),
 }
 
 /// A training set to make.
@@ -58,7 +73,7 @@ pub struct Generate {
     pub episodes: usize,
     /// Seed of the first episode; episode `i` has seed + i.
     pub seed: u64,
-    /// Threads.
+    /// Episodes at a time, then threads that write the store.
     pub jobs: usize,
     /// What to simulate and record.
     pub options: RolloutOptions,
@@ -73,27 +88,56 @@ pub fn record(
     seed: u64,
     options: &RolloutOptions,
     out: &Path,
+    progress: impl FnMut(usize, usize),
+) -> Result<Summary> {
+    record_one(std::slice::from_ref(scene), 0, seed, options, Compression::Keep, out, progress)
+}
+
+/// Records an episode of `scenes[scene]` with the arrays that a set of all these scenes has.
+fn record_one(
+    scenes: &[Scene],
+    scene: usize,
+    seed: u64,
+    options: &RolloutOptions,
+    compression: Compression,
+    out: &Path,
     mut progress: impl FnMut(usize, usize),
 ) -> Result<Summary> {
+    let scene = &scenes[scene];
     let mut rollout = Rollout::new(scene, seed, options)?;
-    let extras = Extras::of(std::slice::from_ref(scene), options);
+    let extras = Extras::of(scenes, options);
     let attributes = attributes(std::slice::from_ref(scene), seed, options);
-    let mut writer = ZarrWriter::create(out, attributes, Contact::Truth, extras.arrays())?;
+    let writer = ZarrWriter::create(out, attributes, Contact::Truth, extras.arrays())?;
+    let mut writer = writer.with_compression(compression);
     writer.set_attribute("episodes", json!([episode_entry(scene, seed, &rollout)]));
     let mut summary = Summary::default();
     while let Some(frame) = rollout.next_frame()? {
-        summary.count(&frame.frame);
-        summary.residuals(&frame);
+        summary.count(&frame);
         let extra = extras.values(&frame);
         writer.push_with(frame.frame, extra)?;
         progress(summary.frames, rollout.frame_count());
     }
     writer.end_episode()?;
+    writer.set_attribute(SUMMARY, json!(summary));
     writer.finish()?;
     Ok(summary)
 }
 
-/// Makes a training set as one store at `out`; `progress` is called after each episode with (done, all).
+/// Records an episode that waits to become part of a set of `scenes`.
+///
+/// # Errors
+/// As [`record`].
+pub(super) fn record_part(
+    scenes: &[Scene],
+    scene: usize,
+    seed: u64,
+    options: &RolloutOptions,
+    out: &Path,
+) -> Result<()> {
+    record_one(scenes, scene, seed, options, Compression::Pass, out, |_, _| ()).map(drop)
+}
+
+/// Makes a training set as one store at `out`; `progress` is called after each episode, then after each chunk.
 ///
 /// Finished episodes wait beside it in `OUT.parts`; the same call continues an interrupted one. An episode that fails
 /// does not keep the others from being made.
@@ -101,26 +145,16 @@ pub fn record(
 /// # Errors
 /// If there is already something at `out`, the parts belong to another call, or an episode fails; the error names the
 /// scenes and seeds of those.
-pub fn generate(plan: &Generate, out: &Path, progress: impl Fn(usize, usize) + Sync) -> Result<Summary> {
+pub fn generate(plan: &Generate, out: &Path, progress: impl Fn(Progress) + Sync) -> Result<Summary> {
     let recorder = || {
-        let record = |scene: usize, seed: u64, out: &Path| -> Result<Residuals> {
-            let summary = record(&plan.scenes[scene], seed, &plan.options, out, |_, _| ())?;
-            Ok(Residuals { sum: summary.sum_residual, moment: summary.moment_residual })
-        };
+        let record = |scene: usize, seed: u64, out: &Path| record_part(&plan.scenes, scene, seed, &plan.options, out);
         Box::new(record) as Recorder
     };
     generate_by(plan, &recorder, false, out, progress)
 }
 
 /// Records the episode (index of the scene, seed) as a store of its own.
-pub(super) type Recorder<'a> = Box<dyn FnMut(usize, u64, &Path) -> Result<Residuals> + 'a>;
-
-/// Largest residuals of an episode, as [`Summary`] has them.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Residuals {
-    pub sum: f64,
-    pub moment: f64,
-}
+pub(super) type Recorder<'a> = Box<dyn FnMut(usize, u64, &Path) -> Result<()> + 'a>;
 
 /// [`generate`] by recorders, one for each job; `skip_failed` leaves out episodes that fail.
 pub(super) fn generate_by<'a>(
@@ -128,7 +162,7 @@ pub(super) fn generate_by<'a>(
     recorder: &(dyn Fn() -> Recorder<'a> + Sync),
     skip_failed: bool,
     out: &Path,
-    progress: impl Fn(usize, usize) + Sync,
+    progress: impl Fn(Progress) + Sync,
 ) -> Result<Summary> {
     if out.exists() {
         return Err(Error::file(out, "exists already; choose another name or remove it"));
@@ -145,7 +179,6 @@ pub(super) fn generate_by<'a>(
     let next = AtomicUsize::new(0);
     let done = AtomicUsize::new(0);
     let failed: Mutex<Vec<String>> = Mutex::new(Vec::new());
-    let residuals: Mutex<Residuals> = Mutex::new(Residuals::default());
     let work = || {
         let mut record = recorder();
         loop {
@@ -154,30 +187,25 @@ pub(super) fn generate_by<'a>(
                 return;
             }
             let (scene, seed) = (index % plan.scenes.len(), plan.seed + index as u64);
-            if !part(index).exists() {
-                match (record(scene, seed, &part(index)), residuals.lock(), failed.lock()) {
-                    (Ok(new), Ok(mut most), _) => {
-                        *most = Residuals { sum: most.sum.max(new.sum), moment: most.moment.max(new.moment) };
-                    }
-                    (Err(error), _, Ok(mut failed)) => {
-                        failed.push(format!("{} with seed {seed}: {error}", plan.scenes[scene].name));
-                    }
-                    _ => {}
-                }
+            if !part(index).exists()
+                && let Err(error) = record(scene, seed, &part(index))
+            {
+                let what = format!("{} with seed {seed}: {error}", plan.scenes[scene].name);
+                failed.lock().unwrap_or_else(PoisonError::into_inner).push(what);
             }
-            progress(done.fetch_add(1, Ordering::Relaxed) + 1, plan.episodes);
+            progress(Progress::Episodes(done.fetch_add(1, Ordering::Relaxed) + 1, plan.episodes));
         }
     };
     std::thread::scope(|scope| (0..plan.jobs).for_each(|_| drop(scope.spawn(work))));
-    let mut failed = failed.into_inner().unwrap_or_default();
+    let mut failed = failed.into_inner().unwrap_or_else(PoisonError::into_inner);
     failed.sort();
     if failed.len() == plan.episodes || !(failed.is_empty() || skip_failed) {
         return Err(Error::file(&folder, all_failed(&failed, plan.episodes)));
     }
-    let mut total = merge(plan, out, &part)?;
+    // Those that failed left no part.
+    let parts: Vec<PathBuf> = (0..plan.episodes).map(part).filter(|part| part.exists()).collect();
+    let mut total = merge(plan, &parts, out, progress)?;
     fs::remove_dir_all(&folder).map_err(Error::io(&folder))?;
-    let most = residuals.into_inner().unwrap_or_default();
-    (total.sum_residual, total.moment_residual) = (most.sum, most.moment);
     total.failed = failed;
     Ok(total)
 }
@@ -217,40 +245,21 @@ fn claim(folder: &Path, plan: &Generate) -> Result<()> {
     Ok(())
 }
 
-fn merge(plan: &Generate, out: &Path, part: &dyn Fn(usize) -> PathBuf) -> Result<Summary> {
-    let mut summary = Summary::default();
-    let extras = Extras::of(&plan.scenes, &plan.options);
-    let attributes = attributes(&plan.scenes, plan.seed, &plan.options);
-    let mut writer = ZarrWriter::create(out, attributes, Contact::Truth, extras.arrays())?;
+fn merge(plan: &Generate, parts: &[PathBuf], out: &Path, progress: impl Fn(Progress) + Sync) -> Result<Summary> {
+    let mut total = Summary::default();
     let mut entries: Vec<Value> = Vec::new();
-    // Those that failed left no part.
-    for index in (0..plan.episodes).filter(|index| part(*index).exists()) {
-        let reader = ZarrReader::open(&part(index))?;
-        entries.extend(reader.raw_attributes().get("episodes").and_then(Value::as_array).cloned().unwrap_or_default());
-        for frame in 0..reader.len() {
-            let one = |name: &str| reader.read_frame(name, frame);
-            let mut extra = vec![];
-            for name in [PROXIMITY, FORCE_RESIDUAL, CAMERA_POSE] {
-                extra.push((name, one(name)?));
-            }
-            // A scene that lacks what another observes leaves it unknown.
-            for (name, length) in extras.optional() {
-                let mut values = match reader.has(name) {
-                    true => one(name)?.into_f32(),
-                    false => Vec::new(),
-                };
-                values.resize(length, f32::NAN);
-                extra.push((name, Values::F32(values)));
-            }
-            let frame = reader.frame(frame)?;
-            summary.count(&frame);
-            writer.push_with(frame, extra)?;
-        }
-        writer.end_episode()?;
+    for part in parts {
+        let reader = ZarrReader::open(part)?;
+        let attributes = reader.raw_attributes();
+        entries.extend(attributes.get("episodes").and_then(Value::as_array).cloned().unwrap_or_default());
+        let summary = attributes.get(SUMMARY).cloned().unwrap_or_default();
+        total.add(serde_json::from_value(summary).map_err(|e| Error::file(part, format!("{SUMMARY}: {e}")))?);
     }
-    writer.set_attribute("episodes", Value::Array(entries));
-    writer.finish()?;
-    Ok(summary)
+    let attributes = attributes(&plan.scenes, plan.seed, &plan.options);
+    let more = [("episodes".to_string(), Value::Array(entries)), (SUMMARY.to_string(), json!(total))];
+    let chunks = |done, all| progress(Progress::Chunks(done, all));
+    concatenate(parts, out, &attributes, more.into_iter().collect(), plan.jobs, chunks)?;
+    Ok(total)
 }
 
 fn attributes(scenes: &[Scene], seed: u64, options: &RolloutOptions) -> Attributes {
@@ -354,10 +363,15 @@ impl Extras {
 }
 
 impl Summary {
-    fn count(&mut self, frame: &Frame) {
+    fn count(&mut self, frame: &SimFrame) {
+        for hand in frame.hands.iter().flatten() {
+            self.sum_residual = self.sum_residual.max(hand.sum_residual);
+            self.moment_residual = self.moment_residual.max(hand.moment_residual);
+        }
+        let frame = &frame.frame;
         self.frames += 1;
         if frame.validity != Validity::Valid {
-            *self.invalid.entry(frame.validity.reason()).or_default() += 1;
+            *self.invalid.entry(frame.validity.reason().to_string()).or_default() += 1;
         }
         self.touching += usize::from(frame.field.contact.iter().any(|c| *c > 0.5));
         for side in Side::BOTH {
@@ -365,10 +379,14 @@ impl Summary {
         }
     }
 
-    fn residuals(&mut self, frame: &SimFrame) {
-        for hand in frame.hands.iter().flatten() {
-            self.sum_residual = self.sum_residual.max(hand.sum_residual);
-            self.moment_residual = self.moment_residual.max(hand.moment_residual);
+    fn add(&mut self, other: Self) {
+        self.frames += other.frames;
+        for (reason, count) in other.invalid {
+            *self.invalid.entry(reason).or_default() += count;
         }
+        self.touching += other.touching;
+        self.max_force = self.max_force.max(other.max_force);
+        self.sum_residual = self.sum_residual.max(other.sum_residual);
+        self.moment_residual = self.moment_residual.max(other.moment_residual);
     }
 }

@@ -438,6 +438,10 @@ fn check_timestamps(reader: &ZarrReader, timestamps: &[f64]) -> Result<()> {
     let mut start = 0;
     for end in reader.episode_ends() {
         let episode = &timestamps[start..*end];
+        if let Some(at) = episode.iter().position(|stamp| !stamp.is_finite()) {
+            let got = format!("{} at frame {}", episode[at], start + at);
+            return Err(Error::file(reader.path(), Error::value(TIMESTAMPS, "finite seconds", got)));
+        }
         let stops = episode.windows(2).position(|pair| pair[1].partial_cmp(&pair[0]) != Some(Ordering::Greater));
         if let Some(at) = stops {
             let got = format!("{} after {} at frame {}", episode[at + 1], episode[at], start + at + 1);

@@ -78,9 +78,11 @@ pub fn masked_mean(values: &Tensor, mask: &Tensor) -> Result<Tensor> {
 }
 
 /// Binary cross-entropy of logits x against y, positives weighted by w:
-/// (1 - y) x + (1 + (w - 1) y) softplus(-x), with softplus(-x) = max(-x, 0) + ln(1 + e^-|x|), which no x overflows.
+/// (1 - y) x + (1 + (w - 1) y) softplus(-x), with softplus(-x) = (|x| - x) / 2 + ln(1 + e^-|x|), which no x overflows.
+/// With max(-x, 0) in place of (|x| - x) / 2 the slope at x = 0 would not be the mean of both sides.
 pub fn bce_with_logits(logits: &Tensor, target: &Tensor, positive_weight: f64) -> Result<Tensor> {
-    let softplus = (logits.neg()?.relu()? + (logits.abs()?.neg()?.exp()? + 1.0)?.log()?)?;
+    let size = logits.abs()?;
+    let softplus = (((&size - logits)? * 0.5)? + (size.neg()?.exp()? + 1.0)?.log()?)?;
     let weight = ((target * (positive_weight - 1.0))? + 1.0)?;
     Ok(((target.neg()? + 1.0)? * logits)?.add(&(weight * softplus)?)?)
 }

@@ -6,8 +6,10 @@
 mod entrances;
 mod hand;
 mod label;
+mod network;
 pub mod report;
 mod rotation;
+mod trainer;
 
 #[cfg(feature = "sim")]
 mod actuation;
@@ -60,6 +62,10 @@ pub enum Family {
     Label,
     /// NaN and infinities at public entrances.
     Entrance,
+    /// The network and its stream of images.
+    Network,
+    /// What enters training, and its steps.
+    Training,
 }
 
 impl Family {
@@ -167,7 +173,9 @@ pub fn registry() -> Vec<HardCase> {
     ] {
         cases.extend_from_slice(family);
     }
-    for family in [rotation::CASES, hand::CASES, label::CASES, entrances::CASES] {
+    for family in
+        [rotation::CASES, hand::CASES, label::CASES, entrances::CASES, network::CASES, trainer::CASES]
+    {
         cases.extend_from_slice(family);
     }
     cases

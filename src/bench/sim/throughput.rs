@@ -57,7 +57,7 @@ pub fn measure(
             let plan = Generate { scenes: scenes.to_vec(), episodes, seed, jobs: *jobs, options };
             let out = folder.path().join(format!("{repetition}_{jobs}.zarr"));
             let begun = Instant::now();
-            frames = generate_isolated(&plan, workers, false, &out, |_, _| ())?.frames;
+            frames = generate_isolated(&plan, workers, false, &out, |_| ())?.frames;
             *least = least.min(begun.elapsed().as_secs_f64());
             std::fs::remove_dir_all(&out).map_err(Error::io(&out))?;
         }

@@ -31,13 +31,19 @@ pub fn generate(args: &Generate) -> anyhow::Result<()> {
         jobs: args.jobs,
         options: options(&args.making, args.size)?,
     };
-    let bar = progress::bar("episodes");
-    let progress = |done, all| progress::step(&bar, done, all);
+    let [episodes, chunks] = ["episodes", "chunks of the store"].map(progress::bar);
+    let progress = |at| match at {
+        sim::Progress::Episodes(done, all) => progress::step(&episodes, done, all),
+        sim::Progress::Chunks(done, all) => {
+            episodes.finish_and_clear();
+            progress::step(&chunks, done, all);
+        }
+    };
     let summary = match args.in_process {
         true => sim::generate(&plan, &args.out, progress)?,
         false => sim::generate_isolated(&plan, &workers(args)?, args.skip_failed, &args.out, progress)?,
     };
-    bar.finish_and_clear();
+    chunks.finish_and_clear();
     print(&summary, &args.out);
     Ok(())
 }

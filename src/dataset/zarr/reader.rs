@@ -151,6 +151,22 @@ impl ZarrReader {
         self.arrays.values().map(Column::info).collect()
     }
 
+    /// The arrays of `data/`, by name, as a writer would declare them.
+    ///
+    /// # Errors
+    /// If one has a dtype that is none of ours.
+    pub fn specs(&self) -> Result<Vec<ArraySpec>> {
+        let of_frames = self.arrays.values().filter(|column| column.name.starts_with("data/"));
+        of_frames
+            .map(|column| {
+                let info = column.info();
+                let unknown = || self.named(Error::value(&column.name, "dtype u8, f32, f64 or i64", &info.dtype));
+                let dtype = known_dtype(&column.array).ok_or_else(unknown)?;
+                Ok(ArraySpec::new(&column.name, &info.shape[1..], dtype))
+            })
+            .collect()
+    }
+
     /// Reads one frame of array `name`, keeping the chunk for the next ones.
     ///
     /// # Errors

@@ -1,24 +1,18 @@
 //! Writes a store frame by frame, in constant memory.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::path::Path;
 use std::thread::JoinHandle;
 
-use serde_json::{Map, Value, json};
-use tempfile::TempDir;
-use zarrs::array::{Array, ArrayBytes, ArrayMetadata, ArrayMetadataV2};
-use zarrs::filesystem::FilesystemStore;
+use serde_json::{Map, Value};
+use zarrs::array::ArrayBytes;
 
+use super::folder::{StoreFolder, create_array, write_metadata};
 use super::*;
 use crate::dataset::{Attributes, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
 use crate::hand::HandParams;
 use crate::tactile::N_FIELD;
-
-/// Size of an uncompressed chunk, bytes: as many frames as first reach it.
-const CHUNK_BYTES: usize = 2_000_000;
 
 /// What the contact of the pushed frames is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -35,11 +29,8 @@ pub enum Contact {
 pub struct ZarrWriter {
     // Before the folder: what is still being written ends before the folder is removed.
     columns: Vec<Column>,
-    path: PathBuf,
-    // Removed on drop; the store inside is renamed on finish.
-    folder: TempDir,
-    root: PathBuf,
-    store: Arc<FilesystemStore>,
+    folder: StoreFolder,
+    compression: Compression,
     attributes: Attributes,
     more_attributes: Map<String, Value>,
     contact: Contact,
@@ -56,26 +47,10 @@ impl ZarrWriter {
     /// # Errors
     /// If `path` exists, its folder can't be written, or an extra array's name is not `data/NAME` or taken.
     pub fn create(path: &Path, attributes: Attributes, contact: Contact, extra: Vec<ArraySpec>) -> Result<Self> {
-        if path.exists() {
-            return Err(Error::file(path, "exists already; choose another name or remove it"));
-        }
-        let (Some(name), Some(parent)) = (path.file_name(), path.parent()) else {
-            return Err(Error::file(path, "is not a name for a store"));
-        };
-        let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
-        fs::create_dir_all(parent).map_err(Error::io(parent))?;
-        let prefix = format!(".{}.partial-", name.to_string_lossy());
-        let folder = tempfile::Builder::new().prefix(&prefix).tempdir_in(parent).map_err(Error::io(parent))?;
-        // A folder inside: the temporary one is private to the user, the store gets the usual permissions.
-        let root = folder.path().join(name);
-        fs::create_dir(&root).map_err(Error::io(&root))?;
-        let store = FilesystemStore::new(&root).map_err(|e| Error::file(&root, e))?;
         let writer = Self {
             columns: Vec::new(),
-            path: path.to_path_buf(),
-            folder,
-            root,
-            store: Arc::new(store),
+            folder: StoreFolder::create(path)?,
+            compression: Compression::default(),
             attributes,
             more_attributes: Map::new(),
             contact,
@@ -86,6 +61,13 @@ impl ZarrWriter {
         };
         writer.check_extra()?;
         Ok(writer)
+    }
+
+    /// Sets how the chunks are compressed; before the first frame.
+    #[must_use]
+    pub fn with_compression(mut self, compression: Compression) -> Self {
+        self.compression = compression;
+        self
     }
 
     /// Sets an attribute beside the fixed ones, e.g. the camera's intrinsics.
@@ -114,7 +96,7 @@ impl ZarrWriter {
             return Err(Error::shape(CAMERA_EGO_RGB, "(H, W, 3)", (size.1, size.0, 3)));
         }
         if self.columns.is_empty() {
-            self.columns = self.specs(size).into_iter().map(Column::new).collect();
+            self.columns = self.specs(size).into_iter().map(|spec| Column::new(spec, self.compression)).collect();
         }
         let mut values = fixed_values(frame, self.contact)?;
         for (name, value) in extra {
@@ -125,11 +107,11 @@ impl ZarrWriter {
         }
         // All are checked before the first is taken, so that a refused frame leaves no half of itself.
         for column in &self.columns {
-            column.check(values.get(&column.spec.name), &self.path)?;
+            column.check(values.get(&column.spec.name), self.folder.path())?;
         }
         for column in &mut self.columns {
             if let Some(values) = values.remove(&column.spec.name) {
-                column.push(values, &self.store, &self.path)?;
+                column.push(values, &self.folder)?;
             }
         }
         self.n_frames += 1;
@@ -143,39 +125,18 @@ impl ZarrWriter {
     pub fn finish(mut self) -> Result<()> {
         let ended = self.episode_ends.last().copied().unwrap_or(0);
         if ended != self.n_frames as i64 {
-            return Err(Error::file(&self.path, "an episode is still open; end it before finishing"));
+            return Err(Error::file(self.folder.path(), "an episode is still open; end it before finishing"));
         }
         if self.n_frames == 0 {
-            return Err(Error::file(&self.path, "no episode was written"));
+            return Err(Error::file(self.folder.path(), "no episode was written"));
         }
         for column in &mut self.columns {
-            column.finish(&self.store, &self.root, &self.path)?;
+            column.finish(&self.folder)?;
         }
         for column in &mut self.columns {
-            column.writing.wait(&self.path)?;
+            column.writing.wait(self.folder.path())?;
         }
-        let mut ends = Column::new(ArraySpec::new(EPISODE_ENDS, [], Dtype::I64));
-        ends.compressed = false;
-        for end in &self.episode_ends {
-            ends.push(Values::I64(vec![*end]), &self.store, &self.path)?;
-        }
-        ends.finish(&self.store, &self.root, &self.path)?;
-        ends.writing.wait(&self.path)?;
-
-        let mut attributes = match serde_json::to_value(&self.attributes) {
-            Ok(Value::Object(map)) => map,
-            _ => Map::new(),
-        };
-        attributes.append(&mut self.more_attributes);
-        for group in ["", "data", "meta"] {
-            write_json(&self.root.join(group).join(".zgroup"), &json!({ "zarr_format": 2 }))?;
-        }
-        write_json(&self.root.join(".zattrs"), &Value::Object(attributes))?;
-        if self.path.exists() {
-            return Err(Error::file(&self.path, "exists already; choose another name or remove it"));
-        }
-        fs::rename(&self.root, &self.path).map_err(Error::io(&self.path))?;
-        self.folder.close().map_err(Error::io(&self.path))
+        self.folder.finish(&self.attributes, self.more_attributes, &self.episode_ends)
     }
 
     fn check_extra(&self) -> Result<()> {
@@ -223,7 +184,7 @@ impl EpisodeWriter for ZarrWriter {
 
     fn end_episode(&mut self) -> Result<()> {
         if self.episode_ends.last().copied().unwrap_or(0) == self.n_frames as i64 {
-            return Err(Error::file(&self.path, "the episode to end has no frame"));
+            return Err(Error::file(self.folder.path(), "the episode to end has no frame"));
         }
         self.episode_ends.push(self.n_frames as i64);
         Ok(())
@@ -234,7 +195,7 @@ impl EpisodeWriter for ZarrWriter {
 #[derive(Debug)]
 struct Column {
     spec: ArraySpec,
-    compressed: bool,
+    compression: Compression,
     // Frames of one chunk.
     chunk_len: usize,
     // Native-endian bytes of the frames of the open chunk.
@@ -265,11 +226,11 @@ impl Drop for Background {
 }
 
 impl Column {
-    fn new(spec: ArraySpec) -> Self {
-        let chunk_len = CHUNK_BYTES.div_ceil(frame_bytes(&spec)).max(1);
+    fn new(spec: ArraySpec, compression: Compression) -> Self {
+        let chunk_len = spec.chunk_len();
         Self {
             spec,
-            compressed: true,
+            compression,
             chunk_len,
             buffer: Vec::new(),
             n_frames: 0,
@@ -291,7 +252,7 @@ impl Column {
         Ok(())
     }
 
-    fn push(&mut self, values: Values, store: &Arc<FilesystemStore>, path: &Path) -> Result<()> {
+    fn push(&mut self, values: Values, folder: &StoreFolder) -> Result<()> {
         match values {
             Values::U8(v) => self.buffer.extend_from_slice(&v),
             Values::F32(v) => v.iter().for_each(|x| self.buffer.extend_from_slice(&x.to_ne_bytes())),
@@ -299,63 +260,39 @@ impl Column {
             Values::I64(v) => v.iter().for_each(|x| self.buffer.extend_from_slice(&x.to_ne_bytes())),
         }
         self.n_frames += 1;
-        if self.buffer.len() == self.chunk_len * frame_bytes(&self.spec) {
-            self.flush(store, path)?;
+        if self.buffer.len() == self.chunk_len * self.spec.frame_bytes() {
+            self.flush(folder)?;
         }
         Ok(())
     }
 
-    fn finish(&mut self, store: &Arc<FilesystemStore>, root: &Path, path: &Path) -> Result<()> {
+    fn finish(&mut self, folder: &StoreFolder) -> Result<()> {
         if self.n_chunks == 0 {
             // A short store needs no padding up to a whole chunk.
             self.chunk_len = self.n_frames.max(1);
         }
         if !self.buffer.is_empty() {
             // Zarr v2 stores the last chunk whole.
-            self.buffer.resize(self.chunk_len * frame_bytes(&self.spec), 0);
-            self.flush(store, path)?;
+            self.buffer.resize(self.chunk_len * self.spec.frame_bytes(), 0);
+            self.flush(folder)?;
         }
-        let file = root.join(&self.spec.name).join(".zarray");
-        write_json(&file, &self.metadata(self.n_frames))
+        write_metadata(folder, &self.spec, self.n_frames, self.chunk_len, self.compression)
     }
 
     /// Begins to write the open chunk, when the one before is written; at most one of each array is under way.
-    fn flush(&mut self, store: &Arc<FilesystemStore>, path: &Path) -> Result<()> {
-        self.writing.wait(path)?;
-        let fail = |error: &dyn std::fmt::Display| Error::file(path, format!("{}: {error}", self.spec.name));
-        let shape = (self.n_chunks + 1) * self.chunk_len;
-        let metadata: ArrayMetadataV2 = serde_json::from_value(self.metadata(shape)).map_err(|e| fail(&e))?;
-        let name = format!("/{}", self.spec.name);
-        let array =
-            Array::new_with_metadata(store.clone(), &name, ArrayMetadata::V2(metadata)).map_err(|e| fail(&e))?;
-        let mut chunk = vec![0; 1 + self.spec.item.len()];
-        chunk[0] = self.n_chunks as u64;
-        let bytes = std::mem::take(&mut self.buffer);
-        let path = path.to_path_buf();
+    fn flush(&mut self, folder: &StoreFolder) -> Result<()> {
+        let path = folder.path().to_path_buf();
+        self.writing.wait(&path)?;
+        let n_frames = (self.n_chunks + 1) * self.chunk_len;
+        let array = create_array(folder, &self.spec, n_frames, self.chunk_len, self.compression)?;
+        let chunk = self.spec.chunk_index(self.n_chunks);
+        let (bytes, name) = (std::mem::take(&mut self.buffer), self.spec.name.clone());
         self.writing = Background(Some(std::thread::spawn(move || {
             let written = array.store_chunk(&chunk, ArrayBytes::new_flen(bytes));
             written.map_err(|error| Error::file(&path, format!("{name}: {error}")))
         })));
         self.n_chunks += 1;
         Ok(())
-    }
-
-    /// `.zarray` for `n_frames` frames.
-    fn metadata(&self, n_frames: usize) -> Value {
-        let with_item = |first: usize| -> Vec<usize> { [first].iter().chain(&self.spec.item).copied().collect() };
-        let compressor =
-            self.compressed.then(|| json!({"id": "blosc", "cname": "zstd", "clevel": 5, "shuffle": 2, "blocksize": 0}));
-        json!({
-            "zarr_format": 2,
-            "shape": with_item(n_frames),
-            "chunks": with_item(self.chunk_len),
-            "dtype": self.spec.dtype.zarr_name(),
-            "compressor": compressor,
-            "fill_value": match self.spec.dtype { Dtype::F32 | Dtype::F64 => json!(0.0), _ => json!(0) },
-            "order": "C",
-            "filters": null,
-            "dimension_separator": ".",
-        })
     }
 }
 
@@ -370,6 +307,9 @@ fn fixed_values(frame: Frame, contact: Contact) -> Result<BTreeMap<String, Value
             (MANO_CONTACT, Values::U8(truth))
         }
     };
+    if !frame.timestamp.is_finite() {
+        return Err(Error::value(TIMESTAMPS, "finite seconds", frame.timestamp));
+    }
     let force = frame.field.force;
     if let Some(bad) = force.iter().position(|f| *f < 0.0 || f.is_infinite()) {
         return Err(Error::value(format!("{MANO_FORCE}[{bad}]"), "a number >= 0, or NaN for unknown", force[bad]));
@@ -396,15 +336,4 @@ fn contact_truth(contact: &[f32], valid: &[u8]) -> Result<Vec<u8>> {
         c => Err(Error::value(format!("{MANO_CONTACT}[{vertex}]"), "0 or 1, or unsupervised and NaN", c)),
     };
     contact.iter().enumerate().map(one).collect()
-}
-
-fn frame_bytes(spec: &ArraySpec) -> usize {
-    spec.dtype.size() * spec.item.iter().product::<usize>()
-}
-
-fn write_json(file: &Path, value: &Value) -> Result<()> {
-    if let Some(folder) = file.parent() {
-        fs::create_dir_all(folder).map_err(Error::io(folder))?;
-    }
-    fs::write(file, format!("{value:#}\n")).map_err(Error::io(file))
 }

@@ -1,0 +1,133 @@
+//! A store in the making: a folder that gets its name when all is written.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde_json::{Map, Value, json};
+use tempfile::TempDir;
+use zarrs::array::{Array, ArrayBytes, ArrayMetadata, ArrayMetadataV2};
+use zarrs::filesystem::FilesystemStore;
+
+use super::{ArraySpec, Compression, Dtype, EPISODE_ENDS};
+use crate::dataset::Attributes;
+use crate::error::{Error, Result};
+
+/// The hidden folder beside the store's place; removed when dropped.
+#[derive(Debug)]
+pub(super) struct StoreFolder {
+    path: PathBuf,
+    folder: TempDir,
+    root: PathBuf,
+    store: Arc<FilesystemStore>,
+}
+
+impl StoreFolder {
+    /// Starts a store that will lie at `path`.
+    ///
+    /// # Errors
+    /// If `path` exists or its folder can't be written.
+    pub fn create(path: &Path) -> Result<Self> {
+        refuse_existing(path)?;
+        let (Some(name), Some(parent)) = (path.file_name(), path.parent()) else {
+            return Err(Error::file(path, "is not a name for a store"));
+        };
+        let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
+        fs::create_dir_all(parent).map_err(Error::io(parent))?;
+        let prefix = format!(".{}.partial-", name.to_string_lossy());
+        let folder = tempfile::Builder::new().prefix(&prefix).tempdir_in(parent).map_err(Error::io(parent))?;
+        // A folder inside: the temporary one is private to the user, the store gets the usual permissions.
+        let root = folder.path().join(name);
+        fs::create_dir(&root).map_err(Error::io(&root))?;
+        let store = FilesystemStore::new(&root).map_err(|e| Error::file(&root, e))?;
+        Ok(Self { path: path.to_path_buf(), folder, root, store: Arc::new(store) })
+    }
+
+    /// Where the store will lie.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Writes episodes, groups and attributes, and gives the store its name.
+    ///
+    /// # Errors
+    /// If `path` has come into being meanwhile, or writing fails.
+    pub fn finish(self, attributes: &Attributes, mut more: Map<String, Value>, episode_ends: &[i64]) -> Result<()> {
+        let ends = ArraySpec::new(EPISODE_ENDS, [], Dtype::I64);
+        let n_ends = episode_ends.len();
+        let bytes: Vec<u8> = episode_ends.iter().flat_map(|end| end.to_ne_bytes()).collect();
+        let array = create_array(&self, &ends, n_ends, n_ends, Compression::None)?;
+        let written = array.store_chunk(&[0], ArrayBytes::new_flen(bytes));
+        written.map_err(|error| Error::file(&self.path, format!("{EPISODE_ENDS}: {error}")))?;
+        write_metadata(&self, &ends, n_ends, n_ends, Compression::None)?;
+
+        let mut attributes = match serde_json::to_value(attributes) {
+            Ok(Value::Object(map)) => map,
+            _ => Map::new(),
+        };
+        attributes.append(&mut more);
+        for group in ["", "data", "meta"] {
+            write_json(&self.root.join(group).join(".zgroup"), &json!({ "zarr_format": 2 }))?;
+        }
+        write_json(&self.root.join(".zattrs"), &Value::Object(attributes))?;
+        refuse_existing(&self.path)?;
+        fs::rename(&self.root, &self.path).map_err(Error::io(&self.path))?;
+        self.folder.close().map_err(Error::io(&self.path))
+    }
+}
+
+/// An array of `n_frames` frames to store chunks in; its metadata is written by [`write_metadata`].
+pub(super) fn create_array(
+    folder: &StoreFolder,
+    spec: &ArraySpec,
+    n_frames: usize,
+    chunk_len: usize,
+    compression: Compression,
+) -> Result<Array<FilesystemStore>> {
+    let fail = |error: &dyn std::fmt::Display| Error::file(&folder.path, format!("{}: {error}", spec.name));
+    let metadata: ArrayMetadataV2 =
+        serde_json::from_value(metadata(spec, n_frames, chunk_len, compression)).map_err(|e| fail(&e))?;
+    let name = format!("/{}", spec.name);
+    Array::new_with_metadata(folder.store.clone(), &name, ArrayMetadata::V2(metadata)).map_err(|e| fail(&e))
+}
+
+/// Writes the array's `.zarray`.
+pub(super) fn write_metadata(
+    folder: &StoreFolder,
+    spec: &ArraySpec,
+    n_frames: usize,
+    chunk_len: usize,
+    compression: Compression,
+) -> Result<()> {
+    let file = folder.root.join(&spec.name).join(".zarray");
+    write_json(&file, &metadata(spec, n_frames, chunk_len, compression))
+}
+
+fn metadata(spec: &ArraySpec, n_frames: usize, chunk_len: usize, compression: Compression) -> Value {
+    let with_item = |first: usize| -> Vec<usize> { [first].iter().chain(&spec.item).copied().collect() };
+    json!({
+        "zarr_format": 2,
+        "shape": with_item(n_frames),
+        "chunks": with_item(chunk_len),
+        "dtype": spec.dtype.zarr_name(),
+        "compressor": compression.zarr(),
+        "fill_value": match spec.dtype { Dtype::F32 | Dtype::F64 => json!(0.0), _ => json!(0) },
+        "order": "C",
+        "filters": null,
+        "dimension_separator": ".",
+    })
+}
+
+fn refuse_existing(path: &Path) -> Result<()> {
+    match path.exists() {
+        true => Err(Error::file(path, "exists already; choose another name or remove it")),
+        false => Ok(()),
+    }
+}
+
+fn write_json(file: &Path, value: &Value) -> Result<()> {
+    if let Some(folder) = file.parent() {
+        fs::create_dir_all(folder).map_err(Error::io(folder))?;
+    }
+    fs::write(file, format!("{value:#}\n")).map_err(Error::io(file))
+}
