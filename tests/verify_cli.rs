@@ -152,6 +152,62 @@ fn a_store_of_an_own_scene_needs_its_file_as_it_was() {
     assert!(error.contains("that the store was made from"), "{error}");
 }
 
+/// What holds for any hand and object: forces lie where the surfaces are near, and nowhere else for long.
+fn is_sound(report: &Value) {
+    assert_eq!(score(report, "c", "pooled.f1"), 1.0);
+    assert!(score(report, "b_10mm", "pooled.recall") > 0.9 && score(report, "b_10mm", "missed_force") < 0.1);
+    assert!(score(report, "b_2mm", "pooled.precision") > 0.3, "{}", score(report, "b_2mm", "pooled.precision"));
+    let ratios = ["c", "b_10mm"].map(|candidate| score(report, candidate, "labelled_ratio"));
+    assert!(ratios[0] > 0.002 && ratios[1] < 0.2, "{ratios:?}");
+}
+
+#[test]
+fn hands_from_mano_files_are_verified_as_the_built_in_ones() {
+    let folder = Folder::new();
+    let data = |name: &str| format!("{}/tests/data/hand/{name}", env!("CARGO_MANIFEST_DIR"));
+    let left = folder.path("left.pkl");
+    let mut plain = Vec::new();
+    let zipped = std::fs::read(data("left_plain.pkl.gz")).unwrap();
+    std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&zipped[..]), &mut plain).unwrap();
+    std::fs::write(&left, plain).unwrap();
+    let hands = ["--mano-left", &left, "--mano-right", &data("right.npz")];
+    let report = verify(&[&["pinch_cube", "press_button", "--seeds", "2", "--seed", "5"], &hands[..]].concat());
+    is_sound(&report);
+    // A store of such hands says so, and scores with them alone.
+    let store = folder.path("mano.zarr");
+    let run = ["sim", "run", "pinch_cube", "--seed", "5", "--size", "16", "--out", &store];
+    assert!(egotac(&[&run[..], &hands].concat()).status.success());
+    assert_eq!(ZarrReader::open(Path::new(&store)).unwrap().raw_attributes()["topology"], "mano");
+    is_sound(&verify(&[&[&store[..]], &hands[..]].concat()));
+    let error = refusal(&[&store]);
+    assert!(error.contains("mano") && error.contains("egotac-hand-1"), "{error}");
+}
+
+#[test]
+fn a_cube_from_a_mesh_file_is_verified_as_the_built_in_one() {
+    let folder = Folder::new();
+    let corners: String =
+        (0..8).map(|i| format!("v {} {} {}\n", i & 1, (i >> 1) & 1, i >> 2)).collect();
+    let faces = ["1 3 4 2", "5 6 8 7", "1 2 6 5", "3 7 8 4", "1 5 7 3", "2 4 8 6"].map(|face| format!("f {face}\n"));
+    std::fs::write(folder.path("unit.obj"), corners + &faces.concat()).unwrap();
+    let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/sim/scenes/pinch_cube.yaml")).unwrap();
+    let shape = "{ cube: { size: [0.03, 0.048] } }";
+    assert!(text.contains(shape));
+    let report = |name: &str, instead: &str| {
+        let scene = folder.path(name);
+        std::fs::write(&scene, text.replace(shape, instead)).unwrap();
+        verify(&[&scene, "--seeds", "3", "--seed", "5"])
+    };
+    let cube = report("cube.yaml", "{ cube: { size: 0.04 } }");
+    let mesh = report("mesh.yaml", "{ mesh: { file: unit.obj, scale: 0.04 } }");
+    for (candidate, name) in [("b_2mm", "pooled.f1"), ("b_5mm", "pooled.f1"), ("b_5mm", "missed_force")] {
+        let [a, b] = [&cube, &mesh].map(|report| score(report, candidate, name));
+        assert!((a - b).abs() < 0.15, "{candidate}, {name}: {a} as a cube, {b} as a mesh");
+    }
+    is_sound(&cube);
+    is_sound(&mesh);
+}
+
 fn tensors(path: &str, fields: Fields) {
     let file = FieldFile { topology: Some(Topology::EgotacHand1), fields, ..FieldFile::default() };
     file.write(Path::new(path), HashMap::new()).unwrap();
