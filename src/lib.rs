@@ -21,6 +21,7 @@
 //! |---|---|
 //! | [`error`], [`file`](mod@file) | the one error type; files that are written whole |
 //! | [`hand`] | MANO's parameters, vertices, joints, regions; the built-in hand |
+//! | [`camera`] | from points to pixels and back |
 //! | [`tactile`] | force and contact on both hands, what vertex indices mean, validity |
 //! | [`image`](mod@image) | from any image to the network's input |
 //! | [`model`] | the network, its checkpoints, the streaming predictor |
@@ -43,6 +44,7 @@
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
 pub mod bench;
+pub mod camera;
 pub mod cli;
 pub mod dataset;
 pub mod error;

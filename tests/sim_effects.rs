@@ -26,7 +26,8 @@ fn frames(mut rollout: Rollout) -> Vec<(SimFrame, Facts)> {
 }
 
 fn blind(effects: EffectSet) -> EffectSet {
-    [Effect::Rendering, Effect::SensorNoise, Effect::MotionBlur].into_iter().fold(effects, EffectSet::without)
+    let pictures = [Effect::Rendering, Effect::LensDistortion, Effect::SensorNoise, Effect::MotionBlur];
+    pictures.into_iter().fold(effects, EffectSet::without)
 }
 
 #[test]
@@ -213,26 +214,60 @@ fn noise_and_blur_change_the_picture_and_nothing_else() {
 
 #[test]
 fn distances_from_the_camera_are_those_of_the_geometry() {
-    let text = std::fs::read_to_string("sim/scenes/hover.yaml").unwrap() + "observe: [depth, pose]\n";
-    let scene = Scene::parse("hover", Path::new("hover.yaml"), &text).unwrap();
-    let options = RolloutOptions { picture: Some((65, 65)), ..RolloutOptions::default() };
-    let mut rollout = Rollout::new(&scene, 4, &options).unwrap();
-    let frame = rollout.next_frame().unwrap().unwrap();
-    let depth = frame.depth.unwrap();
-    assert_eq!(depth.len(), 65 * 65);
-    // Down the middle column from the lower edge: the table's plane, until something stands on it.
-    let camera = frame.camera;
-    let intrinsics = rollout.intrinsics();
-    let (x, y) = (2.0, 60.0);
-    let ray = camera.orientation
-        * glam::DVec3::new(
-            (x + 0.5 - intrinsics.centre[0]) / intrinsics.focal,
-            (y + 0.5 - intrinsics.centre[1]) / intrinsics.focal,
-            1.0,
-        );
-    let along = -camera.position.z / ray.z;
-    let measured = f64::from(depth[60 * 65 + 2]);
-    assert!((measured - along).abs() < 0.003 * along, "{measured} m instead of {along} m");
+    for distortion in ["0, 0", "-0.3, 0.05", "0.2, 0"] {
+        let camera = format!("observe: [depth, pose]\ncamera: {{ distortion: [{distortion}], fovy: 60 }}\n");
+        let text = std::fs::read_to_string("sim/scenes/hover.yaml").unwrap() + &camera;
+        let scene = Scene::parse("hover", Path::new("hover.yaml"), &text).unwrap();
+        let options = RolloutOptions { picture: Some((65, 49)), ..RolloutOptions::default() };
+        let mut rollout = Rollout::new(&scene, 4, &options).unwrap();
+        assert_eq!(rollout.effects().contains(Effect::LensDistortion), distortion != "0, 0");
+        let frame = rollout.next_frame().unwrap().unwrap();
+        let depth = frame.depth.unwrap();
+        assert_eq!(depth.len(), 65 * 49);
+        // The table's plane, away from its edges and from what stands in its middle.
+        let (camera, intrinsics) = (frame.camera, rollout.intrinsics());
+        let (mut compared, mut off) = (0, 0);
+        for (x, y) in (0..49usize).flat_map(|y| (0..65usize).map(move |x| (x, y))) {
+            let ray = camera.orientation * intrinsics.direction([x as f64 + 0.5, y as f64 + 0.5]).unwrap();
+            let along = -camera.position.z / ray.z;
+            let place = camera.position + along * ray;
+            if along > 0.0 && place.x.abs() < 0.4 && (-0.2..-0.1).contains(&place.y) {
+                compared += 1;
+                off += usize::from((f64::from(depth[y * 65 + x]) / along - 1.0).abs() > 0.01);
+            }
+        }
+        // Distractors and forearms hide some.
+        assert!(compared > 50 && off * 5 < compared, "distortion {distortion}: {off} of {compared} are off");
+    }
+}
+
+#[test]
+fn a_lens_that_bends_nothing_changes_nothing_but_what_it_costs() {
+    let straight = effects("lift_mug");
+    assert!(!straight.contains(Effect::LensDistortion));
+    let picture = |effects: EffectSet| {
+        let mut rollout = rollout("lift_mug", effects);
+        rollout.next_frame().unwrap().unwrap().frame.camera_ego_rgb
+    };
+    let [plain, through] = [straight, straight.with(Effect::LensDistortion)].map(picture);
+    let pairs = || plain.as_raw().iter().zip(through.as_raw());
+    let close = pairs().filter(|(a, b)| a.abs_diff(**b) <= 2).count();
+    // Along edges the engine may choose otherwise.
+    assert!(close as f64 > 0.98 * plain.as_raw().len() as f64, "{close} of {}", plain.as_raw().len());
+}
+
+#[test]
+fn a_lens_that_folds_the_picture_is_refused_by_name() {
+    let text = std::fs::read_to_string("sim/scenes/hover.yaml").unwrap();
+    let with = |camera: &str| {
+        let scene = Scene::parse("hover", Path::new("hover.yaml"), &format!("{text}camera: {{ {camera} }}\n")).unwrap();
+        Rollout::new(&scene, 4, &RolloutOptions::default()).map(drop)
+    };
+    for camera in ["distortion: [-1, 0], fovy: 100", "distortion: [-0.05, -0.05], fovy: 110"] {
+        let error = with(camera).unwrap_err().to_string();
+        assert!(error.contains("camera.distortion"), "{camera}: {error}");
+    }
+    with("distortion: [-0.3, 0.05], fovy: 60").unwrap();
 }
 
 #[test]

@@ -186,8 +186,7 @@ fn hands_from_mano_files_are_verified_as_the_built_in_ones() {
 #[test]
 fn a_cube_from_a_mesh_file_is_verified_as_the_built_in_one() {
     let folder = Folder::new();
-    let corners: String =
-        (0..8).map(|i| format!("v {} {} {}\n", i & 1, (i >> 1) & 1, i >> 2)).collect();
+    let corners: String = (0..8).map(|i| format!("v {} {} {}\n", i & 1, (i >> 1) & 1, i >> 2)).collect();
     let faces = ["1 3 4 2", "5 6 8 7", "1 2 6 5", "3 7 8 4", "1 5 7 3", "2 4 8 6"].map(|face| format!("f {face}\n"));
     std::fs::write(folder.path("unit.obj"), corners + &faces.concat()).unwrap();
     let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/sim/scenes/pinch_cube.yaml")).unwrap();

@@ -13,13 +13,14 @@ use super::log::Log;
 use super::params::{Allowed, Parameter, Parameters};
 use super::runtime::{self, Publisher, RosClock, Runtime};
 use super::{Shutdown, qos};
+use crate::camera::{Distortion, Intrinsics};
 use crate::hand::{HandModel, Side};
 use crate::label::SIGMA;
 use crate::message::{
     CameraInfo, Clock, CompressedImage, HandPose, Header, Image, Point, Quaternion, RegionOfInterest, TactileFrame,
     TactileTruth, Time,
 };
-use crate::sim::camera::{CameraPose, Intrinsics};
+use crate::sim::camera::CameraPose;
 use crate::sim::{Rollout, RolloutOptions, SHIPPED, Scene, SimFrame};
 
 /// How long the last messages have to reach their subscribers before the node goes.
@@ -384,16 +385,16 @@ fn into_camera(pose: &mut HandPose, camera: &CameraPose) {
 }
 
 fn camera_info(header: Header, intrinsics: Intrinsics) -> CameraInfo {
-    let Intrinsics { width, height, focal: f, centre: [cx, cy] } = intrinsics;
+    let Intrinsics { width, height, fx, fy, cx, cy, distortion: Distortion([k1, k2]) } = intrinsics;
     CameraInfo {
         header,
         height,
         width,
         distortion_model: "plumb_bob".to_owned(),
-        d: vec![0.0; 5],
-        k: [f, 0.0, cx, 0.0, f, cy, 0.0, 0.0, 1.0],
+        d: vec![k1, k2, 0.0, 0.0, 0.0],
+        k: [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
         r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        p: [f, 0.0, cx, 0.0, 0.0, f, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+        p: [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
         binning_x: 0,
         binning_y: 0,
         roi: RegionOfInterest::default(),

@@ -1,23 +1,10 @@
-//! The head-mounted camera: where it is, how it sways, what its pixels mean.
+//! The head-mounted camera: where it is and how it sways.
 
 use std::f64::consts::TAU;
 
 use glam::{DMat3, DQuat, DVec3};
 
 use super::randomize::CameraDraw;
-
-/// Pinhole intrinsics in pixels; no distortion.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Intrinsics {
-    /// Picture width.
-    pub width: u32,
-    /// Picture height.
-    pub height: u32,
-    /// Focal length, the same for both axes.
-    pub focal: f64,
-    /// Principal point, x to the right and y down from the top left corner of the picture.
-    pub centre: [f64; 2],
-}
 
 /// Pose of the camera: rotation and position of `world_from_camera`.
 ///
@@ -28,22 +15,6 @@ pub struct CameraPose {
     pub position: DVec3,
     /// Rotation from the optical frame to the world.
     pub orientation: DQuat,
-}
-
-impl Intrinsics {
-    /// Intrinsics of a picture with the given vertical field of view, rad.
-    pub fn new(width: u32, height: u32, fovy: f64) -> Self {
-        let focal = 0.5 * f64::from(height) / (0.5 * fovy).tan();
-        Self { width, height, focal, centre: [0.5 * f64::from(width), 0.5 * f64::from(height)] }
-    }
-
-    /// Pixel of a point in the camera's optical frame; `None` behind the camera.
-    pub fn project(&self, point: DVec3) -> Option<[f64; 2]> {
-        (point.z > 1e-6).then(|| {
-            let [cx, cy] = self.centre;
-            [cx + self.focal * point.x / point.z, cy + self.focal * point.y / point.z]
-        })
-    }
 }
 
 impl CameraPose {
@@ -77,6 +48,7 @@ impl CameraDraw {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::{Distortion, Intrinsics};
 
     #[test]
     fn the_target_is_seen_in_the_middle_and_up_is_up() {
@@ -84,6 +56,7 @@ mod tests {
             eye: DVec3::new(0.1, -0.4, 0.4),
             target: DVec3::new(0.0, 0.0, 0.05),
             fovy: 1.0,
+            distortion: Distortion::default(),
             roll: 0.0,
             sway: 0.0,
             phases: [0.0; 6],

@@ -34,7 +34,7 @@ const NEAR: f64 = 0.014;
 const THIN: f64 = 1.6e-3;
 
 /// Writes the model of an episode with the given effects.
-pub fn write(episode: &Episode, rigs: &[HandRig; 2], effects: EffectSet) -> String {
+pub fn write(episode: &Episode, rigs: &[HandRig; 2], effects: EffectSet, fovy: f64) -> String {
     let shadows = effects.contains(Effect::Shadows);
     let mut assets = String::new();
     let mut world = String::new();
@@ -56,7 +56,9 @@ pub fn write(episode: &Episode, rigs: &[HandRig; 2], effects: EffectSet) -> Stri
         }
         servos(rig, &mut actuators);
     }
-    let fovy = episode.camera.fovy.to_degrees();
+    let fovy = fovy.to_degrees();
+    // A lens needs a picture that is wider than what it shows.
+    let most = if effects.contains(Effect::LensDistortion) { 2 * MAX_PICTURE } else { MAX_PICTURE };
     let shadow_map = if shadows { 1024 } else { 0 };
     let ambient = episode.look.ambient;
     let flag = |on: bool| if on { "enable" } else { "disable" };
@@ -69,7 +71,7 @@ pub fn write(episode: &Episode, rigs: &[HandRig; 2], effects: EffectSet) -> Stri
 <size memory="8M"/>
 <statistic extent="1" center="0 0 0.1"/>
 <visual>
-<global offwidth="{MAX_PICTURE}" offheight="{MAX_PICTURE}"/>
+<global offwidth="{most}" offheight="{most}"/>
 <quality shadowsize="{shadow_map}" offsamples="0"/>
 <map znear="0.02" zfar="6" shadowclip="0.6"/>
 <headlight ambient="{ambient} {ambient} {ambient}" diffuse="0.12 0.12 0.12" specular="0 0 0"/>

@@ -17,6 +17,7 @@ pub mod explain;
 pub mod guard;
 pub mod ik;
 pub mod isolate;
+pub mod lens;
 pub mod look;
 pub mod mjcf;
 pub mod object;

@@ -13,6 +13,7 @@ use super::rig::HandRig;
 use super::scene::{ActSpec, CameraSpec, HandSpec, ObjectSpec, Scene, ShapeSpec, SideSpec, Site};
 use super::span::Span;
 use super::timeline::Timeline;
+use crate::camera::Distortion;
 use crate::error::{Error, Result};
 use crate::hand::Side;
 
@@ -115,6 +116,8 @@ pub struct CameraDraw {
     pub target: DVec3,
     /// Vertical field of view, rad.
     pub fovy: f64,
+    /// How its lens bends lines.
+    pub distortion: Distortion,
     /// Tilt, rad.
     pub roll: f64,
     /// Amplitude of the head's motion, m.
@@ -306,6 +309,7 @@ impl CameraDraw {
             phases: std::array::from_fn(|_| rng.random_range(0.0..2.0 * PI)),
             noise: spec.noise.sample(rng),
             shutter: spec.shutter.sample(rng),
+            distortion: Distortion(spec.distortion.each_ref().map(|s| s.sample(rng))),
         }
     }
 }

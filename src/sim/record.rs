@@ -276,15 +276,11 @@ fn attributes(scenes: &[Scene], seed: u64, options: &RolloutOptions) -> Attribut
 }
 
 fn episode_entry(scene: &Scene, seed: u64, rollout: &Rollout) -> Value {
-    let camera = rollout.intrinsics();
     json!({
         "scene": scene.name,
         "seed": seed,
         "objects": rollout.objects().iter().filter(|o| o.body().is_some()).map(|o| o.name.as_str()).collect::<Vec<_>>(),
-        "intrinsics": {
-            "width": camera.width, "height": camera.height, "fx": camera.focal, "fy": camera.focal,
-            "cx": camera.centre[0], "cy": camera.centre[1],
-        },
+        "intrinsics": rollout.intrinsics(),
     })
 }
 

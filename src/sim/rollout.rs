@@ -1,9 +1,9 @@
 //! A rollout: one episode of a scene, frame by frame.
 
-use super::camera::Intrinsics;
 use super::driver::{HandDriver, Target};
 use super::effect::{Effect, EffectPlan, EffectSet, Observation};
 use super::guard::Guard;
+use super::lens::Lens;
 use super::mjcf::{self, HEAD};
 use super::observe::SimFrame;
 use super::randomize::Episode;
@@ -11,6 +11,7 @@ use super::rig::HandRig;
 use super::scene::Scene;
 use super::scene_object::SceneObject;
 use super::view::{View, ViewOptions};
+use crate::camera::{Distortion, Intrinsics};
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, N_BETAS, PosedHand, Side};
 use crate::label::{ForceSpreader, SIGMA};
@@ -114,7 +115,13 @@ impl Rollout {
             Some(physics) => physics.clone(),
             None => plan.physics(effects, &scene.spec.physics)?,
         };
-        let mut world = World::from_mjcf(&mjcf::write(&episode, &rigs, effects), &physics)?;
+        let picture = options.picture.filter(|_| effects.contains(Effect::Rendering));
+        let lens = match picture.filter(|_| effects.contains(Effect::LensDistortion)) {
+            Some(size) => Some(Lens::new(&episode.camera, size)?),
+            None => None,
+        };
+        let fovy = lens.as_ref().map_or(episode.camera.fovy, Lens::fovy);
+        let mut world = World::from_mjcf(&mjcf::write(&episode, &rigs, effects, fovy), &physics)?;
 
         let objects = episode.objects.iter().map(|draw| SceneObject::new(&world, draw)).collect::<Result<Vec<_>>>()?;
         let targets: Vec<Target> = objects.iter().zip(&episode.objects).map(|(o, draw)| target(o, draw)).collect();
@@ -136,20 +143,21 @@ impl Rollout {
         let (head, camera) = (world.mocap(HEAD)?, world.camera(HEAD)?);
         let observe = scene.spec.observe.clone();
         let depth = observe.contains(&Observation::Depth);
-        let view = match options.picture.filter(|_| effects.contains(Effect::Rendering)) {
+        let (width, height) = picture.unwrap_or((1, 1));
+        let distortion = if lens.is_some() { episode.camera.distortion } else { Distortion::default() };
+        let view = match picture {
             Some(size) => {
-                let options = ViewOptions { camera, size, depth, effects, steps_per_frame, seed };
-                Some(View::new(&world, &episode.camera, &options)?)
+                let options = ViewOptions { camera, size, lens, depth, effects, steps_per_frame, seed };
+                Some(View::new(&world, &episode.camera, options)?)
             }
             None => None,
         };
-        let (width, height) = if view.is_some() { options.picture.unwrap_or((1, 1)) } else { (1, 1) };
         Ok(Self {
             steps_per_frame,
             steps: 0,
             steps_per_control: (CONTROL_INTERVAL / physics.timestep).round().max(1.0) as usize,
             frames: (episode.duration * scene.spec.rate).floor() as usize + 1,
-            intrinsics: Intrinsics::new(width, height, episode.camera.fovy),
+            intrinsics: Intrinsics::new(width, height, episode.camera.fovy).with_distortion(distortion),
             world,
             rigs,
             hands,
@@ -360,8 +368,9 @@ fn chosen_effects(plan: &EffectPlan, options: &RolloutOptions) -> Result<EffectS
         effects = effects.with(Effect::Shadows);
     }
     if options.picture.is_none() {
-        let pictures = [Effect::Rendering, Effect::Shadows, Effect::SensorNoise, Effect::MotionBlur];
-        effects = pictures.into_iter().fold(effects, EffectSet::without);
+        let of_pictures = |effect: &Effect| effect.needs().contains(&Effect::Rendering);
+        let pictures = Effect::ALL.into_iter().filter(of_pictures).chain([Effect::Rendering]);
+        effects = pictures.fold(effects, EffectSet::without);
     }
     effects.check()?;
     Ok(effects)

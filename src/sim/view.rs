@@ -6,6 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
 use super::effect::{Effect, EffectSet};
+use super::lens::Lens;
 use super::randomize::CameraDraw;
 use crate::error::Result;
 use crate::mujoco::{Renderer, World};
@@ -17,6 +18,7 @@ const EXPOSURES: usize = 4;
 #[derive(Debug)]
 pub struct View {
     renderer: Renderer,
+    lens: Option<Lens>,
     /// Steps before a frame's instant at which the shutter is open, the earliest first.
     exposures: Vec<usize>,
     /// Sums of the exposures so far.
@@ -29,12 +31,14 @@ pub struct View {
 }
 
 /// How a camera takes its pictures.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct ViewOptions {
     /// Index of the camera in the world.
     pub camera: usize,
     /// Width and height of a picture, pixels.
     pub size: (u32, u32),
+    /// What bends the picture.
+    pub lens: Option<Lens>,
     /// Whether distances are wanted.
     pub depth: bool,
     /// Effects of the rollout.
@@ -50,9 +54,10 @@ impl View {
     ///
     /// # Errors
     /// If there is no OpenGL.
-    pub fn new(world: &World, draw: &CameraDraw, options: &ViewOptions) -> Result<Self> {
-        let &ViewOptions { camera, size, depth, effects, steps_per_frame, seed } = options;
-        let renderer = Renderer::new(world, camera, size.0, size.1, depth)?;
+    pub fn new(world: &World, draw: &CameraDraw, options: ViewOptions) -> Result<Self> {
+        let ViewOptions { camera, size, lens, depth, effects, steps_per_frame, seed } = options;
+        let (width, height) = lens.as_ref().map_or(size, Lens::straight);
+        let renderer = Renderer::new(world, camera, width, height, depth)?;
         let exposures = match effects.contains(Effect::MotionBlur) {
             true => exposures((draw.shutter / world.options().timestep).round() as usize, steps_per_frame),
             false => Vec::new(),
@@ -62,7 +67,7 @@ impl View {
         let noise = noise.and_then(|sigma| Normal::new(0.0, sigma).ok());
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(1);
-        Ok(Self { renderer, exposures, open: Vec::new(), taken: 0, noise, rng, size, renders: 0 })
+        Ok(Self { renderer, lens, exposures, open: Vec::new(), taken: 0, noise, rng, size, renders: 0 })
     }
 
     /// Pictures drawn so far.
@@ -82,8 +87,12 @@ impl View {
     pub fn expose(&mut self, world: &mut World) -> Result<()> {
         let picture = self.renderer.render(world)?;
         self.renders += 1;
-        self.open.resize(picture.as_raw().len(), 0);
-        self.open.iter_mut().zip(picture.as_raw()).for_each(|(sum, value)| *sum += u32::from(*value));
+        let pixels = match &self.lens {
+            Some(lens) => lens.bend(&picture),
+            None => picture.into_raw(),
+        };
+        self.open.resize(pixels.len(), 0);
+        self.open.iter_mut().zip(&pixels).for_each(|(sum, value)| *sum += u32::from(*value));
         self.taken += 1;
         Ok(())
     }
@@ -103,7 +112,9 @@ impl View {
         let pixels: Vec<u8> = pixels.collect();
         let blank = || RgbImage::new(self.size.0, self.size.1);
         let picture = RgbImage::from_raw(self.size.0, self.size.1, pixels).unwrap_or_else(blank);
-        Ok((picture, self.renderer.depth()))
+        let depth = self.renderer.depth();
+        let bent = self.lens.as_ref().filter(|_| !depth.is_empty()).map(|lens| lens.bend_depth(&depth));
+        Ok((picture, bent.unwrap_or(depth)))
     }
 }
 

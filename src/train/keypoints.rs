@@ -13,6 +13,7 @@ use candle_nn::{Init, VarBuilder};
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
+use crate::camera::Intrinsics;
 use crate::dataset::EpisodeReader;
 use crate::dataset::zarr::{CAMERA_POSE, LEFT_HAND_POSE, OBJECT_POSE, RIGHT_HAND_POSE, ZarrReader};
 use crate::error::{Error, Result};
@@ -91,33 +92,29 @@ pub(super) fn seen(points: Points, change: &Change) -> Points {
     places
 }
 
-/// A pinhole camera somewhere in the world.
+/// A camera somewhere in the world.
 struct Camera {
     position: DVec3,
     /// From the optical frame (x right, y down, z forward) to the world.
     orientation: DQuat,
-    focal: [f64; 2],
-    centre: [f64; 2],
+    intrinsics: Intrinsics,
 }
 
 impl Camera {
     /// From a pose (position, quaternion w x y z) and the intrinsics that the store's attributes give for an episode.
     fn read(reader: &ZarrReader, episode: usize, pose: &[f32]) -> Option<Self> {
         let intrinsics = reader.raw_attributes().get("episodes")?.get(episode)?.get("intrinsics")?;
-        let number = |key: &str| intrinsics.get(key)?.as_f64();
         let p: [f64; 7] = std::array::from_fn(|i| f64::from(pose[i]));
         Some(Self {
             position: DVec3::new(p[0], p[1], p[2]),
             orientation: DQuat::from_xyzw(p[4], p[5], p[6], p[3]),
-            focal: [number("fx")?, number("fy")?],
-            centre: [number("cx")?, number("cy")?],
+            intrinsics: serde_json::from_value(intrinsics.clone()).ok()?,
         })
     }
 
-    /// Pixel of a point; None behind the camera.
+    /// Pixel of a point; None where it is not seen.
     fn project(&self, world: DVec3) -> Option<[f64; 2]> {
-        let p = self.orientation.inverse() * (world - self.position);
-        (p.z > 1e-6).then(|| [self.centre[0] + self.focal[0] * p.x / p.z, self.centre[1] + self.focal[1] * p.y / p.z])
+        self.intrinsics.project(self.orientation.inverse() * (world - self.position))
     }
 }
 

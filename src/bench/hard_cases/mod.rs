@@ -173,9 +173,7 @@ pub fn registry() -> Vec<HardCase> {
     ] {
         cases.extend_from_slice(family);
     }
-    for family in
-        [rotation::CASES, hand::CASES, label::CASES, entrances::CASES, network::CASES, trainer::CASES]
-    {
+    for family in [rotation::CASES, hand::CASES, label::CASES, entrances::CASES, network::CASES, trainer::CASES] {
         cases.extend_from_slice(family);
     }
     cases

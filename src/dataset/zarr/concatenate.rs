@@ -114,8 +114,7 @@ impl Output<'_> {
         }
         // Zarr v2 stores the last chunk whole.
         bytes.resize(self.chunk_len * self.spec.frame_bytes(), 0);
-        let written =
-            self.array.store_chunk_opt(&self.spec.chunk_index(n), ArrayBytes::new_flen(bytes), &one_thread());
+        let written = self.array.store_chunk_opt(&self.spec.chunk_index(n), ArrayBytes::new_flen(bytes), &one_thread());
         written.map_err(|error| Error::file(out, format!("{}: {error}", self.spec.name)))
     }
 }

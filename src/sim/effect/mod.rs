@@ -36,6 +36,8 @@ pub enum Effect {
     Rendering,
     /// Shadows in the picture.
     Shadows,
+    /// A lens that bends straight lines.
+    LensDistortion,
     /// Noise of the camera's sensor.
     SensorNoise,
     /// Blur by motion while the shutter is open.
@@ -44,7 +46,7 @@ pub enum Effect {
 
 impl Effect {
     /// All effects, in the order in which tables show them.
-    pub const ALL: [Effect; 13] = [
+    pub const ALL: [Effect; 14] = [
         Self::Dynamics,
         Self::RigidContact,
         Self::Friction,
@@ -56,6 +58,7 @@ impl Effect {
         Self::NearContact,
         Self::Rendering,
         Self::Shadows,
+        Self::LensDistortion,
         Self::SensorNoise,
         Self::MotionBlur,
     ];
@@ -74,6 +77,7 @@ impl Effect {
             Self::NearContact => "near_contact",
             Self::Rendering => "rendering",
             Self::Shadows => "shadows",
+            Self::LensDistortion => "lens_distortion",
             Self::SensorNoise => "sensor_noise",
             Self::MotionBlur => "motion_blur",
         }
@@ -88,7 +92,7 @@ impl Effect {
             Self::Gravity | Self::Articulation => &[Self::Dynamics],
             Self::SoftBody | Self::Sleep => &[Self::Dynamics, Self::RigidContact],
             Self::NearContact => &[Self::RigidContact],
-            Self::Shadows | Self::SensorNoise | Self::MotionBlur => &[Self::Rendering],
+            Self::Shadows | Self::LensDistortion | Self::SensorNoise | Self::MotionBlur => &[Self::Rendering],
         }
     }
 }

@@ -58,7 +58,7 @@ impl<'de> Deserialize<'de> for EffectsSpec {
 pub struct EffectPlan {
     effects: EffectSet,
     /// Why each effect is on or off, in the order of [`Effect::ALL`].
-    reasons: [String; 13],
+    reasons: [String; 14],
     long_hold: bool,
 }
 
@@ -71,7 +71,7 @@ impl EffectPlan {
         let facts = Facts::of(scene);
         let automatic = facts.decide();
         let mut effects = EffectSet::default();
-        let mut reasons: [String; 13] = Default::default();
+        let mut reasons: [String; 14] = Default::default();
         for (index, (effect, (on, reason))) in Effect::ALL.into_iter().zip(automatic).enumerate() {
             let (on, reason) = match scene.effects {
                 EffectsSpec::Auto => (on, reason),
@@ -131,6 +131,7 @@ struct Facts {
     idle_bodies: f64,
     articulated: bool,
     soft: bool,
+    lens: bool,
     noise: bool,
     shutter: bool,
 }
@@ -154,13 +155,14 @@ impl Facts {
             idle_bodies: idle + scene.distractors.high(),
             articulated: scene.objects.iter().any(|object| object.shape.is_articulated()),
             soft: scene.objects.iter().any(|object| object.shape.is_soft()),
+            lens: scene.camera.distortion.iter().any(|k| k.low() != 0.0 || k.high() != 0.0),
             noise: scene.camera.noise.high() > 0.0,
             shutter: scene.camera.shutter.high() > 0.0,
         }
     }
 
     /// On or off, and why, for each effect in the order of [`Effect::ALL`].
-    fn decide(&self) -> [(bool, &'static str); 13] {
+    fn decide(&self) -> [(bool, &'static str); 14] {
         let observes = |wanted: &[Observation]| wanted.iter().any(|w| self.observed.contains(w));
         let forces = observes(&[Observation::Force, Observation::Slip]);
         let pictures = observes(&[Observation::Rgb, Observation::Depth]);
@@ -214,6 +216,11 @@ impl Facts {
             },
             if pictures { (true, "pictures are wanted") } else { (false, "no picture is wanted: no OpenGL context") },
             (false, "only where a scene lists it: a shadow map makes a picture five times as dear"),
+            match (pictures, self.lens) {
+                (true, true) => (true, "the camera's lens bends lines"),
+                (false, _) => (false, "no picture is wanted"),
+                _ => (false, "the camera's lens bends nothing"),
+            },
             match (pictures, self.noise) {
                 (true, true) => (true, "the camera has noise"),
                 (false, _) => (false, "no picture is wanted"),

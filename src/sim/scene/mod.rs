@@ -111,6 +111,8 @@ pub struct CameraSpec {
     pub sway: Span,
     /// Standard deviation of the sensor's noise, in steps of the 8-bit picture.
     pub noise: Span,
+    /// Radial distortion k1 and k2 of the lens, as in `plumb_bob`; barrels have a negative k1.
+    pub distortion: [Span; 2],
     /// How long the shutter is open before a frame's instant, s; what moves meanwhile is blurred.
     pub shutter: Span,
 }
@@ -124,6 +126,7 @@ impl Default for CameraSpec {
             roll: Span::new(-0.06, 0.06),
             sway: Span::new(0.0, 0.008),
             noise: zero(),
+            distortion: [zero(); 2],
             shutter: zero(),
         }
     }
@@ -222,6 +225,9 @@ impl Scene {
         within("camera.fovy", spec.camera.fovy, 5.0, 150.0)?;
         within("camera.roll", spec.camera.roll, -TURN, TURN)?;
         within("camera.sway", spec.camera.sway, 0.0, 1.0)?;
+        for (name, span) in ["camera.distortion[0]", "camera.distortion[1]"].into_iter().zip(spec.camera.distortion) {
+            within(name, span, -1.0, 1.0)?;
+        }
         within("camera.noise", spec.camera.noise, 0.0, 255.0)?;
         within("camera.shutter", spec.camera.shutter, 0.0, 1.0 / spec.rate)?;
         EffectPlan::of(spec).map(drop)
