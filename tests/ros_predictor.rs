@@ -97,6 +97,19 @@ fn the_newest_image_wins_over_a_slow_network() {
 }
 
 #[test]
+fn a_latency_budget_takes_the_best_network_of_a_folder_and_says_why() {
+    let session = Session::new();
+    let large = session.checkpoint(&Config::pocket());
+    std::fs::rename(&large, large.with_file_name("large.safetensors")).unwrap();
+    let folder = format!("model:={}", session.checkpoint(&Config::toy()).parent().unwrap().display());
+    let mut node = session.node(PROGRAM, &["-p", &folder, "-p", "latency_budget_ms:=60000.0"]);
+    node.prints("large.safetensors in f32");
+    node.prints("is the best that keeps the budget of 60000 ms");
+    session.check(PEER, &["frames"]);
+    node.ends_cleanly("INT");
+}
+
+#[test]
 fn it_can_be_switched_off_and_on() {
     holds("enabled", &[]);
 }

@@ -8,10 +8,14 @@ use anyhow::{Context, bail};
 use crate::dataset::EpisodeReader;
 use crate::dataset::tensors::FieldFile;
 use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader};
-use crate::metrics::{self, Calibration, Fields, Options, Report};
+use crate::hand::{HandModel, Side};
+use crate::metrics::{self, Calibration, Comparison, Fields, Options, Part, Report};
 use crate::model::{Checkpoint, Precision};
+use crate::tactile::Topology;
 use crate::train::baseline;
 use crate::train::batch::{Dataset, read_labels};
+
+use super::hands::Hands;
 
 /// Arguments of `egotac eval`.
 #[derive(Debug, clap::Args)]
@@ -46,25 +50,105 @@ pub struct Args {
     /// by default the range of the data.
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
+    /// Count the right hand's vertices alone.
+    #[arg(long)]
+    right_hand_only: bool,
+    /// Also score each hand and each region by itself; regions of MANO fields need the hands' files.
+    #[arg(long)]
+    parts: bool,
+    /// Another estimator's fields of the same frames, in a file as for --pred: scored by the same protocol, with the paired
+    /// difference and its 95 % interval (bootstrap over episodes).
+    #[arg(long, value_name = "FILE")]
+    against: Option<PathBuf>,
+    /// Seed of the bootstrap's drawings.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
     /// Print JSON in place of a table.
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    hands: Hands,
+}
+
+/// What is scored.
+struct Case {
+    pred: Fields,
+    target: Fields,
+    /// What the vertices mean, where a file says so.
+    topology: Option<Topology>,
+    options: Options,
+    /// Constants to score beside the prediction.
+    constants: Vec<(&'static str, Fields)>,
+}
+
+/// All that was asked for.
+struct Scored {
+    reports: Vec<(&'static str, Report)>,
+    parts: Vec<(String, Report)>,
+    against: Option<Comparison>,
 }
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let reports = match (&args.pred, &args.target, &args.checkpoint) {
-        (Some(pred), Some(target), None) => vec![("prediction", eval_files(&args, pred, target)?)],
-        (None, None, Some(checkpoint)) => eval_checkpoint(&args, checkpoint)?,
+    let mut case = match (&args.pred, &args.target, &args.checkpoint) {
+        (Some(pred), Some(target), None) => of_files(&args, pred, target)?,
+        (None, None, Some(checkpoint)) => of_checkpoint(&args, checkpoint)?,
         _ => bail!("give --pred and --target, or --checkpoint and --data"),
     };
-    let reports: Vec<(&str, &Report)> = reports.iter().map(|(name, report)| (*name, report)).collect();
-    print_reports(&reports, args.json)?;
+    if args.right_hand_only {
+        case.options = case.options.within(&Part::hand(Side::Right), case.target.n_frames());
+    }
+    let scored = score(&args, &case)?;
+    match args.json {
+        true => println!("{:#}", json(&scored)?),
+        false => print(&scored),
+    }
     Ok(ExitCode::SUCCESS)
 }
 
-/// The checkpoint's report, then those of the constants.
-fn eval_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Vec<(&'static str, Report)>> {
+fn score(args: &Args, case: &Case) -> anyhow::Result<Scored> {
+    let Case { pred, target, topology, options, constants } = case;
+    let name = if constants.is_empty() { "prediction" } else { "model" };
+    let mut reports = vec![(name, metrics::evaluate(pred, target, options)?)];
+    for (name, fields) in constants {
+        reports.push((name, metrics::evaluate(fields, target, options)?));
+    }
+    let mut scored = Vec::new();
+    if args.parts {
+        for part in parts(args, topology.unwrap_or_default())? {
+            let report = metrics::evaluate(pred, target, &options.within(&part, target.n_frames()))?;
+            scored.push((part.name, report));
+        }
+    }
+    let against = match &args.against {
+        Some(path) => {
+            let other = FieldFile::read(path)?;
+            if let (Some(topology), Some(other)) = (topology, other.topology) {
+                topology.must_match(other).with_context(|| path.display().to_string())?;
+            }
+            same_length(path, &other.fields, target.n_frames())?;
+            Some(metrics::compare(pred, &other.fields, target, options, args.seed)?)
+        }
+        None => None,
+    };
+    Ok(Scored { reports, parts: scored, against })
+}
+
+/// Both hands, then every region whose vertices are known.
+fn parts(args: &Args, topology: Topology) -> anyhow::Result<Vec<Part>> {
+    let models = match (args.hands.files()?, topology) {
+        (Some(models), _) => models,
+        (None, Topology::EgotacHand1) => Side::BOTH.map(HandModel::builtin),
+        (None, Topology::Mano) => {
+            bail!("--parts: the fields are on MANO's vertices; give --mano-left and --mano-right")
+        }
+    };
+    models.iter().try_for_each(|model| topology.must_match(model.topology))?;
+    Ok(Side::BOTH.into_iter().map(Part::hand).chain(Part::regions(&models)).collect())
+}
+
+/// A checkpoint's predictions, and the constants beside it.
+fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
     let device = candle_core::Device::Cpu;
     let checkpoint = Checkpoint::load_as(checkpoint, &device, args.precision)?;
     let preparation = checkpoint.metadata.preparation(checkpoint.model.config());
@@ -78,34 +162,34 @@ fn eval_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Vec<(&'stat
     let mut options = labels.options();
     options.fps = args.fps.or(options.fps);
     options.calibration = args.calibration.as_deref().map(read_calibration).transpose()?;
-    let predicted = super::predict::predict_stores(&checkpoint, &data, &device)?.fields;
-    let mut reports = vec![("model", metrics::evaluate(&predicted, &labels.fields, &options)?)];
+    let pred = super::predict::predict_stores(&checkpoint, &data, &device)?.fields;
+    let mut constants = Vec::new();
     if !args.baselines_from.is_empty() {
         for constant in baseline::constants(&open(&args.baselines_from)?.labels()?) {
-            let fields = constant.fields(labels.fields.n_frames());
-            reports.push((constant.name, metrics::evaluate(&fields, &labels.fields, &options)?));
+            constants.push((constant.name, constant.fields(labels.fields.n_frames())));
         }
     }
-    Ok(reports)
+    Ok(Case { pred, target: labels.fields, topology: Some(data.topology()), options, constants })
 }
 
-fn eval_files(args: &Args, pred_path: &Path, target_path: &Path) -> anyhow::Result<Report> {
+fn of_files(args: &Args, pred_path: &Path, target_path: &Path) -> anyhow::Result<Case> {
     let pred = FieldFile::read(pred_path)?;
     let target = read_target(target_path)?;
     if let (Some(pred), Some(target)) = (pred.topology, target.topology) {
         pred.must_match(target)?;
     }
-    if pred.fields.n_frames() != target.fields.n_frames() {
-        bail!(
-            "{} has {} frames, {} has {}",
-            pred_path.display(),
-            pred.fields.n_frames(),
-            target_path.display(),
-            target.fields.n_frames()
-        );
-    }
+    same_length(pred_path, &pred.fields, target.fields.n_frames())
+        .with_context(|| format!("beside {}", target_path.display()))?;
     let options = options(&target, args.fps, args.calibration.as_deref())?;
-    Ok(metrics::evaluate(&pred.fields, &target.fields, &options)?)
+    let topology = target.topology.or(pred.topology);
+    Ok(Case { pred: pred.fields, target: target.fields, topology, options, constants: vec![] })
+}
+
+fn same_length(path: &Path, fields: &Fields, n_frames: usize) -> anyhow::Result<()> {
+    if fields.n_frames() != n_frames {
+        bail!("{} has {} frames, expected the truth's {n_frames}", path.display(), fields.n_frames());
+    }
+    Ok(())
 }
 
 fn options(target: &FieldFile, fps: Option<f64>, calibration: Option<&Path>) -> anyhow::Result<Options> {
@@ -150,16 +234,29 @@ fn read_target(path: &Path) -> anyhow::Result<FieldFile> {
     })
 }
 
-fn print_reports(reports: &[(&str, &Report)], json: bool) -> anyhow::Result<()> {
-    if !json {
-        println!("{}", metrics::table(reports));
-        return Ok(());
+fn print(scored: &Scored) {
+    let reports: Vec<(&str, &Report)> = scored.reports.iter().map(|(name, report)| (*name, report)).collect();
+    println!("{}", metrics::table(&reports));
+    if !scored.parts.is_empty() {
+        println!("\n{}", metrics::parts_table(&scored.parts));
     }
-    // One report is the document itself; several lie under their names.
-    let value = match reports {
+    if let Some(comparison) = &scored.against {
+        println!("\n{}", metrics::comparison_table(comparison));
+    }
+}
+
+/// One report is the document itself; several lie under their names. Parts and the comparison are added.
+fn json(scored: &Scored) -> anyhow::Result<serde_json::Value> {
+    let mut value = match scored.reports.as_slice() {
         [(_, report)] => serde_json::to_value(report)?,
-        _ => serde_json::to_value(reports.iter().copied().collect::<std::collections::BTreeMap<_, _>>())?,
+        reports => serde_json::to_value(reports.iter().cloned().collect::<std::collections::BTreeMap<_, _>>())?,
     };
-    println!("{value:#}");
-    Ok(())
+    if !scored.parts.is_empty() {
+        let parts = scored.parts.iter().map(|(name, report)| Ok((name.clone(), serde_json::to_value(report)?)));
+        value["parts"] = parts.collect::<serde_json::Result<serde_json::Map<_, _>>>()?.into();
+    }
+    if let Some(comparison) = &scored.against {
+        value["against"] = serde_json::to_value(comparison)?;
+    }
+    Ok(value)
 }

@@ -11,21 +11,27 @@
 //! number. A score is undefined, too, where the prediction itself is unknown (NaN) at a valid vertex.
 
 pub mod bootstrap;
+pub mod compare;
 pub mod contact;
 pub mod dynamics;
 pub mod force;
+pub mod part;
 mod report;
 pub mod spectrum;
+pub mod trace;
 
 use serde::Serialize;
 
 use crate::error::{Error, Result};
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField};
 
+pub use compare::{Comparison, compare};
 pub use contact::{Counts, Scores};
 pub use dynamics::Calibration;
 pub use force::Errors;
-pub use report::table;
+pub use part::Part;
+pub use report::{comparison_table, parts_table, table};
+use trace::{TraceScores, Traces};
 
 /// Predicted or true touch over `T` frames.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -128,9 +134,6 @@ pub struct ReportCounts {
     pub unknown_predictions: u64,
 }
 
-/// A score of a predicted trace against a true one.
-type TraceScore<'a> = dyn Fn(&[f64], &[f64]) -> Option<f64> + 'a;
-
 /// Scores `pred` against `target`. Entries that the target itself leaves unknown (NaN) do not count.
 ///
 /// # Errors
@@ -148,28 +151,17 @@ pub fn evaluate(pred: &Fields, target: &Fields, options: &Options) -> Result<Rep
 
     let frames: Vec<FrameScore> = (0..n_frames).map(|t| FrameScore::at(pred, target, options, t)).collect();
     let summary = summarize(&frames);
-    let traces = Traces::of(&frames);
-    let (pred_range, target_range) = match &options.calibration {
-        Some(calibration) => (calibration.pred(), calibration.target()),
-        None => (dynamics::range(&traces.pred), dynamics::range(&traces.target)),
-    };
-    let per_episode = |score: &TraceScore<'_>| {
-        mean(episodes.iter().map(|e| score(traces.pred.get(e.clone())?, traces.target.get(e.clone())?)))
-    };
-    let normalised = |score: fn(&[f64], &[f64]) -> Option<f64>| {
-        per_episode(&|p, t| score(&dynamics::normalise(p, pred_range), &dynamics::normalise(t, target_range)))
-    };
+    let per_episode = Traces::of(&frames).scores(&episodes, options.calibration.as_ref(), options.fps);
+    let trace = TraceScores::mean(per_episode.iter());
     Ok(Report {
-        temporal_pearson: per_episode(&pearson),
+        temporal_pearson: trace.temporal_pearson,
         pooled: Scores { auroc: pooled_auroc(pred, target, options), ..summary.pooled },
-        force_cosine: normalised(dynamics::cosine),
-        rise_f1: normalised(dynamics::rise_f1),
-        fall_f1: normalised(dynamics::fall_f1),
-        dft_pearson: per_episode(&spectrum::dft_pearson),
-        spectral_convergence: per_episode(&spectrum::spectral_convergence),
-        dominant_frequency_error_hz: options
-            .fps
-            .and_then(|fps| per_episode(&|p, t| spectrum::dominant_frequency_error(p, t, fps))),
+        force_cosine: trace.force_cosine,
+        rise_f1: trace.rise_f1,
+        fall_f1: trace.fall_f1,
+        dft_pearson: trace.dft_pearson,
+        spectral_convergence: trace.spectral_convergence,
+        dominant_frequency_error_hz: trace.dominant_frequency_error_hz,
         counts: ReportCounts { episodes: episodes.len(), ..summary.counts },
         ..summary
     })
@@ -284,20 +276,6 @@ pub fn pearson(a: &[f64], b: &[f64]) -> Option<f64> {
         bb += b * b;
     }
     finite(ab / (aa.sqrt() * bb.sqrt())).map(|r| r.clamp(-1.0, 1.0))
-}
-
-/// Total force over time on both sides; empty if the prediction is unknown anywhere.
-struct Traces {
-    pred: Vec<f64>,
-    target: Vec<f64>,
-}
-
-impl Traces {
-    fn of<'a>(frames: impl IntoIterator<Item = &'a FrameScore>) -> Self {
-        let (pred, target): (Vec<Option<f64>>, Vec<f64>) =
-            frames.into_iter().map(|frame| (frame.pred_total, frame.target_total)).unzip();
-        Self { pred: pred.into_iter().collect::<Option<Vec<f64>>>().unwrap_or_default(), target }
-    }
 }
 
 fn pooled_auroc(pred: &Fields, target: &Fields, options: &Options) -> Option<f64> {

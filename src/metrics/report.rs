@@ -1,6 +1,6 @@
 //! Scores as a table for the terminal.
 
-use super::{Report, Scores};
+use super::{Comparison, Report, Scores};
 
 /// One score out of those of contact.
 type ContactScore = fn(&Scores) -> Option<f64>;
@@ -44,7 +44,7 @@ pub fn table(reports: &[(&str, &Report)]) -> String {
     for (name, values) in rows {
         text += &format!("\n{name:30}");
         for value in values {
-            text += &value.map_or(format!("{:>width$}", "undefined"), |value| format!("{value:>width$.5}"));
+            text += &cell(value, width, 5);
         }
     }
     if let Some((_, first)) = reports.first() {
@@ -56,4 +56,36 @@ pub fn table(reports: &[(&str, &Report)]) -> String {
         );
     }
     text
+}
+
+/// A table with one line per named part of the vertices.
+pub fn parts_table(parts: &[(String, Report)]) -> String {
+    let mut text = format!(
+        "{:18}{:>12}{:>17}{:>11}{:>11}{:>11}{:>11}{:>11}{:>16}",
+        "part", "MAE (N)", "active MAE (N)", "precision", "recall", "F1", "IoU", "AUROC", "active entries"
+    );
+    for (name, report) in parts {
+        let Scores { precision, recall, f1, iou, auroc } = report.pooled;
+        text += &format!("\n{name:18}{}{}", cell(report.mae, 12, 5), cell(report.active_mae, 17, 4));
+        [precision, recall, f1, iou, auroc].into_iter().for_each(|score| text += &cell(score, 11, 4));
+        text += &format!("{:>16}", report.counts.active_entries);
+    }
+    text
+}
+
+/// A table with one line per score of two predictions.
+pub fn comparison_table(comparison: &Comparison) -> String {
+    let mut text =
+        format!("{:30}{:>12}{:>12}{:>12}{:>24}", "score", "prediction", "other", "difference", "95 % interval");
+    for d in &comparison.differences {
+        text += &format!("\n{:30}{}{}", d.name, cell(d.value, 12, 5), cell(d.other, 12, 5));
+        let interval = d.interval.map_or("-".to_string(), |[low, high]| format!("{low:.5} .. {high:.5}"));
+        text += &format!("{}{interval:>24}", cell(d.difference, 12, 5));
+    }
+    let few = if comparison.episodes < 2 { "; intervals need at least two episodes" } else { "" };
+    text + &format!("\n{} drawings of {} episodes, the same for both{few}", comparison.drawings, comparison.episodes)
+}
+
+fn cell(value: Option<f64>, width: usize, digits: usize) -> String {
+    value.map_or(format!("{:>width$}", "undefined"), |value| format!("{value:>width$.digits$}"))
 }

@@ -1,139 +1,22 @@
 //! Checkpoints: weights in safetensors, with everything a stranger needs to use them in the file's metadata.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Mutex;
 
-use candle_core::{DType, Device, Shape, Tensor};
-use candle_nn::var_builder::SimpleBackend;
-use candle_nn::{Init, VarBuilder, VarMap};
+use candle_core::{DType, Device, Tensor};
+use candle_nn::var_builder::SimpleBackend as _;
+use candle_nn::{Init, VarMap};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
-use serde::Serialize;
-use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
+use super::loader::Loader;
+use super::metadata::{Metadata, json, names};
 use super::{Config, EgoTac, Precision};
 use crate::error::{Error, Result};
 use crate::file;
-use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
-use crate::tactile::Topology;
 
 /// Part of published DINOv2 checkpoints that inference never touches; allowed in a file and ignored.
 const MASK_TOKEN: &str = "encoder.embeddings.mask_token";
-/// Misfits named in one message.
-const MAX_NAMED: usize = 8;
-
-/// What a checkpoint says beside its weights; one key of the file's metadata per field.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Metadata {
-    /// Name of the model, e.g. for messages.
-    pub name: String,
-    /// What the vertex indices mean.
-    pub topology: Topology,
-    /// N per unit of the force head's output: 99th percentile of the active training force.
-    pub force_scale: f32,
-    /// Whether the force head was trained; if not, forces are unknown (NaN).
-    pub has_force: bool,
-    /// Seconds between observation steps.
-    pub frame_dt: f64,
-    /// How images become the square input.
-    pub resize: Resize,
-    /// Resampling filter.
-    pub filter: Filter,
-    /// Mean per RGB channel, of values in 0..1.
-    pub mean: [f32; 3],
-    /// Standard deviation per RGB channel, of values in 0..1.
-    pub std: [f32; 3],
-    /// Data, command, seed and metrics of the training, free text (JSON by our own training).
-    pub training: String,
-}
-
-impl Metadata {
-    /// Of a network on our built-in hand with ImageNet statistics; `force_scale` in N, `frame_dt` in s.
-    pub fn new(name: impl Into<String>, force_scale: f32, frame_dt: f64) -> Self {
-        Self {
-            name: name.into(),
-            topology: Topology::default(),
-            force_scale,
-            has_force: true,
-            frame_dt,
-            resize: Resize::default(),
-            filter: Filter::default(),
-            mean: IMAGENET_MEAN,
-            std: IMAGENET_STD,
-            training: String::new(),
-        }
-    }
-
-    /// How images become the input of a network of this geometry.
-    pub fn preparation(&self, config: &Config) -> Preparation {
-        Preparation { side: config.image, resize: self.resize, filter: self.filter, mean: self.mean, std: self.std }
-    }
-
-    /// Checks ranges.
-    ///
-    /// # Errors
-    /// Names the first field that is out of range.
-    pub fn check(&self) -> Result<()> {
-        let positive = |name: &str, value: f64| match value.is_finite() && value > 0.0 {
-            true => Ok(()),
-            false => Err(Error::value(name, "a finite number > 0", value)),
-        };
-        positive("force_scale", f64::from(self.force_scale))?;
-        positive("frame_dt", self.frame_dt)?;
-        self.std.iter().try_for_each(|std| positive("std", f64::from(*std)))?;
-        match self.mean.iter().find(|mean| !mean.is_finite()) {
-            Some(mean) => Err(Error::value("mean", "finite numbers", mean)),
-            None => Ok(()),
-        }
-    }
-
-    /// As the file's metadata holds it: strings; numbers, flags and lists in JSON.
-    pub fn to_map(&self) -> BTreeMap<String, String> {
-        let enum_name = |name: String| name.trim_matches('"').to_string();
-        BTreeMap::from([
-            ("name".into(), self.name.clone()),
-            ("topology".into(), self.topology.id().into()),
-            ("force_scale".into(), json(&self.force_scale)),
-            ("has_force".into(), json(&self.has_force)),
-            ("frame_dt".into(), json(&self.frame_dt)),
-            ("resize".into(), enum_name(json(&self.resize))),
-            ("filter".into(), enum_name(json(&self.filter))),
-            ("mean".into(), json(&self.mean)),
-            ("std".into(), json(&self.std)),
-            ("training".into(), self.training.clone()),
-        ])
-    }
-
-    fn from_map(path: &Path, map: &BTreeMap<String, String>) -> Result<Self> {
-        let text = |key: &str| {
-            map.get(key).cloned().ok_or_else(|| Error::Missing {
-                name: format!("metadata {key:?}"),
-                place: path.display().to_string(),
-                present: names(map.keys()),
-            })
-        };
-        fn parse<T: DeserializeOwned>(path: &Path, key: &str, json: &str, expected: &str) -> Result<T> {
-            serde_json::from_str(json)
-                .map_err(|_| Error::file(path, format!("metadata {key:?}: expected {expected}, got {json:?}")))
-        }
-        let quoted = |key: &str| Ok::<_, Error>(json(&text(key)?));
-        let metadata = Self {
-            name: text("name")?,
-            topology: Topology::from_id(&text("topology")?)?,
-            force_scale: parse(path, "force_scale", &text("force_scale")?, "a number, newtons")?,
-            has_force: parse(path, "has_force", &text("has_force")?, "true or false")?,
-            frame_dt: parse(path, "frame_dt", &text("frame_dt")?, "a number, seconds")?,
-            resize: parse(path, "resize", &quoted("resize")?, "crop, centre, letterbox or squash")?,
-            filter: parse(path, "filter", &quoted("filter")?, "triangle or bicubic")?,
-            mean: parse(path, "mean", &text("mean")?, "three numbers in brackets")?,
-            std: parse(path, "std", &text("std")?, "three numbers in brackets")?,
-            training: text("training")?,
-        };
-        metadata.check().map_err(|error| Error::file(path, error))?;
-        Ok(metadata)
-    }
-}
 
 /// A network ready to run, with what its file says.
 #[derive(Debug, Clone)]
@@ -271,7 +154,7 @@ pub fn save_tensors(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<(
 pub fn parameter_count(config: &Config) -> Result<usize> {
     let loader = Loader::new(BTreeMap::new());
     EgoTac::new(config, loader.var_builder(&Device::Cpu))?;
-    loader.0.asked.lock().map(|asked| asked.count).map_err(|_| Error::value("loader", "an intact one", "a dead one"))
+    loader.count()
 }
 
 /// A file's tensors as f32 on the CPU, by name: safetensors, or a PyTorch archive, which is read without executing what
@@ -349,77 +232,6 @@ impl File {
     }
 }
 
-/// Hands out tensors to constructors and writes down every misfit, so that one message can name them all.
-#[derive(Clone)]
-struct Loader(std::sync::Arc<LoaderState>);
-
-struct LoaderState {
-    tensors: BTreeMap<String, Tensor>,
-    asked: Mutex<Asked>,
-}
-
-#[derive(Default)]
-struct Asked {
-    names: BTreeSet<String>,
-    count: usize,
-    misfits: Vec<String>,
-}
-
-impl Loader {
-    fn new(tensors: BTreeMap<String, Tensor>) -> Self {
-        Self(std::sync::Arc::new(LoaderState { tensors, asked: Mutex::default() }))
-    }
-
-    fn var_builder(&self, device: &Device) -> VarBuilder<'static> {
-        self.var_builder_of(DType::F32, device)
-    }
-
-    fn var_builder_of(&self, dtype: DType, device: &Device) -> VarBuilder<'static> {
-        VarBuilder::from_backend(Box::new(self.clone()), dtype, device.clone())
-    }
-
-    /// Says what did not fit, once everything has been asked for.
-    fn finish(&self, path: &Path) -> Result<()> {
-        let Ok(asked) = self.0.asked.lock() else { return Err(Error::file(path, "a thread died while loading")) };
-        let unexpected = self.0.tensors.iter().filter(|(name, _)| !asked.names.contains(*name));
-        let unexpected = unexpected.map(|(name, t)| format!("{name}: expected no such tensor, found {:?}", t.dims()));
-        let misfits: Vec<String> = asked.misfits.iter().cloned().chain(unexpected).collect();
-        if misfits.is_empty() {
-            return Ok(());
-        }
-        let more = match misfits.len() {
-            n if n > MAX_NAMED => format!("; and {} more", n - MAX_NAMED),
-            _ => String::new(),
-        };
-        let named = misfits[..misfits.len().min(MAX_NAMED)].join("; ");
-        Err(Error::file(path, format!("{} of the network's tensors do not fit: {named}{more}", misfits.len())))
-    }
-}
-
-impl SimpleBackend for Loader {
-    fn get(&self, shape: Shape, name: &str, _: Init, dtype: DType, device: &Device) -> candle_core::Result<Tensor> {
-        let Ok(mut asked) = self.0.asked.lock() else { candle_core::bail!("a thread died while loading") };
-        asked.names.insert(name.to_string());
-        asked.count += shape.elem_count();
-        let found = match self.0.tensors.get(name) {
-            Some(tensor) if tensor.shape() == &shape => return tensor.to_device(device)?.to_dtype(dtype),
-            Some(tensor) => format!("found {:?}", tensor.dims()),
-            None => "found none".into(),
-        };
-        asked.misfits.push(format!("{name}: expected {:?}, {found}", shape.dims()));
-        // Goes on with zeros; `finish` turns the misfits into the error.
-        Tensor::zeros(shape, dtype, device)
-    }
-
-    fn get_unchecked(&self, name: &str, _: DType, _: &Device) -> candle_core::Result<Tensor> {
-        candle_core::bail!("tensor {name} was asked for without a shape")
-    }
-
-    fn contains_tensor(&self, name: &str) -> bool {
-        self.0.tensors.contains_key(name)
-    }
-}
-
 /// A file's tensor as f32.
 fn tensor(path: &Path, name: &str, view: &TensorView) -> Result<Tensor> {
     let bytes = view.data();
@@ -488,16 +300,6 @@ fn read(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(Error::io(path))
 }
 
-/// JSON of a plain value, which has no way to fail.
-fn json<T: Serialize + ?Sized>(value: &T) -> String {
-    serde_json::to_string(value).unwrap_or_default()
-}
-
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-fn names<'a>(names: impl Iterator<Item = &'a String>) -> String {
-    let names: Vec<&str> = names.map(String::as_str).collect();
-    if names.is_empty() { "nothing".into() } else { names.join(", ") }
 }

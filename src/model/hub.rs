@@ -6,8 +6,9 @@ use std::path::Path;
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
 
-use super::checkpoint::{self, Metadata};
+use super::checkpoint;
 use super::config::Config;
+use super::metadata::Metadata;
 use super::{EgoTac, init};
 use crate::error::{Error, Result};
 use crate::image::{Filter, Resize};

@@ -32,8 +32,9 @@ use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
 use serde::Deserialize;
 
-use super::checkpoint::{self, Metadata};
+use super::checkpoint;
 use super::config::Config;
+use super::metadata::Metadata;
 use super::{EgoTac, init};
 use crate::error::{Error, Result};
 use crate::hand::N_VERTICES;

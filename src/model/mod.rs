@@ -16,6 +16,8 @@ mod engine;
 pub mod hub;
 pub mod import;
 pub mod init;
+mod loader;
+pub mod metadata;
 pub mod ops;
 pub mod precision;
 pub mod predictor;
@@ -30,8 +32,9 @@ use candle_nn::VarBuilder;
 use crate::error::{Error, Result};
 use crate::tactile::N_FIELD;
 
-pub use checkpoint::{Checkpoint, Metadata};
+pub use checkpoint::Checkpoint;
 pub use config::Config;
+pub use metadata::Metadata;
 pub use precision::Precision;
 pub use predictor::{Prediction, Predictor};
 

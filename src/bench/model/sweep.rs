@@ -18,6 +18,8 @@ pub struct Plan {
     pub command: String,
     /// Presets, with random weights.
     pub presets: Vec<String>,
+    /// A preset of which horizon, input size and threads are varied one at a time, in the first format.
+    pub vary: Option<String>,
     /// Observation horizons; empty = each preset's own.
     pub horizons: Vec<usize>,
     /// Input sizes, pixels; empty = each preset's own.
@@ -49,6 +51,9 @@ pub struct Report {
     pub runs: usize,
     /// Every configuration.
     pub rows: Vec<Row>,
+    /// One preset with one thing varied at a time.
+    #[serde(default)]
+    pub varied: Vec<Row>,
     /// The peer's command.
     pub peer: Option<String>,
     /// Beside the peer.
@@ -61,20 +66,27 @@ pub struct Report {
 /// If a process fails; with what it said.
 pub fn run(plan: &Plan, mut progress: impl FnMut(&str, usize, usize)) -> Result<Report> {
     let commands = commands(plan);
+    let varied = plan.vary.as_ref().map(|preset| varied(plan, preset)).unwrap_or_default();
     let rounds = plan.peer.as_ref().map_or(0, |(_, rounds)| *rounds);
-    let all = commands.len() + rounds * plan.presets.len();
-    let mut rows = Vec::new();
-    for (done, arguments) in commands.iter().enumerate() {
-        progress(&arguments[2..].join(" "), done, all);
-        rows.push(child(arguments)?);
-    }
+    let all = commands.len() + varied.len() + rounds * plan.presets.len();
+    let mut done = 0;
+    let mut measure = |commands: &[Vec<String>]| -> Result<Vec<Row>> {
+        let mut rows = Vec::new();
+        for arguments in commands {
+            progress(&arguments[2..].join(" "), done, all);
+            rows.push(child(arguments)?);
+            done += 1;
+        }
+        Ok(rows)
+    };
+    let (rows, varied) = (measure(&commands)?, measure(&varied)?);
     let mut beside = Vec::new();
     for (i, preset) in plan.presets.iter().enumerate() {
         let Some((command, rounds)) = &plan.peer else { break };
         let mut pair = Rounds { preset: preset.clone(), ours: vec![], ours_int8: vec![], peer: vec![] };
         let threads = plan.threads.iter().copied().max().unwrap_or(1);
         for round in 0..*rounds {
-            progress(&format!("{preset} beside the peer"), commands.len() + i * rounds + round, all);
+            progress(&format!("{preset} beside the peer"), done + i * rounds + round, all);
             for (precision, timings) in [(Precision::F32, &mut pair.ours), (Precision::Int8, &mut pair.ours_int8)] {
                 let row = child(&arguments(preset, threads, precision, plan.runs))?;
                 timings.push(Timing {
@@ -95,6 +107,7 @@ pub fn run(plan: &Plan, mut progress: impl FnMut(&str, usize, usize)) -> Result<
         machine: Machine::this(),
         runs: plan.runs,
         rows,
+        varied,
         peer: plan.peer.as_ref().map(|(command, _)| command.clone()),
         rounds: beside,
     })
@@ -104,6 +117,29 @@ fn arguments(preset: &str, threads: usize, precision: Precision, runs: usize) ->
     let words =
         format!("bench model --preset {preset} --threads {threads} --precision {precision} --runs {runs} --json");
     words.split(' ').map(str::to_owned).collect()
+}
+
+/// What is varied one at a time: option and values.
+const VARIED: [(&str, &[usize]); 3] =
+    [("--horizon", &[1, 2, 4, 8]), ("--image", &[112, 168, 224, 336]), ("--threads", &[1, 2, 4, 8, 16])];
+
+/// Arguments of each process that varies one thing.
+fn varied(plan: &Plan, preset: &str) -> Vec<Vec<String>> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let most = plan.threads.iter().copied().max().unwrap_or(1);
+    let precision = plan.precisions.first().copied().unwrap_or(Precision::F32);
+    let mut commands = Vec::new();
+    for (option, values) in VARIED {
+        for value in values.iter().filter(|value| option != "--threads" || **value <= cores.max(most)) {
+            let threads = if option == "--threads" { *value } else { most };
+            let mut words = arguments(preset, threads, precision, plan.runs);
+            if option != "--threads" {
+                words.extend([option.to_owned(), value.to_string()]);
+            }
+            commands.push(words);
+        }
+    }
+    commands
 }
 
 /// Arguments of each process.

@@ -24,6 +24,11 @@ pub fn render(report: &Report) -> String {
     );
     text.push_str(LEGEND);
     text.push_str(&rows(&report.rows));
+    if let Some(row) = report.varied.first() {
+        let _ =
+            writeln!(text, "\n## Horizon, input and threads, one at a time\n\nPreset {}, random weights.", row.preset);
+        text.push_str(&rows(&report.varied));
+    }
     if let Some(peer) = &report.peer {
         beside(peer, &report.rounds, &mut text);
     }

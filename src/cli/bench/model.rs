@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, bail, ensure};
 use candle_nn::VarMap;
 
+use crate::bench::Machine;
 use crate::bench::model::{Plan, Setup, growth, measure, pareto, sweep, table};
 use crate::cli::progress;
 use crate::dataset::zarr;
@@ -26,6 +27,9 @@ pub struct Args {
     /// Presets, comma separated: toy, pocket, tiny, small, base.
     #[arg(long, value_delimiter = ',', default_value = "tiny")]
     preset: Vec<String>,
+    /// Of this preset also vary horizon, input size and threads, one at a time.
+    #[arg(long, value_name = "PRESET", requires = "out")]
+    vary: Option<String>,
     /// Observation horizons, comma separated; the preset's own without it.
     #[arg(long, value_delimiter = ',')]
     horizon: Vec<usize>,
@@ -58,7 +62,8 @@ pub struct Args {
     #[arg(long, default_value_t = 3)]
     rounds: usize,
     /// Send so many frames through a stream and see whether memory grows; exit status 1 if it does.
-    #[arg(long, value_name = "FRAMES", conflicts_with_all = ["out", "checkpoint"])]
+    /// With --out it is written as growth-PRESET.json.
+    #[arg(long, value_name = "FRAMES", conflicts_with_all = ["checkpoint", "vary", "peer", "draw"])]
     growth: Option<u64>,
     /// CUDA device, by index; the CPU without it.
     #[arg(long, value_name = "INDEX", conflicts_with = "out")]
@@ -77,19 +82,17 @@ pub struct Args {
 /// Runs the subject; false if memory grew.
 pub fn run(args: &Args) -> anyhow::Result<bool> {
     ensure!(args.threads.iter().all(|threads| (1..=1024).contains(threads)), "--threads: expected 1 to 1024");
-    for preset in &args.preset {
+    for preset in args.preset.iter().chain(&args.vary) {
         Config::preset(preset)?;
     }
-    match (&args.out, args.growth) {
-        (Some(out), _) => match &args.draw {
-            Some(path) => {
-                let text = std::fs::read_to_string(path).with_context(|| format!("{}", path.display()))?;
-                write(out, &serde_json::from_str(&text).with_context(|| format!("{}", path.display()))?)
-            }
-            None => write(out, &sweep(args, out)?),
-        },
-        (None, Some(frames)) => grow(args, frames as usize),
-        (None, None) => one(args),
+    match (&args.out, args.growth, &args.draw) {
+        (_, Some(frames), _) => grow(args, frames as usize),
+        (Some(out), None, Some(path)) => {
+            let text = std::fs::read_to_string(path).with_context(|| format!("{}", path.display()))?;
+            write(out, &serde_json::from_str(&text).with_context(|| format!("{}", path.display()))?)
+        }
+        (Some(out), None, None) => write(out, &sweep(args, out)?),
+        (None, None, _) => one(args),
     }
 }
 
@@ -147,6 +150,12 @@ fn grow(args: &Args, frames: usize) -> anyhow::Result<bool> {
     let checkpoint = Checkpoint { model: model.compile(setup.precision)?, metadata, sha256: String::new() };
     let mut predictor = Predictor::new(checkpoint, Options { device: setup.device, ..Options::default() })?;
     let growth = growth::measure(&mut predictor, &setup.name, frames)?;
+    if let Some(out) = &args.out {
+        let mut json = serde_json::to_value(&growth)?;
+        json["command"] = command(args, out).into();
+        json["machine"] = serde_json::to_value(Machine::this())?;
+        file::write(&out.join(format!("growth-{}.json", growth.preset)), format!("{json:#}\n").as_bytes())?;
+    }
     match args.json {
         true => println!("{}", serde_json::to_string(&growth)?),
         false => println!(
@@ -161,6 +170,7 @@ fn sweep(args: &Args, out: &std::path::Path) -> anyhow::Result<sweep::Report> {
     let plan = Plan {
         command: command(args, out),
         presets: args.preset.clone(),
+        vary: args.vary.clone(),
         horizons: args.horizon.clone(),
         images: args.image.clone(),
         precisions: args.precision.clone(),
@@ -204,6 +214,9 @@ fn command(args: &Args, out: &std::path::Path) -> String {
             words += &format!(" {name} {values}");
         }
     }
+    if let Some(preset) = &args.vary {
+        words += &format!(" --vary {preset}");
+    }
     words += &format!(" --runs {}", args.runs);
     for (name, paths) in [("--checkpoint", &args.checkpoint), ("--data", &args.data)] {
         if !paths.is_empty() {
@@ -213,6 +226,9 @@ fn command(args: &Args, out: &std::path::Path) -> String {
     }
     if let Some(peer) = &args.peer {
         words += &format!(" --peer \"{peer}\" --rounds {}", args.rounds);
+    }
+    if let Some(frames) = args.growth {
+        words += &format!(" --growth {frames}");
     }
     words + &format!(" --out {}", out.display())
 }

@@ -1,0 +1,328 @@
+//! Two predictions of the same truth: by how much they differ, and how sure that is.
+
+use serde::Serialize;
+
+use super::trace::{TraceScores, Traces};
+use super::{
+    Counts, Errors, Fields, FrameScore, Options, Report, Scores, bootstrap, contact, episode_ranges, evaluate,
+};
+use crate::error::{Error, Result};
+
+/// Scores are sorted into so many bins of equal population for the AUROC of a drawing; that is exact to 1 in 10 000.
+const BINS: usize = 4096;
+
+/// Scores of two predictions and their paired difference.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Comparison {
+    /// The other prediction's scores.
+    pub other: Report,
+    /// By score, in the report's order.
+    pub differences: Vec<Difference>,
+    /// Episodes that were drawn anew; intervals need at least two.
+    pub episodes: usize,
+    /// Drawings.
+    pub drawings: usize,
+    /// Seed of the drawings.
+    pub seed: u64,
+}
+
+/// One score of both.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Difference {
+    /// Its name in the report, e.g. `pooled.f1`.
+    pub name: &'static str,
+    /// Of the first prediction.
+    pub value: Option<f64>,
+    /// Of the other.
+    pub other: Option<f64>,
+    /// First minus other.
+    pub difference: Option<f64>,
+    /// What holds 95 % of the differences when the same episodes are drawn anew for both.
+    pub interval: Option<[f64; 2]>,
+}
+
+/// Scores that are compared, as the report names them.
+const NAMES: [&str; 19] = [
+    "mae",
+    "active_mae",
+    "temporal_pearson",
+    "frame_mean.precision",
+    "frame_mean.recall",
+    "frame_mean.f1",
+    "frame_mean.iou",
+    "frame_mean.auroc",
+    "pooled.precision",
+    "pooled.recall",
+    "pooled.f1",
+    "pooled.iou",
+    "pooled.auroc",
+    "force_cosine",
+    "rise_f1",
+    "fall_f1",
+    "dft_pearson",
+    "spectral_convergence",
+    "dominant_frequency_error_hz",
+];
+
+/// Scores `pred` and `other` against `target`, with a paired bootstrap over episodes: each drawing takes the same episodes
+/// for both.
+///
+/// # Errors
+/// As [`evaluate`], for either.
+pub fn compare(pred: &Fields, other: &Fields, target: &Fields, options: &Options, seed: u64) -> Result<Comparison> {
+    let report = evaluate(pred, target, options)?;
+    let other_report = evaluate(other, target, options)
+        .map_err(|error| Error::value("the other prediction", "a fitting one", error))?;
+    let episodes = episode_ranges(&options.episode_ends, target.n_frames())?;
+    let [mine, theirs] = [pred, other].map(|fields| parts(fields, target, options, &episodes));
+    let pairs: Vec<(Part, Part)> = mine.into_iter().zip(theirs).collect();
+    let sum = |drawn: &mut dyn Iterator<Item = &(Part, Part)>| {
+        let mut sums = [Sum::default(), Sum::default()];
+        for (mine, theirs) in drawn {
+            sums[0].add(mine);
+            sums[1].add(theirs);
+        }
+        sums
+    };
+    let statistics = |[mine, theirs]: &[Sum; 2]| {
+        mine.scores().iter().zip(theirs.scores()).map(|(a, b)| Some((*a)? - b?)).collect::<Vec<_>>()
+    };
+    let intervals = bootstrap::intervals(&pairs, seed, sum, statistics);
+    let values = values(&report).into_iter().zip(values(&other_report));
+    let differences = NAMES.into_iter().zip(values).zip(intervals).map(|((name, (value, other)), interval)| {
+        let difference = value.zip(other).map(|(a, b)| a - b);
+        Difference { name, value, other, difference, interval: interval.filter(|_| difference.is_some()) }
+    });
+    Ok(Comparison {
+        differences: differences.collect(),
+        other: other_report,
+        episodes: episodes.len(),
+        drawings: bootstrap::DRAWINGS,
+        seed,
+    })
+}
+
+/// A report's scores in the order of [`NAMES`].
+fn values(report: &Report) -> [Option<f64>; 19] {
+    let Report { frame_mean: f, pooled: p, .. } = report;
+    [
+        report.mae,
+        report.active_mae,
+        report.temporal_pearson,
+        f.precision,
+        f.recall,
+        f.f1,
+        f.iou,
+        f.auroc,
+        p.precision,
+        p.recall,
+        p.f1,
+        p.iou,
+        p.auroc,
+        report.force_cosine,
+        report.rise_f1,
+        report.fall_f1,
+        report.dft_pearson,
+        report.spectral_convergence,
+        report.dominant_frequency_error_hz,
+    ]
+}
+
+/// What one episode adds to the scores of one prediction.
+#[derive(Debug, Clone, Default)]
+struct Part {
+    force: Errors,
+    contact: Counts,
+    /// Sums and counts over the frames that have positives: precision, recall, F1, IoU, AUROC.
+    frames: [(f64, usize); 5],
+    trace: TraceScores,
+    /// Untrue and true entries by bin of their score; empty if a score is unknown.
+    bins: Vec<[u32; 2]>,
+}
+
+fn parts(pred: &Fields, target: &Fields, options: &Options, episodes: &[std::ops::Range<usize>]) -> Vec<Part> {
+    let frames: Vec<FrameScore> = (0..target.n_frames()).map(|t| FrameScore::at(pred, target, options, t)).collect();
+    let traces = Traces::of(&frames).scores(episodes, options.calibration.as_ref(), options.fps);
+    let edges = edges(contact::pairs(&pred.contact, &target.contact, &options.mask_contact));
+    let of = |(episode, trace): (&std::ops::Range<usize>, TraceScores)| {
+        let mut part = Part { trace, bins: vec![[0; 2]; edges.len()], ..Part::default() };
+        for frame in &frames[episode.clone()] {
+            part.force = part.force + frame.force;
+            part.contact = part.contact + frame.contact;
+            if frame.contact.positives() > 0 {
+                let Scores { precision, recall, f1, iou, .. } = frame.contact.scores();
+                for ((sum, count), score) in part.frames.iter_mut().zip([precision, recall, f1, iou, frame.auroc]) {
+                    *sum += score.unwrap_or(0.0);
+                    *count += usize::from(score.is_some());
+                }
+            }
+        }
+        let rows = episode.start * crate::tactile::N_FIELD..episode.end * crate::tactile::N_FIELD;
+        let mask = if options.mask_contact.is_empty() { &[] } else { &options.mask_contact[rows.clone()] };
+        for (score, truth) in contact::pairs(&pred.contact[rows.clone()], &target.contact[rows], mask) {
+            if let Some(bin) = part.bins.get_mut(edges.partition_point(|edge| *edge < score)) {
+                bin[usize::from(truth)] += 1;
+            }
+        }
+        part
+    };
+    episodes.iter().zip(traces).map(of).collect()
+}
+
+/// Upper ends of the bins, so that each holds as many scores; none if a score is unknown.
+fn edges(pairs: Vec<(f32, bool)>) -> Vec<f32> {
+    let mut scores: Vec<f32> = pairs.into_iter().map(|(score, _)| score).collect();
+    if scores.iter().any(|score| score.is_nan()) {
+        return Vec::new();
+    }
+    scores.sort_unstable_by(f32::total_cmp);
+    let last = scores.len().saturating_sub(1);
+    let mut edges: Vec<f32> = (1..=BINS).filter_map(|n| scores.get(last * n / BINS).copied()).collect();
+    edges.dedup();
+    edges
+}
+
+/// Parts of drawn episodes.
+#[derive(Debug, Default)]
+struct Sum {
+    part: Part,
+    traces: Vec<TraceScores>,
+}
+
+impl Sum {
+    fn add(&mut self, other: &Part) {
+        self.part.force = self.part.force + other.force;
+        self.part.contact = self.part.contact + other.contact;
+        for ((sum, count), (more, n)) in self.part.frames.iter_mut().zip(other.frames) {
+            *sum += more;
+            *count += n;
+        }
+        self.part.bins.resize(other.bins.len(), [0; 2]);
+        for (sum, more) in self.part.bins.iter_mut().zip(&other.bins) {
+            *sum = [sum[0] + more[0], sum[1] + more[1]];
+        }
+        self.traces.push(other.trace);
+    }
+
+    /// In the order of [`NAMES`].
+    fn scores(&self) -> [Option<f64>; 19] {
+        let Part { force, contact, frames, bins, .. } = &self.part;
+        let mean = |(sum, count): (f64, usize)| (count > 0 && contact.unknown == 0).then(|| sum / count as f64);
+        let [fp, fr, ff, fi, fa] = frames.map(mean);
+        let Scores { precision, recall, f1, iou, .. } = contact.scores();
+        let t = TraceScores::mean(self.traces.iter());
+        [
+            force.mae(),
+            force.active_mae(),
+            t.temporal_pearson,
+            fp,
+            fr,
+            ff,
+            fi,
+            fa,
+            precision,
+            recall,
+            f1,
+            iou,
+            binned_auroc(bins),
+            t.force_cosine,
+            t.rise_f1,
+            t.fall_f1,
+            t.dft_pearson,
+            t.spectral_convergence,
+            t.dominant_frequency_error_hz,
+        ]
+    }
+}
+
+/// As [`contact::auroc`], with all scores of a bin tied.
+fn binned_auroc(bins: &[[u32; 2]]) -> Option<f64> {
+    let (mut negatives, mut positives, mut u) = (0.0, 0.0, 0.0);
+    for [untrue, truth] in bins.iter().map(|bin| bin.map(f64::from)) {
+        u += truth * (negatives + 0.5 * untrue);
+        negatives += untrue;
+        positives += truth;
+    }
+    (positives > 0.0 && negatives > 0.0).then(|| u / (positives * negatives))
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::tactile::N_FIELD;
+
+    const EPISODES: usize = 12;
+    const FRAMES: usize = 6;
+
+    /// Truth, and predictions with noise of the given sizes.
+    fn fields(noises: [f64; 2]) -> (Fields, [Fields; 2], Options) {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let n = EPISODES * FRAMES * N_FIELD;
+        let force: Vec<f32> = (0..n)
+            .map(|i| if i % 29 == 0 { 0.3 * (1.0 + (i / N_FIELD % FRAMES) as f32) * rng.random::<f32>() } else { 0.0 })
+            .collect();
+        let target = Fields::from_force(force);
+        let predictions = noises.map(|noise| Fields {
+            force: target.force.iter().map(|f| (f + (noise * rng.random::<f64>()) as f32).max(0.0)).collect(),
+            contact: target
+                .contact
+                .iter()
+                .map(|c| (0.25 + 0.5 * f64::from(*c) + noise * (rng.random::<f64>() - 0.5)).clamp(0.0, 1.0) as f32)
+                .collect(),
+        });
+        let options = Options {
+            episode_ends: (1..=EPISODES).map(|e| e * FRAMES).collect(),
+            fps: Some(25.0),
+            ..Options::default()
+        };
+        (target, predictions, options)
+    }
+
+    #[test]
+    fn the_better_of_two_is_told_with_its_interval() {
+        let (target, [good, bad], options) = fields([0.3, 1.2]);
+        let comparison = compare(&good, &bad, &target, &options, 1).unwrap();
+        let of = |name: &str| comparison.differences.iter().find(|d| d.name == name).unwrap().clone();
+        for name in ["mae", "pooled.f1", "pooled.auroc", "frame_mean.f1"] {
+            let Difference { difference, interval, .. } = of(name);
+            let ([low, high], difference) = (interval.unwrap(), difference.unwrap());
+            assert!(low <= difference && difference <= high, "{name}: {difference} outside of {low}..{high}");
+            let better = if name == "mae" { high < 0.0 } else { low > 0.0 };
+            assert!(better, "{name}: {low}..{high}");
+        }
+        let exact = evaluate(&good, &target, &options).unwrap();
+        assert_eq!(of("pooled.f1").value, exact.pooled.f1);
+        assert_eq!(comparison.other, evaluate(&bad, &target, &options).unwrap());
+        assert_eq!(comparison, compare(&good, &bad, &target, &options, 1).unwrap());
+    }
+
+    #[test]
+    fn all_episodes_together_give_the_scores_of_the_whole() {
+        let (target, [pred, _], options) = fields([0.8, 0.0]);
+        let episodes = episode_ranges(&options.episode_ends, target.n_frames()).unwrap();
+        let mut sum = Sum::default();
+        parts(&pred, &target, &options, &episodes).iter().for_each(|part| sum.add(part));
+        let whole = values(&evaluate(&pred, &target, &options).unwrap());
+        for ((name, got), expected) in NAMES.iter().zip(sum.scores()).zip(whole) {
+            let tolerance = if name.ends_with("pooled.auroc") { 1e-4 } else { 1e-12 };
+            match (got, expected) {
+                (Some(got), Some(expected)) => assert!((got - expected).abs() < tolerance, "{name}: {got} {expected}"),
+                other => assert_eq!(other, (None, None), "{name}"),
+            }
+        }
+    }
+
+    #[test]
+    fn the_same_prediction_twice_differs_by_nothing_and_one_episode_has_no_interval() {
+        let (target, [pred, _], options) = fields([0.8, 0.0]);
+        let same = compare(&pred, &pred, &target, &options, 1).unwrap();
+        for Difference { name, difference, interval, .. } in same.differences {
+            assert!(difference.is_none() || (difference, interval) == (Some(0.0), Some([0.0, 0.0])), "{name}");
+        }
+        let one = compare(&pred, &pred, &target, &Options { episode_ends: vec![], ..options }, 1).unwrap();
+        assert!(one.differences.iter().all(|difference| difference.interval.is_none()));
+    }
+}

@@ -1,0 +1,135 @@
+//! What a checkpoint says beside its weights.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::Config;
+use crate::error::{Error, Result};
+use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
+use crate::tactile::Topology;
+
+/// What a checkpoint says beside its weights; one key of the file's metadata per field.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Metadata {
+    /// Name of the model, e.g. for messages.
+    pub name: String,
+    /// What the vertex indices mean.
+    pub topology: Topology,
+    /// N per unit of the force head's output: 99th percentile of the active training force.
+    pub force_scale: f32,
+    /// Whether the force head was trained; if not, forces are unknown (NaN).
+    pub has_force: bool,
+    /// Seconds between observation steps.
+    pub frame_dt: f64,
+    /// How images become the square input.
+    pub resize: Resize,
+    /// Resampling filter.
+    pub filter: Filter,
+    /// Mean per RGB channel, of values in 0..1.
+    pub mean: [f32; 3],
+    /// Standard deviation per RGB channel, of values in 0..1.
+    pub std: [f32; 3],
+    /// Data, command, seed and metrics of the training, free text (JSON by our own training).
+    pub training: String,
+}
+
+impl Metadata {
+    /// Of a network on our built-in hand with ImageNet statistics; `force_scale` in N, `frame_dt` in s.
+    pub fn new(name: impl Into<String>, force_scale: f32, frame_dt: f64) -> Self {
+        Self {
+            name: name.into(),
+            topology: Topology::default(),
+            force_scale,
+            has_force: true,
+            frame_dt,
+            resize: Resize::default(),
+            filter: Filter::default(),
+            mean: IMAGENET_MEAN,
+            std: IMAGENET_STD,
+            training: String::new(),
+        }
+    }
+
+    /// How images become the input of a network of this geometry.
+    pub fn preparation(&self, config: &Config) -> Preparation {
+        Preparation { side: config.image, resize: self.resize, filter: self.filter, mean: self.mean, std: self.std }
+    }
+
+    /// Checks ranges.
+    ///
+    /// # Errors
+    /// Names the first field that is out of range.
+    pub fn check(&self) -> Result<()> {
+        let positive = |name: &str, value: f64| match value.is_finite() && value > 0.0 {
+            true => Ok(()),
+            false => Err(Error::value(name, "a finite number > 0", value)),
+        };
+        positive("force_scale", f64::from(self.force_scale))?;
+        positive("frame_dt", self.frame_dt)?;
+        self.std.iter().try_for_each(|std| positive("std", f64::from(*std)))?;
+        match self.mean.iter().find(|mean| !mean.is_finite()) {
+            Some(mean) => Err(Error::value("mean", "finite numbers", mean)),
+            None => Ok(()),
+        }
+    }
+
+    /// As the file's metadata holds it: strings; numbers, flags and lists in JSON.
+    pub fn to_map(&self) -> BTreeMap<String, String> {
+        let enum_name = |name: String| name.trim_matches('"').to_string();
+        BTreeMap::from([
+            ("name".into(), self.name.clone()),
+            ("topology".into(), self.topology.id().into()),
+            ("force_scale".into(), json(&self.force_scale)),
+            ("has_force".into(), json(&self.has_force)),
+            ("frame_dt".into(), json(&self.frame_dt)),
+            ("resize".into(), enum_name(json(&self.resize))),
+            ("filter".into(), enum_name(json(&self.filter))),
+            ("mean".into(), json(&self.mean)),
+            ("std".into(), json(&self.std)),
+            ("training".into(), self.training.clone()),
+        ])
+    }
+
+    pub(super) fn from_map(path: &Path, map: &BTreeMap<String, String>) -> Result<Self> {
+        let text = |key: &str| {
+            map.get(key).cloned().ok_or_else(|| Error::Missing {
+                name: format!("metadata {key:?}"),
+                place: path.display().to_string(),
+                present: names(map.keys()),
+            })
+        };
+        fn parse<T: DeserializeOwned>(path: &Path, key: &str, json: &str, expected: &str) -> Result<T> {
+            serde_json::from_str(json)
+                .map_err(|_| Error::file(path, format!("metadata {key:?}: expected {expected}, got {json:?}")))
+        }
+        let quoted = |key: &str| Ok::<_, Error>(json(&text(key)?));
+        let metadata = Self {
+            name: text("name")?,
+            topology: Topology::from_id(&text("topology")?)?,
+            force_scale: parse(path, "force_scale", &text("force_scale")?, "a number, newtons")?,
+            has_force: parse(path, "has_force", &text("has_force")?, "true or false")?,
+            frame_dt: parse(path, "frame_dt", &text("frame_dt")?, "a number, seconds")?,
+            resize: parse(path, "resize", &quoted("resize")?, "crop, centre, letterbox or squash")?,
+            filter: parse(path, "filter", &quoted("filter")?, "triangle or bicubic")?,
+            mean: parse(path, "mean", &text("mean")?, "three numbers in brackets")?,
+            std: parse(path, "std", &text("std")?, "three numbers in brackets")?,
+            training: text("training")?,
+        };
+        metadata.check().map_err(|error| Error::file(path, error))?;
+        Ok(metadata)
+    }
+}
+
+/// JSON of a plain value, which has no way to fail.
+pub(super) fn json<T: Serialize + ?Sized>(value: &T) -> String {
+    serde_json::to_string(value).unwrap_or_default()
+}
+
+/// Names for a message.
+pub(super) fn names<'a>(names: impl Iterator<Item = &'a String>) -> String {
+    let names: Vec<&str> = names.map(String::as_str).collect();
+    if names.is_empty() { "nothing".into() } else { names.join(", ") }
+}
