@@ -2,10 +2,11 @@
 """The network in PyTorch, timed: what `egotac bench model --peer` runs beside ours.
 
     python benches/peer.py --preset tiny --threads 2 [--runs 20] [--openvino]
+    python benches/peer.py --preset tiny --threads 2 --train [--batch 4] [--runs 3]
 
 Needs torch and transformers, and openvino for its encoder. Prints medians in ms and the largest resident memory in MB
 (2^20 bytes) as JSON: encoder_ms one frame, streaming_ms one more frame of a stream whose other frames' tokens are kept,
-clip_ms the whole window.
+clip_ms the whole window. With --train: step_ms and windows_per_s of an optimisation step.
 """
 import argparse
 import json
@@ -118,15 +119,41 @@ def openvino_encoder_ms(model, frame, threads, runs):
     return median_ms(lambda: request.infer({0: frame.numpy()}), runs)
 
 
+def train_step(c, batch, runs):
+    """A whole optimisation step: forward, force and contact loss, backward, clipping, AdamW."""
+    model = EgoTac(c).train()
+    optimiser = torch.optim.AdamW(model.parameters(), 1e-4)
+    images = torch.randn(batch, c["horizon"], 3, c["image"], c["image"])
+    force = torch.rand(batch, c["steps"], 1556)
+    contact = (force > 0.9).float()
+
+    def step():
+        predicted, logits = model(images)
+        loss = F.mse_loss(predicted, force)
+        loss = loss + F.binary_cross_entropy_with_logits(logits, contact, pos_weight=torch.tensor(2.0))
+        optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), 5.0)
+        optimiser.step()
+
+    ms = median_ms(step, runs)
+    return {"step_ms": ms, "windows_per_s": 1e3 * batch / ms}
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--preset", default="tiny", choices=PRESETS)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--openvino", action="store_true", help="also time the encoder in OpenVINO")
+    parser.add_argument("--train", action="store_true", help="time a training step in place of all else")
+    parser.add_argument("--batch", type=int, default=4, help="windows of a training step")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     c = PRESETS[args.preset]
+    if args.train:
+        print(json.dumps(train_step(c, args.batch, args.runs)))
+        return
     model = EgoTac(c).eval()
     frame = torch.randn(1, 3, c["image"], c["image"])
     clip = frame[None].expand(1, c["horizon"], -1, -1, -1).contiguous()

@@ -12,6 +12,7 @@ pub mod hard_cases;
 pub mod model;
 #[cfg(feature = "sim")]
 pub mod sim;
+pub mod train;
 
 /// Where numbers were measured.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

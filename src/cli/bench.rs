@@ -1,6 +1,7 @@
 //! `egotac bench`: what accuracy costs and what breaks, measured on this machine.
 
 mod model;
+mod train;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -16,6 +17,8 @@ pub struct Args {
 enum Subject {
     /// What the network costs: latency and memory by preset, precision and threads, beside accuracy.
     Model(Box<model::Args>),
+    /// What a training step costs, beside another program's.
+    Train(train::Args),
     /// What accuracy costs in simulation: errors against fine references, times, a Pareto plot.
     Sim(Sim),
     /// What each scene simulates, and what each effect costs in it.
@@ -92,6 +95,7 @@ struct Guards {
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let name = match args.subject {
         Subject::Model(args) => return status(model::run(&args)?),
+        Subject::Train(args) => return train::run(&args).map(|()| ExitCode::SUCCESS),
         Subject::Sim(_) => "bench sim",
         Subject::Effects(_) => "bench effects",
         Subject::HardCases(_) => "bench hard-cases",
@@ -106,6 +110,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     status(match args.subject {
         Subject::Model(args) => model::run(&args)?,
+        Subject::Train(args) => train::run(&args).map(|()| true)?,
         Subject::Sim(args) => with_sim::sim(&args)?,
         Subject::Effects(args) => with_sim::effects(&args)?,
         Subject::HardCases(args) => with_sim::hard_cases(&args)?,

@@ -14,7 +14,7 @@ mod log;
 pub mod loss;
 pub mod mixture;
 pub mod optimizer;
-mod pass;
+pub mod pass;
 mod predict;
 pub mod sampler;
 pub mod source;

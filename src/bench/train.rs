@@ -1,0 +1,248 @@
+//! What a training step costs: windows of their own frames, windows that share the frames of a clip, and a peer.
+
+use std::process::Command;
+use std::time::Instant;
+
+use candle_core::Device;
+use candle_nn::VarMap;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use super::Machine;
+use crate::error::{Error, Result};
+use crate::model::{Config, EgoTac, init};
+use crate::tactile::N_FIELD;
+use crate::text::put;
+use crate::train::batch::Batch;
+use crate::train::config::Loss;
+use crate::train::optimizer::AdamW;
+use crate::train::pass::Pass;
+
+/// Windows of a batch whose frames are their own.
+const WINDOWS: usize = 4;
+/// Frames of a clip whose windows share them.
+const CLIP: usize = 16;
+/// Share of true entries among the labels.
+const ACTIVE: f64 = 0.1;
+
+/// How the windows of a step lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Form {
+    /// 4 windows of T frames each.
+    Own,
+    /// All windows of a clip of 16 frames, each of which is encoded once.
+    Shared,
+}
+
+/// A step, timed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Timed {
+    /// Median of the steps, ms.
+    pub step_ms: f64,
+    /// Windows per second at that.
+    pub windows_per_s: f64,
+}
+
+/// One preset beside the peer.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// Name of the preset.
+    pub preset: String,
+    /// 4 windows with frames of their own; one value per round.
+    pub own: Vec<Timed>,
+    /// 13 windows (T = 4) of a clip's 16 frames; one value per round.
+    pub shared: Vec<Timed>,
+    /// The peer's step on 4 windows; one value per round.
+    pub peer: Vec<Timed>,
+}
+
+/// What was measured.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Report {
+    /// The command that measures it again.
+    pub command: String,
+    /// Version of egotac.
+    pub egotac: &'static str,
+    /// Where.
+    pub machine: Machine,
+    /// Threads of both.
+    pub threads: usize,
+    /// Steps per round and form.
+    pub runs: usize,
+    /// Per preset.
+    pub rows: Vec<Row>,
+}
+
+/// Times whole optimisation steps on random pictures and labels: forward, objective, backward, clipping, AdamW.
+///
+/// # Errors
+/// If the preset is unknown or the device out of memory.
+pub fn step(preset: &str, form: Form, runs: usize, device: &Device) -> Result<Timed> {
+    let geometry = Config::preset(preset)?;
+    let varmap = VarMap::new();
+    let network = EgoTac::new(&geometry, init::var_builder(&varmap, 0, device))?;
+    let mut optimizer = AdamW::new(&varmap, &config(preset)?)?;
+    let weights = Loss::default();
+    let pass = Pass {
+        network: &network,
+        keypoint_heads: None,
+        geometry: &geometry,
+        force_scale: 1.0,
+        weights: &weights,
+        device,
+    };
+    let batch = batch(&geometry, form);
+    let windows = batch.windows.len() / geometry.horizon;
+    let mut times = Vec::new();
+    for _ in 0..=runs.max(1) {
+        let begun = Instant::now();
+        let passed = pass.run(batch.clone(), 1.0)?;
+        optimizer.step(&passed.gradients, 1e-4)?;
+        times.push(begun.elapsed().as_secs_f64() * 1e3);
+    }
+    // The first one faults its memory in.
+    let mut counted = times.split_off(1);
+    counted.sort_by(f64::total_cmp);
+    let step_ms = counted[counted.len() / 2];
+    Ok(Timed { step_ms, windows_per_s: 1e3 * windows as f64 / step_ms })
+}
+
+/// Every preset in both forms, in turn with `peer`'s command.
+///
+/// # Errors
+/// As [`step`], and if the peer fails.
+pub fn measure(
+    command: String,
+    presets: &[String],
+    threads: usize,
+    runs: usize,
+    peer: Option<(&str, usize)>,
+    mut progress: impl FnMut(&str),
+) -> Result<Report> {
+    let mut rows = Vec::new();
+    for preset in presets {
+        let mut row = Row { preset: preset.clone(), own: vec![], shared: vec![], peer: vec![] };
+        for _ in 0..peer.map_or(1, |(_, rounds)| rounds.max(1)) {
+            progress(preset);
+            row.own.push(step(preset, Form::Own, runs, &Device::Cpu)?);
+            row.shared.push(step(preset, Form::Shared, runs, &Device::Cpu)?);
+            if let Some((command, _)) = peer {
+                row.peer.push(ask(command, preset, threads, runs)?);
+            }
+        }
+        rows.push(row);
+    }
+    Ok(Report { command, egotac: env!("CARGO_PKG_VERSION"), machine: Machine::this(), threads, runs, rows })
+}
+
+impl Report {
+    /// For readers.
+    pub fn markdown(&self) -> String {
+        let mut text = format!(
+            "# What a training step costs\n\nWritten by `{}`: {} threads, {} steps per round and form, median of the steps and \
+             best of the rounds,\negotac {}, {}. Numbers: `train.json`.\n\n\
+             *Own*: {WINDOWS} windows with frames of their own. *Shared*: all windows of a clip of {CLIP} frames, each encoded \
+             once. The peer takes\n{WINDOWS} windows with frames of their own. A step is forward, objective, backward, clipping and \
+             AdamW, f32, on random pictures.\n\n\
+             | preset | own, windows/s | shared, windows/s | peer, windows/s | own / peer | shared / peer |\n|---|---|---|---|---|---|\n",
+            self.command, self.threads, self.runs, self.egotac, self.machine
+        );
+        for row in &self.rows {
+            let [own, shared, peer] = [&row.own, &row.shared, &row.peer].map(|timed| best(timed));
+            let value = |rate: f64| if rate > 0.0 { format!("{rate:.2}") } else { "—".into() };
+            let ratio = |rate: f64| if peer > 0.0 { format!("**{:.2}**", rate / peer) } else { "—".into() };
+            put(
+                &mut text,
+                format_args!(
+                    "| {} | {} | {} | {} | {} | {} |",
+                    row.preset,
+                    value(own),
+                    value(shared),
+                    value(peer),
+                    ratio(own),
+                    ratio(shared)
+                ),
+            );
+        }
+        text
+    }
+}
+
+/// Windows per second in the best round.
+fn best(timed: &[Timed]) -> f64 {
+    timed.iter().map(|timed| timed.windows_per_s).fold(0.0, f64::max)
+}
+
+fn config(preset: &str) -> Result<crate::train::Config> {
+    let text = format!("{{ name: bench, data: [none], out: none, model: {preset}, seed: 0, steps: 1000 }}");
+    serde_yaml::from_str(&text).map_err(|error| Error::value("preset", "a name", error))
+}
+
+fn batch(geometry: &Config, form: Form) -> Batch {
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let horizon = geometry.horizon as u32;
+    let (frames, windows): (usize, Vec<u32>) = match form {
+        Form::Own => (WINDOWS * geometry.horizon, (0..WINDOWS as u32 * horizon).collect()),
+        Form::Shared => {
+            let starts = 0..=CLIP.saturating_sub(geometry.horizon) as u32;
+            (CLIP, starts.flat_map(|start| start..start + horizon).collect())
+        }
+    };
+    let entries = windows.len() / geometry.horizon * geometry.predict * N_FIELD;
+    let force: Vec<f32> =
+        (0..entries).map(|_| if rng.random_bool(ACTIVE) { rng.random_range(0.1..1.0) } else { 0.0 }).collect();
+    Batch {
+        frames: (0..frames * 3 * geometry.image.pow(2)).map(|_| rng.random_range(-2.0..2.0)).collect(),
+        windows,
+        contact: force.iter().map(|force| f32::from(u8::from(*force > 0.05))).collect(),
+        force,
+        mask_force: vec![1.0; entries],
+        mask_contact: vec![1.0; entries],
+        points: vec![],
+    }
+}
+
+/// Runs `command --train --preset NAME --threads N --runs R --batch 4` and reads the JSON object on its last line.
+fn ask(command: &str, preset: &str, threads: usize, runs: usize) -> Result<Timed> {
+    let mut words = command.split_whitespace();
+    let program = words.next().ok_or_else(|| Error::value("peer", "a command", "nothing"))?;
+    let output = Command::new(program)
+        .args(words)
+        .args(["--train", "--preset", preset, "--threads", &threads.to_string(), "--runs", &runs.to_string()])
+        .args(["--batch", &WINDOWS.to_string()])
+        .env("OMP_NUM_THREADS", threads.to_string())
+        .output()
+        .map_err(Error::io(program))?;
+    let text = String::from_utf8_lossy(&output.stdout);
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        let said = said.trim().lines().last().unwrap_or_default().to_owned();
+        return Err(Error::value(format!("peer {command:?}"), "success", format!("{}: {said}", output.status)));
+    }
+    let last = text.trim().lines().last().unwrap_or_default();
+    serde_json::from_str(last).map_err(|error| Error::value(format!("peer {command:?}"), "a step in JSON", error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shared_windows_use_each_frame_of_the_clip_and_own_ones_none_twice() {
+        let geometry = Config { horizon: 4, ..Config::toy() };
+        let own = batch(&geometry, Form::Own);
+        assert_eq!((own.n_frames(geometry.image), own.windows), (16, (0..16).collect::<Vec<u32>>()));
+        let shared = batch(&geometry, Form::Shared);
+        assert_eq!((shared.n_frames(geometry.image), shared.windows.len()), (16, 13 * 4));
+        assert_eq!(shared.windows.last(), Some(&15));
+    }
+
+    #[test]
+    fn a_step_of_the_smallest_network_is_timed() {
+        let timed = step("toy", Form::Shared, 1, &Device::Cpu).unwrap();
+        // toy has T = 3: 14 windows.
+        assert!((timed.windows_per_s * timed.step_ms - 14_000.0).abs() < 1e-6);
+    }
+}
