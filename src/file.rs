@@ -5,6 +5,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use ::image::{ImageFormat, RgbImage};
+use sha2::{Digest, Sha256};
 
 use crate::error::{Error, Result};
 
@@ -40,6 +41,11 @@ pub fn write_png(path: &Path, picture: &RgbImage) -> Result<()> {
     let mut png = Cursor::new(Vec::new());
     picture.write_to(&mut png, ImageFormat::Png).map_err(|error| Error::file(path, error))?;
     write(path, &png.into_inner())
+}
+
+/// SHA-256 as `sha256sum` prints it: lower-case hexadecimal.
+pub fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

@@ -34,6 +34,7 @@
 //! | [`train`] | from stores to a checkpoint |
 //! | [`verify`] | labels and predictions against simulated truth |
 //! | [`mod@bench`] | what accuracy costs, what breaks |
+//! | [`experiment`] | several trainings, compared |
 //! | `node` | the ROS 2 nodes (feature `ros`) |
 //! | [`cli`] | the commands |
 //!
@@ -48,6 +49,7 @@ pub mod camera;
 pub mod cli;
 pub mod dataset;
 pub mod error;
+pub mod experiment;
 pub mod file;
 pub mod hand;
 pub mod image;

@@ -296,7 +296,7 @@ fn mixed_sources_resume_as_if_they_had_not_stopped() {
     write_store(&folder.path().join("small.zarr"), 2, 1, 5);
     let config = |out: &str| {
         let mut config = config(folder.path(), out, 12, "sampling: {epoch: 40}\n");
-        let small = Source { stores: vec![folder.path().join("small.zarr")], quota: 0.25, mirror: true };
+        let small = Source { quota: 0.25, mirror: true, ..Source::path(folder.path().join("small.zarr")) };
         config.data.push(small);
         config
     };

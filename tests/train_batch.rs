@@ -136,7 +136,7 @@ fn a_mirrored_clip_shows_the_other_hand() {
     };
     let clips = [Clip { store: 0, episode: 4..12, newest: vec![9] }];
     let batch = |mirror: bool| {
-        let source = Source { stores: vec![path.clone()], quota: 0.0, mirror };
+        let source = Source { mirror, ..Source::path(&path) };
         Dataset::open(&[source], preparation.clone(), true).unwrap().batch(&collate, 0, &clips).unwrap()
     };
     let (plain, mirrored) = (batch(false), batch(true));

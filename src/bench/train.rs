@@ -78,22 +78,14 @@ pub struct Report {
 /// Times whole optimisation steps on random pictures and labels: forward, objective, backward, clipping, AdamW.
 ///
 /// # Errors
-/// If the preset is unknown or the device out of memory.
-pub fn step(preset: &str, form: Form, runs: usize, device: &Device) -> Result<Timed> {
-    let geometry = Config::preset(preset)?;
+/// If the device is out of memory.
+pub fn step(geometry: &Config, form: Form, runs: usize, device: &Device) -> Result<Timed> {
     let varmap = VarMap::new();
-    let network = EgoTac::new(&geometry, init::var_builder(&varmap, 0, device))?;
-    let mut optimizer = AdamW::new(&varmap, &config(preset)?)?;
+    let network = EgoTac::new(geometry, init::var_builder(&varmap, 0, device))?;
+    let mut optimizer = AdamW::new(&varmap, &config()?)?;
     let weights = Loss::default();
-    let pass = Pass {
-        network: &network,
-        keypoint_heads: None,
-        geometry: &geometry,
-        force_scale: 1.0,
-        weights: &weights,
-        device,
-    };
-    let batch = batch(&geometry, form);
+    let pass = Pass { network: &network, keypoint_heads: None, geometry, force_scale: 1.0, weights: &weights, device };
+    let batch = batch(geometry, form);
     let windows = batch.windows.len() / geometry.horizon;
     let mut times = Vec::new();
     for _ in 0..=runs.max(1) {
@@ -112,7 +104,7 @@ pub fn step(preset: &str, form: Form, runs: usize, device: &Device) -> Result<Ti
 /// Every preset in both forms, in turn with `peer`'s command.
 ///
 /// # Errors
-/// As [`step`], and if the peer fails.
+/// If a preset is unknown, and as [`step`], and if the peer fails.
 pub fn measure(
     command: String,
     presets: &[String],
@@ -123,11 +115,12 @@ pub fn measure(
 ) -> Result<Report> {
     let mut rows = Vec::new();
     for preset in presets {
+        let geometry = Config::preset(preset)?;
         let mut row = Row { preset: preset.clone(), own: vec![], shared: vec![], peer: vec![] };
         for _ in 0..peer.map_or(1, |(_, rounds)| rounds.max(1)) {
             progress(preset);
-            row.own.push(step(preset, Form::Own, runs, &Device::Cpu)?);
-            row.shared.push(step(preset, Form::Shared, runs, &Device::Cpu)?);
+            row.own.push(step(&geometry, Form::Own, runs, &Device::Cpu)?);
+            row.shared.push(step(&geometry, Form::Shared, runs, &Device::Cpu)?);
             if let Some((command, _)) = peer {
                 row.peer.push(ask(command, preset, threads, runs)?);
             }
@@ -175,9 +168,9 @@ fn best(timed: &[Timed]) -> f64 {
     timed.iter().map(|timed| timed.windows_per_s).fold(0.0, f64::max)
 }
 
-fn config(preset: &str) -> Result<crate::train::Config> {
-    let text = format!("{{ name: bench, data: [none], out: none, model: {preset}, seed: 0, steps: 1000 }}");
-    serde_yaml::from_str(&text).map_err(|error| Error::value("preset", "a name", error))
+fn config() -> Result<crate::train::Config> {
+    let text = "{ name: bench, data: [none], out: none, model: tiny, seed: 0, steps: 1000 }";
+    serde_yaml::from_str(text).map_err(|error| Error::value("bench", "a configuration", error))
 }
 
 fn batch(geometry: &Config, form: Form) -> Batch {
@@ -241,7 +234,7 @@ mod tests {
 
     #[test]
     fn a_step_of_the_smallest_network_is_timed() {
-        let timed = step("toy", Form::Shared, 1, &Device::Cpu).unwrap();
+        let timed = step(&Config::toy(), Form::Shared, 1, &Device::Cpu).unwrap();
         // toy has T = 3: 14 windows.
         assert!((timed.windows_per_s * timed.step_ms - 14_000.0).abs() < 1e-6);
     }

@@ -5,6 +5,7 @@ mod data;
 mod demo;
 mod doctor;
 mod eval;
+mod experiment;
 mod hand;
 mod hands;
 mod model;
@@ -40,11 +41,13 @@ enum Command {
     Predict(predict::Args),
     /// Score predictions against truth.
     Eval(eval::Args),
+    /// Train and compare: ablations, sources, scaling, on rendered data.
+    Experiment(experiment::Args),
     /// Score labels, or a network, against simulated contact forces; a gate for continuous integration.
     Verify(verify::Args),
     /// The network: forward, attention, import, start, info.
     Model(model::Args),
-    /// Measurements that the documentation holds: model, sim, effects, hard-cases, guards.
+    /// Measurements that the documentation holds: model, train, sim, effects, hard-cases, guards.
     Bench(bench::Args),
     /// Stores: info.
     Data(data::Args),
@@ -61,6 +64,7 @@ pub fn main() -> ExitCode {
         Command::Train(args) => train::run(args),
         Command::Predict(args) => predict::run(args),
         Command::Eval(args) => eval::run(args),
+        Command::Experiment(args) => experiment::run(args),
         Command::Verify(args) => verify::run(args),
         Command::Model(args) => model::run(args),
         Command::Bench(args) => bench::run(args),

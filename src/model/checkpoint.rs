@@ -7,7 +7,6 @@ use candle_core::{DType, Device, Tensor};
 use candle_nn::var_builder::SimpleBackend as _;
 use candle_nn::{Init, VarMap};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
-use sha2::{Digest, Sha256};
 
 use super::loader::Loader;
 use super::metadata::{Metadata, json, names};
@@ -46,7 +45,7 @@ impl Checkpoint {
     pub fn load_as(path: &Path, device: &Device, precision: Precision) -> Result<Self> {
         let bytes = read(path)?;
         let file = File::parse(path, &bytes)?;
-        let sha256 = hex(&Sha256::digest(&bytes));
+        let sha256 = file::sha256(&bytes);
         drop(bytes);
         let metadata = Metadata::from_map(path, &file.metadata)?;
         let config = file.config(path)?;
@@ -81,7 +80,7 @@ impl Checkpoint {
         map.insert("config".into(), config.to_json());
         let bytes = serialize(path, tensors, &map)?;
         file::write(path, &bytes)?;
-        Ok(hex(&Sha256::digest(&bytes)))
+        Ok(file::sha256(&bytes))
     }
 }
 
@@ -298,8 +297,4 @@ fn serialize(path: &Path, tensors: &BTreeMap<String, Tensor>, map: &BTreeMap<Str
 
 fn read(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(Error::io(path))
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -13,7 +13,7 @@ use super::config::Augment;
 use super::keypoints::{self, Points};
 use super::loss::Truth;
 use super::sampler::{self, Clip};
-use super::source::Source;
+use super::source::{Source, Supervision};
 use crate::dataset::EpisodeReader;
 use crate::dataset::zarr::{
     self, CAMERA_EGO_RGB, FRAME_VALIDITY, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, TIMESTAMPS, ZarrReader,
@@ -40,6 +40,7 @@ struct Store {
     source: usize,
     /// Whether its images may be mirrored.
     mirrorable: bool,
+    supervision: Supervision,
     reader: ZarrReader,
     timestamps: Vec<f64>,
     memory: Option<Block>,
@@ -115,7 +116,8 @@ impl Dataset {
     /// # Errors
     /// If there is none, or one can't be read.
     pub fn new(readers: Vec<ZarrReader>, preparation: Preparation, in_memory: bool) -> Result<Self> {
-        Self::of(readers.into_iter().map(|reader| (0, false, reader)).collect(), preparation, in_memory)
+        let alike = |reader| (0, Source::of([]), reader);
+        Self::from_readers(readers.into_iter().map(alike).collect(), preparation, in_memory)
     }
 
     /// Opens the stores of several sources.
@@ -123,7 +125,7 @@ impl Dataset {
     /// # Errors
     /// If one can't be opened or read, or two differ in topology.
     pub fn open(sources: &[Source], preparation: Preparation, in_memory: bool) -> Result<Self> {
-        let mut readers: Vec<(usize, bool, ZarrReader)> = Vec::new();
+        let mut readers: Vec<(usize, Source, ZarrReader)> = Vec::new();
         for (index, source) in sources.iter().enumerate() {
             for reader in zarr::open_all(&source.stores)? {
                 if let Some((_, _, first)) = readers.first() {
@@ -131,21 +133,34 @@ impl Dataset {
                     let fits = first.attributes().topology.must_match(topology);
                     fits.map_err(|error| Error::file(reader.path(), error))?;
                 }
-                readers.push((index, source.mirror, reader));
+                readers.push((index, source.clone(), reader));
             }
         }
-        Self::of(readers, preparation, in_memory)
+        Self::from_readers(readers, preparation, in_memory)
     }
 
-    fn of(readers: Vec<(usize, bool, ZarrReader)>, preparation: Preparation, in_memory: bool) -> Result<Self> {
+    /// From stores with index and properties of their sources.
+    fn from_readers(
+        readers: Vec<(usize, Source, ZarrReader)>,
+        preparation: Preparation,
+        in_memory: bool,
+    ) -> Result<Self> {
         if readers.is_empty() {
             return Err(Error::value("data", "at least one store", "none"));
         }
         let mut dataset = Self { stores: Vec::new(), preparation };
-        for (source, mirrorable, reader) in readers {
+        for (source, Source { mirror: mirrorable, labels: supervision, .. }, reader) in readers {
             let timestamps = reader.read(TIMESTAMPS, 0..reader.len())?.into_f64();
             check_timestamps(&reader, &timestamps)?;
-            dataset.stores.push(Store { source, mirrorable, reader, timestamps, memory: None, keypoints: None });
+            dataset.stores.push(Store {
+                source,
+                mirrorable,
+                supervision,
+                reader,
+                timestamps,
+                memory: None,
+                keypoints: None,
+            });
         }
         if in_memory {
             for index in 0..dataset.stores.len() {
@@ -224,7 +239,7 @@ impl Dataset {
                 mask_contact: memory.mask_contact[rows].to_vec(),
             });
         }
-        let mut block = if labels { read_labels(reader, frames.clone())? } else { Block::default() };
+        let mut block = if labels { self.stores[store].labels(frames.clone())? } else { Block::default() };
         let (height, width) = reader.image_size();
         // Stores may be larger than what is kept of them: read and shrink in pieces.
         let mut start = frames.start;
@@ -261,7 +276,7 @@ impl Dataset {
                 let block = match &store.memory {
                     Some(memory) if start == 0 => memory,
                     Some(_) => break,
-                    None => &read_labels(&store.reader, start..(start + BLOCK).min(frames))?,
+                    None => &store.labels(start..(start + BLOCK).min(frames))?,
                 };
                 for (entry, (force, mask)) in block.force.iter().zip(&block.mask_force).enumerate() {
                     if *mask == 1 {
@@ -298,7 +313,7 @@ impl Dataset {
         for store in &self.stores {
             let block = match &store.memory {
                 Some(memory) => memory,
-                None => &read_labels(&store.reader, 0..store.reader.len())?,
+                None => &store.labels(0..store.reader.len())?,
             };
             let before = labels.fields.n_frames();
             labels.fields.force.extend_from_slice(&block.force);
@@ -389,6 +404,18 @@ impl Dataset {
             }
         }
         Ok(batch)
+    }
+}
+
+impl Store {
+    /// The labels that are learned from.
+    fn labels(&self, frames: Range<usize>) -> Result<Block> {
+        let mut block = read_labels(&self.reader, frames)?;
+        if self.supervision == Supervision::Contact {
+            block.force.fill(f32::NAN);
+            block.mask_force.fill(0);
+        }
+        Ok(block)
     }
 }
 

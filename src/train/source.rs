@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use serde::de::{self, MapAccess, Visitor, value::MapAccessDeserializer};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Stores that look alike and are labelled alike; in YAML a path, or `{ stores: [..], quota: .., mirror: .. }`.
+/// Stores that look alike and are labelled alike; in YAML a path, or
+/// `{ stores: [..], quota: .., mirror: .., labels: .. }`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Source {
     /// Stores, or folders of `*.zarr`.
@@ -15,6 +16,19 @@ pub struct Source {
     pub quota: f64,
     /// Whether its images may be mirrored, which swaps the two hands.
     pub mirror: bool,
+    /// Which of its labels are learned from.
+    pub labels: Supervision,
+}
+
+/// Labels that are learned from, where a store has them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Supervision {
+    /// Force and contact.
+    #[default]
+    Both,
+    /// Contact alone, as if the store had no force.
+    Contact,
 }
 
 /// The long form.
@@ -26,12 +40,20 @@ struct Written {
     quota: f64,
     #[serde(default)]
     mirror: bool,
+    #[serde(default)]
+    labels: Supervision,
 }
 
 impl Source {
     /// One store, drawn from by its size alone.
     pub fn path(path: impl Into<PathBuf>) -> Self {
-        Self { stores: vec![path.into()], quota: 0.0, mirror: false }
+        Self::of([path.into()])
+    }
+
+    /// Stores, drawn from by their size alone.
+    pub fn of(stores: impl IntoIterator<Item = PathBuf>) -> Self {
+        let stores = stores.into_iter().collect();
+        Self { stores, quota: 0.0, mirror: false, labels: Supervision::Both }
     }
 }
 
@@ -42,7 +64,7 @@ impl<'de> Deserialize<'de> for Source {
             type Value = Source;
 
             fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
-                write!(f, "a path, or a map of stores, quota and mirror")
+                write!(f, "a path, or a map of stores, quota, mirror and labels")
             }
 
             fn visit_str<E: de::Error>(self, path: &str) -> Result<Source, E> {
@@ -50,8 +72,8 @@ impl<'de> Deserialize<'de> for Source {
             }
 
             fn visit_map<M: MapAccess<'de>>(self, map: M) -> Result<Source, M::Error> {
-                let Written { stores, quota, mirror } = Written::deserialize(MapAccessDeserializer::new(map))?;
-                Ok(Source { stores, quota, mirror })
+                let Written { stores, quota, mirror, labels } = Written::deserialize(MapAccessDeserializer::new(map))?;
+                Ok(Source { stores, quota, mirror, labels })
             }
         }
         deserializer.deserialize_any(PathOrMap)
@@ -61,11 +83,12 @@ impl<'de> Deserialize<'de> for Source {
 impl Serialize for Source {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
-            Self { stores, quota, mirror: false } if stores.len() == 1 && *quota == 0.0 => {
+            Self { stores, .. } if stores.len() == 1 && *self == Self::path(&stores[0]) => {
                 stores[0].serialize(serializer)
             }
-            Self { stores, quota, mirror } => {
-                Written { stores: stores.clone(), quota: *quota, mirror: *mirror }.serialize(serializer)
+            Self { stores, quota, mirror, labels } => {
+                Written { stores: stores.clone(), quota: *quota, mirror: *mirror, labels: *labels }
+                    .serialize(serializer)
             }
         }
     }
@@ -77,9 +100,10 @@ mod tests {
 
     #[test]
     fn a_source_is_a_path_or_a_map_and_is_written_as_it_was_read() {
-        let text = "- a.zarr\n- stores:\n  - b.zarr\n  - c.zarr\n  quota: 0.2\n  mirror: true\n";
+        let text = "- a.zarr\n- stores:\n  - b.zarr\n  - c.zarr\n  quota: 0.2\n  mirror: true\n  labels: contact\n";
         let sources: Vec<Source> = serde_yaml::from_str(text).unwrap();
-        let long = Source { stores: vec!["b.zarr".into(), "c.zarr".into()], quota: 0.2, mirror: true };
+        let stores = ["b.zarr", "c.zarr"].map(PathBuf::from);
+        let long = Source { quota: 0.2, mirror: true, labels: Supervision::Contact, ..Source::of(stores) };
         assert_eq!(sources, [Source::path("a.zarr"), long]);
         assert_eq!(serde_yaml::to_string(&sources).unwrap(), text);
         let error = |text: &str| serde_yaml::from_str::<Source>(text).unwrap_err().to_string();
