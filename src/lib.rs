@@ -29,7 +29,7 @@
 //! | [`label`] | touch from geometry and from contact forces |
 //! | [`message`] | the ROS messages and their CDR bytes, without ROS |
 //! | [`render`] | pictures of hands |
-//! | [`dataset`] | Zarr stores, tensor files, MCAP bags |
+//! | [`dataset`] | Zarr stores, bounded recordings, tensor files, MCAP bags |
 //! | `mujoco`, `sim` | physics; scenes whose touch is known (feature `sim`) |
 //! | [`train`] | from stores to a checkpoint |
 //! | [`verify`] | labels and predictions against simulated truth |

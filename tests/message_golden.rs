@@ -101,6 +101,24 @@ fn own_messages_are_what_ros_serialises() {
         },
     );
     agrees(
+        "trainer_status",
+        &TrainerStatus {
+            header: header(""),
+            state: "training".into(),
+            message: "".into(),
+            recorded_frames: 1000,
+            recorded_episodes: 10,
+            evicted_episodes: 3,
+            recorded_bytes: 1 << 33,
+            step: 40,
+            steps: 200,
+            names: vec!["loss".into(), "pooled.f1".into()],
+            values: vec![0.5, f64::NAN],
+            windows_per_s: 62.5,
+            remaining_secs: 12.25,
+        },
+    );
+    agrees(
         "tactile_metrics",
         &TactileMetrics {
             header: header("camera_optical"),
@@ -210,6 +228,7 @@ fn structs_have_the_fields_of_their_msg_files() {
     check(HandPose::definition(), HandPose::fields());
     check(TactileTruth::definition(), TactileTruth::fields());
     check(TactileMetrics::definition(), TactileMetrics::fields());
+    check(TrainerStatus::definition(), TrainerStatus::fields());
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Episodes: frames of image, touch and hand pose, in the formats people keep them in.
 
 pub mod mcap;
+pub mod ring;
 pub mod tensors;
 pub mod zarr;
 

@@ -57,12 +57,12 @@ where
     };
     let most = Domain::ALL.into_iter().flat_map(values).flatten().fold(0.0, f64::max);
     let least = Domain::ALL.into_iter().flat_map(values).flatten().fold(0.0, f64::min);
-    let top = if most > 0.0 { 1.15 * most } else { 1.0 };
+    let top = if most > 0.0 { 1.3 * most } else { 1.0 };
     let arms = report.arms.len() as f64;
     let mut chart = ChartBuilder::on(area)
         .caption(title, (render::font::FAMILY, 18))
         .margin(10)
-        .x_label_area_size(96)
+        .x_label_area_size(124)
         .y_label_area_size(56)
         .build_cartesian_2d(-0.5..arms - 0.5, 1.15 * least..top)?;
     chart

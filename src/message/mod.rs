@@ -12,7 +12,7 @@ mod standard;
 use crate::error::Result;
 
 pub use cdr::{Reader, Wire, Writer};
-pub use own::{HandModelInfo, HandPose, HandTactile, TactileFrame, TactileMetrics, TactileTruth};
+pub use own::{HandModelInfo, HandPose, HandTactile, TactileFrame, TactileMetrics, TactileTruth, TrainerStatus};
 pub use standard::{
     CameraInfo, Clock, CompressedImage, DiagnosticArray, DiagnosticStatus, Duration, Header, Image, KeyValue, Log,
     Point, Point32, PointCloud2, PointField, Pose, Quaternion, RegionOfInterest, Time,

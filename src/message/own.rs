@@ -93,6 +93,36 @@ message! {
         reason: String,
     }
 
+    /// What a trainer is doing.
+    TrainerStatus = "egotac_msgs/msg/TrainerStatus" from "../../msg/TrainerStatus.msg" {
+        /// Time of the status.
+        header: Header,
+        /// `idle`, `waiting`, `training`, `succeeded`, `cancelled` or `failed`.
+        state: String,
+        /// What it waits for, or why it failed.
+        message: String,
+        /// Live frames written since the start.
+        recorded_frames: u64,
+        /// Live episodes written since the start.
+        recorded_episodes: u64,
+        /// Live episodes removed to stay below the limit.
+        evicted_episodes: u64,
+        /// Live recordings on the disk, bytes.
+        recorded_bytes: u64,
+        /// Steps taken in the goal.
+        step: u32,
+        /// Steps asked for.
+        steps: u32,
+        /// Names of losses and scores.
+        names: Vec<String>,
+        /// Their values; NaN = undefined.
+        values: Vec<f64>,
+        /// Windows per second; NaN = unknown yet.
+        windows_per_s: f64,
+        /// Until the last step, s; NaN = unknown yet.
+        remaining_secs: f64,
+    }
+
     /// How well predictions agree with the truth, over the newest pairs.
     TactileMetrics = "egotac_msgs/msg/TactileMetrics" from "../../msg/TactileMetrics.msg" {
         /// Of the newest pair.

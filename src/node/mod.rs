@@ -6,6 +6,7 @@
 //! set, spinning ends, the worker is joined, then the ROS node is dropped; leaving it to process exit crashes in DDS.
 
 pub mod diagnostics;
+mod exchange;
 pub mod log;
 pub mod mailbox;
 mod names;
@@ -16,10 +17,12 @@ mod points;
 pub mod predictor;
 pub mod qos;
 pub mod recorder;
+mod recording;
 mod runtime;
 mod shutdown;
 #[cfg(feature = "sim")]
 pub mod simulator;
+pub mod trainer;
 pub mod verifier;
 
 pub use pairing::Pairing;

@@ -1,6 +1,6 @@
 //! The node `predictor`: images to touch.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -11,6 +11,7 @@ use candle_core::Device;
 use r2r::std_srvs::srv::SetBool;
 
 use super::diagnostics::{self, Level, Report, Tally};
+use super::exchange::{self, Loaded, Slot, Terms};
 use super::log::Log;
 use super::mailbox::Mailbox;
 use super::params::{Allowed, Parameter, Parameters};
@@ -22,8 +23,9 @@ use crate::image::{self, RawImage};
 use crate::message::{
     CompressedImage, HandModelInfo, HandPose, Header, Image, Message as _, PointCloud2, TactileFrame, Time,
 };
+use crate::model::budget::{self, Tried};
 use crate::model::predictor::{Options, Predictor};
-use crate::model::{Precision, budget, shipped};
+use crate::model::{Precision, shipped};
 use crate::tactile::{TactileField, Topology};
 
 /// A hand pose counts for an image whose stamp differs by at most this, s.
@@ -87,15 +89,21 @@ pub fn parameters() -> Vec<Parameter> {
 /// If ROS refuses something, or there is no usable checkpoint.
 pub fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
     let runtime = Runtime::create("predictor", &parameters())?;
-    let predictor = load(runtime.parameters(), runtime.log())?;
-    run(runtime, predictor, shutdown)
+    let (predictor, path, options) = load(runtime.parameters(), runtime.log())?;
+    run(runtime, predictor, (path, options), shutdown)
 }
 
-/// Runs the node with a network that is already loaded until `shutdown`.
+/// Runs the node with a network that is already loaded until `shutdown`; `origin` is the file that `~/load_model` takes
+/// when it is told none, and how networks are run.
 ///
 /// # Errors
 /// If ROS refuses something, or the network can't process an image at all.
-pub fn run(mut runtime: Runtime, mut predictor: Predictor, shutdown: &Shutdown) -> anyhow::Result<()> {
+pub fn run(
+    mut runtime: Runtime,
+    mut predictor: Predictor,
+    (path, options): (PathBuf, Options),
+    shutdown: &Shutdown,
+) -> anyhow::Result<()> {
     let log = runtime.log().clone();
     log.info(format!("one image takes {:.0} ms", try_out(&mut predictor)? * 1e3));
     let info = model_info(&predictor, runtime.clock().now())?;
@@ -104,6 +112,10 @@ pub fn run(mut runtime: Runtime, mut predictor: Predictor, shutdown: &Shutdown) 
     }
     let info_publisher = runtime.publisher("~/model_info", qos::latched())?;
     info_publisher.publish(&info)?;
+
+    let slot = Slot::default();
+    let terms = Terms { path, options, topology: predictor.metadata().topology };
+    exchange::serve(&mut runtime, slot.clone(), terms, info.model_id.clone())?;
 
     let hands = Side::BOTH.map(HandModel::builtin);
     let input = Arc::new(Mailbox::default());
@@ -122,6 +134,9 @@ pub fn run(mut runtime: Runtime, mut predictor: Predictor, shutdown: &Shutdown) 
         parameters: Arc::clone(runtime.parameters()),
         clock: runtime.clock().clone(),
         log: log.clone(),
+        info: info_publisher,
+        slot,
+        exchanged: false,
         model_id: info.model_id.clone(),
         sequence: 0,
     };
@@ -142,7 +157,8 @@ pub fn run(mut runtime: Runtime, mut predictor: Predictor, shutdown: &Shutdown) 
     result
 }
 
-fn load(parameters: &Parameters, log: &Log) -> anyhow::Result<Predictor> {
+/// The network that the parameters ask for, its file, and how it is run.
+fn load(parameters: &Parameters, log: &Log) -> anyhow::Result<(Predictor, PathBuf, Options)> {
     let path = match parameters.get::<String>("model") {
         path if path.is_empty() => {
             shipped::path().context("without `-p model:=PATH` the predictor takes the shipped checkpoint")?
@@ -162,18 +178,27 @@ fn load(parameters: &Parameters, log: &Log) -> anyhow::Result<Predictor> {
             true => log.info(format!("model {choice}")),
             false => log.warn(format!("model: {choice}")),
         }
-        return Ok(predictor);
+        let Tried { path, precision, .. } = choice.chosen;
+        return Ok((predictor, path, Options { precision, ..options }));
     }
+    let predictor = load_file(&path, options.clone())?;
+    log.info(format!("model {} in {precision}", path.display()));
+    Ok((predictor, path, options))
+}
+
+/// Loads a checkpoint file.
+///
+/// # Errors
+/// If there is none, or it can't be used.
+pub(super) fn load_file(path: &Path, options: Options) -> anyhow::Result<Predictor> {
     if !path.is_file() {
         bail!("model {}: no such file; give a checkpoint with -p model:=PATH", path.display());
     }
-    let predictor = Predictor::load(&path, options)?;
-    log.info(format!("model {} in {precision}", path.display()));
-    Ok(predictor)
+    Ok(Predictor::load(path, options)?)
 }
 
 /// Seconds that one image takes; the first one, which takes longer, goes before.
-fn try_out(predictor: &mut Predictor) -> anyhow::Result<f64> {
+pub(super) fn try_out(predictor: &mut Predictor) -> anyhow::Result<f64> {
     let black = RgbImage::new(64, 48);
     predictor.push(&black, 0.0).context("the model can't process an image")?;
     let started = Instant::now();
@@ -182,7 +207,8 @@ fn try_out(predictor: &mut Predictor) -> anyhow::Result<f64> {
     Ok(started.elapsed().as_secs_f64())
 }
 
-fn model_info(predictor: &Predictor, now: Time) -> anyhow::Result<HandModelInfo> {
+/// What a network is, for those who listen.
+pub(super) fn model_info(predictor: &Predictor, now: Time) -> anyhow::Result<HandModelInfo> {
     let (metadata, config) = (predictor.metadata(), predictor.config());
     let hash = predictor.sha256();
     // The built-in hand's regions are those of both sides; MANO's need a file that predicting does not.
@@ -353,17 +379,34 @@ struct Worker {
     log: Log,
     frames: Publisher<TactileFrame>,
     points: Publisher<PointCloud2>,
+    info: Publisher<HandModelInfo>,
+    slot: Slot,
+    exchanged: bool,
     sequence: u64,
 }
 
 impl Worker {
     fn work(mut self, stop: &Shutdown) -> anyhow::Result<()> {
         while !stop.requested() {
-            if let Some(payload) = self.input.take(Duration::from_millis(50)) {
+            let payload = self.input.take(Duration::from_millis(50));
+            if let Some(loaded) = self.slot.take() {
+                self.exchange(loaded);
+            }
+            if let Some(payload) = payload {
                 self.process(&payload);
             }
         }
         Ok(())
+    }
+
+    /// Goes on with another network; its window fills anew.
+    fn exchange(&mut self, Loaded { predictor, info }: Loaded) {
+        self.predictor = predictor;
+        self.exchanged = true;
+        self.model_id.clone_from(&info.model_id);
+        if let Err(error) = self.info.publish(&info) {
+            self.log.warn_throttled("publish", format!("~/model_info: {error:#}"));
+        }
     }
 
     fn process(&mut self, payload: &[u8]) {
@@ -389,7 +432,8 @@ impl Worker {
                 return self.log.warn_throttled("failed", format!("image on {} left out: {error}", self.topic));
             }
         };
-        if prediction.restarted && self.sequence > 0 {
+        // Another network has seen nothing yet.
+        if prediction.restarted && self.sequence > 0 && !std::mem::take(&mut self.exchanged) {
             self.log.warn_throttled("restart", "the image stream restarted: its stamps went back or paused");
         }
         let sent = self.frame(&header, &prediction.field, prediction.warming_up, started).and_then(|frame| {

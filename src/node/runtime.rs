@@ -8,7 +8,10 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow, bail};
 use futures::{FutureExt, Stream, StreamExt};
-use r2r::{QosProfile, WrappedServiceTypeSupport, WrappedTypesupport};
+use r2r::{
+    ActionServerGoalRequest, QosProfile, ServiceRequest, WrappedActionTypeSupport, WrappedServiceTypeSupport,
+    WrappedTypesupport,
+};
 
 use super::log::Log;
 use super::names::Names;
@@ -173,6 +176,74 @@ impl Runtime {
                 log.warn_throttled(&name, format!("{name}: the answer could not be sent: {error}"));
             }
         });
+        Ok(())
+    }
+
+    /// As [`Runtime::service`]; `take` answers later, by its `respond`, from whatever thread it likes.
+    ///
+    /// # Errors
+    /// If ROS refuses the name.
+    pub(super) fn service_later<S: WrappedServiceTypeSupport + 'static>(
+        &mut self,
+        name: &str,
+        take: impl FnMut(ServiceRequest<S>) + 'static,
+    ) -> anyhow::Result<()> {
+        let requests = self.node.create_service::<S>(name, QosProfile::services_default());
+        let requests = requests.with_context(|| format!("cannot offer the service {name}"))?;
+        self.poll(requests, take);
+        Ok(())
+    }
+
+    /// Calls the service `name` once; `done` gets the answer, or None if none comes in time.
+    ///
+    /// # Errors
+    /// If ROS refuses the name or the request.
+    pub(super) fn call<S: WrappedServiceTypeSupport + 'static>(
+        &mut self,
+        name: &str,
+        request: &S::Request,
+        patience: Duration,
+        done: impl FnOnce(Option<S::Response>) + 'static,
+    ) -> anyhow::Result<()> {
+        let client = self.node.create_client::<S>(name, QosProfile::services_default());
+        let client = client.with_context(|| format!("cannot use the service {name}"))?;
+        let mut answer = Box::pin(client.request(request).with_context(|| format!("cannot call {name}"))?);
+        let (mut done, deadline) = (Some(done), Instant::now() + patience);
+        self.polls.push(Box::new(move || {
+            // The client lives as long as its answer is awaited.
+            let _ = &client;
+            if done.is_none() {
+                return;
+            }
+            match answer.as_mut().now_or_never() {
+                Some(answer) => {
+                    if let Some(done) = done.take() {
+                        done(answer.ok());
+                    }
+                }
+                None if Instant::now() > deadline => {
+                    if let Some(done) = done.take() {
+                        done(None);
+                    }
+                }
+                None => {}
+            }
+        }));
+        Ok(())
+    }
+
+    /// Serves the action `name`.
+    ///
+    /// # Errors
+    /// If ROS refuses the name.
+    pub(super) fn action_server<A: WrappedActionTypeSupport + 'static>(
+        &mut self,
+        name: &str,
+        take: impl FnMut(ActionServerGoalRequest<A>) + 'static,
+    ) -> anyhow::Result<()> {
+        let requests = self.node.create_action_server::<A>(name);
+        let requests = requests.with_context(|| format!("cannot offer the action {name}"))?;
+        self.poll(requests, take);
         Ok(())
     }
 

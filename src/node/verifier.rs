@@ -433,7 +433,7 @@ impl Scored {
 }
 
 /// Nested numbers under dotted names; null = NaN.
-fn flatten(prefix: &str, value: &Value, values: &mut Vec<(String, f64)>) {
+pub(super) fn flatten(prefix: &str, value: &Value, values: &mut Vec<(String, f64)>) {
     match value {
         Value::Object(entries) => {
             for (key, value) in entries {

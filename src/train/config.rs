@@ -227,10 +227,18 @@ impl Config {
     /// # Errors
     /// If it can't be read, is not YAML, a key is unknown, missing or of another type, or a value is out of range.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
-        let config: Self = serde_yaml::from_str(&text).map_err(|e| Error::file(path, e))?;
+        let config = Self::read_unchecked(path)?;
         config.check().map_err(|e| Error::file(path, e))?;
         Ok(config)
+    }
+
+    /// Reads a YAML file whose values are still to be changed, and then checked.
+    ///
+    /// # Errors
+    /// If it can't be read, is not YAML, or a key is unknown, missing or of another type.
+    pub fn read_unchecked(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+        serde_yaml::from_str(&text).map_err(|e| Error::file(path, e))
     }
 
     /// Checks every range, and that inputs are there, before anything is computed.

@@ -8,6 +8,7 @@ pub mod baseline;
 pub mod batch;
 mod checkpoint;
 pub mod config;
+pub mod job;
 pub mod keypoints;
 mod loader;
 mod log;

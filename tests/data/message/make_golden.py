@@ -16,7 +16,7 @@ if os.environ.get("GLIBC_TUNABLES") != TUNABLES:
     os.execve(sys.executable, [sys.executable, __file__], {**os.environ, "GLIBC_TUNABLES": TUNABLES})
 
 from builtin_interfaces.msg import Time
-from egotac_msgs.msg import HandModelInfo, HandPose, HandTactile, TactileFrame, TactileMetrics, TactileTruth
+from egotac_msgs.msg import HandModelInfo, HandPose, HandTactile, TactileFrame, TactileMetrics, TactileTruth, TrainerStatus
 from geometry_msgs.msg import Point, Point32, Pose, Quaternion
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
@@ -86,6 +86,20 @@ MESSAGES = {
         hand_pose=[i / 64 for i in range(45)],
         betas=[-i / 8 for i in range(10)],
         vertices=[Point32(x=1.0, y=2.0, z=3.0), Point32(x=-1.0, y=-2.0, z=-3.0)],
+    ),
+    "trainer_status": TrainerStatus(
+        header=header(""),
+        state="training",
+        recorded_frames=1000,
+        recorded_episodes=10,
+        evicted_episodes=3,
+        recorded_bytes=1 << 33,
+        step=40,
+        steps=200,
+        names=["loss", "pooled.f1"],
+        values=[0.5, NAN],
+        windows_per_s=62.5,
+        remaining_secs=12.25,
     ),
     "tactile_metrics": TactileMetrics(
         header=header(),
