@@ -107,3 +107,61 @@ fn eval_refuses_what_does_not_fit_in_one_line() {
         assert!(!output.status.success() && error.contains(word) && error.lines().count() == 1, "{word}: {error}");
     }
 }
+
+#[test]
+fn hands_regions_and_another_estimator_are_scored_beside() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
+    let ends = ("episode_ends", Dtype::I64, vec![3], [4i64, 8, 12].iter().flat_map(|x| x.to_le_bytes()).collect());
+    let force = |scale: f32| {
+        // One vertex of each hand is pressed, harder from frame to frame.
+        let values: Vec<f32> = (0..12 * N_FIELD)
+            .map(|i| if [100, 778 + 300].contains(&(i % N_FIELD)) { scale * (1 + i / N_FIELD % 4) as f32 } else { 0.0 })
+            .collect();
+        ("force", Dtype::F32, vec![12, N_FIELD], f32_bytes(&values))
+    };
+    write(Path::new(&file("truth")), "egotac-hand-1", &[force(1.0), ends]);
+    write(Path::new(&file("pred")), "egotac-hand-1", &[force(0.9)]);
+    write(Path::new(&file("other")), "egotac-hand-1", &[force(0.5)]);
+    let (pred, truth, other) = (file("pred"), file("truth"), file("other"));
+    let json = |more: &[&str]| -> Value {
+        let output = egotac(&[&["eval", "--pred", &pred, "--target", &truth, "--json"], more].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let all = json(&["--parts", "--against", &other]);
+    // 2.5 N on average, a tenth and a half of it missing.
+    assert!((all["active_mae"].as_f64().unwrap() - 0.25).abs() < 1e-6);
+    let difference = |name: &str| {
+        all["against"]["differences"].as_array().unwrap().iter().find(|d| d["name"] == name).unwrap().clone()
+    };
+    let active = difference("active_mae");
+    assert!((active["other"].as_f64().unwrap() - 1.25).abs() < 1e-6, "{active}");
+    assert!((active["difference"].as_f64().unwrap() + 1.0).abs() < 1e-6);
+    let interval: Vec<f64> = active["interval"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
+    assert!(interval.iter().all(|x| (x + 1.0).abs() < 1e-6), "all episodes are alike: {interval:?}");
+    assert_eq!(difference("pooled.f1")["difference"], 0.0);
+    let entries = |value: &Value| value["counts"]["active_entries"].as_u64().unwrap();
+    assert_eq!((entries(&all["parts"]["left"]), entries(&all["parts"]["right"]), entries(&all)), (12, 12, 24));
+    let regions: u64 = all["parts"]
+        .as_object()
+        .unwrap()
+        .iter()
+        .filter(|(name, _)| !["left", "right"].contains(&name.as_str()))
+        .map(|(_, part)| entries(part))
+        .sum();
+    assert_eq!(regions, 24, "each vertex is in one region");
+    let right = json(&["--right-hand-only"]);
+    assert_eq!((entries(&right), right["counts"]["force_entries"].as_u64().unwrap()), (12, 12 * 778));
+    let table = egotac(&["eval", "--pred", &pred, "--target", &truth, "--parts", "--against", &other]).stdout;
+    let table = String::from_utf8(table).unwrap();
+    assert!(table.contains("95 % interval") && table.contains("thumb_tip") && table.contains("3 episodes"), "{table}");
+    // MANO's regions need its files; an estimate of another length or hand is refused by name.
+    write(Path::new(&file("mano")), "mano", &[force(1.0)]);
+    let mano = file("mano");
+    let refused = |args: &[&str]| String::from_utf8(egotac(args).stderr).unwrap();
+    let error = refused(&["eval", "--pred", &mano, "--target", &mano, "--parts"]);
+    assert!(error.contains("--mano-left"), "{error}");
+    let error = refused(&["eval", "--pred", &pred, "--target", &truth, "--against", &mano]);
+    assert!(error.contains("mano") && error.contains("topology"), "{error}");
+}

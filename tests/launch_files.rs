@@ -6,7 +6,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-const NODES: [&str; 3] = ["predictor", "simulator", "verifier"];
+const NODES: [&str; 4] = ["predictor", "simulator", "trainer", "verifier"];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -78,7 +78,10 @@ fn each_node_of_the_launch_files_is_one_of_our_programs_with_its_own_parameters(
     let given =
         ["use_sim_time:=true", "image_transport:=compressed", "model:=/m.safetensors", "device:=cpu", "rviz:=true"];
     let demo_given = ["scenes:=pinch_cube,lift_mug", "seed:=3", "rviz:=true"];
-    for (file, given) in [("egotac.launch.py", &given[..]), ("demo.launch.py", &demo_given[..])] {
+    let training = ["config:=/run.yaml", "folder:=/data", "notify:=/other/load_model"];
+    let files =
+        [("egotac.launch.py", &given[..]), ("demo.launch.py", &demo_given[..]), ("trainer.launch.py", &training[..])];
+    for (file, given) in files {
         for arguments in [&[], given] {
             let description = describe(file, arguments);
             for node in nodes_of(&description) {
@@ -115,7 +118,7 @@ fn the_demo_starts_all_nodes_and_joins_their_topics() {
         }
     }
     started.sort();
-    assert_eq!(started, NODES);
+    assert_eq!(started, ["predictor", "simulator", "verifier"]);
     let nodes = nodes_of(&description);
     let verifier = nodes.iter().find(|node| node["name"] == "verifier").unwrap();
     assert_eq!(verifier["remappings"]["tactile"], "predictor/tactile");
@@ -149,7 +152,7 @@ fn each_argument_says_what_it_does() {
     for name in expected {
         assert!(description["arguments"].get(name).is_some(), "egotac.launch.py has no argument {name}");
     }
-    for file in ["egotac.launch.py", "demo.launch.py"] {
+    for file in ["egotac.launch.py", "demo.launch.py", "trainer.launch.py"] {
         for (name, argument) in describe(file, &[])["arguments"].as_object().unwrap() {
             assert!(argument["description"].as_str().is_some_and(|text| text.len() > 10), "{file}: {name}");
         }

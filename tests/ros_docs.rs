@@ -18,6 +18,7 @@ fn each_parameter_is_documented_under_its_node() {
     let programs = [
         ("predictor", env!("CARGO_BIN_EXE_egotac_predictor")),
         ("simulator", env!("CARGO_BIN_EXE_egotac_simulator")),
+        ("trainer", env!("CARGO_BIN_EXE_egotac_trainer")),
         ("verifier", env!("CARGO_BIN_EXE_egotac_verifier")),
     ];
     for (node, program) in programs {

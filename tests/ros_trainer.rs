@@ -94,8 +94,16 @@ fn live_frames_are_recorded_in_bounds_while_rounds_learn_from_them() {
     let config = config(&session, "none.zarr", "augment: { mirror: 0.0 }\n");
     let text = std::fs::read_to_string(&config).unwrap().replace("steps: 150", "steps: 120");
     std::fs::write(&config, text).unwrap();
-    let live =
-        ["-p", "max_recorded_mb:=0.05", "-p", "episode_secs:=1.0", "-p", "min_live_frames:=60", "-p", "round_steps:=40"];
+    let live = [
+        "-p",
+        "max_recorded_mb:=0.05",
+        "-p",
+        "episode_secs:=1.0",
+        "-p",
+        "min_live_frames:=60",
+        "-p",
+        "round_steps:=40",
+    ];
     let mut node = trainer(&session, &live);
     session.check(PEER, &["live", &config, &session.path("trainer").display().to_string()]);
     node.ends_cleanly("INT");
@@ -136,7 +144,8 @@ fn what_is_learned_live_makes_the_predictor_better() {
     }
     let first = session.path("first.safetensors");
     Checkpoint::save(&first, &Config::toy(), &Metadata::new("random", 1.0, 0.04), &vars).unwrap();
-    let config = config(&session, "none.zarr", "augment: { mirror: 0.0, crop: 0.0, view_scale: 0.0 }\nloss: { active: 1.0 }\n");
+    let config =
+        config(&session, "none.zarr", "augment: { mirror: 0.0, crop: 0.0, view_scale: 0.0 }\nloss: { active: 1.0 }\n");
     let text = std::fs::read_to_string(&config).unwrap().replace("steps: 150", "steps: 600");
     std::fs::write(&config, text).unwrap();
     let model = format!("model:={}", first.display());

@@ -12,7 +12,7 @@ use crate::train::{self, Config, Control, Event, Outcome, Started, Step};
 #[command(
     after_help = "The YAML's keys, with defaults, are those of `egotac::train::Config`; see models/*.yaml for the \
     configuration of the shipped checkpoint. The folder `out` of the configuration receives checkpoint.safetensors \
-    (averaged weights), state.safetensors (to resume), config.yaml and log.csv."
+    (averaged weights), state.safetensors (to resume), config.yaml, log.csv and, at the end, curves.png."
 )]
 pub struct Args {
     /// Configuration of the run.

@@ -24,7 +24,7 @@ pub struct Config {
     /// Held-out stores to score on the way; may be empty.
     #[serde(default)]
     pub validation: Vec<PathBuf>,
-    /// Folder for `checkpoint.safetensors`, `state.safetensors`, `config.yaml` and `log.csv`.
+    /// Folder for `checkpoint.safetensors`, `state.safetensors`, `config.yaml`, `log.csv` and `curves.png`.
     pub out: PathBuf,
     /// The network: a preset's name or its geometry.
     pub model: Geometry,

@@ -8,6 +8,7 @@ pub mod baseline;
 pub mod batch;
 mod checkpoint;
 pub mod config;
+mod curves;
 pub mod job;
 pub mod keypoints;
 mod loader;
@@ -235,6 +236,7 @@ pub fn train(
         };
         let (mut step, mut broken, mut broken_in_a_row) = (first, 0, 0);
         let mut report = None;
+        let mut scores = Vec::new();
         let mut began = Instant::now();
         while step < config.steps && !stop {
             // The mean gradient of all batches of the step.
@@ -280,6 +282,7 @@ pub fn train(
             if last || step.is_multiple_of(config.validate_every) {
                 report = score(&optimizer)?.map(|report| (step, report));
                 if let Some((_, report)) = &report {
+                    scores.push((step, report.clone()));
                     stop |= observe(Event::Validated(step, report)) == Control::Stop;
                 }
             }
@@ -292,6 +295,7 @@ pub fn train(
             report = score(&optimizer)?.map(|report| (step, report));
         }
         let sha256 = save(&optimizer, step, report.as_ref())?;
+        curves::write(&config.out.join("log.csv"), &scores)?;
         Ok(Outcome {
             checkpoint: checkpoint_file.clone(),
             sha256,

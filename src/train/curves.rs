@@ -1,0 +1,169 @@
+//! A run's losses and scores as a picture.
+
+use std::error::Error as StdError;
+use std::path::Path;
+
+use ::image::RgbImage;
+use plotters::coord::Shift;
+use plotters::prelude::*;
+
+use crate::error::{Error, Result};
+use crate::metrics::Report;
+use crate::{file, render};
+
+const SIZE: (u32, u32) = (1400, 560);
+const COLORS: [RGBColor; 5] = [
+    RGBColor(31, 119, 180),
+    RGBColor(214, 96, 24),
+    RGBColor(44, 160, 44),
+    RGBColor(148, 103, 189),
+    RGBColor(120, 120, 120),
+];
+/// Columns of the log that are drawn.
+const LOSSES: [&str; 5] = ["loss", "force", "contact", "active", "consistency"];
+/// A curve is the mean over this share of the steps.
+const SMOOTH: f64 = 0.02;
+
+type Drawn<T> = std::result::Result<T, Box<dyn StdError>>;
+
+/// A named line: steps and values.
+struct Curve {
+    name: &'static str,
+    points: Vec<(f64, f64)>,
+}
+
+/// Draws the log's losses and the scores at their steps as `curves.png` beside the log; nothing for a log without steps.
+///
+/// # Errors
+/// If the log can't be read or the picture not be written.
+pub fn write(log: &Path, scores: &[(usize, Report)]) -> Result<()> {
+    let text = std::fs::read_to_string(log).map_err(Error::io(log))?;
+    let losses = losses(&text);
+    if losses.iter().all(|curve| curve.points.is_empty()) {
+        return Ok(());
+    }
+    let score = |name, of: fn(&Report) -> Option<f64>| Curve {
+        name,
+        points: scores.iter().filter_map(|(step, report)| Some((*step as f64, of(report)?))).collect(),
+    };
+    let scores = [
+        score("contact F1", |r| r.pooled.f1),
+        score("AUROC", |r| r.pooled.auroc),
+        score("temporal Pearson", |r| r.temporal_pearson),
+        score("force cosine", |r| r.force_cosine),
+    ];
+    render::font::register();
+    let path = log.with_file_name("curves.png");
+    let mut pixels = vec![255u8; (SIZE.0 * SIZE.1 * 3) as usize];
+    draw(&BitMapBackend::with_buffer(&mut pixels, SIZE).into_drawing_area(), &losses, &scores)
+        .map_err(|error| Error::file(&path, error))?;
+    file::write_png(&path, &RgbImage::from_raw(SIZE.0, SIZE.1, pixels).unwrap_or_default())
+}
+
+/// The losses of a log, smoothed; those that are 0 throughout are left out.
+fn losses(text: &str) -> Vec<Curve> {
+    let mut lines = text.lines();
+    let columns: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
+    let rows: Vec<Vec<f64>> =
+        lines.map(|line| line.split(',').map(|value| value.parse().unwrap_or(f64::NAN)).collect()).collect();
+    let width = ((rows.len() as f64 * SMOOTH).round() as usize).max(1);
+    let curve = |name: &'static str| {
+        let column = columns.iter().position(|column| *column == name)?;
+        let values: Vec<(f64, f64)> = rows
+            .iter()
+            .filter_map(|row| Some((*row.first()?, *row.get(column)?)))
+            .filter(|(_, y)| y.is_finite())
+            .collect();
+        let mean = |piece: &[(f64, f64)]| {
+            let n = piece.len() as f64;
+            (piece.iter().map(|p| p.0).sum::<f64>() / n, piece.iter().map(|p| p.1).sum::<f64>() / n)
+        };
+        let points: Vec<_> = values.chunks(width).map(mean).collect();
+        points.iter().any(|(_, y)| *y > 0.0).then_some(Curve { name, points })
+    };
+    LOSSES.into_iter().filter_map(curve).collect()
+}
+
+fn draw<B: DrawingBackend>(root: &DrawingArea<B, Shift>, losses: &[Curve], scores: &[Curve]) -> Drawn<()>
+where
+    B::ErrorType: 'static,
+{
+    root.fill(&WHITE)?;
+    let (left, right) = root.split_horizontally(SIZE.0 / 2);
+    panel(&left, "Losses", losses, true)?;
+    panel(&right, "Scores on held-out data", scores, false)?;
+    root.present()?;
+    Ok(())
+}
+
+fn panel<B: DrawingBackend>(area: &DrawingArea<B, Shift>, title: &str, curves: &[Curve], decades: bool) -> Drawn<()>
+where
+    B::ErrorType: 'static,
+{
+    let height = |y: f64| if decades { y.max(1e-6).log10() } else { y };
+    let all = || curves.iter().flat_map(|curve| &curve.points);
+    let last = all().map(|p| p.0).fold(1.0, f64::max);
+    let [low, high] = match decades {
+        true => [
+            all().map(|p| height(p.1)).fold(f64::INFINITY, f64::min).min(0.0).max(-6.0),
+            all().map(|p| height(p.1)).fold(f64::NEG_INFINITY, f64::max).max(-5.0) + 0.1,
+        ],
+        false => [all().map(|p| p.1).fold(0.0, f64::min), 1.0],
+    };
+    let mut chart = ChartBuilder::on(area)
+        .caption(title, (render::font::FAMILY, 20))
+        .margin(12)
+        .x_label_area_size(44)
+        .y_label_area_size(64)
+        .build_cartesian_2d(0.0..last, low..high)?;
+    let name = |y: &f64| if decades { format!("{:.0e}", 10f64.powf(*y)) } else { format!("{y:.1}") };
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .x_desc("step")
+        .y_label_formatter(&name)
+        .label_style((render::font::FAMILY, 14))
+        .draw()?;
+    for (curve, color) in curves.iter().zip(COLORS).filter(|(curve, _)| !curve.points.is_empty()) {
+        let points: Vec<_> = curve.points.iter().map(|(x, y)| (*x, height(*y))).collect();
+        chart
+            .draw_series(LineSeries::new(points.clone(), color.stroke_width(2)))?
+            .label(curve.name)
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], color.stroke_width(2)));
+        if points.len() < 40 {
+            chart.draw_series(points.into_iter().map(|point| Circle::new(point, 3, color.filled())))?;
+        }
+    }
+    if curves.iter().any(|curve| !curve.points.is_empty()) {
+        chart
+            .configure_series_labels()
+            .position(SeriesLabelPosition::UpperRight)
+            .background_style(WHITE.mix(0.8))
+            .border_style(BLACK.mix(0.3))
+            .label_font((render::font::FAMILY, 13))
+            .draw()?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn curves_follow_the_log_and_leave_out_what_is_zero() {
+        let mut text = String::from("step,loss,force,contact,active,consistency,secs\n");
+        (1..=200).for_each(|step| text += &format!("{step},{},{},{},0,0,1\n", 2.0 / step as f64, 1.0, 0.5));
+        let curves = losses(&text);
+        assert_eq!(curves.iter().map(|curve| curve.name).collect::<Vec<_>>(), ["loss", "force", "contact"]);
+        // 2 % of 200 steps are 4: the first point is the mean of 2, 1, 2/3 and 1/2 at 2.5.
+        let (step, value) = curves[0].points[0];
+        assert!((step - 2.5).abs() < 1e-12 && (value - (2.0 + 1.0 + 2.0 / 3.0 + 0.5) / 4.0).abs() < 1e-12);
+        assert_eq!(curves[0].points.len(), 50);
+        let folder = tempfile::tempdir().unwrap();
+        let log = folder.path().join("log.csv");
+        std::fs::write(&log, text).unwrap();
+        write(&log, &[]).unwrap();
+        assert_eq!(::image::open(folder.path().join("curves.png")).unwrap().width(), SIZE.0);
+    }
+}
