@@ -88,12 +88,8 @@ impl Stores {
     /// The stores in `folder`, with `episodes` of each scene to learn from and `held_out` to score on.
     pub fn plan(folder: &Path, episodes: usize, held_out: usize) -> Self {
         let mut stores = Self { training: vec![], held_out: [vec![], vec![]], recipes: vec![] };
-        let mut index = 0;
-        for (look, camera, scene, is_training) in LOOKS
-            .iter()
-            .enumerate()
-            .flat_map(|(at, look)| look.scenes.iter().map(move |scene| (look.name, look.camera, *scene, at < 2)))
-        {
+        let scenes = LOOKS.iter().enumerate().flat_map(|(at, look)| look.scenes.map(|scene| (at < 2, look, scene)));
+        for (index, (is_training, Look { name: look, camera, .. }, scene)) in (0..).zip(scenes) {
             let file = folder.join("scenes").join(format!("{scene}_{look}.yaml"));
             let mut add = |name: String, episodes: usize, seed: u64| {
                 let text = text(scene, camera);
@@ -117,7 +113,6 @@ impl Stores {
                 stores.training.push(own);
             }
             stores.held_out[usize::from(!is_training)].push(add("test".into(), held_out, first(SEEDS[1])));
-            index += 1;
         }
         stores
     }

@@ -105,7 +105,7 @@ where
     let last = all().map(|p| p.0).fold(1.0, f64::max);
     let [low, high] = match decades {
         true => [
-            all().map(|p| height(p.1)).fold(f64::INFINITY, f64::min).min(0.0).max(-6.0),
+            all().map(|p| height(p.1)).fold(f64::INFINITY, f64::min).clamp(-6.0, 0.0),
             all().map(|p| height(p.1)).fold(f64::NEG_INFINITY, f64::max).max(-5.0) + 0.1,
         ],
         false => [all().map(|p| p.1).fold(0.0, f64::min), 1.0],
