@@ -297,3 +297,14 @@ fn a_soft_ball_gives_way_and_carries_the_fingers_force() {
     let nearest = vertices.iter().map(|v| v.as_dvec3().distance(centre)).fold(f64::INFINITY, f64::min);
     assert!(nearest < radius - 5e-4, "the skin stands {nearest} m from the middle of a ball of {radius} m");
 }
+
+#[test]
+fn nothing_that_lies_about_starts_within_a_hand() {
+    let scene = Scene::load("clutter").unwrap();
+    // Seeds in which that once was so, and the first ones.
+    for seed in [6132, 6322, 6835].into_iter().chain(0..30) {
+        let rollout = Rollout::new(&scene, seed, &blind());
+        let rollout = rollout.unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+        assert!(rollout.objects().len() > 5, "seed {seed}: {} objects", rollout.objects().len());
+    }
+}

@@ -19,6 +19,8 @@ use crate::hand::Side;
 
 /// Distance that distractors keep from what hands deal with, m.
 const WORKSPACE: f64 = 0.1;
+/// Distance that they keep from hands at the beginning, m: skin and sleeve are somewhat thicker than the vertices say.
+const CLEARANCE: f64 = 0.01;
 
 /// An episode's drawn values.
 #[derive(Debug, Clone)]
@@ -158,8 +160,7 @@ impl Episode {
         let objects =
             spec.objects.iter().map(|o| ObjectDraw::sample(o, mirror, &mut rng)).collect::<Result<Vec<_>>>()?;
         let mut objects = objects;
-        distractors(spec.distractors.sample(&mut stream(10)).round() as usize, &mut objects, &mut stream(11))?;
-        let mut hands = Vec::new();
+        let mut hands: Vec<HandDraw> = Vec::new();
         for (index, hand) in spec.hands.iter().enumerate() {
             let mut rng = stream(2 + index as u64);
             let side = if (index == 0) == (actor == Side::Left) { Side::Left } else { Side::Right };
@@ -173,6 +174,9 @@ impl Episode {
                 hands.push(drawn);
             }
         }
+        let starts: Vec<DVec3> = hands.iter().flat_map(|hand| hand.start(&rigs[hand.side as usize])).collect();
+        let count = spec.distractors.sample(&mut stream(10)).round() as usize;
+        distractors(count, &starts, &mut objects, &mut stream(11))?;
         let acting = hands.iter().filter_map(|hand| hand.act.as_ref());
         let duration = acting.map(|act| act.timeline.duration()).fold(1.0, f64::max);
         let mut rng = stream(8);
@@ -209,10 +213,11 @@ impl ObjectDraw {
     }
 }
 
-/// Adds things that lie about on the table beside the place where the hands work.
+/// Adds things that lie about on the table beside the place where the hands work, and not within `starts`, the vertices
+/// of hands at the beginning.
 ///
 /// Fewer than `count` where there is no room left.
-fn distractors(count: usize, objects: &mut Vec<ObjectDraw>, rng: &mut impl Rng) -> Result<()> {
+fn distractors(count: usize, starts: &[DVec3], objects: &mut Vec<ObjectDraw>, rng: &mut impl Rng) -> Result<()> {
     let girth = |object: &ObjectDraw| f64::from(object.shape.outline().compute_local_aabb().half_extents().length());
     for index in 0..count {
         let mut size = || Span::fixed(rng.random_range(0.02..0.05));
@@ -237,7 +242,9 @@ fn distractors(count: usize, objects: &mut Vec<ObjectDraw>, rng: &mut impl Rng) 
             let worked = objects.iter().filter(|other| !other.name.starts_with("distractor_"));
             let far =
                 worked.into_iter().all(|other| drawn.position.distance(other.position) > WORKSPACE + girth(other));
-            far && objects.iter().all(|other| drawn.position.distance(other.position) > girth(drawn) + girth(other))
+            let free = |vertex: &DVec3| drawn.position.distance(*vertex) > girth(drawn) + CLEARANCE;
+            far && starts.iter().all(free)
+                && objects.iter().all(|other| drawn.position.distance(other.position) > girth(drawn) + girth(other))
         };
         for _ in 0..100 {
             let drawn = ObjectDraw::sample(&spec, false, rng)?;
@@ -251,6 +258,16 @@ fn distractors(count: usize, objects: &mut Vec<ObjectDraw>, rng: &mut impl Rng) 
 }
 
 impl HandDraw {
+    /// Vertices at the beginning, world frame, m.
+    fn start(&self, rig: &HandRig) -> Vec<DVec3> {
+        let displacement = self.act.as_ref().map_or(DVec3::ZERO, |act| {
+            let channels = act.timeline.at(0.0);
+            act.from * channels.standoff + channels.shift
+        });
+        let params = rig.params(self.wrist + displacement, self.orientation, &self.posture);
+        rig.model.forward(&params).vertices.into_iter().map(|vertex| vertex.as_dvec3()).collect()
+    }
+
     fn sample(
         spec: &HandSpec,
         rig: &HandRig,
