@@ -141,6 +141,31 @@ fn runs_repeat_and_resume_bit_for_bit() {
 }
 
 #[test]
+fn bf16_follows_f32_closely_and_keeps_f32_weights() {
+    let folder = tempfile::tempdir().unwrap();
+    write_store(&folder.path().join("train.zarr"), 1, 2, 40);
+    let of = |out: &str, more: &str| config(folder.path(), out, 12, &format!("augment: {{hue: 0}}\n{more}"));
+    let [full, half] = [of("full", ""), of("half", "precision: bf16")];
+    let outcomes = [&full, &half].map(|config| run(config, false, usize::MAX));
+    let [a, b] = [&full, &half].map(|config| logged(config, "loss"));
+    // The first loss differs by rounding alone; then the runs go apart slowly.
+    assert!((a[0] / b[0] - 1.0).abs() < 0.01, "{} {}", a[0], b[0]);
+    for (step, (a, b)) in a.iter().zip(&b).enumerate() {
+        assert!((a / b - 1.0).abs() < 0.15, "step {step}: {a} in f32, {b} in bf16");
+    }
+    assert_ne!(weights(&outcomes[0].checkpoint), weights(&outcomes[1].checkpoint));
+    // More digits than bf16 has.
+    let checkpoint = std::fs::read(&outcomes[1].checkpoint).unwrap();
+    let tensors = safetensors::SafeTensors::deserialize(&checkpoint).unwrap();
+    let head = tensors.tensor("force_head.weight").unwrap();
+    assert_eq!(head.dtype(), safetensors::Dtype::F32);
+    assert!(head.data().chunks_exact(4).any(|bytes| bytes[..2] != [0, 0]));
+    let int8 = of("eight", "precision: int8");
+    let error = train(&int8, false, &Device::Cpu, &mut |_| Control::Continue).unwrap_err().to_string();
+    assert!(error.contains("f32 or bf16") && error.contains("int8"), "{error}");
+}
+
+#[test]
 fn a_run_that_is_killed_again_and_again_ends_with_the_same_weights() {
     let folder = tempfile::tempdir().unwrap();
     write_store(&folder.path().join("train.zarr"), 1, 2, 40);

@@ -22,7 +22,7 @@ use crate::dataset::zarr;
 use crate::error::{Error, Result};
 use crate::file;
 use crate::metrics::Fields;
-use crate::model::{self, Checkpoint};
+use crate::model::{self, Checkpoint, Precision};
 use crate::train::batch::Dataset;
 use crate::train::config::{Augment, Batch, Geometry, Loss, Optimizer, Sampling};
 use crate::train::{self, Config, Control, Event, predict};
@@ -126,6 +126,7 @@ fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Re
         init: None,
         seed: seed + 1,
         frame_dt: 0.12,
+        precision: Precision::F32,
         steps: size.steps,
         batch: BATCH,
         optimizer: Optimizer { learning_rate: 1e-3, weight_decay: 0.05, ..Optimizer::default() },

@@ -59,6 +59,31 @@ pub fn var_builder(varmap: &VarMap, seed: u64, device: &Device) -> VarBuilder<'s
     VarBuilder::from_backend(Box::new(backend), DType::F32, device.clone())
 }
 
+/// A builder whose tensors are the variables of `varmap`, all of which are there, in another format. A gradient passes
+/// through the change of format, so what is trained stays f32.
+pub fn cast_builder(varmap: &VarMap, dtype: DType, device: &Device) -> VarBuilder<'static> {
+    VarBuilder::from_backend(Box::new(Cast(Seeded { varmap: varmap.clone(), seed: 0 })), dtype, device.clone())
+}
+
+struct Cast(Seeded);
+
+impl SimpleBackend for Cast {
+    fn get(&self, shape: Shape, name: &str, init: Init, dtype: DType, device: &Device) -> Result<Tensor> {
+        match self.0.contains_tensor(name) {
+            true => self.0.get(shape, name, init, DType::F32, device)?.to_dtype(dtype),
+            false => bail!("variable {name} is missing"),
+        }
+    }
+
+    fn get_unchecked(&self, name: &str, dtype: DType, device: &Device) -> Result<Tensor> {
+        self.0.get_unchecked(name, DType::F32, device)?.to_dtype(dtype)
+    }
+
+    fn contains_tensor(&self, name: &str) -> bool {
+        self.0.contains_tensor(name)
+    }
+}
+
 struct Seeded {
     varmap: VarMap,
     seed: u64,

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::source::Source;
 use crate::error::{Error, Result};
-use crate::model;
+use crate::model::{self, Precision};
 
 /// A run as written in YAML; unknown keys are refused. Paths are relative to the current folder.
 ///
@@ -36,6 +36,10 @@ pub struct Config {
     /// Seconds between observation steps.
     #[serde(default = "default_frame_dt")]
     pub frame_dt: f64,
+    /// Format in which a step is computed: f32, or bf16 (half the memory for activations; faster on a GPU, slower on the
+    /// CPU). Weights, optimiser, losses and their gradients are f32 either way.
+    #[serde(default)]
+    pub precision: Precision,
     /// Optimisation steps.
     pub steps: usize,
     /// What one step sees.
@@ -262,6 +266,9 @@ impl Config {
             if value == 0 {
                 return Err(Error::value(key, "at least 1", value));
             }
+        }
+        if self.precision == Precision::Int8 {
+            return Err(Error::value("precision", "f32 or bf16", self.precision));
         }
         let (o, l, a) = (&self.optimizer, &self.loss, &self.augment);
         let ranges = [

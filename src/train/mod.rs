@@ -25,14 +25,14 @@ pub mod start;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use candle_core::Device;
+use candle_core::{DType, Device};
 use candle_nn::VarMap;
 
 use crate::dataset::zarr;
 use crate::error::{Error, Result};
 use crate::file;
 use crate::metrics::{self, Report};
-use crate::model::{self, Checkpoint, EgoTac, Metadata, init};
+use crate::model::{self, Checkpoint, EgoTac, Metadata, Precision, init};
 
 use batch::{Collate, Dataset, Labels};
 pub use config::Config;
@@ -249,7 +249,15 @@ pub fn train(
                 wait_secs += waiting.elapsed().as_secs_f64();
                 frames += batch.n_frames(geometry.image);
                 windows += batch.windows.len() / geometry.horizon;
-                let one = pass.run(batch, share)?;
+                let one = match config.precision {
+                    Precision::Bf16 => {
+                        // Anew for each batch: the weights have changed.
+                        let cast = init::cast_builder(&varmap, DType::BF16, device);
+                        let network = EgoTac::new(&geometry, cast)?;
+                        Pass { network: &network, ..pass }.run(batch, share)?
+                    }
+                    _ => pass.run(batch, share)?,
+                };
                 losses.add(&one.losses, share as f32);
                 optimizer.gather(&mut gradients, one.gradients)?;
             }

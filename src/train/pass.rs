@@ -1,7 +1,7 @@
 //! One batch through the network and back.
 
 use candle_core::backprop::GradStore;
-use candle_core::{Device, Tensor};
+use candle_core::{DType, Device, Tensor};
 
 use super::batch::Batch;
 use super::config::Loss;
@@ -96,7 +96,10 @@ impl Pass<'_> {
         let (force, contact_logits) = network.heads(&z)?;
         let objective = objective(&force, &contact_logits, &truth, self.force_scale, self.weights)?;
         let keypoints = match self.keypoint_heads {
-            Some(heads) => Some(heads.loss(&tokens, &points, &z, &newest)?),
+            // The heads that ask are f32 whatever the network is.
+            Some(heads) => {
+                Some(heads.loss(&tokens.to_dtype(DType::F32)?, &points, &z.to_dtype(DType::F32)?, &newest)?)
+            }
             None => None,
         };
         let total = match &keypoints {
