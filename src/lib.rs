@@ -30,6 +30,7 @@
 //! | [`message`] | the ROS messages and their CDR bytes, without ROS |
 //! | [`render`] | pictures of hands |
 //! | [`dataset`] | Zarr stores, bounded recordings, tensor files, MCAP bags |
+//! | [`annotate`] | labels for recordings, in their own formats |
 //! | `mujoco`, `sim` | physics; scenes whose touch is known (feature `sim`) |
 //! | [`train`] | from stores to a checkpoint |
 //! | [`verify`] | labels and predictions against simulated truth |
@@ -44,6 +45,7 @@
 //! hold the left hand first, 778 values each.
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
+pub mod annotate;
 pub mod bench;
 pub mod camera;
 pub mod cli;

@@ -8,6 +8,7 @@ mod eval;
 mod experiment;
 mod hand;
 mod hands;
+mod label;
 mod model;
 mod predict;
 mod progress;
@@ -37,6 +38,8 @@ enum Command {
     Sim(sim::Args),
     /// Train a network on stores.
     Train(train::Args),
+    /// Label recordings: bags and OXT stores.
+    Label(label::Args),
     /// Predict touch for images or a store.
     Predict(predict::Args),
     /// Score predictions against truth.
@@ -62,6 +65,7 @@ pub fn main() -> ExitCode {
         Command::Hand(args) => hand::run(args),
         Command::Sim(args) => sim::run(args),
         Command::Train(args) => train::run(args),
+        Command::Label(args) => label::run(args),
         Command::Predict(args) => predict::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Experiment(args) => experiment::run(args),

@@ -3,7 +3,6 @@
 use indicatif::{ProgressBar, ProgressStyle};
 
 /// A bar that counts `unit`s, with speed and the time that is left.
-#[cfg(feature = "sim")]
 pub fn bar(unit: &str) -> ProgressBar {
     styled(&format!("{{bar:40}} {{pos}}/{{len}} {unit} {{per_sec}} {{eta}} left"))
 }

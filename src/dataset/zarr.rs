@@ -15,8 +15,11 @@
 //! A producer may add arrays of its own, declared when the store is created. Chunks split the time axis alone and hold
 //! about 2 MB; chunks equal to the fill value are not written, so a missing chunk reads as zeros.
 
+mod added;
+mod column;
 mod concatenate;
 mod folder;
+mod place;
 mod reader;
 mod writer;
 
@@ -24,12 +27,16 @@ use std::fmt;
 
 use serde_json::{Value, json};
 
+pub use added::AddedArrays;
 pub use concatenate::concatenate;
+pub use place::Place;
 pub use reader::{ArrayInfo, ZarrReader, open_all};
 pub use writer::{Contact, ZarrWriter};
 
 /// Egocentric image, (T, H, W, 3) u8.
 pub const CAMERA_EGO_RGB: &str = "data/camera_ego_rgb";
+/// Image of the task's main camera, as others write it, (T, H, W, 3) u8.
+pub const CAMERA_MAIN_RGB: &str = "data/camera_main_rgb";
 /// Time of each frame, (T) f64, s.
 pub const TIMESTAMPS: &str = "data/timestamps";
 /// Normal force, (T, 1556) f32, N.

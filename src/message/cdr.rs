@@ -61,15 +61,7 @@ impl<'a> Reader<'a> {
     /// If the header is another than XCDR1 little endian, the payload ends too early or too late, or a field holds
     /// what its type does not allow. The error names the field, starting with `message`.
     pub fn payload<T: Wire>(message: &'static str, payload: &'a [u8]) -> Result<T> {
-        let Some((header, bytes)) = payload.split_first_chunk::<4>() else {
-            return Err(Error::value(message, "a CDR payload of at least 4 bytes", format!("{} bytes", payload.len())));
-        };
-        // The last two bytes are options that readers of plain CDR ignore.
-        if header[..2] != HEADER[..2] {
-            let got = format!("{:#04x} {:#04x}", header[0], header[1]);
-            return Err(Error::value(message, "the encapsulation 0x00 0x01 (XCDR1, little endian)", got));
-        }
-        let mut reader = Reader { message, path: Vec::new(), bytes, at: 0 };
+        let mut reader = Self::begin(message, payload)?;
         let value = T::read(&mut reader)?;
         if reader.left() > MAX_PADDING {
             let got = format!("{} bytes after it", reader.left());
@@ -80,6 +72,26 @@ impl<'a> Reader<'a> {
             ));
         }
         Ok(value)
+    }
+
+    /// Reads the `T` that a payload begins with, for instance the header of an image.
+    ///
+    /// # Errors
+    /// As [`Self::payload`], save that anything may follow.
+    pub fn leading<T: Wire>(message: &'static str, payload: &'a [u8]) -> Result<T> {
+        T::read(&mut Self::begin(message, payload)?)
+    }
+
+    fn begin(message: &'static str, payload: &'a [u8]) -> Result<Self> {
+        let Some((header, bytes)) = payload.split_first_chunk::<4>() else {
+            return Err(Error::value(message, "a CDR payload of at least 4 bytes", format!("{} bytes", payload.len())));
+        };
+        // The last two bytes are options that readers of plain CDR ignore.
+        if header[..2] != HEADER[..2] {
+            let got = format!("{:#04x} {:#04x}", header[0], header[1]);
+            return Err(Error::value(message, "the encapsulation 0x00 0x01 (XCDR1, little endian)", got));
+        }
+        Ok(Reader { message, path: Vec::new(), bytes, at: 0 })
     }
 
     /// Reads the field `name`.

@@ -109,6 +109,11 @@ impl Predictor {
         self.frames.len()
     }
 
+    /// Stamps of the frames kept now, s, oldest first: pushing these frames again after a reset restores the stream.
+    pub fn kept_stamps(&self) -> impl Iterator<Item = f64> {
+        self.frames.iter().map(|frame| frame.stamp_secs)
+    }
+
     /// Forgets the stream so far.
     pub fn reset(&mut self) {
         self.frames.clear();
@@ -122,11 +127,23 @@ impl Predictor {
     /// If the stamp is not finite, the image is empty, or the network's output is not finite. The stream is then as
     /// if the image had not come.
     pub fn push(&mut self, image: &RgbImage, stamp_secs: f64) -> Result<Prediction> {
+        let input = self.metadata().preparation(self.config()).apply(image)?;
+        self.push_prepared(input, stamp_secs)
+    }
+
+    /// [`Predictor::push`] of an image that is prepared already, on another thread for instance; see
+    /// [`Metadata::preparation`]. `input`: `(3, side, side)`.
+    ///
+    /// # Errors
+    /// As [`Predictor::push`], and if the input has another size.
+    pub fn push_prepared(&mut self, input: Vec<f32>, stamp_secs: f64) -> Result<Prediction> {
         if !stamp_secs.is_finite() {
             return Err(Error::value("image stamp", "finite seconds", stamp_secs));
         }
         let side = self.config().image;
-        let input = self.metadata().preparation(self.config()).apply(image)?;
+        if input.len() != 3 * side * side {
+            return Err(Error::shape("input", format!("[3, {side}, {side}]"), [input.len()]));
+        }
         let input = Tensor::from_vec(input, (1, 3, side, side), &self.device)?;
         let projected = self.model().project(&self.model().encode(&input)?)?;
 

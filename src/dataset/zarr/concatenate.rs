@@ -38,7 +38,7 @@ pub fn concatenate(
     for spec in &specs {
         // A short store needs no padding up to a whole chunk.
         let chunk_len = spec.chunk_len().min(n_frames);
-        let array = create_array(&folder, spec, n_frames, chunk_len, Compression::Keep)?;
+        let array = create_array(folder.root(), spec, n_frames, chunk_len, Compression::Keep)?;
         outputs.push(Output { spec, array, chunk_len });
     }
     let chunks: Vec<(&Output, usize)> =
@@ -53,7 +53,7 @@ pub fn concatenate(
     let pool = pool.map_err(|error| Error::file(out, error))?;
     pool.install(|| chunks.par_iter().with_max_len(1).try_for_each(write))?;
     for output in &outputs {
-        write_metadata(&folder, output.spec, n_frames, output.chunk_len, Compression::Keep)?;
+        write_metadata(folder.root(), output.spec, n_frames, output.chunk_len, Compression::Keep)?;
     }
     folder.finish(attributes, more_attributes, &episode_ends)
 }

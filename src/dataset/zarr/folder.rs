@@ -1,4 +1,4 @@
-//! A store in the making: a folder that gets its name when all is written.
+//! A store in the making: where its arrays are written, and a folder that gets its name when all is.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,13 +13,36 @@ use super::{ArraySpec, Compression, Dtype, EPISODE_ENDS};
 use crate::dataset::Attributes;
 use crate::error::{Error, Result};
 
+/// Where arrays are written.
+#[derive(Debug)]
+pub(super) struct Root {
+    /// The store's name in errors.
+    path: PathBuf,
+    folder: PathBuf,
+    store: Arc<FilesystemStore>,
+}
+
+impl Root {
+    /// The folder `folder`, of a store that is called `path`.
+    ///
+    /// # Errors
+    /// If it is no folder.
+    pub fn new(folder: &Path, path: &Path) -> Result<Self> {
+        let store = FilesystemStore::new(folder).map_err(|e| Error::file(folder, e))?;
+        Ok(Self { path: path.to_path_buf(), folder: folder.to_path_buf(), store: Arc::new(store) })
+    }
+
+    /// The store's name in errors.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
 /// The hidden folder beside the store's place; removed when dropped.
 #[derive(Debug)]
 pub(super) struct StoreFolder {
-    path: PathBuf,
     folder: TempDir,
-    root: PathBuf,
-    store: Arc<FilesystemStore>,
+    root: Root,
 }
 
 impl StoreFolder {
@@ -39,13 +62,17 @@ impl StoreFolder {
         // A folder inside: the temporary one is private to the user, the store gets the usual permissions.
         let root = folder.path().join(name);
         fs::create_dir(&root).map_err(Error::io(&root))?;
-        let store = FilesystemStore::new(&root).map_err(|e| Error::file(&root, e))?;
-        Ok(Self { path: path.to_path_buf(), folder, root, store: Arc::new(store) })
+        Ok(Self { root: Root::new(&root, path)?, folder })
     }
 
     /// Where the store will lie.
     pub fn path(&self) -> &Path {
-        &self.path
+        &self.root.path
+    }
+
+    /// Where its arrays are written.
+    pub fn root(&self) -> &Root {
+        &self.root
     }
 
     /// Writes episodes, groups and attributes, and gives the store its name.
@@ -56,10 +83,10 @@ impl StoreFolder {
         let ends = ArraySpec::new(EPISODE_ENDS, [], Dtype::I64);
         let n_ends = episode_ends.len();
         let bytes: Vec<u8> = episode_ends.iter().flat_map(|end| end.to_ne_bytes()).collect();
-        let array = create_array(&self, &ends, n_ends, n_ends, Compression::None)?;
+        let array = create_array(&self.root, &ends, n_ends, n_ends, Compression::None)?;
         let written = array.store_chunk(&[0], ArrayBytes::new_flen(bytes));
-        written.map_err(|error| Error::file(&self.path, format!("{EPISODE_ENDS}: {error}")))?;
-        write_metadata(&self, &ends, n_ends, n_ends, Compression::None)?;
+        written.map_err(|error| Error::file(&self.root.path, format!("{EPISODE_ENDS}: {error}")))?;
+        write_metadata(&self.root, &ends, n_ends, n_ends, Compression::None)?;
 
         let mut attributes = match serde_json::to_value(attributes) {
             Ok(Value::Object(map)) => map,
@@ -67,39 +94,39 @@ impl StoreFolder {
         };
         attributes.append(&mut more);
         for group in ["", "data", "meta"] {
-            write_json(&self.root.join(group).join(".zgroup"), &json!({ "zarr_format": 2 }))?;
+            write_json(&self.root.folder.join(group).join(".zgroup"), &json!({ "zarr_format": 2 }))?;
         }
-        write_json(&self.root.join(".zattrs"), &Value::Object(attributes))?;
-        refuse_existing(&self.path)?;
-        fs::rename(&self.root, &self.path).map_err(Error::io(&self.path))?;
-        self.folder.close().map_err(Error::io(&self.path))
+        write_json(&self.root.folder.join(".zattrs"), &Value::Object(attributes))?;
+        refuse_existing(&self.root.path)?;
+        fs::rename(&self.root.folder, &self.root.path).map_err(Error::io(&self.root.path))?;
+        self.folder.close().map_err(Error::io(&self.root.path))
     }
 }
 
 /// An array of `n_frames` frames to store chunks in; its metadata is written by [`write_metadata`].
 pub(super) fn create_array(
-    folder: &StoreFolder,
+    root: &Root,
     spec: &ArraySpec,
     n_frames: usize,
     chunk_len: usize,
     compression: Compression,
 ) -> Result<Array<FilesystemStore>> {
-    let fail = |error: &dyn std::fmt::Display| Error::file(&folder.path, format!("{}: {error}", spec.name));
+    let fail = |error: &dyn std::fmt::Display| Error::file(&root.path, format!("{}: {error}", spec.name));
     let metadata: ArrayMetadataV2 =
         serde_json::from_value(metadata(spec, n_frames, chunk_len, compression)).map_err(|e| fail(&e))?;
     let name = format!("/{}", spec.name);
-    Array::new_with_metadata(folder.store.clone(), &name, ArrayMetadata::V2(metadata)).map_err(|e| fail(&e))
+    Array::new_with_metadata(root.store.clone(), &name, ArrayMetadata::V2(metadata)).map_err(|e| fail(&e))
 }
 
 /// Writes the array's `.zarray`.
 pub(super) fn write_metadata(
-    folder: &StoreFolder,
+    root: &Root,
     spec: &ArraySpec,
     n_frames: usize,
     chunk_len: usize,
     compression: Compression,
 ) -> Result<()> {
-    let file = folder.root.join(&spec.name).join(".zarray");
+    let file = root.folder.join(&spec.name).join(".zarray");
     write_json(&file, &metadata(spec, n_frames, chunk_len, compression))
 }
 
@@ -125,7 +152,7 @@ fn refuse_existing(path: &Path) -> Result<()> {
     }
 }
 
-fn write_json(file: &Path, value: &Value) -> Result<()> {
+pub(super) fn write_json(file: &Path, value: &Value) -> Result<()> {
     if let Some(folder) = file.parent() {
         fs::create_dir_all(folder).map_err(Error::io(folder))?;
     }

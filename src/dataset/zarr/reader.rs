@@ -1,17 +1,16 @@
 //! Reads a store: one frame, or a range of one array.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use ::image::RgbImage;
 use zarrs::array::{Array, ArraySubset, ElementOwned, data_type};
-use zarrs::filesystem::FilesystemStore;
 use zarrs::group::Group;
-use zarrs::storage::ReadableStorageTraits;
+use zarrs::storage::{ReadableListableStorageTraits, ReadableStorageTraits, StoreKey, StorePrefix};
 
+use super::place::Place;
 use super::*;
 use crate::dataset::{Attributes, EpisodeReader, Frame};
 use crate::error::{Error, Result};
@@ -42,34 +41,28 @@ pub struct ZarrReader {
     raw_attributes: serde_json::Map<String, serde_json::Value>,
     episode_ends: Vec<usize>,
     arrays: BTreeMap<String, Column>,
-    // (H, W)
-    image_size: (usize, usize),
+    camera: Camera,
 }
 
-/// Opens every store that `paths` name: a store, or a folder with stores in it (`*.zarr`, by name).
+/// The array that images are read from.
+#[derive(Debug, Clone)]
+struct Camera {
+    name: String,
+    // (H, W)
+    size: (usize, usize),
+    // (T, 3, H, W) in place of (T, H, W, 3).
+    planar: bool,
+}
+
+/// Opens every store that `paths` name: a store, or a folder with stores in it, as [`Place::find`] does.
 ///
 /// # Errors
 /// If a path holds no store, one can't be opened, or two differ in topology.
 pub fn open_all(paths: &[PathBuf]) -> Result<Vec<ZarrReader>> {
     let mut stores = Vec::new();
     for path in paths {
-        if is_store(path) {
-            stores.push(ZarrReader::open(path)?);
-            continue;
-        }
-        let mut inside = Vec::new();
-        for entry in fs::read_dir(path).map_err(Error::io(path))? {
-            let entry = entry.map_err(Error::io(path))?.path();
-            if entry.extension().is_some_and(|e| e == "zarr") && is_store(&entry) {
-                inside.push(entry);
-            }
-        }
-        if inside.is_empty() {
-            return Err(Error::file(path, "is neither a Zarr store nor a folder of *.zarr stores"));
-        }
-        inside.sort();
-        for entry in &inside {
-            stores.push(ZarrReader::open(entry)?);
+        for place in Place::find(path)? {
+            stores.push(ZarrReader::open_at(&place)?);
         }
     }
     for pair in stores.windows(2) {
@@ -83,22 +76,27 @@ pub fn open_all(paths: &[PathBuf]) -> Result<Vec<ZarrReader>> {
 }
 
 impl ZarrReader {
-    /// Opens the store at `path`.
+    /// Opens the store at `path`, a folder or a zip file with one store in it.
     ///
     /// # Errors
     /// If it is not a store, a needed array is missing, or an array's shape or dtype is not the one of its name.
     pub fn open(path: &Path) -> Result<Self> {
-        if !is_store(path) {
-            return Err(Error::file(path, "is not a Zarr store: neither .zgroup nor zarr.json in it"));
-        }
-        let storage: Arc<dyn ReadableStorageTraits> =
-            Arc::new(FilesystemStore::new(path).map_err(|e| Error::file(path, e))?);
-        let group = Group::open(storage.clone(), "/").map_err(|e| Error::file(path, e))?;
+        Self::open_at(&Place::only(path)?)
+    }
+
+    /// Opens the store at `place`.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_at(place: &Place) -> Result<Self> {
+        let path = &PathBuf::from(place.to_string());
+        let storage = place.storage()?;
+        let group = Group::open(storage.clone().readable(), "/").map_err(|e| Error::file(path, e))?;
         let raw_attributes = group.attributes().clone();
 
         let mut arrays = BTreeMap::new();
-        for name in array_names(path)? {
-            let array = Array::open(storage.clone(), &format!("/{name}"))
+        for name in array_names(&storage).map_err(|e| Error::file(path, e))? {
+            let array = Array::open(storage.clone().readable(), &format!("/{name}"))
                 .map_err(|e| Error::file(path, format!("{name}: {e}")))?;
             arrays.insert(name.clone(), Column { name, array, last_chunk: Mutex::new(None) });
         }
@@ -109,11 +107,28 @@ impl ZarrReader {
             raw_attributes,
             episode_ends: Vec::new(),
             arrays,
-            image_size: (0, 0),
+            camera: Camera { name: String::new(), size: (0, 0), planar: false },
         };
         reader.episode_ends = reader.read_episode_ends()?;
-        reader.image_size = reader.check_shapes()?;
+        reader.check_shapes()?;
+        let camera = [CAMERA_EGO_RGB, CAMERA_MAIN_RGB].into_iter().find(|name| reader.has(name));
+        reader.camera = reader.find_camera(camera.unwrap_or(CAMERA_EGO_RGB))?;
         Ok(reader)
+    }
+
+    /// The same store, with its images read from array `name`, (T, H, W, 3) or (T, 3, H, W) u8. Without this they come
+    /// from `data/camera_ego_rgb`, or `data/camera_main_rgb` where there is no such array.
+    ///
+    /// # Errors
+    /// If there is no such array, or it holds no images.
+    pub fn with_camera(mut self, name: &str) -> Result<Self> {
+        self.camera = self.find_camera(name)?;
+        Ok(self)
+    }
+
+    /// The array that images are read from.
+    pub fn camera(&self) -> &str {
+        &self.camera.name
     }
 
     /// Where the store lies.
@@ -138,7 +153,22 @@ impl ZarrReader {
 
     /// Height and width of the image.
     pub fn image_size(&self) -> (usize, usize) {
-        self.image_size
+        self.camera.size
+    }
+
+    /// Reads the image of one frame.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn image(&self, index: usize) -> Result<RgbImage> {
+        let Camera { name, size: (height, width), planar } = &self.camera;
+        let mut pixels = self.bytes(name, self.read_frame(name, index)?)?;
+        if *planar {
+            let plane = height * width;
+            pixels = (0..plane).flat_map(|i| [pixels[i], pixels[plane + i], pixels[2 * plane + i]]).collect();
+        }
+        RgbImage::from_raw(*width as u32, *height as u32, pixels)
+            .ok_or_else(|| Error::file(&self.path, format!("{name}: frame {index} is too short")))
     }
 
     /// Whether the store has an array of this name.
@@ -253,7 +283,7 @@ impl ZarrReader {
     }
 
     /// Every array's frames against the episodes, known arrays' shapes and dtypes against their names.
-    fn check_shapes(&self) -> Result<(usize, usize)> {
+    fn check_shapes(&self) -> Result<()> {
         let n_frames = self.len();
         for column in self.arrays.values().filter(|column| column.name.starts_with("data/")) {
             let shape = column.info().shape;
@@ -277,11 +307,20 @@ impl ZarrReader {
             }
         }
         self.column(TIMESTAMPS)?;
-        let rgb = self.column(CAMERA_EGO_RGB)?.info();
-        match rgb.shape[..] {
-            [_, height, width, 3] if height > 0 && width > 0 => Ok((height, width)),
-            _ => Err(self.named(Error::shape(CAMERA_EGO_RGB, "(T, H, W, 3)", rgb.shape))),
+        Ok(())
+    }
+
+    fn find_camera(&self, name: &str) -> Result<Camera> {
+        let info = self.column(name)?.info();
+        let (height, width, planar) = match info.shape[..] {
+            [_, height, width, 3] => (height, width, false),
+            [_, 3, height, width] => (height, width, true),
+            _ => (0, 0, false),
+        };
+        if height == 0 || width == 0 {
+            return Err(self.named(Error::shape(name, "(T, H, W, 3)", info.shape)));
         }
+        Ok(Camera { name: name.to_string(), size: (height, width), planar })
     }
 
     fn named(&self, error: Error) -> Error {
@@ -322,10 +361,6 @@ impl EpisodeReader for ZarrReader {
 
     fn frame(&self, index: usize) -> Result<Frame> {
         let one = |name: &str| self.column(name)?.read_frame(index, &self.path);
-        let (height, width) = self.image_size;
-        let pixels = self.bytes(CAMERA_EGO_RGB, one(CAMERA_EGO_RGB)?)?;
-        let camera_ego_rgb = RgbImage::from_raw(width as u32, height as u32, pixels)
-            .ok_or_else(|| Error::file(&self.path, format!("{CAMERA_EGO_RGB}: frame {index} is too short")))?;
         let code = match self.has(FRAME_VALIDITY) {
             true => self.bytes(FRAME_VALIDITY, one(FRAME_VALIDITY)?)?.first().copied().unwrap_or(0),
             false => 0,
@@ -336,7 +371,7 @@ impl EpisodeReader for ZarrReader {
         })?;
         Ok(Frame {
             timestamp: one(TIMESTAMPS)?.into_f64().first().copied().unwrap_or(f64::NAN),
-            camera_ego_rgb,
+            camera_ego_rgb: self.image(index)?,
             field: TactileField {
                 topology: self.attributes.topology,
                 force: self.field(Some(MANO_FORCE), index, f32::NAN)?,
@@ -454,23 +489,19 @@ fn known_dtype(array: &Array<dyn ReadableStorageTraits>) -> Option<Dtype> {
     known.into_iter().find(|(dtype, _)| dtype == of).map(|(_, dtype)| dtype)
 }
 
-fn is_store(path: &Path) -> bool {
-    path.join(".zgroup").is_file() || path.join("zarr.json").is_file()
-}
-
 /// Names of the arrays in `data/` and `meta/`.
-fn array_names(path: &Path) -> Result<Vec<String>> {
+fn array_names(
+    storage: &Arc<dyn ReadableListableStorageTraits>,
+) -> std::result::Result<Vec<String>, Box<dyn std::error::Error>> {
     let mut names = Vec::new();
-    for group in ["data", "meta"] {
-        let folder = path.join(group);
-        if !folder.is_dir() {
-            continue;
-        }
-        for entry in fs::read_dir(&folder).map_err(Error::io(&folder))? {
-            let entry = entry.map_err(Error::io(&folder))?;
-            let has = |file: &str| entry.path().join(file).is_file();
-            if has(".zarray") || (has("zarr.json") && !has(".zgroup")) {
-                names.push(format!("{group}/{}", entry.file_name().to_string_lossy()));
+    for group in ["data/", "meta/"] {
+        let (group, listed) = (StorePrefix::new(group)?, storage.clone().listable());
+        for array in listed.list_dir(&group)?.prefixes() {
+            let has = |file: &str| -> std::result::Result<bool, Box<dyn std::error::Error>> {
+                Ok(storage.size_key(&StoreKey::new(format!("{array}{file}"))?)?.is_some())
+            };
+            if has(".zarray")? || (has("zarr.json")? && !has(".zgroup")?) {
+                names.push(array.as_str().trim_end_matches('/').to_string());
             }
         }
     }

@@ -2,12 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::thread::JoinHandle;
 
 use serde_json::{Map, Value};
-use zarrs::array::ArrayBytes;
 
-use super::folder::{StoreFolder, create_array, write_metadata};
+use super::column::Column;
+use super::folder::StoreFolder;
 use super::*;
 use crate::dataset::{Attributes, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
@@ -111,7 +110,7 @@ impl ZarrWriter {
         }
         for column in &mut self.columns {
             if let Some(values) = values.remove(&column.spec.name) {
-                column.push(values, &self.folder)?;
+                column.push(values, self.folder.root())?;
             }
         }
         self.n_frames += 1;
@@ -131,10 +130,10 @@ impl ZarrWriter {
             return Err(Error::file(self.folder.path(), "no episode was written"));
         }
         for column in &mut self.columns {
-            column.finish(&self.folder)?;
+            column.finish(self.folder.root())?;
         }
         for column in &mut self.columns {
-            column.writing.wait(self.folder.path())?;
+            column.wait(self.folder.path())?;
         }
         self.folder.finish(&self.attributes, self.more_attributes, &self.episode_ends)
     }
@@ -187,111 +186,6 @@ impl EpisodeWriter for ZarrWriter {
             return Err(Error::file(self.folder.path(), "the episode to end has no frame"));
         }
         self.episode_ends.push(self.n_frames as i64);
-        Ok(())
-    }
-}
-
-/// One array: frames wait in `buffer` until a chunk is full.
-#[derive(Debug)]
-struct Column {
-    spec: ArraySpec,
-    compression: Compression,
-    // Frames of one chunk.
-    chunk_len: usize,
-    // Native-endian bytes of the frames of the open chunk.
-    buffer: Vec<u8>,
-    n_frames: usize,
-    n_chunks: usize,
-    writing: Background,
-}
-
-/// A chunk on its way to the disk, on a thread of its own: the next frames need not wait for its compression.
-#[derive(Debug, Default)]
-struct Background(Option<JoinHandle<Result<()>>>);
-
-impl Background {
-    fn wait(&mut self, path: &Path) -> Result<()> {
-        let died = |_| Err(Error::file(path, "the thread that wrote a chunk died"));
-        self.0.take().map_or(Ok(()), |thread| thread.join().unwrap_or_else(died))
-    }
-}
-
-impl Drop for Background {
-    fn drop(&mut self) {
-        // An abandoned store: whether its chunk could be written does not matter.
-        if let Some(thread) = self.0.take() {
-            let _ = thread.join();
-        }
-    }
-}
-
-impl Column {
-    fn new(spec: ArraySpec, compression: Compression) -> Self {
-        let chunk_len = spec.chunk_len();
-        Self {
-            spec,
-            compression,
-            chunk_len,
-            buffer: Vec::new(),
-            n_frames: 0,
-            n_chunks: 0,
-            writing: Background::default(),
-        }
-    }
-
-    fn check(&self, values: Option<&Values>, path: &Path) -> Result<()> {
-        let Some(values) = values else {
-            return Err(Error::file(path, format!("{}: the pushed frame has no values for it", self.spec.name)));
-        };
-        if values.dtype() != self.spec.dtype {
-            return Err(Error::value(&self.spec.name, self.spec.dtype, values.dtype()));
-        }
-        if values.len() != self.spec.item.iter().product::<usize>() {
-            return Err(Error::shape(&self.spec.name, format!("{:?} per frame", self.spec.item), [values.len()]));
-        }
-        Ok(())
-    }
-
-    fn push(&mut self, values: Values, folder: &StoreFolder) -> Result<()> {
-        match values {
-            Values::U8(v) => self.buffer.extend_from_slice(&v),
-            Values::F32(v) => v.iter().for_each(|x| self.buffer.extend_from_slice(&x.to_ne_bytes())),
-            Values::F64(v) => v.iter().for_each(|x| self.buffer.extend_from_slice(&x.to_ne_bytes())),
-            Values::I64(v) => v.iter().for_each(|x| self.buffer.extend_from_slice(&x.to_ne_bytes())),
-        }
-        self.n_frames += 1;
-        if self.buffer.len() == self.chunk_len * self.spec.frame_bytes() {
-            self.flush(folder)?;
-        }
-        Ok(())
-    }
-
-    fn finish(&mut self, folder: &StoreFolder) -> Result<()> {
-        if self.n_chunks == 0 {
-            // A short store needs no padding up to a whole chunk.
-            self.chunk_len = self.n_frames.max(1);
-        }
-        if !self.buffer.is_empty() {
-            // Zarr v2 stores the last chunk whole.
-            self.buffer.resize(self.chunk_len * self.spec.frame_bytes(), 0);
-            self.flush(folder)?;
-        }
-        write_metadata(folder, &self.spec, self.n_frames, self.chunk_len, self.compression)
-    }
-
-    /// Begins to write the open chunk, when the one before is written; at most one of each array is under way.
-    fn flush(&mut self, folder: &StoreFolder) -> Result<()> {
-        let path = folder.path().to_path_buf();
-        self.writing.wait(&path)?;
-        let n_frames = (self.n_chunks + 1) * self.chunk_len;
-        let array = create_array(folder, &self.spec, n_frames, self.chunk_len, self.compression)?;
-        let chunk = self.spec.chunk_index(self.n_chunks);
-        let (bytes, name) = (std::mem::take(&mut self.buffer), self.spec.name.clone());
-        self.writing = Background(Some(std::thread::spawn(move || {
-            let written = array.store_chunk(&chunk, ArrayBytes::new_flen(bytes));
-            written.map_err(|error| Error::file(&path, format!("{name}: {error}")))
-        })));
-        self.n_chunks += 1;
         Ok(())
     }
 }

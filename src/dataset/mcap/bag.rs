@@ -1,4 +1,4 @@
-//! Bags as rosbag2 writes them: a folder with one MCAP file and its `metadata.yaml`.
+//! Writes a bag of our own messages: a folder with one MCAP file and its `metadata.yaml`.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -7,14 +7,12 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::MessageHeader;
 use mcap::{Compression, WriteOptions, Writer};
-use serde::Serialize;
 
+use super::metadata::{BagFile, BagTopic, metadata_yaml};
 use crate::error::{Error, Result};
 
 /// Size at which a chunk is compressed and written, bytes.
 const CHUNK: u64 = 4 << 20;
-/// Layout of `metadata.yaml`: 5 is read by all distributions from Humble on.
-const METADATA_VERSION: u32 = 5;
 /// Keep the last, reliable, transient local, no deadlines: as rosbag2 writes it.
 const LATCHED_QOS: &str = "- history: 1
   depth: 1
@@ -117,40 +115,22 @@ impl BagWriter {
     pub fn finish(mut self) -> Result<()> {
         self.writer.finish().map_err(|error| Error::file(&self.folder, error))?;
         let path = self.unfinished.join("metadata.yaml");
-        let yaml = serde_yaml::to_string(&self.metadata()).map_err(|error| Error::file(&path, error))?;
-        std::fs::write(&path, yaml).map_err(Error::io(&path))?;
+        std::fs::write(&path, self.metadata()?).map_err(Error::io(&path))?;
         std::fs::rename(&self.unfinished, &self.folder).map_err(Error::io(&self.folder))
     }
 
-    fn metadata(&self) -> Metadata {
-        let start = self.start.unwrap_or(0);
-        let duration = Nanoseconds { nanoseconds: self.end.saturating_sub(start) };
-        let starting_time = SinceEpoch { nanoseconds_since_epoch: start };
-        let message_count = self.topics.values().map(|topic| topic.messages).sum();
-        let topics = self.topics.iter().map(|(name, topic)| TopicCount {
-            topic_metadata: TopicMetadata {
-                name: name.clone(),
-                r#type: topic.type_name.clone(),
-                serialization_format: "cdr",
-                offered_qos_profiles: topic.qos,
-            },
-            message_count: topic.messages,
-        });
-        let file = file_name(&self.folder);
-        Metadata {
-            rosbag2_bagfile_information: Information {
-                version: METADATA_VERSION,
-                storage_identifier: "mcap",
-                duration,
-                starting_time,
-                message_count,
-                topics_with_message_count: topics.collect(),
-                compression_format: "",
-                compression_mode: "",
-                relative_file_paths: vec![file.clone()],
-                files: vec![FileInformation { path: file, starting_time, duration, message_count }],
-            },
-        }
+    fn metadata(&self) -> Result<String> {
+        let topic = |(name, topic): (&String, &Topic)| BagTopic {
+            name: name.clone(),
+            type_name: topic.type_name.clone(),
+            encoding: "cdr".into(),
+            qos: topic.qos.into(),
+            messages: topic.messages,
+        };
+        let messages = self.topics.values().map(|topic| topic.messages).sum();
+        let times = self.start.map(|start| (start, self.end));
+        let file = BagFile { path: file_name(&self.folder), times, messages };
+        metadata_yaml(&self.topics.iter().map(topic).collect::<Vec<_>>(), &[file])
     }
 }
 
@@ -164,55 +144,4 @@ impl std::fmt::Debug for BagWriter {
 pub fn file_name(folder: &Path) -> String {
     let name = folder.file_name().map_or_else(|| "bag".into(), |name| name.to_string_lossy());
     format!("{name}_0.mcap")
-}
-
-#[derive(Serialize)]
-struct Metadata {
-    rosbag2_bagfile_information: Information,
-}
-
-#[derive(Serialize)]
-struct Information {
-    version: u32,
-    storage_identifier: &'static str,
-    duration: Nanoseconds,
-    starting_time: SinceEpoch,
-    message_count: u64,
-    topics_with_message_count: Vec<TopicCount>,
-    compression_format: &'static str,
-    compression_mode: &'static str,
-    relative_file_paths: Vec<String>,
-    files: Vec<FileInformation>,
-}
-
-#[derive(Serialize, Clone, Copy)]
-struct Nanoseconds {
-    nanoseconds: u64,
-}
-
-#[derive(Serialize, Clone, Copy)]
-struct SinceEpoch {
-    nanoseconds_since_epoch: u64,
-}
-
-#[derive(Serialize)]
-struct TopicCount {
-    topic_metadata: TopicMetadata,
-    message_count: u64,
-}
-
-#[derive(Serialize)]
-struct TopicMetadata {
-    name: String,
-    r#type: String,
-    serialization_format: &'static str,
-    offered_qos_profiles: &'static str,
-}
-
-#[derive(Serialize)]
-struct FileInformation {
-    path: String,
-    starting_time: SinceEpoch,
-    duration: Nanoseconds,
-    message_count: u64,
 }

@@ -1,0 +1,29 @@
+//! Labels for what people have recorded, in the formats they keep it in: `egotac label`.
+//!
+//! A labelling has two halves. The network passes over the images of each unit (an episode, a file of a bag) and its labels
+//! go to a journal beside the output, block by block; a killed process loses the block at hand and nothing else. When the
+//! journals of all units are complete, the output is put together from the input and the journals, and gets its name at the
+//! very end. So an output is whole or absent, the input is only read, shards are processes that fill different journals, and
+//! memory does not grow with the length of a recording.
+
+mod bag;
+mod input;
+mod job;
+mod journal;
+mod output;
+mod pass;
+mod provenance;
+mod source;
+mod store;
+mod summary;
+mod work;
+
+pub use bag::TOPIC;
+pub use input::{Choices, Item, Kind, items};
+pub use job::{Effort, Job, Outcome, Shard};
+pub use journal::{Journal, Label, Labels, Progress};
+pub use output::{Journals, Output};
+pub use pass::Times;
+pub use provenance::{CONTACT_THRESHOLD, NAME, Provenance, Thresholds};
+pub use source::{Picture, Shot, Shots, Source, Unit};
+pub use summary::{About, Fault, Summary};

@@ -1,0 +1,248 @@
+//! OXT stores: touch as further arrays of the same store.
+
+use std::fs;
+use std::fs::File;
+use std::path::Path;
+
+use serde_json::{Map, Value};
+
+use super::journal::Label;
+use super::output::{Journals, Output};
+use super::provenance::NAME;
+use super::source::{Picture, Shot, Shots, Source, Unit};
+use super::summary::About;
+use crate::dataset::EpisodeReader;
+use crate::dataset::zarr::{
+    AddedArrays, ArraySpec, Dtype, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, Place,
+    TIMESTAMPS, Values, ZarrReader,
+};
+use crate::error::{Error, Result};
+use crate::tactile::N_FIELD;
+
+/// What arrays of labels are called where the store has such arrays already, truth for instance.
+pub const PREDICTED: &str = "predicted_";
+/// Time stamps read at a time.
+const BLOCK: usize = 1024;
+
+/// A store whose images are labelled: one unit per episode.
+#[derive(Debug)]
+pub struct Store {
+    place: Place,
+    reader: ZarrReader,
+    units: Vec<Unit>,
+    seconds: f64,
+}
+
+impl Store {
+    /// Opens a store. `camera` names the array of images, if not the usual one; `time_unit` is what one unit of its time
+    /// stamps is in seconds, if they shall not tell by themselves.
+    ///
+    /// # Errors
+    /// If it can't be read, or is not Zarr v2.
+    pub fn open(place: &Place, camera: Option<&str>, time_unit: Option<f64>) -> Result<Self> {
+        let mut reader = ZarrReader::open_at(place)?;
+        if let Some(camera) = camera {
+            let name = if camera.contains('/') { camera.to_string() } else { format!("data/{camera}") };
+            reader = reader.with_camera(&name)?;
+        }
+        let mut start = 0;
+        let mut units = Vec::new();
+        for (index, end) in reader.episode_ends().iter().enumerate() {
+            units.push(Unit { name: format!("episode {index}"), frames: Some(end - start) });
+            start = *end;
+        }
+        let seconds = match time_unit {
+            Some(seconds) => seconds,
+            None => {
+                let first = reader.episode_ends()[0].min(BLOCK);
+                unit_of(&reader.read(TIMESTAMPS, 0..first)?.into_f64())
+            }
+        };
+        Ok(Self { place: place.clone(), reader, units, seconds })
+    }
+
+    /// What one unit of the time stamps is, s.
+    pub fn time_unit(&self) -> f64 {
+        self.seconds
+    }
+
+    /// The array of the images.
+    pub fn camera(&self) -> &str {
+        self.reader.camera()
+    }
+
+    fn start(&self, unit: usize) -> usize {
+        unit.checked_sub(1).map_or(0, |before| self.reader.episode_ends()[before])
+    }
+
+    /// Names of the labels' arrays: the usual ones, or if one is taken, others.
+    fn names(&self) -> [String; 4] {
+        let names = [MANO_FORCE, MANO_CONTACT_SCORE, MANO_FORCE_VALID, MANO_CONTACT_VALID];
+        let taken = self.reader.arrays().iter().any(|array| array.name.starts_with("data/mano_"));
+        names.map(|name| match taken {
+            true => name.replacen("data/", &format!("data/{PREDICTED}"), 1),
+            false => name.to_string(),
+        })
+    }
+}
+
+/// What one unit of time stamps is in seconds: the contract leaves it open. Cameras give 1 to 1000 images per second, so
+/// the size of the steps tells seconds, milliseconds, microseconds and nanoseconds apart.
+fn unit_of(timestamps: &[f64]) -> f64 {
+    let mut steps: Vec<f64> = timestamps.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
+    steps.sort_by(f64::total_cmp);
+    match steps.get(steps.len() / 2) {
+        Some(step) if *step > 1e6 => 1e-9,
+        Some(step) if *step > 1e3 => 1e-6,
+        Some(step) if *step > 1.0 => 1e-3,
+        _ => 1.0,
+    }
+}
+
+impl Source for Store {
+    fn units(&self) -> &[Unit] {
+        &self.units
+    }
+
+    fn shots(&self, unit: usize, from: usize) -> Result<Shots<'_>> {
+        let (start, end) = (self.start(unit), self.reader.episode_ends()[unit]);
+        let stamps = self.reader.read(TIMESTAMPS, start..end)?.into_f64();
+        let shot = move |index: usize| Shot {
+            stamp_secs: stamps[index] * self.seconds,
+            offset: None,
+            picture: self.reader.image(start + index).map(Picture::Pixels).map_err(|error| error.to_string()),
+        };
+        Ok(Box::new((from..end - start).map(shot)))
+    }
+}
+
+impl Output for Store {
+    fn assemble(&self, journals: &Journals, about: &mut About, at: &Path, _: &Path) -> Result<()> {
+        copy(&self.place, at)?;
+        let [force, contact, force_valid, contact_valid] = self.names();
+        // An attempt that was killed may have left some of them.
+        for name in [&force, &contact, &force_valid, &contact_valid] {
+            let array = at.join(name);
+            if array.exists() {
+                fs::remove_dir_all(&array).map_err(Error::io(&array))?;
+            }
+        }
+        let specs = vec![
+            ArraySpec::new(force, [N_FIELD], Dtype::F32),
+            ArraySpec::new(contact, [N_FIELD], Dtype::F32),
+            ArraySpec::new(force_valid, [N_FIELD], Dtype::U8),
+            ArraySpec::new(contact_valid, [N_FIELD], Dtype::U8),
+        ];
+        let mut arrays = AddedArrays::new(at, specs)?;
+        for (unit, Unit { name, frames }) in self.units.iter().enumerate() {
+            let mut count = 0;
+            for label in journals.labels(unit)? {
+                arrays.push(values(label?))?;
+                count += 1;
+            }
+            if Some(count) != *frames {
+                return Err(Error::value(name, format!("{} labels", frames.unwrap_or(0)), count));
+            }
+        }
+        let mut attributes = Map::new();
+        let topology = about.provenance.topology;
+        match self.reader.raw_attributes().get("topology") {
+            None => drop(attributes.insert("topology".into(), topology.id().into())),
+            Some(_) => self.reader.attributes().topology.must_match(topology)?,
+        }
+        attributes.insert(NAME.into(), serde_json::to_value(&*about).unwrap_or(Value::Null));
+        arrays.finish(attributes)
+    }
+
+    fn about(&self, out: &Path) -> Option<About> {
+        about(out)
+    }
+}
+
+/// What a labelled store says about its labels.
+pub fn about(store: &Path) -> Option<About> {
+    let reader = ZarrReader::open(store).ok()?;
+    serde_json::from_value(reader.raw_attributes().get(NAME)?.clone()).ok()
+}
+
+/// One frame's values: force, contact, and where they are known.
+pub(super) fn values(label: Label) -> Vec<Values> {
+    let (force, contact) = match label.touch {
+        Ok(field) => (field.force, field.contact),
+        Err(_) => (vec![f32::NAN; N_FIELD], vec![f32::NAN; N_FIELD]),
+    };
+    let known = |values: &[f32]| Values::U8(values.iter().map(|value| u8::from(!value.is_nan())).collect());
+    let masks = [known(&force), known(&contact)];
+    [Values::F32(force), Values::F32(contact)].into_iter().chain(masks).collect()
+}
+
+/// Copies a store into the folder `to`. A file that is there already and as long was copied before.
+fn copy(place: &Place, to: &Path) -> Result<()> {
+    match &place.inside {
+        None => copy_folder(&place.path, to),
+        Some(inside) => {
+            let file = File::open(&place.path).map_err(Error::io(&place.path))?;
+            let fail = |error: zip::result::ZipError| Error::file(&place.path, error);
+            let mut archive = zip::ZipArchive::new(file).map_err(fail)?;
+            for index in 0..archive.len() {
+                let mut entry = archive.by_index(index).map_err(fail)?;
+                // A name that would leave the folder is refused by `enclosed_name`.
+                let Some(name) = entry.enclosed_name() else {
+                    return Err(Error::file(&place.path, format!("entry {index} would leave the store")));
+                };
+                let Ok(name) = name.strip_prefix(inside) else { continue };
+                let (path, size) = (to.join(name), entry.size());
+                if entry.is_dir() {
+                    fs::create_dir_all(&path).map_err(Error::io(&path))?;
+                    continue;
+                }
+                copy_file(&path, size, |file| std::io::copy(&mut entry, file))?;
+            }
+            Ok(())
+        }
+    }
+}
+
+fn copy_folder(from: &Path, to: &Path) -> Result<()> {
+    fs::create_dir_all(to).map_err(Error::io(to))?;
+    for entry in fs::read_dir(from).map_err(Error::io(from))? {
+        let entry = entry.map_err(Error::io(from))?;
+        let (source, path) = (entry.path(), to.join(entry.file_name()));
+        let metadata = fs::metadata(&source).map_err(Error::io(&source))?;
+        if metadata.is_dir() {
+            copy_folder(&source, &path)?;
+            continue;
+        }
+        copy_file(&path, metadata.len(), |file| std::io::copy(&mut File::open(&source)?, file))?;
+    }
+    Ok(())
+}
+
+/// Writes `path` unless it is there with its size; under another name until it is whole.
+fn copy_file(path: &Path, size: u64, write: impl FnOnce(&mut File) -> std::io::Result<u64>) -> Result<()> {
+    if path.metadata().is_ok_and(|there| there.is_file() && there.len() == size) {
+        return Ok(());
+    }
+    if let Some(folder) = path.parent() {
+        fs::create_dir_all(folder).map_err(Error::io(folder))?;
+    }
+    let mut partial = path.as_os_str().to_owned();
+    partial.push(".partial");
+    let mut file = File::create(&partial).map_err(Error::io(&partial))?;
+    write(&mut file).map_err(Error::io(path))?;
+    fs::rename(&partial, path).map_err(Error::io(path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_of_time_stamps_tell_themselves_by_their_steps() {
+        for (seconds, step) in [(1.0, 0.04), (1e-3, 33.3), (1e-6, 33_333.0), (1e-9, 4e7), (1.0, 0.001)] {
+            let stamps: Vec<f64> = (0..20).map(|i| 5e3 * step + step * f64::from(i)).collect();
+            assert_eq!(unit_of(&stamps), seconds, "{step}");
+        }
+        assert_eq!(unit_of(&[3.0]), 1.0);
+    }
+}

@@ -1,0 +1,422 @@
+//! Writes an MCAP file from the records of another, byte for byte, and from new ones.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+use crc32fast::Hasher;
+use mcap::MAGIC;
+use mcap::records::{AttachmentIndex, Record as Parsed, op};
+
+use super::chunk::inner_records;
+use super::records::{PREFIX, Record, chunk_header};
+use crate::error::{Error, Result};
+
+/// Size at which a chunk of new records is compressed and written, bytes.
+const CHUNK: usize = 1 << 20;
+/// Compression of new chunks.
+const LEVEL: i32 = 3;
+/// Bytes copied at a time.
+const COPY: usize = 1 << 20;
+
+/// Writes one file; indexes and the summary at its end cover copied and new records.
+pub struct CopyWriter {
+    path: PathBuf,
+    out: BufWriter<File>,
+    at: u64,
+    crc: Hasher,
+    chunked: bool,
+    open: OpenChunk,
+    // Contents of the records by id, as the summary repeats them.
+    schemas: BTreeMap<u16, Vec<u8>>,
+    channels: BTreeMap<u16, Vec<u8>>,
+    chunks: Vec<ChunkEntry>,
+    attachments: Vec<AttachmentIndex>,
+    metadata: Vec<(u64, u64, String)>,
+    counts: BTreeMap<u16, u64>,
+    times: Option<(u64, u64)>,
+}
+
+/// Log time and offset of each message in a chunk, by channel.
+type MessageIndex = BTreeMap<u16, Vec<(u64, u64)>>;
+
+/// Records that wait for their chunk to be full.
+#[derive(Default)]
+struct OpenChunk {
+    records: Vec<u8>,
+    index: MessageIndex,
+}
+
+struct ChunkEntry {
+    times: (u64, u64),
+    offset: u64,
+    length: u64,
+    index_offsets: BTreeMap<u16, u64>,
+    index_length: u64,
+    compression: String,
+    compressed: u64,
+    uncompressed: u64,
+}
+
+impl CopyWriter {
+    /// Starts the file at `path`; `chunked` if new messages go into chunks, as in the file that is copied.
+    ///
+    /// # Errors
+    /// If it can't be written.
+    pub fn create(path: &Path, chunked: bool) -> Result<Self> {
+        let file = File::create(path).map_err(Error::io(path))?;
+        let mut writer = Self {
+            path: path.to_path_buf(),
+            out: BufWriter::with_capacity(COPY, file),
+            at: 0,
+            crc: Hasher::new(),
+            chunked,
+            open: OpenChunk::default(),
+            schemas: BTreeMap::new(),
+            channels: BTreeMap::new(),
+            chunks: Vec::new(),
+            attachments: Vec::new(),
+            metadata: Vec::new(),
+            counts: BTreeMap::new(),
+            times: None,
+        };
+        writer.write(MAGIC)?;
+        Ok(writer)
+    }
+
+    /// Messages by channel.
+    pub fn counts(&self) -> &BTreeMap<u16, u64> {
+        &self.counts
+    }
+
+    /// First and last log time, ns; None without a message.
+    pub fn times(&self) -> Option<(u64, u64)> {
+        self.times
+    }
+
+    /// Contents of the channel records by id.
+    pub fn channels(&self) -> &BTreeMap<u16, Vec<u8>> {
+        &self.channels
+    }
+
+    /// Contents of the schema records by id.
+    pub fn schemas(&self) -> &BTreeMap<u16, Vec<u8>> {
+        &self.schemas
+    }
+
+    /// Writes a record as it is; messages, schemas and channels of a chunked file go into a chunk of their own, which
+    /// [`CopyWriter::flush_if_full`] writes.
+    ///
+    /// # Errors
+    /// If the file can't be written.
+    pub fn record(&mut self, opcode: u8, body: &[u8]) -> Result<()> {
+        self.note(opcode, body);
+        if self.chunked && matches!(opcode, op::MESSAGE | op::SCHEMA | op::CHANNEL) {
+            self.into_chunk(opcode, body);
+            return Ok(());
+        }
+        if let (op::METADATA, Ok(Parsed::Metadata(metadata))) = (opcode, mcap::parse_record(opcode, body)) {
+            self.metadata.push((self.at, PREFIX + body.len() as u64, metadata.name));
+        }
+        self.plain(opcode, body)
+    }
+
+    /// Writes a chunk's record as it is, and indexes of its messages; `records` are its uncompressed content.
+    ///
+    /// # Errors
+    /// If the file can't be written.
+    pub fn chunk(&mut self, body: &[u8], records: &[u8]) -> Result<()> {
+        let mut index = MessageIndex::new();
+        let mut start = 0;
+        for (end, opcode, body) in inner_records(records) {
+            self.note(opcode, body);
+            add_to_index(&mut index, opcode, body, start);
+            start = end as u64;
+        }
+        self.indexed_chunk(body, index)
+    }
+
+    fn indexed_chunk(&mut self, body: &[u8], index: MessageIndex) -> Result<()> {
+        let offset = self.at;
+        self.plain(op::CHUNK, body)?;
+        let (length, index_start) = (self.at - offset, self.at);
+        let mut index_offsets = BTreeMap::new();
+        for (channel, mut entries) in index {
+            entries.sort_unstable();
+            index_offsets.insert(channel, self.at);
+            let mut body = channel.to_le_bytes().to_vec();
+            body.extend_from_slice(&(16 * entries.len() as u32).to_le_bytes());
+            for (time, offset) in entries {
+                body.extend_from_slice(&time.to_le_bytes());
+                body.extend_from_slice(&offset.to_le_bytes());
+            }
+            self.plain(op::MESSAGE_INDEX, &body)?;
+        }
+        if let Some((header, _)) = chunk_header(body) {
+            self.chunks.push(ChunkEntry {
+                times: (header.message_start_time, header.message_end_time),
+                offset,
+                length,
+                index_offsets,
+                index_length: self.at - index_start,
+                compression: header.compression,
+                compressed: header.compressed_size,
+                uncompressed: header.uncompressed_size,
+            });
+        }
+        Ok(())
+    }
+
+    /// Copies an attachment; false = its checksum is wrong, and nothing was written.
+    ///
+    /// # Errors
+    /// If a file can't be read or written.
+    pub fn attachment(&mut self, file: &File, record: &Record) -> Result<bool> {
+        let start = record.offset + PREFIX;
+        let Some(index) = attachment_index(file, record, self.at).map_err(Error::io(&self.path))? else {
+            return Ok(false);
+        };
+        let mut prefix = vec![record.opcode];
+        prefix.extend_from_slice(&record.length.to_le_bytes());
+        self.write(&prefix)?;
+        let mut buffer = vec![0; COPY];
+        let mut done = 0;
+        while done < record.length {
+            let length = (record.length - done).min(COPY as u64) as usize;
+            file.read_exact_at(&mut buffer[..length], start + done).map_err(Error::io(&self.path))?;
+            self.write(&buffer[..length])?;
+            done += length as u64;
+        }
+        self.attachments.push(index);
+        Ok(true)
+    }
+
+    /// Closes the file with its summary.
+    ///
+    /// # Errors
+    /// If it can't be written.
+    pub fn finish(&mut self) -> Result<()> {
+        self.end_chunk()?;
+        let crc = std::mem::take(&mut self.crc).finalize();
+        self.plain(op::DATA_END, &crc.to_le_bytes())?;
+        self.crc = Hasher::new();
+        let summary_start = self.at;
+        let mut groups = Vec::new();
+        for (opcode, bodies) in self.summary() {
+            let start = self.at;
+            for body in &bodies {
+                self.plain(opcode, body)?;
+            }
+            if self.at > start {
+                groups.push((opcode, start, self.at - start));
+            }
+        }
+        let offsets_start = self.at;
+        for (opcode, start, length) in groups {
+            let body: Vec<u8> = [&[opcode][..], &start.to_le_bytes(), &length.to_le_bytes()].concat();
+            self.plain(op::SUMMARY_OFFSET, &body)?;
+        }
+        let mut footer = [summary_start.to_le_bytes(), offsets_start.to_le_bytes()].concat();
+        self.write(&[op::FOOTER])?;
+        self.write(&20u64.to_le_bytes())?;
+        self.write(&footer)?;
+        footer.clear();
+        let crc = std::mem::take(&mut self.crc).finalize();
+        self.write(&crc.to_le_bytes())?;
+        self.write(MAGIC)?;
+        self.out.flush().map_err(Error::io(&self.path))
+    }
+
+    /// The summary's records, in the order of the specification.
+    fn summary(&self) -> Vec<(u8, Vec<Vec<u8>>)> {
+        let (start, end) = self.times.unwrap_or((0, 0));
+        let mut statistics = Vec::new();
+        statistics.extend_from_slice(&self.counts.values().sum::<u64>().to_le_bytes());
+        statistics.extend_from_slice(&(self.schemas.len() as u16).to_le_bytes());
+        statistics.extend_from_slice(&(self.channels.len() as u32).to_le_bytes());
+        statistics.extend_from_slice(&(self.attachments.len() as u32).to_le_bytes());
+        statistics.extend_from_slice(&(self.metadata.len() as u32).to_le_bytes());
+        statistics.extend_from_slice(&(self.chunks.len() as u32).to_le_bytes());
+        statistics.extend_from_slice(&start.to_le_bytes());
+        statistics.extend_from_slice(&end.to_le_bytes());
+        put_map(&mut statistics, &self.counts);
+        let chunk = |chunk: &ChunkEntry| {
+            let mut body = Vec::new();
+            for number in [chunk.times.0, chunk.times.1, chunk.offset, chunk.length] {
+                body.extend_from_slice(&number.to_le_bytes());
+            }
+            put_map(&mut body, &chunk.index_offsets);
+            body.extend_from_slice(&chunk.index_length.to_le_bytes());
+            put_text(&mut body, &chunk.compression);
+            body.extend_from_slice(&chunk.compressed.to_le_bytes());
+            body.extend_from_slice(&chunk.uncompressed.to_le_bytes());
+            body
+        };
+        let attachment = |index: &AttachmentIndex| {
+            let mut body = Vec::new();
+            let AttachmentIndex { offset, length, log_time, create_time, data_size, name, media_type } = index;
+            for number in [offset, length, log_time, create_time, data_size] {
+                body.extend_from_slice(&number.to_le_bytes());
+            }
+            put_text(&mut body, name);
+            put_text(&mut body, media_type);
+            body
+        };
+        let metadata = |(offset, length, name): &(u64, u64, String)| {
+            let mut body = [offset.to_le_bytes(), length.to_le_bytes()].concat();
+            put_text(&mut body, name);
+            body
+        };
+        vec![
+            (op::SCHEMA, self.schemas.values().cloned().collect()),
+            (op::CHANNEL, self.channels.values().cloned().collect()),
+            (op::STATISTICS, vec![statistics]),
+            (op::CHUNK_INDEX, self.chunks.iter().map(chunk).collect()),
+            (op::ATTACHMENT_INDEX, self.attachments.iter().map(attachment).collect()),
+            (op::METADATA_INDEX, self.metadata.iter().map(metadata).collect()),
+        ]
+    }
+
+    /// What the summary will say about a record.
+    fn note(&mut self, opcode: u8, body: &[u8]) {
+        let Some(id) = body.first_chunk().map(|id| u16::from_le_bytes(*id)) else { return };
+        match opcode {
+            op::SCHEMA => drop(self.schemas.insert(id, body.to_vec())),
+            op::CHANNEL => drop(self.channels.insert(id, body.to_vec())),
+            op::MESSAGE => {
+                *self.counts.entry(id).or_default() += 1;
+                if let Some(time) = log_time(body) {
+                    let (start, end) = self.times.unwrap_or((time, time));
+                    self.times = Some((start.min(time), end.max(time)));
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn into_chunk(&mut self, opcode: u8, body: &[u8]) {
+        let offset = self.open.records.len() as u64;
+        add_to_index(&mut self.open.index, opcode, body, offset);
+        put_record(&mut self.open.records, opcode, body);
+    }
+
+    /// Writes the open chunk and its indexes.
+    fn end_chunk(&mut self) -> Result<()> {
+        let OpenChunk { records, index } = std::mem::take(&mut self.open);
+        if records.is_empty() {
+            return Ok(());
+        }
+        let packed = zstd::bulk::compress(&records, LEVEL).map_err(Error::io(&self.path))?;
+        let times = || index.values().flatten().map(|(time, _)| *time);
+        let (start, end) = (times().min().unwrap_or(0), times().max().unwrap_or(0));
+        let mut body = Vec::with_capacity(packed.len() + 64);
+        for number in [start, end, records.len() as u64] {
+            body.extend_from_slice(&number.to_le_bytes());
+        }
+        body.extend_from_slice(&crc32fast::hash(&records).to_le_bytes());
+        put_text(&mut body, "zstd");
+        body.extend_from_slice(&(packed.len() as u64).to_le_bytes());
+        body.extend_from_slice(&packed);
+        self.indexed_chunk(&body, index)
+    }
+
+    /// Writes the chunk of new records if it is full.
+    ///
+    /// # Errors
+    /// If the file can't be written.
+    pub fn flush_if_full(&mut self) -> Result<()> {
+        match self.open.records.len() >= CHUNK {
+            true => self.end_chunk(),
+            false => Ok(()),
+        }
+    }
+
+    fn plain(&mut self, opcode: u8, body: &[u8]) -> Result<()> {
+        let mut prefix = vec![opcode];
+        prefix.extend_from_slice(&(body.len() as u64).to_le_bytes());
+        self.write(&prefix)?;
+        self.write(body)
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<()> {
+        self.crc.update(bytes);
+        self.at += bytes.len() as u64;
+        self.out.write_all(bytes).map_err(Error::io(&self.path))
+    }
+}
+
+impl std::fmt::Debug for CopyWriter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("CopyWriter").field("path", &self.path).field("at", &self.at).finish_non_exhaustive()
+    }
+}
+
+fn add_to_index(index: &mut MessageIndex, opcode: u8, body: &[u8], offset: u64) {
+    if let (op::MESSAGE, Some(id), Some(time)) = (opcode, body.first_chunk(), log_time(body)) {
+        index.entry(u16::from_le_bytes(*id)).or_default().push((time, offset));
+    }
+}
+
+/// A message record's log time, ns.
+fn log_time(body: &[u8]) -> Option<u64> {
+    // After channel id and sequence.
+    body.get(6..)?.first_chunk().map(|time| u64::from_le_bytes(*time))
+}
+
+/// The index of an attachment that will lie at `offset`; None if its checksum is wrong or its head makes no sense.
+fn attachment_index(file: &File, record: &Record, offset: u64) -> std::io::Result<Option<AttachmentIndex>> {
+    let start = record.offset + PREFIX;
+    // Two times, two short texts, the size; then the data and its checksum.
+    let mut head = vec![0; record.length.min(64 << 10) as usize];
+    file.read_exact_at(&mut head, start)?;
+    let text = |at: usize| -> Option<(String, usize)> {
+        let length = u32::from_le_bytes(*head.get(at..)?.first_chunk()?) as usize;
+        let text = head.get(at + 4..at.checked_add(4)?.checked_add(length)?)?;
+        Some((String::from_utf8_lossy(text).into_owned(), at + 4 + length))
+    };
+    let number = |at: usize| head.get(at..).and_then(|rest| rest.first_chunk()).map(|n| u64::from_le_bytes(*n));
+    let parsed = || {
+        let (name, at) = text(16)?;
+        let (media_type, at) = text(at)?;
+        let data_size = number(at)?;
+        ((at as u64 + 8).checked_add(data_size)?.checked_add(4)? == record.length).then_some(())?;
+        let (log_time, create_time) = (number(0)?, number(8)?);
+        let length = PREFIX + record.length;
+        Some(AttachmentIndex { offset, length, log_time, create_time, data_size, name, media_type })
+    };
+    let Some(index) = parsed() else { return Ok(None) };
+    let (mut crc, mut buffer, mut done) = (Hasher::new(), vec![0; COPY], 0);
+    let checked = record.length - 4;
+    while done < checked {
+        let length = (checked - done).min(COPY as u64) as usize;
+        file.read_exact_at(&mut buffer[..length], start + done)?;
+        crc.update(&buffer[..length]);
+        done += length as u64;
+    }
+    let mut stored = [0; 4];
+    file.read_exact_at(&mut stored, start + checked)?;
+    let stored = u32::from_le_bytes(stored);
+    Ok((stored == 0 || stored == crc.finalize()).then_some(index))
+}
+
+fn put_record(out: &mut Vec<u8>, opcode: u8, body: &[u8]) {
+    out.push(opcode);
+    out.extend_from_slice(&(body.len() as u64).to_le_bytes());
+    out.extend_from_slice(body);
+}
+
+/// A text as MCAP has it: length, then bytes.
+pub(crate) fn put_text(out: &mut Vec<u8>, text: &str) {
+    out.extend_from_slice(&(text.len() as u32).to_le_bytes());
+    out.extend_from_slice(text.as_bytes());
+}
+
+fn put_map(out: &mut Vec<u8>, map: &BTreeMap<u16, u64>) {
+    out.extend_from_slice(&(10 * map.len() as u32).to_le_bytes());
+    for (key, value) in map {
+        out.extend_from_slice(&key.to_le_bytes());
+        out.extend_from_slice(&value.to_le_bytes());
+    }
+}

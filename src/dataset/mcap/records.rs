@@ -1,0 +1,231 @@
+//! The records of an MCAP file one after the other, past damage, in constant memory.
+
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+use mcap::MAGIC;
+use mcap::records::{ChunkHeader, Record as Parsed, op};
+
+use crate::error::{Error, Result};
+
+/// Opcode and length before each record's content, bytes.
+pub(super) const PREFIX: u64 = 9;
+/// Records in a row that must make sense before damage counts as over.
+const CHAIN: usize = 4;
+/// Bytes looked through at a time for the end of damage.
+const WINDOW: usize = 1 << 20;
+
+/// A record's place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Record {
+    /// Kind, one of [`op`].
+    pub opcode: u8,
+    /// Where it begins, its opcode included.
+    pub offset: u64,
+    /// Bytes of its content.
+    pub length: u64,
+}
+
+/// Bytes that could not be read as what they should be.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Lost {
+    /// The file.
+    pub file: String,
+    /// Where the damage begins in it.
+    pub offset: u64,
+    /// Bytes left out.
+    pub bytes: u64,
+    /// What is wrong.
+    pub reason: String,
+}
+
+/// What a file is made of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Part {
+    /// A record of the data section, or its end.
+    Record(Record),
+    /// A chunk whose end is missing since the file ends.
+    CutOff(Record),
+    /// Damage.
+    Lost(Lost),
+}
+
+/// Walks the records from the file's head to the end of its data section.
+#[derive(Debug)]
+pub struct Records {
+    path: PathBuf,
+    file: File,
+    size: u64,
+    at: u64,
+    done: bool,
+}
+
+impl Records {
+    /// Opens the file at `path`.
+    ///
+    /// # Errors
+    /// If it can't be read, or does not begin as MCAP files do.
+    pub fn open(path: &Path) -> Result<Self> {
+        let file = File::open(path).map_err(Error::io(path))?;
+        let size = file.metadata().map_err(Error::io(path))?.len();
+        let mut magic = [0; MAGIC.len()];
+        if size < MAGIC.len() as u64 || file.read_exact_at(&mut magic, 0).is_err() || magic != *MAGIC {
+            return Err(Error::file(path, "expected an MCAP file"));
+        }
+        Ok(Self { path: path.to_path_buf(), file, size, at: MAGIC.len() as u64, done: false })
+    }
+
+    /// Bytes of the file.
+    pub fn size(&self) -> u64 {
+        self.size
+    }
+
+    /// The file itself.
+    pub fn file(&self) -> &File {
+        &self.file
+    }
+
+    /// A record's content, as far as the file goes.
+    ///
+    /// # Errors
+    /// If the file can't be read.
+    pub fn body(&self, record: &Record) -> Result<Vec<u8>> {
+        let start = record.offset + PREFIX;
+        let mut body = vec![0; record.length.min(self.size.saturating_sub(start)) as usize];
+        self.file.read_exact_at(&mut body, start).map_err(Error::io(&self.path))?;
+        Ok(body)
+    }
+
+    /// Damage at `record`, which is left out.
+    pub fn lost(&self, record: &Record, reason: impl ToString) -> Lost {
+        let bytes = (record.length + PREFIX).min(self.size - record.offset);
+        self.lost_bytes(record.offset, bytes, reason)
+    }
+
+    fn lost_bytes(&self, offset: u64, bytes: u64, reason: impl ToString) -> Lost {
+        let file = self.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        Lost { file, offset, bytes, reason: reason.to_string() }
+    }
+
+    /// The next part; None after the data section's end.
+    ///
+    /// # Errors
+    /// If the file can't be read.
+    pub fn next_part(&mut self) -> Result<Option<Part>> {
+        if self.done {
+            return Ok(None);
+        }
+        if let Some(record) = self.header_at(self.at)? {
+            self.at = record.offset + PREFIX + record.length;
+            self.done = record.opcode == op::DATA_END;
+            return Ok(Some(Part::Record(record)));
+        }
+        if let Some(record) = self.cut_off_chunk()? {
+            self.done = true;
+            return Ok(Some(Part::CutOff(record)));
+        }
+        let start = self.at;
+        let lost = match self.find_chain(start + 1)? {
+            Some(next) => {
+                self.at = next;
+                self.lost_bytes(start, next - start, "no record")
+            }
+            None => {
+                self.done = true;
+                self.lost_bytes(start, self.size - start, "the file ends here, without the end of a recording")
+            }
+        };
+        Ok(Some(Part::Lost(lost)))
+    }
+
+    /// The record that begins at `offset`, if it fits the file.
+    fn header_at(&self, offset: u64) -> Result<Option<Record>> {
+        let mut prefix = [0; PREFIX as usize];
+        if offset + PREFIX > self.size {
+            return Ok(None);
+        }
+        self.file.read_exact_at(&mut prefix, offset).map_err(Error::io(&self.path))?;
+        let record = record_of(&prefix, offset);
+        let fits = record.length <= self.size - offset - PREFIX;
+        // Opcodes from 0x80 on are private, those between are not assigned.
+        let known = (op::HEADER..=op::DATA_END).contains(&record.opcode) || record.opcode >= 0x80;
+        Ok((fits && known).then_some(record))
+    }
+
+    /// The chunk at the present place, if its head makes sense and only its end is missing.
+    fn cut_off_chunk(&self) -> Result<Option<Record>> {
+        if self.at + PREFIX > self.size {
+            return Ok(None);
+        }
+        let mut prefix = [0; PREFIX as usize];
+        self.file.read_exact_at(&mut prefix, self.at).map_err(Error::io(&self.path))?;
+        let record = record_of(&prefix, self.at);
+        if record.opcode != op::CHUNK {
+            return Ok(None);
+        }
+        let start = self.body(&Record { length: record.length.min(128), ..record })?;
+        Ok(chunk_header(&start).filter(|(header, at)| *at as u64 + header.compressed_size == record.length).map(|_| record))
+    }
+
+    /// Where, from `from` on, several records in a row make sense again.
+    fn find_chain(&self, from: u64) -> Result<Option<u64>> {
+        let mut window = vec![0; WINDOW];
+        let mut start = from;
+        while start + PREFIX <= self.size {
+            let length = ((self.size - start) as usize).min(WINDOW);
+            self.file.read_exact_at(&mut window[..length], start).map_err(Error::io(&self.path))?;
+            for (at, prefix) in window[..length].windows(PREFIX as usize).enumerate() {
+                let offset = start + at as u64;
+                let plausible = (op::HEADER..=op::DATA_END).contains(&prefix[0])
+                    && record_of(prefix, offset).length <= self.size - offset - PREFIX;
+                if plausible && self.chain_at(offset)? {
+                    return Ok(Some(offset));
+                }
+            }
+            // The next window begins with the last bytes of this one, where a record's head may be cut.
+            start += (length - PREFIX as usize + 1) as u64;
+        }
+        Ok(None)
+    }
+
+    fn chain_at(&self, mut offset: u64) -> Result<bool> {
+        for _ in 0..CHAIN {
+            match self.header_at(offset)? {
+                // The data section's end has four bytes: nothing else looks like it by chance.
+                Some(Record { opcode: op::DATA_END, length, .. }) => return Ok(length == 4),
+                Some(record) if record.length > 0 && record.opcode <= op::DATA_END => {
+                    offset += PREFIX + record.length;
+                }
+                _ => return Ok(false),
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// Parses a chunk's head; also says where its data begins.
+pub(super) fn chunk_header(body: &[u8]) -> Option<(ChunkHeader, usize)> {
+    // Four numbers, then the name of the compression.
+    const NAME: usize = 8 + 8 + 8 + 4;
+    let length = u32::from_le_bytes(body.get(NAME..NAME + 4)?.try_into().ok()?) as usize;
+    if !["", "zstd", "lz4"].map(str::len).contains(&length) {
+        return None;
+    }
+    let data = NAME + 4 + length + 8;
+    // The parser wants the data too; what it is asked for is the head alone.
+    let mut head = body.get(..data)?.to_vec();
+    let size = head.len() - 8;
+    let compressed_size = u64::from_le_bytes(head[size..].try_into().ok()?);
+    head[size..].fill(0);
+    match mcap::parse_record(op::CHUNK, &head) {
+        Ok(Parsed::Chunk { header, .. }) => Some((ChunkHeader { compressed_size, ..header }, data)),
+        _ => None,
+    }
+}
+
+fn record_of(prefix: &[u8], offset: u64) -> Record {
+    let mut length = [0; 8];
+    length.copy_from_slice(&prefix[1..PREFIX as usize]);
+    Record { opcode: prefix[0], offset, length: u64::from_le_bytes(length) }
+}

@@ -1,0 +1,209 @@
+//! What is in a bag, without reading all of it where its summary tells.
+
+use std::collections::BTreeMap;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+use mcap::MAGIC;
+use mcap::records::{Record as Parsed, op};
+
+use super::chunk::{inner_records, open_chunk};
+use super::records::{PREFIX, Part, Records};
+use crate::error::{Error, Result};
+
+/// Largest summary that is read whole, bytes; beyond it the file itself is read.
+const LARGEST_SUMMARY: u64 = 1 << 30;
+
+/// A channel of a file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Topic {
+    /// The topic's name.
+    pub name: String,
+    /// Type of its messages; empty without a schema.
+    pub type_name: String,
+    /// How messages are serialised, for instance `cdr`.
+    pub encoding: String,
+    /// Offered qualities of service as the channel names them.
+    pub qos: String,
+    /// Messages.
+    pub messages: u64,
+}
+
+/// What an MCAP file holds.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Survey {
+    /// Channels by id.
+    pub topics: BTreeMap<u16, Topic>,
+    /// Name, encoding and text of the schemas by id.
+    pub schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
+    /// Whether messages lie in chunks.
+    pub chunked: bool,
+    /// First and last log time, ns; None without a message.
+    pub times: Option<(u64, u64)>,
+    /// Whether this comes from the file's summary, or else from its records.
+    pub from_summary: bool,
+    /// Text metadata of the file by name.
+    pub metadata: BTreeMap<String, BTreeMap<String, String>>,
+}
+
+/// The MCAP files of a bag in order: those that `metadata.yaml` names, or else all of the folder; or the file itself.
+///
+/// # Errors
+/// If there is none, or the bag is of another storage.
+pub fn bag_files(path: &Path) -> Result<Vec<PathBuf>> {
+    if !path.is_dir() {
+        return Ok(vec![path.to_path_buf()]);
+    }
+    let yaml = path.join("metadata.yaml");
+    let mut files = Vec::new();
+    if yaml.is_file() {
+        let text = std::fs::read_to_string(&yaml).map_err(Error::io(&yaml))?;
+        let metadata: serde_yaml::Value = serde_yaml::from_str(&text).map_err(|e| Error::file(&yaml, e))?;
+        let bag = &metadata["rosbag2_bagfile_information"];
+        if let Some(storage) = bag["storage_identifier"].as_str().filter(|storage| *storage != "mcap") {
+            let message = format!("is a bag with storage {storage}; convert it to mcap with `ros2 bag convert`");
+            return Err(Error::file(path, message));
+        }
+        let named = bag["relative_file_paths"].as_sequence().into_iter().flatten();
+        // Older bags name their files from the folder above.
+        files.extend(named.filter_map(|name| Some(path.join(Path::new(name.as_str()?).file_name()?))));
+    }
+    if files.is_empty() {
+        let entries = std::fs::read_dir(path).map_err(Error::io(path))?;
+        files.extend(entries.flatten().map(|entry| entry.path()));
+        files.retain(|file| file.extension().is_some_and(|extension| extension == "mcap"));
+        files.sort();
+    }
+    match files.is_empty() {
+        true => Err(Error::file(path, "holds no .mcap file")),
+        false => Ok(files),
+    }
+}
+
+/// Surveys one MCAP file: from its summary, or all its records if there is none.
+///
+/// # Errors
+/// If the file can't be read or is no MCAP file.
+pub fn survey(path: &Path) -> Result<Survey> {
+    let mut file = Records::open(path)?;
+    if let Some(survey) = from_summary(&file, path)? {
+        return Ok(survey);
+    }
+    let mut survey = Survey::default();
+    while let Some(part) = file.next_part()? {
+        match &part {
+            Part::Lost(_) => {}
+            Part::Record(record) if record.opcode != op::CHUNK => {
+                if matches!(record.opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE | op::METADATA) {
+                    survey.note(record.opcode, &file.body(record)?);
+                }
+            }
+            chunk => {
+                survey.chunked = true;
+                if let Ok(content) = open_chunk(&file, chunk)? {
+                    inner_records(&content.records).for_each(|(_, opcode, body)| survey.note(opcode, body));
+                }
+            }
+        }
+    }
+    Ok(survey)
+}
+
+fn from_summary(file: &Records, path: &Path) -> Result<Option<Survey>> {
+    const FOOTER: u64 = 20;
+    let end = MAGIC.len() as u64 + PREFIX + FOOTER;
+    let mut footer = vec![0; end as usize];
+    let Some(start) = file.size().checked_sub(end) else { return Ok(None) };
+    file.file().read_exact_at(&mut footer, start).map_err(Error::io(path))?;
+    let body = &footer[PREFIX as usize..(PREFIX + FOOTER) as usize];
+    if footer[0] != op::FOOTER || footer[(PREFIX + FOOTER) as usize..] != *MAGIC {
+        return Ok(None);
+    }
+    let Ok(Parsed::Footer(parsed)) = mcap::parse_record(op::FOOTER, body) else { return Ok(None) };
+    let size = start.checked_sub(parsed.summary_start).filter(|size| parsed.summary_start > 0 && *size < LARGEST_SUMMARY);
+    let Some(size) = size else { return Ok(None) };
+    let mut summary = vec![0; size as usize];
+    file.file().read_exact_at(&mut summary, parsed.summary_start).map_err(Error::io(path))?;
+    let mut survey = Survey { from_summary: true, ..Default::default() };
+    let mut counts = None;
+    let mut metadata = Vec::new();
+    for (opcode, body) in records_in(&summary) {
+        match mcap::parse_record(opcode, body) {
+            Ok(Parsed::Statistics(statistics)) => {
+                survey.chunked = statistics.chunk_count > 0;
+                survey.times =
+                    (statistics.message_count > 0).then_some((statistics.message_start_time, statistics.message_end_time));
+                counts = Some(statistics.channel_message_counts);
+            }
+            Ok(Parsed::ChunkIndex(_)) => survey.chunked = true,
+            Ok(Parsed::MetadataIndex(index)) => metadata.push(index),
+            Ok(_) => survey.note(opcode, body),
+            Err(_) => return Ok(None),
+        }
+    }
+    // A summary may leave out what it likes; without counts, or with counts of channels it does not name, it is no help.
+    let Some(counts) = counts else { return Ok(None) };
+    if counts.keys().any(|id| !survey.topics.contains_key(id)) {
+        return Ok(None);
+    }
+    for (id, topic) in &mut survey.topics {
+        topic.messages = counts.get(id).copied().unwrap_or(0);
+    }
+    for index in metadata {
+        let record = super::Record {
+            opcode: op::METADATA,
+            offset: index.offset,
+            length: index.length.saturating_sub(PREFIX).min(file.size()),
+        };
+        if index.offset < file.size() {
+            survey.note(op::METADATA, &file.body(&record)?);
+        }
+    }
+    Ok(Some(survey))
+}
+
+impl Survey {
+    fn note(&mut self, opcode: u8, body: &[u8]) {
+        match mcap::parse_record(opcode, body) {
+            Ok(Parsed::Schema { header, data }) => {
+                self.schemas.insert(header.id, (header.name, header.encoding, data.into_owned()));
+            }
+            Ok(Parsed::Channel(channel)) => {
+                let type_name = self.schemas.get(&channel.schema_id).map(|schema| schema.0.clone()).unwrap_or_default();
+                let qos = channel.metadata.get("offered_qos_profiles").cloned().unwrap_or_default();
+                let messages = self.topics.get(&channel.id).map_or(0, |topic| topic.messages);
+                let topic = Topic { name: channel.topic, type_name, encoding: channel.message_encoding, qos, messages };
+                self.topics.insert(channel.id, topic);
+            }
+            Ok(Parsed::Message { header, .. }) => {
+                if let Some(topic) = self.topics.get_mut(&header.channel_id) {
+                    topic.messages += 1;
+                }
+                let (start, end) = self.times.unwrap_or((header.log_time, header.log_time));
+                self.times = Some((start.min(header.log_time), end.max(header.log_time)));
+            }
+            Ok(Parsed::Metadata(metadata)) => {
+                self.metadata.insert(metadata.name, metadata.metadata);
+            }
+            _ => {}
+        }
+    }
+
+    /// Messages of all topics.
+    pub fn messages(&self) -> u64 {
+        self.topics.values().map(|topic| topic.messages).sum()
+    }
+}
+
+/// All records of a stretch that holds no damage; stops where it does.
+fn records_in(bytes: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
+    let mut at = 0;
+    std::iter::from_fn(move || {
+        let opcode = *bytes.get(at)?;
+        let start = at + PREFIX as usize;
+        let length = u64::from_le_bytes(bytes.get(at + 1..start)?.try_into().ok()?) as usize;
+        let body = bytes.get(start..start.checked_add(length)?)?;
+        at = start + length;
+        Some((opcode, body))
+    })
+}

@@ -1,0 +1,97 @@
+//! Arrays added to a store that is there already.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Map, Value, json};
+
+use super::column::Column;
+use super::folder::{Root, write_json};
+use super::{ArraySpec, Compression, Values};
+use crate::error::{Error, Result};
+
+/// Consolidated metadata: a copy of all metadata in one file, which some readers take for the whole truth.
+const CONSOLIDATED: &str = ".zmetadata";
+
+/// Writes new arrays into a Zarr v2 folder, frame by frame; what is there stays as it is.
+#[derive(Debug)]
+pub struct AddedArrays {
+    columns: Vec<Column>,
+    root: PathBuf,
+    place: Root,
+}
+
+impl AddedArrays {
+    /// Begins arrays `specs` in the store at `root`.
+    ///
+    /// # Errors
+    /// If it is no Zarr v2 folder, or has an array of one of these names.
+    pub fn new(root: &Path, specs: Vec<ArraySpec>) -> Result<Self> {
+        if !root.join(".zgroup").is_file() {
+            return Err(Error::file(root, "expected a Zarr v2 store; arrays can't be added to another"));
+        }
+        if let Some(taken) = specs.iter().find(|spec| root.join(&spec.name).exists()) {
+            return Err(Error::file(root, format!("has an array {} already", taken.name)));
+        }
+        let columns = specs.into_iter().map(|spec| Column::new(spec, Compression::default())).collect();
+        Ok(Self { columns, root: root.to_path_buf(), place: Root::new(root, root)? })
+    }
+
+    /// Appends one frame's values, in the order of the arrays.
+    ///
+    /// # Errors
+    /// If values don't fit their array, or can't be written.
+    pub fn push(&mut self, values: Vec<Values>) -> Result<()> {
+        if values.len() != self.columns.len() {
+            return Err(Error::shape("values", format!("[{}]", self.columns.len()), [values.len()]));
+        }
+        for (column, values) in self.columns.iter_mut().zip(values) {
+            column.check(Some(&values), &self.root)?;
+            column.push(values, &self.place)?;
+        }
+        Ok(())
+    }
+
+    /// Writes what is left, and `attributes` beside those of the root group.
+    ///
+    /// # Errors
+    /// If something can't be written, or the store's own metadata is not what Zarr has there.
+    pub fn finish(mut self, attributes: Map<String, Value>) -> Result<()> {
+        for column in &mut self.columns {
+            column.finish(&self.place)?;
+        }
+        for column in &mut self.columns {
+            column.wait(&self.root)?;
+        }
+        let file = self.root.join(".zattrs");
+        let mut all = if file.is_file() { read_object(&file)? } else { Map::new() };
+        all.extend(attributes);
+        write_json(&file, &Value::Object(all.clone()))?;
+        self.consolidate(all)
+    }
+
+    /// Brings the consolidated metadata in line, where there is some.
+    fn consolidate(&self, attributes: Map<String, Value>) -> Result<()> {
+        let file = self.root.join(CONSOLIDATED);
+        if !file.is_file() {
+            return Ok(());
+        }
+        let mut document = read_object(&file)?;
+        let metadata = document.entry("metadata").or_insert_with(|| json!({}));
+        let Some(metadata) = metadata.as_object_mut() else {
+            return Err(Error::file(&file, "expected an object under \"metadata\""));
+        };
+        metadata.insert(".zattrs".into(), Value::Object(attributes));
+        for column in &self.columns {
+            let name = format!("{}/.zarray", column.spec.name);
+            let array = read_object(&self.root.join(&name))?;
+            metadata.insert(name, Value::Object(array));
+        }
+        write_json(&file, &Value::Object(document))
+    }
+}
+
+fn read_object(file: &Path) -> Result<Map<String, Value>> {
+    let text = fs::read_to_string(file).map_err(Error::io(file))?;
+    serde_json::from_str(&text).map_err(|e| Error::file(file, format!("expected a JSON object: {e}")))
+}
