@@ -30,9 +30,9 @@
 //! | [`message`] | the ROS messages and their CDR bytes, without ROS |
 //! | [`render`] | pictures of hands |
 //! | [`dataset`] | Zarr stores, bounded recordings, tensor files, MCAP bags |
-//! | [`annotate`] | labels for recordings, in their own formats |
 //! | `mujoco`, `sim` | physics; scenes whose touch is known (feature `sim`) |
 //! | [`train`] | from stores to a checkpoint |
+//! | [`annotate`] | labels for recordings, in their own formats |
 //! | [`verify`] | labels and predictions against simulated truth |
 //! | [`mod@bench`] | what accuracy costs, what breaks |
 //! | [`experiment`] | several trainings, compared |

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use super::journal::{Label, Labels};
 use super::output::{Journals, Output};
 use super::provenance::NAME;
 use super::source::{Picture, Shot, Shots, Source, Unit};
@@ -230,7 +231,7 @@ impl Output for Bag {
     fn assemble(&self, journals: &Journals, about: &mut About, at: &Path, out: &Path) -> Result<()> {
         let bare = self.files.len() == 1 && out.extension().is_some_and(|extension| extension == "mcap");
         if bare {
-            let mut labels = TactileMessages::new(self, about, 0);
+            let mut labels = TactileMessages::new(self, 0);
             labels.copy(journals, at, about)?;
             return Ok(());
         }
@@ -241,7 +242,7 @@ impl Output for Bag {
         let (mut files, mut topics) = (Vec::new(), BTreeMap::<String, BagTopic>::new());
         let mut sequence = 0;
         for index in 0..self.files.len() {
-            let mut messages = TactileMessages::new(self, about, index);
+            let mut messages = TactileMessages::new(self, index);
             messages.sequence = sequence;
             let name = match (&self.folder, out.file_name()) {
                 // As rosbag2 names the file of a bag.
@@ -299,12 +300,10 @@ struct TactileMessages<'a> {
     // Whether schema and channel are written.
     announced: bool,
     sequence: u64,
-    model_id: String,
-    topology: String,
 }
 
 impl<'a> TactileMessages<'a> {
-    fn new(bag: &'a Bag, about: &About, index: usize) -> Self {
+    fn new(bag: &'a Bag, index: usize) -> Self {
         let survey = &bag.surveys[index];
         let free = |used: Option<&u16>| used.map_or(1, |last| last.saturating_add(1));
         Self {
@@ -315,8 +314,6 @@ impl<'a> TactileMessages<'a> {
             schema: free(survey.schemas.keys().last()),
             announced: false,
             sequence: 0,
-            model_id: about.provenance.model_id(),
-            topology: about.provenance.topology.id().into(),
         }
     }
 
@@ -341,7 +338,7 @@ impl<'a> TactileMessages<'a> {
                             out.flush_if_full()?;
                             let body = records.body(record)?;
                             out.record(record.opcode, &body)?;
-                            Inner::Single(record.opcode, body).label(self, &mut labels, &mut out)?;
+                            Inner::Single(record.opcode, body).label(self, about, &mut labels, &mut out)?;
                         }
                     }
                     continue;
@@ -364,7 +361,7 @@ impl<'a> TactileMessages<'a> {
                             out.record(opcode, body)?;
                         }
                     }
-                    Inner::Chunk(content.records).label(self, &mut labels, &mut out)?;
+                    Inner::Chunk(content.records).label(self, about, &mut labels, &mut out)?;
                 }
             }
         }
@@ -386,7 +383,13 @@ impl<'a> TactileMessages<'a> {
     }
 
     /// Writes the label that belongs to an image's message.
-    fn write(&mut self, image: &ImageMessage, labels: &mut super::journal::Labels, out: &mut CopyWriter) -> Result<()> {
+    fn write(
+        &mut self,
+        image: &ImageMessage,
+        about: &About,
+        labels: &mut Labels,
+        out: &mut CopyWriter,
+    ) -> Result<()> {
         let label = labels.next().transpose()?.ok_or_else(|| {
             Error::value(&self.bag.units[self.index].name, "the images that were labelled", "more of them")
         })?;
@@ -398,21 +401,8 @@ impl<'a> TactileMessages<'a> {
             stamp: Time::from_nanos(image.log_time as i64),
             frame_id: String::new(),
         });
-        let empty = |header: Header| TactileFrame {
-            header,
-            hands: Vec::new(),
-            sequence: 0,
-            inference_secs: f64::NAN,
-            model_id: String::new(),
-            topology: self.topology.clone(),
-            warming_up: label.warming_up,
-        };
-        let mut frame = match &label.touch {
-            Ok(field) => TactileFrame { warming_up: label.warming_up, ..TactileFrame::from_field(header, field)? },
-            // No hands: there is no result for this image.
-            Err(_) => empty(header),
-        };
-        (frame.sequence, frame.model_id) = (self.sequence, self.model_id.clone());
+        let mut frame = tactile_frame(header, &label, about)?;
+        frame.sequence = self.sequence;
         let mut body = self.channel.to_le_bytes().to_vec();
         body.extend_from_slice(&(self.sequence as u32).to_le_bytes());
         body.extend_from_slice(&image.log_time.to_le_bytes());
@@ -444,22 +434,36 @@ impl<'a> TactileMessages<'a> {
 
 impl Inner {
     /// Writes the labels of the images among these records.
-    fn label(
-        &self,
-        to: &mut TactileMessages,
-        labels: &mut super::journal::Labels,
-        out: &mut CopyWriter,
-    ) -> Result<()> {
+    fn label(&self, to: &mut TactileMessages, about: &About, labels: &mut Labels, out: &mut CopyWriter) -> Result<()> {
         let mut result = Ok(());
         self.for_each(|opcode, body| {
             if let Some(image) = to.channels.image(opcode, body)
                 && result.is_ok()
             {
-                result = to.write(&image, labels, out);
+                result = to.write(&image, about, labels, out);
             }
         });
         result
     }
+}
+
+/// The message of a label; without hands if there is none, which says that there is no result for this image.
+pub(super) fn tactile_frame(header: Header, label: &Label, about: &About) -> Result<TactileFrame> {
+    let (model_id, topology) = (about.provenance.model_id(), about.provenance.topology.id().to_string());
+    Ok(match &label.touch {
+        Ok(field) => {
+            TactileFrame { model_id, warming_up: label.warming_up, ..TactileFrame::from_field(header, field)? }
+        }
+        Err(_) => TactileFrame {
+            header,
+            hands: Vec::new(),
+            sequence: 0,
+            inference_secs: f64::NAN,
+            model_id,
+            topology,
+            warming_up: label.warming_up,
+        },
+    })
 }
 
 /// The metadata record that says where the labels come from.

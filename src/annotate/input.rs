@@ -5,11 +5,18 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::bag::{self, Bag};
+use super::images::{Images, image_files};
 use super::job::is_within;
+use super::lerobot::{self, LeRobotDataset};
 use super::output::Output;
 use super::source::Source;
 use super::store::{self, Store};
 use super::summary::About;
+use super::to_bag::ToBag;
+use super::to_store::ToStore;
+use super::to_tensors::{self, ToTensors};
+use super::video::VideoFile;
+use crate::dataset::video::EXTENSIONS;
 use crate::dataset::zarr::Place;
 use crate::error::{Error, Result};
 
@@ -20,12 +27,44 @@ pub enum Kind {
     Store,
     /// A bag's folder or an MCAP file.
     Bag,
+    /// A LeRobot data set of version 3.
+    LeRobot,
+    /// A video file.
+    Video,
+    /// A folder of PNG and JPEG files.
+    Images,
+    /// A safetensors file: what labels alone are written to.
+    Tensors,
+}
+
+/// Kind of output.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub enum Target {
+    /// The input's own kind; a store for videos and images, which can't hold labels.
+    #[default]
+    Same,
+    /// An OXT Zarr store.
+    Store,
+    /// A rosbag2 folder.
+    Bag,
+    /// A safetensors file with the labels alone.
+    Tensors,
 }
 
 /// What the formats leave open.
 #[derive(Debug, Clone, Default)]
 pub struct Choices {
-    /// Array of a store's images.
+    /// Kind of output.
+    pub to: Target,
+    /// Images per second of a folder of images; None = one per observation step of the network, `frame_dt`.
+    pub fps: Option<f64>,
+    /// The network's observation step, s.
+    pub frame_dt: f64,
+    /// Shorter side that images have in a store made from other formats at most, pixels; None = as they are.
+    pub side: Option<u32>,
+    /// Prefix of a LeRobot data set's new columns.
+    pub prefix: Option<String>,
+    /// Array of a store's images, or key of a LeRobot camera.
     pub camera: Option<String>,
     /// What one unit of a store's time stamps is, s.
     pub time_unit: Option<f64>,
@@ -59,14 +98,18 @@ impl Kind {
                 Some(Self::Store)
             } else if has("metadata.yaml") {
                 Some(Self::Bag)
+            } else if has("meta/info.json") {
+                Some(Self::LeRobot)
             } else {
-                None
+                image_files(path).is_ok_and(|files| !files.is_empty()).then_some(Self::Images)
             };
         }
         let extension = path.extension()?.to_string_lossy().to_lowercase();
         match extension.as_str() {
             "zip" => Some(Self::Store),
             "mcap" => Some(Self::Bag),
+            "safetensors" => Some(Self::Tensors),
+            video if EXTENSIONS.contains(&video) => Some(Self::Video),
             _ => None,
         }
     }
@@ -76,6 +119,9 @@ impl Kind {
         match self {
             Self::Store => store::about(path),
             Self::Bag => bag::about(path),
+            Self::LeRobot => lerobot::about(path),
+            Self::Tensors => to_tensors::about(path),
+            Self::Video | Self::Images => None,
         }
     }
 }
@@ -99,32 +145,59 @@ pub fn items(input: &Path, out: &Path, choices: &Choices) -> Result<Vec<Item>> {
         for entry in fs::read_dir(input).map_err(Error::io(input))? {
             let path = entry.map_err(Error::io(input))?.path();
             let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
-            if let (false, Some(kind)) = (hidden, Kind::of(&path)) {
+            let kind = Kind::of(&path).filter(|kind| *kind != Kind::Tensors);
+            if let (false, Some(kind)) = (hidden, kind) {
                 paths.push((path, kind));
             }
         }
     }
     paths.sort_by(|a, b| a.0.cmp(&b.0));
     if paths.is_empty() {
-        return Err(Error::file(input, "holds nothing to label: no Zarr store (folder or zip) and no bag or .mcap file"));
+        let message = "holds nothing to label: no Zarr store (folder or zip), bag, .mcap file, LeRobot data set, video or images";
+        return Err(Error::file(input, message));
     }
     let mut items = Vec::new();
     for (path, kind) in paths {
-        items.extend(open(kind, &path, &out.join(output_name(&path)), choices)?);
+        items.extend(open(kind, &path, &out.join(output_name(&path, kind, choices.to)), choices)?);
     }
-    if let Some(pair) = items.windows(2).find(|pair| pair[0].out == pair[1].out) {
-        return Err(Error::file(&pair[1].out, "would be the output of two inputs"));
+    let mut outs: Vec<&PathBuf> = items.iter().map(|item| &item.out).collect();
+    outs.sort();
+    if let Some(pair) = outs.windows(2).find(|pair| pair[0] == pair[1]) {
+        return Err(Error::file(pair[0], "would be the output of two inputs"));
     }
     Ok(items)
 }
 
-/// Name of the output for one of several inputs: its own, without `.zip`.
-fn output_name(path: &Path) -> String {
+/// Name of the output for one of several inputs: its own, or with its kind's extension.
+fn output_name(path: &Path, kind: Kind, to: Target) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    match name.strip_suffix(".zip") {
-        Some(stem) if stem.ends_with(".zarr") => stem.to_string(),
-        Some(stem) => format!("{stem}.zarr"),
-        None => name,
+    let extension = match (kind, to) {
+        (Kind::Bag | Kind::LeRobot, Target::Same) => return name,
+        (_, Target::Same | Target::Store) => "zarr",
+        (_, Target::Tensors) => "safetensors",
+        (_, Target::Bag) => "",
+    };
+    let stem = if path.is_dir() && kind != Kind::Store { &name } else { stem(&name) };
+    // A zip file may be called NAME.zarr.zip.
+    let stem = stem.strip_suffix(".zarr").unwrap_or(stem);
+    if extension.is_empty() { stem.to_string() } else { format!("{stem}.{extension}") }
+}
+
+fn stem(name: &str) -> &str {
+    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+}
+
+/// Where the labels of `source` go if not into its own kind of data set.
+fn converted(source: &Arc<dyn Source>, choices: &Choices) -> Option<Arc<dyn Output>> {
+    let source = Arc::clone(source);
+    match choices.to {
+        Target::Same => None,
+        Target::Store => Some(Arc::new(ToStore { source, side: choices.side })),
+        Target::Tensors => Some(Arc::new(ToTensors { source })),
+        Target::Bag => {
+            let labels_topic = choices.labels_topic.clone().unwrap_or_else(|| bag::TOPIC.into());
+            Some(Arc::new(ToBag { source, labels_topic }))
+        }
     }
 }
 
@@ -133,6 +206,8 @@ fn open(kind: Kind, path: &Path, out: &Path, choices: &Choices) -> Result<Vec<It
         Kind::Store => {
             let places = if path.is_dir() { vec![Place::only(path)?] } else { Place::find(path)? };
             let several = places.len() > 1;
+            // The folder of several stores is none itself.
+            let folder = if out.extension().is_some_and(|e| e == "zarr") { out.with_extension("") } else { out.into() };
             let item = |place: Place| {
                 let store = Arc::new(Store::open(&place, choices.camera.as_deref(), choices.time_unit)?);
                 let about = vec![
@@ -140,8 +215,13 @@ fn open(kind: Kind, path: &Path, out: &Path, choices: &Choices) -> Result<Vec<It
                     format!("images {}", store.camera()),
                     format!("time unit {} s", store.time_unit()),
                 ];
-                let out = if several { out.join(place.name()) } else { out.to_path_buf() };
-                Ok(Item { name: place.name(), source: store.clone(), output: store, out, about })
+                let out = match several {
+                    true => folder.join(output_name(Path::new(&place.name()), kind, choices.to)),
+                    false => out.to_path_buf(),
+                };
+                let source: Arc<dyn Source> = store.clone();
+                let output = converted(&source, choices).unwrap_or(store);
+                Ok(Item { name: place.name(), source, output, out, about })
             };
             places.into_iter().map(item).collect()
         }
@@ -154,8 +234,41 @@ fn open(kind: Kind, path: &Path, out: &Path, choices: &Choices) -> Result<Vec<It
                 let bytes = file.metadata().map_err(Error::io(file))?.len();
                 about.push(format!("{}, {bytes} bytes", file.file_name().unwrap_or_default().to_string_lossy()));
             }
-            Ok(vec![Item { name, source: bag.clone(), output: bag, out: out.to_path_buf(), about }])
+            let source: Arc<dyn Source> = bag.clone();
+            let output = converted(&source, choices).unwrap_or(bag);
+            Ok(vec![Item { name, source, output, out: out.to_path_buf(), about }])
         }
+        Kind::LeRobot => {
+            let prefix = choices.prefix.as_deref().unwrap_or(lerobot::PREFIX);
+            let dataset = Arc::new(LeRobotDataset::open(path, choices.camera.as_deref(), prefix)?);
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let about = vec![
+                format!("LeRobot data set {name}"),
+                format!("images {}", dataset.camera()),
+                format!("columns {}", dataset.prefix()),
+            ];
+            let source: Arc<dyn Source> = dataset.clone();
+            let output = converted(&source, choices).unwrap_or(dataset);
+            Ok(vec![Item { name, source, output, out: out.to_path_buf(), about }])
+        }
+        Kind::Video | Kind::Images => {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let (source, about): (Arc<dyn Source>, Vec<String>) = match kind {
+                Kind::Video => {
+                    let bytes = path.metadata().map_err(Error::io(path))?.len();
+                    (Arc::new(VideoFile::open(path)?), vec![format!("video {name}, {bytes} bytes")])
+                }
+                _ => {
+                    let step = choices.fps.map_or(choices.frame_dt, |fps| 1.0 / fps);
+                    (Arc::new(Images::open(path, step)?), vec![format!("images {name}"), format!("{step} s apart")])
+                }
+            };
+            let to = if choices.to == Target::Same { Target::Store } else { choices.to };
+            let output = converted(&source, &Choices { to, ..choices.clone() });
+            let output = output.ok_or_else(|| Error::file(path, "can't hold labels"))?;
+            Ok(vec![Item { name, source, output, out: out.to_path_buf(), about }])
+        }
+        Kind::Tensors => Err(Error::file(path, "holds labels, not images")),
     }
 }
 

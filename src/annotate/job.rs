@@ -135,9 +135,11 @@ impl Job<'_> {
     fn summary(&self, work: &Work) -> Result<Summary> {
         let mut summary = Summary::default();
         for (unit, about) in self.source.units().iter().enumerate() {
+            let before = summary.frames;
             for (frame, label) in work.journals().labels(unit)?.enumerate() {
                 summary.count(&about.name, frame, &label?);
             }
+            summary.lost.extend(self.source.damage(unit, (summary.frames - before) as usize)?);
         }
         Ok(summary)
     }

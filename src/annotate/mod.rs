@@ -7,21 +7,31 @@
 //! memory does not grow with the length of a recording.
 
 mod bag;
+mod images;
 mod input;
 mod job;
 mod journal;
+mod labelled;
+mod lerobot;
 mod output;
 mod pass;
 mod provenance;
 mod source;
+mod statistics;
 mod store;
 mod summary;
+mod to_bag;
+mod to_store;
+mod to_tensors;
+mod video;
 mod work;
 
 pub use bag::TOPIC;
-pub use input::{Choices, Item, Kind, items};
+pub use images::image_files;
+pub use input::{Choices, Item, Kind, Target, items};
 pub use job::{Effort, Job, Outcome, Shard};
 pub use journal::{Journal, Label, Labels, Progress};
+pub use labelled::{Labelled, Truth};
 pub use output::{Journals, Output};
 pub use pass::Times;
 pub use provenance::{CONTACT_THRESHOLD, NAME, Provenance, Thresholds};

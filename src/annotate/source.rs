@@ -2,6 +2,7 @@
 
 use ::image::RgbImage;
 
+use crate::dataset::mcap::Lost;
 use crate::error::Result;
 use crate::image::{self, RawImage};
 use crate::message;
@@ -25,6 +26,16 @@ pub trait Source: Send + Sync {
     /// # Errors
     /// If the unit can't be opened. What is damaged within is an item's matter.
     fn shots(&self, unit: usize, from: usize) -> Result<Shots<'_>>;
+
+    /// What of unit `unit` is in no image since it can't be read, where the source knows better than the output: `images`
+    /// were.
+    ///
+    /// # Errors
+    /// If the unit can't be looked at.
+    fn damage(&self, unit: usize, images: usize) -> Result<Option<Lost>> {
+        let _ = (unit, images);
+        Ok(None)
+    }
 }
 
 /// Images one after the other.

@@ -219,7 +219,7 @@ fn copy_folder(from: &Path, to: &Path) -> Result<()> {
 }
 
 /// Writes `path` unless it is there with its size; under another name until it is whole.
-fn copy_file(path: &Path, size: u64, write: impl FnOnce(&mut File) -> std::io::Result<u64>) -> Result<()> {
+pub(super) fn copy_file(path: &Path, size: u64, write: impl FnOnce(&mut File) -> std::io::Result<u64>) -> Result<()> {
     if path.metadata().is_ok_and(|there| there.is_file() && there.len() == size) {
         return Ok(());
     }

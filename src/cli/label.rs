@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use indicatif::ProgressBar;
 use serde_json::json;
 
-use crate::annotate::{Choices, Effort, Item, Job, Outcome, Provenance, Shard, Summary, TOPIC, items};
+use crate::annotate::{Choices, Effort, Item, Job, Outcome, Provenance, Shard, Summary, TOPIC, Target, items};
 use crate::file;
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
@@ -23,11 +23,15 @@ const PARTLY: u8 = 3;
     Exit status: 0 = every image is labelled, 3 = all that could be read is labelled and the rest listed, 1 = no output."
 )]
 pub struct Args {
-    /// A Zarr store (folder or zip file), a bag (folder) or an .mcap file; or a folder of these.
+    /// A Zarr store (folder or zip file), a bag (folder) or an .mcap file, a LeRobot v3 data set, a video, a
+    /// folder of images; or a folder of these.
     input: PathBuf,
-    /// The labelled data set, of the same kind; of several inputs, a folder for them.
+    /// The labelled data set; of several inputs, a folder for them.
     #[arg(long)]
     out: PathBuf,
+    /// Kind of output.
+    #[arg(long, value_name = "KIND", default_value = "same")]
+    to: Target,
     /// Checkpoint to run; the one that comes with egotac if absent.
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
@@ -37,8 +41,9 @@ pub struct Args {
     /// CUDA device, by index; the CPU without it.
     #[arg(long, value_name = "INDEX")]
     cuda: Option<usize>,
-    /// Array of a store's images, such as camera_main_rgb; by default camera_ego_rgb, else camera_main_rgb.
-    #[arg(long, value_name = "ARRAY")]
+    /// Array of a store's images, such as camera_main_rgb (by default camera_ego_rgb, else camera_main_rgb), or key of a
+    /// LeRobot camera (by default the only one).
+    #[arg(long, value_name = "NAME")]
     camera: Option<String>,
     /// Unit of a store's time stamps: s, ms, us or ns; by default the size of their steps tells.
     #[arg(long, value_name = "UNIT", value_parser = time_unit)]
@@ -49,6 +54,18 @@ pub struct Args {
     /// Topic of a bag's labels.
     #[arg(long, value_name = "TOPIC", default_value = TOPIC)]
     labels_topic: String,
+    /// Prefix of a LeRobot data set's new columns; policies ignore it.
+    #[arg(long, default_value = "tactile")]
+    prefix: String,
+    /// Make the new columns observations of policies: the prefix becomes observation.PREFIX.
+    #[arg(long)]
+    observation: bool,
+    /// Images per second of a folder of images; by default one per observation step of the network.
+    #[arg(long, value_name = "F", value_parser = super::positive)]
+    fps: Option<f64>,
+    /// Shorter side of images in a store made from another format at most, pixels; 0 = as they are.
+    #[arg(long, value_name = "PIXELS", default_value_t = 224)]
+    side: u32,
     /// Label only each N-th episode or file from the I-th (from 0) on. Whoever is done last puts the output together.
     #[arg(long, value_name = "I/N", value_parser = shard, default_value = "0/1")]
     shard: Shard,
@@ -62,17 +79,21 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
+    let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..Default::default() };
+    let mut predictor = Predictor::load(&path, options)?;
     let choices = Choices {
+        to: args.to,
+        fps: args.fps,
+        frame_dt: predictor.metadata().frame_dt,
+        side: (args.side > 0).then_some(args.side),
+        prefix: Some(if args.observation { format!("observation.{}", args.prefix) } else { args.prefix.clone() }),
         camera: args.camera.clone(),
         time_unit: args.time_unit,
         topic: args.topic.clone(),
         labels_topic: Some(args.labels_topic.clone()),
     };
     let items = items(&args.input, &args.out, &choices)?;
-    let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
-    let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..Default::default() };
-    let mut predictor = Predictor::load(&path, options)?;
-
     let jobs: Vec<Job> = items.iter().map(|item| job(item, &predictor, &args)).collect();
     let bar = bar(&items, &jobs)?;
     let (mut effort, mut done, mut waiting) = (Effort::default(), Vec::new(), Vec::new());

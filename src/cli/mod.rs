@@ -38,7 +38,7 @@ enum Command {
     Sim(sim::Args),
     /// Train a network on stores.
     Train(train::Args),
-    /// Label recordings: bags and OXT stores.
+    /// Label recordings: bags, LeRobot data sets, OXT stores, videos, images.
     Label(label::Args),
     /// Predict touch for images or a store.
     Predict(predict::Args),
@@ -52,7 +52,7 @@ enum Command {
     Model(model::Args),
     /// Measurements that the documentation holds: model, train, sim, effects, hard-cases, guards.
     Bench(bench::Args),
-    /// Stores: info.
+    /// Recordings and labels: info, diff.
     Data(data::Args),
     /// The main job, end to end, on this machine.
     Demo(demo::Args),

@@ -1,8 +1,10 @@
 //! Episodes: frames of image, touch and hand pose, in the formats people keep them in.
 
+pub mod lerobot;
 pub mod mcap;
 pub mod ring;
 pub mod tensors;
+pub mod video;
 pub mod zarr;
 
 use ::image::RgbImage;

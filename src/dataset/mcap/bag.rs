@@ -36,6 +36,7 @@ const UNFINISHED: &str = ".unfinished";
 /// Writes a bag, message by message; the folder bears its name only once it is whole.
 pub struct BagWriter {
     folder: PathBuf,
+    name: String,
     unfinished: PathBuf,
     writer: Writer<BufWriter<File>>,
     topics: BTreeMap<String, Topic>,
@@ -57,6 +58,14 @@ impl BagWriter {
     /// # Errors
     /// If `folder` exists, or can't be written beside.
     pub fn create(folder: &Path) -> Result<Self> {
+        Self::create_named(folder, &file_name(folder))
+    }
+
+    /// Starts a bag in the folder `folder` whose MCAP file is called `file`.
+    ///
+    /// # Errors
+    /// As [`Self::create`].
+    pub fn create_named(folder: &Path, file: &str) -> Result<Self> {
         if folder.exists() {
             return Err(Error::file(folder, "expected a bag folder that does not exist yet"));
         }
@@ -67,11 +76,12 @@ impl BagWriter {
             std::fs::remove_dir_all(&unfinished).map_err(Error::io(&unfinished))?;
         }
         std::fs::create_dir_all(&unfinished).map_err(Error::io(&unfinished))?;
-        let path = unfinished.join(file_name(folder));
+        let path = unfinished.join(file);
+        let name = file.to_string();
         let file = BufWriter::new(File::create(&path).map_err(Error::io(&path))?);
         let options = WriteOptions::new().profile("ros2").compression(Some(Compression::Zstd)).chunk_size(Some(CHUNK));
         let writer = options.create(file).map_err(|error| Error::file(&path, error))?;
-        Ok(Self { folder: folder.to_path_buf(), unfinished, writer, topics: BTreeMap::new(), start: None, end: 0 })
+        Ok(Self { folder: folder.to_path_buf(), name, unfinished, writer, topics: BTreeMap::new(), start: None, end: 0 })
     }
 
     /// Adds a topic of messages of `type_name` (`package/msg/Name`), defined by `schema` in `ros2msg` form. A `latched` one
@@ -108,6 +118,15 @@ impl BagWriter {
         Ok(())
     }
 
+    /// Adds text about the recording under a name.
+    ///
+    /// # Errors
+    /// If the file can't be written.
+    pub fn write_metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<()> {
+        let record = mcap::records::Metadata { name: name.to_string(), metadata };
+        self.writer.write_metadata(&record).map_err(|error| Error::file(&self.folder, error))
+    }
+
     /// Closes the bag, writes `metadata.yaml` and gives the folder its name.
     ///
     /// # Errors
@@ -129,7 +148,7 @@ impl BagWriter {
         };
         let messages = self.topics.values().map(|topic| topic.messages).sum();
         let times = self.start.map(|start| (start, self.end));
-        let file = BagFile { path: file_name(&self.folder), times, messages };
+        let file = BagFile { path: self.name.clone(), times, messages };
         metadata_yaml(&self.topics.iter().map(topic).collect::<Vec<_>>(), &[file])
     }
 }

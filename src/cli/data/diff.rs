@@ -1,0 +1,81 @@
+//! `egotac data diff`.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Context, ensure};
+use serde_json::json;
+
+use crate::annotate::Labelled;
+use crate::dataset::fps;
+use crate::metrics::{self, Fields, Options};
+use crate::tactile::N_FIELD;
+
+/// Arguments of `egotac data diff`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Either side may be a store, a bag, an .mcap file or a tensor file, labelled or with truth. Frames pair by their \
+    place where both sides have as many, else by equal time stamps. Where B is a prediction, a vertex counts as touched above 0.5."
+)]
+pub struct Args {
+    /// The labels to score.
+    a: PathBuf,
+    /// The labels that they are compared to.
+    b: PathBuf,
+    /// Print JSON in place of a table.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    let read = |path: &PathBuf| Labelled::read(path).with_context(|| path.display().to_string());
+    let (a, b) = (read(&args.a)?, read(&args.b)?);
+    if let (Some(a), Some(b)) = (a.topology, b.topology) {
+        a.must_match(b)?;
+    }
+    let pairs = pairs(&a, &b);
+    ensure!(!pairs.is_empty(), "{} and {} have no frame of equal time", args.a.display(), args.b.display());
+    let (pred, mut target) = (taken(&a.fields, pairs.iter().map(|pair| pair.0)), taken(&b.fields, pairs.iter().map(|pair| pair.1)));
+    // Truth is 0 or 1 already.
+    for contact in target.contact.iter_mut().filter(|contact| !contact.is_nan()) {
+        *contact = f32::from(*contact > 0.5);
+    }
+    let ends = b.episode_ends.iter().map(|end| pairs.partition_point(|pair| pair.1 < *end));
+    let mut episode_ends: Vec<usize> = ends.filter(|end| *end > 0).collect();
+    episode_ends.dedup();
+    let options = Options { episode_ends, fps: fps(&b.timestamps), ..Options::default() };
+    let report = metrics::evaluate(&pred, &target, &options)?;
+    let (only_a, only_b) = (a.len() - pairs.len(), b.len() - pairs.len());
+    if args.json {
+        let mut value = serde_json::to_value(&report)?;
+        value["unmatched"] = json!({ "a": only_a, "b": only_b });
+        println!("{value:#}");
+        return Ok(ExitCode::SUCCESS);
+    }
+    println!("{}", metrics::table(&[("A against B", &report)]));
+    if only_a + only_b > 0 {
+        println!("{only_a} frames of A and {only_b} of B without a partner of equal time");
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Frames of A and B that belong together, in B's order.
+fn pairs(a: &Labelled, b: &Labelled) -> Vec<(usize, usize)> {
+    if a.len() == b.len() {
+        return (0..a.len()).map(|index| (index, index)).collect();
+    }
+    // Formats round times to nanoseconds, or to f64 of seconds since 1970: a microsecond tells frames apart.
+    let key = |seconds: f64| (seconds * 1e6).round() as i64;
+    let at: BTreeMap<i64, usize> = a.timestamps.iter().enumerate().map(|(index, stamp)| (key(*stamp), index)).collect();
+    let found = b.timestamps.iter().enumerate();
+    found.filter_map(|(index, stamp)| Some((*at.get(&key(*stamp))?, index))).collect()
+}
+
+fn taken(fields: &Fields, frames: impl Iterator<Item = usize> + Clone) -> Fields {
+    let take = |values: &[f32]| {
+        frames.clone().flat_map(|frame| values[frame * N_FIELD..(frame + 1) * N_FIELD].iter().copied()).collect()
+    };
+    Fields { force: take(&fields.force), contact: take(&fields.contact) }
+}

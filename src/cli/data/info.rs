@@ -1,0 +1,133 @@
+//! `egotac data info`.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use serde_json::{Map, Value, json};
+
+use super::store_info;
+use crate::annotate::{About, Kind, Labelled, image_files};
+use crate::dataset::lerobot::LeRobot;
+use crate::dataset::mcap::{bag_files, survey};
+use crate::dataset::{fps, video, zarr};
+use crate::error::Result;
+
+/// Runs the command.
+pub fn run(paths: &[PathBuf], json: bool) -> anyhow::Result<ExitCode> {
+    let mut infos = Vec::new();
+    for path in paths {
+        infos.extend(of(path)?);
+    }
+    match (json, infos.as_slice()) {
+        (true, [one]) => println!("{one:#}"),
+        (true, _) => println!("{:#}", Value::Array(infos)),
+        (false, _) => infos.iter().for_each(|info| println!("{}", text(info))),
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn of(path: &Path) -> Result<Vec<Value>> {
+    let kind = Kind::of(path);
+    let mut info = match kind {
+        None | Some(Kind::Store) => {
+            return zarr::open_all(&[path.to_path_buf()])?.iter().map(store_info::info).collect();
+        }
+        Some(Kind::Bag) => bag(path)?,
+        Some(Kind::LeRobot) => {
+            let dataset = LeRobot::open(path)?;
+            let frames: usize = dataset.episodes.iter().map(|episode| episode.length).sum();
+            let features = dataset.info["features"].as_object().into_iter().flatten();
+            let features: Map<String, Value> = features
+                .map(|(name, feature)| (name.clone(), json!({ "dtype": feature["dtype"], "shape": feature["shape"] })))
+                .collect();
+            json!({
+                "kind": "lerobot",
+                "frames": frames,
+                "episodes": dataset.episodes.len(),
+                "fps": dataset.fps,
+                "features": features,
+            })
+        }
+        Some(Kind::Video) => {
+            let video::Video { size: (width, height), fps, frames, codec } = video::probe(path)?;
+            json!({ "kind": "video", "frames": frames, "fps": fps, "image": { "width": width, "height": height }, "codec": codec })
+        }
+        Some(Kind::Images) => {
+            let files = image_files(path)?;
+            json!({ "kind": "images", "frames": files.len(), "first": files.first(), "last": files.last() })
+        }
+        Some(Kind::Tensors) => {
+            let labels = Labelled::read(path)?;
+            json!({
+                "kind": "tensors",
+                "frames": labels.len(),
+                "episodes": labels.episode_ends.len(),
+                "fps": fps(&labels.timestamps),
+                "topology": labels.topology,
+            })
+        }
+    };
+    info["path"] = path.display().to_string().into();
+    let about = kind.and_then(|kind| kind.about(path));
+    info["labels"] = about.map_or(Value::Null, |about| json!(about));
+    Ok(vec![info])
+}
+
+fn bag(path: &Path) -> Result<Value> {
+    let (mut topics, mut files, mut span) = (Map::new(), Vec::new(), None::<(u64, u64)>);
+    for file in bag_files(path)? {
+        let survey = survey(&file)?;
+        for topic in survey.topics.values() {
+            let before = topics.get(&topic.name).and_then(|topic| topic["messages"].as_u64()).unwrap_or(0);
+            topics.insert(topic.name.clone(), json!({ "type": topic.type_name, "messages": before + topic.messages }));
+        }
+        files.push(json!({
+            "file": file.file_name().unwrap_or_default().to_string_lossy(),
+            "messages": survey.messages(),
+            "chunked": survey.chunked,
+            "summary": survey.from_summary,
+        }));
+        if let Some((start, end)) = survey.times {
+            let (first, last) = span.unwrap_or((start, end));
+            span = Some((first.min(start), last.max(end)));
+        }
+    }
+    let seconds = span.map(|(start, end)| (end - start) as f64 * 1e-9);
+    Ok(json!({ "kind": "bag", "seconds": seconds, "start_ns": span.map(|span| span.0), "topics": topics, "files": files }))
+}
+
+fn text(info: &Value) -> String {
+    if info["kind"] == "store" {
+        return store_info::text(info);
+    }
+    let mut text = format!("{}\n  {}", info["path"].as_str().unwrap_or_default(), info["kind"].as_str().unwrap_or_default());
+    let part = |name: &str, unit: &str| match &info[name] {
+        Value::Null => String::new(),
+        Value::Number(number) => {
+            let number = number.as_f64().unwrap_or_default();
+            if number.fract() == 0.0 { format!(", {number} {unit}") } else { format!(", {number:.2} {unit}") }
+        }
+        value => format!(", {unit} {}", value.to_string().trim_matches('"')),
+    };
+    text += &[("frames", "frames"), ("episodes", "episodes"), ("fps", "fps"), ("seconds", "seconds")].map(|(n, u)| part(n, u)).concat();
+    text += &[("codec", "codec"), ("topology", "topology")].map(|(name, unit)| part(name, unit)).concat();
+    if let Some(image) = info["image"].as_object() {
+        text += &format!(", {} x {} pixels", image["width"], image["height"]);
+    }
+    for (name, feature) in info["features"].as_object().into_iter().flatten() {
+        text += &format!("\n  {name}: {} {}", feature["dtype"].as_str().unwrap_or_default(), feature["shape"]);
+    }
+    for (topic, about) in info["topics"].as_object().into_iter().flatten() {
+        text += &format!("\n  {topic}: {} messages of {}", about["messages"], about["type"].as_str().unwrap_or_default());
+    }
+    for file in info["files"].as_array().into_iter().flatten() {
+        let cut = if file["summary"] == true { "" } else { "; it has no summary, as if its recording was cut off" };
+        text += &format!("\n  {}: {} messages{cut}", file["file"].as_str().unwrap_or_default(), file["messages"]);
+    }
+    if let Ok(About { provenance, summary }) = serde_json::from_value(info["labels"].clone()) {
+        let id = provenance.model_id();
+        text += &format!("\n  labels: {id} on {}, by {} {}", provenance.topology.id(), provenance.producer, provenance.version);
+        text += &format!("\n  {}", summary.text().replace('\n', "\n  "));
+    }
+    text
+}

@@ -1,0 +1,103 @@
+//! What a store says about itself.
+
+use serde_json::{Value, json};
+
+use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader};
+use crate::dataset::{EpisodeReader, fps};
+use crate::error::Result;
+use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
+use crate::train::batch::read_labels;
+
+/// Attributes, arrays, episodes, and how much touch there is.
+pub fn info(store: &ZarrReader) -> Result<Value> {
+    const BLOCK: usize = 256;
+    let timestamps = store.read(TIMESTAMPS, 0..store.len())?.into_f64();
+    let (mut touched, mut active, mut supervised, mut largest, mut sum) = (0u64, 0u64, 0u64, 0f32, 0f64);
+    for start in (0..store.len()).step_by(BLOCK) {
+        let labels = read_labels(store, start..(start + BLOCK).min(store.len()))?;
+        for (force, mask) in labels.force.chunks_exact(N_FIELD).zip(labels.mask_force.chunks_exact(N_FIELD)) {
+            let known = || force.iter().zip(mask).filter(|(_, mask)| **mask == 1).map(|(force, _)| *force);
+            let in_contact = known().filter(|force| *force > CONTACT_FORCE_N).count() as u64;
+            touched += u64::from(in_contact > 0);
+            active += in_contact;
+            supervised += known().count() as u64;
+            largest = known().fold(largest, f32::max);
+            sum += known().map(f64::from).sum::<f64>();
+        }
+    }
+    let mut refused = serde_json::Map::new();
+    if store.has(zarr::FRAME_VALIDITY) {
+        for code in store.read_u8(zarr::FRAME_VALIDITY, 0..store.len())?.into_iter().filter(|code| *code != 0) {
+            let reason = Validity::ALL.get(usize::from(code)).map_or("unknown code", |validity| validity.reason());
+            let count = refused.get(reason).and_then(Value::as_u64).unwrap_or(0);
+            refused.insert(reason.into(), (count + 1).into());
+        }
+    }
+    let arrays: Vec<Value> = store
+        .arrays()
+        .into_iter()
+        .map(|a| json!({"name": a.name, "shape": a.shape, "dtype": a.dtype, "chunks": a.chunks}))
+        .collect();
+    let ends = store.episode_ends();
+    Ok(json!({
+        "path": store.path().display().to_string(),
+        "kind": "store",
+        "attributes": store.raw_attributes(),
+        "episodes": ends.len(),
+        "frames": store.len(),
+        "fps": fps(&timestamps),
+        "image": {"height": store.image_size().0, "width": store.image_size().1},
+        "frames_refused": refused,
+        "supervised_entries": supervised,
+        "active_entries": active,
+        "frames_in_contact": touched,
+        "max_force": largest,
+        "mean_total_force": sum / store.len().max(1) as f64,
+        "arrays": arrays,
+    }))
+}
+
+/// The same in words.
+pub fn text(info: &Value) -> String {
+    let share = |part: &str, whole: &str| {
+        100.0 * info[part].as_f64().unwrap_or(0.0) / info[whole].as_f64().unwrap_or(0.0).max(1.0)
+    };
+    let mut text = format!(
+        "{}\n  {} frames in {} episodes, {} fps, {} x {} pixels",
+        info["path"].as_str().unwrap_or_default(),
+        info["frames"],
+        info["episodes"],
+        info["fps"].as_f64().map_or("unknown".into(), |fps| format!("{fps:.1}")),
+        info["image"]["width"],
+        info["image"]["height"]
+    );
+    text += &format!(
+        "\n  {:.1} % of the frames and {:.2} % of the supervised entries in contact; largest force {:.3} N, mean total \
+         force {:.3} N",
+        share("frames_in_contact", "frames"),
+        share("active_entries", "supervised_entries"),
+        info["max_force"].as_f64().unwrap_or(0.0),
+        info["mean_total_force"].as_f64().unwrap_or(0.0)
+    );
+    for (reason, count) in info["frames_refused"].as_object().into_iter().flatten() {
+        text += &format!("\n  {count} frames refused: {reason}");
+    }
+    for (name, value) in info["attributes"].as_object().into_iter().flatten() {
+        text += &format!("\n  {name}: {}", shortened(&value.to_string()));
+    }
+    for array in info["arrays"].as_array().into_iter().flatten() {
+        let name = array["name"].as_str().unwrap_or_default();
+        let dtype = array["dtype"].as_str().unwrap_or_default();
+        text += &format!("\n  {name:28} {dtype:4} {} in chunks of {}", array["shape"], array["chunks"]);
+    }
+    text
+}
+
+/// The beginning of a long text.
+pub fn shortened(text: &str) -> String {
+    const LONGEST: usize = 100;
+    match text.char_indices().nth(LONGEST) {
+        Some((end, _)) => format!("{} ... ({} characters; --json shows all)", &text[..end], text.chars().count()),
+        None => text.to_string(),
+    }
+}

@@ -1,0 +1,295 @@
+//! LeRobot data sets of version 3: rows in Parquet, images in videos or in the rows.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use arrow_array::cast::AsArray;
+use arrow_array::types::{Float32Type, Float64Type, Int32Type, Int64Type};
+use arrow_array::{Array, RecordBatch};
+use arrow_schema::DataType;
+use parquet::arrow::ProjectionMask;
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use serde_json::Value;
+
+use crate::error::{Error, Result};
+
+/// Rows read at a time where they hold images.
+const BATCH: usize = 16;
+
+/// What `meta/` says about a data set.
+#[derive(Debug, Clone)]
+pub struct LeRobot {
+    /// Its folder.
+    pub root: PathBuf,
+    /// `meta/info.json`.
+    pub info: Value,
+    /// Frames per second.
+    pub fps: f64,
+    /// Its episodes in order.
+    pub episodes: Vec<Episode>,
+}
+
+/// One episode.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Episode {
+    /// `episode_index`.
+    pub index: i64,
+    /// Frames.
+    pub length: usize,
+    /// Chunk and file of its rows.
+    pub data: (i64, i64),
+    /// `index` of its first frame over the whole data set.
+    pub start: i64,
+    /// By key of the camera: chunk and file of its video, and where in that it begins, s.
+    pub videos: BTreeMap<String, (i64, i64, f64)>,
+}
+
+/// Where the images of a camera lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Camera {
+    /// In video files.
+    Video,
+    /// In the rows, as PNG or JPEG files.
+    Rows,
+}
+
+/// A row with its image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Row {
+    /// `timestamp`: s since the episode's start.
+    pub timestamp: f64,
+    /// The image's file, if images lie in the rows; None where the row has none.
+    pub image: Option<Vec<u8>>,
+}
+
+impl LeRobot {
+    /// Opens the data set in the folder `root`.
+    ///
+    /// # Errors
+    /// If it can't be read, or is of another version.
+    pub fn open(root: &Path) -> Result<Self> {
+        let path = root.join("meta/info.json");
+        let text = std::fs::read_to_string(&path).map_err(Error::io(&path))?;
+        let info: Value = serde_json::from_str(&text).map_err(|e| Error::file(&path, e))?;
+        let version = info["codebase_version"].as_str().unwrap_or_default();
+        if !version.starts_with("v3.") {
+            let advice = "convert it with lerobot's convert_dataset_v21_to_v30";
+            return Err(Error::file(&path, format!("expected codebase_version v3, got {version:?}; {advice}")));
+        }
+        let fps = info["fps"].as_f64().filter(|fps| *fps > 0.0);
+        let fps = fps.ok_or_else(|| Error::file(&path, format!("expected fps above 0, got {}", info["fps"])))?;
+        let mut dataset = Self { root: root.to_path_buf(), info, fps, episodes: Vec::new() };
+        for file in dataset.episode_files()? {
+            dataset.read_episodes(&file)?;
+        }
+        dataset.episodes.sort_by_key(|episode| episode.index);
+        if dataset.episodes.is_empty() {
+            return Err(Error::file(root, "has no episode"));
+        }
+        Ok(dataset)
+    }
+
+    /// Cameras by their keys, as `features` names them.
+    pub fn cameras(&self) -> BTreeMap<String, Camera> {
+        let features = self.info["features"].as_object().into_iter().flatten();
+        let camera = |(name, feature): (&String, &Value)| match feature["dtype"].as_str() {
+            Some("video") => Some((name.clone(), Camera::Video)),
+            Some("image") => Some((name.clone(), Camera::Rows)),
+            _ => None,
+        };
+        features.filter_map(camera).collect()
+    }
+
+    /// The Parquet files of `meta/episodes`, in order.
+    ///
+    /// # Errors
+    /// If the folder can't be read.
+    pub fn episode_files(&self) -> Result<Vec<PathBuf>> {
+        parquet_files(&self.root.join("meta/episodes"))
+    }
+
+    /// The Parquet files of the rows, in order.
+    ///
+    /// # Errors
+    /// If the folder can't be read.
+    pub fn data_files(&self) -> Result<Vec<PathBuf>> {
+        parquet_files(&self.root.join("data"))
+    }
+
+    /// The file of rows of a chunk and number.
+    pub fn data_file(&self, (chunk, file): (i64, i64)) -> PathBuf {
+        let pattern = self.info["data_path"].as_str();
+        self.root.join(filled(pattern.unwrap_or("data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"), chunk, file))
+    }
+
+    /// The video file of a camera, and where in it an episode begins, s.
+    pub fn video_file(&self, camera: &str, episode: &Episode) -> Option<(PathBuf, f64)> {
+        let (chunk, file, start) = *episode.videos.get(camera)?;
+        let pattern = self.info["video_path"].as_str();
+        let pattern = pattern.unwrap_or("videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4");
+        Some((self.root.join(filled(&pattern.replace("{video_key}", camera), chunk, file)), start))
+    }
+
+    /// The rows of an episode from number `from` on, with the images of `camera` if they lie in the rows.
+    ///
+    /// # Errors
+    /// If the file can't be opened, or lacks a column.
+    pub fn rows(&self, episode: &Episode, camera: Option<&str>, from: usize) -> Result<impl Iterator<Item = Result<Row>> + use<>> {
+        let path = self.data_file(episode.data);
+        let in_file = self.episodes.iter().filter(|other| other.data == episode.data);
+        let first = in_file.map(|other| other.start).min().unwrap_or(episode.start);
+        let builder = reader(&path)?;
+        let wanted: Vec<&str> = ["timestamp"].into_iter().chain(camera).collect();
+        for name in &wanted {
+            if builder.schema().field_with_name(name).is_err() {
+                let present = builder.schema().fields().iter().map(|field| field.name().clone()).collect::<Vec<_>>();
+                let (name, place) = ((*name).to_string(), path.display().to_string());
+                return Err(Error::Missing { name, place, present: present.join(", ") });
+            }
+        }
+        let mask = ProjectionMask::columns(builder.parquet_schema(), wanted);
+        let from = from.min(episode.length);
+        let batches = builder
+            .with_projection(mask)
+            .with_batch_size(BATCH)
+            .with_offset((episode.start - first).max(0) as usize + from)
+            .with_limit(episode.length - from)
+            .build()
+            .map_err(|e| Error::file(&path, e))?;
+        let camera = camera.map(str::to_string);
+        Ok(batches.flat_map(move |batch| {
+            let rows = batch.map_err(|e| Error::file(&path, e)).and_then(|batch| rows_of(&batch, camera.as_deref(), &path));
+            match rows {
+                Ok(rows) => rows.into_iter().map(Ok).collect::<Vec<_>>(),
+                Err(error) => vec![Err(error)],
+            }
+        }))
+    }
+
+    fn read_episodes(&mut self, path: &Path) -> Result<()> {
+        let builder = reader(path)?;
+        // Statistics are most of the file, and of no use here.
+        let names: Vec<String> = builder.schema().fields().iter().map(|field| field.name().clone()).collect();
+        let wanted = names.iter().filter(|name| !name.starts_with("stats/") && *name != "tasks").map(String::as_str);
+        let mask = ProjectionMask::columns(builder.parquet_schema(), wanted);
+        let cameras = self.cameras();
+        for batch in builder.with_projection(mask).build().map_err(|e| Error::file(path, e))? {
+            let batch = batch.map_err(|e| Error::file(path, e))?;
+            let number = |name: &str| numbers(&batch, name, path);
+            let [index, length, chunk, file, start] =
+                ["episode_index", "length", "data/chunk_index", "data/file_index", "dataset_from_index"].map(number);
+            let (index, length, chunk, file, start) = (index?, length?, chunk?, file?, start?);
+            let mut videos = Vec::new();
+            for (key, _) in cameras.iter().filter(|(_, camera)| **camera == Camera::Video) {
+                let part = |part: &str| number(&format!("videos/{key}/{part}"));
+                videos.push((key, part("chunk_index")?, part("file_index")?, part("from_timestamp")?));
+            }
+            for row in 0..batch.num_rows() {
+                let video = |(key, chunk, file, start): &(&String, Vec<f64>, Vec<f64>, Vec<f64>)| {
+                    ((*key).clone(), (chunk[row] as i64, file[row] as i64, start[row]))
+                };
+                self.episodes.push(Episode {
+                    index: index[row] as i64,
+                    length: length[row] as usize,
+                    data: (chunk[row] as i64, file[row] as i64),
+                    start: start[row] as i64,
+                    videos: videos.iter().map(video).collect(),
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Opens a Parquet file.
+///
+/// # Errors
+/// If it can't be read or is none.
+pub fn reader(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
+    let file = File::open(path).map_err(Error::io(path))?;
+    ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| Error::file(path, e))
+}
+
+/// A column of numbers, whatever their type.
+///
+/// # Errors
+/// If it is missing, of another type, or has gaps.
+pub fn numbers(batch: &RecordBatch, name: &str, path: &Path) -> Result<Vec<f64>> {
+    let schema = batch.schema();
+    let present = || schema.fields().iter().map(|field| field.name().clone()).collect::<Vec<_>>().join(", ");
+    let column = batch.column_by_name(name).ok_or_else(|| Error::Missing {
+        name: name.to_string(),
+        place: path.display().to_string(),
+        present: present(),
+    })?;
+    let values: Vec<f64> = match column.data_type() {
+        DataType::Int64 => column.as_primitive::<Int64Type>().values().iter().map(|n| *n as f64).collect(),
+        DataType::Int32 => column.as_primitive::<Int32Type>().values().iter().map(|n| f64::from(*n)).collect(),
+        DataType::Float32 => column.as_primitive::<Float32Type>().values().iter().map(|n| f64::from(*n)).collect(),
+        DataType::Float64 => column.as_primitive::<Float64Type>().values().to_vec(),
+        other => return Err(Error::file(path, format!("{name}: expected numbers, got {other}"))),
+    };
+    match column.null_count() {
+        0 => Ok(values),
+        gaps => Err(Error::file(path, format!("{name}: {gaps} values are missing"))),
+    }
+}
+
+/// Time stamps and image files of a batch of rows.
+fn rows_of(batch: &RecordBatch, camera: Option<&str>, path: &Path) -> Result<Vec<Row>> {
+    let timestamps = numbers(batch, "timestamp", path)?;
+    let mut rows: Vec<Row> = timestamps.into_iter().map(|timestamp| Row { timestamp, image: None }).collect();
+    let Some(column) = camera.and_then(|camera| batch.column_by_name(camera)) else { return Ok(rows) };
+    let bytes = column.as_struct_opt().and_then(|image| image.column_by_name("bytes"));
+    let Some(bytes) = bytes else {
+        let name = camera.unwrap_or_default();
+        return Err(Error::file(path, format!("{name}: expected structs with the image's bytes, got {}", column.data_type())));
+    };
+    for (index, row) in rows.iter_mut().enumerate().filter(|(index, _)| bytes.is_valid(*index)) {
+        row.image = match bytes.data_type() {
+            DataType::Binary => Some(bytes.as_binary::<i32>().value(index).to_vec()),
+            DataType::LargeBinary => Some(bytes.as_binary::<i64>().value(index).to_vec()),
+            _ => None,
+        };
+    }
+    Ok(rows)
+}
+
+/// The Parquet files below `folder`, by name.
+fn parquet_files(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for chunk in std::fs::read_dir(folder).map_err(Error::io(folder))?.flatten().filter(|entry| entry.path().is_dir()) {
+        let chunk = chunk.path();
+        for file in std::fs::read_dir(&chunk).map_err(Error::io(&chunk))?.flatten() {
+            files.push(file.path());
+        }
+    }
+    files.retain(|file| file.extension().is_some_and(|extension| extension == "parquet"));
+    files.sort();
+    Ok(files)
+}
+
+/// A pattern of `info.json` with its numbers: `{chunk_index:03d}` and `{file_index:03d}`.
+fn filled(pattern: &str, chunk: i64, file: i64) -> String {
+    let put = |text: String, name: &str, number: i64| {
+        let Some((before, rest)) = text.split_once(&format!("{{{name}")) else { return text };
+        let Some((format, after)) = rest.split_once('}') else { return text.clone() };
+        let width: usize = format.trim_start_matches(":0").trim_end_matches('d').parse().unwrap_or(0);
+        format!("{before}{number:0width$}{after}")
+    };
+    put(put(pattern.to_string(), "chunk_index", chunk), "file_index", file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patterns_are_filled_as_python_does() {
+        let pattern = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet";
+        assert_eq!(filled(pattern, 0, 12), "data/chunk-000/file-012.parquet");
+        assert_eq!(filled(pattern, 1234, 5), "data/chunk-1234/file-005.parquet");
+        assert_eq!(filled("{chunk_index}/{file_index:06d}", 7, 8), "7/000008");
+    }
+}

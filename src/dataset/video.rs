@@ -1,0 +1,266 @@
+//! Frames of video files, decoded by the program ffmpeg.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+
+use ::image::RgbImage;
+use serde_json::Value;
+
+use crate::error::{Error, Result};
+use crate::image::MAX_SIDE;
+
+/// Extensions by which video files are known.
+pub const EXTENSIONS: [&str; 8] = ["mp4", "mkv", "mov", "avi", "webm", "m4v", "mpg", "mpeg"];
+/// Error messages of ffprobe that are told.
+const KEPT_ERRORS: usize = 3;
+
+/// What a video file says about its first video stream.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Video {
+    /// Columns and rows, before any rotation.
+    pub size: (u32, u32),
+    /// Frames per second, on average; None = it does not say.
+    pub fps: Option<f64>,
+    /// Frames, as far as it says.
+    pub frames: Option<usize>,
+    /// Codec, for instance `h264`.
+    pub codec: String,
+}
+
+/// What is left of a file whose end is missing or damaged.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Damage {
+    /// Where the last whole packet ends, bytes.
+    pub offset: u64,
+    /// What the demultiplexer said.
+    pub reason: String,
+}
+
+/// Asks ffprobe about the file at `path`.
+///
+/// # Errors
+/// If ffprobe is not installed, or finds no video.
+pub fn probe(path: &Path) -> Result<Video> {
+    let entries = "stream=width,height,codec_name,avg_frame_rate,r_frame_rate,nb_frames";
+    let (json, errors) = ffprobe(path, &["-show_entries", entries])?;
+    let stream = &json["streams"][0];
+    let side = |name: &str| stream[name].as_u64().and_then(|n| u32::try_from(n).ok()).filter(|n| *n > 0);
+    let (Some(width), Some(height)) = (side("width"), side("height")) else {
+        let reason = if errors.is_empty() { "ffprobe finds no video in it".into() } else { errors.join("; ") };
+        return Err(Error::file(path, reason));
+    };
+    let rate = |name: &str| {
+        let (over, under) = stream[name].as_str()?.split_once('/')?;
+        let fps = over.parse::<f64>().ok()? / under.parse::<f64>().ok()?;
+        (fps.is_finite() && fps > 0.0).then_some(fps)
+    };
+    Ok(Video {
+        size: (width, height),
+        fps: rate("avg_frame_rate").or_else(|| rate("r_frame_rate")),
+        frames: stream["nb_frames"].as_str().and_then(|n| n.parse().ok()),
+        codec: stream["codec_name"].as_str().unwrap_or_default().to_string(),
+    })
+}
+
+/// Looks through all packets of the file, without decoding them, for damage. `decoded` is the number of frames that could
+/// be decoded.
+///
+/// # Errors
+/// If ffprobe is not installed.
+pub fn damage(path: &Path, decoded: usize) -> Result<Option<Damage>> {
+    let promised = probe(path)?.frames.unwrap_or(0);
+    let (json, errors) = ffprobe(path, &["-show_entries", "packet=pos,size"])?;
+    let packets = json["packets"].as_array().map_or(&[][..], Vec::as_slice);
+    let expected = promised.max(packets.len());
+    if errors.is_empty() && decoded >= expected {
+        return Ok(None);
+    }
+    let number = |packet: &Value, name: &str| packet[name].as_str().and_then(|n| n.parse::<u64>().ok());
+    let ends = packets.iter().filter_map(|packet| Some(number(packet, "pos")? + number(packet, "size")?));
+    let counts = format!("{decoded} of {expected} images could be decoded");
+    let reason = [vec![counts], errors].concat().join("; ");
+    Ok(Some(Damage { offset: ends.max().unwrap_or(0), reason }))
+}
+
+fn ffprobe(path: &Path, arguments: &[&str]) -> Result<(Value, Vec<String>)> {
+    let mut command = Command::new("ffprobe");
+    command.args(["-v", "error", "-select_streams", "v:0", "-of", "json"]).args(arguments).arg(url(path));
+    let output = command.stdin(Stdio::null()).output().map_err(|error| not_installed("ffprobe", path, &error))?;
+    let mut errors: Vec<String> = String::from_utf8_lossy(&output.stderr).lines().map(without_tags).collect();
+    errors.truncate(KEPT_ERRORS);
+    Ok((serde_json::from_slice(&output.stdout).unwrap_or(Value::Null), errors))
+}
+
+/// Frames of a video in the order they are shown, with their times.
+#[derive(Debug)]
+pub struct Frames {
+    path: PathBuf,
+    process: Child,
+    pixels: BufReader<ChildStdout>,
+    stamps: Receiver<f64>,
+    done: bool,
+}
+
+impl Frames {
+    /// Decodes the file at `path` from `start` seconds on: frames shown earlier are left out, the times of those that come
+    /// are the file's own. None = all frames.
+    ///
+    /// # Errors
+    /// If ffmpeg is not installed.
+    pub fn open(path: &Path, start: Option<f64>) -> Result<Self> {
+        let mut command = Command::new("ffmpeg");
+        command.args(["-nostdin", "-hide_banner", "-nostats", "-loglevel", "level+info"]);
+        if let Some(start) = start {
+            // Seeks to the key frame before it and leaves out what comes before.
+            command.args(["-ss", &format!("{start:.6}")]);
+        }
+        command.arg("-copyts").arg("-i").arg(url(path)).args(["-map", "0:v:0", "-vf", "showinfo=checksum=0"]);
+        // Each frame once: none repeated or dropped for the sake of an even rate.
+        command.args([if has_fps_mode() { "-fps_mode" } else { "-vsync" }, "passthrough"]);
+        command.args(["-f", "image2pipe", "-c:v", "ppm", "-"]);
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut process = command.spawn().map_err(|error| not_installed("ffmpeg", path, &error))?;
+        let (Some(pixels), Some(words)) = (process.stdout.take(), process.stderr.take()) else {
+            return Err(Error::file(path, "ffmpeg's output can't be read"));
+        };
+        let (to_frames, stamps) = channel();
+        std::thread::spawn(move || {
+            let mut time_base = None;
+            for line in BufReader::new(words).split(b'\n').map_while(std::result::Result::ok) {
+                let line = String::from_utf8_lossy(&line);
+                if let Some(base) = after(&line, "config in time_base:").and_then(fraction) {
+                    time_base = Some(base);
+                }
+                if let Some(stamp) = stamp(&line, time_base)
+                    && to_frames.send(stamp).is_err()
+                {
+                    return;
+                }
+            }
+        });
+        let pixels = BufReader::with_capacity(1 << 20, pixels);
+        Ok(Self { path: path.to_path_buf(), process, pixels, stamps, done: false })
+    }
+
+    fn read(&mut self) -> Result<Option<(f64, RgbImage)>> {
+        let Some(image) = read_ppm(&mut self.pixels).map_err(Error::io(&self.path))? else { return Ok(None) };
+        let stamp = self.stamps.recv().map_err(|_| Error::file(&self.path, "ffmpeg gave a frame without a time"))?;
+        Ok(Some((stamp, image)))
+    }
+}
+
+impl Iterator for Frames {
+    type Item = Result<(f64, RgbImage)>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.done {
+            return None;
+        }
+        let frame = self.read().transpose();
+        self.done = !matches!(frame, Some(Ok(_)));
+        frame
+    }
+}
+
+impl Drop for Frames {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// Time of the frame that a line of the filter `showinfo` tells of, s; NaN if the frame has none.
+fn stamp(line: &str, time_base: Option<f64>) -> Option<f64> {
+    if !line.contains("showinfo") || after(line, " n:").is_none() {
+        return None;
+    }
+    let pts = after(line, " pts:")?.split_whitespace().next()?;
+    // The time in seconds that stands beside it has six digits only: too few after an hour.
+    match (pts.parse::<i64>(), time_base) {
+        (Ok(pts), Some(base)) => Some(pts as f64 * base),
+        _ => Some(f64::NAN),
+    }
+}
+
+fn after<'a>(line: &'a str, mark: &str) -> Option<&'a str> {
+    line.find(mark).map(|at| line[at + mark.len()..].trim_start())
+}
+
+fn fraction(text: &str) -> Option<f64> {
+    let (over, rest) = text.split_once('/')?;
+    let under: String = rest.chars().take_while(char::is_ascii_digit).collect();
+    Some(over.parse::<f64>().ok()? / under.parse::<f64>().ok()?)
+}
+
+/// The next image of a stream of binary PPM files; None at its end.
+fn read_ppm(reader: &mut impl BufRead) -> std::io::Result<Option<RgbImage>> {
+    let invalid = |what: &str| std::io::Error::new(std::io::ErrorKind::InvalidData, format!("ffmpeg's output: {what}"));
+    let mut head = Vec::new();
+    // Three lines: kind, columns and rows, largest value.
+    for _ in 0..3 {
+        if reader.by_ref().take(64).read_until(b'\n', &mut head)? == 0 {
+            return if head.is_empty() { Ok(None) } else { Err(invalid("an image that is cut off")) };
+        }
+    }
+    let head = String::from_utf8_lossy(&head);
+    let words: Vec<&str> = head.split_whitespace().collect();
+    let ["P6", width, height, "255"] = words[..] else { return Err(invalid("no image")) };
+    let side = |text: &str| text.parse::<u32>().ok().filter(|side| (1..=MAX_SIDE).contains(side));
+    let (Some(width), Some(height)) = (side(width), side(height)) else { return Err(invalid("an image's size")) };
+    let mut pixels = vec![0; width as usize * height as usize * 3];
+    reader.read_exact(&mut pixels)?;
+    Ok(RgbImage::from_raw(width, height, pixels))
+}
+
+/// The file as ffmpeg takes it whatever its name looks like.
+fn url(path: &Path) -> std::ffi::OsString {
+    let mut url = std::ffi::OsString::from("file:");
+    url.push(path);
+    url
+}
+
+fn without_tags(line: &str) -> String {
+    // `[mov,mp4 @ 0x55d0] moov atom not found`: the address says nothing, and differs from run to run.
+    line.split_once("] ").map_or(line, |(_, rest)| rest).to_string()
+}
+
+fn not_installed(program: &str, path: &Path, error: &std::io::Error) -> Error {
+    Error::file(path, format!("{program}, which reads videos, can't be run ({error}); install the package ffmpeg"))
+}
+
+/// Whether ffmpeg knows the option that later versions want: from 5.1 on.
+fn has_fps_mode() -> bool {
+    let Ok(output) = Command::new("ffmpeg").arg("-version").stdin(Stdio::null()).output() else { return true };
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let version = text.split_whitespace().nth(2).unwrap_or_default();
+    let mut numbers = version.split(|c: char| !c.is_ascii_digit()).map(str::parse::<u32>);
+    // A version that is no number is a recent build from source.
+    !matches!((numbers.next(), numbers.next()), (Some(Ok(major)), Some(Ok(minor))) if (major, minor) < (5, 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_of_showinfo_give_exact_times() {
+        let line = "[Parsed_showinfo_0 @ 0x5581] [info] n:   7 pts: 123456 pts_time:1.37173 pos:   4000 fmt:yuv420p";
+        assert_eq!(stamp(line, Some(1.0 / 90_000.0)), Some(123_456.0 / 90_000.0));
+        assert!(stamp("[Parsed_showinfo_0 @ 0x5581] [info] n:   7 pts: NOPTS pts_time:NOPTS", Some(0.5)).unwrap().is_nan());
+        assert_eq!(stamp("[info] Stream #0:0: Video: h264, 25 fps", Some(0.5)), None);
+        let config = "[Parsed_showinfo_0 @ 0x55] [info] config in time_base: 1/12800, frame_rate: 25/1";
+        assert_eq!(after(config, "config in time_base:").and_then(fraction), Some(1.0 / 12_800.0));
+    }
+
+    #[test]
+    fn images_come_one_after_the_other_and_a_cut_one_is_an_error() {
+        let bytes = b"P6\n2 1\n255\nabcdefP6\n1 1\n255\nghiP6\n1 ";
+        let mut reader = &bytes[..];
+        assert_eq!(read_ppm(&mut reader).unwrap().unwrap().into_raw(), b"abcdef");
+        assert_eq!(read_ppm(&mut reader).unwrap().unwrap().into_raw(), b"ghi");
+        assert!(read_ppm(&mut reader).is_err());
+    }
+}
