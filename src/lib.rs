@@ -33,6 +33,7 @@
 //! | `mujoco`, `sim` | physics; scenes whose touch is known (feature `sim`) |
 //! | [`train`] | from stores to a checkpoint |
 //! | [`annotate`] | labels for recordings, in their own formats |
+//! | [`report`] | a page about labels |
 //! | [`verify`] | labels and predictions against simulated truth |
 //! | [`mod@bench`] | what accuracy costs, what breaks |
 //! | [`experiment`] | several trainings, compared |
@@ -64,6 +65,7 @@ pub mod mujoco;
 #[cfg(feature = "ros")]
 pub mod node;
 pub mod render;
+pub mod report;
 #[cfg(feature = "sim")]
 pub mod sim;
 pub mod tactile;

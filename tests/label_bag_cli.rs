@@ -428,3 +428,12 @@ with AnyReader([Path(sys.argv[1])]) as reader:
     }
     assert_eq!(lines.lines().count(), 12);
 }
+
+#[test]
+fn a_bag_that_rosbags_wrote_is_labelled() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    summary(&label(Path::new("tests/data/bag/table"), &out, &[]), 0);
+    assert_eq!(indexed(&out.join("table.mcap"))["/predictor/tactile"], 15);
+    assert_eq!(read(&out.join("table.mcap")).original, read(Path::new("tests/data/bag/table/table.mcap")).original);
+}

@@ -155,6 +155,9 @@ fn a_folder_of_recordings_is_labelled_one_by_one() {
     let (input, out) = (at("all").to_str().unwrap().to_string(), at("out"));
     let done = json(&["label", &input, "--out", out.to_str().unwrap(), "--json", "-"], 0);
     assert_eq!(done["summary"]["labelled"], 3 + 2 + 24);
+    let manifest: Value = serde_json::from_str(&fs::read_to_string(out.join("manifest.json")).unwrap()).unwrap();
+    assert_eq!((&manifest["summary"]["frames"], &manifest["missing"]), (&29.into(), &serde_json::json!([])));
+    assert_eq!(manifest["outputs"][3]["output"], "wall.zarr");
     for (name, frames) in [("table.zarr", 3), ("wall.zarr", 2), ("many/batch_000.zarr", 12), ("many/batch_001.zarr", 12)] {
         assert_eq!(ZarrReader::open(&out.join(name)).unwrap().len(), frames, "{name}");
     }

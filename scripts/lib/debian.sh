@@ -1,5 +1,5 @@
 # shellcheck shell=bash
-# What only the system's package manager can bring: EGL with a software renderer, and what Debian splits off from
+# What only the system's package manager can bring: EGL with a software renderer, ffmpeg, and what Debian splits off from
 # Python and the compiler. Source it after common.sh.
 
 # True if EGL and at least one vendor's driver for it are installed.
@@ -20,6 +20,10 @@ missing_debian_packages() { # PYTHON
     fi
     command -v c++ >/dev/null || command -v g++ >/dev/null || echo g++
     command -v make >/dev/null || echo make
+    # Reads videos.
+    if ! command -v ffmpeg >/dev/null || ! command -v ffprobe >/dev/null; then
+        echo ffmpeg
+    fi
     "$1" - <<'PYTHON'
 import importlib.util, os, sys, sysconfig
 version = "python%d.%d" % sys.version_info[:2]

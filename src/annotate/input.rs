@@ -168,6 +168,30 @@ pub fn items(input: &Path, out: &Path, choices: &Choices) -> Result<Vec<Item>> {
     Ok(items)
 }
 
+/// The images of the labelled data set at `path`, in the order of its labels; None where it has none, or they can't be
+/// found.
+pub fn images_of(path: &Path, about: Option<&About>) -> Option<Arc<dyn Source>> {
+    let noted = |what: &str| about?.provenance.source.iter().find_map(|line| line.strip_prefix(what).map(str::to_string));
+    let camera = noted("images ");
+    match Kind::of(path)? {
+        Kind::Store => {
+            let place = Place::only(path).ok()?;
+            let named = Store::open(&place, camera.as_deref(), None);
+            // A store made from another format has its images under the usual name.
+            Some(Arc::new(named.or_else(|_| Store::open(&place, None, None)).ok()?))
+        }
+        Kind::Bag => {
+            let named = Bag::open(path, camera.as_deref(), "");
+            Some(Arc::new(named.or_else(|_| Bag::open(path, None, "")).ok()?))
+        }
+        Kind::LeRobot => {
+            let named = LeRobotDataset::open(path, camera.as_deref(), "images only");
+            Some(Arc::new(named.or_else(|_| LeRobotDataset::open(path, None, "images only")).ok()?))
+        }
+        Kind::Video | Kind::Images | Kind::Tensors => None,
+    }
+}
+
 /// Name of the output for one of several inputs: its own, or with its kind's extension.
 fn output_name(path: &Path, kind: Kind, to: Target) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();

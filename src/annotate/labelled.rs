@@ -7,12 +7,11 @@ use arrow_array::cast::AsArray;
 use arrow_array::types::Float32Type;
 use arrow_array::{Array, RecordBatch};
 use arrow_schema::DataType;
-use parquet::arrow::ProjectionMask;
 
 use super::input::Kind;
 use super::summary::About;
 use crate::dataset::EpisodeReader;
-use crate::dataset::lerobot::{LeRobot, numbers, reader};
+use crate::dataset::lerobot::{LeRobot, numbers, only, reader};
 use crate::dataset::mcap::bag_files;
 use crate::dataset::mcap::{Part, Records, inner_records, op, open_chunk};
 use crate::dataset::tensors::FieldFile;
@@ -159,8 +158,7 @@ fn lerobot(path: &Path) -> Result<Labelled> {
     let mut episode_ends = Vec::new();
     for file in dataset.data_files()? {
         let builder = reader(&file)?;
-        let wanted = ["timestamp", force, &contact];
-        let mask = ProjectionMask::columns(builder.parquet_schema(), wanted);
+        let mask = only(&builder, |name| ["timestamp", force, &contact].contains(&name));
         for batch in builder.with_projection(mask).build().map_err(|e| Error::file(&file, e))? {
             let batch = batch.map_err(|e| Error::file(&file, e))?;
             timestamps.extend(numbers(&batch, "timestamp", &file)?);

@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use indicatif::ProgressBar;
 use serde_json::json;
 
-use crate::annotate::{Choices, Effort, Item, Job, Outcome, Provenance, Shard, Summary, TOPIC, Target, items};
+use crate::annotate::{Choices, Effort, Item, Job, Outcome, Provenance, Shard, Summary, TOPIC, Target, items, write_manifest};
 use crate::file;
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
@@ -26,7 +26,7 @@ pub struct Args {
     /// A Zarr store (folder or zip file), a bag (folder) or an .mcap file, a LeRobot v3 data set, a video, a
     /// folder of images; or a folder of these.
     input: PathBuf,
-    /// The labelled data set; of several inputs, a folder for them.
+    /// The labelled data set; of several inputs, a folder for them and a manifest.json.
     #[arg(long)]
     out: PathBuf,
     /// Kind of output.
@@ -108,6 +108,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         }
     }
     bar.finish_and_clear();
+    if items.len() > 1 {
+        write_manifest(&args.out, &items)?;
+    }
     report(&args, &done, &waiting, &effort)?;
     let whole = done.iter().all(|(_, summary, _)| summary.is_whole());
     Ok(if whole { ExitCode::SUCCESS } else { ExitCode::from(PARTLY) })

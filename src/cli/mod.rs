@@ -12,6 +12,7 @@ mod label;
 mod model;
 mod predict;
 mod progress;
+mod report;
 mod sim;
 mod train;
 mod verify;
@@ -40,6 +41,8 @@ enum Command {
     Train(train::Args),
     /// Label recordings: bags, LeRobot data sets, OXT stores, videos, images.
     Label(label::Args),
+    /// Write one HTML page about labels: frames, forces over time, contact by region.
+    Report(report::Args),
     /// Predict touch for images or a store.
     Predict(predict::Args),
     /// Score predictions against truth.
@@ -66,6 +69,7 @@ pub fn main() -> ExitCode {
         Command::Sim(args) => sim::run(args),
         Command::Train(args) => train::run(args),
         Command::Label(args) => label::run(args),
+        Command::Report(args) => report::run(args),
         Command::Predict(args) => predict::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Experiment(args) => experiment::run(args),

@@ -148,7 +148,7 @@ impl LeRobot {
                 return Err(Error::Missing { name, place, present: present.join(", ") });
             }
         }
-        let mask = ProjectionMask::columns(builder.parquet_schema(), wanted);
+        let mask = only(&builder, |name| wanted.contains(&name));
         let from = from.min(episode.length);
         let batches = builder
             .with_projection(mask)
@@ -170,9 +170,7 @@ impl LeRobot {
     fn read_episodes(&mut self, path: &Path) -> Result<()> {
         let builder = reader(path)?;
         // Statistics are most of the file, and of no use here.
-        let names: Vec<String> = builder.schema().fields().iter().map(|field| field.name().clone()).collect();
-        let wanted = names.iter().filter(|name| !name.starts_with("stats/") && *name != "tasks").map(String::as_str);
-        let mask = ProjectionMask::columns(builder.parquet_schema(), wanted);
+        let mask = only(&builder, |name| !name.starts_with("stats/") && name != "tasks");
         let cameras = self.cameras();
         for batch in builder.with_projection(mask).build().map_err(|e| Error::file(path, e))? {
             let batch = batch.map_err(|e| Error::file(path, e))?;
@@ -209,6 +207,13 @@ impl LeRobot {
 pub fn reader(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
     let file = File::open(path).map_err(Error::io(path))?;
     ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| Error::file(path, e))
+}
+
+/// The columns whose names are `wanted`. By place: the library's own choice by name takes dots for levels of nesting.
+pub fn only(builder: &ParquetRecordBatchReaderBuilder<File>, wanted: impl Fn(&str) -> bool) -> ProjectionMask {
+    let fields = builder.schema().fields().iter().enumerate();
+    let places: Vec<usize> = fields.filter(|(_, field)| wanted(field.name())).map(|(place, _)| place).collect();
+    ProjectionMask::roots(builder.parquet_schema(), places)
 }
 
 /// A column of numbers, whatever their type.

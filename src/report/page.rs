@@ -1,0 +1,140 @@
+//! The page itself: HTML with all it needs inside.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+
+use super::regions::RegionRow;
+use super::samples::Sample;
+use super::trace::Trace;
+use crate::annotate::Labelled;
+use crate::hand::{Region, Side};
+use crate::metrics::{self, Report};
+
+const STYLE: &str = "
+body { font: 15px/1.45 system-ui, sans-serif; color: #1e1e24; max-width: 1060px; margin: 2em auto; padding: 0 1em; }
+h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #ddd; }
+table { border-collapse: collapse; } th, td { padding: 2px 12px 2px 0; text-align: left; vertical-align: top; }
+td.number { text-align: right; font-variant-numeric: tabular-nums; }
+figure { display: inline-block; margin: 0 14px 14px 0; } figcaption { color: #555; font-size: 0.85em; }
+img { height: 200px; margin-right: 4px; } svg { width: 100%; max-width: 760px; font: 11px sans-serif; fill: #555; }
+.bar { display: inline-block; height: 10px; background: #c2410c; vertical-align: middle; } .left { color: #1b5fae; }
+.right { color: #c2410c; } pre { background: #f6f6f4; padding: 8px; overflow-x: auto; }";
+
+/// Puts the page together.
+pub fn page(
+    path: &Path,
+    labelled: &Labelled,
+    samples: &[Sample],
+    traces: &[Trace],
+    regions: &[RegionRow],
+    report: Option<&Report>,
+) -> String {
+    let name = escaped(&path.file_name().unwrap_or_default().to_string_lossy());
+    let mut html = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Touch in {name}</title><style>{STYLE}</style>\
+         </head><body>\n<h1>Touch in {name}</h1>\n"
+    );
+    html += &about(labelled);
+    if let Some(report) = report {
+        let table = escaped(&metrics::table(&[("labels against truth", report)]));
+        html += &format!("<h2 id=\"metrics\">Labels against the truth</h2>\n<pre>{table}</pre>\n");
+    }
+    html += &frames(samples);
+    html += &episodes(labelled, traces);
+    html += &region_table(regions);
+    html + "</body></html>\n"
+}
+
+fn about(labelled: &Labelled) -> String {
+    let mut rows = vec![
+        ("frames", labelled.len().to_string()),
+        ("episodes", labelled.episode_ends.len().to_string()),
+        ("vertices", labelled.topology.map_or("unknown topology".into(), |topology| topology.id().to_string())),
+    ];
+    let mut text = String::new();
+    if let Some(about) = &labelled.about {
+        let provenance = &about.provenance;
+        rows.push(("network", format!("{}, SHA-256 {}", provenance.model, provenance.model_sha256)));
+        rows.push(("thresholds", format!("contact {}, force {} N", provenance.thresholds.contact, provenance.thresholds.contact_force)));
+        rows.push(("made by", format!("{} {}", provenance.producer, provenance.version)));
+        rows.push(("from", provenance.source.join("; ")));
+        text = format!("<pre>{}</pre>\n", escaped(&about.summary.text()));
+    }
+    let rows: String = rows.iter().map(|(name, value)| format!("<tr><th>{name}</th><td>{}</td></tr>", escaped(value))).collect();
+    format!("<table id=\"about\">{rows}</table>\n{text}")
+}
+
+fn frames(samples: &[Sample]) -> String {
+    let Some(first) = samples.first() else { return String::new() };
+    let mut html = format!(
+        "<h2 id=\"frames\">Frames</h2>\n<p>The frame with the most force out of each of {} equal stretches; then left and right palm, \
+         from pale (no force) to violet ({:.2} N and more on a vertex).</p>\n",
+        samples.len(),
+        first.scale
+    );
+    for sample in samples {
+        html += "<figure>";
+        if let Some(image) = &sample.image {
+            html += &format!("<img alt=\"camera\" src=\"data:image/jpeg;base64,{}\">", STANDARD.encode(image));
+        }
+        for (hand, side) in sample.hands.iter().zip(Side::BOTH) {
+            html += &format!("<img alt=\"{} palm\" src=\"data:image/png;base64,{}\">", side.name(), STANDARD.encode(hand));
+        }
+        let [left, right] = sample.force.map(|force| if force.is_nan() { "unknown".into() } else { format!("{force:.2} N") });
+        html += &format!(
+            "<figcaption>frame {}, episode {}, {:.2} s: <span class=\"left\">left {left}</span>, <span class=\"right\">right \
+             {right}</span></figcaption></figure>\n",
+            sample.frame, sample.episode, sample.stamp_secs
+        );
+    }
+    html
+}
+
+fn episodes(labelled: &Labelled, traces: &[Trace]) -> String {
+    let most = traces.iter().map(Trace::most).fold(0.0, f64::max);
+    let truth = if labelled.truth.is_some() { "; dashed: truth" } else { "" };
+    let mut html = format!(
+        "<h2 id=\"episodes\">Total force</h2>\n<p><span class=\"left\">left</span> and <span class=\"right\">right</span> hand{truth}.</p>\n"
+    );
+    for trace in traces {
+        // Writing to a String cannot fail.
+        let _ = writeln!(html, "<div>episode {}</div>{}", trace.episode, trace.svg(most));
+    }
+    if labelled.episode_ends.len() > traces.len() {
+        let _ = writeln!(html, "<p>The first {} of {} episodes.</p>", traces.len(), labelled.episode_ends.len());
+    }
+    html
+}
+
+fn region_table(regions: &[RegionRow]) -> String {
+    if regions.is_empty() {
+        return String::new();
+    }
+    let mut html = "<h2 id=\"regions\">Contact by region</h2>\n<p>Share of the frames in which a vertex of the region is touched, and \
+                    the mean force on the region in those.</p>\n<table><tr><th>region</th><th colspan=\"2\">left</th>\
+                    <th>force</th><th colspan=\"2\">right</th><th>force</th></tr>\n"
+        .to_string();
+    for region in Region::ALL {
+        let _ = write!(html, "<tr><td>{}</td>", region.name().replace('_', " "));
+        for side in Side::BOTH {
+            let Some(row) = regions.iter().find(|row| row.side == side && row.region == region) else { continue };
+            let force = row.mean_force.map_or(String::new(), |force| format!("{force:.2} N"));
+            let _ = write!(
+                html,
+                "<td class=\"number\">{:.1} %</td><td><span class=\"bar\" style=\"width:{:.0}px\"></span></td><td class=\"number\">{force}</td>",
+                100.0 * row.contact_ratio,
+                120.0 * row.contact_ratio
+            );
+        }
+        html += "</tr>\n";
+    }
+    html + "</table>\n"
+}
+
+/// Text as HTML shows it, whatever a file is called.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
