@@ -78,7 +78,8 @@ fn write_mcap(path: &Path, frames: u64, form: Form) {
     for index in 0..frames {
         let time = START + index * STEP;
         let word = [&[0, 1, 0, 0, 4, 0, 0, 0][..], format!("{:03}\0", index % 1000).as_bytes()].concat();
-        let header = |channel_id, log_time| MessageHeader { channel_id, sequence: 0, log_time, publish_time: log_time - 7 };
+        let header =
+            |channel_id, log_time| MessageHeader { channel_id, sequence: 0, log_time, publish_time: log_time - 7 };
         writer.write_to_known_channel(&header(words, time + 1000), &word).unwrap();
         let payload = image_payload(index, form.compressed_images);
         writer.write_to_known_channel(&header(images, time + 5000), &payload).unwrap();
@@ -152,7 +153,9 @@ fn indexed(path: &Path) -> BTreeMap<String, usize> {
     let statistics = summary.stats.clone().unwrap();
     let mut counts = BTreeMap::new();
     if summary.chunk_indexes.is_empty() {
-        mcap::MessageStream::new(&bytes).unwrap().for_each(|m| *counts.entry(m.unwrap().channel.topic.clone()).or_default() += 1);
+        mcap::MessageStream::new(&bytes)
+            .unwrap()
+            .for_each(|m| *counts.entry(m.unwrap().channel.topic.clone()).or_default() += 1);
     }
     for chunk in &summary.chunk_indexes {
         for message in summary.stream_chunk(&bytes, chunk).unwrap() {
@@ -213,14 +216,20 @@ fn a_bag_of_several_files_becomes_one_with_metadata() {
     let waiting = summary(&label(&input, &out, &["--shard", "1/2"]), 0);
     assert!(!out.exists() && waiting["waiting_for_other_shards"].as_array().unwrap().len() == 1);
     summary(&label(&input, &out, &["--shard", "0/2"]), 0);
-    let metadata: serde_yaml::Value = serde_yaml::from_str(&fs::read_to_string(out.join("metadata.yaml")).unwrap()).unwrap();
+    let metadata: serde_yaml::Value =
+        serde_yaml::from_str(&fs::read_to_string(out.join("metadata.yaml")).unwrap()).unwrap();
     let bag = &metadata["rosbag2_bagfile_information"];
     assert_eq!((bag["version"].as_u64(), bag["message_count"].as_u64()), (Some(5), Some(3 * 13)));
-    let topics: BTreeMap<&str, (u64, &str)> = bag["topics_with_message_count"].as_sequence().unwrap().iter().map(|topic| {
-        let about = &topic["topic_metadata"];
-        let qos = about["offered_qos_profiles"].as_str().unwrap();
-        (about["name"].as_str().unwrap(), (topic["message_count"].as_u64().unwrap(), qos))
-    }).collect();
+    let topics: BTreeMap<&str, (u64, &str)> = bag["topics_with_message_count"]
+        .as_sequence()
+        .unwrap()
+        .iter()
+        .map(|topic| {
+            let about = &topic["topic_metadata"];
+            let qos = about["offered_qos_profiles"].as_str().unwrap();
+            (about["name"].as_str().unwrap(), (topic["message_count"].as_u64().unwrap(), qos))
+        })
+        .collect();
     assert_eq!(topics["/predictor/tactile"].0, 13);
     assert_eq!(topics["/camera/image"], (13, QOS));
     assert_eq!(bag["files"][1]["message_count"].as_u64(), Some(12));
@@ -231,7 +240,9 @@ fn a_bag_of_several_files_becomes_one_with_metadata() {
 #[test]
 fn a_cut_recording_is_labelled_as_far_as_it_goes() {
     let folder = tempfile::tempdir().unwrap();
-    for (form, name) in [(PLAIN, "zstd"), (Form { compression: None, ..PLAIN }, "none"), (Form { chunked: false, ..PLAIN }, "plain")] {
+    for (form, name) in
+        [(PLAIN, "zstd"), (Form { compression: None, ..PLAIN }, "none"), (Form { chunked: false, ..PLAIN }, "plain")]
+    {
         let whole = folder.path().join(format!("{name}.mcap"));
         write_mcap(&whole, 16, form);
         let bytes = fs::read(&whole).unwrap();
@@ -275,7 +286,11 @@ fn a_damaged_chunk_is_left_out_and_named() {
         let mut bytes = fs::read(&input).unwrap();
         let summary_before = mcap::Summary::read(&bytes).unwrap().unwrap();
         let chunk = &summary_before.chunk_indexes[1];
-        let lost_images = summary_before.stream_chunk(&bytes, chunk).unwrap().filter(|m| m.as_ref().unwrap().channel.topic == "/camera/image").count();
+        let lost_images = summary_before
+            .stream_chunk(&bytes, chunk)
+            .unwrap()
+            .filter(|m| m.as_ref().unwrap().channel.topic == "/camera/image")
+            .count();
         let middle = (chunk.chunk_start_offset + chunk.chunk_length / 2) as usize;
         bytes[middle] ^= 0x10;
         fs::write(&input, &bytes).unwrap();
@@ -336,7 +351,9 @@ fn a_killed_run_goes_on_and_ends_in_the_same_bytes() {
         let mut child = Command::new(env!("CARGO_BIN_EXE_egotac"));
         child.args(["label", input.to_str().unwrap(), "--out", killed.to_str().unwrap()]);
         let mut child = child.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-        while fs::metadata(&journal).map_or(0, |file| file.len()) <= sizes[round - 1] && child.try_wait().unwrap().is_none() {
+        while fs::metadata(&journal).map_or(0, |file| file.len()) <= sizes[round - 1]
+            && child.try_wait().unwrap().is_none()
+        {
             std::thread::sleep(Duration::from_millis(1));
         }
         child.kill().unwrap(); // SIGKILL

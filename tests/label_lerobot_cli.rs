@@ -165,10 +165,14 @@ fn images_in_rows_want_a_camera_and_columns_may_be_observations() {
     let (input, out) = (Path::new(DATA).join("image"), folder.path().join("out"));
     let refused = label(&input, &out, &[]);
     let error = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert!(refused.status.code() == Some(1) && error.contains("observation.images.wrist") && error.contains("--camera"), "{error}");
+    assert!(
+        refused.status.code() == Some(1) && error.contains("observation.images.wrist") && error.contains("--camera"),
+        "{error}"
+    );
     summary(&label(&input, &out, &["--camera", "observation.images.wrist", "--observation"]), 0);
     let rows = table(&input, ROWS);
-    let files = rows.column_by_name("observation.images.wrist").unwrap().as_struct().column_by_name("bytes").unwrap().clone();
+    let files =
+        rows.column_by_name("observation.images.wrist").unwrap().as_struct().column_by_name("bytes").unwrap().clone();
     let images = (0..12).map(|row| egotac::image::decode(files.as_binary::<i32>().value(row)).unwrap()).collect();
     check(&input, &out, &expected(images), "observation.tactile");
     // Types of the Hugging Face package name the new columns as the old ones.

@@ -91,7 +91,11 @@ fn every_layout_is_labelled_and_its_own_data_stays_as_it_is() {
     // Nothing of the folder has changed but the attributes, and those are new.
     let (before, mut after) = (files(&plain), files(&at("a.zarr")));
     let added: Vec<PathBuf> = after.keys().filter(|path| !before.contains_key(*path)).cloned().collect();
-    assert!(added.iter().all(|path| path.starts_with("data/") && path.to_string_lossy().contains("mano_") || path.as_os_str() == ".zattrs"), "{added:?}");
+    assert!(
+        added.iter().all(|path| path.starts_with("data/") && path.to_string_lossy().contains("mano_")
+            || path.as_os_str() == ".zattrs"),
+        "{added:?}"
+    );
     after.retain(|path, _| before.contains_key(path));
     assert!(after == before);
     assert!(!folder.path().join(".a.zarr.unfinished").exists());
@@ -127,7 +131,11 @@ fn a_damaged_chunk_costs_its_frames_and_is_named() {
     assert_eq!((&json["summary"]["frames"], &json["summary"]["labelled"]), (&12.into(), &7.into()));
     let faults = json["summary"]["faults"].as_array().unwrap();
     assert_eq!(faults.len(), 5);
-    assert!(faults.iter().all(|fault| fault["unit"] == "episode 1" && fault["reason"].as_str().unwrap().contains("camera_ego_rgb")));
+    assert!(
+        faults
+            .iter()
+            .all(|fault| fault["unit"] == "episode 1" && fault["reason"].as_str().unwrap().contains("camera_ego_rgb"))
+    );
     let labelled = ZarrReader::open(&out).unwrap();
     assert!(labelled.read_f32("data/mano_force", 7..12).unwrap().iter().all(|force| force.is_nan()));
     assert_eq!(labelled.read_u8("data/mano_force_valid", 6..8).unwrap(), [vec![1; N_FIELD], vec![0; N_FIELD]].concat());

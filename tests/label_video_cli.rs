@@ -158,7 +158,9 @@ fn a_folder_of_recordings_is_labelled_one_by_one() {
     let manifest: Value = serde_json::from_str(&fs::read_to_string(out.join("manifest.json")).unwrap()).unwrap();
     assert_eq!((&manifest["summary"]["frames"], &manifest["missing"]), (&29.into(), &serde_json::json!([])));
     assert_eq!(manifest["outputs"][3]["output"], "wall.zarr");
-    for (name, frames) in [("table.zarr", 3), ("wall.zarr", 2), ("many/batch_000.zarr", 12), ("many/batch_001.zarr", 12)] {
+    for (name, frames) in
+        [("table.zarr", 3), ("wall.zarr", 2), ("many/batch_000.zarr", 12), ("many/batch_001.zarr", 12)]
+    {
         assert_eq!(ZarrReader::open(&out.join(name)).unwrap().len(), frames, "{name}");
     }
 }

@@ -153,7 +153,8 @@ pub fn items(input: &Path, out: &Path, choices: &Choices) -> Result<Vec<Item>> {
     }
     paths.sort_by(|a, b| a.0.cmp(&b.0));
     if paths.is_empty() {
-        let message = "holds nothing to label: no Zarr store (folder or zip), bag, .mcap file, LeRobot data set, video or images";
+        let message =
+            "holds nothing to label: no Zarr store (folder or zip), bag, .mcap file, LeRobot data set, video or images";
         return Err(Error::file(input, message));
     }
     let mut items = Vec::new();
@@ -171,7 +172,8 @@ pub fn items(input: &Path, out: &Path, choices: &Choices) -> Result<Vec<Item>> {
 /// The images of the labelled data set at `path`, in the order of its labels; None where it has none, or they can't be
 /// found.
 pub fn images_of(path: &Path, about: Option<&About>) -> Option<Arc<dyn Source>> {
-    let noted = |what: &str| about?.provenance.source.iter().find_map(|line| line.strip_prefix(what).map(str::to_string));
+    let noted =
+        |what: &str| about?.provenance.source.iter().find_map(|line| line.strip_prefix(what).map(str::to_string));
     let camera = noted("images ");
     match Kind::of(path)? {
         Kind::Store => {
@@ -253,7 +255,8 @@ fn open(kind: Kind, path: &Path, out: &Path, choices: &Choices) -> Result<Vec<It
             let labels_topic = choices.labels_topic.as_deref().unwrap_or(bag::TOPIC);
             let bag = Arc::new(Bag::open(path, choices.topic.as_deref(), labels_topic)?);
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            let mut about = vec![format!("bag {name}"), format!("images {}", bag.topic()), format!("labels {labels_topic}")];
+            let mut about =
+                vec![format!("bag {name}"), format!("images {}", bag.topic()), format!("labels {labels_topic}")];
             for file in bag.files() {
                 let bytes = file.metadata().map_err(Error::io(file))?.len();
                 about.push(format!("{}, {bytes} bytes", file.file_name().unwrap_or_default().to_string_lossy()));

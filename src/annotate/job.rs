@@ -129,7 +129,9 @@ impl Job<'_> {
     fn done_before(&self) -> Result<About> {
         let about = self.output.about(&self.out);
         let same = about.filter(|about| about.provenance == self.provenance);
-        same.ok_or_else(|| Error::file(&self.out, "exists, and is not this labelling's output; choose another name or remove it"))
+        same.ok_or_else(|| {
+            Error::file(&self.out, "exists, and is not this labelling's output; choose another name or remove it")
+        })
     }
 
     fn summary(&self, work: &Work) -> Result<Summary> {

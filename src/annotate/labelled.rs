@@ -62,7 +62,9 @@ impl Labelled {
             Some(Kind::Bag) => bag(path),
             Some(Kind::LeRobot) => lerobot(path),
             Some(Kind::Tensors) => tensors(path),
-            _ => Err(Error::file(path, "holds no labels: expected a store, a bag, a LeRobot data set or a tensor file")),
+            _ => {
+                Err(Error::file(path, "holds no labels: expected a store, a bag, a LeRobot data set or a tensor file"))
+            }
         }
     }
 

@@ -1,38 +1,19 @@
 //! LeRobot data sets: touch as further columns, with their statistics.
 
-use std::fs;
-use std::fs::File;
+mod columns;
+mod output;
+
 use std::path::Path;
-use std::sync::Arc;
 
-use arrow_array::builder::{Float64Builder, Int64Builder, ListBuilder};
-use arrow_array::{ArrayRef, FixedSizeListArray, Float32Array, RecordBatch};
-use arrow_schema::{DataType, Field, FieldRef, Schema};
-use parquet::arrow::ArrowWriter;
-use parquet::basic::Compression;
-use parquet::file::metadata::KeyValue;
-use parquet::file::properties::WriterProperties;
-use serde_json::{Map, Value, json};
-
-use super::journal::{Label, Labels};
-use super::output::{Journals, Output};
-use super::provenance::NAME;
 use super::source::{Picture, Shot, Shots, Source, Unit};
-use super::statistics::{EpisodeStatistics, Statistics};
-use super::store::copy_file;
-use super::summary::About;
-use crate::dataset::lerobot::{Camera, Episode, LeRobot, numbers, reader};
+use crate::dataset::lerobot::{Camera, Episode, LeRobot, Row};
 use crate::dataset::video::Frames;
 use crate::error::{Error, Result};
-use crate::hand::{HandModel, Region, Side};
-use crate::tactile::{N_FIELD, Topology};
+
+pub use output::about;
 
 /// Prefix of the columns. Policies ignore what begins neither with `observation` nor with `action`.
 pub const PREFIX: &str = "tactile";
-/// Rows rewritten at a time.
-const BATCH: usize = 64;
-/// Key of the Parquet metadata in which the package datasets keeps its types.
-const HUGGINGFACE: &str = "huggingface";
 
 /// A data set whose images are labelled: one unit per episode.
 #[derive(Debug)]
@@ -71,10 +52,12 @@ impl LeRobotDataset {
         }
         let dotted = format!("{prefix}.");
         let features = dataset.info["features"].as_object();
-        if let Some(taken) = features.into_iter().flatten().map(|(name, _)| name).find(|name| name.starts_with(&dotted)) {
+        if let Some(taken) = features.into_iter().flatten().map(|(name, _)| name).find(|name| name.starts_with(&dotted))
+        {
             return Err(Error::file(root, format!("has a feature {taken} already; choose another --prefix")));
         }
-        let unit = |episode: &Episode| Unit { name: format!("episode {}", episode.index), frames: Some(episode.length) };
+        let unit =
+            |episode: &Episode| Unit { name: format!("episode {}", episode.index), frames: Some(episode.length) };
         let units = dataset.episodes.iter().map(unit).collect();
         Ok(Self { camera: camera.clone(), kind: *kind, prefix: prefix.to_string(), units, dataset })
     }
@@ -101,7 +84,7 @@ impl LeRobotDataset {
             true => Some(Frames::open(&path, Some((start + first - half).max(0.0)))?.peekable()),
             false => None,
         };
-        let shot = move |row: Result<crate::dataset::lerobot::Row>| {
+        let shot = move |row: Result<Row>| {
             let row = match row {
                 Ok(row) => row,
                 Err(error) => return Shot { stamp_secs: f64::NAN, offset: None, picture: Err(error.to_string()) },
@@ -143,306 +126,4 @@ impl Source for LeRobotDataset {
             Err(error) => Shot { stamp_secs: f64::NAN, offset: None, picture: Err(error.to_string()) },
         })))
     }
-}
-
-/// A new column.
-struct Column {
-    name: String,
-    /// What an element is, if it has a name.
-    names: Option<Vec<String>>,
-    width: usize,
-    value: Box<dyn Fn(&Label) -> Vec<f32>>,
-}
-
-impl LeRobotDataset {
-    fn columns(&self, topology: Topology) -> Vec<Column> {
-        let field = |name: &str, value: fn(&crate::TactileField) -> &Vec<f32>| Column {
-            name: format!("{}.{name}", self.prefix),
-            names: None,
-            width: N_FIELD,
-            value: Box::new(move |label| match &label.touch {
-                Ok(field) => value(field).clone(),
-                Err(_) => vec![f32::NAN; N_FIELD],
-            }),
-        };
-        let mut columns = vec![field("force", |field| &field.force), field("contact", |field| &field.contact)];
-        // Regions of a MANO hand need its file.
-        if topology == Topology::EgotacHand1 {
-            let names = Side::BOTH.iter().flat_map(|side| {
-                Region::ALL.iter().map(move |region| format!("{}_{}", side.name(), region.name()))
-            });
-            columns.push(Column {
-                name: format!("{}.region_force", self.prefix),
-                names: Some(names.collect()),
-                width: 2 * Region::ALL.len(),
-                value: Box::new(region_force()),
-            });
-        }
-        columns
-    }
-
-    /// Writes one file of rows with the columns' values beside them.
-    fn rewrite_rows(&self, from: &Path, to: &Path, columns: &[Column], labelling: &mut Labelling) -> Result<()> {
-        let fail = |error: parquet::errors::ParquetError| Error::file(from, error);
-        let builder = reader(from)?;
-        let old = builder.schema().clone();
-        let list = |width: usize| {
-            DataType::FixedSizeList(Arc::new(Field::new("element", DataType::Float32, true)), width as i32)
-        };
-        let added = columns.iter().map(|column| Arc::new(Field::new(&column.name, list(column.width), true)));
-        let fields: Vec<FieldRef> = old.fields().iter().cloned().chain(added).collect();
-        let mut metadata = old.metadata().clone();
-        let mut key_values = builder.metadata().file_metadata().key_value_metadata().cloned().unwrap_or_default();
-        key_values.retain(|entry| entry.key != "ARROW:schema");
-        if let Some(types) = metadata.get(HUGGINGFACE).and_then(|text| with_types(text, columns)) {
-            metadata.insert(HUGGINGFACE, types.clone());
-            key_values.retain(|entry| entry.key != HUGGINGFACE);
-            key_values.push(KeyValue::new(HUGGINGFACE.into(), types));
-        } else {
-            // Types that lack the new columns are worse than none.
-            metadata.remove(HUGGINGFACE);
-            key_values.retain(|entry| entry.key != HUGGINGFACE);
-        }
-        let schema = Arc::new(Schema::new_with_metadata(fields, metadata));
-        let properties = WriterProperties::builder()
-            .set_compression(Compression::SNAPPY)
-            .set_key_value_metadata(Some(key_values))
-            .set_max_row_group_row_count(Some(1 << 13))
-            .build();
-        let file = File::create(to).map_err(Error::io(to))?;
-        let mut writer = ArrowWriter::try_new(file, schema.clone(), Some(properties)).map_err(fail)?;
-        for batch in builder.with_batch_size(BATCH).build().map_err(fail)? {
-            let batch = batch.map_err(|e| Error::file(from, e))?;
-            let mut values: Vec<Vec<f32>> = columns.iter().map(|_| Vec::new()).collect();
-            for episode in numbers(&batch, "episode_index", from)? {
-                let row = labelling.next(episode as i64, columns)?;
-                values.iter_mut().zip(row).for_each(|(column, value)| column.extend(value));
-            }
-            let mut arrays: Vec<ArrayRef> = batch.columns().to_vec();
-            for (column, values) in columns.iter().zip(values) {
-                let element = Arc::new(Field::new("element", DataType::Float32, true));
-                let list = FixedSizeListArray::try_new(element, column.width as i32, Arc::new(Float32Array::from(values)), None);
-                arrays.push(Arc::new(list.map_err(|e| Error::file(from, e))?));
-            }
-            let batch = RecordBatch::try_new(schema.clone(), arrays).map_err(|e| Error::file(from, e))?;
-            writer.write(&batch).map_err(fail)?;
-            if writer.in_progress_size() > 64 << 20 {
-                writer.flush().map_err(fail)?;
-            }
-        }
-        writer.close().map_err(fail)?;
-        Ok(())
-    }
-
-    /// Writes one file of `meta/episodes` with the columns' statistics.
-    fn rewrite_episodes(&self, from: &Path, to: &Path, columns: &[Column], done: &[(i64, Vec<Statistics>)]) -> Result<()> {
-        let fail = |error: parquet::errors::ParquetError| Error::file(from, error);
-        let builder = reader(from)?;
-        let old = builder.schema().clone();
-        let (mut writer, mut schema) = (None, None);
-        for batch in builder.build().map_err(fail)? {
-            let batch = batch.map_err(|e| Error::file(from, e))?;
-            let indexes = numbers(&batch, "episode_index", from)?;
-            let statistics: Vec<&Vec<Statistics>> = indexes
-                .iter()
-                .map(|index| {
-                    let found = done.iter().find(|(episode, _)| *episode == *index as i64);
-                    found.map(|(_, statistics)| statistics).ok_or_else(|| {
-                        Error::file(from, format!("episode {index} has no row in the data"))
-                    })
-                })
-                .collect::<Result<_>>()?;
-            let mut fields: Vec<FieldRef> = old.fields().iter().cloned().collect();
-            let mut arrays: Vec<ArrayRef> = batch.columns().to_vec();
-            for (at, column) in columns.iter().enumerate() {
-                let lists: Vec<_> = statistics.iter().map(|all| all[at].lists()).collect();
-                let n_lists = lists.first().map_or(0, Vec::len);
-                for list in 0..n_lists {
-                    let mut builder = ListBuilder::new(Float64Builder::new());
-                    for lists in &lists {
-                        builder.values().append_slice(&lists[list].1);
-                        builder.append(true);
-                    }
-                    let name = format!("stats/{}/{}", column.name, lists[0][list].0);
-                    push(&mut fields, &mut arrays, name, Arc::new(builder.finish()));
-                }
-                let mut counts = ListBuilder::new(Int64Builder::new());
-                for all in &statistics {
-                    counts.values().append_value(all[at].count as i64);
-                    counts.append(true);
-                }
-                push(&mut fields, &mut arrays, format!("stats/{}/count", column.name), Arc::new(counts.finish()));
-            }
-            let mut metadata = old.metadata().clone();
-            // It names types of the old columns alone; without it they are those of the columns themselves.
-            metadata.remove(HUGGINGFACE);
-            let schema = schema.get_or_insert_with(|| Arc::new(Schema::new_with_metadata(fields, metadata))).clone();
-            let writer = match &mut writer {
-                Some(writer) => writer,
-                none => {
-                    let properties = WriterProperties::builder().set_compression(Compression::SNAPPY).build();
-                    let file = File::create(to).map_err(Error::io(to))?;
-                    none.insert(ArrowWriter::try_new(file, schema.clone(), Some(properties)).map_err(fail)?)
-                }
-            };
-            writer.write(&RecordBatch::try_new(schema, arrays).map_err(|e| Error::file(from, e))?).map_err(fail)?;
-        }
-        match writer {
-            Some(writer) => writer.close().map(drop).map_err(fail),
-            None => fs::copy(from, to).map(drop).map_err(Error::io(to)),
-        }
-    }
-}
-
-fn push(fields: &mut Vec<FieldRef>, arrays: &mut Vec<ArrayRef>, name: String, array: ArrayRef) {
-    fields.push(Arc::new(Field::new(name, array.data_type().clone(), true)));
-    arrays.push(array);
-}
-
-/// Labels in the order of the rows, and statistics of what went by.
-struct Labelling<'a> {
-    dataset: &'a LeRobot,
-    journals: &'a Journals,
-    open: Option<(i64, Labels, Vec<EpisodeStatistics>)>,
-    done: Vec<(i64, Vec<Statistics>)>,
-}
-
-impl Labelling<'_> {
-    /// Values of the columns for the next row, which is of episode `episode`.
-    fn next(&mut self, episode: i64, columns: &[Column]) -> Result<Vec<Vec<f32>>> {
-        if self.open.as_ref().is_none_or(|(open, ..)| *open != episode) {
-            self.close();
-            let unit = self.dataset.episodes.iter().position(|other| other.index == episode);
-            let unit = unit.ok_or_else(|| self.error(episode, "is in the data but not in meta/episodes"))?;
-            let frames = self.dataset.episodes[unit].length;
-            let statistics = columns.iter().map(|column| EpisodeStatistics::new(column.width, frames)).collect();
-            self.open = Some((episode, self.journals.labels(unit)?, statistics));
-        }
-        let missing = self.error(episode, "has more rows than meta/episodes says");
-        let Some((_, labels, statistics)) = &mut self.open else { return Err(missing) };
-        let label = labels.next().ok_or(missing)??;
-        let values: Vec<Vec<f32>> = columns.iter().map(|column| (column.value)(&label)).collect();
-        statistics.iter_mut().zip(&values).for_each(|(statistics, values)| statistics.push(values));
-        Ok(values)
-    }
-
-    fn close(&mut self) {
-        if let Some((episode, _, statistics)) = self.open.take() {
-            self.done.push((episode, statistics.into_iter().map(EpisodeStatistics::finish).collect()));
-        }
-    }
-
-    fn error(&self, episode: i64, what: &str) -> Error {
-        Error::file(&self.dataset.root, format!("episode {episode} {what}"))
-    }
-}
-
-impl Output for LeRobotDataset {
-    fn assemble(&self, journals: &Journals, about: &mut About, at: &Path, _: &Path) -> Result<()> {
-        let root = &self.dataset.root;
-        let columns = self.columns(journals.topology());
-        let mut labelling = Labelling { dataset: &self.dataset, journals, open: None, done: Vec::new() };
-        let place = |path: &Path| at.join(path.strip_prefix(root).unwrap_or(path));
-        for file in self.dataset.data_files()? {
-            let to = place(&file);
-            make_folder(&to)?;
-            self.rewrite_rows(&file, &to, &columns, &mut labelling)?;
-        }
-        labelling.close();
-        for file in self.dataset.episode_files()? {
-            let to = place(&file);
-            make_folder(&to)?;
-            self.rewrite_episodes(&file, &to, &columns, &labelling.done)?;
-        }
-        let mut info = self.dataset.info.clone();
-        let features = info["features"].as_object_mut().ok_or_else(|| Error::file(root, "info.json has no features"))?;
-        let mut totals = Map::new();
-        for (at, column) in columns.iter().enumerate() {
-            let feature = json!({ "dtype": "float32", "shape": [column.width], "names": column.names });
-            features.insert(column.name.clone(), feature);
-            let mut total = Statistics::default();
-            labelling.done.iter().for_each(|(_, statistics)| total.add(&statistics[at]));
-            totals.insert(column.name.clone(), total.json());
-        }
-        let stats = root.join("meta/stats.json");
-        let mut all: Map<String, Value> = match fs::read_to_string(&stats) {
-            Ok(text) => serde_json::from_str(&text).map_err(|e| Error::file(&stats, e))?,
-            Err(_) => Map::new(),
-        };
-        all.extend(totals);
-        write_json(&at.join("meta/info.json"), &info)?;
-        write_json(&at.join("meta/stats.json"), &Value::Object(all))?;
-        write_json(&about_file(at), &json!(about))?;
-        // Videos, tasks and whatever else there is.
-        copy_rest(root, at)
-    }
-
-    fn about(&self, out: &Path) -> Option<About> {
-        about(out)
-    }
-}
-
-/// What a labelled data set says about its labels.
-pub fn about(root: &Path) -> Option<About> {
-    serde_json::from_str(&fs::read_to_string(about_file(root)).ok()?).ok()
-}
-
-fn about_file(root: &Path) -> std::path::PathBuf {
-    root.join(format!("meta/{NAME}.json"))
-}
-
-/// Copies what is not there yet: rows and metadata were written anew.
-fn copy_rest(from: &Path, to: &Path) -> Result<()> {
-    fs::create_dir_all(to).map_err(Error::io(to))?;
-    for entry in fs::read_dir(from).map_err(Error::io(from))? {
-        let entry = entry.map_err(Error::io(from))?;
-        let (source, path) = (entry.path(), to.join(entry.file_name()));
-        let metadata = fs::metadata(&source).map_err(Error::io(&source))?;
-        if metadata.is_dir() {
-            copy_rest(&source, &path)?;
-        } else if !path.exists() {
-            copy_file(&path, metadata.len(), |file| std::io::copy(&mut File::open(&source)?, file))?;
-        }
-    }
-    Ok(())
-}
-
-/// The Hugging Face types of a table, with those of the new columns: as another list among them has it, since the name of
-/// the type has changed between versions. None if there is no such list.
-fn with_types(text: &str, columns: &[Column]) -> Option<String> {
-    let mut types: Value = serde_json::from_str(text).ok()?;
-    let features = types["info"]["features"].as_object_mut()?;
-    let is_list = |feature: &&Value| feature["length"].is_i64() && feature["feature"]["_type"] == "Value";
-    let mut list = features.values().find(is_list)?.clone();
-    list["feature"]["dtype"] = "float32".into();
-    for column in columns {
-        list["length"] = column.width.into();
-        features.insert(column.name.clone(), list.clone());
-    }
-    Some(types.to_string())
-}
-
-/// Sum of the forces on each region, left hand first; NaN where any is unknown.
-fn region_force() -> impl Fn(&Label) -> Vec<f32> {
-    let regions = Side::BOTH.map(|side| HandModel::builtin(side).regions());
-    move |label| {
-        let mut sums = vec![0.0f64; 2 * Region::ALL.len()];
-        let Ok(field) = &label.touch else { return vec![f32::NAN; sums.len()] };
-        for side in Side::BOTH {
-            let start = side as usize * Region::ALL.len();
-            for (force, region) in field.force[side.range()].iter().zip(&regions[side as usize]) {
-                sums[start + region.index()] += f64::from(*force);
-            }
-        }
-        sums.into_iter().map(|sum| sum as f32).collect()
-    }
-}
-
-fn make_folder(file: &Path) -> Result<()> {
-    file.parent().map_or(Ok(()), |folder| fs::create_dir_all(folder).map_err(Error::io(folder)))
-}
-
-fn write_json(path: &Path, value: &Value) -> Result<()> {
-    make_folder(path)?;
-    fs::write(path, format!("{value:#}\n")).map_err(Error::io(path))
 }

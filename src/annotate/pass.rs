@@ -194,10 +194,7 @@ fn decode(
 }
 
 /// Decoders finish out of order; the stream needs the images in order.
-fn in_order(
-    ready: Receiver<(usize, Vec<Ready>)>,
-    take: &mut impl FnMut(Ready, f64) -> Result<()>,
-) -> Result<()> {
+fn in_order(ready: Receiver<(usize, Vec<Ready>)>, take: &mut impl FnMut(Ready, f64) -> Result<()>) -> Result<()> {
     let mut waiting: BTreeMap<usize, Vec<Ready>> = BTreeMap::new();
     let mut next = 0;
     loop {

@@ -111,8 +111,12 @@ impl Statistics {
         let known = |values: &[f64]| -> Vec<f64> {
             values.iter().zip(&self.known).map(|(value, known)| if *known > 0 { *value } else { 0.0 }).collect()
         };
-        let std: Vec<f64> =
-            self.spread.iter().zip(&self.known).map(|(spread, known)| (spread / (*known).max(1) as f64).sqrt()).collect();
+        let std: Vec<f64> = self
+            .spread
+            .iter()
+            .zip(&self.known)
+            .map(|(spread, known)| (spread / (*known).max(1) as f64).sqrt())
+            .collect();
         let mut lists = vec![
             ("min", known(&self.min)),
             ("max", known(&self.max)),
@@ -125,7 +129,8 @@ impl Statistics {
 
     /// As `meta/stats.json` holds them.
     pub fn json(&self) -> Value {
-        let mut map: Map<String, Value> = self.lists().into_iter().map(|(name, values)| (name.into(), json!(values))).collect();
+        let mut map: Map<String, Value> =
+            self.lists().into_iter().map(|(name, values)| (name.into(), json!(values))).collect();
         map.insert("count".into(), json!([self.count]));
         Value::Object(map)
     }

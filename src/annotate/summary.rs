@@ -106,7 +106,12 @@ impl Summary {
         if entries > 0 {
             text += "; confidence";
             for (bin, count) in self.confidence.iter().enumerate() {
-                text += &format!(" {:.1}-{:.1}: {:.2} %", 0.5 + 0.1 * bin as f64, 0.6 + 0.1 * bin as f64, share(*count, entries));
+                text += &format!(
+                    " {:.1}-{:.1}: {:.2} %",
+                    0.5 + 0.1 * bin as f64,
+                    0.6 + 0.1 * bin as f64,
+                    share(*count, entries)
+                );
             }
         }
         const SHOWN: usize = 20;

@@ -9,6 +9,7 @@ pub mod effects;
 #[cfg(feature = "sim")]
 pub mod guards;
 pub mod hard_cases;
+pub mod label;
 pub mod model;
 #[cfg(feature = "sim")]
 pub mod sim;

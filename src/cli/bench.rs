@@ -1,5 +1,6 @@
 //! `egotac bench`: what accuracy costs and what breaks, measured on this machine.
 
+mod label;
 mod model;
 mod train;
 
@@ -19,6 +20,8 @@ enum Subject {
     Model(Box<model::Args>),
     /// What a training step costs, beside another program's.
     Train(train::Args),
+    /// What labelling costs beside the network: reading, writing, geometry.
+    Label(label::Args),
     /// What accuracy costs in simulation: errors against fine references, times, a Pareto plot.
     Sim(Sim),
     /// What each scene simulates, and what each effect costs in it.
@@ -96,6 +99,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let name = match args.subject {
         Subject::Model(args) => return status(model::run(&args)?),
         Subject::Train(args) => return train::run(&args).map(|()| ExitCode::SUCCESS),
+        Subject::Label(args) => return status(label::run(&args)?),
         Subject::Sim(_) => "bench sim",
         Subject::Effects(_) => "bench effects",
         Subject::HardCases(_) => "bench hard-cases",
@@ -111,6 +115,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     status(match args.subject {
         Subject::Model(args) => model::run(&args)?,
         Subject::Train(args) => train::run(&args).map(|()| true)?,
+        Subject::Label(args) => label::run(&args)?,
         Subject::Sim(args) => with_sim::sim(&args)?,
         Subject::Effects(args) => with_sim::effects(&args)?,
         Subject::HardCases(args) => with_sim::hard_cases(&args)?,

@@ -7,7 +7,9 @@ use anyhow::{Context, bail};
 use indicatif::ProgressBar;
 use serde_json::json;
 
-use crate::annotate::{Choices, Effort, Item, Job, Outcome, Provenance, Shard, Summary, TOPIC, Target, items, write_manifest};
+use crate::annotate::{
+    Choices, Effort, Item, Job, Outcome, Provenance, Shard, Summary, TOPIC, Target, items, write_manifest,
+};
 use crate::file;
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
@@ -140,12 +142,7 @@ fn bar(items: &[Item], jobs: &[Job]) -> anyhow::Result<ProgressBar> {
     Ok(bar)
 }
 
-fn report(
-    args: &Args,
-    done: &[(&Item, Summary, bool)],
-    waiting: &[&Item],
-    effort: &Effort,
-) -> anyhow::Result<()> {
+fn report(args: &Args, done: &[(&Item, Summary, bool)], waiting: &[&Item], effort: &Effort) -> anyhow::Result<()> {
     let mut total = Summary::default();
     done.iter().for_each(|(_, summary, _)| total.add(summary));
     let fps = effort.frames as f64 / effort.pass_secs.max(f64::MIN_POSITIVE);

@@ -54,6 +54,7 @@ enum Command {
     /// The network: forward, attention, import, start, info.
     Model(model::Args),
     /// Measurements that the documentation holds: model, train, sim, effects, hard-cases, guards.
+    /// Measurements that the documentation holds: model, label, sim, effects, hard-cases, guards.
     Bench(bench::Args),
     /// Recordings and labels: info, diff.
     Data(data::Args),

@@ -120,7 +120,11 @@ impl LeRobot {
     /// The file of rows of a chunk and number.
     pub fn data_file(&self, (chunk, file): (i64, i64)) -> PathBuf {
         let pattern = self.info["data_path"].as_str();
-        self.root.join(filled(pattern.unwrap_or("data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"), chunk, file))
+        self.root.join(filled(
+            pattern.unwrap_or("data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"),
+            chunk,
+            file,
+        ))
     }
 
     /// The video file of a camera, and where in it an episode begins, s.
@@ -135,7 +139,12 @@ impl LeRobot {
     ///
     /// # Errors
     /// If the file can't be opened, or lacks a column.
-    pub fn rows(&self, episode: &Episode, camera: Option<&str>, from: usize) -> Result<impl Iterator<Item = Result<Row>> + use<>> {
+    pub fn rows(
+        &self,
+        episode: &Episode,
+        camera: Option<&str>,
+        from: usize,
+    ) -> Result<impl Iterator<Item = Result<Row>> + use<>> {
         let path = self.data_file(episode.data);
         let in_file = self.episodes.iter().filter(|other| other.data == episode.data);
         let first = in_file.map(|other| other.start).min().unwrap_or(episode.start);
@@ -159,7 +168,8 @@ impl LeRobot {
             .map_err(|e| Error::file(&path, e))?;
         let camera = camera.map(str::to_string);
         Ok(batches.flat_map(move |batch| {
-            let rows = batch.map_err(|e| Error::file(&path, e)).and_then(|batch| rows_of(&batch, camera.as_deref(), &path));
+            let rows =
+                batch.map_err(|e| Error::file(&path, e)).and_then(|batch| rows_of(&batch, camera.as_deref(), &path));
             match rows {
                 Ok(rows) => rows.into_iter().map(Ok).collect::<Vec<_>>(),
                 Err(error) => vec![Err(error)],
@@ -249,7 +259,10 @@ fn rows_of(batch: &RecordBatch, camera: Option<&str>, path: &Path) -> Result<Vec
     let bytes = column.as_struct_opt().and_then(|image| image.column_by_name("bytes"));
     let Some(bytes) = bytes else {
         let name = camera.unwrap_or_default();
-        return Err(Error::file(path, format!("{name}: expected structs with the image's bytes, got {}", column.data_type())));
+        return Err(Error::file(
+            path,
+            format!("{name}: expected structs with the image's bytes, got {}", column.data_type()),
+        ));
     };
     for (index, row) in rows.iter_mut().enumerate().filter(|(index, _)| bytes.is_valid(*index)) {
         row.image = match bytes.data_type() {

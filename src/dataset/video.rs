@@ -249,7 +249,9 @@ mod tests {
     fn lines_of_showinfo_give_exact_times() {
         let line = "[Parsed_showinfo_0 @ 0x5581] [info] n:   7 pts: 123456 pts_time:1.37173 pos:   4000 fmt:yuv420p";
         assert_eq!(stamp(line, Some(1.0 / 90_000.0)), Some(123_456.0 / 90_000.0));
-        assert!(stamp("[Parsed_showinfo_0 @ 0x5581] [info] n:   7 pts: NOPTS pts_time:NOPTS", Some(0.5)).unwrap().is_nan());
+        assert!(
+            stamp("[Parsed_showinfo_0 @ 0x5581] [info] n:   7 pts: NOPTS pts_time:NOPTS", Some(0.5)).unwrap().is_nan()
+        );
         assert_eq!(stamp("[info] Stream #0:0: Video: h264, 25 fps", Some(0.5)), None);
         let config = "[Parsed_showinfo_0 @ 0x55] [info] config in time_base: 1/12800, frame_rate: 25/1";
         assert_eq!(after(config, "config in time_base:").and_then(fraction), Some(1.0 / 12_800.0));

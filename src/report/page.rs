@@ -21,7 +21,7 @@ td.number { text-align: right; font-variant-numeric: tabular-nums; }
 figure { display: inline-block; margin: 0 14px 14px 0; } figcaption { color: #555; font-size: 0.85em; }
 img { height: 200px; margin-right: 4px; } svg { width: 100%; max-width: 760px; font: 11px sans-serif; fill: #555; }
 .bar { display: inline-block; height: 10px; background: #c2410c; vertical-align: middle; } .left { color: #1b5fae; }
-.right { color: #c2410c; } pre { background: #f6f6f4; padding: 8px; overflow-x: auto; }";
+.right { color: #c2410c; } pre { background: #f6f6f4; padding: 8px; white-space: pre-wrap; }";
 
 /// Puts the page together.
 pub fn page(
@@ -58,12 +58,16 @@ fn about(labelled: &Labelled) -> String {
     if let Some(about) = &labelled.about {
         let provenance = &about.provenance;
         rows.push(("network", format!("{}, SHA-256 {}", provenance.model, provenance.model_sha256)));
-        rows.push(("thresholds", format!("contact {}, force {} N", provenance.thresholds.contact, provenance.thresholds.contact_force)));
+        rows.push((
+            "thresholds",
+            format!("contact {}, force {} N", provenance.thresholds.contact, provenance.thresholds.contact_force),
+        ));
         rows.push(("made by", format!("{} {}", provenance.producer, provenance.version)));
         rows.push(("from", provenance.source.join("; ")));
         text = format!("<pre>{}</pre>\n", escaped(&about.summary.text()));
     }
-    let rows: String = rows.iter().map(|(name, value)| format!("<tr><th>{name}</th><td>{}</td></tr>", escaped(value))).collect();
+    let rows: String =
+        rows.iter().map(|(name, value)| format!("<tr><th>{name}</th><td>{}</td></tr>", escaped(value))).collect();
     format!("<table id=\"about\">{rows}</table>\n{text}")
 }
 
@@ -81,9 +85,11 @@ fn frames(samples: &[Sample]) -> String {
             html += &format!("<img alt=\"camera\" src=\"data:image/jpeg;base64,{}\">", STANDARD.encode(image));
         }
         for (hand, side) in sample.hands.iter().zip(Side::BOTH) {
-            html += &format!("<img alt=\"{} palm\" src=\"data:image/png;base64,{}\">", side.name(), STANDARD.encode(hand));
+            html +=
+                &format!("<img alt=\"{} palm\" src=\"data:image/png;base64,{}\">", side.name(), STANDARD.encode(hand));
         }
-        let [left, right] = sample.force.map(|force| if force.is_nan() { "unknown".into() } else { format!("{force:.2} N") });
+        let [left, right] =
+            sample.force.map(|force| if force.is_nan() { "unknown".into() } else { format!("{force:.2} N") });
         html += &format!(
             "<figcaption>frame {}, episode {}, {:.2} s: <span class=\"left\">left {left}</span>, <span class=\"right\">right \
              {right}</span></figcaption></figure>\n",

@@ -42,7 +42,12 @@ pub struct Sample {
 ///
 /// # Errors
 /// If a picture can't be written.
-pub fn samples(labelled: &Labelled, images: Option<&dyn Source>, hands: Option<&[HandModel; 2]>, n: usize) -> Result<Vec<Sample>> {
+pub fn samples(
+    labelled: &Labelled,
+    images: Option<&dyn Source>,
+    hands: Option<&[HandModel; 2]>,
+    n: usize,
+) -> Result<Vec<Sample>> {
     let frames = chosen(labelled, n);
     let scale = scale(labelled);
     let mut samples = Vec::new();
@@ -72,7 +77,8 @@ pub fn samples(labelled: &Labelled, images: Option<&dyn Source>, hands: Option<&
 
 fn chosen(labelled: &Labelled, n: usize) -> Vec<usize> {
     let total = |frame: usize| -> f32 {
-        let known = labelled.fields.force[frame * N_FIELD..(frame + 1) * N_FIELD].iter().filter(|force| !force.is_nan());
+        let known =
+            labelled.fields.force[frame * N_FIELD..(frame + 1) * N_FIELD].iter().filter(|force| !force.is_nan());
         known.sum()
     };
     let n = n.min(labelled.len());
@@ -127,6 +133,8 @@ fn jpeg(image: &RgbImage) -> Result<Vec<u8>> {
 
 fn png(image: &RgbImage) -> Result<Vec<u8>> {
     let mut bytes = Cursor::new(Vec::new());
-    image.write_to(&mut bytes, ImageFormat::Png).map_err(|error| Error::value("picture", "one that can be encoded", error))?;
+    image
+        .write_to(&mut bytes, ImageFormat::Png)
+        .map_err(|error| Error::value("picture", "one that can be encoded", error))?;
     Ok(bytes.into_inner())
 }

@@ -34,7 +34,8 @@ pub fn traces(labelled: &Labelled, episodes: usize) -> Vec<Trace> {
     let starts = std::iter::once(0).chain(labelled.episode_ends.iter().copied());
     let ranges = starts.zip(labelled.episode_ends.iter().copied()).filter(|(start, end)| start < end).take(episodes);
     let trace = |(episode, (start, end)): (usize, (usize, usize))| {
-        let forces = |force: &[f32]| Side::BOTH.map(|side| thinned(&totals(&force[start * N_FIELD..end * N_FIELD], side)));
+        let forces =
+            |force: &[f32]| Side::BOTH.map(|side| thinned(&totals(&force[start * N_FIELD..end * N_FIELD], side)));
         let stamp = |frame: usize| labelled.timestamps.get(frame).copied().unwrap_or(frame as f64);
         Trace {
             episode,
@@ -53,7 +54,10 @@ fn totals(force: &[f32], side: Side) -> Vec<f64> {
 
 /// The largest of each group of neighbours; unknown only where all are.
 fn thinned(values: &[f64]) -> Vec<f64> {
-    values.chunks(values.len().div_ceil(POINTS).max(1)).map(|group| group.iter().copied().fold(f64::NAN, f64::max)).collect()
+    values
+        .chunks(values.len().div_ceil(POINTS).max(1))
+        .map(|group| group.iter().copied().fold(f64::NAN, f64::max))
+        .collect()
 }
 
 impl Trace {
@@ -62,7 +66,8 @@ impl Trace {
         let (left, top, right, bottom) = MARGIN;
         let (width, height) = (SIZE.0 - left - right, SIZE.1 - top - bottom);
         let most = if most > 0.0 { most } else { 1.0 };
-        let mut svg = format!(r#"<svg viewBox="0 0 {} {}" role="img" aria-label="Total force over time">"#, SIZE.0, SIZE.1);
+        let mut svg =
+            format!(r#"<svg viewBox="0 0 {} {}" role="img" aria-label="Total force over time">"#, SIZE.0, SIZE.1);
         for share in [0.0, 0.5, 1.0] {
             let y = top + height * (1.0 - share);
             // Writing to a String cannot fail.
@@ -75,7 +80,13 @@ impl Trace {
                 share * most
             );
             let x = left + width * share;
-            let anchor = if share == 0.0 { "start" } else if share == 1.0 { "end" } else { "middle" };
+            let anchor = if share == 0.0 {
+                "start"
+            } else if share == 1.0 {
+                "end"
+            } else {
+                "middle"
+            };
             let (y, time) = (SIZE.1 - 7.0, share * self.seconds);
             let _ = write!(svg, r#"<text x="{x}" y="{y}" text-anchor="{anchor}">{time:.2} s</text>"#);
         }
@@ -96,7 +107,11 @@ impl Trace {
         };
         for side in Side::BOTH {
             if let Some(truth) = &self.truth {
-                curve(&truth[side as usize], COLORS[side as usize], r#"stroke-width="1" stroke-dasharray="4 3" class="truth""#);
+                curve(
+                    &truth[side as usize],
+                    COLORS[side as usize],
+                    r#"stroke-width="1" stroke-dasharray="4 3" class="truth""#,
+                );
             }
             curve(&self.force[side as usize], COLORS[side as usize], r#"stroke-width="1.8""#);
         }
@@ -120,7 +135,8 @@ mod tests {
         values[7_777] = 3.0;
         let thin = thinned(&values);
         assert!(thin.len() <= POINTS && thin.contains(&3.0));
-        let trace = Trace { episode: 0, start: 0.0, seconds: 1.0, force: [vec![0.0, f64::NAN, 2.0], vec![]], truth: None };
+        let trace =
+            Trace { episode: 0, start: 0.0, seconds: 1.0, force: [vec![0.0, f64::NAN, 2.0], vec![]], truth: None };
         let svg = trace.svg(2.0);
         assert!(svg.contains(r#"d="M46.0 126.0M750.0 10.0""#), "{svg}");
         assert_eq!(trace.most(), 2.0);

@@ -37,7 +37,8 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     }
     let pairs = pairs(&a, &b);
     ensure!(!pairs.is_empty(), "{} and {} have no frame of equal time", args.a.display(), args.b.display());
-    let (pred, mut target) = (taken(&a.fields, pairs.iter().map(|pair| pair.0)), taken(&b.fields, pairs.iter().map(|pair| pair.1)));
+    let (pred, mut target) =
+        (taken(&a.fields, pairs.iter().map(|pair| pair.0)), taken(&b.fields, pairs.iter().map(|pair| pair.1)));
     // Truth is 0 or 1 already.
     for contact in target.contact.iter_mut().filter(|contact| !contact.is_nan()) {
         *contact = f32::from(*contact > 0.5);

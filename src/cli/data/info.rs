@@ -93,14 +93,17 @@ fn bag(path: &Path) -> Result<Value> {
         }
     }
     let seconds = span.map(|(start, end)| (end - start) as f64 * 1e-9);
-    Ok(json!({ "kind": "bag", "seconds": seconds, "start_ns": span.map(|span| span.0), "topics": topics, "files": files }))
+    Ok(
+        json!({ "kind": "bag", "seconds": seconds, "start_ns": span.map(|span| span.0), "topics": topics, "files": files }),
+    )
 }
 
 fn text(info: &Value) -> String {
     if info["kind"] == "store" {
         return store_info::text(info);
     }
-    let mut text = format!("{}\n  {}", info["path"].as_str().unwrap_or_default(), info["kind"].as_str().unwrap_or_default());
+    let mut text =
+        format!("{}\n  {}", info["path"].as_str().unwrap_or_default(), info["kind"].as_str().unwrap_or_default());
     let part = |name: &str, unit: &str| match &info[name] {
         Value::Null => String::new(),
         Value::Number(number) => {
@@ -109,7 +112,9 @@ fn text(info: &Value) -> String {
         }
         value => format!(", {unit} {}", value.to_string().trim_matches('"')),
     };
-    text += &[("frames", "frames"), ("episodes", "episodes"), ("fps", "fps"), ("seconds", "seconds")].map(|(n, u)| part(n, u)).concat();
+    text += &[("frames", "frames"), ("episodes", "episodes"), ("fps", "fps"), ("seconds", "seconds")]
+        .map(|(n, u)| part(n, u))
+        .concat();
     text += &[("codec", "codec"), ("topology", "topology")].map(|(name, unit)| part(name, unit)).concat();
     if let Some(image) = info["image"].as_object() {
         text += &format!(", {} x {} pixels", image["width"], image["height"]);
@@ -118,7 +123,8 @@ fn text(info: &Value) -> String {
         text += &format!("\n  {name}: {} {}", feature["dtype"].as_str().unwrap_or_default(), feature["shape"]);
     }
     for (topic, about) in info["topics"].as_object().into_iter().flatten() {
-        text += &format!("\n  {topic}: {} messages of {}", about["messages"], about["type"].as_str().unwrap_or_default());
+        text +=
+            &format!("\n  {topic}: {} messages of {}", about["messages"], about["type"].as_str().unwrap_or_default());
     }
     for file in info["files"].as_array().into_iter().flatten() {
         let cut = if file["summary"] == true { "" } else { "; it has no summary, as if its recording was cut off" };
@@ -126,7 +132,12 @@ fn text(info: &Value) -> String {
     }
     if let Ok(About { provenance, summary }) = serde_json::from_value(info["labels"].clone()) {
         let id = provenance.model_id();
-        text += &format!("\n  labels: {id} on {}, by {} {}", provenance.topology.id(), provenance.producer, provenance.version);
+        text += &format!(
+            "\n  labels: {id} on {}, by {} {}",
+            provenance.topology.id(),
+            provenance.producer,
+            provenance.version
+        );
         text += &format!("\n  {}", summary.text().replace('\n', "\n  "));
     }
     text

@@ -81,7 +81,15 @@ impl BagWriter {
         let file = BufWriter::new(File::create(&path).map_err(Error::io(&path))?);
         let options = WriteOptions::new().profile("ros2").compression(Some(Compression::Zstd)).chunk_size(Some(CHUNK));
         let writer = options.create(file).map_err(|error| Error::file(&path, error))?;
-        Ok(Self { folder: folder.to_path_buf(), name, unfinished, writer, topics: BTreeMap::new(), start: None, end: 0 })
+        Ok(Self {
+            folder: folder.to_path_buf(),
+            name,
+            unfinished,
+            writer,
+            topics: BTreeMap::new(),
+            start: None,
+            end: 0,
+        })
     }
 
     /// Adds a topic of messages of `type_name` (`package/msg/Name`), defined by `schema` in `ros2msg` form. A `latched` one

@@ -9,8 +9,8 @@ mod survey;
 
 pub use bag::{BagWriter, file_name};
 pub use chunk::{Content, inner_records, open_chunk};
-pub(crate) use copy::put_text;
 pub use copy::CopyWriter;
+pub(crate) use copy::put_text;
 pub use metadata::{BagFile, BagTopic, metadata_yaml};
 pub use records::{Lost, Part, Record, Records};
 pub use survey::{Survey, Topic, bag_files, survey};

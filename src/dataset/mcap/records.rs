@@ -165,7 +165,9 @@ impl Records {
             return Ok(None);
         }
         let start = self.body(&Record { length: record.length.min(128), ..record })?;
-        Ok(chunk_header(&start).filter(|(header, at)| *at as u64 + header.compressed_size == record.length).map(|_| record))
+        Ok(chunk_header(&start)
+            .filter(|(header, at)| *at as u64 + header.compressed_size == record.length)
+            .map(|_| record))
     }
 
     /// Where, from `from` on, several records in a row make sense again.

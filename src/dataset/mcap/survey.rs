@@ -120,7 +120,8 @@ fn from_summary(file: &Records, path: &Path) -> Result<Option<Survey>> {
         return Ok(None);
     }
     let Ok(Parsed::Footer(parsed)) = mcap::parse_record(op::FOOTER, body) else { return Ok(None) };
-    let size = start.checked_sub(parsed.summary_start).filter(|size| parsed.summary_start > 0 && *size < LARGEST_SUMMARY);
+    let size =
+        start.checked_sub(parsed.summary_start).filter(|size| parsed.summary_start > 0 && *size < LARGEST_SUMMARY);
     let Some(size) = size else { return Ok(None) };
     let mut summary = vec![0; size as usize];
     file.file().read_exact_at(&mut summary, parsed.summary_start).map_err(Error::io(path))?;
@@ -131,8 +132,8 @@ fn from_summary(file: &Records, path: &Path) -> Result<Option<Survey>> {
         match mcap::parse_record(opcode, body) {
             Ok(Parsed::Statistics(statistics)) => {
                 survey.chunked = statistics.chunk_count > 0;
-                survey.times =
-                    (statistics.message_count > 0).then_some((statistics.message_start_time, statistics.message_end_time));
+                survey.times = (statistics.message_count > 0)
+                    .then_some((statistics.message_start_time, statistics.message_end_time));
                 counts = Some(statistics.channel_message_counts);
             }
             Ok(Parsed::ChunkIndex(_)) => survey.chunked = true,
