@@ -44,6 +44,7 @@ impl Output for ToStore {
         for unit in 0..self.source.units().len() {
             let before = writer.n_frames();
             let mut labels = journals.labels(unit)?;
+            let mut time = 0.0;
             for shot in self.source.shots(unit, 0)? {
                 let Some(label) = labels.next() else {
                     let name = &self.source.units()[unit].name;
@@ -53,7 +54,9 @@ impl Output for ToStore {
                     Some(size) => size,
                     None => *size.insert(self.size(unit, &shot)?),
                 };
-                writer.push(frame(shot, label?, size, journals.topology()))?;
+                // A frame without a time stands where the one before it does.
+                time = if shot.stamp_secs.is_finite() { shot.stamp_secs } else { time };
+                writer.push(Frame { timestamp: time, ..frame(shot, label?, size, journals.topology()) })?;
             }
             // A file without images is no episode.
             if writer.n_frames() > before {

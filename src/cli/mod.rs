@@ -53,8 +53,7 @@ enum Command {
     Verify(verify::Args),
     /// The network: forward, attention, import, start, info.
     Model(model::Args),
-    /// Measurements that the documentation holds: model, train, sim, effects, hard-cases, guards.
-    /// Measurements that the documentation holds: model, label, sim, effects, hard-cases, guards.
+    /// Measurements that the documentation holds: model, train, label, sim, effects, hard-cases, guards.
     Bench(bench::Args),
     /// Recordings and labels: info, diff.
     Data(data::Args),

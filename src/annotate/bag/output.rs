@@ -10,8 +10,8 @@ use super::super::provenance::NAME;
 use super::super::summary::About;
 use super::{Bag, Channels, ImageMessage, Inner};
 use crate::dataset::mcap::{
-    BagFile, BagTopic, CopyWriter, Lost, Part, Record, Records, bag_files, inner_records, metadata_yaml, op, open_chunk,
-    put_text, survey,
+    BagFile, BagTopic, CopyWriter, Lost, Part, Record, Records, bag_files, inner_records, metadata_yaml, op,
+    open_chunk, put_text, survey,
 };
 use crate::error::{Error, Result};
 use crate::message::{Header, Image, Message, Reader, TactileFrame, Time};
