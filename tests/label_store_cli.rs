@@ -172,6 +172,11 @@ fn what_is_there_is_never_overwritten() {
     refused(label(&input, &out, &[]), "exists");
     refused(label(&input, &folder.path().join("x.zarr"), &["--camera", "camera_left_rgb"]), "camera_ego_rgb");
     fs::remove_dir(&out).unwrap();
+    // What could not become a proper store is refused before the first image.
+    let other = unpacked("task.zarr.zip", &folder.path().join("other"));
+    fs::write(other.join(".zattrs"), r#"{"topology": "mano"}"#).unwrap();
+    refused(label(&other, &folder.path().join("y.zarr"), &[]), "topology mismatch");
+    assert!(!folder.path().join(".y.zarr.unfinished").exists());
     // A store that has labels, or truth, keeps them: new ones get other names.
     succeeds(&label(&input, &out, &[]));
     let again = folder.path().join("again.zarr");

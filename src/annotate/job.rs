@@ -94,6 +94,7 @@ impl Job<'_> {
         if self.out.exists() {
             return self.done_before().map(Outcome::DoneBefore);
         }
+        self.output.check(self.provenance.topology)?;
         if let Some(parent) = self.out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
             fs::create_dir_all(parent).map_err(Error::io(parent))?;
         }

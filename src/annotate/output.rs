@@ -17,6 +17,15 @@ pub trait Output: Send + Sync {
     /// If the input can't be read, the output can't be written, or the journals are not those of this input.
     fn assemble(&self, journals: &Journals, about: &mut About, at: &Path, out: &Path) -> Result<()>;
 
+    /// Refuses fields of `topology` where the output could not take them: before the work, not after it.
+    ///
+    /// # Errors
+    /// If the output would be no proper data set.
+    fn check(&self, topology: Topology) -> Result<()> {
+        let _ = topology;
+        Ok(())
+    }
+
     /// What the data set at `out` says about its labels; None if it says nothing.
     fn about(&self, out: &Path) -> Option<About>;
 }

@@ -17,7 +17,7 @@ use crate::dataset::zarr::{
     TIMESTAMPS, Values, ZarrReader,
 };
 use crate::error::{Error, Result};
-use crate::tactile::N_FIELD;
+use crate::tactile::{N_FIELD, Topology};
 
 /// What arrays of labels are called where the store has such arrays already, truth for instance.
 pub const PREDICTED: &str = "predicted_";
@@ -145,13 +145,22 @@ impl Output for Store {
             }
         }
         let mut attributes = Map::new();
-        let topology = about.provenance.topology;
-        match self.reader.raw_attributes().get("topology") {
-            None => drop(attributes.insert("topology".into(), topology.id().into())),
-            Some(_) => self.reader.attributes().topology.must_match(topology)?,
+        if !self.reader.raw_attributes().contains_key("topology") {
+            attributes.insert("topology".into(), about.provenance.topology.id().into());
         }
         attributes.insert(NAME.into(), serde_json::to_value(&*about).unwrap_or(Value::Null));
         arrays.finish(attributes)
+    }
+
+    fn check(&self, topology: Topology) -> Result<()> {
+        if !self.place.is_v2()? {
+            let message = "is a store of Zarr v3, to which no arrays of v2 can be added; --to store writes it anew";
+            return Err(Error::file(self.place.to_string(), message));
+        }
+        match self.reader.raw_attributes().contains_key("topology") {
+            true => self.reader.attributes().topology.must_match(topology),
+            false => Ok(()),
+        }
     }
 
     fn about(&self, out: &Path) -> Option<About> {

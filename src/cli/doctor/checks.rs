@@ -23,6 +23,7 @@ pub fn all(hand_model: &str) -> Vec<Row> {
         engine(),
         renderer(),
         gpu(),
+        ffmpeg(),
         hand(hand_model),
         checkpoint(),
     ]
@@ -201,6 +202,15 @@ fn gpu() -> Row {
             format!("{found}; {}", error.to_string().lines().next().unwrap_or_default()),
             "install an NVIDIA driver, or build without the feature `cuda`",
         ),
+    }
+}
+
+/// What reads videos.
+fn ffmpeg() -> Row {
+    const NAME: &str = "ffmpeg";
+    match (first_line("ffmpeg", &["-version"]), first_line("ffprobe", &["-version"])) {
+        (Some(found), Some(_)) => Row::ok(NAME, found.split(" Copyright").next().unwrap_or_default()),
+        _ => Row::missing(NAME, "not found; videos can't be read", "`apt-get install ffmpeg` (as root)"),
     }
 }
 

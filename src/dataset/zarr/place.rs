@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use zarrs::filesystem::FilesystemStore;
-use zarrs::storage::{ReadableListableStorageTraits, StoreKey};
+use zarrs::storage::{ReadableListableStorageTraits, ReadableStorageTraits, StoreKey};
 use zarrs_zip::ZipStorageAdapter;
 use zip::ZipArchive;
 
@@ -87,6 +87,16 @@ impl Place {
             }
             Some(inside) => file(Path::new(inside)),
         }
+    }
+
+    /// Whether the store is of Zarr v2.
+    ///
+    /// # Errors
+    /// If it can't be read.
+    pub fn is_v2(&self) -> Result<bool> {
+        let fail = |error: &dyn std::fmt::Display| Error::file(&self.path, error);
+        let key = StoreKey::new(".zgroup").map_err(|e| fail(&e))?;
+        Ok(self.storage()?.size_key(&key).map_err(|e| fail(&e))?.is_some())
     }
 
     /// Opens the storage.
