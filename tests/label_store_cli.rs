@@ -219,3 +219,32 @@ print(force.sum(dtype="f8"), contact.sum(dtype="f8"))
         assert!((python - rust).abs() <= 1e-9 * rust.abs(), "{python} {rust}");
     }
 }
+
+#[test]
+fn a_damaged_file_of_a_zip_is_listed_and_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = Path::new(DATA).join("task.zarr.zip");
+    let chunk = "task.zarr/data/right_hand_joints/0.0";
+    let mut archive = zip::ZipArchive::new(fs::File::open(&source).unwrap()).unwrap();
+    let (offset, bytes) = {
+        let entry = archive.by_name(chunk).unwrap();
+        (entry.data_start().unwrap(), entry.compressed_size())
+    };
+    let mut damaged = fs::read(&source).unwrap();
+    damaged[(offset + bytes / 2) as usize] ^= 0x10;
+    let input = folder.path().join("task.zarr.zip");
+    fs::write(&input, damaged).unwrap();
+    let out = folder.path().join("task.zarr");
+    let done = label(&input, &out, &["--json", "-"]);
+    assert_eq!(done.status.code(), Some(3), "{}", String::from_utf8_lossy(&done.stderr));
+    let done: Value = serde_json::from_slice(&done.stdout).unwrap();
+    let lost = &done["summary"]["lost"];
+    assert_eq!((&lost[0]["offset"], &lost[0]["bytes"]), (&offset.into(), &bytes.into()), "{lost}");
+    assert!(lost[0]["file"].as_str().unwrap().ends_with("data/right_hand_joints/0.0") && lost[1].is_null());
+    // All else is there, labels included.
+    let (left, whole) = (files(&out), files(&unpacked("task.zarr.zip", &folder.path().join("whole"))));
+    let missing: Vec<&PathBuf> = whole.keys().filter(|path| !left.contains_key(*path)).collect();
+    assert_eq!(missing, [Path::new("data/right_hand_joints/0.0")]);
+    assert_eq!(done["summary"]["labelled"], done["summary"]["frames"]);
+    assert!(left.contains_key(Path::new("data/mano_force/.zarray")));
+}

@@ -164,3 +164,53 @@ fn a_folder_of_recordings_is_labelled_one_by_one() {
         assert_eq!(ZarrReader::open(&out.join(name)).unwrap().len(), frames, "{name}");
     }
 }
+
+#[test]
+fn one_recording_that_cannot_be_read_does_not_stop_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::create_dir(at("all")).unwrap();
+    fs::write(at("all/a_bag.mcap"), b"not a bag").unwrap();
+    fs::write(at("all/b_store.zarr.zip"), b"not a zip file").unwrap();
+    fs::write(at("all/c_film.mp4"), b"not a film").unwrap();
+    images(&at("all/table"), 3);
+    let (input, out) = (at("all").to_str().unwrap().to_string(), at("out"));
+    let done = json(&["label", &input, "--out", out.to_str().unwrap(), "--json", "-"], 3);
+    assert_eq!(done["summary"]["labelled"], 3);
+    let manifest: Value = serde_json::from_str(&fs::read_to_string(out.join("manifest.json")).unwrap()).unwrap();
+    let names = |list: &Value| -> Vec<String> {
+        list.as_array().unwrap().iter().map(|entry| entry["input"].as_str().unwrap().to_string()).collect()
+    };
+    let broken = ["a_bag.mcap", "b_store.zarr.zip", "c_film.mp4"];
+    assert_eq!(
+        (names(&done["failed"]), names(&manifest["unreadable"])),
+        (broken.map(String::from).into(), broken.map(String::from).into())
+    );
+    assert_eq!(
+        fs::read_dir(&out)
+            .unwrap()
+            .filter(|entry| !entry.as_ref().unwrap().file_name().to_string_lossy().starts_with('.'))
+            .count(),
+        2
+    );
+
+    fs::remove_dir_all(at("all/table")).unwrap();
+    let none = egotac(&["label", &input, "--out", at("none").to_str().unwrap()]);
+    assert_eq!(none.status.code(), Some(1));
+    let told = String::from_utf8_lossy(&none.stderr).into_owned();
+    assert!(broken.iter().all(|name| told.contains(name)) && told.contains("none of 3 recordings"), "{told}");
+}
+
+#[test]
+fn a_reader_that_goes_away_ends_the_command_without_a_word() {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_egotac"))
+        .args(["data", "info", "tests/data/bag/table"])
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+    assert_eq!(output.status.code(), Some(141));
+}

@@ -126,11 +126,21 @@ impl Kind {
     }
 }
 
-/// The recordings that `input` is or holds, by name, with their outputs at or below `out`.
+/// What an input holds.
+#[derive(Debug, Default)]
+pub struct Found {
+    /// Recordings, by name.
+    pub items: Vec<Item>,
+    /// Names of those that can't be opened, and why.
+    pub unreadable: Vec<(String, Error)>,
+}
+
+/// The recordings that `input` is or holds, with their outputs at or below `out`. Of several, those that can't be opened
+/// don't stand in the way of the others.
 ///
 /// # Errors
-/// If there is none, one can't be opened, or `out` lies within `input`.
-pub fn items(input: &Path, out: &Path, choices: &Choices) -> Result<Vec<Item>> {
+/// If there is none, the only one can't be opened, or `out` lies within `input`.
+pub fn items(input: &Path, out: &Path, choices: &Choices) -> Result<Found> {
     if !input.exists() {
         return Err(Error::file(input, "does not exist"));
     }
@@ -138,7 +148,12 @@ pub fn items(input: &Path, out: &Path, choices: &Choices) -> Result<Vec<Item>> {
         return Err(Error::file(out, format!("lies in the input {}, which is never written to", input.display())));
     }
     if let Some(kind) = Kind::of(input) {
-        return open(kind, input, out, choices);
+        let opened = open(kind, input, out, choices)?;
+        if let [_] = opened[..] {
+            let items = opened.into_iter().map(|(_, item)| item).collect::<Result<_>>()?;
+            return Ok(Found { items, ..Found::default() });
+        }
+        return sorted_out(opened);
     }
     let mut paths = Vec::new();
     if input.is_dir() {
@@ -157,16 +172,32 @@ pub fn items(input: &Path, out: &Path, choices: &Choices) -> Result<Vec<Item>> {
             "holds nothing to label: no Zarr store (folder or zip), bag, .mcap file, LeRobot data set, video or images";
         return Err(Error::file(input, message));
     }
-    let mut items = Vec::new();
+    let mut opened = Vec::new();
     for (path, kind) in paths {
-        items.extend(open(kind, &path, &out.join(output_name(&path, kind, choices.to)), choices)?);
+        match open(kind, &path, &out.join(output_name(&path, kind, choices.to)), choices) {
+            Ok(of_path) => opened.extend(of_path),
+            Err(error) => {
+                opened.push((path.file_name().unwrap_or_default().to_string_lossy().into_owned(), Err(error)))
+            }
+        }
     }
-    let mut outs: Vec<&PathBuf> = items.iter().map(|item| &item.out).collect();
+    sorted_out(opened)
+}
+
+fn sorted_out(opened: Vec<(String, Result<Item>)>) -> Result<Found> {
+    let mut found = Found::default();
+    for (name, item) in opened {
+        match item {
+            Ok(item) => found.items.push(item),
+            Err(error) => found.unreadable.push((name, error)),
+        }
+    }
+    let mut outs: Vec<&PathBuf> = found.items.iter().map(|item| &item.out).collect();
     outs.sort();
-    if let Some(pair) = outs.windows(2).find(|pair| pair[0] == pair[1]) {
-        return Err(Error::file(pair[0], "would be the output of two inputs"));
+    match outs.windows(2).find(|pair| pair[0] == pair[1]) {
+        Some(pair) => Err(Error::file(pair[0], "would be the output of two inputs")),
+        None => Ok(found),
     }
-    Ok(items)
 }
 
 /// The images of the labelled data set at `path`, in the order of its labels; None where it has none, or they can't be
@@ -227,14 +258,15 @@ fn converted(source: &Arc<dyn Source>, choices: &Choices) -> Option<Arc<dyn Outp
     }
 }
 
-fn open(kind: Kind, path: &Path, out: &Path, choices: &Choices) -> Result<Vec<Item>> {
+/// The recordings that `path` is or, as a zip file of several stores, holds, by name; why one of several can't be opened.
+fn open(kind: Kind, path: &Path, out: &Path, choices: &Choices) -> Result<Vec<(String, Result<Item>)>> {
     match kind {
         Kind::Store => {
             let places = if path.is_dir() { vec![Place::only(path)?] } else { Place::find(path)? };
             let several = places.len() > 1;
             // The folder of several stores is none itself.
             let folder = if out.extension().is_some_and(|e| e == "zarr") { out.with_extension("") } else { out.into() };
-            let item = |place: Place| {
+            let item = |place: Place| -> Result<Item> {
                 let store = Arc::new(Store::open(&place, choices.camera.as_deref(), choices.time_unit)?);
                 let about = vec![
                     format!("store {}", place.name()),
@@ -249,7 +281,7 @@ fn open(kind: Kind, path: &Path, out: &Path, choices: &Choices) -> Result<Vec<It
                 let output = converted(&source, choices).unwrap_or(store);
                 Ok(Item { name: place.name(), source, output, out, about })
             };
-            places.into_iter().map(item).collect()
+            Ok(places.into_iter().map(|place| (place.name(), item(place))).collect())
         }
         Kind::Bag => {
             let labels_topic = choices.labels_topic.as_deref().unwrap_or(bag::TOPIC);
@@ -263,7 +295,7 @@ fn open(kind: Kind, path: &Path, out: &Path, choices: &Choices) -> Result<Vec<It
             }
             let source: Arc<dyn Source> = bag.clone();
             let output = converted(&source, choices).unwrap_or(bag);
-            Ok(vec![Item { name, source, output, out: out.to_path_buf(), about }])
+            Ok(vec![(name.clone(), Ok(Item { name, source, output, out: out.to_path_buf(), about }))])
         }
         Kind::LeRobot => {
             let prefix = choices.prefix.as_deref().unwrap_or(lerobot::PREFIX);
@@ -276,7 +308,7 @@ fn open(kind: Kind, path: &Path, out: &Path, choices: &Choices) -> Result<Vec<It
             ];
             let source: Arc<dyn Source> = dataset.clone();
             let output = converted(&source, choices).unwrap_or(dataset);
-            Ok(vec![Item { name, source, output, out: out.to_path_buf(), about }])
+            Ok(vec![(name.clone(), Ok(Item { name, source, output, out: out.to_path_buf(), about }))])
         }
         Kind::Video | Kind::Images => {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -293,7 +325,7 @@ fn open(kind: Kind, path: &Path, out: &Path, choices: &Choices) -> Result<Vec<It
             let to = if choices.to == Target::Same { Target::Store } else { choices.to };
             let output = converted(&source, &Choices { to, ..choices.clone() });
             let output = output.ok_or_else(|| Error::file(path, "can't hold labels"))?;
-            Ok(vec![Item { name, source, output, out: out.to_path_buf(), about }])
+            Ok(vec![(name.clone(), Ok(Item { name, source, output, out: out.to_path_buf(), about }))])
         }
         Kind::Tensors => Err(Error::file(path, "holds labels, not images")),
     }

@@ -14,11 +14,11 @@ use crate::file;
 pub const MANIFEST: &str = "manifest.json";
 
 /// Writes `manifest.json` into the folder `out`: provenance and numbers of each output that is there, by name, and their
-/// sum. Every shard writes it when it is done, from the outputs themselves, so the last one's list is complete.
+/// sum; and of what could not be opened. Every shard writes it when it is done, from the outputs themselves, so the last one's list is complete.
 ///
 /// # Errors
 /// If it can't be written.
-pub fn write_manifest(out: &Path, items: &[Item]) -> Result<()> {
+pub fn write_manifest(out: &Path, items: &[Item], unreadable: &[(String, Error)]) -> Result<()> {
     let lock = out.join(".manifest.lock");
     let held = File::create(&lock).map_err(Error::io(&lock))?;
     // Where files can't be locked, shards that end at the same moment may miss each other's outputs until one is run again.
@@ -34,6 +34,8 @@ pub fn write_manifest(out: &Path, items: &[Item]) -> Result<()> {
             None => missing.push(place),
         }
     }
-    let manifest = json!({ "outputs": outputs, "missing": missing, "summary": total });
+    let unreadable: Vec<_> =
+        unreadable.iter().map(|(name, error)| json!({ "input": name, "reason": error.to_string() })).collect();
+    let manifest = json!({ "outputs": outputs, "missing": missing, "unreadable": unreadable, "summary": total });
     file::write(&out.join(MANIFEST), format!("{manifest:#}\n").as_bytes())
 }

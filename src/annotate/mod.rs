@@ -29,7 +29,7 @@ mod work;
 
 pub use bag::TOPIC;
 pub use images::image_files;
-pub use input::{Choices, Item, Kind, Target, images_of, items};
+pub use input::{Choices, Found, Item, Kind, Target, images_of, items};
 pub use job::{Effort, Job, Outcome, Shard};
 pub use journal::{Journal, Label, Labels, Progress};
 pub use labelled::{Labelled, Truth};

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 use serde_json::{Map, Value};
@@ -12,6 +13,7 @@ use super::provenance::NAME;
 use super::source::{Picture, Shot, Shots, Source, Unit};
 use super::summary::About;
 use crate::dataset::EpisodeReader;
+use crate::dataset::mcap::Lost;
 use crate::dataset::zarr::{
     AddedArrays, ArraySpec, Dtype, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, Place,
     TIMESTAMPS, Values, ZarrReader,
@@ -118,7 +120,7 @@ impl Source for Store {
 
 impl Output for Store {
     fn assemble(&self, journals: &Journals, about: &mut About, at: &Path, _: &Path) -> Result<()> {
-        copy(&self.place, at)?;
+        about.summary.lost.extend(copy(&self.place, at)?);
         let [force, contact, force_valid, contact_valid] = self.names();
         // An attempt that was killed may have left some of them.
         for name in [&force, &contact, &force_valid, &contact_valid] {
@@ -185,30 +187,57 @@ pub(super) fn values(label: Label) -> Vec<Values> {
     [Values::F32(force), Values::F32(contact)].into_iter().chain(masks).collect()
 }
 
-/// Copies a store into the folder `to`. A file that is there already and as long was copied before.
-fn copy(place: &Place, to: &Path) -> Result<()> {
-    match &place.inside {
-        None => copy_folder(&place.path, to),
-        Some(inside) => {
-            let file = File::open(&place.path).map_err(Error::io(&place.path))?;
-            let fail = |error: zip::result::ZipError| Error::file(&place.path, error);
-            let mut archive = zip::ZipArchive::new(file).map_err(fail)?;
-            for index in 0..archive.len() {
-                let mut entry = archive.by_index(index).map_err(fail)?;
-                // A name that would leave the folder is refused by `enclosed_name`.
-                let Some(name) = entry.enclosed_name() else {
-                    return Err(Error::file(&place.path, format!("entry {index} would leave the store")));
-                };
-                let Ok(name) = name.strip_prefix(inside) else { continue };
-                let (path, size) = (to.join(name), entry.size());
-                if entry.is_dir() {
-                    fs::create_dir_all(&path).map_err(Error::io(&path))?;
-                    continue;
-                }
-                copy_file(&path, size, |file| std::io::copy(&mut entry, file))?;
-            }
-            Ok(())
+/// Copies a store into the folder `to`; gives what of a zip file can't be read and is left out. A file that is there already
+/// and as long was copied before.
+fn copy(place: &Place, to: &Path) -> Result<Vec<Lost>> {
+    let mut lost = Vec::new();
+    let Some(inside) = &place.inside else {
+        copy_folder(&place.path, to)?;
+        return Ok(lost);
+    };
+    let file = File::open(&place.path).map_err(Error::io(&place.path))?;
+    let fail = |error: zip::result::ZipError| Error::file(&place.path, error);
+    let mut archive = zip::ZipArchive::new(file).map_err(fail)?;
+    for index in 0..archive.len() {
+        let mut entry = archive.by_index(index).map_err(fail)?;
+        // A name that would leave the folder is refused by `enclosed_name`.
+        let Some(name) = entry.enclosed_name() else {
+            return Err(Error::file(&place.path, format!("entry {index} would leave the store")));
+        };
+        let Ok(name) = name.strip_prefix(inside) else { continue };
+        let (path, size) = (to.join(name), entry.size());
+        if entry.is_dir() {
+            fs::create_dir_all(&path).map_err(Error::io(&path))?;
+            continue;
         }
+        let (offset, bytes) = (entry.data_start().unwrap_or_default(), entry.compressed_size());
+        let mut reader = Watched { reader: &mut entry, failure: None };
+        let copied = copy_file(&path, size, |file| std::io::copy(&mut reader, file));
+        match reader.failure {
+            // Without the file its chunk is all fill value, which is valid; with damage nothing reads it.
+            Some(failure) => {
+                let file = format!("{}: {}", place.path.display(), name.display());
+                lost.push(Lost { file, offset, bytes, reason: failure });
+            }
+            None => copied?,
+        }
+    }
+    Ok(lost)
+}
+
+/// A reader that remembers that it failed, to tell damage in the input from a full disk.
+struct Watched<R> {
+    reader: R,
+    failure: Option<String>,
+}
+
+impl<R: Read> Read for Watched<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        self.reader.read(buffer).inspect_err(|error| {
+            if error.kind() != std::io::ErrorKind::Interrupted {
+                self.failure = Some(error.to_string());
+            }
+        })
     }
 }
 
@@ -238,7 +267,11 @@ pub(super) fn copy_file(path: &Path, size: u64, write: impl FnOnce(&mut File) ->
     let mut partial = path.as_os_str().to_owned();
     partial.push(".partial");
     let mut file = File::create(&partial).map_err(Error::io(&partial))?;
-    write(&mut file).map_err(Error::io(path))?;
+    if let Err(error) = write(&mut file) {
+        // What was written is of no use; the first error says more than one about the removal.
+        let _ = fs::remove_file(&partial);
+        return Err(Error::io(path)(error));
+    }
     fs::rename(&partial, path).map_err(Error::io(path))
 }
 

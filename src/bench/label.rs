@@ -8,7 +8,7 @@ use ::image::{Rgb, RgbImage};
 use serde::Serialize;
 
 use super::Machine;
-use crate::annotate::{Choices, Effort, Job, Provenance, Shard, items};
+use crate::annotate::{Choices, Effort, Found, Job, Provenance, Shard, items};
 use crate::dataset::mcap::BagWriter;
 use crate::dataset::zarr::{Contact, ZarrWriter};
 use crate::dataset::{Attributes, EpisodeWriter, Frame};
@@ -95,7 +95,8 @@ pub fn run(
 }
 
 fn measure(predictor: &mut Predictor, format: &str, image: (u32, u32), input: &Path, out: &Path) -> Result<Row> {
-    let items = items(input, out, &Choices { frame_dt: predictor.metadata().frame_dt, ..Choices::default() })?;
+    let Found { items, .. } =
+        items(input, out, &Choices { frame_dt: predictor.metadata().frame_dt, ..Choices::default() })?;
     let mut effort = Effort::default();
     for item in &items {
         let job = Job {

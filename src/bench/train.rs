@@ -27,13 +27,22 @@ const CLIP: usize = 16;
 const ACTIVE: f64 = 0.1;
 
 /// How the windows of a step lie.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Form {
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Form {
+    /// Clips, which share no frame.
+    pub clips: usize,
+    /// Windows of each clip, one after the other; they share its frames.
+    pub windows: usize,
+}
+
+impl Form {
     /// 4 windows of T frames each.
-    Own,
+    pub const OWN: Self = Self { clips: WINDOWS, windows: 1 };
+
     /// All windows of a clip of 16 frames, each of which is encoded once.
-    Shared,
+    pub fn shared(geometry: &Config) -> Self {
+        Self { clips: 1, windows: CLIP.saturating_sub(geometry.horizon) + 1 }
+    }
 }
 
 /// A step, timed.
@@ -119,8 +128,8 @@ pub fn measure(
         let mut row = Row { preset: preset.clone(), own: vec![], shared: vec![], peer: vec![] };
         for _ in 0..peer.map_or(1, |(_, rounds)| rounds.max(1)) {
             progress(preset);
-            row.own.push(step(&geometry, Form::Own, runs, &Device::Cpu)?);
-            row.shared.push(step(&geometry, Form::Shared, runs, &Device::Cpu)?);
+            row.own.push(step(&geometry, Form::OWN, runs, &Device::Cpu)?);
+            row.shared.push(step(&geometry, Form::shared(&geometry), runs, &Device::Cpu)?);
             if let Some((command, _)) = peer {
                 row.peer.push(ask(command, preset, threads, runs)?);
             }
@@ -176,13 +185,11 @@ fn config() -> Result<crate::train::Config> {
 fn batch(geometry: &Config, form: Form) -> Batch {
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let horizon = geometry.horizon as u32;
-    let (frames, windows): (usize, Vec<u32>) = match form {
-        Form::Own => (WINDOWS * geometry.horizon, (0..WINDOWS as u32 * horizon).collect()),
-        Form::Shared => {
-            let starts = 0..=CLIP.saturating_sub(geometry.horizon) as u32;
-            (CLIP, starts.flat_map(|start| start..start + horizon).collect())
-        }
-    };
+    let of_clip = (geometry.horizon + form.windows - 1) as u32;
+    let starts =
+        (0..form.clips as u32).flat_map(|clip| (0..form.windows as u32).map(move |window| clip * of_clip + window));
+    let windows: Vec<u32> = starts.flat_map(|start| start..start + horizon).collect();
+    let frames = form.clips * of_clip as usize;
     let entries = windows.len() / geometry.horizon * geometry.predict * N_FIELD;
     let force: Vec<f32> =
         (0..entries).map(|_| if rng.random_bool(ACTIVE) { rng.random_range(0.1..1.0) } else { 0.0 }).collect();
@@ -225,16 +232,16 @@ mod tests {
     #[test]
     fn shared_windows_use_each_frame_of_the_clip_and_own_ones_none_twice() {
         let geometry = Config { horizon: 4, ..Config::toy() };
-        let own = batch(&geometry, Form::Own);
+        let own = batch(&geometry, Form::OWN);
         assert_eq!((own.n_frames(geometry.image), own.windows), (16, (0..16).collect::<Vec<u32>>()));
-        let shared = batch(&geometry, Form::Shared);
+        let shared = batch(&geometry, Form::shared(&geometry));
         assert_eq!((shared.n_frames(geometry.image), shared.windows.len()), (16, 13 * 4));
         assert_eq!(shared.windows.last(), Some(&15));
     }
 
     #[test]
     fn a_step_of_the_smallest_network_is_timed() {
-        let timed = step(&Config::toy(), Form::Shared, 1, &Device::Cpu).unwrap();
+        let timed = step(&Config::toy(), Form::shared(&Config::toy()), 1, &Device::Cpu).unwrap();
         // toy has T = 3: 14 windows.
         assert!((timed.windows_per_s * timed.step_ms - 14_000.0).abs() < 1e-6);
     }

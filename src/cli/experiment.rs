@@ -13,11 +13,12 @@ use crate::file;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "ablations: everything, and without temporal context, active-region loss, force supervision, consistency loss. \
-    sources: force-supervised only, contact-only, mixed. scaling: 10, 20, 50, 100 % of the data; 1, 4, 6 scenes.\n\
+    sources: force-supervised only, contact-only, mixed. scaling: 10, 20, 50, 100 % of the data; 1, 4, 6 scenes. \
+    limits: less and more time, resolution, capacity.\n\
     Data is rendered and runs are trained in the work folder; both are kept there, so a stopped experiment goes on where it was."
 )]
 pub struct Args {
-    /// ablations, sources or scaling.
+    /// ablations, sources, scaling or limits.
     name: String,
     /// Runs of each arm.
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..=100))]

@@ -8,7 +8,7 @@ use indicatif::ProgressBar;
 use serde_json::json;
 
 use crate::annotate::{
-    Choices, Effort, Item, Job, Outcome, Provenance, Shard, Summary, TOPIC, Target, items, write_manifest,
+    Choices, Effort, Found, Item, Job, Outcome, Provenance, Shard, Summary, TOPIC, Target, items, write_manifest,
 };
 use crate::file;
 use crate::model::predictor::Options;
@@ -22,7 +22,7 @@ const PARTLY: u8 = 3;
 #[command(
     after_help = "The input is only read. A run that is stopped, however hard, goes on where it was when the same command is \
     given again; what it has so far lies in a hidden folder beside the output. The output appears when it is complete.\n\
-    Exit status: 0 = every image is labelled, 3 = all that could be read is labelled and the rest listed, 1 = no output."
+    Exit status: 0 = every image is labelled, 3 = all that could be read is labelled and the rest listed, 1 = nothing is."
 )]
 pub struct Args {
     /// A Zarr store (folder or zip file), a bag (folder) or an .mcap file, a LeRobot v3 data set, a video, a
@@ -95,27 +95,49 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         topic: args.topic.clone(),
         labels_topic: Some(args.labels_topic.clone()),
     };
-    let items = items(&args.input, &args.out, &choices)?;
+    let Found { items, unreadable } = items(&args.input, &args.out, &choices)?;
+    let several = items.len() + unreadable.len() > 1;
     let jobs: Vec<Job> = items.iter().map(|item| job(item, &predictor, &args)).collect();
     let bar = bar(&items, &jobs)?;
-    let (mut effort, mut done, mut waiting) = (Effort::default(), Vec::new(), Vec::new());
+    let (mut effort, mut ends) = (Effort::default(), Ends::default());
+    ends.failed.extend(unreadable.iter().map(|(name, error)| (name.clone(), error.to_string())));
     let mut number = 0;
     for (item, job) in items.iter().zip(&jobs) {
         let outcome = job.run(&mut predictor, args.shard, number, &mut effort, &mut || bar.inc(1));
         number += item.source.units().len();
-        match outcome.with_context(|| item.name.clone())? {
-            Outcome::Done(about) => done.push((item, about.summary, false)),
-            Outcome::DoneBefore(about) => done.push((item, about.summary, true)),
-            Outcome::Waiting => waiting.push(item),
+        match outcome {
+            Ok(Outcome::Done(about)) => ends.done.push((item, about.summary, false)),
+            Ok(Outcome::DoneBefore(about)) => ends.done.push((item, about.summary, true)),
+            Ok(Outcome::Waiting) => ends.waiting.push(item),
+            // One of several does not stop the others.
+            Err(error) if several => ends.failed.push((item.name.clone(), error.to_string())),
+            Err(error) => return Err(error).with_context(|| item.name.clone()),
         }
     }
     bar.finish_and_clear();
-    if items.len() > 1 {
-        write_manifest(&args.out, &items)?;
+    if several && args.out.is_dir() {
+        write_manifest(&args.out, &items, &unreadable)?;
     }
-    report(&args, &done, &waiting, &effort)?;
-    let whole = done.iter().all(|(_, summary, _)| summary.is_whole());
+    report(&args, &ends, &effort)?;
+    for (name, reason) in &ends.failed {
+        eprintln!("{name}: {reason}");
+    }
+    if ends.done.is_empty() && ends.waiting.is_empty() {
+        bail!("{}: none of {} recordings could be labelled", args.input.display(), ends.failed.len());
+    }
+    let whole = ends.failed.is_empty() && ends.done.iter().all(|(_, summary, _)| summary.is_whole());
     Ok(if whole { ExitCode::SUCCESS } else { ExitCode::from(PARTLY) })
+}
+
+/// How the jobs ended.
+#[derive(Default)]
+struct Ends<'a> {
+    /// Outputs that are there, and whether they were there before.
+    done: Vec<(&'a Item, Summary, bool)>,
+    /// Other shards have not done their parts yet.
+    waiting: Vec<&'a Item>,
+    /// Names of inputs without an output, and why.
+    failed: Vec<(String, String)>,
 }
 
 fn job<'a>(item: &'a Item, predictor: &Predictor, args: &Args) -> Job<'a> {
@@ -142,7 +164,7 @@ fn bar(items: &[Item], jobs: &[Job]) -> anyhow::Result<ProgressBar> {
     Ok(bar)
 }
 
-fn report(args: &Args, done: &[(&Item, Summary, bool)], waiting: &[&Item], effort: &Effort) -> anyhow::Result<()> {
+fn report(args: &Args, Ends { done, waiting, failed }: &Ends, effort: &Effort) -> anyhow::Result<()> {
     let mut total = Summary::default();
     done.iter().for_each(|(_, summary, _)| total.add(summary));
     let fps = effort.frames as f64 / effort.pass_secs.max(f64::MIN_POSITIVE);
@@ -150,6 +172,7 @@ fn report(args: &Args, done: &[(&Item, Summary, bool)], waiting: &[&Item], effor
     let json = json!({
         "outputs": outputs,
         "waiting_for_other_shards": waiting.iter().map(|item| item.out.display().to_string()).collect::<Vec<_>>(),
+        "failed": failed.iter().map(|(name, reason)| json!({ "input": name, "reason": reason })).collect::<Vec<_>>(),
         "summary": total,
         "images_labelled_now": effort.frames,
         "images_per_sec": (effort.frames > 0).then_some(fps),

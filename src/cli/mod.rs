@@ -63,6 +63,7 @@ enum Command {
 
 /// Runs the command line; the exit status is 0 for success, 1 for a failed check or an error, 2 for bad usage.
 pub fn main() -> ExitCode {
+    end_quietly_with_the_reader();
     let result = match Cli::parse().command {
         Command::Doctor(args) => doctor::run(args),
         Command::Hand(args) => hand::run(args),
@@ -113,4 +114,18 @@ fn positive(text: &str) -> Result<f64, String> {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         _ => Err("expected a number above 0".into()),
     }
+}
+
+/// `egotac ... | head` ends without a word when `head` does, as other programs do: `print!` panics on a closed pipe.
+fn end_quietly_with_the_reader() {
+    /// What a shell gives for a program that SIGPIPE ended.
+    const CLOSED_PIPE: i32 = 128 + 13;
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        let told = panic.payload_as_str().unwrap_or_default();
+        if told.starts_with("failed printing to stdout") && told.contains("Broken pipe") {
+            std::process::exit(CLOSED_PIPE);
+        }
+        usual(panic);
+    }));
 }

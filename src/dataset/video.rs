@@ -173,14 +173,15 @@ impl Drop for Frames {
 }
 
 /// Time of the frame that a line of the filter `showinfo` tells of, s; NaN if the frame has none.
-fn stamp(line: &str, time_base: Option<f64>) -> Option<f64> {
+fn stamp(line: &str, time_base: Option<(f64, f64)>) -> Option<f64> {
     if !line.contains("showinfo") || after(line, " n:").is_none() {
         return None;
     }
     let pts = after(line, " pts:")?.split_whitespace().next()?;
     // The time in seconds that stands beside it has six digits only: too few after an hour.
     match (pts.parse::<i64>(), time_base) {
-        (Ok(pts), Some(base)) => Some(pts as f64 * base),
+        // Divided last: the number nearest to the fraction.
+        (Ok(pts), Some((over, under))) => Some(pts as f64 * over / under),
         _ => Some(f64::NAN),
     }
 }
@@ -189,10 +190,10 @@ fn after<'a>(line: &'a str, mark: &str) -> Option<&'a str> {
     line.find(mark).map(|at| line[at + mark.len()..].trim_start())
 }
 
-fn fraction(text: &str) -> Option<f64> {
+fn fraction(text: &str) -> Option<(f64, f64)> {
     let (over, rest) = text.split_once('/')?;
     let under: String = rest.chars().take_while(char::is_ascii_digit).collect();
-    Some(over.parse::<f64>().ok()? / under.parse::<f64>().ok()?)
+    Some((over.parse().ok()?, under.parse().ok()?))
 }
 
 /// The next image of a stream of binary PPM files; None at its end.
@@ -248,13 +249,15 @@ mod tests {
     #[test]
     fn lines_of_showinfo_give_exact_times() {
         let line = "[Parsed_showinfo_0 @ 0x5581] [info] n:   7 pts: 123456 pts_time:1.37173 pos:   4000 fmt:yuv420p";
-        assert_eq!(stamp(line, Some(1.0 / 90_000.0)), Some(123_456.0 / 90_000.0));
+        assert_eq!(stamp(line, Some((1.0, 90_000.0))), Some(123_456.0 / 90_000.0));
         assert!(
-            stamp("[Parsed_showinfo_0 @ 0x5581] [info] n:   7 pts: NOPTS pts_time:NOPTS", Some(0.5)).unwrap().is_nan()
+            stamp("[Parsed_showinfo_0 @ 0x5581] [info] n:   7 pts: NOPTS pts_time:NOPTS", Some((1.0, 2.0)))
+                .unwrap()
+                .is_nan()
         );
-        assert_eq!(stamp("[info] Stream #0:0: Video: h264, 25 fps", Some(0.5)), None);
+        assert_eq!(stamp("[info] Stream #0:0: Video: h264, 25 fps", Some((1.0, 2.0))), None);
         let config = "[Parsed_showinfo_0 @ 0x55] [info] config in time_base: 1/12800, frame_rate: 25/1";
-        assert_eq!(after(config, "config in time_base:").and_then(fraction), Some(1.0 / 12_800.0));
+        assert_eq!(after(config, "config in time_base:").and_then(fraction), Some((1.0, 12_800.0)));
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use super::data::Stores;
 use crate::error::{Error, Result};
+use crate::model;
 use crate::train::Config;
 use crate::train::config::Geometry;
 use crate::train::source::Supervision;
@@ -36,7 +37,7 @@ const FULL: Arm = arm("full", "everything", |_, _| ());
 
 impl Experiment {
     /// Names of all experiments.
-    pub const NAMES: [&'static str; 3] = ["ablations", "sources", "scaling"];
+    pub const NAMES: [&'static str; 4] = ["ablations", "sources", "scaling", "limits"];
 
     /// An experiment by name.
     ///
@@ -47,6 +48,7 @@ impl Experiment {
             "ablations" => Ok(ablations()),
             "sources" => Ok(sources()),
             "scaling" => Ok(scaling()),
+            "limits" => Ok(limits()),
             _ => Err(Error::unknown("experiment", name, Self::NAMES)),
         }
     }
@@ -59,9 +61,7 @@ fn ablations() -> Experiment {
         arms: vec![
             FULL,
             arm("no_context", "one frame in place of three (EgoTac-i)", |config, _| {
-                if let Geometry::Explicit(geometry) = &mut config.model {
-                    geometry.horizon = 1;
-                }
+                geometry(config, |geometry| geometry.horizon = 1);
             }),
             arm("no_active", "without the active-region loss L_A", |config, _| config.loss.active = 0.0),
             arm("no_force", "contact labels alone: L_F and L_A have nothing to learn from", |config, _| {
@@ -108,6 +108,34 @@ fn scaling() -> Experiment {
     }
 }
 
+/// What holds the scores back: each of time, resolution and capacity made smaller and, where it can be, larger.
+/// `scaling` asks the same of data.
+fn limits() -> Experiment {
+    Experiment {
+        name: "limits",
+        question: "What limits the scores: time, resolution or capacity?",
+        arms: vec![
+            arm("usual", "as in all experiments", |_, _| ()),
+            arm("steps_half", "half the steps", |config, _| config.steps = config.steps.div_ceil(2)),
+            arm("steps_double", "twice the steps", |config, _| config.steps *= 2),
+            arm("pixels_56", "pictures of 56 pixels, 16 patches", |config, _| geometry(config, |own| own.image = 56)),
+            arm("pixels_84", "of 84 pixels, 36 patches", |config, _| geometry(config, |own| own.image = 84)),
+            arm("width_half", "half as wide", |config, _| widths(config, 48)),
+            arm("width_more", "half as wide again", |config, _| widths(config, 144)),
+        ],
+    }
+}
+
+fn geometry(config: &mut Config, change: impl FnOnce(&mut model::Config)) {
+    if let Geometry::Explicit(geometry) = &mut config.model {
+        change(geometry);
+    }
+}
+
+fn widths(config: &mut Config, width: usize) {
+    geometry(config, |own| (own.vision_width, own.width) = (width, width));
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -117,6 +145,8 @@ mod tests {
         for name in Experiment::NAMES {
             assert_eq!(Experiment::by_name(name).unwrap().name, name);
         }
-        assert!(Experiment::by_name("ablation").unwrap_err().to_string().contains("ablations, sources, scaling"));
+        assert!(
+            Experiment::by_name("ablation").unwrap_err().to_string().contains("ablations, sources, scaling, limits")
+        );
     }
 }

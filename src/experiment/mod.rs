@@ -5,6 +5,7 @@
 //! | `ablations` | what each part of the method gives |
 //! | `sources` | whether contact-only data helps where force is scarce |
 //! | `scaling` | what more data and more sources give |
+//! | `limits` | whether time, resolution or capacity holds the scores back |
 //!
 //! A finished run is kept in the work folder and not made again, so an experiment may be stopped at any time.
 
@@ -17,6 +18,7 @@ use std::path::{Path, PathBuf};
 
 use candle_core::Device;
 
+use crate::bench::train::{self as bench, Form};
 use crate::dataset::tensors::FieldFile;
 use crate::dataset::zarr;
 use crate::error::{Error, Result};
@@ -153,7 +155,7 @@ fn budget(planned: &[(&Arm, u64, Config)]) -> Result<Budget> {
         .filter(|config| Domain::ALL.iter().any(|domain| !fields_file(config, *domain).exists()))
         .collect();
     let windows = missing.iter().map(|config| config.steps * config.batch.clips * config.batch.windows).sum();
-    let timed = crate::bench::train::step(&geometry(), crate::bench::train::Form::Own, 3, &Device::Cpu)?;
+    let timed = bench::step(&geometry(), Form { clips: BATCH.clips, windows: BATCH.windows }, 3, &Device::Cpu)?;
     Ok(Budget { runs: missing.len(), windows, windows_per_s: timed.windows_per_s })
 }
 
