@@ -23,10 +23,10 @@ fn experiment(work: &Path, out: &Path, more: &[&str]) -> Output {
 fn an_experiment_writes_its_tables_and_makes_no_run_twice() {
     let folder = tempfile::tempdir().unwrap();
     let [work, first, second] = ["work", "first", "second"].map(|name| folder.path().join(name));
-    let output = experiment(&work, &first, &["--steps", "2"]);
+    let output = experiment(&work, &first, &["--encoder-steps", "2", "--steps", "2"]);
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert!(text.starts_with("3 runs to make, 180 windows altogether"), "{text}");
+    assert!(text.starts_with("4 runs to make, 240 windows altogether"), "{text}");
 
     let json = fs::read_to_string(first.join("sources.json")).unwrap();
     let report: Value = serde_json::from_str(&json).unwrap();
@@ -50,7 +50,7 @@ fn an_experiment_writes_its_tables_and_makes_no_run_twice() {
         assert!(fs::metadata(first.join(picture)).unwrap().len() > 1000);
     }
 
-    let output = experiment(&work, &second, &["--steps", "2"]);
+    let output = experiment(&work, &second, &["--encoder-steps", "2", "--steps", "2"]);
     assert!(String::from_utf8_lossy(&output.stdout).starts_with("0 runs to make, 0 windows"));
     assert_eq!(fs::read_to_string(second.join("sources.json")).unwrap(), json);
 }

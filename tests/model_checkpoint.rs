@@ -175,3 +175,38 @@ fn a_new_network_starts_at_the_size_it_is_meant_to() {
     about(std("temporal.mlp.fc1.weight"), (1.0 / 384f64).sqrt());
     about(std("force_head.bias"), (1.0 / 384f64).sqrt());
 }
+
+#[test]
+fn an_encoder_alone_is_taken_into_another_network() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("other.safetensors");
+    let (from, to) = (Config { horizon: 1, depth: 1, ..Config::toy() }, Config { width: 48, ..Config::toy() });
+    let (_, trained) = network(&from, 1);
+    Checkpoint::save(&path, &from, &metadata(), &trained).unwrap();
+    let values = |vars: &VarMap| -> Vec<(String, Vec<f32>)> {
+        let vars = vars.data().lock().unwrap();
+        let value = |(name, var): (&String, &candle_core::Var)| {
+            (name.clone(), var.flatten_all().unwrap().to_vec1::<f32>().unwrap())
+        };
+        let mut values: Vec<_> = vars.iter().map(value).collect();
+        values.sort_by(|a, b| a.0.cmp(&b.0));
+        values
+    };
+    let (_, vars) = network(&to, 2);
+    let before = values(&vars);
+    checkpoint::load_encoder(&path, &vars).unwrap();
+    let trained: HashMap<String, Vec<f32>> = values(&trained).into_iter().collect();
+    let mut taken = 0;
+    for ((name, before), (_, after)) in before.into_iter().zip(values(&vars)) {
+        let is_encoder = name.starts_with(checkpoint::ENCODER);
+        taken += usize::from(is_encoder);
+        assert_eq!(after, if is_encoder { trained[&name].clone() } else { before }, "{name}");
+    }
+    assert!(taken > 10);
+
+    let (_, wider) = network(&Config { vision_width: 96, ..to }, 2);
+    let before = values(&wider);
+    let error = checkpoint::load_encoder(&path, &wider).unwrap_err().to_string();
+    assert!(error.contains("other.safetensors") && error.contains("encoder.") && error.contains("expected"), "{error}");
+    assert_eq!(values(&wider), before);
+}

@@ -18,6 +18,16 @@ fn picture(index: usize) -> RgbImage {
     RgbImage::from_fn(SIDE as u32, SIDE as u32, |x, y| Rgb([10 * index as u8, 9 * x as u8, 7 * y as u8]))
 }
 
+fn preparation() -> Preparation {
+    Preparation {
+        side: SIDE,
+        resize: Default::default(),
+        filter: Default::default(),
+        mean: IMAGENET_MEAN,
+        std: IMAGENET_STD,
+    }
+}
+
 /// Frame t presses vertex t with t N; frame 7 is refused by a guard, vertex 3 of frame 8 is unknown.
 fn write_store(path: &Path) {
     let attributes = Attributes {
@@ -60,15 +70,8 @@ fn batches_hold_each_frame_once_and_the_labels_of_the_newest() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
     write_store(&path);
-    let preparation = Preparation {
-        side: SIDE,
-        resize: Default::default(),
-        filter: Default::default(),
-        mean: IMAGENET_MEAN,
-        std: IMAGENET_STD,
-    };
     for in_memory in [true, false] {
-        let data = Dataset::new(vec![ZarrReader::open(&path).unwrap()], preparation.clone(), in_memory).unwrap();
+        let data = Dataset::new(vec![ZarrReader::open(&path).unwrap()], preparation(), in_memory).unwrap();
         assert_eq!((data.n_frames(), data.topology()), (12, Topology::Mano));
         assert_eq!(data.episodes(), [(0, 0..4), (0, 4..12)]);
         // 1..6 N, 8..11 N are active (7 is refused, and 0 N no touch): the 99th percentile is the largest.
@@ -119,13 +122,6 @@ fn a_mirrored_clip_shows_the_other_hand() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
     write_store(&path);
-    let preparation = Preparation {
-        side: SIDE,
-        resize: Default::default(),
-        filter: Default::default(),
-        mean: IMAGENET_MEAN,
-        std: IMAGENET_STD,
-    };
     let collate = Collate {
         horizon: 2,
         predict: 1,
@@ -137,7 +133,7 @@ fn a_mirrored_clip_shows_the_other_hand() {
     let clips = [Clip { store: 0, episode: 4..12, newest: vec![9] }];
     let batch = |mirror: bool| {
         let source = Source { mirror, ..Source::path(&path) };
-        Dataset::open(&[source], preparation.clone(), true).unwrap().batch(&collate, 0, &clips).unwrap()
+        Dataset::open(&[source], preparation(), true).unwrap().batch(&collate, 0, &clips).unwrap()
     };
     let (plain, mirrored) = (batch(false), batch(true));
     // The picture from right to left, row by row.

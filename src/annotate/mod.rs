@@ -7,6 +7,7 @@
 //! memory does not grow with the length of a recording.
 
 mod bag;
+mod copy;
 mod images;
 mod input;
 mod job;

@@ -30,6 +30,9 @@ pub struct Times {
     pub journal: f64,
 }
 
+/// Number of a batch, and its images by number.
+type Batch = (usize, Vec<(usize, Shot)>);
+
 /// An image ready for the network.
 struct Ready {
     index: usize,
@@ -132,7 +135,7 @@ fn read_ahead(
     mut take: impl FnMut(Ready, f64) -> Result<()>,
 ) -> Result<()> {
     let decoders = decoders.max(1);
-    let (to_decode, taken) = sync_channel::<(usize, Vec<(usize, Shot)>)>(decoders);
+    let (to_decode, taken) = sync_channel::<Batch>(decoders);
     let (to_label, ready) = sync_channel::<(usize, Vec<Ready>)>(decoders);
     let taken = Arc::new(Mutex::new(taken));
     std::thread::scope(|scope| {
@@ -147,12 +150,7 @@ fn read_ahead(
     })
 }
 
-fn read(
-    shots: Shots,
-    from: usize,
-    wanted: &(dyn Fn(usize) -> bool + Sync),
-    to_decode: SyncSender<(usize, Vec<(usize, Shot)>)>,
-) {
+fn read(shots: Shots, from: usize, wanted: &(dyn Fn(usize) -> bool + Sync), to_decode: SyncSender<Batch>) {
     let mut batch = Vec::with_capacity(BATCH);
     let mut number = 0;
     for (index, shot) in (from..).zip(shots).filter(|(index, _)| wanted(*index)) {
@@ -168,11 +166,7 @@ fn read(
     let _ = to_decode.send((number, batch));
 }
 
-fn decode(
-    taken: &Mutex<Receiver<(usize, Vec<(usize, Shot)>)>>,
-    preparation: &Preparation,
-    to_label: SyncSender<(usize, Vec<Ready>)>,
-) {
+fn decode(taken: &Mutex<Receiver<Batch>>, preparation: &Preparation, to_label: SyncSender<(usize, Vec<Ready>)>) {
     loop {
         let batch = taken.lock().unwrap_or_else(PoisonError::into_inner).recv();
         let Ok((number, shots)) = batch else { return };

@@ -7,6 +7,7 @@ use std::path::Path;
 
 use serde_json::{Map, Value};
 
+use super::copy::{copy_file, copy_folder};
 use super::journal::Label;
 use super::output::{Journals, Output};
 use super::provenance::NAME;
@@ -192,7 +193,7 @@ pub(super) fn values(label: Label) -> Vec<Values> {
 fn copy(place: &Place, to: &Path) -> Result<Vec<Lost>> {
     let mut lost = Vec::new();
     let Some(inside) = &place.inside else {
-        copy_folder(&place.path, to)?;
+        copy_folder(&place.path, to, true)?;
         return Ok(lost);
     };
     let file = File::open(&place.path).map_err(Error::io(&place.path))?;
@@ -239,40 +240,6 @@ impl<R: Read> Read for Watched<R> {
             }
         })
     }
-}
-
-fn copy_folder(from: &Path, to: &Path) -> Result<()> {
-    fs::create_dir_all(to).map_err(Error::io(to))?;
-    for entry in fs::read_dir(from).map_err(Error::io(from))? {
-        let entry = entry.map_err(Error::io(from))?;
-        let (source, path) = (entry.path(), to.join(entry.file_name()));
-        let metadata = fs::metadata(&source).map_err(Error::io(&source))?;
-        if metadata.is_dir() {
-            copy_folder(&source, &path)?;
-            continue;
-        }
-        copy_file(&path, metadata.len(), |file| std::io::copy(&mut File::open(&source)?, file))?;
-    }
-    Ok(())
-}
-
-/// Writes `path` unless it is there with its size; under another name until it is whole.
-pub(super) fn copy_file(path: &Path, size: u64, write: impl FnOnce(&mut File) -> std::io::Result<u64>) -> Result<()> {
-    if path.metadata().is_ok_and(|there| there.is_file() && there.len() == size) {
-        return Ok(());
-    }
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder).map_err(Error::io(folder))?;
-    }
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".partial");
-    let mut file = File::create(&partial).map_err(Error::io(&partial))?;
-    if let Err(error) = write(&mut file) {
-        // What was written is of no use; the first error says more than one about the removal.
-        let _ = fs::remove_file(&partial);
-        return Err(Error::io(path)(error));
-    }
-    fs::rename(&partial, path).map_err(Error::io(path))
 }
 
 #[cfg(test)]

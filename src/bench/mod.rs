@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "sim")]
 pub mod effects;
+mod front;
 #[cfg(feature = "sim")]
 pub mod guards;
 pub mod hard_cases;

@@ -23,6 +23,9 @@ pub struct Args {
     /// Runs of each arm.
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..=100))]
     seeds: u64,
+    /// Steps in which the encoder of all runs learns to see hands, before them.
+    #[arg(long, default_value_t = 4000, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    encoder_steps: u64,
     /// Optimisation steps of a run.
     #[arg(long, default_value_t = 1200, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     steps: u64,
@@ -46,6 +49,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let size = Size {
         episodes: args.episodes as usize,
         held_out: args.held_out as usize,
+        encoder_steps: args.encoder_steps as usize,
         steps: args.steps as usize,
         seeds: args.seeds,
     };
@@ -54,8 +58,8 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let bar = ProgressBar::new(0);
     bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed}<{eta} {msg}")?);
     let command = format!(
-        "egotac experiment {} --seeds {} --steps {} --episodes {} --held-out {}",
-        args.name, args.seeds, args.steps, args.episodes, args.held_out
+        "egotac experiment {} --seeds {} --encoder-steps {} --steps {} --episodes {} --held-out {}",
+        args.name, args.seeds, args.encoder_steps, args.steps, args.episodes, args.held_out
     );
     let report = experiment::run(&experiment, &size, &stores, &args.work, command, &mut |news| match news {
         News::Budget(budget) => bar.suspend(|| {

@@ -7,6 +7,9 @@
 //! | `scaling` | what more data and more sources give |
 //! | `limits` | whether time, resolution or capacity holds the scores back |
 //!
+//! The encoder of all runs is trained once, to find the hands' keypoints in the training pictures: no touch is told to it. It
+//! stands in for a published one, without which a network this small spends a run on learning to see.
+//!
 //! A finished run is kept in the work folder and not made again, so an experiment may be stopped at any time.
 
 pub mod arm;
@@ -36,6 +39,11 @@ pub use report::Report;
 /// Clips and windows of a step.
 const BATCH: Batch = Batch { clips: 10, windows: 3, accumulate: 1 };
 
+/// What the encoder's learning rate is multiplied by: it has learned to see already.
+const ENCODER_FACTOR: f64 = 0.3;
+/// A run's weights.
+const CHECKPOINT: &str = "checkpoint.safetensors";
+
 /// How large an experiment is.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Size {
@@ -43,6 +51,8 @@ pub struct Size {
     pub episodes: usize,
     /// Held-out episodes of each scene, in each domain.
     pub held_out: usize,
+    /// Steps of the encoder's own training, before all runs.
+    pub encoder_steps: usize,
     /// Optimisation steps of a run.
     pub steps: usize,
     /// Runs of each arm.
@@ -96,14 +106,20 @@ pub fn run(
     command: String,
     tell: &mut dyn FnMut(News),
 ) -> Result<Report> {
-    let mut planned = Vec::new();
+    let (mut planned, mut encoders): (Vec<_>, Vec<Config>) = Default::default();
     for arm in &experiment.arms {
         for seed in 0..size.seeds {
-            let config = config(arm, seed, size, stores, work)?;
+            let (config, encoder) = config(arm, seed, size, stores, work)?;
             planned.push((arm, seed, config));
+            if !encoders.iter().any(|other| other.out == encoder.out) {
+                encoders.push(encoder);
+            }
         }
     }
-    tell(News::Budget(&budget(&planned)?));
+    tell(News::Budget(&budget(&encoders, &planned)?));
+    for config in &encoders {
+        train_once(config, |done, all| tell(News::Step("encoder", 0, done, all)))?;
+    }
     let mut runs = Vec::new();
     for (arm, seed, config) in &planned {
         let checkpoint = train_once(config, |done, all| tell(News::Step(arm.name, *seed, done, all)))?;
@@ -116,8 +132,8 @@ pub fn run(
     report::make(experiment, size, stores, &runs, command)
 }
 
-/// The run of an arm; its folder is named after all that decides its weights.
-fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Result<Config> {
+/// The run of an arm, and that of the encoder it starts from.
+fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Result<(Config, Config)> {
     let mut config = Config {
         name: "experiment".into(),
         data: stores.sources(),
@@ -126,14 +142,20 @@ fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Re
         out: PathBuf::new(),
         model: Geometry::Explicit(geometry()),
         init: None,
+        encoder: None,
         seed: seed + 1,
         frame_dt: 0.12,
         precision: Precision::F32,
         steps: size.steps,
         batch: BATCH,
-        optimizer: Optimizer { learning_rate: 1e-3, weight_decay: 0.05, ..Optimizer::default() },
+        optimizer: Optimizer {
+            learning_rate: 1e-3,
+            weight_decay: 0.05,
+            encoder_factor: Some(ENCODER_FACTOR),
+            ..Optimizer::default()
+        },
         // Five times the paper's weights, and ten times that of force: from a random start a network this small finds
-        // touch, which is zero nearly everywhere, only if force weighs more. Keypoints, too, are for the random start.
+        // touch, which is zero nearly everywhere, only if force weighs more. Keypoints keep the encoder seeing hands.
         loss: Loss { force: 50.0, contact: 5.0, active: 1.0, consistency: 0.25, keypoints: 0.3, ..Loss::default() },
         augment: Augment::default(),
         ema: 0.995,
@@ -142,18 +164,40 @@ fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Re
         threads: 1,
         in_memory: true,
     };
+    let mut encoder = Config {
+        data: stores.sources(),
+        model: config.model.clone(),
+        seed: 1,
+        steps: size.encoder_steps,
+        batch: Batch { clips: BATCH.clips * BATCH.windows, windows: 1, accumulate: 1 },
+        optimizer: Optimizer { encoder_factor: None, ..config.optimizer },
+        loss: Loss { force: 0.0, contact: 0.0, active: 0.0, consistency: 0.0, keypoints: 1.0, ..Loss::default() },
+        validate_every: size.encoder_steps.max(1),
+        ..config.clone()
+    };
     (arm.change)(&mut config, stores);
-    let yaml = serde_yaml::to_string(&config).map_err(|e| Error::value("config", "one that YAML can hold", e))?;
-    config.out = work.join("runs").join(&file::sha256(yaml.as_bytes())[..12]);
-    Ok(config)
+    if let (Geometry::Explicit(own), Geometry::Explicit(of_arm)) = (&mut encoder.model, &config.model) {
+        // A keypoint is seen in one frame.
+        *own = model::Config { horizon: 1, ..of_arm.clone() };
+    }
+    encoder.out = folder(work, &encoder)?;
+    config.encoder = Some(encoder.out.join(CHECKPOINT));
+    config.out = folder(work, &config)?;
+    Ok((config, encoder))
 }
 
-fn budget(planned: &[(&Arm, u64, Config)]) -> Result<Budget> {
-    let missing: Vec<&Config> = planned
-        .iter()
-        .map(|(_, _, config)| config)
-        .filter(|config| Domain::ALL.iter().any(|domain| !fields_file(config, *domain).exists()))
-        .collect();
+/// The folder of a run, named after all that decides its weights.
+fn folder(work: &Path, config: &Config) -> Result<PathBuf> {
+    let config = Config { out: PathBuf::new(), ..config.clone() };
+    let yaml = serde_yaml::to_string(&config).map_err(|e| Error::value("config", "one that YAML can hold", e))?;
+    Ok(work.join("runs").join(&file::sha256(yaml.as_bytes())[..12]))
+}
+
+fn budget(encoders: &[Config], planned: &[(&Arm, u64, Config)]) -> Result<Budget> {
+    let predicted = |config: &&Config| Domain::ALL.iter().all(|domain| fields_file(config, *domain).exists());
+    let runs = planned.iter().map(|(_, _, config)| config).filter(|config| !predicted(config));
+    let encoders = encoders.iter().filter(|config| !config.out.join(CHECKPOINT).exists());
+    let missing: Vec<&Config> = encoders.chain(runs).collect();
     let windows = missing.iter().map(|config| config.steps * config.batch.clips * config.batch.windows).sum();
     let timed = bench::step(&geometry(), Form { clips: BATCH.clips, windows: BATCH.windows }, 3, &Device::Cpu)?;
     Ok(Budget { runs: missing.len(), windows, windows_per_s: timed.windows_per_s })
@@ -161,7 +205,7 @@ fn budget(planned: &[(&Arm, u64, Config)]) -> Result<Budget> {
 
 /// Trains, or goes on with what is there; gives the checkpoint.
 fn train_once(config: &Config, mut progress: impl FnMut(usize, usize)) -> Result<PathBuf> {
-    let [checkpoint, state] = ["checkpoint.safetensors", "state.safetensors"].map(|name| config.out.join(name));
+    let [checkpoint, state] = [CHECKPOINT, "state.safetensors"].map(|name| config.out.join(name));
     let finished = Checkpoint::load(&checkpoint, &Device::Cpu)
         .is_ok_and(|checkpoint| steps_of(&checkpoint.metadata.training) == Some(config.steps));
     if !finished {

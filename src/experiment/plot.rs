@@ -1,50 +1,41 @@
 //! An experiment's picture: every score, arm by arm, in both domains.
 
-use std::error::Error as StdError;
 use std::path::Path;
 
-use ::image::RgbImage;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::data::Domain;
 use super::report::{Report, SHOWN};
-use crate::error::{Error, Result};
-use crate::{file, render};
+use crate::error::Result;
+use crate::render;
+use crate::render::figure::{self, Drawn, Figure};
 
-const SIZE: (u32, u32) = (1500, 900);
 const COLORS: [RGBColor; 2] = [RGBColor(31, 119, 180), RGBColor(214, 96, 24)];
-
-type Drawn<T> = std::result::Result<T, Box<dyn StdError>>;
 
 /// Writes `EXPERIMENT.png` and `EXPERIMENT.svg` into `folder`.
 ///
 /// # Errors
 /// If a file can't be written.
 pub fn write(folder: &Path, report: &Report) -> Result<()> {
-    render::font::register();
-    let [png, svg] = ["png", "svg"].map(|ending| folder.join(format!("{}.{ending}", report.experiment)));
-    let mut pixels = vec![255u8; (SIZE.0 * SIZE.1 * 3) as usize];
-    draw(&BitMapBackend::with_buffer(&mut pixels, SIZE).into_drawing_area(), report)
-        .map_err(|error| Error::file(&png, error))?;
-    file::write_png(&png, &RgbImage::from_raw(SIZE.0, SIZE.1, pixels).unwrap_or_default())?;
-    let mut text = String::new();
-    draw(&SVGBackend::with_string(&mut text, SIZE).into_drawing_area(), report)
-        .map_err(|error| Error::file(&svg, error))?;
-    file::write(&svg, text.as_bytes())
+    figure::write(folder, report.experiment, report)
 }
 
-fn draw<B: DrawingBackend>(root: &DrawingArea<B, Shift>, report: &Report) -> Drawn<()>
-where
-    B::ErrorType: 'static,
-{
-    root.fill(&WHITE)?;
-    let panels = root.titled(report.question, (render::font::FAMILY, 24))?.split_evenly((2, 3));
-    for (panel, (name, title, more)) in panels.iter().zip(SHOWN) {
-        draw_score(panel, report, name, &format!("{title}, {} is better", if more { "more" } else { "less" }))?;
+impl Figure for Report {
+    const SIZE: (u32, u32) = (1500, 900);
+
+    fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
+    where
+        B::ErrorType: 'static,
+    {
+        root.fill(&WHITE)?;
+        let panels = root.titled(self.question, (render::font::FAMILY, 24))?.split_evenly((2, 3));
+        for (panel, (name, title, more)) in panels.iter().zip(SHOWN) {
+            draw_score(panel, self, name, &format!("{title}, {} is better", if more { "more" } else { "less" }))?;
+        }
+        root.present()?;
+        Ok(())
     }
-    root.present()?;
-    Ok(())
 }
 
 /// One score: a dot for each seed, a bar for their mean.

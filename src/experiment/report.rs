@@ -194,11 +194,12 @@ fn minutes(config: &Config) -> f64 {
 impl Report {
     /// The table for readers.
     pub fn markdown(&self) -> String {
-        let Size { episodes, held_out, steps, seeds } = self.size;
+        let Size { episodes, held_out, encoder_steps, steps, seeds } = self.size;
         let mut text = format!(
             "# {}\n\n{} Written by `{}`, egotac {}, {}. Numbers: `{}.json`.\n\n\
              {seeds} seeds; {steps} steps of up to 30 windows; {episodes} episodes of each training scene, {held_out} held-out ones \
-             of each scene; {} px, {} parameters,\nfrom random weights. A score is the mean over seeds with the least and the most; \
+             of each scene; {} px, {} parameters.\nThe encoder has learned in {encoder_steps} steps to find the hands' keypoints in the \
+             training pictures, without a word of touch; all else starts\nat random. A score is the mean over seeds with the least and the most; \
              in the column *against `{}`* the difference of F1\nwith its 95 % interval (episodes of all seeds drawn anew, the same \
              for both arms).\n",
             self.experiment,

@@ -14,6 +14,8 @@ use super::{Config, EgoTac, Precision};
 use crate::error::{Error, Result};
 use crate::file;
 
+/// What names of the encoder's tensors begin with.
+pub const ENCODER: &str = "encoder.";
 /// Part of published DINOv2 checkpoints that inference never touches; allowed in a file and ignored.
 const MASK_TOKEN: &str = "encoder.embeddings.mask_token";
 
@@ -136,6 +138,29 @@ pub fn load_variables(path: &Path, vars: &VarMap) -> Result<Option<Metadata>> {
         var.set(&tensor)?;
     }
     Ok(metadata)
+}
+
+/// Sets the encoder's variables of a network in training to those of a file, all or none; what else the file holds is left.
+///
+/// # Errors
+/// If the file can't be read, or lacks one of the encoder's tensors in its shape.
+pub fn load_encoder(path: &Path, vars: &VarMap) -> Result<()> {
+    let mut tensors = read_tensors(path)?;
+    let vars = lock(vars)?;
+    let mut pairs = Vec::new();
+    for (name, var) in vars.iter().filter(|(name, _)| name.starts_with(ENCODER)) {
+        match tensors.remove(name) {
+            Some(tensor) if tensor.dims() == var.dims() => pairs.push((var, tensor)),
+            found => {
+                let found = found.map_or("none".into(), |tensor| format!("{:?}", tensor.dims()));
+                return Err(Error::file(path, format!("{name}: expected {:?}, found {found}", var.dims())));
+            }
+        }
+    }
+    for (var, tensor) in pairs {
+        var.set(&tensor.to_dtype(var.dtype())?.to_device(var.device())?)?;
+    }
+    Ok(())
 }
 
 /// Saves tensors under their names, without metadata, whole or not at all; f32.

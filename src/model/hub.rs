@@ -6,7 +6,7 @@ use std::path::Path;
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
 
-use super::checkpoint;
+use super::checkpoint::{self, ENCODER};
 use super::config::Config;
 use super::metadata::Metadata;
 use super::{EgoTac, init};
@@ -15,8 +15,6 @@ use crate::image::{Filter, Resize};
 
 /// Channels of one attention head in every published DINOv2.
 const HEAD: usize = 64;
-/// Prefix of the encoder's tensors in our checkpoints.
-const PREFIX: &str = "encoder.";
 /// Part of published checkpoints that inference never touches.
 const MASK_TOKEN: &str = "embeddings.mask_token";
 
@@ -55,8 +53,8 @@ pub fn start(path: &Path, around: &Around) -> Result<(Config, Metadata, BTreeMap
     let vars = VarMap::new();
     EgoTac::new(&config, init::var_builder(&vars, around.seed, &Device::Cpu))?;
     let mut tensors = checkpoint::variables(&vars)?;
-    tensors.retain(|name, _| !name.starts_with(PREFIX));
-    tensors.extend(published.into_iter().map(|(name, tensor)| (format!("{PREFIX}{name}"), tensor)));
+    tensors.retain(|name, _| !name.starts_with(ENCODER));
+    tensors.extend(published.into_iter().map(|(name, tensor)| (format!("{ENCODER}{name}"), tensor)));
     checkpoint::check(path, &config, &tensors)?;
     let name = path.file_stem().map_or("dinov2".into(), |stem| stem.to_string_lossy().into_owned());
     let mut metadata = Metadata::new(format!("{name}, untrained around it"), 1.0, 0.04);

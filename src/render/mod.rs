@@ -13,6 +13,7 @@
 //! ```
 
 pub mod color;
+pub mod figure;
 pub mod font;
 mod hand;
 pub mod raster;

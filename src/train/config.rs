@@ -31,6 +31,9 @@ pub struct Config {
     /// Checkpoint to start from; without it the weights start at random.
     #[serde(default)]
     pub init: Option<PathBuf>,
+    /// Checkpoint whose encoder alone to start from, whatever else it is; not with `init`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub encoder: Option<PathBuf>,
     /// Fixes weights, order and augmentation.
     pub seed: u64,
     /// Seconds between observation steps.
@@ -124,7 +127,7 @@ pub struct Optimizer {
     pub learning_rate: f64,
     /// Learning rate of the last step.
     pub final_learning_rate: f64,
-    /// Factor on the encoder's learning rate; without it 0.1 where it starts from trained weights (`init`), else 1.
+    /// Factor on the encoder's learning rate; without it 0.1 where it starts from trained weights (`init`, `encoder`), else 1.
     pub encoder_factor: Option<f64>,
     /// Share of the steps in which the learning rate grows to its peak.
     pub warmup: f64,
@@ -310,12 +313,15 @@ impl Config {
         if quotas > 1.0 + 1e-9 {
             return Err(Error::value("data, sum of quotas", "at most 1", quotas));
         }
-        if l.force + l.contact + l.active == 0.0 {
-            return Err(Error::value("loss", "a weight above 0", "force, contact and active all 0"));
+        if l.force + l.contact + l.active + l.keypoints == 0.0 {
+            return Err(Error::value("loss", "a weight above 0", "force, contact, active and keypoints all 0"));
+        }
+        if self.init.is_some() && self.encoder.is_some() {
+            return Err(Error::value("encoder", "none beside init, which has one", "both"));
         }
         self.geometry()?;
         let stores = self.data.iter().flat_map(|source| &source.stores);
-        for path in stores.chain(&self.validation).chain(&self.init) {
+        for path in stores.chain(&self.validation).chain(&self.init).chain(&self.encoder) {
             path.metadata().map_err(Error::io(path))?;
         }
         Ok(())
@@ -334,7 +340,8 @@ impl Config {
 
     /// Factor on the encoder's learning rate.
     pub fn encoder_factor(&self) -> f64 {
-        self.optimizer.encoder_factor.unwrap_or(if self.init.is_some() { 0.1 } else { 1.0 })
+        let trained = self.init.is_some() || self.encoder.is_some();
+        self.optimizer.encoder_factor.unwrap_or(if trained { 0.1 } else { 1.0 })
     }
 
     /// Learning rate of step `step` of `steps`, counted from 0: linear warm-up, then half a cosine.
@@ -399,6 +406,9 @@ mod tests {
             ("batch: {accumulate: 0}", "batch.accumulate"),
             ("augment: {mirror: 2}", "augment.mirror"),
             ("validation: [no/such/store]", "no/such/store"),
+            ("encoder: no/such/checkpoint", "no/such/checkpoint"),
+            ("encoder: ., init: .", "encoder"),
+            ("loss: {force: 0, contact: 0, active: 0, keypoints: 0}", "loss"),
         ] {
             let error = parsed(&MINIMAL.replace('}', &format!(", {added}}}"))).unwrap_err();
             assert!(error.contains(names), "{added}: {error}");
@@ -420,6 +430,7 @@ mod tests {
         let of = |added: &str| -> Config { serde_yaml::from_str(&MINIMAL.replace('}', added)).unwrap() };
         assert_eq!(of("}").encoder_factor(), 1.0);
         assert_eq!(of(", init: a.safetensors}").encoder_factor(), 0.1);
+        assert_eq!(of(", encoder: a.safetensors}").encoder_factor(), 0.1);
         assert_eq!(of(", init: a.safetensors, optimizer: {encoder_factor: 0.5}}").encoder_factor(), 0.5);
     }
 

@@ -1,17 +1,15 @@
 //! A run's losses and scores as a picture.
 
-use std::error::Error as StdError;
 use std::path::Path;
 
-use ::image::RgbImage;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::metrics::Report;
-use crate::{file, render};
+use crate::render;
+use crate::render::figure::{self, Drawn, Figure};
 
-const SIZE: (u32, u32) = (1400, 560);
 const COLORS: [RGBColor; 5] = [
     RGBColor(31, 119, 180),
     RGBColor(214, 96, 24),
@@ -24,7 +22,11 @@ const LOSSES: [&str; 5] = ["loss", "force", "contact", "active", "consistency"];
 /// A curve is the mean over this share of the steps.
 const SMOOTH: f64 = 0.02;
 
-type Drawn<T> = std::result::Result<T, Box<dyn StdError>>;
+/// The picture.
+struct Curves {
+    losses: Vec<Curve>,
+    scores: Vec<Curve>,
+}
 
 /// A named line: steps and values.
 struct Curve {
@@ -52,12 +54,7 @@ pub fn write(log: &Path, scores: &[(usize, Report)]) -> Result<()> {
         score("temporal Pearson", |r| r.temporal_pearson),
         score("force cosine", |r| r.force_cosine),
     ];
-    render::font::register();
-    let path = log.with_file_name("curves.png");
-    let mut pixels = vec![255u8; (SIZE.0 * SIZE.1 * 3) as usize];
-    draw(&BitMapBackend::with_buffer(&mut pixels, SIZE).into_drawing_area(), &losses, &scores)
-        .map_err(|error| Error::file(&path, error))?;
-    file::write_png(&path, &RgbImage::from_raw(SIZE.0, SIZE.1, pixels).unwrap_or_default())
+    figure::write_png(&log.with_file_name("curves.png"), &Curves { losses, scores: scores.into() })
 }
 
 /// The losses of a log, smoothed; those that are 0 throughout are left out.
@@ -84,16 +81,20 @@ fn losses(text: &str) -> Vec<Curve> {
     LOSSES.into_iter().filter_map(curve).collect()
 }
 
-fn draw<B: DrawingBackend>(root: &DrawingArea<B, Shift>, losses: &[Curve], scores: &[Curve]) -> Drawn<()>
-where
-    B::ErrorType: 'static,
-{
-    root.fill(&WHITE)?;
-    let (left, right) = root.split_horizontally(SIZE.0 / 2);
-    panel(&left, "Losses", losses, true)?;
-    panel(&right, "Scores on held-out data", scores, false)?;
-    root.present()?;
-    Ok(())
+impl Figure for Curves {
+    const SIZE: (u32, u32) = (1400, 560);
+
+    fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
+    where
+        B::ErrorType: 'static,
+    {
+        root.fill(&WHITE)?;
+        let (left, right) = root.split_horizontally(Self::SIZE.0 / 2);
+        panel(&left, "Losses", &self.losses, true)?;
+        panel(&right, "Scores on held-out data", &self.scores, false)?;
+        root.present()?;
+        Ok(())
+    }
 }
 
 fn panel<B: DrawingBackend>(area: &DrawingArea<B, Shift>, title: &str, curves: &[Curve], decades: bool) -> Drawn<()>
@@ -164,6 +165,6 @@ mod tests {
         let log = folder.path().join("log.csv");
         std::fs::write(&log, text).unwrap();
         write(&log, &[]).unwrap();
-        assert_eq!(::image::open(folder.path().join("curves.png")).unwrap().width(), SIZE.0);
+        assert_eq!(::image::open(folder.path().join("curves.png")).unwrap().width(), Curves::SIZE.0);
     }
 }

@@ -176,6 +176,9 @@ pub fn train(
         None => {
             start::positions(&varmap, &geometry)?;
             start::heads(&varmap, &statistics, metadata.force_scale, config.loss.positive_weight as f32)?;
+            if let Some(path) = &config.encoder {
+                model::checkpoint::load_encoder(path, &varmap)?;
+            }
         }
     }
     let keypoint_heads = match config.loss.keypoints > 0.0 {

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 
 use super::config::{Config, Optimizer};
 use crate::error::{Error, Result};
+use crate::model::checkpoint::ENCODER;
 
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
@@ -135,7 +136,7 @@ impl AdamW {
         let decay = self.ema.min((1.0 + self.steps as f32) / (10.0 + self.steps as f32));
         let Self { params, config, encoder_factor, .. } = self;
         params.par_iter_mut().zip(&gradients).try_for_each(|(param, grad)| -> Result<()> {
-            let encoder = param.name.starts_with("encoder.");
+            let encoder = param.name.starts_with(ENCODER);
             let rate = (learning_rate * if encoder { *encoder_factor } else { 1.0 }) as f32;
             let decays = param.var.rank() >= 2;
             let shrink = 1.0 - if decays { rate * config.weight_decay as f32 } else { 0.0 };

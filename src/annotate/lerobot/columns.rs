@@ -7,6 +7,9 @@ use super::LeRobotDataset;
 use crate::hand::{HandModel, Region, Side};
 use crate::tactile::{N_FIELD, Topology};
 
+/// A column's values for a label.
+type Values = dyn Fn(&Label) -> Vec<f32>;
+
 /// A new column.
 pub struct Column {
     /// Its name.
@@ -16,7 +19,7 @@ pub struct Column {
     /// Elements.
     pub width: usize,
     /// The elements' values for a label.
-    pub value: Box<dyn Fn(&Label) -> Vec<f32>>,
+    pub value: Box<Values>,
 }
 
 impl LeRobotDataset {

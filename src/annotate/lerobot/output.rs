@@ -14,11 +14,11 @@ use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use serde_json::{Map, Value, json};
 
+use super::super::copy::copy_folder;
 use super::super::journal::Labels;
 use super::super::output::{Journals, Output};
 use super::super::provenance::NAME;
 use super::super::statistics::{EpisodeStatistics, Statistics};
-use super::super::store::copy_file;
 use super::super::summary::About;
 use super::LeRobotDataset;
 use super::columns::{Column, with_types};
@@ -235,8 +235,8 @@ impl Output for LeRobotDataset {
         write_json(&at.join("meta/info.json"), &info)?;
         write_json(&at.join("meta/stats.json"), &Value::Object(all))?;
         write_json(&about_file(at), &json!(about))?;
-        // Videos, tasks and whatever else there is.
-        copy_rest(root, at)
+        // Videos, tasks and whatever else there is; rows and metadata were written anew.
+        copy_folder(root, at, false)
     }
 
     fn about(&self, out: &Path) -> Option<About> {
@@ -251,22 +251,6 @@ pub fn about(root: &Path) -> Option<About> {
 
 fn about_file(root: &Path) -> std::path::PathBuf {
     root.join(format!("meta/{NAME}.json"))
-}
-
-/// Copies what is not there yet: rows and metadata were written anew.
-fn copy_rest(from: &Path, to: &Path) -> Result<()> {
-    fs::create_dir_all(to).map_err(Error::io(to))?;
-    for entry in fs::read_dir(from).map_err(Error::io(from))? {
-        let entry = entry.map_err(Error::io(from))?;
-        let (source, path) = (entry.path(), to.join(entry.file_name()));
-        let metadata = fs::metadata(&source).map_err(Error::io(&source))?;
-        if metadata.is_dir() {
-            copy_rest(&source, &path)?;
-        } else if !path.exists() {
-            copy_file(&path, metadata.len(), |file| std::io::copy(&mut File::open(&source)?, file))?;
-        }
-    }
-    Ok(())
 }
 
 fn make_folder(file: &Path) -> Result<()> {

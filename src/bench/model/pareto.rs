@@ -1,22 +1,19 @@
 //! The bench's plot: accuracy against latency where weights are trained, size against latency for all.
 
-use std::error::Error as StdError;
 use std::path::Path;
 
-use ::image::RgbImage;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::measure::Row;
 use super::sweep::Report;
-use crate::error::{Error, Result};
+use crate::bench::front::front;
+use crate::error::Result;
 use crate::model::Precision;
-use crate::{file, render};
+use crate::render;
+use crate::render::figure::{self, Drawn, Figure};
 
-const SIZE: (u32, u32) = (1400, 640);
 const COLORS: [RGBColor; 3] = [RGBColor(31, 119, 180), RGBColor(44, 160, 44), RGBColor(214, 96, 24)];
-
-type Drawn<T> = std::result::Result<T, Box<dyn StdError>>;
 
 /// A configuration: latency in ms, and what it is drawn against.
 struct Point {
@@ -30,43 +27,38 @@ struct Point {
 /// # Errors
 /// If a file can't be written.
 pub fn write(folder: &Path, report: &Report) -> Result<()> {
-    render::font::register();
-    let (png, svg) = (folder.join("model.png"), folder.join("model.svg"));
-    let mut pixels = vec![255u8; (SIZE.0 * SIZE.1 * 3) as usize];
-    draw(&BitMapBackend::with_buffer(&mut pixels, SIZE).into_drawing_area(), report)
-        .map_err(|error| Error::file(&png, error))?;
-    file::write_png(&png, &RgbImage::from_raw(SIZE.0, SIZE.1, pixels).unwrap_or_default())?;
-    let mut text = String::new();
-    draw(&SVGBackend::with_string(&mut text, SIZE).into_drawing_area(), report)
-        .map_err(|error| Error::file(&svg, error))?;
-    file::write(&svg, text.as_bytes())
+    figure::write(folder, "model", report)
 }
 
-fn draw<B: DrawingBackend>(root: &DrawingArea<B, Shift>, report: &Report) -> Drawn<()>
-where
-    B::ErrorType: 'static,
-{
-    root.fill(&WHITE)?;
-    let (left, right) = root.split_horizontally(SIZE.0 / 2);
-    let points = |value: fn(&Row) -> Option<f64>| -> Vec<Point> {
-        let point = |row: &Row| {
-            let at = (row.streaming_ms, value(row)?);
-            Some(Point { label: label(row, &report.rows), precision: row.precision, at })
+impl Figure for Report {
+    const SIZE: (u32, u32) = (1400, 640);
+
+    fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
+    where
+        B::ErrorType: 'static,
+    {
+        root.fill(&WHITE)?;
+        let (left, right) = root.split_horizontally(Self::SIZE.0 / 2);
+        let points = |value: fn(&Row) -> Option<f64>| -> Vec<Point> {
+            let point = |row: &Row| {
+                let at = (row.streaming_ms, value(row)?);
+                Some(Point { label: label(row, &self.rows), precision: row.precision, at })
+            };
+            self.rows.iter().filter_map(point).collect()
         };
-        report.rows.iter().filter_map(point).collect()
-    };
-    panel(
-        &left,
-        "Size against latency",
-        "million parameters",
-        // Trained weights stand on the right; their size is that of a preset.
-        &points(|row| row.accuracy.is_none().then_some(row.parameters as f64 / 1e6)),
-        false,
-    )?;
-    let scored = points(|row| row.accuracy.as_ref()?.contact_f1);
-    panel(&right, "Accuracy against latency: trained weights", "contact F1, held-out frames", &scored, true)?;
-    root.present()?;
-    Ok(())
+        panel(
+            &left,
+            "Size against latency",
+            "million parameters",
+            // Trained weights stand on the right; their size is that of a preset.
+            &points(|row| row.accuracy.is_none().then_some(row.parameters as f64 / 1e6)),
+            false,
+        )?;
+        let scored = points(|row| row.accuracy.as_ref()?.contact_f1);
+        panel(&right, "Accuracy against latency: trained weights", "contact F1, held-out frames", &scored, true)?;
+        root.present()?;
+        Ok(())
+    }
 }
 
 /// The network's name, and of horizon, input and threads what tells it from others of that name.
@@ -127,7 +119,9 @@ where
         .label_style((render::font::FAMILY, 15))
         .axis_desc_style((render::font::FAMILY, 17))
         .draw()?;
-    let front = front(points).into_iter().map(|(x, y)| (x, height(y)));
+    // More is better: what is missing is the error.
+    let front = front(points.iter().map(|point| (point.at.0, -point.at.1)));
+    let front = front.into_iter().map(|(x, y)| (x, height(-y)));
     chart.draw_series(LineSeries::new(front, BLACK.mix(0.25).stroke_width(2)))?;
     for (precision, color) in Precision::ALL.into_iter().zip(COLORS) {
         let own: Vec<&Point> = points.iter().filter(|point| point.precision == precision).collect();
@@ -155,29 +149,4 @@ where
             .draw()?;
     }
     Ok(())
-}
-
-/// Configurations that no other beats in both: less time, and more of what is drawn.
-fn front(points: &[Point]) -> Vec<(f64, f64)> {
-    let mut all: Vec<(f64, f64)> = points.iter().map(|point| point.at).collect();
-    all.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.total_cmp(&a.1)));
-    let mut best = f64::NEG_INFINITY;
-    all.retain(|(_, value)| {
-        let better = *value > best;
-        best = best.max(*value);
-        better
-    });
-    all
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_front_holds_what_no_other_beats() {
-        let point = |at: (f64, f64)| Point { label: String::new(), precision: Precision::F32, at };
-        let points: Vec<Point> = [(4.0, 0.9), (1.0, 0.5), (2.0, 0.4), (3.0, 0.8), (3.0, 0.7)].map(point).into();
-        assert_eq!(front(&points), [(1.0, 0.5), (3.0, 0.8), (4.0, 0.9)]);
-    }
 }

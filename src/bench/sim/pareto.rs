@@ -1,19 +1,16 @@
 //! The bench's plot: error against cost, presets by name, the recommended one marked.
 
-use std::error::Error as StdError;
 use std::path::Path;
 
-use ::image::RgbImage;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::knob::Knob;
 use super::table::{Entry, Report};
-use crate::error::{Error, Result};
-use crate::{file, render};
+use crate::bench::front::front;
+use crate::error::Result;
+use crate::render::figure::{self, Drawn, Figure};
 
-/// Size of the plot, pixels.
-const SIZE: (u32, u32) = (1400, 640);
 /// Errors below are drawn here: a share.
 const FLOOR: f64 = 1e-5;
 const MARK: RGBColor = RGBColor(214, 96, 24);
@@ -27,7 +24,6 @@ const COLORS: [RGBColor; 6] = [
 ];
 const KNOBS: [Knob; 6] = [Knob::Timestep, Knob::Cone, Knob::Iterations, Knob::Integrator, Knob::Impratio, Knob::Hull];
 
-type Drawn<T> = std::result::Result<T, Box<dyn StdError>>;
 type ErrorOf = fn(&Entry) -> Option<f64>;
 
 /// One setting in the plot.
@@ -55,37 +51,25 @@ pub fn write(folder: &Path, report: &Report) -> Result<bool> {
     if PANELS.iter().any(|(_, error)| points(report, *error).is_empty()) {
         return Ok(false);
     }
-    render::font::register();
-    let (png, svg) = (folder.join("sim.png"), folder.join("sim.svg"));
-    let mut pixels = vec![255u8; (SIZE.0 * SIZE.1 * 3) as usize];
-    draw(&BitMapBackend::with_buffer(&mut pixels, SIZE).into_drawing_area(), report)
-        .map_err(|error| Error::file(&png, error))?;
-    let picture = RgbImage::from_raw(SIZE.0, SIZE.1, pixels).unwrap_or_default();
-    file::write_png(&png, &picture)?;
-    let mut text = String::new();
-    draw(&SVGBackend::with_string(&mut text, SIZE).into_drawing_area(), report)
-        .map_err(|error| Error::file(&svg, error))?;
-    file::write(&svg, text.as_bytes())?;
+    figure::write(folder, "sim", report)?;
     Ok(true)
 }
 
-fn draw<B: DrawingBackend>(root: &DrawingArea<B, Shift>, report: &Report) -> Drawn<()>
-where
-    B::ErrorType: 'static,
-{
-    root.fill(&WHITE)?;
-    let panels = root.split_evenly((1, 2));
-    for (panel, (title, error)) in panels.iter().zip(PANELS) {
-        draw_panel(
-            panel,
-            title,
-            &report.shared_scenes().join(", "),
-            &points(report, error),
-            report.recommended.name(),
-        )?;
+impl Figure for Report {
+    const SIZE: (u32, u32) = (1400, 640);
+
+    fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
+    where
+        B::ErrorType: 'static,
+    {
+        root.fill(&WHITE)?;
+        let panels = root.split_evenly((1, 2));
+        for (panel, (title, error)) in panels.iter().zip(PANELS) {
+            draw_panel(panel, title, &self.shared_scenes().join(", "), &points(self, error), self.recommended.name())?;
+        }
+        root.present()?;
+        Ok(())
     }
-    root.present()?;
-    Ok(())
 }
 
 /// Presets are measured in more scenes than single knobs; in the plot stand those in which all were.
@@ -141,7 +125,7 @@ where
         .label_style(("sans-serif", 15))
         .axis_desc_style(("sans-serif", 17))
         .draw()?;
-    let front = front(points);
+    let front = front(points.iter().map(|point| (point.cost, point.error)));
     chart.draw_series(LineSeries::new(front, BLACK.mix(0.25).stroke_width(2)))?;
     for (knob, color) in KNOBS.into_iter().zip(COLORS) {
         let own: Vec<&Point> = points.iter().filter(|point| point.knob == knob.name()).collect();
@@ -176,29 +160,4 @@ where
             .draw()?;
     }
     Ok(())
-}
-
-/// Settings that no other beats in both, from cheap to exact.
-fn front(points: &[Point]) -> Vec<(f64, f64)> {
-    let mut all: Vec<(f64, f64)> = points.iter().map(|p| (p.cost, p.error)).collect();
-    all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    let mut best = f64::INFINITY;
-    all.retain(|(_, error)| {
-        let better = *error < best;
-        best = best.min(*error);
-        better
-    });
-    all
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_front_holds_what_no_other_beats() {
-        let point = |(cost, error): (f64, f64)| Point { knob: String::new(), setting: String::new(), cost, error };
-        let points: Vec<Point> = [(4.0, 0.1), (1.0, 0.5), (2.0, 0.6), (3.0, 0.2), (3.0, 0.3)].map(point).into();
-        assert_eq!(front(&points), [(1.0, 0.5), (3.0, 0.2), (4.0, 0.1)]);
-    }
 }

@@ -114,7 +114,7 @@ impl CopyWriter {
     pub fn record(&mut self, opcode: u8, body: &[u8]) -> Result<()> {
         self.note(opcode, body);
         if self.chunked && matches!(opcode, op::MESSAGE | op::SCHEMA | op::CHANNEL) {
-            self.into_chunk(opcode, body);
+            self.put_into_chunk(opcode, body);
             return Ok(());
         }
         if let (op::METADATA, Ok(Parsed::Metadata(metadata))) = (opcode, mcap::parse_record(opcode, body)) {
@@ -296,7 +296,7 @@ impl CopyWriter {
         }
     }
 
-    fn into_chunk(&mut self, opcode: u8, body: &[u8]) {
+    fn put_into_chunk(&mut self, opcode: u8, body: &[u8]) {
         let offset = self.open.records.len() as u64;
         add_to_index(&mut self.open.index, opcode, body, offset);
         put_record(&mut self.open.records, opcode, body);

@@ -3,7 +3,7 @@
 use super::packed::Rows;
 use super::team;
 use crate::model::attention::EPS;
-use crate::model::ops::simd;
+use crate::model::ops::{simd, statistics};
 
 /// Values that one task normalises.
 const TASK: usize = 16_384;
@@ -46,7 +46,7 @@ impl Norm {
                 for ((out, x), shift) in out.iter_mut().zip(x).zip(shift) {
                     *out = x + shift;
                 }
-                let (mean, inverse) = statistics(out);
+                let (mean, inverse) = statistics(out, EPS as f32);
                 for ((out, w), b) in out.iter_mut().zip(&self.weight).zip(&self.bias) {
                     *out = ((*out - mean) * inverse).mul_add(*w, *b);
                 }
@@ -59,7 +59,7 @@ impl Norm {
         simd::dispatch(
             #[inline(always)]
             || {
-                let (mean, inverse) = statistics(x);
+                let (mean, inverse) = statistics(x, EPS as f32);
                 for (((out, x), w), b) in out.iter_mut().zip(x).zip(&self.weight).zip(&self.bias) {
                     *out = ((x - mean) * inverse).mul_add(*w, *b);
                 }
@@ -73,29 +73,10 @@ pub fn modulated(x: &[f32], gamma: &[f32], beta: &[f32], out: &mut [f32]) {
     simd::dispatch(
         #[inline(always)]
         || {
-            let (mean, inverse) = statistics(x);
+            let (mean, inverse) = statistics(x, EPS as f32);
             for (((out, x), gamma), beta) in out.iter_mut().zip(x).zip(gamma).zip(beta) {
                 *out = ((x - mean) * inverse).mul_add(1.0 + gamma, *beta);
             }
         },
     );
-}
-
-/// Mean of a row, and one over its standard deviation.
-#[inline(always)]
-fn statistics(row: &[f32]) -> (f32, f32) {
-    let scale = 1.0 / row.len() as f32;
-    let mean = scale
-        * simd::sum(
-            row,
-            #[inline(always)]
-            |x| x,
-        );
-    let variance = scale
-        * simd::sum(
-            row,
-            #[inline(always)]
-            |x| (x - mean) * (x - mean),
-        );
-    (mean, 1.0 / (variance + EPS as f32).sqrt())
 }

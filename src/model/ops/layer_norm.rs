@@ -22,25 +22,6 @@ struct LayerNorm {
 }
 
 impl LayerNorm {
-    /// Mean of a row, and one over its standard deviation.
-    #[inline(always)]
-    fn statistics(&self, row: &[f32]) -> (f32, f32) {
-        let scale = 1.0 / row.len() as f32;
-        let mean = scale
-            * simd::sum(
-                row,
-                #[inline(always)]
-                |x| x,
-            );
-        let variance = scale
-            * simd::sum(
-                row,
-                #[inline(always)]
-                |x| (x - mean) * (x - mean),
-            );
-        (mean, 1.0 / (variance + self.eps).sqrt())
-    }
-
     fn forward(&self, x: &[f32], d: usize, affine: Option<(&[f32], &[f32])>) -> Vec<f32> {
         let mut out = vec![0.0; x.len()];
         out.par_chunks_mut(cpu::ROWS * d).zip(x.par_chunks(cpu::ROWS * d)).for_each(|(out, x)| {
@@ -48,7 +29,7 @@ impl LayerNorm {
                 #[inline(always)]
                 || {
                     for (out, x) in out.chunks_exact_mut(d).zip(x.chunks_exact(d)) {
-                        let (mean, inverse) = self.statistics(x);
+                        let (mean, inverse) = statistics(x, self.eps);
                         match affine {
                             Some((weight, bias)) => {
                                 for (((out, x), w), b) in out.iter_mut().zip(x).zip(weight).zip(bias) {
@@ -78,7 +59,7 @@ impl LayerNorm {
                 || {
                     let rows = dx.chunks_exact_mut(d).zip(x.chunks_exact(d)).zip(grad.chunks_exact(d));
                     for ((dx, x), grad) in rows {
-                        let (mean, inverse) = self.statistics(x);
+                        let (mean, inverse) = statistics(x, self.eps);
                         // dx holds g for now.
                         match weight {
                             Some(weight) => {
@@ -113,7 +94,7 @@ impl LayerNorm {
                 || {
                     let range = rows.start * d..rows.end * d;
                     for (x, grad) in x[range.clone()].chunks_exact(d).zip(grad[range].chunks_exact(d)) {
-                        let (mean, inverse) = self.statistics(x);
+                        let (mean, inverse) = statistics(x, self.eps);
                         for (((dw, db), x), grad) in dweight.iter_mut().zip(dbias.iter_mut()).zip(x).zip(grad) {
                             *dw += grad * ((x - mean) * inverse);
                             *db += grad;
@@ -123,6 +104,25 @@ impl LayerNorm {
             )
         })
     }
+}
+
+/// Mean of a row, and one over its standard deviation.
+#[inline(always)]
+pub fn statistics(row: &[f32], eps: f32) -> (f32, f32) {
+    let scale = 1.0 / row.len() as f32;
+    let mean = scale
+        * simd::sum(
+            row,
+            #[inline(always)]
+            |x| x,
+        );
+    let variance = scale
+        * simd::sum(
+            row,
+            #[inline(always)]
+            |x| (x - mean) * (x - mean),
+        );
+    (mean, 1.0 / (variance + eps).sqrt())
 }
 
 impl CustomOp1 for LayerNorm {

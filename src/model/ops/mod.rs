@@ -23,6 +23,8 @@ pub(super) mod simd;
 
 use candle_core::{Result, Tensor};
 
+pub(super) use layer_norm::statistics;
+
 /// `x Wᵀ + b`. `x`: `(.., k)`, `weight`: `(n, k)`, `bias`: `(n)`. Returns `(.., n)`.
 ///
 /// # Errors

@@ -1,0 +1,57 @@
+//! Plots as files: PNG for readers, SVG beside it for papers.
+
+use std::error::Error as StdError;
+use std::path::Path;
+
+use image::RgbImage;
+use plotters::coord::Shift;
+use plotters::prelude::{BitMapBackend, DrawingArea, DrawingBackend, IntoDrawingArea, SVGBackend};
+
+use super::font;
+use crate::error::{Error, Result};
+use crate::file;
+
+/// What drawing gives: errors of all backends.
+pub type Drawn<T> = std::result::Result<T, Box<dyn StdError>>;
+
+/// A plot that draws itself on any backend.
+pub trait Figure {
+    /// Width and height, pixels.
+    const SIZE: (u32, u32);
+
+    /// Draws on `root`, which has [`SIZE`](Self::SIZE).
+    ///
+    /// # Errors
+    /// If the backend fails.
+    fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
+    where
+        B::ErrorType: 'static;
+}
+
+/// Writes `figure` to the PNG file `path`.
+///
+/// # Errors
+/// If it can't be drawn, or the file can't be written.
+pub fn write_png<F: Figure>(path: &Path, figure: &F) -> Result<()> {
+    font::register();
+    let (width, height) = F::SIZE;
+    let mut picture = RgbImage::new(width, height);
+    figure
+        .draw(&BitMapBackend::with_buffer(picture.as_mut(), F::SIZE).into_drawing_area())
+        .map_err(|error| Error::file(path, error))?;
+    file::write_png(path, &picture)
+}
+
+/// Writes `NAME.png` and `NAME.svg` into `folder`.
+///
+/// # Errors
+/// As [`write_png`].
+pub fn write<F: Figure>(folder: &Path, name: &str, figure: &F) -> Result<()> {
+    write_png(&folder.join(format!("{name}.png")), figure)?;
+    let path = folder.join(format!("{name}.svg"));
+    let mut text = String::new();
+    figure
+        .draw(&SVGBackend::with_string(&mut text, F::SIZE).into_drawing_area())
+        .map_err(|error| Error::file(&path, error))?;
+    file::write(&path, text.as_bytes())
+}
