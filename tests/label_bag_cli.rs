@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Cursor;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
@@ -406,7 +406,7 @@ fn several_cameras_want_a_choice() {
 #[test]
 fn rosbags_and_rclpy_read_what_was_written() {
     let folder = tempfile::tempdir().unwrap();
-    let (input, out): (PathBuf, PathBuf) = (folder.path().join("in.mcap"), folder.path().join("out"));
+    let (input, out) = (folder.path().join("in.mcap"), folder.path().join("out"));
     write_mcap(&input, 12, PLAIN);
     summary(&label(&input, &out, &[]), 0);
     let script = r#"

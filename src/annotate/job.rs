@@ -64,7 +64,7 @@ impl Job<'_> {
     /// Images that are labelled already, of all units.
     ///
     /// # Errors
-    /// As [`Work::open`].
+    /// If an unfinished labelling of another input, or with other settings, lies there, or a journal can't be read.
     pub fn done(&self) -> Result<u64> {
         if self.out.exists() || !folder_of(&self.out)?.exists() {
             return Ok(0);

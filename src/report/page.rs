@@ -18,7 +18,7 @@ body { font: 15px/1.45 system-ui, sans-serif; color: #1e1e24; max-width: 1060px;
 h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #ddd; }
 table { border-collapse: collapse; } th, td { padding: 2px 12px 2px 0; text-align: left; vertical-align: top; }
 td.number { text-align: right; font-variant-numeric: tabular-nums; }
-figure { display: inline-block; margin: 0 14px 14px 0; } figcaption { color: #555; font-size: 0.85em; }
+figure { display: inline-block; margin: 0 8px 14px 0; } figcaption { color: #555; font-size: 0.85em; }
 img { height: 200px; margin-right: 4px; } svg { width: 100%; max-width: 760px; font: 11px sans-serif; fill: #555; }
 .bar { display: inline-block; height: 10px; background: #c2410c; vertical-align: middle; } .left { color: #1b5fae; }
 .right { color: #c2410c; } pre { background: #f6f6f4; padding: 8px; white-space: pre-wrap; }";
