@@ -30,10 +30,10 @@ pub struct Args {
     #[arg(long, default_value_t = 1200, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     steps: u64,
     /// Training episodes of each of the eight scenes.
-    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=900))]
+    #[arg(long, default_value_t = 25, value_parser = clap::value_parser!(u64).range(1..=900))]
     episodes: u64,
     /// Held-out episodes of each scene.
-    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=900))]
+    #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u64).range(1..=900))]
     held_out: u64,
     /// Folder for data and runs.
     #[arg(long, value_name = "FOLDER", default_value = "out/experiments")]

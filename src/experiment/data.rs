@@ -58,6 +58,8 @@ const SHARES: [usize; 4] = [10, 20, 50, 100];
 const SEEDS: [u64; 2] = [70_000, 570_000];
 /// Width and height of the pictures, pixels.
 pub const SIDE: u32 = 112;
+/// Frames per second: those between two observation steps are nearly the same picture, and would be most of the windows.
+pub const RATE: f64 = 10.0;
 
 /// Paths of all stores.
 #[derive(Debug, Clone, PartialEq)]
@@ -162,9 +164,9 @@ fn text(scene: &str, camera: &str) -> String {
     let own = crate::sim::SHIPPED.iter().find(|(name, _)| *name == scene).map_or("", |(_, text)| *text);
     #[cfg(not(feature = "sim"))]
     let own = scene;
-    let kept = own.lines().filter(|line| !line.starts_with("camera:"));
+    let kept = own.lines().filter(|line| !line.starts_with("camera:") && !line.starts_with("rate:"));
     let mut text: String = kept.map(|line| format!("{line}\n")).collect();
-    text += &format!("camera: {camera}\n");
+    text += &format!("camera: {camera}\nrate: {RATE}\n");
     text
 }
 

@@ -144,7 +144,7 @@ fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Re
         init: None,
         encoder: None,
         seed: seed + 1,
-        frame_dt: 0.12,
+        frame_dt: 1.0 / data::RATE,
         precision: Precision::F32,
         steps: size.steps,
         batch: BATCH,
