@@ -116,7 +116,8 @@ fn make(recipe: &Recipe, bar: &ProgressBar) -> anyhow::Result<()> {
     arguments.push(text(&recipe.scene));
     let workers = Workers { program: std::env::current_exe()?, arguments };
     let before = bar.position();
-    generate_isolated(&plan, &workers, false, &recipe.path, |at| {
+    // An episode that can't be simulated is left out: the same one each time, and the report counts frames that are there.
+    generate_isolated(&plan, &workers, true, &recipe.path, |at| {
         if let Progress::Episodes(done, _) = at {
             bar.set_position(before + done as u64);
         }
