@@ -31,6 +31,7 @@
 //! | [`render`] | pictures of hands |
 //! | [`dataset`] | Zarr stores, bounded recordings, tensor files, MCAP bags |
 //! | `mujoco`, `sim` | physics; scenes whose touch is known (feature `sim`) |
+//! | `retarget` | the hand's pose and touch, carried over to robot hands (feature `sim`) |
 //! | [`train`] | from stores to a checkpoint |
 //! | [`annotate`] | labels for recordings, in their own formats |
 //! | [`report`] | a page about labels |
@@ -66,6 +67,8 @@ pub mod mujoco;
 pub mod node;
 pub mod render;
 pub mod report;
+#[cfg(feature = "sim")]
+pub mod retarget;
 #[cfg(feature = "sim")]
 pub mod sim;
 pub mod tactile;

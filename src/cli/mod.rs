@@ -13,6 +13,7 @@ mod model;
 mod predict;
 mod progress;
 mod report;
+mod retarget;
 mod sim;
 mod train;
 mod verify;
@@ -51,6 +52,8 @@ enum Command {
     Experiment(experiment::Args),
     /// Score labels, or a network, against simulated contact forces; a gate for continuous integration.
     Verify(verify::Args),
+    /// A hand's pose and touch, carried over to a robot hand: run, inspect, new, list.
+    Retarget(retarget::Args),
     /// The network: forward, attention, import, start, info.
     Model(model::Args),
     /// Measurements that the documentation holds: model, train, label, sim, effects, hard-cases, guards.
@@ -75,6 +78,7 @@ pub fn main() -> ExitCode {
         Command::Eval(args) => eval::run(args),
         Command::Experiment(args) => experiment::run(args),
         Command::Verify(args) => verify::run(args),
+        Command::Retarget(args) => retarget::run(args),
         Command::Model(args) => model::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Data(args) => data::run(args),

@@ -143,7 +143,7 @@ fn ends(values: Vec<f64>) -> Result<Vec<usize>> {
 }
 
 /// A tensor's numbers, whatever its dtype.
-fn numbers(name: &str, tensor: &TensorView, shape: &[usize]) -> Result<Vec<f64>> {
+pub(crate) fn numbers(name: &str, tensor: &TensorView, shape: &[usize]) -> Result<Vec<f64>> {
     if tensor.shape() != shape {
         return Err(Error::shape(name, format!("{shape:?}"), tensor.shape()));
     }

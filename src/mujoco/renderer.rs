@@ -3,6 +3,7 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use ::image::RgbImage;
+use glam::DVec3;
 use mujoco_rs::prelude::*;
 use mujoco_rs::renderer::MjRenderer;
 
@@ -27,6 +28,10 @@ impl Renderer {
     /// # Errors
     /// If the size is zero or above the model's offscreen buffer, or there is no working EGL.
     pub fn new(world: &World, camera: usize, width: u32, height: u32, depth: bool) -> Result<Self> {
+        Self::open(world, MjvCamera::new_fixed(camera), width, height, depth)
+    }
+
+    fn open(world: &World, camera: MjvCamera, width: u32, height: u32, depth: bool) -> Result<Self> {
         let global = &world.model().vis().global;
         for (name, value, most) in [("width", width, global.offwidth), ("height", height, global.offheight)] {
             if value == 0 || i64::from(value) > i64::from(most) {
@@ -36,12 +41,34 @@ impl Renderer {
         let inner = MjRenderer::builder()
             .width(width)
             .height(height)
-            .camera(MjvCamera::new_fixed(camera))
+            .camera(camera)
             .depth(depth)
             .build(world.model())
             .map_err(|e| Error::Engine(format!("no OpenGL context for rendering without a display: {e}")))?;
         CONTEXTS.fetch_add(1, Ordering::Relaxed);
         Ok(Self { inner, width, height })
+    }
+
+    /// Likewise, seen from `distance` metres towards `toward` of a point, both in the world frame, z up.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn around(
+        world: &World,
+        point: DVec3,
+        toward: DVec3,
+        distance: f64,
+        width: u32,
+        height: u32,
+    ) -> Result<Self> {
+        let mut camera = MjvCamera::new_free(world.model());
+        // The camera's angles are those of the way it looks.
+        let look = -toward.normalize_or_zero();
+        camera.lookat = point.to_array();
+        camera.distance = distance;
+        camera.azimuth = look.y.atan2(look.x).to_degrees();
+        camera.elevation = look.z.clamp(-1.0, 1.0).asin().to_degrees();
+        Self::open(world, camera, width, height, false)
     }
 
     /// OpenGL contexts that this process has opened so far.

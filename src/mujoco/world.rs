@@ -1,5 +1,7 @@
 //! A simulated world: model and data owned together, names resolved once.
 
+use std::path::Path;
+
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use mujoco_rs::mujoco_c::{mj_step, mjData, mjModel};
 use mujoco_rs::prelude::*;
@@ -72,7 +74,24 @@ impl World {
     /// If the text does not compile, or the model holds what `options` would make the engine end the process for.
     pub fn from_mjcf(mjcf: &str, options: &PhysicsOptions) -> Result<Self> {
         keep_quiet();
-        let mut model = MjModel::from_xml_string(mjcf).map_err(|e| Error::Engine(e.to_string()))?;
+        let model = MjModel::from_xml_string(mjcf).map_err(|e| Error::Engine(e.to_string()))?;
+        Self::from_model(model, options)
+    }
+
+    /// Compiles an MJCF or URDF file, with the files it names, and brings it to its initial state; see [`Self::from_mjcf`].
+    ///
+    /// # Errors
+    /// As [`Self::from_mjcf`]; the error names the file.
+    pub fn from_file(path: &Path, options: &PhysicsOptions) -> Result<Self> {
+        keep_quiet();
+        if path.to_str().is_none_or(|path| path.contains('\0')) {
+            return Err(Error::file(path, "expected a path in UTF-8 without NUL"));
+        }
+        let model = MjModel::from_xml(path).map_err(|error| Error::file(path, error))?;
+        Self::from_model(model, options).map_err(|error| Error::file(path, error))
+    }
+
+    fn from_model(mut model: MjModel, options: &PhysicsOptions) -> Result<Self> {
         refuse_what_ends_the_process(&model, options)?;
         let opt = model.opt_mut();
         opt.timestep = options.timestep;

@@ -1,0 +1,97 @@
+//! `egotac retarget run`.
+
+use std::collections::HashMap;
+use std::process::ExitCode;
+
+use anyhow::{Context, bail, ensure};
+
+use super::Run;
+use crate::hand::{HandModel, Side};
+use crate::retarget::file::{Followed, Hands};
+use crate::retarget::solver::Stop;
+use crate::retarget::{Options, Pool, Retargeter, Robot, Status};
+use crate::tactile::Topology;
+
+/// Frames per second of hands that say nothing of time.
+const RATE: f64 = 30.0;
+/// Bad frames that are named one by one.
+const NAMED: usize = 10;
+
+pub fn run(args: &Run) -> anyhow::Result<ExitCode> {
+    let mut robot = Robot::load(&args.robot, args.model.as_deref())?;
+    if let Some(delay) = args.smooth {
+        ensure!(delay <= 2.0, "--smooth: expected at most 2 s, got {delay}");
+        robot.spec.filter.time_constant = delay;
+    }
+    let robot_side = robot.side();
+    let files = args.hands.files()?;
+    let model = |topology: Option<Topology>, side: Option<Side>| -> crate::Result<HandModel> {
+        let side = asked_side(args).or(side).unwrap_or(robot_side);
+        match (&files, topology) {
+            (Some(files), _) => Ok(files[side as usize].clone()),
+            (None, Some(Topology::Mano)) => {
+                Err(crate::Error::value("topology mano", "--mano-left and --mano-right beside it", "no MANO files"))
+            }
+            (None, _) => Ok(HandModel::builtin(side)),
+        }
+    };
+    let hands = Hands::read(&args.input, model)?;
+    let side = asked_side(args).or(hands.side).unwrap_or(robot_side);
+    let pool = match hands.force.is_empty() && hands.contact.is_empty() {
+        true => None,
+        false => Some(Pool::new(&model(hands.topology, Some(side))?)?),
+    };
+    let sign = if hands.forces_point_out(side) { -1.0 } else { 1.0 };
+    let options = Options { side: Some(side), stop: Stop { iterations: 30, tolerance: 1e-4 } };
+    let mut retargeter = Retargeter::with_options(robot, options)?;
+    let mut followed = Followed::by(&retargeter);
+    let dt = 1.0 / args.rate.unwrap_or(RATE);
+    let mut held = 0;
+    for frame in 0..hands.len() {
+        let input = hands.input(frame, dt, side, pool.as_ref(), sign);
+        let result = match &input {
+            Ok(input) => retargeter.push(input).map(|_| ()).map_err(|error| error.to_string()),
+            Err(error) => {
+                retargeter.hold();
+                Err(error.to_string())
+            }
+        };
+        if let Err(error) = result {
+            held += 1;
+            if held <= NAMED {
+                eprintln!("egotac: frame {frame}: {error}; the last good pose is held");
+            }
+        }
+        followed.push(retargeter.output(), sign);
+    }
+    if held > NAMED {
+        eprintln!("egotac: {} more frames were bad", held - NAMED);
+    }
+    if held == hands.len() && held > 0 {
+        bail!("{}: no frame is a hand", args.input.display());
+    }
+    let metadata = HashMap::from([
+        ("robot".to_owned(), retargeter.robot().spec.robot.clone()),
+        ("model".to_owned(), retargeter.robot().origin.clone()),
+        ("side".to_owned(), side.name().to_owned()),
+        ("tip_force_frame".to_owned(), "that of the keypoints".to_owned()),
+    ]);
+    followed.write(&args.out, metadata).context("output")?;
+    let mut times = followed.times_us().to_vec();
+    times.sort_by(f32::total_cmp);
+    let at = |share: f64| times.get(((times.len() as f64 - 1.0) * share).round().max(0.0) as usize).copied().unwrap_or(0.0);
+    println!(
+        "{}: {} frames, {} held, {} repaired; {:.0} us per frame (median), {:.0} us (p99)",
+        args.out.display(),
+        hands.len(),
+        followed.count(Status::Held),
+        followed.count(Status::Repaired),
+        at(0.5),
+        at(0.99),
+    );
+    Ok(ExitCode::SUCCESS)
+}
+
+fn asked_side(args: &Run) -> Option<Side> {
+    args.side.as_deref().map(|side| if side == "left" { Side::Left } else { Side::Right })
+}

@@ -1,0 +1,356 @@
+//! What a robot shall do in a frame, as a [`Problem`].
+
+use glam::{DMat3, DVec3};
+
+use super::filter::SizeEstimate;
+use super::human::{Hand, keypoint};
+use super::problem::{Problem, Side, Vector};
+use super::robot::spec::Scale;
+use super::robot::{Robot, frame, reference_size};
+use super::solver::{Solved, Solver, Stop};
+use super::touch::Touch;
+use crate::error::Result;
+use crate::hand::N_KEYPOINTS;
+
+/// Metres that a radian counts as.
+const METRES_PER_RADIAN: f64 = 0.1;
+/// Error of a fingertip from which on it counts linearly, m.
+const HUBER: f64 = 0.03;
+/// Distance of two human tips that touch, m, at the reference size.
+const TOUCHING: f64 = 0.014;
+/// Gap of two human fingers up to which a touch of both is a touch of each other, m, and from which on it is not.
+const CLOSED: f64 = 0.012;
+const OPEN: f64 = 0.022;
+/// Gap at which fingers that do not touch are kept, m.
+const APART: f64 = 0.003;
+/// Distances of human tips at which their gap begins to count, and counts in full, m.
+const NOTICED: f64 = 0.06;
+const MINDED: f64 = 0.035;
+/// Weight of links that must not run into each other, per square metre.
+const COLLISION_WEIGHT: f64 = 1000.0;
+/// Links nearer than this are watched, m.
+const WATCHED: f64 = 0.012;
+
+/// A robot finger's part of the problem.
+#[derive(Debug)]
+struct FingerGoal {
+    human: usize,
+    tip: usize,
+    /// Vectors of its phalanges, with the human keypoints they follow and their length, m.
+    phalanges: Vec<(usize, [usize; 2], f64)>,
+    /// Vector along the pad's normal.
+    pad: usize,
+    /// Gap to the thumb.
+    pinch: Option<usize>,
+    /// Rest of the finger's tip and base from the wrist.
+    scale: f64,
+}
+
+/// The goal of a frame.
+#[derive(Debug)]
+pub struct Goal {
+    /// What is made small.
+    pub problem: Problem,
+    fingers: Vec<FingerGoal>,
+    /// Gaps of pairs that must not collide, with their geoms.
+    collisions: Vec<(usize, [usize; 2], f64)>,
+    reference_size: f64,
+    /// Bases of the robot's fingers in the wrist frame, m.
+    bases: DVec3,
+    smooth: f64,
+    neutral: Vec<f64>,
+    neutral_weight: f64,
+}
+
+impl Goal {
+    /// Makes room for everything that can count.
+    ///
+    /// # Errors
+    /// If the robot's rest pose can't be taken.
+    pub fn new(robot: &Robot) -> Result<Self> {
+        let mut problem = Problem::new(&robot.world, &robot.parts, &robot.coupling);
+        let mut fingers = Vec::new();
+        for finger in &robot.fingers {
+            let tip_point = problem.add_point(finger.tip_body, finger.tip);
+            let tip = problem.vectors.len();
+            problem.vectors.push(Vector {
+                from: None,
+                to: tip_point,
+                target: DVec3::ZERO,
+                weight: 0.0,
+                huber: HUBER,
+            });
+            let mut points: Vec<(usize, DVec3)> = Vec::new();
+            for joint in &finger.knuckles {
+                let body = robot.parts.joints[*joint].body;
+                let (origin, rotation) = robot.world.body_pose(body);
+                let anchor = robot.world.joint_axis(*joint).0;
+                points.push((problem.add_point(body, rotation.transpose() * (anchor - origin)), anchor));
+            }
+            points.push((tip_point, frame::place(&robot.world, finger)));
+            let mut phalanges = Vec::new();
+            for (segment, human) in segments(points.len() - 1, finger.human) {
+                let [(from, a), (to, b)] = [points[segment], points[segment + 1]];
+                let vector = Vector {
+                    from: Some(from),
+                    to,
+                    target: DVec3::ZERO,
+                    weight: 0.0,
+                    huber: f64::INFINITY,
+                };
+                phalanges.push((problem.vectors.len(), human, a.distance(b)));
+                problem.vectors.push(vector);
+            }
+            let ahead = problem.add_point(finger.tip_body, finger.tip + METRES_PER_RADIAN * finger.pad_normal);
+            let pad = problem.vectors.len();
+            problem.vectors.push(Vector {
+                from: Some(tip_point),
+                to: ahead,
+                target: DVec3::ZERO,
+                weight: 0.0,
+                huber: f64::INFINITY,
+            });
+            let scale = robot.scale[finger.human];
+            fingers.push(FingerGoal { human: finger.human, tip, phalanges, pad, pinch: None, scale });
+        }
+        let side = |index: usize| match robot.fingers[index].pad_geoms.is_empty() {
+            true => Side::Sphere { point: problem_tip(&fingers, &problem, index), radius: 0.0 },
+            false => Side::Geoms { body: robot.fingers[index].tip_body, geoms: robot.fingers[index].pad_geoms.clone() },
+        };
+        if let Some(thumb) = robot.fingers.iter().position(|finger| finger.human == 0) {
+            let sides: Vec<(usize, [Side; 2])> = (0..fingers.len())
+                .filter(|index| *index != thumb)
+                .map(|index| match (side(thumb), side(index)) {
+                    // A ball and a geom have no common distance: take both as points.
+                    (Side::Geoms { .. }, Side::Sphere { .. }) | (Side::Sphere { .. }, Side::Geoms { .. }) => {
+                        let ball = |index| Side::Sphere { point: problem_tip(&fingers, &problem, index), radius: 0.0 };
+                        (index, [ball(thumb), ball(index)])
+                    }
+                    (a, b) => (index, [a, b]),
+                })
+                .collect();
+            for (index, sides) in sides {
+                fingers[index].pinch = Some(problem.add_gap(sides, false));
+            }
+        }
+        let mut collisions = Vec::new();
+        for [a, b] in robot.pairs.iter().copied() {
+            let tips = |geom: usize| robot.fingers.iter().position(|finger| finger.pad_geoms.contains(&geom));
+            // Thumb and fingertips have gaps of their own.
+            if let (Some(first), Some(second)) = (tips(a), tips(b)) {
+                if [first, second].iter().any(|index| robot.fingers[*index].human == 0) {
+                    continue;
+                }
+            }
+            let geom_side =
+                |geom: usize| Side::Geoms { body: robot.parts.geoms[geom].body, geoms: vec![geom] };
+            let gap = problem.add_gap([geom_side(a), geom_side(b)], true);
+            problem.gaps[gap].target = robot.spec.collision.margin;
+            collisions.push((gap, [a, b], robot.parts.geoms[a].radius + robot.parts.geoms[b].radius));
+        }
+        let mut neutral = robot.rest.clone();
+        for (name, position) in &robot.spec.neutral {
+            for (coordinate, master) in robot.coupling.masters.iter().enumerate() {
+                if robot.parts.joints[*master].name == *name {
+                    neutral[coordinate] = *position;
+                }
+            }
+        }
+        let mapped = |human: usize| human != 0 || robot.fingers.len() == 1;
+        Ok(Self {
+            bases: robot.bases(|finger| mapped(finger.human)),
+            problem,
+            fingers,
+            collisions,
+            reference_size: reference_size()?,
+            smooth: robot.spec.weights.smooth,
+            neutral,
+            neutral_weight: robot.spec.weights.neutral,
+        })
+    }
+
+    /// Sets the targets of a frame: `points` (21) of the human hand in its wrist frame, m.
+    pub fn aim(
+        &mut self,
+        robot: &mut Robot,
+        points: &[DVec3; N_KEYPOINTS],
+        size: &SizeEstimate,
+        touch: Option<&Touch>,
+        last: &[f64],
+    ) {
+        let relative_size = if size.size() > 0.0 { size.size() / self.reference_size } else { 1.0 };
+        let human_size = match robot.spec.scale {
+            Scale::Number(_) => 1.0,
+            _ => relative_size,
+        };
+        let axes = robot.wrist.world_axes(&robot.world);
+        let (origin, _) = robot.world.body_pose(robot.wrist.body);
+        let human_bases = Hand::bases(points, robot.fingers.iter().map(|finger| finger.human).filter(|f| *f != 0));
+        let weights = robot.spec.weights.clone();
+        let is_gripper = robot.is_gripper();
+        for k in 0..self.fingers.len() {
+            let FingerGoal { human, tip, pad, scale, .. } = self.fingers[k];
+            let end = points[keypoint(human, 3)];
+            let scale = scale / human_size;
+            let local = match robot.wrist_position {
+                Some(wrist) => (robot.world.body_pose(robot.wrist.body).1 * wrist, scale * end),
+                None => (DVec3::ZERO, self.bases + scale * (end - human_bases)),
+            };
+            let vector = &mut self.problem.vectors[tip];
+            vector.target = origin + local.0 + axes * local.1;
+            vector.weight = if is_gripper { 0.0 } else { weights.tip };
+            let is_touched = touch.is_some_and(|touch| touch.tip_contact[human] > 0.5);
+            let vector = &mut self.problem.vectors[pad];
+            vector.target = METRES_PER_RADIAN * (axes * pad_normal(points, human));
+            vector.weight = if is_touched && !is_gripper { weights.pad_normal } else { 0.0 };
+            for (vector, [from, to], length) in self.fingers[k].phalanges.iter().copied() {
+                let direction = (points[to] - points[from]).normalize_or_zero();
+                let vector = &mut self.problem.vectors[vector];
+                vector.target = length * (axes * direction);
+                let share = METRES_PER_RADIAN / length.max(1e-3);
+                vector.weight = if is_gripper { 0.0 } else { weights.posture * share * share };
+            }
+            self.aim_pinch(k, points, touch, relative_size, is_gripper, weights.pinch);
+        }
+        for k in 0..last.len() {
+            let weight = self.neutral_weight * METRES_PER_RADIAN * METRES_PER_RADIAN;
+            let smooth = self.smooth * METRES_PER_RADIAN * METRES_PER_RADIAN;
+            let both = weight + smooth;
+            let pull = weight * self.neutral[k] + smooth * last[k];
+            self.problem.neutral[k] = if both > 0.0 { pull / both } else { 0.0 };
+            self.problem.neutral_weight[k] = both;
+        }
+    }
+
+    /// How far a finger's tip shall be from the thumb's.
+    fn aim_pinch(
+        &mut self,
+        k: usize,
+        points: &[DVec3; N_KEYPOINTS],
+        touch: Option<&Touch>,
+        size: f64,
+        is_gripper: bool,
+        weight: f64,
+    ) {
+        let FingerGoal { human, pinch: Some(pinch), .. } = self.fingers[k] else { return };
+        let distance = points[keypoint(human, 3)].distance(points[keypoint(0, 3)]);
+        let human_gap = (distance - TOUCHING * size).max(0.0);
+        // What lies between two fingers has one size, whatever hand it is in: gaps are not scaled.
+        let both = touch.map(|touch| touch.tip_contact[0].min(touch.tip_contact[human]));
+        let closing = human_gap * smoothstep((human_gap - CLOSED) / (OPEN - CLOSED));
+        let near = smoothstep((NOTICED - distance) / (NOTICED - MINDED));
+        let (target, share) = match both {
+            Some(both) if both > 0.5 => (closing, near.max(0.1)),
+            Some(_) => (human_gap.max(APART), near),
+            None => (human_gap * smoothstep(human_gap / (0.5 * CLOSED)), near),
+        };
+        let gap = &mut self.problem.gaps[pinch];
+        gap.target = target;
+        gap.weight = weight * if is_gripper { 1.0 } else { share };
+    }
+
+    /// Finds the pose, with no link in another.
+    ///
+    /// # Errors
+    /// If a value is not finite.
+    pub fn solve(&mut self, solver: &mut Solver, robot: &mut Robot, stop: Stop, u: &mut [f64]) -> Result<Solved> {
+        for (gap, ..) in &self.collisions {
+            self.problem.gaps[*gap].weight = 0.0;
+        }
+        if !self.collisions.is_empty() {
+            robot.coupling.expand(&robot.parts, u, robot.world.qpos_mut());
+            robot.world.update_poses();
+            self.watch(robot, WATCHED);
+        }
+        let Robot { world, parts, coupling, .. } = &mut *robot;
+        let mut solved = solver.solve(&mut self.problem, world, parts, coupling, stop, u)?;
+        for _ in 0..3 {
+            if self.watch(robot, 0.0) == 0 {
+                break;
+            }
+            let Robot { world, parts, coupling, .. } = &mut *robot;
+            let more = solver.solve(&mut self.problem, world, parts, coupling, stop, u)?;
+            solved = Solved { iterations: solved.iterations + more.iterations, ..more };
+        }
+        Ok(solved)
+    }
+
+    /// Has those pairs count that are nearer than a distance in the robot's present pose; returns how many were added.
+    fn watch(&mut self, robot: &mut Robot, near: f64) -> usize {
+        let mut added = 0;
+        for (gap, [a, b], radii) in self.collisions.iter().copied() {
+            if self.problem.gaps[gap].weight > 0.0 {
+                continue;
+            }
+            let room = robot.world.geom_place(a).distance(robot.world.geom_place(b)) - radii;
+            if room > near {
+                continue;
+            }
+            let target = self.problem.gaps[gap].target;
+            if room < near && robot.world.geom_distance([a, b], near.max(target)).0 < near.max(target) {
+                self.problem.gaps[gap].weight = COLLISION_WEIGHT;
+                added += 1;
+            }
+        }
+        added
+    }
+
+    /// Distance of thumb and a robot finger's tip as of the last solve, m; None for the thumb itself or where it is far.
+    pub fn pinch_gap(&self, finger: usize) -> Option<f64> {
+        let gap = self.fingers[finger].pinch?;
+        let distance = self.problem.distance(gap);
+        distance.is_finite().then_some(distance)
+    }
+
+    /// Distance of a finger's tip from its target as of the last solve, m.
+    pub fn tip_error(&self, finger: usize) -> f64 {
+        let vector = &self.problem.vectors[self.fingers[finger].tip];
+        self.problem.place(vector.to).distance(vector.target)
+    }
+}
+
+fn problem_tip(fingers: &[FingerGoal], problem: &Problem, index: usize) -> usize {
+    problem.vectors[fingers[index].tip].to
+}
+
+/// Which human bone each robot phalanx follows: (phalanx, human keypoints), the last ones paired first.
+fn segments(count: usize, finger: usize) -> Vec<(usize, [usize; 2])> {
+    let k = |joint: usize| keypoint(finger, joint);
+    match count {
+        0 => Vec::new(),
+        1 => vec![(0, [k(0), k(3)])],
+        2 => vec![(0, [k(0), k(1)]), (1, [k(1), k(3)])],
+        _ => (0..3).map(|bone| (count - 3 + bone, [k(bone), k(bone + 1)])).collect(),
+    }
+}
+
+/// Outward normal of a human fingertip's pad, in the wrist frame.
+pub fn pad_normal(points: &[DVec3; N_KEYPOINTS], finger: usize) -> DVec3 {
+    bone_normal(points, finger, 2)
+}
+
+/// Palmar normal of a finger's bone (0 from its base to 2 at its tip), in the wrist frame.
+pub fn bone_normal(points: &[DVec3; N_KEYPOINTS], finger: usize, bone: usize) -> DVec3 {
+    let [from, to] = [keypoint(finger, bone), keypoint(finger, bone + 1)];
+    let along = (points[to] - points[from]).normalize_or_zero();
+    let toward = match finger {
+        // The thumb faces the fingers.
+        0 => 0.5 * (points[keypoint(1, 2)] + points[keypoint(2, 2)]) - points[to],
+        // Fingers bend about the radial axis: palmar = radial x distal.
+        _ => DVec3::Y.cross(along),
+    };
+    let normal = toward.reject_from(if along == DVec3::ZERO { DVec3::Z } else { along });
+    normal.try_normalize().unwrap_or(DVec3::X)
+}
+
+/// Axes of a human bone in the wrist frame: columns normal, lateral, along.
+pub fn bone_axes(points: &[DVec3; N_KEYPOINTS], finger: usize, bone: usize) -> DMat3 {
+    let along = (points[keypoint(finger, bone + 1)] - points[keypoint(finger, bone)]).try_normalize().unwrap_or(DVec3::Z);
+    let normal = bone_normal(points, finger, bone);
+    DMat3::from_cols(normal, along.cross(normal), along)
+}
+
+fn smoothstep(x: f64) -> f64 {
+    let x = x.clamp(0.0, 1.0);
+    x * x * (3.0 - 2.0 * x)
+}

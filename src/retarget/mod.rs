@@ -1,0 +1,364 @@
+//! From a human hand to a robot hand: the pose as joint commands, the touch as forces that each link is to feel.
+//!
+//! ```no_run
+//! use egotac::retarget::{Input, Retargeter, Robot};
+//!
+//! # fn main() -> egotac::Result<()> {
+//! # let keypoints = [glam::DVec3::ZERO; 21];
+//! let robot = Robot::load("four_finger", None)?;
+//! let mut retargeter = Retargeter::new(robot)?;
+//! let output = retargeter.push(&Input::new(keypoints, 0.0))?; // metres, seconds
+//! println!("{:?}", output.qpos);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! A frame passes [`human`] (checks, wrist frame), [`filter`] (outliers, smoothing in seconds), [`goal`] (what the robot
+//! shall do), [`solver`] (joint positions), the velocity limit, and [`touch`] (forces). Smoothing comes before solving, so
+//! that limits, couplings, touch and distances hold in what comes out.
+
+pub mod file;
+pub mod filter;
+pub mod goal;
+pub mod human;
+pub mod peer;
+pub mod problem;
+pub mod robot;
+pub mod solver;
+pub mod touch;
+
+use std::time::Instant;
+
+use glam::DVec3;
+
+pub use self::robot::Robot;
+pub use self::touch::{Feel, Pool, Touch};
+
+use self::filter::{Gate, Passed, SizeEstimate, Smoother};
+use self::goal::Goal;
+use self::human::Hand;
+use self::solver::{Solver, Stop};
+use self::touch::Transfer;
+use crate::error::{Error, Result};
+use crate::hand::{N_KEYPOINTS, Side};
+use crate::mujoco::parts::Motion;
+
+/// Silence after which a hand may be anywhere, s.
+const GAP: f64 = 0.5;
+/// Longest time between two frames that the velocity limit gives room for, s.
+const LONGEST_STEP: f64 = 0.5;
+/// A slide's velocity limit in m/s over a hinge's in rad/s.
+const SLIDE_SHARE: f64 = 0.1;
+/// A cost that rises by this factor within a frame is looked at from other starts.
+const JUMP: f64 = 4.0;
+
+/// One frame.
+#[derive(Debug, Clone)]
+pub struct Input {
+    /// Wrist, then thumb, index, middle, ring, little, each from base to tip, m.
+    pub keypoints: [DVec3; N_KEYPOINTS],
+    /// Seconds.
+    pub time: f64,
+    /// What the hand touches; without it, fingers that are close count as touching.
+    pub touch: Option<Touch>,
+}
+
+impl Input {
+    /// A frame without touch.
+    pub fn new(keypoints: [DVec3; N_KEYPOINTS], time: f64) -> Self {
+        Self { keypoints, time, touch: None }
+    }
+}
+
+/// How a frame went.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum Status {
+    /// Solved.
+    #[default]
+    Solved = 0,
+    /// Solved, with keypoints replaced that could not be where they seemed.
+    Repaired = 1,
+    /// A joint could not move as fast as it should.
+    Limited = 2,
+    /// The solver stopped at its cap of iterations.
+    Capped = 3,
+    /// The frame was bad; the last good pose is held.
+    Held = 4,
+}
+
+impl Status {
+    /// All, by their codes.
+    pub const ALL: [Status; 5] = [Self::Solved, Self::Repaired, Self::Limited, Self::Capped, Self::Held];
+
+    /// What it means, in words.
+    pub fn reason(self) -> &'static str {
+        match self {
+            Self::Solved => "solved",
+            Self::Repaired => "outlying keypoints replaced",
+            Self::Limited => "velocity limit reached",
+            Self::Capped => "iteration cap reached",
+            Self::Held => "bad input, last good pose held",
+        }
+    }
+}
+
+/// What comes out.
+#[derive(Debug, Clone, Default)]
+pub struct Output {
+    /// Position of every hinge and slide, rad or m, as [`Robot::joint_names`].
+    pub qpos: Vec<f64>,
+    /// What the drivers get, as [`robot::commands::Commands::names`].
+    pub ctrl: Vec<f64>,
+    /// Cost of the pose, m².
+    pub objective: f64,
+    /// Time from input to output, s.
+    pub solve_secs: f64,
+    /// Steps of the solver.
+    pub iterations: usize,
+    /// How it went.
+    pub status: Status,
+    /// What the robot is to feel.
+    pub feel: Feel,
+}
+
+/// What can be chosen beside the robot's own file.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Options {
+    /// Which human hand comes in; None = the robot's own side.
+    pub side: Option<Side>,
+    /// When the solver stops.
+    pub stop: Stop,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { side: None, stop: Stop { iterations: 30, tolerance: 1e-4 } }
+    }
+}
+
+/// Follows a human hand with a robot's.
+#[derive(Debug)]
+pub struct Retargeter {
+    robot: Robot,
+    options: Options,
+    goal: Goal,
+    solver: Solver,
+    transfer: Transfer,
+    gate: Gate,
+    smoother: Smoother,
+    size: SizeEstimate,
+    /// Free coordinates of the pose that was given out last.
+    u: Vec<f64>,
+    next: Vec<f64>,
+    other: Vec<f64>,
+    /// Most change of each free coordinate per second.
+    speed: Vec<f64>,
+    time: Option<f64>,
+    cost: f64,
+    output: Output,
+}
+
+impl Retargeter {
+    /// Follows with a robot, at first in its rest pose.
+    ///
+    /// # Errors
+    /// If the robot's rest pose can't be taken.
+    pub fn new(robot: Robot) -> Result<Self> {
+        Self::with_options(robot, Options::default())
+    }
+
+    /// Likewise, with options.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_options(mut robot: Robot, options: Options) -> Result<Self> {
+        let n = robot.coupling.len();
+        let goal = Goal::new(&robot)?;
+        let transfer = Transfer::new(&robot)?;
+        let filter = robot.spec.filter.clone();
+        let u = robot.rest.clone();
+        let speed = speeds(&robot);
+        let mut output = Output {
+            qpos: vec![0.0; robot.output_joints().count()],
+            ctrl: vec![0.0; robot.commands.names.len()],
+            feel: transfer.nothing(),
+            ..Output::default()
+        };
+        give_out(&mut robot, &u, &mut output)?;
+        Ok(Self {
+            options,
+            goal,
+            transfer,
+            solver: Solver::new(n),
+            gate: Gate::new(filter.outlier),
+            smoother: Smoother::new(filter.time_constant),
+            size: SizeEstimate::default(),
+            next: u.clone(),
+            other: u.clone(),
+            u,
+            speed,
+            time: None,
+            cost: f64::INFINITY,
+            output,
+            robot,
+        })
+    }
+
+    /// The robot.
+    pub fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// What came out last.
+    pub fn output(&self) -> &Output {
+        &self.output
+    }
+
+    /// Forgets the past, not the pose: the next frame may be anywhere, of another hand.
+    pub fn reset(&mut self) {
+        self.time = None;
+        self.size = SizeEstimate::default();
+        self.gate = Gate::new(self.robot.spec.filter.outlier);
+        self.smoother.reset();
+    }
+
+    /// Holds the pose for a frame whose input could not even be read.
+    pub fn hold(&mut self) {
+        self.output.status = Status::Held;
+        (self.output.iterations, self.output.solve_secs) = (0, 0.0);
+    }
+
+    /// Takes a frame and returns joint positions, commands and forces.
+    ///
+    /// # Errors
+    /// If the frame is not a hand (the error names the keypoint), is older than the last one, or has a touch that is not
+    /// finite; the last good pose is held, and [`Self::output`] says so.
+    pub fn push(&mut self, input: &Input) -> Result<&Output> {
+        let began = Instant::now();
+        let result = self.take(input);
+        if result.is_err() {
+            self.output.status = Status::Held;
+            self.output.iterations = 0;
+        }
+        self.output.solve_secs = began.elapsed().as_secs_f64();
+        result.map(|()| &self.output)
+    }
+
+    fn take(&mut self, input: &Input) -> Result<()> {
+        let side = self.options.side.unwrap_or(self.robot.side());
+        if !input.time.is_finite() {
+            return Err(Error::value("timestamp", "finite seconds", input.time));
+        }
+        let dt = match self.time {
+            Some(last) if input.time <= last => {
+                return Err(Error::value("timestamp", format!("later than the last one, {last} s"), input.time));
+            }
+            Some(last) => input.time - last,
+            None => f64::INFINITY,
+        };
+        let hand = Hand::new(&input.keypoints, side)?;
+        if let Some(touch) = &input.touch {
+            touch.check()?;
+        }
+        let is_new = dt > GAP;
+        if is_new {
+            self.gate.forget();
+            self.smoother.reset();
+        }
+        let (points, replaced) = match self.gate.push(&hand.points, dt.min(GAP)) {
+            Passed::Points(points, replaced) => (points, replaced),
+            Passed::Mirrored => {
+                return Err(Error::value("keypoints", "the hand as before", "its mirror image"));
+            }
+        };
+        if replaced == 0 {
+            self.size.push(&points);
+        }
+        let smooth = self.smoother.push(&points, dt);
+        self.goal.aim(&mut self.robot, &smooth, &self.size, input.touch.as_ref(), &self.u);
+        let (iterations, converged) = self.solve(is_new)?;
+        let limited = self.limit(dt);
+        give_out(&mut self.robot, &self.u, &mut self.output)?;
+        if let Some(touch) = &input.touch {
+            self.transfer.carry(&mut self.robot, &hand, &smooth, touch, &mut self.output.feel);
+        } else {
+            self.output.feel.clear();
+        }
+        self.time = Some(input.time);
+        self.output.objective = self.cost;
+        self.output.iterations = iterations;
+        self.output.status = match (converged, limited, replaced) {
+            (false, ..) => Status::Capped,
+            (_, true, _) => Status::Limited,
+            (.., 1..) => Status::Repaired,
+            _ => Status::Solved,
+        };
+        Ok(())
+    }
+
+    /// Finds the pose into `next`; returns the steps and whether they sufficed.
+    fn solve(&mut self, is_new: bool) -> Result<(usize, bool)> {
+        self.next.copy_from_slice(&self.u);
+        let solved = self.goal.solve(&mut self.solver, &mut self.robot, self.options.stop, &mut self.next)?;
+        let (mut best, mut iterations, mut converged) = (solved.cost, solved.iterations, solved.converged);
+        if is_new || best > JUMP * self.cost + 1e-5 {
+            // The last pose may lead into a corner: try from rest, and from half closed.
+            for share in [0.0, 0.4] {
+                for (k, other) in self.other.iter_mut().enumerate() {
+                    let coupling = &self.robot.coupling;
+                    let middle = 0.5 * (coupling.low[k] + coupling.high[k]);
+                    *other = self.robot.rest[k] + share * (middle - self.robot.rest[k]);
+                }
+                let solved = self.goal.solve(&mut self.solver, &mut self.robot, self.options.stop, &mut self.other)?;
+                iterations += solved.iterations;
+                if solved.cost < best {
+                    best = solved.cost;
+                    converged = solved.converged;
+                    self.next.copy_from_slice(&self.other);
+                }
+            }
+        }
+        self.cost = best;
+        Ok((iterations, converged))
+    }
+
+    /// Moves towards the pose found as far as the joints' speeds allow; whether one did not allow all.
+    fn limit(&mut self, dt: f64) -> bool {
+        let dt = dt.min(LONGEST_STEP);
+        // The first frame finds the robot at rest, not moving.
+        let mut limited = false;
+        for (k, u) in self.u.iter_mut().enumerate() {
+            let most = if self.time.is_some() { self.speed[k] * dt } else { f64::INFINITY };
+            let change = self.next[k] - *u;
+            limited |= change.abs() > most;
+            *u = (*u + change.clamp(-most, most)).clamp(self.robot.coupling.low[k], self.robot.coupling.high[k]);
+        }
+        limited
+    }
+}
+
+/// Most change of each free coordinate per second.
+fn speeds(robot: &Robot) -> Vec<f64> {
+    let mut speed = vec![f64::INFINITY; robot.coupling.len()];
+    for (joint, driven) in robot.parts.joints.iter().zip(&robot.coupling.joints) {
+        let robot::coupling::Driven::By { coordinate, ratio, .. } = *driven else { continue };
+        let share = if joint.motion == Motion::Slide { SLIDE_SHARE } else { 1.0 };
+        speed[coordinate] = speed[coordinate].min(share * robot.spec.limits.velocity / ratio.abs());
+    }
+    speed
+}
+
+/// Brings the robot to a pose and writes it out.
+fn give_out(robot: &mut Robot, u: &[f64], output: &mut Output) -> Result<()> {
+    let Robot { world, parts, coupling, commands, .. } = robot;
+    coupling.expand(parts, u, world.qpos_mut());
+    world.update_poses();
+    let joints = parts.joints.iter().filter(|joint| joint.motion != Motion::Other);
+    for (position, joint) in output.qpos.iter_mut().zip(joints) {
+        // What the couplings' arithmetic rounds is not beyond a limit.
+        *position = world.qpos()[joint.qpos].clamp(joint.range[0], joint.range[1]);
+    }
+    commands.write(world, &mut output.ctrl);
+    Ok(())
+}

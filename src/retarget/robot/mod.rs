@@ -1,0 +1,319 @@
+//! Robots: a model and what is derived from it, overridden by a YAML file where it says otherwise.
+
+pub mod commands;
+pub mod coupling;
+pub mod fingers;
+pub mod frame;
+pub mod source;
+pub mod spec;
+pub mod urdf;
+
+use std::path::Path;
+
+use glam::{DMat3, DVec3};
+
+use self::commands::Commands;
+use self::coupling::{Coupling, Follow};
+use self::fingers::Finger;
+use self::frame::WristFrame;
+use self::spec::{Axes, Couplings, Pairs, Scale, Spec, finger_index};
+use super::human::{self, Hand};
+use crate::error::{Error, Result};
+use crate::hand::Side;
+use crate::mujoco::World;
+use crate::mujoco::parts::{Motion, Parts};
+
+/// A robot hand, ready to be retargeted to.
+#[derive(Debug)]
+pub struct Robot {
+    /// What its YAML file says.
+    pub spec: Spec,
+    /// Where its model came from.
+    pub origin: String,
+    /// Meshes of shapes that could not be loaded.
+    pub lost: Vec<String>,
+    /// The model, in the pose it was derived in.
+    pub world: World,
+    /// Its parts.
+    pub parts: Parts,
+    /// How its joints follow from the free coordinates.
+    pub coupling: Coupling,
+    /// Its fingers, thumb first.
+    pub fingers: Vec<Finger>,
+    /// For each human finger, the robot finger (an index into `fingers`) that takes its force.
+    pub takes_force: [Option<usize>; 5],
+    /// The body that carries the fingers.
+    pub root: usize,
+    /// The wrist frame.
+    pub wrist: WristFrame,
+    /// The human's wrist in the wrist body's frame, m; None = finger bases are laid over each other.
+    pub wrist_position: Option<DVec3>,
+    /// Robot metres per metre of each human finger, at the reference hand's size.
+    pub scale: [f64; 5],
+    /// Pairs of geoms that must not run into each other.
+    pub pairs: Vec<[usize; 2]>,
+    /// What the drivers get.
+    pub commands: Commands,
+    /// Free coordinates in the pose everything was derived in.
+    pub rest: Vec<f64>,
+}
+
+impl Robot {
+    /// Loads a robot: a name of the program's own, a YAML file, or a model alone; `model` replaces the YAML's model.
+    ///
+    /// # Errors
+    /// If it can't be found or read, names something that the model does not have (the error lists what it has), or is
+    /// no hand.
+    pub fn load(robot: &str, model: Option<&Path>) -> Result<Self> {
+        let source::Source { spec, world, origin, lost } = source::open(robot, model)?;
+        Self::new(spec, world, origin, lost)
+    }
+
+    /// Makes a robot of its spec and compiled model.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn new(spec: Spec, mut world: World, origin: String, lost: Vec<String>) -> Result<Self> {
+        let parts = world.parts();
+        let initial = world.qpos().to_vec();
+        let root = spec.model.root.as_deref().map(|name| fingers::body(&parts, name)).transpose()?;
+        let fixed = fixed_joints(&spec, &parts, &initial, root)?;
+        let moves: Vec<bool> = (0..parts.joints.len())
+            .map(|joint| fixed[joint].is_none() && parts.joints[joint].motion != Motion::Other)
+            .collect();
+        let mut qpos = initial.clone();
+        for (joint, position) in parts.joints.iter().zip(&fixed) {
+            if joint.motion != Motion::Other {
+                qpos[joint.qpos] = position.unwrap_or(qpos[joint.qpos].clamp(joint.range[0], joint.range[1]));
+            }
+        }
+        world.set_qpos(&qpos)?;
+        world.update_poses();
+        let mut fingers = fingers::find(&world, &parts, &spec, &moves)?;
+        let root = root.unwrap_or_else(|| common_body(&parts, &fingers));
+        // Joints below the fingers carry the whole hand: they are the arm's.
+        let mut fixed = fixed;
+        for (joint, there) in fixed.iter_mut().enumerate() {
+            if is_above(&parts, parts.joints[joint].body, root) && parts.joints[joint].motion != Motion::Other {
+                there.get_or_insert(qpos[parts.joints[joint].qpos]);
+            }
+        }
+        for finger in &mut fingers {
+            finger.joints.retain(|joint| fixed[*joint].is_none());
+            finger.knuckles.retain(|joint| fixed[*joint].is_none());
+        }
+        if let Some(stiff) = fingers.iter().find(|finger| finger.joints.is_empty()) {
+            let what = format!("finger {}", spec::FINGERS[stiff.human]);
+            return Err(Error::value(what, "a joint that moves", "none: all stand still"));
+        }
+        let more = match &spec.couplings {
+            Couplings::Auto => Vec::new(),
+            Couplings::More(couplings) => couplings.iter().map(|c| follow(&parts, c)).collect::<Result<_>>()?,
+        };
+        let coupling = Coupling::derive(&mut world, &parts, &initial, &fixed, &more, spec.limits.margin)?;
+        let mut rest = vec![0.0; coupling.len()];
+        coupling.reduce(&parts, &qpos, &mut rest);
+        coupling.expand(&parts, &rest, &mut qpos);
+        world.set_qpos(&qpos)?;
+        world.update_poses();
+        let wrist_body = spec.wrist.body.as_deref().map(|name| fingers::body(&parts, name)).transpose()?.unwrap_or(root);
+        let wrist = match &spec.wrist.frame {
+            Axes::Auto => WristFrame::derive(&world, &fingers, wrist_body, spec.side)?,
+            Axes::Rows(rows) => WristFrame::given(wrist_body, *rows)?,
+        };
+        let reference = Hand::reference()?;
+        let scale = scales(&spec, &fingers, &reference);
+        let takes_force = takers(&spec, &fingers)?;
+        let pairs = pairs(&spec, &parts, &fingers)?;
+        for name in spec.neutral.keys() {
+            fingers::joint(&parts, name)?;
+        }
+        let commands = Commands::new(&parts, &coupling, spec.output.order);
+        let wrist_position = spec.wrist.pos.map(DVec3::from_array);
+        Ok(Self {
+            spec,
+            origin,
+            lost,
+            world,
+            parts,
+            coupling,
+            fingers,
+            takes_force,
+            root,
+            wrist,
+            wrist_position,
+            scale,
+            pairs,
+            commands,
+            rest,
+        })
+    }
+
+    /// Which hand it is.
+    pub fn side(&self) -> Side {
+        self.wrist.side
+    }
+
+    /// Names of all hinges and slides, in the order of `qpos`.
+    pub fn joint_names(&self) -> Vec<&str> {
+        self.output_joints().map(|joint| self.parts.joints[joint].name.as_str()).collect()
+    }
+
+    /// All hinges and slides, as indices of joints.
+    pub fn output_joints(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.parts.joints.len()).filter(|joint| self.parts.joints[*joint].motion != Motion::Other)
+    }
+
+    /// Where the finger bases are, on average over the given fingers, in the wrist frame's coordinates about the wrist
+    /// body's origin, m.
+    pub fn bases(&self, which: impl Fn(&Finger) -> bool) -> DVec3 {
+        let (origin, _) = self.world.body_pose(self.wrist.body);
+        let to_wrist: DMat3 = self.wrist.world_axes(&self.world).transpose();
+        let chosen: Vec<&Finger> = self.fingers.iter().filter(|finger| which(finger)).collect();
+        let sum: DVec3 = chosen.iter().map(|f| to_wrist * (self.world.joint_axis(f.joints[0]).0 - origin)).sum();
+        sum / chosen.len().max(1) as f64
+    }
+
+    /// Whether it is a pair of jaws, of which nothing but the opening can be asked.
+    pub fn is_gripper(&self) -> bool {
+        self.fingers.len() == 2 && self.fingers.iter().all(|finger| finger.joints.len() == 1)
+    }
+}
+
+/// Position of each joint that stands still.
+fn fixed_joints(spec: &Spec, parts: &Parts, initial: &[f64], root: Option<usize>) -> Result<Vec<Option<f64>>> {
+    let mut fixed = vec![None; parts.joints.len()];
+    for (name, position) in &spec.fixed_joints {
+        let joint = fingers::joint(parts, name)?;
+        let [low, high] = parts.joints[joint].range;
+        if !(low..=high).contains(position) {
+            return Err(Error::value(format!("fixed_joints.{name}"), format!("{low} to {high}"), position));
+        }
+        fixed[joint] = Some(*position);
+    }
+    let Some(root) = root else { return Ok(fixed) };
+    for (index, joint) in parts.joints.iter().enumerate().filter(|(_, joint)| joint.motion != Motion::Other) {
+        // Neither the arm below the hand nor another hand beside it is moved.
+        let is_of_hand = joint.body != root && is_above(parts, root, joint.body);
+        if !is_of_hand {
+            fixed[index].get_or_insert(initial[joint.qpos].clamp(joint.range[0], joint.range[1]));
+        }
+    }
+    Ok(fixed)
+}
+
+/// Whether `above` is `body` or one that carries it.
+fn is_above(parts: &Parts, above: usize, body: usize) -> bool {
+    let mut at = body;
+    while at != 0 && at != above {
+        at = parts.bodies[at].parent;
+    }
+    at == above
+}
+
+/// The lowest body that carries the bases of all fingers.
+fn common_body(parts: &Parts, fingers: &[Finger]) -> usize {
+    let first = fingers[0].links.first().copied().unwrap_or(0);
+    let mut at = parts.bodies[first].parent;
+    let carries_all = |at: usize| fingers.iter().all(|finger| finger.links.first().is_some_and(|b| is_above(parts, at, *b)));
+    while at != 0 && !carries_all(at) {
+        at = parts.bodies[at].parent;
+    }
+    at
+}
+
+fn follow(parts: &Parts, written: &spec::CouplingSpec) -> Result<Follow> {
+    Ok(Follow {
+        joint: fingers::joint(parts, &written.joint)?,
+        of: fingers::joint(parts, &written.of)?,
+        ratio: written.ratio,
+        offset: written.offset,
+    })
+}
+
+/// Robot metres per metre of each human finger.
+fn scales(spec: &Spec, fingers: &[Finger], reference: &Hand) -> [f64; 5] {
+    let long: Vec<&Finger> = fingers.iter().filter(|finger| finger.human != 0 && finger.length > 0.0).collect();
+    let robot: f64 = long.iter().map(|finger| finger.length).sum();
+    let human: f64 = long.iter().map(|finger| reference.finger_length(finger.human)).sum();
+    let auto = if human > 0.0 && robot > 0.0 { robot / human } else { 1.0 };
+    match &spec.scale {
+        Scale::Auto => [auto; 5],
+        Scale::Number(number) => [*number; 5],
+        Scale::Fingers(scales) => {
+            std::array::from_fn(|finger| scales.get(spec::FINGERS[finger]).copied().unwrap_or(auto))
+        }
+    }
+}
+
+/// Which robot finger takes each human finger's force: its own, the one it is merged to, or the nearest there is.
+fn takers(spec: &Spec, fingers: &[Finger]) -> Result<[Option<usize>; 5]> {
+    let own = |human: usize| fingers.iter().position(|finger| finger.human == human);
+    let mut takers = [None; 5];
+    for human in 0..5 {
+        takers[human] = own(human).or_else(|| {
+            // A thumb's force is the other fingers' opposite: nobody takes its place.
+            let near = fingers.iter().enumerate().filter(|(_, finger)| (finger.human == 0) == (human == 0));
+            near.min_by_key(|(_, finger)| finger.human.abs_diff(human)).map(|(index, _)| index)
+        });
+    }
+    for (from, to) in &spec.merge {
+        let (from, to) = (finger_index(from)?, finger_index(to)?);
+        let Some(taker) = own(to) else {
+            let known: Vec<&str> = fingers.iter().map(|finger| spec::FINGERS[finger.human]).collect();
+            return Err(Error::unknown("merge: finger", spec::FINGERS[to], known));
+        };
+        takers[from] = Some(taker);
+    }
+    Ok(takers)
+}
+
+/// Pairs of geoms of different fingers, or of a finger and what carries it, that the model lets collide.
+fn pairs(spec: &Spec, parts: &Parts, fingers: &[Finger]) -> Result<Vec<[usize; 2]>> {
+    let ignored: Vec<[usize; 2]> = spec
+        .collision
+        .ignore
+        .iter()
+        .map(|[a, b]| Ok([fingers::body(parts, a)?, fingers::body(parts, b)?]))
+        .collect::<Result<_>>()?;
+    if spec.collision.pairs == Pairs::None {
+        return Ok(Vec::new());
+    }
+    let part = |geom: usize| parts.bodies[parts.geoms[geom].body].part;
+    let finger = |geom: usize| fingers.iter().position(|finger| finger.links.contains(&part(geom)));
+    let solid: Vec<usize> = (0..parts.geoms.len()).filter(|geom| parts.geoms[*geom].solid).collect();
+    let mut pairs = Vec::new();
+    for (index, a) in solid.iter().copied().enumerate() {
+        for b in solid[index + 1..].iter().copied() {
+            let (bits_a, bits_b) = (parts.geoms[a].bits, parts.geoms[b].bits);
+            let may = bits_a[0] & bits_b[1] != 0 || bits_b[0] & bits_a[1] != 0;
+            let apart = finger(a) != finger(b) && (finger(a).is_some() || finger(b).is_some());
+            let related = is_neighbour(parts, part(a), part(b));
+            let bodies = [parts.geoms[a].body, parts.geoms[b].body];
+            let listed = |list: &[[usize; 2]]| list.iter().any(|pair| *pair == bodies || *pair == [bodies[1], bodies[0]]);
+            if may && apart && !related && !listed(&ignored) && !listed(&parts.excludes) {
+                pairs.push([a, b]);
+            }
+        }
+    }
+    Ok(pairs)
+}
+
+/// Whether one of two parts carries the other, as the engine sees it: it lets such pairs pass, unless one is the world.
+fn is_neighbour(parts: &Parts, a: usize, b: usize) -> bool {
+    let above = |part: usize| parts.bodies[parts.bodies[part].parent].part;
+    a == b || above(a) == b || above(b) == a
+}
+
+/// Words for a side.
+pub fn side_word(side: Side) -> &'static str {
+    side.name()
+}
+
+/// Human size that scales are given for, m.
+///
+/// # Errors
+/// Never with the hand that is part of the program.
+pub fn reference_size() -> Result<f64> {
+    Ok(human::size(&Hand::reference()?.points))
+}

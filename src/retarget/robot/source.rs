@@ -1,0 +1,178 @@
+//! Where robots and their models are found.
+
+use std::path::{Path, PathBuf};
+
+use super::spec::Spec;
+use super::urdf;
+use crate::error::{Error, Result};
+use crate::mujoco::{PhysicsOptions, World};
+
+/// Robots that are part of the program: name, YAML, and the model where it is ours.
+const SHIPPED: &[(&str, &str, Option<&str>)] = &[
+    (
+        "four_finger",
+        include_str!("../../../sim/robots/four_finger.yaml"),
+        Some(include_str!("../../../sim/robots/four_finger.xml")),
+    ),
+    ("gripper", include_str!("../../../sim/robots/gripper.yaml"), Some(include_str!("../../../sim/robots/gripper.xml"))),
+    (
+        "tendon_hand",
+        include_str!("../../../sim/robots/tendon_hand.yaml"),
+        Some(include_str!("../../../sim/robots/tendon_hand.xml")),
+    ),
+    ("shadow_right", include_str!("../../../sim/robots/shadow_right.yaml"), None),
+    ("shadow_left", include_str!("../../../sim/robots/shadow_left.yaml"), None),
+    ("shadow_urdf_right", include_str!("../../../sim/robots/shadow_urdf_right.yaml"), None),
+    ("shadow_urdf_left", include_str!("../../../sim/robots/shadow_urdf_left.yaml"), None),
+    ("allegro_right", include_str!("../../../sim/robots/allegro_right.yaml"), None),
+    ("allegro_left", include_str!("../../../sim/robots/allegro_left.yaml"), None),
+    ("allegro_urdf_right", include_str!("../../../sim/robots/allegro_urdf_right.yaml"), None),
+    ("allegro_urdf_left", include_str!("../../../sim/robots/allegro_urdf_left.yaml"), None),
+    ("leap_right", include_str!("../../../sim/robots/leap_right.yaml"), None),
+    ("leap_left", include_str!("../../../sim/robots/leap_left.yaml"), None),
+    ("leap_urdf_right", include_str!("../../../sim/robots/leap_urdf_right.yaml"), None),
+    ("leap_urdf_left", include_str!("../../../sim/robots/leap_urdf_left.yaml"), None),
+    ("aero_right", include_str!("../../../sim/robots/aero_right.yaml"), None),
+    ("aero_left", include_str!("../../../sim/robots/aero_left.yaml"), None),
+    ("sharpa_right", include_str!("../../../sim/robots/sharpa_right.yaml"), None),
+    ("sharpa_left", include_str!("../../../sim/robots/sharpa_left.yaml"), None),
+    ("inspire_right", include_str!("../../../sim/robots/inspire_right.yaml"), None),
+    ("inspire_left", include_str!("../../../sim/robots/inspire_left.yaml"), None),
+    ("panda_gripper", include_str!("../../../sim/robots/panda_gripper.yaml"), None),
+];
+
+/// Where models lie below a Python environment's `site-packages`.
+const PACKAGES: [&str; 5] = [
+    "dexi_rs/resources/assets/robots/hands",
+    "mujoco/mjx/test_data",
+    "robosuite/models/assets/grippers",
+    "gymnasium_robotics/envs/assets",
+    "cmeel.prefix/share/example-robot-data/robots",
+];
+
+/// A robot's YAML with its compiled model.
+#[derive(Debug)]
+pub struct Source {
+    /// As written.
+    pub spec: Spec,
+    /// The model.
+    pub world: World,
+    /// Where the model came from.
+    pub origin: String,
+    /// Meshes of shapes that were left away.
+    pub lost: Vec<String>,
+}
+
+/// Names of the robots that are part of the program.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    SHIPPED.iter().map(|(name, ..)| *name)
+}
+
+/// Whether the program carries the robot's model itself.
+pub fn has_own_model(name: &str) -> bool {
+    SHIPPED.iter().any(|(shipped, _, model)| *shipped == name && model.is_some())
+}
+
+/// Reads a robot: a name of the program's own, a YAML file, or a model (MJCF or URDF) alone. `model` replaces the one
+/// that the YAML names.
+///
+/// # Errors
+/// If there is no such robot, or its model can't be found, read or compiled; the error says where it was looked for.
+pub fn open(robot: &str, model: Option<&Path>) -> Result<Source> {
+    if let Some((_, yaml, own)) = SHIPPED.iter().find(|(name, ..)| *name == robot) {
+        let spec = Spec::parse(yaml)?;
+        return match (model, own) {
+            (Some(path), _) => compile(spec, path),
+            (None, Some(xml)) => {
+                let world = World::from_mjcf(xml, &PhysicsOptions::default())?;
+                Ok(Source { spec, world, origin: format!("{robot}, part of the program"), lost: Vec::new() })
+            }
+            (None, None) => {
+                let path = locate(&spec, None)?;
+                compile(spec, &path)
+            }
+        };
+    }
+    let path = Path::new(robot);
+    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    if !path.exists() {
+        return match extension.as_str() {
+            "" => Err(Error::unknown("robot", robot, names())),
+            _ => Err(Error::io(path)(std::io::ErrorKind::NotFound.into())),
+        };
+    }
+    match extension.as_str() {
+        "yaml" | "yml" => {
+            let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+            let spec = Spec::parse(&text).map_err(|error| Error::file(path, error))?;
+            let found = match model {
+                Some(model) => model.to_owned(),
+                None => locate(&spec, path.parent())?,
+            };
+            compile(spec, &found).map_err(|error| Error::file(path, error))
+        }
+        "xml" | "mjcf" | "urdf" => {
+            let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+            compile(Spec { robot: stem, ..Spec::default() }, model.unwrap_or(path))
+        }
+        _ => Err(Error::file(path, "expected a robot's .yaml, or a model: .xml (MJCF) or .urdf")),
+    }
+}
+
+fn compile(spec: Spec, path: &Path) -> Result<Source> {
+    let is_urdf = match std::fs::read_to_string(path) {
+        Ok(text) => text.contains("<robot"),
+        Err(error) => return Err(Error::io(path)(error)),
+    };
+    let options = PhysicsOptions::default();
+    let (world, lost) = match is_urdf {
+        true => {
+            let prepared = urdf::prepare(path)?;
+            let world = World::from_mjcf(&prepared.xml, &options).map_err(|error| Error::file(path, error))?;
+            (world, prepared.lost)
+        }
+        false => (World::from_file(path, &options)?, Vec::new()),
+    };
+    Ok(Source { spec, world, origin: path.display().to_string(), lost })
+}
+
+/// Finds the model that a YAML names.
+fn locate(spec: &Spec, beside: Option<&Path>) -> Result<PathBuf> {
+    let name = match (&spec.model.mjcf, &spec.model.urdf) {
+        (Some(name), None) | (None, Some(name)) => name,
+        (Some(_), Some(_)) => return Err(Error::value("model", "one of mjcf and urdf", "both")),
+        (None, None) => return Err(Error::value("model", "mjcf or urdf", "neither")),
+    };
+    let folders = folders(beside);
+    let found = folders.iter().map(|folder| folder.join(name)).find(|path| path.is_file());
+    found.ok_or_else(|| {
+        let looked: Vec<String> = folders.iter().map(|folder| folder.display().to_string()).collect();
+        let expected = format!(
+            "a file; give --model, or name its folder in EGOTAC_ROBOTS or MENAGERIE_ROOT (looked in: {})",
+            if looked.is_empty() { "nowhere".to_owned() } else { looked.join(", ") }
+        );
+        Error::value(format!("model of {}", spec.robot), expected, name.display())
+    })
+}
+
+/// Folders in which models are looked for, in order.
+fn folders(beside: Option<&Path>) -> Vec<PathBuf> {
+    let mut folders: Vec<PathBuf> = beside.map(Path::to_path_buf).into_iter().collect();
+    let mut add_root = |root: PathBuf| {
+        folders.extend(PACKAGES.iter().map(|package| root.join(package)).filter(|folder| folder.is_dir()));
+        folders.push(root);
+    };
+    for variable in ["EGOTAC_ROBOTS", "MENAGERIE_ROOT"] {
+        let Some(value) = std::env::var_os(variable) else { continue };
+        std::env::split_paths(&value).filter(|root| !root.as_os_str().is_empty()).for_each(&mut add_root);
+    }
+    if let Some(python) = std::env::var_os("EGOTAC_PYTHON") {
+        let libraries = Path::new(&python).ancestors().nth(2).map(|venv| venv.join("lib"));
+        let versions = libraries.and_then(|lib| std::fs::read_dir(lib).ok()).into_iter().flatten().flatten();
+        for version in versions {
+            let packages = version.path().join("site-packages");
+            folders.extend(PACKAGES.iter().map(|package| packages.join(package)).filter(|folder| folder.is_dir()));
+        }
+    }
+    folders
+}

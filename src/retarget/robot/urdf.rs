@@ -1,0 +1,102 @@
+//! URDF files made ready for the engine.
+//!
+//! The engine reads URDF, but leaves out links that do not move (fingertips often are such), knows no `package://`, no
+//! DAE and no glTF, and refuses a file of which one mesh is missing. Here links are kept, meshes get absolute paths, and
+//! shapes that can't be loaded are left away and named.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use crate::error::{Error, Result};
+
+/// A URDF that the engine reads.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prepared {
+    /// The text.
+    pub xml: String,
+    /// Meshes of shapes that were left away.
+    pub lost: Vec<String>,
+}
+
+/// What the compiler of models is told; fixed links stay, masses that are missing are made up (nothing here weighs).
+const COMPILER: &str = "<mujoco><compiler fusestatic=\"false\" discardvisual=\"true\" strippath=\"false\" \
+    balanceinertia=\"true\" boundmass=\"1e-5\" boundinertia=\"1e-9\"/></mujoco>";
+
+/// Prepares a URDF file.
+///
+/// # Errors
+/// If it can't be read or is no URDF.
+pub fn prepare(path: &Path) -> Result<Prepared> {
+    let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+    let wrong = |message: String| Error::file(path, message);
+    let document = roxmltree::Document::parse_with_options(
+        &text,
+        roxmltree::ParsingOptions { allow_dtd: true, ..Default::default() },
+    )
+    .map_err(|error| wrong(format!("expected XML: {error}")))?;
+    let robot = document.root_element();
+    if !robot.has_tag_name("robot") {
+        return Err(wrong(format!("expected a URDF, whose root is <robot>, got <{}>", robot.tag_name().name())));
+    }
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let mut edits: Vec<(Range<usize>, String)> = Vec::new();
+    let mut lost = Vec::new();
+    for node in robot.descendants().filter(roxmltree::Node::is_element) {
+        match node.tag_name().name() {
+            // The first child of the robot: an own block in its place would come twice.
+            "mujoco" => edits.push((node.range(), String::new())),
+            "visual" => edits.push((node.range(), String::new())),
+            "collision" => {
+                let mesh = node.descendants().find(|node| node.has_tag_name("mesh"));
+                let Some(attribute) = mesh.and_then(|mesh| mesh.attribute_node("filename")) else { continue };
+                match find_mesh(folder, attribute.value()) {
+                    Some(found) => edits.push((attribute.range_value(), escaped(&found))),
+                    None => {
+                        lost.push(attribute.value().to_owned());
+                        edits.push((node.range(), String::new()));
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+    let start = robot.range().start;
+    let opening = start + text[start..].find('>').unwrap_or(0) + 1;
+    edits.push((opening..opening, COMPILER.to_owned()));
+    edits.sort_by_key(|(range, _)| range.start);
+    let mut xml = String::with_capacity(text.len() + COMPILER.len());
+    let mut at = 0;
+    for (range, with) in edits {
+        // What lies within something that was left away.
+        if range.start < at {
+            continue;
+        }
+        xml += &text[at..range.start];
+        xml += &with;
+        at = range.end;
+    }
+    xml += &text[at..];
+    Ok(Prepared { xml, lost })
+}
+
+/// The file behind a mesh's name, if the engine can read it.
+fn find_mesh(folder: &Path, name: &str) -> Option<PathBuf> {
+    let extension = Path::new(name).extension()?.to_str()?.to_lowercase();
+    if !["stl", "obj", "msh"].contains(&extension.as_str()) {
+        return None;
+    }
+    let is_url = name.contains("://");
+    let plain = name.strip_prefix("file://").unwrap_or(name);
+    let plain = plain.strip_prefix("package://").unwrap_or(plain);
+    let here = |base: &Path, path: &str| std::path::absolute(base.join(path)).ok().filter(|found| found.is_file());
+    if !is_url || name.starts_with("file://") {
+        return here(folder, plain);
+    }
+    // package://name/path: the package is this folder, one above it, or beside one above it.
+    let inside = plain.split_once('/').map_or(plain, |(_, inside)| inside);
+    folder.ancestors().take(6).find_map(|base| here(base, plain).or_else(|| here(base, inside)))
+}
+
+fn escaped(path: &Path) -> String {
+    path.to_string_lossy().replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;")
+}
