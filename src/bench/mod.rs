@@ -13,6 +13,8 @@ pub mod hard_cases;
 pub mod label;
 pub mod model;
 #[cfg(feature = "sim")]
+pub mod retarget;
+#[cfg(feature = "sim")]
 pub mod sim;
 pub mod train;
 

@@ -5,7 +5,6 @@ use glam::{DMat3, DVec3};
 use super::filter::SizeEstimate;
 use super::human::{Hand, keypoint};
 use super::problem::{Problem, Side, Vector};
-use super::robot::spec::Scale;
 use super::robot::{Robot, frame, reference_size};
 use super::solver::{Solved, Solver, Stop};
 use super::touch::Touch;
@@ -22,7 +21,7 @@ const TOUCHING: f64 = 0.014;
 const CLOSED: f64 = 0.012;
 const OPEN: f64 = 0.022;
 /// Gap at which fingers that do not touch are kept, m.
-const APART: f64 = 0.003;
+const APART: f64 = 0.002;
 /// Distances of human tips at which their gap begins to count, and counts in full, m.
 const NOTICED: f64 = 0.06;
 const MINDED: f64 = 0.035;
@@ -42,8 +41,10 @@ struct FingerGoal {
     pad: usize,
     /// Gap to the thumb.
     pinch: Option<usize>,
-    /// Rest of the finger's tip and base from the wrist.
-    scale: f64,
+    /// Where its first phalanx begins, in the wrist frame, m, and how long its phalanges are.
+    base: DVec3,
+    length: f64,
+    scale: Option<f64>,
 }
 
 /// The goal of a frame.
@@ -54,6 +55,10 @@ pub struct Goal {
     fingers: Vec<FingerGoal>,
     /// Gaps of pairs that must not collide, with their geoms.
     collisions: Vec<(usize, [usize; 2], f64)>,
+    /// Index of the first of them.
+    first_collision: usize,
+    /// Centre of each geom when pairs were last looked through, m.
+    centres: Vec<DVec3>,
     reference_size: f64,
     /// Bases of the robot's fingers in the wrist frame, m.
     bases: DVec3,
@@ -110,8 +115,16 @@ impl Goal {
                 weight: 0.0,
                 huber: f64::INFINITY,
             });
-            let scale = robot.scale[finger.human];
-            fingers.push(FingerGoal { human: finger.human, tip, phalanges, pad, pinch: None, scale });
+            fingers.push(FingerGoal {
+                human: finger.human,
+                tip,
+                phalanges,
+                pad,
+                pinch: None,
+                base: robot.base(finger),
+                length: finger.length,
+                scale: robot.scale[finger.human],
+            });
         }
         let side = |index: usize| match robot.fingers[index].pad_geoms.is_empty() {
             true => Side::Sphere { point: problem_tip(&fingers, &problem, index), radius: 0.0 },
@@ -159,6 +172,8 @@ impl Goal {
         let mapped = |human: usize| human != 0 || robot.fingers.len() == 1;
         Ok(Self {
             bases: robot.bases(|finger| mapped(finger.human)),
+            first_collision: problem.gaps.len() - collisions.len(),
+            centres: vec![DVec3::ZERO; robot.parts.geoms.len()],
             problem,
             fingers,
             collisions,
@@ -179,25 +194,27 @@ impl Goal {
         last: &[f64],
     ) {
         let relative_size = if size.size() > 0.0 { size.size() / self.reference_size } else { 1.0 };
-        let human_size = match robot.spec.scale {
-            Scale::Number(_) => 1.0,
-            _ => relative_size,
-        };
         let axes = robot.wrist.world_axes(&robot.world);
         let (origin, _) = robot.world.body_pose(robot.wrist.body);
+        let to_wrist = robot.wrist.axes.transpose();
         let human_bases = Hand::bases(points, robot.fingers.iter().map(|finger| finger.human).filter(|f| *f != 0));
         let weights = robot.spec.weights.clone();
         let is_gripper = robot.is_gripper();
         for k in 0..self.fingers.len() {
-            let FingerGoal { human, tip, pad, scale, .. } = self.fingers[k];
+            let FingerGoal { human, tip, pad, scale, base, length, .. } = self.fingers[k];
             let end = points[keypoint(human, 3)];
-            let scale = scale / human_size;
-            let local = match robot.wrist_position {
-                Some(wrist) => (robot.world.body_pose(robot.wrist.body).1 * wrist, scale * end),
-                None => (DVec3::ZERO, self.bases + scale * (end - human_bases)),
+            let target = match (scale, robot.wrist_position) {
+                (Some(scale), Some(wrist)) => to_wrist * wrist + scale * end,
+                (Some(scale), None) => self.bases + scale * (end - human_bases),
+                // As long a finger bent as much from where it begins: tip and phalanges ask for the same.
+                (None, _) => {
+                    let human_length = size.finger_lengths()[human];
+                    let scale = if human_length > 0.0 { length / human_length } else { 1.0 };
+                    base + scale * (end - points[keypoint(human, 0)])
+                }
             };
             let vector = &mut self.problem.vectors[tip];
-            vector.target = origin + local.0 + axes * local.1;
+            vector.target = origin + axes * target;
             vector.weight = if is_gripper { 0.0 } else { weights.tip };
             let is_touched = touch.is_some_and(|touch| touch.tip_contact[human] > 0.5);
             let vector = &mut self.problem.vectors[pad];
@@ -244,9 +261,8 @@ impl Goal {
             Some(_) => (human_gap.max(APART), near),
             None => (human_gap * smoothstep(human_gap / (0.5 * CLOSED)), near),
         };
-        let gap = &mut self.problem.gaps[pinch];
-        gap.target = target;
-        gap.weight = weight * if is_gripper { 1.0 } else { share };
+        self.problem.gaps[pinch].target = target;
+        self.problem.weigh(pinch, weight * if is_gripper { 1.0 } else { share });
     }
 
     /// Finds the pose, with no link in another.
@@ -254,9 +270,9 @@ impl Goal {
     /// # Errors
     /// If a value is not finite.
     pub fn solve(&mut self, solver: &mut Solver, robot: &mut Robot, stop: Stop, u: &mut [f64]) -> Result<Solved> {
-        for (gap, ..) in &self.collisions {
-            self.problem.gaps[*gap].weight = 0.0;
-        }
+        let first = self.first_collision;
+        self.problem.active.retain(|gap| *gap < first);
+        self.problem.gaps[first..].iter_mut().for_each(|gap| gap.weight = 0.0);
         if !self.collisions.is_empty() {
             robot.coupling.expand(&robot.parts, u, robot.world.qpos_mut());
             robot.world.update_poses();
@@ -278,34 +294,58 @@ impl Goal {
     /// Has those pairs count that are nearer than a distance in the robot's present pose; returns how many were added.
     fn watch(&mut self, robot: &mut Robot, near: f64) -> usize {
         let mut added = 0;
+        for (place, geom) in self.centres.iter_mut().zip(0..) {
+            *place = robot.world.geom_place(geom);
+        }
         for (gap, [a, b], radii) in self.collisions.iter().copied() {
-            if self.problem.gaps[gap].weight > 0.0 {
-                continue;
-            }
-            let room = robot.world.geom_place(a).distance(robot.world.geom_place(b)) - radii;
-            if room > near {
+            let reach = radii + near;
+            if self.centres[a].distance_squared(self.centres[b]) > reach * reach
+                || self.problem.gaps[gap].weight > 0.0
+            {
                 continue;
             }
             let target = self.problem.gaps[gap].target;
-            if room < near && robot.world.geom_distance([a, b], near.max(target)).0 < near.max(target) {
-                self.problem.gaps[gap].weight = COLLISION_WEIGHT;
+            if robot.world.geom_distance([a, b], near.max(target)).0 < near.max(target) {
+                self.problem.weigh(gap, COLLISION_WEIGHT);
                 added += 1;
             }
         }
         added
     }
 
-    /// Distance of thumb and a robot finger's tip as of the last solve, m; None for the thumb itself or where it is far.
-    pub fn pinch_gap(&self, finger: usize) -> Option<f64> {
-        let gap = self.fingers[finger].pinch?;
-        let distance = self.problem.distance(gap);
-        distance.is_finite().then_some(distance)
+    /// Distance of the surfaces of thumb and a robot finger's tip in the robot's present pose, m, 0.1 at most; None for the
+    /// thumb itself.
+    pub fn exact_gap(&self, robot: &mut Robot, finger: usize) -> Option<f64> {
+        const MOST: f64 = 0.1;
+        let [a, b] = &self.problem.gaps[self.fingers[finger].pinch?].sides;
+        match (a, b) {
+            (Side::Geoms { geoms: a, .. }, Side::Geoms { geoms: b, .. }) => {
+                let pairs = a.iter().flat_map(|a| b.iter().map(move |b| [*a, *b]));
+                Some(pairs.map(|pair| robot.world.geom_distance(pair, MOST).0).fold(MOST, f64::min))
+            }
+            _ => {
+                let thumb = robot.fingers.iter().find(|finger| finger.human == 0)?;
+                let tips = [thumb, &robot.fingers[finger]].map(|finger| frame::place(&robot.world, finger));
+                Some(tips[0].distance(tips[1]).min(MOST))
+            }
+        }
     }
 
-    /// Distance of a finger's tip from its target as of the last solve, m.
-    pub fn tip_error(&self, finger: usize) -> f64 {
+    /// How deep links that must not collide are in each other in the robot's present pose, m; negative = none is.
+    pub fn deepest(&self, robot: &mut Robot) -> f64 {
+        let mut deepest = f64::NEG_INFINITY;
+        for (_, [a, b], radii) in self.collisions.iter().copied() {
+            if robot.world.geom_place(a).distance(robot.world.geom_place(b)) < radii {
+                deepest = deepest.max(-robot.world.geom_distance([a, b], 1e-3).0);
+            }
+        }
+        deepest
+    }
+
+    /// Distance of a finger's tip from its target in the robot's present pose, m.
+    pub fn tip_error(&self, robot: &Robot, finger: usize) -> f64 {
         let vector = &self.problem.vectors[self.fingers[finger].tip];
-        self.problem.place(vector.to).distance(vector.target)
+        frame::place(&robot.world, &robot.fingers[finger]).distance(vector.target)
     }
 }
 

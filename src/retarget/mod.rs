@@ -210,6 +210,11 @@ impl Retargeter {
         &self.robot
     }
 
+    /// The robot in its present pose, and what it was to do.
+    pub fn look(&mut self) -> (&mut Robot, &mut Goal) {
+        (&mut self.robot, &mut self.goal)
+    }
+
     /// What came out last.
     pub fn output(&self) -> &Output {
         &self.output

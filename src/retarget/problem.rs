@@ -93,6 +93,8 @@ pub struct Problem {
     pub vectors: Vec<Vector>,
     /// Distances to keep.
     pub gaps: Vec<Gap>,
+    /// The gaps that count, by their index.
+    pub active: Vec<usize>,
     /// Position each free coordinate leans to.
     pub neutral: Vec<f64>,
     /// How strongly.
@@ -120,6 +122,7 @@ impl Problem {
             points: Vec::new(),
             vectors: Vec::new(),
             gaps: Vec::new(),
+            active: Vec::new(),
             neutral: vec![0.0; n],
             neutral_weight: vec![0.0; n],
             places: Vec::new(),
@@ -165,6 +168,8 @@ impl Problem {
             normal: DVec3::Z,
             points: [DVec3::ZERO; 2],
         });
+        // Room for all, so that none has to be made later.
+        self.active.reserve(self.gaps.len());
         self.gaps.len() - 1
     }
 
@@ -173,9 +178,14 @@ impl Problem {
         self.places[point]
     }
 
-    /// Distance of a gap as of the last [`Self::cost`]; infinite where it does not count or the sides are far apart.
-    pub fn distance(&self, gap: usize) -> f64 {
-        self.gaps[gap].distance
+    /// Has a gap count with a weight; 0 = not at all.
+    pub fn weigh(&mut self, gap: usize, weight: f64) {
+        let before = std::mem::replace(&mut self.gaps[gap].weight, weight) > 0.0;
+        match (before, weight > 0.0) {
+            (false, true) => self.active.push(gap),
+            (true, false) => self.active.retain(|active| *active != gap),
+            _ => {}
+        }
     }
 
     /// The cost of a pose; leaves the robot in it.
@@ -196,13 +206,12 @@ impl Problem {
             cost += vector.weight
                 * if error <= vector.huber { 0.5 * error * error } else { vector.huber * (error - 0.5 * vector.huber) };
         }
-        for gap in &mut self.gaps {
+        for index in &self.active {
+            let gap = &mut self.gaps[*index];
             gap.distance = f64::INFINITY;
-            if gap.weight > 0.0 {
-                gap.measure(world, &self.places, &self.radii);
-                let error = gap.error();
-                cost += 0.5 * gap.weight * error * error;
-            }
+            gap.measure(world, &self.places, &self.radii);
+            let error = gap.error();
+            cost += 0.5 * gap.weight * error * error;
         }
         for ((position, neutral), weight) in u.iter().zip(&self.neutral).zip(&self.neutral_weight) {
             cost += 0.5 * weight * (position - neutral) * (position - neutral);
@@ -234,8 +243,9 @@ impl Problem {
         for vector in self.vectors.iter().filter(|vector| vector.weight > 0.0) {
             self.add_vector(vector, gradient, hessian);
         }
-        for index in 0..self.gaps.len() {
-            if self.gaps[index].weight > 0.0 && self.gaps[index].error() != 0.0 {
+        for k in 0..self.active.len() {
+            let index = self.active[k];
+            if self.gaps[index].error() != 0.0 {
                 self.add_gap_terms(index, gradient, hessian);
             }
         }

@@ -8,6 +8,9 @@ use crate::error::Result;
 use crate::mujoco::World;
 use crate::mujoco::parts::Parts;
 
+/// Longest change of a coordinate in a step, rad or m.
+const LONGEST: f64 = 0.35;
+
 /// When to stop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stop {
@@ -96,6 +99,12 @@ impl Solver {
                 damping = raised(damping);
                 continue;
             };
+            // Far from here the model tells nothing; a long step may end in another valley.
+            if self.step.amax() > LONGEST && damping < 1e6 {
+                damping = raised(damping);
+                solved.iterations -= 1;
+                continue;
+            }
             if gain <= stop.tolerance * cost + f64::MIN_POSITIVE {
                 solved.converged = true;
                 // Too little to look twice at, but not nothing.

@@ -13,7 +13,7 @@ use crate::mujoco::Renderer;
 use crate::retarget::Robot;
 use crate::retarget::robot::coupling::Driven;
 use crate::retarget::robot::frame;
-use crate::retarget::robot::spec::{FINGERS, FingerSpec, ModelSpec, Scale, Spec, TipSpec};
+use crate::retarget::robot::spec::{FINGERS, FingerSpec, ModelSpec, Spec, TipSpec};
 
 /// Width and height of one view, pixels.
 const VIEW: u32 = 480;
@@ -176,7 +176,7 @@ fn text(robot: &Robot) -> String {
         put(
             &mut text,
             format!(
-                "  {:7} {} joints, {:.0} mm, tip: {} at {} in {}, pad normal {}, {} geoms, scale {:.2}",
+                "  {:7} {} joints, {:.0} mm, tip: {} at {} in {}, pad normal {}, {} geoms",
                 FINGERS[finger.human],
                 finger.joints.len(),
                 1e3 * finger.length,
@@ -185,7 +185,6 @@ fn text(robot: &Robot) -> String {
                 fact["tip_body"],
                 fact["pad_normal"],
                 finger.pad_geoms.len(),
-                robot.scale[finger.human],
             ),
         );
     }
@@ -216,9 +215,6 @@ fn text(robot: &Robot) -> String {
     put(&mut text, format!("{} pairs of geoms are kept apart", robot.pairs.len()));
     if !robot.lost.is_empty() {
         put(&mut text, format!("left away, as no file that the engine reads is there: {}", robot.lost.join(", ")));
-    }
-    if let Scale::Auto = robot.spec.scale {
-        put(&mut text, "scales are for a hand of the built-in hand's size; a larger human hand gets a smaller one".into());
     }
     text
 }

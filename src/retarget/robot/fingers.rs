@@ -38,7 +38,7 @@ pub struct Finger {
     pub pad_geoms: Vec<usize>,
     /// Joint anchors that lie apart, from base to the last, as joint indices.
     pub knuckles: Vec<usize>,
-    /// Length from base to tip along the knuckles, m.
+    /// Length of its three phalanges (fewer where it has no more) along the knuckles, m.
     pub length: f64,
     /// Name of what the tip was found by.
     pub tip_name: String,
@@ -288,7 +288,9 @@ fn finger(
         }
     }
     let chain: Vec<DVec3> = knuckles.iter().map(|joint| world.joint_axis(*joint).0).chain([place]).collect();
-    let length = chain.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
+    // What a knuckle before the third from the tip turns is part of the palm, as the metacarpals are.
+    let phalanges = &chain[chain.len().saturating_sub(4)..];
+    let length = phalanges.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
     let along = chain.len().checked_sub(2).map_or(DVec3::ZERO, |at| (place - chain[at]).normalize_or_zero());
     let pad_normal = match spec.pad_normal {
         Some(normal) => DVec3::from_array(normal).try_normalize().ok_or_else(|| {

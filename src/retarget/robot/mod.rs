@@ -48,8 +48,8 @@ pub struct Robot {
     pub wrist: WristFrame,
     /// The human's wrist in the wrist body's frame, m; None = finger bases are laid over each other.
     pub wrist_position: Option<DVec3>,
-    /// Robot metres per metre of each human finger, at the reference hand's size.
-    pub scale: [f64; 5],
+    /// Robot metres per metre of each human finger; None = robot finger over human finger, whatever their lengths.
+    pub scale: [Option<f64>; 5],
     /// Pairs of geoms that must not run into each other.
     pub pairs: Vec<[usize; 2]>,
     /// What the drivers get.
@@ -121,8 +121,7 @@ impl Robot {
             Axes::Auto => WristFrame::derive(&world, &fingers, wrist_body, spec.side)?,
             Axes::Rows(rows) => WristFrame::given(wrist_body, *rows)?,
         };
-        let reference = Hand::reference()?;
-        let scale = scales(&spec, &fingers, &reference);
+        let scale = scales(&spec);
         let takes_force = takers(&spec, &fingers)?;
         let pairs = pairs(&spec, &parts, &fingers)?;
         for name in spec.neutral.keys() {
@@ -164,14 +163,19 @@ impl Robot {
         (0..self.parts.joints.len()).filter(|joint| self.parts.joints[*joint].motion != Motion::Other)
     }
 
-    /// Where the finger bases are, on average over the given fingers, in the wrist frame's coordinates about the wrist
-    /// body's origin, m.
-    pub fn bases(&self, which: impl Fn(&Finger) -> bool) -> DVec3 {
+    /// Where a finger's first phalanx begins, in the wrist frame's coordinates about the wrist body's origin, m.
+    pub fn base(&self, finger: &Finger) -> DVec3 {
         let (origin, _) = self.world.body_pose(self.wrist.body);
         let to_wrist: DMat3 = self.wrist.world_axes(&self.world).transpose();
+        let first = finger.knuckles.len().saturating_sub(3);
+        let joint = finger.knuckles.get(first).or(finger.joints.first());
+        to_wrist * (joint.map_or(origin, |joint| self.world.joint_axis(*joint).0) - origin)
+    }
+
+    /// The same, on average over the given fingers.
+    pub fn bases(&self, which: impl Fn(&Finger) -> bool) -> DVec3 {
         let chosen: Vec<&Finger> = self.fingers.iter().filter(|finger| which(finger)).collect();
-        let sum: DVec3 = chosen.iter().map(|f| to_wrist * (self.world.joint_axis(f.joints[0]).0 - origin)).sum();
-        sum / chosen.len().max(1) as f64
+        chosen.iter().map(|finger| self.base(finger)).sum::<DVec3>() / chosen.len().max(1) as f64
     }
 
     /// Whether it is a pair of jaws, of which nothing but the opening can be asked.
@@ -231,18 +235,12 @@ fn follow(parts: &Parts, written: &spec::CouplingSpec) -> Result<Follow> {
     })
 }
 
-/// Robot metres per metre of each human finger.
-fn scales(spec: &Spec, fingers: &[Finger], reference: &Hand) -> [f64; 5] {
-    let long: Vec<&Finger> = fingers.iter().filter(|finger| finger.human != 0 && finger.length > 0.0).collect();
-    let robot: f64 = long.iter().map(|finger| finger.length).sum();
-    let human: f64 = long.iter().map(|finger| reference.finger_length(finger.human)).sum();
-    let auto = if human > 0.0 && robot > 0.0 { robot / human } else { 1.0 };
+/// Robot metres per metre of each human finger, where the file says; None = each finger's own length decides.
+fn scales(spec: &Spec) -> [Option<f64>; 5] {
     match &spec.scale {
-        Scale::Auto => [auto; 5],
-        Scale::Number(number) => [*number; 5],
-        Scale::Fingers(scales) => {
-            std::array::from_fn(|finger| scales.get(spec::FINGERS[finger]).copied().unwrap_or(auto))
-        }
+        Scale::Auto => [None; 5],
+        Scale::Number(number) => [Some(*number); 5],
+        Scale::Fingers(scales) => spec::FINGERS.map(|finger| scales.get(finger).copied()),
     }
 }
 
@@ -305,12 +303,7 @@ fn is_neighbour(parts: &Parts, a: usize, b: usize) -> bool {
     a == b || above(a) == b || above(b) == a
 }
 
-/// Words for a side.
-pub fn side_word(side: Side) -> &'static str {
-    side.name()
-}
-
-/// Human size that scales are given for, m.
+/// Size of the built-in hand, m.
 ///
 /// # Errors
 /// Never with the hand that is part of the program.

@@ -86,7 +86,8 @@ pub struct WristSpec {
     /// Body it is fixed to; without it, the model's root.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub body: Option<String>,
-    /// The point that is the human's wrist, in the body's frame, m; without it, the finger bases are laid over the human's.
+    /// The point that is the human's wrist, in the body's frame, m, where `scale` is a number; without it, the bases of the
+    /// fingers are laid over the human's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pos: Option<[f64; 3]>,
     /// Axes.
@@ -151,7 +152,7 @@ pub struct TipSpec {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Scale {
-    /// From the sizes of both hands, as they are seen.
+    /// Each robot finger's length over that of the human finger, as it is seen.
     #[default]
     #[serde(with = "auto")]
     Auto,
@@ -208,7 +209,7 @@ pub struct Weights {
 
 impl Default for Weights {
     fn default() -> Self {
-        Self { tip: 1.0, pad_normal: 0.01, pinch: 100.0, posture: 0.02, neutral: 1e-4, smooth: 0.0 }
+        Self { tip: 1.0, pad_normal: 0.05, pinch: 100.0, posture: 0.05, neutral: 1e-4, smooth: 0.0 }
     }
 }
 
