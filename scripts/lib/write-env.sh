@@ -17,7 +17,7 @@ prepend() {
         "$1" "$(quoted "$2")" "$1" "$(quoted "$2")" "$1" "$1"
 }
 
-# Uses root, cache, venv, msgs, ros (wheels or sourced), mujoco, and for a sourced ROS its variables.
+# Uses root, cache, venv, msgs, robots, ros (wheels or sourced), mujoco, and for a sourced ROS its variables.
 env_file() {
     local site packages=() rpath
     site=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
@@ -59,6 +59,7 @@ env_file() {
     assign BINDGEN_EXTRA_CLANG_ARGS "-I$(cc -print-file-name=include)"
 
     assign MUJOCO_DYNAMIC_LINK_DIR "$mujoco"
+    assign_unless_set EGOTAC_ROBOTS "$robots" # where robot models are looked for, folders joined by colons
     assign_unless_set MUJOCO_GL egl
     # Default settings lose camera images above half a megabyte; the first name is Jazzy's, the second is newer.
     assign_unless_set FASTRTPS_DEFAULT_PROFILES_FILE "$root/launch/fastdds.xml"

@@ -24,6 +24,8 @@ enum Subject {
     Label(label::Args),
     /// What accuracy costs in simulation: errors against fine references, times, a Pareto plot.
     Sim(Sim),
+    /// What retargeting costs and how exact it is, beside other programs.
+    Retarget(Retarget),
     /// What each scene simulates, and what each effect costs in it.
     Effects(Effects),
     /// What goes wrong, what the guards say, and what helps: every hard case in three runs.
@@ -53,6 +55,28 @@ struct Sim {
     /// Folder for sim.json, sim.md, sim.png and sim.svg.
     #[arg(long)]
     out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+struct Retarget {
+    /// Robots (a name of `egotac retarget list`, a YAML file or a model); without them, those of the program whose models
+    /// are part of it.
+    robots: Vec<String>,
+    /// Frames of the trajectory.
+    #[arg(long, default_value_t = 10_000, value_parser = clap::value_parser!(u64).range(100..=1_000_000))]
+    frames: u64,
+    /// Seed of the trajectory and its noise.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Command that runs a peer on the same vectors, such as `python benches/retarget_peer.py`.
+    #[arg(long, value_name = "COMMAND")]
+    peer: Option<String>,
+    /// Print JSON in place of the tables.
+    #[arg(long)]
+    json: bool,
+    /// Folder for retarget.md, retarget.json, retarget.png and retarget.svg.
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -101,6 +125,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::Train(args) => return train::run(&args).map(|()| ExitCode::SUCCESS),
         Subject::Label(args) => return status(label::run(&args)?),
         Subject::Sim(_) => "bench sim",
+        Subject::Retarget(_) => "bench retarget",
         Subject::Effects(_) => "bench effects",
         Subject::HardCases(_) => "bench hard-cases",
         Subject::Guards(_) => "bench guards",
@@ -117,6 +142,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::Train(args) => train::run(&args).map(|()| true)?,
         Subject::Label(args) => label::run(&args)?,
         Subject::Sim(args) => with_sim::sim(&args)?,
+        Subject::Retarget(args) => with_sim::retarget(&args)?,
         Subject::Effects(args) => with_sim::effects(&args)?,
         Subject::HardCases(args) => with_sim::hard_cases(&args)?,
         Subject::Guards(args) => with_sim::guards(&args)?,
@@ -132,11 +158,11 @@ mod with_sim {
     use anyhow::{Context, ensure};
     use indicatif::ProgressBar;
 
-    use super::{Effects, Guards, HardCases, Sim};
+    use super::{Effects, Guards, HardCases, Retarget, Sim};
     use crate::bench::hard_cases::{registry, report, run};
     use crate::bench::sim::knob::Knob;
     use crate::bench::sim::{self, KNOB_SCENES, Plan, markdown, pareto, throughput};
-    use crate::bench::{Machine, effects, guards};
+    use crate::bench::{Machine, effects, guards, retarget as retargeting};
     use crate::cli::progress;
     use crate::file;
     use crate::sim::{RolloutOptions, SHIPPED, Scene, Workers};
@@ -228,6 +254,40 @@ mod with_sim {
         file::write(&args.out.join("effects.json"), serde_json::to_string_pretty(&report)?.as_bytes())?;
         print!("{table}");
         println!("wrote {0}/effects.md and {0}/effects.json", args.out.display());
+        Ok(true)
+    }
+
+    pub fn retarget(args: &Retarget) -> anyhow::Result<bool> {
+        use crate::retarget::robot::source;
+        let robots = match args.robots.is_empty() {
+            true => source::names().filter(|name| source::has_own_model(name)).map(str::to_owned).collect(),
+            false => args.robots.clone(),
+        };
+        let mut words = vec!["egotac bench retarget".to_owned()];
+        words.extend(args.robots.iter().cloned());
+        words.push(format!("--frames {} --seed {}", args.frames, args.seed));
+        words.extend(args.peer.iter().map(|peer| format!("--peer {peer:?}")));
+        let plan = retargeting::Plan {
+            command: words.join(" "),
+            robots,
+            frames: args.frames as usize,
+            seed: args.seed,
+            peer: args.peer.clone(),
+        };
+        let bar = progress::told_bar();
+        let report = retargeting::run(&plan, |what| bar.set_message(what.to_owned()))?;
+        bar.finish_and_clear();
+        let (table, json) = (retargeting::table::markdown(&report), serde_json::to_string_pretty(&report)?);
+        match args.json {
+            true => println!("{json}"),
+            false => print!("{table}"),
+        }
+        if let Some(folder) = &args.out {
+            file::write(&folder.join("retarget.md"), table.as_bytes())?;
+            file::write(&folder.join("retarget.json"), json.as_bytes())?;
+            retargeting::plot::write(folder, &report)?;
+            eprintln!("wrote {0}/retarget.md and {0}/retarget.json", folder.display());
+        }
         Ok(true)
     }
 

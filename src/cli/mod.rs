@@ -56,7 +56,7 @@ enum Command {
     Retarget(retarget::Args),
     /// The network: forward, attention, import, start, info.
     Model(model::Args),
-    /// Measurements that the documentation holds: model, train, label, sim, effects, hard-cases, guards.
+    /// Measurements that the documentation holds: model, train, label, retarget, sim, effects, hard-cases, guards.
     Bench(bench::Args),
     /// Recordings and labels: info, diff.
     Data(data::Args),

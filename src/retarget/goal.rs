@@ -25,6 +25,8 @@ const APART: f64 = 0.002;
 /// Distances of human tips at which their gap begins to count, and counts in full, m.
 const NOTICED: f64 = 0.06;
 const MINDED: f64 = 0.035;
+/// Weight of a gap that is just noticed, over that of one that is minded.
+const FAINT: f64 = 1e-4;
 /// Weight of links that must not run into each other, per square metre.
 const COLLISION_WEIGHT: f64 = 1000.0;
 /// Links nearer than this are watched, m.
@@ -257,10 +259,12 @@ impl Goal {
         let closing = human_gap * smoothstep((human_gap - CLOSED) / (OPEN - CLOSED));
         let near = smoothstep((NOTICED - distance) / (NOTICED - MINDED));
         let (target, share) = match both {
-            Some(both) if both > 0.5 => (closing, near.max(0.1)),
+            Some(both) if both > 0.5 => (closing, near.max(0.5)),
             Some(_) => (human_gap.max(APART), near),
             None => (human_gap * smoothstep(human_gap / (0.5 * CLOSED)), near),
         };
+        // Tips and gap ask for different things while fingers approach: hand over by ratios, not by amounts.
+        let share = if share > 0.0 { FAINT.powf(1.0 - share) } else { 0.0 };
         self.problem.gaps[pinch].target = target;
         self.problem.weigh(pinch, weight * if is_gripper { 1.0 } else { share });
     }

@@ -54,23 +54,23 @@ impl Trajectory {
         let rig = HandRig::new(HandModel::builtin(Side::Right), [0.0; N_BETAS])?;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let waves = Waves::draw(&rig, &mut rng);
-        let pinches: Vec<Vec<f64>> = (1..5).map(|finger| pinch(&rig, finger)).collect();
+        let pinches: Vec<(usize, Vec<f64>)> = (1..5).filter_map(|finger| Some((finger, pinch(&rig, finger)?))).collect();
         let all: Vec<_> = (0..frames)
             .into_par_iter()
             .map(|frame| {
                 let time = frame as f64 / RATE;
-                let (finger, share, is_held) = schedule(time);
+                let (turn, share, is_held) = schedule(time);
                 let free = waves.at(&rig, time);
-                let closed = &pinches[finger - 1];
+                let (finger, closed) = &pinches[turn % pinches.len()];
                 let angles: Vec<f64> = free.iter().zip(closed).map(|(a, b)| a + share * (b - a)).collect();
                 let wrist = DVec3::new(0.1 * (0.3 * time).sin(), 0.05 * (0.5 * time).cos(), 0.3);
-                let turn = DQuat::from_euler(glam::EulerRot::XYZ, 0.6 * (0.4 * time).sin(), 0.3 * time, 0.5 * (0.27 * time).cos());
-                let keypoints = Hand::of_model(&rig.model, &rig.params(wrist, turn, &angles));
+                let orientation = DQuat::from_euler(glam::EulerRot::XYZ, 0.6 * (0.4 * time).sin(), 0.3 * time, 0.5 * (0.27 * time).cos());
+                let keypoints = Hand::of_model(&rig.model, &rig.params(wrist, orientation, &angles));
                 let mut contact = [0.0; 5];
                 let mut force = [DVec3::ZERO; 5];
                 if is_held {
-                    (contact[0], contact[finger]) = (1.0, 1.0);
-                    force = forces(&keypoints, finger, time);
+                    (contact[0], contact[*finger]) = (1.0, 1.0);
+                    force = forces(&keypoints, *finger, time);
                 }
                 (keypoints, contact, force)
             })
@@ -104,9 +104,9 @@ impl Trajectory {
     }
 }
 
-/// Finger that pinches at a time, how far it has closed, and whether it is held.
+/// Number of the pinch at a time, how far it has closed, and whether it is held.
 fn schedule(time: f64) -> (usize, f64, bool) {
-    let finger = 1 + (time / PERIOD) as usize % 4;
+    let turn = (time / PERIOD) as usize;
     let at = time % PERIOD - 1.0;
     let smooth = |x: f64| x * x * x * (x * (6.0 * x - 15.0) + 10.0);
     let share = match at {
@@ -116,7 +116,7 @@ fn schedule(time: f64) -> (usize, f64, bool) {
         x if x < 2.0 * APPROACH + HOLD => smooth((2.0 * APPROACH + HOLD - x) / APPROACH),
         _ => 0.0,
     };
-    (finger, share, share >= 1.0)
+    (turn, share, share >= 1.0)
 }
 
 /// Forces on thumb and finger in a pinch: a few newtons into both pads, and some friction.
@@ -175,16 +175,18 @@ fn finger_of(joint: usize) -> usize {
     [1, 2, 4, 3, 0][(joint - 1) / 3]
 }
 
-/// Angles at which thumb and finger meet with their tips: damped least squares on the rig.
-fn pinch(rig: &HandRig, finger: usize) -> Vec<f64> {
+/// Angles at which thumb and finger meet with their tips, by damped least squares; None where they do not reach.
+fn pinch(rig: &HandRig, finger: usize) -> Option<Vec<f64>> {
     let mine: Vec<usize> = (0..rig.hinges.len())
         .filter(|k| [0, finger].contains(&finger_of(rig.hinges[*k].joint)) && rig.hinges[*k].motion != Motion::Twist)
         .collect();
-    let start = |hinge: &crate::sim::rig::Hinge| -> f64 { match hinge.motion {
-        Motion::Flex if finger_of(hinge.joint) == finger => 0.8,
-        Motion::Flex => 0.35,
-        _ => 0.0,
-    } };
+    let start = |hinge: &crate::sim::rig::Hinge| -> f64 {
+        match hinge.motion {
+            Motion::Flex if finger_of(hinge.joint) == finger => 0.8,
+            Motion::Flex => 0.35,
+            _ => 0.0,
+        }
+    };
     let mut angles: Vec<f64> =
         rig.hinges.iter().map(|hinge| start(hinge).clamp(hinge.range[0], hinge.range[1])).collect();
     let rest = angles.clone();
@@ -215,5 +217,6 @@ fn pinch(rig: &HandRig, finger: usize) -> Vec<f64> {
             angles[*k] = (angles[*k] - step.clamp(-0.2, 0.2)).clamp(low, high);
         }
     }
-    angles
+    let miss = residuals(&angles);
+    (miss.rows(0, 3).norm() < 0.003).then_some(angles)
 }

@@ -36,7 +36,7 @@ pub struct Finger {
     pub pad_normal: DVec3,
     /// Geoms of the fingertip.
     pub pad_geoms: Vec<usize>,
-    /// Joint anchors that lie apart, from base to the last, as joint indices.
+    /// Joints at which it bends, from base to the last; of those in one place the first.
     pub knuckles: Vec<usize>,
     /// Length of its three phalanges (fewer where it has no more) along the knuckles, m.
     pub length: f64,
@@ -278,13 +278,17 @@ fn finger(
     }
     let (origin, rotation) = world.body_pose(tip_body);
     let place = origin + rotation * tip;
-    let anchors: Vec<DVec3> = joints.iter().map(|joint| world.joint_axis(*joint).0).collect();
+    let hinges: Vec<usize> =
+        joints.iter().copied().filter(|joint| parts.joints[*joint].motion == Motion::Hinge).collect();
+    // A finger bends where axes are parallel to the last one's; a thumb's lie every way.
+    let last_axis = hinges.last().map_or(DVec3::ZERO, |joint| world.joint_axis(*joint).1);
+    let bends = |joint: &usize| human == 0 || world.joint_axis(*joint).1.dot(last_axis).abs() > 0.7;
     let mut knuckles: Vec<usize> = Vec::new();
-    for (joint, anchor) in joints.iter().zip(&anchors) {
+    for joint in hinges.into_iter().filter(bends) {
         // Axes that cross make one knuckle.
-        let is_apart = |other: &usize| world.joint_axis(*other).0.distance(*anchor) > 0.006;
-        if parts.joints[*joint].motion == Motion::Hinge && knuckles.last().is_none_or(is_apart) {
-            knuckles.push(*joint);
+        let anchor = world.joint_axis(joint).0;
+        if knuckles.last().is_none_or(|other| world.joint_axis(*other).0.distance(anchor) > 0.006) {
+            knuckles.push(joint);
         }
     }
     let chain: Vec<DVec3> = knuckles.iter().map(|joint| world.joint_axis(*joint).0).chain([place]).collect();

@@ -209,7 +209,7 @@ pub struct Weights {
 
 impl Default for Weights {
     fn default() -> Self {
-        Self { tip: 1.0, pad_normal: 0.05, pinch: 100.0, posture: 0.05, neutral: 1e-4, smooth: 0.0 }
+        Self { tip: 1.0, pad_normal: 0.05, pinch: 300.0, posture: 0.05, neutral: 1e-4, smooth: 0.0 }
     }
 }
 

@@ -1,13 +1,13 @@
 //! Touch, carried over: from the human's skin to forces that the robot's links are to feel.
 //!
-//! Forces of the human's vertices are pooled to bones and palm, turned from each bone's frame (normal, lateral, along) to
-//! that of the robot link that takes its place, and adjusted so that the net force and torque on the hand stay what they
+//! Forces of the human's vertices are pooled to bones and palm, turned half of the way from each bone's frame (normal,
+//! lateral, along) to that of the robot link that takes its place, and adjusted so that the net force and torque on the hand stay what they
 //! were, within friction cones and what the joints' actuators can hold.
 
 pub mod balance;
 pub mod pool;
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 
 use super::goal::bone_axes;
 use super::human::{Hand, keypoint};
@@ -261,7 +261,10 @@ impl Transfer {
             let from = human_axes(points, slot);
             let to = to_wrist * (robot.world.body_pose(self.links[taker].body).1 * self.links[taker].axes);
             let asked = &mut self.asked[taker];
-            asked.0 += to * (from.transpose() * force);
+            // To the object a force is a direction in the world, to the skin one in the frame of the pad. Where the
+            // robot's pad is turned against the human's, both are kept half.
+            let turn = DQuat::IDENTITY.slerp(DQuat::from_mat3(&(to * from.transpose())), 0.5);
+            asked.0 += turn * force;
             asked.1 += weight;
             asked.2 = asked.2.max(contact);
             arms.push((place, force));

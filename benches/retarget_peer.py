@@ -1,0 +1,72 @@
+#!/usr/bin/env python3
+"""Another program on the same input: what `egotac bench retarget --peer` runs beside ours.
+
+    python benches/retarget_peer.py --input FILE --peer dexi-rs|dex-retargeting
+
+The file (safetensors) holds `vectors` (T, K, 3), wrist to fingertips in the robot's frame, and in its metadata `urdf`,
+`wrist`, `tips` (JSON list) and `scale`. Needs numpy and the peer. Prints JSON: median_us and p99_us per frame, jerk
+(rad/s^3, root mean square) without smoothing and with a low pass that lags by 50 ms.
+"""
+import argparse
+import json
+import time
+
+import numpy as np
+
+
+def read(path):
+    with open(path, "rb") as file:
+        size = int.from_bytes(file.read(8), "little")
+        header = json.loads(file.read(size))
+        start, end = header["vectors"]["data_offsets"]
+        data = np.frombuffer(file.read()[start:end], np.float64)
+    return header["__metadata__"], data.reshape(header["vectors"]["shape"])
+
+
+def build(peer, meta, alpha):
+    tips = json.loads(meta["tips"])
+    scale = float(meta["scale"])
+    origins = [meta["wrist"]] * len(tips)
+    indices = [[0] * len(tips), [4 * (k + 1) for k in range(len(tips))]]
+    if peer == "dexi-rs":
+        import dexi_rs
+
+        config = dexi_rs.RetargetingConfig(
+            "vector", meta["urdf"], target_origin_link_names=origins, target_task_link_names=tips,
+            scaling_factor=scale, low_pass_alpha=alpha, target_link_human_indices=indices)
+        built = config.build()
+        return lambda vectors: np.asarray(built.retarget(vectors.ravel()))
+    from dex_retargeting.retargeting_config import RetargetingConfig
+
+    built = RetargetingConfig(
+        type="vector", urdf_path=meta["urdf"], target_origin_link_names=origins, target_task_link_names=tips,
+        scaling_factor=scale, low_pass_alpha=alpha, target_link_human_indices=np.array(indices)).build()
+    return lambda vectors: np.asarray(built.retarget(vectors))
+
+
+def follow(step, vectors):
+    qpos, times = [], []
+    for frame in vectors:
+        begun = time.perf_counter()
+        qpos.append(step(frame))
+        times.append(1e6 * (time.perf_counter() - begun))
+    third = np.diff(np.array(qpos), 3, axis=0)[10:] * 30.0**3
+    return np.array(times), float(np.sqrt(np.mean(third**2)))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--input", required=True)
+    parser.add_argument("--peer", default="dexi-rs", choices=["dexi-rs", "dex-retargeting"])
+    args = parser.parse_args()
+    meta, vectors = read(args.input)
+    times, jerk = follow(build(args.peer, meta, 1.0), vectors)
+    # y += a (x - y) lags by (1 - a) / a frames: 1.5 frames are 50 ms.
+    _, smooth = follow(build(args.peer, meta, 0.4), vectors)
+    print(json.dumps({
+        "median_us": float(np.median(times)), "p99_us": float(np.percentile(times, 99)),
+        "jerk": jerk, "jerk_50ms": smooth}))
+
+
+if __name__ == "__main__":
+    main()

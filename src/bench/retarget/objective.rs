@@ -1,0 +1,105 @@
+//! A peer's objective, solved by our solver: time, and how near the best known optimum it ends.
+
+use glam::DVec3;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use std::time::Instant;
+
+use super::follow::percentile;
+use super::trajectory::Trajectory;
+use crate::error::Result;
+use crate::hand::Side;
+use crate::retarget::Robot;
+use crate::retarget::human::{Hand, keypoint};
+use crate::retarget::peer::{Kind, Peer};
+use crate::retarget::solver::Stop;
+
+/// Other starts that the best known optimum is looked for from.
+const STARTS: usize = 8;
+
+/// What peers are told of a robot.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Setup {
+    /// Name of the robot.
+    pub robot: String,
+    /// Link at the wrist.
+    pub wrist: String,
+    /// Links at the fingertips, thumb first.
+    pub tips: Vec<String>,
+    /// Robot metres per human metre.
+    pub scale: f64,
+}
+
+/// How the objective was solved.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Solved {
+    /// Time per frame, median, microseconds.
+    pub median_us: f64,
+    /// Time per frame that 99 of 100 frames keep, microseconds.
+    pub p99_us: f64,
+    /// Steps of the solver, mean.
+    pub iterations: f64,
+    /// Share of the frames looked at that end within 1.001 of the best known objective.
+    pub within: f64,
+    /// Objective over the best known, in 999 of 1000 frames at most.
+    pub ratio_p999: f64,
+    /// Frames for which the optimum was looked for.
+    pub compared: usize,
+}
+
+/// Wrist-to-tip vectors of a trajectory in the robot's frame, (T, fingers), m, as the human has them.
+pub fn vectors(robot: &Robot, setup: &Setup, trajectory: &Trajectory) -> Result<Vec<Vec<DVec3>>> {
+    let axes = robot.wrist.world_axes(&robot.world);
+    let one = |keypoints| -> Result<Vec<DVec3>> {
+        let hand = Hand::new(keypoints, Side::Right)?;
+        Ok((0..setup.tips.len()).map(|finger| axes * hand.points[keypoint(finger, 3)]).collect())
+    };
+    trajectory.keypoints.iter().map(one).collect()
+}
+
+/// Solves frame after frame; every `every`-th is compared with a multi-start from the same last pose.
+///
+/// # Errors
+/// If a link is not in the model.
+pub fn solve(robot: &mut Robot, setup: &Setup, vectors: &[Vec<DVec3>], stop: Stop, every: usize) -> Result<Solved> {
+    let tips: Vec<&str> = setup.tips.iter().map(String::as_str).collect();
+    let mut peer = Peer::new(robot, Kind::Vector, &setup.wrist, &tips, setup.scale)?;
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let mut times = Vec::with_capacity(vectors.len());
+    let mut ratios = Vec::new();
+    let mut iterations = 0;
+    for (frame, targets) in vectors.iter().enumerate() {
+        let last = peer.u.clone();
+        let began = Instant::now();
+        peer.aim(targets);
+        let ours = peer.solve(robot, stop)?;
+        times.push(1e6 * began.elapsed().as_secs_f64());
+        iterations += ours.iterations;
+        if every > 0 && frame % every == every - 1 {
+            let mut best = ours.cost;
+            let thorough = Stop { iterations: 200, tolerance: 1e-9 };
+            let mut starts = vec![last.clone(), peer.u.clone()];
+            for _ in 0..STARTS {
+                let near = |k: usize| {
+                    let (low, high) = (robot.coupling.low[k], robot.coupling.high[k]);
+                    (low, high)
+                };
+                starts.push((0..last.len()).map(near).map(|(low, high)| rng.random_range(low..=high)).collect());
+            }
+            for start in &mut starts {
+                best = best.min(peer.solve_from(robot, thorough, start)?.cost);
+            }
+            ratios.push(ours.cost / best);
+        }
+    }
+    let within = ratios.iter().filter(|ratio| **ratio <= 1.001).count() as f64 / ratios.len().max(1) as f64;
+    Ok(Solved {
+        median_us: percentile(&times, 0.5),
+        p99_us: percentile(&times, 0.99),
+        iterations: iterations as f64 / vectors.len().max(1) as f64,
+        within,
+        ratio_p999: percentile(&ratios, 0.999),
+        compared: ratios.len(),
+    })
+}

@@ -1,0 +1,132 @@
+//! The bench's table in Markdown.
+
+use super::Report;
+use crate::text::{put, significant};
+
+/// Writes the tables.
+pub fn markdown(report: &Report) -> String {
+    let mut text = String::new();
+    put(&mut text, format_args!("# Retargeting: time, exactness, touch\n"));
+    put(&mut text, format_args!("Written by `{}` (egotac {}), {}.", report.command, report.version, report.machine));
+    put(
+        &mut text,
+        format_args!(
+            "{} frames at 30 Hz of the built-in hand, seed {}: free motion and pinches, with contact flags and forces.\n",
+            report.frames, report.seed
+        ),
+    );
+    if !report.objectives.is_empty() {
+        put(&mut text, format_args!("## Tip objective of dex-retargeting (vector), one core\n"));
+        put(
+            &mut text,
+            format_args!(
+                "Within: share of the compared frames whose objective is at most 1.001 of the best that ten starts, the last \
+                 pose among them, find.\n"
+            ),
+        );
+        put(
+            &mut text,
+            format_args!("| robot | noise, mm | median, us | p99, us | steps | within | ratio p99.9 | peer median | peer p99 | faster |"),
+        );
+        put(&mut text, format_args!("|---|---|---|---|---|---|---|---|---|---|"));
+        for row in &report.objectives {
+            let ours = &row.ours;
+            let peer = |value: fn(&super::peer::Timing) -> f64| {
+                row.peer.as_ref().map_or("-".to_owned(), |peer| significant(value(peer)))
+            };
+            let faster = row.peer.map_or("-".to_owned(), |peer| significant(peer.median_us / ours.median_us));
+            put(
+                &mut text,
+                format_args!(
+                    "| {} | {} | {} | {} | {:.1} | {:.4} | {:.5} | {} | {} | {faster} |",
+                    row.setup.robot,
+                    row.noise_mm,
+                    significant(ours.median_us),
+                    significant(ours.p99_us),
+                    ours.iterations,
+                    ours.within,
+                    ours.ratio_p999,
+                    peer(|peer| peer.median_us),
+                    peer(|peer| peer.p99_us),
+                ),
+            );
+        }
+    }
+    put(&mut text, format_args!("\n## Everything on: contact, force, collisions, couplings\n"));
+    put(
+        &mut text,
+        format_args!(
+            "| robot | input | median, us | p99, us | beyond limits or couplings | speed / limit | deepest, mm | pinches within 1 mm | opened in a frame | \
+             false contacts | net force error | force angle, deg | tip error, mm |"
+        ),
+    );
+    put(&mut text, format_args!("|---|---|---|---|---|---|---|---|---|---|---|---|---|"));
+    for row in &report.robots {
+        let seen = &row.seen;
+        put(
+            &mut text,
+            format_args!(
+                "| {} | {} | {} | {} | {:.1e} | {:.3} | {:.2} | {:.3} | {:.3} | {:.4} | {:.4} | {:.1} | {:.2} |",
+                row.robot,
+                row.input,
+                significant(seen.median_us),
+                significant(seen.p99_us),
+                seen.limit_violation,
+                seen.speed_share,
+                seen.deepest_mm,
+                seen.pinch_closed,
+                seen.pinch_opened,
+                seen.false_contacts,
+                seen.net_force_error,
+                seen.force_angle_deg,
+                seen.tip_error_mm,
+            ),
+        );
+    }
+    put(&mut text, format_args!("\n## Jitter\n"));
+    put(&mut text, format_args!("| robot | input | lag, ms | jerk, rad/s³ | the motion's own | off the clean run, rad |"));
+    put(&mut text, format_args!("|---|---|---|---|---|---|"));
+    for row in &report.robots {
+        put(
+            &mut text,
+            format_args!(
+                "| {} | {} | {:.0} | {:.0} | {:.0} | {:.3} |",
+                row.robot,
+                row.input,
+                1e3 * row.lag_secs,
+                row.seen.jerk,
+                row.own_jerk,
+                row.deviation,
+            ),
+        );
+    }
+    let jerks: Vec<_> = report.objectives.iter().filter_map(|row| Some((row, row.peer?))).collect();
+    if !jerks.is_empty() {
+        put(&mut text, format_args!("\nThe peer's jerk with a low pass that lags by 50 ms (without it):\n"));
+        put(&mut text, format_args!("| robot | noise, mm | jerk, rad/s³ |\n|---|---|---|"));
+        for (row, peer) in jerks {
+            put(
+                &mut text,
+                format_args!("| {} | {} | {:.0} ({:.0}) |", row.setup.robot, row.noise_mm, peer.jerk_50ms, peer.jerk),
+            );
+        }
+    }
+    put(&mut text, format_args!("\n## What accuracy costs in time\n"));
+    put(&mut text, format_args!("| robot | choice | median, us | objective over best, p99.9 | tip error, mm |"));
+    put(&mut text, format_args!("|---|---|---|---|---|"));
+    let known = |value: f64, digits: usize| if value.is_nan() { "-".to_owned() } else { format!("{value:.digits$}") };
+    for cost in &report.costs {
+        put(
+            &mut text,
+            format_args!(
+                "| {} | {} | {} | {} | {} |",
+                cost.robot,
+                cost.choice,
+                significant(cost.median_us),
+                known(cost.ratio_p999, 5),
+                known(cost.tip_error_mm, 2),
+            ),
+        );
+    }
+    text
+}

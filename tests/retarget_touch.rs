@@ -1,0 +1,215 @@
+//! Touch carried over: sums, cones, limits, merged fingers, pooled vertices, and a grip in simulation.
+#![cfg(feature = "sim")]
+
+use egotac::bench::retarget::trajectory::Trajectory;
+use egotac::hand::{HandModel, HandParams, N_VERTICES, Region, Side};
+use egotac::retarget::human::Hand;
+use egotac::retarget::touch::balance::{Balance, Contact, into_cone};
+use egotac::retarget::touch::{PALM, Pool};
+use egotac::retarget::{Input, Retargeter, Robot, Touch};
+use glam::DVec3;
+use proptest::prelude::*;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+fn contact(place: [f64; 3], normal: [f64; 3], asked: [f64; 3]) -> Contact {
+    Contact {
+        link: 0,
+        place: DVec3::from_array(place),
+        normal: DVec3::from_array(normal).normalize(),
+        asked: DVec3::from_array(asked),
+        most: 1e9,
+        force: DVec3::ZERO,
+    }
+}
+
+/// Twice the cost of a balance.
+fn cost(contacts: &[Contact], net: DVec3, moment: DVec3) -> f64 {
+    let middle = contacts.iter().map(|c| c.place).sum::<DVec3>() / contacts.len() as f64;
+    let sum: DVec3 = contacts.iter().map(|c| c.force).sum();
+    let turn: DVec3 = contacts.iter().map(|c| (c.place - middle).cross(c.force)).sum();
+    contacts.iter().map(|c| (c.force - c.asked).length_squared()).sum::<f64>()
+        + 100.0 * (sum - net).length_squared()
+        + 10.0 * ((turn - moment) / 0.05).length_squared()
+}
+
+#[test]
+fn forces_that_balance_inside_their_cones_stay_as_they_are() {
+    let mut contacts = [contact([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-3.0, 0.5, 0.0]), contact([0.04, 0.0, 0.0], [-1.0, 0.0, 0.0], [3.0, -0.5, 0.0])];
+    let middle = DVec3::X * 0.02;
+    let moment = contacts.iter().map(|c| (c.place - middle).cross(c.asked)).sum();
+    Balance::new(2).solve(&mut contacts, DVec3::ZERO, moment, 0.8);
+    for contact in contacts {
+        assert!((contact.force - contact.asked).length() < 1e-9, "{}", contact.force);
+    }
+}
+
+#[test]
+fn a_balance_is_as_good_as_any_nearby_and_within_its_cones() {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    for _ in 0..40 {
+        let mut vector = |size: f64| DVec3::from_array(std::array::from_fn(|_| rng.random_range(-size..size)));
+        let mut contacts: Vec<Contact> = (0..4)
+            .map(|_| {
+                let normal = vector(1.0).normalize();
+                Contact { link: 0, place: vector(0.05), normal, asked: -2.0 * normal + vector(1.5), most: 1e9, force: DVec3::ZERO }
+            })
+            .collect();
+        let (net, moment) = (contacts.iter().map(|c| c.asked).sum::<DVec3>() + vector(0.5), vector(0.02));
+        Balance::new(4).solve(&mut contacts, net, moment, 0.8);
+        let best = cost(&contacts, net, moment);
+        for contact in &contacts {
+            let push = -contact.force.dot(contact.normal);
+            let slide = (contact.force + push * contact.normal).length();
+            assert!(push >= -1e-12 && slide <= 0.8 * push + 1e-9, "{push} {slide}");
+        }
+        for _ in 0..300 {
+            let mut other = contacts.clone();
+            for contact in &mut other {
+                contact.force = into_cone(contact.force + vector(0.05), contact, 0.8);
+            }
+            assert!(cost(&other, net, moment) > best * (1.0 - 0.02) - 1e-6, "{} {best}", cost(&other, net, moment));
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn the_cone_is_a_projection(f in prop::array::uniform3(-5.0f64..5.0), n in prop::array::uniform3(-1.0f64..1.0)) {
+        prop_assume!(DVec3::from_array(n).length() > 0.1);
+        let at = contact([0.0; 3], n, [0.0; 3]);
+        let once = into_cone(DVec3::from_array(f), &at, 0.8);
+        prop_assert!((into_cone(once, &at, 0.8) - once).length() < 1e-9);
+        // What is cut off is at a right angle to what stays.
+        prop_assert!((DVec3::from_array(f) - once).dot(once).abs() < 1e-9 * (1.0 + once.length_squared()));
+    }
+}
+
+fn follow(robot: &str, touch: impl Fn(usize, &[DVec3; 21], [f64; 5], [DVec3; 5]) -> Touch, frames: usize) -> Vec<egotac::retarget::Output> {
+    let trajectory = Trajectory::generate(frames, 11).unwrap();
+    let mut retargeter = Retargeter::new(Robot::load(robot, None).unwrap()).unwrap();
+    (0..frames)
+        .map(|frame| {
+            let keypoints = trajectory.keypoints[frame];
+            let mut input = Input::new(keypoints, frame as f64 / 30.0);
+            input.touch = Some(touch(frame, &keypoints, trajectory.tip_contact[frame], trajectory.tip_force[frame]));
+            retargeter.push(&input).unwrap().clone()
+        })
+        .collect()
+}
+
+#[test]
+fn the_net_force_of_five_fingers_stays_on_four_and_two() {
+    // Five fingers press on a ball before the palm: whatever takes their place must carry the same sum.
+    let press = |_: usize, keypoints: &[DVec3; 21], _, _| {
+        let hand = Hand::new(keypoints, Side::Right).unwrap();
+        let forces = std::array::from_fn(|finger| {
+            let normal = egotac::retarget::goal::pad_normal(&hand.points, finger);
+            hand.axes * (-(1.0 + 0.3 * finger as f64) * normal)
+        });
+        Touch { tip_contact: [1.0; 5], tip_force: Some(forces), slots: None }
+    };
+    for robot in ["four_finger", "tendon_hand"] {
+        for (frame, output) in follow(robot, press, 40).iter().enumerate().skip(5) {
+            let sum: DVec3 = output.feel.links.iter().map(|link| link.force).sum();
+            let asked = output.feel.asked;
+            assert!((sum - asked).length() < 0.05 * asked.length().max(1.0), "{robot}, frame {frame}: {sum} for {asked}");
+            assert!(output.feel.left_out == 0.0 && output.feel.links.iter().all(|link| link.normal_force >= 0.0));
+        }
+    }
+}
+
+#[test]
+fn what_is_not_touched_feels_nothing_and_forces_may_be_huge() {
+    for size in [0.0, 1e4] {
+        let touch = move |_: usize, _: &[DVec3; 21], contact: [f64; 5], force: [DVec3; 5]| Touch {
+            tip_contact: contact,
+            tip_force: Some(force.map(|f| f.normalize_or_zero() * size)),
+            slots: None,
+        };
+        for output in follow("four_finger", touch, 90) {
+            for link in &output.feel.links {
+                assert!(link.force.is_finite() && link.normal_force >= 0.0);
+                assert!(link.contact > 0.5 || link.normal_force == 0.0, "{link:?}");
+            }
+            if size == 0.0 {
+                assert!(output.feel.links.iter().all(|link| link.normal_force == 0.0));
+            }
+        }
+    }
+}
+
+#[test]
+fn joints_give_no_more_than_their_actuators_can() {
+    let touch = |_: usize, _: &[DVec3; 21], contact: [f64; 5], force: [DVec3; 5]| Touch {
+        tip_contact: contact,
+        tip_force: Some(force.map(|f| 100.0 * f)),
+        slots: None,
+    };
+    let mut clipped = 0;
+    for output in follow("four_finger", touch, 90) {
+        clipped += usize::from(output.feel.clipped);
+        // Every joint of this robot has a servo of 1.2 N m.
+        assert!(output.feel.torque.iter().all(|torque| torque.abs() <= 1.2 * 1.001), "{:?}", output.feel.torque);
+    }
+    assert!(clipped > 10);
+}
+
+#[test]
+fn a_bad_force_is_named() {
+    let good = Trajectory::generate(2, 0).unwrap().keypoints;
+    let mut retargeter = Retargeter::new(Robot::load("four_finger", None).unwrap()).unwrap();
+    for (force, says) in [(f64::NAN, "tip_force[2]"), (f64::INFINITY, "tip_force[2]")] {
+        let mut forces = [DVec3::ZERO; 5];
+        forces[2].y = force;
+        let touch = Touch { tip_contact: [1.0; 5], tip_force: Some(forces), slots: None };
+        let error = retargeter.push(&Input { keypoints: good[0], time: 0.0, touch: Some(touch) }).unwrap_err().to_string();
+        assert!(error.contains(says), "{error}");
+    }
+    let touch = Touch { tip_contact: [0.0, 2.0, 0.0, 0.0, 0.0], ..Touch::default() };
+    let error = retargeter.push(&Input { keypoints: good[0], time: 0.0, touch: Some(touch) }).unwrap_err().to_string();
+    assert!(error.contains("tip_contact[1]"), "{error}");
+}
+
+#[test]
+fn vertices_pool_to_the_parts_they_lie_on() {
+    for side in Side::BOTH {
+        let model = HandModel::builtin(side);
+        let pool = Pool::new(&model).unwrap();
+        let regions = model.regions();
+        for (region, slot) in [(Region::ThumbTip, 2), (Region::IndexMiddle, 4), (Region::LittleProximal, 12), (Region::Palm, PALM)] {
+            let force: Vec<f32> = regions.iter().map(|r| if *r == region { 0.1 } else { 0.0 }).collect();
+            let mut touch = Touch::default();
+            pool.add(&force, &[], &mut touch).unwrap();
+            let slots = touch.slots.unwrap();
+            let total: f64 = force.iter().map(|f| f64::from(*f)).sum();
+            assert!((slots[slot].pressed - total).abs() < 1e-3 && slots[slot].contact == 1.0);
+            assert!(slots.iter().enumerate().all(|(other, s)| other == slot || s.pressed == 0.0));
+        }
+        let error = pool.add(&vec![-1.0; N_VERTICES], &[], &mut Touch::default()).unwrap_err().to_string();
+        assert!(error.contains("force[0]"), "{error}");
+        assert!(pool.add(&[0.0; 3], &[], &mut Touch::default()).is_err());
+    }
+}
+
+#[test]
+fn a_press_on_a_pad_points_into_it_in_any_pose() {
+    let model = HandModel::builtin(Side::Right);
+    let pool = Pool::new(&model).unwrap();
+    let rest = Hand::new(&Hand::of_model(&model, &HandParams::default()), Side::Right).unwrap();
+    // The vertex of the index fingertip that faces most to the palm.
+    let normals = egotac::hand::vertex_normals(&model.v_template, &model.faces);
+    let palmar = rest.axes.x_axis;
+    let regions = model.regions();
+    let vertex = (0..N_VERTICES)
+        .filter(|v| regions[*v] == Region::IndexTip)
+        .max_by(|a, b| normals[*a].as_dvec3().dot(palmar).total_cmp(&normals[*b].as_dvec3().dot(palmar)))
+        .unwrap();
+    let mut force = vec![0.0; N_VERTICES];
+    force[vertex] = 2.0;
+    let mut touch = Touch::default();
+    pool.add(&force, &[], &mut touch).unwrap();
+    let slot = touch.slots.as_ref().unwrap()[5];
+    assert!(slot.force.x < -1.8, "{}", slot.force);
+    assert_eq!(touch.tip_contact[1], 1.0);
+}
