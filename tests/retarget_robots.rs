@@ -127,7 +127,10 @@ fn tendons_and_equalities_couple_joints_by_leverage_and_springs() {
         let (pip, ratio, _) = ratio_of(&robot, &format!("{finger}_pip"));
         let (dip, last, _) = ratio_of(&robot, &format!("{finger}_dip"));
         assert_eq!((mcp, pip), (pip, dip));
-        assert!((one - 1.0).abs() < 1e-12 && (ratio - 0.4).abs() < 1e-6 && (last - 0.32).abs() < 1e-6, "{ratio} {last}");
+        assert!(
+            (one - 1.0).abs() < 1e-12 && (ratio - 0.4).abs() < 1e-6 && (last - 0.32).abs() < 1e-6,
+            "{ratio} {last}"
+        );
     }
     // In space: both arms 10 mm at rest.
     let (_, ratio, _) = ratio_of(&robot, "index_pip");
@@ -152,7 +155,8 @@ fn couplings_that_contradict_or_leave_no_position_are_refused() {
     assert_eq!((robot.coupling.len(), robot.coupling.high[0]), (1, 0.5));
     let said = robot_of(yaml, &hand("3 4", line)).unwrap_err().to_string();
     assert!(said.contains("a, b"), "{said}");
-    let said = robot_of(yaml, &hand("0 1", r#"<joint joint1="b" joint2="a" polycoef="0 1 1 0 0"/>"#)).unwrap_err().to_string();
+    let said =
+        robot_of(yaml, &hand("0 1", r#"<joint joint1="b" joint2="a" polycoef="0 1 1 0 0"/>"#)).unwrap_err().to_string();
     assert!(said.contains("line"), "{said}");
     let more = format!("{yaml}couplings: [{{ joint: b, of: a, ratio: 1 }}]");
     let said = robot_of(&more, &hand("0 1", line)).unwrap_err().to_string();
@@ -163,7 +167,12 @@ fn couplings_that_contradict_or_leave_no_position_are_refused() {
 fn both_generations_of_leap_names_are_understood() {
     // Names of bodies, fingers from the thumb's side: those of newer files, then those of older ones.
     let names = [
-        [["if_bs", "if_px", "if_ds"], ["mf_bs", "mf_px", "mf_ds"], ["rf_bs", "rf_px", "rf_ds"], ["th_mp", "th_px", "th_ds"]],
+        [
+            ["if_bs", "if_px", "if_ds"],
+            ["mf_bs", "mf_px", "mf_ds"],
+            ["rf_bs", "rf_px", "rf_ds"],
+            ["th_mp", "th_px", "th_ds"],
+        ],
         [
             ["mcp_joint", "pip", "fingertip"],
             ["mcp_joint_2", "pip_2", "fingertip_2"],
@@ -182,7 +191,8 @@ fn both_generations_of_leap_names_are_understood() {
             )
         };
         let [index, middle, ring, thumb] = names;
-        let fingers = [finger(thumb, 0.05, -1.2), finger(ring, -0.03, 0.0), finger(middle, 0.0, 0.0), finger(index, 0.03, 0.0)];
+        let fingers =
+            [finger(thumb, 0.05, -1.2), finger(ring, -0.03, 0.0), finger(middle, 0.0, 0.0), finger(index, 0.03, 0.0)];
         let xml = format!(
             r#"<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom size=".02"/>{}</body></worldbody></mujoco>"#,
             fingers.concat()

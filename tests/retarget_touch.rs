@@ -35,7 +35,10 @@ fn cost(contacts: &[Contact], net: DVec3, moment: DVec3) -> f64 {
 
 #[test]
 fn forces_that_balance_inside_their_cones_stay_as_they_are() {
-    let mut contacts = [contact([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-3.0, 0.5, 0.0]), contact([0.04, 0.0, 0.0], [-1.0, 0.0, 0.0], [3.0, -0.5, 0.0])];
+    let mut contacts = [
+        contact([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-3.0, 0.5, 0.0]),
+        contact([0.04, 0.0, 0.0], [-1.0, 0.0, 0.0], [3.0, -0.5, 0.0]),
+    ];
     let middle = DVec3::X * 0.02;
     let moment = contacts.iter().map(|c| (c.place - middle).cross(c.asked)).sum();
     Balance::new(2).solve(&mut contacts, DVec3::ZERO, moment, 0.8);
@@ -52,7 +55,14 @@ fn a_balance_is_as_good_as_any_nearby_and_within_its_cones() {
         let mut contacts: Vec<Contact> = (0..4)
             .map(|_| {
                 let normal = vector(1.0).normalize();
-                Contact { link: 0, place: vector(0.05), normal, asked: -2.0 * normal + vector(1.5), most: 1e9, force: DVec3::ZERO }
+                Contact {
+                    link: 0,
+                    place: vector(0.05),
+                    normal,
+                    asked: -2.0 * normal + vector(1.5),
+                    most: 1e9,
+                    force: DVec3::ZERO,
+                }
             })
             .collect();
         let (net, moment) = (contacts.iter().map(|c| c.asked).sum::<DVec3>() + vector(0.5), vector(0.02));
@@ -85,7 +95,11 @@ proptest! {
     }
 }
 
-fn follow(robot: &str, touch: impl Fn(usize, &[DVec3; 21], [f64; 5], [DVec3; 5]) -> Touch, frames: usize) -> Vec<egotac::retarget::Output> {
+fn follow(
+    robot: &str,
+    touch: impl Fn(usize, &[DVec3; 21], [f64; 5], [DVec3; 5]) -> Touch,
+    frames: usize,
+) -> Vec<egotac::retarget::Output> {
     let trajectory = Trajectory::generate(frames, 11).unwrap();
     let mut retargeter = Retargeter::new(Robot::load(robot, None).unwrap()).unwrap();
     (0..frames)
@@ -113,7 +127,10 @@ fn the_net_force_of_five_fingers_stays_on_four_and_two() {
         for (frame, output) in follow(robot, press, 40).iter().enumerate().skip(5) {
             let sum: DVec3 = output.feel.links.iter().map(|link| link.force).sum();
             let asked = output.feel.asked;
-            assert!((sum - asked).length() < 0.05 * asked.length().max(1.0), "{robot}, frame {frame}: {sum} for {asked}");
+            assert!(
+                (sum - asked).length() < 0.05 * asked.length().max(1.0),
+                "{robot}, frame {frame}: {sum} for {asked}"
+            );
             assert!(output.feel.left_out == 0.0 && output.feel.links.iter().all(|link| link.normal_force >= 0.0));
         }
     }
@@ -163,7 +180,8 @@ fn a_bad_force_is_named() {
         let mut forces = [DVec3::ZERO; 5];
         forces[2].y = force;
         let touch = Touch { tip_contact: [1.0; 5], tip_force: Some(forces), slots: None };
-        let error = retargeter.push(&Input { keypoints: good[0], time: 0.0, touch: Some(touch) }).unwrap_err().to_string();
+        let error =
+            retargeter.push(&Input { keypoints: good[0], time: 0.0, touch: Some(touch) }).unwrap_err().to_string();
         assert!(error.contains(says), "{error}");
     }
     let touch = Touch { tip_contact: [0.0, 2.0, 0.0, 0.0, 0.0], ..Touch::default() };
@@ -177,7 +195,9 @@ fn vertices_pool_to_the_parts_they_lie_on() {
         let model = HandModel::builtin(side);
         let pool = Pool::new(&model).unwrap();
         let regions = model.regions();
-        for (region, slot) in [(Region::ThumbTip, 2), (Region::IndexMiddle, 4), (Region::LittleProximal, 12), (Region::Palm, PALM)] {
+        for (region, slot) in
+            [(Region::ThumbTip, 2), (Region::IndexMiddle, 4), (Region::LittleProximal, 12), (Region::Palm, PALM)]
+        {
             let force: Vec<f32> = regions.iter().map(|r| if *r == region { 0.1 } else { 0.0 }).collect();
             let mut touch = Touch::default();
             pool.add(&force, &[], &mut touch).unwrap();

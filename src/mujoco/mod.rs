@@ -8,10 +8,10 @@ mod fatal;
 pub mod flex;
 mod inspect;
 pub mod options;
+pub mod parts;
 mod pose;
 pub mod preset;
 pub mod renderer;
-pub mod parts;
 pub mod world;
 
 pub use audit::{Expectation, Finding, Rule, Severity, audit};

@@ -273,11 +273,7 @@ fn round(radii: DVec3, half_length: f64) -> Vec<DVec3> {
         let latitude = std::f64::consts::PI * (ring as f64 / RINGS as f64 - 0.5);
         for step in 0..RINGS {
             let longitude = std::f64::consts::TAU * step as f64 / RINGS as f64;
-            let unit = DVec3::new(
-                latitude.cos() * longitude.cos(),
-                latitude.cos() * longitude.sin(),
-                latitude.sin(),
-            );
+            let unit = DVec3::new(latitude.cos() * longitude.cos(), latitude.cos() * longitude.sin(), latitude.sin());
             points.push(radii * unit + DVec3::Z * half_length * latitude.signum());
         }
     }

@@ -53,14 +53,7 @@ impl Renderer {
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub fn around(
-        world: &World,
-        point: DVec3,
-        toward: DVec3,
-        distance: f64,
-        width: u32,
-        height: u32,
-    ) -> Result<Self> {
+    pub fn around(world: &World, point: DVec3, toward: DVec3, distance: f64, width: u32, height: u32) -> Result<Self> {
         let mut camera = MjvCamera::new_free(world.model());
         // The camera's angles are those of the way it looks.
         let look = -toward.normalize_or_zero();

@@ -59,8 +59,8 @@ impl Hands {
     }
 
     fn parse(bytes: &[u8], model: impl Fn(Option<Topology>, Option<Side>) -> Result<HandModel>) -> Result<Self> {
-        let tensors = SafeTensors::deserialize(bytes)
-            .map_err(|error| Error::value("input", "a safetensors file", error))?;
+        let tensors =
+            SafeTensors::deserialize(bytes).map_err(|error| Error::value("input", "a safetensors file", error))?;
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| Error::value("input", "a header", e))?;
         let metadata = header.metadata().clone().unwrap_or_default();
         let topology = metadata.get("topology").map(|id| Topology::from_id(id)).transpose()?;

@@ -139,7 +139,8 @@ impl Gate {
             let is_tip = (k - 1) % 4 == 3;
             let usual = self.bones[k];
             let stretch = (bone(points, k) - usual).abs() > STRETCH * usual + 0.25 * self.distance;
-            let next = !is_tip && (bone(points, k + 1) - self.bones[k + 1]).abs() > STRETCH * self.bones[k + 1] + 0.25 * self.distance;
+            let next = !is_tip
+                && (bone(points, k + 1) - self.bones[k + 1]).abs() > STRETCH * self.bones[k + 1] + 0.25 * self.distance;
             // A joint out of place stretches the bones on both its sides; a tip has one.
             let is_torn = stretch && (is_tip || next) && points[k].distance(expected[k]) > 0.5 * self.distance;
             let (secs, frames) = self.out[k];

@@ -18,10 +18,10 @@ const HUBER: f64 = 0.03;
 /// Distance of two human tips that touch, m, at the reference size.
 const TOUCHING: f64 = 0.014;
 /// Gap of two human fingers up to which a touch of both is a touch of each other, m, and from which on it is not.
-const CLOSED: f64 = 0.012;
-const OPEN: f64 = 0.022;
+const CLOSED: f64 = 0.014;
+const OPEN: f64 = 0.024;
 /// Gap at which fingers that do not touch are kept, m.
-const APART: f64 = 0.002;
+const APART: f64 = 0.0025;
 /// Distances of human tips at which their gap begins to count, and counts in full, m.
 const NOTICED: f64 = 0.06;
 const MINDED: f64 = 0.035;
@@ -64,6 +64,8 @@ pub struct Goal {
     reference_size: f64,
     /// Bases of the robot's fingers in the wrist frame, m.
     bases: DVec3,
+    /// Where a solve began.
+    start: Vec<f64>,
     smooth: f64,
     neutral: Vec<f64>,
     neutral_weight: f64,
@@ -80,13 +82,7 @@ impl Goal {
         for finger in &robot.fingers {
             let tip_point = problem.add_point(finger.tip_body, finger.tip);
             let tip = problem.vectors.len();
-            problem.vectors.push(Vector {
-                from: None,
-                to: tip_point,
-                target: DVec3::ZERO,
-                weight: 0.0,
-                huber: HUBER,
-            });
+            problem.vectors.push(Vector { from: None, to: tip_point, target: DVec3::ZERO, weight: 0.0, huber: HUBER });
             let mut points: Vec<(usize, DVec3)> = Vec::new();
             for joint in &finger.knuckles {
                 let body = robot.parts.joints[*joint].body;
@@ -98,13 +94,7 @@ impl Goal {
             let mut phalanges = Vec::new();
             for (segment, human) in segments(points.len() - 1, finger.human) {
                 let [(from, a), (to, b)] = [points[segment], points[segment + 1]];
-                let vector = Vector {
-                    from: Some(from),
-                    to,
-                    target: DVec3::ZERO,
-                    weight: 0.0,
-                    huber: f64::INFINITY,
-                };
+                let vector = Vector { from: Some(from), to, target: DVec3::ZERO, weight: 0.0, huber: f64::INFINITY };
                 phalanges.push((problem.vectors.len(), human, a.distance(b)));
                 problem.vectors.push(vector);
             }
@@ -157,8 +147,7 @@ impl Goal {
                     continue;
                 }
             }
-            let geom_side =
-                |geom: usize| Side::Geoms { body: robot.parts.geoms[geom].body, geoms: vec![geom] };
+            let geom_side = |geom: usize| Side::Geoms { body: robot.parts.geoms[geom].body, geoms: vec![geom] };
             let gap = problem.add_gap([geom_side(a), geom_side(b)], true);
             problem.gaps[gap].target = robot.spec.collision.margin;
             collisions.push((gap, [a, b], robot.parts.geoms[a].radius + robot.parts.geoms[b].radius));
@@ -180,17 +169,20 @@ impl Goal {
             fingers,
             collisions,
             reference_size: reference_size()?,
+            start: robot.rest.clone(),
             smooth: robot.spec.weights.smooth,
             neutral,
             neutral_weight: robot.spec.weights.neutral,
         })
     }
 
-    /// Sets the targets of a frame: `points` (21) of the human hand in its wrist frame, m.
+    /// Sets the targets of a frame: `points` (21) of the human hand in its wrist frame, m; `calm`, the same for the
+    /// directions of short bones, in which jitter is large.
     pub fn aim(
         &mut self,
         robot: &mut Robot,
         points: &[DVec3; N_KEYPOINTS],
+        calm: &[DVec3; N_KEYPOINTS],
         size: &SizeEstimate,
         touch: Option<&Touch>,
         last: &[f64],
@@ -220,10 +212,10 @@ impl Goal {
             vector.weight = if is_gripper { 0.0 } else { weights.tip };
             let is_touched = touch.is_some_and(|touch| touch.tip_contact[human] > 0.5);
             let vector = &mut self.problem.vectors[pad];
-            vector.target = METRES_PER_RADIAN * (axes * pad_normal(points, human));
+            vector.target = METRES_PER_RADIAN * (axes * pad_normal(calm, human));
             vector.weight = if is_touched && !is_gripper { weights.pad_normal } else { 0.0 };
             for (vector, [from, to], length) in self.fingers[k].phalanges.iter().copied() {
-                let direction = (points[to] - points[from]).normalize_or_zero();
+                let direction = (calm[to] - calm[from]).normalize_or_zero();
                 let vector = &mut self.problem.vectors[vector];
                 vector.target = length * (axes * direction);
                 let share = METRES_PER_RADIAN / length.max(1e-3);
@@ -282,12 +274,15 @@ impl Goal {
             robot.world.update_poses();
             self.watch(robot, WATCHED);
         }
+        self.start.copy_from_slice(u);
         let Robot { world, parts, coupling, .. } = &mut *robot;
         let mut solved = solver.solve(&mut self.problem, world, parts, coupling, stop, u)?;
         for _ in 0..3 {
             if self.watch(robot, 0.0) == 0 {
                 break;
             }
+            // From within a link there may be no way out but through it: begin anew, with the link in the way.
+            u.copy_from_slice(&self.start);
             let Robot { world, parts, coupling, .. } = &mut *robot;
             let more = solver.solve(&mut self.problem, world, parts, coupling, stop, u)?;
             solved = Solved { iterations: solved.iterations + more.iterations, ..more };
@@ -303,8 +298,7 @@ impl Goal {
         }
         for (gap, [a, b], radii) in self.collisions.iter().copied() {
             let reach = radii + near;
-            if self.centres[a].distance_squared(self.centres[b]) > reach * reach
-                || self.problem.gaps[gap].weight > 0.0
+            if self.centres[a].distance_squared(self.centres[b]) > reach * reach || self.problem.gaps[gap].weight > 0.0
             {
                 continue;
             }
@@ -389,7 +383,8 @@ pub fn bone_normal(points: &[DVec3; N_KEYPOINTS], finger: usize, bone: usize) ->
 
 /// Axes of a human bone in the wrist frame: columns normal, lateral, along.
 pub fn bone_axes(points: &[DVec3; N_KEYPOINTS], finger: usize, bone: usize) -> DMat3 {
-    let along = (points[keypoint(finger, bone + 1)] - points[keypoint(finger, bone)]).try_normalize().unwrap_or(DVec3::Z);
+    let along =
+        (points[keypoint(finger, bone + 1)] - points[keypoint(finger, bone)]).try_normalize().unwrap_or(DVec3::Z);
     let normal = bone_normal(points, finger, bone);
     DMat3::from_cols(normal, along.cross(normal), along)
 }

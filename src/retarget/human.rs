@@ -11,8 +11,26 @@ use crate::hand::{HandModel, HandParams, N_KEYPOINTS, Side};
 
 /// Names of the keypoints.
 pub const KEYPOINTS: [&str; N_KEYPOINTS] = [
-    "wrist", "thumb 1", "thumb 2", "thumb 3", "thumb tip", "index 1", "index 2", "index 3", "index tip", "middle 1",
-    "middle 2", "middle 3", "middle tip", "ring 1", "ring 2", "ring 3", "ring tip", "little 1", "little 2", "little 3",
+    "wrist",
+    "thumb 1",
+    "thumb 2",
+    "thumb 3",
+    "thumb tip",
+    "index 1",
+    "index 2",
+    "index 3",
+    "index tip",
+    "middle 1",
+    "middle 2",
+    "middle 3",
+    "middle tip",
+    "ring 1",
+    "ring 2",
+    "ring 3",
+    "ring tip",
+    "little 1",
+    "little 2",
+    "little 3",
     "little tip",
 ];
 
@@ -81,7 +99,11 @@ impl Hand {
         let hand = Self { points: keypoints.map(|point| from_world * (point - wrist)), axes, wrist };
         if hand.bend() < -0.35 {
             let expected = format!("fingers that bend to the palm of a {} hand", side.name());
-            return Err(Error::value("keypoints", expected, "fingers that bend to its back (mirrored, or the other hand)"));
+            return Err(Error::value(
+                "keypoints",
+                expected,
+                "fingers that bend to its back (mirrored, or the other hand)",
+            ));
         }
         Ok(hand)
     }
@@ -108,7 +130,9 @@ impl Hand {
 
     /// Length of a finger from base to tip along its bones, m.
     pub fn finger_length(&self, finger: usize) -> f64 {
-        (0..3).map(|joint| self.points[keypoint(finger, joint)].distance(self.points[keypoint(finger, joint + 1)])).sum()
+        (0..3)
+            .map(|joint| self.points[keypoint(finger, joint)].distance(self.points[keypoint(finger, joint + 1)]))
+            .sum()
     }
 
     /// Mean of the bases of the given fingers.

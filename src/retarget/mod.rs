@@ -47,10 +47,15 @@ use crate::mujoco::parts::Motion;
 const GAP: f64 = 0.5;
 /// Longest time between two frames that the velocity limit gives room for, s.
 const LONGEST_STEP: f64 = 0.5;
+/// Smoothing of the bones' directions over that of the fingertips: bones are short, keypoints jitter.
+const CALM: f64 = 2.0;
+/// Time that the velocity limit takes to have passed before the first good frame, s.
+const FIRST_STEP: f64 = 1.0 / 60.0;
 /// A slide's velocity limit in m/s over a hinge's in rad/s.
 const SLIDE_SHARE: f64 = 0.1;
-/// A cost that rises by this factor within a frame is looked at from other starts.
+/// A cost that rises by this factor and amount (m²) within a frame is looked at from other starts.
 const JUMP: f64 = 4.0;
+const WORTH: f64 = 1e-3;
 
 /// One frame.
 #[derive(Debug, Clone)]
@@ -133,7 +138,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { side: None, stop: Stop { iterations: 30, tolerance: 1e-4 } }
+        Self { side: None, stop: Stop { iterations: 20, tolerance: 1e-4 } }
     }
 }
 
@@ -147,6 +152,8 @@ pub struct Retargeter {
     transfer: Transfer,
     gate: Gate,
     smoother: Smoother,
+    /// For the directions of bones.
+    calm: Smoother,
     size: SizeEstimate,
     /// Free coordinates of the pose that was given out last.
     u: Vec<f64>,
@@ -155,6 +162,8 @@ pub struct Retargeter {
     /// Most change of each free coordinate per second.
     speed: Vec<f64>,
     time: Option<f64>,
+    /// Whether anything came out yet.
+    gave_out: bool,
     cost: f64,
     output: Output,
 }
@@ -193,12 +202,14 @@ impl Retargeter {
             solver: Solver::new(n),
             gate: Gate::new(filter.outlier),
             smoother: Smoother::new(filter.time_constant),
+            calm: Smoother::new(CALM * filter.time_constant),
             size: SizeEstimate::default(),
             next: u.clone(),
             other: u.clone(),
             u,
             speed,
             time: None,
+            gave_out: false,
             cost: f64::INFINITY,
             output,
             robot,
@@ -226,10 +237,12 @@ impl Retargeter {
         self.size = SizeEstimate::default();
         self.gate = Gate::new(self.robot.spec.filter.outlier);
         self.smoother.reset();
+        self.calm.reset();
     }
 
     /// Holds the pose for a frame whose input could not even be read.
     pub fn hold(&mut self) {
+        self.gave_out = true;
         self.output.status = Status::Held;
         (self.output.iterations, self.output.solve_secs) = (0, 0.0);
     }
@@ -242,6 +255,7 @@ impl Retargeter {
     pub fn push(&mut self, input: &Input) -> Result<&Output> {
         let began = Instant::now();
         let result = self.take(input);
+        self.gave_out = true;
         if result.is_err() {
             self.output.status = Status::Held;
             self.output.iterations = 0;
@@ -270,6 +284,7 @@ impl Retargeter {
         if is_new {
             self.gate.forget();
             self.smoother.reset();
+            self.calm.reset();
         }
         let (points, replaced) = match self.gate.push(&hand.points, dt.min(GAP)) {
             Passed::Points(points, replaced) => (points, replaced),
@@ -281,7 +296,8 @@ impl Retargeter {
             self.size.push(&points);
         }
         let smooth = self.smoother.push(&points, dt);
-        self.goal.aim(&mut self.robot, &smooth, &self.size, input.touch.as_ref(), &self.u);
+        let calm = self.calm.push(&points, dt);
+        self.goal.aim(&mut self.robot, &smooth, &calm, &self.size, input.touch.as_ref(), &self.u);
         let (iterations, converged) = self.solve(is_new)?;
         let limited = self.limit(dt);
         give_out(&mut self.robot, &self.u, &mut self.output)?;
@@ -307,7 +323,7 @@ impl Retargeter {
         self.next.copy_from_slice(&self.u);
         let solved = self.goal.solve(&mut self.solver, &mut self.robot, self.options.stop, &mut self.next)?;
         let (mut best, mut iterations, mut converged) = (solved.cost, solved.iterations, solved.converged);
-        if is_new || best > JUMP * self.cost + 1e-5 {
+        if is_new || best > JUMP * self.cost + WORTH {
             // The last pose may lead into a corner: try from rest, and from half closed.
             for share in [0.0, 0.4] {
                 for (k, other) in self.other.iter_mut().enumerate() {
@@ -330,11 +346,11 @@ impl Retargeter {
 
     /// Moves towards the pose found as far as the joints' speeds allow; whether one did not allow all.
     fn limit(&mut self, dt: f64) -> bool {
-        let dt = dt.min(LONGEST_STEP);
-        // The first frame finds the robot at rest, not moving.
+        let dt = if dt.is_finite() { dt.min(LONGEST_STEP) } else { FIRST_STEP };
         let mut limited = false;
         for (k, u) in self.u.iter_mut().enumerate() {
-            let most = if self.time.is_some() { self.speed[k] * dt } else { f64::INFINITY };
+            // Until a pose has been given out there is none to be near to.
+            let most = if self.gave_out { self.speed[k] * dt } else { f64::INFINITY };
             let change = self.next[k] - *u;
             limited |= change.abs() > most;
             *u = (*u + change.clamp(-most, most)).clamp(self.robot.coupling.low[k], self.robot.coupling.high[k]);

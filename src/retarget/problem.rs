@@ -391,7 +391,13 @@ fn chain(parts: &Parts, coupling: &Coupling, body: usize) -> Vec<(usize, usize, 
 }
 
 /// Velocity of a world point of a body per unit of each free coordinate, and the body's rotation, as columns.
-pub fn jacobian(world: &World, parts: &Parts, coupling: &Coupling, body: usize, place: DVec3) -> Vec<(usize, DVec3, DVec3)> {
+pub fn jacobian(
+    world: &World,
+    parts: &Parts,
+    coupling: &Coupling,
+    body: usize,
+    place: DVec3,
+) -> Vec<(usize, DVec3, DVec3)> {
     let column = |(joint, coordinate, ratio, is_hinge): (usize, usize, f64, bool)| {
         let (anchor, axis) = world.joint_axis(joint);
         match is_hinge {

@@ -191,7 +191,8 @@ impl Solver {
             }
         }
         let linear = self.gradient.dot(&self.step);
-        let gain = -linear - 0.5 * (0..n).map(|k| self.step[k] * (self.slope(k, damping) - self.gradient[k])).sum::<f64>();
+        let gain =
+            -linear - 0.5 * (0..n).map(|k| self.step[k] * (self.slope(k, damping) - self.gradient[k])).sum::<f64>();
         if gain.is_finite() && gain >= 0.0 { Ok(gain) } else { Err(NotConvex) }
     }
 

@@ -157,7 +157,8 @@ pub fn jerk(qpos: &[Vec<f64>]) -> f64 {
 pub fn lag(reference: &[Vec<f64>], late: &[Vec<f64>]) -> f64 {
     let off = |shift: usize| -> f64 {
         let pairs = reference.iter().zip(late.iter().skip(shift));
-        let sum: f64 = pairs.clone().skip(10).map(|(a, b)| a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>()).sum();
+        let sum: f64 =
+            pairs.clone().skip(10).map(|(a, b)| a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>()).sum();
         sum / pairs.count().max(1) as f64
     };
     let errors: Vec<f64> = (0..8).map(off).collect();

@@ -109,7 +109,12 @@ fn setups() -> Vec<Setup> {
     };
     vec![
         setup("allegro_urdf_right", "wrist", &["link_15.0_tip", "link_3.0_tip", "link_7.0_tip", "link_11.0_tip"], 1.26),
-        setup("leap_urdf_right", "base", &["thumb_tip_head", "index_tip_head", "middle_tip_head", "ring_tip_head"], 1.19),
+        setup(
+            "leap_urdf_right",
+            "base",
+            &["thumb_tip_head", "index_tip_head", "middle_tip_head", "ring_tip_head"],
+            1.19,
+        ),
         setup("shadow_urdf_right", "palm", &["thtip", "fftip", "mftip", "rftip", "lftip"], 1.01),
     ]
 }

@@ -32,8 +32,7 @@ pub struct Timing {
 pub fn run(command: &str, robot: &Robot, setup: &Setup, vectors: &[Vec<DVec3>]) -> Result<Timing> {
     let folder = tempfile::tempdir().map_err(Error::io("temporary folder"))?;
     let path = folder.path().join("vectors.safetensors");
-    let bytes: Vec<u8> =
-        vectors.iter().flatten().flat_map(|v| v.to_array()).flat_map(|x| x.to_le_bytes()).collect();
+    let bytes: Vec<u8> = vectors.iter().flatten().flat_map(|v| v.to_array()).flat_map(|x| x.to_le_bytes()).collect();
     let shape = vec![vectors.len(), setup.tips.len(), 3];
     let view = TensorView::new(Dtype::F64, shape, &bytes).map_err(|error| Error::file(&path, error))?;
     let tips = serde_json::to_string(&setup.tips).map_err(|error| Error::file(&path, error))?;

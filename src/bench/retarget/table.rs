@@ -26,7 +26,9 @@ pub fn markdown(report: &Report) -> String {
         );
         put(
             &mut text,
-            format_args!("| robot | noise, mm | median, us | p99, us | steps | within | ratio p99.9 | peer median | peer p99 | faster |"),
+            format_args!(
+                "| robot | noise, mm | median, us | p99, us | steps | within | ratio p99.9 | peer median | peer p99 | faster |"
+            ),
         );
         put(&mut text, format_args!("|---|---|---|---|---|---|---|---|---|---|"));
         for row in &report.objectives {
@@ -84,7 +86,10 @@ pub fn markdown(report: &Report) -> String {
         );
     }
     put(&mut text, format_args!("\n## Jitter\n"));
-    put(&mut text, format_args!("| robot | input | lag, ms | jerk, rad/s³ | the motion's own | off the clean run, rad |"));
+    put(
+        &mut text,
+        format_args!("| robot | input | lag, ms | jerk, rad/s³ | the motion's own | off the clean run, rad |"),
+    );
     put(&mut text, format_args!("|---|---|---|---|---|---|"));
     for row in &report.robots {
         put(

@@ -54,7 +54,8 @@ impl Trajectory {
         let rig = HandRig::new(HandModel::builtin(Side::Right), [0.0; N_BETAS])?;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let waves = Waves::draw(&rig, &mut rng);
-        let pinches: Vec<(usize, Vec<f64>)> = (1..5).filter_map(|finger| Some((finger, pinch(&rig, finger)?))).collect();
+        let pinches: Vec<(usize, Vec<f64>)> =
+            (1..5).filter_map(|finger| Some((finger, pinch(&rig, finger)?))).collect();
         let all: Vec<_> = (0..frames)
             .into_par_iter()
             .map(|frame| {
@@ -64,7 +65,12 @@ impl Trajectory {
                 let (finger, closed) = &pinches[turn % pinches.len()];
                 let angles: Vec<f64> = free.iter().zip(closed).map(|(a, b)| a + share * (b - a)).collect();
                 let wrist = DVec3::new(0.1 * (0.3 * time).sin(), 0.05 * (0.5 * time).cos(), 0.3);
-                let orientation = DQuat::from_euler(glam::EulerRot::XYZ, 0.6 * (0.4 * time).sin(), 0.3 * time, 0.5 * (0.27 * time).cos());
+                let orientation = DQuat::from_euler(
+                    glam::EulerRot::XYZ,
+                    0.6 * (0.4 * time).sin(),
+                    0.3 * time,
+                    0.5 * (0.27 * time).cos(),
+                );
                 let keypoints = Hand::of_model(&rig.model, &rig.params(wrist, orientation, &angles));
                 let mut contact = [0.0; 5];
                 let mut force = [DVec3::ZERO; 5];
@@ -142,9 +148,8 @@ struct Waves {
 impl Waves {
     fn draw(rig: &HandRig, rng: &mut ChaCha8Rng) -> Self {
         debug_assert!(!rig.hinges.is_empty());
-        let mut wave = |low: f64, high: f64| {
-            (rng.random_range(low..high), rng.random_range(0.0..TAU), rng.random_range(0.5..1.0))
-        };
+        let mut wave =
+            |low: f64, high: f64| (rng.random_range(low..high), rng.random_range(0.0..TAU), rng.random_range(0.5..1.0));
         let fingers = std::array::from_fn(|_| [wave(0.08, 0.2), wave(0.2, 0.45), wave(0.45, 0.8)]);
         let spread = std::array::from_fn(|_| (rng.random_range(0.1..0.3), rng.random_range(0.0..TAU)));
         Self { fingers, spread }
@@ -153,7 +158,8 @@ impl Waves {
     fn at(&self, rig: &HandRig, time: f64) -> Vec<f64> {
         let angle = |hinge: &crate::sim::rig::Hinge| {
             let finger = finger_of(hinge.joint);
-            let sum: f64 = self.fingers[finger].iter().map(|(f, phase, size)| size * (TAU * f * time + phase).sin()).sum();
+            let sum: f64 =
+                self.fingers[finger].iter().map(|(f, phase, size)| size * (TAU * f * time + phase).sin()).sum();
             let bend = 0.35 + 0.22 * sum;
             let (f, phase) = self.spread[finger];
             let value = match (hinge.motion, (hinge.joint - 1) % 3) {

@@ -75,7 +75,11 @@ fn start(robot: &Robot, args: &New) -> anyhow::Result<String> {
         .collect();
     let spec = Spec {
         robot: robot.spec.robot.clone(),
-        model: ModelSpec { mjcf, urdf, root: Some(robot.parts.bodies[robot.root].name.clone()).filter(|n| n != "world") },
+        model: ModelSpec {
+            mjcf,
+            urdf,
+            root: Some(robot.parts.bodies[robot.root].name.clone()).filter(|n| n != "world"),
+        },
         side: Some(robot.side()),
         fingers,
         merge,
@@ -120,7 +124,9 @@ fn facts(robot: &Robot) -> Value {
                 .iter()
                 .enumerate()
                 .filter_map(|(joint, driven)| match driven {
-                    Driven::By { coordinate, ratio, offset } if *coordinate == k && joint != robot.coupling.masters[k] => {
+                    Driven::By { coordinate, ratio, offset }
+                        if *coordinate == k && joint != robot.coupling.masters[k] =>
+                    {
                         Some((name(joint), [*ratio, *offset]))
                     }
                     _ => None,
@@ -231,7 +237,11 @@ fn picture(robot: &mut Robot) -> anyhow::Result<RgbImage> {
         let coupling = robot.coupling.clone();
         let u: Vec<f64> = (0..coupling.len())
             .map(|k| {
-                let far = if coupling.high[k] - robot.rest[k] > robot.rest[k] - coupling.low[k] { coupling.high[k] } else { coupling.low[k] };
+                let far = if coupling.high[k] - robot.rest[k] > robot.rest[k] - coupling.low[k] {
+                    coupling.high[k]
+                } else {
+                    coupling.low[k]
+                };
                 robot.rest[k] + share * (far - robot.rest[k])
             })
             .collect();

@@ -28,12 +28,14 @@ enum Command {
 }
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Input (safetensors): keypoints (T, 21, 3) m, in the order wrist, then thumb, index, middle, ring, \
+#[command(
+    after_help = "Input (safetensors): keypoints (T, 21, 3) m, in the order wrist, then thumb, index, middle, ring, \
     little, each from base to tip; or MANO's hand_pose (T, 45), global_orient, transl, betas. Optional: timestamps (T) s, \
     tip_contact (T, 5), tip_force (T, 5, 3) N, force and contact (T, 778) or (T, 1556).\n\
     Output: qpos (T, n) with joint_names in the metadata, ctrl, tip_force (T, 5, 3) in the frame of the keypoints, \
     objective, solve_time_us, status, and what each link is to feel.\n\
-    A frame that is no hand is named on standard error; the last good pose is held (status 4).")]
+    A frame that is no hand is named on standard error; the last good pose is held (status 4)."
+)]
 struct Run {
     /// Robot: a name of `egotac retarget list`, a YAML file, or a model (MJCF or URDF).
     #[arg(long, value_name = "NAME|YAML|MODEL")]

@@ -8,7 +8,6 @@ use anyhow::{Context, bail, ensure};
 use super::Run;
 use crate::hand::{HandModel, Side};
 use crate::retarget::file::{Followed, Hands};
-use crate::retarget::solver::Stop;
 use crate::retarget::{Options, Pool, Retargeter, Robot, Status};
 use crate::tactile::Topology;
 
@@ -42,7 +41,7 @@ pub fn run(args: &Run) -> anyhow::Result<ExitCode> {
         false => Some(Pool::new(&model(hands.topology, Some(side))?)?),
     };
     let sign = if hands.forces_point_out(side) { -1.0 } else { 1.0 };
-    let options = Options { side: Some(side), stop: Stop { iterations: 30, tolerance: 1e-4 } };
+    let options = Options { side: Some(side), ..Options::default() };
     let mut retargeter = Retargeter::with_options(robot, options)?;
     let mut followed = Followed::by(&retargeter);
     let dt = 1.0 / args.rate.unwrap_or(RATE);
@@ -79,7 +78,8 @@ pub fn run(args: &Run) -> anyhow::Result<ExitCode> {
     followed.write(&args.out, metadata).context("output")?;
     let mut times = followed.times_us().to_vec();
     times.sort_by(f32::total_cmp);
-    let at = |share: f64| times.get(((times.len() as f64 - 1.0) * share).round().max(0.0) as usize).copied().unwrap_or(0.0);
+    let at =
+        |share: f64| times.get(((times.len() as f64 - 1.0) * share).round().max(0.0) as usize).copied().unwrap_or(0.0);
     println!(
         "{}: {} frames, {} held, {} repaired; {:.0} us per frame (median), {:.0} us (p99)",
         args.out.display(),

@@ -24,9 +24,8 @@ enum Kind {
 impl Commands {
     /// Chooses the commands of a model.
     pub fn new(parts: &Parts, coupling: &Coupling, order: Order) -> Self {
-        let is_servo = |actuator: &Actuator| {
-            actuator.pull != Pull::Other && actuator.bias_length != 0.0 && actuator.gain != 0.0
-        };
+        let is_servo =
+            |actuator: &Actuator| actuator.pull != Pull::Other && actuator.bias_length != 0.0 && actuator.gain != 0.0;
         let servos: Vec<Actuator> = parts.actuators.iter().filter(|actuator| is_servo(actuator)).cloned().collect();
         if order == Order::Actuators && !servos.is_empty() && servos.len() == parts.actuators.len() {
             return Self { names: servos.iter().map(|servo| servo.name.clone()).collect(), kind: Kind::Servos(servos) };

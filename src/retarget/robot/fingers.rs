@@ -146,13 +146,23 @@ fn labels(world: &World, parts: &Parts, chains: &[Vec<usize>]) -> Vec<Option<usi
             labels[thumb] = Some(0);
         }
     }
-    let thumb = (0..chains.len()).find(|k| labels[*k] == Some(0)).map_or(DVec3::ZERO, |k| base(&chains[k]));
+    // The rest in their row, from the end to which the thumb points.
     let mut open: Vec<usize> = (0..chains.len()).filter(|k| labels[*k].is_none()).collect();
-    open.sort_by(|a, b| base(&chains[*a]).distance(thumb).total_cmp(&base(&chains[*b]).distance(thumb)));
+    let pairs = open.iter().flat_map(|a| open.iter().map(move |b| base(&chains[*a]) - base(&chains[*b])));
+    let row = pairs.max_by(|a, b| a.length_squared().total_cmp(&b.length_squared())).unwrap_or(DVec3::ZERO);
+    let thumb = (0..chains.len()).find(|k| labels[*k] == Some(0));
+    let toward = thumb.map_or(DVec3::ZERO, |k| end(&chains[k]) - middle(&open, &base, chains));
+    let row = if row.dot(toward) < 0.0 { -row } else { row };
+    open.sort_by(|a, b| base(&chains[*b]).dot(row).total_cmp(&base(&chains[*a]).dot(row)));
     for chain in open {
         labels[chain] = (1..5).find(|human| labels.iter().all(|label| *label != Some(*human)));
     }
     labels
+}
+
+/// The middle of some chains' bases.
+fn middle(some: &[usize], base: &impl Fn(&Vec<usize>) -> DVec3, chains: &[Vec<usize>]) -> DVec3 {
+    some.iter().map(|k| base(&chains[*k])).sum::<DVec3>() / some.len().max(1) as f64
 }
 
 /// How many names of a chain speak for each human finger.
@@ -340,7 +350,9 @@ fn tip(world: &World, parts: &Parts, spec: &TipSpec, last: usize, joints: &[usiz
         let body = parts.geoms[geom].body;
         let far = match spec.pos {
             Some(pos) => DVec3::from_array(pos),
-            None => local(world, body, far_end(world, parts, &[geom], anchor).unwrap_or_else(|| world.geom_pose(geom).0)),
+            None => {
+                local(world, body, far_end(world, parts, &[geom], anchor).unwrap_or_else(|| world.geom_pose(geom).0))
+            }
         };
         return Ok((body, far, format!("geom {name}")));
     }

@@ -27,13 +27,15 @@ impl WristFrame {
     pub fn derive(world: &World, fingers: &[Finger], body: usize, side: Option<Side>) -> Result<Self> {
         let (_, rotation) = world.body_pose(body);
         let base = |finger: &Finger| world.joint_axis(finger.joints[0]).0;
-        let knuckle = |finger: &Finger| {
-            finger.knuckles.last().map_or(base(finger), |joint| world.joint_axis(*joint).0)
-        };
+        let knuckle = |finger: &Finger| finger.knuckles.last().map_or(base(finger), |joint| world.joint_axis(*joint).0);
         let tip = |finger: &Finger| place(world, finger);
         let others: Vec<&Finger> = fingers.iter().filter(|finger| finger.human != 0).collect();
         let Some(first) = others.first() else {
-            return Err(Error::value("wrist.frame", "rows palmar, radial, distal, as there is no finger but a thumb", "auto"));
+            return Err(Error::value(
+                "wrist.frame",
+                "rows palmar, radial, distal, as there is no finger but a thumb",
+                "auto",
+            ));
         };
         let pad: DVec3 = others.iter().map(|finger| normal(world, finger)).sum();
         let distal = match others.iter().all(|finger| finger.knuckles.is_empty()) {
@@ -54,7 +56,11 @@ impl WristFrame {
         let (Some(distal), Some(radial)) =
             (distal, distal.and_then(|distal| across.reject_from_normalized(distal).try_normalize()))
         else {
-            return Err(Error::value("wrist.frame", "rows palmar, radial, distal, as fingers do not tell them", "auto"));
+            return Err(Error::value(
+                "wrist.frame",
+                "rows palmar, radial, distal, as fingers do not tell them",
+                "auto",
+            ));
         };
         let palmar = radial.cross(distal);
         let closes_to = palmar.dot(pad);
@@ -70,7 +76,10 @@ impl WristFrame {
     /// If the rows are not of unit length and at right angles.
     pub fn given(body: usize, rows: [[f64; 3]; 3]) -> Result<Self> {
         let axes = DMat3::from_cols_array_2d(&rows);
-        let off = (axes.transpose() * axes - DMat3::IDENTITY).to_cols_array().into_iter().fold(0.0, |a: f64, b| a.max(b.abs()));
+        let off = (axes.transpose() * axes - DMat3::IDENTITY)
+            .to_cols_array()
+            .into_iter()
+            .fold(0.0, |a: f64, b| a.max(b.abs()));
         if !(off < 1e-3) {
             return Err(Error::value("wrist.frame", "rows of unit length at right angles", format!("{rows:?}")));
         }

@@ -116,7 +116,8 @@ impl Robot {
         coupling.expand(&parts, &rest, &mut qpos);
         world.set_qpos(&qpos)?;
         world.update_poses();
-        let wrist_body = spec.wrist.body.as_deref().map(|name| fingers::body(&parts, name)).transpose()?.unwrap_or(root);
+        let wrist_body =
+            spec.wrist.body.as_deref().map(|name| fingers::body(&parts, name)).transpose()?.unwrap_or(root);
         let wrist = match &spec.wrist.frame {
             Axes::Auto => WristFrame::derive(&world, &fingers, wrist_body, spec.side)?,
             Axes::Rows(rows) => WristFrame::given(wrist_body, *rows)?,
@@ -219,7 +220,8 @@ fn is_above(parts: &Parts, above: usize, body: usize) -> bool {
 fn common_body(parts: &Parts, fingers: &[Finger]) -> usize {
     let first = fingers[0].links.first().copied().unwrap_or(0);
     let mut at = parts.bodies[first].parent;
-    let carries_all = |at: usize| fingers.iter().all(|finger| finger.links.first().is_some_and(|b| is_above(parts, at, *b)));
+    let carries_all =
+        |at: usize| fingers.iter().all(|finger| finger.links.first().is_some_and(|b| is_above(parts, at, *b)));
     while at != 0 && !carries_all(at) {
         at = parts.bodies[at].parent;
     }
@@ -288,7 +290,8 @@ fn pairs(spec: &Spec, parts: &Parts, fingers: &[Finger]) -> Result<Vec<[usize; 2
             let apart = finger(a) != finger(b) && (finger(a).is_some() || finger(b).is_some());
             let related = is_neighbour(parts, part(a), part(b));
             let bodies = [parts.geoms[a].body, parts.geoms[b].body];
-            let listed = |list: &[[usize; 2]]| list.iter().any(|pair| *pair == bodies || *pair == [bodies[1], bodies[0]]);
+            let listed =
+                |list: &[[usize; 2]]| list.iter().any(|pair| *pair == bodies || *pair == [bodies[1], bodies[0]]);
             if may && apart && !related && !listed(&ignored) && !listed(&parts.excludes) {
                 pairs.push([a, b]);
             }

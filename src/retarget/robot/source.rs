@@ -14,7 +14,11 @@ const SHIPPED: &[(&str, &str, Option<&str>)] = &[
         include_str!("../../../sim/robots/four_finger.yaml"),
         Some(include_str!("../../../sim/robots/four_finger.xml")),
     ),
-    ("gripper", include_str!("../../../sim/robots/gripper.yaml"), Some(include_str!("../../../sim/robots/gripper.xml"))),
+    (
+        "gripper",
+        include_str!("../../../sim/robots/gripper.yaml"),
+        Some(include_str!("../../../sim/robots/gripper.xml")),
+    ),
     (
         "tendon_hand",
         include_str!("../../../sim/robots/tendon_hand.yaml"),

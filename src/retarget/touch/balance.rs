@@ -45,11 +45,7 @@ pub struct Balance {
 impl Balance {
     /// For so many contacts at most.
     pub fn new(count: usize) -> Self {
-        Self {
-            arms: Vec::with_capacity(count),
-            free: Vec::with_capacity(count),
-            dual: Vec::with_capacity(count),
-        }
+        Self { arms: Vec::with_capacity(count), free: Vec::with_capacity(count), dual: Vec::with_capacity(count) }
     }
 
     /// Finds the contacts' forces.

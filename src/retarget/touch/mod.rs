@@ -18,8 +18,8 @@ use crate::error::{Error, Result};
 use crate::hand::N_KEYPOINTS;
 use crate::mujoco::parts::Pull;
 
-pub use self::pool::Pool;
 use self::balance::{Balance, Contact};
+pub use self::pool::Pool;
 
 /// Pooled parts of a human hand: three bones of five fingers from base to tip, palm, back.
 pub const SLOTS: usize = 17;
@@ -74,7 +74,9 @@ impl Touch {
         }
         let forces = self.tip_force.iter().flatten();
         match forces.clone().position(|force| !force.is_finite() || force.length() > UNBOUNDED) {
-            Some(bad) => Err(Error::value(format!("tip_force[{bad}]"), "finite newtons", forces.collect::<Vec<_>>()[bad])),
+            Some(bad) => {
+                Err(Error::value(format!("tip_force[{bad}]"), "finite newtons", forces.collect::<Vec<_>>()[bad]))
+            }
             None => Ok(()),
         }
     }
@@ -218,11 +220,7 @@ impl Transfer {
             position: DVec3::ZERO,
             contact: 0.0,
         };
-        Feel {
-            links: self.names.iter().map(link).collect(),
-            torque: vec![0.0; self.limits.len()],
-            ..Feel::default()
-        }
+        Feel { links: self.names.iter().map(link).collect(), torque: vec![0.0; self.limits.len()], ..Feel::default() }
     }
 
     /// Most torque of each free coordinate, N m or N; infinite where nothing limits it.
@@ -275,7 +273,8 @@ impl Transfer {
         for (index, link) in self.links.iter().enumerate() {
             let (origin, rotation) = robot.world.body_pose(link.body);
             let place = to_wrist * (origin + rotation * (0.3 * link.ends[0] + 0.7 * link.ends[1]) - wrist_body);
-            let place = if link.tip_of.is_some() { to_wrist * (origin + rotation * link.ends[1] - wrist_body) } else { place };
+            let place =
+                if link.tip_of.is_some() { to_wrist * (origin + rotation * link.ends[1] - wrist_body) } else { place };
             feel.links[index].contact = self.asked[index].2;
             feel.links[index].position = hand.axes * place;
             if self.asked[index].1 > 0.0 {
@@ -432,7 +431,8 @@ fn finger_links(robot: &Robot, finger: &super::robot::fingers::Finger) -> Vec<Li
             let to = if is_tip { tip } else { ends[index + 1].1 };
             let body = if is_tip { finger.tip_body } else { last_body_at(robot, finger, body, to) };
             let along = (to - from).try_normalize().unwrap_or(DVec3::Z);
-            let normal = pad.reject_from_normalized(along).try_normalize().unwrap_or_else(|| along.any_orthonormal_vector());
+            let normal =
+                pad.reject_from_normalized(along).try_normalize().unwrap_or_else(|| along.any_orthonormal_vector());
             let (origin, rotation) = robot.world.body_pose(body);
             let into = rotation.transpose();
             Link {
@@ -494,7 +494,8 @@ fn limits(robot: &Robot) -> Result<Vec<f64>> {
             }
             Pull::Tendon(tendon) => {
                 for (joint, leverage) in &robot.parts.tendons[tendon].joints {
-                    if let super::robot::coupling::Driven::By { coordinate, ratio, .. } = robot.coupling.joints[*joint] {
+                    if let super::robot::coupling::Driven::By { coordinate, ratio, .. } = robot.coupling.joints[*joint]
+                    {
                         limits[coordinate] += most * (actuator.gear * ratio * leverage).abs();
                         pulled[coordinate] = true;
                     }
