@@ -233,3 +233,42 @@ fn a_press_on_a_pad_points_into_it_in_any_pose() {
     assert!(slot.force.x < -1.8, "{}", slot.force);
     assert_eq!(touch.tip_contact[1], 1.0);
 }
+
+#[test]
+fn a_grip_in_simulation_presses_as_hard_as_expected() {
+    use egotac::mujoco::options::Unchecked;
+    use egotac::mujoco::{PhysicsOptions, World};
+    // Thumb and index finger press on each other with 2 N, at the pose and with the torques that come out.
+    const FORCE: f64 = 2.0;
+    const STIFFNESS: f64 = 4.0; // of the servos in four_finger.xml
+    let press = |_: usize, keypoints: &[DVec3; 21], contact: [f64; 5], _| {
+        let line = (keypoints[4] - keypoints[8]).normalize();
+        let mut forces = [DVec3::ZERO; 5];
+        if contact[0] > 0.5 {
+            (forces[0], forces[1]) = (FORCE * line, -FORCE * line);
+        }
+        Touch { tip_contact: contact, tip_force: Some(forces), slots: None }
+    };
+    let output = follow("four_finger", press, 68).pop().unwrap();
+    let expected = output.feel.links.iter().find(|link| link.name == "index_distal").unwrap().force.length();
+    assert!((expected - FORCE).abs() < 0.3, "{expected} N");
+    let options = PhysicsOptions::try_from(Unchecked { gravity: [0.0; 3], ..Unchecked::default() }).unwrap();
+    let mut world = World::from_mjcf(include_str!("../sim/robots/four_finger.xml"), &options).unwrap();
+    let robot = Robot::load("four_finger", None).unwrap();
+    world.set_qpos(&output.qpos).unwrap();
+    let mut ctrl = output.ctrl.clone();
+    for (coordinate, joint) in robot.coupling.masters.iter().enumerate() {
+        let name = &robot.parts.joints[*joint].name;
+        let servo = robot.commands.names.iter().position(|command| command == name).unwrap();
+        ctrl[servo] += output.feel.torque[coordinate] / STIFFNESS;
+    }
+    world.set_ctrl(&ctrl).unwrap();
+    for _ in 0..500 {
+        world.step();
+    }
+    world.forward();
+    let bodies = ["thumb_distal", "index_distal"].map(|name| world.body(name).unwrap());
+    let measured: DVec3 =
+        world.contacts().filter(|c| c.bodies.iter().all(|body| bodies.contains(body))).map(|c| c.force).sum();
+    assert!((measured.length() - expected).abs() < 0.2 * expected, "{} N for {expected} N", measured.length());
+}

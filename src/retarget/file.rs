@@ -136,13 +136,17 @@ impl Hands {
         out > 0.0
     }
 
+    /// When a frame is, s; `dt` is the time between two where the file has no timestamps.
+    pub fn time(&self, frame: usize, dt: f64) -> f64 {
+        self.timestamps.get(frame).copied().unwrap_or(frame as f64 * dt)
+    }
+
     /// A frame; `dt` is the time between two where the file has no timestamps, and `sign` is -1 where forces point out.
     ///
     /// # Errors
     /// If a force of the frame is negative or infinite; the error names it.
     pub fn input(&self, frame: usize, dt: f64, side: Side, pool: Option<&Pool>, sign: f64) -> Result<Input> {
-        let time = self.timestamps.get(frame).copied().unwrap_or(frame as f64 * dt);
-        let mut input = Input::new(self.keypoints[frame], time);
+        let mut input = Input::new(self.keypoints[frame], self.time(frame, dt));
         if !self.has_touch() {
             return Ok(input);
         }

@@ -223,11 +223,11 @@ impl Goal {
             }
             self.aim_pinch(k, points, touch, relative_size, is_gripper, weights.pinch);
         }
-        for k in 0..last.len() {
+        for (k, last) in last.iter().enumerate() {
             let weight = self.neutral_weight * METRES_PER_RADIAN * METRES_PER_RADIAN;
             let smooth = self.smooth * METRES_PER_RADIAN * METRES_PER_RADIAN;
             let both = weight + smooth;
-            let pull = weight * self.neutral[k] + smooth * last[k];
+            let pull = weight * self.neutral[k] + smooth * last;
             self.problem.neutral[k] = if both > 0.0 { pull / both } else { 0.0 };
             self.problem.neutral_weight[k] = both;
         }

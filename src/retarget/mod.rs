@@ -48,7 +48,7 @@ const GAP: f64 = 0.5;
 /// Longest time between two frames that the velocity limit gives room for, s.
 const LONGEST_STEP: f64 = 0.5;
 /// Smoothing of the bones' directions over that of the fingertips: bones are short, keypoints jitter.
-const CALM: f64 = 2.0;
+const CALM: f64 = 1.5;
 /// Time that the velocity limit takes to have passed before the first good frame, s.
 const FIRST_STEP: f64 = 1.0 / 60.0;
 /// A slide's velocity limit in m/s over a hinge's in rad/s.
@@ -162,6 +162,8 @@ pub struct Retargeter {
     /// Most change of each free coordinate per second.
     speed: Vec<f64>,
     time: Option<f64>,
+    /// When a pose was given out last, held or not, s.
+    given_at: Option<f64>,
     /// Whether anything came out yet.
     gave_out: bool,
     cost: f64,
@@ -209,6 +211,7 @@ impl Retargeter {
             u,
             speed,
             time: None,
+            given_at: None,
             gave_out: false,
             cost: f64::INFINITY,
             output,
@@ -240,11 +243,18 @@ impl Retargeter {
         self.calm.reset();
     }
 
-    /// Holds the pose for a frame whose input could not even be read.
-    pub fn hold(&mut self) {
-        self.gave_out = true;
+    /// Holds the pose for a frame at `time` whose input could not even be read.
+    pub fn hold(&mut self, time: f64) {
+        self.give(time);
         self.output.status = Status::Held;
         (self.output.iterations, self.output.solve_secs) = (0, 0.0);
+    }
+
+    fn give(&mut self, time: f64) {
+        self.gave_out = true;
+        if time.is_finite() && self.given_at.is_none_or(|given| time > given) {
+            self.given_at = Some(time);
+        }
     }
 
     /// Takes a frame and returns joint positions, commands and forces.
@@ -255,7 +265,7 @@ impl Retargeter {
     pub fn push(&mut self, input: &Input) -> Result<&Output> {
         let began = Instant::now();
         let result = self.take(input);
-        self.gave_out = true;
+        self.give(input.time);
         if result.is_err() {
             self.output.status = Status::Held;
             self.output.iterations = 0;
@@ -299,7 +309,7 @@ impl Retargeter {
         let calm = self.calm.push(&points, dt);
         self.goal.aim(&mut self.robot, &smooth, &calm, &self.size, input.touch.as_ref(), &self.u);
         let (iterations, converged) = self.solve(is_new)?;
-        let limited = self.limit(dt);
+        let limited = self.limit(input.time);
         give_out(&mut self.robot, &self.u, &mut self.output)?;
         if let Some(touch) = &input.touch {
             self.transfer.carry(&mut self.robot, &hand, &smooth, touch, &mut self.output.feel);
@@ -345,8 +355,9 @@ impl Retargeter {
     }
 
     /// Moves towards the pose found as far as the joints' speeds allow; whether one did not allow all.
-    fn limit(&mut self, dt: f64) -> bool {
-        let dt = if dt.is_finite() { dt.min(LONGEST_STEP) } else { FIRST_STEP };
+    fn limit(&mut self, time: f64) -> bool {
+        // Since a pose was last given out, a held one too.
+        let dt = self.given_at.map_or(FIRST_STEP, |given| (time - given).clamp(0.0, LONGEST_STEP));
         let mut limited = false;
         for (k, u) in self.u.iter_mut().enumerate() {
             // Until a pose has been given out there is none to be near to.

@@ -100,8 +100,8 @@ impl Peer {
         let huber = self.problem.vectors.first().map_or(1.0, |vector| vector.huber);
         let pairs = self.closed.len();
         let with_thumb = self.fingers.saturating_sub(1).min(pairs);
-        for k in 0..with_thumb {
-            let length = targets[k].length();
+        for (k, target) in targets.iter().enumerate().take(with_thumb) {
+            let length = target.length();
             self.closed[k] = length < PROJECT || (self.closed[k] && length <= ESCAPE);
         }
         let mut k = with_thumb;

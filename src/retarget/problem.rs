@@ -236,8 +236,8 @@ impl Problem {
         }
         gradient.fill(0.0);
         hessian.fill(0.0);
-        for k in 0..u.len() {
-            gradient[k] = self.neutral_weight[k] * (u[k] - self.neutral[k]);
+        for (k, position) in u.iter().enumerate() {
+            gradient[k] = self.neutral_weight[k] * (position - self.neutral[k]);
             hessian[(k, k)] = self.neutral_weight[k];
         }
         for vector in self.vectors.iter().filter(|vector| vector.weight > 0.0) {

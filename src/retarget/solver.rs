@@ -153,6 +153,7 @@ impl Solver {
     }
 
     /// Finds the step that makes the quadratic model least within the box; returns the gain it promises.
+    #[allow(clippy::needless_range_loop)] // Positions, bounds, slopes and steps run beside each other.
     fn plan(&mut self, u: &[f64], coupling: &Coupling, damping: f64) -> std::result::Result<f64, NotConvex> {
         let n = u.len();
         for k in 0..n {

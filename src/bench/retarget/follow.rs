@@ -1,10 +1,9 @@
 //! A robot that follows a recorded hand, and what is seen on the way.
 
-use std::time::Instant;
-
 use serde::{Deserialize, Serialize};
 
 use super::trajectory::{RATE, Trajectory};
+use crate::bench::sim::clock::Stopwatch;
 use crate::error::Result;
 use crate::retarget::robot::frame;
 use crate::retarget::{Input, Retargeter, Robot, Touch};
@@ -14,7 +13,7 @@ use crate::retarget::{Input, Retargeter, Robot, Touch};
 pub struct Followed {
     /// Frames.
     pub frames: usize,
-    /// Time per frame, median, microseconds.
+    /// Processor time per frame, median, microseconds.
     pub median_us: f64,
     /// Time per frame that 99 of 100 frames keep, microseconds.
     pub p99_us: f64,
@@ -65,9 +64,9 @@ pub fn follow(robot: Robot, trajectory: &Trajectory, with_touch: bool) -> Result
             let force = trajectory.tip_force[frame];
             input.touch = Some(Touch { tip_contact: contact, tip_force: Some(force), slots: None });
         }
-        let began = Instant::now();
+        let began = Stopwatch::start();
         retargeter.push(&input)?;
-        times.push(1e6 * began.elapsed().as_secs_f64());
+        times.push(1e6 * began.seconds());
         let output = retargeter.output().clone();
         let (robot, goal) = retargeter.look();
         let gaps: Vec<Option<f64>> = (0..robot.fingers.len()).map(|finger| goal.exact_gap(robot, finger)).collect();

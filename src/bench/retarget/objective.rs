@@ -4,10 +4,10 @@ use glam::DVec3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use std::time::Instant;
 
 use super::follow::percentile;
 use super::trajectory::Trajectory;
+use crate::bench::sim::clock::Stopwatch;
 use crate::error::Result;
 use crate::hand::Side;
 use crate::retarget::Robot;
@@ -34,7 +34,7 @@ pub struct Setup {
 /// How the objective was solved.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Solved {
-    /// Time per frame, median, microseconds.
+    /// Processor time per frame, median, microseconds.
     pub median_us: f64,
     /// Time per frame that 99 of 100 frames keep, microseconds.
     pub p99_us: f64,
@@ -71,10 +71,10 @@ pub fn solve(robot: &mut Robot, setup: &Setup, vectors: &[Vec<DVec3>], stop: Sto
     let mut iterations = 0;
     for (frame, targets) in vectors.iter().enumerate() {
         let last = peer.u.clone();
-        let began = Instant::now();
+        let began = Stopwatch::start();
         peer.aim(targets);
         let ours = peer.solve(robot, stop)?;
-        times.push(1e6 * began.elapsed().as_secs_f64());
+        times.push(1e6 * began.seconds());
         iterations += ours.iterations;
         if every > 0 && frame % every == every - 1 {
             let mut best = ours.cost;

@@ -51,7 +51,7 @@ pub fn run(args: &Run) -> anyhow::Result<ExitCode> {
         let result = match &input {
             Ok(input) => retargeter.push(input).map(|_| ()).map_err(|error| error.to_string()),
             Err(error) => {
-                retargeter.hold();
+                retargeter.hold(hands.time(frame, dt));
                 Err(error.to_string())
             }
         };

@@ -80,7 +80,7 @@ impl WristFrame {
             .to_cols_array()
             .into_iter()
             .fold(0.0, |a: f64, b| a.max(b.abs()));
-        if !(off < 1e-3) {
+        if off.is_nan() || off > 1e-3 {
             return Err(Error::value("wrist.frame", "rows of unit length at right angles", format!("{rows:?}")));
         }
         let side = if axes.determinant() > 0.0 { Side::Right } else { Side::Left };

@@ -250,8 +250,8 @@ fn scales(spec: &Spec) -> [Option<f64>; 5] {
 fn takers(spec: &Spec, fingers: &[Finger]) -> Result<[Option<usize>; 5]> {
     let own = |human: usize| fingers.iter().position(|finger| finger.human == human);
     let mut takers = [None; 5];
-    for human in 0..5 {
-        takers[human] = own(human).or_else(|| {
+    for (human, taker) in takers.iter_mut().enumerate() {
+        *taker = own(human).or_else(|| {
             // A thumb's force is the other fingers' opposite: nobody takes its place.
             let near = fingers.iter().enumerate().filter(|(_, finger)| (finger.human == 0) == (human == 0));
             near.min_by_key(|(_, finger)| finger.human.abs_diff(human)).map(|(index, _)| index)

@@ -209,7 +209,7 @@ pub struct Weights {
 
 impl Default for Weights {
     fn default() -> Self {
-        Self { tip: 1.0, pad_normal: 0.05, pinch: 300.0, posture: 0.05, neutral: 1e-4, smooth: 0.0 }
+        Self { tip: 1.0, pad_normal: 0.05, pinch: 300.0, posture: 0.3, neutral: 1e-4, smooth: 0.0 }
     }
 }
 
@@ -302,7 +302,7 @@ pub struct FilterSpec {
 
 impl Default for FilterSpec {
     fn default() -> Self {
-        Self { time_constant: 0.045, outlier: 0.03 }
+        Self { time_constant: 0.04, outlier: 0.03 }
     }
 }
 

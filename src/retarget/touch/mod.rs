@@ -336,7 +336,7 @@ impl Transfer {
         let mut capped = false;
         for (coordinate, limit) in self.limits.iter().enumerate() {
             let share = limit / torque[coordinate].abs();
-            if !(share < 1.0 - 1e-9) {
+            if share.is_nan() || share >= 1.0 - 1e-9 {
                 continue;
             }
             capped = true;
