@@ -6,7 +6,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-const NODES: [&str; 4] = ["predictor", "simulator", "trainer", "verifier"];
+const NODES: [&str; 5] = ["predictor", "retargeter", "simulator", "trainer", "verifier"];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -79,8 +79,13 @@ fn each_node_of_the_launch_files_is_one_of_our_programs_with_its_own_parameters(
         ["use_sim_time:=true", "image_transport:=compressed", "model:=/m.safetensors", "device:=cpu", "rviz:=true"];
     let demo_given = ["scenes:=pinch_cube,lift_mug", "seed:=3", "rviz:=true"];
     let training = ["config:=/run.yaml", "folder:=/data", "notify:=/other/load_model"];
-    let files =
-        [("egotac.launch.py", &given[..]), ("demo.launch.py", &demo_given[..]), ("trainer.launch.py", &training[..])];
+    let retargeting = ["robot:=gripper", "side:=left", "rate_hz:=100", "demo:=true", "scenes:=lift_mug,hover"];
+    let files = [
+        ("egotac.launch.py", &given[..]),
+        ("demo.launch.py", &demo_given[..]),
+        ("retarget.launch.py", &retargeting[..]),
+        ("trainer.launch.py", &training[..]),
+    ];
     for (file, given) in files {
         for arguments in [&[], given] {
             let description = describe(file, arguments);
@@ -127,6 +132,24 @@ fn the_demo_starts_all_nodes_and_joins_their_topics() {
 }
 
 #[test]
+fn the_retargeter_follows_the_simulators_hand_and_the_predictors_touch() {
+    let description = describe("retarget.launch.py", &["demo:=true", "namespace:=right"]);
+    let nodes = nodes_of(&description);
+    let names: Vec<_> = nodes.iter().map(|node| node["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["retargeter", "simulator"]);
+    assert!(nodes.iter().all(|node| node["namespace"] == "right"));
+    assert_eq!(nodes[0]["remappings"]["hand_pose"], "truth/hand_pose");
+    assert_eq!(nodes[0]["remappings"]["tactile"], "predictor/tactile");
+    let includes = description["includes"].as_array().unwrap();
+    assert!(includes.iter().any(|include| include["file"].as_str().unwrap().ends_with("egotac.launch.py")));
+    // Without the demo the retargeter is alone.
+    let description = describe("retarget.launch.py", &["keypoints_topic:=/tracker/hand"]);
+    assert_eq!(description["includes"], serde_json::json!([]));
+    assert_eq!(nodes_of(&description).len(), 1);
+    assert_eq!(nodes_of(&description)[0]["remappings"]["keypoints"], "/tracker/hand");
+}
+
+#[test]
 fn arguments_that_are_not_given_leave_the_parameter_file_its_say() {
     let description = describe("egotac.launch.py", &["image_topic:=/camera/image"]);
     let nodes = nodes_of(&description);
@@ -152,7 +175,7 @@ fn each_argument_says_what_it_does() {
     for name in expected {
         assert!(description["arguments"].get(name).is_some(), "egotac.launch.py has no argument {name}");
     }
-    for file in ["egotac.launch.py", "demo.launch.py", "trainer.launch.py"] {
+    for file in ["egotac.launch.py", "demo.launch.py", "retarget.launch.py", "trainer.launch.py"] {
         for (name, argument) in describe(file, &[])["arguments"].as_object().unwrap() {
             assert!(argument["description"].as_str().is_some_and(|text| text.len() > 10), "{file}: {name}");
         }

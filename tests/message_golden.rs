@@ -135,6 +135,76 @@ fn own_messages_are_what_ros_serialises() {
 }
 
 #[test]
+fn messages_of_robots_are_what_ros_serialises() {
+    let thumb = LinkTouch {
+        link: "thumb_distal".into(),
+        normal_force: 2.0,
+        wrench: Wrench {
+            force: Vector3 { x: -2.0, y: 0.5, z: 0.25 },
+            torque: Vector3 { x: 0.0, y: 0.125, z: -0.0625 },
+        },
+        position: Point { x: 0.5, y: 0.0, z: 0.03125 },
+        contact: 0.75,
+    };
+    let palm = LinkTouch {
+        link: "palm".into(),
+        normal_force: 0.0,
+        wrench: Wrench::default(),
+        position: Point::default(),
+        contact: 0.0,
+    };
+    agrees(
+        "robot_touch",
+        &RobotTouch {
+            header: header("world"),
+            robot: "four_finger".into(),
+            hand_stamp: Time { sec: 1_700_000_000, nanosec: 120_000_000 },
+            links: vec![thumb, palm],
+            joint_names: vec!["thumb_cmc".into(), "index_mcp".into()],
+            joint_torques: vec![0.25, -0.5],
+            clipped: true,
+            net_force: Vector3 { x: 1.0, y: -2.0, z: 3.0 },
+            left_out: 0.5,
+        },
+    );
+    let turned = Quaternion { x: 0.5, y: -0.5, z: 0.5, w: 0.5 };
+    let poses = vec![
+        Pose { position: Point { x: 0.25, y: -0.5, z: 0.75 }, ..Pose::default() },
+        Pose { orientation: turned, ..Pose::default() },
+    ];
+    agrees("pose_array", &PoseArray { header: header("world"), poses });
+    let names = vec!["a".to_owned(), "b".to_owned()];
+    agrees(
+        "joint_state",
+        &JointState {
+            header: header(""),
+            name: names.clone(),
+            position: vec![0.5, -0.25],
+            velocity: vec![],
+            effort: vec![1.0],
+        },
+    );
+    let first = JointTrajectoryPoint {
+        positions: vec![0.5, -0.25],
+        velocities: vec![],
+        accelerations: vec![],
+        effort: vec![],
+        time_from_start: Duration { sec: 0, nanosec: 16_666_667 },
+    };
+    let second = JointTrajectoryPoint {
+        positions: vec![],
+        velocities: vec![1.0],
+        accelerations: vec![2.0],
+        effort: vec![3.0],
+        time_from_start: Duration::default(),
+    };
+    agrees(
+        "joint_trajectory",
+        &JointTrajectory { header: Header::default(), joint_names: names, points: vec![first, second] },
+    );
+}
+
+#[test]
 fn camera_messages_are_what_ros_serialises() {
     agrees(
         "image",
@@ -229,6 +299,8 @@ fn structs_have_the_fields_of_their_msg_files() {
     check(TactileTruth::definition(), TactileTruth::fields());
     check(TactileMetrics::definition(), TactileMetrics::fields());
     check(TrainerStatus::definition(), TrainerStatus::fields());
+    check(LinkTouch::definition(), LinkTouch::fields());
+    check(RobotTouch::definition(), RobotTouch::fields());
 }
 
 #[test]

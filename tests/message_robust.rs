@@ -80,6 +80,10 @@ proptest! {
             let _ = HandModelInfo::from_cdr(bytes);
             let _ = HandPose::from_cdr(bytes);
             let _ = TactileMetrics::from_cdr(bytes);
+            let _ = RobotTouch::from_cdr(bytes);
+            let _ = PoseArray::from_cdr(bytes);
+            let _ = JointState::from_cdr(bytes);
+            let _ = JointTrajectory::from_cdr(bytes);
             let _ = Image::from_cdr(bytes);
             let _ = CompressedImage::from_cdr(bytes);
             let _ = CameraInfo::from_cdr(bytes);

@@ -17,6 +17,7 @@ fn each_parameter_is_documented_under_its_node() {
     let text = document("docs/nodes.md");
     let programs = [
         ("predictor", env!("CARGO_BIN_EXE_egotac_predictor")),
+        ("retargeter", env!("CARGO_BIN_EXE_egotac_retargeter")),
         ("simulator", env!("CARGO_BIN_EXE_egotac_simulator")),
         ("trainer", env!("CARGO_BIN_EXE_egotac_trainer")),
         ("verifier", env!("CARGO_BIN_EXE_egotac_verifier")),

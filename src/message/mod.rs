@@ -12,10 +12,13 @@ mod standard;
 use crate::error::Result;
 
 pub use cdr::{Reader, Wire, Writer};
-pub use own::{HandModelInfo, HandPose, HandTactile, TactileFrame, TactileMetrics, TactileTruth, TrainerStatus};
+pub use own::{
+    HandModelInfo, HandPose, HandTactile, LinkTouch, RobotTouch, TactileFrame, TactileMetrics, TactileTruth, TrainerStatus,
+};
 pub use standard::{
-    CameraInfo, Clock, CompressedImage, DiagnosticArray, DiagnosticStatus, Duration, Header, Image, KeyValue, Log,
-    Point, Point32, PointCloud2, PointField, Pose, Quaternion, RegionOfInterest, Time,
+    CameraInfo, Clock, CompressedImage, DiagnosticArray, DiagnosticStatus, Duration, Header, Image, JointState,
+    JointTrajectory, JointTrajectoryPoint, KeyValue, Log, Point, Point32, PointCloud2, PointField, Pose, PoseArray,
+    Quaternion, RegionOfInterest, Time, Vector3, Wrench,
 };
 
 /// A message that topics and recordings carry.

@@ -1,7 +1,7 @@
 //! The messages of `egotac_msgs`; their fields' meaning stands in `msg/*.msg`.
 
 use super::message;
-use super::standard::{Header, Point32, Pose};
+use super::standard::{Header, Point, Point32, Pose, Time, Vector3, Wrench};
 use crate::hand::{N_BETAS, N_VERTICES};
 
 message! {
@@ -143,6 +143,42 @@ message! {
         names: Vec<String>,
         /// One value per name; NaN = undefined.
         values: Vec<f64>,
+    }
+
+    /// Touch that one link of a robot hand is expected to feel.
+    LinkTouch = "egotac_msgs/msg/LinkTouch" from "../../msg/LinkTouch.msg" {
+        /// Name of the link's body.
+        link: String,
+        /// Force along the link's surface normal, N.
+        normal_force: f64,
+        /// Force on the link, torque about its origin; in its own frame, N and N m.
+        wrench: Wrench,
+        /// Where the force acts, in the link's own frame, m.
+        position: Point,
+        /// Probability that the link touches something.
+        contact: f64,
+    }
+
+    /// Touch that a robot hand is expected to feel.
+    RobotTouch = "egotac_msgs/msg/RobotTouch" from "../../msg/RobotTouch.msg" {
+        /// Stamp of the tactile frame; the frame of `net_force`.
+        header: Header,
+        /// Name of the robot.
+        robot: String,
+        /// Stamp of the hand pose.
+        hand_stamp: Time,
+        /// All links that can take force.
+        links: Vec<LinkTouch>,
+        /// Joints that move on their own.
+        joint_names: Vec<String>,
+        /// What each must give to press like that, N m or N.
+        joint_torques: Vec<f64>,
+        /// Whether a joint's strength made forces smaller.
+        clipped: bool,
+        /// Net force on the human hand, N.
+        net_force: Vector3,
+        /// Force that no link could take, N.
+        left_out: f64,
     }
 }
 

@@ -56,6 +56,66 @@ message! {
         orientation: Quaternion,
     }
 
+    /// Three numbers with a direction.
+    #[derive(Copy, Default)]
+    #[allow(missing_docs)]
+    Vector3 = "geometry_msgs/msg/Vector3" { x: f64, y: f64, z: f64 }
+
+    /// A force and a torque.
+    #[derive(Copy, Default)]
+    Wrench = "geometry_msgs/msg/Wrench" {
+        /// N.
+        force: Vector3,
+        /// N m.
+        torque: Vector3,
+    }
+
+    /// Several poses.
+    PoseArray = "geometry_msgs/msg/PoseArray" {
+        /// When; the frame of the poses.
+        header: Header,
+        /// The poses.
+        poses: Vec<Pose>,
+    }
+
+    /// Positions of joints.
+    JointState = "sensor_msgs/msg/JointState" {
+        /// When.
+        header: Header,
+        /// Names of the joints.
+        name: Vec<String>,
+        /// rad or m; empty = unknown.
+        position: Vec<f64>,
+        /// rad/s or m/s; empty = unknown.
+        velocity: Vec<f64>,
+        /// N m or N; empty = unknown.
+        effort: Vec<f64>,
+    }
+
+    /// Where joints are to be at a time.
+    JointTrajectoryPoint = "trajectory_msgs/msg/JointTrajectoryPoint" {
+        /// rad or m.
+        positions: Vec<f64>,
+        /// rad/s or m/s; empty = left open.
+        velocities: Vec<f64>,
+        /// rad/s² or m/s²; empty = left open.
+        accelerations: Vec<f64>,
+        /// N m or N; empty = left open.
+        effort: Vec<f64>,
+        /// From the trajectory's stamp on.
+        time_from_start: Duration,
+    }
+
+    /// A way for joints to go.
+    JointTrajectory = "trajectory_msgs/msg/JointTrajectory" {
+        /// When it begins; zero = at once.
+        header: Header,
+        /// Names of the joints.
+        joint_names: Vec<String>,
+        /// Where they are to be.
+        points: Vec<JointTrajectoryPoint>,
+    }
+
     /// An uncompressed image.
     Image = "sensor_msgs/msg/Image" {
         /// When taken; the camera's optical frame.

@@ -9,6 +9,8 @@ pub mod diagnostics;
 mod exchange;
 pub mod log;
 pub mod mailbox;
+#[cfg(feature = "sim")]
+mod matching;
 mod names;
 mod pairing;
 mod parameter_services;
@@ -18,6 +20,8 @@ pub mod predictor;
 pub mod qos;
 pub mod recorder;
 mod recording;
+#[cfg(feature = "sim")]
+pub mod retargeter;
 mod runtime;
 mod shutdown;
 #[cfg(feature = "sim")]

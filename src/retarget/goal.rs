@@ -49,6 +49,15 @@ struct FingerGoal {
     scale: Option<f64>,
 }
 
+/// Where a fingertip touches another one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Meeting {
+    /// In the world, m.
+    pub place: DVec3,
+    /// Unit normal out of the fingertip, in the world.
+    pub normal: DVec3,
+}
+
 /// The goal of a frame.
 #[derive(Debug)]
 pub struct Goal {
@@ -327,6 +336,34 @@ impl Goal {
                 Some(tips[0].distance(tips[1]).min(MOST))
             }
         }
+    }
+
+    /// Where thumb and fingers touch each other in the robot's present pose, by human finger: those that the human's touch,
+    /// and whose surfaces are within 3 mm.
+    pub fn meetings(&self, robot: &mut Robot, touch: &Touch) -> [Option<Meeting>; 5] {
+        const NEAR: f64 = 0.003;
+        let mut meetings = [None; 5];
+        for finger in &self.fingers {
+            let Some(pinch) = finger.pinch else { continue };
+            if touch.tip_contact[0].min(touch.tip_contact[finger.human]) <= 0.5 {
+                continue;
+            }
+            let [Side::Geoms { geoms: thumb, .. }, Side::Geoms { geoms: other, .. }] = &self.problem.gaps[pinch].sides
+            else {
+                continue;
+            };
+            let mut nearest = NEAR;
+            for pair in thumb.iter().flat_map(|a| other.iter().map(move |b| [*a, *b])) {
+                let (distance, Some([a, b])) = robot.world.geom_distance(pair, nearest) else { continue };
+                let line = if distance < 0.0 { a - b } else { b - a };
+                let Some(normal) = line.try_normalize() else { continue };
+                nearest = distance;
+                let place = 0.5 * (a + b);
+                meetings[0] = Some(Meeting { place, normal });
+                meetings[finger.human] = Some(Meeting { place, normal: -normal });
+            }
+        }
+        meetings
     }
 
     /// How deep links that must not collide are in each other in the robot's present pose, m; negative = none is.

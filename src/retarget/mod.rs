@@ -234,13 +234,32 @@ impl Retargeter {
         &self.output
     }
 
-    /// Forgets the past, not the pose: the next frame may be anywhere, of another hand.
+    /// Forgets the past, not the pose: the next frame may be anywhere, at any time, of another hand.
     pub fn reset(&mut self) {
-        self.time = None;
+        (self.time, self.given_at) = (None, None);
         self.size = SizeEstimate::default();
         self.gate = Gate::new(self.robot.spec.filter.outlier);
         self.smoother.reset();
         self.calm.reset();
+    }
+
+    /// Moves on towards the pose of the last good frame, as far as joints may by `now`, s; once there, holds it.
+    ///
+    /// For drivers that want commands more often than frames come, or while none come.
+    ///
+    /// # Errors
+    /// If the time is not finite, or the pose can't be taken.
+    pub fn advance(&mut self, now: f64) -> Result<&Output> {
+        if !now.is_finite() {
+            return Err(Error::value("time", "finite seconds", now));
+        }
+        let limited = self.limit(now);
+        give_out(&mut self.robot, &self.u, &mut self.output)?;
+        self.give(now);
+        if limited {
+            self.output.status = Status::Limited;
+        }
+        Ok(&self.output)
     }
 
     /// Holds the pose for a frame at `time` whose input could not even be read.
@@ -263,9 +282,18 @@ impl Retargeter {
     /// If the frame is not a hand (the error names the keypoint), is older than the last one, or has a touch that is not
     /// finite; the last good pose is held, and [`Self::output`] says so.
     pub fn push(&mut self, input: &Input) -> Result<&Output> {
+        self.push_at(input, input.time)
+    }
+
+    /// Likewise, with joints that move at `now`, s, by a clock of their own, which [`Self::advance`] goes by, too: frames
+    /// come late and at uneven times, commands do not.
+    ///
+    /// # Errors
+    /// As [`Self::push`].
+    pub fn push_at(&mut self, input: &Input, now: f64) -> Result<&Output> {
         let began = Instant::now();
-        let result = self.take(input);
-        self.give(input.time);
+        let result = self.take(input, now);
+        self.give(now);
         if result.is_err() {
             self.output.status = Status::Held;
             self.output.iterations = 0;
@@ -274,10 +302,10 @@ impl Retargeter {
         result.map(|()| &self.output)
     }
 
-    fn take(&mut self, input: &Input) -> Result<()> {
+    fn take(&mut self, input: &Input, now: f64) -> Result<()> {
         let side = self.options.side.unwrap_or(self.robot.side());
-        if !input.time.is_finite() {
-            return Err(Error::value("timestamp", "finite seconds", input.time));
+        if !input.time.is_finite() || !now.is_finite() {
+            return Err(Error::value("timestamp", "finite seconds", if now.is_finite() { input.time } else { now }));
         }
         let dt = match self.time {
             Some(last) if input.time <= last => {
@@ -309,10 +337,11 @@ impl Retargeter {
         let calm = self.calm.push(&points, dt);
         self.goal.aim(&mut self.robot, &smooth, &calm, &self.size, input.touch.as_ref(), &self.u);
         let (iterations, converged) = self.solve(is_new)?;
-        let limited = self.limit(input.time);
+        let limited = self.limit(now);
         give_out(&mut self.robot, &self.u, &mut self.output)?;
         if let Some(touch) = &input.touch {
-            self.transfer.carry(&mut self.robot, &hand, &smooth, touch, &mut self.output.feel);
+            let meetings = self.goal.meetings(&mut self.robot, touch);
+            self.transfer.carry(&self.robot, &hand, &smooth, touch, &meetings, &mut self.output.feel);
         } else {
             self.output.feel.clear();
         }

@@ -1,15 +1,15 @@
 //! Touch, carried over: from the human's skin to forces that the robot's links are to feel.
 //!
 //! Forces of the human's vertices are pooled to bones and palm, turned half of the way from each bone's frame (normal,
-//! lateral, along) to that of the robot link that takes its place, and adjusted so that the net force and torque on the hand stay what they
-//! were, within friction cones and what the joints' actuators can hold.
+//! lateral, along) to that of the robot link that takes its place, and adjusted so that the net force and torque on the
+//! hand stay what they were, within friction cones and what the joints' actuators can hold.
 
 pub mod balance;
 pub mod pool;
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::goal::bone_axes;
+use super::goal::{Meeting, bone_axes};
 use super::human::{Hand, keypoint};
 use super::problem::jacobian;
 use super::robot::spec::Regions;
@@ -100,6 +100,10 @@ pub struct LinkFeel {
     pub torque: DVec3,
     /// Where it acts from the wrist, m, likewise.
     pub position: DVec3,
+    /// The force in the frame of the link's own body, N.
+    pub body_force: DVec3,
+    /// Where it acts in the frame of the link's own body, m.
+    pub body_position: DVec3,
     /// Probability that something touches.
     pub contact: f64,
 }
@@ -127,7 +131,7 @@ impl Feel {
         for link in &mut self.links {
             link.normal_force = 0.0;
             link.contact = 0.0;
-            (link.force, link.torque) = (DVec3::ZERO, DVec3::ZERO);
+            (link.force, link.torque, link.body_force) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
         }
         self.tip_force = [DVec3::ZERO; 5];
         self.torque.fill(0.0);
@@ -218,6 +222,8 @@ impl Transfer {
             force: DVec3::ZERO,
             torque: DVec3::ZERO,
             position: DVec3::ZERO,
+            body_force: DVec3::ZERO,
+            body_position: DVec3::ZERO,
             contact: 0.0,
         };
         Feel { links: self.names.iter().map(link).collect(), torque: vec![0.0; self.limits.len()], ..Feel::default() }
@@ -230,13 +236,15 @@ impl Transfer {
 
     /// Carries a touch over to the robot in its present pose.
     ///
-    /// `hand`: the frame as it came; `points`: its keypoints in the wrist frame as the pose was solved for.
+    /// `hand`: the frame as it came; `points`: its keypoints in the wrist frame as the pose was solved for; `meetings`:
+    /// where fingertips touch each other.
     pub fn carry(
         &mut self,
-        robot: &mut Robot,
+        robot: &Robot,
         hand: &Hand,
         points: &[DVec3; N_KEYPOINTS],
         touch: &Touch,
+        meetings: &[Option<Meeting>; 5],
         feel: &mut Feel,
     ) {
         feel.clear();
@@ -259,9 +267,12 @@ impl Transfer {
             let from = human_axes(points, slot);
             let to = to_wrist * (robot.world.body_pose(self.links[taker].body).1 * self.links[taker].axes);
             let asked = &mut self.asked[taker];
+            let meeting = self.links[taker].tip_of.and_then(|human| meetings[human]);
             // To the object a force is a direction in the world, to the skin one in the frame of the pad. Where the
-            // robot's pad is turned against the human's, both are kept half.
-            let turn = DQuat::IDENTITY.slerp(DQuat::from_mat3(&(to * from.transpose())), 0.5);
+            // robot's pad is turned against the human's, both are kept half. Fingers that touch each other do so where
+            // they meet, however pads are turned.
+            let share = if meeting.is_some() { 0.0 } else { 0.5 };
+            let turn = DQuat::IDENTITY.slerp(DQuat::from_mat3(&(to * from.transpose())), share);
             asked.0 += turn * force;
             asked.1 += weight;
             asked.2 = asked.2.max(contact);
@@ -275,13 +286,16 @@ impl Transfer {
             let place = to_wrist * (origin + rotation * (0.3 * link.ends[0] + 0.7 * link.ends[1]) - wrist_body);
             let place =
                 if link.tip_of.is_some() { to_wrist * (origin + rotation * link.ends[1] - wrist_body) } else { place };
+            let meeting = link.tip_of.and_then(|human| meetings[human]);
+            let place = meeting.map_or(place, |meeting| to_wrist * (meeting.place - wrist_body));
             feel.links[index].contact = self.asked[index].2;
             feel.links[index].position = hand.axes * place;
+            feel.links[index].body_position = rotation.transpose() * (wrist_body + axes * place - origin);
             if self.asked[index].1 > 0.0 {
                 self.contacts.push(Contact {
                     link: index,
                     place,
-                    normal: to_wrist * (rotation * link.axes.x_axis),
+                    normal: to_wrist * meeting.map_or(rotation * link.axes.x_axis, |meeting| meeting.normal),
                     asked: self.asked[index].0,
                     most: self.max_force,
                     force: DVec3::ZERO,
@@ -311,6 +325,8 @@ impl Transfer {
             link.force = hand.axes * contact.force;
             // A left hand's coordinates turn the other way: take the product where the axes are the world's.
             link.torque = (hand.axes * contact.place).cross(link.force);
+            let (_, rotation) = robot.world.body_pose(self.links[contact.link].body);
+            link.body_force = rotation.transpose() * (axes * contact.force);
             if let Some(human) = self.links[contact.link].tip_of {
                 feel.tip_force[human] += link.force;
             }

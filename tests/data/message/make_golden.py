@@ -15,15 +15,18 @@ TUNABLES = "glibc.malloc.perturb=255:glibc.malloc.tcache_count=0"
 if os.environ.get("GLIBC_TUNABLES") != TUNABLES:
     os.execve(sys.executable, [sys.executable, __file__], {**os.environ, "GLIBC_TUNABLES": TUNABLES})
 
-from builtin_interfaces.msg import Time
-from egotac_msgs.msg import HandModelInfo, HandPose, HandTactile, TactileFrame, TactileMetrics, TactileTruth, TrainerStatus
-from geometry_msgs.msg import Point, Point32, Pose, Quaternion
+from builtin_interfaces.msg import Duration, Time
+from egotac_msgs.msg import (
+    HandModelInfo, HandPose, HandTactile, LinkTouch, RobotTouch, TactileFrame, TactileMetrics, TactileTruth, TrainerStatus
+)
+from geometry_msgs.msg import Point, Point32, Pose, PoseArray, Quaternion, Vector3, Wrench
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField, RegionOfInterest
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState, PointCloud2, PointField, RegionOfInterest
 from std_msgs.msg import Header
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 N = 778
 NAN = float("nan")
@@ -111,6 +114,39 @@ MESSAGES = {
         invalid_truths=3,
         names=["mae", "pooled.f1"],
         values=[0.0125, NAN],
+    ),
+    "robot_touch": RobotTouch(
+        header=header("world"),
+        robot="four_finger",
+        hand_stamp=Time(sec=1_700_000_000, nanosec=120_000_000),
+        links=[
+            LinkTouch(
+                link="thumb_distal",
+                normal_force=2.0,
+                wrench=Wrench(force=Vector3(x=-2.0, y=0.5, z=0.25), torque=Vector3(x=0.0, y=0.125, z=-0.0625)),
+                position=Point(x=0.5, y=0.0, z=0.03125),
+                contact=0.75,
+            ),
+            LinkTouch(link="palm"),
+        ],
+        joint_names=["thumb_cmc", "index_mcp"],
+        joint_torques=[0.25, -0.5],
+        clipped=True,
+        net_force=Vector3(x=1.0, y=-2.0, z=3.0),
+        left_out=0.5,
+    ),
+    "pose_array": PoseArray(
+        header=header("world"),
+        poses=[Pose(position=Point(x=0.25, y=-0.5, z=0.75)), Pose(orientation=Quaternion(x=0.5, y=-0.5, z=0.5, w=0.5))],
+    ),
+    "joint_state": JointState(header=header(""), name=["a", "b"], position=[0.5, -0.25], effort=[1.0]),
+    "joint_trajectory": JointTrajectory(
+        header=Header(),
+        joint_names=["a", "b"],
+        points=[
+            JointTrajectoryPoint(positions=[0.5, -0.25], time_from_start=Duration(sec=0, nanosec=16_666_667)),
+            JointTrajectoryPoint(velocities=[1.0], accelerations=[2.0], effort=[3.0]),
+        ],
     ),
     "image": Image(
         header=header(), height=2, width=3, encoding="rgb8", is_bigendian=0, step=10, data=bytes(range(20))

@@ -1,0 +1,352 @@
+#!/usr/bin/env python3
+"""Plays hand tracker, predictor and robot driver to the node `retargeter`; `tests/ros_retargeter.rs` starts the node.
+
+Usage: retargeter_peer.py FACT CASE.json
+"""
+import copy
+import json
+import math
+import sys
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from egotac_msgs.msg import HandPose, HandTactile, RobotTouch, TactileFrame
+from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
+from rcl_interfaces.msg import Log
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory
+
+from peer import LATCHED, Peer
+
+DT = 40_000_000
+"""Nanoseconds between two frames."""
+
+
+def put_stamp(message, i, offset=0, base=1000):
+    nanos = base * 10**9 + i * DT + offset
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(nanos, 10**9)
+    message.header.frame_id = "tracker"
+    return message
+
+
+def nanos(stamp):
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+def points(frame, i, **at):
+    poses = [Pose(position=Point(x=p[0], y=p[1], z=p[2])) for p in frame["hand"]]
+    return put_stamp(PoseArray(poses=poses), i, **at)
+
+
+def hand_pose(frame, i):
+    hand = frame["hand"]
+    x, y, z = hand["position"]
+    a, b, c, d = hand["orientation"]
+    message = HandPose(side=hand["side"], topology=hand["topology"], hand_pose=hand["hand_pose"], betas=hand["betas"])
+    message.wrist = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=a, y=b, z=c, w=d))
+    return put_stamp(message, i)
+
+
+def tactile(frame, i, **at):
+    """The frame's force on the right hand; the left one touches something else."""
+    message = TactileFrame(model_id="peer/1", topology="egotac-hand-1", sequence=i)
+    other = np.full(778, 3.0, "f4")
+    for side, force in ((HandTactile.LEFT, other), (HandTactile.RIGHT, np.array(frame["force"], "f4"))):
+        contact = (force > 0.05).astype("f4")
+        message.hands.append(HandTactile(side=side, force=force, contact=contact, total_force=float(force.sum())))
+    return put_stamp(message, i, **at)
+
+
+class Robot:
+    """Publishers and subscribers around the node, once it listens."""
+
+    def __init__(self, case):
+        self.case = case
+        self.peer = Peer()
+        self.joints = self.peer.listen(JointState, "retargeter/joint_states")
+        self.trajectories = self.peer.listen(JointTrajectory, "retargeter/joint_trajectory")
+        self.touches = self.peer.listen(RobotTouch, "retargeter/touch")
+        self.logs = self.peer.listen(Log, "/rosout", LATCHED)
+        self.diagnostics = self.peer.listen(DiagnosticArray, "/diagnostics")
+        publish = lambda kind, topic: self.peer.connected(self.peer.create_publisher(kind, topic, 100))
+        self.keypoints = publish(PoseArray, "keypoints")
+        self.poses = publish(HandPose, "hand_pose")
+        self.tactile = publish(TactileFrame, "tactile")
+        for topic in ("joint_states", "joint_trajectory", "touch"):
+            name = self.peer.resolve_topic_name(f"retargeter/{topic}")
+            self.peer.wait(lambda: self.peer.count_publishers(name) > 0, f"a publisher of {topic}")
+
+    def with_stamp(self, stamp):
+        """The joint state that was made for a hand."""
+        found = lambda: [state for state in self.joints if nanos(state.header.stamp) == stamp]
+        self.peer.wait(found, f"joints for the stamp {stamp}")
+        return found()[0]
+
+    def settled(self):
+        """The pose once the robot does not move any more."""
+
+        def still():
+            last = [state.position for state in self.joints[-5:]]
+            return len(last) == 5 and all(position == last[0] for position in last)
+
+        self.joints.clear()
+        self.peer.wait(still, "a robot that stands still")
+        return np.array(self.joints[-1].position)
+
+    def silent(self):
+        """Waits until no joints come any more."""
+        count = -1
+        while count != len(self.joints):
+            count = len(self.joints)
+            self.peer.rest(0.5)
+
+    def warned(self, text):
+        self.peer.wait(lambda: any(text in log.msg for log in self.logs), f"a warning of {text!r}")
+
+
+def keypoints(case):
+    """Each frame gives the joints and forces that the library gives."""
+    robot = Robot(case)
+    for i, frame in enumerate(case["frames"]):
+        robot.tactile.publish(tactile(frame, i))
+        robot.keypoints.publish(points(frame, i))
+        stamp = 1000 * 10**9 + i * DT
+        state = robot.with_stamp(stamp)
+        assert list(state.name) == case["joints"]
+        # On a busy machine joints have more time between frames than their stamps say, never less than a cycle.
+        got = robot.settled()
+        assert np.abs(got - frame["qpos"]).max() < 2e-3, (i, got - frame["qpos"])
+        robot.peer.wait(lambda: len(robot.touches) > i, "touch")
+        touch = robot.touches[i]
+        assert (nanos(touch.header.stamp), nanos(touch.hand_stamp)) == (stamp, stamp)
+        assert touch.header.frame_id == "tracker" and touch.robot == "four_finger"
+        assert [link.link for link in touch.links] == frame["links"]
+        forces = np.array([link.normal_force for link in touch.links])
+        assert np.abs(forces - frame["normal_force"]).max() < 0.02 * max(1.0, np.max(forces)), (i, forces, frame["normal_force"])
+        net = touch.net_force
+        assert np.abs(np.array([net.x, net.y, net.z]) - frame["net_force"]).max() < 1e-4
+        for link in touch.links:
+            force, torque, place = (
+                np.array([v.x, v.y, v.z]) for v in (link.wrench.force, link.wrench.torque, link.position)
+            )
+            assert np.allclose(np.cross(place, force), torque, atol=1e-9)
+            assert np.linalg.norm(force) >= link.normal_force - 1e-9
+        assert len(touch.joint_names) == len(touch.joint_torques) > 0
+    assert np.max(forces) > 1.0, "the last frame presses"
+
+
+def poses(case):
+    """Hands as parameters; messages of the left hand change nothing."""
+    robot = Robot(case)
+    for i, frame in enumerate(case["frames"]):
+        left = copy.deepcopy(frame)
+        left["hand"]["side"] = HandPose.LEFT
+        robot.poses.publish(hand_pose(left, i))
+        robot.poses.publish(hand_pose(frame, i))
+        robot.with_stamp(1000 * 10**9 + i * DT)
+        got = robot.settled()
+        assert np.abs(got - frame["qpos"]).max() < 2e-3, (i, got - frame["qpos"])
+    assert not robot.touches, "nobody told of a touch"
+    assert not any("left out" in log.msg for log in robot.logs)
+    moved = np.abs(np.array(case["frames"][-1]["qpos"]) - case["frames"][0]["qpos"]).max()
+    assert moved > 0.05, moved
+
+
+def rate(case):
+    """Between hands joints keep coming, their stamps go on by the node's clock, and trajectories say the same."""
+    robot = Robot(case)
+    robot.peer.rest(0.2)
+    assert not robot.joints, "nothing comes before the first hand"
+    robot.keypoints.publish(points(case["frames"][0], 0))
+    robot.peer.wait(lambda: len(robot.joints) > 40 and len(robot.trajectories) > 40, "joints in silence")
+    stamps = [nanos(state.header.stamp) for state in robot.joints]
+    assert stamps[0] == 1000 * 10**9
+    steps = np.diff(stamps) / 1e9
+    # A busy machine leaves cycles out or is late with one, and in time with the next; the mean is no shorter than the period.
+    assert (steps > 0).all() and np.mean(steps) > 0.039, (steps.min(), np.mean(steps))
+    by_joints = [dict(zip(state.name, state.position)) for state in robot.joints]
+    for trajectory in robot.trajectories[:40]:
+        assert nanos(trajectory.header.stamp) == 0
+        assert set(trajectory.joint_names) <= set(case["joints"]) and len(trajectory.joint_names) > 0
+        (point,) = trajectory.points
+        assert (point.time_from_start.sec, point.time_from_start.nanosec) == (0, 40_000_000)
+        told = dict(zip(trajectory.joint_names, point.positions))
+        assert any(all(state[name] == position for name, position in told.items()) for state in by_joints)
+
+
+def velocity(case):
+    """A hand that jumps is followed no faster than joints may move."""
+    robot = Robot(case)
+    for i, frame in enumerate(case["frames"]):
+        robot.keypoints.publish(points(frame, i))
+        robot.with_stamp(1000 * 10**9 + i * DT)
+        robot.settled()
+    # Back to the first one, and all messages kept.
+    robot.keypoints.publish(points(case["frames"][0], 30))
+    start = robot.with_stamp(1000 * 10**9 + 30 * DT)
+    count = len(robot.joints)
+    robot.peer.wait(lambda: len(robot.joints) > count + 60, "the way back")
+    way = robot.joints[robot.joints.index(start) :]
+    moved = 0.0
+    for before, after in zip(way, way[1:]):
+        secs = (nanos(after.header.stamp) - nanos(before.header.stamp)) / 1e9
+        step = np.abs(np.array(after.position) - before.position).max()
+        assert step <= case["velocity"] * secs + 1e-5, (step, secs)
+        moved += step
+    for state in way:
+        for position, (low, high) in zip(state.position, case["ranges"]):
+            assert low <= position <= high
+    assert moved > 0.1, moved
+
+
+def pairs(case):
+    """Touches pair within the slop, whichever comes first; a hand waits for a late one."""
+    robot = Robot(case)
+    frames = case["frames"]
+
+    def touched(i, offset):
+        robot.peer.wait(lambda: any(nanos(t.hand_stamp) == 1000 * 10**9 + i * DT for t in robot.touches), f"touch {i}")
+        touch = [t for t in robot.touches if nanos(t.hand_stamp) == 1000 * 10**9 + i * DT][0]
+        assert nanos(touch.header.stamp) - nanos(touch.hand_stamp) == offset
+
+    robot.tactile.publish(tactile(frames[0], 0, offset=10_000_000))
+    # What is not one message's business may come in any order: the hand goes once the touch must have come.
+    robot.peer.rest(0.5)
+    robot.keypoints.publish(points(frames[0], 0))
+    touched(0, 10_000_000)
+    # The hand first: it waits.
+    robot.keypoints.publish(points(frames[1], 1))
+    robot.peer.rest(0.5)
+    stamps = {nanos(state.header.stamp) for state in robot.joints}
+    assert 1000 * 10**9 + DT not in stamps, "it waits for its touch"
+    robot.tactile.publish(tactile(frames[1], 1, offset=-12_000_000))
+    touched(1, -12_000_000)
+    # 13 ms is too far: the next one, which has a touch, overtakes it.
+    robot.tactile.publish(tactile(frames[2], 2, offset=13_000_000))
+    robot.keypoints.publish(points(frames[2], 2))
+    robot.keypoints.publish(points(frames[3], 3))
+    robot.tactile.publish(tactile(frames[3], 3))
+    touched(3, 0)
+    assert len(robot.touches) == 3
+
+
+def bad(case):
+    """Bad messages of every kind are named, the pose is held, and what follows is followed."""
+    robot = Robot(case)
+    frames = case["frames"]
+    robot.keypoints.publish(points(frames[0], 0))
+    robot.with_stamp(1000 * 10**9)
+    held = robot.settled()
+
+    spoilt = points(frames[1], 1)
+    spoilt.poses[8].position.y = math.nan
+    robot.keypoints.publish(spoilt)
+    robot.warned("keypoint 8 (index tip)")
+    short = points(frames[1], 2)
+    short.poses.pop()
+    robot.keypoints.publish(short)
+    robot.keypoints.publish(put_stamp(PoseArray(), 3))
+    mirrored = points(frames[1], 4)
+    for pose in mirrored.poses:
+        pose.position.x = -pose.position.x
+    robot.keypoints.publish(mirrored)
+    robot.poses.publish(put_stamp(HandPose(side=7, topology="egotac-hand-1"), 5))
+    robot.warned("expected 0 (left) or 1 (right)")
+    huge = points(frames[1], 6)
+    huge.poses[20].position.z = math.inf
+    robot.keypoints.publish(huge)
+    assert np.array_equal(robot.settled(), held), "held"
+    assert all(np.isfinite(state.position).all() for state in robot.joints)
+
+    # A bad touch does not spoil a good hand.
+    for k, spoil in enumerate((lambda m: setattr(m, "topology", "hoof"), lambda m: m.hands[1].force.__setitem__(5, -1.0))):
+        touch = tactile(frames[7 + k], 7 + k)
+        spoil(touch)
+        robot.tactile.publish(touch)
+        robot.keypoints.publish(points(frames[7 + k], 7 + k))
+        robot.with_stamp(1000 * 10**9 + (7 + k) * DT)
+    robot.warned("topology")
+    for i in (9, 10, 11):
+        robot.keypoints.publish(points(frames[i], i))
+        state = robot.with_stamp(1000 * 10**9 + i * DT)
+        assert np.isfinite(state.position).all()
+    assert np.abs(robot.settled() - held).max() > 1e-4, "it follows again"
+
+
+def switched(case):
+    """Disabled, nothing comes; enabled, hands are followed again."""
+    robot = Robot(case)
+    robot.keypoints.publish(points(case["frames"][0], 0))
+    robot.with_stamp(1000 * 10**9)
+    assert robot.peer.call(SetBool, "retargeter/set_enabled", SetBool.Request(data=False)).success
+    robot.silent()
+    robot.keypoints.publish(points(case["frames"][1], 1))
+    robot.silent()
+    assert robot.peer.call(SetBool, "retargeter/set_enabled", SetBool.Request(data=True)).success
+    robot.keypoints.publish(points(case["frames"][2], 2))
+    robot.with_stamp(1000 * 10**9 + 2 * DT)
+
+
+def anew(case):
+    """A recording that is played again is followed again."""
+    robot = Robot(case)
+    for base in (1000, 500):
+        for i, frame in enumerate(case["frames"]):
+            robot.keypoints.publish(points(frame, i, base=base))
+            robot.with_stamp(base * 10**9 + i * DT)
+        assert np.isfinite(robot.settled()).all()
+    robot.warned("stamps went back")
+
+
+def diagnostics(case):
+    """Counts by what became of the hands, and the solver's time."""
+    robot = Robot(case)
+
+    def values():
+        statuses = [s for array in robot.diagnostics for s in array.status if s.name == "retargeter: hands"]
+        return {v.key: v.value for v in statuses[-1].values} | {"level": statuses[-1].level} if statuses else {}
+
+    robot.peer.wait(lambda: values().get("level") == b"\x03", "a report of silence")
+    for i, frame in enumerate(case["frames"]):
+        robot.tactile.publish(tactile(frame, i))
+        robot.keypoints.publish(points(frame, i))
+        robot.with_stamp(1000 * 10**9 + i * DT)
+    spoilt = points(case["frames"][0], 7)
+    spoilt.poses[3].position.x = math.nan
+    robot.keypoints.publish(spoilt)
+    robot.peer.wait(lambda: values().get("dropped_refused") == "1", "the count of refused hands")
+    last = values()
+    assert last["processed"] == str(len(case["frames"])) and last["status_held"] == "1", last
+    assert sum(int(last[f"status_{name}"]) for name in ("solved", "repaired", "limited", "capped")) == len(case["frames"])
+    assert last["level"] == b"\x01" and float(last["solve_p50_us"]) > 0, last
+
+
+def mano(case):
+    """A hand on MANO's topology is refused by the parameter that would help; one on ours is followed."""
+    robot = Robot(case)
+    robot.poses.publish(hand_pose(case["frames"][0], 0))
+    robot.warned("mano_right")
+    robot.poses.publish(hand_pose(case["frames"][1], 1))
+    robot.with_stamp(1000 * 10**9 + DT)
+
+
+def pipeline(case):
+    """Simulator and predictor feed it: joints and touch come, with stamps of the same images."""
+    peer = Peer()
+    joints = peer.listen(JointState, "retargeter/joint_states")
+    touches = peer.listen(RobotTouch, "retargeter/touch")
+    name = peer.resolve_topic_name("retargeter/touch")
+    peer.wait(lambda: peer.count_publishers(name) > 0, "the retargeter")
+    print("listening", flush=True)
+    peer.wait(lambda: len(touches) >= 5 and joints, "five touches")
+    for touch in touches:
+        assert nanos(touch.header.stamp) == nanos(touch.hand_stamp)
+        assert touch.header.frame_id == "camera_optical"
+        assert all(math.isfinite(link.normal_force) and link.normal_force >= 0 for link in touch.links)
+    assert all(np.isfinite(state.position).all() for state in joints)
+
+
+if __name__ == "__main__":
+    with open(sys.argv[2]) as file:
+        globals()[sys.argv[1]](json.load(file))

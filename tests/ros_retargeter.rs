@@ -1,0 +1,201 @@
+//! The node `retargeter` against rclpy: what `tests/ros/retargeter_peer.py` sees of the real program.
+#![cfg(all(feature = "ros", feature = "sim"))]
+
+#[path = "ros/harness.rs"]
+mod harness;
+
+use std::path::PathBuf;
+
+use egotac::bench::retarget::trajectory::Trajectory;
+use egotac::hand::{HandModel, HandParams, N_VERTICES, Region, Side};
+use egotac::message::{Header, HandPose};
+use egotac::retarget::human::Hand;
+use egotac::retarget::touch::pool;
+use egotac::retarget::{Input, Retargeter, Robot, Touch};
+use glam::Vec3;
+use harness::{Running, Session};
+use serde_json::{Value, json};
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_egotac_retargeter");
+const PEER: &str = "retargeter_peer.py";
+/// Time between two frames of the peer, s.
+const DT: f64 = 0.04;
+
+fn node(session: &Session, ros_args: &[&str]) -> Running {
+    session.node(PROGRAM, ros_args)
+}
+
+/// Starts the node, lets the peer check one fact about `case`, and ends the node cleanly; returns what it printed.
+fn holds(fact: &str, case: &Value, ros_args: &[&str]) -> String {
+    let session = Session::new();
+    let path = session.path("case.json");
+    std::fs::write(&path, case.to_string()).unwrap();
+    let mut node = node(&session, ros_args);
+    session.check(PEER, &[fact, path.to_str().unwrap()]);
+    node.ends_cleanly("INT");
+    node.output()
+}
+
+/// Frames as the peer sends them, and what the library makes of them: `hand`, `force` (778), `qpos`, `normal_force`.
+fn case(robot: &str, frames: Vec<(Value, [glam::DVec3; 21], Vec<f32>)>) -> Value {
+    let mut retargeter = Retargeter::new(Robot::load(robot, None).unwrap()).unwrap();
+    let side = retargeter.robot().side();
+    let pool = pool::builtin(side).unwrap();
+    let names: Vec<String> = retargeter.robot().joint_names().into_iter().map(str::to_owned).collect();
+    let ranges: Vec<[f64; 2]> = {
+        let robot = retargeter.robot();
+        robot.output_joints().map(|joint| robot.parts.joints[joint].range).collect()
+    };
+    let frames: Vec<Value> = frames
+        .into_iter()
+        .enumerate()
+        .map(|(frame, (hand, keypoints, force))| {
+            let mut input = Input::new(keypoints, 1000.0 + frame as f64 * DT);
+            if !force.is_empty() {
+                let mut touch = Touch::default();
+                let contact: Vec<f32> = force.iter().map(|f| f32::from(*f > 0.05)).collect();
+                pool.add(&force, &contact, &mut touch).unwrap();
+                input.touch = Some(touch);
+            }
+            let output = retargeter.push(&input).unwrap();
+            let normal_force: Vec<f64> = output.feel.links.iter().map(|link| link.normal_force).collect();
+            let links: Vec<&str> = output.feel.links.iter().map(|link| link.name.as_str()).collect();
+            json!({
+                "hand": hand, "force": force, "qpos": output.qpos, "links": links, "normal_force": normal_force,
+                "net_force": output.feel.asked.to_array(),
+            })
+        })
+        .collect();
+    json!({ "joints": names, "ranges": ranges, "velocity": retargeter.robot().spec.limits.velocity, "frames": frames })
+}
+
+fn keypoints_json(keypoints: &[glam::DVec3; 21]) -> Value {
+    json!(keypoints.map(|point| point.to_array()))
+}
+
+/// A hand that moves freely, as keypoints; its index fingertip is pressed on.
+fn moving(frames: usize) -> Value {
+    let hands = Trajectory::generate(frames, 5).unwrap().keypoints;
+    let regions = HandModel::builtin(Side::Right).regions();
+    let pressed = |frame: usize| -> Vec<f32> {
+        let size = 0.02 * frame as f32;
+        regions.iter().map(|region| if *region == Region::IndexTip { size } else { 0.0 }).collect()
+    };
+    let frames = hands.iter().enumerate().map(|(frame, hand)| (keypoints_json(hand), *hand, pressed(frame)));
+    case("four_finger", frames.collect())
+}
+
+/// A hand that closes, as parameters.
+fn closing(frames: usize, side: Side) -> Value {
+    let model = HandModel::builtin(side);
+    let frames = (0..frames).map(|frame| {
+        let mut params = HandParams { transl: Vec3::new(0.1, -0.2, 0.4), ..HandParams::default() };
+        // Index to ring, second and third joints, a little.
+        let sign = if side == Side::Right { 1.0 } else { -1.0 };
+        for joint in [1, 2, 4, 5, 10, 11] {
+            params.hand_pose[joint] = Vec3::new(0.0, 0.0, sign * 0.02 * frame as f32);
+        }
+        let pose = HandPose::from_params(Header::default(), &model, &params);
+        let (p, q) = (pose.wrist.position, pose.wrist.orientation);
+        let hand = json!({
+            "side": pose.side, "topology": pose.topology, "position": [p.x, p.y, p.z], "orientation": [q.x, q.y, q.z, q.w],
+            "hand_pose": pose.hand_pose.to_vec(), "betas": pose.betas,
+        });
+        (hand, Hand::of_model(&model, &pose.to_params(&model).unwrap()), Vec::new())
+    });
+    case("four_finger", frames.collect())
+}
+
+#[test]
+fn keypoints_and_touch_are_followed_as_the_library_follows_them() {
+    assert_eq!(HandModel::builtin(Side::Right).v_template.len(), N_VERTICES);
+    let printed = holds("keypoints", &moving(25), &["-p", "touch_wait_ms:=60000.0"]);
+    assert!(printed.contains("four_finger") && printed.contains("follows the right hand"), "{printed}");
+}
+
+#[test]
+fn poses_are_followed_and_those_of_the_other_hand_passed_over() {
+    holds("poses", &closing(12, Side::Right), &[]);
+}
+
+#[test]
+fn joints_come_at_a_fixed_rate_with_a_trajectory_that_a_controller_takes() {
+    holds("rate", &moving(3), &["-p", "rate_hz:=25.0"]);
+}
+
+#[test]
+fn no_command_is_faster_than_the_joints_may() {
+    let mut jump = moving(2);
+    // The second hand is far from the first.
+    let far = Trajectory::generate(200, 5).unwrap().keypoints[60];
+    jump["frames"][1]["hand"] = keypoints_json(&far);
+    holds("velocity", &jump, &[]);
+}
+
+#[test]
+fn stamps_pair_within_the_slop_and_late_touch_is_waited_for() {
+    holds("pairs", &moving(8), &["-p", "touch_wait_ms:=60000.0", "-p", "sync_slop_ms:=12.0"]);
+}
+
+#[test]
+fn silence_and_bad_messages_hold_the_last_pose_and_end_nothing() {
+    let printed = holds("bad", &moving(12), &[]);
+    for said in ["keypoint 8 (index tip)", "poses", "topology", "expected 0 (left) or 1 (right)"] {
+        assert!(printed.contains(said), "{said}: {printed}");
+    }
+}
+
+#[test]
+fn it_can_be_switched_off_and_on() {
+    holds("switched", &moving(3), &[]);
+}
+
+#[test]
+fn stamps_that_go_back_begin_anew() {
+    holds("anew", &moving(10), &[]);
+}
+
+#[test]
+fn what_became_of_the_hands_is_in_the_diagnostics() {
+    holds("diagnostics", &moving(6), &[]);
+}
+
+#[test]
+fn an_unknown_robot_ends_the_node_at_once_with_those_that_are_known() {
+    let session = Session::new();
+    let mut node = node(&session, &["-p", "robot:=five_finger"]);
+    assert_eq!(node.wait().code(), Some(1));
+    let said = node.output();
+    assert!(said.contains("parameter robot") && said.contains("four_finger") && said.contains("gripper"), "{said}");
+}
+
+#[test]
+fn a_hand_of_mano_needs_its_file() {
+    let mut case = closing(2, Side::Right);
+    case["frames"][0]["hand"]["topology"] = json!("mano");
+    let printed = holds("mano", &case, &[]);
+    assert!(printed.contains("mano_right"), "{printed}");
+}
+
+#[test]
+fn a_simulated_hand_is_followed_with_the_touch_that_the_predictor_sees() {
+    let session = Session::new();
+    let model = format!("model:={}", session.checkpoint(&egotac::model::Config::toy()).display());
+    let predictor = ["-p", &model, "-p", "reliability:=reliable", "-r", "image:=image_raw"];
+    let mut predictor = session.node(env!("CARGO_BIN_EXE_egotac_predictor"), &predictor);
+    predictor.prints("images from");
+    let remapped = ["-r", "hand_pose:=truth/hand_pose", "-r", "tactile:=predictor/tactile"];
+    // Hands wait for touch as long as a busy machine takes.
+    let mut retargeter = node(&session, &[&remapped[..], &["-p", "touch_wait_ms:=60000.0"]].concat());
+    let seen: PathBuf = session.path("case.json");
+    std::fs::write(&seen, "{}").unwrap();
+    let mut peer = session.peer(PEER, &["pipeline", seen.to_str().unwrap()]);
+    peer.prints("listening");
+    let scene = ["-p", "scenes:=[lift_mug]", "-p", "wait_secs:=60.0", "-p", "width:=64", "-p", "height:=64"];
+    let mut simulator = session.node(env!("CARGO_BIN_EXE_egotac_simulator"), &scene);
+    let status = peer.wait();
+    assert!(status.success(), "{status}\n{}", peer.output());
+    simulator.ends_cleanly("INT");
+    retargeter.ends_cleanly("TERM");
+    predictor.ends_cleanly("INT");
+}
