@@ -1,10 +1,11 @@
 # Thin names for scripts/ and cargo.
 
-.PHONY: help setup demo test doctor lint bench check-cuda
+.PHONY: help setup demo demo-retarget test doctor lint bench check-cuda
 
 help:
 	@echo 'make setup       what this machine lacks: Python environment, ROS 2, messages, MuJoCo; writes env.sh'
 	@echo 'make demo        the main job for 15 seconds: simulator, predictor, verifier; results in out/demo/'
+	@echo 'make demo-retarget  a simulated hand grasps a mug, a robot hand follows; picture in out/demo-retarget/'
 	@echo 'make test        everything that CI runs'
 	@echo 'make doctor      what is missing on this machine, and how to fix it'
 	@echo 'make lint        formatting, clippy for each feature set, docs, shell scripts'
@@ -16,6 +17,9 @@ setup:
 
 demo:
 	@scripts/demo
+
+demo-retarget:
+	@scripts/demo-retarget
 
 test:
 	@scripts/test

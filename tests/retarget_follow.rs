@@ -71,6 +71,39 @@ fn limits_speeds_and_couplings_hold_whatever_comes() {
 }
 
 #[test]
+fn between_frames_a_robot_goes_on_as_fast_as_it_may_and_then_stays() {
+    let hands = hands(80).keypoints;
+    for name in OWN {
+        let (mut often, mut once) = (retargeter(name), retargeter(name));
+        for retargeter in [&mut often, &mut once] {
+            retargeter.push(&Input::new(hands[0], 0.0)).unwrap();
+        }
+        // A jump, far enough that no joint gets there at once; `once` has a second for it.
+        let late = Input::new(hands[60], 10.0);
+        let there = once.push_at(&late, 1.0).unwrap().qpos.clone();
+        let mut last = often.output().qpos.clone();
+        let most = often.robot().spec.limits.velocity * 0.01;
+        let mut now = 0.01;
+        often.push_at(&late, now).unwrap();
+        for _ in 0..100 {
+            assert!(apart(&last, &often.output().qpos) <= most + 1e-9, "{name} at {now} s");
+            last = often.output().qpos.clone();
+            now += 0.01;
+            often.advance(now).unwrap();
+        }
+        assert!(apart(&last, &there) < 1e-3, "{name}: {last:?} {there:?}");
+        assert_eq!(often.output().qpos, last, "{name} stays");
+        assert!(often.advance(f64::NAN).is_err());
+        // Time that goes back moves nothing, and stops nothing for good.
+        often.advance(0.0).unwrap();
+        assert_eq!(often.output().qpos, last);
+        often.reset();
+        often.push_at(&Input::new(hands[0], 0.0), 0.0).unwrap();
+        assert!(apart(&last, &often.output().qpos) > 0.0, "{name} moves after a new beginning");
+    }
+}
+
+#[test]
 fn a_bad_frame_is_named_and_held_and_forgotten_in_three() {
     let good = hands(80).keypoints;
     type Spoil = fn(&mut [DVec3; 21]);

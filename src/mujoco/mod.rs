@@ -12,6 +12,7 @@ pub mod parts;
 mod pose;
 pub mod preset;
 pub mod renderer;
+pub mod view;
 pub mod world;
 
 pub use audit::{Expectation, Finding, Rule, Severity, audit};
@@ -21,6 +22,7 @@ pub use inspect::Grip;
 pub use options::{Cone, Integrator, PhysicsOptions, Solver};
 pub use preset::Preset;
 pub use renderer::Renderer;
+pub use view::View;
 pub use world::{Contact, World};
 
 /// Version of the engine this program runs with.

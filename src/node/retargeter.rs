@@ -22,7 +22,8 @@ use crate::message::{
     TactileFrame, Time, Vector3, Wrench,
 };
 use crate::retarget::human::Hand;
-use crate::retarget::{Input, LinkFeel, Options, Output, Pool, Retargeter, Robot, Status, Touch};
+use crate::retarget::touch::LinkFeel;
+use crate::retarget::{Input, Options, Output, Pool, Retargeter, Robot, Status, Touch};
 use crate::tactile::Topology;
 
 /// The newest times of the solver that percentiles look back on.

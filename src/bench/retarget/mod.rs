@@ -1,6 +1,7 @@
 //! What retargeting costs and how exact it is: time, objective, limits, touch, jitter, beside other programs.
 
 pub mod follow;
+pub mod grip;
 pub mod objective;
 pub mod peer;
 pub mod plot;
@@ -10,6 +11,7 @@ pub mod trajectory;
 use serde::{Deserialize, Serialize};
 
 use self::follow::{Followed, follow, jerk, lag};
+use self::grip::Grips;
 use self::objective::{Setup, Solved, solve, vectors};
 use self::trajectory::{Noise, Trajectory};
 use crate::bench::Machine;
@@ -17,6 +19,9 @@ use crate::error::Result;
 use crate::retarget::Robot;
 use crate::retarget::robot::spec::Pairs;
 use crate::retarget::solver::Stop;
+
+/// Balls that are gripped.
+const GRIPS: usize = 100;
 
 /// What to measure.
 #[derive(Debug, Clone)]
@@ -52,6 +57,8 @@ pub struct Report {
     pub robots: Vec<Row>,
     /// Time against exactness.
     pub costs: Vec<Cost>,
+    /// Balls gripped in simulation.
+    pub grips: Grips,
 }
 
 /// A peer's objective on one robot.
@@ -140,6 +147,7 @@ pub fn run(plan: &Plan, mut say: impl FnMut(&str)) -> Result<Report> {
         objectives: Vec::new(),
         robots: Vec::new(),
         costs: Vec::new(),
+        grips: Grips::default(),
     };
     for setup in setups().into_iter().filter(|setup| plan.robots.contains(&setup.robot)) {
         let mut robot = bare(&setup)?;
@@ -190,6 +198,8 @@ pub fn run(plan: &Plan, mut say: impl FnMut(&str)) -> Result<Report> {
         }
         report.costs.extend(choices(name, &inputs[1].2, &mut say)?);
     }
+    say("grips in simulation");
+    report.grips = grip::measure(&clean, GRIPS)?;
     Ok(report)
 }
 

@@ -85,6 +85,19 @@ pub fn markdown(report: &Report) -> String {
             ),
         );
     }
+    let grips = &report.grips;
+    put(
+        &mut text,
+        format_args!(
+            "\nGrips in simulation: {} balls between the thumb and another finger of `four_finger`, at the pose and with the \
+             torques that come out; {} were lost. The force on the others differs from the expected one by {:.0} % (median), \
+             {:.0} % (nine of ten).",
+            grips.count,
+            grips.lost,
+            100.0 * grips.error_median,
+            100.0 * grips.error_p90,
+        ),
+    );
     put(&mut text, format_args!("\n## Jitter\n"));
     put(
         &mut text,

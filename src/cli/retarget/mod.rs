@@ -1,6 +1,8 @@
 //! `egotac retarget`: a human hand's pose and touch, carried over to a robot hand.
 
 #[cfg(feature = "sim")]
+mod demo;
+#[cfg(feature = "sim")]
 mod inspect;
 #[cfg(feature = "sim")]
 mod run;
@@ -25,6 +27,8 @@ enum Command {
     New(New),
     /// List the robots that are part of the program.
     List,
+    /// Simulate a hand that grasps, follow it with a robot, and draw both with their forces.
+    Demo(Demo),
 }
 
 #[derive(Debug, clap::Args)]
@@ -88,6 +92,31 @@ struct New {
     out: Option<PathBuf>,
 }
 
+#[derive(Debug, clap::Args)]
+struct Demo {
+    /// Robot: a name of `egotac retarget list`, a YAML file, or a model (MJCF or URDF).
+    #[arg(long, value_name = "NAME|YAML|MODEL", default_value = "four_finger")]
+    robot: String,
+    /// Model in place of the one that the robot's YAML names.
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Scene to play: a name of `egotac sim list`, or a YAML file.
+    #[arg(long, default_value = "lift_mug")]
+    scene: String,
+    /// Seed of the rollout.
+    #[arg(long, default_value_t = 900_000)]
+    seed: u64,
+    /// Where touch comes from: the simulator's truth, or what the network sees in the images.
+    #[arg(long, default_value = "truth", value_parser = ["truth", "predicted"])]
+    touch: String,
+    /// Checkpoint for predicted touch; the shipped one if absent.
+    #[arg(long, value_name = "FILE")]
+    checkpoint: Option<PathBuf>,
+    /// Folder for the picture (retarget.png) and the report (retarget.json).
+    #[arg(long, value_name = "FOLDER", default_value = "out/demo-retarget")]
+    out: PathBuf,
+}
+
 /// Runs the command.
 #[cfg(not(feature = "sim"))]
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
@@ -96,6 +125,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Inspect(_) => "retarget inspect",
         Command::New(_) => "retarget new",
         Command::List => "retarget list",
+        Command::Demo(_) => "retarget demo",
     };
     Err(super::feature_off(name, "sim"))
 }
@@ -108,6 +138,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Inspect(args) => inspect::inspect(&args)?,
         Command::New(args) => inspect::new(&args)?,
         Command::List => crate::retarget::robot::source::names().for_each(|name| println!("{name}")),
+        Command::Demo(args) => demo::demo(&args)?,
     }
     Ok(ExitCode::SUCCESS)
 }
