@@ -180,27 +180,20 @@ fn messages_of_robots_are_what_ros_serialises() {
             header: header(""),
             name: names.clone(),
             position: vec![0.5, -0.25],
-            velocity: vec![],
+            velocity: vec![0.125, 2.0],
             effort: vec![1.0],
         },
     );
-    let first = JointTrajectoryPoint {
+    let point = JointTrajectoryPoint {
         positions: vec![0.5, -0.25],
-        velocities: vec![],
-        accelerations: vec![],
-        effort: vec![],
-        time_from_start: Duration { sec: 0, nanosec: 16_666_667 },
-    };
-    let second = JointTrajectoryPoint {
-        positions: vec![],
         velocities: vec![1.0],
-        accelerations: vec![2.0],
+        accelerations: vec![2.0, 4.0],
         effort: vec![3.0],
-        time_from_start: Duration::default(),
+        time_from_start: Duration { sec: 2, nanosec: 16_666_667 },
     };
     agrees(
         "joint_trajectory",
-        &JointTrajectory { header: Header::default(), joint_names: names, points: vec![first, second] },
+        &JointTrajectory { header: Header::default(), joint_names: names, points: vec![point] },
     );
 }
 

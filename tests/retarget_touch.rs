@@ -1,7 +1,7 @@
 //! Touch carried over: sums, cones, limits, merged fingers, pooled vertices, and a grip in simulation.
 #![cfg(feature = "sim")]
 
-use egotac::bench::retarget::grip;
+use egotac::bench::retarget::grip::{self, Hold};
 use egotac::bench::retarget::trajectory::Trajectory;
 use egotac::hand::{HandModel, HandParams, N_VERTICES, Region, Side};
 use egotac::retarget::human::Hand;
@@ -236,11 +236,14 @@ fn a_press_on_a_pad_points_into_it_in_any_pose() {
 }
 
 #[test]
-fn a_ball_between_two_fingertips_is_pressed_as_hard_as_expected() {
+fn an_object_between_two_fingertips_is_pressed_as_hard_as_expected() {
     let trajectory = Trajectory::generate(600, 2).unwrap();
-    let grips = grip::measure(&trajectory, 24).unwrap();
-    assert!(grips.count >= 12 && grips.lost * 10 <= grips.count, "{grips:?}");
-    assert!(grips.error_median <= 0.2, "{grips:?}");
+    for hold in [Hold::Fixed, Hold::Free] {
+        let grips = grip::measure(&trajectory, 24, hold).unwrap();
+        eprintln!("{hold:?} {grips:?}");
+        assert!(grips.count >= 12 && grips.lost * 10 <= grips.count, "{hold:?}: {grips:?}");
+        assert!(grips.error_median <= 0.2, "{hold:?}: {grips:?}");
+    }
 }
 
 #[test]

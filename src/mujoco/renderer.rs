@@ -3,10 +3,10 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use ::image::RgbImage;
-use glam::DVec3;
 use mujoco_rs::prelude::*;
 use mujoco_rs::renderer::MjRenderer;
 
+use super::view::View;
 use super::world::World;
 use crate::error::{Error, Result};
 
@@ -49,19 +49,19 @@ impl Renderer {
         Ok(Self { inner, width, height })
     }
 
-    /// Likewise, seen from `distance` metres towards `toward` of a point, both in the world frame, z up.
+    /// Likewise, from a point of view.
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub fn around(world: &World, point: DVec3, toward: DVec3, distance: f64, width: u32, height: u32) -> Result<Self> {
+    pub(super) fn around(world: &World, view: &View, (width, height): (u32, u32), depth: bool) -> Result<Self> {
         let mut camera = MjvCamera::new_free(world.model());
         // The camera's angles are those of the way it looks.
-        let look = -toward.normalize_or_zero();
-        camera.lookat = point.to_array();
-        camera.distance = distance;
+        let look = -view.toward.normalize_or_zero();
+        camera.lookat = view.point.to_array();
+        camera.distance = view.distance;
         camera.azimuth = look.y.atan2(look.x).to_degrees();
         camera.elevation = look.z.clamp(-1.0, 1.0).asin().to_degrees();
-        Self::open(world, camera, width, height, false)
+        Self::open(world, camera, width, height, depth)
     }
 
     /// OpenGL contexts that this process has opened so far.

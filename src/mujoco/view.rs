@@ -18,12 +18,12 @@ pub struct View {
 }
 
 impl View {
-    /// Opens a renderer for `width` x `height` pixels.
+    /// Opens a renderer for `width` x `height` pixels, with distances where `depth` says so.
     ///
     /// # Errors
     /// As [`Renderer::new`].
-    pub fn renderer(&self, world: &World, width: u32, height: u32) -> Result<Renderer> {
-        Renderer::around(world, self.point, self.toward, self.distance, width, height)
+    pub fn renderer(&self, world: &World, width: u32, height: u32, depth: bool) -> Result<Renderer> {
+        Renderer::around(world, self, (width, height), depth)
     }
 
     /// Where a point of the world lies in a picture of `width` x `height` pixels, x to the right and y down; None = behind
@@ -54,7 +54,7 @@ mod tests {
         let ball = DVec3::new(0.05, -0.08, 0.21);
         for toward in [DVec3::X, DVec3::new(-0.3, 0.8, 0.4), DVec3::new(0.5, -0.5, -0.2)] {
             let view = View { point: DVec3::new(0.0, 0.0, 0.15), toward, distance: 0.6 };
-            let mut renderer = view.renderer(&world, 320, 240).unwrap();
+            let mut renderer = view.renderer(&world, 320, 240, false).unwrap();
             world.forward();
             let picture = renderer.render(&mut world).unwrap();
             let red: Vec<_> = picture.enumerate_pixels().filter(|(.., p)| p[0] > 40 && p[1] < p[0] / 4).collect();

@@ -447,7 +447,8 @@ impl Worker {
                 counts.refused = Some(error.to_string());
                 drop(counts);
                 self.state.hands.dropped("refused");
-                self.log.warn_throttled("refused", format!("a hand was left out, the last pose is held: {error}"));
+                let kind = format!("refused {}", cause(&error));
+                self.log.warn_throttled(&kind, format!("a hand was left out, the last pose is held: {error}"));
                 return false;
             }
         };
@@ -513,6 +514,14 @@ impl Worker {
             joint_names: self.names.masters.clone(),
             points: vec![point],
         })
+    }
+}
+
+/// What is wrong with a hand, without what came: each cause has warnings of its own.
+fn cause(error: &Error) -> &str {
+    match error {
+        Error::Value { name, .. } | Error::Shape { name, .. } => name,
+        _ => "",
     }
 }
 

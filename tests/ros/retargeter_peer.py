@@ -246,16 +246,19 @@ def bad(case):
     short = points(frames[1], 2)
     short.poses.pop()
     robot.keypoints.publish(short)
-    robot.keypoints.publish(put_stamp(PoseArray(), 3))
-    mirrored = points(frames[1], 4)
+    robot.warned("poses")
+    mirrored = points(frames[1], 3)
     for pose in mirrored.poses:
         pose.position.x = -pose.position.x
     robot.keypoints.publish(mirrored)
-    robot.poses.publish(put_stamp(HandPose(side=7, topology="egotac-hand-1"), 5))
+    robot.warned("mirror")
+    robot.poses.publish(put_stamp(HandPose(side=7, topology="egotac-hand-1"), 4))
     robot.warned("expected 0 (left) or 1 (right)")
-    huge = points(frames[1], 6)
+    huge = points(frames[1], 5)
     huge.poses[20].position.z = math.inf
     robot.keypoints.publish(huge)
+    robot.warned("keypoint 20 (little tip)")
+    robot.keypoints.publish(put_stamp(PoseArray(), 6))
     assert np.array_equal(robot.settled(), held), "held"
     assert all(np.isfinite(state.position).all() for state in robot.joints)
 

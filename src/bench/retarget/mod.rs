@@ -11,7 +11,7 @@ pub mod trajectory;
 use serde::{Deserialize, Serialize};
 
 use self::follow::{Followed, follow, jerk, lag};
-use self::grip::Grips;
+use self::grip::{Grips, Hold};
 use self::objective::{Setup, Solved, solve, vectors};
 use self::trajectory::{Noise, Trajectory};
 use crate::bench::Machine;
@@ -199,7 +199,7 @@ pub fn run(plan: &Plan, mut say: impl FnMut(&str)) -> Result<Report> {
         report.costs.extend(choices(name, &inputs[1].2, &mut say)?);
     }
     say("grips in simulation");
-    report.grips = grip::measure(&clean, GRIPS)?;
+    report.grips = grip::measure(&clean, GRIPS, Hold::Free)?;
     Ok(report)
 }
 

@@ -89,9 +89,9 @@ pub fn markdown(report: &Report) -> String {
     put(
         &mut text,
         format_args!(
-            "\nGrips in simulation: {} balls between the thumb and another finger of `four_finger`, at the pose and with the \
-             torques that come out; {} were lost. The force on the others differs from the expected one by {:.0} % (median), \
-             {:.0} % (nine of ten).",
+            "\nGrips in simulation: {} objects (two balls, joined, one where each fingertip is pressed) between the thumb and \
+             another finger of `four_finger`, without gravity, at the pose and with the torques that come out; {} were lost. \
+             The fingertips' forces differ from the expected ones by {:.0} % (median), {:.0} % (nine of ten).",
             grips.count,
             grips.lost,
             100.0 * grips.error_median,

@@ -3,6 +3,8 @@
 
 Needs rclpy and a built egotac_msgs (`source env.sh`). Every number that is sent in single precision is exact in it.
 
+ROS pads a message after sequences that are empty; those here are not.
+
 ROS leaves the bytes between aligned fields as its memory allocator gave them; the C library is told to give zeros
 (perturb = 255: new memory holds the complement; small blocks only without its cache), so that the files are the same
 each time.
@@ -139,13 +141,18 @@ MESSAGES = {
         header=header("world"),
         poses=[Pose(position=Point(x=0.25, y=-0.5, z=0.75)), Pose(orientation=Quaternion(x=0.5, y=-0.5, z=0.5, w=0.5))],
     ),
-    "joint_state": JointState(header=header(""), name=["a", "b"], position=[0.5, -0.25], effort=[1.0]),
+    "joint_state": JointState(header=header(""), name=["a", "b"], position=[0.5, -0.25], velocity=[0.125, 2.0], effort=[1.0]),
     "joint_trajectory": JointTrajectory(
         header=Header(),
         joint_names=["a", "b"],
         points=[
-            JointTrajectoryPoint(positions=[0.5, -0.25], time_from_start=Duration(sec=0, nanosec=16_666_667)),
-            JointTrajectoryPoint(velocities=[1.0], accelerations=[2.0], effort=[3.0]),
+            JointTrajectoryPoint(
+                positions=[0.5, -0.25],
+                velocities=[1.0],
+                accelerations=[2.0, 4.0],
+                effort=[3.0],
+                time_from_start=Duration(sec=2, nanosec=16_666_667),
+            )
         ],
     ),
     "image": Image(

@@ -12,7 +12,7 @@ use plotters::prelude::*;
 use super::Moment;
 use crate::file;
 use crate::hand::HandModel;
-use crate::mujoco::View;
+use crate::mujoco::{View, World};
 use crate::render;
 use crate::retarget::Robot;
 use crate::retarget::robot::frame;
@@ -26,7 +26,7 @@ const PANEL: u32 = 460;
 /// The robot is drawn so much larger and then reduced, for smooth arrows.
 const FINE: u32 = 2;
 /// Length of an arrow, m per newton, and the longest, m.
-const ARROW: (f64, f64) = (0.03, 0.09);
+const ARROW: (f64, f64) = (0.015, 0.07);
 const HUMAN: RGBColor = RGBColor(30, 30, 30);
 const ROBOT: RGBColor = RGBColor(31, 119, 180);
 
@@ -95,9 +95,8 @@ fn robot_picture(robot: &mut Robot, moment: &Moment) -> Result<RgbImage> {
     let reach = tips.iter().chain([&wrist]).map(|place| place.distance(middle)).fold(0.05, f64::max);
     // From the palm's side, a little from the thumb's, as the human hand is seen.
     let toward = axes.x_axis + 0.45 * axes.y_axis;
-    let view = View { point: middle, toward, distance: 3.6 * reach };
-    let world = &mut robot.world;
-    let small = view.renderer(world, PANEL, PANEL)?.render(world)?;
+    let view = View { point: middle, toward, distance: 2.9 * reach };
+    let small = on_paper(&view, &mut robot.world)?;
     let edge = FINE * PANEL;
     let mut large = resize(&small, edge, edge, FilterType::CatmullRom).into_raw();
     {
@@ -121,6 +120,20 @@ fn robot_picture(robot: &mut Robot, moment: &Moment) -> Result<RgbImage> {
     }
     let large = RgbImage::from_raw(edge, edge, large).context("picture buffer has another size")?;
     Ok(resize(&large, PANEL, PANEL, FilterType::Triangle))
+}
+
+/// The robot alone, on paper.
+fn on_paper(view: &View, world: &mut World) -> Result<RgbImage> {
+    let mut renderer = view.renderer(world, PANEL, PANEL, true)?;
+    let mut picture = renderer.render(world)?;
+    let depth = renderer.depth();
+    let farthest = depth.iter().copied().fold(0.0, f32::max);
+    for (pixel, depth) in picture.pixels_mut().zip(&depth) {
+        if *depth >= 0.99 * farthest {
+            *pixel = Rgb([255, 255, 255]);
+        }
+    }
+    Ok(picture)
 }
 
 /// An arrow with a dark rim, pixels.
