@@ -53,6 +53,11 @@ mod engine {
     }
 
     #[test]
+    fn hands_that_robots_follow() {
+        family(Family::Retargeting);
+    }
+
+    #[test]
     fn what_would_end_the_process() {
         family(Family::Process);
     }

@@ -22,6 +22,8 @@ mod mesh;
 #[cfg(feature = "sim")]
 mod process;
 #[cfg(feature = "sim")]
+mod retarget;
+#[cfg(feature = "sim")]
 mod scene;
 #[cfg(feature = "sim")]
 mod stability;
@@ -66,6 +68,8 @@ pub enum Family {
     Network,
     /// What enters training, and its steps.
     Training,
+    /// Hands that robots follow.
+    Retargeting,
 }
 
 impl Family {
@@ -176,6 +180,8 @@ pub fn registry() -> Vec<HardCase> {
     for family in [rotation::CASES, hand::CASES, label::CASES, entrances::CASES, network::CASES, trainer::CASES] {
         cases.extend_from_slice(family);
     }
+    #[cfg(feature = "sim")]
+    cases.extend_from_slice(retarget::CASES);
     cases
 }
 
