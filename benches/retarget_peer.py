@@ -1,15 +1,21 @@
 #!/usr/bin/env python3
 """Another program on the same input: what `egotac bench retarget --peer` runs beside ours.
 
-    python benches/retarget_peer.py --input FILE --peer dexi-rs|dex-retargeting
+    python benches/retarget_peer.py --input FILE --peer dexi-rs|dex-retargeting|mink
 
 The file (safetensors) holds `vectors` (T, K, 3), wrist to fingertips in the robot's frame, and in its metadata `urdf`,
-`wrist`, `tips` (JSON list) and `scale`. Needs numpy and the peer. Prints JSON: median_us and p99_us per frame, jerk
+`wrist`, `tips` (JSON list) and `scale`. Needs numpy and the peer (all three: pip install dexi-rs==0.4.1
+dex-retargeting==0.5.0 mink==1.3.0 daqp). Prints JSON: the peer's name and version, median_us and p99_us per frame, jerk
 (rad/s^3, root mean square) without smoothing and with a low pass that lags by 50 ms.
+
+dexi-rs and dex-retargeting solve the same objective to convergence. mink has none of its own: here it takes one step per
+frame, as in its examples, towards the same points with a frame task per tip, damping and joint limits.
 """
 import argparse
+import importlib.metadata
 import json
 import time
+import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 
@@ -23,7 +29,43 @@ def read(path):
     return header["__metadata__"], data.reshape(header["vectors"]["shape"])
 
 
+def with_mink(meta, alpha):
+    import mink
+    import mujoco
+
+    robot = ElementTree.parse(meta["urdf"]).getroot()
+    for link in robot.iter("link"):
+        for shape in link.findall("visual") + link.findall("collision"):
+            link.remove(shape)
+    keep = ElementTree.SubElement(robot, "mujoco")
+    ElementTree.SubElement(keep, "compiler", fusestatic="false", balanceinertia="true", boundmass="1e-4", boundinertia="1e-9")
+    model = mujoco.MjModel.from_xml_string(ElementTree.tostring(robot, encoding="unicode"))
+    configuration = mink.Configuration(model)
+    tasks = [
+        mink.FrameTask(frame_name=tip, frame_type="body", position_cost=1.0, orientation_cost=0.0)
+        for tip in json.loads(meta["tips"])
+    ]
+    damping = mink.DampingTask(model, cost=1e-2)
+    limits = [mink.ConfigurationLimit(model)]
+    wrist = configuration.data.body(meta["wrist"]).xpos.copy()
+    scale, last = float(meta["scale"]), configuration.q.copy()
+
+    def step(vectors):
+        nonlocal last
+        for task, vector in zip(tasks, vectors):
+            task.set_target(mink.SE3.from_translation(wrist + scale * vector))
+        dt = 1.0 / 30.0
+        velocity = mink.solve_ik(configuration, [*tasks, damping], dt, solver="daqp", limits=limits)
+        configuration.integrate_inplace(velocity, dt)
+        last = last + alpha * (configuration.q - last)
+        return last.copy()
+
+    return step
+
+
 def build(peer, meta, alpha):
+    if peer == "mink":
+        return with_mink(meta, alpha)
     tips = json.loads(meta["tips"])
     scale = float(meta["scale"])
     origins = [meta["wrist"]] * len(tips)
@@ -57,13 +99,14 @@ def follow(step, vectors):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--input", required=True)
-    parser.add_argument("--peer", default="dexi-rs", choices=["dexi-rs", "dex-retargeting"])
+    parser.add_argument("--peer", default="dexi-rs", choices=["dexi-rs", "dex-retargeting", "mink"])
     args = parser.parse_args()
     meta, vectors = read(args.input)
     times, jerk = follow(build(args.peer, meta, 1.0), vectors)
     # y += a (x - y) lags by (1 - a) / a frames: 1.5 frames are 50 ms.
     _, smooth = follow(build(args.peer, meta, 0.4), vectors)
     print(json.dumps({
+        "name": f"{args.peer} {importlib.metadata.version(args.peer)}",
         "median_us": float(np.median(times)), "p99_us": float(np.percentile(times, 99)),
         "jerk": jerk, "jerk_50ms": smooth}))
 

@@ -68,9 +68,12 @@ struct Retarget {
     /// Seed of the trajectory and its noise.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Command that runs a peer on the same vectors, such as `python benches/retarget_peer.py`.
+    /// Command that runs a peer on the same vectors, such as `python benches/retarget_peer.py --peer dexi-rs`; repeatable.
     #[arg(long, value_name = "COMMAND")]
-    peer: Option<String>,
+    peer: Vec<String>,
+    /// What else the machine did, for the table.
+    #[arg(long, value_name = "TEXT")]
+    load: Option<String>,
     /// Print JSON in place of the tables.
     #[arg(long)]
     json: bool,
@@ -272,7 +275,8 @@ mod with_sim {
             robots,
             frames: args.frames as usize,
             seed: args.seed,
-            peer: args.peer.clone(),
+            peers: args.peer.clone(),
+            load: args.load.clone(),
         };
         let bar = progress::told_bar();
         let report = retargeting::run(&plan, |what| bar.set_message(what.to_owned()))?;

@@ -255,10 +255,12 @@ impl Goal {
         let FingerGoal { human, pinch: Some(pinch), .. } = self.fingers[k] else { return };
         let distance = points[keypoint(human, 3)].distance(points[keypoint(0, 3)]);
         let human_gap = (distance - TOUCHING * size).max(0.0);
-        // What lies between two fingers has one size, whatever hand it is in: gaps are not scaled.
+        let near = smoothstep((NOTICED * size - distance) / ((NOTICED - MINDED) * size));
+        // What lies between two fingers that are near has one size, whatever hand it is in; how far open fingers are apart
+        // goes with the hand.
+        let human_gap = human_gap * size.powf(near - 1.0);
         let both = touch.map(|touch| touch.tip_contact[0].min(touch.tip_contact[human]));
         let closing = human_gap * smoothstep((human_gap - CLOSED) / (OPEN - CLOSED));
-        let near = smoothstep((NOTICED - distance) / (NOTICED - MINDED));
         let (target, share) = match both {
             Some(both) if both > 0.5 => (closing, near.max(0.5)),
             Some(_) => (human_gap.max(APART), near),
@@ -297,6 +299,18 @@ impl Goal {
             solved = Solved { iterations: solved.iterations + more.iterations, ..more };
         }
         Ok(solved)
+    }
+
+    /// Finds a pose to start from, as if no link were in another's way and no finger met another.
+    ///
+    /// # Errors
+    /// As [`Self::solve`].
+    pub fn solve_open(&mut self, solver: &mut Solver, robot: &mut Robot, stop: Stop, u: &mut [f64]) -> Result<()> {
+        let active = std::mem::take(&mut self.problem.active);
+        let Robot { world, parts, coupling, .. } = &mut *robot;
+        let solved = solver.solve(&mut self.problem, world, parts, coupling, stop, u);
+        self.problem.active = active;
+        solved.map(|_| ())
     }
 
     /// Has those pairs count that are nearer than a distance in the robot's present pose; returns how many were added.

@@ -56,6 +56,10 @@ const SLIDE_SHARE: f64 = 0.1;
 /// A cost that rises by this factor and amount (m²) within a frame is looked at from other starts.
 const JUMP: f64 = 4.0;
 const WORTH: f64 = 1e-3;
+/// A cost above that amount is looked at from one other start in so many frames: the pose may be caught behind a link.
+const PATROL: usize = 3;
+/// Another pose is moved to in mid-motion where it costs less than this share.
+const BETTER: f64 = 0.7;
 
 /// One frame.
 #[derive(Debug, Clone)]
@@ -142,6 +146,21 @@ impl Default for Options {
     }
 }
 
+/// Where the solver begins when the last pose may lead into a corner.
+#[derive(Debug, Clone, Copy)]
+enum Start {
+    /// Where the robot would be if links could pass through each other.
+    Open,
+    /// At rest.
+    Rest,
+    /// Half closed.
+    HalfClosed,
+}
+
+impl Start {
+    const ALL: [Start; 3] = [Self::Open, Self::Rest, Self::HalfClosed];
+}
+
 /// Follows a human hand with a robot's.
 #[derive(Debug)]
 pub struct Retargeter {
@@ -167,6 +186,8 @@ pub struct Retargeter {
     /// Whether anything came out yet.
     gave_out: bool,
     cost: f64,
+    /// Counts the frames in which the cost is worth a look from another start.
+    patrol: usize,
     output: Output,
 }
 
@@ -214,6 +235,7 @@ impl Retargeter {
             given_at: None,
             gave_out: false,
             cost: f64::INFINITY,
+            patrol: 0,
             output,
             robot,
         })
@@ -362,25 +384,50 @@ impl Retargeter {
         self.next.copy_from_slice(&self.u);
         let solved = self.goal.solve(&mut self.solver, &mut self.robot, self.options.stop, &mut self.next)?;
         let (mut best, mut iterations, mut converged) = (solved.cost, solved.iterations, solved.converged);
-        if is_new || best > JUMP * self.cost + WORTH {
-            // The last pose may lead into a corner: try from rest, and from half closed.
-            for share in [0.0, 0.4] {
-                for (k, other) in self.other.iter_mut().enumerate() {
-                    let coupling = &self.robot.coupling;
-                    let middle = 0.5 * (coupling.low[k] + coupling.high[k]);
-                    *other = self.robot.rest[k] + share * (middle - self.robot.rest[k]);
-                }
-                let solved = self.goal.solve(&mut self.solver, &mut self.robot, self.options.stop, &mut self.other)?;
-                iterations += solved.iterations;
-                if solved.cost < best {
-                    best = solved.cost;
-                    converged = solved.converged;
-                    self.next.copy_from_slice(&self.other);
-                }
+        let is_lost = is_new || best > JUMP * self.cost + WORTH;
+        let mut starts = 0..0;
+        if is_lost {
+            starts = 0..Start::ALL.len();
+        } else if best > WORTH {
+            self.patrol = (self.patrol + 1) % (PATROL * Start::ALL.len());
+            if self.patrol.is_multiple_of(PATROL) {
+                let start = self.patrol / PATROL;
+                starts = start..start + 1;
+            }
+        }
+        let share = if is_lost { 1.0 } else { BETTER };
+        for start in &Start::ALL[starts] {
+            self.begin(*start)?;
+            let solved = self.goal.solve(&mut self.solver, &mut self.robot, self.options.stop, &mut self.other)?;
+            iterations += solved.iterations;
+            if solved.cost < share * best {
+                best = solved.cost;
+                converged = solved.converged;
+                self.next.copy_from_slice(&self.other);
             }
         }
         self.cost = best;
         Ok((iterations, converged))
+    }
+
+    /// Puts another start into `other`.
+    fn begin(&mut self, start: Start) -> Result<()> {
+        let coupling = &self.robot.coupling;
+        match start {
+            Start::Open => {
+                self.other.copy_from_slice(&self.next);
+                let stop = self.options.stop;
+                self.goal.solve_open(&mut self.solver, &mut self.robot, stop, &mut self.other)?;
+            }
+            Start::Rest => self.other.copy_from_slice(&self.robot.rest),
+            Start::HalfClosed => {
+                for (k, other) in self.other.iter_mut().enumerate() {
+                    let middle = 0.5 * (coupling.low[k] + coupling.high[k]);
+                    *other = self.robot.rest[k] + 0.4 * (middle - self.robot.rest[k]);
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Moves towards the pose found as far as the joints' speeds allow; whether one did not allow all.

@@ -20,7 +20,9 @@ use crate::retarget::Robot;
 use crate::retarget::robot::spec::Pairs;
 use crate::retarget::solver::Stop;
 
-/// Balls that are gripped.
+/// Frames for which the best objective is looked for.
+const COMPARED: usize = 2000;
+/// Objects that are gripped.
 const GRIPS: usize = 100;
 
 /// What to measure.
@@ -34,8 +36,10 @@ pub struct Plan {
     pub frames: usize,
     /// Seed of the trajectory and its noise.
     pub seed: u64,
-    /// Command that runs a peer, if one shall be.
-    pub peer: Option<String>,
+    /// Commands that run peers.
+    pub peers: Vec<String>,
+    /// What else the machine did, if anybody says so.
+    pub load: Option<String>,
 }
 
 /// All that was measured.
@@ -47,6 +51,8 @@ pub struct Report {
     pub version: String,
     /// The machine.
     pub machine: Machine,
+    /// What else it did.
+    pub load: Option<String>,
     /// Frames per run.
     pub frames: usize,
     /// Seed.
@@ -70,8 +76,8 @@ pub struct Objective {
     pub noise_mm: f64,
     /// Ours.
     pub ours: Solved,
-    /// The peer on the same vectors.
-    pub peer: Option<peer::Timing>,
+    /// Peers on the same vectors.
+    pub peers: Vec<peer::Timing>,
 }
 
 /// A robot that followed with everything on.
@@ -142,6 +148,7 @@ pub fn run(plan: &Plan, mut say: impl FnMut(&str)) -> Result<Report> {
         command: plan.command.clone(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         machine: Machine::this(),
+        load: plan.load.clone(),
         frames: plan.frames,
         seed: plan.seed,
         objectives: Vec::new(),
@@ -154,10 +161,14 @@ pub fn run(plan: &Plan, mut say: impl FnMut(&str)) -> Result<Report> {
         for (name, noise_mm, trajectory) in &inputs[..3] {
             say(&format!("{}, objective, {name}", setup.robot));
             let targets = vectors(&robot, &setup, trajectory)?;
-            let every = (plan.frames / 500).max(1);
+            let every = (plan.frames / COMPARED).max(1);
             let ours = solve(&mut robot, &setup, &targets, Stop::default(), every)?;
-            let peer = plan.peer.as_ref().map(|command| peer::run(command, &robot, &setup, &targets)).transpose()?;
-            report.objectives.push(Objective { setup: setup.clone(), noise_mm: *noise_mm, ours, peer });
+            let mut peers = Vec::new();
+            for command in &plan.peers {
+                say(&format!("{}, {name}, {command}", setup.robot));
+                peers.push(peer::run(command, &robot, &setup, &targets)?);
+            }
+            report.objectives.push(Objective { setup: setup.clone(), noise_mm: *noise_mm, ours, peers });
         }
         let targets = vectors(&robot, &setup, &inputs[2].2)?;
         let few = &targets[..targets.len().min(2000)];

@@ -13,8 +13,10 @@ use crate::file;
 use crate::retarget::Robot;
 
 /// What a peer printed.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Timing {
+    /// The peer's name and version.
+    pub name: String,
     /// Time per frame, median, microseconds.
     pub median_us: f64,
     /// Time per frame that 99 of 100 frames keep, microseconds.

@@ -1,6 +1,6 @@
 //! The bench's table in Markdown.
 
-use super::Report;
+use super::{Objective, Report};
 use crate::text::{put, significant};
 
 /// Writes the tables.
@@ -8,6 +8,9 @@ pub fn markdown(report: &Report) -> String {
     let mut text = String::new();
     put(&mut text, format_args!("# Retargeting: time, exactness, touch\n"));
     put(&mut text, format_args!("Written by `{}` (egotac {}), {}.", report.command, report.version, report.machine));
+    if let Some(load) = &report.load {
+        put(&mut text, format_args!("The machine's load: {load}. Times are processor time of one thread."));
+    }
     put(
         &mut text,
         format_args!(
@@ -26,33 +29,25 @@ pub fn markdown(report: &Report) -> String {
         );
         put(
             &mut text,
-            format_args!(
-                "| robot | noise, mm | median, us | p99, us | steps | within | ratio p99.9 | peer median | peer p99 | faster |"
-            ),
+            format_args!("| robot | noise, mm | median, us | p99, us | steps | within | ratio p99.9 | frames compared |"),
         );
-        put(&mut text, format_args!("|---|---|---|---|---|---|---|---|---|---|"));
-        for row in &report.objectives {
-            let ours = &row.ours;
-            let peer = |value: fn(&super::peer::Timing) -> f64| {
-                row.peer.as_ref().map_or("-".to_owned(), |peer| significant(value(peer)))
-            };
-            let faster = row.peer.map_or("-".to_owned(), |peer| significant(peer.median_us / ours.median_us));
+        put(&mut text, format_args!("|---|---|---|---|---|---|---|---|"));
+        for Objective { setup, noise_mm, ours, .. } in &report.objectives {
             put(
                 &mut text,
                 format_args!(
-                    "| {} | {} | {} | {} | {:.1} | {:.4} | {:.5} | {} | {} | {faster} |",
-                    row.setup.robot,
-                    row.noise_mm,
+                    "| {} | {noise_mm} | {} | {} | {:.1} | {:.4} | {:.5} | {} |",
+                    setup.robot,
                     significant(ours.median_us),
                     significant(ours.p99_us),
                     ours.iterations,
                     ours.within,
                     ours.ratio_p999,
-                    peer(|peer| peer.median_us),
-                    peer(|peer| peer.p99_us),
+                    ours.compared,
                 ),
             );
         }
+        peers(&mut text, report);
     }
     put(&mut text, format_args!("\n## Everything on: contact, force, collisions, couplings\n"));
     put(
@@ -118,17 +113,6 @@ pub fn markdown(report: &Report) -> String {
             ),
         );
     }
-    let jerks: Vec<_> = report.objectives.iter().filter_map(|row| Some((row, row.peer?))).collect();
-    if !jerks.is_empty() {
-        put(&mut text, format_args!("\nThe peer's jerk with a low pass that lags by 50 ms (without it):\n"));
-        put(&mut text, format_args!("| robot | noise, mm | jerk, rad/s³ |\n|---|---|---|"));
-        for (row, peer) in jerks {
-            put(
-                &mut text,
-                format_args!("| {} | {} | {:.0} ({:.0}) |", row.setup.robot, row.noise_mm, peer.jerk_50ms, peer.jerk),
-            );
-        }
-    }
     put(&mut text, format_args!("\n## What accuracy costs in time\n"));
     put(&mut text, format_args!("| robot | choice | median, us | objective over best, p99.9 | tip error, mm |"));
     put(&mut text, format_args!("|---|---|---|---|---|"));
@@ -147,4 +131,38 @@ pub fn markdown(report: &Report) -> String {
         );
     }
     text
+}
+
+/// Peers on the same vectors.
+fn peers(text: &mut String, report: &Report) {
+    let all = || report.objectives.iter().flat_map(|row| row.peers.iter().map(move |peer| (row, peer)));
+    if all().next().is_none() {
+        return;
+    }
+    put(text, format_args!("\n### Others on the same vectors\n"));
+    put(
+        text,
+        format_args!(
+            "dexi-rs and dex-retargeting solve the same objective; mink takes one step per frame towards the same points. \
+             Jerk: root mean square, behind a low pass that lags by 50 ms, and in brackets without it.\n"
+        ),
+    );
+    put(text, format_args!("| robot | noise, mm | program | median, us | p99, us | times ours | jerk, rad/s³ |"));
+    put(text, format_args!("|---|---|---|---|---|---|---|"));
+    for (row, peer) in all() {
+        put(
+            text,
+            format_args!(
+                "| {} | {} | {} | {} | {} | {} | {:.0} ({:.0}) |",
+                row.setup.robot,
+                row.noise_mm,
+                peer.name,
+                significant(peer.median_us),
+                significant(peer.p99_us),
+                significant(peer.median_us / row.ours.median_us),
+                peer.jerk_50ms,
+                peer.jerk,
+            ),
+        );
+    }
 }

@@ -91,11 +91,15 @@ fn robot_picture(robot: &mut Robot, moment: &Moment) -> Result<RgbImage> {
     let axes = robot.wrist.world_axes(world);
     let (wrist, _) = world.body_pose(robot.wrist.body);
     let tips: Vec<DVec3> = robot.fingers.iter().map(|finger| frame::place(world, finger)).collect();
-    let middle = 0.5 * (tips.iter().sum::<DVec3>() / tips.len().max(1) as f64 + wrist);
-    let reach = tips.iter().chain([&wrist]).map(|place| place.distance(middle)).fold(0.05, f64::max);
+    let bases = robot.fingers.iter().filter_map(|finger| finger.joints.first());
+    let bases = bases.map(|joint| world.joint_axis(*joint).0);
+    let places: Vec<DVec3> = bases.chain(tips).chain([wrist]).collect();
+    let ends = |less: fn(DVec3, DVec3) -> DVec3| places.iter().copied().fold(wrist, less);
+    let middle = 0.5 * (ends(DVec3::min) + ends(DVec3::max));
+    let reach = places.iter().map(|place| place.distance(middle)).fold(0.05, f64::max);
     // From the palm's side, a little from the thumb's, as the human hand is seen.
     let toward = axes.x_axis + 0.45 * axes.y_axis;
-    let view = View { point: middle, toward, distance: 2.9 * reach };
+    let view = View { point: middle, toward, distance: 3.0 * reach };
     let small = on_paper(&view, &mut robot.world)?;
     let edge = FINE * PANEL;
     let mut large = resize(&small, edge, edge, FilterType::CatmullRom).into_raw();
