@@ -100,13 +100,15 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--input", required=True)
     parser.add_argument("--peer", default="dexi-rs", choices=["dexi-rs", "dex-retargeting", "mink"])
+    parser.add_argument("--most", type=int, help="only so many of the first frames, for slow peers")
     args = parser.parse_args()
     meta, vectors = read(args.input)
+    vectors = vectors[: args.most]
     times, jerk = follow(build(args.peer, meta, 1.0), vectors)
     # y += a (x - y) lags by (1 - a) / a frames: 1.5 frames are 50 ms.
     _, smooth = follow(build(args.peer, meta, 0.4), vectors)
     print(json.dumps({
-        "name": f"{args.peer} {importlib.metadata.version(args.peer)}",
+        "name": f"{args.peer} {importlib.metadata.version(args.peer)}" + (f", {len(vectors)} frames" if args.most else ""),
         "median_us": float(np.median(times)), "p99_us": float(np.percentile(times, 99)),
         "jerk": jerk, "jerk_50ms": smooth}))
 

@@ -191,10 +191,7 @@ fn messages_of_robots_are_what_ros_serialises() {
         effort: vec![3.0],
         time_from_start: Duration { sec: 2, nanosec: 16_666_667 },
     };
-    agrees(
-        "joint_trajectory",
-        &JointTrajectory { header: Header::default(), joint_names: names, points: vec![point] },
-    );
+    agrees("joint_trajectory", &JointTrajectory { header: Header::default(), joint_names: names, points: vec![point] });
 }
 
 #[test]

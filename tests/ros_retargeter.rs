@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use egotac::bench::retarget::trajectory::Trajectory;
 use egotac::hand::{HandModel, HandParams, N_VERTICES, Region, Side};
-use egotac::message::{Header, HandPose};
+use egotac::message::{HandPose, Header};
 use egotac::retarget::human::Hand;
 use egotac::retarget::touch::pool;
 use egotac::retarget::{Input, Retargeter, Robot, Touch};

@@ -13,7 +13,8 @@ use crate::error::Result;
 
 pub use cdr::{Reader, Wire, Writer};
 pub use own::{
-    HandModelInfo, HandPose, HandTactile, LinkTouch, RobotTouch, TactileFrame, TactileMetrics, TactileTruth, TrainerStatus,
+    HandModelInfo, HandPose, HandTactile, LinkTouch, RobotTouch, TactileFrame, TactileMetrics, TactileTruth,
+    TrainerStatus,
 };
 pub use standard::{
     CameraInfo, Clock, CompressedImage, DiagnosticArray, DiagnosticStatus, Duration, Header, Image, JointState,

@@ -38,7 +38,12 @@ pub fn parameters() -> Vec<Parameter> {
             Allowed::Any,
             "Robot hand: a name of `egotac retarget list`, a YAML file, or a model (MJCF or URDF).",
         ),
-        Parameter::fixed("model", "", Allowed::Any, "Model in place of the one the robot's file names; empty = that one."),
+        Parameter::fixed(
+            "model",
+            "",
+            Allowed::Any,
+            "Model in place of the one the robot's file names; empty = that one.",
+        ),
         Parameter::fixed(
             "side",
             "robot",
@@ -314,8 +319,11 @@ impl Hands {
                 Ok(Hand::of_model(model, &pose.to_params(model)?))
             }
             Seen::Keypoints(array) => {
-                let points: Vec<DVec3> =
-                    array.poses.iter().map(|pose| DVec3::new(pose.position.x, pose.position.y, pose.position.z)).collect();
+                let points: Vec<DVec3> = array
+                    .poses
+                    .iter()
+                    .map(|pose| DVec3::new(pose.position.x, pose.position.y, pose.position.z))
+                    .collect();
                 points.try_into().map_err(|points: Vec<_>| Error::shape("poses", N_KEYPOINTS, [points.len()]))
             }
         }
@@ -545,10 +553,7 @@ fn link_touch(link: &LinkFeel) -> LinkTouch {
     LinkTouch {
         link: link.name.clone(),
         normal_force: link.normal_force,
-        wrench: Wrench {
-            force: vector(link.body_force),
-            torque: vector(link.body_position.cross(link.body_force)),
-        },
+        wrench: Wrench { force: vector(link.body_force), torque: vector(link.body_position.cross(link.body_force)) },
         position: message::Point { x, y, z },
         contact: link.contact,
     }

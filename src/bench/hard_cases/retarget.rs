@@ -21,7 +21,12 @@ pub(super) const CASES: &[HardCase] = &[
         "a frame of the hand as before",
         no_hand,
     ),
-    Family::Retargeting.case("spike", "a keypoint that is 100 mm off in one frame", "none needed: it is replaced", spike),
+    Family::Retargeting.case(
+        "spike",
+        "a keypoint that is 100 mm off in one frame",
+        "none needed: it is replaced",
+        spike,
+    ),
     Family::Retargeting.case("gap", "no frame for a second, then the hand is elsewhere", "none needed", gap),
     Family::Retargeting.case(
         "straight_fingers",
@@ -252,8 +257,7 @@ fn beyond_servos(size: f64) -> Result<(f64, String)> {
         let keypoints = hand.usual(frame);
         let seen = crate::retarget::human::Hand::new(&keypoints, Side::Right)?;
         let force = |finger| -size * (seen.axes * crate::retarget::goal::pad_normal(&seen.points, finger));
-        let touch =
-            Touch { tip_contact: [1.0; 5], tip_force: Some(std::array::from_fn(force)), slots: None };
+        let touch = Touch { tip_contact: [1.0; 5], tip_force: Some(std::array::from_fn(force)), slots: None };
         let feel = &follower.push(&Input { keypoints, time: frame as f64 * DT, touch: Some(touch) })?.feel;
         for torque in &feel.torque {
             beyond = beyond.max(if torque.is_finite() { torque.abs() - SERVO } else { f64::INFINITY });

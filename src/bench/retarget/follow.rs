@@ -33,7 +33,7 @@ pub struct Followed {
     pub pinch_opened: f64,
     /// Share of pairs that touch though the human's do not.
     pub false_contacts: f64,
-    /// Mean error of the net force, over its size.
+    /// Mean error of the net force, over the sum of the fingertips' forces.
     pub net_force_error: f64,
     /// Mean angle between a fingertip's force and the one asked for, degrees.
     pub force_angle_deg: f64,
@@ -101,9 +101,10 @@ pub fn follow(robot: Robot, trajectory: &Trajectory, with_touch: bool) -> Result
             let fastest = output.qpos.iter().zip(last).map(|(a, b)| (a - b).abs() / most).fold(0.0, f64::max);
             seen.speed_share = seen.speed_share.max(fastest);
         }
-        if output.feel.asked.length() > 0.0 {
+        let pressed: f64 = trajectory.tip_force[frame].iter().map(|force| force.length()).sum();
+        if with_touch && pressed > 0.1 {
             let sum: glam::DVec3 = output.feel.links.iter().map(|link| link.force).sum();
-            net += (sum - output.feel.asked).length() / output.feel.asked.length();
+            net += (sum - output.feel.asked).length() / pressed;
             net_count += 1.0;
             for (human, asked) in trajectory.tip_force[frame].iter().enumerate() {
                 let is = robot.fingers.iter().any(|finger| finger.human == human);

@@ -163,7 +163,8 @@ fn knob(qpos: &[f64], press: &Press) -> Result<Option<DVec3>> {
     let mut world = world_with(&format!(r#"<body name="object"><freejoint/>{}</body>"#, ball(DVec3::ZERO)))?;
     let parts = world.parts();
     let tip = world.body(&press.tip)?;
-    let of_tip = |geom: &usize| parts.geoms[*geom].solid && world.body_name(tip) == parts.bodies[parts.geoms[*geom].body].name;
+    let of_tip =
+        |geom: &usize| parts.geoms[*geom].solid && world.body_name(tip) == parts.bodies[parts.geoms[*geom].body].name;
     let geoms: Vec<usize> = (0..parts.geoms.len()).filter(of_tip).collect();
     let probe = parts.geoms.len() - 1;
     let toward = press.force.normalize_or_zero();
@@ -197,9 +198,8 @@ impl Hold {
 
 /// The robot without gravity, and something else.
 fn world_with(body: &str) -> Result<World> {
-    let (before, after) = MODEL
-        .rsplit_once("</worldbody>")
-        .ok_or_else(|| Error::value("four_finger.xml", "a worldbody", "none"))?;
+    let (before, after) =
+        MODEL.rsplit_once("</worldbody>").ok_or_else(|| Error::value("four_finger.xml", "a worldbody", "none"))?;
     let options = PhysicsOptions::try_from(Unchecked { gravity: [0.0; 3], ..Unchecked::default() })?;
     World::from_mjcf(&format!("{before}{body}</worldbody>{after}"), &options)
 }

@@ -29,7 +29,9 @@ pub fn markdown(report: &Report) -> String {
         );
         put(
             &mut text,
-            format_args!("| robot | noise, mm | median, us | p99, us | steps | within | ratio p99.9 | frames compared |"),
+            format_args!(
+                "| robot | noise, mm | median, us | p99, us | steps | within | ratio p99.9 | frames compared |"
+            ),
         );
         put(&mut text, format_args!("|---|---|---|---|---|---|---|---|"));
         for Objective { setup, noise_mm, ours, .. } in &report.objectives {

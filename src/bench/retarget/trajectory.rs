@@ -10,7 +10,6 @@ use rayon::prelude::*;
 
 use crate::error::Result;
 use crate::hand::{HandModel, N_BETAS, N_KEYPOINTS, Side};
-use crate::retarget::goal::pad_normal;
 use crate::retarget::human::{Hand, keypoint};
 use crate::sim::rig::{HandRig, Motion};
 
@@ -125,17 +124,15 @@ fn schedule(time: f64) -> (usize, f64, bool) {
     (turn, share, share >= 1.0)
 }
 
-/// Forces on thumb and finger in a pinch: a few newtons into both pads, and some friction.
+/// Forces of thumb and finger on each other in a pinch: some newtons along the line between them, opposite, and some
+/// friction.
 fn forces(keypoints: &[DVec3; N_KEYPOINTS], finger: usize, time: f64) -> [DVec3; 5] {
     let mut forces = [DVec3::ZERO; 5];
-    let Ok(hand) = Hand::new(keypoints, Side::Right) else { return forces };
-    let size = 2.0 + 1.5 * (1.3 * time).sin();
-    for (side, finger) in [(1.0, 0), (-1.0, finger)] {
-        let normal = pad_normal(&hand.points, finger);
-        let along = normal.any_orthonormal_vector();
-        let slide = 0.3 * (along * (0.9 * time).cos() + normal.cross(along) * (0.9 * time).sin());
-        forces[finger] = hand.axes * (size * (-normal + side * slide));
-    }
+    let line = (keypoints[keypoint(finger, 3)] - keypoints[keypoint(0, 3)]).normalize_or(DVec3::X);
+    let across = line.any_orthonormal_vector();
+    let slide = 0.3 * (across * (0.9 * time).cos() + line.cross(across) * (0.9 * time).sin());
+    forces[finger] = (2.0 + 1.5 * (1.3 * time).sin()) * (line + slide);
+    forces[0] = -forces[finger];
     forces
 }
 

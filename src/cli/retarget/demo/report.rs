@@ -4,9 +4,9 @@ use serde_json::{Value, json};
 
 use super::Moment;
 use crate::bench::Machine;
-use crate::hand::Side;
 use crate::bench::retarget::follow::percentile;
 use crate::cli::retarget::Demo;
+use crate::hand::Side;
 use crate::retarget::{Retargeter, Status};
 use crate::text::significant;
 
