@@ -58,6 +58,9 @@ const JUMP: f64 = 4.0;
 const WORTH: f64 = 1e-3;
 /// A cost above that amount is looked at from one other start in so many frames: the pose may be caught behind a link.
 const PATROL: usize = 3;
+/// A way to another pose is looked at in so many steps; links may be no deeper in each other there, m.
+const WAY: u32 = 12;
+const DEEP: f64 = 5e-4;
 /// Another pose is moved to in mid-motion where it costs less than this share.
 const BETTER: f64 = 0.7;
 
@@ -178,6 +181,7 @@ pub struct Retargeter {
     u: Vec<f64>,
     next: Vec<f64>,
     other: Vec<f64>,
+    between: Vec<f64>,
     /// Most change of each free coordinate per second.
     speed: Vec<f64>,
     time: Option<f64>,
@@ -229,6 +233,7 @@ impl Retargeter {
             size: SizeEstimate::default(),
             next: u.clone(),
             other: u.clone(),
+            between: u.clone(),
             u,
             speed,
             time: None,
@@ -400,7 +405,8 @@ impl Retargeter {
             self.begin(*start)?;
             let solved = self.goal.solve(&mut self.solver, &mut self.robot, self.options.stop, &mut self.other)?;
             iterations += solved.iterations;
-            if solved.cost < share * best {
+            // After a silence there is no way to keep: the hand is elsewhere.
+            if solved.cost < share * best && (is_new || self.way_is_free()) {
                 best = solved.cost;
                 converged = solved.converged;
                 self.next.copy_from_slice(&self.other);
@@ -408,6 +414,26 @@ impl Retargeter {
         }
         self.cost = best;
         Ok((iterations, converged))
+    }
+
+    /// Whether no link runs into another on the way from the present pose to `other`, which may be far from it.
+    fn way_is_free(&mut self) -> bool {
+        if !self.gave_out {
+            return true;
+        }
+        for step in 1..WAY {
+            let share = f64::from(step) / f64::from(WAY);
+            for (k, position) in self.between.iter_mut().enumerate() {
+                *position = self.u[k] + share * (self.other[k] - self.u[k]);
+            }
+            let Robot { world, parts, coupling, .. } = &mut self.robot;
+            coupling.expand(parts, &self.between, world.qpos_mut());
+            world.update_poses();
+            if self.goal.deepest(&mut self.robot) > DEEP {
+                return false;
+            }
+        }
+        true
     }
 
     /// Puts another start into `other`.
