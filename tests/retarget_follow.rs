@@ -317,7 +317,7 @@ proptest! {
 
     #[test]
     fn where_the_hand_is_and_how_it_is_turned_makes_no_difference(
-        x in -5.0f64..5.0, y in -5.0f64..5.0, angle in 0.0f64..6.28, a in -1.0f64..1.0, b in -1.0f64..1.0, frame in 0usize..200,
+        x in -5.0f64..5.0, y in -5.0f64..5.0, angle in 0.0f64..std::f64::consts::TAU, a in -1.0f64..1.0, b in -1.0f64..1.0, frame in 0usize..200,
     ) {
         let keypoints = hands(200).keypoints[frame];
         let turn = DQuat::from_axis_angle(DVec3::new(a, b, 0.3).normalize(), angle);

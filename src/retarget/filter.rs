@@ -82,6 +82,7 @@ pub struct Gate {
 
 /// What the gate thinks of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[allow(clippy::large_enum_variant)] // one at a time, on the stack
 pub enum Passed {
     /// The points, with so many replaced by what was expected.
     Points([DVec3; N_KEYPOINTS], usize),
@@ -177,7 +178,7 @@ impl Gate {
 
 /// Length of the bone that ends at a keypoint, m.
 fn bone(points: &[DVec3; N_KEYPOINTS], k: usize) -> f64 {
-    let from = if (k - 1) % 4 == 0 { 0 } else { k - 1 };
+    let from = if (k - 1).is_multiple_of(4) { 0 } else { k - 1 };
     points[k].distance(points[from])
 }
 

@@ -151,10 +151,10 @@ impl Goal {
         for [a, b] in robot.pairs.iter().copied() {
             let tips = |geom: usize| robot.fingers.iter().position(|finger| finger.pad_geoms.contains(&geom));
             // Thumb and fingertips have gaps of their own.
-            if let (Some(first), Some(second)) = (tips(a), tips(b)) {
-                if [first, second].iter().any(|index| robot.fingers[*index].human == 0) {
-                    continue;
-                }
+            if let (Some(first), Some(second)) = (tips(a), tips(b))
+                && [first, second].iter().any(|index| robot.fingers[*index].human == 0)
+            {
+                continue;
             }
             let geom_side = |geom: usize| Side::Geoms { body: robot.parts.geoms[geom].body, geoms: vec![geom] };
             let gap = problem.add_gap([geom_side(a), geom_side(b)], true);

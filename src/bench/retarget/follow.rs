@@ -144,8 +144,8 @@ pub fn jerk(qpos: &[Vec<f64>]) -> f64 {
     let mut sum = 0.0;
     let mut count = 0.0;
     for four in qpos.windows(4).skip(10) {
-        for k in 0..four[0].len() {
-            let third = (four[3][k] - 3.0 * four[2][k] + 3.0 * four[1][k] - four[0][k]) * RATE.powi(3);
+        for (k, first) in four[0].iter().enumerate() {
+            let third = (four[3][k] - 3.0 * four[2][k] + 3.0 * four[1][k] - first) * RATE.powi(3);
             sum += third * third;
             count += 1.0;
         }

@@ -107,10 +107,10 @@ fn chains(parts: &Parts, moves: &[bool]) -> Vec<Vec<usize>> {
 fn chain_of(parts: &Parts, moves: &[bool], chains: &[Vec<usize>], tip_body: usize) -> Vec<usize> {
     let mut at = tip_body;
     while at != 0 {
-        if parts.joints.iter().zip(moves).any(|(joint, moves)| *moves && joint.body == at) {
-            if let Some(chain) = chains.iter().find(|chain| chain.contains(&at)) {
-                return chain.iter().copied().take_while(|part| *part != at).chain([at]).collect();
-            }
+        if parts.joints.iter().zip(moves).any(|(joint, moves)| *moves && joint.body == at)
+            && let Some(chain) = chains.iter().find(|chain| chain.contains(&at))
+        {
+            return chain.iter().copied().take_while(|part| *part != at).chain([at]).collect();
         }
         at = parts.bodies[at].parent;
     }
@@ -339,10 +339,10 @@ fn along_or_z(along: DVec3) -> DVec3 {
 
 /// Body, local position and source of the tip.
 fn tip(world: &World, parts: &Parts, spec: &TipSpec, last: usize, joints: &[usize]) -> Result<(usize, DVec3, String)> {
-    if let Some(name) = &spec.site {
-        if let Some(site) = parts.sites.iter().find(|site| site.name == *name) {
-            return Ok((site.body, spec.pos.map_or(site.position, DVec3::from_array), format!("site {name}")));
-        }
+    if let Some(name) = &spec.site
+        && let Some(site) = parts.sites.iter().find(|site| site.name == *name)
+    {
+        return Ok((site.body, spec.pos.map_or(site.position, DVec3::from_array), format!("site {name}")));
     }
     let anchor = joints.last().map_or_else(|| world.body_pose(last).0, |joint| world.joint_axis(*joint).0);
     if let Some(name) = &spec.geom {
