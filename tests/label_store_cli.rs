@@ -248,3 +248,14 @@ fn a_damaged_file_of_a_zip_is_listed_and_left_out() {
     assert_eq!(done["summary"]["labelled"], done["summary"]["frames"]);
     assert!(left.contains_key(Path::new("data/mano_force/.zarray")));
 }
+
+#[test]
+fn a_foreign_store_is_described_with_its_unit_of_time_and_without_forces_it_lacks() {
+    let told = egotac(&["data", "info", &format!("{DATA}/task.zarr.zip"), "--json"]);
+    let info: Value = serde_json::from_slice(&told.stdout).unwrap();
+    assert_eq!((&info["time_unit_secs"], &info["max_force"]), (&0.001.into(), &Value::Null), "{info}");
+    let fps = info["fps"].as_f64().unwrap();
+    assert!((fps - 1e3 / 33.3).abs() < 0.01, "{fps}");
+    let text = String::from_utf8(egotac(&["data", "info", &format!("{DATA}/task.zarr.zip")]).stdout).unwrap();
+    assert!(text.contains("no true forces") && text.contains("<U13"), "{text}");
+}

@@ -332,7 +332,8 @@ fn the_commands_train_predict_and_score() {
         (vec!["predict", "--checkpoint", "train.yaml", "--data", "test.zarr", "--out", "x"], "train.yaml"),
         (vec!["predict", "--checkpoint", checkpoint, "--data", "nothing", "--out", "x"], "neither a Zarr store"),
         (vec!["eval", "--pred", "fields.safetensors", "--target", "train.zarr"], "30 frames"),
-        (vec!["data", "info", "images"], "images"),
+        (vec!["data", "info", "nothing"], "nothing"),
+        (vec!["data", "info", "train.yaml"], "train.yaml: is none of these"),
     ] {
         let output = egotac(folder.path(), &args);
         let error = String::from_utf8(output.stderr).unwrap();

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::source::{Picture, Shot, Shots, Source, Unit};
-use crate::dataset::mcap::{Part, Records, Survey, Topic, bag_files, inner_records, op, open_chunk, survey};
+use crate::dataset::mcap::{Content, Part, Records, Survey, Topic, bag_files, inner_records, op, open_chunk, survey};
 use crate::error::{Error, Result};
 use crate::message::{CompressedImage, Header, Image, Message, Time};
 
@@ -153,7 +153,7 @@ impl Iterator for Walk<'_> {
                     (record.offset, Inner::Single(record.opcode, self.records.body(record).ok()?))
                 }
                 Part::Record(record) | Part::CutOff(record) => match open_chunk(&self.records, &part).ok()? {
-                    Ok(content) => (record.offset, Inner::Chunk(content.records)),
+                    Ok(content) => (record.offset, Inner::Chunk(content)),
                     Err(_) => continue,
                 },
             };
@@ -172,14 +172,14 @@ impl Iterator for Walk<'_> {
 /// One record, or those of a chunk.
 enum Inner {
     Single(u8, Vec<u8>),
-    Chunk(Vec<u8>),
+    Chunk(Content),
 }
 
 impl Inner {
     fn for_each(&self, mut take: impl FnMut(u8, &[u8])) {
         match self {
             Self::Single(opcode, body) => take(*opcode, body),
-            Self::Chunk(records) => inner_records(records).for_each(|(_, opcode, body)| take(opcode, body)),
+            Self::Chunk(chunk) => inner_records(chunk.records()).for_each(|(_, opcode, body)| take(opcode, body)),
         }
     }
 }

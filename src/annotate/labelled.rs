@@ -265,7 +265,7 @@ fn for_each_message(path: &Path, mut take: impl FnMut(&str, &str, &[u8]) -> Resu
             }
             chunk => {
                 if let Ok(content) = open_chunk(&records, chunk)? {
-                    inner_records(&content.records).try_for_each(|(_, opcode, body)| note(opcode, body))?;
+                    inner_records(content.records()).try_for_each(|(_, opcode, body)| note(opcode, body))?;
                 }
             }
         }

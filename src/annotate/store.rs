@@ -13,12 +13,12 @@ use super::output::{Journals, Output};
 use super::provenance::NAME;
 use super::source::{Picture, Shot, Shots, Source, Unit};
 use super::summary::About;
-use crate::dataset::EpisodeReader;
 use crate::dataset::mcap::Lost;
 use crate::dataset::zarr::{
     AddedArrays, ArraySpec, Dtype, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, Place,
     TIMESTAMPS, Values, ZarrReader,
 };
+use crate::dataset::{EpisodeReader, time_unit_of};
 use crate::error::{Error, Result};
 use crate::tactile::{N_FIELD, Topology};
 
@@ -57,8 +57,8 @@ impl Store {
         let seconds = match time_unit {
             Some(seconds) => seconds,
             None => {
-                let first = reader.episode_ends()[0].min(BLOCK);
-                unit_of(&reader.read(TIMESTAMPS, 0..first)?.into_f64())
+                let first = reader.episode_ends().first().map_or(0, |end| (*end).min(BLOCK));
+                time_unit_of(&reader.read(TIMESTAMPS, 0..first)?.into_f64())
             }
         };
         Ok(Self { place: place.clone(), reader, units, seconds })
@@ -86,19 +86,6 @@ impl Store {
             true => name.replacen("data/", &format!("data/{PREDICTED}"), 1),
             false => name.to_string(),
         })
-    }
-}
-
-/// What one unit of time stamps is in seconds: the contract leaves it open. Cameras give 1 to 1000 images per second, so
-/// the size of the steps tells seconds, milliseconds, microseconds and nanoseconds apart.
-fn unit_of(timestamps: &[f64]) -> f64 {
-    let mut steps: Vec<f64> = timestamps.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
-    steps.sort_by(f64::total_cmp);
-    match steps.get(steps.len() / 2) {
-        Some(step) if *step > 1e6 => 1e-9,
-        Some(step) if *step > 1e3 => 1e-6,
-        Some(step) if *step > 1.0 => 1e-3,
-        _ => 1.0,
     }
 }
 
@@ -239,19 +226,5 @@ impl<R: Read> Read for Watched<R> {
                 self.failure = Some(error.to_string());
             }
         })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn units_of_time_stamps_tell_themselves_by_their_steps() {
-        for (seconds, step) in [(1.0, 0.04), (1e-3, 33.3), (1e-6, 33_333.0), (1e-9, 4e7), (1.0, 0.001)] {
-            let stamps: Vec<f64> = (0..20).map(|i| 5e3 * step + step * f64::from(i)).collect();
-            assert_eq!(unit_of(&stamps), seconds, "{step}");
-        }
-        assert_eq!(unit_of(&[3.0]), 1.0);
     }
 }

@@ -122,7 +122,36 @@ pub trait EpisodeReader: Send + Sync {
 
 /// Frames per second by the median step of `timestamps`, s; None without at least two that differ.
 pub fn fps(timestamps: &[f64]) -> Option<f64> {
+    median_step(timestamps).map(|step| 1.0 / step)
+}
+
+/// What one unit of `timestamps` is, s: foreign stores leave it open. Cameras give 1 to 1000 images per second, so the size
+/// of the steps tells seconds, milliseconds, microseconds and nanoseconds apart.
+pub fn time_unit_of(timestamps: &[f64]) -> f64 {
+    match median_step(timestamps) {
+        Some(step) if step > 1e6 => 1e-9,
+        Some(step) if step > 1e3 => 1e-6,
+        Some(step) if step > 1.0 => 1e-3,
+        _ => 1.0,
+    }
+}
+
+fn median_step(timestamps: &[f64]) -> Option<f64> {
     let mut steps: Vec<f64> = timestamps.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
     steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).map(|step| 1.0 / step)
+    steps.get(steps.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_of_time_stamps_tell_themselves_by_their_steps() {
+        for (seconds, step) in [(1.0, 0.04), (1e-3, 33.3), (1e-6, 33_333.0), (1e-9, 4e7), (1.0, 0.001)] {
+            let stamps: Vec<f64> = (0..20).map(|i| 5e3 * step + step * f64::from(i)).collect();
+            assert_eq!(time_unit_of(&stamps), seconds, "{step}");
+        }
+        assert_eq!(time_unit_of(&[3.0]), 1.0);
+    }
 }

@@ -140,17 +140,17 @@ impl<'a> TactileMessages<'a> {
                 Err(reason) => lost.push(records.lost(record, reason)),
                 Ok(content) => {
                     if content.whole {
-                        out.chunk(&records.body(record)?, &content.records)?;
+                        out.chunk(content.body(), content.records())?;
                     } else {
                         // What a chunk without end still gives becomes a whole one.
-                        let got = inner_records(&content.records).count();
+                        let got = inner_records(content.records()).count();
                         let reason = format!("the file ends within this chunk, of which {got} records were read");
                         lost.push(records.lost(record, reason));
-                        for (_, opcode, body) in inner_records(&content.records) {
+                        for (_, opcode, body) in inner_records(content.records()) {
                             out.record(opcode, body)?;
                         }
                     }
-                    Inner::Chunk(content.records).label(self, about, &mut labels, &mut out)?;
+                    Inner::Chunk(content).label(self, about, &mut labels, &mut out)?;
                 }
             }
         }

@@ -10,7 +10,7 @@ use crate::annotate::{About, Kind, Labelled, image_files};
 use crate::dataset::lerobot::LeRobot;
 use crate::dataset::mcap::{bag_files, survey};
 use crate::dataset::{fps, video, zarr};
-use crate::error::Result;
+use crate::error::{Error, Result};
 
 /// Runs the command.
 pub fn run(paths: &[PathBuf], json: bool) -> anyhow::Result<ExitCode> {
@@ -29,6 +29,10 @@ pub fn run(paths: &[PathBuf], json: bool) -> anyhow::Result<ExitCode> {
 fn of(path: &Path) -> Result<Vec<Value>> {
     let kind = Kind::of(path);
     let mut info = match kind {
+        None if path.is_file() => {
+            let formats = "a Zarr store (folder or zip), bag, .mcap file, LeRobot data set, video, folder of images or .safetensors file";
+            return Err(Error::file(path, format!("is none of these: {formats}")));
+        }
         None | Some(Kind::Store) => {
             return zarr::open_all(&[path.to_path_buf()])?.iter().map(store_info::info).collect();
         }

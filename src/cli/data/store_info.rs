@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader};
-use crate::dataset::{EpisodeReader, fps};
+use crate::dataset::{EpisodeReader, fps, time_unit_of};
 use crate::error::Result;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
 use crate::train::batch::read_labels;
@@ -12,6 +12,7 @@ use crate::train::batch::read_labels;
 pub fn info(store: &ZarrReader) -> Result<Value> {
     const BLOCK: usize = 256;
     let timestamps = store.read(TIMESTAMPS, 0..store.len())?.into_f64();
+    let time_unit = time_unit_of(&timestamps);
     let (mut touched, mut active, mut supervised, mut largest, mut sum) = (0u64, 0u64, 0u64, 0f32, 0f64);
     for start in (0..store.len()).step_by(BLOCK) {
         let labels = read_labels(store, start..(start + BLOCK).min(store.len()))?;
@@ -45,14 +46,15 @@ pub fn info(store: &ZarrReader) -> Result<Value> {
         "attributes": store.raw_attributes(),
         "episodes": ends.len(),
         "frames": store.len(),
-        "fps": fps(&timestamps),
+        "fps": fps(&timestamps).map(|fps| fps / time_unit),
+        "time_unit_secs": time_unit,
         "image": {"height": store.image_size().0, "width": store.image_size().1},
         "frames_refused": refused,
         "supervised_entries": supervised,
         "active_entries": active,
         "frames_in_contact": touched,
-        "max_force": largest,
-        "mean_total_force": sum / store.len().max(1) as f64,
+        "max_force": (supervised > 0).then_some(largest),
+        "mean_total_force": (supervised > 0).then_some(sum / store.len().max(1) as f64),
         "arrays": arrays,
     }))
 }
@@ -71,14 +73,15 @@ pub fn text(info: &Value) -> String {
         info["image"]["width"],
         info["image"]["height"]
     );
-    text += &format!(
-        "\n  {:.1} % of the frames and {:.2} % of the supervised entries in contact; largest force {:.3} N, mean total \
-         force {:.3} N",
-        share("frames_in_contact", "frames"),
-        share("active_entries", "supervised_entries"),
-        info["max_force"].as_f64().unwrap_or(0.0),
-        info["mean_total_force"].as_f64().unwrap_or(0.0)
-    );
+    text += &match (info["max_force"].as_f64(), info["mean_total_force"].as_f64()) {
+        (Some(largest), Some(mean)) => format!(
+            "\n  {:.1} % of the frames and {:.2} % of the supervised entries in contact; largest force {largest:.3} N, mean \
+             total force {mean:.3} N",
+            share("frames_in_contact", "frames"),
+            share("active_entries", "supervised_entries"),
+        ),
+        _ => "\n  no true forces on the hands' vertices".to_owned(),
+    };
     for (reason, count) in info["frames_refused"].as_object().into_iter().flatten() {
         text += &format!("\n  {count} frames refused: {reason}");
     }

@@ -1,19 +1,38 @@
 //! What lies in a chunk of an MCAP file.
 
 use std::io::Read;
+use std::ops::Range;
 
 use mcap::records::op;
 
 use super::records::{PREFIX, Part, Records, chunk_header};
 use crate::error::Result;
 
-/// A chunk's records, uncompressed.
+/// Most room made for a chunk's records before they are there, bytes: what its head says may be damage.
+const ROOM: u64 = 1 << 26;
+
+/// A chunk, and its records uncompressed.
 #[derive(Debug)]
 pub struct Content {
-    /// Whole records, opcode and length included.
-    pub records: Vec<u8>,
+    body: Vec<u8>,
+    /// The records, where they had to be unpacked.
+    unpacked: Option<Vec<u8>>,
+    /// Where they lie, there or in the body.
+    place: Range<usize>,
     /// Whether these are all of the chunk's.
     pub whole: bool,
+}
+
+impl Content {
+    /// The chunk's record as it is in the file.
+    pub fn body(&self) -> &[u8] {
+        &self.body
+    }
+
+    /// Whole records, opcode and length included.
+    pub fn records(&self) -> &[u8] {
+        &self.unpacked.as_ref().unwrap_or(&self.body)[self.place.clone()]
+    }
 }
 
 /// Reads a chunk, whole or not at all; of one that is cut off since the file ends, what is there. Else says what is wrong.
@@ -32,31 +51,40 @@ pub fn open_chunk(file: &Records, part: &Part) -> Result<std::result::Result<Con
     };
     let compressed = &body[start..];
     let wanted = header.uncompressed_size;
-    let mut records = Vec::new();
-    let unpacked = match header.compression.as_str() {
-        "" => compressed.take(wanted).read_to_end(&mut records),
-        "zstd" => zstd::Decoder::new(compressed).and_then(|decoder| decoder.take(wanted).read_to_end(&mut records)),
-        "lz4" => lz4::Decoder::new(compressed).and_then(|decoder| decoder.take(wanted).read_to_end(&mut records)),
+    let mut unpacked = Vec::with_capacity(if header.compression.is_empty() { 0 } else { wanted.min(ROOM) as usize });
+    let result = match header.compression.as_str() {
+        "" => Ok(0),
+        "zstd" => zstd::Decoder::new(compressed).and_then(|decoder| decoder.take(wanted).read_to_end(&mut unpacked)),
+        "lz4" => lz4::Decoder::new(compressed).and_then(|decoder| decoder.take(wanted).read_to_end(&mut unpacked)),
         other => return Ok(Err(format!("a chunk with unknown compression {other:?}"))),
     };
+    let (unpacked, place) = match header.compression.is_empty() {
+        true => (None, start..body.len().min(start.saturating_add(usize::try_from(wanted).unwrap_or(usize::MAX)))),
+        false => {
+            let place = 0..unpacked.len();
+            (Some(unpacked), place)
+        }
+    };
+    let mut content = Content { body, unpacked, place, whole: !cut_off };
+    let records = content.records();
+    let whole_records = inner_records(records).last().map_or(0, |(end, ..)| end);
     if cut_off {
-        let whole_records = inner_records(&records).last().map_or(0, |(end, ..)| end);
-        records.truncate(whole_records);
-        return Ok(Ok(Content { records, whole: false }));
+        content.place.end = content.place.start + whole_records;
+        return Ok(Ok(content));
     }
-    if let Err(error) = unpacked {
+    if let Err(error) = result {
         return Ok(Err(format!("a chunk that can't be decompressed: {error}")));
     }
     if records.len() as u64 != wanted {
         return Ok(Err(format!("a chunk of {} bytes where {wanted} should be", records.len())));
     }
-    if header.uncompressed_crc != 0 && crc32fast::hash(&records) != header.uncompressed_crc {
+    if header.uncompressed_crc != 0 && crc32fast::hash(records) != header.uncompressed_crc {
         return Ok(Err("a chunk whose checksum is wrong".into()));
     }
-    if inner_records(&records).last().map_or(0, |(end, ..)| end) != records.len() {
+    if whole_records != records.len() {
         return Ok(Err("a chunk whose records do not add up".into()));
     }
-    Ok(Ok(Content { records, whole: true }))
+    Ok(Ok(content))
 }
 
 /// Opcode and content of each record in a chunk, up to the first that is not whole; with the offset of its end.

@@ -101,7 +101,7 @@ pub fn survey(path: &Path) -> Result<Survey> {
             chunk => {
                 survey.chunked = true;
                 if let Ok(content) = open_chunk(&file, chunk)? {
-                    inner_records(&content.records).for_each(|(_, opcode, body)| survey.note(opcode, body));
+                    inner_records(content.records()).for_each(|(_, opcode, body)| survey.note(opcode, body));
                 }
             }
         }

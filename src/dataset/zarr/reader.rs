@@ -405,7 +405,7 @@ impl Column {
         let chunks = self.array.chunk_shape_usize(&origin).unwrap_or_default();
         let dtype = match known_dtype(&self.array) {
             Some(dtype) => dtype.to_string(),
-            None => format!("{:?}", self.array.data_type()),
+            None => self.array.data_type().to_string(),
         };
         let shape = self.array.shape().iter().map(|n| *n as usize).collect();
         ArrayInfo { name: self.name.clone(), shape, dtype, chunks }
