@@ -132,7 +132,7 @@ pub fn markdown(report: &Report) -> String {
          {machine}. Numbers: `label.json`.\n\n\
          Milliseconds per image. *Waiting*: what reading and decoding, which go on beside the network, make it wait. *Output*: putting \
          the\nlabelled recording together, every record of the original included. *Rest*: all that is not the network, by the network's \
-         time;\nit should stay below {:.0} % for a preset. The shipped network is so small that copying raw images to the disk counts.\n\n\
+         time;\nit should stay below {:.0} % for a preset. The shipped network is so small that the rest counts.\n\n\
          | network | format | image | network ms | waiting ms | journal ms | output ms | rest |\n|---|---|---|---|---|---|---|---|\n",
         100.0 * ALLOWED
     );

@@ -12,6 +12,7 @@ pub mod guards;
 pub mod hard_cases;
 pub mod label;
 pub mod model;
+pub mod peer;
 #[cfg(feature = "sim")]
 pub mod retarget;
 #[cfg(feature = "sim")]

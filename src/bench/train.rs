@@ -1,6 +1,5 @@
 //! What a training step costs: windows of their own frames, windows that share the frames of a clip, and a peer.
 
-use std::process::Command;
 use std::time::Instant;
 
 use candle_core::Device;
@@ -9,7 +8,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::Machine;
+use super::{Machine, peer};
 use crate::error::{Error, Result};
 use crate::model::{Config, EgoTac, init};
 use crate::tactile::N_FIELD;
@@ -206,23 +205,9 @@ fn batch(geometry: &Config, form: Form) -> Batch {
 
 /// Runs `command --train --preset NAME --threads N --runs R --batch 4` and reads the JSON object on its last line.
 fn ask(command: &str, preset: &str, threads: usize, runs: usize) -> Result<Timed> {
-    let mut words = command.split_whitespace();
-    let program = words.next().ok_or_else(|| Error::value("peer", "a command", "nothing"))?;
-    let output = Command::new(program)
-        .args(words)
-        .args(["--train", "--preset", preset, "--threads", &threads.to_string(), "--runs", &runs.to_string()])
-        .args(["--batch", &WINDOWS.to_string()])
-        .env("OMP_NUM_THREADS", threads.to_string())
-        .output()
-        .map_err(Error::io(program))?;
-    let text = String::from_utf8_lossy(&output.stdout);
-    if !output.status.success() {
-        let said = String::from_utf8_lossy(&output.stderr);
-        let said = said.trim().lines().last().unwrap_or_default().to_owned();
-        return Err(Error::value(format!("peer {command:?}"), "success", format!("{}: {said}", output.status)));
-    }
-    let last = text.trim().lines().last().unwrap_or_default();
-    serde_json::from_str(last).map_err(|error| Error::value(format!("peer {command:?}"), "a step in JSON", error))
+    let [count, runs, batch] = [threads, runs, WINDOWS].map(|count| count.to_string());
+    let arguments = ["--train", "--preset", preset, "--threads", &count, "--runs", &runs, "--batch", &batch];
+    peer::ask(command, &arguments.map(Into::into), threads)
 }
 
 #[cfg(test)]

@@ -1,10 +1,9 @@
 //! Another program that runs the same network, timed in turn with ours.
 
-use std::process::Command;
-
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
+use crate::bench::peer;
+use crate::error::Result;
 
 /// Medians that a peer printed, ms.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -41,22 +40,9 @@ pub struct Rounds {
 /// # Errors
 /// If it can't be started, fails, or prints something else.
 pub fn run(command: &str, preset: &str, threads: usize, runs: usize) -> Result<Timing> {
-    let mut words = command.split_whitespace();
-    let program = words.next().ok_or_else(|| Error::value("peer", "a command", "nothing"))?;
-    let output = Command::new(program)
-        .args(words)
-        .args(["--preset", preset, "--threads", &threads.to_string(), "--runs", &runs.to_string()])
-        .env("OMP_NUM_THREADS", threads.to_string())
-        .output()
-        .map_err(Error::io(program))?;
-    let text = String::from_utf8_lossy(&output.stdout);
-    let last = text.trim().lines().last().unwrap_or_default();
-    if !output.status.success() {
-        let said = String::from_utf8_lossy(&output.stderr);
-        let said = said.trim().lines().last().unwrap_or_default().to_owned();
-        return Err(Error::value(format!("peer {command:?}"), "success", format!("{}: {said}", output.status)));
-    }
-    serde_json::from_str(last).map_err(|error| Error::value(format!("peer {command:?}"), "timings in JSON", error))
+    let (count, runs) = (threads.to_string(), runs.to_string());
+    let arguments = ["--preset", preset, "--threads", &count, "--runs", &runs].map(Into::into);
+    peer::ask(command, &arguments, threads)
 }
 
 impl Rounds {

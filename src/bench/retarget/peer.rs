@@ -1,13 +1,13 @@
 //! Another program on the same vectors.
 
 use std::collections::HashMap;
-use std::process::Command;
 
 use glam::DVec3;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::{Deserialize, Serialize};
 
 use super::objective::Setup;
+use crate::bench::peer;
 use crate::error::{Error, Result};
 use crate::file;
 use crate::retarget::Robot;
@@ -46,21 +46,5 @@ pub fn run(command: &str, robot: &Robot, setup: &Setup, vectors: &[Vec<DVec3>]) 
     ]);
     let content = safetensors::serialize([("vectors", view)], Some(metadata)).map_err(|e| Error::file(&path, e))?;
     file::write(&path, &content)?;
-    let mut words = command.split_whitespace();
-    let program = words.next().ok_or_else(|| Error::value("peer", "a command", "nothing"))?;
-    let output = Command::new(program)
-        .args(words)
-        .arg("--input")
-        .arg(&path)
-        .env("OMP_NUM_THREADS", "1")
-        .output()
-        .map_err(Error::io(program))?;
-    let text = String::from_utf8_lossy(&output.stdout);
-    let last = text.trim().lines().last().unwrap_or_default();
-    if !output.status.success() {
-        let said = String::from_utf8_lossy(&output.stderr);
-        let said = said.trim().lines().last().unwrap_or_default().to_owned();
-        return Err(Error::value(format!("peer {command:?}"), "success", format!("{}: {said}", output.status)));
-    }
-    serde_json::from_str(last).map_err(|error| Error::value(format!("peer {command:?}"), "timings in JSON", error))
+    peer::ask(command, &["--input".into(), path.into_os_string()], 1)
 }
