@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::source::{Picture, Shot, Shots, Source, Unit};
-use crate::dataset::mcap::{Content, Part, Records, Survey, Topic, bag_files, inner_records, op, open_chunk, survey};
+use crate::dataset::mcap::{Pieces, Survey, Topic, bag_files, op, survey};
 use crate::error::{Error, Result};
 use crate::message::{CompressedImage, Header, Image, Message, Time};
 
@@ -120,8 +120,8 @@ impl Source for Bag {
     }
 
     fn shots(&self, unit: usize, from: usize) -> Result<Shots<'_>> {
-        let records = Records::open(&self.files[unit])?;
-        let walk = Walk { bag: self, records, channels: Channels::new(&self.topic), waiting: Vec::new().into_iter() };
+        let pieces = Pieces::open(&self.files[unit])?;
+        let walk = Walk { bag: self, pieces, channels: Channels::new(&self.topic), waiting: Vec::new().into_iter() };
         Ok(Box::new(walk.skip(from)))
     }
 }
@@ -129,7 +129,7 @@ impl Source for Bag {
 /// The image messages of one file in the order they lie in it.
 struct Walk<'a> {
     bag: &'a Bag,
-    records: Records,
+    pieces: Pieces,
     channels: Channels,
     waiting: std::vec::IntoIter<Shot>,
 }
@@ -143,43 +143,14 @@ impl Iterator for Walk<'_> {
                 return Some(shot);
             }
             // What can't be read here can't be read when the bag is put together, which says so.
-            let part = self.records.next_part().ok()??;
-            let (offset, content) = match &part {
-                Part::Lost(_) => continue,
-                Part::Record(record) if record.opcode != op::CHUNK => {
-                    if !matches!(record.opcode, op::CHANNEL | op::MESSAGE) {
-                        continue;
-                    }
-                    (record.offset, Inner::Single(record.opcode, self.records.body(record).ok()?))
-                }
-                Part::Record(record) | Part::CutOff(record) => match open_chunk(&self.records, &part).ok()? {
-                    Ok(content) => (record.offset, Inner::Chunk(content)),
-                    Err(_) => continue,
-                },
-            };
+            let piece = self.pieces.next()?.ok()?;
             let mut shots = Vec::new();
-            let channels = &mut self.channels;
-            content.for_each(|opcode, body| {
-                if let Some(message) = channels.image(opcode, body) {
-                    shots.push(self.bag.shot(&message, offset));
+            for (opcode, body) in piece.records() {
+                if let Some(message) = self.channels.image(opcode, body) {
+                    shots.push(self.bag.shot(&message, piece.offset()));
                 }
-            });
+            }
             self.waiting = shots.into_iter();
-        }
-    }
-}
-
-/// One record, or those of a chunk.
-enum Inner {
-    Single(u8, Vec<u8>),
-    Chunk(Content),
-}
-
-impl Inner {
-    fn for_each(&self, mut take: impl FnMut(u8, &[u8])) {
-        match self {
-            Self::Single(opcode, body) => take(*opcode, body),
-            Self::Chunk(chunk) => inner_records(chunk.records()).for_each(|(_, opcode, body)| take(opcode, body)),
         }
     }
 }

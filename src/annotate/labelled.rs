@@ -13,7 +13,7 @@ use super::summary::About;
 use crate::dataset::EpisodeReader;
 use crate::dataset::lerobot::{LeRobot, numbers, only, reader};
 use crate::dataset::mcap::bag_files;
-use crate::dataset::mcap::{Part, Records, inner_records, op, open_chunk};
+use crate::dataset::mcap::{Pieces, op};
 use crate::dataset::tensors::FieldFile;
 use crate::dataset::zarr::{
     MANO_CONTACT, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, TIMESTAMPS, ZarrReader,
@@ -232,7 +232,6 @@ fn bag(path: &Path) -> Result<Labelled> {
 
 /// Calls `take` with topic, type and payload of each message that can be read, in the file's order.
 fn for_each_message(path: &Path, mut take: impl FnMut(&str, &str, &[u8]) -> Result<()>) -> Result<()> {
-    let mut records = Records::open(path)?;
     let mut schemas: BTreeMap<u16, String> = BTreeMap::new();
     let mut channels: BTreeMap<u16, (String, String)> = BTreeMap::new();
     let mut note = |opcode: u8, body: &[u8]| -> Result<()> {
@@ -255,20 +254,8 @@ fn for_each_message(path: &Path, mut take: impl FnMut(&str, &str, &[u8]) -> Resu
         }
         Ok(())
     };
-    while let Some(part) = records.next_part()? {
-        match &part {
-            Part::Lost(_) => {}
-            Part::Record(record) if record.opcode != op::CHUNK => {
-                if matches!(record.opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
-                    note(record.opcode, &records.body(record)?)?;
-                }
-            }
-            chunk => {
-                if let Ok(content) = open_chunk(&records, chunk)? {
-                    inner_records(content.records()).try_for_each(|(_, opcode, body)| note(opcode, body))?;
-                }
-            }
-        }
+    for piece in Pieces::open(path)? {
+        piece?.records().try_for_each(|(opcode, body)| note(opcode, body))?;
     }
     Ok(())
 }

@@ -6,6 +6,7 @@
 //! very end. So an output is whole or absent, the input is only read, shards are processes that fill different journals, and
 //! memory does not grow with the length of a recording.
 
+mod ahead;
 mod bag;
 mod copy;
 mod images;

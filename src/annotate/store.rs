@@ -7,6 +7,7 @@ use std::path::Path;
 
 use serde_json::{Map, Value};
 
+use super::ahead::ahead;
 use super::copy::{copy_file, copy_folder};
 use super::journal::Label;
 use super::output::{Journals, Output};
@@ -108,7 +109,6 @@ impl Source for Store {
 
 impl Output for Store {
     fn assemble(&self, journals: &Journals, about: &mut About, at: &Path, _: &Path) -> Result<()> {
-        about.summary.lost.extend(copy(&self.place, at)?);
         let [force, contact, force_valid, contact_valid] = self.names();
         // An attempt that was killed may have left some of them.
         for name in [&force, &contact, &force_valid, &contact_valid] {
@@ -123,17 +123,20 @@ impl Output for Store {
             ArraySpec::new(force_valid, [N_FIELD], Dtype::U8),
             ArraySpec::new(contact_valid, [N_FIELD], Dtype::U8),
         ];
+        fs::create_dir_all(at).map_err(Error::io(at))?;
         let mut arrays = AddedArrays::new(at, specs)?;
-        for (unit, Unit { name, frames }) in self.units.iter().enumerate() {
-            let mut count = 0;
-            for label in journals.labels(unit)? {
-                arrays.push(values(label?))?;
-                count += 1;
-            }
-            if Some(count) != *frames {
-                return Err(Error::value(name, format!("{} labels", frames.unwrap_or(0)), count));
-            }
-        }
+        // Two things that share nothing until the store's attributes are written.
+        let (copied, added) = std::thread::scope(|scope| {
+            let copying = scope.spawn(|| copy(&self.place, at));
+            let added = self.units.iter().enumerate().try_for_each(|(index, unit)| {
+                let labels = journals.labels(index)?;
+                ahead(labels, |labels| add_labels(&mut arrays, unit, labels))
+            });
+            (copying.join(), added)
+        });
+        let died = |_| Err(Error::file(at, "the thread that copied the store died"));
+        about.summary.lost.extend(copied.unwrap_or_else(died)?);
+        added?;
         let mut attributes = Map::new();
         if !self.reader.raw_attributes().contains_key("topology") {
             attributes.insert("topology".into(), about.provenance.topology.id().into());
@@ -155,6 +158,23 @@ impl Output for Store {
 
     fn about(&self, out: &Path) -> Option<About> {
         about(out)
+    }
+}
+
+/// Appends the labels of a unit, of which there must be one for each frame.
+fn add_labels(
+    arrays: &mut AddedArrays,
+    unit: &Unit,
+    labels: &mut dyn Iterator<Item = Result<Label>>,
+) -> Result<()> {
+    let mut count = 0;
+    for label in labels {
+        arrays.push(values(label?))?;
+        count += 1;
+    }
+    match Some(count) == unit.frames {
+        true => Ok(()),
+        false => Err(Error::value(&unit.name, format!("{} labels", unit.frames.unwrap_or(0)), count)),
     }
 }
 

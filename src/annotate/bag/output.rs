@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use super::super::journal::{Label, Labels};
+use super::super::ahead::ahead;
+use super::super::journal::Label;
 use super::super::output::{Journals, Output};
 use super::super::provenance::NAME;
 use super::super::summary::About;
-use super::{Bag, Channels, ImageMessage, Inner};
+use super::{Bag, Channels, ImageMessage};
 use crate::dataset::mcap::{
-    BagFile, BagTopic, CopyWriter, Lost, Part, Record, Records, bag_files, inner_records, metadata_yaml, op,
-    open_chunk, put_text, survey,
+    BagFile, BagTopic, CopyWriter, Piece, Pieces, Record, Records, bag_files, metadata_yaml, op, put_text, survey,
 };
 use crate::error::{Error, Result};
 use crate::message::{Header, Image, Message, Reader, TactileFrame, Time};
@@ -79,6 +79,9 @@ pub fn about(bag: &Path) -> Option<About> {
     serde_json::from_str(survey.metadata.get(NAME)?.get("about")?).ok()
 }
 
+/// The labels of one unit, as they are read.
+type Labels<'a> = dyn Iterator<Item = Result<Label>> + 'a;
+
 /// Copies one file of a bag and puts labels beside its images.
 struct TactileMessages<'a> {
     bag: &'a Bag,
@@ -107,66 +110,62 @@ impl<'a> TactileMessages<'a> {
     }
 
     fn copy(&mut self, journals: &Journals, to: &Path, about: &mut About) -> Result<CopyWriter> {
-        let mut records = Records::open(&self.bag.files[self.index])?;
-        let mut labels = journals.labels(self.index)?;
+        let file = &self.bag.files[self.index];
+        let (original, pieces, labels) = (Records::open(file)?, Pieces::open(file)?, journals.labels(self.index)?);
         let mut out = CopyWriter::create(to, self.bag.surveys[self.index].chunked)?;
-        let mut lost: Vec<Lost> = Vec::new();
-        while let Some(part) = records.next_part()? {
-            let content = match &part {
-                Part::Lost(damage) => {
-                    lost.push(damage.clone());
-                    continue;
+        // Unpacking, here and in the journal, takes as long as writing.
+        ahead(pieces, |pieces| {
+            ahead(labels, |labels| {
+                for piece in pieces {
+                    self.piece(&piece?, &original, about, labels, &mut out)?;
                 }
-                Part::Record(record) if record.opcode != op::CHUNK => {
-                    match record.opcode {
-                        op::DATA_END => break,
-                        // Made anew: damage may have taken some of them, and what they point to.
-                        op::MESSAGE_INDEX => {}
-                        op::ATTACHMENT => self.attachment(&records, record, &mut out, &mut lost)?,
-                        _ => {
-                            out.flush_if_full()?;
-                            let body = records.body(record)?;
-                            out.record(record.opcode, &body)?;
-                            Inner::Single(record.opcode, body).label(self, about, &mut labels, &mut out)?;
-                        }
+                match labels.next().transpose()? {
+                    Some(extra) => {
+                        let got = format!("a label at {} s without one", extra.stamp_secs);
+                        Err(Error::value(&self.bag.units[self.index].name, "the images that were labelled", got))
                     }
-                    continue;
+                    None => Ok(()),
                 }
-                chunk => chunk,
-            };
-            out.flush_if_full()?;
-            let (Part::Record(record) | Part::CutOff(record)) = content else { continue };
-            match open_chunk(&records, content)? {
-                Err(reason) => lost.push(records.lost(record, reason)),
-                Ok(content) => {
-                    if content.whole {
-                        out.chunk(content.body(), content.records())?;
-                    } else {
-                        // What a chunk without end still gives becomes a whole one.
-                        let got = inner_records(content.records()).count();
-                        let reason = format!("the file ends within this chunk, of which {got} records were read");
-                        lost.push(records.lost(record, reason));
-                        for (_, opcode, body) in inner_records(content.records()) {
-                            out.record(opcode, body)?;
-                        }
-                    }
-                    Inner::Chunk(content).label(self, about, &mut labels, &mut out)?;
-                }
-            }
-        }
-        about.summary.lost.append(&mut lost);
-        if let Some(extra) = labels.next().transpose()? {
-            let got = format!("a label at {} s without one", extra.stamp_secs);
-            return Err(Error::value(&self.bag.units[self.index].name, "the images that were labelled", got));
-        }
+            })
+        })?;
         out.record(op::METADATA, &metadata(about)?)?;
         out.finish()?;
         Ok(out)
     }
 
-    fn attachment(&self, from: &Records, record: &Record, out: &mut CopyWriter, lost: &mut Vec<Lost>) -> Result<()> {
-        if !out.attachment(from.file(), record)? {
-            lost.push(from.lost(record, "an attachment whose checksum is wrong"));
+    /// Copies a piece of the file `original`, and writes the labels of its images.
+    fn piece(
+        &mut self,
+        piece: &Piece,
+        original: &Records,
+        about: &mut About,
+        labels: &mut Labels,
+        out: &mut CopyWriter,
+    ) -> Result<()> {
+        out.flush_if_full()?;
+        match piece {
+            Piece::Lost(damage) => about.summary.lost.push(damage.clone()),
+            // Made anew: damage may have taken some of them, and what they point to.
+            Piece::Record(Record { opcode: op::MESSAGE_INDEX, .. }, _) => {}
+            Piece::Record(record, _) if record.opcode == op::ATTACHMENT => {
+                if !out.attachment(original.file(), record)? {
+                    about.summary.lost.push(original.lost(record, "an attachment whose checksum is wrong"));
+                }
+            }
+            Piece::Record(record, body) => out.record(record.opcode, body)?,
+            Piece::Chunk(_, content) => match &content.lost {
+                None => out.chunk(content.body(), content.records())?,
+                // What a chunk without end still gives becomes a whole one.
+                Some(lost) => {
+                    about.summary.lost.push(lost.clone());
+                    piece.records().try_for_each(|(opcode, body)| out.record(opcode, body))?;
+                }
+            },
+        }
+        for (opcode, body) in piece.records() {
+            if let Some(image) = self.channels.image(opcode, body) {
+                self.write(&image, about, labels, out)?;
+            }
         }
         Ok(())
     }
@@ -210,21 +209,6 @@ impl<'a> TactileMessages<'a> {
         channel.extend_from_slice(&(metadata.len() as u32).to_le_bytes());
         channel.extend_from_slice(&metadata);
         out.record(op::CHANNEL, &channel)
-    }
-}
-
-impl Inner {
-    /// Writes the labels of the images among these records.
-    fn label(&self, to: &mut TactileMessages, about: &About, labels: &mut Labels, out: &mut CopyWriter) -> Result<()> {
-        let mut result = Ok(());
-        self.for_each(|opcode, body| {
-            if let Some(image) = to.channels.image(opcode, body)
-                && result.is_ok()
-            {
-                result = to.write(&image, about, labels, out);
-            }
-        });
-        result
     }
 }
 

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use mcap::records::op;
 
-use super::records::{PREFIX, Part, Records, chunk_header};
+use super::records::{Lost, PREFIX, Record, Records, chunk_header};
 use crate::error::Result;
 
 /// Most room made for a chunk's records before they are there, bytes: what its head says may be damage.
@@ -19,8 +19,8 @@ pub struct Content {
     unpacked: Option<Vec<u8>>,
     /// Where they lie, there or in the body.
     place: Range<usize>,
-    /// Whether these are all of the chunk's.
-    pub whole: bool,
+    /// The end that is missing, since the file ends before it; None = these are all of the chunk's records.
+    pub lost: Option<Lost>,
 }
 
 impl Content {
@@ -35,19 +35,15 @@ impl Content {
     }
 }
 
-/// Reads a chunk, whole or not at all; of one that is cut off since the file ends, what is there. Else says what is wrong.
+/// Reads the chunk at `record`, whole or not at all; of one that is `cut_off` since the file ends, what is there.
 ///
 /// # Errors
-/// If the file can't be read.
-pub fn open_chunk(file: &Records, part: &Part) -> Result<std::result::Result<Content, String>> {
-    let (record, cut_off) = match part {
-        Part::Record(record) => (record, false),
-        Part::CutOff(record) => (record, true),
-        Part::Lost(lost) => return Ok(Err(lost.reason.clone())),
-    };
+/// If the file can't be read; inside, what is wrong with the chunk.
+pub(super) fn open_chunk(file: &Records, record: &Record, cut_off: bool) -> Result<std::result::Result<Content, Lost>> {
+    let lost = |reason: String| Ok(Err(file.lost(record, reason)));
     let body = file.body(record)?;
     let Some((header, start)) = chunk_header(&body) else {
-        return Ok(Err("a chunk without a proper head".into()));
+        return lost("a chunk without a proper head".into());
     };
     let compressed = &body[start..];
     let wanted = header.uncompressed_size;
@@ -56,7 +52,7 @@ pub fn open_chunk(file: &Records, part: &Part) -> Result<std::result::Result<Con
         "" => Ok(0),
         "zstd" => zstd::Decoder::new(compressed).and_then(|decoder| decoder.take(wanted).read_to_end(&mut unpacked)),
         "lz4" => lz4::Decoder::new(compressed).and_then(|decoder| decoder.take(wanted).read_to_end(&mut unpacked)),
-        other => return Ok(Err(format!("a chunk with unknown compression {other:?}"))),
+        other => return lost(format!("a chunk with unknown compression {other:?}")),
     };
     let (unpacked, place) = match header.compression.is_empty() {
         true => (None, start..body.len().min(start.saturating_add(usize::try_from(wanted).unwrap_or(usize::MAX)))),
@@ -65,24 +61,27 @@ pub fn open_chunk(file: &Records, part: &Part) -> Result<std::result::Result<Con
             (Some(unpacked), place)
         }
     };
-    let mut content = Content { body, unpacked, place, whole: !cut_off };
+    let mut content = Content { body, unpacked, place, lost: None };
     let records = content.records();
     let whole_records = inner_records(records).last().map_or(0, |(end, ..)| end);
     if cut_off {
+        let count = inner_records(records).count();
         content.place.end = content.place.start + whole_records;
+        let reason = format!("the file ends within this chunk, of which {count} records were read");
+        content.lost = Some(file.lost(record, reason));
         return Ok(Ok(content));
     }
     if let Err(error) = result {
-        return Ok(Err(format!("a chunk that can't be decompressed: {error}")));
+        return lost(format!("a chunk that can't be decompressed: {error}"));
     }
     if records.len() as u64 != wanted {
-        return Ok(Err(format!("a chunk of {} bytes where {wanted} should be", records.len())));
+        return lost(format!("a chunk of {} bytes where {wanted} should be", records.len()));
     }
     if header.uncompressed_crc != 0 && crc32fast::hash(records) != header.uncompressed_crc {
-        return Ok(Err("a chunk whose checksum is wrong".into()));
+        return lost("a chunk whose checksum is wrong".into());
     }
     if whole_records != records.len() {
-        return Ok(Err("a chunk whose records do not add up".into()));
+        return lost("a chunk whose records do not add up".into());
     }
     Ok(Ok(content))
 }

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use mcap::MAGIC;
 use mcap::records::{Record as Parsed, op};
 
-use super::chunk::{inner_records, open_chunk};
-use super::records::{PREFIX, Part, Records};
+use super::piece::{Piece, Pieces};
+use super::records::{PREFIX, Records};
 use crate::error::{Error, Result};
 
 /// Largest summary that is read whole, bytes; beyond it the file itself is read.
@@ -85,26 +85,14 @@ pub fn bag_files(path: &Path) -> Result<Vec<PathBuf>> {
 /// # Errors
 /// If the file can't be read or is no MCAP file.
 pub fn survey(path: &Path) -> Result<Survey> {
-    let mut file = Records::open(path)?;
-    if let Some(survey) = from_summary(&file, path)? {
+    if let Some(survey) = from_summary(&Records::open(path)?, path)? {
         return Ok(survey);
     }
     let mut survey = Survey::default();
-    while let Some(part) = file.next_part()? {
-        match &part {
-            Part::Lost(_) => {}
-            Part::Record(record) if record.opcode != op::CHUNK => {
-                if matches!(record.opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE | op::METADATA) {
-                    survey.note(record.opcode, &file.body(record)?);
-                }
-            }
-            chunk => {
-                survey.chunked = true;
-                if let Ok(content) = open_chunk(&file, chunk)? {
-                    inner_records(content.records()).for_each(|(_, opcode, body)| survey.note(opcode, body));
-                }
-            }
-        }
+    for piece in Pieces::open(path)? {
+        let piece = piece?;
+        survey.chunked |= matches!(piece, Piece::Chunk(..));
+        piece.records().for_each(|(opcode, body)| survey.note(opcode, body));
     }
     Ok(survey)
 }

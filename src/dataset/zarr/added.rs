@@ -22,14 +22,11 @@ pub struct AddedArrays {
 }
 
 impl AddedArrays {
-    /// Begins arrays `specs` in the store at `root`.
+    /// Begins arrays `specs` in the store at `root`, of which nothing but the folder need be there yet.
     ///
     /// # Errors
-    /// If it is no Zarr v2 folder, or has an array of one of these names.
+    /// If it is no folder, or has an array of one of these names.
     pub fn new(root: &Path, specs: Vec<ArraySpec>) -> Result<Self> {
-        if !root.join(".zgroup").is_file() {
-            return Err(Error::file(root, "expected a Zarr v2 store; arrays can't be added to another"));
-        }
         if let Some(taken) = specs.iter().find(|spec| root.join(&spec.name).exists()) {
             return Err(Error::file(root, format!("has an array {} already", taken.name)));
         }
@@ -52,11 +49,14 @@ impl AddedArrays {
         Ok(())
     }
 
-    /// Writes what is left, and `attributes` beside those of the root group.
+    /// Writes what is left, and `attributes` beside those of the root group, which must be there by now.
     ///
     /// # Errors
-    /// If something can't be written, or the store's own metadata is not what Zarr has there.
+    /// If something can't be written, this is no Zarr v2 store, or its own metadata is not what Zarr has there.
     pub fn finish(mut self, attributes: Map<String, Value>) -> Result<()> {
+        if !self.root.join(".zgroup").is_file() {
+            return Err(Error::file(&self.root, "expected a Zarr v2 store; arrays can't be added to another"));
+        }
         for column in &mut self.columns {
             column.finish(&self.place)?;
         }

@@ -1,0 +1,81 @@
+//! An MCAP file piece by piece: its records, and its chunks unpacked.
+
+use std::path::Path;
+
+use mcap::records::op;
+
+use super::chunk::{Content, inner_records, open_chunk};
+use super::records::{Lost, Part, Record, Records};
+use crate::error::Result;
+
+/// A piece of a file with its content.
+#[derive(Debug)]
+pub enum Piece {
+    /// A record outside of chunks, with its content; that of an attachment, which may be of any size, stays in the file.
+    Record(Record, Vec<u8>),
+    /// A chunk, and where it begins.
+    Chunk(u64, Content),
+    /// Damage.
+    Lost(Lost),
+}
+
+impl Piece {
+    /// Opcode and content of the piece's record, or of each in its chunk.
+    pub fn records(&self) -> impl Iterator<Item = (u8, &[u8])> {
+        let (single, chunk) = match self {
+            Self::Record(record, body) => (Some((record.opcode, body.as_slice())), None),
+            Self::Chunk(_, content) => (None, Some(inner_records(content.records()))),
+            Self::Lost(_) => (None, None),
+        };
+        single.into_iter().chain(chunk.into_iter().flatten().map(|(_, opcode, body)| (opcode, body)))
+    }
+
+    /// Where it begins in the file.
+    pub fn offset(&self) -> u64 {
+        match self {
+            Self::Record(record, _) => record.offset,
+            Self::Chunk(offset, _) => *offset,
+            Self::Lost(lost) => lost.offset,
+        }
+    }
+}
+
+/// The pieces of one file in order, up to the end of its data section.
+#[derive(Debug)]
+pub struct Pieces(Records);
+
+impl Pieces {
+    /// Opens the file at `path`.
+    ///
+    /// # Errors
+    /// If it can't be read, or does not begin as MCAP files do.
+    pub fn open(path: &Path) -> Result<Self> {
+        Records::open(path).map(Self)
+    }
+
+    fn next_piece(&mut self) -> Result<Option<Piece>> {
+        let Some(part) = self.0.next_part()? else { return Ok(None) };
+        let (record, cut_off) = match part {
+            Part::Lost(lost) => return Ok(Some(Piece::Lost(lost))),
+            Part::CutOff(record) => (record, true),
+            Part::Record(record) => (record, false),
+        };
+        Ok(match record.opcode {
+            op::DATA_END => None,
+            op::CHUNK => Some(match open_chunk(&self.0, &record, cut_off)? {
+                Ok(content) => Piece::Chunk(record.offset, content),
+                Err(lost) => Piece::Lost(lost),
+            }),
+            op::ATTACHMENT => Some(Piece::Record(record, Vec::new())),
+            _ => Some(Piece::Record(record, self.0.body(&record)?)),
+        })
+    }
+}
+
+impl Iterator for Pieces {
+    type Item = Result<Piece>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.next_piece().transpose()
+    }
+}
