@@ -30,6 +30,7 @@ mod video;
 mod work;
 
 pub use bag::TOPIC;
+pub(crate) use copy::copy_folder;
 pub use images::image_files;
 pub use input::{Choices, Found, Item, Kind, Target, images_of, items};
 pub use job::{Effort, Job, Outcome, Shard};

@@ -2,13 +2,14 @@
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use ::image::codecs::jpeg::JpegEncoder;
 use ::image::{Rgb, RgbImage};
 use serde::Serialize;
 
 use super::Machine;
-use crate::annotate::{Choices, Effort, Found, Job, Provenance, Shard, items};
+use crate::annotate::{Choices, Effort, Found, Job, Provenance, Shard, copy_folder, items};
 use crate::dataset::mcap::BagWriter;
 use crate::dataset::zarr::{Contact, ZarrWriter};
 use crate::dataset::{Attributes, EpisodeWriter, Frame};
@@ -58,6 +59,8 @@ pub struct Row {
     pub journal_ms: f64,
     /// Reading the input once more, and writing the output.
     pub assembly_ms: f64,
+    /// Copying the input and nothing else, by the system.
+    pub copy_ms: f64,
     /// Waiting, journal and assembly by the network's time.
     pub share: f64,
 }
@@ -120,8 +123,18 @@ fn measure(predictor: &mut Predictor, format: &str, image: (u32, u32), input: &P
         waiting_ms: per_image(times.waiting),
         journal_ms: per_image(times.journal),
         assembly_ms: per_image(effort.assemble_secs),
+        copy_ms: per_image(copy_secs(input, &out.with_extension("copy"))?),
         share: others / times.network.max(f64::MIN_POSITIVE),
     })
+}
+
+/// Seconds of copying the file or folder `from` to `to`, which is removed again.
+fn copy_secs(from: &Path, to: &Path) -> Result<f64> {
+    let started = Instant::now();
+    copy_folder(from, to, false)?;
+    let seconds = started.elapsed().as_secs_f64();
+    std::fs::remove_dir_all(to).map_err(Error::io(to))?;
+    Ok(seconds)
 }
 
 /// The report as a table.
@@ -131,16 +144,18 @@ pub fn markdown(report: &Report) -> String {
         "# What labelling costs beside the network\n\nWritten by `{command}`: {frames} images of each format, egotac {version},\n\
          {machine}. Numbers: `label.json`.\n\n\
          Milliseconds per image. *Waiting*: what reading and decoding, which go on beside the network, make it wait. *Output*: putting \
-         the\nlabelled recording together, every record of the original included. *Rest*: all that is not the network, by the network's \
-         time;\nit should stay below {:.0} % for a preset. The shipped network is so small that the rest counts.\n\n\
-         | network | format | image | network ms | waiting ms | journal ms | output ms | rest |\n|---|---|---|---|---|---|---|---|\n",
+         the\nlabelled recording together, every record of the original included. *Copy*: what the system takes to copy the recording and \
+         nothing\nelse. *Rest*: waiting, journal and output by the network's time; it should stay below {:.0} % for a preset. The \
+         shipped network is\nso small that copying raw images counts.\n\n\
+         | network | format | image | network ms | waiting ms | journal ms | output ms | copy ms | rest |\n\
+         |---|---|---|---|---|---|---|---|---|\n",
         100.0 * ALLOWED
     );
     for row in rows {
-        let Row { network, format, image: (width, height), network_ms, waiting_ms, journal_ms, assembly_ms, share } =
-            row;
+        let Row { network, format, image: (width, height), network_ms, waiting_ms, journal_ms, assembly_ms, .. } = row;
+        let Row { copy_ms, share, .. } = row;
         text += &format!(
-            "| {network} | {format} | {width} x {height} | {network_ms:.2} | {waiting_ms:.2} | {journal_ms:.2} | {assembly_ms:.2} | {:.1} % |\n",
+            "| {network} | {format} | {width} x {height} | {network_ms:.2} | {waiting_ms:.2} | {journal_ms:.2} | {assembly_ms:.2} | {copy_ms:.2} | {:.1} % |\n",
             100.0 * share
         );
     }

@@ -1,6 +1,7 @@
 //! The records of an MCAP file one after the other, past damage, in constant memory.
 
 use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
@@ -92,9 +93,15 @@ impl Records {
     /// If the file can't be read.
     pub fn body(&self, record: &Record) -> Result<Vec<u8>> {
         let start = record.offset + PREFIX;
-        let mut body = vec![0; record.length.min(self.size.saturating_sub(start)) as usize];
-        self.file.read_exact_at(&mut body, start).map_err(Error::io(&self.path))?;
-        Ok(body)
+        let length = record.length.min(self.size.saturating_sub(start));
+        // Not `read_exact_at`, which wants a buffer of zeros: that takes as long again for large chunks.
+        let mut body = Vec::with_capacity(length as usize);
+        let mut file = &self.file;
+        let read = file.seek(SeekFrom::Start(start)).and_then(|_| file.take(length).read_to_end(&mut body));
+        match read.map_err(Error::io(&self.path))? as u64 == length {
+            true => Ok(body),
+            false => Err(Error::file(&self.path, "became shorter while it was read")),
+        }
     }
 
     /// Damage at `record`, which is left out.

@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 /// Consolidated metadata: a copy of all metadata in one file, which some readers take for the whole truth.
 const CONSOLIDATED: &str = ".zmetadata";
 
-/// Writes new arrays into a Zarr v2 folder, frame by frame; what is there stays as it is.
+/// Writes new arrays of labels into a Zarr v2 folder, frame by frame; what is there stays as it is.
 #[derive(Debug)]
 pub struct AddedArrays {
     columns: Vec<Column>,
@@ -30,7 +30,7 @@ impl AddedArrays {
         if let Some(taken) = specs.iter().find(|spec| root.join(&spec.name).exists()) {
             return Err(Error::file(root, format!("has an array {} already", taken.name)));
         }
-        let columns = specs.into_iter().map(|spec| Column::new(spec, Compression::default())).collect();
+        let columns = specs.into_iter().map(|spec| Column::new(spec, Compression::Labels)).collect();
         Ok(Self { columns, root: root.to_path_buf(), place: Root::new(root, root)? })
     }
 
