@@ -5,11 +5,8 @@ use std::cell::RefCell;
 use super::aligned::Aligned;
 use super::packed::Shared;
 use super::team;
-use super::tile::{self, LANES, ROWS, Tile, VECTORS};
+use super::tile::{self, LANES, MOST_ROWS, TILES_PER_TASK, Tile, VECTORS};
 use crate::model::ops::simd;
-
-/// Queries that one task takes, at most.
-const QUERIES: usize = 64;
 
 thread_local! {
     /// Scores of the rows that a thread works on.
@@ -57,25 +54,23 @@ impl Attention {
             pack_keys(n, size, |token| part(token, 1), keys);
             pack_values(n, size, |token| part(token, 2), values);
         });
-        let blocks = n.div_ceil(QUERIES);
-        let queries = n.div_ceil(blocks).next_multiple_of(ROWS);
+        let blocks = tile::count(n).div_ceil(TILES_PER_TASK);
         let this = &*self;
         let out = Shared(out.as_mut_ptr());
         team::run(heads * blocks, |index| {
             let (head, block) = (index / blocks, index % blocks);
-            let first = block * queries;
             SCORES.with_borrow_mut(|scores| {
-                if scores.len() < ROWS * wide_n {
-                    *scores = Aligned::zeros(ROWS * wide_n);
+                if scores.len() < MOST_ROWS * wide_n {
+                    *scores = Aligned::zeros(MOST_ROWS * wide_n);
                 }
-                for row in (first..n.min(first + queries)).step_by(ROWS) {
-                    this.rows(qkv, head, row, ROWS.min(n - row), scores, out);
+                for (row, count) in tile::of_task(block, n) {
+                    this.rows(qkv, head, row, count, scores, out);
                 }
             });
         });
     }
 
-    /// Up to [`ROWS`] queries of a head; writes their places of `out` and nothing else.
+    /// Up to [`MOST_ROWS`] queries of a head; writes their places of `out` and nothing else.
     #[allow(unsafe_code)]
     fn rows(&self, qkv: &[f32], head: usize, row: usize, rows: usize, scores: &mut [f32], out: Shared) {
         let (n, size) = (self.n, self.size);
@@ -96,10 +91,10 @@ impl Attention {
                 cols: vectors * LANES,
                 add: false,
             };
-            // SAFETY: queries, panel and scores (ROWS x wide_n) hold what the tile reads and writes.
+            // SAFETY: queries, panel and scores (MOST_ROWS x wide_n) hold what the tile reads and writes.
             unsafe { tile::compute(&tile, rows, vectors) };
         }
-        let mut weights = [0.0; ROWS];
+        let mut weights = [0.0; MOST_ROWS];
         let scale = 1.0 / (size as f32).sqrt();
         simd::dispatch(
             #[inline(always)]

@@ -3,13 +3,11 @@
 use super::aligned::{Aligned, Number};
 use super::quantise::{Quantised, quantise_weights};
 use super::team;
-use super::tile::{self, LANES, ROWS, Tile, VECTORS, Weight};
+use super::tile::{self, LANES, TILES_PER_TASK, Tile, VECTORS, Weight};
 use super::tile8::{self, GROUP, Tile8};
 use crate::model::ops::simd;
 use crate::model::precision::Precision;
 
-/// Rows that one task takes, at most.
-const ROWS_PER_TASK: usize = 4 * ROWS;
 /// Multiply-adds below which handing work to other threads costs more than it brings.
 const SMALL: usize = 1 << 17;
 /// Tasks that a product is split into where it can be, so that a thread that is held up elsewhere costs little.
@@ -156,18 +154,16 @@ impl Packed {
             quantised.set(x, self.k);
         }
         let quantised = &*quantised;
-        let blocks = rows.div_ceil(ROWS_PER_TASK);
+        let blocks = tile::count(rows).div_ceil(TILES_PER_TASK);
         let groups = TASKS.div_ceil(blocks).min(self.panels.len());
         let panels_per_group = self.panels.len().div_ceil(groups);
         let out = Shared(out.as_mut_ptr());
         let task = |index: usize| {
             // Tasks of the same panels follow each other.
             let (group, block) = (index / blocks, index % blocks);
-            let first = block * ROWS_PER_TASK;
-            let last = rows.min(first + ROWS_PER_TASK);
             for panel in self.panels.iter().skip(group * panels_per_group).take(panels_per_group) {
-                for row in (first..last).step_by(ROWS) {
-                    self.tile(x, quantised, *panel, row, ROWS.min(last - row), out, stride, then);
+                for (row, count) in tile::of_task(block, rows) {
+                    self.tile(x, quantised, *panel, row, count, out, stride, then);
                 }
             }
         };

@@ -2,8 +2,13 @@
 
 use super::aligned::Number;
 
-/// Rows of the largest tile: with three vectors of columns its sums take 24 of 32 registers.
-pub const ROWS: usize = 8;
+/// Rows of most tiles: with three vectors of columns its sums take 24 of 32 registers.
+const ROWS: usize = 8;
+/// Rows of the largest tile. The CLS token is one over a multiple of 8 patches: in a tile of its own it takes as long as
+/// several rows, since each sum waits for the one before.
+pub const MOST_ROWS: usize = ROWS + 1;
+/// Tiles that one task takes, one below the other.
+pub const TILES_PER_TASK: usize = 4;
 /// Values in a vector.
 pub const LANES: usize = 16;
 /// Vectors of columns in the widest panel.
@@ -32,6 +37,24 @@ pub struct Tile<E> {
     pub cols: usize,
     /// Whether to add to what is there.
     pub add: bool,
+}
+
+/// Tiles that `rows` rows are split into.
+pub fn count(rows: usize) -> usize {
+    match rows % ROWS {
+        1 if rows > ROWS => rows / ROWS,
+        _ => rows.div_ceil(ROWS),
+    }
+}
+
+/// First row and number of rows of the tiles that task `task` takes, of all those of `rows` rows: as even as can be.
+pub fn of_task(task: usize, rows: usize) -> impl Iterator<Item = (usize, usize)> {
+    let count = count(rows);
+    let first = task * TILES_PER_TASK;
+    (first..count.min(first + TILES_PER_TASK)).map(move |i| {
+        let (start, end) = (i * rows / count, (i + 1) * rows / count);
+        (start, end - start)
+    })
 }
 
 /// A weight that becomes an f32.
@@ -86,7 +109,7 @@ impl Weight for u16 {
 /// Computes a tile of `rows` rows and `vectors` vectors of columns, with the widest vectors the processor has.
 ///
 /// # Safety
-/// `rows` is 1 to [`ROWS`], `vectors` 1 to [`VECTORS`], and everything the tile names can be read: `rows` x `k` of
+/// `rows` is 1 to [`MOST_ROWS`], `vectors` 1 to [`VECTORS`], and everything the tile names can be read: `rows` x `k` of
 /// `a`, `k` x 16 `vectors` of `b`, `cols` of the bias; `rows` x `cols` of `out` can be written, and nobody else uses them.
 #[allow(unsafe_code)]
 pub unsafe fn compute<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
@@ -105,7 +128,7 @@ pub unsafe fn compute<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
                 }
             };
         }
-        return table!(1 2 3 4 5 6 7 8);
+        return table!(1 2 3 4 5 6 7 8 9);
     }
     // SAFETY: the caller's.
     unsafe { portable(tile, rows, vectors) }
@@ -188,13 +211,29 @@ unsafe fn portable<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
 mod tests {
     use super::*;
 
+    #[test]
+    fn tiles_cover_all_rows_once_and_none_is_a_row_over() {
+        for rows in 1..2000 {
+            let tasks = count(rows).div_ceil(TILES_PER_TASK);
+            let tiles: Vec<_> = (0..tasks).flat_map(|task| of_task(task, rows)).collect();
+            assert_eq!(tiles.len(), count(rows));
+            let mut next = 0;
+            for (first, size) in tiles {
+                assert_eq!(first, next, "{rows}");
+                assert!((rows.min(4)..=MOST_ROWS).contains(&size), "{rows}: {size}");
+                next += size;
+            }
+            assert_eq!(next, rows);
+        }
+    }
+
     /// Every size of tile, by both forms, against sums in f64.
     #[test]
     fn tiles_of_every_size_are_the_product_in_both_forms() {
         let value = |i: usize| ((i * 7919 % 1013) as f32 / 1013.0) - 0.5;
         let (k, lda) = (21, 25);
-        let a: Vec<f32> = (0..ROWS * lda).map(value).collect();
-        for (rows, vectors, cols) in [(1, 1, 3), (2, 2, 32), (5, 3, 33), (8, 3, 48), (8, 2, 17), (7, 1, 16)] {
+        let a: Vec<f32> = (0..MOST_ROWS * lda).map(value).collect();
+        for (rows, vectors, cols) in [(1, 1, 3), (2, 2, 32), (5, 3, 33), (8, 3, 48), (8, 2, 17), (7, 1, 16), (9, 3, 40)] {
             let width = vectors * LANES;
             let b: Vec<f32> = (0..k * width).map(|i| value(i + 5)).collect();
             let half: Vec<u16> = b.iter().map(|b| half::bf16::from_f32(*b).to_bits()).collect();

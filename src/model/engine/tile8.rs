@@ -41,7 +41,7 @@ pub struct Tile8 {
 /// Computes a tile of `rows` rows and `vectors` vectors of columns.
 ///
 /// # Safety
-/// `rows` is 1 to 8, `vectors` 1 to 3, and everything the tile names can be read: `rows` x 4 `k` activations, `k` x 64
+/// `rows` is 1 to 9, `vectors` 1 to 3, and everything the tile names can be read: `rows` x 4 `k` activations, `k` x 64
 /// `vectors` weights, `rows` scales and zero points, `cols` scales, sums and biases; `rows` x `cols` of `out` can be
 /// written, and nobody else uses them.
 #[allow(unsafe_code)]
@@ -61,7 +61,7 @@ pub unsafe fn compute(tile: &Tile8, rows: usize, vectors: usize) {
                 }
             };
         }
-        return table!(1 2 3 4 5 6 7 8);
+        return table!(1 2 3 4 5 6 7 8 9);
     }
     // SAFETY: the caller's.
     unsafe { portable(tile, rows, vectors) }
