@@ -162,11 +162,7 @@ impl Output for Store {
 }
 
 /// Appends the labels of a unit, of which there must be one for each frame.
-fn add_labels(
-    arrays: &mut AddedArrays,
-    unit: &Unit,
-    labels: &mut dyn Iterator<Item = Result<Label>>,
-) -> Result<()> {
+fn add_labels(arrays: &mut AddedArrays, unit: &Unit, labels: &mut dyn Iterator<Item = Result<Label>>) -> Result<()> {
     let mut count = 0;
     for label in labels {
         arrays.push(values(label?))?;
