@@ -364,6 +364,14 @@ impl Goal {
             }
             let [Side::Geoms { geoms: thumb, .. }, Side::Geoms { geoms: other, .. }] = &self.problem.gaps[pinch].sides
             else {
+                // Of points that lie upon each other the pads' normals tell how they meet.
+                let find = |human: usize| robot.fingers.iter().find(|finger| finger.human == human);
+                let (Some(thumb), Some(other)) = (find(0), find(finger.human)) else { continue };
+                let [a, b] = [thumb, other].map(|finger| frame::place(&robot.world, finger));
+                let [facing, faced] = [thumb, other].map(|finger| frame::normal(&robot.world, finger));
+                let Some(normal) = (facing - faced).try_normalize().filter(|_| a.distance(b) <= NEAR) else { continue };
+                meetings[0] = Some(Meeting { place: 0.5 * (a + b), normal });
+                meetings[finger.human] = Some(Meeting { place: 0.5 * (a + b), normal: -normal });
                 continue;
             };
             let mut nearest = NEAR;

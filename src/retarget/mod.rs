@@ -61,6 +61,8 @@ const PATROL: usize = 3;
 /// A way to another pose is looked at in so many steps; links may be no deeper in each other there, m.
 const WAY: u32 = 12;
 const DEEP: f64 = 5e-4;
+/// Share of a way that is worth going where all of it would bring links into each other.
+const SHORTEST_SHARE: f64 = 0.1;
 /// Another pose is moved to in mid-motion where it costs less than this share.
 const BETTER: f64 = 0.7;
 
@@ -91,7 +93,7 @@ pub enum Status {
     Solved = 0,
     /// Solved, with keypoints replaced that could not be where they seemed.
     Repaired = 1,
-    /// A joint could not move as fast as it should.
+    /// A joint could not move as fast as it should, or links would have run into each other.
     Limited = 2,
     /// The solver stopped at its cap of iterations.
     Capped = 3,
@@ -108,7 +110,7 @@ impl Status {
         match self {
             Self::Solved => "solved",
             Self::Repaired => "outlying keypoints replaced",
-            Self::Limited => "velocity limit reached",
+            Self::Limited => "joints too slow, or links in the way",
             Self::Capped => "iteration cap reached",
             Self::Held => "bad input, last good pose held",
         }
@@ -164,6 +166,24 @@ impl Start {
     const ALL: [Start; 3] = [Self::Open, Self::Rest, Self::HalfClosed];
 }
 
+/// Where the pose lies that was found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Way {
+    /// Downhill from the present one.
+    Near,
+    /// Elsewhere: what is best within reach does not lead there.
+    Far,
+}
+
+/// A pose that links are looked at in.
+#[derive(Debug, Clone, Copy)]
+enum Pose {
+    /// The one given out last.
+    Last,
+    /// One on the way from it.
+    Between,
+}
+
 /// Follows a human hand with a robot's.
 #[derive(Debug)]
 pub struct Retargeter {
@@ -182,6 +202,8 @@ pub struct Retargeter {
     next: Vec<f64>,
     other: Vec<f64>,
     between: Vec<f64>,
+    /// Most change of each free coordinate until now.
+    reach: Vec<f64>,
     /// Most change of each free coordinate per second.
     speed: Vec<f64>,
     time: Option<f64>,
@@ -234,6 +256,7 @@ impl Retargeter {
             next: u.clone(),
             other: u.clone(),
             between: u.clone(),
+            reach: vec![0.0; n],
             u,
             speed,
             time: None,
@@ -280,7 +303,7 @@ impl Retargeter {
         if !now.is_finite() {
             return Err(Error::value("time", "finite seconds", now));
         }
-        let limited = self.limit(now);
+        let limited = self.limit(now, Way::Far)?;
         give_out(&mut self.robot, &self.u, &mut self.output)?;
         self.give(now);
         if limited {
@@ -363,8 +386,8 @@ impl Retargeter {
         let smooth = self.smoother.push(&points, dt);
         let calm = self.calm.push(&points, dt);
         self.goal.aim(&mut self.robot, &smooth, &calm, &self.size, input.touch.as_ref(), &self.u);
-        let (iterations, converged) = self.solve(is_new)?;
-        let limited = self.limit(now);
+        let (iterations, converged, way) = self.solve(is_new)?;
+        let limited = self.limit(now, way)?;
         give_out(&mut self.robot, &self.u, &mut self.output)?;
         if let Some(touch) = &input.touch {
             let meetings = self.goal.meetings(&mut self.robot, touch);
@@ -384,8 +407,8 @@ impl Retargeter {
         Ok(())
     }
 
-    /// Finds the pose into `next`; returns the steps and whether they sufficed.
-    fn solve(&mut self, is_new: bool) -> Result<(usize, bool)> {
+    /// Finds the pose into `next`; returns the steps, whether they sufficed, and where the pose lies.
+    fn solve(&mut self, is_new: bool) -> Result<(usize, bool, Way)> {
         self.next.copy_from_slice(&self.u);
         let solved = self.goal.solve(&mut self.solver, &mut self.robot, self.options.stop, &mut self.next)?;
         let (mut best, mut iterations, mut converged) = (solved.cost, solved.iterations, solved.converged);
@@ -401,6 +424,7 @@ impl Retargeter {
             }
         }
         let share = if is_lost { 1.0 } else { BETTER };
+        let mut way = Way::Near;
         for start in &Start::ALL[starts] {
             self.begin(*start)?;
             let solved = self.goal.solve(&mut self.solver, &mut self.robot, self.options.stop, &mut self.other)?;
@@ -409,11 +433,12 @@ impl Retargeter {
             if solved.cost < share * best && (is_new || self.way_is_free()) {
                 best = solved.cost;
                 converged = solved.converged;
+                way = Way::Far;
                 self.next.copy_from_slice(&self.other);
             }
         }
         self.cost = best;
-        Ok((iterations, converged))
+        Ok((iterations, converged, way))
     }
 
     /// Whether no link runs into another on the way from the present pose to `other`, which may be far from it.
@@ -426,10 +451,7 @@ impl Retargeter {
             for (k, position) in self.between.iter_mut().enumerate() {
                 *position = self.u[k] + share * (self.other[k] - self.u[k]);
             }
-            let Robot { world, parts, coupling, .. } = &mut self.robot;
-            coupling.expand(parts, &self.between, world.qpos_mut());
-            world.update_poses();
-            if self.goal.deepest(&mut self.robot) > DEEP {
+            if self.deepest(Pose::Between) > DEEP {
                 return false;
             }
         }
@@ -456,19 +478,64 @@ impl Retargeter {
         Ok(())
     }
 
-    /// Moves towards the pose found as far as the joints' speeds allow; whether one did not allow all.
-    fn limit(&mut self, time: f64) -> bool {
+    /// Moves towards the pose found as far as the joints' speeds allow and no link runs into another; whether all of the
+    /// way was possible.
+    fn limit(&mut self, time: f64, way: Way) -> Result<bool> {
+        if !self.gave_out {
+            // Until a pose has been given out there is none to be near to.
+            self.u.copy_from_slice(&self.next);
+            return Ok(false);
+        }
         // Since a pose was last given out, a held one too.
         let dt = self.given_at.map_or(FIRST_STEP, |given| (time - given).clamp(0.0, LONGEST_STEP));
         let mut limited = false;
-        for (k, u) in self.u.iter_mut().enumerate() {
-            // Until a pose has been given out there is none to be near to.
-            let most = if self.gave_out { self.speed[k] * dt } else { f64::INFINITY };
-            let change = self.next[k] - *u;
+        for (k, u) in self.u.iter().enumerate() {
+            let most = self.speed[k] * dt;
+            let change = self.next[k] - u;
             limited |= change.abs() > most;
-            *u = (*u + change.clamp(-most, most)).clamp(self.robot.coupling.low[k], self.robot.coupling.high[k]);
+            let (low, high) = (self.robot.coupling.low[k], self.robot.coupling.high[k]);
+            self.reach[k] = most;
+            self.between[k] = (u + change.clamp(-most, most)).clamp(low, high);
         }
-        limited
+        if limited && way == Way::Near {
+            // Each joint as near as it can come to the pose found is not the best pose within reach.
+            self.solver.narrow(&self.u, &self.reach);
+            let stop = self.options.stop;
+            let solved = self.goal.solve(&mut self.solver, &mut self.robot, stop, &mut self.between);
+            self.solver.widen();
+            solved?;
+        }
+        // Halve the way until it is free; where it began, it was, or else it must lead out.
+        let mut depth = self.deepest(Pose::Between);
+        if depth > DEEP {
+            limited = true;
+            let allowed = self.deepest(Pose::Last).max(DEEP);
+            let mut share = 1.0;
+            while depth > allowed {
+                share *= 0.5;
+                if share < SHORTEST_SHARE {
+                    return Ok(true);
+                }
+                for (k, position) in self.between.iter_mut().enumerate() {
+                    *position = 0.5 * (*position + self.u[k]);
+                }
+                depth = self.deepest(Pose::Between);
+            }
+        }
+        self.u.copy_from_slice(&self.between);
+        Ok(limited)
+    }
+
+    /// How deep links are in each other in a pose, m.
+    fn deepest(&mut self, pose: Pose) -> f64 {
+        let Robot { world, parts, coupling, .. } = &mut self.robot;
+        let u = match pose {
+            Pose::Last => &self.u,
+            Pose::Between => &self.between,
+        };
+        coupling.expand(parts, u, world.qpos_mut());
+        world.update_poses();
+        self.goal.deepest(&mut self.robot)
     }
 }
 

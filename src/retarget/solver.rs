@@ -49,6 +49,9 @@ pub struct Solver {
     trial: Vec<f64>,
     /// Coordinates held at a bound, with the step that brings them there.
     held: Vec<Option<f64>>,
+    /// What each coordinate may be at least and at most, within the joints' own bounds.
+    low: Vec<f64>,
+    high: Vec<f64>,
 }
 
 /// What the quadratic model cannot be solved for.
@@ -65,7 +68,28 @@ impl Solver {
             right: DVector::zeros(n),
             trial: vec![0.0; n],
             held: vec![None; n],
+            low: vec![f64::NEG_INFINITY; n],
+            high: vec![f64::INFINITY; n],
         }
+    }
+
+    /// Keeps the coordinates within `reach` of `centre`, beside the joints' own bounds, until [`Self::widen`].
+    pub fn narrow(&mut self, centre: &[f64], reach: &[f64]) {
+        for (k, (centre, reach)) in centre.iter().zip(reach).enumerate() {
+            (self.low[k], self.high[k]) = (centre - reach, centre + reach);
+        }
+    }
+
+    /// Lets the joints' own bounds alone count again.
+    pub fn widen(&mut self) {
+        self.low.fill(f64::NEG_INFINITY);
+        self.high.fill(f64::INFINITY);
+    }
+
+    /// Least and greatest value of a coordinate.
+    fn bounds(&self, coupling: &Coupling, k: usize) -> (f64, f64) {
+        let low = coupling.low[k].max(self.low[k]);
+        (low, coupling.high[k].min(self.high[k]).max(low))
     }
 
     /// Improves `u` until nothing is left to gain; the robot is left in the pose found.
@@ -81,8 +105,9 @@ impl Solver {
         stop: Stop,
         u: &mut [f64],
     ) -> Result<Solved> {
-        for (u, (low, high)) in u.iter_mut().zip(coupling.low.iter().zip(&coupling.high)) {
-            *u = u.clamp(*low, *high);
+        for (k, u) in u.iter_mut().enumerate() {
+            let (low, high) = self.bounds(coupling, k);
+            *u = u.clamp(low, high);
         }
         let mut cost = problem.cost(world, parts, coupling, u)?;
         let mut damping = 0.0;
@@ -116,8 +141,9 @@ impl Solver {
                 *trial = u + step;
             }
             // What is held at a bound is at it, whatever the rounding of u + (bound - u).
-            for (trial, (low, high)) in self.trial.iter_mut().zip(coupling.low.iter().zip(&coupling.high)) {
-                *trial = trial.clamp(*low, *high);
+            for k in 0..u.len() {
+                let (low, high) = self.bounds(coupling, k);
+                self.trial[k] = self.trial[k].clamp(low, high);
             }
             let next = problem.cost(world, parts, coupling, &self.trial)?;
             if next < cost {
@@ -157,15 +183,16 @@ impl Solver {
     fn plan(&mut self, u: &[f64], coupling: &Coupling, damping: f64) -> std::result::Result<f64, NotConvex> {
         let n = u.len();
         for k in 0..n {
-            let is_low = u[k] <= coupling.low[k] && self.gradient[k] > 0.0;
-            let is_high = u[k] >= coupling.high[k] && self.gradient[k] < 0.0;
-            self.held[k] = (is_low || is_high || coupling.low[k] >= coupling.high[k]).then_some(0.0);
+            let (low, high) = self.bounds(coupling, k);
+            let is_low = u[k] <= low && self.gradient[k] > 0.0;
+            let is_high = u[k] >= high && self.gradient[k] < 0.0;
+            self.held[k] = (is_low || is_high || low >= high).then_some(0.0);
         }
         for _ in 0..=2 * n {
             self.solve_free(damping)?;
             let mut went_out = false;
             for k in 0..n {
-                let (low, high) = (coupling.low[k] - u[k], coupling.high[k] - u[k]);
+                let (low, high) = self.steps(coupling, u, k);
                 if self.held[k].is_none() && !(low..=high).contains(&self.step[k]) {
                     self.held[k] = Some(self.step[k].clamp(low, high));
                     went_out = true;
@@ -179,7 +206,7 @@ impl Solver {
             for k in 0..n {
                 let Some(at) = self.held[k] else { continue };
                 let slope = self.slope(k, damping);
-                let (low, high) = (coupling.low[k] - u[k], coupling.high[k] - u[k]);
+                let (low, high) = self.steps(coupling, u, k);
                 let inwards = if at <= low && low < high { -slope } else { 0.0 };
                 let inwards = if at >= high && low < high { slope } else { inwards };
                 if inwards > worst.0 + 1e-12 * slope.abs() && inwards > 1e-14 {
@@ -195,6 +222,12 @@ impl Solver {
         let gain =
             -linear - 0.5 * (0..n).map(|k| self.step[k] * (self.slope(k, damping) - self.gradient[k])).sum::<f64>();
         if gain.is_finite() && gain >= 0.0 { Ok(gain) } else { Err(NotConvex) }
+    }
+
+    /// Least and greatest step of a coordinate.
+    fn steps(&self, coupling: &Coupling, u: &[f64], k: usize) -> (f64, f64) {
+        let (low, high) = self.bounds(coupling, k);
+        (low - u[k], high - u[k])
     }
 
     /// Slope of the model at the step, along a coordinate.

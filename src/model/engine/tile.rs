@@ -233,7 +233,8 @@ mod tests {
         let value = |i: usize| ((i * 7919 % 1013) as f32 / 1013.0) - 0.5;
         let (k, lda) = (21, 25);
         let a: Vec<f32> = (0..MOST_ROWS * lda).map(value).collect();
-        for (rows, vectors, cols) in [(1, 1, 3), (2, 2, 32), (5, 3, 33), (8, 3, 48), (8, 2, 17), (7, 1, 16), (9, 3, 40)] {
+        for (rows, vectors, cols) in [(1, 1, 3), (2, 2, 32), (5, 3, 33), (8, 3, 48), (8, 2, 17), (7, 1, 16), (9, 3, 40)]
+        {
             let width = vectors * LANES;
             let b: Vec<f32> = (0..k * width).map(|i| value(i + 5)).collect();
             let half: Vec<u16> = b.iter().map(|b| half::bf16::from_f32(*b).to_bits()).collect();
