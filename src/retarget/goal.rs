@@ -353,9 +353,10 @@ impl Goal {
     }
 
     /// Where thumb and fingers touch each other in the robot's present pose, by human finger: those that the human's touch,
-    /// and whose surfaces are within 3 mm.
-    pub fn meetings(&self, robot: &mut Robot, touch: &Touch) -> [Option<Meeting>; 5] {
+    /// and whose surfaces are within 3 mm. `points`: the human's keypoints in the wrist frame.
+    pub fn meetings(&self, robot: &mut Robot, points: &[DVec3; N_KEYPOINTS], touch: &Touch) -> [Option<Meeting>; 5] {
         const NEAR: f64 = 0.003;
+        let axes = robot.wrist.world_axes(&robot.world);
         let mut meetings = [None; 5];
         for finger in &self.fingers {
             let Some(pinch) = finger.pinch else { continue };
@@ -364,12 +365,12 @@ impl Goal {
             }
             let [Side::Geoms { geoms: thumb, .. }, Side::Geoms { geoms: other, .. }] = &self.problem.gaps[pinch].sides
             else {
-                // Of points that lie upon each other the pads' normals tell how they meet.
+                // Of points that lie upon each other the human's fingertips tell how they meet.
                 let find = |human: usize| robot.fingers.iter().find(|finger| finger.human == human);
                 let (Some(thumb), Some(other)) = (find(0), find(finger.human)) else { continue };
                 let [a, b] = [thumb, other].map(|finger| frame::place(&robot.world, finger));
-                let [facing, faced] = [thumb, other].map(|finger| frame::normal(&robot.world, finger));
-                let Some(normal) = (facing - faced).try_normalize().filter(|_| a.distance(b) <= NEAR) else { continue };
+                let line = axes * (points[keypoint(finger.human, 3)] - points[keypoint(0, 3)]);
+                let Some(normal) = line.try_normalize().filter(|_| a.distance(b) <= NEAR) else { continue };
                 meetings[0] = Some(Meeting { place: 0.5 * (a + b), normal });
                 meetings[finger.human] = Some(Meeting { place: 0.5 * (a + b), normal: -normal });
                 continue;

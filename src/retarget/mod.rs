@@ -390,7 +390,7 @@ impl Retargeter {
         let limited = self.limit(now, way)?;
         give_out(&mut self.robot, &self.u, &mut self.output)?;
         if let Some(touch) = &input.touch {
-            let meetings = self.goal.meetings(&mut self.robot, touch);
+            let meetings = self.goal.meetings(&mut self.robot, &smooth, touch);
             self.transfer.carry(&self.robot, &hand, &smooth, touch, &meetings, &mut self.output.feel);
         } else {
             self.output.feel.clear();

@@ -61,6 +61,9 @@ pub struct Gap {
     /// Bodies that move the two sides, for the Jacobian.
     movers: [usize; 2],
     distance: f64,
+    /// Share of the sideways motion that counts like that along the normal: all of it for points that are to meet, where
+    /// the normal may have any direction; 0 for surfaces, whose curvature is not known.
+    sideways: f64,
     normal: DVec3,
     points: [DVec3; 2],
 }
@@ -110,7 +113,8 @@ pub struct Problem {
     /// Radius of the sphere about each geom, m.
     radii: Vec<f64>,
     qpos: Vec<f64>,
-    row: Vec<f64>,
+    /// Velocity of a gap's one side against the other per unit of each coordinate.
+    apart: Vec<DVec3>,
 }
 
 impl Problem {
@@ -131,7 +135,7 @@ impl Problem {
             chains,
             radii: parts.geoms.iter().map(|geom| geom.radius).collect(),
             qpos: world.qpos().to_vec(),
-            row: vec![0.0; n],
+            apart: vec![DVec3::ZERO; n],
         }
     }
 
@@ -165,6 +169,7 @@ impl Problem {
             at_least,
             movers,
             distance: f64::INFINITY,
+            sideways: 0.0,
             normal: DVec3::Z,
             points: [DVec3::ZERO; 2],
         });
@@ -302,19 +307,21 @@ impl Problem {
 
     fn add_gap_terms(&mut self, index: usize, gradient: &mut DVector<f64>, hessian: &mut DMatrix<f64>) {
         let gap = &self.gaps[index];
-        self.row.fill(0.0);
+        self.apart.fill(DVec3::ZERO);
         for (side, sign) in [(0, -1.0), (1, 1.0)] {
             for (joint, coordinate, ratio, is_hinge) in self.chains[gap.movers[side]].iter().copied() {
                 let (anchor, axis) = self.axes[joint];
                 let velocity = if is_hinge { axis.cross(gap.points[side] - anchor) } else { axis };
-                self.row[coordinate] += sign * ratio * velocity.dot(gap.normal);
+                self.apart[coordinate] += sign * ratio * velocity;
             }
         }
         let pull = gap.weight * gap.error();
-        for (row, slope) in self.row.iter().enumerate().filter(|(_, slope)| **slope != 0.0) {
+        for (row, velocity) in self.apart.iter().enumerate().filter(|(_, velocity)| **velocity != DVec3::ZERO) {
+            let slope = velocity.dot(gap.normal);
             gradient[row] += pull * slope;
-            for (col, other) in self.row[..=row].iter().enumerate() {
-                hessian[(row, col)] += gap.weight * slope * other;
+            let counted = gap.weight * (gap.sideways * *velocity + (1.0 - gap.sideways) * slope * gap.normal);
+            for (col, other) in self.apart[..=row].iter().enumerate() {
+                hessian[(row, col)] += counted.dot(*other);
             }
         }
     }
@@ -341,6 +348,7 @@ impl Gap {
         if let (Some((a, ra)), Some((b, rb))) = (ball(&self.sides[0]), ball(&self.sides[1])) {
             let line = b - a;
             self.distance = line.length() - ra - rb;
+            self.sideways = ((self.distance - self.target) / line.length().max(1e-9)).clamp(0.0, 1.0);
             self.normal = line.try_normalize().unwrap_or(DVec3::Z);
             self.points = [a + ra * self.normal, b - rb * self.normal];
             return;
