@@ -71,6 +71,25 @@ fn limits_speeds_and_couplings_hold_whatever_comes() {
 }
 
 #[test]
+fn no_link_runs_into_another_whatever_comes() {
+    let inputs = [Noise::White(0.005), Noise::White(0.02), Noise::Spikes];
+    for (seed, noise) in (0..).zip(inputs) {
+        let hands = hands(480).with(noise, seed);
+        for name in OWN {
+            let mut retargeter = retargeter(name);
+            // Every fifth frame is of another moment: faster than any joint.
+            for frame in 0..hands.keypoints.len() {
+                let of = if frame % 5 == 4 { (frame * 37) % hands.keypoints.len() } else { frame };
+                let _ = retargeter.push(&Input::new(hands.keypoints[of], frame as f64 * DT));
+                let (robot, goal) = retargeter.look();
+                let deepest = goal.deepest(robot);
+                assert!(deepest <= 5e-4, "{name}, {noise:?}, frame {frame}: {deepest} m deep");
+            }
+        }
+    }
+}
+
+#[test]
 fn between_frames_a_robot_goes_on_as_fast_as_it_may_and_then_stays() {
     let hands = hands(80).keypoints;
     for name in OWN {

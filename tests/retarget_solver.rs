@@ -57,6 +57,63 @@ fn out_of_reach_the_arm_points_at_the_target_with_its_elbow_at_the_bound() {
 }
 
 #[test]
+fn within_a_reach_the_best_pose_is_found_and_not_the_nearest_to_the_best() {
+    let mut robot = arm();
+    let target = DVec3::new(0.1, 0.0, 0.35);
+    let mut problem = Problem::new(&robot.world, &robot.parts, &robot.coupling);
+    let tip = problem.add_point(robot.fingers[0].tip_body, robot.fingers[0].tip);
+    problem.vectors.push(Vector { from: None, to: tip, target, weight: 1.0, huber: f64::INFINITY });
+    let Robot { world, parts, coupling, .. } = &mut robot;
+    let stop = Stop { iterations: 100, tolerance: 1e-12 };
+    let (centre, reach) = ([0.4, 0.5], [0.2, 0.1]);
+    let mut solver = Solver::new(2);
+    solver.narrow(&centre, &reach);
+    let mut u = centre;
+    let solved = solver.solve(&mut problem, world, parts, coupling, stop, &mut u).unwrap();
+    assert!((0..2).all(|k| (u[k] - centre[k]).abs() <= reach[k] + 1e-12), "{u:?}");
+    // A grid over the box knows nothing better.
+    let steps = 200;
+    for (i, j) in (0..=steps).flat_map(|i| (0..=steps).map(move |j| (i, j))) {
+        let at = |k: usize, i: usize| centre[k] + reach[k] * (2.0 * i as f64 / steps as f64 - 1.0);
+        let cost = problem.cost(world, parts, coupling, &[at(0, i), at(1, j)]).unwrap();
+        assert!(solved.cost <= cost + 1e-12, "{} here, {cost} at {i}, {j}", solved.cost);
+    }
+    solver.widen();
+    let free = solver.solve(&mut problem, world, parts, coupling, stop, &mut u).unwrap();
+    assert!(free.cost < 1e-12 && (u[1] - centre[1]).abs() > reach[1]);
+}
+
+#[test]
+fn two_points_meet_in_a_few_steps() {
+    const TWO: &str = r#"<mujoco><compiler angle="radian"/><worldbody>
+        <body name="thumb_a"><joint name="ta" axis="0 1 0"/><geom type="capsule" size=".001" fromto="0 0 0 0 0 .1"/>
+        <body name="thumb_b" pos="0 0 .1"><joint name="tb" axis="1 0 0"/><geom type="capsule" size=".001" fromto="0 0 0 0 0 .1"/>
+        <site name="thumb_tip" pos="0 0 .1"/></body></body>
+        <body name="index_a" pos=".08 0 0"><joint name="ia" axis="0 1 0"/><geom type="capsule" size=".001" fromto="0 0 0 0 0 .1"/>
+        <body name="index_b" pos="0 0 .1"><joint name="ib" axis="0 1 0"/><geom type="capsule" size=".001" fromto="0 0 0 0 0 .1"/>
+        <site name="index_tip" pos="0 0 .1"/></body></body></worldbody></mujoco>"#;
+    let world = World::from_mjcf(TWO, &PhysicsOptions::default()).unwrap();
+    let spec = Spec::parse("robot: two\nwrist: { frame: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }").unwrap();
+    let mut robot = Robot::new(spec, world, "a test".into(), Vec::new()).unwrap();
+    let mut problem = Problem::new(&robot.world, &robot.parts, &robot.coupling);
+    let tips: Vec<usize> =
+        robot.fingers.clone().iter().map(|finger| problem.add_point(finger.tip_body, finger.tip)).collect();
+    let ball = |point| Side::Sphere { point, radius: 0.0 };
+    let gap = problem.add_gap([ball(tips[0]), ball(tips[1])], false);
+    problem.weigh(gap, 1.0);
+    let Robot { world, parts, coupling, .. } = &mut robot;
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    for _ in 0..50 {
+        let mut u: Vec<f64> = (0..4).map(|_| rng.random_range(-0.3..0.3)).collect();
+        let stop = Stop { iterations: 12, tolerance: 1e-9 };
+        Solver::new(4).solve(&mut problem, world, parts, coupling, stop, &mut u).unwrap();
+        problem.cost(world, parts, coupling, &u).unwrap();
+        let apart = problem.place(tips[0]).distance(problem.place(tips[1]));
+        assert!(apart < 1e-5, "{apart} m apart after 12 steps");
+    }
+}
+
+#[test]
 fn derivatives_are_those_of_finite_differences() {
     let mut robot = Robot::load("tendon_hand", None).unwrap();
     let mut problem = Problem::new(&robot.world, &robot.parts, &robot.coupling);

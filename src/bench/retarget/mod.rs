@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use self::follow::{Followed, follow, jerk, lag};
 use self::grip::{Grips, Hold};
-use self::objective::{Setup, Solved, solve, vectors};
+use self::objective::{Calm, Setup, Solved, calm, solve, vectors};
 use self::trajectory::{Noise, Trajectory};
 use crate::bench::Machine;
 use crate::error::Result;
@@ -76,6 +76,8 @@ pub struct Objective {
     pub noise_mm: f64,
     /// Ours.
     pub ours: Solved,
+    /// How calm ours is.
+    pub calm: Calm,
     /// Peers on the same vectors.
     pub peers: Vec<peer::Timing>,
 }
@@ -163,12 +165,13 @@ pub fn run(plan: &Plan, mut say: impl FnMut(&str)) -> Result<Report> {
             let targets = vectors(&robot, &setup, trajectory)?;
             let every = (plan.frames / COMPARED).max(1);
             let ours = solve(&mut robot, &setup, &targets, Stop::default(), every)?;
+            let calm = calm(&mut robot, &setup, trajectory, Stop::default())?;
             let mut peers = Vec::new();
             for command in &plan.peers {
                 say(&format!("{}, {name}, {command}", setup.robot));
                 peers.push(peer::run(command, &robot, &setup, &targets)?);
             }
-            report.objectives.push(Objective { setup: setup.clone(), noise_mm: *noise_mm, ours, peers });
+            report.objectives.push(Objective { setup: setup.clone(), noise_mm: *noise_mm, ours, calm, peers });
         }
         let targets = vectors(&robot, &setup, &inputs[2].2)?;
         let few = &targets[..targets.len().min(2000)];

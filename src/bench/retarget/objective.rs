@@ -5,16 +5,19 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::follow::percentile;
-use super::trajectory::Trajectory;
+use super::follow::{jerk, lag, percentile};
+use super::trajectory::{RATE, Trajectory};
 use crate::bench::sim::clock::Stopwatch;
 use crate::error::Result;
 use crate::hand::Side;
 use crate::retarget::Robot;
+use crate::retarget::filter::Smoother;
 use crate::retarget::human::{Hand, keypoint};
 use crate::retarget::peer::{Kind, Peer};
 use crate::retarget::solver::Stop;
 
+/// Delay at which jerk is compared, s.
+const LAG: f64 = 0.05;
 /// Other starts that the best known optimum is looked for from.
 const STARTS: usize = 8;
 
@@ -48,6 +51,17 @@ pub struct Solved {
     pub compared: usize,
 }
 
+/// How calm the joints are.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Calm {
+    /// Jerk without smoothing, rad/s³.
+    pub jerk: f64,
+    /// Jerk behind the retargeter's filter with a delay of 50 ms, rad/s³.
+    pub jerk_50ms: f64,
+    /// What the filter delays by, measured, s.
+    pub lag_secs: f64,
+}
+
 /// Wrist-to-tip vectors of a trajectory in the robot's frame, (T, fingers), m, as the human has them.
 pub fn vectors(robot: &Robot, setup: &Setup, trajectory: &Trajectory) -> Result<Vec<Vec<DVec3>>> {
     let axes = robot.wrist.world_axes(&robot.world);
@@ -56,6 +70,39 @@ pub fn vectors(robot: &Robot, setup: &Setup, trajectory: &Trajectory) -> Result<
         Ok((0..setup.tips.len()).map(|finger| axes * hand.points[keypoint(finger, 3)]).collect())
     };
     trajectory.keypoints.iter().map(one).collect()
+}
+
+/// How calm the joints are: jerk as solved, jerk with the keypoints smoothed as the retargeter does, and the lag of that.
+///
+/// # Errors
+/// If a link is not in the model.
+pub fn calm(robot: &mut Robot, setup: &Setup, trajectory: &Trajectory, stop: Stop) -> Result<Calm> {
+    let raw = smoothed(robot, setup, trajectory, stop, 0.0)?;
+    let smooth = smoothed(robot, setup, trajectory, stop, LAG)?;
+    Ok(Calm { jerk: jerk(&raw), jerk_50ms: jerk(&smooth), lag_secs: lag(&raw, &smooth) })
+}
+
+/// Joint positions, frame by frame, with the keypoints smoothed by a filter of this delay, s.
+fn smoothed(
+    robot: &mut Robot,
+    setup: &Setup,
+    trajectory: &Trajectory,
+    stop: Stop,
+    delay: f64,
+) -> Result<Vec<Vec<f64>>> {
+    let tips: Vec<&str> = setup.tips.iter().map(String::as_str).collect();
+    let axes = robot.wrist.world_axes(&robot.world);
+    let mut peer = Peer::new(robot, Kind::Vector, &setup.wrist, &tips, setup.scale)?;
+    let mut smoother = Smoother::new(delay);
+    let mut qpos = Vec::with_capacity(trajectory.keypoints.len());
+    for keypoints in &trajectory.keypoints {
+        let points = smoother.push(&Hand::new(keypoints, Side::Right)?.points, 1.0 / RATE);
+        let targets: Vec<DVec3> = (0..tips.len()).map(|finger| axes * points[keypoint(finger, 3)]).collect();
+        peer.aim(&targets);
+        peer.solve(robot, stop)?;
+        qpos.push(robot.world.qpos().to_vec());
+    }
+    Ok(qpos)
 }
 
 /// Solves frame after frame; every `every`-th is compared with a multi-start from the same last pose.
