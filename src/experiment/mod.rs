@@ -196,7 +196,7 @@ fn folder(work: &Path, config: &Config) -> Result<PathBuf> {
 fn budget(encoders: &[Config], planned: &[(&Arm, u64, Config)]) -> Result<Budget> {
     let predicted = |config: &&Config| Domain::ALL.iter().all(|domain| fields_file(config, *domain).exists());
     let runs = planned.iter().map(|(_, _, config)| config).filter(|config| !predicted(config));
-    let encoders = encoders.iter().filter(|config| !config.out.join(CHECKPOINT).exists());
+    let encoders = encoders.iter().filter(|config| !is_trained(config));
     let missing: Vec<&Config> = encoders.chain(runs).collect();
     let windows = missing.iter().map(|config| config.steps * config.batch.clips * config.batch.windows).sum();
     let timed = bench::step(&geometry(), Form { clips: BATCH.clips, windows: BATCH.windows }, 3, &Device::Cpu)?;
@@ -205,18 +205,22 @@ fn budget(encoders: &[Config], planned: &[(&Arm, u64, Config)]) -> Result<Budget
 
 /// Trains, or goes on with what is there; gives the checkpoint.
 fn train_once(config: &Config, mut progress: impl FnMut(usize, usize)) -> Result<PathBuf> {
-    let [checkpoint, state] = [CHECKPOINT, "state.safetensors"].map(|name| config.out.join(name));
-    let finished = Checkpoint::load(&checkpoint, &Device::Cpu)
-        .is_ok_and(|checkpoint| steps_of(&checkpoint.metadata.training) == Some(config.steps));
-    if !finished {
-        train::train(config, state.exists(), &Device::Cpu, &mut |event| {
+    if !is_trained(config) {
+        let resume = config.out.join("state.safetensors").exists();
+        train::train(config, resume, &Device::Cpu, &mut |event| {
             if let Event::Stepped(step) = event {
                 progress(step.step, config.steps);
             }
             Control::Continue
         })?;
     }
-    Ok(checkpoint)
+    Ok(config.out.join(CHECKPOINT))
+}
+
+/// Whether the run is over; one that was stopped has a checkpoint, too.
+fn is_trained(config: &Config) -> bool {
+    Checkpoint::load(&config.out.join(CHECKPOINT), &Device::Cpu)
+        .is_ok_and(|checkpoint| steps_of(&checkpoint.metadata.training) == Some(config.steps))
 }
 
 /// Steps that a checkpoint's record of its training tells of.
