@@ -260,11 +260,11 @@ fn gelu<'a>(row: impl Fn(usize) -> &'a mut [f32], rows: usize) {
                 let (chunks, rest) = row(r).as_chunks_mut::<LANES>();
                 for chunk in chunks {
                     for value in chunk.iter_mut() {
-                        *value *= simd::normal(*value)[0];
+                        *value = simd::gelu(*value);
                     }
                 }
                 for value in rest {
-                    *value *= simd::normal(*value)[0];
+                    *value = simd::gelu(*value);
                 }
             }
         },

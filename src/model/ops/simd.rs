@@ -107,7 +107,7 @@ fn fold(lanes: [f32; LANES]) -> f32 {
     lanes[0]
 }
 
-// Both polynomials come from tests/data/model/approximate.py.
+// All polynomials come from tests/data/model/approximate.py.
 
 /// eʳ for |r| ≤ ln 2 / 2; largest relative error 1.9e-9.
 const EXP: [f32; 7] = [1.0, 1.0, 0.4999999, 0.1666642, 0.041668225, 0.008374816, 0.0013836846];
@@ -115,6 +115,12 @@ const EXP: [f32; 7] = [1.0, 1.0, 0.4999999, 0.1666642, 0.041668225, 0.008374816,
 /// (1 - Φ(a)) exp(a²/2) in t = 1 / (1 + 0.3 a), a in 0 to 14; largest relative error 5.8e-8.
 const TAIL: [f32; 9] =
     [7.168876e-06, 0.11948769, 0.12192034, 0.09468352, 0.14253552, -0.07650648, 0.22866008, -0.16916612, 0.03837829];
+
+/// Φ(x) - 1/2 = x P(x²) / Q(x²) for |x| up to [`FLANK`]; largest error 6.2e-9.
+const ABOVE: [f32; 6] = [0.39894226, 0.033346962, 0.0046508973, 0.00016421112, 6.37431e-06, 2.3519132e-08];
+const BELOW: [f32; 6] = [1.0, 0.25025457, 0.028368222, 0.0018585566, 7.2434435e-05, 1.2213865e-06];
+/// Beyond it Φ is 0 or 1 to 5.8e-8.
+const FLANK: f32 = 5.3;
 
 /// eˣ for x ≤ 0; below -87 it stays at e⁻⁸⁷ = 1.6e-38. NaN stays NaN.
 #[inline(always)]
@@ -142,6 +148,15 @@ pub fn normal(x: f32) -> [f32; 2] {
     let bell = exp(-0.5 * a * a);
     let tail = bell * polynomial(&TAIL, 1.0 / 0.3f32.mul_add(a, 1.0));
     [if x > 0.0 { 1.0 - tail } else { tail }, INV_SQRT_2PI * bell]
+}
+
+/// x Φ(x), exact GELU, to 2e-7 of the larger of |x| and 1: half the work of [`normal`], for a forward pass alone.
+#[inline(always)]
+pub fn gelu(x: f32) -> f32 {
+    let y = x * x;
+    let inside = (x * polynomial(&ABOVE, y) / polynomial(&BELOW, y)) + 0.5;
+    let inside = if x > FLANK { 1.0 } else { inside };
+    x * if x < -FLANK { 0.0 } else { inside }
 }
 
 #[inline(always)]
@@ -187,6 +202,21 @@ mod tests {
             let density = (-0.5 * f64::from(x).powi(2)).exp() / std::f64::consts::TAU.sqrt();
             assert!((f64::from(normal(x)[1]) / density - 1.0).abs() < 1e-5, "{x}");
         }
+    }
+
+    #[test]
+    fn gelu_is_its_definition_and_stays_finite_far_out() {
+        // The distribution with its tails is tested above against published values.
+        for i in -200_000..=200_000 {
+            let x = i as f32 * 1e-4;
+            let want = f64::from(x) * f64::from(normal(x)[0]);
+            assert!((f64::from(gelu(x)) - want).abs() < 2e-7 * f64::from(x.abs().max(1.0)), "{x}: {}", gelu(x));
+        }
+        for x in [1e4, 1e19, 1e30, f32::MAX] {
+            assert_eq!((gelu(x), gelu(-x)), (x, 0.0));
+        }
+        assert!(gelu(f32::NAN).is_nan());
+        assert_eq!(gelu(1e-40), 0.5 * 1e-40);
     }
 
     #[test]
