@@ -128,7 +128,7 @@ fn measure(predictor: &mut Predictor, format: &str, image: (u32, u32), input: &P
     })
 }
 
-/// Seconds of copying the file or folder `from` to `to`, which is removed again.
+/// Seconds of copying the folder `from` to `to`, which is removed again.
 fn copy_secs(from: &Path, to: &Path) -> Result<f64> {
     let started = Instant::now();
     copy_folder(from, to, false)?;

@@ -71,8 +71,8 @@ pub enum Compression {
     /// For keeping, as OXT's own stores are: Blosc with zstd, level 5, bits shuffled.
     #[default]
     Keep,
-    /// For predicted forces and contacts, Blosc with zstd, level 1, bytes shuffled: two to three times as quick as
-    /// [`Compression::Keep`], and smaller on such numbers.
+    /// For predicted forces and contacts, Blosc with zstd, level 1, bytes shuffled: smaller on such numbers than
+    /// [`Compression::Keep`], and quicker.
     Labels,
     /// Quick, for what is soon read again: Blosc with lz4, level 1.
     Pass,

@@ -303,6 +303,7 @@ impl Retargeter {
         if !now.is_finite() {
             return Err(Error::value("time", "finite seconds", now));
         }
+        // What is best within reach is found where a frame comes, not between two.
         let limited = self.limit(now, Way::Far)?;
         give_out(&mut self.robot, &self.u, &mut self.output)?;
         self.give(now);

@@ -64,10 +64,16 @@ pub struct Calm {
 
 /// Wrist-to-tip vectors of a trajectory in the robot's frame, (T, fingers), m, as the human has them.
 pub fn vectors(robot: &Robot, setup: &Setup, trajectory: &Trajectory) -> Result<Vec<Vec<DVec3>>> {
+    smooth_vectors(robot, setup, trajectory, 0.0)
+}
+
+/// As [`vectors`], of keypoints smoothed with a delay, s.
+fn smooth_vectors(robot: &Robot, setup: &Setup, trajectory: &Trajectory, delay: f64) -> Result<Vec<Vec<DVec3>>> {
     let axes = robot.wrist.world_axes(&robot.world);
+    let mut smoother = Smoother::new(delay);
     let one = |keypoints| -> Result<Vec<DVec3>> {
-        let hand = Hand::new(keypoints, Side::Right)?;
-        Ok((0..setup.tips.len()).map(|finger| axes * hand.points[keypoint(finger, 3)]).collect())
+        let points = smoother.push(&Hand::new(keypoints, Side::Right)?.points, 1.0 / RATE);
+        Ok((0..setup.tips.len()).map(|finger| axes * points[keypoint(finger, 3)]).collect())
     };
     trajectory.keypoints.iter().map(one).collect()
 }
@@ -91,13 +97,9 @@ fn smoothed(
     delay: f64,
 ) -> Result<Vec<Vec<f64>>> {
     let tips: Vec<&str> = setup.tips.iter().map(String::as_str).collect();
-    let axes = robot.wrist.world_axes(&robot.world);
     let mut peer = Peer::new(robot, Kind::Vector, &setup.wrist, &tips, setup.scale)?;
-    let mut smoother = Smoother::new(delay);
     let mut qpos = Vec::with_capacity(trajectory.keypoints.len());
-    for keypoints in &trajectory.keypoints {
-        let points = smoother.push(&Hand::new(keypoints, Side::Right)?.points, 1.0 / RATE);
-        let targets: Vec<DVec3> = (0..tips.len()).map(|finger| axes * points[keypoint(finger, 3)]).collect();
+    for targets in smooth_vectors(robot, setup, trajectory, delay)? {
         peer.aim(&targets);
         peer.solve(robot, stop)?;
         qpos.push(robot.world.qpos().to_vec());

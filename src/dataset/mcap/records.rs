@@ -94,7 +94,7 @@ impl Records {
     pub fn body(&self, record: &Record) -> Result<Vec<u8>> {
         let start = record.offset + PREFIX;
         let length = record.length.min(self.size.saturating_sub(start));
-        // Not `read_exact_at`, which wants a buffer of zeros: that takes as long again for large chunks.
+        // Not `read_exact_at`: it wants a buffer of zeros, and to make that takes nearly as long as to read a large chunk.
         let mut body = Vec::with_capacity(length as usize);
         let mut file = &self.file;
         let read = file.seek(SeekFrom::Start(start)).and_then(|_| file.take(length).read_to_end(&mut body));

@@ -4,8 +4,8 @@ use super::aligned::Number;
 
 /// Rows of most tiles: with three vectors of columns its sums take 24 of 32 registers.
 const ROWS: usize = 8;
-/// Rows of the largest tile. The CLS token is one over a multiple of 8 patches: in a tile of its own it takes as long as
-/// several rows, since each sum waits for the one before.
+/// Rows of the largest tile. The CLS token is one over a multiple of 8 patches: in a tile of its own most
+/// registers would be idle, and each sum wait for the one before.
 pub const MOST_ROWS: usize = ROWS + 1;
 /// Tiles that one task takes, one below the other.
 pub const TILES_PER_TASK: usize = 4;

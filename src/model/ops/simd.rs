@@ -150,7 +150,7 @@ pub fn normal(x: f32) -> [f32; 2] {
     [if x > 0.0 { 1.0 - tail } else { tail }, INV_SQRT_2PI * bell]
 }
 
-/// x Φ(x), exact GELU, to 4e-7 of the larger of |x| and 1: half the work of [`normal`], for a forward pass alone.
+/// x Φ(x), exact GELU, to 4e-7 of the larger of |x| and 1: fewer operations than with [`normal`], for a forward pass alone.
 #[inline(always)]
 pub fn gelu(x: f32) -> f32 {
     let y = x * x;
