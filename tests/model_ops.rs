@@ -118,12 +118,13 @@ proptest! {
         (b, n, heads, size) in (1usize..4, 1usize..90, 1usize..4, 1usize..20), k in 1usize..80, seed in 0u64..1000,
     ) {
         let d = heads * size;
-        assert_agree("linear", &tensors(&[vec![b, n, k], vec![d, k], vec![d]], seed, 1.0), &linear, &linear_plain, 1e-5);
+        // A gradient of few numbers may be a sum of hundreds that cancel.
+        assert_agree_above(1.0, "linear", &tensors(&[vec![b, n, k], vec![d, k], vec![d]], seed, 1.0), &linear, &linear_plain, 3e-5);
         let wide = d + 7; // of a row of one or two values little but rounding errors is left
         let affine = [vec![b, n, wide], vec![wide], vec![wide]];
         assert_agree_above(0.1, "layer norm", &tensors(&affine, seed, 1.0), &norm, &norm_plain, 3e-4);
         assert_agree_above(0.1, "layer norm, bare", &tensors(&affine[..1], seed, 1.0), &norm, &norm_plain, 3e-4);
-        assert_agree("residual", &tensors(&[vec![b, n, d], vec![b, n, d], vec![d]], seed, 1.0), &residual, &residual_plain, 1e-5);
+        assert_agree_above(1.0, "residual", &tensors(&[vec![b, n, d], vec![b, n, d], vec![d]], seed, 1.0), &residual, &residual_plain, 3e-5);
         assert_agree("gelu", &tensors(&[vec![b, n, d]], seed, 2.0), &|t| ops::gelu(&t[0]), &|t| plain::gelu(&t[0]), 1e-5);
         let qkv = tensors(&[vec![b, n, 3 * d]], seed, 1.0);
         let (fused, plain) = (|t: &[Tensor]| ops::self_attention(&t[0], heads), |t: &[Tensor]| plain::self_attention(&t[0], heads));
