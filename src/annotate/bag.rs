@@ -1,12 +1,14 @@
 //! Bags: touch as a topic beside the images.
 
+mod note;
 mod output;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use self::note::{ChunkNote, ImageHead};
 use super::source::{Picture, Shot, Shots, Source, Unit};
-use crate::dataset::mcap::{Pieces, Survey, Topic, bag_files, op, survey};
+use crate::dataset::mcap::{Piece, Pieces, Survey, Topic, bag_files, op, survey};
 use crate::error::{Error, Result};
 use crate::message::{CompressedImage, Header, Image, Message, Time};
 
@@ -102,7 +104,7 @@ impl Bag {
         };
         // An image that nobody stamped is as old as its recording.
         let stamp_secs = if stamp.is_zero() { message.log_time as f64 * 1e-9 } else { stamp.secs() };
-        Shot { stamp_secs, offset: Some(offset), picture }
+        Shot { stamp_secs, offset: Some(offset), picture, note: None }
     }
 }
 
@@ -144,11 +146,15 @@ impl Iterator for Walk<'_> {
             }
             // What can't be read here can't be read when the bag is put together, which says so.
             let piece = self.pieces.next()?.ok()?;
-            let mut shots = Vec::new();
+            let (mut shots, mut heads) = (Vec::new(), Vec::new());
             for (opcode, body) in piece.records() {
                 if let Some(message) = self.channels.image(opcode, body) {
                     shots.push(self.bag.shot(&message, piece.offset()));
+                    heads.push(ImageHead::of(&message));
                 }
+            }
+            if let (Piece::Chunk(offset, content), Some(first)) = (&piece, shots.first_mut()) {
+                first.note = ChunkNote::of(*offset, content, heads);
             }
             self.waiting = shots.into_iter();
         }

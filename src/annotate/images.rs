@@ -40,7 +40,7 @@ impl Source for Images {
         let shot = |(index, path): (usize, &PathBuf)| {
             let named = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
             let picture = fs::read(path).map(Picture::File).map_err(|error| named(&error));
-            Shot { stamp_secs: index as f64 * self.frame_secs, offset: None, picture }
+            Shot { stamp_secs: index as f64 * self.frame_secs, offset: None, picture, note: None }
         };
         Ok(Box::new(self.files.iter().enumerate().skip(from).map(shot)))
     }

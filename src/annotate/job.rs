@@ -138,11 +138,11 @@ impl Job<'_> {
     fn summary(&self, work: &Work) -> Result<Summary> {
         let mut summary = Summary::default();
         for (unit, about) in self.source.units().iter().enumerate() {
-            let before = summary.frames;
-            for (frame, label) in work.journals().labels(unit)?.enumerate() {
-                summary.count(&about.name, frame, &label?);
+            let before = summary.counts.frames;
+            for head in work.journals().heads(unit)? {
+                summary.add_block(&about.name, &head?);
             }
-            summary.lost.extend(self.source.damage(unit, (summary.frames - before) as usize)?);
+            summary.lost.extend(self.source.damage(unit, (summary.counts.frames - before) as usize)?);
         }
         Ok(summary)
     }

@@ -2,7 +2,8 @@
 //!
 //! A block is its length (u64), the CRC-32 of what follows (u32), the length of its head (u32), the head in JSON, and the
 //! labels, compressed: 1556 forces and 1556 contacts per labelled frame, little-endian f32. What a killed process left half
-//! written ends the file and is cut off when the work goes on.
+//! written ends the file and is cut off when the work goes on. Heads have what can be told without the labels: their
+//! numbers, and the source's notes.
 
 use std::fs::{File, OpenOptions};
 use std::io::{BufReader, Read, Seek, SeekFrom, Write};
@@ -10,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::summary::Counts;
 use crate::error::{Error, Result};
 use crate::tactile::{N_FIELD, TactileField, Topology};
 
@@ -67,15 +69,20 @@ impl Progress {
     }
 }
 
+/// What a block says about its images.
 #[derive(Debug, Default, Serialize, Deserialize)]
-struct Head {
+pub struct Head {
     /// Number of the first image.
-    first: usize,
+    pub first: usize,
+    /// Why images have no label, by place in this block.
+    pub faults: Vec<(usize, String)>,
+    /// What the source noted, in order.
+    pub notes: Vec<String>,
+    /// The block's labels in numbers.
+    pub counts: Counts,
     /// Bits of the stamps: exact, and any number at all.
     stamps: Vec<u64>,
     warming_up: Vec<bool>,
-    /// By place in this block.
-    faults: Vec<(usize, String)>,
     kept: Vec<usize>,
     last: bool,
 }
@@ -121,9 +128,11 @@ impl Journal {
         self.head.stamps.len()
     }
 
-    /// Takes the label of the next image.
-    pub fn push(&mut self, label: &Label) {
+    /// Takes the label of the next image, and what the source noted beside it.
+    pub fn push(&mut self, label: &Label, note: Option<String>) {
         let place = self.head.stamps.len();
+        self.head.counts.count(label);
+        self.head.notes.extend(note);
         self.head.stamps.push(label.stamp_secs.to_bits());
         self.head.warming_up.push(label.warming_up);
         match &label.touch {
@@ -222,6 +231,33 @@ impl Iterator for Labels {
     }
 }
 
+/// Reads what the blocks of one unit say about their images, in order, and unpacks no label.
+#[derive(Debug)]
+pub struct Heads {
+    path: PathBuf,
+    reader: BufReader<File>,
+}
+
+impl Heads {
+    /// Opens the journal at `path`.
+    ///
+    /// # Errors
+    /// If it can't be read.
+    pub fn open(path: &Path) -> Result<Self> {
+        let file = File::open(path).map_err(Error::io(path))?;
+        Ok(Self { path: path.to_path_buf(), reader: BufReader::with_capacity(1 << 20, file) })
+    }
+}
+
+impl Iterator for Heads {
+    type Item = Result<Head>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let block = next_block(&mut self.reader).map_err(Error::io(&self.path)).transpose()?;
+        Some(block.map(|(head, ..)| head))
+    }
+}
+
 fn field(bytes: &[u8], topology: Topology) -> TactileField {
     let mut force: Vec<f32> = bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
     let contact = force.split_off(N_FIELD.min(force.len()));
@@ -283,7 +319,7 @@ mod tests {
         let mut journal = Journal::open(path).unwrap().unwrap();
         assert_eq!(journal.progress().frames, frames.start);
         for index in frames.clone() {
-            journal.push(&label(index));
+            journal.push(&label(index), (index % 3 == 0).then(|| format!("chunk {index}")));
             if journal.pending() == 4 {
                 journal.flush(vec![index - 1, index], false).unwrap();
             }
@@ -312,6 +348,13 @@ mod tests {
             let (labels, expected): (Vec<_>, Vec<_>) = (read(&path), (0..16).map(label).collect());
             // NaN is never equal: compare what is printed.
             assert_eq!(format!("{labels:?}"), format!("{expected:?}"), "cut at {cut}");
+            let heads: Vec<_> = Heads::open(&path).unwrap().map(Result::unwrap).collect();
+            let notes: Vec<_> = heads.iter().flat_map(|head| &head.notes).collect();
+            assert_eq!(notes, ["chunk 0", "chunk 3", "chunk 6", "chunk 9", "chunk 12", "chunk 15"], "cut at {cut}");
+            let (mut sum, mut counts) = (Counts::default(), Counts::default());
+            heads.iter().for_each(|head| sum.add(&head.counts));
+            expected.iter().for_each(|label| counts.count(label));
+            assert_eq!(sum, counts, "cut at {cut}");
         }
     }
 

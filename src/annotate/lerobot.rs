@@ -87,7 +87,9 @@ impl LeRobotDataset {
         let shot = move |row: Result<Row>| {
             let row = match row {
                 Ok(row) => row,
-                Err(error) => return Shot { stamp_secs: f64::NAN, offset: None, picture: Err(error.to_string()) },
+                Err(error) => {
+                    return Shot { stamp_secs: f64::NAN, offset: None, picture: Err(error.to_string()), note: None };
+                }
             };
             let wanted = start + row.timestamp;
             let mut picture = Err(format!("{}: no frame at {wanted:.3} s", path.display()));
@@ -101,7 +103,7 @@ impl LeRobotDataset {
                 }
                 break;
             }
-            Shot { stamp_secs: row.timestamp, offset: None, picture }
+            Shot { stamp_secs: row.timestamp, offset: None, picture, note: None }
         };
         Ok(Box::new(rows.map(shot)))
     }
@@ -121,9 +123,9 @@ impl Source for LeRobotDataset {
         Ok(Box::new(rows.map(|row| match row {
             Ok(row) => {
                 let picture = row.image.map(Picture::File).ok_or_else(|| "the row has no image".to_string());
-                Shot { stamp_secs: row.timestamp, offset: None, picture }
+                Shot { stamp_secs: row.timestamp, offset: None, picture, note: None }
             }
-            Err(error) => Shot { stamp_secs: f64::NAN, offset: None, picture: Err(error.to_string()) },
+            Err(error) => Shot { stamp_secs: f64::NAN, offset: None, picture: Err(error.to_string()), note: None },
         })))
     }
 }

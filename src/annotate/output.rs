@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::journal::Labels;
+use super::journal::{Heads, Labels};
 use super::summary::About;
 use crate::error::Result;
 use crate::tactile::Topology;
@@ -59,5 +59,13 @@ impl Journals {
     /// If there is no such journal.
     pub fn labels(&self, unit: usize) -> Result<Labels> {
         Labels::open(&self.path(unit), self.topology)
+    }
+
+    /// What the blocks of unit `unit` say about their images, in order.
+    ///
+    /// # Errors
+    /// If there is no such journal.
+    pub fn heads(&self, unit: usize) -> Result<Heads> {
+        Heads::open(&self.path(unit))
     }
 }

@@ -38,6 +38,7 @@ struct Ready {
     index: usize,
     stamp_secs: f64,
     input: std::result::Result<Vec<f32>, String>,
+    note: Option<String>,
 }
 
 /// Labels what `journal` lacks of unit `unit`; `progress` hears of every finished image.
@@ -67,7 +68,7 @@ pub fn label_unit(
     let mut written = Instant::now();
     read_ahead(shots, from, &wanted, &preparation, decoders, |ready, waited| {
         times.waiting += waited;
-        let Ready { index, stamp_secs, input } = ready;
+        let Ready { index, stamp_secs, input, note } = ready;
         if index < done.frames {
             if let Ok(input) = input {
                 let prediction = predictor.push_prepared(input, stamp_secs)?;
@@ -91,7 +92,7 @@ pub fn label_unit(
             Err(reason) => Label { stamp_secs, warming_up: false, touch: Err(reason) },
         };
         let started = Instant::now();
-        journal.push(&label);
+        journal.push(&label, note);
         if journal.pending() >= BLOCK || written.elapsed() > AT_LATEST {
             journal.flush(recent.kept(predictor), false)?;
             written = Instant::now();
@@ -155,7 +156,8 @@ fn read(shots: Shots, from: usize, wanted: &(dyn Fn(usize) -> bool + Sync), to_d
     let mut number = 0;
     for (index, shot) in (from..).zip(shots).filter(|(index, _)| wanted(*index)) {
         batch.push((index, shot));
-        if batch.len() == BATCH {
+        // The first image goes on at once: the network waits for it.
+        if batch.len() == BATCH || number == 0 {
             if to_decode.send((number, std::mem::take(&mut batch))).is_err() {
                 return;
             }
@@ -170,7 +172,7 @@ fn decode(taken: &Mutex<Receiver<Batch>>, preparation: &Preparation, to_label: S
     loop {
         let batch = taken.lock().unwrap_or_else(PoisonError::into_inner).recv();
         let Ok((number, shots)) = batch else { return };
-        let prepare = |(index, Shot { stamp_secs, offset, picture }): (usize, Shot)| {
+        let prepare = |(index, Shot { stamp_secs, offset, picture, note }): (usize, Shot)| {
             let input = picture.and_then(|picture| {
                 let image = picture.decode().map_err(|error| error.to_string())?;
                 preparation.apply(&image).map_err(|error| error.to_string())
@@ -179,7 +181,7 @@ fn decode(taken: &Mutex<Receiver<Batch>>, preparation: &Preparation, to_label: S
                 Some(offset) => format!("at byte {offset}: {reason}"),
                 None => reason,
             };
-            Ready { index, stamp_secs, input: input.map_err(placed) }
+            Ready { index, stamp_secs, input: input.map_err(placed), note }
         };
         if to_label.send((number, shots.into_iter().map(prepare).collect())).is_err() {
             return;

@@ -50,6 +50,8 @@ pub struct Shot {
     pub offset: Option<u64>,
     /// The image, or why it can't be read.
     pub picture: std::result::Result<Picture, String>,
+    /// What the output will want to know, and need not read again.
+    pub note: Option<String>,
 }
 
 /// An image that is not decoded yet.

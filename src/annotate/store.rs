@@ -102,6 +102,7 @@ impl Source for Store {
             stamp_secs: stamps[index] * self.seconds,
             offset: None,
             picture: self.reader.image(start + index).map(Picture::Pixels).map_err(|error| error.to_string()),
+            note: None,
         };
         Ok(Box::new((from..end - start).map(shot)))
     }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::journal::Label;
+use super::journal::{Head, Label};
 use super::provenance::{CONTACT_THRESHOLD, Provenance};
 use crate::dataset::mcap::Lost;
 
@@ -21,9 +21,21 @@ pub struct About {
     pub summary: Summary,
 }
 
-/// Coverage and confidence of the labels.
+/// What was labelled, and what was not.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
+    /// The labels in numbers.
+    #[serde(flatten)]
+    pub counts: Counts,
+    /// Images without a label, the first thousand of them.
+    pub faults: Vec<Fault>,
+    /// Bytes of the input that are in no output since they can't be read.
+    pub lost: Vec<Lost>,
+}
+
+/// Coverage and confidence of labels.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Counts {
     /// Images.
     pub frames: u64,
     /// Images with a label.
@@ -35,10 +47,6 @@ pub struct Summary {
     pub confidence: [u64; BINS],
     /// Vertices of labelled images that are touched.
     pub touched: u64,
-    /// Images without a label, the first thousand of them.
-    pub faults: Vec<Fault>,
-    /// Bytes of the input that are in no output since they can't be read.
-    pub lost: Vec<Lost>,
 }
 
 /// An image without a label.
@@ -52,26 +60,18 @@ pub struct Fault {
     pub reason: String,
 }
 
-impl Summary {
-    /// Counts the label of image `frame` of `unit`.
-    pub fn count(&mut self, unit: &str, frame: usize, label: &Label) {
+impl Counts {
+    /// Counts the label of one image.
+    pub fn count(&mut self, label: &Label) {
         self.frames += 1;
         self.warming_up += u64::from(label.warming_up);
-        match &label.touch {
-            Ok(field) => {
-                self.labelled += 1;
-                for contact in &field.contact {
-                    let confidence = contact.max(1.0 - contact);
-                    let bin = ((confidence - 0.5) * 2.0 * BINS as f32) as usize;
-                    self.confidence[bin.min(BINS - 1)] += 1;
-                    self.touched += u64::from(f64::from(*contact) > CONTACT_THRESHOLD);
-                }
-            }
-            Err(reason) if self.faults.len() < LISTED => {
-                let (unit, frame) = (unit.to_string(), frame as u64);
-                self.faults.push(Fault { unit, frame, reason: reason.clone() });
-            }
-            Err(_) => {}
+        let Ok(field) = &label.touch else { return };
+        self.labelled += 1;
+        for contact in &field.contact {
+            let confidence = contact.max(1.0 - contact);
+            let bin = ((confidence - 0.5) * 2.0 * BINS as f32) as usize;
+            self.confidence[bin.min(BINS - 1)] += 1;
+            self.touched += u64::from(f64::from(*contact) > CONTACT_THRESHOLD);
         }
     }
 
@@ -82,30 +82,44 @@ impl Summary {
         self.warming_up += other.warming_up;
         self.touched += other.touched;
         self.confidence.iter_mut().zip(other.confidence).for_each(|(sum, more)| *sum += more);
+    }
+}
+
+impl Summary {
+    /// Adds what a block of the journal of `unit` says.
+    pub fn add_block(&mut self, unit: &str, head: &Head) {
+        self.counts.add(&head.counts);
+        for (place, reason) in head.faults.iter().take(LISTED - self.faults.len().min(LISTED)) {
+            let frame = (head.first + place) as u64;
+            self.faults.push(Fault { unit: unit.to_string(), frame, reason: reason.clone() });
+        }
+    }
+
+    /// Adds another one's numbers.
+    pub fn add(&mut self, other: &Self) {
+        self.counts.add(&other.counts);
         self.faults.extend(other.faults.iter().take(LISTED - self.faults.len().min(LISTED)).cloned());
         self.lost.extend_from_slice(&other.lost);
     }
 
     /// Whether every image was labelled and every byte read.
     pub fn is_whole(&self) -> bool {
-        self.labelled == self.frames && self.lost.is_empty()
+        self.counts.labelled == self.counts.frames && self.lost.is_empty()
     }
 
     /// The numbers in words, one fact per line.
     pub fn text(&self) -> String {
         let share = |part: u64, whole: u64| 100.0 * part as f64 / whole.max(1) as f64;
-        let entries = self.confidence.iter().sum();
+        let Counts { frames, labelled, warming_up, confidence, touched } = &self.counts;
+        let entries = confidence.iter().sum();
         let mut text = format!(
-            "{} of {} images labelled ({:.1} %), {} of them before the window was full\n{:.3} % of the vertices touched",
-            self.labelled,
-            self.frames,
-            share(self.labelled, self.frames),
-            self.warming_up,
-            share(self.touched, entries)
+            "{labelled} of {frames} images labelled ({:.1} %), {warming_up} of them before the window was full\n{:.3} % of the vertices touched",
+            share(*labelled, *frames),
+            share(*touched, entries)
         );
         if entries > 0 {
             text += "; confidence";
-            for (bin, count) in self.confidence.iter().enumerate() {
+            for (bin, count) in confidence.iter().enumerate() {
                 text += &format!(
                     " {:.1}-{:.1}: {:.2} %",
                     0.5 + 0.1 * bin as f64,
@@ -118,7 +132,7 @@ impl Summary {
         for fault in self.faults.iter().take(SHOWN) {
             text += &format!("\nno label: {}, image {}: {}", fault.unit, fault.frame, fault.reason);
         }
-        let missing = self.frames - self.labelled;
+        let missing = frames - labelled;
         if missing > SHOWN as u64 {
             text += &format!("\nno label: {} more images", missing - SHOWN as u64);
         }

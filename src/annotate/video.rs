@@ -40,7 +40,7 @@ impl Source for VideoFile {
             // What ffmpeg gives up is no image; it is found and named when the output is put together.
             let (stamp, image): (f64, _) = frame.ok()?;
             let stamp_secs = if stamp.is_finite() { stamp } else { index as f64 / fps };
-            Some(Shot { stamp_secs, offset: None, picture: Ok(Picture::Pixels(image)) })
+            Some(Shot { stamp_secs, offset: None, picture: Ok(Picture::Pixels(image)), note: None })
         };
         Ok(Box::new(frames.enumerate().map_while(shot).skip(from)))
     }

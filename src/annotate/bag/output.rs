@@ -9,12 +9,13 @@ use super::super::journal::Label;
 use super::super::output::{Journals, Output};
 use super::super::provenance::NAME;
 use super::super::summary::About;
-use super::{Bag, Channels, ImageMessage};
+use super::note::{ImageHead, Original, Originals};
+use super::{Bag, Channels};
 use crate::dataset::mcap::{
-    BagFile, BagTopic, CopyWriter, Piece, Pieces, Record, Records, bag_files, metadata_yaml, op, put_text, survey,
+    BagFile, BagTopic, CopyWriter, Piece, Record, Records, Skeleton, bag_files, metadata_yaml, op, put_text, survey,
 };
 use crate::error::{Error, Result};
-use crate::message::{Header, Image, Message, Reader, TactileFrame, Time};
+use crate::message::{Header, Message, TactileFrame};
 
 impl Output for Bag {
     fn assemble(&self, journals: &Journals, about: &mut About, at: &Path, out: &Path) -> Result<()> {
@@ -111,13 +112,25 @@ impl<'a> TactileMessages<'a> {
 
     fn copy(&mut self, journals: &Journals, to: &Path, about: &mut About) -> Result<CopyWriter> {
         let file = &self.bag.files[self.index];
-        let (original, pieces, labels) = (Records::open(file)?, Pieces::open(file)?, journals.labels(self.index)?);
+        let (original, labels) = (Records::open(file)?, journals.labels(self.index)?);
+        let pieces = Originals::new(Records::open(file)?, journals.heads(self.index)?);
         let mut out = CopyWriter::create(to, self.bag.surveys[self.index].chunked)?;
-        // Unpacking, here and in the journal, takes as long as writing.
+        // Reading, and unpacking what has no note, takes as long as writing.
         ahead(pieces, |pieces| {
             ahead(labels, |labels| {
                 for piece in pieces {
-                    self.piece(&piece?, &original, about, labels, &mut out)?;
+                    out.flush_if_full()?;
+                    match piece? {
+                        Original::Piece(piece) => self.piece(&piece, &original, about, labels, &mut out)?,
+                        Original::Noted(body, note) => {
+                            // Chunks without a note may come after this one, with messages of its channels.
+                            for (opcode, body) in &note.skeleton.definitions {
+                                self.channels.image(*opcode, body);
+                            }
+                            out.chunk(&body, note.skeleton)?;
+                            note.images.iter().try_for_each(|image| self.write(image, about, labels, &mut out))?;
+                        }
+                    }
                 }
                 match labels.next().transpose()? {
                     Some(extra) => {
@@ -142,7 +155,6 @@ impl<'a> TactileMessages<'a> {
         labels: &mut Labels,
         out: &mut CopyWriter,
     ) -> Result<()> {
-        out.flush_if_full()?;
         match piece {
             Piece::Lost(damage) => about.summary.lost.push(damage.clone()),
             // Made anew: damage may have taken some of them, and what they point to.
@@ -154,7 +166,7 @@ impl<'a> TactileMessages<'a> {
             }
             Piece::Record(record, body) => out.record(record.opcode, body)?,
             Piece::Chunk(_, content) => match &content.lost {
-                None => out.chunk(content.body(), content.records())?,
+                None => out.chunk(content.body(), Skeleton::of(content.records()))?,
                 // What a chunk without end still gives becomes a whole one.
                 Some(lost) => {
                     about.summary.lost.push(lost.clone());
@@ -164,14 +176,14 @@ impl<'a> TactileMessages<'a> {
         }
         for (opcode, body) in piece.records() {
             if let Some(image) = self.channels.image(opcode, body) {
-                self.write(&image, about, labels, out)?;
+                self.write(&ImageHead::of(&image), about, labels, out)?;
             }
         }
         Ok(())
     }
 
     /// Writes the label that belongs to an image's message.
-    fn write(&mut self, image: &ImageMessage, about: &About, labels: &mut Labels, out: &mut CopyWriter) -> Result<()> {
+    fn write(&mut self, image: &ImageHead, about: &About, labels: &mut Labels, out: &mut CopyWriter) -> Result<()> {
         let label = labels.next().transpose()?.ok_or_else(|| {
             Error::value(&self.bag.units[self.index].name, "the images that were labelled", "more of them")
         })?;
@@ -179,9 +191,7 @@ impl<'a> TactileMessages<'a> {
             self.announce(out)?;
             self.announced = true;
         }
-        let header = Reader::leading::<Header>(Image::TYPE, image.payload)
-            .unwrap_or_else(|_| Header { stamp: Time::from_nanos(image.log_time as i64), frame_id: String::new() });
-        let mut frame = tactile_frame(header, &label, about)?;
+        let mut frame = tactile_frame(image.header(), &label, about)?;
         frame.sequence = self.sequence;
         let mut body = self.channel.to_le_bytes().to_vec();
         body.extend_from_slice(&(self.sequence as u32).to_le_bytes());

@@ -1,9 +1,11 @@
 //! What lies in a chunk of an MCAP file.
 
+use std::collections::BTreeMap;
 use std::io::Read;
 use std::ops::Range;
 
 use mcap::records::op;
+use serde::{Deserialize, Serialize};
 
 use super::records::{Lost, PREFIX, Record, Records, chunk_header};
 use crate::error::Result;
@@ -33,6 +35,47 @@ impl Content {
     pub fn records(&self) -> &[u8] {
         &self.unpacked.as_ref().unwrap_or(&self.body)[self.place.clone()]
     }
+}
+
+/// Log time, ns, and offset among the chunk's records of each message, by channel.
+pub(super) type MessageIndex = BTreeMap<u16, Vec<(u64, u64)>>;
+
+/// What a file's indexes say about a chunk: who has it can copy the chunk without unpacking it.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Skeleton {
+    /// Opcode and content of its schemas and channels.
+    pub definitions: Vec<(u8, Vec<u8>)>,
+    pub(super) index: MessageIndex,
+}
+
+impl Skeleton {
+    /// That of a chunk's uncompressed `records`.
+    pub fn of(records: &[u8]) -> Self {
+        let mut skeleton = Self::default();
+        let mut start = 0;
+        for (end, opcode, body) in inner_records(records) {
+            skeleton.add(opcode, body, start);
+            start = end as u64;
+        }
+        skeleton
+    }
+
+    /// Adds the record that begins at `offset`.
+    pub(super) fn add(&mut self, opcode: u8, body: &[u8], offset: u64) {
+        match (opcode, body.first_chunk(), log_time(body)) {
+            (op::MESSAGE, Some(id), Some(time)) => {
+                self.index.entry(u16::from_le_bytes(*id)).or_default().push((time, offset));
+            }
+            (op::SCHEMA | op::CHANNEL, ..) => self.definitions.push((opcode, body.to_vec())),
+            _ => {}
+        }
+    }
+}
+
+/// A message record's log time, ns.
+pub(super) fn log_time(body: &[u8]) -> Option<u64> {
+    // After channel id and sequence.
+    body.get(6..)?.first_chunk().map(|time| u64::from_le_bytes(*time))
 }
 
 /// Reads the chunk at `record`, whole or not at all; of one that is `cut_off` since the file ends, what is there.

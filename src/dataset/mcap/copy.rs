@@ -5,12 +5,13 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
+use std::thread::JoinHandle;
 
 use crc32fast::Hasher;
 use mcap::MAGIC;
 use mcap::records::{AttachmentIndex, Record as Parsed, op};
 
-use super::chunk::inner_records;
+use super::chunk::{Skeleton, log_time};
 use super::records::{PREFIX, Record, chunk_header};
 use crate::error::{Error, Result};
 
@@ -29,6 +30,8 @@ pub struct CopyWriter {
     crc: Hasher,
     chunked: bool,
     open: OpenChunk,
+    /// The full chunk that another thread compresses meanwhile.
+    packing: Option<JoinHandle<std::io::Result<(Vec<u8>, Skeleton)>>>,
     // Contents of the records by id, as the summary repeats them.
     schemas: BTreeMap<u16, Vec<u8>>,
     channels: BTreeMap<u16, Vec<u8>>,
@@ -39,14 +42,30 @@ pub struct CopyWriter {
     times: Option<(u64, u64)>,
 }
 
-/// Log time and offset of each message in a chunk, by channel.
-type MessageIndex = BTreeMap<u16, Vec<(u64, u64)>>;
-
 /// Records that wait for their chunk to be full.
 #[derive(Default)]
 struct OpenChunk {
     records: Vec<u8>,
-    index: MessageIndex,
+    skeleton: Skeleton,
+}
+
+impl OpenChunk {
+    /// The chunk's record, compressed, and what indexes say about it.
+    fn pack(self) -> std::io::Result<(Vec<u8>, Skeleton)> {
+        let Self { records, skeleton } = self;
+        let packed = zstd::bulk::compress(&records, LEVEL)?;
+        let times = || skeleton.index.values().flatten().map(|(time, _)| *time);
+        let (start, end) = (times().min().unwrap_or(0), times().max().unwrap_or(0));
+        let mut body = Vec::with_capacity(packed.len() + 64);
+        for number in [start, end, records.len() as u64] {
+            body.extend_from_slice(&number.to_le_bytes());
+        }
+        body.extend_from_slice(&crc32fast::hash(&records).to_le_bytes());
+        put_text(&mut body, "zstd");
+        body.extend_from_slice(&(packed.len() as u64).to_le_bytes());
+        body.extend_from_slice(&packed);
+        Ok((body, skeleton))
+    }
 }
 
 struct ChunkEntry {
@@ -74,6 +93,7 @@ impl CopyWriter {
             crc: Hasher::new(),
             chunked,
             open: OpenChunk::default(),
+            packing: None,
             schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
             chunks: Vec::new(),
@@ -112,33 +132,35 @@ impl CopyWriter {
     /// # Errors
     /// If the file can't be written.
     pub fn record(&mut self, opcode: u8, body: &[u8]) -> Result<()> {
-        self.note(opcode, body);
         if self.chunked && matches!(opcode, op::MESSAGE | op::SCHEMA | op::CHANNEL) {
-            self.put_into_chunk(opcode, body);
+            let OpenChunk { records, skeleton } = &mut self.open;
+            skeleton.add(opcode, body, records.len() as u64);
+            put_record(records, opcode, body);
             return Ok(());
         }
-        if let (op::METADATA, Ok(Parsed::Metadata(metadata))) = (opcode, mcap::parse_record(opcode, body)) {
-            self.metadata.push((self.at, PREFIX + body.len() as u64, metadata.name));
+        match (opcode, body.first_chunk(), log_time(body)) {
+            (op::MESSAGE, Some(id), Some(time)) => self.count(u16::from_le_bytes(*id), time),
+            (op::METADATA, ..) => {
+                if let Ok(Parsed::Metadata(metadata)) = mcap::parse_record(opcode, body) {
+                    self.metadata.push((self.at, PREFIX + body.len() as u64, metadata.name));
+                }
+            }
+            (op::SCHEMA | op::CHANNEL, ..) => self.define(opcode, body.to_vec()),
+            _ => {}
         }
         self.plain(opcode, body)
     }
 
-    /// Writes a chunk's record as it is, and indexes of its messages; `records` are its uncompressed content.
+    /// Writes a chunk's record as it is, and indexes of its messages, which `skeleton` says.
     ///
     /// # Errors
     /// If the file can't be written.
-    pub fn chunk(&mut self, body: &[u8], records: &[u8]) -> Result<()> {
-        let mut index = MessageIndex::new();
-        let mut start = 0;
-        for (end, opcode, body) in inner_records(records) {
-            self.note(opcode, body);
-            add_to_index(&mut index, opcode, body, start);
-            start = end as u64;
+    pub fn chunk(&mut self, body: &[u8], skeleton: Skeleton) -> Result<()> {
+        let Skeleton { definitions, index } = skeleton;
+        definitions.into_iter().for_each(|(opcode, body)| self.define(opcode, body));
+        for (channel, entries) in &index {
+            entries.iter().for_each(|(time, _)| self.count(*channel, *time));
         }
-        self.indexed_chunk(body, index)
-    }
-
-    fn indexed_chunk(&mut self, body: &[u8], index: MessageIndex) -> Result<()> {
         let offset = self.at;
         self.plain(op::CHUNK, body)?;
         let (length, index_start) = (self.at - offset, self.at);
@@ -199,6 +221,7 @@ impl CopyWriter {
     /// If it can't be written.
     pub fn finish(&mut self) -> Result<()> {
         self.end_chunk()?;
+        self.write_packed()?;
         let crc = std::mem::take(&mut self.crc).finalize();
         self.plain(op::DATA_END, &crc.to_le_bytes())?;
         self.crc = Hasher::new();
@@ -279,50 +302,39 @@ impl CopyWriter {
         ]
     }
 
-    /// What the summary will say about a record.
-    fn note(&mut self, opcode: u8, body: &[u8]) {
+    /// What the summary will say about a schema or a channel.
+    fn define(&mut self, opcode: u8, body: Vec<u8>) {
         let Some(id) = body.first_chunk().map(|id| u16::from_le_bytes(*id)) else { return };
-        match opcode {
-            op::SCHEMA => drop(self.schemas.insert(id, body.to_vec())),
-            op::CHANNEL => drop(self.channels.insert(id, body.to_vec())),
-            op::MESSAGE => {
-                *self.counts.entry(id).or_default() += 1;
-                if let Some(time) = log_time(body) {
-                    let (start, end) = self.times.unwrap_or((time, time));
-                    self.times = Some((start.min(time), end.max(time)));
-                }
-            }
-            _ => {}
-        }
+        let there = if opcode == op::SCHEMA { &mut self.schemas } else { &mut self.channels };
+        there.insert(id, body);
     }
 
-    fn put_into_chunk(&mut self, opcode: u8, body: &[u8]) {
-        let offset = self.open.records.len() as u64;
-        add_to_index(&mut self.open.index, opcode, body, offset);
-        put_record(&mut self.open.records, opcode, body);
+    /// What it will say about a message.
+    fn count(&mut self, channel: u16, time: u64) {
+        *self.counts.entry(channel).or_default() += 1;
+        let (start, end) = self.times.unwrap_or((time, time));
+        self.times = Some((start.min(time), end.max(time)));
     }
 
-    /// Writes the open chunk and its indexes.
+    /// Has the open chunk compressed, and writes the one before it.
     fn end_chunk(&mut self) -> Result<()> {
-        let OpenChunk { records, index } = std::mem::take(&mut self.open);
-        if records.is_empty() {
-            return Ok(());
+        self.write_packed()?;
+        let chunk = std::mem::take(&mut self.open);
+        if !chunk.records.is_empty() {
+            self.packing = Some(std::thread::spawn(|| chunk.pack()));
         }
-        let packed = zstd::bulk::compress(&records, LEVEL).map_err(Error::io(&self.path))?;
-        let times = || index.values().flatten().map(|(time, _)| *time);
-        let (start, end) = (times().min().unwrap_or(0), times().max().unwrap_or(0));
-        let mut body = Vec::with_capacity(packed.len() + 64);
-        for number in [start, end, records.len() as u64] {
-            body.extend_from_slice(&number.to_le_bytes());
-        }
-        body.extend_from_slice(&crc32fast::hash(&records).to_le_bytes());
-        put_text(&mut body, "zstd");
-        body.extend_from_slice(&(packed.len() as u64).to_le_bytes());
-        body.extend_from_slice(&packed);
-        self.indexed_chunk(&body, index)
+        Ok(())
     }
 
-    /// Writes the chunk of new records if it is full.
+    /// Writes the chunk that was being compressed, and its indexes.
+    fn write_packed(&mut self) -> Result<()> {
+        let Some(packing) = self.packing.take() else { return Ok(()) };
+        let died = |_| Err(std::io::Error::other("the thread that compresses new messages died"));
+        let (body, skeleton) = packing.join().unwrap_or_else(died).map_err(Error::io(&self.path))?;
+        self.chunk(&body, skeleton)
+    }
+
+    /// Ends the chunk of new records if it is full.
     ///
     /// # Errors
     /// If the file can't be written.
@@ -351,18 +363,6 @@ impl std::fmt::Debug for CopyWriter {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("CopyWriter").field("path", &self.path).field("at", &self.at).finish_non_exhaustive()
     }
-}
-
-fn add_to_index(index: &mut MessageIndex, opcode: u8, body: &[u8], offset: u64) {
-    if let (op::MESSAGE, Some(id), Some(time)) = (opcode, body.first_chunk(), log_time(body)) {
-        index.entry(u16::from_le_bytes(*id)).or_default().push((time, offset));
-    }
-}
-
-/// A message record's log time, ns.
-fn log_time(body: &[u8]) -> Option<u64> {
-    // After channel id and sequence.
-    body.get(6..)?.first_chunk().map(|time| u64::from_le_bytes(*time))
 }
 
 /// The index of an attachment that will lie at `offset`; None if its checksum is wrong or its head makes no sense.

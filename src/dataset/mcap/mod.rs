@@ -9,12 +9,12 @@ mod records;
 mod survey;
 
 pub use bag::{BagWriter, file_name};
-pub use chunk::{Content, inner_records};
+pub use chunk::{Content, Skeleton, inner_records};
 pub use copy::CopyWriter;
 pub(crate) use copy::put_text;
 pub use metadata::{BagFile, BagTopic, metadata_yaml};
 pub use piece::{Piece, Pieces};
-pub use records::{Lost, Record, Records};
+pub use records::{Lost, Part, Record, Records};
 pub use survey::{Survey, Topic, bag_files, survey};
 
 pub use ::mcap::records::op;

@@ -54,7 +54,19 @@ impl Pieces {
     }
 
     fn next_piece(&mut self) -> Result<Option<Piece>> {
-        let Some(part) = self.0.next_part()? else { return Ok(None) };
+        match self.0.next_part()? {
+            Some(part) => self.0.piece(part),
+            None => Ok(None),
+        }
+    }
+}
+
+impl Records {
+    /// A part of the file with its content; None = the data section ends.
+    ///
+    /// # Errors
+    /// If the file can't be read.
+    pub fn piece(&self, part: Part) -> Result<Option<Piece>> {
         let (record, cut_off) = match part {
             Part::Lost(lost) => return Ok(Some(Piece::Lost(lost))),
             Part::CutOff(record) => (record, true),
@@ -62,12 +74,12 @@ impl Pieces {
         };
         Ok(match record.opcode {
             op::DATA_END => None,
-            op::CHUNK => Some(match open_chunk(&self.0, &record, cut_off)? {
+            op::CHUNK => Some(match open_chunk(self, &record, cut_off)? {
                 Ok(content) => Piece::Chunk(record.offset, content),
                 Err(lost) => Piece::Lost(lost),
             }),
             op::ATTACHMENT => Some(Piece::Record(record, Vec::new())),
-            _ => Some(Piece::Record(record, self.0.body(&record)?)),
+            _ => Some(Piece::Record(record, self.body(&record)?)),
         })
     }
 }
