@@ -93,13 +93,13 @@ impl Originals {
 
     fn next_original(&mut self) -> Result<Option<Original>> {
         let Some(part) = self.records.next_part()? else { return Ok(None) };
-        if let Part::Record(record @ Record { opcode: op::CHUNK, .. }) = part {
-            if let Some(note) = self.note_at(record.offset)? {
-                let body = self.records.body(&record)?;
-                // A file that was changed meanwhile is read as if nothing were known.
-                if crc32fast::hash(&body) == note.crc {
-                    return Ok(Some(Original::Noted(body, note)));
-                }
+        if let Part::Record(record @ Record { opcode: op::CHUNK, .. }) = part
+            && let Some(note) = self.note_at(record.offset)?
+        {
+            let body = self.records.body(&record)?;
+            // A file that was changed meanwhile is read as if nothing were known.
+            if crc32fast::hash(&body) == note.crc {
+                return Ok(Some(Original::Noted(body, note)));
             }
         }
         Ok(self.records.piece(part)?.map(Original::Piece))

@@ -31,7 +31,7 @@ pub struct CopyWriter {
     chunked: bool,
     open: OpenChunk,
     /// The full chunk that another thread compresses meanwhile.
-    packing: Option<JoinHandle<std::io::Result<(Vec<u8>, Skeleton)>>>,
+    packing: Option<JoinHandle<std::io::Result<Packed>>>,
     // Contents of the records by id, as the summary repeats them.
     schemas: BTreeMap<u16, Vec<u8>>,
     channels: BTreeMap<u16, Vec<u8>>,
@@ -42,6 +42,9 @@ pub struct CopyWriter {
     times: Option<(u64, u64)>,
 }
 
+/// A chunk's record, and what indexes say about it.
+type Packed = (Vec<u8>, Skeleton);
+
 /// Records that wait for their chunk to be full.
 #[derive(Default)]
 struct OpenChunk {
@@ -50,8 +53,7 @@ struct OpenChunk {
 }
 
 impl OpenChunk {
-    /// The chunk's record, compressed, and what indexes say about it.
-    fn pack(self) -> std::io::Result<(Vec<u8>, Skeleton)> {
+    fn pack(self) -> std::io::Result<Packed> {
         let Self { records, skeleton } = self;
         let packed = zstd::bulk::compress(&records, LEVEL)?;
         let times = || skeleton.index.values().flatten().map(|(time, _)| *time);
