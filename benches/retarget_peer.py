@@ -6,7 +6,8 @@
 The file (safetensors) holds `vectors` (T, K, 3), wrist to fingertips in the robot's frame, and in its metadata `urdf`,
 `wrist`, `tips` (JSON list) and `scale`. Needs numpy and the peer (all three: pip install dexi-rs==0.4.1
 dex-retargeting==0.5.0 mink==1.3.0 daqp). Prints JSON: the peer's name and version, median_us and p99_us per frame, jerk
-(rad/s^3, root mean square) without smoothing and with a low pass that lags by 50 ms.
+(rad/s^3, root mean square) without smoothing and with a low pass that lags by 50 ms, and of those that solve the objective
+joint_names; the positions without smoothing (T, joints), float64, are written to --qpos FILE.
 
 dexi-rs and dex-retargeting solve the same objective to convergence. mink has none of its own: here it takes one step per
 frame, as in its examples, towards the same points with a frame task per tip, damping and joint limits.
@@ -60,7 +61,7 @@ def with_mink(meta, alpha):
         last = last + alpha * (configuration.q - last)
         return last.copy()
 
-    return step
+    return step, None
 
 
 def build(peer, meta, alpha):
@@ -77,13 +78,13 @@ def build(peer, meta, alpha):
             "vector", meta["urdf"], target_origin_link_names=origins, target_task_link_names=tips,
             scaling_factor=scale, low_pass_alpha=alpha, target_link_human_indices=indices)
         built = config.build()
-        return lambda vectors: np.asarray(built.retarget(vectors.ravel()))
+        return lambda vectors: np.asarray(built.retarget(vectors.ravel())), list(built.joint_names)
     from dex_retargeting.retargeting_config import RetargetingConfig
 
     built = RetargetingConfig(
         type="vector", urdf_path=meta["urdf"], target_origin_link_names=origins, target_task_link_names=tips,
         scaling_factor=scale, low_pass_alpha=alpha, target_link_human_indices=np.array(indices)).build()
-    return lambda vectors: np.asarray(built.retarget(vectors))
+    return lambda vectors: np.asarray(built.retarget(vectors)), list(built.joint_names)
 
 
 def follow(step, vectors):
@@ -93,24 +94,28 @@ def follow(step, vectors):
         qpos.append(step(frame))
         times.append(1e6 * (time.perf_counter() - begun))
     third = np.diff(np.array(qpos), 3, axis=0)[10:] * 30.0**3
-    return np.array(times), float(np.sqrt(np.mean(third**2)))
+    return np.array(times), float(np.sqrt(np.mean(third**2))), np.array(qpos)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--input", required=True)
     parser.add_argument("--peer", default="dexi-rs", choices=["dexi-rs", "dex-retargeting", "mink"])
+    parser.add_argument("--qpos")
     parser.add_argument("--most", type=int, help="only so many of the first frames, for slow peers")
     args = parser.parse_args()
     meta, vectors = read(args.input)
     vectors = vectors[: args.most]
-    times, jerk = follow(build(args.peer, meta, 1.0), vectors)
+    step, names = build(args.peer, meta, 1.0)
+    times, jerk, qpos = follow(step, vectors)
+    if args.qpos and names:
+        qpos.astype("<f8").tofile(args.qpos)
     # y += a (x - y) lags by (1 - a) / a frames: 1.5 frames are 50 ms.
-    _, smooth = follow(build(args.peer, meta, 0.4), vectors)
+    _, smooth, _ = follow(build(args.peer, meta, 0.4)[0], vectors)
     print(json.dumps({
         "name": f"{args.peer} {importlib.metadata.version(args.peer)}" + (f", {len(vectors)} frames" if args.most else ""),
         "median_us": float(np.median(times)), "p99_us": float(np.percentile(times, 99)),
-        "jerk": jerk, "jerk_50ms": smooth}))
+        "jerk": jerk, "jerk_50ms": smooth, "joint_names": names}))
 
 
 if __name__ == "__main__":

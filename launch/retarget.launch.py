@@ -36,6 +36,12 @@ ARGUMENTS = [
         "tactile_topic", default_value="predictor/tactile", description="Touch (TactileFrame), with the hands' stamps."
     ),
     DeclareLaunchArgument(
+        "object", default_value="", description="Object that the hand is about: a model or mesh file. Empty: none."
+    ),
+    DeclareLaunchArgument(
+        "object_topic", default_value="object", description="Where that object is (PoseStamped), if there is one."
+    ),
+    DeclareLaunchArgument(
         "demo", default_value="false", description="true: the simulator and the predictor start, too."
     ),
     DeclareLaunchArgument(
@@ -72,10 +78,10 @@ def nodes(context):
     def value(name):
         return LaunchConfiguration(name).perform(context)
 
-    parameters = {name: value(name) for name in ("robot", "model", "side") if value(name)}
+    parameters = {name: value(name) for name in ("robot", "model", "side", "object") if value(name)}
     if value("rate_hz"):
         parameters["rate_hz"] = float(value("rate_hz"))
-    topics = ("hand_pose", "keypoints", "tactile")
+    topics = ("hand_pose", "keypoints", "tactile", "object")
     scenes = [scene.strip() for scene in value("scenes").split(",")]
     return [
         node("retargeter", parameters, [(topic, LaunchConfiguration(f"{topic}_topic")) for topic in topics]),

@@ -1,8 +1,10 @@
 //! Files that are there whole or not at all.
 
+use std::fs::{File, TryLockError};
 use std::io::{Cursor, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
+use std::time::Duration;
 
 use ::image::{ImageFormat, RgbImage};
 use sha2::{Digest, Sha256};
@@ -31,6 +33,22 @@ pub fn write(path: &Path, content: &[u8]) -> Result<()> {
     file.write_all(content).map_err(Error::io(path))?;
     file.persist(path).map_err(|error| Error::io(path)(error.error))?;
     Ok(())
+}
+
+/// Locks a file against other processes; false = one has it. Where files can't be locked, the user sees to it that nobody else
+/// is at work.
+///
+/// A process that is being started by this one holds all locks of this one for a moment: a lock that is not free is asked for
+/// again for a while.
+pub fn lock(file: &File) -> bool {
+    const TRIES: usize = 20;
+    for _ in 0..TRIES {
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(10)),
+            Ok(()) | Err(TryLockError::Error(_)) => return true,
+        }
+    }
+    false
 }
 
 /// Writes a picture as PNG, as [`write()`] does.

@@ -172,6 +172,8 @@ fn messages_of_robots_are_what_ros_serialises() {
         Pose { position: Point { x: 0.25, y: -0.5, z: 0.75 }, ..Pose::default() },
         Pose { orientation: turned, ..Pose::default() },
     ];
+    let pose = Pose { position: Point { x: 0.25, y: -0.5, z: 0.75 }, orientation: turned };
+    agrees("pose_stamped", &PoseStamped { header: header("world"), pose });
     agrees("pose_array", &PoseArray { header: header("world"), poses });
     let names = vec!["a".to_owned(), "b".to_owned()];
     agrees(

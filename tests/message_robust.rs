@@ -82,6 +82,7 @@ proptest! {
             let _ = TactileMetrics::from_cdr(bytes);
             let _ = RobotTouch::from_cdr(bytes);
             let _ = PoseArray::from_cdr(bytes);
+            let _ = PoseStamped::from_cdr(bytes);
             let _ = JointState::from_cdr(bytes);
             let _ = JointTrajectory::from_cdr(bytes);
             let _ = Image::from_cdr(bytes);

@@ -181,12 +181,11 @@ fn a_bad_force_is_named() {
         let mut forces = [DVec3::ZERO; 5];
         forces[2].y = force;
         let touch = Touch { tip_contact: [1.0; 5], tip_force: Some(forces), slots: None };
-        let error =
-            retargeter.push(&Input { keypoints: good[0], time: 0.0, touch: Some(touch) }).unwrap_err().to_string();
+        let error = retargeter.push(&Input { touch: Some(touch), ..Input::new(good[0], 0.0) }).unwrap_err().to_string();
         assert!(error.contains(says), "{error}");
     }
     let touch = Touch { tip_contact: [0.0, 2.0, 0.0, 0.0, 0.0], ..Touch::default() };
-    let error = retargeter.push(&Input { keypoints: good[0], time: 0.0, touch: Some(touch) }).unwrap_err().to_string();
+    let error = retargeter.push(&Input { touch: Some(touch), ..Input::new(good[0], 0.0) }).unwrap_err().to_string();
     assert!(error.contains("tip_contact[1]"), "{error}");
 }
 

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::summary::Counts;
 use crate::error::{Error, Result};
+use crate::file;
 use crate::tactile::{N_FIELD, TactileField, Topology};
 
 /// Bytes before a block's head.
@@ -106,10 +107,8 @@ impl Journal {
         let io = || Error::io(path);
         let mut file =
             OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path).map_err(io())?;
-        match file.try_lock() {
-            Err(std::fs::TryLockError::WouldBlock) => return Ok(None),
-            // Where files can't be locked, the user sees to it that nobody else is at work.
-            Ok(()) | Err(std::fs::TryLockError::Error(_)) => {}
+        if !file::lock(&file) {
+            return Ok(None);
         }
         let (progress, end) = Progress::scan(&file).map_err(io())?;
         file.set_len(end).map_err(io())?;

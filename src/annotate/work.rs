@@ -91,10 +91,7 @@ impl Work {
     pub fn lock(&self) -> Result<Option<File>> {
         let path = self.folder.join("lock");
         let file = File::create(&path).map_err(Error::io(&path))?;
-        match file.try_lock() {
-            Err(fs::TryLockError::WouldBlock) => Ok(None),
-            Ok(()) | Err(fs::TryLockError::Error(_)) => Ok(Some(file)),
-        }
+        Ok(file::lock(&file).then_some(file))
     }
 
     /// Gives the output its name and removes the folder.

@@ -19,7 +19,7 @@ pub use own::{
 pub use standard::{
     CameraInfo, Clock, CompressedImage, DiagnosticArray, DiagnosticStatus, Duration, Header, Image, JointState,
     JointTrajectory, JointTrajectoryPoint, KeyValue, Log, Point, Point32, PointCloud2, PointField, Pose, PoseArray,
-    Quaternion, RegionOfInterest, Time, Vector3, Wrench,
+    PoseStamped, Quaternion, RegionOfInterest, Time, Vector3, Wrench,
 };
 
 /// A message that topics and recordings carry.

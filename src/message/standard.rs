@@ -70,6 +70,14 @@ message! {
         torque: Vector3,
     }
 
+    /// A pose at a time.
+    PoseStamped = "geometry_msgs/msg/PoseStamped" {
+        /// When; the frame of the pose.
+        header: Header,
+        /// The pose.
+        pose: Pose,
+    }
+
     /// Several poses.
     PoseArray = "geometry_msgs/msg/PoseArray" {
         /// When; the frame of the poses.

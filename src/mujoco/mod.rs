@@ -7,6 +7,7 @@ pub mod facts;
 mod fatal;
 pub mod flex;
 mod inspect;
+pub mod object;
 pub mod options;
 pub mod parts;
 mod pose;

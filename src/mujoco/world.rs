@@ -91,7 +91,7 @@ impl World {
         Self::from_model(model, options).map_err(|error| Error::file(path, error))
     }
 
-    fn from_model(mut model: MjModel, options: &PhysicsOptions) -> Result<Self> {
+    pub(super) fn from_model(mut model: MjModel, options: &PhysicsOptions) -> Result<Self> {
         refuse_what_ends_the_process(&model, options)?;
         let opt = model.opt_mut();
         opt.timestep = options.timestep;
@@ -494,7 +494,7 @@ fn assign(name: &str, to: &mut [f64], from: &[f64]) -> Result<()> {
 }
 
 /// Keeps the engine from leaving a MUJOCO_LOG.TXT in the working directory; its warnings are counted in the world.
-fn keep_quiet() {
+pub(super) fn keep_quiet() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {
         // SAFETY: every use of the engine begins with World::from_mjcf, and its callers wait here until this is done,

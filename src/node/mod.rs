@@ -7,6 +7,8 @@
 
 pub mod diagnostics;
 mod exchange;
+#[cfg(feature = "sim")]
+mod held_object;
 pub mod log;
 pub mod mailbox;
 #[cfg(feature = "sim")]

@@ -10,6 +10,7 @@ use glam::DVec3;
 use r2r::std_srvs::srv::SetBool;
 
 use super::diagnostics::{self, Level, Report, Tally, percentile};
+use super::held_object::HeldObject;
 use super::log::Log;
 use super::matching::{Matched, Matching};
 use super::params::{Allowed, Parameter, Parameters};
@@ -18,9 +19,10 @@ use super::{Shutdown, qos};
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, N_KEYPOINTS, Side};
 use crate::message::{
-    self, HandPose, Header, JointState, JointTrajectory, JointTrajectoryPoint, LinkTouch, PoseArray, RobotTouch,
-    TactileFrame, Time, Vector3, Wrench,
+    self, HandPose, Header, JointState, JointTrajectory, JointTrajectoryPoint, LinkTouch, PoseArray, PoseStamped,
+    RobotTouch, TactileFrame, Time, Vector3, Wrench,
 };
+use crate::mujoco::object::Shapes;
 use crate::retarget::human::Hand;
 use crate::retarget::touch::LinkFeel;
 use crate::retarget::{Input, Options, Output, Pool, Retargeter, Robot, Status, Touch};
@@ -43,6 +45,19 @@ pub fn parameters() -> Vec<Parameter> {
             "",
             Allowed::Any,
             "Model in place of the one the robot's file names; empty = that one.",
+        ),
+        Parameter::fixed(
+            "object",
+            "",
+            Allowed::Any,
+            "Object that links stay out of and touching fingertips lie on, which the topic object says the place of: a model \
+             (MJCF, URDF) or mesh (OBJ, STL; its convex hull counts); empty = none.",
+        ),
+        Parameter::fixed(
+            "object_timeout_ms",
+            200.0,
+            Allowed::Doubles(0.0, 60_000.0),
+            "A pose of the object counts for hands whose stamps differ by at most this, milliseconds.",
         ),
         Parameter::fixed(
             "side",
@@ -83,7 +98,10 @@ pub fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
     let runtime = Runtime::create("retargeter", &parameters())?;
     let parameters = Arc::clone(runtime.parameters());
     let model = path_of(&parameters, "model");
-    let robot = Robot::load(&parameters.get::<String>("robot"), model.as_deref()).context("parameter robot")?;
+    let object =
+        path_of(&parameters, "object").map(|path| Shapes::read(&path)).transpose().context("parameter object")?;
+    let name = parameters.get::<String>("robot");
+    let robot = Robot::load_beside(&name, model.as_deref(), object.as_ref()).context("parameter robot")?;
     run(runtime, robot, shutdown)
 }
 
@@ -109,6 +127,10 @@ pub fn run(mut runtime: Runtime, robot: Robot, shutdown: &Shutdown) -> anyhow::R
     let slop = 1e-3 * parameters.get::<f64>("sync_slop_ms");
     let patience = Duration::from_secs_f64(1e-3 * parameters.get::<f64>("touch_wait_ms"));
     let inputs = Arc::new(Mutex::new(Matching::new(slop, patience)));
+    let object = Arc::new(HeldObject::new(1e-3 * parameters.get::<f64>("object_timeout_ms")));
+    if retargeter.robot().object.is_some() {
+        subscribe_object(&mut runtime, &object)?;
+    }
     let state = State::default();
     let worker = Worker {
         outputs: Outputs {
@@ -127,6 +149,7 @@ pub fn run(mut runtime: Runtime, robot: Robot, shutdown: &Shutdown) -> anyhow::R
         before: Time::default(),
         retargeter,
         hands,
+        object,
     };
     let source = Source { inputs: Arc::clone(&inputs), side, state: state.clone(), parameters };
     subscribe(&mut runtime, &source)?;
@@ -153,6 +176,15 @@ fn path_of(parameters: &Parameters, name: &str) -> Option<PathBuf> {
 enum Seen {
     Pose(Box<HandPose>),
     Keypoints(Box<PoseArray>),
+}
+
+impl Seen {
+    fn header(&self) -> &Header {
+        match self {
+            Self::Pose(pose) => &pose.header,
+            Self::Keypoints(array) => &array.header,
+        }
+    }
 }
 
 type Inputs = Arc<Mutex<Matching<Seen, TactileFrame>>>;
@@ -211,6 +243,14 @@ fn subscribe(runtime: &mut Runtime, source: &Source) -> anyhow::Result<()> {
             inputs.touch(frame.header.stamp, frame, Instant::now());
         }
         Err(error) => touches.refuse("tactile", &error, &log),
+    })
+}
+
+fn subscribe_object(runtime: &mut Runtime, object: &Arc<HeldObject>) -> anyhow::Result<()> {
+    let (object, log) = (Arc::clone(object), runtime.log().clone());
+    runtime.subscribe::<PoseStamped>("object", qos::every_input(), move |pose| match pose {
+        Ok(pose) => object.see(pose),
+        Err(error) => log.warn_throttled("object", format!("object: message left out: {error}")),
     })
 }
 
@@ -379,6 +419,7 @@ struct Outputs {
 struct Worker {
     retargeter: Retargeter,
     hands: Hands,
+    object: Arc<HeldObject>,
     names: Names,
     period: Duration,
     inputs: Inputs,
@@ -471,11 +512,7 @@ impl Worker {
         self.given = Some((stamp, now));
         self.state.hands.processed(self.clock.secs_since(stamp));
         if let (true, Some(touched)) = (has_touch, touched) {
-            let header = match &hand {
-                Seen::Pose(pose) => &pose.header,
-                Seen::Keypoints(array) => &array.header,
-            };
-            let header = Header { stamp: touched, frame_id: header.frame_id.clone() };
+            let header = Header { stamp: touched, frame_id: hand.header().frame_id.clone() };
             let message = robot_touch(header, stamp, &self.names, self.retargeter.output());
             if let Err(error) = self.outputs.touch.publish(&message) {
                 self.log.warn_throttled("touch", format!("~/touch: {error:#}"));
@@ -492,6 +529,11 @@ impl Worker {
                 // The pose is good all the same.
                 Err(error) => self.log.warn_throttled("tactile", format!("tactile: message left out: {error}")),
             }
+        }
+        match self.object.at(stamp, &hand.header().frame_id) {
+            Ok(object) => input.object = object,
+            // As are pose and touch.
+            Err(error) => self.log.warn_throttled("object", format!("object: message left out: {error}")),
         }
         Ok(input)
     }

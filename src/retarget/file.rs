@@ -8,6 +8,7 @@
 //! | `tip_contact` | (T, 5), optional | probability that each fingertip touches; NaN = unknown |
 //! | `tip_force` | (T, 5, 3) N, optional | force of the world on each fingertip, in the frame of the keypoints |
 //! | `force`, `contact` | (T, 778) or (T, 1556), optional | touch on the vertices |
+//! | `object_pose` | (T, 7), optional | where the object is: origin, m, and quaternion w, x, y, z, in the frame of the keypoints; NaN = not there |
 //!
 //! Forces of the fingertips on the world are taken as well: which of both a file has is told by whether they point into
 //! the fingers, and what comes out is meant as what went in.
@@ -15,12 +16,12 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use glam::{DVec3, Vec3};
+use glam::{DQuat, DVec3, Vec3};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
 use super::goal::pad_normal;
 use super::human::Hand;
-use super::{Input, Output, Pool, Retargeter, Status, Touch};
+use super::{Input, ObjectPose, Output, Pool, Retargeter, Status, Touch};
 use crate::dataset::tensors::numbers;
 use crate::error::{Error, Result};
 use crate::file;
@@ -42,6 +43,8 @@ pub struct Hands {
     pub force: Vec<f32>,
     /// (T, 778 or 1556); empty = not given.
     pub contact: Vec<f32>,
+    /// (T) where the object is; empty = not given, None = not there.
+    pub object_pose: Vec<Option<ObjectPose>>,
     /// What vertex indices mean, if the file says.
     pub topology: Option<Topology>,
     /// Which hand it is, if the file says.
@@ -95,12 +98,19 @@ impl Hands {
             let values = optional(name, &[vec![frames, N_VERTICES], vec![frames, N_FIELD]])?;
             Ok(values.into_iter().map(|x| x as f32).collect())
         };
+        let poses = optional("object_pose", &[vec![frames, 7]])?;
+        let pose = |v: &[f64; 7]| ObjectPose {
+            place: DVec3::new(v[0], v[1], v[2]),
+            orientation: DQuat::from_xyzw(v[4], v[5], v[6], v[3]),
+        };
+        let there = |v: &[f64; 7]| (!v.iter().all(|x| x.is_nan())).then(|| pose(v));
         let tip_force = optional("tip_force", &[vec![frames, 5, 3]])?;
         let tip_force: Vec<DVec3> = tip_force.as_chunks::<3>().0.iter().map(|f| DVec3::from_array(*f)).collect();
         Ok(Self {
             timestamps: optional("timestamps", &[vec![frames]])?,
             tip_contact: optional("tip_contact", &[vec![frames, 5]])?.as_chunks::<5>().0.to_vec(),
             tip_force: tip_force.as_chunks::<5>().0.to_vec(),
+            object_pose: poses.as_chunks::<7>().0.iter().map(there).collect(),
             force: field("force")?,
             contact: field("contact")?,
             keypoints,
@@ -147,6 +157,7 @@ impl Hands {
     /// If a force of the frame is negative or infinite; the error names it.
     pub fn input(&self, frame: usize, dt: f64, side: Side, pool: Option<&Pool>, sign: f64) -> Result<Input> {
         let mut input = Input::new(self.keypoints[frame], self.time(frame, dt));
+        input.object = self.object_pose.get(frame).copied().flatten();
         if !self.has_touch() {
             return Ok(input);
         }

@@ -11,7 +11,7 @@ use crate::hand::N_KEYPOINTS;
 /// Low-pass stages.
 const STAGES: usize = 6;
 /// Delay of one stage over that of the whole.
-const STAGE_SHARE: f64 = 0.45;
+const STAGE_SHARE: f64 = 0.55;
 /// How long a keypoint may be taken for an outlier, s; afterwards the hand is really there.
 const PATIENCE: f64 = 0.1;
 /// Frames after which a keypoint that stays is believed, however slowly frames come.
@@ -23,16 +23,16 @@ const STRETCH: f64 = 0.3;
 
 /// Smooths points with a delay.
 #[derive(Debug, Clone)]
-pub struct Smoother {
+pub struct Smoother<const N: usize = N_KEYPOINTS> {
     delay: f64,
-    stages: [[DVec3; N_KEYPOINTS]; STAGES],
+    stages: [[DVec3; N]; STAGES],
     is_empty: bool,
 }
 
-impl Smoother {
+impl<const N: usize> Smoother<N> {
     /// With a delay of `delay` seconds; 0 leaves points as they are.
     pub fn new(delay: f64) -> Self {
-        Self { delay, stages: [[DVec3::ZERO; N_KEYPOINTS]; STAGES], is_empty: true }
+        Self { delay, stages: [[DVec3::ZERO; N]; STAGES], is_empty: true }
     }
 
     /// Forgets everything.
@@ -41,7 +41,7 @@ impl Smoother {
     }
 
     /// Takes points that came `dt` seconds after the last ones and returns the smoothed ones.
-    pub fn push(&mut self, points: &[DVec3; N_KEYPOINTS], dt: f64) -> [DVec3; N_KEYPOINTS] {
+    pub fn push(&mut self, points: &[DVec3; N], dt: f64) -> [DVec3; N] {
         if self.delay <= 0.0 || !dt.is_finite() {
             return *points;
         }

@@ -43,6 +43,8 @@ struct FingerGoal {
     pad: usize,
     /// Gap to the thumb.
     pinch: Option<usize>,
+    /// Gap of its pad to the object.
+    hold: Option<usize>,
     /// Where its first phalanx begins, in the wrist frame, m, and how long its phalanges are.
     base: DVec3,
     length: f64,
@@ -122,6 +124,7 @@ impl Goal {
                 phalanges,
                 pad,
                 pinch: None,
+                hold: None,
                 base: robot.base(finger),
                 length: finger.length,
                 scale: robot.scale[finger.human],
@@ -147,18 +150,28 @@ impl Goal {
                 fingers[index].pinch = Some(problem.add_gap(sides, false));
             }
         }
-        let mut collisions = Vec::new();
-        for [a, b] in robot.pairs.iter().copied() {
-            let tips = |geom: usize| robot.fingers.iter().position(|finger| finger.pad_geoms.contains(&geom));
-            // Thumb and fingertips have gaps of their own.
-            if let (Some(first), Some(second)) = (tips(a), tips(b))
-                && [first, second].iter().any(|index| robot.fingers[*index].human == 0)
-            {
-                continue;
+        if let Some(object) = &robot.object {
+            for (goal, finger) in fingers.iter_mut().zip(&robot.fingers).filter(|(_, f)| !f.pad_geoms.is_empty()) {
+                let pad = Side::Geoms { body: finger.tip_body, geoms: finger.pad_geoms.clone() };
+                let whole = Side::Geoms { body: object.body, geoms: object.geoms.clone() };
+                goal.hold = Some(problem.add_gap([pad, whole], false));
             }
+        }
+        let tips = |geom: usize| robot.fingers.iter().position(|finger| finger.pad_geoms.contains(&geom));
+        // Thumb and fingertips have gaps of their own.
+        let has_own = |[a, b]: [usize; 2]| match (tips(a), tips(b)) {
+            (Some(a), Some(b)) => [a, b].iter().any(|index| robot.fingers[*index].human == 0),
+            _ => false,
+        };
+        let margin = robot.spec.collision.margin;
+        let links = robot.pairs.iter().copied().filter(|pair| !has_own(*pair)).map(|pair| (pair, margin));
+        // What is held is touched: no margin.
+        let held = robot.against_object().into_iter().map(|pair| (pair, 0.0));
+        let mut collisions = Vec::new();
+        for ([a, b], target) in links.chain(held) {
             let geom_side = |geom: usize| Side::Geoms { body: robot.parts.geoms[geom].body, geoms: vec![geom] };
             let gap = problem.add_gap([geom_side(a), geom_side(b)], true);
-            problem.gaps[gap].target = robot.spec.collision.margin;
+            problem.gaps[gap].target = target;
             collisions.push((gap, [a, b], robot.parts.geoms[a].radius + robot.parts.geoms[b].radius));
         }
         let mut neutral = robot.rest.clone();
@@ -200,7 +213,7 @@ impl Goal {
         let axes = robot.wrist.world_axes(&robot.world);
         let (origin, _) = robot.world.body_pose(robot.wrist.body);
         let to_wrist = robot.wrist.axes.transpose();
-        let human_bases = Hand::bases(points, robot.fingers.iter().map(|finger| finger.human).filter(|f| *f != 0));
+        let [_, human_bases] = self.bases(robot, points);
         let weights = robot.spec.weights.clone();
         let is_gripper = robot.is_gripper();
         for k in 0..self.fingers.len() {
@@ -230,7 +243,8 @@ impl Goal {
                 let share = METRES_PER_RADIAN / length.max(1e-3);
                 vector.weight = if is_gripper { 0.0 } else { weights.posture * share * share };
             }
-            self.aim_pinch(k, points, touch, relative_size, is_gripper, weights.pinch);
+            let held = self.aim_hold(k, robot, is_touched, weights.pinch);
+            self.aim_pinch(k, points, touch, relative_size, is_gripper, (1.0 - held) * weights.pinch);
         }
         for (k, last) in last.iter().enumerate() {
             let weight = self.neutral_weight * METRES_PER_RADIAN * METRES_PER_RADIAN;
@@ -240,6 +254,26 @@ impl Goal {
             self.problem.neutral[k] = if both > 0.0 { pull / both } else { 0.0 };
             self.problem.neutral_weight[k] = both;
         }
+    }
+
+    /// Has a finger's pad touch the object where the human's touches and the object is near; returns how much that counts.
+    fn aim_hold(&mut self, k: usize, robot: &mut Robot, is_touched: bool, weight: f64) -> f64 {
+        let Some(hold) = self.fingers[k].hold else { return 0.0 };
+        let near = match (is_touched, &self.problem.gaps[hold].sides) {
+            (true, [Side::Geoms { geoms: pad, .. }, Side::Geoms { geoms: object, .. }]) => {
+                let gap = nearest(robot, pad, object, NOTICED).map_or(NOTICED, |near| near.distance);
+                smoothstep((NOTICED - gap) / (NOTICED - MINDED))
+            }
+            _ => 0.0,
+        };
+        self.problem.weigh(hold, near * weight);
+        near
+    }
+
+    /// Where the fingers' bases are in the wrist frames, m: the robot's, and those of the human hand with `points`.
+    pub fn bases(&self, robot: &Robot, points: &[DVec3; N_KEYPOINTS]) -> [DVec3; 2] {
+        let mapped = robot.fingers.iter().map(|finger| finger.human).filter(|human| *human != 0);
+        [self.bases, Hand::bases(points, mapped)]
     }
 
     /// How far a finger's tip shall be from the thumb's.
@@ -341,8 +375,7 @@ impl Goal {
         let [a, b] = &self.problem.gaps[self.fingers[finger].pinch?].sides;
         match (a, b) {
             (Side::Geoms { geoms: a, .. }, Side::Geoms { geoms: b, .. }) => {
-                let pairs = a.iter().flat_map(|a| b.iter().map(move |b| [*a, *b]));
-                Some(pairs.map(|pair| robot.world.geom_distance(pair, MOST).0).fold(MOST, f64::min))
+                Some(nearest(robot, a, b, MOST).map_or(MOST, |near| near.distance))
             }
             _ => {
                 let thumb = robot.fingers.iter().find(|finger| finger.human == 0)?;
@@ -352,8 +385,8 @@ impl Goal {
         }
     }
 
-    /// Where thumb and fingers touch each other in the robot's present pose, by human finger: those that the human's touch,
-    /// and whose surfaces are within 3 mm. `points`: the human's keypoints in the wrist frame.
+    /// Where fingertips touch the object, or thumb and fingers each other, in the robot's present pose, by human finger: those
+    /// that the human's touch, and whose surfaces are within 3 mm. `points`: the human's keypoints in the wrist frame.
     pub fn meetings(&self, robot: &mut Robot, points: &[DVec3; N_KEYPOINTS], touch: &Touch) -> [Option<Meeting>; 5] {
         const NEAR: f64 = 0.003;
         let axes = robot.wrist.world_axes(&robot.world);
@@ -375,18 +408,34 @@ impl Goal {
                 meetings[finger.human] = Some(Meeting { place: 0.5 * (a + b), normal: -normal });
                 continue;
             };
-            let mut nearest = NEAR;
-            for pair in thumb.iter().flat_map(|a| other.iter().map(move |b| [*a, *b])) {
-                let (distance, Some([a, b])) = robot.world.geom_distance(pair, nearest) else { continue };
-                let line = if distance < 0.0 { a - b } else { b - a };
-                let Some(normal) = line.try_normalize() else { continue };
-                nearest = distance;
-                let place = 0.5 * (a + b);
-                meetings[0] = Some(Meeting { place, normal });
-                meetings[finger.human] = Some(Meeting { place, normal: -normal });
+            let Some(Nearest { place, normal: Some(normal), .. }) = nearest(robot, thumb, other, NEAR) else {
+                continue;
+            };
+            meetings[0] = Some(Meeting { place, normal });
+            meetings[finger.human] = Some(Meeting { place, normal: -normal });
+        }
+        for finger in &self.fingers {
+            let Some(hold) = finger.hold.filter(|_| touch.tip_contact[finger.human] > 0.5) else { continue };
+            let [Side::Geoms { geoms: pad, .. }, Side::Geoms { geoms: object, .. }] = &self.problem.gaps[hold].sides
+            else {
+                continue;
+            };
+            if let Some(Nearest { place, normal: Some(normal), .. }) = nearest(robot, pad, object, NEAR) {
+                meetings[finger.human] = Some(Meeting { place, normal });
             }
         }
         meetings
+    }
+
+    /// Distance of a finger's pad from the object in the robot's present pose, m, 0.1 at most; None without pad or object.
+    pub fn gap_to_object(&self, robot: &mut Robot, finger: usize) -> Option<f64> {
+        const MOST: f64 = 0.1;
+        match &self.problem.gaps[self.fingers[finger].hold?].sides {
+            [Side::Geoms { geoms: pad, .. }, Side::Geoms { geoms: object, .. }] => {
+                Some(nearest(robot, pad, object, MOST).map_or(MOST, |near| near.distance))
+            }
+            _ => None,
+        }
     }
 
     /// How deep links that must not collide are in each other in the robot's present pose, m; negative = none is.
@@ -405,6 +454,28 @@ impl Goal {
         let vector = &self.problem.vectors[self.fingers[finger].tip];
         frame::place(&robot.world, &robot.fingers[finger]).distance(vector.target)
     }
+}
+
+/// Where two surfaces are nearest.
+struct Nearest {
+    /// Negative = inside each other, m.
+    distance: f64,
+    /// Between both, in the world, m.
+    place: DVec3,
+    /// From the first to the second; None where they just touch.
+    normal: Option<DVec3>,
+}
+
+/// Where two sets of geoms are nearest in the robot's present pose, if nearer than `most`, m.
+fn nearest(robot: &mut Robot, first: &[usize], second: &[usize], most: f64) -> Option<Nearest> {
+    let mut found: Option<Nearest> = None;
+    for pair in first.iter().flat_map(|a| second.iter().map(move |b| [*a, *b])) {
+        let limit = found.as_ref().map_or(most, |found| found.distance);
+        let (distance, Some([a, b])) = robot.world.geom_distance(pair, limit) else { continue };
+        let line = if distance < 0.0 { a - b } else { b - a };
+        found = Some(Nearest { distance, place: 0.5 * (a + b), normal: line.try_normalize() });
+    }
+    found
 }
 
 fn problem_tip(fingers: &[FingerGoal], problem: &Problem, index: usize) -> usize {

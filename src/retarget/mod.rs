@@ -21,6 +21,7 @@ pub mod file;
 pub mod filter;
 pub mod goal;
 pub mod human;
+pub mod object;
 pub mod peer;
 pub mod problem;
 pub mod robot;
@@ -31,12 +32,14 @@ use std::time::Instant;
 
 use glam::DVec3;
 
+pub use self::object::Pose as ObjectPose;
 pub use self::robot::Robot;
 pub use self::touch::{Feel, Pool, Touch};
 
 use self::filter::{Gate, Passed, SizeEstimate, Smoother};
 use self::goal::Goal;
 use self::human::Hand;
+use self::object::Follower;
 use self::solver::{Solver, Stop};
 use self::touch::Transfer;
 use crate::error::{Error, Result};
@@ -75,12 +78,14 @@ pub struct Input {
     pub time: f64,
     /// What the hand touches; without it, fingers that are close count as touching.
     pub touch: Option<Touch>,
+    /// Where the object is that the robot was loaded with; None = nowhere near.
+    pub object: Option<ObjectPose>,
 }
 
 impl Input {
     /// A frame without touch.
     pub fn new(keypoints: [DVec3; N_KEYPOINTS], time: f64) -> Self {
-        Self { keypoints, time, touch: None }
+        Self { keypoints, time, touch: None, object: None }
     }
 }
 
@@ -196,6 +201,7 @@ pub struct Retargeter {
     smoother: Smoother,
     /// For the directions of bones.
     calm: Smoother,
+    object: Follower,
     size: SizeEstimate,
     /// Free coordinates of the pose that was given out last.
     u: Vec<f64>,
@@ -252,6 +258,7 @@ impl Retargeter {
             gate: Gate::new(filter.outlier),
             smoother: Smoother::new(filter.time_constant),
             calm: Smoother::new(CALM * filter.time_constant),
+            object: Follower::new(filter.time_constant),
             size: SizeEstimate::default(),
             next: u.clone(),
             other: u.clone(),
@@ -291,6 +298,7 @@ impl Retargeter {
         self.gate = Gate::new(self.robot.spec.filter.outlier);
         self.smoother.reset();
         self.calm.reset();
+        self.object.reset();
     }
 
     /// Moves on towards the pose of the last good frame, as far as joints may by `now`, s; once there, holds it.
@@ -330,8 +338,8 @@ impl Retargeter {
     /// Takes a frame and returns joint positions, commands and forces.
     ///
     /// # Errors
-    /// If the frame is not a hand (the error names the keypoint), is older than the last one, or has a touch that is not
-    /// finite; the last good pose is held, and [`Self::output`] says so.
+    /// If the frame is not a hand (the error names the keypoint), is older than the last one, or has a touch or an object's
+    /// pose that is not finite; the last good pose is held, and [`Self::output`] says so.
     pub fn push(&mut self, input: &Input) -> Result<&Output> {
         self.push_at(input, input.time)
     }
@@ -369,11 +377,13 @@ impl Retargeter {
         if let Some(touch) = &input.touch {
             touch.check()?;
         }
+        let object = self.object.check(&self.robot, side, input.object)?;
         let is_new = dt > GAP;
         if is_new {
             self.gate.forget();
             self.smoother.reset();
             self.calm.reset();
+            self.object.reset();
         }
         let (points, replaced) = match self.gate.push(&hand.points, dt.min(GAP)) {
             Passed::Points(points, replaced) => (points, replaced),
@@ -386,6 +396,8 @@ impl Retargeter {
         }
         let smooth = self.smoother.push(&points, dt);
         let calm = self.calm.push(&points, dt);
+        let bases = self.goal.bases(&self.robot, &smooth);
+        self.object.push(&mut self.robot, &hand, object, dt, bases);
         self.goal.aim(&mut self.robot, &smooth, &calm, &self.size, input.touch.as_ref(), &self.u);
         let (iterations, converged, way) = self.solve(is_new)?;
         let limited = self.limit(now, way)?;

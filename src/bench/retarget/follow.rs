@@ -35,6 +35,9 @@ pub struct Followed {
     pub false_contacts: f64,
     /// Mean error of the net force, over the sum of the fingertips' forces.
     pub net_force_error: f64,
+    /// Mean error of the net torque about the middle of the touch, over the sum of the fingertips' forces times their mean
+    /// distance from it.
+    pub net_torque_error: f64,
     /// Mean angle between a fingertip's force and the one asked for, degrees.
     pub force_angle_deg: f64,
     /// Root mean square of the third derivative of the joints, rad/s³.
@@ -55,7 +58,7 @@ pub fn follow(robot: Robot, trajectory: &Trajectory, with_touch: bool) -> Result
     let (mut tips, mut tip_count) = (0.0, 0.0);
     let (mut closed, mut touching, mut opened, mut released) = (0.0, 0.0, 0.0, 0.0);
     let (mut wrong, mut apart) = (0.0, 0.0);
-    let (mut net, mut net_count, mut angle, mut angles) = (0.0, 0.0, 0.0, 0.0);
+    let (mut net, mut torque, mut net_count, mut angle, mut angles) = (0.0, 0.0, 0.0, 0.0, 0.0);
     let mut last: Option<Vec<f64>> = None;
     for frame in 0..seen.frames {
         let mut input = Input::new(trajectory.keypoints[frame], frame as f64 / RATE);
@@ -105,6 +108,13 @@ pub fn follow(robot: Robot, trajectory: &Trajectory, with_touch: bool) -> Result
         if with_touch && pressed > 0.1 {
             let sum: glam::DVec3 = output.feel.links.iter().map(|link| link.force).sum();
             net += (sum - output.feel.asked).length() / pressed;
+            let touched: Vec<_> = output.feel.links.iter().filter(|link| link.contact > 0.0).collect();
+            let count = touched.len().max(1) as f64;
+            let middle = touched.iter().map(|link| link.position).sum::<glam::DVec3>() / count;
+            let spread = touched.iter().map(|link| link.position.distance(middle)).sum::<f64>() / count;
+            let moment: glam::DVec3 = touched.iter().map(|link| (link.position - middle).cross(link.force)).sum();
+            // Fingertips that meet in a point hold no torque.
+            torque += (moment - output.feel.asked_moment).length() / (pressed * spread.max(1e-3));
             net_count += 1.0;
             for (human, asked) in trajectory.tip_force[frame].iter().enumerate() {
                 let is = robot.fingers.iter().any(|finger| finger.human == human);
@@ -126,6 +136,7 @@ pub fn follow(robot: Robot, trajectory: &Trajectory, with_touch: bool) -> Result
     seen.pinch_opened = ratio(opened, released);
     seen.false_contacts = ratio(wrong, apart);
     seen.net_force_error = ratio(net, net_count);
+    seen.net_torque_error = ratio(torque, net_count);
     seen.force_angle_deg = ratio(angle, angles);
     seen.jerk = jerk(&seen.qpos);
     Ok(seen)

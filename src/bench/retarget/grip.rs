@@ -95,7 +95,7 @@ fn grip(keypoints: &[DVec3; N_KEYPOINTS], finger: usize, force: f64, hold: Hold)
     let mut retargeter = Retargeter::new(Robot::load(ROBOT, None)?)?;
     for frame in 0..SETTLE.0 {
         let time = frame as f64 / RATE;
-        retargeter.push(&Input { keypoints: *keypoints, time, touch: Some(touch.clone()) })?;
+        retargeter.push(&Input { touch: Some(touch.clone()), ..Input::new(*keypoints, time) })?;
     }
     let output = retargeter.output().clone();
     let (robot, _) = retargeter.look();

@@ -169,7 +169,7 @@ pub fn run(plan: &Plan, mut say: impl FnMut(&str)) -> Result<Report> {
             let mut peers = Vec::new();
             for command in &plan.peers {
                 say(&format!("{}, {name}, {command}", setup.robot));
-                peers.push(peer::run(command, &robot, &setup, &targets)?);
+                peers.push(peer::run(command, &mut robot, &setup, &targets)?);
             }
             report.objectives.push(Objective { setup: setup.clone(), noise_mm: *noise_mm, ours, calm, peers });
         }

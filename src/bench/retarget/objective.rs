@@ -14,10 +14,11 @@ use crate::retarget::Robot;
 use crate::retarget::filter::Smoother;
 use crate::retarget::human::{Hand, keypoint};
 use crate::retarget::peer::{Kind, Peer};
+use crate::retarget::robot::fingers::joint;
 use crate::retarget::solver::Stop;
 
-/// Delay at which jerk is compared, s.
-const LAG: f64 = 0.05;
+/// Delay of slow motion at which jerk is compared, s: with it the joints, measured, lag by 50 ms.
+const LAG: f64 = 0.042;
 /// Other starts that the best known optimum is looked for from.
 const STARTS: usize = 8;
 
@@ -56,7 +57,7 @@ pub struct Solved {
 pub struct Calm {
     /// Jerk without smoothing, rad/s³.
     pub jerk: f64,
-    /// Jerk behind the retargeter's filter with a delay of 50 ms, rad/s³.
+    /// Jerk behind the retargeter's filter with a lag of 50 ms, rad/s³.
     pub jerk_50ms: f64,
     /// What the filter delays by, measured, s.
     pub lag_secs: f64,
@@ -105,6 +106,62 @@ fn smoothed(
         qpos.push(robot.world.qpos().to_vec());
     }
     Ok(qpos)
+}
+
+/// Another program's objective, over ours from the same last pose.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Compared {
+    /// Median.
+    pub median: f64,
+    /// Of 99 of 100 frames at most.
+    pub p99: f64,
+    /// Share of frames in which theirs is at most 1.001 of ours.
+    pub within: f64,
+    /// Share of frames in which ours is at most 1.001 of theirs.
+    pub ours_within: f64,
+}
+
+/// Compares another program's poses, of joints with these names, with the ones we find from its last pose.
+///
+/// # Errors
+/// If a joint or link is not in the model, or the poses are not of these joints.
+pub fn compare(
+    robot: &mut Robot,
+    setup: &Setup,
+    vectors: &[Vec<DVec3>],
+    names: &[String],
+    poses: &[Vec<f64>],
+) -> Result<Compared> {
+    let tips: Vec<&str> = setup.tips.iter().map(String::as_str).collect();
+    let mut peer = Peer::new(robot, Kind::Vector, &setup.wrist, &tips, setup.scale)?;
+    let joints = names.iter().map(|name| joint(&robot.parts, name)).collect::<Result<Vec<_>>>()?;
+    let free = |robot: &Robot, pose: &[f64]| {
+        let mut qpos = robot.world.qpos().to_vec();
+        for (joint, position) in joints.iter().zip(pose) {
+            qpos[robot.parts.joints[*joint].qpos] = *position;
+        }
+        let mut u = vec![0.0; robot.coupling.len()];
+        robot.coupling.reduce(&robot.parts, &qpos, &mut u);
+        u
+    };
+    let still = Stop { iterations: 0, ..Stop::default() };
+    let mut ratios = Vec::with_capacity(poses.len());
+    for (targets, poses) in vectors[1.min(vectors.len())..].iter().zip(poses.windows(2)) {
+        peer.u = free(robot, &poses[0]);
+        peer.aim(targets);
+        let theirs = peer.solve_from(robot, still, &mut free(robot, &poses[1]))?.cost;
+        let mut ours = peer.u.clone();
+        let ours = peer.solve_from(robot, Stop::default(), &mut ours)?.cost;
+        ratios.push(theirs / ours);
+    }
+    let share =
+        |fits: fn(f64) -> bool| ratios.iter().filter(|ratio| fits(**ratio)).count() as f64 / ratios.len().max(1) as f64;
+    Ok(Compared {
+        median: percentile(&ratios, 0.5),
+        p99: percentile(&ratios, 0.99),
+        within: share(|ratio| ratio <= 1.001),
+        ours_within: share(|ratio| ratio >= 1.0 / 1.001),
+    })
 }
 
 /// Solves frame after frame; every `every`-th is compared with a multi-start from the same last pose.

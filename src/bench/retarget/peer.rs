@@ -6,7 +6,7 @@ use glam::DVec3;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::{Deserialize, Serialize};
 
-use super::objective::Setup;
+use super::objective::{Compared, Setup, compare};
 use crate::bench::peer;
 use crate::error::{Error, Result};
 use crate::file;
@@ -25,13 +25,20 @@ pub struct Timing {
     pub jerk: f64,
     /// Jerk with a low pass that lags by 50 ms, rad/s³.
     pub jerk_50ms: f64,
+    /// Joints of the positions that it wrote; None of one that solves another objective.
+    #[serde(default, skip_serializing)]
+    joint_names: Option<Vec<String>>,
+    /// Its objective over ours from the same last pose.
+    #[serde(default)]
+    pub objective: Option<Compared>,
 }
 
-/// Runs `command --input FILE` and reads the JSON object on its last line.
+/// Runs `command --input FILE --qpos FILE`, reads the JSON object on its last line, and compares the poses it wrote with
+/// ours.
 ///
 /// # Errors
-/// If it can't be started, fails, or prints something else.
-pub fn run(command: &str, robot: &Robot, setup: &Setup, vectors: &[Vec<DVec3>]) -> Result<Timing> {
+/// If it can't be started, fails, or prints or writes something else.
+pub fn run(command: &str, robot: &mut Robot, setup: &Setup, vectors: &[Vec<DVec3>]) -> Result<Timing> {
     let folder = tempfile::tempdir().map_err(Error::io("temporary folder"))?;
     let path = folder.path().join("vectors.safetensors");
     let bytes: Vec<u8> = vectors.iter().flatten().flat_map(|v| v.to_array()).flat_map(|x| x.to_le_bytes()).collect();
@@ -46,5 +53,14 @@ pub fn run(command: &str, robot: &Robot, setup: &Setup, vectors: &[Vec<DVec3>]) 
     ]);
     let content = safetensors::serialize([("vectors", view)], Some(metadata)).map_err(|e| Error::file(&path, e))?;
     file::write(&path, &content)?;
-    peer::ask(command, &["--input".into(), path.into_os_string()], 1)
+    let written = folder.path().join("qpos.f64");
+    let arguments = ["--input".into(), path.into_os_string(), "--qpos".into(), written.clone().into_os_string()];
+    let mut timing: Timing = peer::ask(command, &arguments, 1)?;
+    if let Some(names) = &timing.joint_names {
+        let bytes = std::fs::read(&written).map_err(Error::io(&written))?;
+        let values: Vec<f64> = bytes.as_chunks::<8>().0.iter().map(|x| f64::from_le_bytes(*x)).collect();
+        let poses: Vec<Vec<f64>> = values.chunks_exact(names.len().max(1)).map(<[f64]>::to_vec).collect();
+        timing.objective = Some(compare(robot, setup, vectors, names, &poses)?);
+    }
+    Ok(timing)
 }

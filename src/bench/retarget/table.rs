@@ -56,16 +56,16 @@ pub fn markdown(report: &Report) -> String {
         &mut text,
         format_args!(
             "| robot | input | median, us | p99, us | beyond limits or couplings | speed / limit | deepest, mm | pinches within 1 mm | opened in a frame | \
-             false contacts | net force error | force angle, deg | tip error, mm |"
+             false contacts | net force error | net torque error | force angle, deg | tip error, mm |"
         ),
     );
-    put(&mut text, format_args!("|---|---|---|---|---|---|---|---|---|---|---|---|---|"));
+    put(&mut text, format_args!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"));
     for row in &report.robots {
         let seen = &row.seen;
         put(
             &mut text,
             format_args!(
-                "| {} | {} | {} | {} | {:.1e} | {:.3} | {:.2} | {:.3} | {:.3} | {:.4} | {:.4} | {:.1} | {:.2} |",
+                "| {} | {} | {} | {} | {:.1e} | {:.3} | {:.2} | {:.3} | {:.3} | {:.4} | {:.4} | {:.4} | {:.1} | {:.2} |",
                 row.robot,
                 row.input,
                 significant(seen.median_us),
@@ -77,6 +77,7 @@ pub fn markdown(report: &Report) -> String {
                 seen.pinch_opened,
                 seen.false_contacts,
                 seen.net_force_error,
+                seen.net_torque_error,
                 seen.force_angle_deg,
                 seen.tip_error_mm,
             ),
@@ -147,17 +148,24 @@ fn peers(text: &mut String, report: &Report) {
         format_args!(
             "dexi-rs and dex-retargeting solve the same objective; mink takes one step per frame towards the same points. \
              Jerk: root mean square, behind a low pass that lags by 50 ms (theirs: dex-retargeting's, on the joints; ours: the \
-             retargeter's own, on the keypoints; measured, ours lags by at most {:.0} ms), and in brackets without it.\n",
+             retargeter's own, on the keypoints; measured, ours lags by at most {:.0} ms), and in brackets without it. \
+             Objective: theirs over ours from the same last pose, median and p99, and the share of frames in which ours is at \
+             most 1.001 of theirs.\n",
             1e3 * report.objectives.iter().map(|row| row.calm.lag_secs).fold(0.0, f64::max),
         ),
     );
-    put(text, format_args!("| robot | noise, mm | program | median, us | p99, us | times ours | jerk, rad/s³ |"));
-    put(text, format_args!("|---|---|---|---|---|---|---|"));
+    put(
+        text,
+        format_args!(
+            "| robot | noise, mm | program | median, us | p99, us | times ours | objective | ours within | jerk, rad/s³ |"
+        ),
+    );
+    put(text, format_args!("|---|---|---|---|---|---|---|---|---|"));
     for row in &report.objectives {
         put(
             text,
             format_args!(
-                "| {} | {} | egotac | {} | {} | 1 | {:.0} ({:.0}) |",
+                "| {} | {} | egotac | {} | {} | 1 | 1 | - | {:.0} ({:.0}) |",
                 row.setup.robot,
                 row.noise_mm,
                 significant(row.ours.median_us),
@@ -168,10 +176,13 @@ fn peers(text: &mut String, report: &Report) {
         );
     }
     for (row, peer) in all() {
+        let objective = peer.objective.as_ref().map_or("- | -".to_owned(), |seen| {
+            format!("{:.4}, {} | {:.4}", seen.median, significant(seen.p99), seen.ours_within)
+        });
         put(
             text,
             format_args!(
-                "| {} | {} | {} | {} | {} | {} | {:.0} ({:.0}) |",
+                "| {} | {} | {} | {} | {} | {} | {objective} | {:.0} ({:.0}) |",
                 row.setup.robot,
                 row.noise_mm,
                 peer.name,

@@ -50,6 +50,10 @@ struct Run {
     /// Hands to follow.
     #[arg(long, value_name = "FILE")]
     input: PathBuf,
+    /// Object that links stay out of and touching fingertips lie on: a model (MJCF, URDF) or mesh (OBJ, STL; its convex hull
+    /// counts). The input's `object_pose` says where it is.
+    #[arg(long, value_name = "FILE")]
+    object: Option<PathBuf>,
     /// File to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,

@@ -7,6 +7,7 @@ use anyhow::{Context, bail, ensure};
 
 use super::Run;
 use crate::hand::{HandModel, Side};
+use crate::mujoco::object::Shapes;
 use crate::retarget::file::{Followed, Hands};
 use crate::retarget::{Options, Pool, Retargeter, Robot, Status};
 use crate::tactile::Topology;
@@ -17,7 +18,8 @@ const RATE: f64 = 30.0;
 const NAMED: usize = 10;
 
 pub fn run(args: &Run) -> anyhow::Result<ExitCode> {
-    let mut robot = Robot::load(&args.robot, args.model.as_deref())?;
+    let object = args.object.as_deref().map(Shapes::read).transpose()?;
+    let mut robot = Robot::load_beside(&args.robot, args.model.as_deref(), object.as_ref())?;
     if let Some(delay) = args.smooth {
         ensure!(delay <= 2.0, "--smooth: expected at most 2 s, got {delay}");
         robot.spec.filter.time_constant = delay;
@@ -35,6 +37,11 @@ pub fn run(args: &Run) -> anyhow::Result<ExitCode> {
         }
     };
     let hands = Hands::read(&args.input, model)?;
+    let has_poses = hands.object_pose.iter().any(Option::is_some);
+    if object.is_some() != has_poses {
+        let (given, missing) = if has_poses { ("object_pose", "--object") } else { ("--object", "object_pose") };
+        bail!("{}: {given} without {missing}: an object's shape and its poses belong together", args.input.display());
+    }
     let side = asked_side(args).or(hands.side).unwrap_or(robot_side);
     let pool = match hands.force.is_empty() && hands.contact.is_empty() {
         true => None,

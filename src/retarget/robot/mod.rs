@@ -10,7 +10,7 @@ pub mod urdf;
 
 use std::path::Path;
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 
 use self::commands::Commands;
 use self::coupling::{Coupling, Follow};
@@ -21,6 +21,7 @@ use super::human::{self, Hand};
 use crate::error::{Error, Result};
 use crate::hand::Side;
 use crate::mujoco::World;
+use crate::mujoco::object::{OBJECT, Shapes};
 use crate::mujoco::parts::{Motion, Parts};
 
 /// A robot hand, ready to be retargeted to.
@@ -52,11 +53,26 @@ pub struct Robot {
     pub scale: [Option<f64>; 5],
     /// Pairs of geoms that must not run into each other.
     pub pairs: Vec<[usize; 2]>,
+    /// The object beside it, if it was loaded with one.
+    pub object: Option<ObjectBody>,
     /// What the drivers get.
     pub commands: Commands,
     /// Free coordinates in the pose everything was derived in.
     pub rest: Vec<f64>,
 }
+
+/// An object beside a robot, in the robot's model.
+#[derive(Debug, Clone)]
+pub struct ObjectBody {
+    /// The body that carries it.
+    pub body: usize,
+    /// Its shapes.
+    pub geoms: Vec<usize>,
+    mocap: usize,
+}
+
+/// Where an object is kept that is not there, m: out of everybody's reach.
+const AWAY: DVec3 = DVec3::new(0.0, 0.0, 1e3);
 
 impl Robot {
     /// Loads a robot: a name of the program's own, a YAML file, or a model alone; `model` replaces the YAML's model.
@@ -65,7 +81,15 @@ impl Robot {
     /// If it can't be found or read, names something that the model does not have (the error lists what it has), or is
     /// no hand.
     pub fn load(robot: &str, model: Option<&Path>) -> Result<Self> {
-        let source::Source { spec, world, origin, lost } = source::open(robot, model)?;
+        Self::load_beside(robot, model, None)
+    }
+
+    /// Likewise, with an object beside it, which is away until it is placed.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn load_beside(robot: &str, model: Option<&Path>, object: Option<&Shapes>) -> Result<Self> {
+        let source::Source { spec, world, origin, lost } = source::open(robot, model, object)?;
         Self::new(spec, world, origin, lost)
     }
 
@@ -75,6 +99,7 @@ impl Robot {
     /// As [`Self::load`].
     pub fn new(spec: Spec, mut world: World, origin: String, lost: Vec<String>) -> Result<Self> {
         let parts = world.parts();
+        let object = object_of(&mut world, &parts);
         let initial = world.qpos().to_vec();
         let root = spec.model.root.as_deref().map(|name| fingers::body(&parts, name)).transpose()?;
         let fixed = fixed_joints(&spec, &parts, &initial, root)?;
@@ -144,6 +169,7 @@ impl Robot {
             wrist_position,
             scale,
             pairs,
+            object,
             commands,
             rest,
         })
@@ -179,10 +205,38 @@ impl Robot {
         chosen.iter().map(|finger| self.base(finger)).sum::<DVec3>() / chosen.len().max(1) as f64
     }
 
+    /// Places the object; None = there is none. Poses are those of before until they are found anew.
+    pub fn place_object(&mut self, pose: Option<(DVec3, DQuat)>) {
+        if let Some(object) = &self.object {
+            let (place, orientation) = pose.unwrap_or((AWAY, DQuat::IDENTITY));
+            self.world.set_mocap(object.mocap, place, orientation);
+        }
+    }
+
+    /// Pairs of the hand's shapes and the object's.
+    pub fn against_object(&self) -> Vec<[usize; 2]> {
+        let Some(object) = &self.object else { return Vec::new() };
+        let of_hand = |geom: &usize| {
+            let geom = &self.parts.geoms[*geom];
+            geom.solid && geom.bits != [0, 0] && is_above(&self.parts, self.root, geom.body)
+        };
+        let hand = (0..self.parts.geoms.len()).filter(of_hand);
+        hand.flat_map(|a| object.geoms.iter().map(move |b| [a, *b])).collect()
+    }
+
     /// Whether it is a pair of jaws, of which nothing but the opening can be asked.
     pub fn is_gripper(&self) -> bool {
         self.fingers.len() == 2 && self.fingers.iter().all(|finger| finger.joints.len() == 1)
     }
+}
+
+/// The object in a model, put away.
+fn object_of(world: &mut World, parts: &Parts) -> Option<ObjectBody> {
+    let body = parts.bodies.iter().position(|body| body.name == OBJECT)?;
+    let mocap = world.mocap(OBJECT).ok()?;
+    let geoms = (0..parts.geoms.len()).filter(|geom| parts.geoms[*geom].body == body).collect();
+    world.set_mocap(mocap, AWAY, DQuat::IDENTITY);
+    Some(ObjectBody { body, geoms, mocap })
 }
 
 /// Position of each joint that stands still.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use super::spec::Spec;
 use super::urdf;
 use crate::error::{Error, Result};
+use crate::mujoco::object::{ModelText, Shapes};
 use crate::mujoco::{PhysicsOptions, World};
 
 /// Robots that are part of the program: name, YAML, and the model where it is ours.
@@ -78,22 +79,22 @@ pub fn has_own_model(name: &str) -> bool {
 }
 
 /// Reads a robot: a name of the program's own, a YAML file, or a model (MJCF or URDF) alone. `model` replaces the one
-/// that the YAML names.
+/// that the YAML names; `object` is put beside it.
 ///
 /// # Errors
 /// If there is no such robot, or its model can't be found, read or compiled; the error says where it was looked for.
-pub fn open(robot: &str, model: Option<&Path>) -> Result<Source> {
+pub fn open(robot: &str, model: Option<&Path>, object: Option<&Shapes>) -> Result<Source> {
     if let Some((_, yaml, own)) = SHIPPED.iter().find(|(name, ..)| *name == robot) {
         let spec = Spec::parse(yaml)?;
         return match (model, own) {
-            (Some(path), _) => compile(spec, path),
+            (Some(path), _) => compile(spec, path, object),
             (None, Some(xml)) => {
-                let world = World::from_mjcf(xml, &PhysicsOptions::default())?;
+                let world = build(ModelText::Text(xml), object)?;
                 Ok(Source { spec, world, origin: format!("{robot}, part of the program"), lost: Vec::new() })
             }
             (None, None) => {
                 let path = locate(&spec, None)?;
-                compile(spec, &path)
+                compile(spec, &path, object)
             }
         };
     }
@@ -113,31 +114,42 @@ pub fn open(robot: &str, model: Option<&Path>) -> Result<Source> {
                 Some(model) => model.to_owned(),
                 None => locate(&spec, path.parent())?,
             };
-            compile(spec, &found).map_err(|error| Error::file(path, error))
+            compile(spec, &found, object).map_err(|error| Error::file(path, error))
         }
         "xml" | "mjcf" | "urdf" => {
             let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-            compile(Spec { robot: stem, ..Spec::default() }, model.unwrap_or(path))
+            compile(Spec { robot: stem, ..Spec::default() }, model.unwrap_or(path), object)
         }
         _ => Err(Error::file(path, "expected a robot's .yaml, or a model: .xml (MJCF) or .urdf")),
     }
 }
 
-fn compile(spec: Spec, path: &Path) -> Result<Source> {
+fn compile(spec: Spec, path: &Path, object: Option<&Shapes>) -> Result<Source> {
     let is_urdf = match std::fs::read_to_string(path) {
         Ok(text) => text.contains("<robot"),
         Err(error) => return Err(Error::io(path)(error)),
     };
-    let options = PhysicsOptions::default();
     let (world, lost) = match is_urdf {
         true => {
             let prepared = urdf::prepare(path)?;
-            let world = World::from_mjcf(&prepared.xml, &options).map_err(|error| Error::file(path, error))?;
+            let world = build(ModelText::Text(&prepared.xml), object).map_err(|error| Error::file(path, error))?;
             (world, prepared.lost)
         }
-        false => (World::from_file(path, &options)?, Vec::new()),
+        false => (build(ModelText::File(path), object)?, Vec::new()),
     };
     Ok(Source { spec, world, origin: path.display().to_string(), lost })
+}
+
+fn build(text: ModelText, object: Option<&Shapes>) -> Result<World> {
+    let options = PhysicsOptions::default();
+    match (text, object) {
+        (ModelText::Text(_), Some(object)) => World::with_object(text, object, &options),
+        (ModelText::File(path), Some(object)) => {
+            World::with_object(text, object, &options).map_err(|error| Error::file(path, error))
+        }
+        (ModelText::Text(text), None) => World::from_mjcf(text, &options),
+        (ModelText::File(path), None) => World::from_file(path, &options),
+    }
 }
 
 /// Finds the model that a YAML names.

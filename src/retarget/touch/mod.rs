@@ -123,6 +123,9 @@ pub struct Feel {
     pub left_out: f64,
     /// Net force of the human's touch, N, in the frame of the keypoints.
     pub asked: DVec3,
+    /// Its net torque about the middle of the touched places, N m, as large as the robot's hand makes it, in the frame of the
+    /// keypoints.
+    pub asked_moment: DVec3,
 }
 
 impl Feel {
@@ -135,7 +138,8 @@ impl Feel {
         }
         self.tip_force = [DVec3::ZERO; 5];
         self.torque.fill(0.0);
-        (self.clipped, self.left_out, self.asked) = (false, 0.0, DVec3::ZERO);
+        (self.clipped, self.left_out) = (false, 0.0);
+        (self.asked, self.asked_moment) = (DVec3::ZERO, DVec3::ZERO);
     }
 }
 
@@ -310,6 +314,8 @@ impl Transfer {
         let spread = spread(arms.iter().map(|(place, _)| *place));
         let robot_spread = spread_of(&self.contacts);
         let moment = if spread > 1e-4 { moment * (robot_spread / spread) } else { DVec3::ZERO };
+        // In the coordinates of a left hand a product of two vectors turns the other way.
+        feel.asked_moment = hand.axes.determinant() * (hand.axes * moment);
         for round in 0..4 {
             self.balance.solve(&mut self.contacts, net, moment, self.friction);
             self.torques(robot, &to_wrist, axes, wrist_body, &mut feel.torque);

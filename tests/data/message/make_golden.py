@@ -21,7 +21,7 @@ from builtin_interfaces.msg import Duration, Time
 from egotac_msgs.msg import (
     HandModelInfo, HandPose, HandTactile, LinkTouch, RobotTouch, TactileFrame, TactileMetrics, TactileTruth, TrainerStatus
 )
-from geometry_msgs.msg import Point, Point32, Pose, PoseArray, Quaternion, Vector3, Wrench
+from geometry_msgs.msg import Point, Point32, Pose, PoseArray, PoseStamped, Quaternion, Vector3, Wrench
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -140,6 +140,10 @@ MESSAGES = {
     "pose_array": PoseArray(
         header=header("world"),
         poses=[Pose(position=Point(x=0.25, y=-0.5, z=0.75)), Pose(orientation=Quaternion(x=0.5, y=-0.5, z=0.5, w=0.5))],
+    ),
+    "pose_stamped": PoseStamped(
+        header=header("world"),
+        pose=Pose(position=Point(x=0.25, y=-0.5, z=0.75), orientation=Quaternion(x=0.5, y=-0.5, z=0.5, w=0.5)),
     ),
     "joint_state": JointState(header=header(""), name=["a", "b"], position=[0.5, -0.25], velocity=[0.125, 2.0], effort=[1.0]),
     "joint_trajectory": JointTrajectory(
