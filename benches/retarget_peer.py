@@ -4,7 +4,7 @@
     python benches/retarget_peer.py --input FILE --peer dexi-rs|dex-retargeting|mink
 
 The file (safetensors) holds `vectors` (T, K, 3), wrist to fingertips in the robot's frame, and in its metadata `urdf`,
-`wrist`, `tips` (JSON list) and `scale`. Needs numpy and the peer (all three: pip install dexi-rs==0.4.1
+`wrist`, `tips`, `joints` (JSON lists; other joints stay at 0) and `scale`. Needs numpy and the peer (all three: pip install dexi-rs==0.4.1
 dex-retargeting==0.5.0 mink==1.3.0 daqp). Prints JSON: the peer's name and version, median_us and p99_us per frame, jerk
 (rad/s^3, root mean square) without smoothing and with a low pass that lags by 50 ms, and of those that solve the objective
 joint_names; the positions without smoothing (T, joints), float64, are written to --qpos FILE.
@@ -67,7 +67,7 @@ def with_mink(meta, alpha):
 def build(peer, meta, alpha):
     if peer == "mink":
         return with_mink(meta, alpha)
-    tips = json.loads(meta["tips"])
+    tips, joints = json.loads(meta["tips"]), json.loads(meta["joints"])
     scale = float(meta["scale"])
     origins = [meta["wrist"]] * len(tips)
     indices = [[0] * len(tips), [4 * (k + 1) for k in range(len(tips))]]
@@ -76,15 +76,17 @@ def build(peer, meta, alpha):
 
         config = dexi_rs.RetargetingConfig(
             "vector", meta["urdf"], target_origin_link_names=origins, target_task_link_names=tips,
-            scaling_factor=scale, low_pass_alpha=alpha, target_link_human_indices=indices)
+            scaling_factor=scale, low_pass_alpha=alpha, target_link_human_indices=indices, target_joint_names=joints)
         built = config.build()
-        return lambda vectors: np.asarray(built.retarget(vectors.ravel())), list(built.joint_names)
+        fixed = np.zeros(built.fixed_dof)
+        return lambda vectors: np.asarray(built.retarget(vectors.ravel(), fixed)), list(built.joint_names)
     from dex_retargeting.retargeting_config import RetargetingConfig
 
     built = RetargetingConfig(
         type="vector", urdf_path=meta["urdf"], target_origin_link_names=origins, target_task_link_names=tips,
-        scaling_factor=scale, low_pass_alpha=alpha, target_link_human_indices=np.array(indices)).build()
-    return lambda vectors: np.asarray(built.retarget(vectors)), list(built.joint_names)
+        scaling_factor=scale, low_pass_alpha=alpha, target_link_human_indices=np.array(indices), target_joint_names=joints).build()
+    fixed = np.zeros(len(built.joint_names) - len(joints))
+    return lambda vectors: np.asarray(built.retarget(vectors, fixed)), list(built.joint_names)
 
 
 def follow(step, vectors):

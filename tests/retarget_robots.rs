@@ -56,7 +56,7 @@ fn shipped_files_fit_their_models() {
 #[test]
 fn sides_are_derived_as_the_files_say() {
     for (name, _, fingers, side) in FETCHED.iter().filter(|(_, _, fingers, _)| *fingers > 2) {
-        let mut source = source::open(name, None).unwrap();
+        let mut source = source::open(name, None, None).unwrap();
         source.spec.side = None;
         let robot = Robot::new(source.spec, source.world, source.origin, source.lost).unwrap();
         assert_eq!((robot.side(), robot.fingers.len()), (*side, *fingers), "{name}");

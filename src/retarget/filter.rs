@@ -11,7 +11,7 @@ use crate::hand::N_KEYPOINTS;
 /// Low-pass stages.
 const STAGES: usize = 6;
 /// Delay of one stage over that of the whole.
-const STAGE_SHARE: f64 = 0.55;
+const STAGE_SHARE: f64 = 0.58;
 /// How long a keypoint may be taken for an outlier, s; afterwards the hand is really there.
 const PATIENCE: f64 = 0.1;
 /// Frames after which a keypoint that stays is believed, however slowly frames come.

@@ -18,7 +18,7 @@ use crate::retarget::robot::fingers::joint;
 use crate::retarget::solver::Stop;
 
 /// Delay of slow motion at which jerk is compared, s: with it the joints, measured, lag by 50 ms.
-const LAG: f64 = 0.042;
+const LAG: f64 = 0.039;
 /// Other starts that the best known optimum is looked for from.
 const STARTS: usize = 8;
 

@@ -45,7 +45,10 @@ pub fn run(command: &str, robot: &mut Robot, setup: &Setup, vectors: &[Vec<DVec3
     let shape = vec![vectors.len(), setup.tips.len(), 3];
     let view = TensorView::new(Dtype::F64, shape, &bytes).map_err(|error| Error::file(&path, error))?;
     let tips = serde_json::to_string(&setup.tips).map_err(|error| Error::file(&path, error))?;
+    let free = robot.coupling.masters.iter().map(|joint| robot.parts.joints[*joint].name.as_str());
+    let joints = serde_json::to_string(&free.collect::<Vec<_>>()).map_err(|error| Error::file(&path, error))?;
     let metadata = HashMap::from([
+        ("joints".to_owned(), joints),
         ("urdf".to_owned(), robot.origin.clone()),
         ("wrist".to_owned(), setup.wrist.clone()),
         ("tips".to_owned(), tips),

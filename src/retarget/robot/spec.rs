@@ -302,7 +302,7 @@ pub struct FilterSpec {
 
 impl Default for FilterSpec {
     fn default() -> Self {
-        Self { time_constant: 0.033, outlier: 0.03 }
+        Self { time_constant: 0.03, outlier: 0.03 }
     }
 }
 
