@@ -9,9 +9,10 @@ use std::path::PathBuf;
 use egotac::bench::retarget::trajectory::Trajectory;
 use egotac::hand::{HandModel, HandParams, N_VERTICES, Region, Side};
 use egotac::message::{HandPose, Header};
-use egotac::retarget::human::Hand;
+use egotac::mujoco::object::Shapes;
+use egotac::retarget::human::{Hand, keypoint};
 use egotac::retarget::touch::pool;
-use egotac::retarget::{Input, Retargeter, Robot, Touch};
+use egotac::retarget::{Input, ObjectPose, Retargeter, Robot, Touch};
 use glam::Vec3;
 use harness::{Running, Session};
 use serde_json::{Value, json};
@@ -38,7 +39,16 @@ fn holds(fact: &str, case: &Value, ros_args: &[&str]) -> String {
 
 /// Frames as the peer sends them, and what the library makes of them: `hand`, `force` (778), `qpos`, `normal_force`.
 fn case(robot: &str, frames: Vec<(Value, [glam::DVec3; 21], Vec<f32>)>) -> Value {
-    let mut retargeter = Retargeter::new(Robot::load(robot, None).unwrap()).unwrap();
+    case_about(Robot::load(robot, None).unwrap(), frames, |_| None)
+}
+
+/// Likewise, with an object: `object` is where it is for a hand.
+fn case_about(
+    robot: Robot,
+    frames: Vec<(Value, [glam::DVec3; 21], Vec<f32>)>,
+    object: impl Fn(&[glam::DVec3; 21]) -> Option<ObjectPose>,
+) -> Value {
+    let mut retargeter = Retargeter::new(robot).unwrap();
     let side = retargeter.robot().side();
     let pool = pool::builtin(side).unwrap();
     let names: Vec<String> = retargeter.robot().joint_names().into_iter().map(str::to_owned).collect();
@@ -51,6 +61,7 @@ fn case(robot: &str, frames: Vec<(Value, [glam::DVec3; 21], Vec<f32>)>) -> Value
         .enumerate()
         .map(|(frame, (hand, keypoints, force))| {
             let mut input = Input::new(keypoints, 1000.0 + frame as f64 * DT);
+            input.object = object(&keypoints);
             if !force.is_empty() {
                 let mut touch = Touch::default();
                 let contact: Vec<f32> = force.iter().map(|f| f32::from(*f > 0.05)).collect();
@@ -63,6 +74,7 @@ fn case(robot: &str, frames: Vec<(Value, [glam::DVec3; 21], Vec<f32>)>) -> Value
             json!({
                 "hand": hand, "force": force, "qpos": output.qpos, "links": links, "normal_force": normal_force,
                 "net_force": output.feel.asked.to_array(),
+                "object": input.object.map(|pose| (pose.place.to_array(), pose.orientation.to_array())),
             })
         })
         .collect();
@@ -116,6 +128,29 @@ fn keypoints_and_touch_are_followed_as_the_library_follows_them() {
 #[test]
 fn poses_are_followed_and_those_of_the_other_hand_passed_over() {
     holds("poses", &closing(12, Side::Right), &[]);
+}
+
+#[test]
+fn an_object_in_the_way_is_kept_out_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let ball = folder.path().join("ball.xml");
+    std::fs::write(&ball, "<mujoco><worldbody><geom type=\"sphere\" size=\"0.02\"/></worldbody></mujoco>").unwrap();
+    let shapes = Shapes::read(&ball).unwrap();
+    let hands = Trajectory::generate(12, 5).unwrap().keypoints;
+    // Where the index fingertip is in the middle of the motion, wherever the wrist goes.
+    let place = Hand::new(&hands[6], Side::Right).unwrap().points[keypoint(1, 3)];
+    let frames = || hands.iter().map(|hand| (keypoints_json(hand), *hand, vec![0.0; 778])).collect::<Vec<_>>();
+    let there = |keypoints: &[glam::DVec3; 21]| {
+        let hand = Hand::new(keypoints, Side::Right).unwrap();
+        let orientation = glam::DQuat::from_mat3(&hand.axes);
+        Some(ObjectPose { place: hand.wrist + hand.axes * place, orientation })
+    };
+    let about = case_about(Robot::load_beside("four_finger", None, Some(&shapes)).unwrap(), frames(), there);
+    let alone = case("four_finger", frames());
+    let last = |case: &Value| -> Vec<f64> { serde_json::from_value(case["frames"][11]["qpos"].clone()).unwrap() };
+    let apart = last(&about).iter().zip(last(&alone)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(apart > 0.1, "{apart} rad: the ball is not in the way");
+    holds("about", &about, &["-p", &format!("object:={}", ball.display())]);
 }
 
 #[test]

@@ -11,7 +11,7 @@ import sys
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from egotac_msgs.msg import HandPose, HandTactile, RobotTouch, TactileFrame
-from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
+from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
@@ -157,6 +157,37 @@ def poses(case):
     assert not any("left out" in log.msg for log in robot.logs)
     moved = np.abs(np.array(case["frames"][-1]["qpos"]) - case["frames"][0]["qpos"]).max()
     assert moved > 0.05, moved
+
+
+def object_pose(frame, i):
+    (x, y, z), (a, b, c, d) = frame["object"]
+    pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=a, y=b, z=c, w=d))
+    return put_stamp(PoseStamped(pose=pose), i)
+
+
+def about(case):
+    """What the library does about the object; a pose in another frame is named, and one that is old counts no more."""
+    robot = Robot(case)
+    objects = robot.peer.connected(robot.peer.create_publisher(PoseStamped, "object", 100))
+    for i, frame in enumerate(case["frames"]):
+        objects.publish(object_pose(frame, i))
+        robot.peer.rest(0.3)
+        robot.keypoints.publish(points(frame, i))
+        robot.with_stamp(1000 * 10**9 + i * DT)
+        got = robot.settled()
+        assert np.abs(got - frame["qpos"]).max() < 2e-3, (i, got - frame["qpos"])
+    last = len(case["frames"]) - 1
+    # Ten frames later the newest pose is too old: the same hand goes through where the ball was.
+    robot.keypoints.publish(points(case["frames"][last], last + 10))
+    robot.with_stamp(1000 * 10**9 + (last + 10) * DT)
+    assert np.abs(robot.settled() - case["frames"][last]["qpos"]).max() > 0.05
+    strange = object_pose(case["frames"][last], last + 11)
+    strange.header.frame_id = "elsewhere"
+    objects.publish(strange)
+    robot.peer.rest(0.3)
+    robot.keypoints.publish(points(case["frames"][last], last + 11))
+    robot.with_stamp(1000 * 10**9 + (last + 11) * DT)
+    robot.warned("elsewhere")
 
 
 def rate(case):
