@@ -10,6 +10,10 @@ use crate::mujoco::parts::Parts;
 
 /// Longest change of a coordinate in a step, rad or m.
 const LONGEST: f64 = 0.35;
+/// Share of it that a damped step is to have: damping for the whole of it would fall short again, by a little.
+const DAMPED: f64 = 0.7;
+/// Rounds in which all coordinates that want to leave their bounds inwards do so at once; in later ones, one does.
+const EAGER: usize = 6;
 
 /// When to stop.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -49,6 +53,8 @@ pub struct Solver {
     trial: Vec<f64>,
     /// Coordinates held at a bound, with the step that brings them there.
     held: Vec<Option<f64>>,
+    /// Those among them that are to be let go.
+    let_go: Vec<usize>,
     /// What each coordinate may be at least and at most, within the joints' own bounds.
     low: Vec<f64>,
     high: Vec<f64>,
@@ -68,6 +74,7 @@ impl Solver {
             right: DVector::zeros(n),
             trial: vec![0.0; n],
             held: vec![None; n],
+            let_go: Vec::with_capacity(n),
             low: vec![f64::NEG_INFINITY; n],
             high: vec![f64::INFINITY; n],
         }
@@ -112,7 +119,7 @@ impl Solver {
         let mut cost = problem.cost(world, parts, coupling, u)?;
         let mut damping = 0.0;
         let mut solved = Solved { cost, iterations: 0, converged: u.is_empty() };
-        let (mut is_fresh, mut went_astray) = (false, false);
+        let (mut is_fresh, mut is_damped, mut went_astray) = (false, false, false);
         while solved.iterations < stop.iterations && !solved.converged {
             solved.iterations += 1;
             if !is_fresh {
@@ -120,16 +127,24 @@ impl Solver {
                 is_fresh = true;
             }
             let scale = self.scale();
-            let Ok(gain) = self.plan(u, coupling, damping * scale) else {
+            if self.plan(u, coupling, damping * scale).is_err() {
                 damping = raised(damping);
                 continue;
-            };
-            // Far from here the model tells nothing; a long step may end in another valley.
-            if self.step.amax() > LONGEST && damping < 1e6 {
-                damping = raised(damping);
+            }
+            // Far from here the model tells nothing; a long step may end in another valley. Damping turns it to where
+            // the cost falls, but is worth one factorisation, not several.
+            let excess = self.step.amax() / LONGEST;
+            if excess > 1.0 && !is_damped {
+                is_damped = true;
+                damping += self.lacking() / scale;
                 solved.iterations -= 1;
                 continue;
             }
+            is_damped = false;
+            if excess > 1.0 {
+                self.step /= excess;
+            }
+            let gain = self.gain(damping * scale);
             if gain <= stop.tolerance * cost + f64::MIN_POSITIVE {
                 solved.converged = true;
                 // Too little to look twice at, but not nothing.
@@ -178,9 +193,9 @@ impl Solver {
         (0..self.gradient.len()).map(|k| self.hessian[(k, k)].abs()).sum::<f64>() / n as f64
     }
 
-    /// Finds the step that makes the quadratic model least within the box; returns the gain it promises.
+    /// Finds the step that makes the quadratic model least within the box.
     #[allow(clippy::needless_range_loop)] // Positions, bounds, slopes and steps run beside each other.
-    fn plan(&mut self, u: &[f64], coupling: &Coupling, damping: f64) -> std::result::Result<f64, NotConvex> {
+    fn plan(&mut self, u: &[f64], coupling: &Coupling, damping: f64) -> std::result::Result<(), NotConvex> {
         let n = u.len();
         for k in 0..n {
             let (low, high) = self.bounds(coupling, k);
@@ -188,40 +203,57 @@ impl Solver {
             let is_high = u[k] >= high && self.gradient[k] < 0.0;
             self.held[k] = (is_low || is_high || low >= high).then_some(0.0);
         }
-        for _ in 0..=2 * n {
+        for round in 0..=2 * n {
             self.solve_free(damping)?;
-            let mut went_out = false;
+            self.let_go.clear();
+            let (mut went_out, mut inmost) = (false, 1e-14);
             for k in 0..n {
                 let (low, high) = self.steps(coupling, u, k);
-                if self.held[k].is_none() && !(low..=high).contains(&self.step[k]) {
-                    self.held[k] = Some(self.step[k].clamp(low, high));
-                    went_out = true;
+                let Some(at) = self.held[k] else {
+                    if !(low..=high).contains(&self.step[k]) {
+                        self.held[k] = Some(self.step[k].clamp(low, high));
+                        went_out = true;
+                    }
+                    continue;
+                };
+                let inwards = self.slope(k, damping) * if at <= low { -1.0 } else { 1.0 };
+                if low >= high || inwards <= inmost {
+                    continue;
                 }
-            }
-            if went_out {
-                continue;
-            }
-            // All within: let go of the coordinate that wants most to leave its bound inwards.
-            let mut worst = (0.0, None);
-            for k in 0..n {
-                let Some(at) = self.held[k] else { continue };
-                let slope = self.slope(k, damping);
-                let (low, high) = self.steps(coupling, u, k);
-                let inwards = if at <= low && low < high { -slope } else { 0.0 };
-                let inwards = if at >= high && low < high { slope } else { inwards };
-                if inwards > worst.0 + 1e-12 * slope.abs() && inwards > 1e-14 {
-                    worst = (inwards, Some(k));
+                // All at once settles soonest, but may go round in circles.
+                if round >= EAGER {
+                    inmost = inwards;
+                    self.let_go.clear();
                 }
+                self.let_go.push(k);
             }
-            match worst.1 {
-                Some(k) => self.held[k] = None,
-                None => break,
+            if !went_out && self.let_go.is_empty() {
+                break;
+            }
+            if round < EAGER || !went_out {
+                self.let_go.iter().for_each(|k| self.held[*k] = None);
             }
         }
-        let linear = self.gradient.dot(&self.step);
-        let gain =
-            -linear - 0.5 * (0..n).map(|k| self.step[k] * (self.slope(k, damping) - self.gradient[k])).sum::<f64>();
-        if gain.is_finite() && gain >= 0.0 { Ok(gain) } else { Err(NotConvex) }
+        if self.gain(damping) >= 0.0 { Ok(()) } else { Err(NotConvex) }
+    }
+
+    /// What the step is to bring, as the quadratic model has it.
+    fn gain(&self, damping: f64) -> f64 {
+        let curved = |k: usize| self.step[k] * (self.slope(k, damping) - self.gradient[k]);
+        -self.gradient.dot(&self.step) - 0.5 * (0..self.step.len()).map(curved).sum::<f64>()
+    }
+
+    /// Damping that the free coordinates' step lacks to be short enough: a step of Newton's method on one over its
+    /// length (Moré, Sorensen 1983).
+    fn lacking(&mut self) -> f64 {
+        for (right, (step, held)) in self.right.iter_mut().zip(self.step.iter().zip(&self.held)) {
+            *right = if held.is_some() { 0.0 } else { *step };
+        }
+        let (squared, excess) = (self.right.norm_squared(), self.right.amax() / (DAMPED * LONGEST) - 1.0);
+        // With L of the factorisation: |p|^2 / |L^-1 p|^2 is the slope of the length.
+        let is_solved = self.reduced.solve_lower_triangular_mut(&mut self.right);
+        let lacking = excess * squared / self.right.norm_squared();
+        if is_solved && lacking.is_finite() { lacking.max(0.0) } else { 0.0 }
     }
 
     /// Least and greatest step of a coordinate.
@@ -282,9 +314,9 @@ impl Solver {
 }
 
 fn raised(damping: f64) -> f64 {
-    (damping * 8.0).max(1e-4)
+    (damping * 8.0).max(1e-2)
 }
 
 fn lowered(damping: f64) -> f64 {
-    if damping < 1e-6 { 0.0 } else { damping * 0.1 }
+    if damping < 1e-4 { 0.0 } else { damping * 0.1 }
 }
