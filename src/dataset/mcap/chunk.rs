@@ -134,7 +134,7 @@ pub(super) fn open_chunk(file: &Records, record: &Record, cut_off: bool) -> Resu
 }
 
 /// Opcode and content of each record in a chunk, up to the first that is not whole; with the offset of its end.
-pub fn inner_records(records: &[u8]) -> impl Iterator<Item = (usize, u8, &[u8])> {
+pub(super) fn inner_records(records: &[u8]) -> impl Iterator<Item = (usize, u8, &[u8])> {
     let mut at = 0;
     std::iter::from_fn(move || {
         let opcode = *records.get(at)?;

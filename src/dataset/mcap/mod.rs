@@ -9,7 +9,7 @@ mod records;
 mod survey;
 
 pub use bag::{BagWriter, file_name};
-pub use chunk::{Content, Skeleton, inner_records};
+pub use chunk::{Content, Skeleton};
 pub use copy::CopyWriter;
 pub(crate) use copy::put_text;
 pub use metadata::{BagFile, BagTopic, metadata_yaml};
