@@ -179,3 +179,43 @@ fn what_is_wrong_is_said() {
     assert!(said.contains("no frame is a hand") && !out.exists(), "{said}");
     assert!(run("five_finger").contains("four_finger"));
 }
+
+#[test]
+fn an_object_is_kept_out_of_and_comes_with_its_poses() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, ball, free, held] =
+        ["in.safetensors", "ball.xml", "free.safetensors", "held.safetensors"].map(|name| folder.path().join(name));
+    std::fs::write(&ball, "<mujoco><worldbody><geom type=\"sphere\" size=\"0.02\"/></worldbody></mujoco>").unwrap();
+    let trajectory = Trajectory::generate(60, 2).unwrap();
+    // A ball where the index fingertip is, which the robot's would be inside of.
+    let poses =
+        |tip: usize| trajectory.keypoints.iter().flat_map(move |k| [k[tip].x, k[tip].y, k[tip].z, 1.0, 0.0, 0.0, 0.0]);
+    let keypoints = ("keypoints", vec![60, 21, 3], flat(&trajectory));
+    let with_poses = [keypoints.clone(), ("object_pose", vec![60, 7], poses(8).collect())];
+    let run = |out: &Path, object: &[&str]| {
+        let files = [input.to_str().unwrap(), "--out", out.to_str().unwrap()];
+        let output = egotac(&[&["retarget", "run", "--robot", "four_finger", "--input"], &files[..], object].concat());
+        (output.status.success(), String::from_utf8(output.stderr).unwrap())
+    };
+    let object = ["--object", ball.to_str().unwrap()];
+    write(&input, &[keypoints], &[]);
+    let (ok, said) = run(&held, &object);
+    assert!(!ok && said.contains("object_pose") && !held.exists(), "{said}");
+    assert!(run(&free, &[]).0);
+    write(&input, &with_poses, &[]);
+    let (ok, said) = run(&held, &[]);
+    assert!(!ok && said.contains("--object") && !held.exists(), "{said}");
+    let (ok, said) = run(&held, &object);
+    assert!(ok, "{said}");
+    let [free, held] = [free, held].map(|path| numbers(&std::fs::read(path).unwrap(), "qpos").1);
+    let moved = |joints: std::ops::Range<usize>| -> f64 {
+        let frames = free.chunks(16).zip(held.chunks(16)).skip(10);
+        frames
+            .map(|(a, b)| {
+                (a[joints.clone()].iter().zip(&b[joints.clone()])).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+            })
+            .fold(0.0, f64::max)
+    };
+    assert!(moved(0..4) > 0.1, "the index finger keeps out: {}", moved(0..4));
+    assert!(moved(0..4) > 3.0 * moved(8..12), "the ring finger is far: {}", moved(8..12));
+}
