@@ -141,6 +141,26 @@ fn tendons_and_equalities_couple_joints_by_leverage_and_springs() {
 }
 
 #[test]
+fn a_tip_without_a_shape_is_no_skin() {
+    // The file of LEAP's rubber tips is often missing: the shapes that are left end before the tip.
+    let hand = |tip: f64| {
+        format!(
+            r#"<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom size=".01"/><body name="index_a" pos="0 0 .03">
+            <joint name="a" axis="0 1 0" range="0 1"/><geom type="box" size=".01 .01 .015" pos="0 0 .015"/><body name="index_tip"
+            pos="0 0 {tip}"/></body></body></worldbody></mujoco>"#
+        )
+    };
+    let geoms = |fingers: &str, tip: f64| {
+        let yaml = format!("robot: x\nwrist: {{ frame: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }}\n{fingers}");
+        robot_of(&yaml, &hand(tip)).unwrap().fingers[0].pad_geoms.len()
+    };
+    assert_eq!([geoms("", 0.03), geoms("", 0.034), geoms("", 0.05)], [1, 1, 0]);
+    let named = hand(0.05).replace("<geom type", r#"<geom name="g" type"#);
+    let yaml = "robot: x\nwrist: { frame: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }\nfingers: { index: { tip: { body: index_tip }, pad_geoms: [g] } }";
+    assert_eq!(robot_of(yaml, &named).unwrap().fingers[0].pad_geoms.len(), 1);
+}
+
+#[test]
 fn couplings_that_contradict_or_leave_no_position_are_refused() {
     let hand = |range: &str, equality: &str| {
         format!(

@@ -205,7 +205,7 @@ fn reachable_targets_are_reached() {
     }
     let mut solver = Solver::new(n);
     let mut exact = 0;
-    for _ in 0..200 {
+    for _ in 0..1000 {
         let goal: Vec<f64> = (0..n).map(|k| rng.random_range(robot.coupling.low[k]..robot.coupling.high[k])).collect();
         problem.cost(&mut robot.world, &robot.parts, &robot.coupling, &goal).unwrap();
         let places: Vec<DVec3> = problem.vectors.iter().map(|vector| problem.place(vector.to)).collect();
@@ -216,5 +216,6 @@ fn reachable_targets_are_reached() {
         assert!((0..n).all(|k| (robot.coupling.low[k]..=robot.coupling.high[k]).contains(&u[k])));
         exact += usize::from(solved.cost < 0.5 * 1e-4f64.powi(2));
     }
-    assert!(exact >= 196, "{exact} of 200 within 0.1 mm");
+    // Starts are up to half a radian off in every joint: some lie in another valley.
+    assert!(exact >= 980, "{exact} of 1000 within 0.1 mm");
 }

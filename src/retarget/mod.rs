@@ -38,7 +38,7 @@ pub use self::robot::Robot;
 pub use self::touch::{Feel, Pool, Touch};
 
 use self::filter::{Gate, Passed, SizeEstimate, Smoother};
-use self::goal::Goal;
+use self::goal::{Goal, Seen};
 use self::human::Hand;
 use self::object::Follower;
 use self::solver::{Solver, Stop};
@@ -57,6 +57,8 @@ const JUMP: f64 = 4.0;
 const WORTH: f64 = 1e-3;
 /// A cost above that amount is looked at from one other start in so many frames: the pose may be caught behind a link.
 const PATROL: usize = 3;
+/// Steps of the solver from another start in mid-motion.
+const LOOK: usize = 12;
 /// Another pose is moved to in mid-motion where it costs less than this share.
 const BETTER: f64 = 0.7;
 
@@ -200,6 +202,8 @@ pub struct Retargeter {
     /// Whether anything came out yet.
     gave_out: bool,
     cost: f64,
+    /// Starts that are still to be tried since the cost jumped.
+    lost: usize,
     /// Counts the frames in which the cost is worth a look from another start.
     patrol: usize,
     output: Output,
@@ -252,6 +256,7 @@ impl Retargeter {
             given_at: None,
             gave_out: false,
             cost: f64::INFINITY,
+            lost: 0,
             patrol: 0,
             output,
             robot,
@@ -380,7 +385,8 @@ impl Retargeter {
         let calm = self.calm.push(&points, dt);
         let bases = self.goal.bases(&self.robot, &smooth);
         self.object.push(&mut self.robot, &hand, object, dt, bases);
-        self.goal.aim(&mut self.robot, &smooth, &calm, &self.size, input.touch.as_ref(), &self.u);
+        let seen = Seen { hand: &hand, points: &smooth, calm: &calm, size: &self.size, touch: input.touch.as_ref() };
+        self.goal.aim(&mut self.robot, &seen, &self.u);
         let (iterations, converged, way) = self.solve(is_new)?;
         let limited = self.limit(now, way)?;
         give_out(&mut self.robot, &self.u, &mut self.output)?;
@@ -405,12 +411,20 @@ impl Retargeter {
     /// Finds the pose into `next`; returns the steps, whether they sufficed, and where the pose lies.
     fn solve(&mut self, is_new: bool) -> Result<(usize, bool, Way)> {
         self.next.copy_from_slice(&self.u);
-        let solved = self.goal.solve(&mut self.solver, &mut self.robot, self.options.stop, &mut self.next)?;
+        let solved =
+            self.goal.solve(&mut self.solver, &mut self.robot, self.options.stop, f64::INFINITY, &mut self.next)?;
         let (mut best, mut iterations, mut converged) = (solved.cost, solved.iterations, solved.converged);
-        let is_lost = is_new || best > JUMP * self.cost + WORTH;
+        if best > JUMP * self.cost + WORTH {
+            self.lost = Start::ALL.len();
+        }
         let mut starts = 0..0;
-        if is_lost {
-            starts = 0..Start::ALL.len();
+        let is_lost = is_new || self.lost > 0;
+        if is_new {
+            (starts, self.lost) = (0..Start::ALL.len(), 0);
+        } else if is_lost {
+            // One start a frame bounds a frame's time.
+            starts = Start::ALL.len() - self.lost..Start::ALL.len() - self.lost + 1;
+            self.lost -= 1;
         } else if best > WORTH {
             self.patrol = (self.patrol + 1) % (PATROL * Start::ALL.len());
             if self.patrol.is_multiple_of(PATROL) {
@@ -420,12 +434,16 @@ impl Retargeter {
         }
         let share = if is_lost { 1.0 } else { BETTER };
         let mut way = Way::Near;
+        // In mid-motion a look is enough: what promises to be better is found in the next frames.
+        let most = if is_new { usize::MAX } else { LOOK };
+        let stop = Stop { iterations: self.options.stop.iterations.min(most), ..self.options.stop };
         for start in &Start::ALL[starts] {
-            self.begin(*start)?;
-            let solved = self.goal.solve(&mut self.solver, &mut self.robot, self.options.stop, &mut self.other)?;
+            self.begin(*start, stop)?;
+            let worth = share * best;
+            let solved = self.goal.solve(&mut self.solver, &mut self.robot, stop, worth, &mut self.other)?;
             iterations += solved.iterations;
             // After a silence there is no way to keep: the hand is elsewhere.
-            if solved.cost < share * best && (is_new || self.way_is_free()) {
+            if solved.cost < worth && (is_new || self.way_is_free()) {
                 best = solved.cost;
                 converged = solved.converged;
                 way = Way::Far;
@@ -437,12 +455,11 @@ impl Retargeter {
     }
 
     /// Puts another start into `other`.
-    fn begin(&mut self, start: Start) -> Result<()> {
+    fn begin(&mut self, start: Start, stop: Stop) -> Result<()> {
         let coupling = &self.robot.coupling;
         match start {
             Start::Open => {
                 self.other.copy_from_slice(&self.next);
-                let stop = self.options.stop;
                 self.goal.solve_open(&mut self.solver, &mut self.robot, stop, &mut self.other)?;
             }
             Start::Rest => self.other.copy_from_slice(&self.robot.rest),

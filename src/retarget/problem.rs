@@ -327,7 +327,22 @@ impl Problem {
     }
 }
 
+impl Vector {
+    /// One that does not count yet.
+    pub fn idle(from: Option<usize>, to: usize, huber: f64) -> Self {
+        Self { from, to, target: DVec3::ZERO, weight: 0.0, huber }
+    }
+}
+
 impl Gap {
+    /// The geoms of both sides; None where one is a sphere.
+    pub fn geoms(&self) -> Option<[&[usize]; 2]> {
+        match &self.sides {
+            [Side::Geoms { geoms: a, .. }, Side::Geoms { geoms: b, .. }] => Some([a, b]),
+            _ => None,
+        }
+    }
+
     /// What the distance lacks (negative) or has too much.
     fn error(&self) -> f64 {
         let error = self.distance - self.target;

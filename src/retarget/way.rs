@@ -68,7 +68,7 @@ impl Retargeter {
             // Each joint as near as it can come to the pose found is not the best pose within reach.
             self.solver.narrow(&self.u, &self.reach);
             let stop = self.options.stop;
-            let solved = self.goal.solve(&mut self.solver, &mut self.robot, stop, &mut self.between);
+            let solved = self.goal.solve(&mut self.solver, &mut self.robot, stop, f64::INFINITY, &mut self.between);
             self.solver.widen();
             solved?;
         }

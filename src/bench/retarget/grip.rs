@@ -25,6 +25,8 @@ const KNOB: f64 = 0.012;
 const APART: std::ops::RangeInclusive<f64> = 0.025..=0.07;
 /// Cosine of the angle between a pad and the line to the other one from which on they face each other.
 const FACING: f64 = 0.75;
+/// Share of the force asked for that a robot is to press with at least.
+const PRESSED: f64 = 0.8;
 /// Frames until the robot stands still, and steps until the object does.
 const SETTLE: (usize, usize) = (40, 500);
 
@@ -33,6 +35,8 @@ const SETTLE: (usize, usize) = (40, 500);
 pub struct Grips {
     /// Grips tried.
     pub count: usize,
+    /// Poses left out: there friction lets the fingertips press less hard than asked by more than a fifth.
+    pub slippery: usize,
     /// Objects that were not held by both.
     pub lost: usize,
     /// Difference of the measured from the expected force over the expected one, of both fingers of those held.
@@ -65,6 +69,10 @@ pub fn measure(trajectory: &Trajectory, most: usize, hold: Hold) -> Result<Grips
             }
             let force = 1.0 + 2.0 * (0.37 * frame as f64).sin().abs();
             let Some(measured) = grip(keypoints, finger, force, hold)? else { continue };
+            if measured.iter().any(|(_, expected)| *expected < PRESSED * force) {
+                grips.slippery += 1;
+                continue;
+            }
             grips.count += 1;
             grips.lost += usize::from(measured.iter().any(|(got, _)| *got == 0.0));
             if measured.iter().all(|(got, _)| *got > 0.0) {

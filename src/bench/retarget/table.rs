@@ -96,9 +96,10 @@ pub fn markdown(report: &Report) -> String {
         format_args!(
             "\nGrips in simulation: {} objects (two balls, joined, one where each fingertip is pressed) between the thumb and \
              another finger of `four_finger`, without gravity, at the pose and with the torques that come out; {} were lost. \
-             The fingertips' forces differ from the expected ones by {:.0} % (median), {:.0} % (nine of ten).",
+             {} poses were left out, at which friction lets them press less than 0.8 times as hard as asked. The fingertips' forces differ from the expected ones by {:.0} % (median), {:.0} % (nine of ten).",
             grips.count,
             grips.lost,
+            grips.slippery,
             100.0 * grips.error_median,
             100.0 * grips.error_p90,
         ),

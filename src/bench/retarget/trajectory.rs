@@ -1,6 +1,7 @@
 //! The hand that everything is measured on: ours, seeded, moving freely and pinching with each finger in turn.
 
 use std::f64::consts::TAU;
+use std::sync::OnceLock;
 
 use glam::{DQuat, DVec3};
 use rand::{Rng, SeedableRng};
@@ -11,7 +12,8 @@ use rayon::prelude::*;
 use crate::error::Result;
 use crate::hand::{HandModel, N_BETAS, N_KEYPOINTS, Side};
 use crate::retarget::human::{Hand, keypoint};
-use crate::sim::rig::{HandRig, Motion};
+use crate::sim::rig::{HandRig, Hinge, Motion};
+use crate::sim::scene::Site;
 
 /// Frames per second.
 pub const RATE: f64 = 30.0;
@@ -21,6 +23,9 @@ const APPROACH: f64 = 0.6;
 const HOLD: f64 = 0.8;
 /// Distance of the tip keypoints in a pinch, m.
 const PINCH: f64 = 0.013;
+/// Metres that a unit of a pad's normal off the line between the tips, and a radian off the stretched hand, count as.
+const FACING: f64 = 0.0005;
+const LEAVING: f64 = 0.0003;
 /// Share of keypoints that are spikes, and how far off they are, m.
 const SPIKES: (f64, f64) = (0.02, 0.04);
 
@@ -34,6 +39,9 @@ pub struct Trajectory {
     /// (T) force of the world on each fingertip, N, in the frame of the keypoints.
     pub tip_force: Vec<[DVec3; 5]>,
 }
+
+/// Fingers that reach the thumb, with the angles of all hinges where they do: those of the built-in hand, found once.
+static PINCHES: OnceLock<Vec<(usize, Vec<f64>)>> = OnceLock::new();
 
 /// What is done to the keypoints.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,8 +61,10 @@ impl Trajectory {
         let rig = HandRig::new(HandModel::builtin(Side::Right), [0.0; N_BETAS])?;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let waves = Waves::draw(&rig, &mut rng);
-        let pinches: Vec<(usize, Vec<f64>)> =
-            (1..5).filter_map(|finger| Some((finger, pinch(&rig, finger)?))).collect();
+        let pinches = PINCHES.get_or_init(|| {
+            let fingers: Vec<usize> = (1..5).collect();
+            fingers.into_par_iter().filter_map(|finger| Some((finger, pinch(&rig, finger)?))).collect()
+        });
         let all: Vec<_> = (0..frames)
             .into_par_iter()
             .map(|frame| {
@@ -153,7 +163,7 @@ impl Waves {
     }
 
     fn at(&self, rig: &HandRig, time: f64) -> Vec<f64> {
-        let angle = |hinge: &crate::sim::rig::Hinge| {
+        let angle = |hinge: &Hinge| {
             let finger = finger_of(hinge.joint);
             let sum: f64 =
                 self.fingers[finger].iter().map(|(f, phase, size)| size * (TAU * f * time + phase).sin()).sum();
@@ -178,48 +188,63 @@ fn finger_of(joint: usize) -> usize {
     [1, 2, 4, 3, 0][(joint - 1) / 3]
 }
 
-/// Angles at which thumb and finger meet with their tips, by damped least squares; None where they do not reach.
+/// Angles at which thumb and finger meet, pad to pad as far as they can, by damped least squares; None where they do not
+/// reach.
 fn pinch(rig: &HandRig, finger: usize) -> Option<Vec<f64>> {
-    let mine: Vec<usize> = (0..rig.hinges.len())
-        .filter(|k| [0, finger].contains(&finger_of(rig.hinges[*k].joint)) && rig.hinges[*k].motion != Motion::Twist)
-        .collect();
-    let start = |hinge: &crate::sim::rig::Hinge| -> f64 {
-        match hinge.motion {
-            Motion::Flex if finger_of(hinge.joint) == finger => 0.8,
-            Motion::Flex => 0.35,
+    let mine: Vec<usize> =
+        (0..rig.hinges.len()).filter(|k| [0, finger].contains(&finger_of(rig.hinges[*k].joint))).collect();
+    let start = |[of_finger, of_thumb]: [f64; 2]| -> Vec<f64> {
+        let bend = |hinge: &Hinge| match hinge.motion {
+            Motion::Flex if finger_of(hinge.joint) == finger => of_finger,
+            Motion::Flex => of_thumb,
             _ => 0.0,
-        }
+        };
+        rig.hinges.iter().map(|hinge| bend(hinge).clamp(hinge.range[0], hinge.range[1])).collect()
     };
-    let mut angles: Vec<f64> =
-        rig.hinges.iter().map(|hinge| start(hinge).clamp(hinge.range[0], hinge.range[1])).collect();
-    let rest = angles.clone();
+    let rest = start([0.8, 0.35]);
     let residuals = |angles: &[f64]| -> nalgebra::DVector<f64> {
-        let points = Hand::of_model(&rig.model, &rig.params(DVec3::ZERO, DQuat::IDENTITY, angles));
-        let (a, b) = (points[keypoint(0, 3)], points[keypoint(finger, 3)]);
-        let line = b - a;
+        let posed = rig.model.forward(&rig.params(DVec3::ZERO, DQuat::IDENTITY, angles));
+        let points = rig.model.keypoints(&posed).map(|point| point.as_dvec3());
+        let normal = |site| {
+            let pad = rig.pad(site);
+            posed.rotations[pad.joint].as_dmat3() * pad.normal
+        };
+        let line = points[keypoint(finger, 3)] - points[keypoint(0, 3)];
+        let toward = line.normalize_or(DVec3::X);
         // At the touching distance, and no nearer.
-        let miss = line - PINCH * line.normalize_or(DVec3::X);
-        let leave = mine.iter().map(|k| 0.003 * (angles[*k] - rest[*k]));
-        nalgebra::DVector::from_iterator(3 + mine.len(), miss.to_array().into_iter().chain(leave))
+        let miss = line - PINCH * toward;
+        let facing = [normal(Site::FINGERS[0]) - toward, normal(Site::FINGERS[finger]) + toward];
+        let facing = facing.into_iter().flat_map(|off| (FACING * off).to_array());
+        let leave = mine.iter().map(|k| LEAVING * (angles[*k] - rest[*k]));
+        let all: Vec<f64> = miss.to_array().into_iter().chain(facing).chain(leave).collect();
+        nalgebra::DVector::from_vec(all)
     };
-    for _ in 0..40 {
-        let now = residuals(&angles);
-        let columns: Vec<_> = mine
-            .iter()
-            .map(|k| {
-                let mut moved = angles.clone();
-                moved[*k] += 1e-3;
-                (residuals(&moved) - &now) / 1e-3
-            })
-            .collect();
-        let jacobian = nalgebra::DMatrix::from_columns(&columns);
-        let normal = jacobian.transpose() * &jacobian + nalgebra::DMatrix::identity(mine.len(), mine.len()) * 1e-6;
-        let Some(step) = normal.cholesky().map(|factor| factor.solve(&(jacobian.transpose() * &now))) else { break };
-        for (k, step) in mine.iter().zip(step.iter()) {
-            let [low, high] = rig.hinges[*k].range;
-            angles[*k] = (angles[*k] - step.clamp(-0.2, 0.2)).clamp(low, high);
+    let settle = |mut angles: Vec<f64>| -> (Vec<f64>, nalgebra::DVector<f64>) {
+        for _ in 0..40 {
+            let now = residuals(&angles);
+            let columns: Vec<_> = mine
+                .iter()
+                .map(|k| {
+                    let mut moved = angles.clone();
+                    moved[*k] += 1e-3;
+                    (residuals(&moved) - &now) / 1e-3
+                })
+                .collect();
+            let jacobian = nalgebra::DMatrix::from_columns(&columns);
+            let normal = jacobian.transpose() * &jacobian + nalgebra::DMatrix::identity(mine.len(), mine.len()) * 1e-6;
+            let Some(step) = normal.cholesky().map(|factor| factor.solve(&(jacobian.transpose() * &now))) else {
+                break;
+            };
+            for (k, step) in mine.iter().zip(step.iter()) {
+                let [low, high] = rig.hinges[*k].range;
+                angles[*k] = (angles[*k] - step.clamp(-0.2, 0.2)).clamp(low, high);
+            }
         }
-    }
-    let miss = residuals(&angles);
+        let miss = residuals(&angles);
+        (angles, miss)
+    };
+    let ways = [0.4, 0.8].into_iter().flat_map(|finger| [0.0, 0.4].map(|thumb| [finger, thumb]));
+    let ends = ways.map(|way| settle(start(way)));
+    let (angles, miss) = ends.min_by(|(_, a), (_, b)| a.norm().total_cmp(&b.norm()))?;
     (miss.rows(0, 3).norm() < 0.003).then_some(angles)
 }

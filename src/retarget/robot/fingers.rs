@@ -19,6 +19,9 @@ const BEGINNINGS: [&[&str]; 5] = [
 const FILLERS: [&str; 12] =
     ["right", "left", "rh", "lh", "r", "l", "hand", "robot0", "gripper0", "finger", "link", "joint"];
 
+/// How far a tip may be beyond the shapes that are to be its skin, m.
+const SHOWN: f64 = 0.005;
+
 /// A finger of the robot.
 #[derive(Debug, Clone)]
 pub struct Finger {
@@ -34,7 +37,7 @@ pub struct Finger {
     pub tip: DVec3,
     /// Outward normal of the pad, in the tip body's frame.
     pub pad_normal: DVec3,
-    /// Geoms of the fingertip.
+    /// Geoms of the fingertip; none where the model shows no skin at the tip, which then meets others as a point.
     pub pad_geoms: Vec<usize>,
     /// Joints at which it bends, from base to the last; of those in one place the first.
     pub knuckles: Vec<usize>,
@@ -306,6 +309,10 @@ fn finger(
     let phalanges = &chain[chain.len().saturating_sub(4)..];
     let length = phalanges.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
     let along = chain.len().checked_sub(2).map_or(DVec3::ZERO, |at| (place - chain[at]).normalize_or_zero());
+    // A tip far beyond all shapes, whose mesh is missing: what is there of the finger is not what touches.
+    if spec.pad_geoms.is_empty() && beyond(world, parts, &pad_geoms, place, along) > SHOWN {
+        pad_geoms.clear();
+    }
     let pad_normal = match spec.pad_normal {
         Some(normal) => DVec3::from_array(normal).try_normalize().ok_or_else(|| {
             Error::value(format!("fingers.{name}.pad_normal"), "a direction", "a vector without length")
@@ -313,6 +320,16 @@ fn finger(
         None => rotation.transpose() * closing(world, parts, &joints, place, along),
     };
     Ok(Finger { human, links, joints, tip_body, tip, pad_normal, pad_geoms, knuckles, length, tip_name })
+}
+
+/// How far a tip is beyond the far end of some geoms, m; negative = within them.
+fn beyond(world: &World, parts: &Parts, geoms: &[usize], tip: DVec3, along: DVec3) -> f64 {
+    let reach = |geom: &usize| {
+        let (origin, rotation) = world.geom_pose(*geom);
+        let points = parts.geoms[*geom].points.iter().map(move |point| origin + rotation * *point);
+        points.map(|point| (tip - point).dot(along)).fold(f64::INFINITY, f64::min)
+    };
+    geoms.iter().map(reach).fold(f64::INFINITY, f64::min)
 }
 
 /// Where the tip goes when the finger's last joint closes, across the last phalanx.

@@ -199,6 +199,8 @@ pub struct Weights {
     pub pad_normal: f64,
     /// Touching pairs of fingers as far apart as the human's.
     pub pinch: f64,
+    /// Touching pairs of fingers meeting from where the human's press each other.
+    pub facing: f64,
     /// Phalanges turned as the human's.
     pub posture: f64,
     /// Joints near their neutral positions.
@@ -209,7 +211,7 @@ pub struct Weights {
 
 impl Default for Weights {
     fn default() -> Self {
-        Self { tip: 1.0, pad_normal: 0.05, pinch: 300.0, posture: 0.3, neutral: 1e-4, smooth: 0.0 }
+        Self { tip: 1.0, pad_normal: 0.05, pinch: 1000.0, facing: 3.0, posture: 0.3, neutral: 1e-4, smooth: 0.0 }
     }
 }
 
@@ -340,11 +342,12 @@ impl Spec {
         for finger in self.fingers.keys().chain(self.merge.keys()).chain(self.merge.values()) {
             finger_index(finger)?;
         }
-        let Weights { tip, pad_normal, pinch, posture, neutral, smooth } = self.weights;
+        let Weights { tip, pad_normal, pinch, facing, posture, neutral, smooth } = self.weights;
         let checks = [
             ("weights.tip", tip, 0.0, 1e6),
             ("weights.pad_normal", pad_normal, 0.0, 1e6),
             ("weights.pinch", pinch, 0.0, 1e6),
+            ("weights.facing", facing, 0.0, 1e6),
             ("weights.posture", posture, 0.0, 1e6),
             ("weights.neutral", neutral, 0.0, 1e6),
             ("weights.smooth", smooth, 0.0, 1e6),

@@ -9,7 +9,8 @@ pub mod pool;
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::goal::{Meeting, bone_axes};
+use super::goal::meet::Meeting;
+use super::goal::{Seen, bone_axes};
 use super::human::{Hand, keypoint};
 use super::problem::jacobian;
 use super::robot::spec::Regions;
@@ -376,6 +377,11 @@ impl Transfer {
         }
         capped
     }
+}
+
+/// Force of the world on a fingertip of the human hand, N, in the wrist frame.
+pub(super) fn tip_force(seen: &Seen, touch: &Touch, finger: usize) -> DVec3 {
+    human_force(seen.hand, seen.calm, touch, 3 * finger + 2).0
 }
 
 /// Force of the world on a part of the human hand in the wrist frame, its size, contact probability, place.

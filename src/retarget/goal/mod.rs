@@ -1,7 +1,10 @@
 //! What a robot shall do in a frame, as a [`Problem`].
 
+pub mod meet;
+
 use glam::{DMat3, DVec3};
 
+use self::meet::middle;
 use super::filter::SizeEstimate;
 use super::human::{Hand, keypoint};
 use super::problem::{Problem, Side, Vector};
@@ -15,18 +18,6 @@ use crate::hand::N_KEYPOINTS;
 const METRES_PER_RADIAN: f64 = 0.1;
 /// Error of a fingertip from which on it counts linearly, m.
 const HUBER: f64 = 0.03;
-/// Distance of two human tips that touch, m, at the reference size.
-const TOUCHING: f64 = 0.014;
-/// Gap of two human fingers up to which a touch of both is a touch of each other, m, and from which on it is not.
-const CLOSED: f64 = 0.014;
-const OPEN: f64 = 0.024;
-/// Gap at which fingers that do not touch are kept, m.
-const APART: f64 = 0.0025;
-/// Distances of human tips at which their gap begins to count, and counts in full, m.
-const NOTICED: f64 = 0.06;
-const MINDED: f64 = 0.035;
-/// Weight of a gap that is just noticed, over that of one that is minded.
-const FAINT: f64 = 1e-4;
 /// Weight of links that must not run into each other, per square metre.
 const COLLISION_WEIGHT: f64 = 1000.0;
 /// Links nearer than this are watched, m.
@@ -43,6 +34,8 @@ struct FingerGoal {
     pad: usize,
     /// Gap to the thumb.
     pinch: Option<usize>,
+    /// Vector from the middle of the thumb's tip to that of its own, with its length where they touch, m.
+    facing: Option<(usize, f64)>,
     /// Gap of its pad to the object.
     hold: Option<usize>,
     /// Where its first phalanx begins, in the wrist frame, m, and how long its phalanges are.
@@ -51,13 +44,19 @@ struct FingerGoal {
     scale: Option<f64>,
 }
 
-/// Where a fingertip touches another one.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Meeting {
-    /// In the world, m.
-    pub place: DVec3,
-    /// Unit normal out of the fingertip, in the world.
-    pub normal: DVec3,
+/// A hand as it was seen in a frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Seen<'a> {
+    /// The frame as it came.
+    pub hand: &'a Hand,
+    /// (21) keypoints in the wrist frame, m.
+    pub points: &'a [DVec3; N_KEYPOINTS],
+    /// The same for the directions of short bones, in which jitter is large.
+    pub calm: &'a [DVec3; N_KEYPOINTS],
+    /// How large it is.
+    pub size: &'a SizeEstimate,
+    /// What it touches.
+    pub touch: Option<&'a Touch>,
 }
 
 /// The goal of a frame.
@@ -93,7 +92,7 @@ impl Goal {
         for finger in &robot.fingers {
             let tip_point = problem.add_point(finger.tip_body, finger.tip);
             let tip = problem.vectors.len();
-            problem.vectors.push(Vector { from: None, to: tip_point, target: DVec3::ZERO, weight: 0.0, huber: HUBER });
+            problem.vectors.push(Vector::idle(None, tip_point, HUBER));
             let mut points: Vec<(usize, DVec3)> = Vec::new();
             for joint in &finger.knuckles {
                 let body = robot.parts.joints[*joint].body;
@@ -105,25 +104,20 @@ impl Goal {
             let mut phalanges = Vec::new();
             for (segment, human) in segments(points.len() - 1, finger.human) {
                 let [(from, a), (to, b)] = [points[segment], points[segment + 1]];
-                let vector = Vector { from: Some(from), to, target: DVec3::ZERO, weight: 0.0, huber: f64::INFINITY };
+                let vector = Vector::idle(Some(from), to, f64::INFINITY);
                 phalanges.push((problem.vectors.len(), human, a.distance(b)));
                 problem.vectors.push(vector);
             }
             let ahead = problem.add_point(finger.tip_body, finger.tip + METRES_PER_RADIAN * finger.pad_normal);
             let pad = problem.vectors.len();
-            problem.vectors.push(Vector {
-                from: Some(tip_point),
-                to: ahead,
-                target: DVec3::ZERO,
-                weight: 0.0,
-                huber: f64::INFINITY,
-            });
+            problem.vectors.push(Vector::idle(Some(tip_point), ahead, f64::INFINITY));
             fingers.push(FingerGoal {
                 human: finger.human,
                 tip,
                 phalanges,
                 pad,
                 pinch: None,
+                facing: None,
                 hold: None,
                 base: robot.base(finger),
                 length: finger.length,
@@ -146,8 +140,16 @@ impl Goal {
                     (a, b) => (index, [a, b]),
                 })
                 .collect();
+            let of_thumb = middle(robot, &robot.fingers[thumb]);
             for (index, sides) in sides {
                 fingers[index].pinch = Some(problem.add_gap(sides, false));
+                // Points have no side to meet from.
+                let of_finger = middle(robot, &robot.fingers[index]);
+                let (Some((from, thumb_radius)), Some((to, radius))) = (of_thumb, of_finger) else { continue };
+                let from = problem.add_point(robot.fingers[thumb].tip_body, from);
+                let to = problem.add_point(robot.fingers[index].tip_body, to);
+                fingers[index].facing = Some((problem.vectors.len(), thumb_radius + radius));
+                problem.vectors.push(Vector::idle(Some(from), to, f64::INFINITY));
             }
         }
         if let Some(object) = &robot.object {
@@ -198,18 +200,9 @@ impl Goal {
         })
     }
 
-    /// Sets the targets of a frame: `points` (21) of the human hand in its wrist frame, m; `calm`, the same for the
-    /// directions of short bones, in which jitter is large.
-    pub fn aim(
-        &mut self,
-        robot: &mut Robot,
-        points: &[DVec3; N_KEYPOINTS],
-        calm: &[DVec3; N_KEYPOINTS],
-        size: &SizeEstimate,
-        touch: Option<&Touch>,
-        last: &[f64],
-    ) {
-        let relative_size = if size.size() > 0.0 { size.size() / self.reference_size } else { 1.0 };
+    /// Sets the targets of a frame; `last`: where the free coordinates were.
+    pub fn aim(&mut self, robot: &mut Robot, seen: &Seen, last: &[f64]) {
+        let Seen { points, calm, size, touch, .. } = *seen;
         let axes = robot.wrist.world_axes(&robot.world);
         let (origin, _) = robot.world.body_pose(robot.wrist.body);
         let to_wrist = robot.wrist.axes.transpose();
@@ -244,7 +237,8 @@ impl Goal {
                 vector.weight = if is_gripper { 0.0 } else { weights.posture * share * share };
             }
             let held = self.aim_hold(k, robot, is_touched, weights.pinch);
-            self.aim_pinch(k, points, touch, relative_size, is_gripper, (1.0 - held) * weights.pinch);
+            let share = 1.0 - held;
+            self.aim_pinch(k, seen, is_gripper, [share * weights.pinch, share * weights.facing], axes);
         }
         for (k, last) in last.iter().enumerate() {
             let weight = self.neutral_weight * METRES_PER_RADIAN * METRES_PER_RADIAN;
@@ -256,18 +250,9 @@ impl Goal {
         }
     }
 
-    /// Has a finger's pad touch the object where the human's touches and the object is near; returns how much that counts.
-    fn aim_hold(&mut self, k: usize, robot: &mut Robot, is_touched: bool, weight: f64) -> f64 {
-        let Some(hold) = self.fingers[k].hold else { return 0.0 };
-        let near = match (is_touched, &self.problem.gaps[hold].sides) {
-            (true, [Side::Geoms { geoms: pad, .. }, Side::Geoms { geoms: object, .. }]) => {
-                let gap = nearest(robot, pad, object, NOTICED).map_or(NOTICED, |near| near.distance);
-                smoothstep((NOTICED - gap) / (NOTICED - MINDED))
-            }
-            _ => 0.0,
-        };
-        self.problem.weigh(hold, near * weight);
-        near
+    /// How large the hand is beside the one that distances are given for.
+    fn relative_size(&self, size: &SizeEstimate) -> f64 {
+        if size.size() > 0.0 { size.size() / self.reference_size } else { 1.0 }
     }
 
     /// Where the fingers' bases are in the wrist frames, m: the robot's, and those of the human hand with `points`.
@@ -276,41 +261,18 @@ impl Goal {
         [self.bases, Hand::bases(points, mapped)]
     }
 
-    /// How far a finger's tip shall be from the thumb's.
-    fn aim_pinch(
-        &mut self,
-        k: usize,
-        points: &[DVec3; N_KEYPOINTS],
-        touch: Option<&Touch>,
-        size: f64,
-        is_gripper: bool,
-        weight: f64,
-    ) {
-        let FingerGoal { human, pinch: Some(pinch), .. } = self.fingers[k] else { return };
-        let distance = points[keypoint(human, 3)].distance(points[keypoint(0, 3)]);
-        let human_gap = (distance - TOUCHING * size).max(0.0);
-        let near = smoothstep((NOTICED * size - distance) / ((NOTICED - MINDED) * size));
-        // What lies between two fingers that are near has one size, whatever hand it is in; how far open fingers are apart
-        // goes with the hand.
-        let human_gap = human_gap * size.powf(near - 1.0);
-        let both = touch.map(|touch| touch.tip_contact[0].min(touch.tip_contact[human]));
-        let closing = human_gap * smoothstep((human_gap - CLOSED) / (OPEN - CLOSED));
-        let (target, share) = match both {
-            Some(both) if both > 0.5 => (closing, near.max(0.5)),
-            Some(_) => (human_gap.max(APART), near),
-            None => (human_gap * smoothstep(human_gap / (0.5 * CLOSED)), near),
-        };
-        // Tips and gap ask for different things while fingers approach: hand over by ratios, not by amounts.
-        let share = if share > 0.0 { FAINT.powf(1.0 - share) } else { 0.0 };
-        self.problem.gaps[pinch].target = target;
-        self.problem.weigh(pinch, weight * if is_gripper { 1.0 } else { share });
-    }
-
-    /// Finds the pose, with no link in another.
+    /// Finds the pose, with no link in another, unless it costs `worth` or more without looking at all of them.
     ///
     /// # Errors
     /// If a value is not finite.
-    pub fn solve(&mut self, solver: &mut Solver, robot: &mut Robot, stop: Stop, u: &mut [f64]) -> Result<Solved> {
+    pub fn solve(
+        &mut self,
+        solver: &mut Solver,
+        robot: &mut Robot,
+        stop: Stop,
+        worth: f64,
+        u: &mut [f64],
+    ) -> Result<Solved> {
         let first = self.first_collision;
         self.problem.active.retain(|gap| *gap < first);
         self.problem.gaps[first..].iter_mut().for_each(|gap| gap.weight = 0.0);
@@ -323,7 +285,8 @@ impl Goal {
         let Robot { world, parts, coupling, .. } = &mut *robot;
         let mut solved = solver.solve(&mut self.problem, world, parts, coupling, stop, u)?;
         for _ in 0..3 {
-            if self.watch(robot, 0.0) == 0 {
+            // Links in the way make no pose better.
+            if solved.cost >= worth || self.watch(robot, 0.0) == 0 {
                 break;
             }
             // From within a link there may be no way out but through it: begin anew, with the link in the way.
@@ -368,76 +331,6 @@ impl Goal {
         added
     }
 
-    /// Distance of the surfaces of thumb and a robot finger's tip in the robot's present pose, m, 0.1 at most; None for the
-    /// thumb itself.
-    pub fn exact_gap(&self, robot: &mut Robot, finger: usize) -> Option<f64> {
-        const MOST: f64 = 0.1;
-        let [a, b] = &self.problem.gaps[self.fingers[finger].pinch?].sides;
-        match (a, b) {
-            (Side::Geoms { geoms: a, .. }, Side::Geoms { geoms: b, .. }) => {
-                Some(nearest(robot, a, b, MOST).map_or(MOST, |near| near.distance))
-            }
-            _ => {
-                let thumb = robot.fingers.iter().find(|finger| finger.human == 0)?;
-                let tips = [thumb, &robot.fingers[finger]].map(|finger| frame::place(&robot.world, finger));
-                Some(tips[0].distance(tips[1]).min(MOST))
-            }
-        }
-    }
-
-    /// Where fingertips touch the object, or thumb and fingers each other, in the robot's present pose, by human finger: those
-    /// that the human's touch, and whose surfaces are within 3 mm. `points`: the human's keypoints in the wrist frame.
-    pub fn meetings(&self, robot: &mut Robot, points: &[DVec3; N_KEYPOINTS], touch: &Touch) -> [Option<Meeting>; 5] {
-        const NEAR: f64 = 0.003;
-        let axes = robot.wrist.world_axes(&robot.world);
-        let mut meetings = [None; 5];
-        for finger in &self.fingers {
-            let Some(pinch) = finger.pinch else { continue };
-            if touch.tip_contact[0].min(touch.tip_contact[finger.human]) <= 0.5 {
-                continue;
-            }
-            let [Side::Geoms { geoms: thumb, .. }, Side::Geoms { geoms: other, .. }] = &self.problem.gaps[pinch].sides
-            else {
-                // Of points that lie upon each other the human's fingertips tell how they meet.
-                let find = |human: usize| robot.fingers.iter().find(|finger| finger.human == human);
-                let (Some(thumb), Some(other)) = (find(0), find(finger.human)) else { continue };
-                let [a, b] = [thumb, other].map(|finger| frame::place(&robot.world, finger));
-                let line = axes * (points[keypoint(finger.human, 3)] - points[keypoint(0, 3)]);
-                let Some(normal) = line.try_normalize().filter(|_| a.distance(b) <= NEAR) else { continue };
-                meetings[0] = Some(Meeting { place: 0.5 * (a + b), normal });
-                meetings[finger.human] = Some(Meeting { place: 0.5 * (a + b), normal: -normal });
-                continue;
-            };
-            let Some(Nearest { place, normal: Some(normal), .. }) = nearest(robot, thumb, other, NEAR) else {
-                continue;
-            };
-            meetings[0] = Some(Meeting { place, normal });
-            meetings[finger.human] = Some(Meeting { place, normal: -normal });
-        }
-        for finger in &self.fingers {
-            let Some(hold) = finger.hold.filter(|_| touch.tip_contact[finger.human] > 0.5) else { continue };
-            let [Side::Geoms { geoms: pad, .. }, Side::Geoms { geoms: object, .. }] = &self.problem.gaps[hold].sides
-            else {
-                continue;
-            };
-            if let Some(Nearest { place, normal: Some(normal), .. }) = nearest(robot, pad, object, NEAR) {
-                meetings[finger.human] = Some(Meeting { place, normal });
-            }
-        }
-        meetings
-    }
-
-    /// Distance of a finger's pad from the object in the robot's present pose, m, 0.1 at most; None without pad or object.
-    pub fn gap_to_object(&self, robot: &mut Robot, finger: usize) -> Option<f64> {
-        const MOST: f64 = 0.1;
-        match &self.problem.gaps[self.fingers[finger].hold?].sides {
-            [Side::Geoms { geoms: pad, .. }, Side::Geoms { geoms: object, .. }] => {
-                Some(nearest(robot, pad, object, MOST).map_or(MOST, |near| near.distance))
-            }
-            _ => None,
-        }
-    }
-
     /// How deep links that must not collide are in each other in the robot's present pose, m; negative = none is.
     pub fn deepest(&self, robot: &mut Robot) -> f64 {
         let mut deepest = f64::NEG_INFINITY;
@@ -454,28 +347,6 @@ impl Goal {
         let vector = &self.problem.vectors[self.fingers[finger].tip];
         frame::place(&robot.world, &robot.fingers[finger]).distance(vector.target)
     }
-}
-
-/// Where two surfaces are nearest.
-struct Nearest {
-    /// Negative = inside each other, m.
-    distance: f64,
-    /// Between both, in the world, m.
-    place: DVec3,
-    /// From the first to the second; None where they just touch.
-    normal: Option<DVec3>,
-}
-
-/// Where two sets of geoms are nearest in the robot's present pose, if nearer than `most`, m.
-fn nearest(robot: &mut Robot, first: &[usize], second: &[usize], most: f64) -> Option<Nearest> {
-    let mut found: Option<Nearest> = None;
-    for pair in first.iter().flat_map(|a| second.iter().map(move |b| [*a, *b])) {
-        let limit = found.as_ref().map_or(most, |found| found.distance);
-        let (distance, Some([a, b])) = robot.world.geom_distance(pair, limit) else { continue };
-        let line = if distance < 0.0 { a - b } else { b - a };
-        found = Some(Nearest { distance, place: 0.5 * (a + b), normal: line.try_normalize() });
-    }
-    found
 }
 
 fn problem_tip(fingers: &[FingerGoal], problem: &Problem, index: usize) -> usize {
@@ -518,9 +389,4 @@ pub fn bone_axes(points: &[DVec3; N_KEYPOINTS], finger: usize, bone: usize) -> D
         (points[keypoint(finger, bone + 1)] - points[keypoint(finger, bone)]).try_normalize().unwrap_or(DVec3::Z);
     let normal = bone_normal(points, finger, bone);
     DMat3::from_cols(normal, along.cross(normal), along)
-}
-
-fn smoothstep(x: f64) -> f64 {
-    let x = x.clamp(0.0, 1.0);
-    x * x * (3.0 - 2.0 * x)
 }
