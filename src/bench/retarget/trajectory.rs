@@ -23,7 +23,7 @@ const APPROACH: f64 = 0.6;
 const HOLD: f64 = 0.8;
 /// Distance of the tip keypoints in a pinch, m.
 const PINCH: f64 = 0.013;
-/// Metres that a unit of a pad's normal off the line between the tips, and a radian off the stretched hand, count as.
+/// Metres that a unit of a pad's normal off the line between the tips, and a radian off a hand half bent, count as.
 const FACING: f64 = 0.0005;
 const LEAVING: f64 = 0.0003;
 /// Share of keypoints that are spikes, and how far off they are, m.
