@@ -12,6 +12,10 @@ use crate::mujoco::parts::Parts;
 const LONGEST: f64 = 0.35;
 /// Share of it that a damped step is to have: damping for the whole of it would fall short again, by a little.
 const DAMPED: f64 = 0.7;
+/// Share of it at which the quadratic model has become good enough to do without damping.
+const SHORT: f64 = 0.5;
+/// Damping, in mean curvatures, at which no step is worth another look.
+const MOST_DAMPING: f64 = 1e8;
 /// Rounds in which all coordinates that want to leave their bounds inwards do so at once; in later ones, one does.
 const EAGER: usize = 6;
 
@@ -127,10 +131,15 @@ impl Solver {
                 is_fresh = true;
             }
             let scale = self.scale();
-            if self.plan(u, coupling, damping * scale).is_err() {
+            let Ok(mut gain) = self.plan(u, coupling, damping * scale) else {
+                // Not a step: a few are often enough to leave a pose where the model is not convex, and are to be taken.
+                solved.iterations -= 1;
+                if damping > MOST_DAMPING {
+                    break;
+                }
                 damping = raised(damping);
                 continue;
-            }
+            };
             // Far from here the model tells nothing; a long step may end in another valley. Damping turns it to where
             // the cost falls, but is worth one factorisation, not several.
             let excess = self.step.amax() / LONGEST;
@@ -143,8 +152,8 @@ impl Solver {
             is_damped = false;
             if excess > 1.0 {
                 self.step /= excess;
+                gain = self.gain(damping * scale);
             }
-            let gain = self.gain(damping * scale);
             if gain <= stop.tolerance * cost + f64::MIN_POSITIVE {
                 solved.converged = true;
                 // Too little to look twice at, but not nothing.
@@ -162,17 +171,20 @@ impl Solver {
             }
             let next = problem.cost(world, parts, coupling, &self.trial)?;
             if next < cost {
-                // A step that brings what it promised needs less damping.
-                damping = if cost - next > 0.5 * gain { lowered(damping) } else { damping };
-                if cost - next < 0.1 * gain {
-                    damping = raised(damping);
-                }
+                // A step that brings what it promised needs less damping; one that was short besides, none.
+                let kept = (cost - next) / gain;
+                damping = match kept {
+                    _ if kept > 0.75 && excess < SHORT => 0.0,
+                    _ if kept > 0.5 => lowered(damping),
+                    _ if kept < 0.1 => raised(damping),
+                    _ => damping,
+                };
                 u.copy_from_slice(&self.trial);
                 cost = next;
                 (is_fresh, went_astray) = (false, false);
             } else {
                 went_astray = true;
-                if solved.converged || damping > 1e8 {
+                if solved.converged || damping > MOST_DAMPING {
                     solved.converged = true;
                     break;
                 }
@@ -193,9 +205,9 @@ impl Solver {
         (0..self.gradient.len()).map(|k| self.hessian[(k, k)].abs()).sum::<f64>() / n as f64
     }
 
-    /// Finds the step that makes the quadratic model least within the box.
+    /// Finds the step that makes the quadratic model least within the box; gives what it is to bring.
     #[allow(clippy::needless_range_loop)] // Positions, bounds, slopes and steps run beside each other.
-    fn plan(&mut self, u: &[f64], coupling: &Coupling, damping: f64) -> std::result::Result<(), NotConvex> {
+    fn plan(&mut self, u: &[f64], coupling: &Coupling, damping: f64) -> std::result::Result<f64, NotConvex> {
         let n = u.len();
         for k in 0..n {
             let (low, high) = self.bounds(coupling, k);
@@ -234,7 +246,8 @@ impl Solver {
                 self.let_go.iter().for_each(|k| self.held[*k] = None);
             }
         }
-        if self.gain(damping) >= 0.0 { Ok(()) } else { Err(NotConvex) }
+        let gain = self.gain(damping);
+        if gain >= 0.0 { Ok(gain) } else { Err(NotConvex) }
     }
 
     /// What the step is to bring, as the quadratic model has it.

@@ -40,6 +40,9 @@ pub struct Followed {
     pub net_torque_error: f64,
     /// Mean angle between a fingertip's force and the one asked for, degrees.
     pub force_angle_deg: f64,
+    /// Whether fingertips meet in points, having no shapes.
+    #[serde(default)]
+    pub meets_in_points: bool,
     /// Root mean square of the third derivative of the joints, rad/s³.
     pub jerk: f64,
     /// Joint positions, frame by frame.
@@ -54,6 +57,7 @@ pub struct Followed {
 pub fn follow(robot: Robot, trajectory: &Trajectory, with_touch: bool) -> Result<Followed> {
     let mut retargeter = Retargeter::new(robot)?;
     let mut seen = Followed { frames: trajectory.keypoints.len(), ..Followed::default() };
+    seen.meets_in_points = retargeter.look().0.fingers.iter().any(|finger| finger.pad_geoms.is_empty());
     let mut times = Vec::with_capacity(seen.frames);
     let (mut tips, mut tip_count) = (0.0, 0.0);
     let (mut closed, mut touching, mut opened, mut released) = (0.0, 0.0, 0.0, 0.0);

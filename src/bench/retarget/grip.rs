@@ -26,7 +26,7 @@ const APART: std::ops::RangeInclusive<f64> = 0.025..=0.07;
 /// Cosine of the angle between a pad and the line to the other one from which on they face each other.
 const FACING: f64 = 0.75;
 /// Share of the force asked for that a robot is to press with at least.
-const PRESSED: f64 = 0.8;
+pub(super) const PRESSED: f64 = 0.8;
 /// Frames until the robot stands still, and steps until the object does.
 const SETTLE: (usize, usize) = (40, 500);
 
@@ -35,7 +35,7 @@ const SETTLE: (usize, usize) = (40, 500);
 pub struct Grips {
     /// Grips tried.
     pub count: usize,
-    /// Poses left out: there friction lets the fingertips press less hard than asked by more than a fifth.
+    /// Poses left out: there the expected force is less than that asked for by more than a fifth.
     pub slippery: usize,
     /// Objects that were not held by both.
     pub lost: usize,

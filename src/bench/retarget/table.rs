@@ -1,5 +1,6 @@
 //! The bench's table in Markdown.
 
+use super::grip::PRESSED;
 use super::{Objective, Report};
 use crate::text::{put, significant};
 
@@ -56,7 +57,8 @@ pub fn markdown(report: &Report) -> String {
         &mut text,
         format_args!(
             "Net torque: about the middle of the touched places, as large as the robot's hand makes it; fingertips that meet in a \
-             point hold none.\n"
+             point hold none.{}\n",
+            in_points(report),
         ),
     );
     put(
@@ -96,7 +98,9 @@ pub fn markdown(report: &Report) -> String {
         format_args!(
             "\nGrips in simulation: {} objects (two balls, joined, one where each fingertip is pressed) between the thumb and \
              another finger of `four_finger`, without gravity, at the pose and with the torques that come out; {} were lost. \
-             {} poses were left out, at which friction lets them press less than 0.8 times as hard as asked. The fingertips' forces differ from the expected ones by {:.0} % (median), {:.0} % (nine of ten).",
+             {} poses were left out, at which the expected force is less than {PRESSED} of the one asked for: friction or \
+             the actuators' range allow no more. The fingertips' forces differ from the expected ones by {:.0} % (median), \
+             {:.0} % (nine of ten).",
             grips.count,
             grips.lost,
             grips.slippery,
@@ -142,6 +146,21 @@ pub fn markdown(report: &Report) -> String {
         );
     }
     text
+}
+
+/// What the force angle says of robots whose fingertips meet in points.
+fn in_points(report: &Report) -> String {
+    let mut names: Vec<&str> =
+        report.robots.iter().filter(|row| row.seen.meets_in_points).map(|row| row.robot.as_str()).collect();
+    names.dedup();
+    if names.is_empty() {
+        return String::new();
+    }
+    format!(
+        " Those of {} have no shapes where they end and do so, with the human's own normals: their force angle says nothing \
+         about how the links lie.",
+        names.join(" and ")
+    )
 }
 
 /// Peers on the same vectors.
