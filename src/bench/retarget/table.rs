@@ -157,8 +157,8 @@ fn in_points(report: &Report) -> String {
         return String::new();
     }
     format!(
-        " Those of {} have no shapes where they end and do so, with the human's own normals: their force angle says nothing \
-         about how the links lie.",
+        " The fingertips of {} have no shapes where they end: they meet in points, with the human's own normals, and their \
+         force angle says nothing about how the links lie.",
         names.join(" and ")
     )
 }
