@@ -173,11 +173,14 @@ impl Solver {
             if next < cost {
                 // A step that brings what it promised needs less damping; one that was short besides, none.
                 let kept = (cost - next) / gain;
-                damping = match kept {
-                    _ if kept > 0.75 && excess < SHORT => 0.0,
-                    _ if kept > 0.5 => lowered(damping),
-                    _ if kept < 0.1 => raised(damping),
-                    _ => damping,
+                damping = if kept > 0.75 && excess < SHORT {
+                    0.0
+                } else if kept > 0.5 {
+                    lowered(damping)
+                } else if kept < 0.1 {
+                    raised(damping)
+                } else {
+                    damping
                 };
                 u.copy_from_slice(&self.trial);
                 cost = next;
