@@ -121,7 +121,9 @@ impl Solver {
             *u = u.clamp(low, high);
         }
         let mut cost = problem.cost(world, parts, coupling, u)?;
-        let mut damping = 0.0;
+        let (mut damping, mut worked) = (0.0, 0.0);
+        // Less is lost in the rounding of the cost at the start: targets that can be met exactly have no end otherwise.
+        let floor = f64::EPSILON * cost + f64::MIN_POSITIVE;
         let mut solved = Solved { cost, iterations: 0, converged: u.is_empty() };
         let (mut is_fresh, mut is_damped, mut went_astray) = (false, false, false);
         while solved.iterations < stop.iterations && !solved.converged {
@@ -137,7 +139,8 @@ impl Solver {
                 if damping > MOST_DAMPING {
                     break;
                 }
-                damping = raised(damping);
+                // What the last step needed is nearer to what this one needs than a fresh start would be.
+                damping = if damping < lowered(worked) { lowered(worked) } else { raised(damping) };
                 continue;
             };
             // Far from here the model tells nothing; a long step may end in another valley. Damping turns it to where
@@ -154,7 +157,7 @@ impl Solver {
                 self.step /= excess;
                 gain = self.gain(damping * scale);
             }
-            if gain <= stop.tolerance * cost + f64::MIN_POSITIVE {
+            if gain <= stop.tolerance * cost + floor {
                 solved.converged = true;
                 // Too little to look twice at, but not nothing.
                 if gain <= 1e-3 * stop.tolerance * cost {
@@ -173,6 +176,7 @@ impl Solver {
             if next < cost {
                 // A step that brings what it promised needs less damping; one that was short besides, none.
                 let kept = (cost - next) / gain;
+                worked = damping;
                 damping = if kept > 0.75 && excess < SHORT {
                     0.0
                 } else if kept > 0.5 {
