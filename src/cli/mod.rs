@@ -14,6 +14,8 @@ mod predict;
 mod progress;
 mod report;
 mod retarget;
+#[cfg(any(feature = "ros", feature = "sim"))]
+mod sheet;
 mod sim;
 mod train;
 mod verify;

@@ -142,7 +142,7 @@ fn draw(path: &Path, run: &Run) -> Result<()> {
         predicted: &shown.predicted.force[side.range()],
         truth: &shown.truth.force[side.range()],
     };
-    figure::write(path, &hand, &posed, &shown, &trace)
+    Ok(figure::write(path, &hand, &posed, &shown, &trace)?)
 }
 
 /// Moments that have all three messages, in time order.

@@ -10,19 +10,13 @@ use image::{Rgb, RgbImage};
 use plotters::prelude::*;
 
 use super::Moment;
-use crate::file;
+use crate::cli::sheet::{Bar, PANEL, Series, Sheet};
 use crate::hand::HandModel;
 use crate::mujoco::{View, World};
 use crate::render;
 use crate::retarget::Robot;
 use crate::retarget::robot::frame;
 
-/// Size of the picture, pixels.
-const SIZE: (u32, u32) = (1500, 900);
-/// Height of the upper row, pixels.
-const UPPER: u32 = 560;
-/// Edge of one square panel, pixels.
-const PANEL: u32 = 460;
 /// The robot is drawn so much larger and then reduced, for smooth arrows.
 const FINE: u32 = 2;
 /// Length of an arrow, m per newton, and the longest, m.
@@ -36,49 +30,33 @@ const ROBOT: RGBColor = RGBColor(31, 119, 180);
 /// If drawing or writing fails.
 pub fn write(path: &Path, hand: &HandModel, robot: &mut Robot, moments: &[Moment], shown: usize) -> Result<()> {
     render::font::register();
-    let robot_picture = robot_picture(robot, &moments[shown])?;
-    let mut pixels = vec![255u8; (SIZE.0 * SIZE.1 * 3) as usize];
-    {
-        let root = BitMapBackend::with_buffer(&mut pixels, SIZE).into_drawing_area();
-        root.fill(&WHITE)?;
-        let (upper, lower) = root.split_vertically(UPPER);
-        draw_moment(&upper, hand, &robot.spec.robot, robot_picture, &moments[shown]).context("hand and robot")?;
-        draw_trace(&lower, moments, moments[shown].seconds).context("force over time")?;
-        root.present()?;
-    }
-    let picture = RgbImage::from_raw(SIZE.0, SIZE.1, pixels).context("picture buffer has another size")?;
-    Ok(file::write_png(path, &picture)?)
+    let moment = &moments[shown];
+    let peak = moment.force.iter().copied().fold(0.05, f32::max);
+    let colors = render::force_colors(&moment.force, peak);
+    let human =
+        render::hand_picture(hand, &hand.forward(&moment.params), &colors, render::View::Palmar, (PANEL, PANEL));
+    let robot_title = format!("{}: {:.1} N expected on its links", robot.spec.robot, moment.robot());
+    let series = |name, color, value: fn(&Moment) -> f64| Series {
+        name,
+        color,
+        points: moments.iter().map(|moment| (moment.seconds, value(moment))).collect(),
+    };
+    let sheet = Sheet {
+        panels: [
+            (format!("camera, t = {:.1} s", moment.seconds), moment.image.clone()),
+            (format!("human hand: {:.1} N on its skin", moment.human()), human),
+            (robot_title, robot_picture(robot, moment)?),
+        ],
+        bar: Bar { peak, label: "force per vertex", column: 1.0 },
+        note: Some(format!("arrows: force of the world on a link, {:.0} mm per newton", 1e3 * ARROW.0)),
+        axis: "sum of normal forces, N",
+        series: [series("human hand", HUMAN, Moment::human), series("robot hand, expected", ROBOT, Moment::robot)],
+        shown: moment.seconds,
+    };
+    Ok(sheet.write(path)?)
 }
 
 type Area<'a> = DrawingArea<BitMapBackend<'a>, plotters::coord::Shift>;
-
-fn draw_moment(area: &Area, hand: &HandModel, name: &str, robot: RgbImage, moment: &Moment) -> Result<()> {
-    let peak = moment.force.iter().copied().fold(0.0f32, f32::max).max(0.05);
-    let posed = hand.forward(&moment.params);
-    let colors = render::force_colors(&moment.force, peak);
-    let human = render::hand_picture(hand, &posed, &colors, render::View::Palmar, (PANEL, PANEL));
-    let panels = [
-        (format!("camera, t = {:.1} s", moment.seconds), resize(&moment.image, PANEL, PANEL, FilterType::Triangle)),
-        (format!("human hand: {:.1} N on its skin", moment.human()), human),
-        (format!("{name}: {:.1} N expected on its links", moment.robot()), robot),
-    ];
-    for (index, (title, picture)) in panels.into_iter().enumerate() {
-        let x = 20 + index as i32 * (PANEL as i32 + 15);
-        area.draw(&Text::new(title, (x, 18), ("sans-serif", 22)))?;
-        blit(area, picture, (x, 50))?;
-    }
-    let bar = render::color_bar(peak, "force per vertex", (PANEL, 44));
-    blit(area, bar, (20 + PANEL as i32 + 15, UPPER as i32 - 46))?;
-    let note = format!("arrows: force of the world on a link, {:.0} mm per newton", 1e3 * ARROW.0);
-    let at = (20 + 2 * (PANEL as i32 + 15) + 10, UPPER as i32 - 40);
-    Ok(area.draw(&Text::new(note, at, ("sans-serif", 17)))?)
-}
-
-fn blit(area: &Area, picture: RgbImage, at: (i32, i32)) -> Result<()> {
-    let size = picture.dimensions();
-    let element = BitMapElement::with_owned_buffer(at, size, picture.into_raw());
-    Ok(area.draw(&element.context("picture buffer has another size")?)?)
-}
 
 /// The robot in a moment's pose, seen on its palm, with an arrow per force.
 fn robot_picture(robot: &mut Robot, moment: &Moment) -> Result<RgbImage> {
@@ -162,42 +140,5 @@ fn draw_arrow(area: &Area, from: (f64, f64), to: (f64, f64), color: RGBColor) ->
         ];
         area.draw(&Polygon::new(outline.to_vec(), color.filled()))?;
     }
-    Ok(())
-}
-
-fn draw_trace(area: &Area, moments: &[Moment], marked: f64) -> Result<()> {
-    let end = moments.last().map_or(1.0, |moment| moment.seconds).max(1e-3);
-    let peak = moments.iter().map(|moment| moment.human().max(moment.robot())).fold(0.5, f64::max) * 1.1;
-    let mut chart = ChartBuilder::on(area)
-        .margin(12)
-        .x_label_area_size(44)
-        .y_label_area_size(64)
-        .build_cartesian_2d(0.0..end, 0.0..peak)?;
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .x_desc("time, s")
-        .y_desc("sum of normal forces, N")
-        .label_style(("sans-serif", 17))
-        .axis_desc_style(("sans-serif", 19))
-        .draw()?;
-    chart.draw_series(LineSeries::new([(marked, 0.0), (marked, peak)], BLACK.mix(0.25)))?;
-    type Value = fn(&Moment) -> f64;
-    let series: [(&str, RGBColor, Value); 2] =
-        [("human hand", HUMAN, Moment::human), ("robot hand, expected", ROBOT, Moment::robot)];
-    for (label, color, value) in series {
-        let points = moments.iter().map(|moment| (moment.seconds, value(moment)));
-        chart
-            .draw_series(LineSeries::new(points, color.stroke_width(2)))?
-            .label(label)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 24, y)], color.stroke_width(3)));
-    }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
-        .background_style(WHITE.mix(0.8))
-        .border_style(BLACK.mix(0.3))
-        .label_font(("sans-serif", 18))
-        .draw()?;
     Ok(())
 }
