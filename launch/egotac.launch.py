@@ -3,11 +3,10 @@
     ros2 launch egotac egotac.launch.py image_topic:=/camera/image_raw
 """
 
-import os
-
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
 from launch.conditions import IfCondition
+from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
@@ -66,15 +65,6 @@ ARGUMENTS = [
 ]
 
 
-def make_room_for_images(context):
-    """Fast DDS loses most images above half a megabyte with its default settings."""
-    profile = LaunchConfiguration("fastdds_profile").perform(context)
-    names = ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"]  # Jazzy's name, and the newer one
-    if not profile or any(os.environ.get(name) for name in names):
-        return []
-    return [SetEnvironmentVariable(name, profile) for name in names]
-
-
 def given(context, names):
     """The arguments that were given, as parameters that win over the file."""
     values = {name: LaunchConfiguration(name).perform(context) for name in names}
@@ -120,7 +110,10 @@ def generate_launch_description():
     return LaunchDescription(
         [
             *ARGUMENTS,
-            OpaqueFunction(function=make_room_for_images),
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(packaged("launch", "images.launch.py")),
+                launch_arguments={"fastdds_profile": LaunchConfiguration("fastdds_profile")}.items(),
+            ),
             OpaqueFunction(function=nodes),
             viewer,
         ]

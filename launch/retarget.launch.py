@@ -53,6 +53,11 @@ ARGUMENTS = [
         description="Parameters of the nodes. Arguments given here win over it.",
     ),
     DeclareLaunchArgument("namespace", default_value="", description="Namespace of the nodes and their topics."),
+    DeclareLaunchArgument(
+        "use_sim_time",
+        default_value="",
+        description="true: take the time from /clock (bags, simulators). Empty: as the parameter file says.",
+    ),
     DeclareLaunchArgument("log_level", default_value="info", description="debug, info, warn, error or fatal."),
 ]
 
@@ -81,6 +86,8 @@ def nodes(context):
     parameters = {name: value(name) for name in ("robot", "model", "side", "object") if value(name)}
     if value("rate_hz"):
         parameters["rate_hz"] = float(value("rate_hz"))
+    if value("use_sim_time"):
+        parameters["use_sim_time"] = value("use_sim_time").lower() in ("true", "1", "yes", "on")
     topics = ("hand_pose", "keypoints", "tactile", "object")
     scenes = [scene.strip() for scene in value("scenes").split(",")]
     return [

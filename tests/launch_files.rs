@@ -78,8 +78,9 @@ fn each_node_of_the_launch_files_is_one_of_our_programs_with_its_own_parameters(
     let given =
         ["use_sim_time:=true", "image_transport:=compressed", "model:=/m.safetensors", "device:=cpu", "rviz:=true"];
     let demo_given = ["scenes:=pinch_cube,lift_mug", "seed:=3", "rviz:=true"];
-    let training = ["config:=/run.yaml", "folder:=/data", "notify:=/other/load_model"];
-    let retargeting = ["robot:=gripper", "side:=left", "rate_hz:=100", "demo:=true", "scenes:=lift_mug,hover"];
+    let training = ["config:=/run.yaml", "folder:=/data", "notify:=/other/load_model", "use_sim_time:=true"];
+    let retargeting =
+        ["robot:=gripper", "side:=left", "rate_hz:=100", "use_sim_time:=1", "demo:=true", "scenes:=lift_mug,hover"];
     let files = [
         ("egotac.launch.py", &given[..]),
         ("demo.launch.py", &demo_given[..]),
@@ -184,13 +185,20 @@ fn each_argument_says_what_it_does() {
 
 #[test]
 fn the_middleware_gets_room_for_images_unless_a_profile_is_set() {
-    let description = describe("egotac.launch.py", &[]);
+    let description = describe("images.launch.py", &[]);
     for name in ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"] {
         let profile = description["environment"][name].as_str().unwrap();
         assert!(in_source(profile).is_file(), "{profile}");
     }
-    let description = describe("egotac.launch.py", &["fastdds_profile:="]);
+    let description = describe("images.launch.py", &["fastdds_profile:="]);
     assert_eq!(description["environment"], serde_json::json!({}));
+    // Whatever takes images from a camera asks for it.
+    for file in ["egotac.launch.py", "trainer.launch.py"] {
+        let description = describe(file, &["fastdds_profile:=/mine.xml"]);
+        let include = &description["includes"][0];
+        assert_eq!(in_source(include["file"].as_str().unwrap()), root().join("launch/images.launch.py"), "{file}");
+        assert_eq!(include["arguments"], serde_json::json!({ "fastdds_profile": "/mine.xml" }), "{file}");
+    }
 }
 
 #[test]
