@@ -37,13 +37,13 @@ pub struct Report {
     pub values: Vec<(String, String)>,
 }
 
-/// Publishes what `report` says as `<node>: <task>`, once a second.
+/// Publishes what `report` says as `<node>: <task>`, once a second, about what `hardware_id` names then.
 ///
 /// # Errors
 /// If ROS refuses the topic.
 pub fn publish(
     runtime: &mut Runtime,
-    hardware_id: String,
+    hardware_id: impl Fn() -> String + 'static,
     mut report: impl FnMut(&mut Runtime) -> Report + 'static,
 ) -> anyhow::Result<()> {
     let publisher = runtime.publisher("/diagnostics", qos::output())?;
@@ -54,7 +54,7 @@ pub fn publish(
             level: level as u8,
             name: format!("{node}: {task}"),
             message,
-            hardware_id: hardware_id.clone(),
+            hardware_id: hardware_id(),
             values: values.into_iter().map(|(key, value)| KeyValue { key, value }).collect(),
         };
         let header = Header { stamp: runtime.clock().now(), frame_id: String::new() };

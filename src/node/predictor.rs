@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use ::image::RgbImage;
@@ -121,6 +121,7 @@ pub fn run(
     let input = Arc::new(Mailbox::default());
     let tally = Tally::default();
     let poses = Arc::new(Mutex::new([None, None]));
+    let model_id = Arc::new(Mutex::new(info.model_id));
     let worker = Worker {
         frames: runtime.publisher("~/tactile", qos::output())?,
         points: runtime.publisher("~/points", qos::output())?,
@@ -137,13 +138,13 @@ pub fn run(
         info: info_publisher,
         slot,
         exchanged: false,
-        model_id: info.model_id.clone(),
+        model_id: Arc::clone(&model_id),
         sequence: 0,
     };
     subscribe_pose(&mut runtime, poses)?;
     serve_set_enabled(&mut runtime)?;
     let reliable = Arc::new(AtomicBool::new(false));
-    report(&mut runtime, &input, &tally, info.model_id, Arc::clone(&reliable))?;
+    report(&mut runtime, &input, &tally, model_id, Arc::clone(&reliable))?;
     subscribe_image(&mut runtime, Source { input, tally, reliable })?;
 
     let stop = shutdown.clone();
@@ -298,6 +299,13 @@ fn subscribe_image_as(runtime: &mut Runtime, reliable: bool, source: Source) -> 
     }
 }
 
+/// Id of the network in use: frames and diagnostics name it.
+type ModelId = Arc<Mutex<String>>;
+
+fn locked(model_id: &ModelId) -> MutexGuard<'_, String> {
+    model_id.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 type Poses = Arc<Mutex<[Option<HandPose>; 2]>>;
 
 /// Keeps the newest pose of each hand.
@@ -324,11 +332,12 @@ fn report(
     runtime: &mut Runtime,
     input: &Arc<Mailbox<Vec<u8>>>,
     tally: &Tally,
-    model_id: String,
+    model_id: ModelId,
     reliable: Arc<AtomicBool>,
 ) -> anyhow::Result<()> {
     let (input, tally, topic) = (Arc::clone(input), tally.clone(), image_topic(runtime));
     let mut refused_before = 0;
+    let model_id = move || locked(&model_id).clone();
     diagnostics::publish(runtime, model_id, move |runtime| {
         tally.set_dropped("superseded", input.superseded());
         let mut counts = tally.counts();
@@ -367,7 +376,7 @@ fn cause(error: &crate::Error) -> &str {
 /// Turns the newest image into messages, on a thread of its own.
 struct Worker {
     predictor: Predictor,
-    model_id: String,
+    model_id: ModelId,
     hands: [HandModel; 2],
     rest: Vec<Posed>,
     topic: String,
@@ -403,7 +412,7 @@ impl Worker {
     fn exchange(&mut self, Loaded { predictor, info }: Loaded) {
         self.predictor = predictor;
         self.exchanged = true;
-        self.model_id.clone_from(&info.model_id);
+        locked(&self.model_id).clone_from(&info.model_id);
         if let Err(error) = self.info.publish(&info) {
             self.log.warn_throttled("publish", format!("~/model_info: {error:#}"));
         }
@@ -468,7 +477,7 @@ impl Worker {
         Ok(TactileFrame {
             sequence: self.sequence,
             inference_secs: started.elapsed().as_secs_f64(),
-            model_id: self.model_id.clone(),
+            model_id: locked(&self.model_id).clone(),
             warming_up,
             ..TactileFrame::from_field(header.clone(), field)?
         })

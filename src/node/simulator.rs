@@ -119,7 +119,7 @@ pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
         tally: tally.clone(),
         log: runtime.log().clone(),
     };
-    diagnostics::publish(&mut runtime, String::new(), move |_| {
+    diagnostics::publish(&mut runtime, String::new, move |_| {
         let mut counts = tally.counts();
         let rates = counts.rates();
         let level = if rates.1 > 0.0 { Level::Ok } else { Level::Stale };

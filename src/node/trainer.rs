@@ -125,7 +125,7 @@ pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
         }
     });
     let states = Rc::clone(&trainer);
-    diagnostics::publish(&mut runtime, String::new(), move |_| states.borrow().report(&tally))?;
+    diagnostics::publish(&mut runtime, String::new, move |_| states.borrow().report(&tally))?;
 
     runtime.spin(shutdown);
     if let Some(active) = trainer.borrow_mut().active.take() {

@@ -92,7 +92,7 @@ pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     let publisher = runtime.publisher("~/metrics", qos::output())?;
     let (topics, parameters) = (Rc::clone(&verifier), runtime.parameters().clone());
     let names = (runtime.resolve("tactile"), runtime.resolve("truth"));
-    diagnostics::publish(&mut runtime, String::new(), move |_| {
+    diagnostics::publish(&mut runtime, String::new, move |_| {
         topics.borrow_mut().tick(&publisher, &parameters, &names)
     })?;
 

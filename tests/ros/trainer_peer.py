@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from action_msgs.msg import GoalStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from egotac_msgs.action import Train
 from egotac_msgs.msg import HandModelInfo, HandTactile, TactileFrame, TactileTruth, TrainerStatus
 from egotac_msgs.srv import LoadModel
@@ -179,6 +180,7 @@ def swaps(small, other, spoilt):
     peer = Peer()
     frames = peer.listen(TactileFrame, "predictor/tactile")
     infos = peer.listen(HandModelInfo, "predictor/model_info", LATCHED)
+    states = peer.listen(DiagnosticArray, "/diagnostics")
     load = peer.create_client(LoadModel, "predictor/load_model")
     peer.wait(lambda: load.service_is_ready() and infos, "the predictor")
     world = World(peer)
@@ -211,6 +213,8 @@ def swaps(small, other, spoilt):
     change = ids.index(good.model_id)
     assert set(ids[:change]) == {before} and set(ids[change:]) == {good.model_id}
     peer.wait(lambda: infos[-1].model_id == good.model_id, "the new description")
+    named = lambda: any(s.hardware_id == good.model_id for array in states for s in array.status)
+    peer.wait(named, "diagnostics that name the new network")
 
 
 def improves(config, folder):

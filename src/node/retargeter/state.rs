@@ -69,37 +69,41 @@ impl State {
 /// If ROS refuses it.
 pub fn report(runtime: &mut Runtime, inputs: Inputs, state: State, robot: String) -> anyhow::Result<()> {
     let topics = format!("{} or {}", runtime.resolve("hand_pose"), runtime.resolve("keypoints"));
-    diagnostics::publish(runtime, robot, move |runtime| {
-        let (overtaken, touched) = {
-            let inputs = inputs.lock().unwrap_or_else(PoisonError::into_inner);
-            (inputs.overtaken(), inputs.touch_flows(Instant::now()))
-        };
-        state.hands.set_dropped("superseded", overtaken);
-        let mut tally = state.hands.counts();
-        let rates = tally.rates();
-        let mut counts = state.counts();
-        let (level, message) = if !runtime.parameters().get::<bool>("enabled") {
-            (Level::Ok, "disabled".to_owned())
-        } else if let Some(error) = &counts.refused {
-            (Level::Warn, format!("holds the last pose: {error}"))
-        } else if rates.0 == 0.0 {
-            (Level::Stale, format!("no hands on {topics}"))
-        } else {
-            let touch = if touched { "with touch" } else { "no touch" };
-            (Level::Ok, format!("follows {:.1} hands per second, {touch}", rates.1))
-        };
-        let mut values = tally.values(rates);
-        values.push(("with_touch".to_owned(), counts.with_touch.to_string()));
-        values.push(("late_cycles".to_owned(), counts.late.to_string()));
-        for (name, count) in STATUS_NAMES.into_iter().zip(counts.statuses) {
-            values.push((format!("status_{name}"), count.to_string()));
-        }
-        for (name, q) in [("p50", 0.5), ("p99", 0.99), ("max", 1.0)] {
-            let secs = percentile(counts.solve_secs.make_contiguous().iter().copied(), q);
-            values.push((format!("solve_{name}_us"), format!("{:.0}", 1e6 * secs)));
-        }
-        Report { task: "hands", level, message, values }
-    })
+    diagnostics::publish(
+        runtime,
+        move || robot.clone(),
+        move |runtime| {
+            let (overtaken, touched) = {
+                let inputs = inputs.lock().unwrap_or_else(PoisonError::into_inner);
+                (inputs.overtaken(), inputs.touch_flows(Instant::now()))
+            };
+            state.hands.set_dropped("superseded", overtaken);
+            let mut tally = state.hands.counts();
+            let rates = tally.rates();
+            let mut counts = state.counts();
+            let (level, message) = if !runtime.parameters().get::<bool>("enabled") {
+                (Level::Ok, "disabled".to_owned())
+            } else if let Some(error) = &counts.refused {
+                (Level::Warn, format!("holds the last pose: {error}"))
+            } else if rates.0 == 0.0 {
+                (Level::Stale, format!("no hands on {topics}"))
+            } else {
+                let touch = if touched { "with touch" } else { "no touch" };
+                (Level::Ok, format!("follows {:.1} hands per second, {touch}", rates.1))
+            };
+            let mut values = tally.values(rates);
+            values.push(("with_touch".to_owned(), counts.with_touch.to_string()));
+            values.push(("late_cycles".to_owned(), counts.late.to_string()));
+            for (name, count) in STATUS_NAMES.into_iter().zip(counts.statuses) {
+                values.push((format!("status_{name}"), count.to_string()));
+            }
+            for (name, q) in [("p50", 0.5), ("p99", 0.99), ("max", 1.0)] {
+                let secs = percentile(counts.solve_secs.make_contiguous().iter().copied(), q);
+                values.push((format!("solve_{name}_us"), format!("{:.0}", 1e6 * secs)));
+            }
+            Report { task: "hands", level, message, values }
+        },
+    )
 }
 
 /// Names of [`Status::ALL`] in diagnostics.
