@@ -90,7 +90,7 @@ fn parameters_are_listed_described_set_and_refused() {
 #[test]
 fn the_newest_image_wins_over_a_slow_network() {
     let session = Session::new();
-    let slow = Config { vision_width: 192, vision_depth: 12, image: 224, ..Config::toy() };
+    let slow = Config { vision_width: 384, vision_depth: 12, image: 224, ..Config::toy() };
     let mut node = predictor_with(&session, &slow, &["-p", "reliability:=reliable"]);
     session.check(PEER, &["latest_wins"]);
     node.ends_cleanly("INT");

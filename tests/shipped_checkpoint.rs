@@ -27,13 +27,14 @@ fn read(reports: &Value) -> (Scores, Vec<Scores>) {
     (scores("model"), ["zero", "mean", "median"].map(scores).into())
 }
 
-/// `margin`: how far the pooled AUROC lies above the best constant's, at least.
-fn beats_the_constants(reports: &Value, margin: f64) {
+/// Of what the best constant's pooled AUROC lacks to 1, the network's lacks at most two fifths: a constant that knows
+/// which vertices are ever touched is at 0.96 already where a scene touches few.
+fn beats_the_constants(reports: &Value) {
     let (model, constants) = read(reports);
     let best = |score: fn(&Scores) -> f64| constants.iter().map(score);
     let (error, auroc) = (best(|s| s.active_mae).fold(f64::MAX, f64::min), best(|s| s.auroc).fold(0.0, f64::max));
     assert!(model.active_mae <= 0.8 * error, "active MAE {} N against {error} N", model.active_mae);
-    assert!(model.auroc >= auroc + margin, "AUROC {} against {auroc}", model.auroc);
+    assert!(1.0 - model.auroc <= 0.4 * (1.0 - auroc), "AUROC {} against {auroc}", model.auroc);
     assert!(model.temporal_pearson.unwrap() >= 0.5, "temporal Pearson {:?}", model.temporal_pearson);
 }
 
@@ -51,7 +52,7 @@ fn it_is_small_and_for_the_built_in_hand() {
 fn its_card_shows_the_scores_that_the_command_wrote() {
     let text = std::fs::read_to_string(root("models/egotac.eval.json")).unwrap();
     let reports: Value = serde_json::from_str(&text).unwrap();
-    beats_the_constants(&reports, 0.05);
+    beats_the_constants(&reports);
     let card = std::fs::read_to_string(root("models/README.md")).unwrap();
     let rows = [
         ("MAE (N)", "/mae"),
@@ -104,5 +105,5 @@ fn it_beats_constants_on_rollouts_that_nobody_has_seen() {
         "eval --checkpoint {} --data test.zarr --baselines-from test.zarr --json",
         checkpoint.display()
     ));
-    beats_the_constants(&serde_json::from_str(&scores).unwrap(), 0.03);
+    beats_the_constants(&serde_json::from_str(&scores).unwrap());
 }
