@@ -1,6 +1,6 @@
 //! Damped Newton steps within a box, the box kept exactly by an active set.
 
-use nalgebra::{Cholesky, DMatrix, DVector};
+use nalgebra::{DMatrix, DVector};
 
 use super::problem::Problem;
 use super::robot::coupling::Coupling;
@@ -53,6 +53,8 @@ pub struct Solver {
     /// Of the coordinates that are free to move; rows of the others are those of the identity.
     reduced: DMatrix<f64>,
     step: DVector<f64>,
+    /// Change of the slopes by the step, without damping: the Hessian times the step.
+    bent: DVector<f64>,
     right: DVector<f64>,
     trial: Vec<f64>,
     /// Coordinates held at a bound, with the step that brings them there.
@@ -75,6 +77,7 @@ impl Solver {
             hessian: DMatrix::zeros(n, n),
             reduced: DMatrix::zeros(n, n),
             step: DVector::zeros(n),
+            bent: DVector::zeros(n),
             right: DVector::zeros(n),
             trial: vec![0.0; n],
             held: vec![None; n],
@@ -155,6 +158,7 @@ impl Solver {
             is_damped = false;
             if excess > 1.0 {
                 self.step /= excess;
+                self.bent /= excess;
                 gain = self.gain(damping * scale);
             }
             if gain <= stop.tolerance * cost + floor {
@@ -259,8 +263,7 @@ impl Solver {
 
     /// What the step is to bring, as the quadratic model has it.
     fn gain(&self, damping: f64) -> f64 {
-        let curved = |k: usize| self.step[k] * (self.slope(k, damping) - self.gradient[k]);
-        -self.gradient.dot(&self.step) - 0.5 * (0..self.step.len()).map(curved).sum::<f64>()
+        -self.gradient.dot(&self.step) - 0.5 * (self.bent.dot(&self.step) + damping * self.step.norm_squared())
     }
 
     /// Damping that the free coordinates' step lacks to be short enough: a step of Newton's method on one over its
@@ -284,53 +287,56 @@ impl Solver {
 
     /// Slope of the model at the step, along a coordinate.
     fn slope(&self, k: usize, damping: f64) -> f64 {
-        let mut slope = self.gradient[k] + damping * self.step[k];
-        for j in 0..self.step.len() {
-            slope += self.hessian[(k.max(j), k.min(j))] * self.step[j];
-        }
-        slope
+        self.gradient[k] + damping * self.step[k] + self.bent[k]
     }
 
     /// The step of the free coordinates, those held staying where they are held.
     fn solve_free(&mut self, damping: f64) -> std::result::Result<(), NotConvex> {
         let n = self.step.len();
-        for col in 0..n {
-            let is_held = self.held[col].is_some();
-            for row in col..n {
-                let both_free = !is_held && self.held[row].is_none();
-                self.reduced[(row, col)] = if both_free { self.hessian[(row, col)] } else { 0.0 };
+        self.reduced.copy_from(&self.hessian);
+        self.step.copy_from(&self.gradient);
+        self.step.neg_mut();
+        for (k, held) in self.held.iter().enumerate() {
+            self.reduced[(k, k)] += damping;
+            let Some(at) = held else { continue };
+            for other in 0..n {
+                let (row, col) = (other.max(k), other.min(k));
+                self.step[other] -= self.hessian[(row, col)] * at;
+                self.reduced[(row, col)] = 0.0;
             }
-            self.reduced[(col, col)] = if is_held { 1.0 } else { self.hessian[(col, col)] + damping };
+            self.reduced[(k, k)] = 1.0;
         }
-        for row in 0..n {
-            self.right[row] = match self.held[row] {
-                Some(at) => at,
-                None => {
-                    let mut right = -self.gradient[row];
-                    for (col, held) in self.held.iter().enumerate() {
-                        if let Some(at) = held {
-                            right -= self.hessian[(row.max(col), row.min(col))] * at;
-                        }
-                    }
-                    right
-                }
-            };
+        for (step, held) in self.step.iter_mut().zip(&self.held) {
+            *step = held.unwrap_or(*step);
         }
-        // The factorisation takes the matrix and gives its memory back.
-        let matrix = std::mem::replace(&mut self.reduced, DMatrix::zeros(0, 0));
-        match Cholesky::new(matrix) {
-            Some(factor) => {
-                factor.solve_mut(&mut self.right);
-                self.reduced = factor.unpack_dirty();
-                self.step.copy_from(&self.right);
-                Ok(())
-            }
-            None => {
-                self.reduced = DMatrix::zeros(n, n);
-                Err(NotConvex)
-            }
-        }
+        factorise(&mut self.reduced)?;
+        let is_solved = self.reduced.solve_lower_triangular_mut(&mut self.step)
+            && self.reduced.tr_solve_lower_triangular_mut(&mut self.step);
+        self.bent.sygemv(1.0, &self.hessian, &self.step, 0.0);
+        if is_solved { Ok(()) } else { Err(NotConvex) }
     }
+}
+
+/// Cholesky's factor in the lower triangle, in place. Joints of different fingers mostly have no curvature in common:
+/// what is zero is passed over, and a hand is factorised finger by finger.
+fn factorise(matrix: &mut DMatrix<f64>) -> std::result::Result<(), NotConvex> {
+    let n = matrix.nrows();
+    for j in 0..n {
+        let (done, rest) = matrix.as_mut_slice().split_at_mut(j * n);
+        let column = &mut rest[j..n];
+        for before in done.chunks_exact(n) {
+            let share = before[j];
+            if share != 0.0 {
+                column.iter_mut().zip(&before[j..]).for_each(|(entry, before)| *entry -= share * before);
+            }
+        }
+        if column[0].is_nan() || column[0] <= 0.0 {
+            return Err(NotConvex);
+        }
+        let root = column[0].sqrt();
+        column.iter_mut().for_each(|entry| *entry /= root);
+    }
+    Ok(())
 }
 
 fn raised(damping: f64) -> f64 {
