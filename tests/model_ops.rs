@@ -94,6 +94,34 @@ fn linear_plain(t: &[Tensor]) -> Result<Tensor> {
     plain::linear(&t[0], &t[1], &t[2])
 }
 
+fn gelu(t: &[Tensor]) -> Result<Tensor> {
+    ops::gelu_linear(&t[0], &t[1], &t[2])
+}
+
+fn gelu_plain(t: &[Tensor]) -> Result<Tensor> {
+    plain::gelu_linear(&t[0], &t[1], &t[2])
+}
+
+/// Projections as small as a trained network's, so that more than one key has weight.
+fn projection(weight: &Tensor) -> Result<Tensor> {
+    weight / (weight.dim(1)? as f64).sqrt()
+}
+
+fn attention(t: &[Tensor], heads: usize) -> Result<Tensor> {
+    ops::self_attention(&t[0], &projection(&t[1])?, &t[2], heads)
+}
+
+fn attention_plain(t: &[Tensor], heads: usize) -> Result<Tensor> {
+    plain::self_attention(&t[0], &projection(&t[1])?, &t[2], heads)
+}
+
+/// Self-attention of queries, keys and values side by side.
+fn attention_of(qkv: &Tensor, heads: usize) -> Result<Tensor> {
+    let width = qkv.dim(2)?;
+    let same = Tensor::eye(width, DType::F32, &Device::Cpu)?;
+    ops::self_attention(qkv, &same, &Tensor::zeros(width, DType::F32, &Device::Cpu)?, heads)
+}
+
 fn norm(t: &[Tensor]) -> Result<Tensor> {
     ops::layer_norm(&t[0], t.get(1).zip(t.get(2)), 1e-6)
 }
@@ -125,10 +153,9 @@ proptest! {
         assert_agree_above(0.1, "layer norm", &tensors(&affine, seed, 1.0), &norm, &norm_plain, 3e-4);
         assert_agree_above(0.1, "layer norm, bare", &tensors(&affine[..1], seed, 1.0), &norm, &norm_plain, 3e-4);
         assert_agree_above(1.0, "residual", &tensors(&[vec![b, n, d], vec![b, n, d], vec![d]], seed, 1.0), &residual, &residual_plain, 3e-5);
-        assert_agree("gelu", &tensors(&[vec![b, n, d]], seed, 2.0), &|t| ops::gelu(&t[0]), &|t| plain::gelu(&t[0]), 1e-5);
-        let qkv = tensors(&[vec![b, n, 3 * d]], seed, 1.0);
-        let (fused, plain) = (|t: &[Tensor]| ops::self_attention(&t[0], heads), |t: &[Tensor]| plain::self_attention(&t[0], heads));
-        assert_agree("self-attention", &qkv, &fused, &plain, 1e-5);
+        assert_agree_above(1.0, "gelu", &tensors(&[vec![b, n, k], vec![d, k], vec![d]], seed, 2.0), &gelu, &gelu_plain, 3e-5);
+        let projected = tensors(&[vec![b, n, k], vec![3 * d, k], vec![3 * d]], seed, 1.0);
+        assert_agree_above(1.0, "self-attention", &projected, &|t| attention(t, heads), &|t| attention_plain(t, heads), 3e-5);
     }
 
     #[test]
@@ -138,8 +165,9 @@ proptest! {
         let d = heads * size;
         assert_gradient("linear", &tensors(&[vec![b, n, 5], vec![d, 5], vec![d]], seed, 1.0), &linear);
         assert_gradient("residual", &tensors(&[vec![b, n, d], vec![b, n, d], vec![d]], seed, 1.0), &residual);
-        assert_gradient("gelu", &tensors(&[vec![b, n, d]], seed, 1.0), &|t| ops::gelu(&t[0]));
-        assert_gradient("self-attention", &tensors(&[vec![b, n, 3 * d]], seed, 1.0), &|t| ops::self_attention(&t[0], heads));
+        assert_gradient("gelu", &tensors(&[vec![b, n, 5], vec![d, 5], vec![d]], seed, 1.0), &gelu);
+        let projected = tensors(&[vec![b, n, 5], vec![3 * d, 5], vec![3 * d]], seed, 1.0);
+        assert_gradient("self-attention", &projected, &|t| attention(t, heads));
         // Far from rows without variance, where the derivative has a pole.
         let wide = [vec![b, n, 16], vec![16], vec![16]];
         assert_gradient("layer norm", &tensors(&wide, seed, 2.0), &norm);
@@ -155,8 +183,8 @@ proptest! {
         finite("linear", &tensors(&[vec![9, 33], vec![17, 33], vec![17]], seed, scale), &linear);
         finite("layer norm", &tensors(&[vec![9, 33], vec![33], vec![33]], seed, scale), &norm);
         finite("layer norm, bare", &tensors(&[vec![9, 33]], seed, scale), &norm);
-        finite("gelu", &tensors(&[vec![9, 33]], seed, scale), &|t| ops::gelu(&t[0]));
-        finite("self-attention", &tensors(&[vec![1, 70, 24]], seed, scale), &|t| ops::self_attention(&t[0], 2));
+        finite("gelu", &tensors(&[vec![9, 33], vec![17, 33], vec![17]], seed, scale), &gelu);
+        finite("self-attention", &tensors(&[vec![1, 70, 9], vec![24, 9], vec![24]], seed, scale), &|t| attention(t, 2));
         finite("residual", &tensors(&[vec![9, 33], vec![9, 33], vec![33]], seed, scale), &residual);
     }
 }
@@ -165,12 +193,12 @@ proptest! {
 fn large_shapes_of_the_real_network_agree_too() {
     let shapes = [vec![2, 257, 192], vec![768, 192], vec![768]];
     assert_agree("linear", &tensors(&shapes, 1, 1.0), &linear, &linear_plain, 1e-5);
-    let (fused, plain) = (|t: &[Tensor]| ops::self_attention(&t[0], 3), |t: &[Tensor]| plain::self_attention(&t[0], 3));
-    assert_agree("self-attention", &tensors(&[vec![2, 257, 576]], 2, 1.0), &fused, &plain, 1e-5);
+    let projected = tensors(&[vec![2, 257, 192], vec![576, 192], vec![576]], 2, 1.0);
+    assert_agree("self-attention", &projected, &|t| attention(t, 3), &|t| attention_plain(t, 3), 1e-5);
     let norms = [vec![3, 257, 768], vec![768], vec![768]];
     assert_agree("layer norm", &tensors(&norms, 3, 1.0), &norm, &norm_plain, 1e-4);
-    let gelu = tensors(&[vec![2, 257, 768]], 4, 3.0);
-    assert_agree("gelu", &gelu, &|t| ops::gelu(&t[0]), &|t| plain::gelu(&t[0]), 1e-5);
+    let wide = tensors(&[vec![2, 257, 768], vec![192, 768], vec![192]], 4, 3.0);
+    assert_agree("gelu", &wide, &gelu, &gelu_plain, 1e-5);
 }
 
 #[test]
@@ -195,7 +223,7 @@ fn one_dominant_key_gets_all_the_weight() {
     }
     let value = qkv[7 * 3 * d + 2 * d..7 * 3 * d + 3 * d].to_vec();
     let qkv = Tensor::from_vec(qkv, (1, n, 3 * d), &Device::Cpu).unwrap();
-    let out = ops::self_attention(&qkv, 2).unwrap();
+    let out = attention_of(&qkv, 2).unwrap();
     for row in out.get(0).unwrap().to_vec2::<f32>().unwrap() {
         assert_eq!(row, value);
     }
@@ -208,9 +236,13 @@ fn what_is_not_a_number_stays_visible() {
         values[100] = f32::NAN;
         let x = Tensor::from_vec(values, (2, 20, 24), &Device::Cpu).unwrap();
         let out = match i {
-            0 => ops::gelu(&x),
+            0 => ops::gelu_linear(
+                &x,
+                &x.zeros_like().unwrap().narrow(0, 0, 1).unwrap().squeeze(0).unwrap(),
+                &Tensor::zeros(20, DType::F32, &Device::Cpu).unwrap(),
+            ),
             1 => ops::layer_norm(&x, None, 1e-6),
-            _ => ops::self_attention(&x, 2),
+            _ => attention_of(&x, 2),
         };
         let out = out.unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
         assert!(out.iter().any(|x| x.is_nan()), "{name}");
@@ -224,7 +256,8 @@ fn shapes_that_do_not_fit_are_errors() {
         ("linear", ops::linear(&t(&[3, 4]), &t(&[5, 6]), &t(&[5]))),
         ("linear", ops::linear(&t(&[3, 6]), &t(&[5, 6]), &t(&[4]))),
         ("layer norm", ops::layer_norm(&t(&[3, 4]), Some((&t(&[5]), &t(&[5]))), 1e-6)),
-        ("self-attention", ops::self_attention(&t(&[2, 3, 13]), 2)),
+        ("linear", ops::gelu_linear(&t(&[3, 4]), &t(&[5, 6]), &t(&[5]))),
+        ("self-attention", attention_of(&t(&[2, 3, 13]), 2)),
         ("scaled residual", ops::scaled_residual(&t(&[3, 4]), &t(&[3, 5]), &t(&[4]))),
     ] {
         let error = result.unwrap_err().to_string();

@@ -197,7 +197,9 @@ proptest! {
         }
         let value = qkv[at * 3 * d + 2 * d..(at + 1) * 3 * d].to_vec();
         let qkv = Tensor::from_vec(qkv, (1, n, 3 * d), &Device::Cpu).unwrap();
-        for row in ops::self_attention(&qkv, 2).unwrap().get(0).unwrap().to_vec2::<f32>().unwrap() {
+        let same = Tensor::eye(3 * d, DType::F32, &Device::Cpu).unwrap();
+        let none = Tensor::zeros(3 * d, DType::F32, &Device::Cpu).unwrap();
+        for row in ops::self_attention(&qkv, &same, &none, 2).unwrap().get(0).unwrap().to_vec2::<f32>().unwrap() {
             prop_assert_eq!(&row, &value);
         }
     }

@@ -38,6 +38,11 @@ impl Linear {
         ops::linear(x, &self.weight, &self.bias)
     }
 
+    /// Self-attention of the layer's outputs: queries, keys and values side by side. `x`: `(B, N, k)`.
+    fn attend(&self, x: &Tensor, heads: usize) -> Result<Tensor> {
+        ops::self_attention(x, &self.weight, &self.bias, heads)
+    }
+
     /// Weight `(n, k)` and bias `(n)`, in rows.
     pub fn values(&self) -> Result<(Vec<f32>, Vec<f32>)> {
         Ok((self.weight.flatten_all()?.to_vec1()?, self.bias.to_vec1()?))
@@ -105,7 +110,7 @@ impl Mlp {
 
     /// `x`: `(.., d)`.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.fc2.forward(&ops::gelu(&self.fc1.forward(x)?)?)
+        ops::gelu_linear(&self.fc1.forward(x)?, &self.fc2.weight, &self.fc2.bias)
     }
 }
 
@@ -203,12 +208,12 @@ impl SelfAttention {
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let y = match &self.qkv {
             Qkv::Parts(parts) if x.dim(1)? == 1 => parts[2].forward(x)?,
-            Qkv::Parts(parts) => ops::self_attention(&Linear::packed(parts)?.forward(x)?, self.heads)?,
+            Qkv::Parts(parts) => Linear::packed(parts)?.attend(x, self.heads)?,
             Qkv::Packed(packed) if x.dim(1)? == 1 => {
                 let d = x.dim(D::Minus1)?;
                 ops::linear(x, &packed.weight.narrow(0, 2 * d, d)?, &packed.bias.narrow(0, 2 * d, d)?)?
             }
-            Qkv::Packed(packed) => ops::self_attention(&packed.forward(x)?, self.heads)?,
+            Qkv::Packed(packed) => packed.attend(x, self.heads)?,
         };
         self.out.forward(&y)
     }

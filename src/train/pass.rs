@@ -83,7 +83,12 @@ impl Pass<'_> {
     ///
     /// # Errors
     /// If the device is out of memory.
-    pub fn run(&self, mut batch: Batch, share: f64) -> Result<Passed> {
+    pub fn run(&self, batch: Batch, share: f64) -> Result<Passed> {
+        // On a thread of the pool: from outside each of some thousand operations would have to wake it.
+        rayon::scope(|_| self.run_here(batch, share))
+    }
+
+    fn run_here(&self, mut batch: Batch, share: f64) -> Result<Passed> {
         let Self { network, geometry, .. } = self;
         let points = std::mem::take(&mut batch.points);
         let newest = newest_points(&batch, &points, geometry.horizon);

@@ -1,23 +1,29 @@
-//! Multi-head self-attention.
+//! Multi-head self-attention, and the projection before it.
 
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
+use std::sync::OnceLock;
+
+use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::cpu;
+use super::linear;
 use super::matrix::{Mat, MatMut, Onto, Threads, multiply};
 use super::simd;
 
 /// Queries whose scores are worked on at once, at most: their rows of scores stay in the cache.
 const TILE: usize = 64;
 
-/// softmax(q kᵀ / √size) v per head, from packed projections.
+/// softmax(q kᵀ / √size) v per head, of q, k and v side by side, `x Wᵀ + b`.
 struct SelfAttention {
     heads: usize,
+    /// The projections, for the backward pass.
+    qkv: OnceLock<Vec<f32>>,
 }
 
 /// See [`super::self_attention`].
-pub fn self_attention(qkv: &Tensor, heads: usize) -> Result<Tensor> {
-    qkv.contiguous()?.apply_op1(SelfAttention { heads })
+pub fn self_attention(x: &Tensor, weight: &Tensor, bias: &Tensor, heads: usize) -> Result<Tensor> {
+    let op = SelfAttention { heads, qkv: OnceLock::new() };
+    x.contiguous()?.apply_op3(&weight.contiguous()?, &bias.contiguous()?, op)
 }
 
 /// Sizes of one call.
@@ -43,16 +49,27 @@ impl SelfAttention {
     }
 }
 
-impl CustomOp1 for SelfAttention {
+impl CustomOp3 for SelfAttention {
     fn name(&self) -> &'static str {
         "self-attention"
     }
 
-    fn cpu_fwd(&self, qkv: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let sizes = self.sizes(layout.dims())?;
+    fn cpu_fwd(
+        &self,
+        x: &CpuStorage,
+        x_layout: &Layout,
+        weight: &CpuStorage,
+        weight_layout: &Layout,
+        bias: &CpuStorage,
+        bias_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let projected = linear::shape(x_layout, weight_layout, bias_layout)?;
+        let sizes = self.sizes(projected.dims())?;
         let Sizes { n, d, .. } = sizes;
-        let qkv = cpu::slice(qkv, layout)?;
-        let mut out = vec![0.0; qkv.len() / 3];
+        let (x, weight, bias) =
+            (cpu::slice(x, x_layout)?, cpu::slice(weight, weight_layout)?, cpu::slice(bias, bias_layout)?);
+        let qkv = linear::forward(x, weight, bias, weight_layout.dims()[1]);
+        let mut out = cpu::filled(qkv.len() / 3, cpu::CHUNK, |_, _| {});
         let tile = tile_rows(n);
         let images = out.par_chunks_mut(n * d).zip(qkv.par_chunks(3 * n * d));
         images.for_each(|(out, qkv)| {
@@ -61,27 +78,40 @@ impl CustomOp1 for SelfAttention {
                 |scores, (i, out)| sizes.forward_tile(qkv, i * tile, out, scores),
             );
         });
-        let shape = Shape::from((layout.dims()[0], n, d));
-        Ok((CpuStorage::F32(out), shape))
+        // Only ever run once; were it run again, it would be with the same input.
+        let _ = self.qkv.set(qkv);
+        Ok((CpuStorage::F32(out), Shape::from((projected.dims()[0], n, d))))
     }
 
-    fn bwd(&self, qkv: &Tensor, out: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        let sizes = self.sizes(qkv.dims())?;
-        let Sizes { n, d, .. } = sizes;
+    fn bwd(
+        &self,
+        x: &Tensor,
+        weight: &Tensor,
+        bias: &Tensor,
+        out: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let Some(qkv) = self.qkv.get() else { bail!("self-attention: backward without forward") };
+        let (images, n, d) = out.dims3()?;
+        let sizes = self.sizes(&[images, n, 3 * d])?;
         let grad = grad.contiguous()?;
-        let mut dqkv = vec![0.0; qkv.elem_count()];
-        cpu::with_slice(qkv, |qkv| {
-            cpu::with_slice(out, |out| {
-                cpu::with_slice(&grad, |grad| {
-                    dqkv.par_chunks_mut(3 * n * d)
-                        .zip(qkv.par_chunks(3 * n * d))
-                        .zip(out.par_chunks(n * d).zip(grad.par_chunks(n * d)))
-                        .for_each(|((dqkv, qkv), (out, grad))| sizes.backward_image(qkv, out, grad, dqkv));
-                    Ok(())
-                })
+        let dqkv = cpu::with_slice(out, |out| {
+            cpu::with_slice(&grad, |grad| {
+                Ok(cpu::filled(qkv.len(), 3 * n * d, |image, dqkv| {
+                    let (out, grad) = (cpu::block(out, image, n * d), cpu::block(grad, image, n * d));
+                    sizes.backward_image(cpu::block(qkv, image, 3 * n * d), out, grad, dqkv);
+                }))
             })
         })?;
-        Ok(Some(cpu::tensor_like(dqkv, qkv)?))
+        let dx = match x.track_op() {
+            true => {
+                let dx = cpu::with_slice(weight, |weight| linear::input_gradient(&dqkv, weight, x))?;
+                Some(cpu::tensor_like(dx, x)?)
+            }
+            false => None,
+        };
+        let [dweight, dbias] = cpu::with_slice(x, |x| linear::parameter_gradients(x, weight, bias, &dqkv))?;
+        Ok((dx, dweight, dbias))
     }
 }
 

@@ -1,5 +1,7 @@
 //! Slices of candle's tensors, and loops over them on all threads.
 
+use std::mem::MaybeUninit;
+
 use candle_core::{CpuStorage, DType, Layout, Result, Storage, Tensor, bail};
 use rayon::prelude::*;
 
@@ -38,39 +40,47 @@ pub fn tensor_like(values: Vec<f32>, like: &Tensor) -> Result<Tensor> {
     Tensor::from_vec(values, like.shape(), like.device())
 }
 
+/// `len` values that `f` writes, block by block on all threads; each block is given its number and is zero at first.
+///
+/// A whole vector of zeros would be written by one thread, and leave the caches before it is used.
+#[allow(unsafe_code)] // No safe way writes a vector's spare room on several threads.
+pub fn filled(len: usize, block: usize, f: impl Fn(usize, &mut [f32]) + Sync) -> Vec<f32> {
+    let mut out: Vec<f32> = Vec::with_capacity(len);
+    out.spare_capacity_mut()[..len].par_chunks_mut(block.max(1)).enumerate().for_each(|(index, room)| {
+        room.fill(MaybeUninit::new(0.0));
+        // SAFETY: all of the room has just been written.
+        f(index, unsafe { std::slice::from_raw_parts_mut(room.as_mut_ptr().cast(), room.len()) });
+    });
+    // SAFETY: the blocks are all of the first `len` values, and each was written above.
+    unsafe { out.set_len(len) };
+    out
+}
+
+/// The `index`-th block of this length; the last one may be shorter.
+pub fn block(values: &[f32], index: usize, len: usize) -> &[f32] {
+    &values[index * len..values.len().min((index + 1) * len)]
+}
+
 /// `f(a, b)`, element by element; `b` repeats.
 ///
 /// `b` is as long as `a`, or a row that every row of `a` is combined with.
 pub fn zip(a: &[f32], b: &[f32], f: impl Fn(f32, f32) -> f32 + Sync) -> Vec<f32> {
-    let mut out = vec![0.0; a.len()];
-    let rows = (CHUNK / b.len().max(1)).max(1) * b.len();
-    match b.len() == a.len() {
-        true => {
-            out.par_chunks_mut(CHUNK).zip(a.par_chunks(CHUNK)).zip(b.par_chunks(CHUNK)).for_each(|((out, a), b)| {
-                simd::dispatch(
-                    #[inline(always)]
-                    || {
-                        for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
-                            *out = f(*a, *b);
-                        }
-                    },
-                )
-            })
-        }
-        false => out.par_chunks_mut(rows.max(1)).zip(a.par_chunks(rows.max(1))).for_each(|(out, a)| {
-            simd::dispatch(
-                #[inline(always)]
-                || {
-                    for (out, a) in out.chunks_exact_mut(b.len()).zip(a.chunks_exact(b.len())) {
-                        for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
-                            *out = f(*a, *b);
-                        }
+    let is_row = b.len() != a.len();
+    let len = if is_row { (CHUNK / b.len().max(1)).max(1) * b.len() } else { CHUNK };
+    filled(a.len(), len, |index, out| {
+        let a = block(a, index, len);
+        let b = if is_row { b } else { block(b, index, len) };
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                for (out, a) in out.chunks_mut(b.len().max(1)).zip(a.chunks(b.len().max(1))) {
+                    for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
+                        *out = f(*a, *b);
                     }
-                },
-            )
-        }),
-    }
-    out
+                }
+            },
+        )
+    })
 }
 
 /// Sums over rows. `f(rows, sums)` adds the contributions of a range of rows to `N` sums of `d` values each.

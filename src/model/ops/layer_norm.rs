@@ -1,7 +1,6 @@
 //! Layer norm over the last dimension.
 
 use candle_core::{CpuStorage, CustomOp1, CustomOp3, Layout, Result, Shape, Tensor, bail};
-use rayon::prelude::*;
 
 use super::cpu;
 use super::simd;
@@ -23,8 +22,8 @@ struct LayerNorm {
 
 impl LayerNorm {
     fn forward(&self, x: &[f32], d: usize, affine: Option<(&[f32], &[f32])>) -> Vec<f32> {
-        let mut out = vec![0.0; x.len()];
-        out.par_chunks_mut(cpu::ROWS * d).zip(x.par_chunks(cpu::ROWS * d)).for_each(|(out, x)| {
+        cpu::filled(x.len(), cpu::ROWS * d, |index, out| {
+            let x = cpu::block(x, index, cpu::ROWS * d);
             simd::dispatch(
                 #[inline(always)]
                 || {
@@ -45,15 +44,14 @@ impl LayerNorm {
                     }
                 },
             )
-        });
-        out
+        })
     }
 
     /// With n the normalised row, g the gradient times the weight: dx = (g - mean(g) - n mean(g n)) / σ.
     fn backward(&self, x: &[f32], weight: Option<&[f32]>, grad: &[f32], d: usize) -> Vec<f32> {
-        let mut dx = vec![0.0; x.len()];
         let block = cpu::ROWS * d;
-        dx.par_chunks_mut(block).zip(x.par_chunks(block)).zip(grad.par_chunks(block)).for_each(|((dx, x), grad)| {
+        cpu::filled(x.len(), block, |index, dx| {
+            let (x, grad) = (cpu::block(x, index, block), cpu::block(grad, index, block));
             simd::dispatch(
                 #[inline(always)]
                 || {
@@ -82,8 +80,7 @@ impl LayerNorm {
                     }
                 },
             )
-        });
-        dx
+        })
     }
 
     /// Gradients of weight and bias: Σ over rows of grad n, and of grad.

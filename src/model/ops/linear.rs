@@ -34,19 +34,10 @@ impl CustomOp3 for Linear {
         bias: &CpuStorage,
         bias_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        let (n, k) = weight_layout.shape().dims2()?;
-        let mut dims = x_layout.dims().to_vec();
-        if dims.last() != Some(&k) || bias_layout.dims() != [n] {
-            bail!("linear: x {dims:?}, weight [{n}, {k}], bias {:?}", bias_layout.dims());
-        }
+        let shape = shape(x_layout, weight_layout, bias_layout)?;
         let (x, weight, bias) =
             (cpu::slice(x, x_layout)?, cpu::slice(weight, weight_layout)?, cpu::slice(bias, bias_layout)?);
-        let rows = x.len() / k.max(1);
-        if let Some(last) = dims.last_mut() {
-            *last = n;
-        }
-        let out = if rows <= FEW_ROWS { few_rows(x, weight, bias) } else { many_rows(x, weight, bias, rows) };
-        Ok((CpuStorage::F32(out), Shape::from(dims)))
+        Ok((CpuStorage::F32(forward(x, weight, bias, weight_layout.dims()[1])), shape))
     }
 
     fn bwd(
@@ -57,56 +48,81 @@ impl CustomOp3 for Linear {
         _: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let (n, k) = weight.dims2()?;
-        let rows = x.elem_count() / k.max(1);
         let grad = grad.contiguous()?;
-        let product = |rows, cols, lhs: Mat, rhs: Mat| {
-            let mut out = vec![0.0; rows * cols];
-            multiply(MatMut::new(&mut out, rows, cols, cols), Onto::Nothing, 1.0, lhs, rhs, Threads::All);
-            out
-        };
         cpu::with_slice(&grad, |grad| {
-            let grad_mat = Mat::new(grad, rows, n, n);
             let dx = match x.track_op() {
-                true => Some(cpu::with_slice(weight, |weight| {
-                    cpu::tensor_like(product(rows, k, grad_mat, Mat::new(weight, n, k, k)), x)
-                })?),
+                true => Some(cpu::with_slice(weight, |weight| cpu::tensor_like(input_gradient(grad, weight, x)?, x))?),
                 false => None,
             };
-            let dweight = match weight.track_op() {
-                true => Some(cpu::with_slice(x, |x| {
-                    cpu::tensor_like(product(n, k, grad_mat.t(), Mat::new(x, rows, k, k)), weight)
-                })?),
-                false => None,
-            };
-            let dbias = match bias.track_op() {
-                true => {
-                    let [sum] = cpu::sum_rows(rows, n, |rows, [sum]| {
-                        simd::dispatch(
-                            #[inline(always)]
-                            || {
-                                for row in grad[rows.start * n..rows.end * n].chunks_exact(n) {
-                                    cpu::add(sum, row);
-                                }
-                            },
-                        )
-                    });
-                    Some(cpu::tensor_like(sum, bias)?)
-                }
-                false => None,
-            };
+            let [dweight, dbias] = cpu::with_slice(x, |x| parameter_gradients(x, weight, bias, grad))?;
             Ok((dx, dweight, dbias))
         })
     }
 }
 
+/// Shape of what [`super::linear`] gives.
+///
+/// # Errors
+/// If those of its arguments don't fit.
+pub fn shape(x: &Layout, weight: &Layout, bias: &Layout) -> Result<Shape> {
+    let (n, k) = weight.shape().dims2()?;
+    let mut dims = x.dims().to_vec();
+    match dims.last_mut() {
+        Some(last) if *last == k && bias.dims() == [n] => *last = n,
+        _ => bail!("linear: x {dims:?}, weight [{n}, {k}], bias {:?}", bias.dims()),
+    }
+    Ok(Shape::from(dims))
+}
+
+/// What [`super::linear`] gives, of rows of `k` values.
+pub fn forward(x: &[f32], weight: &[f32], bias: &[f32], k: usize) -> Vec<f32> {
+    let rows = x.len() / k.max(1);
+    if rows <= FEW_ROWS { few_rows(x, weight, bias) } else { many_rows(x, weight, bias, rows) }
+}
+
+/// Gradient of the input: that of the output times the weights `(n, k)`.
+pub fn input_gradient(grad: &[f32], weight: &[f32], x: &Tensor) -> Result<Vec<f32>> {
+    let k = x.layout().shape().dims().last().copied().unwrap_or(1).max(1);
+    let (rows, n) = (x.elem_count() / k, weight.len() / k);
+    Ok(product(rows, k, Mat::new(grad, rows, n, n), Mat::new(weight, n, k, k)))
+}
+
+/// Gradients of weight and bias, where they are wanted.
+pub fn parameter_gradients(x: &[f32], weight: &Tensor, bias: &Tensor, grad: &[f32]) -> Result<[Option<Tensor>; 2]> {
+    let (n, k) = weight.dims2()?;
+    let rows = x.len() / k.max(1);
+    let dweight = weight
+        .track_op()
+        .then(|| cpu::tensor_like(product(n, k, Mat::new(grad, rows, n, n).t(), Mat::new(x, rows, k, k)), weight));
+    let dbias = bias.track_op().then(|| {
+        let [sum] = cpu::sum_rows(rows, n, |rows, [sum]| {
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    for row in grad[rows.start * n..rows.end * n].chunks_exact(n) {
+                        cpu::add(sum, row);
+                    }
+                },
+            )
+        });
+        cpu::tensor_like(sum, bias)
+    });
+    Ok([dweight.transpose()?, dbias.transpose()?])
+}
+
+/// A matrix product on all threads.
+fn product(rows: usize, cols: usize, lhs: Mat, rhs: Mat) -> Vec<f32> {
+    let mut out = cpu::filled(rows * cols, cpu::CHUNK, |_, _| {});
+    multiply(MatMut::new(&mut out, rows, cols, cols), Onto::Nothing, 1.0, lhs, rhs, Threads::All);
+    out
+}
+
 /// The bias in every row, and the product added onto it.
 fn many_rows(x: &[f32], weight: &[f32], bias: &[f32], rows: usize) -> Vec<f32> {
     let (n, k) = (bias.len(), x.len() / rows);
-    let mut out = Vec::with_capacity(rows * n);
-    for _ in 0..rows {
-        out.extend_from_slice(bias);
-    }
+    let mut out = cpu::filled(rows * n, cpu::ROWS * n, |_, out| {
+        out.chunks_exact_mut(n).for_each(|row| row.copy_from_slice(bias));
+    });
     let (lhs, rhs) = (Mat::new(x, rows, k, k), Mat::new(weight, n, k, k).t());
     multiply(MatMut::new(&mut out, rows, n, n), Onto::Existing, 1.0, lhs, rhs, Threads::All);
     out

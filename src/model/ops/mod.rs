@@ -4,12 +4,13 @@
 //! |---|---|---|
 //! | [`linear`] | bias written first, one matrix product onto it; few rows: one pass over the weights | matmul, broadcast add |
 //! | [`layer_norm`] | one pass per row, statistics in f32 | mean, centre, mean of squares, scale |
-//! | [`gelu`] | exact (erf), one pass | `gelu_erf` |
-//! | [`self_attention`] | tiles of queries, softmax inside, from the packed projection | two matmuls and a softmax |
+//! | [`gelu_linear`] | exact (erf), one pass, and one matrix product | `gelu_erf`, as [`linear`] |
+//! | [`self_attention`] | one matrix product, tiles of queries, softmax inside | as [`linear`], two matmuls and a softmax |
 //! | [`scaled_residual`] | one pass | broadcast multiply, add |
 //!
 //! Training and inference run the same form: each fused one has its own backward, so a gradient never passes through
-//! candle's fused layer norm or softmax, which have none.
+//! candle's fused layer norm or softmax, which have none. Between any two operations candle sums gradients from zero,
+//! on tensors as large as the operations' own, so that the widest ones lie inside of operations.
 
 mod attention;
 pub(super) mod cpu;
@@ -43,22 +44,31 @@ pub fn layer_norm(x: &Tensor, affine: Option<(&Tensor, &Tensor)>, eps: f64) -> R
     if cpu::takes(&[x]) { layer_norm::layer_norm(x, affine, eps) } else { plain::layer_norm(x, affine, eps) }
 }
 
-/// `x Φ(x)` with the exact normal distribution function Φ (erf), element by element.
+/// `(x Φ(x)) Wᵀ + b` with the exact normal distribution function Φ (erf). Shapes as in [`linear`].
 ///
 /// # Errors
-/// If the type is not a floating-point one.
-pub fn gelu(x: &Tensor) -> Result<Tensor> {
-    if cpu::takes(&[x]) { gelu::gelu(x) } else { plain::gelu(x) }
+/// If shapes, types or devices don't fit.
+pub fn gelu_linear(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
+    if cpu::takes(&[x, weight, bias]) {
+        gelu::gelu_linear(x, weight, bias)
+    } else {
+        plain::gelu_linear(x, weight, bias)
+    }
 }
 
-/// Multi-head self-attention from packed projections: softmax(q kᵀ / √(d / heads)) v for each head.
+/// Multi-head self-attention: softmax(q kᵀ / √(d / heads)) v for each head, of queries, keys and values side by side,
+/// `x Wᵀ + b`.
 ///
-/// `qkv`: `(B, N, 3 d)`, queries, keys and values side by side. Returns `(B, N, d)`.
+/// `x`: `(B, N, k)`, `weight`: `(3 d, k)`, `bias`: `(3 d)`. Returns `(B, N, d)`.
 ///
 /// # Errors
-/// If the last dimension is not three times a multiple of `heads`.
-pub fn self_attention(qkv: &Tensor, heads: usize) -> Result<Tensor> {
-    if cpu::takes(&[qkv]) { attention::self_attention(qkv, heads) } else { plain::self_attention(qkv, heads) }
+/// If shapes, types or devices don't fit, or 3 d is not three times a multiple of `heads`.
+pub fn self_attention(x: &Tensor, weight: &Tensor, bias: &Tensor, heads: usize) -> Result<Tensor> {
+    if cpu::takes(&[x, weight, bias]) {
+        attention::self_attention(x, weight, bias, heads)
+    } else {
+        plain::self_attention(x, weight, bias, heads)
+    }
 }
 
 /// `h + λ y`, λ per channel. `h`, `y`: `(.., d)`, `lambda`: `(d)`.

@@ -25,13 +25,14 @@ pub fn layer_norm(x: &Tensor, affine: Option<(&Tensor, &Tensor)>, eps: f64) -> R
     }
 }
 
-/// See [`super::gelu`].
-pub fn gelu(x: &Tensor) -> Result<Tensor> {
-    x.gelu_erf()
+/// See [`super::gelu_linear`].
+pub fn gelu_linear(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
+    linear(&x.gelu_erf()?, weight, bias)
 }
 
 /// See [`super::self_attention`].
-pub fn self_attention(qkv: &Tensor, heads: usize) -> Result<Tensor> {
+pub fn self_attention(x: &Tensor, weight: &Tensor, bias: &Tensor, heads: usize) -> Result<Tensor> {
+    let qkv = linear(x, weight, bias)?;
     let (b, n, d3) = qkv.dims3()?;
     let d = d3 / 3;
     let parts = qkv.reshape((b, n, 3, heads, d / heads))?.permute((2, 0, 3, 1, 4))?; // (3, B, heads, N, d / heads)

@@ -1,7 +1,6 @@
 //! Residual connection with a scale per channel.
 
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
-use rayon::prelude::*;
 
 use super::cpu;
 use super::simd;
@@ -33,9 +32,9 @@ impl CustomOp3 for ScaledResidual {
             bail!("scaled residual: h {:?}, y {:?}, lambda [{d}]", h_layout.dims(), y_layout.dims());
         }
         let (h, y, lambda) = (cpu::slice(h, h_layout)?, cpu::slice(y, y_layout)?, cpu::slice(lambda, lambda_layout)?);
-        let mut out = vec![0.0; h.len()];
         let block = cpu::ROWS * d;
-        out.par_chunks_mut(block).zip(h.par_chunks(block)).zip(y.par_chunks(block)).for_each(|((out, h), y)| {
+        let out = cpu::filled(h.len(), block, |index, out| {
+            let (h, y) = (cpu::block(h, index, block), cpu::block(y, index, block));
             simd::dispatch(
                 #[inline(always)]
                 || {
