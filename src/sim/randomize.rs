@@ -1,6 +1,6 @@
 //! One episode of a scene: everything the scene leaves open, drawn from a seed.
 
-use std::f64::consts::PI;
+use std::f64::consts::{PI, SQRT_2};
 
 use glam::{DQuat, DVec3};
 use rand::{Rng, SeedableRng};
@@ -21,6 +21,8 @@ use crate::hand::Side;
 const WORKSPACE: f64 = 0.1;
 /// Distance that they keep from hands at the beginning, m: skin and sleeve are somewhat thicker than the vertices say.
 const CLEARANCE: f64 = 0.01;
+/// Times that a lens is drawn before one that folds the picture is kept.
+const LENS_DRAWS: usize = 100;
 
 /// An episode's drawn values.
 #[derive(Debug, Clone)]
@@ -317,7 +319,7 @@ impl HandDraw {
 
 impl CameraDraw {
     fn sample(spec: &CameraSpec, rng: &mut impl Rng) -> Self {
-        Self {
+        let mut draw = Self {
             eye: DVec3::from_array(spec.eye.each_ref().map(|s| s.sample(rng))),
             target: DVec3::from_array(spec.target.each_ref().map(|s| s.sample(rng))),
             fovy: spec.fovy.sample(rng).to_radians(),
@@ -326,8 +328,17 @@ impl CameraDraw {
             phases: std::array::from_fn(|_| rng.random_range(0.0..2.0 * PI)),
             noise: spec.noise.sample(rng),
             shutter: spec.shutter.sample(rng),
-            distortion: Distortion(spec.distortion.each_ref().map(|s| s.sample(rng))),
+            distortion: Distortion::default(),
+        };
+        // One that folds within a square picture is drawn again, whatever shape the picture has in the end: a seed means
+        // one scene. Where the scene's spans hold hardly any other, the lens itself is refused later.
+        for _ in 0..LENS_DRAWS {
+            draw.distortion = Distortion(spec.distortion.each_ref().map(|s| s.sample(rng)));
+            if draw.distortion.unbend(SQRT_2 * (0.5 * draw.fovy).tan()).is_some() {
+                break;
+            }
         }
+        draw
     }
 }
 
