@@ -101,7 +101,7 @@ fn store(path: &Path) -> Result<Labelled> {
             let fields = Fields { force, contact: numbers(&[own(MANO_CONTACT_SCORE)])? };
             // Labels of an earlier labelling are no truth.
             let truth = store.has(MANO_CONTACT).then(|| -> Result<Truth> {
-                let labels = crate::train::batch::read_labels(&store, all.clone())?;
+                let labels = crate::train::data::read_labels(&store, all.clone())?;
                 let fields = Fields { force: labels.force, contact: labels.contact };
                 Ok(Truth { fields, mask_force: labels.mask_force, mask_contact: labels.mask_contact })
             });

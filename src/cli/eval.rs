@@ -13,7 +13,7 @@ use crate::metrics::{self, Calibration, Comparison, Fields, Options, Part, Repor
 use crate::model::{Checkpoint, Precision};
 use crate::tactile::Topology;
 use crate::train::baseline;
-use crate::train::batch::{Dataset, read_labels};
+use crate::train::data::{Dataset, read_labels};
 
 use super::hands::Hands;
 

@@ -11,7 +11,7 @@ use crate::dataset::tensors::FieldFile;
 use crate::dataset::zarr;
 use crate::metrics::Fields;
 use crate::model::{Checkpoint, Precision, Predictor, predictor, shipped};
-use crate::train::{batch::Dataset, predict};
+use crate::train::{data::Dataset, predict};
 
 /// Arguments of `egotac predict`.
 #[derive(Debug, clap::Args)]

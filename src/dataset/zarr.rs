@@ -21,6 +21,7 @@ mod concatenate;
 mod folder;
 mod place;
 mod reader;
+mod stored;
 mod writer;
 
 use std::fmt;
@@ -30,7 +31,8 @@ use serde_json::{Value, json};
 pub use added::AddedArrays;
 pub use concatenate::concatenate;
 pub use place::Place;
-pub use reader::{ArrayInfo, ZarrReader, open_all};
+pub use reader::{ZarrReader, open_all};
+pub use stored::ArrayInfo;
 pub use writer::{Contact, ZarrWriter};
 
 /// Egocentric image, (T, H, W, 3) u8.

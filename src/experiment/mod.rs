@@ -28,8 +28,8 @@ use crate::error::{Error, Result};
 use crate::file;
 use crate::metrics::Fields;
 use crate::model::{self, Checkpoint, Precision};
-use crate::train::batch::Dataset;
 use crate::train::config::{Augment, Batch, Geometry, Loss, Optimizer, Sampling};
+use crate::train::data::Dataset;
 use crate::train::{self, Config, Control, Event, predict};
 
 pub use arm::{Arm, Experiment};

@@ -13,7 +13,7 @@ use crate::metrics::{self, Fields, Options};
 use crate::model::checkpoint::parameter_count;
 use crate::text::put;
 use crate::train::Config;
-use crate::train::batch::{Dataset, Labels};
+use crate::train::data::{Dataset, Labels};
 
 /// Scores in tables and plots: name in a report, name for readers, whether more is better.
 pub const SHOWN: [(&str, &str, bool); 6] = [

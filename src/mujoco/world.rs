@@ -6,7 +6,9 @@ use glam::{DMat3, DQuat, DVec3, Vec3};
 use mujoco_rs::mujoco_c::{mj_step, mjData, mjModel};
 use mujoco_rs::prelude::*;
 
+pub use super::contact::Contact;
 use super::fatal::refuse_what_ends_the_process;
+pub use super::names::{Body, FreeJoint, Servo, Skin};
 use super::options::{Integrator, PhysicsOptions};
 use crate::error::{Error, Result};
 
@@ -19,50 +21,6 @@ pub struct World {
     options: PhysicsOptions,
     /// Body of each soft body's name.
     pub(super) flex_bodies: Vec<Body>,
-}
-
-/// Index of a body in the world it was resolved in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Body(pub(super) usize);
-
-/// A one-degree-of-freedom joint with the position servo that drives it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Servo {
-    qpos: usize,
-    dof: usize,
-    ctrl: usize,
-}
-
-/// A free joint: 7 positions (xyz, quaternion wxyz), 6 velocities (linear in the world, angular in the body frame).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct FreeJoint {
-    pub(super) body: Body,
-    pub(super) qpos: usize,
-    pub(super) dof: usize,
-}
-
-/// The vertices of a skin that bodies carry, for pictures only.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Skin {
-    first: usize,
-    count: usize,
-}
-
-/// One touching point of two geoms.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Contact {
-    /// The two bodies; of a soft body, the one that has its name.
-    pub bodies: [Body; 2],
-    /// Midpoint between the two surfaces, m.
-    pub position: DVec3,
-    /// Unit normal from the first body to the second.
-    pub normal: DVec3,
-    /// Distance between the surfaces, m; negative means penetration.
-    pub distance: f64,
-    /// Normal force, N, never negative: the second body is pushed along `normal`, the first against it.
-    pub normal_force: f64,
-    /// Whole force on the second body in the world frame (normal and friction), N.
-    pub force: DVec3,
 }
 
 impl World {
@@ -132,67 +90,6 @@ impl World {
     /// The options in force.
     pub fn options(&self) -> &PhysicsOptions {
         &self.options
-    }
-
-    /// Looks a body up.
-    ///
-    /// # Errors
-    /// If there is none of that name.
-    pub fn body(&self, name: &str) -> Result<Body> {
-        self.id(MjtObjBase::mjOBJ_BODY, "body", name).map(Body)
-    }
-
-    /// Looks a camera up.
-    ///
-    /// # Errors
-    /// If there is none of that name.
-    pub fn camera(&self, name: &str) -> Result<usize> {
-        self.id(MjtObjBase::mjOBJ_CAMERA, "camera", name)
-    }
-
-    /// Looks up a hinge or slide and the actuator of the same name.
-    ///
-    /// # Errors
-    /// If one of the two is missing.
-    pub fn servo(&self, name: &str) -> Result<Servo> {
-        let joint = self.id(MjtObjBase::mjOBJ_JOINT, "joint", name)?;
-        let ctrl = self.id(MjtObjBase::mjOBJ_ACTUATOR, "actuator", name)?;
-        let model = self.data.model();
-        Ok(Servo { qpos: model.jnt_qposadr()[joint] as usize, dof: model.jnt_dofadr()[joint] as usize, ctrl })
-    }
-
-    /// Looks up a body's free joint, which has the body's name.
-    ///
-    /// # Errors
-    /// If body or joint is missing, or the joint is of another kind.
-    pub fn free_joint(&self, name: &str) -> Result<FreeJoint> {
-        let body = self.body(name)?;
-        let joint = self.id(MjtObjBase::mjOBJ_JOINT, "joint", name)?;
-        let model = self.data.model();
-        if model.jnt_type()[joint] != MjtJoint::mjJNT_FREE {
-            return Err(Error::value(format!("joint {name}"), "a free joint", "a hinge or slide"));
-        }
-        Ok(FreeJoint { body, qpos: model.jnt_qposadr()[joint] as usize, dof: model.jnt_dofadr()[joint] as usize })
-    }
-
-    /// Looks up the index of a mocap body.
-    ///
-    /// # Errors
-    /// If there is no body of that name or it is not a mocap body.
-    pub fn mocap(&self, name: &str) -> Result<usize> {
-        let Body(body) = self.body(name)?;
-        let mocap = self.data.model().body_mocapid()[body];
-        usize::try_from(mocap).map_err(|_| Error::value(format!("body {name}"), "a mocap body", "another"))
-    }
-
-    /// Looks a skin up.
-    ///
-    /// # Errors
-    /// If there is none of that name.
-    pub fn skin(&self, name: &str) -> Result<Skin> {
-        let skin = self.id(MjtObjBase::mjOBJ_SKIN, "skin", name)?;
-        let model = self.data.model();
-        Ok(Skin { first: model.skin_vertadr()[skin] as usize, count: model.skin_vertnum()[skin] as usize })
     }
 
     /// Replaces a skin's vertices in the pose in which its bones were bound, m; the next picture shows them.
@@ -436,29 +333,6 @@ impl World {
         servos.iter().map(|s| DVec3::new(jacr[s.dof], jacr[nv + s.dof], jacr[2 * nv + s.dof])).collect()
     }
 
-    /// All touching points of the last [`Self::forward`] or [`Self::step`], in the engine's order.
-    pub fn contacts(&self) -> impl Iterator<Item = Contact> + '_ {
-        let geom_body = self.data.model().geom_bodyid();
-        self.data.contact().iter().enumerate().filter_map(move |(index, contact)| {
-            let side = |geom: i32, flex: i32| match (usize::try_from(geom), usize::try_from(flex)) {
-                (Ok(geom), _) => Some(Body(geom_body[geom] as usize)),
-                (_, Ok(flex)) => self.flex_bodies.get(flex).copied(),
-                _ => None,
-            };
-            let bodies = [side(contact.geom[0], contact.flex[0])?, side(contact.geom[1], contact.flex[1])?];
-            let axis = |row: usize| DVec3::from_slice(&contact.frame[3 * row..3 * row + 3]);
-            let [normal, t1, t2, ..] = self.data.contact_force(index);
-            Some(Contact {
-                bodies,
-                position: DVec3::from_array(contact.pos),
-                normal: axis(0),
-                distance: contact.dist,
-                normal_force: normal.max(0.0),
-                force: axis(0) * normal + axis(1) * t1 + axis(2) * t2,
-            })
-        })
-    }
-
     pub(super) fn data(&self) -> &MjData<Box<MjModel>> {
         &self.data
     }
@@ -469,16 +343,6 @@ impl World {
 
     pub(super) fn model(&self) -> &MjModel {
         self.data.model()
-    }
-
-    fn id(&self, kind: MjtObjBase, kind_name: &'static str, name: &str) -> Result<usize> {
-        if name.contains('\0') {
-            return Err(Error::value(kind_name, "a name without NUL", format!("{name:?}")));
-        }
-        self.data.model().name_to_id(kind, name).ok_or_else(|| {
-            let known: Vec<&str> = (0..).map_while(|id| self.data.model().id_to_name(kind, id)).collect();
-            Error::unknown(kind_name, name, known)
-        })
     }
 }
 

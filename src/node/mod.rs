@@ -6,9 +6,9 @@
 //! set, spinning ends, the worker is joined, then the ROS node is dropped; leaving it to process exit crashes in DDS.
 
 pub mod diagnostics;
-mod exchange;
 #[cfg(feature = "sim")]
 mod held_object;
+mod images;
 pub mod log;
 pub mod mailbox;
 #[cfg(feature = "sim")]

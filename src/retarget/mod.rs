@@ -225,7 +225,7 @@ impl Retargeter {
     pub fn with_options(mut robot: Robot, options: Options) -> Result<Self> {
         let n = robot.coupling.len();
         let goal = Goal::new(&robot)?;
-        let transfer = Transfer::new(&robot)?;
+        let transfer = Transfer::new(&robot);
         let filter = robot.spec.filter.clone();
         let u = robot.rest.clone();
         let speed = speeds(&robot);

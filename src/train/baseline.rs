@@ -1,6 +1,6 @@
 //! Constant predictors: what a network must beat to have seen anything.
 
-use super::batch::Labels;
+use super::data::Labels;
 use crate::metrics::Fields;
 use crate::tactile::N_FIELD;
 

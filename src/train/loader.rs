@@ -3,8 +3,9 @@
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::Scope;
 
-use super::batch::{Batch, Collate, Dataset};
+use super::batch::{Batch, Collate};
 use super::config::Config;
+use super::data::Dataset;
 use super::mixture;
 use super::sampler::{self, Pool, Sampler};
 use crate::error::{Error, Result};

@@ -9,6 +9,7 @@ pub mod batch;
 mod checkpoint;
 pub mod config;
 mod curves;
+pub mod data;
 pub mod job;
 pub mod keypoints;
 mod loader;
@@ -34,8 +35,9 @@ use crate::file;
 use crate::metrics::{self, Report};
 use crate::model::{self, Checkpoint, EgoTac, Metadata, Precision, init};
 
-use batch::{Collate, Dataset, Labels};
+use batch::Collate;
 pub use config::Config;
+use data::{Dataset, Labels};
 use loader::Loader;
 use optimizer::AdamW;
 use pass::{Losses, Pass};

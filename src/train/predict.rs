@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use candle_core::{DType, Device, Tensor};
 
-use super::batch::Dataset;
+use super::data::Dataset;
 use super::sampler::window;
 use crate::error::{Error, Result};
 use crate::image::Preparation;

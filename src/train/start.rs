@@ -6,7 +6,7 @@
 use candle_core::{Tensor, Var};
 use candle_nn::VarMap;
 
-use super::batch::Statistics;
+use super::data::Statistics;
 use crate::error::{Error, Result};
 use crate::model::Config;
 

@@ -12,7 +12,7 @@ use crate::dataset::{Attributes, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
 use crate::model::{Config as Geometry, Metadata};
 use crate::tactile::{N_FIELD, TactileField, Topology, Validity};
-use crate::train::{self, batch::Dataset, loss, optimizer::AdamW};
+use crate::train::{self, data::Dataset, loss, optimizer::AdamW};
 
 pub(super) const CASES: &[HardCase] = &[
     Family::Training.case(

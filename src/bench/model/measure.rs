@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::metrics;
 use crate::model::predictor::{Options, Predictor};
 use crate::model::{Checkpoint, Config, EgoTac, Metadata, Precision, checkpoint, init};
-use crate::train::batch::Dataset;
+use crate::train::data::Dataset;
 use crate::train::predict;
 
 /// Seconds between frames of a stream.

@@ -6,7 +6,7 @@ use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader};
 use crate::dataset::{EpisodeReader, fps, time_unit_of};
 use crate::error::Result;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
-use crate::train::batch::read_labels;
+use crate::train::data::read_labels;
 
 /// Attributes, arrays, episodes, and how much touch there is.
 pub fn info(store: &ZarrReader) -> Result<Value> {

@@ -3,32 +3,20 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use ::image::RgbImage;
-use zarrs::array::{Array, ArraySubset, ElementOwned, data_type};
+use zarrs::array::Array;
 use zarrs::group::Group;
-use zarrs::storage::{ReadableListableStorageTraits, ReadableStorageTraits, StoreKey, StorePrefix};
+use zarrs::storage::{ReadableListableStorageTraits, StoreKey, StorePrefix};
 
 use super::place::Place;
+use super::stored::{ArrayInfo, Stored};
 use super::*;
 use crate::dataset::{Attributes, EpisodeReader, Frame};
 use crate::error::{Error, Result};
 use crate::hand::HandParams;
 use crate::tactile::{N_FIELD, TactileField, Topology, Validity};
-
-/// What an array of a store looks like.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ArrayInfo {
-    /// Name with its group.
-    pub name: String,
-    /// Whole shape; the first axis is time (or episodes in `meta/`).
-    pub shape: Vec<usize>,
-    /// Element type as the store names it.
-    pub dtype: String,
-    /// Shape of a chunk; empty if the chunks are not regular.
-    pub chunks: Vec<usize>,
-}
 
 /// An open store. Reads Zarr v2 as written here or by zarr-python (any of its Blosc, zlib, gzip, zstd or no
 /// compression), and v3.
@@ -40,7 +28,7 @@ pub struct ZarrReader {
     attributes: Attributes,
     raw_attributes: serde_json::Map<String, serde_json::Value>,
     episode_ends: Vec<usize>,
-    arrays: BTreeMap<String, Column>,
+    arrays: BTreeMap<String, Stored>,
     camera: Camera,
 }
 
@@ -98,7 +86,7 @@ impl ZarrReader {
         for name in array_names(&storage).map_err(|e| Error::file(path, e))? {
             let array = Array::open(storage.clone().readable(), &format!("/{name}"))
                 .map_err(|e| Error::file(path, format!("{name}: {e}")))?;
-            arrays.insert(name.clone(), Column { name, array, last_chunk: Mutex::new(None) });
+            arrays.insert(name.clone(), Stored::new(name, array));
         }
         let attributes = attributes(path, &raw_attributes, &arrays)?;
         let mut reader = Self {
@@ -178,7 +166,7 @@ impl ZarrReader {
 
     /// Every array of the store, by name.
     pub fn arrays(&self) -> Vec<ArrayInfo> {
-        self.arrays.values().map(Column::info).collect()
+        self.arrays.values().map(Stored::info).collect()
     }
 
     /// The arrays of `data/`, by name, as a writer would declare them.
@@ -191,7 +179,7 @@ impl ZarrReader {
             .map(|column| {
                 let info = column.info();
                 let unknown = || self.named(Error::value(&column.name, "dtype u8, f32, f64 or i64", &info.dtype));
-                let dtype = known_dtype(&column.array).ok_or_else(unknown)?;
+                let dtype = column.dtype().ok_or_else(unknown)?;
                 Ok(ArraySpec::new(&column.name, &info.shape[1..], dtype))
             })
             .collect()
@@ -244,7 +232,7 @@ impl ZarrReader {
         [MANO_CONTACT, MANO_CONTACT_SCORE].into_iter().find(|name| self.has(name))
     }
 
-    fn column(&self, name: &str) -> Result<&Column> {
+    fn column(&self, name: &str) -> Result<&Stored> {
         self.arrays.get(name).ok_or_else(|| Error::Missing {
             name: name.to_string(),
             place: self.path.display().to_string(),
@@ -392,103 +380,6 @@ impl std::fmt::Debug for ZarrReader {
     }
 }
 
-/// One array and the chunk of time it was last read from: frames are mostly read in order.
-struct Column {
-    name: String,
-    array: Array<dyn ReadableStorageTraits>,
-    last_chunk: Mutex<Option<(usize, Arc<Values>)>>,
-}
-
-impl Column {
-    fn info(&self) -> ArrayInfo {
-        let origin = vec![0; self.array.shape().len()];
-        let chunks = self.array.chunk_shape_usize(&origin).unwrap_or_default();
-        let dtype = match known_dtype(&self.array) {
-            Some(dtype) => dtype.to_string(),
-            None => self.array.data_type().to_string(),
-        };
-        let shape = self.array.shape().iter().map(|n| *n as usize).collect();
-        ArrayInfo { name: self.name.clone(), shape, dtype, chunks }
-    }
-
-    fn read_frame(&self, index: usize, path: &Path) -> Result<Values> {
-        let info = self.info();
-        let n_frames = info.shape.first().copied().unwrap_or(0);
-        if index >= n_frames {
-            return Err(Error::file(path, Error::value(&self.name, format!("a frame below {n_frames}"), index)));
-        }
-        let chunk_len = info.chunks.first().copied().unwrap_or(1).max(1);
-        let start = index - index % chunk_len;
-        let cached = {
-            let last = self.last_chunk.lock().unwrap_or_else(PoisonError::into_inner);
-            last.as_ref().filter(|(at, _)| *at == start).map(|(_, values)| values.clone())
-        };
-        let values = match cached {
-            Some(values) => values,
-            None => {
-                // Decoded outside the lock: another thread may want another chunk.
-                let values = Arc::new(self.read(start..(start + chunk_len).min(n_frames), path)?);
-                *self.last_chunk.lock().unwrap_or_else(PoisonError::into_inner) = Some((start, values.clone()));
-                values
-            }
-        };
-        let item = info.shape[1..].iter().product::<usize>();
-        let at = (index - start) * item;
-        Ok(values.slice(at..at + item))
-    }
-
-    fn read(&self, range: Range<usize>, path: &Path) -> Result<Values> {
-        let shape = self.array.shape();
-        let n_frames = shape.first().copied().unwrap_or(0);
-        if range.start > range.end || range.end as u64 > n_frames {
-            let got = format!("{}..{}", range.start, range.end);
-            return Err(Error::file(path, Error::value(&self.name, format!("frames within 0..{n_frames}"), got)));
-        }
-        let time = range.start as u64..range.end as u64;
-        let subset = ArraySubset::from(std::iter::once(time).chain(shape.iter().skip(1).map(|n| 0..*n)));
-        let array = &self.array;
-        let of = array.data_type().clone();
-        if of == data_type::uint8() {
-            return Ok(Values::U8(self.retrieve(&subset, path)?));
-        } else if of == data_type::bool() {
-            return Ok(Values::U8(self.retrieve::<bool>(&subset, path)?.into_iter().map(u8::from).collect()));
-        } else if of == data_type::float32() {
-            return Ok(Values::F32(self.retrieve(&subset, path)?));
-        } else if of == data_type::float64() {
-            return Ok(Values::F64(self.retrieve(&subset, path)?));
-        } else if of == data_type::int64() {
-            return Ok(Values::I64(self.retrieve(&subset, path)?));
-        } else if of == data_type::int32() {
-            return Ok(Values::I64(self.retrieve::<i32>(&subset, path)?.into_iter().map(i64::from).collect()));
-        } else if of == data_type::uint32() {
-            return Ok(Values::I64(self.retrieve::<u32>(&subset, path)?.into_iter().map(i64::from).collect()));
-        } else if of == data_type::uint64() {
-            let too_large = |_| Error::file(path, format!("{}: expected numbers below 2^63", self.name));
-            let values = self.retrieve::<u64>(&subset, path)?.into_iter().map(i64::try_from);
-            return Ok(Values::I64(values.collect::<std::result::Result<_, _>>().map_err(too_large)?));
-        } else if of == data_type::float16() {
-            return Ok(Values::F32(self.retrieve::<half::f16>(&subset, path)?.into_iter().map(f32::from).collect()));
-        }
-        let known = "uint8, bool, float16, float32, float64, int32, int64, uint32 or uint64";
-        Err(Error::file(path, format!("{}: expected dtype {known}, got {of:?}", self.name)))
-    }
-
-    fn retrieve<T: ElementOwned>(&self, subset: &ArraySubset, path: &Path) -> Result<Vec<T>> {
-        self.array.retrieve_array_subset(subset).map_err(|e| Error::file(path, format!("{}: {e}", self.name)))
-    }
-}
-
-fn known_dtype(array: &Array<dyn ReadableStorageTraits>) -> Option<Dtype> {
-    let of = array.data_type();
-    let known = [
-        (data_type::uint8(), Dtype::U8),
-        (data_type::float32(), Dtype::F32),
-        (data_type::float64(), Dtype::F64),
-        (data_type::int64(), Dtype::I64),
-    ];
-    known.into_iter().find(|(dtype, _)| dtype == of).map(|(_, dtype)| dtype)
-}
-
 /// Names of the arrays in `data/` and `meta/`.
 fn array_names(
     storage: &Arc<dyn ReadableListableStorageTraits>,
@@ -512,7 +403,7 @@ fn array_names(
 fn attributes(
     path: &Path,
     raw: &serde_json::Map<String, serde_json::Value>,
-    arrays: &BTreeMap<String, Column>,
+    arrays: &BTreeMap<String, Stored>,
 ) -> Result<Attributes> {
     let mut map = raw.clone();
     // Who else writes stores may keep other things under names that only describe.

@@ -7,10 +7,10 @@ use anyhow::{Context as _, bail};
 use r2r::ServiceRequest;
 use r2r::egotac_msgs::srv::LoadModel;
 
-use super::predictor::{load_file, model_info, try_out};
-use super::runtime::{RosClock, Runtime};
+use super::network::{self, load_file, try_out};
 use crate::message::HandModelInfo;
 use crate::model::predictor::{Options, Predictor};
+use crate::node::runtime::{RosClock, Runtime};
 use crate::tactile::Topology;
 
 /// A network with its description.
@@ -89,6 +89,6 @@ fn load(path: &str, terms: &Terms, clock: &RosClock) -> anyhow::Result<Loaded> {
         bail!("{}: expected topology {}, got {}", path.display(), terms.topology.id(), topology.id());
     }
     try_out(&mut predictor).with_context(|| path.display().to_string())?;
-    let info = model_info(&predictor, clock.now())?;
+    let info = network::info(&predictor, clock.now())?;
     Ok(Loaded { predictor, info })
 }

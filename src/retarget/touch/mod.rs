@@ -5,6 +5,8 @@
 //! hand stay what they were, within friction cones and what the joints' actuators can hold.
 
 pub mod balance;
+mod limits;
+mod link;
 pub mod pool;
 
 use glam::{DMat3, DQuat, DVec3};
@@ -13,13 +15,13 @@ use super::goal::meet::Meeting;
 use super::goal::{Seen, bone_axes};
 use super::human::{Hand, keypoint};
 use super::problem::jacobian;
+use super::robot::Robot;
 use super::robot::spec::Regions;
-use super::robot::{Robot, frame};
 use crate::error::{Error, Result};
 use crate::hand::N_KEYPOINTS;
-use crate::mujoco::parts::Pull;
 
 use self::balance::{Balance, Contact};
+use self::link::{Link, finger_links, palm_link};
 pub use self::pool::Pool;
 
 /// Pooled parts of a human hand: three bones of five fingers from base to tip, palm, back.
@@ -144,18 +146,6 @@ impl Feel {
     }
 }
 
-/// A link of the robot that takes force.
-#[derive(Debug, Clone)]
-struct Link {
-    body: usize,
-    /// Base and end in the body's frame, m.
-    ends: [DVec3; 2],
-    /// Columns normal, lateral, along in the body's frame.
-    axes: DMat3,
-    /// Finger whose tip it is, as the human's.
-    tip_of: Option<usize>,
-}
-
 /// Carries touch over to a robot.
 #[derive(Debug)]
 pub struct Transfer {
@@ -175,10 +165,7 @@ pub struct Transfer {
 
 impl Transfer {
     /// Finds the links that take force.
-    ///
-    /// # Errors
-    /// If the robot's poses can't be read.
-    pub fn new(robot: &Robot) -> Result<Self> {
+    pub fn new(robot: &Robot) -> Self {
         let mut links = Vec::new();
         let mut firsts = Vec::new();
         for finger in &robot.fingers {
@@ -206,9 +193,9 @@ impl Transfer {
         }
         let names = links.iter().map(|link| robot.parts.bodies[link.body].name.clone()).collect();
         let count = links.len();
-        Ok(Self {
+        Self {
             takers,
-            limits: limits(robot)?,
+            limits: limits::of(robot),
             friction: robot.spec.contact.friction,
             max_force: robot.spec.contact.max_force.unwrap_or(UNBOUNDED),
             balance: Balance::new(count),
@@ -216,7 +203,7 @@ impl Transfer {
             asked: vec![(DVec3::ZERO, 0.0, 0.0); count],
             names,
             links,
-        })
+        }
     }
 
     /// A feel without touch, with all links named.
@@ -435,110 +422,4 @@ fn spread(places: impl Iterator<Item = DVec3> + Clone) -> f64 {
 
 fn spread_of(contacts: &[Contact]) -> f64 {
     spread(contacts.iter().map(|contact| contact.place))
-}
-
-/// A finger's links from base to tip, three at most.
-fn finger_links(robot: &Robot, finger: &super::robot::fingers::Finger) -> Vec<Link> {
-    let tip = frame::place(&robot.world, finger);
-    let pad = frame::normal(&robot.world, finger);
-    let mut ends: Vec<(usize, DVec3)> = finger
-        .knuckles
-        .iter()
-        .map(|joint| (robot.parts.joints[*joint].body, robot.world.joint_axis(*joint).0))
-        .collect();
-    if ends.is_empty() {
-        let body = finger.tip_body;
-        ends.push((body, robot.world.body_pose(body).0));
-    }
-    let count = ends.len();
-    let skip = count.saturating_sub(3);
-    (skip..count)
-        .map(|index| {
-            let (body, from) = ends[index];
-            let is_tip = index + 1 == count;
-            let to = if is_tip { tip } else { ends[index + 1].1 };
-            let body = if is_tip { finger.tip_body } else { last_body_at(robot, finger, body, to) };
-            let along = (to - from).try_normalize().unwrap_or(DVec3::Z);
-            let normal =
-                pad.reject_from_normalized(along).try_normalize().unwrap_or_else(|| along.any_orthonormal_vector());
-            let (origin, rotation) = robot.world.body_pose(body);
-            let into = rotation.transpose();
-            Link {
-                body,
-                ends: [into * (from - origin), into * (to - origin)],
-                axes: into * DMat3::from_cols(normal, along.cross(normal), along),
-                tip_of: is_tip.then_some(finger.human),
-            }
-        })
-        .map(|link| mirrored(robot, link))
-        .collect()
-}
-
-/// On a left hand the wrist frame is left-handed, and so are the bones' frames seen in it: the lateral axis turns round.
-fn mirrored(robot: &Robot, link: Link) -> Link {
-    match robot.wrist.axes.determinant() < 0.0 {
-        true => Link { axes: DMat3::from_cols(link.axes.x_axis, -link.axes.y_axis, link.axes.z_axis), ..link },
-        false => link,
-    }
-}
-
-/// Of bodies whose joints share a knuckle, the last: the one that carries the phalanx.
-fn last_body_at(robot: &Robot, finger: &super::robot::fingers::Finger, body: usize, next: DVec3) -> usize {
-    let at = finger.links.iter().position(|link| *link == body).unwrap_or(0);
-    let mut last = body;
-    for link in &finger.links[at..] {
-        let anchor = robot.parts.joints.iter().position(|joint| joint.body == *link);
-        if anchor.is_some_and(|joint| robot.world.joint_axis(joint).0.distance(next) < 0.006) {
-            break;
-        }
-        last = *link;
-    }
-    last
-}
-
-fn palm_link(robot: &Robot) -> Link {
-    let (origin, rotation) = robot.world.body_pose(robot.root);
-    let (wrist, _) = robot.world.body_pose(robot.wrist.body);
-    let axes = robot.wrist.world_axes(&robot.world);
-    let bases = wrist + axes * robot.bases(|_| true);
-    let into = rotation.transpose();
-    let middle = into * (0.5 * (bases + wrist) - origin);
-    Link { body: robot.root, ends: [middle; 2], axes: into * axes, tip_of: None }
-}
-
-/// Most torque of each free coordinate by the actuators that pull at it, in the rest pose.
-fn limits(robot: &Robot) -> Result<Vec<f64>> {
-    let n = robot.coupling.len();
-    let mut limits = vec![0.0; n];
-    let mut pulled = vec![false; n];
-    for actuator in &robot.parts.actuators {
-        let most = actuator.force_range[0].abs().max(actuator.force_range[1].abs());
-        match actuator.pull {
-            Pull::Joint(joint) => {
-                if let super::robot::coupling::Driven::By { coordinate, ratio, .. } = robot.coupling.joints[joint] {
-                    limits[coordinate] += most * (actuator.gear * ratio).abs();
-                    pulled[coordinate] = true;
-                }
-            }
-            Pull::Tendon(tendon) => {
-                for (joint, leverage) in &robot.parts.tendons[tendon].joints {
-                    if let super::robot::coupling::Driven::By { coordinate, ratio, .. } = robot.coupling.joints[*joint]
-                    {
-                        limits[coordinate] += most * (actuator.gear * ratio * leverage).abs();
-                        pulled[coordinate] = true;
-                    }
-                }
-            }
-            Pull::Other => {}
-        }
-    }
-    for (joint, driven) in robot.parts.joints.iter().zip(&robot.coupling.joints) {
-        let super::robot::coupling::Driven::By { coordinate, ratio, .. } = *driven else { continue };
-        let most = joint.force_range[0].abs().max(joint.force_range[1].abs());
-        if most.is_finite() && pulled[coordinate] {
-            limits[coordinate] = limits[coordinate].min(most / ratio.abs().max(1e-9));
-        }
-    }
-    // What no actuator of the model pulls at is driven by something unknown.
-    Ok(limits.iter().zip(pulled).map(|(limit, pulled)| if pulled { *limit } else { f64::INFINITY }).collect())
 }

@@ -1,0 +1,137 @@
+//! One array of a store, read frame by frame or in ranges.
+
+use std::ops::Range;
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use zarrs::array::{Array, ArraySubset, ElementOwned, data_type};
+use zarrs::storage::ReadableStorageTraits;
+
+use super::{Dtype, Values};
+use crate::error::{Error, Result};
+
+/// What an array of a store looks like.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ArrayInfo {
+    /// Name with its group.
+    pub name: String,
+    /// Whole shape; the first axis is time (or episodes in `meta/`).
+    pub shape: Vec<usize>,
+    /// Element type as the store names it.
+    pub dtype: String,
+    /// Shape of a chunk; empty if the chunks are not regular.
+    pub chunks: Vec<usize>,
+}
+
+/// One array and the chunk of time it was last read from: frames are mostly read in order.
+pub(super) struct Stored {
+    /// With its group.
+    pub(super) name: String,
+    array: Array<dyn ReadableStorageTraits>,
+    last_chunk: Mutex<Option<(usize, Arc<Values>)>>,
+}
+
+impl Stored {
+    /// An array by its name with its group.
+    pub(super) fn new(name: String, array: Array<dyn ReadableStorageTraits>) -> Self {
+        Self { name, array, last_chunk: Mutex::new(None) }
+    }
+
+    /// Its element type, if it is one of ours.
+    pub(super) fn dtype(&self) -> Option<Dtype> {
+        let of = self.array.data_type();
+        let known = [
+            (data_type::uint8(), Dtype::U8),
+            (data_type::float32(), Dtype::F32),
+            (data_type::float64(), Dtype::F64),
+            (data_type::int64(), Dtype::I64),
+        ];
+        known.into_iter().find(|(dtype, _)| dtype == of).map(|(_, dtype)| dtype)
+    }
+
+    /// What it looks like.
+    pub(super) fn info(&self) -> ArrayInfo {
+        let origin = vec![0; self.array.shape().len()];
+        let chunks = self.array.chunk_shape_usize(&origin).unwrap_or_default();
+        let dtype = match self.dtype() {
+            Some(dtype) => dtype.to_string(),
+            None => self.array.data_type().to_string(),
+        };
+        let shape = self.array.shape().iter().map(|n| *n as usize).collect();
+        ArrayInfo { name: self.name.clone(), shape, dtype, chunks }
+    }
+
+    /// The numbers of one frame; `path` is named in errors.
+    ///
+    /// # Errors
+    /// If there is no such frame, or it can't be read.
+    pub(super) fn read_frame(&self, index: usize, path: &Path) -> Result<Values> {
+        let info = self.info();
+        let n_frames = info.shape.first().copied().unwrap_or(0);
+        if index >= n_frames {
+            return Err(Error::file(path, Error::value(&self.name, format!("a frame below {n_frames}"), index)));
+        }
+        let chunk_len = info.chunks.first().copied().unwrap_or(1).max(1);
+        let start = index - index % chunk_len;
+        let cached = {
+            let last = self.last_chunk.lock().unwrap_or_else(PoisonError::into_inner);
+            last.as_ref().filter(|(at, _)| *at == start).map(|(_, values)| values.clone())
+        };
+        let values = match cached {
+            Some(values) => values,
+            None => {
+                // Decoded outside the lock: another thread may want another chunk.
+                let values = Arc::new(self.read(start..(start + chunk_len).min(n_frames), path)?);
+                *self.last_chunk.lock().unwrap_or_else(PoisonError::into_inner) = Some((start, values.clone()));
+                values
+            }
+        };
+        let item = info.shape[1..].iter().product::<usize>();
+        let at = (index - start) * item;
+        Ok(values.slice(at..at + item))
+    }
+
+    /// The numbers of a range of frames; `path` is named in errors.
+    ///
+    /// # Errors
+    /// If one of them is not there or can't be read, or the element type is unknown.
+    pub(super) fn read(&self, range: Range<usize>, path: &Path) -> Result<Values> {
+        let shape = self.array.shape();
+        let n_frames = shape.first().copied().unwrap_or(0);
+        if range.start > range.end || range.end as u64 > n_frames {
+            let got = format!("{}..{}", range.start, range.end);
+            return Err(Error::file(path, Error::value(&self.name, format!("frames within 0..{n_frames}"), got)));
+        }
+        let time = range.start as u64..range.end as u64;
+        let subset = ArraySubset::from(std::iter::once(time).chain(shape.iter().skip(1).map(|n| 0..*n)));
+        let array = &self.array;
+        let of = array.data_type().clone();
+        if of == data_type::uint8() {
+            return Ok(Values::U8(self.retrieve(&subset, path)?));
+        } else if of == data_type::bool() {
+            return Ok(Values::U8(self.retrieve::<bool>(&subset, path)?.into_iter().map(u8::from).collect()));
+        } else if of == data_type::float32() {
+            return Ok(Values::F32(self.retrieve(&subset, path)?));
+        } else if of == data_type::float64() {
+            return Ok(Values::F64(self.retrieve(&subset, path)?));
+        } else if of == data_type::int64() {
+            return Ok(Values::I64(self.retrieve(&subset, path)?));
+        } else if of == data_type::int32() {
+            return Ok(Values::I64(self.retrieve::<i32>(&subset, path)?.into_iter().map(i64::from).collect()));
+        } else if of == data_type::uint32() {
+            return Ok(Values::I64(self.retrieve::<u32>(&subset, path)?.into_iter().map(i64::from).collect()));
+        } else if of == data_type::uint64() {
+            let too_large = |_| Error::file(path, format!("{}: expected numbers below 2^63", self.name));
+            let values = self.retrieve::<u64>(&subset, path)?.into_iter().map(i64::try_from);
+            return Ok(Values::I64(values.collect::<std::result::Result<_, _>>().map_err(too_large)?));
+        } else if of == data_type::float16() {
+            return Ok(Values::F32(self.retrieve::<half::f16>(&subset, path)?.into_iter().map(f32::from).collect()));
+        }
+        let known = "uint8, bool, float16, float32, float64, int32, int64, uint32 or uint64";
+        Err(Error::file(path, format!("{}: expected dtype {known}, got {of:?}", self.name)))
+    }
+
+    fn retrieve<T: ElementOwned>(&self, subset: &ArraySubset, path: &Path) -> Result<Vec<T>> {
+        self.array.retrieve_array_subset(subset).map_err(|e| Error::file(path, format!("{}: {e}", self.name)))
+    }
+}
