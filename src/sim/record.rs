@@ -215,7 +215,11 @@ fn all_failed(failed: &[String], episodes: usize) -> String {
     const NAMED: usize = 5;
     let named = failed.iter().take(NAMED).map(String::as_str).collect::<Vec<_>>().join("; ");
     let more = if failed.len() > NAMED { format!("; and {} more", failed.len() - NAMED) } else { String::new() };
-    format!("{} of {episodes} episodes failed: {named}{more}; the others are kept here", failed.len())
+    let others = match failed.len() < episodes {
+        true => "; the others are kept here, and --skip-failed makes a store of them",
+        false => "",
+    };
+    format!("{} of {episodes} episodes failed: {named}{more}{others}", failed.len())
 }
 
 /// Makes the folder of parts, or refuses one that another plan has begun.
