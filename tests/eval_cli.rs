@@ -156,6 +156,24 @@ fn hands_regions_and_another_estimator_are_scored_beside() {
     let table = egotac(&["eval", "--pred", &pred, "--target", &truth, "--parts", "--against", &other]).stdout;
     let table = String::from_utf8(table).unwrap();
     assert!(table.contains("95 % interval") && table.contains("thumb_tip") && table.contains("3 episodes"), "{table}");
+    // One that knows contact of the right hand alone: its contact counts there, its force and the left hand are unknown.
+    let contact: Vec<f32> = (0..12 * N_FIELD)
+        .map(|i| match i % N_FIELD {
+            0..778 => f32::NAN,
+            vertex => f32::from(vertex == 778 + 300 || vertex == 778 + 301),
+        })
+        .collect();
+    write(
+        Path::new(&file("contact")),
+        "egotac-hand-1",
+        &[("contact", Dtype::F32, vec![12, N_FIELD], f32_bytes(&contact))],
+    );
+    let right = json(&["--right-hand-only", "--against", &file("contact")]);
+    let other = &right["against"]["other"];
+    assert_eq!((&other["pooled"]["precision"], &other["pooled"]["recall"]), (&0.5.into(), &1.0.into()));
+    assert!(other["mae"].is_null() && right["mae"].is_number(), "{other}");
+    let both = json(&["--against", &file("contact")]);
+    assert!(both["against"]["other"]["pooled"]["f1"].is_null(), "nothing is known of the left hand");
     // MANO's regions need its files; an estimate of another length or hand is refused by name.
     write(Path::new(&file("mano")), "mano", &[force(1.0)]);
     let mano = file("mano");
