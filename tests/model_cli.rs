@@ -192,3 +192,32 @@ fn forward_takes_a_precision() {
     let error = norm(&mut f32.iter().zip(&int8).map(|(a, b)| a - b)) / norm(&mut f32.iter().copied());
     assert!(error > 1e-4 && error < 0.05, "{error}");
 }
+
+#[test]
+fn a_grown_and_a_halved_checkpoint_load_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/egotac.safetensors");
+    let shipped = shipped.to_str().unwrap();
+    let info = |file: &str| -> Value {
+        serde_json::from_str(&good(&["model", "info", file, "--json"], folder.path())).unwrap()
+    };
+    let own = info(shipped);
+    let grow = |width: &str| {
+        ["model", "grow", shipped, "--width", width, "--out", "grown.safetensors"].map(String::from).to_vec()
+    };
+    let width = 2 * own["config"]["width"].as_u64().unwrap();
+    let wide = grow(&width.to_string());
+    good(&wide.iter().map(String::as_str).collect::<Vec<_>>(), folder.path());
+    let grown = info("grown.safetensors");
+    assert_eq!(grown["config"]["width"].as_u64(), Some(width));
+    assert_eq!(grown["config"]["vision_depth"], own["config"]["vision_depth"]);
+    assert!(grown["metadata"]["name"].as_str().unwrap().ends_with(", grown"));
+    let error = refused(&grow("16").iter().map(String::as_str).collect::<Vec<_>>(), folder.path());
+    assert!(error.contains("width: expected at least the"), "{error}");
+
+    good(&["model", "half", "grown.safetensors", "--out", "half.safetensors"], folder.path());
+    let half = info("half.safetensors");
+    assert_eq!((&half["config"], &half["metadata"]), (&grown["config"], &grown["metadata"]));
+    let bytes = |file: &str| folder.path().join(file).metadata().unwrap().len() as f64;
+    assert!((bytes("half.safetensors") / bytes("grown.safetensors") - 0.5).abs() < 0.01);
+}

@@ -29,6 +29,10 @@ enum Command {
     Import(convert::Import),
     /// Begin a network around a published DINOv2 encoder.
     Start(convert::Start),
+    /// Make a trained network wider and deeper, at first the same function: to train it on.
+    Grow(convert::Grow),
+    /// Store a checkpoint's weights in f16, half as large.
+    Half(convert::Half),
     /// Say what a checkpoint is: geometry, parameters, metadata, hash.
     Info(Info),
 }
@@ -68,6 +72,8 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Attention(args) => attention::run(&args)?,
         Command::Import(args) => convert::import(&args)?,
         Command::Start(args) => convert::start(&args)?,
+        Command::Grow(args) => convert::grow(&args)?,
+        Command::Half(args) => convert::half(&args)?,
         Command::Info(args) => info(&args)?,
     }
     Ok(ExitCode::SUCCESS)

@@ -19,6 +19,15 @@ pub const ENCODER: &str = "encoder.";
 /// Part of published DINOv2 checkpoints that inference never touches; allowed in a file and ignored.
 const MASK_TOKEN: &str = "encoder.embeddings.mask_token";
 
+/// Number format of a file's weights. Either way they are f32 once loaded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stored {
+    /// 4 bytes.
+    F32,
+    /// 2 bytes: 11 significant bits, at most 65504.
+    F16,
+}
+
 /// A network ready to run, with what its file says.
 #[derive(Debug, Clone)]
 pub struct Checkpoint {
@@ -76,11 +85,25 @@ impl Checkpoint {
         metadata: &Metadata,
         tensors: &BTreeMap<String, Tensor>,
     ) -> Result<String> {
+        Self::save_as(path, config, metadata, tensors, Stored::F32)
+    }
+
+    /// As [`Checkpoint::save_tensors`], with numbers of the wanted size.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::save`], and if a value is beyond what f16 can say.
+    pub fn save_as(
+        path: &Path,
+        config: &Config,
+        metadata: &Metadata,
+        tensors: &BTreeMap<String, Tensor>,
+        stored: Stored,
+    ) -> Result<String> {
         metadata.check()?;
         check(path, config, tensors)?;
         let mut map = metadata.to_map();
         map.insert("config".into(), config.to_json());
-        let bytes = serialize(path, tensors, &map)?;
+        let bytes = serialize(path, tensors, &map, stored)?;
         file::write(path, &bytes)?;
         Ok(file::sha256(&bytes))
     }
@@ -112,6 +135,18 @@ pub fn load_layers(path: &Path) -> Result<(EgoTac, Metadata)> {
     let metadata = Metadata::from_map(path, &file.metadata)?;
     let config = file.config(path)?;
     Ok((file.model(path, &config, &Device::Cpu, Precision::F32)?, metadata))
+}
+
+/// A checkpoint's geometry, what it says of itself, and its tensors as f32 on the CPU, which are exactly the geometry's.
+///
+/// # Errors
+/// As [`Checkpoint::load`].
+pub fn load_tensors(path: &Path) -> Result<(Config, Metadata, BTreeMap<String, Tensor>)> {
+    let bytes = read(path)?;
+    let file = File::parse(path, &bytes)?;
+    let (config, metadata) = (file.config(path)?, Metadata::from_map(path, &file.metadata)?);
+    check(path, &config, &file.tensors)?;
+    Ok((config, metadata, file.tensors))
 }
 
 /// Sets the variables of a network in training to a file's weights, all or none. Returns what the file says of itself
@@ -168,7 +203,7 @@ pub fn load_encoder(path: &Path, vars: &VarMap) -> Result<()> {
 /// # Errors
 /// If a value is not finite or the file can't be written.
 pub fn save_tensors(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<()> {
-    file::write(path, &serialize(path, tensors, &BTreeMap::new())?)
+    file::write(path, &serialize(path, tensors, &BTreeMap::new(), Stored::F32)?)
 }
 
 /// Parameters of a network of this geometry.
@@ -294,20 +329,35 @@ fn lock(vars: &VarMap) -> Result<std::sync::MutexGuard<'_, std::collections::Has
 }
 
 /// The bytes of a safetensors file; the library would write the metadata in random order.
-fn serialize(path: &Path, tensors: &BTreeMap<String, Tensor>, map: &BTreeMap<String, String>) -> Result<Vec<u8>> {
+fn serialize(
+    path: &Path,
+    tensors: &BTreeMap<String, Tensor>,
+    map: &BTreeMap<String, String>,
+    stored: Stored,
+) -> Result<Vec<u8>> {
+    let (dtype, max) = match stored {
+        Stored::F32 => (Dtype::F32, f32::MAX),
+        Stored::F16 => (Dtype::F16, half::f16::MAX.to_f32()),
+    };
     let mut data = Vec::new();
     for (name, tensor) in tensors {
         let values = tensor.flatten_all()?.to_vec1::<f32>()?;
         if let Some(bad) = values.iter().find(|value| !value.is_finite()) {
             return Err(Error::file(path, format!("not saved, {name}: expected finite numbers, found {bad}")));
         }
-        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        if let Some(bad) = values.iter().find(|value| value.abs() > max) {
+            return Err(Error::file(path, format!("not saved, {name}: expected at most {max}, found {bad}")));
+        }
+        let bytes: Vec<u8> = match stored {
+            Stored::F32 => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+            Stored::F16 => values.iter().flat_map(|value| half::f16::from_f32(*value).to_le_bytes()).collect(),
+        };
         data.push((name.as_str(), tensor.dims().to_vec(), bytes));
     }
     let invalid = |error| Error::file(path, format!("not saved: {error}"));
     let views = data
         .iter()
-        .map(|(name, dims, bytes)| Ok((*name, TensorView::new(Dtype::F32, dims.clone(), bytes)?)))
+        .map(|(name, dims, bytes)| Ok((*name, TensorView::new(dtype, dims.clone(), bytes)?)))
         .collect::<std::result::Result<Vec<_>, safetensors::SafeTensorError>>()
         .map_err(invalid)?;
     let plain = safetensors::serialize(views, None).map_err(invalid)?;

@@ -13,6 +13,7 @@ pub mod config;
 mod decoder;
 mod dinov2;
 mod engine;
+pub mod grow;
 pub mod hub;
 pub mod import;
 pub mod init;

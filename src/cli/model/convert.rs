@@ -1,10 +1,12 @@
-//! `egotac model import` and `egotac model start`.
+//! Checkpoints made of other files: `egotac model import`, `start`, `grow` and `half`.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use candle_core::Tensor;
 
+use crate::model::checkpoint::{self, Stored};
+use crate::model::grow::{self, Growth};
 use crate::model::hub::{self, Around};
 use crate::model::import::Mapping;
 use crate::model::{Checkpoint, Config, Metadata};
@@ -49,6 +51,38 @@ pub struct Start {
     out: PathBuf,
 }
 
+/// Arguments of `egotac model grow`.
+#[derive(Debug, clap::Args)]
+pub struct Grow {
+    /// Checkpoint (safetensors).
+    weights: PathBuf,
+    /// Width of fusion and decoder; a multiple of the checkpoint's own keeps the function exactly. Its own where absent.
+    #[arg(long)]
+    width: Option<usize>,
+    /// Layers of the encoder; the checkpoint's own where absent.
+    #[arg(long, value_name = "LAYERS")]
+    vision_depth: Option<usize>,
+    /// Layers of the decoder; the checkpoint's own where absent.
+    #[arg(long, value_name = "LAYERS")]
+    depth: Option<usize>,
+    /// Seed of how copied channels share their weights.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Checkpoint to write.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+/// Arguments of `egotac model half`.
+#[derive(Debug, clap::Args)]
+pub struct Half {
+    /// Checkpoint (safetensors).
+    weights: PathBuf,
+    /// Checkpoint to write.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
 /// Runs `egotac model import`.
 pub fn import(args: &Import) -> anyhow::Result<()> {
     save(&args.out, Mapping::read(&args.mapping)?.apply(&args.weights)?)
@@ -58,6 +92,28 @@ pub fn import(args: &Import) -> anyhow::Result<()> {
 pub fn start(args: &Start) -> anyhow::Result<()> {
     let Start { image, horizon, predict, depth, seed, .. } = *args;
     save(&args.out, hub::start(&args.encoder, &Around { image, horizon, predict, depth, seed })?)
+}
+
+/// Runs `egotac model grow`.
+pub fn grow(args: &Grow) -> anyhow::Result<()> {
+    let (config, mut metadata, tensors) = checkpoint::load_tensors(&args.weights)?;
+    let growth = Growth {
+        width: args.width.unwrap_or(config.width),
+        vision_depth: args.vision_depth.unwrap_or(config.vision_depth),
+        depth: args.depth.unwrap_or(config.depth),
+        seed: args.seed,
+    };
+    let (config, tensors) = grow::grow(&args.weights, &config, &tensors, &growth)?;
+    metadata.name = format!("{}, grown", metadata.name);
+    save(&args.out, (config, metadata, tensors))
+}
+
+/// Runs `egotac model half`.
+pub fn half(args: &Half) -> anyhow::Result<()> {
+    let (config, metadata, tensors) = checkpoint::load_tensors(&args.weights)?;
+    let sha256 = Checkpoint::save_as(&args.out, &config, &metadata, &tensors, Stored::F16)?;
+    println!("{}: {} tensors in f16, sha256 {sha256}", args.out.display(), tensors.len());
+    Ok(())
 }
 
 fn save(path: &Path, (config, metadata, tensors): (Config, Metadata, BTreeMap<String, Tensor>)) -> anyhow::Result<()> {
