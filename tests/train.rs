@@ -9,6 +9,8 @@ use egotac::dataset::tensors::FieldFile;
 use egotac::dataset::zarr::{Contact, ZarrReader, ZarrWriter};
 use egotac::dataset::{Attributes, EpisodeReader, EpisodeWriter, Frame};
 use egotac::metrics::evaluate;
+use egotac::model::checkpoint::Stored;
+use egotac::model::grow::{Growth, grow};
 use egotac::model::{self, Checkpoint, EgoTac, Predictor, init, predictor};
 use egotac::tactile::{N_FIELD, TactileField, Topology, Validity};
 use egotac::train::config::{Augment, Batch};
@@ -271,6 +273,36 @@ fn whole_episodes_predict_as_a_stream_does() {
             assert!(worst < 1e-4, "frame {index}: {worst}");
         }
     }
+}
+
+#[test]
+fn a_grown_network_goes_on_from_what_it_knew() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("train.zarr");
+    write_store(&path, 1, 4, 40);
+    let small = run(&config(folder.path(), "small", 30, ""), false, usize::MAX);
+    let (geometry, metadata, tensors) = model::checkpoint::load_tensors(&small.checkpoint).unwrap();
+    let growth = Growth { width: 2 * geometry.width, vision_depth: 3, depth: 3, seed: 1 };
+    let (larger, tensors) = grow(&small.checkpoint, &geometry, &tensors, &growth).unwrap();
+    let grown = folder.path().join("grown.safetensors");
+    Checkpoint::save_as(&grown, &larger, &metadata, &tensors, Stored::F16).unwrap();
+
+    let mut config = config(folder.path(), "large", 1, &format!("init: {}", grown.display()));
+    config.model = serde_yaml::from_str("init").unwrap();
+    config.optimizer.learning_rate = 1e-9;
+    config.optimizer.final_learning_rate = 1e-9;
+    let large = run(&config, false, usize::MAX);
+    let [before, after] = [small, large].map(|outcome| {
+        let checkpoint = Checkpoint::load(&outcome.checkpoint, &Device::Cpu).unwrap();
+        let data = dataset(&path, &checkpoint);
+        let fields = predict(&checkpoint.model, &checkpoint.metadata, &data, &Device::Cpu, |_| ()).unwrap();
+        (checkpoint.model.config().clone(), fields)
+    });
+    assert_eq!((before.0, after.0), (geometry, larger));
+    let apart = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    let worst = [apart(&before.1.force, &after.1.force), apart(&before.1.contact, &after.1.contact)];
+    assert!(worst.iter().all(|worst| *worst < 5e-3), "{worst:?}");
+    assert!(before.1.contact.iter().any(|p| (p - before.1.contact[0]).abs() > 0.1), "it learned nothing to keep");
 }
 
 fn egotac(folder: &Path, args: &[&str]) -> Output {

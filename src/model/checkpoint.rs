@@ -137,6 +137,14 @@ pub fn load_layers(path: &Path) -> Result<(EgoTac, Metadata)> {
     Ok((file.model(path, &config, &Device::Cpu, Precision::F32)?, metadata))
 }
 
+/// The geometry that a checkpoint says it has.
+///
+/// # Errors
+/// If the file can't be read or does not say.
+pub fn geometry(path: &Path) -> Result<Config> {
+    File::parse(path, &read(path)?)?.config(path)
+}
+
 /// A checkpoint's geometry, what it says of itself, and its tensors as f32 on the CPU, which are exactly the geometry's.
 ///
 /// # Errors

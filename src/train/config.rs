@@ -26,7 +26,7 @@ pub struct Config {
     pub validation: Vec<PathBuf>,
     /// Folder for `checkpoint.safetensors`, `state.safetensors`, `config.yaml`, `log.csv` and `curves.png`.
     pub out: PathBuf,
-    /// The network: a preset's name or its geometry.
+    /// The network: a preset's name, its geometry, or `init`, that of the checkpoint to start from.
     pub model: Geometry,
     /// Checkpoint to start from; without it the weights start at random.
     #[serde(default)]
@@ -90,11 +90,14 @@ impl Default for Sampling {
     }
 }
 
-/// A preset's name or a geometry.
+/// [`Config::model`] of a run whose network is as large as the checkpoint that it starts from.
+const AS_INIT: &str = "init";
+
+/// A preset's name, `init` or a geometry.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Geometry {
-    /// Name of a preset.
+    /// Name of a preset, or `init`.
     Preset(String),
     /// All keys of the network's configuration.
     Explicit(model::Config),
@@ -330,9 +333,14 @@ impl Config {
     /// The network's geometry.
     ///
     /// # Errors
-    /// If the preset is unknown or the geometry is impossible.
+    /// If the preset is unknown or the geometry is impossible, or it is that of a checkpoint which there is not or can't be
+    /// read.
     pub fn geometry(&self) -> Result<model::Config> {
         match &self.model {
+            Geometry::Preset(name) if name == AS_INIT => match &self.init {
+                Some(path) => model::checkpoint::geometry(path),
+                None => Err(Error::value("model", "a preset or a geometry, as no init names a checkpoint", AS_INIT)),
+            },
             Geometry::Preset(name) => model::Config::preset(name),
             Geometry::Explicit(config) => config.check().map(|()| config.clone()),
         }
@@ -423,6 +431,9 @@ mod tests {
             assert!(error.contains(names), "{data}: {error}");
         }
         assert!(parsed(&MINIMAL.replace("toy", "huge")).unwrap_err().contains("pocket"));
+        assert!(parsed(&MINIMAL.replace("toy", "init")).unwrap_err().contains("no init names a checkpoint"));
+        let absent = MINIMAL.replace("toy", "init, init: no/such/checkpoint");
+        assert!(parsed(&absent).unwrap_err().contains("no/such/checkpoint"));
     }
 
     #[test]
