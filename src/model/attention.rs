@@ -96,10 +96,13 @@ pub struct Mlp {
 }
 
 impl Mlp {
+    /// Hidden channels per channel of the stream.
+    pub const EXPANSION: usize = 4;
+
     /// Tensors `fc1`, `fc2` of `vb`.
     pub fn new(d: usize, scheme: Scheme, vb: VarBuilder) -> Result<Self> {
-        let fc1 = Linear::new(d, 4 * d, scheme, vb.pp("fc1"))?;
-        let fc2 = Linear::new(4 * d, d, scheme, vb.pp("fc2"))?;
+        let fc1 = Linear::new(d, Self::EXPANSION * d, scheme, vb.pp("fc1"))?;
+        let fc2 = Linear::new(Self::EXPANSION * d, d, scheme, vb.pp("fc2"))?;
         Ok(Self { fc1, fc2 })
     }
 

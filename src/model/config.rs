@@ -86,7 +86,7 @@ impl Config {
         }
     }
 
-    /// The shipped checkpoint's geometry: 2.7 M parameters (10.6 MB in f32), 65 tokens per frame.
+    /// For small machines, and what the shipped checkpoint grew from: 2.7 M parameters (10.6 MB in f32), 65 tokens per frame.
     ///
     /// Small enough to be trained from scratch on two CPU cores: one frame costs the encoder 0.16 GFLOP.
     pub fn pocket() -> Self {

@@ -11,6 +11,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::attention::Mlp;
 use super::checkpoint::{self, ENCODER};
 use super::config::Config;
 use crate::error::{Error, Result};
@@ -99,14 +100,12 @@ struct Copies {
 
 impl Copies {
     fn new(config: &Config, grown: &Config, random: &mut impl Rng) -> Self {
-        /// Hidden channels per channel of the stream.
-        const EXPANSION: usize = 4;
         let head = config.width / config.heads;
         let width = cycle(config.width, grown.width, random);
         let heads = cycle(config.heads, grown.heads, random);
         Self {
             heads: heads.iter().flat_map(|h| h * head..(h + 1) * head).collect(),
-            hidden: cycle(EXPANSION * config.width, EXPANSION * grown.width, random),
+            hidden: cycle(Mlp::EXPANSION * config.width, Mlp::EXPANSION * grown.width, random),
             pairs: width.iter().copied().chain(width.iter().map(|i| config.width + i)).collect(),
             width,
         }
