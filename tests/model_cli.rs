@@ -128,8 +128,14 @@ fn attention_is_drawn_for_layers_and_the_temporal_token() {
     }
     let attention =
         |more: &[&str]| refused(&[&["model", "attention", "a.png", "--out", "x.png"], more].concat(), folder.path());
-    assert!(attention(&["--layer", "6"]).contains("layer: expected 0 to 5, got 6"));
-    assert!(attention(&["--layer", "0", "--head", "4"]).contains("--head: expected 0 to 3"));
+    // The limits are the shipped network's own.
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/egotac.safetensors");
+    let config = egotac::model::checkpoint::geometry(&shipped).unwrap();
+    let (layers, heads) = (config.vision_depth, config.vision_heads);
+    let layer = layers.to_string();
+    assert!(attention(&["--layer", &layer]).contains(&format!("layer: expected 0 to {}, got {layers}", layers - 1)));
+    let head = heads.to_string();
+    assert!(attention(&["--layer", "0", "--head", &head]).contains(&format!("--head: expected 0 to {}", heads - 1)));
 }
 
 #[test]
