@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use egotac::model::{checkpoint, shipped};
 use serde_json::Value;
 
 fn egotac(arguments: &[&str], folder: &Path) -> Output {
@@ -129,8 +130,7 @@ fn attention_is_drawn_for_layers_and_the_temporal_token() {
     let attention =
         |more: &[&str]| refused(&[&["model", "attention", "a.png", "--out", "x.png"], more].concat(), folder.path());
     // The limits are the shipped network's own.
-    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/egotac.safetensors");
-    let config = egotac::model::checkpoint::geometry(&shipped).unwrap();
+    let config = checkpoint::geometry(&shipped::path().unwrap()).unwrap();
     let (layers, heads) = (config.vision_depth, config.vision_heads);
     let layer = layers.to_string();
     assert!(attention(&["--layer", &layer]).contains(&format!("layer: expected 0 to {}, got {layers}", layers - 1)));
@@ -202,7 +202,7 @@ fn forward_takes_a_precision() {
 #[test]
 fn a_grown_and_a_halved_checkpoint_load_again() {
     let folder = tempfile::tempdir().unwrap();
-    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/egotac.safetensors");
+    let shipped = shipped::path().unwrap();
     let shipped = shipped.to_str().unwrap();
     let info = |file: &str| -> Value {
         serde_json::from_str(&good(&["model", "info", file, "--json"], folder.path())).unwrap()

@@ -50,7 +50,7 @@ impl Figure for Report {
             &left,
             "Size against latency",
             "million parameters",
-            // Trained weights stand on the right; their size is that of a preset.
+            // Trained weights stand on the right.
             &points(|row| row.accuracy.is_none().then_some(row.parameters as f64 / 1e6)),
             false,
         )?;
