@@ -12,9 +12,9 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use egotac::geometry::force::link_vertices;
+use egotac::geometry::{ForceSpreader, HandSurface, LinkContact, PROXIMITY, SIGMA, SPACING, SampledSurface, Surface};
 use egotac::hand::{HandModel, HandParams, Side};
-use egotac::label::force::link_vertices;
-use egotac::label::{ForceSpreader, HandSurface, LinkContact, PROXIMITY, SIGMA, SPACING, SampledSurface, Surface};
 use glam::{DVec3, Vec3};
 
 /// Runs of which the shortest is printed.

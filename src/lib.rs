@@ -17,26 +17,25 @@
 //! Data flow one way: image -> [`model`] -> [`TactileField`] -> [`message`], labels in a [`dataset`], [`metrics`]; the
 //! simulation makes fields as well. From the top of this list downwards, each module uses only those above it:
 //!
-//! | module | what it knows |
+//! | module | contents |
 //! |---|---|
-//! | [`error`], [`file`](mod@file) | the one error type; files that are written whole |
-//! | [`hand`] | MANO's parameters, vertices, joints, regions; the built-in hand |
-//! | [`camera`] | from points to pixels and back |
-//! | [`tactile`] | force and contact on both hands, what vertex indices mean, validity |
-//! | [`image`](mod@image) | from any image to the network's input |
+//! | [`error`], [`file`](mod@file), [`text`] | the one error type; atomic file writes; numbers for people |
+//! | [`hand`] | MANO's parameters, vertices, joints, regions, vertex numbering; the built-in hand |
+//! | [`camera`] | projection between points and pixels |
+//! | [`tactile`] | force and contact on both hands, at one instant and over time; validity |
+//! | [`image`](mod@image) | preparation of any image for the network |
 //! | [`model`] | the network, its checkpoints, the streaming predictor |
-//! | [`metrics`] | the paper's scores |
-//! | [`label`] | touch from geometry and from contact forces |
+//! | [`geometry`] | meshes, distances, solids, spread of forces over vertices |
+//! | [`score`] | the paper's metrics, agreement of labels, gates |
 //! | [`message`] | the ROS messages and their CDR bytes, without ROS |
 //! | [`render`] | pictures of hands |
-//! | [`dataset`] | Zarr stores, bounded recordings, tensor files, MCAP bags |
+//! | [`dataset`] | Zarr stores, LeRobot data sets, MCAP bags, videos, tensor files |
 //! | `mujoco`, `sim` | physics; scenes whose touch is known (feature `sim`) |
-//! | `retarget` | the hand's pose and touch, carried over to robot hands (feature `sim`) |
-//! | [`train`] | from stores to a checkpoint |
-//! | [`annotate`] | labels for recordings, in their own formats |
-//! | [`report`] | a page about labels |
-//! | [`verify`] | labels and predictions against simulated truth |
-//! | [`mod@bench`] | what accuracy costs, what breaks |
+//! | `retarget` | hand pose and touch carried over to robot hands (feature `sim`) |
+//! | [`train`] | training from stores to a checkpoint |
+//! | [`label`] | the engine behind `egotac label` |
+//! | [`report`] | an HTML page about labels |
+//! | [`mod@bench`] | cost of accuracy, hard cases |
 //! | [`experiment`] | several trainings, compared |
 //! | `node` | the ROS 2 nodes (feature `ros`) |
 //! | [`cli`] | the commands |
@@ -47,7 +46,6 @@
 //! hold the left hand first, 778 values each.
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
-pub mod annotate;
 pub mod bench;
 pub mod camera;
 pub mod cli;
@@ -55,26 +53,28 @@ pub mod dataset;
 pub mod error;
 pub mod experiment;
 pub mod file;
+pub mod geometry;
 pub mod hand;
 pub mod image;
 pub mod label;
 pub mod message;
-pub mod metrics;
 pub mod model;
 #[cfg(feature = "sim")]
 pub mod mujoco;
 #[cfg(feature = "ros")]
 pub mod node;
+mod numpy;
 pub mod render;
 pub mod report;
 #[cfg(feature = "sim")]
 pub mod retarget;
+pub mod score;
 #[cfg(feature = "sim")]
 pub mod sim;
 pub mod tactile;
 pub mod text;
 pub mod train;
-pub mod verify;
 
 pub use error::{Error, Result};
-pub use tactile::{TactileField, Topology, Validity};
+pub use hand::Topology;
+pub use tactile::{TactileField, Validity};

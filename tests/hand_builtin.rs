@@ -3,10 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use egotac::hand::{
-    HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, PosedHand, Region, Side, build, edges, vertex_areas,
-    vertex_normals,
+    HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, PosedHand, Region, Side, Topology, build, edges,
+    vertex_areas, vertex_normals,
 };
-use egotac::tactile::Topology;
 use glam::{Quat, Vec3};
 use robust::{Coord3D, orient3d};
 

@@ -5,8 +5,7 @@
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
-use egotac::hand::{HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, Region, Side};
-use egotac::tactile::Topology;
+use egotac::hand::{HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, Region, Side, Topology};
 use glam::Vec3;
 use safetensors::SafeTensors;
 

@@ -6,8 +6,8 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use egotac::hand::{HandMap, HandModel, N_VERTICES, Region, Side};
-use egotac::tactile::{N_FIELD, Topology};
+use egotac::hand::{HandMap, HandModel, N_VERTICES, Region, Side, Topology};
+use egotac::tactile::N_FIELD;
 use glam::Vec3;
 use proptest::prelude::*;
 use safetensors::SafeTensors;

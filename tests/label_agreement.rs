@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use egotac::geometry::force::link_vertices;
 use egotac::hand::{HandModel, HandParams, N_VERTICES, Side};
-use egotac::label::force::link_vertices;
-use egotac::label::scores::{SCORES, find};
-use egotac::label::{Parts, Scorer, Sums, TruthFrame};
+use egotac::score::agreement::scores::{SCORES, find};
+use egotac::score::agreement::{Parts, Scorer, Sums, TruthFrame};
 use egotac::tactile::N_FIELD;
 use glam::{DVec3, Vec3};
 

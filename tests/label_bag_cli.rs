@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
-use egotac::annotate::Progress;
+use egotac::label::Progress;
 use egotac::message::{CompressedImage, Header, Image, Message, TactileFrame, Time};
 use egotac::model::predictor::{Options, Predictor};
 use egotac::model::shipped;

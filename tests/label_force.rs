@@ -1,9 +1,9 @@
 //! Label (c) conserves force and stays on its link; label (a) does not depend on how the object is meshed.
 
 use approx::assert_relative_eq;
+use egotac::geometry::force::link_vertices;
+use egotac::geometry::{ForceSpreader, LinkContact, PROXIMITY, SIGMA, SampledSurface};
 use egotac::hand::{HandModel, HandParams, N_JOINTS, Side};
-use egotac::label::force::link_vertices;
-use egotac::label::{ForceSpreader, LinkContact, PROXIMITY, SIGMA, SampledSurface};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 

@@ -3,9 +3,9 @@
 use std::f32::consts::{PI, TAU};
 use std::f64::consts::PI as PI64;
 
+use egotac::geometry::mesh::{FAR, Sides};
+use egotac::geometry::{HandSurface, PROXIMITY, SampledSurface, Solid, Surface};
 use egotac::hand::{HandModel, HandParams, Side};
-use egotac::label::mesh::{FAR, Sides};
-use egotac::label::{HandSurface, PROXIMITY, SampledSurface, Solid, Surface};
 use glam::{DVec3, Quat, Vec3};
 use parry3d::math::{Pose, Rotation, Vector};
 use proptest::prelude::*;

@@ -1,7 +1,7 @@
 //! Scores agree with scikit-learn, scipy and numpy, and are defined or undefined where they degenerate.
 
 use egotac::hand::N_VERTICES;
-use egotac::metrics::{Calibration, Fields, FrameScore, Options, Report, Scores, evaluate, summarize, table};
+use egotac::score::metrics::{Calibration, Fields, FrameScore, Options, Report, Scores, evaluate, summarize, table};
 use egotac::tactile::N_FIELD;
 use serde_json::Value;
 

@@ -10,8 +10,9 @@ use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
 use egotac::dataset::zarr::{Contact, ZarrWriter};
 use egotac::dataset::{Attributes, EpisodeWriter, Frame};
+use egotac::hand::Topology;
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
-use egotac::tactile::{N_FIELD, TactileField, Topology, Validity};
+use egotac::tactile::{N_FIELD, TactileField, Validity};
 use harness::{Running, Session};
 use image::{Rgb, RgbImage};
 

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use egotac::hand::Topology;
 use egotac::model::{Checkpoint, checkpoint, shipped};
-use egotac::tactile::Topology;
 use serde_json::Value;
 
 fn root(name: &str) -> PathBuf {

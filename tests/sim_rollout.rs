@@ -5,11 +5,11 @@ use std::path::Path;
 
 use egotac::dataset::EpisodeReader;
 use egotac::dataset::zarr::ZarrReader;
-use egotac::hand::{HandModel, N_JOINTS, N_VERTICES, Side};
+use egotac::hand::{HandModel, N_JOINTS, N_VERTICES, Side, Topology};
 use egotac::mujoco::{PhysicsOptions, World};
 use egotac::sim::guard::Guard;
 use egotac::sim::{Generate, Progress, Rollout, RolloutOptions, Scene, generate, record};
-use egotac::tactile::{Topology, Validity};
+use egotac::tactile::Validity;
 
 fn blind() -> RolloutOptions {
     RolloutOptions { picture: None, ..RolloutOptions::default() }

@@ -1,8 +1,8 @@
 //! Distances of hands from what a scene lets them touch.
 #![cfg(feature = "sim")]
 
+use egotac::geometry::Sides;
 use egotac::hand::{HandModel, HandParams, N_BETAS, N_VERTICES, Side};
-use egotac::label::Sides;
 use egotac::sim::ObjectPose;
 use egotac::sim::randomize::Episode;
 use egotac::sim::rig::HandRig;

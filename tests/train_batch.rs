@@ -4,8 +4,9 @@ use std::path::Path;
 
 use egotac::dataset::zarr::{Contact, ZarrReader, ZarrWriter};
 use egotac::dataset::{Attributes, EpisodeWriter, Frame};
+use egotac::hand::Topology;
 use egotac::image::{IMAGENET_MEAN, IMAGENET_STD, Preparation, normalise};
-use egotac::tactile::{N_FIELD, TactileField, Topology, Validity};
+use egotac::tactile::{N_FIELD, TactileField, Validity};
 use egotac::train::batch::Collate;
 use egotac::train::config::Augment;
 use egotac::train::data::Dataset;

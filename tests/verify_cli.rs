@@ -10,10 +10,11 @@ use candle_nn::VarMap;
 use egotac::dataset::mcap::BagWriter;
 use egotac::dataset::tensors::FieldFile;
 use egotac::dataset::zarr::{MANO_FORCE, ZarrReader};
+use egotac::hand::Topology;
 use egotac::message::{Header, Message, TactileFrame, TactileTruth, Time};
-use egotac::metrics::Fields;
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
-use egotac::tactile::{N_FIELD, TactileField, Topology, Validity};
+use egotac::score::metrics::Fields;
+use egotac::tactile::{N_FIELD, TactileField, Validity};
 use serde_json::Value;
 use tempfile::TempDir;
 

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use egotac::dataset::zarr::{ArraySpec, Contact, Dtype, Values, ZarrReader, ZarrWriter, open_all};
 use egotac::dataset::{Attributes, EpisodeReader, EpisodeWriter, Frame};
-use egotac::hand::HandParams;
-use egotac::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Topology, Validity};
+use egotac::hand::{HandParams, Topology};
+use egotac::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Validity};
 use image::RgbImage;
 
 fn attributes(topology: Topology) -> Attributes {

@@ -5,7 +5,8 @@ use std::process::Command;
 
 use egotac::dataset::zarr::{ArraySpec, Contact, Dtype, ZarrWriter};
 use egotac::dataset::{Attributes, EpisodeWriter, Frame};
-use egotac::tactile::{N_FIELD, TactileField, Topology, Validity};
+use egotac::hand::Topology;
+use egotac::tactile::{N_FIELD, TactileField, Validity};
 use image::RgbImage;
 
 const CHECK: &str = r#"

@@ -9,14 +9,15 @@ use ::image::{Rgb, RgbImage};
 use serde::Serialize;
 
 use super::Machine;
-use crate::annotate::{Choices, Effort, Found, Job, Provenance, Shard, copy_folder, items};
 use crate::dataset::mcap::BagWriter;
 use crate::dataset::zarr::{Contact, ZarrWriter};
 use crate::dataset::{Attributes, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
+use crate::hand::Topology;
+use crate::label::{Choices, Effort, Found, Job, Provenance, Shard, copy_folder, items};
 use crate::message::{CompressedImage, Header, Image, Message, Time};
 use crate::model::{Precision, Predictor};
-use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Topology, Validity};
+use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Validity};
 
 /// Share of the network's time that the rest may take.
 pub const ALLOWED: f64 = 0.10;

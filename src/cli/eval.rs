@@ -8,10 +8,9 @@ use anyhow::{Context, bail};
 use crate::dataset::EpisodeReader;
 use crate::dataset::tensors::FieldFile;
 use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader};
-use crate::hand::{HandModel, Side};
-use crate::metrics::{self, Calibration, Comparison, Fields, Options, Part, Report};
+use crate::hand::{HandModel, Side, Topology};
 use crate::model::{Checkpoint, Precision};
-use crate::tactile::Topology;
+use crate::score::metrics::{self, Calibration, Comparison, Fields, Options, Part, Report};
 use crate::train::baseline;
 use crate::train::data::{Dataset, read_labels};
 

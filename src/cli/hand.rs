@@ -13,10 +13,10 @@ use safetensors::tensor::{Dtype, TensorView};
 
 use crate::dataset::tensors::FieldFile;
 use crate::file;
-use crate::hand::{self, HandMap, HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, Region, Side};
-use crate::metrics::Fields;
+use crate::hand::{self, HandMap, HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, Region, Side, Topology};
 use crate::render::{View, color, font, hand_picture, region_colors};
-use crate::tactile::{N_FIELD, Topology};
+use crate::score::metrics::Fields;
+use crate::tactile::N_FIELD;
 
 /// Arguments of `egotac hand`.
 #[derive(Debug, clap::Args)]

@@ -7,10 +7,10 @@ use anyhow::{Context, bail};
 use indicatif::ProgressBar;
 use serde_json::json;
 
-use crate::annotate::{
+use crate::file;
+use crate::label::{
     Choices, Effort, Found, Item, Job, Outcome, Provenance, Shard, Summary, TOPIC, Target, items, write_manifest,
 };
-use crate::file;
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
 

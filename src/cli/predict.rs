@@ -9,8 +9,8 @@ use indicatif::ProgressBar;
 
 use crate::dataset::tensors::FieldFile;
 use crate::dataset::zarr;
-use crate::metrics::Fields;
 use crate::model::{Checkpoint, Precision, Predictor, predictor, shipped};
+use crate::score::metrics::Fields;
 use crate::train::{data::Dataset, predict};
 
 /// Arguments of `egotac predict`.

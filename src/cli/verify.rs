@@ -7,9 +7,9 @@ use anyhow::{bail, ensure};
 
 use super::hands::{Hands, Kernel};
 use crate::file;
-use crate::verify::recording::{self, Topics};
-use crate::verify::report::{self, Unmatched};
-use crate::verify::{Bar, Candidate, Report, Settings, picture};
+use crate::score::verify::recording::{self, Topics};
+use crate::score::verify::report::{self, Unmatched};
+use crate::score::verify::{Bar, Candidate, Report, Settings, picture};
 
 /// Arguments of `egotac verify`.
 #[derive(Debug, clap::Args)]
@@ -198,12 +198,13 @@ mod with_sim {
     use super::Args;
     use crate::cli::sim::{load, picture};
     use crate::dataset::zarr::{self, ZarrReader};
-    use crate::label::Parts;
     use crate::model::{Predictor, predictor, shipped};
+    use crate::score::agreement::Parts;
+    use crate::score::verify::predicted::{Predicted, must_fit};
+    use crate::score::verify::{Candidate, Episode, Report, Settings};
+    use crate::sim::verify::store::Against;
+    use crate::sim::verify::{rollout, store};
     use crate::sim::{RolloutOptions, Scene};
-    use crate::verify::predicted::{Predicted, must_fit};
-    use crate::verify::store::Against;
-    use crate::verify::{Candidate, Episode, Report, Settings, rollout, store};
 
     pub fn score_sources(args: &Args, settings: &Settings, candidates: &[Candidate]) -> anyhow::Result<Report> {
         let (stores, scenes): (Vec<&String>, Vec<&String>) =

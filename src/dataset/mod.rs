@@ -10,8 +10,8 @@ pub mod zarr;
 use ::image::RgbImage;
 
 use crate::error::Result;
-use crate::hand::HandParams;
-use crate::tactile::{TactileField, Topology, Validity};
+use crate::hand::{HandParams, Topology};
+use crate::tactile::{TactileField, Validity};
 
 /// One instant of an episode.
 #[derive(Debug, Clone)]

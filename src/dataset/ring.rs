@@ -152,7 +152,8 @@ mod tests {
     use super::*;
     use crate::dataset::EpisodeReader;
     use crate::dataset::zarr::{TIMESTAMPS, ZarrReader};
-    use crate::tactile::{N_FIELD, TactileField, Topology, Validity};
+    use crate::hand::Topology;
+    use crate::tactile::{N_FIELD, TactileField, Validity};
 
     fn attributes() -> Attributes {
         serde_json::from_value(serde_json::json!({ "topology": Topology::Mano })).unwrap()

@@ -17,8 +17,9 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
 use crate::error::{Error, Result};
 use crate::file;
-use crate::metrics::Fields;
-use crate::tactile::{N_FIELD, Topology};
+use crate::hand::Topology;
+use crate::score::metrics::Fields;
+use crate::tactile::N_FIELD;
 
 /// Content of a field file.
 #[derive(Debug, Clone, Default, PartialEq)]

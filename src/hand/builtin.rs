@@ -6,7 +6,7 @@ use glam::Vec3;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
 use super::{HandModel, N_BETAS, N_JOINTS, N_VERTICES, Side, build, mesh};
-use crate::tactile::Topology;
+use crate::hand::Topology;
 
 /// What `egotac hand build` wrote.
 static FILE: &[u8] = include_bytes!("builtin.safetensors");

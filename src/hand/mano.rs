@@ -6,12 +6,12 @@ use std::path::Path;
 
 use glam::Vec3;
 
-use super::array::{Array, Outcome};
-use super::npz::Npz;
-use super::pickle::{Pickle, uncompressed, zipped};
 use super::{HandModel, N_BETAS, N_JOINTS, N_VERTICES, Side};
 use crate::error::{Error, Result};
-use crate::tactile::Topology;
+use crate::hand::Topology;
+use crate::numpy::array::{Array, Outcome};
+use crate::numpy::npz::Npz;
+use crate::numpy::pickle::{Pickle, uncompressed, zipped};
 
 /// Largest file that is read; the published ones have 4 MB.
 const MAX_FILE: u64 = 256 << 20;

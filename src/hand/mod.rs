@@ -3,16 +3,14 @@
 //! Frames and units: metres, radians; the right hand lies as MANO's does in its flat rest pose: fingers along -x,
 //! palm facing -y, thumb towards +z; the left hand is its mirror image in x.
 
-mod array;
 pub mod build;
 mod builtin;
 mod fit;
 mod lbs;
 mod mano;
 mod mesh;
-mod npz;
-mod pickle;
 mod region;
+mod topology;
 mod transfer;
 
 use std::path::Path;
@@ -21,12 +19,12 @@ use glam::{Mat3, Vec3};
 use serde::{Deserialize, Serialize};
 
 use crate::error::Result;
-use crate::tactile::Topology;
 
 pub use builtin::to_bytes as builtin_bytes;
 pub use fit::{Fit, fit_keypoints};
 pub use mesh::{edges, vertex_areas, vertex_normals};
 pub use region::Region;
+pub use topology::Topology;
 pub use transfer::{HandMap, Transfer};
 
 /// Vertices of one hand.

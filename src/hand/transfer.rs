@@ -8,7 +8,8 @@ use parry3d::shape::Triangle;
 use super::fit::{Fit, Pull, fit_keypoints, refine};
 use super::{HandModel, HandParams, N_JOINTS, N_VERTICES, mesh};
 use crate::error::{Error, Result};
-use crate::tactile::{N_FIELD, Topology};
+use crate::hand::Topology;
+use crate::tactile::N_FIELD;
 
 /// What a surface that faces the other way costs, as metres of distance: a palm never maps to a back.
 const NORMAL_COST: f32 = 0.008;

@@ -5,8 +5,8 @@ use glam::{DQuat, DVec3, Vec3};
 
 use super::{HandPose, HandTactile, Header, Image, Point, Pose, Quaternion, TactileFrame, TactileTruth};
 use crate::error::{Error, Result};
-use crate::hand::{HandModel, HandParams, Side};
-use crate::tactile::{TactileField, Topology, Validity};
+use crate::hand::{HandModel, HandParams, Side, Topology};
+use crate::tactile::{TactileField, Validity};
 
 impl HandTactile {
     /// One hand of a field.

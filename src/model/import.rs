@@ -37,9 +37,8 @@ use super::config::Config;
 use super::metadata::Metadata;
 use super::{EgoTac, init};
 use crate::error::{Error, Result};
-use crate::hand::N_VERTICES;
+use crate::hand::{N_VERTICES, Topology};
 use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Resize};
-use crate::tactile::Topology;
 
 /// Problems named in one message.
 const MAX_NAMED: usize = 8;

@@ -8,8 +8,8 @@ use serde::de::DeserializeOwned;
 
 use super::Config;
 use crate::error::{Error, Result};
+use crate::hand::Topology;
 use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
-use crate::tactile::Topology;
 
 /// What a checkpoint says beside its weights; one key of the file's metadata per field.
 #[derive(Debug, Clone, PartialEq)]

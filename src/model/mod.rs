@@ -14,7 +14,6 @@ mod decoder;
 mod dinov2;
 mod engine;
 pub mod grow;
-pub mod hub;
 pub mod import;
 pub mod init;
 mod loader;
@@ -22,6 +21,7 @@ pub mod metadata;
 pub mod ops;
 pub mod precision;
 pub mod predictor;
+pub mod pretrained;
 pub mod shipped;
 mod temporal;
 

@@ -5,23 +5,23 @@
 //! node takes the newest message from a [`mailbox`], computes and publishes. Shutdown runs the other way: the flag is
 //! set, spinning ends, the worker is joined, then the ROS node is dropped; leaving it to process exit crashes in DDS.
 
+#[cfg(feature = "sim")]
+mod approximate_sync;
+pub mod bag_recorder;
 pub mod diagnostics;
+mod episode_recorder;
+mod exact_sync;
 #[cfg(feature = "sim")]
 mod held_object;
 mod images;
 pub mod log;
 pub mod mailbox;
-#[cfg(feature = "sim")]
-mod matching;
 mod names;
-mod pairing;
 mod parameter_services;
 pub mod params;
 mod points;
 pub mod predictor;
 pub mod qos;
-pub mod recorder;
-mod recording;
 #[cfg(feature = "sim")]
 pub mod retargeter;
 mod runtime;
@@ -31,7 +31,7 @@ pub mod simulator;
 pub mod trainer;
 pub mod verifier;
 
-pub use pairing::Pairing;
+pub use exact_sync::Pairing;
 pub use runtime::{Publisher, RosClock, Runtime};
 pub use shutdown::Shutdown;
 

@@ -74,8 +74,7 @@ pub(super) fn cloud(header: Header, field: &TactileField, hands: &[Posed], thres
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::hand::N_VERTICES;
-    use crate::tactile::Topology;
+    use crate::hand::{N_VERTICES, Topology};
 
     #[test]
     fn each_vertex_is_a_point_with_its_touch() {

@@ -14,8 +14,8 @@ use super::params::{Allowed, Parameter, Parameters};
 use super::runtime::{self, Publisher, RosClock, Runtime};
 use super::{Shutdown, qos};
 use crate::camera::{Distortion, Intrinsics};
+use crate::geometry::SIGMA;
 use crate::hand::{HandModel, Side};
-use crate::label::SIGMA;
 use crate::message::{
     CameraInfo, Clock, CompressedImage, HandPose, Header, Image, Point, Quaternion, RegionOfInterest, TactileFrame,
     TactileTruth, Time,

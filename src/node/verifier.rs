@@ -11,20 +11,20 @@ use anyhow::Context as _;
 use serde_json::{Value, json};
 
 use super::diagnostics::{Level, Report, Tally};
+use super::exact_sync::Pairing;
 use super::log::Log;
-use super::pairing::Pairing;
 use super::params::{Allowed, Parameter, Parameters};
 use super::runtime::{Publisher, RosClock, Runtime};
 use super::{Shutdown, diagnostics, qos};
 use crate::file;
-use crate::label::{Scorer, Sums, TruthFrame};
 use crate::message::{Header, TactileFrame, TactileMetrics, TactileTruth};
-use crate::metrics::{self, Fields, FrameScore, Options};
+use crate::score::agreement::{Scorer, Sums, TruthFrame};
+use crate::score::metrics::{self, Fields, FrameScore, Options};
+use crate::score::verify::Bar;
+use crate::score::verify::recording::RestHands;
+use crate::score::verify::report::scores_of;
+use crate::score::verify::stretches::Stretches;
 use crate::tactile::{TactileField, Validity};
-use crate::verify::Bar;
-use crate::verify::recording::RestHands;
-use crate::verify::report::scores_of;
-use crate::verify::stretches::Stretches;
 
 /// Messages that may wait for their partner: seconds of any camera.
 const WAITING: usize = 500;

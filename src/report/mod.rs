@@ -7,12 +7,11 @@ mod trace;
 
 use std::path::Path;
 
-use crate::annotate::{Labelled, images_of};
 use crate::dataset::fps;
 use crate::error::Result;
-use crate::hand::HandModel;
-use crate::metrics::{self, Options};
-use crate::tactile::Topology;
+use crate::hand::{HandModel, Topology};
+use crate::label::{Labelled, images_of};
+use crate::score::metrics::{self, Options};
 
 pub use page::page;
 pub use regions::{RegionRow, region_rows};

@@ -9,9 +9,9 @@ use base64::engine::general_purpose::STANDARD;
 use super::regions::RegionRow;
 use super::samples::Sample;
 use super::trace::Trace;
-use crate::annotate::Labelled;
 use crate::hand::{Region, Side};
-use crate::metrics::{self, Report};
+use crate::label::Labelled;
+use crate::score::metrics::{self, Report};
 
 const STYLE: &str = "
 body { font: 15px/1.45 system-ui, sans-serif; color: #1e1e24; max-width: 1060px; margin: 2em auto; padding: 0 1em; }

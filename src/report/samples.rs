@@ -6,9 +6,9 @@ use ::image::codecs::jpeg::JpegEncoder;
 use ::image::imageops::{FilterType, resize};
 use ::image::{ImageFormat, RgbImage};
 
-use crate::annotate::{Labelled, Source};
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, Side};
+use crate::label::{Labelled, Source};
 use crate::render::{View, force_colors, hand_picture};
 use crate::tactile::N_FIELD;
 

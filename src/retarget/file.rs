@@ -25,8 +25,8 @@ use super::{Input, ObjectPose, Output, Pool, Retargeter, Status, Touch};
 use crate::dataset::tensors::numbers;
 use crate::error::{Error, Result};
 use crate::file;
-use crate::hand::{HandModel, HandParams, N_BETAS, N_KEYPOINTS, N_VERTICES, Side};
-use crate::tactile::{N_FIELD, Topology};
+use crate::hand::{HandModel, HandParams, N_BETAS, N_KEYPOINTS, N_VERTICES, Side, Topology};
+use crate::tactile::N_FIELD;
 
 /// Hands, frame by frame.
 #[derive(Debug, Clone, Default)]

@@ -21,13 +21,13 @@ pub mod file;
 pub mod filter;
 pub mod goal;
 pub mod human;
+mod motion_limit;
 pub mod object;
 pub mod peer;
 pub mod problem;
 pub mod robot;
 pub mod solver;
 pub mod touch;
-mod way;
 
 use std::time::Instant;
 
@@ -40,10 +40,10 @@ pub use self::touch::{Feel, Pool, Touch};
 use self::filter::{Gate, Passed, SizeEstimate, Smoother};
 use self::goal::{Goal, Seen};
 use self::human::Hand;
+use self::motion_limit::speeds;
 use self::object::Follower;
 use self::solver::{Solver, Stop};
 use self::touch::Transfer;
-use self::way::speeds;
 use crate::error::{Error, Result};
 use crate::hand::{N_KEYPOINTS, Side};
 use crate::mujoco::parts::Motion;

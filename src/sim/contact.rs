@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 
 use crate::error::Result;
-use crate::label::{ForceSpreader, LinkContact};
+use crate::geometry::{ForceSpreader, LinkContact};
 use crate::mujoco::World;
 use crate::mujoco::world::Body;
 

@@ -2,8 +2,8 @@
 
 use glam::{DQuat, DVec3};
 
+use super::appearance::{Look, Rgb};
 use super::effect::{Effect, EffectSet};
-use super::look::{Look, Rgb};
 use super::object::{JointMount, Mount, Piece, PieceShape};
 use super::randomize::{Episode, HandDraw, ObjectDraw};
 use super::rig::{HandRig, JOINT_NAMES};

@@ -8,6 +8,7 @@
 //!
 //! World frame: origin on the table's top, z up, the person at negative y looking along +y; metres, seconds, newtons.
 
+pub mod appearance;
 pub mod camera;
 pub mod contact;
 pub mod convex;
@@ -16,27 +17,27 @@ pub mod effect;
 pub mod explain;
 pub mod guard;
 pub mod ik;
-pub mod isolate;
 pub mod lens;
-pub mod look;
 pub mod mjcf;
 pub mod object;
 pub mod observe;
 pub mod randomize;
+pub mod range;
 pub mod record;
 pub mod rig;
 pub mod rollout;
 pub mod scene;
 pub mod scene_object;
-pub mod span;
 pub mod timeline;
 pub mod touchable;
+pub mod verify;
 pub mod view;
+pub mod worker_process;
 
 pub use effect::{Effect, EffectPlan, EffectSet};
-pub use isolate::{Workers, generate_isolated};
 pub use observe::{ObjectPose, SimFrame};
 pub use record::{Generate, Progress, Summary, generate, record};
 pub use rollout::{Rollout, RolloutOptions};
 pub use scene::{SHIPPED, Scene};
 pub use touchable::{Distances, Touchables};
+pub use worker_process::{Workers, generate_isolated};

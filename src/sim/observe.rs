@@ -10,9 +10,9 @@ use super::effect::{Effect, Observation};
 use super::rollout::Rollout;
 use crate::dataset::Frame;
 use crate::error::Result;
+use crate::geometry::PROXIMITY;
+use crate::geometry::force::link_vertices;
 use crate::hand::{N_VERTICES, Side};
-use crate::label::PROXIMITY;
-use crate::label::force::link_vertices;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Validity};
 
 /// Distance from a surface at which a vertex counts as touching where no forces are simulated, m.

@@ -7,11 +7,11 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
 
-use super::look::{self, Look, Rgb};
+use super::appearance::{self, Look, Rgb};
 use super::object::Object;
+use super::range::Span;
 use super::rig::HandRig;
 use super::scene::{ActSpec, CameraSpec, HandSpec, ObjectSpec, Scene, ShapeSpec, SideSpec, Site};
-use super::span::Span;
 use super::timeline::Timeline;
 use crate::camera::Distortion;
 use crate::error::{Error, Result};
@@ -183,7 +183,7 @@ impl Episode {
         let duration = acting.map(|act| act.timeline.duration()).fold(1.0, f64::max);
         let mut rng = stream(8);
         // Both hands of a person have the same skin.
-        let (skin, sleeve) = (look::skin(&mut rng), look::colour(&mut rng, 0.0..0.8, 0.1..0.9));
+        let (skin, sleeve) = (appearance::skin(&mut rng), appearance::colour(&mut rng, 0.0..0.8, 0.1..0.9));
         hands.iter_mut().for_each(|hand| (hand.skin, hand.sleeve) = (skin, sleeve));
         let look = Look::sample(&mut rng);
         Ok(Self { objects, hands, camera: CameraDraw::sample(&spec.camera, &mut stream(9)), look, duration })
@@ -198,7 +198,7 @@ impl ObjectDraw {
         // Mirrored in the world's x, and since shapes are symmetric in their own y, that is another rotation.
         let (x, yaw) = if mirror { (-x, PI - yaw) } else { (x, yaw) };
         let (mass, friction) = (spec.mass.sample(rng), spec.friction.sample(rng));
-        let colour = look::colour(rng, 0.15..0.95, 0.3..0.95);
+        let colour = appearance::colour(rng, 0.15..0.95, 0.3..0.95);
         let raised = spec.raised.map_or(0.0, |raised| raised.sample(rng));
         Ok(Self {
             name: spec.name.clone(),
@@ -209,7 +209,7 @@ impl ObjectDraw {
             table_friction: spec.table_friction.map(|friction| friction.sample(rng)),
             solid: spec.solid,
             colour,
-            texture: spec.texture.then(|| look::texture(rng, colour)),
+            texture: spec.texture.then(|| appearance::texture(rng, colour)),
             shape,
         })
     }

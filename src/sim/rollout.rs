@@ -13,12 +13,12 @@ use super::scene_object::SceneObject;
 use super::view::{View, ViewOptions};
 use crate::camera::{Distortion, Intrinsics};
 use crate::error::{Error, Result};
-use crate::hand::{HandModel, HandParams, N_BETAS, PosedHand, Side};
-use crate::label::{ForceSpreader, SIGMA};
+use crate::geometry::{ForceSpreader, SIGMA};
+use crate::hand::{HandModel, HandParams, N_BETAS, PosedHand, Side, Topology};
 use crate::mujoco::audit::{Expectation, Finding, audit, refuse_errors};
 use crate::mujoco::world::FreeJoint;
 use crate::mujoco::{PhysicsOptions, World};
-use crate::tactile::{Topology, Validity};
+use crate::tactile::Validity;
 
 /// Seconds between two settings of the servos.
 const CONTROL_INTERVAL: f64 = 0.008;

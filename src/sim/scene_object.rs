@@ -5,8 +5,8 @@ use glam::{DQuat, DVec3};
 use super::object::Object;
 use super::randomize::ObjectDraw;
 use crate::error::Result;
-use crate::label::SampledSurface;
-use crate::label::proximity::SPACING;
+use crate::geometry::SampledSurface;
+use crate::geometry::proximity::SPACING;
 use crate::mujoco::world::{Body, FreeJoint};
 use crate::mujoco::{Flex, World};
 

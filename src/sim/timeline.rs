@@ -3,8 +3,8 @@
 use glam::DVec3;
 use rand::Rng;
 
+use super::range::Span;
 use super::scene::{Channels, PhaseSpec};
-use super::span::Span;
 
 /// Values of the channels at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -10,8 +10,8 @@ use super::mjcf::{TABLE_CENTRE, TABLE_HALF};
 use super::observe::ObjectPose;
 use super::randomize::Episode;
 use crate::error::{Error, Result};
+use crate::geometry::{HandSurface, SampledSurface, Sampling, Solid};
 use crate::hand::{HandModel, N_VERTICES, Side};
-use crate::label::{HandSurface, SampledSurface, Sampling, Solid};
 use crate::tactile::N_FIELD;
 
 /// Everything that hands can touch in one episode.

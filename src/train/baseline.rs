@@ -1,7 +1,7 @@
 //! Constant predictors: what a network must beat to have seen anything.
 
 use super::data::Labels;
-use crate::metrics::Fields;
+use crate::score::metrics::Fields;
 use crate::tactile::N_FIELD;
 
 /// A prediction that is the same in every frame.

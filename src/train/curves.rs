@@ -6,9 +6,9 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::metrics::Report;
 use crate::render;
 use crate::render::figure::{self, Drawn, Figure};
+use crate::score::metrics::Report;
 
 const COLORS: [RGBColor; 5] = [
     RGBColor(31, 119, 180),

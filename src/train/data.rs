@@ -12,9 +12,10 @@ use crate::dataset::zarr::{
     self, CAMERA_EGO_RGB, FRAME_VALIDITY, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, TIMESTAMPS, ZarrReader,
 };
 use crate::error::{Error, Result};
+use crate::hand::Topology;
 use crate::image::{Preparation, resize};
-use crate::metrics::Fields;
-use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Topology};
+use crate::score::metrics::Fields;
+use crate::tactile::{CONTACT_FORCE_N, N_FIELD};
 
 /// Frames read at once while a store is scanned.
 const BLOCK: usize = 128;

@@ -17,11 +17,10 @@ use crate::camera::Intrinsics;
 use crate::dataset::EpisodeReader;
 use crate::dataset::zarr::{CAMERA_POSE, LEFT_HAND_POSE, OBJECT_POSE, RIGHT_HAND_POSE, ZarrReader};
 use crate::error::{Error, Result};
-use crate::hand::{HandModel, HandParams, N_KEYPOINTS, Side};
+use crate::hand::{HandModel, HandParams, N_KEYPOINTS, Side, Topology};
 use crate::image::Preparation;
 use crate::model::init::STD;
 use crate::model::{Config, ops};
-use crate::tactile::Topology;
 
 use super::augment::Change;
 use super::loss::masked_mean;

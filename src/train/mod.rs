@@ -10,6 +10,7 @@ mod checkpoint;
 pub mod config;
 mod curves;
 pub mod data;
+pub mod initial_weights;
 pub mod job;
 pub mod keypoints;
 mod loader;
@@ -21,7 +22,6 @@ pub mod pass;
 mod predict;
 pub mod sampler;
 pub mod source;
-pub mod start;
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -32,8 +32,8 @@ use candle_nn::VarMap;
 use crate::dataset::zarr;
 use crate::error::{Error, Result};
 use crate::file;
-use crate::metrics::{self, Report};
-use crate::model::{self, Checkpoint, EgoTac, Metadata, Precision, init};
+use crate::model::{self, Checkpoint, EgoTac, Metadata, Precision};
+use crate::score::metrics::{self, Report};
 
 use batch::Collate;
 pub use config::Config;
@@ -166,18 +166,18 @@ pub fn train(
 
     // Network and optimiser.
     let varmap = VarMap::new();
-    let network = EgoTac::new(&geometry, init::var_builder(&varmap, config.seed, device))?;
+    let network = EgoTac::new(&geometry, model::init::var_builder(&varmap, config.seed, device))?;
     match &config.init {
         Some(path) => {
             if let Some(before) = model::checkpoint::load_variables(path, &varmap)? {
                 before.topology.must_match(metadata.topology).map_err(|error| Error::file(path, error))?;
                 // Newtons stay newtons in the new unit.
-                start::rescale_force(&varmap, before.force_scale / metadata.force_scale)?;
+                initial_weights::rescale_force(&varmap, before.force_scale / metadata.force_scale)?;
             }
         }
         None => {
-            start::positions(&varmap, &geometry)?;
-            start::heads(&varmap, &statistics, metadata.force_scale, config.loss.positive_weight as f32)?;
+            initial_weights::positions(&varmap, &geometry)?;
+            initial_weights::heads(&varmap, &statistics, metadata.force_scale, config.loss.positive_weight as f32)?;
             if let Some(path) = &config.encoder {
                 model::checkpoint::load_encoder(path, &varmap)?;
             }
@@ -185,7 +185,7 @@ pub fn train(
     }
     let keypoint_heads = match config.loss.keypoints > 0.0 {
         true => {
-            let vb = init::var_builder(&varmap, config.seed, device).pp("keypoints");
+            let vb = model::init::var_builder(&varmap, config.seed, device).pp("keypoints");
             Some(keypoints::Heads::new(&geometry, vb)?)
         }
         false => None,
@@ -224,7 +224,7 @@ pub fn train(
     let score = |optimizer: &AdamW| -> Result<Option<Report>> {
         let Some((held_out, labels)) = &validation else { return Ok(None) };
         let varmap = averaged(optimizer, config, &geometry, device)?;
-        let network = EgoTac::new(&geometry, init::var_builder(&varmap, config.seed, device))?.freeze()?;
+        let network = EgoTac::new(&geometry, model::init::var_builder(&varmap, config.seed, device))?.freeze()?;
         let predicted = predict(&network, &metadata, held_out, device, |_| ())?;
         metrics::evaluate(&predicted, &labels.fields, &labels.options()).map(Some)
     };
@@ -257,7 +257,7 @@ pub fn train(
                 let one = match config.precision {
                     Precision::Bf16 => {
                         // Anew for each batch: the weights have changed.
-                        let cast = init::cast_builder(&varmap, DType::BF16, device);
+                        let cast = model::init::cast_builder(&varmap, DType::BF16, device);
                         let network = EgoTac::new(&geometry, cast)?;
                         Pass { network: &network, ..pass }.run(batch, share)?
                     }
@@ -335,7 +335,7 @@ impl Labels {
 /// Variables with the averaged weights.
 fn averaged(optimizer: &AdamW, config: &Config, geometry: &model::Config, device: &Device) -> Result<VarMap> {
     let mut varmap = VarMap::new();
-    EgoTac::new(geometry, init::var_builder(&varmap, config.seed, device))?;
+    EgoTac::new(geometry, model::init::var_builder(&varmap, config.seed, device))?;
     optimizer.write_average(&mut varmap)?;
     Ok(varmap)
 }

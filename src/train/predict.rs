@@ -9,8 +9,8 @@ use super::sampler::window;
 use crate::error::{Error, Result};
 use crate::image::Preparation;
 use crate::image::normalise;
-use crate::metrics::Fields;
 use crate::model::{EgoTac, Metadata};
+use crate::score::metrics::Fields;
 
 /// Frames whose windows are decoded at once.
 const BLOCK: usize = 32;

@@ -4,13 +4,13 @@ use glam::{DVec3, Vec3};
 
 use super::{Family, HardCase, Outcome, accepted};
 use crate::error::Result;
-use crate::hand::{HandModel, HandParams, N_VERTICES, Side};
+use crate::geometry::{ForceSpreader, LinkContact, SIGMA, SampledSurface, resample};
+use crate::hand::{HandModel, HandParams, N_VERTICES, Side, Topology};
 use crate::image::Preparation;
-use crate::label::{ForceSpreader, LinkContact, SIGMA, SampledSurface, resample};
 use crate::message::{HandPose, Header, Message, TactileFrame};
-use crate::metrics::{self, Fields};
 use crate::model::Metadata;
-use crate::tactile::{N_FIELD, TactileField, Topology};
+use crate::score::metrics::{self, Fields};
+use crate::tactile::{N_FIELD, TactileField};
 
 const fn case(name: &'static str, recipe: &'static str, run: fn() -> Result<Outcome>) -> HardCase {
     HardCase { family: Family::Entrance, name, recipe, remedy: "finite numbers", run }

@@ -50,12 +50,12 @@ fn whole_turns() -> Result<Outcome> {
 /// NaN must come out where it went in, and be refused by what takes vertices.
 fn without_numbers() -> Result<Outcome> {
     let model = HandModel::builtin(Side::Left);
-    let spreader = crate::label::ForceSpreader::new(&model, crate::label::SIGMA)?;
+    let spreader = crate::geometry::ForceSpreader::new(&model, crate::geometry::SIGMA)?;
     let mut pose = [Vec3::ZERO; 15];
     let label = |pose: [Vec3; 15]| {
         let posed = model.forward(&HandParams { hand_pose: pose, ..HandParams::default() });
         let contact =
-            crate::label::LinkContact { link: 3, position: glam::DVec3::ZERO, normal: glam::DVec3::Y, force: 1.0 };
+            crate::geometry::LinkContact { link: 3, position: glam::DVec3::ZERO, normal: glam::DVec3::Y, force: 1.0 };
         let finite = posed.vertices.iter().filter(|v| v.is_finite()).count();
         (finite, spreader.spread(&posed.vertices, &[contact]).map(|label| label.sum_residual()))
     };

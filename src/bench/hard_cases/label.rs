@@ -4,8 +4,8 @@ use glam::{DVec3, Vec3};
 
 use super::{Family, HardCase, Outcome, accepted};
 use crate::error::Result;
+use crate::geometry::{ForceSpreader, LinkContact, SIGMA, SampledSurface, resample};
 use crate::hand::{HandModel, HandParams, N_VERTICES, Side, vertex_areas, vertex_normals};
-use crate::label::{ForceSpreader, LinkContact, SIGMA, SampledSurface, resample};
 
 const FAMILY: Family = Family::Label;
 

@@ -10,8 +10,9 @@ use super::{Family, HardCase, Outcome, accepted};
 use crate::dataset::zarr::{Compression, Contact, ZarrReader, ZarrWriter};
 use crate::dataset::{Attributes, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
+use crate::hand::Topology;
 use crate::model::{Config as Geometry, Metadata};
-use crate::tactile::{N_FIELD, TactileField, Topology, Validity};
+use crate::tactile::{N_FIELD, TactileField, Validity};
 use crate::train::{self, data::Dataset, loss, optimizer::AdamW};
 
 pub(super) const CASES: &[HardCase] = &[

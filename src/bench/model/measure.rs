@@ -10,9 +10,9 @@ use serde::{Deserialize, Serialize};
 use super::image::jpeg;
 use crate::dataset::zarr::ZarrReader;
 use crate::error::{Error, Result};
-use crate::metrics;
 use crate::model::predictor::{Options, Predictor};
 use crate::model::{Checkpoint, Config, EgoTac, Metadata, Precision, checkpoint, init};
+use crate::score::metrics;
 use crate::train::data::Dataset;
 use crate::train::predict;
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::trace::{N_SITES, Trace};
-use crate::metrics::contact::Counts;
+use crate::score::metrics::contact::Counts;
 use crate::tactile::N_FIELD;
 
 /// Errors against a reference; `None` where the reference has nothing to compare with.

@@ -3,8 +3,8 @@
 use glam::Vec3;
 
 use crate::error::Result;
+use crate::geometry::{ForceSpreader, LinkContact};
 use crate::hand::Side;
-use crate::label::{ForceSpreader, LinkContact};
 use crate::mujoco::World;
 use crate::mujoco::world::{Body, Contact, Servo};
 use crate::sim::Rollout;

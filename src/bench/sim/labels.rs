@@ -6,7 +6,7 @@ use super::clock::{Clock, Stopwatch};
 use super::errors::{Errors, Pool};
 use super::hands::Hand;
 use crate::error::Result;
-use crate::label::{ForceSpreader, PROXIMITY};
+use crate::geometry::{ForceSpreader, PROXIMITY};
 use crate::mujoco::World;
 use crate::sim::contact::hand_force;
 use crate::sim::scene_object::SceneObject;

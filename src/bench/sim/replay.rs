@@ -4,7 +4,7 @@ use super::clock::{Clock, Stopwatch};
 use super::hands::Hand;
 use super::knob::Setup;
 use crate::error::Result;
-use crate::label::SIGMA;
+use crate::geometry::SIGMA;
 use crate::mujoco::Preset;
 use crate::mujoco::world::Contact;
 use crate::sim::{Rollout, RolloutOptions, Scene};

@@ -7,9 +7,9 @@ use std::process::ExitCode;
 use anyhow::{Context, ensure};
 use serde_json::json;
 
-use crate::annotate::Labelled;
 use crate::dataset::fps;
-use crate::metrics::{self, Fields, Options};
+use crate::label::Labelled;
+use crate::score::metrics::{self, Fields, Options};
 use crate::tactile::N_FIELD;
 
 /// Arguments of `egotac data diff`.

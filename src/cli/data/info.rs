@@ -6,11 +6,11 @@ use std::process::ExitCode;
 use serde_json::{Map, Value, json};
 
 use super::store_info;
-use crate::annotate::{About, Kind, Labelled, image_files};
 use crate::dataset::lerobot::LeRobot;
 use crate::dataset::mcap::{bag_files, survey};
 use crate::dataset::{fps, video, zarr};
 use crate::error::{Error, Result};
+use crate::label::{About, Kind, Labelled, image_files};
 
 /// Runs the command.
 pub fn run(paths: &[PathBuf], json: bool) -> anyhow::Result<ExitCode> {

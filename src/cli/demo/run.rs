@@ -11,7 +11,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use super::children::NodeProcess;
 use super::{Args, report, topics};
 use crate::message::{CameraInfo, HandModelInfo, HandPose, Image, TactileFrame, TactileMetrics, TactileTruth};
-use crate::node::recorder::{Recorder, Topic};
+use crate::node::bag_recorder::{Recorder, Topic};
 
 /// Frames per simulated second.
 const FPS: f64 = 25.0;

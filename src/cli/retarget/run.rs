@@ -6,11 +6,10 @@ use std::process::ExitCode;
 use anyhow::{Context, bail, ensure};
 
 use super::Run;
-use crate::hand::{HandModel, Side};
+use crate::hand::{HandModel, Side, Topology};
 use crate::mujoco::object::Shapes;
 use crate::retarget::file::{Followed, Hands};
 use crate::retarget::{Options, Pool, Retargeter, Robot, Status};
-use crate::tactile::Topology;
 
 /// Frames per second of hands that say nothing of time.
 const RATE: f64 = 30.0;

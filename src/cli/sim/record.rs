@@ -77,7 +77,7 @@ pub fn work(args: &Worker) -> anyhow::Result<()> {
     let scenes = args.scenes.iter().map(|name| Ok(with_accuracy(Scene::load(name)?, &args.accuracy)?.0));
     let scenes = scenes.collect::<anyhow::Result<Vec<_>>>()?;
     let options = options(&args.making, args.size)?;
-    sim::isolate::serve(&scenes, &options, std::io::stdin().lock(), std::io::stdout().lock())?;
+    sim::worker_process::serve(&scenes, &options, std::io::stdin().lock(), std::io::stdout().lock())?;
     Ok(())
 }
 

@@ -142,7 +142,8 @@ mod tests {
     use super::super::{Contact, Dtype, TIMESTAMPS, Values, ZarrWriter};
     use super::*;
     use crate::dataset::{EpisodeWriter, Frame};
-    use crate::tactile::{N_FIELD, TactileField, Topology, Validity};
+    use crate::hand::Topology;
+    use crate::tactile::{N_FIELD, TactileField, Validity};
 
     fn attributes(topology: Topology) -> Attributes {
         serde_json::from_value(serde_json::json!({ "topology": topology })).unwrap()

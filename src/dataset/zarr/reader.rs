@@ -15,8 +15,8 @@ use super::stored::{ArrayInfo, Stored};
 use super::*;
 use crate::dataset::{Attributes, EpisodeReader, Frame};
 use crate::error::{Error, Result};
-use crate::hand::HandParams;
-use crate::tactile::{N_FIELD, TactileField, Topology, Validity};
+use crate::hand::{HandParams, Topology};
+use crate::tactile::{N_FIELD, TactileField, Validity};
 
 /// An open store. Reads Zarr v2 as written here or by zarr-python (any of its Blosc, zlib, gzip, zstd or no
 /// compression), and v3.

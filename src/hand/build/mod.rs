@@ -15,7 +15,7 @@ use std::f64::consts::FRAC_PI_4;
 use glam::{DQuat, DVec3, Vec3};
 
 use super::{HandModel, N_JOINTS, N_VERTICES, Side};
-use crate::tactile::Topology;
+use crate::hand::Topology;
 use remesh::{Mesh, Target};
 
 pub use surface::Surface;

@@ -1,7 +1,7 @@
 //! The node `predictor`: images to touch.
 
-mod exchange;
 mod input;
+mod load_model;
 mod network;
 mod worker;
 
@@ -20,8 +20,8 @@ use crate::hand::{HandModel, Side};
 use crate::message::HandPose;
 use crate::model::Precision;
 use crate::model::predictor::{Options, Predictor};
-use exchange::{Slot, Terms};
 use input::Input;
+use load_model::{Slot, Terms};
 use worker::{ModelId, Poses, Worker};
 
 /// The node's parameters.
@@ -103,7 +103,7 @@ pub fn run(
 
     let slot = Slot::default();
     let terms = Terms { path, options, topology: predictor.metadata().topology };
-    exchange::serve(&mut runtime, slot.clone(), terms, info.model_id.clone())?;
+    load_model::serve(&mut runtime, slot.clone(), terms, info.model_id.clone())?;
 
     let hands = Side::BOTH.map(HandModel::builtin);
     let input = Arc::new(Mailbox::default());

@@ -7,14 +7,13 @@ use ::image::RgbImage;
 use anyhow::{Context as _, bail};
 use candle_core::Device;
 
-use crate::hand::{HandModel, N_VERTICES, Side};
+use crate::hand::{HandModel, N_VERTICES, Side, Topology};
 use crate::message::{HandModelInfo, Header, Time};
 use crate::model::budget::{self, Tried};
 use crate::model::predictor::{Options, Predictor};
 use crate::model::shipped;
 use crate::node::log::Log;
 use crate::node::params::Parameters;
-use crate::tactile::Topology;
 
 /// The network that the parameters ask for, its file, and how it is run.
 ///

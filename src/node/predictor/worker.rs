@@ -3,8 +3,8 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::exchange::{Loaded, Slot};
-use crate::hand::HandModel;
+use super::load_model::{Loaded, Slot};
+use crate::hand::{HandModel, Topology};
 use crate::message::{HandModelInfo, HandPose, Header, PointCloud2, TactileFrame};
 use crate::model::predictor::Predictor;
 use crate::node::diagnostics::Tally;
@@ -14,7 +14,7 @@ use crate::node::params::Parameters;
 use crate::node::points::{self, Posed};
 use crate::node::runtime::{Publisher, RosClock};
 use crate::node::{Shutdown, images};
-use crate::tactile::{TactileField, Topology};
+use crate::tactile::TactileField;
 
 /// A hand pose counts for an image whose stamp differs by at most this, s.
 const POSE_SLOP: f64 = 0.2;

@@ -13,9 +13,9 @@ use crate::message::{
     self, Header, JointState, JointTrajectory, JointTrajectoryPoint, LinkTouch, RobotTouch, TactileFrame, Time,
     Vector3, Wrench,
 };
+use crate::node::approximate_sync::Matched;
 use crate::node::held_object::HeldObject;
 use crate::node::log::Log;
-use crate::node::matching::Matched;
 use crate::node::params::Parameters;
 use crate::node::runtime::{Publisher, RosClock, Runtime};
 use crate::node::{Shutdown, qos};

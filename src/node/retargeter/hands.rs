@@ -5,12 +5,11 @@ use glam::DVec3;
 
 use super::path_of;
 use crate::error::{Error, Result};
-use crate::hand::{HandModel, N_KEYPOINTS, Side};
+use crate::hand::{HandModel, N_KEYPOINTS, Side, Topology};
 use crate::message::{HandPose, Header, PoseArray, TactileFrame};
 use crate::node::params::Parameters;
 use crate::retarget::human::Hand;
 use crate::retarget::{Pool, Touch};
-use crate::tactile::Topology;
 
 /// A hand as it came.
 pub enum Seen {

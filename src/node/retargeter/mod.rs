@@ -11,9 +11,9 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use r2r::std_srvs::srv::SetBool;
 
+use super::approximate_sync::Matching;
 use super::held_object::HeldObject;
 use super::log::Log;
-use super::matching::Matching;
 use super::params::{Allowed, Parameter, Parameters};
 use super::runtime::{self, RosClock, Runtime};
 use super::{Shutdown, qos};

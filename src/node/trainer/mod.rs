@@ -15,8 +15,8 @@ use r2r::egotac_msgs::action::Train;
 use r2r::egotac_msgs::srv::LoadModel;
 
 use super::diagnostics::{self, Tally};
+use super::episode_recorder::{self, Recording};
 use super::params::{Allowed, Parameter};
-use super::recording::{self, Recording};
 use super::runtime::Runtime;
 use super::{Shutdown, images, qos};
 use crate::message::TactileTruth;
@@ -111,7 +111,7 @@ pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     runtime.spin(shutdown);
     trainer.borrow_mut().stop();
     drop(runtime);
-    recording::join(opened.writer)
+    episode_recorder::join(opened.writer)
 }
 
 /// Feeds the recording while `record` is set.

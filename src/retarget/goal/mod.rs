@@ -1,10 +1,10 @@
 //! What a robot shall do in a frame, as a [`Problem`].
 
-pub mod meet;
+pub mod pinch;
 
 use glam::{DMat3, DVec3};
 
-use self::meet::middle;
+use self::pinch::middle;
 use super::filter::SizeEstimate;
 use super::human::{Hand, keypoint};
 use super::problem::{Problem, Side, Vector};

@@ -11,7 +11,7 @@ pub mod pool;
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::goal::meet::Meeting;
+use super::goal::pinch::Meeting;
 use super::goal::{Seen, bone_axes};
 use super::human::{Hand, keypoint};
 use super::problem::jacobian;

@@ -17,7 +17,7 @@ pub use piece::{Piece, PieceShape};
 use super::convex::single;
 use super::scene::ShapeSpec;
 use crate::error::Result;
-use crate::label::{SampledSurface, Solid};
+use crate::geometry::{SampledSurface, Solid};
 
 /// An object in its own frame: origin at the centre of its shape, z up.
 #[derive(Debug, Clone)]
@@ -203,7 +203,7 @@ fn sampled(pieces: &[Piece], spacing: f32) -> Result<SampledSurface> {
     let mut points = Vec::new();
     for piece in pieces {
         let (vertices, triangles) = piece.mesh();
-        for point in crate::label::resample(&vertices, &triangles, spacing)? {
+        for point in crate::geometry::resample(&vertices, &triangles, spacing)? {
             if pieces.iter().all(|piece| piece.distance(point.as_dvec3()) > -1e-4) {
                 points.push(point);
             }
@@ -221,7 +221,7 @@ fn solid(pieces: &[Piece]) -> Result<Solid> {
             PieceShape::Capsule(radius, half) => solid.add_capsule(*half as f32, *radius as f32, piece.pose())?,
             PieceShape::Cylinder(..) | PieceShape::Hull(_) => {
                 let (vertices, triangles) = piece.mesh();
-                solid.add_mesh(crate::label::Surface::new(vertices, triangles)?);
+                solid.add_mesh(crate::geometry::Surface::new(vertices, triangles)?);
             }
         }
     }
@@ -233,7 +233,7 @@ mod tests {
     use rand::SeedableRng;
 
     use super::*;
-    use crate::sim::span::Span;
+    use crate::sim::range::Span;
 
     #[test]
     fn distances_to_a_hull_are_exact_at_its_corners_and_inside() {

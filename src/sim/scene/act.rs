@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use super::{ObjectSpec, half, within, zero, zero3};
 use crate::error::{Error, Result};
-use crate::sim::span::Span;
+use crate::sim::range::Span;
 
 /// No hand presses harder, N.
 const MOST_FORCE: f64 = 1000.0;

@@ -14,7 +14,7 @@ pub use shipped::SHIPPED;
 
 use super::effect::{EffectPlan, EffectsSpec, Observation};
 use super::object::mesh_faults;
-use super::span::Span;
+use super::range::Span;
 use crate::error::{Error, Result};
 use crate::mujoco::PhysicsOptions;
 

@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use super::{TURN, positive, within, zero};
 use crate::error::{Error, Result};
-use crate::sim::span::Span;
+use crate::sim::range::Span;
 
 /// An object on the table.
 #[derive(Debug, Clone, PartialEq, Deserialize)]

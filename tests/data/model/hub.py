@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the files of tests/model_hub.rs and tests/model_import.rs (needs torch, transformers and safetensors):
+"""Writes the files of tests/model_pretrained.rs and tests/model_import.rs (needs torch, transformers and safetensors):
 
     python tests/data/model/hub.py        # writes hub_*.safetensors and foreign.pth beside this script
 

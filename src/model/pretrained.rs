@@ -1,0 +1,110 @@
+//! Published DINOv2 checkpoints (safetensors, names of the Hugging Face hub) as the vision encoder.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use candle_core::{Device, Tensor};
+use candle_nn::VarMap;
+
+use super::checkpoint::{self, ENCODER};
+use super::config::Config;
+use super::metadata::Metadata;
+use super::{EgoTac, init};
+use crate::error::{Error, Result};
+use crate::image::{Filter, Resize};
+
+/// Channels of one attention head in every published DINOv2.
+const HEAD: usize = 64;
+/// Part of published checkpoints that inference never touches.
+const MASK_TOKEN: &str = "embeddings.mask_token";
+
+/// What a network around a published encoder is like, where the encoder does not say.
+#[derive(Debug, Clone)]
+pub struct Around {
+    /// Side of the input image, pixels.
+    pub image: usize,
+    /// T.
+    pub horizon: usize,
+    /// K.
+    pub predict: usize,
+    /// Layers of the decoder.
+    pub depth: usize,
+    /// Seed of everything that is not the encoder.
+    pub seed: u64,
+}
+
+impl Default for Around {
+    fn default() -> Self {
+        let Config { image, horizon, predict, depth, .. } = Config::base();
+        Self { image, horizon, predict, depth, seed: 0 }
+    }
+}
+
+/// A network that starts at the encoder of a published checkpoint, everything else at random: its geometry, what a
+/// predictor needs to know (images prepared as the encoder learned them), and its tensors.
+///
+/// # Errors
+/// If the file can't be read, or a tensor is missing, unexpected or misshapen; each is named, with expected and found
+/// shape.
+pub fn init(path: &Path, around: &Around) -> Result<(Config, Metadata, BTreeMap<String, Tensor>)> {
+    let mut published = checkpoint::read_tensors(path)?;
+    published.remove(MASK_TOKEN);
+    let config = config(path, &published, around)?;
+    let vars = VarMap::new();
+    EgoTac::new(&config, init::var_builder(&vars, around.seed, &Device::Cpu))?;
+    let mut tensors = checkpoint::variables(&vars)?;
+    tensors.retain(|name, _| !name.starts_with(ENCODER));
+    tensors.extend(published.into_iter().map(|(name, tensor)| (format!("{ENCODER}{name}"), tensor)));
+    checkpoint::check(path, &config, &tensors)?;
+    let name = path.file_stem().map_or("dinov2".into(), |stem| stem.to_string_lossy().into_owned());
+    let mut metadata = Metadata::new(format!("{name}, untrained around it"), 1.0, 0.04);
+    metadata.resize = Resize::Centre;
+    metadata.filter = Filter::Bicubic;
+    metadata.has_force = false;
+    metadata.training = format!("encoder of {name}; all else at its random start, seed {}", around.seed);
+    Ok((config, metadata, tensors))
+}
+
+/// The geometry that the tensors' shapes say.
+fn config(path: &Path, tensors: &BTreeMap<String, Tensor>, around: &Around) -> Result<Config> {
+    let dims = |name: &str, expected: &str, rank: usize| -> Result<&[usize]> {
+        let found = tensors.get(name).map(|tensor| tensor.dims());
+        match found {
+            Some(dims) if dims.len() == rank => Ok(dims),
+            Some(dims) => Err(Error::file(path, format!("{name}: expected {expected}, found {dims:?}"))),
+            None => Err(Error::file(path, format!("{name}: expected {expected}, found none"))),
+        }
+    };
+    let vision_width = dims("embeddings.cls_token", "[1, 1, width]", 3)?[2];
+    let patch = dims("embeddings.patch_embeddings.projection.weight", "[width, 3, patch, patch]", 4)?[3];
+    let positions = dims("embeddings.position_embeddings", "[1, 1 + patches, width]", 3)?[1];
+    let grid = positions.saturating_sub(1).isqrt();
+    if grid * grid + 1 != positions {
+        let found =
+            format!("embeddings.position_embeddings: expected [1, 1 + a square, width], found {positions} places");
+        return Err(Error::file(path, found));
+    }
+    let registers = match tensors.contains_key("embeddings.register_tokens") {
+        true => dims("embeddings.register_tokens", "[1, registers, width]", 3)?[1],
+        false => 0,
+    };
+    let layer = |i: usize| tensors.keys().any(|name| name.starts_with(&format!("encoder.layer.{i}.")));
+    let vision_depth = (0..).take_while(|i| layer(*i)).count();
+    let heads = (vision_width / HEAD).max(1);
+    let config = Config {
+        vision_width,
+        vision_depth,
+        vision_heads: heads,
+        width: vision_width,
+        depth: around.depth,
+        heads,
+        image: around.image,
+        patch,
+        pretrain_image: grid * patch,
+        horizon: around.horizon,
+        predict: around.predict,
+        registers,
+    };
+    config.check().map_err(|error| Error::file(path, error))?;
+    Ok(config)
+}

@@ -1,0 +1,125 @@
+//! Arrays of a numpy `.npz` archive.
+
+use std::io::{Cursor, Read};
+
+use super::array::{Array, Dtype, Outcome};
+use super::pickle::Pickle;
+
+/// Most bytes one unpacked member may have.
+const MAX_MEMBER: u64 = 256 << 20;
+
+/// The members of an archive by array name, unpacked when asked for.
+pub(crate) struct Npz<'a> {
+    archive: zip::ZipArchive<Cursor<&'a [u8]>>,
+}
+
+impl<'a> Npz<'a> {
+    /// Opens an archive.
+    ///
+    /// # Errors
+    /// If the bytes are no zip archive.
+    pub fn open(bytes: &'a [u8]) -> Outcome<Self> {
+        let archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(|error| format!("no .npz archive: {error}"))?;
+        Ok(Self { archive })
+    }
+
+    /// Array names.
+    pub fn keys(&self) -> Vec<String> {
+        let names = self.archive.file_names().filter_map(|name| name.ok());
+        names.map(|name| name.strip_suffix(".npy").unwrap_or(&name).to_string()).collect()
+    }
+
+    /// The array of a name; `None` when there is none.
+    ///
+    /// # Errors
+    /// If the member is damaged or no numeric array.
+    pub fn array(&mut self, name: &str) -> Outcome<Option<Array>> {
+        let member = match self.archive.by_name(&format!("{name}.npy")) {
+            Ok(member) => member,
+            Err(zip::result::ZipError::FileNotFound) => return Ok(None),
+            Err(error) => return Err(error.to_string()),
+        };
+        let mut bytes = Vec::new();
+        member.take(MAX_MEMBER + 1).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
+        if bytes.len() as u64 > MAX_MEMBER {
+            return Err(format!("more than {MAX_MEMBER} bytes"));
+        }
+        read_npy(&bytes).map(Some)
+    }
+}
+
+/// Reads a `.npy` file of version 1 to 3; an array of objects that holds one array gives that array.
+fn read_npy(bytes: &[u8]) -> Outcome<Array> {
+    let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or("no .npy magic number")?;
+    let ([version, _minor], rest) = rest.split_first_chunk().ok_or("no .npy version")?;
+    let (length, rest) = if *version == 1 {
+        rest.split_first_chunk().map(|(length, rest)| (usize::from(u16::from_le_bytes(*length)), rest))
+    } else {
+        rest.split_first_chunk().map(|(length, rest)| (u32::from_le_bytes(*length) as usize, rest))
+    }
+    .ok_or("no .npy header")?;
+    let (header, data) = rest.split_at_checked(length).ok_or("a .npy header that is cut off")?;
+    let header = std::str::from_utf8(header).map_err(|_| "a .npy header that is no text")?;
+
+    let descr = field(header, "descr").and_then(quoted).ok_or("a .npy header without descr")?;
+    if descr.ends_with('O') {
+        return Pickle::read(data)?.root_array();
+    }
+    let fortran = field(header, "fortran_order").ok_or("a .npy header without fortran_order")?.starts_with("True");
+    let shape = field(header, "shape").and_then(numbers).ok_or("a .npy header without shape")?;
+    Array::from_bytes(data, Dtype::parse(descr)?, shape, fortran)
+}
+
+/// What follows `'name':` in the header, a Python dictionary literal.
+fn field<'a>(header: &'a str, name: &str) -> Option<&'a str> {
+    let (_, value) = header.split_once(&format!("'{name}':"))?;
+    Some(value.trim_start())
+}
+
+fn quoted(value: &str) -> Option<&str> {
+    value.strip_prefix('\'')?.split('\'').next()
+}
+
+/// The numbers of a Python tuple.
+fn numbers(value: &str) -> Option<Vec<usize>> {
+    let (inner, _) = value.strip_prefix('(')?.split_once(')')?;
+    inner.split(',').map(str::trim).filter(|item| !item.is_empty()).map(|item| item.parse().ok()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn npy(header: &str, data: &[u8]) -> Vec<u8> {
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend((header.len() as u16).to_le_bytes());
+        bytes.extend(header.as_bytes());
+        bytes.extend(data);
+        bytes
+    }
+
+    #[test]
+    fn npy_with_fortran_order_reads_row_major() {
+        let bytes = npy("{'descr': '|u1', 'fortran_order': True, 'shape': (2, 2), }\n", &[1, 2, 3, 4]);
+        assert_eq!(read_npy(&bytes).unwrap(), Array { shape: vec![2, 2], data: vec![1.0, 3.0, 2.0, 4.0] });
+    }
+
+    #[test]
+    fn sparse_matrix_in_a_box_of_objects_comes_dense() {
+        let bytes = include_bytes!("../../tests/data/hand/small.npz");
+        let mut npz = Npz::open(bytes).unwrap();
+        let dense = Array { shape: vec![2, 3], data: vec![0.0, 2.0, 0.0, 1.0, 0.0, 3.0] };
+        assert_eq!(npz.array("box").unwrap(), Some(dense));
+        assert_eq!(npz.array("empty").unwrap().unwrap().shape, [0, 3]);
+        assert_eq!(npz.array("absent").unwrap(), None);
+    }
+
+    #[test]
+    fn damaged_npy_is_an_error() {
+        let bytes = npy("{'descr': '<f8', 'fortran_order': False, 'shape': (2,), }\n", &[0; 16]);
+        assert!(read_npy(&bytes).is_ok());
+        for end in 0..bytes.len() {
+            assert!(read_npy(&bytes[..end]).is_err(), "cut at {end}");
+        }
+    }
+}

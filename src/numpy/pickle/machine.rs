@@ -1,0 +1,404 @@
+//! The stack machine of Python's pickle format, protocols 0 to 5 (Python's `pickletools` documents the opcodes).
+
+use std::borrow::Cow;
+use std::cell::Cell;
+use std::collections::HashMap;
+
+use super::literal::{integer, number, python2_string, raw_unicode, text};
+use super::{Id, Outcome, Pickle, Value};
+
+/// Most values a pickle may hold; a MANO file holds some hundreds. Each takes at least one byte of the file.
+const MAX_VALUES: usize = 1 << 20;
+
+/// Packages whose names are data to [`super::meaning`], or harmless parts of the objects in a MANO file.
+const KNOWN_PACKAGES: [&str; 3] = ["numpy", "scipy.sparse", "chumpy"];
+/// Other names, by themselves.
+const KNOWN_NAMES: [&str; 11] = [
+    "copy_reg._reconstructor",
+    "copyreg._reconstructor",
+    "__builtin__.object",
+    "builtins.object",
+    "__builtin__.set",
+    "builtins.set",
+    "__builtin__.bytearray",
+    "builtins.bytearray",
+    "_codecs.encode",
+    "collections.OrderedDict",
+    "collections.defaultdict",
+];
+
+struct Machine<'a> {
+    rest: &'a [u8],
+    values: Vec<Value<'a>>,
+    stack: Vec<Id>,
+    /// Heights of the stack at which marks lie.
+    marks: Vec<usize>,
+    memo: HashMap<u64, Id>,
+}
+
+/// Runs a whole pickle.
+pub(crate) fn run(bytes: &[u8]) -> Outcome<Pickle<'_>> {
+    let mut machine =
+        Machine { rest: bytes, values: Vec::new(), stack: Vec::new(), marks: Vec::new(), memo: HashMap::new() };
+    loop {
+        let at = bytes.len() - machine.rest.len();
+        let [opcode] = machine.fixed()?;
+        if opcode == b'.' {
+            break;
+        }
+        machine.step(opcode).map_err(|message| format!("{message} (pickle opcode at byte {at})"))?;
+    }
+    let root = machine.pop()?;
+    Ok(Pickle { values: machine.values, root, work: Cell::new(0) })
+}
+
+impl<'a> Machine<'a> {
+    fn step(&mut self, opcode: u8) -> Outcome<()> {
+        match opcode {
+            // Protocol version and frame length: the opcodes say all.
+            0x80 => self.fixed::<1>().map(drop),
+            0x95 => self.fixed::<8>().map(drop),
+
+            b'(' => {
+                self.marks.push(self.stack.len());
+                Ok(())
+            }
+            b'0' if self.marks.last() == Some(&self.stack.len()) => {
+                self.marks.pop();
+                Ok(())
+            }
+            b'0' => self.pop().map(drop),
+            b'1' => self.pop_to_mark().map(drop),
+            b'2' => {
+                let top = self.pop()?;
+                self.stack.extend([top, top]);
+                Ok(())
+            }
+
+            b'N' => self.push(Value::None),
+            0x88 => self.push(Value::Bool(true)),
+            0x89 => self.push(Value::Bool(false)),
+            b'J' => {
+                let value = i64::from(i32::from_le_bytes(self.fixed()?));
+                self.push(Value::Int(value))
+            }
+            b'K' => {
+                let [value] = self.fixed()?;
+                self.push(Value::Int(value.into()))
+            }
+            b'M' => {
+                let value = u16::from_le_bytes(self.fixed()?);
+                self.push(Value::Int(value.into()))
+            }
+            b'I' | b'L' => {
+                let value = integer(self.line()?)?;
+                self.push(value)
+            }
+            0x8a => {
+                let [length] = self.fixed()?;
+                self.long(length.into())
+            }
+            0x8b => {
+                let length = u32::from_le_bytes(self.fixed()?);
+                self.long(length.into())
+            }
+            b'F' => {
+                let line = text(self.line()?)?;
+                let value = line.parse().map_err(|_| format!("{line:?} is not a number"))?;
+                self.push(Value::Float(value))
+            }
+            b'G' => {
+                let value = f64::from_be_bytes(self.fixed()?);
+                self.push(Value::Float(value))
+            }
+
+            b'S' => {
+                let bytes = python2_string(self.line()?)?;
+                self.push(Value::Bytes(Cow::Owned(bytes)))
+            }
+            b'U' | b'C' => {
+                let [length] = self.fixed()?;
+                self.bytes(length.into())
+            }
+            b'T' | b'B' => {
+                let length = u32::from_le_bytes(self.fixed()?);
+                self.bytes(length.into())
+            }
+            0x8e | 0x96 => {
+                let length = u64::from_le_bytes(self.fixed()?);
+                self.bytes(length)
+            }
+            b'V' => {
+                let text = raw_unicode(self.line()?)?;
+                self.push(Value::Text(text))
+            }
+            0x8c => {
+                let [length] = self.fixed()?;
+                self.text(length.into())
+            }
+            b'X' => {
+                let length = u32::from_le_bytes(self.fixed()?);
+                self.text(length.into())
+            }
+            0x8d => {
+                let length = u64::from_le_bytes(self.fixed()?);
+                self.text(length)
+            }
+
+            b']' | 0x8f => self.push(Value::List(Vec::new())),
+            b'}' => self.push(Value::Dict(Vec::new())),
+            b')' => self.push(Value::Tuple(Vec::new())),
+            b'l' | 0x91 => {
+                let items = self.pop_to_mark()?;
+                self.push(Value::List(items))
+            }
+            b't' => {
+                let items = self.pop_to_mark()?;
+                self.push(Value::Tuple(items))
+            }
+            0x85..=0x87 => {
+                let mut items = (0x84..opcode).map(|_| self.pop()).collect::<Outcome<Vec<Id>>>()?;
+                items.reverse();
+                self.push(Value::Tuple(items))
+            }
+            b'd' => {
+                let items = self.pop_to_mark()?;
+                self.push(Value::Dict(pairs(&items)?))
+            }
+            b'a' => {
+                let item = self.pop()?;
+                self.append(vec![item])
+            }
+            b'e' | 0x90 => {
+                let items = self.pop_to_mark()?;
+                self.append(items)
+            }
+            b's' => {
+                let (value, key) = (self.pop()?, self.pop()?);
+                self.insert(&[key, value])
+            }
+            b'u' => {
+                let items = self.pop_to_mark()?;
+                self.insert(&items)
+            }
+
+            b'p' => {
+                let slot = number(self.line()?)?;
+                self.put(slot)
+            }
+            b'q' => {
+                let [slot] = self.fixed()?;
+                self.put(slot.into())
+            }
+            b'r' => {
+                let slot = u32::from_le_bytes(self.fixed()?);
+                self.put(slot.into())
+            }
+            0x94 => self.put(self.memo.len() as u64),
+            b'g' => {
+                let slot = number(self.line()?)?;
+                self.get(slot)
+            }
+            b'h' => {
+                let [slot] = self.fixed()?;
+                self.get(slot.into())
+            }
+            b'j' => {
+                let slot = u32::from_le_bytes(self.fixed()?);
+                self.get(slot.into())
+            }
+
+            b'c' => {
+                let module = text(self.line()?)?;
+                let name = text(self.line()?)?;
+                self.global(module, name)
+            }
+            0x93 => {
+                let (name, module) = (self.pop()?, self.pop()?);
+                match (&self.values[module], &self.values[name]) {
+                    (Value::Text(module), Value::Text(name)) => self.global(&module.clone(), &name.clone()),
+                    _ => Err("a name that is no text".into()),
+                }
+            }
+            b'R' | 0x81 => {
+                let (args, function) = (self.pop()?, self.pop()?);
+                self.push(Value::Call { function, args, state: None })
+            }
+            0x92 => {
+                let (_keywords, args, function) = (self.pop()?, self.pop()?, self.pop()?);
+                self.push(Value::Call { function, args, state: None })
+            }
+            b'o' => {
+                let mut items = self.pop_to_mark()?;
+                if items.is_empty() {
+                    return Err("an object without a class".into());
+                }
+                let function = items.remove(0);
+                self.call(function, items)
+            }
+            b'i' => {
+                let module = text(self.line()?)?;
+                let name = text(self.line()?)?;
+                let items = self.pop_to_mark()?;
+                self.global(module, name)?;
+                let function = self.pop()?;
+                self.call(function, items)
+            }
+            b'b' => {
+                let new_state = self.pop()?;
+                match self.top()? {
+                    Value::Call { state, .. } => {
+                        *state = Some(new_state);
+                        Ok(())
+                    }
+                    other => Err(format!("a state for {}", kind(other))),
+                }
+            }
+            _ => Err(format!("opcode {:?} (0x{opcode:02x}) is unknown or needs the outside world", char::from(opcode))),
+        }
+    }
+
+    fn push(&mut self, value: Value<'a>) -> Outcome<()> {
+        if self.values.len() >= MAX_VALUES {
+            return Err(format!("more than {MAX_VALUES} values"));
+        }
+        self.stack.push(self.values.len());
+        self.values.push(value);
+        Ok(())
+    }
+
+    /// The topmost value above the last mark.
+    fn pop(&mut self) -> Outcome<Id> {
+        let floor = self.marks.last().copied().unwrap_or(0);
+        let top = self.stack.pop().filter(|_| self.stack.len() >= floor);
+        top.ok_or_else(|| "a value is missing from the stack".to_string())
+    }
+
+    fn pop_to_mark(&mut self) -> Outcome<Vec<Id>> {
+        let mark = self.marks.pop().ok_or("a mark is missing from the stack")?;
+        Ok(self.stack.split_off(mark.min(self.stack.len())))
+    }
+
+    fn top(&mut self) -> Outcome<&mut Value<'a>> {
+        let top = self.pop()?;
+        self.stack.push(top);
+        Ok(&mut self.values[top])
+    }
+
+    fn append(&mut self, items: Vec<Id>) -> Outcome<()> {
+        match self.top()? {
+            Value::List(list) => list.extend(items),
+            // An object that is a list in Python (a set made by a call, say); no array hides in it.
+            Value::Call { .. } => {}
+            other => return Err(format!("items for {}", kind(other))),
+        }
+        Ok(())
+    }
+
+    fn insert(&mut self, items: &[Id]) -> Outcome<()> {
+        let new = pairs(items)?;
+        match self.top()? {
+            Value::Dict(entries) => entries.extend(new),
+            Value::Call { .. } => {}
+            other => return Err(format!("entries for {}", kind(other))),
+        }
+        Ok(())
+    }
+
+    fn put(&mut self, slot: u64) -> Outcome<()> {
+        let top = self.pop()?;
+        self.stack.push(top);
+        self.memo.insert(slot, top);
+        Ok(())
+    }
+
+    fn get(&mut self, slot: u64) -> Outcome<()> {
+        let id = *self.memo.get(&slot).ok_or_else(|| format!("memo {slot} is read before it is written"))?;
+        self.stack.push(id);
+        Ok(())
+    }
+
+    fn global(&mut self, module: &str, name: &str) -> Outcome<()> {
+        let path = format!("{module}.{name}");
+        let within = |package: &&str| module.strip_prefix(*package).is_some_and(|r| r.is_empty() || r.starts_with('.'));
+        let known = KNOWN_PACKAGES.iter().any(within) || KNOWN_NAMES.contains(&path.as_str());
+        if !known {
+            return Err(format!("the pickle names `{path}`, which is not part of a hand model"));
+        }
+        self.push(Value::Global(path))
+    }
+
+    fn call(&mut self, function: Id, args: Vec<Id>) -> Outcome<()> {
+        self.push(Value::Tuple(args))?;
+        let args = self.pop()?;
+        self.push(Value::Call { function, args, state: None })
+    }
+
+    fn long(&mut self, length: u64) -> Outcome<()> {
+        let bytes = self.take(length)?;
+        if bytes.len() > 8 {
+            return Err(format!("an integer of {length} bytes"));
+        }
+        let negative = bytes.last().is_some_and(|last| last & 0x80 != 0);
+        let mut word = if negative { [0xff; 8] } else { [0; 8] };
+        word[..bytes.len()].copy_from_slice(bytes);
+        self.push(Value::Int(i64::from_le_bytes(word)))
+    }
+
+    fn bytes(&mut self, length: u64) -> Outcome<()> {
+        let bytes = self.take(length)?;
+        self.push(Value::Bytes(Cow::Borrowed(bytes)))
+    }
+
+    fn text(&mut self, length: u64) -> Outcome<()> {
+        let bytes = self.take(length)?;
+        // Lone surrogates can't be text here, and no key or array of a hand has them.
+        self.push(Value::Text(String::from_utf8_lossy(bytes).into_owned()))
+    }
+
+    fn take(&mut self, length: u64) -> Outcome<&'a [u8]> {
+        let length = usize::try_from(length).ok().filter(|&length| length <= self.rest.len());
+        let (taken, rest) = self.rest.split_at(length.ok_or("the file ends in the middle of a value")?);
+        self.rest = rest;
+        Ok(taken)
+    }
+
+    fn fixed<const N: usize>(&mut self) -> Outcome<[u8; N]> {
+        let (taken, rest) = self.rest.split_first_chunk().ok_or("the file ends before the pickle does")?;
+        self.rest = rest;
+        Ok(*taken)
+    }
+
+    /// Bytes up to the next line end, without it.
+    fn line(&mut self) -> Outcome<&'a [u8]> {
+        let end = self.rest.iter().position(|&byte| byte == b'\n').ok_or("the file ends in the middle of a line")?;
+        let line = &self.rest[..end];
+        self.rest = &self.rest[end + 1..];
+        Ok(line.strip_suffix(b"\r").unwrap_or(line))
+    }
+}
+
+/// What a value is, in words.
+pub(crate) fn kind(value: &Value) -> &'static str {
+    match value {
+        Value::None => "None",
+        Value::Bool(_) => "a boolean",
+        Value::Int(_) => "an integer",
+        Value::Float(_) => "a number",
+        Value::Bytes(_) => "a string of bytes",
+        Value::Text(_) => "a text",
+        Value::List(_) => "a list",
+        Value::Tuple(_) => "a tuple",
+        Value::Dict(_) => "a dictionary",
+        Value::Global(_) => "a name",
+        Value::Call { .. } => "an object",
+    }
+}
+
+fn pairs(items: &[Id]) -> Outcome<Vec<(Id, Id)>> {
+    let (pairs, rest) = items.as_chunks::<2>();
+    if !rest.is_empty() {
+        return Err("a key without a value".into());
+    }
+    Ok(pairs.iter().map(|&[key, value]| (key, value)).collect())
+}

@@ -1,0 +1,213 @@
+//! Reads Python pickles as plain data: nothing a pickle names is imported, called or executed.
+//!
+//! A pickle is a program for a stack machine. [`machine`] runs it, but where Python would call a function it only notes
+//! "this name, with these arguments"; [`meaning`] then knows what a few such notes of numpy, scipy and chumpy stand for.
+
+mod literal;
+mod machine;
+mod meaning;
+
+use std::borrow::Cow;
+use std::cell::Cell;
+
+use crate::numpy::array::{Array, Outcome};
+
+pub(crate) use meaning::{uncompressed, zipped};
+
+/// Place of a value in [`Pickle::values`]; values refer to each other by it, so cycles are harmless.
+type Id = usize;
+
+/// One value of a pickle.
+#[derive(Debug, Clone)]
+enum Value<'a> {
+    None,
+    Bool(bool),
+    Int(i64),
+    Float(f64),
+    /// A Python 2 string or bytes.
+    Bytes(Cow<'a, [u8]>),
+    Text(String),
+    List(Vec<Id>),
+    Tuple(Vec<Id>),
+    Dict(Vec<(Id, Id)>),
+    /// A name such as `numpy.dtype`.
+    Global(String),
+    /// What calling `function` with `args` would have made, and the state it would have been given.
+    Call {
+        function: Id,
+        args: Id,
+        state: Option<Id>,
+    },
+}
+
+/// A pickle whose outermost value is a dictionary with string keys.
+#[derive(Debug)]
+pub(crate) struct Pickle<'a> {
+    values: Vec<Value<'a>>,
+    root: Id,
+    /// Numbers read so far.
+    work: Cell<usize>,
+}
+
+impl<'a> Pickle<'a> {
+    /// Reads a pickle of protocol 0 to 5.
+    ///
+    /// # Errors
+    /// If the bytes are no complete pickle, use an unknown opcode, or name anything but numpy, scipy and chumpy data;
+    /// the message names it.
+    pub fn read(bytes: &'a [u8]) -> Outcome<Self> {
+        machine::run(bytes)
+    }
+
+    /// String keys of the outermost dictionary, in order; empty when it is none.
+    pub fn keys(&self) -> Vec<String> {
+        self.entries().iter().filter_map(|&(key, _)| self.text(key)).collect()
+    }
+
+    /// The array under a key; `None` when the key is absent. Sparse matrices come dense.
+    ///
+    /// # Errors
+    /// If the value is no numeric array.
+    pub fn array(&self, name: &str) -> Outcome<Option<Array>> {
+        let found = self.entries().iter().rev().find(|&&(key, _)| self.text(key).as_deref() == Some(name));
+        found.map(|&(_, value)| self.to_array(value, 0)).transpose()
+    }
+
+    /// The pickle's outermost value as an array (an object array inside an `.npz`).
+    ///
+    /// # Errors
+    /// If it is no numeric array, nor a box around one.
+    pub fn root_array(&self) -> Outcome<Array> {
+        self.to_array(self.root, 0)
+    }
+
+    fn entries(&self) -> &[(Id, Id)] {
+        match &self.values[self.root] {
+            Value::Dict(entries) => entries,
+            _ => &[],
+        }
+    }
+
+    /// A string of either kind; Python 2 strings are latin-1.
+    fn text(&self, id: Id) -> Option<String> {
+        match &self.values[id] {
+            Value::Text(text) => Some(text.clone()),
+            Value::Bytes(bytes) => Some(bytes.iter().map(|&byte| char::from(byte)).collect()),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// `small_*.pkl` beside `make_golden.py`: one dictionary, by Python 2 and 3 in every protocol.
+    fn small_pickles() -> Vec<(String, Vec<u8>)> {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hand");
+        let names =
+            (0..3).map(|p| format!("small_python2_{p}.pkl")).chain((0..6).map(|p| format!("small_python3_{p}.pkl")));
+        names.map(|name| (name.clone(), std::fs::read(folder.join(name)).unwrap())).collect()
+    }
+
+    fn array(pickle: &Pickle, name: &str) -> Array {
+        pickle.array(name).unwrap().unwrap()
+    }
+
+    #[test]
+    fn every_protocol_of_both_pythons_gives_the_same_arrays() {
+        for (file, bytes) in small_pickles() {
+            let pickle = Pickle::read(&bytes).unwrap_or_else(|message| panic!("{file}: {message}"));
+            assert_eq!(pickle.keys(), ["int", "fortran", "flag", "sparse", "list", "scalar", "text"], "{file}");
+            assert_eq!(array(&pickle, "int"), Array { shape: vec![2, 2], data: vec![1.0, -2.0, 300.0, 4.0] }, "{file}");
+            let fortran = Array { shape: vec![2, 3], data: vec![0.5, 1.5, -2.5, 3.0, 1e300, 0.0] };
+            assert_eq!(array(&pickle, "fortran"), fortran, "{file}");
+            assert_eq!(array(&pickle, "flag").data, [1.0, 0.0], "{file}");
+            let sparse = Array { shape: vec![2, 3], data: vec![0.0, 2.0, 0.0, 1.0, 0.0, 3.0] };
+            assert_eq!(array(&pickle, "sparse"), sparse, "{file}");
+            assert_eq!(array(&pickle, "list"), Array { shape: vec![3], data: vec![1.0, 2.5, 3.0] }, "{file}");
+            assert_eq!(array(&pickle, "scalar").data, [1.25], "{file}");
+            assert!(pickle.array("text").unwrap_err().contains("no array"), "{file}");
+            assert_eq!(pickle.array("absent").unwrap(), None, "{file}");
+        }
+    }
+
+    #[test]
+    fn names_of_other_programs_are_refused_by_name() {
+        let message = Pickle::read(b"cos\nsystem\n(S'true'\ntR.").unwrap_err();
+        assert!(message.contains("`os.system`"), "{message}");
+        let message = Pickle::read(b"\x80\x04\x8c\x08builtins\x8c\x04eval\x93.").unwrap_err();
+        assert!(message.contains("`builtins.eval`"), "{message}");
+    }
+
+    #[test]
+    fn unknown_opcodes_are_named_with_their_place() {
+        let message = Pickle::read(b"N\xff.").unwrap_err();
+        assert!(message.contains("0xff") && message.contains("byte 1"), "{message}");
+    }
+
+    #[test]
+    fn truncated_pickles_are_errors() {
+        for (file, bytes) in small_pickles() {
+            for end in 0..bytes.len() {
+                assert!(Pickle::read(&bytes[..end]).is_err(), "{file} cut at {end}");
+            }
+        }
+    }
+
+    #[test]
+    fn values_that_hold_themselves_end_in_an_error() {
+        // l = []; l.append(l); {"l": l}
+        let pickle = Pickle::read(b"}S'l'\n]q\x00h\x00as.").unwrap();
+        assert!(pickle.array("l").unwrap_err().contains("deep"));
+    }
+
+    #[test]
+    fn lists_that_multiply_end_in_an_error() {
+        // Twelve levels, each a list of 100 times the one below: 100^12 numbers from a few kilobytes.
+        let mut bytes = b"}S'l'\n]".to_vec();
+        for level in 0..12u8 {
+            bytes.extend([b'q', level, b'0', b']', b'(']);
+            bytes.extend([b'h', level].repeat(100));
+            bytes.push(b'e');
+        }
+        bytes.extend(b"s.");
+        let pickle = Pickle::read(&bytes).unwrap();
+        assert!(pickle.array("l").unwrap_err().contains("more numbers"));
+    }
+
+    fn use_all(bytes: &[u8]) {
+        if let Ok(pickle) = Pickle::read(bytes) {
+            for key in pickle.keys() {
+                let _ = pickle.array(&key);
+            }
+            let _ = pickle.root_array();
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn random_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+            use_all(&bytes);
+        }
+
+        #[test]
+        fn mutated_pickles_never_panic(
+            which in 0usize..9,
+            edits in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0u8..3), 1..8),
+        ) {
+            let mut bytes = small_pickles()[which].1.clone();
+            for (at, byte, kind) in edits {
+                let at = at.index(bytes.len());
+                match kind {
+                    0 => bytes[at] = byte,
+                    1 => bytes.insert(at, byte),
+                    _ => drop(bytes.remove(at)),
+                }
+            }
+            use_all(&bytes);
+        }
+    }
+}

@@ -1,0 +1,313 @@
+//! One label against another: how far a set of labelled vertices agrees with the forces that physics found.
+//!
+//! Truth is label (c): a vertex is touched above 0.05 N. Everything is a ratio of sums, so that episodes add up and can
+//! be drawn anew for confidence intervals; [`SCORES`](scores::SCORES) names the ratios.
+
+pub mod scores;
+pub mod timing;
+
+use std::ops::AddAssign;
+
+use glam::{DVec3, Vec3};
+
+use self::timing::{Instant, Timing};
+use crate::error::{Error, Result};
+use crate::geometry::force::link_vertices;
+use crate::hand::{HandModel, JOINT_NAMES, N_VERTICES, Side};
+use crate::score::metrics::{Counts, Errors, contact, force};
+use crate::tactile::{CONTACT_FORCE_N, N_FIELD};
+
+/// Distance from the nearest contact beyond which a labelled vertex counts as false, m.
+pub const FALSE_CONTACT_DISTANCE: f64 = 0.003;
+
+/// A vertex is labelled above this probability.
+const LABELLED: f32 = contact::CONTACT_THRESHOLD;
+
+/// Parts of both hands: what is touched, released and pressed as one.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Parts {
+    of_vertex: Vec<u8>,
+    names: Vec<String>,
+    are_links: bool,
+}
+
+impl Parts {
+    /// The 16 links of each hand, left hand first.
+    pub fn links(hands: &[HandModel; 2]) -> Self {
+        let mut of_vertex = vec![0; N_FIELD];
+        let mut names = Vec::new();
+        for (hand, side) in hands.iter().zip(Side::BOTH) {
+            for (link, vertices) in link_vertices(hand).iter().enumerate() {
+                for vertex in vertices {
+                    of_vertex[side.range().start + *vertex as usize] = names.len() as u8;
+                }
+                names.push(format!("{}/{}", side.name(), JOINT_NAMES[link]));
+            }
+        }
+        Self { of_vertex, names, are_links: true }
+    }
+
+    /// The two hands, where their links are not known.
+    pub fn hands() -> Self {
+        let of_vertex = (0..N_FIELD).map(|vertex| u8::from(vertex >= N_VERTICES)).collect();
+        Self { of_vertex, names: Side::BOTH.map(|side| side.name().to_owned()).to_vec(), are_links: false }
+    }
+
+    /// Names, for instance `left/index3`.
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    /// Whether they are links; scores of links are undefined otherwise.
+    pub fn are_links(&self) -> bool {
+        self.are_links
+    }
+
+    fn len(&self) -> usize {
+        self.names.len()
+    }
+}
+
+/// What is true of one frame.
+#[derive(Debug, Clone)]
+pub struct TruthFrame {
+    time: f64,
+    force: Vec<f32>,
+    touched: Vec<f32>,
+    mask: Vec<u8>,
+    positions: Vec<Vec3>,
+    near: Vec<bool>,
+    has_contacts: bool,
+}
+
+impl TruthFrame {
+    /// Takes label (c) of one frame.
+    ///
+    /// `time` s; `force` (1556) N, NaN = unknown; `mask` (1556) 1 = counts, or empty for everywhere; `positions` (1556)
+    /// of the vertices, m, each hand in a frame of its own, or empty if unknown; `contacts`: where forces act on the left
+    /// and the right hand, in the frames of `positions`; without them the touched vertices stand in.
+    ///
+    /// # Errors
+    /// If an array has another length, or a time, a position or a force is infinite, or negative.
+    pub fn new(
+        time: f64,
+        force: Vec<f32>,
+        mask: Vec<u8>,
+        positions: Vec<Vec3>,
+        contacts: Option<&[Vec<DVec3>; 2]>,
+    ) -> Result<Self> {
+        let lengths = [("force", force.len(), false), ("mask", mask.len(), true), ("positions", positions.len(), true)];
+        for (name, length, optional) in lengths {
+            if length != N_FIELD && !(optional && length == 0) {
+                return Err(Error::shape(name, format!("[{N_FIELD}]"), [length]));
+            }
+        }
+        if !time.is_finite() {
+            return Err(Error::value("time", "finite seconds", time));
+        }
+        if let Some(bad) = force.iter().position(|f| *f < 0.0 || f.is_infinite()) {
+            return Err(Error::value(format!("force[{bad}]"), "a number >= 0 or NaN", force[bad]));
+        }
+        if let Some(bad) = positions.iter().position(|p| !p.is_finite()) {
+            return Err(Error::value(format!("positions[{bad}]"), "finite", positions[bad]));
+        }
+        let touched = force.iter().map(|f| if f.is_nan() { f32::NAN } else { f32::from(*f > CONTACT_FORCE_N) });
+        let touched: Vec<f32> = touched.collect();
+        let near = match positions.is_empty() {
+            true => Vec::new(),
+            false => near(&positions, &touched, contacts),
+        };
+        Ok(Self { time, force, touched, mask, positions, near, has_contacts: contacts.is_some() })
+    }
+
+    /// (1556) 1 = touched, 0 = not, NaN = unknown.
+    pub fn touched(&self) -> &[f32] {
+        &self.touched
+    }
+
+    /// (1556) N.
+    pub fn force(&self) -> &[f32] {
+        &self.force
+    }
+
+    /// Whether the places of contacts were given, rather than touched vertices taken in their place.
+    pub fn has_contacts(&self) -> bool {
+        self.has_contacts
+    }
+
+    fn counts(&self, vertex: usize) -> bool {
+        self.mask.get(vertex).is_none_or(|mask| *mask != 0) && !self.force[vertex].is_nan()
+    }
+}
+
+/// Whether each vertex is near a force of its own hand.
+fn near(positions: &[Vec3], touched: &[f32], contacts: Option<&[Vec<DVec3>; 2]>) -> Vec<bool> {
+    let mut near = vec![false; N_FIELD];
+    for side in Side::BOTH {
+        let stand_ins = || side.range().filter(|v| touched[*v] > 0.5).map(|v| positions[v].as_dvec3()).collect();
+        let places = contacts.map_or_else(stand_ins, |contacts| contacts[side as usize].clone());
+        for vertex in side.range() {
+            let at = positions[vertex].as_dvec3();
+            near[vertex] = places.iter().any(|place| place.distance(at) <= FALSE_CONTACT_DISTANCE);
+        }
+    }
+    near
+}
+
+/// Sums over frames; those of episodes add up.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Sums {
+    /// Frames.
+    pub frames: u64,
+    /// Labelled against touched vertices.
+    pub counts: Counts,
+    /// Frames with a touched vertex, and the sums of their precision, recall, F1 and IoU.
+    pub frame_scores: (u64, [f64; 4]),
+    /// Force on touched vertices, N.
+    pub force: f64,
+    /// Part of it on vertices without label, N.
+    pub missed_force: f64,
+    /// Labelled vertices of frames with known positions, and those of them far from every contact.
+    pub labelled: (u64, u64),
+    /// Errors of the force itself.
+    pub errors: Errors,
+    /// By part: sum over frames of |labelled - true| force, and of the true force, N.
+    pub part_force: Vec<[f64; 2]>,
+    /// Pressed parts with a labelled force, and the sum of their distances of centres of pressure, m.
+    pub centres: (u64, f64),
+    /// Beginnings and ends of touches.
+    pub timing: Timing,
+}
+
+impl AddAssign<&Sums> for Sums {
+    fn add_assign(&mut self, other: &Self) {
+        self.frames += other.frames;
+        self.counts = self.counts + other.counts;
+        self.frame_scores.0 += other.frame_scores.0;
+        self.frame_scores.1.iter_mut().zip(other.frame_scores.1).for_each(|(sum, x)| *sum += x);
+        self.force += other.force;
+        self.missed_force += other.missed_force;
+        self.labelled = (self.labelled.0 + other.labelled.0, self.labelled.1 + other.labelled.1);
+        self.errors = self.errors + other.errors;
+        self.part_force.resize(self.part_force.len().max(other.part_force.len()), [0.0; 2]);
+        for (sum, x) in self.part_force.iter_mut().zip(&other.part_force) {
+            *sum = [sum[0] + x[0], sum[1] + x[1]];
+        }
+        self.centres = (self.centres.0 + other.centres.0, self.centres.1 + other.centres.1);
+        self.timing.add(&other.timing);
+    }
+}
+
+impl Sums {
+    /// What one frame adds; beginnings and ends need a [`Scorer`].
+    ///
+    /// `label` (1556): labelled above 0.5, NaN = unknown; `force` (1556) N, NaN or empty = unknown.
+    ///
+    /// # Errors
+    /// If an array has another length.
+    pub fn of_frame(parts: &Parts, truth: &TruthFrame, label: &[f32], force: &[f32]) -> Result<Self> {
+        for (name, length, optional) in [("label", label.len(), false), ("labelled force", force.len(), true)] {
+            if length != N_FIELD && !(optional && length == 0) {
+                return Err(Error::shape(name, format!("[{N_FIELD}]"), [length]));
+            }
+        }
+        let counts = Counts::of(&contact::pairs(label, &truth.touched, &truth.mask));
+        let mut sums = Self { frames: 1, counts, ..Self::default() };
+        if counts.positives() > 0 {
+            let scores = counts.scores();
+            let each = [scores.precision, scores.recall, scores.f1, scores.iou];
+            sums.frame_scores = (1, each.map(Option::unwrap_or_default));
+        }
+        for vertex in (0..N_FIELD).filter(|vertex| truth.counts(*vertex)) {
+            let labelled = label[vertex] > LABELLED;
+            if truth.touched[vertex] > 0.5 {
+                sums.force += f64::from(truth.force[vertex]);
+                sums.missed_force += if labelled { 0.0 } else { f64::from(truth.force[vertex]) };
+            }
+            if labelled && !truth.near.is_empty() {
+                sums.labelled.0 += 1;
+                sums.labelled.1 += u64::from(!truth.near[vertex]);
+            }
+        }
+        if !force.is_empty() {
+            sums.errors = Errors::of(&force::pairs(force, &truth.force, &truth.mask));
+            if sums.errors.unknown == 0 && parts.are_links {
+                sums.add_parts(parts, truth, force);
+            }
+        }
+        Ok(sums)
+    }
+
+    fn add_parts(&mut self, parts: &Parts, truth: &TruthFrame, force: &[f32]) {
+        let mut totals = vec![[(0.0, DVec3::ZERO); 2]; parts.len()];
+        for vertex in (0..N_FIELD).filter(|vertex| truth.counts(*vertex)) {
+            let at = truth.positions.get(vertex).map_or(DVec3::ZERO, |p| p.as_dvec3());
+            let both = &mut totals[usize::from(parts.of_vertex[vertex])];
+            for ((sum, moment), f) in both.iter_mut().zip([force[vertex], truth.force[vertex]]) {
+                *sum += f64::from(f);
+                *moment += f64::from(f) * at;
+            }
+        }
+        self.part_force = totals.iter().map(|[(label, _), (truth, _)]| [(label - truth).abs(), *truth]).collect();
+        let least = f64::from(CONTACT_FORCE_N);
+        for [label, truth_sum] in totals {
+            if !truth.positions.is_empty() && label.0 > least && truth_sum.0 > least {
+                self.centres.0 += 1;
+                self.centres.1 += (label.1 / label.0).distance(truth_sum.1 / truth_sum.0);
+            }
+        }
+    }
+}
+
+/// Scores one label over one episode, frame by frame.
+#[derive(Debug, Clone)]
+pub struct Scorer {
+    parts: Parts,
+    sums: Sums,
+    /// Frames since the last refused one: time, and a bit for each part that is truly touched, and that is labelled.
+    stretch: Vec<(f64, u64, u64)>,
+}
+
+impl Scorer {
+    /// Starts an episode.
+    pub fn new(parts: Parts) -> Self {
+        Self { parts, sums: Sums::default(), stretch: Vec::new() }
+    }
+
+    /// Takes the next frame, as [`Sums::of_frame`], and returns what it adds.
+    ///
+    /// # Errors
+    /// As [`Sums::of_frame`], or if time goes back.
+    pub fn push(&mut self, truth: &TruthFrame, label: &[f32], force: &[f32]) -> Result<Sums> {
+        let sums = Sums::of_frame(&self.parts, truth, label, force)?;
+        let before = self.stretch.last().map_or(f64::NEG_INFINITY, |(time, ..)| *time);
+        if truth.time <= before {
+            return Err(Error::value("time", format!("above {before} s, the frame before"), truth.time));
+        }
+        let (mut touched, mut labelled) = (0, 0);
+        for vertex in (0..N_FIELD).filter(|vertex| truth.counts(*vertex)) {
+            let part = self.parts.of_vertex[vertex];
+            touched |= u64::from(truth.touched[vertex] > 0.5) << part;
+            labelled |= u64::from(label[vertex] > LABELLED) << part;
+        }
+        self.stretch.push((truth.time, touched, labelled));
+        self.sums += &sums;
+        Ok(sums)
+    }
+
+    /// Leaves a frame out that cannot be trusted: touches are not followed across it.
+    pub fn refuse(&mut self) {
+        for part in 0..self.parts.len() {
+            let has = |bits: u64| bits >> part & 1 == 1;
+            let instants = self.stretch.iter().map(|(time, touched, labelled)| (*time, has(*touched), has(*labelled)));
+            self.sums.timing.add(&timing::compare(&instants.collect::<Vec<Instant>>()));
+        }
+        self.stretch.clear();
+    }
+
+    /// Ends the episode.
+    pub fn finish(mut self) -> Sums {
+        self.refuse();
+        self.sums
+    }
+}

@@ -1,0 +1,4 @@
+//! Scores of simulated episodes: live rollouts and recorded stores.
+
+pub mod rollout;
+pub mod store;

@@ -1,0 +1,116 @@
+//! The tactile field: force and contact per vertex of both hands, the only type that crosses the middle.
+
+use crate::error::{Error, Result};
+use crate::hand::{N_VERTICES, Side, Topology};
+
+/// Vertices of both hands: left 0..777, right 778..1555.
+pub const N_FIELD: usize = 2 * N_VERTICES;
+
+/// A vertex is in contact, in truth, above this force in newtons (CONTACT = F > 0.05 N, as in the paper).
+pub const CONTACT_FORCE_N: f32 = 0.05;
+
+/// Whether a frame's truth can be trusted, and which guard said no.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[repr(u8)]
+pub enum Validity {
+    /// The frame is good.
+    #[default]
+    Valid = 0,
+    /// The engine raised a warning counter (bad state, full arena).
+    EngineWarning = 1,
+    /// A state is not finite, or time did not advance by the timestep.
+    NotFinite = 2,
+    /// A velocity is beyond any hand's.
+    TooFast = 3,
+    /// A contact is deeper than the touching bodies allow.
+    TooDeep = 4,
+    /// Contact forces don't balance weight and acceleration.
+    Unbalanced = 5,
+    /// The solver hit its iteration cap.
+    NotConverged = 6,
+    /// Kinetic energy came or went without work.
+    EnergyError = 7,
+    /// The engine's memory for contacts is nearly full.
+    MemoryFull = 8,
+    /// A held object slips slowly though friction should hold it.
+    Creeping = 9,
+    /// Friction is beyond what its cone allows.
+    OutsideCone = 10,
+}
+
+impl Validity {
+    /// All kinds, in the order of their codes.
+    pub const ALL: [Validity; 11] = [
+        Self::Valid,
+        Self::EngineWarning,
+        Self::NotFinite,
+        Self::TooFast,
+        Self::TooDeep,
+        Self::Unbalanced,
+        Self::NotConverged,
+        Self::EnergyError,
+        Self::MemoryFull,
+        Self::Creeping,
+        Self::OutsideCone,
+    ];
+
+    /// The code as stores and messages carry it; 0 is valid.
+    pub fn code(self) -> u8 {
+        self as u8
+    }
+
+    /// What the guard saw, in words; empty for a valid frame.
+    pub fn reason(self) -> &'static str {
+        match self {
+            Self::Valid => "",
+            Self::EngineWarning => "the engine raised a warning",
+            Self::NotFinite => "the state is not finite or time did not advance",
+            Self::TooFast => "a velocity is beyond its bound",
+            Self::TooDeep => "a contact is deeper than the bodies allow",
+            Self::Unbalanced => "contact forces do not balance weight and acceleration",
+            Self::NotConverged => "the solver hit its iteration cap",
+            Self::EnergyError => "kinetic energy came or went without work",
+            Self::MemoryFull => "the engine's memory for contacts is nearly full",
+            Self::Creeping => "a held object slips slowly",
+            Self::OutsideCone => "friction is beyond its cone",
+        }
+    }
+}
+
+/// Force and contact on the vertices of both hands at one instant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TactileField {
+    /// What the indices mean.
+    pub topology: Topology,
+    /// (1556) normal force, N, never negative; NaN = unknown.
+    pub force: Vec<f32>,
+    /// (1556) contact probability; truth is 0 or 1; NaN = unknown.
+    pub contact: Vec<f32>,
+}
+
+impl TactileField {
+    /// A field without touch.
+    pub fn zeros(topology: Topology) -> Self {
+        Self { topology, force: vec![0.0; N_FIELD], contact: vec![0.0; N_FIELD] }
+    }
+
+    /// A field from forces alone; contact is force > 0.05 N.
+    ///
+    /// # Errors
+    /// If `force` has not 1556 entries or one of them is negative or not finite.
+    pub fn from_force(topology: Topology, force: Vec<f32>) -> Result<Self> {
+        if force.len() != N_FIELD {
+            return Err(Error::shape("force", format!("[{N_FIELD}]"), [force.len()]));
+        }
+        if let Some(bad) = force.iter().position(|f| !f.is_finite() || *f < 0.0) {
+            return Err(Error::value(format!("force[{bad}]"), "a finite number >= 0", force[bad]));
+        }
+        let contact = force.iter().map(|f| f32::from(*f > CONTACT_FORCE_N)).collect();
+        Ok(Self { topology, force, contact })
+    }
+
+    /// Total normal force on one hand, N; NaN where any force is unknown.
+    pub fn total_force(&self, side: Side) -> f32 {
+        self.force[side.range()].iter().map(|f| f64::from(*f)).sum::<f64>() as f32
+    }
+}
