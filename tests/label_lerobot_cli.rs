@@ -11,7 +11,7 @@ use arrow_array::types::{Float32Type, Float64Type, Int64Type};
 use arrow_array::{Array, RecordBatch};
 use egotac::TactileField;
 use egotac::dataset::lerobot::reader;
-use egotac::dataset::video::Frames;
+use egotac::dataset::video::VideoFrames;
 use egotac::hand::{HandModel, Side};
 use egotac::model::predictor::{Options, Predictor};
 use egotac::model::shipped;
@@ -147,7 +147,7 @@ fn images_in_videos_are_found_by_their_times() {
     let json = summary(&label(&input, &out, &[]), 0);
     assert_eq!(json["summary"]["labelled"], 12);
     let video = input.join("videos/observation.images.head/chunk-000/file-000.mp4");
-    let images = Frames::open(&video, None).unwrap().map(|frame| frame.unwrap().1).collect();
+    let images = VideoFrames::open(&video, None).unwrap().map(|frame| frame.unwrap().1).collect();
     check(&input, &out, &expected(images), "tactile");
     assert!(files(&input) == before, "the original was touched");
     let after = files(&out);

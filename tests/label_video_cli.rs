@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 
 use egotac::dataset::EpisodeReader;
 use egotac::dataset::tensors;
-use egotac::dataset::video::{Frames, damage, probe};
+use egotac::dataset::video::{VideoFrames, damage, probe};
 use egotac::dataset::zarr::ZarrReader;
 use egotac::model::predictor::{Options, Predictor};
 use egotac::model::shipped;
@@ -56,7 +56,7 @@ fn a_video_gives_its_frames_once_and_with_their_times() {
     images(&at("in"), 12);
     // Lossless, so that decoded pixels are known; B-frames are stored in another order than they are shown.
     video(&at("in"), &at("plain.mkv"), &["-c:v", "ffv1", "-pix_fmt", "bgr0"]);
-    let frames: Vec<(f64, RgbImage)> = Frames::open(&at("plain.mkv"), None).unwrap().map(Result::unwrap).collect();
+    let frames: Vec<(f64, RgbImage)> = VideoFrames::open(&at("plain.mkv"), None).unwrap().map(Result::unwrap).collect();
     assert_eq!(frames.len(), 12);
     for (index, (stamp, image)) in frames.iter().enumerate() {
         assert!((stamp - 0.1 * index as f64).abs() < 1e-3, "{index}: {stamp}");
@@ -65,11 +65,12 @@ fn a_video_gives_its_frames_once_and_with_their_times() {
     // Frames 3 to 5 are dropped: the others keep their times, and none is repeated to fill the gap.
     let uneven = ["-vf", "select=not(between(n\\,3\\,5))", "-vsync", "vfr", "-c:v", "ffv1", "-pix_fmt", "bgr0"];
     video(&at("in"), &at("uneven.mkv"), &uneven);
-    let stamps: Vec<f64> = Frames::open(&at("uneven.mkv"), None).unwrap().map(|frame| frame.unwrap().0).collect();
+    let stamps: Vec<f64> = VideoFrames::open(&at("uneven.mkv"), None).unwrap().map(|frame| frame.unwrap().0).collect();
     let expected = [0.0, 0.1, 0.2, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1];
     assert!(stamps.len() == 9 && stamps.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-3), "{stamps:?}");
     // From a time on.
-    let late: Vec<f64> = Frames::open(&at("plain.mkv"), Some(0.65)).unwrap().map(|frame| frame.unwrap().0).collect();
+    let late: Vec<f64> =
+        VideoFrames::open(&at("plain.mkv"), Some(0.65)).unwrap().map(|frame| frame.unwrap().0).collect();
     assert!(late.len() == 5 && (late[0] - 0.7).abs() < 1e-3, "{late:?}");
     assert_eq!(probe(&at("plain.mkv")).unwrap().size, (64, 48));
     assert_eq!(damage(&at("plain.mkv"), 12).unwrap(), None);

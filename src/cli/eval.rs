@@ -6,13 +6,13 @@ use std::process::ExitCode;
 use anyhow::{Context, bail};
 
 use crate::dataset::tensors;
-use crate::dataset::zarr::{self, ZarrReader};
+use crate::dataset::zarr::{self, ZarrReader, read_truth};
 use crate::hand::{HandModel, Side, Topology};
 use crate::model::{Checkpoint, Precision};
 use crate::score::metrics::{self, Calibration, Comparison, EvalOptions, Part, Report};
 use crate::tactile::TactileSequence;
 use crate::train::baseline;
-use crate::train::data::{Dataset, read_truth};
+use crate::train::data::Dataset;
 
 use super::hands::Hands;
 

@@ -18,8 +18,12 @@
 mod added;
 mod column;
 mod concatenate;
+mod convert;
 mod folder;
+mod images;
+mod labels;
 mod place;
+mod read_labels;
 mod reader;
 mod stored;
 mod writer;
@@ -30,7 +34,12 @@ use serde_json::{Value, json};
 
 pub use added::AddedArrays;
 pub use concatenate::concatenate;
+pub(crate) use convert::StoreOutput;
+pub(crate) use images::Store;
+pub(crate) use labels::read_info;
 pub use place::Place;
+pub(crate) use read_labels::read_labelled;
+pub use read_labels::{read_fields, read_labels, read_truth};
 pub use reader::{ZarrReader, open_all};
 pub use stored::ArrayInfo;
 pub use writer::{Contact, ZarrWriter};

@@ -1,7 +1,7 @@
 //! How often, and how hard, each region of the hands touches.
 
+use crate::dataset::{CONTACT_THRESHOLD, Labelled};
 use crate::hand::{HandModel, N_VERTICES, Region, Side};
-use crate::label::{CONTACT_THRESHOLD, Labelled};
 
 /// One region of one hand.
 #[derive(Debug, Clone, PartialEq)]

@@ -3,8 +3,8 @@
 use std::fmt::Write;
 use std::ops::Range;
 
+use crate::dataset::Labelled;
 use crate::hand::Side;
-use crate::label::Labelled;
 use crate::tactile::N_FIELD;
 
 /// Points of a curve at most: of longer episodes each shows the largest of several frames.

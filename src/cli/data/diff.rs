@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use anyhow::{Context, ensure};
 use serde_json::json;
 
-use crate::label::Labelled;
+use crate::dataset::Labelled;
 use crate::score::metrics::{self, EvalOptions};
 use crate::tactile::TactileSequence;
 

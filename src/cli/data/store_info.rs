@@ -2,11 +2,10 @@
 
 use serde_json::{Value, json};
 
-use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader};
+use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader, read_labels};
 use crate::dataset::{EpisodeReader, time_unit_of};
 use crate::error::Result;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity, fps};
-use crate::train::data::read_labels;
 
 /// Attributes, arrays, episodes, and how much touch there is.
 pub fn info(store: &ZarrReader) -> Result<Value> {

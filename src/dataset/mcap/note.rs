@@ -1,30 +1,30 @@
-//! What is noted of a chunk while its images are labelled, so that the chunk can be copied without being unpacked again.
+//! Notes about chunks, taken during inference, that spare a second decompression when the chunks are copied.
 
 use std::iter::Peekable;
 
 use mcap::records::op;
 use serde::{Deserialize, Serialize};
 
-use super::super::journal::Heads;
-use super::ImageMessage;
-use crate::dataset::mcap::{Content, Part, Piece, Record, Records, Skeleton};
+use super::messages::MessageRecord;
+use super::{Content, Part, Piece, Record, Records, Skeleton};
+use crate::dataset::labels::Notes;
 use crate::error::{Error, Result};
 use crate::message::{Header, Image, Message, Reader, Time};
 
-/// A whole chunk that holds images, as it was when they were labelled.
+/// An undamaged chunk with images, as it was during inference.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct ChunkNote {
-    /// Where its record begins.
+    /// Offset of its record in the file, bytes.
     offset: u64,
-    /// CRC-32 of the record's content.
+    /// CRC-32 of the record's content, which detects a change of the file.
     crc: u32,
-    /// What indexes say about it.
+    /// Definitions and message index.
     pub skeleton: Skeleton,
-    /// Its images, in order.
+    /// Its images in order.
     pub images: Vec<ImageHead>,
 }
 
-/// What a label takes over from its image's message.
+/// Times and header of an image's message, which its label copies.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct ImageHead {
     pub log_time: u64,
@@ -34,16 +34,16 @@ pub(super) struct ImageHead {
 }
 
 impl ImageHead {
-    /// That of a message; its log time is the stamp where the payload has none.
-    pub fn of(message: &ImageMessage) -> Self {
+    /// Reads times and header of a message. If the payload has no header, the log time is the stamp.
+    pub fn of(message: &MessageRecord) -> Self {
         let header = Reader::leading::<Header>(Image::TYPE, message.payload)
             .unwrap_or_else(|_| Header { stamp: Time::from_nanos(message.log_time as i64), frame_id: String::new() });
         let Header { stamp: Time { sec, nanosec }, frame_id } = header;
-        let ImageMessage { log_time, publish_time, .. } = *message;
+        let MessageRecord { log_time, publish_time, .. } = *message;
         Self { log_time, publish_time, stamp: (sec, nanosec), frame_id }
     }
 
-    /// The message's header.
+    /// Returns the message's header.
     pub fn header(&self) -> Header {
         let (sec, nanosec) = self.stamp;
         Header { stamp: Time { sec, nanosec }, frame_id: self.frame_id.clone() }
@@ -51,43 +51,39 @@ impl ImageHead {
 }
 
 impl ChunkNote {
-    /// The note of the chunk at `offset`, in text; None if there is nothing to copy as it is.
+    /// Returns the note of the chunk at `offset` as text; None if the chunk is damaged or holds no image.
     pub fn of(offset: u64, content: &Content, images: Vec<ImageHead>) -> Option<String> {
         if content.lost.is_some() || images.is_empty() {
             return None;
         }
         let skeleton = Skeleton::of(content.records());
         let note = Self { offset, crc: crc32fast::hash(content.body()), skeleton, images };
-        // Without a note the chunk is unpacked again.
+        // Serialisation can fail without harm: a chunk without a note is decompressed again.
         serde_json::to_string(&note).ok()
     }
 }
 
-/// A piece of a file that is copied.
+/// A piece of the file that is copied.
 pub(super) enum Original {
-    /// Unpacked, as it may hold anything.
+    /// A piece without a note, decompressed.
     Piece(Piece),
-    /// The content of a chunk's record that is the one which was noted.
+    /// A chunk with a note: content of its record, still compressed.
     Noted(Vec<u8>, ChunkNote),
 }
 
-/// The pieces of a file; chunks with a note stay packed.
-pub(super) struct Originals {
+/// Pieces of a file; chunks with a note stay compressed.
+pub(super) struct Originals<'a> {
     records: Records,
-    notes: Peekable<Box<dyn Iterator<Item = Result<ChunkNote>> + Send>>,
+    notes: Peekable<Box<dyn Iterator<Item = Result<ChunkNote>> + Send + 'a>>,
 }
 
-impl Originals {
-    /// Those of the file in `records`, of which `heads` have the notes.
-    pub fn new(records: Records, heads: Heads) -> Self {
-        let parse = |note: String| {
-            serde_json::from_str(&note).map_err(|e| Error::value("a journal of labels", "the note of a chunk", e))
+impl<'a> Originals<'a> {
+    /// Reads the file in `records`, whose chunks have `notes`.
+    pub fn new(records: Records, notes: Notes<'a>) -> Self {
+        let parse = |note: Result<String>| {
+            serde_json::from_str(&note?).map_err(|e| Error::value("a journal of labels", "the note of a chunk", e))
         };
-        let notes = heads.flat_map(move |head| match head {
-            Ok(head) => head.notes.into_iter().map(parse).collect(),
-            Err(error) => vec![Err(error)],
-        });
-        let notes: Box<dyn Iterator<Item = _> + Send> = Box::new(notes);
+        let notes: Box<dyn Iterator<Item = _> + Send> = Box::new(notes.map(parse));
         Self { records, notes: notes.peekable() }
     }
 
@@ -97,7 +93,7 @@ impl Originals {
             && let Some(note) = self.note_at(record.offset)?
         {
             let body = self.records.body(&record)?;
-            // A file that was changed meanwhile is read as if nothing were known.
+            // Ignore the note if the file has changed since.
             if crc32fast::hash(&body) == note.crc {
                 return Ok(Some(Original::Noted(body, note)));
             }
@@ -105,13 +101,13 @@ impl Originals {
         Ok(self.records.piece(part)?.map(Original::Piece))
     }
 
-    /// The note of the chunk at `offset`; notes are in the order of the file.
+    /// Returns the note of the chunk at `offset`. Notes are in the order of the file.
     fn note_at(&mut self, offset: u64) -> Result<Option<ChunkNote>> {
         self.notes.next_if(|note| note.as_ref().map_or(true, |note| note.offset == offset)).transpose()
     }
 }
 
-impl Iterator for Originals {
+impl Iterator for Originals<'_> {
     type Item = Result<Original>;
 
     fn next(&mut self) -> Option<Self::Item> {
@@ -121,16 +117,12 @@ impl Iterator for Originals {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::journal::{Journal, Label};
-    use super::super::super::source::Source;
-    use super::super::Bag;
+    use super::super::{Bag, BagWriter, Pieces, file_name};
     use super::*;
-    use crate::dataset::mcap::{BagWriter, file_name};
-    use crate::hand::Topology;
-    use crate::tactile::TactileField;
+    use crate::dataset::source::ImageSource;
 
-    /// A bag of six images, and what was noted while they were labelled.
-    fn noted(folder: &std::path::Path) -> (std::path::PathBuf, std::path::PathBuf) {
+    /// Creates a bag of six images; returns its file and the notes of its chunks.
+    fn noted(folder: &std::path::Path) -> (std::path::PathBuf, Vec<String>) {
         let bag = folder.join("bag");
         let mut writer = BagWriter::create(&bag).unwrap();
         writer.add_topic("/camera", Image::TYPE, &Image::schema(), false).unwrap();
@@ -144,33 +136,28 @@ mod tests {
             writer.write("/camera", &image.to_cdr(), time, time).unwrap();
         }
         writer.finish().unwrap();
-        let (file, path) = (bag.join(file_name(&bag)), folder.join("journal"));
+        let file = bag.join(file_name(&bag));
         let source = Bag::open(&file, None, "/touch").unwrap();
-        let mut journal = Journal::open(&path).unwrap().unwrap();
-        for shot in source.shots(0, 0).unwrap() {
-            let touch = Ok(TactileField::zeros(Topology::default()));
-            journal.push(&Label { stamp_secs: shot.stamp_secs, warming_up: false, touch }, shot.note);
-        }
-        journal.flush(Vec::new(), true).unwrap();
-        (file, path)
+        let notes = source.frames(0, 0).unwrap().filter_map(|frame| frame.note).collect();
+        (file, notes)
     }
 
-    fn originals(file: &std::path::Path, journal: &std::path::Path) -> Vec<Original> {
-        let originals = Originals::new(Records::open(file).unwrap(), Heads::open(journal).unwrap());
-        originals.map(Result::unwrap).collect()
+    fn originals(file: &std::path::Path, notes: &[String]) -> Vec<Original> {
+        let notes = Box::new(notes.iter().cloned().map(Ok));
+        Originals::new(Records::open(file).unwrap(), notes).map(Result::unwrap).collect()
     }
 
     #[test]
-    fn a_noted_chunk_is_what_unpacking_it_says() {
+    fn a_note_matches_the_decompressed_chunk() {
         let folder = tempfile::tempdir().unwrap();
-        let (file, journal) = noted(folder.path());
-        let pieces = crate::dataset::mcap::Pieces::open(&file).unwrap();
+        let (file, notes) = noted(folder.path());
+        let pieces = Pieces::open(&file).unwrap();
         let mut chunks = pieces.filter_map(|piece| match piece.unwrap() {
             Piece::Chunk(offset, content) => Some((offset, content)),
             _ => None,
         });
         let mut stamps = Vec::new();
-        for original in originals(&file, &journal) {
+        for original in originals(&file, &notes) {
             let Original::Noted(body, note) = original else { continue };
             let (offset, content) = chunks.next().unwrap();
             assert_eq!((note.offset, body.as_slice()), (offset, content.body()));
@@ -189,15 +176,15 @@ mod tests {
     }
 
     #[test]
-    fn a_chunk_that_changed_since_is_read_anew() {
+    fn a_note_is_ignored_if_its_chunk_has_changed() {
         let folder = tempfile::tempdir().unwrap();
-        let (file, journal) = noted(folder.path());
-        let places = |kind: fn(&Original) -> bool| originals(&file, &journal).iter().filter(|o| kind(o)).count();
+        let (file, notes) = noted(folder.path());
+        let places = |kind: fn(&Original) -> bool| originals(&file, &notes).iter().filter(|o| kind(o)).count();
         let is_noted = |original: &Original| matches!(original, Original::Noted(..));
         let is_lost = |original: &Original| matches!(original, Original::Piece(Piece::Lost(_)));
         let before = places(is_noted);
         assert!(before > 1 && places(is_lost) == 0);
-        let offset = originals(&file, &journal).iter().find_map(|original| match original {
+        let offset = originals(&file, &notes).iter().find_map(|original| match original {
             Original::Noted(body, note) => Some(note.offset as usize + body.len() / 2),
             Original::Piece(_) => None,
         });
