@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use egotac::dataset::EpisodeReader;
-use egotac::dataset::zarr::{Place, ZarrReader};
+use egotac::dataset::zarr::{StoreLocation, ZarrReader};
 use egotac::model::predictor::{Options, Predictor};
 use egotac::model::shipped;
 use egotac::tactile::N_FIELD;
@@ -32,7 +32,7 @@ fn succeeds(output: &Output) {
 fn unpacked(zip: &str, to: &Path) -> PathBuf {
     let file = fs::File::open(Path::new(DATA).join(zip)).unwrap();
     zip::ZipArchive::new(file).unwrap().extract(to).unwrap();
-    Place::find(to).unwrap()[0].path.clone()
+    StoreLocation::find(to).unwrap()[0].path.clone()
 }
 
 /// Every file below `folder`, by its place in it.
@@ -77,7 +77,7 @@ fn every_layout_is_labelled_and_its_own_data_stays_as_it_is() {
         let before = fs::metadata(&input).unwrap().modified().unwrap();
         succeeds(&label(&input, &out, &[]));
         assert_eq!(fs::metadata(&input).unwrap().modified().unwrap(), before);
-        let source = Place::find(&input).unwrap().last().cloned().unwrap();
+        let source = StoreLocation::find(&input).unwrap().last().cloned().unwrap();
         let (source, labelled) = (ZarrReader::open_at(&source).unwrap(), ZarrReader::open(&result).unwrap());
         assert_eq!((labelled.len(), labelled.episode_ends()), (12, &[7, 12][..]));
         for index in [0, 6, 7, 11] {

@@ -8,7 +8,7 @@ use super::label_info::LabelInfo;
 use super::lerobot::LeRobotDataset;
 use super::mcap::Bag;
 use super::source::ImageSource;
-use super::zarr::{Place, Store};
+use super::zarr::{Store, StoreLocation};
 use super::{lerobot, mcap, tensors, video, zarr};
 
 /// A format of recordings.
@@ -73,7 +73,7 @@ pub fn open_images(path: &Path, info: Option<&LabelInfo>) -> Option<Arc<dyn Imag
     let cameras = [noted, None];
     match Format::of(path)? {
         Format::Store => {
-            let place = Place::only(path).ok()?;
+            let place = StoreLocation::only(path).ok()?;
             let store = cameras.iter().find_map(|camera| Store::open(&place, *camera, None).ok())?;
             Some(Arc::new(store))
         }

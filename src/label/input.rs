@@ -10,7 +10,7 @@ use crate::dataset::lerobot::{self, LeRobotDataset};
 use crate::dataset::mcap::{Bag, BagOutput, TOPIC};
 use crate::dataset::tensors::TensorOutput;
 use crate::dataset::video::VideoFile;
-use crate::dataset::zarr::{Place, Store, StoreOutput};
+use crate::dataset::zarr::{Store, StoreLocation, StoreOutput};
 use crate::dataset::{Format, ImageSource, LabelOutput, base_name};
 use crate::error::{Error, Result};
 
@@ -191,11 +191,11 @@ fn open(format: Format, path: &Path, out: &Path, options: &FormatOptions) -> Res
 }
 
 fn open_stores(path: &Path, out: &Path, options: &FormatOptions) -> Result<Vec<(String, Result<LabelTask>)>> {
-    let places = if path.is_dir() { vec![Place::only(path)?] } else { Place::find(path)? };
+    let places = if path.is_dir() { vec![StoreLocation::only(path)?] } else { StoreLocation::find(path)? };
     let several = places.len() > 1;
     // Several stores go into a folder, which must not look like a store itself.
     let folder = if out.extension().is_some_and(|e| e == "zarr") { out.with_extension("") } else { out.into() };
-    let task = |place: Place| -> Result<LabelTask> {
+    let task = |place: StoreLocation| -> Result<LabelTask> {
         let store = Arc::new(Store::open(&place, options.camera.as_deref(), options.time_unit)?);
         let description = vec![
             format!("store {}", place.name()),

@@ -16,7 +16,7 @@ const ROOM: u64 = 1 << 26;
 
 /// A chunk and its uncompressed records.
 #[derive(Debug)]
-pub struct Content {
+pub struct ChunkContent {
     body: Vec<u8>,
     /// The decompressed data; None for a chunk without compression.
     unpacked: Option<Vec<u8>>,
@@ -26,7 +26,7 @@ pub struct Content {
     pub lost: Option<LostBytes>,
 }
 
-impl Content {
+impl ChunkContent {
     /// Returns the content of the chunk's record as it lies in the file.
     pub fn body(&self) -> &[u8] {
         &self.body
@@ -43,13 +43,13 @@ pub(super) type MessageIndex = BTreeMap<u16, Vec<(u64, u64)>>;
 
 /// Definitions and message index of a chunk: all that is needed to copy the chunk without decompressing it.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Skeleton {
+pub struct ChunkOutline {
     /// Opcode and content of its schema and channel records.
     pub definitions: Vec<(u8, Vec<u8>)>,
     pub(super) index: MessageIndex,
 }
 
-impl Skeleton {
+impl ChunkOutline {
     /// Indexes a chunk's uncompressed `records`.
     pub fn of(records: &[u8]) -> Self {
         let mut skeleton = Self::default();
@@ -88,7 +88,7 @@ pub(super) fn open_chunk(
     file: &Records,
     record: &Record,
     cut_off: bool,
-) -> Result<std::result::Result<Content, LostBytes>> {
+) -> Result<std::result::Result<ChunkContent, LostBytes>> {
     let lost = |reason: String| Ok(Err(file.lost(record, reason)));
     let body = file.body(record)?;
     let Some((header, start)) = chunk_header(&body) else {
@@ -114,7 +114,7 @@ pub(super) fn open_chunk(
             (Some(unpacked), place)
         }
     };
-    let mut content = Content { body, unpacked, place, lost: None };
+    let mut content = ChunkContent { body, unpacked, place, lost: None };
     let records = content.records();
     let whole_records = inner_records(records).last().map_or(0, |(end, ..)| end);
     if cut_off {

@@ -6,9 +6,9 @@ use std::path::Path;
 
 use super::images::Bag;
 use super::messages::Channels;
-use super::note::{ImageHead, Original, Originals};
+use super::note::{ImageHead, OriginalPiece, OriginalPieces};
 use super::{
-    BagFile, BagTopic, CopyWriter, Piece, Record, Records, Skeleton, bag_files, metadata_yaml, op, put_text, survey,
+    BagFile, BagTopic, ChunkOutline, CopyWriter, Piece, Record, Records, bag_files, metadata_yaml, op, put_text, survey,
 };
 use crate::dataset::base_name;
 use crate::dataset::label_info::LabelInfo;
@@ -117,7 +117,7 @@ impl<'a> TactileMessages<'a> {
     /// Copies the file to `to`.
     fn copy(&mut self, labels: &dyn SourceLabels, to: &Path, info: &mut LabelInfo) -> Result<CopyWriter> {
         let file = &self.bag.files[self.index];
-        let pieces = Originals::new(Records::open(file)?, labels.notes(self.index)?);
+        let pieces = OriginalPieces::new(Records::open(file)?, labels.notes(self.index)?);
         let (original, labels) = (Records::open(file)?, labels.labels(self.index)?);
         let mut out = CopyWriter::create(to, self.bag.surveys[self.index].chunked)?;
         // Reading and unpacking take as long as writing, so each runs on its own thread.
@@ -126,8 +126,8 @@ impl<'a> TactileMessages<'a> {
                 for piece in pieces {
                     out.flush_if_full()?;
                     match piece? {
-                        Original::Piece(piece) => self.piece(&piece, &original, info, labels, &mut out)?,
-                        Original::Noted(body, note) => {
+                        OriginalPiece::Piece(piece) => self.piece(&piece, &original, info, labels, &mut out)?,
+                        OriginalPiece::Noted(body, note) => {
                             // Later chunks without a note may hold messages of these channels.
                             for (opcode, body) in &note.skeleton.definitions {
                                 self.channels.define(*opcode, body);
@@ -171,7 +171,7 @@ impl<'a> TactileMessages<'a> {
             }
             Piece::Record(record, body) => out.record(record.opcode, body)?,
             Piece::Chunk(_, content) => match &content.lost {
-                None => out.chunk(content.body(), Skeleton::of(content.records()))?,
+                None => out.chunk(content.body(), ChunkOutline::of(content.records()))?,
                 // The readable records of a truncated chunk go into a new chunk.
                 Some(lost) => {
                     info.summary.lost.push(lost.clone());

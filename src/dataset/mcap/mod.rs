@@ -15,7 +15,7 @@ mod records;
 mod survey;
 
 pub use bag::{BagWriter, file_name};
-pub(crate) use chunk::{Content, Skeleton};
+pub(crate) use chunk::{ChunkContent, ChunkOutline};
 pub(crate) use convert::BagOutput;
 pub(crate) use copy::{CopyWriter, put_text};
 pub(crate) use images::Bag;
@@ -24,7 +24,7 @@ pub(crate) use messages::for_each_message;
 pub(crate) use metadata::{BagFile, BagTopic, metadata_yaml};
 pub(crate) use piece::{Piece, Pieces};
 pub(crate) use read_labels::read_labelled;
-pub(crate) use records::{Part, Record, Records};
+pub(crate) use records::{FileSpan, Record, Records};
 pub(crate) use survey::{Survey, Topic, bag_files, survey};
 
 pub(crate) use ::mcap::records::op;

@@ -6,7 +6,7 @@ use mcap::records::op;
 use serde::{Deserialize, Serialize};
 
 use super::messages::MessageRecord;
-use super::{Content, Part, Piece, Record, Records, Skeleton};
+use super::{ChunkContent, ChunkOutline, FileSpan, Piece, Record, Records};
 use crate::dataset::labels::Notes;
 use crate::error::{Error, Result};
 use crate::message::{Header, Image, Message, Reader, Time};
@@ -19,7 +19,7 @@ pub(super) struct ChunkNote {
     /// CRC-32 of the record's content, which detects a change of the file.
     crc: u32,
     /// Definitions and message index.
-    pub skeleton: Skeleton,
+    pub skeleton: ChunkOutline,
     /// Its images in order.
     pub images: Vec<ImageHead>,
 }
@@ -52,11 +52,11 @@ impl ImageHead {
 
 impl ChunkNote {
     /// Returns the note of the chunk at `offset` as text; None if the chunk is damaged or holds no image.
-    pub fn of(offset: u64, content: &Content, images: Vec<ImageHead>) -> Option<String> {
+    pub fn of(offset: u64, content: &ChunkContent, images: Vec<ImageHead>) -> Option<String> {
         if content.lost.is_some() || images.is_empty() {
             return None;
         }
-        let skeleton = Skeleton::of(content.records());
+        let skeleton = ChunkOutline::of(content.records());
         let note = Self { offset, crc: crc32fast::hash(content.body()), skeleton, images };
         // Serialisation can fail without harm: a chunk without a note is decompressed again.
         serde_json::to_string(&note).ok()
@@ -64,7 +64,7 @@ impl ChunkNote {
 }
 
 /// A piece of the file that is copied.
-pub(super) enum Original {
+pub(super) enum OriginalPiece {
     /// A piece without a note, decompressed.
     Piece(Piece),
     /// A chunk with a note: content of its record, still compressed.
@@ -72,12 +72,12 @@ pub(super) enum Original {
 }
 
 /// Pieces of a file; chunks with a note stay compressed.
-pub(super) struct Originals<'a> {
+pub(super) struct OriginalPieces<'a> {
     records: Records,
     notes: Peekable<Box<dyn Iterator<Item = Result<ChunkNote>> + Send + 'a>>,
 }
 
-impl<'a> Originals<'a> {
+impl<'a> OriginalPieces<'a> {
     /// Reads the file in `records`, whose chunks have `notes`.
     pub fn new(records: Records, notes: Notes<'a>) -> Self {
         let parse = |note: Result<String>| {
@@ -87,18 +87,18 @@ impl<'a> Originals<'a> {
         Self { records, notes: notes.peekable() }
     }
 
-    fn next_original(&mut self) -> Result<Option<Original>> {
+    fn next_original(&mut self) -> Result<Option<OriginalPiece>> {
         let Some(part) = self.records.next_part()? else { return Ok(None) };
-        if let Part::Record(record @ Record { opcode: op::CHUNK, .. }) = part
+        if let FileSpan::Record(record @ Record { opcode: op::CHUNK, .. }) = part
             && let Some(note) = self.note_at(record.offset)?
         {
             let body = self.records.body(&record)?;
             // Ignore the note if the file has changed since.
             if crc32fast::hash(&body) == note.crc {
-                return Ok(Some(Original::Noted(body, note)));
+                return Ok(Some(OriginalPiece::Noted(body, note)));
             }
         }
-        Ok(self.records.piece(part)?.map(Original::Piece))
+        Ok(self.records.piece(part)?.map(OriginalPiece::Piece))
     }
 
     /// Returns the note of the chunk at `offset`. Notes are in the order of the file.
@@ -107,8 +107,8 @@ impl<'a> Originals<'a> {
     }
 }
 
-impl Iterator for Originals<'_> {
-    type Item = Result<Original>;
+impl Iterator for OriginalPieces<'_> {
+    type Item = Result<OriginalPiece>;
 
     fn next(&mut self) -> Option<Self::Item> {
         self.next_original().transpose()
@@ -142,9 +142,9 @@ mod tests {
         (file, notes)
     }
 
-    fn originals(file: &std::path::Path, notes: &[String]) -> Vec<Original> {
+    fn originals(file: &std::path::Path, notes: &[String]) -> Vec<OriginalPiece> {
         let notes = Box::new(notes.iter().cloned().map(Ok));
-        Originals::new(Records::open(file).unwrap(), notes).map(Result::unwrap).collect()
+        OriginalPieces::new(Records::open(file).unwrap(), notes).map(Result::unwrap).collect()
     }
 
     #[test]
@@ -158,10 +158,10 @@ mod tests {
         });
         let mut stamps = Vec::new();
         for original in originals(&file, &notes) {
-            let Original::Noted(body, note) = original else { continue };
+            let OriginalPiece::Noted(body, note) = original else { continue };
             let (offset, content) = chunks.next().unwrap();
             assert_eq!((note.offset, body.as_slice()), (offset, content.body()));
-            assert_eq!(note.skeleton, Skeleton::of(content.records()));
+            assert_eq!(note.skeleton, ChunkOutline::of(content.records()));
             for image in &note.images {
                 assert_eq!(image.header().frame_id, "head");
                 assert_eq!(
@@ -179,14 +179,14 @@ mod tests {
     fn a_note_is_ignored_if_its_chunk_has_changed() {
         let folder = tempfile::tempdir().unwrap();
         let (file, notes) = noted(folder.path());
-        let places = |kind: fn(&Original) -> bool| originals(&file, &notes).iter().filter(|o| kind(o)).count();
-        let is_noted = |original: &Original| matches!(original, Original::Noted(..));
-        let is_lost = |original: &Original| matches!(original, Original::Piece(Piece::Lost(_)));
+        let places = |kind: fn(&OriginalPiece) -> bool| originals(&file, &notes).iter().filter(|o| kind(o)).count();
+        let is_noted = |original: &OriginalPiece| matches!(original, OriginalPiece::Noted(..));
+        let is_lost = |original: &OriginalPiece| matches!(original, OriginalPiece::Piece(Piece::Lost(_)));
         let before = places(is_noted);
         assert!(before > 1 && places(is_lost) == 0);
         let offset = originals(&file, &notes).iter().find_map(|original| match original {
-            Original::Noted(body, note) => Some(note.offset as usize + body.len() / 2),
-            Original::Piece(_) => None,
+            OriginalPiece::Noted(body, note) => Some(note.offset as usize + body.len() / 2),
+            OriginalPiece::Piece(_) => None,
         });
         let mut bytes = std::fs::read(&file).unwrap();
         bytes[offset.unwrap()] ^= 1;

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use mcap::records::op;
 
-use super::chunk::{Content, inner_records, open_chunk};
-use super::records::{Part, Record, Records};
+use super::chunk::{ChunkContent, inner_records, open_chunk};
+use super::records::{FileSpan, Record, Records};
 use crate::dataset::source::LostBytes;
 use crate::error::Result;
 
@@ -16,7 +16,7 @@ pub enum Piece {
     /// size.
     Record(Record, Vec<u8>),
     /// A chunk and its offset in the file, bytes.
-    Chunk(u64, Content),
+    Chunk(u64, ChunkContent),
     /// Damage.
     Lost(LostBytes),
 }
@@ -68,11 +68,11 @@ impl Records {
     ///
     /// # Errors
     /// If the file can't be read.
-    pub fn piece(&self, part: Part) -> Result<Option<Piece>> {
+    pub fn piece(&self, part: FileSpan) -> Result<Option<Piece>> {
         let (record, cut_off) = match part {
-            Part::Lost(lost) => return Ok(Some(Piece::Lost(lost))),
-            Part::CutOff(record) => (record, true),
-            Part::Record(record) => (record, false),
+            FileSpan::Lost(lost) => return Ok(Some(Piece::Lost(lost))),
+            FileSpan::CutOff(record) => (record, true),
+            FileSpan::Record(record) => (record, false),
         };
         Ok(match record.opcode {
             op::DATA_END => None,

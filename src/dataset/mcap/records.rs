@@ -31,7 +31,7 @@ pub struct Record {
 
 /// A stretch of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Part {
+pub enum FileSpan {
     /// A record of the data section, or its end.
     Record(Record),
     /// A chunk that the end of the file truncates.
@@ -107,18 +107,18 @@ impl Records {
     ///
     /// # Errors
     /// If the file can't be read.
-    pub fn next_part(&mut self) -> Result<Option<Part>> {
+    pub fn next_part(&mut self) -> Result<Option<FileSpan>> {
         if self.done {
             return Ok(None);
         }
         if let Some(record) = self.header_at(self.at)? {
             self.at = record.offset + PREFIX + record.length;
             self.done = record.opcode == op::DATA_END;
-            return Ok(Some(Part::Record(record)));
+            return Ok(Some(FileSpan::Record(record)));
         }
         if let Some(record) = self.cut_off_chunk()? {
             self.done = true;
-            return Ok(Some(Part::CutOff(record)));
+            return Ok(Some(FileSpan::CutOff(record)));
         }
         let start = self.at;
         let lost = match self.find_chain(start + 1)? {
@@ -131,7 +131,7 @@ impl Records {
                 self.lost_bytes(start, self.size - start, "the file ends here, without the end of a recording")
             }
         };
-        Ok(Some(Part::Lost(lost)))
+        Ok(Some(FileSpan::Lost(lost)))
     }
 
     /// Returns the record that begins at `offset`, if it fits into the file.

@@ -1,6 +1,6 @@
 //! Stores as image sources, one unit per episode.
 
-use super::{Place, TIMESTAMPS, ZarrReader};
+use super::{StoreLocation, TIMESTAMPS, ZarrReader};
 use crate::dataset::source::{EncodedImage, ImageSource, SourceFrame, SourceFrames, Unit};
 use crate::dataset::{EpisodeReader, time_unit_of};
 use crate::error::Result;
@@ -11,7 +11,7 @@ const STAMPS: usize = 1024;
 /// A store whose images are labelled.
 #[derive(Debug)]
 pub struct Store {
-    pub(super) place: Place,
+    pub(super) place: StoreLocation,
     pub(super) reader: ZarrReader,
     pub(super) units: Vec<Unit>,
     seconds: f64,
@@ -23,7 +23,7 @@ impl Store {
     ///
     /// # Errors
     /// If it can't be read.
-    pub fn open(place: &Place, camera: Option<&str>, time_unit: Option<f64>) -> Result<Self> {
+    pub fn open(place: &StoreLocation, camera: Option<&str>, time_unit: Option<f64>) -> Result<Self> {
         let mut reader = ZarrReader::open_at(place)?;
         if let Some(camera) = camera {
             let name = if camera.contains('/') { camera.to_string() } else { format!("data/{camera}") };

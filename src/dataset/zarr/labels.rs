@@ -9,8 +9,8 @@ use serde_json::{Map, Value};
 
 use super::images::Store;
 use super::{
-    AddedArrays, ArraySpec, Dtype, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, Place, Values,
-    ZarrReader,
+    AddedArrays, ArraySpec, Dtype, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, StoreLocation,
+    Values, ZarrReader,
 };
 use crate::dataset::EpisodeReader;
 use crate::dataset::copy::{copy_file, copy_folder};
@@ -130,7 +130,7 @@ fn values(label: LabelFrame) -> Vec<Values> {
 
 /// Copies a store into the folder `to`, skipping files that an earlier attempt copied. Returns the files of a zip archive
 /// that can't be read and are left out.
-fn copy(place: &Place, to: &Path) -> Result<Vec<LostBytes>> {
+fn copy(place: &StoreLocation, to: &Path) -> Result<Vec<LostBytes>> {
     let mut lost = Vec::new();
     let Some(inside) = &place.inside else {
         copy_folder(&place.path, to, true)?;
