@@ -146,6 +146,31 @@ fn images_go_to_every_kind_of_output_with_the_same_labels() {
 }
 
 #[test]
+fn a_folder_is_predicted_in_the_order_of_its_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
+    fs::create_dir(at("in")).unwrap();
+    for index in 1..=12 {
+        picture(index).save(format!("{}/frame_{index}.png", at("in"))).unwrap();
+    }
+    let output = egotac(&["predict", "--data", &at("in"), "--fps", "25", "--out", &at("fields")]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(String::from_utf8(output.stdout).unwrap(), format!("{}: 12 frames\n", at("fields")));
+    let fields = tensors::read(Path::new(&at("fields"))).unwrap();
+    let expected = predictions((0..12).map(|index| (f64::from(index) / 25.0, picture(index + 1))));
+    for (frame, expected) in expected.iter().enumerate() {
+        assert_eq!(fields.field(frame).unwrap(), *expected, "frame_{}", frame + 1);
+    }
+    // The same arrays as those of `label`; an image that can't be read is an error that names it.
+    json(&["label", &at("in"), "--out", &at("labels"), "--to", "tensors", "--fps", "25", "--json", "-"], 0);
+    assert_eq!(tensors::read(Path::new(&at("labels"))).unwrap(), fields);
+    fs::write(format!("{}/frame_7.png", at("in")), b"not an image").unwrap();
+    let output = egotac(&["predict", "--data", &at("in"), "--out", &at("fields")]);
+    assert!(!output.status.success() && String::from_utf8_lossy(&output.stderr).contains("frame_7.png"));
+    assert_eq!(tensors::read(Path::new(&at("fields"))).unwrap(), fields, "the earlier file stays");
+}
+
+#[test]
 fn a_folder_of_recordings_is_labelled_one_by_one() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
