@@ -1,4 +1,4 @@
-//! `egotac label` on videos and folders of images; other kinds of output; comparisons and descriptions of what comes out.
+//! `egotac label` and `egotac predict` on videos and folders of images; other output formats; `egotac data` on the outputs.
 
 use std::fs;
 use std::path::Path;
@@ -27,7 +27,7 @@ fn picture(index: u32) -> RgbImage {
     RgbImage::from_fn(64, 48, |x, y| Rgb([(4 * x) as u8, (5 * y) as u8, (20 * index) as u8]))
 }
 
-/// Images 0..n in a folder, frame_0.png and so on.
+/// Writes images 0..n into a folder: frame_0.png and so on.
 fn images(folder: &Path, n: u32) {
     fs::create_dir(folder).unwrap();
     for index in 0..n {
@@ -35,7 +35,7 @@ fn images(folder: &Path, n: u32) {
     }
 }
 
-/// A video of these images whose frames are shown at `stamps` seconds: an uneven rate.
+/// Encodes a folder of images as a video of 10 frames per second; `more` are further options of ffmpeg.
 fn video(images: &Path, out: &Path, more: &[&str]) {
     let mut command = Command::new("ffmpeg");
     command.args(["-v", "error", "-y", "-framerate", "10", "-i"]).arg(images.join("frame_%d.png"));
@@ -50,11 +50,11 @@ fn predictions(stamped: impl IntoIterator<Item = (f64, RgbImage)>) -> Vec<egotac
 }
 
 #[test]
-fn a_video_gives_its_frames_once_and_with_their_times() {
+fn every_frame_of_a_video_is_read_once_with_its_time() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     images(&at("in"), 12);
-    // Lossless, so that decoded pixels are known; B-frames are stored in another order than they are shown.
+    // Lossless, so that the decoded pixels are known.
     video(&at("in"), &at("plain.mkv"), &["-c:v", "ffv1", "-pix_fmt", "bgr0"]);
     let frames: Vec<(f64, RgbImage)> = VideoFrames::open(&at("plain.mkv"), None).unwrap().map(Result::unwrap).collect();
     assert_eq!(frames.len(), 12);
@@ -68,7 +68,7 @@ fn a_video_gives_its_frames_once_and_with_their_times() {
     let stamps: Vec<f64> = VideoFrames::open(&at("uneven.mkv"), None).unwrap().map(|frame| frame.unwrap().0).collect();
     let expected = [0.0, 0.1, 0.2, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1];
     assert!(stamps.len() == 9 && stamps.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-3), "{stamps:?}");
-    // From a time on.
+    // Seeking: frames from a time on.
     let late: Vec<f64> =
         VideoFrames::open(&at("plain.mkv"), Some(0.65)).unwrap().map(|frame| frame.unwrap().0).collect();
     assert!(late.len() == 5 && (late[0] - 0.7).abs() < 1e-3, "{late:?}");
@@ -98,11 +98,11 @@ fn a_video_becomes_a_store_with_labels() {
 }
 
 #[test]
-fn a_video_whose_end_is_missing_is_labelled_as_far_as_it_goes() {
+fn a_truncated_video_is_labelled_up_to_its_end() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     images(&at("in"), 40);
-    // With the index in front, which promises all frames.
+    // The index lies in front and still lists all frames.
     video(&at("in"), &at("whole.mp4"), &["-c:v", "mjpeg", "-movflags", "faststart"]);
     let bytes = fs::read(at("whole.mp4")).unwrap();
     fs::write(at("cut.mp4"), &bytes[..bytes.len() * 6 / 10]).unwrap();
@@ -116,7 +116,7 @@ fn a_video_whose_end_is_missing_is_labelled_as_far_as_it_goes() {
 }
 
 #[test]
-fn images_go_to_every_kind_of_output_with_the_same_labels() {
+fn labels_are_the_same_in_every_output_format() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
     images(Path::new(&at("in")), 12);
@@ -138,7 +138,7 @@ fn images_go_to_every_kind_of_output_with_the_same_labels() {
     for (frame, expected) in (0..12).filter(|i| *i != 7).zip(&expected) {
         assert_eq!(tensors.force[frame * 1556..(frame + 1) * 1556], expected.force);
     }
-    // An image more at one side: frames pair by time.
+    // With unequal numbers of frames, frames pair by time.
     fs::remove_file(format!("{}/frame_11.png", at("in"))).unwrap();
     json(&["label", &at("in"), "--out", &at("d.zarr"), "--fps", "20", "--json", "-"], 3);
     let diff = json(&["data", "diff", &at("d.zarr"), &at("c"), "--json"], 0);
@@ -192,7 +192,7 @@ fn a_folder_of_recordings_is_labelled_one_by_one() {
 }
 
 #[test]
-fn one_recording_that_cannot_be_read_does_not_stop_the_others() {
+fn an_unreadable_recording_does_not_stop_the_others() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     fs::create_dir(at("all")).unwrap();
@@ -228,7 +228,7 @@ fn one_recording_that_cannot_be_read_does_not_stop_the_others() {
 }
 
 #[test]
-fn a_reader_that_goes_away_ends_the_command_without_a_word() {
+fn a_closed_pipe_ends_the_command_without_an_error_text() {
     let mut child = Command::new(env!("CARGO_BIN_EXE_egotac"))
         .args(["data", "info", "tests/data/bag/table"])
         .stdout(std::process::Stdio::piped())

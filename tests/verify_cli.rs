@@ -21,14 +21,14 @@ fn egotac(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_egotac")).args(arguments).output().unwrap()
 }
 
-/// JSON that `egotac verify` prints, and its exit status; it must not be an error.
+/// Runs `egotac verify`, which must succeed, and returns its JSON.
 fn verify(arguments: &[&str]) -> Value {
     let output = egotac(&[&["verify", "--json", "-"], arguments].concat());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// What `egotac verify` says when it refuses or a bar is missed; the status must be 1.
+/// Runs `egotac verify`, which must exit with status 1, and returns its error text.
 fn refusal(arguments: &[&str]) -> String {
     let output = egotac(&[&["verify"], arguments].concat());
     assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stdout));
@@ -281,12 +281,13 @@ fn a_network_is_scored_on_what_it_sees() {
     }
 }
 
-/// A bag of 20 frames at 25 Hz with touch from the sixth on; frame 9's prediction is missing, frame 12's truth invalid.
+/// Writes a bag of 20 frames at 25 Hz with touch from frame 6 on. The prediction of frame 9 is missing, the truth of frame
+/// 12 is invalid.
 fn bag(folder: &Path, other: bool) {
     bag_of(folder, 0..20, other);
 }
 
-/// Some frames of that bag.
+/// Writes a bag with the given frames of that bag.
 fn bag_of(folder: &Path, frames: std::ops::Range<i64>, other: bool) {
     let mut bag = BagWriter::create(folder).unwrap();
     bag.add_topic("/predictor/tactile", TactileFrame::TYPE, &TactileFrame::schema(), false).unwrap();
@@ -325,7 +326,7 @@ fn a_bag_of_two_files_scores_as_the_same_bag_of_one_file() {
     bag_of(Path::new(&first), 0..9, false);
     bag_of(Path::new(&second), 9..20, false);
     std::fs::create_dir(&split).unwrap();
-    // Names in the opposite order: `metadata.yaml` decides.
+    // The names are in the opposite order: the order of `metadata.yaml` counts.
     std::fs::copy(format!("{first}/first_0.mcap"), format!("{split}/z.mcap")).unwrap();
     std::fs::copy(format!("{second}/second_0.mcap"), format!("{split}/a.mcap")).unwrap();
     let metadata =
@@ -350,7 +351,7 @@ fn a_recording_is_scored_by_equal_stamps() {
     assert_eq!(report["counts"]["refused"][Validity::TooFast.reason()], 1);
     assert_eq!(score(&report, "prediction", "onset_error_secs"), 0.0);
     assert_eq!(score(&report, "prediction", "link_force_error"), 0.0);
-    // One file of the bag serves as well.
+    // The bag's file alone gives the same scores.
     let file = format!("{plain}/plain_0.mcap");
     assert_eq!(verify(&["--recording", &file])["counts"], report["counts"]);
     let error = refusal(&["--recording", &ambiguous]);

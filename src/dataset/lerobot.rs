@@ -29,7 +29,7 @@ const BATCH: usize = 16;
 
 /// Metadata of a data set, from its folder `meta/`.
 #[derive(Debug, Clone)]
-pub struct LeRobot {
+pub(crate) struct LeRobot {
     /// Folder of the data set.
     pub root: PathBuf,
     /// Content of `meta/info.json`.
@@ -42,7 +42,7 @@ pub struct LeRobot {
 
 /// One episode.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Episode {
+pub(crate) struct Episode {
     /// `episode_index` of its rows.
     pub index: i64,
     /// Number of frames.
@@ -57,7 +57,7 @@ pub struct Episode {
 
 /// Storage of the images of a camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Camera {
+pub(crate) enum Camera {
     /// Video files.
     Video,
     /// PNG or JPEG files in the rows.
@@ -66,7 +66,7 @@ pub enum Camera {
 
 /// A row with its image.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub(crate) struct Row {
     /// Time since the start of the episode, s.
     pub timestamp: f64,
     /// Content of the image's file; None if the images lie in videos or the row has none.
@@ -231,7 +231,7 @@ pub fn reader(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
 
 /// Selects the columns whose names are `wanted`. Selects by index, since the library's selection by name treats dots as
 /// levels of nesting.
-pub fn only(builder: &ParquetRecordBatchReaderBuilder<File>, wanted: impl Fn(&str) -> bool) -> ProjectionMask {
+pub(crate) fn only(builder: &ParquetRecordBatchReaderBuilder<File>, wanted: impl Fn(&str) -> bool) -> ProjectionMask {
     let fields = builder.schema().fields().iter().enumerate();
     let places: Vec<usize> = fields.filter(|(_, field)| wanted(field.name())).map(|(place, _)| place).collect();
     ProjectionMask::roots(builder.parquet_schema(), places)
@@ -241,7 +241,7 @@ pub fn only(builder: &ParquetRecordBatchReaderBuilder<File>, wanted: impl Fn(&st
 ///
 /// # Errors
 /// If it is missing, not numeric, or has missing values.
-pub fn numbers(batch: &RecordBatch, name: &str, path: &Path) -> Result<Vec<f64>> {
+pub(crate) fn numbers(batch: &RecordBatch, name: &str, path: &Path) -> Result<Vec<f64>> {
     let schema = batch.schema();
     let present = || schema.fields().iter().map(|field| field.name().clone()).collect::<Vec<_>>().join(", ");
     let column = batch.column_by_name(name).ok_or_else(|| Error::Missing {

@@ -6,23 +6,23 @@
 //! | [`mcap`] | bags, one unit per file | a topic beside the images, or a new bag |
 //! | [`lerobot`] | data sets of version 3, one unit per episode | columns of the same data set |
 //! | [`video`] | video files | |
-//! | [`image_folder`] | folders of PNG and JPEG files | |
+//! | `image_folder` | folders of PNG and JPEG files | |
 //! | [`tensors`] | | safetensors files |
 //!
-//! [`source`] and [`labels`] hold the traits that all formats implement; [`format`](mod@format) finds the format of a path.
+//! `source` and `labels` hold the traits that all formats implement; [`Format`] finds the format of a path.
 
 mod copy;
-pub mod format;
-pub mod image_folder;
-pub mod label_info;
+pub(crate) mod format;
+pub(crate) mod image_folder;
+mod label_info;
 mod labelled;
-pub mod labels;
+pub(crate) mod labels;
 pub mod lerobot;
 pub mod mcap;
 mod prefetch;
-pub mod provenance;
+mod provenance;
 pub mod ring;
-pub mod source;
+pub(crate) mod source;
 pub mod tensors;
 pub mod video;
 pub mod zarr;
@@ -35,9 +35,11 @@ pub(crate) use copy::copy_folder;
 pub use format::Format;
 pub use label_info::{LabelInfo, LabelSummary, UnlabelledImage};
 pub use labelled::Labelled;
-pub use labels::{LabelCounts, LabelFrame, LabelOutput, SourceLabels};
-pub use provenance::{CONTACT_THRESHOLD, PROVENANCE_KEY, Provenance};
-pub use source::{EncodedImage, ImageSource, LostBytes, SourceFrame, Unit};
+pub use labels::LabelCounts;
+pub(crate) use labels::{LabelFrame, LabelOutput, SourceLabels};
+pub use provenance::{CONTACT_THRESHOLD, PROVENANCE_KEY, Provenance, Thresholds};
+pub use source::LostBytes;
+pub(crate) use source::{ImageSource, SourceFrame, Unit};
 
 use crate::error::Result;
 use crate::hand::{HandParams, Topology};

@@ -1,17 +1,17 @@
 //! The engine behind `egotac label`: predicted touch for recordings of any format.
 //!
-//! A [`Job`] labels one recording in two phases:
+//! A `Job` labels one recording in two phases:
 //!
 //! 1. **Inference.** Decoder threads read the images of each unit (an episode, or a file of a bag) and the network labels
-//!    them in order. The labels go to the unit's [`Journal`] in a hidden [`workspace`] folder beside the output.
+//!    them in order. The labels go to the unit's journal in a hidden workspace folder beside the output.
 //! 2. **Assembly.** When the journals of all units are complete, the format's
-//!    [`LabelOutput`](crate::dataset::LabelOutput) reads input and journals and writes the output into the workspace.
+//!    `LabelOutput` reads input and journals and writes the output into the workspace.
 //!
 //! - *Journal and resume*: labels are appended in blocks with checksums. A killed process loses the block in progress. The
 //!   next run cuts the journal after its last valid block, replays the images that the network's window needs, and goes on.
 //! - *Atomic publish*: a rename gives the finished output its name, so the output is complete or absent. The input is only
 //!   read.
-//! - *Shards*: processes with different [`Shard`]s fill different journals; file locks keep them apart. The process that
+//! - *Shards*: processes with different shards fill different journals; file locks keep them apart. The process that
 //!   completes the last journal assembles the output.
 //! - *Memory*: bounded queues and streaming readers; it does not grow with the length of a recording.
 
@@ -22,8 +22,7 @@ mod journal;
 mod manifest;
 mod workspace;
 
-pub use inference::InferenceTiming;
-pub use input::{FormatOptions, LabelTask, LabelTasks, OutputFormat, find_tasks};
-pub use job::{Job, LabelTiming, Outcome, Shard};
-pub use journal::{Journal, JournalLabels, Progress};
-pub use manifest::{MANIFEST, write_manifest};
+pub(crate) use input::{FormatOptions, LabelTask, LabelTasks, OutputFormat, find_tasks};
+pub(crate) use job::{Job, LabelTiming, Outcome, Shard};
+pub use journal::Progress;
+pub(crate) use manifest::write_manifest;

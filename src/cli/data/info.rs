@@ -131,7 +131,8 @@ fn text(info: &Value) -> String {
             &format!("\n  {topic}: {} messages of {}", about["messages"], about["type"].as_str().unwrap_or_default());
     }
     for file in info["files"].as_array().into_iter().flatten() {
-        let cut = if file["summary"] == true { "" } else { "; it has no summary, as if its recording was cut off" };
+        let cut =
+            if file["summary"] == true { "" } else { "; it has no summary, so its recording was probably cut off" };
         text += &format!("\n  {}: {} messages{cut}", file["file"].as_str().unwrap_or_default(), file["messages"]);
     }
     if let Ok(LabelInfo { provenance, summary }) = serde_json::from_value(info["labels"].clone()) {
