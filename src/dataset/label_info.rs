@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::labels::LabelCounts;
+use super::label_frame::LabelCounts;
 use super::provenance::Provenance;
 use super::source::LostBytes;
 

@@ -14,6 +14,7 @@
 mod copy;
 pub(crate) mod format;
 pub(crate) mod image_folder;
+mod label_frame;
 mod label_info;
 mod labelled;
 pub(crate) mod labels;
@@ -33,10 +34,11 @@ use ::image::RgbImage;
 
 pub(crate) use copy::copy_folder;
 pub use format::Format;
+pub use label_frame::LabelCounts;
+pub(crate) use label_frame::LabelFrame;
 pub use label_info::{LabelInfo, LabelSummary, UnlabelledImage};
 pub use labelled::Labelled;
-pub use labels::LabelCounts;
-pub(crate) use labels::{LabelFrame, LabelOutput, SourceLabels};
+pub(crate) use labels::{LabelOutput, SourceLabels};
 pub use provenance::{CONTACT_THRESHOLD, PROVENANCE_KEY, Provenance, Thresholds};
 pub use source::LostBytes;
 pub(crate) use source::{ImageSource, SourceFrame, Unit};

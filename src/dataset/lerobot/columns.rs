@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use super::images::LeRobotDataset;
-use crate::dataset::labels::LabelFrame;
+use crate::dataset::label_frame::LabelFrame;
 use crate::hand::{HandModel, Region, Side, Topology};
 use crate::tactile::N_FIELD;
 

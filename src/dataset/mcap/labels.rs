@@ -11,8 +11,9 @@ use super::{
     BagFile, BagTopic, ChunkOutline, CopyWriter, Piece, Record, Records, bag_files, metadata_yaml, op, put_text, survey,
 };
 use crate::dataset::base_name;
+use crate::dataset::label_frame::LabelFrame;
 use crate::dataset::label_info::LabelInfo;
-use crate::dataset::labels::{LabelFrame, LabelOutput, SourceLabels, next_label};
+use crate::dataset::labels::{LabelOutput, SourceLabels, next_label};
 use crate::dataset::prefetch::prefetch;
 use crate::dataset::provenance::PROVENANCE_KEY;
 use crate::error::{Error, Result};

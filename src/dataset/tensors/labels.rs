@@ -9,8 +9,9 @@ use std::sync::Arc;
 use serde_json::json;
 
 use crate::dataset::Labelled;
+use crate::dataset::label_frame::LabelFrame;
 use crate::dataset::label_info::LabelInfo;
-use crate::dataset::labels::{LabelFrame, LabelOutput, SourceLabels};
+use crate::dataset::labels::{LabelOutput, SourceLabels};
 use crate::dataset::provenance::PROVENANCE_KEY;
 use crate::dataset::source::ImageSource;
 use crate::error::{Error, Result};

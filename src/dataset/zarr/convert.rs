@@ -8,8 +8,9 @@ use ::image::imageops::{FilterType, resize};
 
 use super::{Contact, ZarrWriter};
 use crate::dataset::copy::remove;
+use crate::dataset::label_frame::LabelFrame;
 use crate::dataset::label_info::LabelInfo;
-use crate::dataset::labels::{LabelFrame, LabelOutput, SourceLabels, next_label};
+use crate::dataset::labels::{LabelOutput, SourceLabels, next_label};
 use crate::dataset::provenance::PROVENANCE_KEY;
 use crate::dataset::source::{ImageSource, SourceFrame};
 use crate::dataset::{Attributes, EpisodeWriter, Frame};

@@ -14,8 +14,9 @@ use super::{
 };
 use crate::dataset::EpisodeReader;
 use crate::dataset::copy::{copy_file, copy_folder};
+use crate::dataset::label_frame::LabelFrame;
 use crate::dataset::label_info::LabelInfo;
-use crate::dataset::labels::{LabelFrame, LabelOutput, SourceLabels};
+use crate::dataset::labels::{LabelOutput, SourceLabels};
 use crate::dataset::prefetch::prefetch;
 use crate::dataset::provenance::PROVENANCE_KEY;
 use crate::dataset::source::{LostBytes, Unit};
