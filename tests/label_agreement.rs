@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use egotac::geometry::force::link_vertices;
 use egotac::hand::{HandModel, HandParams, N_VERTICES, Side};
 use egotac::score::agreement::scores::{SCORES, find};
-use egotac::score::agreement::{Parts, Scorer, Sums, TruthFrame};
+use egotac::score::agreement::{Scorer, Sums, TruthFrame, VertexGroups};
 use egotac::tactile::N_FIELD;
 use glam::{DVec3, Vec3};
 
@@ -25,8 +25,8 @@ fn value(sums: &Sums, name: &str) -> Option<f64> {
     (find(name).unwrap().value)(sums)
 }
 
-fn parts() -> Parts {
-    Parts::links(&Side::BOTH.map(HandModel::builtin))
+fn parts() -> VertexGroups {
+    VertexGroups::links(&Side::BOTH.map(HandModel::builtin))
 }
 
 fn positions() -> Vec<Vec3> {
@@ -52,7 +52,7 @@ fn scores_are_those_of_scikit_learn_and_scipy() {
     let contacts: [Vec<DVec3>; 2] = [0, 1].map(|side| {
         (0..40).map(|i| DVec3::from_array([0, 1, 2].map(|k| noise(6, (side * 40 + i) * 3 + k))) * 0.03).collect()
     });
-    let mut scorer = Scorer::new(Parts::hands());
+    let mut scorer = Scorer::new(VertexGroups::hands());
     for frame in 0..t {
         let at = |i: usize| frame * v + i;
         let force: Vec<f32> = (0..v)

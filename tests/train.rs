@@ -14,9 +14,9 @@ use egotac::model::grow::{Growth, grow};
 use egotac::model::{self, Checkpoint, EgoTac, Predictor, init, predictor};
 use egotac::score::metrics::{EvalOptions, evaluate};
 use egotac::tactile::{N_FIELD, TactileField, Validity};
-use egotac::train::config::{Augment, Batch};
+use egotac::train::config::{AugmentConfig, BatchConfig};
 use egotac::train::data::Dataset;
-use egotac::train::source::Source;
+use egotac::train::source::TrainingSource;
 use egotac::train::{Config, Control, Event, baseline, predict, train};
 use image::{Rgb, RgbImage};
 use serde_json::Value;
@@ -99,7 +99,7 @@ fn a_small_store_is_learned_far_better_than_any_constant() {
     write_store(&folder.path().join("test.zarr"), 2, 1, 80);
     let config = config(folder.path(), "out", 400, "augment: {crop: 0, view_scale: 0}\nloss: {active: 1}");
     let outcome = run(&config, false, usize::MAX);
-    assert_eq!((outcome.steps, outcome.broken_steps), (400, 0));
+    assert_eq!((outcome.steps, outcome.skipped_steps), (400, 0));
 
     let checkpoint = Checkpoint::load(&outcome.checkpoint, &Device::Cpu).unwrap();
     assert_eq!(checkpoint.sha256, outcome.sha256);
@@ -380,18 +380,18 @@ fn gathered_gradients_are_those_of_the_whole_batch() {
     write_store(&folder.path().join("train.zarr"), 1, 6, 8);
     // Every clip has as many windows and labels as any other, so that the mean of means is the mean; the active term
     // alone counts what is touched. Later steps differ: Adam makes full steps of rounding errors.
-    let first_step = |out: &str, batch: Batch| {
+    let first_step = |out: &str, batch: BatchConfig| {
         let mut config = config(folder.path(), out, 1, "");
-        (config.batch, config.augment, config.loss.active) = (batch, Augment::none(), 0.0);
+        (config.batch, config.augment, config.loss.active) = (batch, AugmentConfig::none(), 0.0);
         run(&config, false, usize::MAX);
         ["loss", "force", "contact", "consistency", "grad_norm", "windows"].map(|name| logged(&config, name)[0])
     };
-    let whole = first_step("whole", Batch { clips: 2, windows: 1, accumulate: 1 });
-    let gathered = first_step("gathered", Batch { clips: 1, windows: 1, accumulate: 2 });
+    let whole = first_step("whole", BatchConfig { clips: 2, windows: 1, accumulate: 1 });
+    let gathered = first_step("gathered", BatchConfig { clips: 1, windows: 1, accumulate: 2 });
     for (whole, gathered) in whole.iter().zip(&gathered) {
         assert!((whole - gathered).abs() < 1e-3 * whole.abs(), "{whole} {gathered}");
     }
-    let one = first_step("one", Batch { clips: 1, windows: 1, accumulate: 1 });
+    let one = first_step("one", BatchConfig { clips: 1, windows: 1, accumulate: 1 });
     assert!((one[4] - whole[4]).abs() > 1e-2 * whole[4], "one batch has another gradient: {one:?} {whole:?}");
 }
 
@@ -402,7 +402,8 @@ fn mixed_sources_resume_as_if_they_had_not_stopped() {
     write_store(&folder.path().join("small.zarr"), 2, 1, 5);
     let config = |out: &str| {
         let mut config = config(folder.path(), out, 12, "sampling: {epoch: 40}\n");
-        let small = Source { quota: 0.25, mirror: true, ..Source::path(folder.path().join("small.zarr")) };
+        let small =
+            TrainingSource { quota: 0.25, mirror: true, ..TrainingSource::path(folder.path().join("small.zarr")) };
         config.data.push(small);
         config
     };

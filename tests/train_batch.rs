@@ -8,10 +8,10 @@ use egotac::hand::Topology;
 use egotac::image::{IMAGENET_MEAN, IMAGENET_STD, Preparation, normalise};
 use egotac::tactile::{N_FIELD, TactileField, Validity};
 use egotac::train::batch::Collate;
-use egotac::train::config::Augment;
+use egotac::train::config::AugmentConfig;
 use egotac::train::data::Dataset;
 use egotac::train::sampler::Clip;
-use egotac::train::source::Source;
+use egotac::train::source::TrainingSource;
 use image::{Rgb, RgbImage};
 
 const SIDE: usize = 8;
@@ -79,8 +79,14 @@ fn batches_hold_each_frame_once_and_the_labels_of_the_newest() {
         // 1..6 N, 8..11 N are active (7 is refused, and 0 N no touch): the 99th percentile is the largest.
         assert_eq!(data.statistics().unwrap().force_scale, Some(11.0));
 
-        let collate =
-            Collate { horizon: 3, predict: 2, frame_dt: 0.2, force_scale: 2.0, augment: Augment::none(), seed: 1 };
+        let collate = Collate {
+            horizon: 3,
+            predict: 2,
+            frame_dt: 0.2,
+            force_scale: 2.0,
+            augment: AugmentConfig::none(),
+            seed: 1,
+        };
         let clips = [
             Clip { store: 0, episode: 4..12, newest: vec![7, 9, 11] },
             Clip { store: 0, episode: 0..4, newest: vec![1] },
@@ -129,12 +135,12 @@ fn a_mirrored_clip_shows_the_other_hand() {
         predict: 1,
         frame_dt: 0.2,
         force_scale: 2.0,
-        augment: Augment { mirror: 1.0, ..Augment::none() },
+        augment: AugmentConfig { mirror: 1.0, ..AugmentConfig::none() },
         seed: 1,
     };
     let clips = [Clip { store: 0, episode: 4..12, newest: vec![9] }];
     let batch = |mirror: bool| {
-        let source = Source { mirror, ..Source::path(&path) };
+        let source = TrainingSource { mirror, ..TrainingSource::path(&path) };
         Dataset::open(&[source], preparation(), true).unwrap().batch(&collate, 0, &clips).unwrap()
     };
     let (plain, mirrored) = (batch(false), batch(true));

@@ -10,11 +10,11 @@ use egotac::hand::{HandModel, HandParams, N_KEYPOINTS, Side, Topology};
 use egotac::image::{IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
 use egotac::model::{Config, EgoTac, init};
 use egotac::tactile::{N_FIELD, TactileField, Validity};
-use egotac::train::config::Loss;
+use egotac::train::config::LossWeights;
 use egotac::train::data::{Dataset, Statistics};
 use egotac::train::initial_weights;
 use egotac::train::keypoints::{self, Heads, N_POINTS, Points};
-use egotac::train::loss::{Truth, objective};
+use egotac::train::loss::{Targets, objective};
 use glam::Vec3;
 use image::RgbImage;
 use serde_json::json;
@@ -50,13 +50,13 @@ fn a_network_begins_with_the_mean_of_its_data_whatever_it_sees() {
     let row = |values: Vec<f32>| Tensor::from_vec(values, (1, 1, N_FIELD), &Device::Cpu).unwrap();
     let [zeros, ones] = [0.0, 1.0].map(|x| row(vec![x; N_FIELD]));
     // A soft target stands for its share of frames.
-    let truth = Truth {
+    let truth = Targets {
         force: zeros.clone(),
         contact: row(statistics.contact_rate.clone()),
         mask_force: zeros.clone(),
         mask_contact: ones,
     };
-    let loss = Loss { contact: N_FIELD as f64, positive_weight: 3.0, ..Loss::default() };
+    let loss = LossWeights { contact: N_FIELD as f64, positive_weight: 3.0, ..LossWeights::default() };
     let gradients = objective(&zeros, var.as_tensor(), &truth, 1.0, &loss).unwrap().total.backward().unwrap();
     let slopes = gradients.get(&var).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
     assert!(slopes.iter().all(|slope| slope.abs() < 1e-3), "{:?}", &slopes[..4]);

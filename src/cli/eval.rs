@@ -9,7 +9,7 @@ use crate::dataset::tensors;
 use crate::dataset::zarr::{self, ZarrReader};
 use crate::hand::{HandModel, Side, Topology};
 use crate::model::{Checkpoint, Precision};
-use crate::score::metrics::{self, Calibration, Comparison, EvalOptions, Part, Report};
+use crate::score::metrics::{self, Calibration, Comparison, EvalOptions, Metrics, VertexGroup};
 use crate::tactile::TactileSequence;
 use crate::train::baseline;
 use crate::train::data::{Dataset, read_truth};
@@ -80,8 +80,8 @@ struct Case {
 
 /// All that was asked for.
 struct Scored {
-    reports: Vec<(&'static str, Report)>,
-    parts: Vec<(String, Report)>,
+    reports: Vec<(&'static str, Metrics)>,
+    parts: Vec<(String, Metrics)>,
     against: Option<Comparison>,
 }
 
@@ -93,7 +93,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         _ => bail!("give --pred and --target, or --checkpoint and --data"),
     };
     if args.right_hand_only {
-        Part::hand(Side::Right).restrict(&mut case.target);
+        VertexGroup::hand(Side::Right).restrict(&mut case.target);
     }
     let scored = score(&args, &mut case)?;
     match args.json {
@@ -134,7 +134,7 @@ fn score(args: &Args, case: &mut Case) -> anyhow::Result<Scored> {
 }
 
 /// Both hands, then every region whose vertices are known.
-fn parts(args: &Args, topology: Topology) -> anyhow::Result<Vec<Part>> {
+fn parts(args: &Args, topology: Topology) -> anyhow::Result<Vec<VertexGroup>> {
     let models = match (args.hands.files()?, topology) {
         (Some(models), _) => models,
         (None, Topology::EgotacHand1) => Side::BOTH.map(HandModel::builtin),
@@ -143,7 +143,7 @@ fn parts(args: &Args, topology: Topology) -> anyhow::Result<Vec<Part>> {
         }
     };
     models.iter().try_for_each(|model| topology.must_match(model.topology))?;
-    Ok(Side::BOTH.into_iter().map(Part::hand).chain(Part::regions(&models)).collect())
+    Ok(Side::BOTH.into_iter().map(VertexGroup::hand).chain(VertexGroup::regions(&models)).collect())
 }
 
 /// A checkpoint's predictions, and the constants beside it.
@@ -210,10 +210,10 @@ fn read_calibration(path: &Path) -> anyhow::Result<Calibration> {
 }
 
 fn print(scored: &Scored) {
-    let reports: Vec<(&str, &Report)> = scored.reports.iter().map(|(name, report)| (*name, report)).collect();
+    let reports: Vec<(&str, &Metrics)> = scored.reports.iter().map(|(name, report)| (*name, report)).collect();
     println!("{}", metrics::table(&reports));
     if !scored.parts.is_empty() {
-        println!("\n{}", metrics::parts_table(&scored.parts));
+        println!("\n{}", metrics::groups_table(&scored.parts));
     }
     if let Some(comparison) = &scored.against {
         println!("\n{}", metrics::comparison_table(comparison));

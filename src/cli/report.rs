@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use super::hands::Hands;
 use crate::file;
-use crate::report::{Settings, html};
+use crate::report::{PageSettings, html};
 
 /// Arguments of `egotac report`.
 #[derive(Debug, clap::Args)]
@@ -27,7 +27,7 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let settings = Settings { frames: args.frames, episodes: args.episodes, hands: args.hands.files()? };
+    let settings = PageSettings { frames: args.frames, episodes: args.episodes, hands: args.hands.files()? };
     let out = args.out.unwrap_or_else(|| {
         let mut out = args.labels.clone().into_os_string();
         out.push(".html");

@@ -74,7 +74,7 @@ fn describe_start(started: &Started) -> String {
 }
 
 fn describe_end(outcome: &Outcome) -> String {
-    let broken = match outcome.broken_steps {
+    let broken = match outcome.skipped_steps {
         0 => String::new(),
         n => format!("; {n} steps left out because their gradient was not finite"),
     };

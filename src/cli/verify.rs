@@ -9,7 +9,7 @@ use super::hands::{Hands, Kernel};
 use crate::file;
 use crate::score::verify::recording::{self, Topics};
 use crate::score::verify::report::{self, Unmatched};
-use crate::score::verify::{Bar, Candidate, Report, Settings, picture};
+use crate::score::verify::{Candidate, Requirement, SweepSettings, VerifyReport, picture};
 
 /// Arguments of `egotac verify`.
 #[derive(Debug, clap::Args)]
@@ -82,7 +82,7 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     // Everything that can be wrong with the question, before hours of answering it.
-    let bars = Bar::parse_all(args.require.as_deref().unwrap_or_default())?;
+    let bars = Requirement::parse_all(args.require.as_deref().unwrap_or_default())?;
     let settings = settings(&args)?;
     let candidates = match args.recording.is_some() || args.predictor.is_some() || !args.predictions.is_empty() {
         true => vec![Candidate::Prediction],
@@ -98,7 +98,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 }
 
 /// Writes what is asked for; the table goes to standard output unless JSON does.
-fn write(args: &Args, report: &Report) -> anyhow::Result<()> {
+fn write(args: &Args, report: &VerifyReport) -> anyhow::Result<()> {
     let json = format!("{:#}\n", serde_json::to_value(report)?);
     let table = report::table(report);
     if args.json.as_deref() == Some(Path::new("-")) {
@@ -127,10 +127,10 @@ fn write(args: &Args, report: &Report) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn settings(args: &Args) -> anyhow::Result<Settings> {
+fn settings(args: &Args) -> anyhow::Result<SweepSettings> {
     let metres = |millimetres: &f32| (f64::from(*millimetres) * 1e-3) as f32;
     let thresholds = args.thresholds.iter().map(metres).collect();
-    let settings = Settings { thresholds, spacing: metres(&args.spacing) };
+    let settings = SweepSettings { thresholds, spacing: metres(&args.spacing) };
     settings.check()?;
     ensure!(args.seeds > 0, "--seeds: expected at least 1");
     ensure!(args.jobs > 0, "--jobs: expected at least 1");
@@ -138,7 +138,7 @@ fn settings(args: &Args) -> anyhow::Result<Settings> {
 }
 
 /// Refuses bars for candidates that there will not be.
-fn check_candidates(bars: &[Bar], candidates: &[Candidate]) -> anyhow::Result<()> {
+fn check_candidates(bars: &[Requirement], candidates: &[Candidate]) -> anyhow::Result<()> {
     let names: Vec<String> = candidates.iter().map(|candidate| candidate.name()).collect();
     for bar in bars {
         match &bar.candidate {
@@ -157,7 +157,7 @@ fn check_candidates(bars: &[Bar], candidates: &[Candidate]) -> anyhow::Result<()
 }
 
 /// Says which bars were missed; that makes the exit status.
-fn gate(bars: &[Bar], report: &Report) -> anyhow::Result<ExitCode> {
+fn gate(bars: &[Requirement], report: &VerifyReport) -> anyhow::Result<ExitCode> {
     let mut status = ExitCode::SUCCESS;
     for bar in bars {
         let candidate = report.candidate(bar.candidate.as_deref())?;
@@ -170,17 +170,17 @@ fn gate(bars: &[Bar], report: &Report) -> anyhow::Result<ExitCode> {
     Ok(status)
 }
 
-fn score_recording(args: &Args, path: &Path) -> anyhow::Result<Report> {
+fn score_recording(args: &Args, path: &Path) -> anyhow::Result<VerifyReport> {
     let topics = Topics { tactile: args.tactile_topic.clone(), truth: args.truth_topic.clone() };
     let recording = recording::score(path, &topics, args.hands.files()?.as_ref())?;
-    let mut report = Report::new(&[Candidate::Prediction], &recording.parts, &recording.episodes, args.seed)?;
+    let mut report = VerifyReport::new(&[Candidate::Prediction], &recording.parts, &recording.episodes, args.seed)?;
     let (predictions, truths) = (recording.unmatched_predictions, recording.unmatched_truths);
     report.unmatched = Some(Unmatched { predictions, truths });
     Ok(report)
 }
 
 #[cfg(not(feature = "sim"))]
-fn score_sources(_: &Args, _: &Settings, _: &[Candidate]) -> anyhow::Result<Report> {
+fn score_sources(_: &Args, _: &SweepSettings, _: &[Candidate]) -> anyhow::Result<VerifyReport> {
     Err(super::feature_off("verify", "sim"))
 }
 
@@ -199,13 +199,17 @@ mod with_sim {
     use crate::cli::sim::{load, picture};
     use crate::dataset::zarr::{self, ZarrReader};
     use crate::model::{Predictor, predictor, shipped};
-    use crate::score::agreement::Parts;
-    use crate::score::verify::{Candidate, Episode, Report, Settings, predictions};
-    use crate::sim::verify::store::Against;
+    use crate::score::agreement::VertexGroups;
+    use crate::score::verify::{Candidate, Episode, SweepSettings, VerifyReport, predictions};
+    use crate::sim::verify::store::EstimateSource;
     use crate::sim::verify::{rollout, store};
     use crate::sim::{RolloutOptions, Scene};
 
-    pub fn score_sources(args: &Args, settings: &Settings, candidates: &[Candidate]) -> anyhow::Result<Report> {
+    pub fn score_sources(
+        args: &Args,
+        settings: &SweepSettings,
+        candidates: &[Candidate],
+    ) -> anyhow::Result<VerifyReport> {
         let (stores, scenes): (Vec<&String>, Vec<&String>) =
             args.sources.iter().partition(|source| Path::new(source).is_dir());
         let paths: Vec<PathBuf> = stores.into_iter().map(PathBuf::from).collect();
@@ -243,7 +247,7 @@ mod with_sim {
         for episode in rollouts {
             episodes.push(episode?);
         }
-        Ok(Report::new(candidates, &Parts::links(&hands), &episodes, args.seed)?)
+        Ok(VerifyReport::new(candidates, &VertexGroups::links(&hands), &episodes, args.seed)?)
     }
 
     fn open_predictor(args: &Args) -> anyhow::Result<Option<Predictor>> {
@@ -257,7 +261,7 @@ mod with_sim {
 
     fn score_stores(
         args: &Args,
-        settings: &Settings,
+        settings: &SweepSettings,
         stores: &[ZarrReader],
         hands: &[crate::hand::HandModel; 2],
         mut predictor: Option<&mut Predictor>,
@@ -278,9 +282,9 @@ mod with_sim {
         let mut episodes = Vec::new();
         for reader in stores {
             let against = match (&mut predictor, &predicted) {
-                (Some(predictor), _) => Against::Predictor(predictor),
-                (None, Some(predicted)) => Against::Predictions(predicted, before),
-                (None, None) => Against::Labels(&given),
+                (Some(predictor), _) => EstimateSource::Predictor(predictor),
+                (None, Some(predicted)) => EstimateSource::Predictions(predicted, before),
+                (None, None) => EstimateSource::Labels(&given),
             };
             episodes.extend(store::score(reader, hands, settings, against)?);
             before += reader.len();

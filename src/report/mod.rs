@@ -19,7 +19,7 @@ pub use trace::{Trace, traces};
 
 /// What goes on the page.
 #[derive(Debug, Clone)]
-pub struct Settings {
+pub struct PageSettings {
     /// Frames that are shown.
     pub frames: usize,
     /// Episodes whose traces are shown.
@@ -32,7 +32,7 @@ pub struct Settings {
 ///
 /// # Errors
 /// If the labels or their images can't be read, or the hands are of another topology.
-pub fn html(path: &Path, settings: &Settings) -> Result<String> {
+pub fn html(path: &Path, settings: &PageSettings) -> Result<String> {
     let labelled = Labelled::read(path)?;
     let builtin = || crate::hand::Side::BOTH.map(HandModel::builtin);
     let hands = match (&settings.hands, labelled.labels.topology) {

@@ -11,7 +11,7 @@ use super::samples::Sample;
 use super::trace::Trace;
 use crate::hand::{Region, Side};
 use crate::label::Labelled;
-use crate::score::metrics::{self, Report};
+use crate::score::metrics::{self, Metrics};
 
 const STYLE: &str = "
 body { font: 15px/1.45 system-ui, sans-serif; color: #1e1e24; max-width: 1060px; margin: 2em auto; padding: 0 1em; }
@@ -30,7 +30,7 @@ pub fn page(
     samples: &[Sample],
     traces: &[Trace],
     regions: &[RegionRow],
-    report: Option<&Report>,
+    report: Option<&Metrics>,
 ) -> String {
     let name = escaped(&path.file_name().unwrap_or_default().to_string_lossy());
     let mut html = format!(

@@ -2,11 +2,11 @@
 
 use rand::Rng;
 
-use super::config::Augment;
+use super::config::AugmentConfig;
 
 /// One draw: where each output pixel is taken from, and a colour transform.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Change {
+pub struct Augmentation {
     /// Left edge of the view, as a share of the side.
     left: f32,
     /// Upper edge of the view, as a share of the side.
@@ -21,7 +21,7 @@ pub struct Change {
     pub mirrored: bool,
 }
 
-impl Change {
+impl Augmentation {
     /// Leaves the image as it is.
     #[cfg(test)]
     pub fn identity() -> Self {
@@ -29,7 +29,7 @@ impl Change {
     }
 
     /// Draws a change; only what is `mirrorable` is ever mirrored.
-    pub fn draw(config: &Augment, mirrorable: bool, rng: &mut impl Rng) -> Self {
+    pub fn draw(config: &AugmentConfig, mirrorable: bool, rng: &mut impl Rng) -> Self {
         let mut within = |half: f64| if half > 0.0 { rng.random_range(-half..=half) } else { 0.0 };
         let brightness = 1.0 + within(config.brightness);
         let contrast = 1.0 + within(config.contrast);
@@ -135,7 +135,7 @@ mod tests {
         (0..SIDE * SIDE * 3).map(|i| (i * 37 % 251) as u8).collect()
     }
 
-    fn apply(change: &Change, pixels: &[u8]) -> Vec<f32> {
+    fn apply(change: &Augmentation, pixels: &[u8]) -> Vec<f32> {
         let mut out = vec![0.0; pixels.len()];
         change.apply(pixels, SIDE, [0.0; 3], [1.0; 3], &mut out);
         out
@@ -145,8 +145,8 @@ mod tests {
     fn no_change_gives_what_inference_sees() {
         let image = image::RgbImage::from_raw(SIDE as u32, SIDE as u32, picture()).unwrap();
         let expected = normalise(&image, IMAGENET_MEAN, IMAGENET_STD);
-        let drawn = Change::draw(&Augment::none(), true, &mut ChaCha8Rng::seed_from_u64(1));
-        for change in [Change::identity(), drawn] {
+        let drawn = Augmentation::draw(&AugmentConfig::none(), true, &mut ChaCha8Rng::seed_from_u64(1));
+        for change in [Augmentation::identity(), drawn] {
             let mut out = vec![0.0; expected.len()];
             change.apply(image.as_raw(), SIDE, IMAGENET_MEAN, IMAGENET_STD, &mut out);
             let worst = out.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
@@ -158,7 +158,7 @@ mod tests {
     fn a_view_from_the_centre_shows_the_centre_and_a_ramp_stays_a_ramp() {
         // A horizontal ramp: any crop of it is linear in x, whatever the interpolation.
         let ramp: Vec<u8> = (0..SIDE * SIDE * 3).map(|i| ((i / 3) % SIDE * 16) as u8).collect();
-        let change = Change { left: 0.25, top: 0.25, scale: 0.5, ..Change::identity() };
+        let change = Augmentation { left: 0.25, top: 0.25, scale: 0.5, ..Augmentation::identity() };
         let out = apply(&change, &ramp);
         for x in 0..SIDE {
             let expected = 16.0 * (4.0 + (x as f32 + 0.5) * 0.5 - 0.5) / 255.0;
@@ -173,7 +173,7 @@ mod tests {
         for (x, y) in [(9, 5), (10, 5), (9, 6), (10, 6)] {
             spot[(y * SIDE + x) * 3..][..3].fill(255);
         }
-        let change = Change { left: 0.2, top: 0.1, scale: 0.7, ..Change::identity() };
+        let change = Augmentation { left: 0.2, top: 0.1, scale: 0.7, ..Augmentation::identity() };
         let out = apply(&change, &spot);
         let mut sums = [0f32; 3];
         for (i, value) in out[..SIDE * SIDE].iter().enumerate() {
@@ -187,7 +187,7 @@ mod tests {
 
     #[test]
     fn a_mirrored_picture_is_the_picture_from_right_to_left() {
-        let (plain, mirrored) = (Change::identity(), Change { mirrored: true, ..Change::identity() });
+        let (plain, mirrored) = (Augmentation::identity(), Augmentation { mirrored: true, ..Augmentation::identity() });
         let (before, after) = (apply(&plain, &picture()), apply(&mirrored, &picture()));
         for (row, reversed) in before.chunks_exact(SIDE).zip(after.chunks_exact(SIDE)) {
             assert!(row.iter().eq(reversed.iter().rev()));
@@ -195,7 +195,7 @@ mod tests {
         assert_eq!(mirrored.place([0.25, 0.75]), [0.75, 0.75]);
         let drawn = |mirrorable| {
             let mut rng = ChaCha8Rng::seed_from_u64(5);
-            (0..200).filter(|_| Change::draw(&Augment::default(), mirrorable, &mut rng).mirrored).count()
+            (0..200).filter(|_| Augmentation::draw(&AugmentConfig::default(), mirrorable, &mut rng).mirrored).count()
         };
         assert_eq!(drawn(false), 0);
         assert!((70..130).contains(&drawn(true)), "{}", drawn(true));
@@ -203,7 +203,8 @@ mod tests {
 
     #[test]
     fn grey_keeps_its_hue_and_a_third_of_a_turn_permutes_the_channels() {
-        let turn = Change { matrix: mixing(1.0, 2.0 * std::f64::consts::PI / 3.0, 1.0), ..Change::identity() };
+        let turn =
+            Augmentation { matrix: mixing(1.0, 2.0 * std::f64::consts::PI / 3.0, 1.0), ..Augmentation::identity() };
         assert!(apply(&turn, &[128; SIDE * SIDE * 3]).iter().all(|v| (v - 128.0 / 255.0).abs() < 1e-5));
         let red: Vec<u8> = [255, 0, 0].repeat(SIDE * SIDE);
         let out = apply(&turn, &red);
@@ -213,7 +214,7 @@ mod tests {
 
     #[test]
     fn draws_depend_on_the_generator_alone() {
-        let draw = |seed| Change::draw(&Augment::default(), true, &mut ChaCha8Rng::seed_from_u64(seed));
+        let draw = |seed| Augmentation::draw(&AugmentConfig::default(), true, &mut ChaCha8Rng::seed_from_u64(seed));
         assert_eq!(draw(3), draw(3));
         assert_ne!(draw(3), draw(4));
     }

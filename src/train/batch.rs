@@ -6,11 +6,11 @@ use candle_core::{Device, Tensor};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::augment::Change;
-use super::config::Augment;
+use super::augment::Augmentation;
+use super::config::AugmentConfig;
 use super::data::Dataset;
 use super::keypoints::{self, Points};
-use super::loss::Truth;
+use super::loss::Targets;
 use super::sampler::{self, Clip};
 use crate::error::Result;
 use crate::hand::N_VERTICES;
@@ -48,7 +48,7 @@ pub struct Collate {
     /// N per normalised unit.
     pub force_scale: f32,
     /// Changes of the images.
-    pub augment: Augment,
+    pub augment: AugmentConfig,
     /// Of the run.
     pub seed: u64,
 }
@@ -100,7 +100,7 @@ impl Dataset {
             // Each clip of each step has a generator of its own, so that loading order is free.
             let mut rng = ChaCha8Rng::seed_from_u64(collate.seed ^ 0x6175_676d_656e_7400);
             rng.set_stream(((index as u64) << 16) | place as u64);
-            let change = Change::draw(&collate.augment, self.mirrorable(clip.store), &mut rng);
+            let change = Augmentation::draw(&collate.augment, self.mirrorable(clip.store), &mut rng);
             let start = batch.frames.len();
             batch.frames.resize(start + needed.len() * pixels, 0.0);
             for (out, frame) in batch.frames[start..].chunks_exact_mut(pixels).zip(&needed) {
@@ -157,11 +157,11 @@ impl Batch {
     ///
     /// # Errors
     /// If the device is out of memory.
-    pub fn to_device(self, side: usize, predict: usize, device: &Device) -> Result<(Tensor, Tensor, Truth)> {
+    pub fn to_device(self, side: usize, predict: usize, device: &Device) -> Result<(Tensor, Tensor, Targets)> {
         let frames = self.n_frames(side);
         let truth_shape = (self.force.len() / (predict * N_FIELD), predict, N_FIELD);
         let field = |values: Vec<f32>| Tensor::from_vec(values, truth_shape, device);
-        let truth = Truth {
+        let truth = Targets {
             force: field(self.force)?,
             contact: field(self.contact)?,
             mask_force: field(self.mask_force)?,

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::source::Source;
+use super::source::TrainingSource;
 use crate::error::{Error, Result};
 use crate::model::{self, Precision};
 
@@ -17,17 +17,17 @@ pub struct Config {
     /// Name that the checkpoint carries.
     pub name: String,
     /// Sources to learn from: stores, or folders of `*.zarr`.
-    pub data: Vec<Source>,
+    pub data: Vec<TrainingSource>,
     /// How sources are mixed.
     #[serde(default)]
-    pub sampling: Sampling,
+    pub sampling: SamplingConfig,
     /// Held-out stores to score on the way; may be empty.
     #[serde(default)]
     pub validation: Vec<PathBuf>,
     /// Folder for `checkpoint.safetensors`, `state.safetensors`, `config.yaml`, `log.csv` and `curves.png`.
     pub out: PathBuf,
     /// The network: a preset's name, its geometry, or `init`, that of the checkpoint to start from.
-    pub model: Geometry,
+    pub model: ModelChoice,
     /// Checkpoint to start from; without it the weights start at random.
     #[serde(default)]
     pub init: Option<PathBuf>,
@@ -47,16 +47,16 @@ pub struct Config {
     pub steps: usize,
     /// What one step sees.
     #[serde(default)]
-    pub batch: Batch,
+    pub batch: BatchConfig,
     /// AdamW and its schedule.
     #[serde(default)]
-    pub optimizer: Optimizer,
+    pub optimizer: OptimizerConfig,
     /// Weights of the objective.
     #[serde(default)]
-    pub loss: Loss,
+    pub loss: LossWeights,
     /// Changes of the images.
     #[serde(default)]
-    pub augment: Augment,
+    pub augment: AugmentConfig,
     /// Decay per step of the averaged weights, which are the ones scored and saved; 0 = no averaging.
     #[serde(default = "default_ema")]
     pub ema: f64,
@@ -77,14 +77,14 @@ pub struct Config {
 /// How often each source is drawn from: p ~ n^temperature for a source of n windows (paper, Dataset sampling).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Sampling {
+pub struct SamplingConfig {
     /// 1 = as large as they are, 0 = all alike.
     pub temperature: f64,
     /// Windows of an epoch; without it as many as there are frames.
     pub epoch: Option<usize>,
 }
 
-impl Default for Sampling {
+impl Default for SamplingConfig {
     fn default() -> Self {
         Self { temperature: 0.5, epoch: None }
     }
@@ -96,7 +96,7 @@ const AS_INIT: &str = "init";
 /// A preset's name, `init` or a geometry.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub enum Geometry {
+pub enum ModelChoice {
     /// Name of a preset, or `init`.
     Preset(String),
     /// All keys of the network's configuration.
@@ -107,7 +107,7 @@ pub enum Geometry {
 /// once, whatever number of windows they appear in.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Batch {
+pub struct BatchConfig {
     /// Clips per step.
     pub clips: usize,
     /// Windows per clip.
@@ -116,7 +116,7 @@ pub struct Batch {
     pub accumulate: usize,
 }
 
-impl Default for Batch {
+impl Default for BatchConfig {
     fn default() -> Self {
         Self { clips: 4, windows: 12, accumulate: 1 }
     }
@@ -125,7 +125,7 @@ impl Default for Batch {
 /// AdamW with linear warm-up and cosine decay.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Optimizer {
+pub struct OptimizerConfig {
     /// Peak learning rate.
     pub learning_rate: f64,
     /// Learning rate of the last step.
@@ -140,7 +140,7 @@ pub struct Optimizer {
     pub max_grad_norm: f64,
 }
 
-impl Default for Optimizer {
+impl Default for OptimizerConfig {
     fn default() -> Self {
         Self {
             learning_rate: 1e-4,
@@ -156,7 +156,7 @@ impl Default for Optimizer {
 /// Weights of the objective (paper, Training objective).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Loss {
+pub struct LossWeights {
     /// Of the squared error of the normalised force.
     pub force: f64,
     /// Of the cross-entropy of contact.
@@ -172,7 +172,7 @@ pub struct Loss {
     pub positive_weight: f64,
 }
 
-impl Default for Loss {
+impl Default for LossWeights {
     fn default() -> Self {
         Self { force: 1.0, contact: 1.0, active: 0.2, consistency: 0.05, keypoints: 0.0, positive_weight: 2.0 }
     }
@@ -181,7 +181,7 @@ impl Default for Loss {
 /// Changes of the images, drawn once per clip: the same for all frames of a window.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Augment {
+pub struct AugmentConfig {
     /// Brightness factor within 1 ± this.
     pub brightness: f64,
     /// Contrast factor within 1 ± this.
@@ -200,7 +200,7 @@ pub struct Augment {
     pub mirror: f64,
 }
 
-impl Default for Augment {
+impl Default for AugmentConfig {
     fn default() -> Self {
         Self {
             brightness: 0.2,
@@ -215,7 +215,7 @@ impl Default for Augment {
     }
 }
 
-impl Augment {
+impl AugmentConfig {
     /// Nothing is changed.
     pub fn none() -> Self {
         Self {
@@ -337,12 +337,12 @@ impl Config {
     /// read.
     pub fn geometry(&self) -> Result<model::Config> {
         match &self.model {
-            Geometry::Preset(name) if name == AS_INIT => match &self.init {
+            ModelChoice::Preset(name) if name == AS_INIT => match &self.init {
                 Some(path) => model::checkpoint::geometry(path),
                 None => Err(Error::value("model", "a preset or a geometry, as no init names a checkpoint", AS_INIT)),
             },
-            Geometry::Preset(name) => model::Config::preset(name),
-            Geometry::Explicit(config) => config.check().map(|()| config.clone()),
+            ModelChoice::Preset(name) => model::Config::preset(name),
+            ModelChoice::Explicit(config) => config.check().map(|()| config.clone()),
         }
     }
 
@@ -354,7 +354,7 @@ impl Config {
 
     /// Learning rate of step `step` of `steps`, counted from 0: linear warm-up, then half a cosine.
     pub fn learning_rate(&self, step: usize) -> f64 {
-        let Optimizer { learning_rate, final_learning_rate, warmup, .. } = self.optimizer;
+        let OptimizerConfig { learning_rate, final_learning_rate, warmup, .. } = self.optimizer;
         let warmup_steps = (warmup * self.steps as f64).ceil();
         let step = step as f64;
         if step < warmup_steps {

@@ -8,7 +8,7 @@ use plotters::prelude::*;
 use crate::error::{Error, Result};
 use crate::render;
 use crate::render::figure::{self, Drawn, Figure};
-use crate::score::metrics::Report;
+use crate::score::metrics::Metrics;
 
 const COLORS: [RGBColor; 5] = [
     RGBColor(31, 119, 180),
@@ -38,13 +38,13 @@ struct Curve {
 ///
 /// # Errors
 /// If the log can't be read or the picture not be written.
-pub fn write(log: &Path, scores: &[(usize, Report)]) -> Result<()> {
+pub fn write(log: &Path, scores: &[(usize, Metrics)]) -> Result<()> {
     let text = std::fs::read_to_string(log).map_err(Error::io(log))?;
     let losses = losses(&text);
     if losses.iter().all(|curve| curve.points.is_empty()) {
         return Ok(());
     }
-    let score = |name, of: fn(&Report) -> Option<f64>| Curve {
+    let score = |name, of: fn(&Metrics) -> Option<f64>| Curve {
         name,
         points: scores.iter().filter_map(|(step, report)| Some((*step as f64, of(report)?))).collect(),
     };

@@ -6,7 +6,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::keypoints::{self, Points};
-use super::source::{Source, Supervision};
+use super::source::{Supervision, TrainingSource};
 use crate::dataset::EpisodeReader;
 use crate::dataset::zarr::{
     self, CAMERA_EGO_RGB, FRAME_VALIDITY, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, TIMESTAMPS, ZarrReader,
@@ -66,7 +66,7 @@ impl Dataset {
     /// # Errors
     /// If there is none, or one can't be read.
     pub fn new(readers: Vec<ZarrReader>, preparation: Preparation, in_memory: bool) -> Result<Self> {
-        let alike = |reader| (0, Source::of([]), reader);
+        let alike = |reader| (0, TrainingSource::of([]), reader);
         Self::from_readers(readers.into_iter().map(alike).collect(), preparation, in_memory)
     }
 
@@ -74,8 +74,8 @@ impl Dataset {
     ///
     /// # Errors
     /// If one can't be opened or read, or two differ in topology.
-    pub fn open(sources: &[Source], preparation: Preparation, in_memory: bool) -> Result<Self> {
-        let mut readers: Vec<(usize, Source, ZarrReader)> = Vec::new();
+    pub fn open(sources: &[TrainingSource], preparation: Preparation, in_memory: bool) -> Result<Self> {
+        let mut readers: Vec<(usize, TrainingSource, ZarrReader)> = Vec::new();
         for (index, source) in sources.iter().enumerate() {
             for reader in zarr::open_all(&source.stores)? {
                 if let Some((_, _, first)) = readers.first() {
@@ -91,7 +91,7 @@ impl Dataset {
 
     /// From stores with index and properties of their sources.
     fn from_readers(
-        readers: Vec<(usize, Source, ZarrReader)>,
+        readers: Vec<(usize, TrainingSource, ZarrReader)>,
         preparation: Preparation,
         in_memory: bool,
     ) -> Result<Self> {
@@ -99,7 +99,7 @@ impl Dataset {
             return Err(Error::value("data", "at least one store", "none"));
         }
         let mut dataset = Self { stores: Vec::new(), preparation };
-        for (source, Source { mirror: mirrorable, labels: supervision, .. }, reader) in readers {
+        for (source, TrainingSource { mirror: mirrorable, labels: supervision, .. }, reader) in readers {
             let timestamps = reader.read(TIMESTAMPS, 0..reader.len())?.into_f64();
             check_timestamps(&reader, &timestamps)?;
             dataset.stores.push(Store {

@@ -22,7 +22,7 @@ use crate::image::Preparation;
 use crate::model::init::STD;
 use crate::model::{Config, ops};
 
-use super::augment::Change;
+use super::augment::Augmentation;
 use super::loss::masked_mean;
 
 /// Points per frame: the keypoints of the left hand, of the right hand, and the first object's origin.
@@ -82,7 +82,7 @@ pub fn read(reader: &ZarrReader, frames: Range<usize>, preparation: &Preparation
 }
 
 /// Where the points lie in a changed picture; in a mirrored one the left hand is a right one.
-pub(super) fn seen(points: Points, change: &Change) -> Points {
+pub(super) fn seen(points: Points, change: &Augmentation) -> Points {
     let mut places = points.map(|place| change.place(place));
     if change.mirrored {
         let (left, rest) = places.split_at_mut(N_KEYPOINTS);

@@ -2,13 +2,13 @@
 
 use candle_core::{DType, Tensor};
 
-use super::config::Loss;
+use super::config::LossWeights;
 use crate::error::Result;
 use crate::tactile::CONTACT_FORCE_N;
 
-/// Truth of a batch, `(B, K, 1556)` each.
+/// Targets of a batch, `(B, K, 1556)` each.
 #[derive(Debug, Clone)]
-pub struct Truth {
+pub struct Targets {
     /// Force in normalised units (N / `force_scale`); anything where masked.
     pub force: Tensor,
     /// 0 or 1; anything where masked.
@@ -44,9 +44,9 @@ const CONSISTENCY_SCALE_N: f32 = 0.03;
 pub fn objective(
     force: &Tensor,
     contact_logits: &Tensor,
-    truth: &Truth,
+    truth: &Targets,
     force_scale: f32,
-    weights: &Loss,
+    weights: &LossWeights,
 ) -> Result<Objective> {
     let error = (force - &truth.force)?;
     let l_force = masked_mean(&error.sqr()?, &truth.mask_force)?;
@@ -108,8 +108,8 @@ mod tests {
         f64::from(tensor.to_scalar::<f32>().unwrap())
     }
 
-    fn truth() -> Truth {
-        Truth {
+    fn truth() -> Targets {
+        Targets {
             force: tensor(&[0.0, 0.5, 3.0, 9.0]),
             contact: tensor(&[0.0, 1.0, 1.0, 1.0]),
             mask_force: tensor(&[1.0, 1.0, 1.0, 0.0]),
@@ -119,8 +119,14 @@ mod tests {
 
     #[test]
     fn each_part_has_its_analytic_value() {
-        let weights =
-            Loss { force: 2.0, contact: 3.0, active: 5.0, consistency: 7.0, keypoints: 0.0, positive_weight: 2.0 };
+        let weights = LossWeights {
+            force: 2.0,
+            contact: 3.0,
+            active: 5.0,
+            consistency: 7.0,
+            keypoints: 0.0,
+            positive_weight: 2.0,
+        };
         let (force, logits) = (tensor(&[0.5, 0.0, 0.0, 0.0]), tensor(&[0.0, 2.0, 7.0, -60.0]));
         let o = objective(&force, &logits, &truth(), 1.0, &weights).unwrap();
         let l_force = (0.25 + 0.25 + 9.0) / 3.0;
@@ -142,15 +148,21 @@ mod tests {
     fn the_active_threshold_is_in_newtons() {
         // 0.5 units at 0.05 N per unit are 0.025 N: not active.
         let zeros = tensor(&[0.0; 4]);
-        let o = objective(&zeros, &zeros, &truth(), 0.05, &Loss::default()).unwrap();
+        let o = objective(&zeros, &zeros, &truth(), 0.05, &LossWeights::default()).unwrap();
         assert!((value(&o.active) - 2.5).abs() < 1e-5);
     }
 
     #[test]
     fn gradients_agree_with_finite_differences_and_stop_at_masks() {
         // Consistency has a test of its own: its target moves with the logits, but has no gradient.
-        let weights =
-            Loss { force: 1.0, contact: 1.0, active: 0.2, consistency: 0.0, keypoints: 0.0, positive_weight: 2.0 };
+        let weights = LossWeights {
+            force: 1.0,
+            contact: 1.0,
+            active: 0.2,
+            consistency: 0.0,
+            keypoints: 0.0,
+            positive_weight: 2.0,
+        };
         let start = [[0.4f32, 0.1, 1.2, 0.3], [-0.7, 0.6, 0.2, 1.1]];
         let total = |values: [[f32; 4]; 2]| {
             value(&objective(&tensor(&values[0]), &tensor(&values[1]), &truth(), 1.0, &weights).unwrap().total)
@@ -173,9 +185,15 @@ mod tests {
     }
 
     /// A loss of consistency alone and its gradients on forces and logits.
-    fn consistency_alone(force: &[f32], logits: &[f32], truth: &Truth) -> (f64, Vec<f32>, Option<Vec<f32>>) {
-        let weights =
-            Loss { force: 0.0, contact: 0.0, active: 0.0, consistency: 1.0, keypoints: 0.0, positive_weight: 2.0 };
+    fn consistency_alone(force: &[f32], logits: &[f32], truth: &Targets) -> (f64, Vec<f32>, Option<Vec<f32>>) {
+        let weights = LossWeights {
+            force: 0.0,
+            contact: 0.0,
+            active: 0.0,
+            consistency: 1.0,
+            keypoints: 0.0,
+            positive_weight: 2.0,
+        };
         let [force, logits] = [force, logits].map(|values| Var::from_tensor(&tensor(values)).unwrap());
         let o = objective(force.as_tensor(), logits.as_tensor(), truth, 0.1, &weights).unwrap();
         let grads = o.consistency.backward().unwrap();
@@ -202,17 +220,17 @@ mod tests {
 
     #[test]
     fn a_sample_with_contact_alone_reaches_the_force_head_through_consistency_alone() {
-        let truth = Truth { mask_force: tensor(&[0.0; 4]), ..truth() };
+        let truth = Targets { mask_force: tensor(&[0.0; 4]), ..truth() };
         let (force, logits) = ([0.4f32, 0.1, 1.2, 0.3], [-0.7, 0.6, 0.2, 1.1]);
-        let grad = |weights: &Loss| {
+        let grad = |weights: &LossWeights| {
             let var = Var::from_tensor(&tensor(&force)).unwrap();
             let o = objective(var.as_tensor(), &tensor(&logits), &truth, 0.1, weights).unwrap();
             o.total.backward().unwrap().get(&var).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap()
         };
-        assert_eq!(grad(&Loss { consistency: 0.0, ..Loss::default() }), [0.0; 4]);
+        assert_eq!(grad(&LossWeights { consistency: 0.0, ..LossWeights::default() }), [0.0; 4]);
         let alone = consistency_alone(&force, &logits, &truth).1;
         let scaled: Vec<f32> = alone.iter().map(|g| 0.05 * g).collect();
-        for (all, alone) in grad(&Loss::default()).iter().zip(scaled) {
+        for (all, alone) in grad(&LossWeights::default()).iter().zip(scaled) {
             assert!((all - alone).abs() < 1e-7, "{all} {alone}");
         }
     }
@@ -226,8 +244,8 @@ mod tests {
     #[test]
     fn nothing_supervised_costs_nothing() {
         let zeros = tensor(&[0.0; 4]);
-        let truth = Truth { mask_force: zeros.clone(), mask_contact: zeros.clone(), ..truth() };
-        let o = objective(&tensor(&[1.0; 4]), &tensor(&[1.0; 4]), &truth, 1.0, &Loss::default()).unwrap();
+        let truth = Targets { mask_force: zeros.clone(), mask_contact: zeros.clone(), ..truth() };
+        let o = objective(&tensor(&[1.0; 4]), &tensor(&[1.0; 4]), &truth, 1.0, &LossWeights::default()).unwrap();
         assert_eq!(value(&o.total), 0.0);
     }
 }

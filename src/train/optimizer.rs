@@ -7,7 +7,7 @@ use candle_core::{CpuStorage, DType, Storage, Tensor, Var};
 use candle_nn::VarMap;
 use rayon::prelude::*;
 
-use super::config::{Config, Optimizer};
+use super::config::{Config, OptimizerConfig};
 use crate::error::{Error, Result};
 use crate::model::checkpoint::ENCODER;
 
@@ -19,7 +19,7 @@ const EPS: f32 = 1e-8;
 #[derive(Debug)]
 pub struct AdamW {
     params: Vec<Param>, // by name
-    config: Optimizer,
+    config: OptimizerConfig,
     encoder_factor: f64,
     ema: f32,
     steps: usize,

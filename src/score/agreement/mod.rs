@@ -14,7 +14,7 @@ use self::timing::{Instant, Timing};
 use crate::error::{Error, Result};
 use crate::geometry::force::link_vertices;
 use crate::hand::{HandModel, JOINT_NAMES, N_VERTICES, Side};
-use crate::score::metrics::{Counts, Errors, contact, force};
+use crate::score::metrics::{Confusion, ForceErrors, contact, force};
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD};
 
 /// Distance from the nearest contact beyond which a labelled vertex counts as false, m.
@@ -25,13 +25,13 @@ const LABELLED: f32 = contact::CONTACT_THRESHOLD;
 
 /// Parts of both hands: what is touched, released and pressed as one.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Parts {
+pub struct VertexGroups {
     of_vertex: Vec<u8>,
     names: Vec<String>,
     are_links: bool,
 }
 
-impl Parts {
+impl VertexGroups {
     /// The 16 links of each hand, left hand first.
     pub fn links(hands: &[HandModel; 2]) -> Self {
         let mut of_vertex = vec![0; N_FIELD];
@@ -160,7 +160,7 @@ pub struct Sums {
     /// Frames.
     pub frames: u64,
     /// Labelled against touched vertices.
-    pub counts: Counts,
+    pub counts: Confusion,
     /// Frames with a touched vertex, and the sums of their precision, recall, F1 and IoU.
     pub frame_scores: (u64, [f64; 4]),
     /// Force on touched vertices, N.
@@ -170,7 +170,7 @@ pub struct Sums {
     /// Labelled vertices of frames with known positions, and those of them far from every contact.
     pub labelled: (u64, u64),
     /// Errors of the force itself.
-    pub errors: Errors,
+    pub errors: ForceErrors,
     /// By part: sum over frames of |labelled - true| force, and of the true force, N.
     pub part_force: Vec<[f64; 2]>,
     /// Pressed parts with a labelled force, and the sum of their distances of centres of pressure, m.
@@ -205,13 +205,13 @@ impl Sums {
     ///
     /// # Errors
     /// If an array has another length.
-    pub fn of_frame(parts: &Parts, truth: &TruthFrame, label: &[f32], force: &[f32]) -> Result<Self> {
+    pub fn of_frame(parts: &VertexGroups, truth: &TruthFrame, label: &[f32], force: &[f32]) -> Result<Self> {
         for (name, length, optional) in [("label", label.len(), false), ("labelled force", force.len(), true)] {
             if length != N_FIELD && !(optional && length == 0) {
                 return Err(Error::shape(name, format!("[{N_FIELD}]"), [length]));
             }
         }
-        let counts = Counts::of(&contact::pairs(label, &truth.touched, &truth.mask));
+        let counts = Confusion::of(&contact::pairs(label, &truth.touched, &truth.mask));
         let mut sums = Self { frames: 1, counts, ..Self::default() };
         if counts.positives() > 0 {
             let scores = counts.scores();
@@ -230,7 +230,7 @@ impl Sums {
             }
         }
         if !force.is_empty() {
-            sums.errors = Errors::of(&force::pairs(force, &truth.force, &truth.mask));
+            sums.errors = ForceErrors::of(&force::pairs(force, &truth.force, &truth.mask));
             if sums.errors.unknown == 0 && parts.are_links {
                 sums.add_parts(parts, truth, force);
             }
@@ -238,7 +238,7 @@ impl Sums {
         Ok(sums)
     }
 
-    fn add_parts(&mut self, parts: &Parts, truth: &TruthFrame, force: &[f32]) {
+    fn add_parts(&mut self, parts: &VertexGroups, truth: &TruthFrame, force: &[f32]) {
         let mut totals = vec![[(0.0, DVec3::ZERO); 2]; parts.len()];
         for vertex in (0..N_FIELD).filter(|vertex| truth.counts(*vertex)) {
             let at = truth.positions.get(vertex).map_or(DVec3::ZERO, |p| p.as_dvec3());
@@ -262,7 +262,7 @@ impl Sums {
 /// Scores one label over one episode, frame by frame.
 #[derive(Debug, Clone)]
 pub struct Scorer {
-    parts: Parts,
+    parts: VertexGroups,
     sums: Sums,
     /// Frames since the last refused one: time, and a bit for each part that is truly touched, and that is labelled.
     stretch: Vec<(f64, u64, u64)>,
@@ -270,7 +270,7 @@ pub struct Scorer {
 
 impl Scorer {
     /// Starts an episode.
-    pub fn new(parts: Parts) -> Self {
+    pub fn new(parts: VertexGroups) -> Self {
         Self { parts, sums: Sums::default(), stretch: Vec::new() }
     }
 

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 
 /// Which way a score is better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Better {
+pub enum Direction {
     /// Higher: a gate demands at least so much.
     Higher,
     /// Lower: a gate allows at most so much.
@@ -20,7 +20,7 @@ pub struct Score {
     /// Name in JSON, tables and gates.
     pub name: &'static str,
     /// Which way it is better.
-    pub better: Better,
+    pub better: Direction,
     /// What it is, with its unit.
     pub meaning: &'static str,
     /// Its value; None = undefined.
@@ -57,13 +57,13 @@ pub const SCORES: [Score; 22] = [
     }),
     Score {
         name: "onset_bias_secs",
-        better: Better::Neither,
+        better: Direction::Neither,
         meaning: "positive: labels begin late, s",
         value: |s| known(s, ratio(s.timing.onset.sum, s.timing.onset.count as f64)),
     },
     Score {
         name: "offset_bias_secs",
-        better: Better::Neither,
+        better: Direction::Neither,
         meaning: "positive: labels end late, s",
         value: |s| known(s, ratio(s.timing.offset.sum, s.timing.offset.count as f64)),
     },
@@ -78,13 +78,13 @@ pub const SCORES: [Score; 22] = [
     }),
     Score {
         name: "contact_ratio",
-        better: Better::Neither,
+        better: Direction::Neither,
         meaning: "share of all vertices that are touched",
         value: |s| ratio(s.counts.positives() as f64, s.counts.total() as f64),
     },
     Score {
         name: "labelled_ratio",
-        better: Better::Neither,
+        better: Direction::Neither,
         meaning: "share of all vertices that are labelled",
         value: |s| known(s, ratio((s.counts.tp + s.counts.fp) as f64, s.counts.total() as f64)),
     },
@@ -105,11 +105,11 @@ pub fn find(name: &str) -> Result<&'static Score> {
 }
 
 const fn higher(name: &'static str, meaning: &'static str, value: fn(&Sums) -> Option<f64>) -> Score {
-    Score { name, better: Better::Higher, meaning, value }
+    Score { name, better: Direction::Higher, meaning, value }
 }
 
 const fn lower(name: &'static str, meaning: &'static str, value: fn(&Sums) -> Option<f64>) -> Score {
-    Score { name, better: Better::Lower, meaning, value }
+    Score { name, better: Direction::Lower, meaning, value }
 }
 
 fn frame_mean(sums: &Sums, which: usize) -> Option<f64> {

@@ -23,20 +23,20 @@ pub enum Candidate {
 
 /// Which labels to score, and how.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Settings {
+pub struct SweepSettings {
     /// Thresholds of labels (a) and (b), m, growing.
     pub thresholds: Vec<f32>,
     /// Spacing of the points of label (a), m.
     pub spacing: f32,
 }
 
-impl Default for Settings {
+impl Default for SweepSettings {
     fn default() -> Self {
         Self { thresholds: THRESHOLDS.to_vec(), spacing: SPACING }
     }
 }
 
-impl Settings {
+impl SweepSettings {
     /// Refuses what makes no sense.
     ///
     /// # Errors

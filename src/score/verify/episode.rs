@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::candidate::Candidate;
 use crate::error::{Error, Result};
 use crate::geometry::Sampling;
-use crate::score::agreement::{Parts, Scorer, Sums, TruthFrame};
+use crate::score::agreement::{Scorer, Sums, TruthFrame, VertexGroups};
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Validity};
 
 /// What an episode says about each candidate.
@@ -27,7 +27,7 @@ pub struct Episode {
 
 /// Distances of the 1556 vertices from the nearest thing, m; infinity where it is far.
 #[derive(Debug, Clone, Copy)]
-pub struct Near<'a> {
+pub struct VertexDistances<'a> {
     /// From the nearest point of a resampled surface.
     pub points: &'a [f32],
     /// From the nearest surface, negative inside.
@@ -45,7 +45,7 @@ pub struct EpisodeScorer {
 
 impl EpisodeScorer {
     /// Starts an episode.
-    pub fn new(parts: &Parts, candidates: &[Candidate]) -> Self {
+    pub fn new(parts: &VertexGroups, candidates: &[Candidate]) -> Self {
         let scorers = vec![Scorer::new(parts.clone()); candidates.len()];
         Self { candidates: candidates.to_vec(), scorers, refused: BTreeMap::new(), has_contacts: true }
     }
@@ -54,7 +54,12 @@ impl EpisodeScorer {
     ///
     /// # Errors
     /// If a candidate lacks what it needs, an array has another length, or time goes back.
-    pub fn push(&mut self, truth: &TruthFrame, near: Option<Near>, prediction: Option<&TactileField>) -> Result<()> {
+    pub fn push(
+        &mut self,
+        truth: &TruthFrame,
+        near: Option<VertexDistances>,
+        prediction: Option<&TactileField>,
+    ) -> Result<()> {
         self.has_contacts &= truth.has_contacts();
         for (candidate, scorer) in self.candidates.iter().zip(&mut self.scorers) {
             let lacks = |what: &str| Error::value(format!("candidate {}", candidate.name()), what, "none");

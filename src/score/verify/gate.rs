@@ -1,11 +1,11 @@
 //! A gate: bars that scores must clear, for continuous integration.
 
 use crate::error::{Error, Result};
-use crate::score::agreement::scores::{self, Better, SCORES, Score};
+use crate::score::agreement::scores::{self, Direction, SCORES, Score};
 
 /// One bar, for instance `f1=0.7`: at least so much of a score that is better higher, at most of another.
 #[derive(Debug, Clone)]
-pub struct Bar {
+pub struct Requirement {
     /// Candidate it is for; None = the only one.
     pub candidate: Option<String>,
     /// The score.
@@ -14,7 +14,7 @@ pub struct Bar {
     pub bound: f64,
 }
 
-impl Bar {
+impl Requirement {
     /// Reads bars such as `f1=0.7,missed_force=0.2`, or `b_5mm:f1=0.7` for one candidate of several.
     ///
     /// # Errors
@@ -32,8 +32,8 @@ impl Bar {
             None => (None, name.trim()),
         };
         let score = scores::find(name)?;
-        if score.better == Better::Neither {
-            let fit = SCORES.iter().filter(|score| score.better != Better::Neither).map(|score| score.name);
+        if score.better == Direction::Neither {
+            let fit = SCORES.iter().filter(|score| score.better != Direction::Neither).map(|score| score.name);
             return Err(Error::unknown("score with a better side", name, fit));
         }
         Ok(Self { candidate, score, bound })
@@ -43,7 +43,7 @@ impl Bar {
     pub fn missed(&self, value: Option<f64>) -> Option<String> {
         let Self { score, bound, .. } = self;
         let (side, miss) = match score.better {
-            Better::Lower => ("at most", value.map(|value| value - bound)),
+            Direction::Lower => ("at most", value.map(|value| value - bound)),
             _ => ("at least", value.map(|value| bound - value)),
         };
         match (value, miss) {
@@ -62,7 +62,7 @@ mod tests {
 
     #[test]
     fn bars_are_lower_bounds_of_scores_and_upper_bounds_of_errors() {
-        let bars = Bar::parse_all("f1=0.7, missed_force=0.2,b_5mm:frame_mean.iou=0.5").unwrap();
+        let bars = Requirement::parse_all("f1=0.7, missed_force=0.2,b_5mm:frame_mean.iou=0.5").unwrap();
         assert_eq!(bars.len(), 3);
         assert_eq!(bars[0].score.name, "pooled.f1");
         assert_eq!(bars[2].candidate.as_deref(), Some("b_5mm"));
@@ -72,12 +72,12 @@ mod tests {
             bars[1].missed(Some(0.5)).unwrap().contains("at most 0.2 is required, got 0.5000, which misses by 0.3")
         );
         assert!(bars[1].missed(None).unwrap().contains("undefined"));
-        assert!(Bar::parse_all("").unwrap().is_empty());
+        assert!(Requirement::parse_all("").unwrap().is_empty());
     }
 
     #[test]
     fn what_is_no_bar_is_refused_with_what_would_be() {
-        let error = |text: &str| Bar::parse_all(text).unwrap_err().to_string();
+        let error = |text: &str| Requirement::parse_all(text).unwrap_err().to_string();
         assert!(error("f2=0.5").contains("missed_force") && error("f2=0.5").contains("\"f2\""));
         assert!(error("f1").contains("NAME=NUMBER") && error("f1=high").contains("NAME=NUMBER"));
         assert!(error("f1=nan").contains("NAME=NUMBER"));

@@ -4,7 +4,7 @@ use ::image::RgbImage;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::report::{CandidateReport, Report};
+use super::report::{CandidateReport, VerifyReport};
 use crate::error::{Error, Result};
 use crate::render;
 
@@ -33,7 +33,7 @@ const ERRORS: [Curve; 4] = [
 ///
 /// # Errors
 /// If drawing fails.
-pub fn draw(report: &Report) -> Result<RgbImage> {
+pub fn draw(report: &VerifyReport) -> Result<RgbImage> {
     render::font::register();
     let mut pixels = vec![255u8; (SIZE.0 * SIZE.1 * 3) as usize];
     chart(report, &mut pixels).map_err(|error| Error::value("picture", "one that can be drawn", error))?;
@@ -43,7 +43,7 @@ pub fn draw(report: &Report) -> Result<RgbImage> {
 type Drawn = std::result::Result<(), Box<dyn std::error::Error>>;
 type Area<'a> = DrawingArea<BitMapBackend<'a>, Shift>;
 
-fn chart(report: &Report, pixels: &mut [u8]) -> Drawn {
+fn chart(report: &VerifyReport, pixels: &mut [u8]) -> Drawn {
     let root = BitMapBackend::with_buffer(pixels, SIZE).into_drawing_area();
     root.fill(&WHITE)?;
     let (head, body) = root.split_vertically(HEAD);

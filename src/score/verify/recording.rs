@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use super::candidate::Candidate;
 use super::episode::{Episode, EpisodeScorer};
-use super::stretches::Stretches;
+use super::episode_splitter::EpisodeSplitter;
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, Side, Topology};
 use crate::message::{Message, TactileFrame, TactileTruth, Time};
-use crate::score::agreement::{Parts, TruthFrame};
+use crate::score::agreement::{TruthFrame, VertexGroups};
 use crate::tactile::Validity;
 
 /// Which topics to compare; None = the only one of its type.
@@ -27,7 +27,7 @@ pub struct Recording {
     /// One episode per scene or stretch of time.
     pub episodes: Vec<Episode>,
     /// What the vertices mean, and how they group into links.
-    pub parts: Parts,
+    pub parts: VertexGroups,
     /// Predictions without truth.
     pub unmatched_predictions: u64,
     /// Truths without prediction.
@@ -70,11 +70,11 @@ pub fn score(path: &Path, topics: &Topics, hands: Option<&[HandModel; 2]>) -> Re
     })?;
     let hand = RestHands::of(Topology::from_id(&first.frame.topology)?, hands)?;
 
-    let mut stretches = Stretches::default();
+    let mut stretches = EpisodeSplitter::default();
     let mut episodes = Vec::new();
     let mut open: Option<(u64, String, EpisodeScorer)> = None;
     for (stamp, truth) in &truths {
-        let number = stretches.number_of(truth);
+        let number = stretches.episode_number(truth);
         let Some(prediction) = predictions.get(stamp) else { continue };
         if open.as_ref().is_some_and(|(of, ..)| *of != number) {
             episodes.extend(open.take().map(|(_, name, scorer)| scorer.finish(name, None, Vec::new())));
@@ -105,7 +105,7 @@ pub struct RestHands {
     /// (1556) m, each hand by itself; empty = not known.
     pub positions: Vec<glam::Vec3>,
     /// Links where they are known, else hands.
-    pub parts: Parts,
+    pub parts: VertexGroups,
 }
 
 impl RestHands {
@@ -124,10 +124,10 @@ impl RestHands {
             (None, Topology::Mano) => None,
         };
         let Some(hands) = hands else {
-            return Ok(Self { topology, positions: Vec::new(), parts: Parts::hands() });
+            return Ok(Self { topology, positions: Vec::new(), parts: VertexGroups::hands() });
         };
         let positions = hands.iter().flat_map(|hand| hand.forward(&HandParams::default()).vertices).collect();
-        Ok(Self { topology, positions, parts: Parts::links(hands) })
+        Ok(Self { topology, positions, parts: VertexGroups::links(hands) })
     }
 }
 

@@ -9,13 +9,13 @@ use super::episode::Episode;
 use crate::error::{Error, Result};
 use crate::geometry::Sampling;
 use crate::score::agreement::scores::SCORES;
-use crate::score::agreement::{Parts, Sums};
+use crate::score::agreement::{Sums, VertexGroups};
 use crate::score::metrics::bootstrap;
 use crate::tactile::CONTACT_FORCE_N;
 
 /// The scores of each candidate over all episodes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Report {
+pub struct VerifyReport {
     /// Version of egotac.
     pub version: &'static str,
     /// Seed of the confidence intervals' drawings.
@@ -26,7 +26,7 @@ pub struct Report {
     /// where episodes differ.
     pub force_places: &'static str,
     /// Frames and touches.
-    pub counts: Counts,
+    pub counts: VerifyCounts,
     /// In the order of the table.
     pub candidates: Vec<CandidateReport>,
     /// In the order in which they were given.
@@ -38,7 +38,7 @@ pub struct Report {
 
 /// What there was to score.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct Counts {
+pub struct VerifyCounts {
     /// Episodes.
     pub episodes: usize,
     /// Frames scored.
@@ -59,7 +59,7 @@ pub struct CandidateReport {
     /// Its name.
     pub name: String,
     /// Value and interval by score.
-    pub scores: BTreeMap<&'static str, Value>,
+    pub scores: BTreeMap<&'static str, ScoreValue>,
     /// Beginnings and ends of touches that could be compared.
     pub compared: [u64; 2],
     /// By link with true force: its mean true force over all frames, N, and the share by which the candidate's is off;
@@ -70,7 +70,7 @@ pub struct CandidateReport {
 
 /// A score over all episodes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Value {
+pub struct ScoreValue {
     /// None = undefined.
     pub value: Option<f64>,
     /// Ends of its 95 % interval over episodes; None for fewer than two episodes.
@@ -113,12 +113,12 @@ pub struct Unmatched {
     pub truths: u64,
 }
 
-impl Report {
+impl VerifyReport {
     /// Sums episodes up; `seed` is that of the intervals' drawings.
     ///
     /// # Errors
     /// If there is no episode, or none with a frame to score.
-    pub fn new(candidates: &[Candidate], parts: &Parts, episodes: &[Episode], seed: u64) -> Result<Self> {
+    pub fn new(candidates: &[Candidate], parts: &VertexGroups, episodes: &[Episode], seed: u64) -> Result<Self> {
         let counts = counts(episodes);
         if counts.frames == 0 {
             let refused: u64 = counts.refused.values().sum();
@@ -170,8 +170,8 @@ pub fn scores_of(sums: &Sums) -> BTreeMap<&'static str, Option<f64>> {
     SCORES.iter().map(|score| (score.name, (score.value)(sums))).collect()
 }
 
-fn counts(episodes: &[Episode]) -> Counts {
-    let mut counts = Counts { episodes: episodes.len(), ..Counts::default() };
+fn counts(episodes: &[Episode]) -> VerifyCounts {
+    let mut counts = VerifyCounts { episodes: episodes.len(), ..VerifyCounts::default() };
     for episode in episodes {
         for (reason, count) in &episode.refused {
             *counts.refused.entry(reason).or_default() += count;
@@ -187,7 +187,7 @@ fn counts(episodes: &[Episode]) -> Counts {
     counts
 }
 
-fn candidate_report(name: String, parts: &Parts, episodes: &[&Sums], seed: u64) -> CandidateReport {
+fn candidate_report(name: String, parts: &VertexGroups, episodes: &[&Sums], seed: u64) -> CandidateReport {
     let sum = |drawn: &mut dyn Iterator<Item = &&Sums>| {
         drawn.fold(Sums::default(), |mut sum, sums| {
             sum += *sums;
@@ -197,7 +197,7 @@ fn candidate_report(name: String, parts: &Parts, episodes: &[&Sums], seed: u64) 
     let total = sum(&mut episodes.iter());
     let statistics = |sums: &Sums| SCORES.iter().map(|score| (score.value)(sums)).collect::<Vec<_>>();
     let intervals = bootstrap::intervals(episodes, seed, sum, statistics);
-    let values = statistics(&total).into_iter().zip(intervals).map(|(value, interval)| Value { value, interval });
+    let values = statistics(&total).into_iter().zip(intervals).map(|(value, interval)| ScoreValue { value, interval });
     let forces = parts.names().iter().zip(&total.part_force);
     let links = forces.filter(|(_, [error, force])| *error > 0.0 || *force > 0.0).map(|(name, [error, force])| {
         let mean_force = force / total.frames.max(1) as f64;
@@ -227,7 +227,7 @@ fn episode_report(candidates: &[Candidate], episode: &Episode) -> EpisodeReport 
 }
 
 /// The report for a terminal: one candidate in full, several side by side.
-pub fn table(report: &Report) -> String {
+pub fn table(report: &VerifyReport) -> String {
     let mut text = match report.candidates.as_slice() {
         [only] => in_full(only),
         all => side_by_side(all),
@@ -250,7 +250,7 @@ pub fn table(report: &Report) -> String {
 fn in_full(candidate: &CandidateReport) -> String {
     let mut text = format!("{:24}{:>11}  {:22}", candidate.name, "", "95 % over episodes");
     for score in &SCORES {
-        let Some(Value { value, interval }) = candidate.scores.get(score.name) else { continue };
+        let Some(ScoreValue { value, interval }) = candidate.scores.get(score.name) else { continue };
         let value = value.map_or("undefined".into(), |value| format!("{value:.4}"));
         let interval = interval.map_or(String::new(), |[low, high]| format!("{low:.4} .. {high:.4}"));
         text += format!("\n{:24}{value:>11}  {interval:22}{}", score.name, score.meaning).trim_end();
@@ -275,10 +275,11 @@ fn side_by_side(candidates: &[CandidateReport]) -> String {
     let mut text = format!("{:12}{:>22}{:>22}", "label", "F1 (95 %)", "missed force (95 %)");
     COLUMNS.iter().for_each(|(heading, _)| text += &format!("{heading:>11}"));
     for candidate in candidates {
-        let value = |name: &str| candidate.scores.get(name).copied().unwrap_or(Value { value: None, interval: None });
+        let value =
+            |name: &str| candidate.scores.get(name).copied().unwrap_or(ScoreValue { value: None, interval: None });
         text += &format!("\n{:12}", candidate.name);
         for name in ["pooled.f1", "missed_force"] {
-            let Value { value, interval } = value(name);
+            let ScoreValue { value, interval } = value(name);
             let interval = interval.map_or(String::new(), |[low, high]| format!(" ({low:.3}..{high:.3})"));
             text += &format!("{:>22}", value.map_or("undefined".into(), |value| format!("{value:.3}{interval}")));
         }

@@ -5,9 +5,9 @@ use glam::{DVec3, Vec3};
 use crate::error::{Error, Result};
 use crate::hand::Side;
 use crate::model::Predictor;
-use crate::score::agreement::{Parts, TruthFrame};
-use crate::score::verify::candidate::{Candidate, Settings};
-use crate::score::verify::episode::{Episode, EpisodeScorer, Near};
+use crate::score::agreement::{TruthFrame, VertexGroups};
+use crate::score::verify::candidate::{Candidate, SweepSettings};
+use crate::score::verify::episode::{Episode, EpisodeScorer, VertexDistances};
 use crate::sim::effect::Observation;
 use crate::sim::{Rollout, RolloutOptions, Scene, SimFrame, Touchables};
 use crate::tactile::{N_FIELD, Validity};
@@ -22,7 +22,7 @@ pub fn score(
     scene: &Scene,
     seed: u64,
     options: &RolloutOptions,
-    settings: &Settings,
+    settings: &SweepSettings,
     predictor: Option<&mut Predictor>,
 ) -> Result<Episode> {
     let named = |error: Error| Error::file(format!("{} with seed {seed}", scene.name), error);
@@ -33,7 +33,7 @@ fn run(
     scene: &Scene,
     seed: u64,
     options: &RolloutOptions,
-    settings: &Settings,
+    settings: &SweepSettings,
     mut predictor: Option<&mut Predictor>,
 ) -> Result<Episode> {
     let observes = |observation| scene.spec.observe.contains(&observation);
@@ -47,7 +47,7 @@ fn run(
     if predictor.is_some() && !observes(Observation::Rgb) {
         return Err(Error::value("observe", "rgb among it, for the predictor", format!("{:?}", scene.spec.observe)));
     }
-    let parts = Parts::links(&options.hands);
+    let parts = VertexGroups::links(&options.hands);
     let mut rollout = Rollout::new(scene, seed, options)?;
     if let Some(predictor) = &mut predictor {
         predictor.metadata().topology.must_match(rollout.topology())?;
@@ -81,7 +81,7 @@ fn run(
             }
             None => None,
         };
-        let near = distances.as_ref().map(|d| Near { points: &d.points, surface: &d.surface });
+        let near = distances.as_ref().map(|d| VertexDistances { points: &d.points, surface: &d.surface });
         scorer.push(&truth, near, prediction.as_ref())?;
     }
     let samplings = near.map(|touchables| touchables.samplings()).unwrap_or_default();

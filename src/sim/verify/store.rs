@@ -12,9 +12,9 @@ use crate::dataset::zarr::{
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, N_BETAS, Side};
 use crate::model::Predictor;
-use crate::score::agreement::{Parts, TruthFrame};
-use crate::score::verify::candidate::{Candidate, Settings};
-use crate::score::verify::episode::{Episode, EpisodeScorer, Near};
+use crate::score::agreement::{TruthFrame, VertexGroups};
+use crate::score::verify::candidate::{Candidate, SweepSettings};
+use crate::score::verify::episode::{Episode, EpisodeScorer, VertexDistances};
 use crate::sim::ObjectPose;
 use crate::sim::rig::HandRig;
 use crate::sim::{Scene, Touchables, randomize};
@@ -25,7 +25,7 @@ const START: f64 = 2e-3;
 
 /// What is scored against the store's forces.
 #[derive(Debug)]
-pub enum Against<'a> {
+pub enum EstimateSource<'a> {
     /// Labels (a) and (b); scenes that the program does not ship are looked up here first.
     Labels(&'a [Scene]),
     /// A network on the store's pictures.
@@ -42,16 +42,16 @@ pub enum Against<'a> {
 pub fn score(
     store: &ZarrReader,
     hands: &[HandModel; 2],
-    settings: &Settings,
-    mut against: Against,
+    settings: &SweepSettings,
+    mut against: EstimateSource,
 ) -> Result<Vec<Episode>> {
     let topology = store.attributes().topology;
     hands.iter().try_for_each(|hand| topology.must_match(hand.topology))?;
-    if let Against::Predictor(predictor) = &against {
+    if let EstimateSource::Predictor(predictor) = &against {
         topology.must_match(predictor.metadata().topology)?;
     }
     // Files that do not name their topology are taken to be on the store's.
-    if let Against::Predictions(TactileSequence { topology: Some(predicted), .. }, _) = &against {
+    if let EstimateSource::Predictions(TactileSequence { topology: Some(predicted), .. }, _) = &against {
         topology.must_match(*predicted)?;
     }
     let mut episodes = Vec::new();
@@ -67,32 +67,32 @@ fn episode(
     index: usize,
     range: Range<usize>,
     hands: &[HandModel; 2],
-    settings: &Settings,
-    against: &mut Against,
+    settings: &SweepSettings,
+    against: &mut EstimateSource,
 ) -> Result<Episode> {
     let data = Data::read(store, range.clone())?;
     let (name, seed) = origin(store, index);
     let mut near = match against {
-        Against::Labels(scenes) => {
+        EstimateSource::Labels(scenes) => {
             let name = name.as_deref().ok_or_else(|| missing(store, "episodes[..].scene"))?;
             let seed = seed.ok_or_else(|| missing(store, "episodes[..].seed"))?;
             Some(touchables(&find_scene(name, scenes)?, seed, hands, settings, &data)?)
         }
         _ => None,
     };
-    if let Against::Predictor(predictor) = against {
+    if let EstimateSource::Predictor(predictor) = against {
         predictor.reset();
     }
     let candidates = if near.is_some() { settings.sweep() } else { vec![Candidate::Prediction] };
-    let mut scorer = EpisodeScorer::new(&Parts::links(hands), &candidates);
+    let mut scorer = EpisodeScorer::new(&VertexGroups::links(hands), &candidates);
     for (at, frame) in range.enumerate() {
         let topology = hands[0].topology;
         let prediction: Option<TactileField> = match against {
-            Against::Labels(_) => None,
-            Against::Predictor(predictor) => {
+            EstimateSource::Labels(_) => None,
+            EstimateSource::Predictor(predictor) => {
                 Some(predictor.push(&store.frame(frame)?.camera_ego_rgb, data.timestamps[at])?.field)
             }
-            Against::Predictions(predictions, before) => {
+            EstimateSource::Predictions(predictions, before) => {
                 Some(TactileField { topology, ..predictions.field(*before + frame)? })
             }
         };
@@ -120,7 +120,7 @@ fn episode(
             }
             None => None,
         };
-        let near = distances.as_ref().map(|d| Near { points: &d.points, surface: &d.surface });
+        let near = distances.as_ref().map(|d| VertexDistances { points: &d.points, surface: &d.surface });
         scorer.push(&truth, near, prediction.as_ref())?;
     }
     let samplings = near.map(|(touchables, _)| touchables.samplings()).unwrap_or_default();
@@ -158,7 +158,7 @@ fn touchables(
     scene: &Scene,
     seed: u64,
     hands: &[HandModel; 2],
-    settings: &Settings,
+    settings: &SweepSettings,
     data: &Data,
 ) -> Result<(Touchables, Vec<String>)> {
     let betas = data.betas();

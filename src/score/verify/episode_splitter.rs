@@ -7,16 +7,16 @@ const PAUSE: f64 = 1.0;
 
 /// Numbers the truth's stretches of time.
 #[derive(Debug, Clone, Default)]
-pub struct Stretches {
+pub struct EpisodeSplitter {
     number: u64,
     last: Option<f64>,
     step: Option<f64>,
     model_id: String,
 }
 
-impl Stretches {
+impl EpisodeSplitter {
     /// The stretch that a truth belongs to. A new one begins with another scene, when stamps go back, and after a pause.
-    pub fn number_of(&mut self, truth: &TactileTruth) -> u64 {
+    pub fn episode_number(&mut self, truth: &TactileTruth) -> u64 {
         let stamp = truth.frame.header.stamp.secs();
         if let Some(last) = self.last {
             let step = stamp - last;
