@@ -1,4 +1,4 @@
-//! `egotac eval` on files that a stranger would bring.
+//! `egotac eval` on files written by other tools.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -78,7 +78,7 @@ fn eval_prints_the_scores_under_their_names() {
 }
 
 #[test]
-fn eval_refuses_what_does_not_fit_in_one_line() {
+fn eval_refuses_invalid_input_with_one_line() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
     let force = |frames: usize| ("force", Dtype::F32, vec![frames, N_FIELD], f32_bytes(&field(frames, 1.0)));
@@ -109,7 +109,7 @@ fn eval_refuses_what_does_not_fit_in_one_line() {
 }
 
 #[test]
-fn hands_regions_and_another_estimator_are_scored_beside() {
+fn eval_also_scores_hands_regions_and_another_estimator() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
     let ends = ("episode_ends", Dtype::I64, vec![3], [4i64, 8, 12].iter().flat_map(|x| x.to_le_bytes()).collect());

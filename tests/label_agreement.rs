@@ -1,4 +1,4 @@
-//! Agreement of labels with forces: against hand-made numbers, and against scikit-learn's.
+//! Agreement of labels with forces, against numbers computed by hand and by scikit-learn.
 
 use std::collections::BTreeMap;
 
@@ -77,7 +77,7 @@ fn scores_are_those_of_scikit_learn_and_scipy() {
 }
 
 #[test]
-fn a_perfect_label_scores_one_and_an_empty_one_nothing() {
+fn a_perfect_label_scores_one_and_an_empty_label_zero() {
     let (mut perfect, mut empty) = (Scorer::new(parts()), Scorer::new(parts()));
     for frame in 0..20 {
         let touching = (5..15).contains(&frame);
@@ -148,11 +148,11 @@ fn link_errors_add_up_and_centres_of_pressure_are_weighted_by_force() {
     let expected = 1e3 * middle.distance(positions()[a].as_dvec3());
     assert!((value(&sums, "cop_distance_mm").unwrap() - expected).abs() < 1e-6, "of the one pressed link");
     let index = parts().names().iter().position(|name| name == "left/index3").unwrap();
-    assert_eq!(sums.part_force[index], [0.5, 2.0]);
+    assert_eq!(sums.group_force[index], [0.5, 2.0]);
 }
 
 #[test]
-fn a_refused_frame_hides_what_happens_across_it() {
+fn touches_are_not_followed_across_a_refused_frame() {
     let run = |refused: Option<i32>| {
         let mut scorer = Scorer::new(parts());
         for frame in 0..20 {
@@ -216,7 +216,7 @@ fn sums_of_episodes_add_up_to_those_of_all_frames() {
 }
 
 #[test]
-fn arrays_that_do_not_fit_are_refused_by_name() {
+fn errors_name_the_array_of_wrong_length() {
     let error = |force: Vec<f32>, mask: Vec<u8>, places: Vec<Vec3>, time: f64| {
         TruthFrame::new(time, force, mask, places, None).unwrap_err().to_string()
     };

@@ -1,4 +1,4 @@
-//! Scores agree with scikit-learn, scipy and numpy, and are defined or undefined where they degenerate.
+//! Metrics: agreement with scikit-learn, scipy and numpy, and undefined scores of degenerate input.
 
 use egotac::hand::{N_VERTICES, Topology};
 use egotac::score::metrics::{
@@ -103,7 +103,7 @@ fn truth_without_contact_leaves_contact_scores_undefined() {
 }
 
 #[test]
-fn constant_traces_have_no_rhythm_and_no_correlation() {
+fn constant_traces_have_no_spectrum_and_no_correlation() {
     let (pred, ..) = fields();
     let report = report(&constant(T, 0.1), &pred);
     assert_eq!((report.temporal_pearson, report.dft_pearson), (None, None));
@@ -152,7 +152,7 @@ fn masked_and_unknown_truth_does_not_count() {
 }
 
 #[test]
-fn an_unknown_prediction_makes_its_scores_undefined_instead_of_better() {
+fn an_unknown_prediction_makes_its_scores_undefined() {
     let (mut pred, target, ..) = fields();
     pred.force[5] = f32::NAN;
     let report = report(&pred, &target);
@@ -162,7 +162,7 @@ fn an_unknown_prediction_makes_its_scores_undefined_instead_of_better() {
 }
 
 #[test]
-fn lengths_and_episodes_that_do_not_fit_are_refused() {
+fn mismatched_lengths_episodes_and_topologies_are_refused() {
     let (pred, target, ..) = fields();
     let refused = |pred: &TactileSequence, target: &TactileSequence, word: &str| {
         let error = evaluate(pred, target, &EvalOptions::default()).unwrap_err().to_string();

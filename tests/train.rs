@@ -1,4 +1,4 @@
-//! Training learns what can be seen, is a function of its configuration, and resumes as if it had not stopped.
+//! Training: learns from images, depends only on its configuration, and resumes bit for bit.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -93,7 +93,7 @@ fn dataset(path: &Path, checkpoint: &Checkpoint) -> Dataset {
 }
 
 #[test]
-fn a_small_store_is_learned_far_better_than_any_constant() {
+fn a_trained_network_beats_every_constant_prediction() {
     let folder = tempfile::tempdir().unwrap();
     write_store(&folder.path().join("train.zarr"), 1, 12, 80);
     write_store(&folder.path().join("test.zarr"), 2, 1, 80);
@@ -169,7 +169,7 @@ fn bf16_follows_f32_closely_and_keeps_f32_weights() {
 }
 
 #[test]
-fn a_run_that_is_killed_again_and_again_ends_with_the_same_weights() {
+fn a_run_killed_several_times_ends_with_the_same_weights() {
     let folder = tempfile::tempdir().unwrap();
     write_store(&folder.path().join("train.zarr"), 1, 2, 40);
     let write = |out: &str| {
@@ -221,7 +221,7 @@ fn weights(path: &Path) -> Vec<u8> {
 }
 
 #[test]
-fn windows_that_share_frames_have_the_loss_and_gradient_of_whole_clips() {
+fn shared_frames_give_the_loss_and_gradient_of_separate_windows() {
     let geometry = model::Config::toy();
     let varmap = VarMap::new();
     let network = EgoTac::new(&geometry, init::var_builder(&varmap, 3, &Device::Cpu)).unwrap();
@@ -252,7 +252,7 @@ fn windows_that_share_frames_have_the_loss_and_gradient_of_whole_clips() {
 }
 
 #[test]
-fn whole_episodes_predict_as_a_stream_does() {
+fn batch_prediction_equals_stream_prediction() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("train.zarr");
     write_store(&path, 1, 2, 40);
@@ -277,7 +277,7 @@ fn whole_episodes_predict_as_a_stream_does() {
 }
 
 #[test]
-fn a_grown_network_goes_on_from_what_it_knew() {
+fn a_grown_network_keeps_its_predictions_and_trains_on() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("train.zarr");
     write_store(&path, 1, 4, 40);
@@ -311,7 +311,7 @@ fn egotac(folder: &Path, args: &[&str]) -> Output {
 }
 
 #[test]
-fn the_commands_train_predict_and_score() {
+fn train_predict_and_eval_commands_agree() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| -> PathBuf { folder.path().join(name) };
     write_store(&at("train.zarr"), 1, 2, 40);
@@ -375,7 +375,7 @@ fn the_commands_train_predict_and_score() {
 }
 
 #[test]
-fn gathered_gradients_are_those_of_the_whole_batch() {
+fn accumulated_gradients_equal_those_of_the_whole_batch() {
     let folder = tempfile::tempdir().unwrap();
     write_store(&folder.path().join("train.zarr"), 1, 6, 8);
     // Every clip has as many windows and labels as any other, so that the mean of means is the mean; the active term
@@ -396,7 +396,7 @@ fn gathered_gradients_are_those_of_the_whole_batch() {
 }
 
 #[test]
-fn mixed_sources_resume_as_if_they_had_not_stopped() {
+fn a_run_on_mixed_sources_resumes_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
     write_store(&folder.path().join("train.zarr"), 1, 2, 30);
     write_store(&folder.path().join("small.zarr"), 2, 1, 5);

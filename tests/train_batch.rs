@@ -1,4 +1,4 @@
-//! What a training step is fed: the frames of its windows, each once, and the labels of their newest frames.
+//! Batches of a training step: frames, windows and labels.
 
 use std::path::Path;
 
@@ -68,7 +68,7 @@ fn write_store(path: &Path) {
 }
 
 #[test]
-fn batches_hold_each_frame_once_and_the_labels_of_the_newest() {
+fn batches_contain_each_frame_once_and_the_labels_of_the_newest() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
     write_store(&path);
@@ -126,7 +126,7 @@ fn batches_hold_each_frame_once_and_the_labels_of_the_newest() {
 }
 
 #[test]
-fn a_mirrored_clip_shows_the_other_hand() {
+fn a_mirrored_clip_swaps_the_hands() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
     write_store(&path);

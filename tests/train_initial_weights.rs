@@ -1,4 +1,4 @@
-//! What helps a network that starts at random: weights set from the data, and keypoints to look for.
+//! Initial weights from the data, and the auxiliary keypoint task.
 
 use std::path::Path;
 
@@ -24,7 +24,7 @@ const HEIGHT: u32 = 160;
 const FOCAL: f32 = 180.0;
 
 #[test]
-fn a_network_begins_with_the_mean_of_its_data_whatever_it_sees() {
+fn initial_predictions_are_the_means_of_the_data() {
     let geometry = Config::toy();
     let varmap = VarMap::new();
     let network = EgoTac::new(&geometry, init::var_builder(&varmap, 7, &Device::Cpu)).unwrap();
@@ -109,7 +109,7 @@ fn preparation() -> Preparation {
 }
 
 #[test]
-fn keypoints_lie_where_a_pinhole_camera_puts_them() {
+fn keypoints_agree_with_a_pinhole_projection() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
     let hand = HandParams { transl: Vec3::new(0.02, -0.01, 0.45), ..HandParams::default() };
@@ -129,7 +129,7 @@ fn keypoints_lie_where_a_pinhole_camera_puts_them() {
 }
 
 #[test]
-fn a_store_without_a_camera_has_no_keypoints_and_says_so() {
+fn keypoints_of_a_store_without_camera_poses_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
     write_store(&path, &HandParams::default(), false);
@@ -139,7 +139,7 @@ fn a_store_without_a_camera_has_no_keypoints_and_says_so() {
 }
 
 #[test]
-fn patches_are_counted_row_by_row_and_end_at_the_picture() {
+fn patches_are_numbered_row_by_row_within_the_image() {
     let cases = [([0.0, 0.0], 0), ([0.26, 0.0], 1), ([0.99, 0.51], 11), ([0.1, 0.999], 12)];
     for (place, patch) in cases {
         assert_eq!(keypoints::patch(place, 4), Some(patch), "{place:?}");
@@ -150,7 +150,7 @@ fn patches_are_counted_row_by_row_and_end_at_the_picture() {
 }
 
 #[test]
-fn layers_that_know_nothing_cost_what_guessing_costs() {
+fn untrained_keypoint_heads_have_the_loss_of_guessing() {
     // Tokens of zeros: equal shares for all patches, and the middle of the picture for all coordinates.
     let geometry = Config::toy();
     let heads = Heads::new(&geometry, init::var_builder(&VarMap::new(), 1, &Device::Cpu)).unwrap();

@@ -64,7 +64,7 @@ impl Folder {
 }
 
 #[test]
-fn labels_of_scenes_are_swept_the_same_way_each_time() {
+fn the_sweep_over_labels_is_deterministic() {
     let folder = Folder::new();
     let (first, out) = (folder.path("a.json"), folder.path("out"));
     let (picture, scenes) = (folder.path("a.png"), ["verify", "pinch_cube", "hover", "--seeds", "2", "--seed", "5"]);
@@ -110,7 +110,7 @@ fn labels_of_scenes_are_swept_the_same_way_each_time() {
 }
 
 #[test]
-fn finer_points_recall_more_of_the_vertex_rule() {
+fn finer_sampling_increases_the_recall_of_label_a() {
     let recall = |spacing: &str| {
         let report = verify(&["pinch_cube", "--seeds", "1", "--seed", "5", "--thresholds", "10", "--spacing", spacing]);
         score(&report, "a_10mm", "pooled.recall")
@@ -120,7 +120,7 @@ fn finer_points_recall_more_of_the_vertex_rule() {
 }
 
 #[test]
-fn a_store_scores_as_the_rollout_it_was_made_from() {
+fn a_store_and_its_rollout_have_the_same_scores() {
     let folder = Folder::new();
     let store = folder.store("pinch_cube", "5");
     let (stored, run) = (verify(&[&store]), verify(&["pinch_cube", "--seed", "5", "--seeds", "1"]));
@@ -135,7 +135,7 @@ fn a_store_scores_as_the_rollout_it_was_made_from() {
 }
 
 #[test]
-fn a_store_of_an_own_scene_needs_its_file_as_it_was() {
+fn a_store_of_a_custom_scene_needs_the_unchanged_scene_file() {
     let folder = Folder::new();
     let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/sim/scenes/pinch_cube.yaml")).unwrap();
     let scene = folder.path("mine.yaml");
@@ -162,7 +162,7 @@ fn is_sound(report: &Value) {
 }
 
 #[test]
-fn hands_from_mano_files_are_verified_as_the_built_in_ones() {
+fn mano_hands_score_like_built_in_hands() {
     let folder = Folder::new();
     let data = |name: &str| format!("{}/tests/data/hand/{name}", env!("CARGO_MANIFEST_DIR"));
     let left = folder.path("left.pkl");
@@ -184,7 +184,7 @@ fn hands_from_mano_files_are_verified_as_the_built_in_ones() {
 }
 
 #[test]
-fn a_cube_from_a_mesh_file_is_verified_as_the_built_in_one() {
+fn a_cube_from_a_mesh_file_scores_like_the_primitive() {
     let folder = Folder::new();
     let corners: String = (0..8).map(|i| format!("v {} {} {}\n", i & 1, (i >> 1) & 1, i >> 2)).collect();
     let faces = ["1 3 4 2", "5 6 8 7", "1 2 6 5", "3 7 8 4", "1 5 7 3", "2 4 8 6"].map(|face| format!("f {face}\n"));
@@ -258,7 +258,7 @@ fn predictions_are_scored_and_the_gate_sets_the_exit_status() {
 }
 
 #[test]
-fn a_network_is_scored_on_what_it_sees() {
+fn a_network_is_scored_on_rendered_images() {
     let folder = Folder::new();
     let path = PathBuf::from(folder.path("model.safetensors"));
     let (vars, config) = (VarMap::new(), Config::toy());

@@ -169,7 +169,7 @@ impl Touch {
         }
         let Some(hands) = &self.hands else { return Ok(Sums::default()) };
         let truth = TruthFrame::new(secs, target.force.clone(), Vec::new(), hands.positions.clone(), None)?;
-        let scorer = self.open.get_or_insert_with(|| Scorer::new(hands.parts.clone()));
+        let scorer = self.open.get_or_insert_with(|| Scorer::new(hands.groups.clone()));
         scorer.push(&truth, &predicted.contact, &predicted.force)
     }
 

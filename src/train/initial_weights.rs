@@ -13,7 +13,7 @@ use crate::model::Config;
 /// Least distance of a contact rate from 0 and 1: keeps the initial logits where the sigmoid still has a gradient.
 const MIN_RATE: f32 = 1e-4;
 
-/// Amplitude of the position embeddings' waves: about that of a patch embedding with random weights.
+/// Amplitude of the position embeddings' waves: that of a patch embedding with random weights.
 const AMPLITUDE: f64 = 0.5;
 
 /// Longest and shortest wavelength of the position embeddings, in sides of the patch grid.

@@ -12,7 +12,7 @@ use super::{Config, Control, Event, Outcome, train};
 use crate::dataset::zarr::ZarrReader;
 use crate::error::{Error, Result};
 
-/// Time between two looks for recordings; short beside a frame batch, long beside reading a folder.
+/// Time between two looks for recordings.
 const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
 /// A training job.

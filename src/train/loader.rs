@@ -10,7 +10,7 @@ use super::mixture;
 use super::sampler::{self, Pool, Sampler};
 use crate::error::{Error, Result};
 
-/// Batches that each thread keeps ready: one in use and one spare hides the time of a slow batch.
+/// Batches that each thread prepares ahead of the step that needs them.
 const PREFETCH_PER_THREAD: usize = 2;
 
 /// Source of a run's batches.

@@ -1,4 +1,4 @@
-//! The objective: masked means over vertices (paper, Training objective).
+//! Training objective: masked means over vertices (paper, Training objective).
 
 use candle_core::{DType, Tensor};
 
@@ -9,9 +9,9 @@ use crate::tactile::CONTACT_FORCE_N;
 /// Targets of a batch, `(B, K, 1556)` each.
 #[derive(Debug, Clone)]
 pub struct Targets {
-    /// Force in normalised units (N / `force_scale`); anything where masked.
+    /// Force in normalised units (N / `force_scale`); any finite number where masked.
     pub force: Tensor,
-    /// 0 or 1; anything where masked.
+    /// Contact, 0 or 1; any finite number where masked.
     pub contact: Tensor,
     /// 1 = the force is supervised.
     pub mask_force: Tensor,
@@ -19,10 +19,10 @@ pub struct Targets {
     pub mask_contact: Tensor,
 }
 
-/// The objective and its parts.
+/// The objective and its terms.
 #[derive(Debug, Clone)]
 pub struct Objective {
-    /// Weighted sum, a scalar to differentiate.
+    /// Weighted sum, a scalar.
     pub total: Tensor,
     /// L_F: squared error of the normalised force.
     pub force: Tensor,
@@ -34,10 +34,10 @@ pub struct Objective {
     pub consistency: Tensor,
 }
 
-/// Force by which the logit of the consistency term grows by one, N.
+/// Force that increases the logit of the consistency term by one, N.
 const CONSISTENCY_SCALE_N: f32 = 0.03;
 
-/// The objective of predicted `force` (normalised units) and `contact_logits`, `(B, K, 1556)` each.
+/// Computes the objective of predicted `force` (normalised units) and `contact_logits`, `(B, K, 1556)` each.
 ///
 /// # Errors
 /// If shapes differ.
@@ -62,24 +62,25 @@ pub fn objective(
     Ok(Objective { total, force: l_force, contact: l_contact, active: l_active, consistency: l_consistency })
 }
 
-/// Force must agree with contact where contact is supervised. The probability is a target and learns nothing from it.
+/// Computes the disagreement of force and contact where contact is supervised. The contact probability is a constant target:
+/// no gradient flows into it.
 fn consistency(force: &Tensor, contact_logits: &Tensor, mask: &Tensor, force_scale: f32) -> Result<Tensor> {
     let (scale, shift) = (force_scale / CONSISTENCY_SCALE_N, CONTACT_FORCE_N / CONSISTENCY_SCALE_N);
     let logit = force.affine(scale.into(), -f64::from(shift))?;
-    // 1 / (1 + e^-x) = (1 + tanh(x/2)) / 2, which no x overflows.
+    // The sigmoid as (1 + tanh(x/2)) / 2, which overflows for no x.
     let probability = (contact_logits.detach() * 0.5)?.tanh()?.affine(0.5, 0.5)?;
     masked_mean(&bce_with_logits(&logit, &probability, 1.0)?, mask)
 }
 
-/// Mean of `values` where `mask` is 1; 0 where it is 0 everywhere (paper's epsilon in the denominator).
+/// Returns the mean of `values` where `mask` is 1; 0 if the mask is 0 everywhere (epsilon of the paper in the denominator).
 pub fn masked_mean(values: &Tensor, mask: &Tensor) -> Result<Tensor> {
     let count = (mask.sum_all()? + 1e-6)?;
     Ok((values * mask)?.sum_all()?.div(&count)?)
 }
 
-/// Binary cross-entropy of logits x against y, positives weighted by w:
-/// (1 - y) x + (1 + (w - 1) y) softplus(-x), with softplus(-x) = (|x| - x) / 2 + ln(1 + e^-|x|), which no x overflows.
-/// With max(-x, 0) in place of (|x| - x) / 2 the slope at x = 0 would not be the mean of both sides.
+/// Computes the binary cross-entropy of logits x against y, positives weighted by w:
+/// (1 - y) x + (1 + (w - 1) y) softplus(-x), with softplus(-x) = (|x| - x) / 2 + ln(1 + e^-|x|), which overflows for
+/// no x. With max(-x, 0) instead of (|x| - x) / 2, the gradient at x = 0 would not be the mean of both sides.
 pub fn bce_with_logits(logits: &Tensor, target: &Tensor, positive_weight: f64) -> Result<Tensor> {
     let size = logits.abs()?;
     let softplus = (((&size - logits)? * 0.5)? + (size.neg()?.exp()? + 1.0)?.log()?)?;
@@ -87,7 +88,8 @@ pub fn bce_with_logits(logits: &Tensor, target: &Tensor, positive_weight: f64) -
     Ok(((target.neg()? + 1.0)? * logits)?.add(&(weight * softplus)?)?)
 }
 
-/// Smooth L1 with beta 1: e²/2 up to |e| = 1, |e| - 1/2 beyond. With m = min(|e|, 1) it is m (|e| - m/2).
+/// Computes the smooth L1 loss with beta 1: e²/2 up to |e| = 1, |e| - 1/2 beyond; with m = min(|e|, 1) that is
+/// m (|e| - m/2).
 fn smooth_l1(error: &Tensor) -> Result<Tensor> {
     let size = error.abs()?;
     let small = size.minimum(1.0)?;
@@ -202,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn consistency_moves_the_force_alone_and_only_where_contact_is_known() {
+    fn consistency_has_a_gradient_on_forces_only_where_contact_is_known() {
         let (force, logits) = ([0.4f32, 0.1, 1.2, 0.3], [-0.7, 0.6, 0.2, 1.1]);
         let (_, grad, on_logits) = consistency_alone(&force, &logits, &truth());
         for entry in 0..4 {
@@ -219,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_with_contact_alone_reaches_the_force_head_through_consistency_alone() {
+    fn without_force_labels_only_consistency_reaches_the_force_head() {
         let truth = Targets { mask_force: tensor(&[0.0; 4]), ..truth() };
         let (force, logits) = ([0.4f32, 0.1, 1.2, 0.3], [-0.7, 0.6, 0.2, 1.1]);
         let grad = |weights: &LossWeights| {
@@ -242,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_supervised_costs_nothing() {
+    fn the_objective_is_zero_without_supervision() {
         let zeros = tensor(&[0.0; 4]);
         let truth = Targets { mask_force: zeros.clone(), mask_contact: zeros.clone(), ..truth() };
         let o = objective(&tensor(&[1.0; 4]), &tensor(&[1.0; 4]), &truth, 1.0, &LossWeights::default()).unwrap();

@@ -1,4 +1,4 @@
-//! A source of training data: stores that are drawn from together.
+//! Sources of training data: groups of stores with common sampling and supervision.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -6,32 +6,31 @@ use std::path::PathBuf;
 use serde::de::{self, MapAccess, Visitor, value::MapAccessDeserializer};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Stores that look alike and are labelled alike; in YAML a path, or
-/// `{ stores: [..], quota: .., mirror: .., labels: .. }`.
+/// Stores of the same kind of images and labels; in YAML a path, or `{ stores: [..], quota: .., mirror: .., labels: .. }`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainingSource {
     /// Stores, or folders of `*.zarr`.
     pub stores: Vec<PathBuf>,
-    /// Share of each epoch that it gets at least, 0 to 1.
+    /// Least share of each epoch, 0 to 1.
     pub quota: f64,
-    /// Whether its images may be mirrored, which swaps the two hands.
+    /// True if the images may be mirrored, which swaps the two hands.
     pub mirror: bool,
-    /// Which of its labels are learned from.
+    /// Labels that are supervised.
     pub labels: Supervision,
 }
 
-/// Labels that are learned from, where a store has them.
+/// Labels that are supervised, if the store has them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Supervision {
     /// Force and contact.
     #[default]
     Both,
-    /// Contact alone, as if the store had no force.
+    /// Contact only, as if the store had no force.
     Contact,
 }
 
-/// The long form.
+/// A source as a YAML map.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Written {
@@ -45,12 +44,12 @@ struct Written {
 }
 
 impl TrainingSource {
-    /// One store, drawn from by its size alone.
+    /// Creates a source of one path, with default sampling and supervision.
     pub fn path(path: impl Into<PathBuf>) -> Self {
         Self::of([path.into()])
     }
 
-    /// Stores, drawn from by their size alone.
+    /// Creates a source of several paths, with default sampling and supervision.
     pub fn of(stores: impl IntoIterator<Item = PathBuf>) -> Self {
         let stores = stores.into_iter().collect();
         Self { stores, quota: 0.0, mirror: false, labels: Supervision::Both }
@@ -99,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_source_is_a_path_or_a_map_and_is_written_as_it_was_read() {
+    fn a_source_is_a_path_or_a_map_and_survives_a_round_trip() {
         let text = "- a.zarr\n- stores:\n  - b.zarr\n  - c.zarr\n  quota: 0.2\n  mirror: true\n  labels: contact\n";
         let sources: Vec<TrainingSource> = serde_yaml::from_str(text).unwrap();
         let stores = ["b.zarr", "c.zarr"].map(PathBuf::from);

@@ -83,7 +83,7 @@ pub fn comparison_table(comparison: &Comparison) -> String {
         text += &format!("{}{interval:>24}", cell(d.difference, 12, 5));
     }
     let few = if comparison.episodes < 2 { "; intervals need at least two episodes" } else { "" };
-    text + &format!("\n{} drawings of {} episodes, the same for both{few}", comparison.resamples, comparison.episodes)
+    text + &format!("\n{} resamples of {} episodes, the same for both{few}", comparison.resamples, comparison.episodes)
 }
 
 fn cell(value: Option<f64>, width: usize, digits: usize) -> String {

@@ -1,33 +1,34 @@
-//! Episodes of a stream of truth, as far as the stream tells.
+//! Splits a truth stream into episodes.
 
 use crate::message::TactileTruth;
 
-/// A pause of the truth that ends a stretch of time, s, if it is also out of step; nothing looks across it.
-const PAUSE: f64 = 1.0;
+/// Shortest pause that may end an episode, s. It must also exceed three frame intervals, so that a slow stream is not cut.
+const MIN_PAUSE: f64 = 1.0;
 
-/// Numbers the truth's stretches of time.
+/// Numbers the episodes of a truth stream.
 #[derive(Debug, Clone, Default)]
 pub struct EpisodeSplitter {
     number: u64,
-    last: Option<f64>,
-    step: Option<f64>,
+    last_stamp: Option<f64>,
+    interval: Option<f64>,
     model_id: String,
 }
 
 impl EpisodeSplitter {
-    /// The stretch that a truth belongs to. A new one begins with another scene, when stamps go back, and after a pause.
+    /// Returns the number of the episode that `truth` belongs to. A new episode begins when the scene changes, when stamps go
+    /// back, and after a pause.
     pub fn episode_number(&mut self, truth: &TactileTruth) -> u64 {
         let stamp = truth.frame.header.stamp.secs();
-        if let Some(last) = self.last {
+        if let Some(last) = self.last_stamp {
             let step = stamp - last;
-            let pauses = step > PAUSE && self.step.is_some_and(|usual| step > 3.0 * usual);
-            if step < 0.0 || pauses || self.model_id != truth.frame.model_id {
+            let paused = step > MIN_PAUSE && self.interval.is_some_and(|interval| step > 3.0 * interval);
+            if step < 0.0 || paused || self.model_id != truth.frame.model_id {
                 self.number += 1;
             } else {
-                self.step = Some(step);
+                self.interval = Some(step);
             }
         }
-        self.last = Some(stamp);
+        self.last_stamp = Some(stamp);
         self.model_id.clone_from(&truth.frame.model_id);
         self.number
     }

@@ -1,10 +1,11 @@
-//! Verification: labels (a) and (b), or anybody's predictions, against the simulator's forces.
+//! Verification of labels (a) and (b), or of predictions, against the simulator's forces.
 //!
 //! ```text
 //! rollout | store | recording --> episode::EpisodeScorer --> report::VerifyReport --> table, picture, gate
 //! ```
 //!
-//! An episode's sums add up ([`crate::score::agreement::Sums`]); a report makes scores and confidence intervals of them.
+//! The sums of episodes add up ([`crate::score::agreement::Sums`]); a report turns them into scores with confidence
+//! intervals.
 
 pub mod candidate;
 pub mod episode;
