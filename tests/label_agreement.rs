@@ -33,7 +33,7 @@ fn positions() -> Vec<Vec3> {
     Side::BOTH.iter().flat_map(|side| HandModel::builtin(*side).forward(&HandParams::default()).vertices).collect()
 }
 
-/// A frame with the given forces at the given vertices.
+/// Returns the truth of a frame with the given forces at the given vertices.
 fn truth(time: f64, forces: &[(usize, f32)]) -> TruthFrame {
     TruthFrame::new(time, field(forces), Vec::new(), positions(), None).unwrap()
 }
@@ -72,7 +72,7 @@ fn scores_are_those_of_scikit_learn_and_scipy() {
         let got = value(&sums, &name).unwrap();
         assert!((got - expected).abs() < 1e-9, "{name}: {got} instead of {expected}");
     }
-    // Hands are no links.
+    // The groups are hands, not links.
     assert_eq!(value(&sums, "link_force_error"), None);
 }
 
@@ -96,7 +96,7 @@ fn a_perfect_label_scores_one_and_an_empty_label_zero() {
     for name in ["onset_error_secs", "offset_error_secs", "cop_distance_mm", "mae", "false_contact_mass"] {
         assert_eq!(value(&perfect, name), Some(0.0), "{name}");
     }
-    // Nothing labelled: no share of it is false, nothing begins.
+    // Without labelled vertices, shares of labelled vertices and onset errors are undefined.
     for name in ["false_contact_mass", "onset_error_secs", "false_touches", "cop_distance_mm"] {
         assert_eq!(value(&empty, name), None, "{name}");
     }
@@ -125,7 +125,7 @@ fn a_labelled_vertex_is_false_beyond_three_millimetres_of_a_contact_of_its_hand(
         let truth = TruthFrame::new(0.0, field(&[(100, 1.0)]), Vec::new(), places.clone(), Some(&contacts)).unwrap();
         let sums = Sums::of_frame(&parts(), &truth, &field(&[(100, 1.0)]), &[]).unwrap();
         assert_eq!(value(&sums, "false_contact_mass"), expected, "{off}");
-        // The other hand's contact is none of this one's.
+        // A contact of the other hand does not count.
         let contacts = [Vec::new(), vec![at]];
         let truth = TruthFrame::new(0.0, field(&[(100, 1.0)]), Vec::new(), places.clone(), Some(&contacts)).unwrap();
         let sums = Sums::of_frame(&parts(), &truth, &field(&[(100, 1.0)]), &[]).unwrap();
@@ -140,7 +140,7 @@ fn link_errors_add_up_and_centres_of_pressure_are_weighted_by_force() {
     let (tip, thumb) = (&links[3], &links[15]);
     let [a, b] = [tip[0], tip[1]].map(|v| v as usize);
     let truth_forces = [(a, 2.0), (thumb[0] as usize, 2.0)];
-    // The index carries its force on two vertices, a quarter too much; the thumb nothing.
+    // The labelled index force is a quarter too large, on two vertices; the thumb has no labelled force.
     let guess = field(&[(a, 1.25), (b, 1.25)]);
     let sums = Sums::of_frame(&parts(), &truth(0.0, &truth_forces), &guess, &guess).unwrap();
     assert!((value(&sums, "link_force_error").unwrap() - (0.5 + 2.0) / 4.0).abs() < 1e-6);
@@ -170,7 +170,7 @@ fn touches_are_not_followed_across_a_refused_frame() {
     let (count, error, frames) = run(None);
     assert_eq!((count, frames), (1, 20));
     assert!((error.unwrap() - 0.08).abs() < 1e-9);
-    // Between the frame before the first touched one and that one: the beginning may have been there.
+    // The refused frame lies just before the first touched one, so that the onset is unknown.
     assert_eq!(run(Some(4)), (0, None, 19));
 }
 

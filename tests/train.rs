@@ -21,7 +21,7 @@ use egotac::train::{Config, Control, Event, baseline, predict, train};
 use image::{Rgb, RgbImage};
 use serde_json::Value;
 
-/// A disc wanders over grey; its quadrant says which vertices are touched, its brightness how hard.
+/// Writes a store with a disc on grey: its quadrant selects the touched vertices, its brightness the force.
 fn write_store(path: &Path, seed: u64, episodes: usize, frames: usize) {
     let attributes = Attributes {
         topology: Topology::EgotacHand1,
@@ -80,7 +80,7 @@ fn run(config: &Config, resume: bool, stop_after: usize) -> egotac::train::Outco
     train(config, resume, &Device::Cpu, &mut observe).unwrap()
 }
 
-/// A column of a run's log.
+/// Reads a column of a run's log.
 fn logged(config: &Config, name: &str) -> Vec<f64> {
     let log = std::fs::read_to_string(config.out.join("log.csv")).unwrap();
     let column = log.lines().next().unwrap().split(',').position(|column| column == name).unwrap();
@@ -112,7 +112,7 @@ fn a_trained_network_beats_every_constant_prediction() {
     for constant in baseline::constants(&train.labels().unwrap()) {
         let fields = constant.sequence(labels.n_frames());
         let theirs = evaluate(&fields, &labels, &EvalOptions::default()).unwrap();
-        // Of four seeds the worst came to 0.59 times the best constant; some never find one of the quadrants.
+        // The worst of four seeds reached 0.59 times the error of the best constant; some miss one quadrant.
         assert!(ours.active_mae < theirs.active_mae.map(|mae| 0.7 * mae), "{}: {ours:?} {theirs:?}", constant.name);
     }
     assert!(ours.temporal_pearson > Some(0.5), "{ours:?}");
@@ -151,13 +151,13 @@ fn bf16_follows_f32_closely_and_keeps_f32_weights() {
     let [full, half] = [of("full", ""), of("half", "precision: bf16")];
     let outcomes = [&full, &half].map(|config| run(config, false, usize::MAX));
     let [a, b] = [&full, &half].map(|config| logged(config, "loss"));
-    // The first loss differs by rounding alone; then the runs go apart slowly.
+    // The first loss differs only by rounding; later ones diverge slowly.
     assert!((a[0] / b[0] - 1.0).abs() < 0.01, "{} {}", a[0], b[0]);
     for (step, (a, b)) in a.iter().zip(&b).enumerate() {
         assert!((a / b - 1.0).abs() < 0.15, "step {step}: {a} in f32, {b} in bf16");
     }
     assert_ne!(weights(&outcomes[0].checkpoint), weights(&outcomes[1].checkpoint));
-    // More digits than bf16 has.
+    // The weights have more digits than bf16.
     let checkpoint = std::fs::read(&outcomes[1].checkpoint).unwrap();
     let tensors = safetensors::SafeTensors::deserialize(&checkpoint).unwrap();
     let head = tensors.tensor("force_head.weight").unwrap();
@@ -188,7 +188,7 @@ fn a_run_killed_several_times_ends_with_the_same_weights() {
     let (killed, file) = write("killed");
     let state = killed.out.join("state.safetensors");
     let lines = || std::fs::read_to_string(killed.out.join("log.csv")).map_or(0, |log| log.lines().count());
-    // Each time some steps further than the time before, at no particular moment of a step.
+    // Each kill comes some steps later than the one before, at an arbitrary moment of a step.
     let mut kills = 0;
     let mut before = 0;
     while kills < 4 {
@@ -206,14 +206,14 @@ fn a_run_killed_several_times_ends_with_the_same_weights() {
     assert!(start(&file, true).wait().unwrap().success());
     let [a, b] = [&whole, &killed].map(|config| weights(&config.out.join("checkpoint.safetensors")));
     assert!(a == b, "not the same bits");
-    // Nor does the optimiser differ.
+    // The optimiser state is the same, too.
     let states = [&whole, &killed].map(|config| weights(&config.out.join("state.safetensors")));
     assert!(states[0] == states[1]);
     assert_eq!(logged(&killed, "loss"), logged(&whole, "loss"));
     assert!(killed.out.join("curves.png").is_file());
 }
 
-/// The bytes of the tensors alone: the record of the run in the header names its folder.
+/// Returns the bytes of the tensors without the header, which contains the folder of the run.
 fn weights(path: &Path) -> Vec<u8> {
     let bytes = std::fs::read(path).unwrap();
     let (header, _) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
@@ -336,7 +336,7 @@ fn train_predict_and_eval_commands_agree() {
     let json: Value = serde_json::from_str(&ok(&args)).unwrap();
     let keys: Vec<&String> = json.as_object().unwrap().keys().collect();
     assert_eq!(keys, ["mean", "median", "model", "zero"]);
-    // The same scores by way of the files.
+    // Scores of the written fields are the same.
     let by_file: Value =
         serde_json::from_str(&ok(&["eval", "--pred", "fields.safetensors", "--target", "test.zarr", "--json"]))
             .unwrap();
@@ -344,7 +344,7 @@ fn train_predict_and_eval_commands_agree() {
     let table = ok(&args[..args.len() - 1]);
     assert!(table.contains("model") && table.contains("median") && table.contains("active MAE (N)"), "{table}");
 
-    // Images: a folder by name.
+    // A folder of images.
     std::fs::create_dir(at("images")).unwrap();
     let store = ZarrReader::open(&at("test.zarr")).unwrap();
     for index in 0..5 {
@@ -378,8 +378,8 @@ fn train_predict_and_eval_commands_agree() {
 fn accumulated_gradients_equal_those_of_the_whole_batch() {
     let folder = tempfile::tempdir().unwrap();
     write_store(&folder.path().join("train.zarr"), 1, 6, 8);
-    // Every clip has as many windows and labels as any other, so that the mean of means is the mean; the active term
-    // alone counts what is touched. Later steps differ: Adam makes full steps of rounding errors.
+    // All clips have the same number of windows and labels, so that the mean of the batch means is the mean; only the active
+    // term depends on the touched vertices. Later steps differ, because Adam turns rounding errors into full steps.
     let first_step = |out: &str, batch: BatchConfig| {
         let mut config = config(folder.path(), out, 1, "");
         (config.batch, config.augment, config.loss.active) = (batch, AugmentConfig::none(), 0.0);

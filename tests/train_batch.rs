@@ -30,7 +30,7 @@ fn preparation() -> Preparation {
     }
 }
 
-/// Frame t presses vertex t with t N; frame 7 is refused by a guard, vertex 3 of frame 8 is unknown.
+/// Writes a store whose frame t has t N on vertex t; frame 7 is refused by a guard, vertex 3 of frame 8 is unknown.
 fn write_store(path: &Path) {
     let attributes = Attributes {
         topology: Topology::Mano,
@@ -76,7 +76,7 @@ fn batches_contain_each_frame_once_and_the_labels_of_the_newest() {
         let data = Dataset::new(vec![ZarrReader::open(&path).unwrap()], preparation(), in_memory).unwrap();
         assert_eq!((data.n_frames(), data.topology()), (12, Topology::Mano));
         assert_eq!(data.episodes(), [(0, 0..4), (0, 4..12)]);
-        // 1..6 N, 8..11 N are active (7 is refused, and 0 N no touch): the 99th percentile is the largest.
+        // 1..6 N, 8..11 N are active (frame 7 is refused, and 0 N is no contact): the 99th percentile is the largest.
         assert_eq!(data.statistics().unwrap().force_scale, Some(11.0));
 
         let collate = Collate {
@@ -144,12 +144,12 @@ fn a_mirrored_clip_swaps_the_hands() {
         Dataset::open(&[source], preparation(), true).unwrap().batch(&collate, 0, &clips).unwrap()
     };
     let (plain, mirrored) = (batch(false), batch(true));
-    // The picture from right to left, row by row.
+    // Each row of the image is reversed.
     for (row, reversed) in plain.frames.chunks_exact(SIDE).zip(mirrored.frames.chunks_exact(SIDE)) {
         assert!(row.iter().eq(reversed.iter().rev()));
     }
     assert_ne!(plain.frames, mirrored.frames);
-    // The two hands' blocks, index for index.
+    // The two hands swap, index by index.
     for (plain, mirrored) in [
         (&plain.force, &mirrored.force),
         (&plain.contact, &mirrored.contact),

@@ -44,12 +44,12 @@ fn initial_predictions_are_the_means_of_the_data() {
         assert!((2.0 * force - statistics.mean_force[entry % N_FIELD]).abs() < 1e-5);
     }
 
-    // The logits minimise the expected cross-entropy: its slope in each of them is zero.
+    // The logits minimise the expected cross-entropy: its gradient is zero.
     let constant = logits.flatten_all().unwrap().to_vec1::<f32>().unwrap()[..N_FIELD].to_vec();
     let var = Var::from_vec(constant, (1, 1, N_FIELD), &Device::Cpu).unwrap();
     let row = |values: Vec<f32>| Tensor::from_vec(values, (1, 1, N_FIELD), &Device::Cpu).unwrap();
     let [zeros, ones] = [0.0, 1.0].map(|x| row(vec![x; N_FIELD]));
-    // A soft target stands for its share of frames.
+    // A soft target equals the share of frames in contact.
     let truth = Targets {
         force: zeros.clone(),
         contact: row(statistics.contact_rate.clone()),
@@ -62,7 +62,7 @@ fn initial_predictions_are_the_means_of_the_data() {
     assert!(slopes.iter().all(|slope| slope.abs() < 1e-3), "{:?}", &slopes[..4]);
 }
 
-/// A store whose camera stands at the origin and looks along z; the left hand floats before it, the right is absent.
+/// Writes a store whose camera is at the origin and looks along z; the left hand is in front of it, the right is absent.
 fn write_store(path: &Path, hand: &HandParams, camera: bool) {
     let attributes = Attributes {
         topology: Topology::EgotacHand1,
@@ -118,7 +118,7 @@ fn keypoints_agree_with_a_pinhole_projection() {
     assert_eq!(points.len(), 2);
     let model = HandModel::builtin(Side::Left);
     let places = model.keypoints(&model.forward(&hand));
-    // The crop keeps the middle 160 columns.
+    // The crop keeps the central 160 columns.
     let expected = |p: Vec3| [(80.0 + FOCAL * p.x / p.z) / 160.0, (80.0 + FOCAL * p.y / p.z) / 160.0];
     let near = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs() < 1e-5 && (a[1] - b[1]).abs() < 1e-5;
     for (k, place) in places.into_iter().enumerate() {
@@ -151,7 +151,7 @@ fn patches_are_numbered_row_by_row_within_the_image() {
 
 #[test]
 fn untrained_keypoint_heads_have_the_loss_of_guessing() {
-    // Tokens of zeros: equal shares for all patches, and the middle of the picture for all coordinates.
+    // Tokens of zeros give equal probabilities for all patches, and the centre of the image for all coordinates.
     let geometry = Config::toy();
     let heads = Heads::new(&geometry, init::var_builder(&VarMap::new(), 1, &Device::Cpu)).unwrap();
     let zeros = |shape: &[usize]| Tensor::zeros(shape, DType::F32, &Device::Cpu).unwrap();

@@ -16,7 +16,7 @@ pub mod keypoints;
 mod loader;
 mod log;
 pub mod loss;
-pub mod mixture;
+mod mixture;
 pub mod optimizer;
 pub mod pass;
 mod predict;

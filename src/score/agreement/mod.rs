@@ -28,6 +28,7 @@ const LABEL_THRESHOLD: f32 = contact::CONTACT_THRESHOLD;
 pub struct VertexGroups {
     group_of_vertex: Vec<u8>,
     names: Vec<String>,
+    /// False leaves the scores of links undefined.
     are_links: bool,
 }
 
@@ -56,11 +57,6 @@ impl VertexGroups {
     /// Names of the groups, for instance `left/index3`.
     pub fn names(&self) -> &[String] {
         &self.names
-    }
-
-    /// True if the groups are links; scores of links are undefined otherwise.
-    pub fn are_links(&self) -> bool {
-        self.are_links
     }
 
     fn len(&self) -> usize {

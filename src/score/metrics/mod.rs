@@ -10,25 +10,24 @@
 //! An undefined score is `None` here, `null` in JSON and `undefined` in a table; it is never NaN and never an invented
 //! number. A score is also undefined if the prediction is unknown (NaN) at a valid vertex.
 
-pub mod bootstrap;
-pub mod compare;
+pub(crate) mod bootstrap;
+mod compare;
 pub mod contact;
-pub mod dynamics;
+mod dynamics;
 mod evaluate;
-pub mod force;
-pub mod spectrum;
+pub(crate) mod force;
+mod spectrum;
 mod statistics;
 mod summary;
 mod table;
-pub mod trace;
+mod trace;
 mod vertex_group;
 
-pub use compare::{Comparison, compare};
+pub use compare::{Comparison, Difference, compare};
 pub use contact::{Confusion, ContactScores};
 pub use dynamics::Calibration;
 pub use evaluate::{EvalOptions, evaluate};
 pub use force::ForceErrors;
-pub use statistics::pearson;
 pub use summary::{EntryCounts, FrameScore, Metrics, summarize};
 pub use table::{comparison_table, groups_table, table};
 pub use vertex_group::VertexGroup;
