@@ -1,33 +1,33 @@
-//! A recording of predictions and truth: an MCAP file, or the folder of a bag.
+//! Scores of a recording of predictions and truth: an MCAP file, or the folder of a bag.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::candidate::Candidate;
 use super::episode::{Episode, EpisodeScorer};
-use super::stretches::Stretches;
+use super::episode_splitter::EpisodeSplitter;
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, Side, Topology};
 use crate::message::{Message, TactileFrame, TactileTruth, Time};
-use crate::score::agreement::{Parts, TruthFrame};
+use crate::score::agreement::{TruthFrame, VertexGroups};
 use crate::tactile::Validity;
 
-/// Which topics to compare; None = the only one of its type.
+/// Topics to compare; None = the only one of its type.
 #[derive(Debug, Clone, Default)]
 pub struct Topics {
-    /// Predictions, `egotac_msgs/msg/TactileFrame`.
+    /// Topic of predictions, `egotac_msgs/msg/TactileFrame`.
     pub tactile: Option<String>,
-    /// Truth, `egotac_msgs/msg/TactileTruth`.
+    /// Topic of truth, `egotac_msgs/msg/TactileTruth`.
     pub truth: Option<String>,
 }
 
-/// Episodes of a recording, and messages that found no partner of the same stamp.
+/// Scored episodes of a recording, and numbers of messages without a partner of the same stamp.
 #[derive(Debug)]
 pub struct Recording {
-    /// One episode per scene or stretch of time.
+    /// Episodes, split as [`EpisodeSplitter`] does.
     pub episodes: Vec<Episode>,
-    /// What the vertices mean, and how they group into links.
-    pub parts: Parts,
+    /// Groups of vertices, links where these are known.
+    pub groups: VertexGroups,
     /// Predictions without truth.
     pub unmatched_predictions: u64,
     /// Truths without prediction.
@@ -36,12 +36,12 @@ pub struct Recording {
 
 /// Scores the predictions in the recording at `path` by equal stamps.
 ///
-/// Vertices lie as in the rest pose of `hands`, each hand by itself; without hands of the recording's topology, what
-/// needs places or links is undefined, except on the built-in hand.
+/// Vertex positions are those of the rest pose of `hands`, each hand in its own frame. Without hands, scores that need
+/// positions or links are undefined, except on the built-in hand.
 ///
 /// # Errors
-/// If the recording can't be read, a topic is not there or not the only one of its type, a message is not what its topic
-/// says, or nothing pairs.
+/// If the recording can't be read, a topic is missing or not the only one of its type, a message does not fit its topic's
+/// type, or no stamps are equal.
 pub fn score(path: &Path, topics: &Topics, hands: Option<&[HandModel; 2]>) -> Result<Recording> {
     let file = file_of(path)?;
     let bytes = std::fs::read(&file).map_err(Error::io(&file))?;
@@ -70,17 +70,17 @@ pub fn score(path: &Path, topics: &Topics, hands: Option<&[HandModel; 2]>) -> Re
     })?;
     let hand = RestHands::of(Topology::from_id(&first.frame.topology)?, hands)?;
 
-    let mut stretches = Stretches::default();
+    let mut splitter = EpisodeSplitter::default();
     let mut episodes = Vec::new();
     let mut open: Option<(u64, String, EpisodeScorer)> = None;
     for (stamp, truth) in &truths {
-        let number = stretches.number_of(truth);
+        let number = splitter.episode_number(truth);
         let Some(prediction) = predictions.get(stamp) else { continue };
         if open.as_ref().is_some_and(|(of, ..)| *of != number) {
             episodes.extend(open.take().map(|(_, name, scorer)| scorer.finish(name, None, Vec::new())));
         }
         let name = || truth.frame.model_id.clone();
-        let scorer = || EpisodeScorer::new(&hand.parts, &[Candidate::Prediction]);
+        let scorer = || EpisodeScorer::new(&hand.groups, &[Candidate::Prediction]);
         let (_, _, scorer) = open.get_or_insert_with(|| (number, name(), scorer()));
         let validity = truth.validity()?;
         if validity != Validity::Valid {
@@ -94,22 +94,22 @@ pub fn score(path: &Path, topics: &Topics, hands: Option<&[HandModel; 2]>) -> Re
         scorer.push(&frame, None, Some(&field))?;
     }
     episodes.extend(open.map(|(_, name, scorer)| scorer.finish(name, None, Vec::new())));
-    Ok(Recording { episodes, parts: hand.parts, unmatched_predictions, unmatched_truths })
+    Ok(Recording { episodes, groups: hand.groups, unmatched_predictions, unmatched_truths })
 }
 
-/// Where vertices lie, and to which part they belong, when nothing says how the hands are posed.
+/// Positions and groups of the vertices of hands whose pose is not known.
 #[derive(Debug, Clone)]
 pub struct RestHands {
-    /// What the vertices mean.
+    /// Meaning of the vertex indices.
     pub topology: Topology,
-    /// (1556) m, each hand by itself; empty = not known.
+    /// (1556) m, each hand in its own frame; empty = not known.
     pub positions: Vec<glam::Vec3>,
     /// Links where they are known, else hands.
-    pub parts: Parts,
+    pub groups: VertexGroups,
 }
 
 impl RestHands {
-    /// The rest pose of `hands`, or of the built-in hand for its topology.
+    /// Returns the rest pose of `hands`, or that of the built-in hand for its topology.
     ///
     /// # Errors
     /// If `hands` are of another topology.
@@ -124,10 +124,10 @@ impl RestHands {
             (None, Topology::Mano) => None,
         };
         let Some(hands) = hands else {
-            return Ok(Self { topology, positions: Vec::new(), parts: Parts::hands() });
+            return Ok(Self { topology, positions: Vec::new(), groups: VertexGroups::hands() });
         };
         let positions = hands.iter().flat_map(|hand| hand.forward(&HandParams::default()).vertices).collect();
-        Ok(Self { topology, positions, parts: Parts::links(hands) })
+        Ok(Self { topology, positions, groups: VertexGroups::links(hands) })
     }
 }
 
