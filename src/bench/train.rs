@@ -14,7 +14,7 @@ use crate::model::{Config, EgoTac, init};
 use crate::tactile::N_FIELD;
 use crate::text::put;
 use crate::train::batch::Batch;
-use crate::train::config::Loss;
+use crate::train::config::LossWeights;
 use crate::train::optimizer::AdamW;
 use crate::train::pass::Pass;
 
@@ -91,7 +91,7 @@ pub fn step(geometry: &Config, form: Form, runs: usize, device: &Device) -> Resu
     let varmap = VarMap::new();
     let network = EgoTac::new(geometry, init::var_builder(&varmap, 0, device))?;
     let mut optimizer = AdamW::new(&varmap, &config()?)?;
-    let weights = Loss::default();
+    let weights = LossWeights::default();
     let pass = Pass { network: &network, keypoint_heads: None, geometry, force_scale: 1.0, weights: &weights, device };
     let batch = batch(geometry, form);
     let windows = batch.windows.len() / geometry.horizon;

@@ -32,16 +32,16 @@ use std::path::Path;
 
 use ::image::RgbImage;
 
-pub(crate) use copy::copy_folder;
+pub use copy::copy_folder;
 pub use format::Format;
 pub use label_frame::LabelCounts;
-pub(crate) use label_frame::LabelFrame;
+pub use label_frame::LabelFrame;
 pub use label_info::{LabelInfo, LabelSummary, UnlabelledImage};
 pub use labelled::Labelled;
-pub(crate) use labels::{LabelOutput, SourceLabels};
+pub use labels::{LabelOutput, SourceLabels};
 pub use provenance::{CONTACT_THRESHOLD, PROVENANCE_KEY, Provenance, Thresholds};
 pub use source::LostBytes;
-pub(crate) use source::{ImageSource, SourceFrame, Unit};
+pub use source::{ImageSource, SourceFrame, Unit};
 
 use crate::error::Result;
 use crate::hand::{HandParams, Topology};

@@ -4,7 +4,7 @@ use super::data::Stores;
 use crate::error::{Error, Result};
 use crate::model;
 use crate::train::Config;
-use crate::train::config::Geometry;
+use crate::train::config::ModelChoice;
 use crate::train::source::Supervision;
 
 /// One condition of an experiment.
@@ -127,7 +127,7 @@ fn limits() -> Experiment {
 }
 
 fn geometry(config: &mut Config, change: impl FnOnce(&mut model::Config)) {
-    if let Geometry::Explicit(geometry) = &mut config.model {
+    if let ModelChoice::Explicit(geometry) = &mut config.model {
         change(geometry);
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::train::source::Source;
+use crate::train::source::TrainingSource;
 
 /// Where held-out episodes come from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
@@ -120,17 +120,17 @@ impl Stores {
     }
 
     /// The two sources, whole.
-    pub fn sources(&self) -> Vec<Source> {
+    pub fn sources(&self) -> Vec<TrainingSource> {
         self.up_to(SHARES.len() - 1)
     }
 
     /// The two sources with the `n`-th share (10, 20, 50, 100 %) of each scene.
-    pub fn share(&self, n: usize) -> Vec<Source> {
+    pub fn share(&self, n: usize) -> Vec<TrainingSource> {
         self.up_to(n)
     }
 
     /// The first `n` scenes, each a source of its own: one of each look in turn.
-    pub fn scenes(&self, n: usize) -> Vec<Source> {
+    pub fn scenes(&self, n: usize) -> Vec<TrainingSource> {
         let half = self.training.len() / 2;
         let in_turn = (0..half).flat_map(|i| [i, half + i]);
         in_turn.take(n).map(|scene| mirrored(self.training[scene].clone())).collect()
@@ -146,7 +146,7 @@ impl Stores {
         &self.recipes
     }
 
-    fn up_to(&self, n: usize) -> Vec<Source> {
+    fn up_to(&self, n: usize) -> Vec<TrainingSource> {
         let of = |scenes: &[Vec<PathBuf>]| {
             mirrored(scenes.iter().flat_map(|stores| stores[..(n + 1).min(stores.len())].to_vec()).collect())
         };
@@ -154,8 +154,8 @@ impl Stores {
     }
 }
 
-fn mirrored(stores: Vec<PathBuf>) -> Source {
-    Source { mirror: true, ..Source::of(stores) }
+fn mirrored(stores: Vec<PathBuf>) -> TrainingSource {
+    TrainingSource { mirror: true, ..TrainingSource::of(stores) }
 }
 
 /// A shipped scene's text with another camera.
@@ -177,7 +177,8 @@ mod tests {
     #[test]
     fn shares_grow_into_the_whole_and_no_seed_is_used_twice() {
         let stores = Stores::plan(Path::new("data"), 10, 3);
-        let paths = |sources: &[Source]| sources.iter().flat_map(|source| source.stores.clone()).collect::<Vec<_>>();
+        let paths =
+            |sources: &[TrainingSource]| sources.iter().flat_map(|source| source.stores.clone()).collect::<Vec<_>>();
         let all = paths(&stores.sources());
         let mut before = 0;
         for share in 0..4 {

@@ -27,7 +27,7 @@ use crate::dataset::zarr;
 use crate::error::{Error, Result};
 use crate::file;
 use crate::model::{self, Checkpoint, Precision};
-use crate::train::config::{Augment, Batch, Geometry, Loss, Optimizer, Sampling};
+use crate::train::config::{AugmentConfig, BatchConfig, LossWeights, ModelChoice, OptimizerConfig, SamplingConfig};
 use crate::train::data::Dataset;
 use crate::train::{self, Config, Control, Event, predict};
 
@@ -36,7 +36,7 @@ use data::{Domain, Stores};
 pub use report::Report;
 
 /// Clips and windows of a step.
-const BATCH: Batch = Batch { clips: 10, windows: 3, accumulate: 1 };
+const BATCH: BatchConfig = BatchConfig { clips: 10, windows: 3, accumulate: 1 };
 
 /// What the encoder's learning rate is multiplied by: it has learned to see already.
 const ENCODER_FACTOR: f64 = 0.3;
@@ -136,10 +136,10 @@ fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Re
     let mut config = Config {
         name: "experiment".into(),
         data: stores.sources(),
-        sampling: Sampling::default(),
+        sampling: SamplingConfig::default(),
         validation: Vec::new(),
         out: PathBuf::new(),
-        model: Geometry::Explicit(geometry()),
+        model: ModelChoice::Explicit(geometry()),
         init: None,
         encoder: None,
         seed: seed + 1,
@@ -147,16 +147,23 @@ fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Re
         precision: Precision::F32,
         steps: size.steps,
         batch: BATCH,
-        optimizer: Optimizer {
+        optimizer: OptimizerConfig {
             learning_rate: 1e-3,
             weight_decay: 0.05,
             encoder_factor: Some(ENCODER_FACTOR),
-            ..Optimizer::default()
+            ..OptimizerConfig::default()
         },
         // Five times the paper's weights, and ten times that of force: from a random start a network this small finds
         // touch, which is zero nearly everywhere, only if force weighs more. Keypoints keep the encoder seeing hands.
-        loss: Loss { force: 50.0, contact: 5.0, active: 1.0, consistency: 0.25, keypoints: 0.3, ..Loss::default() },
-        augment: Augment::default(),
+        loss: LossWeights {
+            force: 50.0,
+            contact: 5.0,
+            active: 1.0,
+            consistency: 0.25,
+            keypoints: 0.3,
+            ..LossWeights::default()
+        },
+        augment: AugmentConfig::default(),
         ema: 0.995,
         save_every: 200,
         validate_every: size.steps,
@@ -168,14 +175,21 @@ fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Re
         model: config.model.clone(),
         seed: 1,
         steps: size.encoder_steps,
-        batch: Batch { clips: BATCH.clips * BATCH.windows, windows: 1, accumulate: 1 },
-        optimizer: Optimizer { encoder_factor: None, ..config.optimizer },
-        loss: Loss { force: 0.0, contact: 0.0, active: 0.0, consistency: 0.0, keypoints: 1.0, ..Loss::default() },
+        batch: BatchConfig { clips: BATCH.clips * BATCH.windows, windows: 1, accumulate: 1 },
+        optimizer: OptimizerConfig { encoder_factor: None, ..config.optimizer },
+        loss: LossWeights {
+            force: 0.0,
+            contact: 0.0,
+            active: 0.0,
+            consistency: 0.0,
+            keypoints: 1.0,
+            ..LossWeights::default()
+        },
         validate_every: size.encoder_steps.max(1),
         ..config.clone()
     };
     (arm.change)(&mut config, stores);
-    if let (Geometry::Explicit(own), Geometry::Explicit(of_arm)) = (&mut encoder.model, &config.model) {
+    if let (ModelChoice::Explicit(own), ModelChoice::Explicit(of_arm)) = (&mut encoder.model, &config.model) {
         // A keypoint is seen in one frame.
         *own = model::Config { horizon: 1, ..of_arm.clone() };
     }

@@ -9,8 +9,7 @@ use crate::dataset::tensors;
 use crate::dataset::zarr;
 use crate::error::Result;
 use crate::model::checkpoint::parameter_count;
-use crate::score::metrics::compare::Difference;
-use crate::score::metrics::{self, EvalOptions};
+use crate::score::metrics::{self, Difference, EvalOptions};
 use crate::tactile::TactileSequence;
 use crate::text::put;
 use crate::train::Config;
@@ -72,7 +71,7 @@ pub struct ArmReport {
 #[derive(Debug, Clone, Serialize)]
 pub struct DomainReport {
     /// Of each seed.
-    pub seeds: Vec<metrics::Report>,
+    pub seeds: Vec<metrics::Metrics>,
     /// Against the first arm, all seeds together: 95 % intervals by drawing episodes of seeds anew, the same for both.
     pub against_first: Vec<Difference>,
 }
@@ -90,7 +89,7 @@ impl ArmReport {
 impl DomainReport {
     /// A score of [`SHOWN`], by seed.
     pub fn score(&self, name: &str) -> Vec<Option<f64>> {
-        let of = |report: &metrics::Report| match name {
+        let of = |report: &metrics::Metrics| match name {
             "pooled.f1" => report.pooled.f1,
             "pooled.iou" => report.pooled.iou,
             "pooled.auroc" => report.pooled.auroc,

@@ -22,7 +22,8 @@ mod journal;
 mod manifest;
 mod workspace;
 
-pub(crate) use input::{FormatOptions, LabelTask, LabelTasks, OutputFormat, find_tasks};
-pub(crate) use job::{Job, LabelTiming, Outcome, Shard};
+pub use input::{FormatOptions, LabelTask, LabelTasks, OutputFormat, find_tasks};
+pub use job::{Job, LabelTiming, Outcome, Shard};
+pub use inference::InferenceTiming;
 pub use journal::Progress;
 pub(crate) use manifest::write_manifest;

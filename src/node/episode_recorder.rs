@@ -14,7 +14,7 @@ use super::{Shutdown, runtime};
 use crate::dataset::ring::EpisodeRing;
 use crate::dataset::{Attributes, Frame};
 use crate::message::{Header, TactileTruth};
-use crate::score::verify::stretches::Stretches;
+use crate::score::verify::episode_splitter::EpisodeSplitter;
 use crate::tactile::CONTACT_FORCE_N;
 
 /// Messages that may wait for their partner.
@@ -62,7 +62,7 @@ impl Recording {
             ring: Arc::clone(&ring),
             received,
             episode_secs,
-            stretches: Stretches::default(),
+            stretches: EpisodeSplitter::default(),
             open: None,
             log: log.clone(),
         };
@@ -100,7 +100,7 @@ struct Writer {
     ring: SharedRing,
     received: Receiver<(RgbImage, TactileTruth)>,
     episode_secs: f64,
-    stretches: Stretches,
+    stretches: EpisodeSplitter,
     /// Stretch and first stamp of the open episode, and when its newest frame came.
     open: Option<(u64, f64, Instant)>,
     log: Log,
@@ -125,7 +125,7 @@ impl Writer {
     }
 
     fn write(&mut self, image: RgbImage, truth: &TactileTruth) {
-        let stretch = self.stretches.number_of(truth);
+        let stretch = self.stretches.episode_number(truth);
         let stamp = truth.frame.header.stamp.secs();
         let size = image.dimensions();
         let frame = match frame(image, truth) {

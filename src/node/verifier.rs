@@ -20,10 +20,10 @@ use crate::file;
 use crate::message::{Header, TactileFrame, TactileMetrics, TactileTruth};
 use crate::score::agreement::{Scorer, Sums, TruthFrame};
 use crate::score::metrics::{self, EvalOptions, FrameScore};
-use crate::score::verify::Bar;
+use crate::score::verify::Requirement;
+use crate::score::verify::episode_splitter::EpisodeSplitter;
 use crate::score::verify::recording::RestHands;
 use crate::score::verify::report::scores_of;
-use crate::score::verify::stretches::Stretches;
 use crate::tactile::{TactileField, TactileSequence, Validity};
 
 /// Messages that may wait for their partner: seconds of any camera.
@@ -73,7 +73,7 @@ pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     let bars = bars(&runtime.parameters().get::<String>("require"))?;
     let verifier = Rc::new(RefCell::new(Verifier {
         pairing: Pairing::new(WAITING),
-        stretches: Stretches::default(),
+        stretches: EpisodeSplitter::default(),
         scored: Scored::default(),
         tally: Tally::default(),
         clock: runtime.clock().clone(),
@@ -112,8 +112,8 @@ pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
 }
 
 /// The bars of the parameter `require`: there is one candidate, so none is named.
-fn bars(text: &str) -> anyhow::Result<Vec<Bar>> {
-    let bars = Bar::parse_all(text).context("parameter require")?;
+fn bars(text: &str) -> anyhow::Result<Vec<Requirement>> {
+    let bars = Requirement::parse_all(text).context("parameter require")?;
     let named = bars.iter().find_map(|bar| bar.candidate.as_deref());
     anyhow::ensure!(named.is_none(), "parameter require: expected NAME=NUMBER, got a label {:?}", named.unwrap_or(""));
     Ok(bars)
@@ -121,7 +121,7 @@ fn bars(text: &str) -> anyhow::Result<Vec<Bar>> {
 
 struct Verifier {
     pairing: Pairing<TactileFrame, (u64, TactileTruth)>,
-    stretches: Stretches,
+    stretches: EpisodeSplitter,
     scored: Scored,
     tally: Tally,
     clock: RosClock,
@@ -169,7 +169,7 @@ impl Touch {
         }
         let Some(hands) = &self.hands else { return Ok(Sums::default()) };
         let truth = TruthFrame::new(secs, target.force.clone(), Vec::new(), hands.positions.clone(), None)?;
-        let scorer = self.open.get_or_insert_with(|| Scorer::new(hands.parts.clone()));
+        let scorer = self.open.get_or_insert_with(|| Scorer::new(hands.groups.clone()));
         scorer.push(&truth, &predicted.contact, &predicted.force)
     }
 
@@ -211,7 +211,7 @@ impl Verifier {
     fn take_truth(&mut self, truth: crate::Result<TactileTruth>) {
         match truth {
             Ok(truth) => {
-                let stretch = self.stretches.number_of(&truth);
+                let stretch = self.stretches.episode_number(&truth);
                 let pair = self.pairing.right(truth.frame.header.stamp, (stretch, truth));
                 self.score(pair);
             }
@@ -346,7 +346,7 @@ impl Verifier {
     }
 
     /// Which bars were missed, in words.
-    fn missed(&self, bars: &[Bar]) -> Vec<String> {
+    fn missed(&self, bars: &[Requirement]) -> Vec<String> {
         let total = self.scored.touch.total();
         bars.iter().filter_map(|bar| bar.missed((bar.score.value)(&total))).collect()
     }
@@ -419,12 +419,12 @@ impl Scored {
     }
 
     /// All scores; beyond the pairs kept whole, those that need all vertices of all frames are undefined.
-    fn total(&mut self) -> crate::Result<metrics::Report> {
+    fn total(&mut self) -> crate::Result<metrics::Metrics> {
         if self.frames.len() > self.kept.0.n_frames() {
             let summary = |frames: &[(f64, FrameScore)]| metrics::summarize(frames.iter().map(|(_, score)| score));
             let each: Vec<f64> = self.stretches().filter_map(|stretch| summary(stretch).temporal_pearson).collect();
             let temporal_pearson = (!each.is_empty()).then(|| each.iter().sum::<f64>() / each.len() as f64);
-            return Ok(metrics::Report { temporal_pearson, ..summary(&self.frames) });
+            return Ok(metrics::Metrics { temporal_pearson, ..summary(&self.frames) });
         }
         self.kept.1.episode_ends = self.all_ends();
         metrics::evaluate(&self.kept.0, &self.kept.1, &EvalOptions { fps: self.rate(), calibration: None })

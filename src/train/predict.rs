@@ -1,4 +1,4 @@
-//! Touch for whole episodes, with windows as a stream would form them, many frames at a time.
+//! Batch prediction of whole episodes, with the same windows as a stream.
 
 use std::collections::BTreeMap;
 
@@ -12,11 +12,11 @@ use crate::image::normalise;
 use crate::model::{EgoTac, Metadata};
 use crate::tactile::TactileSequence;
 
-/// Frames whose windows are decoded at once.
+/// Frames whose windows are decoded in one batch.
 const BLOCK: usize = 32;
 
-/// Predicts touch for every frame of a dataset, store by store: force in N, never negative (NaN if the force head was
-/// never trained), and contact probability. Each frame is encoded once.
+/// Predicts touch for every frame of a dataset, store by store, with time stamps and episodes: force in N, never negative
+/// (NaN if the force head was not trained), and contact probability. Each frame is encoded once.
 ///
 /// # Errors
 /// If a store can't be read, or the network gives a number that is not finite.
@@ -48,7 +48,7 @@ pub fn predict(
             let stacked = Tensor::stack(&places, 0)?.reshape((block.len(), horizon, p, d))?;
             let (force, logits) = model.heads(&model.fuse(&stacked)?)?;
             append(&mut fields, metadata, &force, &logits)?;
-            // Later windows reach back no further than the next block's first one does.
+            // No later window reaches further back than the first window of the next block.
             if block.end < episode.end {
                 let oldest = window(times, episode.start, block.end, horizon, metadata.frame_dt)[0];
                 projected = projected.split_off(&oldest);

@@ -1,4 +1,4 @@
-//! Which frames a step sees: observation windows over time, clips of windows, shuffled epochs of clips.
+//! Sampling of training windows: clips of consecutive windows, in shuffled epochs.
 
 use std::ops::Range;
 
@@ -7,8 +7,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-/// A piece of one episode: windows whose newest frames follow each other by one observation step, so that they share
-/// most of their frames.
+/// Consecutive windows of one episode; their newest frames are one observation step apart, so that they share most frames.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Clip {
     /// Index of the store.
@@ -53,7 +52,7 @@ pub fn targets(timestamps: &[f64], end: usize, newest: usize, predict: usize, fr
     (0..predict).map(step).collect()
 }
 
-/// Frames between observation steps: `frame_dt` in units of the episode's mean frame interval, at least 1.
+/// Returns the frames between observation steps: `frame_dt` in units of the episode's mean frame interval, at least 1.
 pub fn stride(timestamps: &[f64], episode: &Range<usize>, frame_dt: f64) -> usize {
     let frames = episode.len();
     if frames < 2 {
@@ -63,8 +62,8 @@ pub fn stride(timestamps: &[f64], episode: &Range<usize>, frame_dt: f64) -> usiz
     if mean_dt > 0.0 { (frame_dt / mean_dt).round().max(1.0) as usize } else { 1 }
 }
 
-/// Cuts one episode into clips of at most `windows` windows. Every frame is the newest of exactly one window; where the
-/// cuts lie is drawn from `rng`.
+/// Cuts one episode into clips of at most `windows` windows, at random places. Every frame is the newest of exactly one
+/// window.
 fn cut(
     store: usize,
     episode: &Range<usize>,
@@ -82,23 +81,23 @@ fn cut(
     }
 }
 
-/// What an epoch takes from one source.
+/// Episodes of one source, and the number of windows that an epoch draws from them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pool {
     /// Store, frames and stride of each episode.
     pub episodes: Vec<(usize, Range<usize>, usize)>,
-    /// Windows of an epoch, exactly: fewer than there are frames, or some of them more than once.
+    /// Windows per epoch. Fewer than the frames leaves some out; more repeats some.
     pub count: usize,
 }
 
 impl Pool {
-    /// Every frame once.
+    /// Creates a pool that draws every frame once per epoch.
     pub fn whole(episodes: Vec<(usize, Range<usize>, usize)>) -> Self {
         let count = episodes.iter().map(|(_, frames, _)| frames.len()).sum();
         Self { episodes, count }
     }
 
-    /// The clips of an epoch, in random order.
+    /// Draws the clips of one epoch, in random order.
     fn draw(&self, windows: usize, rng: &mut ChaCha8Rng) -> Vec<Clip> {
         let (mut drawn, mut left) = (Vec::new(), self.count);
         while left > 0 {
@@ -123,7 +122,7 @@ impl Pool {
     }
 }
 
-/// An endless sequence of batches of clips, a function of the seed alone: skipping `n` batches is how a run resumes.
+/// Endless sequence of batches of clips. It depends only on the seed: a run resumes by skipping `n` batches.
 #[derive(Debug, Clone)]
 pub struct Sampler {
     pools: Vec<Pool>,
@@ -135,12 +134,12 @@ pub struct Sampler {
 }
 
 impl Sampler {
-    /// Samples from the pools of all sources.
+    /// Creates a sampler of the pools of all sources.
     pub fn new(pools: Vec<Pool>, windows: usize, clips_per_batch: usize, seed: u64) -> Self {
         Self { pools, windows, clips_per_batch, seed, epoch: 0, left: Vec::new() }
     }
 
-    /// Epochs begun.
+    /// Returns the number of epochs begun.
     pub fn epoch(&self) -> u64 {
         self.epoch
     }
@@ -160,7 +159,7 @@ impl Sampler {
 impl Iterator for Sampler {
     type Item = Vec<Clip>;
 
-    /// Never ends, unless there is no episode at all. The last batch of an epoch may be a short one.
+    /// Never ends, unless there is no episode. The last batch of an epoch may be smaller.
     fn next(&mut self) -> Option<Vec<Clip>> {
         if self.left.is_empty() {
             self.begin_epoch();
@@ -211,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn an_epoch_holds_exactly_what_each_pool_is_to_give() {
+    fn an_epoch_draws_exactly_the_count_of_each_pool() {
         let pool = |store, frames: usize, count| Pool { episodes: vec![(store, 0..frames, 2)], count };
         let mut sampler = Sampler::new(vec![pool(0, 100, 37), pool(1, 20, 53), pool(2, 9, 0)], 4, 5, 3);
         for epoch in 1..=3 {
@@ -222,7 +221,7 @@ mod tests {
                 }
             }
             assert_eq!((sampler.epoch(), taken.each_ref().map(Vec::len)), (epoch, [37, 53, 0]));
-            // Of the large one no frame twice; of the small one each twice, and 13 a third time.
+            // The large pool repeats no frame; the small one repeats each frame once, and 13 of them twice.
             let times = |store: usize, frame: usize| taken[store].iter().filter(|f| **f == frame).count();
             assert!((0..100).all(|frame| times(0, frame) <= 1));
             assert!((0..20).all(|frame| (2..=3).contains(&times(1, frame))));
@@ -230,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn batches_depend_on_the_seed_alone() {
+    fn batches_depend_only_on_the_seed() {
         let make = |seed| Sampler::new(vec![Pool::whole(vec![(0, 0..200, 2)])], 4, 5, seed);
         let batches: Vec<_> = make(1).take(40).collect();
         assert_eq!(batches[17..], make(1).skip(17).take(23).collect::<Vec<_>>());

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::trace::{N_SITES, Trace};
-use crate::score::metrics::contact::Counts;
+use crate::score::metrics::contact::Confusion;
 use crate::tactile::N_FIELD;
 
 /// Errors against a reference; `None` where the reference has nothing to compare with.
@@ -24,7 +24,7 @@ pub struct Errors {
 pub struct Pool {
     force: [f64; 2],
     impulse: [f64; 2],
-    counts: Counts,
+    counts: Confusion,
 }
 
 impl Pool {
@@ -42,7 +42,7 @@ impl Pool {
             let got = touched.get(index).map_or(&[][..], Vec::as_slice);
             let both = got.iter().filter(|vertex| truth.binary_search(vertex).is_ok()).count();
             let (tp, fp, fn_) = (both as u64, (got.len() - both) as u64, (truth.len() - both) as u64);
-            self.counts = self.counts + Counts { tp, fp, fn_, tn: N_FIELD as u64 - tp - fp - fn_, unknown: 0 };
+            self.counts = self.counts + Confusion { tp, fp, fn_, tn: N_FIELD as u64 - tp - fp - fn_, unknown: 0 };
         }
     }
 

@@ -18,8 +18,8 @@ use crate::node::episode_recorder::SharedRing;
 use crate::node::log::Log;
 use crate::node::params::Parameters;
 use crate::node::runtime::{Publisher, Runtime};
-use crate::train::job::{self, Job, Live};
-use crate::train::source::Source;
+use crate::train::job::{self, Job, LiveRecordings};
+use crate::train::source::TrainingSource;
 use crate::train::{Config, Outcome};
 
 /// Takes goals, one at a time.
@@ -104,7 +104,7 @@ impl Trainer {
         ensure!(!(goal.live && goal.resume), "resume: expected false with live, got true");
         let mut config = Config::read_unchecked(Path::new(&file))?;
         if !goal.data.is_empty() {
-            config.data = goal.data.iter().map(Source::path).collect();
+            config.data = goal.data.iter().map(TrainingSource::path).collect();
         } else if goal.live && config.data.iter().all(|source| source.stores.iter().all(|store| !store.exists())) {
             // What the file names is for a run without topics.
             config.data.clear();
@@ -122,7 +122,7 @@ impl Trainer {
         }
         let live = goal.live.then(|| {
             let ring = Arc::clone(&self.ring);
-            Live {
+            LiveRecordings {
                 stores: Box::new(move || ring.lock().unwrap_or_else(PoisonError::into_inner).stores()),
                 least_frames: self.parameters.get::<i64>("min_live_frames") as usize,
                 round_steps: self.parameters.get::<i64>("round_steps") as usize,
@@ -131,7 +131,7 @@ impl Trainer {
         match &live {
             // The recordings are data that is not there yet.
             Some(_) if config.data.is_empty() => {
-                let here = Config { data: vec![Source::path(&self.folder)], ..config.clone() };
+                let here = Config { data: vec![TrainingSource::path(&self.folder)], ..config.clone() };
                 here.check().with_context(|| file.clone())?;
             }
             _ => config.check().with_context(|| file.clone())?,

@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use crate::message::TrainerStatus;
 use crate::node::verifier::flatten;
 use crate::train::Event;
-use crate::train::job::News;
+use crate::train::job::JobEvent;
 use crate::train::pass::Losses;
 
 /// What the training thread tells.
@@ -45,15 +45,15 @@ impl Default for Progress {
 }
 
 /// Writes down what the training thread says.
-pub fn tell(progress: &Mutex<Progress>, steps: usize, news: &News) {
+pub fn tell(progress: &Mutex<Progress>, steps: usize, news: &JobEvent) {
     const KEEP: f64 = 0.9;
     let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
     match news {
-        News::Waiting(there, wanted) => {
+        JobEvent::Waiting(there, wanted) => {
             progress.state = "waiting";
             progress.message = format!("{there} of {wanted} live frames");
         }
-        News::Training(before, Event::Stepped(step)) => {
+        JobEvent::Training(before, Event::Stepped(step)) => {
             progress.state = "training";
             progress.message.clear();
             progress.step = before + step.step;
@@ -68,8 +68,8 @@ pub fn tell(progress: &Mutex<Progress>, steps: usize, news: &News) {
             let left = steps.saturating_sub(progress.step) as f64;
             progress.remaining_secs = left * step.windows as f64 / progress.windows_per_s;
         }
-        News::Training(_, Event::Validated(_, report)) => progress.scores = flat(&serde_json::json!(report)),
-        News::Training(..) => {}
+        JobEvent::Training(_, Event::Validated(_, report)) => progress.scores = flat(&serde_json::json!(report)),
+        JobEvent::Training(..) => {}
     }
 }
 

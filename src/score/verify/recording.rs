@@ -5,31 +5,31 @@ use std::path::Path;
 
 use super::candidate::Candidate;
 use super::episode::{Episode, EpisodeScorer};
-use super::stretches::Stretches;
+use super::episode_splitter::EpisodeSplitter;
 use crate::dataset::LostBytes;
 use crate::dataset::mcap::{bag_files, for_each_message, survey};
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, Side, Topology};
 use crate::message::{Message, TactileFrame, TactileTruth, Time};
-use crate::score::agreement::{Parts, TruthFrame};
+use crate::score::agreement::{TruthFrame, VertexGroups};
 use crate::tactile::Validity;
 
 /// Topics to compare; None = the only one of its type.
 #[derive(Debug, Clone, Default)]
 pub struct Topics {
-    /// Predictions, `egotac_msgs/msg/TactileFrame`.
+    /// Topic of predictions, `egotac_msgs/msg/TactileFrame`.
     pub tactile: Option<String>,
-    /// Truth, `egotac_msgs/msg/TactileTruth`.
+    /// Topic of truth, `egotac_msgs/msg/TactileTruth`.
     pub truth: Option<String>,
 }
 
-/// Episodes of a recording, and numbers of messages without a partner of the same stamp.
+/// Scored episodes of a recording, and numbers of messages without a partner of the same stamp.
 #[derive(Debug)]
 pub struct Recording {
-    /// One episode per scene or stretch of time.
+    /// Episodes, split as [`EpisodeSplitter`] does.
     pub episodes: Vec<Episode>,
-    /// Groups of vertices: links, or hands.
-    pub parts: Parts,
+    /// Groups of vertices: links if they are known, else hands.
+    pub groups: VertexGroups,
     /// Number of predictions without truth.
     pub unmatched_predictions: u64,
     /// Number of truths without prediction.
@@ -55,17 +55,17 @@ pub fn score(path: &Path, topics: &Topics, hands: Option<&[HandModel; 2]>) -> Re
     })?;
     let hand = RestHands::of(Topology::from_id(&first.frame.topology)?, hands)?;
 
-    let mut stretches = Stretches::default();
+    let mut splitter = EpisodeSplitter::default();
     let mut episodes = Vec::new();
     let mut open: Option<(u64, String, EpisodeScorer)> = None;
     for (stamp, truth) in &truths {
-        let number = stretches.number_of(truth);
+        let number = splitter.episode_number(truth);
         let Some(prediction) = predictions.get(stamp) else { continue };
         if open.as_ref().is_some_and(|(of, ..)| *of != number) {
             episodes.extend(open.take().map(|(_, name, scorer)| scorer.finish(name, None, Vec::new())));
         }
         let name = || truth.frame.model_id.clone();
-        let scorer = || EpisodeScorer::new(&hand.parts, &[Candidate::Prediction]);
+        let scorer = || EpisodeScorer::new(&hand.groups, &[Candidate::Prediction]);
         let (_, _, scorer) = open.get_or_insert_with(|| (number, name(), scorer()));
         let validity = truth.validity()?;
         if validity != Validity::Valid {
@@ -79,22 +79,22 @@ pub fn score(path: &Path, topics: &Topics, hands: Option<&[HandModel; 2]>) -> Re
         scorer.push(&frame, None, Some(&field))?;
     }
     episodes.extend(open.map(|(_, name, scorer)| scorer.finish(name, None, Vec::new())));
-    Ok(Recording { episodes, parts: hand.parts, unmatched_predictions, unmatched_truths })
+    Ok(Recording { episodes, groups: hand.groups, unmatched_predictions, unmatched_truths })
 }
 
-/// Positions and parts of the vertices for recordings without hand poses.
+/// Positions and groups of the vertices of hands whose pose is not known.
 #[derive(Debug, Clone)]
 pub struct RestHands {
-    /// Meaning of vertex indices.
+    /// Meaning of the vertex indices.
     pub topology: Topology,
-    /// (1556) m, each hand in its own frame; empty = unknown.
+    /// (1556) m, each hand in its own frame; empty = not known.
     pub positions: Vec<glam::Vec3>,
-    /// Links if they are known, else hands.
-    pub parts: Parts,
+    /// Links where they are known, else hands.
+    pub groups: VertexGroups,
 }
 
 impl RestHands {
-    /// Poses `hands` at rest, or the built-in hands for their topology.
+    /// Returns the rest pose of `hands`, or that of the built-in hand for its topology.
     ///
     /// # Errors
     /// If `hands` are of another topology.
@@ -109,10 +109,10 @@ impl RestHands {
             (None, Topology::Mano) => None,
         };
         let Some(hands) = hands else {
-            return Ok(Self { topology, positions: Vec::new(), parts: Parts::hands() });
+            return Ok(Self { topology, positions: Vec::new(), groups: VertexGroups::hands() });
         };
         let positions = hands.iter().flat_map(|hand| hand.forward(&HandParams::default()).vertices).collect();
-        Ok(Self { topology, positions, parts: Parts::links(hands) })
+        Ok(Self { topology, positions, groups: VertexGroups::links(hands) })
     }
 }
 

@@ -1,13 +1,13 @@
 //! Scores as a table for the terminal.
 
-use super::{Comparison, Report, Scores};
+use super::{Comparison, ContactScores, Metrics};
 
-/// One score out of those of contact.
-type ContactScore = fn(&Scores) -> Option<f64>;
+/// Selects one contact score.
+type ContactScore = fn(&ContactScores) -> Option<f64>;
 
-/// A table with one column per named report; undefined scores say so.
-pub fn table(reports: &[(&str, &Report)]) -> String {
-    let contact = |name: &'static str, part: fn(&Report) -> &Scores| {
+/// Returns a table with one column per named evaluation.
+pub fn table(reports: &[(&str, &Metrics)]) -> String {
+    let contact = |name: &'static str, part: fn(&Metrics) -> &ContactScores| {
         let rows: [(&str, ContactScore); 5] = [
             ("precision", |s| s.precision),
             ("recall", |s| s.recall),
@@ -19,7 +19,7 @@ pub fn table(reports: &[(&str, &Report)]) -> String {
             (format!("{row}, {name}"), reports.iter().map(|(_, r)| score(part(r))).collect::<Vec<_>>())
         })
     };
-    let row = |name: &str, score: fn(&Report) -> Option<f64>| {
+    let row = |name: &str, score: fn(&Metrics) -> Option<f64>| {
         (name.to_string(), reports.iter().map(|(_, r)| score(r)).collect::<Vec<_>>())
     };
     let mut rows = vec![
@@ -58,14 +58,14 @@ pub fn table(reports: &[(&str, &Report)]) -> String {
     text
 }
 
-/// A table with one line per named part of the vertices.
-pub fn parts_table(parts: &[(String, Report)]) -> String {
+/// Returns a table with one line per named group of vertices.
+pub fn groups_table(groups: &[(String, Metrics)]) -> String {
     let mut text = format!(
         "{:18}{:>12}{:>17}{:>11}{:>11}{:>11}{:>11}{:>11}{:>16}",
         "part", "MAE (N)", "active MAE (N)", "precision", "recall", "F1", "IoU", "AUROC", "active entries"
     );
-    for (name, report) in parts {
-        let Scores { precision, recall, f1, iou, auroc } = report.pooled;
+    for (name, report) in groups {
+        let ContactScores { precision, recall, f1, iou, auroc } = report.pooled;
         text += &format!("\n{name:18}{}{}", cell(report.mae, 12, 5), cell(report.active_mae, 17, 4));
         [precision, recall, f1, iou, auroc].into_iter().for_each(|score| text += &cell(score, 11, 4));
         text += &format!("{:>16}", report.counts.active_entries);
@@ -73,7 +73,7 @@ pub fn parts_table(parts: &[(String, Report)]) -> String {
     text
 }
 
-/// A table with one line per score of two predictions.
+/// Returns a table with one line per score of two predictions.
 pub fn comparison_table(comparison: &Comparison) -> String {
     let mut text =
         format!("{:30}{:>12}{:>12}{:>12}{:>24}", "score", "prediction", "other", "difference", "95 % interval");
@@ -83,7 +83,7 @@ pub fn comparison_table(comparison: &Comparison) -> String {
         text += &format!("{}{interval:>24}", cell(d.difference, 12, 5));
     }
     let few = if comparison.episodes < 2 { "; intervals need at least two episodes" } else { "" };
-    text + &format!("\n{} drawings of {} episodes, the same for both{few}", comparison.drawings, comparison.episodes)
+    text + &format!("\n{} resamples of {} episodes, the same for both{few}", comparison.resamples, comparison.episodes)
 }
 
 fn cell(value: Option<f64>, width: usize, digits: usize) -> String {
