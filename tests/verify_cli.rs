@@ -281,15 +281,21 @@ fn a_network_is_scored_on_rendered_images() {
     }
 }
 
-/// Writes a bag of 20 frames at 25 Hz with touch from the sixth on; frame 9's prediction is missing, frame 12's truth invalid.
+/// Writes a bag of 20 frames at 25 Hz with touch from frame 6 on. The prediction of frame 9 is missing, the truth of frame
+/// 12 is invalid.
 fn bag(folder: &Path, other: bool) {
+    bag_of(folder, 0..20, other);
+}
+
+/// Writes a bag with the given frames of that bag.
+fn bag_of(folder: &Path, frames: std::ops::Range<i64>, other: bool) {
     let mut bag = BagWriter::create(folder).unwrap();
     bag.add_topic("/predictor/tactile", TactileFrame::TYPE, &TactileFrame::schema(), false).unwrap();
     bag.add_topic("/truth/tactile", TactileTruth::TYPE, &TactileTruth::schema(), false).unwrap();
     if other {
         bag.add_topic("/other/tactile", TactileFrame::TYPE, &TactileFrame::schema(), false).unwrap();
     }
-    for index in 0..20i64 {
+    for index in frames {
         let stamp = Time::from_nanos(1_700_000_000_000_000_000 + index * 40_000_000);
         let header = Header { stamp, frame_id: "camera".into() };
         let mut force = vec![0.0; N_FIELD];
@@ -313,6 +319,27 @@ fn bag(folder: &Path, other: bool) {
 }
 
 #[test]
+fn a_bag_of_two_files_scores_as_the_same_bag_of_one_file() {
+    let folder = Folder::new();
+    let [whole, first, second, split] = ["whole", "first", "second", "split"].map(|name| folder.path(name));
+    bag(Path::new(&whole), false);
+    bag_of(Path::new(&first), 0..9, false);
+    bag_of(Path::new(&second), 9..20, false);
+    std::fs::create_dir(&split).unwrap();
+    // The names are in the opposite order: the order of `metadata.yaml` counts.
+    std::fs::copy(format!("{first}/first_0.mcap"), format!("{split}/z.mcap")).unwrap();
+    std::fs::copy(format!("{second}/second_0.mcap"), format!("{split}/a.mcap")).unwrap();
+    let metadata =
+        "rosbag2_bagfile_information:\n  storage_identifier: mcap\n  relative_file_paths: [z.mcap, a.mcap]\n";
+    std::fs::write(format!("{split}/metadata.yaml"), metadata).unwrap();
+    let [whole, split] = [whole, split].map(|bag| verify(&["--recording", &bag]));
+    for part in ["counts", "unmatched", "candidates", "episodes"] {
+        assert_eq!(split[part], whole[part], "{part}");
+    }
+    assert_eq!(split["counts"]["frames"], 18);
+}
+
+#[test]
 fn a_recording_is_scored_by_equal_stamps() {
     let folder = Folder::new();
     let [plain, ambiguous] = ["plain", "ambiguous"].map(|name| folder.path(name));
@@ -324,7 +351,7 @@ fn a_recording_is_scored_by_equal_stamps() {
     assert_eq!(report["counts"]["refused"][Validity::TooFast.reason()], 1);
     assert_eq!(score(&report, "prediction", "onset_error_secs"), 0.0);
     assert_eq!(score(&report, "prediction", "link_force_error"), 0.0);
-    // A single file of the bag is accepted, too.
+    // The bag's file alone gives the same scores.
     let file = format!("{plain}/plain_0.mcap");
     assert_eq!(verify(&["--recording", &file])["counts"], report["counts"]);
     let error = refusal(&["--recording", &ambiguous]);

@@ -11,10 +11,10 @@ use serde::Serialize;
 use super::Machine;
 use crate::dataset::mcap::BagWriter;
 use crate::dataset::zarr::{Contact, ZarrWriter};
-use crate::dataset::{Attributes, EpisodeWriter, Frame};
+use crate::dataset::{Attributes, EpisodeWriter, Frame, Provenance, copy_folder};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
-use crate::label::{Choices, Effort, Found, Job, Provenance, Shard, copy_folder, items};
+use crate::label::{FormatOptions, Job, LabelTiming, Shard, find_tasks};
 use crate::message::{CompressedImage, Header, Image, Message, Time};
 use crate::model::{Precision, Predictor};
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Validity};
@@ -100,32 +100,31 @@ pub fn run(
 }
 
 fn measure(predictor: &mut Predictor, format: &str, image: (u32, u32), input: &Path, out: &Path) -> Result<Row> {
-    let Found { items, .. } =
-        items(input, out, &Choices { frame_dt: predictor.metadata().frame_dt, ..Choices::default() })?;
-    let mut effort = Effort::default();
-    for item in &items {
+    let options = FormatOptions { frame_dt: predictor.metadata().frame_dt, ..FormatOptions::default() };
+    let mut timing = LabelTiming::default();
+    for task in &find_tasks(input, out, &options)?.tasks {
         let job = Job {
-            source: item.source.as_ref(),
-            output: item.output.as_ref(),
-            out: item.out.clone(),
-            provenance: Provenance::of(predictor, Precision::F32, item.about.clone()),
+            source: task.source.as_ref(),
+            output: task.output.as_ref(),
+            out: task.out.clone(),
+            provenance: Provenance::of(predictor, Precision::F32, task.description.clone()),
             decoders: 1,
         };
-        job.run(predictor, Shard { index: 0, of: 1 }, 0, &mut effort, &mut || {})?;
+        job.run(predictor, Shard { index: 0, of: 1 }, 0, &mut timing, &mut || {})?;
     }
-    let per_image = |seconds: f64| 1e3 * seconds / effort.frames.max(1) as f64;
-    let times = effort.times;
-    let others = times.waiting + times.journal + effort.assemble_secs;
+    let per_image = |seconds: f64| 1e3 * seconds / timing.frames.max(1) as f64;
+    let inference = timing.inference;
+    let others = inference.waiting_secs + inference.journal_secs + timing.assembly_secs;
     Ok(Row {
         network: predictor.metadata().name.clone(),
         format: format.to_string(),
         image,
-        network_ms: per_image(times.network),
-        waiting_ms: per_image(times.waiting),
-        journal_ms: per_image(times.journal),
-        assembly_ms: per_image(effort.assemble_secs),
+        network_ms: per_image(inference.network_secs),
+        waiting_ms: per_image(inference.waiting_secs),
+        journal_ms: per_image(inference.journal_secs),
+        assembly_ms: per_image(timing.assembly_secs),
         copy_ms: per_image(copy_secs(input, &out.with_extension("copy"))?),
-        share: others / times.network.max(f64::MIN_POSITIVE),
+        share: others / inference.network_secs.max(f64::MIN_POSITIVE),
     })
 }
 

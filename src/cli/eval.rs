@@ -6,13 +6,13 @@ use std::process::ExitCode;
 use anyhow::{Context, bail};
 
 use crate::dataset::tensors;
-use crate::dataset::zarr::{self, ZarrReader};
+use crate::dataset::zarr::{self, ZarrReader, read_truth};
 use crate::hand::{HandModel, Side, Topology};
-use crate::model::{Checkpoint, Precision};
+use crate::model::{Precision, Predictor, predictor};
 use crate::score::metrics::{self, Calibration, Comparison, EvalOptions, Metrics, VertexGroup};
 use crate::tactile::TactileSequence;
 use crate::train::baseline;
-use crate::train::data::{Dataset, read_truth};
+use crate::train::data::Dataset;
 
 use super::hands::Hands;
 
@@ -148,18 +148,22 @@ fn vertex_groups(args: &Args, topology: Topology) -> anyhow::Result<Vec<VertexGr
 
 /// Runs a checkpoint on stores, and makes the constant predictions.
 fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
-    let device = candle_core::Device::Cpu;
-    let checkpoint = Checkpoint::load_as(checkpoint, &device, args.precision)?;
-    let preparation = checkpoint.metadata.preparation(checkpoint.model.config());
+    let stream = predictor::Options { precision: args.precision, ..super::predict::stream() };
+    let mut predictor = Predictor::load(checkpoint, stream)?;
+    let topology = predictor.metadata().topology;
+    let preparation = predictor.metadata().preparation(predictor.config());
     let open = |paths: &[PathBuf]| -> anyhow::Result<Dataset> {
         let data = Dataset::new(zarr::open_all(paths)?, preparation.clone(), false)?;
-        data.topology().must_match(checkpoint.metadata.topology)?;
+        data.topology().must_match(topology)?;
         Ok(data)
     };
     let data = open(&args.data)?;
     let target = data.labels()?;
     let options = options(args)?;
-    let pred = super::predict::predict_stores(&checkpoint, &data, &device)?;
+    let folder = tempfile::tempdir()?;
+    let file = folder.path().join("fields.safetensors");
+    super::predict::predict_stores(&args.data, &mut predictor, args.precision, &file)?;
+    let pred = tensors::read(&file)?;
     let mut constants = Vec::new();
     if !args.baselines_from.is_empty() {
         for constant in baseline::constants(&open(&args.baselines_from)?.labels()?) {

@@ -7,9 +7,9 @@ mod trace;
 
 use std::path::Path;
 
+use crate::dataset::{Labelled, format::open_images};
 use crate::error::Result;
 use crate::hand::{HandModel, Topology};
-use crate::label::{Labelled, images_of};
 use crate::score::metrics::{self, EvalOptions};
 
 pub use page::page;
@@ -44,7 +44,7 @@ pub fn html(path: &Path, settings: &PageSettings) -> Result<String> {
         (None, Some(Topology::Mano)) => None,
         (None, _) => Some(builtin()),
     };
-    let images = images_of(path, labelled.about.as_ref());
+    let images = open_images(path, labelled.info.as_ref());
     let samples = samples(&labelled, images.as_deref(), hands.as_ref(), settings.frames)?;
     let metrics = match &labelled.truth {
         Some(truth) => Some(metrics::evaluate(&labelled.labels, truth, &EvalOptions::default())?),

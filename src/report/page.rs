@@ -9,8 +9,8 @@ use base64::engine::general_purpose::STANDARD;
 use super::regions::RegionRow;
 use super::samples::Sample;
 use super::trace::Trace;
+use crate::dataset::Labelled;
 use crate::hand::{Region, Side};
-use crate::label::Labelled;
 use crate::score::metrics::{Metrics, table};
 
 const STYLE: &str = "
@@ -56,7 +56,7 @@ fn about(labelled: &Labelled) -> String {
         ("vertices", labelled.labels.topology.map_or("unknown topology".into(), |topology| topology.id().to_string())),
     ];
     let mut text = String::new();
-    if let Some(about) = &labelled.about {
+    if let Some(about) = &labelled.info {
         let provenance = &about.provenance;
         rows.push(("network", format!("{}, SHA-256 {}", provenance.model, provenance.model_sha256)));
         rows.push((

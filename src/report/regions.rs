@@ -1,7 +1,7 @@
 //! Contact frequency and force of each region of the hands.
 
+use crate::dataset::{CONTACT_THRESHOLD, Labelled};
 use crate::hand::{HandModel, N_VERTICES, Region, Side};
-use crate::label::{CONTACT_THRESHOLD, Labelled};
 
 /// Contact and force of one region of one hand.
 #[derive(Debug, Clone, PartialEq)]

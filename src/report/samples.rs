@@ -6,9 +6,9 @@ use ::image::codecs::jpeg::JpegEncoder;
 use ::image::imageops::{FilterType, resize};
 use ::image::{ImageFormat, RgbImage};
 
+use crate::dataset::{ImageSource, Labelled};
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, Side};
-use crate::label::{Labelled, Source};
 use crate::render::{View, force_colors, hand_picture};
 use crate::tactile::{CONTACT_FORCE_N, TactileSequence};
 
@@ -44,7 +44,7 @@ pub struct Sample {
 /// If an image can't be encoded.
 pub fn samples(
     labelled: &Labelled,
-    images: Option<&dyn Source>,
+    images: Option<&dyn ImageSource>,
     hands: Option<&[HandModel; 2]>,
     n: usize,
 ) -> Result<Vec<Sample>> {
@@ -94,14 +94,14 @@ fn scale(labels: &TactileSequence) -> f32 {
 
 /// Random access to images by their index in the data set; indices must grow.
 struct Images<'a> {
-    source: &'a dyn Source,
+    source: &'a dyn ImageSource,
     /// Current unit of the source, and the index of its first image.
     unit: usize,
     start: usize,
 }
 
 impl<'a> Images<'a> {
-    fn new(source: &'a dyn Source) -> Self {
+    fn new(source: &'a dyn ImageSource) -> Self {
         Self { source, unit: 0, start: 0 }
     }
 
@@ -113,8 +113,8 @@ impl<'a> Images<'a> {
             }
             (self.unit, self.start) = (self.unit + 1, self.start + length);
         }
-        let shot = self.source.shots(self.unit, frame - self.start).ok()?.next()?;
-        shot.picture.ok()?.decode().ok()
+        let frame = self.source.frames(self.unit, frame - self.start).ok()?.next()?;
+        frame.image.ok()?.decode().ok()
     }
 }
 

@@ -3,8 +3,8 @@
 use std::fmt::Write;
 use std::ops::Range;
 
+use crate::dataset::Labelled;
 use crate::hand::Side;
-use crate::label::Labelled;
 use crate::tactile::N_FIELD;
 
 /// Largest number of points of a curve; in longer episodes each point is the maximum of several frames.

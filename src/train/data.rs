@@ -8,9 +8,7 @@ use rayon::prelude::*;
 use super::keypoints::{self, Points};
 use super::source::{Supervision, TrainingSource};
 use crate::dataset::EpisodeReader;
-use crate::dataset::zarr::{
-    self, CAMERA_EGO_RGB, FRAME_VALIDITY, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, TIMESTAMPS, ZarrReader,
-};
+use crate::dataset::zarr::{self, CAMERA_EGO_RGB, TIMESTAMPS, ZarrReader, read_labels};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
 use crate::image::{Preparation, resize};
@@ -320,47 +318,4 @@ fn check_timestamps(reader: &ZarrReader, timestamps: &[f64]) -> Result<()> {
         start = *end;
     }
     Ok(())
-}
-
-/// Reads the labels of a whole store, with time stamps and episodes, masked as [`read_labels`] does.
-///
-/// # Errors
-/// If an array can't be read.
-pub fn read_truth(reader: &ZarrReader) -> Result<TactileSequence> {
-    let frames = 0..reader.len();
-    let timestamps = reader.read(TIMESTAMPS, frames.clone())?.into_f64();
-    Ok(with_time(read_labels(reader, frames)?, reader, timestamps))
-}
-
-/// Reads the labels of a range of frames, without time stamps and episodes; the masks are 0 where a label is unknown or a
-/// guard refused the frame.
-///
-/// # Errors
-/// If an array can't be read.
-pub fn read_labels(reader: &ZarrReader, frames: Range<usize>) -> Result<TactileSequence> {
-    let n = frames.len();
-    let force = match reader.has(MANO_FORCE) {
-        true => reader.read_f32(MANO_FORCE, frames.clone())?,
-        false => vec![f32::NAN; n * N_FIELD],
-    };
-    let contact = reader.read_contact(frames.clone())?;
-    let validity = match reader.has(FRAME_VALIDITY) {
-        true => reader.read_u8(FRAME_VALIDITY, frames.clone())?,
-        false => vec![0; n],
-    };
-    let mask = |name: &str, label: &[f32]| -> Result<Vec<u8>> {
-        let mut mask = match reader.has(name) {
-            true => reader.read_u8(name, frames.clone())?,
-            false => vec![1; n * N_FIELD],
-        };
-        for (entry, (mask, label)) in mask.iter_mut().zip(label).enumerate() {
-            // A label that is not finite or negative counts as unknown: one of them would make every loss NaN.
-            let known = label.is_finite() && *label >= 0.0;
-            *mask = u8::from(*mask != 0 && known && validity[entry / N_FIELD] == 0);
-        }
-        Ok(mask)
-    };
-    let (mask_force, mask_contact) = (mask(MANO_FORCE_VALID, &force)?, mask(MANO_CONTACT_VALID, &contact)?);
-    let topology = Some(reader.attributes().topology);
-    Ok(TactileSequence { topology, force, contact, mask_force, mask_contact, validity, ..Default::default() })
 }

@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use image::RgbImage;
 
 use super::topics;
+use crate::dataset::mcap::for_each_message;
 use crate::message::{Header, Image, Message, TactileFrame, TactileTruth};
 
 /// Everything recorded for one stamp.
@@ -28,29 +29,30 @@ pub type Run = BTreeMap<i128, Moment>;
 /// # Errors
 /// If the file can't be read or a message is not what its topic says.
 pub fn read(path: &Path) -> Result<Run> {
-    let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
     let mut run = Run::new();
-    for message in mcap::MessageStream::new(&bytes)? {
-        let message = message.with_context(|| path.display().to_string())?;
-        let topic = message.channel.topic.as_str();
-        match topic {
+    let lost = for_each_message(path, |_, message| {
+        match message.topic {
             topics::IMAGE => {
-                let image = Image::from_cdr(&message.data).context(topics::IMAGE)?;
+                let image = Image::from_cdr(message.payload)?;
                 let stamp = stamp(&image.header);
                 run.entry(stamp).or_default().image = Some(image);
             }
             topics::TACTILE => {
-                let frame = TactileFrame::from_cdr(&message.data).context(topics::TACTILE)?;
+                let frame = TactileFrame::from_cdr(message.payload)?;
                 let stamp = stamp(&frame.header);
                 run.entry(stamp).or_default().predicted = Some(frame);
             }
             topics::TRUTH => {
-                let truth = TactileTruth::from_cdr(&message.data).context(topics::TRUTH)?;
+                let truth = TactileTruth::from_cdr(message.payload)?;
                 let stamp = stamp(&truth.frame.header);
                 run.entry(stamp).or_default().truth = Some(truth);
             }
             _ => {}
         }
+        Ok(())
+    })?;
+    if let Some(lost) = lost.first() {
+        bail!("{}: damaged at byte {}: {}", path.display(), lost.offset, lost.reason);
     }
     Ok(run)
 }

@@ -1,28 +1,32 @@
-//! A bag put together anew: its own records, and touch beside its images.
+//! Labels of a bag: a copy of its records, with touch beside the images.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use super::super::journal::Label;
-use super::super::output::{Journals, Output};
-use super::super::prefetch::ahead;
-use super::super::provenance::NAME;
-use super::super::summary::About;
-use super::note::{ImageHead, Original, Originals};
-use super::{Bag, Channels};
-use crate::dataset::mcap::{
-    BagFile, BagTopic, CopyWriter, Piece, Record, Records, Skeleton, bag_files, metadata_yaml, op, put_text, survey,
+use super::images::Bag;
+use super::messages::Channels;
+use super::note::{ImageHead, OriginalPiece, OriginalPieces};
+use super::{
+    BagFile, BagTopic, ChunkOutline, CopyWriter, Piece, Record, Records, bag_files, metadata_yaml, op, put_text, survey,
 };
+use crate::dataset::base_name;
+use crate::dataset::label_frame::LabelFrame;
+use crate::dataset::label_info::LabelInfo;
+use crate::dataset::labels::{LabelOutput, SourceLabels, next_label};
+use crate::dataset::prefetch::prefetch;
+use crate::dataset::provenance::PROVENANCE_KEY;
 use crate::error::{Error, Result};
 use crate::message::{Header, Message, TactileFrame};
 
-impl Output for Bag {
-    fn assemble(&self, journals: &Journals, about: &mut About, at: &Path, out: &Path) -> Result<()> {
+/// Default topic of the labels: the predictor's own.
+pub const TOPIC: &str = "/predictor/tactile";
+
+impl LabelOutput for Bag {
+    fn assemble(&self, labels: &dyn SourceLabels, info: &mut LabelInfo, at: &Path, out: &Path) -> Result<()> {
         let bare = self.files.len() == 1 && out.extension().is_some_and(|extension| extension == "mcap");
         if bare {
-            let mut labels = TactileMessages::new(self, 0);
-            labels.copy(journals, at, about)?;
+            TactileMessages::new(self, 0, 0).copy(labels, at, info)?;
             return Ok(());
         }
         if at.exists() {
@@ -32,14 +36,13 @@ impl Output for Bag {
         let (mut files, mut topics) = (Vec::new(), BTreeMap::<String, BagTopic>::new());
         let mut sequence = 0;
         for index in 0..self.files.len() {
-            let mut messages = TactileMessages::new(self, index);
-            messages.sequence = sequence;
+            let mut messages = TactileMessages::new(self, index, sequence);
             let name = match (&self.folder, out.file_name()) {
-                // As rosbag2 names the file of a bag.
-                (None, Some(out)) => format!("{}_{index}.mcap", out.to_string_lossy()),
+                // The name that rosbag2 gives the file of a bag.
+                (None, Some(_)) => format!("{}_{index}.mcap", base_name(out)),
                 _ => self.units[index].name.clone(),
             };
-            let writer = messages.copy(journals, &at.join(&name), about)?;
+            let writer = messages.copy(labels, &at.join(&name), info)?;
             sequence = messages.sequence;
             let messages = writer.counts().values().sum();
             files.push(BagFile { path: name, times: writer.times(), messages });
@@ -54,13 +57,13 @@ impl Output for Bag {
         self.copy_others(at)
     }
 
-    fn about(&self, out: &Path) -> Option<About> {
-        about(out)
+    fn info(&self, out: &Path) -> Option<LabelInfo> {
+        read_info(out)
     }
 }
 
 impl Bag {
-    /// Files of the bag's folder that are neither recordings nor metadata: notes, calibration.
+    /// Copies files of the bag's folder that are neither recordings nor metadata, such as notes and calibration.
     fn copy_others(&self, to: &Path) -> Result<()> {
         let Some(folder) = &self.folder else { return Ok(()) };
         for entry in fs::read_dir(folder).map_err(Error::io(folder))?.flatten() {
@@ -74,124 +77,126 @@ impl Bag {
     }
 }
 
-/// What a labelled bag says about its labels.
-pub fn about(bag: &Path) -> Option<About> {
+/// Reads the description of the labels in a bag; None without one.
+pub fn read_info(bag: &Path) -> Option<LabelInfo> {
     let survey = survey(bag_files(bag).ok()?.last()?).ok()?;
-    serde_json::from_str(survey.metadata.get(NAME)?.get("about")?).ok()
+    serde_json::from_str(survey.metadata.get(PROVENANCE_KEY)?.get("about")?).ok()
 }
 
-/// The labels of one unit, as they are read.
-type Labels<'a> = dyn Iterator<Item = Result<Label>> + 'a;
+/// The labels of one unit in order.
+type Labels<'a> = dyn Iterator<Item = Result<LabelFrame>> + 'a;
 
-/// Copies one file of a bag and puts labels beside its images.
+/// Copies one file of a bag and adds a label after each of its images.
 struct TactileMessages<'a> {
     bag: &'a Bag,
     index: usize,
     channels: Channels,
     channel: u16,
     schema: u16,
-    // Whether schema and channel are written.
+    /// True once schema and channel are written.
     announced: bool,
+    /// Sequence number of the next label.
     sequence: u64,
 }
 
 impl<'a> TactileMessages<'a> {
-    fn new(bag: &'a Bag, index: usize) -> Self {
+    fn new(bag: &'a Bag, index: usize, sequence: u64) -> Self {
         let survey = &bag.surveys[index];
+        // Ids above those in use.
         let free = |used: Option<&u16>| used.map_or(1, |last| last.saturating_add(1));
         Self {
             bag,
             index,
-            channels: Channels::new(&bag.topic),
+            channels: Channels::default(),
             channel: free(survey.topics.keys().last()),
             schema: free(survey.schemas.keys().last()),
             announced: false,
-            sequence: 0,
+            sequence,
         }
     }
 
-    fn copy(&mut self, journals: &Journals, to: &Path, about: &mut About) -> Result<CopyWriter> {
+    /// Copies the file to `to`.
+    fn copy(&mut self, labels: &dyn SourceLabels, to: &Path, info: &mut LabelInfo) -> Result<CopyWriter> {
         let file = &self.bag.files[self.index];
-        let (original, labels) = (Records::open(file)?, journals.labels(self.index)?);
-        let pieces = Originals::new(Records::open(file)?, journals.heads(self.index)?);
+        let pieces = OriginalPieces::new(Records::open(file)?, labels.notes(self.index)?);
+        let (original, labels) = (Records::open(file)?, labels.labels(self.index)?);
         let mut out = CopyWriter::create(to, self.bag.surveys[self.index].chunked)?;
-        // Reading, and unpacking what has no note, takes as long as writing.
-        ahead(pieces, |pieces| {
-            ahead(labels, |labels| {
+        // Reading and unpacking take as long as writing, so each runs on its own thread.
+        prefetch(pieces, |pieces| {
+            prefetch(labels, |labels| {
                 for piece in pieces {
                     out.flush_if_full()?;
                     match piece? {
-                        Original::Piece(piece) => self.piece(&piece, &original, about, labels, &mut out)?,
-                        Original::Noted(body, note) => {
-                            // Chunks without a note may come after this one, with messages of its channels.
+                        OriginalPiece::Piece(piece) => self.piece(&piece, &original, info, labels, &mut out)?,
+                        OriginalPiece::Noted(body, note) => {
+                            // Later chunks without a note may hold messages of these channels.
                             for (opcode, body) in &note.skeleton.definitions {
-                                self.channels.image(*opcode, body);
+                                self.channels.define(*opcode, body);
                             }
                             out.chunk(&body, note.skeleton)?;
-                            note.images.iter().try_for_each(|image| self.write(image, about, labels, &mut out))?;
+                            note.images.iter().try_for_each(|image| self.write(image, info, labels, &mut out))?;
                         }
                     }
                 }
                 match labels.next().transpose()? {
                     Some(extra) => {
-                        let got = format!("a label at {} s without one", extra.stamp_secs);
+                        let got = format!("a label at {} s without an image", extra.stamp_secs);
                         Err(Error::value(&self.bag.units[self.index].name, "the images that were labelled", got))
                     }
                     None => Ok(()),
                 }
             })
         })?;
-        out.record(op::METADATA, &metadata(about)?)?;
+        out.record(op::METADATA, &metadata(info)?)?;
         out.finish()?;
         Ok(out)
     }
 
-    /// Copies a piece of the file `original`, and writes the labels of its images.
+    /// Copies a piece of the file `original` and writes the labels of its images.
     fn piece(
         &mut self,
         piece: &Piece,
         original: &Records,
-        about: &mut About,
+        info: &mut LabelInfo,
         labels: &mut Labels,
         out: &mut CopyWriter,
     ) -> Result<()> {
         match piece {
-            Piece::Lost(damage) => about.summary.lost.push(damage.clone()),
-            // Made anew: damage may have taken some of them, and what they point to.
+            Piece::Lost(damage) => info.summary.lost.push(damage.clone()),
+            // `CopyWriter` writes new message indexes: damage may have destroyed some, or the chunks they refer to.
             Piece::Record(Record { opcode: op::MESSAGE_INDEX, .. }, _) => {}
             Piece::Record(record, _) if record.opcode == op::ATTACHMENT => {
                 if !out.attachment(original.file(), record)? {
-                    about.summary.lost.push(original.lost(record, "an attachment whose checksum is wrong"));
+                    info.summary.lost.push(original.lost(record, "an attachment whose checksum is wrong"));
                 }
             }
             Piece::Record(record, body) => out.record(record.opcode, body)?,
             Piece::Chunk(_, content) => match &content.lost {
-                None => out.chunk(content.body(), Skeleton::of(content.records()))?,
-                // What a chunk without end still gives becomes a whole one.
+                None => out.chunk(content.body(), ChunkOutline::of(content.records()))?,
+                // The readable records of a truncated chunk go into a new chunk.
                 Some(lost) => {
-                    about.summary.lost.push(lost.clone());
+                    info.summary.lost.push(lost.clone());
                     piece.records().try_for_each(|(opcode, body)| out.record(opcode, body))?;
                 }
             },
         }
         for (opcode, body) in piece.records() {
-            if let Some(image) = self.channels.image(opcode, body) {
-                self.write(&ImageHead::of(&image), about, labels, out)?;
+            let message = self.channels.message(opcode, body).filter(|message| message.topic == self.bag.topic);
+            if let Some(head) = message.map(|message| ImageHead::of(&message)) {
+                self.write(&head, info, labels, out)?;
             }
         }
         Ok(())
     }
 
-    /// Writes the label that belongs to an image's message.
-    fn write(&mut self, image: &ImageHead, about: &About, labels: &mut Labels, out: &mut CopyWriter) -> Result<()> {
-        let label = labels.next().transpose()?.ok_or_else(|| {
-            Error::value(&self.bag.units[self.index].name, "the images that were labelled", "more of them")
-        })?;
+    /// Writes the label of an image.
+    fn write(&mut self, image: &ImageHead, info: &LabelInfo, labels: &mut Labels, out: &mut CopyWriter) -> Result<()> {
+        let label = next_label(labels, &self.bag.units[self.index].name)?;
         if !self.announced {
             self.announce(out)?;
             self.announced = true;
         }
-        let mut frame = tactile_frame(image.header(), &label, about)?;
+        let mut frame = tactile_frame(image.header(), &label, info)?;
         frame.sequence = self.sequence;
         let mut body = self.channel.to_le_bytes().to_vec();
         body.extend_from_slice(&(self.sequence as u32).to_le_bytes());
@@ -222,9 +227,9 @@ impl<'a> TactileMessages<'a> {
     }
 }
 
-/// The message of a label; without hands if there is none, which says that there is no result for this image.
-pub(in crate::label) fn tactile_frame(header: Header, label: &Label, about: &About) -> Result<TactileFrame> {
-    let (model_id, topology) = (about.provenance.model_id(), about.provenance.topology.id().to_string());
+/// Returns the message of a label. Without a label the message has no hands, which means no result for this image.
+pub(super) fn tactile_frame(header: Header, label: &LabelFrame, info: &LabelInfo) -> Result<TactileFrame> {
+    let (model_id, topology) = (info.provenance.model_id(), info.provenance.topology.id().to_string());
     Ok(match &label.touch {
         Ok(field) => {
             TactileFrame { model_id, warming_up: label.warming_up, ..TactileFrame::from_field(header, field)? }
@@ -241,13 +246,13 @@ pub(in crate::label) fn tactile_frame(header: Header, label: &Label, about: &Abo
     })
 }
 
-/// The metadata record that says where the labels come from.
-fn metadata(about: &About) -> Result<Vec<u8>> {
-    let json = serde_json::to_string(about).map_err(|e| Error::value(NAME, "JSON", e))?;
+/// Returns the metadata record that describes the labels.
+fn metadata(info: &LabelInfo) -> Result<Vec<u8>> {
+    let json = serde_json::to_string(info).map_err(|e| Error::value(PROVENANCE_KEY, "JSON", e))?;
     let mut body = Vec::new();
-    put_text(&mut body, NAME);
+    put_text(&mut body, PROVENANCE_KEY);
     let mut map = Vec::new();
-    let provenance = &about.provenance;
+    let provenance = &info.provenance;
     let entries = [
         ("about", json.as_str()),
         ("model", &provenance.model),
@@ -264,7 +269,7 @@ fn metadata(about: &About) -> Result<Vec<u8>> {
     Ok(body)
 }
 
-/// Topics of a written file as `metadata.yaml` names them.
+/// Returns the topics of a written file as `metadata.yaml` lists them.
 fn topics_of(writer: &CopyWriter) -> Vec<BagTopic> {
     let type_of = |id: u16| match writer.schemas().get(&id).map(|body| mcap::parse_record(op::SCHEMA, body)) {
         Some(Ok(mcap::records::Record::Schema { header, .. })) => header.name,

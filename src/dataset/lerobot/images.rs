@@ -1,36 +1,31 @@
-//! LeRobot data sets: touch as further columns, with their statistics.
-
-mod columns;
-mod output;
+//! LeRobot data sets as image sources, one unit per episode.
 
 use std::path::Path;
 
-use super::source::{Picture, Shot, Shots, Source, Unit};
-use crate::dataset::lerobot::{Camera, Episode, LeRobot, Row};
-use crate::dataset::video::Frames;
+use super::{Camera, Episode, LeRobot, Row};
+use crate::dataset::source::{EncodedImage, ImageSource, SourceFrame, SourceFrames, Unit};
+use crate::dataset::video::VideoFrames;
 use crate::error::{Error, Result};
 
-pub use output::about;
-
-/// Prefix of the columns. Policies ignore what begins neither with `observation` nor with `action`.
+/// Default prefix of the new columns. Policies ignore names that begin neither with `observation` nor with `action`.
 pub const PREFIX: &str = "tactile";
 
-/// A data set whose images are labelled: one unit per episode.
+/// A data set whose images are labelled.
 #[derive(Debug)]
 pub struct LeRobotDataset {
-    dataset: LeRobot,
+    pub(super) dataset: LeRobot,
     camera: String,
     kind: Camera,
-    prefix: String,
+    pub(super) prefix: String,
     units: Vec<Unit>,
 }
 
 impl LeRobotDataset {
-    /// Opens the data set at `root`. Images come from `camera`, or from the only one; columns are called `prefix.force` and
-    /// so on.
+    /// Opens the data set at `root`. Images come from `camera`, by default the only one; the new columns are named
+    /// `prefix.force` and so on.
     ///
     /// # Errors
-    /// If it can't be read, there is no such camera or no single one, or there are such columns already.
+    /// If it can't be read, `camera` does not exist or is ambiguous, or columns with this prefix exist already.
     pub fn open(root: &Path, camera: Option<&str>, prefix: &str) -> Result<Self> {
         let dataset = LeRobot::open(root)?;
         let cameras = dataset.cameras();
@@ -62,70 +57,70 @@ impl LeRobotDataset {
         Ok(Self { camera: camera.clone(), kind: *kind, prefix: prefix.to_string(), units, dataset })
     }
 
-    /// The camera's key.
+    /// Returns the camera's key.
     pub fn camera(&self) -> &str {
         &self.camera
     }
 
-    /// The columns' prefix.
+    /// Returns the prefix of the new columns.
     pub fn prefix(&self) -> &str {
         &self.prefix
     }
 
-    fn video_shots(&self, episode: &Episode, from: usize) -> Result<Shots<'_>> {
+    /// Returns the rows of an episode with the video frames nearest to their times.
+    fn video_frames(&self, episode: &Episode, from: usize) -> Result<SourceFrames<'_>> {
         let Some((path, start)) = self.dataset.video_file(&self.camera, episode) else {
             return Err(Error::file(&self.dataset.root, format!("episode {} has no video", episode.index)));
         };
+        // A video frame belongs to a row if their times differ by at most half a frame.
         let half = 0.5 / self.dataset.fps;
         let mut rows = self.dataset.rows(episode, None, from)?.peekable();
         let first = rows.peek().and_then(|row| row.as_ref().ok()).map_or(0.0, |row| row.timestamp);
-        // A video that lacks is damage: its frames get no label.
+        // A missing video is damage: the rows get no label.
         let mut frames = match path.exists() {
-            true => Some(Frames::open(&path, Some((start + first - half).max(0.0)))?.peekable()),
+            true => Some(VideoFrames::open(&path, Some((start + first - half).max(0.0)))?.peekable()),
             false => None,
         };
-        let shot = move |row: Result<Row>| {
+        let frame = move |row: Result<Row>| {
             let row = match row {
                 Ok(row) => row,
-                Err(error) => {
-                    return Shot { stamp_secs: f64::NAN, offset: None, picture: Err(error.to_string()), note: None };
-                }
+                Err(error) => return SourceFrame::new(f64::NAN, Err(error.to_string())),
             };
             let wanted = start + row.timestamp;
-            let mut picture = Err(format!("{}: no frame at {wanted:.3} s", path.display()));
+            let mut image = Err(format!("{}: no frame at {wanted:.3} s", path.display()));
             while let Some(frame) = frames.as_mut().and_then(|frames| {
                 frames.next_if(|frame| frame.as_ref().map_or(true, |(stamp, _)| *stamp <= wanted + half))
             }) {
                 match frame {
-                    Ok((stamp, image)) if (stamp - wanted).abs() <= half => picture = Ok(Picture::Pixels(image)),
+                    Ok((stamp, pixels)) if (stamp - wanted).abs() <= half => image = Ok(EncodedImage::Pixels(pixels)),
                     Ok(_) => continue,
-                    Err(error) => picture = Err(error.to_string()),
+                    Err(error) => image = Err(error.to_string()),
                 }
                 break;
             }
-            Shot { stamp_secs: row.timestamp, offset: None, picture, note: None }
+            SourceFrame::new(row.timestamp, image)
         };
-        Ok(Box::new(rows.map(shot)))
+        Ok(Box::new(rows.map(frame)))
     }
 }
 
-impl Source for LeRobotDataset {
+impl ImageSource for LeRobotDataset {
     fn units(&self) -> &[Unit] {
         &self.units
     }
 
-    fn shots(&self, unit: usize, from: usize) -> Result<Shots<'_>> {
+    fn frames(&self, unit: usize, from: usize) -> Result<SourceFrames<'_>> {
         let episode = &self.dataset.episodes[unit];
         if self.kind == Camera::Video {
-            return self.video_shots(episode, from);
+            return self.video_frames(episode, from);
         }
         let rows = self.dataset.rows(episode, Some(&self.camera), from)?;
         Ok(Box::new(rows.map(|row| match row {
             Ok(row) => {
-                let picture = row.image.map(Picture::File).ok_or_else(|| "the row has no image".to_string());
-                Shot { stamp_secs: row.timestamp, offset: None, picture, note: None }
+                let image = row.image.map(EncodedImage::File).ok_or_else(|| "the row has no image".to_string());
+                SourceFrame::new(row.timestamp, image)
             }
-            Err(error) => Shot { stamp_secs: f64::NAN, offset: None, picture: Err(error.to_string()), note: None },
+            Err(error) => SourceFrame::new(f64::NAN, Err(error.to_string())),
         })))
     }
 }

@@ -1,29 +1,29 @@
-//! The columns that labels become.
+//! Columns of a LeRobot data set that hold labels.
 
 use serde_json::Value;
 
-use super::super::journal::Label;
-use super::LeRobotDataset;
+use super::images::LeRobotDataset;
+use crate::dataset::label_frame::LabelFrame;
 use crate::hand::{HandModel, Region, Side, Topology};
 use crate::tactile::N_FIELD;
 
-/// A column's values for a label.
-type Values = dyn Fn(&Label) -> Vec<f32>;
+/// Returns the values of a column for a label.
+type Values = dyn Fn(&LabelFrame) -> Vec<f32>;
 
 /// A new column.
 pub struct Column {
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// What an element is, if it has a name.
+    /// Names of the elements, if they have some.
     pub names: Option<Vec<String>>,
-    /// Elements.
+    /// Number of elements.
     pub width: usize,
-    /// The elements' values for a label.
+    /// Returns the values of the elements for a label.
     pub value: Box<Values>,
 }
 
 impl LeRobotDataset {
-    /// Force and contact of each vertex; force of each region where the hand is known.
+    /// Returns the new columns: force and contact of each vertex, and the force of each region if the regions are known.
     pub fn columns(&self, topology: Topology) -> Vec<Column> {
         let field = |name: &str, value: fn(&crate::TactileField) -> &Vec<f32>| Column {
             name: format!("{}.{name}", self.prefix),
@@ -35,7 +35,7 @@ impl LeRobotDataset {
             }),
         };
         let mut columns = vec![field("force", |field| &field.force), field("contact", |field| &field.contact)];
-        // Regions of a MANO hand need its file.
+        // The regions of MANO would need its model file.
         if topology == Topology::EgotacHand1 {
             let names = Side::BOTH
                 .iter()
@@ -51,8 +51,8 @@ impl LeRobotDataset {
     }
 }
 
-/// The Hugging Face types of a table, with those of the new columns: as another list among them has it, since the name of
-/// the type has changed between versions. None if there is no such list.
+/// Adds the new columns to the Hugging Face types of a table. The entry copies that of another list, since the type's name
+/// differs between versions; None if there is no other list.
 pub fn with_types(text: &str, columns: &[Column]) -> Option<String> {
     let mut types: Value = serde_json::from_str(text).ok()?;
     let features = types["info"]["features"].as_object_mut()?;
@@ -66,8 +66,8 @@ pub fn with_types(text: &str, columns: &[Column]) -> Option<String> {
     Some(types.to_string())
 }
 
-/// Sum of the forces on each region, left hand first; NaN where any is unknown.
-fn region_force() -> impl Fn(&Label) -> Vec<f32> {
+/// Sums the forces of each region, left hand first; NaN if one of them is unknown.
+fn region_force() -> impl Fn(&LabelFrame) -> Vec<f32> {
     let regions = Side::BOTH.map(|side| HandModel::builtin(side).regions());
     move |label| {
         let mut sums = vec![0.0f64; 2 * Region::ALL.len()];

@@ -2,27 +2,27 @@
 
 use serde_json::{Map, Value, json};
 
-/// Quantiles that LeRobot expects, and their names.
+/// Names and shares of the quantiles that LeRobot expects.
 pub const QUANTILES: [(&str, f64); 5] = [("q01", 0.01), ("q10", 0.10), ("q50", 0.50), ("q90", 0.90), ("q99", 0.99)];
-/// Frames of an episode that quantiles are computed from at most, evenly spaced: bounds the memory.
+/// Largest number of frames per episode from which quantiles are computed, evenly spaced; bounds the memory.
 const SAMPLES: usize = 4096;
 
-/// Statistics of one episode or several; NaN (unknown) does not count.
+/// Statistics of one or several episodes; NaN (unknown) does not count.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Statistics {
-    /// Frames.
+    /// Number of frames.
     pub count: u64,
     known: Vec<u64>,
     min: Vec<f64>,
     max: Vec<f64>,
     mean: Vec<f64>,
-    // Sum of squared distances from the mean.
+    /// Sum of squared distances from the mean.
     spread: Vec<f64>,
-    // By quantile, then element.
+    /// By quantile, then by element.
     quantiles: Vec<Vec<f64>>,
 }
 
-/// Takes the frames of one episode.
+/// Collects the frames of one episode.
 #[derive(Debug, Clone)]
 pub struct EpisodeStatistics {
     so_far: Statistics,
@@ -31,7 +31,7 @@ pub struct EpisodeStatistics {
 }
 
 impl EpisodeStatistics {
-    /// Of an episode of `frames` frames of `width` elements.
+    /// Starts an episode of `frames` frames with `width` elements each.
     pub fn new(width: usize, frames: usize) -> Self {
         let so_far = Statistics {
             known: vec![0; width],
@@ -44,7 +44,7 @@ impl EpisodeStatistics {
         Self { so_far, samples: Vec::new(), every: frames.div_ceil(SAMPLES).max(1) as u64 }
     }
 
-    /// Takes one frame.
+    /// Adds one frame.
     pub fn push(&mut self, values: &[f32]) {
         let Statistics { count, known, min, max, mean, spread, .. } = &mut self.so_far;
         if count.is_multiple_of(self.every) {
@@ -56,14 +56,14 @@ impl EpisodeStatistics {
             known[element] += 1;
             min[element] = min[element].min(value);
             max[element] = max[element].max(value);
-            // Welford: exact also where the spread is small against the mean.
+            // Welford's algorithm: exact even if the spread is small against the mean.
             let from_mean = value - mean[element];
             mean[element] += from_mean / known[element] as f64;
             spread[element] += from_mean * (value - mean[element]);
         }
     }
 
-    /// The episode's statistics.
+    /// Returns the statistics of the episode.
     pub fn finish(self) -> Statistics {
         let width = self.so_far.known.len();
         let mut quantiles = vec![vec![0.0; width]; QUANTILES.len()];
@@ -81,8 +81,8 @@ impl EpisodeStatistics {
 }
 
 impl Statistics {
-    /// Adds those of a further episode: exact but for quantiles, whose mean over the episodes by length is taken, as
-    /// LeRobot does.
+    /// Adds a further episode. The result is exact except for quantiles, which are averaged over the episodes by their
+    /// lengths, as in LeRobot.
     pub fn add(&mut self, other: &Self) {
         if self.count == 0 {
             *self = other.clone();
@@ -105,8 +105,8 @@ impl Statistics {
         self.count += other.count;
     }
 
-    /// Named lists, as the columns `stats/FEATURE/NAME` hold them; zeros where nothing is known, so that no policy's
-    /// normalisation meets NaN.
+    /// Returns the statistics by name, as the columns `stats/FEATURE/NAME` hold them. Elements that are never known are 0,
+    /// so that normalisation in policies meets no NaN.
     pub fn lists(&self) -> Vec<(&'static str, Vec<f64>)> {
         let known = |values: &[f64]| -> Vec<f64> {
             values.iter().zip(&self.known).map(|(value, known)| if *known > 0 { *value } else { 0.0 }).collect()
@@ -127,7 +127,7 @@ impl Statistics {
         lists
     }
 
-    /// As `meta/stats.json` holds them.
+    /// Returns the statistics as `meta/stats.json` holds them.
     pub fn json(&self) -> Value {
         let mut map: Map<String, Value> =
             self.lists().into_iter().map(|(name, values)| (name.into(), json!(values))).collect();
@@ -136,7 +136,7 @@ impl Statistics {
     }
 }
 
-/// The quantile of sorted values, linear between them as numpy's; 0 of none.
+/// Returns the quantile of sorted values, interpolated linearly as in numpy; 0 without values.
 fn quantile(sorted: &[f32], share: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return 0.0 };
     let place = share * last as f64;
@@ -150,8 +150,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn episodes_add_up_to_the_whole() {
-        // Formulas whose sums are known: 0..100 in one episode, 100..300 in the other.
+    fn added_episodes_give_the_statistics_of_the_whole() {
+        // Values with known statistics: 0..100 in one episode, 100..300 in the other.
         let part = |range: std::ops::Range<u32>| {
             let mut episode = EpisodeStatistics::new(2, range.len());
             range.for_each(|i| episode.push(&[i as f32, if i % 2 == 0 { f32::NAN } else { 5.0 }]));
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_never_known_is_zero() {
+    fn statistics_of_unknown_values_are_zero() {
         let mut episode = EpisodeStatistics::new(1, 3);
         (0..3).for_each(|_| episode.push(&[f32::NAN]));
         assert!(episode.finish().lists().iter().all(|(_, values)| *values == [0.0]));

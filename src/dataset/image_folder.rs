@@ -1,52 +1,57 @@
-//! A folder of images as a source.
+//! Folders of PNG and JPEG files as image sources.
 
 use std::cmp::Ordering;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::source::{Picture, Shot, Shots, Source, Unit};
+use super::base_name;
+use super::source::{EncodedImage, ImageSource, SourceFrame, SourceFrames, Unit};
 use crate::error::{Error, Result};
 
-/// PNG and JPEG files of a folder, by name: one unit.
+/// PNG and JPEG files in order, as one unit.
 #[derive(Debug)]
-pub struct Images {
+pub struct ImageFolder {
     files: Vec<PathBuf>,
     units: [Unit; 1],
-    frame_secs: f64,
+    step_secs: f64,
 }
 
-impl Images {
-    /// Opens the folder at `path`, whose images follow each other by `frame_secs`.
+impl ImageFolder {
+    /// Opens the folder at `path`; `step_secs` is the time between two images.
     ///
     /// # Errors
-    /// If it can't be read or holds no image.
-    pub fn open(path: &Path, frame_secs: f64) -> Result<Self> {
+    /// If the folder can't be read or holds no image.
+    pub fn open(path: &Path, step_secs: f64) -> Result<Self> {
         let files = image_files(path)?;
-        if files.is_empty() {
-            return Err(Error::file(path, "holds no PNG or JPEG file"));
+        match files.is_empty() {
+            true => Err(Error::file(path, "holds no PNG or JPEG file")),
+            false => Ok(Self::from_files(base_name(path), files, step_secs)),
         }
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    }
+
+    /// Creates a sequence of `files`, which follow each other by `step_secs`.
+    pub fn from_files(name: String, files: Vec<PathBuf>, step_secs: f64) -> Self {
         let units = [Unit { name, frames: Some(files.len()) }];
-        Ok(Self { files, units, frame_secs })
+        Self { files, units, step_secs }
     }
 }
 
-impl Source for Images {
+impl ImageSource for ImageFolder {
     fn units(&self) -> &[Unit] {
         &self.units
     }
 
-    fn shots(&self, _: usize, from: usize) -> Result<Shots<'_>> {
-        let shot = |(index, path): (usize, &PathBuf)| {
-            let named = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
-            let picture = fs::read(path).map(Picture::File).map_err(|error| named(&error));
-            Shot { stamp_secs: index as f64 * self.frame_secs, offset: None, picture, note: None }
+    fn frames(&self, _: usize, from: usize) -> Result<SourceFrames<'_>> {
+        let frame = |(index, path): (usize, &PathBuf)| {
+            let image = fs::read(path).map(EncodedImage::File);
+            let image = image.map_err(|error| format!("{}: {error}", path.display()));
+            SourceFrame::new(index as f64 * self.step_secs, image)
         };
-        Ok(Box::new(self.files.iter().enumerate().skip(from).map(shot)))
+        Ok(Box::new(self.files.iter().enumerate().skip(from).map(frame)))
     }
 }
 
-/// The PNG and JPEG files directly in `folder`, as people order them: frame_2 before frame_10.
+/// Returns the PNG and JPEG files directly in `folder` in natural order: frame_2 before frame_10.
 ///
 /// # Errors
 /// If the folder can't be read.
@@ -54,7 +59,7 @@ pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
         let path = entry.map_err(Error::io(folder))?.path();
-        if is_image(&path) && path.is_file() {
+        if is_image(&path) {
             files.push(path);
         }
     }
@@ -62,12 +67,13 @@ pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-fn is_image(path: &Path) -> bool {
+/// True if `path` is a file with the extension of a PNG or JPEG file.
+pub fn is_image(path: &Path) -> bool {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
-    extension.is_some_and(|extension| ["png", "jpg", "jpeg"].contains(&extension.as_str()))
+    extension.is_some_and(|extension| ["png", "jpg", "jpeg"].contains(&extension.as_str())) && path.is_file()
 }
 
-/// Compares names with numbers in them by the numbers' values.
+/// Compares names by natural order: runs of digits compare by value, everything else by byte.
 fn natural(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (a.as_bytes(), b.as_bytes());
     while let (Some(x), Some(y)) = (left.first(), right.first()) {
@@ -75,7 +81,7 @@ fn natural(a: &str, b: &str) -> Ordering {
             let (number, rest) = digits(left);
             let (other, other_rest) = digits(right);
             (left, right) = (rest, other_rest);
-            // Without leading zeros the longer number is the larger one.
+            // Numbers of any length: without leading zeros, the one with more digits is larger.
             number.len().cmp(&other.len()).then(number.cmp(other))
         } else {
             (left, right) = (&left[1..], &right[1..]);
@@ -88,7 +94,7 @@ fn natural(a: &str, b: &str) -> Ordering {
     left.len().cmp(&right.len()).then_with(|| a.cmp(b))
 }
 
-/// The number that the text begins with, without leading zeros, and the rest.
+/// Splits `text` after its leading number, and removes the number's leading zeros.
 fn digits(text: &[u8]) -> (&[u8], &[u8]) {
     let end = text.iter().position(|byte| !byte.is_ascii_digit()).unwrap_or(text.len());
     let start = text[..end].iter().position(|byte| *byte != b'0').unwrap_or(end);

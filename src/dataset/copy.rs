@@ -1,4 +1,4 @@
-//! Copies of files into an output that is being put together; an attempt that was killed goes on.
+//! File copies into an unfinished output, which a later attempt can resume.
 
 use std::fs;
 use std::fs::File;
@@ -6,27 +6,27 @@ use std::path::Path;
 
 use crate::error::{Error, Result};
 
-/// Copies the folder `from` into `to`. A file that is there already stays: if `partly`, only one that is as long, for the
-/// copy of before; otherwise any, for what was written anew.
+/// Copies the folder `from` into `to`. With `resume`, the copy skips files of `to` that have the size of the original;
+/// otherwise it skips every existing file, since the caller wrote those.
 ///
 /// # Errors
-/// If something can't be read or written.
-pub(crate) fn copy_folder(from: &Path, to: &Path, partly: bool) -> Result<()> {
+/// If a file can't be read or written.
+pub(crate) fn copy_folder(from: &Path, to: &Path, resume: bool) -> Result<()> {
     fs::create_dir_all(to).map_err(Error::io(to))?;
     for entry in fs::read_dir(from).map_err(Error::io(from))? {
         let entry = entry.map_err(Error::io(from))?;
         let (source, path) = (entry.path(), to.join(entry.file_name()));
         let metadata = fs::metadata(&source).map_err(Error::io(&source))?;
         if metadata.is_dir() {
-            copy_folder(&source, &path, partly)?;
-        } else if partly || !path.exists() {
+            copy_folder(&source, &path, resume)?;
+        } else if resume || !path.exists() {
             copy_file(&path, metadata.len(), |file| std::io::copy(&mut File::open(&source)?, file))?;
         }
     }
     Ok(())
 }
 
-/// Writes `path` unless it is there with its size; under another name until it is whole.
+/// Writes `path` by way of a temporary name, unless it exists with `size` bytes.
 ///
 /// # Errors
 /// If `write` fails, or the file can't be written.
@@ -41,9 +41,22 @@ pub(super) fn copy_file(path: &Path, size: u64, write: impl FnOnce(&mut File) ->
     partial.push(".partial");
     let mut file = File::create(&partial).map_err(Error::io(&partial))?;
     if let Err(error) = write(&mut file) {
-        // What was written is of no use; the first error says more than one about the removal.
+        // Ignore a failed removal: the first error says more.
         let _ = fs::remove_file(&partial);
         return Err(Error::io(path)(error));
     }
     fs::rename(&partial, path).map_err(Error::io(path))
+}
+
+/// Removes a file or folder that an earlier, killed attempt left.
+///
+/// # Errors
+/// If it can't be removed.
+pub(super) fn remove(at: &Path) -> Result<()> {
+    let removed = match at.symlink_metadata() {
+        Ok(there) if there.is_dir() => fs::remove_dir_all(at),
+        Ok(_) => fs::remove_file(at),
+        Err(_) => Ok(()),
+    };
+    removed.map_err(Error::io(at))
 }

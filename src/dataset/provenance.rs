@@ -1,4 +1,4 @@
-//! What every labelled data set says about its labels.
+//! Origin and meaning of labels.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,51 +6,51 @@ use crate::hand::Topology;
 use crate::model::{Precision, Predictor};
 use crate::tactile::CONTACT_FORCE_N;
 
-/// Name under which outputs hold a [`Provenance`]: an attribute of a store, a metadata record of a bag, and so on.
-pub const NAME: &str = "egotac_labels";
-/// A vertex counts as touched above this probability.
+/// Name under which outputs hold a [`super::LabelInfo`]: an attribute of a store, a metadata record of a bag, and so on.
+pub const PROVENANCE_KEY: &str = "egotac_labels";
+/// Probability above which a vertex is predicted as touched.
 pub const CONTACT_THRESHOLD: f64 = 0.5;
 
-/// Where labels come from and what they mean. Equal provenance means equal labels of equal images.
+/// Origin and meaning of labels. Equal provenance means equal labels of equal images.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// Program that made the labels.
     pub producer: String,
-    /// Its version.
+    /// Version of the program.
     pub version: String,
-    /// The network's name.
+    /// Name of the network.
     pub model: String,
-    /// SHA-256 of its file.
+    /// SHA-256 of the network's file.
     pub model_sha256: String,
-    /// Number format that it ran in.
+    /// Number format of the network.
     pub precision: String,
-    /// What a vertex index means.
+    /// Meaning of vertex indices.
     pub topology: Topology,
-    /// The hand model's name, for people.
+    /// Name of the hand model, for people.
     pub hand_model: String,
-    /// Images per observation window.
+    /// Number of images in the observation window.
     pub horizon: usize,
     /// Time between two images of the window, s.
     pub frame_dt: f64,
-    /// Whether forces are known; if not, they are NaN.
+    /// True if forces are known; otherwise they are NaN.
     pub has_force: bool,
-    /// What counts as touch.
+    /// Thresholds of contact.
     pub thresholds: Thresholds,
-    /// What was labelled: the input's name, and the choices that decide which images were read and how.
+    /// The input's name, and the choices that decide which images are read and how.
     pub source: Vec<String>,
 }
 
-/// What counts as touch.
+/// Thresholds of contact.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Thresholds {
-    /// A vertex is predicted as touched above this probability.
+    /// Probability above which a vertex is predicted as touched.
     pub contact: f64,
-    /// A vertex is touched in truth above this force, N.
+    /// True force above which a vertex is touched, N.
     pub contact_force: f64,
 }
 
 impl Provenance {
-    /// Of labels by `predictor`.
+    /// Creates the provenance of labels by `predictor`.
     pub fn of(predictor: &Predictor, precision: Precision, source: Vec<String>) -> Self {
         let metadata = predictor.metadata();
         let hand_model = match metadata.topology {
@@ -70,14 +70,14 @@ impl Provenance {
             has_force: metadata.has_force,
             thresholds: Thresholds {
                 contact: CONTACT_THRESHOLD,
-                // By its shortest decimal: 0.05, not the f32 nearest to it.
+                // The shortest decimal: 0.05, not the f32 nearest to it.
                 contact_force: CONTACT_FORCE_N.to_string().parse().unwrap_or(f64::from(CONTACT_FORCE_N)),
             },
             source,
         }
     }
 
-    /// The id that messages carry: name and first digits of the hash.
+    /// Returns the model id of messages: name and first digits of the hash.
     pub fn model_id(&self) -> String {
         format!("{}/{}", self.model, self.model_sha256.get(..12).unwrap_or(&self.model_sha256))
     }
