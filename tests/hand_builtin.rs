@@ -278,6 +278,21 @@ fn rigid_motion_moves_the_posed_hand_rigidly() {
 }
 
 #[test]
+fn joints_alone_are_bit_equal_to_those_of_the_posed_hand() {
+    for side in Side::BOTH {
+        let hand = HandModel::builtin(side);
+        for angle in [0.0, 0.4, -1.1] {
+            let mut params = bent(angle);
+            params.betas = std::array::from_fn(|beta| angle * (beta as f32 - 4.0));
+            params.global_orient = Vec3::new(angle, 0.3, -0.2);
+            params.transl = Vec3::new(0.1, -0.2, 0.3);
+            let bits = |joints: [Vec3; N_JOINTS]| joints.map(|joint| joint.to_array().map(f32::to_bits));
+            assert_eq!(bits(hand.joints(&params)), bits(hand.forward(&params).joints), "{side:?} {angle}");
+        }
+    }
+}
+
+#[test]
 fn bones_keep_their_length_in_any_pose() {
     let hand = HandModel::builtin(Side::Right);
     let params = bent(1.2);

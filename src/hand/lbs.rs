@@ -15,8 +15,20 @@ struct Rigid {
     translation: Vector3<f64>,
 }
 
-/// Poses `model`; computed in f64, given in f32.
-pub(super) fn forward(model: &HandModel, params: &HandParams) -> PosedHand {
+/// Joints at rest and in a pose, before `transl`, and the rotations between them.
+struct Skeleton {
+    /// Template plus shape blend shapes, (778), m.
+    shaped: Vec<Vector3<f64>>,
+    /// Joints of the shaped hand at rest, m.
+    rest_joints: [Vector3<f64>; N_JOINTS],
+    /// Rotation of each joint relative to its parent.
+    local: [Matrix3<f64>; N_JOINTS],
+    /// Rotation and position of each posed joint in the hand's frame.
+    world: [Rigid; N_JOINTS],
+}
+
+/// Poses the joints of `model` without its vertices.
+fn skeleton(model: &HandModel, params: &HandParams) -> Skeleton {
     let shaped = shaped_vertices(model, &params.betas);
     let rest_joints = regress_joints(model, &shaped);
     let mut local = [Matrix3::identity(); N_JOINTS];
@@ -25,6 +37,18 @@ pub(super) fn forward(model: &HandModel, params: &HandParams) -> PosedHand {
         local[joint + 1] = rotation_from_axis_angle(*axis_angle);
     }
     let world = rigid_chain(&model.parents, &rest_joints, &local);
+    Skeleton { shaped, rest_joints, local, world }
+}
+
+/// Computes the joints of `model` alone, (16), m: the same numbers as [`forward`], without skinning.
+pub(super) fn joints(model: &HandModel, params: &HandParams) -> [Vec3; N_JOINTS] {
+    let transl = vector(params.transl);
+    skeleton(model, params).world.map(|motion| vec3(motion.translation + transl))
+}
+
+/// Poses `model`; computes in f64 and returns f32.
+pub(super) fn forward(model: &HandModel, params: &HandParams) -> PosedHand {
+    let Skeleton { shaped, rest_joints, local, world } = skeleton(model, params);
     let transl = vector(params.transl);
 
     // Motion of rest space with each joint: first carry the joint to the origin, then pose it.

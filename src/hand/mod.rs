@@ -185,6 +185,11 @@ impl HandModel {
         lbs::forward(self, params)
     }
 
+    /// Computes the 16 joints of the posed hand, m: the same numbers as [`Self::forward`], without skinning a vertex.
+    pub fn joints(&self, params: &HandParams) -> [Vec3; N_JOINTS] {
+        lbs::joints(self, params)
+    }
+
     /// The 21 keypoints of a hand posed by this model, m: wrist, then thumb, index, middle, ring, little, each from base
     /// to tip. Tips are vertices, the rest are joints.
     pub fn keypoints(&self, posed: &PosedHand) -> [Vec3; N_KEYPOINTS] {

@@ -54,9 +54,6 @@ impl Region {
         Self::Dorsal,
     ];
 
-    /// The five fingertips, thumb to little finger.
-    pub const TIPS: [Region; 5] = [Self::ThumbTip, Self::IndexTip, Self::MiddleTip, Self::RingTip, Self::LittleTip];
-
     /// The name files, messages and tables carry, e.g. `thumb_tip`.
     pub fn name(self) -> &'static str {
         match self {
