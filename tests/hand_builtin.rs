@@ -351,7 +351,7 @@ fn generator_still_makes_the_committed_surface() {
     assert!(edges(&made.faces).values().all(|&count| count == 2));
     assert_eq!(made.v_template.len() + made.faces.len(), edges(&made.faces).len() + 2);
     // Rounding may connect other vertices; every committed vertex must still lie on the generator's surface.
-    let surface = build::Surface::new();
+    let surface = build::ImplicitHand::new();
     for vertex in committed.v_template.iter().chain(&made.v_template) {
         assert!(surface.value(vertex.as_dvec3()).abs() < 2e-6, "{vertex} is off the surface");
     }

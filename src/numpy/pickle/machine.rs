@@ -7,12 +7,12 @@ use std::collections::HashMap;
 use super::literal::{integer, number, python2_string, raw_unicode, text};
 use super::{Id, Outcome, Pickle, Value};
 
-/// Most values a pickle may hold; a MANO file holds some hundreds. Each takes at least one byte of the file.
+/// Largest number of values of a pickle; a MANO file has some hundreds.
 const MAX_VALUES: usize = 1 << 20;
 
-/// Packages whose names are data to [`super::meaning`], or harmless parts of the objects in a MANO file.
+/// Packages whose names may occur: [`super::arrays`] interprets them or ignores them as parts of objects in a MANO file.
 const KNOWN_PACKAGES: [&str; 3] = ["numpy", "scipy.sparse", "chumpy"];
-/// Other names, by themselves.
+/// Further names that may occur.
 const KNOWN_NAMES: [&str; 11] = [
     "copy_reg._reconstructor",
     "copyreg._reconstructor",
@@ -31,13 +31,13 @@ struct Machine<'a> {
     rest: &'a [u8],
     values: Vec<Value<'a>>,
     stack: Vec<Id>,
-    /// Heights of the stack at which marks lie.
+    /// Stack heights at the marks.
     marks: Vec<usize>,
     memo: HashMap<u64, Id>,
 }
 
-/// Runs a whole pickle.
-pub(crate) fn run(bytes: &[u8]) -> Outcome<Pickle<'_>> {
+/// Runs a complete pickle.
+pub(super) fn run(bytes: &[u8]) -> Outcome<Pickle<'_>> {
     let mut machine =
         Machine { rest: bytes, values: Vec::new(), stack: Vec::new(), marks: Vec::new(), memo: HashMap::new() };
     loop {
@@ -49,13 +49,13 @@ pub(crate) fn run(bytes: &[u8]) -> Outcome<Pickle<'_>> {
         machine.step(opcode).map_err(|message| format!("{message} (pickle opcode at byte {at})"))?;
     }
     let root = machine.pop()?;
-    Ok(Pickle { values: machine.values, root, work: Cell::new(0) })
+    Ok(Pickle { values: machine.values, root, n_read: Cell::new(0) })
 }
 
 impl<'a> Machine<'a> {
     fn step(&mut self, opcode: u8) -> Outcome<()> {
         match opcode {
-            // Protocol version and frame length: the opcodes say all.
+            // Protocol version and frame length: neither changes the meaning of later opcodes.
             0x80 => self.fixed::<1>().map(drop),
             0x95 => self.fixed::<8>().map(drop),
 
@@ -217,7 +217,7 @@ impl<'a> Machine<'a> {
                 let (name, module) = (self.pop()?, self.pop()?);
                 match (&self.values[module], &self.values[name]) {
                     (Value::Text(module), Value::Text(name)) => self.global(&module.clone(), &name.clone()),
-                    _ => Err("a name that is no text".into()),
+                    _ => Err("a name that is not text".into()),
                 }
             }
             b'R' | 0x81 => {
@@ -254,7 +254,7 @@ impl<'a> Machine<'a> {
                     other => Err(format!("a state for {}", kind(other))),
                 }
             }
-            _ => Err(format!("opcode {:?} (0x{opcode:02x}) is unknown or needs the outside world", char::from(opcode))),
+            _ => Err(format!("opcode {:?} (0x{opcode:02x}) is not supported", char::from(opcode))),
         }
     }
 
@@ -267,7 +267,7 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    /// The topmost value above the last mark.
+    /// Pops the topmost value above the last mark.
     fn pop(&mut self) -> Outcome<Id> {
         let floor = self.marks.last().copied().unwrap_or(0);
         let top = self.stack.pop().filter(|_| self.stack.len() >= floor);
@@ -288,7 +288,7 @@ impl<'a> Machine<'a> {
     fn append(&mut self, items: Vec<Id>) -> Outcome<()> {
         match self.top()? {
             Value::List(list) => list.extend(items),
-            // An object that is a list in Python (a set made by a call, say); no array hides in it.
+            // An object made by a call, such as a set: no array is read from it, so the items are dropped.
             Value::Call { .. } => {}
             other => return Err(format!("items for {}", kind(other))),
         }
@@ -352,7 +352,7 @@ impl<'a> Machine<'a> {
 
     fn text(&mut self, length: u64) -> Outcome<()> {
         let bytes = self.take(length)?;
-        // Lone surrogates can't be text here, and no key or array of a hand has them.
+        // Rust text cannot hold lone surrogates; no key or array of a hand model has them.
         self.push(Value::Text(String::from_utf8_lossy(bytes).into_owned()))
     }
 
@@ -369,7 +369,7 @@ impl<'a> Machine<'a> {
         Ok(*taken)
     }
 
-    /// Bytes up to the next line end, without it.
+    /// Returns the bytes up to the next line end.
     fn line(&mut self) -> Outcome<&'a [u8]> {
         let end = self.rest.iter().position(|&byte| byte == b'\n').ok_or("the file ends in the middle of a line")?;
         let line = &self.rest[..end];
@@ -378,8 +378,8 @@ impl<'a> Machine<'a> {
     }
 }
 
-/// What a value is, in words.
-pub(crate) fn kind(value: &Value) -> &'static str {
+/// Describes the type of a value.
+pub(super) fn kind(value: &Value) -> &'static str {
     match value {
         Value::None => "None",
         Value::Bool(_) => "a boolean",
