@@ -32,7 +32,7 @@ fn surface_is_closed_and_of_genus_zero() {
     }
 }
 
-/// Whether the faces at each vertex form a single fan, i.e. the surface touches itself at no vertex.
+/// Returns true if the faces at each vertex form a single fan, so that the surface touches itself at no vertex.
 fn every_vertex_has_one_fan(faces: &[[u32; 3]]) -> bool {
     let mut next_around: BTreeMap<u32, BTreeMap<u32, u32>> = BTreeMap::new();
     for &[a, b, c] in faces {

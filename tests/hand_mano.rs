@@ -1,4 +1,4 @@
-//! MANO files load from every form people keep them in, and pose as the `smplx` package does.
+//! MANO files load from all formats in use, and pose as the `smplx` package does.
 //!
 //! Files and golden values: tests/data/hand/make_golden.py.
 
@@ -13,7 +13,7 @@ fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hand").join(name)
 }
 
-/// A fixture, unpacked into a temporary file where it is compressed.
+/// Loads a fixture, decompressed into a temporary file if necessary.
 fn load(name: &str, side: Side) -> HandModel {
     let mut file = tempfile::NamedTempFile::new().unwrap();
     file.write_all(&unpacked(name)).unwrap();
@@ -34,7 +34,7 @@ fn floats(file: &SafeTensors, name: &str) -> Vec<f32> {
     file.tensor(name).unwrap().data().as_chunks().0.iter().copied().map(f32::from_le_bytes).collect()
 }
 
-/// Greatest distance between what `model` makes of the golden parameters and what smplx made, m.
+/// Returns the largest distance between the vertices or joints of `model` and those of smplx for the golden parameters, m.
 fn worst_distance(model: &HandModel, vertices: &str, joints: Option<&str>) -> f32 {
     let bytes = std::fs::read(data("golden.safetensors")).unwrap();
     let file = SafeTensors::deserialize(&bytes).unwrap();
