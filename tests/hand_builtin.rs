@@ -106,7 +106,7 @@ fn intersecting_pairs(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<(usize, usiz
     pairs
 }
 
-/// Whether an edge of `needle` that shares no vertex with `cloth` passes through it.
+/// Returns true if an edge of `needle` that shares no vertex with `cloth` passes through it.
 fn pierces(vertices: &[Vec3], needle: &[u32; 3], cloth: &[u32; 3]) -> bool {
     let coord = |v: u32| {
         let [x, y, z] = vertices[v as usize].to_array().map(f64::from);

@@ -63,28 +63,28 @@ fn worst_distance(model: &HandModel, vertices: &str, joints: Option<&str>) -> f3
 }
 
 #[test]
-fn python2_chumpy_pickle_poses_as_smplx_does() {
+fn python2_chumpy_pickle_poses_as_smplx() {
     let model = load("right_chumpy.pkl.gz", Side::Right);
     let worst = worst_distance(&model, "right_vertices", Some("right_joints"));
     assert!(worst < 2e-6, "{worst} m");
 }
 
 #[test]
-fn npz_poses_as_smplx_does() {
+fn npz_poses_as_smplx() {
     let model = load("right.npz", Side::Right);
     let worst = worst_distance(&model, "right_vertices", Some("right_joints"));
     assert!(worst < 2e-6, "{worst} m");
 }
 
 #[test]
-fn left_hand_keeps_its_shapedirs_as_filed_unless_asked() {
+fn left_shapedirs_change_on_request_only() {
     let mut model = load("left_plain.pkl.gz", Side::Left);
     let worst = worst_distance(&model, "left_vertices", Some("left_joints"));
     assert!(worst < 2e-6, "{worst} m");
     model.fix_left_shapedirs();
     let worst = worst_distance(&model, "left_fixed_vertices", None);
     assert!(worst < 2e-6, "{worst} m");
-    assert!(worst_distance(&model, "left_vertices", None) > 1e-3, "the cure changes nothing");
+    assert!(worst_distance(&model, "left_vertices", None) > 1e-3, "the fix changes nothing");
 }
 
 #[test]
@@ -108,7 +108,7 @@ fn mano_regions_follow_its_joints() {
 }
 
 #[test]
-fn missing_and_misshapen_arrays_are_named() {
+fn missing_arrays_and_wrong_shapes_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, bytes: &[u8]| {
         let path = folder.path().join(name);

@@ -55,7 +55,7 @@ impl Sides {
 ///
 /// # Errors
 /// If an index is out of range, or a coordinate is not finite or beyond [`MAX_COORDINATE`].
-pub fn check(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Result<()> {
+pub(super) fn check(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Result<()> {
     if let Some(bad) = vertices.iter().position(|v| !v.is_finite() || v.abs().max_element() > MAX_COORDINATE) {
         let expected = format!("finite, within {MAX_COORDINATE} m");
         return Err(Error::value(format!("vertex {bad}"), expected, vertices[bad]));
@@ -67,7 +67,7 @@ pub fn check(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Result<()> {
 }
 
 /// Determines the sides of a mesh that passed [`check`].
-pub fn sides(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Sides {
+pub(super) fn sides(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Sides {
     let welded = weld(vertices, triangles);
     // Per edge: number of uses, and uses from its lower to its higher index minus the opposite ones.
     let mut edges: HashMap<(u32, u32), (usize, i64)> = HashMap::new();
@@ -142,7 +142,7 @@ fn inside_out(vertices: &[Vec3], triangles: &[[u32; 3]], welded: &[[u32; 3]]) ->
 ///
 /// The predicates are exact: the sum over a closed surface is the winding number even if the ray meets edges or corners.
 /// For a point on the surface, the sum may be the winding number of either side.
-pub fn crossing([a, b, c]: [Vec3; 3], point: Vec3) -> i32 {
+pub(super) fn crossing([a, b, c]: [Vec3; 3], point: Vec3) -> i32 {
     let flat = |v: Vec3| Coord { x: v.y, y: v.z };
     // Winding number of the triangle's projection onto the yz plane. Both triangles at an edge evaluate the same
     // predicate, so a ray through the edge counts once.
@@ -163,7 +163,7 @@ pub fn crossing([a, b, c]: [Vec3; 3], point: Vec3) -> i32 {
 
 /// Computes the squared distance of a point from a triangle, m²; a triangle without area counts as its longest edge, or
 /// as a point.
-pub fn distance_squared([a, b, c]: [DVec3; 3], point: DVec3) -> f64 {
+pub(super) fn distance_squared([a, b, c]: [DVec3; 3], point: DVec3) -> f64 {
     let (ab, bc, ca) = (b - a, c - b, a - c);
     let normal = ab.cross(-ca);
     let (area, longest) =

@@ -108,7 +108,7 @@ fn check_points(points: &[Vec3]) -> Result<()> {
 
 /// A point of a triangle mesh, in barycentric coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sample {
+pub(super) struct Sample {
     /// Corners of the triangle.
     pub triangle: [u32; 3],
     /// Weights of the second and the third corner; the first corner has the rest to 1.
@@ -117,7 +117,7 @@ pub struct Sample {
 
 impl Sample {
     /// Returns the position of the point on a mesh of these vertices, m.
-    pub fn at(&self, vertices: &[Vec3]) -> Vec3 {
+    pub(super) fn at(&self, vertices: &[Vec3]) -> Vec3 {
         let [a, b, c] = self.triangle.map(|index| vertices[index as usize]);
         a + (b - a) * self.weights[0] + (c - a) * self.weights[1]
     }
@@ -126,7 +126,8 @@ impl Sample {
 /// Resamples a triangle mesh: its vertices, and further points so that neighbours are at most `spacing` apart, m.
 ///
 /// # Errors
-/// As [`samples`].
+/// If `spacing` is not a positive length, an index is out of range, a coordinate is not finite, or there would be more
+/// than four million points.
 pub fn resample(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Result<Vec<Vec3>> {
     Ok(samples(vertices, triangles, spacing)?.iter().map(|sample| sample.at(vertices)).collect())
 }
@@ -134,9 +135,8 @@ pub fn resample(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Resu
 /// Resamples as [`resample`] and returns barycentric coordinates, which stay valid while the mesh bends.
 ///
 /// # Errors
-/// If `spacing` is not a positive length, an index is out of range, a coordinate is not finite, or there would be more
-/// than four million points.
-pub fn samples(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Result<Vec<Sample>> {
+/// As [`resample`].
+pub(super) fn samples(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Result<Vec<Sample>> {
     if !(spacing.is_finite() && spacing > 0.0) {
         return Err(Error::value("spacing", "a positive number of metres", spacing));
     }

@@ -32,7 +32,7 @@ pub(super) fn hand(side: Side) -> HandModel {
 ///
 /// # Errors
 /// If serialisation fails.
-pub fn to_bytes(model: &HandModel) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+pub(crate) fn to_bytes(model: &HandModel) -> Result<Vec<u8>, safetensors::SafeTensorError> {
     let floats = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
     let indices = |values: Vec<u32>| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
     let vertices: Vec<f32> = model.v_template.iter().flat_map(|v| v.to_array()).collect();

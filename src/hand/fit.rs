@@ -58,7 +58,7 @@ pub(super) struct PlaneTarget {
 ///
 /// `targets`: metres, in the order of [`HandModel::keypoints`]. Parameters that keypoints do not determine (twist, girth)
 /// stay at rest.
-pub fn fit_keypoints(model: &HandModel, targets: &[Vec3; N_KEYPOINTS]) -> Fit {
+pub(super) fn fit_keypoints(model: &HandModel, targets: &[Vec3; N_KEYPOINTS]) -> Fit {
     let rest = Fit { params: HandParams::default(), scale: 1.0, residual: f64::INFINITY };
     refine(model, &rest, targets, &[])
 }

@@ -20,8 +20,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::Result;
 
-pub use builtin::to_bytes as builtin_bytes;
-pub use fit::{Fit, fit_keypoints};
+pub(crate) use builtin::to_bytes as builtin_bytes;
+pub use fit::Fit;
 pub use mesh::{edges, vertex_areas, vertex_normals};
 pub use region::Region;
 pub use topology::Topology;

@@ -267,7 +267,7 @@ impl Preset {
     }
 
     /// Returns the gap up to which separated surfaces are reported as contacts without force, m.
-    pub fn near_contact_gap(self) -> f64 {
+    pub(super) fn near_contact_gap(self) -> f64 {
         match self {
             Self::Replay => 0.01,
             _ => 0.0,

@@ -34,7 +34,7 @@ impl World {
     }
 
     /// Returns all bodies that can move.
-    pub fn moving_bodies(&self) -> Vec<Body> {
+    pub(in crate::mujoco) fn moving_bodies(&self) -> Vec<Body> {
         let trees = self.data.model().body_treeid();
         (0..trees.len()).filter(|body| trees[*body] >= 0).map(Body).collect()
     }
