@@ -18,8 +18,8 @@ const LOCK_PAUSE: Duration = Duration::from_millis(10);
 
 /// Writes a file atomically: to a temporary file in the same directory, which then replaces the target.
 ///
-/// Creates missing parent directories and follows symbolic links. Writes directly to a target that is not a regular file,
-/// such as `/dev/stdout`.
+/// Creates missing parent directories and follows symbolic links. Writes directly to a target that is not a regular
+/// file, such as `/dev/stdout`.
 ///
 /// # Errors
 /// If the path has no file name, or writing fails.

@@ -34,7 +34,8 @@ fn floats(file: &SafeTensors, name: &str) -> Vec<f32> {
     file.tensor(name).unwrap().data().as_chunks().0.iter().copied().map(f32::from_le_bytes).collect()
 }
 
-/// Returns the largest distance between the vertices or joints of `model` and those of smplx for the golden parameters, m.
+/// Returns the largest distance between the vertices or joints of `model` and those of smplx for the golden parameters,
+/// m.
 fn worst_distance(model: &HandModel, vertices: &str, joints: Option<&str>) -> f32 {
     let bytes = std::fs::read(data("golden.safetensors")).unwrap();
     let file = SafeTensors::deserialize(&bytes).unwrap();

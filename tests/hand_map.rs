@@ -1,4 +1,5 @@
-//! Fields are transferred between the built-in hand and a MANO file: total force is conserved, positions and regions agree.
+//! Fields are transferred between the built-in hand and a MANO file: total force is conserved, positions and regions
+//! agree.
 //!
 //! The MANO file is the synthetic one of tests/data/hand/make_golden.py: the built-in hand deformed, thickened, rotated
 //! and renumbered, so that the true correspondence is known.

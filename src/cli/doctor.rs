@@ -18,8 +18,8 @@ pub struct Args {
     /// Print JSON instead of a table.
     #[arg(long)]
     json: bool,
-    /// Print the name of the OpenGL renderer. The table runs this in a child process, because a broken OpenGL can end the
-    /// process that opens it.
+    /// Print the name of the OpenGL renderer. The table runs this in a child process, because a broken OpenGL can end
+    /// the process that opens it.
     #[arg(long, hide = true)]
     probe_gl: bool,
 }

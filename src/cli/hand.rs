@@ -41,8 +41,8 @@ enum Command {
 struct Forward {
     #[command(flatten)]
     model: ModelArgs,
-    /// Safetensors with `betas` (B, 10), `global_orient` (B, 3) rad, `hand_pose` (B, 45) rad (full pose, flat hand mean),
-    /// `transl` (B, 3) m.
+    /// Safetensors with `betas` (B, 10), `global_orient` (B, 3) rad, `hand_pose` (B, 45) rad (full pose, flat hand
+    /// mean), `transl` (B, 3) m.
     #[arg(long, value_name = "FILE")]
     params: PathBuf,
     /// Safetensors to write: `vertices` (B, 778, 3) and `joints` (B, 16, 3), f32, m.

@@ -37,8 +37,8 @@ pub struct ForceLabel {
 }
 
 impl ForceLabel {
-    /// Computes the difference between the sums over vertices and over contacts, relative to the latter; without contacts,
-    /// the sum over vertices, N.
+    /// Computes the difference between the sums over vertices and over contacts, relative to the latter; without
+    /// contacts, the sum over vertices, N.
     pub fn sum_residual(&self) -> f64 {
         let sum: f64 = self.force.iter().map(|f| f64::from(*f)).sum();
         if self.total > 0.0 { (sum - self.total).abs() / self.total } else { sum.abs() }

@@ -1,8 +1,8 @@
 //! Closedness, orientation, winding number and distance of triangle meshes.
 //!
-//! A mesh has an inside if the directed edges of its triangles cancel. Each point then has an integer winding number, even
-//! if the mesh has several shells, edges of four triangles, or triangles without area. Vertices at equal positions count
-//! as one.
+//! A mesh has an inside if the directed edges of its triangles cancel. Each point then has an integer winding number,
+//! even if the mesh has several shells, edges of four triangles, or triangles without area. Vertices at equal positions
+//! count as one.
 
 use std::collections::HashMap;
 
@@ -140,8 +140,8 @@ fn inside_out(vertices: &[Vec3], triangles: &[[u32; 3]], welded: &[[u32; 3]]) ->
 /// Computes the contribution of a triangle to the winding number of `point`: 1 if the ray along +x leaves through its
 /// front, -1 if it enters, else 0.
 ///
-/// The predicates are exact: the sum over a closed surface is the winding number even if the ray meets edges or corners.
-/// For a point on the surface, the sum may be the winding number of either side.
+/// The predicates are exact: the sum over a closed surface is the winding number even if the ray meets edges or
+/// corners. For a point on the surface, the sum may be the winding number of either side.
 pub(super) fn crossing([a, b, c]: [Vec3; 3], point: Vec3) -> i32 {
     let flat = |v: Vec3| Coord { x: v.y, y: v.z };
     // Winding number of the triangle's projection onto the yz plane. Both triangles at an edge evaluate the same

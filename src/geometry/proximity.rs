@@ -1,7 +1,7 @@
 //! Label (a): a hand vertex counts as touching if the object is near, with or without pressure.
 //!
-//! The paper's rule is an object *vertex* within 1 cm. It depends on the mesh (a box of 8 vertices labels almost nothing),
-//! so the surface is resampled first, with an explicit spacing.
+//! The paper's rule is an object *vertex* within 1 cm. It depends on the mesh (a box of 8 vertices labels almost
+//! nothing), so the surface is resampled first, with an explicit spacing.
 
 use glam::Vec3;
 use parry3d::bounding_volume::Aabb;

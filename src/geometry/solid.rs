@@ -86,8 +86,8 @@ impl Solid {
 
     /// Returns the signed distance of `point`, m; infinity outside beyond `cutoff`, NaN for a point that is not finite.
     ///
-    /// The distance is exact outside. Inside it is the distance from the surface of one shape, which is a lower bound where
-    /// shapes overlap.
+    /// The distance is exact outside. Inside it is the depth below the surface of one shape, a lower bound of the depth
+    /// where shapes overlap.
     pub fn distance(&self, point: Vec3, cutoff: f32) -> f32 {
         if !point.is_finite() {
             return f32::NAN;

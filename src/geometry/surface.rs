@@ -11,8 +11,8 @@ use crate::error::{Error, Result};
 /// A triangle mesh with exact signed distances.
 ///
 /// The distance is that of the nearest triangle, computed in double precision. It is negative if the winding number,
-/// computed with exact predicates, is above 0; so shells may overlap, touch or lie in one another, and triangles may have
-/// no area. A mesh without a known inside ([`Surface::sides`]) has no negative distances.
+/// computed with exact predicates, is above 0; so shells may overlap, touch or lie in one another, and triangles may
+/// have no area. A mesh without a known inside ([`Surface::sides`]) has no negative distances.
 #[derive(Debug, Clone)]
 pub struct Surface {
     vertices: Vec<Vec3>,
@@ -42,7 +42,8 @@ impl Surface {
         Ok(surface)
     }
 
-    /// Moves the vertices of a surface that bends. The sides stay, because bending neither opens nor reverses a surface.
+    /// Moves the vertices of a surface that bends. The sides stay, because bending neither opens nor reverses a
+    /// surface.
     ///
     /// # Errors
     /// If the number of vertices differs, or a coordinate is not finite or beyond [`mesh::MAX_COORDINATE`].
@@ -75,8 +76,8 @@ impl Surface {
         [self.low, self.high]
     }
 
-    /// Returns the signed distance of `point`, m: negative inside at any depth; infinity outside beyond `cutoff`, which is
-    /// cheap to detect; NaN for a point that is not finite.
+    /// Returns the signed distance of `point`, m: negative inside at any depth; infinity outside beyond `cutoff`, which
+    /// is cheap to detect; NaN for a point that is not finite.
     pub fn distance(&self, point: Vec3, cutoff: f32) -> f32 {
         if !point.is_finite() {
             return f32::NAN;
@@ -91,8 +92,8 @@ impl Surface {
         -near.or_else(|| self.unsigned(point, f32::MAX)).unwrap_or(f32::INFINITY)
     }
 
-    /// Returns the winding number of the surface around `point`: 1 inside, 0 outside, more where shells overlap. Undefined
-    /// unless [`Surface::sides`] is closed.
+    /// Returns the winding number of the surface around `point`: 1 inside, 0 outside, more where shells overlap.
+    /// Undefined unless [`Surface::sides`] is closed.
     pub fn winding(&self, point: Vec3) -> i32 {
         let meets = |node: &BvhNode| {
             let (low, high) = (node.mins(), node.maxs());

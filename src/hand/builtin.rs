@@ -80,9 +80,9 @@ fn read(bytes: &[u8]) -> Result<HandModel, &'static str> {
 
 /// Computes (778, 3, 135) pose blend shapes that keep the back of a bent joint from collapsing.
 ///
-/// Linear blend skinning pulls a vertex with weight w on a joint and 1 - w on its parent towards the joint by
-/// w (1 - w) (1 - cos t) of its distance, with joint angle t. The blend shapes undo this on the back of the joint. Inside
-/// the bend they do not, because real flesh is compressed there too. Since 1 - cos t = -tr(R - I) / 2, only the diagonal
+/// Linear blend skinning pulls a vertex with weight w on a joint and 1 - w on its parent towards the joint by w (1 - w)
+/// (1 - cos t) of its distance, with joint angle t. The blend shapes undo this on the back of the joint. Inside the
+/// bend they do not, because real flesh is compressed there too. Since 1 - cos t = -tr(R - I) / 2, only the diagonal
 /// entries of R - I are used.
 fn posedirs(model: &HandModel) -> Vec<f32> {
     const N_FEATURES: usize = 9 * (N_JOINTS - 1);

@@ -1,4 +1,5 @@
-//! Fits a hand model to keypoints and a surface by Levenberg-Marquardt least squares: shape, pose, scale and translation.
+//! Fits a hand model to keypoints and a surface by Levenberg-Marquardt least squares: shape, pose, scale and
+//! translation.
 
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
@@ -56,8 +57,8 @@ pub(super) struct PlaneTarget {
 
 /// Fits shape, pose, scale and translation of `model` to keypoints, starting from rest.
 ///
-/// `targets`: metres, in the order of [`HandModel::keypoints`]. Parameters that keypoints do not determine (twist, girth)
-/// stay at rest.
+/// `targets`: metres, in the order of [`HandModel::keypoints`]. Parameters that keypoints do not determine (twist,
+/// girth) stay at rest.
 pub(super) fn fit_keypoints(model: &HandModel, targets: &[Vec3; N_KEYPOINTS]) -> Fit {
     let rest = Fit { params: HandParams::default(), scale: 1.0, residual: f64::INFINITY };
     refine(model, &rest, targets, &[])

@@ -151,7 +151,8 @@ impl ManoFile<'_> {
         entries.map(Some).map_err(|message| self.damaged(name, message))
     }
 
-    /// Reads the parents from the first row of `kintree_table`. The root's entry (-1 or the largest integer) is ignored.
+    /// Reads the parents from the first row of `kintree_table`. The root's entry (-1 or the largest integer) is
+    /// ignored.
     fn parents(&mut self) -> Result<[usize; N_JOINTS]> {
         let array = self.required("kintree_table")?;
         if array.shape != [2, N_JOINTS] {

@@ -1,7 +1,7 @@
 //! Hand model: maps MANO parameters to vertices and joints.
 //!
-//! Units are metres and radians. The frame is MANO's: in the flat rest pose the right hand's fingers point along -x, the
-//! palm faces -y and the thumb points towards +z; the left hand is the mirror image in x.
+//! Units are metres and radians. The frame is MANO's: in the flat rest pose the right hand's fingers point along -x,
+//! the palm faces -y and the thumb points towards +z; the left hand is the mirror image in x.
 
 pub mod build;
 mod builtin;

@@ -7,9 +7,9 @@ use crate::error::{Error, Result};
 
 /// A named region of a hand's surface.
 ///
-/// The three regions of a finger go all around it: `proximal` moves with its first joint, `middle` with the second, `tip`
-/// with the third (of the thumb: metacarpal, proximal and distal phalanx). Skin that moves with the wrist is `palm` or
-/// `dorsal`, by the direction it faces at rest.
+/// The three regions of a finger go all around it: `proximal` moves with its first joint, `middle` with the second,
+/// `tip` with the third (of the thumb: metacarpal, proximal and distal phalanx). Skin that moves with the wrist is
+/// `palm` or `dorsal`, by the direction it faces at rest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[allow(missing_docs, reason = "the names are their own description")]
 pub enum Region {

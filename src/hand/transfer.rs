@@ -18,8 +18,8 @@ const FINGER_COST: f32 = 0.02;
 
 /// Number of alternations between nearest-point search and fit, as in iterative closest point.
 const SKIN_ROUNDS: usize = 4;
-/// Largest distance of corresponding surface points, m. The two hands end at different places of the wrist, where points
-/// have no counterpart.
+/// Largest distance of corresponding surface points, m. The two hands end at different places of the wrist, where
+/// points have no counterpart.
 const MAX_CORRESPONDENCE: f32 = 0.012;
 /// Smallest cosine between the normals of corresponding surface points.
 const MIN_NORMAL_COSINE: f32 = 0.6;
@@ -70,8 +70,9 @@ struct SurfacePoint {
 impl HandMap {
     /// Registers the built-in hand of `mano`'s side on it, both at rest with zero betas.
     ///
-    /// A first fit of scale, translation, betas and pose aligns the keypoints, further fits align keypoints and surfaces.
-    /// Each vertex then corresponds to the nearest point of the other surface that faces the same way on the same finger.
+    /// A first fit of scale, translation, betas and pose aligns the keypoints, further fits align keypoints and
+    /// surfaces. Each vertex then corresponds to the nearest point of the other surface that faces the same way on the
+    /// same finger.
     pub fn new(mano: &HandModel) -> Self {
         let builtin = with_outermost_tips(&HandModel::builtin(mano.side));
         let mano = &with_outermost_tips(mano);

@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 
 /// Minimum arena (memory for contacts and scratch), bytes. With less, the engine drops all contacts at some sizes and
 /// ends the process at others.
-const LEAST_ARENA: i64 = 256 << 10;
+const MIN_ARENA: i64 = 256 << 10;
 /// Additional minimum arena per degree of freedom, bytes.
 const ARENA_PER_DOF: i64 = 1 << 10;
 
@@ -56,7 +56,7 @@ pub(super) fn check_fatal(model: &MjModel, options: &PhysicsOptions) -> Result<(
         let expected = "a plugin, which a tactile sensor in the same model needs";
         return refuse(&format!("sdf geom {geom} {name:?}"), expected, "none".into());
     }
-    let least = LEAST_ARENA + ARENA_PER_DOF * ffi.nv;
+    let least = MIN_ARENA + ARENA_PER_DOF * ffi.nv;
     if ffi.narena < least {
         return refuse("size memory", &format!("at least {least} bytes"), format!("{} bytes", ffi.narena));
     }

@@ -1,7 +1,7 @@
 //! Safe wrapper of the MuJoCo physics engine: checked options, a world that owns model and data, an offscreen renderer.
 //!
-//! The engine ends the process on some invalid inputs. Everything that reaches it passes the checks of [`options`] and of
-//! [`World::from_mjcf`] first.
+//! The engine ends the process on some invalid inputs. Everything that reaches it passes the checks of [`options`] and
+//! of [`World::from_mjcf`] first.
 
 pub mod audit;
 mod camera;

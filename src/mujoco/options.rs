@@ -180,8 +180,8 @@ impl PhysicsOptions {
         Self(preset.values())
     }
 
-    /// Returns the options of another preset with this one's gravity, and with the discrete integrator if this one has it
-    /// (soft bodies need it).
+    /// Returns the options of another preset with this one's gravity, and with the discrete integrator if this one has
+    /// it (soft bodies need it).
     pub fn with_preset(&self, preset: Preset) -> Self {
         let mut values = Unchecked { gravity: self.gravity, ..preset.values() };
         if self.integrator == Integrator::Discrete {

@@ -132,7 +132,8 @@ pub enum Pull {
     Other,
 }
 
-/// An actuator: force = gain * control + bias + bias_length * length, clipped to the limits. Velocity terms are omitted.
+/// An actuator: force = gain * control + bias + bias_length * length, clipped to the limits. Velocity terms are
+/// omitted.
 #[derive(Debug, Clone)]
 pub struct Actuator {
     /// Name; empty if it has none.

@@ -17,8 +17,9 @@ pub const UNKNOWN: Rgb<u8> = Rgb([150, 158, 168]);
 
 /// Returns the colour of a force on a scale from 0 to `max`, N: pale sand, orange, red, deep violet.
 ///
-/// Perceived lightness (OKLab L) decreases linearly with the force, so equal steps look equal, also in greyscale. Forces
-/// above `max` have the colour of `max`; NaN is [`UNKNOWN`]; if `max` is not positive, all forces have the colour of zero.
+/// Perceived lightness (OKLab L) decreases linearly with the force, so equal steps look equal, also in greyscale.
+/// Forces above `max` have the colour of `max`; NaN is [`UNKNOWN`]; if `max` is not positive, all forces have the
+/// colour of zero.
 pub fn force_color(force: f32, max: f32) -> Rgb<u8> {
     if force.is_nan() {
         return UNKNOWN;

@@ -87,8 +87,8 @@ mod tests {
 
     #[test]
     fn fingers_point_up_and_sides_match_the_view() {
-        // In the palmar view of a right hand, the index finger is in the right half; in the dorsal view, in the left half.
-        // A left hand is the mirror image.
+        // In the palmar view of a right hand, the index finger is in the right half; in the dorsal view, in the left
+        // half. A left hand is the mirror image.
         for (side, view, right_half) in [
             (Side::Right, View::Palmar, true),
             (Side::Right, View::Dorsal, false),

@@ -1,4 +1,5 @@
-//! Phong tessellation (Boubekeur & Alexa 2008): replaces each triangle by a curved patch that follows the vertex normals.
+//! Phong tessellation (Boubekeur & Alexa 2008): replaces each triangle by a curved patch that follows the vertex
+//! normals.
 
 use glam::Vec3;
 use image::Rgb;

@@ -20,7 +20,7 @@ const DISCOVERY: Duration = Duration::from_millis(1000);
 /// Time limit for the start and the end of a node.
 const NODE_TIMEOUT: Duration = Duration::from_secs(60);
 /// Time for the prediction and the metrics of the last image to arrive.
-const DRAIN: Duration = Duration::from_millis(1500);
+const RESULT_DELAY: Duration = Duration::from_millis(1500);
 
 /// Runs the demo and writes its report.
 ///
@@ -114,7 +114,7 @@ async fn simulate(args: &Args, out: &Path, recorder: &Recorder, verifier_report:
         end = verifier.ended() => end.and_then(|()| bail!("the verifier ended during the simulation"))?,
         () = show_progress(recorder, (args.duration * FPS).round() as u64) => bail!("the recording failed"),
     }
-    tokio::time::sleep(DRAIN).await;
+    tokio::time::sleep(RESULT_DELAY).await;
     println!();
     predictor.stop(NODE_TIMEOUT).await?;
     verifier.stop(NODE_TIMEOUT).await

@@ -131,7 +131,8 @@ fn messages(ros: &Ros) -> Row {
     Row::not_needed("messages", "ros", found)
 }
 
-/// Checks that egotac_msgs is installed with the message layout that r2r's bindings in this program were generated from.
+/// Checks that egotac_msgs is installed with the message layout that r2r's bindings in this program were generated
+/// from.
 #[cfg(feature = "ros")]
 fn messages(ros: &Ros) -> Row {
     use super::idl_hash::{idl_files, idl_hash};

@@ -81,7 +81,8 @@ fn renderer_name(_current: &mujoco_rs::renderer::MjRenderer) -> anyhow::Result<S
     let egl = unsafe { libloading::Library::new("libEGL.so.1") }.context("libEGL.so.1")?;
     // SAFETY: the symbols must have the declared types: names and types are those of the EGL 1.5 and OpenGL 1.0
     // specifications, which the driver implements. glGetString needs a current context: the only caller has just opened
-    // `_current` on this thread, and the borrow keeps it alive. The result is null, which is checked, or a static string.
+    // `_current` on this thread, and the borrow keeps it alive. The result is null, which is checked, or a static
+    // string.
     unsafe {
         let get_proc_address = egl.get::<GetProcAddress>(b"eglGetProcAddress\0")?;
         let address = get_proc_address(c"glGetString".as_ptr());

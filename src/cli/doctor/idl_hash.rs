@@ -22,8 +22,8 @@ pub fn idl_files(share: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Computes the first 16 digits of the SHA-256 of the output of `sha256sum` for these files. `scripts/lib/common.sh` and
-/// `launch/cargo.cmake` compute the same hash.
+/// Computes the first 16 digits of the SHA-256 of the output of `sha256sum` for these files. `scripts/lib/common.sh`
+/// and `launch/cargo.cmake` compute the same hash.
 ///
 /// # Errors
 /// If a file can't be read.

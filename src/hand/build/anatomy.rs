@@ -1,7 +1,8 @@
 //! Anatomy of the built-in right hand: positions of its bones and thickness around them.
 //!
-//! Units are metres, in the rest frame of the hand module: fingers along -x, palm facing -y, thumb towards +z. The sizes
-//! are those of a medium adult hand (length 0.19 m from wrist to middle fingertip, breadth 0.085 m), tuned manually.
+//! Units are metres, in the rest frame of the hand module: fingers along -x, palm facing -y, thumb towards +z. The
+//! sizes are those of a medium adult hand (length 0.19 m from wrist to middle fingertip, breadth 0.085 m), tuned
+//! manually.
 
 use glam::DVec3;
 
@@ -110,8 +111,8 @@ fn finger(placement: &Placement) -> Finger {
     }
 }
 
-/// Creates the thumb. Its metacarpal lies in the ball of the thumb, the other two phalanges are swept, and the pad faces
-/// the index finger.
+/// Creates the thumb. Its metacarpal lies in the ball of the thumb, the other two phalanges are swept, and the pad
+/// faces the index finger.
 fn thumb() -> Finger {
     const RADIUS: f64 = 0.0105;
     let carpal = DVec3::new(0.0735, -0.0060, 0.0290);

@@ -108,8 +108,8 @@ fn curvature(surface: &ImplicitHand, point: DVec3, normal: DVec3) -> f64 {
     bends.fold(1e-3, f64::max)
 }
 
-/// Returns the target edge length, m: shortest on the pads of the fingertips, longest on the back of the hand and at the
-/// wrist.
+/// Returns the target edge length, m: shortest on the pads of the fingertips, longest on the back of the hand and at
+/// the wrist.
 fn edge_length(surface: &ImplicitHand, point: DVec3, normal: DVec3) -> f64 {
     let palmar_side = smoothstep(-0.5, 0.6, -normal.y);
     let palm = mix(0.0125, 0.0085, palmar_side);

@@ -129,7 +129,8 @@ impl<'a, T: TargetSurface> EditableMesh<'a, T> {
         self.faces.iter().flatten().flat_map(sides).map(|(a, b)| (a.min(b), a.max(b))).collect()
     }
 
-    /// Returns an edge with its sort key: length over target length as float bits, which order positive numbers correctly.
+    /// Returns an edge with its sort key: length over target length as float bits, which order positive numbers
+    /// correctly.
     fn keyed(&self, (a, b): (u32, u32)) -> (u64, u32, u32) {
         let length = self.points[a as usize].distance(self.points[b as usize]);
         let wanted = 0.5 * (self.wanted[a as usize] + self.wanted[b as usize]);

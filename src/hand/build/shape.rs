@@ -119,7 +119,8 @@ pub fn j_regressor(points: &[DVec3]) -> Vec<f64> {
         let mut near: Vec<usize> = (0..points.len()).collect();
         near.sort_by(|&a, &b| points[a].distance(place).total_cmp(&points[b].distance(place)));
         near.truncate(REGRESSOR_VERTICES);
-        // Minimise w' D w subject to A w = b: w = D⁻¹ A' (A D⁻¹ A')⁻¹ b, with offsets from the joint so that b = (0, 0, 0, 1).
+        // Minimise w' D w subject to A w = b: w = D⁻¹ A' (A D⁻¹ A')⁻¹ b, with offsets from the joint so that b = (0, 0,
+        // 0, 1).
         let scale = points[near[0]].distance(place);
         let constraints = DMatrix::from_fn(4, near.len(), |row, column| match row {
             3 => 1.0,

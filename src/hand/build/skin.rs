@@ -14,8 +14,8 @@ const CUT: f64 = 0.02;
 /// Computes (V, 16) skinning weights; rows sum to 1.
 ///
 /// Solves (L + H) w = H p per joint, with the cotangent Laplacian L, H = area x STIFFNESS / d², the distance d to the
-/// nearest bone, and p = 1 at vertices nearest to the joint's bone. Heat spreads along the skin, so it does not cross the
-/// gap between two fingers.
+/// nearest bone, and p = 1 at vertices nearest to the joint's bone. Heat spreads along the skin, so it does not cross
+/// the gap between two fingers.
 pub fn weights(points: &[DVec3], faces: &[[u32; 3]], fingers: &[Finger; 5]) -> Vec<[f64; N_JOINTS]> {
     let (mut matrix, areas) = laplacian(points, faces);
     let bones = bones(fingers);

@@ -1,7 +1,7 @@
 //! Checks a model before its first step for faults that the engine accepts without a warning.
 //!
-//! An error marks a model whose motion or forces would be wrong. Advice marks a loss of accuracy, or a fault that depends
-//! on conditions outside of the model.
+//! An error marks a model whose motion or forces would be wrong. Advice marks a loss of accuracy, or a fault that
+//! depends on conditions outside of the model.
 
 mod mesh;
 mod pairs;
@@ -71,7 +71,8 @@ impl Default for Expectation {
     }
 }
 
-/// Audits a world in its initial pose, after [`World::forward`]. Returns the worst violation of each rule, errors first.
+/// Audits a world in its initial pose, after [`World::forward`]. Returns the worst violation of each rule, errors
+/// first.
 pub fn audit(world: &World, expectation: Expectation) -> Vec<Finding> {
     let pairs = pairs::geom_pairs(world);
     let mut findings = Vec::new();

@@ -21,7 +21,8 @@ const MIN_THICKNESS: f64 = 1e-5;
 /// Smallest impratio at which a held object does not visibly creep.
 const MIN_IMPRATIO: f64 = 10.0;
 
-/// Finds a light body that carries a heavy one. Contact stiffness scales with the light mass, so the heavy body sinks in.
+/// Finds a light body that carries a heavy one. Contact stiffness scales with the light mass, so the heavy body sinks
+/// in.
 pub(super) fn mass_ratio(world: &World, pairs: &[GeomPair]) -> Option<Finding> {
     let model = world.model();
     let g = glam::DVec3::from_array(world.options().gravity).length();
@@ -51,8 +52,8 @@ pub(super) fn mass_ratio(world: &World, pairs: &[GeomPair]) -> Option<Finding> {
     Some(Finding { severity: Severity::Error, rule: Rule::MassRatio, message })
 }
 
-/// Returns the penetration of the lower contact of a stack at rest, m: `d k r = (1 - d) a`, with impedance `d`, stiffness
-/// `k`, penetration `r`, and `a` the acceleration that the load alone would cause.
+/// Returns the penetration of the lower contact of a stack at rest, m: `d k r = (1 - d) a`, with impedance `d`,
+/// stiffness `k`, penetration `r`, and `a` the acceleration that the load alone would cause.
 fn sink(world: &World, pair: &GeomPair, ratio: f64, g: f64) -> f64 {
     let [_, d, ..] = pair.solimp;
     let stiffness = match pair.time_constant(world) {

@@ -35,7 +35,8 @@ impl World {
     pub fn is_turned(&self, joint: FreeJoint) -> bool {
         let dofs = joint.dof + 3..joint.dof + 6;
         let (smooth, bias) = (self.data.qfrc_smooth(), self.data.qfrc_bias());
-        // Smooth forces contain minus the bias. Gravity has no torque about the centre of mass, so the bias is inertial.
+        // Smooth forces contain minus the bias. Gravity has no torque about the centre of mass, so the bias is
+        // inertial.
         let outer = smooth[dofs.clone()].iter().zip(&bias[dofs.clone()]).map(|(s, b)| s + b);
         let constraint = self.data.qfrc_constraint()[dofs].iter().copied();
         constraint.chain(outer).any(|torque| torque.abs() > ZERO_TORQUE)

@@ -52,8 +52,8 @@ impl Pickle<'_> {
         if called.ends_with("._reconstructor") { name(self.item(args, 0)?) } else { Ok(called) }
     }
 
-    /// Reads an array: `_reconstruct` with its state (version, shape, dtype, is_fortran, data), `_frombuffer` (data, dtype,
-    /// shape, order) or `scalar` (dtype, data).
+    /// Reads an array: `_reconstruct` with its state (version, shape, dtype, is_fortran, data), `_frombuffer` (data,
+    /// dtype, shape, order) or `scalar` (dtype, data).
     fn numpy_array(&self, class: &str, args: Id, state: Option<Id>, depth: usize) -> Outcome<Array> {
         match (class.rsplit('.').next(), state) {
             (Some("_reconstruct"), Some(state)) => {

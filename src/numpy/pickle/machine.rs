@@ -10,7 +10,8 @@ use super::{Id, Outcome, Pickle, Value};
 /// Largest number of values of a pickle; a MANO file has some hundreds.
 const MAX_VALUES: usize = 1 << 20;
 
-/// Packages whose names may occur: [`super::arrays`] interprets them or ignores them as parts of objects in a MANO file.
+/// Packages whose names may occur: [`super::arrays`] interprets them or ignores them as parts of objects in a MANO
+/// file.
 const KNOWN_PACKAGES: [&str; 3] = ["numpy", "scipy.sparse", "chumpy"];
 /// Further names that may occur.
 const KNOWN_NAMES: [&str; 11] = [
