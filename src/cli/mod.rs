@@ -1,4 +1,4 @@
-//! The command line: arguments and dispatch; one file per command.
+//! The command line: one file per command.
 
 mod bench;
 mod data;
@@ -34,9 +34,9 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Check what is installed and say how to fix what is not.
+    /// Check the installation and print fixes for missing parts.
     Doctor(doctor::Args),
-    /// The hand model: forward, show, map.
+    /// Hand model: forward, show, map.
     Hand(hand::Args),
     /// Simulated hand-object scenes: list, show, run.
     Sim(sim::Args),
@@ -44,7 +44,7 @@ enum Command {
     Train(train::Args),
     /// Label recordings: bags, LeRobot data sets, OXT stores, videos, images.
     Label(label::Args),
-    /// Write one HTML page about labels: frames, forces over time, contact by region.
+    /// Write an HTML page about labels: frames, forces over time, contact by region.
     Report(report::Args),
     /// Predict touch for images or a store.
     Predict(predict::Args),
@@ -54,21 +54,21 @@ enum Command {
     Experiment(experiment::Args),
     /// Score labels, or a network, against simulated contact forces; a gate for continuous integration.
     Verify(verify::Args),
-    /// A hand's pose and touch, carried over to a robot hand: run, inspect, new, list.
+    /// Transfer a hand's pose and touch to a robot hand: run, inspect, new, list, demo.
     Retarget(retarget::Args),
-    /// The network: forward, attention, import, start, info.
+    /// Network: forward, attention, import, start, info.
     Model(model::Args),
-    /// Measurements that the documentation holds: model, train, label, retarget, sim, effects, hard-cases, guards.
+    /// Benchmarks of the documentation: model, train, label, retarget, sim, effects, hard-cases, guards.
     Bench(bench::Args),
     /// Recordings and labels: info, diff.
     Data(data::Args),
-    /// The main job, end to end, on this machine.
+    /// Run simulator, predictor and verifier end to end on this machine.
     Demo(demo::Args),
 }
 
 /// Runs the command line; the exit status is 0 for success, 1 for a failed check or an error, 2 for bad usage.
 pub fn main() -> ExitCode {
-    end_quietly_with_the_reader();
+    exit_quietly_on_closed_pipe();
     let result = match Cli::parse().command {
         Command::Doctor(args) => doctor::run(args),
         Command::Hand(args) => hand::run(args),
@@ -95,15 +95,15 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// What a command says whose feature is not built in.
-#[allow(dead_code)]
+/// Creates the error of a command whose feature is not compiled in.
+#[allow(dead_code, reason = "unused if all features are on")]
 fn feature_off(command: &str, feature: &str) -> anyhow::Error {
     anyhow::anyhow!(
         "`egotac {command}` needs the feature `{feature}`: `make setup`, `. ./env.sh`, `cargo build --release --features {feature}`"
     )
 }
 
-/// The CPU, or a CUDA device by index.
+/// Returns the CPU, or a CUDA device by index.
 fn device(cuda: Option<usize>) -> anyhow::Result<candle_core::Device> {
     match cuda {
         None => Ok(candle_core::Device::Cpu),
@@ -122,16 +122,16 @@ fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-/// `egotac ... | head` ends without a word when `head` does, as other programs do: `print!` panics on a closed pipe.
-fn end_quietly_with_the_reader() {
-    /// What a shell gives for a program that SIGPIPE ended.
+/// Exits without a message if standard output is closed, as in `egotac ... | head`; `print!` panics there by default.
+fn exit_quietly_on_closed_pipe() {
+    /// Exit status that a shell reports for a program ended by SIGPIPE.
     const CLOSED_PIPE: i32 = 128 + 13;
-    let usual = std::panic::take_hook();
+    let default_hook = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
-        let told = panic.payload_as_str().unwrap_or_default();
-        if told.starts_with("failed printing to stdout") && told.contains("Broken pipe") {
+        let message = panic.payload_as_str().unwrap_or_default();
+        if message.starts_with("failed printing to stdout") && message.contains("Broken pipe") {
             std::process::exit(CLOSED_PIPE);
         }
-        usual(panic);
+        default_hook(panic);
     }));
 }

@@ -1,9 +1,9 @@
-//! Label (c) conserves force and stays on its link; label (a) does not depend on how the object is meshed.
+//! Label (c) conserves force and stays on its link; label (a) does not depend on the object's mesh.
 
 use approx::assert_relative_eq;
 use egotac::geometry::force::link_vertices;
 use egotac::geometry::{ForceSpreader, LinkContact, PROXIMITY, SIGMA, SampledSurface};
-use egotac::hand::{HandModel, HandParams, N_JOINTS, Side};
+use egotac::hand::{HandModel, HandParams, N_JOINTS, Region, Side};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 
@@ -52,6 +52,17 @@ fn a_force_stays_on_the_vertices_of_its_link() {
 }
 
 #[test]
+fn link_and_region_agree_on_a_vertex_between_two_joints() {
+    let mut model = HandModel::builtin(Side::Right);
+    let vertex = model.tip_vertices[1];
+    let row = &mut model.lbs_weights[vertex as usize * N_JOINTS..][..N_JOINTS];
+    row.fill(0.0);
+    (row[1], row[2]) = (0.5, 0.5);
+    assert!(link_vertices(&model)[1].contains(&vertex));
+    assert_eq!(model.regions()[vertex as usize], Region::IndexProximal);
+}
+
+#[test]
 fn the_kernel_is_the_stated_gaussian() {
     let model = HandModel::builtin(Side::Right);
     let vertices = rest(&model);
@@ -77,12 +88,12 @@ fn the_moment_residual_is_the_moment_of_the_spread_forces_about_the_contact() {
     let moment: DVec3 =
         vertices.iter().zip(&label.force).map(|(v, f)| (v.as_dvec3() - at).cross(one.normal * f64::from(*f))).sum();
     assert!((moment - label.moment_residual).length() < 1e-8);
-    // Two kernel widths of arm at most: the residual is small against force times finger length.
+    // The arm is at most two kernel widths, so the residual is small against force times finger length.
     assert!(label.moment_residual.length() < 3.0 * 2.0 * SIGMA);
 }
 
 #[test]
-fn a_contact_that_cannot_be_is_refused_by_name() {
+fn an_invalid_contact_is_refused_by_name() {
     let model = HandModel::builtin(Side::Left);
     let vertices = rest(&model);
     let spreader = ForceSpreader::new(&model, SIGMA).unwrap();
@@ -99,7 +110,7 @@ fn a_contact_that_cannot_be_is_refused_by_name() {
     assert!(ForceSpreader::new(&model, 0.0).is_err());
 }
 
-/// A square of 10 cm in the plane z = 0, as two triangles.
+/// Returns a square of 10 cm in the plane z = 0, as two triangles.
 fn square() -> (Vec<Vec3>, Vec<[u32; 3]>) {
     let corner = |x: f32, y: f32| Vec3::new(x, y, 0.0);
     let vertices = vec![corner(0.0, 0.0), corner(0.1, 0.0), corner(0.1, 0.1), corner(0.0, 0.1)];
@@ -107,7 +118,7 @@ fn square() -> (Vec<Vec3>, Vec<[u32; 3]>) {
 }
 
 #[test]
-fn proximity_sees_a_coarse_mesh_where_its_vertices_are_far() {
+fn resampling_finds_contact_far_from_the_mesh_vertices() {
     let (vertices, triangles) = square();
     let coarse = SampledSurface::new(&vertices, &triangles, 1.0).unwrap();
     let fine = SampledSurface::new(&vertices, &triangles, 0.006).unwrap();
@@ -119,7 +130,7 @@ fn proximity_sees_a_coarse_mesh_where_its_vertices_are_far() {
 }
 
 #[test]
-fn resampled_points_leave_no_gap_wider_than_the_spacing() {
+fn resampled_points_are_at_most_the_spacing_apart() {
     let (vertices, triangles) = square();
     let surface = SampledSurface::new(&vertices, &triangles, 0.006).unwrap();
     for i in 0..=100 {
@@ -133,7 +144,7 @@ fn resampled_points_leave_no_gap_wider_than_the_spacing() {
 }
 
 #[test]
-fn a_broken_mesh_is_refused() {
+fn an_invalid_mesh_is_refused() {
     let (vertices, _) = square();
     assert!(SampledSurface::new(&vertices, &[[0, 1, 9]], 0.006).is_err());
     assert!(SampledSurface::new(&vertices, &[[0, 1, 2]], 0.0).is_err());

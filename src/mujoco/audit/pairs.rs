@@ -1,45 +1,51 @@
-//! Which geoms may touch, with what softness, how deep and how fast.
+//! Candidate contact pairs of a model with their softness, and the depths and speeds that they bear.
 
 use mujoco_rs::prelude::*;
 
 use crate::mujoco::world::{Body, World};
 
-/// Peak depth of a meeting over speed times time constant, for a contact that is damped critically.
+/// Peak penetration depth of an impact divided by speed times time constant, for a critically damped contact.
 pub(super) const PEAK_DEPTH: f64 = 0.37;
 
-/// Two geoms that may touch.
+/// Two geoms that can come into contact.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Touch {
-    /// Their indices.
+pub(super) struct GeomPair {
+    /// Indices of the geoms.
     pub geoms: [usize; 2],
-    /// Their bodies.
+    /// Indices of their bodies.
     pub bodies: [usize; 2],
-    /// Time constant, s, and damping ratio; or stiffness and damping, both negative.
+    /// Time constant, s, and damping ratio; or negative stiffness and negative damping.
     pub solref: [f64; 2],
-    /// Impedance.
+    /// Impedance parameters.
     pub solimp: [f64; 5],
 }
 
-impl Touch {
-    /// Time constant of the contact as the engine uses it, s; `None` if stiffness is given directly.
+impl GeomPair {
+    /// Returns the time constant that the engine uses, s; `None` if stiffness is given directly.
     pub fn time_constant(&self, world: &World) -> Option<f64> {
         let [time, _] = self.solref;
         let least = if refsafe(world) { 2.0 * world.options().timestep } else { 0.0 };
         (time > 0.0).then(|| time.max(least))
     }
+
+    /// Returns the speed above which the two geoms can pass through each other, m/s.
+    pub fn speed_limit(&self, world: &World) -> f64 {
+        let time = self.time_constant(world).map_or(0.0, |time| PEAK_DEPTH * time).max(world.options().timestep);
+        self.geoms.map(|geom| half_thickness(world, geom)).iter().sum::<f64>() / time
+    }
 }
 
-/// Whether the engine stretches time constants to two timesteps.
+/// Returns true if the engine raises time constants to at least two timesteps.
 pub(super) fn refsafe(world: &World) -> bool {
     world.model().opt().disableflags & MjtDisableBit::mjDSBL_REFSAFE as i32 == 0
 }
 
-/// All pairs of geoms that may touch and of which one can move.
-pub(super) fn touches(world: &World) -> Vec<Touch> {
+/// Returns all pairs of geoms that can come into contact and of which at least one can move.
+pub(super) fn geom_pairs(world: &World) -> Vec<GeomPair> {
     let model = world.model();
     let (geom_body, weld, parent) = (model.geom_bodyid(), model.body_weldid(), model.body_parentid());
     let moves = |body: usize| model.body_treeid()[body] >= 0;
-    let mut touches = Vec::new();
+    let mut pairs = Vec::new();
     for a in 0..geom_body.len() {
         for b in a + 1..geom_body.len() {
             let bodies = [geom_body[a] as usize, geom_body[b] as usize];
@@ -53,18 +59,18 @@ pub(super) fn touches(world: &World) -> Vec<Touch> {
                 continue;
             }
             let (solref, solimp) = mixed(model, a, b);
-            touches.push(Touch { geoms: [a, b], bodies, solref, solimp });
+            pairs.push(GeomPair { geoms: [a, b], bodies, solref, solimp });
         }
     }
     for pair in 0..model.pair_geom1().len() {
         let geoms = [model.pair_geom1()[pair] as usize, model.pair_geom2()[pair] as usize];
         let (solref, solimp) = (model.pair_solref()[pair], model.pair_solimp()[pair]);
-        touches.push(Touch { geoms, bodies: geoms.map(|g| geom_body[g] as usize), solref, solimp });
+        pairs.push(GeomPair { geoms, bodies: geoms.map(|g| geom_body[g] as usize), solref, solimp });
     }
-    touches
+    pairs
 }
 
-/// Softness of a pair as the engine mixes it.
+/// Mixes the softness of two geoms by the engine's rule.
 fn mixed(model: &MjModel, a: usize, b: usize) -> ([f64; 2], [f64; 5]) {
     let (priority, weight) = (model.geom_priority(), model.geom_solmix());
     let share = match priority[a].cmp(&priority[b]) {
@@ -83,7 +89,7 @@ fn mixed(model: &MjModel, a: usize, b: usize) -> ([f64; 2], [f64; 5]) {
     (solref, std::array::from_fn(|i| mix(i1[i], i2[i])))
 }
 
-/// Half of a geom's least thickness, m; infinite for planes and height fields, which have none.
+/// Returns half of a geom's smallest thickness, m; infinite for planes and height fields.
 pub(super) fn half_thickness(world: &World, geom: usize) -> f64 {
     let model = world.model();
     let [x, y, z] = model.geom_size()[geom];
@@ -99,7 +105,8 @@ pub(super) fn half_thickness(world: &World, geom: usize) -> f64 {
     }
 }
 
-/// Deepest bearable contact of each geom, m: half a ball's radius, half a wall's thickness, `most` at most.
+/// Returns the largest penetration depth that each geom bears, m: half a ball's radius or half a wall's thickness,
+/// limited to `most`.
 pub fn depth_limits(world: &World, most: f64) -> Vec<f64> {
     let round = |geom: usize| {
         matches!(
@@ -111,15 +118,14 @@ pub fn depth_limits(world: &World, most: f64) -> Vec<f64> {
     (0..world.model().geom_type().len()).map(|geom| limit(geom).min(most)).collect()
 }
 
-/// Speed above which each moving body may pass through something, m/s: it would sink deeper than both are thick, or
-/// move so far in one step.
+/// Returns the speed above which each moving body can pass through another one, m/s: its penetration, or its way in one
+/// step, exceeds the half thickness of both.
 pub fn speed_limits(world: &World) -> Vec<(Body, f64)> {
     let mut limits: Vec<(Body, f64)> = world.moving_bodies().into_iter().map(|body| (body, f64::INFINITY)).collect();
-    for touch in touches(world) {
-        let time = touch.time_constant(world).map_or(0.0, |time| PEAK_DEPTH * time).max(world.options().timestep);
-        let limit = touch.geoms.map(|geom| half_thickness(world, geom)).iter().sum::<f64>() / time;
+    for pair in geom_pairs(world) {
+        let limit = pair.speed_limit(world);
         for (body, least) in &mut limits {
-            if touch.bodies.contains(&body.0) {
+            if pair.bodies.contains(&body.0) {
                 *least = least.min(limit);
             }
         }

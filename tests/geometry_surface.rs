@@ -1,9 +1,9 @@
-//! Label (b) is the exact signed distance where there is an inside, and says so where there is none.
+//! Label (b) is the exact signed distance of a closed surface, and has no negative distances without an inside.
 
 use std::f32::consts::{PI, TAU};
 use std::f64::consts::PI as PI64;
 
-use egotac::geometry::mesh::{FAR, Sides};
+use egotac::geometry::mesh::{MAX_COORDINATE, Sides};
 use egotac::geometry::{HandSurface, PROXIMITY, SampledSurface, Solid, Surface};
 use egotac::hand::{HandModel, HandParams, Side};
 use glam::{DVec3, Quat, Vec3};
@@ -12,7 +12,7 @@ use proptest::prelude::*;
 
 type Mesh = (Vec<Vec3>, Vec<[u32; 3]>);
 
-/// A box around the origin, counter-clockwise from outside.
+/// Returns a box around the origin, counter-clockwise seen from outside.
 fn cuboid(half: Vec3) -> Mesh {
     let corners = (0..8).map(|i| {
         let sign = |bit: u32| if i >> bit & 1 == 1 { 1.0 } else { -1.0 };
@@ -66,7 +66,7 @@ fn box_distance(half: DVec3, point: DVec3) -> f64 {
     q.max(DVec3::ZERO).length() + q.max_element().min(0.0)
 }
 
-/// Distance of a point from a triangle by its seven regions (another way than the library's).
+/// Computes the distance of a point from a triangle by its seven regions, an algorithm independent of the library's.
 fn triangle_distance([a, b, c]: [DVec3; 3], p: DVec3) -> f64 {
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let (d1, d2) = (ab.dot(ap), ac.dot(ap));
@@ -99,7 +99,7 @@ fn triangle_distance([a, b, c]: [DVec3; 3], p: DVec3) -> f64 {
     (ap - ab * (vb / sum) - ac * (vc / sum)).length()
 }
 
-/// The winding number as the sum of solid angles.
+/// Computes the winding number as the sum of solid angles.
 fn winding((vertices, triangles): &Mesh, p: DVec3) -> f64 {
     let angles = triangles.iter().map(|t| {
         let [a, b, c] = t.map(|i| vertices[i as usize].as_dvec3() - p);
@@ -116,12 +116,12 @@ fn brute((vertices, triangles): &Mesh, p: DVec3) -> f64 {
 }
 
 #[test]
-fn a_box_of_triangles_has_a_boxs_distances() {
+fn a_box_mesh_has_the_distances_of_a_box() {
     let half = Vec3::new(0.02, 0.03, 0.05);
     let surface = surface(cuboid(half));
     assert_eq!(surface.sides(), Sides::Closed);
     for i in 0..9 * 9 * 9 {
-        // On the box's own lattice: rays through corners, edges and diagonals of faces.
+        // Points on the box's lattice send rays through corners, edges and diagonals of faces.
         let p = half * (Vec3::new((i % 9) as f32, (i / 9 % 9) as f32, (i / 81) as f32) - Vec3::splat(4.0)) / 2.0;
         let (got, expected) = (surface.distance(p, 1.0), box_distance(half.as_dvec3(), p.as_dvec3()));
         assert!((f64::from(got) - expected).abs() < 1e-8, "{p}: {got} m instead of {expected} m");
@@ -129,7 +129,7 @@ fn a_box_of_triangles_has_a_boxs_distances() {
 }
 
 #[test]
-fn balls_boxes_and_capsules_have_their_formulas_distances_wherever_they_lie() {
+fn balls_boxes_and_capsules_have_their_closed_form_distances_in_any_pose() {
     let turn = Quat::from_rotation_arc(Vec3::Z, Vec3::new(1.0, 2.0, -2.0) / 3.0);
     let (shift, half) = (Vec3::new(0.1, -0.05, 0.2), Vec3::new(0.02, 0.03, 0.01));
     let pose =
@@ -156,12 +156,12 @@ fn balls_boxes_and_capsules_have_their_formulas_distances_wherever_they_lie() {
 }
 
 #[test]
-fn a_union_is_as_near_as_its_nearest_part_and_solid_inside_each() {
+fn a_union_has_the_distance_of_its_nearest_shape_and_is_solid_inside_each() {
     let mut solid = Solid::from_mesh(surface(cuboid(Vec3::splat(0.02))));
     solid.add_ball(0.02, Pose::from_translation(Vector::new(0.03, 0.0, 0.0))).unwrap();
     assert!((solid.distance(Vec3::X * 0.06, 1.0) - 0.01).abs() < 1e-7);
     assert!((solid.distance(Vec3::X * -0.05, 1.0) - 0.03).abs() < 1e-7);
-    // Between both parts' surfaces there is no outside; deep inside, a small cutoff loses nothing.
+    // The overlap of two shapes has no outside; deep inside, a small cutoff does not hide the distance.
     for step in -19..=49 {
         assert!(solid.distance(Vec3::X * 1e-3 * step as f32, 1e-3) <= 0.0, "{step} mm");
     }
@@ -175,13 +175,13 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn distances_are_those_of_all_triangles_one_by_one(
+    fn distances_equal_a_brute_force_search_over_all_triangles(
         rows in 3..7u32,
         bumps in prop::collection::vec(0.5..1.5f32, 74),
         second in prop::array::uniform3(-0.06..0.06f32),
         points in prop::collection::vec(prop::array::uniform3(-0.12..0.12f32), 40),
     ) {
-        // Two bumpy balls, which may overlap.
+        // Two balls with bumps, which may overlap.
         let (vertices, triangles) = ball(0.05, rows);
         let bumpy = vertices.iter().zip(&bumps).map(|(v, bump)| *v * *bump).collect();
         let mesh = joined([((bumpy, triangles), Vec3::ZERO), (ball(0.04, 5), Vec3::from_array(second))]);
@@ -197,7 +197,7 @@ proptest! {
     }
 
     #[test]
-    fn a_soup_of_triangles_has_distances_but_no_inside(
+    fn a_triangle_soup_has_distances_but_no_inside(
         corners in prop::collection::vec(prop::array::uniform3(-0.05..0.05f32), 9..60),
         points in prop::collection::vec(prop::array::uniform3(-0.08..0.08f32), 20),
     ) {
@@ -214,8 +214,8 @@ proptest! {
 }
 
 #[test]
-fn a_point_on_the_ray_through_any_vertex_is_on_the_right_side() {
-    // Exactly through corners and along edges and faces: where counting crossings without care goes wrong.
+fn rays_through_vertices_and_edges_give_the_right_side() {
+    // Naive counting of crossings fails for rays through corners and along edges and faces.
     let mesh = ball(0.05, 12);
     let surface = surface(mesh.clone());
     for vertex in &mesh.0 {
@@ -230,20 +230,20 @@ fn a_point_on_the_ray_through_any_vertex_is_on_the_right_side() {
 }
 
 #[test]
-fn shells_in_shells_are_solid_or_hollow_as_they_face() {
+fn orientation_decides_if_an_inner_shell_is_solid_or_a_cavity() {
     let inner = ball(0.02, 8);
     let hollow = surface(joined([(ball(0.05, 8), Vec3::ZERO), (flipped(inner.clone()), Vec3::ZERO)]));
     assert_eq!(hollow.sides(), Sides::Closed);
     assert!(hollow.distance(Vec3::ZERO, 1.0) > 0.0 && hollow.distance(Vec3::X * 0.035, 1.0) < 0.0);
     let doubly = surface(joined([(ball(0.05, 8), Vec3::ZERO), (inner.clone(), Vec3::ZERO)]));
     assert!(doubly.distance(Vec3::ZERO, 1.0) < 0.0 && doubly.winding(Vec3::ZERO) == 2);
-    // Beside the other shell it bounds no cavity: it is inside out.
+    // Outside of the other shell it bounds no cavity, so it is inside out.
     let beside = surface(joined([(ball(0.05, 8), Vec3::ZERO), (flipped(inner), Vec3::X * 0.2)]));
     assert_eq!(beside.sides(), Sides::InsideOut { shells: 1 });
 }
 
 #[test]
-fn a_surface_without_an_inside_says_why_and_gives_no_negative_distance() {
+fn a_surface_without_an_inside_names_the_reason_and_has_no_negative_distance() {
     let (vertices, mut triangles) = cuboid(Vec3::splat(0.02));
     let whole = (vertices.clone(), triangles.clone());
     let removed = triangles.pop().unwrap();
@@ -263,10 +263,10 @@ fn a_surface_without_an_inside_says_why_and_gives_no_negative_distance() {
 }
 
 #[test]
-fn triangles_without_area_and_doubled_vertices_change_nothing() {
+fn triangles_without_area_and_duplicate_vertices_change_nothing() {
     let half = Vec3::new(0.02, 0.03, 0.05);
     let (vertices, triangles) = cuboid(half);
-    // Every triangle with corners of its own; then a point, a segment, and a collinear triangle on the surface.
+    // Each triangle has corners of its own; a point, a segment and a collinear triangle lie on the surface.
     let mut soup: Vec<Vec3> = triangles.iter().flatten().map(|index| vertices[*index as usize]).collect();
     let mut own: Vec<[u32; 3]> = (0..soup.len() as u32 / 3).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
     let next = soup.len() as u32;
@@ -282,7 +282,7 @@ fn triangles_without_area_and_doubled_vertices_change_nothing() {
             "{p}"
         );
     }
-    // A collinear triangle alone is the segment it covers.
+    // A collinear triangle alone counts as the segment that it covers.
     let line = surface_of_line();
     assert!((line.distance(Vec3::new(0.5, 0.1, 0.0), 1.0) - 0.1).abs() < 1e-7);
     assert!((line.distance(Vec3::new(-0.3, 0.4, 0.0), 1.0) - 0.5).abs() < 1e-7);
@@ -310,7 +310,7 @@ fn sizes_from_a_millimetre_to_ten_metres_keep_their_accuracy() {
 }
 
 #[test]
-fn a_mesh_that_cannot_be_is_refused_by_name() {
+fn an_invalid_mesh_is_refused_by_name() {
     let (vertices, triangles) = cuboid(Vec3::splat(0.02));
     let broken = |index: usize, value: Vec3| {
         let mut vertices = vertices.clone();
@@ -319,14 +319,14 @@ fn a_mesh_that_cannot_be_is_refused_by_name() {
     };
     assert!(broken(3, Vec3::NAN).contains("vertex 3"));
     assert!(broken(5, Vec3::X * f32::INFINITY).contains("vertex 5"));
-    assert!(broken(0, Vec3::X * 2.0 * FAR).contains("vertex 0"));
+    assert!(broken(0, Vec3::X * 2.0 * MAX_COORDINATE).contains("vertex 0"));
     assert!(Surface::new(vertices.clone(), vec![[0, 1, 8]]).unwrap_err().to_string().contains("triangle index"));
     assert!(Surface::new(vertices.clone(), vec![]).unwrap_err().to_string().contains("triangles"));
     let mut surface = Surface::new(vertices.clone(), triangles.clone()).unwrap();
     assert!(surface.set_vertices(&vertices[1..]).is_err());
     assert!(surface.set_vertices(&[Vec3::NAN; 8]).is_err());
     assert!(surface.distance(Vec3::NEG_INFINITY, 1.0).is_nan());
-    // Four million points are more than any label needs.
+    // The spacing would give more than four million points.
     assert!(SampledSurface::new(&vertices, &triangles, 1e-6).unwrap_err().to_string().contains("spacing"));
 }
 
@@ -340,7 +340,7 @@ fn recall_of_the_vertex_rule_grows_with_finer_points() {
     let recall = |spacing: f32| {
         let points = SampledSurface::new(&vertices, &triangles, spacing).unwrap();
         let found = near.iter().filter(|v| points.is_within(**v, PROXIMITY)).count();
-        // Nothing that is far from the surface is near one of its points.
+        // A point far from the surface is near none of its samples.
         assert!(near.iter().all(|v| points.distance(*v, 1.0) >= surface.distance(*v, 1.0).abs() - 1e-7));
         (points.points().len(), found as f64 / near.len() as f64)
     };
@@ -350,7 +350,7 @@ fn recall_of_the_vertex_rule_grows_with_finer_points() {
 }
 
 #[test]
-fn sampled_distances_are_those_of_the_nearest_point() {
+fn sampled_distances_equal_a_search_over_all_points() {
     let (vertices, triangles) = cuboid(Vec3::new(0.03, 0.04, 0.02));
     let mut surface = SampledSurface::new(&vertices, &triangles, 0.007).unwrap();
     let moved: Vec<Vec3> = surface.points().iter().map(|p| Quat::from_rotation_x(0.4) * *p + Vec3::Y * 0.01).collect();
@@ -378,7 +378,7 @@ fn bent(side: Side, angle: f32) -> Vec<Vec3> {
 
 #[test]
 fn mirrored_hands_are_equally_far_from_each_other() {
-    // Palm to palm, the plane of symmetry between their fingertips.
+    // Palm to palm, with the plane of symmetry between the fingertips.
     let mut hands = Side::BOTH.map(|side| HandSurface::new(&HandModel::builtin(side), 0.006).unwrap());
     let [left, right] = Side::BOTH.map(|side| bent(side, 0.3));
     let reach = right.iter().map(|v| v.x).fold(f32::INFINITY, f32::min);
@@ -402,7 +402,7 @@ fn mirrored_hands_are_equally_far_from_each_other() {
 }
 
 #[test]
-fn a_bent_surface_is_as_good_as_one_made_anew() {
+fn a_moved_surface_equals_a_new_one() {
     let model = HandModel::builtin(Side::Right);
     let posed = bent(Side::Right, 0.9);
     let mut moved = HandSurface::new(&model, 0.006).unwrap();
@@ -417,8 +417,8 @@ fn a_bent_surface_is_as_good_as_one_made_anew() {
 }
 
 #[test]
-fn a_skin_that_ends_at_the_wrist_is_closed_there() {
-    // As MANO's: without the triangles around the vertex farthest from the fingers.
+fn a_hand_that_is_open_at_the_wrist_is_closed_there() {
+    // Like MANO's: without the triangles around the vertex farthest from the fingers.
     let mut model = HandModel::builtin(Side::Right);
     let wrist = (0..model.v_template.len()).max_by(|a, b| model.v_template[*a].x.total_cmp(&model.v_template[*b].x));
     let wrist = wrist.unwrap() as u32;

@@ -1,15 +1,15 @@
-//! Parts of a world by name, resolved once.
+//! Handles to the elements of a world, looked up by name once.
 
 use mujoco_rs::prelude::*;
 
 use super::World;
 use crate::error::{Error, Result};
 
-/// Index of a body in the world it was resolved in.
+/// Handle of a body; valid in the world that it was looked up in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Body(pub(super) usize);
+pub struct Body(pub(in crate::mujoco) usize);
 
-/// A one-degree-of-freedom joint with the position servo that drives it.
+/// Handle of a one-degree-of-freedom joint with the position servo that drives it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Servo {
     pub(super) qpos: usize,
@@ -17,7 +17,8 @@ pub struct Servo {
     pub(super) ctrl: usize,
 }
 
-/// A free joint: 7 positions (xyz, quaternion wxyz), 6 velocities (linear in the world, angular in the body frame).
+/// Handle of a free joint: 7 positions (xyz, quaternion wxyz), 6 velocities (linear in the world frame, angular in the
+/// body frame).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct FreeJoint {
     pub(super) body: Body,
@@ -25,7 +26,7 @@ pub struct FreeJoint {
     pub(super) dof: usize,
 }
 
-/// The vertices of a skin that bodies carry, for pictures only.
+/// Handle of a skin: a mesh that bodies deform, for pictures only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Skin {
     pub(super) first: usize,
@@ -33,18 +34,18 @@ pub struct Skin {
 }
 
 impl World {
-    /// Looks a body up.
+    /// Looks up a body.
     ///
     /// # Errors
-    /// If there is none of that name.
+    /// If the name is unknown; the error lists the known ones.
     pub fn body(&self, name: &str) -> Result<Body> {
         self.id(MjtObjBase::mjOBJ_BODY, "body", name).map(Body)
     }
 
-    /// Looks a camera up.
+    /// Looks up the index of a camera.
     ///
     /// # Errors
-    /// If there is none of that name.
+    /// As [`Self::body`].
     pub fn camera(&self, name: &str) -> Result<usize> {
         self.id(MjtObjBase::mjOBJ_CAMERA, "camera", name)
     }
@@ -52,7 +53,7 @@ impl World {
     /// Looks up a hinge or slide and the actuator of the same name.
     ///
     /// # Errors
-    /// If one of the two is missing.
+    /// If the joint or the actuator is unknown.
     pub fn servo(&self, name: &str) -> Result<Servo> {
         let joint = self.id(MjtObjBase::mjOBJ_JOINT, "joint", name)?;
         let ctrl = self.id(MjtObjBase::mjOBJ_ACTUATOR, "actuator", name)?;
@@ -63,7 +64,7 @@ impl World {
     /// Looks up a body's free joint, which has the body's name.
     ///
     /// # Errors
-    /// If body or joint is missing, or the joint is of another kind.
+    /// If the body or the joint is unknown, or the joint is of another type.
     pub fn free_joint(&self, name: &str) -> Result<FreeJoint> {
         let body = self.body(name)?;
         let joint = self.id(MjtObjBase::mjOBJ_JOINT, "joint", name)?;
@@ -77,17 +78,18 @@ impl World {
     /// Looks up the index of a mocap body.
     ///
     /// # Errors
-    /// If there is no body of that name or it is not a mocap body.
+    /// If the body is unknown, or is not a mocap body.
     pub fn mocap(&self, name: &str) -> Result<usize> {
         let Body(body) = self.body(name)?;
         let mocap = self.data.model().body_mocapid()[body];
-        usize::try_from(mocap).map_err(|_| Error::value(format!("body {name}"), "a mocap body", "another"))
+        usize::try_from(mocap)
+            .map_err(|_| Error::value(format!("body {name}"), "a mocap body", "a body of another kind"))
     }
 
-    /// Looks a skin up.
+    /// Looks up a skin.
     ///
     /// # Errors
-    /// If there is none of that name.
+    /// As [`Self::body`].
     pub fn skin(&self, name: &str) -> Result<Skin> {
         let skin = self.id(MjtObjBase::mjOBJ_SKIN, "skin", name)?;
         let model = self.data.model();

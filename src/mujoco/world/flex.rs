@@ -3,23 +3,23 @@
 use glam::{DVec3, Vec3};
 use mujoco_rs::prelude::*;
 
-use super::world::{Body, World};
+use super::{Body, World};
 use crate::error::{Error, Result};
 
-/// A soft body: its points in the world it was resolved in.
+/// Handle of a soft body; valid in the world that it was looked up in.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Flex {
     first: usize,
     count: usize,
-    /// Triangles of its outer surface, indices of its own points, counter-clockwise from outside.
+    /// Triangles of the outer surface, as indices into [`World::flex_points`], counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl World {
-    /// Looks a soft body up.
+    /// Looks up a soft body.
     ///
     /// # Errors
-    /// If there is none of that name.
+    /// If the name is unknown; the error lists the known ones.
     pub fn flex(&self, name: &str) -> Result<Flex> {
         let model = self.data.model();
         let names =
@@ -34,19 +34,19 @@ impl World {
         Ok(Flex { first, count, triangles })
     }
 
-    /// Points of a soft body, m.
+    /// Returns the points of a soft body, m.
     pub fn flex_points(&self, flex: &Flex) -> Vec<Vec3> {
         let points = &self.data.flexvert_xpos()[flex.first..flex.first + flex.count];
         points.iter().map(|point| DVec3::from_array(*point).as_vec3()).collect()
     }
 
-    /// Middle of a soft body's points, m.
+    /// Returns the mean of a soft body's points, m.
     pub fn flex_centre(&self, flex: &Flex) -> DVec3 {
         let points = &self.data.flexvert_xpos()[flex.first..flex.first + flex.count];
         points.iter().map(|point| DVec3::from_array(*point)).sum::<DVec3>() / flex.count.max(1) as f64
     }
 
-    /// For each soft body, the body of the same name; without one, the first that moves its points.
+    /// Returns for each soft body the body of the same name, or else the first body that moves its points.
     pub(super) fn find_flex_bodies(&self) -> Vec<Body> {
         let model = self.data.model();
         let body = |id: usize| {

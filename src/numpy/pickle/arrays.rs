@@ -1,29 +1,29 @@
-//! What the objects of numpy, scipy and chumpy in a pickle stand for: arrays.
+//! Converts the objects of numpy, scipy and chumpy in a pickle to arrays.
 
 use super::machine::kind;
 use super::{Array, Id, Outcome, Pickle, Value};
 use crate::numpy::array::Dtype;
 
-/// Most elements that may be read, all arrays within each other together: a small file can name a large array many times.
-const MAX_WORK: usize = 1 << 26;
-/// How deep arrays may be wrapped in each other (chumpy around numpy is two).
+/// Largest number of elements that are read from one pickle; a small file can refer to a large array many times.
+const MAX_READ: usize = 1 << 26;
+/// Largest nesting depth of arrays; numpy inside of chumpy has depth 2.
 const MAX_DEPTH: usize = 16;
 
 impl Pickle<'_> {
-    /// The array a value stands for.
-    pub(crate) fn to_array(&self, id: Id, depth: usize) -> Outcome<Array> {
+    /// Converts a value to an array, within the limits of depth and size.
+    pub(super) fn to_array(&self, id: Id, depth: usize) -> Outcome<Array> {
         if depth > MAX_DEPTH {
             return Err(format!("arrays wrapped more than {MAX_DEPTH} deep"));
         }
-        let array = self.understand(id, depth)?;
-        self.work.set(self.work.get() + 1 + array.data.len());
-        if self.work.get() > MAX_WORK {
+        let array = self.convert(id, depth)?;
+        self.n_read.set(self.n_read.get() + 1 + array.data.len());
+        if self.n_read.get() > MAX_READ {
             return Err("more numbers than any hand model has".into());
         }
         Ok(array)
     }
 
-    fn understand(&self, id: Id, depth: usize) -> Outcome<Array> {
+    fn convert(&self, id: Id, depth: usize) -> Outcome<Array> {
         match &self.values[id] {
             Value::Int(value) => Ok(Array { shape: Vec::new(), data: vec![*value as f64] }),
             Value::Float(value) => Ok(Array { shape: Vec::new(), data: vec![*value] }),
@@ -35,35 +35,36 @@ impl Pickle<'_> {
                     ("numpy", state) => self.numpy_array(class, *args, state, depth),
                     ("scipy", Some(state)) => self.sparse_matrix(class, state, depth),
                     ("chumpy", Some(state)) => self.chumpy_array(class, state, depth),
-                    _ => Err(format!("an object of {class} is no array")),
+                    _ => Err(format!("an object of {class} is not an array")),
                 }
             }
-            other => Err(format!("{} is no array", kind(other))),
+            other => Err(format!("{} is not an array", kind(other))),
         }
     }
 
-    /// The class of an object: the called name, or the first argument of `_reconstructor` (protocols 0 and 1).
+    /// Returns the class of an object: the called name, or the first argument of `_reconstructor` (protocols 0 and 1).
     fn class(&self, function: Id, args: Id) -> Outcome<&str> {
         let name = |id: Id| match &self.values[id] {
             Value::Global(name) => Ok(name.as_str()),
-            other => Err(format!("{} is called, which is no name", kind(other))),
+            other => Err(format!("a call of {}, expected a name", kind(other))),
         };
         let called = name(function)?;
         if called.ends_with("._reconstructor") { name(self.item(args, 0)?) } else { Ok(called) }
     }
 
-    /// `_reconstruct` with its state (version, shape, dtype, is_fortran, data), or `_frombuffer` (data, dtype, shape, order).
+    /// Reads an array: `_reconstruct` with its state (version, shape, dtype, is_fortran, data), `_frombuffer` (data,
+    /// dtype, shape, order) or `scalar` (dtype, data).
     fn numpy_array(&self, class: &str, args: Id, state: Option<Id>, depth: usize) -> Outcome<Array> {
         match (class.rsplit('.').next(), state) {
             (Some("_reconstruct"), Some(state)) => {
                 let shape = self.shape(self.item(state, 1)?)?;
                 let fortran = self.truth(self.item(state, 3)?);
                 let (dtype, data) = (self.item(state, 2)?, self.item(state, 4)?);
-                // An array of objects that holds a single one is a box around it: `numpy.savez` makes such.
+                // `numpy.savez` wraps an object into an object array of shape ().
                 if let (Value::List(items), true) = (&self.values[data], shape.is_empty()) {
                     return match items[..] {
                         [item] => self.to_array(item, depth + 1),
-                        _ => Err("a box of objects without its object".into()),
+                        _ => Err("an object array without its object".into()),
                     };
                 }
                 Array::from_bytes(&self.raw(data)?, self.dtype(dtype)?, shape, fortran)
@@ -77,11 +78,11 @@ impl Pickle<'_> {
                 let dtype = self.dtype(self.item(args, 0)?)?;
                 Array::from_bytes(&self.raw(self.item(args, 1)?)?, dtype, Vec::new(), false)
             }
-            _ => Err(format!("an object of {class} is no array")),
+            _ => Err(format!("an object of {class} is not an array")),
         }
     }
 
-    /// Column-compressed, row-compressed or coordinate form, made dense.
+    /// Reads a sparse matrix in column-compressed, row-compressed or coordinate form as a dense array.
     fn sparse_matrix(&self, class: &str, state: Id, depth: usize) -> Outcome<Array> {
         let part = |name: &str| -> Outcome<Array> {
             let id = self.attribute(state, name).ok_or_else(|| format!("a {class} without {name}"))?;
@@ -92,15 +93,15 @@ impl Pickle<'_> {
         let data = part("data")?.data;
         let triplets = match class.rsplit('.').next() {
             Some("csc_matrix" | "csc_array") => {
-                let columns = uncompressed(&part("indptr")?.indices()?, data.len())?;
-                zipped(part("indices")?.indices()?, columns, data)?
+                let columns = expand_indptr(&part("indptr")?.indices()?, data.len())?;
+                triplets(part("indices")?.indices()?, columns, data)?
             }
             Some("csr_matrix" | "csr_array") => {
-                let rows = uncompressed(&part("indptr")?.indices()?, data.len())?;
-                zipped(rows, part("indices")?.indices()?, data)?
+                let rows = expand_indptr(&part("indptr")?.indices()?, data.len())?;
+                triplets(rows, part("indices")?.indices()?, data)?
             }
             Some("coo_matrix" | "coo_array") => {
-                // SciPy 1.13 and later keep rows and columns together.
+                // SciPy 1.13 and later store rows and columns in one attribute.
                 let (rows, columns) = match self.attribute(state, "coords") {
                     Some(coords) => {
                         let mut rows = self.to_array(coords, depth + 1)?.indices()?;
@@ -109,14 +110,14 @@ impl Pickle<'_> {
                     }
                     None => (part("row")?.indices()?, part("col")?.indices()?),
                 };
-                zipped(rows, columns, data)?
+                triplets(rows, columns, data)?
             }
             _ => return Err(format!("sparse matrices of {class} are not supported (csc, csr and coo are)")),
         };
         Array::from_triplets([rows, columns], triplets)
     }
 
-    /// `Ch` wraps an array as `x`; `Select` takes entries `idxs` of another object `a`.
+    /// Reads a chumpy object: `Ch` wraps an array as `x`; `Select` takes the entries `idxs` of another object `a`.
     fn chumpy_array(&self, class: &str, state: Id, depth: usize) -> Outcome<Array> {
         let part = |name: &str| self.attribute(state, name).map(|id| self.to_array(id, depth + 1)).transpose();
         match class {
@@ -142,7 +143,7 @@ impl Pickle<'_> {
         }
     }
 
-    /// Nested lists or tuples of equal length.
+    /// Stacks the arrays of a list or tuple, which must have equal shapes.
     fn stacked(&self, items: &[Id], depth: usize) -> Outcome<Array> {
         let mut shape = None;
         let mut data = Vec::new();
@@ -158,7 +159,7 @@ impl Pickle<'_> {
         Ok(Array { shape: full, data })
     }
 
-    /// `numpy.dtype(code, ...)` with the state (version, byte order, ...).
+    /// Reads `numpy.dtype(code, ...)` with its state (version, byte order, ...).
     fn dtype(&self, id: Id) -> Outcome<Dtype> {
         let Value::Call { args, state, .. } = &self.values[id] else {
             return Err(format!("{} where an element type should be", kind(&self.values[id])));
@@ -169,11 +170,11 @@ impl Pickle<'_> {
         Ok(order.map_or(dtype, |order| dtype.with_order(&order)))
     }
 
-    /// Raw bytes: as they are, or (bytes of Python 3 in protocol 2 and below) as `_codecs.encode(text, 'latin1')`.
+    /// Reads raw bytes, which Python 3 writes as `_codecs.encode(text, 'latin1')` in protocol 2 and below.
     fn raw(&self, id: Id) -> Outcome<std::borrow::Cow<'_, [u8]>> {
         match &self.values[id] {
             Value::Bytes(bytes) => Ok(bytes.as_ref().into()),
-            // A Python 2 string that another program re-encoded; bytes are its characters.
+            // A Python 2 string that another program re-encoded; each character is a byte.
             Value::Text(text) => latin1(text).map(Into::into),
             Value::Call { args, .. } => match &self.values[self.item(*args, 0)?] {
                 Value::Text(text) => latin1(text).map(Into::into),
@@ -195,10 +196,12 @@ impl Pickle<'_> {
         items.iter().map(length).collect()
     }
 
+    /// Returns Python's truth value.
     fn truth(&self, id: Id) -> bool {
         !matches!(self.values[id], Value::Bool(false) | Value::Int(0) | Value::None)
     }
 
+    /// Returns an entry of a tuple or list.
     fn item(&self, id: Id, index: usize) -> Outcome<Id> {
         match &self.values[id] {
             Value::Tuple(items) | Value::List(items) => {
@@ -208,7 +211,7 @@ impl Pickle<'_> {
         }
     }
 
-    /// Entry of an object's state: a dictionary, or a tuple that starts with one (objects with slots).
+    /// Returns an entry of an object's state: a dictionary, or a tuple that starts with one (objects with slots).
     fn attribute(&self, state: Id, name: &str) -> Option<Id> {
         match &self.values[state] {
             Value::Dict(entries) => {
@@ -223,8 +226,8 @@ impl Pickle<'_> {
     }
 }
 
-/// Major index of each entry of a compressed sparse matrix.
-pub(crate) fn uncompressed(indptr: &[usize], n_entries: usize) -> Outcome<Vec<usize>> {
+/// Expands the `indptr` of a compressed sparse matrix to the major index of each entry.
+pub(crate) fn expand_indptr(indptr: &[usize], n_entries: usize) -> Outcome<Vec<usize>> {
     let ascending = indptr.is_sorted() && indptr.first() == Some(&0) && indptr.last() == Some(&n_entries);
     if !ascending {
         return Err("a sparse matrix whose indptr does not match its data".into());
@@ -232,8 +235,8 @@ pub(crate) fn uncompressed(indptr: &[usize], n_entries: usize) -> Outcome<Vec<us
     Ok(indptr.windows(2).enumerate().flat_map(|(major, ends)| std::iter::repeat_n(major, ends[1] - ends[0])).collect())
 }
 
-/// Rows, columns and values as triplets.
-pub(crate) fn zipped(rows: Vec<usize>, columns: Vec<usize>, data: Vec<f64>) -> Outcome<Vec<(usize, usize, f64)>> {
+/// Combines rows, columns and values to triplets.
+pub(crate) fn triplets(rows: Vec<usize>, columns: Vec<usize>, data: Vec<f64>) -> Outcome<Vec<(usize, usize, f64)>> {
     if rows.len() != data.len() || columns.len() != data.len() {
         return Err(format!(
             "a sparse matrix of {} rows, {} columns, {} values",
