@@ -31,7 +31,7 @@ fn fields(config: &Config, tensors: &Tensors) -> [Vec<f32>; 2] {
     let values: Vec<f32> =
         (0..2 * 3 * 3 * 56 * 56).map(|i| (i as f32 * 0.37).sin() + (i as f32 * 0.0011).cos()).collect();
     let images = Tensor::from_vec(values, (2, 3, 3, 56, 56), &Device::Cpu).unwrap();
-    let (model, _) = checkpoint::load_layers(&path).unwrap();
+    let (model, _) = checkpoint::load_uncompiled(&path).unwrap();
     let (force, contact) = model.forward(&images).unwrap();
     [force, contact].map(|field| field.flatten_all().unwrap().to_vec1().unwrap())
 }

@@ -1,7 +1,7 @@
 //! The fused operations are the plain ones, forward and backward, at any shape and size of numbers.
 
 use candle_core::{DType, Device, Result, Tensor, Var};
-use egotac::model::ops::{self, plain};
+use egotac_kernels::ops::{self, plain};
 use proptest::prelude::*;
 
 /// An operation on f32 tensors in its fused form, and on f64 tensors in its plain one.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use candle_core::{DType, Device, Tensor};
 use egotac::image::{Filter, Resize};
-use egotac::model::pretrained::{self, Around};
+use egotac::model::pretrained::{self, InitOptions};
 use egotac::model::{Checkpoint, Precision};
 
 fn data(file: &str) -> PathBuf {
@@ -18,8 +18,8 @@ fn relative_error(got: &Tensor, want: &Tensor) -> f32 {
     norm(&(got - want).unwrap()) / norm(want)
 }
 
-fn around() -> Around {
-    Around { image: 56, horizon: 2, predict: 1, depth: 1, seed: 3 }
+fn options() -> InitOptions {
+    InitOptions { image: 56, horizon: 2, predict: 1, depth: 1, seed: 3 }
 }
 
 #[test]
@@ -27,7 +27,7 @@ fn their_tokens_are_those_of_transformers() {
     let folder = tempfile::tempdir().unwrap();
     for (name, registers, pretrain_image) in [("plain", 0, 70), ("registers", 4, 98)] {
         let (config, metadata, tensors) =
-            pretrained::init(&data(&format!("hub_{name}.safetensors")), &around()).unwrap();
+            pretrained::init(&data(&format!("hub_{name}.safetensors")), &options()).unwrap();
         assert_eq!((config.registers, config.pretrain_image, config.vision_width), (registers, pretrain_image, 64));
         assert_eq!((config.vision_depth, config.vision_heads, config.patch, config.tokens()), (2, 1, 14, 17));
         assert_eq!((metadata.resize, metadata.filter, metadata.has_force), (Resize::Centre, Filter::Bicubic, false));
@@ -38,7 +38,7 @@ fn their_tokens_are_those_of_transformers() {
             candle_core::safetensors::load(data(&format!("hub_{name}_activations.safetensors")), &Device::Cpu);
         let activations: HashMap<String, Tensor> = activations.unwrap();
         let images = activations["images"].to_dtype(DType::F32).unwrap();
-        let (layers, _) = egotac::model::checkpoint::load_layers(&path).unwrap();
+        let (layers, _) = egotac::model::checkpoint::load_uncompiled(&path).unwrap();
         let compiled = Checkpoint::load(&path, &Device::Cpu).unwrap().model;
         for model in [&layers, &compiled] {
             let error = relative_error(&model.encode(&images).unwrap(), &activations["tokens"]);
@@ -59,7 +59,7 @@ fn a_tensor_that_lacks_or_does_not_fit_is_named_with_both_shapes() {
         change(&mut tensors);
         let path = folder.path().join("changed.safetensors");
         candle_core::safetensors::save(&tensors, &path).unwrap();
-        pretrained::init(&path, &around()).unwrap_err().to_string()
+        pretrained::init(&path, &options()).unwrap_err().to_string()
     };
     let lacks = refused(&|tensors| drop(tensors.remove("encoder.layer.1.norm2.bias")));
     assert!(lacks.contains("encoder.layer.1.norm2.bias: expected [64], found none"), "{lacks}");
@@ -75,7 +75,7 @@ fn a_tensor_that_lacks_or_does_not_fit_is_named_with_both_shapes() {
         tensors.insert(name.into(), fewer);
     });
     assert!(no_square.contains("position_embeddings") && no_square.contains("20 places"), "{no_square}");
-    let no_encoder = pretrained::init(&data("toy_0_weights.safetensors"), &around()).unwrap_err().to_string();
+    let no_encoder = pretrained::init(&data("toy_0_weights.safetensors"), &options()).unwrap_err().to_string();
     assert!(no_encoder.contains("embeddings.cls_token: expected [1, 1, width], found none"), "{no_encoder}");
 }
 

@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use candle_core::{DType, Device, Tensor};
 use candle_nn::VarMap;
 use egotac::model::predictor::{Options, Predictor};
-use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, init, ops};
+use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, init};
 use egotac::train::loss;
+use egotac_kernels::ops;
 use image::{Rgb, RgbImage};
 use proptest::prelude::*;
 

@@ -2,9 +2,9 @@
 
 use candle_core::{D, Result, Tensor};
 use candle_nn::VarBuilder;
+use egotac_kernels::ops;
 
 use super::init::Scheme;
-use super::ops;
 
 /// Epsilon of every layer norm.
 pub const EPS: f64 = 1e-6;

@@ -125,11 +125,11 @@ pub fn load_model(path: &Path, config: Option<&Config>, device: &Device) -> Resu
     file.model(path, &config, device, Precision::F32)
 }
 
-/// Loads a checkpoint's network not yet compiled, on the CPU: its attention can be looked at.
+/// Loads the network of a checkpoint in its trainable form, on the CPU: only that form has attention weights to show.
 ///
 /// # Errors
 /// As [`Checkpoint::load`].
-pub fn load_layers(path: &Path) -> Result<(EgoTac, Metadata)> {
+pub fn load_uncompiled(path: &Path) -> Result<(EgoTac, Metadata)> {
     let bytes = read(path)?;
     let file = File::parse(path, &bytes)?;
     let metadata = Metadata::from_map(path, &file.metadata)?;

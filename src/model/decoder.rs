@@ -2,11 +2,11 @@
 
 use candle_core::{Result, Tensor};
 use candle_nn::{Init, VarBuilder};
+use egotac_kernels::ops;
 
 use super::attention::{EPS, LayerNorm, Linear, Mlp, OWN_NAMES, SelfAttention};
 use super::config::Config;
 use super::init::{STD, Scheme};
-use super::ops;
 use crate::tactile::N_FIELD;
 
 /// K queries through AdaLN-conditioned layers to two heads.

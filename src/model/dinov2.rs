@@ -2,11 +2,11 @@
 
 use candle_core::{Result, Tensor, bail};
 use candle_nn::{Init, VarBuilder};
+use egotac_kernels::ops;
 
 use super::attention::{AttentionNames, LayerNorm, Linear, Mlp, SelfAttention};
 use super::config::Config;
 use super::init::{STD, Scheme};
-use super::ops;
 
 const NAMES: AttentionNames =
     AttentionNames { q: "attention.query", k: "attention.key", v: "attention.value", out: "output.dense" };

@@ -35,7 +35,7 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
-    let (model, metadata) = checkpoint::load_layers(&path)?;
+    let (model, metadata) = checkpoint::load_uncompiled(&path)?;
     let config = model.config().clone();
     let horizon = config.horizon;
     ensure!(args.images.len() <= horizon, "images: expected at most {horizon}, the window, got {}", args.images.len());

@@ -8,7 +8,7 @@ use candle_core::Tensor;
 use crate::model::checkpoint::{self, Stored};
 use crate::model::grow::{self, Growth};
 use crate::model::import::Mapping;
-use crate::model::pretrained::{self, Around};
+use crate::model::pretrained::{self, InitOptions};
 use crate::model::{Checkpoint, Config, Metadata};
 
 /// Arguments of `egotac model import`.
@@ -91,7 +91,7 @@ pub fn import(args: &Import) -> anyhow::Result<()> {
 /// Runs `egotac model start`.
 pub fn start(args: &Start) -> anyhow::Result<()> {
     let Start { image, horizon, predict, depth, seed, .. } = *args;
-    save(&args.out, pretrained::init(&args.encoder, &Around { image, horizon, predict, depth, seed })?)
+    save(&args.out, pretrained::init(&args.encoder, &InitOptions { image, horizon, predict, depth, seed })?)
 }
 
 /// Runs `egotac model grow`.
