@@ -139,12 +139,12 @@ fn attention_is_drawn_for_layers_and_the_temporal_token() {
 }
 
 #[test]
-fn import_and_start_write_checkpoints_that_load() {
+fn import_and_init_write_checkpoints_that_load() {
     let folder = tempfile::tempdir().unwrap();
     let hub = data("hub_registers.safetensors");
-    let start = [
+    let init = [
         "model",
-        "start",
+        "init",
         "--encoder",
         hub.to_str().unwrap(),
         "--image",
@@ -152,14 +152,16 @@ fn import_and_start_write_checkpoints_that_load() {
         "--depth",
         "1",
         "--out",
-        "start.safetensors",
+        "init.safetensors",
     ];
-    good(&start, folder.path());
+    good(&init, folder.path());
+    // The name of the command in earlier versions.
+    good(&init.map(|argument| if argument == "init" { "start" } else { argument }), folder.path());
     let info: Value =
-        serde_json::from_str(&good(&["model", "info", "start.safetensors", "--json"], folder.path())).unwrap();
+        serde_json::from_str(&good(&["model", "info", "init.safetensors", "--json"], folder.path())).unwrap();
     assert_eq!((&info["config"]["registers"], &info["metadata"]["resize"]), (&4.into(), &"centre".into()));
     let import =
-        ["model", "import", "--weights", "start.safetensors", "--mapping", "table.yaml", "--out", "again.safetensors"];
+        ["model", "import", "--weights", "init.safetensors", "--mapping", "table.yaml", "--out", "again.safetensors"];
     let table = format!("config: {}\nsidecar: {{ name: n, topology: mano, fps: 25 }}\nsame: true\n", info["config"]);
     std::fs::write(folder.path().join("table.yaml"), table).unwrap();
     good(&import, folder.path());
