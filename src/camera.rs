@@ -43,7 +43,7 @@ impl Intrinsics {
 
     /// Returns the same intrinsics with another distortion.
     #[must_use]
-    pub fn with_distortion(self, distortion: Distortion) -> Self {
+    pub(crate) fn with_distortion(self, distortion: Distortion) -> Self {
         Self { distortion, ..self }
     }
 
@@ -70,7 +70,7 @@ impl Intrinsics {
 
 impl Distortion {
     /// True if there is no distortion.
-    pub fn is_none(self) -> bool {
+    pub(crate) fn is_none(self) -> bool {
         self == Self::default()
     }
 
@@ -81,7 +81,7 @@ impl Distortion {
     }
 
     /// Limit of the field: the least r > 0 with 1 + 3 k1 r² + 5 k2 r⁴ = 0. Beyond it the image would fold back.
-    pub fn limit(self) -> f64 {
+    pub(crate) fn limit(self) -> f64 {
         let Self([k1, k2]) = self;
         let (a, b) = (5.0 * k2, 3.0 * k1);
         let root = (b * b - 4.0 * a).sqrt();
@@ -91,7 +91,7 @@ impl Distortion {
     }
 
     /// Inverts the distortion: returns the distance from the axis that is projected to `seen`; `None` beyond the limit.
-    pub fn unbend(self, seen: f64) -> Option<f64> {
+    pub(crate) fn unbend(self, seen: f64) -> Option<f64> {
         let at = |r: f64| r * self.factor(r);
         let mut high = self.limit();
         if high.is_infinite() {

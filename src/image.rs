@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 pub use raw::{ENCODINGS, RawImage};
 
 /// Longest accepted side of an image, pixels; bounds the memory that a damaged or hostile file can ask for.
-pub const MAX_SIDE: u32 = 16_384;
+pub(crate) const MAX_SIDE: u32 = 16_384;
 /// ImageNet's mean per RGB channel, for values in 0..1.
 pub const IMAGENET_MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 /// ImageNet's standard deviation per RGB channel, for values in 0..1.

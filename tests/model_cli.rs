@@ -1,4 +1,4 @@
-//! The commands of the network, as a user runs them.
+//! The commands of `egotac model` and `egotac bench model`, run as programs.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -88,7 +88,7 @@ echo '{"encoder_ms": 1000, "streaming_ms": 2000, "clip_ms": 4000, "openvino_enco
 }
 
 #[test]
-fn a_stream_of_the_toy_network_keeps_its_memory() {
+fn the_memory_of_a_stream_stays_constant() {
     let folder = tempfile::tempdir().unwrap();
     let text =
         good(&["bench", "model", "--preset", "toy", "--threads", "1", "--growth", "3000", "--json"], folder.path());
@@ -98,7 +98,7 @@ fn a_stream_of_the_toy_network_keeps_its_memory() {
 }
 
 #[test]
-fn bench_says_what_is_wrong() {
+fn bench_reports_wrong_options() {
     let folder = tempfile::tempdir().unwrap();
     let bench = |more: &[&str]| refused(&[&["bench", "model"], more].concat(), folder.path());
     assert!(bench(&["--preset", "huge"]).contains("known: toy, pocket, tiny, small, base"));
@@ -141,12 +141,12 @@ fn attention_is_drawn_for_layers_and_the_temporal_token() {
 #[test]
 fn import_and_init_write_checkpoints_that_load() {
     let folder = tempfile::tempdir().unwrap();
-    let hub = data("hub_registers.safetensors");
+    let published = data("pretrained_registers.safetensors");
     let init = [
         "model",
         "init",
         "--encoder",
-        hub.to_str().unwrap(),
+        published.to_str().unwrap(),
         "--image",
         "56",
         "--depth",

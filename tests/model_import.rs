@@ -1,4 +1,4 @@
-//! Another program's checkpoint becomes ours by a table, or each misfit is named.
+//! A table converts another program's checkpoint, or each mismatch is named.
 
 use std::path::{Path, PathBuf};
 
@@ -96,7 +96,7 @@ fn a_pytorch_file_gives_the_outputs_it_was_saved_with() {
 }
 
 #[test]
-fn what_does_not_fit_is_named() {
+fn tensors_that_do_not_fit_are_named() {
     let fails = |from: &str, to: &str| {
         assert!(table().contains(from));
         let error =
@@ -135,7 +135,7 @@ fn a_table_with_a_mistake_is_refused() {
 }
 
 #[test]
-fn a_pytorch_file_that_would_run_code_runs_none() {
+fn code_in_a_pytorch_file_is_not_executed() {
     use std::io::Write;
     // protocol 2: os.system("touch MARK")
     let folder = tempfile::tempdir().unwrap();

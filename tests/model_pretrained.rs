@@ -1,4 +1,4 @@
-//! Published DINOv2 checkpoints, with and without register tokens, give the tokens that PyTorch gives.
+//! Published DINOv2 checkpoints, with and without register tokens, give the tokens of PyTorch.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -23,11 +23,11 @@ fn options() -> InitOptions {
 }
 
 #[test]
-fn their_tokens_are_those_of_transformers() {
+fn tokens_agree_with_the_transformers_library() {
     let folder = tempfile::tempdir().unwrap();
     for (name, registers, pretrain_image) in [("plain", 0, 70), ("registers", 4, 98)] {
         let (config, metadata, tensors) =
-            pretrained::init(&data(&format!("hub_{name}.safetensors")), &options()).unwrap();
+            pretrained::init(&data(&format!("pretrained_{name}.safetensors")), &options()).unwrap();
         assert_eq!((config.registers, config.pretrain_image, config.vision_width), (registers, pretrain_image, 64));
         assert_eq!((config.vision_depth, config.vision_heads, config.patch, config.tokens()), (2, 1, 14, 17));
         assert_eq!((metadata.resize, metadata.filter, metadata.has_force), (Resize::Centre, Filter::Bicubic, false));
@@ -35,7 +35,7 @@ fn their_tokens_are_those_of_transformers() {
         Checkpoint::save_tensors(&path, &config, &metadata, &tensors).unwrap();
 
         let activations =
-            candle_core::safetensors::load(data(&format!("hub_{name}_activations.safetensors")), &Device::Cpu);
+            candle_core::safetensors::load(data(&format!("pretrained_{name}_activations.safetensors")), &Device::Cpu);
         let activations: HashMap<String, Tensor> = activations.unwrap();
         let images = activations["images"].to_dtype(DType::F32).unwrap();
         let (layers, _) = egotac::model::checkpoint::load_uncompiled(&path).unwrap();
@@ -51,9 +51,9 @@ fn their_tokens_are_those_of_transformers() {
 }
 
 #[test]
-fn a_tensor_that_lacks_or_does_not_fit_is_named_with_both_shapes() {
+fn a_missing_or_misshapen_tensor_is_named_with_both_shapes() {
     let folder = tempfile::tempdir().unwrap();
-    let whole = candle_core::safetensors::load(data("hub_plain.safetensors"), &Device::Cpu).unwrap();
+    let whole = candle_core::safetensors::load(data("pretrained_plain.safetensors"), &Device::Cpu).unwrap();
     let refused = |change: &dyn Fn(&mut HashMap<String, Tensor>)| {
         let mut tensors = whole.clone();
         change(&mut tensors);
@@ -81,10 +81,10 @@ fn a_tensor_that_lacks_or_does_not_fit_is_named_with_both_shapes() {
 
 #[test]
 fn the_published_preparation_is_a_resize_to_256_and_the_centre_224() {
-    // A wide picture whose colour says the place: the crop keeps the middle 224/256 of the shorter side.
+    // An image whose colour encodes the position: the crop keeps the middle 224/256 of the shorter side.
     let picture = image::RgbImage::from_fn(640, 512, |x, y| image::Rgb([(x / 4) as u8, (y / 4) as u8, 0]));
     let out = egotac::image::resize(&picture, 224, Resize::Centre, Filter::Bicubic).unwrap();
-    // Half a source pixel per output pixel of 256 for 512: out (i) looks at 2 (i + 16) + 1 of the shorter side.
+    // Two source pixels per output pixel (512 to 256): output pixel i is centred at 2 (i + 16) + 1 of the shorter side.
     for i in [5u32, 100, 200] {
         let want_y = (2.0 * (f64::from(i) + 16.0) + 1.0) / 4.0;
         let want_x = (2.0 * (f64::from(i) + 16.0) + 1.0 + 64.0) / 4.0;

@@ -9,14 +9,14 @@ use rand_distr::{Distribution, StandardNormal};
 use sha2::{Digest, Sha256};
 
 /// Standard deviation of initial tokens and embeddings, as in DINOv2.
-pub const STD: f64 = 0.02;
+pub(crate) const STD: f64 = 0.02;
 
 /// Number of inputs whose weights DINOv2 draws with standard deviation [`STD`].
 const STD_WIDTH: f64 = 768.0;
 
 /// Initial distribution of weight and bias of a linear layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Scheme {
+pub(crate) enum Scheme {
     /// PyTorch's distribution for a linear layer of k inputs: both uniform in ±1/√k (Kaiming with a = √5).
     Torch,
     /// Distribution of DINOv2 base: weight N(0, 0.02) at 768 inputs, bias zero. Other widths keep its gain, 0.02 √(768/k):
@@ -61,7 +61,7 @@ pub fn var_builder(varmap: &VarMap, seed: u64, device: &Device) -> VarBuilder<'s
 
 /// Returns a builder whose tensors are the variables of `varmap`, converted to another format; none may be missing.
 /// Gradients pass through the conversion, so the variables stay f32.
-pub fn cast_builder(varmap: &VarMap, dtype: DType, device: &Device) -> VarBuilder<'static> {
+pub(crate) fn cast_builder(varmap: &VarMap, dtype: DType, device: &Device) -> VarBuilder<'static> {
     VarBuilder::from_backend(Box::new(Cast(Seeded { varmap: varmap.clone(), seed: 0 })), dtype, device.clone())
 }
 
