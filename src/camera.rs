@@ -69,11 +69,6 @@ impl Intrinsics {
 }
 
 impl Distortion {
-    /// True if there is no distortion.
-    pub(crate) fn is_none(self) -> bool {
-        self == Self::default()
-    }
-
     /// Factor by which the distance `r` of a direction from the axis grows.
     fn factor(self, r: f64) -> f64 {
         let (Self([k1, k2]), s) = (self, r * r);

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 /// `Result` with the library's [`Error`].
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// Everything that can go wrong in the library. Each variant carries the name of the thing, what was expected, and what
-/// came instead.
+/// Everything that can go wrong in the library. Each variant carries the name of the thing, the expected value and the
+/// value that came.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -72,7 +72,7 @@ pub enum Error {
         got: String,
     },
 
-    /// A number that the network computed is not finite: its input or weights are beyond what f32 can hold.
+    /// A number that the network computed is not finite: its input or weights exceed the range of f32.
     #[error("network, {tensor}: expected finite numbers, got {value} at {index}")]
     NotFinite {
         /// Step of the network, by the name of its tensors in a checkpoint; `images` is the input.

@@ -76,7 +76,7 @@ fn a_pytorch_file_gives_the_outputs_it_was_saved_with() {
     Checkpoint::save_tensors(&path, &config, &metadata, &tensors).unwrap();
     let imported = Checkpoint::load(&path, &Device::Cpu).unwrap();
     assert_eq!(imported.metadata, metadata);
-    // The same network under our own names, and what PyTorch computed with it.
+    // The same network under egotac's names, and the outputs that PyTorch computed with it.
     let ours =
         checkpoint::load_model(&data("other_0_weights.safetensors"), None, &Device::Cpu).unwrap().freeze().unwrap();
     let activations = candle_core::safetensors::load(data("other_0_activations.safetensors"), &Device::Cpu).unwrap();

@@ -158,7 +158,7 @@ impl Config {
     /// Checks ranges and divisibility; every network is built from a configuration that passed.
     ///
     /// # Errors
-    /// Names the first key that is out of range, with what is allowed.
+    /// Names the first key that is out of range, with its allowed values.
     pub fn check(&self) -> Result<()> {
         let ranges = [
             ("vision_width", self.vision_width, MAX_WIDTH),

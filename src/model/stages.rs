@@ -245,7 +245,8 @@ impl EgoTac {
     /// Returns the number of windows that separate frames make up.
     fn check_windows(&self, frames: &[&Tensor]) -> Result<usize> {
         let (t, size) = (self.config.horizon, self.config.tokens() * self.config.width);
-        if frames.is_empty() || frames.len() % t != 0 || frames.iter().any(|frame| frame.elem_count() != size) {
+        if frames.is_empty() || !frames.len().is_multiple_of(t) || frames.iter().any(|frame| frame.elem_count() != size)
+        {
             let expected = format!("windows of {t} frames of {size} values");
             return Err(Error::shape("observation window", expected, [frames.len()]));
         }

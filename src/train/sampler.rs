@@ -65,7 +65,7 @@ fn cut(
     }
 }
 
-/// What an epoch takes from one source.
+/// Episodes of one source, and the number of windows that an epoch takes from them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pool {
     /// Store, frames and stride of each episode.

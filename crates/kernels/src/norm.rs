@@ -4,7 +4,7 @@ use crate::ops::statistics;
 use crate::rows::Rows;
 use crate::{simd, team};
 
-/// Values that one task normalises: 64 KiB, about 10 µs of work, a multiple of what handing over a task costs.
+/// Values that one task normalises: 64 KiB, small against a cache and far more work than a task costs.
 const VALUES_PER_TASK: usize = 16_384;
 
 /// A layer norm with weight and bias.

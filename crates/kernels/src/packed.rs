@@ -12,7 +12,7 @@ use crate::team;
 use crate::tile::{self, LANES, TILES_PER_TASK, Tile, VECTORS, Weight};
 use crate::tile8::{self, GROUP, Tile8};
 
-/// Multiply-adds below which one thread computes the whole product: about 5 µs, what handing over the tasks costs.
+/// Multiply-adds below which one thread computes the whole product: handing tasks to others would take longer.
 const SMALL: usize = 1 << 17;
 /// Least number of tasks that a product is split into, as far as its panels allow: with many small tasks, a thread that
 /// the system suspends holds up little work.

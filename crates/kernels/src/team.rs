@@ -9,7 +9,8 @@ use std::cell::{Cell, UnsafeCell};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 
-/// Times that a waiting thread looks for work before it yields its processor: about 10 µs of spinning.
+/// Times that a waiting thread looks for work before it yields its processor. A helper that
+/// yields at once misses the next step; one that never yields takes time from others on a busy machine.
 const SPINS: usize = 4_000;
 /// Bits of each of the two low fields of [`Team::work`]: number of tasks, and next task. The step takes the rest.
 const BITS: u32 = 16;

@@ -9,7 +9,7 @@ use crate::simd;
 
 /// Largest number of rows for which reading the weights once per row is faster than packing them for a matrix product.
 const FEW_ROWS: usize = 2;
-/// Weights that one task reads for few rows: 128 KiB, some 10 µs of memory bandwidth.
+/// Weights that one task reads for few rows: 128 KiB, far more work than a task costs.
 const WEIGHTS_PER_TASK: usize = 32_768;
 
 /// `x Wᵀ + b`. `x`: `(.., k)`, `weight`: `(n, k)`, `bias`: `(n)`.
