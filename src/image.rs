@@ -97,7 +97,7 @@ impl Preparation {
 /// Decodes a PNG or JPEG file to RGB with 8 bits; grey is repeated, transparency is dropped.
 ///
 /// # Errors
-/// If the bytes are of neither format or damaged, or the image has a side of more than [`MAX_SIDE`] pixels.
+/// If the bytes are of neither format or damaged, or the image has a side of more than 16,384 pixels.
 pub fn decode(bytes: &[u8]) -> Result<RgbImage> {
     let invalid = |error: &dyn std::fmt::Display| Error::value("image", "an intact PNG or JPEG file", error);
     let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| invalid(&e))?;
