@@ -1,11 +1,11 @@
-//! Times a whole optimisation step with random weights, on one line of JSON; `egotac bench model` times inference.
+//! Measures a training step with random weights, as one line of JSON. `egotac bench model` measures inference.
 //!
 //! ```text
 //! cargo bench --bench model -- --preset tiny --threads 2 [--runs 5] [--batch 4]
 //! ```
 //!
-//! `step_ms` is the median of forward, force and contact loss, backward, clipping and AdamW on that many clips.
-//! `peak_memory_mb` is the process's.
+//! `step_ms` is the median time of forward pass, force and contact loss, backward pass, gradient clipping and AdamW on a batch
+//! of clips. `peak_memory_mb` is that of the process.
 
 use std::time::Instant;
 
@@ -53,7 +53,7 @@ fn step(config: &Config, batch: usize, runs: usize) -> anyhow::Result<f64> {
     })
 }
 
-/// Mean of `-w y log σ(x) - (1 - y) log(1 - σ(x))`, from logits, without overflow.
+/// Computes the mean of `-w y log σ(x) - (1 - y) log(1 - σ(x))`, from logits, without overflow.
 fn weighted_bce(x: &Tensor, y: &Tensor, positive_weight: f64) -> Result<Tensor> {
     // log(1 + e⁻ˣ) = max(-x, 0) + log(1 + e^-|x|)
     let softplus = (x.neg()?.relu()? + (x.abs()?.neg()?.exp()? + 1.0)?.log()?)?;
@@ -80,7 +80,7 @@ fn clip_gradients(vars: &VarMap, gradients: &mut candle_core::backprop::GradStor
     Ok(())
 }
 
-/// Milliseconds; the first run is not counted.
+/// Returns the median time of `run`, ms; the first run is not counted.
 fn median(runs: usize, mut run: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<f64> {
     run()?;
     let mut times = Vec::new();
@@ -93,7 +93,7 @@ fn median(runs: usize, mut run: impl FnMut() -> anyhow::Result<()>) -> anyhow::R
     Ok(times[times.len() / 2])
 }
 
-/// Largest resident size of this process so far, MB; not a number where the system does not say.
+/// Returns the peak resident memory of this process, MB; NaN if the system does not report it.
 fn peak_memory_mb() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));

@@ -7,6 +7,7 @@ pub type Result<T> = std::result::Result<T, Error>;
 
 /// Error of the library.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum Error {
     /// A file or directory could not be read or written.
     #[error("{path}: {source}")]
@@ -70,6 +71,21 @@ pub enum Error {
         got: String,
     },
 
+    /// A number that the network computed is not finite: its input or weights exceed the range of f32.
+    #[error("network, {tensor}: expected finite numbers, got {value} at {index}")]
+    NotFinite {
+        /// Step of the network, by the name of its tensors in a checkpoint; `images` is the input.
+        tensor: String,
+        /// Place of the first such number in the step's output.
+        index: usize,
+        /// The number.
+        value: f32,
+    },
+
+    /// Attention weights were asked of a network that does not keep them.
+    #[error("attention weights need the trainable form of the network; load the checkpoint without compiling it")]
+    CompiledNetwork,
+
     /// Two fields have different topologies.
     #[error("topology mismatch: {left} and {right}; `egotac hand map` converts fields")]
     Topology {
@@ -79,7 +95,7 @@ pub enum Error {
         right: String,
     },
 
-    /// A tensor operation failed.
+    /// A tensor operation or its device failed.
     #[error("network: {0}")]
     Candle(#[from] candle_core::Error),
 
@@ -114,5 +130,11 @@ impl Error {
     pub fn unknown<'a>(kind: &'static str, name: impl ToString, known: impl IntoIterator<Item = &'a str>) -> Self {
         let known = known.into_iter().collect::<Vec<_>>().join(", ");
         Self::Unknown { kind, name: name.to_string(), known }
+    }
+
+    /// True if the error concerns one input alone (a value, a shape, numbers that overflow), so that the next input may
+    /// succeed; false if a file, a device or an engine failed.
+    pub fn is_recoverable(&self) -> bool {
+        matches!(self, Self::Value { .. } | Self::Shape { .. } | Self::NotFinite { .. })
     }
 }

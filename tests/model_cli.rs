@@ -1,4 +1,4 @@
-//! The commands of the network, as a user runs them.
+//! The commands of `egotac model` and `egotac bench model`, run as programs.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -88,7 +88,7 @@ echo '{"encoder_ms": 1000, "streaming_ms": 2000, "clip_ms": 4000, "openvino_enco
 }
 
 #[test]
-fn a_stream_of_the_toy_network_keeps_its_memory() {
+fn the_memory_of_a_stream_stays_constant() {
     let folder = tempfile::tempdir().unwrap();
     let text =
         good(&["bench", "model", "--preset", "toy", "--threads", "1", "--growth", "3000", "--json"], folder.path());
@@ -98,7 +98,7 @@ fn a_stream_of_the_toy_network_keeps_its_memory() {
 }
 
 #[test]
-fn bench_says_what_is_wrong() {
+fn bench_reports_wrong_options() {
     let folder = tempfile::tempdir().unwrap();
     let bench = |more: &[&str]| refused(&[&["bench", "model"], more].concat(), folder.path());
     assert!(bench(&["--preset", "huge"]).contains("known: toy, pocket, tiny, small, base"));
@@ -139,27 +139,29 @@ fn attention_is_drawn_for_layers_and_the_temporal_token() {
 }
 
 #[test]
-fn import_and_start_write_checkpoints_that_load() {
+fn import_and_init_write_checkpoints_that_load() {
     let folder = tempfile::tempdir().unwrap();
-    let hub = data("hub_registers.safetensors");
-    let start = [
+    let published = data("pretrained_registers.safetensors");
+    let init = [
         "model",
-        "start",
+        "init",
         "--encoder",
-        hub.to_str().unwrap(),
+        published.to_str().unwrap(),
         "--image",
         "56",
         "--depth",
         "1",
         "--out",
-        "start.safetensors",
+        "init.safetensors",
     ];
-    good(&start, folder.path());
+    good(&init, folder.path());
+    // The name of the command in earlier versions.
+    good(&init.map(|argument| if argument == "init" { "start" } else { argument }), folder.path());
     let info: Value =
-        serde_json::from_str(&good(&["model", "info", "start.safetensors", "--json"], folder.path())).unwrap();
+        serde_json::from_str(&good(&["model", "info", "init.safetensors", "--json"], folder.path())).unwrap();
     assert_eq!((&info["config"]["registers"], &info["metadata"]["resize"]), (&4.into(), &"centre".into()));
     let import =
-        ["model", "import", "--weights", "start.safetensors", "--mapping", "table.yaml", "--out", "again.safetensors"];
+        ["model", "import", "--weights", "init.safetensors", "--mapping", "table.yaml", "--out", "again.safetensors"];
     let table = format!("config: {}\nsidecar: {{ name: n, topology: mano, fps: 25 }}\nsame: true\n", info["config"]);
     std::fs::write(folder.path().join("table.yaml"), table).unwrap();
     good(&import, folder.path());

@@ -1,27 +1,27 @@
 //! Layer norm over the last dimension.
 
-use candle_core::{CpuStorage, CustomOp1, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
 
-use super::cpu;
-use super::simd;
+use super::cpu::{self, Operand, Operation};
+use crate::simd;
 
 /// See [`super::layer_norm`].
 pub fn layer_norm(x: &Tensor, affine: Option<(&Tensor, &Tensor)>, eps: f64) -> Result<Tensor> {
     let op = LayerNorm { eps: eps as f32 };
-    let x = x.contiguous()?;
     match affine {
-        Some((weight, bias)) => x.apply_op3(&weight.contiguous()?, &bias.contiguous()?, op),
-        None => x.apply_op1(op),
+        Some((weight, bias)) => cpu::apply(op, [x, weight, bias]),
+        None => x.contiguous()?.apply_op1(op),
     }
 }
 
-/// With weight and bias, or without.
+/// Layer norm with weight and bias ([`Operation`]) or without (`CustomOp1`).
 struct LayerNorm {
     eps: f32,
 }
 
 impl LayerNorm {
-    fn forward(&self, x: &[f32], d: usize, affine: Option<(&[f32], &[f32])>) -> Vec<f32> {
+    /// Normalises each row of `d` values.
+    fn normalise(&self, x: &[f32], d: usize, affine: Option<(&[f32], &[f32])>) -> Vec<f32> {
         cpu::filled(x.len(), cpu::ROWS * d, |index, out| {
             let x = cpu::block(x, index, cpu::ROWS * d);
             simd::dispatch(
@@ -47,8 +47,10 @@ impl LayerNorm {
         })
     }
 
-    /// With n the normalised row, g the gradient times the weight: dx = (g - mean(g) - n mean(g n)) / σ.
-    fn backward(&self, x: &[f32], weight: Option<&[f32]>, grad: &[f32], d: usize) -> Vec<f32> {
+    /// Computes the gradient of the input.
+    ///
+    /// With n the normalised row and g the gradient times the weight: dx = (g - mean(g) - n mean(g n)) / σ.
+    fn input_gradient(&self, x: &[f32], weight: Option<&[f32]>, grad: &[f32], d: usize) -> Vec<f32> {
         let block = cpu::ROWS * d;
         cpu::filled(x.len(), block, |index, dx| {
             let (x, grad) = (cpu::block(x, index, block), cpu::block(grad, index, block));
@@ -58,7 +60,7 @@ impl LayerNorm {
                     let rows = dx.chunks_exact_mut(d).zip(x.chunks_exact(d)).zip(grad.chunks_exact(d));
                     for ((dx, x), grad) in rows {
                         let (mean, inverse) = statistics(x, self.eps);
-                        // dx holds g for now.
+                        // First dx holds g.
                         match weight {
                             Some(weight) => {
                                 for ((g, grad), w) in dx.iter_mut().zip(grad).zip(weight) {
@@ -83,7 +85,7 @@ impl LayerNorm {
         })
     }
 
-    /// Gradients of weight and bias: Σ over rows of grad n, and of grad.
+    /// Computes the gradients of weight and bias: the sums over rows of grad n and of grad.
     fn backward_affine(&self, x: &[f32], grad: &[f32], d: usize) -> [Vec<f32>; 2] {
         cpu::sum_rows(x.len() / d, d, |rows, [dweight, dbias]| {
             simd::dispatch(
@@ -103,7 +105,7 @@ impl LayerNorm {
     }
 }
 
-/// Mean of a row, and one over its standard deviation.
+/// Returns the mean of a row and one over its standard deviation.
 #[inline(always)]
 pub fn statistics(row: &[f32], eps: f32) -> (f32, f32) {
     let scale = 1.0 / row.len() as f32;
@@ -129,63 +131,45 @@ impl CustomOp1 for LayerNorm {
 
     fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
         let d = last_dim(layout)?;
-        Ok((CpuStorage::F32(self.forward(cpu::slice(x, layout)?, d, None)), layout.shape().clone()))
+        Ok((CpuStorage::F32(self.normalise(cpu::slice(x, layout)?, d, None)), layout.shape().clone()))
     }
 
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         let d = last_dim(x.layout())?;
         let grad = grad.contiguous()?;
-        let dx = cpu::with_slice(x, |x| cpu::with_slice(&grad, |grad| Ok(self.backward(x, None, grad, d))))?;
+        let dx = cpu::with_slice(x, |x| cpu::with_slice(&grad, |grad| Ok(self.input_gradient(x, None, grad, d))))?;
         Ok(Some(cpu::tensor_like(dx, x)?))
     }
 }
 
-impl CustomOp3 for LayerNorm {
-    fn name(&self) -> &'static str {
-        "layer-norm-affine"
-    }
+impl Operation for LayerNorm {
+    const NAME: &'static str = "layer-norm-affine";
 
-    fn cpu_fwd(
-        &self,
-        x: &CpuStorage,
-        x_layout: &Layout,
-        weight: &CpuStorage,
-        weight_layout: &Layout,
-        bias: &CpuStorage,
-        bias_layout: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let d = last_dim(x_layout)?;
-        if weight_layout.dims() != [d] || bias_layout.dims() != [d] {
-            let (x, weight, bias) = (x_layout.dims(), weight_layout.dims(), bias_layout.dims());
-            bail!("layer norm: x {x:?}, weight {weight:?}, bias {bias:?}");
+    fn forward(&self, [x, weight, bias]: [Operand; 3]) -> Result<(Vec<f32>, Shape)> {
+        let d = last_dim(x.layout)?;
+        if weight.dims() != [d] || bias.dims() != [d] {
+            bail!("layer norm: x {:?}, weight {:?}, bias {:?}", x.dims(), weight.dims(), bias.dims());
         }
-        let affine = (cpu::slice(weight, weight_layout)?, cpu::slice(bias, bias_layout)?);
-        let out = self.forward(cpu::slice(x, x_layout)?, d, Some(affine));
-        Ok((CpuStorage::F32(out), x_layout.shape().clone()))
+        let out = self.normalise(x.values, d, Some((weight.values, bias.values)));
+        Ok((out, x.layout.shape().clone()))
     }
 
-    fn bwd(
-        &self,
-        x: &Tensor,
-        weight: &Tensor,
-        bias: &Tensor,
-        _: &Tensor,
-        grad: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+    fn backward(&self, [x, weight, bias]: [&Tensor; 3], _: &Tensor, grad: &Tensor) -> Result<[Option<Tensor>; 3]> {
         let d = last_dim(x.layout())?;
-        let grad = grad.contiguous()?;
         cpu::with_slice(x, |values| {
-            cpu::with_slice(&grad, |grad| {
+            cpu::with_slice(grad, |grad| {
                 let dx = match x.track_op() {
-                    true => Some(cpu::with_slice(weight, |weight| Ok(self.backward(values, Some(weight), grad, d)))?),
+                    true => {
+                        Some(cpu::with_slice(weight, |weight| Ok(self.input_gradient(values, Some(weight), grad, d)))?)
+                    }
                     false => None,
                 };
                 let dx = dx.map(|dx| cpu::tensor_like(dx, x)).transpose()?;
                 if !weight.track_op() && !bias.track_op() {
-                    return Ok((dx, None, None));
+                    return Ok([dx, None, None]);
                 }
                 let [dweight, dbias] = self.backward_affine(values, grad, d);
-                Ok((dx, Some(cpu::tensor_like(dweight, weight)?), Some(cpu::tensor_like(dbias, bias)?)))
+                Ok([dx, Some(cpu::tensor_like(dweight, weight)?), Some(cpu::tensor_like(dbias, bias)?)])
             })
         })
     }

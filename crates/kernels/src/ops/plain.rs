@@ -1,4 +1,4 @@
-//! The operations written with candle's own differentiable ones: any device and floating-point type.
+//! The operations written with candle's own differentiable ones, for any device and floating-point type.
 
 use candle_core::{D, Result, Tensor};
 
@@ -6,7 +6,7 @@ use candle_core::{D, Result, Tensor};
 pub fn linear(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
     let mut dims = x.dims().to_vec();
     let (n, k) = weight.dims2()?;
-    // One large product: candle would otherwise run one per batch entry.
+    // One product over all rows: candle runs one per batch entry otherwise.
     let y = x.reshape(((), k))?.matmul(&weight.t()?)?.broadcast_add(bias)?;
     if let Some(last) = dims.last_mut() {
         *last = n;

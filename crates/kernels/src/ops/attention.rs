@@ -1,32 +1,31 @@
-//! Multi-head self-attention, and the projection before it.
+//! Multi-head self-attention and the projection before it, as one operation.
 
 use std::sync::OnceLock;
 
-use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
-use super::cpu;
+use super::cpu::{self, Operand, Operation};
 use super::linear;
 use super::matrix::{Mat, MatMut, Onto, Threads, multiply};
-use super::simd;
+use crate::simd;
 
-/// Queries whose scores are worked on at once, at most: their rows of scores stay in the cache.
+/// Most queries of one task: 64 rows of 257 scores are 66 KB, which stay in the cache of a core.
 const TILE: usize = 64;
 
 /// softmax(q kᵀ / √size) v per head, of q, k and v side by side, `x Wᵀ + b`.
 struct SelfAttention {
     heads: usize,
-    /// The projections, for the backward pass.
+    /// The projections, kept for the backward pass.
     qkv: OnceLock<Vec<f32>>,
 }
 
 /// See [`super::self_attention`].
 pub fn self_attention(x: &Tensor, weight: &Tensor, bias: &Tensor, heads: usize) -> Result<Tensor> {
-    let op = SelfAttention { heads, qkv: OnceLock::new() };
-    x.contiguous()?.apply_op3(&weight.contiguous()?, &bias.contiguous()?, op)
+    cpu::apply(SelfAttention { heads, qkv: OnceLock::new() }, [x, weight, bias])
 }
 
-/// Sizes of one call.
+/// Sizes of one call: tokens, width, heads, width of a head, and 1/√(width of a head).
 #[derive(Clone, Copy)]
 struct Sizes {
     n: usize,
@@ -49,26 +48,15 @@ impl SelfAttention {
     }
 }
 
-impl CustomOp3 for SelfAttention {
-    fn name(&self) -> &'static str {
-        "self-attention"
-    }
+impl Operation for SelfAttention {
+    const NAME: &'static str = "self-attention";
 
-    fn cpu_fwd(
-        &self,
-        x: &CpuStorage,
-        x_layout: &Layout,
-        weight: &CpuStorage,
-        weight_layout: &Layout,
-        bias: &CpuStorage,
-        bias_layout: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let projected = linear::shape(x_layout, weight_layout, bias_layout)?;
+    fn forward(&self, operands: [Operand; 3]) -> Result<(Vec<f32>, Shape)> {
+        let projected = linear::shape(operands)?;
         let sizes = self.sizes(projected.dims())?;
         let Sizes { n, d, .. } = sizes;
-        let (x, weight, bias) =
-            (cpu::slice(x, x_layout)?, cpu::slice(weight, weight_layout)?, cpu::slice(bias, bias_layout)?);
-        let qkv = linear::forward(x, weight, bias, weight_layout.dims()[1]);
+        let [x, weight, bias] = operands;
+        let qkv = linear::forward(x.values, weight.values, bias.values, weight.dims()[1]);
         let mut out = cpu::filled(qkv.len() / 3, cpu::CHUNK, |_, _| {});
         let tile = tile_rows(n);
         let images = out.par_chunks_mut(n * d).zip(qkv.par_chunks(3 * n * d));
@@ -78,25 +66,17 @@ impl CustomOp3 for SelfAttention {
                 |scores, (i, out)| sizes.forward_tile(qkv, i * tile, out, scores),
             );
         });
-        // Only ever run once; were it run again, it would be with the same input.
+        // Fails only if the forward pass runs twice, with the same input and so the same values.
         let _ = self.qkv.set(qkv);
-        Ok((CpuStorage::F32(out), Shape::from((projected.dims()[0], n, d))))
+        Ok((out, Shape::from((projected.dims()[0], n, d))))
     }
 
-    fn bwd(
-        &self,
-        x: &Tensor,
-        weight: &Tensor,
-        bias: &Tensor,
-        out: &Tensor,
-        grad: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+    fn backward(&self, [x, weight, bias]: [&Tensor; 3], out: &Tensor, grad: &Tensor) -> Result<[Option<Tensor>; 3]> {
         let Some(qkv) = self.qkv.get() else { bail!("self-attention: backward without forward") };
         let (images, n, d) = out.dims3()?;
         let sizes = self.sizes(&[images, n, 3 * d])?;
-        let grad = grad.contiguous()?;
         let dqkv = cpu::with_slice(out, |out| {
-            cpu::with_slice(&grad, |grad| {
+            cpu::with_slice(grad, |grad| {
                 Ok(cpu::filled(qkv.len(), 3 * n * d, |image, dqkv| {
                     let (out, grad) = (cpu::block(out, image, n * d), cpu::block(grad, image, n * d));
                     sizes.backward_image(cpu::block(qkv, image, 3 * n * d), out, grad, dqkv);
@@ -111,18 +91,18 @@ impl CustomOp3 for SelfAttention {
             false => None,
         };
         let [dweight, dbias] = cpu::with_slice(x, |x| linear::parameter_gradients(x, weight, bias, &dqkv))?;
-        Ok((dx, dweight, dbias))
+        Ok([dx, dweight, dbias])
     }
 }
 
 impl Sizes {
-    /// Queries, keys or values (`part` 0, 1, 2) of one head, from a token on: `(rows, size)`.
+    /// Returns queries, keys or values (`part` 0, 1, 2) of one head, from token `first` on: `(rows, size)`.
     fn part<'a>(&self, qkv: &'a [f32], part: usize, head: usize, first: usize, rows: usize) -> Mat<'a> {
         let start = 3 * self.d * first + part * self.d + head * self.size;
         Mat::new(&qkv[start..], rows, self.size, 3 * self.d)
     }
 
-    /// Attention weights of `rows` queries from `first` on: `(rows, n)` into `scores`.
+    /// Writes the attention weights of `rows` queries from `first` on into `scores`: `(rows, n)`.
     fn weights(&self, qkv: &[f32], head: usize, first: usize, rows: usize, scores: &mut [f32]) {
         let (q, k) = (self.part(qkv, 0, head, first, rows), self.part(qkv, 1, head, 0, self.n));
         multiply(MatMut::new(scores, rows, self.n, self.n), Onto::Nothing, self.scale, q, k.t(), Threads::One);
@@ -136,7 +116,7 @@ impl Sizes {
         );
     }
 
-    /// `out`: `(rows, d)` of the queries from `first` on.
+    /// Attends with the queries from `first` on. `out`: `(rows, d)`.
     fn forward_tile(&self, qkv: &[f32], first: usize, out: &mut [f32], scores: &mut [f32]) {
         let Sizes { n, d, size, .. } = *self;
         let rows = out.len() / d;
@@ -147,8 +127,10 @@ impl Sizes {
         }
     }
 
-    /// With a the weights, o the output, g its gradient: dv = aᵀ g, s = a ∘ (g vᵀ - rowsum(g ∘ o)) / √size, dq = s k,
-    /// dk = sᵀ q. The weights are computed again, tile by tile, rather than kept.
+    /// Computes the gradient of the projections of one image.
+    ///
+    /// With a the weights, o the output and g its gradient: dv = aᵀ g, s = a ∘ (g vᵀ - rowsum(g ∘ o)) / √size, dq = s k,
+    /// dk = sᵀ q. The weights are computed again tile by tile: kept, they would be the largest tensors of the network.
     fn backward_image(&self, qkv: &[f32], out: &[f32], grad: &[f32], dqkv: &mut [f32]) {
         let Sizes { n, d, size, .. } = *self;
         let tile = tile_rows(n);
@@ -188,7 +170,7 @@ impl Sizes {
     }
 }
 
-/// eˣ over its sum along a row; the largest is subtracted first, so that nothing overflows.
+/// Softmax of a row, in place. The largest value is subtracted first, so that nothing overflows.
 #[inline(always)]
 fn softmax(row: &mut [f32]) {
     let largest = simd::max(row);
@@ -206,7 +188,8 @@ fn softmax(row: &mut [f32]) {
     }
 }
 
-/// Rows of a tile, such that tiles are of equal size and their number suits an even number of threads.
+/// Returns the queries per task: at most [`TILE`], tasks of equal size, and an even number of them for an even number of
+/// threads.
 fn tile_rows(n: usize) -> usize {
     let tiles = n.div_ceil(TILE).next_multiple_of(2);
     n.div_ceil(tiles)

@@ -1,19 +1,23 @@
-//! Self-attention of one sequence, from packed projections.
+//! Self-attention of one sequence, for inference.
+//!
+//! Keys and values are packed into panels per head, as the weights of a layer are; queries are read where they lie. A task
+//! computes the scores of a few queries, their exponentials and the weighted sum of the values while the scores are in its
+//! own cache. The division by the sum of exponentials comes last, on the few outputs instead of the many weights.
 
 use std::cell::RefCell;
 
-use super::aligned::Aligned;
-use super::packed::Shared;
-use super::team;
-use super::tile::{self, LANES, MOST_ROWS, TILES_PER_TASK, Tile, VECTORS};
-use crate::model::ops::simd;
+use crate::aligned::Aligned;
+use crate::packed::Shared;
+use crate::simd;
+use crate::team;
+use crate::tile::{self, LANES, MOST_ROWS, TILES_PER_TASK, Tile, VECTORS};
 
 thread_local! {
-    /// Scores of the rows that a thread works on.
+    /// Scores of the queries that this thread works on, kept so that a task allocates nothing.
     static SCORES: RefCell<Aligned<f32>> = RefCell::new(Aligned::zeros(0));
 }
 
-/// Keys and values of one sequence, laid out for the tiles, and the sizes.
+/// Multi-head self-attention with buffers for the keys and values of one sequence.
 #[derive(Debug, Clone)]
 pub struct Attention {
     n: usize,
@@ -24,7 +28,7 @@ pub struct Attention {
 }
 
 impl Attention {
-    /// Room for `n` tokens.
+    /// Creates buffers for sequences of `n` tokens of width `d`.
     pub fn new(n: usize, d: usize, heads: usize) -> Self {
         let size = d / heads;
         let (wide_n, wide_size) = (n.next_multiple_of(LANES), size.next_multiple_of(LANES));
@@ -37,12 +41,12 @@ impl Attention {
         }
     }
 
-    /// softmax(q kᵀ / √size) v for each head.
+    /// Computes softmax(q kᵀ / √size) v for each head.
     ///
-    /// `qkv`: `(n, 3 d)`, `out`: `(n, d)`.
+    /// `qkv`: `(n, 3 d)`, queries, keys and values side by side. `out`: `(n, d)`.
     ///
     /// # Panics
-    /// If the slices are shorter.
+    /// If a slice is shorter.
     pub fn forward(&mut self, qkv: &[f32], out: &mut [f32]) {
         let (n, heads, size) = (self.n, self.heads, self.size);
         let d = heads * size;
@@ -70,8 +74,8 @@ impl Attention {
         });
     }
 
-    /// Up to [`MOST_ROWS`] queries of a head; writes their places of `out` and nothing else.
-    #[allow(unsafe_code)]
+    /// Attends with up to [`MOST_ROWS`] queries of a head. Writes their rows of the head's columns of `out`, and no other
+    /// value.
     fn rows(&self, qkv: &[f32], head: usize, row: usize, rows: usize, scores: &mut [f32], out: Shared) {
         let (n, size) = (self.n, self.size);
         let d = self.heads * size;
@@ -91,7 +95,8 @@ impl Attention {
                 cols: vectors * LANES,
                 add: false,
             };
-            // SAFETY: queries, panel and scores (MOST_ROWS x wide_n) hold what the tile reads and writes.
+            // SAFETY: the slice `queries` ends with the last query; the panel has `size` lines of `vectors` vectors, since
+            // `keys` is padded to whole vectors; `scores` has MOST_ROWS rows of `wide_n` values and belongs to this thread.
             unsafe { tile::compute(&tile, rows, vectors) };
         }
         let mut weights = [0.0; MOST_ROWS];
@@ -106,7 +111,7 @@ impl Attention {
         );
         for (first, vectors) in panels(size) {
             let cols = (vectors * LANES).min(size - first);
-            let at = out.0.wrapping_add(row * d + head * size + first);
+            let at = out.at(row * d + head * size + first);
             let tile = Tile {
                 a: scores.as_ptr(),
                 lda: wide_n,
@@ -118,11 +123,11 @@ impl Attention {
                 cols,
                 add: false,
             };
-            // SAFETY: scores and panel hold what the tile reads; `forward` asserted that `out` has these rows and
-            // columns, and no other task has them.
+            // SAFETY: `scores` has `rows` rows of n values, the panel n lines of `vectors` vectors. `forward` asserted that
+            // `out` has n rows of d columns; each (head, rows) pair, and with it this tile, occurs in one task only.
             unsafe { tile::compute(&tile, rows, vectors) };
             for (r, weight) in weights.iter().enumerate().take(rows) {
-                // SAFETY: as above.
+                // SAFETY: row r of the tile just written; no other slice of it exists.
                 let out = unsafe { std::slice::from_raw_parts_mut(at.wrapping_add(r * d), cols) };
                 out.iter_mut().for_each(|value| *value *= weight);
             }
@@ -130,7 +135,7 @@ impl Attention {
     }
 }
 
-/// First column and number of vectors of each panel.
+/// Returns first column and number of vectors of each panel.
 fn panels(columns: usize) -> impl Iterator<Item = (usize, usize)> {
     let vectors = columns.div_ceil(LANES);
     let count = vectors.div_ceil(VECTORS);
@@ -140,14 +145,14 @@ fn panels(columns: usize) -> impl Iterator<Item = (usize, usize)> {
     })
 }
 
-/// Panels of keys, one column each; padding stays zero.
+/// Packs keys: panels of up to 48 keys, one column per key, one line per channel. Padding stays zero.
 fn pack_keys<'a>(n: usize, size: usize, key: impl Fn(usize) -> &'a [f32], out: &mut [f32]) {
     for (first, vectors) in panels(n) {
         let width = vectors * LANES;
         let panel = &mut out[first * size..(first + width) * size];
         for vector in (0..width).step_by(LANES) {
             let there = LANES.min(n.saturating_sub(first + vector));
-            // Lanes without a key take the last one's place below, and are not written.
+            // Lanes beyond the last key refer to that key, so that the array is full; they are not copied below.
             let keys: [&[f32]; LANES] = std::array::from_fn(|lane| key((first + vector + lane).min(n - 1)));
             for (line, out) in panel.chunks_exact_mut(width).enumerate() {
                 for (out, key) in out[vector..vector + there].iter_mut().zip(&keys) {
@@ -158,7 +163,7 @@ fn pack_keys<'a>(n: usize, size: usize, key: impl Fn(usize) -> &'a [f32], out: &
     }
 }
 
-/// Panels of a head's columns, one line per token; padding stays zero.
+/// Packs values: panels of up to 48 channels of a head, one line per token. Padding stays zero.
 fn pack_values<'a>(n: usize, size: usize, value: impl Fn(usize) -> &'a [f32], out: &mut [f32]) {
     for (first, vectors) in panels(size) {
         let width = vectors * LANES;
@@ -169,7 +174,7 @@ fn pack_values<'a>(n: usize, size: usize, value: impl Fn(usize) -> &'a [f32], ou
     }
 }
 
-/// e^(scale (x - largest)) in place. Returns one over their sum; NaN if a value is.
+/// Replaces each x by e^(scale (x - largest)). Returns one over the sum of the results; NaN if an x is NaN.
 #[inline(always)]
 fn exponentials(row: &mut [f32], scale: f32) -> f32 {
     let largest = simd::max(row);

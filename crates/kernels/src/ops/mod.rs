@@ -1,32 +1,34 @@
-//! The network's operations, each in two forms.
+//! Operations of a transformer on candle tensors, each in two forms.
 //!
 //! | operation | fused: CPU, f32 | plain: every other device and type |
 //! |---|---|---|
-//! | [`linear`] | bias written first, one matrix product onto it; few rows: one pass over the weights | matmul, broadcast add |
+//! | [`linear`] | bias, then one matrix product added to it; few rows: one pass over the weights | matmul, broadcast add |
 //! | [`layer_norm`] | one pass per row, statistics in f32 | mean, centre, mean of squares, scale |
 //! | [`gelu_linear`] | exact (erf), one pass, and one matrix product | `gelu_erf`, as [`linear`] |
 //! | [`self_attention`] | one matrix product, tiles of queries, softmax inside | as [`linear`], two matmuls and a softmax |
 //! | [`scaled_residual`] | one pass | broadcast multiply, add |
 //!
-//! Training and inference run the same form: each fused one has its own backward, so a gradient never passes through
-//! candle's fused layer norm or softmax, which have none. Between any two operations candle sums gradients from zero,
-//! on tensors as large as the operations' own, so that the widest ones lie inside of operations.
+//! Training and inference run the same form. Each fused form has its own backward pass, since candle's fused layer norm and
+//! softmax have none. Between any two operations candle keeps a gradient and sums it from zero; the operations are cut so
+//! that the widest tensors lie inside one.
 
 mod attention;
-pub(super) mod cpu;
+#[allow(unsafe_code)] // the spare capacity of a vector, written on several threads
+mod cpu;
 mod gelu;
 mod layer_norm;
 mod linear;
+#[allow(unsafe_code)] // the entry point of `gemm`, which takes pointers
 mod matrix;
 pub mod plain;
 mod residual;
-pub(super) mod simd;
 
 use candle_core::{Result, Tensor};
 
-pub(super) use layer_norm::statistics;
+pub use cpu::with_slices;
+pub(crate) use layer_norm::statistics;
 
-/// `x Wᵀ + b`. `x`: `(.., k)`, `weight`: `(n, k)`, `bias`: `(n)`. Returns `(.., n)`.
+/// Computes `x Wᵀ + b`. `x`: `(.., k)`, `weight`: `(n, k)`, `bias`: `(n)`. Returns `(.., n)`.
 ///
 /// # Errors
 /// If shapes, types or devices don't fit.
@@ -34,7 +36,7 @@ pub fn linear(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
     if cpu::takes(&[x, weight, bias]) { linear::linear(x, weight, bias) } else { plain::linear(x, weight, bias) }
 }
 
-/// Normalises the last dimension to zero mean and unit variance, then scales and shifts it by `affine`, if there.
+/// Normalises the last dimension to zero mean and unit variance, then applies weight and bias if `affine` has them.
 ///
 /// `x`: `(.., d)`, `affine`: weight and bias, `(d)` each.
 ///
@@ -44,7 +46,7 @@ pub fn layer_norm(x: &Tensor, affine: Option<(&Tensor, &Tensor)>, eps: f64) -> R
     if cpu::takes(&[x]) { layer_norm::layer_norm(x, affine, eps) } else { plain::layer_norm(x, affine, eps) }
 }
 
-/// `(x Φ(x)) Wᵀ + b` with the exact normal distribution function Φ (erf). Shapes as in [`linear`].
+/// Computes `(x Φ(x)) Wᵀ + b` with the exact normal distribution function Φ (erf). Shapes as in [`linear`].
 ///
 /// # Errors
 /// If shapes, types or devices don't fit.
@@ -56,8 +58,8 @@ pub fn gelu_linear(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor>
     }
 }
 
-/// Multi-head self-attention: softmax(q kᵀ / √(d / heads)) v for each head, of queries, keys and values side by side,
-/// `x Wᵀ + b`.
+/// Computes multi-head self-attention: softmax(q kᵀ / √(d / heads)) v for each head, where `x Wᵀ + b` holds queries, keys
+/// and values side by side.
 ///
 /// `x`: `(B, N, k)`, `weight`: `(3 d, k)`, `bias`: `(3 d)`. Returns `(B, N, d)`.
 ///
@@ -71,7 +73,7 @@ pub fn self_attention(x: &Tensor, weight: &Tensor, bias: &Tensor, heads: usize) 
     }
 }
 
-/// `h + λ y`, λ per channel. `h`, `y`: `(.., d)`, `lambda`: `(d)`.
+/// Computes `h + λ y`, with λ per channel. `h`, `y`: `(.., d)`, `lambda`: `(d)`.
 ///
 /// # Errors
 /// If shapes, types or devices don't fit.

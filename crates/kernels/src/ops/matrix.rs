@@ -2,7 +2,7 @@
 
 use gemm::Parallelism;
 
-/// A matrix in a slice, rows or columns contiguous.
+/// A matrix in a slice; its rows or its columns are contiguous.
 #[derive(Clone, Copy)]
 pub struct Mat<'a> {
     data: &'a [f32],
@@ -13,18 +13,18 @@ pub struct Mat<'a> {
 }
 
 impl<'a> Mat<'a> {
-    /// `rows` rows of `cols` contiguous values, `stride` from one row to the next.
+    /// Views a slice as `rows` rows of `cols` contiguous values, `stride` values from one row to the next.
     pub fn new(data: &'a [f32], rows: usize, cols: usize, stride: usize) -> Self {
         Self { data, rows, cols, row_stride: stride, col_stride: 1 }
     }
 
-    /// The transpose, without moving anything.
+    /// Returns the transpose, a view of the same values.
     pub fn t(self) -> Self {
         Self { rows: self.cols, cols: self.rows, row_stride: self.col_stride, col_stride: self.row_stride, ..self }
     }
 }
 
-/// A matrix to write, rows contiguous.
+/// A matrix to write; its rows are contiguous.
 pub struct MatMut<'a> {
     data: &'a mut [f32],
     rows: usize,
@@ -33,35 +33,34 @@ pub struct MatMut<'a> {
 }
 
 impl<'a> MatMut<'a> {
-    /// `rows` rows of `cols` contiguous values, `stride` from one row to the next.
+    /// Views a slice as `rows` rows of `cols` contiguous values, `stride` values from one row to the next.
     pub fn new(data: &'a mut [f32], rows: usize, cols: usize, stride: usize) -> Self {
         Self { data, rows, cols, stride }
     }
 }
 
-/// What a product does with the values already there.
+/// Use of the values already in the result of a product.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Onto {
-    /// Replaces them.
+    /// The product replaces them.
     Nothing,
-    /// Adds to them.
+    /// The product is added to them.
     Existing,
 }
 
-/// Whether a product may use all threads; inside a parallel loop it may not.
+/// Threads that a product may use; inside a parallel loop only one.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Threads {
-    /// The calling one.
+    /// The calling thread.
     One,
-    /// All of the pool, if the product is large enough.
+    /// All threads of the pool, if the product is large enough.
     All,
 }
 
-/// `out = scale · lhs rhs (+ out)`.
+/// Computes `out = scale · lhs rhs (+ out)`.
 ///
 /// # Panics
 /// If the shapes don't fit each other or their slices.
-#[allow(unsafe_code)] // The library's only entry takes pointers.
 pub fn multiply(out: MatMut, onto: Onto, scale: f32, lhs: Mat, rhs: Mat, threads: Threads) {
     let (m, k, n) = (lhs.rows, lhs.cols, rhs.cols);
     assert_eq!((rhs.rows, out.rows, out.cols), (k, m, n), "shapes of a matrix product");
@@ -80,8 +79,9 @@ pub fn multiply(out: MatMut, onto: Onto, scale: f32, lhs: Mat, rhs: Mat, threads
         Threads::All => Parallelism::Rayon(0),
     };
     let existing = if onto == Onto::Existing { 1.0 } else { 0.0 };
-    // SAFETY: the assertions above keep every index that the strides reach inside its slice, the borrows keep the
-    // result apart from both sides, and rows of the result don't overlap.
+    // SAFETY: `gemm` reads and writes exactly the values that sizes and strides address. The assertions above place all of
+    // them inside their slices and keep the rows of the result apart; the exclusive borrow of the result separates it from
+    // both sides.
     unsafe {
         gemm::gemm(
             m,
@@ -112,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn products_with_strides_and_transposes_are_those_of_the_definition() {
+    fn products_with_strides_and_transposes_agree_with_the_definition() {
         let a: Vec<f32> = (0..7 * 9).map(|i| (i as f32 * 0.7).sin()).collect();
         let b: Vec<f32> = (0..6 * 9).map(|i| (i as f32 * 0.3).cos()).collect();
         // a is (7, 5) in rows of 9, b is (6, 5) in rows of 9, the result (7, 6) in rows of 8.

@@ -1,15 +1,15 @@
 //! Linear layer with bias.
 
-use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
-use super::cpu;
+use super::cpu::{self, Operand, Operation};
 use super::matrix::{Mat, MatMut, Onto, Threads, multiply};
-use super::simd;
+use crate::simd;
 
-/// Up to this many rows, reading the weights once per row beats packing them for a matrix product.
+/// Largest number of rows for which reading the weights once per row is faster than packing them for a matrix product.
 const FEW_ROWS: usize = 2;
-/// Weights that one task reads for few rows.
+/// Weights that one task reads for few rows: 128 KiB, far more work than a task costs.
 const WEIGHTS_PER_TASK: usize = 32_768;
 
 /// `x Wᵀ + b`. `x`: `(.., k)`, `weight`: `(n, k)`, `bias`: `(n)`.
@@ -17,55 +17,36 @@ struct Linear;
 
 /// See [`super::linear`].
 pub fn linear(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
-    x.contiguous()?.apply_op3(&weight.contiguous()?, &bias.contiguous()?, Linear)
+    cpu::apply(Linear, [x, weight, bias])
 }
 
-impl CustomOp3 for Linear {
-    fn name(&self) -> &'static str {
-        "linear"
+impl Operation for Linear {
+    const NAME: &'static str = "linear";
+
+    fn forward(&self, operands: [Operand; 3]) -> Result<(Vec<f32>, Shape)> {
+        let shape = shape(operands)?;
+        let [x, weight, bias] = operands;
+        Ok((forward(x.values, weight.values, bias.values, weight.dims()[1]), shape))
     }
 
-    fn cpu_fwd(
-        &self,
-        x: &CpuStorage,
-        x_layout: &Layout,
-        weight: &CpuStorage,
-        weight_layout: &Layout,
-        bias: &CpuStorage,
-        bias_layout: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let shape = shape(x_layout, weight_layout, bias_layout)?;
-        let (x, weight, bias) =
-            (cpu::slice(x, x_layout)?, cpu::slice(weight, weight_layout)?, cpu::slice(bias, bias_layout)?);
-        Ok((CpuStorage::F32(forward(x, weight, bias, weight_layout.dims()[1])), shape))
-    }
-
-    fn bwd(
-        &self,
-        x: &Tensor,
-        weight: &Tensor,
-        bias: &Tensor,
-        _: &Tensor,
-        grad: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let grad = grad.contiguous()?;
-        cpu::with_slice(&grad, |grad| {
+    fn backward(&self, [x, weight, bias]: [&Tensor; 3], _: &Tensor, grad: &Tensor) -> Result<[Option<Tensor>; 3]> {
+        cpu::with_slice(grad, |grad| {
             let dx = match x.track_op() {
                 true => Some(cpu::with_slice(weight, |weight| cpu::tensor_like(input_gradient(grad, weight, x)?, x))?),
                 false => None,
             };
             let [dweight, dbias] = cpu::with_slice(x, |x| parameter_gradients(x, weight, bias, grad))?;
-            Ok((dx, dweight, dbias))
+            Ok([dx, dweight, dbias])
         })
     }
 }
 
-/// Shape of what [`super::linear`] gives.
+/// Returns the shape of the result of [`super::linear`] for x, weight and bias.
 ///
 /// # Errors
-/// If those of its arguments don't fit.
-pub fn shape(x: &Layout, weight: &Layout, bias: &Layout) -> Result<Shape> {
-    let (n, k) = weight.shape().dims2()?;
+/// If their shapes don't fit each other.
+pub fn shape([x, weight, bias]: [Operand; 3]) -> Result<Shape> {
+    let (n, k) = weight.layout.shape().dims2()?;
     let mut dims = x.dims().to_vec();
     match dims.last_mut() {
         Some(last) if *last == k && bias.dims() == [n] => *last = n,
@@ -74,20 +55,20 @@ pub fn shape(x: &Layout, weight: &Layout, bias: &Layout) -> Result<Shape> {
     Ok(Shape::from(dims))
 }
 
-/// What [`super::linear`] gives, of rows of `k` values.
+/// Applies the layer to rows of `k` values.
 pub fn forward(x: &[f32], weight: &[f32], bias: &[f32], k: usize) -> Vec<f32> {
     let rows = x.len() / k.max(1);
     if rows <= FEW_ROWS { few_rows(x, weight, bias) } else { many_rows(x, weight, bias, rows) }
 }
 
-/// Gradient of the input: that of the output times the weights `(n, k)`.
+/// Returns the gradient of the input: that of the output times the weights `(n, k)`.
 pub fn input_gradient(grad: &[f32], weight: &[f32], x: &Tensor) -> Result<Vec<f32>> {
     let k = x.layout().shape().dims().last().copied().unwrap_or(1).max(1);
     let (rows, n) = (x.elem_count() / k, weight.len() / k);
     Ok(product(rows, k, Mat::new(grad, rows, n, n), Mat::new(weight, n, k, k)))
 }
 
-/// Gradients of weight and bias, where they are wanted.
+/// Returns the gradients of weight and bias; `None` for one that is not a variable.
 pub fn parameter_gradients(x: &[f32], weight: &Tensor, bias: &Tensor, grad: &[f32]) -> Result<[Option<Tensor>; 2]> {
     let (n, k) = weight.dims2()?;
     let rows = x.len() / k.max(1);
@@ -110,14 +91,14 @@ pub fn parameter_gradients(x: &[f32], weight: &Tensor, bias: &Tensor, grad: &[f3
     Ok([dweight.transpose()?, dbias.transpose()?])
 }
 
-/// A matrix product on all threads.
+/// Returns a matrix product, computed on all threads.
 fn product(rows: usize, cols: usize, lhs: Mat, rhs: Mat) -> Vec<f32> {
     let mut out = cpu::filled(rows * cols, cpu::CHUNK, |_, _| {});
     multiply(MatMut::new(&mut out, rows, cols, cols), Onto::Nothing, 1.0, lhs, rhs, Threads::All);
     out
 }
 
-/// The bias in every row, and the product added onto it.
+/// Writes the bias into every row, and adds one matrix product.
 fn many_rows(x: &[f32], weight: &[f32], bias: &[f32], rows: usize) -> Vec<f32> {
     let (n, k) = (bias.len(), x.len() / rows);
     let mut out = cpu::filled(rows * n, cpu::ROWS * n, |_, out| {
@@ -128,7 +109,7 @@ fn many_rows(x: &[f32], weight: &[f32], bias: &[f32], rows: usize) -> Vec<f32> {
     out
 }
 
-/// One scalar product per output.
+/// Computes one scalar product per output.
 fn few_rows(x: &[f32], weight: &[f32], bias: &[f32]) -> Vec<f32> {
     let n = bias.len();
     let k = weight.len() / n.max(1);

@@ -1,37 +1,28 @@
 //! Residual connection with a scale per channel.
 
-use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use candle_core::{Result, Shape, Tensor, bail};
 
-use super::cpu;
-use super::simd;
+use super::cpu::{self, Operand, Operation};
+use crate::simd;
 
 /// `h + λ y`.
 struct ScaledResidual;
 
 /// See [`super::scaled_residual`].
 pub fn scaled_residual(h: &Tensor, y: &Tensor, lambda: &Tensor) -> Result<Tensor> {
-    h.contiguous()?.apply_op3(&y.contiguous()?, &lambda.contiguous()?, ScaledResidual)
+    cpu::apply(ScaledResidual, [h, y, lambda])
 }
 
-impl CustomOp3 for ScaledResidual {
-    fn name(&self) -> &'static str {
-        "scaled-residual"
-    }
+impl Operation for ScaledResidual {
+    const NAME: &'static str = "scaled-residual";
 
-    fn cpu_fwd(
-        &self,
-        h: &CpuStorage,
-        h_layout: &Layout,
-        y: &CpuStorage,
-        y_layout: &Layout,
-        lambda: &CpuStorage,
-        lambda_layout: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let d = lambda_layout.shape().dims1()?;
-        if d == 0 || h_layout.dims() != y_layout.dims() || h_layout.dims().last() != Some(&d) {
-            bail!("scaled residual: h {:?}, y {:?}, lambda [{d}]", h_layout.dims(), y_layout.dims());
+    fn forward(&self, [h, y, lambda]: [Operand; 3]) -> Result<(Vec<f32>, Shape)> {
+        let d = lambda.layout.shape().dims1()?;
+        if d == 0 || h.dims() != y.dims() || h.dims().last() != Some(&d) {
+            bail!("scaled residual: h {:?}, y {:?}, lambda [{d}]", h.dims(), y.dims());
         }
-        let (h, y, lambda) = (cpu::slice(h, h_layout)?, cpu::slice(y, y_layout)?, cpu::slice(lambda, lambda_layout)?);
+        let shape = h.layout.shape().clone();
+        let (h, y, lambda) = (h.values, y.values, lambda.values);
         let block = cpu::ROWS * d;
         let out = cpu::filled(h.len(), block, |index, out| {
             let (h, y) = (cpu::block(h, index, block), cpu::block(y, index, block));
@@ -46,20 +37,12 @@ impl CustomOp3 for ScaledResidual {
                 },
             )
         });
-        Ok((CpuStorage::F32(out), h_layout.shape().clone()))
+        Ok((out, shape))
     }
 
-    fn bwd(
-        &self,
-        _: &Tensor,
-        y: &Tensor,
-        lambda: &Tensor,
-        _: &Tensor,
-        grad: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+    fn backward(&self, [_, y, lambda]: [&Tensor; 3], _: &Tensor, grad: &Tensor) -> Result<[Option<Tensor>; 3]> {
         let d = lambda.dims1()?;
-        let grad = grad.contiguous()?;
-        let (dy, dlambda) = cpu::with_slice(&grad, |grad| {
+        let (dy, dlambda) = cpu::with_slice(grad, |grad| {
             let dy = cpu::with_slice(lambda, |lambda| {
                 Ok(cpu::zip(
                     grad,
@@ -85,6 +68,6 @@ impl CustomOp3 for ScaledResidual {
             })?;
             Ok((cpu::tensor_like(dy, y)?, cpu::tensor_like(dlambda, lambda)?))
         })?;
-        Ok((Some(grad), Some(dy), Some(dlambda)))
+        Ok([Some(grad.clone()), Some(dy), Some(dlambda)])
     }
 }

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Writes the files of tests/model_pretrained.rs and tests/model_import.rs (needs torch, transformers and safetensors):
 
-    python tests/data/model/hub.py        # writes hub_*.safetensors and foreign.pth beside this script
+    python tests/data/model/pretrained.py        # writes pretrained_*.safetensors and foreign.pth beside this script
 
-hub_plain and hub_registers are vision encoders as the hub has them (Dinov2Model, Dinov2WithRegistersModel, small and
+pretrained_plain and pretrained_registers are vision encoders as published on the Hugging Face hub (Dinov2Model, Dinov2WithRegistersModel, small and
 random), with images and the tokens that CLS and patches become. foreign.pth is the network of golden.py's case other_0
 as another program might save it: PyTorch's own format, packed projections, a transposed matrix, the right hand first.
 """
@@ -28,8 +28,8 @@ def published(name, model, images, registers):
     with tempfile.TemporaryDirectory() as folder:  # the saved file has the published names
         model.save_pretrained(folder)
         weights = load_file(f"{folder}/model.safetensors")
-    save_file({k: v.bfloat16().contiguous() for k, v in weights.items()}, HERE / f"hub_{name}.safetensors")
-    save_file({"images": images.half(), "tokens": tokens.contiguous()}, HERE / f"hub_{name}_activations.safetensors")
+    save_file({k: v.bfloat16().contiguous() for k, v in weights.items()}, HERE / f"pretrained_{name}.safetensors")
+    save_file({"images": images.half(), "tokens": tokens.contiguous()}, HERE / f"pretrained_{name}_activations.safetensors")
 
 
 def foreign():

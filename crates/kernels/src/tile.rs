@@ -1,45 +1,48 @@
 //! The innermost product in floating point: a few rows times a panel of columns, in registers.
 
-use super::aligned::Number;
+use crate::aligned::Number;
+use crate::simd;
 
-/// Rows of most tiles: with three vectors of columns its sums take 24 of 32 registers.
+/// Rows of most tiles. With three vectors of columns the sums take 24 of the 32 registers of AVX-512; three more hold a
+/// line of the panel and one the broadcast value of `a`.
 const ROWS: usize = 8;
-/// Rows of the largest tile. The CLS token is one over a multiple of 8 patches: in a tile of its own most
-/// registers would be idle, and each sum wait for the one before.
+/// Rows of the largest tile. A frame has a multiple of 8 patches and one CLS token: in a tile of its own that token would
+/// leave most registers idle, and each multiply-add would wait for the one before.
 pub const MOST_ROWS: usize = ROWS + 1;
-/// Tiles that one task takes, one below the other.
+/// Tiles of one task, one below the other: they share the panel, which stays in the L1 or L2 cache between them.
 pub const TILES_PER_TASK: usize = 4;
-/// Values in a vector.
+/// f32 values in a vector of AVX-512.
 pub const LANES: usize = 16;
-/// Vectors of columns in the widest panel.
+/// Vectors of columns in the widest panel; see [`ROWS`].
 pub const VECTORS: usize = 3;
 
 /// `out = a b + bias (+ out)` for one tile.
 ///
-/// `a`: rows, `lda` apart, `k` values each. `b`: `k` lines of the panel, its vectors side by side.
+/// `a`: rows of `k` values. `b`: a panel, which holds for each of the `k` inputs one line with the weights of all its
+/// columns. A tile reads its panel from start to end, so the prefetcher keeps up.
 #[derive(Debug, Clone, Copy)]
 pub struct Tile<E> {
     /// First value of the first row.
     pub a: *const f32,
-    /// From one row of `a` to the next.
+    /// Values from one row of `a` to the next.
     pub lda: usize,
     /// The panel.
     pub b: *const E,
     /// Lines of the panel.
     pub k: usize,
-    /// Bias of the panel's columns; null for none.
+    /// Bias of each column; null for none.
     pub bias: *const f32,
     /// First value of the first row of the result.
     pub out: *mut f32,
-    /// From one row of the result to the next.
+    /// Values from one row of the result to the next.
     pub ldc: usize,
-    /// Columns that exist; the panel's others are padding.
+    /// Columns of the result; the panel is padded to whole vectors.
     pub cols: usize,
-    /// Whether to add to what is there.
+    /// True to add to the result instead of replacing it.
     pub add: bool,
 }
 
-/// Tiles that `rows` rows are split into.
+/// Number of tiles that `rows` rows are split into.
 pub fn count(rows: usize) -> usize {
     match rows % ROWS {
         1 if rows > ROWS => rows / ROWS,
@@ -47,7 +50,7 @@ pub fn count(rows: usize) -> usize {
     }
 }
 
-/// First row and number of rows of the tiles that task `task` takes, of all those of `rows` rows: as even as can be.
+/// Returns first row and number of rows of each tile of a task, with `rows` rows in all. Tiles differ by at most one row.
 pub fn of_task(task: usize, rows: usize) -> impl Iterator<Item = (usize, usize)> {
     let count = count(rows);
     let first = task * TILES_PER_TASK;
@@ -57,21 +60,19 @@ pub fn of_task(task: usize, rows: usize) -> impl Iterator<Item = (usize, usize)>
     })
 }
 
-/// A weight that becomes an f32.
-#[allow(unsafe_code)]
+/// A stored weight that is converted to f32 when it is used.
 pub trait Weight: Number {
-    /// Its value.
+    /// The weight as f32.
     fn value(self) -> f32;
 
-    /// 16 values.
+    /// Loads 16 weights as f32.
     ///
     /// # Safety
-    /// 16 weights can be read from `at`; the processor has AVX-512.
+    /// 16 weights can be read from `at`, and the processor has AVX-512 F.
     #[cfg(target_arch = "x86_64")]
     unsafe fn load(at: *const Self) -> std::arch::x86_64::__m512;
 }
 
-#[allow(unsafe_code)]
 impl Weight for f32 {
     #[inline(always)]
     fn value(self) -> f32 {
@@ -82,13 +83,12 @@ impl Weight for f32 {
     #[inline]
     #[target_feature(enable = "avx512f")]
     unsafe fn load(at: *const Self) -> std::arch::x86_64::__m512 {
-        // SAFETY: the caller's.
+        // SAFETY: the caller guarantees 16 readable values and the feature; the load needs no alignment.
         unsafe { std::arch::x86_64::_mm512_loadu_ps(at) }
     }
 }
 
 /// bf16: the upper half of an f32.
-#[allow(unsafe_code)]
 impl Weight for u16 {
     #[inline(always)]
     fn value(self) -> f32 {
@@ -100,25 +100,26 @@ impl Weight for u16 {
     #[target_feature(enable = "avx512f")]
     unsafe fn load(at: *const Self) -> std::arch::x86_64::__m512 {
         use std::arch::x86_64::{_mm256_loadu_si256, _mm512_castsi512_ps, _mm512_cvtepu16_epi32, _mm512_slli_epi32};
-        // SAFETY: the caller's.
+        // SAFETY: the caller guarantees 16 readable weights, 32 bytes, and the feature; the load needs no alignment.
         let half = unsafe { _mm256_loadu_si256(at.cast()) };
         _mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_cvtepu16_epi32(half)))
     }
 }
 
-/// Computes a tile of `rows` rows and `vectors` vectors of columns, with the widest vectors the processor has.
+/// Computes a tile of `rows` rows and `vectors` vectors of columns, with the widest vectors of the processor.
 ///
 /// # Safety
-/// `rows` is 1 to [`MOST_ROWS`], `vectors` 1 to [`VECTORS`], and everything the tile names can be read: `rows` x `k` of
-/// `a`, `k` x 16 `vectors` of `b`, `cols` of the bias; `rows` x `cols` of `out` can be written, and nobody else uses them.
-#[allow(unsafe_code)]
+/// - `rows` is 1 to [`MOST_ROWS`], `vectors` 1 to [`VECTORS`], `cols` at most 16 `vectors`;
+/// - `rows` rows of `k` values can be read from `a`, `k` x 16 `vectors` weights from `b`, `cols` values from a bias that is
+///   not null;
+/// - `rows` rows of `cols` values of `out` can be read and written, and no other thread uses them during the call.
 pub unsafe fn compute<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx512f") {
         macro_rules! table {
             ($($r:literal)*) => {
                 match (rows, vectors) {
-                    // SAFETY: the feature is there; the rest is the caller's.
+                    // SAFETY: AVX-512 F was detected above; sizes and pointers are as the caller guarantees.
                     $(
                         ($r, 1) => unsafe { avx512::<E, $r, 1>(tile) },
                         ($r, 2) => unsafe { avx512::<E, $r, 2>(tile) },
@@ -130,12 +131,15 @@ pub unsafe fn compute<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
         }
         return table!(1 2 3 4 5 6 7 8 9);
     }
-    // SAFETY: the caller's.
+    // SAFETY: sizes and pointers are as the caller guarantees.
     unsafe { portable(tile, rows, vectors) }
 }
 
+/// The tile in AVX-512: `R` x `V` sums stay in registers while the panel passes once.
+///
+/// # Safety
+/// As [`compute`] with `R` rows and `V` vectors; the processor has AVX-512 F.
 #[cfg(target_arch = "x86_64")]
-#[allow(unsafe_code)]
 #[target_feature(enable = "avx512f")]
 unsafe fn avx512<E: Weight, const R: usize, const V: usize>(tile: &Tile<E>) {
     use std::arch::x86_64::{
@@ -146,11 +150,11 @@ unsafe fn avx512<E: Weight, const R: usize, const V: usize>(tile: &Tile<E>) {
     for i in 0..k {
         let mut line = [_mm512_setzero_ps(); V];
         for (v, vector) in line.iter_mut().enumerate() {
-            // SAFETY: inside the panel.
+            // SAFETY: line i < k of the panel, vector v < V: inside the k x V vectors that the caller guarantees.
             *vector = unsafe { E::load(b.add((i * V + v) * LANES)) };
         }
         for (r, sums) in sums.iter_mut().enumerate() {
-            // SAFETY: inside the row.
+            // SAFETY: value i < k of row r < R, which the caller guarantees.
             let value = _mm512_set1_ps(unsafe { *a.add(r * lda + i) });
             for (sum, vector) in sums.iter_mut().zip(line) {
                 *sum = _mm512_fmadd_ps(value, vector, *sum);
@@ -162,33 +166,37 @@ unsafe fn avx512<E: Weight, const R: usize, const V: usize>(tile: &Tile<E>) {
         let mask = ((1u32 << there) - 1) as u16;
         let bias = match bias.is_null() {
             true => _mm512_setzero_ps(),
-            // SAFETY: masked to the columns that exist.
+            // SAFETY: the mask admits only columns below `cols`, which the caller guarantees of the bias.
             false => unsafe { _mm512_maskz_loadu_ps(mask, bias.wrapping_add(v * LANES)) },
         };
         for (r, sums) in sums.iter().enumerate() {
             let at = out.wrapping_add(r * ldc + v * LANES);
             let mut sum = _mm512_add_ps(sums[v], bias);
             if add {
-                // SAFETY: masked to the columns that exist.
+                // SAFETY: the mask admits only columns below `cols` of row r, which the caller guarantees of `out`.
                 sum = _mm512_add_ps(sum, unsafe { _mm512_maskz_loadu_ps(mask, at) });
             }
-            // SAFETY: masked to the columns that exist.
+            // SAFETY: as for the load from `out`; nothing else uses these values, as the caller guarantees.
             unsafe { _mm512_mask_storeu_ps(at, mask, sum) };
         }
     }
 }
 
 /// As [`compute`], in plain Rust.
-#[allow(unsafe_code)]
+///
+/// # Safety
+/// As [`compute`].
 unsafe fn portable<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
     let Tile { a, lda, b, k, bias, out, ldc, cols, add } = *tile;
-    // SAFETY: the caller's, for all of the blocks below.
+    // SAFETY of the five blocks: the caller guarantees k x 16 `vectors` weights, `cols` biases unless null, and for each
+    // row r < `rows` k values of `a` and `cols` values of `out` that nothing else uses. The rows of `out` are formed one
+    // at a time, so no two slices of it exist together.
     let panel = unsafe { std::slice::from_raw_parts(b, k * vectors * LANES) };
     let bias = (!bias.is_null()).then(|| unsafe { std::slice::from_raw_parts(bias, cols) });
     for r in 0..rows {
         let row = unsafe { std::slice::from_raw_parts(a.add(r * lda), k) };
         let out = unsafe { std::slice::from_raw_parts_mut(out.add(r * ldc), cols) };
-        super::super::ops::simd::dispatch(
+        simd::dispatch(
             #[inline(always)]
             || {
                 let mut sums = [0.0f32; VECTORS * LANES];
@@ -207,12 +215,11 @@ unsafe fn portable<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
 }
 
 #[cfg(test)]
-#[allow(unsafe_code)]
 mod tests {
     use super::*;
 
     #[test]
-    fn tiles_cover_all_rows_once_and_none_is_a_row_over() {
+    fn tiles_cover_all_rows_once_and_none_has_a_single_row() {
         for rows in 1..2000 {
             let tasks = count(rows).div_ceil(TILES_PER_TASK);
             let tiles: Vec<_> = (0..tasks).flat_map(|task| of_task(task, rows)).collect();
@@ -227,9 +234,8 @@ mod tests {
         }
     }
 
-    /// Every size of tile, by both forms, against sums in f64.
     #[test]
-    fn tiles_of_every_size_are_the_product_in_both_forms() {
+    fn both_forms_give_the_product_in_f64_for_every_size() {
         let value = |i: usize| ((i * 7919 % 1013) as f32 / 1013.0) - 0.5;
         let (k, lda) = (21, 25);
         let a: Vec<f32> = (0..MOST_ROWS * lda).map(value).collect();
@@ -261,7 +267,7 @@ mod tests {
                 };
                 let with_half =
                     Tile { b: half.as_ptr(), a: base.a, lda, k, bias: base.bias, out: base.out, ldc, cols, add };
-                // SAFETY: all slices are as long as the tile says.
+                // SAFETY: the slices have the sizes that the tile states, and this thread alone uses `out`.
                 unsafe {
                     match (portable_form, bf16) {
                         (false, false) => compute(&base, rows, vectors),

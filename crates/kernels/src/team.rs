@@ -1,42 +1,48 @@
-//! Threads that work together on one frame.
+//! Threads that share the steps of one frame.
 //!
-//! A frame is some sixty short steps, each over in a fraction of a millisecond: threads that go to sleep between them, as
-//! those of a pool do, come back too late. Here helpers wait awake while a frame is under way. They only help: whoever
-//! leads gets everything done even if none of them comes.
+//! A frame is about sixty steps of a fraction of a millisecond each. The threads of a pool go to sleep between steps and
+//! wake up too late. The helpers of a team spin while the frame is under way. The leader also takes tasks, and completes
+//! every step even if no helper ever arrives.
 
 use std::any::Any;
 use std::cell::{Cell, UnsafeCell};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 
-/// Looks for work before a waiting thread lets others run.
+/// Times that a waiting thread looks for work before it yields its processor. A helper that
+/// yields at once misses the next step; one that never yields takes time from others on a busy machine.
 const SPINS: usize = 4_000;
-/// Bits of the word that counts tasks: the number of a step, how many tasks it has, the next one.
+/// Bits of each of the two low fields of [`Team::work`]: number of tasks, and next task. The step takes the rest.
 const BITS: u32 = 16;
+/// Mask of one field, also the largest number of tasks of a step.
 const MASK: u64 = (1 << BITS) - 1;
 
 type Task = *const (dyn Fn(usize) + Sync);
 
-/// One frame's threads.
+/// The state that the threads of one frame share.
 struct Team {
-    /// Number of the step, tasks, next task: one word, so that no task is taken from a step that is over.
+    /// Step, number of tasks and next task, in one word: taking a task is one atomic exchange, and fails if the step is
+    /// over.
     work: AtomicU64,
-    /// What the step's tasks are; written before `work` says that there are any.
+    /// The function of the current step; written before `work` announces the step.
     task: UnsafeCell<Option<Task>>,
+    /// Finished tasks of the current step.
     done: AtomicUsize,
+    /// True once the frame is finished.
     over: AtomicBool,
 }
 
-#[allow(unsafe_code)]
-// SAFETY: `task` is written by the leader alone, while `work` has no task left to take; it is read by who has taken one.
+// SAFETY: `task` is the only field that is not atomic. The leader alone writes it, at the start of a step, when every
+// task of the step before is done and `work` offers none; a thread reads it only after it took a task of the current
+// step from `work`, whose release and acquire order the write before the read.
 unsafe impl Sync for Team {}
 
 thread_local! {
-    /// The team that this thread leads.
+    /// The team that this thread leads; null for none.
     static LEADS: Cell<*const Team> = const { Cell::new(std::ptr::null()) };
 }
 
-/// Runs `lead` inside rayon's pool, the pool's other threads helping with each [`run`] that it calls.
+/// Runs `lead` in rayon's pool; the pool's other threads help with each [`run`] that it calls.
 pub fn lead<R: Send>(lead: impl FnOnce() -> R + Send) -> R {
     let team = Team {
         work: AtomicU64::new(0),
@@ -49,13 +55,13 @@ pub fn lead<R: Send>(lead: impl FnOnce() -> R + Send) -> R {
         for _ in 1..rayon::current_num_threads() {
             scope.spawn(move |_| team.help());
         }
-        // Also if `lead` panics: helpers must not wait for ever.
+        // A guard, so that the helpers also stop if `lead` panics.
         let _end = End(team, LEADS.replace(team));
         lead()
     })
 }
 
-/// Ends a team's work.
+/// Releases the helpers of a team and restores the thread's previous team.
 struct End<'a>(&'a Team, *const Team);
 
 impl Drop for End<'_> {
@@ -65,16 +71,17 @@ impl Drop for End<'_> {
     }
 }
 
-/// Runs `task(0)` to `task(count - 1)`, in any order, on the team that this thread leads; alone if it leads none.
+/// Runs `task(0)` to `task(count - 1)`, each once and in any order, on the team that this thread leads; on this thread
+/// alone if it leads none.
 pub fn run(count: usize, task: impl Fn(usize) + Sync) {
     let team = LEADS.get();
     if team.is_null() || count <= 1 || count as u64 > MASK {
         return (0..count).for_each(task);
     }
-    // A step inside a step is done by whoever meets it.
+    // A nested step runs on the thread that meets it: the team is busy with the outer one.
     let before = LEADS.replace(std::ptr::null());
-    // SAFETY: set by `lead`, whose team lives until it has been taken away again.
-    #[allow(unsafe_code)]
+    // SAFETY: not null, so set by `lead` further up this thread's stack. Its guard `End` resets the pointer before the
+    // team is dropped.
     let result = unsafe { &*team }.run(count, &task);
     LEADS.set(before);
     if let Err(panic) = result {
@@ -82,36 +89,38 @@ pub fn run(count: usize, task: impl Fn(usize) + Sync) {
     }
 }
 
-/// Runs `task` on each piece of `size` values of `out`, the last one perhaps shorter.
+/// Splits `out` into pieces of `size` values, the last one perhaps shorter, and runs `task` on each as [`run`] does.
 pub fn chunks<T: Send>(out: &mut [T], size: usize, task: impl Fn(usize, &mut [T]) + Sync) {
     let (length, out) = (out.len(), Pointer(out.as_mut_ptr()));
     run(length.div_ceil(size.max(1)), |i| {
         let first = i * size;
-        // SAFETY: pieces of one slice that don't overlap, each taken once.
-        #[allow(unsafe_code)]
+        // SAFETY: `run` calls each i < the number of pieces exactly once, so the piece starts inside the slice and is
+        // disjoint from all others; `out` stays exclusively borrowed until `run` returns.
         let piece = unsafe { std::slice::from_raw_parts_mut(out.at(first), size.min(length - first)) };
         task(i, piece);
     });
 }
 
-/// As [`chunks`] on two slices with as many pieces.
+/// As [`chunks`], on two slices with the same number of pieces.
+///
+/// # Panics
+/// If the numbers of pieces differ.
 pub fn chunks2<T: Send, U: Send>(
     (a, a_size): (&mut [T], usize),
     (b, b_size): (&mut [U], usize),
     task: impl Fn(usize, &mut [T], &mut [U]) + Sync,
 ) {
-    assert_eq!(a.len().div_ceil(a_size), b.len().div_ceil(b_size), "pieces of two slices");
+    assert_eq!(a.len().div_ceil(a_size), b.len().div_ceil(b_size), "two slices of different numbers of pieces");
     let (length, b) = (b.len(), Pointer(b.as_mut_ptr()));
     chunks(a, a_size, |i, a| {
         let first = i * b_size;
-        // SAFETY: as above.
-        #[allow(unsafe_code)]
+        // SAFETY: as in `chunks`; the assertion makes i a piece of `b` too.
         let piece = unsafe { std::slice::from_raw_parts_mut(b.at(first), b_size.min(length - first)) };
         task(i, a, piece);
     });
 }
 
-/// A slice's beginning, for tasks that have pieces of their own.
+/// Start of a slice whose tasks write disjoint pieces.
 struct Pointer<T>(*mut T);
 
 impl<T> Pointer<T> {
@@ -120,19 +129,17 @@ impl<T> Pointer<T> {
     }
 }
 
-#[allow(unsafe_code)]
-// SAFETY: whoever goes through it says which places are its own.
+// SAFETY: the pointer itself is never changed. `chunks` and `chunks2`, its only users, form disjoint slices from it, one
+// per task, so threads never share a value; T: Send lets a value be written by another thread.
 unsafe impl<T: Send> Sync for Pointer<T> {}
 
 impl Team {
     fn run(&self, count: usize, task: &(dyn Fn(usize) + Sync)) -> Result<(), Box<dyn Any + Send>> {
-        // SAFETY: only the lifetime changes. Nobody calls it after this function: it returns when every task that was
-        // taken is done, and none can be taken any more.
-        #[allow(unsafe_code)]
+        // SAFETY: only the lifetime changes. This function returns only when `done` has reached `count`: all taken tasks
+        // have returned and `work` offers no more, so the reference is not used after the borrow ends.
         let task: Task =
             unsafe { std::mem::transmute::<&(dyn Fn(usize) + Sync), &'static (dyn Fn(usize) + Sync)>(task) };
-        // SAFETY: the step before is over, so nobody reads.
-        #[allow(unsafe_code)]
+        // SAFETY: the previous step is over (`done` reached its count), so no thread reads the cell; see `Sync`.
         unsafe {
             *self.task.get() = Some(task);
         }
@@ -141,7 +148,7 @@ impl Team {
         self.work.store(step << (2 * BITS) | (count as u64) << BITS, Ordering::Release);
         let result = catch_unwind(AssertUnwindSafe(|| while self.take() {}));
         if result.is_err() {
-            // What nobody has taken yet stays undone; it counts as done for the wait below.
+            // The remaining tasks are withdrawn, and count as done for the wait below.
             let word = self.work.fetch_or(MASK, Ordering::AcqRel);
             let taken = (word & MASK).min(count as u64) as usize;
             self.done.fetch_add(count - taken, Ordering::Release);
@@ -153,7 +160,7 @@ impl Team {
         result
     }
 
-    /// Takes a task and does it; false if there is none.
+    /// Takes a task of the current step and runs it. Returns false if there is none.
     fn take(&self) -> bool {
         let mut word = self.work.load(Ordering::Acquire);
         loop {
@@ -165,9 +172,8 @@ impl Team {
                 Err(now) => word = now,
                 Ok(_) => {
                     let _done = Done(&self.done);
-                    // SAFETY: the task was taken from the current step, which is not over until it is done; what it
-                    // points to lives as long.
-                    #[allow(unsafe_code)]
+                    // SAFETY: this thread took a task of the current step, so the leader waits for it in `Team::run`,
+                    // does not write the cell, and keeps the function alive; see `Sync`.
                     if let Some(task) = unsafe { *self.task.get() } {
                         unsafe { (*task)(next as usize) };
                     }
@@ -177,6 +183,7 @@ impl Team {
         }
     }
 
+    /// Takes tasks until the frame is finished.
     fn help(&self) {
         let mut spins = 0;
         while !self.over.load(Ordering::Acquire) {
@@ -188,7 +195,7 @@ impl Team {
     }
 }
 
-/// Counts a task as done, also if it panics.
+/// Counts a task as done when dropped, also if the task panics.
 struct Done<'a>(&'a AtomicUsize);
 
 impl Drop for Done<'_> {
@@ -197,6 +204,7 @@ impl Drop for Done<'_> {
     }
 }
 
+/// Spins, and after [`SPINS`] calls yields.
 fn wait(spins: &mut usize) {
     *spins += 1;
     match *spins < SPINS {
@@ -229,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn several_teams_and_steps_inside_steps_don_t_wait_for_each_other() {
+    fn several_teams_and_nested_steps_do_not_block_each_other() {
         let total = AtomicUsize::new(0);
         std::thread::scope(|scope| {
             for _ in 0..4 {

@@ -1,35 +1,35 @@
 //! Layer norm of rows.
 
-use super::packed::Rows;
-use super::team;
-use crate::model::attention::EPS;
-use crate::model::ops::{simd, statistics};
+use crate::ops::statistics;
+use crate::rows::Rows;
+use crate::{simd, team};
 
-/// Values that one task normalises.
-const TASK: usize = 16_384;
+/// Values that one task normalises: 64 KiB, small against a cache and far more work than a task costs.
+const VALUES_PER_TASK: usize = 16_384;
 
-/// Weight and bias of a layer norm.
+/// A layer norm with weight and bias.
 #[derive(Debug, Clone)]
 pub struct Norm {
     weight: Vec<f32>,
     bias: Vec<f32>,
+    eps: f32,
 }
 
 impl Norm {
-    /// `(d)` each.
-    pub fn new(weight: Vec<f32>, bias: Vec<f32>) -> Self {
-        Self { weight, bias }
+    /// Creates a layer norm from weight and bias, `(d)` each; `eps` is added to the variance.
+    pub fn new(weight: Vec<f32>, bias: Vec<f32>, eps: f32) -> Self {
+        Self { weight, bias, eps }
     }
 
-    /// Width.
+    /// Width of a row.
     pub fn d(&self) -> usize {
         self.weight.len()
     }
 
-    /// Normalises rows of `x`; rows of `out` lie close.
+    /// Normalises the rows of `x` into `out`, whose rows have no gaps.
     pub fn forward(&self, x: Rows, out: &mut [f32]) {
         let d = self.d();
-        let rows = (TASK / d).max(1);
+        let rows = (VALUES_PER_TASK / d).max(1);
         team::chunks(&mut out[..x.count * d], rows * d, |block, out| {
             for (i, out) in out.chunks_exact_mut(d).enumerate() {
                 let first = (block * rows + i) * x.stride;
@@ -38,15 +38,15 @@ impl Norm {
         });
     }
 
-    /// Normalises the sum of a row and a shift.
-    pub fn sum(&self, x: &[f32], shift: &[f32], out: &mut [f32]) {
+    /// Normalises the sum of a row and `shift`.
+    pub fn shifted_row(&self, x: &[f32], shift: &[f32], out: &mut [f32]) {
         simd::dispatch(
             #[inline(always)]
             || {
                 for ((out, x), shift) in out.iter_mut().zip(x).zip(shift) {
                     *out = x + shift;
                 }
-                let (mean, inverse) = statistics(out, EPS as f32);
+                let (mean, inverse) = statistics(out, self.eps);
                 for ((out, w), b) in out.iter_mut().zip(&self.weight).zip(&self.bias) {
                     *out = ((*out - mean) * inverse).mul_add(*w, *b);
                 }
@@ -59,7 +59,7 @@ impl Norm {
         simd::dispatch(
             #[inline(always)]
             || {
-                let (mean, inverse) = statistics(x, EPS as f32);
+                let (mean, inverse) = statistics(x, self.eps);
                 for (((out, x), w), b) in out.iter_mut().zip(x).zip(&self.weight).zip(&self.bias) {
                     *out = ((x - mean) * inverse).mul_add(*w, *b);
                 }
@@ -68,12 +68,12 @@ impl Norm {
     }
 }
 
-/// Normalises a row without weight and bias of its own, then scales it by 1 + γ and shifts it by β.
-pub fn modulated(x: &[f32], gamma: &[f32], beta: &[f32], out: &mut [f32]) {
+/// Normalises a row, scales it by 1 + γ and shifts it by β: the adaptive layer norm (AdaLN).
+pub fn modulated(x: &[f32], gamma: &[f32], beta: &[f32], eps: f32, out: &mut [f32]) {
     simd::dispatch(
         #[inline(always)]
         || {
-            let (mean, inverse) = statistics(x, EPS as f32);
+            let (mean, inverse) = statistics(x, eps);
             for (((out, x), gamma), beta) in out.iter_mut().zip(x).zip(gamma).zip(beta) {
                 *out = ((x - mean) * inverse).mul_add(1.0 + gamma, *beta);
             }

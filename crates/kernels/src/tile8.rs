@@ -1,24 +1,25 @@
 //! The innermost product in 8 bits: unsigned activations times signed weights, summed in 32 bits.
 //!
-//! All forms give the same result, bit by bit: integers don't round, and what follows rounds alike.
+//! Both forms give the same bits: integer sums are exact, and the conversion to f32 takes the same steps.
 
-use super::tile::{LANES, VECTORS};
+use crate::simd;
+use crate::tile::{LANES, VECTORS};
 
-/// Activations that meet in one lane of one instruction.
+/// Activations that one lane of `vpdpbusd` multiplies and adds at once.
 pub const GROUP: usize = 4;
 
-/// `out = scale x scale of the output x (product - zero point x sum of the weights) + bias (+ out)` for one tile.
+/// `out = row scale x column scale x (product - zero point x sum of the weights) + bias (+ out)` for one tile.
 ///
-/// `k` counts groups of four.
+/// The sum of the weights is computed once per layer, so the zero point costs one multiplication per output.
 #[derive(Debug, Clone, Copy)]
 pub struct Tile8 {
     /// First activation of the first row.
     pub a: *const u8,
-    /// From one row of `a` to the next.
+    /// Bytes from one row of `a` to the next.
     pub lda: usize,
-    /// The panel: for each group of four, for each column, its four weights.
+    /// The panel: for each group of four inputs, for each column, its four weights.
     pub b: *const i8,
-    /// Groups.
+    /// Groups of four inputs.
     pub k: usize,
     /// Scale and zero point of each row of `a`.
     pub rows: *const (f32, i32),
@@ -30,28 +31,28 @@ pub struct Tile8 {
     pub bias: *const f32,
     /// First value of the first row of the result.
     pub out: *mut f32,
-    /// From one row of the result to the next.
+    /// Values from one row of the result to the next.
     pub ldc: usize,
-    /// Columns that exist; the panel's others are padding.
+    /// Columns of the result; the panel is padded to whole vectors.
     pub cols: usize,
-    /// Whether to add to what is there.
+    /// True to add to the result instead of replacing it.
     pub add: bool,
 }
 
 /// Computes a tile of `rows` rows and `vectors` vectors of columns.
 ///
 /// # Safety
-/// `rows` is 1 to 9, `vectors` 1 to 3, and everything the tile names can be read: `rows` x 4 `k` activations, `k` x 64
-/// `vectors` weights, `rows` scales and zero points, `cols` scales, sums and biases; `rows` x `cols` of `out` can be
-/// written, and nobody else uses them.
-#[allow(unsafe_code)]
+/// - `rows` is 1 to 9, `vectors` 1 to 3, `cols` at most 16 `vectors`;
+/// - `rows` rows of 4 `k` activations can be read from `a`, `k` x 64 `vectors` weights from `b`, `rows` scales and zero
+///   points from `rows`, `cols` values each from `scales`, `sums` and `bias`;
+/// - `rows` rows of `cols` values of `out` can be read and written, and no other thread uses them during the call.
 pub unsafe fn compute(tile: &Tile8, rows: usize, vectors: usize) {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx512vnni") && std::arch::is_x86_feature_detected!("avx512f") {
         macro_rules! table {
             ($($r:literal)*) => {
                 match (rows, vectors) {
-                    // SAFETY: the features are there; the rest is the caller's.
+                    // SAFETY: both features were detected above; sizes and pointers are as the caller guarantees.
                     $(
                         ($r, 1) => unsafe { vnni::<$r, 1>(tile) },
                         ($r, 2) => unsafe { vnni::<$r, 2>(tile) },
@@ -63,12 +64,15 @@ pub unsafe fn compute(tile: &Tile8, rows: usize, vectors: usize) {
         }
         return table!(1 2 3 4 5 6 7 8 9);
     }
-    // SAFETY: the caller's.
+    // SAFETY: sizes and pointers are as the caller guarantees.
     unsafe { portable(tile, rows, vectors) }
 }
 
+/// The tile in AVX-512 VNNI.
+///
+/// # Safety
+/// As [`compute`] with `R` rows and `V` vectors; the processor has AVX-512 F and VNNI.
 #[cfg(target_arch = "x86_64")]
-#[allow(unsafe_code)]
 #[target_feature(enable = "avx512f,avx512vnni")]
 unsafe fn vnni<const R: usize, const V: usize>(tile: &Tile8) {
     use std::arch::x86_64::{
@@ -81,11 +85,11 @@ unsafe fn vnni<const R: usize, const V: usize>(tile: &Tile8) {
     for i in 0..k {
         let mut line = [_mm512_setzero_si512(); V];
         for (v, vector) in line.iter_mut().enumerate() {
-            // SAFETY: inside the panel.
+            // SAFETY: group i < k of the panel, vector v < V: inside the bytes that the caller guarantees.
             *vector = unsafe { _mm512_loadu_si512(b.add((i * V + v) * LANES * GROUP).cast()) };
         }
         for (r, total) in total.iter_mut().enumerate() {
-            // SAFETY: inside the row; the address need not be aligned.
+            // SAFETY: group i < k of row r < R, four bytes that the caller guarantees; the read needs no alignment.
             let four = _mm512_set1_epi32(unsafe { a.add(r * lda + i * GROUP).cast::<i32>().read_unaligned() });
             for (total, vector) in total.iter_mut().zip(line) {
                 *total = _mm512_dpbusd_epi32(*total, four, vector);
@@ -95,7 +99,7 @@ unsafe fn vnni<const R: usize, const V: usize>(tile: &Tile8) {
     for v in 0..V {
         let there = cols.saturating_sub(v * LANES).min(LANES);
         let mask = ((1u32 << there) - 1) as u16;
-        // SAFETY: masked to the columns that exist.
+        // SAFETY: the mask admits only columns below `cols`, which the caller guarantees of all three.
         let (scales, sums, bias) = unsafe {
             (
                 _mm512_maskz_loadu_ps(mask, scales.wrapping_add(v * LANES)),
@@ -104,28 +108,32 @@ unsafe fn vnni<const R: usize, const V: usize>(tile: &Tile8) {
             )
         };
         for (r, total) in total.iter().enumerate() {
-            // SAFETY: one of the rows.
+            // SAFETY: r < R, and the caller guarantees a scale and zero point per row.
             let (scale, zero) = unsafe { *rows.add(r) };
             let product = _mm512_sub_epi32(total[v], _mm512_mullo_epi32(_mm512_set1_epi32(zero), sums));
             let scale = _mm512_mul_ps(_mm512_set1_ps(scale), scales);
             let mut value = _mm512_fmadd_ps(_mm512_cvtepi32_ps(product), scale, bias);
             let at = out.wrapping_add(r * ldc + v * LANES);
             if add {
-                // SAFETY: masked to the columns that exist.
+                // SAFETY: the mask admits only columns below `cols` of row r, which the caller guarantees of `out`.
                 value = _mm512_add_ps(unsafe { _mm512_maskz_loadu_ps(mask, at) }, value);
             }
-            // SAFETY: masked to the columns that exist.
+            // SAFETY: as for the load from `out`; nothing else uses these values, as the caller guarantees.
             unsafe { _mm512_mask_storeu_ps(at, mask, value) };
         }
     }
 }
 
 /// As [`compute`], in plain Rust.
-#[allow(unsafe_code)]
+///
+/// # Safety
+/// As [`compute`].
 unsafe fn portable(tile: &Tile8, rows: usize, vectors: usize) {
     let Tile8 { a, lda, b, k, scales, sums, bias, out, ldc, cols, add, .. } = *tile;
     let width = vectors * LANES;
-    // SAFETY: the caller's, for all of the blocks below.
+    // SAFETY of the blocks below: the caller guarantees k x 64 `vectors` weights, `cols` scales, sums and biases, and for
+    // each row r < `rows` 4 k activations, a scale with zero point, and `cols` values of `out` that nothing else uses. The
+    // rows of `out` are formed one at a time, so no two slices of it exist together.
     let panel = unsafe { std::slice::from_raw_parts(b, k * width * GROUP) };
     let (scales, sums, bias) = unsafe {
         (
@@ -138,7 +146,7 @@ unsafe fn portable(tile: &Tile8, rows: usize, vectors: usize) {
         let row = unsafe { std::slice::from_raw_parts(a.add(r * lda), k * GROUP) };
         let (scale, zero) = unsafe { *tile.rows.add(r) };
         let out = unsafe { std::slice::from_raw_parts_mut(out.add(r * ldc), cols) };
-        super::super::ops::simd::dispatch(
+        simd::dispatch(
             #[inline(always)]
             || {
                 let mut total = [0i32; VECTORS * LANES];
@@ -160,7 +168,6 @@ unsafe fn portable(tile: &Tile8, rows: usize, vectors: usize) {
 }
 
 #[cfg(test)]
-#[allow(unsafe_code)]
 mod tests {
     use super::*;
 
@@ -196,7 +203,7 @@ mod tests {
                         cols,
                         add,
                     };
-                    // SAFETY: the slices are as long as the tile says.
+                    // SAFETY: the slices have the sizes that the tile states, and this thread alone uses `out`.
                     unsafe { if form == 0 { compute(&tile, rows, vectors) } else { portable(&tile, rows, vectors) } }
                 }
                 assert_eq!(results[0], results[1], "{rows} {vectors} {k}");

@@ -1,21 +1,21 @@
-//! Loops compiled for the processor at hand: the widest vectors found at run time.
+//! Loops compiled for the widest vectors of the processor at hand, which are detected at run time.
 //!
-//! The functions here are inlined into the closure that [`dispatch`] runs, and vectorised there by the compiler. They
-//! are free of branches for that, and sum in 16 lanes.
+//! The functions here are inlined into the closure that [`dispatch`] runs, where the compiler vectorises them. They have
+//! no branches, and sum in 16 lanes in a fixed order, so that results do not depend on the width of the vectors.
 
 /// Lanes of a sum: one AVX-512 register, two of AVX2.
 pub const LANES: usize = 16;
 
-/// Runs `f`, compiled for the widest vectors this processor has.
+/// Runs `f`, compiled for the widest vectors of this processor.
 ///
-/// Closures, `f` and those inside it, need `#[inline(always)]`: what stays a function of its own is compiled for the
-/// oldest processor, and its multiply-adds become library calls.
+/// `f` and all closures inside it need `#[inline(always)]`: a function that is not inlined is compiled for the oldest
+/// processor, where a multiply-add is a library call.
 #[inline(always)]
 pub fn dispatch<R>(f: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(f)
 }
 
-/// Sum of `f(value)`.
+/// Returns the sum of `f(value)`.
 #[inline(always)]
 pub fn sum(values: &[f32], f: impl Fn(f32) -> f32) -> f32 {
     let (chunks, rest) = values.as_chunks::<LANES>();
@@ -29,7 +29,7 @@ pub fn sum(values: &[f32], f: impl Fn(f32) -> f32) -> f32 {
     fold(lanes) + rest
 }
 
-/// Sums of `f(a, b)`, two at once.
+/// Returns two sums at once: those of both results of `f(a, b)`.
 #[inline(always)]
 pub fn sum2(a: &[f32], b: &[f32], f: impl Fn(f32, f32) -> [f32; 2]) -> [f32; 2] {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
@@ -50,7 +50,7 @@ pub fn sum2(a: &[f32], b: &[f32], f: impl Fn(f32, f32) -> [f32; 2]) -> [f32; 2] 
     total
 }
 
-/// Σ a b, in four registers at once to hide the latency of the multiply-add.
+/// Returns Σ a b. Four independent registers hide the latency of the multiply-add.
 #[inline(always)]
 pub fn dot(a: &[f32], b: &[f32]) -> f32 {
     const WIDE: usize = 4 * LANES;
@@ -76,7 +76,7 @@ pub fn dot(a: &[f32], b: &[f32]) -> f32 {
         )[0]
 }
 
-/// Largest value; -∞ of none.
+/// Returns the largest value; -∞ for an empty slice.
 #[inline(always)]
 pub fn max(values: &[f32]) -> f32 {
     #[inline(always)]
@@ -93,7 +93,7 @@ pub fn max(values: &[f32]) -> f32 {
     lanes.iter().chain(rest).fold(f32::NEG_INFINITY, |a, b| larger(a, *b))
 }
 
-/// Adds a tree of lanes, halves onto halves.
+/// Adds all lanes, the upper half onto the lower, until one is left.
 #[inline(always)]
 fn fold(lanes: [f32; LANES]) -> f32 {
     let mut lanes = lanes;
@@ -107,38 +107,39 @@ fn fold(lanes: [f32; LANES]) -> f32 {
     lanes[0]
 }
 
-// All polynomials come from tests/data/model/approximate.py.
+// The coefficients are minimax fits by tests/data/model/approximate.py of the egotac repository.
 
-/// eʳ for |r| ≤ ln 2 / 2; largest relative error 1.9e-9.
+/// Coefficients of eʳ for |r| ≤ ln 2 / 2; largest relative error 1.9e-9.
 const EXP: [f32; 7] = [1.0, 1.0, 0.4999999, 0.1666642, 0.041668225, 0.008374816, 0.0013836846];
 
-/// (1 - Φ(a)) exp(a²/2) in t = 1 / (1 + 0.3 a), a in 0 to 14; largest relative error 5.8e-8.
+/// Coefficients of (1 - Φ(a)) exp(a²/2) in t = 1 / (1 + 0.3 a), for a in 0 to 14; largest relative error 5.8e-8.
 const TAIL: [f32; 9] =
     [7.168876e-06, 0.11948769, 0.12192034, 0.09468352, 0.14253552, -0.07650648, 0.22866008, -0.16916612, 0.03837829];
 
-/// Φ(x) - 1/2 = x P(x²) / Q(x²) for |x| up to [`FLANK`]; largest error 6.2e-9.
-const ABOVE: [f32; 6] = [0.39894226, 0.033346962, 0.0046508973, 0.00016421112, 6.37431e-06, 2.3519132e-08];
-const BELOW: [f32; 6] = [1.0, 0.25025457, 0.028368222, 0.0018585566, 7.2434435e-05, 1.2213865e-06];
-/// Beyond it Φ is 0 or 1 to 5.8e-8.
-const FLANK: f32 = 5.3;
+/// Coefficients of P in Φ(x) - 1/2 = x P(x²) / Q(x²) for |x| up to [`SATURATION`]; largest error 6.2e-9.
+const NUMERATOR: [f32; 6] = [0.39894226, 0.033346962, 0.0046508973, 0.00016421112, 6.37431e-06, 2.3519132e-08];
+/// Coefficients of Q; see [`NUMERATOR`].
+const DENOMINATOR: [f32; 6] = [1.0, 0.25025457, 0.028368222, 0.0018585566, 7.2434435e-05, 1.2213865e-06];
+/// |x| beyond which Φ is taken as 0 or 1; the error is at most 5.8e-8.
+const SATURATION: f32 = 5.3;
 
-/// eˣ for x ≤ 0; below -87 it stays at e⁻⁸⁷ = 1.6e-38. NaN stays NaN.
+/// Returns eˣ for x ≤ 0. Below -87 the result is e⁻⁸⁷ = 1.6e-38, so that it is never subnormal. NaN gives NaN.
 #[inline(always)]
 pub fn exp(x: f32) -> f32 {
-    // Adding 1.5 · 2²³ rounds to an integer, and leaves it in the low bits.
+    // Adding 1.5 · 2²³ rounds to an integer and leaves it in the low bits of the mantissa.
     const ROUND: f32 = 12_582_912.0;
-    // ln 2 in two parts, the first exact in few bits, so that r keeps all of its own.
+    // ln 2 in two parts. The first has few bits, so that its product with n is exact and r keeps full precision.
     const LN2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
     let x = if x < -87.0 { -87.0 } else { x };
     let shifted = x.mul_add(std::f32::consts::LOG2_E, ROUND);
     let n = shifted - ROUND;
     let r = n.mul_add(-LN2[1], n.mul_add(-LN2[0], x));
     let p = polynomial(&EXP, r);
-    // Times 2ⁿ: n onto the exponent's bits.
+    // Times 2ⁿ: adds n to the exponent.
     f32::from_bits(p.to_bits().wrapping_add(shifted.to_bits() << 23))
 }
 
-/// Normal distribution at x: Φ(x), and its density φ(x).
+/// Returns the normal distribution function Φ(x) and its density φ(x).
 ///
 /// The smaller of Φ(x) and Φ(-x) has a relative error of about 1e-6 out to |x| = 13.
 #[inline(always)]
@@ -150,15 +151,17 @@ pub fn normal(x: f32) -> [f32; 2] {
     [if x > 0.0 { 1.0 - tail } else { tail }, INV_SQRT_2PI * bell]
 }
 
-/// x Φ(x), exact GELU, to 4e-7 of the larger of |x| and 1: fewer operations than with [`normal`], for a forward pass alone.
+/// Returns x Φ(x), the exact GELU, with an error of at most 4e-7 max(|x|, 1). Takes fewer operations than [`normal`], and
+/// serves forward passes, which need no density.
 #[inline(always)]
 pub fn gelu(x: f32) -> f32 {
     let y = x * x;
-    let inside = (x * polynomial(&ABOVE, y) / polynomial(&BELOW, y)) + 0.5;
-    let inside = if x > FLANK { 1.0 } else { inside };
-    x * if x < -FLANK { 0.0 } else { inside }
+    let inside = (x * polynomial(&NUMERATOR, y) / polynomial(&DENOMINATOR, y)) + 0.5;
+    let inside = if x > SATURATION { 1.0 } else { inside };
+    x * if x < -SATURATION { 0.0 } else { inside }
 }
 
+/// Evaluates a polynomial by Horner's rule, lowest coefficient first.
 #[inline(always)]
 fn polynomial<const N: usize>(coefficients: &[f32; N], x: f32) -> f32 {
     let mut value = coefficients[N - 1];
@@ -173,7 +176,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn exponential_is_right_to_a_few_last_bits() {
+    fn the_exponential_has_a_relative_error_below_3e_7() {
         for i in 0..=87_000 {
             let x = -(i as f32) / 1000.0;
             let (got, want) = (f64::from(exp(x)), f64::from(x).exp());
@@ -205,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn gelu_is_its_definition_and_stays_finite_far_out() {
+    fn gelu_agrees_with_its_definition_and_stays_finite() {
         // The distribution with its tails is tested above against published values.
         for i in -200_000..=200_000 {
             let x = i as f32 * 1e-4;
@@ -220,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn sums_and_products_of_any_length_are_those_of_f64() {
+    fn sums_and_products_of_any_length_agree_with_f64() {
         for n in [0, 1, 15, 16, 17, 63, 64, 65, 200] {
             let a: Vec<f32> = (0..n).map(|i| (i as f32 * 0.37).sin()).collect();
             let b: Vec<f32> = (0..n).map(|i| (i as f32 * 0.11).cos()).collect();

@@ -7,7 +7,7 @@ use std::marker::PhantomData;
 #[repr(C, align(64))]
 struct Line([u8; 64]);
 
-/// Plain numbers: any bit pattern is a value, and zero bytes are zero.
+/// Plain numbers: any bit pattern is a value, and zero bytes are zero. Sealed, since [`Aligned`] relies on it.
 pub trait Number: Copy + Send + Sync + private::Sealed {}
 
 mod private {
@@ -31,27 +31,28 @@ pub struct Aligned<T> {
 }
 
 impl<T: Number> Aligned<T> {
-    /// `len` zeros.
+    /// Creates an array of `len` zeros.
     pub fn zeros(len: usize) -> Self {
         let lines = (len * size_of::<T>()).div_ceil(size_of::<Line>());
         Self { lines: vec![Line([0; 64]); lines], len, kind: PhantomData }
     }
 }
 
-#[allow(unsafe_code)]
 impl<T: Number> std::ops::Deref for Aligned<T> {
     type Target = [T];
 
+    #[inline]
     fn deref(&self) -> &[T] {
-        // SAFETY: the lines hold at least `len` values, are aligned for them, and any bytes are values of a `Number`.
+        // SAFETY: `zeros` allocates lines for at least `len` values and nothing resizes them. A line is aligned to 64
+        // bytes, more than any `Number` needs, and every byte pattern is a value of a `Number`, which is sealed.
         unsafe { std::slice::from_raw_parts(self.lines.as_ptr().cast(), self.len) }
     }
 }
 
-#[allow(unsafe_code)]
 impl<T: Number> std::ops::DerefMut for Aligned<T> {
+    #[inline]
     fn deref_mut(&mut self) -> &mut [T] {
-        // SAFETY: as above; `self` is borrowed mutably.
+        // SAFETY: as in `deref`; the exclusive borrow of `self` makes the slice the only reference to the lines.
         unsafe { std::slice::from_raw_parts_mut(self.lines.as_mut_ptr().cast(), self.len) }
     }
 }
