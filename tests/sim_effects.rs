@@ -6,7 +6,7 @@ use std::path::Path;
 use egotac::hand::{HandModel, N_BETAS, Side};
 use egotac::mujoco::Facts;
 use egotac::sim::lens::Lens;
-use egotac::sim::randomize::Episode;
+use egotac::sim::randomize::EpisodeDraw;
 use egotac::sim::rig::HandRig;
 use egotac::sim::{Effect, EffectPlan, EffectSet, Rollout, RolloutOptions, Scene, SimFrame};
 
@@ -279,7 +279,7 @@ fn a_lens_drawn_at_random_shows_the_corners() {
     let rigs = Side::BOTH.map(|side| HandRig::new(HandModel::builtin(side), [0.0; N_BETAS]).unwrap());
     // Of the spans' lenses some fold: with the last of these seeds, for one, the first that is drawn.
     for seed in (0..400).chain([10341]) {
-        let camera = Episode::sample(&scene, seed, &rigs).unwrap().camera;
+        let camera = EpisodeDraw::sample(&scene, seed, &rigs).unwrap().camera;
         Lens::new(&camera, (96, 96)).unwrap_or_else(|e| panic!("seed {seed}: {e}"));
     }
 }

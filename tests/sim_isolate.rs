@@ -7,16 +7,16 @@ use std::time::{Duration, Instant};
 
 use egotac::dataset::EpisodeReader;
 use egotac::dataset::zarr::{MANO_FORCE, ZarrReader};
-use egotac::sim::{Generate, RolloutOptions, Scene, Workers, generate_isolated};
+use egotac::sim::{DatasetPlan, RolloutOptions, Scene, WorkerCommand, generate_in_processes};
 
-fn plan(episodes: usize) -> Generate {
+fn plan(episodes: usize) -> DatasetPlan {
     let scenes = vec![Scene::load("hover").unwrap()];
-    Generate { scenes, episodes, seed: 5, jobs: 1, options: RolloutOptions::default() }
+    DatasetPlan { scenes, episodes, seed: 5, jobs: 1, options: RolloutOptions::default() }
 }
 
 /// A worker that is a line of shell.
-fn shell(line: &str) -> Workers {
-    Workers { program: "/bin/sh".into(), arguments: vec!["-c".into(), line.into()] }
+fn shell(line: &str) -> WorkerCommand {
+    WorkerCommand { program: "/bin/sh".into(), arguments: vec!["-c".into(), line.into()] }
 }
 
 #[test]
@@ -24,7 +24,7 @@ fn a_process_that_dies_is_named_by_scene_seed_and_end() {
     let folder = tempfile::tempdir().unwrap();
     for (line, end) in [("read line; exit 1", "exit status: 1"), ("read line; kill -9 $$", "signal: 9 (SIGKILL)")] {
         let out = folder.path().join("set");
-        let error = generate_isolated(&plan(2), &shell(line), false, &out, |_| ()).unwrap_err().to_string();
+        let error = generate_in_processes(&plan(2), &shell(line), false, &out, |_| ()).unwrap_err().to_string();
         assert!(error.contains("2 of 2 episodes failed"), "{error}");
         for seed in [5, 6] {
             assert!(error.contains(&format!("hover with seed {seed}")), "{error}");
@@ -38,10 +38,11 @@ fn a_process_that_dies_is_named_by_scene_seed_and_end() {
 fn a_worker_that_talks_nonsense_or_cannot_start_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("set");
-    let error = generate_isolated(&plan(1), &shell("echo hello; cat"), false, &out, |_| ()).unwrap_err().to_string();
+    let error =
+        generate_in_processes(&plan(1), &shell("echo hello; cat"), false, &out, |_| ()).unwrap_err().to_string();
     assert!(error.contains("hover with seed 5"), "{error}");
-    let none = Workers { program: "/nowhere/egotac".into(), arguments: vec![] };
-    let error = generate_isolated(&plan(1), &none, false, &out, |_| ()).unwrap_err().to_string();
+    let none = WorkerCommand { program: "/nowhere/egotac".into(), arguments: vec![] };
+    let error = generate_in_processes(&plan(1), &none, false, &out, |_| ()).unwrap_err().to_string();
     assert!(error.contains("/nowhere/egotac"), "{error}");
 }
 

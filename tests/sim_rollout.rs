@@ -8,7 +8,7 @@ use egotac::dataset::zarr::ZarrReader;
 use egotac::hand::{HandModel, N_JOINTS, N_VERTICES, Side, Topology};
 use egotac::mujoco::{PhysicsOptions, World};
 use egotac::sim::guard::Guard;
-use egotac::sim::{Generate, Progress, Rollout, RolloutOptions, Scene, generate, record};
+use egotac::sim::{DatasetPlan, GenerateProgress, Rollout, RolloutOptions, Scene, generate, record};
 use egotac::tactile::Validity;
 
 fn blind() -> RolloutOptions {
@@ -100,7 +100,7 @@ fn a_set_is_its_episodes_in_order_and_keeps_finished_parts() {
     let folder = tempfile::tempdir().unwrap();
     let options = RolloutOptions { picture: Some((24, 24)), ..RolloutOptions::default() };
     let scenes = ["hover", "pinch_cube"].map(|name| Scene::load(name).unwrap()).to_vec();
-    let plan = Generate { scenes: scenes.clone(), episodes: 3, seed: 7, jobs: 2, options: options.clone() };
+    let plan = DatasetPlan { scenes: scenes.clone(), episodes: 3, seed: 7, jobs: 2, options: options.clone() };
     let (store, parts) = (folder.path().join("set"), folder.path().join("set.parts"));
     let alone = folder.path().join("alone");
     record(&scenes[1], 8, &options, &alone, |_, _| ()).unwrap();
@@ -108,7 +108,7 @@ fn a_set_is_its_episodes_in_order_and_keeps_finished_parts() {
     // What an interruption after the first episode leaves.
     let left = folder.path().join("left");
     let keep = |at| {
-        if at == Progress::Episodes(1, 3) {
+        if at == GenerateProgress::Episodes(1, 3) {
             copy_folder(&parts, &left)
         }
     };
@@ -243,7 +243,7 @@ fn scenes_with_and_without_objects_go_into_one_store() {
     let text = "description: An idle hand.\nobjects: []\nhands:\n  - side: right\n";
     let empty = Scene::parse("empty", Path::new("empty.yaml"), text).unwrap();
     for scenes in [vec![empty.clone()], vec![Scene::load("hover").unwrap(), empty]] {
-        let plan = Generate { scenes, episodes: 2, seed: 0, options: small(), jobs: 1 };
+        let plan = DatasetPlan { scenes, episodes: 2, seed: 0, options: small(), jobs: 1 };
         generate(&plan, &path, |_| ()).unwrap();
         assert_eq!(ZarrReader::open(&path).unwrap().episode_ends().len(), 2);
         std::fs::remove_dir_all(&path).unwrap();

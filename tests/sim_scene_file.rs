@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use egotac::sim::{Rollout, RolloutOptions, SHIPPED, Scene};
+use egotac::sim::{Rollout, RolloutOptions, SHIPPED, Scene, mesh_faults};
 
 fn edited(from: &str, to: &str) -> String {
     let text = SHIPPED.iter().find(|(name, _)| *name == "pinch_cube").unwrap().1;
@@ -103,7 +103,7 @@ fn faults_of_a_mesh_are_told() {
     let folder = tempfile::tempdir().unwrap();
     let faults = |faces: &[&str]| {
         let (path, _) = write_stump(folder.path(), faces);
-        Scene::load(path.to_str().unwrap()).unwrap().mesh_faults().unwrap().concat()
+        mesh_faults(&Scene::load(path.to_str().unwrap()).unwrap()).unwrap().concat()
     };
     assert_eq!(faults(&STUMP), "");
     let open = faults(&STUMP[..5]);

@@ -4,7 +4,7 @@
 use egotac::geometry::Sides;
 use egotac::hand::{HandModel, HandParams, N_BETAS, N_VERTICES, Side};
 use egotac::sim::ObjectPose;
-use egotac::sim::randomize::Episode;
+use egotac::sim::randomize::EpisodeDraw;
 use egotac::sim::rig::HandRig;
 use egotac::sim::{Scene, Touchables};
 use egotac::tactile::N_FIELD;
@@ -12,15 +12,15 @@ use glam::{DQuat, DVec3, Vec3};
 
 const CUTOFF: f32 = 0.02;
 
-fn episode(scene: &str) -> (Episode, [HandModel; 2], Touchables) {
+fn episode(scene: &str) -> (EpisodeDraw, [HandModel; 2], Touchables) {
     let hands = Side::BOTH.map(HandModel::builtin);
     let rigs = hands.each_ref().map(|hand| HandRig::new(hand.clone(), [0.0; N_BETAS]).unwrap());
-    let episode = Episode::sample(&Scene::load(scene).unwrap(), 3, &rigs).unwrap();
+    let episode = EpisodeDraw::sample(&Scene::load(scene).unwrap(), 3, &rigs).unwrap();
     let touchables = Touchables::new(&episode, hands.each_ref(), 0.006).unwrap();
     (episode, hands, touchables)
 }
 
-fn poses(episode: &Episode, shift: DVec3, turn: DQuat) -> Vec<ObjectPose> {
+fn poses(episode: &EpisodeDraw, shift: DVec3, turn: DQuat) -> Vec<ObjectPose> {
     let pose = |object: &egotac::sim::randomize::ObjectDraw| ObjectPose {
         name: object.name.clone(),
         position: object.position + shift,

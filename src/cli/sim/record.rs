@@ -10,7 +10,7 @@ use super::{Accuracy, Generate, Making, Run, Worker};
 use crate::bench::sim::pick::{self, Request};
 use crate::cli::progress;
 use crate::mujoco::{PhysicsOptions, Preset};
-use crate::sim::{self, Scene, Summary, Workers};
+use crate::sim::{self, RecordSummary, Scene, WorkerCommand};
 
 pub fn run(args: &Run) -> anyhow::Result<()> {
     let scene = told(load(&args.scene)?, &args.accuracy)?;
@@ -24,7 +24,7 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
 
 pub fn generate(args: &Generate) -> anyhow::Result<()> {
     let scenes = args.scenes.iter().map(|name| told(load(name)?, &args.accuracy));
-    let plan = sim::Generate {
+    let plan = sim::DatasetPlan {
         scenes: scenes.collect::<anyhow::Result<_>>()?,
         episodes: args.episodes,
         seed: args.seed,
@@ -33,15 +33,15 @@ pub fn generate(args: &Generate) -> anyhow::Result<()> {
     };
     let [episodes, chunks] = ["episodes", "chunks of the store"].map(progress::bar);
     let progress = |at| match at {
-        sim::Progress::Episodes(done, all) => progress::step(&episodes, done, all),
-        sim::Progress::Chunks(done, all) => {
+        sim::GenerateProgress::Episodes(done, all) => progress::step(&episodes, done, all),
+        sim::GenerateProgress::Chunks(done, all) => {
             episodes.finish_and_clear();
             progress::step(&chunks, done, all);
         }
     };
     let summary = match args.in_process {
         true => sim::generate(&plan, &args.out, progress)?,
-        false => sim::generate_isolated(&plan, &workers(args)?, args.skip_failed, &args.out, progress)?,
+        false => sim::generate_in_processes(&plan, &workers(args)?, args.skip_failed, &args.out, progress)?,
     };
     chunks.finish_and_clear();
     print(&summary, &args.out);
@@ -49,7 +49,7 @@ pub fn generate(args: &Generate) -> anyhow::Result<()> {
 }
 
 /// This program with the same scenes and options.
-fn workers(args: &Generate) -> anyhow::Result<Workers> {
+fn workers(args: &Generate) -> anyhow::Result<WorkerCommand> {
     let program = std::env::current_exe().context("where this program lies")?;
     let mut arguments: Vec<OsString> = ["sim", "worker"].map(OsString::from).to_vec();
     arguments.extend(["--size".into(), args.size.to_string().into()]);
@@ -70,7 +70,7 @@ fn workers(args: &Generate) -> anyhow::Result<Workers> {
     }
     arguments.push("--".into());
     arguments.extend(args.scenes.iter().map(OsString::from));
-    Ok(Workers { program, arguments })
+    Ok(WorkerCommand { program, arguments })
 }
 
 pub fn work(args: &Worker) -> anyhow::Result<()> {
@@ -111,7 +111,7 @@ fn with_accuracy(mut scene: Scene, accuracy: &Accuracy) -> anyhow::Result<(Scene
     Ok((scene, news))
 }
 
-fn print(summary: &Summary, out: &Path) {
+fn print(summary: &RecordSummary, out: &Path) {
     println!(
         "wrote {}: {} frames, {} with touch; most force {:.2} N; residuals: sum {:.1e}, moment {:.1e} N m",
         out.display(),

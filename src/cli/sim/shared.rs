@@ -3,12 +3,12 @@
 use anyhow::ensure;
 
 use super::Making;
-use crate::sim::{RolloutOptions, Scene, mjcf};
+use crate::sim::{RolloutOptions, Scene, mesh_faults, mjcf};
 
 /// A scene; what is wrong with its meshes goes to standard error.
 pub fn load(name_or_path: &str) -> anyhow::Result<Scene> {
     let scene = Scene::load(name_or_path)?;
-    for line in scene.mesh_faults()? {
+    for line in mesh_faults(&scene)? {
         eprintln!("egotac: warning: {line}");
     }
     Ok(scene)
