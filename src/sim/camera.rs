@@ -19,7 +19,7 @@ pub struct CameraPose {
 
 impl CameraPose {
     /// Converts the pose of an engine camera, which looks along -z with y up.
-    pub fn from_engine((position, axes): (DVec3, DMat3)) -> Self {
+    pub(crate) fn from_engine((position, axes): (DVec3, DMat3)) -> Self {
         let optical = DMat3::from_cols(axes.x_axis, -axes.y_axis, -axes.z_axis);
         Self { position, orientation: DQuat::from_mat3(&optical).normalize() }
     }
@@ -32,7 +32,7 @@ impl CameraPose {
 
 impl CameraDraw {
     /// Returns the pose of the head's body at `time`, s, in the engine's camera convention: a slow sway about the mean.
-    pub fn head(&self, time: f64) -> (DVec3, DQuat) {
+    pub(crate) fn head(&self, time: f64) -> (DVec3, DQuat) {
         // Frequencies of a sitting person's head, without a common period.
         const HERTZ: [f64; 6] = [0.31, 0.43, 0.23, 0.37, 0.53, 0.29];
         let wave = |i: usize| (TAU * HERTZ[i] * time + self.phases[i]).sin();

@@ -45,7 +45,12 @@ pub fn hand_force(world: &World, links: &[Body], vertices: &[Vec3], spreader: &F
 ///
 /// # Errors
 /// As [`hand_force`].
-pub fn hand_slip(world: &World, links: &[Body], vertices: &[Vec3], spreader: &ForceSpreader) -> Result<Vec<f32>> {
+pub(crate) fn hand_slip(
+    world: &World,
+    links: &[Body],
+    vertices: &[Vec3],
+    spreader: &ForceSpreader,
+) -> Result<Vec<f32>> {
     let (contacts, speeds): (Vec<LinkContact>, Vec<f64>) = hand_contacts(world, links).unzip();
     let weighted = |(contact, speed): (&LinkContact, &f64)| LinkContact { force: contact.force * speed, ..*contact };
     let force = spreader.spread(vertices, &contacts)?.force;

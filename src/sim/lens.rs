@@ -61,17 +61,17 @@ impl Lens {
     }
 
     /// Returns width and height of the pinhole picture, pixels.
-    pub fn source_size(&self) -> (u32, u32) {
+    pub(crate) fn source_size(&self) -> (u32, u32) {
         self.source_size
     }
 
     /// Returns the vertical field of view of the pinhole picture, rad.
-    pub fn fovy(&self) -> f64 {
+    pub(crate) fn fovy(&self) -> f64 {
         self.fovy
     }
 
     /// Returns the distorted picture's bytes, row by row, from a pinhole picture.
-    pub fn distort(&self, source: &RgbImage) -> Vec<u8> {
+    pub(crate) fn distort(&self, source: &RgbImage) -> Vec<u8> {
         let (bytes, row) = (source.as_raw(), 3 * self.source_size.0 as usize);
         let mut distorted = Vec::with_capacity(3 * self.taps.len());
         for Tap { at, right, down } in &self.taps {
@@ -87,7 +87,7 @@ impl Lens {
 
     /// Returns the distances of the distorted picture, each from the nearest pixel: an interpolation between two
     /// surfaces would be a distance where nothing is.
-    pub fn distort_depth(&self, source: &[f32]) -> Vec<f32> {
+    pub(crate) fn distort_depth(&self, source: &[f32]) -> Vec<f32> {
         let width = self.source_size.0 as usize;
         let nearest = |tap: &Tap| tap.at + usize::from(tap.right >= 0.5) + width * usize::from(tap.down >= 0.5);
         self.taps.iter().map(|tap| source[nearest(tap)]).collect()

@@ -11,20 +11,20 @@ use crate::hand::N_JOINTS;
 use crate::text::put;
 
 /// Stiffness of the wrist's linear servos, N/m; [`super::driver`] converts forces to displacements with it.
-pub const WRIST_STIFFNESS: f64 = 2500.0;
+pub(crate) const WRIST_STIFFNESS: f64 = 2500.0;
 /// Name of the head's mocap body and of its camera.
 pub const HEAD: &str = "head";
 /// Number of points per axis of a soft ball's grid.
 const SOFT_GRID_POINTS: usize = 7;
 /// Half edges of the table top, m.
-pub const TABLE_HALF: DVec3 = DVec3::new(0.6, 0.45, 0.02);
+pub(crate) const TABLE_HALF: DVec3 = DVec3::new(0.6, 0.45, 0.02);
 /// Centre of the table top, m: its upper face is at z = 0.
-pub const TABLE_CENTRE: DVec3 = DVec3::new(0.0, 0.1, -0.02);
+pub(crate) const TABLE_CENTRE: DVec3 = DVec3::new(0.0, 0.1, -0.02);
 /// Largest side of a picture, pixels.
-pub const MAX_PICTURE: u32 = 1024;
+pub(crate) const MAX_PICTURE: u32 = 1024;
 
 /// Names of the wrist's joints without the hand's prefix: three slides along the world's axes, three hinges.
-pub const WRIST: [&str; 6] = ["wrist_x", "wrist_y", "wrist_z", "wrist_rx", "wrist_ry", "wrist_rz"];
+pub(crate) const WRIST: [&str; 6] = ["wrist_x", "wrist_y", "wrist_z", "wrist_rx", "wrist_ry", "wrist_rz"];
 
 /// Distance up to which pairs without force are detected, m: the paper's 1 cm, and 4 mm by which skin may protrude from
 /// the hulls.
@@ -34,7 +34,7 @@ const NEAR_DISTANCE: f64 = 0.014;
 const THIN_HALF_THICKNESS: f64 = 1.6e-3;
 
 /// Writes the model of an episode with the given effects; `fovy` is the camera's vertical field of view, rad.
-pub fn write(episode: &EpisodeDraw, rigs: &[HandRig; 2], effects: EffectSet, fovy: f64) -> String {
+pub(crate) fn write(episode: &EpisodeDraw, rigs: &[HandRig; 2], effects: EffectSet, fovy: f64) -> String {
     let shadows = effects.contains(Effect::Shadows);
     let mut assets = String::new();
     let mut world = String::new();

@@ -132,7 +132,7 @@ impl HandRig {
     ///
     /// # Errors
     /// If `max` is below 4: fewer corners span no volume.
-    pub fn limit_corners(&mut self, max: usize) -> Result<()> {
+    pub(crate) fn limit_corners(&mut self, max: usize) -> Result<()> {
         if max < 4 {
             return Err(Error::value("hull corners", "at least 4", max));
         }
@@ -240,7 +240,7 @@ pub fn rotation_vector(q: DQuat) -> DVec3 {
 
 /// Returns the first joint of a finger; the wrist for the palm.
 ///
-pub fn base_joint(site: HandSite) -> usize {
+pub(crate) fn base_joint(site: HandSite) -> usize {
     match site {
         HandSite::Thumb => 13,
         HandSite::Index => 1,

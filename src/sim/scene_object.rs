@@ -81,7 +81,7 @@ impl SceneObject {
     ///
     /// # Errors
     /// If a soft body's points are not finite.
-    pub fn refresh(&mut self, world: &World) -> Result<()> {
+    pub(crate) fn refresh(&mut self, world: &World) -> Result<()> {
         match &self.physics {
             ObjectPhysics::Body(body) => self.pose = (world.position(*body), world.orientation(*body)),
             ObjectPhysics::Flex(_, flex) => {

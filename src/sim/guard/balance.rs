@@ -15,19 +15,19 @@ const MIN_CONE_FORCE: f64 = 0.01;
 
 /// Checks the forces of an instant.
 #[derive(Debug)]
-pub struct BalanceGuard {
+pub(super) struct BalanceGuard {
     /// Objects with their masses, kg.
     objects: Vec<(FreeJoint, f64)>,
 }
 
 impl BalanceGuard {
     /// Creates a guard of the forces on `objects`, and of friction everywhere.
-    pub fn new(world: &World, objects: &[FreeJoint]) -> Self {
+    pub(super) fn new(world: &World, objects: &[FreeJoint]) -> Self {
         Self { objects: objects.iter().map(|joint| (*joint, world.mass(world.body_of(*joint)))).collect() }
     }
 
     /// Checks the world; call after `World::forward`.
-    pub fn check(&self, world: &World) -> Validity {
+    pub(super) fn check(&self, world: &World) -> Validity {
         if self.objects.iter().any(|object| !is_balanced(world, *object)) {
             Validity::Unbalanced
         } else if world.grips().any(|grip| grip.normal_force > MIN_CONE_FORCE && grip.cone_ratio > MAX_CONE_RATIO) {

@@ -20,7 +20,7 @@ const MAX_STICKING_CONE_RATIO: f64 = 0.9;
 
 /// Checks held objects.
 #[derive(Debug)]
-pub struct CreepGuard {
+pub(super) struct CreepGuard {
     objects: Vec<HeldObject>,
 }
 
@@ -33,12 +33,12 @@ struct HeldObject {
 
 impl CreepGuard {
     /// Creates a guard of `objects`.
-    pub fn new(objects: &[FreeJoint]) -> Self {
+    pub(super) fn new(objects: &[FreeJoint]) -> Self {
         Self { objects: objects.iter().map(|joint| HeldObject { joint: *joint, slips: VecDeque::new() }).collect() }
     }
 
     /// Checks the world; call after `World::forward`.
-    pub fn check(&mut self, world: &World) -> Validity {
+    pub(super) fn check(&mut self, world: &World) -> Validity {
         // Each object must see each frame: no short circuit.
         let creeps = self.objects.iter_mut().map(|object| object.creeps(world)).fold(false, |any, one| any | one);
         if creeps { Validity::Creeping } else { Validity::Valid }

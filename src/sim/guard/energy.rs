@@ -17,7 +17,7 @@ const MAX_DRIFT: f64 = 0.02;
 
 /// Accounts for the energy of constraints and of free rotations.
 #[derive(Debug)]
-pub struct EnergyGuard {
+pub(super) struct EnergyGuard {
     /// Generalised velocities after the last step.
     qvel: Vec<f64>,
     /// Mean of the velocities before and after the last step.
@@ -42,7 +42,7 @@ struct FreeRotation {
 
 impl EnergyGuard {
     /// Creates a guard of all constraints, and of the rotation of `objects`.
-    pub fn new(world: &World, objects: &[FreeJoint]) -> Self {
+    pub(super) fn new(world: &World, objects: &[FreeJoint]) -> Self {
         let rotations = objects.iter().map(|joint| FreeRotation { joint: *joint, energy: None }).collect();
         let mut energy = Self {
             qvel: world.qvel().to_vec(),
@@ -58,7 +58,7 @@ impl EnergyGuard {
     }
 
     /// Begins a new window of the account; call after `World::forward`.
-    pub fn begin_window(&mut self, world: &World) {
+    pub(super) fn begin_window(&mut self, world: &World) {
         (self.absorbed, self.released) = (0.0, 0.0);
         // Upper bound: a spring pressed to this depth by this force holds half of it.
         let pressed = world.contacts().map(|contact| contact.normal_force * (-contact.distance).max(0.0));
@@ -66,7 +66,7 @@ impl EnergyGuard {
     }
 
     /// Checks the world after a step.
-    pub fn check(&mut self, world: &World) -> Validity {
+    pub(super) fn check(&mut self, world: &World) -> Validity {
         for (mean, (before, after)) in self.mean_qvel.iter_mut().zip(self.qvel.iter().zip(world.qvel())) {
             *mean = 0.5 * (before + after);
         }

@@ -1,13 +1,13 @@
 //! Guards: checks that a frame's physics can be trusted. Engine warnings alone miss most failures.
 //!
-//! Guards check every step ([`step`], [`energy`]), the forces at each frame's instant ([`balance`]), and slow slip over
-//! many frames ([`creep`]). [`mod@crate::mujoco::audit`] checks the model before the first step. A refused frame keeps
+//! Guards check every step (`step`, `energy`), the forces at each frame's instant (`balance`), and slow slip over
+//! many frames (`creep`). [`mod@crate::mujoco::audit`] checks the model before the first step. A refused frame keeps
 //! its forces and carries the reason: it is never labelled as "no contact".
 
-pub mod balance;
-pub mod creep;
-pub mod energy;
-pub mod step;
+mod balance;
+mod creep;
+mod energy;
+mod step;
 
 use crate::mujoco::World;
 use crate::mujoco::world::FreeJoint;

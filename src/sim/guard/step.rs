@@ -12,7 +12,7 @@ const MAX_ARENA: f64 = 0.8;
 
 /// Checks each step by itself.
 #[derive(Debug)]
-pub struct StepGuard {
+pub(super) struct StepGuard {
     /// Time after the last step, s.
     time: f64,
     /// Bodies with a speed limit below [`MAX_SPEED`], and the limit, m/s.
@@ -23,14 +23,14 @@ pub struct StepGuard {
 
 impl StepGuard {
     /// Creates a guard that allows contacts up to `max_depth`, m, and up to half the thickness of what touches.
-    pub fn new(world: &World, max_depth: f64) -> Self {
+    pub(super) fn new(world: &World, max_depth: f64) -> Self {
         let mut max_speeds = speed_limits(world);
         max_speeds.retain(|(_, limit)| *limit < MAX_SPEED);
         Self { time: world.time(), max_speeds, max_depths: depth_limits(world, max_depth) }
     }
 
     /// Checks the world after a step.
-    pub fn check(&mut self, world: &World) -> Validity {
+    pub(super) fn check(&mut self, world: &World) -> Validity {
         let dt = world.options().timestep;
         let advanced = (world.time() - self.time - dt).abs() < 1e-6 * dt.max(world.time());
         self.time = world.time();

@@ -72,24 +72,19 @@ impl Object {
     }
 
     /// Returns the convex outline of the moving part: without handles, hollows filled.
-    pub fn outline(&self) -> &SharedShape {
+    pub(crate) fn outline(&self) -> &SharedShape {
         &self.outline
     }
 
     /// Returns the obstacles for a hand if the object is at `pose`: the outline, and the fixed part.
-    pub fn obstacles(&self, pose: &Pose) -> Vec<(SharedShape, Pose)> {
+    pub(crate) fn obstacles(&self, pose: &Pose) -> Vec<(SharedShape, Pose)> {
         let base = self.base.iter().map(|piece| (piece.collider.clone(), *pose * piece.pose()));
         std::iter::once((self.outline.clone(), *pose)).chain(base).collect()
     }
 
-    /// Returns the volume of the moving part, m³; overlaps of pieces count twice.
-    pub fn volume(&self) -> f64 {
-        self.pieces.iter().map(Piece::volume).sum()
-    }
-
     /// Casts a ray from outside along `-direction` to `through`; returns the first point on the moving part, m, and the
     /// outward unit normal there.
-    pub fn surface_towards(&self, direction: DVec3, through: DVec3) -> Option<(DVec3, DVec3)> {
+    pub(crate) fn surface_towards(&self, direction: DVec3, through: DVec3) -> Option<(DVec3, DVec3)> {
         // Beyond any object: meshes extend up to 20 m, from their centre up to 10 m per axis.
         const FAR: f64 = 20.0;
         let direction = direction.normalize();
@@ -107,7 +102,7 @@ impl Object {
 
     /// Returns the signed distance of a point from the fixed part, in the object frame at the start, m; infinite
     /// without one.
-    pub fn base_distance(&self, point: DVec3) -> f64 {
+    pub(crate) fn base_distance(&self, point: DVec3) -> f64 {
         self.base.iter().map(|piece| piece.distance(point)).fold(f64::INFINITY, f64::min)
     }
 
@@ -115,7 +110,7 @@ impl Object {
     ///
     /// # Errors
     /// If `spacing` is not a positive length.
-    pub fn sampled_surface(&self, spacing: f32) -> Result<SampledSurface> {
+    pub(crate) fn sampled_surface(&self, spacing: f32) -> Result<SampledSurface> {
         sampled(&self.pieces, spacing)
     }
 
@@ -123,7 +118,7 @@ impl Object {
     ///
     /// # Errors
     /// If a piece has no extent.
-    pub fn solid(&self) -> Result<Solid> {
+    pub(crate) fn solid(&self) -> Result<Solid> {
         solid(&self.pieces)
     }
 
@@ -131,7 +126,7 @@ impl Object {
     ///
     /// # Errors
     /// If a piece has no extent.
-    pub fn base_solid(&self) -> Result<Solid> {
+    pub(crate) fn base_solid(&self) -> Result<Solid> {
         solid(&self.base)
     }
 
@@ -139,7 +134,7 @@ impl Object {
     ///
     /// # Errors
     /// If `spacing` is not a positive length.
-    pub fn sampled_base(&self, spacing: f32) -> Result<Option<SampledSurface>> {
+    pub(crate) fn sampled_base(&self, spacing: f32) -> Result<Option<SampledSurface>> {
         if self.base.is_empty() { Ok(None) } else { sampled(&self.base, spacing).map(Some) }
     }
 }

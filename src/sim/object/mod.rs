@@ -21,7 +21,7 @@ impl Object {
     ///
     /// # Errors
     /// If a convex piece is degenerate, or a mesh file cannot be read.
-    pub fn sample(spec: &ShapeSpec, rng: &mut impl Rng) -> Result<Self> {
+    pub(crate) fn sample(spec: &ShapeSpec, rng: &mut impl Rng) -> Result<Self> {
         match spec {
             ShapeSpec::Box { size } => {
                 let half = DVec3::from_array(size.each_ref().map(|s| 0.5 * s.sample(rng)));

@@ -72,7 +72,7 @@ impl Piece {
     }
 
     /// Returns the volume, m³.
-    pub fn volume(&self) -> f64 {
+    pub(crate) fn volume(&self) -> f64 {
         match &self.shape {
             PieceShape::Box(half) => 8.0 * half.x * half.y * half.z,
             PieceShape::Ball(radius) => 4.0 / 3.0 * PI * radius.powi(3),
@@ -83,7 +83,7 @@ impl Piece {
     }
 
     /// Returns half the smallest extent along the axes of the shape, m.
-    pub fn half_thickness(&self) -> f64 {
+    pub(crate) fn half_thickness(&self) -> f64 {
         match &self.shape {
             PieceShape::Box(half) => half.min_element(),
             PieceShape::Ball(radius) | PieceShape::Capsule(radius, _) => *radius,

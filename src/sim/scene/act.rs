@@ -148,7 +148,7 @@ pub struct Channels {
 
 impl ActSpec {
     /// True if the script ever applies force.
-    pub fn presses(&self) -> bool {
+    pub(crate) fn presses(&self) -> bool {
         let pushes = self.grip.high() > 0.0 || self.contacts.values().any(|contact| contact.force.high() > 0.0);
         let some = |range: Option<UniformRange>| range.is_some_and(|range| range.high() > 0.0);
         (pushes && (self.start.squeeze.high() > 0.0 || self.script.iter().any(|phase| some(phase.squeeze))))
@@ -157,12 +157,12 @@ impl ActSpec {
     }
 
     /// True if the script applies force and raises the hand, so that the object hangs in the grip.
-    pub fn lifts(&self) -> bool {
+    pub(crate) fn lifts(&self) -> bool {
         self.presses() && self.script.iter().any(|phase| phase.shift.is_some_and(|[_, _, z]| z.high() > 0.005))
     }
 
     /// True if the script applies force and turns the hand.
-    pub fn twists(&self) -> bool {
+    pub(crate) fn twists(&self) -> bool {
         let turn = |range: UniformRange| range.low() < 0.0 || range.high() > 0.0;
         self.presses() && self.script.iter().any(|phase| phase.twist.is_some_and(turn))
     }

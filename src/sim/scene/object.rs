@@ -139,19 +139,19 @@ impl ObjectSpec {
     }
 
     /// True if only contact holds the object.
-    pub fn is_free(&self) -> bool {
+    pub(crate) fn is_free(&self) -> bool {
         self.solid && !self.shape.is_articulated()
     }
 }
 
 impl ShapeSpec {
     /// True if the object has a joint.
-    pub fn is_articulated(&self) -> bool {
+    pub(crate) fn is_articulated(&self) -> bool {
         matches!(self, Self::Button { .. } | Self::Knob { .. } | Self::Door { .. })
     }
 
     /// True if the object deforms.
-    pub fn is_soft(&self) -> bool {
+    pub(crate) fn is_soft(&self) -> bool {
         matches!(self, Self::Soft { .. })
     }
 
