@@ -219,6 +219,8 @@ impl ObjectDraw {
 ///
 /// Adds fewer than `count` if there is no room left.
 ///
+/// # Errors
+/// If a convex piece is degenerate.
 fn add_distractors(count: usize, starts: &[DVec3], objects: &mut Vec<ObjectDraw>, rng: &mut impl Rng) -> Result<()> {
     let radius = |object: &ObjectDraw| f64::from(object.shape.outline().compute_local_aabb().half_extents().length());
     for index in 0..count {
