@@ -19,12 +19,12 @@ use super::{Shutdown, diagnostics, qos};
 use crate::file;
 use crate::message::{Header, TactileFrame, TactileMetrics, TactileTruth};
 use crate::score::agreement::{Scorer, Sums, TruthFrame};
-use crate::score::metrics::{self, Fields, FrameScore, Options};
+use crate::score::metrics::{self, EvalOptions, FrameScore};
 use crate::score::verify::Bar;
 use crate::score::verify::recording::RestHands;
 use crate::score::verify::report::scores_of;
 use crate::score::verify::stretches::Stretches;
-use crate::tactile::{TactileField, Validity};
+use crate::tactile::{TactileField, TactileSequence, Validity};
 
 /// Messages that may wait for their partner: seconds of any camera.
 const WAITING: usize = 500;
@@ -140,8 +140,8 @@ struct Scored {
     /// Stamp in seconds and score of each valid pair.
     frames: Vec<(f64, FrameScore)>,
     window: VecDeque<(f64, FrameScore, Sums)>,
-    kept: (Fields, Fields),
-    kept_count: usize,
+    /// The first valid pairs: predictions and truths.
+    kept: (TactileSequence, TactileSequence),
     /// Ends of the truth's stretches of time, in valid pairs; the last one is open.
     ends: Vec<usize>,
     /// Of the newest valid pair.
@@ -367,6 +367,10 @@ impl Scored {
             self.touch.refuse();
             return Ok(());
         }
+        if self.kept.0.n_frames() < KEPT {
+            self.kept.0.push(&predicted)?;
+            self.kept.1.push(&target)?;
+        }
         let score = FrameScore::new(&predicted.force, &predicted.contact, &target.force, &target.contact, &[], &[]);
         let stamp = frame.header.stamp.secs();
         if std::mem::replace(&mut self.stretch, stretch) != stretch && !self.frames.is_empty() {
@@ -378,11 +382,6 @@ impl Scored {
         self.came = Some(Instant::now());
         self.frames.push((stamp, score.clone()));
         self.window.push_back((stamp, score, sums));
-        if self.kept_count < KEPT {
-            self.kept.0.push(&predicted);
-            self.kept.1.push(&target);
-            self.kept_count += 1;
-        }
         self.newest = frame.header;
         self.model_id = frame.model_id;
         self.topology = frame.topology;
@@ -420,15 +419,15 @@ impl Scored {
     }
 
     /// All scores; beyond the pairs kept whole, those that need all vertices of all frames are undefined.
-    fn total(&self) -> crate::Result<metrics::Report> {
-        if self.frames.len() > self.kept_count {
+    fn total(&mut self) -> crate::Result<metrics::Report> {
+        if self.frames.len() > self.kept.0.n_frames() {
             let summary = |frames: &[(f64, FrameScore)]| metrics::summarize(frames.iter().map(|(_, score)| score));
             let each: Vec<f64> = self.stretches().filter_map(|stretch| summary(stretch).temporal_pearson).collect();
             let temporal_pearson = (!each.is_empty()).then(|| each.iter().sum::<f64>() / each.len() as f64);
             return Ok(metrics::Report { temporal_pearson, ..summary(&self.frames) });
         }
-        let options = Options { episode_ends: self.all_ends(), fps: self.rate(), ..Options::default() };
-        metrics::evaluate(&self.kept.0, &self.kept.1, &options)
+        self.kept.1.episode_ends = self.all_ends();
+        metrics::evaluate(&self.kept.0, &self.kept.1, &EvalOptions { fps: self.rate(), calibration: None })
     }
 }
 
