@@ -168,7 +168,7 @@ mod with_sim {
     use crate::bench::{Machine, effects, guards, retarget as retargeting};
     use crate::cli::progress;
     use crate::file;
-    use crate::sim::{RolloutOptions, SHIPPED, Scene, Workers};
+    use crate::sim::{RolloutOptions, SHIPPED, Scene, WorkerCommand};
 
     pub fn sim(args: &Sim) -> anyhow::Result<bool> {
         let scenes = scenes(&args.scenes)?;
@@ -213,7 +213,7 @@ mod with_sim {
     }
 
     /// This program with the scenes on which `generate` is timed.
-    fn workers(args: &Sim) -> anyhow::Result<Workers> {
+    fn workers(args: &Sim) -> anyhow::Result<WorkerCommand> {
         let names = match args.scenes.as_slice() {
             [] => SHIPPED
                 .iter()
@@ -226,7 +226,10 @@ mod with_sim {
         let program = std::env::current_exe().context("where this program lies")?;
         let size = throughput::SIZE.to_string();
         let arguments = ["sim", "worker", "--size", &size, "--"].map(Into::into);
-        Ok(Workers { program, arguments: arguments.into_iter().chain(names.into_iter().map(Into::into)).collect() })
+        Ok(WorkerCommand {
+            program,
+            arguments: arguments.into_iter().chain(names.into_iter().map(Into::into)).collect(),
+        })
     }
 
     /// Those named, or all that are part of the program.

@@ -101,10 +101,10 @@ fn render(recipes: &[Recipe]) -> anyhow::Result<()> {
 #[cfg(feature = "sim")]
 fn make(recipe: &Recipe, bar: &ProgressBar) -> anyhow::Result<()> {
     use crate::experiment::data::SIDE;
-    use crate::sim::{Generate, Progress, RolloutOptions, Scene, Workers, generate_isolated};
+    use crate::sim::{DatasetPlan, GenerateProgress, RolloutOptions, Scene, WorkerCommand, generate_in_processes};
     let options = RolloutOptions { picture: Some((SIDE, SIDE)), ..RolloutOptions::default() };
     let text = |path: &Path| path.as_os_str().to_owned();
-    let plan = Generate {
+    let plan = DatasetPlan {
         scenes: vec![Scene::load(&recipe.scene.display().to_string())?],
         episodes: recipe.episodes,
         seed: recipe.seed,
@@ -114,11 +114,11 @@ fn make(recipe: &Recipe, bar: &ProgressBar) -> anyhow::Result<()> {
     let mut arguments: Vec<std::ffi::OsString> =
         ["sim", "worker", "--size", &SIDE.to_string(), "--"].map(Into::into).into();
     arguments.push(text(&recipe.scene));
-    let workers = Workers { program: std::env::current_exe()?, arguments };
+    let workers = WorkerCommand { program: std::env::current_exe()?, arguments };
     let before = bar.position();
     // An episode that can't be simulated is left out: the same one each time, and the report counts frames that are there.
-    generate_isolated(&plan, &workers, true, &recipe.path, |at| {
-        if let Progress::Episodes(done, _) = at {
+    generate_in_processes(&plan, &workers, true, &recipe.path, |at| {
+        if let GenerateProgress::Episodes(done, _) = at {
             bar.set_position(before + done as u64);
         }
     })?;

@@ -6,7 +6,7 @@ use super::{Family, HardCase, Outcome};
 use crate::error::Result;
 use crate::hand::{HandModel, N_BETAS, N_KEYPOINTS, Side};
 use crate::retarget::{Input, Retargeter, Robot, Status, Touch};
-use crate::sim::rig::{HandRig, Motion};
+use crate::sim::rig::{HandRig, HingeMotion};
 
 pub(super) const CASES: &[HardCase] = &[
     Family::Retargeting.case(
@@ -72,7 +72,7 @@ impl Motions {
             let wave = bend + swing * (2.0 * seconds + 0.3 * hinge.joint as f64).sin();
             // A thumb that bends as much as the fingers would go through them.
             let share = if (hinge.joint - 1) / 3 == 4 { 0.5 } else { 1.0 };
-            let angle = if hinge.motion == Motion::Flex { share * wave } else { 0.0 };
+            let angle = if hinge.motion == HingeMotion::Flex { share * wave } else { 0.0 };
             angle.clamp(hinge.range[0], hinge.range[1])
         };
         let angles: Vec<f64> = self.0.hinges.iter().map(angle).collect();

@@ -12,8 +12,8 @@ use rayon::prelude::*;
 use crate::error::Result;
 use crate::hand::{HandModel, N_BETAS, N_KEYPOINTS, Side};
 use crate::retarget::human::{Hand, keypoint};
-use crate::sim::rig::{HandRig, Hinge, Motion};
-use crate::sim::scene::Site;
+use crate::sim::rig::{HandRig, Hinge, HingeMotion};
+use crate::sim::scene::HandSite;
 
 /// Frames per second.
 pub const RATE: f64 = 30.0;
@@ -170,11 +170,11 @@ impl Waves {
             let bend = 0.35 + 0.22 * sum;
             let (f, phase) = self.spread[finger];
             let value = match (hinge.motion, (hinge.joint - 1) % 3) {
-                (Motion::Flex, 0) => 1.1 * bend,
-                (Motion::Flex, 1) => 1.3 * bend,
-                (Motion::Flex, _) => 0.8 * bend,
-                (Motion::Abduct, _) => 0.12 * (TAU * f * time + phase).sin(),
-                (Motion::Twist, _) => 0.0,
+                (HingeMotion::Flex, 0) => 1.1 * bend,
+                (HingeMotion::Flex, 1) => 1.3 * bend,
+                (HingeMotion::Flex, _) => 0.8 * bend,
+                (HingeMotion::Abduct, _) => 0.12 * (TAU * f * time + phase).sin(),
+                (HingeMotion::Twist, _) => 0.0,
             };
             let value = if finger == 0 { 0.5 * value } else { value };
             value.clamp(hinge.range[0], hinge.range[1])
@@ -195,8 +195,8 @@ fn pinch(rig: &HandRig, finger: usize) -> Option<Vec<f64>> {
         (0..rig.hinges.len()).filter(|k| [0, finger].contains(&finger_of(rig.hinges[*k].joint))).collect();
     let start = |[of_finger, of_thumb]: [f64; 2]| -> Vec<f64> {
         let bend = |hinge: &Hinge| match hinge.motion {
-            Motion::Flex if finger_of(hinge.joint) == finger => of_finger,
-            Motion::Flex => of_thumb,
+            HingeMotion::Flex if finger_of(hinge.joint) == finger => of_finger,
+            HingeMotion::Flex => of_thumb,
             _ => 0.0,
         };
         rig.hinges.iter().map(|hinge| bend(hinge).clamp(hinge.range[0], hinge.range[1])).collect()
@@ -213,7 +213,7 @@ fn pinch(rig: &HandRig, finger: usize) -> Option<Vec<f64>> {
         let toward = line.normalize_or(DVec3::X);
         // At the touching distance, and no nearer.
         let miss = line - PINCH * toward;
-        let facing = [normal(Site::FINGERS[0]) - toward, normal(Site::FINGERS[finger]) + toward];
+        let facing = [normal(HandSite::FINGERS[0]) - toward, normal(HandSite::FINGERS[finger]) + toward];
         let facing = facing.into_iter().flat_map(|off| (FACING * off).to_array());
         let leave = mine.iter().map(|k| LEAVING * (angles[*k] - rest[*k]));
         let all: Vec<f64> = miss.to_array().into_iter().chain(facing).chain(leave).collect();

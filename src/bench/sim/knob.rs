@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::mujoco::options::Unchecked;
 use crate::mujoco::{Cone, Integrator, PhysicsOptions, Preset};
-use crate::sim::effect::EffectPlan;
+use crate::sim::EffectPlan;
 use crate::sim::{RolloutOptions, Scene};
 
 /// Timestep of references that share the model of what is compared, s.

@@ -33,7 +33,7 @@ use self::trace::Trace;
 use crate::bench::Machine;
 use crate::error::Result;
 use crate::mujoco::{PhysicsOptions, Preset};
-use crate::sim::{RolloutOptions, Scene, Workers};
+use crate::sim::{RolloutOptions, Scene, WorkerCommand};
 
 /// Shipped scenes on which single knobs are turned when no scenes are named; presets are compared on all.
 pub const KNOB_SCENES: [&str; 2] = ["pinch_cube", "lift_mug"];
@@ -62,7 +62,7 @@ pub struct Plan {
     pub repetitions: usize,
     /// Given, the wrapper's overhead and the speed of `generate` are measured too, with workers that know the scenes of
     /// `knob_scenes` in the order of `scenes` and pictures of [`throughput::SIZE`].
-    pub workers: Option<Workers>,
+    pub workers: Option<WorkerCommand>,
     /// Hands and kernel; pictures are drawn only where they are what is measured.
     pub options: RolloutOptions,
 }

@@ -5,7 +5,7 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
-use crate::sim::{Generate, RolloutOptions, Scene, Workers, generate_isolated};
+use crate::sim::{DatasetPlan, RolloutOptions, Scene, WorkerCommand, generate_in_processes};
 
 /// Frames per second, planning and writing included.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -45,7 +45,7 @@ pub fn measure(
     seed: u64,
     jobs: &[usize],
     options: &RolloutOptions,
-    workers: &Workers,
+    workers: &WorkerCommand,
     repetitions: usize,
 ) -> Result<Throughput> {
     let folder = tempfile::tempdir().map_err(Error::io(std::env::temp_dir()))?;
@@ -54,10 +54,10 @@ pub fn measure(
     for repetition in 0..repetitions.max(1) {
         for (jobs, least) in jobs.iter().zip(&mut least) {
             let options = RolloutOptions { picture: Some((SIZE, SIZE)), ..options.clone() };
-            let plan = Generate { scenes: scenes.to_vec(), episodes, seed, jobs: *jobs, options };
+            let plan = DatasetPlan { scenes: scenes.to_vec(), episodes, seed, jobs: *jobs, options };
             let out = folder.path().join(format!("{repetition}_{jobs}.zarr"));
             let begun = Instant::now();
-            frames = generate_isolated(&plan, workers, false, &out, |_| ())?.frames;
+            frames = generate_in_processes(&plan, workers, false, &out, |_| ())?.frames;
             *least = least.min(begun.elapsed().as_secs_f64());
             std::fs::remove_dir_all(&out).map_err(Error::io(&out))?;
         }

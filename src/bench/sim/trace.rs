@@ -9,7 +9,7 @@ use crate::mujoco::World;
 use crate::mujoco::world::{Body, FreeJoint};
 use crate::score::metrics::contact::CONTACT_THRESHOLD;
 use crate::sim::rig::{JOINT_NAMES, site_of};
-use crate::sim::scene::Site;
+use crate::sim::scene::HandSite;
 use crate::sim::{Rollout, RolloutOptions, Scene, SimFrame};
 use crate::tactile::{N_FIELD, Validity};
 
@@ -137,7 +137,7 @@ impl Cast {
             for (joint, name) in JOINT_NAMES.iter().enumerate() {
                 // A hand that is absent has no bodies.
                 if let Ok(body) = world.body(&rollout.rigs()[side as usize].name(name)) {
-                    sites.insert(body, side as usize * (Site::Palm as usize + 1) + site_of(joint) as usize);
+                    sites.insert(body, side as usize * (HandSite::Palm as usize + 1) + site_of(joint) as usize);
                 }
             }
         }

@@ -1,51 +1,48 @@
-//! What a scene simulates: only the effects that it calls for, each with the reason.
-
-mod plan;
+//! Effects that can be simulated, and observations that need them.
 
 use std::fmt;
 
+use serde::de::{self, Deserializer};
 use serde::{Deserialize, Serialize};
-
-pub use plan::{EffectPlan, EffectsSpec};
 
 use crate::error::{Error, Result};
 
-/// Something that can be simulated, or left away.
+/// Part of the physics or of the picture that can be switched on and off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Effect {
-    /// Masses, servos and forces; without it hands follow their plan and objects stay where they are.
+    /// Masses, servos and forces; without it hands follow their plan and objects do not move.
     Dynamics,
-    /// Detection of touching bodies and, with dynamics, the forces between them.
+    /// Collision detection and, with dynamics, contact forces.
     RigidContact,
     /// Sliding friction.
     Friction,
-    /// Friction against spinning about the contact's normal.
+    /// Friction against rotation about the contact normal.
     TorsionalFriction,
-    /// Weight.
+    /// Gravity.
     Gravity,
-    /// Joints inside objects: buttons, knobs, doors.
+    /// Joints of objects: buttons, knobs, doors.
     Articulation,
-    /// Elastic objects, as finite elements.
+    /// Elastic objects as finite elements.
     SoftBody,
-    /// Bodies at rest that are left out until something moves them; their contacts leave the list meanwhile.
+    /// Exclusion of bodies at rest until something moves them; their contacts are not listed meanwhile.
     Sleep,
-    /// Detection of pairs within 1 cm, without force.
+    /// Detection of pairs within 1 cm that exert no force.
     NearContact,
-    /// Pictures; without it no OpenGL context is made.
+    /// Pictures; without it no OpenGL context is created.
     Rendering,
     /// Shadows in the picture.
     Shadows,
-    /// A lens that bends straight lines.
+    /// Radial distortion by the lens.
     LensDistortion,
-    /// Noise of the camera's sensor.
+    /// Noise of the camera sensor.
     SensorNoise,
-    /// Blur by motion while the shutter is open.
+    /// Blur by motion during the exposure time.
     MotionBlur,
 }
 
 impl Effect {
-    /// All effects, in the order in which tables show them.
+    /// All effects, in the order of tables.
     pub const ALL: [Effect; 14] = [
         Self::Dynamics,
         Self::RigidContact,
@@ -63,7 +60,7 @@ impl Effect {
         Self::MotionBlur,
     ];
 
-    /// Its name, as in YAML.
+    /// Returns the name, as in YAML.
     pub fn name(self) -> &'static str {
         match self {
             Self::Dynamics => "dynamics",
@@ -83,7 +80,7 @@ impl Effect {
         }
     }
 
-    /// Effects without which it means nothing.
+    /// Returns the effects that this effect requires.
     pub fn needs(self) -> &'static [Effect] {
         match self {
             Self::Dynamics | Self::RigidContact | Self::Rendering => &[],
@@ -97,31 +94,31 @@ impl Effect {
     }
 }
 
-/// Something that a scene records.
+/// Quantity that a scene records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Observation {
-    /// The camera's picture.
+    /// Picture of the camera.
     Rgb,
-    /// Distance from the camera per pixel, m.
+    /// Distance from the camera plane per pixel, m.
     Depth,
     /// Poses of hands and objects.
     Pose,
-    /// Which vertices touch.
+    /// Contact per vertex.
     Contact,
     /// Normal force per vertex, N.
     Force,
-    /// Speed at which touching surfaces slide, per vertex, m/s.
+    /// Sliding speed of touching surfaces per vertex, m/s.
     Slip,
 }
 
 impl Observation {
-    /// What is recorded unless the scene says otherwise.
+    /// Returns the observations of a scene that lists none.
     pub fn usual() -> Vec<Self> {
         vec![Self::Rgb, Self::Pose, Self::Contact, Self::Force]
     }
 
-    /// Its name, as in YAML.
+    /// Returns the name, as in YAML.
     pub fn name(self) -> &'static str {
         match self {
             Self::Rgb => "rgb",
@@ -133,7 +130,7 @@ impl Observation {
         }
     }
 
-    /// Effects without which there is nothing to record.
+    /// Returns the effects that this observation requires.
     pub fn needs(self) -> &'static [Effect] {
         match self {
             Self::Rgb | Self::Depth => &[Effect::Rendering],
@@ -144,37 +141,37 @@ impl Observation {
     }
 }
 
-/// A set of effects.
+/// Set of effects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct EffectSet(u16);
 
 impl EffectSet {
-    /// Whether `effect` is in it.
+    /// Returns true if `effect` is in the set.
     pub fn contains(self, effect: Effect) -> bool {
         self.0 & (1 << effect as u16) != 0
     }
 
-    /// The set with `effect` in it.
+    /// Returns the set with `effect` added.
     #[must_use]
     pub fn with(self, effect: Effect) -> Self {
         Self(self.0 | 1 << effect as u16)
     }
 
-    /// The set without `effect`.
+    /// Returns the set with `effect` removed.
     #[must_use]
     pub fn without(self, effect: Effect) -> Self {
         Self(self.0 & !(1 << effect as u16))
     }
 
-    /// Its effects, in the order of [`Effect::ALL`].
+    /// Iterates over the effects in the order of [`Effect::ALL`].
     pub fn iter(self) -> impl Iterator<Item = Effect> {
         Effect::ALL.into_iter().filter(move |effect| self.contains(*effect))
     }
 
-    /// Checks that no effect lacks what it needs.
+    /// Checks that each effect has the effects it requires.
     ///
     /// # Errors
-    /// If one does; the error names both.
+    /// If a required effect is missing; the error names both.
     pub fn check(self) -> Result<()> {
         for effect in self.iter() {
             if let Some(missing) = effect.needs().iter().find(|needed| !self.contains(**needed)) {
@@ -201,5 +198,41 @@ impl fmt::Display for EffectSet {
     fn fmt(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
         let names: Vec<&str> = self.iter().map(Effect::name).collect();
         write!(formatter, "[{}]", names.join(", "))
+    }
+}
+
+/// Effects as a scene file gives them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum EffectsSpec {
+    /// `auto`: the fewest effects that deliver the observations.
+    #[default]
+    Auto,
+    /// List: these effects and no others.
+    Listed(EffectSet),
+}
+
+impl<'de> Deserialize<'de> for EffectsSpec {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(untagged)]
+        enum Written {
+            Word(String),
+            List(Vec<String>),
+        }
+        let expected = || {
+            let names: Vec<&str> = Effect::ALL.into_iter().map(Effect::name).collect();
+            format!("`auto` or a list of {}", names.join(", "))
+        };
+        let names = match Written::deserialize(deserializer) {
+            Ok(Written::Word(word)) if word == "auto" => return Ok(Self::Auto),
+            Ok(Written::Word(word)) => return Err(de::Error::custom(format!("expected {}, got {word:?}", expected()))),
+            Ok(Written::List(names)) => names,
+            Err(_) => return Err(de::Error::custom(format!("expected {}", expected()))),
+        };
+        let find = |name: &String| {
+            let effect = Effect::ALL.into_iter().find(|effect| effect.name() == name);
+            effect.ok_or_else(|| de::Error::custom(format!("expected {}, got {name:?}", expected())))
+        };
+        Ok(Self::Listed(names.iter().map(find).collect::<std::result::Result<EffectSet, D::Error>>()?))
     }
 }
