@@ -30,7 +30,8 @@ mod video;
 mod workspace;
 
 pub use bag::TOPIC;
-pub(crate) use copy::copy_folder;
+#[doc(hidden)]
+pub use copy::copy_folder;
 pub use images::image_files;
 pub use inference::Times;
 pub use input::{Choices, Found, Item, Kind, Target, images_of, items};

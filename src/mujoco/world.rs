@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
-use mujoco_rs::mujoco_c::{mj_step, mjData, mjModel};
 use mujoco_rs::prelude::*;
 
 pub use super::contact::Contact;
@@ -114,20 +113,12 @@ impl World {
         self.data.step();
     }
 
-    /// Advances by `count` timesteps with nothing around the engine's own C function.
+    /// Gives access to the engine's own data, which holds the model too.
     ///
-    /// For benchmarks: what [`Self::step`] is measured against.
-    pub fn step_bare(&mut self, count: usize) {
-        let model: *const mjModel = self.data.model().ffi();
-        // SAFETY: model and data belong together and live as long as self; mj_step keeps both valid, as it does in
-        // MjData::step, which is this call.
-        #[allow(unsafe_code)]
-        unsafe {
-            let data: *mut mjData = self.data.ffi_mut();
-            for _ in 0..count {
-                mj_step(model, data);
-            }
-        }
+    /// For the benchmarks, which measure [`Self::step`] against the engine's C function.
+    #[doc(hidden)]
+    pub fn engine_data_mut(&mut self) -> &mut MjData<Box<MjModel>> {
+        &mut self.data
     }
 
     /// Computes everything that follows from the state: poses, contacts, forces, accelerations.
@@ -398,15 +389,6 @@ mod tests {
         let world = World::from_mjcf(BOX_ON_FLOOR, &PhysicsOptions::default()).unwrap();
         let error = world.body("bux").unwrap_err().to_string();
         assert!(error.contains("bux") && error.contains("box"), "{error}");
-    }
-
-    #[test]
-    fn bare_steps_are_the_same_steps() {
-        let mut a = World::from_mjcf(BOX_ON_FLOOR, &PhysicsOptions::default()).unwrap();
-        let mut b = World::from_mjcf(BOX_ON_FLOOR, &PhysicsOptions::default()).unwrap();
-        a.step_bare(50);
-        (0..50).for_each(|_| b.step());
-        assert_eq!((a.time(), a.qpos(), a.qvel()), (b.time(), b.qpos(), b.qvel()));
     }
 
     #[test]

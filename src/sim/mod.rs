@@ -9,6 +9,8 @@
 //! World frame: origin on the table's top, z up, the person at negative y looking along +y; metres, seconds, newtons.
 
 pub mod appearance;
+#[doc(hidden)]
+pub mod budget;
 pub mod camera;
 pub mod contact;
 pub mod convex;

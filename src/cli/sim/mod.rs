@@ -157,7 +157,8 @@ struct Accuracy {
     #[arg(long, conflicts_with_all = ["budget", "error"])]
     preset: Option<String>,
     /// Computation per simulated second at most, without labels and pictures, e.g. 20ms: takes the most exact preset
-    /// within it, by the table of `egotac bench sim` that is part of the program.
+    /// within it, by the table of `egotac bench sim` that is part of the program, scaled to this machine's speed (measured
+    /// once, in half a second, and kept in ~/.cache/egotac).
     #[arg(long, value_name = "TIME", value_parser = parse_budget)]
     budget: Option<f64>,
     /// Error of quasi-static forces at most, e.g. 1%: takes the cheapest preset that keeps it, by the same table.
@@ -175,6 +176,9 @@ struct Worker {
     size: u32,
     #[command(flatten)]
     accuracy: Accuracy,
+    /// This machine's time over that of the table's machine, as measured by the process that starts the workers.
+    #[arg(long)]
+    budget_factor: Option<f64>,
     #[command(flatten)]
     making: Making,
 }

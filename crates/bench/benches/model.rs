@@ -1,0 +1,102 @@
+//! Times a whole optimisation step with random weights, on one line of JSON; `egotac bench model` times inference.
+//!
+//! ```text
+//! cargo bench -p egotac-bench --bench model -- --preset tiny --threads 2 [--runs 5] [--batch 4]
+//! ```
+//!
+//! `step_ms` is the median of forward, force and contact loss, backward, clipping and AdamW on that many clips.
+//! `peak_memory_mb` is the process's.
+
+use std::time::Instant;
+
+use candle_core::{Device, Result, Tensor};
+use candle_nn::{AdamW, Optimizer, ParamsAdamW, VarMap};
+use egotac::model::{Config, EgoTac, init};
+use egotac::tactile::N_FIELD;
+
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+fn main() -> anyhow::Result<()> {
+    let argument = |name: &str| {
+        let mut arguments = std::env::args().skip_while(|argument| argument != name);
+        arguments.nth(1)
+    };
+    let number = |name: &str, default: usize| argument(name).map_or(Ok(default), |value| value.parse());
+    let (preset, threads) = (argument("--preset").unwrap_or("tiny".into()), number("--threads", 2)?);
+    let runs = number("--runs", 5)?;
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
+
+    let config = Config::preset(&preset)?;
+    let batch = number("--batch", 4)?;
+    let mut report = serde_json::json!({ "preset": preset, "threads": threads, "batch": batch, "dtype": "f32" });
+    report["step_ms"] = step(&config, batch, runs)?.into();
+    report["peak_memory_mb"] = peak_memory_mb().into();
+    println!("{report}");
+    Ok(())
+}
+
+fn step(config: &Config, batch: usize, runs: usize) -> anyhow::Result<f64> {
+    let device = Device::Cpu;
+    let vars = VarMap::new();
+    let model = EgoTac::new(config, init::var_builder(&vars, 0, &device))?;
+    let mut optimiser = AdamW::new(vars.all_vars(), ParamsAdamW { lr: 1e-4, ..Default::default() })?;
+    let images = Tensor::randn(0f32, 1.0, (batch, config.horizon, 3, config.image, config.image), &device)?;
+    let force = Tensor::rand(0f32, 1.0, (batch, config.predict, N_FIELD), &device)?;
+    let contact = force.gt(0.9)?.to_dtype(candle_core::DType::F32)?;
+    median(runs, || {
+        let (f, c) = model.forward(&images)?;
+        let loss = ((f - &force)?.sqr()?.mean_all()? + weighted_bce(&c, &contact, 2.0)?)?;
+        let mut gradients = loss.backward()?;
+        clip_gradients(&vars, &mut gradients, 5.0)?;
+        Ok(optimiser.step(&gradients)?)
+    })
+}
+
+/// Mean of `-w y log σ(x) - (1 - y) log(1 - σ(x))`, from logits, without overflow.
+fn weighted_bce(x: &Tensor, y: &Tensor, positive_weight: f64) -> Result<Tensor> {
+    // log(1 + e⁻ˣ) = max(-x, 0) + log(1 + e^-|x|)
+    let softplus = (x.neg()?.relu()? + (x.abs()?.neg()?.exp()? + 1.0)?.log()?)?;
+    let weight = ((y * (positive_weight - 1.0))? + 1.0)?;
+    (((y.neg()? + 1.0)? * x)? + (weight * softplus)?)?.mean_all()
+}
+
+fn clip_gradients(vars: &VarMap, gradients: &mut candle_core::backprop::GradStore, norm: f64) -> Result<()> {
+    let vars = vars.all_vars();
+    let mut total = 0.0;
+    for var in &vars {
+        if let Some(gradient) = gradients.get(var) {
+            total += f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?);
+        }
+    }
+    let scale = norm / (total.sqrt() + 1e-6);
+    if scale < 1.0 {
+        for var in &vars {
+            if let Some(gradient) = gradients.remove(var) {
+                gradients.insert(var, (gradient * scale)?);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Milliseconds; the first run is not counted.
+fn median(runs: usize, mut run: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<f64> {
+    run()?;
+    let mut times = Vec::new();
+    for _ in 0..runs.max(1) {
+        let start = Instant::now();
+        run()?;
+        times.push(start.elapsed().as_secs_f64() * 1e3);
+    }
+    times.sort_by(f64::total_cmp);
+    Ok(times[times.len() / 2])
+}
+
+/// Largest resident size of this process so far, MB; not a number where the system does not say.
+fn peak_memory_mb() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kib = line.and_then(|line| line.split_whitespace().next()?.parse::<f64>().ok());
+    kib.map_or(f64::NAN, |kib| kib / 1024.0)
+}

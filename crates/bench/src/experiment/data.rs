@@ -1,0 +1,217 @@
+//! The rendered data of all experiments: two sources that look different, and held-out episodes within and beyond them.
+
+use std::path::{Path, PathBuf};
+
+use egotac::train::source::Source;
+
+/// Where held-out episodes come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Domain {
+    /// Unseen seeds of the training scenes, with the cameras of training.
+    InDomain,
+    /// Scenes with objects and a camera that training has not seen.
+    OutOfDomain,
+}
+
+impl Domain {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::InDomain, Self::OutOfDomain];
+
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::InDomain => "in_domain",
+            Self::OutOfDomain => "out_of_domain",
+        }
+    }
+}
+
+/// How pictures of some scenes are taken: the `camera` of a scene file.
+struct Look {
+    name: &'static str,
+    camera: &'static str,
+    scenes: [&'static str; 4],
+}
+
+/// The two training sources, then the one that training does not see.
+const LOOKS: [Look; 3] = [
+    // The scenes' usual camera.
+    Look { name: "plain", camera: "{ fovy: [40, 50] }", scenes: ["pinch_cube", "poke", "press_button", "palm_push"] },
+    // A wide, bent, noisy one, higher up.
+    Look {
+        name: "field",
+        camera: "{ eye: [[-0.1, 0.1], [-0.34, -0.24], [0.46, 0.56]], fovy: [54, 62], distortion: [[-0.15, -0.05], 0], noise: [2, 6], shutter: [0, 0.02] }",
+        scenes: ["lift_mug", "open_door", "squeeze_ball", "tripod"],
+    },
+    // A narrow one from the side.
+    Look {
+        name: "unseen",
+        camera: "{ eye: [[0.12, 0.22], [-0.4, -0.3], [0.4, 0.5]], fovy: [32, 38], noise: [0, 3], distortion: [[0.05, 0.2], 0] }",
+        scenes: ["turn_knob", "wipe_table", "power_grasp", "hold_plate"],
+    },
+];
+
+/// Shares of a scene's episodes at which its stores end, per cent.
+const SHARES: [usize; 4] = [10, 20, 50, 100];
+/// Seeds of training episodes begin here, of held-out ones there.
+const SEEDS: [u64; 2] = [70_000, 570_000];
+/// Width and height of the pictures, pixels.
+pub const SIDE: u32 = 112;
+/// Frames per second: those between two observation steps are nearly the same picture, and would be most of the windows.
+pub const RATE: f64 = 10.0;
+
+/// Paths of all stores.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stores {
+    /// For each training scene, in the order of the looks, its stores; together the first n of them hold a share.
+    training: Vec<Vec<PathBuf>>,
+    held_out: [Vec<PathBuf>; 2],
+    /// Every store with what makes it.
+    recipes: Vec<Recipe>,
+}
+
+/// What makes a store.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recipe {
+    /// The store.
+    pub path: PathBuf,
+    /// The scene file, which lies beside it.
+    pub scene: PathBuf,
+    /// Text of the scene file.
+    pub text: String,
+    /// Episodes.
+    pub episodes: usize,
+    /// Seed of the first.
+    pub seed: u64,
+}
+
+impl Stores {
+    /// The stores in `folder`, with `episodes` of each scene to learn from and `held_out` to score on.
+    pub fn plan(folder: &Path, episodes: usize, held_out: usize) -> Self {
+        let mut stores = Self { training: vec![], held_out: [vec![], vec![]], recipes: vec![] };
+        let scenes = LOOKS.iter().enumerate().flat_map(|(at, look)| look.scenes.map(|scene| (at < 2, look, scene)));
+        for (index, (is_training, Look { name: look, camera, .. }, scene)) in (0..).zip(scenes) {
+            let file = folder.join("scenes").join(format!("{scene}_{look}.yaml"));
+            let mut add = |name: String, episodes: usize, seed: u64| {
+                let text = text(scene, camera);
+                // Another text makes another store.
+                let hash = egotac::file::sha256(text.as_bytes());
+                let path = folder.join(format!("{scene}_{name}_{episodes}_{}.zarr", &hash[..8]));
+                let recipe = Recipe { path: path.clone(), scene: file.clone(), text, episodes, seed };
+                stores.recipes.push(recipe);
+                path
+            };
+            let first = |of: u64| of + 1000 * index;
+            if is_training {
+                let (mut own, mut begun) = (vec![], 0);
+                for share in SHARES {
+                    let end = (episodes * share).div_ceil(100);
+                    if end > begun {
+                        own.push(add(format!("train{begun}"), end - begun, first(SEEDS[0]) + begun as u64));
+                        begun = end;
+                    }
+                }
+                stores.training.push(own);
+            }
+            stores.held_out[usize::from(!is_training)].push(add("test".into(), held_out, first(SEEDS[1])));
+        }
+        stores
+    }
+
+    /// The two sources, whole.
+    pub fn sources(&self) -> Vec<Source> {
+        self.up_to(SHARES.len() - 1)
+    }
+
+    /// The two sources with the `n`-th share (10, 20, 50, 100 %) of each scene.
+    pub fn share(&self, n: usize) -> Vec<Source> {
+        self.up_to(n)
+    }
+
+    /// The first `n` scenes, each a source of its own: one of each look in turn.
+    pub fn scenes(&self, n: usize) -> Vec<Source> {
+        let half = self.training.len() / 2;
+        let in_turn = (0..half).flat_map(|i| [i, half + i]);
+        in_turn.take(n).map(|scene| mirrored(self.training[scene].clone())).collect()
+    }
+
+    /// Held-out stores.
+    pub fn held_out(&self, domain: Domain) -> &[PathBuf] {
+        &self.held_out[usize::from(domain == Domain::OutOfDomain)]
+    }
+
+    /// What makes each store.
+    pub fn recipes(&self) -> &[Recipe] {
+        &self.recipes
+    }
+
+    fn up_to(&self, n: usize) -> Vec<Source> {
+        let of = |scenes: &[Vec<PathBuf>]| {
+            mirrored(scenes.iter().flat_map(|stores| stores[..(n + 1).min(stores.len())].to_vec()).collect())
+        };
+        self.training.chunks(self.training.len().div_ceil(2).max(1)).map(of).collect()
+    }
+}
+
+fn mirrored(stores: Vec<PathBuf>) -> Source {
+    Source { mirror: true, ..Source::of(stores) }
+}
+
+/// A shipped scene's text with another camera.
+fn text(scene: &str, camera: &str) -> String {
+    #[cfg(feature = "sim")]
+    let own = egotac::sim::SHIPPED.iter().find(|(name, _)| *name == scene).map_or("", |(_, text)| *text);
+    #[cfg(not(feature = "sim"))]
+    let own = scene;
+    let kept = own.lines().filter(|line| !line.starts_with("camera:") && !line.starts_with("rate:"));
+    let mut text: String = kept.map(|line| format!("{line}\n")).collect();
+    text += &format!("camera: {camera}\nrate: {RATE}\n");
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_grow_into_the_whole_and_no_seed_is_used_twice() {
+        let stores = Stores::plan(Path::new("data"), 10, 3);
+        let paths = |sources: &[Source]| sources.iter().flat_map(|source| source.stores.clone()).collect::<Vec<_>>();
+        let all = paths(&stores.sources());
+        let mut before = 0;
+        for share in 0..4 {
+            let part = paths(&stores.share(share));
+            assert!(part.len() > before && part.iter().all(|path| all.contains(path)));
+            before = part.len();
+        }
+        assert_eq!((before, stores.sources().len()), (all.len(), 2));
+        assert_eq!((stores.scenes(6).len(), stores.scenes(1).len()), (6, 1));
+        let training = |recipe: &&Recipe| all.contains(&recipe.path);
+        let episodes: usize = stores.recipes().iter().filter(training).map(|recipe| recipe.episodes).sum();
+        assert_eq!(episodes, 8 * 10);
+        let mut seeds: Vec<u64> =
+            stores.recipes().iter().flat_map(|recipe| recipe.seed..recipe.seed + recipe.episodes as u64).collect();
+        let count = seeds.len();
+        seeds.sort_unstable();
+        seeds.dedup();
+        assert_eq!((seeds.len(), count), (count, 8 * 13 + 4 * 3));
+        assert_eq!(stores.held_out(Domain::InDomain).len(), 8);
+        assert_eq!(stores.held_out(Domain::OutOfDomain).len(), 4);
+    }
+
+    #[test]
+    fn one_episode_of_each_scene_is_enough() {
+        let stores = Stores::plan(Path::new("data"), 1, 1);
+        assert_eq!(stores.sources()[0].stores.len(), 4);
+        assert_eq!(stores.share(0), stores.sources());
+    }
+
+    #[cfg(feature = "sim")]
+    #[test]
+    fn every_scene_file_is_one() {
+        for recipe in Stores::plan(Path::new("data"), 1, 1).recipes() {
+            egotac::sim::Scene::parse("own", &recipe.scene, &recipe.text).unwrap();
+        }
+    }
+}

@@ -1,0 +1,288 @@
+//! What accuracy costs in simulation: errors against fine references, next to the time that each setting takes.
+//!
+//! ```text
+//! knob -> setup --+-> trace (what hands and objects felt) -> errors --+-> table (JSON) -> markdown, pareto, pick
+//!                 +-> clock (interleaved, least of many) -------------+
+//! ```
+//!
+//! Compared are quasi-static forces, impulses and contact sets, never trajectories, which part from each other in any
+//! two runs. Each error comes twice: against a fine reference of the same model, which is the error of the numbers, and
+//! against one reference model, which is the model's as well.
+
+pub mod errors;
+pub mod hands;
+pub mod knob;
+pub mod labels;
+pub mod markdown;
+pub mod pareto;
+pub mod pictures;
+pub mod replay;
+pub mod table;
+pub mod throughput;
+pub mod times;
+pub mod trace;
+pub mod wrapper;
+
+use egotac::error::Result;
+use egotac::machine::Machine;
+use egotac::mujoco::{PhysicsOptions, Preset};
+use egotac::sim::{RolloutOptions, Scene, Workers};
+use rayon::prelude::*;
+
+use self::errors::{Errors, Pool};
+use self::knob::{Change, Knob, Setup, Variant};
+use self::table::{Entry, RECOMMENDED, Report, Row, SceneNote};
+use self::trace::Trace;
+
+/// Shipped scenes on which single knobs are turned when no scenes are named; presets are compared on all.
+pub const KNOB_SCENES: [&str; 2] = ["pinch_cube", "lift_mug"];
+/// Timestep below which a run is so long that its time is taken along with its forces, s.
+const TIMED_ALONG: f64 = 2e-4;
+
+/// Episodes of which the speed of `generate` is taken: enough that jobs end at about the same time.
+const EPISODES: usize = 12;
+
+/// What to measure.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// The command, for the report.
+    pub command: String,
+    /// Scenes on which presets are compared.
+    pub scenes: Vec<Scene>,
+    /// Names of those on which the other knobs are turned too.
+    pub knob_scenes: Vec<String>,
+    /// What is turned.
+    pub knobs: Vec<Knob>,
+    /// First seed.
+    pub seed: u64,
+    /// Seeds over which errors are pooled.
+    pub seeds: u64,
+    /// Repetitions of which the least time counts.
+    pub repetitions: usize,
+    /// Given, the wrapper's overhead and the speed of `generate` are measured too, with workers that know the scenes of
+    /// `knob_scenes` in the order of `scenes` and pictures of [`throughput::SIZE`].
+    pub workers: Option<Workers>,
+    /// Hands and kernel; pictures are drawn only where they are what is measured.
+    pub options: RolloutOptions,
+}
+
+/// Measures; `progress` is called with what comes next, and how many scenes are done of how many.
+///
+/// # Errors
+/// If a scene can't be simulated with the reference's options, or the speed can't be measured.
+pub fn run(plan: &Plan, progress: impl Fn(&str, usize, usize)) -> Result<Report> {
+    let mut rows = Vec::new();
+    let mut scenes = Vec::new();
+    let count = plan.scenes.len() + usize::from(plan.workers.is_some());
+    for (index, scene) in plan.scenes.iter().enumerate() {
+        let knobs: Vec<Knob> = match plan.knob_scenes.contains(&scene.name) {
+            true => plan.knobs.clone(),
+            false => plan.knobs.iter().copied().filter(|knob| *knob == Knob::Preset).collect(),
+        };
+        if knobs.is_empty() {
+            continue;
+        }
+        let bench = SceneBench { plan, scene, knobs };
+        scenes.push(bench.physics(&mut rows, |what| progress(&format!("{}: {what}", scene.name), index, count))?);
+        progress(&format!("{}: labels and pictures", scene.name), index, count);
+        bench.labels(&mut rows)?;
+        bench.pictures(&mut rows);
+    }
+    let place = |row: &Row| Knob::ALL.iter().position(|knob| knob.name() == row.knob);
+    rows.sort_by_key(place);
+    let (mut wrapper, mut throughput) = (None, None);
+    if let (Some(workers), Some(first)) = (&plan.workers, plan.scenes.first()) {
+        progress("wrapper and generate", count - 1, count);
+        wrapper = Some(wrapper::measure(first, plan.seed, &plan.options, plan.repetitions)?);
+        let turned: Vec<Scene> = plan.scenes.iter().filter(|s| plan.knob_scenes.contains(&s.name)).cloned().collect();
+        let mut jobs = vec![1, Machine::this().cores];
+        jobs.dedup();
+        let repetitions = plan.repetitions.min(2);
+        throughput =
+            Some(throughput::measure(&turned, EPISODES, plan.seed, &jobs, &plan.options, workers, repetitions)?);
+    }
+    Ok(Report {
+        command: plan.command.clone(),
+        seed: plan.seed,
+        seeds: plan.seeds,
+        egotac: egotac::VERSION.into(),
+        mujoco: egotac::mujoco::version().into(),
+        machine: Machine::this(),
+        recommended: RECOMMENDED,
+        model: PhysicsOptions::preset(Preset::Reference),
+        scenes,
+        rows,
+        wrapper,
+        throughput,
+    })
+}
+
+/// The measurements of one scene.
+struct SceneBench<'a> {
+    plan: &'a Plan,
+    scene: &'a Scene,
+    knobs: Vec<Knob>,
+}
+
+impl SceneBench<'_> {
+    /// All settings of physics and hulls.
+    fn physics(&self, rows: &mut Vec<Row>, progress: impl Fn(&str)) -> Result<SceneNote> {
+        let physics = &self.scene.spec.physics;
+        let variants: Vec<Variant> = self.knobs.iter().flat_map(|knob| knob.variants()).collect();
+        let model = Setup::model(physics)?;
+        let default = Setup::new(physics, Change::Preset(Preset::Default))?;
+        let mut setups = vec![model, default.reference(physics)?];
+        let mut settings: Vec<(&Variant, usize, usize)> = Vec::new();
+        for variant in &variants {
+            let setup = Setup::new(physics, variant.change)?;
+            let reference = setup.reference(physics)?;
+            settings.push((variant, place(&mut setups, setup), place(&mut setups, reference)));
+        }
+
+        progress("forces");
+        let seeds: Vec<u64> = (0..self.plan.seeds.max(1)).map(|i| self.plan.seed + i).collect();
+        let along: Vec<Vec<Result<(Trace, f64)>>> =
+            setups.par_iter().map(|setup| seeds.par_iter().map(|seed| self.trace(setup, *seed)).collect()).collect();
+        let first = |runs: &Vec<Result<(Trace, f64)>>| runs.first().and_then(|run| run.as_ref().ok()).map(|run| run.1);
+        let seconds_along: Vec<Option<f64>> = along.iter().map(first).collect();
+        let traces: Vec<Vec<Result<Trace>>> =
+            along.into_iter().map(|runs| runs.into_iter().map(|run| run.map(|(trace, _)| trace)).collect()).collect();
+        // Without the reference there is nothing to say; a setting that the scene refuses is told in its row.
+        let models = collect(&traces[0])?;
+        let quiet: Vec<Vec<usize>> = models.iter().map(|trace| trace.quiet()).collect();
+
+        progress("times");
+        let used: Vec<usize> = unique(settings.iter().map(|(_, setup, _)| *setup));
+        let short = |index: &usize| setups[*index].physics.timestep >= TIMED_ALONG;
+        let timed: Vec<usize> = used.into_iter().filter(short).collect();
+        let timed_setups: Vec<&Setup> = timed.iter().map(|index| &setups[*index]).collect();
+        let repetitions = self.plan.repetitions.max(1);
+        let times = times::time_setups(self.scene, self.plan.seed, &timed_setups, &self.blind(), repetitions);
+
+        if self.knobs.contains(&Knob::Preset) {
+            let entry = self.replay(&traces[1], &models)?;
+            put(rows, Knob::Preset.name(), Preset::Replay.name(), entry);
+        }
+        for (variant, setup, reference) in settings {
+            let mut entry = Entry { scene: self.scene.name.clone(), ..Entry::default() };
+            match (collect(&traces[setup]), collect(&traces[reference])) {
+                (Ok(runs), Ok(references)) => {
+                    entry.same = errors(&runs, &references, &quiet);
+                    entry.model = errors(&runs, &models, &quiet);
+                    let lifts = runs.iter().zip(&quiet).filter_map(|(run, bins)| run.lift(bins));
+                    entry.lift = lifts.max_by(|a, b| (a - 1.0).abs().total_cmp(&(b - 1.0).abs()));
+                    let frames: usize = runs.iter().map(|run| run.touched.len()).sum();
+                    let invalid: usize = runs.iter().map(|run| run.invalid).sum();
+                    entry.invalid = Some(invalid as f64 / frames.max(1) as f64);
+                }
+                (Err(error), _) | (_, Err(error)) => entry.refused = Some(error.to_string()),
+            }
+            let time = match timed.iter().position(|index| *index == setup) {
+                Some(index) => times[index],
+                None => seconds_along[setup],
+            };
+            if let Some(seconds) = time {
+                entry.set_cost(seconds);
+            }
+            put(rows, variant.knob.name(), &variant.name, entry);
+        }
+        let interval = 1.0 / self.scene.spec.rate;
+        let frames: usize = models.iter().map(|trace| trace.impulses.len()).sum();
+        let quiet: usize = quiet.iter().map(Vec::len).sum();
+        Ok(SceneNote {
+            name: self.scene.name.clone(),
+            seconds: frames as f64 * interval,
+            quiet_seconds: quiet as f64 * interval,
+        })
+    }
+
+    fn trace(&self, setup: &Setup, seed: u64) -> Result<(Trace, f64)> {
+        Trace::record_timed(self.scene, seed, &setup.options(self.scene, &self.blind())?)
+    }
+
+    /// The preset that has no forces: its contact places on the default model's recorded poses.
+    fn replay(&self, recorded: &[Result<Trace>], models: &[&Trace]) -> Result<Entry> {
+        let recorded = collect(recorded)?;
+        let (mut same, mut model) = (Pool::default(), Pool::default());
+        let mut entry = Entry { scene: self.scene.name.clone(), ..Entry::default() };
+        for (index, (trace, other)) in recorded.iter().zip(models).enumerate() {
+            let seed = self.plan.seed + index as u64;
+            let replay = replay::replay(self.scene, seed, &trace.states, &self.blind(), self.plan.repetitions)?;
+            same.add_sets(&replay.touched, &trace.touched);
+            model.add_sets(&replay.touched, &other.touched);
+            if index == 0 {
+                entry.set_cost(replay.cost);
+            }
+        }
+        (entry.same, entry.model) = (same.errors(), model.errors());
+        Ok(entry)
+    }
+
+    fn labels(&self, rows: &mut Vec<Row>) -> Result<()> {
+        if !self.knobs.contains(&Knob::Label) {
+            return Ok(());
+        }
+        for (name, same, cost) in labels::label_kinds(self.scene, self.plan.seed, &self.blind(), self.plan.repetitions)?
+        {
+            let mut entry = Entry { scene: self.scene.name.clone(), same, ..Entry::default() };
+            entry.set_cost(cost);
+            put(rows, Knob::Label.name(), name, entry);
+        }
+        Ok(())
+    }
+
+    fn pictures(&self, rows: &mut Vec<Row>) {
+        for (knob, name, cost) in
+            pictures::picture_kinds(self.scene, self.plan.seed, &self.knobs, &self.plan.options, self.plan.repetitions)
+        {
+            let mut entry = Entry { scene: self.scene.name.clone(), ..Entry::default() };
+            match cost {
+                Ok(seconds) => entry.set_cost(seconds),
+                Err(error) => entry.refused = Some(error.to_string()),
+            }
+            put(rows, knob.name(), name, entry);
+        }
+    }
+
+    fn blind(&self) -> RolloutOptions {
+        RolloutOptions { picture: None, ..self.plan.options.clone() }
+    }
+}
+
+fn errors(runs: &[&Trace], references: &[&Trace], quiet: &[Vec<usize>]) -> Errors {
+    let mut pool = Pool::default();
+    for ((run, reference), bins) in runs.iter().zip(references).zip(quiet) {
+        pool.add(run, reference, bins);
+    }
+    pool.errors()
+}
+
+fn collect(traces: &[Result<Trace>]) -> Result<Vec<&Trace>> {
+    let first_error = traces.iter().find_map(|trace| trace.as_ref().err());
+    match first_error {
+        Some(error) => Err(egotac::Error::Engine(error.to_string())),
+        None => Ok(traces.iter().flatten().collect()),
+    }
+}
+
+/// Index of `setup` in `setups`, to which it is added if it isn't there.
+fn place(setups: &mut Vec<Setup>, setup: Setup) -> usize {
+    setups.iter().position(|there| *there == setup).unwrap_or_else(|| {
+        setups.push(setup);
+        setups.len() - 1
+    })
+}
+
+fn unique(values: impl Iterator<Item = usize>) -> Vec<usize> {
+    let mut values: Vec<usize> = values.collect();
+    values.sort_unstable();
+    values.dedup();
+    values
+}
+
+fn put(rows: &mut Vec<Row>, knob: &str, setting: &str, entry: Entry) {
+    match rows.iter_mut().find(|row| row.knob == knob && row.setting == setting) {
+        Some(row) => row.entries.push(entry),
+        None => rows.push(Row { knob: knob.into(), setting: setting.into(), entries: vec![entry] }),
+    }
+}
