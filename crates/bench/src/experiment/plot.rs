@@ -3,15 +3,14 @@
 use std::path::Path;
 
 use egotac::error::Result;
-use egotac::render;
 use egotac::render::figure::{self, Drawn, Figure};
+use egotac::render::font::FAMILY;
+use egotac::render::plot::{self, PALETTE};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::data::Domain;
 use super::report::{Report, SHOWN};
-
-const COLORS: [RGBColor; 2] = [RGBColor(31, 119, 180), RGBColor(214, 96, 24)];
 
 /// Writes `EXPERIMENT.png` and `EXPERIMENT.svg` into `folder`.
 ///
@@ -29,7 +28,7 @@ impl Figure for Report {
         B::ErrorType: 'static,
     {
         root.fill(&WHITE)?;
-        let panels = root.titled(self.question, (render::font::FAMILY, 24))?.split_evenly((2, 3));
+        let panels = root.titled(self.question, (FAMILY, 24))?.split_evenly((2, 3));
         for (panel, (name, title, more)) in panels.iter().zip(SHOWN) {
             draw_score(panel, self, name, &format!("{title}, {} is better", if more { "more" } else { "less" }))?;
         }
@@ -50,20 +49,15 @@ where
     let least = Domain::ALL.into_iter().flat_map(values).flatten().fold(0.0, f64::min);
     let top = if most > 0.0 { 1.3 * most } else { 1.0 };
     let arms = report.arms.len() as f64;
-    let mut chart = ChartBuilder::on(area)
-        .caption(title, (render::font::FAMILY, 18))
-        .margin(10)
-        .x_label_area_size(124)
-        .y_label_area_size(56)
-        .build_cartesian_2d(-0.5..arms - 0.5, 1.15 * least..top)?;
+    let mut chart = plot::chart(area, title, [124, 56]).build_cartesian_2d(-0.5..arms - 0.5, 1.15 * least..top)?;
     chart
         .configure_mesh()
         .disable_x_mesh()
         .light_line_style(TRANSPARENT)
         .x_labels(0)
-        .label_style((render::font::FAMILY, 14))
+        .label_style((FAMILY, 14))
         .draw()?;
-    for (domain, (shift, color)) in Domain::ALL.into_iter().zip([(-0.19, COLORS[0]), (0.19, COLORS[1])]) {
+    for (domain, (shift, color)) in Domain::ALL.into_iter().zip([(-0.19, PALETTE[0]), (0.19, PALETTE[1])]) {
         let values = values(domain);
         let bars = values.iter().enumerate().filter(|(_, seeds)| !seeds.is_empty()).map(|(arm, seeds)| {
             let (x, mean) = (arm as f64 + shift, seeds.iter().sum::<f64>() / seeds.len() as f64);
@@ -82,7 +76,7 @@ where
         });
         chart.draw_series(dots)?;
     }
-    let style = TextStyle::from((render::font::FAMILY, 14)).color(&BLACK).transform(FontTransform::Rotate90).pos(
+    let style = TextStyle::from((FAMILY, 14)).color(&BLACK).transform(FontTransform::Rotate90).pos(
         plotters::style::text_anchor::Pos::new(
             plotters::style::text_anchor::HPos::Left,
             plotters::style::text_anchor::VPos::Center,
@@ -93,12 +87,6 @@ where
         let (left, upper) = area.get_base_pixel();
         area.draw(&Text::new(of.name, (x - left, y - upper + 6), style.clone()))?;
     }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
-        .background_style(WHITE.mix(0.8))
-        .border_style(BLACK.mix(0.3))
-        .label_font((render::font::FAMILY, 13))
-        .draw()?;
+    plot::legend(&mut chart, SeriesLabelPosition::UpperRight)?;
     Ok(())
 }

@@ -4,16 +4,15 @@ use std::path::Path;
 
 use egotac::error::Result;
 use egotac::model::Precision;
-use egotac::render;
 use egotac::render::figure::{self, Drawn, Figure};
+use egotac::render::font::FAMILY;
+use egotac::render::plot::{self, PALETTE};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::measure::Row;
 use super::sweep::Report;
 use crate::front::front;
-
-const COLORS: [RGBColor; 3] = [RGBColor(31, 119, 180), RGBColor(44, 160, 44), RGBColor(214, 96, 24)];
 
 /// A configuration: latency in ms, and what it is drawn against.
 struct Point {
@@ -103,27 +102,13 @@ where
         let room = (0.2 * (high - low)).max(0.01);
         (low - room, high + room)
     });
-    let mut chart = ChartBuilder::on(area)
-        .caption(title, (render::font::FAMILY, 21))
-        .margin(14)
-        .x_label_area_size(48)
-        .y_label_area_size(72)
-        .build_cartesian_2d((left..right).log_scale(), bottom..top)?;
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .x_desc("milliseconds per streamed frame (p50)")
-        .y_desc(what)
-        .x_label_formatter(&|x| format!("{x}"))
-        .y_label_formatter(&name)
-        .label_style((render::font::FAMILY, 15))
-        .axis_desc_style((render::font::FAMILY, 17))
-        .draw()?;
+    let mut chart = plot::chart(area, title, [48, 72]).build_cartesian_2d((left..right).log_scale(), bottom..top)?;
+    plot::axes(&mut chart, ("milliseconds per streamed frame (p50)", &|x| format!("{x}")), (what, &name))?;
     // More is better: what is missing is the error.
     let front = front(points.iter().map(|point| (point.at.0, -point.at.1)));
     let front = front.into_iter().map(|(x, y)| (x, height(-y)));
-    chart.draw_series(LineSeries::new(front, BLACK.mix(0.25).stroke_width(2)))?;
-    for (precision, color) in Precision::ALL.into_iter().zip(COLORS) {
+    chart.draw_series(LineSeries::new(front, plot::front_line()))?;
+    for (precision, color) in Precision::ALL.into_iter().zip(PALETTE) {
         let own: Vec<&Point> = points.iter().filter(|point| point.precision == precision).collect();
         if own.is_empty() {
             continue;
@@ -131,22 +116,16 @@ where
         chart
             .draw_series(own.iter().map(|p| Circle::new((p.at.0, height(p.at.1)), 5, color.filled())))?
             .label(precision.name())
-            .legend(move |(x, y)| Circle::new((x + 10, y), 5, color.filled()));
+            .legend(plot::dot_key(color, 5));
     }
     // One name for all precisions of a network, at the fastest.
     let fastest = |point: &&Point| points.iter().all(|other| other.label != point.label || other.at.0 >= point.at.0);
     chart.draw_series(points.iter().filter(fastest).map(|point| {
-        let style = TextStyle::from((render::font::FAMILY, 15)).color(&BLACK);
+        let style = TextStyle::from((FAMILY, 15)).color(&BLACK);
         EmptyElement::at((point.at.0, height(point.at.1))) + Text::new(point.label.clone(), (-4, -24), style)
     }))?;
     if !points.is_empty() {
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::LowerRight)
-            .background_style(WHITE.mix(0.8))
-            .border_style(BLACK.mix(0.3))
-            .label_font((render::font::FAMILY, 15))
-            .draw()?;
+        plot::legend(&mut chart, SeriesLabelPosition::LowerRight)?;
     }
     Ok(())
 }

@@ -3,15 +3,14 @@
 use std::path::Path;
 
 use egotac::error::Result;
-use egotac::render;
 use egotac::render::figure::{self, Drawn, Figure};
+use egotac::render::plot::{self, PALETTE};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::Report;
 
-const COLORS: [RGBColor; 3] = [RGBColor(31, 119, 180), RGBColor(44, 160, 44), RGBColor(214, 96, 24)];
-/// What is nearer to the best than this is drawn as this.
+/// Smallest relative distance from the best objective that is drawn; smaller ones are drawn at it.
 const LEAST: f64 = 1e-7;
 
 /// Writes `retarget.png` and `retarget.svg` into a folder; false where nothing was measured that can be drawn.
@@ -39,39 +38,24 @@ impl Figure for Report {
         let (left, right) = (times().fold(f64::INFINITY, f64::min), times().fold(0.0, f64::max));
         let off = |ratio: f64| (ratio - 1.0).max(LEAST);
         let most = costs.iter().map(|cost| off(cost.ratio_p999)).fold(0.0, f64::max);
-        let mut chart = ChartBuilder::on(root)
-            .caption("5 mm noise, at most 1 to 30 steps", (render::font::FAMILY, 21))
-            .margin(14)
-            .x_label_area_size(48)
-            .y_label_area_size(80)
+        let mut chart = plot::chart(root, "5 mm noise, at most 1 to 30 steps", [48, 80])
             .build_cartesian_2d((0.8 * left..1.3 * right).log_scale(), (0.5 * LEAST..2.0 * most).log_scale())?;
-        chart
-            .configure_mesh()
-            .light_line_style(TRANSPARENT)
-            .x_desc("microseconds per frame (median)")
-            .y_desc("objective over the best known, minus 1 (p99.9)")
-            .x_label_formatter(&|x| format!("{x}"))
-            .y_label_formatter(&|y| format!("{y:.0e}"))
-            .label_style((render::font::FAMILY, 15))
-            .axis_desc_style((render::font::FAMILY, 17))
-            .draw()?;
+        plot::axes(
+            &mut chart,
+            ("microseconds per frame (median)", &|x| format!("{x}")),
+            ("objective over the best known, minus 1 (p99.9)", &|y| format!("{y:.0e}")),
+        )?;
         let mut robots: Vec<&str> = costs.iter().map(|cost| cost.robot.as_str()).collect();
         robots.dedup();
-        for (robot, color) in robots.iter().zip(COLORS) {
+        for (robot, color) in robots.iter().zip(PALETTE) {
             let points = || costs.iter().filter(|cost| cost.robot == **robot).map(|c| (c.median_us, off(c.ratio_p999)));
             chart
                 .draw_series(LineSeries::new(points(), color.stroke_width(2)))?
                 .label(*robot)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], color.stroke_width(2)));
+                .legend(plot::line_key(color));
             chart.draw_series(points().map(|at| Circle::new(at, 4, color.filled())))?;
         }
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::LowerLeft)
-            .background_style(WHITE.mix(0.8))
-            .border_style(BLACK.mix(0.3))
-            .label_font((render::font::FAMILY, 15))
-            .draw()?;
+        plot::legend(&mut chart, SeriesLabelPosition::LowerLeft)?;
         root.present()?;
         Ok(())
     }

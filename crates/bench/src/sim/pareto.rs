@@ -4,6 +4,8 @@ use std::path::Path;
 
 use egotac::error::Result;
 use egotac::render::figure::{self, Drawn, Figure};
+use egotac::render::font::FAMILY;
+use egotac::render::plot::{self, ACCENT, PALETTE};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
@@ -11,17 +13,9 @@ use super::knob::Knob;
 use super::table::{Entry, Report};
 use crate::front::front;
 
-/// Errors below are drawn here: a share.
+/// Smallest relative error that is drawn; smaller ones are drawn at it.
 const FLOOR: f64 = 1e-5;
-const MARK: RGBColor = RGBColor(214, 96, 24);
-const COLORS: [RGBColor; 6] = [
-    RGBColor(31, 119, 180),
-    RGBColor(44, 160, 44),
-    RGBColor(148, 103, 189),
-    RGBColor(140, 86, 75),
-    RGBColor(23, 150, 170),
-    RGBColor(190, 150, 20),
-];
+/// Knobs whose settings are drawn beside the presets.
 const KNOBS: [Knob; 6] = [Knob::Timestep, Knob::Cone, Knob::Iterations, Knob::Integrator, Knob::Impratio, Knob::Hull];
 
 type ErrorOf = fn(&Entry) -> Option<f64>;
@@ -109,25 +103,17 @@ where
     if !(least > 0.0 && least <= most && most.is_finite()) {
         return Err("no setting has both a cost and an error".into());
     }
-    let mut chart = ChartBuilder::on(area)
-        .caption(format!("Force error {title}"), ("sans-serif", 21))
-        .margin(14)
-        .x_label_area_size(48)
-        .y_label_area_size(72)
+    let mut chart = plot::chart(area, &format!("Force error {title}"), [48, 72])
         .build_cartesian_2d((0.6 * least..2.5 * most).log_scale(), (0.7 * FLOOR..2.0).log_scale())?;
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .x_desc(format!("milliseconds per simulated second (worst of {scenes})"))
-        .y_desc("error of quasi-static forces (worst scene)")
-        .x_label_formatter(&|x| format!("{x}"))
-        .y_label_formatter(&|y| format!("{} %", (100.0 * y * 1e6).round() / 1e6))
-        .label_style(("sans-serif", 15))
-        .axis_desc_style(("sans-serif", 17))
-        .draw()?;
+    plot::axes(
+        &mut chart,
+        (&format!("milliseconds per simulated second (worst of {scenes})"), &|x| format!("{x}")),
+        ("error of quasi-static forces (worst scene)", &|y| format!("{} %", (100.0 * y * 1e6).round() / 1e6)),
+    )?;
     let front = front(points.iter().map(|point| (point.cost, point.error)));
-    chart.draw_series(LineSeries::new(front, BLACK.mix(0.25).stroke_width(2)))?;
-    for (knob, color) in KNOBS.into_iter().zip(COLORS) {
+    chart.draw_series(LineSeries::new(front, plot::front_line()))?;
+    // The accent is the recommended preset's alone.
+    for (knob, color) in KNOBS.into_iter().zip(PALETTE.into_iter().filter(|color| *color != ACCENT)) {
         let own: Vec<&Point> = points.iter().filter(|point| point.knob == knob.name()).collect();
         if own.is_empty() {
             continue;
@@ -135,29 +121,23 @@ where
         chart
             .draw_series(own.iter().map(|p| Circle::new((p.cost, p.error), 4, color.filled())))?
             .label(knob.name())
-            .legend(move |(x, y)| Circle::new((x + 10, y), 4, color.filled()));
+            .legend(plot::dot_key(color, 4));
         let label = |p: &&Point| {
             EmptyElement::at((p.cost, p.error))
-                + Text::new(p.setting.clone(), (7, -12), TextStyle::from(("sans-serif", 12)).color(&color))
+                + Text::new(p.setting.clone(), (7, -12), TextStyle::from((FAMILY, 12)).color(&color))
         };
         chart.draw_series(own.iter().map(label))?;
     }
     for point in points.iter().filter(|point| point.knob == Knob::Preset.name()) {
         let is_marked = point.setting == marked;
-        let (color, size) = if is_marked { (MARK, 9) } else { (BLACK, 6) };
+        let (color, size) = if is_marked { (ACCENT, 9) } else { (BLACK, 6) };
         let name = if is_marked { format!("{} (recommended)", point.setting) } else { point.setting.clone() };
         chart.draw_series([EmptyElement::at((point.cost, point.error))
             + Circle::new((0, 0), size, color.stroke_width(3))
-            + Text::new(name, (9, 6), TextStyle::from(("sans-serif", 17)).color(&color))])?;
+            + Text::new(name, (9, 6), TextStyle::from((FAMILY, 17)).color(&color))])?;
     }
     if KNOBS.iter().any(|knob| points.iter().any(|point| point.knob == knob.name())) {
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.8))
-            .border_style(BLACK.mix(0.3))
-            .label_font(("sans-serif", 15))
-            .draw()?;
+        plot::legend(&mut chart, SeriesLabelPosition::UpperRight)?;
     }
     Ok(())
 }
