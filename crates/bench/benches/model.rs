@@ -12,7 +12,9 @@ use std::time::Instant;
 use candle_core::{Device, Result, Tensor};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW, VarMap};
 use egotac::model::{Config, EgoTac, init};
+use egotac::statistics;
 use egotac::tactile::N_FIELD;
+use egotac_bench::model::measure::memory_mb;
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -31,7 +33,7 @@ fn main() -> anyhow::Result<()> {
     let batch = number("--batch", 4)?;
     let mut report = serde_json::json!({ "preset": preset, "threads": threads, "batch": batch, "dtype": "f32" });
     report["step_ms"] = step(&config, batch, runs)?.into();
-    report["peak_memory_mb"] = peak_memory_mb().into();
+    report["peak_memory_mb"] = memory_mb("VmHWM:")?.into();
     println!("{report}");
     Ok(())
 }
@@ -89,14 +91,5 @@ fn median(runs: usize, mut run: impl FnMut() -> anyhow::Result<()>) -> anyhow::R
         run()?;
         times.push(start.elapsed().as_secs_f64() * 1e3);
     }
-    times.sort_by(f64::total_cmp);
-    Ok(times[times.len() / 2])
-}
-
-/// Largest resident size of this process so far, MB; not a number where the system does not say.
-fn peak_memory_mb() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-    let kib = line.and_then(|line| line.split_whitespace().next()?.parse::<f64>().ok());
-    kib.map_or(f64::NAN, |kib| kib / 1024.0)
+    Ok(statistics::median(times))
 }

@@ -1,4 +1,4 @@
-//! What each scene simulates, and what each effect costs or would cost in it.
+//! Effects that each scene simulates, and the cost of each effect in it.
 
 use egotac::error::Result;
 use egotac::machine::Machine;
@@ -7,23 +7,23 @@ use egotac::sim::{Effect, RolloutOptions, Scene};
 use egotac::text::put;
 use serde::Serialize;
 
-/// The effects of one scene.
+/// Effects of one scene.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SceneEffects {
-    /// The scene.
+    /// Name of the scene.
     pub scene: String,
-    /// In the order of [`Effect::ALL`], with costs.
+    /// Effects in the order of [`Effect::ALL`], with costs.
     pub effects: Vec<Explained>,
 }
 
-/// The effects of several scenes.
+/// Effects of several scenes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
     /// The command that measures the same again.
     pub command: String,
     /// Version of the program.
     pub version: &'static str,
-    /// Where it was measured.
+    /// The machine that it was measured on.
     pub machine: Machine,
     /// One per scene.
     pub scenes: Vec<SceneEffects>,
@@ -31,10 +31,10 @@ pub struct Report {
 
 /// Measures each effect in each scene, in the episode of `seed`, pictures of `side` x `side` pixels.
 ///
-/// `progress` hears of scene and effect, how many are done, and of how many.
+/// `progress` is called with scene and effect, the number of measurements done, and the number of all.
 ///
 /// # Errors
-/// If a rollout fails, for instance since there is no OpenGL.
+/// If a rollout fails, for instance without OpenGL.
 pub fn measure(
     command: String,
     scenes: &[Scene],
@@ -58,7 +58,7 @@ pub fn measure(
     Ok(Report { command, version: egotac::VERSION, machine: Machine::this(), scenes: measured })
 }
 
-/// The document `effects.md`.
+/// Returns the text of `effects.md`.
 pub fn markdown(report: &Report) -> String {
     let Report { command, version, machine, .. } = report;
     let mut text = format!(
@@ -94,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn brackets_hold_what_is_off_and_sum_up_to_what_is_saved() {
+    fn effects_that_are_off_stand_in_brackets_and_sum_up_to_the_saving() {
         let effects = Effect::ALL.into_iter().enumerate();
         let effects = effects.map(|(i, effect)| Explained {
             effect,

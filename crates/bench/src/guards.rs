@@ -1,4 +1,4 @@
-//! What guards cost: the same step with and without them, taken in turn.
+//! Cost of the guards: the same steps with and without them, in turn.
 
 use std::time::{Duration, Instant};
 
@@ -10,40 +10,40 @@ use egotac::sim::{Rollout, RolloutOptions, Scene};
 use egotac::tactile::Validity;
 use serde::Serialize;
 
-/// Share of a step that guards may cost.
+/// Largest allowed time of the guards, as a share of a step.
 pub const BUDGET: f64 = 0.05;
 
-/// Price of the guards in one scene.
+/// Cost of the guards in one scene.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Price {
-    /// The scene.
+    /// Name of the scene.
     pub scene: String,
-    /// Touching points at the time.
+    /// Contact points while it was measured.
     pub contacts: usize,
-    /// One step without guards, microseconds.
+    /// Time of one step without guards, microseconds.
     pub step_us: f64,
-    /// What the guards take on top of it, microseconds.
+    /// Additional time of a step with guards, microseconds.
     pub guard_us: f64,
-    /// What they take at a frame, microseconds.
+    /// Time of the guards at each frame, microseconds.
     pub frame_us: f64,
-    /// Guards of a step, with their part of a frame, over the step.
+    /// Time of the guards per step, with their share of a frame, over the time of a step.
     pub share: f64,
 }
 
-/// Prices in several scenes.
+/// Cost of the guards in several scenes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Prices {
     /// Version of the program.
     pub version: &'static str,
-    /// Where it was measured.
+    /// The machine that it was measured on.
     pub machine: Machine,
-    /// Measurements of each kind, of which the least counts.
+    /// Measurements of each kind; the least counts.
     pub rounds: usize,
     /// One per scene.
     pub scenes: Vec<Price>,
 }
 
-/// Measures in the middle of an episode of each scene, when the hand touches.
+/// Measures in the middle of an episode of each scene, while the hand touches.
 ///
 /// # Errors
 /// If a scene cannot be built.
@@ -58,7 +58,7 @@ fn price(name: &str, rounds: usize) -> Result<Price> {
     for _ in 0..rollout.frame_count() / 2 {
         rollout.skip_frame();
     }
-    // Those that hang on joints of their own are not watched one by one.
+    // Objects on joints of their own have no free joint; the guard does not watch them one by one.
     let objects = rollout.episode().objects.iter().filter_map(|object| rollout.world().free_joint(&object.name).ok());
     let objects: Vec<FreeJoint> = objects.collect();
     let world = rollout.world_mut();
@@ -67,7 +67,7 @@ fn price(name: &str, rounds: usize) -> Result<Price> {
     let per_frame = (0.04 / world.options().timestep).round() as usize;
     let (mut bare, mut guarded, mut frame) = (Duration::MAX, Duration::MAX, Duration::MAX);
     for _ in 0..rounds {
-        // The same steps, now without, now with guards: whatever else the machine does hits both alike.
+        // The same steps without and with guards in turn: other load on the machine slows both alike.
         world.set_state(&start)?;
         bare = bare.min(time(|| (0..per_frame).for_each(|_| world.step())));
         world.set_state(&start)?;
@@ -82,7 +82,7 @@ fn price(name: &str, rounds: usize) -> Result<Price> {
         let mut validity = Validity::Valid;
         frame = frame.min(time(|| validity = guard.frame(world)));
         if matches!(validity, Validity::NotFinite | Validity::EngineWarning) {
-            return Err(Error::value(format!("state of {name}"), "one worth guarding", validity.reason()));
+            return Err(Error::value(format!("state of {name}"), "a valid one", validity.reason()));
         }
     }
     let contacts = world.gaps().count();

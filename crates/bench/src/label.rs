@@ -1,4 +1,4 @@
-//! Where the time of `egotac label` goes: the network, and what reading, writing and geometry add to it.
+//! Time of `egotac label` by stage: the network, and reading, writing and geometry beside it.
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -18,23 +18,23 @@ use egotac::model::{Precision, Predictor};
 use egotac::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Validity};
 use serde::Serialize;
 
-/// Share of the network's time that the rest may take.
+/// Largest allowed time of all other stages, as a share of the network's time.
 pub const ALLOWED: f64 = 0.10;
 /// Time between two images, s.
-const STEP: f64 = 0.04;
+const FRAME_SECS: f64 = 0.04;
 
-/// The formats that are measured: name, columns and rows of the images.
+/// Measured formats: name, width and height of the images, pixels.
 const FORMATS: [(&str, (u32, u32)); 3] =
     [("bag, JPEG", (640, 480)), ("bag, raw rgb8", (640, 480)), ("OXT store", (224, 224))];
 
-/// All rows, with what they were measured by.
+/// Results for all networks and formats.
 #[derive(Debug, Clone, Serialize)]
 pub struct Report {
-    /// The command.
+    /// The command that measures the same again.
     pub command: String,
-    /// Of this program.
+    /// Version of the program.
     pub version: &'static str,
-    /// Where.
+    /// The machine that it was measured on.
     pub machine: Machine,
     /// Images of each recording.
     pub frames: usize,
@@ -42,31 +42,31 @@ pub struct Report {
     pub rows: Vec<Row>,
 }
 
-/// One network and format. Times are milliseconds per image.
+/// Results for one network and format. Times are milliseconds per image.
 #[derive(Debug, Clone, Serialize)]
 pub struct Row {
-    /// The network.
+    /// Name of the network.
     pub network: String,
     /// Name of the format.
     pub format: String,
-    /// Columns and rows of the images.
+    /// Width and height of the images, pixels.
     pub image: (u32, u32),
-    /// In the network.
+    /// Time in the network.
     pub network_ms: f64,
-    /// The network waited for an image that was still being read or decoded.
+    /// Time in which the network waited for an image to be read and decoded.
     pub waiting_ms: f64,
-    /// Writing the journal.
+    /// Time to write the journal.
     pub journal_ms: f64,
-    /// Reading the input once more, and writing the output.
+    /// Time to read the input once more and write the output.
     pub assembly_ms: f64,
-    /// Copying the input and nothing else, by the system.
+    /// Time to copy the input, for comparison.
     pub copy_ms: f64,
-    /// Waiting, journal and assembly by the network's time.
+    /// Waiting, journal and assembly over the network's time.
     pub share: f64,
 }
 
-/// Labels a recording of each format with `frames` images, in `folder`, by each network; of `repetitions` the one with the
-/// least share counts.
+/// Labels a recording of each format with `frames` images by each network, in `folder`. Of `repetitions` runs the one with
+/// the least share counts.
 ///
 /// # Errors
 /// If something can't be written or labelled.
@@ -128,7 +128,7 @@ fn measure(predictor: &mut Predictor, format: &str, image: (u32, u32), input: &P
     })
 }
 
-/// Seconds of copying the folder `from` to `to`, which is removed again.
+/// Times the copying of the folder `from` to `to`, s; removes the copy.
 fn copy_secs(from: &Path, to: &Path) -> Result<f64> {
     let started = Instant::now();
     copy_folder(from, to, false)?;
@@ -137,7 +137,7 @@ fn copy_secs(from: &Path, to: &Path) -> Result<f64> {
     Ok(seconds)
 }
 
-/// The report as a table.
+/// Returns the report as Markdown.
 pub fn markdown(report: &Report) -> String {
     let Report { command, version, machine, frames, rows } = report;
     let mut text = format!(
@@ -162,7 +162,7 @@ pub fn markdown(report: &Report) -> String {
     text
 }
 
-/// Shapes, shading and a little noise, so that JPEG and zstd have work to do as with photographs.
+/// Draws shapes, shading and a little noise, so that JPEG and zstd work as hard as on photographs.
 fn picture(index: usize, (width, height): (u32, u32)) -> RgbImage {
     let mut noise = 0x9e37_79b9_u32.wrapping_mul(index as u32 + 1);
     RgbImage::from_fn(width, height, |x, y| {
@@ -186,7 +186,7 @@ fn write_recording(format: &str, path: &PathBuf, frames: usize, size: (u32, u32)
     };
     bag.add_topic(topic, type_name, &schema, false)?;
     for index in 0..frames {
-        let stamp = Time::from_nanos(1_000_000_000 + (index as f64 * STEP * 1e9) as i64);
+        let stamp = Time::from_nanos(1_000_000_000 + (index as f64 * FRAME_SECS * 1e9) as i64);
         let header = Header { stamp, frame_id: "camera".into() };
         let image = picture(index, size);
         let payload = match compressed {
@@ -221,7 +221,7 @@ fn write_store(path: &Path, frames: usize, size: (u32, u32)) -> Result<()> {
     let mut writer = ZarrWriter::create(path, attributes, Contact::Truth, Vec::new())?;
     for index in 0..frames {
         writer.push(Frame {
-            timestamp: STEP * index as f64,
+            timestamp: FRAME_SECS * index as f64,
             camera_ego_rgb: picture(index, size),
             field: TactileField::zeros(Topology::default()),
             force_valid: vec![1; N_FIELD],

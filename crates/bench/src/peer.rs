@@ -1,4 +1,4 @@
-//! Other programs that are measured beside ours.
+//! Other programs (peers) that are measured in turn with ours.
 
 use std::ffi::OsString;
 use std::process::Command;
@@ -6,10 +6,10 @@ use std::process::Command;
 use egotac::error::{Error, Result};
 use serde::de::DeserializeOwned;
 
-/// Runs `command` with further arguments on `threads` threads and reads the JSON object on its last line.
+/// Runs `command` with further arguments on `threads` threads and reads the JSON value on the last line of its output.
 ///
 /// # Errors
-/// If it can't be started, fails, or prints something else.
+/// If the peer can't be started, fails, or prints something else.
 pub fn ask<T: DeserializeOwned>(command: &str, arguments: &[OsString], threads: usize) -> Result<T> {
     let mut words = command.split_whitespace();
     let program = words.next().ok_or_else(|| Error::value("peer", "a command", "nothing"))?;
@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_last_line_counts_and_failures_name_the_peer() {
+    fn the_last_line_is_read_and_failures_name_the_peer() {
         let numbers: Vec<u32> = ask("printf", &["hello\n[1, 2]\n".into()], 1).unwrap();
         assert_eq!(numbers, [1, 2]);
         let told = |command: &str| ask::<Vec<u32>>(command, &[], 1).unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! What a training step costs: windows of their own frames, windows that share the frames of a clip, and a peer.
+//! Time of a training step: on windows with frames of their own, on windows that share the frames of a clip, and a peer's.
 
 use std::time::Instant;
 
@@ -7,6 +7,7 @@ use candle_nn::VarMap;
 use egotac::error::{Error, Result};
 use egotac::machine::Machine;
 use egotac::model::{Config, EgoTac, init};
+use egotac::statistics::median;
 use egotac::tactile::N_FIELD;
 use egotac::text::put;
 use egotac::train::batch::Batch;
@@ -19,19 +20,19 @@ use serde::{Deserialize, Serialize};
 
 use crate::peer;
 
-/// Windows of a batch whose frames are their own.
+/// Windows of a batch without shared frames.
 const WINDOWS: usize = 4;
-/// Frames of a clip whose windows share them.
+/// Frames of a clip with shared frames.
 const CLIP: usize = 16;
-/// Share of true entries among the labels.
+/// Share of contacts among the labels.
 const ACTIVE: f64 = 0.1;
 
-/// How the windows of a step lie.
+/// Arrangement of the windows of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Form {
-    /// Clips, which share no frame.
+    /// Clips; no two share a frame.
     pub clips: usize,
-    /// Windows of each clip, one after the other; they share its frames.
+    /// Windows of each clip, one frame apart; they share the frames of the clip.
     pub windows: usize,
 }
 
@@ -39,22 +40,22 @@ impl Form {
     /// 4 windows of T frames each.
     pub const OWN: Self = Self { clips: WINDOWS, windows: 1 };
 
-    /// All windows of a clip of 16 frames, each of which is encoded once.
+    /// Returns all windows of a clip of 16 frames; each frame is encoded once.
     pub fn shared(geometry: &Config) -> Self {
         Self { clips: 1, windows: CLIP.saturating_sub(geometry.horizon) + 1 }
     }
 }
 
-/// A step, timed.
+/// Time of a step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Timed {
     /// Median of the steps, ms.
     pub step_ms: f64,
-    /// Windows per second at that.
+    /// Windows per second at this time.
     pub windows_per_s: f64,
 }
 
-/// One preset beside the peer.
+/// Results of one preset beside the peer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
     /// Name of the preset.
@@ -67,20 +68,20 @@ pub struct Row {
     pub peer: Vec<Timed>,
 }
 
-/// What was measured.
+/// Results of all presets.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
-    /// The command that measures it again.
+    /// The command that measures the same again.
     pub command: String,
     /// Version of egotac.
     pub egotac: &'static str,
-    /// Where.
+    /// The machine that it was measured on.
     pub machine: Machine,
-    /// Threads of both.
+    /// Threads of ours and of the peer.
     pub threads: usize,
     /// Steps per round and form.
     pub runs: usize,
-    /// Per preset.
+    /// One row per preset.
     pub rows: Vec<Row>,
 }
 
@@ -103,14 +104,12 @@ pub fn step(geometry: &Config, form: Form, runs: usize, device: &Device) -> Resu
         optimizer.step(&passed.gradients, 1e-4)?;
         times.push(begun.elapsed().as_secs_f64() * 1e3);
     }
-    // The first one faults its memory in.
-    let mut counted = times.split_off(1);
-    counted.sort_by(f64::total_cmp);
-    let step_ms = counted[counted.len() / 2];
+    // The first step also pays for the page faults of its memory.
+    let step_ms = median(times.into_iter().skip(1));
     Ok(Timed { step_ms, windows_per_s: 1e3 * windows as f64 / step_ms })
 }
 
-/// Every preset in both forms, in turn with `peer`'s command.
+/// Times every preset in both forms, in turn with the command of `peer`, for that many rounds.
 ///
 /// # Errors
 /// If a preset is unknown, and as [`step`], and if the peer fails.
@@ -140,7 +139,7 @@ pub fn measure(
 }
 
 impl Report {
-    /// For readers.
+    /// Returns the report as Markdown.
     pub fn markdown(&self) -> String {
         let mut text = format!(
             "# What a training step costs\n\nWritten by `{}`: {} threads, {} steps per round and form, median of the steps and \
@@ -172,7 +171,7 @@ impl Report {
     }
 }
 
-/// Windows per second in the best round.
+/// Returns the windows per second of the best round.
 fn best(timed: &[Timed]) -> f64 {
     timed.iter().map(|timed| timed.windows_per_s).fold(0.0, f64::max)
 }
@@ -204,7 +203,7 @@ fn batch(geometry: &Config, form: Form) -> Batch {
     }
 }
 
-/// Runs `command --train --preset NAME --threads N --runs R --batch 4` and reads the JSON object on its last line.
+/// Runs the peer as `command --train --preset NAME --threads N --runs R --batch 4` and reads the JSON object on its last line.
 fn ask(command: &str, preset: &str, threads: usize, runs: usize) -> Result<Timed> {
     let [count, runs, batch] = [threads, runs, WINDOWS].map(|count| count.to_string());
     let arguments = ["--train", "--preset", preset, "--threads", &count, "--runs", &runs, "--batch", &batch];
@@ -216,7 +215,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shared_windows_use_each_frame_of_the_clip_and_own_ones_none_twice() {
+    fn shared_windows_use_every_frame_of_the_clip_and_own_windows_none_twice() {
         let geometry = Config { horizon: 4, ..Config::toy() };
         let own = batch(&geometry, Form::OWN);
         assert_eq!((own.n_frames(geometry.image), own.windows), (16, (0..16).collect::<Vec<u32>>()));

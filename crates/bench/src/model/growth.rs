@@ -1,4 +1,4 @@
-//! Whether a stream's memory grows.
+//! Growth of memory along a long stream.
 
 use egotac::error::Result;
 use egotac::model::Predictor;
@@ -11,18 +11,18 @@ use super::measure::memory_mb;
 pub struct Growth {
     /// Name of the preset.
     pub preset: String,
-    /// Frames that passed.
+    /// Frames sent.
     pub frames: usize,
-    /// Resident memory after the first tenth, MB (2²⁰): everything that is kept from frame to frame is there.
+    /// Resident memory after the first tenth of the frames, MB (2²⁰), when all that is kept between frames is allocated.
     pub warm_mb: f64,
     /// Resident memory at the end, MB.
     pub end_mb: f64,
-    /// Seconds that all frames took.
+    /// Time of all frames, s.
     pub seconds: f64,
 }
 
 impl Growth {
-    /// MB that came after the first tenth.
+    /// Returns the growth after the first tenth, MB.
     pub fn mb(&self) -> f64 {
         self.end_mb - self.warm_mb
     }
@@ -31,7 +31,7 @@ impl Growth {
 /// Sends `frames` pictures of changing brightness through `predictor`.
 ///
 /// # Errors
-/// If the network refuses one, or the system does not say how much memory there is.
+/// If the network refuses a picture, or the system does not report memory.
 pub fn measure(predictor: &mut Predictor, preset: &str, frames: usize) -> Result<Growth> {
     let side = predictor.config().image as u32;
     let dt = predictor.metadata().frame_dt;

@@ -1,4 +1,4 @@
-//! A picture to decode: what a camera of 640 x 480 pixels sends.
+//! A JPEG file as a camera of 640 x 480 pixels sends it.
 
 use std::io::Cursor;
 
@@ -9,7 +9,7 @@ use egotac::error::{Error, Result};
 /// Quality of the JPEG file.
 const QUALITY: u8 = 90;
 
-/// A JPEG file of smooth shapes with some noise.
+/// Encodes smooth shapes with some noise as a JPEG file.
 pub fn jpeg() -> Result<Vec<u8>> {
     let mut state = 1u32;
     let picture = RgbImage::from_fn(640, 480, |x, y| {

@@ -1,4 +1,4 @@
-//! One configuration, timed in this process.
+//! Time and memory of one configuration, measured in this process.
 
 use std::path::Path;
 use std::time::Instant;
@@ -10,6 +10,7 @@ use egotac::error::{Error, Result};
 use egotac::model::predictor::{Options, Predictor};
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, checkpoint, init};
 use egotac::score::metrics;
+use egotac::statistics::percentile;
 use egotac::train::data::Dataset;
 use egotac::train::predict;
 use serde::{Deserialize, Serialize};
@@ -19,10 +20,10 @@ use super::image::jpeg;
 /// Seconds between frames of a stream.
 const FRAME_DT: f64 = 0.04;
 
-/// What to measure.
+/// Configuration to measure.
 #[derive(Debug, Clone)]
 pub struct Setup {
-    /// Name in the table: of a preset, or of a checkpoint.
+    /// Name of the preset or checkpoint, for the table.
     pub name: String,
     /// Geometry.
     pub config: Config,
@@ -30,15 +31,15 @@ pub struct Setup {
     pub precision: Precision,
     /// Threads of the pool.
     pub threads: usize,
-    /// Timed runs of each kind; one more goes before them.
+    /// Timed runs of each kind, after one that does not count.
     pub runs: usize,
-    /// Clips of a batch, for throughput.
+    /// Clips of a batch whose throughput is timed; up to 1 = none.
     pub batch: usize,
-    /// Where the network runs.
+    /// Device that the network runs on.
     pub device: Device,
 }
 
-/// Milliseconds of repeated runs.
+/// Times of repeated runs, ms.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Least.
@@ -49,12 +50,12 @@ pub struct Spread {
     pub p95: f64,
 }
 
-/// Accuracy on held-out frames; `None` where a score is undefined.
+/// Accuracy on held-out frames; `None` if a score is undefined.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Accuracy {
     /// Mean absolute error of the force, N.
     pub force_mae: Option<f64>,
-    /// The same where the true force is above 0.05 N.
+    /// Mean absolute error where the true force is above 0.05 N, N.
     pub active_mae: Option<f64>,
     /// Pooled F1 of contact.
     pub contact_f1: Option<f64>,
@@ -64,12 +65,12 @@ pub struct Accuracy {
     pub frames: usize,
 }
 
-/// What was measured of one configuration.
+/// Results of one configuration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Name of the preset or checkpoint.
     pub preset: String,
-    /// T.
+    /// Frames of the observation window (T).
     pub horizon: usize,
     /// Side of the input image, pixels.
     pub image: usize,
@@ -81,29 +82,29 @@ pub struct Row {
     pub device: String,
     /// Parameters of the network.
     pub parameters: usize,
-    /// Median of the encoder on one frame, ms.
+    /// Median time of the encoder on one frame, ms.
     pub encoder_ms: f64,
-    /// Median of one more frame of a stream whose other frames are kept, ms.
+    /// Median time of one more frame of a stream whose other frames are cached, ms.
     pub streaming_ms: f64,
-    /// Median of the whole window, ms.
+    /// Median time of the whole window, ms.
     pub clip_ms: f64,
-    /// Median of a JPEG of 640 x 480 pixels to touch: decoding, resizing, streaming, ms.
+    /// Median time from a JPEG of 640 x 480 pixels to touch, ms: decoding, resizing, streaming.
     pub picture_ms: f64,
-    /// Encoder.
+    /// Times of the encoder.
     pub encoder: Spread,
-    /// Stream.
+    /// Times of the stream.
     pub streaming: Spread,
-    /// Window.
+    /// Times of the window.
     pub clip: Spread,
-    /// Picture to touch.
+    /// Times from picture to touch.
     pub picture: Spread,
-    /// Clips in a batch, and whole batches' milliseconds; for machines whose throughput is of interest.
+    /// Clips in a batch, and times of whole batches.
     pub batch: Option<(usize, Spread)>,
-    /// Bytes of compiled weights, MB (2²⁰); none on a GPU.
+    /// Size of the compiled weights, MB (2²⁰); `None` on a GPU.
     pub weights_mb: Option<f64>,
     /// Largest resident memory of the process, MB (2²⁰).
     pub peak_memory_mb: f64,
-    /// Of trained weights on held-out frames.
+    /// Accuracy of trained weights on held-out frames.
     pub accuracy: Option<Accuracy>,
 }
 
@@ -114,7 +115,7 @@ pub struct Row {
 pub fn random(setup: &Setup) -> Result<Row> {
     let metadata = Metadata::new(&setup.name, 1.0, FRAME_DT);
     let model = {
-        // Dropped before the network is compiled: the variables would hold the weights a second time.
+        // Dropped before the network is compiled, because the variables hold the weights a second time.
         let vars = VarMap::new();
         EgoTac::new(&setup.config, init::var_builder(&vars, 0, &setup.device))?
     };
@@ -217,7 +218,7 @@ fn run(setup: &Setup, checkpoint: Checkpoint, accuracy: Option<Accuracy>) -> Res
     })
 }
 
-/// The first run is not counted.
+/// Times `runs` runs after one that does not count, ms.
 fn time(runs: usize, mut run: impl FnMut() -> Result<()>) -> Result<Spread> {
     run()?;
     let mut times = Vec::with_capacity(runs.max(1));
@@ -226,15 +227,17 @@ fn time(runs: usize, mut run: impl FnMut() -> Result<()>) -> Result<Spread> {
         run()?;
         times.push(begun.elapsed().as_secs_f64() * 1e3);
     }
-    times.sort_by(f64::total_cmp);
-    let at = |share: f64| times[((times.len() - 1) as f64 * share).round() as usize];
-    Ok(Spread { min: times[0], p50: at(0.5), p95: at(0.95) })
+    Ok(Spread {
+        min: percentile(times.iter().copied(), 0.0),
+        p50: percentile(times.iter().copied(), 0.5),
+        p95: percentile(times, 0.95),
+    })
 }
 
-/// A line of this process's memory, MB (2²⁰): `VmHWM:` the most that was resident, `VmRSS:` what is.
+/// Reads a line of `/proc/self/status`, MB (2²⁰): `VmHWM:` is the largest resident memory so far, `VmRSS:` the present one.
 ///
 /// # Errors
-/// If the system does not say.
+/// If the system does not report it.
 pub fn memory_mb(line: &str) -> Result<f64> {
     let path = Path::new("/proc/self/status");
     let status = std::fs::read_to_string(path).map_err(Error::io(path))?;
@@ -248,7 +251,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn runs_are_counted_without_the_first() {
+    fn the_first_run_does_not_count() {
         let mut calls = 0;
         let spread = time(4, || {
             calls += 1;

@@ -1,4 +1,4 @@
-//! What the network costs on this machine: latency and memory by geometry, precision and threads, beside accuracy.
+//! Latency and memory of the network by geometry, precision and threads, beside accuracy.
 
 pub mod growth;
 mod image;

@@ -1,4 +1,4 @@
-//! The bench's plot: accuracy against latency where weights are trained, size against latency for all.
+//! Plot of `egotac bench model`: size against latency, and accuracy against latency of trained weights.
 
 use std::path::Path;
 
@@ -14,10 +14,11 @@ use super::measure::Row;
 use super::sweep::Report;
 use crate::front::front;
 
-/// A configuration: latency in ms, and what it is drawn against.
+/// A configuration in the plot.
 struct Point {
     label: String,
     precision: Precision,
+    /// Latency in ms, and the value on the other axis.
     at: (f64, f64),
 }
 
@@ -49,7 +50,7 @@ impl Figure for Report {
             &left,
             "Size against latency",
             "million parameters",
-            // Trained weights stand on the right.
+            // Trained weights are in the right panel.
             &points(|row| row.accuracy.is_none().then_some(row.parameters as f64 / 1e6)),
             false,
         )?;
@@ -60,7 +61,7 @@ impl Figure for Report {
     }
 }
 
-/// The network's name, and of horizon, input and threads what tells it from others of that name.
+/// Returns the network's name with horizon, input and threads where these differ between rows of that name.
 fn label(row: &Row, rows: &[Row]) -> String {
     let differs = |of: fn(&Row) -> usize| rows.iter().any(|other| other.preset == row.preset && of(other) != of(row));
     let mut label = row.preset.clone();
@@ -86,7 +87,7 @@ fn panel<B: DrawingBackend>(
 where
     B::ErrorType: 'static,
 {
-    // Sizes span decades, scores do not: the axis is linear in what is returned here.
+    // Sizes span decades, scores do not: sizes are drawn by their logarithm on a linear axis.
     let height = |value: f64| if is_accuracy { value } else { value.log10() };
     let name =
         |y: &f64| if is_accuracy { format!("{y:.3}") } else { format!("{}", (10.0 * 10f64.powf(*y)).round() / 10.0) };
@@ -104,7 +105,7 @@ where
     });
     let mut chart = plot::chart(area, title, [48, 72]).build_cartesian_2d((left..right).log_scale(), bottom..top)?;
     plot::axes(&mut chart, ("milliseconds per streamed frame (p50)", &|x| format!("{x}")), (what, &name))?;
-    // More is better: what is missing is the error.
+    // More is better, so the front takes the negated value as the error.
     let front = front(points.iter().map(|point| (point.at.0, -point.at.1)));
     let front = front.into_iter().map(|(x, y)| (x, height(-y)));
     chart.draw_series(LineSeries::new(front, plot::front_line()))?;
@@ -118,7 +119,7 @@ where
             .label(precision.name())
             .legend(plot::dot_key(color, 5));
     }
-    // One name for all precisions of a network, at the fastest.
+    // All precisions of a network share one name, drawn at the fastest.
     let fastest = |point: &&Point| points.iter().all(|other| other.label != point.label || other.at.0 >= point.at.0);
     chart.draw_series(points.iter().filter(fastest).map(|point| {
         let style = TextStyle::from((FAMILY, 15)).color(&BLACK);

@@ -5,24 +5,24 @@ use serde::{Deserialize, Serialize};
 
 use crate::peer;
 
-/// Medians that a peer printed, ms.
+/// Median times of one round, ours or a peer's, ms.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Timing {
-    /// Encoder on one frame.
+    /// Encoder, one frame.
     pub encoder_ms: f64,
-    /// One more frame of a stream.
+    /// Stream, one more frame.
     pub streaming_ms: f64,
-    /// The whole window.
+    /// Whole window.
     pub clip_ms: f64,
-    /// Encoder as compiled by OpenVINO, where the peer has it.
+    /// Encoder as compiled by OpenVINO, if the peer has it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub openvino_encoder_ms: Option<f64>,
-    /// Largest resident memory of the peer, MB (2²⁰), where it says.
+    /// Largest resident memory, MB (2²⁰), if reported.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peak_memory_mb: Option<f64>,
 }
 
-/// A preset beside the peer: one pair of timings per round.
+/// A preset beside the peer: one timing of each per round.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Rounds {
     /// Name of the preset.
@@ -35,10 +35,10 @@ pub struct Rounds {
     pub peer: Vec<Timing>,
 }
 
-/// Runs `command --preset NAME --threads N --runs R` and reads the JSON object on its last line.
+/// Runs `command --preset NAME --threads N --runs R` and reads the JSON object on the last line of its output.
 ///
 /// # Errors
-/// If it can't be started, fails, or prints something else.
+/// If the peer can't be started, fails, or prints something else.
 pub fn run(command: &str, preset: &str, threads: usize, runs: usize) -> Result<Timing> {
     let (count, runs) = (threads.to_string(), runs.to_string());
     let arguments = ["--preset", preset, "--threads", &count, "--runs", &runs].map(Into::into);
@@ -46,8 +46,8 @@ pub fn run(command: &str, preset: &str, threads: usize, runs: usize) -> Result<T
 }
 
 impl Rounds {
-    /// The least of ours over the least of the peer's, for encoder, stream and window; where the peer has OpenVINO, the
-    /// encoder is compared with the faster of both.
+    /// Returns our least time over the peer's, for encoder, stream and window. If the peer has OpenVINO, the encoder is
+    /// compared with the faster of its two.
     pub fn ratios(&self) -> [f64; 3] {
         let ours = |value: fn(&Timing) -> f64| least(&self.ours, value);
         [
@@ -58,7 +58,7 @@ impl Rounds {
     }
 }
 
-/// The least of a value over all rounds: what the machine can do when nobody else works on it.
+/// Returns the least of a value over all rounds: other load on the machine only lengthens times.
 pub fn least(timings: &[Timing], value: impl Fn(&Timing) -> f64) -> f64 {
     timings.iter().map(value).fold(f64::INFINITY, f64::min)
 }

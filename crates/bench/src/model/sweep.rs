@@ -1,4 +1,4 @@
-//! The whole table: each configuration in a process of its own, so that its memory and threads are its own.
+//! Many configurations, each in a process with its own memory and threads.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,14 +11,14 @@ use serde::{Deserialize, Serialize};
 use super::measure::Row;
 use super::peer::{self, Rounds, Timing};
 
-/// What to measure.
+/// Configurations to measure.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// The command that asks for it.
+    /// The command that measures the same again.
     pub command: String,
     /// Presets, with random weights.
     pub presets: Vec<String>,
-    /// A preset of which horizon, input size and threads are varied one at a time, in the first format.
+    /// Preset whose horizon, input size and threads are varied one at a time, in the first number format.
     pub vary: Option<String>,
     /// Observation horizons; empty = each preset's own.
     pub horizons: Vec<usize>,
@@ -34,36 +34,36 @@ pub struct Plan {
     pub checkpoints: Vec<PathBuf>,
     /// Held-out stores that checkpoints are scored on.
     pub data: Vec<PathBuf>,
-    /// A peer's command, and in how many rounds it runs in turn with ours.
+    /// Command of a peer, and the number of rounds in which it takes turns with ours.
     pub peer: Option<(String, usize)>,
 }
 
-/// What was measured.
+/// Results of all configurations.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// The command that measures it again.
+    /// The command that measures the same again.
     pub command: String,
     /// Version of egotac.
     pub egotac: String,
-    /// Where.
+    /// The machine that it was measured on.
     pub machine: Machine,
     /// Timed runs of each kind.
     pub runs: usize,
-    /// Every configuration.
+    /// One row per configuration.
     pub rows: Vec<Row>,
-    /// One preset with one thing varied at a time.
+    /// Rows of one preset with one parameter varied at a time.
     #[serde(default)]
     pub varied: Vec<Row>,
-    /// The peer's command.
+    /// Command of the peer.
     pub peer: Option<String>,
-    /// Beside the peer.
+    /// Timings beside the peer, one entry per preset.
     pub rounds: Vec<Rounds>,
 }
 
-/// Measures everything; `progress(what, done, all)` is called before each process.
+/// Measures all configurations; `progress(what, done, all)` is called before each process.
 ///
 /// # Errors
-/// If a process fails; with what it said.
+/// If a process fails; the error holds what it printed.
 pub fn run(plan: &Plan, mut progress: impl FnMut(&str, usize, usize)) -> Result<Report> {
     let commands = commands(plan);
     let varied = plan.vary.as_ref().map(|preset| varied(plan, preset)).unwrap_or_default();
@@ -119,11 +119,11 @@ fn arguments(preset: &str, threads: usize, precision: Precision, runs: usize) ->
     words.split(' ').map(str::to_owned).collect()
 }
 
-/// What is varied one at a time: option and values.
+/// Parameters that are varied one at a time: option and values.
 const VARIED: [(&str, &[usize]); 3] =
     [("--horizon", &[1, 2, 4, 8]), ("--image", &[112, 168, 224, 336]), ("--threads", &[1, 2, 4, 8, 16])];
 
-/// Arguments of each process that varies one thing.
+/// Returns the arguments of each process that varies one parameter.
 fn varied(plan: &Plan, preset: &str) -> Vec<Vec<String>> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let most = plan.threads.iter().copied().max().unwrap_or(1);
@@ -142,7 +142,7 @@ fn varied(plan: &Plan, preset: &str) -> Vec<Vec<String>> {
     commands
 }
 
-/// Arguments of each process.
+/// Returns the arguments of each process.
 fn commands(plan: &Plan) -> Vec<Vec<String>> {
     let own = |values: &[usize]| -> Vec<Option<usize>> {
         if values.is_empty() { vec![None] } else { values.iter().copied().map(Some).collect() }
@@ -175,7 +175,7 @@ fn commands(plan: &Plan) -> Vec<Vec<String>> {
     commands
 }
 
-/// Runs this program again and reads the row that it prints.
+/// Runs this program as a child process and reads the row that it prints.
 fn child(arguments: &[String]) -> Result<Row> {
     let program = std::env::current_exe().map_err(Error::io(Path::new("egotac")))?;
     let output = Command::new(&program).args(arguments).output().map_err(Error::io(&program))?;

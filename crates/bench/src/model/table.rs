@@ -1,4 +1,4 @@
-//! The report for readers.
+//! The results of `egotac bench model` as Markdown.
 
 use std::fmt::Write as _;
 
@@ -14,7 +14,7 @@ bytes. Accuracy is that of held-out rendered frames against the simulator's cont
 weights.
 ";
 
-/// The report as Markdown.
+/// Returns the report as Markdown.
 pub fn render(report: &Report) -> String {
     let mut text = String::from("# What the network's accuracy costs in time\n\n");
     let _ = writeln!(
@@ -35,7 +35,7 @@ pub fn render(report: &Report) -> String {
     text
 }
 
-/// The table of configurations.
+/// Returns the table of configurations.
 pub fn rows(rows: &[Row]) -> String {
     let mut text = String::from(
         "\n| network | M parameters | T | px | precision | threads | encoder ms | stream ms | p95 | window ms | picture ms \

@@ -1,5 +1,5 @@
-//! Grips in simulation: how hard a robot presses at the pose and with the torques that come out, against what it was told
-//! to feel.
+//! Grips in simulation: forces with which a robot presses at the retargeted pose and torques, against the forces that the
+//! retargeter expects.
 
 use egotac::error::{Error, Result};
 use egotac::hand::{N_KEYPOINTS, Side};
@@ -14,47 +14,49 @@ use serde::{Deserialize, Serialize};
 
 use super::trajectory::{RATE, Trajectory};
 
-/// Our own robot of joints with a position servo each.
+/// Shipped robot that has a position servo at each joint.
 const ROBOT: &str = "four_finger";
 const MODEL: &str = include_str!("../../../../sim/robots/four_finger.xml");
-/// Its servos' stiffness, N m/rad.
+/// Stiffness of its servos, N m/rad.
 const STIFFNESS: f64 = 4.0;
 /// Radius of the object's balls, m.
-const KNOB: f64 = 0.012;
-/// Distance of human tips that hold something, m.
-const APART: std::ops::RangeInclusive<f64> = 0.025..=0.07;
-/// Cosine of the angle between a pad and the line to the other one from which on they face each other.
+const BALL_RADIUS: f64 = 0.012;
+/// Distance between the human tips that counts as holding something, m.
+const HELD_WIDTH: std::ops::RangeInclusive<f64> = 0.025..=0.07;
+/// Least cosine of the angle between a pad's normal and the line to the other tip at which the pads face each other.
 const FACING: f64 = 0.75;
-/// Share of the force asked for that a robot is to press with at least.
+/// Least share of the force asked for that the retargeter has to expect; poses below it are left out.
 pub(super) const PRESSED: f64 = 0.8;
-/// Frames until the robot stands still, and steps until the object does.
-const SETTLE: (usize, usize) = (40, 500);
+/// Frames until the robot stands still.
+const SETTLE_FRAMES: usize = 40;
+/// Steps until the object stands still.
+const SETTLE_STEPS: usize = 500;
 
-/// How grips went.
+/// Results of all grips.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Grips {
     /// Grips tried.
     pub count: usize,
-    /// Poses left out: there the expected force is less than that asked for by more than a fifth.
+    /// Poses left out, at which the expected force is below 0.8 of the force asked for.
     pub slippery: usize,
-    /// Objects that were not held by both.
+    /// Objects that were not held by both fingers.
     pub lost: usize,
-    /// Difference of the measured from the expected force over the expected one, of both fingers of those held.
+    /// Difference between measured and expected force over the expected force, median of both fingers of held objects.
     pub error_median: f64,
-    /// Likewise, what nine of ten keep.
+    /// The same, 90th percentile.
     pub error_p90: f64,
 }
 
-/// What holds the object.
+/// Support of the object.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Hold {
-    /// Nothing but the fingers.
+    /// The fingers alone.
     Free,
-    /// The world, as it holds a door's handle.
+    /// The world, as it holds the handle of a door.
     Fixed,
 }
 
-/// Grips objects at poses of a trajectory, `most` at most: two balls, one where each fingertip is pressed, joined.
+/// Grips at most `most` objects at poses of a trajectory. An object is two joined balls, one at each pressed fingertip.
 ///
 /// # Errors
 /// If the model can't be simulated.
@@ -84,15 +86,16 @@ pub fn measure(trajectory: &Trajectory, most: usize, hold: Hold) -> Result<Grips
     Ok(grips)
 }
 
-/// Whether thumb and finger face each other as if they held something.
+/// Returns true if thumb and finger face each other as if they held something.
 fn holds(hand: &Hand, finger: usize) -> bool {
     let [thumb, tip] = [0, finger].map(|finger| hand.points[keypoint(finger, 3)]);
     let line = (tip - thumb).normalize_or_zero();
     let facing = [(0, line), (finger, -line)].map(|(finger, line)| pad_normal(&hand.points, finger).dot(line));
-    APART.contains(&tip.distance(thumb)) && facing.iter().all(|cosine| *cosine > FACING)
+    HELD_WIDTH.contains(&tip.distance(thumb)) && facing.iter().all(|cosine| *cosine > FACING)
 }
 
-/// Measured and expected force of thumb and finger, N; None where the robot has no such finger, or is not to press.
+/// Returns the measured and expected force of thumb and finger, N; `None` if the robot has no such finger or the
+/// retargeter expects no force on it.
 fn grip(keypoints: &[DVec3; N_KEYPOINTS], finger: usize, force: f64, hold: Hold) -> Result<Option<[(f64, f64); 2]>> {
     let line = (keypoints[keypoint(0, 3)] - keypoints[keypoint(finger, 3)]).normalize_or_zero();
     let mut touch = Touch { tip_contact: [0.0; 5], tip_force: Some([DVec3::ZERO; 5]), slots: None };
@@ -101,7 +104,7 @@ fn grip(keypoints: &[DVec3; N_KEYPOINTS], finger: usize, force: f64, hold: Hold)
         touch.tip_force.iter_mut().for_each(|forces| forces[finger] = force);
     }
     let mut retargeter = Retargeter::new(Robot::load(ROBOT, None)?)?;
-    for frame in 0..SETTLE.0 {
+    for frame in 0..SETTLE_FRAMES {
         let time = frame as f64 / RATE;
         retargeter.push(&Input { touch: Some(touch.clone()), ..Input::new(*keypoints, time) })?;
     }
@@ -141,7 +144,7 @@ fn grip(keypoints: &[DVec3; N_KEYPOINTS], finger: usize, force: f64, hold: Hold)
         }
     }
     world.set_ctrl(&ctrl)?;
-    for _ in 0..SETTLE.1 {
+    for _ in 0..SETTLE_STEPS {
         world.step();
     }
     world.forward();
@@ -156,17 +159,18 @@ fn grip(keypoints: &[DVec3; N_KEYPOINTS], finger: usize, force: f64, hold: Hold)
     Ok(Some(forces))
 }
 
-/// A fingertip and what the world does to it.
+/// A fingertip and the force of the world on it.
 struct Press {
     tip: String,
-    /// Where, in the world frame, m.
+    /// Point of attack in the world frame, m.
     place: DVec3,
-    /// N.
+    /// Force in the world frame, N.
     force: DVec3,
 }
 
-/// Middle of the ball that touches a fingertip where it is pressed, m; None where none does.
+/// Finds the centre of the ball that touches a fingertip where it is pressed, m; `None` if no ball does.
 fn knob(qpos: &[f64], press: &Press) -> Result<Option<DVec3>> {
+    /// Distance up to which the engine computes gaps, m.
     const NEAR: f64 = 0.1;
     let mut world = world_with(&format!(r#"<body name="object"><freejoint/>{}</body>"#, ball(DVec3::ZERO)))?;
     let parts = world.parts();
@@ -177,7 +181,7 @@ fn knob(qpos: &[f64], press: &Press) -> Result<Option<DVec3>> {
     let probe = parts.geoms.len() - 1;
     let toward = press.force.normalize_or_zero();
     let mut at = press.place - 0.04 * toward;
-    // The ball comes along the force until it touches.
+    // The ball moves along the force until it touches.
     for _ in 0..30 {
         let mut all = qpos.to_vec();
         all.extend([at.x, at.y, at.z, 1.0, 0.0, 0.0, 0.0]);
@@ -194,7 +198,7 @@ fn knob(qpos: &[f64], press: &Press) -> Result<Option<DVec3>> {
 
 fn ball(at: DVec3) -> String {
     let DVec3 { x, y, z } = at;
-    format!(r#"<geom type="sphere" size="{KNOB}" pos="{x} {y} {z}" mass="0.05" friction="1 0.005 0.0001"/>"#)
+    format!(r#"<geom type="sphere" size="{BALL_RADIUS}" pos="{x} {y} {z}" mass="0.05" friction="1 0.005 0.0001"/>"#)
 }
 
 impl Hold {
@@ -204,7 +208,7 @@ impl Hold {
     }
 }
 
-/// The robot without gravity, and something else.
+/// Builds the robot without gravity, with `body` added to the world.
 fn world_with(body: &str) -> Result<World> {
     let (before, after) =
         MODEL.rsplit_once("</worldbody>").ok_or_else(|| Error::value("four_finger.xml", "a worldbody", "none"))?;

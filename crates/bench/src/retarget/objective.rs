@@ -1,4 +1,4 @@
-//! A peer's objective, solved by our solver: time, and how near the best known optimum it ends.
+//! Time of our solver on dex-retargeting's objective, and the distance of its results from the best known optimum.
 
 use egotac::error::Result;
 use egotac::hand::Side;
@@ -14,16 +14,16 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::dex::{Kind, Peer};
+use super::dex::VectorObjective;
 use super::follow::{jerk, lag};
 use super::trajectory::{RATE, Trajectory};
 
-/// Delay of slow motion at which jerk is compared, s: with it the joints, measured, lag by 50 ms.
-const LAG: f64 = 0.039;
-/// Other starts that the best known optimum is looked for from.
+/// Delay of the filter behind which jerk is compared, s: with it the joints lag by 50 ms, measured on this trajectory.
+const FILTER_DELAY: f64 = 0.039;
+/// Random starts of the search for the best optimum, beside the last pose and our result.
 const STARTS: usize = 8;
 
-/// What peers are told of a robot.
+/// Links and scale that define the objective on a robot; peers get the same.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Setup {
     /// Name of the robot.
@@ -36,40 +36,43 @@ pub struct Setup {
     pub scale: f64,
 }
 
-/// How the objective was solved.
+/// Time and results of our solver.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Solved {
     /// Processor time per frame, median, microseconds.
     pub median_us: f64,
-    /// Time per frame that 99 of 100 frames keep, microseconds.
+    /// Processor time per frame, 99th percentile, microseconds.
     pub p99_us: f64,
-    /// Steps of the solver, mean.
+    /// Mean steps of the solver per frame.
     pub iterations: f64,
-    /// Share of the frames looked at that end within 1.001 of the best known objective.
+    /// Share of the compared frames that end within 1.001 of the best known objective.
     pub within: f64,
-    /// Objective over the best known, in 999 of 1000 frames at most.
+    /// Objective over the best known, 99.9th percentile.
     pub ratio_p999: f64,
-    /// Frames for which the optimum was looked for.
+    /// Frames for which the best optimum was searched.
     pub compared: usize,
 }
 
-/// How calm the joints are.
+/// Jerk of the joints with and without smoothing.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct Calm {
+pub struct Smoothness {
     /// Jerk without smoothing, rad/s³.
     pub jerk: f64,
-    /// Jerk behind the retargeter's filter with a lag of 50 ms, rad/s³.
+    /// Jerk behind the retargeter's own filter with a lag of 50 ms, rad/s³.
     pub jerk_50ms: f64,
-    /// What the filter delays by, measured, s.
+    /// Lag of the filter, measured on the joints, s.
     pub lag_secs: f64,
 }
 
-/// Wrist-to-tip vectors of a trajectory in the robot's frame, (T, fingers), m, as the human has them.
+/// Computes the human's vectors from the wrist to each fingertip, (T, fingers), in the robot's frame, m.
+///
+/// # Errors
+/// If the keypoints are no hand.
 pub fn vectors(robot: &Robot, setup: &Setup, trajectory: &Trajectory) -> Result<Vec<Vec<DVec3>>> {
     smooth_vectors(robot, setup, trajectory, 0.0)
 }
 
-/// As [`vectors`], of keypoints smoothed with a delay, s.
+/// Computes [`vectors`] of keypoints that a filter of this delay smoothed, s.
 fn smooth_vectors(robot: &Robot, setup: &Setup, trajectory: &Trajectory, delay: f64) -> Result<Vec<Vec<DVec3>>> {
     let axes = robot.wrist.world_axes(&robot.world);
     let mut smoother = Smoother::new(delay);
@@ -80,17 +83,17 @@ fn smooth_vectors(robot: &Robot, setup: &Setup, trajectory: &Trajectory, delay: 
     trajectory.keypoints.iter().map(one).collect()
 }
 
-/// How calm the joints are: jerk as solved, jerk with the keypoints smoothed as the retargeter does, and the lag of that.
+/// Measures jerk as solved, jerk with the keypoints smoothed as the retargeter smooths them, and the lag of the latter.
 ///
 /// # Errors
 /// If a link is not in the model.
-pub fn calm(robot: &mut Robot, setup: &Setup, trajectory: &Trajectory, stop: Stop) -> Result<Calm> {
+pub fn smoothness(robot: &mut Robot, setup: &Setup, trajectory: &Trajectory, stop: Stop) -> Result<Smoothness> {
     let raw = smoothed(robot, setup, trajectory, stop, 0.0)?;
-    let smooth = smoothed(robot, setup, trajectory, stop, LAG)?;
-    Ok(Calm { jerk: jerk(&raw), jerk_50ms: jerk(&smooth), lag_secs: lag(&raw, &smooth) })
+    let smooth = smoothed(robot, setup, trajectory, stop, FILTER_DELAY)?;
+    Ok(Smoothness { jerk: jerk(&raw), jerk_50ms: jerk(&smooth), lag_secs: lag(&raw, &smooth) })
 }
 
-/// Joint positions, frame by frame, with the keypoints smoothed by a filter of this delay, s.
+/// Solves frame after frame with the keypoints smoothed by a filter of this delay, s; returns the joint positions.
 fn smoothed(
     robot: &mut Robot,
     setup: &Setup,
@@ -99,30 +102,30 @@ fn smoothed(
     delay: f64,
 ) -> Result<Vec<Vec<f64>>> {
     let tips: Vec<&str> = setup.tips.iter().map(String::as_str).collect();
-    let mut peer = Peer::new(robot, Kind::Vector, &setup.wrist, &tips, setup.scale)?;
+    let mut objective = VectorObjective::new(robot, &setup.wrist, &tips, setup.scale)?;
     let mut qpos = Vec::with_capacity(trajectory.keypoints.len());
     for targets in smooth_vectors(robot, setup, trajectory, delay)? {
-        peer.aim(&targets);
-        peer.solve(robot, stop)?;
+        objective.set_targets(&targets);
+        objective.solve(robot, stop)?;
         qpos.push(robot.world.qpos().to_vec());
     }
     Ok(qpos)
 }
 
-/// Another program's objective, over ours from the same last pose.
+/// Ratio of another program's objective to ours from the same last pose.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Compared {
     /// Median.
     pub median: f64,
-    /// Of 99 of 100 frames at most.
+    /// 99th percentile.
     pub p99: f64,
-    /// Share of frames in which theirs is at most 1.001 of ours.
+    /// Share of frames in which the other is at most 1.001 of ours.
     pub within: f64,
-    /// Share of frames in which ours is at most 1.001 of theirs.
+    /// Share of frames in which ours is at most 1.001 of the other.
     pub ours_within: f64,
 }
 
-/// Compares another program's poses, of joints with these names, with the ones we find from its last pose.
+/// Compares another program's `poses` of the joints `names`, frame by frame, with the pose that we find from its last one.
 ///
 /// # Errors
 /// If a joint or link is not in the model, or the poses are not of these joints.
@@ -134,7 +137,7 @@ pub fn compare(
     poses: &[Vec<f64>],
 ) -> Result<Compared> {
     let tips: Vec<&str> = setup.tips.iter().map(String::as_str).collect();
-    let mut peer = Peer::new(robot, Kind::Vector, &setup.wrist, &tips, setup.scale)?;
+    let mut objective = VectorObjective::new(robot, &setup.wrist, &tips, setup.scale)?;
     let joints = names.iter().map(|name| joint(&robot.parts, name)).collect::<Result<Vec<_>>>()?;
     let free = |robot: &Robot, pose: &[f64]| {
         let mut qpos = robot.world.qpos().to_vec();
@@ -145,14 +148,14 @@ pub fn compare(
         robot.coupling.reduce(&robot.parts, &qpos, &mut u);
         u
     };
-    let still = Stop { iterations: 0, ..Stop::default() };
+    let evaluate = Stop { iterations: 0, ..Stop::default() };
     let mut ratios = Vec::with_capacity(poses.len());
     for (targets, poses) in vectors[1.min(vectors.len())..].iter().zip(poses.windows(2)) {
-        peer.u = free(robot, &poses[0]);
-        peer.aim(targets);
-        let theirs = peer.solve_from(robot, still, &mut free(robot, &poses[1]))?.cost;
-        let mut ours = peer.u.clone();
-        let ours = peer.solve_from(robot, Stop::default(), &mut ours)?.cost;
+        objective.u = free(robot, &poses[0]);
+        objective.set_targets(targets);
+        let theirs = objective.solve_from(robot, evaluate, &mut free(robot, &poses[1]))?.cost;
+        let mut ours = objective.u.clone();
+        let ours = objective.solve_from(robot, Stop::default(), &mut ours)?.cost;
         ratios.push(theirs / ours);
     }
     let share =
@@ -165,48 +168,57 @@ pub fn compare(
     })
 }
 
-/// Solves frame after frame; every `every`-th is compared with a multi-start from the same last pose.
+/// Solves frame after frame; every `every`-th is compared with the best of several starts from the same last pose.
 ///
 /// # Errors
 /// If a link is not in the model.
 pub fn solve(robot: &mut Robot, setup: &Setup, vectors: &[Vec<DVec3>], stop: Stop, every: usize) -> Result<Solved> {
     let tips: Vec<&str> = setup.tips.iter().map(String::as_str).collect();
-    let mut peer = Peer::new(robot, Kind::Vector, &setup.wrist, &tips, setup.scale)?;
+    let mut objective = VectorObjective::new(robot, &setup.wrist, &tips, setup.scale)?;
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let mut times = Vec::with_capacity(vectors.len());
     let mut ratios = Vec::new();
     let mut iterations = 0;
     for (frame, targets) in vectors.iter().enumerate() {
-        let last = peer.u.clone();
-        let began = Stopwatch::start();
-        peer.aim(targets);
-        let ours = peer.solve(robot, stop)?;
-        times.push(1e6 * began.seconds());
+        let last = objective.u.clone();
+        let stopwatch = Stopwatch::start();
+        objective.set_targets(targets);
+        let ours = objective.solve(robot, stop)?;
+        times.push(1e6 * stopwatch.seconds());
         iterations += ours.iterations;
         if every > 0 && frame % every == every - 1 {
-            let mut best = ours.cost;
-            let thorough = Stop { iterations: 200, tolerance: 1e-9 };
-            let mut starts = vec![last.clone(), peer.u.clone()];
-            for _ in 0..STARTS {
-                let near = |k: usize| {
-                    let (low, high) = (robot.coupling.low[k], robot.coupling.high[k]);
-                    (low, high)
-                };
-                starts.push((0..last.len()).map(near).map(|(low, high)| rng.random_range(low..=high)).collect());
-            }
-            for start in &mut starts {
-                best = best.min(peer.solve_from(robot, thorough, start)?.cost);
-            }
+            let best = best_of_starts(&mut objective, robot, last, &mut rng)?.min(ours.cost);
             ratios.push(ours.cost / best);
         }
     }
     let within = ratios.iter().filter(|ratio| **ratio <= 1.001).count() as f64 / ratios.len().max(1) as f64;
     Ok(Solved {
         median_us: median(times.iter().copied()),
-        p99_us: percentile(times.iter().copied(), 0.99),
+        p99_us: percentile(times, 0.99),
         iterations: iterations as f64 / vectors.len().max(1) as f64,
         within,
-        ratio_p999: percentile(ratios.iter().copied(), 0.999),
         compared: ratios.len(),
+        ratio_p999: percentile(ratios, 0.999),
     })
+}
+
+/// Returns the least objective from the last pose, our result and [`STARTS`] random poses, with many steps each.
+fn best_of_starts(
+    objective: &mut VectorObjective,
+    robot: &mut Robot,
+    last: Vec<f64>,
+    rng: &mut ChaCha8Rng,
+) -> Result<f64> {
+    let thorough = Stop { iterations: 200, tolerance: 1e-9 };
+    let count = last.len();
+    let mut starts = vec![last, objective.u.clone()];
+    for _ in 0..STARTS {
+        let random = |k: usize| rng.random_range(robot.coupling.low[k]..=robot.coupling.high[k]);
+        starts.push((0..count).map(random).collect());
+    }
+    let mut best = f64::INFINITY;
+    for start in &mut starts {
+        best = best.min(objective.solve_from(robot, thorough, start)?.cost);
+    }
+    Ok(best)
 }

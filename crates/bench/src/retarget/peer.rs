@@ -1,4 +1,4 @@
-//! Another program on the same vectors.
+//! Another retargeting program, timed on the same vectors.
 
 use std::collections::HashMap;
 
@@ -12,32 +12,32 @@ use serde::{Deserialize, Serialize};
 use super::objective::{Compared, Setup, compare};
 use crate::peer;
 
-/// What a peer printed.
+/// Results that a peer printed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Timing {
     /// The peer's name and version.
     pub name: String,
     /// Time per frame, median, microseconds.
     pub median_us: f64,
-    /// Time per frame that 99 of 100 frames keep, microseconds.
+    /// Time per frame, 99th percentile, microseconds.
     pub p99_us: f64,
     /// Jerk without smoothing, rad/s³.
     pub jerk: f64,
     /// Jerk with a low pass that lags by 50 ms, rad/s³.
     pub jerk_50ms: f64,
-    /// Joints of the positions that it wrote; None of one that solves another objective.
+    /// Joints of the positions that the peer wrote; `None` if it solves another objective.
     #[serde(default, skip_serializing)]
     joint_names: Option<Vec<String>>,
-    /// Its objective over ours from the same last pose.
+    /// The peer's objective over ours from the same last pose.
     #[serde(default)]
     pub objective: Option<Compared>,
 }
 
-/// Runs `command --input FILE --qpos FILE`, reads the JSON object on its last line, and compares the poses it wrote with
-/// ours.
+/// Runs `command --input FILE --qpos FILE`, reads the JSON object on the last line of its output, and compares the poses
+/// in the second file with ours.
 ///
 /// # Errors
-/// If it can't be started, fails, or prints or writes something else.
+/// If the peer can't be started, fails, or prints or writes something else.
 pub fn run(command: &str, robot: &mut Robot, setup: &Setup, vectors: &[Vec<DVec3>]) -> Result<Timing> {
     let folder = tempfile::tempdir().map_err(Error::io("temporary folder"))?;
     let path = folder.path().join("vectors.safetensors");

@@ -1,61 +1,77 @@
-//! The bench's table in Markdown.
+//! The results of `egotac bench retarget` as Markdown.
 
 use egotac::text::{put, significant};
 
-use super::grip::PRESSED;
+use super::grip::{Grips, PRESSED};
 use super::{Objective, Report};
 
-/// Writes the tables.
+/// Returns the tables as Markdown.
 pub fn markdown(report: &Report) -> String {
     let mut text = String::new();
-    put(&mut text, format_args!("# Retargeting: time, exactness, touch\n"));
-    put(&mut text, format_args!("Written by `{}` (egotac {}), {}.", report.command, report.version, report.machine));
+    head(&mut text, report);
+    if !report.objectives.is_empty() {
+        objectives(&mut text, report);
+        peers(&mut text, report);
+    }
+    whole(&mut text, report);
+    grips(&mut text, &report.grips);
+    jitter(&mut text, report);
+    costs(&mut text, report);
+    text
+}
+
+fn head(text: &mut String, report: &Report) {
+    put(text, format_args!("# Retargeting: time, exactness, touch\n"));
+    put(text, format_args!("Written by `{}` (egotac {}), {}.", report.command, report.version, report.machine));
     if let Some(load) = &report.load {
-        put(&mut text, format_args!("The machine's load: {load}. Times are processor time of one thread."));
+        put(text, format_args!("The machine's load: {load}. Times are processor time of one thread."));
     }
     put(
-        &mut text,
+        text,
         format_args!(
             "{} frames at 30 Hz of the built-in hand, seed {}: free motion and pinches, with contact flags and forces.\n",
             report.frames, report.seed
         ),
     );
-    if !report.objectives.is_empty() {
-        put(&mut text, format_args!("## Tip objective of dex-retargeting (vector), one core\n"));
-        put(
-            &mut text,
-            format_args!(
-                "Within: share of the compared frames whose objective is at most 1.001 of the best that ten starts, the last \
-                 pose among them, find.\n"
-            ),
-        );
-        put(
-            &mut text,
-            format_args!(
-                "| robot | noise, mm | median, us | p99, us | steps | within | ratio p99.9 | frames compared |"
-            ),
-        );
-        put(&mut text, format_args!("|---|---|---|---|---|---|---|---|"));
-        for Objective { setup, noise_mm, ours, .. } in &report.objectives {
-            put(
-                &mut text,
-                format_args!(
-                    "| {} | {noise_mm} | {} | {} | {:.1} | {:.4} | {:.5} | {} |",
-                    setup.robot,
-                    significant(ours.median_us),
-                    significant(ours.p99_us),
-                    ours.iterations,
-                    ours.within,
-                    ours.ratio_p999,
-                    ours.compared,
-                ),
-            );
-        }
-        peers(&mut text, report);
-    }
-    put(&mut text, format_args!("\n## Everything on: contact, force, collisions, couplings\n"));
+}
+
+/// Writes the results of our solver on the peers' objective.
+fn objectives(text: &mut String, report: &Report) {
+    put(text, format_args!("## Tip objective of dex-retargeting (vector), one core\n"));
     put(
-        &mut text,
+        text,
+        format_args!(
+            "Within: share of the compared frames whose objective is at most 1.001 of the best that ten starts, the last \
+             pose among them, find.\n"
+        ),
+    );
+    put(
+        text,
+        format_args!("| robot | noise, mm | median, us | p99, us | steps | within | ratio p99.9 | frames compared |"),
+    );
+    put(text, format_args!("|---|---|---|---|---|---|---|---|"));
+    for Objective { setup, noise_mm, ours, .. } in &report.objectives {
+        put(
+            text,
+            format_args!(
+                "| {} | {noise_mm} | {} | {} | {:.1} | {:.4} | {:.5} | {} |",
+                setup.robot,
+                significant(ours.median_us),
+                significant(ours.p99_us),
+                ours.iterations,
+                ours.within,
+                ours.ratio_p999,
+                ours.compared,
+            ),
+        );
+    }
+}
+
+/// Writes the results of whole retargeters.
+fn whole(text: &mut String, report: &Report) {
+    put(text, format_args!("\n## Everything on: contact, force, collisions, couplings\n"));
+    put(
+        text,
         format_args!(
             "Net torque: about the middle of the touched places, as large as the robot's hand makes it; fingertips that meet in a \
              point hold none.{}\n",
@@ -63,17 +79,17 @@ pub fn markdown(report: &Report) -> String {
         ),
     );
     put(
-        &mut text,
+        text,
         format_args!(
             "| robot | input | median, us | p99, us | beyond limits or couplings | speed / limit | deepest, mm | pinches within 1 mm | opened in a frame | \
              false contacts | net force error | net torque error | force angle, deg | tip error, mm |"
         ),
     );
-    put(&mut text, format_args!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"));
+    put(text, format_args!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"));
     for row in &report.robots {
         let seen = &row.seen;
         put(
-            &mut text,
+            text,
             format_args!(
                 "| {} | {} | {} | {} | {:.1e} | {:.3} | {:.2} | {:.3} | {:.3} | {:.4} | {:.4} | {:.4} | {:.1} | {:.2} |",
                 row.robot,
@@ -93,9 +109,11 @@ pub fn markdown(report: &Report) -> String {
             ),
         );
     }
-    let grips = &report.grips;
+}
+
+fn grips(text: &mut String, grips: &Grips) {
     put(
-        &mut text,
+        text,
         format_args!(
             "\nGrips in simulation: {} objects (two balls, joined, one where each fingertip is pressed) between the thumb and \
              another finger of `four_finger`, without gravity, at the pose and with the torques that come out; {} were lost. \
@@ -109,15 +127,15 @@ pub fn markdown(report: &Report) -> String {
             100.0 * grips.error_p90,
         ),
     );
-    put(&mut text, format_args!("\n## Jitter\n"));
-    put(
-        &mut text,
-        format_args!("| robot | input | lag, ms | jerk, rad/s³ | the motion's own | off the clean run, rad |"),
-    );
-    put(&mut text, format_args!("|---|---|---|---|---|---|"));
+}
+
+fn jitter(text: &mut String, report: &Report) {
+    put(text, format_args!("\n## Jitter\n"));
+    put(text, format_args!("| robot | input | lag, ms | jerk, rad/s³ | the motion's own | off the clean run, rad |"));
+    put(text, format_args!("|---|---|---|---|---|---|"));
     for row in &report.robots {
         put(
-            &mut text,
+            text,
             format_args!(
                 "| {} | {} | {:.0} | {:.0} | {:.0} | {:.3} |",
                 row.robot,
@@ -129,13 +147,16 @@ pub fn markdown(report: &Report) -> String {
             ),
         );
     }
-    put(&mut text, format_args!("\n## What accuracy costs in time\n"));
-    put(&mut text, format_args!("| robot | choice | median, us | objective over best, p99.9 | tip error, mm |"));
-    put(&mut text, format_args!("|---|---|---|---|---|"));
+}
+
+fn costs(text: &mut String, report: &Report) {
+    put(text, format_args!("\n## What accuracy costs in time\n"));
+    put(text, format_args!("| robot | choice | median, us | objective over best, p99.9 | tip error, mm |"));
+    put(text, format_args!("|---|---|---|---|---|"));
     let known = |value: f64, digits: usize| if value.is_nan() { "-".to_owned() } else { format!("{value:.digits$}") };
     for cost in &report.costs {
         put(
-            &mut text,
+            text,
             format_args!(
                 "| {} | {} | {} | {} | {} |",
                 cost.robot,
@@ -146,10 +167,9 @@ pub fn markdown(report: &Report) -> String {
             ),
         );
     }
-    text
 }
 
-/// What the force angle says of robots whose fingertips meet in points.
+/// Explains the force angle of robots whose fingertips meet in points; empty if there are none.
 fn in_points(report: &Report) -> String {
     let mut names: Vec<&str> =
         report.robots.iter().filter(|row| row.seen.meets_in_points).map(|row| row.robot.as_str()).collect();
@@ -164,7 +184,7 @@ fn in_points(report: &Report) -> String {
     )
 }
 
-/// Peers on the same vectors.
+/// Writes the results of the peers on the same vectors.
 fn peers(text: &mut String, report: &Report) {
     let all = || report.objectives.iter().flat_map(|row| row.peers.iter().map(move |peer| (row, peer)));
     if all().next().is_none() {
@@ -173,7 +193,7 @@ fn peers(text: &mut String, report: &Report) {
     put(text, format_args!("\n### Others on the same vectors\n"));
     let lag = |noise_mm: f64| {
         let rows = report.objectives.iter().filter(|row| row.noise_mm == noise_mm);
-        1e3 * rows.map(|row| row.calm.lag_secs).fold(0.0, f64::max)
+        1e3 * rows.map(|row| row.smoothness.lag_secs).fold(0.0, f64::max)
     };
     put(
         text,
@@ -204,8 +224,8 @@ fn peers(text: &mut String, report: &Report) {
                 row.noise_mm,
                 significant(row.ours.median_us),
                 significant(row.ours.p99_us),
-                row.calm.jerk_50ms,
-                row.calm.jerk,
+                row.smoothness.jerk_50ms,
+                row.smoothness.jerk,
             ),
         );
     }

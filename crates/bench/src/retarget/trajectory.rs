@@ -1,4 +1,4 @@
-//! The hand that everything is measured on: ours, seeded, moving freely and pinching with each finger in turn.
+//! Synthetic motion of the built-in hand: seeded, free motion with a pinch by each finger in turn.
 
 use std::f64::consts::TAU;
 use std::sync::OnceLock;
@@ -16,43 +16,51 @@ use rayon::prelude::*;
 
 /// Frames per second.
 pub const RATE: f64 = 30.0;
-/// A pinch every so many seconds; of each the way there, how long it is held, and the way back.
+/// Time from one pinch to the next, s.
 const PERIOD: f64 = 4.0;
+/// Free motion before each pinch, s.
+const FREE: f64 = 1.0;
+/// Time that a pinch takes to close, and again to open, s.
 const APPROACH: f64 = 0.6;
+/// Time that a pinch is held, s.
 const HOLD: f64 = 0.8;
 /// Distance of the tip keypoints in a pinch, m.
 const PINCH: f64 = 0.013;
-/// Metres that a unit of a pad's normal off the line between the tips, and a radian off a hand half bent, count as.
+/// Weight of a pad's normal off the line between the tips in the search for a pinch, m per unit of the normal: small
+/// beside the distance of the tips, which comes first.
 const FACING: f64 = 0.0005;
+/// Weight of an angle's distance from a half bent hand in the same search, m/rad.
 const LEAVING: f64 = 0.0003;
-/// Share of keypoints that are spikes, and how far off they are, m.
-const SPIKES: (f64, f64) = (0.02, 0.04);
+/// Share of keypoints that are spikes.
+const SPIKE_SHARE: f64 = 0.02;
+/// Distance of a spike from its keypoint, m.
+const SPIKE_DISTANCE: f64 = 0.04;
 
-/// A recorded hand.
+/// Keypoints of a right hand with its touch, frame by frame.
 #[derive(Debug, Clone, Default)]
 pub struct Trajectory {
     /// (T) keypoints, m.
     pub keypoints: Vec<[DVec3; N_KEYPOINTS]>,
-    /// (T) which fingertips touch.
+    /// (T) contact of each fingertip, 0 or 1.
     pub tip_contact: Vec<[f64; 5]>,
     /// (T) force of the world on each fingertip, N, in the frame of the keypoints.
     pub tip_force: Vec<[DVec3; 5]>,
 }
 
-/// Fingers that reach the thumb, with the angles of all hinges where they do: those of the built-in hand, found once.
+/// Fingers of the built-in hand that reach the thumb, with the angles of all hinges in the pinch, rad; found once.
 static PINCHES: OnceLock<Vec<(usize, Vec<f64>)>> = OnceLock::new();
 
-/// What is done to the keypoints.
+/// Noise on keypoints.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Noise {
-    /// White, of this standard deviation per coordinate, m.
+    /// White noise of this standard deviation per coordinate, m.
     White(f64),
     /// One keypoint in fifty is 40 mm off.
     Spikes,
 }
 
 impl Trajectory {
-    /// Makes `frames` frames at 30 Hz of the built-in right hand.
+    /// Generates `frames` frames at 30 Hz of the built-in right hand.
     ///
     /// # Errors
     /// If the built-in hand can't be rigged.
@@ -98,7 +106,7 @@ impl Trajectory {
         Ok(made)
     }
 
-    /// The same with noise on the keypoints.
+    /// Returns the trajectory with noise on the keypoints.
     pub fn with(&self, noise: Noise, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut noisy = self.clone();
@@ -108,8 +116,8 @@ impl Trajectory {
             match noise {
                 Noise::White(deviation) => *point += deviation * vector(&mut rng),
                 Noise::Spikes => {
-                    if rng.random_bool(SPIKES.0) {
-                        *point += SPIKES.1 * vector(&mut rng).normalize_or(DVec3::X);
+                    if rng.random_bool(SPIKE_SHARE) {
+                        *point += SPIKE_DISTANCE * vector(&mut rng).normalize_or(DVec3::X);
                     }
                 }
             }
@@ -118,10 +126,10 @@ impl Trajectory {
     }
 }
 
-/// Number of the pinch at a time, how far it has closed, and whether it is held.
+/// Returns the number of the pinch at a time, the share (0 to 1) by which it has closed, and true while it is held.
 fn schedule(time: f64) -> (usize, f64, bool) {
     let turn = (time / PERIOD) as usize;
-    let at = time % PERIOD - 1.0;
+    let at = time % PERIOD - FREE;
     let smooth = |x: f64| x * x * x * (x * (6.0 * x - 15.0) + 10.0);
     let share = match at {
         x if x <= 0.0 => 0.0,
@@ -133,8 +141,8 @@ fn schedule(time: f64) -> (usize, f64, bool) {
     (turn, share, share >= 1.0)
 }
 
-/// Forces of thumb and finger on each other in a pinch: some newtons along the line between them, opposite, and some
-/// friction.
+/// Returns the forces of thumb and finger on each other in a pinch, N: opposite, 0.5 to 3.5 N along the line between them,
+/// and 0.3 of that across it.
 fn forces(keypoints: &[DVec3; N_KEYPOINTS], finger: usize, time: f64) -> [DVec3; 5] {
     let mut forces = [DVec3::ZERO; 5];
     let line = (keypoints[keypoint(finger, 3)] - keypoints[keypoint(0, 3)]).normalize_or(DVec3::X);
@@ -145,7 +153,9 @@ fn forces(keypoints: &[DVec3; N_KEYPOINTS], finger: usize, time: f64) -> [DVec3;
     forces
 }
 
-/// Free motion: each hinge a sum of slow waves, the joints of a finger together.
+/// Free motion: each finger's hinges follow a sum of slow waves.
+///
+/// Waves are (frequency in Hz, phase in rad, amplitude).
 struct Waves {
     fingers: [[(f64, f64, f64); 3]; 5],
     spread: [(f64, f64); 5],
@@ -182,13 +192,13 @@ impl Waves {
     }
 }
 
-/// Finger of a MANO joint, thumb 0 to little 4.
+/// Returns the finger of a MANO joint, thumb 0 to little finger 4.
 fn finger_of(joint: usize) -> usize {
     [1, 2, 4, 3, 0][(joint - 1) / 3]
 }
 
-/// Angles at which thumb and finger meet, pad to pad as far as they can, by damped least squares; None where they do not
-/// reach.
+/// Finds the angles at which thumb and finger meet, pad to pad as far as possible, by damped least squares. Returns `None`
+/// if they do not reach each other.
 fn pinch(rig: &HandRig, finger: usize) -> Option<Vec<f64>> {
     let mine: Vec<usize> =
         (0..rig.hinges.len()).filter(|k| [0, finger].contains(&finger_of(rig.hinges[*k].joint))).collect();
@@ -209,10 +219,10 @@ fn pinch(rig: &HandRig, finger: usize) -> Option<Vec<f64>> {
             posed.rotations[pad.joint].as_dmat3() * pad.normal
         };
         let line = points[keypoint(finger, 3)] - points[keypoint(0, 3)];
-        let toward = line.normalize_or(DVec3::X);
-        // At the touching distance, and no nearer.
-        let miss = line - PINCH * toward;
-        let facing = [normal(Site::FINGERS[0]) - toward, normal(Site::FINGERS[finger]) + toward];
+        let along = line.normalize_or(DVec3::X);
+        // At the touching distance, not nearer.
+        let miss = line - PINCH * along;
+        let facing = [normal(Site::FINGERS[0]) - along, normal(Site::FINGERS[finger]) + along];
         let facing = facing.into_iter().flat_map(|off| (FACING * off).to_array());
         let leave = mine.iter().map(|k| LEAVING * (angles[*k] - rest[*k]));
         let all: Vec<f64> = miss.to_array().into_iter().chain(facing).chain(leave).collect();
@@ -242,8 +252,8 @@ fn pinch(rig: &HandRig, finger: usize) -> Option<Vec<f64>> {
         let miss = residuals(&angles);
         (angles, miss)
     };
-    let ways = [0.4, 0.8].into_iter().flat_map(|finger| [0.0, 0.4].map(|thumb| [finger, thumb]));
-    let ends = ways.map(|way| settle(start(way)));
+    let starts = [0.4, 0.8].into_iter().flat_map(|finger| [0.0, 0.4].map(|thumb| [finger, thumb]));
+    let ends = starts.map(|bends| settle(start(bends)));
     let (angles, miss) = ends.min_by(|(_, a), (_, b)| a.norm().total_cmp(&b.norm()))?;
     (miss.rows(0, 3).norm() < 0.003).then_some(angles)
 }
