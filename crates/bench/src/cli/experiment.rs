@@ -7,7 +7,7 @@ use egotac::file;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::experiment::data::{Recipe, Stores};
-use crate::experiment::{self, Experiment, News, Size, plot};
+use crate::experiment::{self, Experiment, Progress, Size, plot};
 
 /// Arguments of `egotac experiment`.
 #[derive(Debug, clap::Args)]
@@ -15,7 +15,7 @@ use crate::experiment::{self, Experiment, News, Size, plot};
     after_help = "ablations: everything, and without temporal context, active-region loss, force supervision, consistency loss. \
     sources: force-supervised only, contact-only, mixed. scaling: 10, 20, 50, 100 % of the data; 1, 4, 6 scenes. \
     limits: less and more time, resolution, capacity.\n\
-    Data is rendered and runs are trained in the work folder; both are kept there, so a stopped experiment goes on where it was."
+    Data is rendered and runs are trained in the work folder; both stay there, so a stopped experiment resumes."
 )]
 pub struct Args {
     /// ablations, sources, scaling or limits.
@@ -23,7 +23,7 @@ pub struct Args {
     /// Runs of each arm.
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..=100))]
     seeds: u64,
-    /// Steps in which the encoder of all runs learns to see hands, before them.
+    /// Optimisation steps of the encoder of all runs, before the runs.
     #[arg(long, default_value_t = 4000, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     encoder_steps: u64,
     /// Optimisation steps of a run.
@@ -61,20 +61,20 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         "egotac experiment {} --seeds {} --encoder-steps {} --steps {} --episodes {} --held-out {}",
         args.name, args.seeds, args.encoder_steps, args.steps, args.episodes, args.held_out
     );
-    let report = experiment::run(&experiment, &size, &stores, &args.work, command, &mut |news| match news {
-        News::Budget(budget) => bar.suspend(|| {
+    let report = experiment::run(&experiment, &size, &stores, &args.work, command, &mut |progress| match progress {
+        Progress::Budget(budget) => bar.suspend(|| {
             let minutes = budget.windows as f64 / budget.windows_per_s / 60.0;
             println!(
                 "{} runs to make, {} windows altogether: about {minutes:.0} min at {:.0} windows/s, measured now",
                 budget.runs, budget.windows, budget.windows_per_s
             );
         }),
-        News::Step(arm, seed, done, all) => {
+        Progress::Step(arm, seed, done, all) => {
             bar.set_length(all as u64);
             bar.set_position(done as u64);
             bar.set_message(format!("{arm}, seed {seed}"));
         }
-        News::Run(arm, seed) => bar.suspend(|| println!("{arm}, seed {seed}: done")),
+        Progress::Run(arm, seed) => bar.suspend(|| println!("{arm}, seed {seed}: done")),
     })?;
     bar.finish_and_clear();
     let named = |ending: &str| args.out.join(format!("{}.{ending}", args.name));
@@ -101,7 +101,7 @@ fn render(recipes: &[Recipe]) -> anyhow::Result<()> {
 #[cfg(feature = "sim")]
 fn make(recipe: &Recipe, bar: &ProgressBar) -> anyhow::Result<()> {
     use crate::experiment::data::SIDE;
-    use egotac::sim::{Generate, Progress, RolloutOptions, Scene, generate_isolated};
+    use egotac::sim::{Generate, Progress as Rendered, RolloutOptions, Scene, generate_isolated};
     let options = RolloutOptions { picture: Some((SIDE, SIDE)), ..RolloutOptions::default() };
     let plan = Generate {
         scenes: vec![Scene::load(&recipe.scene.display().to_string())?],
@@ -112,9 +112,9 @@ fn make(recipe: &Recipe, bar: &ProgressBar) -> anyhow::Result<()> {
     };
     let workers = crate::cli::sim_workers(SIDE, [recipe.scene.clone().into_os_string()])?;
     let before = bar.position();
-    // An episode that can't be simulated is left out: the same one each time, and the report counts frames that are there.
+    // An episode that can't be simulated is left out: always the same one, and the report counts the frames that exist.
     generate_isolated(&plan, &workers, true, &recipe.path, |at| {
-        if let Progress::Episodes(done, _) = at {
+        if let Rendered::Episodes(done, _) = at {
             bar.set_position(before + done as u64);
         }
     })?;
@@ -123,5 +123,5 @@ fn make(recipe: &Recipe, bar: &ProgressBar) -> anyhow::Result<()> {
 
 #[cfg(not(feature = "sim"))]
 fn make(recipe: &Recipe, _: &ProgressBar) -> anyhow::Result<()> {
-    anyhow::bail!("{}: is missing, and rendering it needs the feature sim", recipe.path.display())
+    anyhow::bail!("{}: is missing, and rendering it needs the feature `sim`", recipe.path.display())
 }

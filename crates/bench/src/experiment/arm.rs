@@ -1,4 +1,4 @@
-//! What is compared with what.
+//! The experiments and their conditions (arms).
 
 use egotac::error::{Error, Result};
 use egotac::model;
@@ -11,22 +11,22 @@ use super::data::Stores;
 /// One condition of an experiment.
 #[derive(Debug, Clone, Copy)]
 pub struct Arm {
-    /// Its name.
+    /// Name.
     pub name: &'static str,
-    /// What is other than in the usual run.
+    /// Difference from the usual run, in words.
     pub about: &'static str,
-    /// Changes the usual run.
+    /// Changes the configuration of the usual run.
     pub change: fn(&mut Config, &Stores),
 }
 
-/// A question and the conditions that answer it.
+/// A question with the conditions that answer it.
 #[derive(Debug, Clone)]
 pub struct Experiment {
-    /// Its name.
+    /// Name.
     pub name: &'static str,
-    /// What it asks.
+    /// The question.
     pub question: &'static str,
-    /// The first one is what the others are compared with.
+    /// The conditions; the others are compared with the first.
     pub arms: Vec<Arm>,
 }
 
@@ -34,16 +34,17 @@ const fn arm(name: &'static str, about: &'static str, change: fn(&mut Config, &S
     Arm { name, about, change }
 }
 
+/// The usual run.
 const FULL: Arm = arm("full", "everything", |_, _| ());
 
 impl Experiment {
     /// Names of all experiments.
     pub const NAMES: [&'static str; 4] = ["ablations", "sources", "scaling", "limits"];
 
-    /// An experiment by name.
+    /// Returns the experiment of this name.
     ///
     /// # Errors
-    /// If there is none of that name.
+    /// If there is none; the error lists the names.
     pub fn by_name(name: &str) -> Result<Self> {
         match name {
             "ablations" => Ok(ablations()),
@@ -109,8 +110,8 @@ fn scaling() -> Experiment {
     }
 }
 
-/// What holds the scores back: each of time, resolution and capacity made smaller and, where it can be, larger.
-/// `scaling` asks the same of data.
+/// Returns the experiment on the limits of the scores: time, resolution and capacity, each reduced and, where possible,
+/// increased. `scaling` asks the same for data.
 fn limits() -> Experiment {
     Experiment {
         name: "limits",

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use egotac::train::source::Source;
 
-/// Where held-out episodes come from.
+/// Origin of held-out episodes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Domain {
@@ -15,10 +15,10 @@ pub enum Domain {
 }
 
 impl Domain {
-    /// Both.
+    /// Both domains.
     pub const ALL: [Self; 2] = [Self::InDomain, Self::OutOfDomain];
 
-    /// Its name in files.
+    /// Returns the name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::InDomain => "in_domain",
@@ -27,75 +27,80 @@ impl Domain {
     }
 }
 
-/// How pictures of some scenes are taken: the `camera` of a scene file.
-struct Look {
+/// Camera of some scenes: the `camera` of a scene file.
+struct Appearance {
     name: &'static str,
     camera: &'static str,
     scenes: [&'static str; 4],
 }
 
-/// The two training sources, then the one that training does not see.
-const LOOKS: [Look; 3] = [
-    // The scenes' usual camera.
-    Look { name: "plain", camera: "{ fovy: [40, 50] }", scenes: ["pinch_cube", "poke", "press_button", "palm_push"] },
-    // A wide, bent, noisy one, higher up.
-    Look {
+/// Cameras of the two training sources, then the camera that training does not see.
+const APPEARANCES: [Appearance; 3] = [
+    // The usual camera of the scenes.
+    Appearance {
+        name: "plain",
+        camera: "{ fovy: [40, 50] }",
+        scenes: ["pinch_cube", "poke", "press_button", "palm_push"],
+    },
+    // A higher camera with a wide, distorted, noisy picture.
+    Appearance {
         name: "field",
         camera: "{ eye: [[-0.1, 0.1], [-0.34, -0.24], [0.46, 0.56]], fovy: [54, 62], distortion: [[-0.15, -0.05], 0], noise: [2, 6], shutter: [0, 0.02] }",
         scenes: ["lift_mug", "open_door", "squeeze_ball", "tripod"],
     },
-    // A narrow one from the side.
-    Look {
+    // A camera at the side with a narrow picture.
+    Appearance {
         name: "unseen",
         camera: "{ eye: [[0.12, 0.22], [-0.4, -0.3], [0.4, 0.5]], fovy: [32, 38], noise: [0, 3], distortion: [[0.05, 0.2], 0] }",
         scenes: ["turn_knob", "wipe_table", "power_grasp", "hold_plate"],
     },
 ];
 
-/// Shares of a scene's episodes at which its stores end, per cent.
+/// Shares of a scene's episodes at which a store ends, per cent: the first n stores hold the n-th share.
 const SHARES: [usize; 4] = [10, 20, 50, 100];
-/// Seeds of training episodes begin here, of held-out ones there.
+/// First seed of training episodes, and of held-out ones.
 const SEEDS: [u64; 2] = [70_000, 570_000];
 /// Width and height of the pictures, pixels.
 pub const SIDE: u32 = 112;
-/// Frames per second: those between two observation steps are nearly the same picture, and would be most of the windows.
+/// Frames per second: at the usual 25, most windows would be nearly the same pictures.
 pub const RATE: f64 = 10.0;
 
 /// Paths of all stores.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stores {
-    /// For each training scene, in the order of the looks, its stores; together the first n of them hold a share.
+    /// Stores of each training scene, in the order of [`APPEARANCES`]; the first n together hold the n-th share.
     training: Vec<Vec<PathBuf>>,
     held_out: [Vec<PathBuf>; 2],
-    /// Every store with what makes it.
+    /// Recipes of all stores.
     recipes: Vec<Recipe>,
 }
 
-/// What makes a store.
+/// Scene and seeds of a store.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recipe {
     /// The store.
     pub path: PathBuf,
-    /// The scene file, which lies beside it.
+    /// Path of the scene file.
     pub scene: PathBuf,
     /// Text of the scene file.
     pub text: String,
     /// Episodes.
     pub episodes: usize,
-    /// Seed of the first.
+    /// Seed of the first episode.
     pub seed: u64,
 }
 
 impl Stores {
-    /// The stores in `folder`, with `episodes` of each scene to learn from and `held_out` to score on.
+    /// Plans the stores in `folder`, with `episodes` training episodes and `held_out` held-out episodes of each scene.
     pub fn plan(folder: &Path, episodes: usize, held_out: usize) -> Self {
         let mut stores = Self { training: vec![], held_out: [vec![], vec![]], recipes: vec![] };
-        let scenes = LOOKS.iter().enumerate().flat_map(|(at, look)| look.scenes.map(|scene| (at < 2, look, scene)));
-        for (index, (is_training, Look { name: look, camera, .. }, scene)) in (0..).zip(scenes) {
-            let file = folder.join("scenes").join(format!("{scene}_{look}.yaml"));
+        let scenes =
+            APPEARANCES.iter().enumerate().flat_map(|(at, look)| look.scenes.map(|scene| (at < 2, look, scene)));
+        for (index, (is_training, Appearance { name: appearance, camera, .. }, scene)) in (0..).zip(scenes) {
+            let file = folder.join("scenes").join(format!("{scene}_{appearance}.yaml"));
             let mut add = |name: String, episodes: usize, seed: u64| {
                 let text = text(scene, camera);
-                // Another text makes another store.
+                // A changed scene makes a new store.
                 let hash = egotac::file::sha256(text.as_bytes());
                 let path = folder.join(format!("{scene}_{name}_{episodes}_{}.zarr", &hash[..8]));
                 let recipe = Recipe { path: path.clone(), scene: file.clone(), text, episodes, seed };
@@ -119,29 +124,29 @@ impl Stores {
         stores
     }
 
-    /// The two sources, whole.
+    /// Returns the two sources with all episodes.
     pub fn sources(&self) -> Vec<Source> {
         self.up_to(SHARES.len() - 1)
     }
 
-    /// The two sources with the `n`-th share (10, 20, 50, 100 %) of each scene.
+    /// Returns the two sources with the `n`-th share (10, 20, 50, 100 %) of each scene.
     pub fn share(&self, n: usize) -> Vec<Source> {
         self.up_to(n)
     }
 
-    /// The first `n` scenes, each a source of its own: one of each look in turn.
+    /// Returns the first `n` scenes, each as a source, in turn from both training cameras.
     pub fn scenes(&self, n: usize) -> Vec<Source> {
         let half = self.training.len() / 2;
         let in_turn = (0..half).flat_map(|i| [i, half + i]);
         in_turn.take(n).map(|scene| mirrored(self.training[scene].clone())).collect()
     }
 
-    /// Held-out stores.
+    /// Returns the held-out stores of a domain.
     pub fn held_out(&self, domain: Domain) -> &[PathBuf] {
         &self.held_out[usize::from(domain == Domain::OutOfDomain)]
     }
 
-    /// What makes each store.
+    /// Returns the recipes of all stores.
     pub fn recipes(&self) -> &[Recipe] {
         &self.recipes
     }
@@ -158,7 +163,7 @@ fn mirrored(stores: Vec<PathBuf>) -> Source {
     Source { mirror: true, ..Source::of(stores) }
 }
 
-/// A shipped scene's text with another camera.
+/// Returns the text of a shipped scene with another camera.
 fn text(scene: &str, camera: &str) -> String {
     #[cfg(feature = "sim")]
     let own = egotac::sim::SHIPPED.iter().find(|(name, _)| *name == scene).map_or("", |(_, text)| *text);
@@ -175,7 +180,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shares_grow_into_the_whole_and_no_seed_is_used_twice() {
+    fn shares_grow_to_the_whole_and_no_seed_is_used_twice() {
         let stores = Stores::plan(Path::new("data"), 10, 3);
         let paths = |sources: &[Source]| sources.iter().flat_map(|source| source.stores.clone()).collect::<Vec<_>>();
         let all = paths(&stores.sources());
@@ -209,7 +214,7 @@ mod tests {
 
     #[cfg(feature = "sim")]
     #[test]
-    fn every_scene_file_is_one() {
+    fn every_scene_file_parses() {
         for recipe in Stores::plan(Path::new("data"), 1, 1).recipes() {
             egotac::sim::Scene::parse("own", &recipe.scene, &recipe.text).unwrap();
         }

@@ -2,15 +2,15 @@
 //!
 //! | experiment | question |
 //! |---|---|
-//! | `ablations` | what each part of the method gives |
-//! | `sources` | whether contact-only data helps where force is scarce |
-//! | `scaling` | what more data and more sources give |
-//! | `limits` | whether time, resolution or capacity holds the scores back |
+//! | `ablations` | contribution of each part of the method |
+//! | `sources` | benefit of contact-only data when force labels are scarce |
+//! | `scaling` | benefit of more data and more sources |
+//! | `limits` | limit of the scores: time, resolution or capacity |
 //!
-//! The encoder of all runs is trained once, to find the hands' keypoints in the training pictures: no touch is told to it. It
-//! stands in for a published one, without which a network this small spends a run on learning to see.
+//! The encoder of all runs is trained once, to find the hands' keypoints in the training pictures, without labels of touch.
+//! It replaces a published encoder: without one, a network this small spends a whole run on learning to see.
 //!
-//! A finished run is kept in the work folder and not made again, so an experiment may be stopped at any time.
+//! Finished runs stay in the work folder, so an experiment can be stopped at any time and resumed.
 
 pub mod arm;
 pub mod data;
@@ -36,22 +36,22 @@ pub use arm::{Arm, Experiment};
 use data::{Domain, Stores};
 pub use report::Report;
 
-/// Clips and windows of a step.
+/// Clips and windows of a training step.
 const BATCH: Batch = Batch { clips: 10, windows: 3, accumulate: 1 };
 
-/// What the encoder's learning rate is multiplied by: it has learned to see already.
+/// Factor of the encoder's learning rate: it is trained already.
 const ENCODER_FACTOR: f64 = 0.3;
-/// A run's weights.
+/// File name of a run's weights.
 const CHECKPOINT: &str = "checkpoint.safetensors";
 
-/// How large an experiment is.
+/// Size of an experiment.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Size {
     /// Training episodes of each scene.
     pub episodes: usize,
     /// Held-out episodes of each scene, in each domain.
     pub held_out: usize,
-    /// Steps of the encoder's own training, before all runs.
+    /// Optimisation steps of the encoder, before all runs.
     pub encoder_steps: usize,
     /// Optimisation steps of a run.
     pub steps: usize,
@@ -59,29 +59,29 @@ pub struct Size {
     pub seeds: u64,
 }
 
-/// What an experiment is about to do.
+/// Work that an experiment still has to do.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Budget {
-    /// Runs that are not there yet.
+    /// Missing runs.
     pub runs: usize,
-    /// Windows that they learn from in all their steps.
+    /// Windows of all their steps.
     pub windows: usize,
-    /// Windows per second, measured here.
+    /// Windows per second, measured on this machine.
     pub windows_per_s: f64,
 }
 
-/// What an experiment says on its way.
+/// Progress of an experiment.
 #[derive(Debug)]
-pub enum News<'a> {
-    /// Before the first run.
+pub enum Progress<'a> {
+    /// Work to do, sent before the first run.
     Budget(&'a Budget),
-    /// A run's steps: arm, seed, done, all.
+    /// Steps of a run: arm, seed, steps done, all steps.
     Step(&'a str, u64, usize, usize),
-    /// A run is done.
+    /// A finished run: arm, seed.
     Run(&'a str, u64),
 }
 
-/// The network of all experiments: 112 pixels, so small that a run takes minutes on two cores.
+/// Returns the network of all experiments: 112 pixels, and so small that a run takes minutes on two cores.
 pub fn geometry() -> model::Config {
     model::Config {
         vision_width: 96,
@@ -94,7 +94,7 @@ pub fn geometry() -> model::Config {
     }
 }
 
-/// Makes what is missing and scores all runs.
+/// Makes the missing runs and scores all.
 ///
 /// # Errors
 /// If data can't be made (rendering needs the feature `sim`), a run fails, or a file can't be written.
@@ -104,7 +104,7 @@ pub fn run(
     stores: &Stores,
     work: &Path,
     command: String,
-    tell: &mut dyn FnMut(News),
+    report_progress: &mut dyn FnMut(Progress),
 ) -> Result<Report> {
     let (mut planned, mut encoders): (Vec<_>, Vec<Config>) = Default::default();
     for arm in &experiment.arms {
@@ -116,23 +116,23 @@ pub fn run(
             }
         }
     }
-    tell(News::Budget(&budget(&encoders, &planned)?));
+    report_progress(Progress::Budget(&budget(&encoders, &planned)?));
     for config in &encoders {
-        train_once(config, |done, all| tell(News::Step("encoder", 0, done, all)))?;
+        train_once(config, |done, all| report_progress(Progress::Step("encoder", 0, done, all)))?;
     }
     let mut runs = Vec::new();
     for (arm, seed, config) in &planned {
-        let checkpoint = train_once(config, |done, all| tell(News::Step(arm.name, *seed, done, all)))?;
+        let checkpoint = train_once(config, |done, all| report_progress(Progress::Step(arm.name, *seed, done, all)))?;
         for domain in Domain::ALL {
             predict_once(&checkpoint, stores.held_out(domain), &fields_file(config, domain))?;
         }
-        tell(News::Run(arm.name, *seed));
+        report_progress(Progress::Run(arm.name, *seed));
         runs.push((*arm, *seed, config));
     }
     report::make(experiment, size, stores, &runs, command)
 }
 
-/// The run of an arm, and that of the encoder it starts from.
+/// Returns the configuration of an arm's run and of the encoder that it starts from.
 fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Result<(Config, Config)> {
     let mut config = Config {
         name: "experiment".into(),
@@ -154,8 +154,8 @@ fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Re
             encoder_factor: Some(ENCODER_FACTOR),
             ..Optimizer::default()
         },
-        // Five times the paper's weights, and ten times that of force: from a random start a network this small finds
-        // touch, which is zero nearly everywhere, only if force weighs more. Keypoints keep the encoder seeing hands.
+        // Five times the paper's weights, and ten times its weight of force: touch is zero nearly everywhere, and a network
+        // this small learns it from a random start only if force weighs more. Keypoints keep the encoder on the hands.
         loss: Loss { force: 50.0, contact: 5.0, active: 1.0, consistency: 0.25, keypoints: 0.3, ..Loss::default() },
         augment: Augment::default(),
         ema: 0.995,
@@ -177,7 +177,7 @@ fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Re
     };
     (arm.change)(&mut config, stores);
     if let (Geometry::Explicit(own), Geometry::Explicit(of_arm)) = (&mut encoder.model, &config.model) {
-        // A keypoint is seen in one frame.
+        // One frame is enough to find keypoints.
         *own = model::Config { horizon: 1, ..of_arm.clone() };
     }
     encoder.out = folder(work, &encoder)?;
@@ -186,13 +186,14 @@ fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Re
     Ok((config, encoder))
 }
 
-/// The folder of a run, named after all that decides its weights.
+/// Returns the folder of a run, named by the hash of its configuration.
 fn folder(work: &Path, config: &Config) -> Result<PathBuf> {
     let config = Config { out: PathBuf::new(), ..config.clone() };
     let yaml = serde_yaml::to_string(&config).map_err(|e| Error::value("config", "one that YAML can hold", e))?;
     Ok(work.join("runs").join(&file::sha256(yaml.as_bytes())[..12]))
 }
 
+/// Counts the missing work and times a step.
 fn budget(encoders: &[Config], planned: &[(&Arm, u64, Config)]) -> Result<Budget> {
     let predicted = |config: &&Config| Domain::ALL.iter().all(|domain| fields_file(config, *domain).exists());
     let runs = planned.iter().map(|(_, _, config)| config).filter(|config| !predicted(config));
@@ -203,7 +204,7 @@ fn budget(encoders: &[Config], planned: &[(&Arm, u64, Config)]) -> Result<Budget
     Ok(Budget { runs: missing.len(), windows, windows_per_s: timed.windows_per_s })
 }
 
-/// Trains, or goes on with what is there; gives the checkpoint.
+/// Trains a run, or resumes it; returns its checkpoint.
 fn train_once(config: &Config, mut progress: impl FnMut(usize, usize)) -> Result<PathBuf> {
     if !is_trained(config) {
         let resume = config.out.join("state.safetensors").exists();
@@ -217,13 +218,13 @@ fn train_once(config: &Config, mut progress: impl FnMut(usize, usize)) -> Result
     Ok(config.out.join(CHECKPOINT))
 }
 
-/// Whether the run is over; one that was stopped has a checkpoint, too.
+/// Returns true if the run is finished; a stopped run has a checkpoint of fewer steps.
 fn is_trained(config: &Config) -> bool {
     Checkpoint::load(&config.out.join(CHECKPOINT), &Device::Cpu)
         .is_ok_and(|checkpoint| steps_of(&checkpoint.metadata.training) == Some(config.steps))
 }
 
-/// Steps that a checkpoint's record of its training tells of.
+/// Reads the number of steps from a checkpoint's record of its training.
 fn steps_of(record: &str) -> Option<usize> {
     serde_json::from_str::<serde_json::Value>(record).ok()?["steps"].as_u64().map(|steps| steps as usize)
 }
@@ -232,7 +233,7 @@ fn fields_file(config: &Config, domain: Domain) -> PathBuf {
     config.out.join(format!("{}.safetensors", domain.name()))
 }
 
-/// Writes a checkpoint's predictions on stores, unless they are there.
+/// Writes a checkpoint's predictions on stores, unless the file exists.
 fn predict_once(checkpoint: &Path, stores: &[PathBuf], out: &Path) -> Result<()> {
     if out.exists() {
         return Ok(());

@@ -1,4 +1,4 @@
-//! An experiment's picture: every score, arm by arm, in both domains.
+//! Plot of an experiment: every score, arm by arm, in both domains.
 
 use std::path::Path;
 
@@ -37,7 +37,7 @@ impl Figure for Report {
     }
 }
 
-/// One score: a dot for each seed, a bar for their mean.
+/// Draws one score: a dot for each seed, a bar for their mean.
 fn draw_score<B: DrawingBackend>(area: &DrawingArea<B, Shift>, report: &Report, name: &str, title: &str) -> Drawn<()>
 where
     B::ErrorType: 'static,

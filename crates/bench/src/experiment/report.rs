@@ -1,4 +1,4 @@
-//! What an experiment found: scores of every run, and each arm against the first.
+//! Results of an experiment: scores of every run, and each arm against the first.
 
 use egotac::dataset::tensors::FieldFile;
 use egotac::dataset::zarr;
@@ -15,7 +15,7 @@ use serde::Serialize;
 use super::data::{Domain, SIDE, Stores};
 use super::{Arm, Experiment, Size, fields_file};
 
-/// Scores in tables and plots: name in a report, name for readers, whether more is better.
+/// Scores in tables and plots: name in a report, name for readers, true if more is better.
 pub const SHOWN: [(&str, &str, bool); 6] = [
     ("pooled.f1", "contact F1", true),
     ("pooled.iou", "contact IoU", true),
@@ -25,20 +25,20 @@ pub const SHOWN: [(&str, &str, bool); 6] = [
     ("force_cosine", "force cosine", true),
 ];
 
-/// What an experiment found.
+/// Results of an experiment.
 #[derive(Debug, Clone, Serialize)]
 pub struct Report {
-    /// Its name.
+    /// Name of the experiment.
     pub experiment: &'static str,
-    /// What it asks.
+    /// Question of the experiment.
     pub question: &'static str,
-    /// The command that makes it again.
+    /// The command that measures the same again.
     pub command: String,
     /// Version of egotac.
     pub egotac: &'static str,
-    /// Where it ran.
+    /// The machine that it ran on.
     pub machine: Machine,
-    /// How large it was.
+    /// Size of the experiment.
     pub size: Size,
     /// Side of the input, pixels.
     pub image: u32,
@@ -46,38 +46,38 @@ pub struct Report {
     pub parameters: usize,
     /// Held-out frames in and out of the domain.
     pub held_out_frames: [usize; 2],
-    /// The arms; the first is what the others are compared with.
+    /// Results of the arms; the others are compared with the first.
     pub arms: Vec<ArmReport>,
 }
 
-/// What one arm found.
+/// Results of one arm.
 #[derive(Debug, Clone, Serialize)]
 pub struct ArmReport {
-    /// Its name.
+    /// Name of the arm.
     pub name: &'static str,
-    /// What is other in it.
+    /// Difference from the usual run, in words.
     pub about: &'static str,
-    /// Frames it learned from.
+    /// Training frames.
     pub training_frames: usize,
     /// Minutes of training, by seed.
     pub minutes: Vec<f64>,
-    /// Within the domain.
+    /// Scores in the domain.
     pub in_domain: DomainReport,
-    /// Beyond it.
+    /// Scores out of the domain.
     pub out_of_domain: DomainReport,
 }
 
 /// Scores in one domain.
 #[derive(Debug, Clone, Serialize)]
 pub struct DomainReport {
-    /// Of each seed.
+    /// Scores of each seed.
     pub seeds: Vec<metrics::Report>,
-    /// Against the first arm, all seeds together: 95 % intervals by drawing episodes of seeds anew, the same for both.
+    /// Differences from the first arm over all seeds, with 95 % intervals by resampling the same episodes for both.
     pub against_first: Vec<Difference>,
 }
 
 impl ArmReport {
-    /// Its scores in a domain.
+    /// Returns the scores in a domain.
     pub fn domain(&self, domain: Domain) -> &DomainReport {
         match domain {
             Domain::InDomain => &self.in_domain,
@@ -87,7 +87,7 @@ impl ArmReport {
 }
 
 impl DomainReport {
-    /// A score of [`SHOWN`], by seed.
+    /// Returns a score of [`SHOWN`] for each seed.
     pub fn score(&self, name: &str) -> Vec<Option<f64>> {
         let of = |report: &metrics::Report| match name {
             "pooled.f1" => report.pooled.f1,
@@ -101,7 +101,7 @@ impl DomainReport {
     }
 }
 
-/// Scores what the runs have predicted.
+/// Scores the predictions of all runs.
 pub(super) fn make(
     experiment: &Experiment,
     size: &Size,
@@ -159,7 +159,7 @@ fn score(own: &[&Config], first: &[&Config], domain: Domain, truth: &Labels) -> 
     let options = truth.options();
     let seeds = predicted.iter().map(|fields| metrics::evaluate(fields, &truth.fields, &options));
     let seeds = seeds.collect::<Result<Vec<_>>>()?;
-    // All seeds behind each other, with the truth as often.
+    // The seeds are concatenated, and the truth is repeated for each.
     let together = |all: &[Fields]| Fields {
         force: all.iter().flat_map(|fields| fields.force.iter().copied()).collect(),
         contact: all.iter().flat_map(|fields| fields.contact.iter().copied()).collect(),
@@ -176,13 +176,13 @@ fn score(own: &[&Config], first: &[&Config], domain: Domain, truth: &Labels) -> 
     Ok(DomainReport { seeds, against_first: comparison.differences })
 }
 
-/// Frames that a run learns from.
+/// Counts the training frames of a run.
 fn frames(config: &Config) -> Result<usize> {
     let paths: Vec<_> = config.data.iter().flat_map(|source| source.stores.clone()).collect();
     Ok(zarr::open_all(&paths)?.iter().map(zarr::ZarrReader::len).sum())
 }
 
-/// Of all steps in a run's log.
+/// Returns the minutes of all steps in a run's log.
 fn minutes(config: &Config) -> f64 {
     let text = std::fs::read_to_string(config.out.join("log.csv")).unwrap_or_default();
     let mut lines = text.lines();
@@ -192,7 +192,7 @@ fn minutes(config: &Config) -> f64 {
 }
 
 impl Report {
-    /// The table for readers.
+    /// Returns the report as Markdown.
     pub fn markdown(&self) -> String {
         let Size { episodes, held_out, encoder_steps, steps, seeds } = self.size;
         let mut text = format!(
@@ -254,7 +254,7 @@ impl Report {
     }
 }
 
-/// Mean (least..most), or a dash where a seed leaves it undefined.
+/// Formats mean (least..most); a dash if a seed leaves the score undefined.
 fn spread(values: &[Option<f64>]) -> String {
     let Some(values) = values.iter().copied().collect::<Option<Vec<f64>>>().filter(|values| !values.is_empty()) else {
         return "—".into();

@@ -3,7 +3,7 @@
 use egotac::error::Result;
 use egotac::mujoco::{Integrator, PhysicsOptions, World};
 
-use super::watch::{Watched, options, simulate};
+use super::watch::{Watched, compare, options, simulate};
 use super::{Family, HardCase, Outcome};
 
 pub(super) const CASES: &[HardCase] = &[
@@ -53,17 +53,10 @@ fn welded_and_gripped() -> Result<Outcome> {
         Ok(((most - 5.0).max(0.0), run))
     };
     let (unguarded, remedied) = (run("")?, run(r#"forcerange="-5 5""#)?);
-    Ok(Outcome {
-        error_of: "grip above 5 N, N",
-        tolerance: 0.1,
-        unguarded: Some(unguarded.0),
-        guard: unguarded.1.said,
-        remedied: remedied.0,
-        remedied_guard: remedied.1.refused,
-    })
+    Ok(compare(unguarded, remedied, "grip above 5 N, N", 0.1))
 }
 
-/// Small: at such a gain the phalanx is there within a step.
+/// Target of the servo, rad; small, because at this gain the phalanx reaches it within a step.
 const TARGET: f64 = 0.01;
 
 fn huge_servo_gain() -> Result<Outcome> {
@@ -81,12 +74,5 @@ fn huge_servo_gain() -> Result<Outcome> {
         Ok(((run.world.qpos()[0] - TARGET).abs(), run))
     };
     let (unguarded, remedied) = (run(Integrator::ImplicitFast)?, run(Integrator::Discrete)?);
-    Ok(Outcome {
-        error_of: "angle, rad",
-        tolerance: 1e-5,
-        unguarded: Some(unguarded.0),
-        guard: unguarded.1.said,
-        remedied: remedied.0,
-        remedied_guard: remedied.1.refused,
-    })
+    Ok(compare(unguarded, remedied, "angle, rad", 1e-5))
 }

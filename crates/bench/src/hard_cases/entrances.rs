@@ -1,4 +1,4 @@
-//! NaN and infinities at the public entrances of the core: an error that names the field, or "unknown", never a number.
+//! NaN and infinity at the public functions of the core: an error that names the field, or "unknown", never a number.
 
 use egotac::error::Result;
 use egotac::geometry::{ForceSpreader, LinkContact, SIGMA, SampledSurface, resample};
@@ -41,21 +41,12 @@ pub(super) const CASES: &[HardCase] = &[
     case("mesh_file", "a mesh file with nan, inf or a number beyond any float in a vertex", mesh),
 ];
 
+/// Values that no function may take for numbers.
 const BAD: [f32; 2] = [f32::NAN, f32::INFINITY];
 
-/// All `bad` must be refused, `good` must not.
+/// Returns the outcome of calls with non-finite values, which must all fail, and of one without, which must not.
 fn outcome<T, U>(bad: impl IntoIterator<Item = Result<T>>, good: Result<U>) -> Result<Outcome> {
-    let (through, guard) = accepted(bad);
-    let remedied_guard = good.err().map(|error| error.to_string()).unwrap_or_default();
-    Ok(Outcome {
-        error_of: "values taken that are no numbers",
-        tolerance: 0.0,
-        unguarded: Some(through),
-        // One that passes must not hide behind those that do not.
-        guard: if through > 0.0 { String::new() } else { guard },
-        remedied: 0.0,
-        remedied_guard,
-    })
+    Ok(Outcome::of_refusals("non-finite values accepted", accepted(bad), good))
 }
 
 fn field() -> Result<Outcome> {
@@ -71,11 +62,11 @@ fn message() -> Result<Outcome> {
     let with = |force: f32, contact: f32| {
         let mut frame = TactileFrame::from_field(Header::default(), &TactileField::zeros(Topology::EgotacHand1))?;
         (frame.hands[1].force[5], frame.hands[1].contact[5]) = (force, contact);
-        // Over the wire, as a node takes it.
+        // Through bytes, as a node receives it.
         TactileFrame::from_cdr(&frame.to_cdr())?.to_field()
     };
     let bad = [(f32::INFINITY, 0.0), (-1.0, 0.0), (0.0, f32::INFINITY), (0.0, 1.5), (0.0, -0.1)];
-    // NaN is a message's word for unknown.
+    // In a message, NaN means unknown.
     outcome(bad.map(|(force, contact)| with(force, contact)), with(f32::NAN, f32::NAN))
 }
 
@@ -150,7 +141,7 @@ fn scores() -> Result<Outcome> {
         pred.force[77] = value;
         let report = metrics::evaluate(&pred, &truth, &metrics::Options::default())?;
         let scores = [report.mae, report.active_mae, report.temporal_pearson, report.force_cosine];
-        // A number here would be taken for a score; that it is missing is the answer.
+        // The right answer is a missing score: a user would take any number for a real one.
         match scores.into_iter().flatten().find(|score| !score.is_finite()) {
             Some(score) => Err(egotac::Error::value("score", "a number or none", score)),
             None if report.mae.is_none() => Err(egotac::Error::value("mae", "known forces", "undefined")),
@@ -192,7 +183,7 @@ fn physics() -> Result<Outcome> {
     outcome(bad, PhysicsOptions::try_from(Unchecked::default()))
 }
 
-/// Every number of a shipped scene in turn.
+/// Replaces every number of a shipped scene in turn.
 #[cfg(feature = "sim")]
 fn scene() -> Result<Outcome> {
     use egotac::sim::{SHIPPED, Scene};
@@ -216,7 +207,7 @@ fn scene() -> Result<Outcome> {
     outcome(bad, parse(text))
 }
 
-/// A tetrahedron in a scene's file.
+/// Replaces a coordinate of a tetrahedron in a mesh file.
 #[cfg(feature = "sim")]
 fn mesh() -> Result<Outcome> {
     use egotac::error::Error;

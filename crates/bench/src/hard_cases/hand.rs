@@ -1,4 +1,4 @@
-//! The hand model in poses that no hand takes.
+//! The hand model in impossible poses.
 
 use std::f32::consts::PI;
 
@@ -19,7 +19,7 @@ pub(super) const CASES: &[HardCase] = &[
     HardCase {
         family: Family::Hand,
         name: "pose_without_numbers",
-        recipe: "a NaN in the rotation of one joint",
+        recipe: "NaN in the rotation of one joint",
         remedy: "a rotation of 0",
         run: without_numbers,
     },
@@ -47,7 +47,7 @@ fn whole_turns() -> Result<Outcome> {
     })
 }
 
-/// NaN must come out where it went in, and be refused by what takes vertices.
+/// Checks that NaN in the pose becomes NaN in the vertices, and that the force spreader refuses these.
 fn without_numbers() -> Result<Outcome> {
     let model = HandModel::builtin(Side::Left);
     let spreader = egotac::geometry::ForceSpreader::new(&model, egotac::geometry::SIGMA)?;

@@ -1,10 +1,10 @@
-//! Holding for long: friction that creeps.
+//! Long holds: creep of friction.
 
 use egotac::error::Result;
 use egotac::mujoco::options::Unchecked;
 use egotac::mujoco::{Cone, World};
 
-use super::watch::{Watched, options, simulate};
+use super::watch::{Watched, compare, options, simulate};
 use super::{Family, HardCase, Outcome};
 
 const FAMILY: Family = Family::Hold;
@@ -48,16 +48,9 @@ fn held(as_written: impl FnOnce(&mut Unchecked), remedy: impl FnOnce(&mut Unchec
                 settled.get_or_insert(world.qpos()[2]);
             }
         })?;
-        // 2 s from the first look to the end.
+        // From 1 s, when the box has settled, to 3 s.
         Ok((1e3 * (settled.unwrap_or(f64::NAN) - run.world.qpos()[2]) / 2.0, run))
     };
     let (unguarded, remedied) = (run(options(as_written)?)?, run(options(remedy)?)?);
-    Ok(Outcome {
-        error_of: "slip of the held box, mm/s",
-        tolerance: 0.5,
-        unguarded: Some(unguarded.0),
-        guard: unguarded.1.said,
-        remedied: remedied.0,
-        remedied_guard: remedied.1.refused,
-    })
+    Ok(compare(unguarded, remedied, "slip of the held box, mm/s", 0.5))
 }

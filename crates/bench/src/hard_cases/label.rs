@@ -1,4 +1,4 @@
-//! Labels on meshes and points that are no good.
+//! Labels on faulty meshes and points.
 
 use egotac::error::Result;
 use egotac::geometry::{ForceSpreader, LinkContact, SIGMA, SampledSurface, resample};
@@ -18,7 +18,7 @@ pub(super) const CASES: &[HardCase] = &[
     ),
     FAMILY.case(
         "coincident_vertices",
-        "all vertices of the hand in one place, a contact in the same",
+        "all vertices of the hand and a contact at the same place",
         "none needed",
         coincident_vertices,
     ),
@@ -81,7 +81,7 @@ fn coincident_vertices() -> Result<Outcome> {
     })
 }
 
-/// A square of 100 mm at z = 0, a triangle without area and one of three coincident corners beside it.
+/// Returns a square of 100 mm at z = 0, and beside it a triangle without area and one of three coincident corners.
 fn square() -> (Vec<Vec3>, Vec<[u32; 3]>) {
     let corner = |x: f32, y: f32| Vec3::new(x, y, 0.0);
     let mut vertices = vec![corner(0.0, 0.0), corner(0.1, 0.0), corner(0.1, 0.1), corner(0.0, 0.1)];
@@ -91,7 +91,7 @@ fn square() -> (Vec<Vec3>, Vec<[u32; 3]>) {
 
 fn normals_without_area() -> Result<Outcome> {
     let (vertices, faces) = square();
-    // What normalising a vector of length 0 gives.
+    // Normalising a vector of length 0 gives NaN.
     let plain = vertices[4..].iter().map(|v| (0.0 * *v).normalize()).filter(|n| !n.is_finite()).count();
     let normals = vertex_normals(&vertices, &faces);
     let wrong = normals.iter().enumerate().filter(|(i, n)| **n != if *i < 4 { Vec3::Z } else { Vec3::ZERO }).count();
@@ -142,7 +142,7 @@ fn cube(edge: f32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
     ((0..8).map(corner).collect(), quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect())
 }
 
-/// What is refused is not run: it would take all memory.
+/// Returns the outcome for a surface that must be refused, because sampling it would take all memory.
 fn sampled(bad: Result<SampledSurface>, good: &SampledSurface, above: f32) -> Outcome {
     let (through, guard) = accepted([bad]);
     let near = good.is_within(Vec3::new(0.0, 0.0, above + 0.009), 0.01 + 0.5 * good.spacing());

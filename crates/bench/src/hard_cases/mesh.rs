@@ -7,7 +7,7 @@ use egotac::mujoco::audit::mesh_faults;
 use egotac::mujoco::{PhysicsOptions, World};
 use glam::Vec3;
 
-use super::watch::{Watched, simulate};
+use super::watch::{Watched, compare, simulate};
 use super::{Family, HardCase, Outcome, accepted};
 
 const FAMILY: Family = Family::Mesh;
@@ -47,7 +47,7 @@ pub(super) const CASES: &[HardCase] = &[
 
 type Mesh = (Vec<Vec3>, Vec<[u32; 3]>);
 
-/// A cube of 40 mm.
+/// Returns a cube of 40 mm.
 fn cube() -> Mesh {
     let corner = |i: u32| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32) * 0.04 - Vec3::splat(0.02);
     let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
@@ -98,7 +98,7 @@ fn degenerate() -> Result<Outcome> {
         Ok(_) => (0.0, String::new()),
         Err(error) => (1.0, error.to_string()),
     };
-    let error_of = "meshes refused or taken against reason";
+    let error_of = "meshes wrongly accepted or refused";
     Ok(Outcome { error_of, tolerance: 0.0, unguarded: Some(unguarded), guard, remedied, remedied_guard })
 }
 
@@ -118,21 +118,21 @@ fn silently_faulty() -> Result<Outcome> {
         (vertices.clone(), faces[1..].to_vec()),
         with(&[far, far + Vec3::Y * 5e-5], &[[1, 8, 9], [1, 9, 8]]),
     ];
-    let mut said = Vec::new();
+    let mut reports = Vec::new();
     for mesh in &meshes {
         let faults = mesh_faults(&mesh.0, &mesh.1);
-        // One that passes unnoticed must not hide among those that do not.
+        // A mesh that passes unnoticed must not hide behind the report of another.
         let Some(first) = faults.first() else { return outcome(&meshes, String::new(), &(vertices, faces)) };
-        said.push(first.to_string());
+        reports.push(first.to_string());
     }
-    outcome(&meshes, format!("the mesh {}", said.join(" / ")), &(vertices, faces))
+    outcome(&meshes, format!("the mesh {}", reports.join(" / ")), &(vertices, faces))
 }
 
 fn outcome(meshes: &[Mesh], guard: String, clean: &Mesh) -> Result<Outcome> {
     let taken = meshes.iter().filter(|mesh| loads(mesh, r#"inertia="convex""#).is_ok()).count();
     let faults: Vec<String> = mesh_faults(&clean.0, &clean.1).iter().map(ToString::to_string).collect();
     Ok(Outcome {
-        error_of: "faulty meshes that the engine takes",
+        error_of: "faulty meshes that the engine accepts",
         tolerance: 0.0,
         unguarded: Some(taken as f64),
         guard,
@@ -153,14 +153,7 @@ fn paper_thin() -> Result<Outcome> {
         Ok((100.0 * (0.5 * thickness - lowest) / thickness, run))
     };
     let (unguarded, remedied) = (run(1e-7)?, run(2e-3)?);
-    Ok(Outcome {
-        error_of: "depth in the floor, % of its thickness",
-        tolerance: 20.0,
-        unguarded: Some(unguarded.0),
-        guard: unguarded.1.said,
-        remedied: remedied.0,
-        remedied_guard: remedied.1.refused,
-    })
+    Ok(compare(unguarded, remedied, "depth in the floor, % of its thickness", 20.0))
 }
 
 fn body(inside: &str) -> String {
@@ -182,11 +175,11 @@ fn no_inertia() -> Result<Outcome> {
         Ok(_) => (0.0, String::new()),
         Err(error) => (1.0, error.to_string()),
     };
-    let error_of = "bodies refused or taken against reason";
+    let error_of = "bodies wrongly accepted or refused";
     Ok(Outcome { error_of, tolerance: 0.0, unguarded: Some(unguarded), guard, remedied, remedied_guard })
 }
 
-/// A sliding ball rolls in the end; what friction takes depends on its inertia: 5/7 of the speed stay for a solid ball.
+/// Compares the final speed of a ball that slides and then rolls: a solid ball keeps 5/7 of its speed.
 fn tiny_inertia() -> Result<Outcome> {
     const SPEED: f64 = 0.5;
     let run = |inertial: &str| -> Result<(f64, Watched)> {
@@ -197,12 +190,5 @@ fn tiny_inertia() -> Result<Outcome> {
     };
     let unguarded = run(r#"<inertial pos="0 0 0" mass="1" diaginertia="1e-12 1e-12 1e-12"/>"#)?;
     let remedied = run("")?;
-    Ok(Outcome {
-        error_of: "speed of a ball that slid and rolls, %",
-        tolerance: 2.0,
-        unguarded: Some(unguarded.0),
-        guard: unguarded.1.said,
-        remedied: remedied.0,
-        remedied_guard: remedied.1.refused,
-    })
+    Ok(compare(unguarded, remedied, "speed of a ball that slid and rolls, %", 2.0))
 }

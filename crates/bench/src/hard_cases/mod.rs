@@ -1,7 +1,7 @@
-//! Hard cases: what a user does, what goes wrong when nobody looks, which guard says so, and what helps.
+//! Hard cases: inputs that go wrong silently without guards, the guard that reports each, and its remedy.
 //!
-//! Each case runs three times over: as the user wrote it, watched by the guards, and with the remedy. The tests and
-//! `docs/hard-cases.md` use the same registry, so a case is defined once.
+//! Each case runs as the user wrote it, under the guards, and with the remedy. The tests and
+//! `docs/hard-cases.md` use the same registry.
 
 mod entrances;
 mod hand;
@@ -36,23 +36,23 @@ use serde::{Serialize, Serializer};
 
 use egotac::error::Result;
 
-/// What a case is about.
+/// Subject of a case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Family {
-    /// Bodies that touch: masses, depths, speeds, sizes.
+    /// Contacts: masses, depths, speeds, sizes.
     Contact,
-    /// Stiffness, damping and integration against the timestep.
+    /// Stiffness, damping and integration in relation to the timestep.
     Stability,
     /// Meshes and inertias.
     Mesh,
     /// Servos and constraints.
     Actuation,
-    /// Holding for long.
+    /// Long holds.
     Hold,
     /// States and memory.
     State,
-    /// What would end the process.
+    /// Inputs that would end the process.
     Process,
     /// Scene files with extreme values.
     Scene,
@@ -62,18 +62,18 @@ pub enum Family {
     Hand,
     /// Labels on vertices.
     Label,
-    /// NaN and infinities at public entrances.
+    /// NaN and infinity at public functions.
     Entrance,
     /// The network and its stream of images.
     Network,
-    /// What enters training, and its steps.
+    /// Inputs and steps of training.
     Training,
-    /// Hands that robots follow.
+    /// Retargeting of hands to robots.
     Retargeting,
 }
 
 impl Family {
-    /// A case of this family.
+    /// Returns a case of this family.
     const fn case(
         self,
         name: &'static str,
@@ -85,45 +85,59 @@ impl Family {
     }
 }
 
-/// A recipe with its three runs.
+/// A hard case.
 #[derive(Debug, Clone, Copy)]
 pub struct HardCase {
-    /// What it is about.
+    /// Subject.
     pub family: Family,
-    /// Its name, unique.
+    /// Unique name.
     pub name: &'static str,
-    /// What a user does.
+    /// What the user does, in words.
     pub recipe: &'static str,
-    /// What helps.
+    /// Remedy, in words.
     pub remedy: &'static str,
-    /// Runs it.
+    /// Runs the case.
     pub run: fn() -> Result<Outcome>,
 }
 
-/// What the three runs gave.
+/// Results of the runs of a case.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Outcome {
-    /// What is measured, with its unit; 0 would be exact.
+    /// Measured quantity with its unit; 0 is exact.
     pub error_of: &'static str,
-    /// The error that is borne.
+    /// Largest error that counts as right.
     pub tolerance: f64,
-    /// Error as the user wrote it; `None` = it was refused, and not run: the process or the machine's memory is at stake.
+    /// Error as the user wrote it; `None` if it was refused and not run, because it would end the process or take all memory.
     #[serde(serialize_with = "optional_or_word")]
     pub unguarded: Option<f64>,
-    /// What the guards say about it; empty = nothing.
+    /// Report of the guards; empty if there is none.
     pub guard: String,
     /// Error with the remedy.
     #[serde(serialize_with = "finite_or_word")]
     pub remedied: f64,
-    /// What the guards say about the remedy; empty = nothing.
+    /// Report of the guards about the remedy; empty if there is none.
     pub remedied_guard: String,
 }
 
 impl Outcome {
-    /// Whether nothing failed silently: right or flagged as written, right and not flagged with the remedy.
+    /// Returns the outcome of calls that must be refused, as [`accepted`] counts them, and of one that must not.
+    fn of_refusals<T>(error_of: &'static str, (through, refusal): (f64, String), good: Result<T>) -> Self {
+        Self {
+            error_of,
+            tolerance: 0.0,
+            unguarded: Some(through),
+            // A call that was accepted must not hide behind the refusal of another.
+            guard: if through > 0.0 { String::new() } else { refusal },
+            remedied: 0.0,
+            remedied_guard: good.err().map(|error| error.to_string()).unwrap_or_default(),
+        }
+    }
+
+    /// Checks that nothing failed silently: as written the case is right or flagged; with the remedy it is right and not
+    /// flagged.
     ///
     /// # Errors
-    /// What is not so, in words.
+    /// If it failed silently; the text says how.
     pub fn verdict(&self) -> std::result::Result<(), String> {
         let right = |error: f64| error.abs() <= self.tolerance;
         let (error_of, tolerance) = (self.error_of, self.tolerance);
@@ -132,7 +146,7 @@ impl Outcome {
             Some(error) if !right(error) && silent => {
                 return Err(format!("{error_of} is {error:.3e}, allowed {tolerance:.3e}, and no guard says so"));
             }
-            None if silent => return Err("it was not run, and nothing says why".into()),
+            None if silent => return Err("it was not run, and no guard says why".into()),
             _ => {}
         }
         if !right(self.remedied) {
@@ -145,23 +159,23 @@ impl Outcome {
     }
 }
 
-/// A case with what it gave.
+/// A case with its results.
 #[derive(Debug, Clone, Serialize)]
 pub struct Row {
-    /// What it is about.
+    /// Subject.
     pub family: Family,
-    /// Its name.
+    /// Name.
     pub name: &'static str,
-    /// What a user does.
+    /// What the user does, in words.
     pub recipe: &'static str,
-    /// What helps.
+    /// Remedy, in words.
     pub remedy: &'static str,
-    /// What it gave.
+    /// Results.
     #[serde(flatten)]
     pub outcome: Outcome,
 }
 
-/// All cases, family by family.
+/// Returns all cases, family by family.
 pub fn registry() -> Vec<HardCase> {
     let mut cases = Vec::new();
     #[cfg(feature = "sim")]
@@ -188,17 +202,17 @@ pub fn registry() -> Vec<HardCase> {
 /// Runs a case.
 ///
 /// # Errors
-/// If one of its runs could not be made at all.
+/// If one of its runs could not be made.
 pub fn run(case: &HardCase) -> Result<Row> {
     let HardCase { family, name, recipe, remedy, run } = *case;
     let mut outcome = run()?;
-    for said in [&mut outcome.guard, &mut outcome.remedied_guard] {
-        *said = without_temporary_folders(said);
+    for report in [&mut outcome.guard, &mut outcome.remedied_guard] {
+        *report = without_temporary_folders(report);
     }
     Ok(Row { family, name, recipe, remedy, outcome })
 }
 
-/// Their names differ from run to run, and say nothing.
+/// Strips temporary paths, which vary per run.
 fn without_temporary_folders(text: &str) -> String {
     let start = format!("{}/.tmp", std::env::temp_dir().display());
     let mut pieces = text.split(start.as_str());
@@ -209,7 +223,7 @@ fn without_temporary_folders(text: &str) -> String {
     kept
 }
 
-/// JSON has no infinity and no NaN.
+/// Writes a number, or "lost" for infinity and NaN, which JSON does not have.
 fn finite_or_word<S: Serializer>(value: &f64, serializer: S) -> std::result::Result<S::Ok, S::Error> {
     match value.is_finite() {
         true => serializer.serialize_f64(*value),
@@ -217,7 +231,7 @@ fn finite_or_word<S: Serializer>(value: &f64, serializer: S) -> std::result::Res
     }
 }
 
-/// `null` where there was no run.
+/// As [`finite_or_word`], and `null` if there was no run.
 fn optional_or_word<S: Serializer>(value: &Option<f64>, serializer: S) -> std::result::Result<S::Ok, S::Error> {
     match value {
         Some(value) => finite_or_word(value, serializer),
@@ -225,23 +239,23 @@ fn optional_or_word<S: Serializer>(value: &Option<f64>, serializer: S) -> std::r
     }
 }
 
-/// Errors of calls that must be refused: how many of them went through, and what the first said.
+/// Counts the calls that succeeded although they must be refused; returns the count and the first error.
 fn accepted<T>(calls: impl IntoIterator<Item = Result<T>>) -> (f64, String) {
-    let (mut through, mut said) = (0, String::new());
+    let (mut through, mut first) = (0, String::new());
     for call in calls {
         match call {
             Ok(_) => through += 1,
-            Err(error) if said.is_empty() => said = error.to_string(),
+            Err(error) if first.is_empty() => first = error.to_string(),
             Err(_) => {}
         }
     }
-    (f64::from(through), said)
+    (f64::from(through), first)
 }
 
 #[cfg(test)]
 mod tests {
     #[test]
-    fn temporary_folders_are_left_out_of_what_is_said() {
+    fn temporary_folders_are_stripped_from_reports() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().display();
         assert_eq!(

@@ -1,4 +1,4 @@
-//! The network: inputs, weights and stamps at the edge of what numbers can hold.
+//! The network: extreme inputs, weights and stamps.
 
 use std::collections::BTreeMap;
 
@@ -14,23 +14,23 @@ use super::{Family, HardCase, Outcome};
 pub(super) const CASES: &[HardCase] = &[
     Family::Network.case(
         "weight_infinite",
-        "a weight that is infinite, in each of the 10 layers of a network",
-        "weights that are numbers",
+        "an infinite weight in each of the 10 layers of a network",
+        "finite weights",
         weight,
     ),
-    Family::Network.case("input_1e6", "noise of 1e6 in place of a picture", "a picture", input_1e6),
-    Family::Network.case("input_1e30", "noise of 1e30 in place of a picture", "a picture", input_1e30),
+    Family::Network.case("input_1e6", "noise of amplitude 1e6 in place of a picture", "a picture", input_1e6),
+    Family::Network.case("input_1e30", "noise of amplitude 1e30 in place of a picture", "a picture", input_1e30),
     Family::Network.case("one_colour", "pictures that are all black, all white, one colour", "none needed", colours),
     Family::Network.case("stamp_not_a_number", "an image whose stamp is NaN or infinite", "a stamp in seconds", stamps),
     Family::Network.case(
         "stamp_jumps_back",
-        "a recording that is played again from its beginning",
-        "none needed: the stream begins anew",
+        "a recording that is played a second time",
+        "none needed: the stream restarts",
         jump_back,
     ),
 ];
 
-/// A bias of each kind of layer.
+/// One bias of each kind of layer.
 const BIASES: [&str; 10] = [
     "encoder.embeddings.patch_embeddings.projection.bias",
     "encoder.encoder.layer.0.attention.output.dense.bias",
@@ -63,7 +63,7 @@ fn clip(size: f32) -> Result<Tensor> {
     Ok(Tensor::from_vec(values, (1, horizon, 3, image, image), &Device::Cpu)?)
 }
 
-/// Values that are no numbers among all that the stages give.
+/// Counts the non-finite values in the outputs of all stages.
 fn lost(model: &EgoTac, images: &Tensor) -> Result<f64> {
     let stages = model.stages(images)?;
     let mut count = 0;
@@ -73,13 +73,14 @@ fn lost(model: &EgoTac, images: &Tensor) -> Result<f64> {
     Ok(count as f64)
 }
 
-/// Runs plain layers, which nobody watches, and then the compiled network, in each precision.
+/// Runs the plain layers, which have no guard, then the compiled network in each precision, which has one. Returns the
+/// count of non-finite values of the plain layers and the report of the guard.
 fn watched(tensors: &BTreeMap<String, Tensor>, images: &Tensor) -> Result<(f64, String)> {
     let unguarded = lost(&layers(tensors)?, images)?;
     let mut guard = String::new();
     for precision in Precision::ALL {
         match lost(&layers(tensors)?.compile(precision)?, images) {
-            // One that lets it pass must not hide behind those that do not.
+            // A precision that lets the values pass must not hide behind the report of another.
             Ok(count) if count > 0.0 => return Ok((unguarded, String::new())),
             Ok(_) => {}
             Err(error) => guard = error.to_string(),
@@ -90,7 +91,7 @@ fn watched(tensors: &BTreeMap<String, Tensor>, images: &Tensor) -> Result<(f64, 
 
 fn outcome(unguarded: f64, guard: String, (remedied, remedied_guard): (f64, String)) -> Outcome {
     Outcome {
-        error_of: "outputs that are no numbers",
+        error_of: "non-finite outputs",
         tolerance: 0.0,
         unguarded: Some(unguarded),
         guard,
@@ -102,7 +103,7 @@ fn outcome(unguarded: f64, guard: String, (remedied, remedied_guard): (f64, Stri
 fn weight() -> Result<Outcome> {
     let good = tensors()?;
     let images = clip(3.0)?;
-    let (mut unguarded, mut said) = (0.0, String::new());
+    let (mut unguarded, mut report) = (0.0, String::new());
     for name in BIASES {
         let mut bias = good[name].flatten_all()?.to_vec1::<f32>()?;
         bias[3] = f32::INFINITY;
@@ -111,12 +112,12 @@ fn weight() -> Result<Outcome> {
         let (lost, guard) = watched(&tensors, &images)?;
         unguarded += lost;
         if guard.is_empty() {
-            said.clear();
+            report.clear();
             break;
         }
-        said = guard;
+        report = guard;
     }
-    Ok(outcome(unguarded, said, watched(&good, &images)?))
+    Ok(outcome(unguarded, report, watched(&good, &images)?))
 }
 
 fn input_1e6() -> Result<Outcome> {
@@ -156,15 +157,15 @@ fn stamps() -> Result<Outcome> {
     let (through, guard) =
         super::accepted([f64::NAN, f64::INFINITY, -f64::INFINITY].map(|stamp| predictor.push(&colour([9; 3]), stamp)));
     let guard = if through > 0.0 { String::new() } else { guard };
-    // What was refused left nothing behind.
+    // The refused images must leave no state: the next one begins the stream.
     let remedied = match predictor.push(&colour([9; 3]), 1.0)?.restarted {
         true => 0.0,
         false => f64::NAN,
     };
-    Ok(Outcome { error_of: "stamps taken that are no numbers", ..outcome(through, guard, (remedied, String::new())) })
+    Ok(Outcome { error_of: "non-finite stamps accepted", ..outcome(through, guard, (remedied, String::new())) })
 }
 
-/// The second time must give what the first gave.
+/// Checks that the second playback gives the same forces as the first.
 fn jump_back() -> Result<Outcome> {
     let mut predictor = predictor()?;
     let mut run = || -> Result<(Vec<f32>, bool)> {
@@ -180,5 +181,5 @@ fn jump_back() -> Result<Outcome> {
     let difference = first.0.iter().zip(&again.0).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
     let guard = if again.1 { "`restarted` is set".to_string() } else { String::new() };
     let outcome = outcome(difference, guard, (difference, String::new()));
-    Ok(Outcome { error_of: "force against the first time, N", ..outcome })
+    Ok(Outcome { error_of: "force against the first playback, N", ..outcome })
 }

@@ -1,4 +1,4 @@
-//! What would end the process: refused before the engine sees it.
+//! Inputs that would end the process: refused before the engine sees them.
 
 use egotac::error::Result;
 use egotac::mujoco::options::Unchecked;
@@ -36,7 +36,7 @@ pub(super) const CASES: &[HardCase] = &[
     FAMILY.case("small_memory", "36 boxes on the floor in 100 kB of memory", "the engine's own size", small_memory),
 ];
 
-/// What must be refused is not run without the refusal: the process would end, or stand still.
+/// Returns the outcome for models that must be refused. They are not run: the process would end or hang.
 fn refused(bad: Vec<Result<World>>, good: Result<World>) -> Outcome {
     let (through, guard) = accepted(bad);
     let (remedied, remedied_guard) = match good {

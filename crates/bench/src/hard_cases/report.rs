@@ -6,18 +6,18 @@ use serde_json::{Value, json};
 
 use super::Row;
 
-/// The command that writes both.
+/// Command that writes the document and the JSON file.
 pub const COMMAND: &str = "egotac bench hard-cases --out docs";
 
-/// The document `hard-cases.md`.
+/// Returns the text of `hard-cases.md`.
 pub fn markdown(rows: &[Row], machine: &Machine) -> String {
     let mut text = format!(
         "# Hard cases\n\n\
-         What a user does, what goes wrong when nobody looks, what the guards say, and what helps. Every row is run by\n\
-         `{COMMAND}`, which wrote this page (egotac {}, {machine}); the cases draw no random\n\
+         Inputs that go wrong silently without guards, the report of the guards, and the remedy. `{COMMAND}`\n\
+         runs every row and wrote this page (egotac {}, {machine}); the cases draw no random\n\
          numbers. Tests run the same rows: as written a case is right within its tolerance or flagged, and the remedy is right\n\
          and not flagged.\n\n\
-         An audit looks at a model before its first step: its errors refuse the model, its advice is logged. A guard looks at\n\
+         An audit checks a model before its first step: its errors refuse the model, its advice is logged. A guard checks\n\
          every step and every frame, and its reason becomes the frame's validity. \"lost\" = not a number, or infinite;\n\
          \"refused\" = not run: it would end the process, or take all memory.\n",
         egotac::VERSION,
@@ -30,12 +30,12 @@ pub fn markdown(rows: &[Row], machine: &Machine) -> String {
             put(
                 &mut text,
                 format_args!(
-                    "\n## {name}\n\n| case | what a user does | error of | tolerance | as written | what is said | remedy | with it |\n|---|---|---|---|---|---|---|---|"
+                    "\n## {name}\n\n| case | what the user does | error of | tolerance | as written | report of the guards | remedy | with the remedy |\n|---|---|---|---|---|---|---|---|"
                 ),
             );
         }
         let outcome = &row.outcome;
-        let guard = if outcome.guard.is_empty() { "nothing: it is right" } else { &outcome.guard };
+        let guard = if outcome.guard.is_empty() { "nothing: the result is right" } else { &outcome.guard };
         put(
             &mut text,
             format_args!(
@@ -54,17 +54,17 @@ pub fn markdown(rows: &[Row], machine: &Machine) -> String {
     text
 }
 
-/// The same as JSON.
+/// Returns the cases as JSON.
 pub fn json(rows: &[Row], machine: &Machine) -> Value {
     json!({ "command": COMMAND, "version": egotac::VERSION, "machine": machine, "cases": rows })
 }
 
-/// Names of the cases in a document, in its order.
+/// Returns the names of the cases in a document, in its order.
 pub fn names(markdown: &str) -> Vec<&str> {
     markdown.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next()).collect()
 }
 
-/// Two digits: another processor may round the last ones otherwise.
+/// Formats a number with two digits: further ones may differ between processors.
 fn number(value: f64) -> String {
     if !value.is_finite() {
         return "lost".into();
@@ -77,7 +77,7 @@ fn number(value: f64) -> String {
     }
 }
 
-/// Text within a table.
+/// Escapes a text for a cell of a table.
 fn cell(text: &str) -> String {
     text.replace('|', "\\|").replace('\n', " ")
 }

@@ -1,4 +1,4 @@
-//! Retargeting: hands that are none, that jump, that robots can't follow, and forces of any size.
+//! Retargeting: invalid hands, jumps, hands out of reach, and forces of any size.
 
 use egotac::error::Result;
 use egotac::hand::{HandModel, N_BETAS, N_KEYPOINTS, Side};
@@ -38,7 +38,7 @@ pub(super) const CASES: &[HardCase] = &[
     Family::Retargeting.case("half_size", "a hand of half the size", "none needed: scale is the hand's own", half_size),
     Family::Retargeting.case(
         "out_of_reach",
-        "a robot told to reach three times as far as it can",
+        "a robot whose targets are three times as far as it can reach",
         "scale: auto",
         out_of_reach,
     ),
@@ -51,26 +51,28 @@ pub(super) const CASES: &[HardCase] = &[
 ];
 
 const ROBOT: &str = "four_finger";
+/// Time between frames, s.
 const DT: f64 = 1.0 / 30.0;
+/// Frames of a run.
 const FRAMES: usize = 60;
-/// The frame in which something happens.
-const BAD: usize = 40;
+/// Frame that is changed.
+const CHANGED: usize = 40;
 
 type Keypoints = [DVec3; N_KEYPOINTS];
 
-/// A hand whose fingers bend and stretch.
-struct Motions(HandRig);
+/// Motion of a hand whose fingers bend and stretch.
+struct FingerMotion(HandRig);
 
-impl Motions {
+impl FingerMotion {
     fn new() -> Result<Self> {
         Ok(Self(HandRig::new(HandModel::builtin(Side::Right), [0.0; N_BETAS])?))
     }
 
-    /// Keypoints at a time, s, with fingers bent by `bend` on average and `swing` around it, rad.
+    /// Returns the keypoints at a time, s; fingers bend by `bend` on average and swing by `swing` around it, rad.
     fn at(&self, seconds: f64, bend: f64, swing: f64) -> Keypoints {
         let angle = |hinge: &egotac::sim::rig::Hinge| {
             let wave = bend + swing * (2.0 * seconds + 0.3 * hinge.joint as f64).sin();
-            // A thumb that bends as much as the fingers would go through them.
+            // A thumb that bends as far as the fingers would pass through them.
             let share = if (hinge.joint - 1) / 3 == 4 { 0.5 } else { 1.0 };
             let angle = if hinge.motion == Motion::Flex { share * wave } else { 0.0 };
             angle.clamp(hinge.range[0], hinge.range[1])
@@ -89,56 +91,57 @@ fn robot() -> Result<Retargeter> {
     Retargeter::new(Robot::load(ROBOT, None)?)
 }
 
-/// Largest difference of two poses, rad; infinite where one is no number.
+/// Returns the largest difference of two poses, rad; NaN if a value is NaN.
 fn apart(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, |most, off| if off >= most { off } else { most.max(off) })
 }
 
-/// Follows the hand with a frame changed; how far joints are off the clean run from the third frame after it on, and what
-/// is said of the frame.
+/// Follows the hand with one changed frame. Returns the largest deviation of the joints from the clean run, from the third
+/// frame after the change, and the report about the frame.
 fn off_after(change: impl Fn(&mut Keypoints)) -> Result<(f64, String)> {
-    let hand = Motions::new()?;
+    let hand = FingerMotion::new()?;
     let (mut clean, mut changed) = (robot()?, robot()?);
-    let (mut off, mut said) = (0.0f64, String::new());
+    let (mut off, mut report) = (0.0f64, String::new());
     for frame in 0..FRAMES {
         let mut keypoints = hand.usual(frame);
         clean.push(&Input::new(keypoints, frame as f64 * DT))?;
-        if frame == BAD {
+        if frame == CHANGED {
             change(&mut keypoints);
         }
         match changed.push(&Input::new(keypoints, frame as f64 * DT)) {
-            Err(error) => said = error.to_string(),
-            Ok(output) if output.status == Status::Repaired => said = output.status.reason().into(),
+            Err(error) => report = error.to_string(),
+            Ok(output) if output.status == Status::Repaired => report = output.status.reason().into(),
             Ok(_) => {}
         }
         if !changed.output().qpos.iter().all(|position| position.is_finite()) {
             off = f64::INFINITY;
         }
-        if frame >= BAD + 3 {
+        if frame >= CHANGED + 3 {
             off = off.max(apart(&clean.output().qpos, &changed.output().qpos));
         }
     }
-    Ok((off, said))
+    Ok((off, report))
 }
 
-/// The worst of several; silent if one was.
+/// Returns the worst of several runs; its report is empty if that of any run is.
 fn worst(runs: impl IntoIterator<Item = Result<(f64, String)>>) -> Result<(f64, String)> {
-    let (mut off, mut said, mut silent) = (0.0, String::new(), false);
+    let (mut off, mut report, mut silent) = (0.0, String::new(), false);
     for run in runs {
         let (one, what) = run?;
         silent |= what.is_empty();
         if one >= off {
-            (off, said) = (one, what);
+            (off, report) = (one, what);
         }
     }
-    Ok((off, if silent { String::new() } else { said }))
+    Ok((off, if silent { String::new() } else { report }))
 }
 
 fn outcome(error_of: &'static str, tolerance: f64, (off, guard): (f64, String), remedied: f64) -> Outcome {
     Outcome { error_of, tolerance, unguarded: Some(off), guard, remedied, remedied_guard: String::new() }
 }
 
-const LATER: &str = "joints off the clean run three frames later, rad";
+/// Error of the cases that change one frame.
+const LATER: &str = "deviation of the joints from the clean run three frames later, rad";
 
 fn no_numbers() -> Result<Outcome> {
     let values = [f64::NAN, f64::INFINITY, 1e9];
@@ -161,16 +164,16 @@ fn spike() -> Result<Outcome> {
     Ok(outcome(LATER, 0.02, (off.0, off.1), off.0))
 }
 
-/// After the gap the robot must be where one is that has seen nothing else.
+/// Compares the robot after the gap with one that has seen only the frames after it.
 fn gap() -> Result<Outcome> {
-    let hand = Motions::new()?;
+    let hand = FingerMotion::new()?;
     let (mut paused, mut fresh) = (robot()?, robot()?);
-    for frame in 0..BAD {
+    for frame in 0..CHANGED {
         paused.push(&Input::new(hand.usual(frame), frame as f64 * DT))?;
     }
     let mut off = 0.0;
     for frame in 0..10 {
-        let time = BAD as f64 * DT + 1.0 + frame as f64 * DT;
+        let time = CHANGED as f64 * DT + 1.0 + frame as f64 * DT;
         let elsewhere = hand.at(0.0, 1.0, 0.0);
         fresh.push(&Input::new(elsewhere, time))?;
         paused.push(&Input::new(elsewhere, time))?;
@@ -178,16 +181,16 @@ fn gap() -> Result<Outcome> {
             off = f64::max(off, apart(&paused.output().qpos, &fresh.output().qpos));
         }
     }
-    Ok(outcome("joints off those without the past, rad", 0.02, (off, String::new()), off))
+    Ok(outcome("deviation of the joints from a run without the past, rad", 0.02, (off, String::new()), off))
 }
 
 fn straight() -> Result<Outcome> {
-    let hand = Motions::new()?;
+    let hand = FingerMotion::new()?;
     let mut follower = robot()?;
     let mut last: Option<Vec<f64>> = None;
     let mut step = 0.0f64;
     for frame in 0..2 * FRAMES {
-        // From bent to bent a little to the back, by way of straight.
+        // From bent through straight to bent a little backwards.
         let bend = 0.6 - 0.7 * frame as f64 / (2 * FRAMES) as f64;
         let output = follower.push(&Input::new(hand.at(0.0, bend, 0.0), frame as f64 * DT))?;
         if let Some(last) = &last {
@@ -198,9 +201,9 @@ fn straight() -> Result<Outcome> {
     Ok(outcome("largest step of a joint in a frame, rad", 0.1, (step, String::new()), step))
 }
 
-/// Joints with a hand that is changed in every frame, against those with the hand as it is.
+/// Returns the largest deviation of the joints, rad, if every frame of the hand is changed.
 fn same_joints(change: impl Fn(&Keypoints) -> Keypoints) -> Result<f64> {
-    let hand = Motions::new()?;
+    let hand = FingerMotion::new()?;
     let (mut clean, mut changed) = (robot()?, robot()?);
     let mut off = 0.0;
     for frame in 0..FRAMES {
@@ -215,20 +218,20 @@ fn same_joints(change: impl Fn(&Keypoints) -> Keypoints) -> Result<f64> {
 fn any_wrist() -> Result<Outcome> {
     let turn = DQuat::from_axis_angle(DVec3::new(1.0, 0.3, -0.2).normalize(), 3.0);
     let off = same_joints(|keypoints| keypoints.map(|point| turn * point + DVec3::new(5.0, -3.0, 1.0)))?;
-    Ok(outcome("joints off those of the hand as it is, rad", 1e-6, (off, String::new()), off))
+    Ok(outcome("deviation of the joints from those of the unchanged hand, rad", 1e-6, (off, String::new()), off))
 }
 
 fn half_size() -> Result<Outcome> {
     let off = same_joints(|keypoints| keypoints.map(|point| 0.5 * point))?;
-    Ok(outcome("joints off those of the whole hand, rad", 0.2, (off, String::new()), off))
+    Ok(outcome("deviation of the joints from those of the full-size hand, rad", 0.2, (off, String::new()), off))
 }
 
-/// How far joints are beyond their limits.
+/// Returns the largest violation of a joint limit, rad.
 fn beyond_limits(scale: Option<f64>) -> Result<f64> {
     let mut robot = Robot::load(ROBOT, None)?;
     robot.scale = [scale; 5];
     let mut follower = Retargeter::new(robot)?;
-    let hand = Motions::new()?;
+    let hand = FingerMotion::new()?;
     let mut beyond = 0.0f64;
     for frame in 0..FRAMES {
         follower.push(&Input::new(hand.usual(frame), frame as f64 * DT))?;
@@ -247,12 +250,13 @@ fn out_of_reach() -> Result<Outcome> {
     Ok(outcome("joints beyond their limits, rad", 0.0, off, beyond_limits(None)?))
 }
 
-/// How much more than its servos a joint is asked for, N m, and what is said.
+/// Returns the largest torque beyond what a servo can hold, N m, and the report.
 fn beyond_servos(size: f64) -> Result<(f64, String)> {
-    const SERVO: f64 = 1.2; // N m, in four_finger.xml
-    let hand = Motions::new()?;
+    /// Largest torque of a servo of `four_finger.xml`, N m.
+    const SERVO: f64 = 1.2;
+    let hand = FingerMotion::new()?;
     let mut follower = robot()?;
-    let (mut beyond, mut said) = (0.0f64, String::new());
+    let (mut beyond, mut report) = (0.0f64, String::new());
     for frame in 0..FRAMES {
         let keypoints = hand.usual(frame);
         let seen = egotac::retarget::human::Hand::new(&keypoints, Side::Right)?;
@@ -263,10 +267,10 @@ fn beyond_servos(size: f64) -> Result<(f64, String)> {
             beyond = beyond.max(if torque.is_finite() { torque.abs() - SERVO } else { f64::INFINITY });
         }
         if feel.clipped {
-            said = "what the joints can hold made forces smaller (`clipped`)".into();
+            report = "forces reduced to what the joints can hold (`clipped`)".into();
         }
     }
-    Ok((beyond, said))
+    Ok((beyond, report))
 }
 
 fn huge_forces() -> Result<Outcome> {

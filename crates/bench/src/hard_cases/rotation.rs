@@ -1,4 +1,4 @@
-//! Rotations near nothing, half a turn and a whole one.
+//! Rotations near zero, half a turn and a whole turn.
 
 use std::f64::consts::PI;
 
@@ -40,22 +40,23 @@ pub(super) const CASES: &[HardCase] = &[
     #[cfg(feature = "sim")]
     FAMILY.case(
         "logarithm_beyond_pi",
-        "rotation vectors of 3.2 to 12 rad and back: another vector comes, of the same rotation",
+        "rotation vectors of 3.2 to 12 rad and back: the result is another vector of the same rotation",
         "compare rotations, not vectors",
         beyond_half_a_turn,
     ),
 ];
 
+/// Axis of all rotations, about of unit length.
 const AXIS: [f64; 3] = [0.48, -0.6, 0.64];
 
-/// Greatest difference of a matrix to the quaternion's, by entry; NaN counts as infinite.
+/// Returns the largest difference between the entries of a matrix and of the quaternion's matrix; infinite if one is NaN.
 fn difference(matrix: &[[f64; 3]; 3], angle: f64) -> f64 {
     let exact = by_quaternion(angle);
     let entries = matrix.iter().flatten().zip(exact.iter().flatten());
     entries.map(|(a, b)| (a - b).abs()).fold(0.0, |most, d| if d.is_nan() { f64::INFINITY } else { most.max(d) })
 }
 
-/// Rows of the rotation about [`AXIS`], through the quaternion: another formula than the model's.
+/// Computes the rows of the rotation about [`AXIS`] by the quaternion: another formula than the model's.
 fn by_quaternion(angle: f64) -> [[f64; 3]; 3] {
     let length = AXIS.iter().map(|x| x * x).sum::<f64>().sqrt();
     let w = (0.5 * angle).cos();
@@ -67,7 +68,7 @@ fn by_quaternion(angle: f64) -> [[f64; 3]; 3] {
     ]
 }
 
-/// Rodrigues' formula as it stands in textbooks, in single precision.
+/// Computes Rodrigues' formula as textbooks have it, in single precision.
 fn textbook(vector: Vec3) -> [[f64; 3]; 3] {
     let angle = vector.length();
     let [x, y, z] = (vector / angle).to_array();
@@ -86,7 +87,7 @@ fn axis_angle(angles: &[f64]) -> Result<Outcome> {
     for angle in angles {
         let length = AXIS.iter().map(|x| x * x).sum::<f64>().sqrt();
         let vector = Vec3::from_array(AXIS.map(|a| (a / length * angle) as f32));
-        // What single precision holds of the vector is what is asked for.
+        // The vector rounded to single precision defines the rotation asked for.
         let asked = vector.as_dvec3().length();
         naive = naive.max(difference(&textbook(vector), asked));
         let posed = model.forward(&HandParams { global_orient: vector, ..HandParams::default() });
@@ -149,10 +150,10 @@ fn beyond_half_a_turn() -> Result<Outcome> {
         );
     }
     Ok(Outcome {
-        error_of: "way there and back, rad",
+        error_of: "vector after conversion to a rotation and back, rad",
         tolerance: 1e-12,
         unguarded: Some(of_vector),
-        guard: "documented: the one with an angle of at most half a turn".into(),
+        guard: "documented: the result has an angle of at most half a turn".into(),
         remedied: of_rotation,
         remedied_guard: String::new(),
     })

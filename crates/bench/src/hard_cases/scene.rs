@@ -1,4 +1,4 @@
-//! Scene files with extreme values: what a rollout makes of them.
+//! Scene files with extreme values.
 
 use std::path::Path;
 
@@ -21,8 +21,11 @@ pub(super) const CASES: &[HardCase] = &[
     FAMILY.case("camera_looks_at_itself", "the camera's eye is where it looks", "an eye apart from it", camera),
 ];
 
+/// A cube of usual size.
 struct Good {
+    /// m.
     edge: f64,
+    /// kg.
     mass: f64,
 }
 
@@ -34,27 +37,27 @@ fn scene(edge: f64, mass: f64, x: f64, camera: &str) -> Result<Scene> {
     Scene::parse("extreme", Path::new("extreme.yaml"), &text)
 }
 
-/// Error of the cube's height at the end, mm, and what was said.
+/// Returns the error of the cube's height at the end, mm, and the first report of a guard.
 fn rest(edge: f64, mass: f64, x: f64, camera: &str) -> Result<(f64, String)> {
     let options = RolloutOptions { picture: None, ..RolloutOptions::default() };
     let mut rollout = Rollout::new(&scene(edge, mass, x, camera)?, 0, &options)?;
-    let (mut height, mut said) = (f64::NAN, String::new());
+    let (mut height, mut report) = (f64::NAN, String::new());
     while let Some(frame) = rollout.next_frame()? {
         height = frame.objects[0].position.z;
-        if frame.frame.validity != Validity::Valid && said.is_empty() {
-            said = frame.frame.validity.reason().to_owned();
+        if frame.frame.validity != Validity::Valid && report.is_empty() {
+            report = frame.frame.validity.reason().to_owned();
         }
         if !(frame.camera.position.is_finite() && frame.camera.orientation.is_finite()) {
             height = f64::NAN;
         }
     }
-    Ok((1e3 * (height - 0.5 * edge).abs(), said))
+    Ok((1e3 * (height - 0.5 * edge).abs(), report))
 }
 
-/// Where a run is refused, the refusal is what was said.
+/// Returns the outcome; the error of a refused run is its report.
 fn outcome(as_written: Result<(f64, String)>, remedied: Result<(f64, String)>) -> Outcome {
     let (unguarded, guard) = match as_written {
-        Ok((error, said)) => (Some(error), said),
+        Ok((error, report)) => (Some(error), report),
         Err(error) => (None, error.to_string()),
     };
     let (remedied, remedied_guard) = remedied.unwrap_or_else(|error| (f64::NAN, error.to_string()));

@@ -1,9 +1,9 @@
-//! Stiffness, damping and integration against the timestep.
+//! Stiffness, damping and integration in relation to the timestep.
 
 use egotac::error::Result;
 use egotac::mujoco::{Integrator, PhysicsOptions, World};
 
-use super::watch::{Watched, options, simulate};
+use super::watch::{Watched, compare, options, simulate};
 use super::{Family, HardCase, Outcome};
 
 const FAMILY: Family = Family::Stability;
@@ -38,9 +38,10 @@ pub(super) const CASES: &[HardCase] = &[
     }),
 ];
 
+/// Height from which the box falls, m.
 const FALL: f64 = 0.03;
 
-/// How far above its start a box comes that falls by 30 mm, mm.
+/// Drops a box by [`FALL`] and returns the height that it reaches above its start, mm.
 fn falls(flag: &str, solref: &str, physics: &PhysicsOptions) -> Result<(f64, Watched)> {
     let mjcf = format!(
         r#"<mujoco><option>{flag}</option><default><geom solref="{solref}"/></default><worldbody>
@@ -54,22 +55,16 @@ fn falls(flag: &str, solref: &str, physics: &PhysicsOptions) -> Result<(f64, Wat
     Ok((1e3 * (highest - 0.05 - FALL), run))
 }
 
-fn pair(unguarded: (f64, Watched), remedied: (f64, Watched), error_of: &'static str, tolerance: f64) -> Outcome {
-    let (unguarded, guard) = (unguarded.0, unguarded.1.said);
-    let (remedied, remedied_guard) = (remedied.0, remedied.1.refused);
-    Outcome { error_of, tolerance, unguarded: Some(unguarded), guard, remedied, remedied_guard }
-}
-
 fn stiff_without_refsafe() -> Result<Outcome> {
     let physics = PhysicsOptions::default();
     let without = falls(r#"<flag refsafe="disable"/>"#, ".001 1", &physics)?;
-    Ok(pair(without, falls("", ".001 1", &physics)?, "height gained by a fall, mm", 1.0))
+    Ok(compare(without, falls("", ".001 1", &physics)?, "height gained by a fall, mm", 1.0))
 }
 
 fn direct(solref: &str) -> Result<Outcome> {
     let discrete = options(|o| o.integrator = Integrator::Discrete)?;
     let unguarded = falls("", solref, &PhysicsOptions::default())?;
-    Ok(pair(unguarded, falls("", solref, &discrete)?, "height gained by a fall, mm", 1.0))
+    Ok(compare(unguarded, falls("", solref, &discrete)?, "height gained by a fall, mm", 1.0))
 }
 
 fn underdamped() -> Result<Outcome> {
@@ -100,7 +95,7 @@ fn underdamped() -> Result<Outcome> {
         let run = simulate(&mjcf, &physics, &names, 1.0, |_| (), see)?;
         Ok((1e3 * (highest - 0.08), run))
     };
-    Ok(pair(run(2e-3)?, run(0.004 / 8.0)?, "height gained by a fall, mm", 5.0))
+    Ok(compare(run(2e-3)?, run(0.004 / 8.0)?, "height gained by a fall, mm", 5.0))
 }
 
 fn spin(rate: f64, integrator: Integrator, seconds: f64) -> Result<Outcome> {
@@ -119,5 +114,5 @@ fn spin(rate: f64, integrator: Integrator, seconds: f64) -> Result<Outcome> {
         let ended = run.world.kinetic_energy();
         Ok((100.0 * (ended / begun.unwrap_or(f64::NAN) - 1.0), run))
     };
-    Ok(pair(run(integrator)?, run(Integrator::Rk4)?, "energy of rotation, %", 2.0))
+    Ok(compare(run(integrator)?, run(Integrator::Rk4)?, "energy of rotation, %", 2.0))
 }

@@ -1,10 +1,10 @@
-//! States that are no numbers, memory that runs out, bodies that sleep.
+//! Non-finite states, exhausted memory, sleeping bodies.
 
 use egotac::error::Result;
 use egotac::mujoco::{PhysicsOptions, Solver, World};
 use glam::{DQuat, DVec3};
 
-use super::watch::{Watched, options, settle, simulate};
+use super::watch::{Watched, compare, options, settle, simulate};
 use super::{Family, HardCase, Outcome, accepted};
 
 const FAMILY: Family = Family::State;
@@ -31,7 +31,7 @@ pub(super) const CASES: &[HardCase] = &[
     FAMILY.case(
         "sleeping_bodies",
         "a box falls asleep on the floor: its contacts leave the list",
-        "no sleep for what is labelled",
+        "no sleep for labelled bodies",
         sleeping,
     ),
 ];
@@ -53,14 +53,14 @@ fn not_a_number() -> Result<Outcome> {
             world.set_target(servo, target);
         }
     };
-    let (mut lost, mut said) = (0, Vec::new());
+    let (mut lost, mut reports) = (0, Vec::new());
     for bad in [f64::NAN, f64::INFINITY, 1e11] {
-        for way in 0..5 {
-            // The engine bounds servo targets only where the model does; a large one is no bad state.
-            if way == 4 && bad.is_finite() {
+        for kind in 0..5 {
+            // A large servo target is a valid state: the engine bounds targets only if the model does.
+            if kind == 4 && bad.is_finite() {
                 continue;
             }
-            let spoil = |world: &mut World| match way {
+            let spoil = |world: &mut World| match kind {
                 0 => world.qpos_mut()[0] = bad,
                 1 => world.qvel_mut()[1] = bad,
                 2 => pull(world, DVec3::X * bad, DVec3::ZERO),
@@ -69,20 +69,20 @@ fn not_a_number() -> Result<Outcome> {
             };
             let run = simulate(BOX, &physics, &["box"], 0.2, spoil, |_| ())?;
             lost += 1;
-            // One that passes unnoticed must not hide among those that do not.
-            let guard = if run.refused.is_empty() { None } else { Some(run.refused) };
-            said.push(guard);
+            // A state that passes unnoticed must not hide behind the report of another.
+            let guard = if run.errors.is_empty() { None } else { Some(run.errors) };
+            reports.push(guard);
         }
     }
-    let guard = match said.iter().all(Option::is_some) {
-        true => said.into_iter().flatten().next().unwrap_or_default(),
+    let guard = match reports.iter().all(Option::is_some) {
+        true => reports.into_iter().flatten().next().unwrap_or_default(),
         false => String::new(),
     };
     let mut world = World::from_mjcf(BOX, &physics)?;
     let joint = world.free_joint("box")?;
     let spoilt = [f64::NAN, f64::INFINITY].map(|bad| world.set_pose(joint, DVec3::X * bad, DQuat::IDENTITY));
     Ok(Outcome {
-        error_of: "spoilt states that were simulated",
+        error_of: "invalid states that were simulated",
         tolerance: 0.0,
         unguarded: Some(f64::from(lost)),
         guard,
@@ -99,7 +99,7 @@ fn no_rotation() -> Result<Outcome> {
         DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0),
         DQuat::from_xyzw(0.0, 0.0, 0.0, 2.0),
         DQuat::from_xyzw(f64::NAN, 0.0, 0.0, 1.0),
-        // What a zero axis with an angle of 1 makes of the usual formula.
+        // The usual formula gives this for a zero axis and an angle of 1.
         DQuat::from_xyzw(0.0, 0.0, 0.0, 0.5f64.cos()),
     ];
     let (unguarded, guard) = accepted(bad.map(&mut place));
@@ -107,7 +107,7 @@ fn no_rotation() -> Result<Outcome> {
     place(turned)?;
     world.forward();
     let found = world.orientation(world.body_of(joint));
-    let error_of = "rotation taken against reason, or missed, rad";
+    let error_of = "rotations wrongly accepted, or error of the rotation, rad";
     let remedied = found.angle_between(turned);
     Ok(Outcome {
         error_of,
@@ -137,14 +137,7 @@ fn full_memory() -> Result<Outcome> {
         Ok((100.0 * run.world.arena_use(), run))
     };
     let (unguarded, remedied) = (run(r#"<size memory="552K"/>"#)?, run("")?);
-    Ok(Outcome {
-        error_of: "memory in use, %",
-        tolerance: 80.0,
-        unguarded: Some(unguarded.0),
-        guard: unguarded.1.said,
-        remedied: remedied.0,
-        remedied_guard: remedied.1.refused,
-    })
+    Ok(compare(unguarded, remedied, "memory in use, %", 80.0))
 }
 
 fn sleeping() -> Result<Outcome> {
@@ -155,12 +148,5 @@ fn sleeping() -> Result<Outcome> {
         Ok((100.0 * (lift.z / (0.2 * 9.81) - 1.0).abs(), run))
     };
     let (unguarded, remedied) = (run(&BOX.replace(r#"sleep="disable""#, r#"sleep="enable""#))?, run(BOX)?);
-    Ok(Outcome {
-        error_of: "force that carries the box, %",
-        tolerance: 0.1,
-        unguarded: Some(unguarded.0),
-        guard: unguarded.1.said,
-        remedied: remedied.0,
-        remedied_guard: remedied.1.refused,
-    })
+    Ok(compare(unguarded, remedied, "force that carries the box, %", 0.1))
 }

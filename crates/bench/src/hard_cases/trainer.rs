@@ -1,4 +1,4 @@
-//! Training: what enters it, and what a step makes of numbers that are none.
+//! Training: non-finite values in its inputs and in a step.
 
 use std::path::Path;
 
@@ -19,18 +19,18 @@ pub(super) const CASES: &[HardCase] = &[
     Family::Training.case(
         "training_config",
         "a configuration with .nan or .inf in any number",
-        "numbers within the ranges that are named",
+        "numbers within the ranges that the error names",
         config,
     ),
     Family::Training.case(
         "training_store",
-        "a store with NaN, infinity or a standstill among its timestamps",
-        "seconds that grow",
+        "a store with NaN, infinity or two equal values among its timestamps",
+        "increasing seconds",
         store,
     ),
     Family::Training.case(
         "store_writer",
-        "frames with a stamp that is no number, or infinite or negative force, pushed into a store",
+        "frames with a non-finite stamp, or infinite or negative force, written to a store",
         "numbers",
         writer,
     ),
@@ -43,7 +43,7 @@ pub(super) const CASES: &[HardCase] = &[
     ),
 ];
 
-/// The training configuration whose numbers are spoilt in turn.
+/// Training configuration whose numbers are replaced in turn.
 const YAML: &str = include_str!("../../../../models/egotac.yaml");
 
 fn config() -> Result<Outcome> {
@@ -69,10 +69,10 @@ fn config() -> Result<Outcome> {
     if bad.len() < 20 {
         return Err(Error::value("numbers in the configuration", "a dozen", bad.len() / 2));
     }
-    Ok(outcome("values taken that are no numbers", accepted(bad), read(&named)))
+    Ok(Outcome::of_refusals("non-finite values accepted", accepted(bad), read(&named)))
 }
 
-/// The numbers of a line of YAML, each after `: `, with their places.
+/// Finds the numbers of a line of YAML, each after `: `, with their positions.
 fn numbers(line: &str) -> Vec<(usize, &str)> {
     let starts = line.match_indices(": ").map(|(at, _)| at + 2);
     starts
@@ -111,7 +111,7 @@ fn empty_store(path: &Path) -> Result<ZarrWriter> {
     Ok(ZarrWriter::create(path, attributes, Contact::Truth, vec![])?.with_compression(Compression::None))
 }
 
-/// Stores as another program may have written them: the file of the timestamps is exchanged.
+/// Opens stores as another program may write them: the file of the timestamps is replaced.
 fn store() -> Result<Outcome> {
     let folder = tempfile::tempdir().map_err(Error::io(std::env::temp_dir()))?;
     let with = |name: &str, stamps: [f64; 3]| {
@@ -132,29 +132,17 @@ fn store() -> Result<Outcome> {
         with("infinite", [0.0, 1.0, f64::INFINITY]),
         with("standstill", [0.0, 1.0, 1.0]),
     ];
-    Ok(outcome("stores taken", accepted(bad), with("good", [0.0, 1.0, 2.0])))
+    Ok(Outcome::of_refusals("stores accepted", accepted(bad), with("good", [0.0, 1.0, 2.0])))
 }
 
 fn writer() -> Result<Outcome> {
     let folder = tempfile::tempdir().map_err(Error::io(std::env::temp_dir()))?;
     let with = |timestamp: f64, force: f32| empty_store(&folder.path().join("a"))?.push(frame(timestamp, force));
     let bad = [(f64::NAN, 0.0), (f64::INFINITY, 0.0), (0.0, f32::INFINITY), (0.0, -1.0)];
-    Ok(outcome("frames taken", accepted(bad.map(|(stamp, force)| with(stamp, force))), with(0.0, 1.0)))
+    Ok(Outcome::of_refusals("frames accepted", accepted(bad.map(|(stamp, force)| with(stamp, force))), with(0.0, 1.0)))
 }
 
-fn outcome<T>(error_of: &'static str, (through, said): (f64, String), good: Result<T>) -> Outcome {
-    Outcome {
-        error_of,
-        tolerance: 0.0,
-        unguarded: Some(through),
-        // One that passes must not hide behind those that do not.
-        guard: if through > 0.0 { String::new() } else { said },
-        remedied: 0.0,
-        remedied_guard: good.err().map(|error| error.to_string()).unwrap_or_default(),
-    }
-}
-
-/// Against the same loss in f64.
+/// Compares loss and slope with the same formulas in f64.
 fn logits() -> Result<Outcome> {
     const WEIGHT: f64 = 2.0;
     let sizes = [0.0, 1e-30, 1.0, 20.0, 80.0, 90.0, 1e3, 1e30f32];
@@ -191,7 +179,7 @@ fn logits() -> Result<Outcome> {
     })
 }
 
-/// The step that such a gradient would have made must not be made.
+/// Checks that an optimizer skips the step of a non-finite gradient.
 fn gradient() -> Result<Outcome> {
     let config: train::Config =
         serde_yaml::from_str(YAML).map_err(|e| Error::value("models/egotac.yaml", "a configuration", e))?;
@@ -202,7 +190,7 @@ fn gradient() -> Result<Outcome> {
         let gradients = (&weight * factor)?.sum_all()?.backward()?;
         let norm = optimizer.step(&gradients, 1e-3)?;
         let now = vars.all_vars()[0].to_vec1::<f32>()?;
-        // Not a number counts as changed without bound.
+        // NaN counts as an infinite change.
         let changed = now.iter().map(|w| f64::from((w - 1.0).abs())).sum::<f64>();
         Ok((if changed.is_nan() { f64::INFINITY } else { changed }, norm))
     };
@@ -210,7 +198,7 @@ fn gradient() -> Result<Outcome> {
     let (changed, norm) = (broken[0].0.max(broken[1].0), broken[0].1);
     let (moved, good_norm) = step(1.0)?;
     Ok(Outcome {
-        error_of: "weights changed by a step that must not be made, and unchanged by one that must",
+        error_of: "weights changed by a step that must be skipped, or unchanged by one that must not",
         tolerance: 0.0,
         unguarded: Some(changed),
         guard: if norm.is_finite() { String::new() } else { format!("step skipped, its gradient's norm is {norm}") },

@@ -1,4 +1,4 @@
-//! Runs a model under all guards and says what they said.
+//! Simulation of a model under all guards, with their reports.
 
 use egotac::error::Result;
 use egotac::mujoco::audit::{Expectation, Severity, audit};
@@ -8,30 +8,32 @@ use egotac::mujoco::{PhysicsOptions, World};
 use egotac::sim::guard::Guard;
 use egotac::tactile::Validity;
 
-/// Deepest contact that no case bears, m; the same as in scenes.
-const MAX_DEPTH: f64 = 0.004;
-/// Seconds between two frames.
-const FRAME: f64 = 0.04;
+use super::Outcome;
 
-/// A model that has run.
+/// Largest penetration depth that the guard accepts, m; the same as in scenes.
+const MAX_DEPTH: f64 = 0.004;
+/// Time between two frames, s.
+const FRAME_SECS: f64 = 0.04;
+
+/// A model after a run.
 pub(super) struct Watched {
-    /// As the last step left it.
+    /// State after the last step.
     pub world: World,
-    /// What was said, each thing once; empty = nothing.
-    pub said: String,
-    /// The same without advice: what refuses a model or a frame.
-    pub refused: String,
+    /// Reports of audit and guards, each once; empty if there are none.
+    pub reports: String,
+    /// The same without advice: the errors that refuse a model or a frame.
+    pub errors: String,
 }
 
-/// Defaults with changes.
+/// Returns the default options with a change.
 pub(super) fn options(change: impl FnOnce(&mut Unchecked)) -> Result<PhysicsOptions> {
     let mut options = Unchecked::default();
     change(&mut options);
     PhysicsOptions::try_from(options)
 }
 
-/// Simulates `seconds` of a model; `objects` are the free bodies to watch. `prepare` may change the start, `each` sees the
-/// world after every step.
+/// Simulates `seconds` of a model; the guard watches the free bodies `objects`. `prepare` may change the start; `each` is
+/// called after every step.
 pub(super) fn simulate(
     mjcf: &str,
     options: &PhysicsOptions,
@@ -44,16 +46,16 @@ pub(super) fn simulate(
     let joints = objects.iter().map(|name| world.free_joint(name)).collect::<Result<Vec<FreeJoint>>>()?;
     prepare(&mut world);
     world.forward();
-    let (mut said, mut refused) = (Vec::new(), Vec::new());
+    let (mut reports, mut errors) = (Vec::new(), Vec::new());
     for finding in audit(&world, Expectation::default()) {
         if finding.severity == Severity::Error {
-            refused.push(finding.message.clone());
+            errors.push(finding.message.clone());
         }
-        said.push(finding.message);
+        reports.push(finding.message);
     }
     let mut guard = Guard::new(&world, &joints, MAX_DEPTH);
     guard.frame(&world);
-    let per_frame = (FRAME / options.timestep).round().max(1.0) as usize;
+    let per_frame = (FRAME_SECS / options.timestep).round().max(1.0) as usize;
     for step in 1..=(seconds / options.timestep).round() as usize {
         world.step();
         guard.after_step(&world);
@@ -62,16 +64,33 @@ pub(super) fn simulate(
             world.forward();
             let validity = guard.frame(&world);
             let reason = validity.reason().to_owned();
-            if validity != Validity::Valid && !refused.contains(&reason) {
-                refused.push(reason.clone());
-                said.push(reason);
+            if validity != Validity::Valid && !errors.contains(&reason) {
+                errors.push(reason.clone());
+                reports.push(reason);
             }
         }
     }
-    Ok(Watched { world, said: said.join("; "), refused: refused.join("; ") })
+    Ok(Watched { world, reports: reports.join("; "), errors: errors.join("; ") })
 }
 
-/// Simulates without a look in between.
+/// Simulates without a callback between steps.
 pub(super) fn settle(mjcf: &str, options: &PhysicsOptions, objects: &[&str], seconds: f64) -> Result<Watched> {
     simulate(mjcf, options, objects, seconds, |_| (), |_| ())
+}
+
+/// Compares a model as the user wrote it with its remedy; each run comes with its error.
+pub(super) fn compare(
+    (unguarded, as_written): (f64, Watched),
+    (remedied, remedy): (f64, Watched),
+    error_of: &'static str,
+    tolerance: f64,
+) -> Outcome {
+    Outcome {
+        error_of,
+        tolerance,
+        unguarded: Some(unguarded),
+        guard: as_written.reports,
+        remedied,
+        remedied_guard: remedy.errors,
+    }
 }

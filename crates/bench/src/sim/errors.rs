@@ -1,4 +1,4 @@
-//! How far one trace is from another: quasi-static forces, impulses and contact sets, never trajectories.
+//! Errors of a trace against a reference: quasi-static forces, impulses and contact sets.
 
 use egotac::score::metrics::contact::Counts;
 use egotac::tactile::N_FIELD;
@@ -6,20 +6,20 @@ use serde::{Deserialize, Serialize};
 
 use super::trace::{N_SITES, Trace};
 
-/// Errors against a reference; `None` where the reference has nothing to compare with.
+/// Errors against a reference; `None` if the reference has nothing to compare with.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Errors {
     /// Sum over fingers and palms of |mean force over the quiet bins - reference|, relative to the reference's sum.
     pub force: Option<f64>,
-    /// The same of the impulse over the whole run.
+    /// The same sum for the impulses over the whole run.
     pub impulse: Option<f64>,
     /// F1 of the vertices in contact (label c) at the frames.
     pub f1: Option<f64>,
-    /// Share of vertices and frames whose contact is the same.
+    /// Share of vertices and frames with the same contact.
     pub agreement: Option<f64>,
 }
 
-/// Sums from which errors follow, pooled over seeds.
+/// Sums for the errors, pooled over seeds.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Pool {
     force: [f64; 2],
@@ -36,7 +36,7 @@ impl Pool {
         self.add_sets(&trace.touched, &reference.touched);
     }
 
-    /// Adds contact sets alone: per frame the vertices in contact, ascending. Frames that are missing are without.
+    /// Adds contact sets alone: per frame the vertices in contact, ascending. A missing frame counts as one without contact.
     pub fn add_sets(&mut self, touched: &[Vec<u32>], reference: &[Vec<u32>]) {
         for (index, truth) in reference.iter().enumerate() {
             let got = touched.get(index).map_or(&[][..], Vec::as_slice);
@@ -46,7 +46,7 @@ impl Pool {
         }
     }
 
-    /// The errors of everything added.
+    /// Returns the errors of all traces added.
     pub fn errors(&self) -> Errors {
         let ratio = |[difference, size]: [f64; 2]| (size > 0.0).then(|| difference / size);
         let total = self.counts.total();
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn a_trace_differs_from_itself_by_nothing() {
+    fn a_trace_has_no_error_against_itself() {
         let reference = trace(2.0, &[3, 900]);
         let bins = reference.quiet();
         assert_eq!(bins, [1, 2, 3]);
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_ended_early_misses_what_came_after() {
+    fn a_run_that_ended_early_misses_the_rest() {
         let reference = trace(2.0, &[3]);
         let mut lost = reference.clone();
         lost.impulses.truncate(1);

@@ -1,4 +1,4 @@
-//! The hands of a world that nobody drives: where their vertices are, and what presses on them.
+//! Hands of a world that is set to recorded poses: vertices and contacts.
 
 use egotac::error::Result;
 use egotac::geometry::{ForceSpreader, LinkContact};
@@ -9,22 +9,22 @@ use egotac::sim::Rollout;
 use egotac::sim::rig::{HandRig, JOINT_NAMES};
 use glam::Vec3;
 
-/// One hand, resolved in a world.
+/// A hand with its bodies in a world.
 #[derive(Debug)]
 pub struct Hand {
-    /// Which hand.
+    /// Left or right.
     pub side: Side,
-    /// Bodies of its links in MANO's order.
+    /// Bodies of the links in MANO's order.
     pub links: Vec<Body>,
     rig: HandRig,
     hinges: Vec<Servo>,
 }
 
 impl Hand {
-    /// The hands that are there, left first.
+    /// Finds the hands of a scene, left first.
     ///
     /// # Errors
-    /// If a hand's parts are not all in the world.
+    /// If a part of a hand is missing in the world.
     pub fn of(rollout: &Rollout) -> Result<Vec<Self>> {
         let world = rollout.world();
         let there = Side::BOTH.into_iter().filter(|side| rollout.hand_params(*side).is_some());
@@ -37,14 +37,14 @@ impl Hand {
         there.map(hand).collect()
     }
 
-    /// Its (778) vertices as the world has them, m.
+    /// Returns the (778) vertices in the present pose, world frame, m.
     pub fn vertices(&self, world: &World) -> Vec<Vec3> {
         let angles: Vec<f64> = self.hinges.iter().map(|hinge| world.joint_position(*hinge)).collect();
         let params = self.rig.params(world.position(self.links[0]), world.orientation(self.links[0]), &angles);
         self.rig.model.forward(&params).vertices
     }
 
-    /// What spreads forces over its vertices.
+    /// Creates the spreader of forces over the vertices.
     ///
     /// # Errors
     /// If `sigma` is not a positive length.
@@ -52,7 +52,7 @@ impl Hand {
         ForceSpreader::new(&self.rig.model, sigma)
     }
 
-    /// Places where it is touched, each as if with `force` newtons.
+    /// Returns the contacts on the hand, each with a force of `force` newtons.
     pub fn places(&self, contacts: &[Contact], force: f64) -> Vec<LinkContact> {
         let mut places = Vec::new();
         for contact in contacts.iter().filter(|contact| contact.distance < 0.0) {

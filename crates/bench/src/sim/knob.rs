@@ -1,4 +1,4 @@
-//! What the bench turns: presets, and one knob at a time from the default.
+//! Settings that are compared: presets, and one knob at a time from the default.
 
 use egotac::error::{Error, Result};
 use egotac::mujoco::options::Unchecked;
@@ -6,19 +6,19 @@ use egotac::mujoco::{Cone, Integrator, PhysicsOptions, Preset};
 use egotac::sim::effect::EffectPlan;
 use egotac::sim::{RolloutOptions, Scene};
 
-/// Timestep of references that share the model of what is compared, s.
+/// Timestep of the reference of the same model, s.
 pub const SAME_MODEL_TIMESTEP: f64 = 1e-4;
 
-/// One thing that costs time or accuracy.
+/// A parameter that costs time or accuracy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Knob {
     /// All physics options at once.
     Preset,
-    /// Seconds per step.
+    /// Simulated time per step.
     Timestep,
     /// Shape of the friction cone.
     Cone,
-    /// Cap on the solver's iterations.
+    /// Limit of the solver's iterations.
     Iterations,
     /// Integrator.
     Integrator,
@@ -65,16 +65,16 @@ impl Knob {
         }
     }
 
-    /// The knob of that name.
+    /// Returns the knob of this name.
     ///
     /// # Errors
-    /// If there is none; the error lists them.
+    /// If there is none; the error lists the names.
     pub fn from_name(name: &str) -> Result<Self> {
         let known = Self::ALL.into_iter().find(|knob| knob.name() == name);
         known.ok_or_else(|| Error::unknown("knob", name, Self::ALL.map(Self::name)))
     }
 
-    /// Settings of physics and hulls that the bench compares; empty for a knob that turns neither.
+    /// Returns the settings of physics and hulls to compare; empty for a knob of labels or pictures.
     pub fn variants(self) -> Vec<Variant> {
         let variants = |values: &[(&str, Change)]| {
             values.iter().map(|(name, change)| Variant { knob: self, name: (*name).into(), change: *change }).collect()
@@ -132,13 +132,13 @@ impl Knob {
 pub struct Variant {
     /// The knob.
     pub knob: Knob,
-    /// What it is set to.
+    /// Name of the setting.
     pub name: String,
-    /// What that changes.
+    /// Change from the default.
     pub change: Change,
 }
 
-/// What a setting changes from the default.
+/// Change of a setting from the default.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[allow(missing_docs)]
 pub enum Change {
@@ -151,17 +151,17 @@ pub enum Change {
     Corners(Option<usize>),
 }
 
-/// A model and how it is stepped.
+/// Physics and hulls of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setup {
-    /// Physics.
+    /// Physics options.
     pub physics: PhysicsOptions,
-    /// Corners of each link's hull at most.
+    /// Largest number of corners of each link's hull; `None` = all.
     pub corners: Option<usize>,
 }
 
 impl Setup {
-    /// A variant in a scene with the given physics, of which gravity and what soft bodies need stay.
+    /// Creates a variant of a scene's physics; gravity and what soft bodies need stay.
     ///
     /// # Errors
     /// If a value is out of range.
@@ -170,7 +170,7 @@ impl Setup {
             Change::Preset(preset) => preset,
             _ => Preset::Default,
         };
-        // Under one name, so that equal values are one run.
+        // All variants carry one preset name, so that equal values are equal setups and run once.
         let mut values = Unchecked { preset: Preset::Default, ..scene.with_preset(preset).into() };
         let mut corners = None;
         match change {
@@ -185,8 +185,8 @@ impl Setup {
         Ok(Self { physics: values.try_into()?, corners })
     }
 
-    /// The fine reference of the same model: same cone, impratio and hulls, 0.1 ms, tolerance 1e-12; for the one model
-    /// that all are compared with it is that run, at 0.05 ms.
+    /// Returns the fine reference of the same model: same cone, impratio and hulls, 0.1 ms, tolerance 1e-12. The reference
+    /// model is its own reference, at 0.05 ms.
     ///
     /// # Errors
     /// Never for a valid setup.
@@ -201,10 +201,10 @@ impl Setup {
         Ok(Self { physics: Unchecked { timestep: SAME_MODEL_TIMESTEP, ..values }.try_into()?, ..fine })
     }
 
-    /// Options of a rollout of `scene` with it: with what the scene's effects ask for, but for impratio, which is as set.
+    /// Returns the options of a rollout of `scene`: as the scene's effects ask for, except impratio, which is as set.
     ///
     /// # Errors
-    /// If the scene's effects can't deliver what it observes.
+    /// If the effects can't deliver what the scene observes.
     pub fn options(&self, scene: &Scene, base: &RolloutOptions) -> Result<RolloutOptions> {
         let plan = EffectPlan::of(&scene.spec)?;
         let effects = base.effects.unwrap_or(plan.effects());
@@ -212,7 +212,7 @@ impl Setup {
         Ok(RolloutOptions { physics: Some(values.try_into()?), hull_corners: self.corners, ..base.clone() })
     }
 
-    /// The one model that all are compared with: elliptic, impratio 100, 0.05 ms, all corners.
+    /// Returns the reference model: elliptic, impratio 100, 0.05 ms, all corners.
     ///
     /// # Errors
     /// Never for a valid scene.
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn impratio_stays_as_set_where_a_scene_holds_something_for_long() {
+    fn impratio_stays_as_set_in_a_scene_with_a_long_hold() {
         let scene = Scene::load("lift_mug").unwrap();
         for impratio in [1.0, 100.0] {
             let setup = Setup::new(&scene.spec.physics, Change::Impratio(impratio)).unwrap();

@@ -1,4 +1,4 @@
-//! The knob `label`: what each kind of label costs, and how far it is from the force label of 4 mm.
+//! The knob `label`: cost of each kind of label, and its agreement with the force label of 4 mm.
 
 use egotac::error::Result;
 use egotac::geometry::{ForceSpreader, PROXIMITY};
@@ -13,17 +13,18 @@ use glam::{DVec3, Vec3};
 use super::errors::{Errors, Pool};
 use super::hands::Hand;
 
-/// Kinds with their parameter in metres.
+/// Kind of label with its parameter, m.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Kind {
-    /// A point of the resampled object within so many metres.
+    /// Contact within this distance of a point of the resampled object.
     A(f32),
-    /// The object's surface within so many metres.
+    /// Contact within this distance of the object's surface.
     B(f64),
-    /// Forces spread with this sigma.
+    /// Contact where the force spread with this sigma is above the threshold.
     C(f64),
 }
 
+/// Kinds of labels with their names in the table.
 const KINDS: [(&str, Kind); 8] = [
     ("a, 10 mm", Kind::A(PROXIMITY)),
     ("b, 1 mm", Kind::B(0.001)),
@@ -34,13 +35,13 @@ const KINDS: [(&str, Kind); 8] = [
     ("c, 4 mm", Kind::C(0.004)),
     ("c, 8 mm", Kind::C(0.008)),
 ];
-/// The kind that the others are compared with.
+/// Index of the kind that the others are compared with.
 const TRUTH: usize = 6;
 
-/// A kind's name, its agreement with the truth, and its seconds per simulated second.
+/// Name of a kind, its agreement with the truth, and its computation per simulated second, s.
 pub type LabelResult = (&'static str, Errors, f64);
 
-/// Labels an episode in every way.
+/// Labels an episode with every kind.
 ///
 /// # Errors
 /// If the rollout fails.
@@ -59,12 +60,12 @@ pub fn label_kinds(scene: &Scene, seed: u64, options: &RolloutOptions, repetitio
         let world = rollout.world();
         let vertices: Vec<Vec<Vec3>> = hands.iter().map(|hand| hand.vertices(world)).collect();
         for repetition in 0..repetitions.max(1) {
-            for (kind, (_, how)) in KINDS.iter().enumerate() {
+            for (kind, (_, parameters)) in KINDS.iter().enumerate() {
                 let mut found = Vec::new();
                 let begun = Stopwatch::start();
                 for ((hand, spreader), vertices) in hands.iter().zip(&spreaders[kind]).zip(&vertices) {
                     let first = hand.side.range().start as u32;
-                    let label = label(*how, world, hand, spreader, vertices, rollout.objects())?;
+                    let label = label(*parameters, world, hand, spreader, vertices, rollout.objects())?;
                     found.extend((first..).zip(label).filter(|(_, touched)| *touched).map(|(vertex, _)| vertex));
                 }
                 clocks[kind].add(index, begun.seconds());
@@ -84,6 +85,7 @@ pub fn label_kinds(scene: &Scene, seed: u64, options: &RolloutOptions, repetitio
     Ok(results.collect())
 }
 
+/// Returns the contact of each vertex.
 fn label(
     kind: Kind,
     world: &World,

@@ -1,4 +1,4 @@
-//! The bench's table for readers.
+//! The results of `egotac bench sim` as Markdown.
 
 use std::fmt::Write as _;
 
@@ -7,7 +7,7 @@ use egotac::text::significant;
 use super::knob::Knob;
 use super::table::{Entry, Report, Row};
 
-/// What the columns are, for the head of the page.
+/// Explanation of the columns.
 const LEGEND: &str = "\
 Errors are against two references: **same model** (same cone, impratio and hulls, 0.1 ms, tolerance 1e-12) is the error of
 the numbers; **one model** (elliptic, impratio 100, 0.05 ms, all hull corners) is that of the model as well. *Force* sums
@@ -19,7 +19,7 @@ neither labels nor pictures except where these are the knob (pictures: time on t
 along with its forces. *x real time* is its inverse. A dash: nothing to compare.
 ";
 
-/// The report as Markdown.
+/// Returns the report as Markdown.
 pub fn render(report: &Report) -> String {
     let mut text = String::from("# What accuracy costs in time\n\n");
     let seeds = if report.seeds == 1 { "1 seed".into() } else { format!("{} seeds", report.seeds) };

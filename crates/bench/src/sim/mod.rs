@@ -1,13 +1,13 @@
-//! What accuracy costs in simulation: errors against fine references, next to the time that each setting takes.
+//! Accuracy against time in simulation: errors against fine references, beside the time of each setting.
 //!
 //! ```text
-//! knob -> setup --+-> trace (what hands and objects felt) -> errors --+-> table (JSON) -> markdown, pareto, pick
-//!                 +-> clock (interleaved, least of many) -------------+
+//! knob -> setup --+-> trace (forces on hands and objects) -> errors --+-> table (JSON) -> markdown, pareto
+//!                 +-> times (interleaved, least of many) -------------+
 //! ```
 //!
-//! Compared are quasi-static forces, impulses and contact sets, never trajectories, which part from each other in any
-//! two runs. Each error comes twice: against a fine reference of the same model, which is the error of the numbers, and
-//! against one reference model, which is the model's as well.
+//! Quasi-static forces, impulses and contact sets are compared, not trajectories: these diverge between any two settings.
+//! Each error comes twice: against a fine reference of the same model (the numerical error), and against one reference
+//! model (numerical and modelling error).
 
 pub mod errors;
 pub mod hands;
@@ -34,39 +34,38 @@ use self::knob::{Change, Knob, Setup, Variant};
 use self::table::{Entry, RECOMMENDED, Report, Row, SceneNote};
 use self::trace::Trace;
 
-/// Shipped scenes on which single knobs are turned when no scenes are named; presets are compared on all.
+/// Shipped scenes in which single knobs are compared if no scenes are named; presets are compared in all scenes.
 pub const KNOB_SCENES: [&str; 2] = ["pinch_cube", "lift_mug"];
-/// Timestep below which a run is so long that its time is taken along with its forces, s.
-const TIMED_ALONG: f64 = 2e-4;
-
-/// Episodes of which the speed of `generate` is taken: enough that jobs end at about the same time.
+/// Timestep below which a run takes so long that it is timed only once, while its forces are recorded, s.
+const TIMED_WITH_FORCES: f64 = 2e-4;
+/// Episodes for the speed of `generate`: enough that all jobs end at about the same time.
 const EPISODES: usize = 12;
 
-/// What to measure.
+/// Settings of a measurement.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// The command, for the report.
+    /// The command that measures the same again.
     pub command: String,
-    /// Scenes on which presets are compared.
+    /// Scenes in which presets are compared.
     pub scenes: Vec<Scene>,
-    /// Names of those on which the other knobs are turned too.
+    /// Names of the scenes in which the other knobs are compared too.
     pub knob_scenes: Vec<String>,
-    /// What is turned.
+    /// Knobs to compare.
     pub knobs: Vec<Knob>,
     /// First seed.
     pub seed: u64,
     /// Seeds over which errors are pooled.
     pub seeds: u64,
-    /// Repetitions of which the least time counts.
+    /// Interleaved repetitions; the least time counts.
     pub repetitions: usize,
-    /// Given, the wrapper's overhead and the speed of `generate` are measured too, with workers that know the scenes of
-    /// `knob_scenes` in the order of `scenes` and pictures of [`throughput::SIZE`].
+    /// Worker processes for the speed of `generate`, which know the scenes of `knob_scenes` in the order of `scenes` and
+    /// draw pictures of [`throughput::SIZE`]; `None` leaves out this speed and the wrapper's overhead.
     pub workers: Option<Workers>,
-    /// Hands and kernel; pictures are drawn only where they are what is measured.
+    /// Hands and kernel; pictures are drawn only for the knobs of pictures.
     pub options: RolloutOptions,
 }
 
-/// Measures; `progress` is called with what comes next, and how many scenes are done of how many.
+/// Measures all knobs; `progress` is called with the next part, the number of scenes done, and the number of all.
 ///
 /// # Errors
 /// If a scene can't be simulated with the reference's options, or the speed can't be measured.
@@ -88,18 +87,26 @@ pub fn run(plan: &Plan, progress: impl Fn(&str, usize, usize)) -> Result<Report>
         bench.labels(&mut rows)?;
         bench.pictures(&mut rows);
     }
-    let place = |row: &Row| Knob::ALL.iter().position(|knob| knob.name() == row.knob);
-    rows.sort_by_key(place);
+    let position = |row: &Row| Knob::ALL.iter().position(|knob| knob.name() == row.knob);
+    rows.sort_by_key(position);
     let (mut wrapper, mut throughput) = (None, None);
     if let (Some(workers), Some(first)) = (&plan.workers, plan.scenes.first()) {
         progress("wrapper and generate", count - 1, count);
         wrapper = Some(wrapper::measure(first, plan.seed, &plan.options, plan.repetitions)?);
-        let turned: Vec<Scene> = plan.scenes.iter().filter(|s| plan.knob_scenes.contains(&s.name)).cloned().collect();
+        let scenes_of_knobs: Vec<Scene> =
+            plan.scenes.iter().filter(|s| plan.knob_scenes.contains(&s.name)).cloned().collect();
         let mut jobs = vec![1, Machine::this().cores];
         jobs.dedup();
         let repetitions = plan.repetitions.min(2);
-        throughput =
-            Some(throughput::measure(&turned, EPISODES, plan.seed, &jobs, &plan.options, workers, repetitions)?);
+        throughput = Some(throughput::measure(
+            &scenes_of_knobs,
+            EPISODES,
+            plan.seed,
+            &jobs,
+            &plan.options,
+            workers,
+            repetitions,
+        )?);
     }
     Ok(Report {
         command: plan.command.clone(),
@@ -117,7 +124,7 @@ pub fn run(plan: &Plan, progress: impl Fn(&str, usize, usize)) -> Result<Report>
     })
 }
 
-/// The measurements of one scene.
+/// Measurements in one scene.
 struct SceneBench<'a> {
     plan: &'a Plan,
     scene: &'a Scene,
@@ -136,7 +143,7 @@ impl SceneBench<'_> {
         for variant in &variants {
             let setup = Setup::new(physics, variant.change)?;
             let reference = setup.reference(physics)?;
-            settings.push((variant, place(&mut setups, setup), place(&mut setups, reference)));
+            settings.push((variant, index_of(&mut setups, setup), index_of(&mut setups, reference)));
         }
 
         progress("forces");
@@ -147,13 +154,13 @@ impl SceneBench<'_> {
         let seconds_along: Vec<Option<f64>> = along.iter().map(first).collect();
         let traces: Vec<Vec<Result<Trace>>> =
             along.into_iter().map(|runs| runs.into_iter().map(|run| run.map(|(trace, _)| trace)).collect()).collect();
-        // Without the reference there is nothing to say; a setting that the scene refuses is told in its row.
+        // Without the reference nothing can be compared. A setting that the scene refuses keeps the refusal in its row.
         let models = collect(&traces[0])?;
         let quiet: Vec<Vec<usize>> = models.iter().map(|trace| trace.quiet()).collect();
 
         progress("times");
         let used: Vec<usize> = unique(settings.iter().map(|(_, setup, _)| *setup));
-        let short = |index: &usize| setups[*index].physics.timestep >= TIMED_ALONG;
+        let short = |index: &usize| setups[*index].physics.timestep >= TIMED_WITH_FORCES;
         let timed: Vec<usize> = used.into_iter().filter(short).collect();
         let timed_setups: Vec<&Setup> = timed.iter().map(|index| &setups[*index]).collect();
         let repetitions = self.plan.repetitions.max(1);
@@ -200,7 +207,7 @@ impl SceneBench<'_> {
         Trace::record_timed(self.scene, seed, &setup.options(self.scene, &self.blind())?)
     }
 
-    /// The preset that has no forces: its contact places on the default model's recorded poses.
+    /// Measures the preset `replay`, which has no forces: its contacts on the recorded poses of the default model.
     fn replay(&self, recorded: &[Result<Trace>], models: &[&Trace]) -> Result<Entry> {
         let recorded = collect(recorded)?;
         let (mut same, mut model) = (Pool::default(), Pool::default());
@@ -244,6 +251,7 @@ impl SceneBench<'_> {
         }
     }
 
+    /// Returns the options without pictures.
     fn blind(&self) -> RolloutOptions {
         RolloutOptions { picture: None, ..self.plan.options.clone() }
     }
@@ -265,8 +273,8 @@ fn collect(traces: &[Result<Trace>]) -> Result<Vec<&Trace>> {
     }
 }
 
-/// Index of `setup` in `setups`, to which it is added if it isn't there.
-fn place(setups: &mut Vec<Setup>, setup: Setup) -> usize {
+/// Returns the index of `setup` in `setups`, and adds it if it is missing.
+fn index_of(setups: &mut Vec<Setup>, setup: Setup) -> usize {
     setups.iter().position(|there| *there == setup).unwrap_or_else(|| {
         setups.push(setup);
         setups.len() - 1
@@ -280,6 +288,7 @@ fn unique(values: impl Iterator<Item = usize>) -> Vec<usize> {
     values
 }
 
+/// Adds an entry to the row of a setting, and the row if it is missing.
 fn put(rows: &mut Vec<Row>, knob: &str, setting: &str, entry: Entry) {
     match rows.iter_mut().find(|row| row.knob == knob && row.setting == setting) {
         Some(row) => row.entries.push(entry),

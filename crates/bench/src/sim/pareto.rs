@@ -1,4 +1,4 @@
-//! The bench's plot: error against cost, presets by name, the recommended one marked.
+//! Plot of `egotac bench sim`: error against cost, with the recommended preset marked.
 
 use std::path::Path;
 
@@ -20,24 +20,24 @@ const KNOBS: [Knob; 6] = [Knob::Timestep, Knob::Cone, Knob::Iterations, Knob::In
 
 type ErrorOf = fn(&Entry) -> Option<f64>;
 
-/// One setting in the plot.
+/// A setting in the plot.
 struct Point {
     knob: String,
     setting: String,
-    /// Milliseconds per simulated second.
+    /// Computation per simulated second, ms.
     cost: f64,
     /// Relative force error.
     error: f64,
 }
 
-/// The two panels: what the error is against.
+/// Titles of the two panels and their errors.
 const PANELS: [(&str, ErrorOf); 2] = [
     ("against the same model at 0.1 ms", |entry| entry.same.force),
     ("against elliptic, impratio 100, 0.05 ms", |entry| entry.model.force),
 ];
 
-/// Writes `sim.png` and `sim.svg` into `folder`; `false` = there is nothing to plot: no setting has both a cost and an
-/// error, since no hand presses.
+/// Writes `sim.png` and `sim.svg` into `folder`; false if no setting has both a cost and an error, because no hand presses
+/// in the scenes.
 ///
 /// # Errors
 /// If a file can't be written.
@@ -66,7 +66,7 @@ impl Figure for Report {
     }
 }
 
-/// Presets are measured in more scenes than single knobs; in the plot stand those in which all were.
+/// Returns the settings as the worst of the scenes in which all were measured: single knobs have fewer scenes than presets.
 fn points(report: &Report, error: ErrorOf) -> Vec<Point> {
     let shared = report.shared_scenes();
     let point = |row: &super::table::Row| {
@@ -76,7 +76,7 @@ fn points(report: &Report, error: ErrorOf) -> Vec<Point> {
     };
     let physics = report.rows.iter().filter(|row| row.knob != Knob::Label.name());
     let mut points: Vec<Point> = physics.filter_map(point).collect();
-    // Knobs left at the recommended preset's value, or without effect, would hide its mark.
+    // Settings that equal the recommended preset, or have no effect, would hide its mark.
     let same = |a: &Point, b: &Point| a.error == b.error && (a.cost / b.cost - 1.0).abs() < 0.05;
     let is_preset = |point: &Point| point.knob == Knob::Preset.name();
     if let Some(at) = points.iter().position(|p| is_preset(p) && p.setting == report.recommended.name()) {
@@ -99,7 +99,7 @@ where
 {
     let (least, most) =
         points.iter().fold((f64::INFINITY, 0.0f64), |(low, high), p| (low.min(p.cost), high.max(p.cost)));
-    // The axis is logarithmic, and without end its ticks would be, too.
+    // A logarithmic axis without bounds would have endless ticks.
     if !(least > 0.0 && least <= most && most.is_finite()) {
         return Err("no setting has both a cost and an error".into());
     }

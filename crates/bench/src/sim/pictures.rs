@@ -1,4 +1,4 @@
-//! The knobs `size` and `shadows`: what a picture costs.
+//! The knobs `size` and `shadows`: time of a picture.
 
 use std::time::Instant;
 
@@ -9,7 +9,7 @@ use egotac::sim::{Rollout, RolloutOptions, Scene};
 
 use super::knob::Knob;
 
-/// Knob, name, width and height in pixels, shadows.
+/// Kinds of pictures: knob, name, width and height in pixels, shadows.
 const PICTURES: [(Knob, &str, u32, u32, bool); 6] = [
     (Knob::Size, "112 x 112", 112, 112, false),
     (Knob::Size, "224 x 224", 224, 224, false),
@@ -21,10 +21,10 @@ const PICTURES: [(Knob, &str, u32, u32, bool); 6] = [
 /// Pictures of each kind in a round; the least counts.
 const PICTURES_PER_ROUND: usize = 6;
 
-/// A kind of picture and its seconds per simulated second, or why there is none.
+/// Knob and name of a kind of picture, and its time per simulated second, s, or the reason why it can't be drawn.
 pub type PictureResult = (Knob, &'static str, Result<f64>);
 
-/// Draws the middle of an episode in each way of the given knobs.
+/// Draws the middle of an episode as each kind of the given knobs.
 pub fn picture_kinds(
     scene: &Scene,
     seed: u64,

@@ -1,4 +1,4 @@
-//! The preset `replay`: contact places on recorded poses, by kinematics and collision alone.
+//! The preset `replay`: contacts on recorded poses, by kinematics and collision alone.
 
 use egotac::error::Result;
 use egotac::geometry::SIGMA;
@@ -11,15 +11,15 @@ use egotac::tactile::CONTACT_FORCE_N;
 use super::hands::Hand;
 use super::knob::Setup;
 
-/// Force with which each place counts, N: replay knows none.
+/// Force that each contact counts with, N, because replay has no forces.
 pub const NOMINAL_FORCE: f64 = 1.0;
 
-/// What replaying an episode gave.
+/// Results of replaying an episode.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Replay {
-    /// (frames) vertices in contact when each place carries [`NOMINAL_FORCE`], ascending.
+    /// (frames) vertices in contact if each contact carries [`NOMINAL_FORCE`], ascending.
     pub touched: Vec<Vec<u32>>,
-    /// Seconds per simulated second.
+    /// Computation per simulated second, s.
     pub cost: f64,
 }
 
@@ -34,7 +34,7 @@ pub fn replay(
     options: &RolloutOptions,
     repetitions: usize,
 ) -> Result<Replay> {
-    // The model with all its joints, since the poses are recorded; it is never stepped.
+    // The full model with all joints, because these are recorded; it is never stepped.
     let setup = Setup { physics: scene.spec.physics.with_preset(Preset::Replay), corners: None };
     let rollout = Rollout::new(scene, seed, &setup.options(scene, options)?)?;
     let (hands, interval) = (Hand::of(&rollout)?, rollout.interval());

@@ -1,4 +1,4 @@
-//! The bench's results: what the JSON file holds.
+//! Results as the JSON file holds them. `egotac::sim::budget::table` reads the part that `--budget` needs.
 
 use std::path::Path;
 
@@ -11,13 +11,13 @@ use super::errors::Errors;
 use super::throughput::Throughput;
 use super::wrapper::Wrapper;
 
-/// The preset recommended where nothing else is asked for.
+/// The preset recommended by default.
 pub const RECOMMENDED: Preset = Preset::Default;
 
-/// Everything that one call measured.
+/// Results of one call.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// The command that measured it.
+    /// The command that measures the same again.
     pub command: String,
     /// First seed.
     pub seed: u64,
@@ -27,39 +27,39 @@ pub struct Report {
     pub egotac: String,
     /// Version of the engine.
     pub mujoco: String,
-    /// Where it was measured.
+    /// The machine that it was measured on.
     pub machine: Machine,
     /// The recommended preset.
     pub recommended: Preset,
-    /// The one model that all are compared with.
+    /// The reference model.
     pub model: PhysicsOptions,
     /// The scenes.
     pub scenes: Vec<SceneNote>,
     /// The settings.
     pub rows: Vec<Row>,
-    /// What our code adds to the engine's steps.
+    /// Overhead of our code over the engine's steps.
     pub wrapper: Option<Wrapper>,
     /// Speed of `egotac sim generate`.
     pub throughput: Option<Throughput>,
 }
 
-/// What was simulated.
+/// A simulated scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SceneNote {
     /// Name.
     pub name: String,
     /// Simulated seconds, over all seeds.
     pub seconds: f64,
-    /// Of these, seconds in which forces are compared: the hands press, and neither forces nor objects change.
+    /// Part of it in which forces are compared: the hands press, and neither forces nor objects change, s.
     pub quiet_seconds: f64,
 }
 
 /// One setting in all scenes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// What was turned.
+    /// Name of the knob.
     pub knob: String,
-    /// What it was set to.
+    /// Name of the setting.
     pub setting: String,
     /// One entry per scene.
     pub entries: Vec<Entry>,
@@ -72,22 +72,22 @@ pub struct Entry {
     pub scene: String,
     /// Errors against the fine reference of the same model.
     pub same: Errors,
-    /// Errors against the one reference model.
+    /// Errors against the reference model.
     pub model: Errors,
     /// Upward contact force on the objects over their weight, in the quiet seconds.
     pub lift: Option<f64>,
     /// Share of frames that a guard refused.
     pub invalid: Option<f64>,
-    /// Milliseconds per simulated second, without labels and pictures unless these are what is turned.
+    /// Computation per simulated second, ms; without labels and pictures, except for their own knobs.
     pub ms_per_second: Option<f64>,
     /// Simulated seconds per second.
     pub real_time_factor: Option<f64>,
-    /// Why the scene can't be run so.
+    /// Reason why the scene refuses the setting.
     pub refused: Option<String>,
 }
 
 impl Entry {
-    /// Takes a cost down, s per simulated second.
+    /// Sets the computation per simulated second, s.
     pub fn set_cost(&mut self, seconds: f64) {
         self.ms_per_second = Some(1e3 * seconds);
         self.real_time_factor = (seconds > 0.0).then(|| 1.0 / seconds);
@@ -95,12 +95,12 @@ impl Entry {
 }
 
 impl Row {
-    /// The worst over all scenes, value by value.
+    /// Returns the worst over all scenes, value by value.
     pub fn worst(&self) -> Entry {
         self.worst_of(|_| true)
     }
 
-    /// The worst over the scenes that are `wanted`, value by value.
+    /// Returns the worst over the `wanted` scenes, value by value.
     pub fn worst_of(&self, wanted: impl Fn(&str) -> bool) -> Entry {
         let entries: Vec<&Entry> = self.entries.iter().filter(|entry| wanted(&entry.scene)).collect();
         let values = |value: fn(&Entry) -> Option<f64>| entries.iter().filter_map(move |entry| value(entry));
@@ -135,12 +135,12 @@ impl Report {
     /// Reads what [`Self::to_json`] wrote.
     ///
     /// # Errors
-    /// If the text is something else; `path` is for the message.
+    /// If the text is no report; `path` is for the message.
     pub fn from_json(path: &Path, text: &str) -> Result<Self> {
         serde_json::from_str(text).map_err(|error| Error::file(path, error))
     }
 
-    /// As text, with a line's end.
+    /// Returns the report as JSON text with a line break at its end.
     ///
     /// # Errors
     /// Never for a report.
@@ -149,7 +149,7 @@ impl Report {
         Ok(text + "\n")
     }
 
-    /// Scenes in which all settings of physics were measured, so that these can be compared.
+    /// Returns the scenes in which all settings of physics were measured.
     pub fn shared_scenes(&self) -> Vec<&str> {
         let physics = |row: &&Row| row.entries.iter().any(|entry| entry.same.force.is_some());
         let has = |row: &Row, name: &str| row.entries.iter().any(|entry| entry.scene == name);
@@ -157,7 +157,7 @@ impl Report {
         names.filter(|name| self.rows.iter().filter(physics).all(|row| has(row, name))).collect()
     }
 
-    /// The row of a setting.
+    /// Returns the row of a setting.
     pub fn row(&self, knob: &str, setting: &str) -> Option<&Row> {
         self.rows.iter().find(|row| row.knob == knob && row.setting == setting)
     }

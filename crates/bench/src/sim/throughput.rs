@@ -21,10 +21,10 @@ pub struct Throughput {
     pub rates: Vec<Rate>,
 }
 
-/// Speed with some number of jobs.
+/// Speed with a number of jobs.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Rate {
-    /// Episodes simulated at a time.
+    /// Episodes simulated at the same time.
     pub jobs: usize,
     /// Frames per second.
     pub frames_per_second: f64,
@@ -33,8 +33,8 @@ pub struct Rate {
 /// Width and height of the pictures, pixels.
 pub const SIZE: u32 = 224;
 
-/// Generates the same store with each number of jobs in turn, in child processes as `egotac sim generate` does,
-/// `repetitions` times; the best time of each counts. `workers` know the scenes and [`SIZE`].
+/// Generates the same store with each number of jobs in turn, in worker processes as `egotac sim generate` does,
+/// `repetitions` times; the best time of each counts. The `workers` know the scenes and [`SIZE`].
 ///
 /// # Errors
 /// If there is no OpenGL, a rollout fails, or the temporary folder can't be written.

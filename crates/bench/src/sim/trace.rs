@@ -1,4 +1,4 @@
-//! What a rollout did, on a time base that every timestep shares: bins of one frame interval.
+//! Trace of a rollout in bins of one frame interval, a time base that all timesteps share.
 
 use std::collections::HashMap;
 
@@ -16,17 +16,17 @@ use egotac::tactile::{N_FIELD, Validity};
 /// Sites of both hands: thumb to little finger and palm, left hand first.
 pub const N_SITES: usize = 12;
 
-/// Change of the sites' forces from bin to bin, relative to their sum, up to which a bin is quiet.
+/// Largest change of the sites' forces between neighbouring bins of a quiet bin, relative to their sum.
 const QUIET_CHANGE: f64 = 0.05;
-/// Acceleration of an object up to which a bin is quiet, m/s²: a hundredth of gravity.
+/// Largest acceleration of an object in a quiet bin, m/s²: a hundredth of gravity.
 const QUIET_ACCELERATION: f64 = 0.1;
-/// Sum of the sites' forces from which there is something to compare, N.
+/// Least sum of the sites' forces that is worth comparing, N.
 const LEAST_FORCE: f64 = 0.1;
 
-/// What one rollout did.
+/// Impulses, contacts and states of a rollout.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Trace {
-    /// Seconds per bin.
+    /// Length of a bin, s.
     pub interval: f64,
     /// (bins) impulse of the normal forces on each site, N s.
     pub impulses: Vec<[f64; N_SITES]>,
@@ -34,24 +34,24 @@ pub struct Trace {
     pub lifts: Vec<f64>,
     /// (bins) largest mean acceleration of a free object, m/s².
     pub accelerations: Vec<f64>,
-    /// (bins) weight of the free objects that are awake, times time, N s; contacts of sleeping ones are not in the list.
+    /// (bins) weight of the awake free objects, times time, N s; the engine does not list contacts of sleeping objects.
     pub weights: Vec<f64>,
     /// (frames) vertices in contact (label c: above 0.05 N), ascending.
     pub touched: Vec<Vec<u32>>,
     /// (frames) positions of all joints.
     pub states: Vec<Vec<f64>>,
-    /// Frames that a guard refused.
+    /// Number of frames that a guard refused.
     pub invalid: usize,
 }
 
-/// Which body is which site, which free joint which object.
-struct Cast {
+/// Bodies of the sites and joints of the objects that are recorded.
+struct Recorded {
     sites: HashMap<Body, usize>,
     objects: Vec<FreeJoint>,
 }
 
 impl Trace {
-    /// Runs an episode and takes down what the hands and objects feel.
+    /// Runs an episode and records the forces on hands and objects.
     ///
     /// # Errors
     /// If the rollout can't be made or fails.
@@ -59,20 +59,20 @@ impl Trace {
         Self::record_timed(scene, seed, options).map(|(trace, _)| trace)
     }
 
-    /// As [`Self::record`], and the processor seconds per simulated second that it took.
+    /// As [`Self::record`], with the processor time per simulated second, s.
     ///
     /// # Errors
     /// As [`Self::record`].
     pub fn record_timed(scene: &Scene, seed: u64, options: &RolloutOptions) -> Result<(Self, f64)> {
         let mut rollout = Rollout::new(scene, seed, options)?;
-        let cast = Cast::of(&rollout);
+        let recorded = Recorded::of(&rollout);
         let mut trace = Self { interval: rollout.interval(), ..Self::default() };
         let begun = Stopwatch::start();
         let mut bin = Bin::default();
-        let mut velocities = cast.velocities(rollout.world());
-        while let Some(frame) = rollout.next_frame_watched(|world| cast.add(world, &mut bin))? {
+        let mut velocities = recorded.velocities(rollout.world());
+        while let Some(frame) = rollout.next_frame_watched(|world| recorded.add(world, &mut bin))? {
             if !trace.touched.is_empty() {
-                let now = cast.velocities(rollout.world());
+                let now = recorded.velocities(rollout.world());
                 let change = velocities.iter().zip(&now).map(|(a, b)| (*b - *a).length() / trace.interval);
                 trace.accelerations.push(change.fold(0.0, f64::max));
                 trace.impulses.push(bin.sites);
@@ -88,7 +88,7 @@ impl Trace {
         Ok((trace, begun.seconds() / simulated))
     }
 
-    /// Bins in which neither forces nor objects change much: what is compared is a grasp, not a moment of it.
+    /// Returns the bins in which neither forces nor objects change much, so that a steady grasp is compared.
     pub fn quiet(&self) -> Vec<usize> {
         let change = |a: &[f64; N_SITES], b: &[f64; N_SITES]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>();
         let is_quiet = |k: &usize| {
@@ -101,19 +101,20 @@ impl Trace {
         (1..self.impulses.len().saturating_sub(1)).filter(is_quiet).collect()
     }
 
-    /// Mean force on each site over some bins, N; bins that the rollout didn't reach count as none.
+    /// Returns the mean force on each site over some bins, N; bins that the rollout did not reach count as 0.
     pub fn mean_forces(&self, bins: &[usize]) -> [f64; N_SITES] {
         let time = self.interval * bins.len().max(1) as f64;
         let sum = |site: usize| bins.iter().filter_map(|bin| self.impulses.get(*bin)).map(|bin| bin[site]).sum::<f64>();
         std::array::from_fn(|site| sum(site) / time)
     }
 
-    /// Impulse on each site over the whole run, N s.
+    /// Returns the impulse on each site over the whole run, N s.
     pub fn total_impulses(&self) -> [f64; N_SITES] {
         std::array::from_fn(|site| self.impulses.iter().map(|bin| bin[site]).sum())
     }
 
-    /// Upward force on the free objects over some bins, relative to their weight; 1 where they rest or are held still.
+    /// Returns the upward force on the free objects over some bins, relative to their weight: 1 if they rest or are held
+    /// still.
     pub fn lift(&self, bins: &[usize]) -> Option<f64> {
         let sum = |values: &[f64]| bins.iter().filter_map(|bin| values.get(*bin)).sum::<f64>();
         let (lift, weight) = (sum(&self.lifts), sum(&self.weights));
@@ -121,7 +122,7 @@ impl Trace {
     }
 }
 
-/// What the steps of one bin gave, N s.
+/// Sums over the steps of one bin, N s.
 #[derive(Debug, Clone, Copy, Default)]
 struct Bin {
     sites: [f64; N_SITES],
@@ -129,13 +130,13 @@ struct Bin {
     weight: f64,
 }
 
-impl Cast {
+impl Recorded {
     fn of(rollout: &Rollout) -> Self {
         let world = rollout.world();
         let mut sites = HashMap::new();
         for side in Side::BOTH {
             for (joint, name) in JOINT_NAMES.iter().enumerate() {
-                // A hand that is absent has no bodies.
+                // An absent hand has no bodies.
                 if let Ok(body) = world.body(&rollout.rigs()[side as usize].name(name)) {
                     sites.insert(body, side as usize * (Site::Palm as usize + 1) + site_of(joint) as usize);
                 }
@@ -144,7 +145,7 @@ impl Cast {
         Self { sites, objects: rollout.objects().iter().filter_map(|object| object.joint).collect() }
     }
 
-    /// Adds what a step's forces gave: on each site, and upwards on the objects.
+    /// Adds the impulses of a step: on each site, and upwards on the objects.
     fn add(&self, world: &World, bin: &mut Bin) {
         let dt = world.options().timestep;
         let awake = self.objects.iter().map(|joint| world.body_of(*joint)).filter(|body| world.is_awake(*body));
@@ -167,7 +168,7 @@ impl Cast {
 }
 
 fn touched(frame: &SimFrame) -> Vec<u32> {
-    // Without dynamics forces are unknown, but contact is not.
+    // Contact is known also without dynamics, when forces are unknown.
     let contact = &frame.frame.field.contact;
     (0..N_FIELD as u32).filter(|vertex| contact[*vertex as usize] > CONTACT_THRESHOLD).collect()
 }

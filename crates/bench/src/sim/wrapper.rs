@@ -1,4 +1,4 @@
-//! What our own code adds to a step of the engine.
+//! Overhead of our own code over a step of the engine.
 
 use egotac::error::Result;
 use egotac::mujoco::World;
@@ -10,24 +10,24 @@ use serde::{Deserialize, Serialize};
 /// Times per step, and their ratios to the bare C loop over the same steps with the same servo targets.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Wrapper {
-    /// The scene.
+    /// Name of the scene.
     pub scene: String,
     /// Steps of the episode.
     pub steps: usize,
-    /// Microseconds per step of the engine's `mj_step`.
+    /// Time of the engine's `mj_step`, microseconds per step.
     pub bare_us: f64,
-    /// `World::step`, relative to that.
+    /// Time of `World::step` over that of `mj_step`.
     pub step_ratio: f64,
-    /// `World::step` and the rollout's control, without guards.
+    /// Time of `World::step` and the rollout's control over that of `mj_step`.
     pub control_ratio: f64,
-    /// Those with guards.
+    /// Time of `World::step`, control and guards over that of `mj_step`.
     pub guarded_ratio: f64,
 }
 
-/// Servo targets and the steps for which they stay, per frame.
-type Course = Vec<Vec<(Vec<f64>, usize)>>;
+/// Servo targets with the number of steps that they hold, per frame.
+type TargetSchedule = Vec<Vec<(Vec<f64>, usize)>>;
 
-/// Times an episode four ways, frame by frame in turn.
+/// Times an episode in four ways, which take turns at each frame.
 ///
 /// # Errors
 /// If the rollout can't be made.
@@ -87,13 +87,13 @@ fn step_bare(world: &mut World, count: usize) {
     }
 }
 
-/// Seconds from the start of a frame to the last of its `steps`; what is computed at its end to observe it is left out.
+/// Times a frame up to the last of its `steps`, without the observation at its end, s.
 fn steps_of_frame(rollout: &mut Rollout, steps: usize) -> f64 {
     let begun = Stopwatch::start();
     let (mut seconds, mut done) = (0.0, 0);
     rollout.skip_frame_watched(|_| {
         done += 1;
-        // Reading the clock takes a hundredth of a step.
+        // Reading the clock once takes a hundredth of a step.
         if done == steps {
             seconds = begun.seconds();
         }
@@ -101,8 +101,8 @@ fn steps_of_frame(rollout: &mut Rollout, steps: usize) -> f64 {
     seconds
 }
 
-fn course(mut rollout: Rollout) -> Course {
-    let mut course = Course::new();
+fn course(mut rollout: Rollout) -> TargetSchedule {
+    let mut course = TargetSchedule::new();
     loop {
         let mut frame: Vec<(Vec<f64>, usize)> = Vec::new();
         let go_on = rollout.skip_frame_watched(|world| match frame.last_mut() {
@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_bare_loop_takes_the_rollouts_own_steps() {
+    fn the_bare_loop_takes_the_same_steps_as_the_rollout() {
         let options = RolloutOptions { picture: None, ..RolloutOptions::default() };
         let scene = Scene::load("pinch_cube").unwrap();
         let new = || Rollout::new(&scene, 0, &options).unwrap();

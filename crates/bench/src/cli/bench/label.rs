@@ -13,7 +13,7 @@ use crate::label::{ALLOWED, markdown, run as measure};
 /// Arguments of `egotac bench label`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "The exit status is 1 if the rest takes more than 10 % of a preset's time in one of the formats."
+    after_help = "The exit status is 1 if the stages beside the network take more than 10 % of a preset's time in one of the formats."
 )]
 pub struct Args {
     /// Checkpoint to run; the one that comes with egotac if absent.
@@ -25,15 +25,15 @@ pub struct Args {
     /// Images of each recording.
     #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     frames: u64,
-    /// Labellings of each recording, of which the best counts.
+    /// Repetitions for each recording; the best counts.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=100))]
     repetitions: u64,
-    /// Folder for label.md and label.json; without it they are only printed.
+    /// Folder for label.md and label.json; without it the table is only printed.
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
 }
 
-/// Runs the command; false if the rest takes more than it may.
+/// Runs the subject; false if the stages beside the network take more than [`ALLOWED`] of the time of a preset.
 pub fn run(args: &Args) -> anyhow::Result<bool> {
     let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
     let folder = tempfile::tempdir()?;

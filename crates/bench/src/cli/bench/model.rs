@@ -13,7 +13,7 @@ use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, Predictor, 
 
 use crate::model::{Plan, Setup, growth, measure, pareto, sweep, table};
 
-/// MB that a stream's memory may grow by.
+/// Largest allowed growth of a stream's memory, MB.
 const GROWTH_MB: f64 = 8.0;
 
 /// Arguments of `egotac bench model`.
@@ -27,7 +27,7 @@ pub struct Args {
     /// Presets, comma separated: toy, pocket, tiny, small, base.
     #[arg(long, value_delimiter = ',', default_value = "tiny")]
     preset: Vec<String>,
-    /// Of this preset also vary horizon, input size and threads, one at a time.
+    /// For this preset also vary horizon, input size and threads, one at a time.
     #[arg(long, value_name = "PRESET", requires = "out")]
     vary: Option<String>,
     /// Observation horizons, comma separated; the preset's own without it.
@@ -61,25 +61,25 @@ pub struct Args {
     /// Rounds beside the peer.
     #[arg(long, default_value_t = 3)]
     rounds: usize,
-    /// Send so many frames through a stream and see whether memory grows; exit status 1 if it does.
-    /// With --out it is written as growth-PRESET.json.
+    /// Send this number of frames through a stream; exit status 1 if memory grows.
+    /// With --out the result is written as growth-PRESET.json.
     #[arg(long, value_name = "FRAMES", conflicts_with_all = ["checkpoint", "vary", "peer", "draw"])]
     growth: Option<u64>,
     /// CUDA device, by index; the CPU without it.
     #[arg(long, value_name = "INDEX", conflicts_with = "out")]
     cuda: Option<usize>,
-    /// Print JSON in place of a table.
+    /// Print JSON instead of a table.
     #[arg(long)]
     json: bool,
     /// Folder for model.md, model.json, model.png and model.svg.
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Measure nothing: write table and plot of what an earlier model.json holds.
+    /// Measure nothing: write table and plot of an earlier model.json.
     #[arg(long, value_name = "FILE", requires = "out")]
     draw: Option<PathBuf>,
 }
 
-/// Runs the subject; false if memory grew.
+/// Runs the subject; false if memory grew by more than [`GROWTH_MB`].
 pub fn run(args: &Args) -> anyhow::Result<bool> {
     ensure!(args.threads.iter().all(|threads| (1..=1024).contains(threads)), "--threads: expected 1 to 1024");
     for preset in args.preset.iter().chain(&args.vary) {
@@ -115,7 +115,7 @@ fn one(args: &Args) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// The one configuration that the lists name, and the thread pool it asks for.
+/// Returns the one configuration of the lists, and sets up its thread pool.
 fn setup(args: &Args) -> anyhow::Result<Setup> {
     fn single<T: Clone>(name: &str, values: &[T]) -> anyhow::Result<Option<T>> {
         ensure!(values.len() <= 1, "{name}: several values need --out");
@@ -198,7 +198,7 @@ fn write(out: &std::path::Path, report: &sweep::Report) -> anyhow::Result<bool> 
     Ok(true)
 }
 
-/// The command that measures the same again.
+/// Returns the command that measures the same again.
 fn command(args: &Args, out: &std::path::Path) -> String {
     let mut words = format!("egotac bench model --preset {}", args.preset.join(","));
     fn list<T: ToString>(values: &[T]) -> String {

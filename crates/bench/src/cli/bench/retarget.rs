@@ -20,10 +20,10 @@ pub struct Args {
     /// Command that runs a peer on the same vectors, such as `python crates/bench/benches/retarget_peer.py --peer dexi-rs`; repeatable.
     #[arg(long, value_name = "COMMAND")]
     peer: Vec<String>,
-    /// What else the machine did, for the table.
+    /// Other load of the machine, in words, for the table.
     #[arg(long, value_name = "TEXT")]
     load: Option<String>,
-    /// Print JSON in place of the tables.
+    /// Print JSON instead of the tables.
     #[arg(long)]
     json: bool,
     /// Folder for retarget.md, retarget.json, retarget.png and retarget.svg.

@@ -16,7 +16,7 @@ pub struct Args {
     /// Names of scenes (`egotac sim list`), or YAML files; without them, presets are compared on all scenes that are
     /// part of the program, and the other knobs on two of them.
     scenes: Vec<String>,
-    /// What to turn, comma separated: preset, timestep, cone, iterations, integrator, impratio, hull, label, size,
+    /// Knobs to compare, comma separated: preset, timestep, cone, iterations, integrator, impratio, hull, label, size,
     /// shadows. Without it all of them, the wrapper's overhead and the speed of `egotac sim generate`.
     #[arg(long, value_delimiter = ',')]
     knobs: Vec<String>,
@@ -26,7 +26,7 @@ pub struct Args {
     /// Seeds over which errors are pooled; times are those of the first.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1000))]
     seeds: u64,
-    /// Interleaved repetitions of which the least time counts.
+    /// Interleaved repetitions; the least time counts.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=100))]
     repetitions: u64,
     /// Folder for sim.json, sim.md, sim.png and sim.svg.

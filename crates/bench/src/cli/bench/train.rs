@@ -28,7 +28,7 @@ pub struct Args {
     /// Rounds beside the peer.
     #[arg(long, default_value_t = 3)]
     rounds: usize,
-    /// Print JSON in place of a table.
+    /// Print JSON instead of a table.
     #[arg(long)]
     json: bool,
     /// Folder for train.md and train.json.
