@@ -4,8 +4,8 @@
 //! cargo bench -p egotac-bench --bench labels
 //! ```
 //!
-//! The shortest of many runs comes first, criterion's statistics after it. `full` is (a) + (b) + (c) with every fingertip on the mesh: nearest resampled point and signed distance up to 1 cm,
-//! and five contacts' forces spread.
+//! Prints the shortest of many runs, then criterion's statistics. `full` is (a) + (b) + (c) with every fingertip on the mesh:
+//! nearest resampled point, signed distance up to 1 cm, and the spread forces of five contacts.
 
 use std::f32::consts::{PI, TAU};
 use std::hint::black_box;
@@ -55,13 +55,13 @@ fn grasp(model: &HandModel) -> Vec<Vec3> {
         }
     }
     let mut vertices = model.forward(&params).vertices;
-    // The palm's side of the knuckles' middle comes to lie on the ball.
+    // The middle of the knuckles' palmar side lies on the ball.
     let palm = [1, 4, 7, 10].map(|joint| model.forward(&params).joints[joint]).iter().sum::<Vec3>() / 4.0;
     vertices.iter_mut().for_each(|v| *v -= palm - Vec3::Y * 0.045);
     vertices
 }
 
-/// The shortest of many runs, ms: what it costs on a machine that does nothing else.
+/// Returns the shortest of many runs, ms: other load on the machine only lengthens runs.
 fn least<T>(run: impl Fn() -> T) -> f64 {
     let time = || {
         let start = Instant::now();

@@ -4,8 +4,8 @@
 //! cargo bench -p egotac-bench --bench model -- --preset tiny --threads 2 [--runs 5] [--batch 4]
 //! ```
 //!
-//! `step_ms` is the median of forward, force and contact loss, backward, clipping and AdamW on that many clips.
-//! `peak_memory_mb` is the process's.
+//! `step_ms` is the median time of a step on a batch of that many clips: forward, force and contact loss, backward, clipping
+//! and AdamW. `peak_memory_mb` is the largest resident memory of the process.
 
 use std::time::Instant;
 
@@ -55,7 +55,7 @@ fn step(config: &Config, batch: usize, runs: usize) -> anyhow::Result<f64> {
     })
 }
 
-/// Mean of `-w y log σ(x) - (1 - y) log(1 - σ(x))`, from logits, without overflow.
+/// Computes the mean of `-w y log σ(x) - (1 - y) log(1 - σ(x))`, from logits, without overflow.
 fn weighted_bce(x: &Tensor, y: &Tensor, positive_weight: f64) -> Result<Tensor> {
     // log(1 + e⁻ˣ) = max(-x, 0) + log(1 + e^-|x|)
     let softplus = (x.neg()?.relu()? + (x.abs()?.neg()?.exp()? + 1.0)?.log()?)?;
@@ -82,7 +82,7 @@ fn clip_gradients(vars: &VarMap, gradients: &mut candle_core::backprop::GradStor
     Ok(())
 }
 
-/// Milliseconds; the first run is not counted.
+/// Returns the median time of `runs` runs after one that does not count, ms.
 fn median(runs: usize, mut run: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<f64> {
     run()?;
     let mut times = Vec::new();

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The network in PyTorch, timed: what `egotac bench model --peer` runs beside ours.
+"""Times the network in PyTorch, as the peer of `egotac bench model --peer`.
 
     python crates/bench/benches/peer.py --preset tiny --threads 2 [--runs 20] [--openvino]
     python crates/bench/benches/peer.py --preset tiny --threads 2 --train [--batch 4] [--runs 3]

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Another program on the same input: what `egotac bench retarget --peer` runs beside ours.
+"""Times another retargeting program on the same input, as the peer of `egotac bench retarget --peer`.
 
     python crates/bench/benches/retarget_peer.py --input FILE --peer dexi-rs|dex-retargeting|mink
 

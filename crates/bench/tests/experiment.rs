@@ -20,7 +20,7 @@ fn experiment(work: &Path, out: &Path, more: &[&str]) -> Output {
 }
 
 #[test]
-fn an_experiment_writes_its_tables_and_makes_no_run_twice() {
+fn an_experiment_writes_its_tables_and_repeats_no_run() {
     let folder = tempfile::tempdir().unwrap();
     let [work, first, second] = ["work", "first", "second"].map(|name| folder.path().join(name));
     let output = experiment(&work, &first, &["--encoder-steps", "2", "--steps", "2"]);
@@ -56,7 +56,7 @@ fn an_experiment_writes_its_tables_and_makes_no_run_twice() {
 }
 
 #[test]
-fn an_unknown_experiment_is_refused_before_anything_is_made() {
+fn an_unknown_experiment_is_refused_before_data_is_made() {
     let folder = tempfile::tempdir().unwrap();
     let output = Command::new(env!("CARGO_BIN_EXE_egotac-bench"))
         .args(["experiment", "ablation"])

@@ -1,8 +1,8 @@
-//! Nothing fails silently: each hard case is right as a user writes it, or flagged; and its remedy is right.
+//! No hard case fails silently: each is right as a user writes it, or flagged; and its remedy is right.
 
 use egotac_bench::hard_cases::{Family, registry, run};
 
-/// Runs a family's cases and names those that fail.
+/// Runs the cases of a family; fails with the names of those that fail.
 fn family(family: Family) {
     let cases: Vec<_> = registry().into_iter().filter(|case| case.family == family).collect();
     assert!(!cases.is_empty(), "{family:?} has no cases");
@@ -23,12 +23,12 @@ mod engine {
     use super::*;
 
     #[test]
-    fn bodies_that_touch() {
+    fn contacts() {
         family(Family::Contact);
     }
 
     #[test]
-    fn stiffness_and_damping_against_the_timestep() {
+    fn stiffness_and_damping() {
         family(Family::Stability);
     }
 
@@ -43,7 +43,7 @@ mod engine {
     }
 
     #[test]
-    fn holding_for_long() {
+    fn long_holds() {
         family(Family::Hold);
     }
 
@@ -53,12 +53,12 @@ mod engine {
     }
 
     #[test]
-    fn hands_that_robots_follow() {
+    fn retargeting() {
         family(Family::Retargeting);
     }
 
     #[test]
-    fn what_would_end_the_process() {
+    fn inputs_that_would_end_the_process() {
         family(Family::Process);
     }
 
@@ -67,9 +67,9 @@ mod engine {
         family(Family::Scene);
     }
 
-    /// Which guard it is that speaks, where several could.
+    /// Checks which guard reports a case, because several could.
     #[test]
-    fn each_guard_sees_what_it_is_for() {
+    fn each_guard_reports_its_own_case() {
         let expected = [
             ("mass_ratio_1000", "1000 times as heavy"),
             ("sunken_start", "start 10.0 mm inside"),
@@ -92,8 +92,8 @@ mod engine {
         ];
         for (name, words) in expected {
             let case = registry().into_iter().find(|case| case.name == name).unwrap();
-            let said = run(&case).unwrap().outcome.guard;
-            assert!(said.contains(words), "{name}: {said}");
+            let guard = run(&case).unwrap().outcome.guard;
+            assert!(guard.contains(words), "{name}: {guard}");
         }
     }
 
@@ -110,37 +110,37 @@ mod engine {
 }
 
 #[test]
-fn rotations_near_nothing_half_a_turn_and_a_whole_one() {
+fn rotations_near_zero_half_a_turn_and_a_whole_turn() {
     family(Family::Rotation);
 }
 
 #[test]
-fn hands_in_poses_that_no_hand_takes() {
+fn impossible_hand_poses() {
     family(Family::Hand);
 }
 
 #[test]
-fn labels_on_meshes_that_are_no_good() {
+fn labels_on_faulty_meshes() {
     family(Family::Label);
 }
 
 #[test]
-fn no_number_enters_that_is_none() {
+fn no_function_accepts_a_non_finite_value() {
     family(Family::Entrance);
 }
 
 #[test]
-fn networks_at_the_edge_of_numbers() {
+fn extreme_network_inputs() {
     family(Family::Network);
 }
 
 #[test]
-fn training_on_what_is_no_number() {
+fn training_on_non_finite_values() {
     family(Family::Training);
 }
 
 #[test]
-fn names_are_unique_and_everything_is_said() {
+fn names_are_unique_and_every_case_has_recipe_and_remedy() {
     let cases = registry();
     let names: std::collections::BTreeSet<_> = cases.iter().map(|case| case.name).collect();
     assert_eq!(names.len(), cases.len());

@@ -93,7 +93,7 @@ fn a_stream_of_the_toy_network_keeps_its_memory() {
 }
 
 #[test]
-fn bench_says_what_is_wrong() {
+fn wrong_arguments_are_refused_with_the_valid_ones() {
     let folder = tempfile::tempdir().unwrap();
     let bench = |more: &[&str]| refused(&[&["bench", "model"], more].concat(), folder.path());
     assert!(bench(&["--preset", "huge"]).contains("known: toy, pocket, tiny, small, base"));

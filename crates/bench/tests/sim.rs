@@ -1,4 +1,5 @@
-//! What the accuracy bench says is right: errors shrink with the step, held objects weigh what they weigh, files appear.
+//! `egotac bench sim` measures right: errors shrink with the step, contact forces carry the weight of held objects, files
+//! appear.
 #![cfg(feature = "sim")]
 
 use std::path::Path;
@@ -12,7 +13,7 @@ use egotac_bench::sim::replay::replay;
 use egotac_bench::sim::table::Report;
 use egotac_bench::sim::trace::Trace;
 
-/// A cube on the table between thumb and index finger for a second; nothing is drawn at random but the colours.
+/// A cube on the table between thumb and index finger for a second; only the colours are random.
 const SQUEEZE: &str = "
 description: Squeeze a cube on the table.
 physics: { preset: fast, impratio: 20 }
@@ -96,7 +97,7 @@ fn a_ten_times_finer_step_is_nearer_to_the_reference() {
 }
 
 #[test]
-fn forces_on_the_fingers_are_those_that_the_script_asks_for() {
+fn forces_on_the_fingers_equal_those_of_the_script() {
     let trace = at(&squeeze(), 1e-3);
     let forces = trace.mean_forces(&trace.quiet());
     // Right thumb and index finger; the integral control has had half a second.
@@ -107,7 +108,7 @@ fn forces_on_the_fingers_are_those_that_the_script_asks_for() {
 }
 
 #[test]
-fn what_hangs_in_the_hand_is_carried_by_its_weight() {
+fn contact_forces_on_a_held_object_equal_its_weight() {
     for name in ["pinch_cube", "lift_mug"] {
         let scene = Scene::load(name).unwrap();
         let trace = Trace::record(&scene, 0, &blind()).unwrap();
@@ -119,7 +120,7 @@ fn what_hangs_in_the_hand_is_carried_by_its_weight() {
         let (mut lift, mut steps) = (0.0, 0);
         assert!(rollout.skip_frame());
         for bin in 0..rollout.frame_count() - 1 {
-            // Averaged over the servos' cycles, at whose ends forces are a little more than at their starts.
+            // Averaged over the servos' cycles: forces are a little larger at their ends than at their starts.
             let watched = rollout.skip_frame_watched(|world| {
                 if !quiet.contains(&bin) || world.position(object).z < start + 0.015 {
                     return;
@@ -142,7 +143,7 @@ fn what_hangs_in_the_hand_is_carried_by_its_weight() {
 }
 
 #[test]
-fn replay_finds_the_places_that_forces_have_found() {
+fn replay_finds_the_contacts_of_the_run_with_forces() {
     let scene = squeeze();
     let trace = at(&scene, 1e-3);
     let replayed = replay(&scene, 0, &trace.states, &blind(), 1).unwrap();
@@ -150,7 +151,7 @@ fn replay_finds_the_places_that_forces_have_found() {
     let mut pool = Pool::default();
     pool.add_sets(&replayed.touched, &trace.touched);
     assert!(pool.errors().f1.unwrap() > 0.6, "{:?}", pool.errors());
-    // Before the fingers close there is nothing.
+    // Before the fingers close there is no contact.
     assert!(replayed.touched[0].is_empty() && trace.touched[0].is_empty());
     assert!(replay(&scene, 0, &[vec![0.0; 3]], &blind(), 1).is_err());
 }
@@ -166,7 +167,7 @@ fn fewer_hull_corners_change_the_hand_and_three_are_refused() {
 }
 
 #[test]
-fn guards_do_not_change_what_happens() {
+fn guards_do_not_change_a_run() {
     let with = |guards| Trace::record(&squeeze(), 0, &RolloutOptions { guards, ..blind() }).unwrap();
     assert!(with(true) == with(false));
 }
@@ -208,7 +209,7 @@ fn bench_sim_writes_table_and_plots() {
 }
 
 #[test]
-fn where_no_hand_presses_there_is_a_table_but_nothing_to_plot() {
+fn a_scene_in_which_no_hand_presses_has_a_table_but_no_plot() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let args = ["bench", "sim", "hover", "--knobs", "cone", "--repetitions", "1", "--out", out.to_str().unwrap()];

@@ -42,7 +42,7 @@ pub struct MeasuredScene {
 pub struct Row {
     /// Kind of setting.
     pub knob: String,
-    /// Its value; for presets their name.
+    /// Name of the setting; for presets the name of the preset.
     pub setting: String,
     /// One entry per scene.
     pub entries: Vec<Entry>,

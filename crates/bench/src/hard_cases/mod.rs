@@ -92,7 +92,7 @@ pub struct HardCase {
     pub family: Family,
     /// Unique name.
     pub name: &'static str,
-    /// What the user does, in words.
+    /// Actions of the user, in words.
     pub recipe: &'static str,
     /// Remedy, in words.
     pub remedy: &'static str,
@@ -166,7 +166,7 @@ pub struct Row {
     pub family: Family,
     /// Name.
     pub name: &'static str,
-    /// What the user does, in words.
+    /// Actions of the user, in words.
     pub recipe: &'static str,
     /// Remedy, in words.
     pub remedy: &'static str,

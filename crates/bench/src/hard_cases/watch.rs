@@ -21,7 +21,7 @@ pub(super) struct Watched {
     pub world: World,
     /// Reports of audit and guards, each once; empty if there are none.
     pub reports: String,
-    /// The same without advice: the errors that refuse a model or a frame.
+    /// Errors among the reports, which refuse a model or a frame; advice is left out.
     pub errors: String,
 }
 

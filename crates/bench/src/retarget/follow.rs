@@ -141,11 +141,11 @@ impl Mean {
 /// Shares of pairs of thumb and finger that are closed, opened or falsely closed.
 #[derive(Debug, Clone, Copy, Default)]
 struct Pinches {
-    /// Of the frames in which the human's thumb and finger touch.
+    /// Share of closed pairs in the frames in which the human's thumb and finger touch.
     closed: Mean,
-    /// Of the first frames after a release.
+    /// Share of open pairs in the first frames after a release.
     opened: Mean,
-    /// Of the frames in which they do not touch.
+    /// Share of closed pairs in the frames in which the human's thumb and finger do not touch.
     false_contacts: Mean,
 }
 
@@ -173,9 +173,9 @@ impl Pinches {
 /// Errors of the expected forces against those asked for.
 #[derive(Debug, Clone, Copy, Default)]
 struct Forces {
-    /// Of the net force, over the sum of the fingertips' forces.
+    /// Error of the net force over the sum of the fingertips' forces.
     net: Mean,
-    /// Of the net torque, over the sum of the fingertips' forces times their mean distance from the middle.
+    /// Error of the net torque over the sum of the fingertips' forces times their mean distance from the middle.
     torque: Mean,
     /// Angle of each fingertip's force, degrees.
     angle: Mean,

@@ -43,7 +43,7 @@ pub struct Grips {
     pub lost: usize,
     /// Difference between measured and expected force over the expected force, median of both fingers of held objects.
     pub error_median: f64,
-    /// The same, 90th percentile.
+    /// Difference between measured and expected force over the expected force, 90th percentile.
     pub error_p90: f64,
 }
 

@@ -41,7 +41,7 @@ pub struct Plan {
     pub seed: u64,
     /// Commands that run peers.
     pub peers: Vec<String>,
-    /// What else the machine did meanwhile, in words, if given.
+    /// Other load of the machine, in words.
     pub load: Option<String>,
 }
 
@@ -54,7 +54,7 @@ pub struct Report {
     pub version: String,
     /// The machine that it was measured on.
     pub machine: Machine,
-    /// What else the machine did meanwhile, in words.
+    /// Other load of the machine, in words.
     pub load: Option<String>,
     /// Frames per run.
     pub frames: usize,

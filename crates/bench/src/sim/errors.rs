@@ -11,7 +11,7 @@ use super::trace::{N_SITES, Trace};
 pub struct Errors {
     /// Sum over fingers and palms of |mean force over the quiet bins - reference|, relative to the reference's sum.
     pub force: Option<f64>,
-    /// The same sum for the impulses over the whole run.
+    /// Sum of the differences of impulses over the whole run, relative to the sum of the reference.
     pub impulse: Option<f64>,
     /// F1 of the vertices in contact (label c) at the frames.
     pub f1: Option<f64>,

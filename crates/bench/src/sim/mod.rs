@@ -124,6 +124,24 @@ pub fn run(plan: &Plan, progress: impl Fn(&str, usize, usize)) -> Result<Report>
     })
 }
 
+/// Index of the reference model among the setups of a scene.
+const MODEL: usize = 0;
+/// Index of the default preset's reference.
+const DEFAULT_REFERENCE: usize = 1;
+
+/// Setups that are run in a scene, and the settings that use them.
+struct Setups<'v> {
+    setups: Vec<Setup>,
+    settings: Vec<Setting<'v>>,
+}
+
+/// A variant with the indices of its setup and of its reference.
+struct Setting<'v> {
+    variant: &'v Variant,
+    setup: usize,
+    reference: usize,
+}
+
 /// Measurements in one scene.
 struct SceneBench<'a> {
     plan: &'a Plan,
@@ -132,63 +150,39 @@ struct SceneBench<'a> {
 }
 
 impl SceneBench<'_> {
-    /// All settings of physics and hulls.
+    /// Measures all settings of physics and hulls.
     fn physics(&self, rows: &mut Vec<Row>, progress: impl Fn(&str)) -> Result<SceneNote> {
-        let physics = &self.scene.spec.physics;
         let variants: Vec<Variant> = self.knobs.iter().flat_map(|knob| knob.variants()).collect();
-        let model = Setup::model(physics)?;
-        let default = Setup::new(physics, Change::Preset(Preset::Default))?;
-        let mut setups = vec![model, default.reference(physics)?];
-        let mut settings: Vec<(&Variant, usize, usize)> = Vec::new();
-        for variant in &variants {
-            let setup = Setup::new(physics, variant.change)?;
-            let reference = setup.reference(physics)?;
-            settings.push((variant, index_of(&mut setups, setup), index_of(&mut setups, reference)));
-        }
+        let Setups { setups, settings } = self.setups(&variants)?;
 
         progress("forces");
         let seeds: Vec<u64> = (0..self.plan.seeds.max(1)).map(|i| self.plan.seed + i).collect();
-        let along: Vec<Vec<Result<(Trace, f64)>>> =
+        let runs: Vec<Vec<Result<(Trace, f64)>>> =
             setups.par_iter().map(|setup| seeds.par_iter().map(|seed| self.trace(setup, *seed)).collect()).collect();
         let first = |runs: &Vec<Result<(Trace, f64)>>| runs.first().and_then(|run| run.as_ref().ok()).map(|run| run.1);
-        let seconds_along: Vec<Option<f64>> = along.iter().map(first).collect();
+        let mut times: Vec<Option<f64>> = runs.iter().map(first).collect();
         let traces: Vec<Vec<Result<Trace>>> =
-            along.into_iter().map(|runs| runs.into_iter().map(|run| run.map(|(trace, _)| trace)).collect()).collect();
+            runs.into_iter().map(|runs| runs.into_iter().map(|run| run.map(|(trace, _)| trace)).collect()).collect();
         // Without the reference nothing can be compared. A setting that the scene refuses keeps the refusal in its row.
-        let models = collect(&traces[0])?;
+        let models = collect(&traces[MODEL])?;
         let quiet: Vec<Vec<usize>> = models.iter().map(|trace| trace.quiet()).collect();
 
         progress("times");
-        let used: Vec<usize> = unique(settings.iter().map(|(_, setup, _)| *setup));
+        let used = unique(settings.iter().map(|setting| setting.setup));
         let short = |index: &usize| setups[*index].physics.timestep >= TIMED_WITH_FORCES;
         let timed: Vec<usize> = used.into_iter().filter(short).collect();
         let timed_setups: Vec<&Setup> = timed.iter().map(|index| &setups[*index]).collect();
         let repetitions = self.plan.repetitions.max(1);
-        let times = times::time_setups(self.scene, self.plan.seed, &timed_setups, &self.blind(), repetitions);
+        let least = times::time_setups(self.scene, self.plan.seed, &timed_setups, &self.blind(), repetitions);
+        timed.iter().zip(least).for_each(|(index, time)| times[*index] = time);
 
         if self.knobs.contains(&Knob::Preset) {
-            let entry = self.replay(&traces[1], &models)?;
+            let entry = self.replay(&traces[DEFAULT_REFERENCE], &models)?;
             put(rows, Knob::Preset.name(), Preset::Replay.name(), entry);
         }
-        for (variant, setup, reference) in settings {
-            let mut entry = Entry { scene: self.scene.name.clone(), ..Entry::default() };
-            match (collect(&traces[setup]), collect(&traces[reference])) {
-                (Ok(runs), Ok(references)) => {
-                    entry.same = errors(&runs, &references, &quiet);
-                    entry.model = errors(&runs, &models, &quiet);
-                    let lifts = runs.iter().zip(&quiet).filter_map(|(run, bins)| run.lift(bins));
-                    entry.lift = lifts.max_by(|a, b| (a - 1.0).abs().total_cmp(&(b - 1.0).abs()));
-                    let frames: usize = runs.iter().map(|run| run.touched.len()).sum();
-                    let invalid: usize = runs.iter().map(|run| run.invalid).sum();
-                    entry.invalid = Some(invalid as f64 / frames.max(1) as f64);
-                }
-                (Err(error), _) | (_, Err(error)) => entry.refused = Some(error.to_string()),
-            }
-            let time = match timed.iter().position(|index| *index == setup) {
-                Some(index) => times[index],
-                None => seconds_along[setup],
-            };
-            if let Some(seconds) = time {
+        for Setting { variant, setup, reference } in settings {
+            let mut entry = self.entry(&traces[setup], &traces[reference], &models, &quiet);
+            if let Some(seconds) = times[setup] {
                 entry.set_cost(seconds);
             }
             put(rows, variant.knob.name(), &variant.name, entry);
@@ -201,6 +195,45 @@ impl SceneBench<'_> {
             seconds: frames as f64 * interval,
             quiet_seconds: quiet as f64 * interval,
         })
+    }
+
+    /// Returns the setups to run, each once: the reference model, the default's reference, then those of the variants.
+    fn setups<'v>(&self, variants: &'v [Variant]) -> Result<Setups<'v>> {
+        let physics = &self.scene.spec.physics;
+        let default = Setup::new(physics, Change::Preset(Preset::Default))?;
+        let mut setups = vec![Setup::model(physics)?, default.reference(physics)?];
+        let mut settings = Vec::new();
+        for variant in variants {
+            let setup = Setup::new(physics, variant.change)?;
+            let reference = setup.reference(physics)?;
+            let (setup, reference) = (index_of(&mut setups, setup), index_of(&mut setups, reference));
+            settings.push(Setting { variant, setup, reference });
+        }
+        Ok(Setups { setups, settings })
+    }
+
+    /// Returns the errors of a setting's runs, or the reason why the scene refuses it.
+    fn entry(
+        &self,
+        runs: &[Result<Trace>],
+        references: &[Result<Trace>],
+        models: &[&Trace],
+        quiet: &[Vec<usize>],
+    ) -> Entry {
+        let mut entry = Entry { scene: self.scene.name.clone(), ..Entry::default() };
+        match (collect(runs), collect(references)) {
+            (Ok(runs), Ok(references)) => {
+                entry.same = errors(&runs, &references, quiet);
+                entry.model = errors(&runs, models, quiet);
+                let lifts = runs.iter().zip(quiet).filter_map(|(run, bins)| run.lift(bins));
+                entry.lift = lifts.max_by(|a, b| (a - 1.0).abs().total_cmp(&(b - 1.0).abs()));
+                let frames: usize = runs.iter().map(|run| run.touched.len()).sum();
+                let invalid: usize = runs.iter().map(|run| run.invalid).sum();
+                entry.invalid = Some(invalid as f64 / frames.max(1) as f64);
+            }
+            (Err(error), _) | (_, Err(error)) => entry.refused = Some(error.to_string()),
+        }
+        entry
     }
 
     fn trace(&self, setup: &Setup, seed: u64) -> Result<(Trace, f64)> {
