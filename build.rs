@@ -23,6 +23,10 @@ fn main() {
         library_dirs.extend(check_engine(&mut facts));
     }
     write_rpaths(&library_dirs);
+    // For the build script of crates/bench (`links = "egotac"` in Cargo.toml).
+    if let Ok(list) = env::join_paths(&library_dirs) {
+        println!("cargo::metadata=library_path={}", list.to_string_lossy());
+    }
     facts.rustc = version_of_rustc();
     facts.write();
 }

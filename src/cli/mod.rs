@@ -1,17 +1,17 @@
 //! The command line: one file per command.
 
-mod bench;
 mod data;
 mod demo;
 mod doctor;
 mod eval;
-mod experiment;
+mod external;
 mod hand;
 mod hands;
 mod label;
 mod model;
 mod predict;
-mod progress;
+#[doc(hidden)]
+pub mod progress;
 mod report;
 mod retarget;
 #[cfg(any(feature = "ros", feature = "sim"))]
@@ -51,7 +51,8 @@ enum Command {
     /// Score predictions against truth.
     Eval(eval::Args),
     /// Train and compare: ablations, sources, scaling, on rendered data.
-    Experiment(experiment::Args),
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Experiment(external::Args),
     /// Score labels, or a network, against simulated contact forces; a gate for continuous integration.
     Verify(verify::Args),
     /// Transfer a hand's pose and touch to a robot hand: run, inspect, new, list, demo.
@@ -59,7 +60,8 @@ enum Command {
     /// Network: forward, attention, import, start, info.
     Model(model::Args),
     /// Benchmarks of the documentation: model, train, label, retarget, sim, effects, hard-cases, guards.
-    Bench(bench::Args),
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Bench(external::Args),
     /// Recordings and labels: info, diff.
     Data(data::Args),
     /// Run simulator, predictor and verifier end to end on this machine.
@@ -68,8 +70,7 @@ enum Command {
 
 /// Runs the command line; the exit status is 0 for success, 1 for a failed check or an error, 2 for bad usage.
 pub fn main() -> ExitCode {
-    exit_quietly_on_closed_pipe();
-    let result = match Cli::parse().command {
+    execute(|| match Cli::parse().command {
         Command::Doctor(args) => doctor::run(args),
         Command::Hand(args) => hand::run(args),
         Command::Sim(args) => sim::run(args),
@@ -78,15 +79,21 @@ pub fn main() -> ExitCode {
         Command::Report(args) => report::run(args),
         Command::Predict(args) => predict::run(args),
         Command::Eval(args) => eval::run(args),
-        Command::Experiment(args) => experiment::run(args),
+        Command::Experiment(args) => external::run("experiment", args),
         Command::Verify(args) => verify::run(args),
         Command::Retarget(args) => retarget::run(args),
         Command::Model(args) => model::run(args),
-        Command::Bench(args) => bench::run(args),
+        Command::Bench(args) => external::run("bench", args),
         Command::Data(args) => data::run(args),
         Command::Demo(args) => demo::run(args),
-    };
-    match result {
+    })
+}
+
+/// Runs a program's command and prints its error once; the exit status is 1 for an error.
+#[doc(hidden)]
+pub fn execute(command: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitCode {
+    end_quietly_with_the_reader();
+    match command() {
         Ok(code) => code,
         Err(error) => {
             eprintln!("egotac: {error:#}");
@@ -96,15 +103,16 @@ pub fn main() -> ExitCode {
 }
 
 /// Creates the error of a command whose feature is not compiled in.
-#[allow(dead_code, reason = "unused if all features are on")]
-fn feature_off(command: &str, feature: &str) -> anyhow::Error {
+#[doc(hidden)]
+pub fn feature_off(command: &str, feature: &str) -> anyhow::Error {
     anyhow::anyhow!(
         "`egotac {command}` needs the feature `{feature}`: `make setup`, `. ./env.sh`, `cargo build --release --features {feature}`"
     )
 }
 
 /// Returns the CPU, or a CUDA device by index.
-fn device(cuda: Option<usize>) -> anyhow::Result<candle_core::Device> {
+#[doc(hidden)]
+pub fn device(cuda: Option<usize>) -> anyhow::Result<candle_core::Device> {
     match cuda {
         None => Ok(candle_core::Device::Cpu),
         Some(_) if !cfg!(feature = "cuda") => {

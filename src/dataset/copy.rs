@@ -11,7 +11,8 @@ use crate::error::{Error, Result};
 ///
 /// # Errors
 /// If a file can't be read or written.
-pub(crate) fn copy_folder(from: &Path, to: &Path, resume: bool) -> Result<()> {
+#[doc(hidden)]
+pub fn copy_folder(from: &Path, to: &Path, resume: bool) -> Result<()> {
     fs::create_dir_all(to).map_err(Error::io(to))?;
     for entry in fs::read_dir(from).map_err(Error::io(from))? {
         let entry = entry.map_err(Error::io(from))?;

@@ -16,6 +16,8 @@ pub mod color;
 pub mod figure;
 pub mod font;
 mod hand;
+#[doc(hidden)]
+pub mod plot;
 mod raster;
 mod smooth;
 

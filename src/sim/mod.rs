@@ -11,6 +11,8 @@
 //! are metres, seconds, newtons and radians.
 
 pub(crate) mod appearance;
+#[doc(hidden)]
+pub mod budget;
 pub mod camera;
 pub mod contact;
 pub(crate) mod convex;

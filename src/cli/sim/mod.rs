@@ -157,7 +157,8 @@ struct Accuracy {
     #[arg(long, conflicts_with_all = ["budget", "error"])]
     preset: Option<String>,
     /// Largest computation time per simulated second, without labels and pictures, e.g. 20ms: selects the most exact preset
-    /// within it, from the table of `egotac bench sim` in this program.
+    /// within it, from the table of `egotac bench sim` in this program, scaled to this machine's speed (measured once, in
+    /// half a second, and kept in ~/.cache/egotac).
     #[arg(long, value_name = "TIME", value_parser = parse_budget)]
     budget: Option<f64>,
     /// Largest error of quasi-static forces, e.g. 1%: selects the cheapest preset within it, from the same table.
@@ -175,6 +176,9 @@ struct Worker {
     size: u32,
     #[command(flatten)]
     accuracy: Accuracy,
+    /// This machine's time over that of the table's machine, as measured by the process that starts the workers.
+    #[arg(long)]
+    budget_factor: Option<f64>,
     #[command(flatten)]
     rollout: RolloutArgs,
 }

@@ -7,13 +7,14 @@ use anyhow::Context;
 
 use super::shared::{load, options};
 use super::{Accuracy, Generate, RolloutArgs, Run, Worker};
-use crate::bench::sim::pick::{self, Request};
 use crate::cli::progress;
 use crate::mujoco::{PhysicsOptions, Preset};
+use crate::sim::budget::{self, Request, Table};
 use crate::sim::{self, RecordSummary, Scene, WorkerCommand};
 
 pub fn run(args: &Run) -> anyhow::Result<()> {
-    let scene = with_printed_accuracy(load(&args.scene)?, &args.accuracy)?;
+    let factor = factor(&args.accuracy)?;
+    let scene = with_printed_accuracy(load(&args.scene)?, &args.accuracy, factor)?;
     let bar = progress::bar("frames");
     let options = options(&args.rollout, args.size)?;
     let summary = sim::record(&scene, args.seed, &options, &args.out, |done, all| progress::step(&bar, done, all))?;
@@ -23,7 +24,8 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
 }
 
 pub fn generate(args: &Generate) -> anyhow::Result<()> {
-    let scenes = args.scenes.iter().map(|name| with_printed_accuracy(load(name)?, &args.accuracy));
+    let factor = factor(&args.accuracy)?;
+    let scenes = args.scenes.iter().map(|name| with_printed_accuracy(load(name)?, &args.accuracy, factor));
     let plan = sim::DatasetPlan {
         scenes: scenes.collect::<anyhow::Result<_>>()?,
         episodes: args.episodes,
@@ -41,7 +43,7 @@ pub fn generate(args: &Generate) -> anyhow::Result<()> {
     };
     let summary = match args.in_process {
         true => sim::generate(&plan, &args.out, progress)?,
-        false => sim::generate_in_processes(&plan, &workers(args)?, args.skip_failed, &args.out, progress)?,
+        false => sim::generate_in_processes(&plan, &workers(args, factor)?, args.skip_failed, &args.out, progress)?,
     };
     chunks.finish_and_clear();
     print(&summary, &args.out);
@@ -49,7 +51,7 @@ pub fn generate(args: &Generate) -> anyhow::Result<()> {
 }
 
 /// Returns the command that starts this program as a worker with the same scenes and options.
-fn workers(args: &Generate) -> anyhow::Result<WorkerCommand> {
+fn workers(args: &Generate, factor: Option<f64>) -> anyhow::Result<WorkerCommand> {
     let program = std::env::current_exe().context("cannot find the path of this program")?;
     let mut arguments: Vec<OsString> = ["sim", "worker"].map(OsString::from).to_vec();
     arguments.extend(["--size".into(), args.size.to_string().into()]);
@@ -62,7 +64,9 @@ fn workers(args: &Generate) -> anyhow::Result<WorkerCommand> {
     let preset = preset.clone().map(|name| ("--preset", name));
     let budget = budget.map(|seconds| ("--budget", format!("{seconds}s")));
     let error = error.map(|share| ("--error", format!("{}%", 100.0 * share)));
-    for (flag, value) in [preset, budget, error].into_iter().flatten() {
+    // Measured once, so that all workers choose the preset that was printed. Rust prints all digits of a number.
+    let factor = factor.map(|factor| ("--budget-factor", factor.to_string()));
+    for (flag, value) in [preset, budget, error, factor].into_iter().flatten() {
         arguments.extend([flag.into(), value.into()]);
     }
     for (flag, path) in [("--mano-left", &hands.mano_left), ("--mano-right", &hands.mano_right)] {
@@ -74,29 +78,39 @@ fn workers(args: &Generate) -> anyhow::Result<WorkerCommand> {
 }
 
 pub fn work(args: &Worker) -> anyhow::Result<()> {
-    let scenes = args.scenes.iter().map(|name| Ok(with_accuracy(Scene::load(name)?, &args.accuracy)?.0));
+    let factor = args.budget_factor.map_or_else(|| factor(&args.accuracy), |factor| Ok(Some(factor)))?;
+    let scenes = args.scenes.iter().map(|name| Ok(with_accuracy(Scene::load(name)?, &args.accuracy, factor)?.0));
     let scenes = scenes.collect::<anyhow::Result<Vec<_>>>()?;
     let options = options(&args.rollout, args.size)?;
     sim::worker_process::serve(&scenes, &options, std::io::stdin().lock(), std::io::stdout().lock())?;
     Ok(())
 }
 
+/// Measures this machine against the table's, or reads the cached result; `None` without a budget, as nothing else needs
+/// it.
+fn factor(accuracy: &Accuracy) -> anyhow::Result<Option<f64>> {
+    match accuracy.budget {
+        Some(_) => Ok(Some(budget::this_machines_factor(&Table::shipped()?)?)),
+        None => Ok(None),
+    }
+}
+
 /// Applies the accuracy options as [`with_accuracy`], and prints the notes.
-fn with_printed_accuracy(scene: Scene, accuracy: &Accuracy) -> anyhow::Result<Scene> {
-    let (scene, notes) = with_accuracy(scene, accuracy)?;
+fn with_printed_accuracy(scene: Scene, accuracy: &Accuracy, factor: Option<f64>) -> anyhow::Result<Scene> {
+    let (scene, notes) = with_accuracy(scene, accuracy, factor)?;
     notes.iter().for_each(|line| println!("{line}"));
     Ok(scene)
 }
 
 /// Returns the scene with the selected preset, and notes for the user.
-fn with_accuracy(mut scene: Scene, accuracy: &Accuracy) -> anyhow::Result<(Scene, Vec<String>)> {
+fn with_accuracy(mut scene: Scene, accuracy: &Accuracy, factor: Option<f64>) -> anyhow::Result<(Scene, Vec<String>)> {
     let mut notes = Vec::new();
     let request = Request { budget: accuracy.budget, error: accuracy.error };
     let preset = match &accuracy.preset {
         Some(name) => Preset::from_name(name)?,
         None if request == Request::default() => return Ok((scene, notes)),
         None => {
-            let choice = pick::pick(&pick::committed()?, &scene.name, request)?;
+            let choice = budget::pick(&Table::shipped()?, factor.unwrap_or(1.0), &scene.name, request)?;
             notes.push(format!("{}: preset {choice}: {}, by {}", scene.name, choice.reason, choice.basis));
             choice.preset
         }

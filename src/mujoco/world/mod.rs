@@ -187,15 +187,6 @@ mod tests {
     }
 
     #[test]
-    fn bare_steps_are_the_same_steps() {
-        let mut a = World::from_mjcf(BOX_ON_FLOOR, &PhysicsOptions::default()).unwrap();
-        let mut b = World::from_mjcf(BOX_ON_FLOOR, &PhysicsOptions::default()).unwrap();
-        a.step_bare(50);
-        (0..50).for_each(|_| b.step());
-        assert_eq!((a.time(), a.qpos(), a.qvel()), (b.time(), b.qpos(), b.qvel()));
-    }
-
-    #[test]
     fn replay_reports_contacts_within_a_centimetre_without_force() {
         let options = PhysicsOptions::preset(crate::mujoco::Preset::Replay);
         let mut world = World::from_mjcf(BOX_ON_FLOOR, &options).unwrap();

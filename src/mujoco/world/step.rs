@@ -12,20 +12,12 @@ impl World {
         self.data.step();
     }
 
-    /// Advances by `count` timesteps with nothing around the engine's own C function.
+    /// Gives access to the engine's own data, which holds the model too.
     ///
-    /// For benchmarks: what [`Self::step`] is measured against.
-    pub fn step_bare(&mut self, count: usize) {
-        let model: *const mjModel = self.data.model().ffi();
-        // SAFETY: model and data belong together and live as long as self; mj_step keeps both valid, as it does in
-        // MjData::step, which is this call.
-        #[allow(unsafe_code)]
-        unsafe {
-            let data: *mut mjData = self.data.ffi_mut();
-            for _ in 0..count {
-                mj_step(model, data);
-            }
-        }
+    /// For the benchmarks, which measure [`Self::step`] against the engine's C function.
+    #[doc(hidden)]
+    pub fn engine_data_mut(&mut self) -> &mut MjData<Box<MjModel>> {
+        &mut self.data
     }
 
     /// Computes everything that follows from the state: poses, contacts, forces, accelerations.
