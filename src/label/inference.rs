@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use super::journal::Journal;
 use crate::dataset::source::SourceFrames;
 use crate::dataset::{ImageSource, LabelFrame, SourceFrame};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::image::Preparation;
 use crate::model::Predictor;
 use crate::model::predictor::Prediction;
@@ -90,8 +90,8 @@ pub fn label_unit(
         let started = Instant::now();
         let touch = input.and_then(|input| match predictor.push_prepared(input, stamp_secs) {
             Ok(prediction) => Ok(Ok(prediction)),
-            Err(error @ Error::Candle(_)) => Ok(Err(error)),
-            Err(error) => Err(error.to_string()),
+            Err(error) if error.is_recoverable() => Err(error.to_string()),
+            Err(error) => Ok(Err(error)),
         });
         timing.network_secs += started.elapsed().as_secs_f64();
         let label = match touch {

@@ -6,17 +6,10 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::render;
 use crate::render::figure::{self, Drawn, Figure};
+use crate::render::plot::{self, PALETTE};
 use crate::score::metrics::Metrics;
 
-const COLORS: [RGBColor; 5] = [
-    RGBColor(31, 119, 180),
-    RGBColor(214, 96, 24),
-    RGBColor(44, 160, 44),
-    RGBColor(148, 103, 189),
-    RGBColor(120, 120, 120),
-];
 /// Columns of the log that are drawn.
 const LOSSES: [&str; 5] = ["loss", "force", "contact", "active", "consistency"];
 /// Share of all steps that one point of a loss curve averages over.
@@ -112,38 +105,21 @@ where
         ],
         false => [all().map(|p| p.1).fold(0.0, f64::min), 1.0],
     };
-    let mut chart = ChartBuilder::on(area)
-        .caption(title, (render::font::FAMILY, 20))
-        .margin(12)
-        .x_label_area_size(44)
-        .y_label_area_size(64)
-        .build_cartesian_2d(0.0..last, low..high)?;
+    let mut chart = plot::chart(area, title, [48, 72]).build_cartesian_2d(0.0..last, low..high)?;
     let name = |y: &f64| if decades { format!("{:.0e}", 10f64.powf(*y)) } else { format!("{y:.1}") };
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .x_desc("step")
-        .y_label_formatter(&name)
-        .label_style((render::font::FAMILY, 14))
-        .draw()?;
-    for (curve, color) in curves.iter().zip(COLORS).filter(|(curve, _)| !curve.points.is_empty()) {
+    plot::axes(&mut chart, ("step", &|x| format!("{x:.0}")), ("", &name))?;
+    for (curve, color) in curves.iter().zip(PALETTE).filter(|(curve, _)| !curve.points.is_empty()) {
         let points: Vec<_> = curve.points.iter().map(|(x, y)| (*x, height(*y))).collect();
         chart
             .draw_series(LineSeries::new(points.clone(), color.stroke_width(2)))?
             .label(curve.name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], color.stroke_width(2)));
+            .legend(plot::line_key(color));
         if points.len() < 40 {
             chart.draw_series(points.into_iter().map(|point| Circle::new(point, 3, color.filled())))?;
         }
     }
     if curves.iter().any(|curve| !curve.points.is_empty()) {
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.8))
-            .border_style(BLACK.mix(0.3))
-            .label_font((render::font::FAMILY, 13))
-            .draw()?;
+        plot::legend(&mut chart, SeriesLabelPosition::UpperRight)?;
     }
     Ok(())
 }

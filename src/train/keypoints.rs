@@ -9,6 +9,7 @@ use std::ops::Range;
 
 use candle_core::{D, Tensor};
 use candle_nn::{Init, VarBuilder};
+use egotac_kernels::ops;
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
@@ -18,8 +19,8 @@ use crate::dataset::zarr::{CAMERA_POSE, LEFT_HAND_POSE, OBJECT_POSE, RIGHT_HAND_
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, N_KEYPOINTS, Side, Topology};
 use crate::image::Preparation;
+use crate::model::Config;
 use crate::model::init::STD;
-use crate::model::{Config, ops};
 
 use super::augment::Augmentation;
 use super::loss::masked_mean;

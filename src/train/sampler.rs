@@ -7,6 +7,8 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
+use crate::model::window;
+
 /// Consecutive windows of one episode; their newest frames are one observation step apart, so that they share most frames.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Clip {
@@ -18,38 +20,19 @@ pub struct Clip {
     pub newest: Vec<usize>,
 }
 
-/// The frames of the window whose newest frame is `newest`, oldest first: for i = `horizon`-1 .. 0 the frame nearest to
-/// t - i x `frame_dt`, of two equally near ones the older. At the start of the episode its first frame is repeated.
+/// Returns the frames of the window whose newest frame is `newest`, oldest first; see [`model::window`](crate::model::window).
 ///
-/// `timestamps`: seconds of every frame of the store, growing within the episode that starts at `start`.
+/// `timestamps`: seconds of every frame of the store, increasing within the episode that starts at `start`.
 pub fn window(timestamps: &[f64], start: usize, newest: usize, horizon: usize, frame_dt: f64) -> Vec<usize> {
-    let mut frames = Vec::with_capacity(horizon);
-    let mut at = newest;
-    for i in 0..horizon {
-        let wanted = timestamps[newest] - i as f64 * frame_dt;
-        // Distances fall, then grow, on the way back in time. Rounding must not tell equal distances apart.
-        let distance = |frame: usize| (timestamps[frame] - wanted).abs();
-        while i > 0 && at > start && distance(at - 1) <= distance(at) + 1e-9 {
-            at -= 1;
-        }
-        frames.push(at);
-    }
-    frames.reverse();
-    frames
+    let places = window::window(&timestamps[start..=newest], horizon, frame_dt);
+    places.into_iter().map(|place| start + place).collect()
 }
 
-/// The frames that step k = 0 .. `predict`-1 of a prediction is about: t + k x `frame_dt`; None beyond the episode.
+/// Returns the frames of steps k = 0 .. `predict` - 1 of a prediction at frame `newest`; `None` beyond the episode, which
+/// ends at `end`. See [`model::window`](crate::model::window).
 pub fn targets(timestamps: &[f64], end: usize, newest: usize, predict: usize, frame_dt: f64) -> Vec<Option<usize>> {
-    let mut at = newest;
-    let step = |k: usize| {
-        let wanted = timestamps[newest] + k as f64 * frame_dt;
-        let distance = |frame: usize| (timestamps[frame] - wanted).abs();
-        while at + 1 < end && distance(at + 1) < distance(at) {
-            at += 1;
-        }
-        (distance(at) <= 0.5 * frame_dt).then_some(at)
-    };
-    (0..predict).map(step).collect()
+    let places = window::targets(&timestamps[newest..end], predict, frame_dt);
+    places.into_iter().map(|place| place.map(|place| newest + place)).collect()
 }
 
 /// Returns the frames between observation steps: `frame_dt` in units of the episode's mean frame interval, at least 1.
@@ -175,21 +158,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_window_takes_the_nearest_frames_and_repeats_the_oldest() {
-        let at_25_hz: Vec<f64> = (0..20).map(|i| 3.0 + 0.04 * f64::from(i)).collect();
-        assert_eq!(window(&at_25_hz, 0, 10, 3, 0.12), [4, 7, 10]);
-        assert_eq!(window(&at_25_hz, 8, 10, 3, 0.12), [8, 8, 10], "the episode starts at 8");
-        assert_eq!(window(&at_25_hz, 0, 0, 4, 0.12), [0, 0, 0, 0]);
-        assert_eq!(window(&at_25_hz, 0, 10, 2, 0.1), [7, 10], "0.1 s before lies between 7 (0.12) and 8 (0.08)");
-        let dropped = [0.0, 0.04, 0.2, 0.24, 0.28];
-        assert_eq!(window(&dropped, 0, 4, 3, 0.12), [1, 2, 4]);
-    }
-
-    #[test]
-    fn targets_lie_ahead_and_end_with_the_episode() {
-        let times: Vec<f64> = (0..20).map(|i| 0.04 * f64::from(i)).collect();
+    fn windows_and_targets_stay_inside_the_episode() {
+        let times: Vec<f64> = (0..20).map(|i| 3.0 + 0.04 * f64::from(i)).collect();
+        assert_eq!(window(&times, 0, 10, 3, 0.12), [4, 7, 10]);
+        assert_eq!(window(&times, 8, 10, 3, 0.12), [8, 8, 10], "the episode starts at 8");
+        assert_eq!(window(&times, 0, 10, 2, 0.1), [7, 10], "0.1 s before lies between 7 (0.12) and 8 (0.08)");
         assert_eq!(targets(&times, 20, 10, 3, 0.12), [Some(10), Some(13), Some(16)]);
-        assert_eq!(targets(&times, 14, 10, 3, 0.12), [Some(10), Some(13), None]);
+        assert_eq!(targets(&times, 14, 10, 3, 0.12), [Some(10), Some(13), None], "the episode ends at 14");
     }
 
     #[test]

@@ -165,7 +165,7 @@ fn touchables(
     let betas = data.betas();
     let [left, right] = hands;
     let rigs = [HandRig::new(left.clone(), betas)?, HandRig::new(right.clone(), betas)?];
-    let drawn = randomize::Episode::sample(scene, seed, &rigs)?;
+    let drawn = randomize::EpisodeDraw::sample(scene, seed, &rigs)?;
     // Stores hold poses of solid objects only.
     let solid = || drawn.objects.iter().filter(|object| object.solid);
     let names: Vec<String> = solid().map(|object| object.name.clone()).collect();
