@@ -22,8 +22,8 @@ mod journal;
 mod manifest;
 mod workspace;
 
+pub use inference::InferenceTiming;
 pub use input::{FormatOptions, LabelTask, LabelTasks, OutputFormat, find_tasks};
 pub use job::{Job, LabelTiming, Outcome, Shard};
-pub use inference::InferenceTiming;
 pub use journal::Progress;
 pub(crate) use manifest::write_manifest;
