@@ -92,7 +92,7 @@ pub fn main() -> ExitCode {
 /// Runs a program's command and prints its error once; the exit status is 1 for an error.
 #[doc(hidden)]
 pub fn execute(command: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitCode {
-    end_quietly_with_the_reader();
+    exit_quietly_on_closed_pipe();
     match command() {
         Ok(code) => code,
         Err(error) => {
