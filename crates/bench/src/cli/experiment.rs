@@ -101,9 +101,9 @@ fn render(recipes: &[Recipe]) -> anyhow::Result<()> {
 #[cfg(feature = "sim")]
 fn make(recipe: &Recipe, bar: &ProgressBar) -> anyhow::Result<()> {
     use crate::experiment::data::SIDE;
-    use egotac::sim::{Generate, Progress as Rendered, RolloutOptions, Scene, generate_isolated};
+    use egotac::sim::{DatasetPlan, GenerateProgress as Rendered, RolloutOptions, Scene, generate_in_processes};
     let options = RolloutOptions { picture: Some((SIDE, SIDE)), ..RolloutOptions::default() };
-    let plan = Generate {
+    let plan = DatasetPlan {
         scenes: vec![Scene::load(&recipe.scene.display().to_string())?],
         episodes: recipe.episodes,
         seed: recipe.seed,
@@ -113,7 +113,7 @@ fn make(recipe: &Recipe, bar: &ProgressBar) -> anyhow::Result<()> {
     let workers = crate::cli::sim_workers(SIDE, [recipe.scene.clone().into_os_string()])?;
     let before = bar.position();
     // An episode that can't be simulated is left out: always the same one, and the report counts the frames that exist.
-    generate_isolated(&plan, &workers, true, &recipe.path, |at| {
+    generate_in_processes(&plan, &workers, true, &recipe.path, |at| {
         if let Rendered::Episodes(done, _) = at {
             bar.set_position(before + done as u64);
         }

@@ -220,7 +220,7 @@ fn mesh() -> Result<Outcome> {
     let with = |word: &str| {
         let corners = format!("v {word} 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n");
         std::fs::write(&file, corners + "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n").map_err(Error::io(&file))?;
-        crate::sim::mesh_faults(&scene)
+        egotac::sim::mesh_faults(&scene)
     };
     let bad: Vec<_> = ["nan", "-inf", "1e999"].map(with).into();
     outcome(bad, with("0"))

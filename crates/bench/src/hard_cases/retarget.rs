@@ -3,7 +3,7 @@
 use egotac::error::Result;
 use egotac::hand::{HandModel, N_BETAS, N_KEYPOINTS, Side};
 use egotac::retarget::{Input, Retargeter, Robot, Status, Touch};
-use egotac::sim::rig::{HandRig, Motion};
+use egotac::sim::rig::{HandRig, HingeMotion};
 use glam::{DQuat, DVec3};
 
 use super::{Family, HardCase, Outcome};

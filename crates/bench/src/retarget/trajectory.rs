@@ -6,8 +6,8 @@ use std::sync::OnceLock;
 use egotac::error::Result;
 use egotac::hand::{HandModel, N_BETAS, N_KEYPOINTS, Side};
 use egotac::retarget::human::{Hand, keypoint};
-use egotac::sim::rig::{HandRig, Hinge, Motion};
-use egotac::sim::scene::Site;
+use egotac::sim::rig::{HandRig, Hinge, HingeMotion};
+use egotac::sim::scene::HandSite;
 use glam::{DQuat, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -222,7 +222,7 @@ fn pinch(rig: &HandRig, finger: usize) -> Option<Vec<f64>> {
         let along = line.normalize_or(DVec3::X);
         // At the touching distance, not nearer.
         let miss = line - PINCH * along;
-        let facing = [normal(Site::FINGERS[0]) - along, normal(Site::FINGERS[finger]) + along];
+        let facing = [normal(HandSite::FINGERS[0]) - along, normal(HandSite::FINGERS[finger]) + along];
         let facing = facing.into_iter().flat_map(|off| (FACING * off).to_array());
         let leave = mine.iter().map(|k| LEAVING * (angles[*k] - rest[*k]));
         let all: Vec<f64> = miss.to_array().into_iter().chain(facing).chain(leave).collect();

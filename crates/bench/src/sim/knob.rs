@@ -3,7 +3,7 @@
 use egotac::error::{Error, Result};
 use egotac::mujoco::options::Unchecked;
 use egotac::mujoco::{Cone, Integrator, PhysicsOptions, Preset};
-use egotac::sim::effect::EffectPlan;
+use egotac::sim::EffectPlan;
 use egotac::sim::{RolloutOptions, Scene};
 
 /// Timestep of the reference of the same model, s.

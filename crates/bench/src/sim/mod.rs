@@ -26,7 +26,7 @@ pub mod wrapper;
 use egotac::error::Result;
 use egotac::machine::Machine;
 use egotac::mujoco::{PhysicsOptions, Preset};
-use egotac::sim::{RolloutOptions, Scene, Workers};
+use egotac::sim::{RolloutOptions, Scene, WorkerCommand};
 use rayon::prelude::*;
 
 use self::errors::{Errors, Pool};
@@ -60,7 +60,7 @@ pub struct Plan {
     pub repetitions: usize,
     /// Worker processes for the speed of `generate`, which know the scenes of `knob_scenes` in the order of `scenes` and
     /// draw pictures of [`throughput::SIZE`]; `None` leaves out this speed and the wrapper's overhead.
-    pub workers: Option<Workers>,
+    pub workers: Option<WorkerCommand>,
     /// Hands and kernel; pictures are drawn only for the knobs of pictures.
     pub options: RolloutOptions,
 }

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use egotac::error::{Error, Result};
-use egotac::sim::{Generate, RolloutOptions, Scene, Workers, generate_isolated};
+use egotac::sim::{DatasetPlan, RolloutOptions, Scene, WorkerCommand, generate_in_processes};
 use serde::{Deserialize, Serialize};
 
 /// Frames per second, planning and writing included.

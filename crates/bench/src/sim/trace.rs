@@ -9,7 +9,7 @@ use egotac::mujoco::world::{Body, FreeJoint};
 use egotac::score::metrics::contact::CONTACT_THRESHOLD;
 use egotac::sim::budget::clock::Stopwatch;
 use egotac::sim::rig::{JOINT_NAMES, site_of};
-use egotac::sim::scene::Site;
+use egotac::sim::scene::HandSite;
 use egotac::sim::{Rollout, RolloutOptions, Scene, SimFrame};
 use egotac::tactile::{N_FIELD, Validity};
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 #[cfg(feature = "sim")]
-use egotac::sim::{RolloutOptions, Workers};
+use egotac::sim::{RolloutOptions, WorkerCommand};
 
 #[cfg(feature = "sim")]
 use super::{load_scenes, show};
@@ -82,7 +82,7 @@ fn plan(args: &Args) -> anyhow::Result<Plan> {
 
 /// Returns the worker processes that time `generate`: this program with the scenes as they were named.
 #[cfg(feature = "sim")]
-fn workers(args: &Args) -> anyhow::Result<Workers> {
+fn workers(args: &Args) -> anyhow::Result<WorkerCommand> {
     let shipped = egotac::sim::SHIPPED.iter().map(|(name, _)| *name).filter(|name| KNOB_SCENES.contains(name));
     let names: Vec<String> = match args.scenes.as_slice() {
         [] => shipped.map(Into::into).collect(),
