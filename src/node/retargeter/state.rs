@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use super::Inputs;
 use crate::error::Error;
-use crate::node::diagnostics::{self, Level, Report, Tally, percentile};
+use crate::node::diagnostics::{self, Level, Tally, TaskReport, percentile};
 use crate::node::runtime::Runtime;
 use crate::retarget::Status;
 
@@ -75,7 +75,7 @@ pub fn report(runtime: &mut Runtime, inputs: Inputs, state: State, robot: String
         move |runtime| {
             let (overtaken, touched) = {
                 let inputs = inputs.lock().unwrap_or_else(PoisonError::into_inner);
-                (inputs.overtaken(), inputs.touch_flows(Instant::now()))
+                (inputs.overtaken(), inputs.touches_arrive(Instant::now()))
             };
             state.hands.set_dropped("superseded", overtaken);
             let mut tally = state.hands.counts();
@@ -101,7 +101,7 @@ pub fn report(runtime: &mut Runtime, inputs: Inputs, state: State, robot: String
                 let secs = percentile(counts.solve_secs.make_contiguous().iter().copied(), q);
                 values.push((format!("solve_{name}_us"), format!("{:.0}", 1e6 * secs)));
             }
-            Report { task: "hands", level, message, values }
+            TaskReport { task: "hands", level, message, values }
         },
     )
 }

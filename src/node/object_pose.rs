@@ -1,4 +1,4 @@
-//! The newest pose of the object that a robot hand is about.
+//! Newest pose of the object that a robot hand manipulates.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -8,42 +8,42 @@ use crate::error::{Error, Result};
 use crate::message::{PoseStamped, Time};
 use crate::retarget::ObjectPose;
 
-/// Follows the messages of an object's pose.
-pub struct HeldObject {
+/// Newest message with the pose of an object.
+pub(crate) struct LatestObjectPose {
     newest: Mutex<Option<PoseStamped>>,
-    /// How far the stamps of object and hand may be apart, s.
-    patience: f64,
+    /// Largest difference between the stamps of object and hand, s.
+    max_age: f64,
 }
 
-impl HeldObject {
-    /// Of which nothing is known yet; poses count for hands up to `patience` seconds away.
-    pub fn new(patience: f64) -> Self {
-        Self { newest: Mutex::new(None), patience }
+impl LatestObjectPose {
+    /// Starts without a pose; a pose is valid for hands whose stamps differ by at most `max_age` seconds.
+    pub(crate) fn new(max_age: f64) -> Self {
+        Self { newest: Mutex::new(None), max_age }
     }
 
-    /// Takes a message.
-    pub fn see(&self, pose: PoseStamped) {
+    /// Stores the newest message.
+    pub(crate) fn update(&self, pose: PoseStamped) {
         *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(pose);
     }
 
-    /// Where the object is for a hand of a stamp and frame; None if nothing new enough is known.
+    /// Returns the pose of the object for a hand with this stamp and frame; None if the newest pose is too old.
     ///
     /// # Errors
-    /// If the pose is in another frame than the hand, or is no pose.
-    pub fn at(&self, stamp: Time, frame_id: &str) -> Result<Option<ObjectPose>> {
+    /// If the pose is in another frame than the hand, or its numbers are not a position and a unit quaternion.
+    pub(crate) fn pose_at(&self, stamp: Time, frame_id: &str) -> Result<Option<ObjectPose>> {
         let newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(PoseStamped { header, pose }) = newest.as_ref() else { return Ok(None) };
-        if !header.stamp.is_zero() && (header.stamp.secs() - stamp.secs()).abs() > self.patience {
+        if !header.stamp.is_zero() && (header.stamp.secs() - stamp.secs()).abs() > self.max_age {
             return Ok(None);
         }
-        // A tracker without frames says nothing.
+        // An empty frame_id leaves the frame open, so there is nothing to compare.
         if header.frame_id != frame_id && !header.frame_id.is_empty() && !frame_id.is_empty() {
             return Err(Error::value("object: frame_id", format!("that of the hand, {frame_id}"), &header.frame_id));
         }
-        let (place, turn) = (&pose.position, &pose.orientation);
+        let (position, orientation) = (&pose.position, &pose.orientation);
         let pose = ObjectPose {
-            place: DVec3::new(place.x, place.y, place.z),
-            orientation: DQuat::from_xyzw(turn.x, turn.y, turn.z, turn.w),
+            place: DVec3::new(position.x, position.y, position.z),
+            orientation: DQuat::from_xyzw(orientation.x, orientation.y, orientation.z, orientation.w),
         };
         pose.checked().map(Some)
     }
@@ -61,20 +61,20 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_counts_for_a_while_and_in_its_frame() {
-        let object = HeldObject::new(0.2);
-        let at = |nanos: i64, frame: &str| object.at(Time::from_nanos(nanos), frame);
+    fn a_pose_is_valid_for_max_age_and_in_its_frame() {
+        let object = LatestObjectPose::new(0.2);
+        let at = |nanos: i64, frame: &str| object.pose_at(Time::from_nanos(nanos), frame);
         assert_eq!(at(1, "world").unwrap(), None);
-        object.see(message(1_000_000_000, "world", 1.0));
+        object.update(message(1_000_000_000, "world", 1.0));
         let pose = ObjectPose { place: DVec3::new(1.0, 2.0, 3.0), orientation: DQuat::IDENTITY };
         assert_eq!(at(1_150_000_000, "world").unwrap(), Some(pose));
         assert_eq!(at(900_000_000, "").unwrap(), Some(pose));
         assert_eq!(at(1_250_000_000, "world").unwrap(), None);
         let error = at(1_000_000_000, "camera").unwrap_err().to_string();
         assert!(error.contains("frame_id") && error.contains("camera") && error.contains("world"), "{error}");
-        object.see(message(1_000_000_000, "world", 0.0));
+        object.update(message(1_000_000_000, "world", 0.0));
         assert!(at(1_000_000_000, "world").unwrap_err().to_string().contains("length 1"));
-        object.see(message(0, "world", 1.0));
-        assert_eq!(at(77_000_000_000, "world").unwrap(), Some(pose), "without a stamp it is the newest");
+        object.update(message(0, "world", 1.0));
+        assert_eq!(at(77_000_000_000, "world").unwrap(), Some(pose), "a pose without a stamp never expires");
     }
 }
