@@ -161,7 +161,8 @@ fn installed_launch_files_find_the_module_that_they_share() {
     let cmake = std::fs::read_to_string(root().join("launch/CMakeLists.txt")).unwrap();
     let (_, rule) = cmake.split_once("FILES_MATCHING").unwrap();
     let (rule, _) = rule.split_once(')').unwrap();
-    let patterns: Vec<&str> = rule.split('"').skip(1).step_by(2).map(|pattern| pattern.trim_start_matches('*')).collect();
+    let patterns: Vec<&str> =
+        rule.split('"').skip(1).step_by(2).map(|pattern| pattern.trim_start_matches('*')).collect();
     let folder = tempfile::tempdir().unwrap();
     for entry in std::fs::read_dir(root().join("launch")).unwrap() {
         let name = entry.unwrap().file_name().into_string().unwrap();

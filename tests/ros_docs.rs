@@ -1,4 +1,4 @@
-//! What the documentation says of the nodes is true of the programs.
+//! The documentation of the nodes agrees with the programs.
 #![cfg(all(feature = "ros", feature = "sim"))]
 
 #[path = "ros/harness.rs"]
@@ -33,7 +33,7 @@ fn each_parameter_is_documented_under_its_node() {
 }
 
 #[test]
-fn the_readmes_listener_hears_the_touch_of_each_image_under_its_stamp() {
+fn listener_of_the_readme_prints_the_touch_of_each_image_with_its_stamp() {
     let readme = document("README.md");
     let (_, rest) = readme.split_once("<!-- file: listener.py -->\n```python\n").unwrap();
     let (script, _) = rest.split_once("```").unwrap();
@@ -48,8 +48,8 @@ fn the_readmes_listener_hears_the_touch_of_each_image_under_its_stamp() {
     let mut command = Command::new(env!("CARGO_BIN_EXE_egotac_predictor"));
     command.args(predictor.split_whitespace().skip(1));
     let mut node = session.spawn(command, "predictor");
-    // That the camera knows of the listener does not mean that the predictor does: on a busy machine the first frames may
-    // go before the two have met, as they would on a robot. Then the camera starts anew.
+    // DDS may connect the camera to the listener before it connects the predictor to the listener. On a busy machine the first
+    // frames are then lost, as on a robot; the camera starts again.
     for _ in 0..10 {
         session.check("predictor_peer.py", &["camera"]);
         std::thread::sleep(std::time::Duration::from_millis(500));
