@@ -21,7 +21,7 @@ PARTLY = 3  # exit status of egotac label: everything readable is labelled, the 
 
 
 def die_with_parent():
-    """Ends the labeller with its worker: a labeller left behind would keep the lock on the episode's journal."""
+    """Ends the labeller with its worker: a labeller left behind would continue to write the episode's journal."""
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 

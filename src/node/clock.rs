@@ -1,8 +1,8 @@
 //! Clock of a node.
 
-use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
+use super::lock::lock;
 use crate::message::Time;
 
 /// Clock of a node: the wall clock, or `/clock` if the parameter `use_sim_time` is set. Clones share one clock.
@@ -17,7 +17,7 @@ impl RosClock {
 
     /// Returns the current time; zero before the first message on `/clock` if simulated time is used.
     pub(crate) fn now(&self) -> Time {
-        let now = self.0.lock().unwrap_or_else(PoisonError::into_inner).get_now();
+        let now = lock(&self.0).get_now();
         let nanos = now.map_or(0, |now| i64::try_from(now.as_nanos()).unwrap_or(i64::MAX));
         Time::from_nanos(nanos)
     }
@@ -26,11 +26,5 @@ impl RosClock {
     pub(crate) fn secs_since(&self, stamp: Time) -> Option<f64> {
         let now = self.now();
         (!stamp.is_zero() && !now.is_zero()).then(|| (now.nanos() - stamp.nanos()) as f64 * 1e-9)
-    }
-}
-
-impl fmt::Debug for RosClock {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("RosClock")
     }
 }

@@ -1,11 +1,12 @@
 //! Creation of a node with parameters, clock, log and parameter services.
 
 use std::panic;
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
 use anyhow::{Context as _, bail};
 
 use super::clock::RosClock;
+use super::lock::lock;
 use super::log::Log;
 use super::params::{Parameter, Parameters};
 use super::publisher::Publisher;
@@ -40,7 +41,7 @@ pub(crate) fn create(name: &str, table: &[Parameter]) -> anyhow::Result<Runtime>
 
 /// Returns the values given on the command line, else the defaults; and the given names that `table` lacks.
 fn parameters(node: &r2r::Node, table: &[Parameter]) -> anyhow::Result<(Parameters, Vec<String>)> {
-    let given = node.params.lock().unwrap_or_else(PoisonError::into_inner);
+    let given = lock(&node.params);
     Parameters::new(table, given.iter().map(|(name, given)| (name.as_str(), &given.value)))
 }
 

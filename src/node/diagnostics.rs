@@ -1,9 +1,10 @@
 //! Message counts of a node, and its report on `/diagnostics`.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
+use super::lock::lock;
 use super::qos;
 use super::runtime::Runtime;
 use crate::message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue};
@@ -132,18 +133,25 @@ impl Tally {
 
     /// Locks the counts.
     pub(crate) fn counts(&self) -> MutexGuard<'_, TallyCounts> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 }
 
+/// Rates of messages, Hz.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Rates {
+    pub(crate) received: f64,
+    pub(crate) processed: f64,
+}
+
 impl TallyCounts {
-    /// Returns the rates of received and processed messages since the last call, Hz.
-    pub(crate) fn rates(&mut self) -> (f64, f64) {
+    /// Returns the rates since the last call, or since the start.
+    pub(crate) fn rates(&mut self) -> Rates {
         let secs = self.since.elapsed().as_secs_f64().max(1e-9);
         let received = (self.received - self.received_before) as f64 / secs;
         let processed = (self.processed - self.processed_before) as f64 / secs;
         (self.since, self.received_before, self.processed_before) = (Instant::now(), self.received, self.processed);
-        (received, processed)
+        Rates { received, processed }
     }
 
     /// Returns percentile `q` (0 to 1) of the newest latencies, s; NaN if there are none.
@@ -152,7 +160,7 @@ impl TallyCounts {
     }
 
     /// Returns the counts and the given rates as names and values of a report.
-    pub(crate) fn values(&self, (received, processed): (f64, f64)) -> Vec<(String, String)> {
+    pub(crate) fn values(&self, Rates { received, processed }: Rates) -> Vec<(String, String)> {
         let mut values = vec![
             ("input_rate_hz".to_owned(), format!("{received:.2}")),
             ("output_rate_hz".to_owned(), format!("{processed:.2}")),
@@ -202,7 +210,9 @@ mod tests {
         tally.set_dropped("superseded", 1);
         let counts = tally.counts();
         assert_eq!((counts.received, counts.processed, counts.drops["superseded"]), (3, 1, 1));
-        assert!(counts.values((1.0, 1.0)).contains(&("dropped_malformed".into(), "1".into())));
+        assert!(
+            counts.values(Rates { received: 1.0, processed: 1.0 }).contains(&("dropped_malformed".into(), "1".into()))
+        );
         assert_eq!(counts.latency(0.95), 0.010);
     }
 }

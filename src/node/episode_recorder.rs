@@ -2,12 +2,13 @@
 
 use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use ::image::RgbImage;
 
 use super::exact_sync::ExactSync;
+use super::lock::lock;
 use super::log::Log;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
@@ -178,10 +179,6 @@ impl Writer {
             self.log.error(format!("cannot write an episode: {error}"));
         }
     }
-}
-
-fn lock(ring: &SharedRing) -> MutexGuard<'_, EpisodeRing> {
-    ring.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn attributes(frame: &Frame, scene: &str) -> Attributes {

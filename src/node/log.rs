@@ -1,12 +1,13 @@
 //! Log of a node: console and log file through ROS, and the topic `/rosout`, which r2r does not publish itself.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use r2r::LogSeverity;
 
 use super::clock::RosClock;
+use super::lock::lock;
 use super::publisher::Publisher;
 use crate::message;
 
@@ -14,10 +15,9 @@ use crate::message;
 const THROTTLE_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Log of a node; clones write to the same log.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub(crate) struct Log(Arc<Inner>);
 
-#[derive(Debug)]
 struct Inner {
     name: String,
     clock: RosClock,
@@ -26,7 +26,6 @@ struct Inner {
 }
 
 /// State of one kind of throttled warning.
-#[derive(Debug)]
 struct Throttled {
     last_written: Instant,
     /// Number of warnings left out since then.
@@ -59,7 +58,7 @@ impl Log {
     /// warnings of this kind left out in between.
     pub(crate) fn warn_throttled(&self, kind: &str, line: impl AsRef<str>) {
         let suppressed = {
-            let mut kinds = self.0.throttled.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut kinds = lock(&self.0.throttled);
             let now = Instant::now();
             match kinds.get_mut(kind) {
                 Some(state) if now.duration_since(state.last_written) < THROTTLE_INTERVAL => {
@@ -94,7 +93,7 @@ impl Log {
             line: 0,
         };
         // Ignore the error: the console already has the line, and there is no other channel to report it on.
-        let _ = self.0.rosout.lock().unwrap_or_else(PoisonError::into_inner).publish(&log);
+        let _ = lock(&self.0.rosout).publish(&log);
     }
 }
 

@@ -3,6 +3,8 @@
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use super::lock::lock;
+
 /// Passes the newest value from the receiving thread to the computing thread.
 #[derive(Debug)]
 pub(crate) struct Mailbox<T> {
@@ -25,7 +27,7 @@ impl<T> Default for Mailbox<T> {
 impl<T> Mailbox<T> {
     /// Stores a value; displaces and counts a value that was not taken yet.
     pub(crate) fn put(&self, value: T) {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = lock(&self.state);
         if state.value.replace(value).is_some() {
             state.superseded += 1;
         }
@@ -35,7 +37,7 @@ impl<T> Mailbox<T> {
     /// Takes the newest value; waits for one at most `timeout`.
     pub(crate) fn take(&self, timeout: Duration) -> Option<T> {
         let deadline = Instant::now() + timeout;
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = lock(&self.state);
         loop {
             if let Some(value) = state.value.take() {
                 return Some(value);
@@ -47,7 +49,7 @@ impl<T> Mailbox<T> {
 
     /// Returns the number of values displaced so far.
     pub(crate) fn superseded(&self) -> u64 {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner).superseded
+        lock(&self.state).superseded
     }
 }
 

@@ -18,6 +18,7 @@ mod episode_recorder;
 mod exact_sync;
 mod flatten;
 mod images;
+mod lock;
 mod log;
 mod mailbox;
 #[cfg(feature = "sim")]

@@ -1,9 +1,10 @@
 //! Newest pose of the object that a robot hand manipulates.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use glam::{DQuat, DVec3};
 
+use super::lock::lock;
 use crate::error::{Error, Result};
 use crate::message::{PoseStamped, Time};
 use crate::retarget::ObjectPose;
@@ -23,7 +24,7 @@ impl LatestObjectPose {
 
     /// Stores the newest message.
     pub(crate) fn update(&self, pose: PoseStamped) {
-        *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(pose);
+        *lock(&self.newest) = Some(pose);
     }
 
     /// Returns the pose of the object for a hand with this stamp and frame; None if the newest pose is too old.
@@ -31,7 +32,7 @@ impl LatestObjectPose {
     /// # Errors
     /// If the pose is in another frame than the hand, or its numbers are not a position and a unit quaternion.
     pub(crate) fn pose_at(&self, stamp: Time, frame_id: &str) -> Result<Option<ObjectPose>> {
-        let newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
+        let newest = lock(&self.newest);
         let Some(PoseStamped { header, pose }) = newest.as_ref() else { return Ok(None) };
         if !header.stamp.is_zero() && (header.stamp.secs() - stamp.secs()).abs() > self.max_age {
             return Ok(None);

@@ -1,6 +1,5 @@
 //! Publisher of messages of one type.
 
-use std::fmt;
 use std::marker::PhantomData;
 
 use anyhow::Context as _;
@@ -36,11 +35,5 @@ impl<M: Message> Publisher<M> {
     /// Returns the number of connected subscribers; 0 if ROS cannot count them.
     pub(crate) fn subscriber_count(&self) -> usize {
         self.inner.get_inter_process_subscription_count().unwrap_or(0)
-    }
-}
-
-impl<M> fmt::Debug for Publisher<M> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.inner.fmt(f)
     }
 }

@@ -1,6 +1,5 @@
 //! ROS executor of a node: subscriptions, services, actions and timers, served on one thread.
 
-use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -274,11 +273,5 @@ impl Runtime {
                 call(item);
             }
         }));
-    }
-}
-
-impl fmt::Debug for Runtime {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Runtime").field("names", &self.names).finish_non_exhaustive()
     }
 }

@@ -4,14 +4,12 @@
 //! followed by `/compressed`.
 
 /// Name, namespace and remapping rules of one node.
-#[derive(Debug)]
 pub(crate) struct TopicNames {
     namespace: String,
     node: String,
     rules: Vec<RemapRule>,
 }
 
-#[derive(Debug, PartialEq)]
 struct RemapRule {
     /// Node that the rule applies to; None = all nodes.
     node: Option<String>,

@@ -4,13 +4,14 @@ mod describe;
 mod parameter;
 mod value;
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use anyhow::bail;
 
+use super::lock::lock;
+
 pub(crate) use describe::{describe, help};
-pub(crate) use parameter::Allowed;
-pub use parameter::Parameter;
+pub(crate) use parameter::{Allowed, Parameter};
 pub(crate) use value::{Typed, Value};
 
 /// Parameters of a running node.
@@ -57,7 +58,7 @@ impl Parameters {
     /// Returns the value of a parameter; None if the table lacks it.
     pub(crate) fn value(&self, name: &str) -> Option<Value> {
         let index = self.table.iter().position(|parameter| parameter.name == name)?;
-        self.values.lock().unwrap_or_else(PoisonError::into_inner).get(index).cloned()
+        lock(&self.values).get(index).cloned()
     }
 
     /// Returns the value of a parameter of the node's own table.
@@ -77,7 +78,7 @@ impl Parameters {
     /// # Errors
     /// If a value cannot be set; the text gives the reason for the first one.
     pub(crate) fn set(&self, changes: impl IntoIterator<Item = (String, Value)>) -> std::result::Result<(), String> {
-        let mut values = self.values.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut values = lock(&self.values);
         let mut changed = values.clone();
         for (name, value) in changes {
             let Some(index) = self.table.iter().position(|parameter| parameter.name == name) else {

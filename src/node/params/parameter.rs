@@ -4,7 +4,7 @@ use super::value::Value;
 
 /// Declaration of a parameter.
 #[derive(Debug, Clone)]
-pub struct Parameter {
+pub(crate) struct Parameter {
     /// Name of the parameter.
     pub(crate) name: &'static str,
     /// Effect and unit.

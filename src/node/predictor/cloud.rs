@@ -1,9 +1,10 @@
 //! Topic `~/points`: the field as a point cloud on the newest hand poses.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use crate::hand::{HandModel, Side, Topology};
 use crate::message::{HandPose, Header, PointCloud2};
+use crate::node::lock::lock;
 use crate::node::log::Log;
 use crate::node::params::Parameters;
 use crate::node::point_cloud::{self, PosedHand, point_cloud};
@@ -67,7 +68,7 @@ impl Cloud {
 
     /// Returns the hands whose pose is known at the image's time, and the frame they are in.
     fn posed_hands(&self, image: &Header) -> Option<(String, Vec<PosedHand>)> {
-        let poses = self.poses.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let poses = lock(&self.poses).clone();
         let mut frame_id = None;
         let mut hands = Vec::new();
         for (pose, model) in poses.iter().zip(&self.hands) {
@@ -92,7 +93,7 @@ fn subscribe_poses(runtime: &mut Runtime, poses: Poses) -> anyhow::Result<()> {
     let log = runtime.log().clone();
     runtime.subscribe::<HandPose>("hand_pose", qos::sensor_input(false).keep_last(4), move |pose| {
         match pose.and_then(|pose| Ok((pose.side()?, pose))) {
-            Ok((side, pose)) => poses.lock().unwrap_or_else(PoisonError::into_inner)[side as usize] = Some(pose),
+            Ok((side, pose)) => lock(&poses)[side as usize] = Some(pose),
             Err(error) => log.warn_throttled("hand_pose", format!("hand_pose: {error}")),
         }
     })

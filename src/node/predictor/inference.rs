@@ -1,6 +1,6 @@
 //! Inference loop of the predictor: decodes the newest image, predicts, and publishes the result.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use ::image::RgbImage;
@@ -11,6 +11,7 @@ use super::load_model::{LoadedModel, PendingModel};
 use crate::message::{HandModelInfo, Header, TactileFrame};
 use crate::model::predictor::{Prediction, Predictor};
 use crate::node::clock::RosClock;
+use crate::node::lock::lock;
 use crate::node::log::Log;
 use crate::node::params::Parameters;
 use crate::node::publisher::Publisher;
@@ -31,7 +32,7 @@ impl ModelId {
 
     /// Locks the id.
     pub(super) fn get(&self) -> MutexGuard<'_, String> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Service `~/load_model`: loads another network on its own thread; the inference takes it over between two images.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use anyhow::{Context as _, bail};
 use r2r::ServiceRequest;
@@ -12,6 +12,7 @@ use crate::hand::Topology;
 use crate::message::HandModelInfo;
 use crate::model::predictor::{Options, Predictor};
 use crate::node::clock::RosClock;
+use crate::node::lock::lock;
 use crate::node::log::Log;
 use crate::node::runtime::Runtime;
 
@@ -30,11 +31,11 @@ pub(super) struct PendingModel(Arc<Mutex<Option<LoadedModel>>>);
 impl PendingModel {
     /// Takes the waiting network, if there is one.
     pub(super) fn take(&self) -> Option<LoadedModel> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).take()
+        lock(&self.0).take()
     }
 
     fn put(&self, loaded: LoadedModel) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(loaded);
+        *lock(&self.0) = Some(loaded);
     }
 }
 
@@ -85,7 +86,7 @@ struct Loader {
 
 impl Loader {
     fn respond(&self, request: ServiceRequest<LoadModel::Service>) {
-        let mut model_id = self.model_id.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut model_id = lock(&self.model_id);
         let (success, message) = match self.load(&request.message.model) {
             Ok(loaded) => {
                 self.log.info(format!("model {} replaces {model_id}", loaded.info.model_id));

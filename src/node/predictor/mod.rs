@@ -154,12 +154,12 @@ fn publish_diagnostics(runtime: &mut Runtime, input: Input, model_id: ModelId) -
             (Level::Ok, "disabled".to_owned())
         } else if input.has_incompatible_publisher(runtime) {
             (Level::Error, format!("a best-effort publisher on {topic} cannot reach a reliable subscription"))
-        } else if rates.0 == 0.0 {
+        } else if rates.received == 0.0 {
             (Level::Stale, format!("no images on {topic}"))
         } else if newly_refused {
             (Level::Warn, format!("images on {topic} could not be processed"))
         } else {
-            (Level::Ok, format!("{:.1} of {:.1} images per second", rates.1, rates.0))
+            (Level::Ok, format!("{:.1} of {:.1} images per second", rates.processed, rates.received))
         };
         if level == Level::Error {
             runtime.log().warn_throttled("incompatible", &message);

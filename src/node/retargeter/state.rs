@@ -85,11 +85,11 @@ pub fn report(runtime: &mut Runtime, inputs: Inputs, state: State, robot: String
                 (Level::Ok, "disabled".to_owned())
             } else if let Some(error) = &counts.refused {
                 (Level::Warn, format!("holds the last pose: {error}"))
-            } else if rates.0 == 0.0 {
+            } else if rates.received == 0.0 {
                 (Level::Stale, format!("no hands on {topics}"))
             } else {
                 let touch = if touched { "with touch" } else { "no touch" };
-                (Level::Ok, format!("follows {:.1} hands per second, {touch}", rates.1))
+                (Level::Ok, format!("follows {:.1} hands per second, {touch}", rates.processed))
             };
             let mut values = tally.values(rates);
             values.push(("with_touch".to_owned(), counts.with_touch.to_string()));

@@ -110,7 +110,7 @@ pub(crate) fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<(
 fn task_report(tally: &Tally) -> TaskReport {
     let mut counts = tally.counts();
     let rates = counts.rates();
-    let level = if rates.1 > 0.0 { Level::Ok } else { Level::Stale };
-    let message = format!("{:.1} frames per second", rates.1);
+    let level = if rates.processed > 0.0 { Level::Ok } else { Level::Stale };
+    let message = format!("{:.1} frames per second", rates.processed);
     TaskReport { task: "frames", level, message, values: counts.values(rates) }
 }

@@ -1,12 +1,13 @@
 //! Training job of a goal.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
 use anyhow::{Context as _, ensure};
 use r2r::egotac_msgs::action::Train;
 
 use crate::node::episode_recorder::SharedRing;
+use crate::node::lock::lock;
 use crate::node::params::Parameters;
 use crate::train::Config;
 use crate::train::job::{Job, Live};
@@ -67,7 +68,7 @@ fn config(goal: &Train::Goal, file: &Path, folder: &Path) -> anyhow::Result<Conf
 fn live(parameters: &Parameters, ring: &SharedRing) -> Live {
     let ring = Arc::clone(ring);
     Live {
-        stores: Box::new(move || ring.lock().unwrap_or_else(PoisonError::into_inner).stores()),
+        stores: Box::new(move || lock(&ring).stores()),
         least_frames: parameters.get::<i64>("min_live_frames") as usize,
         round_steps: parameters.get::<i64>("round_steps") as usize,
     }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 use candle_core::Device;
@@ -16,6 +16,7 @@ use crate::message::{Header, TrainerStatus};
 use crate::node::diagnostics::{Level, Tally, TaskReport};
 use crate::node::episode_recorder::SharedRing;
 use crate::node::flatten::flatten;
+use crate::node::lock::lock;
 use crate::node::log::Log;
 use crate::node::params::Parameters;
 use crate::node::publisher::Publisher;
@@ -99,7 +100,7 @@ impl GoalServer {
         let (progress, device, stopped) = (Arc::clone(&self.progress), self.device.clone(), Arc::clone(&stop));
         let work = move || {
             job::run(&job, &device, &stopped, &mut |news| {
-                progress.lock().unwrap_or_else(PoisonError::into_inner).update(&news);
+                lock(&progress).update(&news);
             })
         };
         match std::thread::Builder::new().name("training".into()).spawn(work) {
@@ -174,8 +175,8 @@ impl GoalServer {
     }
 
     fn status(&self, runtime: &Runtime) -> TrainerStatus {
-        let counts = self.ring.lock().unwrap_or_else(PoisonError::into_inner).counts();
-        let progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let counts = lock(&self.ring).counts();
+        let progress = lock(&self.progress).clone();
         let (names, values) = progress.losses.into_iter().chain(progress.scores).unzip();
         TrainerStatus {
             header: Header { stamp: runtime.clock().now(), frame_id: String::new() },
@@ -198,14 +199,14 @@ impl GoalServer {
     pub(super) fn task_report(&self, tally: &Tally) -> TaskReport {
         let mut counts = tally.counts();
         let rates = counts.rates();
-        let progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        let progress = lock(&self.progress);
         let level = if progress.state == "failed" { Level::Error } else { Level::Ok };
         let message = format!("{}, step {} of {}", progress.state, progress.step, progress.steps);
         TaskReport { task: "training", level, message, values: counts.values(rates) }
     }
 
     fn update(&self, change: impl FnOnce(&mut Progress)) {
-        change(&mut self.progress.lock().unwrap_or_else(PoisonError::into_inner));
+        change(&mut lock(&self.progress));
     }
 }
 

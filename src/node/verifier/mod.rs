@@ -14,7 +14,7 @@ use anyhow::Context as _;
 use serde_json::{Value, json};
 
 use super::clock::RosClock;
-use super::diagnostics::{Level, Tally, TaskReport};
+use super::diagnostics::{Level, Rates, Tally, TaskReport};
 use super::exact_sync::ExactSync;
 use super::log::Log;
 use super::params::{Allowed, Parameter, Parameters};
@@ -134,7 +134,7 @@ fn publish_metrics(runtime: &mut Runtime, verifier: &Rc<RefCell<Verifier>>) -> a
     diagnostics::publish(runtime, String::new, move |_| {
         let mut verifier = verifier.borrow_mut();
         let rates = verifier.tally.counts().rates();
-        verifier.publish_window(rates.1, &publisher, &parameters);
+        verifier.publish_window(rates.processed, &publisher, &parameters);
         verifier.task_report(rates, &tactile, &truth)
     })
 }
@@ -198,8 +198,8 @@ impl Verifier {
         }
     }
 
-    fn task_report(&self, rates: (f64, f64), tactile: &str, truth: &str) -> TaskReport {
-        let (level, message) = match (rates.1 > 0.0, self.scores.window_len() == 0) {
+    fn task_report(&self, rates: Rates, tactile: &str, truth: &str) -> TaskReport {
+        let (level, message) = match (rates.processed > 0.0, self.scores.window_len() == 0) {
             (false, _) => (Level::Stale, format!("no predictions on {tactile}")),
             (true, true) if self.scores.invalid > 0 => {
                 (Level::Warn, format!("no valid pair; {} frames of {truth} were invalid", self.scores.invalid))
