@@ -187,7 +187,7 @@ fn set_enabled_stops_and_resumes_commands() {
 
 #[test]
 fn tracking_restarts_when_stamps_go_back() {
-    holds("anew", &moving(10), &[]);
+    holds("restarts", &moving(10), &[]);
 }
 
 #[test]

@@ -11,12 +11,13 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use anyhow::{Context, Result, anyhow};
 use r2r::QosProfile;
 
+use super::create::create;
 use super::lock::lock;
 use super::params::Parameter;
+use super::qos;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
-use super::{create, qos};
 use crate::dataset::mcap::BagWriter;
 use crate::message::Message;
 
@@ -147,7 +148,7 @@ struct OpenBag {
 impl Recording {
     /// Records until `shutdown`; sends to `ready` once all topics are subscribed.
     fn run(self, shutdown: &Shutdown, ready: &Sender<()>) -> Result<()> {
-        let mut runtime = create::create("recorder", &[Parameter::use_sim_time()])?;
+        let mut runtime = create("recorder", &[Parameter::use_sim_time()])?;
         let file = Rc::new(RefCell::new(OpenBag { writer: self.create_bag()?, error: None }));
         for topic in &self.topics {
             self.subscribe(&mut runtime, topic, &file, shutdown)?;

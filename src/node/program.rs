@@ -2,13 +2,20 @@
 
 use std::process::ExitCode;
 
+use super::create::create;
 use super::params::{self, Parameter};
+use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 
-/// Runs a node's program: `--help` and `--describe-parameters` print without starting ROS; otherwise `start` runs until
-/// SIGINT or SIGTERM. The exit status is 0 after a clean shutdown, 1 after an error, which is printed in one line, and 2
-/// for an unknown argument.
-pub(crate) fn run(about: &str, table: &[Parameter], start: impl FnOnce(&Shutdown) -> anyhow::Result<()>) -> ExitCode {
+/// Runs the program of the node `name`: `--help` and `--describe-parameters` print without starting ROS; otherwise `run`
+/// gets the node and runs until SIGINT or SIGTERM. The exit status is 0 after a clean shutdown, 1 after an error, which is
+/// printed in one line, and 2 for an unknown argument.
+pub(crate) fn run(
+    name: &str,
+    about: &str,
+    table: &[Parameter],
+    run: impl FnOnce(Runtime, &Shutdown) -> anyhow::Result<()>,
+) -> ExitCode {
     // ROS checks the arguments after --ros-args.
     let mut own_arguments = std::env::args().skip(1).take_while(|argument| argument != "--ros-args");
     if let Some(argument) = own_arguments.next() {
@@ -28,7 +35,7 @@ pub(crate) fn run(about: &str, table: &[Parameter], start: impl FnOnce(&Shutdown
         };
     }
     let shutdown = Shutdown::default();
-    match shutdown.request_on_signals().and_then(|()| start(&shutdown)) {
+    match shutdown.request_on_signals().and_then(|()| run(create(name, table)?, &shutdown)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("{error:#}");

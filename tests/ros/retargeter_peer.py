@@ -327,7 +327,7 @@ def switched(case):
     robot.with_stamp(1000 * 10**9 + 2 * DT)
 
 
-def anew(case):
+def restarts(case):
     """A recording that is played a second time is followed again."""
     robot = Robot(case)
     for base in (1000, 500):

@@ -16,7 +16,7 @@ use super::params::{Allowed, Parameter};
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
-use super::{create, device, program, qos};
+use super::{device, program, qos};
 use crate::model::Precision;
 use cloud::Cloud;
 use inference::{Inference, ModelId};
@@ -26,11 +26,11 @@ use load_model::{ModelRequirements, PendingModel};
 
 /// Runs the program `egotac_predictor`.
 pub fn main() -> ExitCode {
-    program::run("Predicts touch on both hands from images.", &parameters(), start)
+    program::run("predictor", "Predicts touch on both hands from images.", &parameters(), start)
 }
 
 /// Parameters of the node.
-pub(crate) fn parameters() -> Vec<Parameter> {
+fn parameters() -> Vec<Parameter> {
     vec![
         Parameter::fixed(
             "model",
@@ -77,12 +77,11 @@ pub(crate) fn parameters() -> Vec<Parameter> {
     ]
 }
 
-/// Creates the node, loads the checkpoint that its parameters name, and runs it until `shutdown`.
+/// Loads the checkpoint that the parameters name and runs the node until `shutdown`.
 ///
 /// # Errors
-/// If ROS refuses a topic or service, or there is no usable checkpoint.
-fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
-    let runtime = create::create("predictor", &parameters())?;
+/// If there is no usable checkpoint; otherwise as [`run`].
+fn start(runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     let network = load::load(runtime.parameters(), runtime.log())?;
     run(runtime, network, shutdown)
 }
@@ -92,7 +91,7 @@ fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If ROS refuses a topic or service, or the network cannot process an image.
-pub(crate) fn run(mut runtime: Runtime, network: LoadedNetwork, shutdown: &Shutdown) -> anyhow::Result<()> {
+fn run(mut runtime: Runtime, network: LoadedNetwork, shutdown: &Shutdown) -> anyhow::Result<()> {
     let input = Input::new(&runtime);
     let inference = prepare(&mut runtime, network, input.clone())?;
     serve_set_enabled(&mut runtime)?;

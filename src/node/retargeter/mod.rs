@@ -20,7 +20,7 @@ use super::params::{Allowed, Parameter, Parameters};
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
-use super::{create, program, qos};
+use super::{program, qos};
 use crate::error::Error;
 use crate::hand::Side;
 use crate::message::{HandPose, Header, PoseArray, PoseStamped, TactileFrame};
@@ -32,11 +32,11 @@ use state::State;
 
 /// Runs the program `egotac_retargeter`.
 pub fn main() -> ExitCode {
-    program::run("Follows a hand and its touch with a robot hand.", &parameters(), start)
+    program::run("retargeter", "Follows a hand and its touch with a robot hand.", &parameters(), start)
 }
 
 /// The node's parameters.
-pub(crate) fn parameters() -> Vec<Parameter> {
+fn parameters() -> Vec<Parameter> {
     vec![
         Parameter::fixed(
             "robot",
@@ -94,12 +94,11 @@ pub(crate) fn parameters() -> Vec<Parameter> {
     ]
 }
 
-/// Creates the node, loads its robot, and runs until `shutdown`.
+/// Loads the robot and runs the node until `shutdown`.
 ///
 /// # Errors
 /// If ROS refuses something, or the robot or a MANO file can't be used.
-fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
-    let runtime = create::create("retargeter", &parameters())?;
+fn start(runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     let parameters = Arc::clone(runtime.parameters());
     let model = path_of(&parameters, "model");
     let object =
@@ -113,7 +112,7 @@ fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If ROS refuses something, the robot can't take a pose, or a MANO file can't be read.
-pub(crate) fn run(mut runtime: Runtime, robot: Robot, shutdown: &Shutdown) -> anyhow::Result<()> {
+fn run(mut runtime: Runtime, robot: Robot, shutdown: &Shutdown) -> anyhow::Result<()> {
     let parameters = Arc::clone(runtime.parameters());
     let side = match parameters.get::<String>("side").as_str() {
         "left" => Side::Left,

@@ -8,21 +8,21 @@ use std::process::ExitCode;
 
 use super::diagnostics::{self, Level, Tally, TaskReport};
 use super::params::{Allowed, Parameter};
+use super::program;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
-use super::{create, program};
 use crate::geometry::SIGMA;
 use crate::sim::{SHIPPED, Scene};
 use player::Player;
 
 /// Runs the program `egotac_simulator`.
 pub fn main() -> ExitCode {
-    program::run("Plays simulated scenes as a camera topic, with the true touch.", &parameters(), start)
+    program::run("simulator", "Plays simulated scenes as a camera topic, with the true touch.", &parameters(), run)
 }
 
 /// Parameters of the node.
-pub(crate) fn parameters() -> Vec<Parameter> {
+fn parameters() -> Vec<Parameter> {
     let scenes: Vec<String> = SHIPPED.iter().map(|(name, _)| (*name).to_owned()).collect();
     vec![
         Parameter::fixed(
@@ -83,19 +83,11 @@ pub(crate) fn parameters() -> Vec<Parameter> {
     ]
 }
 
-/// Creates the node and runs it until the last frame or `shutdown`.
-///
-/// # Errors
-/// As [`run`].
-fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
-    run(create::create("simulator", &parameters())?, shutdown)
-}
-
 /// Runs the node until the last frame that its parameters ask for, or `shutdown`.
 ///
 /// # Errors
 /// If a scene cannot be loaded or simulated, OpenGL is missing, or ROS refuses a topic.
-pub(crate) fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
+fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     let names = runtime.parameters().get::<Vec<String>>("scenes");
     let scenes = names.iter().map(|name| Scene::load(name)).collect::<crate::Result<Vec<_>>>()?;
     anyhow::ensure!(!scenes.is_empty(), "parameter scenes: expected at least one scene, got none");

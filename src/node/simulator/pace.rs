@@ -18,12 +18,12 @@ const CLOCK_POLL_INTERVAL: Duration = Duration::from_millis(2);
 /// Stamp of the first frame in simulated time, s; not zero, because a stamp of zero means "not set".
 const FIRST_STAMP_SECS: f64 = 1.0;
 
-/// Decides when each frame is published and which stamp it carries. In each form, times are those since the first frame.
+/// Time at which each frame is published, and the stamp that it carries.
 pub(super) enum Pace {
     /// At the scene's rate by the wall clock.
     Wall { schedule: WallSchedule, stamps: Stamps },
     /// At the scene's rate by `/clock`, which another node publishes.
-    Clock(ClockFollower),
+    ExternalClock(ClockFollower),
     /// Without waiting, in simulated time.
     Fast,
 }
@@ -43,7 +43,9 @@ impl Pace {
         match parameters.get::<String>("pace").as_str() {
             "fast" => Self::Fast,
             "clock" => Self::Wall { schedule, stamps: Stamps::Simulated },
-            _ if parameters.get("use_sim_time") => Self::Clock(ClockFollower { clock, start: None, newest: 0.0 }),
+            _ if parameters.get("use_sim_time") => {
+                Self::ExternalClock(ClockFollower { clock, start: None, newest: 0.0 })
+            }
             _ => Self::Wall { schedule, stamps: Stamps::Node(clock) },
         }
     }
@@ -51,7 +53,7 @@ impl Pace {
     /// Waits until the frame `simulated` seconds after the first one is due; returns its stamp.
     pub(super) fn wait(&mut self, simulated: f64, shutdown: &Shutdown) -> Time {
         match self {
-            Self::Clock(follower) => follower.wait(simulated, shutdown),
+            Self::ExternalClock(follower) => follower.wait(simulated, shutdown),
             Self::Fast => simulated_stamp(simulated),
             Self::Wall { schedule, stamps } => {
                 schedule.wait(simulated, shutdown);
@@ -67,7 +69,7 @@ impl Pace {
     pub(super) fn late_frames(&self) -> u64 {
         match self {
             Self::Wall { schedule, .. } => schedule.late_frames,
-            Self::Clock(_) | Self::Fast => 0,
+            Self::ExternalClock(_) | Self::Fast => 0,
         }
     }
 }

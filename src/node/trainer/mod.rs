@@ -20,7 +20,7 @@ use super::images::ImageTransport;
 use super::params::{Allowed, Parameter};
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
-use super::{create, device, program, qos};
+use super::{device, program, qos};
 use crate::message::TactileTruth;
 use goal_server::GoalServer;
 
@@ -31,11 +31,11 @@ const NOTIFY_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Runs the program `egotac_trainer`.
 pub fn main() -> ExitCode {
-    program::run("Trains networks on stores and on live topics.", &parameters(), start)
+    program::run("trainer", "Trains networks on stores and on live topics.", &parameters(), run)
 }
 
 /// Parameters of the node.
-pub(crate) fn parameters() -> Vec<Parameter> {
+fn parameters() -> Vec<Parameter> {
     vec![
         Parameter::new("config", "", Allowed::Any, "Configuration file (YAML) of goals that name none."),
         Parameter::fixed(
@@ -82,19 +82,11 @@ pub(crate) fn parameters() -> Vec<Parameter> {
     ]
 }
 
-/// Creates the node and runs it until `shutdown`.
-///
-/// # Errors
-/// As [`run`].
-fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
-    run(create::create("trainer", &parameters())?, shutdown)
-}
-
 /// Runs the node until `shutdown`, which stops an active training and saves its state.
 ///
 /// # Errors
 /// If ROS refuses a topic or the action, or the folder cannot be written.
-pub(crate) fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
+fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     let parameters = Arc::clone(runtime.parameters());
     let folder = PathBuf::from(parameters.get::<String>("folder"));
     let device = device::open(&parameters)?;

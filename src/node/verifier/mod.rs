@@ -21,7 +21,7 @@ use super::params::{Allowed, Parameter, Parameters};
 use super::publisher::Publisher;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
-use super::{create, diagnostics, program, qos};
+use super::{diagnostics, program, qos};
 use crate::file;
 use crate::message::{TactileFrame, TactileMetrics, TactileTruth};
 use crate::score::verify::Bar;
@@ -36,11 +36,11 @@ const UNMATCHED_AFTER_SECS: f64 = 2.0;
 
 /// Runs the program `egotac_verifier`.
 pub fn main() -> ExitCode {
-    program::run("Compares predicted touch with the truth while both are published.", &parameters(), start)
+    program::run("verifier", "Compares predicted touch with the truth while both are published.", &parameters(), run)
 }
 
 /// Parameters of the node.
-pub(crate) fn parameters() -> Vec<Parameter> {
+fn parameters() -> Vec<Parameter> {
     vec![
         Parameter::new(
             "window_secs",
@@ -66,19 +66,11 @@ pub(crate) fn parameters() -> Vec<Parameter> {
     ]
 }
 
-/// Creates the node and runs it until `shutdown`.
-///
-/// # Errors
-/// As [`run`].
-fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
-    run(create::create("verifier", &parameters())?, shutdown)
-}
-
 /// Runs the node until `shutdown`, then writes the report if the parameter `report` names a file.
 ///
 /// # Errors
 /// If ROS refuses a topic, `require` does not parse, the report cannot be written, or a required score was missed.
-pub(crate) fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
+fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     let bars = required_scores(&runtime.parameters().get::<String>("require"))?;
     let verifier = Rc::new(RefCell::new(Verifier {
         sync: ExactSync::new(MAX_UNPAIRED),
