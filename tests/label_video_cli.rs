@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use egotac::dataset::EpisodeReader;
-use egotac::dataset::tensors::FieldFile;
+use egotac::dataset::tensors;
 use egotac::dataset::video::{Frames, damage, probe};
 use egotac::dataset::zarr::ZarrReader;
 use egotac::model::predictor::{Options, Predictor};
@@ -132,10 +132,10 @@ fn images_go_to_every_kind_of_output_with_the_same_labels() {
         assert_eq!((&diff["mae"], &diff["unmatched"]["a"]), (&0.0.into(), &0.into()), "{kind}");
         assert_eq!(diff["counts"]["force_entries"], 11 * 1556);
     }
-    let tensors = FieldFile::read(Path::new(&at("b.safetensors"))).unwrap();
+    let tensors = tensors::read(Path::new(&at("b.safetensors"))).unwrap();
     assert_eq!(tensors.episode_ends, [12]);
     for (frame, expected) in (0..12).filter(|i| *i != 7).zip(&expected) {
-        assert_eq!(tensors.fields.force[frame * 1556..(frame + 1) * 1556], expected.force);
+        assert_eq!(tensors.force[frame * 1556..(frame + 1) * 1556], expected.force);
     }
     // An image more at one side: frames pair by time.
     fs::remove_file(format!("{}/frame_11.png", at("in"))).unwrap();

@@ -1,8 +1,8 @@
 //! Scores agree with scikit-learn, scipy and numpy, and are defined or undefined where they degenerate.
 
-use egotac::hand::N_VERTICES;
-use egotac::score::metrics::{Calibration, Fields, FrameScore, Options, Report, Scores, evaluate, summarize, table};
-use egotac::tactile::N_FIELD;
+use egotac::hand::{N_VERTICES, Topology};
+use egotac::score::metrics::{Calibration, EvalOptions, FrameScore, Report, Scores, evaluate, summarize, table};
+use egotac::tactile::{N_FIELD, TactileSequence};
 use serde_json::Value;
 
 const T: usize = 64;
@@ -15,8 +15,8 @@ fn mix(x: u64) -> u64 {
 }
 
 /// The fields of tests/data/metrics/make.py: prediction, truth, the two masks.
-fn fields() -> (Fields, Fields, Vec<u8>, Vec<u8>) {
-    let (mut pred, mut target) = (Fields::default(), Fields::default());
+fn fields() -> (TactileSequence, TactileSequence, Vec<u8>, Vec<u8>) {
+    let (mut pred, mut target) = (TactileSequence::default(), TactileSequence::default());
     let (mut mask_force, mut mask_contact) = (Vec::new(), Vec::new());
     for index in 0..T * N_FIELD {
         let t = index / N_FIELD;
@@ -53,13 +53,14 @@ fn assert_agrees(ours: &Value, expected: &Value, at: &str) {
 fn scores_agree_with_scikit_learn_scipy_and_numpy() {
     let (pred, target, mask_force, mask_contact) = fields();
     let expected: Value = serde_json::from_str(include_str!("data/metrics/expected.json")).unwrap();
-    let plain = Options { fps: Some(25.0), ..Default::default() };
-    let masked = Options { mask_force, mask_contact, episode_ends: vec![23, 50, 64], ..plain.clone() };
+    let masked = TactileSequence { mask_force, mask_contact, episode_ends: vec![23, 50, 64], ..target.clone() };
     let calibration = r#"{"pred": {"min": 20, "max": 200}, "target": {"min": 10, "max": 150}}"#;
-    let calibrated =
-        Options { calibration: Some(serde_json::from_str::<Calibration>(calibration).unwrap()), ..plain.clone() };
-    for (name, options) in [("plain", plain), ("masked_episodes", masked), ("calibrated", calibrated)] {
-        let report = serde_json::to_value(evaluate(&pred, &target, &options).unwrap()).unwrap();
+    let calibration = Some(serde_json::from_str::<Calibration>(calibration).unwrap());
+    for (name, target, calibration) in
+        [("plain", &target, None), ("masked_episodes", &masked, None), ("calibrated", &target, calibration)]
+    {
+        let options = EvalOptions { fps: Some(25.0), calibration };
+        let report = serde_json::to_value(evaluate(&pred, target, &options).unwrap()).unwrap();
         assert_agrees(&report, &expected[name], name);
     }
 }
@@ -67,7 +68,7 @@ fn scores_agree_with_scikit_learn_scipy_and_numpy() {
 #[test]
 fn frame_scores_sum_up_to_the_whole() {
     let (pred, target, ..) = fields();
-    let whole = evaluate(&pred, &target, &Options::default()).unwrap();
+    let whole = evaluate(&pred, &target, &EvalOptions::default()).unwrap();
     let frames: Vec<FrameScore> = (0..T)
         .map(|t| {
             let rows = t * N_FIELD..(t + 1) * N_FIELD;
@@ -82,12 +83,12 @@ fn frame_scores_sum_up_to_the_whole() {
     assert_eq!(sum.counts, whole.counts);
 }
 
-fn constant(n_frames: usize, force: f32) -> Fields {
-    Fields::from_force(vec![force; n_frames * N_FIELD])
+fn constant(n_frames: usize, force: f32) -> TactileSequence {
+    TactileSequence::from_force(None, vec![force; n_frames * N_FIELD])
 }
 
-fn report(pred: &Fields, target: &Fields) -> Report {
-    evaluate(pred, target, &Options { fps: Some(25.0), ..Default::default() }).unwrap()
+fn report(pred: &TactileSequence, target: &TactileSequence) -> Report {
+    evaluate(pred, target, &EvalOptions { fps: Some(25.0), calibration: None }).unwrap()
 }
 
 #[test]
@@ -115,7 +116,7 @@ fn one_frame_and_none_are_scored_without_nan() {
     assert!((one.mae.unwrap() - 0.1).abs() < 1e-6);
     assert_eq!(one.pooled.auroc, None, "no negatives");
     assert_eq!((one.pooled.f1, one.temporal_pearson), (Some(1.0), None));
-    let none = report(&Fields::default(), &Fields::default());
+    let none = report(&TactileSequence::default(), &TactileSequence::default());
     assert_eq!((none.mae, none.counts.frames), (None, 0));
     for report in [&one, &none] {
         let json = serde_json::to_string(report).unwrap();
@@ -126,8 +127,10 @@ fn one_frame_and_none_are_scored_without_nan() {
 #[test]
 fn masked_and_unknown_truth_does_not_count() {
     let (pred, target, ..) = fields();
-    let masked = Options { mask_force: vec![0; T * N_FIELD], mask_contact: vec![0; T * N_FIELD], ..Default::default() };
-    let nothing = evaluate(&pred, &target, &masked).unwrap();
+    let none = vec![0; T * N_FIELD];
+    let masked = TactileSequence { mask_force: none.clone(), mask_contact: none, ..target.clone() };
+    let options = EvalOptions::default();
+    let nothing = evaluate(&pred, &masked, &options).unwrap();
     assert_eq!((nothing.mae, nothing.pooled, nothing.counts.force_entries), (None, Scores::default(), 0));
     // The left hand unknown in truth scores as if it were masked out.
     let left = |index: usize| index % N_FIELD < N_VERTICES;
@@ -137,8 +140,13 @@ fn masked_and_unknown_truth_does_not_count() {
         unknown.force[index] = f32::NAN;
         unknown.contact[index] = f32::NAN;
     }
-    let options = Options { mask_force: mask.clone(), mask_contact: mask, ..Default::default() };
-    assert_eq!(evaluate(&pred, &unknown, &Options::default()).unwrap(), evaluate(&pred, &target, &options).unwrap());
+    let masked = TactileSequence { mask_force: mask.clone(), mask_contact: mask, ..target.clone() };
+    assert_eq!(evaluate(&pred, &unknown, &options).unwrap(), evaluate(&pred, &masked, &options).unwrap());
+    // So does a frame that a guard refused.
+    let refused = TactileSequence { validity: (0..T).map(|t| u8::from(t % 3 == 0)).collect(), ..target.clone() };
+    let mask: Vec<u8> = (0..T * N_FIELD).map(|index| u8::from(!(index / N_FIELD).is_multiple_of(3))).collect();
+    let masked = TactileSequence { mask_force: mask.clone(), mask_contact: mask, ..target };
+    assert_eq!(evaluate(&pred, &refused, &options).unwrap(), evaluate(&pred, &masked, &options).unwrap());
 }
 
 #[test]
@@ -154,13 +162,15 @@ fn an_unknown_prediction_makes_its_scores_undefined_instead_of_better() {
 #[test]
 fn lengths_and_episodes_that_do_not_fit_are_refused() {
     let (pred, target, ..) = fields();
-    let refused = |pred: &Fields, options: Options, word: &str| {
-        let error = evaluate(pred, &target, &options).unwrap_err().to_string();
+    let refused = |pred: &TactileSequence, target: &TactileSequence, word: &str| {
+        let error = evaluate(pred, target, &EvalOptions::default()).unwrap_err().to_string();
         assert!(error.contains(word), "{word} is not in: {error}");
     };
-    refused(&constant(3, 0.0), Options::default(), "pred force");
-    refused(&pred, Options { mask_force: vec![1; 5], ..Default::default() }, "mask_force");
-    for ends in [vec![10, 63], vec![0, 64], vec![40, 30, 64]] {
-        refused(&pred, Options { episode_ends: ends, ..Default::default() }, "episode_ends");
+    refused(&constant(3, 0.0), &target, "pred force");
+    refused(&pred, &TactileSequence { mask_force: vec![1; 5], ..target.clone() }, "mask_force");
+    for episode_ends in [vec![10, 63], vec![0, 64], vec![40, 30, 64]] {
+        refused(&pred, &TactileSequence { episode_ends, ..target.clone() }, "episode_ends");
     }
+    let on = |topology, sequence: &TactileSequence| TactileSequence { topology: Some(topology), ..sequence.clone() };
+    refused(&on(Topology::Mano, &pred), &on(Topology::EgotacHand1, &target), "mano");
 }

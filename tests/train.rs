@@ -5,14 +5,14 @@ use std::process::{Command, Output};
 
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
-use egotac::dataset::tensors::FieldFile;
+use egotac::dataset::tensors;
 use egotac::dataset::zarr::{Contact, ZarrReader, ZarrWriter};
 use egotac::dataset::{Attributes, EpisodeReader, EpisodeWriter, Frame};
 use egotac::hand::Topology;
 use egotac::model::checkpoint::Stored;
 use egotac::model::grow::{Growth, grow};
 use egotac::model::{self, Checkpoint, EgoTac, Predictor, init, predictor};
-use egotac::score::metrics::evaluate;
+use egotac::score::metrics::{EvalOptions, evaluate};
 use egotac::tactile::{N_FIELD, TactileField, Validity};
 use egotac::train::config::{Augment, Batch};
 use egotac::train::data::Dataset;
@@ -108,10 +108,10 @@ fn a_small_store_is_learned_far_better_than_any_constant() {
     let test = dataset(&folder.path().join("test.zarr"), &checkpoint);
     let labels = test.labels().unwrap();
     let predicted = predict(&checkpoint.model, &checkpoint.metadata, &test, &Device::Cpu, |_| ()).unwrap();
-    let ours = evaluate(&predicted, &labels.fields, &labels.options()).unwrap();
+    let ours = evaluate(&predicted, &labels, &EvalOptions::default()).unwrap();
     for constant in baseline::constants(&train.labels().unwrap()) {
-        let fields = constant.fields(labels.fields.n_frames());
-        let theirs = evaluate(&fields, &labels.fields, &labels.options()).unwrap();
+        let fields = constant.sequence(labels.n_frames());
+        let theirs = evaluate(&fields, &labels, &EvalOptions::default()).unwrap();
         // Of four seeds the worst came to 0.59 times the best constant; some never find one of the quadrants.
         assert!(ours.active_mae < theirs.active_mae.map(|mae| 0.7 * mae), "{}: {ours:?} {theirs:?}", constant.name);
     }
@@ -330,8 +330,8 @@ fn the_commands_train_predict_and_score() {
 
     let checkpoint = "run/checkpoint.safetensors";
     ok(&["predict", "--checkpoint", checkpoint, "--data", "test.zarr", "--out", "fields.safetensors"]);
-    let file = FieldFile::read(&at("fields.safetensors")).unwrap();
-    assert_eq!((file.fields.n_frames(), file.episode_ends, file.topology), (30, vec![30], Some(Topology::EgotacHand1)));
+    let file = tensors::read(&at("fields.safetensors")).unwrap();
+    assert_eq!((file.n_frames(), file.episode_ends, file.topology), (30, vec![30], Some(Topology::EgotacHand1)));
     let args = ["eval", "--checkpoint", checkpoint, "--data", "test.zarr", "--baselines-from", "train.zarr", "--json"];
     let json: Value = serde_json::from_str(&ok(&args)).unwrap();
     let keys: Vec<&String> = json.as_object().unwrap().keys().collect();
@@ -351,7 +351,7 @@ fn the_commands_train_predict_and_score() {
         store.frame(3 * index).unwrap().camera_ego_rgb.save(at(&format!("images/{index}.png"))).unwrap();
     }
     ok(&["predict", "--checkpoint", checkpoint, "--data", "images", "--out", "images.safetensors"]);
-    assert_eq!(FieldFile::read(&at("images.safetensors")).unwrap().fields.n_frames(), 5);
+    assert_eq!(tensors::read(&at("images.safetensors")).unwrap().n_frames(), 5);
 
     let info = ok(&["data", "info", "train.zarr"]);
     assert!(info.contains("80 frames in 2 episodes, 25.0 fps") && info.contains("data/mano_force"), "{info}");

@@ -8,13 +8,12 @@ use std::process::{Command, Output};
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
 use egotac::dataset::mcap::BagWriter;
-use egotac::dataset::tensors::FieldFile;
+use egotac::dataset::tensors;
 use egotac::dataset::zarr::{MANO_FORCE, ZarrReader};
 use egotac::hand::Topology;
 use egotac::message::{Header, Message, TactileFrame, TactileTruth, Time};
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
-use egotac::score::metrics::Fields;
-use egotac::tactile::{N_FIELD, TactileField, Validity};
+use egotac::tactile::{N_FIELD, TactileField, TactileSequence, Validity};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -208,9 +207,8 @@ fn a_cube_from_a_mesh_file_is_verified_as_the_built_in_one() {
     is_sound(&mesh);
 }
 
-fn tensors(path: &str, fields: Fields) {
-    let file = FieldFile { topology: Some(Topology::EgotacHand1), fields, ..FieldFile::default() };
-    file.write(Path::new(path), HashMap::new()).unwrap();
+fn write(path: &str, sequence: &TactileSequence) {
+    tensors::write(Path::new(path), sequence, HashMap::new()).unwrap();
 }
 
 #[test]
@@ -220,12 +218,12 @@ fn predictions_are_scored_and_the_gate_sets_the_exit_status() {
     let reader = ZarrReader::open(Path::new(&store)).unwrap();
     let force = reader.read_f32(MANO_FORCE, 0..reader.len()).unwrap();
     let [right, half, none] = ["right", "half", "none"].map(|name| folder.path(&format!("{name}.safetensors")));
-    tensors(&right, Fields::from_force(force.clone()));
-    tensors(
-        &half,
-        Fields { contact: Fields::from_force(force.clone()).contact, force: force.iter().map(|f| f / 2.0).collect() },
-    );
-    tensors(&none, Fields::from_force(vec![0.0; force.len()]));
+    let from_force = |force| TactileSequence::from_force(Some(Topology::EgotacHand1), force);
+    let mut sequence = from_force(force);
+    write(&right, &sequence);
+    sequence.force.iter_mut().for_each(|f| *f /= 2.0);
+    write(&half, &sequence);
+    write(&none, &from_force(vec![0.0; sequence.force.len()]));
 
     // The store itself serves as well.
     for predictions in [&right, &store] {
@@ -251,7 +249,7 @@ fn predictions_are_scored_and_the_gate_sets_the_exit_status() {
         "{missed}"
     );
 
-    tensors(&none, Fields::from_force(vec![0.0; N_FIELD]));
+    write(&none, &from_force(vec![0.0; N_FIELD]));
     assert!(refusal(&[&store, "--predictions", &none]).contains("frames, as the episodes have"));
     assert!(refusal(&["pinch_cube", "--predictions", &right]).contains("expected the stores"));
     assert!(refusal(&["pinch_cube", "--require", "f1=0.7"]).contains("of which label?"));

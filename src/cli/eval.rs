@@ -5,14 +5,14 @@ use std::process::ExitCode;
 
 use anyhow::{Context, bail};
 
-use crate::dataset::EpisodeReader;
-use crate::dataset::tensors::FieldFile;
-use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader};
+use crate::dataset::tensors;
+use crate::dataset::zarr::{self, ZarrReader};
 use crate::hand::{HandModel, Side, Topology};
 use crate::model::{Checkpoint, Precision};
-use crate::score::metrics::{self, Calibration, Comparison, Fields, Options, Part, Report};
+use crate::score::metrics::{self, Calibration, Comparison, EvalOptions, Part, Report};
+use crate::tactile::TactileSequence;
 use crate::train::baseline;
-use crate::train::data::{Dataset, read_labels};
+use crate::train::data::{Dataset, read_truth};
 
 use super::hands::Hands;
 
@@ -71,13 +71,11 @@ pub struct Args {
 
 /// What is scored.
 struct Case {
-    pred: Fields,
-    target: Fields,
-    /// What the vertices mean, where a file says so.
-    topology: Option<Topology>,
-    options: Options,
+    pred: TactileSequence,
+    target: TactileSequence,
+    options: EvalOptions,
     /// Constants to score beside the prediction.
-    constants: Vec<(&'static str, Fields)>,
+    constants: Vec<(&'static str, TactileSequence)>,
 }
 
 /// All that was asked for.
@@ -95,9 +93,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         _ => bail!("give --pred and --target, or --checkpoint and --data"),
     };
     if args.right_hand_only {
-        case.options = case.options.within(&Part::hand(Side::Right), case.target.n_frames());
+        Part::hand(Side::Right).restrict(&mut case.target);
     }
-    let scored = score(&args, &case)?;
+    let scored = score(&args, &mut case)?;
     match args.json {
         true => println!("{:#}", json(&scored)?),
         false => print(&scored),
@@ -105,8 +103,8 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn score(args: &Args, case: &Case) -> anyhow::Result<Scored> {
-    let Case { pred, target, topology, options, constants } = case;
+fn score(args: &Args, case: &mut Case) -> anyhow::Result<Scored> {
+    let Case { pred, target, options, constants } = case;
     let name = if constants.is_empty() { "prediction" } else { "model" };
     let mut reports = vec![(name, metrics::evaluate(pred, target, options)?)];
     for (name, fields) in constants {
@@ -114,19 +112,21 @@ fn score(args: &Args, case: &Case) -> anyhow::Result<Scored> {
     }
     let mut scored = Vec::new();
     if args.parts {
-        for part in parts(args, topology.unwrap_or_default())? {
-            let report = metrics::evaluate(pred, target, &options.within(&part, target.n_frames()))?;
-            scored.push((part.name, report));
+        for part in parts(args, target.topology.or(pred.topology).unwrap_or_default())? {
+            let masks = [target.mask_force.clone(), target.mask_contact.clone()];
+            part.restrict(target);
+            scored.push((part.name, metrics::evaluate(pred, target, options)?));
+            [target.mask_force, target.mask_contact] = masks;
         }
     }
     let against = match &args.against {
         Some(path) => {
-            let other = FieldFile::read(path)?;
-            if let (Some(topology), Some(other)) = (topology, other.topology) {
+            let other = tensors::read(path)?;
+            if let (Some(topology), Some(other)) = (target.topology.or(pred.topology), other.topology) {
                 topology.must_match(other).with_context(|| path.display().to_string())?;
             }
-            same_length(path, &other.fields, target.n_frames())?;
-            Some(metrics::compare(pred, &other.fields, target, options, args.seed)?)
+            same_length(path, &other, target.n_frames())?;
+            Some(metrics::compare(pred, &other, target, options, args.seed)?)
         }
         None => None,
     };
@@ -157,49 +157,42 @@ fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
         Ok(data)
     };
     let data = open(&args.data)?;
-    let labels = data.labels()?;
-    let mut options = labels.options();
-    options.fps = args.fps.or(options.fps);
-    options.calibration = args.calibration.as_deref().map(read_calibration).transpose()?;
-    let pred = super::predict::predict_stores(&checkpoint, &data, &device)?.fields;
+    let target = data.labels()?;
+    let options = options(args)?;
+    let pred = super::predict::predict_stores(&checkpoint, &data, &device)?;
     let mut constants = Vec::new();
     if !args.baselines_from.is_empty() {
         for constant in baseline::constants(&open(&args.baselines_from)?.labels()?) {
-            constants.push((constant.name, constant.fields(labels.fields.n_frames())));
+            constants.push((constant.name, constant.sequence(target.n_frames())));
         }
     }
-    Ok(Case { pred, target: labels.fields, topology: Some(data.topology()), options, constants })
+    Ok(Case { pred, target, options, constants })
 }
 
 fn of_files(args: &Args, pred_path: &Path, target_path: &Path) -> anyhow::Result<Case> {
-    let pred = FieldFile::read(pred_path)?;
-    let target = read_target(target_path)?;
+    let pred = tensors::read(pred_path)?;
+    // Frames of a store that a guard refused are masked out.
+    let target = match target_path.is_dir() {
+        true => read_truth(&ZarrReader::open(target_path)?)?,
+        false => tensors::read(target_path)?,
+    };
     if let (Some(pred), Some(target)) = (pred.topology, target.topology) {
         pred.must_match(target)?;
     }
-    same_length(pred_path, &pred.fields, target.fields.n_frames())
-        .with_context(|| format!("beside {}", target_path.display()))?;
-    let options = options(&target, args.fps, args.calibration.as_deref())?;
-    let topology = target.topology.or(pred.topology);
-    Ok(Case { pred: pred.fields, target: target.fields, topology, options, constants: vec![] })
+    same_length(pred_path, &pred, target.n_frames()).with_context(|| format!("beside {}", target_path.display()))?;
+    Ok(Case { pred, target, options: options(args)?, constants: vec![] })
 }
 
-fn same_length(path: &Path, fields: &Fields, n_frames: usize) -> anyhow::Result<()> {
-    if fields.n_frames() != n_frames {
-        bail!("{} has {} frames, expected the truth's {n_frames}", path.display(), fields.n_frames());
+fn same_length(path: &Path, sequence: &TactileSequence, n_frames: usize) -> anyhow::Result<()> {
+    if sequence.n_frames() != n_frames {
+        bail!("{} has {} frames, expected the truth's {n_frames}", path.display(), sequence.n_frames());
     }
     Ok(())
 }
 
-fn options(target: &FieldFile, fps: Option<f64>, calibration: Option<&Path>) -> anyhow::Result<Options> {
-    let calibration = calibration.map(read_calibration).transpose()?;
-    Ok(Options {
-        mask_force: target.mask_force.clone(),
-        mask_contact: target.mask_contact.clone(),
-        episode_ends: target.episode_ends.clone(),
-        fps: fps.or_else(|| target.fps()),
-        calibration,
-    })
+fn options(args: &Args) -> anyhow::Result<EvalOptions> {
+    let calibration = args.calibration.as_deref().map(read_calibration).transpose()?;
+    Ok(EvalOptions { calibration, fps: args.fps })
 }
 
 fn read_calibration(path: &Path) -> anyhow::Result<Calibration> {
@@ -214,23 +207,6 @@ fn read_calibration(path: &Path) -> anyhow::Result<Calibration> {
         }
     }
     Ok(calibration)
-}
-
-/// A field file, or the labels of a store; frames that a guard refused don't count.
-fn read_target(path: &Path) -> anyhow::Result<FieldFile> {
-    if !path.is_dir() {
-        return Ok(FieldFile::read(path)?);
-    }
-    let store = ZarrReader::open(path)?;
-    let labels = read_labels(&store, 0..store.len())?;
-    Ok(FieldFile {
-        topology: Some(store.attributes().topology),
-        fields: Fields { force: labels.force, contact: labels.contact },
-        mask_force: labels.mask_force,
-        mask_contact: labels.mask_contact,
-        timestamps: store.read(TIMESTAMPS, 0..store.len())?.into_f64(),
-        episode_ends: store.episode_ends().to_vec(),
-    })
 }
 
 fn print(scored: &Scored) {

@@ -11,12 +11,11 @@ use clap::ValueEnum;
 use glam::Vec3;
 use safetensors::tensor::{Dtype, TensorView};
 
-use crate::dataset::tensors::FieldFile;
+use crate::dataset::tensors;
 use crate::file;
 use crate::hand::{self, HandMap, HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, Region, Side, Topology};
 use crate::render::{View, color, font, hand_picture, region_colors};
-use crate::score::metrics::Fields;
-use crate::tactile::N_FIELD;
+use crate::tactile::{N_FIELD, TactileSequence};
 
 /// Arguments of `egotac hand`.
 #[derive(Debug, clap::Args)]
@@ -205,7 +204,7 @@ fn map(args: &Map) -> anyhow::Result<()> {
     match (&args.field, args.to) {
         (Some(field), Some(to)) => {
             let carried = carry(&map, field, to.into())?;
-            carried.write(&args.out, HashMap::new())?;
+            tensors::write(&args.out, &carried, HashMap::new())?;
             println!("field carried to {}, written to {}", Topology::from(to).id(), args.out.display());
         }
         _ => {
@@ -217,13 +216,13 @@ fn map(args: &Map) -> anyhow::Result<()> {
 }
 
 /// The field of a file on the other hand.
-fn carry(map: &HandMap, path: &Path, to: Topology) -> anyhow::Result<FieldFile> {
-    let mut file = FieldFile::read(path)?;
+fn carry(map: &HandMap, path: &Path, to: Topology) -> anyhow::Result<TactileSequence> {
+    let mut sequence = tensors::read(path)?;
     let from = match to {
         Topology::Mano => Topology::EgotacHand1,
         Topology::EgotacHand1 => Topology::Mano,
     };
-    if let Some(topology) = file.topology {
+    if let Some(topology) = sequence.topology {
         let (got, wanted) = (topology.id(), from.id());
         ensure!(
             topology == from,
@@ -241,14 +240,12 @@ fn carry(map: &HandMap, path: &Path, to: Topology) -> anyhow::Result<FieldFile> 
         let carried: crate::Result<Vec<_>> = values.chunks_exact(N_FIELD).map(|mask| transfer.mask(mask)).collect();
         Ok(carried?.concat())
     };
-    file.fields = Fields {
-        force: frames(&file.fields.force, &|force| transfer.force(force))?,
-        contact: frames(&file.fields.contact, &|contact| transfer.contact(contact))?,
-    };
-    file.mask_force = masks(&file.mask_force)?;
-    file.mask_contact = masks(&file.mask_contact)?;
-    file.topology = Some(to);
-    Ok(file)
+    sequence.force = frames(&sequence.force, &|force| transfer.force(force))?;
+    sequence.contact = frames(&sequence.contact, &|contact| transfer.contact(contact))?;
+    sequence.mask_force = masks(&sequence.mask_force)?;
+    sequence.mask_contact = masks(&sequence.mask_contact)?;
+    sequence.topology = Some(to);
+    Ok(sequence)
 }
 
 /// Weights as sparse triplets: `{to_mano,to_builtin}.{contact,force}.{target,source}` u32 and `.weight` f32.

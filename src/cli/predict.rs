@@ -7,10 +7,10 @@ use std::process::ExitCode;
 use anyhow::{Context, bail};
 use indicatif::ProgressBar;
 
-use crate::dataset::tensors::FieldFile;
+use crate::dataset::tensors;
 use crate::dataset::zarr;
 use crate::model::{Checkpoint, Precision, Predictor, predictor, shipped};
-use crate::score::metrics::Fields;
+use crate::tactile::TactileSequence;
 use crate::train::{data::Dataset, predict};
 
 /// Arguments of `egotac predict`.
@@ -51,7 +51,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         ("checkpoint_sha256".to_string(), checkpoint.sha256.clone()),
     ]);
     let images = images(&args.data)?;
-    let file = match images.is_empty() {
+    let predicted = match images.is_empty() {
         true => {
             let preparation = checkpoint.metadata.preparation(checkpoint.model.config());
             let data = Dataset::new(zarr::open_all(&args.data)?, preparation, false)?;
@@ -59,8 +59,8 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         }
         false => predict_images(checkpoint, &images, args.fps, device)?,
     };
-    file.write(&args.out, metadata)?;
-    println!("{}: {} frames", args.out.display(), file.fields.n_frames());
+    tensors::write(&args.out, &predicted, metadata)?;
+    println!("{}: {} frames", args.out.display(), predicted.n_frames());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -69,18 +69,11 @@ pub(super) fn predict_stores(
     checkpoint: &Checkpoint,
     data: &Dataset,
     device: &candle_core::Device,
-) -> anyhow::Result<FieldFile> {
+) -> anyhow::Result<TactileSequence> {
     let bar = ProgressBar::new(data.n_frames() as u64);
-    let fields = predict(&checkpoint.model, &checkpoint.metadata, data, device, |n| bar.inc(n as u64))?;
+    let predicted = predict(&checkpoint.model, &checkpoint.metadata, data, device, |n| bar.inc(n as u64))?;
     bar.finish_and_clear();
-    // Stores lie behind each other: their episodes' ends add up.
-    let mut file = FieldFile { topology: Some(checkpoint.metadata.topology), fields, ..Default::default() };
-    for (store, episode) in data.episodes() {
-        let before = file.timestamps.len();
-        file.timestamps.extend_from_slice(&data.timestamps(store)[episode.clone()]);
-        file.episode_ends.push(before + episode.len());
-    }
-    Ok(file)
+    Ok(predicted)
 }
 
 fn predict_images(
@@ -88,22 +81,21 @@ fn predict_images(
     paths: &[PathBuf],
     fps: Option<f64>,
     device: candle_core::Device,
-) -> anyhow::Result<FieldFile> {
+) -> anyhow::Result<TactileSequence> {
     let dt = fps.map_or(checkpoint.metadata.frame_dt, |fps| 1.0 / fps);
     // A sequence is one stream, however slow.
     let options = predictor::Options { device, max_gap_secs: Some(f64::MAX), ..Default::default() };
     let mut predictor = Predictor::new(checkpoint, options)?;
-    let mut fields = Fields::default();
-    let mut timestamps = Vec::new();
+    let mut predicted = TactileSequence::default();
     for (index, path) in paths.iter().enumerate() {
         let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
         let image = crate::image::decode(&bytes).with_context(|| path.display().to_string())?;
         let stamp = index as f64 * dt;
-        fields.push(&predictor.push(&image, stamp).with_context(|| path.display().to_string())?.field);
-        timestamps.push(stamp);
+        predicted.push(&predictor.push(&image, stamp).with_context(|| path.display().to_string())?.field)?;
+        predicted.timestamps.push(stamp);
     }
-    let topology = Some(predictor.metadata().topology);
-    Ok(FieldFile { topology, fields, timestamps, episode_ends: vec![paths.len()], ..Default::default() })
+    predicted.episode_ends = vec![paths.len()];
+    Ok(predicted)
 }
 
 /// The image files that `paths` name, folders by file name; empty if the paths are stores.

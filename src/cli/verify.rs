@@ -200,8 +200,7 @@ mod with_sim {
     use crate::dataset::zarr::{self, ZarrReader};
     use crate::model::{Predictor, predictor, shipped};
     use crate::score::agreement::Parts;
-    use crate::score::verify::predicted::{Predicted, must_fit};
-    use crate::score::verify::{Candidate, Episode, Report, Settings};
+    use crate::score::verify::{Candidate, Episode, Report, Settings, predictions};
     use crate::sim::verify::store::Against;
     use crate::sim::verify::{rollout, store};
     use crate::sim::{RolloutOptions, Scene};
@@ -272,9 +271,7 @@ mod with_sim {
                     !stores.is_empty() && args.sources.iter().all(|source| Path::new(source).is_dir()),
                     "--predictions: expected the stores that they are for, and no scene"
                 );
-                let predicted = Predicted::read(&args.predictions)?;
-                must_fit(&predicted, stores)?;
-                Some(predicted)
+                Some(predictions::read(&args.predictions, stores)?)
             }
         };
         let mut before = 0;
@@ -282,7 +279,7 @@ mod with_sim {
         for reader in stores {
             let against = match (&mut predictor, &predicted) {
                 (Some(predictor), _) => Against::Predictor(predictor),
-                (None, Some(predicted)) => Against::Predicted(predicted, before),
+                (None, Some(predicted)) => Against::Predictions(predicted, before),
                 (None, None) => Against::Labels(&given),
             };
             episodes.extend(store::score(reader, hands, settings, against)?);

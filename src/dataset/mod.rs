@@ -11,7 +11,7 @@ use ::image::RgbImage;
 
 use crate::error::Result;
 use crate::hand::{HandParams, Topology};
-use crate::tactile::{TactileField, Validity};
+use crate::tactile::{TactileField, Validity, median_step};
 
 /// One instant of an episode.
 #[derive(Debug, Clone)]
@@ -120,11 +120,6 @@ pub trait EpisodeReader: Send + Sync {
     fn frame(&self, index: usize) -> Result<Frame>;
 }
 
-/// Frames per second by the median step of `timestamps`, s; None without at least two that differ.
-pub fn fps(timestamps: &[f64]) -> Option<f64> {
-    median_step(timestamps).map(|step| 1.0 / step)
-}
-
 /// What one unit of `timestamps` is, s: foreign stores leave it open. Cameras give 1 to 1000 images per second, so the size
 /// of the steps tells seconds, milliseconds, microseconds and nanoseconds apart.
 pub fn time_unit_of(timestamps: &[f64]) -> f64 {
@@ -134,12 +129,6 @@ pub fn time_unit_of(timestamps: &[f64]) -> f64 {
         Some(step) if step > 1.0 => 1e-3,
         _ => 1.0,
     }
-}
-
-fn median_step(timestamps: &[f64]) -> Option<f64> {
-    let mut steps: Vec<f64> = timestamps.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).copied()
 }
 
 #[cfg(test)]

@@ -18,120 +18,97 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use crate::error::{Error, Result};
 use crate::file;
 use crate::hand::Topology;
-use crate::score::metrics::Fields;
-use crate::tactile::N_FIELD;
+use crate::tactile::{N_FIELD, TactileSequence};
 
-/// Content of a field file.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct FieldFile {
-    /// What the vertex indices mean; None = the file doesn't say.
-    pub topology: Option<Topology>,
-    /// Force and contact. A file with one of them alone leaves the other unknown (NaN), save that contact truth follows
-    /// from force.
-    pub fields: Fields,
-    /// (T, 1556) 1 = the force counts; empty = everywhere.
-    pub mask_force: Vec<u8>,
-    /// (T, 1556) 1 = the contact counts; empty = everywhere.
-    pub mask_contact: Vec<u8>,
-    /// (T) s; empty = not given.
-    pub timestamps: Vec<f64>,
-    /// Exclusive cumulative ends of the episodes; empty = not given.
-    pub episode_ends: Vec<usize>,
+/// Reads a field file. A file with one field alone leaves the other unknown (NaN), except that contact truth follows from
+/// force.
+///
+/// # Errors
+/// If it is no safetensors file, holds neither field, or a tensor has another shape or dtype than its name demands.
+pub fn read(path: &Path) -> Result<TactileSequence> {
+    let bytes = std::fs::read(path).map_err(Error::io(path))?;
+    let tensors =
+        SafeTensors::deserialize(&bytes).map_err(|e| Error::file(path, format!("expected a safetensors file: {e}")))?;
+    let (_, metadata) = SafeTensors::read_metadata(&bytes).map_err(|e| Error::file(path, e))?;
+    let topology = match metadata.metadata().as_ref().and_then(|map| map.get("topology")) {
+        Some(id) => Some(Topology::from_id(id).map_err(|e| Error::file(path, e))?),
+        None => None,
+    };
+    let get = |names: &[&str]| names.iter().find_map(|name| Some((name.to_string(), tensors.tensor(name).ok()?)));
+    let force = get(&["force", "mano_force"]);
+    let contact = get(&["contact", "mano_contact", "mano_contact_score"]);
+    let Some(n_frames) = force.as_ref().or(contact.as_ref()).map(|(_, t)| t.shape().first().copied().unwrap_or(0))
+    else {
+        let present = tensors.names().join(", ");
+        return Err(Error::Missing { name: "force or contact".into(), place: path.display().to_string(), present });
+    };
+    let field = |tensor: Option<(String, TensorView)>| -> Result<Option<Vec<f64>>> {
+        let Some((name, tensor)) = tensor else { return Ok(None) };
+        numbers(&name, &tensor, &[n_frames, N_FIELD]).map(Some).map_err(|e| Error::file(path, e))
+    };
+    let f32s = |values: Vec<f64>| values.into_iter().map(|x| x as f32).collect::<Vec<_>>();
+    let mask = |names: &[&str]| -> Result<Vec<u8>> {
+        Ok(field(get(names))?.unwrap_or_default().into_iter().map(|x| u8::from(x != 0.0)).collect())
+    };
+    let row = |name: &str| -> Result<Vec<f64>> {
+        let Ok(tensor) = tensors.tensor(name) else { return Ok(Vec::new()) };
+        let expected = if name == "timestamps" { n_frames } else { tensor.shape().iter().product() };
+        numbers(name, &tensor, &[expected]).map_err(|e| Error::file(path, e))
+    };
+    let fields = match (field(force)?.map(f32s), field(contact)?.map(f32s)) {
+        (Some(force), Some(contact)) => TactileSequence { topology, force, contact, ..Default::default() },
+        (Some(force), None) => TactileSequence::from_force(topology, force),
+        (None, contact) => TactileSequence {
+            topology,
+            force: vec![f32::NAN; n_frames * N_FIELD],
+            contact: contact.unwrap_or_default(),
+            ..Default::default()
+        },
+    };
+    Ok(TactileSequence {
+        mask_force: mask(&["mask_force", "mano_force_valid"])?,
+        mask_contact: mask(&["mask_contact", "mano_contact_valid"])?,
+        timestamps: row("timestamps")?,
+        episode_ends: ends(row("episode_ends")?)?,
+        ..fields
+    })
 }
 
-impl FieldFile {
-    /// Reads a field file.
-    ///
-    /// # Errors
-    /// If it is no safetensors file, holds neither field, or a tensor has another shape or dtype than its name demands.
-    pub fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(Error::io(path))?;
-        let tensors = SafeTensors::deserialize(&bytes)
-            .map_err(|e| Error::file(path, format!("expected a safetensors file: {e}")))?;
-        let (_, metadata) = SafeTensors::read_metadata(&bytes).map_err(|e| Error::file(path, e))?;
-        let topology = match metadata.metadata().as_ref().and_then(|map| map.get("topology")) {
-            Some(id) => Some(Topology::from_id(id).map_err(|e| Error::file(path, e))?),
-            None => None,
-        };
-        let get = |names: &[&str]| names.iter().find_map(|name| Some((name.to_string(), tensors.tensor(name).ok()?)));
-        let force = get(&["force", "mano_force"]);
-        let contact = get(&["contact", "mano_contact", "mano_contact_score"]);
-        let Some(n_frames) = force.as_ref().or(contact.as_ref()).map(|(_, t)| t.shape().first().copied().unwrap_or(0))
-        else {
-            let present = tensors.names().join(", ");
-            return Err(Error::Missing { name: "force or contact".into(), place: path.display().to_string(), present });
-        };
-        let field = |tensor: Option<(String, TensorView)>| -> Result<Option<Vec<f64>>> {
-            let Some((name, tensor)) = tensor else { return Ok(None) };
-            numbers(&name, &tensor, &[n_frames, N_FIELD]).map(Some).map_err(|e| Error::file(path, e))
-        };
-        let f32s = |values: Vec<f64>| values.into_iter().map(|x| x as f32).collect::<Vec<_>>();
-        let mask = |names: &[&str]| -> Result<Vec<u8>> {
-            Ok(field(get(names))?.unwrap_or_default().into_iter().map(|x| u8::from(x != 0.0)).collect())
-        };
-        let row = |name: &str| -> Result<Vec<f64>> {
-            let Ok(tensor) = tensors.tensor(name) else { return Ok(Vec::new()) };
-            let expected = if name == "timestamps" { n_frames } else { tensor.shape().iter().product() };
-            numbers(name, &tensor, &[expected]).map_err(|e| Error::file(path, e))
-        };
-        let fields = match (field(force)?.map(f32s), field(contact)?.map(f32s)) {
-            (Some(force), Some(contact)) => Fields { force, contact },
-            (Some(force), None) => Fields::from_force(force),
-            (None, contact) => {
-                Fields { force: vec![f32::NAN; n_frames * N_FIELD], contact: contact.unwrap_or_default() }
-            }
-        };
-        Ok(Self {
-            topology,
-            fields,
-            mask_force: mask(&["mask_force", "mano_force_valid"])?,
-            mask_contact: mask(&["mask_contact", "mano_contact_valid"])?,
-            timestamps: row("timestamps")?,
-            episode_ends: ends(row("episode_ends")?)?,
-        })
+/// Writes a field file atomically. Frames that are not valid are masked out in it.
+///
+/// # Errors
+/// If the arrays differ in length or the file can't be written.
+pub fn write(path: &Path, sequence: &TactileSequence, mut metadata: HashMap<String, String>) -> Result<()> {
+    let n_frames = sequence.n_frames();
+    let field = [n_frames, N_FIELD];
+    let bytes = |values: &[f32]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
+    let mut tensors = vec![
+        ("force", Dtype::F32, field.to_vec(), bytes(&sequence.force)),
+        ("contact", Dtype::F32, field.to_vec(), bytes(&sequence.contact)),
+    ];
+    for (name, mask) in [("mask_force", sequence.counted_force()), ("mask_contact", sequence.counted_contact())] {
+        if !mask.is_empty() {
+            tensors.push((name, Dtype::U8, field.to_vec(), mask.into_owned()));
+        }
     }
-
-    /// Writes the file under a temporary name, then renames it.
-    ///
-    /// # Errors
-    /// If the arrays differ in length or the file can't be written.
-    pub fn write(&self, path: &Path, mut metadata: HashMap<String, String>) -> Result<()> {
-        let n_frames = self.fields.n_frames();
-        let field = [n_frames, N_FIELD];
-        let bytes = |values: &[f32]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
-        let mut tensors = vec![
-            ("force", Dtype::F32, field.to_vec(), bytes(&self.fields.force)),
-            ("contact", Dtype::F32, field.to_vec(), bytes(&self.fields.contact)),
-        ];
-        for (name, mask) in [("mask_force", &self.mask_force), ("mask_contact", &self.mask_contact)] {
-            if !mask.is_empty() {
-                tensors.push((name, Dtype::U8, field.to_vec(), mask.clone()));
-            }
-        }
-        if !self.timestamps.is_empty() {
-            let bytes = self.timestamps.iter().flat_map(|x| x.to_le_bytes()).collect();
-            tensors.push(("timestamps", Dtype::F64, vec![n_frames], bytes));
-        }
-        if !self.episode_ends.is_empty() {
-            let bytes = self.episode_ends.iter().flat_map(|x| (*x as i64).to_le_bytes()).collect();
-            tensors.push(("episode_ends", Dtype::I64, vec![self.episode_ends.len()], bytes));
-        }
-        if let Some(topology) = self.topology {
-            metadata.insert("topology".into(), topology.id().into());
-        }
-        let mut views = Vec::new();
-        for (name, dtype, shape, data) in &tensors {
-            let view = TensorView::new(*dtype, shape.clone(), data);
-            views.push((*name, view.map_err(|e| Error::file(path, format!("{name}: {e}")))?));
-        }
-        let content = safetensors::serialize(views, Some(metadata)).map_err(|e| Error::file(path, e))?;
-        file::write(path, &content)
+    if !sequence.timestamps.is_empty() {
+        let bytes = sequence.timestamps.iter().flat_map(|x| x.to_le_bytes()).collect();
+        tensors.push(("timestamps", Dtype::F64, vec![n_frames], bytes));
     }
-
-    /// Frames per second by the median step of the timestamps; None without at least two of them.
-    pub fn fps(&self) -> Option<f64> {
-        super::fps(&self.timestamps)
+    if !sequence.episode_ends.is_empty() {
+        let bytes = sequence.episode_ends.iter().flat_map(|x| (*x as i64).to_le_bytes()).collect();
+        tensors.push(("episode_ends", Dtype::I64, vec![sequence.episode_ends.len()], bytes));
     }
+    if let Some(topology) = sequence.topology {
+        metadata.insert("topology".into(), topology.id().into());
+    }
+    let mut views = Vec::new();
+    for (name, dtype, shape, data) in &tensors {
+        let view = TensorView::new(*dtype, shape.clone(), data);
+        views.push((*name, view.map_err(|e| Error::file(path, format!("{name}: {e}")))?));
+    }
+    let content = safetensors::serialize(views, Some(metadata)).map_err(|e| Error::file(path, e))?;
+    file::write(path, &content)
 }
 
 /// Whole numbers from 0 on.

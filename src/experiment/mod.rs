@@ -22,12 +22,11 @@ use std::path::{Path, PathBuf};
 use candle_core::Device;
 
 use crate::bench::train::{self as bench, Form};
-use crate::dataset::tensors::FieldFile;
+use crate::dataset::tensors;
 use crate::dataset::zarr;
 use crate::error::{Error, Result};
 use crate::file;
 use crate::model::{self, Checkpoint, Precision};
-use crate::score::metrics::Fields;
 use crate::train::config::{Augment, Batch, Geometry, Loss, Optimizer, Sampling};
 use crate::train::data::Dataset;
 use crate::train::{self, Config, Control, Event, predict};
@@ -240,7 +239,6 @@ fn predict_once(checkpoint: &Path, stores: &[PathBuf], out: &Path) -> Result<()>
     let checkpoint = Checkpoint::load(checkpoint, &Device::Cpu)?;
     let data =
         Dataset::new(zarr::open_all(stores)?, checkpoint.metadata.preparation(checkpoint.model.config()), false)?;
-    let fields: Fields = predict(&checkpoint.model, &checkpoint.metadata, &data, &Device::Cpu, |_| ())?;
-    let file = FieldFile { topology: Some(data.topology()), fields, ..FieldFile::default() };
-    file.write(out, Default::default())
+    let predicted = predict(&checkpoint.model, &checkpoint.metadata, &data, &Device::Cpu, |_| ())?;
+    tensors::write(out, &predicted, Default::default())
 }

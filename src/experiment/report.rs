@@ -5,15 +5,16 @@ use serde::Serialize;
 use super::data::{Domain, SIDE, Stores};
 use super::{Arm, Experiment, Size, fields_file};
 use crate::bench::Machine;
-use crate::dataset::tensors::FieldFile;
+use crate::dataset::tensors;
 use crate::dataset::zarr;
 use crate::error::Result;
 use crate::model::checkpoint::parameter_count;
 use crate::score::metrics::compare::Difference;
-use crate::score::metrics::{self, Fields, Options};
+use crate::score::metrics::{self, EvalOptions};
+use crate::tactile::TactileSequence;
 use crate::text::put;
 use crate::train::Config;
-use crate::train::data::{Dataset, Labels};
+use crate::train::data::Dataset;
 
 /// Scores in tables and plots: name in a report, name for readers, whether more is better.
 pub const SHOWN: [(&str, &str, bool); 6] = [
@@ -137,7 +138,7 @@ pub(super) fn make(
         size: size.clone(),
         image: SIDE,
         parameters: parameter_count(&super::geometry())?,
-        held_out_frames: [truths[0].fields.n_frames(), truths[1].fields.n_frames()],
+        held_out_frames: [truths[0].n_frames(), truths[1].n_frames()],
         arms,
     })
 }
@@ -146,34 +147,29 @@ fn runs_of<'a>(runs: &[(&Arm, u64, &'a Config)], arm: &Arm) -> Vec<&'a Config> {
     runs.iter().filter(|(of, ..)| of.name == arm.name).map(|(_, _, config)| *config).collect()
 }
 
-fn truth(stores: &Stores, domain: Domain) -> Result<Labels> {
+fn truth(stores: &Stores, domain: Domain) -> Result<TactileSequence> {
     let preparation = crate::model::Metadata::new("truth", 1.0, 0.1).preparation(&super::geometry());
     Dataset::new(zarr::open_all(stores.held_out(domain))?, preparation, false)?.labels()
 }
 
-fn score(own: &[&Config], first: &[&Config], domain: Domain, truth: &Labels) -> Result<DomainReport> {
-    let read = |runs: &[&Config]| -> Result<Vec<Fields>> {
-        runs.iter().map(|config| Ok(FieldFile::read(&fields_file(config, domain))?.fields)).collect()
+fn score(own: &[&Config], first: &[&Config], domain: Domain, truth: &TactileSequence) -> Result<DomainReport> {
+    let read = |runs: &[&Config]| -> Result<Vec<TactileSequence>> {
+        runs.iter().map(|config| tensors::read(&fields_file(config, domain))).collect()
     };
     let predicted = read(own)?;
-    let options = truth.options();
-    let seeds = predicted.iter().map(|fields| metrics::evaluate(fields, &truth.fields, &options));
+    let options = EvalOptions { fps: truth.fps(), calibration: None };
+    let seeds = predicted.iter().map(|sequence| metrics::evaluate(sequence, truth, &options));
     let seeds = seeds.collect::<Result<Vec<_>>>()?;
     // All seeds behind each other, with the truth as often.
-    let together = |all: &[Fields]| Fields {
-        force: all.iter().flat_map(|fields| fields.force.iter().copied()).collect(),
-        contact: all.iter().flat_map(|fields| fields.contact.iter().copied()).collect(),
-    };
-    let (n, frames) = (predicted.len(), truth.fields.n_frames());
-    let repeated = Options {
-        mask_force: truth.mask_force.repeat(n),
-        mask_contact: truth.mask_contact.repeat(n),
-        episode_ends: (0..n).flat_map(|k| truth.episode_ends.iter().map(move |end| k * frames + end)).collect(),
-        ..options
-    };
-    let truth = together(&vec![truth.fields.clone(); n]);
-    let comparison = metrics::compare(&together(&predicted), &together(&read(first)?), &truth, &repeated, 0)?;
+    let repeated = joined(std::iter::repeat_n(truth, predicted.len()))?;
+    let comparison = metrics::compare(&joined(&predicted)?, &joined(&read(first)?)?, &repeated, &options, 0)?;
     Ok(DomainReport { seeds, against_first: comparison.differences })
+}
+
+fn joined<'a>(sequences: impl IntoIterator<Item = &'a TactileSequence>) -> Result<TactileSequence> {
+    let mut all = TactileSequence::default();
+    sequences.into_iter().try_for_each(|sequence| all.append(sequence))?;
+    Ok(all)
 }
 
 /// Frames that a run learns from.

@@ -14,42 +14,23 @@ use crate::dataset::EpisodeReader;
 use crate::dataset::lerobot::{LeRobot, numbers, only, reader};
 use crate::dataset::mcap::bag_files;
 use crate::dataset::mcap::{Pieces, op};
-use crate::dataset::tensors::FieldFile;
 use crate::dataset::zarr::{
     MANO_CONTACT, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, TIMESTAMPS, ZarrReader,
 };
 use crate::error::{Error, Result};
 use crate::hand::Topology;
 use crate::message::{Message, TactileFrame, TactileTruth, Time};
-use crate::score::metrics::Fields;
-use crate::tactile::{N_FIELD, TactileField};
+use crate::tactile::{N_FIELD, TactileField, TactileSequence};
 
 /// Labels of a data set, all in memory.
 #[derive(Debug, Clone)]
 pub struct Labelled {
-    /// What the vertices mean; None = it does not say.
-    pub topology: Option<Topology>,
-    /// What it says about its labels.
+    /// The labels, with the time stamps and episodes of their frames.
+    pub labels: TactileSequence,
+    /// Truth for the same frames, if the data set has it beside the labels.
+    pub truth: Option<TactileSequence>,
+    /// What the data set says about its labels.
     pub about: Option<About>,
-    /// (T) s.
-    pub timestamps: Vec<f64>,
-    /// Exclusive cumulative ends of the episodes.
-    pub episode_ends: Vec<usize>,
-    /// The labels; NaN = unknown.
-    pub fields: Fields,
-    /// The truth, if the data set has it beside the labels.
-    pub truth: Option<Truth>,
-}
-
-/// What the labels should be.
-#[derive(Debug, Clone, Default)]
-pub struct Truth {
-    /// True touch; NaN = unknown.
-    pub fields: Fields,
-    /// (T, 1556) 1 = the force counts; empty = everywhere.
-    pub mask_force: Vec<u8>,
-    /// (T, 1556) 1 = the contact counts; empty = everywhere.
-    pub mask_contact: Vec<u8>,
 }
 
 impl Labelled {
@@ -68,16 +49,6 @@ impl Labelled {
             }
         }
     }
-
-    /// Number of frames.
-    pub fn len(&self) -> usize {
-        self.fields.n_frames()
-    }
-
-    /// Whether there is no frame.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
 }
 
 fn store(path: &Path) -> Result<Labelled> {
@@ -91,59 +62,48 @@ fn store(path: &Path) -> Result<Labelled> {
             None => Ok(vec![f32::NAN; all.len() * N_FIELD]),
         }
     };
-    let usual = || -> Result<Fields> {
-        let contact = numbers(&[MANO_CONTACT.into(), MANO_CONTACT_SCORE.into()])?;
-        Ok(Fields { force: numbers(&[MANO_FORCE.into()])?, contact })
+    let frames = TactileSequence {
+        topology: Some(store.attributes().topology),
+        timestamps: store.read(TIMESTAMPS, all.clone())?.into_f64(),
+        episode_ends: store.episode_ends().to_vec(),
+        ..Default::default()
     };
     let mask = |name: &str| if store.has(name) { store.read_u8(name, all.clone()) } else { Ok(Vec::new()) };
-    let (fields, truth) = match beside_truth {
+    let (labels, truth) = match beside_truth {
         true => {
-            let force = numbers(&[own(MANO_FORCE)])?;
-            let fields = Fields { force, contact: numbers(&[own(MANO_CONTACT_SCORE)])? };
+            let (force, contact) = (numbers(&[own(MANO_FORCE)])?, numbers(&[own(MANO_CONTACT_SCORE)])?);
             // Labels of an earlier labelling are no truth.
-            let truth = store.has(MANO_CONTACT).then(|| -> Result<Truth> {
-                let labels = crate::train::data::read_labels(&store, all.clone())?;
-                let fields = Fields { force: labels.force, contact: labels.contact };
-                Ok(Truth { fields, mask_force: labels.mask_force, mask_contact: labels.mask_contact })
-            });
-            (fields, truth.transpose()?)
+            let truth = match store.has(MANO_CONTACT) {
+                true => Some(crate::train::data::read_truth(&store)?),
+                false => None,
+            };
+            (TactileSequence { force, contact, ..frames }, truth)
         }
         false => {
             if ![MANO_FORCE, MANO_CONTACT, MANO_CONTACT_SCORE].iter().any(|name| store.has(name)) {
                 return Err(Error::file(path, "holds no labels"));
             }
-            let mut fields = usual()?;
-            for (name, values) in [(MANO_FORCE_VALID, &mut fields.force), (MANO_CONTACT_VALID, &mut fields.contact)] {
+            let mut force = numbers(&[MANO_FORCE.into()])?;
+            let mut contact = numbers(&[MANO_CONTACT.into(), MANO_CONTACT_SCORE.into()])?;
+            for (name, values) in [(MANO_FORCE_VALID, &mut force), (MANO_CONTACT_VALID, &mut contact)] {
                 for (value, valid) in values.iter_mut().zip(mask(name)?) {
                     if valid == 0 {
                         *value = f32::NAN;
                     }
                 }
             }
-            (fields, None)
+            (TactileSequence { force, contact, ..frames }, None)
         }
     };
-    Ok(Labelled {
-        topology: Some(store.attributes().topology),
-        about: super::store::about(path),
-        timestamps: store.read(TIMESTAMPS, all.clone())?.into_f64(),
-        episode_ends: store.episode_ends().to_vec(),
-        fields,
-        truth,
-    })
+    Ok(Labelled { labels, truth, about: super::store::about(path) })
 }
 
 fn tensors(path: &Path) -> Result<Labelled> {
-    let file = FieldFile::read(path)?;
-    let frames = file.fields.n_frames();
-    Ok(Labelled {
-        topology: file.topology,
-        about: super::to_tensors::about(path),
-        timestamps: file.timestamps,
-        episode_ends: if file.episode_ends.is_empty() { vec![frames] } else { file.episode_ends },
-        fields: file.fields,
-        truth: None,
-    })
+    let mut labels = crate::dataset::tensors::read(path)?;
+    if labels.episode_ends.is_empty() {
+        labels.episode_ends = vec![labels.n_frames()];
+    }
+    Ok(Labelled { labels, truth: None, about: super::to_tensors::about(path) })
 }
 
 fn lerobot(path: &Path) -> Result<Labelled> {
@@ -157,23 +117,23 @@ fn lerobot(path: &Path) -> Result<Labelled> {
         return Err(Error::file(path, "holds no labels: no feature PREFIX.force of 1556 numbers"));
     };
     let contact = format!("{}contact", force.trim_end_matches("force"));
-    let (mut fields, mut timestamps) = (Fields::default(), Vec::new());
-    let mut episode_ends = Vec::new();
+    let mut labels = TactileSequence::default();
     for file in dataset.data_files()? {
         let builder = reader(&file)?;
         let mask = only(&builder, |name| ["timestamp", force, &contact].contains(&name));
         for batch in builder.with_projection(mask).build().map_err(|e| Error::file(&file, e))? {
             let batch = batch.map_err(|e| Error::file(&file, e))?;
-            timestamps.extend(numbers(&batch, "timestamp", &file)?);
-            fields.force.extend(lists(&batch, force, &file)?);
-            fields.contact.extend(lists(&batch, &contact, &file)?);
+            labels.timestamps.extend(numbers(&batch, "timestamp", &file)?);
+            labels.force.extend(lists(&batch, force, &file)?);
+            labels.contact.extend(lists(&batch, &contact, &file)?);
         }
     }
     for episode in &dataset.episodes {
-        episode_ends.push(episode_ends.last().copied().unwrap_or(0) + episode.length);
+        let before = labels.episode_ends.last().copied().unwrap_or(0);
+        labels.episode_ends.push(before + episode.length);
     }
-    let topology = about.as_ref().map(|about| about.provenance.topology);
-    Ok(Labelled { topology, about, timestamps, episode_ends, fields, truth: None })
+    labels.topology = about.as_ref().map(|about| about.provenance.topology);
+    Ok(Labelled { labels, truth: None, about })
 }
 
 /// The numbers of a column of lists.
@@ -193,42 +153,44 @@ fn lists(batch: &RecordBatch, name: &str, path: &Path) -> Result<Vec<f32>> {
 
 /// Frames of the first topic of labels by name, one episode per file that has some; truth pairs by equal stamps.
 fn bag(path: &Path) -> Result<Labelled> {
-    let (mut labels, mut truths): (Vec<(Time, TactileFrame)>, _) = (Vec::new(), BTreeMap::new());
+    let (mut frames, mut truths): (Vec<(Time, TactileFrame)>, _) = (Vec::new(), BTreeMap::new());
     let (mut episode_ends, mut topic) = (Vec::new(), None);
     for file in bag_files(path)? {
         for_each_message(&file, |channel, type_name, payload| {
             let named = |error: Error| Error::file(&file, format!("{channel}: {error}"));
             if type_name == TactileFrame::TYPE && *topic.get_or_insert_with(|| channel.to_string()) == channel {
                 let frame = TactileFrame::from_cdr(payload).map_err(named)?;
-                labels.push((frame.header.stamp, frame));
+                frames.push((frame.header.stamp, frame));
             } else if type_name == TactileTruth::TYPE {
                 let truth = TactileTruth::from_cdr(payload).map_err(named)?;
                 truths.insert(truth.frame.header.stamp, truth);
             }
             Ok(())
         })?;
-        if episode_ends.last().copied().unwrap_or(0) < labels.len() {
-            episode_ends.push(labels.len());
+        if episode_ends.last().copied().unwrap_or(0) < frames.len() {
+            episode_ends.push(frames.len());
         }
     }
-    let Some((_, first)) = labels.first() else {
+    let Some((_, first)) = frames.first() else {
         return Err(Error::file(path, format!("has no message of {}", TactileFrame::TYPE)));
     };
     let topology = Topology::from_id(&first.topology)?;
     let unknown = || TactileField { topology, force: vec![f32::NAN; N_FIELD], contact: vec![f32::NAN; N_FIELD] };
-    let (mut fields, mut truth, mut timestamps) = (Fields::default(), Truth::default(), Vec::new());
-    for (stamp, frame) in &labels {
-        timestamps.push(stamp.secs());
-        // Without hands: there is no result for this image.
-        fields.push(&if frame.hands.is_empty() { unknown() } else { frame.to_field()? });
+    let (mut labels, mut truth) = (TactileSequence::default(), TactileSequence::default());
+    for (stamp, frame) in &frames {
+        labels.timestamps.push(stamp.secs());
+        // A message without hands holds no result for its image.
+        labels.push(&if frame.hands.is_empty() { unknown() } else { frame.to_field()? })?;
         let known = truths.get(stamp).filter(|truth| truth.validity == 0);
-        truth.fields.push(&match known {
+        truth.push(&match known {
             Some(truth) => truth.frame.to_field()?,
             None => unknown(),
-        });
+        })?;
     }
-    let truth = (!truths.is_empty()).then_some(truth);
-    Ok(Labelled { topology: Some(topology), about: super::bag::about(path), timestamps, episode_ends, fields, truth })
+    labels.episode_ends = episode_ends;
+    truth.timestamps.clone_from(&labels.timestamps);
+    truth.episode_ends.clone_from(&labels.episode_ends);
+    Ok(Labelled { labels, truth: (!truths.is_empty()).then_some(truth), about: super::bag::about(path) })
 }
 
 /// Calls `take` with topic, type and payload of each message that can be read, in the file's order.

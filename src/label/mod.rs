@@ -36,7 +36,7 @@ pub use inference::Times;
 pub use input::{Choices, Found, Item, Kind, Target, images_of, items};
 pub use job::{Effort, Job, Outcome, Shard};
 pub use journal::{Journal, Label, Labels, Progress};
-pub use labelled::{Labelled, Truth};
+pub use labelled::Labelled;
 pub use manifest::{MANIFEST, write_manifest};
 pub use output::{Journals, Output};
 pub use provenance::{CONTACT_THRESHOLD, NAME, Provenance, Thresholds};

@@ -7,11 +7,10 @@ mod trace;
 
 use std::path::Path;
 
-use crate::dataset::fps;
 use crate::error::Result;
 use crate::hand::{HandModel, Topology};
 use crate::label::{Labelled, images_of};
-use crate::score::metrics::{self, Options};
+use crate::score::metrics::{self, EvalOptions};
 
 pub use page::page;
 pub use regions::{RegionRow, region_rows};
@@ -36,7 +35,7 @@ pub struct Settings {
 pub fn html(path: &Path, settings: &Settings) -> Result<String> {
     let labelled = Labelled::read(path)?;
     let builtin = || crate::hand::Side::BOTH.map(HandModel::builtin);
-    let hands = match (&settings.hands, labelled.topology) {
+    let hands = match (&settings.hands, labelled.labels.topology) {
         (Some(hands), topology) => {
             let topology = topology.unwrap_or_default();
             hands.iter().try_for_each(|hand| topology.must_match(hand.topology))?;
@@ -48,16 +47,7 @@ pub fn html(path: &Path, settings: &Settings) -> Result<String> {
     let images = images_of(path, labelled.about.as_ref());
     let samples = samples(&labelled, images.as_deref(), hands.as_ref(), settings.frames)?;
     let report = match &labelled.truth {
-        Some(truth) => {
-            let options = Options {
-                mask_force: truth.mask_force.clone(),
-                mask_contact: truth.mask_contact.clone(),
-                episode_ends: labelled.episode_ends.clone(),
-                fps: fps(&labelled.timestamps),
-                calibration: None,
-            };
-            Some(metrics::evaluate(&labelled.fields, &truth.fields, &options)?)
-        }
+        Some(truth) => Some(metrics::evaluate(&labelled.labels, truth, &EvalOptions::default())?),
         None => None,
     };
     let rows = hands.as_ref().map(|hands| region_rows(&labelled, hands)).unwrap_or_default();

@@ -50,9 +50,9 @@ pub fn page(
 
 fn about(labelled: &Labelled) -> String {
     let mut rows = vec![
-        ("frames", labelled.len().to_string()),
-        ("episodes", labelled.episode_ends.len().to_string()),
-        ("vertices", labelled.topology.map_or("unknown topology".into(), |topology| topology.id().to_string())),
+        ("frames", labelled.labels.n_frames().to_string()),
+        ("episodes", labelled.labels.episode_ends.len().to_string()),
+        ("vertices", labelled.labels.topology.map_or("unknown topology".into(), |topology| topology.id().to_string())),
     ];
     let mut text = String::new();
     if let Some(about) = &labelled.about {
@@ -109,8 +109,8 @@ fn episodes(labelled: &Labelled, traces: &[Trace]) -> String {
         // Writing to a String cannot fail.
         let _ = writeln!(html, "<div>episode {}</div>{}", trace.episode, trace.svg(most));
     }
-    if labelled.episode_ends.len() > traces.len() {
-        let _ = writeln!(html, "<p>The first {} of {} episodes.</p>", traces.len(), labelled.episode_ends.len());
+    if labelled.labels.episode_ends.len() > traces.len() {
+        let _ = writeln!(html, "<p>The first {} of {} episodes.</p>", traces.len(), labelled.labels.episode_ends.len());
     }
     html
 }

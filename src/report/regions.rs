@@ -2,7 +2,6 @@
 
 use crate::hand::{HandModel, N_VERTICES, Region, Side};
 use crate::label::{CONTACT_THRESHOLD, Labelled};
-use crate::tactile::N_FIELD;
 
 /// One region of one hand.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,7 +25,8 @@ pub fn region_rows(labelled: &Labelled, hands: &[HandModel; 2]) -> Vec<RegionRow
             let of_region = regions[side as usize].iter().enumerate().filter(|(_, other)| **other == region);
             let vertices: Vec<usize> = of_region.map(|(vertex, _)| side as usize * N_VERTICES + vertex).collect();
             let (mut known, mut touched, mut force) = (0u64, 0u64, 0.0);
-            let frames = labelled.fields.force.chunks_exact(N_FIELD).zip(labelled.fields.contact.chunks_exact(N_FIELD));
+            let labels = &labelled.labels;
+            let frames = (0..labels.n_frames()).map(|frame| (labels.force_at(frame), labels.contact_at(frame)));
             for (forces, contacts) in frames.filter(|(_, contacts)| !contacts[0].is_nan()) {
                 known += 1;
                 if vertices.iter().any(|vertex| f64::from(contacts[*vertex]) > CONTACT_THRESHOLD) {

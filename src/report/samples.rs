@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, Side};
 use crate::label::{Labelled, Source};
 use crate::render::{View, force_colors, hand_picture};
-use crate::tactile::N_FIELD;
+use crate::tactile::TactileSequence;
 
 /// Height of images and hands, pixels.
 const HEIGHT: u32 = 200;
@@ -48,13 +48,14 @@ pub fn samples(
     hands: Option<&[HandModel; 2]>,
     n: usize,
 ) -> Result<Vec<Sample>> {
-    let frames = chosen(labelled, n);
-    let scale = scale(labelled);
+    let labels = &labelled.labels;
+    let frames = chosen(labels, n);
+    let scale = scale(labels);
     let mut samples = Vec::new();
     let mut images = images.map(Images::new);
     for frame in frames {
-        let episode = labelled.episode_ends.partition_point(|end| *end <= frame);
-        let force = &labelled.fields.force[frame * N_FIELD..(frame + 1) * N_FIELD];
+        let episode = labels.episode_ends.partition_point(|end| *end <= frame);
+        let force = labels.force_at(frame);
         let image = images.as_mut().and_then(|images| images.get(frame));
         let mut pictures = Vec::new();
         for hand in hands.into_iter().flatten() {
@@ -65,7 +66,7 @@ pub fn samples(
         samples.push(Sample {
             frame,
             episode,
-            stamp_secs: labelled.timestamps.get(frame).copied().unwrap_or(frame as f64),
+            stamp_secs: labels.stamp_or_index(frame),
             image: image.map(|image| jpeg(&image)).transpose()?,
             hands: pictures,
             force: Side::BOTH.map(|side| force[side.range()].iter().sum()),
@@ -75,20 +76,17 @@ pub fn samples(
     Ok(samples)
 }
 
-fn chosen(labelled: &Labelled, n: usize) -> Vec<usize> {
-    let total = |frame: usize| -> f32 {
-        let known =
-            labelled.fields.force[frame * N_FIELD..(frame + 1) * N_FIELD].iter().filter(|force| !force.is_nan());
-        known.sum()
-    };
-    let n = n.min(labelled.len());
-    let stretch = |i: usize| (i * labelled.len() / n)..((i + 1) * labelled.len() / n);
+fn chosen(labels: &TactileSequence, n: usize) -> Vec<usize> {
+    let total = |frame: usize| -> f32 { labels.force_at(frame).iter().filter(|force| !force.is_nan()).sum() };
+    let frames = labels.n_frames();
+    let n = n.min(frames);
+    let stretch = |i: usize| (i * frames / n)..((i + 1) * frames / n);
     (0..n).filter_map(|i| stretch(i).max_by(|a, b| total(*a).total_cmp(&total(*b)).then(b.cmp(a)))).collect()
 }
 
 /// The force that 999 of 1000 touched vertices stay below, N.
-fn scale(labelled: &Labelled) -> f32 {
-    let mut forces: Vec<f32> = labelled.fields.force.iter().copied().filter(|force| *force > 0.05).collect();
+fn scale(labels: &TactileSequence) -> f32 {
+    let mut forces: Vec<f32> = labels.force.iter().copied().filter(|force| *force > 0.05).collect();
     forces.sort_by(f32::total_cmp);
     forces.get(forces.len() * 999 / 1000).copied().unwrap_or(1.0)
 }

@@ -1,6 +1,7 @@
 //! Total force over an episode, as a drawing in SVG.
 
 use std::fmt::Write;
+use std::ops::Range;
 
 use crate::hand::Side;
 use crate::label::Labelled;
@@ -31,20 +32,19 @@ pub struct Trace {
 
 /// Traces of the first `episodes` episodes.
 pub fn traces(labelled: &Labelled, episodes: usize) -> Vec<Trace> {
-    let starts = std::iter::once(0).chain(labelled.episode_ends.iter().copied());
-    let ranges = starts.zip(labelled.episode_ends.iter().copied()).filter(|(start, end)| start < end).take(episodes);
-    let trace = |(episode, (start, end)): (usize, (usize, usize))| {
+    let labels = &labelled.labels;
+    let trace = |(episode, Range { start, end }): (usize, Range<usize>)| {
         let forces =
             |force: &[f32]| Side::BOTH.map(|side| thinned(&totals(&force[start * N_FIELD..end * N_FIELD], side)));
-        let stamp = |frame: usize| labelled.timestamps.get(frame).copied().unwrap_or(frame as f64);
         Trace {
             episode,
-            start: stamp(start),
-            seconds: stamp(end - 1) - stamp(start),
-            force: forces(&labelled.fields.force),
-            truth: labelled.truth.as_ref().map(|truth| forces(&truth.fields.force)),
+            start: labels.stamp_or_index(start),
+            seconds: labels.stamp_or_index(end - 1) - labels.stamp_or_index(start),
+            force: forces(&labels.force),
+            truth: labelled.truth.as_ref().map(|truth| forces(&truth.force)),
         }
     };
+    let ranges = labels.episodes().into_iter().filter(|range| !range.is_empty()).take(episodes);
     ranges.enumerate().map(trace).collect()
 }
 

@@ -1,4 +1,4 @@
-//! The tactile field: force and contact per vertex of both hands, the only type that crosses the middle.
+//! The tactile field: force and contact per vertex of both hands, one of the two types that cross the middle.
 
 use crate::error::{Error, Result};
 use crate::hand::{N_VERTICES, Side, Topology};

@@ -1,5 +1,8 @@
-//! Touch on both hands: [`TactileField`] at one instant.
+//! Touch on both hands: [`TactileField`] at one instant, [`TactileSequence`] over time.
 
 mod field;
+mod sequence;
 
 pub use field::{CONTACT_FORCE_N, N_FIELD, TactileField, Validity};
+pub use sequence::{TactileSequence, episode_ranges, fps};
+pub(crate) use sequence::{check_rows, median_step};

@@ -1,8 +1,6 @@
 //! Constant predictors: what a network must beat to have seen anything.
 
-use super::data::Labels;
-use crate::score::metrics::Fields;
-use crate::tactile::N_FIELD;
+use crate::tactile::{N_FIELD, TactileSequence};
 
 /// A prediction that is the same in every frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,21 +15,22 @@ pub struct Constant {
 
 impl Constant {
     /// The prediction over `n_frames` frames.
-    pub fn fields(&self, n_frames: usize) -> Fields {
-        Fields { force: self.force.repeat(n_frames), contact: self.contact.repeat(n_frames) }
+    pub fn sequence(&self, n_frames: usize) -> TactileSequence {
+        let (force, contact) = (self.force.repeat(n_frames), self.contact.repeat(n_frames));
+        TactileSequence { force, contact, ..Default::default() }
     }
 }
 
 /// Zero, and the mean and median of each vertex over its supervised training frames (0 where there is none).
-pub fn constants(train: &Labels) -> [Constant; 3] {
+pub fn constants(train: &TactileSequence) -> [Constant; 3] {
     let column = |values: &[f32], mask: &[u8], vertex: usize| -> Vec<f32> {
-        let rows = values.chunks_exact(N_FIELD).zip(mask.chunks_exact(N_FIELD));
-        rows.filter(|(_, mask)| mask[vertex] == 1).map(|(values, _)| values[vertex]).collect()
+        let entries = values.iter().enumerate().skip(vertex).step_by(N_FIELD);
+        entries.filter(|(entry, _)| mask.get(*entry).is_none_or(|mask| *mask == 1)).map(|(_, value)| *value).collect()
     };
+    let (mask_force, mask_contact) = (train.counted_force(), train.counted_contact());
     let each = |statistic: fn(Vec<f32>) -> f32| {
         let of = |values: &[f32], mask: &[u8]| (0..N_FIELD).map(|v| statistic(column(values, mask, v))).collect();
-        let force = of(&train.fields.force, &train.mask_force);
-        (force, of(&train.fields.contact, &train.mask_contact))
+        (of(&train.force, &mask_force), of(&train.contact, &mask_contact))
     };
     let [mean, median] = [each(mean), each(median)];
     [
@@ -64,18 +63,17 @@ mod tests {
 
     #[test]
     fn statistics_are_per_vertex_over_supervised_frames() {
-        let mut train =
-            Labels { mask_force: vec![1; 4 * N_FIELD], mask_contact: vec![1; 4 * N_FIELD], ..Default::default() };
-        train.fields = Fields { force: vec![0.0; 4 * N_FIELD], contact: vec![0.0; 4 * N_FIELD] };
+        let mut train = TactileSequence::from_force(None, vec![0.0; 4 * N_FIELD]);
+        train.mask_force = vec![1; 4 * N_FIELD];
         for (frame, force) in [1.0, 2.0, 9.0, 100.0].into_iter().enumerate() {
-            train.fields.force[frame * N_FIELD + 5] = force;
-            train.fields.contact[frame * N_FIELD + 5] = 1.0;
+            train.force[frame * N_FIELD + 5] = force;
+            train.contact[frame * N_FIELD + 5] = 1.0;
         }
         train.mask_force[3 * N_FIELD + 5] = 0;
         let [zero, mean, median] = constants(&train);
         assert_eq!((zero.force[5], mean.force[5], median.force[5]), (0.0, 4.0, 2.0));
         assert_eq!((zero.contact[5], mean.contact[5], median.contact[5]), (0.0, 1.0, 1.0));
         assert_eq!((mean.force[6], median.force[6]), (0.0, 0.0));
-        assert_eq!(mean.fields(3).force[2 * N_FIELD + 5], 4.0);
+        assert_eq!(mean.sequence(3).force[2 * N_FIELD + 5], 4.0);
     }
 }

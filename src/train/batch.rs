@@ -8,14 +8,14 @@ use rand_chacha::ChaCha8Rng;
 
 use super::augment::Change;
 use super::config::Augment;
-use super::data::{Block, Dataset};
+use super::data::Dataset;
 use super::keypoints::{self, Points};
 use super::loss::Truth;
 use super::sampler::{self, Clip};
 use crate::error::Result;
 use crate::hand::N_VERTICES;
 use crate::image::Preparation;
-use crate::tactile::N_FIELD;
+use crate::tactile::{N_FIELD, TactileSequence};
 
 /// One step's input, on the host.
 #[derive(Debug, Clone)]
@@ -114,7 +114,7 @@ impl Dataset {
             for target in targets {
                 let Some(row) = rows.next() else { break };
                 if let Some(target) = target {
-                    batch.supervise(row, &block, target - first, change.mirrored, collate.force_scale);
+                    batch.supervise(row, &block.labels, target - first, change.mirrored, collate.force_scale);
                 }
             }
         }
@@ -124,7 +124,14 @@ impl Dataset {
 
 impl Batch {
     /// Fills one step of one window with a frame's labels.
-    fn supervise(&mut self, row: Range<usize>, labels: &Block, frame: usize, mirrored: bool, force_scale: f32) {
+    fn supervise(
+        &mut self,
+        row: Range<usize>,
+        labels: &TactileSequence,
+        frame: usize,
+        mirrored: bool,
+        force_scale: f32,
+    ) {
         for (v, entry) in row.enumerate() {
             // In a mirrored picture the left hand is a right one, index for index.
             let v = if mirrored { (v + N_VERTICES) % N_FIELD } else { v };

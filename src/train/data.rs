@@ -14,8 +14,7 @@ use crate::dataset::zarr::{
 use crate::error::{Error, Result};
 use crate::hand::Topology;
 use crate::image::{Preparation, resize};
-use crate::score::metrics::Fields;
-use crate::tactile::{CONTACT_FORCE_N, N_FIELD};
+use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileSequence, episode_ranges};
 
 /// Frames read at once while a store is scanned.
 const BLOCK: usize = 128;
@@ -45,14 +44,8 @@ struct Store {
 pub struct Block {
     /// (n, side, side, 3) u8: resized, not yet normalised.
     pub images: Vec<u8>,
-    /// (n, 1556) N; NaN = unknown.
-    pub force: Vec<f32>,
-    /// (n, 1556) 0 or 1; NaN = unknown.
-    pub contact: Vec<f32>,
-    /// (n, 1556) 1 = supervised, known, and in a frame that its guards let pass.
-    pub mask_force: Vec<u8>,
-    /// (n, 1556) as `mask_force`.
-    pub mask_contact: Vec<u8>,
+    /// Labels of these frames; the masks are given, and 1 where a label is supervised, known and in a valid frame.
+    pub labels: TactileSequence,
 }
 
 /// What the supervised labels of a dataset say.
@@ -121,8 +114,9 @@ impl Dataset {
         }
         if in_memory {
             for index in 0..dataset.stores.len() {
-                let block = dataset.read(index, 0..dataset.stores[index].reader.len(), true)?;
-                dataset.stores[index].memory = Some(block);
+                let images = dataset.read(index, 0..dataset.stores[index].reader.len(), false)?.images;
+                let store = &mut dataset.stores[index];
+                store.memory = Some(Block { images, labels: store.all_labels()? });
             }
         }
         Ok(dataset)
@@ -160,10 +154,8 @@ impl Dataset {
 
     /// Store and frames of every episode.
     pub fn episodes(&self) -> Vec<(usize, Range<usize>)> {
-        let of = |(index, store): (usize, &Store)| {
-            let ends = store.reader.episode_ends();
-            let starts = std::iter::once(0).chain(ends.iter().copied());
-            starts.zip(ends).map(|(start, end)| (index, start..*end)).collect::<Vec<_>>()
+        let of = |(index, store): (usize, &'_ Store)| {
+            episode_ranges(store.reader.episode_ends()).map(|range| (index, range)).collect::<Vec<_>>()
         };
         self.stores.iter().enumerate().flat_map(of).collect()
     }
@@ -202,16 +194,13 @@ impl Dataset {
         let side = self.preparation.side;
         if let Some(memory) = memory {
             let pixels = side * side * 3;
-            let rows = frames.start * N_FIELD..frames.end * N_FIELD;
-            return Ok(Block {
-                images: memory.images[frames.start * pixels..frames.end * pixels].to_vec(),
-                force: memory.force[rows.clone()].to_vec(),
-                contact: memory.contact[rows.clone()].to_vec(),
-                mask_force: memory.mask_force[rows.clone()].to_vec(),
-                mask_contact: memory.mask_contact[rows].to_vec(),
-            });
+            let images = memory.images[frames.start * pixels..frames.end * pixels].to_vec();
+            return Ok(Block { images, labels: memory.labels.select(frames) });
         }
-        let mut block = if labels { self.stores[store].labels(frames.clone())? } else { Block::default() };
+        let mut block = Block::default();
+        if labels {
+            block.labels = self.stores[store].labels(frames.clone())?;
+        }
         let (height, width) = reader.image_size();
         // Stores may be larger than what is kept of them: read and shrink in pieces.
         let mut start = frames.start;
@@ -245,19 +234,19 @@ impl Dataset {
         for store in &self.stores {
             let frames = store.reader.len();
             for start in (0..frames).step_by(BLOCK) {
-                let block = match &store.memory {
-                    Some(memory) if start == 0 => memory,
+                let labels = match &store.memory {
+                    Some(memory) if start == 0 => &memory.labels,
                     Some(_) => break,
                     None => &store.labels(start..(start + BLOCK).min(frames))?,
                 };
-                for (entry, (force, mask)) in block.force.iter().zip(&block.mask_force).enumerate() {
+                for (entry, (force, mask)) in labels.force.iter().zip(&labels.mask_force).enumerate() {
                     if *mask == 1 {
                         sums[0][entry % N_FIELD] += f64::from(*force);
                         sums[1][entry % N_FIELD] += 1.0;
                         active.extend((*force > CONTACT_FORCE_N).then_some(*force));
                     }
                 }
-                for (entry, (contact, mask)) in block.contact.iter().zip(&block.mask_contact).enumerate() {
+                for (entry, (contact, mask)) in labels.contact.iter().zip(&labels.mask_contact).enumerate() {
                     if *mask == 1 {
                         sums[2][entry % N_FIELD] += f64::from(*contact);
                         sums[3][entry % N_FIELD] += 1.0;
@@ -276,54 +265,42 @@ impl Dataset {
         Ok(Statistics { force_scale, mean_force: mean(force, force_count), contact_rate: mean(contact, contact_count) })
     }
 
-    /// All labels of all stores with their masks and episodes, in order.
+    /// Reads the labels of all stores, one behind the other.
     ///
     /// # Errors
     /// If a store can't be read.
-    pub fn labels(&self) -> Result<Labels> {
-        let mut labels = Labels::default();
+    pub fn labels(&self) -> Result<TactileSequence> {
+        let mut all = TactileSequence::default();
         for store in &self.stores {
-            let block = match &store.memory {
-                Some(memory) => memory,
-                None => &store.labels(0..store.reader.len())?,
-            };
-            let before = labels.fields.n_frames();
-            labels.fields.force.extend_from_slice(&block.force);
-            labels.fields.contact.extend_from_slice(&block.contact);
-            labels.mask_force.extend_from_slice(&block.mask_force);
-            labels.mask_contact.extend_from_slice(&block.mask_contact);
-            labels.episode_ends.extend(store.reader.episode_ends().iter().map(|end| before + end));
-            labels.timestamps.extend_from_slice(&store.timestamps);
+            match &store.memory {
+                Some(memory) => all.append(&memory.labels)?,
+                None => all.append(&store.all_labels()?)?,
+            }
+        }
+        Ok(all)
+    }
+}
+
+impl Store {
+    /// Reads the labels of all frames that training uses, with time stamps and episodes.
+    fn all_labels(&self) -> Result<TactileSequence> {
+        Ok(with_time(self.labels(0..self.reader.len())?, &self.reader, self.timestamps.clone()))
+    }
+
+    /// The labels that are learned from.
+    fn labels(&self, frames: Range<usize>) -> Result<TactileSequence> {
+        let mut labels = read_labels(&self.reader, frames)?;
+        if self.supervision == Supervision::Contact {
+            labels.force.fill(f32::NAN);
+            labels.mask_force.fill(0);
         }
         Ok(labels)
     }
 }
 
-impl Store {
-    /// The labels that are learned from.
-    fn labels(&self, frames: Range<usize>) -> Result<Block> {
-        let mut block = read_labels(&self.reader, frames)?;
-        if self.supervision == Supervision::Contact {
-            block.force.fill(f32::NAN);
-            block.mask_force.fill(0);
-        }
-        Ok(block)
-    }
-}
-
-/// All labels of a dataset.
-#[derive(Debug, Clone, Default)]
-pub struct Labels {
-    /// Force and contact.
-    pub fields: Fields,
-    /// (T, 1556)
-    pub mask_force: Vec<u8>,
-    /// (T, 1556)
-    pub mask_contact: Vec<u8>,
-    /// Exclusive cumulative ends of the episodes.
-    pub episode_ends: Vec<usize>,
-    /// (T) s
-    pub timestamps: Vec<f64>,
+/// Adds time stamps and episodes of a whole store to its labels.
+fn with_time(labels: TactileSequence, reader: &ZarrReader, timestamps: Vec<f64>) -> TactileSequence {
+    TactileSequence { timestamps, episode_ends: reader.episode_ends().to_vec(), ..labels }
 }
 
 /// Time must go on within an episode: windows are found by it.
@@ -346,18 +323,29 @@ fn check_timestamps(reader: &ZarrReader, timestamps: &[f64]) -> Result<()> {
     Ok(())
 }
 
-/// Labels of a range of frames, masked where they are unknown or a guard refused the frame; no images.
+/// Reads the labels of a whole store, with time stamps and episodes, masked as [`read_labels`] does.
 ///
 /// # Errors
 /// If an array can't be read.
-pub fn read_labels(reader: &ZarrReader, frames: Range<usize>) -> Result<Block> {
+pub fn read_truth(reader: &ZarrReader) -> Result<TactileSequence> {
+    let frames = 0..reader.len();
+    let timestamps = reader.read(TIMESTAMPS, frames.clone())?.into_f64();
+    Ok(with_time(read_labels(reader, frames)?, reader, timestamps))
+}
+
+/// Reads the labels of a range of frames, without time stamps and episodes; the masks are 0 where a label is unknown or a
+/// guard refused the frame.
+///
+/// # Errors
+/// If an array can't be read.
+pub fn read_labels(reader: &ZarrReader, frames: Range<usize>) -> Result<TactileSequence> {
     let n = frames.len();
     let force = match reader.has(MANO_FORCE) {
         true => reader.read_f32(MANO_FORCE, frames.clone())?,
         false => vec![f32::NAN; n * N_FIELD],
     };
     let contact = reader.read_contact(frames.clone())?;
-    let valid = match reader.has(FRAME_VALIDITY) {
+    let validity = match reader.has(FRAME_VALIDITY) {
         true => reader.read_u8(FRAME_VALIDITY, frames.clone())?,
         false => vec![0; n],
     };
@@ -369,10 +357,11 @@ pub fn read_labels(reader: &ZarrReader, frames: Range<usize>) -> Result<Block> {
         for (entry, (mask, label)) in mask.iter_mut().zip(label).enumerate() {
             // What is no number, or no force, is unknown too: one of them would make every loss NaN.
             let known = label.is_finite() && *label >= 0.0;
-            *mask = u8::from(*mask != 0 && known && valid[entry / N_FIELD] == 0);
+            *mask = u8::from(*mask != 0 && known && validity[entry / N_FIELD] == 0);
         }
         Ok(mask)
     };
     let (mask_force, mask_contact) = (mask(MANO_FORCE_VALID, &force)?, mask(MANO_CONTACT_VALID, &contact)?);
-    Ok(Block { images: Vec::new(), force, contact, mask_force, mask_contact })
+    let topology = Some(reader.attributes().topology);
+    Ok(TactileSequence { topology, force, contact, mask_force, mask_contact, validity, ..Default::default() })
 }

@@ -33,11 +33,11 @@ use crate::dataset::zarr;
 use crate::error::{Error, Result};
 use crate::file;
 use crate::model::{self, Checkpoint, EgoTac, Metadata, Precision};
-use crate::score::metrics::{self, Report};
+use crate::score::metrics::{self, EvalOptions, Report};
 
 use batch::Collate;
 pub use config::Config;
-use data::{Dataset, Labels};
+use data::Dataset;
 use loader::Loader;
 use optimizer::AdamW;
 use pass::{Losses, Pass};
@@ -226,7 +226,7 @@ pub fn train(
         let varmap = averaged(optimizer, config, &geometry, device)?;
         let network = EgoTac::new(&geometry, model::init::var_builder(&varmap, config.seed, device))?.freeze()?;
         let predicted = predict(&network, &metadata, held_out, device, |_| ())?;
-        metrics::evaluate(&predicted, &labels.fields, &labels.options()).map(Some)
+        metrics::evaluate(&predicted, labels, &EvalOptions::default()).map(Some)
     };
 
     std::thread::scope(|scope| {
@@ -317,19 +317,6 @@ pub fn train(
             broken_steps: broken,
         })
     })
-}
-
-impl Labels {
-    /// How predictions for these labels are scored.
-    pub fn options(&self) -> metrics::Options {
-        metrics::Options {
-            mask_force: self.mask_force.clone(),
-            mask_contact: self.mask_contact.clone(),
-            episode_ends: self.episode_ends.clone(),
-            fps: crate::dataset::fps(&self.timestamps),
-            calibration: None,
-        }
-    }
 }
 
 /// Variables with the averaged weights.

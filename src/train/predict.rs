@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::image::Preparation;
 use crate::image::normalise;
 use crate::model::{EgoTac, Metadata};
-use crate::score::metrics::Fields;
+use crate::tactile::TactileSequence;
 
 /// Frames whose windows are decoded at once.
 const BLOCK: usize = 32;
@@ -26,10 +26,10 @@ pub fn predict(
     dataset: &Dataset,
     device: &Device,
     mut progress: impl FnMut(usize),
-) -> Result<Fields> {
+) -> Result<TactileSequence> {
     let preparation = metadata.preparation(model.config());
     let horizon = model.config().horizon;
-    let mut fields = Fields::default();
+    let mut fields = TactileSequence { topology: Some(metadata.topology), ..Default::default() };
     for (store, episode) in dataset.episodes() {
         let times = dataset.timestamps(store);
         let mut projected: BTreeMap<usize, Tensor> = BTreeMap::new(); // (P, d) by frame
@@ -55,6 +55,8 @@ pub fn predict(
             }
             progress(block.len());
         }
+        fields.timestamps.extend_from_slice(&times[episode]);
+        fields.episode_ends.push(fields.timestamps.len());
     }
     Ok(fields)
 }
@@ -71,7 +73,7 @@ fn input(images: &[u8], preparation: &Preparation, device: &Device) -> Result<Te
 }
 
 /// Appends step 0 of what the heads gave, `(B, K, 1556)` each.
-fn append(fields: &mut Fields, metadata: &Metadata, force: &Tensor, logits: &Tensor) -> Result<()> {
+fn append(fields: &mut TactileSequence, metadata: &Metadata, force: &Tensor, logits: &Tensor) -> Result<()> {
     let first = |output: &Tensor, name: &str| -> Result<Vec<f32>> {
         let values = output.narrow(1, 0, 1)?.flatten_all()?.to_dtype(DType::F32)?.to_vec1::<f32>()?;
         match values.iter().find(|value| !value.is_finite()) {

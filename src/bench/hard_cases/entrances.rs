@@ -9,8 +9,8 @@ use crate::hand::{HandModel, HandParams, N_VERTICES, Side, Topology};
 use crate::image::Preparation;
 use crate::message::{HandPose, Header, Message, TactileFrame};
 use crate::model::Metadata;
-use crate::score::metrics::{self, Fields};
-use crate::tactile::{N_FIELD, TactileField};
+use crate::score::metrics::{self, EvalOptions};
+use crate::tactile::{N_FIELD, TactileField, TactileSequence};
 
 const fn case(name: &'static str, recipe: &'static str, run: fn() -> Result<Outcome>) -> HardCase {
     HardCase { family: Family::Entrance, name, recipe, remedy: "finite numbers", run }
@@ -144,11 +144,11 @@ fn statistics() -> Result<Outcome> {
 }
 
 fn scores() -> Result<Outcome> {
-    let truth = Fields::from_force((0..4 * N_FIELD).map(|i| (i % 7) as f32 * 0.1).collect());
+    let truth = TactileSequence::from_force(None, (0..4 * N_FIELD).map(|i| (i % 7) as f32 * 0.1).collect());
     let undefined = |value: f32| -> Result<()> {
         let mut pred = truth.clone();
         pred.force[77] = value;
-        let report = metrics::evaluate(&pred, &truth, &metrics::Options::default())?;
+        let report = metrics::evaluate(&pred, &truth, &EvalOptions::default())?;
         let scores = [report.mae, report.active_mae, report.temporal_pearson, report.force_cosine];
         // A number here would be taken for a score; that it is missing is the answer.
         match scores.into_iter().flatten().find(|score| !score.is_finite()) {
@@ -157,7 +157,7 @@ fn scores() -> Result<Outcome> {
             None => Ok(()),
         }
     };
-    let good = metrics::evaluate(&truth, &truth, &metrics::Options::default());
+    let good = metrics::evaluate(&truth, &truth, &EvalOptions::default());
     outcome([undefined(f32::NAN), undefined(f32::INFINITY), undefined(f32::NEG_INFINITY)], good)
 }
 

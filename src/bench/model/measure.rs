@@ -12,7 +12,7 @@ use crate::dataset::zarr::ZarrReader;
 use crate::error::{Error, Result};
 use crate::model::predictor::{Options, Predictor};
 use crate::model::{Checkpoint, Config, EgoTac, Metadata, Precision, checkpoint, init};
-use crate::score::metrics;
+use crate::score::metrics::{self, EvalOptions};
 use crate::train::data::Dataset;
 use crate::train::predict;
 
@@ -140,7 +140,7 @@ fn accuracy(checkpoint: &Checkpoint, stores: Vec<ZarrReader>, device: &Device) -
     data.topology().must_match(checkpoint.metadata.topology)?;
     let predicted = predict(&checkpoint.model, &checkpoint.metadata, &data, device, |_| {})?;
     let labels = data.labels()?;
-    let report = metrics::evaluate(&predicted, &labels.fields, &labels.options())?;
+    let report = metrics::evaluate(&predicted, &labels, &EvalOptions::default())?;
     Ok(Accuracy {
         force_mae: report.mae,
         active_mae: report.active_mae,

@@ -7,10 +7,9 @@ use std::process::ExitCode;
 use anyhow::{Context, ensure};
 use serde_json::json;
 
-use crate::dataset::fps;
 use crate::label::Labelled;
-use crate::score::metrics::{self, Fields, Options};
-use crate::tactile::N_FIELD;
+use crate::score::metrics::{self, EvalOptions};
+use crate::tactile::TactileSequence;
 
 /// Arguments of `egotac data diff`.
 #[derive(Debug, clap::Args)]
@@ -31,24 +30,22 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let read = |path: &PathBuf| Labelled::read(path).with_context(|| path.display().to_string());
-    let (a, b) = (read(&args.a)?, read(&args.b)?);
+    let (a, b) = (read(&args.a)?.labels, read(&args.b)?.labels);
     if let (Some(a), Some(b)) = (a.topology, b.topology) {
         a.must_match(b)?;
     }
     let pairs = pairs(&a, &b);
     ensure!(!pairs.is_empty(), "{} and {} have no frame of equal time", args.a.display(), args.b.display());
-    let (pred, mut target) =
-        (taken(&a.fields, pairs.iter().map(|pair| pair.0)), taken(&b.fields, pairs.iter().map(|pair| pair.1)));
+    let pred = a.select(pairs.iter().map(|pair| pair.0));
+    let mut target = b.select(pairs.iter().map(|pair| pair.1));
     // Truth is 0 or 1 already.
     for contact in target.contact.iter_mut().filter(|contact| !contact.is_nan()) {
         *contact = f32::from(*contact > 0.5);
     }
-    let ends = b.episode_ends.iter().map(|end| pairs.partition_point(|pair| pair.1 < *end));
-    let mut episode_ends: Vec<usize> = ends.filter(|end| *end > 0).collect();
-    episode_ends.dedup();
-    let options = Options { episode_ends, fps: fps(&b.timestamps), ..Options::default() };
+    // The rate of all frames of B: pairs may leave gaps.
+    let options = EvalOptions { fps: b.fps(), calibration: None };
     let report = metrics::evaluate(&pred, &target, &options)?;
-    let (only_a, only_b) = (a.len() - pairs.len(), b.len() - pairs.len());
+    let (only_a, only_b) = (a.n_frames() - pairs.len(), b.n_frames() - pairs.len());
     if args.json {
         let mut value = serde_json::to_value(&report)?;
         value["unmatched"] = json!({ "a": only_a, "b": only_b });
@@ -63,20 +60,13 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 }
 
 /// Frames of A and B that belong together, in B's order.
-fn pairs(a: &Labelled, b: &Labelled) -> Vec<(usize, usize)> {
-    if a.len() == b.len() {
-        return (0..a.len()).map(|index| (index, index)).collect();
+fn pairs(a: &TactileSequence, b: &TactileSequence) -> Vec<(usize, usize)> {
+    if a.n_frames() == b.n_frames() {
+        return (0..a.n_frames()).map(|index| (index, index)).collect();
     }
     // Formats round times to nanoseconds, or to f64 of seconds since 1970: a microsecond tells frames apart.
     let key = |seconds: f64| (seconds * 1e6).round() as i64;
     let at: BTreeMap<i64, usize> = a.timestamps.iter().enumerate().map(|(index, stamp)| (key(*stamp), index)).collect();
     let found = b.timestamps.iter().enumerate();
     found.filter_map(|(index, stamp)| Some((*at.get(&key(*stamp))?, index))).collect()
-}
-
-fn taken(fields: &Fields, frames: impl Iterator<Item = usize> + Clone) -> Fields {
-    let take = |values: &[f32]| {
-        frames.clone().flat_map(|frame| values[frame * N_FIELD..(frame + 1) * N_FIELD].iter().copied()).collect()
-    };
-    Fields { force: take(&fields.force), contact: take(&fields.contact) }
 }

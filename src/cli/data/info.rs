@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 use super::store_info;
 use crate::dataset::lerobot::LeRobot;
 use crate::dataset::mcap::{bag_files, survey};
-use crate::dataset::{fps, video, zarr};
+use crate::dataset::{video, zarr};
 use crate::error::{Error, Result};
 use crate::label::{About, Kind, Labelled, image_files};
 
@@ -61,12 +61,12 @@ fn of(path: &Path) -> Result<Vec<Value>> {
             json!({ "kind": "images", "frames": files.len(), "first": files.first(), "last": files.last() })
         }
         Some(Kind::Tensors) => {
-            let labels = Labelled::read(path)?;
+            let labels = Labelled::read(path)?.labels;
             json!({
                 "kind": "tensors",
-                "frames": labels.len(),
+                "frames": labels.n_frames(),
                 "episodes": labels.episode_ends.len(),
-                "fps": fps(&labels.timestamps),
+                "fps": labels.fps(),
                 "topology": labels.topology,
             })
         }

@@ -3,9 +3,9 @@
 use serde_json::{Value, json};
 
 use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader};
-use crate::dataset::{EpisodeReader, fps, time_unit_of};
+use crate::dataset::{EpisodeReader, time_unit_of};
 use crate::error::Result;
-use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
+use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity, fps};
 use crate::train::data::read_labels;
 
 /// Attributes, arrays, episodes, and how much touch there is.

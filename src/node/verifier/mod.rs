@@ -86,7 +86,7 @@ fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     let report = runtime.parameters().get::<String>("report");
     runtime.spin(shutdown);
 
-    let verifier = verifier.borrow();
+    let mut verifier = verifier.borrow_mut();
     let missed = verifier.missed(&bars);
     // Log before the node is dropped, while /rosout still has subscribers.
     missed.iter().for_each(|missed| runtime.log().error(missed.clone()));
@@ -247,7 +247,8 @@ impl Verifier {
     }
 
     /// Returns the totals since the start.
-    fn summary(&self) -> anyhow::Result<Value> {
+    fn summary(&mut self) -> anyhow::Result<Value> {
+        let metrics = self.scores.total()?;
         let counts = self.tally.counts();
         // No further message comes, so every message that waits is unmatched.
         let (unmatched_predictions, unmatched_truths) = self.sync.unmatched(0.0);
@@ -266,7 +267,7 @@ impl Verifier {
                 "p95": finite(counts.latency(0.95)),
                 "max": finite(counts.latency(1.0)),
             },
-            "metrics": self.scores.total()?,
+            "metrics": metrics,
             "touch": scores_of(&self.scores.touch.total()),
         }))
     }

@@ -9,9 +9,9 @@ use super::touch_scores::TouchScores;
 use crate::message::{Header, TactileFrame, TactileTruth};
 use crate::node::flatten::flatten;
 use crate::score::agreement::Sums;
-use crate::score::metrics::{self, Fields, FrameScore, Options};
+use crate::score::metrics::{self, EvalOptions, FrameScore};
 use crate::score::verify::report::scores_of;
-use crate::tactile::Validity;
+use crate::tactile::{TactileSequence, Validity};
 
 /// Parts of the names of scores that need whole touches and are therefore unknown in the rolling window.
 const WHOLE_TOUCH_SCORES: [&str; 2] = ["_secs", "_touches"];
@@ -34,9 +34,9 @@ pub(super) struct Scores {
     frames: Vec<StampedScore>,
     /// Scores and touch sums of the valid pairs in the rolling window.
     window: VecDeque<(StampedScore, Sums)>,
-    predicted: Fields,
-    target: Fields,
-    kept_fields: usize,
+    /// Fields of the first valid pairs.
+    predicted: TactileSequence,
+    target: TactileSequence,
     /// Ends of the closed stretches of truth, as indices into `frames`.
     stretch_ends: Vec<usize>,
     /// Number of the stretch of the newest valid pair.
@@ -70,6 +70,10 @@ impl Scores {
             self.touch.skip();
             return Ok(());
         }
+        if self.predicted.n_frames() < MAX_KEPT_FIELDS {
+            self.predicted.push(&predicted)?;
+            self.target.push(&target)?;
+        }
         let secs = frame.header.stamp.secs();
         if std::mem::replace(&mut self.stretch, stretch) != stretch && !self.frames.is_empty() {
             self.stretch_ends.push(self.frames.len());
@@ -81,11 +85,6 @@ impl Scores {
         let stamped = StampedScore { secs, score };
         self.frames.push(stamped.clone());
         self.window.push_back((stamped, sums));
-        if self.kept_fields < MAX_KEPT_FIELDS {
-            self.predicted.push(&predicted);
-            self.target.push(&target);
-            self.kept_fields += 1;
-        }
         self.arrived = Some(Instant::now());
         self.header = frame.header;
         self.model_id = frame.model_id;
@@ -143,15 +142,15 @@ impl Scores {
     ///
     /// # Errors
     /// If the metrics cannot be computed.
-    pub(super) fn total(&self) -> crate::Result<metrics::Report> {
-        if self.frames.len() > self.kept_fields {
+    pub(super) fn total(&mut self) -> crate::Result<metrics::Report> {
+        if self.frames.len() > self.predicted.n_frames() {
             let summary = |frames: &[StampedScore]| metrics::summarize(frames.iter().map(|frame| &frame.score));
             let each: Vec<f64> = self.stretches().filter_map(|stretch| summary(stretch).temporal_pearson).collect();
             let temporal_pearson = (!each.is_empty()).then(|| each.iter().sum::<f64>() / each.len() as f64);
             return Ok(metrics::Report { temporal_pearson, ..summary(&self.frames) });
         }
-        let options = Options { episode_ends: self.all_stretch_ends(), fps: self.rate(), ..Options::default() };
-        metrics::evaluate(&self.predicted, &self.target, &options)
+        self.target.episode_ends = self.all_stretch_ends();
+        metrics::evaluate(&self.predicted, &self.target, &EvalOptions { fps: self.rate(), calibration: None })
     }
 
     /// Ends of all stretches, the open one included.

@@ -3,10 +3,9 @@
 use serde::Serialize;
 
 use super::trace::{TraceScores, Traces};
-use super::{
-    Counts, Errors, Fields, FrameScore, Options, Report, Scores, bootstrap, contact, episode_ranges, evaluate,
-};
+use super::{Counts, Errors, EvalOptions, FrameScore, Mask, Report, Scores, bootstrap, contact, evaluate};
 use crate::error::{Error, Result};
+use crate::tactile::{N_FIELD, TactileSequence};
 
 /// Scores are sorted into so many bins of equal population for the AUROC of a drawing; that is exact to 1 in 10 000.
 const BINS: usize = 4096;
@@ -69,12 +68,18 @@ const NAMES: [&str; 19] = [
 ///
 /// # Errors
 /// As [`evaluate`], for either.
-pub fn compare(pred: &Fields, other: &Fields, target: &Fields, options: &Options, seed: u64) -> Result<Comparison> {
+pub fn compare(
+    pred: &TactileSequence,
+    other: &TactileSequence,
+    target: &TactileSequence,
+    options: &EvalOptions,
+    seed: u64,
+) -> Result<Comparison> {
     let report = evaluate(pred, target, options)?;
     let other_report = evaluate(other, target, options)
         .map_err(|error| Error::value("the other prediction", "a fitting one", error))?;
-    let episodes = episode_ranges(&options.episode_ends, target.n_frames())?;
-    let [mine, theirs] = [pred, other].map(|fields| parts(fields, target, options, &episodes));
+    let n_episodes = target.episodes().len();
+    let [mine, theirs] = [pred, other].map(|sequence| parts(sequence, target, options));
     let pairs: Vec<(Part, Part)> = mine.into_iter().zip(theirs).collect();
     let sum = |drawn: &mut dyn Iterator<Item = &(Part, Part)>| {
         let mut sums = [Sum::default(), Sum::default()];
@@ -96,7 +101,7 @@ pub fn compare(pred: &Fields, other: &Fields, target: &Fields, options: &Options
     Ok(Comparison {
         differences: differences.collect(),
         other: other_report,
-        episodes: episodes.len(),
+        episodes: n_episodes,
         drawings: bootstrap::DRAWINGS,
         seed,
     })
@@ -140,10 +145,11 @@ struct Part {
     bins: Vec<[u32; 2]>,
 }
 
-fn parts(pred: &Fields, target: &Fields, options: &Options, episodes: &[std::ops::Range<usize>]) -> Vec<Part> {
-    let frames: Vec<FrameScore> = (0..target.n_frames()).map(|t| FrameScore::at(pred, target, options, t)).collect();
-    let traces = Traces::of(&frames).scores(episodes, options.calibration.as_ref(), options.fps);
-    let edges = edges(contact::pairs(&pred.contact, &target.contact, &options.mask_contact));
+fn parts(pred: &TactileSequence, target: &TactileSequence, options: &EvalOptions) -> Vec<Part> {
+    let (episodes, mask) = (target.episodes(), Mask::of(target));
+    let frames = FrameScore::all(pred, target, &mask);
+    let traces = Traces::of(&frames).scores(&episodes, options.calibration.as_ref(), options.fps(target));
+    let edges = edges(contact::pairs(&pred.contact, &target.contact, &mask.contact));
     let of = |(episode, trace): (&std::ops::Range<usize>, TraceScores)| {
         let mut part = Part { trace, bins: vec![[0; 2]; edges.len()], ..Part::default() };
         for frame in &frames[episode.clone()] {
@@ -157,8 +163,8 @@ fn parts(pred: &Fields, target: &Fields, options: &Options, episodes: &[std::ops
                 }
             }
         }
-        let rows = episode.start * crate::tactile::N_FIELD..episode.end * crate::tactile::N_FIELD;
-        let mask = if options.mask_contact.is_empty() { &[] } else { &options.mask_contact[rows.clone()] };
+        let rows = episode.start * N_FIELD..episode.end * N_FIELD;
+        let mask = mask.contact.get(rows.clone()).unwrap_or_default();
         for (score, truth) in contact::pairs(&pred.contact[rows.clone()], &target.contact[rows], mask) {
             if let Some(bin) = part.bins.get_mut(edges.partition_point(|edge| *edge < score)) {
                 bin[usize::from(truth)] += 1;
@@ -252,33 +258,29 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::tactile::N_FIELD;
 
     const EPISODES: usize = 12;
     const FRAMES: usize = 6;
 
     /// Truth, and predictions with noise of the given sizes.
-    fn fields(noises: [f64; 2]) -> (Fields, [Fields; 2], Options) {
+    fn fields(noises: [f64; 2]) -> (TactileSequence, [TactileSequence; 2], EvalOptions) {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let n = EPISODES * FRAMES * N_FIELD;
         let force: Vec<f32> = (0..n)
             .map(|i| if i % 29 == 0 { 0.3 * (1.0 + (i / N_FIELD % FRAMES) as f32) * rng.random::<f32>() } else { 0.0 })
             .collect();
-        let target = Fields::from_force(force);
-        let predictions = noises.map(|noise| Fields {
+        let mut target = TactileSequence::from_force(None, force);
+        target.episode_ends = (1..=EPISODES).map(|e| e * FRAMES).collect();
+        let predictions = noises.map(|noise| TactileSequence {
             force: target.force.iter().map(|f| (f + (noise * rng.random::<f64>()) as f32).max(0.0)).collect(),
             contact: target
                 .contact
                 .iter()
                 .map(|c| (0.25 + 0.5 * f64::from(*c) + noise * (rng.random::<f64>() - 0.5)).clamp(0.0, 1.0) as f32)
                 .collect(),
+            ..TactileSequence::default()
         });
-        let options = Options {
-            episode_ends: (1..=EPISODES).map(|e| e * FRAMES).collect(),
-            fps: Some(25.0),
-            ..Options::default()
-        };
-        (target, predictions, options)
+        (target, predictions, EvalOptions { fps: Some(25.0), calibration: None })
     }
 
     #[test]
@@ -302,9 +304,8 @@ mod tests {
     #[test]
     fn all_episodes_together_give_the_scores_of_the_whole() {
         let (target, [pred, _], options) = fields([0.8, 0.0]);
-        let episodes = episode_ranges(&options.episode_ends, target.n_frames()).unwrap();
         let mut sum = Sum::default();
-        parts(&pred, &target, &options, &episodes).iter().for_each(|part| sum.add(part));
+        parts(&pred, &target, &options).iter().for_each(|part| sum.add(part));
         let whole = values(&evaluate(&pred, &target, &options).unwrap());
         for ((name, got), expected) in NAMES.iter().zip(sum.scores()).zip(whole) {
             let tolerance = if name.ends_with("pooled.auroc") { 1e-4 } else { 1e-12 };
@@ -317,12 +318,13 @@ mod tests {
 
     #[test]
     fn the_same_prediction_twice_differs_by_nothing_and_one_episode_has_no_interval() {
-        let (target, [pred, _], options) = fields([0.8, 0.0]);
+        let (mut target, [pred, _], options) = fields([0.8, 0.0]);
         let same = compare(&pred, &pred, &target, &options, 1).unwrap();
         for Difference { name, difference, interval, .. } in same.differences {
             assert!(difference.is_none() || (difference, interval) == (Some(0.0), Some([0.0, 0.0])), "{name}");
         }
-        let one = compare(&pred, &pred, &target, &Options { episode_ends: vec![], ..options }, 1).unwrap();
+        target.episode_ends.clear();
+        let one = compare(&pred, &pred, &target, &options, 1).unwrap();
         assert!(one.differences.iter().all(|difference| difference.interval.is_none()));
     }
 }

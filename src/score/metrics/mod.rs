@@ -20,10 +20,12 @@ mod report;
 pub mod spectrum;
 pub mod trace;
 
+use std::borrow::Cow;
+
 use serde::Serialize;
 
-use crate::error::{Error, Result};
-use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField};
+use crate::error::Result;
+use crate::tactile::{N_FIELD, TactileSequence, check_rows};
 
 pub use compare::{Comparison, compare};
 pub use contact::{Counts, Scores};
@@ -33,57 +35,20 @@ pub use part::Part;
 pub use report::{comparison_table, parts_table, table};
 use trace::{TraceScores, Traces};
 
-/// Predicted or true touch over `T` frames.
+/// Settings of an evaluation; masks, episodes and frame rate come from the target.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Fields {
-    /// (T, 1556) N; NaN = unknown.
-    pub force: Vec<f32>,
-    /// (T, 1556) contact probability, or truth as 0 and 1; NaN = unknown.
-    pub contact: Vec<f32>,
-}
-
-impl Fields {
-    /// Fields from forces alone: contact is force > 0.05 N, unknown where the force is.
-    pub fn from_force(force: Vec<f32>) -> Self {
-        let contact = force.iter().map(|f| if f.is_nan() { f32::NAN } else { f32::from(*f > CONTACT_FORCE_N) });
-        Self { contact: contact.collect(), force }
-    }
-
-    /// Number of frames.
-    pub fn n_frames(&self) -> usize {
-        self.force.len() / N_FIELD
-    }
-
-    /// Appends one frame.
-    pub fn push(&mut self, field: &TactileField) {
-        self.force.extend_from_slice(&field.force);
-        self.contact.extend_from_slice(&field.contact);
-    }
-
-    fn check(&self, name: &str, n_frames: usize) -> Result<()> {
-        for (what, values) in [("force", &self.force), ("contact", &self.contact)] {
-            if values.len() != n_frames * N_FIELD {
-                let got = [values.len() / N_FIELD, values.len() % N_FIELD];
-                return Err(Error::shape(format!("{name} {what}"), format!("({n_frames}, {N_FIELD})"), got));
-            }
-        }
-        Ok(())
-    }
-}
-
-/// How to score.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Options {
-    /// (T, 1556) 1 = force counts; empty = everywhere.
-    pub mask_force: Vec<u8>,
-    /// (T, 1556) 1 = contact counts; empty = everywhere.
-    pub mask_contact: Vec<u8>,
-    /// Exclusive cumulative ends of the episodes; empty = one episode.
-    pub episode_ends: Vec<usize>,
-    /// Frames per second; without it the dominant frequency is undefined.
-    pub fps: Option<f64>,
-    /// Range of the total force; without it each side's own.
+pub struct EvalOptions {
+    /// Range of the total force; None = each side's own.
     pub calibration: Option<Calibration>,
+    /// Frames per second, in place of the rate of the target's time stamps; without both, the dominant frequency is
+    /// undefined.
+    pub fps: Option<f64>,
+}
+
+impl EvalOptions {
+    fn fps(&self, target: &TactileSequence) -> Option<f64> {
+        self.fps.or_else(|| target.fps())
+    }
 }
 
 /// All scores, under the names of `egotac eval --json`.
@@ -134,28 +99,27 @@ pub struct ReportCounts {
     pub unknown_predictions: u64,
 }
 
-/// Scores `pred` against `target`. Entries that the target itself leaves unknown (NaN) do not count.
+/// Scores `pred` against `target`. Entries that the target masks out or leaves unknown (NaN) do not count.
 ///
 /// # Errors
-/// If lengths differ, or the episodes do not end where the data does.
-pub fn evaluate(pred: &Fields, target: &Fields, options: &Options) -> Result<Report> {
-    let n_frames = target.n_frames();
-    target.check("target", n_frames)?;
-    pred.check("pred", n_frames)?;
-    for (name, mask) in [("mask_force", &options.mask_force), ("mask_contact", &options.mask_contact)] {
-        if !mask.is_empty() && mask.len() != n_frames * N_FIELD {
-            return Err(Error::shape(name, format!("({n_frames}, {N_FIELD})"), [mask.len()]));
-        }
+/// If lengths or topologies differ, or the target's episodes do not end where its data does.
+pub fn evaluate(pred: &TactileSequence, target: &TactileSequence, options: &EvalOptions) -> Result<Report> {
+    target.check()?;
+    for (name, values) in [("pred force", &pred.force), ("pred contact", &pred.contact)] {
+        check_rows(name, values.len(), target.n_frames())?;
     }
-    let episodes = episode_ranges(&options.episode_ends, n_frames)?;
-
-    let frames: Vec<FrameScore> = (0..n_frames).map(|t| FrameScore::at(pred, target, options, t)).collect();
+    if let (Some(pred), Some(target)) = (pred.topology, target.topology) {
+        pred.must_match(target)?;
+    }
+    let episodes = target.episodes();
+    let mask = Mask::of(target);
+    let frames = FrameScore::all(pred, target, &mask);
     let summary = summarize(&frames);
-    let per_episode = Traces::of(&frames).scores(&episodes, options.calibration.as_ref(), options.fps);
+    let per_episode = Traces::of(&frames).scores(&episodes, options.calibration.as_ref(), options.fps(target));
     let trace = TraceScores::mean(per_episode.iter());
     Ok(Report {
         temporal_pearson: trace.temporal_pearson,
-        pooled: Scores { auroc: pooled_auroc(pred, target, options), ..summary.pooled },
+        pooled: Scores { auroc: pooled_auroc(pred, target, &mask), ..summary.pooled },
         force_cosine: trace.force_cosine,
         rise_f1: trace.rise_f1,
         fall_f1: trace.fall_f1,
@@ -204,17 +168,32 @@ impl FrameScore {
         }
     }
 
-    fn at(pred: &Fields, target: &Fields, options: &Options, t: usize) -> Self {
-        let rows = t * N_FIELD..(t + 1) * N_FIELD;
-        let mask = |mask: &'_ [u8]| if mask.is_empty() { Vec::new() } else { mask[rows.clone()].to_vec() };
-        Self::new(
-            &pred.force[rows.clone()],
-            &pred.contact[rows.clone()],
-            &target.force[rows.clone()],
-            &target.contact[rows.clone()],
-            &mask(&options.mask_force),
-            &mask(&options.mask_contact),
-        )
+    /// Scores every frame.
+    fn all(pred: &TactileSequence, target: &TactileSequence, mask: &Mask) -> Vec<Self> {
+        let score = |frame: usize| {
+            let rows = frame * N_FIELD..(frame + 1) * N_FIELD;
+            Self::new(
+                pred.force_at(frame),
+                pred.contact_at(frame),
+                target.force_at(frame),
+                target.contact_at(frame),
+                mask.force.get(rows.clone()).unwrap_or_default(),
+                mask.contact.get(rows).unwrap_or_default(),
+            )
+        };
+        (0..target.n_frames()).map(score).collect()
+    }
+}
+
+/// Entries of a target that count, (T, 1556) each; empty = all of them.
+struct Mask<'a> {
+    force: Cow<'a, [u8]>,
+    contact: Cow<'a, [u8]>,
+}
+
+impl<'a> Mask<'a> {
+    fn of(target: &'a TactileSequence) -> Self {
+        Self { force: target.counted_force(), contact: target.counted_contact() }
     }
 }
 
@@ -278,21 +257,8 @@ pub fn pearson(a: &[f64], b: &[f64]) -> Option<f64> {
     finite(ab / (aa.sqrt() * bb.sqrt())).map(|r| r.clamp(-1.0, 1.0))
 }
 
-fn pooled_auroc(pred: &Fields, target: &Fields, options: &Options) -> Option<f64> {
-    contact::auroc(contact::pairs(&pred.contact, &target.contact, &options.mask_contact))
-}
-
-fn episode_ranges(ends: &[usize], n_frames: usize) -> Result<Vec<std::ops::Range<usize>>> {
-    if ends.is_empty() {
-        return Ok(std::iter::once(0..n_frames).collect());
-    }
-    let growing = ends[0] > 0 && ends.windows(2).all(|pair| pair[0] < pair[1]);
-    if !growing || ends.last() != Some(&n_frames) {
-        let expected = format!("growing ends, the last one {n_frames}");
-        return Err(Error::value("episode_ends", expected, format!("{ends:?}")));
-    }
-    let starts = std::iter::once(0).chain(ends.iter().copied());
-    Ok(starts.zip(ends).map(|(start, end)| start..*end).collect())
+fn pooled_auroc(pred: &TactileSequence, target: &TactileSequence, mask: &Mask) -> Option<f64> {
+    contact::auroc(contact::pairs(&pred.contact, &target.contact, &mask.contact))
 }
 
 /// Mean of the defined values.

@@ -1,8 +1,7 @@
 //! Scores of a part of the vertices: one hand, one region.
 
-use super::Options;
 use crate::hand::{HandModel, Region, Side};
-use crate::tactile::N_FIELD;
+use crate::tactile::{N_FIELD, TactileSequence};
 
 /// Vertices that are scored by themselves.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -29,16 +28,13 @@ impl Part {
         };
         Region::ALL.into_iter().map(part).collect()
     }
-}
 
-impl Options {
-    /// The same, with no vertex counted outside of `part`, over `n_frames` frames.
-    #[must_use]
-    pub fn within(&self, part: &Part, n_frames: usize) -> Self {
-        let cut = |mask: &[u8]| -> Vec<u8> {
-            let counted = |index: usize| mask.get(index).is_none_or(|m| *m != 0) && part.holds[index % N_FIELD];
-            (0..n_frames * N_FIELD).map(|index| u8::from(counted(index))).collect()
-        };
-        Self { mask_force: cut(&self.mask_force), mask_contact: cut(&self.mask_contact), ..self.clone() }
+    /// Masks out the target's vertices outside of the part.
+    pub fn restrict(&self, target: &mut TactileSequence) {
+        let entries = target.force.len();
+        for mask in [&mut target.mask_force, &mut target.mask_contact] {
+            let counted = |index: usize| mask.get(index).is_none_or(|m| *m != 0) && self.holds[index % N_FIELD];
+            *mask = (0..entries).map(|index| u8::from(counted(index))).collect();
+        }
     }
 }

@@ -10,7 +10,7 @@ pub mod candidate;
 pub mod episode;
 pub mod gate;
 pub mod picture;
-pub mod predicted;
+pub mod predictions;
 pub mod recording;
 pub mod report;
 pub mod stretches;

@@ -15,11 +15,10 @@ use crate::model::Predictor;
 use crate::score::agreement::{Parts, TruthFrame};
 use crate::score::verify::candidate::{Candidate, Settings};
 use crate::score::verify::episode::{Episode, EpisodeScorer, Near};
-use crate::score::verify::predicted::Predicted;
 use crate::sim::ObjectPose;
 use crate::sim::rig::HandRig;
 use crate::sim::{Scene, Touchables, randomize};
-use crate::tactile::{N_FIELD, TactileField, Validity};
+use crate::tactile::{N_FIELD, TactileField, TactileSequence, Validity, episode_ranges};
 
 /// How far an object may start from where its seed puts it, m: stores hold single precision, and the middle of what is soft.
 const START: f64 = 2e-3;
@@ -32,7 +31,7 @@ pub enum Against<'a> {
     /// A network on the store's pictures.
     Predictor(&'a mut Predictor),
     /// Predictions that were made before, and how many frames of other stores lie before this store's.
-    Predicted(&'a Predicted, usize),
+    Predictions(&'a TactileSequence, usize),
 }
 
 /// Scores every episode of `store`; `hands` are of its topology.
@@ -51,10 +50,12 @@ pub fn score(
     if let Against::Predictor(predictor) = &against {
         topology.must_match(predictor.metadata().topology)?;
     }
-    let starts = std::iter::once(0).chain(store.episode_ends().iter().copied());
-    let ranges: Vec<Range<usize>> = starts.zip(store.episode_ends()).map(|(start, end)| start..*end).collect();
+    // Files that do not name their topology are taken to be on the store's.
+    if let Against::Predictions(TactileSequence { topology: Some(predicted), .. }, _) = &against {
+        topology.must_match(*predicted)?;
+    }
     let mut episodes = Vec::new();
-    for (index, range) in ranges.into_iter().enumerate() {
+    for (index, range) in episode_ranges(store.episode_ends()).enumerate() {
         let named = |error: Error| Error::file(store.path(), format!("episode {index}: {error}"));
         episodes.push(episode(store, index, range, hands, settings, &mut against).map_err(named)?);
     }
@@ -91,7 +92,9 @@ fn episode(
             Against::Predictor(predictor) => {
                 Some(predictor.push(&store.frame(frame)?.camera_ego_rgb, data.timestamps[at])?.field)
             }
-            Against::Predicted(predicted, before) => Some(predicted.frame(*before + frame, topology)?),
+            Against::Predictions(predictions, before) => {
+                Some(TactileField { topology, ..predictions.field(*before + frame)? })
+            }
         };
         let validity = data.validity(at)?;
         if validity != Validity::Valid {

@@ -1,0 +1,1 @@
+//! Holds no code: its dependencies fix the features of crates that egotac shares with others.
