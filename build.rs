@@ -1,4 +1,4 @@
-//! Checks what the features need before anything links, and tells the binaries where their libraries are.
+//! Checks the requirements of the features before linking, and sets the library paths of the binaries.
 
 use std::env;
 use std::path::PathBuf;
@@ -23,11 +23,15 @@ fn main() {
         library_dirs.extend(check_engine(&mut facts));
     }
     write_rpaths(&library_dirs);
+    // For the build script of crates/bench (`links = "egotac"` in Cargo.toml).
+    if let Ok(list) = env::join_paths(&library_dirs) {
+        println!("cargo::metadata=library_path={}", list.to_string_lossy());
+    }
     facts.rustc = version_of_rustc();
     facts.write();
 }
 
-/// What `egotac doctor` compares the machine with; empty = the feature is off.
+/// Properties of the build that `egotac doctor` compares with the machine; empty if the feature is off.
 #[derive(Default)]
 struct Facts {
     rustc: String,
@@ -47,7 +51,7 @@ impl Facts {
     }
 }
 
-/// Finds egotac_msgs and makes sure that r2r generated its bindings from just these messages.
+/// Finds egotac_msgs and checks that r2r generates its bindings from the installed messages.
 fn check_messages(facts: &mut Facts) {
     let prefixes = paths("AMENT_PREFIX_PATH");
     let share = prefixes.iter().map(|prefix| prefix.join("share/egotac_msgs")).find(|share| share.is_dir());
@@ -70,16 +74,16 @@ fn check_messages(facts: &mut Facts) {
     let filter = env::var("IDL_PACKAGE_FILTER").unwrap_or_default();
     match filter.split(';').find_map(|name| name.trim().strip_prefix("egotac_idl_")) {
         Some(marked) if marked != hash => println!(
-            "cargo::error=feature `ros`: the messages in {} are not those that IDL_PACKAGE_FILTER marks \
-             (egotac_idl_{marked}, found {hash}), so r2r may keep bindings of another layout. \
+            "cargo::error=feature `ros`: IDL_PACKAGE_FILTER marks another layout (egotac_idl_{marked}) than the \
+             messages in {} have ({hash}), so r2r may keep bindings of the other layout. \
              Run `make setup` and `. ./env.sh` again",
             share.display()
         ),
         Some(_) => facts.idl_hash = hash,
         None => {
             println!(
-                "cargo::warning=IDL_PACKAGE_FILTER does not name the messages' hash, so a changed .msg will not \
-                 rebuild r2r's bindings. `. ./env.sh` sets it, and so does colcon"
+                "cargo::warning=IDL_PACKAGE_FILTER does not contain the hash of the messages, so a changed .msg will \
+                 not rebuild r2r's bindings. `. ./env.sh` sets it, and so does colcon"
             );
             facts.idl_hash = format!("unmarked-{hash}");
         }
@@ -88,9 +92,9 @@ fn check_messages(facts: &mut Facts) {
     facts.ament_prefix_path = env::var("AMENT_PREFIX_PATH").unwrap_or_default();
 }
 
-/// Finds libmujoco and returns its folder, if one is named.
+/// Checks for libmujoco and returns its directory; `None` if the environment names none.
 fn check_engine(facts: &mut Facts) -> Option<PathBuf> {
-    // Without the variable, mujoco-rs asks pkg-config; what it finds is on the system's library path.
+    // Without the variable, mujoco-rs uses pkg-config, whose libraries are on the system's library path.
     let dir = PathBuf::from(env::var_os("MUJOCO_DYNAMIC_LINK_DIR")?);
     if !dir.join("libmujoco.so").exists() {
         println!(
@@ -103,7 +107,7 @@ fn check_engine(facts: &mut Facts) -> Option<PathBuf> {
     Some(dir)
 }
 
-/// Names the folders that the programs look for libraries in.
+/// Adds directories to the library path of the binaries.
 fn write_rpaths(dirs: &[PathBuf]) {
     if dirs.is_empty() {
         return;
@@ -124,7 +128,7 @@ fn version_of_rustc() -> String {
     output.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_string()).unwrap_or_default()
 }
 
-/// The entries of a variable that is a list of paths.
+/// Returns the entries of a path list in the environment.
 fn paths(name: &str) -> Vec<PathBuf> {
     let list = env::var_os(name).unwrap_or_default();
     env::split_paths(&list).filter(|path| !path.as_os_str().is_empty()).collect()

@@ -24,7 +24,7 @@ string(REGEX REPLACE ":$" "" rpath "${rpath}")
 set(ENV{EGOTAC_RPATH} "${rpath}")
 
 execute_process(
-  COMMAND "${CARGO}" build --locked --bins --features "${FEATURES}" --profile "${PROFILE}"
+  COMMAND "${CARGO}" build --locked --package egotac --bins --features "${FEATURES}" --profile "${PROFILE}"
     --target-dir "${TARGET_DIR}" ${CARGO_ARGS}
   WORKING_DIRECTORY "${REPOSITORY}"
   RESULT_VARIABLE result)

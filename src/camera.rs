@@ -1,53 +1,53 @@
-//! What a camera's pixels mean: a pinhole, and a lens that may bend straight lines.
+//! Camera model: a pinhole with optional radial distortion.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// Radial distortion as in `plumb_bob`: a direction at distance r from the axis (as a tangent) is seen at
+/// Radial distortion of ROS's model `plumb_bob`: a direction whose angle from the axis has the tangent r is projected to
 /// r (1 + k1 r² + k2 r⁴).
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Distortion(
-    /// k1 and k2.
+    /// Coefficients k1 and k2.
     pub [f64; 2],
 );
 
 /// Intrinsics of a camera, pixels. As JSON: `width`, `height`, `fx`, `fy`, `cx`, `cy` and `distortion` (k1, k2).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Intrinsics {
-    /// Picture width; 0 where it is not said.
+    /// Image width; 0 if unknown.
     #[serde(default)]
     pub width: u32,
-    /// Picture height; 0 where it is not said.
+    /// Image height; 0 if unknown.
     #[serde(default)]
     pub height: u32,
-    /// Focal length to the right.
+    /// Focal length in x, to the right.
     pub fx: f64,
-    /// Focal length down.
+    /// Focal length in y, down.
     pub fy: f64,
-    /// Principal point to the right, from the top left corner of the picture.
+    /// Principal point in x, from the top left corner of the image.
     pub cx: f64,
-    /// Principal point down.
+    /// Principal point in y, from the top left corner of the image.
     pub cy: f64,
-    /// How the lens bends.
+    /// Distortion of the lens.
     #[serde(default)]
     pub distortion: Distortion,
 }
 
 impl Intrinsics {
-    /// Intrinsics of a picture with the given vertical field of view, rad, before any distortion.
+    /// Creates intrinsics without distortion from image size and vertical field of view, rad.
     pub fn new(width: u32, height: u32, fovy: f64) -> Self {
         let focal = 0.5 * f64::from(height) / (0.5 * fovy).tan();
         let [cx, cy] = [width, height].map(|size| 0.5 * f64::from(size));
         Self { width, height, fx: focal, fy: focal, cx, cy, distortion: Distortion::default() }
     }
 
-    /// The same with a lens.
+    /// Returns the same intrinsics with another distortion.
     #[must_use]
-    pub fn with_distortion(self, distortion: Distortion) -> Self {
+    pub(crate) fn with_distortion(self, distortion: Distortion) -> Self {
         Self { distortion, ..self }
     }
 
-    /// Pixel of a point in the camera's optical frame; `None` behind the camera, or where the lens shows nothing.
+    /// Projects a point in the camera's optical frame to a pixel; `None` behind the camera or beyond the field of the lens.
     pub fn project(&self, point: DVec3) -> Option<[f64; 2]> {
         if point.z <= 1e-6 {
             return None;
@@ -58,7 +58,7 @@ impl Intrinsics {
         Some([self.cx + self.fx * bent * x, self.cy + self.fy * bent * y])
     }
 
-    /// Where a pixel looks, at distance 1 in the camera's optical frame; `None` beyond what the lens shows.
+    /// Returns the direction of a pixel in the camera's optical frame, with z = 1; `None` beyond the field of the lens.
     pub fn direction(&self, [x, y]: [f64; 2]) -> Option<DVec3> {
         let (x, y) = ((x - self.cx) / self.fx, (y - self.cy) / self.fy);
         let seen = x.hypot(y);
@@ -69,29 +69,24 @@ impl Intrinsics {
 }
 
 impl Distortion {
-    /// Whether straight lines stay straight.
-    pub fn is_none(self) -> bool {
-        self == Self::default()
-    }
-
-    /// By how much a direction at distance `r` is moved away from the axis.
+    /// Factor by which the distance `r` of a direction from the axis grows.
     fn factor(self, r: f64) -> f64 {
         let (Self([k1, k2]), s) = (self, r * r);
         1.0 + s * (k1 + s * k2)
     }
 
-    /// Distance from which on the picture would fold back: the least r > 0 with 1 + 3 k1 r² + 5 k2 r⁴ = 0.
-    pub fn limit(self) -> f64 {
+    /// Limit of the field: the least r > 0 with 1 + 3 k1 r² + 5 k2 r⁴ = 0. Beyond it the image would fold back.
+    pub(crate) fn limit(self) -> f64 {
         let Self([k1, k2]) = self;
         let (a, b) = (5.0 * k2, 3.0 * k1);
         let root = (b * b - 4.0 * a).sqrt();
-        // In the form that does not divide by a small `a`; NaN where there is no root.
+        // This form does not divide by `a`, which may be small. NaN if there is no root.
         let roots = [2.0 / (-b + root), 2.0 / (-b - root)].into_iter().filter(|s| *s > 0.0);
         roots.fold(f64::INFINITY, f64::min).sqrt()
     }
 
-    /// Distance from the axis of what is seen at `seen`; `None` beyond the fold.
-    pub fn unbend(self, seen: f64) -> Option<f64> {
+    /// Inverts the distortion: returns the distance from the axis that is projected to `seen`; `None` beyond the limit.
+    pub(crate) fn unbend(self, seen: f64) -> Option<f64> {
         let at = |r: f64| r * self.factor(r);
         let mut high = self.limit();
         if high.is_infinite() {
@@ -103,7 +98,7 @@ impl Distortion {
         if !(0.0..=at(high)).contains(&seen) {
             return None;
         }
-        // Halving cannot miss on what only grows; 60 halvings leave nothing of an f64.
+        // Bisection: the function grows up to the limit, and 60 halvings exhaust the digits of an f64.
         let mut low = 0.0;
         for _ in 0..60 {
             let middle = 0.5 * (low + high);
@@ -120,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_point_off_the_axis_is_where_the_formula_says() {
+    fn a_point_off_the_axis_is_projected_by_the_formula() {
         let straight = Intrinsics::new(200, 100, 2.0 * 0.5f64.atan());
         let point = DVec3::new(0.3, -0.4, 1.0) * 2.0;
         // f = 100 pixels
@@ -134,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_beyond_the_fold_is_not_seen() {
+    fn points_beyond_the_limit_are_not_projected() {
         let fold = Distortion([-0.3, 0.0]);
         // 1 - 0.9 r² = 0
         assert!((fold.limit() - (1.0f64 / 0.9).sqrt()).abs() < 1e-12);
@@ -148,13 +143,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_pixel_looks_at_what_it_shows(
+        fn direction_inverts_project(
             k1 in -0.4..0.4f64, k2 in -0.1..0.1f64, x in -1.0..1.0f64, y in -1.0..1.0f64,
         ) {
             let camera = Intrinsics::new(640, 480, 1.2).with_distortion(Distortion([k1, k2]));
             if let Some(pixel) = camera.project(DVec3::new(x, y, 1.0)) {
                 let back = camera.direction(pixel).unwrap();
-                // Near the fold a pixel holds many directions.
+                // Near the limit, a pixel covers many directions.
                 let slope = 1.0 + 3.0 * k1 * (x * x + y * y) + 5.0 * k2 * (x * x + y * y).powi(2);
                 prop_assume!(slope > 0.01);
                 prop_assert!((back - DVec3::new(x, y, 1.0)).length() < 1e-9, "{back}");

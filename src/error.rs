@@ -1,118 +1,140 @@
-//! The library's one error type: what was looked at, what was expected, what came.
+//! The library's error type: names the input, the expected value and the actual value.
 
 use std::path::{Path, PathBuf};
 
 /// `Result` with the library's [`Error`].
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// Everything that can go wrong in the library.
+/// Error of the library.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum Error {
-    /// A file or folder could not be read or written.
+    /// A file or directory could not be read or written.
     #[error("{path}: {source}")]
     Io {
-        /// The file or folder.
+        /// Path of the file or directory.
         path: PathBuf,
-        /// What the operating system said.
+        /// Error of the operating system.
         source: std::io::Error,
     },
 
-    /// A file was read, but its content is not what it should be.
+    /// A file has invalid content.
     #[error("{path}: {message}")]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What was expected and what came.
+        /// Expected and actual content.
         message: String,
     },
 
-    /// An array, tensor or message field has another shape than needed.
+    /// An array, tensor or message field has the wrong shape.
     #[error("{name}: expected shape {expected}, got {got}")]
     Shape {
-        /// The array's name.
+        /// Name of the array.
         name: String,
-        /// The shape that would have worked.
+        /// Expected shape.
         expected: String,
-        /// The shape that came.
+        /// Actual shape.
         got: String,
     },
 
     /// A named array, tensor, key or field is absent.
     #[error("{name} is missing from {place}; there: {present}")]
     Missing {
-        /// What was looked for.
+        /// Name of the absent element.
         name: String,
-        /// The file, message or table it was looked for in.
+        /// File, message or table that was searched.
         place: String,
-        /// What is there instead, comma separated.
+        /// Names that are present, comma separated.
         present: String,
     },
 
-    /// A name that is not among the known ones.
+    /// A name is not among the valid ones.
     #[error("{kind} {name:?} is unknown; known: {known}")]
     Unknown {
-        /// Kind of thing, e.g. `preset`.
+        /// Kind of element, e.g. `preset`.
         kind: &'static str,
-        /// The name that came.
+        /// Unknown name.
         name: String,
-        /// The valid names, comma separated.
+        /// Valid names, comma separated.
         known: String,
     },
 
-    /// A value outside its allowed range or set.
+    /// A value is outside of its range or set.
     #[error("{name}: expected {expected}, got {got}")]
     Value {
-        /// The field, option or parameter.
+        /// Name of the field, option or parameter.
         name: String,
-        /// What is allowed.
+        /// Valid values.
         expected: String,
-        /// What came.
+        /// Actual value.
         got: String,
     },
 
-    /// Two fields that name their vertices differently.
+    /// A number that the network computed is not finite: its input or weights exceed the range of f32.
+    #[error("network, {tensor}: expected finite numbers, got {value} at {index}")]
+    NotFinite {
+        /// Step of the network, by the name of its tensors in a checkpoint; `images` is the input.
+        tensor: String,
+        /// Place of the first such number in the step's output.
+        index: usize,
+        /// The number.
+        value: f32,
+    },
+
+    /// Attention weights were asked of a network that does not keep them.
+    #[error("attention weights need the trainable form of the network; load the checkpoint without compiling it")]
+    CompiledNetwork,
+
+    /// Two fields have different topologies.
     #[error("topology mismatch: {left} and {right}; `egotac hand map` converts fields")]
     Topology {
-        /// Topology id of one side.
+        /// Topology id of the first field.
         left: String,
-        /// Topology id of the other side.
+        /// Topology id of the second field.
         right: String,
     },
 
-    /// A tensor operation failed.
+    /// A tensor operation or its device failed.
     #[error("network: {0}")]
     Candle(#[from] candle_core::Error),
 
-    /// The physics engine or its renderer refused something.
+    /// The physics engine or its renderer reported an error.
     #[error("mujoco: {0}")]
     Engine(String),
 }
 
 impl Error {
-    /// Wraps an I/O error with the path it happened at.
+    /// Returns a function that adds a path to an I/O error.
     pub fn io(path: impl AsRef<Path>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.as_ref().to_path_buf();
         move |source| Self::Io { path, source }
     }
 
-    /// A file whose content is not what it should be.
+    /// Creates [`Error::File`].
     pub fn file(path: impl AsRef<Path>, message: impl ToString) -> Self {
         Self::File { path: path.as_ref().to_path_buf(), message: message.to_string() }
     }
 
-    /// A shape other than the one needed.
+    /// Creates [`Error::Shape`].
     pub fn shape(name: impl ToString, expected: impl ToString, got: impl std::fmt::Debug) -> Self {
         Self::Shape { name: name.to_string(), expected: expected.to_string(), got: format!("{got:?}") }
     }
 
-    /// A value outside its allowed range or set.
+    /// Creates [`Error::Value`].
     pub fn value(name: impl ToString, expected: impl ToString, got: impl ToString) -> Self {
         Self::Value { name: name.to_string(), expected: expected.to_string(), got: got.to_string() }
     }
 
-    /// A name that is not among the known ones.
+    /// Creates [`Error::Unknown`].
     pub fn unknown<'a>(kind: &'static str, name: impl ToString, known: impl IntoIterator<Item = &'a str>) -> Self {
         let known = known.into_iter().collect::<Vec<_>>().join(", ");
         Self::Unknown { kind, name: name.to_string(), known }
+    }
+
+    /// True if the error concerns one input alone (a value, a shape, numbers that overflow), so that the next input may
+    /// succeed; false if a file, a device or an engine failed.
+    pub fn is_recoverable(&self) -> bool {
+        matches!(self, Self::Value { .. } | Self::Shape { .. } | Self::NotFinite { .. })
     }
 }

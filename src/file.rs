@@ -1,4 +1,4 @@
-//! Files that are there whole or not at all.
+//! Atomic file writes, file locks and checksums.
 
 use std::fs::{File, TryLockError};
 use std::io::{Cursor, Write};
@@ -11,14 +11,21 @@ use sha2::{Digest, Sha256};
 
 use crate::error::{Error, Result};
 
-/// Writes a file under another name beside it, then renames it: a reader sees all of it, or what was there before.
-/// Folders that lack are made, links are followed; what is no file, such as `/dev/stdout`, is written to as it is.
+/// Number of attempts of [`lock`].
+const LOCK_ATTEMPTS: usize = 20;
+/// Pause between attempts of [`lock`].
+const LOCK_PAUSE: Duration = Duration::from_millis(10);
+
+/// Writes a file atomically: to a temporary file in the same directory, which then replaces the target.
+///
+/// Creates missing parent directories and follows symbolic links. Writes directly to a target that is not a regular
+/// file, such as `/dev/stdout`.
 ///
 /// # Errors
-/// If the path names no file, or writing fails.
+/// If the path has no file name, or writing fails.
 pub fn write(path: &Path, content: &[u8]) -> Result<()> {
     if path.file_name().is_none() {
-        return Err(Error::file(path, "is not a name for a file"));
+        return Err(Error::file(path, "expected a path that ends in a file name"));
     }
     let real = path.canonicalize().ok();
     let path = real.as_deref().unwrap_or(path);
@@ -27,7 +34,7 @@ pub fn write(path: &Path, content: &[u8]) -> Result<()> {
     }
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder).map_err(Error::io(folder))?;
-    // The library's default is readable by its owner alone; this leaves it to the umask, as for any other file.
+    // Temporary files are readable by their owner alone by default; the umask decides here, as for any other file.
     let mode = PermissionsExt::from_mode(0o666);
     let mut file = tempfile::Builder::new().permissions(mode).tempfile_in(folder).map_err(Error::io(folder))?;
     file.write_all(content).map_err(Error::io(path))?;
@@ -35,23 +42,21 @@ pub fn write(path: &Path, content: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Locks a file against other processes; false = one has it. Where files can't be locked, the user sees to it that nobody else
-/// is at work.
+/// Locks a file against other processes. Returns false if another process holds the lock, and true if the file system
+/// does not support locks: then the user must prevent concurrent use.
 ///
-/// A process that is being started by this one holds all locks of this one for a moment: a lock that is not free is asked for
-/// again for a while.
+/// It retries for 0.2 s, because a child process that is being spawned holds the locks of its parent until `exec`.
 pub fn lock(file: &File) -> bool {
-    const TRIES: usize = 20;
-    for _ in 0..TRIES {
+    for _ in 0..LOCK_ATTEMPTS {
         match file.try_lock() {
-            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(10)),
+            Err(TryLockError::WouldBlock) => std::thread::sleep(LOCK_PAUSE),
             Ok(()) | Err(TryLockError::Error(_)) => return true,
         }
     }
     false
 }
 
-/// Writes a picture as PNG, as [`write()`] does.
+/// Writes a picture as PNG, atomically as [`write()`].
 ///
 /// # Errors
 /// As [`write()`].
@@ -61,7 +66,7 @@ pub fn write_png(path: &Path, picture: &RgbImage) -> Result<()> {
     write(path, &png.into_inner())
 }
 
-/// SHA-256 as `sha256sum` prints it: lower-case hexadecimal.
+/// Computes the SHA-256 in lower-case hexadecimal, as `sha256sum` prints it.
 pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
@@ -71,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_is_replaced_whole_and_leaves_nothing_beside_it() {
+    fn a_write_replaces_the_file_and_leaves_no_temporary_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("new/a.txt");
         write(&path, b"long before").unwrap();
@@ -81,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_is_followed_and_a_device_stays_one() {
+    fn links_are_followed_and_devices_are_written_directly() {
         let folder = tempfile::tempdir().unwrap();
         let [link, target] = ["link", "target"].map(|name| folder.path().join(name));
         std::fs::write(&target, b"before").unwrap();
@@ -94,10 +99,10 @@ mod tests {
     }
 
     #[test]
-    fn a_failed_write_leaves_what_was_there() {
+    fn a_failed_write_leaves_existing_files() {
         let folder = tempfile::tempdir().unwrap();
         assert!(write(&folder.path().join(".."), b"x").is_err());
-        // A folder has the name.
+        // The target is a directory.
         std::fs::create_dir(folder.path().join("a")).unwrap();
         std::fs::write(folder.path().join("a/b"), b"kept").unwrap();
         let error = write(&folder.path().join("a"), b"x").unwrap_err().to_string();

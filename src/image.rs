@@ -1,4 +1,4 @@
-//! Images into the network: decode, resize, normalise.
+//! Preparation of images for the network: decode, resize, normalise.
 
 mod raw;
 
@@ -12,28 +12,29 @@ use crate::error::{Error, Result};
 
 pub use raw::{ENCODINGS, RawImage};
 
-/// Longest side that an image may have, pixels.
-pub const MAX_SIDE: u32 = 16_384;
-/// ImageNet's mean per RGB channel, of values in 0..1.
+/// Longest accepted side of an image, pixels; bounds the memory that a damaged or hostile file can ask for.
+pub(crate) const MAX_SIDE: u32 = 16_384;
+/// ImageNet's mean per RGB channel, for values in 0..1.
 pub const IMAGENET_MEAN: [f32; 3] = [0.485, 0.456, 0.406];
-/// ImageNet's standard deviation per RGB channel, of values in 0..1.
+/// ImageNet's standard deviation per RGB channel, for values in 0..1.
 pub const IMAGENET_STD: [f32; 3] = [0.229, 0.224, 0.225];
 
-/// Share of the shorter side that [`Resize::Centre`] takes.
+/// Part of the shorter side that [`Resize::Centre`] keeps: 224 of 256 pixels.
 const CENTRE: f64 = 7.0 / 8.0;
 
-/// How an image of any size becomes the square input.
+/// Conversion of an image of any size to the square input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Resize {
-    /// Shorter side to the input size, then the centre.
+    /// Scales the shorter side to the input size, and crops the centre.
     #[default]
     Crop,
-    /// Shorter side to 8/7 of the input size (256 for 224), then the centre, as published DINOv2 checkpoints have it.
+    /// Scales the shorter side to 8/7 of the input size (256 for 224), and crops the centre, as published DINOv2 checkpoints
+    /// expect.
     Centre,
-    /// Longer side to the input size, then black bars.
+    /// Scales the longer side to the input size, and adds black bars.
     Letterbox,
-    /// Both sides to the input size.
+    /// Scales both sides to the input size.
     Squash,
 }
 
@@ -48,23 +49,23 @@ pub enum Filter {
     Bicubic,
 }
 
-/// From an image of any size to the network's input.
+/// Parameters of the conversion from an image of any size to the network's input.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Preparation {
     /// Side of the square input, pixels.
     pub side: usize,
-    /// How the image becomes square.
+    /// Conversion to a square.
     pub resize: Resize,
     /// Resampling filter.
     pub filter: Filter,
-    /// Mean per RGB channel, of values in 0..1.
+    /// Mean per RGB channel, for values in 0..1.
     pub mean: [f32; 3],
-    /// Standard deviation per RGB channel, of values in 0..1.
+    /// Standard deviation per RGB channel, for values in 0..1.
     pub std: [f32; 3],
 }
 
 impl Preparation {
-    /// Resizes and normalises. Returns `(3, side, side)`, row-major, channels red, green, blue.
+    /// Resizes and normalises an image. Returns `(3, side, side)`, row-major, channels red, green, blue.
     ///
     /// # Errors
     /// If the image is empty, or mean or deviation would give values that are not finite.
@@ -79,8 +80,8 @@ impl Preparation {
         Ok(normalise(&square, self.mean, self.std))
     }
 
-    /// Shares of the input's sides, x to the right, y down, of the place `pixel` in an image of this size; outside of
-    /// 0..1 where it is cropped.
+    /// Returns the position in the input of `pixel` of an image of this size, as a fraction of the input's side, x to the
+    /// right, y down; outside of 0..1 if the pixel is cropped.
     pub fn place(&self, pixel: [f64; 2], width: usize, height: usize) -> [f64; 2] {
         let sides = [width as f64, height as f64];
         let (short, long) = (sides[0].min(sides[1]), sides[0].max(sides[1]));
@@ -93,10 +94,10 @@ impl Preparation {
     }
 }
 
-/// Decodes a PNG or JPEG file; grey becomes RGB, transparency is dropped, 16 bits become 8.
+/// Decodes a PNG or JPEG file to RGB with 8 bits; grey is repeated, transparency is dropped.
 ///
 /// # Errors
-/// If the bytes are neither, are damaged, or the image has a side of more than [`MAX_SIDE`] pixels.
+/// If the bytes are of neither format or damaged, or the image has a side of more than 16,384 pixels.
 pub fn decode(bytes: &[u8]) -> Result<RgbImage> {
     let invalid = |error: &dyn std::fmt::Display| Error::value("image", "an intact PNG or JPEG file", error);
     let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| invalid(&e))?;
@@ -123,7 +124,7 @@ pub fn resize(image: &RgbImage, side: usize, resize: Resize, filter: Filter) -> 
         return Err(Error::value("image", expected, format!("{width} x {height} pixels, input side {side}")));
     }
     let side = side as u32;
-    // Crop and centre: a square of the source, to a fraction of a pixel. Letterbox: part of the output.
+    // Crop and centre read a square of the source, to a fraction of a pixel. Letterbox fills a part of the output.
     let short = f64::from(width.min(height));
     let box_side = if resize == Resize::Centre { CENTRE * short } else { short };
     let (crop_x, crop_y) = ((f64::from(width) - box_side) / 2.0, (f64::from(height) - box_side) / 2.0);
@@ -140,7 +141,7 @@ pub fn resize(image: &RgbImage, side: usize, resize: Resize, filter: Filter) -> 
     if matches!(resize, Resize::Crop | Resize::Centre) {
         options = options.crop(crop_x, crop_y, box_side, box_side);
     }
-    let failed = |error: &dyn std::fmt::Display| Error::value("image", "one that can be resized", error);
+    let failed = |error: &dyn std::fmt::Display| Error::value("image", "an image that can be resized", error);
     let source = fir::images::ImageRef::new(width, height, image.as_raw(), fir::PixelType::U8x3);
     let mut out = fir::images::Image::new(out_width, out_height, fir::PixelType::U8x3);
     fir::Resizer::new().resize(&source.map_err(|e| failed(&e))?, &mut out, &options).map_err(|e| failed(&e))?;
@@ -155,7 +156,7 @@ pub fn resize(image: &RgbImage, side: usize, resize: Resize, filter: Filter) -> 
     Ok(square)
 }
 
-/// `(value / 255 - mean) / std` per channel. Returns `(3, H, W)`, row-major, channels red, green, blue.
+/// Computes `(value / 255 - mean) / std` per channel. Returns `(3, H, W)`, row-major, channels red, green, blue.
 pub fn normalise(image: &RgbImage, mean: [f32; 3], std: [f32; 3]) -> Vec<f32> {
     let pixels = image.as_raw();
     let mut out = Vec::with_capacity(pixels.len());

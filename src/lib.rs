@@ -35,8 +35,6 @@
 //! | [`train`] | training from stores to a checkpoint |
 //! | [`label`] | the engine behind `egotac label` |
 //! | [`report`] | an HTML page about labels |
-//! | [`mod@bench`] | cost of accuracy, hard cases |
-//! | [`experiment`] | several trainings, compared |
 //! | `node` | the ROS 2 nodes (feature `ros`) |
 //! | [`cli`] | the commands |
 //!
@@ -46,17 +44,17 @@
 //! hold the left hand first, 778 values each.
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
-pub mod bench;
 pub mod camera;
 pub mod cli;
 pub mod dataset;
 pub mod error;
-pub mod experiment;
 pub mod file;
 pub mod geometry;
 pub mod hand;
 pub mod image;
 pub mod label;
+#[doc(hidden)]
+pub mod machine;
 pub mod message;
 pub mod model;
 #[cfg(feature = "sim")]
@@ -71,6 +69,8 @@ pub mod retarget;
 pub mod score;
 #[cfg(feature = "sim")]
 pub mod sim;
+#[doc(hidden)]
+pub mod statistics;
 pub mod tactile;
 pub mod text;
 pub mod train;
@@ -78,3 +78,7 @@ pub mod train;
 pub use error::{Error, Result};
 pub use hand::Topology;
 pub use tactile::{TactileField, Validity};
+
+/// Version of this crate, for what the programs write.
+#[doc(hidden)]
+pub const VERSION: &str = env!("CARGO_PKG_VERSION");

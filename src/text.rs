@@ -1,14 +1,14 @@
-//! Text for people: numbers of three digits, lines.
+//! Formats text for people.
 
 use std::fmt::{Arguments, Write};
 
-/// Three significant digits, without an exponent; below 5e-7 it is 0.
+/// Formats a number with three significant digits and at most six decimals, without an exponent.
 pub fn significant(value: f64) -> String {
     let magnitude = if value == 0.0 { 0 } else { value.abs().log10().floor() as i32 };
     format!("{value:.*}", usize::try_from(2 - magnitude).unwrap_or(0).min(6))
 }
 
-/// Adds a line.
+/// Appends a line.
 pub fn put(text: &mut String, line: Arguments<'_>) {
     // Writing to a String cannot fail.
     let _ = writeln!(text, "{line}");

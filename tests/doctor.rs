@@ -1,4 +1,4 @@
-//! `egotac doctor` tells what this build needs, and fails when it is not there.
+//! `egotac doctor` reports the parts that this build needs, and fails if one is missing.
 
 use std::process::{Command, Output};
 
@@ -18,7 +18,7 @@ fn state<'a>(rows: &'a [serde_json::Value], name: &str) -> &'a str {
 }
 
 #[test]
-fn a_machine_after_set_up_has_all_that_this_build_needs() {
+fn all_parts_are_present_after_set_up() {
     let (output, rows) = doctor(&[], &[]);
     assert!(output.status.success(), "{rows:#?}");
     assert_eq!(state(&rows, "hand"), "ok");
@@ -30,7 +30,7 @@ fn a_machine_after_set_up_has_all_that_this_build_needs() {
 }
 
 #[test]
-fn a_hand_file_that_is_not_there_is_missing() {
+fn an_absent_hand_file_is_missing() {
     let (output, rows) = doctor(&["--hand", "no/MANO_RIGHT.pkl"], &[]);
     assert_eq!(output.status.code(), Some(1));
     assert_eq!(state(&rows, "hand"), "missing");
@@ -38,7 +38,7 @@ fn a_hand_file_that_is_not_there_is_missing() {
 
 #[cfg(feature = "sim")]
 #[test]
-fn a_machine_without_a_gl_driver_is_told_how_to_get_one() {
+fn a_missing_gl_driver_has_a_fix() {
     let nothing = tempfile::tempdir().unwrap();
     let nothing = nothing.path().join("none.json");
     let (output, rows) = doctor(&[], &[("__EGL_VENDOR_LIBRARY_FILENAMES", nothing.to_str().unwrap())]);
@@ -51,7 +51,7 @@ fn a_machine_without_a_gl_driver_is_told_how_to_get_one() {
 #[cfg(feature = "ros")]
 #[test]
 fn bindings_of_another_layout_are_stale() {
-    // A prefix like the one sourced, where one field of one message has another type.
+    // A copy of the sourced prefix in which one field of one message has another type.
     let sourced = std::env::var("AMENT_PREFIX_PATH").expect("source env.sh");
     let msgs = std::env::split_paths(&sourced).map(|prefix| prefix.join("share/egotac_msgs/msg"));
     let msgs = msgs.into_iter().find(|folder| folder.is_dir()).expect("egotac_msgs in AMENT_PREFIX_PATH");

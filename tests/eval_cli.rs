@@ -1,4 +1,4 @@
-//! `egotac eval` on files that a stranger would bring.
+//! `egotac eval` on files written by other tools.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -12,7 +12,7 @@ fn egotac(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_egotac")).args(args).output().unwrap()
 }
 
-/// Frame t touches vertices 0..10 with `scale` x (t + 1) N.
+/// Returns forces whose frame t has `scale` x (t + 1) N on vertices 0..10.
 fn field(frames: usize, scale: f32) -> Vec<f32> {
     (0..frames * N_FIELD).map(|i| if i % N_FIELD < 10 { scale * (i / N_FIELD + 1) as f32 } else { 0.0 }).collect()
 }
@@ -59,7 +59,7 @@ fn eval_prints_the_scores_under_their_names() {
     let output = egotac(&["eval", "--pred", pred, "--target", target, "--fps", "30", "--json"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let json: Value = serde_json::from_slice(&output.stdout).unwrap();
-    // Half of 1..6 N on nine vertices: 1.75 N each.
+    // The error is half of 1..6 N on nine vertices: 1.75 N on average.
     assert!((json["active_mae"].as_f64().unwrap() - 1.75).abs() < 1e-6, "{json:#}");
     assert!((json["mae"].as_f64().unwrap() - 1.75 * 9.0 / (N_FIELD - 1) as f64).abs() < 1e-9);
     assert!((json["temporal_pearson"].as_f64().unwrap() - 1.0).abs() < 1e-9);
@@ -78,7 +78,7 @@ fn eval_prints_the_scores_under_their_names() {
 }
 
 #[test]
-fn eval_refuses_what_does_not_fit_in_one_line() {
+fn eval_refuses_invalid_input_with_one_line() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
     let force = |frames: usize| ("force", Dtype::F32, vec![frames, N_FIELD], f32_bytes(&field(frames, 1.0)));
@@ -109,12 +109,12 @@ fn eval_refuses_what_does_not_fit_in_one_line() {
 }
 
 #[test]
-fn hands_regions_and_another_estimator_are_scored_beside() {
+fn eval_also_scores_hands_regions_and_another_estimator() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
     let ends = ("episode_ends", Dtype::I64, vec![3], [4i64, 8, 12].iter().flat_map(|x| x.to_le_bytes()).collect());
     let force = |scale: f32| {
-        // One vertex of each hand is pressed, harder from frame to frame.
+        // One vertex of each hand has a force that grows from frame to frame.
         let values: Vec<f32> = (0..12 * N_FIELD)
             .map(|i| if [100, 778 + 300].contains(&(i % N_FIELD)) { scale * (1 + i / N_FIELD % 4) as f32 } else { 0.0 })
             .collect();
@@ -130,7 +130,7 @@ fn hands_regions_and_another_estimator_are_scored_beside() {
         serde_json::from_slice(&output.stdout).unwrap()
     };
     let all = json(&["--parts", "--against", &other]);
-    // 2.5 N on average, a tenth and a half of it missing.
+    // 2.5 N on average; a tenth and a half of it are the errors.
     assert!((all["active_mae"].as_f64().unwrap() - 0.25).abs() < 1e-6);
     let difference = |name: &str| {
         all["against"]["differences"].as_array().unwrap().iter().find(|d| d["name"] == name).unwrap().clone()
@@ -156,7 +156,7 @@ fn hands_regions_and_another_estimator_are_scored_beside() {
     let table = egotac(&["eval", "--pred", &pred, "--target", &truth, "--parts", "--against", &other]).stdout;
     let table = String::from_utf8(table).unwrap();
     assert!(table.contains("95 % interval") && table.contains("thumb_tip") && table.contains("3 episodes"), "{table}");
-    // One that knows contact of the right hand alone: its contact counts there, its force and the left hand are unknown.
+    // An estimator of right-hand contact only: force and the left hand are unknown.
     let contact: Vec<f32> = (0..12 * N_FIELD)
         .map(|i| match i % N_FIELD {
             0..778 => f32::NAN,
@@ -174,7 +174,7 @@ fn hands_regions_and_another_estimator_are_scored_beside() {
     assert!(other["mae"].is_null() && right["mae"].is_number(), "{other}");
     let both = json(&["--against", &file("contact")]);
     assert!(both["against"]["other"]["pooled"]["f1"].is_null(), "nothing is known of the left hand");
-    // MANO's regions need its files; an estimate of another length or hand is refused by name.
+    // Regions of MANO need the MANO files; an estimate of another length or topology is refused, with its name.
     write(Path::new(&file("mano")), "mano", &[force(1.0)]);
     let mano = file("mano");
     let refused = |args: &[&str]| String::from_utf8(egotac(args).stderr).unwrap();

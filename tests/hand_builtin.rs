@@ -32,7 +32,7 @@ fn surface_is_closed_and_of_genus_zero() {
     }
 }
 
-/// Whether the faces at each vertex form a single fan, i.e. the surface touches itself at no vertex.
+/// Returns true if the faces at each vertex form a single fan, so that the surface touches itself at no vertex.
 fn every_vertex_has_one_fan(faces: &[[u32; 3]]) -> bool {
     let mut next_around: BTreeMap<u32, BTreeMap<u32, u32>> = BTreeMap::new();
     for &[a, b, c] in faces {
@@ -106,7 +106,7 @@ fn intersecting_pairs(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<(usize, usiz
     pairs
 }
 
-/// Whether an edge of `needle` that shares no vertex with `cloth` passes through it.
+/// Returns true if an edge of `needle` that shares no vertex with `cloth` passes through it.
 fn pierces(vertices: &[Vec3], needle: &[u32; 3], cloth: &[u32; 3]) -> bool {
     let coord = |v: u32| {
         let [x, y, z] = vertices[v as usize].to_array().map(f64::from);
@@ -278,6 +278,21 @@ fn rigid_motion_moves_the_posed_hand_rigidly() {
 }
 
 #[test]
+fn joints_alone_are_bit_equal_to_those_of_the_posed_hand() {
+    for side in Side::BOTH {
+        let hand = HandModel::builtin(side);
+        for angle in [0.0, 0.4, -1.1] {
+            let mut params = bent(angle);
+            params.betas = std::array::from_fn(|beta| angle * (beta as f32 - 4.0));
+            params.global_orient = Vec3::new(angle, 0.3, -0.2);
+            params.transl = Vec3::new(0.1, -0.2, 0.3);
+            let bits = |joints: [Vec3; N_JOINTS]| joints.map(|joint| joint.to_array().map(f32::to_bits));
+            assert_eq!(bits(hand.joints(&params)), bits(hand.forward(&params).joints), "{side:?} {angle}");
+        }
+    }
+}
+
+#[test]
 fn bones_keep_their_length_in_any_pose() {
     let hand = HandModel::builtin(Side::Right);
     let params = bent(1.2);
@@ -336,7 +351,7 @@ fn generator_still_makes_the_committed_surface() {
     assert!(edges(&made.faces).values().all(|&count| count == 2));
     assert_eq!(made.v_template.len() + made.faces.len(), edges(&made.faces).len() + 2);
     // Rounding may connect other vertices; every committed vertex must still lie on the generator's surface.
-    let surface = build::Surface::new();
+    let surface = build::ImplicitHand::new();
     for vertex in committed.v_template.iter().chain(&made.v_template) {
         assert!(surface.value(vertex.as_dvec3()).abs() < 2e-6, "{vertex} is off the surface");
     }

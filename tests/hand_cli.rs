@@ -1,4 +1,4 @@
-//! `egotac hand` poses, draws and maps hands, and its errors name what is wrong.
+//! `egotac hand` poses, draws and maps hands, and its errors name the cause.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ fn succeeds(args: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// The one line a failure prints.
+/// Returns the single line that a failure prints.
 fn fails(args: &[&str]) -> String {
     let output = hand(args);
     assert!(!output.status.success(), "{args:?} succeeded");
@@ -101,7 +101,7 @@ fn forward_takes_any_batch() {
 }
 
 #[test]
-fn shapedirs_cure_is_refused_where_there_is_nothing_to_cure() {
+fn fix_left_shapedirs_is_refused_for_the_built_in_hand() {
     let message = fails(&["show", "--fix-left-shapedirs", "--out", "never.png"]);
     assert!(message.contains("--side left"), "{message}");
 }
@@ -119,7 +119,7 @@ fn show_draws_a_png() {
 }
 
 #[test]
-fn map_carries_force_there_and_back() {
+fn map_transfers_force_in_both_directions() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (field, there, back, weights) = (path("f"), path("t"), path("b"), path("w"));
@@ -150,7 +150,7 @@ fn map_carries_force_there_and_back() {
 }
 
 #[test]
-fn files_that_are_no_hand_are_named() {
+fn invalid_hand_files_are_named() {
     let message = fails(&["show", "--model", "/nowhere/MANO_RIGHT.pkl"]);
     assert!(message.contains("/nowhere/MANO_RIGHT.pkl"), "{message}");
     let golden = data("golden.safetensors").display().to_string();

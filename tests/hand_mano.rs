@@ -1,4 +1,4 @@
-//! MANO files load from every form people keep them in, and pose as the `smplx` package does.
+//! MANO files load from all formats in use, and pose as the `smplx` package does.
 //!
 //! Files and golden values: tests/data/hand/make_golden.py.
 
@@ -13,7 +13,7 @@ fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hand").join(name)
 }
 
-/// A fixture, unpacked into a temporary file where it is compressed.
+/// Loads a fixture, decompressed into a temporary file if necessary.
 fn load(name: &str, side: Side) -> HandModel {
     let mut file = tempfile::NamedTempFile::new().unwrap();
     file.write_all(&unpacked(name)).unwrap();
@@ -34,7 +34,8 @@ fn floats(file: &SafeTensors, name: &str) -> Vec<f32> {
     file.tensor(name).unwrap().data().as_chunks().0.iter().copied().map(f32::from_le_bytes).collect()
 }
 
-/// Greatest distance between what `model` makes of the golden parameters and what smplx made, m.
+/// Returns the largest distance between the vertices or joints of `model` and those of smplx for the golden parameters,
+/// m.
 fn worst_distance(model: &HandModel, vertices: &str, joints: Option<&str>) -> f32 {
     let bytes = std::fs::read(data("golden.safetensors")).unwrap();
     let file = SafeTensors::deserialize(&bytes).unwrap();
@@ -63,28 +64,28 @@ fn worst_distance(model: &HandModel, vertices: &str, joints: Option<&str>) -> f3
 }
 
 #[test]
-fn python2_chumpy_pickle_poses_as_smplx_does() {
+fn python2_chumpy_pickle_poses_as_smplx() {
     let model = load("right_chumpy.pkl.gz", Side::Right);
     let worst = worst_distance(&model, "right_vertices", Some("right_joints"));
     assert!(worst < 2e-6, "{worst} m");
 }
 
 #[test]
-fn npz_poses_as_smplx_does() {
+fn npz_poses_as_smplx() {
     let model = load("right.npz", Side::Right);
     let worst = worst_distance(&model, "right_vertices", Some("right_joints"));
     assert!(worst < 2e-6, "{worst} m");
 }
 
 #[test]
-fn left_hand_keeps_its_shapedirs_as_filed_unless_asked() {
+fn left_shapedirs_change_on_request_only() {
     let mut model = load("left_plain.pkl.gz", Side::Left);
     let worst = worst_distance(&model, "left_vertices", Some("left_joints"));
     assert!(worst < 2e-6, "{worst} m");
     model.fix_left_shapedirs();
     let worst = worst_distance(&model, "left_fixed_vertices", None);
     assert!(worst < 2e-6, "{worst} m");
-    assert!(worst_distance(&model, "left_vertices", None) > 1e-3, "the cure changes nothing");
+    assert!(worst_distance(&model, "left_vertices", None) > 1e-3, "the fix changes nothing");
 }
 
 #[test]
@@ -108,7 +109,7 @@ fn mano_regions_follow_its_joints() {
 }
 
 #[test]
-fn missing_and_misshapen_arrays_are_named() {
+fn missing_arrays_and_wrong_shapes_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, bytes: &[u8]| {
         let path = folder.path().join(name);

@@ -1,6 +1,7 @@
-//! Fields carry over between the built-in hand and a MANO file: total force stays, places and regions agree.
+//! Fields are transferred between the built-in hand and a MANO file: total force is conserved, positions and regions
+//! agree.
 //!
-//! The MANO file is the synthetic one of tests/data/hand/make_golden.py: the built-in hand deformed, thickened, turned
+//! The MANO file is the synthetic one of tests/data/hand/make_golden.py: the built-in hand deformed, thickened, rotated
 //! and renumbered, so that the true correspondence is known.
 
 use std::io::Read;
@@ -29,7 +30,7 @@ fn left_mano() -> HandModel {
     HandModel::load(file.path(), Side::Left).unwrap()
 }
 
-/// Built-in vertex that each MANO vertex was made from.
+/// Returns the built-in vertex of each MANO vertex.
 fn builtin_vertex() -> Vec<usize> {
     let bytes = std::fs::read(data("golden.safetensors")).unwrap();
     let file = SafeTensors::deserialize(&bytes).unwrap();
@@ -37,7 +38,7 @@ fn builtin_vertex() -> Vec<usize> {
     data.as_chunks().0.iter().map(|word| i32::from_le_bytes(*word) as usize).collect()
 }
 
-/// Forces of a touch: a Gaussian of 6 mm around a vertex of each hand, 3 N and 1 N in total.
+/// Returns the forces of a touch: a Gaussian of 6 mm around a vertex of each hand, 3 N and 1 N in total.
 fn touch(vertices: &[Vec3], at: usize) -> Vec<f32> {
     let bump: Vec<f32> =
         vertices.iter().map(|v| (-v.distance_squared(vertices[at]) / (2.0 * 0.006f32.powi(2))).exp()).collect();
@@ -69,7 +70,7 @@ fn interpolation_lands_on_the_true_vertex() {
 }
 
 #[test]
-fn regions_agree_after_carrying_over() {
+fn regions_agree_after_the_transfer() {
     let mano = right_mano();
     let map = HandMap::new(&mano);
     let (from, to) = (HandModel::builtin(Side::Right).regions(), mano.regions());
@@ -95,7 +96,7 @@ fn touch_stays_where_it_was() {
         let wanted: Vec3 =
             force[Side::Right.range()].iter().zip(&builtin.v_template).map(|(f, v)| *v * *f).sum::<Vec3>() / 3.0;
         assert!(centre.distance(wanted) < 0.004, "moved by {} m", centre.distance(wanted));
-        // Spread over as many vertices as before, more or less: no spots.
+        // The touch covers about as many vertices as before.
         let active = |force: &[f32]| force.iter().filter(|f| **f > 0.05).count();
         let (before, after) = (active(&force[Side::Right.range()]), active(carried));
         assert!(after * 3 >= before * 2 && after <= before * 2, "{before} active vertices became {after}");
@@ -103,7 +104,7 @@ fn touch_stays_where_it_was() {
 }
 
 #[test]
-fn contact_of_a_wholly_touched_hand_stays_whole() {
+fn contact_everywhere_stays_contact_everywhere() {
     let map = HandMap::new(&right_mano());
     for transfer in [&map.to_mano, &map.to_builtin] {
         assert!(transfer.contact(&[1.0; N_FIELD]).unwrap().iter().all(|c| (c - 1.0).abs() < 1e-5));

@@ -1,4 +1,4 @@
-//! Files decode, sizes fit, and resampling agrees with its definition.
+//! Decoding, resizing and normalising of images.
 
 use std::io::Cursor;
 
@@ -35,7 +35,7 @@ fn png_and_jpeg_of_any_colour_type_decode_to_rgb() {
 }
 
 #[test]
-fn damaged_and_foreign_files_are_refused_in_words() {
+fn damaged_and_foreign_files_are_refused_with_a_reason() {
     let png = file(&picture(64, 64).into(), ImageFormat::Png);
     for bytes in [&[][..], b"GIF89a....", b"hello", &png[..png.len() / 2], &png[..20]] {
         let error = decode(bytes).unwrap_err().to_string();
@@ -53,7 +53,7 @@ fn a_square_of_the_input_size_passes_unchanged() {
     }
 }
 
-/// Antialiased resampling from its definition: weights of a triangle as wide as the scale, normalised.
+/// Antialiased resampling by its definition: normalised weights of a triangle as wide as the scale.
 fn triangle(values: &[f64], crop: (f64, f64), to: usize) -> Vec<f64> {
     let scale = (crop.1 - crop.0) / to as f64;
     let radius = scale.max(1.0);
@@ -68,7 +68,7 @@ fn triangle(values: &[f64], crop: (f64, f64), to: usize) -> Vec<f64> {
 
 #[test]
 fn shrinking_and_enlarging_agree_with_the_definition() {
-    // Constant down each column, so that one dimension is at work.
+    // Constant along each column, so that only one dimension is resampled.
     for (width, side, mode) in [(200, 56, Resize::Squash), (20, 56, Resize::Squash), (151, 56, Resize::Crop)] {
         let row = picture(width, 1);
         let image = RgbImage::from_fn(width, 101, |x, _| *row.get_pixel(x, 0));
@@ -96,7 +96,7 @@ fn letterbox_keeps_the_whole_image_between_black_bars() {
         let want = if (24..40).contains(&y) { [200, 100, 50] } else { [0, 0, 0] };
         assert_eq!(pixel.0, want, "row {y}");
     }
-    // However thin, something of it is left.
+    // At least one row remains of an image of any aspect.
     let thin = resize(&RgbImage::from_pixel(2000, 1, Rgb([255; 3])), 64, Resize::Letterbox, Filter::Triangle).unwrap();
     assert_eq!(thin.pixels().filter(|p| p.0 == [255; 3]).count(), 64);
 }
@@ -125,8 +125,8 @@ fn channels_are_normalised_into_planes() {
 }
 
 #[test]
-fn a_pixel_lands_where_its_place_says() {
-    // A dark picture with a bright block: the middle of the light, before and after.
+fn place_predicts_the_position_of_a_pixel() {
+    // A bright block on black: its centroid before and after.
     let (width, height) = (180, 120);
     let image = RgbImage::from_fn(width, height, |x, y| {
         let inside = (90..102).contains(&x) && (30..42).contains(&y);

@@ -1,10 +1,10 @@
-//! Every raw encoding gives the colours it was made from; contradictions are named, never read.
+//! Every raw encoding gives back its colours; contradictory sizes are errors.
 
 use egotac::image::{ENCODINGS, RawImage};
 use image::{Rgb, RgbImage};
 use proptest::prelude::*;
 
-/// Encodes from the definition: BT.601 luma, chroma differences scaled to video range.
+/// Encodes by the definition: BT.601 luma, chroma differences scaled to video range.
 fn yuv(p: Rgb<u8>) -> [u8; 3] {
     let [r, g, b] = p.0.map(|c| f64::from(c) / 255.0);
     let y = 0.299 * r + 0.587 * g + 0.114 * b;
@@ -12,7 +12,7 @@ fn yuv(p: Rgb<u8>) -> [u8; 3] {
         .map(|v| v.round() as u8)
 }
 
-/// The bytes of an image whose colour is constant over blocks of 2 x 2, rows padded with `padding` bytes of 0xAA.
+/// Encodes an image whose colour is constant over blocks of 2 x 2, rows padded with `padding` bytes of 0xAA.
 fn encode(image: &RgbImage, encoding: &str, padding: usize) -> (Vec<u8>, u32) {
     let (width, height) = image.dimensions();
     let at = |x: u32, y: u32| *image.get_pixel(x, y);
@@ -70,7 +70,7 @@ proptest! {
     }
 
     #[test]
-    fn numbers_that_contradict_each_other_are_refused_and_never_panic(
+    fn contradictory_sizes_are_refused_and_never_panic(
         width in 0u32..40, height in 0u32..40, step in 0u32..200, size in 0usize..4000, encoding in prop::sample::select(ENCODINGS.to_vec()),
     ) {
         let data = vec![1; size];
@@ -83,7 +83,7 @@ proptest! {
 }
 
 #[test]
-fn refusals_name_what_is_wrong() {
+fn errors_name_the_wrong_field() {
     let image = |width, height, encoding, step, size| {
         let data = vec![0; size];
         RawImage { width, height, encoding, step, data: &data }.to_rgb().unwrap_err().to_string()

@@ -1,11 +1,11 @@
-//! Agreement of labels with forces: against hand-made numbers, and against scikit-learn's.
+//! Agreement of labels with forces, against numbers computed by hand and by scikit-learn.
 
 use std::collections::BTreeMap;
 
 use egotac::geometry::force::link_vertices;
 use egotac::hand::{HandModel, HandParams, N_VERTICES, Side};
 use egotac::score::agreement::scores::{SCORES, find};
-use egotac::score::agreement::{Parts, Scorer, Sums, TruthFrame};
+use egotac::score::agreement::{Scorer, Sums, TruthFrame, VertexGroups};
 use egotac::tactile::N_FIELD;
 use glam::{DVec3, Vec3};
 
@@ -25,15 +25,15 @@ fn value(sums: &Sums, name: &str) -> Option<f64> {
     (find(name).unwrap().value)(sums)
 }
 
-fn parts() -> Parts {
-    Parts::links(&Side::BOTH.map(HandModel::builtin))
+fn parts() -> VertexGroups {
+    VertexGroups::links(&Side::BOTH.map(HandModel::builtin))
 }
 
 fn positions() -> Vec<Vec3> {
     Side::BOTH.iter().flat_map(|side| HandModel::builtin(*side).forward(&HandParams::default()).vertices).collect()
 }
 
-/// A frame with the given forces at the given vertices.
+/// Returns the truth of a frame with the given forces at the given vertices.
 fn truth(time: f64, forces: &[(usize, f32)]) -> TruthFrame {
     TruthFrame::new(time, field(forces), Vec::new(), positions(), None).unwrap()
 }
@@ -52,7 +52,7 @@ fn scores_are_those_of_scikit_learn_and_scipy() {
     let contacts: [Vec<DVec3>; 2] = [0, 1].map(|side| {
         (0..40).map(|i| DVec3::from_array([0, 1, 2].map(|k| noise(6, (side * 40 + i) * 3 + k))) * 0.03).collect()
     });
-    let mut scorer = Scorer::new(Parts::hands());
+    let mut scorer = Scorer::new(VertexGroups::hands());
     for frame in 0..t {
         let at = |i: usize| frame * v + i;
         let force: Vec<f32> = (0..v)
@@ -72,12 +72,12 @@ fn scores_are_those_of_scikit_learn_and_scipy() {
         let got = value(&sums, &name).unwrap();
         assert!((got - expected).abs() < 1e-9, "{name}: {got} instead of {expected}");
     }
-    // Hands are no links.
+    // The groups are hands, not links.
     assert_eq!(value(&sums, "link_force_error"), None);
 }
 
 #[test]
-fn a_perfect_label_scores_one_and_an_empty_one_nothing() {
+fn a_perfect_label_scores_one_and_an_empty_label_zero() {
     let (mut perfect, mut empty) = (Scorer::new(parts()), Scorer::new(parts()));
     for frame in 0..20 {
         let touching = (5..15).contains(&frame);
@@ -96,7 +96,7 @@ fn a_perfect_label_scores_one_and_an_empty_one_nothing() {
     for name in ["onset_error_secs", "offset_error_secs", "cop_distance_mm", "mae", "false_contact_mass"] {
         assert_eq!(value(&perfect, name), Some(0.0), "{name}");
     }
-    // Nothing labelled: no share of it is false, nothing begins.
+    // Without labelled vertices, shares of labelled vertices and onset errors are undefined.
     for name in ["false_contact_mass", "onset_error_secs", "false_touches", "cop_distance_mm"] {
         assert_eq!(value(&empty, name), None, "{name}");
     }
@@ -125,7 +125,7 @@ fn a_labelled_vertex_is_false_beyond_three_millimetres_of_a_contact_of_its_hand(
         let truth = TruthFrame::new(0.0, field(&[(100, 1.0)]), Vec::new(), places.clone(), Some(&contacts)).unwrap();
         let sums = Sums::of_frame(&parts(), &truth, &field(&[(100, 1.0)]), &[]).unwrap();
         assert_eq!(value(&sums, "false_contact_mass"), expected, "{off}");
-        // The other hand's contact is none of this one's.
+        // A contact of the other hand does not count.
         let contacts = [Vec::new(), vec![at]];
         let truth = TruthFrame::new(0.0, field(&[(100, 1.0)]), Vec::new(), places.clone(), Some(&contacts)).unwrap();
         let sums = Sums::of_frame(&parts(), &truth, &field(&[(100, 1.0)]), &[]).unwrap();
@@ -140,7 +140,7 @@ fn link_errors_add_up_and_centres_of_pressure_are_weighted_by_force() {
     let (tip, thumb) = (&links[3], &links[15]);
     let [a, b] = [tip[0], tip[1]].map(|v| v as usize);
     let truth_forces = [(a, 2.0), (thumb[0] as usize, 2.0)];
-    // The index carries its force on two vertices, a quarter too much; the thumb nothing.
+    // The labelled index force is a quarter too large, on two vertices; the thumb has no labelled force.
     let guess = field(&[(a, 1.25), (b, 1.25)]);
     let sums = Sums::of_frame(&parts(), &truth(0.0, &truth_forces), &guess, &guess).unwrap();
     assert!((value(&sums, "link_force_error").unwrap() - (0.5 + 2.0) / 4.0).abs() < 1e-6);
@@ -148,11 +148,11 @@ fn link_errors_add_up_and_centres_of_pressure_are_weighted_by_force() {
     let expected = 1e3 * middle.distance(positions()[a].as_dvec3());
     assert!((value(&sums, "cop_distance_mm").unwrap() - expected).abs() < 1e-6, "of the one pressed link");
     let index = parts().names().iter().position(|name| name == "left/index3").unwrap();
-    assert_eq!(sums.part_force[index], [0.5, 2.0]);
+    assert_eq!(sums.group_force[index], [0.5, 2.0]);
 }
 
 #[test]
-fn a_refused_frame_hides_what_happens_across_it() {
+fn touches_are_not_followed_across_a_refused_frame() {
     let run = |refused: Option<i32>| {
         let mut scorer = Scorer::new(parts());
         for frame in 0..20 {
@@ -170,7 +170,7 @@ fn a_refused_frame_hides_what_happens_across_it() {
     let (count, error, frames) = run(None);
     assert_eq!((count, frames), (1, 20));
     assert!((error.unwrap() - 0.08).abs() < 1e-9);
-    // Between the frame before the first touched one and that one: the beginning may have been there.
+    // The refused frame lies just before the first touched one, so that the onset is unknown.
     assert_eq!(run(Some(4)), (0, None, 19));
 }
 
@@ -216,7 +216,7 @@ fn sums_of_episodes_add_up_to_those_of_all_frames() {
 }
 
 #[test]
-fn arrays_that_do_not_fit_are_refused_by_name() {
+fn errors_name_the_array_of_wrong_length() {
     let error = |force: Vec<f32>, mask: Vec<u8>, places: Vec<Vec3>, time: f64| {
         TruthFrame::new(time, force, mask, places, None).unwrap_err().to_string()
     };

@@ -1,5 +1,5 @@
-//! `egotac label` on bags: every original record stays, touch comes beside the images, damage is named, and a killed run
-//! goes on.
+//! `egotac label` on bags: original records stay, touch is added beside the images, damage is reported, and a killed run
+//! resumes.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -30,7 +30,7 @@ const QOS: &str = "- history: 3
   avoid_ros_namespace_conventions: false
 ";
 
-/// How a bag is written.
+/// Form in which a bag is written.
 #[derive(Clone, Copy)]
 struct Form {
     compressed_images: bool,
@@ -61,7 +61,7 @@ fn image_payload(index: u64, compressed: bool) -> Vec<u8> {
     Image { header, height, width, encoding, is_bigendian: 0, step, data }.to_cdr()
 }
 
-/// A recording of `frames` images between other messages, with an attachment and metadata.
+/// Writes a recording of `frames` images between other messages, with an attachment and metadata.
 fn write_mcap(path: &Path, frames: u64, form: Form) {
     let options = WriteOptions::new().profile("ros2").library("a recorder");
     let options = options.compression(form.compression).use_chunks(form.chunked).chunk_size(Some(12_000));
@@ -108,7 +108,7 @@ fn summary(output: &Output, status: i32) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Records of a file's data section in their order, by a reader that is not ours; `ours` are those of the labels.
+/// Records of a file's data section in order, read by the crate mcap; `ours` are the records of the labels.
 struct Read {
     original: Vec<String>,
     labels: Vec<(MessageHeader, TactileFrame)>,
@@ -140,13 +140,13 @@ fn read(path: &Path) -> Read {
     Read { original, labels, chunks }
 }
 
-/// What the network says to images 0..n.
+/// Returns the network's output for images 0..n.
 fn expected(frames: u64) -> Vec<egotac::model::Prediction> {
     let mut predictor = Predictor::load(&shipped::path().unwrap(), Options::default()).unwrap();
     (0..frames).map(|index| predictor.push(&picture(index), stamp(index).secs()).unwrap()).collect()
 }
 
-/// Reads a file as players do: by its summary, in order of time.
+/// Reads a file as players do: by its summary, in order of time. Returns the number of messages by topic.
 fn indexed(path: &Path) -> BTreeMap<String, usize> {
     let bytes = fs::read(path).unwrap();
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
@@ -174,7 +174,7 @@ fn indexed(path: &Path) -> BTreeMap<String, usize> {
 }
 
 #[test]
-fn every_record_stays_and_each_image_gets_its_touch() {
+fn every_record_stays_and_each_image_gets_a_label() {
     let folder = tempfile::tempdir().unwrap();
     let predictions = expected(20);
     let compressions = [None, Some(Compression::Zstd), Some(Compression::Lz4)];
@@ -202,7 +202,7 @@ fn every_record_stays_and_each_image_gets_its_touch() {
 }
 
 #[test]
-fn a_bag_of_several_files_becomes_one_with_metadata() {
+fn a_bag_of_several_files_is_labelled_file_by_file() {
     let folder = tempfile::tempdir().unwrap();
     let [input, out] = ["in", "out"].map(|name| folder.path().join(name));
     fs::create_dir(&input).unwrap();
@@ -212,7 +212,7 @@ fn a_bag_of_several_files_becomes_one_with_metadata() {
     let yaml = "rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: mcap\n  relative_file_paths: [in_0.mcap, in_1.mcap]\n";
     fs::write(input.join("metadata.yaml"), yaml).unwrap();
     fs::write(input.join("calibration.yaml"), "fx: 1").unwrap();
-    // The second shard is the last one and puts the bag together.
+    // The second shard is the last one and assembles the bag.
     let waiting = summary(&label(&input, &out, &["--shard", "1/2"]), 0);
     assert!(!out.exists() && waiting["waiting_for_other_shards"].as_array().unwrap().len() == 1);
     summary(&label(&input, &out, &["--shard", "0/2"]), 0);
@@ -238,7 +238,7 @@ fn a_bag_of_several_files_becomes_one_with_metadata() {
 }
 
 #[test]
-fn a_cut_recording_is_labelled_as_far_as_it_goes() {
+fn a_truncated_recording_is_labelled_up_to_its_end() {
     let folder = tempfile::tempdir().unwrap();
     for (form, name) in
         [(PLAIN, "zstd"), (Form { compression: None, ..PLAIN }, "none"), (Form { chunked: false, ..PLAIN }, "plain")]
@@ -278,7 +278,7 @@ fn a_cut_recording_is_labelled_as_far_as_it_goes() {
 }
 
 #[test]
-fn a_damaged_chunk_is_left_out_and_named() {
+fn a_damaged_chunk_is_left_out_and_listed() {
     let folder = tempfile::tempdir().unwrap();
     for (name, compression) in [("none", None), ("zstd", Some(Compression::Zstd)), ("lz4", Some(Compression::Lz4))] {
         let [input, out] = ["in", "out"].map(|part| folder.path().join(format!("{part}-{name}.mcap")));
@@ -339,10 +339,10 @@ fn an_image_that_cant_be_decoded_gets_a_frame_without_hands() {
 }
 
 #[test]
-fn a_killed_run_goes_on_and_ends_in_the_same_bytes() {
+fn a_killed_run_resumes_to_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let [input, alone, killed] = ["in.mcap", "alone.mcap", "killed.mcap"].map(|name| folder.path().join(name));
-    // Three images fall into one observation step: the window that a killed run leaves spans several of them.
+    // Three images per observation step: the window that the resumed run must replay spans several images.
     write_mcap(&input, 250, PLAIN);
     summary(&label(&input, &alone, &[]), 0);
     let journal = folder.path().join(".killed.mcap.unfinished/000000.labels");
@@ -375,7 +375,7 @@ fn a_killed_run_goes_on_and_ends_in_the_same_bytes() {
 }
 
 #[test]
-fn several_cameras_want_a_choice() {
+fn a_bag_with_several_cameras_needs_a_topic() {
     let folder = tempfile::tempdir().unwrap();
     let [input, out] = ["in.mcap", "out.mcap"].map(|name| folder.path().join(name));
     let mut writer = WriteOptions::new().profile("ros2").create(fs::File::create(&input).unwrap()).unwrap();
@@ -393,7 +393,7 @@ fn several_cameras_want_a_choice() {
     assert!(output.status.code() == Some(1) && error.contains("/head, /wrist") && error.contains("--topic"), "{error}");
     summary(&label(&input, &out, &["--topic", "/wrist"]), 0);
     assert_eq!(indexed(&out)["/predictor/tactile"], 2);
-    // A second camera goes to a topic of its own.
+    // Labels of the second camera go to another topic.
     let second = folder.path().join("second.mcap");
     let taken = label(&out, &second, &["--topic", "/head"]);
     assert!(String::from_utf8_lossy(&taken.stderr).contains("--labels-topic"));
@@ -404,7 +404,7 @@ fn several_cameras_want_a_choice() {
 /// Needs the Python environment of `make setup`.
 #[cfg(feature = "ros")]
 #[test]
-fn rosbags_and_rclpy_read_what_was_written() {
+fn rosbags_and_rclpy_read_the_labelled_bag() {
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (folder.path().join("in.mcap"), folder.path().join("out"));
     write_mcap(&input, 12, PLAIN);
@@ -447,7 +447,7 @@ with AnyReader([Path(sys.argv[1])]) as reader:
 }
 
 #[test]
-fn a_bag_that_rosbags_wrote_is_labelled() {
+fn a_bag_written_by_rosbags_is_labelled() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     summary(&label(Path::new("tests/data/bag/table"), &out, &[]), 0);

@@ -1,5 +1,5 @@
-//! `egotac label` on LeRobot v3 data sets that the package lerobot wrote (tests/data/lerobot). tests/peers/lerobot_reads.py
-//! has lerobot load what comes out.
+//! `egotac label` on LeRobot v3 data sets written by the package lerobot (tests/data/lerobot). tests/peers/lerobot_reads.py
+//! checks that lerobot loads the labelled data sets.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -11,7 +11,7 @@ use arrow_array::types::{Float32Type, Float64Type, Int64Type};
 use arrow_array::{Array, RecordBatch};
 use egotac::TactileField;
 use egotac::dataset::lerobot::reader;
-use egotac::dataset::video::Frames;
+use egotac::dataset::video::VideoFrames;
 use egotac::hand::{HandModel, Side};
 use egotac::model::predictor::{Options, Predictor};
 use egotac::model::shipped;
@@ -33,7 +33,7 @@ fn summary(output: &Output, status: i32) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// The only batch of a Parquet file.
+/// Returns the only batch of a Parquet file.
 fn table(root: &Path, file: &str) -> RecordBatch {
     let mut batches = reader(&root.join(file)).unwrap().with_batch_size(1000).build().unwrap();
     let batch = batches.next().unwrap().unwrap();
@@ -49,7 +49,7 @@ fn lists(rows: &RecordBatch, name: &str) -> Vec<Vec<f32>> {
     (0..column.len()).map(|row| column.value(row).as_primitive::<Float32Type>().values().to_vec()).collect()
 }
 
-/// What the network says to the images of both episodes.
+/// Returns the network's output for the images of both episodes.
 fn expected(images: Vec<RgbImage>) -> Vec<TactileField> {
     let mut predictor = Predictor::load(&shipped::path().unwrap(), Options::default()).unwrap();
     let mut images = images.into_iter();
@@ -83,7 +83,7 @@ fn check(input: &Path, out: &Path, expected: &[TactileField], prefix: &str) {
     }
     let tip = HandModel::builtin(Side::Right).regions().iter().position(|region| region.name() == "index_tip").unwrap();
     assert!(expected.iter().zip(&regions).all(|(field, regions)| regions[17 + 3] >= field.force[778 + tip]));
-    // Statistics of each column, element by element, against the plainest way to compute them.
+    // Compare the statistics of each column, element by element, with direct formulas.
     let info: Value = serde_json::from_str(&fs::read_to_string(out.join("meta/info.json")).unwrap()).unwrap();
     let stats: Value = serde_json::from_str(&fs::read_to_string(out.join("meta/stats.json")).unwrap()).unwrap();
     let episodes = table(out, EPISODES);
@@ -118,7 +118,7 @@ fn check(input: &Path, out: &Path, expected: &[TactileField], prefix: &str) {
     }
 }
 
-/// Every file below `folder`.
+/// Returns the content of every file below `folder`, by relative path.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(folder).unwrap() {
@@ -147,7 +147,7 @@ fn images_in_videos_are_found_by_their_times() {
     let json = summary(&label(&input, &out, &[]), 0);
     assert_eq!(json["summary"]["labelled"], 12);
     let video = input.join("videos/observation.images.head/chunk-000/file-000.mp4");
-    let images = Frames::open(&video, None).unwrap().map(|frame| frame.unwrap().1).collect();
+    let images = VideoFrames::open(&video, None).unwrap().map(|frame| frame.unwrap().1).collect();
     check(&input, &out, &expected(images), "tactile");
     assert!(files(&input) == before, "the original was touched");
     let after = files(&out);
@@ -160,7 +160,7 @@ fn images_in_videos_are_found_by_their_times() {
 }
 
 #[test]
-fn images_in_rows_want_a_camera_and_columns_may_be_observations() {
+fn images_in_rows_need_a_camera_and_columns_may_be_observations() {
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (Path::new(DATA).join("image"), folder.path().join("out"));
     let refused = label(&input, &out, &[]);
@@ -175,18 +175,18 @@ fn images_in_rows_want_a_camera_and_columns_may_be_observations() {
         rows.column_by_name("observation.images.wrist").unwrap().as_struct().column_by_name("bytes").unwrap().clone();
     let images = (0..12).map(|row| egotac::image::decode(files.as_binary::<i32>().value(row)).unwrap()).collect();
     check(&input, &out, &expected(images), "observation.tactile");
-    // Types of the Hugging Face package name the new columns as the old ones.
+    // The Hugging Face types list the new columns beside the old ones.
     let metadata = reader(&out.join(ROWS)).unwrap().schema().metadata().get("huggingface").unwrap().to_string();
     let types: Value = serde_json::from_str(&metadata).unwrap();
     assert_eq!(types["info"]["features"]["observation.tactile.force"]["length"], N_FIELD);
     assert_eq!(types["info"]["features"]["observation.images.wrist"]["_type"], "Image");
-    // A second labelling needs another prefix.
+    // A second run needs another prefix.
     let again = label(&out, &folder.path().join("again"), &["--camera", "observation.images.head", "--observation"]);
     assert!(String::from_utf8_lossy(&again.stderr).contains("--prefix"));
 }
 
 #[test]
-fn episodes_are_shared_out_and_a_missing_video_is_named() {
+fn shards_divide_the_episodes_and_a_missing_video_is_listed() {
     let folder = tempfile::tempdir().unwrap();
     let (input, alone, shared) = (folder.path().join("in"), folder.path().join("alone"), folder.path().join("shared"));
     copy(&Path::new(DATA).join("video"), &input);
@@ -202,7 +202,7 @@ fn episodes_are_shared_out_and_a_missing_video_is_named() {
     assert_eq!((&json["summary"]["labelled"], &json["summary"]["frames"]), (&0.into(), &12.into()));
     assert!(json["summary"]["faults"][0]["reason"].as_str().unwrap().contains("file-000.mp4"));
     assert!(lists(&table(&out, ROWS), "tactile.force").iter().flatten().all(|force| force.is_nan()));
-    // No statistics that would poison a normalisation.
+    // Statistics hold no NaN, which would break normalisation.
     assert!(!fs::read_to_string(out.join("meta/stats.json")).unwrap().contains("null"));
 }
 

@@ -1,4 +1,4 @@
-//! `egotac label` on Open X-Tactile stores as zarr-python writes them (tests/data/oxt).
+//! `egotac label` on Open X-Tactile stores written by zarr-python (tests/data/oxt).
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use egotac::dataset::EpisodeReader;
-use egotac::dataset::zarr::{Place, ZarrReader};
+use egotac::dataset::zarr::{StoreLocation, ZarrReader};
 use egotac::model::predictor::{Options, Predictor};
 use egotac::model::shipped;
 use egotac::tactile::N_FIELD;
@@ -28,14 +28,14 @@ fn succeeds(output: &Output) {
     assert!(output.status.success(), "{:?}: {out}{err}", output.status);
 }
 
-/// The folder of a zip file's one store.
+/// Unpacks a zip file with one store and returns the store's folder.
 fn unpacked(zip: &str, to: &Path) -> PathBuf {
     let file = fs::File::open(Path::new(DATA).join(zip)).unwrap();
     zip::ZipArchive::new(file).unwrap().extract(to).unwrap();
-    Place::find(to).unwrap()[0].path.clone()
+    StoreLocation::find(to).unwrap()[0].path.clone()
 }
 
-/// Every file below `folder`, by its place in it.
+/// Returns the content of every file below `folder`, by relative path.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(folder).unwrap() {
@@ -49,7 +49,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// Force and contact of frame `index` as they should be: what the network says to the store's own images.
+/// Returns the expected force and contact of frame `index`: the network's output for the store's own images.
 fn expected(store: &ZarrReader, index: usize) -> (Vec<f32>, Vec<f32>) {
     let mut predictor = Predictor::load(&shipped::path().unwrap(), Options::default()).unwrap();
     let start = store.episode_ends().iter().copied().filter(|end| *end <= index).max().unwrap_or(0);
@@ -63,7 +63,7 @@ fn expected(store: &ZarrReader, index: usize) -> (Vec<f32>, Vec<f32>) {
 }
 
 #[test]
-fn every_layout_is_labelled_and_its_own_data_stays_as_it_is() {
+fn every_layout_is_labelled_and_its_own_data_stays_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let plain = unpacked("task.zarr.zip", &at("plain"));
@@ -77,7 +77,7 @@ fn every_layout_is_labelled_and_its_own_data_stays_as_it_is() {
         let before = fs::metadata(&input).unwrap().modified().unwrap();
         succeeds(&label(&input, &out, &[]));
         assert_eq!(fs::metadata(&input).unwrap().modified().unwrap(), before);
-        let source = Place::find(&input).unwrap().last().cloned().unwrap();
+        let source = StoreLocation::find(&input).unwrap().last().cloned().unwrap();
         let (source, labelled) = (ZarrReader::open_at(&source).unwrap(), ZarrReader::open(&result).unwrap());
         assert_eq!((labelled.len(), labelled.episode_ends()), (12, &[7, 12][..]));
         for index in [0, 6, 7, 11] {
@@ -88,7 +88,7 @@ fn every_layout_is_labelled_and_its_own_data_stays_as_it_is() {
             assert!(frame.force_valid.iter().chain(&frame.contact_valid).all(|valid| *valid == 1));
         }
     }
-    // Nothing of the folder has changed but the attributes, and those are new.
+    // The attributes are the only changed file; all other new files hold labels.
     let (before, mut after) = (files(&plain), files(&at("a.zarr")));
     let added: Vec<PathBuf> = after.keys().filter(|path| !before.contains_key(*path)).cloned().collect();
     assert!(
@@ -102,7 +102,7 @@ fn every_layout_is_labelled_and_its_own_data_stays_as_it_is() {
 }
 
 #[test]
-fn provenance_travels_with_the_labels() {
+fn a_labelled_store_states_its_provenance() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out.zarr");
     succeeds(&label(&Path::new(DATA).join("task.zarr.zip"), &out, &[]));
@@ -117,7 +117,7 @@ fn provenance_travels_with_the_labels() {
 }
 
 #[test]
-fn a_damaged_chunk_costs_its_frames_and_is_named() {
+fn frames_of_a_damaged_chunk_get_no_label_and_are_listed() {
     let folder = tempfile::tempdir().unwrap();
     let input = unpacked("task.zarr.zip", &folder.path().join("in"));
     // The second chunk of images holds frames 7 to 11.
@@ -139,7 +139,7 @@ fn a_damaged_chunk_costs_its_frames_and_is_named() {
     let labelled = ZarrReader::open(&out).unwrap();
     assert!(labelled.read_f32("data/mano_force", 7..12).unwrap().iter().all(|force| force.is_nan()));
     assert_eq!(labelled.read_u8("data/mano_force_valid", 6..8).unwrap(), [vec![1; N_FIELD], vec![0; N_FIELD]].concat());
-    // The same again, done before, has the same status.
+    // A second run finds the output complete and returns the same status.
     assert_eq!(label(&input, &out, &[]).status.code(), Some(3));
 }
 
@@ -154,12 +154,12 @@ fn shards_fill_one_output_that_equals_a_single_run() {
         assert!(!together.join("batch_000.zarr").exists(), "{shard}: an episode is missing");
     }
     succeeds(&label(&input, &together, &["--shard", "1/3"]));
-    // The list of outputs too, which every shard wrote.
+    // So does the manifest, which every shard wrote.
     assert!(files(&alone).contains_key(Path::new("manifest.json")) && files(&alone) == files(&together));
 }
 
 #[test]
-fn what_is_there_is_never_overwritten() {
+fn existing_files_are_never_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (unpacked("task.zarr.zip", &folder.path().join("in")), folder.path().join("out.zarr"));
     let refused = |output: Output, why: &str| {
@@ -172,12 +172,12 @@ fn what_is_there_is_never_overwritten() {
     refused(label(&input, &out, &[]), "exists");
     refused(label(&input, &folder.path().join("x.zarr"), &["--camera", "camera_left_rgb"]), "camera_ego_rgb");
     fs::remove_dir(&out).unwrap();
-    // What could not become a proper store is refused before the first image.
+    // An output that would be invalid is refused before inference.
     let other = unpacked("task.zarr.zip", &folder.path().join("other"));
     fs::write(other.join(".zattrs"), r#"{"topology": "mano"}"#).unwrap();
     refused(label(&other, &folder.path().join("y.zarr"), &[]), "topology mismatch");
     assert!(!folder.path().join(".y.zarr.unfinished").exists());
-    // A store that has labels, or truth, keeps them: new ones get other names.
+    // A store with labels or truth keeps them: the new labels get other names.
     succeeds(&label(&input, &out, &[]));
     let again = folder.path().join("again.zarr");
     succeeds(&label(&out, &again, &["--precision", "int8"]));
@@ -190,7 +190,7 @@ fn what_is_there_is_never_overwritten() {
 /// Needs the Python environment of `make setup`.
 #[cfg(feature = "sim")]
 #[test]
-fn zarr_python_reads_labels_and_the_original() {
+fn zarr_python_reads_labels_and_original_data() {
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (unpacked("task.zarr.zip", &folder.path().join("in")), folder.path().join("out.zarr"));
     succeeds(&label(&input, &out, &[]));
@@ -241,7 +241,7 @@ fn a_damaged_file_of_a_zip_is_listed_and_left_out() {
     let lost = &done["summary"]["lost"];
     assert_eq!((&lost[0]["offset"], &lost[0]["bytes"]), (&offset.into(), &bytes.into()), "{lost}");
     assert!(lost[0]["file"].as_str().unwrap().ends_with("data/right_hand_joints/0.0") && lost[1].is_null());
-    // All else is there, labels included.
+    // Everything else is complete, labels included.
     let (left, whole) = (files(&out), files(&unpacked("task.zarr.zip", &folder.path().join("whole"))));
     let missing: Vec<&PathBuf> = whole.keys().filter(|path| !left.contains_key(*path)).collect();
     assert_eq!(missing, [Path::new("data/right_hand_joints/0.0")]);
@@ -250,7 +250,7 @@ fn a_damaged_file_of_a_zip_is_listed_and_left_out() {
 }
 
 #[test]
-fn a_foreign_store_is_described_with_its_unit_of_time_and_without_forces_it_lacks() {
+fn data_info_states_the_time_unit_of_a_foreign_store_and_invents_no_forces() {
     let told = egotac(&["data", "info", &format!("{DATA}/task.zarr.zip"), "--json"]);
     let info: Value = serde_json::from_slice(&told.stdout).unwrap();
     assert_eq!((&info["time_unit_secs"], &info["max_force"]), (&0.001.into(), &Value::Null), "{info}");

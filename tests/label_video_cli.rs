@@ -1,4 +1,4 @@
-//! `egotac label` on videos and folders of images; other kinds of output; comparisons and descriptions of what comes out.
+//! `egotac label` and `egotac predict` on videos and folders of images; other output formats; `egotac data` on the outputs.
 
 use std::fs;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 
 use egotac::dataset::EpisodeReader;
 use egotac::dataset::tensors;
-use egotac::dataset::video::{Frames, damage, probe};
+use egotac::dataset::video::{VideoFrames, damage, probe};
 use egotac::dataset::zarr::ZarrReader;
 use egotac::model::predictor::{Options, Predictor};
 use egotac::model::shipped;
@@ -27,7 +27,7 @@ fn picture(index: u32) -> RgbImage {
     RgbImage::from_fn(64, 48, |x, y| Rgb([(4 * x) as u8, (5 * y) as u8, (20 * index) as u8]))
 }
 
-/// Images 0..n in a folder, frame_0.png and so on.
+/// Writes images 0..n into a folder: frame_0.png and so on.
 fn images(folder: &Path, n: u32) {
     fs::create_dir(folder).unwrap();
     for index in 0..n {
@@ -35,7 +35,7 @@ fn images(folder: &Path, n: u32) {
     }
 }
 
-/// A video of these images whose frames are shown at `stamps` seconds: an uneven rate.
+/// Encodes a folder of images as a video of 10 frames per second; `more` are further options of ffmpeg.
 fn video(images: &Path, out: &Path, more: &[&str]) {
     let mut command = Command::new("ffmpeg");
     command.args(["-v", "error", "-y", "-framerate", "10", "-i"]).arg(images.join("frame_%d.png"));
@@ -50,13 +50,13 @@ fn predictions(stamped: impl IntoIterator<Item = (f64, RgbImage)>) -> Vec<egotac
 }
 
 #[test]
-fn a_video_gives_its_frames_once_and_with_their_times() {
+fn every_frame_of_a_video_is_read_once_with_its_time() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     images(&at("in"), 12);
-    // Lossless, so that decoded pixels are known; B-frames are stored in another order than they are shown.
+    // Lossless, so that the decoded pixels are known.
     video(&at("in"), &at("plain.mkv"), &["-c:v", "ffv1", "-pix_fmt", "bgr0"]);
-    let frames: Vec<(f64, RgbImage)> = Frames::open(&at("plain.mkv"), None).unwrap().map(Result::unwrap).collect();
+    let frames: Vec<(f64, RgbImage)> = VideoFrames::open(&at("plain.mkv"), None).unwrap().map(Result::unwrap).collect();
     assert_eq!(frames.len(), 12);
     for (index, (stamp, image)) in frames.iter().enumerate() {
         assert!((stamp - 0.1 * index as f64).abs() < 1e-3, "{index}: {stamp}");
@@ -65,11 +65,12 @@ fn a_video_gives_its_frames_once_and_with_their_times() {
     // Frames 3 to 5 are dropped: the others keep their times, and none is repeated to fill the gap.
     let uneven = ["-vf", "select=not(between(n\\,3\\,5))", "-vsync", "vfr", "-c:v", "ffv1", "-pix_fmt", "bgr0"];
     video(&at("in"), &at("uneven.mkv"), &uneven);
-    let stamps: Vec<f64> = Frames::open(&at("uneven.mkv"), None).unwrap().map(|frame| frame.unwrap().0).collect();
+    let stamps: Vec<f64> = VideoFrames::open(&at("uneven.mkv"), None).unwrap().map(|frame| frame.unwrap().0).collect();
     let expected = [0.0, 0.1, 0.2, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1];
     assert!(stamps.len() == 9 && stamps.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-3), "{stamps:?}");
-    // From a time on.
-    let late: Vec<f64> = Frames::open(&at("plain.mkv"), Some(0.65)).unwrap().map(|frame| frame.unwrap().0).collect();
+    // Seeking: frames from a time on.
+    let late: Vec<f64> =
+        VideoFrames::open(&at("plain.mkv"), Some(0.65)).unwrap().map(|frame| frame.unwrap().0).collect();
     assert!(late.len() == 5 && (late[0] - 0.7).abs() < 1e-3, "{late:?}");
     assert_eq!(probe(&at("plain.mkv")).unwrap().size, (64, 48));
     assert_eq!(damage(&at("plain.mkv"), 12).unwrap(), None);
@@ -97,11 +98,11 @@ fn a_video_becomes_a_store_with_labels() {
 }
 
 #[test]
-fn a_video_whose_end_is_missing_is_labelled_as_far_as_it_goes() {
+fn a_truncated_video_is_labelled_up_to_its_end() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     images(&at("in"), 40);
-    // With the index in front, which promises all frames.
+    // The index lies in front and still lists all frames.
     video(&at("in"), &at("whole.mp4"), &["-c:v", "mjpeg", "-movflags", "faststart"]);
     let bytes = fs::read(at("whole.mp4")).unwrap();
     fs::write(at("cut.mp4"), &bytes[..bytes.len() * 6 / 10]).unwrap();
@@ -115,7 +116,7 @@ fn a_video_whose_end_is_missing_is_labelled_as_far_as_it_goes() {
 }
 
 #[test]
-fn images_go_to_every_kind_of_output_with_the_same_labels() {
+fn labels_are_the_same_in_every_output_format() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
     images(Path::new(&at("in")), 12);
@@ -137,11 +138,36 @@ fn images_go_to_every_kind_of_output_with_the_same_labels() {
     for (frame, expected) in (0..12).filter(|i| *i != 7).zip(&expected) {
         assert_eq!(tensors.force[frame * 1556..(frame + 1) * 1556], expected.force);
     }
-    // An image more at one side: frames pair by time.
+    // With unequal numbers of frames, frames pair by time.
     fs::remove_file(format!("{}/frame_11.png", at("in"))).unwrap();
     json(&["label", &at("in"), "--out", &at("d.zarr"), "--fps", "20", "--json", "-"], 3);
     let diff = json(&["data", "diff", &at("d.zarr"), &at("c"), "--json"], 0);
     assert_eq!((&diff["unmatched"]["b"], &diff["mae"]), (&1.into(), &0.0.into()));
+}
+
+#[test]
+fn a_folder_is_predicted_in_the_order_of_its_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
+    fs::create_dir(at("in")).unwrap();
+    for index in 1..=12 {
+        picture(index).save(format!("{}/frame_{index}.png", at("in"))).unwrap();
+    }
+    let output = egotac(&["predict", "--data", &at("in"), "--fps", "25", "--out", &at("fields")]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(String::from_utf8(output.stdout).unwrap(), format!("{}: 12 frames\n", at("fields")));
+    let fields = tensors::read(Path::new(&at("fields"))).unwrap();
+    let expected = predictions((0..12).map(|index| (f64::from(index) / 25.0, picture(index + 1))));
+    for (frame, expected) in expected.iter().enumerate() {
+        assert_eq!(fields.field(frame).unwrap(), *expected, "frame_{}", frame + 1);
+    }
+    // The same arrays as those of `label`; an image that can't be read is an error that names it.
+    json(&["label", &at("in"), "--out", &at("labels"), "--to", "tensors", "--fps", "25", "--json", "-"], 0);
+    assert_eq!(tensors::read(Path::new(&at("labels"))).unwrap(), fields);
+    fs::write(format!("{}/frame_7.png", at("in")), b"not an image").unwrap();
+    let output = egotac(&["predict", "--data", &at("in"), "--out", &at("fields")]);
+    assert!(!output.status.success() && String::from_utf8_lossy(&output.stderr).contains("frame_7.png"));
+    assert_eq!(tensors::read(Path::new(&at("fields"))).unwrap(), fields, "the earlier file stays");
 }
 
 #[test]
@@ -166,7 +192,7 @@ fn a_folder_of_recordings_is_labelled_one_by_one() {
 }
 
 #[test]
-fn one_recording_that_cannot_be_read_does_not_stop_the_others() {
+fn an_unreadable_recording_does_not_stop_the_others() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     fs::create_dir(at("all")).unwrap();
@@ -202,7 +228,7 @@ fn one_recording_that_cannot_be_read_does_not_stop_the_others() {
 }
 
 #[test]
-fn a_reader_that_goes_away_ends_the_command_without_a_word() {
+fn a_closed_pipe_ends_the_command_without_an_error_text() {
     let mut child = Command::new(env!("CARGO_BIN_EXE_egotac"))
         .args(["data", "info", "tests/data/bag/table"])
         .stdout(std::process::Stdio::piped())

@@ -1,4 +1,4 @@
-//! Bags that others can read: what is written comes back, byte for byte, by the Python package rosbags as well.
+//! Written bags read back byte for byte, by the Python package rosbags as well.
 
 use std::path::Path;
 
@@ -26,7 +26,7 @@ fn write_bag(folder: &Path) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn what_is_written_comes_back() {
+fn written_messages_read_back() {
     let temp = tempfile::tempdir().unwrap();
     let folder = temp.path().join("run");
     let payloads = write_bag(&folder);
@@ -42,14 +42,14 @@ fn what_is_written_comes_back() {
 }
 
 #[test]
-fn an_existing_folder_is_left_alone() {
+fn an_existing_folder_is_refused_and_stays() {
     let temp = tempfile::tempdir().unwrap();
     let error = BagWriter::create(temp.path()).unwrap_err().to_string();
     assert!(error.contains("does not exist yet"), "{error}");
 }
 
 #[test]
-fn an_unfinished_bag_does_not_bear_its_name() {
+fn an_unfinished_bag_has_another_name() {
     let temp = tempfile::tempdir().unwrap();
     let folder = temp.path().join("run");
     drop(BagWriter::create(&folder).unwrap());
@@ -66,7 +66,7 @@ fn an_unknown_topic_is_named_with_the_known_ones() {
 }
 
 #[test]
-fn a_latched_topic_says_so_to_who_plays_it_back() {
+fn a_latched_topic_states_its_qos() {
     let temp = tempfile::tempdir().unwrap();
     let folder = temp.path().join("run");
     let mut writer = BagWriter::create(&folder).unwrap();

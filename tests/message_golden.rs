@@ -1,4 +1,4 @@
-//! Messages are byte for byte what ROS 2 serialises: `tests/data/message/*.cdr` come from rclpy (`make_golden.py`).
+//! Messages serialise to the same bytes as in ROS 2: rclpy wrote `tests/data/message/*.cdr` (`make_golden.py`).
 
 use std::fmt::Debug;
 use std::path::Path;
@@ -38,7 +38,7 @@ fn frame() -> TactileFrame {
     }
 }
 
-/// Bytes equal both ways: what we write is what ROS writes, and what ROS writes we read and write again unchanged.
+/// Checks that we write the same bytes as ROS, and that the bytes of ROS read back to the same message.
 fn agrees<M: Message + Debug>(name: &str, message: &M) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/message").join(format!("{name}.cdr"));
     let golden = std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
@@ -47,12 +47,12 @@ fn agrees<M: Message + Debug>(name: &str, message: &M) {
     assert_eq!(differs, None, "{name}: first different byte");
     assert_eq!(golden.len(), written.len(), "{name}: length");
     let read = M::from_cdr(&golden).unwrap();
-    // Debug text, because NaN equals NaN there.
+    // Compare debug text, in which NaN equals NaN.
     assert_eq!(format!("{read:?}"), format!("{message:?}"), "{name}");
 }
 
 #[test]
-fn own_messages_are_what_ros_serialises() {
+fn own_messages_have_the_bytes_of_ros() {
     agrees("tactile_frame", &frame());
     agrees(
         "tactile_frame_empty",
@@ -135,7 +135,7 @@ fn own_messages_are_what_ros_serialises() {
 }
 
 #[test]
-fn messages_of_robots_are_what_ros_serialises() {
+fn robot_messages_have_the_bytes_of_ros() {
     let thumb = LinkTouch {
         link: "thumb_distal".into(),
         normal_force: 2.0,
@@ -197,7 +197,7 @@ fn messages_of_robots_are_what_ros_serialises() {
 }
 
 #[test]
-fn camera_messages_are_what_ros_serialises() {
+fn camera_messages_have_the_bytes_of_ros() {
     agrees(
         "image",
         &Image {
@@ -247,7 +247,7 @@ fn camera_messages_are_what_ros_serialises() {
 }
 
 #[test]
-fn node_messages_are_what_ros_serialises() {
+fn node_messages_have_the_bytes_of_ros() {
     agrees("clock", &Clock { clock: Time { sec: 12, nanosec: 40_000_000 } });
     agrees(
         "log",
@@ -271,7 +271,7 @@ fn node_messages_are_what_ros_serialises() {
     agrees("diagnostic_array", &DiagnosticArray { header: header(""), status: vec![status] });
 }
 
-/// A `.msg` file's fields without comments, constants and alignment.
+/// Returns the fields of a `.msg` file without comments, constants and alignment.
 fn fields_of(definition: &str) -> String {
     let lines = definition.lines().map(|line| line.split('#').next().unwrap_or_default());
     let fields = lines.filter(|line| !line.contains('=') || line.contains("<=")).map(str::split_whitespace);
@@ -280,7 +280,7 @@ fn fields_of(definition: &str) -> String {
 
 #[test]
 fn structs_have_the_fields_of_their_msg_files() {
-    // Types of the own package are written without it in its files.
+    // The files name types of their own package without the package.
     let check = |definition: String, fields: String| {
         assert_eq!(fields_of(&definition).replace("egotac_msgs/", ""), fields.replace("egotac_msgs/", ""));
     };
@@ -296,7 +296,7 @@ fn structs_have_the_fields_of_their_msg_files() {
 }
 
 #[test]
-fn a_schema_holds_each_type_it_needs_once() {
+fn a_schema_holds_each_type_once() {
     let schema = TactileTruth::schema();
     let sections: Vec<_> = schema.split(&"=".repeat(80)).collect();
     assert!(sections[0].contains("TactileFrame frame"));

@@ -1,4 +1,4 @@
-//! Whatever bytes come, reading a message gives the message or an error that names the field.
+//! Reading any bytes gives a message or an error that names the field.
 
 use egotac::hand::{HandModel, HandParams, N_VERTICES, Side};
 use egotac::message::*;
@@ -59,13 +59,13 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn what_is_written_reads_back(frame in frame(), image in image()) {
+    fn written_messages_read_back(frame in frame(), image in image()) {
         prop_assert_eq!(TactileFrame::from_cdr(&frame.to_cdr()).unwrap(), frame);
         prop_assert_eq!(Image::from_cdr(&image.to_cdr()).unwrap(), image);
     }
 
     #[test]
-    fn a_cut_payload_is_refused_with_the_field(frame in frame(), share in 0.0..1f64) {
+    fn a_truncated_payload_is_refused_with_the_field(frame in frame(), share in 0.0..1f64) {
         let payload = frame.to_cdr();
         let cut = (payload.len() as f64 * share) as usize;
         let error = TactileFrame::from_cdr(&payload[..cut]).unwrap_err().to_string();
@@ -109,7 +109,7 @@ proptest! {
     }
 
     #[test]
-    fn a_field_survives_the_message(force in prop::collection::vec(0.0..20f32, 2 * N_VERTICES)) {
+    fn a_field_reads_back_from_its_message(force in prop::collection::vec(0.0..20f32, 2 * N_VERTICES)) {
         let field = TactileField::from_force(Topology::EgotacHand1, force).unwrap();
         let frame = TactileFrame::from_field(Header::default(), &field).unwrap();
         prop_assert_eq!((frame.hands[0].side, frame.hands[1].side), (HandTactile::LEFT, HandTactile::RIGHT));
@@ -128,7 +128,7 @@ fn an_error_names_field_and_item() {
     let mut frame = two_hands();
     frame.header.frame_id = "cam".into();
     let payload = frame.to_cdr();
-    // 4 encapsulation, 8 stamp, 4 + 4 frame_id, 4 count; the first hand starts there.
+    // The first hand starts after 4 bytes of encapsulation, 8 of stamp, 4 + 4 of frame_id and 4 of count.
     let cut = TactileFrame::from_cdr(&payload[..24 + 6244]).unwrap_err().to_string();
     assert!(cut.starts_with("egotac_msgs/msg/TactileFrame.hands[1]."), "{cut}");
 }
@@ -142,7 +142,7 @@ fn a_third_hand_is_refused() {
 }
 
 #[test]
-fn a_made_up_length_is_refused_before_memory_is_taken() {
+fn a_corrupt_length_is_refused_before_allocation() {
     let image = Image::from_rgb(Header::default(), &image::RgbImage::new(2, 2));
     let mut payload = image.to_cdr();
     let at = payload.len() - 12 - 4;
@@ -152,7 +152,7 @@ fn a_made_up_length_is_refused_before_memory_is_taken() {
 }
 
 #[test]
-fn bytes_after_the_message_are_refused_beyond_padding() {
+fn bytes_after_the_message_beyond_padding_are_refused() {
     let mut payload = Clock { clock: Time::default() }.to_cdr();
     payload.extend([0; 3]);
     assert!(Clock::from_cdr(&payload).is_ok());
@@ -169,7 +169,7 @@ fn another_encapsulation_is_refused() {
 }
 
 #[test]
-fn a_field_that_is_no_touch_is_refused() {
+fn invalid_force_and_contact_are_refused() {
     let refused = |change: &dyn Fn(&mut TactileFrame), expected: &str| {
         let mut frame = two_hands();
         change(&mut frame);
@@ -194,7 +194,7 @@ fn a_missing_hand_is_zero_and_an_unknown_force_stays_unknown() {
 }
 
 #[test]
-fn every_guard_survives_the_message() {
+fn every_validity_reads_back_from_its_message() {
     for validity in Validity::ALL {
         let truth = TactileTruth::new(two_hands(), validity);
         let back = TactileTruth::from_cdr(&truth.to_cdr()).unwrap();
@@ -204,7 +204,7 @@ fn every_guard_survives_the_message() {
 }
 
 #[test]
-fn a_pose_survives_the_message() {
+fn a_pose_reads_back_from_its_message() {
     let model = HandModel::builtin(Side::Left);
     let mut params = HandParams {
         global_orient: Vec3::new(0.3, -1.2, 0.7),
@@ -215,7 +215,7 @@ fn a_pose_survives_the_message() {
     params.hand_pose[14] = Vec3::new(0.0, 0.4, 0.1);
     let pose = HandPose::from_params(Header::default(), &model, &params);
 
-    // The wrist of the message is where the model's forward pass puts it.
+    // The message's wrist is the wrist joint of the model's forward pass.
     let posed = model.forward(&params);
     let Point { x, y, z } = pose.wrist.position;
     assert!((Vec3::new(x as f32, y as f32, z as f32) - posed.joints[0]).length() < 1e-6);

@@ -1,7 +1,9 @@
-//! Scores agree with scikit-learn, scipy and numpy, and are defined or undefined where they degenerate.
+//! Metrics: agreement with scikit-learn, scipy and numpy, and undefined scores of degenerate input.
 
 use egotac::hand::{N_VERTICES, Topology};
-use egotac::score::metrics::{Calibration, EvalOptions, FrameScore, Report, Scores, evaluate, summarize, table};
+use egotac::score::metrics::{
+    Calibration, ContactScores, EvalOptions, FrameScore, Metrics, evaluate, summarize, table,
+};
 use egotac::tactile::{N_FIELD, TactileSequence};
 use serde_json::Value;
 
@@ -79,7 +81,7 @@ fn frame_scores_sum_up_to_the_whole() {
     let sum = summarize(&frames);
     assert_eq!((sum.mae, sum.active_mae, sum.temporal_pearson), (whole.mae, whole.active_mae, whole.temporal_pearson));
     assert_eq!(sum.frame_mean, whole.frame_mean);
-    assert_eq!(sum.pooled, Scores { auroc: None, ..whole.pooled });
+    assert_eq!(sum.pooled, ContactScores { auroc: None, ..whole.pooled });
     assert_eq!(sum.counts, whole.counts);
 }
 
@@ -87,7 +89,7 @@ fn constant(n_frames: usize, force: f32) -> TactileSequence {
     TactileSequence::from_force(None, vec![force; n_frames * N_FIELD])
 }
 
-fn report(pred: &TactileSequence, target: &TactileSequence) -> Report {
+fn report(pred: &TactileSequence, target: &TactileSequence) -> Metrics {
     evaluate(pred, target, &EvalOptions { fps: Some(25.0), calibration: None }).unwrap()
 }
 
@@ -95,13 +97,13 @@ fn report(pred: &TactileSequence, target: &TactileSequence) -> Report {
 fn truth_without_contact_leaves_contact_scores_undefined() {
     let report = report(&constant(4, 0.0), &constant(4, 0.0));
     assert_eq!((report.mae, report.active_mae), (Some(0.0), None));
-    assert_eq!((report.frame_mean, report.pooled), (Scores::default(), Scores::default()));
+    assert_eq!((report.frame_mean, report.pooled), (ContactScores::default(), ContactScores::default()));
     assert_eq!(report.counts.frames_without_positives, 4);
     assert_eq!((report.force_cosine, report.rise_f1, report.dft_pearson), (None, None, None));
 }
 
 #[test]
-fn constant_traces_have_no_rhythm_and_no_correlation() {
+fn constant_traces_have_no_spectrum_and_no_correlation() {
     let (pred, ..) = fields();
     let report = report(&constant(T, 0.1), &pred);
     assert_eq!((report.temporal_pearson, report.dft_pearson), (None, None));
@@ -131,7 +133,7 @@ fn masked_and_unknown_truth_does_not_count() {
     let masked = TactileSequence { mask_force: none.clone(), mask_contact: none, ..target.clone() };
     let options = EvalOptions::default();
     let nothing = evaluate(&pred, &masked, &options).unwrap();
-    assert_eq!((nothing.mae, nothing.pooled, nothing.counts.force_entries), (None, Scores::default(), 0));
+    assert_eq!((nothing.mae, nothing.pooled, nothing.counts.force_entries), (None, ContactScores::default(), 0));
     // The left hand unknown in truth scores as if it were masked out.
     let left = |index: usize| index % N_FIELD < N_VERTICES;
     let mask: Vec<u8> = (0..T * N_FIELD).map(|index| u8::from(!left(index))).collect();
@@ -150,7 +152,7 @@ fn masked_and_unknown_truth_does_not_count() {
 }
 
 #[test]
-fn an_unknown_prediction_makes_its_scores_undefined_instead_of_better() {
+fn an_unknown_prediction_makes_its_scores_undefined() {
     let (mut pred, target, ..) = fields();
     pred.force[5] = f32::NAN;
     let report = report(&pred, &target);
@@ -160,7 +162,7 @@ fn an_unknown_prediction_makes_its_scores_undefined_instead_of_better() {
 }
 
 #[test]
-fn lengths_and_episodes_that_do_not_fit_are_refused() {
+fn mismatched_lengths_episodes_and_topologies_are_refused() {
     let (pred, target, ..) = fields();
     let refused = |pred: &TactileSequence, target: &TactileSequence, word: &str| {
         let error = evaluate(pred, target, &EvalOptions::default()).unwrap_err().to_string();

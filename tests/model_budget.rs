@@ -1,4 +1,4 @@
-//! A latency budget takes the best network that keeps it, and says which and why.
+//! A latency budget chooses the best network that meets it, and reports which and why.
 
 use std::path::{Path, PathBuf};
 
@@ -16,7 +16,7 @@ fn save(folder: &Path, name: &str, config: &Config) -> PathBuf {
 }
 
 #[test]
-fn a_generous_budget_takes_the_largest_network_in_f32() {
+fn a_generous_budget_chooses_the_largest_network_in_f32() {
     let folder = tempfile::tempdir().unwrap();
     let small = save(folder.path(), "a.safetensors", &Config::toy());
     let large = save(folder.path(), "b.safetensors", &Config::pocket());
@@ -32,7 +32,7 @@ fn a_generous_budget_takes_the_largest_network_in_f32() {
 }
 
 #[test]
-fn a_budget_that_nothing_keeps_takes_the_fastest_and_says_so() {
+fn a_budget_that_nothing_meets_chooses_the_fastest_and_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let paths = ["a.safetensors", "b.safetensors"]
         .map(|name| save(folder.path(), name, &if name.starts_with('a') { Config::toy() } else { Config::pocket() }));
@@ -46,7 +46,7 @@ fn a_budget_that_nothing_keeps_takes_the_fastest_and_says_so() {
 }
 
 #[test]
-fn what_is_no_folder_of_checkpoints_is_an_error() {
+fn a_folder_without_checkpoints_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     assert!(budget::candidates(folder.path()).unwrap_err().to_string().contains("has no *.safetensors"));
     let absent = folder.path().join("absent.safetensors");

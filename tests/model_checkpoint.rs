@@ -1,4 +1,4 @@
-//! A checkpoint says everything about itself, comes back as it was saved, and fits exactly or is refused.
+//! A checkpoint holds all its metadata, is restored exactly, and is refused if a tensor does not fit.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -38,7 +38,7 @@ fn rewrite(like: &Path, to: &Path, change: impl FnOnce(&mut HashMap<String, Tens
 }
 
 #[test]
-fn a_saved_network_comes_back_bit_by_bit() {
+fn a_saved_network_is_restored_bit_by_bit() {
     let folder = tempfile::tempdir().unwrap();
     let (first, second) = (folder.path().join("a.safetensors"), folder.path().join("b.safetensors"));
     let config = Config::toy();
@@ -155,7 +155,7 @@ fn a_file_that_is_not_safetensors_is_refused() {
 }
 
 #[test]
-fn a_new_network_starts_at_the_size_it_is_meant_to() {
+fn initial_parameters_have_the_documented_distributions() {
     let (model, vars) = network(&Config::pocket(), 5);
     let images = Tensor::randn(0f32, 1.0, (2, 3, 3, 112, 112), &Device::Cpu).unwrap();
     let (force, _) = model.forward(&images).unwrap();
@@ -177,7 +177,7 @@ fn a_new_network_starts_at_the_size_it_is_meant_to() {
 }
 
 #[test]
-fn an_encoder_alone_is_taken_into_another_network() {
+fn an_encoder_alone_is_loaded_into_another_network() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("other.safetensors");
     let (from, to) = (Config { horizon: 1, depth: 1, ..Config::toy() }, Config { width: 48, ..Config::toy() });

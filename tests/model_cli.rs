@@ -1,4 +1,4 @@
-//! The commands of the network, as a user runs them.
+//! The commands of `egotac model` and `egotac bench model`, run as programs.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -24,88 +24,6 @@ fn refused(arguments: &[&str], folder: &Path) -> String {
 
 fn data(file: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/model").join(file)
-}
-
-#[test]
-fn bench_prints_one_configuration_as_json() {
-    let folder = tempfile::tempdir().unwrap();
-    for precision in ["f32", "bf16", "int8"] {
-        let text = good(
-            &["bench", "model", "--preset", "toy", "--threads", "1", "--precision", precision, "--runs", "3", "--json"],
-            folder.path(),
-        );
-        let row: Value = serde_json::from_str(&text).unwrap();
-        for key in ["streaming_ms", "clip_ms", "encoder_ms", "picture_ms", "peak_memory_mb", "weights_mb"] {
-            assert!(row[key].as_f64().unwrap() > 0.0, "{key} in {text}");
-        }
-        assert_eq!((row["precision"].as_str(), row["preset"].as_str()), (Some(precision), Some("toy")));
-        for times in ["encoder", "streaming", "clip", "picture"] {
-            let [min, p50, p95] = ["min", "p50", "p95"].map(|key| row[times][key].as_f64().unwrap());
-            assert!(0.0 < min && min <= p50 && p50 <= p95, "{times} in {text}");
-        }
-    }
-}
-
-#[test]
-fn bench_writes_table_json_and_plot() {
-    let folder = tempfile::tempdir().unwrap();
-    let peer = r#"#!/bin/sh
-echo '{"encoder_ms": 1000, "streaming_ms": 2000, "clip_ms": 4000, "openvino_encoder_ms": 500}'
-"#;
-    std::fs::write(folder.path().join("peer.sh"), peer).unwrap();
-    let text = good(
-        &[
-            "bench",
-            "model",
-            "--preset",
-            "toy",
-            "--horizon",
-            "1,3",
-            "--precision",
-            "f32,int8",
-            "--threads",
-            "1",
-            "--runs",
-            "2",
-            "--peer",
-            "sh peer.sh",
-            "--rounds",
-            "2",
-            "--out",
-            "out",
-        ],
-        folder.path(),
-    );
-    for file in ["model.md", "model.json", "model.png", "model.svg"] {
-        assert!(folder.path().join("out").join(file).is_file(), "{file}");
-    }
-    let report: Value = serde_json::from_slice(&std::fs::read(folder.path().join("out/model.json")).unwrap()).unwrap();
-    assert_eq!(report["rows"].as_array().unwrap().len(), 4);
-    assert_eq!(report["rounds"][0]["peer"].as_array().unwrap().len(), 2);
-    assert_eq!(std::fs::read_to_string(folder.path().join("out/model.md")).unwrap(), text);
-    assert!(text.contains("egotac bench model --preset toy --horizon 1,3 --precision f32,int8"), "{text}");
-    assert!(text.contains("| toy | OpenVINO | 500.0 |") && text.contains("| — | — |"), "{text}");
-}
-
-#[test]
-fn a_stream_of_the_toy_network_keeps_its_memory() {
-    let folder = tempfile::tempdir().unwrap();
-    let text =
-        good(&["bench", "model", "--preset", "toy", "--threads", "1", "--growth", "3000", "--json"], folder.path());
-    let growth: Value = serde_json::from_str(&text).unwrap();
-    assert_eq!(growth["frames"], 3000);
-    assert!(growth["end_mb"].as_f64().unwrap() - growth["warm_mb"].as_f64().unwrap() < 8.0, "{text}");
-}
-
-#[test]
-fn bench_says_what_is_wrong() {
-    let folder = tempfile::tempdir().unwrap();
-    let bench = |more: &[&str]| refused(&[&["bench", "model"], more].concat(), folder.path());
-    assert!(bench(&["--preset", "huge"]).contains("known: toy, pocket, tiny, small, base"));
-    assert!(bench(&["--precision", "int4"]).contains("f32, bf16, int8"));
-    assert!(bench(&["--preset", "toy,tiny"]).contains("several values need --out"));
-    assert!(bench(&["--preset", "toy", "--image", "57"]).contains("config.image"));
-    assert!(bench(&["--preset", "toy", "--threads", "0"]).contains("1 to 1024"));
 }
 
 #[test]
@@ -139,27 +57,29 @@ fn attention_is_drawn_for_layers_and_the_temporal_token() {
 }
 
 #[test]
-fn import_and_start_write_checkpoints_that_load() {
+fn import_and_init_write_checkpoints_that_load() {
     let folder = tempfile::tempdir().unwrap();
-    let hub = data("hub_registers.safetensors");
-    let start = [
+    let published = data("pretrained_registers.safetensors");
+    let init = [
         "model",
-        "start",
+        "init",
         "--encoder",
-        hub.to_str().unwrap(),
+        published.to_str().unwrap(),
         "--image",
         "56",
         "--depth",
         "1",
         "--out",
-        "start.safetensors",
+        "init.safetensors",
     ];
-    good(&start, folder.path());
+    good(&init, folder.path());
+    // The name of the command in earlier versions.
+    good(&init.map(|argument| if argument == "init" { "start" } else { argument }), folder.path());
     let info: Value =
-        serde_json::from_str(&good(&["model", "info", "start.safetensors", "--json"], folder.path())).unwrap();
+        serde_json::from_str(&good(&["model", "info", "init.safetensors", "--json"], folder.path())).unwrap();
     assert_eq!((&info["config"]["registers"], &info["metadata"]["resize"]), (&4.into(), &"centre".into()));
     let import =
-        ["model", "import", "--weights", "start.safetensors", "--mapping", "table.yaml", "--out", "again.safetensors"];
+        ["model", "import", "--weights", "init.safetensors", "--mapping", "table.yaml", "--out", "again.safetensors"];
     let table = format!("config: {}\nsidecar: {{ name: n, topology: mano, fps: 25 }}\nsame: true\n", info["config"]);
     std::fs::write(folder.path().join("table.yaml"), table).unwrap();
     good(&import, folder.path());

@@ -1,11 +1,11 @@
-//! The network compiled for the CPU is the network: in f32 to rounding, in bf16 and int8 to what these cost.
+//! The compiled network gives the output of the trainable form: in f32 up to rounding, in bf16 and int8 up to theirs.
 
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
 use egotac::model::{Config, EgoTac, Precision, init};
 use proptest::prelude::*;
 
-/// A network no parameter of which is at its zero start.
+/// A network with no parameter at its initial value of zero.
 fn network(config: &Config, seed: u64) -> EgoTac {
     let vars = VarMap::new();
     let model = EgoTac::new(config, init::var_builder(&vars, seed, &Device::Cpu)).unwrap();
@@ -49,7 +49,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn any_geometry_gives_what_the_layers_give(
+    fn the_compiled_network_agrees_with_the_layers_for_any_geometry(
         (vision_heads, vision_size, vision_depth) in (1usize..4, 1usize..20, 1usize..3),
         (heads, size, depth) in (1usize..4, 1usize..20, 1usize..3),
         (patch, grid, learned) in (2usize..6, 1usize..6, 1usize..5),
@@ -61,14 +61,14 @@ proptest! {
             image: patch * grid, patch, pretrain_image: patch * learned, horizon, predict, registers,
         };
         for (stage, error) in errors(&config, seed, batch, Precision::F32).into_iter().enumerate() {
-            // Two values in a row leave a layer norm little but signs: rounding there is not small.
+            // A layer norm of a few values amplifies rounding.
             prop_assert!(error < if config.vision_width.min(config.width) < 8 { 1e-2 } else { 1e-4 }, "stage {stage}: {error:e} {config:?}");
         }
     }
 }
 
 #[test]
-fn eight_bits_and_bf16_cost_what_they_may() {
+fn errors_of_bf16_and_int8_stay_below_their_limits() {
     for (precision, most) in [(Precision::F32, 5e-6), (Precision::Bf16, 2e-2), (Precision::Int8, 6e-2)] {
         for config in [Config::toy(), Config::pocket()] {
             let errors = errors(&config, 4, 2, precision);
@@ -81,8 +81,8 @@ fn eight_bits_and_bf16_cost_what_they_may() {
 }
 
 #[test]
-fn drift_of_bf16_and_int8_grows_slowly_with_each_layer() {
-    // A variable depends on seed and name alone, so a deeper network begins with the shallower one's layers.
+fn errors_of_bf16_and_int8_grow_as_the_root_of_the_layers() {
+    // A variable depends on seed and name alone, so a deeper network has the layers of the shallower one and more.
     for (precision, per_layer) in [(Precision::Bf16, 4e-3), (Precision::Int8, 1.5e-2)] {
         for vision_depth in 1..=8 {
             let config = Config { vision_depth, depth: 1, ..Config::pocket() };
@@ -94,12 +94,12 @@ fn drift_of_bf16_and_int8_grows_slowly_with_each_layer() {
 }
 
 #[test]
-fn weights_take_the_memory_their_precision_says() {
+fn compiled_weights_take_the_bytes_of_their_precision() {
     let bytes = |precision| network(&Config::tiny(), 0).compile(precision).unwrap().compiled_bytes().unwrap() as f64;
     let f32 = bytes(Precision::F32);
     assert!((bytes(Precision::Bf16) / f32 - 0.5).abs() < 0.08, "bf16 takes {} of f32", bytes(Precision::Bf16) / f32);
     assert!(bytes(Precision::Int8) / f32 < 0.4, "int8 takes {} of f32", bytes(Precision::Int8) / f32);
-    // 8.7 M parameters; the position embeddings of 37² places shrink to 16², query and key projections fall away.
+    // 8.7 M parameters, less the position embeddings of 37² - 16² patches and projections of unused queries and keys.
     assert!((26e6..35e6).contains(&f32), "{f32}");
 }
 

@@ -1,4 +1,4 @@
-//! A grown network is at first the network it was grown from, and its copies learn apart.
+//! A grown network is the same function as the original, and its copies have uneven weights.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,7 +11,7 @@ use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
 
 type Tensors = BTreeMap<String, Tensor>;
 
-/// A network with every tensor away from its start: AdaLN and LayerScale do something.
+/// A network with every tensor away from its initial value, so that AdaLN and LayerScale have an effect.
 fn trained(config: &Config) -> Tensors {
     let vars = VarMap::new();
     EgoTac::new(config, init::var_builder(&vars, 5, &Device::Cpu)).unwrap();
@@ -31,7 +31,7 @@ fn fields(config: &Config, tensors: &Tensors) -> [Vec<f32>; 2] {
     let values: Vec<f32> =
         (0..2 * 3 * 3 * 56 * 56).map(|i| (i as f32 * 0.37).sin() + (i as f32 * 0.0011).cos()).collect();
     let images = Tensor::from_vec(values, (2, 3, 3, 56, 56), &Device::Cpu).unwrap();
-    let (model, _) = checkpoint::load_layers(&path).unwrap();
+    let (model, _) = checkpoint::load_uncompiled(&path).unwrap();
     let (force, contact) = model.forward(&images).unwrap();
     [force, contact].map(|field| field.flatten_all().unwrap().to_vec1().unwrap())
 }
@@ -58,7 +58,7 @@ fn whole_copies_and_silent_layers_keep_the_function() {
             assert!(error < 2e-5, "{width} wide, {vision_depth} + {depth} layers: {error:e}");
         }
     }
-    // The measure tells networks apart: one copy's weights taken away do not pass.
+    // The measure detects a difference: without the weights of one copy, the function is another.
     let (larger, mut more) = grown(&config, &tensors, 64, 2, 2);
     let halves = more["force_head.weight"].narrow(1, 0, 32).unwrap().pad_with_zeros(1, 0, 32).unwrap();
     more.insert("force_head.weight".into(), halves);
@@ -66,7 +66,7 @@ fn whole_copies_and_silent_layers_keep_the_function() {
 }
 
 #[test]
-fn part_of_the_channels_copied_stays_close() {
+fn copies_of_some_channels_keep_the_function_approximately() {
     let config = Config { width: 128, heads: 8, ..Config::toy() };
     let tensors = trained(&config);
     let want = fields(&config, &tensors);
@@ -78,7 +78,7 @@ fn part_of_the_channels_copied_stays_close() {
 }
 
 #[test]
-fn copies_share_unevenly_by_the_seed() {
+fn copies_divide_weights_unevenly_by_the_seed() {
     let config = Config::toy();
     let tensors = trained(&config);
     let (_, more) = grown(&config, &tensors, 64, 2, 2);
@@ -95,7 +95,7 @@ fn copies_share_unevenly_by_the_seed() {
 }
 
 #[test]
-fn less_than_there_is_or_a_split_head_is_refused() {
+fn smaller_sizes_and_split_heads_are_refused() {
     let config = Config::toy();
     let tensors = trained(&config);
     let refused = |width, vision_depth, depth| {
@@ -115,7 +115,7 @@ fn less_than_there_is_or_a_split_head_is_refused() {
 }
 
 #[test]
-fn half_the_bytes_say_the_same_to_eleven_bits() {
+fn f16_weights_keep_eleven_bits() {
     let folder = tempfile::tempdir().unwrap();
     let [whole, half] = ["whole", "half"].map(|name| folder.path().join(name));
     let (config, metadata) = (Config::toy(), Metadata::new("a", 3.5, 0.04));

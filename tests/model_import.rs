@@ -1,4 +1,4 @@
-//! Another program's checkpoint becomes ours by a table, or each misfit is named.
+//! A table converts another program's checkpoint, or each mismatch is named.
 
 use std::path::{Path, PathBuf};
 
@@ -76,7 +76,7 @@ fn a_pytorch_file_gives_the_outputs_it_was_saved_with() {
     Checkpoint::save_tensors(&path, &config, &metadata, &tensors).unwrap();
     let imported = Checkpoint::load(&path, &Device::Cpu).unwrap();
     assert_eq!(imported.metadata, metadata);
-    // The same network under our own names, and what PyTorch computed with it.
+    // The same network under egotac's names, and the outputs that PyTorch computed with it.
     let ours =
         checkpoint::load_model(&data("other_0_weights.safetensors"), None, &Device::Cpu).unwrap().freeze().unwrap();
     let activations = candle_core::safetensors::load(data("other_0_activations.safetensors"), &Device::Cpu).unwrap();
@@ -96,7 +96,7 @@ fn a_pytorch_file_gives_the_outputs_it_was_saved_with() {
 }
 
 #[test]
-fn what_does_not_fit_is_named() {
+fn tensors_that_do_not_fit_are_named() {
     let fails = |from: &str, to: &str| {
         assert!(table().contains(from));
         let error =
@@ -135,7 +135,7 @@ fn a_table_with_a_mistake_is_refused() {
 }
 
 #[test]
-fn a_pytorch_file_that_would_run_code_runs_none() {
+fn code_in_a_pytorch_file_is_not_executed() {
     use std::io::Write;
     // protocol 2: os.system("touch MARK")
     let folder = tempfile::tempdir().unwrap();

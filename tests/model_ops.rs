@@ -1,13 +1,13 @@
-//! The fused operations are the plain ones, forward and backward, at any shape and size of numbers.
+//! The fused operations agree with the plain ones, forward and backward, for any shape and magnitude.
 
 use candle_core::{DType, Device, Result, Tensor, Var};
-use egotac::model::ops::{self, plain};
+use egotac_kernels::ops::{self, plain};
 use proptest::prelude::*;
 
 /// An operation on f32 tensors in its fused form, and on f64 tensors in its plain one.
 type Operation<'a> = &'a dyn Fn(&[Tensor]) -> Result<Tensor>;
 
-/// Numbers that look random and don't depend on the platform.
+/// Pseudo-random numbers that do not depend on the platform.
 fn numbers(count: usize, seed: u64, scale: f32) -> Vec<f32> {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut uniform = || {
@@ -54,8 +54,8 @@ fn assert_agree(name: &str, inputs: &[Tensor], fused: Operation, plain: Operatio
     assert_agree_above(1e-30, name, inputs, fused, plain, tolerance);
 }
 
-/// As [`assert_agree`], for results that are differences of numbers of about 1: where those cancel, the error is relative
-/// to `least`.
+/// As [`assert_agree`], for results that are differences of numbers of about 1: if these cancel, the error is relative to
+/// `least`.
 fn assert_agree_above(least: f64, name: &str, inputs: &[Tensor], fused: Operation, plain: Operation, tolerance: f64) {
     let exact: Vec<Tensor> = inputs.iter().map(|t| t.to_dtype(DType::F64).unwrap()).collect();
     let (got, want) = (with_gradients(inputs, fused), with_gradients(&exact, plain));
@@ -67,7 +67,7 @@ fn assert_agree_above(least: f64, name: &str, inputs: &[Tensor], fused: Operatio
     }
 }
 
-/// The derivative along a random direction, by central differences of the fused form itself.
+/// Compares the derivative along a random direction with central differences of the fused form.
 fn assert_gradient(name: &str, inputs: &[Tensor], fused: Operation) {
     let all = with_gradients(inputs, fused);
     let directions = tensors(&inputs.iter().map(|t| t.dims().to_vec()).collect::<Vec<_>>(), 555, 1.0);
@@ -102,7 +102,7 @@ fn gelu_plain(t: &[Tensor]) -> Result<Tensor> {
     plain::gelu_linear(&t[0], &t[1], &t[2])
 }
 
-/// Projections as small as a trained network's, so that more than one key has weight.
+/// Scales projections to the size of a trained network's, so that more than one key has weight.
 fn projection(weight: &Tensor) -> Result<Tensor> {
     weight / (weight.dim(1)? as f64).sqrt()
 }
@@ -146,9 +146,9 @@ proptest! {
         (b, n, heads, size) in (1usize..4, 1usize..90, 1usize..4, 1usize..20), k in 1usize..80, seed in 0u64..1000,
     ) {
         let d = heads * size;
-        // A gradient of few numbers may be a sum of hundreds that cancel.
+        // A gradient may be a sum of hundreds of terms that cancel.
         assert_agree_above(1.0, "linear", &tensors(&[vec![b, n, k], vec![d, k], vec![d]], seed, 1.0), &linear, &linear_plain, 3e-5);
-        let wide = d + 7; // of a row of one or two values little but rounding errors is left
+        let wide = d + 7; // normalising one or two values leaves little but rounding errors
         let affine = [vec![b, n, wide], vec![wide], vec![wide]];
         assert_agree_above(0.1, "layer norm", &tensors(&affine, seed, 1.0), &norm, &norm_plain, 3e-4);
         assert_agree_above(0.1, "layer norm, bare", &tensors(&affine[..1], seed, 1.0), &norm, &norm_plain, 3e-4);
@@ -159,7 +159,7 @@ proptest! {
     }
 
     #[test]
-    fn gradients_are_the_finite_differences(
+    fn gradients_agree_with_finite_differences(
         (b, n, heads, size) in (1usize..3, 2usize..12, 1usize..3, 2usize..6), seed in 0u64..1000,
     ) {
         let d = heads * size;
@@ -230,7 +230,7 @@ fn one_dominant_key_gets_all_the_weight() {
 }
 
 #[test]
-fn what_is_not_a_number_stays_visible() {
+fn nan_in_the_input_gives_nan_in_the_output() {
     for (i, name) in ["gelu", "layer norm", "self-attention"].iter().enumerate() {
         let mut values = numbers(2 * 20 * 24, 3, 1.0);
         values[100] = f32::NAN;

@@ -1,4 +1,4 @@
-//! A stream of images gives what whole clips give, and time's accidents are handled as promised.
+//! A stream of images gives the output of whole clips, also after restarts, gaps, and errors.
 
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
@@ -9,7 +9,7 @@ use image::{Rgb, RgbImage};
 
 const DT: f64 = 0.04;
 
-/// A toy network with random weights, none of them at its zero start.
+/// A toy network with random weights; none has its initial value of zero.
 fn predictor(has_force: bool, config: &Config) -> Predictor {
     let vars = VarMap::new();
     EgoTac::new(config, init::var_builder(&vars, 11, &Device::Cpu)).unwrap();
@@ -33,7 +33,7 @@ fn frame(i: usize) -> RgbImage {
     })
 }
 
-/// What the whole network gives on a clip of frames, in newtons and probabilities.
+/// Output of the whole network for a clip of frames, in newtons and probabilities.
 fn whole_clip(predictor: &Predictor, frames: &[usize]) -> (Vec<f32>, Vec<f32>) {
     let preparation = predictor.metadata().preparation(predictor.config());
     let side = predictor.config().image;
@@ -55,10 +55,10 @@ fn assert_close(got: &[f32], want: &[f32]) {
 }
 
 #[test]
-fn a_stream_gives_what_the_whole_clip_gives() {
+fn a_stream_gives_the_output_of_whole_clips() {
     let mut predictor = predictor(true, &Config::toy());
     for i in 0..6 {
-        // A late start and a little jitter, as real stamps have.
+        // Seconds since 1970, with jitter, as in real stamps.
         let stamp = 1.7e9 + i as f64 * DT + if i % 2 == 0 { 0.004 } else { -0.004 };
         let prediction = predictor.push(&frame(i), stamp).unwrap();
         let window = [i.saturating_sub(2), i.saturating_sub(1), i];
@@ -86,7 +86,7 @@ fn a_horizon_of_one_is_never_warming_up() {
 fn the_window_takes_the_frames_nearest_in_time() {
     let config = Config::toy();
     let mut fast = predictor(true, &config);
-    // Five times as fast as the steps: every fifth frame counts.
+    // Five frames per step: every fifth frame is in the window.
     for i in 0..=14 {
         let prediction = fast.push(&frame(i), i as f64 * DT / 5.0).unwrap();
         assert_eq!(prediction.warming_up, i < 8, "{i}");
@@ -94,7 +94,7 @@ fn the_window_takes_the_frames_nearest_in_time() {
             assert_close(&prediction.field.contact, &whole_clip(&fast, &[i - 10, i - 5, i]).1);
         }
     }
-    // A dropped frame: both neighbours are as near, and the stream goes on.
+    // One dropped frame: a neighbour takes its place, and the stream continues.
     let mut dropped = predictor(true, &config);
     for i in [0, 1, 2, 4] {
         dropped.push(&frame(i), i as f64 * DT).unwrap();
@@ -105,7 +105,7 @@ fn the_window_takes_the_frames_nearest_in_time() {
 }
 
 #[test]
-fn a_jump_back_or_a_long_silence_begins_anew() {
+fn a_jump_back_or_a_long_gap_starts_a_new_stream() {
     let mut predictor = predictor(true, &Config::toy());
     for (i, stamp, restarted, warming_up) in [
         (0, 5.0, true, true),
@@ -121,7 +121,7 @@ fn a_jump_back_or_a_long_silence_begins_anew() {
             assert_close(&prediction.field.force, &whole_clip(&predictor, &[i, i, i]).0);
         }
     }
-    // The same stamp again replaces the image.
+    // An image with the same stamp replaces the last one.
     let again = predictor.push(&frame(9), 6.9).unwrap();
     assert_close(&again.field.force, &whole_clip(&predictor, &[9, 9, 9]).0);
     assert_eq!(predictor.cached_frames(), 1);
@@ -138,11 +138,11 @@ fn memory_is_bounded_however_fast_the_camera_is() {
         prediction = Some(predictor.push(&image, f64::from(i) * 0.001).unwrap());
         assert!(predictor.cached_frames() <= 24);
     }
-    assert!(!prediction.unwrap().warming_up, "thinning out must not cut the window short");
+    assert!(!prediction.unwrap().warming_up, "thinning must not shorten the window");
 }
 
 #[test]
-fn a_network_without_force_says_nan() {
+fn a_network_without_a_trained_force_head_gives_nan() {
     let mut predictor = predictor(false, &Config::toy());
     let field = predictor.push(&frame(3), 0.0).unwrap().field;
     assert_eq!(field.force.len(), N_FIELD);
@@ -151,7 +151,7 @@ fn a_network_without_force_says_nan() {
 }
 
 #[test]
-fn what_cannot_be_used_is_refused_and_leaves_the_stream_alone() {
+fn invalid_stamps_and_images_are_errors_and_leave_the_stream_unchanged() {
     let mut predictor = predictor(true, &Config::toy());
     predictor.push(&frame(0), 0.0).unwrap();
     assert!(predictor.push(&frame(1), f64::NAN).unwrap_err().to_string().contains("stamp"));

@@ -1,12 +1,13 @@
-//! Hard inputs and weights give finite numbers, or an error that names the step.
+//! Extreme inputs and weights give finite numbers, or an error that names the step.
 
 use std::collections::BTreeMap;
 
 use candle_core::{DType, Device, Tensor};
 use candle_nn::VarMap;
 use egotac::model::predictor::{Options, Predictor};
-use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, init, ops};
+use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, init};
 use egotac::train::loss;
+use egotac_kernels::ops;
 use image::{Rgb, RgbImage};
 use proptest::prelude::*;
 
@@ -22,7 +23,7 @@ fn build(config: &Config, tensors: &BTreeMap<String, Tensor>) -> EgoTac {
     EgoTac::new(config, candle_nn::VarBuilder::from_tensors(map, DType::F32, &Device::Cpu)).unwrap()
 }
 
-/// The network in each form: layers, and compiled in each precision.
+/// The network in its trainable form, and compiled in each precision.
 fn forms(config: &Config, tensors: &BTreeMap<String, Tensor>) -> Vec<(String, EgoTac)> {
     let compiled = Precision::ALL.map(|p| (p.to_string(), build(config, tensors).compile(p).unwrap()));
     std::iter::once(("layers".to_string(), build(config, tensors))).chain(compiled).collect()
@@ -69,7 +70,7 @@ fn black_white_constant_saturated_and_tiny_or_huge_inputs_stay_finite() {
     ] {
         let images = clip(&config, value);
         if what == "noise at 1e30" {
-            // The squares in a layer norm overflow: an error that names the step, or still finite.
+            // The squares in a layer norm may overflow; then the error names the step.
             for (form, model) in forms(&config, &tensors).into_iter().skip(1) {
                 if let Err(error) = model.stages(&images) {
                     assert!(error.to_string().contains("network, encoder."), "{form}: {error}");
@@ -124,7 +125,7 @@ fn single_frames_single_steps_and_single_patches_stay_finite() {
 }
 
 #[test]
-fn a_step_that_breaks_is_named() {
+fn the_first_step_that_is_not_finite_is_named() {
     let config = Config::toy();
     for (weight, step) in [
         ("encoder.embeddings.patch_embeddings.projection.bias", "encoder.embeddings"),
@@ -165,6 +166,23 @@ fn an_image_that_is_not_finite_is_named() {
     }
 }
 
+#[test]
+fn an_image_whose_numbers_overflow_leaves_no_trace_in_the_stream() {
+    let config = Config::toy();
+    for weight in ["temporal.proj.bias", "temporal.norm_out.bias", "force_head.bias"] {
+        let mut tensors = tensors(&config, 7);
+        let broken = Tensor::full(f32::INFINITY, tensors[weight].shape(), &Device::Cpu).unwrap();
+        tensors.insert(weight.into(), broken);
+        for (form, model) in forms(&config, &tensors) {
+            let checkpoint = Checkpoint { model, metadata: Metadata::new("toy", 1.0, 0.04), sha256: String::new() };
+            let mut predictor = Predictor::new(checkpoint, Options::default()).unwrap();
+            let error = predictor.push(&RgbImage::new(90, 70), 0.0).unwrap_err();
+            assert!(error.is_recoverable(), "{weight} {form}: {error}");
+            assert_eq!(predictor.cached_frames(), 0, "{weight} {form}");
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 32, failure_persistence: None, ..ProptestConfig::default() })]
 
@@ -188,7 +206,7 @@ proptest! {
     }
 
     #[test]
-    fn one_dominant_key_takes_all_in_any_place(n in 2usize..70, at in 0usize..70, size in 1usize..20) {
+    fn one_dominant_key_takes_all_weight_at_any_index(n in 2usize..70, at in 0usize..70, size in 1usize..20) {
         let (at, d) = (at % n, 2 * size);
         let mut qkv: Vec<f32> = (0..n * 3 * d).map(noise).collect();
         for token in 0..n {
@@ -208,7 +226,7 @@ proptest! {
     fn rows_without_variance_of_any_size_are_finite(value in prop::sample::select(vec![0.0f32, 1e-30, 1.0, -1e6, 1e15]), d in 1usize..70) {
         let x = Tensor::full(value, (2, d), &Device::Cpu).unwrap();
         let row = values(&ops::layer_norm(&x, None, 1e-6).unwrap());
-        // What is left is the rounding of the mean over the root of epsilon: a bounded multiple of the last place.
+        // The result is the rounding of the mean over the root of epsilon: a bounded multiple of the last place.
         let most = if value.abs() < 1e-3 { 1e-3 } else { (value.abs() * f32::EPSILON * 8.0 / 1e-3).max(1e-3) };
         prop_assert!(row.iter().all(|x| x.is_finite() && x.abs() <= most.max(1.5)), "{row:?}");
     }

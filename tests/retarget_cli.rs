@@ -1,13 +1,17 @@
 //! `egotac retarget` as a user calls it: files in, files out, errors by name.
 #![cfg(feature = "sim")]
 
+#[allow(dead_code)]
+#[path = "../crates/bench/src/retarget/trajectory.rs"]
+mod trajectory;
+
 use std::collections::HashMap;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use egotac::bench::retarget::trajectory::Trajectory;
 use egotac::hand::{N_VERTICES, Side};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use trajectory::Trajectory;
 
 fn egotac(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_egotac")).args(arguments).output().unwrap()

@@ -1,14 +1,18 @@
 //! A robot follows a hand: limits and couplings always, hard inputs, history, mirror images.
 #![cfg(feature = "sim")]
 
+#[allow(dead_code)]
+#[path = "../crates/bench/src/retarget/trajectory.rs"]
+mod trajectory;
+
 use std::sync::LazyLock;
 
-use egotac::bench::retarget::trajectory::{Noise, Trajectory};
 use egotac::mujoco::{PhysicsOptions, World};
 use egotac::retarget::robot::spec::Spec;
 use egotac::retarget::{Input, Retargeter, Robot, Status};
 use glam::{DQuat, DVec3};
 use proptest::prelude::*;
+use trajectory::{Noise, Trajectory};
 
 const DT: f64 = 1.0 / 30.0;
 const OWN: [&str; 3] = ["four_finger", "tendon_hand", "gripper"];

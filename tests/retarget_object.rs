@@ -1,15 +1,19 @@
 //! A robot hand about an object: links stay out of it, fingertips that touch lie on it, wherever both are in the world.
 #![cfg(feature = "sim")]
 
+#[allow(dead_code)]
+#[path = "../crates/bench/src/retarget/trajectory.rs"]
+mod trajectory;
+
 use std::path::PathBuf;
 
-use egotac::bench::retarget::trajectory::Trajectory;
 use egotac::hand::Side;
 use egotac::mujoco::object::Shapes;
 use egotac::retarget::human::{Hand, keypoint};
 use egotac::retarget::{Input, ObjectPose, Retargeter, Robot, Touch};
 use glam::{DMat3, DQuat, DVec3};
 use proptest::prelude::*;
+use trajectory::Trajectory;
 
 const DT: f64 = 1.0 / 30.0;
 /// Radius of the ball, m.

@@ -3,10 +3,12 @@
 
 #[path = "ros/harness.rs"]
 mod harness;
+#[allow(dead_code)]
+#[path = "../crates/bench/src/retarget/trajectory.rs"]
+mod trajectory;
 
 use std::path::PathBuf;
 
-use egotac::bench::retarget::trajectory::Trajectory;
 use egotac::hand::{HandModel, HandParams, N_VERTICES, Region, Side};
 use egotac::message::{HandPose, Header};
 use egotac::mujoco::object::Shapes;
@@ -16,6 +18,7 @@ use egotac::retarget::{Input, ObjectPose, Retargeter, Robot, Touch};
 use glam::Vec3;
 use harness::{Running, Session};
 use serde_json::{Value, json};
+use trajectory::Trajectory;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_egotac_retargeter");
 const PEER: &str = "retargeter_peer.py";

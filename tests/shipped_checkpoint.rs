@@ -1,4 +1,4 @@
-//! The shipped checkpoint does what its card says.
+//! The shipped checkpoint has the size and the scores of its card.
 
 use std::path::{Path, PathBuf};
 
@@ -10,14 +10,14 @@ fn root(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
 }
 
-/// What tells a network that sees from one that does not.
+/// Scores that distinguish a network that uses the image from a constant.
 struct Scores {
     active_mae: f64,
     temporal_pearson: Option<f64>,
     auroc: f64,
 }
 
-/// The model's scores, then those of the constant predictors.
+/// Returns the scores of the model, then those of the constant predictors.
 fn read(reports: &Value) -> (Scores, Vec<Scores>) {
     let scores = |name: &str| Scores {
         active_mae: reports[name]["active_mae"].as_f64().unwrap(),
@@ -27,9 +27,9 @@ fn read(reports: &Value) -> (Scores, Vec<Scores>) {
     (scores("model"), ["zero", "mean", "median"].map(scores).into())
 }
 
-/// Of what the best constant's pooled AUROC lacks to 1, the network's lacks at most two fifths: a constant that knows
-/// which vertices are ever touched is at 0.96 already where a scene touches few.
-fn beats_the_constants(reports: &Value) {
+/// Asserts that the network is better than every constant. The pooled AUROC is compared by its distance to 1, at most two
+/// fifths of that of the best constant: where a scene touches few vertices, a constant that knows them reaches 0.96.
+fn assert_beats_constants(reports: &Value) {
     let (model, constants) = read(reports);
     let best = |score: fn(&Scores) -> f64| constants.iter().map(score);
     let (error, auroc) = (best(|s| s.active_mae).fold(f64::MAX, f64::min), best(|s| s.auroc).fold(0.0, f64::max));
@@ -52,7 +52,7 @@ fn it_is_small_and_for_the_built_in_hand() {
 fn its_card_shows_the_scores_that_the_command_wrote() {
     let text = std::fs::read_to_string(root("models/egotac.eval.json")).unwrap();
     let reports: Value = serde_json::from_str(&text).unwrap();
-    beats_the_constants(&reports);
+    assert_beats_constants(&reports);
     let card = std::fs::read_to_string(root("models/README.md")).unwrap();
     let rows = [
         ("MAE (N)", "/mae"),
@@ -74,7 +74,7 @@ fn its_card_shows_the_scores_that_the_command_wrote() {
 }
 
 #[test]
-fn the_readme_shows_the_table_that_the_demo_wrote_and_links_to_what_is_there() {
+fn the_readme_has_the_table_of_the_demo_and_no_broken_links() {
     let table = std::fs::read_to_string(root("docs/demo/metrics.md")).unwrap();
     let readme = std::fs::read_to_string(root("README.md")).unwrap();
     assert!(readme.contains(&table), "README.md does not hold docs/demo/metrics.md as it is");
@@ -90,7 +90,7 @@ fn the_readme_shows_the_table_that_the_demo_wrote_and_links_to_what_is_there() {
 
 #[cfg(feature = "sim")]
 #[test]
-fn it_beats_constants_on_rollouts_that_nobody_has_seen() {
+fn it_beats_constants_on_unseen_rollouts() {
     let folder = tempfile::tempdir().unwrap();
     let egotac = |arguments: &str| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_egotac"));
@@ -101,9 +101,9 @@ fn it_beats_constants_on_rollouts_that_nobody_has_seen() {
     egotac("sim generate pinch_cube lift_mug hover --episodes 12 --seed 700000 --size 224 --out test.zarr");
     let checkpoint = root("models/egotac.safetensors");
     let scores = egotac(&format!(
-        // The constants know the test's own means: harder to beat than those of the training set.
+        // The constants are means of the test set itself, which are harder to beat than those of the training set.
         "eval --checkpoint {} --data test.zarr --baselines-from test.zarr --json",
         checkpoint.display()
     ));
-    beats_the_constants(&serde_json::from_str(&scores).unwrap());
+    assert_beats_constants(&serde_json::from_str(&scores).unwrap());
 }

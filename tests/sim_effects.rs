@@ -1,4 +1,4 @@
-//! Each effect is really absent when it is off: its counts, calls or traces are zero.
+//! An effect that is off is absent: its counts, calls or traces are zero.
 #![cfg(feature = "sim")]
 
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use egotac::hand::{HandModel, N_BETAS, Side};
 use egotac::mujoco::Facts;
 use egotac::sim::lens::Lens;
-use egotac::sim::randomize::Episode;
+use egotac::sim::randomize::EpisodeDraw;
 use egotac::sim::rig::HandRig;
 use egotac::sim::{Effect, EffectPlan, EffectSet, Rollout, RolloutOptions, Scene, SimFrame};
 
@@ -19,7 +19,7 @@ fn rollout(scene: &str, effects: EffectSet) -> Rollout {
     Rollout::new(&Scene::load(scene).unwrap(), 3, &options).unwrap()
 }
 
-/// Frames of a whole episode with the counts at each.
+/// Simulates a whole episode; returns its frames with the engine's counts.
 fn frames(mut rollout: Rollout) -> Vec<(SimFrame, Facts)> {
     let mut frames = Vec::new();
     while let Some(frame) = rollout.next_frame().unwrap() {
@@ -28,14 +28,15 @@ fn frames(mut rollout: Rollout) -> Vec<(SimFrame, Facts)> {
     frames
 }
 
-fn blind(effects: EffectSet) -> EffectSet {
+/// Removes the effects of pictures.
+fn without_pictures(effects: EffectSet) -> EffectSet {
     let pictures = [Effect::Rendering, Effect::LensDistortion, Effect::SensorNoise, Effect::MotionBlur];
     pictures.into_iter().fold(effects, EffectSet::without)
 }
 
 #[test]
-fn without_contact_nothing_is_ever_in_the_contact_list() {
-    let on = blind(effects("pinch_cube"));
+fn without_contact_the_contact_list_stays_empty() {
+    let on = without_pictures(effects("pinch_cube"));
     assert!(frames(rollout("pinch_cube", on)).iter().any(|(_, facts)| facts.contacts > 4));
     let off = frames(rollout("pinch_cube", EffectSet::default()));
     assert!(off.iter().all(|(frame, facts)| facts.contacts == 0 && frame.hands.iter().all(Option::is_none)));
@@ -54,15 +55,15 @@ fn without_dynamics_no_constraint_is_solved_and_no_object_moves() {
         pose.as_ref().unwrap().transl
     };
     let way = (0..off.len()).map(|at| wrist(at).distance(wrist(0))).fold(0.0, f32::max);
-    assert!(way > 0.04, "the hand follows its plan all the same, {way} m");
+    assert!(way > 0.04, "the hand must follow its plan; it moved {way} m");
     // A force that is not simulated is unknown, not zero.
     assert!(off.iter().all(|(frame, _)| frame.frame.field.force.iter().all(|force| force.is_nan())));
     assert!(off.iter().all(|(frame, _)| frame.frame.force_valid.iter().all(|valid| *valid == 0)));
 }
 
 #[test]
-fn friction_and_torsion_show_in_the_directions_of_contacts() {
-    let all = blind(effects("pinch_cube"));
+fn friction_and_torsional_friction_set_the_dimension_of_contacts() {
+    let all = without_pictures(effects("pinch_cube"));
     let dimensions = |effects: EffectSet| {
         frames(rollout("pinch_cube", effects)).iter().map(|(_, facts)| facts.contact_dimensions).max().unwrap()
     };
@@ -73,20 +74,20 @@ fn friction_and_torsion_show_in_the_directions_of_contacts() {
 }
 
 #[test]
-fn without_friction_the_cube_stays_on_the_table() {
+fn without_friction_the_cube_is_not_lifted() {
     let highest = |effects: EffectSet| {
         let frames = frames(rollout("pinch_cube", effects));
         let start = frames[0].0.objects[0].position.z;
         frames.iter().map(|(frame, _)| frame.objects[0].position.z - start).fold(0.0, f64::max)
     };
-    let all = blind(effects("pinch_cube"));
+    let all = without_pictures(effects("pinch_cube"));
     assert!(highest(all) > 0.02);
     assert!(highest(all.without(Effect::TorsionalFriction).without(Effect::Friction)) < 0.01);
 }
 
 #[test]
-fn without_gravity_nothing_weighs_on_the_table() {
-    let all = blind(effects("pinch_cube"));
+fn without_gravity_the_table_carries_no_force() {
+    let all = without_pictures(effects("pinch_cube"));
     let weight = |effects: EffectSet| {
         let mut rollout = rollout("pinch_cube", effects);
         for _ in 0..3 {
@@ -101,8 +102,8 @@ fn without_gravity_nothing_weighs_on_the_table() {
 }
 
 #[test]
-fn without_articulation_a_door_has_no_joint_and_does_not_move() {
-    let all = blind(effects("open_door"));
+fn without_articulation_a_door_has_no_joint_and_is_fixed() {
+    let all = without_pictures(effects("open_door"));
     let turned = |effects: EffectSet| {
         let frames = frames(rollout("open_door", effects));
         let first = frames[0].0.objects[0].orientation;
@@ -118,7 +119,7 @@ fn without_articulation_a_door_has_no_joint_and_does_not_move() {
 
 #[test]
 fn without_soft_bodies_the_ball_is_rigid_and_has_no_elements() {
-    let all = blind(effects("squeeze_ball"));
+    let all = without_pictures(effects("squeeze_ball"));
     let soft = rollout("squeeze_ball", all);
     assert_eq!(soft.world().facts().soft_bodies, 1);
     assert_eq!(soft.world().options().integrator, egotac::mujoco::Integrator::Discrete);
@@ -128,8 +129,8 @@ fn without_soft_bodies_the_ball_is_rigid_and_has_no_elements() {
 }
 
 #[test]
-fn idle_bodies_sleep_only_where_asked_and_wake_when_touched() {
-    let all = blind(effects("clutter"));
+fn idle_bodies_sleep_only_with_the_effect_and_wake_when_touched() {
+    let all = without_pictures(effects("clutter"));
     assert!(all.contains(Effect::Sleep));
     let with = frames(rollout("clutter", all));
     assert!(with.iter().any(|(_, facts)| facts.asleep > 5));
@@ -137,10 +138,10 @@ fn idle_bodies_sleep_only_where_asked_and_wake_when_touched() {
         let start = frames[0].0.objects[0].position.z;
         frames.iter().map(|(frame, _)| frame.objects[0].position.z - start).fold(0.0, f64::max)
     };
-    assert!(cube(&with) > 0.02, "a hand wakes what it takes: raised by {} m", cube(&with));
+    assert!(cube(&with) > 0.02, "the hand must wake the cube and raise it, got {} m", cube(&with));
     let without = frames(rollout("clutter", all.without(Effect::Sleep)));
     assert!(without.iter().all(|(_, facts)| facts.asleep == 0));
-    // Sleep is a saving, not another physics: the hand carries the same force.
+    // Sleep must not change the physics: the hand carries the same force.
     let total = |frames: &[(SimFrame, Facts)]| -> f64 {
         frames.iter().flat_map(|(frame, _)| frame.hands.iter().flatten()).map(|hand| hand.total).sum()
     };
@@ -149,7 +150,7 @@ fn idle_bodies_sleep_only_where_asked_and_wake_when_touched() {
 }
 
 #[test]
-fn nearness_is_detected_only_where_asked_and_loses_no_vertex() {
+fn near_contact_is_detected_only_with_the_effect_and_finds_all_near_vertices() {
     let text = std::fs::read_to_string("sim/scenes/hover.yaml").unwrap() + "observe: [pose, contact]\n";
     let scene = Scene::parse("hover", Path::new("hover.yaml"), &text).unwrap();
     let planned = EffectPlan::of(&scene.spec).unwrap().effects();
@@ -161,7 +162,7 @@ fn nearness_is_detected_only_where_asked_and_loses_no_vertex() {
     let (with, without) = (run(planned), run(planned.without(Effect::NearContact)));
     assert!(with.iter().any(|(_, facts)| facts.near > 0));
     assert!(without.iter().all(|(_, facts)| facts.near == 0));
-    assert!(without.iter().any(|(frame, _)| frame.proximity.contains(&1)), "the hand comes within 1 cm");
+    assert!(without.iter().any(|(frame, _)| frame.proximity.contains(&1)), "the hand must come within 1 cm");
     for ((a, _), (b, _)) in with.iter().zip(&without) {
         assert_eq!(a.proximity, b.proximity, "{} s", a.frame.timestamp);
     }
@@ -175,7 +176,7 @@ fn without_shadows_there_is_no_shadow_map() {
 }
 
 #[test]
-fn noise_and_blur_change_the_picture_and_nothing_else() {
+fn noise_and_blur_change_only_the_picture() {
     let plain = effects("clutter").without(Effect::SensorNoise).without(Effect::MotionBlur);
     let noisy = plain.with(Effect::SensorNoise);
     let blurred = plain.with(Effect::MotionBlur);
@@ -195,12 +196,12 @@ fn noise_and_blur_change_the_picture_and_nothing_else() {
     let (mut squares, mut count) = (0.0, 0.0);
     for (a, b) in clean.iter().zip(&noise) {
         let pairs = a.frame.camera_ego_rgb.as_raw().iter().zip(b.frame.camera_ego_rgb.as_raw());
-        // Away from the ends, where values are clipped.
+        // Away from 0 and 255, where values are clipped.
         for (a, b) in pairs.filter(|(a, _)| (30..225).contains(*a)) {
             (squares, count) = (squares + (f64::from(*b) - f64::from(*a)).powi(2), count + 1.0);
         }
     }
-    // Rounding to whole steps adds a twelfth.
+    // Rounding adds a variance of 1/12.
     let measured = f64::sqrt(squares / count - 1.0 / 12.0);
     assert!((measured / sigma - 1.0).abs() < 0.05, "{measured} of {sigma}");
     let (blur, renders) = run(blurred);
@@ -216,7 +217,7 @@ fn noise_and_blur_change_the_picture_and_nothing_else() {
 }
 
 #[test]
-fn distances_from_the_camera_are_those_of_the_geometry() {
+fn depth_matches_the_geometry_of_the_table() {
     for distortion in ["0, 0", "-0.3, 0.05", "0.2, 0"] {
         let camera = format!("observe: [depth, pose]\ncamera: {{ distortion: [{distortion}], fovy: 60 }}\n");
         let text = std::fs::read_to_string("sim/scenes/hover.yaml").unwrap() + &camera;
@@ -227,7 +228,7 @@ fn distances_from_the_camera_are_those_of_the_geometry() {
         let frame = rollout.next_frame().unwrap().unwrap();
         let depth = frame.depth.unwrap();
         assert_eq!(depth.len(), 65 * 49);
-        // The table's plane, away from its edges and from what stands in its middle.
+        // The table's plane, away from its edges and from the objects in its middle.
         let (camera, intrinsics) = (frame.camera, rollout.intrinsics());
         let (mut compared, mut off) = (0, 0);
         for (x, y) in (0..49usize).flat_map(|y| (0..65usize).map(move |x| (x, y))) {
@@ -239,13 +240,13 @@ fn distances_from_the_camera_are_those_of_the_geometry() {
                 off += usize::from((f64::from(depth[y * 65 + x]) / along - 1.0).abs() > 0.01);
             }
         }
-        // Distractors and forearms hide some.
+        // Distractors and forearms hide part of it.
         assert!(compared > 50 && off * 5 < compared, "distortion {distortion}: {off} of {compared} are off");
     }
 }
 
 #[test]
-fn a_lens_that_bends_nothing_changes_nothing_but_what_it_costs() {
+fn lens_without_distortion_leaves_the_picture_unchanged() {
     let straight = effects("lift_mug");
     assert!(!straight.contains(Effect::LensDistortion));
     let picture = |effects: EffectSet| {
@@ -255,12 +256,12 @@ fn a_lens_that_bends_nothing_changes_nothing_but_what_it_costs() {
     let [plain, through] = [straight, straight.with(Effect::LensDistortion)].map(picture);
     let pairs = || plain.as_raw().iter().zip(through.as_raw());
     let close = pairs().filter(|(a, b)| a.abs_diff(**b) <= 2).count();
-    // Along edges the engine may choose otherwise.
+    // Pixels on edges may get the colour of the other side.
     assert!(close as f64 > 0.98 * plain.as_raw().len() as f64, "{close} of {}", plain.as_raw().len());
 }
 
 #[test]
-fn a_lens_that_folds_the_picture_is_refused_by_name() {
+fn lens_that_folds_the_picture_is_refused_by_key() {
     let text = std::fs::read_to_string("sim/scenes/hover.yaml").unwrap();
     let with = |camera: &str| {
         let scene = Scene::parse("hover", Path::new("hover.yaml"), &format!("{text}camera: {{ {camera} }}\n")).unwrap();
@@ -274,18 +275,18 @@ fn a_lens_that_folds_the_picture_is_refused_by_name() {
 }
 
 #[test]
-fn a_lens_drawn_at_random_shows_the_corners() {
+fn drawn_lenses_show_the_corners() {
     let scene = Scene::load("clutter").unwrap();
     let rigs = Side::BOTH.map(|side| HandRig::new(HandModel::builtin(side), [0.0; N_BETAS]).unwrap());
-    // Of the spans' lenses some fold: with the last of these seeds, for one, the first that is drawn.
+    // Some lenses of the ranges fold the picture: with the last of these seeds the first lens that is drawn does.
     for seed in (0..400).chain([10341]) {
-        let camera = Episode::sample(&scene, seed, &rigs).unwrap().camera;
+        let camera = EpisodeDraw::sample(&scene, seed, &rigs).unwrap().camera;
         Lens::new(&camera, (96, 96)).unwrap_or_else(|e| panic!("seed {seed}: {e}"));
     }
 }
 
 #[test]
-fn slip_is_the_speed_of_a_card_under_the_fingers() {
+fn slip_of_a_card_under_the_fingers_is_slower_than_the_hand() {
     let scene = Scene::load("slide_card").unwrap();
     let options = RolloutOptions { picture: None, ..RolloutOptions::default() };
     let mut rollout = Rollout::new(&scene, 3, &options).unwrap();
@@ -296,7 +297,7 @@ fn slip_is_the_speed_of_a_card_under_the_fingers() {
             assert!(slip.is_finite() && *slip >= 0.0);
             assert!(*force > 0.0 || *slip == 0.0, "{slip} m/s without force");
             seen += usize::from(*force > 0.05);
-            // The fingers carry the card with them: far slower than the hand, which moves at some 0.1 m/s.
+            // The fingers carry the card along: it slips far slower than the hand moves, which is about 0.1 m/s.
             assert!(*force < 0.2 || *slip < 0.1, "{slip} m/s at {force} N");
         }
     }

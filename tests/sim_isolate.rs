@@ -1,4 +1,4 @@
-//! An episode that ends its process takes down nothing else, and is named.
+//! Generation in worker processes: an episode that ends its process is named, and no other episode is lost.
 #![cfg(feature = "sim")]
 
 use std::path::Path;
@@ -7,24 +7,24 @@ use std::time::{Duration, Instant};
 
 use egotac::dataset::EpisodeReader;
 use egotac::dataset::zarr::{MANO_FORCE, ZarrReader};
-use egotac::sim::{Generate, RolloutOptions, Scene, Workers, generate_isolated};
+use egotac::sim::{DatasetPlan, RolloutOptions, Scene, WorkerCommand, generate_in_processes};
 
-fn plan(episodes: usize) -> Generate {
+fn plan(episodes: usize) -> DatasetPlan {
     let scenes = vec![Scene::load("hover").unwrap()];
-    Generate { scenes, episodes, seed: 5, jobs: 1, options: RolloutOptions::default() }
+    DatasetPlan { scenes, episodes, seed: 5, jobs: 1, options: RolloutOptions::default() }
 }
 
-/// A worker that is a line of shell.
-fn shell(line: &str) -> Workers {
-    Workers { program: "/bin/sh".into(), arguments: vec!["-c".into(), line.into()] }
+/// Returns a worker that runs a line of shell.
+fn shell(line: &str) -> WorkerCommand {
+    WorkerCommand { program: "/bin/sh".into(), arguments: vec!["-c".into(), line.into()] }
 }
 
 #[test]
-fn a_process_that_dies_is_named_by_scene_seed_and_end() {
+fn error_names_scene_seed_and_exit_status_of_a_dead_worker() {
     let folder = tempfile::tempdir().unwrap();
     for (line, end) in [("read line; exit 1", "exit status: 1"), ("read line; kill -9 $$", "signal: 9 (SIGKILL)")] {
         let out = folder.path().join("set");
-        let error = generate_isolated(&plan(2), &shell(line), false, &out, |_| ()).unwrap_err().to_string();
+        let error = generate_in_processes(&plan(2), &shell(line), false, &out, |_| ()).unwrap_err().to_string();
         assert!(error.contains("2 of 2 episodes failed"), "{error}");
         for seed in [5, 6] {
             assert!(error.contains(&format!("hover with seed {seed}")), "{error}");
@@ -35,18 +35,20 @@ fn a_process_that_dies_is_named_by_scene_seed_and_end() {
 }
 
 #[test]
-fn a_worker_that_talks_nonsense_or_cannot_start_is_an_error() {
+fn worker_that_writes_nonsense_or_cannot_start_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("set");
-    let error = generate_isolated(&plan(1), &shell("echo hello; cat"), false, &out, |_| ()).unwrap_err().to_string();
+    let error =
+        generate_in_processes(&plan(1), &shell("echo hello; cat"), false, &out, |_| ()).unwrap_err().to_string();
     assert!(error.contains("hover with seed 5"), "{error}");
-    let none = Workers { program: "/nowhere/egotac".into(), arguments: vec![] };
-    let error = generate_isolated(&plan(1), &none, false, &out, |_| ()).unwrap_err().to_string();
+    let none = WorkerCommand { program: "/nowhere/egotac".into(), arguments: vec![] };
+    let error = generate_in_processes(&plan(1), &none, false, &out, |_| ()).unwrap_err().to_string();
     assert!(error.contains("/nowhere/egotac"), "{error}");
 }
 
-const THREE: [&str; 2] = ["--episodes", "3"];
+const THREE_EPISODES: [&str; 2] = ["--episodes", "3"];
 
+/// Returns `egotac sim generate` with one job and small pictures.
 fn egotac(out: &Path, more: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_egotac"));
     command.args(["sim", "generate", "pinch_cube", "--seed", "30", "--size", "32", "--jobs", "1"]);
@@ -54,19 +56,19 @@ fn egotac(out: &Path, more: &[&str]) -> Command {
     command
 }
 
-/// Children of a process, from the kernel's list.
+/// Returns the child processes of a process.
 fn children(parent: u32) -> Vec<u32> {
     let tasks = std::fs::read_dir(format!("/proc/{parent}/task")).into_iter().flatten().flatten();
     let lists = tasks.map(|task| std::fs::read_to_string(task.path().join("children")).unwrap_or_default());
     lists.flat_map(|list| list.split_whitespace().filter_map(|pid| pid.parse().ok()).collect::<Vec<_>>()).collect()
 }
 
-/// Waits for the first worker to be in the middle of an episode.
-fn working(parent: u32, parts: &Path) -> u32 {
+/// Waits until the first worker records an episode; returns its process id.
+fn wait_for_worker(parent: u32, parts: &Path) -> u32 {
     let deadline = Instant::now() + Duration::from_secs(120);
     loop {
-        assert!(Instant::now() < deadline, "no worker began an episode");
-        // Episodes in the making have names with a dot.
+        assert!(Instant::now() < deadline, "no worker started an episode");
+        // Unfinished episodes have names that start with a dot.
         let entries = std::fs::read_dir(parts).into_iter().flatten().flatten();
         let begun = entries.map(|entry| entry.file_name()).any(|name| name.to_string_lossy().starts_with('.'));
         if let (true, Some(pid)) = (begun, children(parent).first()) {
@@ -77,26 +79,26 @@ fn working(parent: u32, parts: &Path) -> u32 {
 }
 
 #[test]
-fn a_killed_worker_costs_one_episode_which_the_same_command_makes_again() {
+fn killed_worker_loses_one_episode_which_the_same_command_records_again() {
     let folder = tempfile::tempdir().unwrap();
     let (out, parts) = (folder.path().join("set"), folder.path().join("set.parts"));
-    let running = egotac(&out, &THREE).spawn().unwrap();
-    let worker = working(running.id(), &parts);
+    let running = egotac(&out, &THREE_EPISODES).spawn().unwrap();
+    let worker = wait_for_worker(running.id(), &parts);
     assert!(Command::new("kill").args(["-9", &worker.to_string()]).status().unwrap().success());
     let ended = running.wait_with_output().unwrap();
     let said = String::from_utf8_lossy(&ended.stderr);
     assert!(!ended.status.success());
     assert!(said.contains("1 of 3 episodes failed: pinch_cube with seed 30") && said.contains("SIGKILL"), "{said}");
-    // The others were made, by a worker in its place.
+    // Another worker recorded the others.
     let made = |index: usize| parts.join(format!("{index:06}")).exists();
     assert!(!made(0) && made(1) && made(2) && !out.exists());
 
-    let again = egotac(&out, &THREE).output().unwrap();
+    let again = egotac(&out, &THREE_EPISODES).output().unwrap();
     assert!(again.status.success(), "{}", String::from_utf8_lossy(&again.stderr));
     assert_eq!(ZarrReader::open(&out).unwrap().episode_ends().len(), 3);
     assert!(!parts.exists());
 
-    // Processes and threads make the same set.
+    // Processes and threads generate the same data set.
     let threads = folder.path().join("threads");
     assert!(egotac(&threads, &["--episodes", "3", "--in-process"]).status().unwrap().success());
     let [a, b] = [&out, &threads].map(|path| ZarrReader::open(path).unwrap());
@@ -107,11 +109,11 @@ fn a_killed_worker_costs_one_episode_which_the_same_command_makes_again() {
 }
 
 #[test]
-fn failed_episodes_can_be_left_out() {
+fn skip_failed_writes_the_store_without_failed_episodes() {
     let folder = tempfile::tempdir().unwrap();
     let (out, parts) = (folder.path().join("set"), folder.path().join("set.parts"));
     let running = egotac(&out, &["--episodes", "3", "--skip-failed"]).spawn().unwrap();
-    let worker = working(running.id(), &parts);
+    let worker = wait_for_worker(running.id(), &parts);
     assert!(Command::new("kill").args(["-9", &worker.to_string()]).status().unwrap().success());
     let ended = running.wait_with_output().unwrap();
     let said = String::from_utf8_lossy(&ended.stdout);
@@ -120,7 +122,7 @@ fn failed_episodes_can_be_left_out() {
 }
 
 #[test]
-fn workers_spread_forces_with_the_kernel_that_is_asked_for() {
+fn workers_use_the_sigma_of_the_command() {
     let folder = tempfile::tempdir().unwrap();
     let store = |sigma: &str| {
         let out = folder.path().join(sigma);
@@ -133,7 +135,10 @@ fn workers_spread_forces_with_the_kernel_that_is_asked_for() {
     let ((narrow_sigma, narrow), (wide_sigma, wide)) = (store("2"), store("8"));
     assert!((narrow_sigma - 0.002).abs() < 1e-12 && (wide_sigma - 0.008).abs() < 1e-12);
     let sum = |force: &[f32]| force.iter().map(|f| f64::from(*f)).sum::<f64>();
-    assert!(sum(&narrow) > 1.0 && (sum(&wide) / sum(&narrow) - 1.0).abs() < 1e-5, "the kernel keeps the force");
+    assert!(
+        sum(&narrow) > 1.0 && (sum(&wide) / sum(&narrow) - 1.0).abs() < 1e-5,
+        "spreading must keep the total force"
+    );
     let peak = |force: &[f32]| force.iter().copied().fold(0.0, f32::max);
     assert!(peak(&narrow) > 2.0 * peak(&wide), "{} N, {} N", peak(&narrow), peak(&wide));
     let refused = egotac(&folder.path().join("none"), &["--sigma", "0"]).output().unwrap();

@@ -1,4 +1,4 @@
-//! A process that wants no pictures opens no OpenGL context; alone in its file, since the count is the process's.
+//! Without pictures no OpenGL context is created. The test has its own file because the count is per process.
 #![cfg(feature = "sim")]
 
 use std::path::Path;
@@ -7,7 +7,7 @@ use egotac::mujoco::Renderer;
 use egotac::sim::{Rollout, RolloutOptions, Scene};
 
 #[test]
-fn a_scene_without_pictures_opens_no_opengl_context() {
+fn scene_without_pictures_creates_no_opengl_context() {
     let text = std::fs::read_to_string("sim/scenes/pinch_cube.yaml").unwrap();
     let run = |text: &str| {
         let scene = Scene::parse("pinch_cube", Path::new("pinch_cube.yaml"), text).unwrap();

@@ -1,4 +1,4 @@
-//! Rollouts with other hands, with pictures, in stores, and with physics that goes wrong.
+//! Rollouts with other hands, with pictures, in stores, and with invalid physics.
 #![cfg(feature = "sim")]
 
 use std::path::Path;
@@ -8,18 +8,20 @@ use egotac::dataset::zarr::ZarrReader;
 use egotac::hand::{HandModel, N_JOINTS, N_VERTICES, Side, Topology};
 use egotac::mujoco::{PhysicsOptions, World};
 use egotac::sim::guard::Guard;
-use egotac::sim::{Generate, Progress, Rollout, RolloutOptions, Scene, generate, record};
+use egotac::sim::{DatasetPlan, GenerateProgress, Rollout, RolloutOptions, Scene, generate, record};
 use egotac::tactile::Validity;
 
-fn blind() -> RolloutOptions {
+/// Options without pictures.
+fn without_pictures() -> RolloutOptions {
     RolloutOptions { picture: None, ..RolloutOptions::default() }
 }
 
+/// Options with small pictures.
 fn small() -> RolloutOptions {
     RolloutOptions { picture: Some((16, 16)), ..RolloutOptions::default() }
 }
 
-/// The same hand with its vertices in the opposite order, as if from another file.
+/// Returns the same hand with its vertices in the opposite order, as if from another file.
 fn renumbered(side: Side) -> HandModel {
     let mut model = HandModel::builtin(side);
     let reverse = |rows: &mut Vec<f32>, width: usize| {
@@ -37,10 +39,10 @@ fn renumbered(side: Side) -> HandModel {
 }
 
 #[test]
-fn another_vertex_order_gives_the_same_forces_in_that_order() {
+fn reversed_vertex_order_gives_the_same_forces_reversed() {
     let scene = Scene::load("pinch_cube").unwrap();
-    let other = RolloutOptions { hands: Side::BOTH.map(renumbered), ..blind() };
-    let mut a = Rollout::new(&scene, 1, &blind()).unwrap();
+    let other = RolloutOptions { hands: Side::BOTH.map(renumbered), ..without_pictures() };
+    let mut a = Rollout::new(&scene, 1, &without_pictures()).unwrap();
     let mut b = Rollout::new(&scene, 1, &other).unwrap();
     assert_eq!(b.topology(), Topology::Mano);
     let mut touched = false;
@@ -51,7 +53,7 @@ fn another_vertex_order_gives_the_same_forces_in_that_order() {
             let difference: f32 = of_a.iter().zip(of_b.iter().rev()).map(|(a, b)| (a - b).abs()).sum();
             let total: f32 = of_a.iter().sum();
             touched |= total > 0.5;
-            // Sums in another order differ in the last digits, which contact amplifies; the grasp is the same.
+            // Sums in another order differ in the last digits, and contact amplifies the difference; the grasp is the same.
             assert!(difference <= 0.1 * total.max(0.1), "{} s: {difference} N of {total} N", a.frame.timestamp);
         }
     }
@@ -59,7 +61,7 @@ fn another_vertex_order_gives_the_same_forces_in_that_order() {
 }
 
 #[test]
-fn the_picture_shows_the_hand_coming() {
+fn picture_shows_the_object_and_the_approaching_hand() {
     let scene = Scene::load("lift_mug").unwrap();
     let options = RolloutOptions { picture: Some((96, 72)), ..RolloutOptions::default() };
     let mut rollout = Rollout::new(&scene, 5, &options).unwrap();
@@ -67,13 +69,13 @@ fn the_picture_shows_the_hand_coming() {
     assert_eq!(first.frame.camera_ego_rgb.dimensions(), (96, 72));
     let colours: std::collections::HashSet<_> = first.frame.camera_ego_rgb.pixels().collect();
     assert!(colours.len() > 50, "{} colours", colours.len());
-    // The colour at the object's centre is the mug's: no other thing there has its hue.
+    // The colour at the object's centre is the mug's: no other object there has its hue.
     let mug = rollout.episode().objects[0].colour;
     let [x, y] = rollout.intrinsics().project(first.camera.camera_from_world(first.objects[0].position)).unwrap();
     let pixel = first.frame.camera_ego_rgb.get_pixel(x as u32, y as u32).0.map(f64::from);
     let largest = |c: [f64; 3]| (0..3).max_by(|a, b| c[*a].total_cmp(&c[*b])).unwrap();
     assert_eq!(largest(pixel), largest(mug), "{pixel:?} for {mug:?}");
-    // Half way through the hand is at the mug, and the picture there is another one.
+    // In the middle of the episode the hand is at the mug, and the picture has changed.
     for _ in 1..rollout.frame_count() / 2 {
         assert!(rollout.skip_frame());
     }
@@ -84,7 +86,7 @@ fn the_picture_shows_the_hand_coming() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_pictures() {
+fn same_seed_gives_the_same_pictures() {
     let scene = Scene::load("hover").unwrap();
     let options = RolloutOptions { picture: Some((64, 64)), ..RolloutOptions::default() };
     let picture = || {
@@ -96,19 +98,19 @@ fn the_same_seed_gives_the_same_pictures() {
 }
 
 #[test]
-fn a_set_is_its_episodes_in_order_and_keeps_finished_parts() {
+fn data_set_holds_its_episodes_in_order_and_resumes_from_finished_parts() {
     let folder = tempfile::tempdir().unwrap();
     let options = RolloutOptions { picture: Some((24, 24)), ..RolloutOptions::default() };
     let scenes = ["hover", "pinch_cube"].map(|name| Scene::load(name).unwrap()).to_vec();
-    let plan = Generate { scenes: scenes.clone(), episodes: 3, seed: 7, jobs: 2, options: options.clone() };
+    let plan = DatasetPlan { scenes: scenes.clone(), episodes: 3, seed: 7, jobs: 2, options: options.clone() };
     let (store, parts) = (folder.path().join("set"), folder.path().join("set.parts"));
     let alone = folder.path().join("alone");
     record(&scenes[1], 8, &options, &alone, |_, _| ()).unwrap();
 
-    // What an interruption after the first episode leaves.
+    // Copy the parts that an interruption after the first episode leaves.
     let left = folder.path().join("left");
     let keep = |at| {
-        if at == Progress::Episodes(1, 3) {
+        if at == GenerateProgress::Episodes(1, 3) {
             copy_folder(&parts, &left)
         }
     };
@@ -120,7 +122,7 @@ fn a_set_is_its_episodes_in_order_and_keeps_finished_parts() {
     same_frames(&set, ends[0], &ZarrReader::open(&alone).unwrap());
     assert!(generate(&plan, &store, |_| ()).unwrap_err().to_string().contains("exists already"));
 
-    // The same call goes on from there. Its first part is exchanged here, to see that it is taken and not made again.
+    // The same call resumes from there. Another store replaces its first part, to see that the part is not recorded again.
     std::fs::rename(&left, &parts).unwrap();
     let first = parts.join("000000");
     if first.exists() {
@@ -133,7 +135,7 @@ fn a_set_is_its_episodes_in_order_and_keeps_finished_parts() {
     generate(&plan, &again, |_| ()).unwrap();
     same_frames(&ZarrReader::open(&again).unwrap(), 0, &ZarrReader::open(&alone).unwrap());
 
-    // Parts of another plan are not taken for ours.
+    // Parts of another plan are refused.
     copy_folder(&alone, &folder.path().join("third.parts"));
     std::fs::write(folder.path().join("third.parts/plan"), "another").unwrap();
     let error = generate(&plan, &folder.path().join("third"), |_| ()).unwrap_err().to_string();
@@ -152,7 +154,7 @@ fn copy_folder(from: &Path, to: &Path) {
     for entry in std::fs::read_dir(from).unwrap().flatten() {
         let target = to.join(entry.file_name());
         match entry.path().is_dir() {
-            // Episodes in the making have names with a dot, and may vanish.
+            // Unfinished episodes have names that start with a dot, and may vanish.
             true if entry.file_name().to_string_lossy().starts_with('.') => {}
             true => copy_folder(&entry.path(), &target),
             false => drop(std::fs::copy(entry.path(), target).unwrap()),
@@ -164,6 +166,7 @@ const BALL: &str = r#"<mujoco><worldbody><geom name="floor" type="plane" size="1
     <body name="ball" pos="0 0 .05"><freejoint name="ball"/>
     <geom type="sphere" size=".02" mass=".2"/></body></worldbody></mujoco>"#;
 
+/// Simulates one step of a ball after `prepare`; returns the guard's verdict.
 fn guarded(prepare: impl Fn(&mut World)) -> Validity {
     let mut world = World::from_mjcf(BALL, &PhysicsOptions::default()).unwrap();
     let ball = world.free_joint("ball").unwrap();
@@ -176,7 +179,7 @@ fn guarded(prepare: impl Fn(&mut World)) -> Validity {
 }
 
 #[test]
-fn guards_name_what_went_wrong_and_stay_quiet_otherwise() {
+fn guards_name_the_fault_and_accept_valid_states() {
     let move_to = |z: f64| move |world: &mut World| world.qpos_mut()[2] = z;
     assert_eq!(guarded(|_| ()), Validity::Valid);
     assert_eq!(guarded(move_to(0.0195)), Validity::Valid);
@@ -186,31 +189,31 @@ fn guards_name_what_went_wrong_and_stay_quiet_otherwise() {
 }
 
 #[test]
-fn a_world_that_stands_still_is_not_valid() {
+fn world_whose_time_stands_still_is_invalid() {
     let world = World::from_mjcf(BALL, &PhysicsOptions::default()).unwrap();
     let mut guard = Guard::new(&world, &[], 0.004);
-    guard.after_step(&world); // no step was made
+    guard.after_step(&world); // There was no step.
     let mut world = world;
     assert_eq!(guard.frame(&world), Validity::NotFinite);
-    // What is lost stays lost.
+    // A lost state stays lost.
     world.step();
     guard.after_step(&world);
     assert_eq!(guard.frame(&world), Validity::NotFinite);
 }
 
 #[test]
-fn physics_does_not_depend_on_how_often_somebody_looks() {
+fn physics_does_not_depend_on_the_frame_rate() {
     let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/sim/scenes/pinch_cube.yaml")).unwrap();
     let at_rate = |rate: f64| {
         let scene = Scene::parse("rated", Path::new("rated.yaml"), &format!("rate: {rate}\n{text}")).unwrap();
-        let mut rollout = Rollout::new(&scene, 4, &blind()).unwrap();
+        let mut rollout = Rollout::new(&scene, 4, &without_pictures()).unwrap();
         let mut frames = Vec::new();
         while let Some(frame) = rollout.next_frame().unwrap() {
             frames.push(frame.frame);
         }
         frames
     };
-    // 50 Hz are 10 steps a frame, which control every 4 steps does not divide.
+    // At 50 Hz a frame has 10 steps, which is no multiple of the 4 steps between controls.
     let [slow, fast] = [25.0, 50.0].map(at_rate);
     let mut touched = false;
     for (at, frame) in slow.iter().enumerate() {
@@ -223,7 +226,7 @@ fn physics_does_not_depend_on_how_often_somebody_looks() {
 }
 
 #[test]
-fn a_store_holds_each_frames_residuals() {
+fn store_holds_the_residuals_of_each_frame() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
     let summary = record(&Scene::load("lift_mug").unwrap(), 2, &small(), &path, |_, _| ()).unwrap();
@@ -237,13 +240,13 @@ fn a_store_holds_each_frames_residuals() {
 }
 
 #[test]
-fn scenes_with_and_without_objects_go_into_one_store() {
+fn scenes_with_and_without_objects_share_a_store() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("empty.zarr");
     let text = "description: An idle hand.\nobjects: []\nhands:\n  - side: right\n";
     let empty = Scene::parse("empty", Path::new("empty.yaml"), text).unwrap();
     for scenes in [vec![empty.clone()], vec![Scene::load("hover").unwrap(), empty]] {
-        let plan = Generate { scenes, episodes: 2, seed: 0, options: small(), jobs: 1 };
+        let plan = DatasetPlan { scenes, episodes: 2, seed: 0, options: small(), jobs: 1 };
         generate(&plan, &path, |_| ()).unwrap();
         assert_eq!(ZarrReader::open(&path).unwrap().episode_ends().len(), 2);
         std::fs::remove_dir_all(&path).unwrap();

@@ -1,10 +1,11 @@
-//! A scene file is checked in full before anything is simulated, and the message says what is wrong where.
+//! Scene files are checked completely before the simulation; errors name file, key and the expected value.
 #![cfg(feature = "sim")]
 
 use std::path::{Path, PathBuf};
 
-use egotac::sim::{Rollout, RolloutOptions, SHIPPED, Scene};
+use egotac::sim::{Rollout, RolloutOptions, SHIPPED, Scene, mesh_faults};
 
+/// Returns the error of `pinch_cube` with `from` replaced by `to`.
 fn edited(from: &str, to: &str) -> String {
     let text = SHIPPED.iter().find(|(name, _)| *name == "pinch_cube").unwrap().1;
     assert!(text.contains(from), "{from}");
@@ -13,7 +14,7 @@ fn edited(from: &str, to: &str) -> String {
 }
 
 #[test]
-fn every_shipped_scene_loads_by_name() {
+fn each_shipped_scene_loads_by_name() {
     for (name, _) in SHIPPED {
         let scene = Scene::load(name).unwrap();
         assert_eq!(scene.name, name);
@@ -22,13 +23,13 @@ fn every_shipped_scene_loads_by_name() {
 }
 
 #[test]
-fn an_unknown_scene_lists_the_known_ones() {
+fn unknown_scene_error_lists_known_scenes() {
     let error = Scene::load("pinch_kube").unwrap_err().to_string();
     assert!(error.contains("pinch_kube") && error.contains("pinch_cube"), "{error}");
 }
 
 #[test]
-fn an_unknown_key_is_refused_by_file_and_name() {
+fn unknown_key_is_refused_with_file_and_key() {
     let error = edited("mass:", "weight: 3\n    mass:");
     assert!(error.contains("edited.yaml") && error.contains("weight") && error.contains("friction"), "{error}");
     let error = edited("squeeze: 1", "squeze: 1");
@@ -36,7 +37,7 @@ fn an_unknown_key_is_refused_by_file_and_name() {
 }
 
 #[test]
-fn a_value_out_of_range_says_what_was_expected() {
+fn value_out_of_range_error_gives_the_expected_range() {
     let error = edited("mass: [0.02, 0.08]", "mass: [0.08, 0.02]");
     assert!(error.contains("low <= high"), "{error}");
     let error = edited("mass: [0.02, 0.08]", "mass: 0");
@@ -62,7 +63,7 @@ fn a_value_out_of_range_says_what_was_expected() {
 }
 
 #[test]
-fn new_keys_are_checked_as_well() {
+fn optional_keys_are_checked() {
     let error = edited("hands:", "observe: [rgb, smell]\nhands:");
     assert!(error.contains("smell") && error.contains("slip"), "{error}");
     let error = edited("squeeze: 1", "wrap: 1");
@@ -79,7 +80,7 @@ fn new_keys_are_checked_as_well() {
     assert!(error.contains("objects[0].shape.stiffness"), "{error}");
 }
 
-/// Writes a stump of a pyramid, 40 mm high, in millimetres, with the faces given; and the scene `hover` with it.
+/// Writes the stump of a pyramid, 40 mm high, in millimetres, with the given faces, and the scene `hover` with it.
 fn write_stump(folder: &Path, faces: &[&str]) -> (PathBuf, String) {
     let corners = [(0, 0), (40, 0), (40, 40), (0, 40)].map(|(x, y)| (x, y, 0));
     let corners = corners.into_iter().chain([(10, 10), (30, 10), (30, 30), (10, 30)].map(|(x, y)| (x, y, 40)));
@@ -99,11 +100,11 @@ fn write_stump(folder: &Path, faces: &[&str]) -> (PathBuf, String) {
 const STUMP: [&str; 6] = ["1 4 3 2", "5 6 7 8", "1 2 6 5", "2 3 7 6", "3 4 8 7", "4 1 5 8"];
 
 #[test]
-fn faults_of_a_mesh_are_told() {
+fn mesh_faults_are_reported_per_file() {
     let folder = tempfile::tempdir().unwrap();
     let faults = |faces: &[&str]| {
         let (path, _) = write_stump(folder.path(), faces);
-        Scene::load(path.to_str().unwrap()).unwrap().mesh_faults().unwrap().concat()
+        mesh_faults(&Scene::load(path.to_str().unwrap()).unwrap()).unwrap().concat()
     };
     assert_eq!(faults(&STUMP), "");
     let open = faults(&STUMP[..5]);
@@ -115,7 +116,7 @@ fn faults_of_a_mesh_are_told() {
 }
 
 #[test]
-fn a_mesh_beside_the_scene_file_is_found_and_simulated() {
+fn mesh_path_is_relative_to_the_scene_file() {
     let folder = tempfile::tempdir().unwrap();
     let (path, scene) = write_stump(folder.path(), &STUMP);
     let options = RolloutOptions { picture: None, ..RolloutOptions::default() };
@@ -125,9 +126,9 @@ fn a_mesh_beside_the_scene_file_is_found_and_simulated() {
         last = frame.objects[0].position.z;
         assert!(frame.frame.validity.reason().is_empty(), "{}", frame.frame.validity.reason());
     }
-    // It rests on its bottom: the middle of its box is 20 mm up.
+    // It rests on its bottom: the centre of its bounding box is at 20 mm.
     assert!((last - 0.02).abs() < 1e-3, "{last} m");
-    // The same file through another folder is not found, and says so.
+    // Relative to another folder the file is not found, and the error names the path.
     let error = Rollout::new(&Scene::parse("stump", Path::new("elsewhere/stump.yaml"), &scene).unwrap(), 1, &options);
     let error = error.unwrap_err().to_string();
     assert!(error.contains("elsewhere/stump.obj"), "{error}");

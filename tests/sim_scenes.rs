@@ -1,4 +1,4 @@
-//! The shipped scenes do what they say, and their labels are what the physics says.
+//! Shipped scenes do what their descriptions say, and their labels match the physics.
 #![cfg(feature = "sim")]
 
 use egotac::hand::{HandModel, N_JOINTS, Side};
@@ -6,13 +6,13 @@ use egotac::sim::{Rollout, RolloutOptions, Scene, SimFrame};
 use egotac::tactile::Validity;
 use glam::{DVec3, Vec3};
 
-/// Without pictures: no display, no OpenGL.
-fn blind() -> RolloutOptions {
+/// Options without pictures, and thus without OpenGL.
+fn without_pictures() -> RolloutOptions {
     RolloutOptions { picture: None, ..RolloutOptions::default() }
 }
 
 fn frames(scene: &str, seed: u64) -> (Rollout, Vec<SimFrame>) {
-    let mut rollout = Rollout::new(&Scene::load(scene).unwrap(), seed, &blind()).unwrap();
+    let mut rollout = Rollout::new(&Scene::load(scene).unwrap(), seed, &without_pictures()).unwrap();
     let mut frames = Vec::new();
     while let Some(frame) = rollout.next_frame().unwrap() {
         frames.push(frame);
@@ -21,20 +21,20 @@ fn frames(scene: &str, seed: u64) -> (Rollout, Vec<SimFrame>) {
     (rollout, frames)
 }
 
-/// Force on the hand that acts, N.
+/// Returns the force on the acting hand, N.
 fn force(rollout: &Rollout, frame: &SimFrame) -> f64 {
     let actor = rollout.episode().hands[0].side;
     frame.hands[actor as usize].as_ref().map_or(0.0, |hand| hand.total)
 }
 
-/// In the middle of the phase `hold` the object hangs in the hand: off the table, where the hand took it.
-fn is_held(scene: &str, seed: u64) {
+/// Checks that the hand lifts the object off the table and puts it back.
+fn check_lift(scene: &str, seed: u64) {
     let (rollout, frames) = frames(scene, seed);
     let top = frames.iter().max_by(|a, b| a.objects[0].position.z.total_cmp(&b.objects[0].position.z)).unwrap();
     let rise = top.objects[0].position.z - frames[0].objects[0].position.z;
     assert!(rise > 0.02, "{scene}, seed {seed}: rose by {rise} m");
     assert!(force(&rollout, top) > 0.3, "{scene}, seed {seed}: held by {} N", force(&rollout, top));
-    // Touched by two links or more, and by nothing but the hand: the net force is the weight.
+    // At least two contacts hold it.
     let hand = top.hands[rollout.episode().hands[0].side as usize].as_ref().unwrap();
     assert!(hand.contacts >= 2, "{scene}, seed {seed}: {} contacts", hand.contacts);
     let last = frames.last().unwrap();
@@ -43,17 +43,17 @@ fn is_held(scene: &str, seed: u64) {
 }
 
 #[test]
-fn the_mug_leaves_the_table_in_the_hand_and_comes_back() {
-    (0..6).for_each(|seed| is_held("lift_mug", seed));
+fn mug_is_lifted_and_put_back() {
+    (0..6).for_each(|seed| check_lift("lift_mug", seed));
 }
 
 #[test]
-fn the_pinched_cube_leaves_the_table_between_the_fingers_and_comes_back() {
-    (0..6).for_each(|seed| is_held("pinch_cube", seed));
+fn pinched_cube_is_lifted_and_put_back() {
+    (0..6).for_each(|seed| check_lift("pinch_cube", seed));
 }
 
 #[test]
-fn hovering_never_touches_though_it_is_near() {
+fn hovering_comes_near_but_never_touches() {
     for seed in 0..8 {
         let (rollout, frames) = frames("hover", seed);
         let most = frames.iter().map(|frame| force(&rollout, frame)).fold(0.0, f64::max);
@@ -61,13 +61,13 @@ fn hovering_never_touches_though_it_is_near() {
         let moved = frames.last().unwrap().objects[0].position.distance(frames[0].objects[0].position);
         assert!(moved < 1e-3, "seed {seed}: the object moved by {moved} m");
     }
-    // The distance rule calls some of it contact; that is what the scene is for.
+    // The scene exists because the distance rule labels some of it as contact.
     let near = (0..8).any(|seed| frames("hover", seed).1.iter().any(|frame| frame.proximity.contains(&1)));
     assert!(near);
 }
 
 #[test]
-fn every_frame_conserves_force_and_is_valid() {
+fn each_frame_conserves_force_and_is_valid() {
     for scene in ["pinch_cube", "lift_mug", "hover"] {
         for seed in 10..13 {
             let (_, frames) = frames(scene, seed);
@@ -86,7 +86,7 @@ fn every_frame_conserves_force_and_is_valid() {
 }
 
 #[test]
-fn frames_come_at_25_hertz_exactly() {
+fn frames_are_exactly_40_ms_apart() {
     let (_, frames) = frames("hover", 1);
     for (i, frame) in frames.iter().enumerate() {
         assert!((frame.frame.timestamp - 0.04 * i as f64).abs() < 1e-9);
@@ -94,7 +94,7 @@ fn frames_come_at_25_hertz_exactly() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_rollout_bit_for_bit() {
+fn same_seed_gives_the_same_rollout_bit_for_bit() {
     let (_, a) = frames("pinch_cube", 3);
     let (_, b) = frames("pinch_cube", 3);
     let (_, c) = frames("pinch_cube", 4);
@@ -110,7 +110,7 @@ fn the_same_seed_gives_the_same_rollout_bit_for_bit() {
 #[test]
 fn hand_parameters_reproduce_bodies_and_skin() {
     for (scene, seed) in [("lift_mug", 0), ("lift_mug", 1), ("pinch_cube", 0), ("pinch_cube", 2)] {
-        let mut rollout = Rollout::new(&Scene::load(scene).unwrap(), seed, &blind()).unwrap();
+        let mut rollout = Rollout::new(&Scene::load(scene).unwrap(), seed, &without_pictures()).unwrap();
         for _ in 0..rollout.frame_count() / 2 {
             assert!(rollout.skip_frame());
         }
@@ -126,7 +126,7 @@ fn hand_parameters_reproduce_bodies_and_skin() {
                 let error = posed.joints[joint].as_dvec3().distance(pose(joint).0);
                 assert!(error < 1e-5, "{scene}, {}, joint {joint}: {error} m", side.name());
             }
-            // The engine's skin is this sum over its bones; what is bound to them carries the pose blend shapes.
+            // The engine's skin is this sum over its bones; the bound vertices include the pose blend shapes.
             for (vertex, rest) in rig.bound_vertices(&posed).iter().enumerate() {
                 let skin: DVec3 = (0..N_JOINTS)
                     .map(|joint| {
@@ -143,7 +143,7 @@ fn hand_parameters_reproduce_bodies_and_skin() {
 }
 
 #[test]
-fn the_camera_sees_hand_and_object_most_of_the_time() {
+fn camera_sees_hand_and_object_in_most_frames() {
     for scene in ["pinch_cube", "lift_mug", "hover"] {
         let options = RolloutOptions { picture: None, ..RolloutOptions::default() };
         let mut seen = [0, 0];
@@ -151,7 +151,7 @@ fn the_camera_sees_hand_and_object_most_of_the_time() {
         for seed in 0..4 {
             let mut rollout = Rollout::new(&Scene::load(scene).unwrap(), seed, &options).unwrap();
             while let Some(frame) = rollout.next_frame().unwrap() {
-                // The picture is square; half the field of view to each side.
+                // The picture is square: half the field of view to each side.
                 let half = (0.5 * rollout.episode().camera.fovy).tan();
                 let inside = |point: DVec3| {
                     let p = frame.camera.camera_from_world(point);
@@ -172,18 +172,21 @@ fn the_camera_sees_hand_and_object_most_of_the_time() {
 }
 
 #[test]
-fn both_hands_act_and_both_sides_are_the_models() {
+fn either_hand_acts_and_swapped_models_are_refused() {
     let sides: Vec<Side> = (0..8)
-        .map(|seed| Rollout::new(&Scene::load("hover").unwrap(), seed, &blind()).unwrap().episode().hands[0].side)
+        .map(|seed| {
+            Rollout::new(&Scene::load("hover").unwrap(), seed, &without_pictures()).unwrap().episode().hands[0].side
+        })
         .collect();
     assert!(sides.contains(&Side::Left) && sides.contains(&Side::Right));
-    let swapped = RolloutOptions { hands: [Side::Right, Side::Left].map(HandModel::builtin), ..blind() };
+    let swapped = RolloutOptions { hands: [Side::Right, Side::Left].map(HandModel::builtin), ..without_pictures() };
     assert!(Rollout::new(&Scene::load("hover").unwrap(), 0, &swapped).is_err());
 }
 
-/// What a shipped scene must show: frames with touch (0 = never), and what happens to its first object.
-enum Deed {
-    Nothing,
+/// Motion of a scene's first object.
+enum ObjectMotion {
+    /// Stays at its place.
+    Still,
     /// Rises by more than 2 cm.
     Rises,
     /// Moves by more than this along the table, m.
@@ -192,7 +195,8 @@ enum Deed {
     Turns(f64),
 }
 
-fn shows(scene: &str, touched: bool, deed: &Deed) {
+/// Checks that a scene touches or does not touch, and that its first object moves as expected.
+fn check_scene(scene: &str, touched: bool, motion: &ObjectMotion) {
     for seed in [3, 4] {
         let (_, frames) = frames(scene, seed);
         let total = |frame: &SimFrame| frame.hands.iter().flatten().map(|hand| hand.total).sum::<f64>();
@@ -208,24 +212,28 @@ fn shows(scene: &str, touched: bool, deed: &Deed) {
         let rise = most(&|pose| pose.position.z - start.position.z);
         let slide = most(&|pose| (pose.position - start.position).truncate().length());
         let turn = most(&|pose| pose.orientation.angle_between(start.orientation));
-        match deed {
-            Deed::Nothing => assert!(slide < 1e-3 && rise < 1e-3, "{scene}, seed {seed}: moved by {slide} m"),
-            Deed::Rises => assert!(rise > 0.02, "{scene}, seed {seed}: rose by {rise} m"),
-            Deed::Slides(least) => assert!(slide > *least && rise < 0.01, "{scene}, seed {seed}: slid by {slide} m"),
-            Deed::Turns(least) => assert!(turn > *least && rise < 1e-3, "{scene}, seed {seed}: turned by {turn} rad"),
+        match motion {
+            ObjectMotion::Still => assert!(slide < 1e-3 && rise < 1e-3, "{scene}, seed {seed}: moved by {slide} m"),
+            ObjectMotion::Rises => assert!(rise > 0.02, "{scene}, seed {seed}: rose by {rise} m"),
+            ObjectMotion::Slides(least) => {
+                assert!(slide > *least && rise < 0.01, "{scene}, seed {seed}: slid by {slide} m")
+            }
+            ObjectMotion::Turns(least) => {
+                assert!(turn > *least && rise < 1e-3, "{scene}, seed {seed}: turned by {turn} rad")
+            }
         }
     }
 }
 
 #[test]
-fn what_is_grasped_is_lifted() {
+fn grasped_objects_are_lifted() {
     for scene in ["tripod", "hold_plate", "carry_box", "clutter"] {
-        shows(scene, true, &Deed::Rises);
+        check_scene(scene, true, &ObjectMotion::Rises);
     }
 }
 
 #[test]
-fn a_bottle_in_the_whole_hand_is_lifted_and_stands_again() {
+fn bottle_in_a_power_grasp_is_lifted_and_stands_again() {
     for seed in 10..13 {
         let (_, frames) = frames("power_grasp", seed);
         let place = |frame: &SimFrame| (frame.objects[0].position.z, frame.objects[0].orientation * DVec3::Z);
@@ -234,22 +242,22 @@ fn a_bottle_in_the_whole_hand_is_lifted_and_stands_again() {
         assert!(rise > 0.02, "seed {seed}: it rises by {rise} m");
         assert!((end - start).abs() < 0.005 && up.z > 0.98, "seed {seed}: it ends at {end} m, up is {up}");
         let contacts = frames.iter().flat_map(|frame| frame.hands.iter().flatten()).map(|hand| hand.contacts).max();
-        assert!(contacts.unwrap() >= 6, "seed {seed}: the whole hand takes part");
+        assert!(contacts.unwrap() >= 6, "seed {seed}: the whole hand must touch");
     }
 }
 
 #[test]
-fn what_is_pushed_slides_and_what_has_a_joint_turns() {
-    shows("palm_push", true, &Deed::Slides(0.03));
-    shows("slide_card", true, &Deed::Slides(0.02));
-    shows("wipe_table", true, &Deed::Slides(0.02));
-    shows("turn_knob", true, &Deed::Turns(0.3));
-    shows("open_door", true, &Deed::Turns(0.3));
+fn pushed_objects_slide_and_objects_with_a_joint_turn() {
+    check_scene("palm_push", true, &ObjectMotion::Slides(0.03));
+    check_scene("slide_card", true, &ObjectMotion::Slides(0.02));
+    check_scene("wipe_table", true, &ObjectMotion::Slides(0.02));
+    check_scene("turn_knob", true, &ObjectMotion::Turns(0.3));
+    check_scene("open_door", true, &ObjectMotion::Turns(0.3));
 }
 
 #[test]
-fn negatives_touch_nothing_or_only_themselves() {
-    shows("reach_past", false, &Deed::Nothing);
+fn negative_scenes_touch_no_object() {
+    check_scene("reach_past", false, &ObjectMotion::Still);
     let (_, frames) = frames("rub_hands", 3);
     let both = frames.iter().filter(|frame| frame.hands.iter().flatten().filter(|hand| hand.total > 0.5).count() == 2);
     assert!(both.count() > 10, "each hand is touched by the other");
@@ -257,7 +265,7 @@ fn negatives_touch_nothing_or_only_themselves() {
 }
 
 #[test]
-fn a_button_sinks_under_the_finger_and_comes_up() {
+fn pressed_button_sinks_and_returns() {
     let (_, frames) = frames("press_button", 3);
     let start = frames[0].objects[0].position.z;
     let deepest = frames.iter().map(|frame| start - frame.objects[0].position.z).fold(0.0, f64::max);
@@ -267,7 +275,7 @@ fn a_button_sinks_under_the_finger_and_comes_up() {
 }
 
 #[test]
-fn the_stick_goes_from_one_hand_to_the_other() {
+fn stick_is_handed_from_one_hand_to_the_other() {
     let (rollout, frames) = frames("regrasp", 3);
     let first = rollout.episode().hands[0].side as usize;
     let force = |frame: &SimFrame, hand: usize| frame.hands[hand].as_ref().map_or(0.0, |hand| hand.total);
@@ -277,11 +285,11 @@ fn the_stick_goes_from_one_hand_to_the_other() {
         raised.iter().filter(|f| (force(f, first) > 0.5) == one && (force(f, 1 - first) > 0.5) == other).count()
     };
     assert!(phase(true, false) > 5 && phase(true, true) > 3 && phase(false, true) > 5);
-    assert_eq!(phase(false, false), 0, "nobody holds the raised stick");
+    assert_eq!(phase(false, false), 0, "a hand must hold the raised stick");
 }
 
 #[test]
-fn a_soft_ball_gives_way_and_carries_the_fingers_force() {
+fn soft_ball_deforms_under_the_force_of_the_fingers() {
     let (rollout, frames) = frames("squeeze_ball", 3);
     let egotac::sim::object::Mount::Soft { radius, .. } = rollout.episode().objects[0].shape.mount else {
         panic!("the ball is soft")
@@ -299,11 +307,11 @@ fn a_soft_ball_gives_way_and_carries_the_fingers_force() {
 }
 
 #[test]
-fn nothing_that_lies_about_starts_within_a_hand() {
+fn no_distractor_starts_within_a_hand() {
     let scene = Scene::load("clutter").unwrap();
-    // Seeds in which that once was so, and the first ones.
+    // Seeds of a former fault, and the first 30.
     for seed in [6132, 6322, 6835].into_iter().chain(0..30) {
-        let rollout = Rollout::new(&scene, seed, &blind());
+        let rollout = Rollout::new(&scene, seed, &without_pictures());
         let rollout = rollout.unwrap_or_else(|error| panic!("seed {seed}: {error}"));
         assert!(rollout.objects().len() > 5, "seed {seed}: {} objects", rollout.objects().len());
     }

@@ -1,26 +1,27 @@
-//! Distances of hands from what a scene lets them touch.
+//! Distances of hands from the surfaces that they can touch.
 #![cfg(feature = "sim")]
 
 use egotac::geometry::Sides;
 use egotac::hand::{HandModel, HandParams, N_BETAS, N_VERTICES, Side};
 use egotac::sim::ObjectPose;
-use egotac::sim::randomize::Episode;
+use egotac::sim::randomize::EpisodeDraw;
 use egotac::sim::rig::HandRig;
 use egotac::sim::{Scene, Touchables};
 use egotac::tactile::N_FIELD;
 use glam::{DQuat, DVec3, Vec3};
 
+/// Distance up to which surfaces are searched, m.
 const CUTOFF: f32 = 0.02;
 
-fn episode(scene: &str) -> (Episode, [HandModel; 2], Touchables) {
+fn episode(scene: &str) -> (EpisodeDraw, [HandModel; 2], Touchables) {
     let hands = Side::BOTH.map(HandModel::builtin);
     let rigs = hands.each_ref().map(|hand| HandRig::new(hand.clone(), [0.0; N_BETAS]).unwrap());
-    let episode = Episode::sample(&Scene::load(scene).unwrap(), 3, &rigs).unwrap();
+    let episode = EpisodeDraw::sample(&Scene::load(scene).unwrap(), 3, &rigs).unwrap();
     let touchables = Touchables::new(&episode, hands.each_ref(), 0.006).unwrap();
     (episode, hands, touchables)
 }
 
-fn poses(episode: &Episode, shift: DVec3, turn: DQuat) -> Vec<ObjectPose> {
+fn poses(episode: &EpisodeDraw, shift: DVec3, turn: DQuat) -> Vec<ObjectPose> {
     let pose = |object: &egotac::sim::randomize::ObjectDraw| ObjectPose {
         name: object.name.clone(),
         position: object.position + shift,
@@ -29,7 +30,7 @@ fn poses(episode: &Episode, shift: DVec3, turn: DQuat) -> Vec<ObjectPose> {
     episode.objects.iter().map(pose).collect()
 }
 
-/// Vertices of a hand around `centre`, m.
+/// Returns the vertices of a hand around `centre`, m.
 fn hand_at(model: &HandModel, centre: Vec3) -> Vec<Vec3> {
     let vertices = model.forward(&HandParams::default()).vertices;
     let middle = vertices.iter().sum::<Vec3>() / vertices.len() as f32;
@@ -37,17 +38,17 @@ fn hand_at(model: &HandModel, centre: Vec3) -> Vec<Vec3> {
 }
 
 #[test]
-fn distances_are_those_of_the_object_and_the_table() {
+fn distances_match_the_shapes_of_object_and_table() {
     let (episode, [_, right], mut touchables) = episode("lift_mug");
     let turn = DQuat::from_scaled_axis(DVec3::new(0.5, -0.3, 0.9));
     for height in [0.0, 0.05, 0.3] {
         let objects = poses(&episode, DVec3::Z * height, turn);
-        // The hand goes through the mug, so that vertices lie inside the wall, in the hollow and around.
+        // The hand passes through the mug: vertices lie inside the wall, in the hollow and around it.
         let vertices = hand_at(&right, objects[0].position.as_vec3() + Vec3::new(0.01, 0.02, 0.0));
         let distances = touchables.distances([None, Some(&vertices)], &objects, CUTOFF).unwrap();
         assert!(
             distances.surface[Side::Left.range()].iter().all(|d| d.is_infinite()),
-            "an absent hand touches nothing"
+            "an absent hand is infinitely far"
         );
         let (mut inside, mut near) = (0, 0);
         for (vertex, index) in vertices.iter().zip(Side::Right.range()) {
@@ -60,7 +61,7 @@ fn distances_are_those_of_the_object_and_the_table() {
                 true => assert!((got - expected).abs() < 1e-6, "{vertex}: {got} m instead of {expected} m"),
                 false => assert!(got.is_infinite(), "{vertex}: {got} m instead of {expected} m"),
             }
-            // Points lie on the surface, a facet's sagitta off where it is round.
+            // Points lie on the surface; on a round one, up to a facet's sagitta inside.
             assert!(point >= got.max(0.0) - 1e-3, "{vertex}: a point at {point} m, the surface at {got} m");
             assert!(
                 point <= expected.abs() + 0.007 || point.is_infinite() && expected.abs() > 0.012,
@@ -74,7 +75,7 @@ fn distances_are_those_of_the_object_and_the_table() {
 }
 
 #[test]
-fn the_other_hand_is_touched_and_ones_own_is_not() {
+fn hand_is_near_the_other_hand_but_not_itself() {
     let (episode, [left, right], mut touchables) = episode("hover");
     let far = DVec3::X * 5.0;
     let objects = poses(&episode, far, DQuat::IDENTITY);
@@ -87,14 +88,14 @@ fn the_other_hand_is_touched_and_ones_own_is_not() {
         let inside = both.surface[side.range()].iter().filter(|d| **d < 0.0).count();
         assert!(inside > 20, "{inside} vertices of the {} hand in the other", side.name());
     }
-    // And out again: nothing of the frame before stays.
+    // No state of the previous frame remains.
     let apart: Vec<Vec3> = right.iter().map(|v| *v + Vec3::Y * 0.4).collect();
     let apart = touchables.distances([Some(&left), Some(&apart)], &objects, CUTOFF).unwrap();
     assert!(apart.surface.iter().all(|d| d.is_infinite()));
 }
 
 #[test]
-fn objects_that_are_not_there_and_vertices_that_cannot_be() {
+fn absent_objects_are_ignored_and_invalid_vertices_refused() {
     let (episode, [_, right], mut touchables) = episode("pinch_cube");
     let mut objects = poses(&episode, DVec3::Z, DQuat::IDENTITY);
     let mut vertices = hand_at(&right, objects[0].position.as_vec3());
@@ -111,7 +112,7 @@ fn objects_that_are_not_there_and_vertices_that_cannot_be() {
 }
 
 #[test]
-fn each_thing_says_how_finely_it_is_sampled() {
+fn samplings_name_each_surface_with_its_spacing() {
     let (_, _, touchables) = episode("lift_mug");
     let samplings = touchables.samplings();
     let names: Vec<&str> = samplings.iter().map(|sampling| sampling.name.as_str()).collect();

@@ -1,4 +1,4 @@
-//! Training learns what can be seen, is a function of its configuration, and resumes as if it had not stopped.
+//! Training: learns from images, depends only on its configuration, and resumes bit for bit.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -14,14 +14,14 @@ use egotac::model::grow::{Growth, grow};
 use egotac::model::{self, Checkpoint, EgoTac, Predictor, init, predictor};
 use egotac::score::metrics::{EvalOptions, evaluate};
 use egotac::tactile::{N_FIELD, TactileField, Validity};
-use egotac::train::config::{Augment, Batch};
+use egotac::train::config::{AugmentConfig, BatchConfig};
 use egotac::train::data::Dataset;
-use egotac::train::source::Source;
+use egotac::train::source::TrainingSource;
 use egotac::train::{Config, Control, Event, baseline, predict, train};
 use image::{Rgb, RgbImage};
 use serde_json::Value;
 
-/// A disc wanders over grey; its quadrant says which vertices are touched, its brightness how hard.
+/// Writes a store with a disc on grey: its quadrant selects the touched vertices, its brightness the force.
 fn write_store(path: &Path, seed: u64, episodes: usize, frames: usize) {
     let attributes = Attributes {
         topology: Topology::EgotacHand1,
@@ -80,7 +80,7 @@ fn run(config: &Config, resume: bool, stop_after: usize) -> egotac::train::Outco
     train(config, resume, &Device::Cpu, &mut observe).unwrap()
 }
 
-/// A column of a run's log.
+/// Reads a column of a run's log.
 fn logged(config: &Config, name: &str) -> Vec<f64> {
     let log = std::fs::read_to_string(config.out.join("log.csv")).unwrap();
     let column = log.lines().next().unwrap().split(',').position(|column| column == name).unwrap();
@@ -93,13 +93,13 @@ fn dataset(path: &Path, checkpoint: &Checkpoint) -> Dataset {
 }
 
 #[test]
-fn a_small_store_is_learned_far_better_than_any_constant() {
+fn a_trained_network_beats_every_constant_prediction() {
     let folder = tempfile::tempdir().unwrap();
     write_store(&folder.path().join("train.zarr"), 1, 12, 80);
     write_store(&folder.path().join("test.zarr"), 2, 1, 80);
     let config = config(folder.path(), "out", 400, "augment: {crop: 0, view_scale: 0}\nloss: {active: 1}");
     let outcome = run(&config, false, usize::MAX);
-    assert_eq!((outcome.steps, outcome.broken_steps), (400, 0));
+    assert_eq!((outcome.steps, outcome.skipped_steps), (400, 0));
 
     let checkpoint = Checkpoint::load(&outcome.checkpoint, &Device::Cpu).unwrap();
     assert_eq!(checkpoint.sha256, outcome.sha256);
@@ -112,7 +112,7 @@ fn a_small_store_is_learned_far_better_than_any_constant() {
     for constant in baseline::constants(&train.labels().unwrap()) {
         let fields = constant.sequence(labels.n_frames());
         let theirs = evaluate(&fields, &labels, &EvalOptions::default()).unwrap();
-        // Of four seeds the worst came to 0.59 times the best constant; some never find one of the quadrants.
+        // The worst of four seeds reached 0.59 times the error of the best constant; some miss one quadrant.
         assert!(ours.active_mae < theirs.active_mae.map(|mae| 0.7 * mae), "{}: {ours:?} {theirs:?}", constant.name);
     }
     assert!(ours.temporal_pearson > Some(0.5), "{ours:?}");
@@ -151,13 +151,13 @@ fn bf16_follows_f32_closely_and_keeps_f32_weights() {
     let [full, half] = [of("full", ""), of("half", "precision: bf16")];
     let outcomes = [&full, &half].map(|config| run(config, false, usize::MAX));
     let [a, b] = [&full, &half].map(|config| logged(config, "loss"));
-    // The first loss differs by rounding alone; then the runs go apart slowly.
+    // The first loss differs only by rounding; later ones diverge slowly.
     assert!((a[0] / b[0] - 1.0).abs() < 0.01, "{} {}", a[0], b[0]);
     for (step, (a, b)) in a.iter().zip(&b).enumerate() {
         assert!((a / b - 1.0).abs() < 0.15, "step {step}: {a} in f32, {b} in bf16");
     }
     assert_ne!(weights(&outcomes[0].checkpoint), weights(&outcomes[1].checkpoint));
-    // More digits than bf16 has.
+    // The weights have more digits than bf16.
     let checkpoint = std::fs::read(&outcomes[1].checkpoint).unwrap();
     let tensors = safetensors::SafeTensors::deserialize(&checkpoint).unwrap();
     let head = tensors.tensor("force_head.weight").unwrap();
@@ -169,7 +169,7 @@ fn bf16_follows_f32_closely_and_keeps_f32_weights() {
 }
 
 #[test]
-fn a_run_that_is_killed_again_and_again_ends_with_the_same_weights() {
+fn a_run_killed_several_times_ends_with_the_same_weights() {
     let folder = tempfile::tempdir().unwrap();
     write_store(&folder.path().join("train.zarr"), 1, 2, 40);
     let write = |out: &str| {
@@ -188,7 +188,7 @@ fn a_run_that_is_killed_again_and_again_ends_with_the_same_weights() {
     let (killed, file) = write("killed");
     let state = killed.out.join("state.safetensors");
     let lines = || std::fs::read_to_string(killed.out.join("log.csv")).map_or(0, |log| log.lines().count());
-    // Each time some steps further than the time before, at no particular moment of a step.
+    // Each kill comes some steps later than the one before, at an arbitrary moment of a step.
     let mut kills = 0;
     let mut before = 0;
     while kills < 4 {
@@ -206,14 +206,14 @@ fn a_run_that_is_killed_again_and_again_ends_with_the_same_weights() {
     assert!(start(&file, true).wait().unwrap().success());
     let [a, b] = [&whole, &killed].map(|config| weights(&config.out.join("checkpoint.safetensors")));
     assert!(a == b, "not the same bits");
-    // Nor does the optimiser differ.
+    // The optimiser state is the same, too.
     let states = [&whole, &killed].map(|config| weights(&config.out.join("state.safetensors")));
     assert!(states[0] == states[1]);
     assert_eq!(logged(&killed, "loss"), logged(&whole, "loss"));
     assert!(killed.out.join("curves.png").is_file());
 }
 
-/// The bytes of the tensors alone: the record of the run in the header names its folder.
+/// Returns the bytes of the tensors without the header, which contains the folder of the run.
 fn weights(path: &Path) -> Vec<u8> {
     let bytes = std::fs::read(path).unwrap();
     let (header, _) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
@@ -221,7 +221,7 @@ fn weights(path: &Path) -> Vec<u8> {
 }
 
 #[test]
-fn windows_that_share_frames_have_the_loss_and_gradient_of_whole_clips() {
+fn shared_frames_give_the_loss_and_gradient_of_separate_windows() {
     let geometry = model::Config::toy();
     let varmap = VarMap::new();
     let network = EgoTac::new(&geometry, init::var_builder(&varmap, 3, &Device::Cpu)).unwrap();
@@ -252,7 +252,7 @@ fn windows_that_share_frames_have_the_loss_and_gradient_of_whole_clips() {
 }
 
 #[test]
-fn whole_episodes_predict_as_a_stream_does() {
+fn batch_prediction_equals_stream_prediction() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("train.zarr");
     write_store(&path, 1, 2, 40);
@@ -277,7 +277,7 @@ fn whole_episodes_predict_as_a_stream_does() {
 }
 
 #[test]
-fn a_grown_network_goes_on_from_what_it_knew() {
+fn a_grown_network_keeps_its_predictions_and_trains_on() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("train.zarr");
     write_store(&path, 1, 4, 40);
@@ -311,7 +311,7 @@ fn egotac(folder: &Path, args: &[&str]) -> Output {
 }
 
 #[test]
-fn the_commands_train_predict_and_score() {
+fn train_predict_and_eval_commands_agree() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| -> PathBuf { folder.path().join(name) };
     write_store(&at("train.zarr"), 1, 2, 40);
@@ -336,7 +336,7 @@ fn the_commands_train_predict_and_score() {
     let json: Value = serde_json::from_str(&ok(&args)).unwrap();
     let keys: Vec<&String> = json.as_object().unwrap().keys().collect();
     assert_eq!(keys, ["mean", "median", "model", "zero"]);
-    // The same scores by way of the files.
+    // Scores of the written fields are the same.
     let by_file: Value =
         serde_json::from_str(&ok(&["eval", "--pred", "fields.safetensors", "--target", "test.zarr", "--json"]))
             .unwrap();
@@ -344,7 +344,7 @@ fn the_commands_train_predict_and_score() {
     let table = ok(&args[..args.len() - 1]);
     assert!(table.contains("model") && table.contains("median") && table.contains("active MAE (N)"), "{table}");
 
-    // Images: a folder by name.
+    // A folder of images.
     std::fs::create_dir(at("images")).unwrap();
     let store = ZarrReader::open(&at("test.zarr")).unwrap();
     for index in 0..5 {
@@ -375,34 +375,35 @@ fn the_commands_train_predict_and_score() {
 }
 
 #[test]
-fn gathered_gradients_are_those_of_the_whole_batch() {
+fn accumulated_gradients_equal_those_of_the_whole_batch() {
     let folder = tempfile::tempdir().unwrap();
     write_store(&folder.path().join("train.zarr"), 1, 6, 8);
-    // Every clip has as many windows and labels as any other, so that the mean of means is the mean; the active term
-    // alone counts what is touched. Later steps differ: Adam makes full steps of rounding errors.
-    let first_step = |out: &str, batch: Batch| {
+    // All clips have the same number of windows and labels, so that the mean of the batch means is the mean; only the active
+    // term depends on the touched vertices. Later steps differ, because Adam turns rounding errors into full steps.
+    let first_step = |out: &str, batch: BatchConfig| {
         let mut config = config(folder.path(), out, 1, "");
-        (config.batch, config.augment, config.loss.active) = (batch, Augment::none(), 0.0);
+        (config.batch, config.augment, config.loss.active) = (batch, AugmentConfig::none(), 0.0);
         run(&config, false, usize::MAX);
         ["loss", "force", "contact", "consistency", "grad_norm", "windows"].map(|name| logged(&config, name)[0])
     };
-    let whole = first_step("whole", Batch { clips: 2, windows: 1, accumulate: 1 });
-    let gathered = first_step("gathered", Batch { clips: 1, windows: 1, accumulate: 2 });
+    let whole = first_step("whole", BatchConfig { clips: 2, windows: 1, accumulate: 1 });
+    let gathered = first_step("gathered", BatchConfig { clips: 1, windows: 1, accumulate: 2 });
     for (whole, gathered) in whole.iter().zip(&gathered) {
         assert!((whole - gathered).abs() < 1e-3 * whole.abs(), "{whole} {gathered}");
     }
-    let one = first_step("one", Batch { clips: 1, windows: 1, accumulate: 1 });
+    let one = first_step("one", BatchConfig { clips: 1, windows: 1, accumulate: 1 });
     assert!((one[4] - whole[4]).abs() > 1e-2 * whole[4], "one batch has another gradient: {one:?} {whole:?}");
 }
 
 #[test]
-fn mixed_sources_resume_as_if_they_had_not_stopped() {
+fn a_run_on_mixed_sources_resumes_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
     write_store(&folder.path().join("train.zarr"), 1, 2, 30);
     write_store(&folder.path().join("small.zarr"), 2, 1, 5);
     let config = |out: &str| {
         let mut config = config(folder.path(), out, 12, "sampling: {epoch: 40}\n");
-        let small = Source { quota: 0.25, mirror: true, ..Source::path(folder.path().join("small.zarr")) };
+        let small =
+            TrainingSource { quota: 0.25, mirror: true, ..TrainingSource::path(folder.path().join("small.zarr")) };
         config.data.push(small);
         config
     };

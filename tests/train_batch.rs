@@ -1,4 +1,4 @@
-//! What a training step is fed: the frames of its windows, each once, and the labels of their newest frames.
+//! Batches of a training step: frames, windows and labels.
 
 use std::path::Path;
 
@@ -8,10 +8,10 @@ use egotac::hand::Topology;
 use egotac::image::{IMAGENET_MEAN, IMAGENET_STD, Preparation, normalise};
 use egotac::tactile::{N_FIELD, TactileField, Validity};
 use egotac::train::batch::Collate;
-use egotac::train::config::Augment;
+use egotac::train::config::AugmentConfig;
 use egotac::train::data::Dataset;
 use egotac::train::sampler::Clip;
-use egotac::train::source::Source;
+use egotac::train::source::TrainingSource;
 use image::{Rgb, RgbImage};
 
 const SIDE: usize = 8;
@@ -30,7 +30,7 @@ fn preparation() -> Preparation {
     }
 }
 
-/// Frame t presses vertex t with t N; frame 7 is refused by a guard, vertex 3 of frame 8 is unknown.
+/// Writes a store whose frame t has t N on vertex t; frame 7 is refused by a guard, vertex 3 of frame 8 is unknown.
 fn write_store(path: &Path) {
     let attributes = Attributes {
         topology: Topology::Mano,
@@ -68,7 +68,7 @@ fn write_store(path: &Path) {
 }
 
 #[test]
-fn batches_hold_each_frame_once_and_the_labels_of_the_newest() {
+fn batches_contain_each_frame_once_and_the_labels_of_the_newest() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
     write_store(&path);
@@ -76,11 +76,17 @@ fn batches_hold_each_frame_once_and_the_labels_of_the_newest() {
         let data = Dataset::new(vec![ZarrReader::open(&path).unwrap()], preparation(), in_memory).unwrap();
         assert_eq!((data.n_frames(), data.topology()), (12, Topology::Mano));
         assert_eq!(data.episodes(), [(0, 0..4), (0, 4..12)]);
-        // 1..6 N, 8..11 N are active (7 is refused, and 0 N no touch): the 99th percentile is the largest.
+        // 1..6 N, 8..11 N are active (frame 7 is refused, and 0 N is no contact): the 99th percentile is the largest.
         assert_eq!(data.statistics().unwrap().force_scale, Some(11.0));
 
-        let collate =
-            Collate { horizon: 3, predict: 2, frame_dt: 0.2, force_scale: 2.0, augment: Augment::none(), seed: 1 };
+        let collate = Collate {
+            horizon: 3,
+            predict: 2,
+            frame_dt: 0.2,
+            force_scale: 2.0,
+            augment: AugmentConfig::none(),
+            seed: 1,
+        };
         let clips = [
             Clip { store: 0, episode: 4..12, newest: vec![7, 9, 11] },
             Clip { store: 0, episode: 0..4, newest: vec![1] },
@@ -120,7 +126,7 @@ fn batches_hold_each_frame_once_and_the_labels_of_the_newest() {
 }
 
 #[test]
-fn a_mirrored_clip_shows_the_other_hand() {
+fn a_mirrored_clip_swaps_the_hands() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
     write_store(&path);
@@ -129,21 +135,21 @@ fn a_mirrored_clip_shows_the_other_hand() {
         predict: 1,
         frame_dt: 0.2,
         force_scale: 2.0,
-        augment: Augment { mirror: 1.0, ..Augment::none() },
+        augment: AugmentConfig { mirror: 1.0, ..AugmentConfig::none() },
         seed: 1,
     };
     let clips = [Clip { store: 0, episode: 4..12, newest: vec![9] }];
     let batch = |mirror: bool| {
-        let source = Source { mirror, ..Source::path(&path) };
+        let source = TrainingSource { mirror, ..TrainingSource::path(&path) };
         Dataset::open(&[source], preparation(), true).unwrap().batch(&collate, 0, &clips).unwrap()
     };
     let (plain, mirrored) = (batch(false), batch(true));
-    // The picture from right to left, row by row.
+    // Each row of the image is reversed.
     for (row, reversed) in plain.frames.chunks_exact(SIDE).zip(mirrored.frames.chunks_exact(SIDE)) {
         assert!(row.iter().eq(reversed.iter().rev()));
     }
     assert_ne!(plain.frames, mirrored.frames);
-    // The two hands' blocks, index for index.
+    // The two hands swap, index by index.
     for (plain, mirrored) in [
         (&plain.force, &mirrored.force),
         (&plain.contact, &mirrored.contact),

@@ -1,4 +1,4 @@
-//! What helps a network that starts at random: weights set from the data, and keypoints to look for.
+//! Initial weights from the data, and the auxiliary keypoint task.
 
 use std::path::Path;
 
@@ -10,11 +10,11 @@ use egotac::hand::{HandModel, HandParams, N_KEYPOINTS, Side, Topology};
 use egotac::image::{IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
 use egotac::model::{Config, EgoTac, init};
 use egotac::tactile::{N_FIELD, TactileField, Validity};
-use egotac::train::config::Loss;
+use egotac::train::config::LossWeights;
 use egotac::train::data::{Dataset, Statistics};
 use egotac::train::initial_weights;
 use egotac::train::keypoints::{self, Heads, N_POINTS, Points};
-use egotac::train::loss::{Truth, objective};
+use egotac::train::loss::{Targets, objective};
 use glam::Vec3;
 use image::RgbImage;
 use serde_json::json;
@@ -24,7 +24,7 @@ const HEIGHT: u32 = 160;
 const FOCAL: f32 = 180.0;
 
 #[test]
-fn a_network_begins_with_the_mean_of_its_data_whatever_it_sees() {
+fn initial_predictions_are_the_means_of_the_data() {
     let geometry = Config::toy();
     let varmap = VarMap::new();
     let network = EgoTac::new(&geometry, init::var_builder(&varmap, 7, &Device::Cpu)).unwrap();
@@ -44,25 +44,25 @@ fn a_network_begins_with_the_mean_of_its_data_whatever_it_sees() {
         assert!((2.0 * force - statistics.mean_force[entry % N_FIELD]).abs() < 1e-5);
     }
 
-    // The logits minimise the expected cross-entropy: its slope in each of them is zero.
+    // The logits minimise the expected cross-entropy: its gradient is zero.
     let constant = logits.flatten_all().unwrap().to_vec1::<f32>().unwrap()[..N_FIELD].to_vec();
     let var = Var::from_vec(constant, (1, 1, N_FIELD), &Device::Cpu).unwrap();
     let row = |values: Vec<f32>| Tensor::from_vec(values, (1, 1, N_FIELD), &Device::Cpu).unwrap();
     let [zeros, ones] = [0.0, 1.0].map(|x| row(vec![x; N_FIELD]));
-    // A soft target stands for its share of frames.
-    let truth = Truth {
+    // A soft target equals the share of frames in contact.
+    let truth = Targets {
         force: zeros.clone(),
         contact: row(statistics.contact_rate.clone()),
         mask_force: zeros.clone(),
         mask_contact: ones,
     };
-    let loss = Loss { contact: N_FIELD as f64, positive_weight: 3.0, ..Loss::default() };
+    let loss = LossWeights { contact: N_FIELD as f64, positive_weight: 3.0, ..LossWeights::default() };
     let gradients = objective(&zeros, var.as_tensor(), &truth, 1.0, &loss).unwrap().total.backward().unwrap();
     let slopes = gradients.get(&var).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
     assert!(slopes.iter().all(|slope| slope.abs() < 1e-3), "{:?}", &slopes[..4]);
 }
 
-/// A store whose camera stands at the origin and looks along z; the left hand floats before it, the right is absent.
+/// Writes a store whose camera is at the origin and looks along z; the left hand is in front of it, the right is absent.
 fn write_store(path: &Path, hand: &HandParams, camera: bool) {
     let attributes = Attributes {
         topology: Topology::EgotacHand1,
@@ -109,7 +109,7 @@ fn preparation() -> Preparation {
 }
 
 #[test]
-fn keypoints_lie_where_a_pinhole_camera_puts_them() {
+fn keypoints_agree_with_a_pinhole_projection() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
     let hand = HandParams { transl: Vec3::new(0.02, -0.01, 0.45), ..HandParams::default() };
@@ -118,7 +118,7 @@ fn keypoints_lie_where_a_pinhole_camera_puts_them() {
     assert_eq!(points.len(), 2);
     let model = HandModel::builtin(Side::Left);
     let places = model.keypoints(&model.forward(&hand));
-    // The crop keeps the middle 160 columns.
+    // The crop keeps the central 160 columns.
     let expected = |p: Vec3| [(80.0 + FOCAL * p.x / p.z) / 160.0, (80.0 + FOCAL * p.y / p.z) / 160.0];
     let near = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs() < 1e-5 && (a[1] - b[1]).abs() < 1e-5;
     for (k, place) in places.into_iter().enumerate() {
@@ -129,7 +129,7 @@ fn keypoints_lie_where_a_pinhole_camera_puts_them() {
 }
 
 #[test]
-fn a_store_without_a_camera_has_no_keypoints_and_says_so() {
+fn keypoints_of_a_store_without_camera_poses_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
     write_store(&path, &HandParams::default(), false);
@@ -139,7 +139,7 @@ fn a_store_without_a_camera_has_no_keypoints_and_says_so() {
 }
 
 #[test]
-fn patches_are_counted_row_by_row_and_end_at_the_picture() {
+fn patches_are_numbered_row_by_row_within_the_image() {
     let cases = [([0.0, 0.0], 0), ([0.26, 0.0], 1), ([0.99, 0.51], 11), ([0.1, 0.999], 12)];
     for (place, patch) in cases {
         assert_eq!(keypoints::patch(place, 4), Some(patch), "{place:?}");
@@ -150,8 +150,8 @@ fn patches_are_counted_row_by_row_and_end_at_the_picture() {
 }
 
 #[test]
-fn layers_that_know_nothing_cost_what_guessing_costs() {
-    // Tokens of zeros: equal shares for all patches, and the middle of the picture for all coordinates.
+fn untrained_keypoint_heads_have_the_loss_of_guessing() {
+    // Tokens of zeros give equal probabilities for all patches, and the centre of the image for all coordinates.
     let geometry = Config::toy();
     let heads = Heads::new(&geometry, init::var_builder(&VarMap::new(), 1, &Device::Cpu)).unwrap();
     let zeros = |shape: &[usize]| Tensor::zeros(shape, DType::F32, &Device::Cpu).unwrap();

@@ -21,14 +21,14 @@ fn egotac(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_egotac")).args(arguments).output().unwrap()
 }
 
-/// JSON that `egotac verify` prints, and its exit status; it must not be an error.
+/// Runs `egotac verify`, which must succeed, and returns its JSON.
 fn verify(arguments: &[&str]) -> Value {
     let output = egotac(&[&["verify", "--json", "-"], arguments].concat());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// What `egotac verify` says when it refuses or a bar is missed; the status must be 1.
+/// Runs `egotac verify`, which must exit with status 1, and returns its messages.
 fn refusal(arguments: &[&str]) -> String {
     let output = egotac(&[&["verify"], arguments].concat());
     assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stdout));
@@ -54,7 +54,7 @@ impl Folder {
         self.0.path().join(name).to_str().unwrap().to_owned()
     }
 
-    /// A store of one small episode.
+    /// Writes a store of one small episode.
     fn store(&self, scene: &str, seed: &str) -> String {
         let path = self.path(&format!("{}.zarr", Path::new(scene).file_stem().unwrap().to_string_lossy()));
         let output = egotac(&["sim", "run", scene, "--seed", seed, "--size", "16", "--out", &path]);
@@ -64,7 +64,7 @@ impl Folder {
 }
 
 #[test]
-fn labels_of_scenes_are_swept_the_same_way_each_time() {
+fn the_sweep_over_labels_is_deterministic() {
     let folder = Folder::new();
     let (first, out) = (folder.path("a.json"), folder.path("out"));
     let (picture, scenes) = (folder.path("a.png"), ["verify", "pinch_cube", "hover", "--seeds", "2", "--seed", "5"]);
@@ -96,7 +96,7 @@ fn labels_of_scenes_are_swept_the_same_way_each_time() {
         assert!(before >= after, "missed force of {pair:?}: {before} {after}");
     }
     assert!(score(&report, "b_10mm", "pooled.recall") > 0.9, "{report:#}");
-    // Points lie on the surface: whatever they label, the surface rule does, too.
+    // The points lie on the surface, so that label (b) contains label (a).
     for threshold in ["2mm", "5mm", "10mm"] {
         let [a, b] = ["a", "b"].map(|rule| score(&report, &format!("{rule}_{threshold}"), "labelled_ratio"));
         assert!(a <= b, "{threshold}: {a} {b}");
@@ -110,7 +110,7 @@ fn labels_of_scenes_are_swept_the_same_way_each_time() {
 }
 
 #[test]
-fn finer_points_recall_more_of_the_vertex_rule() {
+fn finer_sampling_increases_the_recall_of_label_a() {
     let recall = |spacing: &str| {
         let report = verify(&["pinch_cube", "--seeds", "1", "--seed", "5", "--thresholds", "10", "--spacing", spacing]);
         score(&report, "a_10mm", "pooled.recall")
@@ -120,7 +120,7 @@ fn finer_points_recall_more_of_the_vertex_rule() {
 }
 
 #[test]
-fn a_store_scores_as_the_rollout_it_was_made_from() {
+fn a_store_and_its_rollout_have_the_same_scores() {
     let folder = Folder::new();
     let store = folder.store("pinch_cube", "5");
     let (stored, run) = (verify(&[&store]), verify(&["pinch_cube", "--seed", "5", "--seeds", "1"]));
@@ -135,7 +135,7 @@ fn a_store_scores_as_the_rollout_it_was_made_from() {
 }
 
 #[test]
-fn a_store_of_an_own_scene_needs_its_file_as_it_was() {
+fn a_store_of_a_custom_scene_needs_the_unchanged_scene_file() {
     let folder = Folder::new();
     let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/sim/scenes/pinch_cube.yaml")).unwrap();
     let scene = folder.path("mine.yaml");
@@ -144,7 +144,7 @@ fn a_store_of_an_own_scene_needs_its_file_as_it_was() {
     let error = refusal(&[&store]);
     assert!(error.contains("--scene FILE") && error.contains("mine"), "{error}");
     assert!(score(&verify(&[&store, "--scene", &scene]), "b_5mm", "pooled.f1") > 0.0);
-    // Another scene by that name is not what the store was made from.
+    // Another scene of the same name is refused.
     let other = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/sim/scenes/hover.yaml")).unwrap();
     let moved = format!("{other}\n");
     std::fs::write(&scene, moved).unwrap();
@@ -152,7 +152,7 @@ fn a_store_of_an_own_scene_needs_its_file_as_it_was() {
     assert!(error.contains("that the store was made from"), "{error}");
 }
 
-/// What holds for any hand and object: forces lie where the surfaces are near, and nowhere else for long.
+/// Checks properties that hold for any hand and object: forces act only where the surfaces are near.
 fn is_sound(report: &Value) {
     assert_eq!(score(report, "c", "pooled.f1"), 1.0);
     assert!(score(report, "b_10mm", "pooled.recall") > 0.9 && score(report, "b_10mm", "missed_force") < 0.1);
@@ -162,7 +162,7 @@ fn is_sound(report: &Value) {
 }
 
 #[test]
-fn hands_from_mano_files_are_verified_as_the_built_in_ones() {
+fn mano_hands_score_like_built_in_hands() {
     let folder = Folder::new();
     let data = |name: &str| format!("{}/tests/data/hand/{name}", env!("CARGO_MANIFEST_DIR"));
     let left = folder.path("left.pkl");
@@ -173,7 +173,7 @@ fn hands_from_mano_files_are_verified_as_the_built_in_ones() {
     let hands = ["--mano-left", &left, "--mano-right", &data("right.npz")];
     let report = verify(&[&["pinch_cube", "press_button", "--seeds", "2", "--seed", "5"], &hands[..]].concat());
     is_sound(&report);
-    // A store of such hands says so, and scores with them alone.
+    // A store of MANO hands records its topology and is scored only with MANO hands.
     let store = folder.path("mano.zarr");
     let run = ["sim", "run", "pinch_cube", "--seed", "5", "--size", "16", "--out", &store];
     assert!(egotac(&[&run[..], &hands].concat()).status.success());
@@ -184,7 +184,7 @@ fn hands_from_mano_files_are_verified_as_the_built_in_ones() {
 }
 
 #[test]
-fn a_cube_from_a_mesh_file_is_verified_as_the_built_in_one() {
+fn a_cube_from_a_mesh_file_scores_like_the_primitive() {
     let folder = Folder::new();
     let corners: String = (0..8).map(|i| format!("v {} {} {}\n", i & 1, (i >> 1) & 1, i >> 2)).collect();
     let faces = ["1 3 4 2", "5 6 8 7", "1 2 6 5", "3 7 8 4", "1 5 7 3", "2 4 8 6"].map(|face| format!("f {face}\n"));
@@ -225,7 +225,7 @@ fn predictions_are_scored_and_the_gate_sets_the_exit_status() {
     write(&half, &sequence);
     write(&none, &from_force(vec![0.0; sequence.force.len()]));
 
-    // The store itself serves as well.
+    // A store is accepted as predictions, too.
     for predictions in [&right, &store] {
         let report =
             verify(&[&store, "--predictions", predictions, "--require", "f1=1,missed_force=0,onset_error_secs=0"]);
@@ -258,7 +258,7 @@ fn predictions_are_scored_and_the_gate_sets_the_exit_status() {
 }
 
 #[test]
-fn a_network_is_scored_on_what_it_sees() {
+fn a_network_is_scored_on_rendered_images() {
     let folder = Folder::new();
     let path = PathBuf::from(folder.path("model.safetensors"));
     let (vars, config) = (VarMap::new(), Config::toy());
@@ -274,22 +274,28 @@ fn a_network_is_scored_on_what_it_sees() {
     assert!(rate > 0.0 && rate < 1.0, "{rate}");
     let missed = refusal(&[&arguments[..], &["--require", "f1=0.99"]].concat());
     assert!(missed.contains("prediction: pooled.f1: at least 0.99 is required"), "{missed}");
-    // The pictures of a store are the same ones.
+    // The images of a store give the same scores.
     let stored = verify(&[&folder.store("pinch_cube", "5"), "--predictor", model]);
     for name in ["pooled.f1", "mae", "missed_force"] {
         assert!((score(&stored, "prediction", name) - score(&report, "prediction", name)).abs() < 1e-9, "{name}");
     }
 }
 
-/// A bag of 20 frames at 25 Hz with touch from the sixth on; frame 9's prediction is missing, frame 12's truth invalid.
+/// Writes a bag of 20 frames at 25 Hz with touch from frame 6 on. The prediction of frame 9 is missing, the truth of frame
+/// 12 is invalid.
 fn bag(folder: &Path, other: bool) {
+    bag_of(folder, 0..20, other);
+}
+
+/// Writes a bag with the given frames of that bag.
+fn bag_of(folder: &Path, frames: std::ops::Range<i64>, other: bool) {
     let mut bag = BagWriter::create(folder).unwrap();
     bag.add_topic("/predictor/tactile", TactileFrame::TYPE, &TactileFrame::schema(), false).unwrap();
     bag.add_topic("/truth/tactile", TactileTruth::TYPE, &TactileTruth::schema(), false).unwrap();
     if other {
         bag.add_topic("/other/tactile", TactileFrame::TYPE, &TactileFrame::schema(), false).unwrap();
     }
-    for index in 0..20i64 {
+    for index in frames {
         let stamp = Time::from_nanos(1_700_000_000_000_000_000 + index * 40_000_000);
         let header = Header { stamp, frame_id: "camera".into() };
         let mut force = vec![0.0; N_FIELD];
@@ -313,6 +319,27 @@ fn bag(folder: &Path, other: bool) {
 }
 
 #[test]
+fn a_bag_of_two_files_scores_as_the_same_bag_of_one_file() {
+    let folder = Folder::new();
+    let [whole, first, second, split] = ["whole", "first", "second", "split"].map(|name| folder.path(name));
+    bag(Path::new(&whole), false);
+    bag_of(Path::new(&first), 0..9, false);
+    bag_of(Path::new(&second), 9..20, false);
+    std::fs::create_dir(&split).unwrap();
+    // The names are in the opposite order: the order of `metadata.yaml` counts.
+    std::fs::copy(format!("{first}/first_0.mcap"), format!("{split}/z.mcap")).unwrap();
+    std::fs::copy(format!("{second}/second_0.mcap"), format!("{split}/a.mcap")).unwrap();
+    let metadata =
+        "rosbag2_bagfile_information:\n  storage_identifier: mcap\n  relative_file_paths: [z.mcap, a.mcap]\n";
+    std::fs::write(format!("{split}/metadata.yaml"), metadata).unwrap();
+    let [whole, split] = [whole, split].map(|bag| verify(&["--recording", &bag]));
+    for part in ["counts", "unmatched", "candidates", "episodes"] {
+        assert_eq!(split[part], whole[part], "{part}");
+    }
+    assert_eq!(split["counts"]["frames"], 18);
+}
+
+#[test]
 fn a_recording_is_scored_by_equal_stamps() {
     let folder = Folder::new();
     let [plain, ambiguous] = ["plain", "ambiguous"].map(|name| folder.path(name));
@@ -324,7 +351,7 @@ fn a_recording_is_scored_by_equal_stamps() {
     assert_eq!(report["counts"]["refused"][Validity::TooFast.reason()], 1);
     assert_eq!(score(&report, "prediction", "onset_error_secs"), 0.0);
     assert_eq!(score(&report, "prediction", "link_force_error"), 0.0);
-    // One file of the bag serves as well.
+    // The bag's file alone gives the same scores.
     let file = format!("{plain}/plain_0.mcap");
     assert_eq!(verify(&["--recording", &file])["counts"], report["counts"]);
     let error = refusal(&["--recording", &ambiguous]);

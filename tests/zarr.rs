@@ -1,4 +1,4 @@
-//! Stores read back what was written, by us or by zarr-python, and refuse what does not fit.
+//! Stores written by us or by zarr-python read back, and invalid values are refused.
 
 use std::path::Path;
 
@@ -61,7 +61,7 @@ fn assert_same(read: &Frame, written: &Frame) {
 fn frames_read_back_as_pushed_over_several_chunks_and_episodes() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
-    // 200 x 300 x 3 bytes: 12 frames reach 2 MB, so 30 frames span three chunks, the last one open.
+    // 12 frames of 200 x 300 x 3 bytes reach 2 MB, so 30 frames span three chunks, the last of them not full.
     write(&path, &[13, 17], (300, 200));
     let store = ZarrReader::open(&path).unwrap();
     assert_eq!(store.episode_ends(), [13, 30]);
@@ -78,7 +78,7 @@ fn frames_read_back_as_pushed_over_several_chunks_and_episodes() {
 }
 
 #[test]
-fn a_store_appears_only_when_finished_and_leaves_nothing_behind() {
+fn a_store_appears_only_when_finished_and_leaves_no_temporary_files() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
     let create = || ZarrWriter::create(&path, attributes(Topology::EgotacHand1), Contact::Truth, Vec::new());
@@ -93,7 +93,7 @@ fn a_store_appears_only_when_finished_and_leaves_nothing_behind() {
 }
 
 #[test]
-fn extra_arrays_read_back_and_are_all_demanded() {
+fn extra_arrays_read_back_and_none_may_be_missing() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
     let extra = vec![

@@ -1,4 +1,4 @@
-//! zarr-python opens what we write. Runs where the set-up's Python is: `source env.sh`.
+//! zarr-python opens our stores. Needs the Python environment of `make setup`.
 #![cfg(feature = "sim")]
 
 use std::process::Command;
@@ -39,7 +39,7 @@ assert root["meta/episode_ends"].compressor is None and data["camera_ego_rgb"].c
 "#;
 
 #[test]
-fn zarr_python_opens_what_we_write() {
+fn zarr_python_opens_our_stores() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("ours.zarr");
     let attributes = Attributes {

@@ -16,12 +16,13 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
-    /// Describe stores, bags, LeRobot data sets, videos, folders of images and tensor files: what is in them, and whose labels.
+    /// Describe stores, bags, LeRobot data sets, videos, folders of images and tensor files: their content and the origin of
+    /// their labels.
     Info {
-        /// The recordings; a folder of stores counts as its stores.
+        /// Recordings; a folder of stores stands for its stores.
         #[arg(required = true, value_name = "PATH")]
         paths: Vec<PathBuf>,
-        /// Print JSON in place of text.
+        /// Print JSON instead of text.
         #[arg(long)]
         json: bool,
     },

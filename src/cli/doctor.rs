@@ -1,4 +1,4 @@
-//! `egotac doctor`: what is installed, and how to fix what is not.
+//! `egotac doctor`: checks the installation and prints fixes for missing parts.
 
 mod checks;
 mod gl;
@@ -12,13 +12,14 @@ use serde::Serialize;
 /// Arguments of `egotac doctor`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The hand to check: `builtin`, or a MANO file (.pkl or .npz) of the right hand.
+    /// Hand to check: `builtin`, or a MANO file (.pkl or .npz) of the right hand.
     #[arg(long, value_name = "builtin|PATH", default_value = "builtin")]
     hand: String,
     /// Print JSON instead of a table.
     #[arg(long)]
     json: bool,
-    /// Print the OpenGL renderer's name; the table asks a second process, since OpenGL can end the one it fails in.
+    /// Print the name of the OpenGL renderer. The table runs this in a child process, because a broken OpenGL can end
+    /// the process that opens it.
     #[arg(long, hide = true)]
     probe_gl: bool,
 }
@@ -26,22 +27,24 @@ pub struct Args {
 /// One line of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 struct Row {
-    /// What is looked at.
+    /// Name of the checked part.
     name: &'static str,
     state: State,
-    /// What is there, with version and place.
+    /// Version and path that were found.
     found: String,
-    /// What to do; empty if nothing.
+    /// Command or action that fixes the part or enables it; empty if none is needed.
     fix: String,
 }
 
+/// State of a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 enum State {
+    /// Present and usable.
     Ok,
-    /// This build can't do its work without it.
+    /// Absent or unusable, and required by this build.
     Missing,
-    /// Whatever is there, this build does not use it.
+    /// Not used by this build, present or not.
     NotNeeded,
 }
 
@@ -54,9 +57,9 @@ impl Row {
         Self { name, state: State::Missing, found: found.into(), fix: fix.into() }
     }
 
-    /// A row of a feature that is not built in.
+    /// Creates the row of a part whose feature is not compiled in.
     fn not_needed(name: &'static str, feature: &str, found: impl Into<String>) -> Self {
-        let fix = format!("to use it: `make setup`, `. ./env.sh`, `cargo build --features {feature}`");
+        let fix = format!("`make setup`, `. ./env.sh`, `cargo build --features {feature}`");
         Self { name, state: State::NotNeeded, found: found.into(), fix }
     }
 }
@@ -77,6 +80,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     Ok(if complete { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
+/// Formats the rows as a table for people.
 fn table(rows: &[Row]) -> String {
     let width = rows.iter().map(|row| row.name.len()).max().unwrap_or_default();
     let mut text = String::new();
@@ -88,14 +92,14 @@ fn table(rows: &[Row]) -> String {
         };
         text += &format!("{:width$}  {state:7}  {}\n", row.name, row.found);
         if !row.fix.is_empty() {
-            let arrow = if row.state == State::Missing { "fix" } else { "off" };
-            text += &format!("{:width$}  {arrow:>7}: {}\n", "", row.fix);
+            let label = if row.state == State::Missing { "fix" } else { "enable" };
+            text += &format!("{:width$}  {label:>7}: {}\n", "", row.fix);
         }
     }
     let missing: Vec<_> = rows.iter().filter(|row| row.state == State::Missing).map(|row| row.name).collect();
     text += &match missing.as_slice() {
-        [] => "Nothing is missing.\n".to_string(),
-        names => format!("Missing for this build: {}.\n", names.join(", ")),
+        [] => "All parts that this build needs are installed.\n".to_string(),
+        names => format!("This build lacks: {}.\n", names.join(", ")),
     };
     text
 }
@@ -105,19 +109,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_table_says_how_to_fix_what_is_missing() {
+    fn the_table_lists_fixes_for_missing_parts() {
         let rows = [Row::ok("Rust", "rustc 1"), Row::missing("GL", "no EGL", "apt-get install libegl1")];
         assert_eq!(
             table(&rows),
             "Rust  ok       rustc 1\n\
              GL    MISSING  no EGL\n          fix: apt-get install libegl1\n\
-             Missing for this build: GL.\n"
+             This build lacks: GL.\n"
         );
     }
 
     #[test]
-    fn what_a_build_does_not_use_is_not_missing() {
-        let rows = [Row::not_needed("GL", "sim", "not looked for")];
-        assert!(table(&rows).ends_with("Nothing is missing.\n"));
+    fn parts_of_other_features_are_not_missing() {
+        let rows = [Row::not_needed("GL", "sim", "not checked")];
+        assert!(table(&rows).ends_with("All parts that this build needs are installed.\n"));
     }
 }

@@ -6,13 +6,13 @@ use std::process::ExitCode;
 use anyhow::{Context, bail};
 
 use crate::dataset::tensors;
-use crate::dataset::zarr::{self, ZarrReader};
+use crate::dataset::zarr::{self, ZarrReader, read_truth};
 use crate::hand::{HandModel, Side, Topology};
-use crate::model::{Checkpoint, Precision};
-use crate::score::metrics::{self, Calibration, Comparison, EvalOptions, Part, Report};
+use crate::model::{Precision, Predictor, predictor};
+use crate::score::metrics::{self, Calibration, Comparison, EvalOptions, Metrics, VertexGroup};
 use crate::tactile::TactileSequence;
 use crate::train::baseline;
-use crate::train::data::{Dataset, read_truth};
+use crate::train::data::Dataset;
 
 use super::hands::Hands;
 
@@ -29,7 +29,7 @@ pub struct Args {
     /// True fields: safetensors as above (also `mask_force`, `mask_contact`, `episode_ends`), or a Zarr store.
     #[arg(long, value_name = "FILE|STORE", requires = "pred")]
     target: Option<PathBuf>,
-    /// Checkpoint to run on `--data` in place of `--pred` and `--target`.
+    /// Checkpoint to run on `--data`, instead of `--pred` and `--target`.
     #[arg(long, value_name = "FILE", requires = "data", conflicts_with = "pred")]
     checkpoint: Option<PathBuf>,
     /// Number format that the checkpoint runs in: f32, bf16 or int8.
@@ -38,50 +38,50 @@ pub struct Args {
     /// Zarr stores with truth, or folders of them.
     #[arg(long, value_name = "STORE", num_args = 1.., requires = "checkpoint")]
     data: Vec<PathBuf>,
-    /// Training stores: score beside the checkpoint three constants, namely zero, and the mean and the median of each
-    /// vertex over these stores.
+    /// Training stores; also scores three constant predictions: zero, and the mean and the median of each vertex over these
+    /// stores.
     #[arg(long, value_name = "STORE", num_args = 1.., requires = "checkpoint")]
     baselines_from: Vec<PathBuf>,
     /// Frames per second, for the dominant frequency; by default from the target's timestamps.
     #[arg(long, value_name = "F", value_parser = super::positive)]
     fps: Option<f64>,
-    /// JSON file with the range of the total force, N: {"min": .., "max": ..}, or one each under "pred" and "target";
-    /// by default the range of the data.
+    /// JSON file with the range of the total force, N: {"min": .., "max": ..}, or one range each under "pred" and
+    /// "target"; by default the range of the data.
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
-    /// Count the right hand's vertices alone.
+    /// Score only the vertices of the right hand.
     #[arg(long)]
     right_hand_only: bool,
-    /// Also score each hand and each region by itself; regions of MANO fields need the hands' files.
+    /// Also score each hand and each region separately; regions of MANO fields need the MANO files.
     #[arg(long)]
     parts: bool,
-    /// Another estimator's fields of the same frames, in a file as for --pred: scored by the same protocol, with the paired
-    /// difference and its 95 % interval (bootstrap over episodes).
+    /// Predicted fields of another estimator for the same frames: also scores these, with the paired difference and its
+    /// 95 % interval (bootstrap over episodes).
     #[arg(long, value_name = "FILE")]
     against: Option<PathBuf>,
-    /// Seed of the bootstrap's drawings.
+    /// Seed of the bootstrap.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Print JSON in place of a table.
+    /// Print JSON instead of a table.
     #[arg(long)]
     json: bool,
     #[command(flatten)]
     hands: Hands,
 }
 
-/// What is scored.
+/// Sequences to score.
 struct Case {
     pred: TactileSequence,
     target: TactileSequence,
     options: EvalOptions,
-    /// Constants to score beside the prediction.
+    /// Constant predictions to score beside `pred`.
     constants: Vec<(&'static str, TactileSequence)>,
 }
 
-/// All that was asked for.
+/// Results of the command.
 struct Scored {
-    reports: Vec<(&'static str, Report)>,
-    parts: Vec<(String, Report)>,
+    estimators: Vec<(&'static str, Metrics)>,
+    groups: Vec<(String, Metrics)>,
     against: Option<Comparison>,
 }
 
@@ -93,7 +93,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         _ => bail!("give --pred and --target, or --checkpoint and --data"),
     };
     if args.right_hand_only {
-        Part::hand(Side::Right).restrict(&mut case.target);
+        VertexGroup::hand(Side::Right).restrict(&mut case.target);
     }
     let scored = score(&args, &mut case)?;
     match args.json {
@@ -106,16 +106,16 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 fn score(args: &Args, case: &mut Case) -> anyhow::Result<Scored> {
     let Case { pred, target, options, constants } = case;
     let name = if constants.is_empty() { "prediction" } else { "model" };
-    let mut reports = vec![(name, metrics::evaluate(pred, target, options)?)];
-    for (name, fields) in constants {
-        reports.push((name, metrics::evaluate(fields, target, options)?));
+    let mut estimators = vec![(name, metrics::evaluate(pred, target, options)?)];
+    for (name, constant) in constants {
+        estimators.push((name, metrics::evaluate(constant, target, options)?));
     }
-    let mut scored = Vec::new();
+    let mut groups = Vec::new();
     if args.parts {
-        for part in parts(args, target.topology.or(pred.topology).unwrap_or_default())? {
+        for group in vertex_groups(args, target.topology.or(pred.topology).unwrap_or_default())? {
             let masks = [target.mask_force.clone(), target.mask_contact.clone()];
-            part.restrict(target);
-            scored.push((part.name, metrics::evaluate(pred, target, options)?));
+            group.restrict(target);
+            groups.push((group.name, metrics::evaluate(pred, target, options)?));
             [target.mask_force, target.mask_contact] = masks;
         }
     }
@@ -130,11 +130,11 @@ fn score(args: &Args, case: &mut Case) -> anyhow::Result<Scored> {
         }
         None => None,
     };
-    Ok(Scored { reports, parts: scored, against })
+    Ok(Scored { estimators, groups, against })
 }
 
-/// Both hands, then every region whose vertices are known.
-fn parts(args: &Args, topology: Topology) -> anyhow::Result<Vec<Part>> {
+/// Returns the groups of `--parts`: both hands, then every region.
+fn vertex_groups(args: &Args, topology: Topology) -> anyhow::Result<Vec<VertexGroup>> {
     let models = match (args.hands.files()?, topology) {
         (Some(models), _) => models,
         (None, Topology::EgotacHand1) => Side::BOTH.map(HandModel::builtin),
@@ -143,23 +143,27 @@ fn parts(args: &Args, topology: Topology) -> anyhow::Result<Vec<Part>> {
         }
     };
     models.iter().try_for_each(|model| topology.must_match(model.topology))?;
-    Ok(Side::BOTH.into_iter().map(Part::hand).chain(Part::regions(&models)).collect())
+    Ok(Side::BOTH.into_iter().map(VertexGroup::hand).chain(VertexGroup::regions(&models)).collect())
 }
 
-/// A checkpoint's predictions, and the constants beside it.
+/// Runs a checkpoint on stores, and makes the constant predictions.
 fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
-    let device = candle_core::Device::Cpu;
-    let checkpoint = Checkpoint::load_as(checkpoint, &device, args.precision)?;
-    let preparation = checkpoint.metadata.preparation(checkpoint.model.config());
+    let stream = predictor::Options { precision: args.precision, ..super::predict::stream() };
+    let mut predictor = Predictor::load(checkpoint, stream)?;
+    let topology = predictor.metadata().topology;
+    let preparation = predictor.metadata().preparation(predictor.config());
     let open = |paths: &[PathBuf]| -> anyhow::Result<Dataset> {
         let data = Dataset::new(zarr::open_all(paths)?, preparation.clone(), false)?;
-        data.topology().must_match(checkpoint.metadata.topology)?;
+        data.topology().must_match(topology)?;
         Ok(data)
     };
     let data = open(&args.data)?;
     let target = data.labels()?;
     let options = options(args)?;
-    let pred = super::predict::predict_stores(&checkpoint, &data, &device)?;
+    let folder = tempfile::tempdir()?;
+    let file = folder.path().join("fields.safetensors");
+    super::predict::predict_stores(&args.data, &mut predictor, args.precision, &file)?;
+    let pred = tensors::read(&file)?;
     let mut constants = Vec::new();
     if !args.baselines_from.is_empty() {
         for constant in baseline::constants(&open(&args.baselines_from)?.labels()?) {
@@ -169,6 +173,7 @@ fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
     Ok(Case { pred, target, options, constants })
 }
 
+/// Reads predictions and truth from files.
 fn of_files(args: &Args, pred_path: &Path, target_path: &Path) -> anyhow::Result<Case> {
     let pred = tensors::read(pred_path)?;
     // Frames of a store that a guard refused are masked out.
@@ -210,25 +215,26 @@ fn read_calibration(path: &Path) -> anyhow::Result<Calibration> {
 }
 
 fn print(scored: &Scored) {
-    let reports: Vec<(&str, &Report)> = scored.reports.iter().map(|(name, report)| (*name, report)).collect();
-    println!("{}", metrics::table(&reports));
-    if !scored.parts.is_empty() {
-        println!("\n{}", metrics::parts_table(&scored.parts));
+    let estimators: Vec<_> = scored.estimators.iter().map(|(name, metrics)| (*name, metrics)).collect();
+    println!("{}", metrics::table(&estimators));
+    if !scored.groups.is_empty() {
+        println!("\n{}", metrics::groups_table(&scored.groups));
     }
     if let Some(comparison) = &scored.against {
         println!("\n{}", metrics::comparison_table(comparison));
     }
 }
 
-/// One report is the document itself; several lie under their names. Parts and the comparison are added.
+/// Returns the scores as JSON: those of one estimator at the top level, those of several under their names. Groups and the
+/// comparison are added.
 fn json(scored: &Scored) -> anyhow::Result<serde_json::Value> {
-    let mut value = match scored.reports.as_slice() {
-        [(_, report)] => serde_json::to_value(report)?,
-        reports => serde_json::to_value(reports.iter().cloned().collect::<std::collections::BTreeMap<_, _>>())?,
+    let mut value = match scored.estimators.as_slice() {
+        [(_, only)] => serde_json::to_value(only)?,
+        several => serde_json::to_value(several.iter().cloned().collect::<std::collections::BTreeMap<_, _>>())?,
     };
-    if !scored.parts.is_empty() {
-        let parts = scored.parts.iter().map(|(name, report)| Ok((name.clone(), serde_json::to_value(report)?)));
-        value["parts"] = parts.collect::<serde_json::Result<serde_json::Map<_, _>>>()?.into();
+    if !scored.groups.is_empty() {
+        let groups = scored.groups.iter().map(|(name, metrics)| Ok((name.clone(), serde_json::to_value(metrics)?)));
+        value["parts"] = groups.collect::<serde_json::Result<serde_json::Map<_, _>>>()?.into();
     }
     if let Some(comparison) = &scored.against {
         value["against"] = serde_json::to_value(comparison)?;

@@ -1,4 +1,4 @@
-//! `egotac hand`: pose a hand, show it, carry fields between the built-in hand and MANO, rebuild the built-in hand.
+//! `egotac hand`: pose a hand, draw it, transfer fields between the built-in hand and MANO, rebuild the built-in hand.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -26,13 +26,13 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
-    /// Pose a hand: MANO parameters in, vertices and joints out.
+    /// Pose a hand: MANO parameters to vertices and joints.
     Forward(Forward),
-    /// Draw a hand and its regions, palm and back.
+    /// Draw a hand and its regions, palmar and dorsal.
     Show(Show),
-    /// Register the built-in hand on a MANO file, or carry a field over.
+    /// Register the built-in hand on a MANO file, and transfer a field.
     Map(Map),
-    /// Make the built-in hand again from its anatomy (developers; vertex indices may change).
+    /// Regenerate the built-in hand from its anatomy (for developers; vertex indices may change).
     Build(Build),
 }
 
@@ -40,8 +40,8 @@ enum Command {
 struct Forward {
     #[command(flatten)]
     model: ModelArgs,
-    /// Safetensors with `betas` (B, 10), `global_orient` (B, 3) rad, `hand_pose` (B, 45) rad (full pose, flat hand mean),
-    /// `transl` (B, 3) m.
+    /// Safetensors with `betas` (B, 10), `global_orient` (B, 3) rad, `hand_pose` (B, 45) rad (full pose, flat hand
+    /// mean), `transl` (B, 3) m.
     #[arg(long, value_name = "FILE")]
     params: PathBuf,
     /// Safetensors to write: `vertices` (B, 778, 3) and `joints` (B, 16, 3), f32, m.
@@ -53,7 +53,7 @@ struct Forward {
 struct Show {
     #[command(flatten)]
     model: ModelArgs,
-    /// Safetensors with parameters as `hand forward` takes them; its first row is drawn. Default: the flat hand.
+    /// Safetensors with the parameters of `hand forward`; the first row is drawn. Default: the flat hand.
     #[arg(long, value_name = "FILE")]
     pose: Option<PathBuf>,
     /// PNG to write.
@@ -63,19 +63,19 @@ struct Show {
 
 #[derive(Debug, clap::Args)]
 struct Map {
-    /// MANO file (the published pickle or an .npz) of one hand; the other hand's map is its mirror image.
+    /// MANO file (the published pickle or an .npz) of one hand; the map of the other hand is the mirror image.
     #[arg(long, value_name = "FILE")]
     mano: PathBuf,
-    /// Which hand that file holds.
+    /// Side of the hand in the file.
     #[arg(long, value_enum, default_value = "right")]
     side: SideArg,
-    /// Safetensors with `force` and/or `contact` (T, 1556) to carry over; needs --to.
+    /// Safetensors with `force` and/or `contact` (T, 1556) to transfer; needs --to.
     #[arg(long, value_name = "FILE", requires = "to")]
     field: Option<PathBuf>,
-    /// The hand the field shall be on.
+    /// Target hand of the transfer.
     #[arg(long, value_enum, requires = "field")]
     to: Option<To>,
-    /// Safetensors to write: the carried field, or without --field the map's sparse weights.
+    /// Safetensors to write: the transferred field, or without --field the sparse weights of the map.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
@@ -92,10 +92,10 @@ struct ModelArgs {
     /// `builtin`, or a MANO file (the published pickle or an .npz).
     #[arg(long, value_name = "builtin|FILE", default_value = "builtin")]
     model: String,
-    /// Which hand; never guessed from the file's name.
+    /// Side of the hand; it is not derived from the file name.
     #[arg(long, value_enum, default_value = "right")]
     side: SideArg,
-    /// Negate x of a left MANO file's shapedirs, which has the wrong sign in the published one.
+    /// Negate x of a left MANO file's shapedirs, which has the wrong sign in the published file.
     #[arg(long)]
     fix_left_shapedirs: bool,
 }
@@ -133,15 +133,15 @@ fn forward(args: &Forward) -> anyhow::Result<()> {
         joints.extend(posed.joints.iter().flat_map(|joint| joint.to_array()));
     }
     let tensors = [
-        ("vertices", vec![batch.len(), N_VERTICES, 3], floats(&vertices)),
-        ("joints", vec![batch.len(), N_JOINTS, 3], floats(&joints)),
+        ("vertices".to_string(), Dtype::F32, vec![batch.len(), N_VERTICES, 3], floats(&vertices)),
+        ("joints".to_string(), Dtype::F32, vec![batch.len(), N_JOINTS, 3], floats(&joints)),
     ];
     let metadata = HashMap::from([
         ("topology".to_string(), model.topology.id().to_string()),
         ("side".into(), model.side.name().into()),
     ]);
     write_tensors(&args.out, &tensors, metadata)?;
-    println!("{} {} hands posed, written to {}", batch.len(), model.side.name(), args.out.display());
+    println!("posed {} {} hands, written to {}", batch.len(), model.side.name(), args.out.display());
     Ok(())
 }
 
@@ -161,7 +161,7 @@ fn show(args: &Show) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Palm and back of the posed hand in skin colour, and the same by region, with the regions' names.
+/// Draws the posed hand in skin colour and by region, each palmar and dorsal, with a legend of the regions.
 fn sheet(model: &HandModel, params: &HandParams) -> RgbImage {
     const PANEL: (u32, u32) = (420, 520);
     const LEGEND: u32 = 210;
@@ -203,9 +203,9 @@ fn map(args: &Map) -> anyhow::Result<()> {
     );
     match (&args.field, args.to) {
         (Some(field), Some(to)) => {
-            let carried = carry(&map, field, to.into())?;
-            tensors::write(&args.out, &carried, HashMap::new())?;
-            println!("field carried to {}, written to {}", Topology::from(to).id(), args.out.display());
+            let transferred = transfer(&map, field, to.into())?;
+            tensors::write(&args.out, &transferred, HashMap::new())?;
+            println!("field transferred to {}, written to {}", Topology::from(to).id(), args.out.display());
         }
         _ => {
             write_map(&args.out, &map, &mano)?;
@@ -215,8 +215,8 @@ fn map(args: &Map) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The field of a file on the other hand.
-fn carry(map: &HandMap, path: &Path, to: Topology) -> anyhow::Result<TactileSequence> {
+/// Reads a field file and transfers it to the other hand.
+fn transfer(map: &HandMap, path: &Path, to: Topology) -> anyhow::Result<TactileSequence> {
     let mut sequence = tensors::read(path)?;
     let from = match to {
         Topology::Mano => Topology::EgotacHand1,
@@ -226,19 +226,18 @@ fn carry(map: &HandMap, path: &Path, to: Topology) -> anyhow::Result<TactileSequ
         let (got, wanted) = (topology.id(), from.id());
         ensure!(
             topology == from,
-            "{}: topology: expected {wanted} (to carry to {}), got {got}",
+            "{}: topology: expected {wanted} (to transfer to {}), got {got}",
             path.display(),
             to.id()
         );
     }
     let transfer = map.towards(to);
-    let frames = |values: &[f32], carry: &dyn Fn(&[f32]) -> crate::Result<Vec<f32>>| -> crate::Result<Vec<f32>> {
-        let carried: crate::Result<Vec<_>> = values.chunks_exact(N_FIELD).map(carry).collect();
-        Ok(carried?.concat())
+    let frames = |values: &[f32], map: &dyn Fn(&[f32]) -> crate::Result<Vec<f32>>| -> crate::Result<Vec<f32>> {
+        Ok(values.chunks_exact(N_FIELD).map(map).collect::<crate::Result<Vec<_>>>()?.concat())
     };
     let masks = |values: &[u8]| -> crate::Result<Vec<u8>> {
-        let carried: crate::Result<Vec<_>> = values.chunks_exact(N_FIELD).map(|mask| transfer.mask(mask)).collect();
-        Ok(carried?.concat())
+        let frames = values.chunks_exact(N_FIELD).map(|mask| transfer.mask(mask));
+        Ok(frames.collect::<crate::Result<Vec<_>>>()?.concat())
     };
     sequence.force = frames(&sequence.force, &|force| transfer.force(force))?;
     sequence.contact = frames(&sequence.contact, &|contact| transfer.contact(contact))?;
@@ -248,7 +247,7 @@ fn carry(map: &HandMap, path: &Path, to: Topology) -> anyhow::Result<TactileSequ
     Ok(sequence)
 }
 
-/// Weights as sparse triplets: `{to_mano,to_builtin}.{contact,force}.{target,source}` u32 and `.weight` f32.
+/// Writes the weights as sparse triplets: `{to_mano,to_builtin}.{contact,force}.{target,source}` u32 and `.weight` f32.
 fn write_map(path: &Path, map: &HandMap, mano: &HandModel) -> anyhow::Result<()> {
     let mut tensors = Vec::new();
     for (name, transfer) in [("to_mano", &map.to_mano), ("to_builtin", &map.to_builtin)] {
@@ -259,9 +258,10 @@ fn write_map(path: &Path, map: &HandMap, mano: &HandModel) -> anyhow::Result<()>
         for (kind, triplets) in [("contact", contact.collect::<Vec<_>>()), ("force", force.collect())] {
             let words = |get: fn(&(u32, u32, f32)) -> [u8; 4]| triplets.iter().flat_map(get).collect::<Vec<u8>>();
             let shape = vec![triplets.len()];
-            tensors.push((format!("{name}.{kind}.target"), Dtype::U32, shape.clone(), words(|t| t.0.to_le_bytes())));
-            tensors.push((format!("{name}.{kind}.source"), Dtype::U32, shape.clone(), words(|t| t.1.to_le_bytes())));
-            tensors.push((format!("{name}.{kind}.weight"), Dtype::F32, shape, words(|t| t.2.to_le_bytes())));
+            let name = |part: &str| format!("{name}.{kind}.{part}");
+            tensors.push((name("target"), Dtype::U32, shape.clone(), words(|t| t.0.to_le_bytes())));
+            tensors.push((name("source"), Dtype::U32, shape.clone(), words(|t| t.1.to_le_bytes())));
+            tensors.push((name("weight"), Dtype::F32, shape, words(|t| t.2.to_le_bytes())));
         }
     }
     let metadata = HashMap::from([
@@ -269,11 +269,7 @@ fn write_map(path: &Path, map: &HandMap, mano: &HandModel) -> anyhow::Result<()>
         ("builtin".into(), Topology::EgotacHand1.id().into()),
         ("mano".into(), Topology::Mano.id().into()),
     ]);
-    let views =
-        tensors.iter().map(|(name, dtype, shape, data)| Ok((name, TensorView::new(*dtype, shape.clone(), data)?)));
-    let views = views.collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
-    file::write(path, &safetensors::serialize(views, Some(metadata))?)?;
-    Ok(())
+    write_tensors(path, &tensors, metadata)
 }
 
 fn build(args: &Build) -> anyhow::Result<()> {
@@ -319,7 +315,7 @@ impl From<To> for Topology {
     }
 }
 
-/// Reads a batch of MANO parameters; all four keys are needed, with the same number of rows.
+/// Reads a batch of MANO parameters; all four keys are required, with the same number of rows.
 fn read_params(path: &Path) -> anyhow::Result<Vec<HandParams>> {
     let file = || path.display().to_string();
     let tensors = candle_core::safetensors::load(path, &Device::Cpu).with_context(file)?;
@@ -343,7 +339,7 @@ fn read_params(path: &Path) -> anyhow::Result<Vec<HandParams>> {
     Ok((0..rows).map(row).collect())
 }
 
-/// The numbers of one tensor, checked.
+/// Reads a tensor as f32 and checks that it has the expected shape and finite numbers.
 fn column(tensor: &Tensor, key: &str, rows: usize, width: usize) -> anyhow::Result<Vec<f32>> {
     ensure!(tensor.dims() == [rows, width], "{key}: expected shape [{rows}, {width}], got {:?}", tensor.dims());
     let values = tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>()?;
@@ -357,13 +353,14 @@ fn floats(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
+/// Writes named tensors of little-endian bytes as safetensors.
 fn write_tensors(
     path: &Path,
-    tensors: &[(&str, Vec<usize>, Vec<u8>)],
+    tensors: &[(String, Dtype, Vec<usize>, Vec<u8>)],
     metadata: HashMap<String, String>,
 ) -> anyhow::Result<()> {
     let views =
-        tensors.iter().map(|(name, shape, data)| Ok((*name, TensorView::new(Dtype::F32, shape.clone(), data)?)));
+        tensors.iter().map(|(name, dtype, shape, data)| Ok((name, TensorView::new(*dtype, shape.clone(), data)?)));
     let views = views.collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
     file::write(path, &safetensors::serialize(views, Some(metadata))?)?;
     Ok(())

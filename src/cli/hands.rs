@@ -1,4 +1,4 @@
-//! What commands with hands share: the models, built-in ones or MANO files, and how wide forces are spread over them.
+//! Arguments that several commands share: hand models, and the width of the force kernel.
 
 use std::path::PathBuf;
 
@@ -16,10 +16,10 @@ pub struct Hands {
 }
 
 impl Hands {
-    /// The models of the files, if they were given.
+    /// Loads the MANO files, left first; `None` without files.
     ///
     /// # Errors
-    /// If one can't be read.
+    /// If a file can't be read.
     pub fn files(&self) -> crate::Result<Option<[HandModel; 2]>> {
         match (&self.mano_left, &self.mano_right) {
             (Some(left), Some(right)) => {
@@ -29,7 +29,7 @@ impl Hands {
         }
     }
 
-    /// The models to use.
+    /// Loads the MANO files, or returns the built-in hands, left first.
     ///
     /// # Errors
     /// If a file can't be read.
@@ -39,16 +39,16 @@ impl Hands {
     }
 }
 
-/// How wide a contact's force is spread over the vertices.
+/// Width of the kernel that distributes a contact's force over vertices.
 #[derive(Debug, clap::Args)]
 pub struct Kernel {
-    /// Standard deviation of the Gaussian that spreads a contact's force over vertices (label c), millimetres.
+    /// Standard deviation of the Gaussian that distributes a contact's force over vertices (label c), millimetres.
     #[arg(long, value_name = "MM", default_value_t = 4.0, value_parser = parse_sigma)]
     pub sigma: f64,
 }
 
 impl Kernel {
-    /// The width, m.
+    /// Returns the standard deviation, m.
     #[cfg_attr(not(feature = "sim"), allow(dead_code))]
     pub fn metres(&self) -> f64 {
         1e-3 * self.sigma

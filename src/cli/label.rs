@@ -7,22 +7,24 @@ use anyhow::{Context, bail};
 use indicatif::ProgressBar;
 use serde_json::json;
 
+use crate::dataset::mcap::TOPIC;
+use crate::dataset::{LabelSummary, Provenance};
 use crate::file;
 use crate::label::{
-    Choices, Effort, Found, Item, Job, Outcome, Provenance, Shard, Summary, TOPIC, Target, items, write_manifest,
+    FormatOptions, Job, LabelTask, LabelTasks, LabelTiming, Outcome, OutputFormat, Shard, find_tasks, write_manifest,
 };
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
 
-/// Exit status where the labels are there, but not for all of the input.
+/// Exit status if a part of the input could not be labelled.
 const PARTLY: u8 = 3;
 
 /// Arguments of `egotac label`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "The input is only read. A run that is stopped, however hard, goes on where it was when the same command is \
-    given again; what it has so far lies in a hidden folder beside the output. The output appears when it is complete.\n\
-    Exit status: 0 = every image is labelled, 3 = all that could be read is labelled and the rest listed, 1 = nothing is."
+    after_help = "The input is only read. A run that was stopped, even by a kill, resumes when the same command is \
+    given again; its labels so far lie in a hidden folder beside the output. The output appears when it is complete.\n\
+    Exit status: 0 = every image is labelled, 3 = every readable image is labelled and the others are listed, 1 = error."
 )]
 pub struct Args {
     /// A Zarr store (folder or zip file), a bag (folder) or an .mcap file, a LeRobot v3 data set, a video, a
@@ -31,23 +33,23 @@ pub struct Args {
     /// The labelled data set; of several inputs, a folder for them and a manifest.json.
     #[arg(long)]
     out: PathBuf,
-    /// Kind of output.
+    /// Format of the output.
     #[arg(long, value_name = "KIND", default_value = "same")]
-    to: Target,
-    /// Checkpoint to run; the one that comes with egotac if absent.
+    to: OutputFormat,
+    /// Checkpoint to run; by default the one shipped with egotac.
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Number format of the network: f32, bf16 or int8.
     #[arg(long, default_value = "f32")]
     precision: Precision,
-    /// CUDA device, by index; the CPU without it.
+    /// Index of the CUDA device; by default the CPU.
     #[arg(long, value_name = "INDEX")]
     cuda: Option<usize>,
     /// Array of a store's images, such as camera_main_rgb (by default camera_ego_rgb, else camera_main_rgb), or key of a
     /// LeRobot camera (by default the only one).
     #[arg(long, value_name = "NAME")]
     camera: Option<String>,
-    /// Unit of a store's time stamps: s, ms, us or ns; by default the size of their steps tells.
+    /// Unit of a store's timestamps: s, ms, us or ns; by default estimated from their steps.
     #[arg(long, value_name = "UNIT", value_parser = time_unit)]
     time_unit: Option<f64>,
     /// Topic of a bag's images; by default the only one.
@@ -62,19 +64,19 @@ pub struct Args {
     /// Make the new columns observations of policies: the prefix becomes observation.PREFIX.
     #[arg(long)]
     observation: bool,
-    /// Images per second of a folder of images; by default one per observation step of the network.
+    /// Frame rate of a folder of images, 1/s; by default one image per observation step of the network.
     #[arg(long, value_name = "F", value_parser = super::positive)]
     fps: Option<f64>,
-    /// Shorter side of images in a store made from another format at most, pixels; 0 = as they are.
+    /// Upper limit of the shorter side of images in a store made from another format, pixels; 0 = original size.
     #[arg(long, value_name = "PIXELS", default_value_t = 224)]
     side: u32,
-    /// Label only each N-th episode or file from the I-th (from 0) on. Whoever is done last puts the output together.
+    /// Shard: label only every N-th episode or file from the I-th (from 0) on. The last shard assembles the output.
     #[arg(long, value_name = "I/N", value_parser = shard, default_value = "0/1")]
     shard: Shard,
-    /// Threads that decode images beside the network.
+    /// Number of threads that decode images beside the network.
     #[arg(long, default_value_t = 1)]
     decoders: usize,
-    /// JSON file with the closing summary; `-` prints it in place of the text.
+    /// JSON file for the closing summary; `-` prints JSON instead of text.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 }
@@ -84,7 +86,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
     let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..Default::default() };
     let mut predictor = Predictor::load(&path, options)?;
-    let choices = Choices {
+    let options = FormatOptions {
         to: args.to,
         fps: args.fps,
         frame_dt: predictor.metadata().frame_dt,
@@ -95,30 +97,30 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         topic: args.topic.clone(),
         labels_topic: Some(args.labels_topic.clone()),
     };
-    let Found { items, unreadable } = items(&args.input, &args.out, &choices)?;
-    let several = items.len() + unreadable.len() > 1;
-    let jobs: Vec<Job> = items.iter().map(|item| job(item, &predictor, &args)).collect();
-    let bar = bar(&items, &jobs)?;
-    let (mut effort, mut ends) = (Effort::default(), Ends::default());
+    let LabelTasks { tasks, unreadable } = find_tasks(&args.input, &args.out, &options)?;
+    let several = tasks.len() + unreadable.len() > 1;
+    let jobs: Vec<Job> = tasks.iter().map(|task| job(task, &predictor, &args)).collect();
+    let bar = bar(&tasks, &jobs)?;
+    let (mut timing, mut ends) = (LabelTiming::default(), Ends::default());
     ends.failed.extend(unreadable.iter().map(|(name, error)| (name.clone(), error.to_string())));
     let mut number = 0;
-    for (item, job) in items.iter().zip(&jobs) {
-        let outcome = job.run(&mut predictor, args.shard, number, &mut effort, &mut || bar.inc(1));
-        number += item.source.units().len();
+    for (task, job) in tasks.iter().zip(&jobs) {
+        let outcome = job.run(&mut predictor, args.shard, number, &mut timing, &mut || bar.inc(1));
+        number += task.source.units().len();
         match outcome {
-            Ok(Outcome::Done(about)) => ends.done.push((item, about.summary, false)),
-            Ok(Outcome::DoneBefore(about)) => ends.done.push((item, about.summary, true)),
-            Ok(Outcome::Waiting) => ends.waiting.push(item),
-            // One of several does not stop the others.
-            Err(error) if several => ends.failed.push((item.name.clone(), error.to_string())),
-            Err(error) => return Err(error).with_context(|| item.name.clone()),
+            Ok(Outcome::Done(info)) => ends.done.push((task, info.summary, false)),
+            Ok(Outcome::DoneBefore(info)) => ends.done.push((task, info.summary, true)),
+            Ok(Outcome::Waiting) => ends.waiting.push(task),
+            // An error in one of several recordings does not stop the others.
+            Err(error) if several => ends.failed.push((task.name.clone(), error.to_string())),
+            Err(error) => return Err(error).with_context(|| task.name.clone()),
         }
     }
     bar.finish_and_clear();
     if several && args.out.is_dir() {
-        write_manifest(&args.out, &items, &unreadable)?;
+        write_manifest(&args.out, &tasks, &unreadable)?;
     }
-    report(&args, &ends, &effort)?;
+    report(&args, &ends, &timing)?;
     for (name, reason) in &ends.failed {
         eprintln!("{name}: {reason}");
     }
@@ -129,31 +131,31 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     Ok(if whole { ExitCode::SUCCESS } else { ExitCode::from(PARTLY) })
 }
 
-/// How the jobs ended.
+/// Results of the jobs.
 #[derive(Default)]
 struct Ends<'a> {
-    /// Outputs that are there, and whether they were there before.
-    done: Vec<(&'a Item, Summary, bool)>,
-    /// Other shards have not done their parts yet.
-    waiting: Vec<&'a Item>,
-    /// Names of inputs without an output, and why.
+    /// Complete outputs; true if an earlier run completed them.
+    done: Vec<(&'a LabelTask, LabelSummary, bool)>,
+    /// Outputs that wait for other shards.
+    waiting: Vec<&'a LabelTask>,
+    /// Names of inputs without an output, and the reasons.
     failed: Vec<(String, String)>,
 }
 
-fn job<'a>(item: &'a Item, predictor: &Predictor, args: &Args) -> Job<'a> {
+fn job<'a>(task: &'a LabelTask, predictor: &Predictor, args: &Args) -> Job<'a> {
     Job {
-        source: item.source.as_ref(),
-        output: item.output.as_ref(),
-        out: item.out.clone(),
-        provenance: Provenance::of(predictor, args.precision, item.about.clone()),
+        source: task.source.as_ref(),
+        output: task.output.as_ref(),
+        out: task.out.clone(),
+        provenance: Provenance::of(predictor, args.precision, task.description.clone()),
         decoders: args.decoders,
     }
 }
 
-/// A bar over all images, begun where earlier runs stopped.
-fn bar(items: &[Item], jobs: &[Job]) -> anyhow::Result<ProgressBar> {
+/// Creates a bar over all images that starts where earlier runs stopped.
+fn bar(tasks: &[LabelTask], jobs: &[Job]) -> anyhow::Result<ProgressBar> {
     let bar = super::progress::bar("images");
-    let frames: Option<usize> = items.iter().flat_map(|item| item.source.units()).map(|unit| unit.frames).sum();
+    let frames: Option<usize> = tasks.iter().flat_map(|task| task.source.units()).map(|unit| unit.frames).sum();
     bar.set_length(frames.unwrap_or(0) as u64);
     let mut before = 0;
     for job in jobs {
@@ -164,41 +166,41 @@ fn bar(items: &[Item], jobs: &[Job]) -> anyhow::Result<ProgressBar> {
     Ok(bar)
 }
 
-fn report(args: &Args, Ends { done, waiting, failed }: &Ends, effort: &Effort) -> anyhow::Result<()> {
-    let mut total = Summary::default();
+fn report(args: &Args, Ends { done, waiting, failed }: &Ends, timing: &LabelTiming) -> anyhow::Result<()> {
+    let mut total = LabelSummary::default();
     done.iter().for_each(|(_, summary, _)| total.add(summary));
-    let fps = effort.frames as f64 / effort.pass_secs.max(f64::MIN_POSITIVE);
-    let outputs: Vec<_> = done.iter().map(|(item, ..)| item.out.display().to_string()).collect();
+    let fps = timing.frames as f64 / timing.inference_secs.max(f64::MIN_POSITIVE);
+    let outputs: Vec<_> = done.iter().map(|(task, ..)| task.out.display().to_string()).collect();
     let json = json!({
         "outputs": outputs,
-        "waiting_for_other_shards": waiting.iter().map(|item| item.out.display().to_string()).collect::<Vec<_>>(),
+        "waiting_for_other_shards": waiting.iter().map(|task| task.out.display().to_string()).collect::<Vec<_>>(),
         "failed": failed.iter().map(|(name, reason)| json!({ "input": name, "reason": reason })).collect::<Vec<_>>(),
         "summary": total,
-        "images_labelled_now": effort.frames,
-        "images_per_sec": (effort.frames > 0).then_some(fps),
+        "images_labelled_now": timing.frames,
+        "images_per_sec": (timing.frames > 0).then_some(fps),
         "seconds": {
-            "pass": effort.pass_secs,
-            "network": effort.times.network,
-            "waiting_for_images": effort.times.waiting,
-            "journal": effort.times.journal,
-            "assembly": effort.assemble_secs,
+            "pass": timing.inference_secs,
+            "network": timing.inference.network_secs,
+            "waiting_for_images": timing.inference.waiting_secs,
+            "journal": timing.inference.journal_secs,
+            "assembly": timing.assembly_secs,
         },
     });
     if args.json.as_deref().is_some_and(|path| path.as_os_str() == "-") {
         println!("{json:#}");
         return Ok(());
     }
-    for (item, _, before) in done {
-        println!("{}{}", item.out.display(), if *before { ": done before" } else { "" });
+    for (task, _, before) in done {
+        println!("{}{}", task.out.display(), if *before { ": done before" } else { "" });
     }
     if !done.is_empty() {
         println!("{}", total.text());
     }
-    if effort.frames > 0 {
-        println!("{} images in {:.1} s, {fps:.1} per second", effort.frames, effort.pass_secs);
+    if timing.frames > 0 {
+        println!("{} images in {:.1} s, {fps:.1} per second", timing.frames, timing.inference_secs);
     }
-    for item in waiting {
-        println!("{}: this shard's part is done; other shards are not", item.out.display());
+    for task in waiting {
+        println!("{}: this shard's part is done; other shards are not", task.out.display());
     }
     if let Some(path) = &args.json {
         file::write(path, format!("{json:#}\n").as_bytes())?;

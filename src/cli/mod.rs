@@ -1,17 +1,17 @@
-//! The command line: arguments and dispatch; one file per command.
+//! The command line: one file per command.
 
-mod bench;
 mod data;
 mod demo;
 mod doctor;
 mod eval;
-mod experiment;
+mod external;
 mod hand;
 mod hands;
 mod label;
 mod model;
 mod predict;
-mod progress;
+#[doc(hidden)]
+pub mod progress;
 mod report;
 mod retarget;
 #[cfg(any(feature = "ros", feature = "sim"))]
@@ -34,9 +34,9 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Check what is installed and say how to fix what is not.
+    /// Check the installation and print fixes for missing parts.
     Doctor(doctor::Args),
-    /// The hand model: forward, show, map.
+    /// Hand model: forward, show, map.
     Hand(hand::Args),
     /// Simulated hand-object scenes: list, show, run.
     Sim(sim::Args),
@@ -44,32 +44,33 @@ enum Command {
     Train(train::Args),
     /// Label recordings: bags, LeRobot data sets, OXT stores, videos, images.
     Label(label::Args),
-    /// Write one HTML page about labels: frames, forces over time, contact by region.
+    /// Write an HTML page about labels: frames, forces over time, contact by region.
     Report(report::Args),
     /// Predict touch for images or a store.
     Predict(predict::Args),
     /// Score predictions against truth.
     Eval(eval::Args),
     /// Train and compare: ablations, sources, scaling, on rendered data.
-    Experiment(experiment::Args),
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Experiment(external::Args),
     /// Score labels, or a network, against simulated contact forces; a gate for continuous integration.
     Verify(verify::Args),
-    /// A hand's pose and touch, carried over to a robot hand: run, inspect, new, list.
+    /// Transfer a hand's pose and touch to a robot hand: run, inspect, new, list, demo.
     Retarget(retarget::Args),
-    /// The network: forward, attention, import, start, info.
+    /// Network: forward, attention, import, start, info.
     Model(model::Args),
-    /// Measurements that the documentation holds: model, train, label, retarget, sim, effects, hard-cases, guards.
-    Bench(bench::Args),
+    /// Benchmarks of the documentation: model, train, label, retarget, sim, effects, hard-cases, guards.
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Bench(external::Args),
     /// Recordings and labels: info, diff.
     Data(data::Args),
-    /// The main job, end to end, on this machine.
+    /// Run simulator, predictor and verifier end to end on this machine.
     Demo(demo::Args),
 }
 
 /// Runs the command line; the exit status is 0 for success, 1 for a failed check or an error, 2 for bad usage.
 pub fn main() -> ExitCode {
-    end_quietly_with_the_reader();
-    let result = match Cli::parse().command {
+    execute(|| match Cli::parse().command {
         Command::Doctor(args) => doctor::run(args),
         Command::Hand(args) => hand::run(args),
         Command::Sim(args) => sim::run(args),
@@ -78,15 +79,21 @@ pub fn main() -> ExitCode {
         Command::Report(args) => report::run(args),
         Command::Predict(args) => predict::run(args),
         Command::Eval(args) => eval::run(args),
-        Command::Experiment(args) => experiment::run(args),
+        Command::Experiment(args) => external::run("experiment", args),
         Command::Verify(args) => verify::run(args),
         Command::Retarget(args) => retarget::run(args),
         Command::Model(args) => model::run(args),
-        Command::Bench(args) => bench::run(args),
+        Command::Bench(args) => external::run("bench", args),
         Command::Data(args) => data::run(args),
         Command::Demo(args) => demo::run(args),
-    };
-    match result {
+    })
+}
+
+/// Runs a program's command and prints its error once; the exit status is 1 for an error.
+#[doc(hidden)]
+pub fn execute(command: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitCode {
+    exit_quietly_on_closed_pipe();
+    match command() {
         Ok(code) => code,
         Err(error) => {
             eprintln!("egotac: {error:#}");
@@ -95,16 +102,17 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// What a command says whose feature is not built in.
-#[allow(dead_code)]
-fn feature_off(command: &str, feature: &str) -> anyhow::Error {
+/// Creates the error of a command whose feature is not compiled in.
+#[doc(hidden)]
+pub fn feature_off(command: &str, feature: &str) -> anyhow::Error {
     anyhow::anyhow!(
         "`egotac {command}` needs the feature `{feature}`: `make setup`, `. ./env.sh`, `cargo build --release --features {feature}`"
     )
 }
 
-/// The CPU, or a CUDA device by index.
-fn device(cuda: Option<usize>) -> anyhow::Result<candle_core::Device> {
+/// Returns the CPU, or a CUDA device by index.
+#[doc(hidden)]
+pub fn device(cuda: Option<usize>) -> anyhow::Result<candle_core::Device> {
     match cuda {
         None => Ok(candle_core::Device::Cpu),
         Some(_) if !cfg!(feature = "cuda") => {
@@ -122,16 +130,16 @@ fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-/// `egotac ... | head` ends without a word when `head` does, as other programs do: `print!` panics on a closed pipe.
-fn end_quietly_with_the_reader() {
-    /// What a shell gives for a program that SIGPIPE ended.
+/// Exits without a message if standard output is closed, as in `egotac ... | head`; `print!` panics there by default.
+fn exit_quietly_on_closed_pipe() {
+    /// Exit status that a shell reports for a program ended by SIGPIPE.
     const CLOSED_PIPE: i32 = 128 + 13;
-    let usual = std::panic::take_hook();
+    let default_hook = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
-        let told = panic.payload_as_str().unwrap_or_default();
-        if told.starts_with("failed printing to stdout") && told.contains("Broken pipe") {
+        let message = panic.payload_as_str().unwrap_or_default();
+        if message.starts_with("failed printing to stdout") && message.contains("Broken pipe") {
             std::process::exit(CLOSED_PIPE);
         }
-        usual(panic);
+        default_hook(panic);
     }));
 }

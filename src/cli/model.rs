@@ -1,4 +1,4 @@
-//! `egotac model`.
+//! Command `egotac model`.
 
 mod attention;
 mod convert;
@@ -21,19 +21,20 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
-    /// Run the network on prepared images and write what each stage gives.
+    /// Run the network on prepared images and write the output of each stage.
     Forward(Forward),
-    /// Draw what the network attends to, on the images it saw.
+    /// Draw the network's attention over its input images.
     Attention(attention::Args),
-    /// Turn another program's checkpoint into one of ours, by a table of names.
+    /// Convert another program's checkpoint, by a table of tensor names.
     Import(convert::Import),
-    /// Begin a network around a published DINOv2 encoder.
-    Start(convert::Start),
-    /// Make a trained network wider and deeper, at first the same function: to train it on.
+    /// Create a network to train from a published DINOv2 encoder.
+    #[command(alias = "start")]
+    Init(convert::Init),
+    /// Make a trained network wider and deeper without changing its function, to continue its training.
     Grow(convert::Grow),
-    /// Store a checkpoint's weights in f16, half as large.
+    /// Store the weights of a checkpoint in f16: half the size.
     Half(convert::Half),
-    /// Say what a checkpoint is: geometry, parameters, metadata, hash.
+    /// Print geometry, parameter count, metadata and hash of a checkpoint.
     Info(Info),
 }
 
@@ -48,7 +49,7 @@ struct Forward {
     /// Safetensors to write: `tokens` (B T, P, dv), `z` (B, d), `force` and `contact_logits` (B, K, 1556).
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Geometry (JSON) to use in place of the one in the weights' metadata.
+    /// Geometry (JSON) that replaces the one in the metadata of the weights.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Number format: f32, bf16 or int8.
@@ -71,7 +72,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Forward(args) => forward(&args)?,
         Command::Attention(args) => attention::run(&args)?,
         Command::Import(args) => convert::import(&args)?,
-        Command::Start(args) => convert::start(&args)?,
+        Command::Init(args) => convert::init(&args)?,
         Command::Grow(args) => convert::grow(&args)?,
         Command::Half(args) => convert::half(&args)?,
         Command::Info(args) => info(&args)?,
@@ -105,7 +106,7 @@ fn forward(args: &Forward) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The input's `images`, as f32.
+/// Reads the tensor `images` of a file as f32.
 fn images(path: &Path, device: &Device) -> anyhow::Result<Tensor> {
     let mut tensors: HashMap<String, Tensor> =
         candle_core::safetensors::load(path, device).with_context(|| path.display().to_string())?;

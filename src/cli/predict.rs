@@ -1,39 +1,44 @@
 //! `egotac predict`.
 
-use std::collections::HashMap;
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use indicatif::ProgressBar;
 
-use crate::dataset::tensors;
-use crate::dataset::zarr;
-use crate::model::{Checkpoint, Precision, Predictor, predictor, shipped};
-use crate::tactile::TactileSequence;
-use crate::train::{data::Dataset, predict};
+use crate::dataset::image_folder::{ImageFolder, image_files, is_image};
+use crate::dataset::source::SourceChain;
+use crate::dataset::tensors::TensorOutput;
+use crate::dataset::zarr::{Store, StoreLocation};
+use crate::dataset::{ImageSource, Provenance, UnlabelledImage};
+use crate::label::{Job, LabelTiming, Outcome, Shard};
+use crate::model::predictor::Options;
+use crate::model::{Precision, Predictor, shipped};
 
 /// Arguments of `egotac predict`.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "The file holds force (T, 1556) in N, contact (T, 1556) as probability, timestamps (T) in s and \
-    episode_ends, ready for `egotac eval`. Vertices: left hand 0..777, right hand 778..1555; what an index means is the \
-    metadata's `topology`."
+    episode_ends, ready for `egotac eval`. Vertices: left hand 0..777, right hand 778..1555; the metadata's `topology` \
+    defines the meaning of an index. `egotac label --to tensors` writes the same arrays for every format."
 )]
 pub struct Args {
-    /// Checkpoint to run; the one that comes with egotac if absent.
+    /// Checkpoint to run; by default the one shipped with egotac.
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
-    /// Zarr stores or folders of them; or PNG and JPEG files or folders of them, one sequence in time.
+    /// Zarr stores or folders of them; or PNG and JPEG files or folders of them, which form one sequence. Files of a
+    /// folder are taken in natural order: frame_2 before frame_10.
     #[arg(long, value_name = "PATH", num_args = 1.., required = true)]
     data: Vec<PathBuf>,
-    /// Images per second of an image sequence; by default one per observation step of the checkpoint.
+    /// Frame rate of an image sequence, 1/s; by default one image per observation step of the checkpoint.
     #[arg(long, value_name = "F", value_parser = super::positive)]
     fps: Option<f64>,
     /// Field file to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// CUDA device, by index; the CPU without it.
+    /// Index of the CUDA device; by default the CPU.
     #[arg(long, value_name = "INDEX")]
     cuda: Option<usize>,
     /// Number format of the network: f32, bf16 or int8.
@@ -43,75 +48,107 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let device = super::device(args.cuda)?;
     let path = args.checkpoint.map_or_else(shipped::path, Ok)?;
-    let checkpoint = Checkpoint::load_as(&path, &device, args.precision)?;
-    let metadata = HashMap::from([
-        ("model".to_string(), checkpoint.metadata.name.clone()),
-        ("checkpoint_sha256".to_string(), checkpoint.sha256.clone()),
-    ]);
-    let images = images(&args.data)?;
-    let predicted = match images.is_empty() {
-        true => {
-            let preparation = checkpoint.metadata.preparation(checkpoint.model.config());
-            let data = Dataset::new(zarr::open_all(&args.data)?, preparation, false)?;
-            predict_stores(&checkpoint, &data, &device)?
+    let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..stream() };
+    let mut predictor = Predictor::load(&path, options)?;
+    let files = images(&args.data)?;
+    let frames = match files.is_empty() {
+        true => predict_stores(&args.data, &mut predictor, args.precision, &args.out)?,
+        false => {
+            let step = args.fps.map_or(predictor.metadata().frame_dt, |fps| 1.0 / fps);
+            let source = Arc::new(ImageFolder::from_files("images".into(), files.clone(), step));
+            let name = |fault: &UnlabelledImage| files[fault.frame as usize].display().to_string();
+            predict(source, name, &mut predictor, args.precision, &args.out)?
         }
-        false => predict_images(checkpoint, &images, args.fps, device)?,
     };
-    tensors::write(&args.out, &predicted, metadata)?;
-    println!("{}: {} frames", args.out.display(), predicted.n_frames());
+    println!("{}: {frames} frames", args.out.display());
     Ok(ExitCode::SUCCESS)
 }
 
-/// Predicts every frame of every store.
+/// Returns the predictor's options for recorded sequences: each episode is one stream, whatever its frame rate.
+pub(super) fn stream() -> Options {
+    Options { max_gap_secs: Some(f64::MAX), ..Options::default() }
+}
+
+/// Predicts touch for all stores that `paths` name, one behind the other. Returns the number of frames.
 pub(super) fn predict_stores(
-    checkpoint: &Checkpoint,
-    data: &Dataset,
-    device: &candle_core::Device,
-) -> anyhow::Result<TactileSequence> {
-    let bar = ProgressBar::new(data.n_frames() as u64);
-    let predicted = predict(&checkpoint.model, &checkpoint.metadata, data, device, |n| bar.inc(n as u64))?;
-    bar.finish_and_clear();
-    Ok(predicted)
-}
-
-fn predict_images(
-    checkpoint: Checkpoint,
     paths: &[PathBuf],
-    fps: Option<f64>,
-    device: candle_core::Device,
-) -> anyhow::Result<TactileSequence> {
-    let dt = fps.map_or(checkpoint.metadata.frame_dt, |fps| 1.0 / fps);
-    // A sequence is one stream, however slow.
-    let options = predictor::Options { device, max_gap_secs: Some(f64::MAX), ..Default::default() };
-    let mut predictor = Predictor::new(checkpoint, options)?;
-    let mut predicted = TactileSequence::default();
-    for (index, path) in paths.iter().enumerate() {
-        let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
-        let image = crate::image::decode(&bytes).with_context(|| path.display().to_string())?;
-        let stamp = index as f64 * dt;
-        predicted.push(&predictor.push(&image, stamp).with_context(|| path.display().to_string())?.field)?;
-        predicted.timestamps.push(stamp);
+    predictor: &mut Predictor,
+    precision: Precision,
+    out: &Path,
+) -> anyhow::Result<u64> {
+    let mut sources: Vec<(String, Arc<dyn ImageSource>)> = Vec::new();
+    for path in paths {
+        for place in StoreLocation::find(path)? {
+            // Like training and `egotac eval`, the command takes timestamps as seconds.
+            sources.push((place.name(), Arc::new(Store::open(&place, None, Some(1.0))?)));
+        }
     }
-    predicted.episode_ends = vec![paths.len()];
-    Ok(predicted)
+    let name = |fault: &UnlabelledImage| format!("{}, image {}", fault.unit, fault.frame);
+    predict(Arc::new(SourceChain::new(sources)), name, predictor, precision, out)
 }
 
-/// The image files that `paths` name, folders by file name; empty if the paths are stores.
+/// Predicts touch for every image of `source` and writes the field file `out`, as `egotac label --to tensors` does, but
+/// replaces an existing file, resumes no earlier run, and fails at an image that can't be labelled, which `name` names.
+/// Returns the number of frames.
+fn predict(
+    source: Arc<dyn ImageSource>,
+    name: impl Fn(&UnlabelledImage) -> String,
+    predictor: &mut Predictor,
+    precision: Precision,
+    out: &Path,
+) -> anyhow::Result<u64> {
+    let out = out.canonicalize().unwrap_or_else(|_| out.to_path_buf());
+    // A pipe or device, such as /dev/stdout, can't be replaced: copy the finished file to it.
+    let device = out.metadata().is_ok_and(|there| !there.is_file() && !there.is_dir());
+    let folder = match device {
+        true => tempfile::tempdir()?,
+        false => {
+            let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            fs::create_dir_all(parent).with_context(|| parent.display().to_string())?;
+            tempfile::Builder::new()
+                .prefix(".predict-")
+                .tempdir_in(parent)
+                .with_context(|| out.display().to_string())?
+        }
+    };
+    let frames: Option<usize> = source.units().iter().map(|unit| unit.frames).sum();
+    let bar = ProgressBar::new(frames.unwrap_or(0) as u64);
+    let job = Job {
+        source: source.as_ref(),
+        output: &TensorOutput { source: source.clone(), with_info: false },
+        out: folder.path().join("fields"),
+        provenance: Provenance::of(predictor, precision, Vec::new()),
+        decoders: 1,
+    };
+    let all = Shard { index: 0, of: 1 };
+    let outcome = job.run(predictor, all, 0, &mut LabelTiming::default(), &mut || bar.inc(1))?;
+    bar.finish_and_clear();
+    let (Outcome::Done(info) | Outcome::DoneBefore(info)) = outcome else {
+        bail!("{}: another process predicts it", out.display());
+    };
+    if let Some(fault) = info.summary.faults.first() {
+        bail!("{}: {}", name(fault), fault.reason);
+    }
+    let named = || out.display().to_string();
+    match device {
+        true => {
+            let mut to = File::options().write(true).open(&out).with_context(named)?;
+            std::io::copy(&mut File::open(&job.out)?, &mut to).with_context(named)?;
+        }
+        false => fs::rename(&job.out, &out).with_context(named)?,
+    }
+    Ok(info.summary.counts.frames)
+}
+
+/// Returns the image files that `paths` name, the files of a folder in natural order; empty if the paths are stores.
 fn images(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     let mut images = Vec::new();
     let mut others = Vec::new();
     for path in paths {
         let before = images.len();
         if path.is_dir() {
-            let mut inside = Vec::new();
-            for entry in std::fs::read_dir(path).with_context(|| path.display().to_string())? {
-                inside.push(entry?.path());
-            }
-            inside.retain(|file| is_image(file));
-            inside.sort();
-            images.extend(inside);
+            images.extend(image_files(path)?);
         } else if is_image(path) {
             images.push(path.clone());
         }
@@ -123,9 +160,4 @@ fn images(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
         bail!("images and others don't mix: {} and {}", image.display(), other.display());
     }
     Ok(images)
-}
-
-fn is_image(path: &Path) -> bool {
-    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-    path.is_file() && extension.is_some_and(|e| ["png", "jpg", "jpeg"].contains(&e.as_str()))
 }

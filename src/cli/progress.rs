@@ -2,17 +2,17 @@
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// A bar that counts `unit`s, with speed and the time that is left.
+/// Creates a bar that counts `unit`s and shows rate and remaining time.
 pub fn bar(unit: &str) -> ProgressBar {
     styled(&format!("{{bar:40}} {{pos}}/{{len}} {unit} {{per_sec}} {{eta}} left"))
 }
 
-/// A bar that says what is being done, and for how long it has been.
+/// Creates a bar with a message and the elapsed time.
 pub fn told_bar() -> ProgressBar {
     styled("{bar:30} {pos}/{len} {msg} ({elapsed})")
 }
 
-/// Shows that `done` of `all` are done.
+/// Sets the position of a bar to `done` of `all`.
 pub fn step(bar: &ProgressBar, done: usize, all: usize) {
     bar.set_length(all as u64);
     bar.set_position(done as u64);

@@ -5,20 +5,20 @@ use std::process::ExitCode;
 
 use super::hands::Hands;
 use crate::file;
-use crate::report::{Settings, html};
+use crate::report::{PageSettings, html};
 
 /// Arguments of `egotac report`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// A labelled data set: store, bag, .mcap file, LeRobot data set or tensor file.
+    /// Labelled data set: a store, bag, .mcap file, LeRobot data set or tensor file.
     labels: PathBuf,
-    /// HTML file to write; by default beside the labels.
+    /// HTML file to write; by default the name of the labels with .html added.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Frames to show.
+    /// Number of sample frames.
     #[arg(long, value_name = "N", default_value_t = 12)]
     frames: usize,
-    /// Episodes whose force is shown over time.
+    /// Largest number of episodes whose force over time is plotted.
     #[arg(long, value_name = "N", default_value_t = 24)]
     episodes: usize,
     #[command(flatten)]
@@ -27,7 +27,7 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let settings = Settings { frames: args.frames, episodes: args.episodes, hands: args.hands.files()? };
+    let settings = PageSettings { frames: args.frames, episodes: args.episodes, hands: args.hands.files()? };
     let out = args.out.unwrap_or_else(|| {
         let mut out = args.labels.clone().into_os_string();
         out.push(".html");

@@ -1,4 +1,4 @@
-//! The picture of a demo: three panels side by side, a colour bar below them, and two forces over time.
+//! Draws the picture of a demo: three panels side by side, a colour bar below them, and two forces over time.
 
 use std::path::Path;
 
@@ -14,24 +14,24 @@ use crate::render::font::FAMILY;
 
 /// Edge of a panel, pixels.
 pub const PANEL: u32 = 460;
-/// From a panel's left edge to that of the next one, pixels.
+/// Distance between the left edges of neighbouring panels, pixels.
 const PITCH: i32 = PANEL as i32 + 15;
 /// Left edge of the first panel, pixels.
 const LEFT: i32 = 20;
-/// Height of the panels' row with its titles and the colour bar, pixels.
+/// Height of the upper part: titles, panels and colour bar, pixels.
 const UPPER: u32 = 560;
 
-/// What the picture shows.
+/// Content of the picture.
 pub struct Sheet<'a> {
-    /// Titles and pictures; a picture of another size than [`PANEL`] squared is scaled to it.
+    /// Titles and pictures, which are scaled to [`PANEL`] squared.
     pub panels: [(String, RgbImage); 3],
     pub bar: Bar<'a>,
     /// A line below the last panel.
     pub note: Option<String>,
-    /// What the forces over time are.
+    /// Label of the force axis.
     pub axis: &'a str,
     pub series: [Series<'a>; 2],
-    /// The moment that the panels show, s.
+    /// Time of the panels, s.
     pub shown: f64,
 }
 
@@ -40,7 +40,7 @@ pub struct Bar<'a> {
     /// Force at its right end, N.
     pub peak: f32,
     pub label: &'a str,
-    /// The panel it lies below, counted from 0; halves lie between two.
+    /// Panel above the bar, counted from 0; 0.5 is halfway between the first two.
     pub column: f64,
 }
 
@@ -56,7 +56,7 @@ impl Sheet<'_> {
     /// Writes the picture to `path` (PNG).
     ///
     /// # Errors
-    /// If it can't be drawn, or the file can't be written.
+    /// If drawing or writing fails.
     pub fn write(&self, path: &Path) -> Result<()> {
         figure::write_png(path, self)
     }

@@ -18,10 +18,10 @@ pub struct Args {
     /// Configuration of the run.
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// Go on from the state in the run's folder.
+    /// Resume from the state in the run's folder.
     #[arg(long)]
     resume: bool,
-    /// CUDA device to train on, by index; the CPU without it.
+    /// Index of the CUDA device to train on; by default the CPU.
     #[arg(long, value_name = "INDEX")]
     cuda: Option<usize>,
 }
@@ -68,20 +68,20 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 
 fn describe_start(started: &Started) -> String {
     format!(
-        "{} parameters; {} frames to learn from, {} held out; one unit of force is {:.4} N; steps {} to {}",
+        "{} parameters; {} training frames, {} held out; one unit of force is {:.4} N; steps {} to {}",
         started.parameters, started.frames, started.validation_frames, started.force_scale, started.step, started.steps
     )
 }
 
 fn describe_end(outcome: &Outcome) -> String {
-    let broken = match outcome.broken_steps {
+    let skipped = match outcome.skipped_steps {
         0 => String::new(),
-        n => format!("; {n} steps left out because their gradient was not finite"),
+        n => format!("; {n} steps skipped because their gradient was not finite"),
     };
-    format!("{} after {} steps{broken}\nsha256 {}", outcome.checkpoint.display(), outcome.steps, outcome.sha256)
+    format!("{} after {} steps{skipped}\nsha256 {}", outcome.checkpoint.display(), outcome.steps, outcome.sha256)
 }
 
-/// Losses and speed, smoothed over about fifty steps.
+/// Losses and speed, smoothed exponentially over about fifty steps.
 #[derive(Debug, Default)]
 struct Pace {
     loss: Option<f64>,

@@ -9,7 +9,7 @@ use super::hands::{Hands, Kernel};
 use crate::file;
 use crate::score::verify::recording::{self, Topics};
 use crate::score::verify::report::{self, Unmatched};
-use crate::score::verify::{Bar, Candidate, Report, Settings, picture};
+use crate::score::verify::{Candidate, Requirement, SweepSettings, VerifyReport, picture};
 
 /// Arguments of `egotac verify`.
 #[derive(Debug, clap::Args)]
@@ -19,16 +19,17 @@ use crate::score::verify::{Bar, Candidate, Report, Settings, picture};
     it) are swept over distances.\nScores that can be required: precision, recall, f1, iou (at least), missed_force, \
     false_contact_mass, missed_touches, false_touches, onset_error_secs, offset_error_secs, mae, active_mae, \
     link_force_error, cop_distance_mm (at most); frame_mean.f1 and so on average over frames; b_5mm:f1=0.6 is for one \
-    of several labels. A bar that is missed makes the exit status 1."
+    of several labels. The exit status is 1 if a required score is missed."
 )]
 pub struct Args {
-    /// Scenes to simulate (a name of `egotac sim list`, or a YAML file), or stores of `egotac sim run` and `generate`.
+    /// Scenes to simulate (a name from `egotac sim list`, or a YAML file), or stores written by `egotac sim run` or
+    /// `generate`.
     #[arg(value_name = "SCENE|EPISODE", required_unless_present = "recording", conflicts_with = "recording")]
     sources: Vec<String>,
     /// Rollouts of each scene.
     #[arg(long, value_name = "N", default_value_t = 3)]
     seeds: u64,
-    /// Seed of each scene's first rollout, each next one has the next; and of the intervals' drawings.
+    /// Seed of each scene's first rollout (each next rollout has the next seed) and of the bootstrap.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Distances of labels a and b, millimetres.
@@ -37,28 +38,28 @@ pub struct Args {
     /// Spacing of the points of label a, millimetres.
     #[arg(long, value_name = "MM", default_value_t = 6.0)]
     spacing: f32,
-    /// YAML files of the scenes of stores that the program does not ship, by file name.
+    /// YAML files of scenes that the program does not ship and that the stores were made from.
     #[arg(long, value_name = "FILE", num_args = 1..)]
     scene: Vec<PathBuf>,
-    /// Checkpoint to score in place of the labels, on rendered pictures; `shipped` is the one that comes with egotac.
+    /// Checkpoint to score instead of the labels, on rendered images; `shipped` is the one that comes with egotac.
     #[arg(long, value_name = "CHECKPOINT", conflicts_with_all = ["predictions", "recording"])]
     predictor: Option<PathBuf>,
-    /// Predictions to score in place of the labels: tensor files or stores, frame by frame as the given stores.
+    /// Predictions to score instead of the labels: tensor files or stores with the same frames as the given stores.
     #[arg(long, value_name = "STORE|FILE", num_args = 1.., conflicts_with = "recording")]
     predictions: Vec<PathBuf>,
     /// Bag or MCAP file with predictions (TactileFrame) and truth (TactileTruth) to score.
     #[arg(long, value_name = "BAG")]
     recording: Option<PathBuf>,
-    /// Topic of the recording's predictions, where there are several.
+    /// Topic of the predictions, if the recording has several.
     #[arg(long, value_name = "TOPIC", requires = "recording")]
     tactile_topic: Option<String>,
-    /// Topic of the recording's truth, where there are several.
+    /// Topic of the truth, if the recording has several.
     #[arg(long, value_name = "TOPIC", requires = "recording")]
     truth_topic: Option<String>,
     /// Scores to reach, such as `f1=0.7,missed_force=0.2`.
     #[arg(long, value_name = "NAME=NUMBER,..")]
     require: Option<String>,
-    /// JSON file to write; `-` prints JSON in place of the table.
+    /// JSON file to write; `-` prints JSON instead of the table.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
     /// PNG file to draw.
@@ -67,10 +68,10 @@ pub struct Args {
     /// Folder for verify.md, verify.json and verify.png.
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["json", "picture"])]
     out: Option<PathBuf>,
-    /// Width and height of the pictures for a predictor, pixels.
+    /// Width and height of the images for a predictor, pixels.
     #[arg(long, default_value_t = 224)]
     size: u32,
-    /// Rollouts at a time (one with a predictor).
+    /// Rollouts that run at the same time (always one with a predictor).
     #[arg(long, default_value_t = 2)]
     jobs: usize,
     #[command(flatten)]
@@ -81,24 +82,24 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
-    // Everything that can be wrong with the question, before hours of answering it.
-    let bars = Bar::parse_all(args.require.as_deref().unwrap_or_default())?;
+    // Validates all arguments first: scoring may take hours.
+    let requirements = Requirement::parse_all(args.require.as_deref().unwrap_or_default())?;
     let settings = settings(&args)?;
     let candidates = match args.recording.is_some() || args.predictor.is_some() || !args.predictions.is_empty() {
         true => vec![Candidate::Prediction],
         false => settings.sweep(),
     };
-    check_candidates(&bars, &candidates)?;
+    check_candidates(&requirements, &candidates)?;
     let report = match &args.recording {
         Some(recording) => score_recording(&args, recording)?,
         None => score_sources(&args, &settings, &candidates)?,
     };
     write(&args, &report)?;
-    gate(&bars, &report)
+    gate(&requirements, &report)
 }
 
-/// Writes what is asked for; the table goes to standard output unless JSON does.
-fn write(args: &Args, report: &Report) -> anyhow::Result<()> {
+/// Writes the requested files; prints the table unless JSON goes to standard output.
+fn write(args: &Args, report: &VerifyReport) -> anyhow::Result<()> {
     let json = format!("{:#}\n", serde_json::to_value(report)?);
     let table = report::table(report);
     if args.json.as_deref() == Some(Path::new("-")) {
@@ -127,24 +128,24 @@ fn write(args: &Args, report: &Report) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn settings(args: &Args) -> anyhow::Result<Settings> {
+fn settings(args: &Args) -> anyhow::Result<SweepSettings> {
     let metres = |millimetres: &f32| (f64::from(*millimetres) * 1e-3) as f32;
     let thresholds = args.thresholds.iter().map(metres).collect();
-    let settings = Settings { thresholds, spacing: metres(&args.spacing) };
+    let settings = SweepSettings { thresholds, spacing: metres(&args.spacing) };
     settings.check()?;
     ensure!(args.seeds > 0, "--seeds: expected at least 1");
     ensure!(args.jobs > 0, "--jobs: expected at least 1");
     Ok(settings)
 }
 
-/// Refuses bars for candidates that there will not be.
-fn check_candidates(bars: &[Bar], candidates: &[Candidate]) -> anyhow::Result<()> {
+/// Checks that each requirement names one of the candidates, if there are several.
+fn check_candidates(requirements: &[Requirement], candidates: &[Candidate]) -> anyhow::Result<()> {
     let names: Vec<String> = candidates.iter().map(|candidate| candidate.name()).collect();
-    for bar in bars {
-        match &bar.candidate {
+    for requirement in requirements {
+        match &requirement.candidate {
             None if names.len() > 1 => bail!(
                 "--require: {} of which label? Expected LABEL:NAME=NUMBER, with one of {}",
-                bar.score.name,
+                requirement.score.name,
                 names.join(", ")
             ),
             Some(name) if !names.contains(name) => {
@@ -156,13 +157,13 @@ fn check_candidates(bars: &[Bar], candidates: &[Candidate]) -> anyhow::Result<()
     Ok(())
 }
 
-/// Says which bars were missed; that makes the exit status.
-fn gate(bars: &[Bar], report: &Report) -> anyhow::Result<ExitCode> {
+/// Prints the requirements that are missed; returns failure if there is one.
+fn gate(requirements: &[Requirement], report: &VerifyReport) -> anyhow::Result<ExitCode> {
     let mut status = ExitCode::SUCCESS;
-    for bar in bars {
-        let candidate = report.candidate(bar.candidate.as_deref())?;
-        let value = candidate.scores.get(bar.score.name).and_then(|scored| scored.value);
-        if let Some(missed) = bar.missed(value) {
+    for requirement in requirements {
+        let candidate = report.candidate(requirement.candidate.as_deref())?;
+        let value = candidate.scores.get(requirement.score.name).and_then(|scored| scored.value);
+        if let Some(missed) = requirement.missed(value) {
             eprintln!("egotac: {}: {missed}", candidate.name);
             status = ExitCode::FAILURE;
         }
@@ -170,17 +171,17 @@ fn gate(bars: &[Bar], report: &Report) -> anyhow::Result<ExitCode> {
     Ok(status)
 }
 
-fn score_recording(args: &Args, path: &Path) -> anyhow::Result<Report> {
+fn score_recording(args: &Args, path: &Path) -> anyhow::Result<VerifyReport> {
     let topics = Topics { tactile: args.tactile_topic.clone(), truth: args.truth_topic.clone() };
     let recording = recording::score(path, &topics, args.hands.files()?.as_ref())?;
-    let mut report = Report::new(&[Candidate::Prediction], &recording.parts, &recording.episodes, args.seed)?;
+    let mut report = VerifyReport::new(&[Candidate::Prediction], &recording.groups, &recording.episodes, args.seed)?;
     let (predictions, truths) = (recording.unmatched_predictions, recording.unmatched_truths);
     report.unmatched = Some(Unmatched { predictions, truths });
     Ok(report)
 }
 
 #[cfg(not(feature = "sim"))]
-fn score_sources(_: &Args, _: &Settings, _: &[Candidate]) -> anyhow::Result<Report> {
+fn score_sources(_: &Args, _: &SweepSettings, _: &[Candidate]) -> anyhow::Result<VerifyReport> {
     Err(super::feature_off("verify", "sim"))
 }
 
@@ -199,13 +200,17 @@ mod with_sim {
     use crate::cli::sim::{load, picture};
     use crate::dataset::zarr::{self, ZarrReader};
     use crate::model::{Predictor, predictor, shipped};
-    use crate::score::agreement::Parts;
-    use crate::score::verify::{Candidate, Episode, Report, Settings, predictions};
-    use crate::sim::verify::store::Against;
+    use crate::score::agreement::VertexGroups;
+    use crate::score::verify::{Candidate, Episode, SweepSettings, VerifyReport, predictions};
+    use crate::sim::verify::store::EstimateSource;
     use crate::sim::verify::{rollout, store};
     use crate::sim::{RolloutOptions, Scene};
 
-    pub fn score_sources(args: &Args, settings: &Settings, candidates: &[Candidate]) -> anyhow::Result<Report> {
+    pub fn score_sources(
+        args: &Args,
+        settings: &SweepSettings,
+        candidates: &[Candidate],
+    ) -> anyhow::Result<VerifyReport> {
         let (stores, scenes): (Vec<&String>, Vec<&String>) =
             args.sources.iter().partition(|source| Path::new(source).is_dir());
         let paths: Vec<PathBuf> = stores.into_iter().map(PathBuf::from).collect();
@@ -229,7 +234,7 @@ mod with_sim {
             result
         };
         let rollouts: Vec<crate::Result<Episode>> = match &mut predictor {
-            // The network takes all cores by itself.
+            // The network alone uses all cores.
             Some(predictor) => plan
                 .iter()
                 .map(|(scene, seed)| done(rollout::score(scene, *seed, &options, settings, Some(predictor))))
@@ -243,7 +248,7 @@ mod with_sim {
         for episode in rollouts {
             episodes.push(episode?);
         }
-        Ok(Report::new(candidates, &Parts::links(&hands), &episodes, args.seed)?)
+        Ok(VerifyReport::new(candidates, &VertexGroups::links(&hands), &episodes, args.seed)?)
     }
 
     fn open_predictor(args: &Args) -> anyhow::Result<Option<Predictor>> {
@@ -257,7 +262,7 @@ mod with_sim {
 
     fn score_stores(
         args: &Args,
-        settings: &Settings,
+        settings: &SweepSettings,
         stores: &[ZarrReader],
         hands: &[crate::hand::HandModel; 2],
         mut predictor: Option<&mut Predictor>,
@@ -274,16 +279,16 @@ mod with_sim {
                 Some(predictions::read(&args.predictions, stores)?)
             }
         };
-        let mut before = 0;
+        let mut first_frame = 0;
         let mut episodes = Vec::new();
         for reader in stores {
-            let against = match (&mut predictor, &predicted) {
-                (Some(predictor), _) => Against::Predictor(predictor),
-                (None, Some(predicted)) => Against::Predictions(predicted, before),
-                (None, None) => Against::Labels(&given),
+            let source = match (&mut predictor, &predicted) {
+                (Some(predictor), _) => EstimateSource::Predictor(predictor),
+                (None, Some(predicted)) => EstimateSource::Predictions(predicted, first_frame),
+                (None, None) => EstimateSource::Labels(&given),
             };
-            episodes.extend(store::score(reader, hands, settings, against)?);
-            before += reader.len();
+            episodes.extend(store::score(reader, hands, settings, source)?);
+            first_frame += reader.len();
         }
         Ok(episodes)
     }

@@ -1,5 +1,11 @@
 //! LeRobot data sets of version 3: rows in Parquet, images in videos or in the rows.
 
+mod columns;
+mod images;
+mod labels;
+mod read_labels;
+mod statistics;
+
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -14,52 +20,56 @@ use serde_json::Value;
 
 use crate::error::{Error, Result};
 
-/// Rows read at a time where they hold images.
+pub(crate) use images::{LeRobotDataset, PREFIX};
+pub(crate) use labels::read_info;
+pub(crate) use read_labels::read_labelled;
+
+/// Number of rows read at a time; small, since rows may hold images.
 const BATCH: usize = 16;
 
-/// What `meta/` says about a data set.
+/// Metadata of a data set, from its folder `meta/`.
 #[derive(Debug, Clone)]
-pub struct LeRobot {
-    /// Its folder.
+pub(crate) struct LeRobot {
+    /// Folder of the data set.
     pub root: PathBuf,
-    /// `meta/info.json`.
+    /// Content of `meta/info.json`.
     pub info: Value,
-    /// Frames per second.
+    /// Frame rate, 1/s.
     pub fps: f64,
-    /// Its episodes in order.
+    /// Episodes in order.
     pub episodes: Vec<Episode>,
 }
 
 /// One episode.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Episode {
-    /// `episode_index`.
+pub(crate) struct Episode {
+    /// `episode_index` of its rows.
     pub index: i64,
-    /// Frames.
+    /// Number of frames.
     pub length: usize,
     /// Chunk and file of its rows.
     pub data: (i64, i64),
     /// `index` of its first frame over the whole data set.
     pub start: i64,
-    /// By key of the camera: chunk and file of its video, and where in that it begins, s.
+    /// Chunk and file of the video, and start of the episode in it (s), by key of the camera.
     pub videos: BTreeMap<String, (i64, i64, f64)>,
 }
 
-/// Where the images of a camera lie.
+/// Storage of the images of a camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Camera {
-    /// In video files.
+pub(crate) enum Camera {
+    /// Video files.
     Video,
-    /// In the rows, as PNG or JPEG files.
+    /// PNG or JPEG files in the rows.
     Rows,
 }
 
 /// A row with its image.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
-    /// `timestamp`: s since the episode's start.
+pub(crate) struct Row {
+    /// Time since the start of the episode, s.
     pub timestamp: f64,
-    /// The image's file, if images lie in the rows; None where the row has none.
+    /// Content of the image's file; None if the images lie in videos or the row has none.
     pub image: Option<Vec<u8>>,
 }
 
@@ -90,7 +100,7 @@ impl LeRobot {
         Ok(dataset)
     }
 
-    /// Cameras by their keys, as `features` names them.
+    /// Returns the cameras by their keys in `features`.
     pub fn cameras(&self) -> BTreeMap<String, Camera> {
         let features = self.info["features"].as_object().into_iter().flatten();
         let camera = |(name, feature): (&String, &Value)| match feature["dtype"].as_str() {
@@ -101,7 +111,7 @@ impl LeRobot {
         features.filter_map(camera).collect()
     }
 
-    /// The Parquet files of `meta/episodes`, in order.
+    /// Returns the Parquet files of `meta/episodes` in order.
     ///
     /// # Errors
     /// If the folder can't be read.
@@ -109,7 +119,7 @@ impl LeRobot {
         parquet_files(&self.root.join("meta/episodes"))
     }
 
-    /// The Parquet files of the rows, in order.
+    /// Returns the Parquet files of the rows in order.
     ///
     /// # Errors
     /// If the folder can't be read.
@@ -117,8 +127,8 @@ impl LeRobot {
         parquet_files(&self.root.join("data"))
     }
 
-    /// The file of rows of a chunk and number.
-    pub fn data_file(&self, (chunk, file): (i64, i64)) -> PathBuf {
+    /// Returns the file of rows with this chunk and number.
+    fn data_file(&self, (chunk, file): (i64, i64)) -> PathBuf {
         let pattern = self.info["data_path"].as_str();
         self.root.join(filled(
             pattern.unwrap_or("data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"),
@@ -127,7 +137,7 @@ impl LeRobot {
         ))
     }
 
-    /// The video file of a camera, and where in it an episode begins, s.
+    /// Returns the video file of a camera and the start of the episode in it, s.
     pub fn video_file(&self, camera: &str, episode: &Episode) -> Option<(PathBuf, f64)> {
         let (chunk, file, start) = *episode.videos.get(camera)?;
         let pattern = self.info["video_path"].as_str();
@@ -135,7 +145,7 @@ impl LeRobot {
         Some((self.root.join(filled(&pattern.replace("{video_key}", camera), chunk, file)), start))
     }
 
-    /// The rows of an episode from number `from` on, with the images of `camera` if they lie in the rows.
+    /// Reads the rows of an episode from index `from` on, with the images of `camera` if they lie in the rows.
     ///
     /// # Errors
     /// If the file can't be opened, or lacks a column.
@@ -179,7 +189,7 @@ impl LeRobot {
 
     fn read_episodes(&mut self, path: &Path) -> Result<()> {
         let builder = reader(path)?;
-        // Statistics are most of the file, and of no use here.
+        // Skip the statistics, which are most of the file.
         let mask = only(&builder, |name| !name.starts_with("stats/") && name != "tasks");
         let cameras = self.cameras();
         for batch in builder.with_projection(mask).build().map_err(|e| Error::file(path, e))? {
@@ -213,24 +223,25 @@ impl LeRobot {
 /// Opens a Parquet file.
 ///
 /// # Errors
-/// If it can't be read or is none.
+/// If it can't be read or is not a Parquet file.
 pub fn reader(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
     let file = File::open(path).map_err(Error::io(path))?;
     ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| Error::file(path, e))
 }
 
-/// The columns whose names are `wanted`. By place: the library's own choice by name takes dots for levels of nesting.
-pub fn only(builder: &ParquetRecordBatchReaderBuilder<File>, wanted: impl Fn(&str) -> bool) -> ProjectionMask {
+/// Selects the columns whose names are `wanted`. Selects by index, since the library's selection by name treats dots as
+/// levels of nesting.
+pub(crate) fn only(builder: &ParquetRecordBatchReaderBuilder<File>, wanted: impl Fn(&str) -> bool) -> ProjectionMask {
     let fields = builder.schema().fields().iter().enumerate();
     let places: Vec<usize> = fields.filter(|(_, field)| wanted(field.name())).map(|(place, _)| place).collect();
     ProjectionMask::roots(builder.parquet_schema(), places)
 }
 
-/// A column of numbers, whatever their type.
+/// Returns a column of numbers of any type as f64.
 ///
 /// # Errors
-/// If it is missing, of another type, or has gaps.
-pub fn numbers(batch: &RecordBatch, name: &str, path: &Path) -> Result<Vec<f64>> {
+/// If it is missing, not numeric, or has missing values.
+pub(crate) fn numbers(batch: &RecordBatch, name: &str, path: &Path) -> Result<Vec<f64>> {
     let schema = batch.schema();
     let present = || schema.fields().iter().map(|field| field.name().clone()).collect::<Vec<_>>().join(", ");
     let column = batch.column_by_name(name).ok_or_else(|| Error::Missing {
@@ -251,7 +262,7 @@ pub fn numbers(batch: &RecordBatch, name: &str, path: &Path) -> Result<Vec<f64>>
     }
 }
 
-/// Time stamps and image files of a batch of rows.
+/// Returns timestamps and image files of a batch of rows.
 fn rows_of(batch: &RecordBatch, camera: Option<&str>, path: &Path) -> Result<Vec<Row>> {
     let timestamps = numbers(batch, "timestamp", path)?;
     let mut rows: Vec<Row> = timestamps.into_iter().map(|timestamp| Row { timestamp, image: None }).collect();
@@ -274,7 +285,7 @@ fn rows_of(batch: &RecordBatch, camera: Option<&str>, path: &Path) -> Result<Vec
     Ok(rows)
 }
 
-/// The Parquet files below `folder`, by name.
+/// Returns the Parquet files below `folder` by name.
 fn parquet_files(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for chunk in std::fs::read_dir(folder).map_err(Error::io(folder))?.flatten().filter(|entry| entry.path().is_dir()) {
@@ -288,7 +299,7 @@ fn parquet_files(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// A pattern of `info.json` with its numbers: `{chunk_index:03d}` and `{file_index:03d}`.
+/// Fills a pattern of `info.json`: `{chunk_index:03d}` and `{file_index:03d}`.
 fn filled(pattern: &str, chunk: i64, file: i64) -> String {
     let put = |text: String, name: &str, number: i64| {
         let Some((before, rest)) = text.split_once(&format!("{{{name}")) else { return text };
@@ -304,7 +315,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn patterns_are_filled_as_python_does() {
+    fn patterns_are_filled_as_in_python() {
         let pattern = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet";
         assert_eq!(filled(pattern, 0, 12), "data/chunk-000/file-012.parquet");
         assert_eq!(filled(pattern, 1234, 5), "data/chunk-1234/file-005.parquet");

@@ -1,13 +1,47 @@
-//! Episodes: frames of image, touch and hand pose, in the formats people keep them in.
+//! Episodes: frames of image, touch and hand pose, one module per format.
+//!
+//! | module | images | labels |
+//! |---|---|---|
+//! | [`zarr`] | stores, one unit per episode | arrays of the same store, or a new store |
+//! | [`mcap`] | bags, one unit per file | a topic beside the images, or a new bag |
+//! | [`lerobot`] | data sets of version 3, one unit per episode | columns of the same data set |
+//! | [`video`] | video files | |
+//! | `image_folder` | folders of PNG and JPEG files | |
+//! | [`tensors`] | | safetensors files |
+//!
+//! `source` and `labels` hold the traits that all formats implement; [`Format`] finds the format of a path.
 
+mod copy;
+pub(crate) mod format;
+pub(crate) mod image_folder;
+mod label_frame;
+mod label_info;
+mod labelled;
+pub(crate) mod labels;
 pub mod lerobot;
 pub mod mcap;
+mod prefetch;
+mod provenance;
 pub mod ring;
+pub(crate) mod source;
 pub mod tensors;
 pub mod video;
 pub mod zarr;
 
+use std::path::Path;
+
 use ::image::RgbImage;
+
+pub(crate) use copy::copy_folder;
+pub use format::Format;
+pub use label_frame::LabelCounts;
+pub(crate) use label_frame::LabelFrame;
+pub use label_info::{LabelInfo, LabelSummary, UnlabelledImage};
+pub use labelled::Labelled;
+pub(crate) use labels::{LabelOutput, SourceLabels};
+pub use provenance::{CONTACT_THRESHOLD, PROVENANCE_KEY, Provenance, Thresholds};
+pub use source::LostBytes;
+pub(crate) use source::{ImageSource, SourceFrame, Unit};
 
 use crate::error::Result;
 use crate::hand::{HandParams, Topology};
@@ -18,7 +52,7 @@ use crate::tactile::{TactileField, Validity, median_step};
 pub struct Frame {
     /// Seconds.
     pub timestamp: f64,
-    /// What the head camera sees.
+    /// Image of the head camera.
     pub camera_ego_rgb: RgbImage,
     /// Force and contact on both hands (label c for simulated truth).
     pub field: TactileField,
@@ -26,7 +60,7 @@ pub struct Frame {
     pub force_valid: Vec<u8>,
     /// (1556) 1 = the contact is supervised.
     pub contact_valid: Vec<u8>,
-    /// Whether the frame can be trusted.
+    /// Validity: valid, or the guard that refused the frame.
     pub validity: Validity,
     /// Left hand in the world frame; None = absent (zeros in the store).
     pub left_hand_pose: Option<HandParams>,
@@ -34,10 +68,10 @@ pub struct Frame {
     pub right_hand_pose: Option<HandParams>,
 }
 
-/// What is true of a whole store.
+/// Attributes of a store.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Attributes {
-    /// What the vertex indices mean.
+    /// Meaning of vertex indices.
     pub topology: Topology,
     /// Width of the kernel that spread the contact forces, m; 0 = forces were not spread.
     #[serde(default)]
@@ -48,10 +82,10 @@ pub struct Attributes {
     /// Program that wrote the store.
     #[serde(default)]
     pub producer: String,
-    /// Its version.
+    /// Version of the program.
     #[serde(default)]
     pub version: String,
-    /// Scene or source, one per store.
+    /// Scene or source; one per store.
     #[serde(default)]
     pub scene: String,
     /// Seed of the first episode.
@@ -79,7 +113,7 @@ mod thresholds {
         Thresholds { contact_force: shortest(*contact_force) }.serialize(serializer)
     }
 
-    /// A number that came from f32 by its shortest decimal, so that 0.05 is written as 0.05.
+    /// Returns the shortest decimal of a number that came from f32, so that 0.05 is written as 0.05.
     fn shortest(value: f64) -> f64 {
         let narrow = value as f32;
         match f64::from(narrow) == value {
@@ -93,25 +127,25 @@ mod thresholds {
     }
 }
 
-/// Takes episodes, frame by frame.
+/// Writes episodes frame by frame.
 pub trait EpisodeWriter {
     /// Appends one frame to the open episode.
     ///
     /// # Errors
     /// If the frame does not fit the store (image size, topology) or can't be written.
     fn push(&mut self, frame: Frame) -> Result<()>;
-    /// Ends the open episode; an empty one is an error.
+    /// Ends the open episode.
     ///
     /// # Errors
     /// If nothing was pushed since the last end, or writing fails.
     fn end_episode(&mut self) -> Result<()>;
 }
 
-/// Gives frames by index over all episodes.
+/// Reads frames by index over all episodes.
 pub trait EpisodeReader: Send + Sync {
-    /// What is true of the whole store.
+    /// Returns the attributes of the store.
     fn attributes(&self) -> &Attributes;
-    /// Exclusive cumulative ends of the episodes.
+    /// Returns the exclusive cumulative ends of the episodes.
     fn episode_ends(&self) -> &[usize];
     /// Reads one frame.
     ///
@@ -120,8 +154,8 @@ pub trait EpisodeReader: Send + Sync {
     fn frame(&self, index: usize) -> Result<Frame>;
 }
 
-/// What one unit of `timestamps` is, s: foreign stores leave it open. Cameras give 1 to 1000 images per second, so the size
-/// of the steps tells seconds, milliseconds, microseconds and nanoseconds apart.
+/// Estimates the unit of `timestamps`, s; foreign stores do not state it. Cameras take 1 to 1000 images per second, so the
+/// size of the steps distinguishes seconds, milliseconds, microseconds and nanoseconds.
 pub fn time_unit_of(timestamps: &[f64]) -> f64 {
     match median_step(timestamps) {
         Some(step) if step > 1e6 => 1e-9,
@@ -131,12 +165,17 @@ pub fn time_unit_of(timestamps: &[f64]) -> f64 {
     }
 }
 
+/// Returns the last component of `path` as text.
+pub(crate) fn base_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn units_of_time_stamps_tell_themselves_by_their_steps() {
+    fn the_unit_of_timestamps_follows_from_their_steps() {
         for (seconds, step) in [(1.0, 0.04), (1e-3, 33.3), (1e-6, 33_333.0), (1e-9, 4e7), (1.0, 0.001)] {
             let stamps: Vec<f64> = (0..20).map(|i| 5e3 * step + step * f64::from(i)).collect();
             assert_eq!(time_unit_of(&stamps), seconds, "{step}");

@@ -1,4 +1,5 @@
-//! A bounded folder of recorded episodes: one store each, numbered without gaps, the oldest removed first.
+//! A folder of recorded episodes with a size limit: one store per episode, numbered without gaps; the oldest are removed
+//! first.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,43 +8,43 @@ use super::zarr::{Compression, Contact, ZarrWriter};
 use super::{Attributes, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
 
-/// Name of an episode's store before and after its number.
+/// Prefix and suffix of a store's name, around its number.
 const NAME: (&str, &str) = ("episode_", ".zarr");
-/// Digits of the number.
+/// Number of digits.
 const DIGITS: usize = 8;
 
-/// Episodes on the disk, and the one that is being recorded.
+/// Episodes on disk, and the one that is being recorded.
 #[derive(Debug)]
 pub struct EpisodeRing {
     folder: PathBuf,
     most_bytes: u64,
-    /// Finished episodes, oldest first: number and bytes.
+    /// Number and size in bytes of the finished episodes, oldest first.
     episodes: Vec<(u64, u64)>,
     /// Number of the next episode.
     next: u64,
     open: Option<ZarrWriter>,
-    counts: Counts,
+    counts: RingCounts,
 }
 
-/// What a ring has done since it was opened, and what it holds.
+/// Counts of a ring since it was opened, and its present size.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counts {
-    /// Frames of finished episodes written.
+pub struct RingCounts {
+    /// Number of frames in finished episodes.
     pub frames: u64,
-    /// Episodes finished.
+    /// Number of finished episodes.
     pub episodes: u64,
-    /// Episodes removed.
+    /// Number of removed episodes.
     pub evicted: u64,
-    /// Bytes of the episodes that are there.
+    /// Size of the episodes on disk, bytes.
     pub bytes: u64,
 }
 
 impl EpisodeRing {
-    /// Opens the ring in `folder`, which may hold episodes of before; numbers go on where they ended. What a killed
-    /// process left unfinished is removed.
+    /// Opens the ring in `folder`. Numbers continue after those of existing episodes; unfinished stores of a killed process
+    /// are removed.
     ///
     /// # Errors
-    /// If the folder can't be read or made.
+    /// If the folder can't be read or created.
     pub fn open(folder: &Path, most_bytes: u64) -> Result<Self> {
         fs::create_dir_all(folder).map_err(Error::io(folder))?;
         let mut episodes = Vec::new();
@@ -58,13 +59,19 @@ impl EpisodeRing {
         }
         episodes.sort_unstable();
         let next = episodes.last().map_or(0, |(number, _)| number + 1);
-        let mut ring =
-            Self { folder: folder.to_path_buf(), most_bytes, episodes, next, open: None, counts: Counts::default() };
+        let mut ring = Self {
+            folder: folder.to_path_buf(),
+            most_bytes,
+            episodes,
+            next,
+            open: None,
+            counts: RingCounts::default(),
+        };
         ring.evict()?;
         Ok(ring)
     }
 
-    /// Appends a frame to the open episode, or begins one with `attributes`.
+    /// Appends a frame to the open episode, or starts one with `attributes`.
     ///
     /// # Errors
     /// If the frame does not fit the episode, or can't be written; the episode stays as it was.
@@ -80,15 +87,15 @@ impl EpisodeRing {
         writer.push(frame)
     }
 
-    /// Frames of the open episode.
+    /// Returns the number of frames in the open episode.
     pub fn open_frames(&self) -> usize {
         self.open.as_ref().map_or(0, ZarrWriter::n_frames)
     }
 
-    /// Ends the open episode, if it has frames, and removes the oldest ones beyond the limit; the newest always stays.
+    /// Ends the open episode, if it has frames, and removes the oldest episodes beyond the limit; the newest always stays.
     ///
     /// # Errors
-    /// If the disk refuses.
+    /// If a store can't be written or removed.
     pub fn end_episode(&mut self) -> Result<()> {
         let Some(mut writer) = self.open.take().filter(|writer| writer.n_frames() > 0) else { return Ok(()) };
         let frames = writer.n_frames() as u64;
@@ -102,21 +109,21 @@ impl EpisodeRing {
         self.evict()
     }
 
-    /// Stores of the finished episodes, oldest first.
+    /// Returns the stores of the finished episodes, oldest first.
     pub fn stores(&self) -> Vec<PathBuf> {
         self.episodes.iter().map(|(number, _)| self.folder.join(name(*number))).collect()
     }
 
-    /// What was done, and what is there.
-    pub fn counts(&self) -> Counts {
-        Counts { bytes: self.episodes.iter().map(|(_, bytes)| bytes).sum(), ..self.counts }
+    /// Returns counts and size.
+    pub fn counts(&self) -> RingCounts {
+        RingCounts { bytes: self.episodes.iter().map(|(_, bytes)| bytes).sum(), ..self.counts }
     }
 
     fn evict(&mut self) -> Result<()> {
         while self.episodes.len() > 1 && self.counts().bytes > self.most_bytes {
             let (number, _) = self.episodes.remove(0);
             let path = self.folder.join(name(number));
-            // Under a hidden name first: nobody opens half of a store.
+            // Rename before removing, so that no reader opens a partly removed store.
             let hidden = self.folder.join(format!(".{}", name(number)));
             fs::rename(&path, &hidden).map_err(Error::io(&path))?;
             fs::remove_dir_all(&hidden).map_err(Error::io(&hidden))?;
@@ -134,7 +141,7 @@ fn number(name: &str) -> Option<u64> {
     name.strip_prefix(NAME.0)?.strip_suffix(NAME.1)?.parse().ok()
 }
 
-/// Bytes of all files in a folder.
+/// Returns the size of all files in a folder, bytes.
 fn size(folder: &Path) -> Result<u64> {
     let mut bytes = 0;
     for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
@@ -159,7 +166,7 @@ mod tests {
         serde_json::from_value(serde_json::json!({ "topology": Topology::Mano })).unwrap()
     }
 
-    /// Noise, so that it does not become small when compressed.
+    /// Creates a frame of noise, which does not compress.
     fn frame(at: u64) -> Frame {
         let noise = |x: u32, y: u32| (u64::from(x * 7919 + y * 104_729) ^ at).wrapping_mul(0x9E37_79B9_7F4A_7C15) as u8;
         Frame {
@@ -180,14 +187,14 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_go_first_and_numbers_have_no_gap() {
+    fn the_oldest_episodes_are_removed_first_and_numbers_have_no_gap() {
         let folder = tempfile::tempdir().unwrap();
         // Four episodes of some 37 kB fit.
         let mut ring = EpisodeRing::open(folder.path(), 160_000).unwrap();
         for episode in 0..10 {
             record(&mut ring, 3 * episode, 3);
             assert!(ring.counts().bytes <= 160_000);
-            assert_eq!(ring.stores(), stores(folder.path()), "what it says is what is there");
+            assert_eq!(ring.stores(), stores(folder.path()), "the ring lists the stores on disk");
         }
         let counts = ring.counts();
         assert_eq!((counts.frames, counts.episodes, counts.evicted), (30, 10, 10 - ring.stores().len() as u64));
@@ -195,7 +202,7 @@ mod tests {
             ring.stores().iter().map(|p| number(&p.file_name().unwrap().to_string_lossy()).unwrap()).collect();
         assert!(kept.len() >= 2);
         assert_eq!(kept, (10 - kept.len() as u64..10).collect::<Vec<_>>());
-        // Each holds what was pushed into it.
+        // Each store holds the frames that were pushed into it.
         for (path, number) in ring.stores().iter().zip(kept) {
             let store = ZarrReader::open(path).unwrap();
             let stamps = store.read(TIMESTAMPS, 0..store.len()).unwrap().into_f64();
@@ -211,15 +218,15 @@ mod tests {
     }
 
     #[test]
-    fn a_ring_goes_on_where_a_killed_process_left_it() {
+    fn a_ring_resumes_after_a_killed_process() {
         let folder = tempfile::tempdir().unwrap();
         let mut ring = EpisodeRing::open(folder.path(), u64::MAX).unwrap();
         record(&mut ring, 0, 2);
         record(&mut ring, 2, 2);
         ring.push(frame(4), attributes).unwrap();
-        // As if it were killed here: nothing is dropped.
+        // Simulates a kill: no destructor runs.
         std::mem::forget(ring);
-        assert_eq!(stores(folder.path()).len(), 3, "two episodes and what was open");
+        assert_eq!(stores(folder.path()).len(), 3, "two episodes and an unfinished one");
         let mut ring = EpisodeRing::open(folder.path(), u64::MAX).unwrap();
         assert_eq!(stores(folder.path()), ring.stores());
         record(&mut ring, 5, 1);
@@ -228,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_stays_even_if_it_alone_is_too_large_and_an_empty_episode_is_none() {
+    fn the_newest_episode_stays_even_if_it_exceeds_the_limit() {
         let folder = tempfile::tempdir().unwrap();
         let mut ring = EpisodeRing::open(folder.path(), 10).unwrap();
         ring.end_episode().unwrap();
@@ -239,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_does_not_fit_is_refused_and_the_episode_goes_on() {
+    fn a_refused_frame_leaves_the_episode_open() {
         let folder = tempfile::tempdir().unwrap();
         let mut ring = EpisodeRing::open(folder.path(), u64::MAX).unwrap();
         ring.push(frame(0), attributes).unwrap();

@@ -1,4 +1,4 @@
-//! Fields in safetensors files: what `egotac predict` writes and `egotac eval` reads.
+//! Fields in safetensors files, as `egotac predict` writes them and `egotac eval` reads them.
 //!
 //! | tensor | shape | other names taken |
 //! |---|---|---|
@@ -10,6 +10,8 @@
 //!
 //! Floats may be f16, bf16, f32 or f64, the rest any integer or bool. The metadata carries `topology`.
 
+mod labels;
+
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -19,6 +21,8 @@ use crate::error::{Error, Result};
 use crate::file;
 use crate::hand::Topology;
 use crate::tactile::{N_FIELD, TactileSequence};
+
+pub(crate) use labels::{TensorOutput, read_info, read_labelled};
 
 /// Reads a field file. A file with one field alone leaves the other unknown (NaN), except that contact truth follows from
 /// force.
@@ -111,7 +115,7 @@ pub fn write(path: &Path, sequence: &TactileSequence, mut metadata: HashMap<Stri
     file::write(path, &content)
 }
 
-/// Whole numbers from 0 on.
+/// Converts episode ends to whole numbers.
 fn ends(values: Vec<f64>) -> Result<Vec<usize>> {
     let whole = |end: f64| match end >= 0.0 && end.fract() == 0.0 {
         true => Ok(end as usize),
@@ -120,7 +124,7 @@ fn ends(values: Vec<f64>) -> Result<Vec<usize>> {
     values.into_iter().map(whole).collect()
 }
 
-/// A tensor's numbers, whatever its dtype.
+/// Returns the numbers of a tensor of any dtype as f64.
 pub(crate) fn numbers(name: &str, tensor: &TensorView, shape: &[usize]) -> Result<Vec<f64>> {
     if tensor.shape() != shape {
         return Err(Error::shape(name, format!("{shape:?}"), tensor.shape()));

@@ -1,5 +1,7 @@
 //! Frames of video files, decoded by the program ffmpeg.
 
+mod images;
+
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
@@ -11,34 +13,36 @@ use serde_json::Value;
 use crate::error::{Error, Result};
 use crate::image::MAX_SIDE;
 
-/// Extensions by which video files are known.
+pub(crate) use images::VideoFile;
+
+/// Extensions of video files.
 pub const EXTENSIONS: [&str; 8] = ["mp4", "mkv", "mov", "avi", "webm", "m4v", "mpg", "mpeg"];
-/// Error messages of ffprobe that are told.
+/// Number of ffprobe's error messages that are reported.
 const KEPT_ERRORS: usize = 3;
 
-/// What a video file says about its first video stream.
+/// Properties of the first video stream of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Video {
-    /// Columns and rows, before any rotation.
+    /// Width and height before any rotation, pixels.
     pub size: (u32, u32),
-    /// Frames per second, on average; None = it does not say.
+    /// Average frame rate, 1/s; None = not stated.
     pub fps: Option<f64>,
-    /// Frames, as far as it says.
+    /// Number of frames; None = not stated.
     pub frames: Option<usize>,
     /// Codec, for instance `h264`.
     pub codec: String,
 }
 
-/// What is left of a file whose end is missing or damaged.
+/// Damage of a file whose end is missing or unreadable.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Damage {
-    /// Where the last whole packet ends, bytes.
+    /// End of the last complete packet, bytes.
     pub offset: u64,
-    /// What the demultiplexer said.
+    /// Messages of the demultiplexer.
     pub reason: String,
 }
 
-/// Asks ffprobe about the file at `path`.
+/// Reads the properties of the file at `path` by ffprobe.
 ///
 /// # Errors
 /// If ffprobe is not installed, or finds no video.
@@ -64,8 +68,8 @@ pub fn probe(path: &Path) -> Result<Video> {
     })
 }
 
-/// Looks through all packets of the file, without decoding them, for damage. `decoded` is the number of frames that could
-/// be decoded.
+/// Searches all packets of the file for damage, without decoding them. `decoded` is the number of frames that could be
+/// decoded.
 ///
 /// # Errors
 /// If ffprobe is not installed.
@@ -93,9 +97,9 @@ fn ffprobe(path: &Path, arguments: &[&str]) -> Result<(Value, Vec<String>)> {
     Ok((serde_json::from_slice(&output.stdout).unwrap_or(Value::Null), errors))
 }
 
-/// Frames of a video in the order they are shown, with their times.
+/// Frames of a video in display order, with their times.
 #[derive(Debug)]
-pub struct Frames {
+pub struct VideoFrames {
     path: PathBuf,
     process: Child,
     pixels: BufReader<ChildStdout>,
@@ -103,9 +107,9 @@ pub struct Frames {
     done: bool,
 }
 
-impl Frames {
-    /// Decodes the file at `path` from `start` seconds on: frames shown earlier are left out, the times of those that come
-    /// are the file's own. None = all frames.
+impl VideoFrames {
+    /// Decodes the file at `path` from `start` seconds on; None = from the beginning. Earlier frames are left out; times are
+    /// those of the file.
     ///
     /// # Errors
     /// If ffmpeg is not installed.
@@ -113,11 +117,11 @@ impl Frames {
         let mut command = Command::new("ffmpeg");
         command.args(["-nostdin", "-hide_banner", "-nostats", "-loglevel", "level+info"]);
         if let Some(start) = start {
-            // Seeks to the key frame before it and leaves out what comes before.
+            // ffmpeg seeks to the key frame before `start` and drops the frames in between.
             command.args(["-ss", &format!("{start:.6}")]);
         }
         command.arg("-copyts").arg("-i").arg(url(path)).args(["-map", "0:v:0", "-vf", "showinfo=checksum=0"]);
-        // Each frame once: none repeated or dropped for the sake of an even rate.
+        // Passthrough: ffmpeg must neither repeat nor drop frames to reach an even rate.
         command.args([if has_fps_mode() { "-fps_mode" } else { "-vsync" }, "passthrough"]);
         command.args(["-f", "image2pipe", "-c:v", "ppm", "-"]);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -151,7 +155,7 @@ impl Frames {
     }
 }
 
-impl Iterator for Frames {
+impl Iterator for VideoFrames {
     type Item = Result<(f64, RgbImage)>;
 
     fn next(&mut self) -> Option<Self::Item> {
@@ -164,23 +168,23 @@ impl Iterator for Frames {
     }
 }
 
-impl Drop for Frames {
+impl Drop for VideoFrames {
     fn drop(&mut self) {
-        // It may have ended by itself.
+        // Errors mean that the process has ended already.
         let _ = self.process.kill();
         let _ = self.process.wait();
     }
 }
 
-/// Time of the frame that a line of the filter `showinfo` tells of, s; NaN if the frame has none.
+/// Returns the time of the frame in a line of the filter `showinfo`, s; NaN if the frame has no time.
 fn stamp(line: &str, time_base: Option<(f64, f64)>) -> Option<f64> {
     if !line.contains("showinfo") || after(line, " n:").is_none() {
         return None;
     }
     let pts = after(line, " pts:")?.split_whitespace().next()?;
-    // The time in seconds that stands beside it has six digits only: too few after an hour.
+    // Not `pts_time`: its six digits are too few after an hour.
     match (pts.parse::<i64>(), time_base) {
-        // Divided last: the number nearest to the fraction.
+        // Divide last, so that the result is the f64 nearest to the fraction.
         (Ok(pts), Some((over, under))) => Some(pts as f64 * over / under),
         _ => Some(f64::NAN),
     }
@@ -196,11 +200,11 @@ fn fraction(text: &str) -> Option<(f64, f64)> {
     Some((over.parse().ok()?, under.parse().ok()?))
 }
 
-/// The next image of a stream of binary PPM files; None at its end.
+/// Reads the next image of a stream of binary PPM files; None at the end.
 fn read_ppm(reader: &mut impl BufRead) -> std::io::Result<Option<RgbImage>> {
     let invalid = |what: &str| std::io::Error::new(std::io::ErrorKind::InvalidData, format!("ffmpeg's output: {what}"));
     let mut head = Vec::new();
-    // Three lines: kind, columns and rows, largest value.
+    // Three lines: format, width and height, largest value.
     for _ in 0..3 {
         if reader.by_ref().take(64).read_until(b'\n', &mut head)? == 0 {
             return if head.is_empty() { Ok(None) } else { Err(invalid("an image that is cut off")) };
@@ -216,7 +220,7 @@ fn read_ppm(reader: &mut impl BufRead) -> std::io::Result<Option<RgbImage>> {
     Ok(RgbImage::from_raw(width, height, pixels))
 }
 
-/// The file as ffmpeg takes it whatever its name looks like.
+/// Returns the file as a URL, so that ffmpeg does not interpret its name.
 fn url(path: &Path) -> std::ffi::OsString {
     let mut url = std::ffi::OsString::from("file:");
     url.push(path);
@@ -224,7 +228,7 @@ fn url(path: &Path) -> std::ffi::OsString {
 }
 
 fn without_tags(line: &str) -> String {
-    // `[mov,mp4 @ 0x55d0] moov atom not found`: the address says nothing, and differs from run to run.
+    // `[mov,mp4 @ 0x55d0] moov atom not found`: strip the address, which varies per run.
     line.split_once("] ").map_or(line, |(_, rest)| rest).to_string()
 }
 
@@ -232,13 +236,13 @@ fn not_installed(program: &str, path: &Path, error: &std::io::Error) -> Error {
     Error::file(path, format!("{program}, which reads videos, can't be run ({error}); install the package ffmpeg"))
 }
 
-/// Whether ffmpeg knows the option that later versions want: from 5.1 on.
+/// True if ffmpeg has the option `-fps_mode`, which replaced `-vsync` in version 5.1.
 fn has_fps_mode() -> bool {
     let Ok(output) = Command::new("ffmpeg").arg("-version").stdin(Stdio::null()).output() else { return true };
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     let version = text.split_whitespace().nth(2).unwrap_or_default();
     let mut numbers = version.split(|c: char| !c.is_ascii_digit()).map(str::parse::<u32>);
-    // A version that is no number is a recent build from source.
+    // A version without a number is a recent build from source.
     !matches!((numbers.next(), numbers.next()), (Some(Ok(major)), Some(Ok(minor))) if (major, minor) < (5, 1))
 }
 

@@ -12,14 +12,18 @@
 //! | `data/left_hand_pose`, `data/right_hand_pose` | (T, 61) | f32 | transl 3 m, global_orient 3 rad, hand_pose 45 rad, betas 10; zeros = absent |
 //! | `meta/episode_ends` | (E) | i64 | exclusive cumulative ends |
 //!
-//! A producer may add arrays of its own, declared when the store is created. Chunks split the time axis alone and hold
-//! about 2 MB; chunks equal to the fill value are not written, so a missing chunk reads as zeros.
+//! A producer may declare further arrays when it creates the store. Chunks split the time axis alone and hold about 2 MB.
+//! Chunks equal to the fill value are not written, so a missing chunk reads as zeros.
 
 mod added;
 mod column;
 mod concatenate;
+mod convert;
 mod folder;
+mod images;
+mod labels;
 mod place;
+mod read_labels;
 mod reader;
 mod stored;
 mod writer;
@@ -30,14 +34,19 @@ use serde_json::{Value, json};
 
 pub use added::AddedArrays;
 pub use concatenate::concatenate;
-pub use place::Place;
+pub(crate) use convert::StoreOutput;
+pub(crate) use images::Store;
+pub(crate) use labels::read_info;
+pub use place::StoreLocation;
+pub(crate) use read_labels::read_labelled;
+pub use read_labels::{read_fields, read_labels, read_truth};
 pub use reader::{ZarrReader, open_all};
 pub use stored::ArrayInfo;
 pub use writer::{Contact, ZarrWriter};
 
 /// Egocentric image, (T, H, W, 3) u8.
 pub const CAMERA_EGO_RGB: &str = "data/camera_ego_rgb";
-/// Image of the task's main camera, as others write it, (T, H, W, 3) u8.
+/// Image of the task's main camera, in stores by other programs, (T, H, W, 3) u8.
 pub const CAMERA_MAIN_RGB: &str = "data/camera_main_rgb";
 /// Time of each frame, (T) f64, s.
 pub const TIMESTAMPS: &str = "data/timestamps";
@@ -51,7 +60,7 @@ pub const MANO_CONTACT_SCORE: &str = "data/mano_contact_score";
 pub const MANO_FORCE_VALID: &str = "data/mano_force_valid";
 /// 1 where the contact is supervised, (T, 1556) u8.
 pub const MANO_CONTACT_VALID: &str = "data/mano_contact_valid";
-/// 0 where the frame can be trusted, else the guard's code, (T) u8.
+/// 0 for a valid frame, else the code of the guard that refused it, (T) u8.
 pub const FRAME_VALIDITY: &str = "data/frame_validity";
 /// Left hand's MANO parameters, (T, 61) f32.
 pub const LEFT_HAND_POSE: &str = "data/left_hand_pose";
@@ -64,26 +73,26 @@ pub const CAMERA_POSE: &str = "data/camera_pose";
 /// Exclusive cumulative ends of the episodes, (E) i64.
 pub const EPISODE_ENDS: &str = "meta/episode_ends";
 
-/// Size of an uncompressed chunk, bytes: as many frames as first reach it.
+/// Minimum size of an uncompressed chunk, bytes; a chunk has the fewest frames that reach it.
 const CHUNK_BYTES: usize = 2_000_000;
 
-/// How chunks are compressed.
+/// Compression of chunks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Compression {
-    /// For keeping, as OXT's own stores are: Blosc with zstd, level 5, bits shuffled.
+    /// For storage, as in OXT's own stores: Blosc with zstd, level 5, bit shuffle.
     #[default]
     Keep,
-    /// For predicted forces and contacts, Blosc with zstd, level 1, bytes shuffled: smaller on such numbers than
-    /// [`Compression::Keep`], and quicker.
+    /// For predicted forces and contacts: Blosc with zstd, level 1, byte shuffle, which is smaller and faster on such
+    /// values than [`Compression::Keep`].
     Labels,
-    /// Quick, for what is soon read again: Blosc with lz4, level 1.
+    /// For temporary stores: Blosc with lz4, level 1.
     Pass,
     /// None.
     None,
 }
 
 impl Compression {
-    /// The `compressor` of `.zarray`.
+    /// Returns the `compressor` entry of `.zarray`.
     fn zarr(self) -> Value {
         match self {
             Self::Keep => json!({"id": "blosc", "cname": "zstd", "clevel": 5, "shuffle": 2, "blocksize": 0}),
@@ -108,7 +117,7 @@ pub enum Dtype {
 }
 
 impl Dtype {
-    /// Bytes of one element.
+    /// Returns the size of an element, bytes.
     pub fn size(self) -> usize {
         match self {
             Self::U8 => 1,
@@ -117,7 +126,7 @@ impl Dtype {
         }
     }
 
-    /// The name as Zarr v2 writes it.
+    /// Returns the name in Zarr v2.
     fn zarr_name(self) -> &'static str {
         match self {
             Self::U8 => "|u1",
@@ -139,7 +148,7 @@ impl fmt::Display for Dtype {
     }
 }
 
-/// An array a producer adds to the fixed ones.
+/// Declaration of an array beside the fixed ones.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ArraySpec {
     /// Name with its group, e.g. `data/object_pose`.
@@ -151,7 +160,7 @@ pub struct ArraySpec {
 }
 
 impl ArraySpec {
-    /// An array `name` with `item` values of `dtype` per frame.
+    /// Declares an array `name` with `item` values of `dtype` per frame.
     pub fn new(name: impl Into<String>, item: impl Into<Vec<usize>>, dtype: Dtype) -> Self {
         Self { name: name.into(), item: item.into(), dtype }
     }
@@ -160,12 +169,12 @@ impl ArraySpec {
         self.dtype.size() * self.item.iter().product::<usize>()
     }
 
-    /// Frames of a chunk.
+    /// Returns the number of frames in a chunk.
     fn chunk_len(&self) -> usize {
         CHUNK_BYTES.div_ceil(self.frame_bytes().max(1)).max(1)
     }
 
-    /// Index of the `n`-th chunk of time.
+    /// Returns the index of the `n`-th chunk in time.
     fn chunk_index(&self, n: usize) -> Vec<u64> {
         std::iter::once(n as u64).chain(self.item.iter().map(|_| 0)).collect()
     }
@@ -185,7 +194,7 @@ pub enum Values {
 }
 
 impl Values {
-    /// Element type.
+    /// Returns the element type.
     pub fn dtype(&self) -> Dtype {
         match self {
             Self::U8(_) => Dtype::U8,
@@ -195,7 +204,7 @@ impl Values {
         }
     }
 
-    /// Number of elements.
+    /// Returns the number of elements.
     pub fn len(&self) -> usize {
         match self {
             Self::U8(v) => v.len(),
@@ -205,12 +214,12 @@ impl Values {
         }
     }
 
-    /// Whether there is no element.
+    /// True if there is no element.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Elements `range` as a copy.
+    /// Copies the elements `range`.
     fn slice(&self, range: std::ops::Range<usize>) -> Self {
         match self {
             Self::U8(v) => Self::U8(v[range].to_vec()),
@@ -220,7 +229,7 @@ impl Values {
         }
     }
 
-    /// All values as f32; wider types are rounded.
+    /// Converts the values to f32; wider types are rounded.
     pub fn into_f32(self) -> Vec<f32> {
         match self {
             Self::U8(v) => v.into_iter().map(f32::from).collect(),
@@ -230,7 +239,7 @@ impl Values {
         }
     }
 
-    /// All values as f64.
+    /// Converts the values to f64.
     pub fn into_f64(self) -> Vec<f64> {
         match self {
             Self::U8(v) => v.into_iter().map(f64::from).collect(),

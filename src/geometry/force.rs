@@ -1,25 +1,25 @@
-//! Label (c): contact forces of a physics engine, spread over the vertices they press on.
+//! Label (c): contact forces of a physics engine, distributed over vertices.
 //!
-//! Each contact's normal force goes to vertices of the same link with weights
-//! `w_i = exp(-|v_i - p|² / 2σ²) / Σ_j exp(-|v_j - p|² / 2σ²)`, so that the sum over vertices is the contact's force.
-//! The spread force's moment about the contact point is not zero; it is reported as the residual.
+//! Each contact's normal force is distributed over the vertices of its link with weights
+//! `w_i = exp(-|v_i - p|² / 2σ²) / Σ_j exp(-|v_j - p|² / 2σ²)`, so that the sum over vertices equals the contact force.
+//! The distributed force has a moment about the contact point, which is reported as the moment residual.
 
 use glam::{DVec3, Vec3};
 
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, N_JOINTS, N_VERTICES};
 
-/// Width of the kernel, m: about the radius of a fingertip's touching patch at a few newtons.
+/// Standard deviation of the kernel, m: about the radius of a fingertip's contact patch at a few newtons.
 pub const SIGMA: f64 = 0.004;
 
 /// A contact on a link of a hand.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LinkContact {
-    /// Joint whose link is touched.
+    /// Index of the joint whose link is touched.
     pub link: usize,
-    /// Where, m, in the frame of the posed vertices.
+    /// Contact point in the frame of the posed vertices, m.
     pub position: DVec3,
-    /// Unit normal into the hand: the direction in which it is pushed.
+    /// Unit normal into the hand, in the frame of the posed vertices.
     pub normal: DVec3,
     /// Normal force, N, never negative.
     pub force: f64,
@@ -32,19 +32,20 @@ pub struct ForceLabel {
     pub force: Vec<f32>,
     /// Sum of the contacts' normal forces, N.
     pub total: f64,
-    /// Moment of the spread forces minus that of the contacts, summed over contacts, N m.
+    /// Moment of the distributed forces about the contact points, summed over contacts, N m.
     pub moment_residual: DVec3,
 }
 
 impl ForceLabel {
-    /// Difference between the sum over vertices and the sum over contacts, relative to the latter; 0 without contact.
+    /// Computes the difference between the sums over vertices and over contacts, relative to the latter; without
+    /// contacts, the sum over vertices, N.
     pub fn sum_residual(&self) -> f64 {
         let sum: f64 = self.force.iter().map(|f| f64::from(*f)).sum();
         if self.total > 0.0 { (sum - self.total).abs() / self.total } else { sum.abs() }
     }
 }
 
-/// Spreads contact forces over the vertices of one hand.
+/// Distributes contact forces over the vertices of one hand.
 #[derive(Debug, Clone)]
 pub struct ForceSpreader {
     sigma: f64,
@@ -55,7 +56,7 @@ impl ForceSpreader {
     /// Assigns each vertex of `model` to the link with its largest skinning weight.
     ///
     /// # Errors
-    /// If `sigma` is not a positive length, or a link has no vertex to carry its force.
+    /// If `sigma` is not a positive length, or a link has no vertex.
     pub fn new(model: &HandModel, sigma: f64) -> Result<Self> {
         if !(sigma.is_finite() && sigma > 0.0) {
             return Err(Error::value("sigma", "a positive number of metres", sigma));
@@ -67,15 +68,16 @@ impl ForceSpreader {
         Ok(Self { sigma, link_vertices })
     }
 
-    /// The kernel's width, m.
+    /// Returns the standard deviation of the kernel, m.
     pub fn sigma(&self) -> f64 {
         self.sigma
     }
 
-    /// Spreads `contacts` over `vertices`, the posed (778) vertices, m.
+    /// Distributes `contacts` over the posed (778) `vertices`, m.
     ///
     /// # Errors
-    /// If the number of vertices is wrong, or a contact has an unknown link, a negative force or a value not finite.
+    /// If the number of vertices is wrong, or a contact has an unknown link, a negative force or a value that is not
+    /// finite.
     pub fn spread(&self, vertices: &[Vec3], contacts: &[LinkContact]) -> Result<ForceLabel> {
         if vertices.len() != N_VERTICES {
             return Err(Error::shape("vertices", format!("[{N_VERTICES}, 3]"), [vertices.len(), 3]));
@@ -90,7 +92,7 @@ impl ForceSpreader {
             }
             let link = &self.link_vertices[contact.link];
             let square = |v: u32| vertices[v as usize].as_dvec3().distance_squared(contact.position);
-            // Relative to the nearest vertex: far from all of them every plain weight would underflow to zero.
+            // Relative to the nearest vertex: plain weights would underflow to zero far from the link.
             let nearest = link.iter().map(|v| square(*v)).fold(f64::INFINITY, f64::min);
             if !nearest.is_finite() {
                 return Err(Error::value("vertices", "finite positions", "NaN or infinity"));
@@ -109,21 +111,16 @@ impl ForceSpreader {
     }
 }
 
-/// Vertices by the joint with their largest skinning weight.
+/// Groups vertices by the joint with the largest skinning weight.
 pub fn link_vertices(model: &HandModel) -> [Vec<u32>; N_JOINTS] {
     let mut links: [Vec<u32>; N_JOINTS] = Default::default();
-    for (vertex, weights) in model.lbs_weights.chunks_exact(N_JOINTS).enumerate() {
-        let mut leader = 0;
-        for (joint, weight) in weights.iter().enumerate() {
-            if *weight > weights[leader] {
-                leader = joint;
-            }
-        }
-        links[leader].push(vertex as u32);
+    for (vertex, joint) in model.strongest_joints().into_iter().enumerate() {
+        links[joint].push(vertex as u32);
     }
     links
 }
 
+/// Validates a contact.
 fn check(contact: &LinkContact) -> Result<()> {
     if contact.link >= N_JOINTS {
         return Err(Error::value("contact link", format!("below {N_JOINTS}"), contact.link));

@@ -1,4 +1,4 @@
-//! The skin of a posed hand, for the labels of the other hand.
+//! Surface of a posed hand, for labelling contact with the other hand.
 
 use std::collections::HashMap;
 
@@ -9,7 +9,7 @@ use super::surface::Surface;
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, N_VERTICES};
 
-/// A hand's skin, sampled for label (a) and closed for label (b); moved from frame to frame.
+/// Surface of a hand, sampled for label (a) and closed for label (b); it moves from frame to frame.
 #[derive(Debug, Clone)]
 pub struct HandSurface {
     surface: Surface,
@@ -18,12 +18,12 @@ pub struct HandSurface {
 }
 
 impl HandSurface {
-    /// Prepares the skin of `model`; its points are `spacing` apart, m, in the rest pose.
+    /// Creates the surface of `model`, with sample points at most `spacing` apart in the rest pose, m.
     ///
-    /// Where the skin ends, as MANO's does at the wrist, a fan of triangles closes it; nothing is sampled there.
+    /// A fan of triangles closes the open boundary that MANO has at the wrist; it is not sampled.
     ///
     /// # Errors
-    /// If the spacing is not a positive length, or the model's triangles are none.
+    /// If the spacing is not a positive length, or the model's mesh is invalid.
     pub fn new(model: &HandModel, spacing: f32) -> Result<Self> {
         let rest = model.forward(&HandParams::default()).vertices;
         let samples = samples(&rest, &model.faces, spacing)?;
@@ -32,10 +32,10 @@ impl HandSurface {
         Ok(Self { surface: Surface::new(rest, triangles)?, samples, points })
     }
 
-    /// Moves the skin to (778) posed `vertices`, m.
+    /// Moves the surface to (778) posed `vertices`, m.
     ///
     /// # Errors
-    /// If the number of vertices is another, or a coordinate is not finite.
+    /// If the number of vertices is wrong, or a coordinate is not finite.
     pub fn set_vertices(&mut self, vertices: &[Vec3]) -> Result<()> {
         if vertices.len() != N_VERTICES {
             return Err(Error::shape("vertices", format!("[{N_VERTICES}, 3]"), [vertices.len(), 3]));
@@ -44,22 +44,22 @@ impl HandSurface {
         self.points.set_points(&self.samples.iter().map(|sample| sample.at(vertices)).collect::<Vec<_>>())
     }
 
-    /// The closed skin.
+    /// Returns the closed surface.
     pub fn surface(&self) -> &Surface {
         &self.surface
     }
 
-    /// The skin as points.
+    /// Returns the sampled surface.
     pub fn points(&self) -> &SampledSurface {
         &self.points
     }
 }
 
-/// Triangles that close each loop of edges with only one triangle.
+/// Returns triangles that close each boundary loop.
 fn caps(faces: &[[u32; 3]]) -> Vec<[u32; 3]> {
     let edges = || faces.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
     let directed: std::collections::HashSet<(u32, u32)> = edges().collect();
-    // The cap runs along each open edge the other way round.
+    // The cap traverses each boundary edge in the opposite direction.
     let mut next: HashMap<u32, u32> =
         edges().filter(|(from, to)| !directed.contains(&(*to, *from))).map(|(from, to)| (to, from)).collect();
     let mut caps = Vec::new();

@@ -1,8 +1,8 @@
-//! Whether a triangle mesh says what is inside of it.
+//! Closedness, orientation, winding number and distance of triangle meshes.
 //!
-//! A surface has an inside where its triangles' directed edges cancel each other: each point then has a whole winding
-//! number, whatever else the mesh is (in several shells, with edges that four triangles share, with zero-area
-//! triangles). Vertices at equal places count as one.
+//! A mesh has an inside if the directed edges of its triangles cancel. Each point then has an integer winding number,
+//! even if the mesh has several shells, edges of four triangles, or triangles without area. Vertices at equal positions
+//! count as one.
 
 use std::collections::HashMap;
 
@@ -11,46 +11,54 @@ use robust::{Coord, Coord3D, orient2d, orient3d};
 
 use crate::error::{Error, Result};
 
-/// Largest coordinate of a mesh, m: beyond it single precision has no millimetres.
-pub const FAR: f32 = 1e4;
+/// Largest coordinate of a mesh, m; beyond it single precision cannot resolve millimetres.
+pub const MAX_COORDINATE: f32 = 1e4;
 
-/// What a mesh tells about inside and outside.
+/// Smallest ratio of squared double area to fourth power of the longest edge of a triangle; below it, single-precision
+/// corners do not define a plane.
+const MIN_AREA_RATIO: f64 = 1e-16;
+
+/// Smallest ratio of volume to area^1.5 at which a shell's orientation is above rounding.
+const MIN_VOLUME_RATIO: f64 = 1e-6;
+
+/// Result of the search for inside and outside.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Sides {
-    /// Closed, its triangles facing outwards: distances inside are negative.
+    /// Closed with outward-facing triangles; distances inside are negative.
     Closed,
-    /// Edges that only one triangle has: there is no inside.
+    /// Some edges belong to an odd number of triangles: the mesh has no inside.
     Open {
-        /// Such edges.
+        /// Number of such edges.
         edges: usize,
     },
-    /// Neighbouring triangles that face opposite ways: there is no inside.
+    /// Some neighbouring triangles face opposite ways: the mesh has no inside.
     Twisted {
-        /// Edges at which they meet.
+        /// Number of edges between such triangles.
         edges: usize,
     },
-    /// Closed shells whose triangles face inwards: which side is solid is not known.
+    /// Some closed shells face inwards: the solid side is unknown.
     InsideOut {
-        /// Such shells.
+        /// Number of such shells.
         shells: usize,
     },
 }
 
 impl Sides {
-    /// Whether inside and outside are known.
+    /// Returns true if inside and outside are known.
     pub fn is_known(self) -> bool {
         self == Self::Closed
     }
 }
 
-/// Refuses what is no mesh.
+/// Validates coordinates and indices.
 ///
 /// # Errors
-/// If an index is out of range, or a coordinate is not finite or beyond [`FAR`].
-pub fn check(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Result<()> {
-    if let Some(bad) = vertices.iter().position(|v| !v.is_finite() || v.abs().max_element() > FAR) {
-        return Err(Error::value(format!("vertex {bad}"), format!("finite, within {FAR} m"), vertices[bad]));
+/// If an index is out of range, or a coordinate is not finite or beyond [`MAX_COORDINATE`].
+pub(super) fn check(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Result<()> {
+    if let Some(bad) = vertices.iter().position(|v| !v.is_finite() || v.abs().max_element() > MAX_COORDINATE) {
+        let expected = format!("finite, within {MAX_COORDINATE} m");
+        return Err(Error::value(format!("vertex {bad}"), expected, vertices[bad]));
     }
     match triangles.iter().flatten().find(|index| **index as usize >= vertices.len()) {
         Some(index) => Err(Error::value("triangle index", format!("below {}", vertices.len()), index)),
@@ -58,10 +66,10 @@ pub fn check(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Result<()> {
     }
 }
 
-/// Looks at a checked mesh.
-pub fn sides(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Sides {
+/// Determines the sides of a mesh that passed [`check`].
+pub(super) fn sides(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Sides {
     let welded = weld(vertices, triangles);
-    // Uses of each edge, and those from its lower to its higher end minus the others.
+    // Per edge: number of uses, and uses from its lower to its higher index minus the opposite ones.
     let mut edges: HashMap<(u32, u32), (usize, i64)> = HashMap::new();
     for &[a, b, c] in &welded {
         for (from, to) in [(a, b), (b, c), (c, a)].into_iter().filter(|(from, to)| from != to) {
@@ -81,16 +89,16 @@ pub fn sides(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Sides {
     }
 }
 
-/// Triangles with the lowest index of the vertices at each place.
+/// Replaces each vertex index by the lowest index of the vertices at the same position.
 fn weld(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
     let mut places = HashMap::new();
-    // Adding 0 makes -0 the same place as 0.
+    // Adding 0 turns -0 into 0.
     let key = |v: Vec3| (v + Vec3::ZERO).to_array().map(f32::to_bits);
     let first: Vec<u32> = vertices.iter().zip(0..).map(|(v, index)| *places.entry(key(*v)).or_insert(index)).collect();
     triangles.iter().map(|triangle| triangle.map(|index| first[index as usize])).collect()
 }
 
-/// Shells that face inwards and bound no cavity of another shell.
+/// Counts the shells that face inwards without bounding a cavity of another shell.
 fn inside_out(vertices: &[Vec3], triangles: &[[u32; 3]], welded: &[[u32; 3]]) -> usize {
     let mut shell_of: Vec<u32> = (0..vertices.len() as u32).collect();
     fn root(of: &mut [u32], mut index: u32) -> u32 {
@@ -109,7 +117,7 @@ fn inside_out(vertices: &[Vec3], triangles: &[[u32; 3]], welded: &[[u32; 3]]) ->
     let mut shells: HashMap<u32, (f64, f64)> = HashMap::new(); // six times the volume, twice the area
     for (triangle, &[first, ..]) in triangles.iter().zip(welded) {
         let shell = root(&mut shell_of, first);
-        // From a place of its own: volumes of small shells far from the origin would cancel to noise.
+        // Relative to a vertex of the shell: the volume of a small shell far from the origin would cancel to noise.
         let origin = vertices[shell as usize].as_dvec3();
         let [a, b, c] = triangle.map(|index| vertices[index as usize].as_dvec3() - origin);
         let sums = shells.entry(shell).or_default();
@@ -118,7 +126,7 @@ fn inside_out(vertices: &[Vec3], triangles: &[[u32; 3]], welded: &[[u32; 3]]) ->
     }
     let mut count = 0;
     for (shell, (volume, area)) in shells {
-        if volume > -1e-6 * area.powf(1.5) {
+        if volume > -MIN_VOLUME_RATIO * area.powf(1.5) {
             continue;
         }
         let others = triangles.iter().zip(welded).filter(|(_, w)| root(&mut shell_of, w[0]) != shell);
@@ -129,15 +137,15 @@ fn inside_out(vertices: &[Vec3], triangles: &[[u32; 3]], welded: &[[u32; 3]]) ->
     count
 }
 
-/// What a triangle adds to the winding number of `point`: 1 where the ray along +x leaves through its front, -1 where it
-/// enters, else 0.
+/// Computes the contribution of a triangle to the winding number of `point`: 1 if the ray along +x leaves through its
+/// front, -1 if it enters, else 0.
 ///
-/// Decided exactly: for a closed surface the sum over all triangles is the winding number, also where the ray meets
-/// edges or corners. Only on the surface itself it may be that of either side.
-pub fn crossing([a, b, c]: [Vec3; 3], point: Vec3) -> i32 {
+/// The predicates are exact: the sum over a closed surface is the winding number even if the ray meets edges or
+/// corners. For a point on the surface, the sum may be the winding number of either side.
+pub(super) fn crossing([a, b, c]: [Vec3; 3], point: Vec3) -> i32 {
     let flat = |v: Vec3| Coord { x: v.y, y: v.z };
-    // The winding number of the triangle's shadow on the yz plane; the edge that two triangles share is judged by one
-    // and the same sign for both, so a ray through it counts once.
+    // Winding number of the triangle's projection onto the yz plane. Both triangles at an edge evaluate the same
+    // predicate, so a ray through the edge counts once.
     let edge = |from: Vec3, to: Vec3| match (from.z <= point.z, to.z <= point.z) {
         (true, false) => i32::from(orient2d(flat(from), flat(to), flat(point)) > 0.0),
         (false, true) => -i32::from(orient2d(flat(from), flat(to), flat(point)) < 0.0),
@@ -153,8 +161,9 @@ pub fn crossing([a, b, c]: [Vec3; 3], point: Vec3) -> i32 {
     if behind * f64::from(shadow) > 0.0 { shadow } else { 0 }
 }
 
-/// Squared distance of a point from a triangle, m²; a triangle without area is its longest edge, or a point.
-pub fn distance_squared([a, b, c]: [DVec3; 3], point: DVec3) -> f64 {
+/// Computes the squared distance of a point from a triangle, m²; a triangle without area counts as its longest edge, or
+/// as a point.
+pub(super) fn distance_squared([a, b, c]: [DVec3; 3], point: DVec3) -> f64 {
     let (ab, bc, ca) = (b - a, c - b, a - c);
     let normal = ab.cross(-ca);
     let (area, longest) =
@@ -165,11 +174,10 @@ pub fn distance_squared([a, b, c]: [DVec3; 3], point: DVec3) -> f64 {
         let along = if length > 0.0 { (edge.dot(from) / length).clamp(0.0, 1.0) } else { 0.0 };
         (from - along * edge).length_squared()
     };
-    // Single-precision corners of anything flatter are no triangle any more.
-    if area <= 1e-16 * longest * longest {
+    if area <= MIN_AREA_RATIO * longest * longest {
         return segment(ab, pa).min(segment(bc, pb)).min(segment(ca, pc));
     }
-    // Beyond an edge, one of those edges is nearest; beyond none, the point over the triangle.
+    // A point beyond an edge is nearest to one of those edges; otherwise its projection lies inside of the triangle.
     let beyond = |edge: DVec3, from: DVec3| match normal.dot(edge.cross(from)) < 0.0 {
         true => segment(edge, from),
         false => f64::INFINITY,

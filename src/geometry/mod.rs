@@ -1,12 +1,12 @@
-//! Geometry of hands and objects: meshes, distances, solids, spread of forces over vertices.
+//! Geometry of hands and objects: meshes, distances, solids, and the distribution of forces over vertices.
 //!
-//! Three rules label a vertex as touched:
+//! A vertex is labelled as touched by one of three rules:
 //!
 //! | label | file | rule |
 //! |---|---|---|
-//! | (a) | [`proximity`] | an object's vertex lies within a distance: how the paper labels recordings |
-//! | (b) | [`surface`], [`solid`] | the signed distance from the surface lies below a threshold |
-//! | (c) | [`force`] | forces of the physics engine's contacts, spread over vertices |
+//! | (a) | [`proximity`] | a vertex of the object is near; the paper labels recordings by this rule |
+//! | (b) | [`surface`], [`solid`] | the signed distance from the object's surface is below a threshold |
+//! | (c) | [`force`] | contact forces of the physics engine, distributed over vertices |
 
 pub mod force;
 pub mod hand_surface;

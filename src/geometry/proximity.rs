@@ -1,7 +1,7 @@
-//! Label (a): a vertex counts as touching when the object is near, whether it is pressed or not.
+//! Label (a): a hand vertex counts as touching if the object is near, with or without pressure.
 //!
-//! It is the paper's rule: an object *vertex* within 1 cm. It depends on how finely the object is meshed (a box of 8
-//! vertices yields next to no label), so the surface is resampled first, with the spacing as an explicit number.
+//! The paper's rule is an object *vertex* within 1 cm. It depends on the mesh (a box of 8 vertices labels almost
+//! nothing), so the surface is resampled first, with an explicit spacing.
 
 use glam::Vec3;
 use parry3d::bounding_volume::Aabb;
@@ -11,16 +11,16 @@ use super::mesh;
 use super::surface::{gap_squared, vector};
 use crate::error::{Error, Result};
 
-/// Distance below which the paper calls a vertex in contact, m.
+/// Distance below which the paper labels a vertex as in contact, m.
 pub const PROXIMITY: f32 = 0.01;
 
-/// Spacing of the resampled object surface at most, m: recall of the surface rule is above 92 %.
+/// Largest spacing of the resampled object surface, m; at this value the recall of the surface rule is above 92 %.
 pub const SPACING: f32 = 0.006;
 
-/// Points that one surface may be resampled to: a hundred megabytes.
-const MOST_POINTS: usize = 4_000_000;
+/// Largest number of points that one surface is resampled to: a hundred megabytes.
+const MAX_POINTS: usize = 4_000_000;
 
-/// A surface as points no farther apart than a given spacing, in the frame of its object.
+/// A surface as points at most a given spacing apart, in the frame of its object.
 #[derive(Debug, Clone)]
 pub struct SampledSurface {
     points: Vec<Vec3>,
@@ -37,7 +37,7 @@ impl SampledSurface {
         Self::from_points(resample(vertices, triangles, spacing)?, spacing)
     }
 
-    /// Takes points that lie on a surface no farther apart than `spacing`.
+    /// Creates a surface from points on it that are at most `spacing` apart, m.
     ///
     /// # Errors
     /// If a point is not finite.
@@ -47,10 +47,10 @@ impl SampledSurface {
         Ok(Self { points, bvh, spacing })
     }
 
-    /// Moves the points, which keep their number and order: the surface of something that bends.
+    /// Moves the points of a surface that bends; number and order stay.
     ///
     /// # Errors
-    /// If their number is another, or one is not finite.
+    /// If the number of points differs, or a point is not finite.
     pub fn set_points(&mut self, points: &[Vec3]) -> Result<()> {
         if points.len() != self.points.len() {
             return Err(Error::shape("surface points", format!("[{}, 3]", self.points.len()), [points.len(), 3]));
@@ -64,17 +64,17 @@ impl SampledSurface {
         Ok(())
     }
 
-    /// The points, m.
+    /// Returns the points, m.
     pub fn points(&self) -> &[Vec3] {
         &self.points
     }
 
-    /// Longest edge between neighbouring points, m.
+    /// Returns the largest distance between neighbouring points, m.
     pub fn spacing(&self) -> f32 {
         self.spacing
     }
 
-    /// Distance of the nearest point, m; infinity beyond `cutoff`, NaN for a query that is not finite.
+    /// Returns the distance of the nearest point, m; infinity beyond `cutoff`, NaN for a query that is not finite.
     pub fn distance(&self, query: Vec3, cutoff: f32) -> f32 {
         if !query.is_finite() {
             return f32::NAN;
@@ -87,7 +87,7 @@ impl SampledSurface {
         nearest.map_or(f32::INFINITY, |(_, square)| square.sqrt())
     }
 
-    /// Whether a point of the surface lies within `distance` of `query` (object frame).
+    /// Returns true if a point of the surface lies within `distance` of `query` (object frame).
     pub fn is_within(&self, query: Vec3, distance: f32) -> bool {
         let square = distance * distance;
         let mut near = self.bvh.leaves(|node| gap_squared(node, query) <= square);
@@ -106,37 +106,37 @@ fn check_points(points: &[Vec3]) -> Result<()> {
     }
 }
 
-/// A point of a triangle mesh: the triangle, and the weights of its second and third corner.
+/// A point of a triangle mesh, in barycentric coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sample {
+pub(super) struct Sample {
     /// Corners of the triangle.
     pub triangle: [u32; 3],
-    /// Weights of the second and the third corner; the first one's is what is left to 1.
+    /// Weights of the second and the third corner; the first corner has the rest to 1.
     pub weights: [f32; 2],
 }
 
 impl Sample {
-    /// Where the point lies on the mesh of these vertices, m.
-    pub fn at(&self, vertices: &[Vec3]) -> Vec3 {
+    /// Returns the position of the point on a mesh of these vertices, m.
+    pub(super) fn at(&self, vertices: &[Vec3]) -> Vec3 {
         let [a, b, c] = self.triangle.map(|index| vertices[index as usize]);
         a + (b - a) * self.weights[0] + (c - a) * self.weights[1]
     }
 }
 
-/// Points on a triangle mesh: its vertices, and as many more that no triangle edge between them exceeds `spacing`.
+/// Resamples a triangle mesh: its vertices, and further points so that neighbours are at most `spacing` apart, m.
 ///
 /// # Errors
-/// As [`samples`].
+/// If `spacing` is not a positive length, an index is out of range, a coordinate is not finite, or there would be more
+/// than four million points.
 pub fn resample(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Result<Vec<Vec3>> {
     Ok(samples(vertices, triangles, spacing)?.iter().map(|sample| sample.at(vertices)).collect())
 }
 
-/// As [`resample`], but the points' places on the mesh: they stay valid while it bends.
+/// Resamples as [`resample`] and returns barycentric coordinates, which stay valid while the mesh bends.
 ///
 /// # Errors
-/// If `spacing` is not a positive length, an index is out of range, a coordinate is not finite, or the points would be
-/// more than four million.
-pub fn samples(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Result<Vec<Sample>> {
+/// As [`resample`].
+pub(super) fn samples(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Result<Vec<Sample>> {
     if !(spacing.is_finite() && spacing > 0.0) {
         return Err(Error::value("spacing", "a positive number of metres", spacing));
     }
@@ -148,8 +148,8 @@ pub fn samples(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Resul
         (longest / spacing).ceil().max(1.0)
     };
     let count: f64 = triangles.iter().map(|t| (f64::from(parts(t)) + 1.0) * (f64::from(parts(t)) + 2.0) / 2.0).sum();
-    if count > MOST_POINTS as f64 {
-        let expected = format!("one that gives at most {MOST_POINTS} points on this mesh");
+    if count > MAX_POINTS as f64 {
+        let expected = format!("one that gives at most {MAX_POINTS} points on this mesh");
         return Err(Error::value("spacing", expected, format!("{spacing} m, which gives {count:.0}")));
     }
     let mut points = Vec::with_capacity(count as usize);
@@ -162,7 +162,7 @@ pub fn samples(vertices: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Resul
             }
         }
     }
-    // Triangles share corners and edges; once is enough.
+    // Neighbouring triangles share the points on their corners and edges.
     points.sort_by_key(|(place, _)| *place);
     points.dedup_by_key(|(place, _)| *place);
     Ok(points.into_iter().map(|(_, sample)| sample).collect())

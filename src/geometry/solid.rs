@@ -1,4 +1,4 @@
-//! A rigid thing as the union of its parts, for label (b).
+//! A rigid object as a union of shapes, for label (b).
 
 use glam::Vec3;
 use parry3d::math::Pose;
@@ -9,14 +9,15 @@ use super::mesh::Sides;
 use super::surface::{Surface, box_gap, vector};
 use crate::error::{Error, Result};
 
-/// Parts that may overlap; a point inside one of them is inside.
+/// Union of shapes that may overlap; a point inside of one shape is inside of the solid.
 #[derive(Debug, Clone, Default)]
 pub struct Solid {
-    parts: Vec<Part>,
+    parts: Vec<BoundedShape>,
 }
 
+/// A shape with its bounding box.
 #[derive(Debug, Clone)]
-struct Part {
+struct BoundedShape {
     shape: Shape,
     low: Vec3,
     high: Vec3,
@@ -31,17 +32,17 @@ enum Shape {
 }
 
 impl Solid {
-    /// A solid of one mesh.
+    /// Creates a solid from one mesh.
     pub fn from_mesh(surface: Surface) -> Self {
         let mut solid = Self::default();
         solid.add_mesh(surface);
         solid
     }
 
-    /// Adds a mesh; a convex or closed one has an inside.
+    /// Adds a mesh.
     pub fn add_mesh(&mut self, surface: Surface) {
         let [low, high] = surface.bounds();
-        self.parts.push(Part { shape: Shape::Mesh(surface), low, high });
+        self.parts.push(BoundedShape { shape: Shape::Mesh(surface), low, high });
     }
 
     /// Adds a ball of `radius`, m.
@@ -55,7 +56,7 @@ impl Solid {
         Ok(())
     }
 
-    /// Adds a box of half edges `half`, m.
+    /// Adds a box with half edges `half`, m.
     ///
     /// # Errors
     /// If an edge is not a positive length.
@@ -66,7 +67,7 @@ impl Solid {
         Ok(())
     }
 
-    /// Adds a capsule about the z axis, from -`half` to `half`, m.
+    /// Adds a capsule around the z axis from -`half` to `half`, m.
     ///
     /// # Errors
     /// If a length is not positive.
@@ -80,12 +81,13 @@ impl Solid {
 
     fn push(&mut self, shape: Shape, around: parry3d::bounding_volume::Aabb) {
         let [low, high] = [around.mins, around.maxs].map(|v| Vec3::new(v.x, v.y, v.z));
-        self.parts.push(Part { shape, low, high });
+        self.parts.push(BoundedShape { shape, low, high });
     }
 
-    /// Signed distance of `point`, m; infinity outside beyond `cutoff`, NaN for a point that is not finite.
+    /// Returns the signed distance of `point`, m; infinity outside beyond `cutoff`, NaN for a point that is not finite.
     ///
-    /// Outside it is exact. Inside it is that of the nearest part's surface: where parts meet, less than the way out.
+    /// The distance is exact outside. Inside it is the depth below the surface of one shape, a lower bound of the depth
+    /// where shapes overlap.
     pub fn distance(&self, point: Vec3, cutoff: f32) -> f32 {
         if !point.is_finite() {
             return f32::NAN;
@@ -100,7 +102,7 @@ impl Solid {
         if nearest <= cutoff { nearest } else { f32::INFINITY }
     }
 
-    /// Whether the inside of every part is known, or the first reason why not.
+    /// Returns [`Sides::Closed`] if the inside of every shape is known, or else the first reason why not.
     pub fn sides(&self) -> Sides {
         let meshes = self.parts.iter().filter_map(|part| match &part.shape {
             Shape::Mesh(surface) => Some(surface.sides()),
@@ -109,24 +111,24 @@ impl Solid {
         meshes.into_iter().find(|sides| !sides.is_known()).unwrap_or(Sides::Closed)
     }
 
-    /// Number of parts.
+    /// Returns the number of shapes.
     pub fn n_parts(&self) -> usize {
         self.parts.len()
     }
 }
 
-/// How finely a thing is sampled, and whether its inside is known.
+/// Sampling density of an object for label (a), and its sides for label (b).
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Sampling {
-    /// The thing.
+    /// Name of the object.
     pub name: String,
-    /// Points of label (a).
+    /// Number of points for label (a).
     pub points: usize,
-    /// Longest edge between neighbouring ones, mm.
+    /// Largest distance between neighbouring points, mm.
     pub spacing_mm: f64,
-    /// Parts of label (b)'s surface.
+    /// Number of shapes for label (b).
     pub parts: usize,
-    /// What label (b) knows about its inside; distances are at least 0 where it is none.
+    /// Sides for label (b); without a known inside, distances are never negative.
     pub sides: Sides,
 }
 
@@ -142,6 +144,7 @@ impl Shape {
     }
 }
 
+/// Validates lengths.
 fn check<const N: usize>(name: &str, lengths: [f32; N]) -> Result<()> {
     match lengths.into_iter().find(|length| !(length.is_finite() && *length > 0.0)) {
         Some(bad) => Err(Error::value(name, "a positive number of metres", bad)),

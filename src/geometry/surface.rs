@@ -8,11 +8,11 @@ use parry3d::partitioning::{Bvh, BvhBuildStrategy, BvhNode};
 use super::mesh::{self, Sides};
 use crate::error::{Error, Result};
 
-/// A triangle mesh that answers how far points are from it.
+/// A triangle mesh with exact signed distances.
 ///
-/// Distances are those of the nearest triangle, computed in double precision. The sign comes from the winding number,
-/// decided by exact predicates: negative where it is above 0, so shells may overlap, touch or lie in one another, and
-/// facets may have no area. A mesh without a known inside ([`Surface::sides`]) has distances of at least 0 everywhere.
+/// The distance is that of the nearest triangle, computed in double precision. It is negative if the winding number,
+/// computed with exact predicates, is above 0; so shells may overlap, touch or lie in one another, and triangles may
+/// have no area. A mesh without a known inside ([`Surface::sides`]) has no negative distances.
 #[derive(Debug, Clone)]
 pub struct Surface {
     vertices: Vec<Vec3>,
@@ -24,10 +24,11 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// Takes a mesh of `vertices`, m, and `triangles`, counter-clockwise from outside.
+    /// Creates a surface from `vertices`, m, and `triangles`, counter-clockwise seen from outside.
     ///
     /// # Errors
-    /// If there is no triangle, an index is out of range, or a coordinate is not finite or beyond [`mesh::FAR`].
+    /// If there is no triangle, an index is out of range, or a coordinate is not finite or beyond
+    /// [`mesh::MAX_COORDINATE`].
     pub fn new(vertices: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Result<Self> {
         mesh::check(&vertices, &triangles)?;
         if triangles.is_empty() {
@@ -41,11 +42,11 @@ impl Surface {
         Ok(surface)
     }
 
-    /// Moves the vertices, which keep their number: the surface of something that bends. What is known about its sides
-    /// stays, for bending neither opens nor turns it.
+    /// Moves the vertices of a surface that bends. The sides stay, because bending neither opens nor reverses a
+    /// surface.
     ///
     /// # Errors
-    /// If their number is another, or a coordinate is not finite or beyond [`mesh::FAR`].
+    /// If the number of vertices differs, or a coordinate is not finite or beyond [`mesh::MAX_COORDINATE`].
     pub fn set_vertices(&mut self, vertices: &[Vec3]) -> Result<()> {
         if vertices.len() != self.vertices.len() {
             return Err(Error::shape("vertices", format!("[{}, 3]", self.vertices.len()), [vertices.len(), 3]));
@@ -60,23 +61,23 @@ impl Surface {
         Ok(())
     }
 
-    /// Whether inside and outside are known, and why not.
+    /// Returns [`Sides::Closed`] if inside and outside are known, or else the reason why not.
     pub fn sides(&self) -> Sides {
         self.sides
     }
 
-    /// Number of triangles.
+    /// Returns the number of triangles.
     pub fn n_triangles(&self) -> usize {
         self.triangles.len()
     }
 
-    /// Corners of the box around it, m.
+    /// Returns the lower and the upper corner of the bounding box, m.
     pub fn bounds(&self) -> [Vec3; 2] {
         [self.low, self.high]
     }
 
-    /// Signed distance of `point`, m: negative inside, however deep; infinity outside beyond `cutoff`, where it costs next
-    /// to nothing; NaN for a point that is not finite.
+    /// Returns the signed distance of `point`, m: negative inside at any depth; infinity outside beyond `cutoff`, which
+    /// is cheap to detect; NaN for a point that is not finite.
     pub fn distance(&self, point: Vec3, cutoff: f32) -> f32 {
         if !point.is_finite() {
             return f32::NAN;
@@ -91,8 +92,8 @@ impl Surface {
         -near.or_else(|| self.unsigned(point, f32::MAX)).unwrap_or(f32::INFINITY)
     }
 
-    /// How often the surface winds around `point`: 1 inside, 0 outside, more where shells overlap. Means nothing if
-    /// [`Surface::sides`] is not closed.
+    /// Returns the winding number of the surface around `point`: 1 inside, 0 outside, more where shells overlap.
+    /// Undefined unless [`Surface::sides`] is closed.
     pub fn winding(&self, point: Vec3) -> i32 {
         let meets = |node: &BvhNode| {
             let (low, high) = (node.mins(), node.maxs());
@@ -107,7 +108,7 @@ impl Surface {
         point.cmpge(self.low).all() && point.cmple(self.high).all() && self.winding(point) > 0
     }
 
-    /// Distance of the nearest triangle if that is within `cutoff`.
+    /// Returns the distance of the nearest triangle if it is within `cutoff`.
     fn unsigned(&self, point: Vec3, cutoff: f32) -> Option<f32> {
         let at = point.as_dvec3();
         let square = |leaf: u32| mesh::distance_squared(self.corners(leaf).map(Vec3::as_dvec3), at);
@@ -126,6 +127,7 @@ impl Surface {
         self.triangles[triangle as usize].map(|index| self.vertices[index as usize])
     }
 
+    /// Computes the bounding box of the vertices that triangles use.
     fn bound(&mut self) {
         let used = || self.triangles.iter().flatten().map(|index| self.vertices[*index as usize]);
         let (low, high) = (used().fold(Vec3::INFINITY, Vec3::min), used().fold(Vec3::NEG_INFINITY, Vec3::max));
@@ -140,19 +142,19 @@ fn boxes(vertices: &[Vec3], triangles: &[[u32; 3]]) -> impl Iterator<Item = Aabb
     })
 }
 
-/// Squared distance of a point from a node's box, m².
+/// Computes the squared distance of a point from a node's bounding box, m².
 pub(super) fn gap_squared(node: &BvhNode, point: Vec3) -> f32 {
     let (low, high) = (node.mins(), node.maxs());
     let beyond = (Vec3::new(low.x, low.y, low.z) - point).max(point - Vec3::new(high.x, high.y, high.z));
     beyond.max(Vec3::ZERO).length_squared()
 }
 
-/// Distance of a point from a box, m.
+/// Computes the distance of a point from a box, m.
 pub(super) fn box_gap(low: Vec3, high: Vec3, point: Vec3) -> f32 {
     (low - point).max(point - high).max(Vec3::ZERO).length()
 }
 
-/// A vector in the library's form.
+/// Converts a vector to parry's type.
 pub(super) fn vector(v: Vec3) -> Vector {
     Vector::new(v.x, v.y, v.z)
 }

@@ -1,4 +1,4 @@
-//! The built-in 778-vertex hand, `egotac-hand-1`, as committed.
+//! Reads and writes the committed built-in hand, `egotac-hand-1`.
 
 use std::sync::LazyLock;
 
@@ -8,18 +8,18 @@ use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use super::{HandModel, N_BETAS, N_JOINTS, N_VERTICES, Side, build, mesh};
 use crate::hand::Topology;
 
-/// What `egotac hand build` wrote.
+/// Output of `egotac hand build`.
 static FILE: &[u8] = include_bytes!("builtin.safetensors");
 
 static RIGHT: LazyLock<HandModel> = LazyLock::new(|| {
-    // The file is part of this program, and a test loads it; a failure is a broken build, not an input error.
+    // The file is embedded in the program and a test loads it, so a failure means a broken build.
     let mut model = read(FILE).unwrap_or_else(|name| panic!("the embedded hand has no usable tensor {name:?}"));
     model.posedirs = posedirs(&model);
     model
 });
 static LEFT: LazyLock<HandModel> = LazyLock::new(|| mirrored(&RIGHT));
 
-/// The built-in hand of one side; the left is the mirrored right.
+/// Returns the built-in hand of one side; the left hand is the mirrored right hand.
 pub(super) fn hand(side: Side) -> HandModel {
     match side {
         Side::Left => LEFT.clone(),
@@ -27,12 +27,12 @@ pub(super) fn hand(side: Side) -> HandModel {
     }
 }
 
-/// Bytes of the committed form of a right hand: a safetensors file of all arrays but `posedirs`, which follow from
-/// the weights.
+/// Serialises a right hand as the committed safetensors file: all arrays but `posedirs`, which are computed from the
+/// weights.
 ///
 /// # Errors
-/// If serialising fails.
-pub fn to_bytes(model: &HandModel) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+/// If serialisation fails.
+pub(crate) fn to_bytes(model: &HandModel) -> Result<Vec<u8>, safetensors::SafeTensorError> {
     let floats = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
     let indices = |values: Vec<u32>| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
     let vertices: Vec<f32> = model.v_template.iter().flat_map(|v| v.to_array()).collect();
@@ -52,7 +52,7 @@ pub fn to_bytes(model: &HandModel) -> Result<Vec<u8>, safetensors::SafeTensorErr
     safetensors::serialize(views, None)
 }
 
-/// Reads [`to_bytes`]; the error names the tensor that is missing or misshapen.
+/// Reads the bytes of [`to_bytes`]; the error is the name of a tensor that is missing or has the wrong shape.
 fn read(bytes: &[u8]) -> Result<HandModel, &'static str> {
     let file = SafeTensors::deserialize(bytes).map_err(|_| "(header)")?;
     let words = |name: &'static str| -> Result<Vec<[u8; 4]>, &'static str> {
@@ -78,11 +78,12 @@ fn read(bytes: &[u8]) -> Result<HandModel, &'static str> {
     })
 }
 
-/// (778, 3, 135) pose blend shapes that keep a bent joint's back from caving in.
+/// Computes (778, 3, 135) pose blend shapes that keep the back of a bent joint from collapsing.
 ///
-/// Where a vertex follows a joint with weight w and its parent with 1 - w, linear blend skinning draws it towards the
-/// joint by w (1 - w) (1 - cos t) of its distance, t the joint's angle. On the back of the joint that distance is given
-/// back here; inside the bend real flesh gives way too. 1 - cos t = -tr(R - I) / 2, so only the diagonal is used.
+/// Linear blend skinning pulls a vertex with weight w on a joint and 1 - w on its parent towards the joint by w (1 - w)
+/// (1 - cos t) of its distance, with joint angle t. The blend shapes undo this on the back of the joint. Inside the
+/// bend they do not, because real flesh is compressed there too. Since 1 - cos t = -tr(R - I) / 2, only the diagonal
+/// entries of R - I are used.
 fn posedirs(model: &HandModel) -> Vec<f32> {
     const N_FEATURES: usize = 9 * (N_JOINTS - 1);
     let normals = mesh::vertex_normals(&model.v_template, &model.faces);
@@ -93,7 +94,7 @@ fn posedirs(model: &HandModel) -> Vec<f32> {
             let blend = weights[joint] * weights[model.parents[joint]];
             let bone = joints[joint] - joints[model.parents[joint]];
             let outward = (model.v_template[vertex] - joints[joint]).reject_from(bone.normalize());
-            // Only the back: palmar skin faces -y (a thumb's back faces away from the fingers, also towards +y).
+            // 1 on the back of the hand, which faces +y; 0 on the palmar side. The thumb's back faces +y too.
             let back = normals[vertex].y.clamp(0.0, 1.0);
             let offset = outward * (blend * back * -0.5);
             for (axis, value) in offset.to_array().into_iter().enumerate() {
@@ -106,7 +107,7 @@ fn posedirs(model: &HandModel) -> Vec<f32> {
     posedirs
 }
 
-/// The other hand: mirrored in x, same vertex indices, faces turned so that they stay counter-clockwise.
+/// Mirrors a hand in x. Vertex indices stay; faces are reversed so that they stay counter-clockwise.
 fn mirrored(model: &HandModel) -> HandModel {
     const SIGN: [f32; 3] = [-1.0, 1.0, 1.0];
     let mut other = model.clone();

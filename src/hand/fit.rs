@@ -1,34 +1,43 @@
-//! Fits a hand model to keypoints and a surface: shape, pose, size and place, by damped least squares.
+//! Fits a hand model to keypoints and a surface by Levenberg-Marquardt least squares: shape, pose, scale and
+//! translation.
 
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 
 use super::{HandModel, HandParams, N_BETAS, N_JOINTS, N_KEYPOINTS, PosedHand};
 
-/// Unknowns: log scale, transl, global_orient, betas, hand_pose.
+/// Number of unknowns: log scale, transl, global_orient, betas, hand_pose.
 const N_UNKNOWNS: usize = 1 + 3 + 3 + N_BETAS + 3 * (N_JOINTS - 1);
-/// What a beta of one costs, as metres of keypoint error: keypoints that don't need it leave it at zero.
+/// Regularisation of the betas: a beta of 1 costs as much as this keypoint error, m. It keeps betas at zero that the
+/// keypoints do not determine.
 const BETA_COST: f64 = 0.001;
-/// What a radian of pose costs, as metres of keypoint error.
+/// Regularisation of the pose: one radian costs as much as this keypoint error, m.
 const POSE_COST: f64 = 0.005;
-/// What doubling the size costs (per unit of log scale), as metres of keypoint error; the first beta is size, too.
+/// Regularisation of the scale: a unit of log scale costs as much as this keypoint error, m. The first beta changes the
+/// size too, and is cheaper.
 const SCALE_COST: f64 = 0.02;
-/// What a metre of distance between skins counts, against a metre between keypoints.
+/// Weight of a surface distance relative to a keypoint distance.
 const SKIN_WEIGHT: f64 = 0.3;
+/// Maximum number of steps; a fit that converges stops earlier, at [`MIN_GAIN`].
+const MAX_STEPS: usize = 40;
+/// Decrease of the squared error, m², below which the fit stops: single-precision vertices round away smaller ones.
+const MIN_GAIN: f64 = 1e-9;
+/// Damping above which the fit stops: no step decreases the error.
+const MAX_DAMPING: f64 = 1e6;
 
 /// A hand fitted to keypoints.
 #[derive(Debug, Clone)]
 pub struct Fit {
-    /// Shape, pose and place.
+    /// Shape, pose and translation.
     pub params: HandParams,
-    /// Size on top of the betas, about the wrist joint.
+    /// Scale about the wrist joint, on top of the betas.
     pub scale: f64,
     /// Root mean square distance of the keypoints, m.
     pub residual: f64,
 }
 
 impl Fit {
-    /// The fitted hand, scaled about its wrist.
+    /// Poses the fitted hand, scaled about its wrist.
     pub fn posed(&self, model: &HandModel) -> PosedHand {
         let mut posed = model.forward(&self.params);
         let (wrist, scale) = (posed.joints[0], self.scale as f32);
@@ -37,49 +46,50 @@ impl Fit {
     }
 }
 
-/// A vertex that shall lie on a plane: the nearest piece of another skin.
+/// Target of one vertex: the tangent plane of another surface at its nearest point.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Pull {
+pub(super) struct PlaneTarget {
     pub vertex: usize,
-    pub place: Vec3,
+    /// Point on the plane, m.
+    pub point: Vec3,
     pub normal: Vec3,
 }
 
-/// Finds the shape, pose, size and place in which `model` has the given keypoints, starting from rest.
+/// Fits shape, pose, scale and translation of `model` to keypoints, starting from rest.
 ///
-/// `targets`: metres, in the order of [`HandModel::keypoints`]. What keypoints can't tell (twist, girth) stays at rest.
-pub fn fit_keypoints(model: &HandModel, targets: &[Vec3; N_KEYPOINTS]) -> Fit {
+/// `targets`: metres, in the order of [`HandModel::keypoints`]. Parameters that keypoints do not determine (twist,
+/// girth) stay at rest.
+pub(super) fn fit_keypoints(model: &HandModel, targets: &[Vec3; N_KEYPOINTS]) -> Fit {
     let rest = Fit { params: HandParams::default(), scale: 1.0, residual: f64::INFINITY };
     refine(model, &rest, targets, &[])
 }
 
-/// Continues a fit with skin to follow as well.
-pub(super) fn refine(model: &HandModel, start: &Fit, targets: &[Vec3; N_KEYPOINTS], pulls: &[Pull]) -> Fit {
-    // Pose blend shapes move tips by less than the fit's cost terms, and cost most of the time.
+/// Continues a fit with surface targets as well.
+pub(super) fn refine(model: &HandModel, start: &Fit, targets: &[Vec3; N_KEYPOINTS], planes: &[PlaneTarget]) -> Fit {
+    // Pose blend shapes move tips by less than the regularisation does, and take most of the time.
     let plain = HandModel { posedirs: Vec::new(), ..model.clone() };
-    let goal = Goal { model: &plain, keypoints: targets, pulls };
+    let problem = FitProblem { model: &plain, keypoints: targets, planes };
     let mut unknowns = packed(start);
-    let mut residuals = goal.residuals(&unknowns);
+    let mut residuals = problem.residuals(&unknowns);
     let mut damping = 1e-3;
-    for _ in 0..40 {
-        let jacobian = goal.jacobian(&unknowns);
+    for _ in 0..MAX_STEPS {
+        let jacobian = problem.jacobian(&unknowns);
         let normal = jacobian.transpose() * &jacobian;
         let gradient = jacobian.transpose() * &residuals;
         let damped = &normal + DMatrix::from_diagonal(&normal.diagonal().map(|entry| damping * entry + 1e-12));
         let Some(step) = damped.cholesky().map(|damped| damped.solve(&gradient)) else { break };
         let next = &unknowns - &step;
-        let next_residuals = goal.residuals(&next);
+        let next_residuals = problem.residuals(&next);
         let gain = residuals.norm_squared() - next_residuals.norm_squared();
         if gain > 0.0 {
             (unknowns, residuals) = (next, next_residuals);
             damping = (damping * 0.3).max(1e-9);
-            // Of no use where the keypoints' rounding begins.
-            if gain < 1e-9 {
+            if gain < MIN_GAIN {
                 break;
             }
         } else {
             damping *= 8.0;
-            if damping > 1e6 {
+            if damping > MAX_DAMPING {
                 break;
             }
         }
@@ -89,15 +99,15 @@ pub(super) fn refine(model: &HandModel, start: &Fit, targets: &[Vec3; N_KEYPOINT
     Fit { params, scale, residual: (keypoints / N_KEYPOINTS as f64).sqrt() }
 }
 
-/// What the fit makes small.
-struct Goal<'a> {
+/// Residuals that the fit minimises.
+struct FitProblem<'a> {
     model: &'a HandModel,
     keypoints: &'a [Vec3; N_KEYPOINTS],
-    pulls: &'a [Pull],
+    planes: &'a [PlaneTarget],
 }
 
-impl Goal<'_> {
-    /// Keypoint errors, the costs of leaving rest, then distances between skins, m.
+impl FitProblem<'_> {
+    /// Computes keypoint errors, regularisation terms, then weighted distances from the planes, m.
     fn residuals(&self, unknowns: &DVector<f64>) -> DVector<f64> {
         let (params, scale) = unpacked(unknowns);
         let posed = Fit { params, scale, residual: 0.0 }.posed(self.model);
@@ -111,14 +121,16 @@ impl Goal<'_> {
             _ => POSE_COST,
         };
         let costs = unknowns.iter().enumerate().map(|(k, value)| value * cost(k));
-        let distance =
-            |pull: &Pull| f64::from((posed.vertices[pull.vertex] - pull.place).dot(pull.normal)) * SKIN_WEIGHT;
-        let distances = self.pulls.iter().map(distance);
-        let count = 3 * N_KEYPOINTS + N_UNKNOWNS + self.pulls.len();
+        let distance = |plane: &PlaneTarget| {
+            f64::from((posed.vertices[plane.vertex] - plane.point).dot(plane.normal)) * SKIN_WEIGHT
+        };
+        let distances = self.planes.iter().map(distance);
+        let count = 3 * N_KEYPOINTS + N_UNKNOWNS + self.planes.len();
         DVector::from_iterator(count, errors.chain(costs).chain(distances))
     }
 
-    /// By central differences; a step of 1e-3 is far above the rounding of single-precision vertices.
+    /// Computes the Jacobian by central differences; a step of 1e-3 is far above the rounding of single-precision
+    /// vertices.
     fn jacobian(&self, unknowns: &DVector<f64>) -> DMatrix<f64> {
         const STEP: f64 = 1e-3;
         let column = |k: usize| {
@@ -158,7 +170,7 @@ mod tests {
     use crate::hand::Side;
 
     #[test]
-    fn fit_finds_a_posed_scaled_hand_again() {
+    fn fit_recovers_a_posed_scaled_hand() {
         let model = HandModel::builtin(Side::Right);
         let mut betas = [0.0; N_BETAS];
         (betas[1], betas[4]) = (1.5, -1.0);
@@ -175,7 +187,7 @@ mod tests {
         let found = fit.posed(&model);
         let errors = found.vertices.iter().zip(&truth.vertices).map(|(a, b)| a.distance(*b));
         let mean = errors.sum::<f32>() / truth.vertices.len() as f32;
-        // Girth and twist are not in the keypoints.
+        // Keypoints do not determine girth and twist.
         assert!(mean < 0.004, "{mean} m");
     }
 }

@@ -8,15 +8,27 @@ use super::{HandModel, HandParams, N_BETAS, N_JOINTS, PosedHand};
 /// Entries of (R - I) over joints 1..16.
 const N_POSE_FEATURES: usize = 9 * (N_JOINTS - 1);
 
-/// A rigid motion `x -> rotation x + translation`.
+/// Rigid motion `x -> rotation x + translation`.
 #[derive(Clone, Copy)]
 struct Rigid {
     rotation: Matrix3<f64>,
     translation: Vector3<f64>,
 }
 
-/// Poses `model`; computed in f64, given in f32.
-pub(super) fn forward(model: &HandModel, params: &HandParams) -> PosedHand {
+/// Joints at rest and in a pose, before `transl`, and the rotations between them.
+struct Skeleton {
+    /// Template plus shape blend shapes, (778), m.
+    shaped: Vec<Vector3<f64>>,
+    /// Joints of the shaped hand at rest, m.
+    rest_joints: [Vector3<f64>; N_JOINTS],
+    /// Rotation of each joint relative to its parent.
+    local: [Matrix3<f64>; N_JOINTS],
+    /// Rotation and position of each posed joint in the hand's frame.
+    world: [Rigid; N_JOINTS],
+}
+
+/// Poses the joints of `model` without its vertices.
+fn skeleton(model: &HandModel, params: &HandParams) -> Skeleton {
     let shaped = shaped_vertices(model, &params.betas);
     let rest_joints = regress_joints(model, &shaped);
     let mut local = [Matrix3::identity(); N_JOINTS];
@@ -25,9 +37,21 @@ pub(super) fn forward(model: &HandModel, params: &HandParams) -> PosedHand {
         local[joint + 1] = rotation_from_axis_angle(*axis_angle);
     }
     let world = rigid_chain(&model.parents, &rest_joints, &local);
+    Skeleton { shaped, rest_joints, local, world }
+}
+
+/// Computes the joints of `model` alone, (16), m; bit-equal to those of [`forward`].
+pub(super) fn joints(model: &HandModel, params: &HandParams) -> [Vec3; N_JOINTS] {
+    let transl = vector(params.transl);
+    skeleton(model, params).world.map(|motion| vec3(motion.translation + transl))
+}
+
+/// Poses `model`; computes in f64 and returns f32.
+pub(super) fn forward(model: &HandModel, params: &HandParams) -> PosedHand {
+    let Skeleton { shaped, rest_joints, local, world } = skeleton(model, params);
     let transl = vector(params.transl);
 
-    // Motion of rest space with each joint: first carry the joint to the origin, then pose it.
+    // Motion from rest space with each joint: move the joint to the origin, then apply its pose.
     let from_rest = std::array::from_fn::<_, N_JOINTS, _>(|joint| Rigid {
         rotation: world[joint].rotation,
         translation: world[joint].translation - world[joint].rotation * rest_joints[joint],
@@ -50,12 +74,12 @@ pub(super) fn forward(model: &HandModel, params: &HandParams) -> PosedHand {
     }
 }
 
-/// Joints of the unposed hand with zero betas, m.
+/// Computes the joints at rest with zero betas, m.
 pub(super) fn rest_joints(model: &HandModel) -> [Vec3; N_JOINTS] {
     regress_joints(model, &shaped_vertices(model, &[0.0; N_BETAS])).map(vec3)
 }
 
-/// Template plus shape blend shapes, (778).
+/// Computes template plus shape blend shapes, (778), m.
 fn shaped_vertices(model: &HandModel, betas: &[f32; N_BETAS]) -> Vec<Vector3<f64>> {
     let shape = |row: &[f32]| -> f64 { row.iter().zip(betas).map(|(d, b)| f64::from(*d) * f64::from(*b)).sum() };
     let rows = model.shapedirs.chunks_exact(3 * N_BETAS);
@@ -66,7 +90,7 @@ fn shaped_vertices(model: &HandModel, betas: &[f32; N_BETAS]) -> Vec<Vector3<f64
     model.v_template.iter().zip(rows).map(vertex).collect()
 }
 
-/// Joints of the shaped hand before posing.
+/// Computes the joints of the shaped hand at rest, m.
 fn regress_joints(model: &HandModel, shaped: &[Vector3<f64>]) -> [Vector3<f64>; N_JOINTS] {
     std::array::from_fn(|joint| {
         let row = &model.j_regressor[joint * shaped.len()..(joint + 1) * shaped.len()];
@@ -74,13 +98,13 @@ fn regress_joints(model: &HandModel, shaped: &[Vector3<f64>]) -> [Vector3<f64>; 
     })
 }
 
-/// Pose blend shapes, (778); empty where the model has none.
+/// Computes the pose blend shapes, (778), m; empty if the model has none.
 fn pose_offsets(model: &HandModel, local: &[Matrix3<f64>; N_JOINTS]) -> Vec<Vector3<f64>> {
     let features: Vec<f64> = local[1..]
         .iter()
         .flat_map(|rotation| (rotation - Matrix3::identity()).transpose().as_slice().to_vec()) // row-major
         .collect();
-    // At rest every feature is 0; skipping them makes the rest pose and one-finger poses cheap.
+    // Features of joints at rest are 0; skipping them makes the rest pose and one-finger poses cheap.
     let active: Vec<usize> = (0..N_POSE_FEATURES).filter(|&i| features[i] != 0.0).collect();
     let dot = |row: &[f32]| -> f64 { active.iter().map(|&i| f64::from(row[i]) * features[i]).sum() };
     let vertex = |rows: &[f32]| {
@@ -90,9 +114,9 @@ fn pose_offsets(model: &HandModel, local: &[Matrix3<f64>; N_JOINTS]) -> Vec<Vect
     model.posedirs.chunks_exact(3 * N_POSE_FEATURES).map(vertex).collect()
 }
 
-/// World motion of each joint: its rotation and its place.
+/// Computes rotation and position of each posed joint.
 ///
-/// A parent always comes before its child in MANO's order, so one pass does.
+/// Parents precede their children in MANO's order, so one pass over the joints suffices.
 fn rigid_chain(
     parents: &[usize; N_JOINTS],
     rest: &[Vector3<f64>; N_JOINTS],
@@ -109,11 +133,11 @@ fn rigid_chain(
     world
 }
 
-/// Rodrigues' formula, exact at any angle: R = I + (sin t / t) K + ((1 - cos t) / t²) K².
+/// Computes Rodrigues' formula without cancellation at any angle: R = I + (sin t / t) K + ((1 - cos t) / t²) K².
 fn rotation_from_axis_angle(axis_angle: Vec3) -> Matrix3<f64> {
     let v = vector(axis_angle);
     let angle = v.norm();
-    // Below 1e-4 the two-term series is exact to f64's last digit, and there is no division by zero.
+    // Below 1e-4 the two-term series is exact to the last digit of f64, and avoids a division by zero.
     let (sine, cosine) = if angle < 1e-4 {
         (1.0 - angle * angle / 6.0, 0.5 - angle * angle / 24.0)
     } else {
@@ -142,7 +166,7 @@ mod tests {
 
     use super::*;
 
-    /// Quaternion route to the same rotation, an independent formula.
+    /// Computes the same rotation through a quaternion, an independent formula.
     fn by_quaternion(v: Vec3) -> Matrix3<f64> {
         let v = vector(v);
         let half = 0.5 * v.norm();

@@ -1,4 +1,4 @@
-//! MANO files: the published pickle and the `.npz` variants.
+//! Reads MANO files: the published pickle and the `.npz` variants.
 
 use std::fs::File;
 use std::io::Read;
@@ -9,18 +9,16 @@ use glam::Vec3;
 use super::{HandModel, N_BETAS, N_JOINTS, N_VERTICES, Side};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
-use crate::numpy::array::{Array, Outcome};
-use crate::numpy::npz::Npz;
-use crate::numpy::pickle::{Pickle, uncompressed, zipped};
+use crate::numpy::{Array, Npz, Outcome, Pickle, expand_indptr, triplets};
 
-/// Largest file that is read; the published ones have 4 MB.
+/// Largest accepted file, bytes; the published ones have 4 MB.
 const MAX_FILE: u64 = 256 << 20;
 /// Columns of the pose blend shapes: 15 rotations of 9 entries.
 const N_POSE: usize = 9 * (N_JOINTS - 1);
-/// Fingertips, thumb to little, as smplx has them.
+/// Fingertip vertices, thumb to little, as in the smplx package.
 const TIP_VERTICES: [u32; 5] = [744, 320, 443, 554, 671];
 
-/// Loads a MANO file by its content, not its name.
+/// Loads a MANO file; the format follows from the content, not from the name.
 pub(super) fn load(path: &Path, side: Side) -> Result<HandModel> {
     let mut bytes = Vec::new();
     let file = File::open(path).map_err(Error::io(path))?;
@@ -28,27 +26,29 @@ pub(super) fn load(path: &Path, side: Side) -> Result<HandModel> {
     if bytes.len() as u64 > MAX_FILE {
         return Err(Error::file(path, format!("more than {MAX_FILE} bytes; a MANO file has about 4 million")));
     }
-    let source = if bytes.starts_with(b"PK") {
-        Npz::open(&bytes).map(Source::Npz)
+    let arrays = if bytes.starts_with(b"PK") {
+        Npz::open(&bytes).map(Arrays::Npz)
     } else {
-        Pickle::read(&bytes).map(Source::Pickle)
+        Pickle::read(&bytes).map(Arrays::Pickle)
     };
-    let source = source.map_err(|message| Error::file(path, format!("not a MANO pickle or .npz: {message}")))?;
-    Reader { path, source }.model(side)
+    let arrays = arrays.map_err(|message| Error::file(path, format!("not a MANO pickle or .npz: {message}")))?;
+    ManoFile { path, arrays }.model(side)
 }
 
-enum Source<'a> {
+/// Named arrays of either format.
+enum Arrays<'a> {
     Pickle(Pickle<'a>),
     Npz(Npz<'a>),
 }
 
-/// A file's arrays, with its path for the errors.
-struct Reader<'a> {
+/// Arrays of a file, and its path for error messages.
+struct ManoFile<'a> {
     path: &'a Path,
-    source: Source<'a>,
+    arrays: Arrays<'a>,
 }
 
-impl Reader<'_> {
+impl ManoFile<'_> {
+    /// Reads all arrays and checks their shapes.
     fn model(mut self, side: Side) -> Result<HandModel> {
         let v_template = self.shaped("v_template", &[N_VERTICES, 3])?;
         let model = HandModel {
@@ -73,13 +73,13 @@ impl Reader<'_> {
         }
         let indices = array.indices().map_err(|message| self.damaged("f", message))?;
         if let Some(index) = indices.iter().find(|&&index| index >= N_VERTICES) {
-            return Err(self.damaged("f", format!("a face names vertex {index} of {N_VERTICES}")));
+            return Err(self.damaged("f", format!("a face has vertex index {index}, expected below {N_VERTICES}")));
         }
         let indices: Vec<u32> = indices.into_iter().map(|index| index as u32).collect();
         Ok(indices.as_chunks().0.to_vec())
     }
 
-    /// The first ten shape directions; files of other model families have more.
+    /// Reads the first ten shape directions; files of other model families have more.
     fn shapedirs(&mut self) -> Result<Vec<f32>> {
         let array = self.required("shapedirs")?;
         let columns = match array.shape[..] {
@@ -90,13 +90,13 @@ impl Reader<'_> {
         self.finite("shapedirs", &cut)
     }
 
-    /// Per vertex and axis; some `.npz` variants flatten these two, as the released code does after loading.
+    /// Reads pose blend shapes in any of three layouts: (778, 3, 135), the first two axes flattened, or its transpose.
     fn posedirs(&mut self) -> Result<Vec<f32>> {
         let array = self.required("posedirs")?;
         match array.shape[..] {
             [N_VERTICES, 3, N_POSE] => self.finite("posedirs", &array.data),
             [rows, N_POSE] if rows == 3 * N_VERTICES => self.finite("posedirs", &array.data),
-            // As smplx holds them in memory.
+            // Layout of the smplx package in memory.
             [N_POSE, columns] if columns == 3 * N_VERTICES => {
                 let transposed = (0..columns).flat_map(|c| array.data.iter().skip(c).step_by(columns));
                 let transposed: Vec<f64> = transposed.copied().collect();
@@ -106,12 +106,11 @@ impl Reader<'_> {
         }
     }
 
-    /// Dense, a sparse object, or (in `.npz` variants) its parts as arrays of their own.
+    /// Reads the joint regressor: a dense array, a sparse matrix object, or (in `.npz` variants) the arrays of one.
     fn j_regressor(&mut self) -> Result<Vec<f32>> {
         const NAME: &str = "J_regressor";
         let shape = [N_JOINTS, N_VERTICES];
-        let parts = self.triplets(NAME)?;
-        let array = match parts {
+        let array = match self.triplets(NAME)? {
             Some(triplets) => Array::from_triplets(shape, triplets).map_err(|message| self.damaged(NAME, message))?,
             None => self.required(NAME)?,
         };
@@ -121,8 +120,8 @@ impl Reader<'_> {
                 let column = |k: usize| array.data.iter().skip(k).step_by(3).copied().collect::<Vec<f64>>();
                 let indices = |k: usize| Array { shape: vec![n], data: column(k) }.indices();
                 indices(0)
-                    .and_then(|joints| zipped(joints, indices(1)?, column(2)))
-                    .and_then(|triplets| Array::from_triplets(shape, triplets))
+                    .and_then(|joints| triplets(joints, indices(1)?, column(2)))
+                    .and_then(|entries| Array::from_triplets(shape, entries))
                     .map_err(|message| self.damaged(NAME, message))?
             }
             _ => array,
@@ -133,25 +132,27 @@ impl Reader<'_> {
         self.finite(NAME, &array.data)
     }
 
-    /// `NAME_data` with `NAME_indices` and `NAME_indptr` (columns compressed), or with `NAME_row` and `NAME_col`.
+    /// Reads a sparse matrix from `NAME_data` with `NAME_indices` and `NAME_indptr` (compressed columns), or with
+    /// `NAME_row` and `NAME_col`; `None` if there is no `NAME_data`.
     fn triplets(&mut self, name: &str) -> Result<Option<Vec<(usize, usize, f64)>>> {
         let Some(data) = self.array(&format!("{name}_data"))? else { return Ok(None) };
-        let indices = |reader: &mut Self, part: &str| {
+        let indices = |file: &mut Self, part: &str| {
             let name = format!("{name}_{part}");
-            let array = reader.required(&name)?;
-            array.indices().map_err(|message| reader.damaged(&name, message))
+            let array = file.required(&name)?;
+            array.indices().map_err(|message| file.damaged(&name, message))
         };
-        let triplets = if self.array(&format!("{name}_indptr"))?.is_some() {
+        let entries = if self.array(&format!("{name}_indptr"))?.is_some() {
             let (rows, indptr) = (indices(self, "indices")?, indices(self, "indptr")?);
-            uncompressed(&indptr, data.data.len()).and_then(|columns| zipped(rows, columns, data.data))
+            expand_indptr(&indptr, data.data.len()).and_then(|columns| triplets(rows, columns, data.data))
         } else {
             let (rows, columns) = (indices(self, "row")?, indices(self, "col")?);
-            zipped(rows, columns, data.data)
+            triplets(rows, columns, data.data)
         };
-        triplets.map(Some).map_err(|message| self.damaged(name, message))
+        entries.map(Some).map_err(|message| self.damaged(name, message))
     }
 
-    /// First row of `kintree_table`; the root's parent is written as -1 or the largest integer.
+    /// Reads the parents from the first row of `kintree_table`. The root's entry (-1 or the largest integer) is
+    /// ignored.
     fn parents(&mut self) -> Result<[usize; N_JOINTS]> {
         let array = self.required("kintree_table")?;
         if array.shape != [2, N_JOINTS] {
@@ -170,6 +171,7 @@ impl Reader<'_> {
         Ok(parents)
     }
 
+    /// Reads an array of an exact shape.
     fn shaped(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
         let array = self.required(name)?;
         if array.shape != shape {
@@ -178,13 +180,14 @@ impl Reader<'_> {
         self.finite(name, &array.data)
     }
 
+    /// Reads an array that must be present; the error lists the names that are.
     fn required(&mut self, name: &str) -> Result<Array> {
         if let Some(array) = self.array(name)? {
             return Ok(array);
         }
-        let mut present = match &self.source {
-            Source::Pickle(pickle) => pickle.keys(),
-            Source::Npz(npz) => npz.keys(),
+        let mut present = match &self.arrays {
+            Arrays::Pickle(pickle) => pickle.keys(),
+            Arrays::Npz(npz) => npz.keys(),
         };
         present.sort();
         let present = if present.is_empty() { "nothing".to_string() } else { present.join(", ") };
@@ -192,17 +195,20 @@ impl Reader<'_> {
     }
 
     fn array(&mut self, name: &str) -> Result<Option<Array>> {
-        let array: Outcome<Option<Array>> = match &mut self.source {
-            Source::Pickle(pickle) => pickle.array(name),
-            Source::Npz(npz) => npz.array(name),
+        let array: Outcome<Option<Array>> = match &mut self.arrays {
+            Arrays::Pickle(pickle) => pickle.array(name),
+            Arrays::Npz(npz) => npz.array(name),
         };
         array.map_err(|message| self.damaged(name, message))
     }
 
+    /// Converts to single precision and checks that all entries are finite.
     fn finite(&self, name: &str, data: &[f64]) -> Result<Vec<f32>> {
         let single: Vec<f32> = data.iter().map(|&value| value as f32).collect();
         match single.iter().position(|value| !value.is_finite()) {
-            Some(index) => Err(self.damaged(name, format!("entry {index} is {}", data[index]))),
+            Some(index) => {
+                Err(self.damaged(name, format!("expected finite numbers, entry {index} is {}", data[index])))
+            }
             None => Ok(single),
         }
     }

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use glam::Vec3;
 
-/// Unit normals per vertex, area weighted, pointing outwards.
+/// Computes area-weighted unit normals per vertex, pointing outwards.
 ///
-/// A vertex without area (no face, or only degenerate ones) gets zero.
+/// The normal of a vertex without area (no face, or only degenerate ones) is zero.
 pub fn vertex_normals(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<Vec3> {
     let mut normals = vec![Vec3::ZERO; vertices.len()];
     for face in faces {
@@ -18,7 +18,7 @@ pub fn vertex_normals(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<Vec3> {
     normals.iter().map(|n| n.normalize_or_zero()).collect()
 }
 
-/// Area per vertex in m²: a third of each adjacent triangle; the sum is the surface's area.
+/// Computes the area per vertex, m²: a third of each adjacent triangle, so that the sum is the surface's area.
 pub fn vertex_areas(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<f32> {
     let mut areas = vec![0.0; vertices.len()];
     for face in faces {
@@ -30,7 +30,7 @@ pub fn vertex_areas(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<f32> {
     areas
 }
 
-/// Every undirected edge once, lower index first, with the number of faces at it (2 everywhere on a closed surface).
+/// Returns every undirected edge, lower index first, with its number of faces (2 on a closed surface).
 pub fn edges(faces: &[[u32; 3]]) -> BTreeMap<(u32, u32), u32> {
     let mut edges = BTreeMap::new();
     for &[a, b, c] in faces {
@@ -41,7 +41,7 @@ pub fn edges(faces: &[[u32; 3]]) -> BTreeMap<(u32, u32), u32> {
     edges
 }
 
-/// Cross product of a face's edges: twice its area along the outward normal.
+/// Computes the cross product of a face's edges: twice its area along the outward normal.
 fn face_cross(vertices: &[Vec3], face: &[u32; 3]) -> Vec3 {
     let [a, b, c] = face.map(|vertex| vertices[vertex as usize]);
     (b - a).cross(c - a)
@@ -51,7 +51,7 @@ fn face_cross(vertices: &[Vec3], face: &[u32; 3]) -> Vec3 {
 mod tests {
     use super::*;
 
-    /// A regular octahedron of unit radius.
+    /// Returns a regular octahedron of unit radius.
     fn octahedron() -> (Vec<Vec3>, Vec<[u32; 3]>) {
         let vertices = vec![Vec3::X, Vec3::Y, Vec3::NEG_X, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
         let faces = (0..4).flat_map(|i| [[i, (i + 1) % 4, 4], [(i + 1) % 4, i, 5]]).collect();

@@ -1,7 +1,7 @@
-//! Hand model: MANO parameters to vertices and joints.
+//! Hand model: maps MANO parameters to vertices and joints.
 //!
-//! Frames and units: metres, radians; the right hand lies as MANO's does in its flat rest pose: fingers along -x,
-//! palm facing -y, thumb towards +z; the left hand is its mirror image in x.
+//! Units are metres and radians. The frame is MANO's: in the flat rest pose the right hand's fingers point along -x,
+//! the palm faces -y and the thumb points towards +z; the left hand is the mirror image in x.
 
 pub mod build;
 mod builtin;
@@ -20,28 +20,28 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::Result;
 
-pub use builtin::to_bytes as builtin_bytes;
-pub use fit::{Fit, fit_keypoints};
+pub(crate) use builtin::to_bytes as builtin_bytes;
+pub use fit::Fit;
 pub use mesh::{edges, vertex_areas, vertex_normals};
 pub use region::Region;
 pub use topology::Topology;
 pub use transfer::{HandMap, Transfer};
 
-/// Vertices of one hand.
+/// Number of vertices of one hand.
 pub const N_VERTICES: usize = 778;
-/// Joints of one hand, in MANO order: wrist, index 1-3, middle 1-3, little 1-3, ring 1-3, thumb 1-3.
+/// Number of joints of one hand, in MANO order: wrist, index 1-3, middle 1-3, little 1-3, ring 1-3, thumb 1-3.
 pub const N_JOINTS: usize = 16;
-/// Names of the joints, and of the links they move, in MANO order.
+/// Names of the joints, and of the links that they move, in MANO order.
 pub const JOINT_NAMES: [&str; N_JOINTS] = [
     "wrist", "index1", "index2", "index3", "middle1", "middle2", "middle3", "little1", "little2", "little3", "ring1",
     "ring2", "ring3", "thumb1", "thumb2", "thumb3",
 ];
-/// Shape coefficients.
+/// Number of shape coefficients.
 pub const N_BETAS: usize = 10;
-/// Keypoints of one hand: wrist, then thumb, index, middle, ring, little, each from base to tip.
+/// Number of keypoints of one hand: wrist, then thumb, index, middle, ring, little, each from base to tip.
 pub const N_KEYPOINTS: usize = 21;
 
-/// Which hand.
+/// Side of a hand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Side {
@@ -52,10 +52,10 @@ pub enum Side {
 }
 
 impl Side {
-    /// Both hands in the order of every two-hand array: left first.
+    /// Both sides in the order of every two-hand array: left first.
     pub const BOTH: [Side; 2] = [Side::Left, Side::Right];
 
-    /// This hand's vertices in a two-hand array of 1556.
+    /// Returns this hand's vertices in a two-hand array of 1556.
     pub fn range(self) -> std::ops::Range<usize> {
         match self {
             Side::Left => 0..N_VERTICES,
@@ -63,7 +63,7 @@ impl Side {
         }
     }
 
-    /// `left` or `right`.
+    /// Returns `left` or `right`.
     pub fn name(self) -> &'static str {
         match self {
             Side::Left => "left",
@@ -77,11 +77,11 @@ impl Side {
 pub struct HandParams {
     /// Shape coefficients.
     pub betas: [f32; N_BETAS],
-    /// Rotation of the wrist, axis-angle, rad.
+    /// Rotation of the wrist about the wrist joint, axis-angle, rad.
     pub global_orient: Vec3,
-    /// Rotations of joints 1..16 relative to their parent, axis-angle, rad.
+    /// Rotations of joints 1 to 15 relative to their parents, axis-angle, rad.
     pub hand_pose: [Vec3; N_JOINTS - 1],
-    /// Translation added after posing, m: the wrist joint ends at J0(betas) + transl.
+    /// Translation added after posing, m: the posed wrist joint lies at J0(betas) + transl.
     pub transl: Vec3,
 }
 
@@ -97,7 +97,7 @@ impl Default for HandParams {
 }
 
 impl HandParams {
-    /// The store form (CONVENTIONS: 61 numbers): transl 3, global_orient 3, hand_pose 45, betas 10.
+    /// Returns the 61 numbers that stores hold: transl 3, global_orient 3, hand_pose 45, betas 10.
     pub fn to_array(&self) -> [f32; 61] {
         let mut array = [0.0; 61];
         array[..3].copy_from_slice(&self.transl.to_array());
@@ -109,7 +109,7 @@ impl HandParams {
         array
     }
 
-    /// Reads the store form that [`Self::to_array`] writes.
+    /// Creates parameters from the array of [`Self::to_array`].
     pub fn from_array(array: &[f32; 61]) -> Self {
         let vec3 = |at: usize| Vec3::new(array[at], array[at + 1], array[at + 2]);
         Self {
@@ -128,65 +128,89 @@ pub struct PosedHand {
     pub vertices: Vec<Vec3>,
     /// 16 joints in MANO order, m.
     pub joints: [Vec3; N_JOINTS],
-    /// World rotation of each joint.
+    /// Rotation of each joint from its rest orientation, in the frame of the vertices.
     pub rotations: [Mat3; N_JOINTS],
 }
 
 /// A skinned hand: template, shape and pose blend shapes, joint regressor, skinning weights.
+///
+/// The model is MANO's (Romero et al. 2017, eq. 2-4), and its arrays have MANO's names. Lengths are metres, angles
+/// radians, in the frame of the [module](self).
+///
+/// ```
+/// use egotac::hand::{HandModel, HandParams, N_JOINTS, N_VERTICES, Side};
+/// use glam::Vec3;
+///
+/// let model = HandModel::builtin(Side::Right);
+/// let mut params = HandParams::default();
+/// params.hand_pose[0] = Vec3::new(0.0, 0.0, 1.2); // bends the index finger at its base, rad
+/// params.transl = Vec3::new(0.0, 0.0, 0.5);
+///
+/// let posed = model.forward(&params);
+/// assert_eq!((posed.vertices.len(), posed.joints.len()), (N_VERTICES, N_JOINTS));
+/// let keypoints = model.keypoints(&posed); // 21: wrist, then each finger from base to tip
+/// assert_eq!(keypoints[0], posed.joints[0]);
+/// assert_eq!(model.joints(&params), posed.joints); // without skinning the vertices
+/// ```
 #[derive(Debug, Clone)]
 pub struct HandModel {
-    /// Which hand.
+    /// Side of the hand.
     pub side: Side,
-    /// What its vertex indices mean.
+    /// Numbering of its vertices.
     pub topology: Topology,
-    /// (778, 3) m: the hand at rest with zero betas.
+    /// (778, 3) vertices at rest with zero betas, m.
     pub v_template: Vec<Vec3>,
     /// Triangles, counter-clockwise seen from outside.
     pub faces: Vec<[u32; 3]>,
-    /// (778, 3, 10) row-major: metres per unit of each beta.
+    /// (778, 3, 10) row-major displacement per unit of each beta, m.
     pub shapedirs: Vec<f32>,
-    /// (778, 3, 135) row-major: metres per entry of (R - I) of joints 1..16; empty means none.
+    /// (778, 3, 135) row-major displacement per entry of (R - I) of joints 1 to 15, m; empty if the model has none.
     pub posedirs: Vec<f32>,
-    /// (16, 778) row-major: joints = j_regressor x shaped vertices.
+    /// (16, 778) row-major weights: joints = j_regressor x shaped vertices.
     pub j_regressor: Vec<f32>,
-    /// Parent of each joint; the wrist is its own parent.
+    /// Index of each joint's parent; the wrist is its own parent.
     pub parents: [usize; N_JOINTS],
     /// (778, 16) row-major skinning weights; rows sum to 1.
     pub lbs_weights: Vec<f32>,
-    /// Vertex at the tip of each finger, thumb to little.
+    /// Index of the vertex at the tip of each finger, thumb to little.
     pub tip_vertices: [u32; 5],
 }
 
 impl HandModel {
-    /// The built-in hand, `egotac-hand-1`.
+    /// Returns the built-in hand, `egotac-hand-1`.
     pub fn builtin(side: Side) -> Self {
         builtin::hand(side)
     }
 
-    /// Loads a MANO file: the published pickle or an `.npz` variant. Nothing of a pickle is executed.
+    /// Loads a MANO file: the published pickle or an `.npz` variant. The pickle is read as data; no code in it runs.
     ///
     /// # Errors
-    /// If the file can't be read, is neither format, or an array is missing or misshapen.
+    /// If the file can't be read, has another format, or an array is missing or has the wrong shape.
     pub fn load(path: &Path, side: Side) -> Result<Self> {
         mano::load(path, side)
     }
 
-    /// Negates x of a left hand's `shapedirs`: cures the wrong sign in the published MANO_LEFT.
+    /// Negates x of a left hand's `shapedirs`, which has the wrong sign in the published MANO_LEFT.
     ///
-    /// Labels of some data sets were made with the cure, others without; so it is never done unasked.
+    /// [`Self::load`] does not apply this fix, because some data sets were labelled with it and others without.
     pub fn fix_left_shapedirs(&mut self) {
         for row in self.shapedirs.chunks_exact_mut(3 * N_BETAS) {
             row[..N_BETAS].iter_mut().for_each(|x| *x = -*x);
         }
     }
 
-    /// Poses the hand: blend shapes, rigid chain, linear blend skinning (MANO eq. 2-4).
+    /// Poses the hand: blend shapes, rigid chain, linear blend skinning (MANO, eq. 2-4).
     pub fn forward(&self, params: &HandParams) -> PosedHand {
         lbs::forward(self, params)
     }
 
-    /// The 21 keypoints of a hand posed by this model, m: wrist, then thumb, index, middle, ring, little, each from base
-    /// to tip. Tips are vertices, the rest are joints.
+    /// Computes the 16 joints of the posed hand, m: bit-equal to those of [`Self::forward`], without skinning.
+    pub fn joints(&self, params: &HandParams) -> [Vec3; N_JOINTS] {
+        lbs::joints(self, params)
+    }
+
+    /// Returns the 21 keypoints of a hand posed by this model, m: wrist, then thumb, index, middle, ring, little, each
+    /// from base to tip. Tips are vertices, the others are joints.
     pub fn keypoints(&self, posed: &PosedHand) -> [Vec3; N_KEYPOINTS] {
         // First joint of thumb, index, middle, ring, little in MANO's joint order.
         const FIRST_JOINT: [usize; 5] = [13, 1, 4, 10, 7];
@@ -199,7 +223,16 @@ impl HandModel {
         })
     }
 
-    /// Region of each vertex, (778).
+    /// Returns the joint with the largest skinning weight of each vertex, (778); the first one if weights are equal.
+    pub fn strongest_joints(&self) -> Vec<usize> {
+        let strongest = |weights: &[f32]| {
+            let stronger = |best: usize, joint: usize| if weights[joint] > weights[best] { joint } else { best };
+            (1..N_JOINTS).fold(0, stronger)
+        };
+        self.lbs_weights.chunks_exact(N_JOINTS).map(strongest).collect()
+    }
+
+    /// Returns the region of each vertex, (778).
     pub fn regions(&self) -> Vec<Region> {
         region::of_vertices(self)
     }

@@ -5,13 +5,13 @@ use glam::Vec3;
 use super::{HandModel, N_JOINTS, mesh};
 use crate::error::{Error, Result};
 
-/// A named part of a hand's surface.
+/// A named region of a hand's surface.
 ///
-/// A finger's three parts go all around it and follow its joints: `proximal` moves with its first joint, `middle` with
-/// the second, `tip` with the third (for the thumb that is metacarpal, proximal and distal phalanx). What moves with
-/// the wrist is `palm` or `dorsal` by the side it faces at rest.
+/// The three regions of a finger go all around it: `proximal` moves with its first joint, `middle` with the second,
+/// `tip` with the third (of the thumb: metacarpal, proximal and distal phalanx). Skin that moves with the wrist is
+/// `palm` or `dorsal`, by the direction it faces at rest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[allow(missing_docs)] // The names say it.
+#[allow(missing_docs, reason = "the names are their own description")]
 pub enum Region {
     ThumbTip,
     ThumbMiddle,
@@ -54,10 +54,7 @@ impl Region {
         Self::Dorsal,
     ];
 
-    /// The five fingertips, thumb to little finger.
-    pub const TIPS: [Region; 5] = [Self::ThumbTip, Self::IndexTip, Self::MiddleTip, Self::RingTip, Self::LittleTip];
-
-    /// The name files, messages and tables carry, e.g. `thumb_tip`.
+    /// Returns the name used in files, messages and tables, e.g. `thumb_tip`.
     pub fn name(self) -> &'static str {
         match self {
             Self::ThumbTip => "thumb_tip",
@@ -80,22 +77,22 @@ impl Region {
         }
     }
 
-    /// Reads a name.
+    /// Parses a name.
     ///
     /// # Errors
-    /// If no region has that name.
+    /// If the name is unknown; the error lists the valid ones.
     pub fn from_name(name: &str) -> Result<Self> {
         let found = Self::ALL.into_iter().find(|region| region.name() == name);
         found.ok_or_else(|| Error::unknown("region", name, Self::ALL.map(Self::name)))
     }
 
-    /// Position in [`Self::ALL`], 0..17.
+    /// Returns the index in [`Self::ALL`], 0 to 16.
     pub fn index(self) -> usize {
         self as usize
     }
 }
 
-/// Region that moves with each joint, in MANO's joint order; the wrist's is told apart by the normal.
+/// Region that moves with each joint, in MANO's joint order; the normal separates palm and dorsal at the wrist.
 const JOINT_REGION: [Region; N_JOINTS] = [
     Region::Palm,
     Region::IndexProximal,
@@ -115,18 +112,15 @@ const JOINT_REGION: [Region; N_JOINTS] = [
     Region::ThumbTip,
 ];
 
-/// Region of each vertex from its strongest joint and, at the wrist, from the side its rest normal faces.
+/// Computes the region of each vertex from its strongest joint and, at the wrist, from its rest normal.
 pub(super) fn of_vertices(model: &HandModel) -> Vec<Region> {
     let normals = mesh::vertex_normals(&model.v_template, &model.faces);
-    let region = |(weights, normal): (&[f32], &Vec3)| {
-        let joint = (0..N_JOINTS).max_by(|&a, &b| weights[a].total_cmp(&weights[b])).unwrap_or(0);
-        match joint {
-            // Both hands lie with the palm facing -y.
-            0 if normal.y > 0.0 => Region::Dorsal,
-            _ => JOINT_REGION[joint],
-        }
+    let region = |(joint, normal): (usize, &Vec3)| match joint {
+        // The palms of both hands face -y at rest.
+        0 if normal.y > 0.0 => Region::Dorsal,
+        _ => JOINT_REGION[joint],
     };
-    model.lbs_weights.chunks_exact(N_JOINTS).zip(&normals).map(region).collect()
+    model.strongest_joints().into_iter().zip(&normals).map(region).collect()
 }
 
 #[cfg(test)]

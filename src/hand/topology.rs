@@ -4,10 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 
-/// What a vertex index means; two topologies never mix.
+/// Vertex numbering of a hand. Fields of different topologies must not be combined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 pub enum Topology {
-    /// Our built-in hand.
+    /// The built-in hand.
     #[default]
     #[serde(rename = "egotac-hand-1")]
     EgotacHand1,
@@ -17,7 +17,7 @@ pub enum Topology {
 }
 
 impl Topology {
-    /// The id as stores, checkpoints and messages carry it.
+    /// Returns the id that stores, checkpoints and messages carry.
     pub fn id(self) -> &'static str {
         match self {
             Topology::EgotacHand1 => "egotac-hand-1",
@@ -25,10 +25,10 @@ impl Topology {
         }
     }
 
-    /// Reads an id.
+    /// Parses an id.
     ///
     /// # Errors
-    /// If the id is unknown.
+    /// If the id is unknown; the error lists the valid ones.
     pub fn from_id(id: &str) -> Result<Self> {
         match id {
             "egotac-hand-1" => Ok(Self::EgotacHand1),
@@ -37,10 +37,10 @@ impl Topology {
         }
     }
 
-    /// Refuses two different topologies.
+    /// Checks that two topologies are equal.
     ///
     /// # Errors
-    /// If `other` is not the same.
+    /// If they differ.
     pub fn must_match(self, other: Self) -> Result<()> {
         if self == other {
             return Ok(());

@@ -1,25 +1,28 @@
-//! Carries fields between the built-in hand and a MANO file: registration once, two sparse maps each way.
+//! Transfers fields between the built-in hand and a MANO file: one registration, then two sparse maps each way.
 
 use glam::Vec3;
 use parry3d::math::Vector;
 use parry3d::query::PointQueryWithLocation;
 use parry3d::shape::Triangle;
 
-use super::fit::{Fit, Pull, fit_keypoints, refine};
-use super::{HandModel, HandParams, N_JOINTS, N_VERTICES, mesh};
+use super::fit::{Fit, PlaneTarget, fit_keypoints, refine};
+use super::{HandModel, HandParams, N_VERTICES, mesh};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
 use crate::tactile::N_FIELD;
 
-/// What a surface that faces the other way costs, as metres of distance: a palm never maps to a back.
+/// Cost of a surface that faces the opposite way, as distance, m; it keeps the palm from mapping to the back.
 const NORMAL_COST: f32 = 0.008;
-/// What a surface of another finger costs, as metres of distance.
+/// Cost of a surface of another finger, as distance, m.
 const FINGER_COST: f32 = 0.02;
 
-/// How often the nearest places of the skins are looked up and followed.
+/// Number of alternations between nearest-point search and fit, as in iterative closest point.
 const SKIN_ROUNDS: usize = 4;
-/// Skin farther away than this does not pull, m: MANO ends elsewhere at the wrist.
-const PULL_REACH: f32 = 0.012;
+/// Largest distance of corresponding surface points, m. The two hands end at different places of the wrist, where
+/// points have no counterpart.
+const MAX_CORRESPONDENCE: f32 = 0.012;
+/// Smallest cosine between the normals of corresponding surface points.
+const MIN_NORMAL_COSINE: f32 = 0.6;
 
 /// Registration of the built-in hand on a MANO file of the same side.
 #[derive(Debug, Clone)]
@@ -28,7 +31,7 @@ pub struct HandMap {
     pub to_mano: Transfer,
     /// From MANO to the built-in hand.
     pub to_builtin: Transfer,
-    /// How the built-in hand was brought to MANO's shape.
+    /// Fit of the built-in hand to MANO's shape.
     pub fit: Fit,
     /// Mean distance of MANO's vertices from the fitted built-in surface, m.
     pub mean_distance: f32,
@@ -45,42 +48,45 @@ pub struct Transfer {
     pub force: Vec<Vec<(u32, f32)>>,
 }
 
-/// A surface with what the search for correspondences looks at.
-struct Surface {
+/// A hand surface with the properties that correspondences depend on.
+struct SkinSurface {
     vertices: Vec<Vec3>,
     normals: Vec<Vec3>,
     areas: Vec<f32>,
     faces: Vec<[u32; 3]>,
-    /// Finger of each vertex: 0 palm, 1 to 5.
+    /// Finger of each vertex: 0 is the palm, 1 to 5 are the fingers in MANO's order.
     fingers: Vec<usize>,
 }
 
-/// Nearest place on a surface.
-struct Nearest {
+/// Point on a surface that corresponds to a vertex of another one.
+struct SurfacePoint {
     face: usize,
+    /// Barycentric coordinates.
     weights: [f32; 3],
+    /// Distance from the vertex, m.
     distance: f32,
 }
 
 impl HandMap {
     /// Registers the built-in hand of `mano`'s side on it, both at rest with zero betas.
     ///
-    /// Similarity, betas and pose bring the built-in keypoints onto MANO's, then keypoints and skin; then each vertex takes the nearest place of
-    /// the other surface that faces the same way on the same finger.
+    /// A first fit of scale, translation, betas and pose aligns the keypoints, further fits align keypoints and
+    /// surfaces. Each vertex then corresponds to the nearest point of the other surface that faces the same way on the
+    /// same finger.
     pub fn new(mano: &HandModel) -> Self {
         let builtin = with_outermost_tips(&HandModel::builtin(mano.side));
         let mano = &with_outermost_tips(mano);
         let rest = mano.forward(&HandParams::default());
         let keypoints = mano.keypoints(&rest);
-        let target = Surface::new(mano, rest.vertices);
+        let target = SkinSurface::new(mano, rest.vertices);
         let mut fit = fit_keypoints(&builtin, &keypoints);
-        let mut fitted = Surface::new(&builtin, fit.posed(&builtin).vertices);
+        let mut fitted = SkinSurface::new(&builtin, fit.posed(&builtin).vertices);
         for _ in 0..SKIN_ROUNDS {
-            fit = refine(&builtin, &fit, &keypoints, &fitted.pulls_to(&target));
-            fitted = Surface::new(&builtin, fit.posed(&builtin).vertices);
+            fit = refine(&builtin, &fit, &keypoints, &fitted.planes_of(&target));
+            fitted = SkinSurface::new(&builtin, fit.posed(&builtin).vertices);
         }
-        let on_builtin: Vec<Nearest> = target.nearest_on(&fitted);
-        let on_mano: Vec<Nearest> = fitted.nearest_on(&target);
+        let on_builtin: Vec<SurfacePoint> = target.nearest_on(&fitted);
+        let on_mano: Vec<SurfacePoint> = fitted.nearest_on(&target);
         let distances = on_builtin.iter().map(|nearest| nearest.distance);
         Self {
             mean_distance: distances.clone().sum::<f32>() / N_VERTICES as f32,
@@ -91,7 +97,7 @@ impl HandMap {
         }
     }
 
-    /// The transfer that ends in `to`.
+    /// Returns the transfer to `to`.
     pub fn towards(&self, to: Topology) -> &Transfer {
         match to {
             Topology::Mano => &self.to_mano,
@@ -101,10 +107,12 @@ impl HandMap {
 }
 
 impl Transfer {
-    fn new(source: &Surface, target: &Surface, at_target: &[Nearest], at_source: &[Nearest]) -> Self {
+    /// Creates the maps from `source` to `target`. `at_target` holds the point on `source` of each target vertex,
+    /// `at_source` the point on `target` of each source vertex.
+    fn new(source: &SkinSurface, target: &SkinSurface, at_target: &[SurfacePoint], at_source: &[SurfacePoint]) -> Self {
         let contact: Vec<Vec<(u32, f32)>> = at_target.iter().map(|nearest| nearest.corners(&source.faces)).collect();
-        // A force is a pressure times an area. Interpolate the pressure, then give each source vertex's force out in
-        // the shares that this makes, so that none is lost.
+        // Force is pressure times area. The interpolated pressure defines the shares of each source vertex's force;
+        // normalising them conserves the total.
         let mut force = vec![Vec::new(); source.vertices.len()];
         for (vertex, corners) in contact.iter().enumerate() {
             for &(corner, weight) in corners {
@@ -116,17 +124,17 @@ impl Transfer {
             if total > 0.0 {
                 shares.iter_mut().for_each(|(_, share)| *share /= total);
             } else {
-                // No target vertex looks here: the surface is finer than the target's.
+                // No target vertex takes its value from this one: the source surface is finer here.
                 *shares = nearest.corners(&target.faces);
             }
         }
         Self { contact, force }
     }
 
-    /// Carries contact of both hands over by interpolation, (1556); NaN stays where it is needed.
+    /// Interpolates the contact of both hands, (1556); a vertex that depends on NaN becomes NaN.
     ///
     /// # Errors
-    /// If `contact` has not 1556 entries.
+    /// If `contact` does not have 1556 entries.
     pub fn contact(&self, contact: &[f32]) -> Result<Vec<f32>> {
         check_length("contact", contact)?;
         let gather = |hand: &[f32]| -> Vec<f32> {
@@ -136,10 +144,10 @@ impl Transfer {
         Ok(contact.chunks_exact(N_VERTICES).flat_map(gather).collect())
     }
 
-    /// Carries forces of both hands over, (1556) N; each hand's total stays the same.
+    /// Transfers the forces of both hands, (1556), N; the total of each hand is conserved.
     ///
     /// # Errors
-    /// If `force` has not 1556 entries.
+    /// If `force` does not have 1556 entries.
     pub fn force(&self, force: &[f32]) -> Result<Vec<f32>> {
         check_length("force", force)?;
         let scatter = |hand: &[f32]| -> Vec<f32> {
@@ -154,10 +162,10 @@ impl Transfer {
         Ok(force.chunks_exact(N_VERTICES).flat_map(scatter).collect())
     }
 
-    /// Carries a 0/1 mask of both hands over, (1556): 1 where all that a value would be made of is 1.
+    /// Transfers a 0/1 mask of both hands, (1556): 1 if all source vertices of the value are 1.
     ///
     /// # Errors
-    /// If `mask` has not 1556 entries.
+    /// If `mask` does not have 1556 entries.
     pub fn mask(&self, mask: &[u8]) -> Result<Vec<u8>> {
         check_length("mask", mask)?;
         let gather = |hand: &[u8]| -> Vec<u8> {
@@ -168,17 +176,18 @@ impl Transfer {
     }
 }
 
-/// The model with its fingertips at the vertices furthest along the last bones, so that both hands' tips mean the same
-/// place (MANO's customary vertices lie on the pads).
+/// Returns the model with its fingertips at the vertices furthest along the last bones, so that the tips of both hands
+/// correspond; the usual MANO tip vertices lie on the pads.
 fn with_outermost_tips(model: &HandModel) -> HandModel {
     let joints = super::lbs::rest_joints(model);
+    let strongest = model.strongest_joints();
     let tip = |last: usize| {
         let along = joints[last] - joints[model.parents[last]];
-        let own = |vertex: &u32| strongest_joint(model, *vertex as usize) == last;
+        let own = |vertex: &u32| strongest[*vertex as usize] == last;
         let reach = |vertex: u32| model.v_template[vertex as usize].dot(along);
         (0..N_VERTICES as u32).filter(own).max_by(|&a, &b| reach(a).total_cmp(&reach(b)))
     };
-    // Thumb to little finger; a finger without skin of its own keeps its vertex.
+    // Last joints, thumb to little finger. A finger without vertices of its own keeps its tip.
     let mut tips = model.tip_vertices;
     for (slot, last) in tips.iter_mut().zip([15, 3, 6, 12, 9]) {
         *slot = tip(last).unwrap_or(*slot);
@@ -186,44 +195,39 @@ fn with_outermost_tips(model: &HandModel) -> HandModel {
     HandModel { tip_vertices: tips, ..model.clone() }
 }
 
-/// The joint that moves a vertex most.
-fn strongest_joint(model: &HandModel, vertex: usize) -> usize {
-    let weights = &model.lbs_weights[vertex * N_JOINTS..][..N_JOINTS];
-    (0..N_JOINTS).max_by(|&a, &b| weights[a].total_cmp(&weights[b])).unwrap_or(0)
-}
-
-impl Surface {
+impl SkinSurface {
     fn new(model: &HandModel, vertices: Vec<Vec3>) -> Self {
         Self {
             normals: mesh::vertex_normals(&vertices, &model.faces),
             areas: mesh::vertex_areas(&vertices, &model.faces),
             faces: model.faces.clone(),
-            fingers: (0..vertices.len()).map(|vertex| strongest_joint(model, vertex).div_ceil(3)).collect(),
+            fingers: model.strongest_joints().into_iter().map(|joint| joint.div_ceil(3)).collect(),
             vertices,
         }
     }
 
-    /// For each of own vertices the nearest fitting place on `other`.
-    fn nearest_on(&self, other: &Surface) -> Vec<Nearest> {
+    /// Returns for each vertex the corresponding point on `other`.
+    fn nearest_on(&self, other: &SkinSurface) -> Vec<SurfacePoint> {
         let triangles: Vec<Triangle> = other.faces.iter().map(|face| triangle(&other.vertices, face)).collect();
         (0..self.vertices.len()).map(|vertex| self.nearest(vertex, other, &triangles)).collect()
     }
 
-    /// Planes of `other` that own vertices shall lie on, where both skins face the same way.
-    fn pulls_to(&self, other: &Surface) -> Vec<Pull> {
-        let pull = |(vertex, nearest): (usize, Nearest)| {
+    /// Returns the tangent planes of `other` at the points that correspond to vertices of this surface.
+    fn planes_of(&self, other: &SkinSurface) -> Vec<PlaneTarget> {
+        let plane = |(vertex, nearest): (usize, SurfacePoint)| {
             let corners = nearest.corners(&other.faces);
             let mix = |values: &[Vec3]| corners.iter().map(|&(v, weight)| values[v as usize] * weight).sum::<Vec3>();
             let normal = mix(&other.normals).normalize_or_zero();
-            let fits = nearest.distance < PULL_REACH && normal.dot(self.normals[vertex]) > 0.6;
-            fits.then(|| Pull { vertex, place: mix(&other.vertices), normal })
+            let fits = nearest.distance < MAX_CORRESPONDENCE && normal.dot(self.normals[vertex]) > MIN_NORMAL_COSINE;
+            fits.then(|| PlaneTarget { vertex, point: mix(&other.vertices), normal })
         };
-        self.nearest_on(other).into_iter().enumerate().filter_map(pull).collect()
+        self.nearest_on(other).into_iter().enumerate().filter_map(plane).collect()
     }
 
-    fn nearest(&self, vertex: usize, other: &Surface, triangles: &[Triangle]) -> Nearest {
+    /// Returns the point on `other` with the least sum of distance, normal cost and finger cost.
+    fn nearest(&self, vertex: usize, other: &SkinSurface, triangles: &[Triangle]) -> SurfacePoint {
         let [x, y, z] = self.vertices[vertex].to_array();
-        let mut best = (f32::INFINITY, Nearest { face: 0, weights: [1.0, 0.0, 0.0], distance: f32::INFINITY });
+        let mut best = (f32::INFINITY, SurfacePoint { face: 0, weights: [1.0, 0.0, 0.0], distance: f32::INFINITY });
         for (face, (corners, triangle)) in other.faces.iter().zip(triangles).enumerate() {
             let (place, location) = triangle.project_local_point_and_get_location(Vector::new(x, y, z), false);
             let Some(weights) = location.barycentric_coordinates() else { continue };
@@ -232,24 +236,25 @@ impl Surface {
             let corner = |k: usize| corners[k] as usize;
             let normal: Vec3 = (0..3).map(|k| other.normals[corner(k)] * weights[k]).sum();
             let (own, theirs) = (self.fingers[vertex], other.fingers[corner(strongest(weights))]);
-            let strange = own != 0 && theirs != 0 && own != theirs;
+            let other_finger = own != 0 && theirs != 0 && own != theirs;
             let turned = 1.0 - normal.normalize_or_zero().dot(self.normals[vertex]);
-            let cost = distance + NORMAL_COST * turned + if strange { FINGER_COST } else { 0.0 };
+            let cost = distance + NORMAL_COST * turned + if other_finger { FINGER_COST } else { 0.0 };
             if cost < best.0 {
-                best = (cost, Nearest { face, weights, distance });
+                best = (cost, SurfacePoint { face, weights, distance });
             }
         }
         best.1
     }
 }
 
-impl Nearest {
-    /// Corners with their weights, those of zero left out.
+impl SurfacePoint {
+    /// Returns the corners with weights above zero.
     fn corners(&self, faces: &[[u32; 3]]) -> Vec<(u32, f32)> {
         faces[self.face].into_iter().zip(self.weights).filter(|&(_, weight)| weight > 0.0).collect()
     }
 }
 
+/// Returns the corner with the largest weight.
 fn strongest(weights: [f32; 3]) -> usize {
     (0..3).max_by(|&a, &b| weights[a].total_cmp(&weights[b])).unwrap_or(0)
 }

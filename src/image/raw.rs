@@ -1,46 +1,45 @@
-//! Uncompressed images as cameras and middleware deliver them.
+//! Uncompressed images of cameras and middleware.
 
 use ::image::RgbImage;
 
 use super::MAX_SIDE;
 use crate::error::{Error, Result};
 
-/// Encodings that [`RawImage::to_rgb`] understands; `yuv422_yuy2` and `yuv422` are ROS's older names of `yuyv`
-/// and `uyvy`.
+/// Encodings that [`RawImage::to_rgb`] converts; `yuv422_yuy2` and `yuv422` are older names of `yuyv` and `uyvy` in ROS.
 pub const ENCODINGS: [&str; 11] =
     ["rgb8", "bgr8", "rgba8", "bgra8", "mono8", "yuyv", "yuv422_yuy2", "uyvy", "yuv422", "nv12", "nv21"];
 
-/// An uncompressed image: rows of `step` bytes, the first ones pixels, the rest padding.
+/// An uncompressed image: rows of `step` bytes, pixels first, then padding.
 #[derive(Debug, Clone, Copy)]
 pub struct RawImage<'a> {
     /// Pixels per row.
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// How pixels are stored, one of [`ENCODINGS`].
+    /// Encoding of the pixels, one of [`ENCODINGS`].
     pub encoding: &'a str,
-    /// Bytes from one row to the next.
+    /// Bytes from the start of one row to the next.
     pub step: u32,
-    /// `step` x `height` bytes; `nv12` and `nv21`: then another half as many rows of chroma.
+    /// `step` x `height` bytes, followed in `nv12` and `nv21` by half as many rows of chroma.
     pub data: &'a [u8],
 }
 
-/// How the bytes of a row or plane become colours.
+/// Places of the colours among the bytes of a row or plane.
 #[derive(Clone, Copy)]
 enum Layout {
-    /// Bytes per pixel, then where red, green and blue lie.
+    /// Bytes per pixel; places of red, green and blue.
     Packed(usize, [usize; 3]),
-    /// Four bytes for two pixels: where Y0, Y1, U and V lie.
+    /// Four bytes for two pixels; places of Y0, Y1, U and V.
     Yuv422([usize; 4]),
-    /// A plane of Y, then one of chroma pairs at half size: where U and V lie.
+    /// A plane of Y, then a plane of chroma pairs at half size; places of U and V.
     Yuv420([usize; 2]),
 }
 
 impl RawImage<'_> {
-    /// Converts to RGB. YUV is BT.601 at video range (Y 16 to 235), as OpenCV and ROS take it.
+    /// Converts to RGB. YUV is BT.601 at video range (Y 16 to 235), as in OpenCV and ROS.
     ///
     /// # Errors
-    /// If the encoding is unknown, or width, height, step and size of the data don't belong together.
+    /// If the encoding is unknown, or width, height, step and size of the data contradict each other.
     pub fn to_rgb(&self) -> Result<RgbImage> {
         let layout = self.layout()?;
         self.check(layout)?;
@@ -82,7 +81,7 @@ impl RawImage<'_> {
         })
     }
 
-    /// Refuses numbers that contradict each other, so that reading the rows can't leave the data.
+    /// Checks that the numbers agree, so that no row lies outside the data.
     fn check(&self, layout: Layout) -> Result<()> {
         let Self { width, height, encoding, step, data } = *self;
         for (name, length) in [("width", width), ("height", height)] {
@@ -120,7 +119,7 @@ impl RawImage<'_> {
     }
 }
 
-/// BT.601, video range, to RGB.
+/// Converts BT.601 at video range to RGB.
 fn from_yuv(y: u8, u: u8, v: u8) -> [u8; 3] {
     let y = 255.0 / 219.0 * (f32::from(y) - 16.0);
     // 255/224 of the chroma times 2(1 - Kr), 2(1 - Kb) and their shares of green; Kr = 0.299, Kb = 0.114.

@@ -1,74 +1,85 @@
-//! The network's pass over one unit: images are read and decoded on other threads, labels go to the journal.
+//! Inference over one unit: images are read and decoded on other threads, labels go to the journal.
 
 use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::journal::{Journal, Label};
-use super::source::{Shot, Shots, Source};
-use crate::error::{Error, Result};
+use super::journal::Journal;
+use crate::dataset::source::SourceFrames;
+use crate::dataset::{ImageSource, LabelFrame, SourceFrame};
+use crate::error::Result;
 use crate::image::Preparation;
 use crate::model::Predictor;
 use crate::model::predictor::Prediction;
 
-/// Labels after which the journal is written.
+/// Number of labels in a journal block.
 const BLOCK: usize = 64;
-/// Time after which it is written at the latest: what a killed process loses.
+/// Longest time between two journal writes: the work that a killed process loses.
 const AT_LATEST: Duration = Duration::from_secs(2);
-/// Images that a decoder takes at a time; with the queues between the threads this bounds the memory.
+/// Number of images that a decoder takes at a time; together with the queue lengths it bounds the memory.
 const BATCH: usize = 4;
 
-/// Where the time went, s.
+/// Parts of the inference time, s.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Times {
-    /// In the network.
-    pub network: f64,
-    /// Waiting for images.
-    pub waiting: f64,
-    /// Writing the journal.
-    pub journal: f64,
+pub struct InferenceTiming {
+    /// Time in the network, s.
+    pub network_secs: f64,
+    /// Time of waiting for images, s.
+    pub waiting_secs: f64,
+    /// Time of writing the journal, s.
+    pub journal_secs: f64,
 }
 
-/// Number of a batch, and its images by number.
-type Batch = (usize, Vec<(usize, Shot)>);
+impl InferenceTiming {
+    /// Adds the times of another unit.
+    pub(super) fn add(&mut self, other: &Self) {
+        self.network_secs += other.network_secs;
+        self.waiting_secs += other.waiting_secs;
+        self.journal_secs += other.journal_secs;
+    }
+}
 
-/// An image ready for the network.
-struct Ready {
+/// Number of a batch, and its images by index.
+type Batch = (usize, Vec<(usize, SourceFrame)>);
+
+/// An image prepared for the network.
+struct PreparedImage {
     index: usize,
     stamp_secs: f64,
     input: std::result::Result<Vec<f32>, String>,
     note: Option<String>,
 }
 
-/// Labels what `journal` lacks of unit `unit`; `progress` hears of every finished image.
+/// Labels the images of unit `unit` that `journal` lacks; calls `progress` after every image. An image that can't be read,
+/// or for which the network gives no finite numbers, gets a reason in place of a label.
 ///
 /// # Errors
-/// If the unit can't be opened, the journal can't be written, or the device that the network runs on fails. An image that
-/// can't be read or makes the network's numbers overflow gets its reason in place of a label.
+/// If the unit can't be opened, the journal can't be written, or the network's device fails.
 pub fn label_unit(
-    source: &dyn Source,
+    source: &dyn ImageSource,
     unit: usize,
     predictor: &mut Predictor,
     journal: &mut Journal,
     decoders: usize,
     mut progress: impl FnMut(),
-) -> Result<Times> {
-    let mut times = Times::default();
+) -> Result<InferenceTiming> {
+    let mut timing = InferenceTiming::default();
     if journal.progress().complete {
-        return Ok(times);
+        return Ok(timing);
     }
     let done = journal.progress().clone();
+    // Replay the images that the window of the next one needs.
     let from = done.kept.first().copied().unwrap_or(done.frames).min(done.frames);
     let wanted = |index: usize| index >= done.frames || done.kept.contains(&index);
     let preparation = predictor.metadata().preparation(predictor.config());
-    let shots = source.shots(unit, from)?;
+    let frames = source.frames(unit, from)?;
     predictor.reset();
     let mut recent = Recent::default();
     let mut written = Instant::now();
-    read_ahead(shots, from, &wanted, &preparation, decoders, |ready, waited| {
-        times.waiting += waited;
-        let Ready { index, stamp_secs, input, note } = ready;
+    prepare_images(frames, from, &wanted, &preparation, decoders, |ready, waited| {
+        timing.waiting_secs += waited;
+        let PreparedImage { index, stamp_secs, input, note } = ready;
         if index < done.frames {
             if let Ok(input) = input {
                 let prediction = predictor.push_prepared(input, stamp_secs)?;
@@ -79,17 +90,17 @@ pub fn label_unit(
         let started = Instant::now();
         let touch = input.and_then(|input| match predictor.push_prepared(input, stamp_secs) {
             Ok(prediction) => Ok(Ok(prediction)),
-            Err(error @ Error::Candle(_)) => Ok(Err(error)),
-            Err(error) => Err(error.to_string()),
+            Err(error) if error.is_recoverable() => Err(error.to_string()),
+            Err(error) => Ok(Err(error)),
         });
-        times.network += started.elapsed().as_secs_f64();
+        timing.network_secs += started.elapsed().as_secs_f64();
         let label = match touch {
             Ok(prediction) => {
                 let prediction = prediction?;
                 recent.push(index, &prediction);
-                Label { stamp_secs, warming_up: prediction.warming_up, touch: Ok(prediction.field) }
+                LabelFrame { stamp_secs, warming_up: prediction.warming_up, touch: Ok(prediction.field) }
             }
-            Err(reason) => Label { stamp_secs, warming_up: false, touch: Err(reason) },
+            Err(reason) => LabelFrame { stamp_secs, warming_up: false, touch: Err(reason) },
         };
         let started = Instant::now();
         journal.push(&label, note);
@@ -97,15 +108,15 @@ pub fn label_unit(
             journal.flush(recent.kept(predictor), false)?;
             written = Instant::now();
         }
-        times.journal += started.elapsed().as_secs_f64();
+        timing.journal_secs += started.elapsed().as_secs_f64();
         progress();
         Ok(())
     })?;
     journal.flush(recent.kept(predictor), true)?;
-    Ok(times)
+    Ok(timing)
 }
 
-/// Numbers and stamps of the images that the predictor may still hold.
+/// Stamps and indices of the images that the predictor's window may hold; a resumed run replays these images.
 #[derive(Debug, Default)]
 struct Recent(Vec<(f64, usize)>);
 
@@ -114,7 +125,7 @@ impl Recent {
         if prediction.restarted {
             self.0.clear();
         }
-        // The same stamp again replaces the image.
+        // The predictor replaces an image by a later one of the same stamp.
         self.0.retain(|(stamp, _)| *stamp != prediction.stamp_secs);
         self.0.push((prediction.stamp_secs, index));
     }
@@ -125,38 +136,38 @@ impl Recent {
     }
 }
 
-/// Reads, decodes and prepares images on other threads; `take` gets those that are `wanted` in order, and the seconds
-/// it was waited for each.
-fn read_ahead(
-    shots: Shots,
+/// Reads, decodes and prepares the `wanted` images on other threads. Calls `take` with each in order, and with the seconds
+/// spent waiting for it.
+fn prepare_images(
+    frames: SourceFrames,
     from: usize,
     wanted: &(dyn Fn(usize) -> bool + Sync),
     preparation: &Preparation,
     decoders: usize,
-    mut take: impl FnMut(Ready, f64) -> Result<()>,
+    mut take: impl FnMut(PreparedImage, f64) -> Result<()>,
 ) -> Result<()> {
     let decoders = decoders.max(1);
     let (to_decode, taken) = sync_channel::<Batch>(decoders);
-    let (to_label, ready) = sync_channel::<(usize, Vec<Ready>)>(decoders);
+    let (to_label, ready) = sync_channel::<(usize, Vec<PreparedImage>)>(decoders);
     let taken = Arc::new(Mutex::new(taken));
     std::thread::scope(|scope| {
-        scope.spawn(move || read(shots, from, wanted, to_decode));
+        scope.spawn(move || read(frames, from, wanted, to_decode));
         for _ in 0..decoders {
             let (taken, to_label) = (Arc::clone(&taken), to_label.clone());
             scope.spawn(move || decode(&taken, preparation, to_label));
         }
-        // Whoever is left alone must learn it: channels close with the last thread that has the other end.
+        // Drop our ends, so that threads see the channels close.
         drop((taken, to_label));
         in_order(ready, &mut take)
     })
 }
 
-fn read(shots: Shots, from: usize, wanted: &(dyn Fn(usize) -> bool + Sync), to_decode: SyncSender<Batch>) {
+fn read(frames: SourceFrames, from: usize, wanted: &(dyn Fn(usize) -> bool + Sync), to_decode: SyncSender<Batch>) {
     let mut batch = Vec::with_capacity(BATCH);
     let mut number = 0;
-    for (index, shot) in (from..).zip(shots).filter(|(index, _)| wanted(*index)) {
-        batch.push((index, shot));
-        // The first image goes on at once: the network waits for it.
+    for (index, frame) in (from..).zip(frames).filter(|(index, _)| wanted(*index)) {
+        batch.push((index, frame));
+        // Send the first image at once: the network waits for it.
         if batch.len() == BATCH || number == 0 {
             if to_decode.send((number, std::mem::take(&mut batch))).is_err() {
                 return;
@@ -164,34 +175,41 @@ fn read(shots: Shots, from: usize, wanted: &(dyn Fn(usize) -> bool + Sync), to_d
             number += 1;
         }
     }
-    // Nobody to hear the rest: nothing to do about it.
+    // Receiver gone: ignore the error.
     let _ = to_decode.send((number, batch));
 }
 
-fn decode(taken: &Mutex<Receiver<Batch>>, preparation: &Preparation, to_label: SyncSender<(usize, Vec<Ready>)>) {
+fn decode(
+    taken: &Mutex<Receiver<Batch>>,
+    preparation: &Preparation,
+    to_label: SyncSender<(usize, Vec<PreparedImage>)>,
+) {
     loop {
         let batch = taken.lock().unwrap_or_else(PoisonError::into_inner).recv();
-        let Ok((number, shots)) = batch else { return };
-        let prepare = |(index, Shot { stamp_secs, offset, picture, note }): (usize, Shot)| {
-            let input = picture.and_then(|picture| {
-                let image = picture.decode().map_err(|error| error.to_string())?;
+        let Ok((number, frames)) = batch else { return };
+        let prepare = |(index, SourceFrame { stamp_secs, offset, image, note }): (usize, SourceFrame)| {
+            let input = image.and_then(|image| {
+                let image = image.decode().map_err(|error| error.to_string())?;
                 preparation.apply(&image).map_err(|error| error.to_string())
             });
             let placed = |reason: String| match offset {
                 Some(offset) => format!("at byte {offset}: {reason}"),
                 None => reason,
             };
-            Ready { index, stamp_secs, input: input.map_err(placed), note }
+            PreparedImage { index, stamp_secs, input: input.map_err(placed), note }
         };
-        if to_label.send((number, shots.into_iter().map(prepare).collect())).is_err() {
+        if to_label.send((number, frames.into_iter().map(prepare).collect())).is_err() {
             return;
         }
     }
 }
 
-/// Decoders finish out of order; the stream needs the images in order.
-fn in_order(ready: Receiver<(usize, Vec<Ready>)>, take: &mut impl FnMut(Ready, f64) -> Result<()>) -> Result<()> {
-    let mut waiting: BTreeMap<usize, Vec<Ready>> = BTreeMap::new();
+/// Restores the order of the images, which decoders finish out of order.
+fn in_order(
+    ready: Receiver<(usize, Vec<PreparedImage>)>,
+    take: &mut impl FnMut(PreparedImage, f64) -> Result<()>,
+) -> Result<()> {
+    let mut waiting: BTreeMap<usize, Vec<PreparedImage>> = BTreeMap::new();
     let mut next = 0;
     loop {
         let started = Instant::now();

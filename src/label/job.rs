@@ -1,94 +1,91 @@
-//! One labelling, from an input to its output: goes on where an earlier one was stopped.
+//! One labelling, from an input to its output; resumes where an earlier process stopped.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use super::inference::{Times, label_unit};
-use super::output::Output;
-use super::provenance::Provenance;
-use super::source::Source;
-use super::summary::{About, Summary};
-use super::workspace::{Work, folder_of};
+use super::inference::{InferenceTiming, label_unit};
+use super::workspace::{Workspace, folder_of};
+use crate::dataset::{ImageSource, LabelInfo, LabelOutput, LabelSummary, Provenance, UnlabelledImage};
 use crate::error::{Error, Result};
 use crate::model::Predictor;
 
-/// A part of all units: those whose number, divided by `of`, leaves `index`.
+/// A share of the units: those whose number modulo `of` is `index`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
-    /// Which part, from 0 on.
+    /// Index of the shard, from 0 on.
     pub index: usize,
-    /// Parts.
+    /// Number of shards.
     pub of: usize,
 }
 
-/// What is labelled, and where to.
+/// One recording to label, and its output.
 pub struct Job<'a> {
-    /// Where images come from.
-    pub source: &'a dyn Source,
-    /// What is made of the labels.
-    pub output: &'a dyn Output,
-    /// Where it goes.
+    /// Source of the images.
+    pub source: &'a dyn ImageSource,
+    /// Writer of the output.
+    pub output: &'a dyn LabelOutput,
+    /// Path of the output.
     pub out: PathBuf,
-    /// What the output will say about its labels.
+    /// Origin and meaning of the labels, which the output states.
     pub provenance: Provenance,
-    /// Threads that decode images beside the network.
+    /// Number of threads that decode images beside the network.
     pub decoders: usize,
 }
 
-/// How a job ended.
+/// Result of a job.
 #[derive(Debug, Clone)]
 pub enum Outcome {
-    /// The output is there.
-    Done(About),
-    /// It was there before, from the same input and settings.
-    DoneBefore(About),
-    /// This shard's units are labelled; other units are not.
+    /// The output is complete.
+    Done(LabelInfo),
+    /// An earlier run completed the output from the same input and settings.
+    DoneBefore(LabelInfo),
+    /// The units of this shard are labelled; other units are not.
     Waiting,
 }
 
-/// Frames that a run labelled, and the time it took.
+/// Number of images that a run labelled, and its wall time.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Effort {
-    /// Images labelled by this run; earlier ones not counted.
+pub struct LabelTiming {
+    /// Number of images labelled by this run, without earlier ones.
     pub frames: u64,
-    /// Wall time of the network's passes, s.
-    pub pass_secs: f64,
-    /// Wall time of putting the output together, s.
-    pub assemble_secs: f64,
-    /// Where the passes' time went.
-    pub times: Times,
+    /// Wall time of inference, s.
+    pub inference_secs: f64,
+    /// Wall time of assembly, s.
+    pub assembly_secs: f64,
+    /// Parts of the inference time.
+    pub inference: InferenceTiming,
 }
 
 impl Job<'_> {
-    /// Images that are labelled already, of all units.
+    /// Returns the number of images, of all units, that earlier runs labelled.
     ///
     /// # Errors
-    /// If an unfinished labelling of another input, or with other settings, lies there, or a journal can't be read.
+    /// If an unfinished job of another input or other settings lies there, or a journal can't be read.
     pub fn done(&self) -> Result<u64> {
         if self.out.exists() || !folder_of(&self.out)?.exists() {
             return Ok(0);
         }
-        let work = Work::open(&self.out, &self.provenance, self.source.units())?;
+        let workspace = Workspace::open(&self.out, &self.provenance, self.source.units())?;
         let mut done = 0;
         for unit in 0..self.source.units().len() {
-            done += work.progress(unit)?.frames as u64;
+            done += workspace.progress(unit)?.frames as u64;
         }
         Ok(done)
     }
 
-    /// Labels what is missing of the units whose `numbers` fall into `shard`, and puts the output together once no unit
-    /// is missing. `numbers` counts the units of all jobs, so that shards share out several jobs as one.
+    /// Labels the unfinished units of `shard`, and assembles the output once all units are complete. Unit numbers start at
+    /// `first_number`, so that shards divide the units of several jobs.
     ///
     /// # Errors
-    /// If `out` is something else than this job's output, another process works on one of the units, the input can't be
+    /// If `out` exists but is not the output of this job, another process labels one of the units, the input can't be
     /// opened, or the output can't be written.
     pub fn run(
         &self,
         predictor: &mut Predictor,
         shard: Shard,
         first_number: usize,
-        effort: &mut Effort,
+        timing: &mut LabelTiming,
         progress: &mut dyn FnMut(),
     ) -> Result<Outcome> {
         if self.out.exists() {
@@ -99,60 +96,58 @@ impl Job<'_> {
             fs::create_dir_all(parent).map_err(Error::io(parent))?;
         }
         let units = self.source.units();
-        let work = Work::open(&self.out, &self.provenance, units)?;
+        let workspace = Workspace::open(&self.out, &self.provenance, units)?;
         let started = Instant::now();
         for unit in (0..units.len()).filter(|unit| (first_number + unit) % shard.of == shard.index) {
-            let Some(mut journal) = work.journal(unit)? else {
+            let Some(mut journal) = workspace.journal(unit)? else {
                 return Err(Error::file(&self.out, format!("{}: another process is labelling it", units[unit].name)));
             };
-            let times = label_unit(self.source, unit, predictor, &mut journal, self.decoders, || {
-                effort.frames += 1;
+            let of_unit = label_unit(self.source, unit, predictor, &mut journal, self.decoders, || {
+                timing.frames += 1;
                 progress()
             })?;
-            effort.times.add(&times);
+            timing.inference.add(&of_unit);
         }
-        effort.pass_secs += started.elapsed().as_secs_f64();
-        if !work.is_complete(units.len())? {
+        timing.inference_secs += started.elapsed().as_secs_f64();
+        if !workspace.is_complete(units.len())? {
             return Ok(Outcome::Waiting);
         }
-        let Some(_lock) = work.lock()? else { return Ok(Outcome::Waiting) };
+        let Some(_lock) = workspace.lock()? else { return Ok(Outcome::Waiting) };
+        // Another shard may have published the output before this one took the lock.
         if self.out.exists() {
             return self.done_before().map(Outcome::DoneBefore);
         }
         let started = Instant::now();
-        let mut about = About { provenance: self.provenance.clone(), summary: self.summary(&work)? };
-        self.output.assemble(work.journals(), &mut about, &work.unfinished(), &self.out)?;
-        work.publish(&self.out)?;
-        effort.assemble_secs += started.elapsed().as_secs_f64();
-        Ok(Outcome::Done(about))
+        let mut info = LabelInfo { provenance: self.provenance.clone(), summary: self.summary(&workspace)? };
+        self.output.assemble(&workspace, &mut info, &workspace.unfinished(), &self.out)?;
+        workspace.publish(&self.out)?;
+        timing.assembly_secs += started.elapsed().as_secs_f64();
+        Ok(Outcome::Done(info))
     }
 
-    fn done_before(&self) -> Result<About> {
-        let about = self.output.about(&self.out);
-        let same = about.filter(|about| about.provenance == self.provenance);
+    fn done_before(&self) -> Result<LabelInfo> {
+        let info = self.output.info(&self.out);
+        let same = info.filter(|info| info.provenance == self.provenance);
         same.ok_or_else(|| {
             Error::file(&self.out, "exists, and is not this labelling's output; choose another name or remove it")
         })
     }
 
-    fn summary(&self, work: &Work) -> Result<Summary> {
-        let mut summary = Summary::default();
-        for (unit, about) in self.source.units().iter().enumerate() {
+    fn summary(&self, workspace: &Workspace) -> Result<LabelSummary> {
+        let mut summary = LabelSummary::default();
+        for (index, unit) in self.source.units().iter().enumerate() {
             let before = summary.counts.frames;
-            for head in work.journals().heads(unit)? {
-                summary.add_block(&about.name, &head?);
+            for head in workspace.heads(index)? {
+                let head = head?;
+                let fault = |(place, reason): (usize, String)| {
+                    let frame = (head.first + place) as u64;
+                    UnlabelledImage { unit: unit.name.clone(), frame, reason }
+                };
+                summary.add_images(&head.counts, head.faults.into_iter().map(fault));
             }
-            summary.lost.extend(self.source.damage(unit, (summary.counts.frames - before) as usize)?);
+            summary.lost.extend(self.source.damage(index, (summary.counts.frames - before) as usize)?);
         }
         Ok(summary)
-    }
-}
-
-impl Times {
-    fn add(&mut self, other: &Self) {
-        self.network += other.network;
-        self.waiting += other.waiting;
-        self.journal += other.journal;
     }
 }
 
@@ -162,8 +157,9 @@ impl std::fmt::Debug for Job<'_> {
     }
 }
 
-/// Whether `out` lies in `input` or is it: a labelling never touches its input.
+/// True if `out` lies in `input` or is `input`: a job never writes to its input.
 pub fn is_within(out: &Path, input: &Path) -> bool {
+    // `out` need not exist: resolve its longest existing ancestor.
     let real = |path: &Path| {
         path.ancestors().find_map(|up| Some((up.canonicalize().ok()?, path.strip_prefix(up).ok()?.to_path_buf())))
     };

@@ -1,9 +1,10 @@
-//! Labels of one unit on disk while the work goes on: appended block by block, read back whole or cut at the last whole block.
+//! Journal of one unit: an append-only file of labels that survives a killed process.
 //!
-//! A block is its length (u64), the CRC-32 of what follows (u32), the length of its head (u32), the head in JSON, and the
-//! labels, compressed: 1556 forces and 1556 contacts per labelled frame, little-endian f32. What a killed process left half
-//! written ends the file and is cut off when the work goes on. Heads have what can be told without the labels: their
-//! numbers, and the source's notes.
+//! A block holds, in this order: its length (u64), the CRC-32 of all that follows (u32), the length of its head (u32), the
+//! head in JSON, and the compressed labels (1556 forces and 1556 contacts per labelled image, little-endian f32). A block
+//! that a killed process left incomplete fails the length or checksum test; it ends the journal, and the next process
+//! truncates the file there. Heads hold everything but the fields: counts, faults and the source's notes, so that summaries
+//! and copies need no decompression.
 
 use std::fs::{File, OpenOptions};
 use std::io::{BufReader, Read, Seek, SeekFrom, Write};
@@ -11,43 +12,32 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::summary::Counts;
+use crate::dataset::{LabelCounts, LabelFrame};
 use crate::error::{Error, Result};
 use crate::file;
 use crate::hand::Topology;
 use crate::tactile::{N_FIELD, TactileField};
 
-/// Bytes before a block's head.
+/// Size of a block before its head, bytes.
 const PREFIX: usize = 16;
-/// More than any block has, bytes: a length beyond it is damage.
+/// Upper limit of a block's length, bytes: a larger one is damage, and must not be allocated.
 const LARGEST: u64 = 1 << 30;
-/// Compression: fast, since the network waits for it.
+/// Level of zstd: the fastest, since the network waits for it.
 const LEVEL: i32 = 1;
 
-/// What is known about one image.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Label {
-    /// The image's stamp, s.
-    pub stamp_secs: f64,
-    /// Whether the network's window was not full yet.
-    pub warming_up: bool,
-    /// Force and contact, or why there are none.
-    pub touch: std::result::Result<TactileField, String>,
-}
-
-/// Where a unit's work stands.
+/// Progress of a unit.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Progress {
-    /// Images that have a label or a reason for none.
+    /// Number of images with a label, or with a reason for none.
     pub frames: usize,
-    /// Numbers of the earlier images that the next one's window needs.
+    /// Indices of the earlier images that the window of the next one needs.
     pub kept: Vec<usize>,
-    /// Whether the unit's last image is among them.
+    /// True if the unit's last image is among them.
     pub complete: bool,
 }
 
 impl Progress {
-    /// Of the journal at `path`, which another process may be writing.
+    /// Reads the progress from the journal at `path`, which another process may be writing.
     ///
     /// # Errors
     /// If the file can't be read.
@@ -56,11 +46,12 @@ impl Progress {
         Ok(Self::scan(&file).map_err(Error::io(path))?.0)
     }
 
-    /// Also where the last whole block ends.
+    /// Returns the progress and the end of the last valid block, bytes.
     fn scan(file: &File) -> std::io::Result<(Self, u64)> {
         let (mut progress, mut end) = (Self::default(), 0);
         let mut reader = BufReader::with_capacity(1 << 20, file);
         while let Some((head, _, size)) = next_block(&mut reader)? {
+            // A gap can only come from damage.
             if head.first != progress.frames {
                 break;
             }
@@ -71,36 +62,36 @@ impl Progress {
     }
 }
 
-/// What a block says about its images.
+/// Head of a block: everything about its images but the fields.
 #[derive(Debug, Default, Serialize, Deserialize)]
-pub struct Head {
-    /// Number of the first image.
+pub struct BlockHead {
+    /// Index of the first image.
     pub first: usize,
-    /// Why images have no label, by place in this block.
+    /// Reasons of images without a label, by index in this block.
     pub faults: Vec<(usize, String)>,
-    /// What the source noted, in order.
+    /// Notes of the source in order.
     pub notes: Vec<String>,
-    /// The block's labels in numbers.
-    pub counts: Counts,
-    /// Bits of the stamps: exact, and any number at all.
+    /// Counts of the block's labels.
+    pub counts: LabelCounts,
+    /// Bits of the stamps, s: exact also for NaN, which JSON has not.
     stamps: Vec<u64>,
     warming_up: Vec<bool>,
     kept: Vec<usize>,
     last: bool,
 }
 
-/// Appends the labels of one unit; one process at a time.
+/// Writer of one unit's labels; a file lock keeps other processes out.
 #[derive(Debug)]
 pub struct Journal {
     path: PathBuf,
     file: File,
     progress: Progress,
-    head: Head,
+    head: BlockHead,
     fields: Vec<u8>,
 }
 
 impl Journal {
-    /// Opens the journal at `path`, new or left by an earlier process; None = another process has it.
+    /// Opens or creates the journal at `path` and cuts an incomplete block; None = another process holds it.
     ///
     /// # Errors
     /// If the file can't be read or written.
@@ -114,22 +105,22 @@ impl Journal {
         let (progress, end) = Progress::scan(&file).map_err(io())?;
         file.set_len(end).map_err(io())?;
         file.seek(SeekFrom::Start(end)).map_err(io())?;
-        let head = Head { first: progress.frames, ..Default::default() };
+        let head = BlockHead { first: progress.frames, ..Default::default() };
         Ok(Some(Self { path: path.to_path_buf(), file, progress, head, fields: Vec::new() }))
     }
 
-    /// Where the work stands on disk.
+    /// Returns the progress on disk.
     pub fn progress(&self) -> &Progress {
         &self.progress
     }
 
-    /// Labels that are not on disk yet.
+    /// Returns the number of labels that are not on disk yet.
     pub fn pending(&self) -> usize {
         self.head.stamps.len()
     }
 
-    /// Takes the label of the next image, and what the source noted beside it.
-    pub fn push(&mut self, label: &Label, note: Option<String>) {
+    /// Adds the label of the next image and the source's note to the present block.
+    pub fn push(&mut self, label: &LabelFrame, note: Option<String>) {
         let place = self.head.stamps.len();
         self.head.counts.count(label);
         self.head.notes.extend(note);
@@ -144,10 +135,11 @@ impl Journal {
         }
     }
 
-    /// Writes what was pushed; `kept` are the earlier images that the next one's window needs.
+    /// Writes the present block. `kept` are the earlier images that the window of the next one needs; `last` = the unit is
+    /// complete.
     ///
     /// # Errors
-    /// If the disk is full, for instance.
+    /// If the file can't be written.
     pub fn flush(&mut self, kept: Vec<usize>, last: bool) -> Result<()> {
         let frames = self.head.first + self.head.stamps.len();
         let mut head = std::mem::take(&mut self.head);
@@ -170,16 +162,16 @@ impl Journal {
     }
 }
 
-/// Reads the labels of one complete unit, in order.
+/// Reader of one complete unit's labels in order.
 #[derive(Debug)]
-pub struct Labels {
+pub struct JournalLabels {
     path: PathBuf,
     reader: BufReader<File>,
     topology: Topology,
-    waiting: std::vec::IntoIter<Label>,
+    waiting: std::vec::IntoIter<LabelFrame>,
 }
 
-impl Labels {
+impl JournalLabels {
     /// Opens the journal at `path`.
     ///
     /// # Errors
@@ -190,7 +182,7 @@ impl Labels {
         Ok(Self { path: path.to_path_buf(), reader, topology, waiting: Vec::new().into_iter() })
     }
 
-    fn block(&mut self) -> Result<Option<Vec<Label>>> {
+    fn block(&mut self) -> Result<Option<Vec<LabelFrame>>> {
         let Some((head, fields, _)) = next_block(&mut self.reader).map_err(Error::io(&self.path))? else {
             return Ok(None);
         };
@@ -208,14 +200,14 @@ impl Labels {
                 Some((_, reason)) => Err(reason),
                 None => Ok(field(values.next().unwrap_or_default(), self.topology)),
             };
-            labels.push(Label { stamp_secs: f64::from_bits(stamp), warming_up, touch });
+            labels.push(LabelFrame { stamp_secs: f64::from_bits(stamp), warming_up, touch });
         }
         Ok(Some(labels))
     }
 }
 
-impl Iterator for Labels {
-    type Item = Result<Label>;
+impl Iterator for JournalLabels {
+    type Item = Result<LabelFrame>;
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
@@ -231,14 +223,14 @@ impl Iterator for Labels {
     }
 }
 
-/// Reads what the blocks of one unit say about their images, in order, and unpacks no label.
+/// Reader of one unit's block heads in order; decompresses no fields.
 #[derive(Debug)]
-pub struct Heads {
+pub struct JournalHeads {
     path: PathBuf,
     reader: BufReader<File>,
 }
 
-impl Heads {
+impl JournalHeads {
     /// Opens the journal at `path`.
     ///
     /// # Errors
@@ -249,8 +241,8 @@ impl Heads {
     }
 }
 
-impl Iterator for Heads {
-    type Item = Result<Head>;
+impl Iterator for JournalHeads {
+    type Item = Result<BlockHead>;
 
     fn next(&mut self) -> Option<Self::Item> {
         let block = next_block(&mut self.reader).map_err(Error::io(&self.path)).transpose()?;
@@ -264,8 +256,8 @@ fn field(bytes: &[u8], topology: Topology) -> TactileField {
     TactileField { topology, force, contact }
 }
 
-/// The next whole block: head, compressed fields, size in bytes. None at the end, or where damage begins.
-fn next_block(reader: &mut impl Read) -> std::io::Result<Option<(Head, Vec<u8>, u64)>> {
+/// Reads the next valid block: head, compressed fields, size in bytes. None at the end, or where damage begins.
+fn next_block(reader: &mut impl Read) -> std::io::Result<Option<(BlockHead, Vec<u8>, u64)>> {
     let mut prefix = [0; PREFIX];
     if !fill(reader, &mut prefix)? {
         return Ok(None);
@@ -292,7 +284,7 @@ fn next_block(reader: &mut impl Read) -> std::io::Result<Option<(Head, Vec<u8>, 
     Ok(serde_json::from_slice(&body).ok().map(|head| (head, fields, size)))
 }
 
-/// Whether the whole buffer could be filled.
+/// Fills the buffer; false if the file ends before.
 fn fill(reader: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<bool> {
     match reader.read_exact(buffer) {
         Ok(()) => Ok(true),
@@ -305,14 +297,18 @@ fn fill(reader: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<bool> {
 mod tests {
     use super::*;
 
-    fn label(index: usize) -> Label {
+    fn label(index: usize) -> LabelFrame {
         if index % 5 == 3 {
-            return Label { stamp_secs: f64::NAN, warming_up: false, touch: Err(format!("frame {index}: cut off")) };
+            return LabelFrame {
+                stamp_secs: f64::NAN,
+                warming_up: false,
+                touch: Err(format!("frame {index}: cut off")),
+            };
         }
         let mut field = TactileField::zeros(Topology::EgotacHand1);
         field.force[index] = 0.1 * index as f32;
         field.contact[N_FIELD - 1 - index] = 0.25;
-        Label { stamp_secs: 1.0 / 3.0 + index as f64, warming_up: index < 2, touch: Ok(field) }
+        LabelFrame { stamp_secs: 1.0 / 3.0 + index as f64, warming_up: index < 2, touch: Ok(field) }
     }
 
     fn write(path: &Path, frames: std::ops::Range<usize>) {
@@ -326,12 +322,12 @@ mod tests {
         }
     }
 
-    fn read(path: &Path) -> Vec<Label> {
-        Labels::open(path, Topology::EgotacHand1).unwrap().map(Result::unwrap).collect()
+    fn read(path: &Path) -> Vec<LabelFrame> {
+        JournalLabels::open(path, Topology::EgotacHand1).unwrap().map(Result::unwrap).collect()
     }
 
     #[test]
-    fn what_is_cut_anywhere_goes_on_at_the_last_whole_block() {
+    fn a_journal_cut_anywhere_resumes_after_its_last_complete_block() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.labels");
         write(&path, 0..10);
@@ -346,12 +342,12 @@ mod tests {
             drop(journal);
             write(&path, frames..16);
             let (labels, expected): (Vec<_>, Vec<_>) = (read(&path), (0..16).map(label).collect());
-            // NaN is never equal: compare what is printed.
+            // NaN is not equal to itself: compare the printed form.
             assert_eq!(format!("{labels:?}"), format!("{expected:?}"), "cut at {cut}");
-            let heads: Vec<_> = Heads::open(&path).unwrap().map(Result::unwrap).collect();
+            let heads: Vec<_> = JournalHeads::open(&path).unwrap().map(Result::unwrap).collect();
             let notes: Vec<_> = heads.iter().flat_map(|head| &head.notes).collect();
             assert_eq!(notes, ["chunk 0", "chunk 3", "chunk 6", "chunk 9", "chunk 12", "chunk 15"], "cut at {cut}");
-            let (mut sum, mut counts) = (Counts::default(), Counts::default());
+            let (mut sum, mut counts) = (LabelCounts::default(), LabelCounts::default());
             heads.iter().for_each(|head| sum.add(&head.counts));
             expected.iter().for_each(|label| counts.count(label));
             assert_eq!(sum, counts, "cut at {cut}");
@@ -359,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flipped_bit_ends_the_journal_before_it() {
+    fn a_flipped_bit_ends_the_journal_before_its_block() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.labels");
         write(&path, 0..8);
@@ -371,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_process_does_not_get_the_journal() {
+    fn a_second_opener_does_not_get_the_journal() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.labels");
         let first = Journal::open(&path).unwrap();

@@ -1,28 +1,28 @@
-//! The folder of an unfinished labelling, beside the output.
+//! The hidden folder of an unfinished job, beside its output.
 
 use std::fs;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use super::journal::{Journal, Progress};
-use super::output::Journals;
-use super::provenance::Provenance;
-use super::source::Unit;
+use super::journal::{Journal, JournalHeads, JournalLabels, Progress};
+use crate::dataset::labels::{LabelFrames, Notes};
+use crate::dataset::{Provenance, SourceLabels, Unit};
 use crate::error::{Error, Result};
 use crate::file;
+use crate::hand::Topology;
 
-/// Journals of the units of one output, and the output while it is put together.
+/// Journals of the units of one output, and the output while it is assembled.
 #[derive(Debug)]
-pub struct Work {
+pub struct Workspace {
     folder: PathBuf,
-    journals: Journals,
+    topology: Topology,
 }
 
-impl Work {
-    /// The folder for the output `out`: new, or as an earlier process left it.
+impl Workspace {
+    /// Opens the workspace of the output `out`, as an earlier process left it, or creates it.
     ///
     /// # Errors
-    /// If it was left by a labelling of another input or with other settings, or can't be written.
+    /// If it belongs to another input or other settings, or can't be written.
     pub fn open(out: &Path, provenance: &Provenance, units: &[Unit]) -> Result<Self> {
         let folder = folder_of(out)?;
         fs::create_dir_all(&folder).map_err(Error::io(&folder))?;
@@ -40,24 +40,18 @@ impl Work {
             }
             Err(_) => file::write(&job, json.as_bytes())?,
         }
-        let journals = Journals::new(&folder, provenance.topology);
-        Ok(Self { folder, journals })
+        Ok(Self { folder, topology: provenance.topology })
     }
 
-    /// The journals.
-    pub fn journals(&self) -> &Journals {
-        &self.journals
-    }
-
-    /// The journal of one unit; None = another process is at it.
+    /// Locks the journal of one unit; None = another process holds it.
     ///
     /// # Errors
     /// If it can't be read or written.
     pub fn journal(&self, unit: usize) -> Result<Option<Journal>> {
-        Journal::open(&self.journals.path(unit))
+        Journal::open(&self.journal_path(unit))
     }
 
-    /// Whether units `0..n` are all labelled to their ends.
+    /// True if units `0..n` are all labelled to their ends.
     ///
     /// # Errors
     /// If a journal can't be read.
@@ -70,44 +64,74 @@ impl Work {
         Ok(true)
     }
 
-    /// Where the work on one unit stands, whoever does it.
+    /// Returns the progress of one unit, which another process may be labelling.
     ///
     /// # Errors
     /// If its journal can't be read.
     pub fn progress(&self, unit: usize) -> Result<Progress> {
-        let path = self.journals.path(unit);
+        let path = self.journal_path(unit);
         if path.exists() { Progress::read(&path) } else { Ok(Progress::default()) }
     }
 
-    /// Where the output is put together.
+    /// Returns the heads of the journal's blocks of one unit.
+    ///
+    /// # Errors
+    /// If there is no such journal.
+    pub fn heads(&self, unit: usize) -> Result<JournalHeads> {
+        JournalHeads::open(&self.journal_path(unit))
+    }
+
+    /// Returns the path at which the output is assembled.
     pub fn unfinished(&self) -> PathBuf {
         self.folder.join("output")
     }
 
-    /// Lets no other process put the output together; None = one is at it.
+    /// Locks the assembly; None = another process assembles the output. The lock ends with the file.
     ///
     /// # Errors
-    /// If the lock can't be written.
+    /// If the lock file can't be written.
     pub fn lock(&self) -> Result<Option<File>> {
         let path = self.folder.join("lock");
         let file = File::create(&path).map_err(Error::io(&path))?;
         Ok(file::lock(&file).then_some(file))
     }
 
-    /// Gives the output its name and removes the folder.
+    /// Renames the assembled output to `out` and removes the workspace.
     ///
     /// # Errors
-    /// If `out` has come to exist, or can't be written.
+    /// If another process created `out`, or it can't be written.
     pub fn publish(self, out: &Path) -> Result<()> {
         if out.exists() {
-            return Err(Error::file(out, "has come to exist meanwhile"));
+            return Err(Error::file(out, "was created by another process"));
         }
         fs::rename(self.unfinished(), out).map_err(Error::io(out))?;
         fs::remove_dir_all(&self.folder).map_err(Error::io(&self.folder))
     }
+
+    fn journal_path(&self, unit: usize) -> PathBuf {
+        self.folder.join(format!("{unit:06}.labels"))
+    }
 }
 
-/// Where the work on `out` lies: a hidden folder beside it.
+impl SourceLabels for Workspace {
+    fn topology(&self) -> Topology {
+        self.topology
+    }
+
+    fn labels(&self, unit: usize) -> Result<LabelFrames<'_>> {
+        Ok(Box::new(JournalLabels::open(&self.journal_path(unit), self.topology)?))
+    }
+
+    fn notes(&self, unit: usize) -> Result<Notes<'_>> {
+        let notes = self.heads(unit)?.flat_map(|head| match head {
+            Ok(head) => head.notes.into_iter().map(Ok).collect(),
+            Err(error) => vec![Err(error)],
+        });
+        Ok(Box::new(notes))
+    }
+}
+
+/// Returns the workspace folder of `out`.
 pub fn folder_of(out: &Path) -> Result<PathBuf> {
     let (Some(name), Some(parent)) = (out.file_name(), out.parent()) else {
         return Err(Error::file(out, "is not a name for an output"));

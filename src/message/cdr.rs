@@ -1,7 +1,7 @@
-//! CDR as ROS 2 puts it on the wire: XCDR1, little endian, behind a four-byte encapsulation header.
+//! CDR as in ROS 2: XCDR1, little endian, after a four-byte encapsulation header.
 //!
-//! Primitives align to their own size, counted from the end of the header; a string is its length with the final NUL,
-//! then its bytes; a sequence is its length, then its items; a fixed array is its items alone.
+//! Primitives align to their own size, counted from the end of the header. A string is its length with the final NUL, then
+//! its bytes. A sequence is its length, then its items. A fixed array is its items alone.
 
 use std::fmt::Write as _;
 
@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 /// Encapsulation: plain CDR, little endian, no options.
 const HEADER: [u8; 4] = [0, 1, 0, 0];
 
-/// Bytes that a transport may append to round a payload up to a multiple of four.
+/// Largest padding after a payload, bytes: transports round payloads up to a multiple of four.
 const MAX_PADDING: usize = 3;
 
 /// Appends values to a CDR payload.
@@ -20,7 +20,7 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// The payload of one value, with its header.
+    /// Returns the payload of one value, with its header.
     pub fn payload(value: &impl Wire) -> Vec<u8> {
         let mut writer = Writer { bytes: HEADER.to_vec() };
         value.write(&mut writer);
@@ -33,13 +33,13 @@ impl Writer {
         self.bytes.extend_from_slice(&value);
     }
 
-    /// Lengths are 32 bits on the wire; memory ends long before a longer one can be built from our messages.
+    /// Appends a length, which has 32 bits on the wire. Our messages can't get longer than that within memory.
     fn put_length(&mut self, length: usize) {
         self.put(u32::try_from(length).unwrap_or(u32::MAX).to_le_bytes());
     }
 }
 
-/// Takes values from a CDR payload and knows the field it is at.
+/// Reads values from a CDR payload; errors name the present field.
 #[derive(Debug)]
 pub struct Reader<'a> {
     message: &'static str,
@@ -58,8 +58,8 @@ impl<'a> Reader<'a> {
     /// Reads a payload that holds one `T` and nothing else.
     ///
     /// # Errors
-    /// If the header is another than XCDR1 little endian, the payload ends too early or too late, or a field holds
-    /// what its type does not allow. The error names the field, starting with `message`.
+    /// If the header is not that of XCDR1 little endian, the payload is too short or too long, or a field holds an invalid
+    /// value. The error names the field, starting with `message`.
     pub fn payload<T: Wire>(message: &'static str, payload: &'a [u8]) -> Result<T> {
         let mut reader = Self::begin(message, payload)?;
         let value = T::read(&mut reader)?;
@@ -74,10 +74,10 @@ impl<'a> Reader<'a> {
         Ok(value)
     }
 
-    /// Reads the `T` that a payload begins with, for instance the header of an image.
+    /// Reads the `T` at the start of a payload, for instance the header of an image.
     ///
     /// # Errors
-    /// As [`Self::payload`], save that anything may follow.
+    /// As [`Self::payload`], but anything may follow.
     pub fn leading<T: Wire>(message: &'static str, payload: &'a [u8]) -> Result<T> {
         T::read(&mut Self::begin(message, payload)?)
     }
@@ -97,7 +97,7 @@ impl<'a> Reader<'a> {
     /// Reads the field `name`.
     ///
     /// # Errors
-    /// What `T` finds wrong, with the field's name.
+    /// If `T` can't be read; the error names the field.
     pub fn field<T: Wire>(&mut self, name: &'static str) -> Result<T> {
         self.path.push(Step::Field(name));
         let value = T::read(self)?;
@@ -108,7 +108,7 @@ impl<'a> Reader<'a> {
     /// Reads the field `name`, a sequence of at most `max` items.
     ///
     /// # Errors
-    /// What `T` finds wrong, or a longer sequence, with the field's name.
+    /// If `T` can't be read or the sequence is longer; the error names the field.
     pub fn bounded<T: Wire>(&mut self, name: &'static str, max: usize) -> Result<Vec<T>> {
         self.path.push(Step::Field(name));
         let length = self.length(T::MIN_BYTES)?;
@@ -120,7 +120,7 @@ impl<'a> Reader<'a> {
         Ok(values)
     }
 
-    /// An error at the field being read.
+    /// Creates an error that names the present field.
     pub fn error(&self, expected: impl ToString, got: impl ToString) -> Error {
         let mut name = self.message.to_owned();
         for step in &self.path {
@@ -154,7 +154,8 @@ impl<'a> Reader<'a> {
         Ok(value)
     }
 
-    /// A sequence's length, refused when its items can't fit in what is left: no allocation follows a made-up length.
+    /// Reads the length of a sequence. Checks that its items fit into the rest of the payload, so that a corrupt length
+    /// causes no large allocation.
     fn length(&mut self, min_bytes: usize) -> Result<usize> {
         let length = u32::from_le_bytes(self.get()?) as usize;
         if length > self.left() / min_bytes {
@@ -165,31 +166,31 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// A type that a message field can have.
+/// A type of message fields.
 pub trait Wire: Sized {
-    /// The fewest bytes a value takes, at least 1.
+    /// Smallest size of a value, at least 1, bytes.
     const MIN_BYTES: usize = 1;
 
-    /// The type as `.msg` files spell it.
+    /// Returns the name of the type in `.msg` files.
     fn ros_type() -> String;
 
     /// Appends the value.
     fn write(&self, out: &mut Writer);
 
-    /// Takes a value.
+    /// Reads a value.
     ///
     /// # Errors
-    /// If the payload ends too early or holds what the type does not allow.
+    /// If the payload is too short or holds an invalid value.
     fn read(input: &mut Reader) -> Result<Self>;
 
-    /// Appends values one after another.
+    /// Appends several values.
     fn write_all(values: &[Self], out: &mut Writer) {
         for value in values {
             value.write(out);
         }
     }
 
-    /// Takes `count` values.
+    /// Reads `count` values.
     ///
     /// # Errors
     /// As [`Self::read`], with the index of the value.
@@ -203,7 +204,7 @@ pub trait Wire: Sized {
         Ok(values)
     }
 
-    /// Adds the message types that this type is made of, each once, to a schema's list of (name, definition).
+    /// Adds the message types within this type, each once, to a schema's list of (name, definition).
     fn collect_definitions(_: &mut Vec<(&'static str, String)>) {}
 }
 
@@ -235,7 +236,7 @@ number!(
     f64 = "float64"
 );
 
-// Bytes move in one piece: they are images and point clouds.
+// Bytes are copied in one piece, since images and point clouds consist of them.
 impl Wire for u8 {
     fn ros_type() -> String {
         "uint8".into()

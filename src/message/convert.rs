@@ -1,4 +1,4 @@
-//! From the library's types to messages and back.
+//! Conversions between the library's types and messages.
 
 use ::image::RgbImage;
 use glam::{DQuat, DVec3, Vec3};
@@ -9,7 +9,7 @@ use crate::hand::{HandModel, HandParams, Side, Topology};
 use crate::tactile::{TactileField, Validity};
 
 impl HandTactile {
-    /// One hand of a field.
+    /// Creates the message of one hand of a field.
     ///
     /// # Errors
     /// If the field does not hold 1556 forces and contacts.
@@ -29,8 +29,8 @@ impl HandTactile {
 }
 
 impl TactileFrame {
-    /// Both hands of a field, left first. Score, inference time and model are unknown and the sequence number is 0:
-    /// the caller sets what it knows.
+    /// Creates the message of both hands of a field, left first. Score, inference time and model are unknown and the
+    /// sequence number is 0; the caller sets the values that it knows.
     ///
     /// # Errors
     /// If the field does not hold 1556 forces and contacts.
@@ -47,7 +47,7 @@ impl TactileFrame {
         })
     }
 
-    /// The field of both hands; a hand that is not in the message is zero.
+    /// Returns the field of both hands; a hand that is missing from the message is zero.
     ///
     /// # Errors
     /// If the topology or a side is unknown, a side comes twice, a force is negative or infinite, or a contact is not
@@ -81,12 +81,12 @@ impl TactileFrame {
 }
 
 impl TactileTruth {
-    /// The truth of one simulated frame.
+    /// Creates the truth of one simulated frame.
     pub fn new(frame: TactileFrame, validity: Validity) -> Self {
         Self { frame, validity: validity.code(), reason: validity.reason().to_owned() }
     }
 
-    /// Whether the frame can be trusted, and which guard said no.
+    /// Returns the frame's validity: valid, or the guard that refused it.
     ///
     /// # Errors
     /// If the code is unknown.
@@ -97,7 +97,7 @@ impl TactileTruth {
 }
 
 impl HandPose {
-    /// The pose of `model` under `params`, which are in `header.frame_id`; vertices are left to the receiver.
+    /// Creates the message of `model` posed by `params`, given in `header.frame_id`. The receiver computes the vertices.
     pub fn from_params(header: Header, model: &HandModel, params: &HandParams) -> Self {
         let position = rest_wrist(model, params) + params.transl.as_dvec3();
         let orientation = DQuat::from_scaled_axis(params.global_orient.as_dvec3());
@@ -119,7 +119,7 @@ impl HandPose {
         }
     }
 
-    /// Which hand.
+    /// Returns the side of the hand.
     ///
     /// # Errors
     /// If the code is unknown.
@@ -127,10 +127,10 @@ impl HandPose {
         side_from_code(self.side).map_err(|got| Error::value("side", "0 (left) or 1 (right)", got))
     }
 
-    /// The parameters of `model` that give this pose.
+    /// Returns the parameters of `model` that give this pose.
     ///
     /// # Errors
-    /// If the message is for another hand or topology, a number is not finite, or the orientation is no rotation.
+    /// If the message is for another hand or topology, a number is not finite, or the orientation is not a rotation.
     pub fn to_params(&self, model: &HandModel) -> Result<HandParams> {
         if self.side()? != model.side {
             return Err(Error::value("side", format!("{} ({})", side_code(model.side), model.side.name()), self.side));
@@ -143,7 +143,7 @@ impl HandPose {
         if !position.is_finite() {
             return Err(Error::value("wrist.position", "finite numbers", position));
         }
-        // Publishers round quaternions; far from unit length it is no rotation at all.
+        // Publishers round quaternions: accept a small error of length, refuse what is not a rotation.
         let length = orientation.length();
         if !length.is_finite() || (length - 1.0).abs() > 1e-3 {
             return Err(Error::value("wrist.orientation", "a unit quaternion", format!("length {length}")));
@@ -165,7 +165,7 @@ impl HandPose {
 }
 
 impl Image {
-    /// An `rgb8` image without row padding.
+    /// Creates an `rgb8` message without row padding.
     pub fn from_rgb(header: Header, image: &RgbImage) -> Self {
         Self {
             header,
@@ -179,10 +179,10 @@ impl Image {
     }
 }
 
-/// J0(betas), m: where the wrist joint lies before `transl`; rotations turn the hand about it.
+/// Position of the wrist joint J0(betas) before `transl`, m. Rotations turn the hand about this point.
 fn rest_wrist(model: &HandModel, params: &HandParams) -> DVec3 {
     let shaped = HandParams { betas: params.betas, ..HandParams::default() };
-    model.forward(&shaped).joints[0].as_dvec3()
+    model.joints(&shaped)[0].as_dvec3()
 }
 
 fn side_code(side: Side) -> u8 {

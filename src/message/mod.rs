@@ -1,8 +1,7 @@
 //! Wire form of the messages: plain structs, their CDR bytes and their schemas; needs no ROS.
 //!
-//! This is the one home of the layout: nodes publish and take these bytes, recordings hold them. Units, frames and the
-//! meaning of "unknown" stand in `msg/*.msg`; a test holds each struct against its file, and bytes that ROS itself
-//! serialised against each struct.
+//! Nodes publish and subscribe to these bytes, and recordings hold them. `msg/*.msg` states units, frames and the meaning of
+//! "unknown". Tests compare each struct with its file, and with bytes that ROS itself serialised.
 
 mod cdr;
 mod convert;
@@ -22,28 +21,28 @@ pub use standard::{
     PoseStamped, Quaternion, RegionOfInterest, Time, Vector3, Wrench,
 };
 
-/// A message that topics and recordings carry.
+/// A message of topics and recordings.
 pub trait Message: Wire {
     /// Full name, for instance `egotac_msgs/msg/TactileFrame`.
     const TYPE: &'static str;
 
-    /// Its own fields, in the form of a `.msg` file.
+    /// Returns the message's own fields in the form of a `.msg` file.
     fn definition() -> String;
 
-    /// The payload as ROS 2 serialises it: encapsulation header and CDR.
+    /// Returns the payload as ROS 2 serialises it: encapsulation header and CDR.
     fn to_cdr(&self) -> Vec<u8> {
         Writer::payload(self)
     }
 
-    /// Reads a payload; every input yields a message or an error, never more memory than the payload's size warrants.
+    /// Reads a payload. Any input gives a message or an error, and memory proportional to the size of the payload.
     ///
     /// # Errors
-    /// If the payload is truncated, too long, or holds what a field does not allow; the error names the field.
+    /// If the payload is truncated, too long, or a field holds an invalid value; the error names the field.
     fn from_cdr(payload: &[u8]) -> Result<Self> {
         Reader::payload(Self::TYPE, payload)
     }
 
-    /// The schema in recordings' `ros2msg` form: the definition, then those of all message types it is made of.
+    /// Returns the schema in the `ros2msg` form of recordings: the definition, then those of all message types within it.
     fn schema() -> String {
         let mut definitions = Vec::new();
         Self::collect_definitions(&mut definitions);
@@ -62,10 +61,10 @@ pub trait Message: Wire {
     }
 }
 
-/// Defines a struct with its wire form; the fields' order is that on the wire.
+/// Defines a struct with its wire form; fields are in the order of the wire.
 ///
-/// `field: Vec<T> [<= N]` is a bounded sequence. `from "path"` takes the definition's text from a `.msg` file, otherwise
-/// it is written from the fields.
+/// `field: Vec<T> [<= N]` is a bounded sequence. `from "path"` takes the definition's text from a `.msg` file; without it,
+/// the macro writes the definition from the fields.
 macro_rules! message {
     ($(
         $(#[$meta:meta])*
@@ -100,7 +99,7 @@ macro_rules! message {
 
         impl $crate::message::Message for $name {
             const TYPE: &'static str = $type;
-            #[allow(unreachable_code)] // The written form is not reached where a file is given.
+            #[allow(unreachable_code)] // With a file, the generated definition is unreachable.
             fn definition() -> String {
                 $( return include_str!($file).to_owned(); )?
                 Self::fields()
@@ -108,7 +107,7 @@ macro_rules! message {
         }
 
         impl $name {
-            /// The fields in the order on the wire, one `type name` per line.
+            /// Returns the fields in the order of the wire, one `type name` per line.
             pub fn fields() -> String {
                 let mut text = String::new();
                 $(

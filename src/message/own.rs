@@ -1,4 +1,4 @@
-//! The messages of `egotac_msgs`; their fields' meaning stands in `msg/*.msg`.
+//! Messages of `egotac_msgs`, as `msg/*.msg` defines them.
 
 use super::message;
 use super::standard::{Header, Point, Point32, Pose, Time, Vector3, Wrench};
@@ -25,23 +25,23 @@ message! {
         header: Header,
         /// At most one entry per hand, left first; empty = no result for this image.
         hands: Vec<HandTactile> [<= 2],
-        /// Counts the frames of this publisher, from 0.
+        /// Index of the frame at this publisher, from 0.
         sequence: u64,
-        /// Time from taking up the image to the result, s; NaN = not applicable.
+        /// Time from the start of processing to the result, s; NaN = not applicable.
         inference_secs: f64,
-        /// What computed this: `model_id` of [`HandModelInfo`], or `simulator/<scene>`.
+        /// Producer: `model_id` of [`HandModelInfo`], or `simulator/<scene>`.
         model_id: String,
-        /// What the vertex indices mean: `egotac-hand-1` or `mano`.
+        /// Meaning of vertex indices: `egotac-hand-1` or `mano`.
         topology: String,
         /// True while the observation window is not full yet.
         warming_up: bool,
     }
 
-    /// What a predictor is: its network and the hand its results live on.
+    /// Description of a predictor: its network and its hand model.
     HandModelInfo = "egotac_msgs/msg/HandModelInfo" from "../../msg/HandModelInfo.msg" {
-        /// When the model was loaded.
+        /// Time at which the model was loaded.
         header: Header,
-        /// Id that each [`TactileFrame`] carries.
+        /// Id in each [`TactileFrame`] of the predictor.
         model_id: String,
         /// The network's name, for people.
         model_name: String,
@@ -49,17 +49,17 @@ message! {
         weights_sha256: String,
         /// The hand model's name, for people.
         hand_model: String,
-        /// What the vertex indices mean.
+        /// Meaning of vertex indices.
         topology: String,
-        /// Vertices of one hand.
+        /// Number of vertices of one hand.
         vertex_count: u32,
         /// Region of each vertex, the same for both hands.
         vertex_region: Vec<String>,
-        /// Images per observation window.
+        /// Number of images in the observation window.
         horizon: u32,
         /// Time between two images of the window, s.
         frame_dt: f64,
-        /// Side of the square image the network sees, pixels.
+        /// Side of the network's square input image, pixels.
         input_size: u32,
         /// Newtons per unit of the network's force output; NaN = no force.
         force_scale: f32,
@@ -67,13 +67,13 @@ message! {
 
     /// Pose and shape of one hand, as MANO parameters.
     HandPose = "egotac_msgs/msg/HandPose" from "../../msg/HandPose.msg" {
-        /// The image's stamp; the frame of `wrist` and `vertices`.
+        /// Stamp of the image, and coordinate frame of `wrist` and `vertices`.
         header: Header,
         /// [`HandTactile::LEFT`] or [`HandTactile::RIGHT`].
         side: u8,
-        /// What the parameters and vertex indices mean.
+        /// Meaning of parameters and vertex indices.
         topology: String,
-        /// Pose of the wrist joint, m: at J0(betas) + transl, turned by global_orient.
+        /// Pose of the wrist joint, m: position J0(betas) + transl, orientation global_orient.
         wrist: Pose,
         /// Rotations of the 15 finger joints relative to their parents: axis-angle, rad, MANO's order.
         hand_pose: [f32; 45],
@@ -83,61 +83,61 @@ message! {
         vertices: Vec<Point32>,
     }
 
-    /// The true touch for an image, and whether it can be trusted.
+    /// True touch for an image, and its validity.
     TactileTruth = "egotac_msgs/msg/TactileTruth" from "../../msg/TactileTruth.msg" {
         /// True force and contact.
         frame: TactileFrame,
         /// Code of [`crate::Validity`]; 0 = valid.
         validity: u8,
-        /// What the guard saw, in words; empty for a valid frame.
+        /// Reason of the guard that refused the frame; empty for a valid frame.
         reason: String,
     }
 
-    /// What a trainer is doing.
+    /// State of a trainer.
     TrainerStatus = "egotac_msgs/msg/TrainerStatus" from "../../msg/TrainerStatus.msg" {
         /// Time of the status.
         header: Header,
         /// `idle`, `waiting`, `training`, `succeeded`, `cancelled` or `failed`.
         state: String,
-        /// What it waits for, or why it failed.
+        /// Condition that it waits for, or cause of the failure.
         message: String,
-        /// Live frames written since the start.
+        /// Number of live frames written since the start.
         recorded_frames: u64,
-        /// Live episodes written since the start.
+        /// Number of live episodes written since the start.
         recorded_episodes: u64,
-        /// Live episodes removed to stay below the limit.
+        /// Number of live episodes removed to stay below the limit.
         evicted_episodes: u64,
-        /// Live recordings on the disk, bytes.
+        /// Size of the live recordings on disk, bytes.
         recorded_bytes: u64,
-        /// Steps taken in the goal.
+        /// Number of steps taken in the goal.
         step: u32,
-        /// Steps asked for.
+        /// Number of steps of the goal.
         steps: u32,
         /// Names of losses and scores.
         names: Vec<String>,
-        /// Their values; NaN = undefined.
+        /// One value per name; NaN = undefined.
         values: Vec<f64>,
-        /// Windows per second; NaN = unknown yet.
+        /// Training speed, windows per second; NaN = not yet known.
         windows_per_s: f64,
-        /// Until the last step, s; NaN = unknown yet.
+        /// Time until the last step, s; NaN = not yet known.
         remaining_secs: f64,
     }
 
-    /// How well predictions agree with the truth, over the newest pairs.
+    /// Agreement of predictions and truth over the newest pairs.
     TactileMetrics = "egotac_msgs/msg/TactileMetrics" from "../../msg/TactileMetrics.msg" {
-        /// Of the newest pair.
+        /// Header of the newest pair.
         header: Header,
-        /// Pairs in the rolling window.
+        /// Number of pairs in the rolling window.
         window_pairs: u32,
-        /// Time from the window's oldest pair to its newest, s.
+        /// Time from the oldest to the newest pair of the window, s.
         window_secs: f64,
-        /// Pairs made since the start.
+        /// Number of pairs since the start.
         pairs: u64,
-        /// Predictions that found no truth.
+        /// Number of predictions without truth.
         unmatched_predictions: u64,
-        /// Truths that found no prediction.
+        /// Number of truths without prediction.
         unmatched_truths: u64,
-        /// Pairs left out because the truth is invalid.
+        /// Number of pairs left out because the truth is invalid.
         invalid_truths: u64,
         /// Names of the metrics.
         names: Vec<String>,
@@ -145,35 +145,35 @@ message! {
         values: Vec<f64>,
     }
 
-    /// Touch that one link of a robot hand is expected to feel.
+    /// Expected touch on one link of a robot hand.
     LinkTouch = "egotac_msgs/msg/LinkTouch" from "../../msg/LinkTouch.msg" {
         /// Name of the link's body.
         link: String,
         /// Force along the link's surface normal, N.
         normal_force: f64,
-        /// Force on the link, torque about its origin; in its own frame, N and N m.
+        /// Force on the link and torque about its origin, in the link's frame, N and N m.
         wrench: Wrench,
-        /// Where the force acts, in the link's own frame, m.
+        /// Point of application in the link's frame, m.
         position: Point,
-        /// Probability that the link touches something.
+        /// Contact probability.
         contact: f64,
     }
 
-    /// Touch that a robot hand is expected to feel.
+    /// Expected touch on a robot hand.
     RobotTouch = "egotac_msgs/msg/RobotTouch" from "../../msg/RobotTouch.msg" {
-        /// Stamp of the tactile frame; the frame of `net_force`.
+        /// Stamp of the tactile frame, and coordinate frame of `net_force`.
         header: Header,
         /// Name of the robot.
         robot: String,
         /// Stamp of the hand pose.
         hand_stamp: Time,
-        /// All links that can take force.
+        /// Links that can take force.
         links: Vec<LinkTouch>,
-        /// Joints that move on their own.
+        /// Names of the actuated joints.
         joint_names: Vec<String>,
-        /// What each must give to press like that, N m or N.
+        /// Torque or force of each joint that gives these forces, N m or N.
         joint_torques: Vec<f64>,
-        /// Whether a joint's strength made forces smaller.
+        /// True if the limit of a joint reduced forces.
         clipped: bool,
         /// Net force on the human hand, N.
         net_force: Vector3,

@@ -1,6 +1,6 @@
-//! The ROS 2 interface types that our messages are made of, that nodes exchange, and that recordings hold.
+//! Standard ROS 2 interface types in our messages, topics and recordings.
 //!
-//! Field names and their meaning are those of `std_msgs`, `sensor_msgs`, `geometry_msgs` and their kin.
+//! Names and meaning of the fields follow `std_msgs`, `sensor_msgs`, `geometry_msgs` and the other ROS packages.
 
 use super::message;
 
@@ -23,12 +23,12 @@ message! {
         nanosec: u32,
     }
 
-    /// When and in which frame something was measured.
+    /// Time and coordinate frame of a measurement.
     #[derive(Default)]
     Header = "std_msgs/msg/Header" {
-        /// When.
+        /// Time of the measurement.
         stamp: Time,
-        /// In which frame.
+        /// Coordinate frame.
         frame_id: String,
     }
 
@@ -50,9 +50,9 @@ message! {
     /// A position and a rotation.
     #[derive(Copy, Default)]
     Pose = "geometry_msgs/msg/Pose" {
-        /// Where, m.
+        /// Position, m.
         position: Point,
-        /// Turned how.
+        /// Orientation.
         orientation: Quaternion,
     }
 
@@ -64,15 +64,15 @@ message! {
     /// A force and a torque.
     #[derive(Copy, Default)]
     Wrench = "geometry_msgs/msg/Wrench" {
-        /// N.
+        /// Force, N.
         force: Vector3,
-        /// N m.
+        /// Torque, N m.
         torque: Vector3,
     }
 
     /// A pose at a time.
     PoseStamped = "geometry_msgs/msg/PoseStamped" {
-        /// When; the frame of the pose.
+        /// Time, and coordinate frame of the pose.
         header: Header,
         /// The pose.
         pose: Pose,
@@ -80,7 +80,7 @@ message! {
 
     /// Several poses.
     PoseArray = "geometry_msgs/msg/PoseArray" {
-        /// When; the frame of the poses.
+        /// Time, and coordinate frame of the poses.
         header: Header,
         /// The poses.
         poses: Vec<Pose>,
@@ -88,67 +88,67 @@ message! {
 
     /// Positions of joints.
     JointState = "sensor_msgs/msg/JointState" {
-        /// When.
+        /// Time of the measurement.
         header: Header,
         /// Names of the joints.
         name: Vec<String>,
-        /// rad or m; empty = unknown.
+        /// Positions, rad or m; empty = unknown.
         position: Vec<f64>,
-        /// rad/s or m/s; empty = unknown.
+        /// Velocities, rad/s or m/s; empty = unknown.
         velocity: Vec<f64>,
-        /// N m or N; empty = unknown.
+        /// Efforts, N m or N; empty = unknown.
         effort: Vec<f64>,
     }
 
-    /// Where joints are to be at a time.
+    /// Desired state of joints at a time.
     JointTrajectoryPoint = "trajectory_msgs/msg/JointTrajectoryPoint" {
-        /// rad or m.
+        /// Positions, rad or m.
         positions: Vec<f64>,
-        /// rad/s or m/s; empty = left open.
+        /// Velocities, rad/s or m/s; empty = unspecified.
         velocities: Vec<f64>,
-        /// rad/s² or m/s²; empty = left open.
+        /// Accelerations, rad/s² or m/s²; empty = unspecified.
         accelerations: Vec<f64>,
-        /// N m or N; empty = left open.
+        /// Efforts, N m or N; empty = unspecified.
         effort: Vec<f64>,
-        /// From the trajectory's stamp on.
+        /// Time since the trajectory's stamp.
         time_from_start: Duration,
     }
 
-    /// A way for joints to go.
+    /// A trajectory of joints.
     JointTrajectory = "trajectory_msgs/msg/JointTrajectory" {
-        /// When it begins; zero = at once.
+        /// Start of the trajectory; zero = at once.
         header: Header,
         /// Names of the joints.
         joint_names: Vec<String>,
-        /// Where they are to be.
+        /// Desired states in order of time.
         points: Vec<JointTrajectoryPoint>,
     }
 
     /// An uncompressed image.
     Image = "sensor_msgs/msg/Image" {
-        /// When taken; the camera's optical frame.
+        /// Time of exposure, and the camera's optical frame.
         header: Header,
-        /// Rows.
+        /// Number of rows.
         height: u32,
-        /// Columns.
+        /// Number of columns.
         width: u32,
         /// Meaning of the bytes, for instance `rgb8`.
         encoding: String,
-        /// Not 0 = numbers of several bytes are big endian.
+        /// Other than 0 = values of several bytes are big endian.
         is_bigendian: u8,
-        /// Bytes from one row to the next.
+        /// Length of a row, bytes.
         step: u32,
-        /// The rows.
+        /// Content of the rows.
         data: Vec<u8>,
     }
 
     /// A JPEG or PNG file.
     CompressedImage = "sensor_msgs/msg/CompressedImage" {
-        /// When taken; the camera's optical frame.
+        /// Time of exposure, and the camera's optical frame.
         header: Header,
-        /// For instance `rgb8; jpeg compressed bgr8`, `jpeg`, or empty.
+        /// Format, for instance `rgb8; jpeg compressed bgr8`, `jpeg`, or empty.
         format: String,
-        /// The file.
+        /// Content of the file.
         data: Vec<u8>,
     }
 
@@ -159,21 +159,21 @@ message! {
         x_offset: u32,
         /// First row.
         y_offset: u32,
-        /// Rows; 0 = all.
+        /// Number of rows; 0 = all.
         height: u32,
-        /// Columns; 0 = all.
+        /// Number of columns; 0 = all.
         width: u32,
-        /// Whether the image is to be rectified for the region.
+        /// True if the image has to be rectified for the region.
         do_rectify: bool,
     }
 
-    /// A camera's geometry.
+    /// Calibration of a camera.
     CameraInfo = "sensor_msgs/msg/CameraInfo" {
-        /// As the image's.
+        /// Header of the image.
         header: Header,
-        /// Rows of the calibrated image.
+        /// Number of rows of the calibrated image.
         height: u32,
-        /// Columns of the calibrated image.
+        /// Number of columns of the calibrated image.
         width: u32,
         /// Distortion model, for instance `plumb_bob`.
         distortion_model: String,
@@ -185,51 +185,51 @@ message! {
         r: [f64; 9],
         /// (3, 4) row-major projection, pixels.
         p: [f64; 12],
-        /// Pixels added up horizontally; 0 = 1.
+        /// Number of sensor pixels per image column; 0 means 1.
         binning_x: u32,
-        /// Pixels added up vertically; 0 = 1.
+        /// Number of sensor pixels per image row; 0 means 1.
         binning_y: u32,
         /// The part of the sensor.
         roi: RegionOfInterest,
     }
 
-    /// A number of each point of a cloud.
+    /// A field of the points of a cloud.
     PointField = "sensor_msgs/msg/PointField" {
-        /// For instance `x`.
+        /// Name, for instance `x`.
         name: String,
-        /// Bytes from the point's start.
+        /// Offset from the start of the point, bytes.
         offset: u32,
-        /// Type: 7 = float32.
+        /// Type of the values; 7 = float32.
         datatype: u8,
-        /// Numbers under this name.
+        /// Number of values.
         count: u32,
     }
 
-    /// Points with named numbers.
+    /// Points with named fields.
     PointCloud2 = "sensor_msgs/msg/PointCloud2" {
-        /// When, and the frame of x, y, z.
+        /// Time, and coordinate frame of x, y, z.
         header: Header,
         /// 1 for an unordered cloud.
         height: u32,
-        /// Points per row.
+        /// Number of points per row.
         width: u32,
-        /// What a point is made of.
+        /// Fields of a point.
         fields: Vec<PointField>,
-        /// Whether numbers are big endian.
+        /// True if values are big endian.
         is_bigendian: bool,
-        /// Bytes per point.
+        /// Size of a point, bytes.
         point_step: u32,
-        /// Bytes per row.
+        /// Size of a row, bytes.
         row_step: u32,
-        /// The points.
+        /// Content of the points.
         data: Vec<u8>,
-        /// Whether all points are valid.
+        /// True if all points are valid.
         is_dense: bool,
     }
 
     /// The time of a simulation.
     Clock = "rosgraph_msgs/msg/Clock" {
-        /// Now.
+        /// Present time.
         clock: Time,
     }
 
@@ -243,21 +243,21 @@ message! {
 
     /// State of one part of a node.
     DiagnosticStatus = "diagnostic_msgs/msg/DiagnosticStatus" {
-        /// 0 OK, 1 WARN, 2 ERROR, 3 STALE.
+        /// Level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
         level: u8,
         /// `<node>: <task>`.
         name: String,
-        /// The state in words.
+        /// State as text.
         message: String,
         /// The hardware or model concerned.
         hardware_id: String,
-        /// Numbers behind it.
+        /// Values that explain the state.
         values: Vec<KeyValue>,
     }
 
     /// States of a node's parts.
     DiagnosticArray = "diagnostic_msgs/msg/DiagnosticArray" {
-        /// When.
+        /// Time of the states.
         header: Header,
         /// One per part.
         status: Vec<DiagnosticStatus>,
@@ -265,13 +265,13 @@ message! {
 
     /// A line of a node's log.
     Log = "rcl_interfaces/msg/Log" {
-        /// When.
+        /// Time of the line.
         stamp: Time,
-        /// 10 debug, 20 info, 30 warn, 40 error, 50 fatal.
+        /// Level: 10 debug, 20 info, 30 warn, 40 error, 50 fatal.
         level: u8,
-        /// Logger.
+        /// Name of the logger.
         name: String,
-        /// The line.
+        /// Text of the line.
         msg: String,
         /// Source file.
         file: String,
@@ -283,7 +283,7 @@ message! {
 }
 
 impl Time {
-    /// The instant `nanos` nanoseconds after the epoch; beyond 32 bits of seconds it stays at the last one.
+    /// Creates the time `nanos` nanoseconds after the epoch; saturates at the range of 32-bit seconds.
     pub fn from_nanos(nanos: i64) -> Self {
         let sec = nanos.div_euclid(1_000_000_000);
         let Ok(sec) = i32::try_from(sec) else {
@@ -292,24 +292,24 @@ impl Time {
         Self { sec, nanosec: nanos.rem_euclid(1_000_000_000) as u32 }
     }
 
-    /// Nanoseconds after the epoch.
+    /// Returns the nanoseconds after the epoch.
     pub fn nanos(self) -> i64 {
         i64::from(self.sec) * 1_000_000_000 + i64::from(self.nanosec)
     }
 
-    /// Seconds after the epoch.
+    /// Returns the seconds after the epoch.
     pub fn secs(self) -> f64 {
         f64::from(self.sec) + f64::from(self.nanosec) * 1e-9
     }
 
-    /// Whether nobody set it.
+    /// True if the time is zero, which means that nobody set it.
     pub fn is_zero(self) -> bool {
         self == Self::default()
     }
 }
 
 impl Default for Quaternion {
-    /// No rotation.
+    /// Returns the identity.
     fn default() -> Self {
         Self { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }
     }

@@ -1,10 +1,10 @@
-//! Linear layers, layer norms and attention blocks that encoder, temporal fusion and decoder share.
+//! Linear layers, layer norms and attention blocks, shared by encoder, temporal fusion and decoder.
 
 use candle_core::{D, Result, Tensor};
 use candle_nn::VarBuilder;
+use egotac_kernels::ops;
 
 use super::init::Scheme;
-use super::ops;
 
 /// Epsilon of every layer norm.
 pub const EPS: f64 = 1e-6;
@@ -17,14 +17,14 @@ pub struct Linear {
 }
 
 impl Linear {
-    /// Tensors `weight` `(n, k)` and `bias` `(n)` of `vb`.
+    /// Takes the tensors `weight` `(n, k)` and `bias` `(n)` of `vb`.
     pub fn new(k: usize, n: usize, scheme: Scheme, vb: VarBuilder) -> Result<Self> {
         let weight = vb.get_with_hints((n, k), "weight", scheme.weight(k))?;
         let bias = vb.get_with_hints(n, "bias", scheme.bias(k))?;
         Ok(Self { weight, bias })
     }
 
-    /// A convolution over RGB patches, stride = kernel = `patch`, as a linear layer over their 3 · patch² values:
+    /// Takes a convolution over RGB patches, stride = kernel = `patch`, as a linear layer over their 3 · patch² values:
     /// tensors `weight` `(n, 3, patch, patch)` and `bias` `(n)` of `vb`.
     pub fn patches(n: usize, patch: usize, vb: VarBuilder) -> Result<Self> {
         let k = 3 * patch * patch;
@@ -33,28 +33,28 @@ impl Linear {
         Ok(Self { weight, bias })
     }
 
-    /// `x`: `(.., k)`. Returns `(.., n)`.
+    /// Applies the layer. `x`: `(.., k)`. Returns `(.., n)`.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         ops::linear(x, &self.weight, &self.bias)
     }
 
-    /// Self-attention of the layer's outputs: queries, keys and values side by side. `x`: `(B, N, k)`.
+    /// Computes self-attention over the layer's outputs: queries, keys and values side by side. `x`: `(B, N, k)`.
     fn attend(&self, x: &Tensor, heads: usize) -> Result<Tensor> {
         ops::self_attention(x, &self.weight, &self.bias, heads)
     }
 
-    /// Weight `(n, k)` and bias `(n)`, in rows.
+    /// Returns weight `(n, k)`, row-major, and bias `(n)`.
     pub fn values(&self) -> Result<(Vec<f32>, Vec<f32>)> {
         Ok((self.weight.flatten_all()?.to_vec1()?, self.bias.to_vec1()?))
     }
 
-    /// The layer whose outputs are scaled by `scale`, `(n)`.
+    /// Returns the layer with its outputs scaled by `scale`, `(n)`.
     pub fn scaled(&self, scale: &Tensor) -> Result<Self> {
         let weight = self.weight.broadcast_mul(&scale.unsqueeze(1)?)?;
         Ok(Self { weight, bias: (&self.bias * scale)? })
     }
 
-    /// One layer whose output is the layers' outputs side by side.
+    /// Joins three layers into one whose output is theirs side by side.
     fn packed(layers: &[Linear; 3]) -> Result<Self> {
         let weight = Tensor::cat(&layers.each_ref().map(|layer| &layer.weight), 0)?;
         let bias = Tensor::cat(&layers.each_ref().map(|layer| &layer.bias), 0)?;
@@ -70,19 +70,19 @@ pub struct LayerNorm {
 }
 
 impl LayerNorm {
-    /// Tensors `weight` and `bias` `(d)` of `vb`.
+    /// Takes the tensors `weight` and `bias` `(d)` of `vb`.
     pub fn new(d: usize, vb: VarBuilder) -> Result<Self> {
         let weight = vb.get_with_hints(d, "weight", candle_nn::Init::Const(1.0))?;
         let bias = vb.get_with_hints(d, "bias", candle_nn::Init::Const(0.0))?;
         Ok(Self { weight, bias })
     }
 
-    /// Weight and bias, `(d)` each.
+    /// Returns weight and bias, `(d)` each.
     pub fn values(&self) -> Result<(Vec<f32>, Vec<f32>)> {
         Ok((self.weight.to_vec1()?, self.bias.to_vec1()?))
     }
 
-    /// `x`: `(.., d)`.
+    /// Normalises the last dimension of `x`, `(.., d)`.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         ops::layer_norm(x, Some((&self.weight, &self.bias)), EPS)
     }
@@ -96,22 +96,22 @@ pub struct Mlp {
 }
 
 impl Mlp {
-    /// Hidden channels per channel of the stream.
+    /// Hidden channels per channel of the residual stream.
     pub const EXPANSION: usize = 4;
 
-    /// Tensors `fc1`, `fc2` of `vb`.
+    /// Takes the tensors of `fc1` and `fc2` of `vb`.
     pub fn new(d: usize, scheme: Scheme, vb: VarBuilder) -> Result<Self> {
         let fc1 = Linear::new(d, Self::EXPANSION * d, scheme, vb.pp("fc1"))?;
         let fc2 = Linear::new(Self::EXPANSION * d, d, scheme, vb.pp("fc2"))?;
         Ok(Self { fc1, fc2 })
     }
 
-    /// Both layers.
+    /// Returns both layers.
     pub fn parts(self) -> (Linear, Linear) {
         (self.fc1, self.fc2)
     }
 
-    /// `x`: `(.., d)`.
+    /// Applies both layers to `x`, `(.., d)`.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         ops::gelu_linear(&self.fc1.forward(x)?, &self.fc2.weight, &self.fc2.bias)
     }
@@ -119,8 +119,8 @@ impl Mlp {
 
 /// Multi-head self-attention.
 ///
-/// Queries, keys and values come from one matrix product over the three weights side by side, so that the input is
-/// read once and the backward pass gives its gradient in one product too.
+/// Queries, keys and values come from one matrix product over the three weights side by side: it reads the input once, and
+/// the backward pass computes the gradient of the input in one product too.
 #[derive(Debug, Clone)]
 pub struct SelfAttention {
     qkv: Qkv,
@@ -128,14 +128,14 @@ pub struct SelfAttention {
     heads: usize,
 }
 
-/// The three projections as the checkpoint has them (they may be trained), or packed once for inference.
+/// The three projections: separate as in the checkpoint, to be trained, or packed once for inference.
 #[derive(Debug, Clone)]
 enum Qkv {
     Parts(Box<[Linear; 3]>),
     Packed(Linear),
 }
 
-/// Where the four linear layers of a self-attention lie below its `vb`.
+/// Names of the four linear layers of a self-attention below its `vb`.
 pub struct AttentionNames {
     /// Query projection.
     pub q: &'static str,
@@ -147,18 +147,18 @@ pub struct AttentionNames {
     pub out: &'static str,
 }
 
-/// Names in temporal fusion and decoder.
-pub const OWN_NAMES: AttentionNames = AttentionNames { q: "q", k: "k", v: "v", out: "out" };
+/// Names in the decoder.
+pub const DECODER_NAMES: AttentionNames = AttentionNames { q: "q", k: "k", v: "v", out: "out" };
 
 impl SelfAttention {
-    /// Four `(d, d)` linear layers under `names` of `vb`.
+    /// Takes four `(d, d)` linear layers under `names` of `vb`.
     pub fn new(d: usize, heads: usize, names: &AttentionNames, scheme: Scheme, vb: VarBuilder) -> Result<Self> {
         let linear = |name| Linear::new(d, d, scheme, vb.pp(name));
         let parts = [linear(names.q)?, linear(names.k)?, linear(names.v)?];
         Ok(Self { qkv: Qkv::Parts(Box::new(parts)), out: linear(names.out)?, heads })
     }
 
-    /// Packs the projections once; later changes of the parameters are not seen.
+    /// Packs the projections once; later changes of the parameters have no effect.
     pub fn freeze(&mut self) -> Result<()> {
         if let Qkv::Parts(parts) = &self.qkv {
             self.qkv = Qkv::Packed(Linear::packed(parts)?);
@@ -166,7 +166,7 @@ impl SelfAttention {
         Ok(())
     }
 
-    /// Attention weights of the first token: `x` `(B, N, d)`, returns `(B, heads, N)`.
+    /// Computes the attention weights of the first token. `x`: `(B, N, d)`. Returns `(B, heads, N)`.
     pub fn first_weights(&self, x: &Tensor) -> Result<Tensor> {
         let (b, n, d) = x.dims3()?;
         let qkv = match &self.qkv {
@@ -182,7 +182,7 @@ impl SelfAttention {
         candle_nn::ops::softmax(&scores, D::Minus1)?.reshape((b, heads, n))
     }
 
-    /// The three projections as one layer, and the output projection.
+    /// Returns the three projections as one layer, and the output projection.
     pub fn parts(self) -> Result<(Linear, Linear)> {
         match self.qkv {
             Qkv::Parts(parts) => Ok((Linear::packed(&parts)?, self.out)),
@@ -190,7 +190,7 @@ impl SelfAttention {
         }
     }
 
-    /// The value projection and the output projection: all there is for a single token.
+    /// Returns value and output projection, the only ones that matter for sequences of a single token.
     pub fn value_and_out(self) -> Result<(Linear, Linear)> {
         match self.qkv {
             Qkv::Parts(parts) => {
@@ -204,10 +204,10 @@ impl SelfAttention {
         }
     }
 
-    /// `x`: `(B, N, d)`. Returns `(B, N, d)`.
+    /// Attends. `x`: `(B, N, d)`. Returns `(B, N, d)`.
     ///
-    /// The softmax over a single key is 1, so for N = 1 the result is the value, and query and key get no gradient
-    /// (it is zero).
+    /// The softmax over a single key is 1: for N = 1 the result is the projected value, and the gradients of query and key,
+    /// which are zero, are not computed.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let y = match &self.qkv {
             Qkv::Parts(parts) if x.dim(1)? == 1 => parts[2].forward(x)?,
@@ -222,11 +222,11 @@ impl SelfAttention {
     }
 }
 
-/// Multi-head attention of one learned query, the same for the whole batch, over many tokens.
+/// Multi-head attention of one learned query, which the whole batch shares, over many tokens.
 ///
-/// With one query per head the key projection can be moved over to it, `qₕ·(Wₖ x) = (Wₖᵀ qₕ)·x`, and the value
-/// projection behind the weighted sum, `Σ a (Wᵥ x) = Wᵥ (Σ a x)`: two products with `heads` columns instead of two
-/// with `d`. The bias of the key adds the same to every score, so the softmax drops it.
+/// With one query per head, the key projection can be applied to the query instead, `qₕ·(Wₖ x) = (Wₖᵀ qₕ)·x`, and the
+/// value projection to the weighted sum, `Σ a (Wᵥ x) = Wᵥ (Σ a x)`: two products with `heads` columns instead of two
+/// with `d`. The bias of the key adds the same number to every score, which the softmax cancels.
 #[derive(Debug, Clone)]
 pub struct PooledAttention {
     q: Linear,
@@ -235,33 +235,34 @@ pub struct PooledAttention {
     pub v: Linear,
     /// Output projection.
     pub out: Linear,
-    /// Heads.
+    /// Number of heads.
     pub heads: usize,
 }
 
 impl PooledAttention {
-    /// Tensors `q`, `k`, `v`, `out` of `vb`.
+    /// Takes the linear layers `q`, `k`, `v`, `out` of `vb`.
     pub fn new(d: usize, heads: usize, vb: VarBuilder) -> Result<Self> {
         let linear = |name| Linear::new(d, d, Scheme::Torch, vb.pp(name));
         Ok(Self { q: linear("q")?, k: linear("k")?, v: linear("v")?, out: linear("out")?, heads })
     }
 
-    /// The query of each head through the key weights, over √size: `(heads, d)`. `query`: `(1, d)`.
-    pub fn folded(&self, query: &Tensor) -> Result<Tensor> {
+    /// Multiplies the query of each head by the key weights, and divides by √size. `query`: `(1, d)`. Returns `(heads, d)`.
+    pub fn folded_query(&self, query: &Tensor) -> Result<Tensor> {
         let d = query.dim(D::Minus1)?;
         let (heads, size) = (self.heads, d / self.heads);
         let q = (self.q.forward(query)?.reshape((heads, 1, size))? / (size as f64).sqrt())?;
         q.matmul(&self.k.weight.reshape((heads, size, d))?)?.reshape((heads, d))
     }
 
-    /// Attention weights. `query`: `(1, d)`, `tokens`: `(B, N, d)`. Returns `(B, heads, N)`.
+    /// Computes attention weights. `query`: `(1, d)`, `tokens`: `(B, N, d)`. Returns `(B, heads, N)`.
     pub fn weights(&self, query: &Tensor, tokens: &Tensor) -> Result<Tensor> {
         let (b, n, d) = tokens.dims3()?;
-        let scores = tokens.reshape((b * n, d))?.matmul(&self.folded(query)?.t()?)?.reshape((b, n, self.heads))?;
+        let scores =
+            tokens.reshape((b * n, d))?.matmul(&self.folded_query(query)?.t()?)?.reshape((b, n, self.heads))?;
         candle_nn::ops::softmax(&scores.transpose(1, 2)?.contiguous()?, D::Minus1)
     }
 
-    /// `query`: `(1, d)`, `tokens`: `(B, N, d)`. Returns `(B, d)`.
+    /// Attends. `query`: `(1, d)`, `tokens`: `(B, N, d)`. Returns `(B, d)`.
     pub fn forward(&self, query: &Tensor, tokens: &Tensor) -> Result<Tensor> {
         let (b, _, d) = tokens.dims3()?;
         let (heads, size) = (self.heads, d / self.heads);

@@ -1,4 +1,4 @@
-//! The best network that keeps a latency budget on this machine.
+//! Choice of the best network that meets a latency budget on this machine.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -10,15 +10,15 @@ use super::predictor::{Options, Predictor};
 use super::{Checkpoint, Precision, checkpoint};
 use crate::error::{Error, Result};
 
-/// Size of the images that a candidate is tried on.
+/// Width and height of the test image, pixels: a common camera.
 const PICTURE: (u32, u32) = (640, 480);
-/// Images per candidate; the first does not count, of the others the median does.
+/// Test images per candidate. The first one warms up the network; the latency is the median of the others.
 const TRIES: usize = 6;
 
-/// A configuration that was tried.
+/// A candidate whose latency was measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tried {
-    /// Its file.
+    /// Checkpoint file.
     pub path: PathBuf,
     /// Number format.
     pub precision: Precision,
@@ -26,27 +26,27 @@ pub struct Tried {
     pub latency_ms: f64,
 }
 
-/// What was chosen, and from what.
+/// Result of the choice.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Choice {
-    /// The budget, ms.
+    /// Latency budget, ms.
     pub budget_ms: f64,
-    /// The chosen one.
+    /// The chosen candidate.
     pub chosen: Tried,
-    /// Better ones, which were too slow.
+    /// Better candidates that were too slow.
     pub too_slow: Vec<Tried>,
-    /// Whether the chosen one keeps the budget; if not, nothing does, and it is the fastest.
+    /// True if the chosen candidate meets the budget; otherwise none does, and it is the fastest.
     pub fits: bool,
 }
 
-/// Tries the checkpoints from the best to the cheapest, and takes the first whose median latency keeps the budget; if none
-/// does, the fastest.
+/// Measures the checkpoints from the best to the smallest, and chooses the first whose median latency meets the budget; if
+/// none does, the fastest.
 ///
-/// A network with more parameters counts as better than one with fewer, and among those of one checkpoint f32 as better
-/// than int8. bf16 saves memory and not time, so it is not tried. On another device than the CPU only f32 is there.
+/// A network with more parameters ranks higher; of one checkpoint, f32 ranks above int8. bf16 saves memory but no time, and
+/// is left out. Devices other than the CPU have f32 only.
 ///
 /// # Errors
-/// If there is no checkpoint, or one can't be used.
+/// If there is no checkpoint, or one can't be loaded.
 pub fn pick(paths: &[PathBuf], budget_ms: f64, options: &Options) -> Result<(Predictor, Choice)> {
     let mut sized = Vec::new();
     for path in paths {
@@ -77,10 +77,10 @@ pub fn pick(paths: &[PathBuf], budget_ms: f64, options: &Options) -> Result<(Pre
     Ok((predictor, Choice { budget_ms, chosen, too_slow: tried, fits: false }))
 }
 
-/// The checkpoints that a path names: itself, or the safetensors files of a folder.
+/// Returns the checkpoints that a path names: the file itself, or the safetensors files of a folder.
 ///
 /// # Errors
-/// If it is a folder that can't be read or has none.
+/// If the folder can't be read or has no such file.
 pub fn candidates(path: &Path) -> Result<Vec<PathBuf>> {
     if !path.is_dir() {
         return Ok(vec![path.to_path_buf()]);
@@ -103,7 +103,7 @@ fn load(path: &Path, precision: Precision, options: &Options) -> Result<Predicto
     Predictor::load(path, Options { precision, ..options.clone() })
 }
 
-/// Median over a few images; the stream is forgotten afterwards.
+/// Measures the median latency of a few images, ms, and resets the stream.
 fn latency_ms(predictor: &mut Predictor) -> Result<f64> {
     let picture = RgbImage::new(PICTURE.0, PICTURE.1);
     let mut times = Vec::new();

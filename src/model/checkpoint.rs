@@ -1,4 +1,4 @@
-//! Checkpoints: weights in safetensors, with everything a stranger needs to use them in the file's metadata.
+//! Checkpoints: weights in safetensors, with geometry and preparation of images in the file's metadata.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,45 +14,45 @@ use super::{Config, EgoTac, Precision};
 use crate::error::{Error, Result};
 use crate::file;
 
-/// What names of the encoder's tensors begin with.
+/// Prefix of the names of the encoder's tensors.
 pub const ENCODER: &str = "encoder.";
-/// Part of published DINOv2 checkpoints that inference never touches; allowed in a file and ignored.
+/// Tensor of published DINOv2 checkpoints that only their own training uses; allowed in a file and ignored.
 const MASK_TOKEN: &str = "encoder.embeddings.mask_token";
 
-/// Number format of a file's weights. Either way they are f32 once loaded.
+/// Number format of the weights in a file. Loading converts them to f32.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stored {
-    /// 4 bytes.
+    /// 4 bytes per weight.
     F32,
-    /// 2 bytes: 11 significant bits, at most 65504.
+    /// 2 bytes per weight: 11 significant bits, at most 65504.
     F16,
 }
 
-/// A network ready to run, with what its file says.
+/// A compiled network and the metadata of its file.
 #[derive(Debug, Clone)]
 pub struct Checkpoint {
-    /// The frozen network.
+    /// The compiled network.
     pub model: EgoTac,
-    /// What the file says beside the weights.
+    /// Metadata of the file.
     pub metadata: Metadata,
     /// SHA-256 of the file, lower-case hexadecimal, as `sha256sum` prints it.
     pub sha256: String,
 }
 
 impl Checkpoint {
-    /// Loads a checkpoint that says everything a predictor needs.
+    /// Loads a checkpoint for inference in f32.
     ///
     /// # Errors
-    /// If the file can't be read, a key of the metadata is missing or out of range, or a tensor is missing, unexpected,
-    /// misshapen, of an unknown type or not finite.
+    /// If the file can't be read, a key of the metadata is missing or out of range, or a tensor is missing, unexpected, of a
+    /// wrong shape, of an unknown type or not finite.
     pub fn load(path: &Path, device: &Device) -> Result<Self> {
         Self::load_as(path, device, Precision::F32)
     }
 
-    /// As [`Checkpoint::load`], compiled in the wanted precision.
+    /// As [`Checkpoint::load`], in another precision.
     ///
     /// # Errors
-    /// As [`Checkpoint::load`], and if the device has no such precision (int8 is for the CPU).
+    /// As [`Checkpoint::load`], and if the device does not support the precision (int8 needs the CPU).
     pub fn load_as(path: &Path, device: &Device, precision: Precision) -> Result<Self> {
         let bytes = read(path)?;
         let file = File::parse(path, &bytes)?;
@@ -64,7 +64,7 @@ impl Checkpoint {
         Ok(Self { model, metadata, sha256 })
     }
 
-    /// Saves the variables of a network in training, whole or not at all. Returns the file's SHA-256.
+    /// Saves the variables of a network in training in an atomic write. Returns the SHA-256 of the file.
     ///
     /// Equal weights and metadata give equal bytes.
     ///
@@ -88,10 +88,10 @@ impl Checkpoint {
         Self::save_as(path, config, metadata, tensors, Stored::F32)
     }
 
-    /// As [`Checkpoint::save_tensors`], with numbers of the wanted size.
+    /// As [`Checkpoint::save_tensors`], in another number format.
     ///
     /// # Errors
-    /// As [`Checkpoint::save`], and if a value is beyond what f16 can say.
+    /// As [`Checkpoint::save`], and if a value is beyond the range of f16.
     pub fn save_as(
         path: &Path,
         config: &Config,
@@ -109,9 +109,9 @@ impl Checkpoint {
     }
 }
 
-/// Loads the network alone, not yet compiled: for files that say nothing but their weights and perhaps their geometry.
+/// Loads a network in its trainable form from a file without metadata, or with its geometry alone.
 ///
-/// `config` is used in place of the file's own.
+/// `config` replaces the geometry of the file.
 ///
 /// # Errors
 /// If the file can't be read, neither the caller nor the file gives a configuration, or a tensor does not fit.
@@ -125,11 +125,11 @@ pub fn load_model(path: &Path, config: Option<&Config>, device: &Device) -> Resu
     file.model(path, &config, device, Precision::F32)
 }
 
-/// Loads a checkpoint's network not yet compiled, on the CPU: its attention can be looked at.
+/// Loads the network of a checkpoint in its trainable form, on the CPU: only that form has attention weights to show.
 ///
 /// # Errors
 /// As [`Checkpoint::load`].
-pub fn load_layers(path: &Path) -> Result<(EgoTac, Metadata)> {
+pub fn load_uncompiled(path: &Path) -> Result<(EgoTac, Metadata)> {
     let bytes = read(path)?;
     let file = File::parse(path, &bytes)?;
     let metadata = Metadata::from_map(path, &file.metadata)?;
@@ -137,15 +137,15 @@ pub fn load_layers(path: &Path) -> Result<(EgoTac, Metadata)> {
     Ok((file.model(path, &config, &Device::Cpu, Precision::F32)?, metadata))
 }
 
-/// The geometry that a checkpoint says it has.
+/// Reads the geometry of a checkpoint.
 ///
 /// # Errors
-/// If the file can't be read or does not say.
+/// If the file can't be read or has no geometry.
 pub fn geometry(path: &Path) -> Result<Config> {
     File::parse(path, &read(path)?)?.config(path)
 }
 
-/// A checkpoint's geometry, what it says of itself, and its tensors as f32 on the CPU, which are exactly the geometry's.
+/// Reads geometry, metadata and tensors of a checkpoint. The tensors are f32 on the CPU, and exactly those of the geometry.
 ///
 /// # Errors
 /// As [`Checkpoint::load`].
@@ -157,8 +157,8 @@ pub fn load_tensors(path: &Path) -> Result<(Config, Metadata, BTreeMap<String, T
     Ok((config, metadata, file.tensors))
 }
 
-/// Sets the variables of a network in training to a file's weights, all or none. Returns what the file says of itself
-/// beside its weights, if it does.
+/// Sets the variables of a network in training to the weights of a file, all or none. Returns the metadata of the file, if
+/// it has any.
 ///
 /// # Errors
 /// If the file can't be read, or its tensors are not exactly the variables, by name and shape.
@@ -183,10 +183,10 @@ pub fn load_variables(path: &Path, vars: &VarMap) -> Result<Option<Metadata>> {
     Ok(metadata)
 }
 
-/// Sets the encoder's variables of a network in training to those of a file, all or none; what else the file holds is left.
+/// Sets the encoder's variables of a network in training to those of a file, all or none; other tensors are ignored.
 ///
 /// # Errors
-/// If the file can't be read, or lacks one of the encoder's tensors in its shape.
+/// If the file can't be read, or a tensor of the encoder is missing or of another shape.
 pub fn load_encoder(path: &Path, vars: &VarMap) -> Result<()> {
     let mut tensors = read_tensors(path)?;
     let vars = lock(vars)?;
@@ -206,7 +206,7 @@ pub fn load_encoder(path: &Path, vars: &VarMap) -> Result<()> {
     Ok(())
 }
 
-/// Saves tensors under their names, without metadata, whole or not at all; f32.
+/// Saves tensors under their names, without metadata, as f32 in an atomic write.
 ///
 /// # Errors
 /// If a value is not finite or the file can't be written.
@@ -214,21 +214,20 @@ pub fn save_tensors(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<(
     file::write(path, &serialize(path, tensors, &BTreeMap::new(), Stored::F32)?)
 }
 
-/// Parameters of a network of this geometry.
+/// Returns the number of parameters of a network of this geometry.
 ///
 /// # Errors
 /// If the configuration does not pass its check.
 pub fn parameter_count(config: &Config) -> Result<usize> {
     let loader = Loader::new(BTreeMap::new());
     EgoTac::new(config, loader.var_builder(&Device::Cpu))?;
-    loader.count()
+    Ok(loader.count())
 }
 
-/// A file's tensors as f32 on the CPU, by name: safetensors, or a PyTorch archive, which is read without executing what
-/// it asks for.
+/// Reads the tensors of a file as f32 on the CPU, by name: safetensors, or a PyTorch archive, whose code is not executed.
 ///
 /// # Errors
-/// If the file can't be read, is neither, or a tensor is of an unknown type or not finite.
+/// If the file can't be read, is of neither format, or a tensor is of an unknown type or not finite.
 pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>> {
     let bytes = read(path)?;
     if !bytes.starts_with(b"PK\x03\x04") {
@@ -236,7 +235,7 @@ pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>> {
     }
     drop(bytes);
     let invalid = |error| Error::file(path, format!("not a PyTorch file of tensors: {error}"));
-    // Some programs save the tensors themselves, others a dictionary that has them under one of these names.
+    // Some programs save the tensors at the top level, others in a dictionary under one of these names.
     let mut tensors = candle_core::pickle::read_all(path).map_err(invalid)?;
     for key in ["state_dict", "model", "model_state_dict"] {
         if tensors.is_empty() {
@@ -260,7 +259,7 @@ pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>> {
     tensors.into_iter().map(checked).collect()
 }
 
-/// A parsed file.
+/// A parsed safetensors file.
 struct File {
     metadata: BTreeMap<String, String>,
     tensors: BTreeMap<String, Tensor>,
@@ -289,7 +288,7 @@ impl File {
         Config::from_json(json).map_err(|error| Error::file(path, error))
     }
 
-    /// The engine of the CPU takes f32, whatever it makes of it.
+    /// Builds the network. On the CPU its tensors are f32 for every precision: the engine converts them when it compiles.
     fn model(self, path: &Path, config: &Config, device: &Device, precision: Precision) -> Result<EgoTac> {
         let dtype = if precision == Precision::Bf16 && !device.is_cpu() { DType::BF16 } else { DType::F32 };
         let loader = Loader::new(self.tensors);
@@ -317,14 +316,14 @@ fn tensor(path: &Path, name: &str, view: &TensorView) -> Result<Tensor> {
 /// Checks that tensors are exactly those of a geometry.
 ///
 /// # Errors
-/// Names what is missing, unexpected or misshapen, and `path` as their home.
+/// Names tensors that are missing, unexpected or of a wrong shape, and `path` as their file.
 pub(super) fn check(path: &Path, config: &Config, tensors: &BTreeMap<String, Tensor>) -> Result<()> {
     let loader = Loader::new(tensors.clone());
     EgoTac::new(config, loader.var_builder(&Device::Cpu))?;
     loader.finish(path)
 }
 
-/// The variables by name, on the CPU.
+/// Returns the variables by name, as f32 on the CPU.
 pub(super) fn variables(vars: &VarMap) -> Result<BTreeMap<String, Tensor>> {
     lock(vars)?
         .iter()
@@ -333,10 +332,10 @@ pub(super) fn variables(vars: &VarMap) -> Result<BTreeMap<String, Tensor>> {
 }
 
 fn lock(vars: &VarMap) -> Result<std::sync::MutexGuard<'_, std::collections::HashMap<String, candle_core::Var>>> {
-    vars.data().lock().map_err(|_| Error::value("variables", "an intact map", "one that a thread died in"))
+    vars.data().lock().map_err(|_| Error::value("variables", "a map in working order", "one whose thread panicked"))
 }
 
-/// The bytes of a safetensors file; the library would write the metadata in random order.
+/// Returns the bytes of a safetensors file. The metadata is written here, since the library writes it in random order.
 fn serialize(
     path: &Path,
     tensors: &BTreeMap<String, Tensor>,

@@ -4,16 +4,19 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 
-/// Widest width, deepest stack and largest image that a configuration may ask for; beyond lies a typing error.
+/// Largest width. The four limits are far beyond published networks; a larger number is a typing error.
 const MAX_WIDTH: usize = 8192;
+/// Largest number of layers of encoder or decoder.
 const MAX_DEPTH: usize = 96;
+/// Largest side of image or patch, pixels.
 const MAX_IMAGE: usize = 4096;
+/// Largest number of observation steps, tactile steps or register tokens.
 const MAX_STEPS: usize = 256;
 
 /// Geometry of the network.
 ///
-/// Its JSON form has exactly these keys, all required but `registers`; unknown keys are refused. [`Config::from_json`] and the
-/// network's constructors run [`Config::check`].
+/// The JSON form has exactly these keys, all required but `registers`; an unknown key is an error. [`Config::from_json`] and
+/// the constructors of the network run [`Config::check`].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
@@ -39,8 +42,8 @@ pub struct Config {
     pub horizon: usize,
     /// K: tactile steps predicted.
     pub predict: usize,
-    /// Register tokens of the vision encoder; such an encoder resamples its position embeddings with antialiasing. 0
-    /// for an encoder without, and then absent from the JSON form.
+    /// Register tokens of the vision encoder; an encoder with registers resamples its position embeddings with antialiasing.
+    /// 0 for an encoder without; the JSON form then lacks the key.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub registers: usize,
 }
@@ -53,10 +56,10 @@ impl Config {
     /// Names of the presets, for [`Config::preset`].
     pub const PRESETS: [&'static str; 5] = ["toy", "pocket", "tiny", "small", "base"];
 
-    /// The preset of this name.
+    /// Returns the preset of this name.
     ///
     /// # Errors
-    /// If there is none.
+    /// If the name is unknown.
     pub fn preset(name: &str) -> Result<Self> {
         match name {
             "toy" => Ok(Self::toy()),
@@ -68,7 +71,7 @@ impl Config {
         }
     }
 
-    /// For tests: 0.24 M parameters.
+    /// Network for tests: 0.24 M parameters.
     pub fn toy() -> Self {
         Self {
             vision_width: 48,
@@ -86,7 +89,8 @@ impl Config {
         }
     }
 
-    /// For small machines, and what the shipped checkpoint grew from: 2.7 M parameters (10.6 MB in f32), 65 tokens per frame.
+    /// Network for small machines, from which the shipped checkpoint was grown: 2.7 M parameters (10.6 MB in f32), 65 tokens
+    /// per frame.
     ///
     /// Small enough to be trained from scratch on two CPU cores: one frame costs the encoder 0.16 GFLOP.
     pub fn pocket() -> Self {
@@ -106,17 +110,17 @@ impl Config {
         }
     }
 
-    /// ViT-Ti sized encoder, 257 tokens per frame: 8.7 M parameters.
+    /// Network with an encoder of the size of ViT-Ti, 257 tokens per frame: 8.7 M parameters.
     pub fn tiny() -> Self {
         Self { vision_width: 192, vision_heads: 3, width: 192, depth: 4, heads: 3, ..Self::base() }
     }
 
-    /// The published DINOv2 small encoder.
+    /// Network with the published DINOv2 small encoder.
     pub fn small() -> Self {
         Self { vision_width: 384, vision_heads: 6, width: 384, heads: 6, ..Self::base() }
     }
 
-    /// The published DINOv2 base encoder.
+    /// Network with the published DINOv2 base encoder.
     pub fn base() -> Self {
         Self {
             vision_width: 768,
@@ -145,16 +149,16 @@ impl Config {
         Ok(config)
     }
 
-    /// The JSON form that [`Config::from_json`] reads.
+    /// Returns the JSON form that [`Config::from_json`] reads.
     pub fn to_json(&self) -> String {
-        // A struct of integers has no way to fail.
+        // Serialising a struct of integers cannot fail.
         serde_json::to_string(self).unwrap_or_default()
     }
 
     /// Checks ranges and divisibility; every network is built from a configuration that passed.
     ///
     /// # Errors
-    /// Names the first key that is out of range, with what is allowed.
+    /// Names the first key that is out of range, with its allowed values.
     pub fn check(&self) -> Result<()> {
         let ranges = [
             ("vision_width", self.vision_width, MAX_WIDTH),
@@ -202,7 +206,7 @@ impl Config {
         self.pretrain_image / self.patch
     }
 
-    /// P: vision tokens per frame that the encoder hands on, CLS included, registers not.
+    /// P: vision tokens per frame that the encoder returns, CLS included, registers not.
     pub fn tokens(&self) -> usize {
         self.grid() * self.grid() + 1
     }
@@ -224,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn config_with_unknown_missing_or_impossible_key_is_refused() {
+    fn a_config_with_an_unknown_missing_or_impossible_key_is_refused() {
         let json = Config::toy().to_json();
         for (from, to, names) in [
             ("\"depth\":2", "\"depht\":2", "depht"),

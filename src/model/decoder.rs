@@ -1,15 +1,15 @@
-//! The tactile decoder: learned queries, conditioned on the scene vector, become force and contact.
+//! The tactile decoder: learned queries, conditioned on the scene vector, are decoded to force and contact.
 
 use candle_core::{Result, Tensor};
 use candle_nn::{Init, VarBuilder};
+use egotac_kernels::ops;
 
-use super::attention::{EPS, LayerNorm, Linear, Mlp, OWN_NAMES, SelfAttention};
+use super::attention::{DECODER_NAMES, EPS, LayerNorm, Linear, Mlp, SelfAttention};
 use super::config::Config;
 use super::init::{STD, Scheme};
-use super::ops;
 use crate::tactile::N_FIELD;
 
-/// K queries through AdaLN-conditioned layers to two heads.
+/// K learned queries, layers conditioned by AdaLN, and two heads.
 #[derive(Debug, Clone)]
 pub struct Decoder {
     pub(super) queries: Tensor, // (K, d)
@@ -20,7 +20,7 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// Tensors `queries`, `decoder.*`, `norm`, `force_head`, `contact_head` of `vb`, the network's root.
+    /// Takes the tensors `queries`, `decoder.*`, `norm`, `force_head`, `contact_head` of `vb`, the network's root.
     pub fn new(config: &Config, vb: VarBuilder) -> Result<Self> {
         let d = config.width;
         let normal = Init::Randn { mean: 0.0, stdev: STD };
@@ -41,7 +41,7 @@ impl Decoder {
         self.layers.iter_mut().try_for_each(|layer| layer.attn.freeze())
     }
 
-    /// `z`: `(B, d)`. Returns normalised force and contact logits, `(B, K, 1556)` each.
+    /// Decodes scene vectors `z`, `(B, d)`. Returns normalised force and contact logits, `(B, K, 1556)` each.
     pub fn forward(&self, z: &Tensor) -> Result<(Tensor, Tensor)> {
         let (b, d) = z.dims2()?;
         let condition = z.silu()?;
@@ -54,7 +54,7 @@ impl Decoder {
     }
 }
 
-/// Self-attention over the tactile steps and an MLP, each behind an AdaLN.
+/// Self-attention over the tactile steps, then an MLP, each after an AdaLN.
 #[derive(Debug, Clone)]
 pub struct DecoderLayer {
     pub(super) ada_attn: AdaLn,
@@ -69,19 +69,19 @@ impl DecoderLayer {
         Ok(Self {
             ada_attn: AdaLn::new(d, vb.pp("ada_attn"))?,
             ada_mlp: AdaLn::new(d, vb.pp("ada_mlp"))?,
-            attn: SelfAttention::new(d, config.heads, &OWN_NAMES, Scheme::Torch, vb.pp("attn"))?,
+            attn: SelfAttention::new(d, config.heads, &DECODER_NAMES, Scheme::Torch, vb.pp("attn"))?,
             mlp: Mlp::new(d, Scheme::Torch, vb.pp("mlp"))?,
         })
     }
 
-    /// `h`: `(B, K, d)`, `condition`: `(B, d)`.
+    /// Applies the layer. `h`: `(B, K, d)`, `condition`: SiLU(z), `(B, d)`.
     fn forward(&self, h: &Tensor, condition: &Tensor) -> Result<Tensor> {
         let h = (h + self.attn.forward(&self.ada_attn.forward(h, condition)?)?)?;
         &h + self.mlp.forward(&self.ada_mlp.forward(&h, condition)?)?
     }
 }
 
-/// `(1 + γ(z)) LN(h) + β(z)` with a layer norm without parameters of its own; the linear layer yields `[γ, β]`.
+/// Adaptive layer norm, `(1 + γ(z)) LN(h) + β(z)`. LN has no parameters of its own; the linear layer gives `[γ, β]`.
 #[derive(Debug, Clone)]
 pub struct AdaLn {
     pub(super) linear: Linear,
@@ -93,7 +93,7 @@ impl AdaLn {
         Ok(Self { linear: Linear::new(d, 2 * d, Scheme::Zero, vb.pp("linear"))?, d })
     }
 
-    /// `h`: `(B, K, d)`, `condition`: SiLU(z), `(B, d)`.
+    /// Normalises and modulates. `h`: `(B, K, d)`, `condition`: SiLU(z), `(B, d)`.
     fn forward(&self, h: &Tensor, condition: &Tensor) -> Result<Tensor> {
         let modulation = self.linear.forward(condition)?.unsqueeze(1)?; // (B, 1, 2 d)
         let gamma = (modulation.narrow(2, 0, self.d)? + 1.0)?;

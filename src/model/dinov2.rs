@@ -1,17 +1,17 @@
-//! The DINOv2 vision encoder, under the tensor names of published checkpoints.
+//! The DINOv2 vision encoder, with the tensor names of published checkpoints.
 
 use candle_core::{Result, Tensor, bail};
 use candle_nn::{Init, VarBuilder};
+use egotac_kernels::ops;
 
 use super::attention::{AttentionNames, LayerNorm, Linear, Mlp, SelfAttention};
 use super::config::Config;
 use super::init::{STD, Scheme};
-use super::ops;
 
 const NAMES: AttentionNames =
     AttentionNames { q: "attention.query", k: "attention.key", v: "attention.value", out: "output.dense" };
 
-/// Images to tokens: the last hidden state after the final layer norm, CLS first.
+/// Vision encoder: images to the last hidden state after the final layer norm, CLS token first.
 #[derive(Debug, Clone)]
 pub struct Dinov2 {
     pub(super) embeddings: Embeddings,
@@ -20,7 +20,7 @@ pub struct Dinov2 {
 }
 
 impl Dinov2 {
-    /// Tensors of `vb` under the names of published checkpoints.
+    /// Takes the tensors of `vb` under the names of published checkpoints.
     pub fn new(config: &Config, vb: VarBuilder) -> Result<Self> {
         let embeddings = Embeddings::new(config, vb.pp("embeddings"))?;
         let layers = (0..config.vision_depth)
@@ -36,7 +36,7 @@ impl Dinov2 {
         self.layers.iter_mut().try_for_each(|layer| layer.attention.freeze())
     }
 
-    /// What the CLS token of a layer attends to: `(N, heads, patches)`, the patches' share of the weights.
+    /// Computes the attention weights of the CLS token on the patches in one layer: `(N, heads, patches)`.
     pub fn attention(&self, frames: &Tensor, layer: usize) -> Result<Tensor> {
         let mut h = self.embeddings.forward(frames)?;
         for before in self.layers.iter().take(layer) {
@@ -50,7 +50,7 @@ impl Dinov2 {
         weights.narrow(2, h.dim(1)? - patches, patches)
     }
 
-    /// `frames`: `(N, 3, H, W)`, ImageNet-normalised, H = W = `config.image`. Returns `(N, P, dv)`, P with CLS.
+    /// Encodes frames, `(N, 3, H, W)`, ImageNet-normalised, H = W = `config.image`. Returns `(N, P, dv)`, CLS included.
     pub fn forward(&self, frames: &Tensor) -> Result<Tensor> {
         let mut h = self.embeddings.forward(frames)?;
         for layer in &self.layers {
@@ -75,12 +75,12 @@ pub struct Embeddings {
     patch: usize,
 }
 
-/// Position embeddings as learned, with the map onto the input's grid; or that product.
+/// Position embeddings: as learned, with the resampling to the input's grid, or already resampled.
 #[derive(Debug, Clone)]
 enum Positions {
-    /// `(1, 1 + g², dv)`, and `(P - 1, g²)` unless both grids are the same.
+    /// Embeddings `(1, 1 + g², dv)` of a grid of g² patches, and the matrix `(P - 1, g²)` unless both grids are the same.
     Learned(Tensor, Option<Tensor>),
-    /// `(1, P, dv)`.
+    /// Embeddings of the input's grid, `(1, P, dv)`.
     Resampled(Tensor),
 }
 
@@ -114,7 +114,7 @@ impl Embeddings {
         Ok(())
     }
 
-    /// Returns `(1, P, dv)`.
+    /// Computes the position embeddings of the input's grid, `(1, P, dv)`.
     fn positions(&self) -> Result<Tensor> {
         match &self.positions {
             Positions::Resampled(positions) => Ok(positions.clone()),
@@ -143,7 +143,7 @@ impl Embeddings {
         let h = Tensor::cat(&[&cls, &patches], 1)?.broadcast_add(&self.positions()?)?;
         match &self.register_tokens {
             None => Ok(h),
-            // Behind CLS, without a position.
+            // After CLS, without position embeddings.
             Some(registers) => {
                 let (_, count, dv) = registers.dims3()?;
                 let registers = registers.broadcast_as((n, count, dv))?;
@@ -152,7 +152,7 @@ impl Embeddings {
         }
     }
 
-    /// What the tokens are before the image comes, `(1 + registers + patches, dv)` in rows, and the patch projection.
+    /// Returns the tokens before the image is added, `(1 + registers + patches, dv)`, row-major, and the patch projection.
     pub fn parts(self) -> Result<(Vec<f32>, Linear)> {
         let positions = self.positions()?;
         let cls = (&self.cls_token + positions.narrow(1, 0, 1)?)?;
@@ -198,11 +198,11 @@ impl Layer {
     }
 }
 
-/// Bicubic resampling of a square grid as a matrix, `(to², from²)`, as PyTorch's `interpolate` does it.
+/// Returns bicubic resampling of a square grid as a matrix, `(to², from²)`, equal to PyTorch's `interpolate`.
 ///
-/// Half-pixel centres (`align_corners=False`). Without antialiasing Keys' kernel with a = -0.75 and borders repeated;
-/// with it a = -0.5, wider by the scale where the grid shrinks, and cut off at borders. As a matrix product it needs no
-/// backward of its own. The result has the type and device of `like`.
+/// Half-pixel centres (`align_corners=False`). Without antialiasing: Keys' kernel with a = -0.75, borders repeated. With
+/// antialiasing: a = -0.5, the kernel widened by the scale where the grid shrinks and cut off at borders. A matrix product
+/// needs no backward pass of its own. The result has the type and device of `like`.
 fn bicubic_grid(from: usize, to: usize, antialias: bool, like: &Tensor) -> Result<Tensor> {
     let line = if antialias { antialiased_line(from, to) } else { bicubic_line(from, to) }; // (to, from)
     let mut matrix = vec![0.0; to * to * from * from];
@@ -215,7 +215,7 @@ fn bicubic_grid(from: usize, to: usize, antialias: bool, like: &Tensor) -> Resul
     Tensor::from_vec(matrix, (to * to, from * from), like.device())?.to_dtype(like.dtype())
 }
 
-/// Bicubic resampling of a line as a row-major matrix, `(to, from)`; rows sum to 1.
+/// Returns bicubic resampling of a line as a row-major matrix, `(to, from)`; rows sum to 1.
 fn bicubic_line(from: usize, to: usize) -> Vec<f64> {
     let mut matrix = vec![0.0; to * from];
     for (i, weights) in matrix.chunks_exact_mut(from).enumerate() {

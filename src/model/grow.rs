@@ -1,7 +1,8 @@
-//! Growing a trained network: a wider fusion and decoder, more layers, and at first the same function.
+//! Growth of a trained network: wider fusion and decoder, more layers, the same function at first.
 //!
-//! Wider as in Net2Net (Chen et al., 2016): channels are copied, and what reads them shares its weights out among the
-//! copies, unevenly, so that the copies learn apart. Deeper: a copied layer whose contribution begins at zero.
+//! Width grows as in Net2Net (Chen et al., 2016): channels are copied, and each weight that reads a channel is divided among
+//! its copies. The shares are uneven, so that the copies learn different things. Depth grows by copies of layers whose
+//! contribution starts at zero.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,30 +17,30 @@ use super::checkpoint::{self, ENCODER};
 use super::config::Config;
 use crate::error::{Error, Result};
 
-/// How unevenly copies share a weight: standard deviation of what one has beyond its share, over that of the layer's weights.
+/// Unevenness of the shares of a weight: standard deviation of a copy's difference from an equal share, relative to that of
+/// the layer's weights.
 const UNEVEN: f32 = 0.5;
 
-/// What a network grows to; none of it may be less than what the network has.
+/// Sizes of the grown network; none may be less than that of the original.
 #[derive(Debug, Clone)]
 pub struct Growth {
-    /// d: width of temporal fusion and decoder. Heads keep their channels, so that there are more of them.
+    /// d: width of temporal fusion and decoder. Attention heads keep their channels; their number grows.
     pub width: usize,
     /// Layers of the vision encoder.
     pub vision_depth: usize,
     /// Layers of the decoder.
     pub depth: usize,
-    /// Seed of which channels are copied where not all are, and of how the copies share weights.
+    /// Seed of the choice of copied channels, where not all are copied, and of the shares of weights.
     pub seed: u64,
 }
 
-/// The grown geometry and tensors of a network, `path` being its home in errors.
+/// Grows a network. Returns its new geometry and tensors. `path` is the file that errors name.
 ///
-/// The new network is the same function up to rounding where `width` is a multiple of the old one. Elsewhere some channels
-/// have one copy more than others, which shifts what layer normalisation sees, and the function is close to the old one only.
+/// If `width` is a multiple of the old width, the new network is the same function up to rounding. Otherwise some channels
+/// have one copy more than others, which changes the statistics of layer norms, and the function is only close to the old.
 ///
 /// # Errors
-/// If `growth` is less than the network in anything, its width does not fit the heads, or the tensors are not those of
-/// `config`.
+/// If a size is less than the original, the width does not fit the heads, or the tensors are not those of `config`.
 pub fn grow(
     path: &Path,
     config: &Config,
@@ -86,15 +87,15 @@ pub fn grow(
     Ok((grown, deep))
 }
 
-/// For each place along an axis of the grown network, the place in the old one that it is a copy of.
+/// For each index along an axis of the grown network, the index in the original that it copies.
 struct Copies {
-    /// Of the residual stream.
+    /// Channels of the residual stream.
     width: Vec<usize>,
-    /// Of the channels inside of attention: whole heads.
+    /// Channels inside attention, by whole heads.
     heads: Vec<usize>,
-    /// Of the hidden layer of a perceptron.
+    /// Channels of the hidden layer of an MLP.
     hidden: Vec<usize>,
-    /// Of AdaLN's scales, then shifts.
+    /// Outputs of AdaLN: scales, then shifts.
     pairs: Vec<usize>,
 }
 
@@ -111,10 +112,10 @@ impl Copies {
         }
     }
 
-    /// A tensor outside of the encoder, as the grown network has it.
+    /// Widens a tensor outside the encoder.
     fn widen(&self, name: &str, tensor: &Tensor, random: &mut impl Rng) -> Result<Tensor> {
         let has = |parts: &[&str]| parts.iter().any(|part| name.contains(part));
-        // Places that a linear layer writes, and those that it reads; none where they do not grow.
+        // Indices of the outputs and of the inputs of a linear layer; None where they do not grow.
         let (writes, reads) = if has(&[".ada_attn.", ".ada_mlp."]) {
             (Some(&self.pairs), Some(&self.width))
         } else if has(&[".attn.q.", ".attn.k.", ".attn.v."]) {
@@ -130,7 +131,7 @@ impl Copies {
         } else if has(&["temporal.proj."]) {
             (Some(&self.width), None)
         } else {
-            // What is added to the stream or multiplies it, channel by channel.
+            // Tensors that are added to the residual stream, or multiply it, channel by channel.
             return select(tensor, tensor.rank() - 1, &self.width);
         };
         let rows = writes.map_or(Ok(tensor.clone()), |places| select(tensor, 0, places))?;
@@ -141,7 +142,7 @@ impl Copies {
     }
 }
 
-/// Copies of `own` places up to `wanted`: all of them as often as they fit, and as many others, drawn at random, as are left.
+/// Repeats indices 0 .. `own` up to `wanted`: all of them as often as they fit, then a random sample of them.
 fn cycle(own: usize, wanted: usize, random: &mut impl Rng) -> Vec<usize> {
     let mut rest = rand::seq::index::sample(random, own, wanted % own).into_vec();
     rest.sort_unstable();
@@ -153,7 +154,7 @@ fn select(tensor: &Tensor, dim: usize, places: &[usize]) -> Result<Tensor> {
     Ok(tensor.index_select(&Tensor::new(places, &Device::Cpu)?, dim)?)
 }
 
-/// The weight (out, in) of a linear layer whose inputs are copies: the copies' weights add up to the old one's.
+/// Divides the weight (out, in) of a linear layer among copies of its inputs: the weights of all copies add up to the old.
 fn share(weight: &Tensor, places: &[usize], random: &mut impl Rng) -> Result<Tensor> {
     let rows = weight.to_vec2::<f32>()?;
     let (out, own) = weight.dims2()?;
@@ -171,8 +172,8 @@ fn share(weight: &Tensor, places: &[usize], random: &mut impl Rng) -> Result<Ten
     Ok(Tensor::from_vec(values, (out, places.len()), &Device::Cpu)?)
 }
 
-/// Layers `PREFIX0.` to `PREFIX(own - 1).` with as many copies between them as are wanted, evenly spread, each after the layer
-/// that it is a copy of; a copy's tensors for which `silent` holds are zero, so that it adds nothing yet.
+/// Inserts copies of layers `PREFIX0.` to `PREFIX(own - 1).`, evenly spread, each after its original, until there are
+/// `wanted`. Tensors of a copy for which `silent` is true are zero, so that the copy adds nothing yet.
 fn deepen(
     tensors: BTreeMap<String, Tensor>,
     prefix: &str,

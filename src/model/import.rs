@@ -1,4 +1,4 @@
-//! Checkpoints of other programs: a table says which of their tensors is which of ours.
+//! Import of checkpoints of other programs, by a table that maps tensor names.
 //!
 //! ```yaml
 //! config: { vision_width: 384, vision_depth: 12, vision_heads: 6, width: 384, depth: 12, heads: 6, image: 224,
@@ -7,23 +7,23 @@
 //!   name: theirs
 //!   topology: mano            # or egotac-hand-1
 //!   force_scale: 1.7          # N per unit of the force head; leave out where it was never trained
-//!   hand_order: right_left    # of the heads' outputs; ours is left_right
+//!   hand_order: right_left    # of the heads' outputs; the order of egotac is left_right
 //!   mean: [0.485, 0.456, 0.406]
 //!   std: [0.229, 0.224, 0.225]
 //!   resize: crop
 //!   filter: bicubic
-//!   fps: 30                   # frames per second of their recordings,
-//!   frame_stride: 4           # of which every fourth is an observation step
-//! tensors:                    # ours: theirs; {i} stands for a number
+//!   fps: 30                   # frames per second of the training data
+//!   frame_stride: 4           # every fourth frame is an observation step
+//! tensors:                    # name in egotac: name in the file; {i} stands for a number
 //!   queries: decoder.tactile_queries
 //!   encoder.encoder.layer.{i}.norm1.weight: backbone.blocks.{i}.norm1.weight
 //!   encoder.encoder.layer.{i}.attention.attention.query.weight: { from: backbone.blocks.{i}.attn.qkv.weight, part: [0, 3] }
 //!   temporal.proj.weight: { from: fuse.proj, transpose: true }
-//! same: true                  # ours that the table lacks have the same name there
-//! ignore: [optimizer.]        # beginnings of names that may be left over
+//! same: true                  # tensors that the table lacks have the same name in the file
+//! ignore: [optimizer.]        # prefixes of names in the file that are not needed
 //! ```
 //!
-//! Dimensions of 1 need not agree. What is missing, left over or misshapen is named.
+//! Dimensions of 1 need not agree. Errors name tensors that are missing, left over or of a wrong shape.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -40,10 +40,10 @@ use crate::error::{Error, Result};
 use crate::hand::{N_VERTICES, Topology};
 use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Resize};
 
-/// Problems named in one message.
+/// Mismatches listed in one message.
 const MAX_NAMED: usize = 8;
 
-/// The table, as written.
+/// The table as written.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mapping {
@@ -57,7 +57,7 @@ pub struct Mapping {
     ignore: Vec<String>,
 }
 
-/// What the weights don't say.
+/// Metadata that the weights lack.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Sidecar {
@@ -99,7 +99,7 @@ enum HandOrder {
     RightLeft,
 }
 
-/// Where one of our tensors comes from.
+/// Source of a tensor.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(untagged)]
 enum Source {
@@ -111,7 +111,7 @@ enum Source {
 #[serde(deny_unknown_fields)]
 struct Part {
     from: String,
-    /// Which of how many equal parts along the first dimension.
+    /// Index of the part, and number of equal parts along the first dimension.
     part: Option<(usize, usize)>,
     #[serde(default)]
     transpose: bool,
@@ -156,10 +156,10 @@ impl Mapping {
         Ok(metadata)
     }
 
-    /// Turns another program's checkpoint into ours: geometry, metadata, tensors.
+    /// Converts a checkpoint. Returns geometry, metadata and tensors.
     ///
     /// # Errors
-    /// If the file can't be read, or a tensor is missing, left over or misshapen; all are named.
+    /// If the file can't be read, or tensors are missing, left over or of a wrong shape; names them.
     pub fn apply(&self, path: &Path) -> Result<(Config, Metadata, BTreeMap<String, Tensor>)> {
         let theirs = checkpoint::read_tensors(path)?;
         let vars = VarMap::new();
@@ -175,7 +175,7 @@ impl Mapping {
                 Some(tensor) => {
                     used.insert(source.from.clone());
                     match take(tensor, &source, like.dims())? {
-                        Some(tensor) => drop(tensors.insert(name.clone(), self.in_our_order(&name, tensor)?)),
+                        Some(tensor) => drop(tensors.insert(name.clone(), self.left_hand_first(&name, tensor)?)),
                         None => {
                             let (expected, found) = (like.dims(), tensor.dims());
                             problems
@@ -197,7 +197,7 @@ impl Mapping {
         Ok((self.config.clone(), self.metadata()?, tensors))
     }
 
-    /// Where our tensor of this name comes from.
+    /// Finds the source of the tensor of this name.
     fn source(&self, name: &str) -> Option<Part> {
         let plain = |from: String| Part { from, part: None, transpose: false };
         for (pattern, source) in &self.tensors {
@@ -211,8 +211,8 @@ impl Mapping {
         self.same.then(|| plain(name.to_owned()))
     }
 
-    /// The heads' outputs with the left hand first.
-    fn in_our_order(&self, name: &str, tensor: Tensor) -> Result<Tensor> {
+    /// Reorders the heads' outputs so that the left hand is first.
+    fn left_hand_first(&self, name: &str, tensor: Tensor) -> Result<Tensor> {
         let is_head = name.starts_with("force_head.") || name.starts_with("contact_head.");
         if !is_head || self.sidecar.hand_order == HandOrder::LeftRight {
             return Ok(tensor);
@@ -222,7 +222,7 @@ impl Mapping {
     }
 }
 
-/// The number that `{i}` stands for if the name fits the pattern; empty for a pattern without it.
+/// Returns the number that `{i}` stands for if the name fits the pattern; empty for a pattern without `{i}`.
 fn matched(pattern: &str, name: &str) -> Option<String> {
     let Some((before, after)) = pattern.split_once("{i}") else {
         return (pattern == name).then(String::new);
@@ -231,7 +231,7 @@ fn matched(pattern: &str, name: &str) -> Option<String> {
     (!number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit())).then(|| number.to_owned())
 }
 
-/// The part that is asked for in our shape, if they agree but for dimensions of 1.
+/// Takes the part that `source` names and gives it the shape `dims`; None if shapes differ in more than dimensions of 1.
 fn take(tensor: &Tensor, source: &Part, dims: &[usize]) -> Result<Option<Tensor>> {
     let mut tensor = tensor.clone();
     if let Some((index, of)) = source.part {
@@ -246,7 +246,7 @@ fn take(tensor: &Tensor, source: &Part, dims: &[usize]) -> Result<Option<Tensor>
         }
         tensor = tensor.t()?;
     }
-    // (d) for (1, 1, d) and the like.
+    // For instance (d) in the file for (1, 1, d).
     let squeezed = |dims: &[usize]| dims.iter().copied().filter(|size| *size != 1).collect::<Vec<_>>();
     match squeezed(tensor.dims()) == squeezed(dims) {
         true => Ok(Some(tensor.contiguous()?.reshape(dims)?)),

@@ -1,4 +1,4 @@
-//! Where a network starts: seeded random parameters.
+//! Seeded random initial parameters of a network.
 
 use candle_core::{DType, Device, Result, Shape, Tensor, Var, bail};
 use candle_nn::var_builder::SimpleBackend;
@@ -8,26 +8,26 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use sha2::{Digest, Sha256};
 
-/// Standard deviation of learned tokens and embeddings.
-pub const STD: f64 = 0.02;
+/// Standard deviation of initial tokens and embeddings, as in DINOv2.
+pub(crate) const STD: f64 = 0.02;
 
-/// Width whose weights DINOv2 draws with [`STD`].
+/// Number of inputs whose weights DINOv2 draws with standard deviation [`STD`].
 const STD_WIDTH: f64 = 768.0;
 
-/// How the weight and bias of a linear layer start.
+/// Initial distribution of weight and bias of a linear layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Scheme {
-    /// As PyTorch starts a linear layer: both uniform in ±1/√k, k inputs (Kaiming with a = √5).
+pub(crate) enum Scheme {
+    /// PyTorch's distribution for a linear layer of k inputs: both uniform in ±1/√k (Kaiming with a = √5).
     Torch,
-    /// As DINOv2 base starts: weight N(0, 0.02) at 768 inputs, bias zero. Other widths keep its gain, 0.02 √(768/k):
-    /// with 0.02 at 128 inputs each layer would pass on a fifth of its input, and six of them almost nothing.
+    /// Distribution of DINOv2 base: weight N(0, 0.02) at 768 inputs, bias zero. Other widths keep its gain, 0.02 √(768/k):
+    /// with 0.02 at 128 inputs, each layer would scale its input by 0.2, and six layers would leave almost nothing.
     Dinov2,
-    /// Both zero: AdaLN.
+    /// Both zero, for AdaLN.
     Zero,
 }
 
 impl Scheme {
-    /// Start of the weight of a layer with `k` inputs.
+    /// Returns the distribution of the weight of a layer with `k` inputs.
     pub fn weight(self, k: usize) -> Init {
         match self {
             Scheme::Torch => symmetric(k),
@@ -36,7 +36,7 @@ impl Scheme {
         }
     }
 
-    /// Start of the bias of a layer with `k` inputs.
+    /// Returns the distribution of the bias of a layer with `k` inputs.
     pub fn bias(self, k: usize) -> Init {
         match self {
             Scheme::Torch => symmetric(k),
@@ -50,18 +50,18 @@ fn symmetric(k: usize) -> Init {
     Init::Uniform { lo: -bound, up: bound }
 }
 
-/// A builder whose tensors are the variables of `varmap`: those already there, and new ones drawn from `seed`.
+/// Returns a builder whose tensors are the variables of `varmap`; missing ones are drawn from `seed`.
 ///
-/// A variable depends on the seed and its name alone, so the order of construction is free. candle's own builder
-/// draws from a generator that can't be seeded on the CPU.
+/// A variable depends on the seed and its name alone, not on the order of construction. candle's own builder draws from a
+/// generator that can't be seeded on the CPU.
 pub fn var_builder(varmap: &VarMap, seed: u64, device: &Device) -> VarBuilder<'static> {
     let backend = Seeded { varmap: varmap.clone(), seed };
     VarBuilder::from_backend(Box::new(backend), DType::F32, device.clone())
 }
 
-/// A builder whose tensors are the variables of `varmap`, all of which are there, in another format. A gradient passes
-/// through the change of format, so what is trained stays f32.
-pub fn cast_builder(varmap: &VarMap, dtype: DType, device: &Device) -> VarBuilder<'static> {
+/// Returns a builder whose tensors are the variables of `varmap`, converted to another format; none may be missing.
+/// Gradients pass through the conversion, so the variables stay f32.
+pub(crate) fn cast_builder(varmap: &VarMap, dtype: DType, device: &Device) -> VarBuilder<'static> {
     VarBuilder::from_backend(Box::new(Cast(Seeded { varmap: varmap.clone(), seed: 0 })), dtype, device.clone())
 }
 
@@ -91,7 +91,7 @@ struct Seeded {
 
 impl SimpleBackend for Seeded {
     fn get(&self, shape: Shape, name: &str, init: Init, dtype: DType, device: &Device) -> Result<Tensor> {
-        let Ok(mut vars) = self.varmap.data().lock() else { bail!("a thread died while it held the variables") };
+        let Ok(mut vars) = self.varmap.data().lock() else { bail!("a thread panicked while it held the variables") };
         if let Some(var) = vars.get(name) {
             if var.shape() != &shape {
                 bail!("variable {name}: expected shape {:?}, got {:?}", shape.dims(), var.dims());
@@ -127,7 +127,7 @@ fn draw(seed: u64, name: &str, count: usize, init: Init) -> Result<Vec<f32>> {
             let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
             (0..count).map(|_| (mean + stdev * normal()) as f32).collect()
         }
-        Init::Kaiming { .. } => bail!("variable {name}: a Kaiming start is written as its uniform bounds here"),
+        Init::Kaiming { .. } => bail!("variable {name}: expected the uniform bounds of a Kaiming distribution"),
     })
 }
 

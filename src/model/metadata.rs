@@ -1,4 +1,4 @@
-//! What a checkpoint says beside its weights.
+//! Metadata of a checkpoint.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,33 +11,33 @@ use crate::error::{Error, Result};
 use crate::hand::Topology;
 use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
 
-/// What a checkpoint says beside its weights; one key of the file's metadata per field.
+/// Metadata of a checkpoint; one key of the file's metadata per field.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Metadata {
-    /// Name of the model, e.g. for messages.
+    /// Name of the model, for people and messages.
     pub name: String,
-    /// What the vertex indices mean.
+    /// Numbering of the vertices.
     pub topology: Topology,
-    /// N per unit of the force head's output: 99th percentile of the active training force.
+    /// Newtons per unit of the force head's output: 99th percentile of the active training force.
     pub force_scale: f32,
-    /// Whether the force head was trained; if not, forces are unknown (NaN).
+    /// True if the force head was trained; otherwise forces are unknown (NaN).
     pub has_force: bool,
     /// Seconds between observation steps.
     pub frame_dt: f64,
-    /// How images become the square input.
+    /// Conversion of images to the square input.
     pub resize: Resize,
     /// Resampling filter.
     pub filter: Filter,
-    /// Mean per RGB channel, of values in 0..1.
+    /// Mean per RGB channel, for values in 0..1.
     pub mean: [f32; 3],
-    /// Standard deviation per RGB channel, of values in 0..1.
+    /// Standard deviation per RGB channel, for values in 0..1.
     pub std: [f32; 3],
-    /// Data, command, seed and metrics of the training, free text (JSON by our own training).
+    /// Data, command, seed and metrics of the training: free text, JSON if egotac trained the network.
     pub training: String,
 }
 
 impl Metadata {
-    /// Of a network on our built-in hand with ImageNet statistics; `force_scale` in N, `frame_dt` in s.
+    /// Creates the metadata of a network for the built-in hand with ImageNet statistics; `force_scale` in N, `frame_dt` in s.
     pub fn new(name: impl Into<String>, force_scale: f32, frame_dt: f64) -> Self {
         Self {
             name: name.into(),
@@ -53,7 +53,7 @@ impl Metadata {
         }
     }
 
-    /// How images become the input of a network of this geometry.
+    /// Returns the preparation of images for a network of this geometry.
     pub fn preparation(&self, config: &Config) -> Preparation {
         Preparation { side: config.image, resize: self.resize, filter: self.filter, mean: self.mean, std: self.std }
     }
@@ -76,7 +76,7 @@ impl Metadata {
         }
     }
 
-    /// As the file's metadata holds it: strings; numbers, flags and lists in JSON.
+    /// Returns the entries of the file's metadata: strings; numbers, flags and lists in JSON.
     pub fn to_map(&self) -> BTreeMap<String, String> {
         let enum_name = |name: String| name.trim_matches('"').to_string();
         BTreeMap::from([
@@ -93,6 +93,10 @@ impl Metadata {
         ])
     }
 
+    /// Reads the entries of a file's metadata.
+    ///
+    /// # Errors
+    /// If a key is missing or its value out of range.
     pub(super) fn from_map(path: &Path, map: &BTreeMap<String, String>) -> Result<Self> {
         let text = |key: &str| {
             map.get(key).cloned().ok_or_else(|| Error::Missing {
@@ -123,12 +127,12 @@ impl Metadata {
     }
 }
 
-/// JSON of a plain value, which has no way to fail.
+/// Returns the JSON of a plain value, whose serialisation cannot fail.
 pub(super) fn json<T: Serialize + ?Sized>(value: &T) -> String {
     serde_json::to_string(value).unwrap_or_default()
 }
 
-/// Names for a message.
+/// Joins names for a message.
 pub(super) fn names<'a>(names: impl Iterator<Item = &'a String>) -> String {
     let names: Vec<&str> = names.map(String::as_str).collect();
     if names.is_empty() { "nothing".into() } else { names.join(", ") }

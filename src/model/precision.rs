@@ -3,11 +3,12 @@
 use std::fmt;
 use std::str::FromStr;
 
+use egotac_kernels::packed::Format;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 
-/// Number format of the weights, and with int8 of the activations that meet them.
+/// Number format of the weights, and with int8 of the activations too.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Precision {
@@ -22,17 +23,26 @@ pub enum Precision {
 }
 
 impl Precision {
-    /// All of them.
+    /// All precisions.
     pub const ALL: [Precision; 3] = [Precision::F32, Precision::Bf16, Precision::Int8];
-    /// Their names, for options.
+    /// Names of the precisions, for options.
     pub const NAMES: [&'static str; 3] = ["f32", "bf16", "int8"];
 
-    /// `f32`, `bf16` or `int8`.
+    /// Name: `f32`, `bf16` or `int8`.
     pub fn name(self) -> &'static str {
         Self::NAMES[self as usize]
     }
 
-    /// Precision of the layers that cost little and lose most by 8 bits: the first and the last ones.
+    /// Format in which the kernels pack a layer.
+    pub(super) fn format(self) -> Format {
+        match self {
+            Precision::F32 => Format::F32,
+            Precision::Bf16 => Format::Bf16,
+            Precision::Int8 => Format::Int8,
+        }
+    }
+
+    /// Precision of the first and the last layers: they cost little, and 8 bits would lose most there.
     pub(super) fn of_small_layers(self) -> Self {
         match self {
             Precision::Int8 => Precision::F32,

@@ -1,31 +1,31 @@
 //! Touch from a stream of images, one encoder pass per image.
 
-use std::collections::VecDeque;
 use std::path::Path;
 
 use ::image::RgbImage;
-use candle_core::{DType, Device, Tensor};
+use candle_core::{Device, Tensor};
 
-use super::{Checkpoint, Config, EgoTac, Metadata, Precision};
+use super::{Checkpoint, Config, EgoTac, Metadata, Precision, window};
 use crate::error::{Error, Result};
-use crate::tactile::{N_FIELD, TactileField};
+use crate::tactile::TactileField;
 
-/// Frames kept per observation step, at most: bounds the memory under a camera much faster than `frame_dt`.
+/// Frames kept per observation step, at most. Bounds the memory under a camera much faster than `frame_dt`.
 const KEPT_PER_STEP: usize = 8;
 
-/// What may differ from run to run of the same checkpoint.
+/// Options of a predictor that are not part of the checkpoint.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// Where the network runs.
+    /// Device that runs the network.
     pub device: Device,
-    /// Number format it runs in; used by [`Predictor::load`].
+    /// Number format of the network; used by [`Predictor::load`].
     pub precision: Precision,
-    /// Silence after which the stream counts as a new one, s; None = twice the window, at least 1 s.
+    /// Longest interval between two images of a stream, s; a longer one starts a new stream. None = twice the length of
+    /// the window, at least 1 s.
     pub max_gap_secs: Option<f64>,
 }
 
 impl Default for Options {
-    /// The CPU, f32, and the default silence.
+    /// Runs on the CPU in f32, with the default interval.
     fn default() -> Self {
         Self { device: Device::Cpu, precision: Precision::F32, max_gap_secs: None }
     }
@@ -34,32 +34,32 @@ impl Default for Options {
 /// Touch at the instant of one image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prediction {
-    /// The stamp of the image, s.
+    /// Stamp of the image, s.
     pub stamp_secs: f64,
     /// Force (N; NaN if the force head was never trained) and contact probability.
     pub field: TactileField,
-    /// Whether the window still repeats the oldest frame, since the stream does not reach back far enough.
+    /// True if the stream does not reach back to the start of the window, so that the oldest frame is repeated.
     pub warming_up: bool,
-    /// Whether this image began a new stream: the first one, a jump back in time or a long silence.
+    /// True if this image started a new stream: the first one, a jump back in time, or an interval that is too long.
     pub restarted: bool,
 }
 
 /// Runs a checkpoint on a stream of images.
 ///
-/// Each image is encoded once; its tokens, already projected for temporal fusion, are kept. The window of an image
-/// at t holds, for i = T-1 .. 0, the kept frame nearest to t - i x `frame_dt`.
+/// Each image is encoded once. Its tokens, projected for temporal fusion, are kept as long as a window may need them; see
+/// [`window`] for the frames of a window.
 #[derive(Debug, Clone)]
 pub struct Predictor {
     checkpoint: Checkpoint,
     device: Device,
     max_gap_secs: f64,
-    frames: VecDeque<CachedFrame>, // oldest first, stamps strictly increasing
+    frames: Vec<CachedFrame>, // oldest first, stamps strictly increasing
 }
 
 #[derive(Debug, Clone)]
 struct CachedFrame {
     stamp_secs: f64,
-    projected: Tensor, // (1, P, d)
+    tokens: Tensor, // (1, P, d), projected
 }
 
 impl Predictor {
@@ -71,7 +71,7 @@ impl Predictor {
         Self::new(Checkpoint::load_as(path, &options.device, options.precision)?, options)
     }
 
-    /// Runs a checkpoint that is already on `options.device`.
+    /// Creates a predictor from a checkpoint that is already on `options.device`.
     ///
     /// # Errors
     /// If an option is out of range.
@@ -81,10 +81,10 @@ impl Predictor {
         if max_gap_secs.is_nan() || max_gap_secs <= 0.0 {
             return Err(Error::value("max_gap_secs", "seconds > 0", max_gap_secs));
         }
-        Ok(Self { checkpoint, device: options.device, max_gap_secs, frames: VecDeque::new() })
+        Ok(Self { checkpoint, device: options.device, max_gap_secs, frames: Vec::new() })
     }
 
-    /// What the checkpoint says beside its weights.
+    /// Metadata of the checkpoint.
     pub fn metadata(&self) -> &Metadata {
         &self.checkpoint.metadata
     }
@@ -94,7 +94,7 @@ impl Predictor {
         self.model().config()
     }
 
-    /// The network itself.
+    /// The network.
     pub fn model(&self) -> &EgoTac {
         &self.checkpoint.model
     }
@@ -104,24 +104,25 @@ impl Predictor {
         &self.checkpoint.sha256
     }
 
-    /// Frames kept now.
+    /// Number of frames kept now.
     pub fn cached_frames(&self) -> usize {
         self.frames.len()
     }
 
-    /// Stamps of the frames kept now, s, oldest first: pushing these frames again after a reset restores the stream.
+    /// Stamps of the frames kept now, s, oldest first. Pushing these frames again after a reset restores the stream.
     pub fn kept_stamps(&self) -> impl Iterator<Item = f64> {
         self.frames.iter().map(|frame| frame.stamp_secs)
     }
 
-    /// Forgets the stream so far.
+    /// Drops all frames: the next image starts a new stream.
     pub fn reset(&mut self) {
         self.frames.clear();
     }
 
     /// Predicts touch at the instant of `image`.
     ///
-    /// A stamp before the last one, or a long silence, begins a new stream. The same stamp again replaces the image.
+    /// A stamp before the last one, or too long after it, starts a new stream. An image with the stamp of the last one
+    /// replaces it.
     ///
     /// # Errors
     /// If the stamp is not finite, the image is empty, or the network's output is not finite. The stream is then as
@@ -131,8 +132,8 @@ impl Predictor {
         self.push_prepared(input, stamp_secs)
     }
 
-    /// [`Predictor::push`] of an image that is prepared already, on another thread for instance; see
-    /// [`Metadata::preparation`]. `input`: `(3, side, side)`.
+    /// As [`Predictor::push`], with an image that is already prepared by [`Metadata::preparation`], for instance on another
+    /// thread. `input`: `(3, side, side)`.
     ///
     /// # Errors
     /// As [`Predictor::push`], and if the input has another size.
@@ -145,93 +146,50 @@ impl Predictor {
             return Err(Error::shape("input", format!("[3, {side}, {side}]"), [input.len()]));
         }
         let input = Tensor::from_vec(input, (1, 3, side, side), &self.device)?;
-        let projected = self.model().project(&self.model().encode(&input)?)?;
+        let tokens = self.model().frame_tokens(&input)?;
 
+        // A copy of the list (the tokens are shared) that replaces it only on success.
         let restarted = self.restarts_at(stamp_secs);
-        if restarted {
-            self.frames.clear();
+        let mut frames = if restarted { Vec::new() } else { self.frames.clone() };
+        if frames.last().is_some_and(|newest| newest.stamp_secs == stamp_secs) {
+            frames.pop();
         }
-        if self.frames.back().is_some_and(|newest| newest.stamp_secs == stamp_secs) {
-            self.frames.pop_back();
-        }
-        self.frames.push_back(CachedFrame { stamp_secs, projected });
-        self.forget_what_no_window_needs();
+        frames.push(CachedFrame { stamp_secs, tokens });
+        let stamps = self.forget_frames(&mut frames);
 
-        let (window, warming_up) = self.window(stamp_secs);
-        let (force, logits) = self.model().heads(&self.model().fuse_frames(&window)?)?;
-        let field = self.field(&first_step(&force)?, &first_step(&logits)?);
-        // A frame that breaks the network must not stay in the windows to come.
-        let field = field.inspect_err(|_| drop(self.frames.pop_back()))?;
+        let (horizon, frame_dt) = (self.config().horizon, self.metadata().frame_dt);
+        let places = window::window(&stamps, horizon, frame_dt);
+        let window: Vec<&Tensor> = places.iter().map(|place| &frames[*place].tokens).collect();
+        let (force, contact) = self.model().head_outputs(&window)?.first_step(self.metadata())?;
+        let field = TactileField { topology: self.metadata().topology, force, contact };
+        let warming_up = window::is_warming_up(&stamps, horizon, frame_dt);
+        self.frames = frames;
         Ok(Prediction { stamp_secs, field, warming_up, restarted })
     }
 
+    /// True if an image with this stamp starts a new stream.
     fn restarts_at(&self, stamp_secs: f64) -> bool {
-        self.frames.back().is_none_or(|newest| {
+        self.frames.last().is_none_or(|newest| {
             let step = stamp_secs - newest.stamp_secs;
             step < 0.0 || step > self.max_gap_secs
         })
     }
 
-    /// The frames nearest to t - i x `frame_dt`, oldest first, and whether the oldest stands in for earlier ones.
-    fn window(&self, stamp_secs: f64) -> (Vec<&Tensor>, bool) {
-        let dt = self.metadata().frame_dt;
-        let reach = self.config().horizon - 1;
-        let nearest = |i: usize| {
-            let wanted = stamp_secs - i as f64 * dt;
-            let distance = |frame: &&CachedFrame| (frame.stamp_secs - wanted).abs();
-            self.frames.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))
-        };
-        let window = (0..=reach).rev().filter_map(nearest).map(|frame| &frame.projected).collect();
-        let oldest_wanted = stamp_secs - reach as f64 * dt;
-        let warming_up = self.frames.front().is_some_and(|oldest| oldest.stamp_secs > oldest_wanted + 0.5 * dt);
-        (window, warming_up)
-    }
-
-    /// Drops frames that lie before every window to come, and thins out those of a camera far faster than the steps.
-    fn forget_what_no_window_needs(&mut self) {
-        let Some(newest) = self.frames.back().map(|frame| frame.stamp_secs) else { return };
-        let steps = self.config().horizon;
-        let oldest_wanted = newest - (steps - 1) as f64 * self.metadata().frame_dt;
-        // The last frame before the window may still be the nearest one.
-        while self.frames.get(1).is_some_and(|second| second.stamp_secs <= oldest_wanted) {
-            self.frames.pop_front();
-        }
-        if self.frames.len() > KEPT_PER_STEP * steps {
+    /// Drops frames that no later window can contain, and thins out the frames of a camera far faster than the steps.
+    /// Returns the stamps of the others.
+    fn forget_frames(&self, frames: &mut Vec<CachedFrame>) -> Vec<f64> {
+        let mut stamps: Vec<f64> = frames.iter().map(|frame| frame.stamp_secs).collect();
+        let obsolete = window::obsolete(&stamps, self.config().horizon, self.metadata().frame_dt);
+        frames.drain(..obsolete);
+        stamps.drain(..obsolete);
+        if stamps.len() > KEPT_PER_STEP * self.config().horizon {
             // The frame whose neighbours are closest leaves the smallest gap; the newest and oldest stay.
-            let gap = |i: &usize| self.frames[i + 1].stamp_secs - self.frames[i - 1].stamp_secs;
-            if let Some(least) = (1..self.frames.len() - 1).min_by(|a, b| gap(a).total_cmp(&gap(b))) {
-                self.frames.remove(least);
+            let gap = |i: &usize| stamps[i + 1] - stamps[i - 1];
+            if let Some(least) = (1..stamps.len() - 1).min_by(|a, b| gap(a).total_cmp(&gap(b))) {
+                frames.remove(least);
+                stamps.remove(least);
             }
         }
+        stamps
     }
-
-    /// Newtons and probabilities from what the heads gave, (1556) each.
-    fn field(&self, force: &[f32], logits: &[f32]) -> Result<TactileField> {
-        for (name, values) in [("force", force), ("contact logits", logits)] {
-            if values.len() != N_FIELD {
-                return Err(Error::shape(name, format!("[{N_FIELD}]"), [values.len()]));
-            }
-            if let Some(bad) = values.iter().position(|value| !value.is_finite()) {
-                return Err(Error::value(format!("network output, {name}[{bad}]"), "a finite number", values[bad]));
-            }
-        }
-        let Metadata { topology, force_scale, has_force, .. } = *self.metadata();
-        let newtons = |output: &f32| if has_force { (force_scale * output).max(0.0) } else { f32::NAN };
-        Ok(TactileField {
-            topology,
-            force: force.iter().map(newtons).collect(),
-            contact: logits.iter().map(|logit| sigmoid(*logit)).collect(),
-        })
-    }
-}
-
-/// Step 0 of `(1, K, 1556)`.
-fn first_step(output: &Tensor) -> Result<Vec<f32>> {
-    Ok(output.narrow(1, 0, 1)?.flatten_all()?.to_dtype(DType::F32)?.to_vec1()?)
-}
-
-/// 1 / (1 + e⁻ˣ), without overflow for any finite x.
-fn sigmoid(x: f32) -> f32 {
-    let e = (-x.abs()).exp();
-    if x >= 0.0 { 1.0 / (1.0 + e) } else { e / (1.0 + e) }
 }

@@ -1,4 +1,4 @@
-//! Published DINOv2 checkpoints (safetensors, names of the Hugging Face hub) as the vision encoder.
+//! Networks that start at a published DINOv2 encoder (safetensors under the names of the Hugging Face hub).
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -13,45 +13,45 @@ use super::{EgoTac, init};
 use crate::error::{Error, Result};
 use crate::image::{Filter, Resize};
 
-/// Channels of one attention head in every published DINOv2.
+/// Channels of an attention head; the same in every published DINOv2.
 const HEAD: usize = 64;
-/// Part of published checkpoints that inference never touches.
+/// Tensor of published checkpoints that only their own training uses.
 const MASK_TOKEN: &str = "embeddings.mask_token";
 
-/// What a network around a published encoder is like, where the encoder does not say.
+/// Geometry and seed of the rest of the network, which the encoder does not determine.
 #[derive(Debug, Clone)]
-pub struct Around {
+pub struct InitOptions {
     /// Side of the input image, pixels.
     pub image: usize,
-    /// T.
+    /// T: frames in the observation window.
     pub horizon: usize,
-    /// K.
+    /// K: tactile steps predicted.
     pub predict: usize,
     /// Layers of the decoder.
     pub depth: usize,
-    /// Seed of everything that is not the encoder.
+    /// Seed of all parameters outside the encoder.
     pub seed: u64,
 }
 
-impl Default for Around {
+impl Default for InitOptions {
     fn default() -> Self {
         let Config { image, horizon, predict, depth, .. } = Config::base();
         Self { image, horizon, predict, depth, seed: 0 }
     }
 }
 
-/// A network that starts at the encoder of a published checkpoint, everything else at random: its geometry, what a
-/// predictor needs to know (images prepared as the encoder learned them), and its tensors.
+/// Creates a network with the encoder of a published checkpoint and random parameters elsewhere. Returns geometry, metadata
+/// (images prepared as the encoder was trained) and tensors.
 ///
 /// # Errors
-/// If the file can't be read, or a tensor is missing, unexpected or misshapen; each is named, with expected and found
+/// If the file can't be read, or a tensor is missing, unexpected or of a wrong shape; names each with expected and found
 /// shape.
-pub fn init(path: &Path, around: &Around) -> Result<(Config, Metadata, BTreeMap<String, Tensor>)> {
+pub fn init(path: &Path, options: &InitOptions) -> Result<(Config, Metadata, BTreeMap<String, Tensor>)> {
     let mut published = checkpoint::read_tensors(path)?;
     published.remove(MASK_TOKEN);
-    let config = config(path, &published, around)?;
+    let config = config(path, &published, options)?;
     let vars = VarMap::new();
-    EgoTac::new(&config, init::var_builder(&vars, around.seed, &Device::Cpu))?;
+    EgoTac::new(&config, init::var_builder(&vars, options.seed, &Device::Cpu))?;
     let mut tensors = checkpoint::variables(&vars)?;
     tensors.retain(|name, _| !name.starts_with(ENCODER));
     tensors.extend(published.into_iter().map(|(name, tensor)| (format!("{ENCODER}{name}"), tensor)));
@@ -61,12 +61,12 @@ pub fn init(path: &Path, around: &Around) -> Result<(Config, Metadata, BTreeMap<
     metadata.resize = Resize::Centre;
     metadata.filter = Filter::Bicubic;
     metadata.has_force = false;
-    metadata.training = format!("encoder of {name}; all else at its random start, seed {}", around.seed);
+    metadata.training = format!("encoder of {name}; all else at its random start, seed {}", options.seed);
     Ok((config, metadata, tensors))
 }
 
-/// The geometry that the tensors' shapes say.
-fn config(path: &Path, tensors: &BTreeMap<String, Tensor>, around: &Around) -> Result<Config> {
+/// Derives the geometry from the shapes of the tensors.
+fn config(path: &Path, tensors: &BTreeMap<String, Tensor>, options: &InitOptions) -> Result<Config> {
     let dims = |name: &str, expected: &str, rank: usize| -> Result<&[usize]> {
         let found = tensors.get(name).map(|tensor| tensor.dims());
         match found {
@@ -96,13 +96,13 @@ fn config(path: &Path, tensors: &BTreeMap<String, Tensor>, around: &Around) -> R
         vision_depth,
         vision_heads: heads,
         width: vision_width,
-        depth: around.depth,
+        depth: options.depth,
         heads,
-        image: around.image,
+        image: options.image,
         patch,
         pretrain_image: grid * patch,
-        horizon: around.horizon,
-        predict: around.predict,
+        horizon: options.horizon,
+        predict: options.predict,
         registers,
     };
     config.check().map_err(|error| Error::file(path, error))?;

@@ -1,16 +1,16 @@
-//! Where the checkpoint that comes with egotac lies: installed beside the programs, or in the source tree.
+//! Path of the checkpoint that is shipped with egotac: installed beside the programs, or in the source tree.
 
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 
-/// Its path in the source tree, which is also its path in `share/egotac` of an installation.
+/// Path below the root of the source tree, and below `share/egotac` of an installation.
 const NAME: &str = "models/egotac.safetensors";
 
-/// The checkpoint that comes with egotac.
+/// Returns the path of the shipped checkpoint.
 ///
 /// # Errors
-/// If there is none; the error names the places.
+/// If no such file exists; names the places.
 pub fn path() -> Result<PathBuf> {
     let places: Vec<PathBuf> = folders().iter().map(|folder| folder.join(NAME)).collect();
     let found = places.iter().find(|path| path.is_file()).cloned();

@@ -1,4 +1,4 @@
-//! Temporal fusion: the tokens of the observation window become one scene vector.
+//! Temporal fusion of the tokens of an observation window into one scene vector.
 
 use candle_core::{Result, Tensor, bail};
 use candle_nn::{Init, VarBuilder};
@@ -22,7 +22,7 @@ pub struct TemporalFusion {
 }
 
 impl TemporalFusion {
-    /// Tensors of `vb` under this struct's field names.
+    /// Takes the tensors of `vb` under the names of the fields.
     pub fn new(config: &Config, vb: VarBuilder) -> Result<Self> {
         let d = config.width;
         let normal = Init::Randn { mean: 0.0, stdev: STD };
@@ -40,20 +40,20 @@ impl TemporalFusion {
         })
     }
 
-    /// The part that depends on one frame alone, so that a stream computes it once per frame.
+    /// Projects tokens to the width of the fusion. Depends on one frame alone, so a stream does it once per frame.
     ///
     /// `tokens`: `(.., P, dv)`. Returns `(.., P, d)`.
     pub fn project(&self, tokens: &Tensor) -> Result<Tensor> {
         self.proj.forward(tokens)
     }
 
-    /// The query of each head through the key weights: `(heads, d)`, in rows.
+    /// Returns the query of each head multiplied by the key weights, `(heads, d)`, row-major.
     pub fn folded_query(&self) -> Result<Vec<f32>> {
         let token = self.token.reshape((1, ()))?;
-        self.attn.folded(&self.norm_q.forward(&token)?)?.flatten_all()?.to_vec1()
+        self.attn.folded_query(&self.norm_q.forward(&token)?)?.flatten_all()?.to_vec1()
     }
 
-    /// What the temporal token attends to: `(B, heads, T, P)`. `projected`: `(B, T, P, d)`.
+    /// Computes the attention weights of the temporal token. `projected`: `(B, T, P, d)`. Returns `(B, heads, T, P)`.
     pub fn attention(&self, projected: &Tensor) -> Result<Tensor> {
         let (b, t, p, _) = projected.dims4()?;
         let token = self.token.reshape((1, ()))?;
@@ -61,7 +61,7 @@ impl TemporalFusion {
         weights.reshape((b, self.attn.heads, t, p))
     }
 
-    /// Tokens with their step's embedding, normalised: `(B, T P, d)`.
+    /// Adds the embedding of its step to each token, and normalises. Returns `(B, T P, d)`.
     fn keys(&self, projected: &Tensor) -> Result<Tensor> {
         let (b, t, p, d) = projected.dims4()?;
         if t != self.step_embedding.dim(0)? {
@@ -71,7 +71,7 @@ impl TemporalFusion {
         self.norm_kv.forward(&projected.broadcast_add(&steps)?.reshape((b, t * p, d))?)
     }
 
-    /// `projected`: `(B, T, P, d)`, oldest frame first. Returns z, `(B, d)`.
+    /// Fuses windows. `projected`: `(B, T, P, d)`, oldest frame first. Returns z, `(B, d)`.
     pub fn fuse(&self, projected: &Tensor) -> Result<Tensor> {
         let kv = self.keys(projected)?;
         let token = self.token.reshape((1, ()))?;

@@ -1,35 +1,24 @@
-//! MuJoCo behind a safe surface: checked options, a world that owns model and data, a headless renderer.
+//! Safe wrapper of the MuJoCo physics engine: checked options, a world that owns model and data, an offscreen renderer.
 //!
-//! The engine ends the process on some invalid options; nothing reaches it here that [`options`] has not checked.
+//! The engine ends the process on some invalid inputs. Everything that reaches it passes the checks of [`options`] and
+//! of [`World::from_mjcf`] first.
 
 pub mod audit;
-mod contact;
-pub mod facts;
+mod camera;
 mod fatal;
-pub mod flex;
-mod inspect;
-mod names;
 pub mod object;
 pub mod options;
 pub mod parts;
-mod pose;
-pub mod preset;
-pub mod renderer;
-pub mod view;
+mod renderer;
 pub mod world;
 
 pub use audit::{Expectation, Finding, Rule, Severity, audit};
-pub use contact::Contact;
-pub use facts::Facts;
-pub use flex::Flex;
-pub use inspect::Grip;
-pub use options::{Cone, Integrator, PhysicsOptions, Solver};
-pub use preset::Preset;
+pub use camera::FreeCamera;
+pub use options::{Cone, Integrator, PhysicsOptions, Preset, Solver};
 pub use renderer::Renderer;
-pub use view::View;
-pub use world::World;
+pub use world::{Contact, Facts, Flex, Grip, World};
 
-/// Version of the engine this program runs with.
+/// Returns the version of the engine library in use.
 pub fn version() -> &'static str {
     mujoco_rs::mujoco_version()
 }

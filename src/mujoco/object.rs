@@ -1,4 +1,4 @@
-//! An object beside a model: its shapes, and a body of the model that carries them and is placed from outside.
+//! Adds a rigid object to a model, as a mocap body that the caller moves.
 
 use std::path::Path;
 
@@ -7,45 +7,46 @@ use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::MjtMeshInertia;
 
 use super::options::PhysicsOptions;
-use super::world::{World, keep_quiet};
+use super::world::{World, disable_log_file};
 use crate::error::{Error, Result};
 
-/// Name of the body that carries the object.
+/// Name of the mocap body that carries the object.
 pub const OBJECT: &str = "egotac_object";
 
-/// A model's text.
+/// Source of a model.
 #[derive(Debug, Clone, Copy)]
 pub enum ModelText<'a> {
-    /// MJCF or URDF.
+    /// MJCF or URDF text.
     Text(&'a str),
-    /// A file of one of them.
+    /// MJCF or URDF file.
     File(&'a Path),
 }
 
-/// Shapes of a rigid object, in a frame of its own; of a mesh the convex hull.
+/// Collision shapes of a rigid object in the object's frame; a mesh counts as its convex hull.
 #[derive(Debug, Clone)]
-pub struct Shapes(Vec<Shape>);
+pub struct Shapes(Vec<ObjectGeom>);
 
 #[derive(Debug, Clone)]
-struct Shape {
+struct ObjectGeom {
     kind: MjtGeomBase,
     size: [f64; 3],
     place: DVec3,
     orientation: DQuat,
-    mesh: Option<Mesh>,
+    mesh: Option<MeshData>,
 }
 
-/// Corners, m, and triangles.
+/// Flattened vertices, m, and triangles.
 #[derive(Debug, Clone)]
-struct Mesh {
+struct MeshData {
     vertices: Vec<f32>,
     faces: Vec<i32>,
 }
 
 impl Shapes {
-    /// Reads an object: a model (MJCF or URDF) whose world is the object's frame, as it is at first; or a mesh (OBJ or STL).
+    /// Reads an object from a mesh (OBJ or STL), or from a model (MJCF or URDF) in its initial state, whose world frame
+    /// is the object's frame.
     ///
-    /// Of a model those shapes count that can touch; all, if none can.
+    /// Of a model it takes the shapes that can collide, or all shapes if none can.
     ///
     /// # Errors
     /// If the file can't be read or compiled, or holds no solid shape.
@@ -81,16 +82,16 @@ impl Shapes {
             let (place, rotation) = world.geom_pose(geom);
             let kind = model.geom_type()[geom];
             let mesh = (kind == MjtGeomBase::mjGEOM_MESH).then(|| mesh(model, geom)).flatten();
-            Shape { kind, size: model.geom_size()[geom], place, orientation: DQuat::from_mat3(&rotation), mesh }
+            ObjectGeom { kind, size: model.geom_size()[geom], place, orientation: DQuat::from_mat3(&rotation), mesh }
         };
         Self(solid.into_iter().filter(|geom| touches(*geom) || !any).map(shape).collect())
     }
 
-    /// Puts the shapes onto a body of a model that is yet to be compiled; they collide with nothing.
+    /// Adds the shapes to an uncompiled model, on a mocap body; they collide with nothing.
     fn add_to(&self, spec: &mut MjSpec) {
         let name = |index: usize| format!("{OBJECT}_{index}");
         for (index, shape) in self.0.iter().enumerate() {
-            if let Some(Mesh { vertices, faces }) = &shape.mesh {
+            if let Some(MeshData { vertices, faces }) = &shape.mesh {
                 let mesh = spec.add_mesh();
                 mesh.with_name(&name(index)).set_inertia(MjtMeshInertia::mjMESH_INERTIA_SHELL);
                 mesh.set_uservert(vertices);
@@ -104,7 +105,7 @@ impl Shapes {
             let geom = body.add_geom();
             geom.with_name(&name(index)).with_pos(shape.place.to_array()).with_quat([w, x, y, z]);
             geom.set_type(shape.kind);
-            // What the model says of its own shapes by default is not this one's.
+            // The model's default class would apply its own values otherwise.
             geom.with_contype(0).with_conaffinity(0).with_margin(0.0).with_gap(0.0);
             let _ = match shape.mesh {
                 Some(_) => geom.with_meshname(&name(index)),
@@ -114,22 +115,22 @@ impl Shapes {
     }
 }
 
-/// The mesh of a geom, in the geom's frame.
-fn mesh(model: &MjModel, geom: usize) -> Option<Mesh> {
+/// Returns the mesh of a geom, in the geom's frame.
+fn mesh(model: &MjModel, geom: usize) -> Option<MeshData> {
     let mesh = usize::try_from(model.geom_dataid()[geom]).ok()?;
     let at = |first: i32, count: i32| first as usize..(first + count) as usize;
     let vertices = model.mesh_vert().get(at(model.mesh_vertadr()[mesh], model.mesh_vertnum()[mesh]))?;
     let faces = model.mesh_face().get(at(model.mesh_faceadr()[mesh], model.mesh_facenum()[mesh]))?;
-    Some(Mesh { vertices: vertices.concat(), faces: faces.concat() })
+    Some(MeshData { vertices: vertices.concat(), faces: faces.concat() })
 }
 
 impl World {
-    /// Compiles a model with an object beside it, which [`World::set_mocap`] places; see [`World::from_mjcf`].
+    /// Compiles a model with an additional object, which [`World::set_mocap`] moves; see [`World::from_mjcf`].
     ///
     /// # Errors
     /// As [`World::from_mjcf`].
     pub fn with_object(text: ModelText, object: &Shapes, options: &PhysicsOptions) -> Result<Self> {
-        keep_quiet();
+        disable_log_file();
         let engine = |error: MjEditError| Error::Engine(error.to_string());
         let mut spec = match text {
             ModelText::Text(text) => MjSpec::from_xml_string(text),

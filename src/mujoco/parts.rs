@@ -1,50 +1,52 @@
-//! What a model is made of: bodies, joints, geoms, sites, couplings and actuators, with their names.
+//! Lists a model's elements: bodies, joints, geoms, sites, couplings and actuators, with their names.
 
 use glam::DVec3;
 use mujoco_rs::prelude::*;
 
 use super::world::World;
 
-/// A model's parts, in the engine's order; an index into one of the lists is the engine's.
+/// Maximum number of points that sample a mesh; a few hundred show its extent.
+const MAX_MESH_POINTS: usize = 400;
+/// Elements of a model; each list is in the engine's order, so that its indices are the engine's.
 #[derive(Debug, Clone, Default)]
 pub struct Parts {
     /// Bodies; the first is the world.
-    pub bodies: Vec<Body>,
+    pub bodies: Vec<BodyNode>,
     /// Joints.
     pub joints: Vec<Joint>,
     /// Geoms.
     pub geoms: Vec<Geom>,
     /// Sites.
     pub sites: Vec<Site>,
-    /// Joints that follow another one, or stand still.
+    /// Active joint couplings.
     pub equalities: Vec<Equality>,
     /// Tendons.
     pub tendons: Vec<Tendon>,
-    /// Actuators with one force and one control.
+    /// Actuators with one force and one control each; empty if the model has others.
     pub actuators: Vec<Actuator>,
     /// Pairs of bodies that never collide.
     pub excludes: Vec<[usize; 2]>,
 }
 
-/// A body.
+/// A body's place in the kinematic tree.
 #[derive(Debug, Clone)]
-pub struct Body {
+pub struct BodyNode {
     /// Name; empty if it has none.
     pub name: String,
     /// Index of the parent; the world is its own.
     pub parent: usize,
-    /// First body up the tree that a joint moves, or the world: bodies of one part move together.
+    /// Nearest body up the tree (or this one) that has a joint, or the world; bodies with the same value move together.
     pub part: usize,
 }
 
-/// How a joint moves.
+/// Type of a joint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Motion {
-    /// About an axis, rad.
+    /// Rotation about an axis, rad.
     Hinge,
-    /// Along an axis, m.
+    /// Translation along an axis, m.
     Slide,
-    /// A ball or a free body.
+    /// A ball joint or a free joint.
     Other,
 }
 
@@ -55,19 +57,19 @@ pub struct Joint {
     pub name: String,
     /// Body that it moves.
     pub body: usize,
-    /// How.
+    /// Type of motion.
     pub motion: Motion,
     /// Index of its (first) position.
     pub qpos: usize,
     /// Index of its (first) degree of freedom.
     pub dof: usize,
-    /// Lowest and highest position, rad or m; infinite where it has no limit.
+    /// Lowest and highest position, rad or m; infinite without a limit.
     pub range: [f64; 2],
-    /// Spring stiffness.
+    /// Spring stiffness, N m/rad or N/m.
     pub stiffness: f64,
-    /// Position at which the spring is at rest.
+    /// Rest position of the spring, rad or m.
     pub spring_ref: f64,
-    /// Least and most force of all its actuators, N m or N; infinite where it has no limit.
+    /// Lowest and highest total force of its actuators, N m or N; infinite without a limit.
     pub force_range: [f64; 2],
 }
 
@@ -78,13 +80,13 @@ pub struct Geom {
     pub name: String,
     /// Body that carries it.
     pub body: usize,
-    /// Contact bits: type and affinity; both zero = it is for pictures only.
+    /// Contact bits: type and affinity; both zero for a geom that is only drawn.
     pub bits: [i32; 2],
-    /// Radius of the sphere around it, m; 0 = infinite.
+    /// Radius of the bounding sphere, m; 0 means unbounded.
     pub radius: f64,
-    /// Whether it has a volume of which a signed distance is known.
+    /// True if the geom has a volume, so that the engine computes signed distances to it.
     pub solid: bool,
-    /// Points of its surface in its own frame, m: the corners of a mesh or of a box, some of anything round.
+    /// Surface points in the geom's frame, m: corners of a mesh or a box, samples of a round shape.
     pub points: Vec<DVec3>,
 }
 
@@ -99,12 +101,12 @@ pub struct Site {
     pub position: DVec3,
 }
 
-/// A joint whose position is a polynomial of another's, both counted from the initial state.
+/// A joint whose position is a polynomial of another joint's position, both relative to the initial state.
 #[derive(Debug, Clone)]
 pub struct Equality {
-    /// The joint that follows.
+    /// Index of the dependent joint.
     pub joint: usize,
-    /// The joint it follows; None = it stands still.
+    /// Index of the joint that it depends on; `None` if its position is constant.
     pub of: Option<usize>,
     /// Coefficients, constant first.
     pub polynomial: [f64; 5],
@@ -115,48 +117,49 @@ pub struct Equality {
 pub struct Tendon {
     /// Name; empty if it has none.
     pub name: String,
-    /// Joints and coefficients of a fixed tendon; empty for a tendon in space.
+    /// Joint indices and coefficients of a fixed tendon; empty for a spatial tendon.
     pub joints: Vec<(usize, f64)>,
 }
 
-/// What an actuator pulls at.
+/// Element that an actuator acts on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pull {
     /// A joint.
     Joint(usize),
     /// A tendon.
     Tendon(usize),
-    /// Something else.
+    /// Another element.
     Other,
 }
 
-/// An actuator: force = gain * control + bias + bias_length * length (velocities left out), between the limits.
+/// An actuator: force = gain * control + bias + bias_length * length, clipped to the limits. Velocity terms are
+/// omitted.
 #[derive(Debug, Clone)]
 pub struct Actuator {
     /// Name; empty if it has none.
     pub name: String,
-    /// What it pulls at.
+    /// Element that it acts on.
     pub pull: Pull,
-    /// Index of its length among all actuators' outputs.
+    /// Index into [`World::actuator_lengths`].
     pub output: usize,
-    /// Index of its control.
+    /// Index into [`World::ctrl`].
     pub ctrl: usize,
-    /// Ratio of its length to what it pulls at.
+    /// Ratio of actuator length to the position of its element.
     pub gear: f64,
     /// Force per unit of control.
     pub gain: f64,
     /// Force at control 0 and length 0.
     pub bias: f64,
-    /// Force per unit of length; negative for a position servo, 0 for a motor.
+    /// Force per unit of length: negative for a position servo, 0 for a motor.
     pub bias_length: f64,
-    /// Least and most control; infinite where it has no limit.
+    /// Lowest and highest control; infinite without a limit.
     pub ctrl_range: [f64; 2],
-    /// Least and most force; infinite where it has no limit.
+    /// Lowest and highest force; infinite without a limit.
     pub force_range: [f64; 2],
 }
 
 impl World {
-    /// Lists the model's parts.
+    /// Lists the model's elements.
     pub fn parts(&self) -> Parts {
         let model = self.model();
         Parts {
@@ -184,10 +187,10 @@ fn limits(limited: bool, range: [f64; 2]) -> [f64; 2] {
     if limited { range } else { [f64::NEG_INFINITY, f64::INFINITY] }
 }
 
-fn bodies(model: &MjModel) -> Vec<Body> {
+fn bodies(model: &MjModel) -> Vec<BodyNode> {
     let (parents, parts) = (model.body_parentid(), model.body_weldid());
     (0..parents.len())
-        .map(|id| Body {
+        .map(|id| BodyNode {
             name: name(model, MjtObjBase::mjOBJ_BODY, id),
             parent: parents[id] as usize,
             part: parts[id] as usize,
@@ -240,7 +243,7 @@ fn geoms(model: &MjModel) -> Vec<Geom> {
     (0..model.geom_type().len()).map(geom).collect()
 }
 
-/// Corners of meshes and boxes, points on anything round.
+/// Returns the corners of meshes and boxes, and samples of round shapes.
 fn surface_points(model: &MjModel, id: usize, kind: MjtGeomBase) -> Vec<DVec3> {
     let [x, y, z] = model.geom_size()[id];
     let corners = |half: DVec3| {
@@ -251,8 +254,7 @@ fn surface_points(model: &MjModel, id: usize, kind: MjtGeomBase) -> Vec<DVec3> {
             let Ok(mesh) = usize::try_from(model.geom_dataid()[id]) else { return Vec::new() };
             let first = model.mesh_vertadr()[mesh] as usize;
             let count = model.mesh_vertnum()[mesh] as usize;
-            // A few hundred tell where a surface ends.
-            let stride = count.div_ceil(400).max(1);
+            let stride = count.div_ceil(MAX_MESH_POINTS).max(1);
             let vertices = &model.mesh_vert()[first..first + count];
             vertices.iter().step_by(stride).map(|v| DVec3::from_array(v.map(f64::from))).collect()
         }
@@ -265,7 +267,7 @@ fn surface_points(model: &MjModel, id: usize, kind: MjtGeomBase) -> Vec<DVec3> {
     }
 }
 
-/// Points on an ellipsoid, its halves moved apart along z.
+/// Returns points on an ellipsoid whose halves are moved apart along z by `half_length` each.
 fn round(radii: DVec3, half_length: f64) -> Vec<DVec3> {
     const RINGS: usize = 8;
     let mut points = Vec::with_capacity(RINGS * (RINGS + 1));
@@ -318,7 +320,7 @@ fn tendons(model: &MjModel) -> Vec<Tendon> {
 
 fn actuators(model: &MjModel) -> Vec<Actuator> {
     let ffi = model.ffi();
-    // Where an actuator has several outputs or inputs, numbers run apart; such ones are left out.
+    // With several outputs or inputs per actuator, the indices of actuators, controls and lengths differ.
     if ffi.nactuator != ffi.nu || ffi.nactuator != ffi.nout {
         return Vec::new();
     }

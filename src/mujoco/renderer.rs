@@ -1,4 +1,4 @@
-//! Pictures of a world without a display.
+//! Offscreen rendering of a world through EGL.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -6,15 +6,15 @@ use ::image::RgbImage;
 use mujoco_rs::prelude::*;
 use mujoco_rs::renderer::MjRenderer;
 
-use super::view::View;
+use super::camera::FreeCamera;
 use super::world::World;
 use crate::error::{Error, Result};
 
 static CONTEXTS: AtomicUsize = AtomicUsize::new(0);
 
-/// Renders one camera of a world through EGL.
+/// Renders one camera of a world without a display.
 ///
-/// It owns an OpenGL context, which belongs to one thread: make one renderer per thread and drop it there.
+/// Owns an OpenGL context, which belongs to one thread: create one renderer per thread and drop it on that thread.
 #[derive(Debug)]
 pub struct Renderer {
     inner: MjRenderer,
@@ -23,12 +23,27 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Opens an OpenGL context for `camera` of `world`, `width` x `height` pixels, with distances where `depth` says so.
+    /// Opens an OpenGL context for `camera` of `world`, `width` x `height` pixels; `depth` records distances too.
     ///
     /// # Errors
     /// If the size is zero or above the model's offscreen buffer, or there is no working EGL.
     pub fn new(world: &World, camera: usize, width: u32, height: u32, depth: bool) -> Result<Self> {
         Self::open(world, MjvCamera::new_fixed(camera), width, height, depth)
+    }
+
+    /// Opens an OpenGL context for a free camera, with a picture of `size` (width, height) pixels; see [`Self::new`].
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn free(world: &World, camera: &FreeCamera, size: (u32, u32), depth: bool) -> Result<Self> {
+        let mut engine_camera = MjvCamera::new_free(world.model());
+        // The engine's azimuth and elevation are the angles of the viewing direction.
+        let forward = camera.forward();
+        engine_camera.lookat = camera.point.to_array();
+        engine_camera.distance = camera.distance;
+        engine_camera.azimuth = forward.y.atan2(forward.x).to_degrees();
+        engine_camera.elevation = forward.z.clamp(-1.0, 1.0).asin().to_degrees();
+        Self::open(world, engine_camera, size.0, size.1, depth)
     }
 
     fn open(world: &World, camera: MjvCamera, width: u32, height: u32, depth: bool) -> Result<Self> {
@@ -49,32 +64,18 @@ impl Renderer {
         Ok(Self { inner, width, height })
     }
 
-    /// Likewise, from a point of view.
-    ///
-    /// # Errors
-    /// As [`Self::new`].
-    pub(super) fn around(world: &World, view: &View, (width, height): (u32, u32), depth: bool) -> Result<Self> {
-        let mut camera = MjvCamera::new_free(world.model());
-        // The camera's angles are those of the way it looks.
-        let look = -view.toward.normalize_or_zero();
-        camera.lookat = view.point.to_array();
-        camera.distance = view.distance;
-        camera.azimuth = look.y.atan2(look.x).to_degrees();
-        camera.elevation = look.z.clamp(-1.0, 1.0).asin().to_degrees();
-        Self::open(world, camera, width, height, depth)
-    }
-
-    /// OpenGL contexts that this process has opened so far.
+    /// Returns the number of OpenGL contexts that this process has opened.
     pub fn contexts_opened() -> usize {
         CONTEXTS.load(Ordering::Relaxed)
     }
 
-    /// Distance from the camera's plane of each pixel of the last picture, m, row by row; empty unless it was asked for.
+    /// Returns the distance of each pixel of the last picture from the camera plane, m, row by row; empty if the
+    /// renderer was opened without depth.
     pub fn depth(&self) -> Vec<f32> {
         self.inner.depth_flat().map(<[f32]>::to_vec).unwrap_or_default()
     }
 
-    /// Draws the world as its last `forward` left it.
+    /// Draws the world in the state of its last [`World::forward`].
     ///
     /// # Errors
     /// If OpenGL fails.
@@ -84,6 +85,6 @@ impl Renderer {
         self.inner.render().map_err(failed)?;
         let pixels = self.inner.rgb_flat().map(<[u8]>::to_vec).unwrap_or_default();
         RgbImage::from_raw(self.width, self.height, pixels)
-            .ok_or_else(|| Error::Engine("the renderer gave no picture".into()))
+            .ok_or_else(|| Error::Engine("the renderer returned no picture".into()))
     }
 }

@@ -8,6 +8,7 @@ use super::lock::lock;
 use super::qos;
 use super::runtime::Runtime;
 use crate::message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue};
+use crate::statistics::percentile;
 
 /// Number of newest latencies that percentiles are computed over.
 const LATENCY_WINDOW: usize = 500;
@@ -175,31 +176,9 @@ impl TallyCounts {
     }
 }
 
-/// Percentile `q` (0 to 1) with linear interpolation, as numpy's default; NaN of nothing.
-pub fn percentile(values: impl IntoIterator<Item = f64>, q: f64) -> f64 {
-    let mut sorted: Vec<_> = values.into_iter().collect();
-    sorted.sort_by(f64::total_cmp);
-    let at = q.clamp(0.0, 1.0) * sorted.len().saturating_sub(1) as f64;
-    let (below, above) = (at.floor() as usize, at.ceil() as usize);
-    match (sorted.get(below), sorted.get(above)) {
-        (Some(low), Some(high)) => low + (high - low) * at.fract(),
-        _ => f64::NAN,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn percentiles_are_numpys() {
-        // numpy.percentile([3, 1, 4, 1, 5, 9, 2, 6], [50, 95, 100])
-        let values = [3.0, 1.0, 4.0, 1.0, 5.0, 9.0, 2.0, 6.0];
-        for (q, expected) in [(0.5, 3.5), (0.95, 7.95), (1.0, 9.0), (0.0, 1.0)] {
-            assert!((percentile(values, q) - expected).abs() < 1e-12, "{q}");
-        }
-        assert!(percentile([], 0.5).is_nan());
-    }
 
     #[test]
     fn dropped_messages_are_counted_by_cause() {

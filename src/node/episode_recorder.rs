@@ -15,7 +15,7 @@ use super::worker_thread::WorkerThread;
 use crate::dataset::ring::EpisodeRing;
 use crate::dataset::{Attributes, Frame};
 use crate::message::{Header, TactileTruth};
-use crate::score::verify::stretches::Stretches;
+use crate::score::verify::episode_splitter::EpisodeSplitter;
 use crate::tactile::CONTACT_FORCE_N;
 
 /// Most images and truths that wait for their partner; more than three seconds of any camera.
@@ -66,7 +66,7 @@ impl EpisodeRecorder {
             ring: Arc::clone(&ring),
             received,
             episode_secs: limits.episode_secs,
-            stretches: Stretches::default(),
+            splitter: EpisodeSplitter::default(),
             open: None,
             log: log.clone(),
         };
@@ -103,15 +103,15 @@ struct Writer {
     ring: SharedRing,
     received: Receiver<Pair>,
     episode_secs: f64,
-    stretches: Stretches,
+    splitter: EpisodeSplitter,
     open: Option<OpenEpisode>,
     log: Log,
 }
 
 #[derive(Debug, Clone, Copy)]
 struct OpenEpisode {
-    /// Number of the truth's stretch of time.
-    stretch: u64,
+    /// Number of the truth's episode.
+    number: u64,
     /// Stamp of the first frame, s.
     first_stamp: f64,
     /// Arrival of the newest frame.
@@ -135,14 +135,14 @@ impl Writer {
     }
 
     fn write(&mut self, image: RgbImage, truth: &TactileTruth) {
-        let stretch = self.stretches.number_of(truth);
+        let number = self.splitter.episode_number(truth);
         let stamp = truth.frame.header.stamp.secs();
         let (width, height) = image.dimensions();
         let frame = match frame(image, truth) {
             Ok(frame) => frame,
             Err(error) => return self.log.warn_throttled("truth", format!("truth: frame dropped: {error}")),
         };
-        if self.open.is_some_and(|open| self.must_end(open, stretch, stamp)) {
+        if self.open.is_some_and(|open| self.must_end(open, number, stamp)) {
             self.end_episode();
         }
         if let Err(error) = self.push(frame, &truth.frame.model_id) {
@@ -150,13 +150,13 @@ impl Writer {
             return self.log.warn_throttled("write", line);
         }
         let first_stamp = self.open.map_or(stamp, |open| open.first_stamp);
-        self.open = Some(OpenEpisode { stretch, first_stamp, last_arrival: Instant::now() });
+        self.open = Some(OpenEpisode { number, first_stamp, last_arrival: Instant::now() });
     }
 
-    /// Returns true if a frame cannot belong to the open episode. Stamps before the first one within a stretch mean that
+    /// Returns true if a frame cannot belong to the open episode. Stamps before the first one within an episode mean that
     /// two publishers send.
-    fn must_end(&self, open: OpenEpisode, stretch: u64, stamp: f64) -> bool {
-        open.stretch != stretch || stamp - open.first_stamp >= self.episode_secs || stamp < open.first_stamp
+    fn must_end(&self, open: OpenEpisode, number: u64, stamp: f64) -> bool {
+        open.number != number || stamp - open.first_stamp >= self.episode_secs || stamp < open.first_stamp
     }
 
     /// Writes a frame; another image size or topology starts another episode.

@@ -1,19 +1,19 @@
-//! Numeric arrays as numpy files and pickles carry them: raw bytes, a type code, a shape.
+//! Numeric arrays in numpy's encoding: raw bytes, a type code and a shape.
 
-/// Result with a message for the reader of the file; the caller adds the path.
+/// Result with an error message that the caller completes with the path.
 pub(crate) type Outcome<T> = Result<T, String>;
 
-/// Most elements an array may have; MANO's largest has 315 090.
+/// Largest number of elements of an array; MANO's largest array has 315 090.
 const MAX_ELEMENTS: usize = 1 << 24;
 
-/// A dense array in row-major order, whatever its type was in the file.
+/// A dense array in row-major order, converted from any numeric type.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Array {
     pub shape: Vec<usize>,
     pub data: Vec<f64>,
 }
 
-/// How numpy spells an element type, e.g. `<f8`: byte order, kind, size.
+/// Element type of an array: byte order, kind and size, spelled e.g. `<f8`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Dtype {
     big_endian: bool,
@@ -22,7 +22,7 @@ pub(crate) struct Dtype {
 }
 
 impl Dtype {
-    /// Reads a code such as `<f8`, `f8`, `|u1`, `>i4`.
+    /// Parses a code such as `<f8`, `f8`, `|u1`, `>i4`.
     pub fn parse(code: &str) -> Outcome<Self> {
         let unknown = || format!("arrays of type {code:?} are not supported (numbers of 1 to 8 bytes are)");
         let (big_endian, rest) = match code.as_bytes() {
@@ -37,18 +37,19 @@ impl Dtype {
         }
     }
 
-    /// The same type in the byte order that numpy's dtype state names.
+    /// Returns the same type in the byte order of numpy's dtype state.
     pub fn with_order(self, order: &str) -> Self {
         Self { big_endian: order == ">", ..self }
     }
 
+    /// Decodes one element.
     fn element(self, bytes: &[u8]) -> f64 {
         let mut word = [0; 8];
         for (k, slot) in word[..self.size].iter_mut().enumerate() {
             *slot = bytes[if self.big_endian { self.size - 1 - k } else { k }];
         }
         let unsigned = u64::from_le_bytes(word);
-        // Shifting up and down again extends the sign.
+        // A shift up and an arithmetic shift down extend the sign.
         let shift = 64 - 8 * self.size as u32;
         match (self.kind, self.size) {
             (b'f', 2) => half::f16::from_bits(unsigned as u16).to_f64(),
@@ -61,7 +62,7 @@ impl Dtype {
 }
 
 impl Array {
-    /// Reads raw bytes; Fortran order is turned into row-major.
+    /// Decodes raw bytes; Fortran order becomes row-major.
     pub fn from_bytes(bytes: &[u8], dtype: Dtype, shape: Vec<usize>, fortran: bool) -> Outcome<Self> {
         let count = n_elements(&shape)?;
         if bytes.len() != count * dtype.size {
@@ -73,7 +74,7 @@ impl Array {
         Ok(if fortran { array.row_major() } else { array })
     }
 
-    /// A dense matrix from (row, column, value) triplets; values at the same place add up.
+    /// Creates a dense matrix from (row, column, value) triplets; values at the same place are added.
     pub fn from_triplets(shape: [usize; 2], triplets: impl IntoIterator<Item = (usize, usize, f64)>) -> Outcome<Self> {
         let mut data = vec![0.0; n_elements(&shape)?];
         for (row, column, value) in triplets {
@@ -85,7 +86,7 @@ impl Array {
         Ok(Self { shape: shape.to_vec(), data })
     }
 
-    /// The elements as indices.
+    /// Returns the elements as indices.
     pub fn indices(&self) -> Outcome<Vec<usize>> {
         let index = |&value: &f64| {
             let whole = value >= 0.0 && value.fract() == 0.0 && value < u32::MAX as f64;
@@ -94,14 +95,13 @@ impl Array {
         self.data.iter().map(index).collect()
     }
 
-    /// Undoes Fortran order, in which the first axis runs fastest.
+    /// Converts Fortran order, in which the first axis varies fastest, to row-major order.
     fn row_major(self) -> Self {
         let mut data = vec![0.0; self.data.len()];
         let mut index = vec![0; self.shape.len()];
         for &value in &self.data {
             let slot = index.iter().zip(&self.shape).fold(0, |slot, (i, n)| slot * n + i);
             data[slot] = value;
-            // The first axis runs fastest.
             for (i, &n) in index.iter_mut().zip(&self.shape) {
                 *i += 1;
                 if *i < n {
@@ -114,10 +114,10 @@ impl Array {
     }
 }
 
-/// Product of a shape.
+/// Returns the number of elements of a shape.
 ///
 /// # Errors
-/// If it is larger than any hand needs.
+/// If it exceeds [`MAX_ELEMENTS`].
 fn n_elements(shape: &[usize]) -> Outcome<usize> {
     let count = shape.iter().try_fold(1usize, |count, &n| count.checked_mul(n)).filter(|&count| count <= MAX_ELEMENTS);
     count.ok_or_else(|| format!("an array of shape {shape:?} is too large for a hand model"))
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn fortran_order_is_turned() {
+    fn fortran_order_becomes_row_major() {
         let bytes: Vec<u8> = (0..6u8).collect();
         let array = Array::from_bytes(&bytes, Dtype::parse("|u1").unwrap(), vec![2, 3], true).unwrap();
         assert_eq!(array.data, [0.0, 2.0, 4.0, 1.0, 3.0, 5.0]);

@@ -1,5 +1,9 @@
-//! Arrays as numpy writes them: pickles and `.npz` archives.
+//! Readers of numpy's files: pickles and `.npz` archives.
 
-pub(crate) mod array;
-pub(crate) mod npz;
-pub(crate) mod pickle;
+mod array;
+mod npz;
+mod pickle;
+
+pub(crate) use array::{Array, Outcome};
+pub(crate) use npz::Npz;
+pub(crate) use pickle::{Pickle, expand_indptr, triplets};

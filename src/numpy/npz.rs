@@ -1,14 +1,14 @@
-//! Arrays of a numpy `.npz` archive.
+//! Reads numpy `.npz` archives.
 
 use std::io::{Cursor, Read};
 
 use super::array::{Array, Dtype, Outcome};
 use super::pickle::Pickle;
 
-/// Most bytes one unpacked member may have.
+/// Largest size of a decompressed member, bytes.
 const MAX_MEMBER: u64 = 256 << 20;
 
-/// The members of an archive by array name, unpacked when asked for.
+/// An archive of named arrays, which are decompressed on access.
 pub(crate) struct Npz<'a> {
     archive: zip::ZipArchive<Cursor<&'a [u8]>>,
 }
@@ -17,22 +17,22 @@ impl<'a> Npz<'a> {
     /// Opens an archive.
     ///
     /// # Errors
-    /// If the bytes are no zip archive.
+    /// If the bytes are not a zip archive.
     pub fn open(bytes: &'a [u8]) -> Outcome<Self> {
         let archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(|error| format!("no .npz archive: {error}"))?;
         Ok(Self { archive })
     }
 
-    /// Array names.
+    /// Returns the array names.
     pub fn keys(&self) -> Vec<String> {
         let names = self.archive.file_names().filter_map(|name| name.ok());
         names.map(|name| name.strip_suffix(".npy").unwrap_or(&name).to_string()).collect()
     }
 
-    /// The array of a name; `None` when there is none.
+    /// Reads the array of a name; `None` if the archive has no such member.
     ///
     /// # Errors
-    /// If the member is damaged or no numeric array.
+    /// If the member is damaged or is not a numeric array.
     pub fn array(&mut self, name: &str) -> Outcome<Option<Array>> {
         let member = match self.archive.by_name(&format!("{name}.npy")) {
             Ok(member) => member,
@@ -48,7 +48,7 @@ impl<'a> Npz<'a> {
     }
 }
 
-/// Reads a `.npy` file of version 1 to 3; an array of objects that holds one array gives that array.
+/// Reads a `.npy` file of version 1 to 3. An object array with one element gives the array in it.
 fn read_npy(bytes: &[u8]) -> Outcome<Array> {
     let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or("no .npy magic number")?;
     let ([version, _minor], rest) = rest.split_first_chunk().ok_or("no .npy version")?;
@@ -58,8 +58,8 @@ fn read_npy(bytes: &[u8]) -> Outcome<Array> {
         rest.split_first_chunk().map(|(length, rest)| (u32::from_le_bytes(*length) as usize, rest))
     }
     .ok_or("no .npy header")?;
-    let (header, data) = rest.split_at_checked(length).ok_or("a .npy header that is cut off")?;
-    let header = std::str::from_utf8(header).map_err(|_| "a .npy header that is no text")?;
+    let (header, data) = rest.split_at_checked(length).ok_or("a truncated .npy header")?;
+    let header = std::str::from_utf8(header).map_err(|_| "a .npy header that is not text")?;
 
     let descr = field(header, "descr").and_then(quoted).ok_or("a .npy header without descr")?;
     if descr.ends_with('O') {
@@ -70,17 +70,18 @@ fn read_npy(bytes: &[u8]) -> Outcome<Array> {
     Array::from_bytes(data, Dtype::parse(descr)?, shape, fortran)
 }
 
-/// What follows `'name':` in the header, a Python dictionary literal.
+/// Returns the text after `'name':` in the header, which is a Python dictionary literal.
 fn field<'a>(header: &'a str, name: &str) -> Option<&'a str> {
     let (_, value) = header.split_once(&format!("'{name}':"))?;
     Some(value.trim_start())
 }
 
+/// Parses a Python string literal.
 fn quoted(value: &str) -> Option<&str> {
     value.strip_prefix('\'')?.split('\'').next()
 }
 
-/// The numbers of a Python tuple.
+/// Parses a Python tuple of numbers.
 fn numbers(value: &str) -> Option<Vec<usize>> {
     let (inner, _) = value.strip_prefix('(')?.split_once(')')?;
     inner.split(',').map(str::trim).filter(|item| !item.is_empty()).map(|item| item.parse().ok()).collect()
@@ -105,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn sparse_matrix_in_a_box_of_objects_comes_dense() {
+    fn sparse_matrix_in_an_object_array_is_read_as_a_dense_array() {
         let bytes = include_bytes!("../../tests/data/hand/small.npz");
         let mut npz = Npz::open(bytes).unwrap();
         let dense = Array { shape: vec![2, 3], data: vec![0.0, 2.0, 0.0, 1.0, 0.0, 3.0] };

@@ -1,4 +1,4 @@
-//! The project's colours: one ramp for forces, one palette for regions.
+//! Colours of all pictures: one ramp for forces, one palette for regions.
 
 use glam::Vec3;
 use image::{Rgb, RgbImage};
@@ -6,42 +6,43 @@ use image::{Rgb, RgbImage};
 use super::font;
 use crate::hand::Region;
 
-/// Colour of paper in all pictures.
+/// Background colour of all pictures.
 pub const PAPER: Rgb<u8> = Rgb([255, 255, 255]);
-/// Colour of text in all pictures.
+/// Text colour of all pictures.
 pub const INK: Rgb<u8> = Rgb([30, 30, 36]);
-/// Colour of a hand that shows no field.
+/// Colour of a hand without a field.
 pub const SKIN: Rgb<u8> = Rgb([224, 172, 140]);
-/// Colour of what is unknown (NaN).
+/// Colour of an unknown value (NaN).
 pub const UNKNOWN: Rgb<u8> = Rgb([150, 158, 168]);
 
-/// Colour of a force in newtons on a scale that ends at `max`: pale sand at zero, over orange and red, to deep violet.
+/// Returns the colour of a force on a scale from 0 to `max`, N: pale sand, orange, red, deep violet.
 ///
-/// Perceived lightness (OKLab L) falls linearly with the force, so equal steps look equal, also in grey. Forces beyond
-/// `max` look like `max`; NaN is [`UNKNOWN`]; where `max` is not positive, everything looks like zero.
+/// Perceived lightness (OKLab L) decreases linearly with the force, so equal steps look equal, also in greyscale.
+/// Forces above `max` have the colour of `max`; NaN is [`UNKNOWN`]; if `max` is not positive, all forces have the
+/// colour of zero.
 pub fn force_color(force: f32, max: f32) -> Rgb<u8> {
     if force.is_nan() {
         return UNKNOWN;
     }
     let t = if max > 0.0 { (force / max).clamp(0.0, 1.0) } else { 0.0 };
-    // Hue turns from sand (80 degrees) over red (25) to violet (-55); chroma swells in between.
+    // The hue goes from sand (80 degrees) over red (25) to violet (-55); the chroma is largest in between.
     let hue = (80.0 - 60.0 * t - 75.0 * t * t * t).to_radians();
     let chroma = 0.035 + 0.17 * (t.min(1.0) * std::f32::consts::PI * 0.9).sin().max(0.0).powf(0.8);
     let lightness = 0.90 - 0.58 * t;
     oklab(Vec3::new(lightness, chroma * hue.cos(), chroma * hue.sin()))
 }
 
-/// [`force_color`] of each vertex.
+/// Returns the [`force_color`] of each vertex.
 pub fn force_colors(forces: &[f32], max: f32) -> Vec<Rgb<u8>> {
     forces.iter().map(|&force| force_color(force, max)).collect()
 }
 
-/// A colour for each vertex by its region: a hue per finger, darker towards the base; palm and dorsal in sand and grey.
+/// Returns the [`region_color`] of each vertex.
 pub fn region_colors(regions: &[Region]) -> Vec<Rgb<u8>> {
     regions.iter().map(|&region| region_color(region)).collect()
 }
 
-/// Colour of one region.
+/// Returns the colour of a region: one hue per finger, darker towards the base; sand for the palm, grey for dorsal.
 pub fn region_color(region: Region) -> Rgb<u8> {
     // Hues of thumb, index, middle, ring, little in degrees.
     const HUES: [f32; 5] = [25.0, 85.0, 145.0, 230.0, 310.0];
@@ -57,7 +58,7 @@ pub fn region_color(region: Region) -> Rgb<u8> {
     }
 }
 
-/// A labelled colour bar on paper: zero to `max` newtons from left to right, with the label above.
+/// Draws a colour bar from zero to `max`, N, with the label above.
 pub fn color_bar(max: f32, label: &str, (width, height): (u32, u32)) -> RgbImage {
     let mut picture = RgbImage::from_pixel(width, height, PAPER);
     let text = f64::from(height) * 0.30;
@@ -77,7 +78,7 @@ pub fn color_bar(max: f32, label: &str, (width, height): (u32, u32)) -> RgbImage
     picture
 }
 
-/// sRGB byte to linear light.
+/// Converts sRGB bytes to linear light.
 pub(super) fn linear(color: Rgb<u8>) -> Vec3 {
     Vec3::from_array(color.0.map(|byte| {
         let value = f32::from(byte) / 255.0;
@@ -85,7 +86,7 @@ pub(super) fn linear(color: Rgb<u8>) -> Vec3 {
     }))
 }
 
-/// Linear light to sRGB bytes, clipped.
+/// Converts linear light to sRGB bytes, clipped.
 pub(super) fn encoded(color: Vec3) -> Rgb<u8> {
     Rgb(color.to_array().map(|value| {
         let value = value.clamp(0.0, 1.0);
@@ -94,7 +95,7 @@ pub(super) fn encoded(color: Vec3) -> Rgb<u8> {
     }))
 }
 
-/// OKLab to sRGB (Ottosson 2020).
+/// Converts OKLab to sRGB (Ottosson 2020).
 fn oklab(lab: Vec3) -> Rgb<u8> {
     let l = (lab.x + 0.396_337_78 * lab.y + 0.215_803_76 * lab.z).powi(3);
     let m = (lab.x - 0.105_561_346 * lab.y - 0.063_854_17 * lab.z).powi(3);
@@ -110,21 +111,21 @@ fn oklab(lab: Vec3) -> Rgb<u8> {
 mod tests {
     use super::*;
 
-    /// Lightness of CIE L*a*b*, another formula than the ramp was made with, 0 to 100.
+    /// Computes the lightness of CIE L*a*b*, 0 to 100, a formula independent of the ramp's.
     fn cie_lightness(color: Rgb<u8>) -> f32 {
         let y = linear(color).dot(Vec3::new(0.2126, 0.7152, 0.0722));
         116.0 * y.cbrt() - 16.0
     }
 
     #[test]
-    fn more_force_is_always_darker_in_even_steps() {
+    fn lightness_decreases_evenly_with_force() {
         let lightness: Vec<f32> = (0..=20).map(|k| cie_lightness(force_color(k as f32, 20.0))).collect();
         let steps: Vec<f32> = lightness.windows(2).map(|pair| pair[0] - pair[1]).collect();
         assert!(steps.iter().all(|&step| (1.0..6.5).contains(&step)), "{steps:?}");
     }
 
     #[test]
-    fn colours_saturate_and_unknown_is_grey() {
+    fn colours_saturate_and_nan_is_grey() {
         assert_eq!(force_color(3.0, 2.0), force_color(2.0, 2.0));
         assert_eq!(force_color(1.0, 0.0), force_color(0.0, 1.0));
         assert_eq!(force_color(f32::NAN, 1.0), UNKNOWN);
@@ -132,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn regions_are_told_apart() {
+    fn region_colours_are_distinct() {
         for (i, a) in Region::ALL.into_iter().enumerate() {
             for b in &Region::ALL[..i] {
                 let (a, b) = (region_color(a), region_color(*b));
@@ -143,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_survive_linear_light() {
+    fn srgb_bytes_survive_conversion_to_linear_light() {
         for byte in 0..=255 {
             assert_eq!(encoded(linear(Rgb([byte; 3]))), Rgb([byte; 3]));
         }

@@ -1,4 +1,4 @@
-//! Plots as files: PNG for readers, SVG beside it for papers.
+//! Writes plots as PNG and SVG files.
 
 use std::error::Error as StdError;
 use std::path::Path;
@@ -11,15 +11,15 @@ use super::font;
 use crate::error::{Error, Result};
 use crate::file;
 
-/// What drawing gives: errors of all backends.
+/// Result of drawing, with the errors of any backend.
 pub type Drawn<T> = std::result::Result<T, Box<dyn StdError>>;
 
-/// A plot that draws itself on any backend.
+/// A plot that can be drawn on any backend.
 pub trait Figure {
     /// Width and height, pixels.
     const SIZE: (u32, u32);
 
-    /// Draws on `root`, which has [`SIZE`](Self::SIZE).
+    /// Draws on `root`, which has the size [`SIZE`](Self::SIZE).
     ///
     /// # Errors
     /// If the backend fails.
@@ -31,7 +31,7 @@ pub trait Figure {
 /// Writes `figure` to the PNG file `path`.
 ///
 /// # Errors
-/// If it can't be drawn, or the file can't be written.
+/// If drawing or writing fails.
 pub fn write_png<F: Figure>(path: &Path, figure: &F) -> Result<()> {
     font::register();
     let (width, height) = F::SIZE;

@@ -1,4 +1,4 @@
-//! Text in pictures: one font, registered in one place.
+//! Text in pictures.
 
 use std::sync::Once;
 
@@ -7,34 +7,34 @@ use plotters::prelude::{BitMapBackend, DrawingBackend, RGBColor, TextStyle};
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{FontStyle, IntoFont, register_font};
 
-/// Family under which the font is known to plotters.
+/// Font family that is registered with plotters.
 pub const FAMILY: &str = "sans-serif";
 
-/// Which end of the text lies at the given place.
+/// Horizontal alignment of a text at a position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Align {
-    /// Text starts there.
+    /// The text starts at the position.
     Left,
-    /// Text is centred there.
+    /// The text is centred at the position.
     Centre,
-    /// Text ends there.
+    /// The text ends at the position.
     Right,
 }
 
-/// Makes DejaVu Sans known to plotters as [`FAMILY`]; call it before drawing charts. Only the first call does anything.
+/// Registers DejaVu Sans with plotters as [`FAMILY`]. Required before drawing charts; repeated calls do nothing.
 pub fn register() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         for (style, bytes) in [(FontStyle::Normal, dejavu::sans::regular()), (FontStyle::Bold, dejavu::sans::bold())] {
-            // The bytes are part of this program; a test draws text.
+            // The font is embedded in the program, and a test draws text, so this cannot fail at run time.
             let _ = register_font(FAMILY, style, bytes);
         }
     });
 }
 
-/// Draws one line of text with its upper edge at `at` (pixels right, down); `size` is its height in pixels.
+/// Draws a line of text with its upper edge at `at` (pixels to the right and down); `size` is its height in pixels.
 ///
-/// Text beyond the picture is cut off.
+/// Text beyond the picture is clipped.
 pub fn draw(picture: &mut RgbImage, text: &str, at: (i32, i32), size: f64, color: Rgb<u8>, align: Align) {
     register();
     let dimensions = picture.dimensions();
@@ -47,11 +47,11 @@ pub fn draw(picture: &mut RgbImage, text: &str, at: (i32, i32), size: f64, color
     let color = RGBColor(red, green, blue);
     let style = TextStyle::from((FAMILY, size).into_font()).pos(Pos::new(horizontal, VPos::Top)).color(&color);
     let mut backend = BitMapBackend::with_buffer(picture.as_mut(), dimensions);
-    // Drawing into memory can't fail but for a font that isn't there, and it is.
+    // Drawing into memory fails only if the font is missing, and it is registered above.
     let _ = backend.draw_text(text, &style, at);
 }
 
-/// Width of a line of text in pixels.
+/// Returns the width of a line of text, pixels.
 pub fn width(text: &str, size: f64) -> u32 {
     register();
     (FAMILY, size).into_font().box_size(text).map_or(0, |(width, _)| width)
@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_leaves_ink_where_it_is_put() {
+    fn text_starts_at_its_position() {
         let mut picture = RgbImage::from_pixel(120, 40, Rgb([255; 3]));
         draw(&mut picture, "force", (60, 10), 16.0, Rgb([0; 3]), Align::Left);
         let dark = |x: std::ops::Range<u32>| {
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn text_beyond_the_picture_is_cut_off() {
+    fn text_beyond_the_picture_is_clipped() {
         let mut picture = RgbImage::new(10, 10);
         draw(&mut picture, "a long line of text", (-40, -3), 16.0, Rgb([255; 3]), Align::Left);
     }

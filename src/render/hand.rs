@@ -1,32 +1,28 @@
-//! A picture of one posed hand.
+//! Draws one posed hand.
 
 use glam::Vec3;
 use image::{Rgb, RgbImage};
 
 use super::color::PAPER;
-use super::raster::{self, Camera, Mesh};
+use super::raster::{self, Camera, ColoredMesh};
 use super::smooth::tessellated;
 use crate::hand::{HandModel, PosedHand, Side, vertex_normals};
 
-/// From where a hand is seen.
+/// Viewpoint of a picture of a hand.
 #[derive(Debug, Clone, Copy)]
 pub enum View {
-    /// The palm, fingers up; turns with the wrist; the hand fills the picture.
+    /// The palm with the fingers up. The view follows the wrist, and the hand fills the picture.
     Palmar,
-    /// The back of the hand, fingers up; turns with the wrist; the hand fills the picture.
+    /// The back of the hand with the fingers up. The view follows the wrist, and the hand fills the picture.
     Dorsal,
-    /// Along a direction of the hand's own rest frame (towards the viewer), +y up; turns with the wrist.
-    From(Vec3),
-    /// As a camera sees it.
-    Camera(Camera),
 }
 
-/// Draws a posed hand with a colour per vertex on paper.
+/// Draws a posed hand with one colour per vertex.
 ///
-/// `colors`: (778). `size`: width and height in pixels.
+/// `colors`: (778). `size`: width and height, pixels.
 ///
 /// # Panics
-/// If `colors` has not one entry per vertex.
+/// If the numbers of `colors` and vertices differ.
 pub fn hand_picture(
     model: &HandModel,
     posed: &PosedHand,
@@ -37,7 +33,8 @@ pub fn hand_picture(
     assert_eq!(colors.len(), posed.vertices.len(), "one colour per vertex");
     let normals = vertex_normals(&posed.vertices, &model.faces);
     let fine = tessellated(&posed.vertices, &normals, colors, &model.faces);
-    let mesh = Mesh { vertices: &fine.vertices, normals: &fine.normals, colors: &fine.colors, faces: &fine.faces };
+    let mesh =
+        ColoredMesh { vertices: &fine.vertices, normals: &fine.normals, colors: &fine.colors, faces: &fine.faces };
     raster::draw(&mesh, &camera(model, posed, view, size), PAPER, size)
 }
 
@@ -49,14 +46,12 @@ fn camera(model: &HandModel, posed: &PosedHand, view: View, size: (u32, u32)) ->
     let (toward, up) = match view {
         View::Palmar => (Vec3::NEG_Y, fingers),
         View::Dorsal => (Vec3::Y, fingers),
-        View::From(toward) => (toward, if toward.normalize_or_zero().y.abs() > 0.95 { fingers } else { Vec3::Y }),
-        View::Camera(camera) => return camera,
     };
     let wrist = posed.rotations[0];
     framed(&posed.vertices, wrist * toward, wrist * up, size)
 }
 
-/// A camera whose picture the points just fill, with a margin.
+/// Creates a camera whose picture the points fill, with a margin.
 fn framed(points: &[Vec3], toward: Vec3, up: Vec3, (width, height): (u32, u32)) -> Camera {
     const MARGIN: f32 = 1.08;
     let camera = Camera::new(Vec3::ZERO, toward, up, 1.0);
@@ -91,8 +86,9 @@ mod tests {
     }
 
     #[test]
-    fn fingers_point_up_and_the_thumb_side_follows_the_view() {
-        // Seen on the palm, a right hand's index finger is right of the middle; on the back, left; a left hand mirrors.
+    fn fingers_point_up_and_sides_match_the_view() {
+        // In the palmar view of a right hand, the index finger is in the right half; in the dorsal view, in the left
+        // half. A left hand is the mirror image.
         for (side, view, right_half) in [
             (Side::Right, View::Palmar, true),
             (Side::Right, View::Dorsal, false),
@@ -106,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn hand_fills_the_picture_without_being_cut() {
+    fn hand_fills_the_picture_without_being_clipped() {
         let picture = picture(Side::Right, View::Palmar);
         let inked = picture.pixels().filter(|pixel| **pixel != PAPER).count();
         assert!((2500..9000).contains(&inked), "{inked} pixels");

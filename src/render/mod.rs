@@ -1,4 +1,4 @@
-//! Pictures of hands and fields, drawn on the CPU: the same on every machine, no display needed.
+//! Pictures of hands and fields, rasterised on the CPU: identical on every machine, without a display.
 //!
 //! ```
 //! use egotac::hand::{HandModel, HandParams, Side};
@@ -16,7 +16,9 @@ pub mod color;
 pub mod figure;
 pub mod font;
 mod hand;
-pub mod raster;
+#[doc(hidden)]
+pub mod plot;
+mod raster;
 mod smooth;
 
 pub use color::{color_bar, force_color, force_colors, region_colors};

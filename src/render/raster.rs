@@ -1,19 +1,19 @@
-//! A small software rasteriser: shaded triangles with a depth buffer, on the CPU, the same on every machine.
+//! Software rasteriser: shaded triangles with a depth buffer.
 
 use glam::{Mat3, Vec3};
 use image::{Rgb, RgbImage};
 
 use super::color::{encoded, linear};
 
-/// Samples per pixel along each axis.
+/// Number of samples per pixel along each axis.
 const SUPERSAMPLING: u32 = 3;
 
 /// An orthographic camera.
 #[derive(Debug, Clone, Copy)]
-pub struct Camera {
-    /// Point in the middle of the picture, m.
+pub(super) struct Camera {
+    /// Point at the centre of the picture, m.
     pub target: Vec3,
-    /// Rows: the world directions that are right, up and towards the viewer in the picture.
+    /// Rotation to the view frame; its rows are the world directions right, up and towards the viewer.
     pub view_from_world: Mat3,
     /// Height of the picture, m.
     pub height: f32,
@@ -21,7 +21,7 @@ pub struct Camera {
 
 /// Triangles with a normal and a colour per vertex.
 #[derive(Debug, Clone, Copy)]
-pub struct Mesh<'a> {
+pub(super) struct ColoredMesh<'a> {
     /// Vertices, m.
     pub vertices: &'a [Vec3],
     /// Unit normals, one per vertex.
@@ -32,7 +32,7 @@ pub struct Mesh<'a> {
     pub faces: &'a [[u32; 3]],
 }
 
-/// What one vertex needs on the screen.
+/// A vertex in screen coordinates.
 #[derive(Clone, Copy)]
 struct Corner {
     /// Pixels right, pixels down, metres towards the viewer.
@@ -42,7 +42,7 @@ struct Corner {
 }
 
 impl Camera {
-    /// A camera that looks along `-toward_viewer`, with `up` upwards in the picture.
+    /// Creates a camera that looks along `-toward_viewer`, with `up` upwards in the picture.
     pub fn new(target: Vec3, toward_viewer: Vec3, up: Vec3, height: f32) -> Self {
         let toward = toward_viewer.normalize();
         let up = up.reject_from_normalized(toward).normalize();
@@ -51,8 +51,8 @@ impl Camera {
     }
 }
 
-/// Draws a mesh on `background`, lit from the viewer's upper left.
-pub fn draw(mesh: &Mesh, camera: &Camera, background: Rgb<u8>, (width, height): (u32, u32)) -> RgbImage {
+/// Draws a mesh on `background`, lit from the upper left of the viewer.
+pub(super) fn draw(mesh: &ColoredMesh, camera: &Camera, background: Rgb<u8>, (width, height): (u32, u32)) -> RgbImage {
     let (fine_width, fine_height) = (width * SUPERSAMPLING, height * SUPERSAMPLING);
     let mut canvas = Canvas::new(fine_width, fine_height, linear(background));
     let scale = fine_height as f32 / camera.height;
@@ -111,7 +111,7 @@ impl Canvas {
         }
     }
 
-    /// Box-filtered in linear light.
+    /// Downsamples with a box filter in linear light.
     fn downsampled(&self, width: u32, height: u32) -> RgbImage {
         RgbImage::from_fn(width, height, |x, y| {
             let mut sum = Vec3::ZERO;
@@ -123,12 +123,12 @@ impl Canvas {
     }
 }
 
-/// Twice the signed area of the triangle a, b, p on the screen.
+/// Computes twice the signed area of the triangle a, b, p on the screen.
 fn edge(a: Vec3, b: Vec3, p: Vec3) -> f32 {
     (b.x - a.x) * (p.y - a.y) - (b.y - a.y) * (p.x - a.x)
 }
 
-/// Diffuse light from the upper left, a fill light, and a rim that darkens where the surface turns away.
+/// Shades with diffuse light from the upper left and a fill light; grazing surfaces are darker.
 fn shade(color: Vec3, normal: Vec3) -> Vec3 {
     const KEY: Vec3 = Vec3::new(-0.43, 0.52, 0.74);
     const FILL: Vec3 = Vec3::new(0.63, -0.21, 0.75);
@@ -144,7 +144,7 @@ mod tests {
     const BLUE: Rgb<u8> = Rgb([0, 0, 255]);
     const PAPER: Rgb<u8> = Rgb([255, 255, 255]);
 
-    /// Two crossed squares facing +z, the blue one in front.
+    /// Draws two squares facing +z, the smaller blue one in front of the red one.
     fn picture() -> RgbImage {
         let square = |z: f32, half: f32| {
             [(-half, -half), (half, -half), (half, half), (-half, half)].map(|(x, y)| Vec3::new(x, y, z))
@@ -154,7 +154,7 @@ mod tests {
         // The nearer square comes first, so that only the depth buffer can put it in front.
         let faces = [[4, 5, 6], [4, 6, 7], [0, 1, 2], [0, 2, 3]];
         let camera = Camera::new(Vec3::ZERO, Vec3::Z, Vec3::Y, 1.0);
-        let mesh = Mesh { vertices: &vertices, normals: &[Vec3::Z; 8], colors: &colors, faces: &faces };
+        let mesh = ColoredMesh { vertices: &vertices, normals: &[Vec3::Z; 8], colors: &colors, faces: &faces };
         draw(&mesh, &camera, PAPER, (50, 50))
     }
 
@@ -169,16 +169,16 @@ mod tests {
     }
 
     #[test]
-    fn drawn_area_is_the_projected_area() {
+    fn drawn_area_equals_the_projected_area() {
         let inked = picture().pixels().filter(|pixel| **pixel != PAPER).count();
         assert_eq!(inked, 40 * 40);
     }
 
     #[test]
-    fn surfaces_outside_the_picture_are_cut_off() {
+    fn surfaces_outside_the_picture_are_clipped() {
         let vertices = [Vec3::new(-9.0, -9.0, 0.0), Vec3::new(9.0, -9.0, 0.0), Vec3::new(0.0, 9.0, f32::NAN)];
         let camera = Camera::new(Vec3::ZERO, Vec3::Z, Vec3::Y, 1.0);
-        let mesh = Mesh { vertices: &vertices, normals: &[Vec3::Z; 3], colors: &[RED; 3], faces: &[[0, 1, 2]] };
+        let mesh = ColoredMesh { vertices: &vertices, normals: &[Vec3::Z; 3], colors: &[RED; 3], faces: &[[0, 1, 2]] };
         assert_eq!(draw(&mesh, &camera, PAPER, (8, 8)).dimensions(), (8, 8));
     }
 }

@@ -1,17 +1,17 @@
-//! Rounder outlines: each triangle becomes a curved patch that follows its vertex normals (Phong tessellation, Boubekeur
-//! & Alexa 2008).
+//! Phong tessellation (Boubekeur & Alexa 2008): replaces each triangle by a curved patch that follows the vertex
+//! normals.
 
 use glam::Vec3;
 use image::Rgb;
 
 use super::color::{encoded, linear};
 
-/// Edges of a triangle are cut into this many pieces.
+/// Number of pieces that an edge is divided into.
 const PIECES: u32 = 4;
-/// How far points move onto the tangent planes; 3/4 is the authors' choice.
+/// Interpolation between the flat and the curved patch; 3/4 is the value of the paper.
 const ROUNDNESS: f32 = 0.75;
 
-/// A finer mesh through the same vertices, with its own arrays.
+/// A tessellated mesh.
 #[derive(Debug, Default)]
 pub struct FineMesh {
     /// Vertices, m.
@@ -24,7 +24,7 @@ pub struct FineMesh {
     pub faces: Vec<[u32; 3]>,
 }
 
-/// Splits every face; neighbours stay joined because an edge's points depend on that edge alone.
+/// Tessellates every face. Neighbours stay connected, because the points of an edge depend on that edge alone.
 pub fn tessellated(vertices: &[Vec3], normals: &[Vec3], colors: &[Rgb<u8>], faces: &[[u32; 3]]) -> FineMesh {
     let mut fine = FineMesh::default();
     for face in faces {
@@ -42,7 +42,7 @@ pub fn tessellated(vertices: &[Vec3], normals: &[Vec3], colors: &[Rgb<u8>], face
                 fine.colors.push(encoded(mix(corners.map(|k| linear(colors[k])))));
             }
         }
-        // Row r starts after the rows before it, which have PIECES + 1, PIECES, ... points.
+        // Rows have PIECES + 1, PIECES, ... points.
         let at = |row: u32, column: u32| first + row * (PIECES + 1) - row * (row.max(1) - 1) / 2 + column;
         for row in 0..PIECES {
             for column in 0..PIECES - row {
@@ -67,7 +67,7 @@ mod tests {
         let fine = tessellated(&vertices, &vertices, &[Rgb([9, 9, 9]); 6], &faces);
         assert_eq!(fine.faces.len(), 8 * (PIECES * PIECES) as usize);
         let least = fine.vertices.iter().map(|v| v.length()).fold(f32::MAX, f32::min);
-        // The octahedron's faces come within 0.58 of the centre.
+        // The flat faces come within 0.58 of the centre.
         assert!(least > 0.85, "{least}");
         let area: f32 = crate::hand::vertex_areas(&fine.vertices, &fine.faces).iter().sum();
         assert!((10.0..13.0).contains(&area), "{area} of 12.57");

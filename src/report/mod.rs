@@ -1,4 +1,4 @@
-//! One self-contained HTML page about a labelled data set: `egotac report`.
+//! Report on a labelled data set, one self-contained HTML page: `egotac report`.
 
 mod page;
 mod regions;
@@ -7,9 +7,9 @@ mod trace;
 
 use std::path::Path;
 
+use crate::dataset::{Labelled, format::open_images};
 use crate::error::Result;
 use crate::hand::{HandModel, Topology};
-use crate::label::{Labelled, images_of};
 use crate::score::metrics::{self, EvalOptions};
 
 pub use page::page;
@@ -17,22 +17,22 @@ pub use regions::{RegionRow, region_rows};
 pub use samples::{Sample, samples};
 pub use trace::{Trace, traces};
 
-/// What goes on the page.
+/// Content of the page.
 #[derive(Debug, Clone)]
-pub struct Settings {
-    /// Frames that are shown.
+pub struct PageSettings {
+    /// Number of sample frames.
     pub frames: usize,
-    /// Episodes whose traces are shown.
+    /// Largest number of episodes whose total force is plotted.
     pub episodes: usize,
-    /// Hands to draw labels on that are not on the built-in one.
+    /// Hands to draw the labels on; None = the built-in hands.
     pub hands: Option<[HandModel; 2]>,
 }
 
-/// Writes the page about the labels at `path`.
+/// Returns the page about the labels at `path`.
 ///
 /// # Errors
-/// If the labels or their images can't be read, or the hands are of another topology.
-pub fn html(path: &Path, settings: &Settings) -> Result<String> {
+/// If the labels or their images can't be read, or the hands are on another topology.
+pub fn html(path: &Path, settings: &PageSettings) -> Result<String> {
     let labelled = Labelled::read(path)?;
     let builtin = || crate::hand::Side::BOTH.map(HandModel::builtin);
     let hands = match (&settings.hands, labelled.labels.topology) {
@@ -44,12 +44,12 @@ pub fn html(path: &Path, settings: &Settings) -> Result<String> {
         (None, Some(Topology::Mano)) => None,
         (None, _) => Some(builtin()),
     };
-    let images = images_of(path, labelled.about.as_ref());
+    let images = open_images(path, labelled.info.as_ref());
     let samples = samples(&labelled, images.as_deref(), hands.as_ref(), settings.frames)?;
-    let report = match &labelled.truth {
+    let metrics = match &labelled.truth {
         Some(truth) => Some(metrics::evaluate(&labelled.labels, truth, &EvalOptions::default())?),
         None => None,
     };
     let rows = hands.as_ref().map(|hands| region_rows(&labelled, hands)).unwrap_or_default();
-    Ok(page(path, &labelled, &samples, &traces(&labelled, settings.episodes), &rows, report.as_ref()))
+    Ok(page(path, &labelled, &samples, &traces(&labelled, settings.episodes), &rows, metrics.as_ref()))
 }

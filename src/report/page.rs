@@ -1,4 +1,4 @@
-//! The page itself: HTML with all it needs inside.
+//! Layout of the page: HTML with embedded images and styles.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -9,9 +9,9 @@ use base64::engine::general_purpose::STANDARD;
 use super::regions::RegionRow;
 use super::samples::Sample;
 use super::trace::Trace;
+use crate::dataset::Labelled;
 use crate::hand::{Region, Side};
-use crate::label::Labelled;
-use crate::score::metrics::{self, Report};
+use crate::score::metrics::{Metrics, table};
 
 const STYLE: &str = "
 body { font: 15px/1.45 system-ui, sans-serif; color: #1e1e24; max-width: 1060px; margin: 2em auto; padding: 0 1em; }
@@ -23,14 +23,14 @@ img { height: 200px; margin-right: 4px; } svg { width: 100%; max-width: 760px; f
 .bar { display: inline-block; height: 10px; background: #c2410c; vertical-align: middle; } .left { color: #1b5fae; }
 .right { color: #c2410c; } pre { background: #f6f6f4; padding: 8px; white-space: pre-wrap; }";
 
-/// Puts the page together.
+/// Assembles the page.
 pub fn page(
     path: &Path,
     labelled: &Labelled,
     samples: &[Sample],
     traces: &[Trace],
     regions: &[RegionRow],
-    report: Option<&Report>,
+    metrics: Option<&Metrics>,
 ) -> String {
     let name = escaped(&path.file_name().unwrap_or_default().to_string_lossy());
     let mut html = format!(
@@ -38,8 +38,8 @@ pub fn page(
          </head><body>\n<h1>Touch in {name}</h1>\n"
     );
     html += &about(labelled);
-    if let Some(report) = report {
-        let table = escaped(&metrics::table(&[("labels against truth", report)]));
+    if let Some(metrics) = metrics {
+        let table = escaped(&table(&[("labels against truth", metrics)]));
         html += &format!("<h2 id=\"metrics\">Labels against the truth</h2>\n<pre>{table}</pre>\n");
     }
     html += &frames(samples);
@@ -48,6 +48,7 @@ pub fn page(
     html + "</body></html>\n"
 }
 
+/// Returns the table of sizes and provenance.
 fn about(labelled: &Labelled) -> String {
     let mut rows = vec![
         ("frames", labelled.labels.n_frames().to_string()),
@@ -55,7 +56,7 @@ fn about(labelled: &Labelled) -> String {
         ("vertices", labelled.labels.topology.map_or("unknown topology".into(), |topology| topology.id().to_string())),
     ];
     let mut text = String::new();
-    if let Some(about) = &labelled.about {
+    if let Some(about) = &labelled.info {
         let provenance = &about.provenance;
         rows.push(("network", format!("{}, SHA-256 {}", provenance.model, provenance.model_sha256)));
         rows.push((
@@ -71,6 +72,7 @@ fn about(labelled: &Labelled) -> String {
     format!("<table id=\"about\">{rows}</table>\n{text}")
 }
 
+/// Returns the sample frames.
 fn frames(samples: &[Sample]) -> String {
     let Some(first) = samples.first() else { return String::new() };
     let mut html = format!(
@@ -99,15 +101,16 @@ fn frames(samples: &[Sample]) -> String {
     html
 }
 
+/// Returns the plots of total force.
 fn episodes(labelled: &Labelled, traces: &[Trace]) -> String {
-    let most = traces.iter().map(Trace::most).fold(0.0, f64::max);
+    let max_force = traces.iter().map(Trace::max_force).fold(0.0, f64::max);
     let truth = if labelled.truth.is_some() { "; dashed: truth" } else { "" };
     let mut html = format!(
         "<h2 id=\"episodes\">Total force</h2>\n<p><span class=\"left\">left</span> and <span class=\"right\">right</span> hand{truth}.</p>\n"
     );
     for trace in traces {
         // Writing to a String cannot fail.
-        let _ = writeln!(html, "<div>episode {}</div>{}", trace.episode, trace.svg(most));
+        let _ = writeln!(html, "<div>episode {}</div>{}", trace.episode, trace.svg(max_force));
     }
     if labelled.labels.episode_ends.len() > traces.len() {
         let _ = writeln!(html, "<p>The first {} of {} episodes.</p>", traces.len(), labelled.labels.episode_ends.len());
@@ -115,6 +118,7 @@ fn episodes(labelled: &Labelled, traces: &[Trace]) -> String {
     html
 }
 
+/// Returns the table of contact by region.
 fn region_table(regions: &[RegionRow]) -> String {
     if regions.is_empty() {
         return String::new();
@@ -140,7 +144,7 @@ fn region_table(regions: &[RegionRow]) -> String {
     html + "</table>\n"
 }
 
-/// Text as HTML shows it, whatever a file is called.
+/// Escapes text for HTML: file names may contain any character.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -1,22 +1,22 @@
-//! How often, and how hard, each region of the hands touches.
+//! Contact frequency and force of each region of the hands.
 
+use crate::dataset::{CONTACT_THRESHOLD, Labelled};
 use crate::hand::{HandModel, N_VERTICES, Region, Side};
-use crate::label::{CONTACT_THRESHOLD, Labelled};
 
-/// One region of one hand.
+/// Contact and force of one region of one hand.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RegionRow {
-    /// Which hand.
+    /// The hand.
     pub side: Side,
     /// The region.
     pub region: Region,
-    /// Share of the labelled frames in which a vertex of it is touched.
+    /// Share of the labelled frames in which a vertex of the region is touched.
     pub contact_ratio: f64,
-    /// Mean of the sum of its forces over those frames, N; None = no touch, or forces are not known.
+    /// Mean total force on the region over its frames with contact, N; None = no contact, or unknown forces.
     pub mean_force: Option<f64>,
 }
 
-/// Rows for both hands, left first.
+/// Returns the rows of both hands, left first.
 pub fn region_rows(labelled: &Labelled, hands: &[HandModel; 2]) -> Vec<RegionRow> {
     let regions = hands.each_ref().map(HandModel::regions);
     let mut rows = Vec::new();

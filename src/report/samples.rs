@@ -1,4 +1,4 @@
-//! Frames to look at: the image, and both hands coloured by force.
+//! Sample frames: the image, and both hands coloured by force.
 
 use std::io::Cursor;
 
@@ -6,45 +6,45 @@ use ::image::codecs::jpeg::JpegEncoder;
 use ::image::imageops::{FilterType, resize};
 use ::image::{ImageFormat, RgbImage};
 
+use crate::dataset::{ImageSource, Labelled};
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, Side};
-use crate::label::{Labelled, Source};
 use crate::render::{View, force_colors, hand_picture};
-use crate::tactile::TactileSequence;
+use crate::tactile::{CONTACT_FORCE_N, TactileSequence};
 
 /// Height of images and hands, pixels.
 const HEIGHT: u32 = 200;
-/// Width of a hand's picture, pixels.
+/// Width of a hand's image, pixels.
 const HAND_WIDTH: u32 = 160;
-/// Quality of camera images.
+/// JPEG quality of camera images, 1 to 100.
 const JPEG_QUALITY: u8 = 85;
 
-/// A frame that is shown.
+/// A sample frame.
 #[derive(Debug, Clone)]
 pub struct Sample {
-    /// Its number in the data set.
+    /// Index of the frame in the data set.
     pub frame: usize,
-    /// Its episode.
+    /// Index of the episode.
     pub episode: usize,
-    /// Its time, s.
+    /// Time stamp, s.
     pub stamp_secs: f64,
-    /// The camera's image, a JPEG file; None where it can't be read.
+    /// Camera image as JPEG; None if it can't be read.
     pub image: Option<Vec<u8>>,
-    /// Left and right hand on their palms, PNG files; empty without a hand model.
+    /// Palmar views of left and right hand as PNG; empty without a hand model.
     pub hands: Vec<Vec<u8>>,
     /// Total force of left and right hand, N.
     pub force: [f32; 2],
-    /// Force at the end of the colours, N.
+    /// Force at the upper end of the colour scale, N.
     pub scale: f32,
 }
 
-/// Draws `n` frames: in each of `n` equal stretches of the data set the one with the most force.
+/// Draws `n` frames: of each of `n` equal parts of the data set, the frame with the largest total force.
 ///
 /// # Errors
-/// If a picture can't be written.
+/// If an image can't be encoded.
 pub fn samples(
     labelled: &Labelled,
-    images: Option<&dyn Source>,
+    images: Option<&dyn ImageSource>,
     hands: Option<&[HandModel; 2]>,
     n: usize,
 ) -> Result<Vec<Sample>> {
@@ -76,31 +76,32 @@ pub fn samples(
     Ok(samples)
 }
 
+/// Returns the index of the frame with the largest total force in each of `n` equal parts.
 fn chosen(labels: &TactileSequence, n: usize) -> Vec<usize> {
     let total = |frame: usize| -> f32 { labels.force_at(frame).iter().filter(|force| !force.is_nan()).sum() };
     let frames = labels.n_frames();
     let n = n.min(frames);
-    let stretch = |i: usize| (i * frames / n)..((i + 1) * frames / n);
-    (0..n).filter_map(|i| stretch(i).max_by(|a, b| total(*a).total_cmp(&total(*b)).then(b.cmp(a)))).collect()
+    let part = |i: usize| (i * frames / n)..((i + 1) * frames / n);
+    (0..n).filter_map(|i| part(i).max_by(|a, b| total(*a).total_cmp(&total(*b)).then(b.cmp(a)))).collect()
 }
 
-/// The force that 999 of 1000 touched vertices stay below, N.
+/// Returns the 99.9th percentile of the forces above 0.05 N, N.
 fn scale(labels: &TactileSequence) -> f32 {
-    let mut forces: Vec<f32> = labels.force.iter().copied().filter(|force| *force > 0.05).collect();
+    let mut forces: Vec<f32> = labels.force.iter().copied().filter(|force| *force > CONTACT_FORCE_N).collect();
     forces.sort_by(f32::total_cmp);
     forces.get(forces.len() * 999 / 1000).copied().unwrap_or(1.0)
 }
 
-/// Images by their number in the data set, wanted in growing order.
+/// Random access to images by their index in the data set; indices must grow.
 struct Images<'a> {
-    source: &'a dyn Source,
-    /// Number of the first image of each unit, as far as it is known.
+    source: &'a dyn ImageSource,
+    /// Current unit of the source, and the index of its first image.
     unit: usize,
     start: usize,
 }
 
 impl<'a> Images<'a> {
-    fn new(source: &'a dyn Source) -> Self {
+    fn new(source: &'a dyn ImageSource) -> Self {
         Self { source, unit: 0, start: 0 }
     }
 
@@ -112,8 +113,8 @@ impl<'a> Images<'a> {
             }
             (self.unit, self.start) = (self.unit + 1, self.start + length);
         }
-        let shot = self.source.shots(self.unit, frame - self.start).ok()?.next()?;
-        shot.picture.ok()?.decode().ok()
+        let frame = self.source.frames(self.unit, frame - self.start).ok()?.next()?;
+        frame.image.ok()?.decode().ok()
     }
 }
 

@@ -1,36 +1,37 @@
-//! Total force over an episode, as a drawing in SVG.
+//! Plot of the total force over an episode, in SVG.
 
 use std::fmt::Write;
 use std::ops::Range;
 
+use crate::dataset::Labelled;
 use crate::hand::Side;
-use crate::label::Labelled;
 use crate::tactile::N_FIELD;
 
-/// Points of a curve at most: of longer episodes each shows the largest of several frames.
-const POINTS: usize = 600;
-/// Size of a drawing, and its margins: left, top, right, bottom.
+/// Largest number of points of a curve; in longer episodes each point is the maximum of several frames.
+const MAX_POINTS: usize = 600;
+/// Width and height of a plot, pixels.
 const SIZE: (f64, f64) = (760.0, 150.0);
+/// Margins of a plot: left, top, right, bottom, pixels.
 const MARGIN: (f64, f64, f64, f64) = (46.0, 10.0, 10.0, 24.0);
 /// Colours of left and right hand.
 const COLORS: [&str; 2] = ["#1b5fae", "#c2410c"];
 
-/// Total forces of one episode.
+/// Total force over one episode.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trace {
-    /// Number of the episode.
+    /// Index of the episode.
     pub episode: usize,
     /// Time of the first frame, s.
     pub start: f64,
     /// Time from the first frame to the last, s.
     pub seconds: f64,
-    /// Total force of left and right hand at evenly many points, N; NaN = unknown.
+    /// Total force of left and right hand, N; NaN = unknown.
     pub force: [Vec<f64>; 2],
-    /// The same of the truth, where there is one.
+    /// True total force of left and right hand, N, if there is truth.
     pub truth: Option<[Vec<f64>; 2]>,
 }
 
-/// Traces of the first `episodes` episodes.
+/// Returns the traces of the first `episodes` episodes.
 pub fn traces(labelled: &Labelled, episodes: usize) -> Vec<Trace> {
     let labels = &labelled.labels;
     let trace = |(episode, Range { start, end }): (usize, Range<usize>)| {
@@ -48,24 +49,25 @@ pub fn traces(labelled: &Labelled, episodes: usize) -> Vec<Trace> {
     ranges.enumerate().map(trace).collect()
 }
 
+/// Returns the total force of one hand in each frame, N.
 fn totals(force: &[f32], side: Side) -> Vec<f64> {
     force.chunks_exact(N_FIELD).map(|frame| frame[side.range()].iter().map(|f| f64::from(*f)).sum()).collect()
 }
 
-/// The largest of each group of neighbours; unknown only where all are.
+/// Reduces a curve to the maximum of each group of neighbours; unknown only where the whole group is.
 fn thinned(values: &[f64]) -> Vec<f64> {
     values
-        .chunks(values.len().div_ceil(POINTS).max(1))
+        .chunks(values.len().div_ceil(MAX_POINTS).max(1))
         .map(|group| group.iter().copied().fold(f64::NAN, f64::max))
         .collect()
 }
 
 impl Trace {
-    /// The drawing; `most` is the force at the axis' upper end, N.
-    pub fn svg(&self, most: f64) -> String {
+    /// Returns the plot; `max_force` is the force at the upper end of the axis, N.
+    pub fn svg(&self, max_force: f64) -> String {
         let (left, top, right, bottom) = MARGIN;
         let (width, height) = (SIZE.0 - left - right, SIZE.1 - top - bottom);
-        let most = if most > 0.0 { most } else { 1.0 };
+        let max_force = if max_force > 0.0 { max_force } else { 1.0 };
         let mut svg =
             format!(r#"<svg viewBox="0 0 {} {}" role="img" aria-label="Total force over time">"#, SIZE.0, SIZE.1);
         for share in [0.0, 0.5, 1.0] {
@@ -77,7 +79,7 @@ impl Trace {
                 left + width,
                 left - 5.0,
                 y + 4.0,
-                share * most
+                share * max_force
             );
             let x = left + width * share;
             let anchor = if share == 0.0 {
@@ -95,11 +97,11 @@ impl Trace {
             let (mut path, mut pen) = (String::new(), "M");
             for (index, value) in values.iter().enumerate() {
                 if value.is_nan() {
-                    // A gap, not zero.
+                    // An unknown value interrupts the curve.
                     pen = "M";
                     continue;
                 }
-                let (x, y) = (left + width * index as f64 / last, top + height * (1.0 - (value / most).min(1.0)));
+                let (x, y) = (left + width * index as f64 / last, top + height * (1.0 - (value / max_force).min(1.0)));
                 let _ = write!(path, "{pen}{x:.1} {y:.1}");
                 pen = "L";
             }
@@ -118,8 +120,8 @@ impl Trace {
         svg + "</svg>"
     }
 
-    /// The largest force of the trace, N.
-    pub fn most(&self) -> f64 {
+    /// Returns the largest total force of the trace, N.
+    pub fn max_force(&self) -> f64 {
         let truth = self.truth.iter().flatten();
         self.force.iter().chain(truth).flatten().copied().fold(0.0, f64::max)
     }
@@ -134,11 +136,11 @@ mod tests {
         let mut values = vec![0.0; 10_000];
         values[7_777] = 3.0;
         let thin = thinned(&values);
-        assert!(thin.len() <= POINTS && thin.contains(&3.0));
+        assert!(thin.len() <= MAX_POINTS && thin.contains(&3.0));
         let trace =
             Trace { episode: 0, start: 0.0, seconds: 1.0, force: [vec![0.0, f64::NAN, 2.0], vec![]], truth: None };
         let svg = trace.svg(2.0);
         assert!(svg.contains(r#"d="M46.0 126.0M750.0 10.0""#), "{svg}");
-        assert_eq!(trace.most(), 2.0);
+        assert_eq!(trace.max_force(), 2.0);
     }
 }

@@ -23,7 +23,6 @@ pub mod goal;
 pub mod human;
 mod motion_limit;
 pub mod object;
-pub mod peer;
 pub mod problem;
 pub mod robot;
 pub mod solver;

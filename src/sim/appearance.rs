@@ -1,12 +1,12 @@
-//! How things look: colours, patterns and lights, drawn at random so that a network learns shapes and not colours.
+//! Random appearance: colours, patterns and lights, so that a network learns shapes rather than colours.
 
 use glam::DVec3;
 use rand::Rng;
 
-/// Red, green and blue, 0 to 1.
+/// Red, green and blue, each 0 to 1.
 pub type Rgb = [f64; 3];
 
-/// Skin from light to dark.
+/// Skin tones from light to dark; drawn tones lie between neighbours.
 const SKIN: [Rgb; 6] = [
     [0.97, 0.82, 0.73],
     [0.92, 0.73, 0.61],
@@ -16,10 +16,10 @@ const SKIN: [Rgb; 6] = [
     [0.32, 0.20, 0.14],
 ];
 
-/// Colours and lights of a picture.
+/// Colours and lights of the surroundings.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Look {
-    /// Two colours of the table's pattern.
+pub struct Appearance {
+    /// Both colours of the table's pattern.
     pub table: [Rgb; 2],
     /// Pattern of the table: `flat`, `checker` or `gradient`.
     pub table_pattern: &'static str,
@@ -29,14 +29,14 @@ pub struct Look {
     pub background: [Rgb; 2],
     /// Colour of the floor.
     pub floor: Rgb,
-    /// Light from everywhere.
+    /// Brightness of the ambient light, 0 to 1.
     pub ambient: f64,
-    /// Lamps: position, m, and brightness.
+    /// Lamps: position, m, and brightness, 0 to 1.
     pub lamps: Vec<(DVec3, f64)>,
 }
 
-impl Look {
-    /// Draws a look.
+impl Appearance {
+    /// Draws an appearance.
     pub fn sample(rng: &mut impl Rng) -> Self {
         let base = colour(rng, 0.05..0.55, 0.25..0.95);
         let other = base.map(|c| (c * rng.random_range(0.7..1.15)).clamp(0.0, 1.0));

@@ -1,4 +1,4 @@
-//! The head-mounted camera: where it is and how it sways.
+//! Pose and motion of the head-mounted camera.
 
 use std::f64::consts::TAU;
 
@@ -6,9 +6,9 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::randomize::CameraDraw;
 
-/// Pose of the camera: rotation and position of `world_from_camera`.
+/// Pose `world_from_camera`.
 ///
-/// The camera frame is the optical one: x to the right, y down, z forward.
+/// The camera frame is the optical frame: x to the right, y down, z forward.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CameraPose {
     /// Position in the world, m.
@@ -18,22 +18,22 @@ pub struct CameraPose {
 }
 
 impl CameraPose {
-    /// From the engine's camera, which looks along -z with y up.
-    pub fn from_engine((position, axes): (DVec3, DMat3)) -> Self {
+    /// Converts the pose of an engine camera, which looks along -z with y up.
+    pub(crate) fn from_engine((position, axes): (DVec3, DMat3)) -> Self {
         let optical = DMat3::from_cols(axes.x_axis, -axes.y_axis, -axes.z_axis);
         Self { position, orientation: DQuat::from_mat3(&optical).normalize() }
     }
 
-    /// A world point in the optical frame.
+    /// Transforms a world point to the optical frame, m.
     pub fn camera_from_world(&self, point: DVec3) -> DVec3 {
         self.orientation.inverse() * (point - self.position)
     }
 }
 
 impl CameraDraw {
-    /// Pose of the head's body at `time`, s, in the engine's camera convention: a slow sway around the mean.
-    pub fn head(&self, time: f64) -> (DVec3, DQuat) {
-        // Frequencies of a sitting person's head; no common period.
+    /// Returns the pose of the head's body at `time`, s, in the engine's camera convention: a slow sway about the mean.
+    pub(crate) fn head(&self, time: f64) -> (DVec3, DQuat) {
+        // Frequencies of a sitting person's head, without a common period.
         const HERTZ: [f64; 6] = [0.31, 0.43, 0.23, 0.37, 0.53, 0.29];
         let wave = |i: usize| (TAU * HERTZ[i] * time + self.phases[i]).sin();
         let eye = self.eye + self.sway * DVec3::new(wave(0), wave(1), 0.5 * wave(2));
@@ -51,7 +51,7 @@ mod tests {
     use crate::camera::{Distortion, Intrinsics};
 
     #[test]
-    fn the_target_is_seen_in_the_middle_and_up_is_up() {
+    fn target_projects_to_the_centre_and_points_above_it_project_higher() {
         let camera = CameraDraw {
             eye: DVec3::new(0.1, -0.4, 0.4),
             target: DVec3::new(0.0, 0.0, 0.05),

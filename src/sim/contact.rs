@@ -1,4 +1,4 @@
-//! Contacts of the engine to labels of the hands.
+//! Labels of a hand from the engine's contacts.
 
 use glam::{DVec3, Vec3};
 
@@ -7,24 +7,25 @@ use crate::geometry::{ForceSpreader, LinkContact};
 use crate::mujoco::World;
 use crate::mujoco::world::Body;
 
-/// Force on one hand, with what conservation says about it.
+/// Force on one hand, with residuals of the conservation of force and moment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HandForce {
-    /// (778) N.
+    /// (778) normal force per vertex, N.
     pub force: Vec<f32>,
     /// Sum of the contacts' normal forces, N.
     pub total: f64,
-    /// |sum over vertices - total| / total.
+    /// Relative residual of the sum: |sum over vertices - total| / total.
     pub sum_residual: f64,
-    /// Length of the moment that spreading adds, N m.
+    /// Magnitude of the moment that spreading adds, N m.
     pub moment_residual: f64,
-    /// Touching points with force.
+    /// Number of contact points with force.
     pub contacts: usize,
-    /// Their places in the world frame, m.
+    /// Positions of the contact points in the world frame, m.
     pub places: Vec<DVec3>,
 }
 
-/// Label (c) of one hand: every contact in which one of `links` takes part; a hand that touches itself gets both sides.
+/// Computes label (c) of one hand from all contacts of its `links`; a contact between two links of the hand counts on
+/// both.
 ///
 /// `vertices` are the posed (778) vertices in the world frame, m.
 ///
@@ -39,12 +40,17 @@ pub fn hand_force(world: &World, links: &[Body], vertices: &[Vec3], spreader: &F
     Ok(HandForce { force, total, sum_residual, moment_residual, contacts: places.len(), places })
 }
 
-/// (778) speed at which touching surfaces slide along each other, m/s: at each vertex the mean over contacts, weighted
-/// with the force that it has from each; 0 where it has none.
+/// Computes the (778) sliding speed of touching surfaces, m/s: at each vertex the mean over contacts, weighted by the
+/// force that the vertex has from each contact; 0 without force.
 ///
 /// # Errors
 /// As [`hand_force`].
-pub fn hand_slip(world: &World, links: &[Body], vertices: &[Vec3], spreader: &ForceSpreader) -> Result<Vec<f32>> {
+pub(crate) fn hand_slip(
+    world: &World,
+    links: &[Body],
+    vertices: &[Vec3],
+    spreader: &ForceSpreader,
+) -> Result<Vec<f32>> {
     let (contacts, speeds): (Vec<LinkContact>, Vec<f64>) = hand_contacts(world, links).unzip();
     let weighted = |(contact, speed): (&LinkContact, &f64)| LinkContact { force: contact.force * speed, ..*contact };
     let force = spreader.spread(vertices, &contacts)?.force;
@@ -52,7 +58,7 @@ pub fn hand_slip(world: &World, links: &[Body], vertices: &[Vec3], spreader: &Fo
     Ok(sliding.iter().zip(force).map(|(sliding, force)| if force > 0.0 { sliding / force } else { 0.0 }).collect())
 }
 
-/// Contacts with force on a hand's links, each with the speed at which it slides, m/s.
+/// Iterates over the contacts with force on a hand's links, each with its sliding speed, m/s.
 fn hand_contacts<'a>(world: &'a World, links: &'a [Body]) -> impl Iterator<Item = (LinkContact, f64)> + 'a {
     let pressed = world.contacts().filter(|contact| contact.normal_force > 0.0);
     pressed.flat_map(move |contact| {

@@ -1,21 +1,21 @@
-//! Convex shapes against each other: the one place where our vectors meet the collision library's.
+//! Convex hulls and their overlap, with conversions between glam's and parry's vectors.
 
 use glam::{DQuat, DVec3};
 use parry3d::math::{Pose, Rotation, Vector};
 use parry3d::shape::SharedShape;
 
-/// Where and how deep one shape is in another.
+/// Overlap of a first shape with a second one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Overlap {
-    /// Depth, m; of shapes grown by the margin.
+    /// Penetration depth plus margin, m.
     pub depth: f64,
-    /// Deepest point of the first shape, in the common frame, m.
+    /// Deepest point of the first shape in the common frame, m.
     pub point: DVec3,
-    /// Unit direction in which the first shape leaves the second the shortest way.
+    /// Unit direction of the shortest way of the first shape out of the second.
     pub out: DVec3,
 }
 
-/// Overlap of two shapes with a margin between them; `None` where they are farther apart than that.
+/// Computes the overlap of two shapes with a margin, m, between them; `None` if they are farther apart.
 pub fn overlap(
     (first, first_pose): (&SharedShape, &Pose),
     (second, second_pose): (&SharedShape, &Pose),
@@ -27,24 +27,24 @@ pub fn overlap(
     (depth > 0.0 && out.is_normalized()).then(|| Overlap { depth, point: double(contact.point1), out })
 }
 
-/// Convex hull of points; `None` if they span no volume.
+/// Computes the convex hull of points; `None` if they span no volume.
 pub fn hull(points: &[DVec3]) -> Option<SharedShape> {
     let points: Vec<Vector> = points.iter().copied().map(single).collect();
     if points.len() < 4 { None } else { SharedShape::convex_hull(&points) }
 }
 
-/// A pose in the library's form.
+/// Converts a pose to parry's type.
 pub fn pose(position: DVec3, orientation: DQuat) -> Pose {
     let [x, y, z, w] = orientation.to_array().map(|v| v as f32);
     Pose::from_parts(single(position), Rotation::from_xyzw(x, y, z, w))
 }
 
-/// A vector in the library's form.
+/// Converts a vector to parry's type.
 pub fn single(v: DVec3) -> Vector {
     Vector::new(v.x as f32, v.y as f32, v.z as f32)
 }
 
-/// A vector in ours.
+/// Converts a vector from parry's type.
 pub fn double(v: Vector) -> DVec3 {
     DVec3::new(v.x.into(), v.y.into(), v.z.into())
 }
@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn two_cubes_overlap_by_what_is_asked_and_part_along_out() {
+    fn overlap_of_two_cubes_has_known_depth_and_direction() {
         let cube = SharedShape::cuboid(0.02, 0.02, 0.02);
         let at = |x: f64| pose(DVec3::new(x, 0.0, 0.0), DQuat::IDENTITY);
         let deep = overlap((&cube, &at(0.035)), (&cube, &at(0.0)), 0.0).unwrap();

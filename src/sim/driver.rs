@@ -1,219 +1,252 @@
-//! Drives one hand along its script: places by inverse kinematics once, then servo targets in time.
+//! Hand drivers: solve the poses of a script by inverse kinematics once, then set servo targets in time.
 //!
-//! A site with a force goal is pushed by `J^T F` at its servos, corrected by what the contact is measured to carry, so
-//! that the same script closes on an object of any size until it is touched, and presses as hard as asked.
+//! A site with a force goal is pushed by `J^T F` at its servos, corrected by the measured contact force: the same
+//! script closes on an object of any size until it touches, and presses with the goal's force.
 
 use glam::{DQuat, DVec3, EulerRot};
 use parry3d::math::Pose;
 
 use super::convex;
-use super::ik::{self, Clearance, Freedom, Reach};
+use super::ik::{self, Clearance, JointVariable, PadTarget};
 use super::mjcf::{WRIST, WRIST_STIFFNESS};
 use super::object::Object;
-use super::randomize::{Act, Goal, HandDraw};
-use super::rig::{HandRig, Hinge, JOINT_NAMES, Motion, base_joint, site_of};
-use super::scene::Site;
+use super::randomize::{ActDraw, ContactGoal, HandDraw};
+use super::rig::{HandRig, Hinge, HingeMotion, JOINT_NAMES, base_joint, site_of};
+use super::scene::HandSite;
 use crate::error::Result;
-use crate::mujoco::World;
 use crate::mujoco::world::{Body, Servo, Skin};
+use crate::mujoco::{Contact, World};
 
-/// Openings at which the fingers' places are solved; between them angles are interpolated.
-const OPENINGS: usize = 4;
-/// Distance that links without a goal of their own keep from the object, so that the pads touch first, m.
+/// Number of openings at which poses are solved; joint positions between them are interpolated.
+const SOLVED_OPENINGS: usize = 4;
+/// Smallest opening that poses are solved for, m: it avoids a division by zero for scripts without opening.
+const MIN_WIDEST_OPENING: f64 = 1e-3;
+/// Distance between the object and links without a goal, m: the pads touch first.
 const LINK_MARGIN: f64 = 0.002;
-/// Share of the opening that every part of the hand keeps from the object.
-const SHARE_OF_OPENING: f64 = 0.6;
-/// Seconds in which a missing force is made up.
-const FORCE_LAG: f64 = 0.15;
-/// The correction is at most this many times the goal.
-const MOST_CORRECTION: f64 = 1.5;
-/// Height of the table's top that the hand keeps away from when its place is chosen, m.
+/// Distance of the whole hand from the object, as a share of the opening.
+const OPENING_MARGIN_SHARE: f64 = 0.6;
+/// Time constant of the force correction, s.
+const FORCE_TIME_CONSTANT: f64 = 0.15;
+/// Largest force correction, as a multiple of the goal.
+const MAX_FORCE_CORRECTION: f64 = 1.5;
+/// Smallest height of the hand above the table in solved poses, m.
 const TABLE_CLEARANCE: f64 = 0.004;
+/// Iterations of the solver for the pose at the object, and for each pose at an opening.
+const TOUCH_ITERATIONS: usize = 120;
+const OPENING_ITERATIONS: usize = 60;
 
-/// Angles of a finger that has closed around nothing, from the knuckle on, rad.
-const CLOSED: [f64; 3] = [1.45, 1.6, 1.0];
-/// Share of the knuckle's torque that the hinges of a wrapping finger have, from the knuckle on.
-const WRAP_SHARES: [f64; 3] = [1.0, 0.7, 0.45];
+/// Hinge angles of a finger closed around nothing, from the knuckle on, rad.
+const CLOSED_FINGER: [f64; 3] = [1.45, 1.6, 1.0];
+/// Hinge angle of a closed thumb, rad.
+const CLOSED_THUMB: f64 = 0.9;
+/// Torques of a wrapping finger's hinges as shares of the knuckle's, from the knuckle on.
+const WRAP_TORQUE_SHARES: [f64; 3] = [1.0, 0.7, 0.45];
 
-/// A hand in a world, with its plan.
+/// Driver of a hand in a world, with its motion plan.
 #[derive(Debug)]
 pub struct HandDriver {
     wrist: [Servo; 6],
     hinges: Vec<Servo>,
     wrist_body: Body,
-    bodies: Vec<Body>,
+    /// Bodies of the links in MANO's order of joints.
+    links: Vec<Body>,
     skin: Skin,
-    /// Place and orientation of the wrist where its servos are at zero.
+    /// Position and orientation of the wrist with its servos at zero.
     zero: (DVec3, DQuat),
-    wraps: Vec<Wrap>,
-    plan: Plan,
+    wrap_hinges: Vec<WrapHinge>,
+    plan: MotionPlan,
 }
 
-/// What a hand deals with, at its start.
+/// Object that a hand touches, at its start.
 #[derive(Debug, Clone, Copy)]
-pub struct Target<'a> {
-    /// Its body; `None` for a place that is not solid.
+pub struct TargetObject<'a> {
+    /// Body; `None` for an object that is not solid.
     pub body: Option<Body>,
-    /// Its shape.
+    /// Shape.
     pub shape: &'a Object,
-    /// Its place, m.
+    /// Position, m.
     pub position: DVec3,
-    /// Its orientation.
+    /// Orientation.
     pub orientation: DQuat,
 }
 
-/// A hinge of a wrapping finger.
+/// Hinge of a wrapping finger.
 #[derive(Debug, Clone, Copy)]
-struct Wrap {
+struct WrapHinge {
     /// Index into the hinges.
     hinge: usize,
     /// Angle when closed, rad.
     closed: f64,
-    /// How far the servo's target may lead the hinge, rad: torque over stiffness.
+    /// Largest lead of the servo's target over the hinge, rad: torque limit over stiffness.
     lead: f64,
 }
 
+/// Planned motion of a hand.
 #[derive(Debug)]
-struct Plan {
+struct MotionPlan {
     /// Largest opening of the script, m.
     widest: f64,
-    /// Positions of wrist and hinges at openings from 0 to `widest`; one entry when the hand is idle.
-    places: Vec<Vec<f64>>,
-    act: Option<Act>,
-    /// Upright axis of twists: a point on it, m.
+    /// Positions of wrist and hinges, m and rad, at evenly spaced openings from 0 to `widest`; one entry if the hand is
+    /// idle.
+    poses: Vec<Vec<f64>>,
+    /// `None` = idle.
+    act: Option<ActDraw>,
+    /// Point on the upright axis of twists, m.
     pivot: DVec3,
+    /// Body of the touched object; `None` = a place to reach, at which the other hand is touched.
     object: Option<Body>,
-    pushes: Vec<Push>,
+    force_controls: Vec<ForceControl>,
 }
 
-/// How a goal's force is made.
+/// Integral control of a goal's force.
 #[derive(Debug)]
-struct Push {
-    goal: Goal,
+struct ForceControl {
+    goal: ContactGoal,
+    /// Bodies of the goal's site.
     bodies: Vec<Body>,
-    /// Servo targets' change per newton: index into wrist (0..6) or hinges (6..).
+    /// Change of servo targets per newton, m or rad: index into wrist (0..6) or hinges (6..), and change.
     per_newton: Vec<(usize, f64)>,
     /// Integrated correction, N.
     correction: f64,
 }
 
-impl HandDriver {
-    /// Resolves the hand in `world` and solves its places; the world is left in the hand's start pose.
-    ///
-    /// # Errors
-    /// If the world was not made from this hand.
-    pub fn new(world: &mut World, hand: &HandDraw, rig: &HandRig, objects: &[Target]) -> Result<Self> {
-        let servo = |name: &str| world.servo(&rig.name(name));
-        let wrist = WRIST.map(servo);
-        let mut servos = Vec::new();
-        for result in wrist {
-            servos.push(result?);
-        }
-        let wrist: [Servo; 6] = std::array::from_fn(|i| servos[i]);
-        let hinges = rig.hinges.iter().map(|h| world.servo(&rig.name(&h.name))).collect::<Result<Vec<_>>>()?;
-        let bodies = JOINT_NAMES.iter().map(|name| world.body(&rig.name(name))).collect::<Result<Vec<_>>>()?;
-        let idle = Plan {
+impl MotionPlan {
+    /// Creates the plan of a hand that keeps its rest pose.
+    fn idle(posture: &[f64]) -> Self {
+        Self {
             widest: 0.0,
-            places: vec![[0.0; 6].iter().chain(&hand.posture).copied().collect()],
+            poses: vec![[0.0; 6].iter().chain(posture).copied().collect()],
             act: None,
             pivot: DVec3::ZERO,
             object: None,
-            pushes: Vec::new(),
+            force_controls: Vec::new(),
+        }
+    }
+
+    /// Interpolates the solved poses at an opening, m.
+    fn pose_at(&self, opening: f64) -> Vec<f64> {
+        let place = (opening / self.widest).clamp(0.0, 1.0) * (self.poses.len() - 1) as f64;
+        let low = (place as usize).min(self.poses.len().saturating_sub(2));
+        let high = (low + 1).min(self.poses.len() - 1);
+        let part = place - low as f64;
+        self.poses[low].iter().zip(&self.poses[high]).map(|(a, b)| a + (b - a) * part).collect()
+    }
+}
+
+impl ForceControl {
+    /// Integrates the difference between the wanted and the measured force over `interval`, s; resets without squeeze.
+    fn update(&mut self, world: &World, squeeze: f64, interval: f64, is_target: impl Fn(Body) -> bool) {
+        if squeeze <= 0.0 {
+            self.correction = 0.0;
+            return;
+        }
+        let touches = |contact: &Contact| {
+            let [a, b] = contact.bodies;
+            (self.bodies.contains(&a) && is_target(b)) || (self.bodies.contains(&b) && is_target(a))
         };
-        let zero = (hand.wrist, hand.orientation);
-        let skin = world.skin(&rig.name("skin"))?;
-        let mut driver =
-            Self { skin, wrist, hinges, wrist_body: bodies[0], bodies, zero, wraps: wraps(hand, rig), plan: idle };
+        let measured: f64 = world.contacts().filter(touches).map(|contact| contact.normal_force).sum();
+        let limit = MAX_FORCE_CORRECTION * self.goal.force;
+        let missing = squeeze * self.goal.force - measured;
+        self.correction = (self.correction + missing * interval / FORCE_TIME_CONSTANT).clamp(-limit, limit);
+    }
+}
+
+impl HandDriver {
+    /// Finds the hand in `world` and solves the poses of its script; the hand is left in its start pose.
+    ///
+    /// # Errors
+    /// If the world was not made from this hand.
+    pub fn new(world: &mut World, hand: &HandDraw, rig: &HandRig, objects: &[TargetObject]) -> Result<Self> {
+        let wrist = WRIST.iter().map(|name| world.servo(&rig.name(name))).collect::<Result<Vec<_>>>()?;
+        let hinges = rig.hinges.iter().map(|h| world.servo(&rig.name(&h.name))).collect::<Result<Vec<_>>>()?;
+        let links = JOINT_NAMES.iter().map(|name| world.body(&rig.name(name))).collect::<Result<Vec<_>>>()?;
+        let mut driver = Self {
+            skin: world.skin(&rig.name("skin"))?,
+            wrist: std::array::from_fn(|i| wrist[i]),
+            hinges,
+            wrist_body: links[0],
+            links,
+            zero: (hand.wrist, hand.orientation),
+            wrap_hinges: wrap_hinges(hand, rig),
+            plan: MotionPlan::idle(&hand.posture),
+        };
         if let Some(act) = &hand.act {
             driver.plan = driver.solve(world, hand, act, rig, &objects[act.object]);
         }
         let targets = driver.targets(world, 0.0);
-        for (servo, target) in driver.servos().zip(&targets) {
-            world.set_joint_position(servo, *target);
-        }
-        driver.apply(world, &targets);
+        driver.set_positions(world, &targets);
+        driver.set_targets(world, &targets);
         Ok(driver)
     }
 
-    /// The hand's skin.
+    /// Returns the hand's skin.
     pub fn skin(&self) -> Skin {
         self.skin
     }
 
-    /// Body of the wrist.
+    /// Returns the body of the wrist.
     pub fn wrist(&self) -> Body {
         self.wrist_body
     }
 
-    /// Bodies of the links in MANO's order of joints.
+    /// Returns the bodies of the links in MANO's order of joints.
     pub fn links(&self) -> &[Body] {
-        &self.bodies
+        &self.links
     }
 
-    /// Hinge angles as they are, in the rig's order, rad.
+    /// Returns the current hinge angles in the rig's order, rad.
     pub fn angles(&self, world: &World) -> Vec<f64> {
         self.hinges.iter().map(|servo| world.joint_position(*servo)).collect()
     }
 
-    /// Sets the servos for the next `interval` seconds.
+    /// Sets the servo targets for the next `interval` seconds.
     pub fn drive(&mut self, world: &mut World, interval: f64) {
         let time = world.time();
         if let Some(act) = &self.plan.act {
             let squeeze = act.timeline.at(time).squeeze;
-            for push in &mut self.plan.pushes {
-                if squeeze <= 0.0 {
-                    push.correction = 0.0;
-                    continue;
-                }
-                // At a place that is not solid, whatever is there is meant: the other hand.
-                let object = self.plan.object;
-                let meant = |body: Body| object.map_or(!self.bodies.contains(&body), |object| object == body);
-                let touches = |c: &crate::mujoco::Contact| {
-                    let [a, b] = c.bodies;
-                    (push.bodies.contains(&a) && meant(b)) || (push.bodies.contains(&b) && meant(a))
-                };
-                let measured: f64 = world.contacts().filter(touches).map(|c| c.normal_force).sum();
-                let most = MOST_CORRECTION * push.goal.force;
-                let missing = squeeze * push.goal.force - measured;
-                push.correction = (push.correction + missing * interval / FORCE_LAG).clamp(-most, most);
+            let object = self.plan.object;
+            // At a place to reach, contact with anything but this hand counts: the other hand.
+            let is_target = |body: Body| object.map_or(!self.links.contains(&body), |object| object == body);
+            for control in &mut self.plan.force_controls {
+                control.update(world, squeeze, interval, is_target);
             }
         }
         let targets = self.targets(world, time);
-        self.apply(world, &targets);
+        self.set_targets(world, &targets);
     }
 
-    /// Puts the hand where its plan has it at `time`, s, without servos or forces.
+    /// Moves the hand to its planned pose at `time`, s, without servos and forces.
     pub fn place(&self, world: &mut World, time: f64) {
         let targets = self.targets(world, time);
-        for (servo, target) in self.servos().zip(&targets) {
-            world.set_joint_position(servo, *target);
-        }
+        self.set_positions(world, &targets);
     }
 
+    /// Iterates over the servos: wrist, then hinges.
     fn servos(&self) -> impl Iterator<Item = Servo> + '_ {
         self.wrist.iter().chain(&self.hinges).copied()
     }
 
-    fn apply(&self, world: &mut World, targets: &[f64]) {
+    fn set_positions(&self, world: &mut World, positions: &[f64]) {
+        for (servo, position) in self.servos().zip(positions) {
+            world.set_joint_position(servo, *position);
+        }
+    }
+
+    fn set_targets(&self, world: &mut World, targets: &[f64]) {
         for (servo, target) in self.servos().zip(targets) {
             world.set_target(servo, *target);
         }
     }
 
-    /// Servo targets at `time`: wrist, then hinges.
+    /// Computes the servo targets at `time`, s: wrist, then hinges, m and rad.
     fn targets(&self, world: &World, time: f64) -> Vec<f64> {
         let plan = &self.plan;
         let Some(act) = &plan.act else {
-            return plan.places[0].clone();
+            return plan.poses[0].clone();
         };
         let channels = act.timeline.at(time);
-        let place = (channels.opening / plan.widest).clamp(0.0, 1.0) * (plan.places.len() - 1) as f64;
-        let low = (place as usize).min(plan.places.len().saturating_sub(2));
-        let high = (low + 1).min(plan.places.len() - 1);
-        let part = place - low as f64;
-        let between = plan.places[low].iter().zip(&plan.places[high]).map(|(a, b)| a + (b - a) * part);
-        let mut targets: Vec<f64> = between.collect();
-        for wrap in self.wraps.iter().filter(|_| channels.wrap > 0.0) {
+        let mut targets = plan.pose_at(channels.opening);
+        for wrap in self.wrap_hinges.iter().filter(|_| channels.wrap > 0.0) {
             let target = &mut targets[6 + wrap.hinge];
             let closing = *target + channels.wrap * (wrap.closed - *target);
             *target = closing.min(world.joint_position(self.hinges[wrap.hinge]) + wrap.lead);
@@ -225,96 +258,118 @@ impl HandDriver {
         for axis in 0..3 {
             targets[axis] += displacement[axis];
         }
-        for push in &plan.pushes {
-            let force = channels.squeeze * push.goal.force + push.correction;
-            for (index, per_newton) in &push.per_newton {
+        for control in &plan.force_controls {
+            let force = channels.squeeze * control.goal.force + control.correction;
+            for (index, per_newton) in &control.per_newton {
                 targets[*index] += force * per_newton;
             }
         }
         targets
     }
 
-    /// Turns the wrist's targets by `angle` about the upright axis through the pivot.
+    /// Rotates the wrist's targets by `angle`, rad, about the upright axis through the pivot.
     fn twist(&self, angle: f64, targets: &mut [f64]) {
         let turn = DQuat::from_rotation_z(angle);
         let (origin, orientation) = self.zero;
         let position = origin + DVec3::new(targets[0], targets[1], targets[2]);
         let moved = self.plan.pivot + turn * (position - self.plan.pivot) - origin;
-        // The wrist's hinges turn about the hand's own axes, the first outermost.
+        // The wrist's hinges turn about the hand's axes, the first outermost.
         let own = DQuat::from_euler(EulerRot::XYZ, targets[3], targets[4], targets[5]);
         let (x, y, z) = (orientation.inverse() * turn * orientation * own).to_euler(EulerRot::XYZ);
         targets[..6].copy_from_slice(&[moved.x, moved.y, moved.z, x, y, z]);
     }
 
-    fn solve(&self, world: &mut World, hand: &HandDraw, act: &Act, rig: &HandRig, target: &Target) -> Plan {
+    /// Plans an act: poses from the object outwards, force controls at the object.
+    fn solve(
+        &self,
+        world: &mut World,
+        hand: &HandDraw,
+        act: &ActDraw,
+        rig: &HandRig,
+        target: &TargetObject,
+    ) -> MotionPlan {
+        let mut clearance = self.clearance(act, rig, target);
+        let variables = self.variables(hand, rig);
+        for (servo, angle) in self.hinges.iter().zip(&hand.posture) {
+            world.set_joint_position(*servo, *angle);
+        }
+        let touch = ik::solve(world, &variables, &self.pad_targets(act, rig, 0.0), &clearance, TOUCH_ITERATIONS);
+        let force_controls = act.goals.iter().map(|goal| self.force_control(world, goal, rig)).collect();
+
+        // Only the wrist and the fingers with goals open.
+        let has_goal = |hinge: &Hinge| act.goals.iter().any(|goal| goal.site == hinge.site);
+        let hinges = rig.hinges.iter().enumerate().filter(|(_, hinge)| has_goal(hinge)).map(|(i, _)| 6 + i);
+        let moving: Vec<usize> = (0..6).chain(hinges).collect();
+        let widest = act.timeline.widest_opening().max(MIN_WIDEST_OPENING);
+        let mut poses = vec![touch];
+        for step in 1..SOLVED_OPENINGS {
+            let opening = widest * step as f64 / (SOLVED_OPENINGS - 1) as f64;
+            let mut pose = poses[step - 1].clone();
+            // The whole hand moves away, not only the pads.
+            clearance.pad_margin = OPENING_MARGIN_SHARE * opening;
+            clearance.margin = clearance.pad_margin.max(LINK_MARGIN);
+            let free: Vec<JointVariable> = moving.iter().map(|i| near_pose(*i, variables[*i], &pose)).collect();
+            let targets = self.pad_targets(act, rig, opening);
+            let solved = ik::solve(world, &free, &targets, &clearance, OPENING_ITERATIONS);
+            for (index, position) in moving.iter().zip(solved) {
+                pose[*index] = position;
+            }
+            poses.push(pose);
+        }
+        MotionPlan {
+            widest,
+            poses,
+            act: Some(act.clone()),
+            pivot: target.position,
+            object: target.body,
+            force_controls,
+        }
+    }
+
+    /// Returns the clearance at the object, where the pads touch it.
+    fn clearance<'a>(&'a self, act: &ActDraw, rig: &'a HandRig, target: &TargetObject) -> Clearance<'a> {
         let pose: Pose = convex::pose(target.position, target.orientation);
-        let mut clearance = Clearance {
+        Clearance {
             obstacles: target.body.map_or_else(Vec::new, |_| target.shape.obstacles(&pose)),
             margin: LINK_MARGIN,
             pads: act.goals.iter().map(|goal| rig.pad(goal.site).joint).collect(),
             pad_margin: 0.0,
             rig,
-            links: &self.bodies,
+            links: &self.links,
             pairs: rig.colliding(),
             height: TABLE_CLEARANCE,
-        };
-        let reach = |goal: &Goal, opening: f64| {
-            let pad = rig.pad(goal.site);
-            Reach { body: self.bodies[pad.joint], pad, point: goal.point + goal.normal * opening, normal: goal.normal }
-        };
-        let hinge = |index: usize| Freedom {
+        }
+    }
+
+    /// Returns the joints that the solver may move: wrist slides, wrist hinges, finger hinges.
+    fn variables(&self, hand: &HandDraw, rig: &HandRig) -> Vec<JointVariable> {
+        let slide = |servo: &Servo| JointVariable { servo: *servo, rest: 0.0, slack: 0.1, range: [-0.5, 0.5] };
+        let turn = |servo: &Servo| JointVariable { servo: *servo, rest: 0.0, slack: 0.25, range: [-1.2, 1.2] };
+        let hinge = |index: usize| JointVariable {
             servo: self.hinges[index],
             rest: hand.posture[index],
             slack: 0.5,
             range: rig.hinges[index].range,
         };
-        for (servo, angle) in self.hinges.iter().zip(&hand.posture) {
-            world.set_joint_position(*servo, *angle);
-        }
-        // At the object: wrist and fingers together.
-        let slides = self.wrist[..3].iter().map(|s| Freedom { servo: *s, rest: 0.0, slack: 0.1, range: [-0.5, 0.5] });
-        let turns = self.wrist[3..].iter().map(|s| Freedom { servo: *s, rest: 0.0, slack: 0.25, range: [-1.2, 1.2] });
-        let all: Vec<Freedom> = slides.chain(turns).chain((0..self.hinges.len()).map(hinge)).collect();
-        let reaches: Vec<Reach> = act.goals.iter().map(|goal| reach(goal, 0.0)).collect();
-        let touch = ik::solve(world, &all, &reaches, &clearance, 120);
-        let pushes = act.goals.iter().map(|goal| self.push(world, goal, rig)).collect();
-
-        // Away from it: the wrist and the fingers with goals, from one opening to the next.
-        let has_goal = |hinge: &Hinge| act.goals.iter().any(|goal| goal.site == hinge.site);
-        let hinges = rig.hinges.iter().enumerate().filter(|(_, hinge)| has_goal(hinge)).map(|(i, _)| 6 + i);
-        let moving: Vec<usize> = (0..6).chain(hinges).collect();
-        let widest = act.timeline.widest_opening().max(1e-3);
-        let mut places = vec![touch];
-        for step in 1..OPENINGS {
-            let opening = widest * step as f64 / (OPENINGS - 1) as f64;
-            let mut place = places[step - 1].clone();
-            // The whole hand keeps away, not only the pads.
-            clearance.pad_margin = SHARE_OF_OPENING * opening;
-            clearance.margin = clearance.pad_margin.max(LINK_MARGIN);
-            // Near the last solution rather than the posture, so that the way between them is short; and rather with
-            // the fingers than with the wrist.
-            let near = |i: usize| match i {
-                0..3 => Freedom { rest: place[i], slack: 0.01, ..all[i] },
-                3..6 => Freedom { rest: place[i], slack: 0.1, ..all[i] },
-                _ => Freedom { rest: place[i], ..all[i] },
-            };
-            let free: Vec<Freedom> = moving.iter().map(|i| near(*i)).collect();
-            let reaches: Vec<Reach> = act.goals.iter().map(|goal| reach(goal, opening)).collect();
-            let solved = ik::solve(world, &free, &reaches, &clearance, 60);
-            for (index, position) in moving.iter().zip(solved) {
-                place[*index] = position;
-            }
-            places.push(place);
-        }
-        Plan { widest, places, act: Some(act.clone()), pivot: target.position, object: target.body, pushes }
+        let wrist = self.wrist[..3].iter().map(slide).chain(self.wrist[3..].iter().map(turn));
+        wrist.chain((0..self.hinges.len()).map(hinge)).collect()
     }
 
-    /// Servo changes that press a goal's site against the surface with 1 N, at the present pose.
-    fn push(&self, world: &World, goal: &Goal, rig: &HandRig) -> Push {
+    /// Returns the pads' targets at an opening, m.
+    fn pad_targets(&self, act: &ActDraw, rig: &HandRig, opening: f64) -> Vec<PadTarget> {
+        let target = |goal: &ContactGoal| {
+            let (pad, point) = (rig.pad(goal.site), goal.point + goal.normal * opening);
+            PadTarget { body: self.links[pad.joint], pad, point, normal: goal.normal }
+        };
+        act.goals.iter().map(target).collect()
+    }
+
+    /// Creates the control that presses a goal's site against the surface, linearised at the current pose.
+    fn force_control(&self, world: &World, goal: &ContactGoal, rig: &HandRig) -> ForceControl {
         let pad = rig.pad(goal.site);
-        let body = self.bodies[pad.joint];
+        let body = self.links[pad.joint];
         let inward = -goal.normal;
-        let per_newton = if goal.site == Site::Palm {
+        let per_newton = if goal.site == HandSite::Palm {
             (0..3).map(|axis| (axis, inward[axis] / WRIST_STIFFNESS)).collect()
         } else {
             let own: Vec<usize> = (0..self.hinges.len()).filter(|i| rig.hinges[*i].site == goal.site).collect();
@@ -327,23 +382,34 @@ impl HandDriver {
                 .map(|(i, column): (_, DVec3)| (6 + i, column.dot(inward) / rig.hinges[*i].stiffness));
             torque.collect()
         };
-        let bodies = (0..JOINT_NAMES.len()).filter(|j| site_of(*j) == goal.site).map(|j| self.bodies[j]).collect();
-        Push { goal: *goal, bodies, per_newton, correction: 0.0 }
+        let bodies = (0..JOINT_NAMES.len()).filter(|j| site_of(*j) == goal.site).map(|j| self.links[j]).collect();
+        ForceControl { goal: *goal, bodies, per_newton, correction: 0.0 }
     }
 }
 
-/// Hinges of the fingers that wrap.
-fn wraps(hand: &HandDraw, rig: &HandRig) -> Vec<Wrap> {
+/// Returns variable `index` with the last solution as rest, which keeps the way between solutions short; stiffer wrist
+/// joints let the fingers open rather than the wrist.
+fn near_pose(index: usize, variable: JointVariable, pose: &[f64]) -> JointVariable {
+    let rest = pose[index];
+    match index {
+        0..3 => JointVariable { rest, slack: 0.01, ..variable },
+        3..6 => JointVariable { rest, slack: 0.1, ..variable },
+        _ => JointVariable { rest, ..variable },
+    }
+}
+
+/// Returns the hinges of the fingers that wrap.
+fn wrap_hinges(hand: &HandDraw, rig: &HandRig) -> Vec<WrapHinge> {
     let Some((fingers, torque)) = &hand.wrap else {
         return Vec::new();
     };
-    let flexing = rig.hinges.iter().enumerate().filter(|(_, hinge)| hinge.motion == Motion::Flex);
+    let flexing = rig.hinges.iter().enumerate().filter(|(_, hinge)| hinge.motion == HingeMotion::Flex);
     let wrapping = flexing.filter(|(_, hinge)| fingers.contains(&hinge.site));
     let wrap = |(index, hinge): (usize, &Hinge)| {
         let place = hinge.joint - base_joint(hinge.site);
-        let closed = if hinge.site == Site::Thumb { 0.9 } else { CLOSED[place] };
-        let lead = torque * WRAP_SHARES[place] / hinge.stiffness;
-        Wrap { hinge: index, closed: closed.clamp(hinge.range[0], hinge.range[1]), lead }
+        let closed = if hinge.site == HandSite::Thumb { CLOSED_THUMB } else { CLOSED_FINGER[place] };
+        let lead = torque * WRAP_TORQUE_SHARES[place] / hinge.stiffness;
+        WrapHinge { hinge: index, closed: closed.clamp(hinge.range[0], hinge.range[1]), lead }
     };
     wrapping.map(wrap).collect()
 }

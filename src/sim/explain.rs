@@ -1,33 +1,33 @@
-//! What a scene simulates, why, and what each effect costs in it.
+//! Report of a scene's effects: on or off, reason, measured cost.
 
 use std::time::Instant;
 
 use serde::Serialize;
 
-use super::effect::{Effect, EffectPlan, EffectSet};
+use super::effect::{Effect, EffectSet};
 use super::rollout::{Rollout, RolloutOptions};
-use super::scene::Scene;
+use super::scene::{EffectPlan, Scene};
 use crate::error::Result;
 
-/// Frames over which an effect's cost is measured, around the middle of the episode.
-const FRAMES: usize = 24;
+/// Number of frames over which a cost is measured, around the middle of the episode.
+const MEASURED_FRAMES: usize = 24;
 
-/// One effect in one scene.
+/// An effect in a scene.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Explained {
-    /// The effect.
+    /// Effect.
     pub effect: Effect,
-    /// Whether it is simulated.
+    /// True if it is simulated.
     pub on: bool,
-    /// Why.
+    /// Reason why it is on or off.
     pub reason: String,
-    /// What it costs, or would cost, ms per simulated second, together with the effects that come and go with it;
-    /// `None` where it was not measured.
+    /// Cost, or cost that it would have, ms per simulated second, together with the effects that come and go with it;
+    /// `None` if it was not measured.
     #[serde(rename = "ms_per_simulated_second")]
     pub cost: Option<f64>,
 }
 
-/// The effects of a scene in the order of [`Effect::ALL`], without costs.
+/// Returns the effects of a scene in the order of [`Effect::ALL`], without costs.
 ///
 /// # Errors
 /// As [`EffectPlan::of`].
@@ -40,13 +40,14 @@ pub fn explain(scene: &Scene) -> Result<Vec<Explained>> {
     Ok(Effect::ALL.into_iter().map(of).collect())
 }
 
-/// Measures what `effect` costs in a scene, ms per simulated second: rollouts with and without it, frame by frame in
-/// turn, and the median of the differences.
+/// Measures the cost of `effect` in a scene, ms per simulated second: the median difference between frames of a rollout
+/// with it and of one without it, simulated alternately.
 ///
-/// An effect that is on is taken away with all that need it, one that is off is added with all that it needs.
+/// If the effect is on, the second rollout also lacks all effects that require it; if it is off, the first one also has
+/// all effects that it requires.
 ///
 /// # Errors
-/// If a rollout fails, for instance since there is no OpenGL.
+/// If a rollout fails, for instance without OpenGL.
 pub fn cost(scene: &Scene, seed: u64, options: &RolloutOptions, effect: Effect) -> Result<f64> {
     let planned = EffectPlan::of(&scene.spec)?.effects();
     let (with, without) = match planned.contains(effect) {
@@ -58,12 +59,12 @@ pub fn cost(scene: &Scene, seed: u64, options: &RolloutOptions, effect: Effect) 
         Rollout::new(scene, seed, &options)
     };
     let mut rollouts = [rollout(with)?, rollout(without)?];
-    let start = rollouts[0].frame_count().saturating_sub(FRAMES) / 2;
+    let start = rollouts[0].frame_count().saturating_sub(MEASURED_FRAMES) / 2;
     for _ in 0..start {
         rollouts.iter_mut().for_each(|rollout| _ = rollout.skip_frame());
     }
     let mut differences = Vec::new();
-    for _ in 0..FRAMES {
+    for _ in 0..MEASURED_FRAMES {
         let mut seconds = [0.0; 2];
         for (rollout, seconds) in rollouts.iter_mut().zip(&mut seconds) {
             let begun = Instant::now();
@@ -73,13 +74,15 @@ pub fn cost(scene: &Scene, seed: u64, options: &RolloutOptions, effect: Effect) 
         differences.push(seconds[0] - seconds[1]);
     }
     differences.sort_by(f64::total_cmp);
-    Ok(1e3 * differences[FRAMES / 2] * scene.spec.rate)
+    Ok(1e3 * differences[MEASURED_FRAMES / 2] * scene.spec.rate)
 }
 
+/// Adds an effect and all effects that it requires.
 fn with(effects: EffectSet, effect: Effect) -> EffectSet {
     effect.needs().iter().fold(effects.with(effect), |effects, needed| with(effects, *needed))
 }
 
+/// Removes an effect and all effects that require it.
 fn without(effects: EffectSet, effect: Effect) -> EffectSet {
     let users = Effect::ALL.into_iter().filter(|user| user.needs().contains(&effect));
     users.fold(effects.without(effect), without)
@@ -90,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_effect_goes_with_all_that_need_it_and_comes_with_all_it_needs() {
+    fn effects_are_added_and_removed_with_their_requirements() {
         let all: EffectSet = Effect::ALL.into_iter().collect();
         for effect in Effect::ALL {
             without(all, effect).check().unwrap();

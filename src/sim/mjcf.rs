@@ -1,47 +1,47 @@
-//! An episode as MJCF, MuJoCo's model language.
+//! Episodes as MJCF, MuJoCo's model format.
 
 use glam::{DQuat, DVec3};
 
-use super::appearance::{Look, Rgb};
+use super::appearance::{Appearance, Rgb};
 use super::effect::{Effect, EffectSet};
 use super::object::{JointMount, Mount, Piece, PieceShape};
-use super::randomize::{Episode, HandDraw, ObjectDraw};
+use super::randomize::{EpisodeDraw, HandDraw, ObjectDraw};
 use super::rig::{HandRig, JOINT_NAMES};
 use crate::hand::N_JOINTS;
 use crate::text::put;
 
-/// Stiffness of the wrist's servos, N/m; [`super::driver`] turns forces into displacements with it.
-pub const WRIST_STIFFNESS: f64 = 2500.0;
-/// Name of the camera's mocap body and of the camera itself.
+/// Stiffness of the wrist's linear servos, N/m; [`super::driver`] converts forces to displacements with it.
+pub(crate) const WRIST_STIFFNESS: f64 = 2500.0;
+/// Name of the head's mocap body and of its camera.
 pub const HEAD: &str = "head";
-/// Points of a soft ball's grid per axis.
-const SOFT_COUNT: usize = 7;
-/// Half edges of the table's board, m.
-pub const TABLE_HALF: DVec3 = DVec3::new(0.6, 0.45, 0.02);
-/// Its centre, m: its top is at z = 0.
-pub const TABLE_CENTRE: DVec3 = DVec3::new(0.0, 0.1, -0.02);
-/// Largest picture, pixels per side.
-pub const MAX_PICTURE: u32 = 1024;
+/// Number of points per axis of a soft ball's grid.
+const SOFT_GRID_POINTS: usize = 7;
+/// Half edges of the table top, m.
+pub(crate) const TABLE_HALF: DVec3 = DVec3::new(0.6, 0.45, 0.02);
+/// Centre of the table top, m: its upper face is at z = 0.
+pub(crate) const TABLE_CENTRE: DVec3 = DVec3::new(0.0, 0.1, -0.02);
+/// Largest side of a picture, pixels.
+pub(crate) const MAX_PICTURE: u32 = 1024;
 
-/// Names of the wrist's servos without the hand's prefix: three slides along the world's axes, three hinges.
-pub const WRIST: [&str; 6] = ["wrist_x", "wrist_y", "wrist_z", "wrist_rx", "wrist_ry", "wrist_rz"];
+/// Names of the wrist's joints without the hand's prefix: three slides along the world's axes, three hinges.
+pub(crate) const WRIST: [&str; 6] = ["wrist_x", "wrist_y", "wrist_z", "wrist_rx", "wrist_ry", "wrist_rz"];
 
-/// Distance at which pairs are detected for their nearness alone, m: the paper's 1 cm, and what skin may stand out of
+/// Distance up to which pairs without force are detected, m: the paper's 1 cm, and 4 mm by which skin may protrude from
 /// the hulls.
-const NEAR: f64 = 0.014;
+const NEAR_DISTANCE: f64 = 0.014;
 
-/// Half thickness below which a piece counts as thin, m: a card, not a mug's wall.
-const THIN: f64 = 1.6e-3;
+/// Half thickness below which a piece is thin, m: a card is, a mug's wall is not.
+const THIN_HALF_THICKNESS: f64 = 1.6e-3;
 
-/// Writes the model of an episode with the given effects.
-pub fn write(episode: &Episode, rigs: &[HandRig; 2], effects: EffectSet, fovy: f64) -> String {
+/// Writes the model of an episode with the given effects; `fovy` is the camera's vertical field of view, rad.
+pub(crate) fn write(episode: &EpisodeDraw, rigs: &[HandRig; 2], effects: EffectSet, fovy: f64) -> String {
     let shadows = effects.contains(Effect::Shadows);
     let mut assets = String::new();
     let mut world = String::new();
     let mut skins = String::new();
     let mut excludes = String::new();
     let mut actuators = String::new();
-    surroundings(&episode.look, &mut assets, &mut world, effects);
+    surroundings(&episode.appearance, &mut assets, &mut world, effects);
     for object in episode.objects.iter().filter(|object| object.solid) {
         object_body(object, effects, &mut assets, &mut world, &mut excludes);
     }
@@ -57,10 +57,10 @@ pub fn write(episode: &Episode, rigs: &[HandRig; 2], effects: EffectSet, fovy: f
         servos(rig, &mut actuators);
     }
     let fovy = fovy.to_degrees();
-    // A lens needs a picture that is wider than what it shows.
-    let most = if effects.contains(Effect::LensDistortion) { 2 * MAX_PICTURE } else { MAX_PICTURE };
+    // Lens distortion resamples a larger picture.
+    let max_side = if effects.contains(Effect::LensDistortion) { 2 * MAX_PICTURE } else { MAX_PICTURE };
     let shadow_map = if shadows { 1024 } else { 0 };
-    let ambient = episode.look.ambient;
+    let ambient = episode.appearance.ambient;
     let flag = |on: bool| if on { "enable" } else { "disable" };
     let [contact, gravity, sleep] =
         [Effect::RigidContact, Effect::Gravity, Effect::Sleep].map(|effect| flag(effects.contains(effect)));
@@ -71,7 +71,7 @@ pub fn write(episode: &Episode, rigs: &[HandRig; 2], effects: EffectSet, fovy: f
 <size memory="8M"/>
 <statistic extent="1" center="0 0 0.1"/>
 <visual>
-<global offwidth="{most}" offheight="{most}"/>
+<global offwidth="{max_side}" offheight="{max_side}"/>
 <quality shadowsize="{shadow_map}" offsamples="0"/>
 <map znear="0.02" zfar="6" shadowclip="0.6"/>
 <headlight ambient="{ambient} {ambient} {ambient}" diffuse="0.12 0.12 0.12" specular="0 0 0"/>
@@ -92,19 +92,19 @@ pub fn write(episode: &Episode, rigs: &[HandRig; 2], effects: EffectSet, fovy: f
     )
 }
 
-/// Contact of skin and objects: how many directions have friction, and how soft it is.
+/// Contact attributes of skin and objects: dimension of friction, softness.
 fn contact(effects: EffectSet) -> String {
-    contact_over(effects, 0.015)
+    contact_with(effects, 0.015)
 }
 
-/// Contact of one piece of an object. What is thinner than [`THIN`] yields less, or a fingertip would press through it:
-/// depth goes with the square of the time constant.
-fn contact_of(piece: &Piece, effects: EffectSet) -> String {
-    contact_over(effects, if piece.half_thickness() < THIN { 0.005 } else { 0.015 })
+/// Contact attributes of a piece of an object. A thin piece (see [`THIN_HALF_THICKNESS`]) is stiffer, or a fingertip
+/// would press through it: depth grows with the square of the time constant.
+fn piece_contact(piece: &Piece, effects: EffectSet) -> String {
+    contact_with(effects, if piece.half_thickness() < THIN_HALF_THICKNESS { 0.005 } else { 0.015 })
 }
 
-/// Contact that returns within a time constant, s.
-fn contact_over(effects: EffectSet, time: f64) -> String {
+/// Contact attributes for a time constant, s.
+fn contact_with(effects: EffectSet, time: f64) -> String {
     let condim = match (effects.contains(Effect::Friction), effects.contains(Effect::TorsionalFriction)) {
         (false, _) => 1,
         (true, false) => 3,
@@ -113,11 +113,12 @@ fn contact_over(effects: EffectSet, time: f64) -> String {
     format!(r#"condim="{condim}" solref="{time} 1" solimp="0.9 0.95 0.001""#)
 }
 
-fn surroundings(look: &Look, assets: &mut String, world: &mut String, effects: EffectSet) {
+/// Writes sky, table, floor and lamps.
+fn surroundings(appearance: &Appearance, assets: &mut String, world: &mut String, effects: EffectSet) {
     let (contact, shadows) = (contact(effects), effects.contains(Effect::Shadows));
-    let [table, other] = look.table.map(rgb);
-    let [up, down] = look.background.map(rgb);
-    let (pattern, repeat, floor) = (look.table_pattern, look.table_repeat, rgb(look.floor));
+    let [table, other] = appearance.table.map(rgb);
+    let [up, down] = appearance.background.map(rgb);
+    let (pattern, repeat, floor) = (appearance.table_pattern, appearance.table_repeat, rgb(appearance.floor));
     put(
         assets,
         format_args!(
@@ -136,7 +137,7 @@ fn surroundings(look: &Look, assets: &mut String, world: &mut String, effects: E
             r#"<material name="table" texture="table" texrepeat="{repeat} {repeat}" specular="0.1" shininess="0.2"/>"#
         ),
     );
-    for (position, power) in &look.lamps {
+    for (position, power) in &appearance.lamps {
         let (at, aim) = (vec3(*position), vec3((DVec3::ZERO - *position).normalize()));
         put(
             world,
@@ -158,6 +159,7 @@ fn surroundings(look: &Look, assets: &mut String, world: &mut String, effects: E
     );
 }
 
+/// Writes the bodies of an object: fixed part, moving part, joint.
 fn object_body(
     object: &ObjectDraw,
     effects: EffectSet,
@@ -165,19 +167,8 @@ fn object_body(
     world: &mut String,
     excludes: &mut String,
 ) {
-    let (name, at, turn, colour) = (&object.name, vec3(object.position), quat(object.orientation), rgb(object.colour));
-    if let Some((pattern, other)) = &object.texture {
-        let other = rgb(*other);
-        put(
-            assets,
-            format_args!(
-                r#"<texture name="{name}" type="cube" builtin="{pattern}" mark="random" random="0.03" markrgb="{other}" rgb1="{colour}" rgb2="{other}" width="64" height="64"/>"#
-            ),
-        );
-        put(assets, format_args!(r#"<material name="{name}" texture="{name}" specular="0.4" shininess="0.6"/>"#));
-    } else {
-        put(assets, format_args!(r#"<material name="{name}" rgba="{colour} 1" specular="0.4" shininess="0.6"/>"#));
-    }
+    let (name, at, turn) = (&object.name, vec3(object.position), quat(object.orientation));
+    object_material(object, assets);
     if !object.shape.base.is_empty() {
         put(world, format_args!(r#"<body name="{name}/base" pos="{at}" quat="{turn}">"#));
         pieces(object, "base", &object.shape.base, effects, assets, world);
@@ -188,7 +179,7 @@ fn object_body(
     match &object.shape.mount {
         _ if !effects.contains(Effect::Dynamics) => (),
         Mount::Joint(joint) if effects.contains(Effect::Articulation) => put_joint(name, joint, world),
-        // A part whose joint is not simulated stands as fast as its base.
+        // Without articulation the part is fixed.
         Mount::Joint(_) => (),
         Mount::Soft { radius, stiffness } if effects.contains(Effect::SoftBody) => {
             soft(object, *radius, *stiffness, effects, world);
@@ -210,19 +201,43 @@ fn object_body(
     }
     pieces(object, "part", &object.shape.pieces, effects, assets, world);
     world.push_str("</body>\n");
+    table_pairs(object, effects, excludes);
+}
+
+/// Writes the material of an object: a colour, or a pattern of two colours.
+fn object_material(object: &ObjectDraw, assets: &mut String) {
+    let (name, colour) = (&object.name, rgb(object.colour));
+    if let Some((pattern, other)) = &object.texture {
+        let other = rgb(*other);
+        put(
+            assets,
+            format_args!(
+                r#"<texture name="{name}" type="cube" builtin="{pattern}" mark="random" random="0.03" markrgb="{other}" rgb1="{colour}" rgb2="{other}" width="64" height="64"/>"#
+            ),
+        );
+        put(assets, format_args!(r#"<material name="{name}" texture="{name}" specular="0.4" shininess="0.6"/>"#));
+    } else {
+        put(assets, format_args!(r#"<material name="{name}" rgba="{colour} 1" specular="0.4" shininess="0.6"/>"#));
+    }
+}
+
+/// Writes contact pairs with the table for an object whose friction there differs.
+fn table_pairs(object: &ObjectDraw, effects: EffectSet, pairs: &mut String) {
     if let Some(friction) = object.table_friction.filter(|_| effects.contains(Effect::Friction)) {
         for (i, piece) in object.shape.pieces.iter().enumerate() {
             put(
-                excludes,
+                pairs,
                 format_args!(
-                    r#"<pair geom1="table" geom2="{name}/part{i}" friction="{friction} {friction} 0.01 0.0001 0.0001" {}/>"#,
-                    contact_of(piece, effects)
+                    r#"<pair geom1="table" geom2="{0}/part{i}" friction="{friction} {friction} 0.01 0.0001 0.0001" {1}/>"#,
+                    object.name,
+                    piece_contact(piece, effects)
                 ),
             );
         }
     }
 }
 
+/// Writes the joint of an articulated object.
 fn put_joint(name: &str, joint: &JointMount, world: &mut String) {
     let JointMount { kind, axis, anchor, range: [low, high], stiffness, damping, friction } = joint;
     let (axis, anchor) = (vec3(*axis), vec3(*anchor));
@@ -235,20 +250,21 @@ fn put_joint(name: &str, joint: &JointMount, world: &mut String) {
     );
 }
 
-/// An elastic ball: finite elements whose motion is interpolated from the corners of a box around it.
+/// Writes an elastic ball: finite elements whose motion is interpolated from the corners of a box around it.
 fn soft(object: &ObjectDraw, radius: f64, stiffness: f64, effects: EffectSet, world: &mut String) {
     let (name, mass, friction) = (&object.name, object.mass, object.friction);
-    let spacing = 2.0 * radius / (SOFT_COUNT - 1) as f64;
-    // Damping in the order of a step's stiffness, so that the ball does not ring.
+    let spacing = 2.0 * radius / (SOFT_GRID_POINTS - 1) as f64;
+    // The damping is of the order of the stiffness over one step, so that the ball does not ring.
     put(
         world,
         format_args!(
-            r#"<flexcomp name="{name}" type="ellipsoid" count="{SOFT_COUNT} {SOFT_COUNT} {SOFT_COUNT}" spacing="{spacing} {spacing} {spacing}" radius="0.001" mass="{mass}" dof="trilinear" dim="3" material="{name}"><elasticity young="{stiffness}" poisson="0.4" damping="0.01"/><contact selfcollide="none" priority="1" friction="{friction} 0.01 0.0001" {}/></flexcomp>"#,
+            r#"<flexcomp name="{name}" type="ellipsoid" count="{SOFT_GRID_POINTS} {SOFT_GRID_POINTS} {SOFT_GRID_POINTS}" spacing="{spacing} {spacing} {spacing}" radius="0.001" mass="{mass}" dof="trilinear" dim="3" material="{name}"><elasticity young="{stiffness}" poisson="0.4" damping="0.01"/><contact selfcollide="none" priority="1" friction="{friction} 0.01 0.0001" {}/></flexcomp>"#,
             contact(effects)
         ),
     );
 }
 
+/// Writes convex pieces as geoms; mass is in proportion to volume.
 fn pieces(
     object: &ObjectDraw,
     part: &str,
@@ -271,9 +287,9 @@ fn pieces(
                 format!(r#"type="mesh" mesh="{name}/{part}{i}""#)
             }
         };
-        let (mass, contact) = (object.mass * piece.volume() / volume, contact_of(piece, effects));
+        let (mass, contact) = (object.mass * piece.volume() / volume, piece_contact(piece, effects));
         let group = if piece.visible { 1 } else { 3 };
-        // Priority 1: the object's friction decides, whatever touches it.
+        // Priority 1: the object's friction applies to each contact, not the maximum of both geoms.
         let (friction, at, turn) = (object.friction, vec3(piece.position), quat(piece.orientation));
         put(
             world,
@@ -284,6 +300,7 @@ fn pieces(
     }
 }
 
+/// Writes materials and hulls of a hand.
 fn hand_assets(hand: &HandDraw, rig: &HandRig, assets: &mut String) {
     let (skin, sleeve) = (rgb(hand.skin), rgb(hand.sleeve));
     put(
@@ -296,11 +313,12 @@ fn hand_assets(hand: &HandDraw, rig: &HandRig, assets: &mut String) {
     );
     for (joint, hull) in rig.hulls.iter().enumerate() {
         let corners = join(hull.iter().copied().map(vec3));
-        let most = rig.most_corners.map(|most| format!(r#" maxhullvert="{most}""#)).unwrap_or_default();
-        put(assets, format_args!(r#"<mesh name="{}" vertex="{corners}"{most}/>"#, rig.name(JOINT_NAMES[joint])));
+        let limit = rig.max_corners.map(|max| format!(r#" maxhullvert="{max}""#)).unwrap_or_default();
+        put(assets, format_args!(r#"<mesh name="{}" vertex="{corners}"{limit}/>"#, rig.name(JOINT_NAMES[joint])));
     }
 }
 
+/// Writes the bodies of a hand, the wrist's joints included.
 fn hand_bodies(hand: &HandDraw, rig: &HandRig, effects: EffectSet, world: &mut String) {
     let name = rig.name(JOINT_NAMES[0]);
     put(
@@ -312,7 +330,7 @@ fn hand_bodies(hand: &HandDraw, rig: &HandRig, effects: EffectSet, world: &mut S
         ),
     );
     for (i, word) in WRIST.iter().enumerate() {
-        // Slides run along the world's axes, hinges turn about the hand's own, the first outermost.
+        // Slides run along the world's axes; hinges turn about the hand's axes, the first outermost.
         let axis = if i < 3 { hand.orientation.inverse() * DVec3::AXES[i] } else { DVec3::AXES[i - 3] };
         let (kind, armature) = if i < 3 { ("slide", 0.1) } else { ("hinge", 0.002) };
         let joint = rig.name(word);
@@ -326,17 +344,17 @@ fn hand_bodies(hand: &HandDraw, rig: &HandRig, effects: EffectSet, world: &mut S
     world.push_str("</body>\n");
 }
 
-/// The part of the arm that a person sees of herself: forearm and sleeve, for the picture only.
+/// Writes forearm and sleeve, for the picture only.
 fn arm(rig: &HandRig, world: &mut String) {
     let back = -rig.frame.fingers;
-    // The wrist's girth: vertices near the plane through its joint.
+    // Centre and radius of the wrist from the vertices near the plane through its joint.
     let off = |v: &glam::Vec3| v.as_dvec3() - rig.joints[0];
     let near = rig.vertices.iter().map(off).filter(|v| v.dot(back).abs() < 0.012);
     let (centre, count) = near.clone().fold((DVec3::ZERO, 0.0), |(sum, n), v| (sum + v.reject_from(back), n + 1.0));
     let centre = centre / f64::max(count, 1.0);
-    let girth = near.map(|v| (v.reject_from(back) - centre).length()).sum::<f64>() / f64::max(count, 1.0);
-    let radius = girth.clamp(0.018, 0.04);
-    let thin = |material: &str, from: f64, to: f64, radius: f64, world: &mut String| {
+    let mean_radius = near.map(|v| (v.reject_from(back) - centre).length()).sum::<f64>() / f64::max(count, 1.0);
+    let radius = mean_radius.clamp(0.018, 0.04);
+    let capsule = |material: &str, from: f64, to: f64, radius: f64, world: &mut String| {
         let (a, b) = (vec3(centre + back * from), vec3(centre + back * to));
         put(
             world,
@@ -346,13 +364,14 @@ fn arm(rig: &HandRig, world: &mut String) {
             ),
         );
     };
-    thin("skin", 0.018, 0.2, 0.93 * radius, world);
-    thin("sleeve", 0.1, 0.32, 1.25 * radius, world);
+    capsule("skin", 0.018, 0.2, 0.93 * radius, world);
+    capsule("sleeve", 0.1, 0.32, 1.25 * radius, world);
 }
 
+/// Writes the geom of a link and, recursively, the bodies of its children.
 fn link(joint: usize, rig: &HandRig, effects: EffectSet, world: &mut String) {
     let contact = contact(effects);
-    let gap = if effects.contains(Effect::NearContact) { NEAR } else { 0.0 };
+    let gap = if effects.contains(Effect::NearContact) { NEAR_DISTANCE } else { 0.0 };
     let name = rig.name(JOINT_NAMES[joint]);
     put(
         world,
@@ -377,6 +396,7 @@ fn link(joint: usize, rig: &HandRig, effects: EffectSet, world: &mut String) {
     }
 }
 
+/// Writes the skin of a hand with the model's skinning weights.
 fn skin(rig: &HandRig, skins: &mut String) {
     let vertices = join(rig.vertices.iter().map(|v| vec3(v.as_dvec3())));
     let faces = join(rig.model.faces.iter().map(|[a, b, c]| format!("{a} {b} {c}")));
@@ -401,21 +421,22 @@ fn skin(rig: &HandRig, skins: &mut String) {
     skins.push_str("</skin>\n");
 }
 
+/// Writes the position servos of a hand.
 fn servos(rig: &HandRig, actuators: &mut String) {
     for (i, word) in WRIST.iter().enumerate() {
-        let (stiffness, damping, most) = if i < 3 { (WRIST_STIFFNESS, 110.0, 40.0) } else { (30.0, 0.9, 4.0) };
-        servo(&rig.name(word), stiffness, damping, most, actuators);
+        let (stiffness, damping, max_force) = if i < 3 { (WRIST_STIFFNESS, 110.0, 40.0) } else { (30.0, 0.9, 4.0) };
+        servo(&rig.name(word), stiffness, damping, max_force, actuators);
     }
     for hinge in &rig.hinges {
         servo(&rig.name(&hinge.name), hinge.stiffness, hinge.damping, hinge.torque, actuators);
     }
 }
 
-fn servo(name: &str, stiffness: f64, damping: f64, most: f64, actuators: &mut String) {
+fn servo(name: &str, stiffness: f64, damping: f64, max_force: f64, actuators: &mut String) {
     put(
         actuators,
         format_args!(
-            r#"<position name="{name}" joint="{name}" kp="{stiffness}" kv="{damping}" forcerange="-{most} {most}"/>"#
+            r#"<position name="{name}" joint="{name}" kp="{stiffness}" kv="{damping}" forcerange="-{max_force} {max_force}"/>"#
         ),
     );
 }

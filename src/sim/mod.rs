@@ -1,43 +1,49 @@
-//! Simulated scenes: hands, driven by contact goals, touch objects before a head-mounted camera.
+//! Simulated scenes: hands with contact goals touch objects in front of a head-mounted camera.
 //!
 //! ```text
-//! scene (YAML) --seed--> randomize::Episode --> mjcf --> mujoco::World
-//!                              |                             |
-//!                              +--> driver (ik, timeline) ---+--> rollout: picture, poses, label::force, guard
+//! Scene (YAML) --seed--> EpisodeDraw --> mjcf --> World
+//!                             |                     |
+//!                             +--> HandDriver ------+--> Rollout --> SimFrame
+//!                                  (ik, timeline)        picture, touch, poses, validity
 //! ```
 //!
-//! World frame: origin on the table's top, z up, the person at negative y looking along +y; metres, seconds, newtons.
+//! The world frame has its origin on the table's top and z up; the person sits at negative y and looks along +y. Units
+//! are metres, seconds, newtons and radians.
 
-pub mod appearance;
+pub(crate) mod appearance;
+#[doc(hidden)]
+pub mod budget;
 pub mod camera;
 pub mod contact;
-pub mod convex;
-pub mod driver;
-pub mod effect;
+pub(crate) mod convex;
+pub(crate) mod driver;
+pub(crate) mod effect;
 pub mod explain;
+pub(crate) mod frame;
 pub mod guard;
-pub mod ik;
+pub(crate) mod ik;
+pub(crate) mod image_sensor;
 pub mod lens;
 pub mod mjcf;
 pub mod object;
-pub mod observe;
 pub mod randomize;
-pub mod range;
-pub mod record;
+pub(crate) mod range;
+pub(crate) mod record;
 pub mod rig;
-pub mod rollout;
+pub(crate) mod rollout;
 pub mod scene;
 pub mod scene_object;
-pub mod timeline;
-pub mod touchable;
+pub(crate) mod timeline;
+pub(crate) mod touchable;
 pub mod verify;
-pub mod view;
-pub mod worker_process;
+pub(crate) mod worker_process;
 
-pub use effect::{Effect, EffectPlan, EffectSet};
-pub use observe::{ObjectPose, SimFrame};
-pub use record::{Generate, Progress, Summary, generate, record};
+pub use effect::{Effect, EffectSet, EffectsSpec, Observation};
+pub use frame::{ObjectPose, SimFrame};
+pub use object::mesh_faults;
+pub use range::UniformRange;
+pub use record::{DatasetPlan, GenerateProgress, RecordSummary, generate, record};
 pub use rollout::{Rollout, RolloutOptions};
-pub use scene::{SHIPPED, Scene};
+pub use scene::{EffectPlan, SHIPPED, Scene};
 pub use touchable::{Distances, Touchables};
-pub use worker_process::{Workers, generate_isolated};
+pub use worker_process::{WorkerCommand, generate_in_processes};

@@ -1,4 +1,4 @@
-//! Rollouts to stores: one episode, or a training set in parts that survive an interruption.
+//! Recording of rollouts to stores: one episode, or a data set that an interrupted run resumes.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::effect::Observation;
-use super::observe::SimFrame;
+use super::frame::SimFrame;
 use super::rollout::{Rollout, RolloutOptions};
 use super::scene::Scene;
 use crate::dataset::zarr::{
@@ -21,79 +21,79 @@ use crate::error::{Error, Result};
 use crate::hand::Side;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
 
-/// (T, 1556) u8: 1 = an object's surface is within 1 cm.
+/// Array (T, 1556) u8: 1 = an object's surface is within 1 cm.
 pub const PROXIMITY: &str = "data/mano_proximity";
-/// (T, 2, 2) f32: for the left and the right hand, the relative difference between the sum of its forces and that of its
-/// contacts, and the moment that spreading adds, N m; zero for a hand that is absent.
+/// Array (T, 2, 2) f32, left hand first: relative residual of the force sum, and moment that spreading adds, N m; zero
+/// for an absent hand.
 pub const FORCE_RESIDUAL: &str = "data/force_residual";
 
-/// (T, 1556) f32: speed at which touching surfaces slide, m/s; there where the scene observes slip.
+/// Array (T, 1556) f32: sliding speed of touching surfaces, m/s; only if the scene observes slip.
 pub const SLIP: &str = "data/mano_slip";
-/// (T, H, W) f32: distance from the camera's plane, m; there where the scene observes depth.
+/// Array (T, H, W) f32: distance from the camera plane, m; only if the scene observes depth.
 pub const DEPTH: &str = "data/camera_ego_depth";
 
-/// Attribute of a store: its [`Summary`].
+/// Name of the attribute with the [`RecordSummary`].
 const SUMMARY: &str = "summary";
 
-/// What came out of recording.
+/// Counts and extremes of recorded frames.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Summary {
-    /// Frames written.
+pub struct RecordSummary {
+    /// Number of frames written.
     pub frames: usize,
-    /// Frames that a guard refused, by its reason.
+    /// Number of frames that a guard refused, by reason.
     pub invalid: BTreeMap<String, usize>,
-    /// Frames in which a vertex is in contact.
+    /// Number of frames in which a vertex is in contact.
     pub touching: usize,
     /// Largest total normal force on one hand, N.
     pub max_force: f64,
-    /// Largest relative difference between a hand's force and its contacts' sum.
+    /// Largest relative residual between a hand's force and the sum of its contacts.
     pub sum_residual: f64,
-    /// Largest moment added by spreading, N m.
+    /// Largest moment that spreading adds, N m.
     pub moment_residual: f64,
-    /// Episodes that failed and were left out: scene, seed and why.
+    /// Failed episodes, which are not in the store: scene, seed and reason.
     pub failed: Vec<String>,
 }
 
-/// What a training set's making is at.
+/// Progress of [`generate`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Progress {
-    /// Episodes simulated, and all.
+pub enum GenerateProgress {
+    /// Number of simulated episodes, and of all episodes.
     Episodes(usize, usize),
-    /// Chunks of the store written, and all.
+    /// Number of written chunks of the store, and of all chunks.
     Chunks(usize, usize),
 }
 
-/// A training set to make.
+/// Data set to generate.
 #[derive(Debug, Clone)]
-pub struct Generate {
-    /// Scenes, taken in turn.
+pub struct DatasetPlan {
+    /// Scenes, used in turn.
     pub scenes: Vec<Scene>,
-    /// Episodes altogether.
+    /// Number of episodes.
     pub episodes: usize,
     /// Seed of the first episode; episode `i` has seed + i.
     pub seed: u64,
-    /// Episodes at a time, then threads that write the store.
+    /// Number of episodes simulated at a time, and of threads that write the store.
     pub jobs: usize,
-    /// What to simulate and record.
+    /// Options of the rollouts.
     pub options: RolloutOptions,
 }
 
-/// Records one episode as a store of its own at `out`; `progress` is called after each frame with (done, all).
+/// Records one episode as a store at `out`; calls `progress` after each frame with (done, all).
 ///
 /// # Errors
-/// If the rollout fails or the store can't be written; then there is none.
+/// If the rollout fails or the store cannot be written; no store is left then.
 pub fn record(
     scene: &Scene,
     seed: u64,
     options: &RolloutOptions,
     out: &Path,
     progress: impl FnMut(usize, usize),
-) -> Result<Summary> {
+) -> Result<RecordSummary> {
     record_one(std::slice::from_ref(scene), 0, seed, options, Compression::Keep, out, progress)
 }
 
-/// Records an episode of `scenes[scene]` with the arrays that a set of all these scenes has.
+/// Records an episode of `scenes[scene]`, with the arrays that a store of all `scenes` has.
 fn record_one(
     scenes: &[Scene],
     scene: usize,
@@ -102,15 +102,15 @@ fn record_one(
     compression: Compression,
     out: &Path,
     mut progress: impl FnMut(usize, usize),
-) -> Result<Summary> {
+) -> Result<RecordSummary> {
     let scene = &scenes[scene];
     let mut rollout = Rollout::new(scene, seed, options)?;
-    let extras = Extras::of(scenes, options);
+    let extras = ExtraArrays::of(scenes, options);
     let attributes = attributes(std::slice::from_ref(scene), seed, options);
     let writer = ZarrWriter::create(out, attributes, Contact::Truth, extras.arrays())?;
     let mut writer = writer.with_compression(compression);
     writer.set_attribute("episodes", json!([episode_entry(scene, seed, &rollout)]));
-    let mut summary = Summary::default();
+    let mut summary = RecordSummary::default();
     while let Some(frame) = rollout.next_frame()? {
         summary.count(&frame);
         let extra = extras.values(&frame);
@@ -123,7 +123,7 @@ fn record_one(
     Ok(summary)
 }
 
-/// Records an episode that waits to become part of a set of `scenes`.
+/// Records an episode as a part of a data set of `scenes`.
 ///
 /// # Errors
 /// As [`record`].
@@ -137,33 +137,33 @@ pub(super) fn record_part(
     record_one(scenes, scene, seed, options, Compression::Pass, out, |_, _| ()).map(drop)
 }
 
-/// Makes a training set as one store at `out`; `progress` is called after each episode, then after each chunk.
+/// Generates a data set as one store at `out`; calls `progress` after each episode, then after each chunk.
 ///
-/// Finished episodes wait beside it in `OUT.parts`; the same call continues an interrupted one. An episode that fails
-/// does not keep the others from being made.
+/// Finished episodes are kept in `OUT.parts` until the end; the same call resumes an interrupted one. Other episodes go
+/// on when one fails.
 ///
 /// # Errors
-/// If there is already something at `out`, the parts belong to another call, or an episode fails; the error names the
-/// scenes and seeds of those.
-pub fn generate(plan: &Generate, out: &Path, progress: impl Fn(Progress) + Sync) -> Result<Summary> {
+/// If `out` exists, the parts belong to another call, or an episode fails; the error names scenes and seeds of the
+/// failed episodes.
+pub fn generate(plan: &DatasetPlan, out: &Path, progress: impl Fn(GenerateProgress) + Sync) -> Result<RecordSummary> {
     let recorder = || {
         let record = |scene: usize, seed: u64, out: &Path| record_part(&plan.scenes, scene, seed, &plan.options, out);
         Box::new(record) as Recorder
     };
-    generate_by(plan, &recorder, false, out, progress)
+    generate_with(plan, &recorder, false, out, progress)
 }
 
-/// Records the episode (index of the scene, seed) as a store of its own.
+/// Records an episode, given the index of its scene and its seed, as a store.
 pub(super) type Recorder<'a> = Box<dyn FnMut(usize, u64, &Path) -> Result<()> + 'a>;
 
-/// [`generate`] by recorders, one for each job; `skip_failed` leaves out episodes that fail.
-pub(super) fn generate_by<'a>(
-    plan: &Generate,
+/// Generates a data set as [`generate`] with one recorder per job; `skip_failed` leaves out failed episodes.
+pub(super) fn generate_with<'a>(
+    plan: &DatasetPlan,
     recorder: &(dyn Fn() -> Recorder<'a> + Sync),
     skip_failed: bool,
     out: &Path,
-    progress: impl Fn(Progress) + Sync,
-) -> Result<Summary> {
+    progress: impl Fn(GenerateProgress) + Sync,
+) -> Result<RecordSummary> {
     if out.exists() {
         return Err(Error::file(out, "exists already; choose another name or remove it"));
     }
@@ -174,8 +174,26 @@ pub(super) fn generate_by<'a>(
     folder.push(".parts");
     let folder = PathBuf::from(folder);
     claim(&folder, plan)?;
-    let part = |index: usize| folder.join(format!("{index:06}"));
+    let failed = record_parts(plan, recorder, &folder, &progress);
+    if failed.len() == plan.episodes || !(failed.is_empty() || skip_failed) {
+        return Err(Error::file(&folder, failure_message(&failed, plan.episodes)));
+    }
+    // Failed episodes left no part.
+    let parts: Vec<PathBuf> =
+        (0..plan.episodes).map(|index| part_path(&folder, index)).filter(|part| part.exists()).collect();
+    let mut total = merge(plan, &parts, out, progress)?;
+    fs::remove_dir_all(&folder).map_err(Error::io(&folder))?;
+    total.failed = failed;
+    Ok(total)
+}
 
+/// Records the missing parts with one thread per job; returns a sorted line for each episode that failed.
+fn record_parts<'a>(
+    plan: &DatasetPlan,
+    recorder: &(dyn Fn() -> Recorder<'a> + Sync),
+    folder: &Path,
+    progress: &(impl Fn(GenerateProgress) + Sync),
+) -> Vec<String> {
     let next = AtomicUsize::new(0);
     let done = AtomicUsize::new(0);
     let failed: Mutex<Vec<String>> = Mutex::new(Vec::new());
@@ -187,43 +205,41 @@ pub(super) fn generate_by<'a>(
                 return;
             }
             let (scene, seed) = (index % plan.scenes.len(), plan.seed + index as u64);
-            if !part(index).exists()
-                && let Err(error) = record(scene, seed, &part(index))
+            let part = part_path(folder, index);
+            if !part.exists()
+                && let Err(error) = record(scene, seed, &part)
             {
-                let what = format!("{} with seed {seed}: {error}", plan.scenes[scene].name);
-                failed.lock().unwrap_or_else(PoisonError::into_inner).push(what);
+                let line = format!("{} with seed {seed}: {error}", plan.scenes[scene].name);
+                failed.lock().unwrap_or_else(PoisonError::into_inner).push(line);
             }
-            progress(Progress::Episodes(done.fetch_add(1, Ordering::Relaxed) + 1, plan.episodes));
+            progress(GenerateProgress::Episodes(done.fetch_add(1, Ordering::Relaxed) + 1, plan.episodes));
         }
     };
     std::thread::scope(|scope| (0..plan.jobs).for_each(|_| drop(scope.spawn(work))));
     let mut failed = failed.into_inner().unwrap_or_else(PoisonError::into_inner);
     failed.sort();
-    if failed.len() == plan.episodes || !(failed.is_empty() || skip_failed) {
-        return Err(Error::file(&folder, all_failed(&failed, plan.episodes)));
-    }
-    // Those that failed left no part.
-    let parts: Vec<PathBuf> = (0..plan.episodes).map(part).filter(|part| part.exists()).collect();
-    let mut total = merge(plan, &parts, out, progress)?;
-    fs::remove_dir_all(&folder).map_err(Error::io(&folder))?;
-    total.failed = failed;
-    Ok(total)
+    failed
 }
 
-/// Names the first few.
-fn all_failed(failed: &[String], episodes: usize) -> String {
-    const NAMED: usize = 5;
-    let named = failed.iter().take(NAMED).map(String::as_str).collect::<Vec<_>>().join("; ");
-    let more = if failed.len() > NAMED { format!("; and {} more", failed.len() - NAMED) } else { String::new() };
+fn part_path(folder: &Path, index: usize) -> PathBuf {
+    folder.join(format!("{index:06}"))
+}
+
+/// Formats the error for failed episodes; names the first few.
+fn failure_message(failed: &[String], episodes: usize) -> String {
+    const MAX_NAMED: usize = 5;
+    let named = failed.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join("; ");
+    let more =
+        if failed.len() > MAX_NAMED { format!("; and {} more", failed.len() - MAX_NAMED) } else { String::new() };
     let others = match failed.len() < episodes {
-        true => "; the others are kept here, and --skip-failed makes a store of them",
+        true => "; the others are kept here, and --skip-failed writes a store of them",
         false => "",
     };
     format!("{} of {episodes} episodes failed: {named}{more}{others}", failed.len())
 }
 
-/// Makes the folder of parts, or refuses one that another plan has begun.
-fn claim(folder: &Path, plan: &Generate) -> Result<()> {
+/// Creates the folder of parts, or checks that the same plan created it.
+fn claim(folder: &Path, plan: &DatasetPlan) -> Result<()> {
     let scenes: Vec<String> = plan.scenes.iter().map(|s| format!("{} {:?}", s.name, s.spec)).collect();
     let text = format!(
         "{} {} {:?} {:?} {} {}\n{}\n",
@@ -243,14 +259,20 @@ fn claim(folder: &Path, plan: &Generate) -> Result<()> {
     if fs::read_to_string(&file).map_err(Error::io(&file))? != text {
         return Err(Error::file(
             folder,
-            "holds episodes of other scenes, seeds or options; remove it or choose another --out",
+            "contains episodes of other scenes, seeds or options; remove it or choose another --out",
         ));
     }
     Ok(())
 }
 
-fn merge(plan: &Generate, parts: &[PathBuf], out: &Path, progress: impl Fn(Progress) + Sync) -> Result<Summary> {
-    let mut total = Summary::default();
+/// Concatenates the parts and their summaries to one store.
+fn merge(
+    plan: &DatasetPlan,
+    parts: &[PathBuf],
+    out: &Path,
+    progress: impl Fn(GenerateProgress) + Sync,
+) -> Result<RecordSummary> {
+    let mut total = RecordSummary::default();
     let mut entries: Vec<Value> = Vec::new();
     for part in parts {
         let reader = ZarrReader::open(part)?;
@@ -261,7 +283,7 @@ fn merge(plan: &Generate, parts: &[PathBuf], out: &Path, progress: impl Fn(Progr
     }
     let attributes = attributes(&plan.scenes, plan.seed, &plan.options);
     let more = [("episodes".to_string(), Value::Array(entries)), (SUMMARY.to_string(), json!(total))];
-    let chunks = |done, all| progress(Progress::Chunks(done, all));
+    let chunks = |done, all| progress(GenerateProgress::Chunks(done, all));
     concatenate(parts, out, &attributes, more.into_iter().collect(), plan.jobs, chunks)?;
     Ok(total)
 }
@@ -270,7 +292,7 @@ fn attributes(scenes: &[Scene], seed: u64, options: &RolloutOptions) -> Attribut
     Attributes {
         topology: options.hands[0].topology,
         sigma: options.sigma,
-        // Through the shortest decimal, so that 0.05 stays 0.05 in f64.
+        // Conversion through the shortest decimal keeps 0.05 as 0.05 in f64.
         contact_force: CONTACT_FORCE_N.to_string().parse().unwrap_or(CONTACT_FORCE_N.into()),
         producer: "egotac sim".into(),
         version: env!("CARGO_PKG_VERSION").into(),
@@ -288,15 +310,15 @@ fn episode_entry(scene: &Scene, seed: u64, rollout: &Rollout) -> Value {
     })
 }
 
-/// Arrays beside those that every store has.
-struct Extras {
+/// Arrays in addition to those that every store has.
+struct ExtraArrays {
     n_objects: usize,
     slip: bool,
-    /// Width and height.
+    /// Width and height of the picture, pixels.
     depth: Option<(u32, u32)>,
 }
 
-impl Extras {
+impl ExtraArrays {
     fn of(scenes: &[Scene], options: &RolloutOptions) -> Self {
         let solid = |scene: &Scene| scene.spec.objects.iter().filter(|object| object.solid).count();
         let most = |scene: &Scene| solid(scene) + scene.spec.distractors.high().round() as usize;
@@ -308,6 +330,7 @@ impl Extras {
         }
     }
 
+    /// Returns the specifications of the arrays.
     fn arrays(&self) -> Vec<ArraySpec> {
         let mut arrays = vec![
             ArraySpec::new(PROXIMITY, [N_FIELD], Dtype::U8),
@@ -326,7 +349,7 @@ impl Extras {
         arrays
     }
 
-    /// Arrays that not every scene of a set has: name and length of a frame.
+    /// Returns name and length per frame of the arrays that not every scene has.
     fn optional(&self) -> Vec<(&'static str, usize)> {
         let depth = self.depth.map(|(width, height)| (DEPTH, width as usize * height as usize));
         let poses = Some((OBJECT_POSE, 7 * self.n_objects)).filter(|_| self.n_objects > 0);
@@ -334,6 +357,7 @@ impl Extras {
         [poses, slip, depth].into_iter().flatten().collect()
     }
 
+    /// Returns the values of a frame; NaN fills what the scene lacks.
     fn values(&self, frame: &SimFrame) -> Vec<(&'static str, Values)> {
         let pose = |position: glam::DVec3, q: glam::DQuat| {
             [position.x, position.y, position.z, q.w, q.x, q.y, q.z].map(|x| x as f32)
@@ -362,7 +386,8 @@ impl Extras {
     }
 }
 
-impl Summary {
+impl RecordSummary {
+    /// Counts a frame.
     fn count(&mut self, frame: &SimFrame) {
         for hand in frame.hands.iter().flatten() {
             self.sum_residual = self.sum_residual.max(hand.sum_residual);
@@ -379,6 +404,7 @@ impl Summary {
         }
     }
 
+    /// Adds the counts of another summary.
     fn add(&mut self, other: Self) {
         self.frames += other.frames;
         for (reason, count) in other.invalid {

@@ -1,26 +1,26 @@
-//! A hand model as a driven mechanism: hinges, pads and collision hulls, found from its joints and skinning weights.
+//! Rigs: hinges, pads and collision hulls of a hand model, derived from its joints and skinning weights.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 use parry3d::shape::SharedShape;
 
 use super::convex;
-use super::scene::Site;
+use super::scene::HandSite;
 use crate::error::{Error, Result};
 pub use crate::hand::JOINT_NAMES;
 use crate::hand::{HandModel, HandParams, N_BETAS, N_JOINTS, PosedHand, Side};
 
-/// Skinning weight from which a vertex belongs to a link's collision hull, also when another link leads it: the hulls
-/// of neighbours overlap, so that nothing slips into the knuckles.
+/// Smallest skinning weight of a vertex in a link's collision hull, even if another link has a larger one: hulls of
+/// neighbours overlap, so that nothing slips into the knuckles.
 const HULL_WEIGHT: f32 = 0.3;
-/// Links this close in the rest pose never collide with each other, m.
-const REST_GAP: f32 = 0.002;
+/// Distance in the rest pose below which two links never collide, m.
+const MIN_REST_DISTANCE: f32 = 0.002;
 
-/// A hand that can be built into a physics model.
+/// Hand model with the mechanism that a physics model needs.
 #[derive(Debug, Clone)]
 pub struct HandRig {
-    /// The hand it is made from.
+    /// Hand model.
     pub model: HandModel,
-    /// Its shape coefficients.
+    /// Shape coefficients.
     pub betas: [f32; N_BETAS],
     /// Rest positions of the joints, m.
     pub joints: [DVec3; N_JOINTS],
@@ -28,40 +28,42 @@ pub struct HandRig {
     pub vertices: Vec<Vec3>,
     /// Directions of the hand at rest.
     pub frame: HandFrame,
-    /// Hinges in the order in which the mechanism has them.
+    /// Hinges in the order of the mechanism.
     pub hinges: Vec<Hinge>,
-    /// Corners of each link's hull in the link's frame, m.
+    /// Corners of each link's collision hull in the link's frame, m.
     pub hulls: Vec<Vec<DVec3>>,
-    /// Corners that the engine keeps of each hull at most; `None` keeps all.
-    pub most_corners: Option<usize>,
+    /// Largest number of corners of a hull in the engine; `None` keeps all.
+    pub max_corners: Option<usize>,
     /// Pairs of links that never collide.
     pub excluded: Vec<(usize, usize)>,
+    /// Convex hulls of the links.
     shapes: Vec<SharedShape>,
+    /// Pads in the order of [`HandSite`].
     pads: [Pad; 6],
 }
 
 /// Unit directions of a hand at rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HandFrame {
-    /// Where the stretched fingers point.
+    /// Direction of the stretched fingers.
     pub fingers: DVec3,
-    /// Where the palm faces.
+    /// Direction that the palm faces.
     pub palm: DVec3,
-    /// From the little finger's side to the thumb's.
+    /// Direction from the little finger's side to the thumb's.
     pub thumb: DVec3,
 }
 
-/// One hinge.
+/// Hinge of a hand.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Hinge {
     /// Name without the hand's prefix, e.g. `index1_flex`.
     pub name: String,
-    /// Joint it turns.
+    /// Index of the joint.
     pub joint: usize,
-    /// Finger it belongs to.
-    pub site: Site,
-    /// What the turn is called.
-    pub motion: Motion,
+    /// Finger.
+    pub site: HandSite,
+    /// Kind of motion.
+    pub motion: HingeMotion,
     /// Unit axis in the joint's frame.
     pub axis: DVec3,
     /// Limits, rad.
@@ -74,30 +76,30 @@ pub struct Hinge {
     pub torque: f64,
 }
 
-/// Kinds of hinges.
+/// Kinds of hinge motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Motion {
-    /// Bends towards the palm.
+pub enum HingeMotion {
+    /// Flexion towards the palm.
     Flex,
-    /// Spreads towards the thumb; lifts the thumb out of the palm's plane.
+    /// Abduction towards the thumb; of the thumb, out of the palm's plane.
     Abduct,
-    /// Turns about the bone.
+    /// Rotation about the bone.
     Twist,
 }
 
-/// A spot of skin that is meant to touch.
+/// Point of the skin that touches at a contact goal.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pad {
-    /// Link it lies on.
+    /// Index of the link's joint.
     pub joint: usize,
-    /// Place in the link's frame, m.
+    /// Position in the link's frame, m.
     pub position: DVec3,
     /// Outward unit normal in the link's frame.
     pub normal: DVec3,
 }
 
 impl HandRig {
-    /// Finds hinges, pads and hulls of a hand of the given shape.
+    /// Derives hinges, pads and hulls of a hand of the given shape.
     ///
     /// # Errors
     /// If joints coincide, or a link has too few vertices to span a hull.
@@ -106,7 +108,7 @@ impl HandRig {
         let joints = rest.joints.map(|j| j.as_dvec3());
         let frame = HandFrame::of(model.side, &joints)?;
         let hulls = hulls(&model, &rest.vertices, &joints);
-        let tips = Site::FINGERS.map(|site| tip(&model, &rest.vertices, &joints, base_joint(site)));
+        let tips = HandSite::FINGERS.map(|site| tip(&model, &rest.vertices, &joints, base_joint(site)));
         let pads = pads(&model, &rest.vertices, &joints, &frame, &tips);
         let hinges = hinges(&joints, &frame, &tips);
         let shapes = shapes(&hulls)?;
@@ -119,59 +121,59 @@ impl HandRig {
             frame,
             hinges,
             hulls,
-            most_corners: None,
+            max_corners: None,
             excluded,
             shapes,
             pads,
         })
     }
 
-    /// Has the engine collide with coarser hulls; plans keep the fine ones, so that the hand does the same.
+    /// Limits the corners of the engine's hulls; plans keep the fine hulls, so that the motion stays the same.
     ///
     /// # Errors
-    /// If fewer than 4 corners are asked for, which span no volume.
-    pub fn limit_corners(&mut self, most: usize) -> Result<()> {
-        if most < 4 {
-            return Err(Error::value("hull corners", "at least 4", most));
+    /// If `max` is below 4: fewer corners span no volume.
+    pub(crate) fn limit_corners(&mut self, max: usize) -> Result<()> {
+        if max < 4 {
+            return Err(Error::value("hull corners", "at least 4", max));
         }
-        self.most_corners = Some(most);
+        self.max_corners = Some(max);
         Ok(())
     }
 
-    /// Which hand.
+    /// Returns the side of the hand.
     pub fn side(&self) -> Side {
         self.model.side
     }
 
-    /// Name of a body, joint or mesh of this hand in a physics model.
+    /// Returns the name of a body, joint or mesh of this hand in a physics model.
     pub fn name(&self, part: &str) -> String {
         format!("{}/{part}", self.side().name())
     }
 
-    /// The pad of a site.
-    pub fn pad(&self, site: Site) -> Pad {
+    /// Returns the pad of a site.
+    pub fn pad(&self, site: HandSite) -> Pad {
         self.pads[site as usize]
     }
 
-    /// Parent of a joint; `None` for the wrist.
+    /// Returns the parent of a joint; `None` for the wrist.
     pub fn parent(&self, joint: usize) -> Option<usize> {
         (self.model.parents[joint] != joint).then_some(self.model.parents[joint])
     }
 
-    /// Pairs of links of different fingers that may touch each other.
+    /// Returns the pairs of links of different fingers that can collide.
     pub fn colliding(&self) -> Vec<(usize, usize)> {
         let all = (0..N_JOINTS).flat_map(|a| (a + 1..N_JOINTS).map(move |b| (a, b)));
         all.filter(|(a, b)| site_of(*a) != site_of(*b) && !self.excluded.contains(&(*a, *b))).collect()
     }
 
-    /// Convex hull of a link in its frame.
+    /// Returns the convex hull of a link in its frame.
     pub fn shape(&self, joint: usize) -> &SharedShape {
         &self.shapes[joint]
     }
 
-    /// Parameters of the hand from the wrist's pose and the hinges' angles, exact.
+    /// Computes the parameters of the hand from the wrist's pose and the hinge angles, without approximation.
     ///
-    /// `angles` are in the order of `hinges`, rad. The hinges of one joint turn in their order, the first outermost.
+    /// `angles`: rad, in the order of `hinges`. Of several hinges of a joint, the first is outermost.
     pub fn params(&self, wrist: DVec3, orientation: DQuat, angles: &[f64]) -> HandParams {
         let mut turns = [DQuat::IDENTITY; N_JOINTS];
         for (hinge, angle) in self.hinges.iter().zip(angles) {
@@ -185,9 +187,9 @@ impl HandRig {
         }
     }
 
-    /// Vertices at rest that blend to the posed ones when bones alone carry them, m.
+    /// Computes rest vertices, m, that linear blend skinning maps to the posed vertices.
     ///
-    /// A skin in the engine knows no pose blend shapes; given these instead of the rest vertices it shows them too.
+    /// The engine's skins have no pose blend shapes; with these rest vertices the picture shows them.
     pub fn bound_vertices(&self, posed: &PosedHand) -> Vec<Vec3> {
         let bones: Vec<DAffine3> = (0..N_JOINTS)
             .map(|joint| {
@@ -211,7 +213,7 @@ impl HandRig {
         rows.map(|(weights, vertex)| blend(weights).inverse().transform_point3(vertex.as_dvec3()).as_vec3()).collect()
     }
 
-    /// Rotation that turns the rest hand so that fingers and palm point as asked; `fingers` is kept exactly.
+    /// Returns the rotation of the rest hand that points fingers and palm in the given directions; `fingers` is exact.
     pub fn orientation(&self, fingers: DVec3, palm: DVec3) -> DQuat {
         let basis = |fingers: DVec3, palm: DVec3| {
             let f = fingers.normalize();
@@ -224,9 +226,9 @@ impl HandRig {
     }
 }
 
-/// Rotation vector (axis times angle, rad) of a unit quaternion, the one with angle at most pi.
+/// Returns the rotation vector (axis times angle, rad) of a unit quaternion, with an angle of at most pi.
 ///
-/// Stable near 0 and near pi, where a logarithm by the matrix's trace loses all digits.
+/// It is accurate near 0 and near pi, where a logarithm by the trace of the matrix loses all digits.
 pub fn rotation_vector(q: DQuat) -> DVec3 {
     let q = if q.w < 0.0 { -q } else { q };
     let v = DVec3::new(q.x, q.y, q.z);
@@ -236,34 +238,36 @@ pub fn rotation_vector(q: DQuat) -> DVec3 {
     v * scale
 }
 
-/// First joint of a finger.
+/// Returns the first joint of a finger; the wrist for the palm.
 ///
-/// # Panics
-/// Never for a finger; the palm's is the wrist.
-pub fn base_joint(site: Site) -> usize {
+pub(crate) fn base_joint(site: HandSite) -> usize {
     match site {
-        Site::Thumb => 13,
-        Site::Index => 1,
-        Site::Middle => 4,
-        Site::Ring => 10,
-        Site::Little => 7,
-        Site::Palm => 0,
+        HandSite::Thumb => 13,
+        HandSite::Index => 1,
+        HandSite::Middle => 4,
+        HandSite::Ring => 10,
+        HandSite::Little => 7,
+        HandSite::Palm => 0,
     }
 }
 
-/// Site of a joint.
-pub fn site_of(joint: usize) -> Site {
+/// Returns the site of a joint.
+pub fn site_of(joint: usize) -> HandSite {
     match joint {
-        1..=3 => Site::Index,
-        4..=6 => Site::Middle,
-        7..=9 => Site::Little,
-        10..=12 => Site::Ring,
-        13..=15 => Site::Thumb,
-        _ => Site::Palm,
+        1..=3 => HandSite::Index,
+        4..=6 => HandSite::Middle,
+        7..=9 => HandSite::Little,
+        10..=12 => HandSite::Ring,
+        13..=15 => HandSite::Thumb,
+        _ => HandSite::Palm,
     }
 }
 
 impl HandFrame {
+    /// Derives the directions from the rest joints.
+    ///
+    /// # Errors
+    /// If joints coincide.
     fn of(side: Side, joints: &[DVec3; N_JOINTS]) -> Result<Self> {
         let knuckles = [1, 4, 7, 10].map(|joint| joints[joint]).iter().sum::<DVec3>() / 4.0;
         let flat = || Error::value("rest joints", "a hand that spans a plane", "coinciding joints");
@@ -276,22 +280,24 @@ impl HandFrame {
         Ok(Self { fingers, palm, thumb })
     }
 
-    /// Where a finger's pad faces at rest: the palm's direction; the thumb's is turned towards the fingers.
-    fn pad_direction(&self, site: Site) -> DVec3 {
+    /// Returns the direction that a finger's pad faces at rest: the palm's; the thumb's is turned towards the fingers.
+    fn pad_direction(&self, site: HandSite) -> DVec3 {
         match site {
-            Site::Thumb => (0.55 * self.palm - 0.85 * self.thumb).normalize(),
+            HandSite::Thumb => (0.55 * self.palm - 0.85 * self.thumb).normalize(),
             _ => self.palm,
         }
     }
 }
 
-fn link_vertices<'a>(model: &'a HandModel, joint: usize, least: f32) -> impl Iterator<Item = usize> + 'a {
+/// Iterates over the vertices of which the link has the largest skinning weight, or one of at least `min_weight`.
+fn link_vertices<'a>(model: &'a HandModel, joint: usize, min_weight: f32) -> impl Iterator<Item = usize> + 'a {
     model.lbs_weights.chunks_exact(N_JOINTS).enumerate().filter_map(move |(vertex, weights)| {
         let leads = weights.iter().all(|w| *w <= weights[joint]);
-        (leads || weights[joint] >= least).then_some(vertex)
+        (leads || weights[joint] >= min_weight).then_some(vertex)
     })
 }
 
+/// Collects the corners of each link's hull in the link's frame, m.
 fn hulls(model: &HandModel, vertices: &[Vec3], joints: &[DVec3; N_JOINTS]) -> Vec<Vec<DVec3>> {
     let local = |joint: usize| {
         link_vertices(model, joint, HULL_WEIGHT).map(|v| vertices[v].as_dvec3() - joints[joint]).collect()
@@ -299,7 +305,7 @@ fn hulls(model: &HandModel, vertices: &[Vec3], joints: &[DVec3; N_JOINTS]) -> Ve
     (0..N_JOINTS).map(local).collect()
 }
 
-/// Farthest point of a finger's last link along its bone.
+/// Returns the farthest point of a finger's last link along its bone, m.
 fn tip(model: &HandModel, vertices: &[Vec3], joints: &[DVec3; N_JOINTS], base: usize) -> DVec3 {
     let bone = (joints[base + 2] - joints[base + 1]).normalize_or_zero();
     let along = |v: &usize| (vertices[*v].as_dvec3() - joints[base + 2]).dot(bone);
@@ -307,6 +313,7 @@ fn tip(model: &HandModel, vertices: &[Vec3], joints: &[DVec3; N_JOINTS], base: u
     far.map_or(joints[base + 2] + bone * 0.02, |v| joints[base + 2] + bone * along(&v))
 }
 
+/// Derives the pads of the fingers and the palm.
 fn pads(
     model: &HandModel,
     vertices: &[Vec3],
@@ -315,7 +322,7 @@ fn pads(
     tips: &[DVec3; 5],
 ) -> [Pad; 6] {
     std::array::from_fn(|i| {
-        let Some(&site) = Site::FINGERS.get(i) else {
+        let Some(&site) = HandSite::FINGERS.get(i) else {
             return palm_pad(model, vertices, joints, frame);
         };
         let joint = base_joint(site) + 2;
@@ -325,7 +332,7 @@ fn pads(
         let normal = frame.pad_direction(site).reject_from_normalized(bone).normalize_or_zero();
         let sideways = bone.cross(normal);
         let local = |v: usize| vertices[v].as_dvec3() - joints[joint];
-        // The middle of the pulp: half way to the tip, not at its side, as far out as the skin goes.
+        // The centre of the pulp: beyond the middle of the link, not at its side, as far out as the skin goes.
         let score = |v: &usize| {
             let p = local(*v);
             p.dot(normal) - 0.5 * p.dot(sideways).abs() - 0.3 * (p.dot(bone) - 0.6 * length).abs()
@@ -335,6 +342,7 @@ fn pads(
     })
 }
 
+/// Derives the pad of the palm: the vertex nearest to the palm's centre line.
 fn palm_pad(model: &HandModel, vertices: &[Vec3], joints: &[DVec3; N_JOINTS], frame: &HandFrame) -> Pad {
     let knuckles = [1, 4, 7, 10].map(|joint| joints[joint]).iter().sum::<DVec3>() / 4.0;
     let centre = joints[0].lerp(knuckles, 0.6);
@@ -346,43 +354,47 @@ fn palm_pad(model: &HandModel, vertices: &[Vec3], joints: &[DVec3; N_JOINTS], fr
     Pad { joint: 0, position: best.map_or(centre, |v| vertices[v].as_dvec3()) - joints[0], normal: frame.palm }
 }
 
-/// Hinges of a human hand: ranges in rad, torques such that a fingertip gives several newtons.
+/// Creates the hinges of a human hand: ranges in rad, torques that give several newtons at a fingertip.
 fn hinges(joints: &[DVec3; N_JOINTS], frame: &HandFrame, tips: &[DVec3; 5]) -> Vec<Hinge> {
     let mut hinges = Vec::new();
-    for (site, tip) in Site::FINGERS.into_iter().zip(tips) {
+    for (site, tip) in HandSite::FINGERS.into_iter().zip(tips) {
         let base = base_joint(site);
         let bones = [joints[base + 1] - joints[base], joints[base + 2] - joints[base + 1], *tip - joints[base + 2]];
         let pad = frame.pad_direction(site);
         let mut add = |link: usize, motion, axis: DVec3, range, stiffness, torque| {
             let joint = base + link;
             let word = match motion {
-                Motion::Flex => "flex",
-                Motion::Abduct => "abduct",
-                Motion::Twist => "twist",
+                HingeMotion::Flex => "flex",
+                HingeMotion::Abduct => "abduct",
+                HingeMotion::Twist => "twist",
             };
             let name = format!("{}_{word}", JOINT_NAMES[joint]);
             let axis = axis.try_normalize().unwrap_or(frame.thumb);
             let damping = 0.04 * stiffness;
             hinges.push(Hinge { name, joint, site, motion, axis, range, stiffness, damping, torque });
         };
-        // Turning about a x b moves a towards b.
-        if site == Site::Thumb {
+        // A rotation about a x b moves a towards b.
+        if site == HandSite::Thumb {
             let bone = bones[0];
-            add(0, Motion::Abduct, bone.cross(frame.palm), [-0.3, 1.0], 2.5, 1.2);
-            add(0, Motion::Flex, bone.cross(-frame.thumb), [-0.5, 0.7], 2.5, 1.2);
-            add(0, Motion::Twist, bone, [-0.8, 0.8], 1.5, 0.8);
-            add(1, Motion::Flex, bones[1].cross(pad), [-0.2, 0.9], 1.8, 0.8);
-            add(2, Motion::Flex, bones[2].cross(pad), [-0.3, 1.3], 1.2, 0.5);
+            add(0, HingeMotion::Abduct, bone.cross(frame.palm), [-0.3, 1.0], 2.5, 1.2);
+            add(0, HingeMotion::Flex, bone.cross(-frame.thumb), [-0.5, 0.7], 2.5, 1.2);
+            add(0, HingeMotion::Twist, bone, [-0.8, 0.8], 1.5, 0.8);
+            add(1, HingeMotion::Flex, bones[1].cross(pad), [-0.2, 0.9], 1.8, 0.8);
+            add(2, HingeMotion::Flex, bones[2].cross(pad), [-0.3, 1.3], 1.2, 0.5);
         } else {
-            add(0, Motion::Abduct, bones[0].cross(frame.thumb), [-0.3, 0.3], 1.5, 0.5);
-            add(0, Motion::Flex, bones[0].cross(pad), [-0.4, 1.6], 1.8, 1.0);
-            add(1, Motion::Flex, bones[1].cross(pad), [-0.05, 1.8], 1.4, 0.7);
-            add(2, Motion::Flex, bones[2].cross(pad), [-0.1, 1.2], 0.9, 0.4);
+            add(0, HingeMotion::Abduct, bones[0].cross(frame.thumb), [-0.3, 0.3], 1.5, 0.5);
+            add(0, HingeMotion::Flex, bones[0].cross(pad), [-0.4, 1.6], 1.8, 1.0);
+            add(1, HingeMotion::Flex, bones[1].cross(pad), [-0.05, 1.8], 1.4, 0.7);
+            add(2, HingeMotion::Flex, bones[2].cross(pad), [-0.1, 1.2], 0.9, 0.4);
         }
     }
     hinges
 }
 
+/// Computes the convex hulls of the links.
+///
+/// # Errors
+/// If the corners of a link span no volume.
 fn shapes(hulls: &[Vec<DVec3>]) -> Result<Vec<SharedShape>> {
     let shape = |(joint, corners): (usize, &Vec<DVec3>)| {
         convex::hull(corners).ok_or_else(|| {
@@ -393,13 +405,14 @@ fn shapes(hulls: &[Vec<DVec3>]) -> Result<Vec<SharedShape>> {
     hulls.iter().enumerate().map(shape).collect()
 }
 
+/// Returns the pairs of links that never collide: of neighbouring fingers, or close in the rest pose.
 fn excluded(shapes: &[SharedShape], joints: &[DVec3; N_JOINTS]) -> Vec<(usize, usize)> {
     let pose = |joint: usize| convex::pose(joints[joint], DQuat::IDENTITY);
     let mut pairs = Vec::new();
     for a in 0..N_JOINTS {
         for b in a + 1..N_JOINTS {
             let gap = parry3d::query::distance(&pose(a), &*shapes[a], &pose(b), &*shapes[b]);
-            if are_neighbours(a, b) || gap.is_ok_and(|gap| gap.distance < REST_GAP) {
+            if are_neighbours(a, b) || gap.is_ok_and(|gap| gap.distance < MIN_REST_DISTANCE) {
                 pairs.push((a, b));
             }
         }
@@ -407,13 +420,14 @@ fn excluded(shapes: &[SharedShape], joints: &[DVec3; N_JOINTS]) -> Vec<(usize, u
     pairs
 }
 
-/// Whether two links belong to fingers that lie side by side.
+/// Returns true if two links belong to fingers side by side.
 ///
-/// Their flanks rub all the time; as convex hulls they would press each other apart with newtons that no skin feels.
-/// The thumb may touch every finger, and every finger the palm.
+/// Their flanks touch all the time; as convex hulls they would press each other apart with newtons that no skin feels.
+/// The thumb can touch every finger, and every finger the palm.
 fn are_neighbours(a: usize, b: usize) -> bool {
     let (a, b) = (site_of(a), site_of(b));
-    let between = [(Site::Index, Site::Middle), (Site::Middle, Site::Ring), (Site::Ring, Site::Little)];
+    let between =
+        [(HandSite::Index, HandSite::Middle), (HandSite::Middle, HandSite::Ring), (HandSite::Ring, HandSite::Little)];
     between.contains(&(a, b)) || between.contains(&(b, a))
 }
 
@@ -422,13 +436,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rotation_vectors_are_exact_near_zero_and_near_pi() {
+    fn rotation_vectors_are_accurate_near_zero_and_near_pi() {
         let axis = DVec3::new(0.3, -0.5, 0.8).normalize();
         for angle in [0.0, 1e-12, 1e-8, 1e-4, 1.0, 3.0, std::f64::consts::PI - 1e-8] {
             let got = rotation_vector(DQuat::from_axis_angle(axis, angle));
             assert!((got - axis * angle).length() < 1e-12, "angle {angle}: {got}");
         }
-        // beyond pi the same rotation has a shorter vector the other way round
+        // Beyond pi the same rotation has a shorter vector in the opposite direction.
         let got = rotation_vector(DQuat::from_axis_angle(axis, 4.0));
         assert!((got + axis * (std::f64::consts::TAU - 4.0)).length() < 1e-12);
     }

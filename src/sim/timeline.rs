@@ -1,9 +1,9 @@
-//! The course of a script's channels in time: minimum-jerk from one phase's values to the next.
+//! Course of a script's channels in time: minimum-jerk curves between the values of its phases.
 
 use glam::DVec3;
 use rand::Rng;
 
-use super::range::Span;
+use super::range::UniformRange;
 use super::scene::{Channels, PhaseSpec};
 
 /// Values of the channels at one instant.
@@ -13,26 +13,26 @@ pub struct ChannelValues {
     pub standoff: f64,
     /// Distance of sites with goals from the surface, m.
     pub opening: f64,
-    /// Share of the goal forces, 0 to 1.
+    /// Share of the goal forces that is applied, 0 to 1.
     pub squeeze: f64,
     /// Displacement of the hand in the world frame, m.
     pub shift: DVec3,
-    /// Turn about the upright axis through the object's start, rad.
+    /// Rotation about the upright axis through the object's start, rad.
     pub twist: f64,
-    /// How far wrapping fingers close, 0 to 1.
+    /// Closure of wrapping fingers, 0 to 1.
     pub wrap: f64,
 }
 
-/// A script with drawn durations and values.
+/// Script with drawn durations and values.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Timeline {
     start: ChannelValues,
-    /// End of each phase, s, and the values there.
+    /// End of each phase, s, and the values at that time.
     phases: Vec<(f64, ChannelValues)>,
 }
 
 impl Timeline {
-    /// Draws durations and values; `mirror` flips x of the shift and the twist, as for the left hand.
+    /// Draws durations and values; `mirror` negates x of the shift, and the twist, as the left hand needs.
     pub fn sample(start: &Channels, script: &[PhaseSpec], mirror: bool, rng: &mut impl Rng) -> Self {
         let flip = if mirror { -1.0 } else { 1.0 };
         let sign = DVec3::new(flip, 1.0, 1.0);
@@ -49,9 +49,9 @@ impl Timeline {
         let mut phases = Vec::new();
         for phase in script {
             time += phase.seconds.sample(rng);
-            let mut draw = |span: &Option<Span>, value: &mut f64| {
-                if let Some(span) = span {
-                    *value = span.sample(rng);
+            let mut draw = |range: &Option<UniformRange>, value: &mut f64| {
+                if let Some(range) = range {
+                    *value = range.sample(rng);
                 }
             };
             draw(&phase.standoff, &mut values.standoff);
@@ -71,17 +71,17 @@ impl Timeline {
         Self { start, phases }
     }
 
-    /// When the last phase ends, s.
+    /// Returns the end of the last phase, s.
     pub fn duration(&self) -> f64 {
         self.phases.last().map_or(0.0, |(end, _)| *end)
     }
 
-    /// Largest opening of the whole script, m.
+    /// Returns the largest opening of the script, m.
     pub fn widest_opening(&self) -> f64 {
         self.phases.iter().map(|(_, values)| values.opening).fold(self.start.opening, f64::max)
     }
 
-    /// Values at `time`, s; before the start and after the end they stay.
+    /// Returns the values at `time`, s; they are constant before the start and after the end.
     pub fn at(&self, time: f64) -> ChannelValues {
         let (mut begin, mut from) = (0.0, self.start);
         for &(end, to) in &self.phases {
@@ -103,12 +103,12 @@ impl Timeline {
     }
 }
 
-/// A channel's start; one that is fixed takes no random number.
-fn drawn(span: Span, rng: &mut impl Rng) -> f64 {
-    if span.low() == span.high() { span.low() } else { span.sample(rng) }
+/// Draws a channel's start. A fixed channel takes no random number, so that scenes without it keep their episodes.
+fn drawn(range: UniformRange, rng: &mut impl Rng) -> f64 {
+    if range.low() == range.high() { range.low() } else { range.sample(rng) }
 }
 
-/// Smooth step from 0 to 1 whose velocity and acceleration are 0 at both ends, as of a hand that reaches.
+/// Returns the minimum-jerk curve of a reaching movement: from 0 to 1, with no velocity and acceleration at both ends.
 fn minimum_jerk(x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
     x * x * x * (10.0 + x * (6.0 * x - 15.0))

@@ -1,7 +1,7 @@
-//! Episodes in child processes: the engine ends its process where it cannot go on, and then takes down one episode only.
+//! Generation of data sets in child processes: a fatal error of the engine ends one episode only.
 //!
-//! A worker is a program that runs [`serve`]; it makes one episode after another, asked for by a line of JSON on its
-//! standard input and answered by one on its standard output. One that died is replaced at the next episode.
+//! A worker process runs [`serve`]: it reads one request per line of JSON from standard input, records the episode, and
+//! writes one line of JSON to standard output. A worker that ended is replaced at the next episode.
 
 use std::ffi::OsString;
 use std::io::{BufRead, BufReader, Write};
@@ -10,79 +10,83 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use serde::{Deserialize, Serialize};
 
-use super::record::{Generate, Progress, Recorder, Summary, generate_by, record_part};
+use super::record::{DatasetPlan, GenerateProgress, RecordSummary, Recorder, generate_with, record_part};
 use super::rollout::RolloutOptions;
 use super::scene::Scene;
 use crate::error::{Error, Result};
 
-/// Environment variable of Mesa's llvmpipe: threads that draw.
+/// Environment variable of Mesa's llvmpipe: number of render threads beside the caller's.
 const RENDER_THREADS: &str = "LP_NUM_THREADS";
+/// Time that a process without an answer gets to exit before it is killed.
+const EXIT_GRACE: std::time::Duration = std::time::Duration::from_millis(200);
 
-/// How to start a worker.
+/// Command line of a worker process.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Workers {
-    /// The program.
+pub struct WorkerCommand {
+    /// Program.
     pub program: PathBuf,
-    /// Its arguments; with them it knows the scenes in the plan's order and the plan's options.
+    /// Arguments; they name the plan's scenes in order, and its options.
     pub arguments: Vec<OsString>,
 }
 
-/// An episode to record.
+/// Request to record an episode.
 #[derive(Debug, Serialize, Deserialize)]
-struct Request {
+struct EpisodeRequest {
     /// Index of the scene.
     scene: usize,
+    /// Seed of the episode.
     seed: u64,
     /// Store to write.
     out: PathBuf,
 }
 
-/// What became of it.
+/// Answer to a request.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum Answer {
+enum EpisodeOutcome {
     Done,
     Failed(String),
 }
 
-/// As [`super::generate`], with each of the plan's jobs in a child process; `skip_failed` leaves out episodes that fail.
+/// Generates a data set as [`super::generate`], with one child process per job; `skip_failed` leaves out failed
+/// episodes.
 ///
 /// # Errors
 /// As [`super::generate`]; an episode whose process ended counts as failed.
-pub fn generate_isolated(
-    plan: &Generate,
-    workers: &Workers,
+pub fn generate_in_processes(
+    plan: &DatasetPlan,
+    workers: &WorkerCommand,
     skip_failed: bool,
     out: &Path,
-    progress: impl Fn(Progress) + Sync,
-) -> Result<Summary> {
+    progress: impl Fn(GenerateProgress) + Sync,
+) -> Result<RecordSummary> {
     let recorder = || {
-        let mut running: Option<Running> = None;
+        let mut running: Option<WorkerProcess> = None;
         let record = move |scene: usize, seed: u64, out: &Path| -> Result<()> {
             let mut worker = match running.take() {
                 Some(worker) => worker,
-                None => Running::start(workers)?,
+                None => WorkerProcess::start(workers)?,
             };
-            match worker.ask(&Request { scene, seed, out: std::path::absolute(out).map_err(Error::io(out))? }) {
-                Some(answer) => {
+            match worker.ask(&EpisodeRequest { scene, seed, out: std::path::absolute(out).map_err(Error::io(out))? }) {
+                Some(outcome) => {
                     running = Some(worker);
-                    match answer {
-                        Answer::Done => Ok(()),
-                        Answer::Failed(why) => Err(Error::Engine(why)),
+                    match outcome {
+                        EpisodeOutcome::Done => Ok(()),
+                        EpisodeOutcome::Failed(why) => Err(Error::Engine(why)),
                     }
                 }
-                None => Err(worker.died()),
+                None => Err(worker.exit_error()),
             }
         };
         Box::new(record) as Recorder
     };
-    generate_by(plan, &recorder, skip_failed, out, progress)
+    generate_with(plan, &recorder, skip_failed, out, progress)
 }
 
-/// Records the episodes asked for on `requests` until it ends.
+/// Records the episodes of `requests` until its end, and writes an outcome for each to `answers`.
 ///
 /// # Errors
-/// If a request cannot be read or an answer not be written; an episode that fails is an answer.
+/// If a request cannot be read, or an outcome cannot be written; a failed episode is an outcome.
 pub fn serve(
     scenes: &[Scene],
     options: &RolloutOptions,
@@ -91,46 +95,46 @@ pub fn serve(
 ) -> Result<()> {
     for line in requests.lines() {
         let line = line.map_err(Error::io("standard input"))?;
-        let request: Request = serde_json::from_str(&line).map_err(|e| Error::file("standard input", e))?;
+        let request: EpisodeRequest = serde_json::from_str(&line).map_err(|e| Error::file("standard input", e))?;
         if request.scene >= scenes.len() {
             return Err(Error::value("scene", format!("below {}", scenes.len()), request.scene));
         }
-        let answer = match record_part(scenes, request.scene, request.seed, options, &request.out) {
-            Ok(()) => Answer::Done,
-            Err(error) => Answer::Failed(error.to_string()),
+        let outcome = match record_part(scenes, request.scene, request.seed, options, &request.out) {
+            Ok(()) => EpisodeOutcome::Done,
+            Err(error) => EpisodeOutcome::Failed(error.to_string()),
         };
-        let text = serde_json::to_string(&answer).map_err(|e| Error::file("standard output", e))?;
+        let text = serde_json::to_string(&outcome).map_err(|e| Error::file("standard output", e))?;
         writeln!(answers, "{text}").and_then(|()| answers.flush()).map_err(Error::io("standard output"))?;
     }
     Ok(())
 }
 
-/// A worker at work.
+/// Running worker process.
 #[derive(Debug)]
-struct Running {
+struct WorkerProcess {
     child: Child,
-    /// Closed when it shall end.
+    /// Standard input of the process; dropping it ends the process.
     requests: Option<ChildStdin>,
     answers: BufReader<ChildStdout>,
 }
 
-impl Running {
-    fn start(workers: &Workers) -> Result<Self> {
+impl WorkerProcess {
+    fn start(workers: &WorkerCommand) -> Result<Self> {
         let mut command = Command::new(&workers.program);
         command.args(&workers.arguments).stdin(Stdio::piped()).stdout(Stdio::piped());
         if std::env::var_os(RENDER_THREADS).is_none() {
-            // None beside the worker's own: jobs that draw with all cores wait for each other.
+            // Jobs that each render with all cores slow each other down: let each worker render in its own thread only.
             command.env(RENDER_THREADS, "0");
         }
         let mut child = command.spawn().map_err(Error::io(&workers.program))?;
         let requests = child.stdin.take();
-        let none = || Error::file(&workers.program, "gives no standard output");
+        let none = || Error::file(&workers.program, "expected a piped standard output, got none");
         let answers = BufReader::new(child.stdout.take().ok_or_else(none)?);
         Ok(Self { child, requests, answers })
     }
 
-    /// `None` = it is no more.
-    fn ask(&mut self, request: &Request) -> Option<Answer> {
+    /// Sends a request and waits for its outcome; `None` = the process ended or wrote something else.
+    fn ask(&mut self, request: &EpisodeRequest) -> Option<EpisodeOutcome> {
         let text = serde_json::to_string(request).ok()?;
         let requests = self.requests.as_mut()?;
         writeln!(requests, "{text}").and_then(|()| requests.flush()).ok()?;
@@ -139,20 +143,20 @@ impl Running {
         serde_json::from_str(&line).ok()
     }
 
-    /// What its end says. One that still lives, though it gave no answer, is ended.
-    fn died(mut self) -> Error {
+    /// Returns an error with the exit status; ends a process that still runs.
+    fn exit_error(mut self) -> Error {
         self.requests = None;
         if let Ok(None) = self.child.try_wait() {
-            // It closed its output, or wrote something else: a moment to end by itself.
-            std::thread::sleep(std::time::Duration::from_millis(200));
+            // It closed its output, or wrote something else: give it time to exit by itself.
+            std::thread::sleep(EXIT_GRACE);
             let _ = self.child.kill();
         }
         let how = self.child.wait().map_or_else(|error| error.to_string(), |status| status.to_string());
-        Error::Engine(format!("the process that simulated it ended with {how}"))
+        Error::Engine(format!("its worker process ended with {how}"))
     }
 }
 
-impl Drop for Running {
+impl Drop for WorkerProcess {
     fn drop(&mut self) {
         self.requests = None;
         let _ = self.child.wait();

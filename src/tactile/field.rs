@@ -6,35 +6,35 @@ use crate::hand::{N_VERTICES, Side, Topology};
 /// Vertices of both hands: left 0..777, right 778..1555.
 pub const N_FIELD: usize = 2 * N_VERTICES;
 
-/// A vertex is in contact, in truth, above this force in newtons (CONTACT = F > 0.05 N, as in the paper).
+/// Force above which a vertex is in contact in truth, N (paper: CONTACT = F > 0.05 N).
 pub const CONTACT_FORCE_N: f32 = 0.05;
 
-/// Whether a frame's truth can be trusted, and which guard said no.
+/// Validity of a frame's truth: valid, or the guard that refused it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[repr(u8)]
 pub enum Validity {
-    /// The frame is good.
+    /// No guard refused the frame.
     #[default]
     Valid = 0,
     /// The engine raised a warning counter (bad state, full arena).
     EngineWarning = 1,
     /// A state is not finite, or time did not advance by the timestep.
     NotFinite = 2,
-    /// A velocity is beyond any hand's.
+    /// A velocity is beyond that of any hand.
     TooFast = 3,
-    /// A contact is deeper than the touching bodies allow.
+    /// A penetration depth is beyond the limit of the touching bodies.
     TooDeep = 4,
     /// Contact forces don't balance weight and acceleration.
     Unbalanced = 5,
     /// The solver hit its iteration cap.
     NotConverged = 6,
-    /// Kinetic energy came or went without work.
+    /// Kinetic energy changed without work.
     EnergyError = 7,
     /// The engine's memory for contacts is nearly full.
     MemoryFull = 8,
-    /// A held object slips slowly though friction should hold it.
+    /// A held object slips slowly although friction should hold it.
     Creeping = 9,
-    /// Friction is beyond what its cone allows.
+    /// A friction force is outside of its cone.
     OutsideCone = 10,
 }
 
@@ -54,12 +54,12 @@ impl Validity {
         Self::OutsideCone,
     ];
 
-    /// The code as stores and messages carry it; 0 is valid.
+    /// Returns the code of stores and messages; 0 is valid.
     pub fn code(self) -> u8 {
         self as u8
     }
 
-    /// What the guard saw, in words; empty for a valid frame.
+    /// Describes the guard's finding; empty for a valid frame.
     pub fn reason(self) -> &'static str {
         match self {
             Self::Valid => "",
@@ -80,7 +80,7 @@ impl Validity {
 /// Force and contact on the vertices of both hands at one instant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TactileField {
-    /// What the indices mean.
+    /// Meaning of the vertex indices.
     pub topology: Topology,
     /// (1556) normal force, N, never negative; NaN = unknown.
     pub force: Vec<f32>,
@@ -89,15 +89,15 @@ pub struct TactileField {
 }
 
 impl TactileField {
-    /// A field without touch.
+    /// Creates a field without touch.
     pub fn zeros(topology: Topology) -> Self {
         Self { topology, force: vec![0.0; N_FIELD], contact: vec![0.0; N_FIELD] }
     }
 
-    /// A field from forces alone; contact is force > 0.05 N.
+    /// Creates a field from forces; contact is force > 0.05 N.
     ///
     /// # Errors
-    /// If `force` has not 1556 entries or one of them is negative or not finite.
+    /// If `force` does not have 1556 entries, or one is negative or not finite.
     pub fn from_force(topology: Topology, force: Vec<f32>) -> Result<Self> {
         if force.len() != N_FIELD {
             return Err(Error::shape("force", format!("[{N_FIELD}]"), [force.len()]));
@@ -109,7 +109,7 @@ impl TactileField {
         Ok(Self { topology, force, contact })
     }
 
-    /// Total normal force on one hand, N; NaN where any force is unknown.
+    /// Returns the total normal force on one hand, N; NaN if any force is unknown.
     pub fn total_force(&self, side: Side) -> f32 {
         self.force[side.range()].iter().map(|f| f64::from(*f)).sum::<f64>() as f32
     }

@@ -1,27 +1,27 @@
-//! Constant predictors: what a network must beat to have seen anything.
+//! Constant predictions, as a baseline: a network that beats them uses the image.
 
 use crate::tactile::{N_FIELD, TactileSequence};
 
 /// A prediction that is the same in every frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Constant {
-    /// What it is, e.g. `mean`.
+    /// Name, e.g. `mean`.
     pub name: &'static str,
-    /// (1556) N
+    /// (1556) force, N.
     pub force: Vec<f32>,
-    /// (1556) probability
+    /// (1556) contact probability.
     pub contact: Vec<f32>,
 }
 
 impl Constant {
-    /// The prediction over `n_frames` frames.
+    /// Returns the prediction for `n_frames` frames.
     pub fn sequence(&self, n_frames: usize) -> TactileSequence {
         let (force, contact) = (self.force.repeat(n_frames), self.contact.repeat(n_frames));
         TactileSequence { force, contact, ..Default::default() }
     }
 }
 
-/// Zero, and the mean and median of each vertex over its supervised training frames (0 where there is none).
+/// Returns zero, and the mean and the median of each vertex over its supervised frames (0 where there is none).
 pub fn constants(train: &TactileSequence) -> [Constant; 3] {
     let column = |values: &[f32], mask: &[u8], vertex: usize| -> Vec<f32> {
         let entries = values.iter().enumerate().skip(vertex).step_by(N_FIELD);
@@ -40,6 +40,7 @@ pub fn constants(train: &TactileSequence) -> [Constant; 3] {
     ]
 }
 
+/// Returns the mean; 0 without values.
 fn mean(values: Vec<f32>) -> f32 {
     match values.len() {
         0 => 0.0,
@@ -47,7 +48,7 @@ fn mean(values: Vec<f32>) -> f32 {
     }
 }
 
-/// Middle value; of an even number of values the mean of the middle two.
+/// Returns the median: the middle value, or the mean of the middle two; 0 without values.
 fn median(mut values: Vec<f32>) -> f32 {
     values.sort_unstable_by(f32::total_cmp);
     match values.len() {

@@ -1,4 +1,4 @@
-//! One step's input, made from clips.
+//! Batches: input and targets of one step, made from clips.
 
 use std::ops::Range;
 
@@ -6,50 +6,50 @@ use candle_core::{Device, Tensor};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::augment::Change;
-use super::config::Augment;
+use super::augment::Augmentation;
+use super::config::AugmentConfig;
 use super::data::Dataset;
 use super::keypoints::{self, Points};
-use super::loss::Truth;
+use super::loss::Targets;
 use super::sampler::{self, Clip};
 use crate::error::Result;
 use crate::hand::N_VERTICES;
 use crate::image::Preparation;
 use crate::tactile::{N_FIELD, TactileSequence};
 
-/// One step's input, on the host.
+/// Input and targets of one step, in host memory.
 #[derive(Debug, Clone)]
 pub struct Batch {
-    /// (F, 3, side, side) normalised; every frame once.
+    /// (F, 3, side, side) normalised images, each frame once.
     pub frames: Vec<f32>,
-    /// (B T) frame of each place of each window, oldest first.
+    /// (B T) indices into `frames`, window by window, oldest frame first.
     pub windows: Vec<u32>,
-    /// (B, K, 1556) normalised units.
+    /// (B, K, 1556) true force, normalised units.
     pub force: Vec<f32>,
-    /// (B, K, 1556)
+    /// (B, K, 1556) true contact, 0 or 1.
     pub contact: Vec<f32>,
-    /// (B, K, 1556)
+    /// (B, K, 1556) 1 = the force is supervised.
     pub mask_force: Vec<f32>,
-    /// (B, K, 1556)
+    /// (B, K, 1556) 1 = the contact is supervised.
     pub mask_contact: Vec<f32>,
-    /// (F) keypoints; empty unless they were looked for.
+    /// (F) keypoints of each frame; empty without the keypoint task.
     pub points: Vec<Points>,
 }
 
-/// What turns clips into batches beside the data itself.
+/// Settings that turn clips into batches.
 #[derive(Debug, Clone)]
 pub struct Collate {
-    /// T
+    /// Frames of a window, T.
     pub horizon: usize,
-    /// K
+    /// Predicted steps, K.
     pub predict: usize,
     /// Seconds between observation steps.
     pub frame_dt: f64,
     /// N per normalised unit.
     pub force_scale: f32,
-    /// Changes of the images.
-    pub augment: Augment,
-    /// Of the run.
+    /// Image augmentation.
+    pub augment: AugmentConfig,
+    /// Seed of the run.
     pub seed: u64,
 }
 
@@ -97,24 +97,24 @@ impl Dataset {
             let place_of = |frame: &usize| before + needed.partition_point(|other| other < frame) as u32;
             batch.windows.extend(windows.iter().flatten().map(place_of));
 
-            // Each clip of each step has a generator of its own, so that loading order is free.
+            // One generator per clip of each step, so that the result does not depend on the loading order.
             let mut rng = ChaCha8Rng::seed_from_u64(collate.seed ^ 0x6175_676d_656e_7400);
             rng.set_stream(((index as u64) << 16) | place as u64);
-            let change = Change::draw(&collate.augment, self.mirrorable(clip.store), &mut rng);
+            let augmentation = Augmentation::draw(&collate.augment, self.mirrorable(clip.store), &mut rng);
             let start = batch.frames.len();
             batch.frames.resize(start + needed.len() * pixels, 0.0);
             for (out, frame) in batch.frames[start..].chunks_exact_mut(pixels).zip(&needed) {
                 let at = (frame - first) * pixels;
-                change.apply(&block.images[at..at + pixels], side, mean, std, out);
+                augmentation.apply(&block.images[at..at + pixels], side, mean, std, out);
             }
             if let Some(points) = self.keypoints(clip.store) {
-                let seen = |points: Points| keypoints::seen(points, &change);
-                batch.points.extend(needed.iter().map(|frame| seen(points[*frame])));
+                let augmented = |frame: &usize| keypoints::augmented(points[*frame], &augmentation);
+                batch.points.extend(needed.iter().map(augmented));
             }
             for target in targets {
                 let Some(row) = rows.next() else { break };
                 if let Some(target) = target {
-                    batch.supervise(row, &block.labels, target - first, change.mirrored, collate.force_scale);
+                    batch.supervise(row, &block.labels, target - first, augmentation.mirrored, collate.force_scale);
                 }
             }
         }
@@ -123,7 +123,7 @@ impl Dataset {
 }
 
 impl Batch {
-    /// Fills one step of one window with a frame's labels.
+    /// Fills one step of one window with the labels of a frame.
     fn supervise(
         &mut self,
         row: Range<usize>,
@@ -133,10 +133,10 @@ impl Batch {
         force_scale: f32,
     ) {
         for (v, entry) in row.enumerate() {
-            // In a mirrored picture the left hand is a right one, index for index.
+            // In a mirrored image the left hand becomes the right one; both hands share one numbering.
             let v = if mirrored { (v + N_VERTICES) % N_FIELD } else { v };
             let at = frame * N_FIELD + v;
-            // A masked label may be NaN, and NaN times zero is NaN.
+            // Skips masked labels instead of multiplying by 0: they may be NaN, and NaN times 0 is NaN.
             if labels.mask_force[at] == 1 {
                 self.mask_force[entry] = 1.0;
                 self.force[entry] = labels.force[at] / force_scale;
@@ -148,20 +148,20 @@ impl Batch {
         }
     }
 
-    /// Frames of `side` x `side` pixels in it.
+    /// Returns the number of frames of `side` x `side` pixels.
     pub fn n_frames(&self, side: usize) -> usize {
         self.frames.len() / (3 * side * side)
     }
 
-    /// Images `(F, 3, side, side)`, window indices `(B T)` and truth on a device.
+    /// Moves images `(F, 3, side, side)`, window indices `(B T)` and targets to a device.
     ///
     /// # Errors
     /// If the device is out of memory.
-    pub fn to_device(self, side: usize, predict: usize, device: &Device) -> Result<(Tensor, Tensor, Truth)> {
+    pub fn to_device(self, side: usize, predict: usize, device: &Device) -> Result<(Tensor, Tensor, Targets)> {
         let frames = self.n_frames(side);
         let truth_shape = (self.force.len() / (predict * N_FIELD), predict, N_FIELD);
         let field = |values: Vec<f32>| Tensor::from_vec(values, truth_shape, device);
-        let truth = Truth {
+        let truth = Targets {
             force: field(self.force)?,
             contact: field(self.contact)?,
             mask_force: field(self.mask_force)?,

@@ -1,4 +1,4 @@
-//! The resumable state of a run: weights, optimiser, averages, step.
+//! Resumable state of a run: weights, optimiser moments, averages and step.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -11,10 +11,10 @@ use super::optimizer::{AdamW, Param};
 use crate::error::{Error, Result};
 use crate::file;
 
-/// The parts of a variable's state; each tensor is named PART.VARIABLE.
-const PARTS: [&str; 4] = ["weight", "moment1", "moment2", "average"];
+/// Tensors of a variable's state; each is named KIND.VARIABLE in the file.
+const STATE_KINDS: [&str; 4] = ["weight", "moment1", "moment2", "average"];
 
-/// Saves the state of a run, whole or not at all. `config` identifies the run: [`load`] refuses another's.
+/// Saves the state of a run atomically. `config` identifies the run: [`load`] refuses the state of another one.
 ///
 /// # Errors
 /// If the file can't be written.
@@ -23,8 +23,8 @@ pub fn save(path: &Path, optimizer: &AdamW, step: usize, config: &str) -> Result
     let mut tensors = Vec::new();
     for Param { name, var, moment1, moment2, average } in optimizer.params() {
         let weight = var.flatten_all()?.to_vec1::<f32>()?;
-        for (part, values) in PARTS.into_iter().zip([&weight, moment1, moment2, average]) {
-            tensors.push((format!("{part}.{name}"), var.dims().to_vec(), bytes(values)));
+        for (kind, values) in STATE_KINDS.into_iter().zip([&weight, moment1, moment2, average]) {
+            tensors.push((format!("{kind}.{name}"), var.dims().to_vec(), bytes(values)));
         }
     }
     let mut views = Vec::new();
@@ -41,7 +41,7 @@ pub fn save(path: &Path, optimizer: &AdamW, step: usize, config: &str) -> Result
     file::write(path, &content)
 }
 
-/// Puts a saved state back into variables and optimiser. Returns the step to go on with.
+/// Restores a saved state into variables and optimiser. Returns the number of steps taken.
 ///
 /// # Errors
 /// If the file is not a state, belongs to another configuration, or its variables are not the network's.
@@ -58,8 +58,8 @@ pub fn load(path: &Path, optimizer: &mut AdamW, config: &str) -> Result<usize> {
     if let Some(difference) = first_difference(metadata.get("config").map_or("", String::as_str), config) {
         return Err(Error::file(path, format!("belongs to a run with another configuration: {difference}")));
     }
-    let read = |part: &str, param: &Param| -> Result<Vec<f32>> {
-        let name = format!("{part}.{}", param.name);
+    let read = |kind: &str, param: &Param| -> Result<Vec<f32>> {
+        let name = format!("{kind}.{}", param.name);
         let tensor = tensors.tensor(&name).map_err(|e| invalid(&e))?;
         if tensor.dtype() != Dtype::F32 || tensor.shape() != param.var.dims() {
             let got = format!("{:?} {:?}", tensor.dtype(), tensor.shape());
@@ -68,7 +68,7 @@ pub fn load(path: &Path, optimizer: &mut AdamW, config: &str) -> Result<usize> {
         Ok(tensor.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect())
     };
     optimizer.restore(optimizer_steps, |param| {
-        let [weight, moment1, moment2, average] = PARTS.map(|part| read(part, param));
+        let [weight, moment1, moment2, average] = STATE_KINDS.map(|kind| read(kind, param));
         param.var.set(&Tensor::from_vec(weight?, param.var.shape(), param.var.device())?)?;
         (param.moment1, param.moment2, param.average) = (moment1?, moment2?, average?);
         Ok(())
@@ -76,6 +76,7 @@ pub fn load(path: &Path, optimizer: &mut AdamW, config: &str) -> Result<usize> {
     Ok(step)
 }
 
+/// Describes the first line in which two configurations differ; None if they are equal.
 fn first_difference(saved: &str, now: &str) -> Option<String> {
     if saved == now {
         return None;

@@ -1,122 +1,122 @@
-//! What a training run is told, in one YAML file.
+//! Configuration of a training run, one YAML file.
 
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::source::Source;
+use super::source::TrainingSource;
 use crate::error::{Error, Result};
 use crate::model::{self, Precision};
 
-/// A run as written in YAML; unknown keys are refused. Paths are relative to the current folder.
+/// Configuration of a run as written in YAML; unknown keys are refused. Paths are relative to the current folder.
 ///
-/// [`Config::read`] and [`Config::check`] give a configuration that the rest relies on.
+/// Training relies on the ranges that [`Config::read`] and [`Config::check`] check.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// Name that the checkpoint carries.
     pub name: String,
-    /// Sources to learn from: stores, or folders of `*.zarr`.
-    pub data: Vec<Source>,
-    /// How sources are mixed.
+    /// Training data: stores, or folders of `*.zarr`.
+    pub data: Vec<TrainingSource>,
+    /// Mixing of the sources.
     #[serde(default)]
-    pub sampling: Sampling,
-    /// Held-out stores to score on the way; may be empty.
+    pub sampling: SamplingConfig,
+    /// Held-out stores for validation; may be empty.
     #[serde(default)]
     pub validation: Vec<PathBuf>,
     /// Folder for `checkpoint.safetensors`, `state.safetensors`, `config.yaml`, `log.csv` and `curves.png`.
     pub out: PathBuf,
-    /// The network: a preset's name, its geometry, or `init`, that of the checkpoint to start from.
-    pub model: Geometry,
-    /// Checkpoint to start from; without it the weights start at random.
+    /// Geometry of the network: the name of a preset, all keys, or `init` for the geometry of the initial checkpoint.
+    pub model: ModelChoice,
+    /// Checkpoint with the initial weights; without it they are random.
     #[serde(default)]
     pub init: Option<PathBuf>,
-    /// Checkpoint whose encoder alone to start from, whatever else it is; not with `init`.
+    /// Checkpoint with the initial weights of the encoder alone; not together with `init`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub encoder: Option<PathBuf>,
-    /// Fixes weights, order and augmentation.
+    /// Seed of weights, order of the data and augmentation.
     pub seed: u64,
     /// Seconds between observation steps.
     #[serde(default = "default_frame_dt")]
     pub frame_dt: f64,
-    /// Format in which a step is computed: f32, or bf16 (half the memory for activations; faster on a GPU, slower on the
-    /// CPU). Weights, optimiser, losses and their gradients are f32 either way.
+    /// Number format of forward and backward pass: f32, or bf16 (half the memory for activations; faster on a GPU, slower
+    /// on the CPU). Weights, optimiser, losses and their gradients are f32 in both cases.
     #[serde(default)]
     pub precision: Precision,
     /// Optimisation steps.
     pub steps: usize,
-    /// What one step sees.
+    /// Size of a step.
     #[serde(default)]
-    pub batch: Batch,
+    pub batch: BatchConfig,
     /// AdamW and its schedule.
     #[serde(default)]
-    pub optimizer: Optimizer,
+    pub optimizer: OptimizerConfig,
     /// Weights of the objective.
     #[serde(default)]
-    pub loss: Loss,
-    /// Changes of the images.
+    pub loss: LossWeights,
+    /// Image augmentation.
     #[serde(default)]
-    pub augment: Augment,
-    /// Decay per step of the averaged weights, which are the ones scored and saved; 0 = no averaging.
+    pub augment: AugmentConfig,
+    /// Decay per step of the exponential moving average of the weights; the average is scored and saved. 0 = no averaging.
     #[serde(default = "default_ema")]
     pub ema: f64,
     /// Steps between saves of the resumable state.
     #[serde(default = "default_every")]
     pub save_every: usize,
-    /// Steps between scores on the held-out stores.
+    /// Steps between validations on the held-out stores.
     #[serde(default = "default_every")]
     pub validate_every: usize,
-    /// Threads that load and augment.
+    /// Threads that load and augment batches.
     #[serde(default = "default_threads")]
     pub threads: usize,
-    /// Whether the stores are kept in memory; otherwise each clip is read when it is needed.
+    /// True keeps the stores in memory; false reads each clip when it is needed.
     #[serde(default = "default_true")]
     pub in_memory: bool,
 }
 
-/// How often each source is drawn from: p ~ n^temperature for a source of n windows (paper, Dataset sampling).
+/// Sampling of the sources: p ~ n^temperature for a source of n windows (paper, Dataset sampling).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Sampling {
-    /// 1 = as large as they are, 0 = all alike.
+pub struct SamplingConfig {
+    /// 1 = in proportion to the size of the sources, 0 = all equal.
     pub temperature: f64,
-    /// Windows of an epoch; without it as many as there are frames.
+    /// Windows of an epoch; by default the number of frames.
     pub epoch: Option<usize>,
 }
 
-impl Default for Sampling {
+impl Default for SamplingConfig {
     fn default() -> Self {
         Self { temperature: 0.5, epoch: None }
     }
 }
 
-/// [`Config::model`] of a run whose network is as large as the checkpoint that it starts from.
+/// Value of [`Config::model`] that takes the geometry of the initial checkpoint.
 const AS_INIT: &str = "init";
 
-/// A preset's name, `init` or a geometry.
+/// Choice of the network's geometry.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub enum Geometry {
+pub enum ModelChoice {
     /// Name of a preset, or `init`.
     Preset(String),
     /// All keys of the network's configuration.
     Explicit(model::Config),
 }
 
-/// What one step sees: `clips` pieces of episodes with up to `windows` windows each. The frames of a clip are encoded
-/// once, whatever number of windows they appear in.
+/// Size of a step: `clips` pieces of episodes with up to `windows` windows each. Each frame of a clip is encoded once,
+/// although several windows contain it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Batch {
+pub struct BatchConfig {
     /// Clips per step.
     pub clips: usize,
     /// Windows per clip.
     pub windows: usize,
-    /// Batches whose mean gradient makes a step: more than fit into memory at once.
+    /// Batches per step, whose mean gradient is used; allows steps that do not fit into memory at once.
     pub accumulate: usize,
 }
 
-impl Default for Batch {
+impl Default for BatchConfig {
     fn default() -> Self {
         Self { clips: 4, windows: 12, accumulate: 1 }
     }
@@ -125,22 +125,22 @@ impl Default for Batch {
 /// AdamW with linear warm-up and cosine decay.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Optimizer {
+pub struct OptimizerConfig {
     /// Peak learning rate.
     pub learning_rate: f64,
     /// Learning rate of the last step.
     pub final_learning_rate: f64,
-    /// Factor on the encoder's learning rate; without it 0.1 where it starts from trained weights (`init`, `encoder`), else 1.
+    /// Factor on the encoder's learning rate; by default 0.1 with trained initial weights (`init`, `encoder`), else 1.
     pub encoder_factor: Option<f64>,
     /// Share of the steps in which the learning rate grows to its peak.
     pub warmup: f64,
-    /// Decoupled weight decay, of matrices alone.
+    /// Decoupled weight decay, applied to matrices only.
     pub weight_decay: f64,
-    /// Gradients with a larger norm are scaled down to it.
+    /// Norm that larger gradients are scaled down to.
     pub max_grad_norm: f64,
 }
 
-impl Default for Optimizer {
+impl Default for OptimizerConfig {
     fn default() -> Self {
         Self {
             learning_rate: 1e-4,
@@ -156,51 +156,51 @@ impl Default for Optimizer {
 /// Weights of the objective (paper, Training objective).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Loss {
-    /// Of the squared error of the normalised force.
+pub struct LossWeights {
+    /// Weight of the squared error of the normalised force.
     pub force: f64,
-    /// Of the cross-entropy of contact.
+    /// Weight of the cross-entropy of contact.
     pub contact: f64,
-    /// Of the Smooth-L1 error of the normalised force where the true force is above 0.05 N.
+    /// Weight of the Smooth-L1 error of the normalised force where the true force is above 0.05 N.
     pub active: f64,
-    /// Of the disagreement between force and contact.
+    /// Weight of the disagreement between force and contact.
     pub consistency: f64,
-    /// Of finding the hands' keypoints, which helps a network that starts at random; needs stores of the built-in hand
-    /// that say where camera and hands are. The layers it trains are not saved.
+    /// Weight of the auxiliary keypoint task, which helps a network with random initial weights; needs stores of the
+    /// built-in hand with camera and hand poses. Its heads are not saved.
     pub keypoints: f64,
-    /// Weight of a vertex in contact against one without, in the cross-entropy.
+    /// Weight of a vertex in contact relative to one without contact, in the cross-entropy.
     pub positive_weight: f64,
 }
 
-impl Default for Loss {
+impl Default for LossWeights {
     fn default() -> Self {
         Self { force: 1.0, contact: 1.0, active: 0.2, consistency: 0.05, keypoints: 0.0, positive_weight: 2.0 }
     }
 }
 
-/// Changes of the images, drawn once per clip: the same for all frames of a window.
+/// Image augmentation, drawn once per clip: the same for all frames of a window.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Augment {
+pub struct AugmentConfig {
     /// Brightness factor within 1 ± this.
     pub brightness: f64,
     /// Contrast factor within 1 ± this.
     pub contrast: f64,
     /// Saturation factor within 1 ± this.
     pub saturation: f64,
-    /// Hue turned by up to this many radians either way.
+    /// Largest rotation of the hue in either direction, rad.
     pub hue: f64,
-    /// Side of the crop as a share of the image, from 1 - this to 1; its place is random.
+    /// Side of the crop as a share of the image, from 1 - this to 1, at a random place.
     pub crop: f64,
     /// View scale within 1 ± this.
     pub view_scale: f64,
-    /// How often the view is scaled.
+    /// Probability that the view is scaled.
     pub view_scale_probability: f64,
-    /// How often a clip of a source that allows it is mirrored.
+    /// Probability that a clip is mirrored, if its source allows it.
     pub mirror: f64,
 }
 
-impl Default for Augment {
+impl Default for AugmentConfig {
     fn default() -> Self {
         Self {
             brightness: 0.2,
@@ -215,8 +215,8 @@ impl Default for Augment {
     }
 }
 
-impl Augment {
-    /// Nothing is changed.
+impl AugmentConfig {
+    /// Returns settings that change nothing.
     pub fn none() -> Self {
         Self {
             brightness: 0.0,
@@ -242,7 +242,7 @@ impl Config {
         Ok(config)
     }
 
-    /// Reads a YAML file whose values are still to be changed, and then checked.
+    /// Reads a YAML file without checking its values; the caller must call [`Config::check`].
     ///
     /// # Errors
     /// If it can't be read, is not YAML, or a key is unknown, missing or of another type.
@@ -251,11 +251,33 @@ impl Config {
         serde_yaml::from_str(&text).map_err(|e| Error::file(path, e))
     }
 
-    /// Checks every range, and that inputs are there, before anything is computed.
+    /// Checks that all values are in range and that the input files exist.
     ///
     /// # Errors
-    /// Names the first key that does not fit, with what is allowed.
+    /// If a value does not fit; the error names the first such key and the allowed values.
     pub fn check(&self) -> Result<()> {
+        self.check_counts()?;
+        self.check_ranges()?;
+        self.check_quotas()?;
+        let LossWeights { force, contact, active, keypoints, .. } = self.loss;
+        if force + contact + active + keypoints == 0.0 {
+            return Err(Error::value("loss", "a weight above 0", "force, contact, active and keypoints all 0"));
+        }
+        if self.precision == Precision::Int8 {
+            return Err(Error::value("precision", "f32 or bf16", self.precision));
+        }
+        if self.init.is_some() && self.encoder.is_some() {
+            return Err(Error::value("encoder", "none beside init, which has one", "both"));
+        }
+        self.geometry()?;
+        let stores = self.data.iter().flat_map(|source| &source.stores);
+        for path in stores.chain(&self.validation).chain(&self.init).chain(&self.encoder) {
+            path.metadata().map_err(Error::io(path))?;
+        }
+        Ok(())
+    }
+
+    fn check_counts(&self) -> Result<()> {
         let at_least_one = [
             ("steps", self.steps),
             ("batch.clips", self.batch.clips),
@@ -268,14 +290,13 @@ impl Config {
             ("data.stores", self.data.iter().map(|source| source.stores.len()).min().unwrap_or(0)),
             ("sampling.epoch", self.sampling.epoch.unwrap_or(1)),
         ];
-        for (key, value) in at_least_one {
-            if value == 0 {
-                return Err(Error::value(key, "at least 1", value));
-            }
+        match at_least_one.iter().find(|(_, value)| *value == 0) {
+            Some((key, value)) => Err(Error::value(key, "at least 1", value)),
+            None => Ok(()),
         }
-        if self.precision == Precision::Int8 {
-            return Err(Error::value("precision", "f32 or bf16", self.precision));
-        }
+    }
+
+    fn check_ranges(&self) -> Result<()> {
         let (o, l, a) = (&self.optimizer, &self.loss, &self.augment);
         let ranges = [
             ("frame_dt", self.frame_dt, 1e-3, 10.0),
@@ -302,59 +323,50 @@ impl Config {
             ("augment.mirror", a.mirror, 0.0, 1.0),
             ("sampling.temperature", self.sampling.temperature, 0.0, 10.0),
         ];
-        for (key, value, low, high) in ranges {
-            if !(value >= low && value <= high) {
-                return Err(Error::value(key, format!("a number from {low} to {high}"), value));
-            }
+        // Negated, so that NaN is out of range.
+        match ranges.iter().find(|(_, value, low, high)| !(value >= low && value <= high)) {
+            Some((key, value, low, high)) => Err(Error::value(key, format!("a number from {low} to {high}"), value)),
+            None => Ok(()),
         }
+    }
+
+    fn check_quotas(&self) -> Result<()> {
         for (i, source) in self.data.iter().enumerate() {
             if !(0.0..=1.0).contains(&source.quota) {
                 return Err(Error::value(format!("data[{i}].quota"), "a share from 0 to 1", source.quota));
             }
         }
         let quotas: f64 = self.data.iter().map(|source| source.quota).sum();
-        if quotas > 1.0 + 1e-9 {
-            return Err(Error::value("data, sum of quotas", "at most 1", quotas));
+        match quotas > 1.0 + 1e-9 {
+            true => Err(Error::value("data, sum of quotas", "at most 1", quotas)),
+            false => Ok(()),
         }
-        if l.force + l.contact + l.active + l.keypoints == 0.0 {
-            return Err(Error::value("loss", "a weight above 0", "force, contact, active and keypoints all 0"));
-        }
-        if self.init.is_some() && self.encoder.is_some() {
-            return Err(Error::value("encoder", "none beside init, which has one", "both"));
-        }
-        self.geometry()?;
-        let stores = self.data.iter().flat_map(|source| &source.stores);
-        for path in stores.chain(&self.validation).chain(&self.init).chain(&self.encoder) {
-            path.metadata().map_err(Error::io(path))?;
-        }
-        Ok(())
     }
 
-    /// The network's geometry.
+    /// Returns the network's geometry.
     ///
     /// # Errors
-    /// If the preset is unknown or the geometry is impossible, or it is that of a checkpoint which there is not or can't be
-    /// read.
+    /// If the preset is unknown, the geometry is invalid, or it is that of a checkpoint that is missing or can't be read.
     pub fn geometry(&self) -> Result<model::Config> {
         match &self.model {
-            Geometry::Preset(name) if name == AS_INIT => match &self.init {
+            ModelChoice::Preset(name) if name == AS_INIT => match &self.init {
                 Some(path) => model::checkpoint::geometry(path),
                 None => Err(Error::value("model", "a preset or a geometry, as no init names a checkpoint", AS_INIT)),
             },
-            Geometry::Preset(name) => model::Config::preset(name),
-            Geometry::Explicit(config) => config.check().map(|()| config.clone()),
+            ModelChoice::Preset(name) => model::Config::preset(name),
+            ModelChoice::Explicit(config) => config.check().map(|()| config.clone()),
         }
     }
 
-    /// Factor on the encoder's learning rate.
+    /// Returns the factor on the encoder's learning rate.
     pub fn encoder_factor(&self) -> f64 {
         let trained = self.init.is_some() || self.encoder.is_some();
         self.optimizer.encoder_factor.unwrap_or(if trained { 0.1 } else { 1.0 })
     }
 
-    /// Learning rate of step `step` of `steps`, counted from 0: linear warm-up, then half a cosine.
+    /// Returns the learning rate of step `step`, counted from 0: linear warm-up, then cosine decay.
     pub fn learning_rate(&self, step: usize) -> f64 {
-        let Optimizer { learning_rate, final_learning_rate, warmup, .. } = self.optimizer;
+        let OptimizerConfig { learning_rate, final_learning_rate, warmup, .. } = self.optimizer;
         let warmup_steps = (warmup * self.steps as f64).ceil();
         let step = step as f64;
         if step < warmup_steps {
@@ -437,7 +449,7 @@ mod tests {
     }
 
     #[test]
-    fn a_trained_encoder_learns_at_a_tenth_unless_told_otherwise() {
+    fn a_trained_encoder_learns_at_a_tenth_of_the_rate_by_default() {
         let of = |added: &str| -> Config { serde_yaml::from_str(&MINIMAL.replace('}', added)).unwrap() };
         assert_eq!(of("}").encoder_factor(), 1.0);
         assert_eq!(of(", init: a.safetensors}").encoder_factor(), 0.1);

@@ -1,4 +1,4 @@
-//! A run's losses and scores as a picture.
+//! Plot of a run's losses and scores.
 
 use std::path::Path;
 
@@ -6,45 +6,39 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::render;
 use crate::render::figure::{self, Drawn, Figure};
-use crate::score::metrics::Report;
+use crate::render::plot::{self, PALETTE};
+use crate::score::metrics::Metrics;
 
-const COLORS: [RGBColor; 5] = [
-    RGBColor(31, 119, 180),
-    RGBColor(214, 96, 24),
-    RGBColor(44, 160, 44),
-    RGBColor(148, 103, 189),
-    RGBColor(120, 120, 120),
-];
 /// Columns of the log that are drawn.
 const LOSSES: [&str; 5] = ["loss", "force", "contact", "active", "consistency"];
-/// A curve is the mean over this share of the steps.
-const SMOOTH: f64 = 0.02;
+/// Share of all steps that one point of a loss curve averages over.
+const SMOOTHING: f64 = 0.02;
 
-/// The picture.
+/// Content of the plot.
 struct Curves {
     losses: Vec<Curve>,
     scores: Vec<Curve>,
 }
 
-/// A named line: steps and values.
+/// A named curve: steps and values.
 struct Curve {
     name: &'static str,
     points: Vec<(f64, f64)>,
 }
 
-/// Draws the log's losses and the scores at their steps as `curves.png` beside the log; nothing for a log without steps.
+/// Plots the losses of the log, and the scores at their steps, to `curves.png` beside the log. Writes nothing for a log
+/// without steps.
 ///
 /// # Errors
-/// If the log can't be read or the picture not be written.
-pub fn write(log: &Path, scores: &[(usize, Report)]) -> Result<()> {
+/// If the log can't be read or the plot can't be written.
+pub fn write(log: &Path, scores: &[(usize, Metrics)]) -> Result<()> {
     let text = std::fs::read_to_string(log).map_err(Error::io(log))?;
     let losses = losses(&text);
     if losses.iter().all(|curve| curve.points.is_empty()) {
         return Ok(());
     }
-    let score = |name, of: fn(&Report) -> Option<f64>| Curve {
+    let score = |name, of: fn(&Metrics) -> Option<f64>| Curve {
         name,
         points: scores.iter().filter_map(|(step, report)| Some((*step as f64, of(report)?))).collect(),
     };
@@ -57,13 +51,13 @@ pub fn write(log: &Path, scores: &[(usize, Report)]) -> Result<()> {
     figure::write_png(&log.with_file_name("curves.png"), &Curves { losses, scores: scores.into() })
 }
 
-/// The losses of a log, smoothed; those that are 0 throughout are left out.
+/// Returns the smoothed losses of a log, without those that are always 0.
 fn losses(text: &str) -> Vec<Curve> {
     let mut lines = text.lines();
     let columns: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
     let rows: Vec<Vec<f64>> =
         lines.map(|line| line.split(',').map(|value| value.parse().unwrap_or(f64::NAN)).collect()).collect();
-    let width = ((rows.len() as f64 * SMOOTH).round() as usize).max(1);
+    let width = ((rows.len() as f64 * SMOOTHING).round() as usize).max(1);
     let curve = |name: &'static str| {
         let column = columns.iter().position(|column| *column == name)?;
         let values: Vec<(f64, f64)> = rows
@@ -111,38 +105,21 @@ where
         ],
         false => [all().map(|p| p.1).fold(0.0, f64::min), 1.0],
     };
-    let mut chart = ChartBuilder::on(area)
-        .caption(title, (render::font::FAMILY, 20))
-        .margin(12)
-        .x_label_area_size(44)
-        .y_label_area_size(64)
-        .build_cartesian_2d(0.0..last, low..high)?;
+    let mut chart = plot::chart(area, title, [48, 72]).build_cartesian_2d(0.0..last, low..high)?;
     let name = |y: &f64| if decades { format!("{:.0e}", 10f64.powf(*y)) } else { format!("{y:.1}") };
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .x_desc("step")
-        .y_label_formatter(&name)
-        .label_style((render::font::FAMILY, 14))
-        .draw()?;
-    for (curve, color) in curves.iter().zip(COLORS).filter(|(curve, _)| !curve.points.is_empty()) {
+    plot::axes(&mut chart, ("step", &|x| format!("{x:.0}")), ("", &name))?;
+    for (curve, color) in curves.iter().zip(PALETTE).filter(|(curve, _)| !curve.points.is_empty()) {
         let points: Vec<_> = curve.points.iter().map(|(x, y)| (*x, height(*y))).collect();
         chart
             .draw_series(LineSeries::new(points.clone(), color.stroke_width(2)))?
             .label(curve.name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], color.stroke_width(2)));
+            .legend(plot::line_key(color));
         if points.len() < 40 {
             chart.draw_series(points.into_iter().map(|point| Circle::new(point, 3, color.filled())))?;
         }
     }
     if curves.iter().any(|curve| !curve.points.is_empty()) {
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.8))
-            .border_style(BLACK.mix(0.3))
-            .label_font((render::font::FAMILY, 13))
-            .draw()?;
+        plot::legend(&mut chart, SeriesLabelPosition::UpperRight)?;
     }
     Ok(())
 }
@@ -152,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn curves_follow_the_log_and_leave_out_what_is_zero() {
+    fn curves_follow_the_log_and_leave_out_losses_that_are_zero() {
         let mut text = String::from("step,loss,force,contact,active,consistency,secs\n");
         (1..=200).for_each(|step| text += &format!("{step},{},{},{},0,0,1\n", 2.0 / step as f64, 1.0, 0.5));
         let curves = losses(&text);

@@ -1,4 +1,4 @@
-//! Stores as training sees them: resized images, labels, masks.
+//! Training data: stores with resized images, labels and masks.
 
 use std::cmp::Ordering;
 use std::ops::Range;
@@ -6,11 +6,9 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::keypoints::{self, Points};
-use super::source::{Source, Supervision};
+use super::source::{Supervision, TrainingSource};
 use crate::dataset::EpisodeReader;
-use crate::dataset::zarr::{
-    self, CAMERA_EGO_RGB, FRAME_VALIDITY, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, TIMESTAMPS, ZarrReader,
-};
+use crate::dataset::zarr::{self, CAMERA_EGO_RGB, TIMESTAMPS, ZarrReader, read_labels};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
 use crate::image::{Preparation, resize};
@@ -19,7 +17,7 @@ use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileSequence, episode_ranges};
 /// Frames read at once while a store is scanned.
 const BLOCK: usize = 128;
 
-/// Stores, and how their images become the network's input.
+/// Stores, and the preparation that turns their images into the network's input.
 #[derive(Debug)]
 pub struct Dataset {
     stores: Vec<Store>,
@@ -28,9 +26,9 @@ pub struct Dataset {
 
 #[derive(Debug)]
 struct Store {
-    /// Index of the source it belongs to.
+    /// Index of the source that the store belongs to.
     source: usize,
-    /// Whether its images may be mirrored.
+    /// True if the images may be mirrored.
     mirrorable: bool,
     supervision: Supervision,
     reader: ZarrReader,
@@ -48,34 +46,33 @@ pub struct Block {
     pub labels: TactileSequence,
 }
 
-/// What the supervised labels of a dataset say.
+/// Statistics of the supervised labels of a dataset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Statistics {
-    /// 99th percentile of the forces above 0.05 N, N: what one unit of the network's output stands for. None without
-    /// such a force.
+    /// 99th percentile of the forces above 0.05 N, N: one unit of the network's output. None without such a force.
     pub force_scale: Option<f32>,
-    /// (1556) N; 0 where nothing is supervised.
+    /// (1556) mean force, N; 0 where nothing is supervised.
     pub mean_force: Vec<f32>,
     /// (1556) share of frames in contact; 0 where nothing is supervised.
     pub contact_rate: Vec<f32>,
 }
 
 impl Dataset {
-    /// Takes stores; `in_memory` reads them whole at once.
+    /// Creates a dataset of one source; `in_memory` reads the stores completely at once.
     ///
     /// # Errors
-    /// If there is none, or one can't be read.
+    /// If there is no store, or one can't be read.
     pub fn new(readers: Vec<ZarrReader>, preparation: Preparation, in_memory: bool) -> Result<Self> {
-        let alike = |reader| (0, Source::of([]), reader);
-        Self::from_readers(readers.into_iter().map(alike).collect(), preparation, in_memory)
+        let from_one_source = |reader| (0, TrainingSource::of([]), reader);
+        Self::from_readers(readers.into_iter().map(from_one_source).collect(), preparation, in_memory)
     }
 
-    /// Opens the stores of several sources.
+    /// Opens the stores of several sources; `in_memory` reads them completely at once.
     ///
     /// # Errors
     /// If one can't be opened or read, or two differ in topology.
-    pub fn open(sources: &[Source], preparation: Preparation, in_memory: bool) -> Result<Self> {
-        let mut readers: Vec<(usize, Source, ZarrReader)> = Vec::new();
+    pub fn open(sources: &[TrainingSource], preparation: Preparation, in_memory: bool) -> Result<Self> {
+        let mut readers: Vec<(usize, TrainingSource, ZarrReader)> = Vec::new();
         for (index, source) in sources.iter().enumerate() {
             for reader in zarr::open_all(&source.stores)? {
                 if let Some((_, _, first)) = readers.first() {
@@ -89,9 +86,9 @@ impl Dataset {
         Self::from_readers(readers, preparation, in_memory)
     }
 
-    /// From stores with index and properties of their sources.
+    /// Creates a dataset from stores with the index and properties of their sources.
     fn from_readers(
-        readers: Vec<(usize, Source, ZarrReader)>,
+        readers: Vec<(usize, TrainingSource, ZarrReader)>,
         preparation: Preparation,
         in_memory: bool,
     ) -> Result<Self> {
@@ -99,7 +96,7 @@ impl Dataset {
             return Err(Error::value("data", "at least one store", "none"));
         }
         let mut dataset = Self { stores: Vec::new(), preparation };
-        for (source, Source { mirror: mirrorable, labels: supervision, .. }, reader) in readers {
+        for (source, TrainingSource { mirror: mirrorable, labels: supervision, .. }, reader) in readers {
             let timestamps = reader.read(TIMESTAMPS, 0..reader.len())?.into_f64();
             check_timestamps(&reader, &timestamps)?;
             dataset.stores.push(Store {
@@ -122,10 +119,10 @@ impl Dataset {
         Ok(dataset)
     }
 
-    /// Finds the keypoints in all frames, so that batches hold them.
+    /// Projects the hands' keypoints into all images, so that batches contain them.
     ///
     /// # Errors
-    /// If a store can't be read, or none says where camera and hands are.
+    /// If a store can't be read, or no store has camera and hand poses.
     pub fn find_keypoints(&mut self) -> Result<()> {
         let mut known = false;
         for store in &mut self.stores {
@@ -142,17 +139,17 @@ impl Dataset {
         }
     }
 
-    /// What the vertex indices of every store mean.
+    /// Returns the meaning of the vertex indices of every store.
     pub fn topology(&self) -> Topology {
         self.stores.first().map(|store| store.reader.attributes().topology).unwrap_or_default()
     }
 
-    /// Frames of all stores.
+    /// Returns the number of frames of all stores.
     pub fn n_frames(&self) -> usize {
         self.stores.iter().map(|store| store.reader.len()).sum()
     }
 
-    /// Store and frames of every episode.
+    /// Returns the store and the frames of every episode.
     pub fn episodes(&self) -> Vec<(usize, Range<usize>)> {
         let of = |(index, store): (usize, &'_ Store)| {
             episode_ranges(store.reader.episode_ends()).map(|range| (index, range)).collect::<Vec<_>>()
@@ -160,35 +157,35 @@ impl Dataset {
         self.stores.iter().enumerate().flat_map(of).collect()
     }
 
-    /// Index of the source that a store belongs to.
+    /// Returns the index of the source that a store belongs to.
     pub fn source(&self, store: usize) -> usize {
         self.stores[store].source
     }
 
-    /// How images become the network's input.
+    /// Returns the preparation that turns images into the network's input.
     pub(super) fn preparation(&self) -> &Preparation {
         &self.preparation
     }
 
-    /// Whether a store's images may be mirrored.
+    /// Returns whether a store's images may be mirrored.
     pub(super) fn mirrorable(&self, store: usize) -> bool {
         self.stores[store].mirrorable
     }
 
-    /// Keypoints of every frame of a store, once they were looked for.
+    /// Returns the keypoints of every frame of a store, after [`find_keypoints`](Self::find_keypoints).
     pub(super) fn keypoints(&self, store: usize) -> Option<&[Points]> {
         self.stores[store].keypoints.as_deref()
     }
 
-    /// Seconds of every frame of a store.
+    /// Returns the time stamps of a store, s.
     pub fn timestamps(&self, store: usize) -> &[f64] {
         &self.stores[store].timestamps
     }
 
-    /// Reads frames of a store; without labels, only `images` is filled.
+    /// Reads frames of a store; without `labels`, only the images.
     ///
     /// # Errors
-    /// If an array can't be read, or the store has no labels where they are asked for.
+    /// If an array can't be read, or labels are requested and the store has none.
     pub fn read(&self, store: usize, frames: Range<usize>, labels: bool) -> Result<Block> {
         let Store { reader, memory, .. } = &self.stores[store];
         let side = self.preparation.side;
@@ -202,7 +199,7 @@ impl Dataset {
             block.labels = self.stores[store].labels(frames.clone())?;
         }
         let (height, width) = reader.image_size();
-        // Stores may be larger than what is kept of them: read and shrink in pieces.
+        // In blocks, because the stored images may be much larger than the resized ones.
         let mut start = frames.start;
         while start < frames.end {
             let piece = start..(start + BLOCK).min(frames.end);
@@ -224,7 +221,7 @@ impl Dataset {
         Ok(block)
     }
 
-    /// What the supervised labels of all stores say, in one pass.
+    /// Computes statistics of the supervised labels of all stores, in one pass.
     ///
     /// # Errors
     /// If a store can't be read.
@@ -287,7 +284,7 @@ impl Store {
         Ok(with_time(self.labels(0..self.reader.len())?, &self.reader, self.timestamps.clone()))
     }
 
-    /// The labels that are learned from.
+    /// Reads the labels that the source supervises.
     fn labels(&self, frames: Range<usize>) -> Result<TactileSequence> {
         let mut labels = read_labels(&self.reader, frames)?;
         if self.supervision == Supervision::Contact {
@@ -303,7 +300,7 @@ fn with_time(labels: TactileSequence, reader: &ZarrReader, timestamps: Vec<f64>)
     TactileSequence { timestamps, episode_ends: reader.episode_ends().to_vec(), ..labels }
 }
 
-/// Time must go on within an episode: windows are found by it.
+/// Checks that time stamps are finite and grow within each episode, because windows are selected by them.
 fn check_timestamps(reader: &ZarrReader, timestamps: &[f64]) -> Result<()> {
     let mut start = 0;
     for end in reader.episode_ends() {
@@ -321,47 +318,4 @@ fn check_timestamps(reader: &ZarrReader, timestamps: &[f64]) -> Result<()> {
         start = *end;
     }
     Ok(())
-}
-
-/// Reads the labels of a whole store, with time stamps and episodes, masked as [`read_labels`] does.
-///
-/// # Errors
-/// If an array can't be read.
-pub fn read_truth(reader: &ZarrReader) -> Result<TactileSequence> {
-    let frames = 0..reader.len();
-    let timestamps = reader.read(TIMESTAMPS, frames.clone())?.into_f64();
-    Ok(with_time(read_labels(reader, frames)?, reader, timestamps))
-}
-
-/// Reads the labels of a range of frames, without time stamps and episodes; the masks are 0 where a label is unknown or a
-/// guard refused the frame.
-///
-/// # Errors
-/// If an array can't be read.
-pub fn read_labels(reader: &ZarrReader, frames: Range<usize>) -> Result<TactileSequence> {
-    let n = frames.len();
-    let force = match reader.has(MANO_FORCE) {
-        true => reader.read_f32(MANO_FORCE, frames.clone())?,
-        false => vec![f32::NAN; n * N_FIELD],
-    };
-    let contact = reader.read_contact(frames.clone())?;
-    let validity = match reader.has(FRAME_VALIDITY) {
-        true => reader.read_u8(FRAME_VALIDITY, frames.clone())?,
-        false => vec![0; n],
-    };
-    let mask = |name: &str, label: &[f32]| -> Result<Vec<u8>> {
-        let mut mask = match reader.has(name) {
-            true => reader.read_u8(name, frames.clone())?,
-            false => vec![1; n * N_FIELD],
-        };
-        for (entry, (mask, label)) in mask.iter_mut().zip(label).enumerate() {
-            // What is no number, or no force, is unknown too: one of them would make every loss NaN.
-            let known = label.is_finite() && *label >= 0.0;
-            *mask = u8::from(*mask != 0 && known && validity[entry / N_FIELD] == 0);
-        }
-        Ok(mask)
-    };
-    let (mask_force, mask_contact) = (mask(MANO_FORCE_VALID, &force)?, mask(MANO_CONTACT_VALID, &contact)?);
-    let topology = Some(reader.attributes().topology);
-    Ok(TactileSequence { topology, force, contact, mask_force, mask_contact, validity, ..Default::default() })
 }

@@ -1,7 +1,7 @@
-//! What the data say about the weights before the first step.
+//! Initial weights from statistics of the data and from the geometry.
 //!
-//! A random start puts force and contact of every vertex at chance and all patches at one place. Both are statistics
-//! of the data or the geometry; learning them by gradient takes a small network most of its budget.
+//! Random weights predict every vertex at chance and give all patches the same position. The mean of each vertex and the
+//! position of each patch are known before training; learning them by gradient takes a small network most of its steps.
 
 use candle_core::{Tensor, Var};
 use candle_nn::VarMap;
@@ -10,18 +10,18 @@ use super::data::Statistics;
 use crate::error::{Error, Result};
 use crate::model::Config;
 
-/// Contact rates are kept this far from 0 and 1, so that logits stay where gradients reach them.
+/// Least distance of a contact rate from 0 and 1: keeps the initial logits where the sigmoid still has a gradient.
 const MIN_RATE: f32 = 1e-4;
 
-/// Amplitude of the position embeddings' waves: that of a patch's embedding at the random start.
+/// Amplitude of the position embeddings' waves: that of a patch embedding with random weights.
 const AMPLITUDE: f64 = 0.5;
 
-/// Longest and shortest wave of the position embeddings, in grid sides.
-const WAVES: (f64, f64) = (4.0, 0.25);
+/// Longest and shortest wavelength of the position embeddings, in sides of the patch grid.
+const WAVELENGTHS: (f64, f64) = (4.0, 0.25);
 
-/// Makes the two heads begin with each vertex's training mean, whatever the image: force in normalised units, contact
-/// as the logit that minimises the cross-entropy with its `positive_weight`. Their weights begin at zero, since random
-/// ones would press every vertex with half a unit of force.
+/// Sets the biases of the two heads to each vertex's training mean: force in normalised units, contact as the logit that
+/// minimises the cross-entropy with `positive_weight`. Sets their weights to zero, since random weights would predict
+/// half a unit of force on every vertex.
 ///
 /// # Errors
 /// If a head is missing.
@@ -53,8 +53,8 @@ pub fn rescale_force(varmap: &VarMap, factor: f32) -> Result<()> {
     Ok(())
 }
 
-/// Starts the position embeddings as plane waves over the patch grid (half along rows, half along columns; sine and
-/// cosine), so that a patch knows its place from the first step. CLS keeps its start.
+/// Sets the position embeddings to plane waves over the patch grid (half along rows, half along columns; sine and
+/// cosine), so that they tell patches apart from the first step. The embedding of CLS stays random.
 ///
 /// # Errors
 /// If the embeddings are missing.
@@ -64,7 +64,7 @@ pub fn positions(varmap: &VarMap, config: &Config) -> Result<()> {
     let var = variable(varmap, NAME)?;
     let mut values = var.flatten_all()?.to_vec1::<f32>()?;
     let quarter = (dv / 4).max(1);
-    let (longest, shortest) = WAVES;
+    let (longest, shortest) = WAVELENGTHS;
     for (patch, out) in values.chunks_exact_mut(dv).skip(1).enumerate() {
         for (channel, out) in out.iter_mut().enumerate() {
             let (part, wave) = (channel / quarter, channel % quarter);

@@ -1,4 +1,4 @@
-//! A training that somebody asked for while the program runs: on stores, or in rounds on recordings that grow meanwhile.
+//! Training jobs inside a running program: on given stores, or in rounds on recordings that are still growing.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,52 +7,53 @@ use std::time::Duration;
 
 use candle_core::Device;
 
-use super::source::Source;
+use super::source::TrainingSource;
 use super::{Config, Control, Event, Outcome, train};
 use crate::dataset::zarr::ZarrReader;
 use crate::error::{Error, Result};
 
-/// How often a job that waits looks again.
-const PATIENCE: Duration = Duration::from_millis(200);
+/// Time between two looks for recordings.
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
-/// What to train.
+/// A training job.
 pub struct Job {
-    /// The run; of a live job its data are learned from beside the recordings, and its steps are those of all rounds.
+    /// Configuration of the run. In a live job, its data are used beside the recordings, and its steps are the sum over all
+    /// rounds.
     pub config: Config,
-    /// Whether to go on with the state in the run's folder.
+    /// True to resume from the state in the run's folder.
     pub resume: bool,
-    /// Recordings to learn from as they come.
-    pub live: Option<Live>,
+    /// Recordings to learn from while they grow; None trains on the stores of `config` alone.
+    pub live: Option<LiveRecordings>,
 }
 
 /// Recordings that grow while a job runs.
-pub struct Live {
-    /// The stores that are there now, oldest first.
+pub struct LiveRecordings {
+    /// Lists the stores that exist now, oldest first.
     pub stores: Box<dyn Fn() -> Vec<PathBuf> + Send>,
-    /// Frames that must be there before the first round.
+    /// Frames that must exist before the first round.
     pub least_frames: usize,
-    /// Steps between two looks for new recordings.
+    /// Steps per round; each round uses the recordings that exist at its start.
     pub round_steps: usize,
 }
 
-/// What a job tells.
+/// Event of a job, for its observer.
 #[derive(Debug)]
-pub enum News<'a> {
-    /// It waits for recordings: frames that are there, and that are wanted.
+pub enum JobEvent<'a> {
+    /// The job waits for recordings: number of frames that exist, and that are needed.
     Waiting(usize, usize),
-    /// An event of the run, with the steps that earlier rounds have taken.
+    /// Event of the current run, with the number of steps that earlier rounds have taken.
     Training(usize, &'a Event<'a>),
 }
 
-/// Runs a job until its last step or until `stop` is set; either way checkpoint and state are on the disk.
+/// Runs a job until its last step or until `stop` is set; in both cases checkpoint and state are saved.
 ///
 /// # Errors
 /// As [`train()`], and if recordings can't be read.
-pub fn run(job: &Job, device: &Device, stop: &AtomicBool, tell: &mut dyn FnMut(News)) -> Result<Outcome> {
+pub fn run(job: &Job, device: &Device, stop: &AtomicBool, observe: &mut dyn FnMut(JobEvent)) -> Result<Outcome> {
     let control = || if stop.load(Ordering::Relaxed) { Control::Stop } else { Control::Continue };
     let Some(live) = &job.live else {
         return train(&job.config, job.resume, device, &mut |event| {
-            tell(News::Training(0, &event));
+            observe(JobEvent::Training(0, &event));
             control()
         });
     };
@@ -61,13 +62,13 @@ pub fn run(job: &Job, device: &Device, stop: &AtomicBool, tell: &mut dyn FnMut(N
     while taken < job.config.steps && !stop.load(Ordering::Relaxed) {
         let round = job.config.out.join(format!("round_{:04}", taken / live.round_steps.max(1)));
         let snapshot = round.join("recordings");
-        let Some(stores) = wait(live, &snapshot, stop, tell)? else { break };
+        let Some(stores) = wait(live, &snapshot, stop, observe)? else { break };
         let config = round_config(&job.config, live, taken, &round, stores, last.as_ref());
         let outcome = train(&config, false, device, &mut |event| {
-            tell(News::Training(taken, &event));
+            observe(JobEvent::Training(taken, &event));
             control()
         });
-        // What it learned from may be evicted by now; its names are in the round's config.yaml.
+        // The links kept evicted recordings alive; the names of the stores stay in the round's config.yaml.
         fs::remove_dir_all(&snapshot).map_err(Error::io(&snapshot))?;
         let outcome = outcome?;
         taken += outcome.steps;
@@ -82,10 +83,10 @@ pub fn run(job: &Job, device: &Device, stop: &AtomicBool, tell: &mut dyn FnMut(N
     Ok(Outcome { checkpoint, steps: taken, ..last })
 }
 
-/// The configuration of the round that begins after `taken` steps.
+/// Returns the configuration of the round that begins after `taken` steps.
 fn round_config(
     whole: &Config,
-    live: &Live,
+    live: &LiveRecordings,
     taken: usize,
     out: &Path,
     stores: Vec<PathBuf>,
@@ -93,22 +94,27 @@ fn round_config(
 ) -> Config {
     let steps = live.round_steps.min(whole.steps - taken);
     let mut config = Config { out: out.to_path_buf(), steps, seed: whole.seed + taken as u64, ..whole.clone() };
-    config.data.push(Source { mirror: true, ..Source::of(stores) });
+    config.data.push(TrainingSource { mirror: true, ..TrainingSource::of(stores) });
     if let Some(last) = last {
         config.init = Some(last.checkpoint.clone());
         config.optimizer.warmup = 0.0;
     }
     config.optimizer.encoder_factor = Some(whole.encoder_factor());
     if taken + steps < whole.steps {
-        // The rate falls in the last round alone: what comes then may be new.
+        // The learning rate decays in the last round only: each round may bring new recordings.
         config.optimizer.final_learning_rate = config.optimizer.learning_rate;
     }
     config.validate_every = whole.validate_every.min(steps).max(1);
     config
 }
 
-/// Waits for enough frames, and links their stores into `snapshot`: there they outlive an eviction.
-fn wait(live: &Live, snapshot: &Path, stop: &AtomicBool, tell: &mut dyn FnMut(News)) -> Result<Option<Vec<PathBuf>>> {
+/// Waits for enough frames, and hard-links their stores into `snapshot`, where they survive an eviction.
+fn wait(
+    live: &LiveRecordings,
+    snapshot: &Path,
+    stop: &AtomicBool,
+    observe: &mut dyn FnMut(JobEvent),
+) -> Result<Option<Vec<PathBuf>>> {
     loop {
         if snapshot.exists() {
             fs::remove_dir_all(snapshot).map_err(Error::io(snapshot))?;
@@ -117,8 +123,8 @@ fn wait(live: &Live, snapshot: &Path, stop: &AtomicBool, tell: &mut dyn FnMut(Ne
         let mut frames = 0;
         for store in (live.stores)() {
             let target = snapshot.join(store.file_name().unwrap_or_default());
-            // One that is evicted at this moment is left out.
-            if link(&store, &target).is_ok()
+            // A store that is evicted at this moment is left out.
+            if hard_link_all(&store, &target).is_ok()
                 && let Ok(reader) = ZarrReader::open(&target)
             {
                 frames += reader.len();
@@ -131,19 +137,19 @@ fn wait(live: &Live, snapshot: &Path, stop: &AtomicBool, tell: &mut dyn FnMut(Ne
         if stop.load(Ordering::Relaxed) {
             return Ok(None);
         }
-        tell(News::Waiting(frames, live.least_frames));
-        std::thread::sleep(PATIENCE);
+        observe(JobEvent::Waiting(frames, live.least_frames));
+        std::thread::sleep(POLL_INTERVAL);
     }
 }
 
-/// Links every file of a folder.
-fn link(from: &Path, to: &Path) -> std::io::Result<()> {
+/// Hard-links every file of a folder, recursively.
+fn hard_link_all(from: &Path, to: &Path) -> std::io::Result<()> {
     fs::create_dir_all(to)?;
     for entry in fs::read_dir(from)? {
         let entry = entry?;
         let target = to.join(entry.file_name());
         match entry.file_type()?.is_dir() {
-            true => link(&entry.path(), &target)?,
+            true => hard_link_all(&entry.path(), &target)?,
             false => fs::hard_link(entry.path(), target)?,
         }
     }

@@ -1,15 +1,15 @@
-//! Where the hands' keypoints lie in the picture: a task that teaches a small encoder to see.
+//! Auxiliary task: predicting the hands' keypoints in the image, so that a small encoder learns faster.
 //!
-//! Touch alone says little about pixels: 1556 numbers that are zero most of the time. A network that starts at random
-//! finds the hands sooner when it is also asked where they are. Each patch token of the encoder is asked which keypoints
-//! lie in it (one softmax over the patches per keypoint, cross-entropy with the patch that is right); the encoder's CLS
-//! token and the scene vector are asked for the keypoints' coordinates (mean absolute error). The three linear layers that
-//! ask are not part of the network and are not saved.
+//! Touch alone is a weak signal for an encoder: 1556 numbers that are mostly zero. With random initial weights, a network
+//! learns to see the hands sooner if it must also locate their keypoints. The patch tokens predict which patch contains each
+//! keypoint (one softmax over the patches per keypoint, with cross-entropy); the CLS token and the scene vector predict the
+//! keypoints' coordinates (mean absolute error). The three linear heads are not part of the network and are not saved.
 
 use std::ops::Range;
 
 use candle_core::{D, Tensor};
 use candle_nn::{Init, VarBuilder};
+use egotac_kernels::ops;
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
@@ -19,23 +19,23 @@ use crate::dataset::zarr::{CAMERA_POSE, LEFT_HAND_POSE, OBJECT_POSE, RIGHT_HAND_
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, N_KEYPOINTS, Side, Topology};
 use crate::image::Preparation;
+use crate::model::Config;
 use crate::model::init::STD;
-use crate::model::{Config, ops};
 
-use super::augment::Change;
+use super::augment::Augmentation;
 use super::loss::masked_mean;
 
 /// Points per frame: the keypoints of the left hand, of the right hand, and the first object's origin.
 pub const N_POINTS: usize = 2 * N_KEYPOINTS + 1;
 
-/// A coordinate that is off by the picture's side costs as much as this in cross-entropy of a patch.
+/// Weight of the coordinate errors (shares of the image's side) relative to the cross-entropy of the patches (nats).
 const COORDINATE_WEIGHT: f64 = 10.0;
 
-/// Places of the points of one frame as shares of the input's sides, x to the right, y down; NaN = unknown.
+/// Positions of the points of one frame, as shares of the input's sides, x to the right, y down; NaN = unknown.
 pub type Points = [[f32; 2]; N_POINTS];
 
-/// Points of a range of frames. All are NaN in a store that does not say where camera and hands are, or whose hand is
-/// not the built-in one.
+/// Projects the points of a range of frames. All are NaN in a store without camera and hand poses, or of another hand than
+/// the built-in one.
 ///
 /// # Errors
 /// If an array can't be read.
@@ -81,26 +81,26 @@ pub fn read(reader: &ZarrReader, frames: Range<usize>, preparation: &Preparation
     Ok(frames.clone().enumerate().collect::<Vec<_>>().into_par_iter().map(of).collect())
 }
 
-/// Where the points lie in a changed picture; in a mirrored one the left hand is a right one.
-pub(super) fn seen(points: Points, change: &Change) -> Points {
-    let mut places = points.map(|place| change.place(place));
-    if change.mirrored {
+/// Returns the points of an augmented image; in a mirrored image the two hands swap.
+pub(super) fn augmented(points: Points, augmentation: &Augmentation) -> Points {
+    let mut places = points.map(|place| augmentation.place(place));
+    if augmentation.mirrored {
         let (left, rest) = places.split_at_mut(N_KEYPOINTS);
         left.swap_with_slice(&mut rest[..N_KEYPOINTS]);
     }
     places
 }
 
-/// A camera somewhere in the world.
+/// Camera pose and intrinsics.
 struct Camera {
     position: DVec3,
-    /// From the optical frame (x right, y down, z forward) to the world.
+    /// Rotation from the optical frame (x right, y down, z forward) to the world.
     orientation: DQuat,
     intrinsics: Intrinsics,
 }
 
 impl Camera {
-    /// From a pose (position, quaternion w x y z) and the intrinsics that the store's attributes give for an episode.
+    /// Reads a pose (position, quaternion w x y z) and the intrinsics of an episode from the store's attributes.
     fn read(reader: &ZarrReader, episode: usize, pose: &[f32]) -> Option<Self> {
         let intrinsics = reader.raw_attributes().get("episodes")?.get(episode)?.get("intrinsics")?;
         let p: [f64; 7] = std::array::from_fn(|i| f64::from(pose[i]));
@@ -111,19 +111,19 @@ impl Camera {
         })
     }
 
-    /// Pixel of a point; None where it is not seen.
+    /// Returns the pixel of a point; None if the camera does not see it.
     fn project(&self, world: DVec3) -> Option<[f64; 2]> {
         self.intrinsics.project(self.orientation.inverse() * (world - self.position))
     }
 }
 
-/// Index of the patch that a place lies in, row by row; None if it is unknown or outside of the picture.
+/// Returns the row-major index of the patch that contains a position; None if it is unknown or outside of the image.
 pub fn patch(place: [f32; 2], grid: usize) -> Option<usize> {
     let inside = |share: f32| (0.0..1.0).contains(&share).then(|| ((share * grid as f32) as usize).min(grid - 1));
     Some(inside(place[1])? * grid + inside(place[0])?)
 }
 
-/// The layers that are asked: weight and bias of each.
+/// Linear heads of the task: weight and bias of each.
 #[derive(Debug, Clone)]
 pub struct Heads {
     patch: (Tensor, Tensor), // (43, dv), (43)
@@ -131,28 +131,28 @@ pub struct Heads {
     scene: (Tensor, Tensor), // (86, d), (86)
 }
 
-/// What the answers cost, scalars.
+/// Losses of the task, scalars.
 #[derive(Debug, Clone)]
 pub struct KeypointLoss {
-    /// To differentiate.
+    /// Weighted sum of the three terms.
     pub total: Tensor,
-    /// Mean cross-entropy of the patches of all points in the picture.
+    /// Mean cross-entropy of the patches of all points in the image.
     pub patch: Tensor,
-    /// Mean absolute error of the coordinates that the CLS token gives, in shares of the picture's side.
+    /// Mean absolute error of the coordinates predicted from the CLS token, as a share of the image's side.
     pub cls: Tensor,
-    /// As `cls`, of the scene vector and the newest frame.
+    /// Mean absolute error of the coordinates in the newest frame, predicted from the scene vector.
     pub scene: Tensor,
 }
 
 impl Heads {
-    /// Tensors `patch.weight`, `patch.bias`, and so on for `cls` and `scene`, of `vb`.
+    /// Creates the heads from the tensors `patch.weight`, `patch.bias`, and so on for `cls` and `scene`.
     ///
     /// # Errors
     /// If they have another shape.
     pub fn new(config: &Config, vb: VarBuilder) -> Result<Self> {
         let linear = |name: &str, n: usize, k: usize| -> Result<(Tensor, Tensor)> {
             let (vb, normal) = (vb.pp(name), Init::Randn { mean: 0.0, stdev: STD });
-            // Half: the middle of the picture.
+            // Initial coordinates 0.5: the centre of the image.
             Ok((vb.get_with_hints((n, k), "weight", normal)?, vb.get_with_hints(n, "bias", Init::Const(0.5))?))
         };
         Ok(Self {
@@ -162,7 +162,7 @@ impl Heads {
         })
     }
 
-    /// What the answers cost; 0 where no point is known.
+    /// Computes the losses; 0 if no point is known.
     ///
     /// `tokens`: `(F, P, dv)`, CLS first, and `points` of the F frames. `z`: `(B, d)`, and `newest`: points of the newest
     /// frames of the B windows.
@@ -178,7 +178,7 @@ impl Heads {
     }
 }
 
-/// Cross-entropy of the patch that each point in the picture lies in. `tokens`: `(F, P, dv)`.
+/// Computes the cross-entropy of the patch that contains each point. `tokens`: `(F, P, dv)`.
 fn patch_loss(tokens: &Tensor, points: &[Points], (weight, bias): &(Tensor, Tensor)) -> Result<Tensor> {
     let (frames, tokens_per_frame, _) = tokens.dims3()?;
     check_count(points, frames)?;
@@ -198,7 +198,7 @@ fn patch_loss(tokens: &Tensor, points: &[Points], (weight, bias): &(Tensor, Tens
     Ok(((log_shares * right)?.sum_all()? / f64::from(count.max(1)))?)
 }
 
-/// Absolute error of the coordinates of all points in the picture. `x`: `(B, k)`.
+/// Computes the mean absolute error of the coordinates of all points in the image. `x`: `(B, k)`.
 fn coordinate_loss(x: &Tensor, points: &[Points], (weight, bias): &(Tensor, Tensor)) -> Result<Tensor> {
     let b = x.dim(0)?;
     check_count(points, b)?;

@@ -1,4 +1,4 @@
-//! Batches made ahead of the step that needs them, by several threads, in an order that does not depend on them.
+//! Prefetching of batches by several threads, in an order that does not depend on the threads.
 
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::Scope;
@@ -10,17 +10,17 @@ use super::mixture;
 use super::sampler::{self, Pool, Sampler};
 use crate::error::{Error, Result};
 
-/// Batches that each thread keeps ready.
-const AHEAD: usize = 2;
+/// Batches that each thread prepares ahead of the step that needs them.
+const PREFETCH_PER_THREAD: usize = 2;
 
-/// Hands out batch after batch.
+/// Source of a run's batches.
 pub struct Loader {
     receivers: Vec<Receiver<Result<Batch>>>,
     next: usize,
 }
 
 impl Loader {
-    /// Starts the threads of `config`; the first batch handed out is number `first` of the run.
+    /// Starts the threads of `config`; batch `first` of the run comes first.
     ///
     /// # Errors
     /// If the sources can't be mixed as the configuration asks.
@@ -34,11 +34,11 @@ impl Loader {
         let sampler = Sampler::new(pools(data, config)?, config.batch.windows, config.batch.clips, config.seed);
         let receivers = (0..config.threads)
             .map(|thread| {
-                let (sender, receiver) = sync_channel(AHEAD);
+                let (sender, receiver) = sync_channel(PREFETCH_PER_THREAD);
                 let batches = sampler.clone().enumerate().skip(first + thread).step_by(config.threads);
                 scope.spawn(move || {
                     for (index, clips) in batches {
-                        // A closed channel means that the run is over.
+                        // The receiver is dropped when the run ends.
                         if sender.send(data.batch(collate, index, &clips)).is_err() {
                             break;
                         }
@@ -50,7 +50,7 @@ impl Loader {
         Ok(Self { receivers, next: 0 })
     }
 
-    /// The next batch.
+    /// Returns the next batch.
     ///
     /// # Errors
     /// If the batch could not be made.
@@ -61,7 +61,7 @@ impl Loader {
     }
 }
 
-/// What an epoch takes from each source of `config`.
+/// Returns the episodes of each source of `config` and its number of windows per epoch.
 ///
 /// # Errors
 /// As [`mixture::counts`].

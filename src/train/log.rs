@@ -1,4 +1,4 @@
-//! One line per step in a CSV file.
+//! Log of a run: a CSV file with one line per step.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write;
@@ -20,7 +20,7 @@ pub struct Log {
 }
 
 impl Log {
-    /// Opens the log of a run that goes on after `step` steps: lines of later ones are dropped.
+    /// Opens the log of a run that continues after `step` steps; lines of later steps are dropped.
     ///
     /// # Errors
     /// If the file can't be read or written.
@@ -35,7 +35,7 @@ impl Log {
         Ok(Self { path: path.to_path_buf(), file })
     }
 
-    /// Appends a step.
+    /// Appends the line of one step.
     ///
     /// # Errors
     /// If the file can't be written.

@@ -1,17 +1,17 @@
-//! The objective: masked means over vertices (paper, Training objective).
+//! Training objective: masked means over vertices (paper, Training objective).
 
 use candle_core::{DType, Tensor};
 
-use super::config::Loss;
+use super::config::LossWeights;
 use crate::error::Result;
 use crate::tactile::CONTACT_FORCE_N;
 
-/// Truth of a batch, `(B, K, 1556)` each.
+/// Targets of a batch, `(B, K, 1556)` each.
 #[derive(Debug, Clone)]
-pub struct Truth {
-    /// Force in normalised units (N / `force_scale`); anything where masked.
+pub struct Targets {
+    /// Force in normalised units (N / `force_scale`); any finite number where masked.
     pub force: Tensor,
-    /// 0 or 1; anything where masked.
+    /// Contact, 0 or 1; any finite number where masked.
     pub contact: Tensor,
     /// 1 = the force is supervised.
     pub mask_force: Tensor,
@@ -19,10 +19,10 @@ pub struct Truth {
     pub mask_contact: Tensor,
 }
 
-/// The objective and its parts.
+/// The objective and its terms.
 #[derive(Debug, Clone)]
 pub struct Objective {
-    /// Weighted sum, a scalar to differentiate.
+    /// Weighted sum, a scalar.
     pub total: Tensor,
     /// L_F: squared error of the normalised force.
     pub force: Tensor,
@@ -34,19 +34,19 @@ pub struct Objective {
     pub consistency: Tensor,
 }
 
-/// Force by which the logit of the consistency term grows by one, N.
+/// Force that increases the logit of the consistency term by one, N.
 const CONSISTENCY_SCALE_N: f32 = 0.03;
 
-/// The objective of predicted `force` (normalised units) and `contact_logits`, `(B, K, 1556)` each.
+/// Computes the objective of predicted `force` (normalised units) and `contact_logits`, `(B, K, 1556)` each.
 ///
 /// # Errors
 /// If shapes differ.
 pub fn objective(
     force: &Tensor,
     contact_logits: &Tensor,
-    truth: &Truth,
+    truth: &Targets,
     force_scale: f32,
-    weights: &Loss,
+    weights: &LossWeights,
 ) -> Result<Objective> {
     let error = (force - &truth.force)?;
     let l_force = masked_mean(&error.sqr()?, &truth.mask_force)?;
@@ -62,24 +62,25 @@ pub fn objective(
     Ok(Objective { total, force: l_force, contact: l_contact, active: l_active, consistency: l_consistency })
 }
 
-/// Force must agree with contact where contact is supervised. The probability is a target and learns nothing from it.
+/// Computes the disagreement of force and contact where contact is supervised. The contact probability is a constant target:
+/// no gradient flows into it.
 fn consistency(force: &Tensor, contact_logits: &Tensor, mask: &Tensor, force_scale: f32) -> Result<Tensor> {
     let (scale, shift) = (force_scale / CONSISTENCY_SCALE_N, CONTACT_FORCE_N / CONSISTENCY_SCALE_N);
     let logit = force.affine(scale.into(), -f64::from(shift))?;
-    // 1 / (1 + e^-x) = (1 + tanh(x/2)) / 2, which no x overflows.
+    // The sigmoid as (1 + tanh(x/2)) / 2, which overflows for no x.
     let probability = (contact_logits.detach() * 0.5)?.tanh()?.affine(0.5, 0.5)?;
     masked_mean(&bce_with_logits(&logit, &probability, 1.0)?, mask)
 }
 
-/// Mean of `values` where `mask` is 1; 0 where it is 0 everywhere (paper's epsilon in the denominator).
+/// Returns the mean of `values` where `mask` is 1; 0 if the mask is 0 everywhere (epsilon of the paper in the denominator).
 pub fn masked_mean(values: &Tensor, mask: &Tensor) -> Result<Tensor> {
     let count = (mask.sum_all()? + 1e-6)?;
     Ok((values * mask)?.sum_all()?.div(&count)?)
 }
 
-/// Binary cross-entropy of logits x against y, positives weighted by w:
-/// (1 - y) x + (1 + (w - 1) y) softplus(-x), with softplus(-x) = (|x| - x) / 2 + ln(1 + e^-|x|), which no x overflows.
-/// With max(-x, 0) in place of (|x| - x) / 2 the slope at x = 0 would not be the mean of both sides.
+/// Computes the binary cross-entropy of logits x against y, positives weighted by w:
+/// (1 - y) x + (1 + (w - 1) y) softplus(-x), with softplus(-x) = (|x| - x) / 2 + ln(1 + e^-|x|), which overflows for
+/// no x. With max(-x, 0) instead of (|x| - x) / 2, the gradient at x = 0 would not be the mean of both sides.
 pub fn bce_with_logits(logits: &Tensor, target: &Tensor, positive_weight: f64) -> Result<Tensor> {
     let size = logits.abs()?;
     let softplus = (((&size - logits)? * 0.5)? + (size.neg()?.exp()? + 1.0)?.log()?)?;
@@ -87,7 +88,8 @@ pub fn bce_with_logits(logits: &Tensor, target: &Tensor, positive_weight: f64) -
     Ok(((target.neg()? + 1.0)? * logits)?.add(&(weight * softplus)?)?)
 }
 
-/// Smooth L1 with beta 1: e²/2 up to |e| = 1, |e| - 1/2 beyond. With m = min(|e|, 1) it is m (|e| - m/2).
+/// Computes the smooth L1 loss with beta 1: e²/2 up to |e| = 1, |e| - 1/2 beyond; with m = min(|e|, 1) that is
+/// m (|e| - m/2).
 fn smooth_l1(error: &Tensor) -> Result<Tensor> {
     let size = error.abs()?;
     let small = size.minimum(1.0)?;
@@ -108,8 +110,8 @@ mod tests {
         f64::from(tensor.to_scalar::<f32>().unwrap())
     }
 
-    fn truth() -> Truth {
-        Truth {
+    fn truth() -> Targets {
+        Targets {
             force: tensor(&[0.0, 0.5, 3.0, 9.0]),
             contact: tensor(&[0.0, 1.0, 1.0, 1.0]),
             mask_force: tensor(&[1.0, 1.0, 1.0, 0.0]),
@@ -119,8 +121,14 @@ mod tests {
 
     #[test]
     fn each_part_has_its_analytic_value() {
-        let weights =
-            Loss { force: 2.0, contact: 3.0, active: 5.0, consistency: 7.0, keypoints: 0.0, positive_weight: 2.0 };
+        let weights = LossWeights {
+            force: 2.0,
+            contact: 3.0,
+            active: 5.0,
+            consistency: 7.0,
+            keypoints: 0.0,
+            positive_weight: 2.0,
+        };
         let (force, logits) = (tensor(&[0.5, 0.0, 0.0, 0.0]), tensor(&[0.0, 2.0, 7.0, -60.0]));
         let o = objective(&force, &logits, &truth(), 1.0, &weights).unwrap();
         let l_force = (0.25 + 0.25 + 9.0) / 3.0;
@@ -142,15 +150,21 @@ mod tests {
     fn the_active_threshold_is_in_newtons() {
         // 0.5 units at 0.05 N per unit are 0.025 N: not active.
         let zeros = tensor(&[0.0; 4]);
-        let o = objective(&zeros, &zeros, &truth(), 0.05, &Loss::default()).unwrap();
+        let o = objective(&zeros, &zeros, &truth(), 0.05, &LossWeights::default()).unwrap();
         assert!((value(&o.active) - 2.5).abs() < 1e-5);
     }
 
     #[test]
     fn gradients_agree_with_finite_differences_and_stop_at_masks() {
         // Consistency has a test of its own: its target moves with the logits, but has no gradient.
-        let weights =
-            Loss { force: 1.0, contact: 1.0, active: 0.2, consistency: 0.0, keypoints: 0.0, positive_weight: 2.0 };
+        let weights = LossWeights {
+            force: 1.0,
+            contact: 1.0,
+            active: 0.2,
+            consistency: 0.0,
+            keypoints: 0.0,
+            positive_weight: 2.0,
+        };
         let start = [[0.4f32, 0.1, 1.2, 0.3], [-0.7, 0.6, 0.2, 1.1]];
         let total = |values: [[f32; 4]; 2]| {
             value(&objective(&tensor(&values[0]), &tensor(&values[1]), &truth(), 1.0, &weights).unwrap().total)
@@ -173,9 +187,15 @@ mod tests {
     }
 
     /// A loss of consistency alone and its gradients on forces and logits.
-    fn consistency_alone(force: &[f32], logits: &[f32], truth: &Truth) -> (f64, Vec<f32>, Option<Vec<f32>>) {
-        let weights =
-            Loss { force: 0.0, contact: 0.0, active: 0.0, consistency: 1.0, keypoints: 0.0, positive_weight: 2.0 };
+    fn consistency_alone(force: &[f32], logits: &[f32], truth: &Targets) -> (f64, Vec<f32>, Option<Vec<f32>>) {
+        let weights = LossWeights {
+            force: 0.0,
+            contact: 0.0,
+            active: 0.0,
+            consistency: 1.0,
+            keypoints: 0.0,
+            positive_weight: 2.0,
+        };
         let [force, logits] = [force, logits].map(|values| Var::from_tensor(&tensor(values)).unwrap());
         let o = objective(force.as_tensor(), logits.as_tensor(), truth, 0.1, &weights).unwrap();
         let grads = o.consistency.backward().unwrap();
@@ -184,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn consistency_moves_the_force_alone_and_only_where_contact_is_known() {
+    fn consistency_has_a_gradient_on_forces_only_where_contact_is_known() {
         let (force, logits) = ([0.4f32, 0.1, 1.2, 0.3], [-0.7, 0.6, 0.2, 1.1]);
         let (_, grad, on_logits) = consistency_alone(&force, &logits, &truth());
         for entry in 0..4 {
@@ -201,18 +221,18 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_with_contact_alone_reaches_the_force_head_through_consistency_alone() {
-        let truth = Truth { mask_force: tensor(&[0.0; 4]), ..truth() };
+    fn without_force_labels_only_consistency_reaches_the_force_head() {
+        let truth = Targets { mask_force: tensor(&[0.0; 4]), ..truth() };
         let (force, logits) = ([0.4f32, 0.1, 1.2, 0.3], [-0.7, 0.6, 0.2, 1.1]);
-        let grad = |weights: &Loss| {
+        let grad = |weights: &LossWeights| {
             let var = Var::from_tensor(&tensor(&force)).unwrap();
             let o = objective(var.as_tensor(), &tensor(&logits), &truth, 0.1, weights).unwrap();
             o.total.backward().unwrap().get(&var).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap()
         };
-        assert_eq!(grad(&Loss { consistency: 0.0, ..Loss::default() }), [0.0; 4]);
+        assert_eq!(grad(&LossWeights { consistency: 0.0, ..LossWeights::default() }), [0.0; 4]);
         let alone = consistency_alone(&force, &logits, &truth).1;
         let scaled: Vec<f32> = alone.iter().map(|g| 0.05 * g).collect();
-        for (all, alone) in grad(&Loss::default()).iter().zip(scaled) {
+        for (all, alone) in grad(&LossWeights::default()).iter().zip(scaled) {
             assert!((all - alone).abs() < 1e-7, "{all} {alone}");
         }
     }
@@ -224,10 +244,10 @@ mod tests {
     }
 
     #[test]
-    fn nothing_supervised_costs_nothing() {
+    fn the_objective_is_zero_without_supervision() {
         let zeros = tensor(&[0.0; 4]);
-        let truth = Truth { mask_force: zeros.clone(), mask_contact: zeros.clone(), ..truth() };
-        let o = objective(&tensor(&[1.0; 4]), &tensor(&[1.0; 4]), &truth, 1.0, &Loss::default()).unwrap();
+        let truth = Targets { mask_force: zeros.clone(), mask_contact: zeros.clone(), ..truth() };
+        let o = objective(&tensor(&[1.0; 4]), &tensor(&[1.0; 4]), &truth, 1.0, &LossWeights::default()).unwrap();
         assert_eq!(value(&o.total), 0.0);
     }
 }

@@ -1,11 +1,11 @@
-//! How many windows of each source an epoch holds (paper, Dataset sampling).
+//! Number of windows of each source in an epoch (paper, Dataset sampling).
 
 use crate::error::{Error, Result};
 
-/// Windows of each source in an epoch of `epoch` windows: shares p_i ~ n_i^`temperature` of the sources' sizes n_i, but at
+/// Returns the windows of each source in an epoch of `epoch` windows: shares p_i ~ n_i^`temperature` of the sources' sizes n_i, but at
 /// least `quotas[i]`; the counts sum to `epoch` exactly.
 ///
-/// Temperature 1 takes sources as large as they are, 0 takes all alike. A source without windows gets none.
+/// Temperature 1 samples sources in proportion to their size, 0 samples all equally. An empty source gets no windows.
 ///
 /// # Errors
 /// If the quotas together are more than the epoch, or a quota is asked of a source that is empty.
@@ -22,7 +22,7 @@ pub fn counts(sizes: &[usize], quotas: &[usize], epoch: usize, temperature: f64)
         return Err(Error::value("data, sum of quotas", format!("at most the epoch's {epoch} windows"), asked));
     }
     let weight = |size: usize| if size == 0 { 0.0 } else { (size as f64).powf(temperature) };
-    // Sources whose share is below their quota are held at it; the others divide what is left.
+    // A source whose share is below its quota gets exactly the quota; the others divide the rest.
     let mut held = vec![false; sizes.len()];
     loop {
         let free = |i: &usize| !held[*i];
@@ -41,10 +41,9 @@ pub fn counts(sizes: &[usize], quotas: &[usize], epoch: usize, temperature: f64)
     }
 }
 
-/// Whole numbers that sum to `total`: shares rounded down, what is left goes to the largest remainders, of equal ones to
-/// the first.
+/// Rounds shares to whole numbers that sum to `total` (largest remainder method; ties go to the first).
 fn round(shares: &[f64], total: usize) -> Vec<usize> {
-    // A share that should be whole may lie a rounding error below.
+    // A share that is a whole number may lie a rounding error below it.
     let mut counts: Vec<usize> = shares.iter().map(|share| (share + 1e-9).floor() as usize).collect();
     let mut order: Vec<usize> = (0..shares.len()).filter(|i| shares[*i] > 0.0).collect();
     order.sort_by(|a, b| (shares[*b] - counts[*b] as f64).total_cmp(&(shares[*a] - counts[*a] as f64)));
@@ -68,14 +67,14 @@ mod tests {
     }
 
     #[test]
-    fn a_small_source_gets_its_quota_and_the_others_share_the_rest() {
+    fn a_small_source_gets_its_quota_and_the_others_divide_the_rest() {
         assert_eq!(counts(&[1, 400, 400], &[200, 0, 0], 600, 0.5).unwrap(), [200, 200, 200]);
         // Holding one source at its quota leaves another below its own.
         assert_eq!(counts(&[1, 100, 10_000], &[50, 10, 0], 100, 0.5).unwrap(), [50, 10, 40]);
     }
 
     #[test]
-    fn what_cannot_be_is_refused() {
+    fn quotas_that_cannot_be_met_are_refused() {
         let error = counts(&[5, 5], &[3, 4], 6, 0.5).unwrap_err().to_string();
         assert!(error.contains("quotas") && error.contains("at most the epoch's 6"), "{error}");
         assert!(counts(&[5, 0], &[0, 1], 6, 0.5).unwrap_err().to_string().contains("data[1].quota"));

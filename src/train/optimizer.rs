@@ -1,4 +1,4 @@
-//! AdamW with weight averaging, its state in plain vectors.
+//! AdamW with an exponential moving average of the weights; the state is in plain vectors.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,7 +7,7 @@ use candle_core::{CpuStorage, DType, Storage, Tensor, Var};
 use candle_nn::VarMap;
 use rayon::prelude::*;
 
-use super::config::{Config, Optimizer};
+use super::config::{Config, OptimizerConfig};
 use crate::error::{Error, Result};
 use crate::model::checkpoint::ENCODER;
 
@@ -15,17 +15,17 @@ const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 const EPS: f32 = 1e-8;
 
-/// AdamW (decoupled weight decay on matrices alone) and an exponential moving average of the weights.
+/// AdamW with decoupled weight decay on matrices only, and an exponential moving average of the weights.
 #[derive(Debug)]
 pub struct AdamW {
     params: Vec<Param>, // by name
-    config: Optimizer,
+    config: OptimizerConfig,
     encoder_factor: f64,
     ema: f32,
     steps: usize,
 }
 
-/// One variable with its state.
+/// A variable with its optimiser state.
 #[derive(Debug)]
 pub struct Param {
     /// Name in the checkpoint.
@@ -36,12 +36,12 @@ pub struct Param {
     pub moment1: Vec<f32>,
     /// Second moment of the gradient.
     pub moment2: Vec<f32>,
-    /// Average of the weights.
+    /// Moving average of the weights.
     pub average: Vec<f32>,
 }
 
 impl AdamW {
-    /// Optimises the variables of `varmap`; the average starts at their values.
+    /// Creates an optimiser of the variables of `varmap`; the average starts at their values.
     ///
     /// # Errors
     /// If a variable is not f32.
@@ -68,24 +68,27 @@ impl AdamW {
         })
     }
 
-    /// Steps taken.
+    /// Returns the number of steps taken.
     pub fn steps(&self) -> usize {
         self.steps
     }
 
-    /// Variables with their state, by name.
+    /// Returns the variables with their state, sorted by name.
     pub fn params(&self) -> &[Param] {
         &self.params
     }
 
-    /// Puts a saved state back: `params` by name, as [`Self::params`] gave them.
+    /// Restores a saved state: calls `state` for each variable, in the order of [`Self::params`].
+    ///
+    /// # Errors
+    /// If `state` fails.
     pub fn restore(&mut self, steps: usize, mut state: impl FnMut(&mut Param) -> Result<()>) -> Result<()> {
         self.params.iter_mut().try_for_each(&mut state)?;
         self.steps = steps;
         Ok(())
     }
 
-    /// Adds the gradients of one more batch to those gathered before.
+    /// Adds the gradients of one batch to a sum.
     ///
     /// # Errors
     /// If the device is out of memory.
@@ -107,9 +110,9 @@ impl AdamW {
         Ok(())
     }
 
-    /// Takes one step down `grads`, scaled to at most the maximal norm. Returns the norm before that.
+    /// Takes one step with `grads`, clipped to the maximum norm. Returns the norm before clipping.
     ///
-    /// A gradient that is not finite changes nothing, and its norm says so.
+    /// If the norm is not finite, nothing changes.
     ///
     /// # Errors
     /// If a variable can't be read or set.
@@ -123,7 +126,7 @@ impl AdamW {
         }
         let squares =
             gradients.par_iter().flatten().map(|grad| grad.iter().map(|g| f64::from(*g).powi(2)).sum::<f64>());
-        // Collected first: a parallel sum would add up in another order each time.
+        // Collects first: a parallel sum would add in another order each time, and the bits would vary.
         let norm = squares.collect::<Vec<f64>>().iter().sum::<f64>().sqrt();
         if !norm.is_finite() {
             return Ok(norm);
@@ -132,7 +135,7 @@ impl AdamW {
         let scale = (self.config.max_grad_norm / norm.max(1e-12)).min(1.0) as f32;
         let correction1 = 1.0 - BETA1.powi(self.steps as i32);
         let correction2 = 1.0 - BETA2.powi(self.steps as i32);
-        // Early on the average follows closely, so that it forgets the random start.
+        // A smaller decay in the first steps, so that the average forgets the initial weights.
         let decay = self.ema.min((1.0 + self.steps as f32) / (10.0 + self.steps as f32));
         let Self { params, config, encoder_factor, .. } = self;
         params.par_iter_mut().zip(&gradients).try_for_each(|(param, grad)| -> Result<()> {
@@ -160,7 +163,7 @@ impl AdamW {
         Ok(norm)
     }
 
-    /// Sets the variables of `varmap` to the averages of the same names (to the present weights without averaging).
+    /// Sets the variables of `varmap` to the averages of the same names, or to the current weights without averaging.
     ///
     /// # Errors
     /// If one has another shape.
@@ -180,7 +183,7 @@ impl AdamW {
     }
 }
 
-/// A tensor's values on the host.
+/// Copies the values of a tensor to host memory.
 fn host(tensor: &Tensor) -> Result<Vec<f32>> {
     if let (Storage::Cpu(CpuStorage::F32(values)), layout) = (&*tensor.storage_and_layout().0, tensor.layout())
         && let Some((start, end)) = layout.contiguous_offsets()
@@ -224,7 +227,7 @@ mod tests {
     #[test]
     fn steps_agree_with_candle_s_adamw() {
         use candle_nn::Optimizer as _;
-        // candle decays every variable; without decay both are the same rule.
+        // Without decay, because candle decays every variable.
         let (varmap, vars) = problem();
         let mut ours = AdamW::new(&varmap, &config("optimizer: {weight_decay: 0.0, max_grad_norm: 1000}")).unwrap();
         let (_, reference) = problem();
@@ -241,10 +244,10 @@ mod tests {
     }
 
     #[test]
-    fn decay_spares_vectors_and_clipping_bounds_the_gradient() {
+    fn only_matrices_decay_and_clipping_bounds_the_gradient() {
         let (varmap, vars) = problem();
         let mut adamw = AdamW::new(&varmap, &config("optimizer: {weight_decay: 0.5, max_grad_norm: 1e-3}")).unwrap();
-        // Not zero: candle leaves a product with zero out of the graph.
+        // Not exactly zero: candle drops a product with zero from the graph.
         let tiny = (vars[0].sum_all().unwrap() * 1e-30).unwrap();
         adamw.step(&tiny.backward().unwrap(), 0.1).unwrap();
         assert!((vars[0].flatten_all().unwrap().to_vec1::<f32>().unwrap()[0] - 3.0 * 0.95).abs() < 1e-6);
@@ -265,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn the_average_lies_between_start_and_present() {
+    fn the_average_lies_between_initial_and_current_weights() {
         let (varmap, vars) = problem();
         let mut adamw = AdamW::new(&varmap, &config("ema: 0.99")).unwrap();
         for _ in 0..10 {

@@ -1,42 +1,62 @@
-//! One batch through the network and back.
+//! Forward and backward pass of one batch, and the mean gradient of a step's batches.
+
+use std::time::Instant;
 
 use candle_core::backprop::GradStore;
 use candle_core::{DType, Device, Tensor};
+use candle_nn::VarMap;
 
 use super::batch::Batch;
-use super::config::Loss;
+use super::config::{Config, LossWeights};
 use super::keypoints::{Heads, Points};
+use super::loader::Loader;
 use super::loss::objective;
+use super::optimizer::AdamW;
 use crate::error::Result;
-use crate::model::{self, EgoTac};
+use crate::model::{self, EgoTac, Precision};
 
-/// What batches are passed through.
+/// Network and objective that batches are passed through.
 #[derive(Debug, Clone, Copy)]
 pub struct Pass<'a> {
     /// The network.
     pub network: &'a EgoTac,
-    /// What is asked of it beside touch.
+    /// Heads of the auxiliary keypoint task.
     pub keypoint_heads: Option<&'a Heads>,
-    /// Its geometry.
+    /// Geometry of the network.
     pub geometry: &'a model::Config,
     /// N per normalised unit.
     pub force_scale: f32,
     /// Weights of the objective.
-    pub weights: &'a Loss,
-    /// Where it is computed.
+    pub weights: &'a LossWeights,
+    /// Device that the pass runs on.
     pub device: &'a Device,
 }
 
-/// What a batch gave.
+/// Result of a forward and backward pass.
 #[derive(Debug)]
-pub struct Passed {
-    /// The objective and its parts.
+pub struct PassOutput {
+    /// The objective and its terms.
     pub losses: Losses,
-    /// Gradients of the objective, scaled.
+    /// Gradients of the scaled objective.
     pub gradients: GradStore,
 }
 
-/// The objective and its parts.
+/// Mean over the batches of one step.
+#[derive(Debug, Default)]
+pub struct Accumulated {
+    /// Mean gradient; None without a batch.
+    pub gradients: Option<GradStore>,
+    /// Mean of the objective and its terms.
+    pub losses: Losses,
+    /// Observation windows of all batches.
+    pub windows: usize,
+    /// Frames of all batches.
+    pub frames: usize,
+    /// Time spent waiting for batches, s.
+    pub wait_secs: f64,
+}
+
+/// The objective and its terms.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Losses {
     /// Weighted objective.
@@ -49,26 +69,26 @@ pub struct Losses {
     pub active: f32,
     /// L_cons.
     pub consistency: f32,
-    /// Cross-entropy of the keypoints' patches; 0 if its weight is.
+    /// Cross-entropy of the keypoints' patches; 0 if the weight of the keypoint task is 0.
     pub keypoint_patch: f32,
-    /// Error of the keypoints' coordinates by the CLS token, shares of the picture's side; 0 as above.
+    /// Error of the keypoints' coordinates predicted from the CLS token, as a share of the image's side; 0 likewise.
     pub keypoint_cls: f32,
-    /// Error of the keypoints' coordinates by the scene vector; 0 as above.
+    /// Error of the keypoints' coordinates predicted from the scene vector, as a share of the image's side; 0 likewise.
     pub keypoint_scene: f32,
 }
 
 impl Losses {
-    /// Names of the parts, as columns of a log.
+    /// Names of the terms, as columns of the log.
     pub const NAMES: [&'static str; 8] =
         ["loss", "force", "contact", "active", "consistency", "keypoint_patch", "keypoint_cls", "keypoint_scene"];
 
-    /// The parts in the order of [`Self::NAMES`].
+    /// Returns the terms in the order of [`Self::NAMES`].
     pub fn values(&self) -> [f32; 8] {
         let Self { total, force, contact, active, consistency, keypoint_patch, keypoint_cls, keypoint_scene } = *self;
         [total, force, contact, active, consistency, keypoint_patch, keypoint_cls, keypoint_scene]
     }
 
-    /// Adds `share` of each part of another.
+    /// Adds `share` times each term of `other`.
     pub fn add(&mut self, other: &Self, share: f32) {
         let Self { total, force, contact, active, consistency, keypoint_patch, keypoint_cls, keypoint_scene } = self;
         let mine = [total, force, contact, active, consistency, keypoint_patch, keypoint_cls, keypoint_scene];
@@ -77,18 +97,52 @@ impl Losses {
 }
 
 impl Pass<'_> {
-    /// Forward and backward; gradients are those of `share` times the objective.
+    /// Takes the batches of one step from `loader` and returns their mean gradient.
     ///
-    /// Each frame is encoded once; the windows share its tokens, and its gradient gathers from all of them.
+    /// # Errors
+    /// If a batch can't be made, or the device is out of memory.
+    pub fn accumulate(
+        &self,
+        loader: &mut Loader,
+        optimizer: &AdamW,
+        config: &Config,
+        varmap: &VarMap,
+    ) -> Result<Accumulated> {
+        let mut sum = Accumulated::default();
+        let share = 1.0 / config.batch.accumulate as f64;
+        for _ in 0..config.batch.accumulate {
+            let waiting = Instant::now();
+            let batch = loader.next()?;
+            sum.wait_secs += waiting.elapsed().as_secs_f64();
+            sum.frames += batch.n_frames(self.geometry.image);
+            sum.windows += batch.windows.len() / self.geometry.horizon;
+            let PassOutput { losses, gradients } = match config.precision {
+                Precision::Bf16 => {
+                    // A new cast for each batch, because a step changes the f32 weights.
+                    let vb = model::init::cast_builder(varmap, DType::BF16, self.device);
+                    let network = EgoTac::new(self.geometry, vb)?;
+                    Pass { network: &network, ..*self }.run(batch, share)?
+                }
+                _ => self.run(batch, share)?,
+            };
+            sum.losses.add(&losses, share as f32);
+            optimizer.gather(&mut sum.gradients, gradients)?;
+        }
+        Ok(sum)
+    }
+
+    /// Runs forward and backward; the gradients are those of `share` times the objective.
+    ///
+    /// Each frame is encoded once: the windows share its tokens, and its gradient is the sum over them.
     ///
     /// # Errors
     /// If the device is out of memory.
-    pub fn run(&self, batch: Batch, share: f64) -> Result<Passed> {
-        // On a thread of the pool: from outside each of some thousand operations would have to wake it.
+    pub fn run(&self, batch: Batch, share: f64) -> Result<PassOutput> {
+        // On a thread of the rayon pool: from another thread, each of some thousand operations would wake the pool.
         rayon::scope(|_| self.run_here(batch, share))
     }
 
-    fn run_here(&self, mut batch: Batch, share: f64) -> Result<Passed> {
+    fn run_here(&self, mut batch: Batch, share: f64) -> Result<PassOutput> {
         let Self { network, geometry, .. } = self;
         let points = std::mem::take(&mut batch.points);
         let newest = newest_points(&batch, &points, geometry.horizon);
@@ -101,7 +155,7 @@ impl Pass<'_> {
         let (force, contact_logits) = network.heads(&z)?;
         let objective = objective(&force, &contact_logits, &truth, self.force_scale, self.weights)?;
         let keypoints = match self.keypoint_heads {
-            // The heads that ask are f32 whatever the network is.
+            // The keypoint heads are f32 even where the network is bf16.
             Some(heads) => {
                 Some(heads.loss(&tokens.to_dtype(DType::F32)?, &points, &z.to_dtype(DType::F32)?, &newest)?)
             }
@@ -123,11 +177,11 @@ impl Pass<'_> {
             keypoint_cls: keypoints.as_ref().map_or(Ok(0.0), |loss| scalar(&loss.cls))?,
             keypoint_scene: keypoints.as_ref().map_or(Ok(0.0), |loss| scalar(&loss.scene))?,
         };
-        Ok(Passed { losses, gradients })
+        Ok(PassOutput { losses, gradients })
     }
 }
 
-/// Keypoints in the newest frame of each window.
+/// Returns the keypoints in the newest frame of each window.
 fn newest_points(batch: &Batch, points: &[Points], horizon: usize) -> Vec<Points> {
     let newest = batch.windows.chunks_exact(horizon).map(|window| window[horizon - 1] as usize);
     newest.filter_map(|frame| points.get(frame).copied()).collect()

@@ -1,4 +1,4 @@
-//! Which frames a step sees: observation windows over time, clips of windows, shuffled epochs of clips.
+//! Sampling of training windows: clips of consecutive windows, in shuffled epochs.
 
 use std::ops::Range;
 
@@ -7,8 +7,9 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-/// A piece of one episode: windows whose newest frames follow each other by one observation step, so that they share
-/// most of their frames.
+use crate::model::window;
+
+/// Consecutive windows of one episode; their newest frames are one observation step apart, so that they share most frames.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Clip {
     /// Index of the store.
@@ -19,41 +20,22 @@ pub struct Clip {
     pub newest: Vec<usize>,
 }
 
-/// The frames of the window whose newest frame is `newest`, oldest first: for i = `horizon`-1 .. 0 the frame nearest to
-/// t - i x `frame_dt`, of two equally near ones the older. At the start of the episode its first frame is repeated.
+/// Returns the frames of the window whose newest frame is `newest`, oldest first; see [`model::window`](crate::model::window).
 ///
-/// `timestamps`: seconds of every frame of the store, growing within the episode that starts at `start`.
+/// `timestamps`: seconds of every frame of the store, increasing within the episode that starts at `start`.
 pub fn window(timestamps: &[f64], start: usize, newest: usize, horizon: usize, frame_dt: f64) -> Vec<usize> {
-    let mut frames = Vec::with_capacity(horizon);
-    let mut at = newest;
-    for i in 0..horizon {
-        let wanted = timestamps[newest] - i as f64 * frame_dt;
-        // Distances fall, then grow, on the way back in time. Rounding must not tell equal distances apart.
-        let distance = |frame: usize| (timestamps[frame] - wanted).abs();
-        while i > 0 && at > start && distance(at - 1) <= distance(at) + 1e-9 {
-            at -= 1;
-        }
-        frames.push(at);
-    }
-    frames.reverse();
-    frames
+    let places = window::window(&timestamps[start..=newest], horizon, frame_dt);
+    places.into_iter().map(|place| start + place).collect()
 }
 
-/// The frames that step k = 0 .. `predict`-1 of a prediction is about: t + k x `frame_dt`; None beyond the episode.
+/// Returns the frames of steps k = 0 .. `predict` - 1 of a prediction at frame `newest`; `None` beyond the episode, which
+/// ends at `end`. See [`model::window`](crate::model::window).
 pub fn targets(timestamps: &[f64], end: usize, newest: usize, predict: usize, frame_dt: f64) -> Vec<Option<usize>> {
-    let mut at = newest;
-    let step = |k: usize| {
-        let wanted = timestamps[newest] + k as f64 * frame_dt;
-        let distance = |frame: usize| (timestamps[frame] - wanted).abs();
-        while at + 1 < end && distance(at + 1) < distance(at) {
-            at += 1;
-        }
-        (distance(at) <= 0.5 * frame_dt).then_some(at)
-    };
-    (0..predict).map(step).collect()
+    let places = window::targets(&timestamps[newest..end], predict, frame_dt);
+    places.into_iter().map(|place| place.map(|place| newest + place)).collect()
 }
 
-/// Frames between observation steps: `frame_dt` in units of the episode's mean frame interval, at least 1.
+/// Returns the frames between observation steps: `frame_dt` in units of the episode's mean frame interval, at least 1.
 pub fn stride(timestamps: &[f64], episode: &Range<usize>, frame_dt: f64) -> usize {
     let frames = episode.len();
     if frames < 2 {
@@ -63,8 +45,8 @@ pub fn stride(timestamps: &[f64], episode: &Range<usize>, frame_dt: f64) -> usiz
     if mean_dt > 0.0 { (frame_dt / mean_dt).round().max(1.0) as usize } else { 1 }
 }
 
-/// Cuts one episode into clips of at most `windows` windows. Every frame is the newest of exactly one window; where the
-/// cuts lie is drawn from `rng`.
+/// Cuts one episode into clips of at most `windows` windows, at random places. Every frame is the newest of exactly one
+/// window.
 fn cut(
     store: usize,
     episode: &Range<usize>,
@@ -82,23 +64,23 @@ fn cut(
     }
 }
 
-/// What an epoch takes from one source.
+/// Episodes of one source, and the number of windows that an epoch draws from them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pool {
     /// Store, frames and stride of each episode.
     pub episodes: Vec<(usize, Range<usize>, usize)>,
-    /// Windows of an epoch, exactly: fewer than there are frames, or some of them more than once.
+    /// Windows per epoch. Fewer than the frames leaves some out; more repeats some.
     pub count: usize,
 }
 
 impl Pool {
-    /// Every frame once.
+    /// Creates a pool that draws every frame once per epoch.
     pub fn whole(episodes: Vec<(usize, Range<usize>, usize)>) -> Self {
         let count = episodes.iter().map(|(_, frames, _)| frames.len()).sum();
         Self { episodes, count }
     }
 
-    /// The clips of an epoch, in random order.
+    /// Draws the clips of one epoch, in random order.
     fn draw(&self, windows: usize, rng: &mut ChaCha8Rng) -> Vec<Clip> {
         let (mut drawn, mut left) = (Vec::new(), self.count);
         while left > 0 {
@@ -123,7 +105,7 @@ impl Pool {
     }
 }
 
-/// An endless sequence of batches of clips, a function of the seed alone: skipping `n` batches is how a run resumes.
+/// Endless sequence of batches of clips. It depends only on the seed: a run resumes by skipping `n` batches.
 #[derive(Debug, Clone)]
 pub struct Sampler {
     pools: Vec<Pool>,
@@ -135,12 +117,12 @@ pub struct Sampler {
 }
 
 impl Sampler {
-    /// Samples from the pools of all sources.
+    /// Creates a sampler of the pools of all sources.
     pub fn new(pools: Vec<Pool>, windows: usize, clips_per_batch: usize, seed: u64) -> Self {
         Self { pools, windows, clips_per_batch, seed, epoch: 0, left: Vec::new() }
     }
 
-    /// Epochs begun.
+    /// Returns the number of epochs begun.
     pub fn epoch(&self) -> u64 {
         self.epoch
     }
@@ -160,7 +142,7 @@ impl Sampler {
 impl Iterator for Sampler {
     type Item = Vec<Clip>;
 
-    /// Never ends, unless there is no episode at all. The last batch of an epoch may be a short one.
+    /// Never ends, unless there is no episode. The last batch of an epoch may be smaller.
     fn next(&mut self) -> Option<Vec<Clip>> {
         if self.left.is_empty() {
             self.begin_epoch();
@@ -176,21 +158,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_window_takes_the_nearest_frames_and_repeats_the_oldest() {
-        let at_25_hz: Vec<f64> = (0..20).map(|i| 3.0 + 0.04 * f64::from(i)).collect();
-        assert_eq!(window(&at_25_hz, 0, 10, 3, 0.12), [4, 7, 10]);
-        assert_eq!(window(&at_25_hz, 8, 10, 3, 0.12), [8, 8, 10], "the episode starts at 8");
-        assert_eq!(window(&at_25_hz, 0, 0, 4, 0.12), [0, 0, 0, 0]);
-        assert_eq!(window(&at_25_hz, 0, 10, 2, 0.1), [7, 10], "0.1 s before lies between 7 (0.12) and 8 (0.08)");
-        let dropped = [0.0, 0.04, 0.2, 0.24, 0.28];
-        assert_eq!(window(&dropped, 0, 4, 3, 0.12), [1, 2, 4]);
-    }
-
-    #[test]
-    fn targets_lie_ahead_and_end_with_the_episode() {
-        let times: Vec<f64> = (0..20).map(|i| 0.04 * f64::from(i)).collect();
+    fn windows_and_targets_stay_inside_the_episode() {
+        let times: Vec<f64> = (0..20).map(|i| 3.0 + 0.04 * f64::from(i)).collect();
+        assert_eq!(window(&times, 0, 10, 3, 0.12), [4, 7, 10]);
+        assert_eq!(window(&times, 8, 10, 3, 0.12), [8, 8, 10], "the episode starts at 8");
+        assert_eq!(window(&times, 0, 10, 2, 0.1), [7, 10], "0.1 s before lies between 7 (0.12) and 8 (0.08)");
         assert_eq!(targets(&times, 20, 10, 3, 0.12), [Some(10), Some(13), Some(16)]);
-        assert_eq!(targets(&times, 14, 10, 3, 0.12), [Some(10), Some(13), None]);
+        assert_eq!(targets(&times, 14, 10, 3, 0.12), [Some(10), Some(13), None], "the episode ends at 14");
     }
 
     #[test]
@@ -211,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn an_epoch_holds_exactly_what_each_pool_is_to_give() {
+    fn an_epoch_draws_exactly_the_count_of_each_pool() {
         let pool = |store, frames: usize, count| Pool { episodes: vec![(store, 0..frames, 2)], count };
         let mut sampler = Sampler::new(vec![pool(0, 100, 37), pool(1, 20, 53), pool(2, 9, 0)], 4, 5, 3);
         for epoch in 1..=3 {
@@ -222,7 +196,7 @@ mod tests {
                 }
             }
             assert_eq!((sampler.epoch(), taken.each_ref().map(Vec::len)), (epoch, [37, 53, 0]));
-            // Of the large one no frame twice; of the small one each twice, and 13 a third time.
+            // The large pool repeats no frame; the small one repeats each frame once, and 13 of them twice.
             let times = |store: usize, frame: usize| taken[store].iter().filter(|f| **f == frame).count();
             assert!((0..100).all(|frame| times(0, frame) <= 1));
             assert!((0..20).all(|frame| (2..=3).contains(&times(1, frame))));
@@ -230,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn batches_depend_on_the_seed_alone() {
+    fn batches_depend_only_on_the_seed() {
         let make = |seed| Sampler::new(vec![Pool::whole(vec![(0, 0..200, 2)])], 4, 5, seed);
         let batches: Vec<_> = make(1).take(40).collect();
         assert_eq!(batches[17..], make(1).skip(17).take(23).collect::<Vec<_>>());

@@ -1,4 +1,4 @@
-//! A source of training data: stores that are drawn from together.
+//! Sources of training data: groups of stores with common sampling and supervision.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -6,32 +6,31 @@ use std::path::PathBuf;
 use serde::de::{self, MapAccess, Visitor, value::MapAccessDeserializer};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Stores that look alike and are labelled alike; in YAML a path, or
-/// `{ stores: [..], quota: .., mirror: .., labels: .. }`.
+/// Stores of the same kind of images and labels; in YAML a path, or `{ stores: [..], quota: .., mirror: .., labels: .. }`.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Source {
+pub struct TrainingSource {
     /// Stores, or folders of `*.zarr`.
     pub stores: Vec<PathBuf>,
-    /// Share of each epoch that it gets at least, 0 to 1.
+    /// Least share of each epoch, 0 to 1.
     pub quota: f64,
-    /// Whether its images may be mirrored, which swaps the two hands.
+    /// True if the images may be mirrored, which swaps the two hands.
     pub mirror: bool,
-    /// Which of its labels are learned from.
+    /// Labels that are supervised.
     pub labels: Supervision,
 }
 
-/// Labels that are learned from, where a store has them.
+/// Labels that are supervised, if the store has them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Supervision {
     /// Force and contact.
     #[default]
     Both,
-    /// Contact alone, as if the store had no force.
+    /// Contact only, as if the store had no force.
     Contact,
 }
 
-/// The long form.
+/// A source as a YAML map.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Written {
@@ -44,43 +43,43 @@ struct Written {
     labels: Supervision,
 }
 
-impl Source {
-    /// One store, drawn from by its size alone.
+impl TrainingSource {
+    /// Creates a source of one path, with default sampling and supervision.
     pub fn path(path: impl Into<PathBuf>) -> Self {
         Self::of([path.into()])
     }
 
-    /// Stores, drawn from by their size alone.
+    /// Creates a source of several paths, with default sampling and supervision.
     pub fn of(stores: impl IntoIterator<Item = PathBuf>) -> Self {
         let stores = stores.into_iter().collect();
         Self { stores, quota: 0.0, mirror: false, labels: Supervision::Both }
     }
 }
 
-impl<'de> Deserialize<'de> for Source {
+impl<'de> Deserialize<'de> for TrainingSource {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct PathOrMap;
         impl<'de> Visitor<'de> for PathOrMap {
-            type Value = Source;
+            type Value = TrainingSource;
 
             fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
                 write!(f, "a path, or a map of stores, quota, mirror and labels")
             }
 
-            fn visit_str<E: de::Error>(self, path: &str) -> Result<Source, E> {
-                Ok(Source::path(path))
+            fn visit_str<E: de::Error>(self, path: &str) -> Result<TrainingSource, E> {
+                Ok(TrainingSource::path(path))
             }
 
-            fn visit_map<M: MapAccess<'de>>(self, map: M) -> Result<Source, M::Error> {
+            fn visit_map<M: MapAccess<'de>>(self, map: M) -> Result<TrainingSource, M::Error> {
                 let Written { stores, quota, mirror, labels } = Written::deserialize(MapAccessDeserializer::new(map))?;
-                Ok(Source { stores, quota, mirror, labels })
+                Ok(TrainingSource { stores, quota, mirror, labels })
             }
         }
         deserializer.deserialize_any(PathOrMap)
     }
 }
 
-impl Serialize for Source {
+impl Serialize for TrainingSource {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
             Self { stores, .. } if stores.len() == 1 && *self == Self::path(&stores[0]) => {
@@ -99,14 +98,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_source_is_a_path_or_a_map_and_is_written_as_it_was_read() {
+    fn a_source_is_a_path_or_a_map_and_survives_a_round_trip() {
         let text = "- a.zarr\n- stores:\n  - b.zarr\n  - c.zarr\n  quota: 0.2\n  mirror: true\n  labels: contact\n";
-        let sources: Vec<Source> = serde_yaml::from_str(text).unwrap();
+        let sources: Vec<TrainingSource> = serde_yaml::from_str(text).unwrap();
         let stores = ["b.zarr", "c.zarr"].map(PathBuf::from);
-        let long = Source { quota: 0.2, mirror: true, labels: Supervision::Contact, ..Source::of(stores) };
-        assert_eq!(sources, [Source::path("a.zarr"), long]);
+        let long =
+            TrainingSource { quota: 0.2, mirror: true, labels: Supervision::Contact, ..TrainingSource::of(stores) };
+        assert_eq!(sources, [TrainingSource::path("a.zarr"), long]);
         assert_eq!(serde_yaml::to_string(&sources).unwrap(), text);
-        let error = |text: &str| serde_yaml::from_str::<Source>(text).unwrap_err().to_string();
+        let error = |text: &str| serde_yaml::from_str::<TrainingSource>(text).unwrap_err().to_string();
         assert!(error("{stores: [a], quotum: 3}").contains("quotum"));
         assert!(error("3").contains("a path, or a map of stores"));
     }

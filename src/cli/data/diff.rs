@@ -7,22 +7,23 @@ use std::process::ExitCode;
 use anyhow::{Context, ensure};
 use serde_json::json;
 
-use crate::label::Labelled;
+use crate::dataset::Labelled;
 use crate::score::metrics::{self, EvalOptions};
 use crate::tactile::TactileSequence;
 
 /// Arguments of `egotac data diff`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Either side may be a store, a bag, an .mcap file or a tensor file, labelled or with truth. Frames pair by their \
-    place where both sides have as many, else by equal time stamps. Where B is a prediction, a vertex counts as touched above 0.5."
+    after_help = "Either side may be a store, a bag, an .mcap file or a tensor file, labelled or with truth. Frames pair by index \
+    if both sides have the same number of frames, otherwise by equal timestamps. If B is a prediction, vertices with a contact \
+    above 0.5 count as touched."
 )]
 pub struct Args {
     /// The labels to score.
     a: PathBuf,
-    /// The labels that they are compared to.
+    /// The labels to compare them with.
     b: PathBuf,
-    /// Print JSON in place of a table.
+    /// Print JSON instead of a table.
     #[arg(long)]
     json: bool,
 }
@@ -38,11 +39,11 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     ensure!(!pairs.is_empty(), "{} and {} have no frame of equal time", args.a.display(), args.b.display());
     let pred = a.select(pairs.iter().map(|pair| pair.0));
     let mut target = b.select(pairs.iter().map(|pair| pair.1));
-    // Truth is 0 or 1 already.
+    // Predictions become 0 or 1, as truth is already.
     for contact in target.contact.iter_mut().filter(|contact| !contact.is_nan()) {
         *contact = f32::from(*contact > 0.5);
     }
-    // The rate of all frames of B: pairs may leave gaps.
+    // The frame rate comes from all frames of B, since pairs may leave gaps.
     let options = EvalOptions { fps: b.fps(), calibration: None };
     let report = metrics::evaluate(&pred, &target, &options)?;
     let (only_a, only_b) = (a.n_frames() - pairs.len(), b.n_frames() - pairs.len());
@@ -59,12 +60,12 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Frames of A and B that belong together, in B's order.
+/// Returns the indices of paired frames of A and B, in B's order.
 fn pairs(a: &TactileSequence, b: &TactileSequence) -> Vec<(usize, usize)> {
     if a.n_frames() == b.n_frames() {
         return (0..a.n_frames()).map(|index| (index, index)).collect();
     }
-    // Formats round times to nanoseconds, or to f64 of seconds since 1970: a microsecond tells frames apart.
+    // Formats round times to nanoseconds, or to f64 seconds since 1970: compare them to the microsecond.
     let key = |seconds: f64| (seconds * 1e6).round() as i64;
     let at: BTreeMap<i64, usize> = a.timestamps.iter().enumerate().map(|(index, stamp)| (key(*stamp), index)).collect();
     let found = b.timestamps.iter().enumerate();

@@ -6,11 +6,11 @@ use std::process::ExitCode;
 use serde_json::{Map, Value, json};
 
 use super::store_info;
+use crate::dataset::image_folder::image_files;
 use crate::dataset::lerobot::LeRobot;
 use crate::dataset::mcap::{bag_files, survey};
-use crate::dataset::{video, zarr};
+use crate::dataset::{Format, LabelInfo, Labelled, video, zarr};
 use crate::error::{Error, Result};
-use crate::label::{About, Kind, Labelled, image_files};
 
 /// Runs the command.
 pub fn run(paths: &[PathBuf], json: bool) -> anyhow::Result<ExitCode> {
@@ -27,17 +27,17 @@ pub fn run(paths: &[PathBuf], json: bool) -> anyhow::Result<ExitCode> {
 }
 
 fn of(path: &Path) -> Result<Vec<Value>> {
-    let kind = Kind::of(path);
-    let mut info = match kind {
+    let format = Format::of(path);
+    let mut info = match format {
         None if path.is_file() => {
             let formats = "a Zarr store (folder or zip), bag, .mcap file, LeRobot data set, video, folder of images or .safetensors file";
             return Err(Error::file(path, format!("is none of these: {formats}")));
         }
-        None | Some(Kind::Store) => {
+        None | Some(Format::Store) => {
             return zarr::open_all(&[path.to_path_buf()])?.iter().map(store_info::info).collect();
         }
-        Some(Kind::Bag) => bag(path)?,
-        Some(Kind::LeRobot) => {
+        Some(Format::Bag) => bag(path)?,
+        Some(Format::LeRobot) => {
             let dataset = LeRobot::open(path)?;
             let frames: usize = dataset.episodes.iter().map(|episode| episode.length).sum();
             let features = dataset.info["features"].as_object().into_iter().flatten();
@@ -52,15 +52,15 @@ fn of(path: &Path) -> Result<Vec<Value>> {
                 "features": features,
             })
         }
-        Some(Kind::Video) => {
+        Some(Format::Video) => {
             let video::Video { size: (width, height), fps, frames, codec } = video::probe(path)?;
             json!({ "kind": "video", "frames": frames, "fps": fps, "image": { "width": width, "height": height }, "codec": codec })
         }
-        Some(Kind::Images) => {
+        Some(Format::Images) => {
             let files = image_files(path)?;
             json!({ "kind": "images", "frames": files.len(), "first": files.first(), "last": files.last() })
         }
-        Some(Kind::Tensors) => {
+        Some(Format::Tensors) => {
             let labels = Labelled::read(path)?.labels;
             json!({
                 "kind": "tensors",
@@ -72,8 +72,8 @@ fn of(path: &Path) -> Result<Vec<Value>> {
         }
     };
     info["path"] = path.display().to_string().into();
-    let about = kind.and_then(|kind| kind.about(path));
-    info["labels"] = about.map_or(Value::Null, |about| json!(about));
+    let labels = format.and_then(|format| format.read_info(path));
+    info["labels"] = labels.map_or(Value::Null, |labels| json!(labels));
     Ok(vec![info])
 }
 
@@ -131,10 +131,11 @@ fn text(info: &Value) -> String {
             &format!("\n  {topic}: {} messages of {}", about["messages"], about["type"].as_str().unwrap_or_default());
     }
     for file in info["files"].as_array().into_iter().flatten() {
-        let cut = if file["summary"] == true { "" } else { "; it has no summary, as if its recording was cut off" };
+        let cut =
+            if file["summary"] == true { "" } else { "; it has no summary, so its recording was probably cut off" };
         text += &format!("\n  {}: {} messages{cut}", file["file"].as_str().unwrap_or_default(), file["messages"]);
     }
-    if let Ok(About { provenance, summary }) = serde_json::from_value(info["labels"].clone()) {
+    if let Ok(LabelInfo { provenance, summary }) = serde_json::from_value(info["labels"].clone()) {
         let id = provenance.model_id();
         text += &format!(
             "\n  labels: {id} on {}, by {} {}",

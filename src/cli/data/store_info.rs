@@ -1,14 +1,13 @@
-//! What a store says about itself.
+//! Description of a store.
 
 use serde_json::{Value, json};
 
-use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader};
+use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader, read_labels};
 use crate::dataset::{EpisodeReader, time_unit_of};
 use crate::error::Result;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity, fps};
-use crate::train::data::read_labels;
 
-/// Attributes, arrays, episodes, and how much touch there is.
+/// Returns attributes, arrays, episodes, and the amount of touch.
 pub fn info(store: &ZarrReader) -> Result<Value> {
     const BLOCK: usize = 256;
     let timestamps = store.read(TIMESTAMPS, 0..store.len())?.into_f64();
@@ -59,7 +58,7 @@ pub fn info(store: &ZarrReader) -> Result<Value> {
     }))
 }
 
-/// The same in words.
+/// Returns the description as text.
 pub fn text(info: &Value) -> String {
     let share = |part: &str, whole: &str| {
         100.0 * info[part].as_f64().unwrap_or(0.0) / info[whole].as_f64().unwrap_or(0.0).max(1.0)
@@ -96,7 +95,7 @@ pub fn text(info: &Value) -> String {
     text
 }
 
-/// The beginning of a long text.
+/// Shortens a long text.
 pub fn shortened(text: &str) -> String {
     const LONGEST: usize = 100;
     match text.char_indices().nth(LONGEST) {

@@ -1,4 +1,4 @@
-//! The demo's child processes: found beside this program, stopped with it, their output kept in files.
+//! Child processes of the demo, whose output goes to log files.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use nix::unistd::Pid;
 use tokio::process::{Child, Command};
 use tokio::time::timeout;
 
-/// One running node; killed if it is dropped while it runs.
+/// A running node, which is killed on drop.
 #[derive(Debug)]
 pub struct NodeProcess {
     name: &'static str,
@@ -20,16 +20,16 @@ pub struct NodeProcess {
 }
 
 impl NodeProcess {
-    /// Starts `egotac_<name>` from this program's own folder; standard output and error go to `<logs>/<name>.log`.
+    /// Starts `egotac_<name>` from the directory of this program; its output goes to `<logs>/<name>.log`.
     ///
     /// # Errors
-    /// If the binary is not there or can't be started.
+    /// If the binary is missing or can't be started.
     pub fn start(name: &'static str, arguments: &[String], logs: &Path) -> Result<Self> {
         let this = std::env::current_exe().context("own path")?;
         let binary = this.with_file_name(format!("egotac_{name}"));
         if !binary.is_file() {
             bail!(
-                "{} is not there; build it with `cargo build --release --features ros,sim` (`make demo` does)",
+                "{} is missing: build it with `cargo build --release --features ros,sim`, or run `make demo`",
                 binary.display()
             );
         }
@@ -46,27 +46,27 @@ impl NodeProcess {
         Ok(Self { name, log, child })
     }
 
-    /// Waits until the process has ended.
+    /// Waits for the end of the process.
     ///
     /// # Errors
-    /// If it ends with an error: then the end of its log is part of the message.
+    /// If it fails; the error holds the end of its log.
     pub async fn ended(&mut self) -> Result<()> {
         let status = self.child.wait().await.with_context(|| self.name)?;
         if status.success() { Ok(()) } else { Err(self.failure(status)) }
     }
 
-    /// Asks the process to stop (SIGINT) and waits for it.
+    /// Sends SIGINT to the process and waits for its end.
     ///
     /// # Errors
-    /// If it ends with an error, or not within `patience`.
-    pub async fn stop(mut self, patience: Duration) -> Result<()> {
-        // No id: it has ended and was waited for.
+    /// If it fails, or does not end within `limit`.
+    pub async fn stop(mut self, limit: Duration) -> Result<()> {
+        // The id is absent after the process was waited for.
         if let Some(id) = self.child.id() {
             kill(Pid::from_raw(i32::try_from(id)?), Signal::SIGINT)?;
         }
-        match timeout(patience, self.ended()).await {
+        match timeout(limit, self.ended()).await {
             Ok(result) => result,
-            Err(_) => bail!("{} did not stop within {patience:?}; its log: {}", self.name, self.log.display()),
+            Err(_) => bail!("{} did not stop within {limit:?}; its log: {}", self.name, self.log.display()),
         }
     }
 

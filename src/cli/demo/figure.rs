@@ -1,4 +1,4 @@
-//! The demo's picture: what the camera saw, the touch on the hand in truth and as predicted, and the force over time.
+//! Draws the demo's picture: camera image, true and predicted touch on the hand, and force over time.
 
 use std::path::Path;
 
@@ -13,27 +13,27 @@ use crate::render;
 const TRUTH: RGBColor = RGBColor(30, 30, 30);
 const PREDICTED: RGBColor = RGBColor(214, 96, 24);
 
-/// Total force of both hands at one image, for the trace.
+/// Total force of both hands at one image.
 #[derive(Debug, Clone, Copy)]
 pub struct TracePoint {
     /// Seconds since the first image.
     pub seconds: f64,
     /// Predicted total force, N.
     pub predicted: f64,
-    /// The simulator's total force, N.
+    /// True total force, N.
     pub truth: f64,
 }
 
-/// What the upper row shows: one image of the run and the touch of one hand in it.
+/// One image of the run and the touch of one hand in it.
 #[derive(Debug)]
-pub struct Moment<'a> {
+pub struct Snapshot<'a> {
     /// Seconds since the first image.
     pub seconds: f64,
-    /// The camera image.
+    /// Camera image.
     pub image: &'a RgbImage,
-    /// (778) predicted force, N.
+    /// Predicted force, (778), N.
     pub predicted: &'a [f32],
-    /// (778) the simulator's force, N.
+    /// True force, (778), N.
     pub truth: &'a [f32],
 }
 
@@ -41,8 +41,14 @@ pub struct Moment<'a> {
 ///
 /// # Errors
 /// If drawing or writing fails.
-pub fn write(path: &Path, hand: &HandModel, posed: &PosedHand, moment: &Moment, trace: &[TracePoint]) -> Result<()> {
-    let peak = moment.truth.iter().chain(moment.predicted).copied().fold(0.05, f32::max);
+pub fn write(
+    path: &Path,
+    hand: &HandModel,
+    posed: &PosedHand,
+    snapshot: &Snapshot,
+    trace: &[TracePoint],
+) -> Result<()> {
+    let peak = snapshot.truth.iter().chain(snapshot.predicted).copied().fold(0.05, f32::max);
     let view = |force: &[f32]| {
         render::hand_picture(hand, posed, &render::force_colors(force, peak), render::View::Palmar, (PANEL, PANEL))
     };
@@ -54,15 +60,18 @@ pub fn write(path: &Path, hand: &HandModel, posed: &PosedHand, moment: &Moment, 
     };
     let sheet = Sheet {
         panels: [
-            (format!("camera, t = {:.1} s", moment.seconds), moment.image.clone()),
-            (format!("truth (simulator): {:.1} N in total", total(moment.truth)), view(moment.truth)),
-            (format!("predicted from the image: {:.1} N in total", total(moment.predicted)), view(moment.predicted)),
+            (format!("camera, t = {:.1} s", snapshot.seconds), snapshot.image.clone()),
+            (format!("truth (simulator): {:.1} N in total", total(snapshot.truth)), view(snapshot.truth)),
+            (
+                format!("predicted from the image: {:.1} N in total", total(snapshot.predicted)),
+                view(snapshot.predicted),
+            ),
         ],
         bar: Bar { peak, label: "force per vertex, newton", column: 1.5 },
         note: None,
         axis: "total force, N",
         series: [series("truth", TRUTH, |point| point.truth), series("predicted", PREDICTED, |point| point.predicted)],
-        shown: moment.seconds,
+        shown: snapshot.seconds,
     };
     sheet.write(path)
 }

@@ -1,4 +1,4 @@
-//! `egotac demo`: the main job, end to end.
+//! `egotac demo`: runs simulator, predictor and verifier end to end.
 
 #[cfg(feature = "ros")]
 mod bag;
@@ -19,10 +19,10 @@ use std::process::ExitCode;
 /// Arguments of `egotac demo`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Where the report, the picture and the recording go; an earlier demo there is replaced.
+    /// Folder for report, picture and recording; files of an earlier demo are replaced.
     #[arg(long, default_value = "out/demo")]
     out: PathBuf,
-    /// Simulated seconds.
+    /// Simulated time, s.
     #[arg(long, default_value_t = 15.0)]
     duration: f64,
     /// Seed of the first rollout; the shipped checkpoint was trained and chosen on seeds below 900000.
@@ -38,7 +38,7 @@ pub struct Args {
 
 #[cfg(feature = "ros")]
 impl Args {
-    /// The command that does the same again.
+    /// Returns the command line that reproduces the run.
     fn command(&self) -> String {
         let model = self.model.as_ref().map(|path| format!(" --model {}", path.display())).unwrap_or_default();
         let Self { duration, seed, scenes, .. } = self;
@@ -55,7 +55,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     run::run(&args)
 }
 
-/// Says which feature is missing.
+/// Fails and names the missing feature.
 ///
 /// # Errors
 /// Always.

@@ -1,4 +1,4 @@
-//! What the demo leaves behind: numbers as JSON and as a table, and the picture.
+//! Writes the demo's results: numbers as JSON and as a table, and the picture.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -7,27 +7,29 @@ use anyhow::{Context, Result, ensure};
 use serde_json::{Value, json};
 
 use super::Args;
-use super::bag::{self, Run};
+use super::bag::{self, MessagesByStamp};
 use super::figure::{self, TracePoint};
-use crate::bench::Machine;
 use crate::file;
 use crate::hand::{HandModel, HandParams, Side};
+use crate::machine::Machine;
 use crate::message::TactileFrame;
 use crate::tactile::TactileField;
 use crate::text::significant;
 
-/// Images, predictions and truths of a run, by stamp.
-struct Moment<'a> {
+/// Image, prediction and truth of one stamp.
+struct Comparison<'a> {
+    /// Seconds since the first image.
     seconds: f64,
     image: &'a crate::message::Image,
     predicted: TactileField,
     truth: TactileField,
 }
 
-/// Writes `demo.json`, `metrics.md` and `demo.png` into `out` and prints where they are, headline numbers last.
+/// Writes `demo.json`, `metrics.md` and `demo.png` into `out`, and prints their paths and the headline numbers.
 ///
 /// # Errors
-/// If the verifier's report or the recording can't be read, hold nothing to compare, or a file can't be written.
+/// If the verifier's report or the recording can't be read, no image has both prediction and truth, or a file can't be
+/// written.
 pub fn write(args: &Args, out: &Path, bag: &Path, verifier_report: &Path) -> Result<()> {
     let run = bag::read(&bag.join(crate::dataset::mcap::file_name(bag)))?;
     let text = std::fs::read_to_string(verifier_report).with_context(|| verifier_report.display().to_string())?;
@@ -45,26 +47,26 @@ pub fn write(args: &Args, out: &Path, bag: &Path, verifier_report: &Path) -> Res
     Ok(())
 }
 
-/// The demo's numbers: counts from the recording, scores and latency from the verifier.
-fn summarize(args: &Args, run: &Run, verifier: &Value) -> Value {
-    let count = |has: fn(&bag::Moment) -> bool| run.values().filter(|moment| has(moment)).count();
-    let images = count(|moment| moment.image.is_some());
-    let predictions = count(|moment| moment.image.is_some() && moment.predicted.is_some());
-    let unpaired = count(|moment| moment.image.is_some() && moment.predicted.is_none());
-    let strangers = count(|moment| moment.image.is_none() && moment.predicted.is_some());
+/// Collects the demo's numbers: counts from the recording, scores and latency from the verifier.
+fn summarize(args: &Args, run: &MessagesByStamp, verifier: &Value) -> Value {
+    let count = |has: fn(&bag::StampMessages) -> bool| run.values().filter(|messages| has(messages)).count();
+    let images = count(|messages| messages.image.is_some());
+    let predictions = count(|messages| messages.image.is_some() && messages.predicted.is_some());
+    let unpaired = count(|messages| messages.image.is_some() && messages.predicted.is_none());
+    let without_image = count(|messages| messages.image.is_none() && messages.predicted.is_some());
     json!({
         "command": args.command(),
         "machine": Machine::this().to_string(),
         "images": images,
         "predictions": predictions,
         "dropped_frames": unpaired,
-        "predictions_without_image": strangers,
+        "predictions_without_image": without_image,
         "verifier": verifier,
         "version": env!("CARGO_PKG_VERSION"),
     })
 }
 
-/// Rows of the table: what it is, where it lies in the summary, factor and unit.
+/// Rows of the table: title, JSON pointer into the summary, factor and unit.
 const ROWS: [(&str, &str, f64, &str); 13] = [
     ("images published", "/images", 1.0, ""),
     ("predictions with an image's stamp", "/predictions", 1.0, ""),
@@ -86,8 +88,8 @@ fn table(summary: &Value) -> String {
     for (name, pointer, factor, unit) in ROWS {
         let _ = writeln!(text, "| {name} | {} |", cell(summary.pointer(pointer), factor, unit));
     }
-    let said = |pointer: &str| summary.pointer(pointer).and_then(Value::as_str).unwrap_or("unknown").to_owned();
-    let _ = writeln!(text, "\n`{}`, network {}, {}", said("/command"), said("/verifier/model_id"), said("/machine"));
+    let field = |pointer: &str| summary.pointer(pointer).and_then(Value::as_str).unwrap_or("unknown").to_owned();
+    let _ = writeln!(text, "\n`{}`, network {}, {}", field("/command"), field("/verifier/model_id"), field("/machine"));
     text
 }
 
@@ -115,11 +117,12 @@ fn headline(summary: &Value) -> String {
     )
 }
 
-fn draw(path: &Path, run: &Run) -> Result<()> {
-    let moments = complete(run)?;
+/// Draws the picture of a typical moment.
+fn draw(path: &Path, run: &MessagesByStamp) -> Result<()> {
+    let moments = comparisons(run)?;
     ensure!(
         !moments.is_empty(),
-        "no image has both a prediction and a truth: see the nodes' logs in {}",
+        "no image has both a prediction and a truth: see the logs of the nodes in {}",
         path.with_file_name("").display()
     );
     let total = |field: &TactileField| f64::from(field.total_force(Side::Left) + field.total_force(Side::Right));
@@ -136,7 +139,7 @@ fn draw(path: &Path, run: &Run) -> Result<()> {
     let hand = HandModel::builtin(side);
     let posed = hand.forward(&HandParams::default());
     let image = bag::picture(shown.image)?;
-    let shown = figure::Moment {
+    let shown = figure::Snapshot {
         seconds: shown.seconds,
         image: &image,
         predicted: &shown.predicted.force[side.range()],
@@ -145,14 +148,14 @@ fn draw(path: &Path, run: &Run) -> Result<()> {
     Ok(figure::write(path, &hand, &posed, &shown, &trace)?)
 }
 
-/// Moments that have all three messages, in time order.
-fn complete(run: &Run) -> Result<Vec<Moment<'_>>> {
+/// Returns the stamps that have all three messages, in time order.
+fn comparisons(run: &MessagesByStamp) -> Result<Vec<Comparison<'_>>> {
     let first = run.keys().next().copied().unwrap_or(0);
     let field = |frame: &TactileFrame| frame.to_field();
     let mut moments = Vec::new();
-    for (stamp, moment) in run {
-        if let (Some(image), Some(predicted), Some(truth)) = (&moment.image, &moment.predicted, &moment.truth) {
-            moments.push(Moment {
+    for (stamp, messages) in run {
+        if let (Some(image), Some(predicted), Some(truth)) = (&messages.image, &messages.predicted, &messages.truth) {
+            moments.push(Comparison {
                 seconds: (stamp - first) as f64 * 1e-9,
                 image,
                 predicted: field(predicted)?,
@@ -163,8 +166,8 @@ fn complete(run: &Run) -> Result<Vec<Moment<'_>>> {
     Ok(moments)
 }
 
-/// Of the moments with real touch, the one whose error of the total force is the median: neither the best nor the worst.
-fn typical<'a, 'b>(moments: &'a [Moment<'b>], trace: &[TracePoint]) -> &'a Moment<'b> {
+/// Returns the moment with the median error of the total force among those with at least 30 % of the peak force.
+fn typical<'a, 'b>(moments: &'a [Comparison<'b>], trace: &[TracePoint]) -> &'a Comparison<'b> {
     let peak = trace.iter().map(|point| point.truth).fold(0.0, f64::max);
     let mut touched: Vec<usize> = (0..moments.len()).filter(|&i| trace[i].truth >= 0.3 * peak).collect();
     touched.sort_by(|&a, &b| {
@@ -179,7 +182,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_undefined_says_so() {
+    fn undefined_metrics_are_marked() {
         let summary = json!({ "images": 3, "verifier": { "metrics": { "mae": null } } });
         let table = table(&summary);
         assert!(table.contains("| images published | 3 |"), "{table}");

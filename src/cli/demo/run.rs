@@ -1,4 +1,4 @@
-//! Simulator, predictor and verifier run as the nodes they are; what they say is recorded and reported.
+//! Runs simulator, predictor and verifier as nodes, and records their topics.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -15,10 +15,12 @@ use crate::node::bag_recorder::{BagRecorder, RecordedTopic};
 
 /// Frames per simulated second.
 const FPS: f64 = 25.0;
-/// In which nodes that run find each other.
+/// Time in which ROS discovery finds running nodes.
 const DISCOVERY: Duration = Duration::from_millis(1000);
-/// How long a node may take to come up or go down.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// Time limit for the start and the end of a node.
+const NODE_TIMEOUT: Duration = Duration::from_secs(60);
+/// Time for the prediction and the metrics of the last image to arrive.
+const RESULT_DELAY: Duration = Duration::from_millis(1500);
 
 /// Runs the demo and writes its report.
 ///
@@ -33,12 +35,12 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let verifier_report = out.join("verifier.json");
     let nodes = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     nodes.block_on(async {
-        refuse_strangers(&recorder).await?;
-        // Whatever ends this, the nodes end with it.
-        let mut ends = signal(SignalKind::terminate())?;
+        refuse_other_publishers(&recorder).await?;
+        // On a signal the future of `simulate` is dropped, which kills the nodes.
+        let mut terminate = signal(SignalKind::terminate())?;
         tokio::select! {
             result = simulate(args, &out, &recorder, &verifier_report) => result,
-            _ = ends.recv() => bail!("ended by SIGTERM"),
+            _ = terminate.recv() => bail!("ended by SIGTERM"),
             interrupted = tokio::signal::ctrl_c() => { interrupted?; bail!("interrupted") }
         }
     })?;
@@ -47,7 +49,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// An empty folder at `path`; what an earlier demo left there is removed, anything else is not touched.
+/// Creates a directory, or removes the files of an earlier demo from it; other files stay.
 fn fresh_folder(path: &Path) -> Result<PathBuf> {
     const OURS: [&str; 8] = [
         "bag",
@@ -73,6 +75,7 @@ fn fresh_folder(path: &Path) -> Result<PathBuf> {
     path.canonicalize().with_context(|| path.display().to_string())
 }
 
+/// Returns the topics of the recording.
 fn recorded_topics() -> Vec<RecordedTopic> {
     vec![
         RecordedTopic::of::<Image>(topics::IMAGE),
@@ -85,16 +88,16 @@ fn recorded_topics() -> Vec<RecordedTopic> {
     ]
 }
 
-/// Waits for a moment and fails if somebody else publishes what this demo's nodes will.
-async fn refuse_strangers(recorder: &BagRecorder) -> Result<()> {
+/// Fails if a running node already publishes one of the demo's topics.
+async fn refuse_other_publishers(recorder: &BagRecorder) -> Result<()> {
     tokio::time::sleep(DISCOVERY).await;
     if let Some(topic) = recorder.published().into_iter().next() {
-        bail!("somebody publishes on {topic} already: stop that node, or set another ROS_DOMAIN_ID");
+        bail!("another node already publishes {topic}: stop it, or set another ROS_DOMAIN_ID");
     }
     Ok(())
 }
 
-/// Runs the three nodes until the simulator has shown all its images.
+/// Runs the three nodes until the simulator has published all its images.
 async fn simulate(args: &Args, out: &Path, recorder: &BagRecorder, verifier_report: &Path) -> Result<()> {
     let mut predictor = NodeProcess::start("predictor", &predictor_arguments(args), out)?;
     let mut verifier = NodeProcess::start("verifier", &verifier_arguments(verifier_report), out)?;
@@ -111,19 +114,18 @@ async fn simulate(args: &Args, out: &Path, recorder: &BagRecorder, verifier_repo
         end = verifier.ended() => end.and_then(|()| bail!("the verifier ended during the simulation"))?,
         () = show_progress(recorder, (args.duration * FPS).round() as u64) => bail!("the recording failed"),
     }
-    // The last image's prediction and metrics are still under way.
-    tokio::time::sleep(Duration::from_millis(1500)).await;
+    tokio::time::sleep(RESULT_DELAY).await;
     println!();
-    predictor.stop(PATIENCE).await?;
-    verifier.stop(PATIENCE).await
+    predictor.stop(NODE_TIMEOUT).await?;
+    verifier.stop(NODE_TIMEOUT).await
 }
 
-/// Returns once the predictor has told what it is.
+/// Waits until the predictor has published its model info.
 async fn network_is_ready(recorder: &BagRecorder) -> Result<()> {
     let waiting = ProgressBar::new_spinner().with_message("loading the network");
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + NODE_TIMEOUT;
     while recorder.count(topics::MODEL_INFO) == 0 {
-        ensure!(Instant::now() < deadline, "nothing on {} within {PATIENCE:?}", topics::MODEL_INFO);
+        ensure!(Instant::now() < deadline, "no message on {} within {NODE_TIMEOUT:?}", topics::MODEL_INFO);
         waiting.tick();
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
@@ -131,7 +133,7 @@ async fn network_is_ready(recorder: &BagRecorder) -> Result<()> {
     Ok(())
 }
 
-/// Shows how far the run is; returns if the recording fails.
+/// Shows the progress of the run; returns only if the recording fails.
 async fn show_progress(recorder: &BagRecorder, images: u64) {
     let style = ProgressStyle::with_template("simulating {bar:32} {pos}/{len} images, {msg}, {elapsed}");
     let progress = ProgressBar::new(images).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
@@ -160,8 +162,8 @@ fn simulator_arguments(args: &Args) -> Vec<String> {
         format!("scenes:=[{scenes}]"),
         format!("seed:={}", args.seed),
         format!("duration:={:?}", args.duration),
-        format!("wait_secs:={:?}", PATIENCE.as_secs_f64()),
-        // The predictor and the recorder.
+        format!("wait_secs:={:?}", NODE_TIMEOUT.as_secs_f64()),
+        // The predictor and the recorder subscribe to the images.
         "wait_listeners:=2".to_owned(),
     ];
     ros_arguments(&[], &parameters)

@@ -1,16 +1,16 @@
-//! Names of the demo's topics and nodes, as the nodes have them without remapping.
+//! Default topic names of the demo's nodes.
 
 /// Camera images of the simulator.
 pub const IMAGE: &str = "/image_raw";
 /// Calibration of the simulated camera.
 pub const CAMERA_INFO: &str = "/camera_info";
-/// What the simulator knows of the touch.
+/// True touch from the simulator.
 pub const TRUTH: &str = "/truth/tactile";
 /// Poses of the simulated hands.
 pub const HAND_POSE: &str = "/truth/hand_pose";
-/// What the predictor says of the touch.
+/// Touch from the predictor.
 pub const TACTILE: &str = "/predictor/tactile";
-/// What the predictor is.
+/// Description of the predictor's network.
 pub const MODEL_INFO: &str = "/predictor/model_info";
-/// The verifier's rolling metrics.
+/// Rolling metrics from the verifier.
 pub const METRICS: &str = "/verifier/metrics";

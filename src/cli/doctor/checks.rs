@@ -1,4 +1,4 @@
-//! The rows of the table, one function each.
+//! The checks of `egotac doctor`: one function for each row of the table.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -8,12 +8,12 @@ use crate::error::Error;
 use crate::hand::{HandModel, HandParams, N_VERTICES, Side};
 use crate::model::{Checkpoint, Metadata, shipped};
 
-/// What makes a machine whole again.
+/// Commands that install the missing parts and rebuild.
 const SET_UP: &str = "`make setup`, `. ./env.sh`, then build again";
 
-/// All rows, in the order of the table.
+/// Runs all checks, in the order of the table.
 pub fn all(hand_model: &str) -> Vec<Row> {
-    let ros = Ros::look();
+    let ros = Ros::find();
     vec![
         egotac(),
         rust(),
@@ -29,6 +29,7 @@ pub fn all(hand_model: &str) -> Vec<Row> {
     ]
 }
 
+/// Reports the version and the features of this build.
 fn egotac() -> Row {
     let features = [("ros", cfg!(feature = "ros")), ("sim", cfg!(feature = "sim")), ("cuda", cfg!(feature = "cuda"))];
     let built: Vec<_> = features.iter().filter(|(_, built)| *built).map(|(name, _)| *name).collect();
@@ -36,24 +37,28 @@ fn egotac() -> Row {
     Row::ok("egotac", format!("{}, features: {built}", env!("CARGO_PKG_VERSION")))
 }
 
+/// Reports cargo and the compiler of this build.
 fn rust() -> Row {
     let built = env!("EGOTAC_BUILD_RUSTC");
     match first_line("cargo", &["--version"]) {
-        Some(cargo) => Row::ok("Rust", format!("{cargo}; built by {built}")),
-        None => Row::ok("Rust", format!("built by {built}; no cargo here, to build again see https://rustup.rs")),
+        Some(cargo) => Row::ok("Rust", format!("{cargo}; this build: {built}")),
+        None => {
+            Row::ok("Rust", format!("no cargo (install it from https://rustup.rs to rebuild); this build: {built}"))
+        }
     }
 }
 
-/// The ROS 2 that a node started here would meet.
+/// The ROS 2 installation that a node would use.
 struct Ros {
     distro: String,
     prefixes: Vec<PathBuf>,
-    /// Whether this shell says so; otherwise it is the one of the build, which the programs remember.
+    /// True if the shell's environment names the installation; otherwise it is the one of the build.
     sourced: bool,
 }
 
 impl Ros {
-    fn look() -> Self {
+    /// Finds the installation of the shell, or else of the build.
+    fn find() -> Self {
         let variable = |name| std::env::var(name).ok().filter(|value| !value.is_empty());
         let (distro, prefixes) = (variable("ROS_DISTRO"), variable("AMENT_PREFIX_PATH"));
         let sourced = distro.is_some() && prefixes.is_some();
@@ -65,20 +70,21 @@ impl Ros {
         }
     }
 
-    /// The first prefix that has this file.
+    /// Returns the first prefix that contains a file.
     fn prefix_of(&self, file: &str) -> Option<&Path> {
         self.prefixes.iter().map(PathBuf::as_path).find(|prefix| prefix.join(file).exists())
     }
 }
 
+/// Checks that ROS 2 is installed in the distribution of the build.
 fn ros_distro(ros: &Ros) -> Row {
     const NAME: &str = "ROS 2";
     let prefix = ros.prefix_of("share/rcl");
-    let whence = if ros.sourced { "sourced" } else { "of the build" };
+    let origin = if ros.sourced { "sourced in this shell" } else { "used for this build" };
     let found = match prefix {
-        Some(prefix) => format!("{} in {} ({whence})", ros.distro, prefix.display()),
-        None if ros.prefixes.is_empty() => "none sourced".to_string(),
-        None => format!("{}, but rcl is in none of {} ({whence})", ros.distro, list(&ros.prefixes)),
+        Some(prefix) => format!("{} in {} ({origin})", ros.distro, prefix.display()),
+        None if ros.prefixes.is_empty() => "not found: no ROS 2 is sourced in this shell".to_string(),
+        None => format!("{}, but none of its prefixes contains rcl: {} ({origin})", ros.distro, list(&ros.prefixes)),
     };
     let built = env!("EGOTAC_BUILD_ROS_DISTRO");
     if cfg!(not(feature = "ros")) {
@@ -86,16 +92,18 @@ fn ros_distro(ros: &Ros) -> Row {
     } else if prefix.is_none() {
         Row::missing(NAME, found, SET_UP)
     } else if ros.distro != built {
-        Row::missing(NAME, format!("{found}; this build is for {built}"), "source the other one, or build again")
+        let fix = format!("source ROS 2 {built}, or rebuild for {}", ros.distro);
+        Row::missing(NAME, format!("{found}; this build needs {built}"), fix)
     } else {
         Row::ok(NAME, found)
     }
 }
 
+/// Checks that the library of the chosen ROS middleware is installed.
 fn middleware(ros: &Ros) -> Row {
     const NAME: &str = "rmw";
     let chosen = std::env::var("RMW_IMPLEMENTATION").ok().filter(|name| !name.is_empty());
-    let by_default = if chosen.is_some() { "" } else { ", the default" };
+    let by_default = if chosen.is_some() { "" } else { " (default)" };
     let name = chosen.unwrap_or_else(|| "rmw_fastrtps_cpp".to_string());
     let library = format!("lib/lib{name}.so");
     match ros.prefix_of(&library) {
@@ -103,9 +111,9 @@ fn middleware(ros: &Ros) -> Row {
         Some(prefix) => Row::ok(NAME, format!("{name}{by_default}: {}", prefix.join(&library).display())),
         None => Row::missing(
             NAME,
-            format!("{name}{by_default}, but there is no {library} in {}", list(&ros.prefixes)),
+            format!("{name}{by_default}: no {library} in {}", list(&ros.prefixes)),
             format!(
-                "`unset RMW_IMPLEMENTATION`, or with an installed ROS 2 `apt-get install ros-{}-{}`",
+                "`unset RMW_IMPLEMENTATION`, or with ROS 2 from apt `apt-get install ros-{}-{}`",
                 ros.distro,
                 name.replace('_', "-")
             ),
@@ -113,6 +121,7 @@ fn middleware(ros: &Ros) -> Row {
     }
 }
 
+/// Reports the message package; not used by this build.
 #[cfg(not(feature = "ros"))]
 fn messages(ros: &Ros) -> Row {
     let found = match ros.prefix_of("share/egotac_msgs") {
@@ -122,14 +131,15 @@ fn messages(ros: &Ros) -> Row {
     Row::not_needed("messages", "ros", found)
 }
 
-/// Whether egotac_msgs is there, and is what r2r's bindings in this program were made from.
+/// Checks that egotac_msgs is installed with the message layout that r2r's bindings in this program were generated
+/// from.
 #[cfg(feature = "ros")]
 fn messages(ros: &Ros) -> Row {
     use super::idl_hash::{idl_files, idl_hash};
 
     const NAME: &str = "messages";
     let Some(prefix) = ros.prefix_of("share/egotac_msgs") else {
-        return Row::missing(NAME, format!("egotac_msgs is in none of {}", list(&ros.prefixes)), SET_UP);
+        return Row::missing(NAME, format!("no egotac_msgs in {}", list(&ros.prefixes)), SET_UP);
     };
     let share = prefix.join("share/egotac_msgs");
     let found = match idl_files(&share).and_then(|files| idl_hash(&share, &files)) {
@@ -141,27 +151,30 @@ fn messages(ros: &Ros) -> Row {
     if built == found {
         Row::ok(NAME, format!("{place}, bindings fit (layout {found})"))
     } else if built == format!("unmarked-{found}") {
-        let note = "built without the layout's mark in IDL_PACKAGE_FILTER, so bindings can go stale unnoticed";
+        let note =
+            "bindings fit, but IDL_PACKAGE_FILTER had no layout mark at build time, so later changes go unnoticed";
         Row::ok(NAME, format!("{place}, {note}"))
     } else {
-        Row::missing(NAME, format!("{place}, bindings are stale (layout {found}, built for {built})"), SET_UP)
+        Row::missing(NAME, format!("{place}, bindings are stale (layout {found}, this build needs {built})"), SET_UP)
     }
 }
 
+/// Reports the physics engine; not used by this build.
 #[cfg(not(feature = "sim"))]
 fn engine() -> Row {
     let dir = std::env::var("MUJOCO_DYNAMIC_LINK_DIR").unwrap_or_default();
     let library = Path::new(&dir).join("libmujoco.so");
     let found = match library.exists() {
         true => library.display().to_string(),
-        false => "MUJOCO_DYNAMIC_LINK_DIR names no folder with libmujoco.so".to_string(),
+        false => "no libmujoco.so in MUJOCO_DYNAMIC_LINK_DIR".to_string(),
     };
     Row::not_needed("MuJoCo", "sim", found)
 }
 
+/// Checks the version of the loaded physics engine.
 #[cfg(feature = "sim")]
 fn engine() -> Row {
-    // The version that mujoco-rs's structs were written for.
+    // The struct layouts of mujoco-rs are those of this version.
     const NEEDED: &str = "3.17.0";
     let version = mujoco_rs::mujoco_version();
     let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
@@ -173,11 +186,13 @@ fn engine() -> Row {
     }
 }
 
+/// Reports the renderer; not used by this build.
 #[cfg(not(feature = "sim"))]
 fn renderer() -> Row {
-    Row::not_needed("GL renderer", "sim", "not looked for")
+    Row::not_needed("GL renderer", "sim", "not checked")
 }
 
+/// Checks that an OpenGL context opens without a display.
 #[cfg(feature = "sim")]
 fn renderer() -> Row {
     const FIX: &str = "`apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri` (as root), or a GPU driver with EGL";
@@ -187,6 +202,7 @@ fn renderer() -> Row {
     }
 }
 
+/// Checks that the CUDA device opens, if the build uses it.
 fn gpu() -> Row {
     const NAME: &str = "GPU";
     let query = ["--query-gpu=name,driver_version", "--format=csv,noheader"];
@@ -205,23 +221,23 @@ fn gpu() -> Row {
     }
 }
 
-/// What reads videos.
+/// Checks for ffmpeg and ffprobe, which read videos.
 fn ffmpeg() -> Row {
     const NAME: &str = "ffmpeg";
     match (first_line("ffmpeg", &["-version"]), first_line("ffprobe", &["-version"])) {
         (Some(found), Some(_)) => Row::ok(NAME, found.split(" Copyright").next().unwrap_or_default()),
-        _ => Row::missing(NAME, "not found; videos can't be read", "`apt-get install ffmpeg` (as root)"),
+        _ => Row::missing(NAME, "not found; it reads videos", "`apt-get install ffmpeg` (as root)"),
     }
 }
 
-/// The hand model: loaded and posed for real.
+/// Loads a hand model and poses it.
 fn hand(model: &str) -> Row {
     const NAME: &str = "hand";
     let loaded = match model {
         "builtin" => Ok(HandModel::builtin(Side::Right)),
         path => HandModel::load(Path::new(path), Side::Right),
     };
-    let fix = "give --hand builtin, or a MANO file from https://mano.is.tue.mpg.de";
+    let fix = "use --hand builtin, or a MANO file from https://mano.is.tue.mpg.de";
     match loaded {
         Err(error) => Row::missing(NAME, error.to_string(), fix),
         Ok(hand) => {
@@ -236,10 +252,10 @@ fn hand(model: &str) -> Row {
     }
 }
 
-/// The checkpoint that a predictor takes when it is given none: loaded for real.
+/// Loads the shipped checkpoint, which is the default of all programs.
 fn checkpoint() -> Row {
     const NAME: &str = "checkpoint";
-    const FIX: &str = "`git checkout models`, or give programs one of your own";
+    const FIX: &str = "`git checkout models`, or pass another checkpoint to the programs";
     let loaded = shipped::path().and_then(|path| {
         let checkpoint = Checkpoint::load(&path, &candle_core::Device::Cpu)?;
         let megabytes = path.metadata().map_err(Error::io(&path))?.len() as f64 / 1e6;
@@ -252,16 +268,17 @@ fn checkpoint() -> Row {
     }
 }
 
-/// The first line that a program prints, if it runs and succeeds.
+/// Returns the first line that a program prints; `None` if it does not run or fails.
 fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
     let output = Command::new(program).args(arguments).output().ok().filter(|output| output.status.success())?;
     let text = String::from_utf8_lossy(&output.stdout);
     text.lines().next().map(|line| line.trim().to_string()).filter(|line| !line.is_empty())
 }
 
+/// Joins paths for a message.
 fn list(paths: &[PathBuf]) -> String {
     match paths {
-        [] => "no prefix (AMENT_PREFIX_PATH is not set)".to_string(),
+        [] => "any prefix (AMENT_PREFIX_PATH is not set)".to_string(),
         _ => paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", "),
     }
 }

@@ -1,14 +1,14 @@
-//! The hash that names a message layout; the build script and `egotac doctor` share this file.
+//! Hash of a message layout; the build script includes this file too.
 
 use std::io::Result;
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
-/// The installed `.idl` files below `share` (`<prefix>/share/egotac_msgs`), in the order of their paths.
+/// Returns the installed `.idl` files below `share` (`<prefix>/share/egotac_msgs`), sorted by path.
 ///
 /// # Errors
-/// If a folder can't be read.
+/// If a directory can't be read.
 pub fn idl_files(share: &Path) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for folder in ["action", "msg", "srv"] {
@@ -22,8 +22,8 @@ pub fn idl_files(share: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// The first 16 digits of the SHA-256 of what `sha256sum` prints for these files; `scripts/lib/common.sh` and
-/// `launch/cargo.cmake` compute the same.
+/// Computes the first 16 digits of the SHA-256 of the output of `sha256sum` for these files. `scripts/lib/common.sh`
+/// and `launch/cargo.cmake` compute the same hash.
 ///
 /// # Errors
 /// If a file can't be read.

@@ -1,4 +1,4 @@
-//! `egotac model attention`.
+//! Command `egotac model attention`.
 
 use std::path::PathBuf;
 
@@ -6,28 +6,28 @@ use ::image::{Rgb, RgbImage, imageops};
 use anyhow::{Context as _, ensure};
 use candle_core::{Device, Tensor};
 
-use crate::model::{checkpoint, shipped};
+use crate::model::{EgoTac, Metadata, checkpoint, shipped};
 use crate::{file, image};
 
-/// Side of the picture, pixels.
+/// Side of each drawn image, pixels: twice the input of the larger presets.
 const SIDE: u32 = 448;
 
 /// Arguments of `egotac model attention`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// PNG or JPEG files, oldest first: the observation window; the last one stands in for those that lack.
+    /// PNG or JPEG files of the observation window, oldest first; where they are too few, the first one is repeated.
     #[arg(required = true, value_name = "IMAGE")]
     images: Vec<PathBuf>,
-    /// Checkpoint; the one that comes with egotac if absent.
+    /// Checkpoint [default: the one shipped with egotac].
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
-    /// Layer of the vision encoder, from 0: what its CLS token attends to. Without it, what the temporal token does.
+    /// Layer of the vision encoder, from 0, whose CLS token's attention is drawn [default: the temporal token of the fusion].
     #[arg(long)]
     layer: Option<usize>,
-    /// Head, from 0; the mean over all without it.
+    /// Attention head, from 0 [default: the mean over all heads].
     #[arg(long)]
     head: Option<usize>,
-    /// PNG to write: the window's images side by side, oldest first, with the attention on them.
+    /// PNG to write: the images of the window side by side, oldest first, with their attention drawn over them.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
@@ -35,43 +35,12 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
-    let (model, metadata) = checkpoint::load_layers(&path)?;
-    let config = model.config().clone();
-    let horizon = config.horizon;
-    ensure!(args.images.len() <= horizon, "images: expected at most {horizon}, the window, got {}", args.images.len());
-    let mut pictures = Vec::new();
-    for path in &args.images {
-        let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
-        pictures.push(image::decode(&bytes).with_context(|| path.display().to_string())?);
-    }
-    while pictures.len() < horizon {
-        pictures.insert(0, pictures[0].clone());
-    }
-    let preparation = metadata.preparation(&config);
-    let mut pixels = Vec::new();
-    for picture in &pictures {
-        pixels.extend(preparation.apply(picture)?);
-    }
-    let frames = Tensor::from_vec(pixels, (horizon, 3, config.image, config.image), &Device::Cpu)?;
-    // (frames, heads, patches)
-    let weights = match args.layer {
-        Some(layer) => model.encoder_attention(&frames, layer)?,
-        None => {
-            let weights = model.temporal_attention(&frames.unsqueeze(0)?)?.get(0)?; // (heads, T, P)
-            weights.transpose(0, 1)?.narrow(2, 1, config.tokens() - 1)?
-        }
-    };
-    let heads = weights.dim(1)?;
-    let weights = match args.head {
-        Some(head) => {
-            ensure!(head < heads, "--head: expected 0 to {}, got {head}", heads - 1);
-            weights.narrow(1, head, 1)?.squeeze(1)?
-        }
-        None => weights.mean(1)?,
-    };
-    let weights = weights.contiguous()?.to_vec2::<f32>()?;
+    let (model, metadata) = checkpoint::load_uncompiled(&path)?;
+    let config = model.config();
+    let pictures = read_window(&args.images, config.horizon)?;
+    let weights = patch_weights(&model, &metadata, &pictures, args.layer, args.head)?;
     let largest = weights.iter().flatten().fold(0.0f32, |largest, weight| largest.max(*weight));
-    let mut out = RgbImage::new(SIDE * horizon as u32, SIDE);
+    let mut out = RgbImage::new(SIDE * config.horizon as u32, SIDE);
     for (i, (picture, weights)) in pictures.iter().zip(&weights).enumerate() {
         let square = image::resize(picture, config.image, metadata.resize, metadata.filter)?;
         let drawn = overlay(&square, weights, config.grid() as u32, largest);
@@ -83,7 +52,55 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The image, darker where there is little attention, and redder where there is much.
+/// Reads the images of a window; the first one is repeated until there are `horizon`.
+fn read_window(paths: &[PathBuf], horizon: usize) -> anyhow::Result<Vec<RgbImage>> {
+    ensure!(paths.len() <= horizon, "images: expected at most {horizon}, the window, got {}", paths.len());
+    let mut pictures = Vec::new();
+    for path in paths {
+        let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+        pictures.push(image::decode(&bytes).with_context(|| path.display().to_string())?);
+    }
+    while pictures.len() < horizon {
+        pictures.insert(0, pictures[0].clone());
+    }
+    Ok(pictures)
+}
+
+/// Computes the attention on each patch, `(frames, patches)`: of the CLS token in an encoder layer, or of the temporal
+/// token; of one head, or the mean of all.
+fn patch_weights(
+    model: &EgoTac,
+    metadata: &Metadata,
+    pictures: &[RgbImage],
+    layer: Option<usize>,
+    head: Option<usize>,
+) -> anyhow::Result<Vec<Vec<f32>>> {
+    let config = model.config();
+    let preparation = metadata.preparation(config);
+    let mut pixels = Vec::new();
+    for picture in pictures {
+        pixels.extend(preparation.apply(picture)?);
+    }
+    let frames = Tensor::from_vec(pixels, (config.horizon, 3, config.image, config.image), &Device::Cpu)?;
+    let weights = match layer {
+        Some(layer) => model.encoder_attention(&frames, layer)?,
+        None => {
+            let weights = model.temporal_attention(&frames.unsqueeze(0)?)?.get(0)?; // (heads, T, P)
+            weights.transpose(0, 1)?.narrow(2, 1, config.tokens() - 1)?
+        }
+    }; // (frames, heads, patches)
+    let heads = weights.dim(1)?;
+    let weights = match head {
+        Some(head) => {
+            ensure!(head < heads, "--head: expected 0 to {}, got {head}", heads - 1);
+            weights.narrow(1, head, 1)?.squeeze(1)?
+        }
+        None => weights.mean(1)?,
+    };
+    Ok(weights.contiguous()?.to_vec2::<f32>()?)
+}
+
+/// Draws attention over an image: darker where there is little, redder where there is much.
 fn overlay(image: &RgbImage, weights: &[f32], grid: u32, largest: f32) -> RgbImage {
     let share = |weight: f32| if largest > 0.0 { weight / largest } else { 0.0 };
     let map = ::image::ImageBuffer::<::image::Luma<f32>, Vec<f32>>::from_fn(grid, grid, |x, y| {

@@ -1,4 +1,4 @@
-//! Checkpoints made of other files: `egotac model import`, `start`, `grow` and `half`.
+//! Commands that write a checkpoint from other files: `egotac model import`, `init`, `grow` and `half`.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,16 +8,16 @@ use candle_core::Tensor;
 use crate::model::checkpoint::{self, Stored};
 use crate::model::grow::{self, Growth};
 use crate::model::import::Mapping;
-use crate::model::pretrained::{self, Around};
+use crate::model::pretrained::{self, InitOptions};
 use crate::model::{Checkpoint, Config, Metadata};
 
 /// Arguments of `egotac model import`.
 #[derive(Debug, clap::Args)]
 pub struct Import {
-    /// Another program's checkpoint: safetensors, or a PyTorch file; nothing in it is executed.
+    /// Checkpoint of another program: safetensors or a PyTorch file. Code in it is never executed.
     #[arg(long, value_name = "FILE")]
     weights: PathBuf,
-    /// Table (YAML) of geometry, force scale, hand order, image statistics, frame stride, and names of tensors.
+    /// Table (YAML) of geometry, force scale, hand order, image statistics, frame stride and tensor names.
     #[arg(long, value_name = "FILE")]
     mapping: PathBuf,
     /// Checkpoint to write.
@@ -25,10 +25,10 @@ pub struct Import {
     out: PathBuf,
 }
 
-/// Arguments of `egotac model start`.
+/// Arguments of `egotac model init`.
 #[derive(Debug, clap::Args)]
-pub struct Start {
-    /// Published DINOv2 checkpoint (safetensors, names of the hub), with or without register tokens.
+pub struct Init {
+    /// Published DINOv2 checkpoint (safetensors with Hugging Face names), with or without register tokens.
     #[arg(long, value_name = "FILE")]
     encoder: PathBuf,
     /// Side of the input image, pixels.
@@ -43,7 +43,7 @@ pub struct Start {
     /// Layers of the decoder.
     #[arg(long, default_value_t = 12)]
     depth: usize,
-    /// Seed of everything that is not the encoder.
+    /// Seed of all parameters outside the encoder.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Checkpoint to write.
@@ -56,16 +56,16 @@ pub struct Start {
 pub struct Grow {
     /// Checkpoint (safetensors).
     weights: PathBuf,
-    /// Width of fusion and decoder; a multiple of the checkpoint's own keeps the function exactly. Its own where absent.
+    /// Width of fusion and decoder; a multiple of the present width keeps the function exactly [default: the present width].
     #[arg(long)]
     width: Option<usize>,
-    /// Layers of the encoder; the checkpoint's own where absent.
+    /// Layers of the encoder [default: the present number].
     #[arg(long, value_name = "LAYERS")]
     vision_depth: Option<usize>,
-    /// Layers of the decoder; the checkpoint's own where absent.
+    /// Layers of the decoder [default: the present number].
     #[arg(long, value_name = "LAYERS")]
     depth: Option<usize>,
-    /// Seed of how copied channels share their weights.
+    /// Seed of the random shares in which copied channels divide their weights.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Checkpoint to write.
@@ -88,10 +88,10 @@ pub fn import(args: &Import) -> anyhow::Result<()> {
     save(&args.out, Mapping::read(&args.mapping)?.apply(&args.weights)?)
 }
 
-/// Runs `egotac model start`.
-pub fn start(args: &Start) -> anyhow::Result<()> {
-    let Start { image, horizon, predict, depth, seed, .. } = *args;
-    save(&args.out, pretrained::init(&args.encoder, &Around { image, horizon, predict, depth, seed })?)
+/// Runs `egotac model init`.
+pub fn init(args: &Init) -> anyhow::Result<()> {
+    let Init { image, horizon, predict, depth, seed, .. } = *args;
+    save(&args.out, pretrained::init(&args.encoder, &InitOptions { image, horizon, predict, depth, seed })?)
 }
 
 /// Runs `egotac model grow`.

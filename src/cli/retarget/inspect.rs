@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::{Inspect, New};
 use crate::file;
-use crate::mujoco::View;
+use crate::mujoco::{FreeCamera, Renderer};
 use crate::retarget::Robot;
 use crate::retarget::robot::coupling::Driven;
 use crate::retarget::robot::frame;
@@ -248,8 +248,8 @@ fn picture(robot: &mut Robot) -> anyhow::Result<RgbImage> {
         coupling.expand(&robot.parts, &u, robot.world.qpos_mut());
         robot.world.forward();
         let toward = 0.8 * axes.x_axis + 0.6 * axes.y_axis;
-        let view = View { point: middle, toward, distance: 4.5 * reach };
-        let mut renderer = view.renderer(&robot.world, VIEW, VIEW, false)?;
+        let view = FreeCamera { point: middle, toward, distance: 4.5 * reach };
+        let mut renderer = Renderer::free(&robot.world, &view, (VIEW, VIEW), false)?;
         sheet.copy_from(&renderer.render(&mut robot.world)?, column as u32 * VIEW, 0)?;
     }
     Ok(sheet)

@@ -10,6 +10,7 @@ use crate::hand::{HandModel, Side, Topology};
 use crate::mujoco::object::Shapes;
 use crate::retarget::file::{Followed, Hands};
 use crate::retarget::{Options, Pool, Retargeter, Robot, Status};
+use crate::statistics::percentile;
 
 /// Frames per second of hands that say nothing of time.
 const RATE: f64 = 30.0;
@@ -82,18 +83,15 @@ pub fn run(args: &Run) -> anyhow::Result<ExitCode> {
         ("tip_force_frame".to_owned(), "that of the keypoints".to_owned()),
     ]);
     followed.write(&args.out, metadata).context("output")?;
-    let mut times = followed.times_us().to_vec();
-    times.sort_by(f32::total_cmp);
-    let at =
-        |share: f64| times.get(((times.len() as f64 - 1.0) * share).round().max(0.0) as usize).copied().unwrap_or(0.0);
+    let time_us = |q: f64| percentile(followed.times_us().iter().copied().map(f64::from), q);
     println!(
         "{}: {} frames, {} held, {} repaired; {:.0} us per frame (median), {:.0} us (p99)",
         args.out.display(),
         hands.len(),
         followed.count(Status::Held),
         followed.count(Status::Repaired),
-        at(0.5),
-        at(0.99),
+        time_us(0.5),
+        time_us(0.99),
     );
     Ok(ExitCode::SUCCESS)
 }

@@ -1,4 +1,4 @@
-//! `egotac sim explain`.
+//! `egotac sim explain`: prints a scene's effects.
 
 use super::Explain;
 use super::shared::{load, picture};
@@ -21,10 +21,10 @@ pub fn explain(args: &Explain) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A table for people; the cost of what is off stands in brackets.
+/// Formats a table; the cost of an effect that is off stands in brackets.
 fn as_table(effects: &[sim::explain::Explained]) -> String {
     let row = |[a, b, c, d]: [&str; 4]| format!("{a:18}  {b:3}  {c:>10}  {d}");
-    let mut lines = vec![row(["effect", "", "ms/s", "why"])];
+    let mut lines = vec![row(["effect", "", "ms/s", "reason"])];
     for explained in effects {
         let cost = match explained.cost {
             Some(cost) if explained.on => format!("{cost:.1}"),
@@ -34,6 +34,6 @@ fn as_table(effects: &[sim::explain::Explained]) -> String {
         let on = if explained.on { "on" } else { "off" };
         lines.push(row([explained.effect.name(), on, &cost, &explained.reason]));
     }
-    lines.push("ms/s: milliseconds per simulated second, with what comes and goes with the effect; (in brackets): what it would cost".into());
+    lines.push("ms/s: milliseconds per simulated second, including effects that depend on the effect; (in brackets): cost if it were on".into());
     lines.join("\n")
 }

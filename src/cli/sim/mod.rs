@@ -29,13 +29,13 @@ enum Command {
     List,
     /// Render a scene to a PNG: one instant, or a sheet of several.
     Show(Show),
-    /// Say which effects a scene simulates, why, and what each costs.
+    /// Print a scene's effects: on or off, the reason, and the measured cost.
     Explain(Explain),
     /// Simulate one episode and write it as a Zarr store.
     Run(Run),
-    /// Simulate many episodes and write them as one Zarr store; the same command continues an interrupted one.
+    /// Simulate many episodes and write them as one Zarr store; the same command resumes an interrupted run.
     Generate(Generate),
-    /// What `generate` starts: records the episodes that it is told on standard input.
+    /// Record the episodes requested on standard input; `generate` starts this command.
     #[command(hide = true)]
     Worker(Worker),
 }
@@ -44,19 +44,19 @@ enum Command {
 struct Show {
     /// Name of a scene (`egotac sim list`), or a YAML file.
     scene: String,
-    /// Seed of everything the scene leaves open.
+    /// Seed of all values that the scene leaves open.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Simulated time to show, s; without it, the middle of the episode.
+    /// Simulated time to show, s [default: the middle of the episode].
     #[arg(long, conflicts_with = "sheet")]
     time: Option<f64>,
     /// Show this many instants side by side, evenly spread over the episode.
     #[arg(long)]
     sheet: Option<usize>,
-    /// Paint where the hand is touched: force of label c on the vertices, projected into the picture.
+    /// Paint the contact force (label c) on the hands' vertices in the picture.
     #[arg(long)]
     touch: bool,
-    /// List the contacts of each instant: bodies, normal force, depth.
+    /// List the contacts of each instant: bodies, normal force, penetration depth.
     #[arg(long)]
     contacts: bool,
     /// Width and height of a picture, pixels.
@@ -66,7 +66,7 @@ struct Show {
     #[arg(long)]
     out: PathBuf,
     #[command(flatten)]
-    making: Making,
+    rollout: RolloutArgs,
 }
 
 #[derive(Debug, clap::Args)]
@@ -79,10 +79,10 @@ struct Explain {
     /// Width and height of the picture, pixels.
     #[arg(long, default_value_t = 224)]
     size: u32,
-    /// Leave the costs away.
+    /// Do not measure costs.
     #[arg(long)]
     no_cost: bool,
-    /// Print JSON in place of the table.
+    /// Print JSON instead of a table.
     #[arg(long)]
     json: bool,
 }
@@ -91,7 +91,7 @@ struct Explain {
 struct Run {
     /// Name of a scene (`egotac sim list`), or a YAML file.
     scene: String,
-    /// Seed of everything the scene leaves open.
+    /// Seed of all values that the scene leaves open.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Width and height of the picture, pixels.
@@ -103,30 +103,30 @@ struct Run {
     #[command(flatten)]
     accuracy: Accuracy,
     #[command(flatten)]
-    making: Making,
+    rollout: RolloutArgs,
 }
 
 #[derive(Debug, clap::Args)]
 struct Generate {
-    /// Names of scenes, or YAML files; taken in turn.
+    /// Names of scenes, or YAML files, used in turn.
     #[arg(required = true)]
     scenes: Vec<String>,
-    /// Episodes altogether.
+    /// Number of episodes.
     #[arg(long, default_value_t = 100)]
     episodes: usize,
-    /// Seed of the first episode; each further one has the next.
+    /// Seed of the first episode; each next episode has the next seed.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Width and height of the picture, pixels.
     #[arg(long, default_value_t = 112)]
     size: u32,
-    /// Episodes simulated at a time, each in a process of its own.
+    /// Number of episodes simulated at a time, each in its own process.
     #[arg(long, default_value_t = 2)]
     jobs: usize,
-    /// Simulate in threads of this process: if the engine ends one episode, it ends all.
+    /// Simulate in threads of this process: a fatal error of the engine in one episode then ends all.
     #[arg(long)]
     in_process: bool,
-    /// Leave out episodes that fail, and name them, instead of writing no store.
+    /// Write the store without failed episodes, and name them; otherwise a failed episode is an error.
     #[arg(long, conflicts_with = "in_process")]
     skip_failed: bool,
     /// Store to write; must not exist.
@@ -135,13 +135,13 @@ struct Generate {
     #[command(flatten)]
     accuracy: Accuracy,
     #[command(flatten)]
-    making: Making,
+    rollout: RolloutArgs,
 }
 
-/// With which hands and how an episode is drawn and labelled.
+/// Options for pictures, labels and hands of an episode.
 #[derive(Debug, clap::Args)]
-struct Making {
-    /// Draw shadows (a picture takes about five times as long).
+struct RolloutArgs {
+    /// Render shadows (a picture takes about five times as long).
     #[arg(long)]
     shadows: bool,
     #[command(flatten)]
@@ -150,17 +150,18 @@ struct Making {
     hands: Hands,
 }
 
-/// How exact the physics is, in place of what the scene says.
+/// Accuracy of the physics, instead of the scene's.
 #[derive(Debug, clap::Args)]
 struct Accuracy {
     /// Physics preset: replay, fast, default, precise, reference or stiff.
     #[arg(long, conflicts_with_all = ["budget", "error"])]
     preset: Option<String>,
-    /// Computation per simulated second at most, without labels and pictures, e.g. 20ms: takes the most exact preset
-    /// within it, by the table of `egotac bench sim` that is part of the program.
+    /// Largest computation time per simulated second, without labels and pictures, e.g. 20ms: selects the most exact preset
+    /// within it, from the table of `egotac bench sim` in this program, scaled to this machine's speed (measured once, in
+    /// half a second, and kept in ~/.cache/egotac).
     #[arg(long, value_name = "TIME", value_parser = parse_budget)]
     budget: Option<f64>,
-    /// Error of quasi-static forces at most, e.g. 1%: takes the cheapest preset that keeps it, by the same table.
+    /// Largest error of quasi-static forces, e.g. 1%: selects the cheapest preset within it, from the same table.
     #[arg(long, value_name = "PERCENT", value_parser = parse_error)]
     error: Option<f64>,
 }
@@ -175,11 +176,14 @@ struct Worker {
     size: u32,
     #[command(flatten)]
     accuracy: Accuracy,
+    /// This machine's time over that of the table's machine, as measured by the process that starts the workers.
+    #[arg(long)]
+    budget_factor: Option<f64>,
     #[command(flatten)]
-    making: Making,
+    rollout: RolloutArgs,
 }
 
-/// Reads seconds with their unit: `20ms`, `0.5s`.
+/// Parses seconds with their unit: `20ms`, `0.5s`.
 fn parse_budget(text: &str) -> Result<f64, String> {
     let number = |text: &str| text.trim().parse::<f64>().ok();
     let seconds = match text.strip_suffix("ms") {
@@ -190,7 +194,7 @@ fn parse_budget(text: &str) -> Result<f64, String> {
     seconds.filter(|s| s.is_finite() && *s > 0.0).ok_or_else(|| expected.into())
 }
 
-/// Reads a share in percent: `1%`.
+/// Parses a share in percent: `1%`.
 fn parse_error(text: &str) -> Result<f64, String> {
     let share = text.strip_suffix('%').and_then(|text| text.trim().parse::<f64>().ok()).map(|value| value / 100.0);
     share.filter(|s| s.is_finite() && *s >= 0.0).ok_or_else(|| "expected a share in percent, such as 1%".into())
@@ -229,7 +233,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn budgets_and_errors_need_their_units() {
+    fn budgets_and_errors_need_units() {
         for (text, seconds) in [("20ms", 0.02), ("0.5s", 0.5), ("1.5 ms", 0.0015)] {
             assert!((parse_budget(text).unwrap() - seconds).abs() < 1e-12, "{text}");
         }

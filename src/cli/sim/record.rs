@@ -1,4 +1,4 @@
-//! `egotac sim run`, `egotac sim generate` and the workers that the latter starts.
+//! `egotac sim run` and `egotac sim generate`, and the worker processes of the latter.
 
 use std::ffi::OsString;
 use std::path::Path;
@@ -6,16 +6,17 @@ use std::path::Path;
 use anyhow::Context;
 
 use super::shared::{load, options};
-use super::{Accuracy, Generate, Making, Run, Worker};
-use crate::bench::sim::pick::{self, Request};
+use super::{Accuracy, Generate, RolloutArgs, Run, Worker};
 use crate::cli::progress;
 use crate::mujoco::{PhysicsOptions, Preset};
-use crate::sim::{self, Scene, Summary, Workers};
+use crate::sim::budget::{self, Request, Table};
+use crate::sim::{self, RecordSummary, Scene, WorkerCommand};
 
 pub fn run(args: &Run) -> anyhow::Result<()> {
-    let scene = told(load(&args.scene)?, &args.accuracy)?;
+    let factor = factor(&args.accuracy)?;
+    let scene = with_printed_accuracy(load(&args.scene)?, &args.accuracy, factor)?;
     let bar = progress::bar("frames");
-    let options = options(&args.making, args.size)?;
+    let options = options(&args.rollout, args.size)?;
     let summary = sim::record(&scene, args.seed, &options, &args.out, |done, all| progress::step(&bar, done, all))?;
     bar.finish_and_clear();
     print(&summary, &args.out);
@@ -23,37 +24,38 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
 }
 
 pub fn generate(args: &Generate) -> anyhow::Result<()> {
-    let scenes = args.scenes.iter().map(|name| told(load(name)?, &args.accuracy));
-    let plan = sim::Generate {
+    let factor = factor(&args.accuracy)?;
+    let scenes = args.scenes.iter().map(|name| with_printed_accuracy(load(name)?, &args.accuracy, factor));
+    let plan = sim::DatasetPlan {
         scenes: scenes.collect::<anyhow::Result<_>>()?,
         episodes: args.episodes,
         seed: args.seed,
         jobs: args.jobs,
-        options: options(&args.making, args.size)?,
+        options: options(&args.rollout, args.size)?,
     };
     let [episodes, chunks] = ["episodes", "chunks of the store"].map(progress::bar);
     let progress = |at| match at {
-        sim::Progress::Episodes(done, all) => progress::step(&episodes, done, all),
-        sim::Progress::Chunks(done, all) => {
+        sim::GenerateProgress::Episodes(done, all) => progress::step(&episodes, done, all),
+        sim::GenerateProgress::Chunks(done, all) => {
             episodes.finish_and_clear();
             progress::step(&chunks, done, all);
         }
     };
     let summary = match args.in_process {
         true => sim::generate(&plan, &args.out, progress)?,
-        false => sim::generate_isolated(&plan, &workers(args)?, args.skip_failed, &args.out, progress)?,
+        false => sim::generate_in_processes(&plan, &workers(args, factor)?, args.skip_failed, &args.out, progress)?,
     };
     chunks.finish_and_clear();
     print(&summary, &args.out);
     Ok(())
 }
 
-/// This program with the same scenes and options.
-fn workers(args: &Generate) -> anyhow::Result<Workers> {
-    let program = std::env::current_exe().context("where this program lies")?;
+/// Returns the command that starts this program as a worker with the same scenes and options.
+fn workers(args: &Generate, factor: Option<f64>) -> anyhow::Result<WorkerCommand> {
+    let program = std::env::current_exe().context("cannot find the path of this program")?;
     let mut arguments: Vec<OsString> = ["sim", "worker"].map(OsString::from).to_vec();
     arguments.extend(["--size".into(), args.size.to_string().into()]);
-    let Making { shadows, kernel, hands } = &args.making;
+    let RolloutArgs { shadows, kernel, hands } = &args.rollout;
     arguments.extend(["--sigma".into(), kernel.sigma.to_string().into()]);
     if *shadows {
         arguments.push("--shadows".into());
@@ -62,7 +64,9 @@ fn workers(args: &Generate) -> anyhow::Result<Workers> {
     let preset = preset.clone().map(|name| ("--preset", name));
     let budget = budget.map(|seconds| ("--budget", format!("{seconds}s")));
     let error = error.map(|share| ("--error", format!("{}%", 100.0 * share)));
-    for (flag, value) in [preset, budget, error].into_iter().flatten() {
+    // Measured once, so that all workers choose the preset that was printed. Rust prints all digits of a number.
+    let factor = factor.map(|factor| ("--budget-factor", factor.to_string()));
+    for (flag, value) in [preset, budget, error, factor].into_iter().flatten() {
         arguments.extend([flag.into(), value.into()]);
     }
     for (flag, path) in [("--mano-left", &hands.mano_left), ("--mano-right", &hands.mano_right)] {
@@ -70,50 +74,60 @@ fn workers(args: &Generate) -> anyhow::Result<Workers> {
     }
     arguments.push("--".into());
     arguments.extend(args.scenes.iter().map(OsString::from));
-    Ok(Workers { program, arguments })
+    Ok(WorkerCommand { program, arguments })
 }
 
 pub fn work(args: &Worker) -> anyhow::Result<()> {
-    let scenes = args.scenes.iter().map(|name| Ok(with_accuracy(Scene::load(name)?, &args.accuracy)?.0));
+    let factor = args.budget_factor.map_or_else(|| factor(&args.accuracy), |factor| Ok(Some(factor)))?;
+    let scenes = args.scenes.iter().map(|name| Ok(with_accuracy(Scene::load(name)?, &args.accuracy, factor)?.0));
     let scenes = scenes.collect::<anyhow::Result<Vec<_>>>()?;
-    let options = options(&args.making, args.size)?;
+    let options = options(&args.rollout, args.size)?;
     sim::worker_process::serve(&scenes, &options, std::io::stdin().lock(), std::io::stdout().lock())?;
     Ok(())
 }
 
-/// As [`with_accuracy`], which is told.
-fn told(scene: Scene, accuracy: &Accuracy) -> anyhow::Result<Scene> {
-    let (scene, news) = with_accuracy(scene, accuracy)?;
-    news.iter().for_each(|line| println!("{line}"));
+/// Measures this machine against the table's, or reads the cached result; `None` without a budget, as nothing else needs
+/// it.
+fn factor(accuracy: &Accuracy) -> anyhow::Result<Option<f64>> {
+    match accuracy.budget {
+        Some(_) => Ok(Some(budget::this_machines_factor(&Table::shipped()?)?)),
+        None => Ok(None),
+    }
+}
+
+/// Applies the accuracy options as [`with_accuracy`], and prints the notes.
+fn with_printed_accuracy(scene: Scene, accuracy: &Accuracy, factor: Option<f64>) -> anyhow::Result<Scene> {
+    let (scene, notes) = with_accuracy(scene, accuracy, factor)?;
+    notes.iter().for_each(|line| println!("{line}"));
     Ok(scene)
 }
 
-/// The scene with the preset that is asked for or follows from the bench's table, and what a user should hear of it.
-fn with_accuracy(mut scene: Scene, accuracy: &Accuracy) -> anyhow::Result<(Scene, Vec<String>)> {
-    let mut news = Vec::new();
+/// Returns the scene with the selected preset, and notes for the user.
+fn with_accuracy(mut scene: Scene, accuracy: &Accuracy, factor: Option<f64>) -> anyhow::Result<(Scene, Vec<String>)> {
+    let mut notes = Vec::new();
     let request = Request { budget: accuracy.budget, error: accuracy.error };
     let preset = match &accuracy.preset {
         Some(name) => Preset::from_name(name)?,
-        None if request == Request::default() => return Ok((scene, news)),
+        None if request == Request::default() => return Ok((scene, notes)),
         None => {
-            let choice = pick::pick(&pick::committed()?, &scene.name, request)?;
-            news.push(format!("{}: preset {choice}: {}, by {}", scene.name, choice.reason, choice.basis));
+            let choice = budget::pick(&Table::shipped()?, factor.unwrap_or(1.0), &scene.name, request)?;
+            notes.push(format!("{}: preset {choice}: {}, by {}", scene.name, choice.reason, choice.basis));
             choice.preset
         }
     };
     let physics = &scene.spec.physics;
     if *physics != PhysicsOptions::preset(physics.preset) {
-        news.push(format!("{}: its own physics values give way to the preset's, except gravity", scene.name));
+        notes.push(format!("{}: the preset replaces the scene's physics values, except gravity", scene.name));
     }
     scene.spec.physics = physics.with_preset(preset);
     let interval = 1.0 / scene.spec.rate;
     scene.spec.physics.steps_in(interval).with_context(|| format!("{} with preset {}", scene.name, preset.name()))?;
-    Ok((scene, news))
+    Ok((scene, notes))
 }
 
-fn print(summary: &Summary, out: &Path) {
+fn print(summary: &RecordSummary, out: &Path) {
     println!(
-        "wrote {}: {} frames, {} with touch; most force {:.2} N; residuals: sum {:.1e}, moment {:.1e} N m",
+        "wrote {}: {} frames, {} with touch; largest force {:.2} N; residuals: sum {:.1e}, moment {:.1e} N m",
         out.display(),
         summary.frames,
         summary.touching,
@@ -125,6 +139,6 @@ fn print(summary: &Summary, out: &Path) {
         println!("left out: {failed}");
     }
     for (reason, count) in &summary.invalid {
-        println!("{count} frames not valid: {reason}");
+        println!("{count} invalid frames: {reason}");
     }
 }

@@ -1,4 +1,4 @@
-//! `egotac sim list` and `egotac sim show`.
+//! `egotac sim list` and `egotac sim show`: names and pictures of scenes.
 
 use std::path::Path;
 
@@ -20,20 +20,8 @@ pub fn list() -> anyhow::Result<()> {
 }
 
 pub fn show(args: &Show) -> anyhow::Result<()> {
-    let mut rollout = Rollout::new(&Scene::load(&args.scene)?, args.seed, &options(&args.making, args.size)?)?;
-    let frames = rollout.frame_count();
-    let instants: Vec<usize> = match (args.time, args.sheet) {
-        (Some(time), _) => {
-            let last = (frames - 1) as f64 * rollout.interval();
-            ensure!((0.0..=last + 1e-9).contains(&time), "--time: expected 0 to {last:.2} s, got {time}");
-            vec![(time / rollout.interval()).round() as usize]
-        }
-        (None, Some(count)) => {
-            ensure!((1..=100).contains(&count), "--sheet: expected 1 to 100 pictures, got {count}");
-            (0..count).map(|i| (i * 2 + 1) * (frames - 1) / (2 * count)).collect()
-        }
-        (None, None) => vec![frames / 2],
-    };
+    let mut rollout = Rollout::new(&Scene::load(&args.scene)?, args.seed, &options(&args.rollout, args.size)?)?;
+    let instants = instants(args, &rollout)?;
     let columns = (instants.len() as f64).sqrt().ceil() as u32;
     let rows = (instants.len() as u32).div_ceil(columns);
     let mut sheet = RgbImage::new(columns * args.size, rows * args.size);
@@ -65,20 +53,39 @@ pub fn show(args: &Show) -> anyhow::Result<()> {
     write_png(&sheet, &args.out)
 }
 
+/// Selects the frames to show: by time, evenly spread, or the middle one.
+fn instants(args: &Show, rollout: &Rollout) -> anyhow::Result<Vec<usize>> {
+    let frames = rollout.frame_count();
+    Ok(match (args.time, args.sheet) {
+        (Some(time), _) => {
+            let last = (frames - 1) as f64 * rollout.interval();
+            ensure!((0.0..=last + 1e-9).contains(&time), "--time: expected 0 to {last:.2} s, got {time}");
+            vec![(time / rollout.interval()).round() as usize]
+        }
+        (None, Some(count)) => {
+            ensure!((1..=100).contains(&count), "--sheet: expected 1 to 100 pictures, got {count}");
+            (0..count).map(|i| (i * 2 + 1) * (frames - 1) / (2 * count)).collect()
+        }
+        (None, None) => vec![frames / 2],
+    })
+}
+
+/// Prints bodies, normal force and penetration depth of each contact.
 fn print_contacts(rollout: &Rollout) {
     let world = rollout.world();
     for contact in world.contacts() {
         let [a, b] = contact.bodies.map(|body| world.body_name(body));
         let depth = -1e3 * contact.distance;
-        println!("  {a:16} {b:16} {:7.3} N {depth:6.2} mm deep", contact.normal_force);
+        println!("  {a:16} {b:16} {:7.3} N, depth {depth:6.2} mm", contact.normal_force);
     }
 }
 
+/// Counts the vertices in contact.
 fn touched(frame: &SimFrame) -> usize {
     frame.frame.field.contact.iter().filter(|c| **c > 0.5).count()
 }
 
-/// A disc on each vertex in contact, from yellow to red with its force.
+/// Paints a disc on each vertex in contact, from yellow to red with increasing force.
 fn paint_touch(picture: &mut RgbImage, frame: &SimFrame, rollout: &Rollout) {
     for side in Side::BOTH {
         let Some(params) = rollout.hand_params(side) else { continue };

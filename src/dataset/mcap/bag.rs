@@ -1,4 +1,4 @@
-//! Writes a bag of our own messages: a folder with one MCAP file and its `metadata.yaml`.
+//! Writer of bags of our own messages: a folder with one MCAP file and `metadata.yaml`.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 
 /// Size at which a chunk is compressed and written, bytes.
 const CHUNK: u64 = 4 << 20;
-/// Keep the last, reliable, transient local, no deadlines: as rosbag2 writes it.
+/// QoS of latched topics as rosbag2 writes it: keep last, reliable, transient local, no deadline.
 const LATCHED_QOS: &str = "- history: 1
   depth: 1
   reliability: 1
@@ -30,10 +30,10 @@ const LATCHED_QOS: &str = "- history: 1
     nsec: 854775807
   avoid_ros_namespace_conventions: false
 ";
-/// Name of the folder while it is written.
+/// Suffix of the folder's name during writing.
 const UNFINISHED: &str = ".unfinished";
 
-/// Writes a bag, message by message; the folder bears its name only once it is whole.
+/// Atomic writer of a bag, message by message: [`BagWriter::finish`] gives the complete folder its name.
 pub struct BagWriter {
     folder: PathBuf,
     name: String,
@@ -53,15 +53,15 @@ struct Topic {
 }
 
 impl BagWriter {
-    /// Starts a bag that will lie in the folder `folder`.
+    /// Starts the bag `folder`.
     ///
     /// # Errors
-    /// If `folder` exists, or can't be written beside.
+    /// If `folder` exists, or its parent can't be written.
     pub fn create(folder: &Path) -> Result<Self> {
         Self::create_named(folder, &file_name(folder))
     }
 
-    /// Starts a bag in the folder `folder` whose MCAP file is called `file`.
+    /// Starts the bag `folder` with an MCAP file called `file`.
     ///
     /// # Errors
     /// As [`Self::create`].
@@ -126,7 +126,7 @@ impl BagWriter {
         Ok(())
     }
 
-    /// Adds text about the recording under a name.
+    /// Adds a metadata record.
     ///
     /// # Errors
     /// If the file can't be written.
@@ -138,7 +138,7 @@ impl BagWriter {
     /// Closes the bag, writes `metadata.yaml` and gives the folder its name.
     ///
     /// # Errors
-    /// If a file can't be written, or the folder has come to exist.
+    /// If a file can't be written, or another process created the folder.
     pub fn finish(mut self) -> Result<()> {
         self.writer.finish().map_err(|error| Error::file(&self.folder, error))?;
         let path = self.unfinished.join("metadata.yaml");
@@ -167,7 +167,7 @@ impl std::fmt::Debug for BagWriter {
     }
 }
 
-/// Name of the one MCAP file in the bag `folder`, as rosbag2 numbers them.
+/// Returns the name of the first MCAP file in the bag `folder`, as rosbag2 numbers them.
 pub fn file_name(folder: &Path) -> String {
     let name = folder.file_name().map_or_else(|| "bag".into(), |name| name.to_string_lossy());
     format!("{name}_0.mcap")

@@ -1,4 +1,4 @@
-//! What lies in a chunk of an MCAP file.
+//! Chunks of an MCAP file, decompressed.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -7,49 +7,50 @@ use std::ops::Range;
 use mcap::records::op;
 use serde::{Deserialize, Serialize};
 
-use super::records::{Lost, PREFIX, Record, Records, chunk_header};
+use super::records::{PREFIX, Record, Records, chunk_header};
+use crate::dataset::source::LostBytes;
 use crate::error::Result;
 
-/// Most room made for a chunk's records before they are there, bytes: what its head says may be damage.
+/// Upper limit of the memory reserved from a chunk's header, bytes: a damaged header may state any size.
 const ROOM: u64 = 1 << 26;
 
-/// A chunk, and its records uncompressed.
+/// A chunk and its uncompressed records.
 #[derive(Debug)]
-pub struct Content {
+pub struct ChunkContent {
     body: Vec<u8>,
-    /// The records, where they had to be unpacked.
+    /// The decompressed data; None for a chunk without compression.
     unpacked: Option<Vec<u8>>,
-    /// Where they lie, there or in the body.
+    /// Place of the records in `unpacked`, or else in `body`.
     place: Range<usize>,
-    /// The end that is missing, since the file ends before it; None = these are all of the chunk's records.
-    pub lost: Option<Lost>,
+    /// The missing end of a truncated chunk; None = the chunk is complete.
+    pub lost: Option<LostBytes>,
 }
 
-impl Content {
-    /// The chunk's record as it is in the file.
+impl ChunkContent {
+    /// Returns the content of the chunk's record as it lies in the file.
     pub fn body(&self) -> &[u8] {
         &self.body
     }
 
-    /// Whole records, opcode and length included.
+    /// Returns the complete records, opcode and length included.
     pub fn records(&self) -> &[u8] {
         &self.unpacked.as_ref().unwrap_or(&self.body)[self.place.clone()]
     }
 }
 
-/// Log time, ns, and offset among the chunk's records of each message, by channel.
+/// Log time, ns, and offset among the chunk's records, bytes, of each message by channel.
 pub(super) type MessageIndex = BTreeMap<u16, Vec<(u64, u64)>>;
 
-/// What a file's indexes say about a chunk: who has it can copy the chunk without unpacking it.
+/// Definitions and message index of a chunk: all that is needed to copy the chunk without decompressing it.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Skeleton {
-    /// Opcode and content of its schemas and channels.
+pub struct ChunkOutline {
+    /// Opcode and content of its schema and channel records.
     pub definitions: Vec<(u8, Vec<u8>)>,
     pub(super) index: MessageIndex,
 }
 
-impl Skeleton {
-    /// That of a chunk's uncompressed `records`.
+impl ChunkOutline {
+    /// Indexes a chunk's uncompressed `records`.
     pub fn of(records: &[u8]) -> Self {
         let mut skeleton = Self::default();
         let mut start = 0;
@@ -60,7 +61,7 @@ impl Skeleton {
         skeleton
     }
 
-    /// Adds the record that begins at `offset`.
+    /// Adds the record at `offset`.
     pub(super) fn add(&mut self, opcode: u8, body: &[u8], offset: u64) {
         match (opcode, body.first_chunk(), log_time(body)) {
             (op::MESSAGE, Some(id), Some(time)) => {
@@ -72,28 +73,33 @@ impl Skeleton {
     }
 }
 
-/// A message record's log time, ns.
+/// Returns the log time of a message record, ns.
 pub(super) fn log_time(body: &[u8]) -> Option<u64> {
-    // After channel id and sequence.
+    // It follows channel id (2 bytes) and sequence number (4 bytes).
     body.get(6..)?.first_chunk().map(|time| u64::from_le_bytes(*time))
 }
 
-/// Reads the chunk at `record`, whole or not at all; of one that is `cut_off` since the file ends, what is there.
+/// Reads the chunk at `record`. A damaged chunk is lost as a whole; of a chunk that the end of the file truncates
+/// (`cut_off`), the complete records are kept. The inner error describes the damage.
 ///
 /// # Errors
-/// If the file can't be read; inside, what is wrong with the chunk.
-pub(super) fn open_chunk(file: &Records, record: &Record, cut_off: bool) -> Result<std::result::Result<Content, Lost>> {
+/// If the file can't be read.
+pub(super) fn open_chunk(
+    file: &Records,
+    record: &Record,
+    cut_off: bool,
+) -> Result<std::result::Result<ChunkContent, LostBytes>> {
     let lost = |reason: String| Ok(Err(file.lost(record, reason)));
     let body = file.body(record)?;
     let Some((header, start)) = chunk_header(&body) else {
-        return lost("a chunk without a proper head".into());
+        return lost("a chunk with an invalid header".into());
     };
     let compressed = &body[start..];
     let wanted = header.uncompressed_size;
     let mut unpacked = Vec::with_capacity(if header.compression.is_empty() { 0 } else { wanted.min(ROOM) as usize });
     let result = match header.compression.as_str() {
         "" => Ok(0),
-        // In one go, which spares a copy, where there is room and nothing is missing.
+        // Decompress into the final buffer where the size is trusted: spares one copy.
         "zstd" if wanted <= ROOM && !cut_off => {
             zstd::bulk::Decompressor::new().and_then(|mut zstd| zstd.decompress_to_buffer(compressed, &mut unpacked))
         }
@@ -108,7 +114,7 @@ pub(super) fn open_chunk(file: &Records, record: &Record, cut_off: bool) -> Resu
             (Some(unpacked), place)
         }
     };
-    let mut content = Content { body, unpacked, place, lost: None };
+    let mut content = ChunkContent { body, unpacked, place, lost: None };
     let records = content.records();
     let whole_records = inner_records(records).last().map_or(0, |(end, ..)| end);
     if cut_off {
@@ -122,18 +128,18 @@ pub(super) fn open_chunk(file: &Records, record: &Record, cut_off: bool) -> Resu
         return lost(format!("a chunk that can't be decompressed: {error}"));
     }
     if records.len() as u64 != wanted {
-        return lost(format!("a chunk of {} bytes where {wanted} should be", records.len()));
+        return lost(format!("a chunk of {} bytes, expected {wanted}", records.len()));
     }
     if header.uncompressed_crc != 0 && crc32fast::hash(records) != header.uncompressed_crc {
         return lost("a chunk whose checksum is wrong".into());
     }
     if whole_records != records.len() {
-        return lost("a chunk whose records do not add up".into());
+        return lost("a chunk whose records do not fill it".into());
     }
     Ok(Ok(content))
 }
 
-/// Opcode and content of each record in a chunk, up to the first that is not whole; with the offset of its end.
+/// Returns end offset, opcode and content of each record in a chunk, up to the first incomplete one.
 pub(super) fn inner_records(records: &[u8]) -> impl Iterator<Item = (usize, u8, &[u8])> {
     let mut at = 0;
     std::iter::from_fn(move || {

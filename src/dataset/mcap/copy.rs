@@ -1,4 +1,4 @@
-//! Writes an MCAP file from the records of another, byte for byte, and from new ones.
+//! Writer of an MCAP file from copied records, byte for byte, and new records.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -11,18 +11,18 @@ use crc32fast::Hasher;
 use mcap::MAGIC;
 use mcap::records::{AttachmentIndex, Record as Parsed, op};
 
-use super::chunk::{Skeleton, log_time};
+use super::chunk::{ChunkOutline, log_time};
 use super::records::{PREFIX, Record, chunk_header};
 use crate::error::{Error, Result};
 
 /// Size at which a chunk of new records is compressed and written, bytes.
 const CHUNK: usize = 1 << 20;
-/// Compression of new chunks: the fastest, as the labels are small beside the images, and hardly larger for it.
+/// Level of zstd for new chunks: the fastest, since labels are small beside images and hardly shrink at higher levels.
 const LEVEL: i32 = 1;
-/// Bytes copied at a time.
+/// Size of the copy buffer, bytes.
 const COPY: usize = 1 << 20;
 
-/// Writes one file; indexes and the summary at its end cover copied and new records.
+/// Writer of one file; its indexes and summary cover copied and new records.
 pub struct CopyWriter {
     path: PathBuf,
     out: BufWriter<File>,
@@ -30,9 +30,9 @@ pub struct CopyWriter {
     crc: Hasher,
     chunked: bool,
     open: OpenChunk,
-    /// The full chunk that another thread compresses meanwhile.
+    /// Thread that compresses the last full chunk.
     packing: Option<JoinHandle<std::io::Result<Packed>>>,
-    // Contents of the records by id, as the summary repeats them.
+    // Schemas and channels by id, which the summary repeats.
     schemas: BTreeMap<u16, Vec<u8>>,
     channels: BTreeMap<u16, Vec<u8>>,
     chunks: Vec<ChunkEntry>,
@@ -42,14 +42,14 @@ pub struct CopyWriter {
     times: Option<(u64, u64)>,
 }
 
-/// A chunk's record, and what indexes say about it.
-type Packed = (Vec<u8>, Skeleton);
+/// Content of a chunk's record, and its definitions and message index.
+type Packed = (Vec<u8>, ChunkOutline);
 
-/// Records that wait for their chunk to be full.
+/// New records of a chunk that is not full yet.
 #[derive(Default)]
 struct OpenChunk {
     records: Vec<u8>,
-    skeleton: Skeleton,
+    skeleton: ChunkOutline,
 }
 
 impl OpenChunk {
@@ -82,7 +82,7 @@ struct ChunkEntry {
 }
 
 impl CopyWriter {
-    /// Starts the file at `path`; `chunked` if new messages go into chunks, as in the file that is copied.
+    /// Starts the file at `path`. With `chunked`, new messages go into chunks, as in the original file.
     ///
     /// # Errors
     /// If it can't be written.
@@ -108,27 +108,27 @@ impl CopyWriter {
         Ok(writer)
     }
 
-    /// Messages by channel.
+    /// Returns the number of messages by channel.
     pub fn counts(&self) -> &BTreeMap<u16, u64> {
         &self.counts
     }
 
-    /// First and last log time, ns; None without a message.
+    /// Returns first and last log time, ns; None without a message.
     pub fn times(&self) -> Option<(u64, u64)> {
         self.times
     }
 
-    /// Contents of the channel records by id.
+    /// Returns the contents of the channel records by id.
     pub fn channels(&self) -> &BTreeMap<u16, Vec<u8>> {
         &self.channels
     }
 
-    /// Contents of the schema records by id.
+    /// Returns the contents of the schema records by id.
     pub fn schemas(&self) -> &BTreeMap<u16, Vec<u8>> {
         &self.schemas
     }
 
-    /// Writes a record as it is; messages, schemas and channels of a chunked file go into a chunk of their own, which
+    /// Writes a record unchanged. In a chunked file, messages, schemas and channels go into a new chunk, which
     /// [`CopyWriter::flush_if_full`] writes.
     ///
     /// # Errors
@@ -153,12 +153,12 @@ impl CopyWriter {
         self.plain(opcode, body)
     }
 
-    /// Writes a chunk's record as it is, and indexes of its messages, which `skeleton` says.
+    /// Writes a chunk's record unchanged, and its message indexes from `skeleton`.
     ///
     /// # Errors
     /// If the file can't be written.
-    pub fn chunk(&mut self, body: &[u8], skeleton: Skeleton) -> Result<()> {
-        let Skeleton { definitions, index } = skeleton;
+    pub fn chunk(&mut self, body: &[u8], skeleton: ChunkOutline) -> Result<()> {
+        let ChunkOutline { definitions, index } = skeleton;
         definitions.into_iter().for_each(|(opcode, body)| self.define(opcode, body));
         for (channel, entries) in &index {
             entries.iter().for_each(|(time, _)| self.count(*channel, *time));
@@ -193,7 +193,7 @@ impl CopyWriter {
         Ok(())
     }
 
-    /// Copies an attachment; false = its checksum is wrong, and nothing was written.
+    /// Copies an attachment; false = its checksum is wrong and it was left out.
     ///
     /// # Errors
     /// If a file can't be read or written.
@@ -217,7 +217,7 @@ impl CopyWriter {
         Ok(true)
     }
 
-    /// Closes the file with its summary.
+    /// Writes the summary and closes the file.
     ///
     /// # Errors
     /// If it can't be written.
@@ -254,7 +254,7 @@ impl CopyWriter {
         self.out.flush().map_err(Error::io(&self.path))
     }
 
-    /// The summary's records, in the order of the specification.
+    /// Returns the records of the summary in the order of the specification.
     fn summary(&self) -> Vec<(u8, Vec<Vec<u8>>)> {
         let (start, end) = self.times.unwrap_or((0, 0));
         let mut statistics = Vec::new();
@@ -304,21 +304,21 @@ impl CopyWriter {
         ]
     }
 
-    /// What the summary will say about a schema or a channel.
+    /// Records a schema or channel for the summary.
     fn define(&mut self, opcode: u8, body: Vec<u8>) {
         let Some(id) = body.first_chunk().map(|id| u16::from_le_bytes(*id)) else { return };
         let there = if opcode == op::SCHEMA { &mut self.schemas } else { &mut self.channels };
         there.insert(id, body);
     }
 
-    /// What it will say about a message.
+    /// Counts a message for the summary.
     fn count(&mut self, channel: u16, time: u64) {
         *self.counts.entry(channel).or_default() += 1;
         let (start, end) = self.times.unwrap_or((time, time));
         self.times = Some((start.min(time), end.max(time)));
     }
 
-    /// Has the open chunk compressed, and writes the one before it.
+    /// Starts to compress the open chunk, and writes the previous one.
     fn end_chunk(&mut self) -> Result<()> {
         self.write_packed()?;
         let chunk = std::mem::take(&mut self.open);
@@ -328,7 +328,7 @@ impl CopyWriter {
         Ok(())
     }
 
-    /// Writes the chunk that was being compressed, and its indexes.
+    /// Waits for the chunk that is being compressed, and writes it with its indexes.
     fn write_packed(&mut self) -> Result<()> {
         let Some(packing) = self.packing.take() else { return Ok(()) };
         let died = |_| Err(std::io::Error::other("the thread that compresses new messages died"));
@@ -336,7 +336,7 @@ impl CopyWriter {
         self.chunk(&body, skeleton)
     }
 
-    /// Ends the chunk of new records if it is full.
+    /// Ends the open chunk if it is full.
     ///
     /// # Errors
     /// If the file can't be written.
@@ -367,10 +367,10 @@ impl std::fmt::Debug for CopyWriter {
     }
 }
 
-/// The index of an attachment that will lie at `offset`; None if its checksum is wrong or its head makes no sense.
+/// Returns the index record of an attachment at its new `offset`; None if its checksum or header is invalid.
 fn attachment_index(file: &File, record: &Record, offset: u64) -> std::io::Result<Option<AttachmentIndex>> {
     let start = record.offset + PREFIX;
-    // Two times, two short texts, the size; then the data and its checksum.
+    // Layout: log time, creation time, name, media type, data size, data, CRC-32.
     let mut head = vec![0; record.length.min(64 << 10) as usize];
     file.read_exact_at(&mut head, start)?;
     let text = |at: usize| -> Option<(String, usize)> {
@@ -409,7 +409,7 @@ fn put_record(out: &mut Vec<u8>, opcode: u8, body: &[u8]) {
     out.extend_from_slice(body);
 }
 
-/// A text as MCAP has it: length, then bytes.
+/// Appends a string in the form of MCAP: length, then bytes.
 pub(crate) fn put_text(out: &mut Vec<u8>, text: &str) {
     out.extend_from_slice(&(text.len() as u32).to_le_bytes());
     out.extend_from_slice(text.as_bytes());

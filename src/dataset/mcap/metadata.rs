@@ -1,39 +1,39 @@
-//! The `metadata.yaml` of a bag.
+//! Content of a bag's `metadata.yaml`.
 
 use serde::Serialize;
 
 use crate::error::{Error, Result};
 
-/// Layout of the file: 5 is read by all distributions from Humble on.
+/// Version of the layout; all distributions from Humble on read version 5.
 const VERSION: u32 = 5;
 
 /// A topic of a bag.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BagTopic {
-    /// The topic.
+    /// Name of the topic.
     pub name: String,
     /// Type of its messages, for instance `sensor_msgs/msg/Image`.
     pub type_name: String,
-    /// How messages are serialised, for instance `cdr`.
+    /// Serialisation of the messages, for instance `cdr`.
     pub encoding: String,
-    /// Offered qualities of service, YAML in a string; may be empty.
+    /// Offered QoS profiles, YAML in a string; may be empty.
     pub qos: String,
-    /// Messages on it.
+    /// Number of messages.
     pub messages: u64,
 }
 
 /// A file of a bag.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BagFile {
-    /// Name within the bag's folder.
+    /// Name in the bag's folder.
     pub path: String,
     /// First and last log time, ns; None without a message.
     pub times: Option<(u64, u64)>,
-    /// Messages in it.
+    /// Number of messages.
     pub messages: u64,
 }
 
-/// Text of the `metadata.yaml` of a bag with these topics and files.
+/// Returns the text of `metadata.yaml` for a bag with these topics and files.
 ///
 /// # Errors
 /// If a name can't be written as YAML.

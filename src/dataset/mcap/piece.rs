@@ -1,26 +1,28 @@
-//! An MCAP file piece by piece: its records, and its chunks unpacked.
+//! Pieces of an MCAP file: records and decompressed chunks.
 
 use std::path::Path;
 
 use mcap::records::op;
 
-use super::chunk::{Content, inner_records, open_chunk};
-use super::records::{Lost, Part, Record, Records};
+use super::chunk::{ChunkContent, inner_records, open_chunk};
+use super::records::{FileSpan, Record, Records};
+use crate::dataset::source::LostBytes;
 use crate::error::Result;
 
 /// A piece of a file with its content.
 #[derive(Debug)]
 pub enum Piece {
-    /// A record outside of chunks, with its content; that of an attachment, which may be of any size, stays in the file.
+    /// A record outside of chunks, with its content. The content of an attachment stays in the file, since it may be of any
+    /// size.
     Record(Record, Vec<u8>),
-    /// A chunk, and where it begins.
-    Chunk(u64, Content),
+    /// A chunk and its offset in the file, bytes.
+    Chunk(u64, ChunkContent),
     /// Damage.
-    Lost(Lost),
+    Lost(LostBytes),
 }
 
 impl Piece {
-    /// Opcode and content of the piece's record, or of each in its chunk.
+    /// Returns opcode and content of the record, or of each record in the chunk.
     pub fn records(&self) -> impl Iterator<Item = (u8, &[u8])> {
         let (single, chunk) = match self {
             Self::Record(record, body) => (Some((record.opcode, body.as_slice())), None),
@@ -30,7 +32,7 @@ impl Piece {
         single.into_iter().chain(chunk.into_iter().flatten().map(|(_, opcode, body)| (opcode, body)))
     }
 
-    /// Where it begins in the file.
+    /// Returns the offset of the piece in the file, bytes.
     pub fn offset(&self) -> u64 {
         match self {
             Self::Record(record, _) => record.offset,
@@ -40,7 +42,7 @@ impl Piece {
     }
 }
 
-/// The pieces of one file in order, up to the end of its data section.
+/// Pieces of one file in order, up to the end of its data section.
 #[derive(Debug)]
 pub struct Pieces(Records);
 
@@ -48,7 +50,7 @@ impl Pieces {
     /// Opens the file at `path`.
     ///
     /// # Errors
-    /// If it can't be read, or does not begin as MCAP files do.
+    /// If it can't be read, or lacks the magic bytes of MCAP.
     pub fn open(path: &Path) -> Result<Self> {
         Records::open(path).map(Self)
     }
@@ -62,15 +64,15 @@ impl Pieces {
 }
 
 impl Records {
-    /// A part of the file with its content; None = the data section ends.
+    /// Reads the content of a stretch; None at the end of the data section.
     ///
     /// # Errors
     /// If the file can't be read.
-    pub fn piece(&self, part: Part) -> Result<Option<Piece>> {
+    pub fn piece(&self, part: FileSpan) -> Result<Option<Piece>> {
         let (record, cut_off) = match part {
-            Part::Lost(lost) => return Ok(Some(Piece::Lost(lost))),
-            Part::CutOff(record) => (record, true),
-            Part::Record(record) => (record, false),
+            FileSpan::Lost(lost) => return Ok(Some(Piece::Lost(lost))),
+            FileSpan::CutOff(record) => (record, true),
+            FileSpan::Record(record) => (record, false),
         };
         Ok(match record.opcode {
             op::DATA_END => None,

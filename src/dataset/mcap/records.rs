@@ -1,4 +1,4 @@
-//! The records of an MCAP file one after the other, past damage, in constant memory.
+//! Records of an MCAP file in order and in constant memory; damage is skipped and reported.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -8,51 +8,39 @@ use std::path::{Path, PathBuf};
 use mcap::MAGIC;
 use mcap::records::{ChunkHeader, Record as Parsed, op};
 
+use crate::dataset::source::LostBytes;
 use crate::error::{Error, Result};
 
-/// Opcode and length before each record's content, bytes.
+/// Size of opcode and length, which precede the content of each record, bytes.
 pub(super) const PREFIX: u64 = 9;
-/// Records in a row that must make sense before damage counts as over.
+/// Number of valid records in a row that end a damaged stretch. One or two can be valid by chance.
 const CHAIN: usize = 4;
-/// Bytes looked through at a time for the end of damage.
+/// Size of the window in which the end of damage is searched, bytes.
 const WINDOW: usize = 1 << 20;
 
-/// A record's place.
+/// Kind and place of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Record {
     /// Kind, one of [`op`].
     pub opcode: u8,
-    /// Where it begins, its opcode included.
+    /// Offset of its opcode in the file, bytes.
     pub offset: u64,
-    /// Bytes of its content.
+    /// Length of its content, bytes.
     pub length: u64,
 }
 
-/// Bytes that could not be read as what they should be.
-#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct Lost {
-    /// The file.
-    pub file: String,
-    /// Where the damage begins in it.
-    pub offset: u64,
-    /// Bytes left out.
-    pub bytes: u64,
-    /// What is wrong.
-    pub reason: String,
-}
-
-/// What a file is made of.
+/// A stretch of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Part {
+pub enum FileSpan {
     /// A record of the data section, or its end.
     Record(Record),
-    /// A chunk whose end is missing since the file ends.
+    /// A chunk that the end of the file truncates.
     CutOff(Record),
     /// Damage.
-    Lost(Lost),
+    Lost(LostBytes),
 }
 
-/// Walks the records from the file's head to the end of its data section.
+/// Reads the records from the file's header to the end of its data section.
 #[derive(Debug)]
 pub struct Records {
     path: PathBuf,
@@ -66,7 +54,7 @@ impl Records {
     /// Opens the file at `path`.
     ///
     /// # Errors
-    /// If it can't be read, or does not begin as MCAP files do.
+    /// If it can't be read, or lacks the magic bytes of MCAP.
     pub fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(Error::io(path))?;
         let size = file.metadata().map_err(Error::io(path))?.len();
@@ -77,24 +65,24 @@ impl Records {
         Ok(Self { path: path.to_path_buf(), file, size, at: MAGIC.len() as u64, done: false })
     }
 
-    /// Bytes of the file.
+    /// Returns the size of the file, bytes.
     pub fn size(&self) -> u64 {
         self.size
     }
 
-    /// The file itself.
+    /// Returns the file.
     pub fn file(&self) -> &File {
         &self.file
     }
 
-    /// A record's content, as far as the file goes.
+    /// Reads the content of a record, up to the end of the file.
     ///
     /// # Errors
     /// If the file can't be read.
     pub fn body(&self, record: &Record) -> Result<Vec<u8>> {
         let start = record.offset + PREFIX;
         let length = record.length.min(self.size.saturating_sub(start));
-        // Not `read_exact_at`: it wants a buffer of zeros, and to make that takes nearly as long as to read a large chunk.
+        // Not `read_exact_at`: zeroing its buffer takes nearly as long as reading a large chunk.
         let mut body = Vec::with_capacity(length as usize);
         let mut file = &self.file;
         let read = file.seek(SeekFrom::Start(start)).and_then(|_| file.take(length).read_to_end(&mut body));
@@ -104,33 +92,33 @@ impl Records {
         }
     }
 
-    /// Damage at `record`, which is left out.
-    pub fn lost(&self, record: &Record, reason: impl ToString) -> Lost {
+    /// Returns the damage report of `record`.
+    pub fn lost(&self, record: &Record, reason: impl ToString) -> LostBytes {
         let bytes = (record.length + PREFIX).min(self.size - record.offset);
         self.lost_bytes(record.offset, bytes, reason)
     }
 
-    fn lost_bytes(&self, offset: u64, bytes: u64, reason: impl ToString) -> Lost {
+    fn lost_bytes(&self, offset: u64, bytes: u64, reason: impl ToString) -> LostBytes {
         let file = self.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        Lost { file, offset, bytes, reason: reason.to_string() }
+        LostBytes { file, offset, bytes, reason: reason.to_string() }
     }
 
-    /// The next part; None after the data section's end.
+    /// Returns the next stretch; None after the end of the data section.
     ///
     /// # Errors
     /// If the file can't be read.
-    pub fn next_part(&mut self) -> Result<Option<Part>> {
+    pub fn next_part(&mut self) -> Result<Option<FileSpan>> {
         if self.done {
             return Ok(None);
         }
         if let Some(record) = self.header_at(self.at)? {
             self.at = record.offset + PREFIX + record.length;
             self.done = record.opcode == op::DATA_END;
-            return Ok(Some(Part::Record(record)));
+            return Ok(Some(FileSpan::Record(record)));
         }
         if let Some(record) = self.cut_off_chunk()? {
             self.done = true;
-            return Ok(Some(Part::CutOff(record)));
+            return Ok(Some(FileSpan::CutOff(record)));
         }
         let start = self.at;
         let lost = match self.find_chain(start + 1)? {
@@ -143,10 +131,10 @@ impl Records {
                 self.lost_bytes(start, self.size - start, "the file ends here, without the end of a recording")
             }
         };
-        Ok(Some(Part::Lost(lost)))
+        Ok(Some(FileSpan::Lost(lost)))
     }
 
-    /// The record that begins at `offset`, if it fits the file.
+    /// Returns the record that begins at `offset`, if it fits into the file.
     fn header_at(&self, offset: u64) -> Result<Option<Record>> {
         let mut prefix = [0; PREFIX as usize];
         if offset + PREFIX > self.size {
@@ -155,12 +143,12 @@ impl Records {
         self.file.read_exact_at(&mut prefix, offset).map_err(Error::io(&self.path))?;
         let record = record_of(&prefix, offset);
         let fits = record.length <= self.size - offset - PREFIX;
-        // Opcodes from 0x80 on are private, those between are not assigned.
+        // Opcodes from 0x80 on are private; those in between are not assigned.
         let known = (op::HEADER..=op::DATA_END).contains(&record.opcode) || record.opcode >= 0x80;
         Ok((fits && known).then_some(record))
     }
 
-    /// The chunk at the present place, if its head makes sense and only its end is missing.
+    /// Returns the chunk at the present offset, if its header is valid and only its end is missing.
     fn cut_off_chunk(&self) -> Result<Option<Record>> {
         if self.at + PREFIX > self.size {
             return Ok(None);
@@ -177,7 +165,7 @@ impl Records {
             .map(|_| record))
     }
 
-    /// Where, from `from` on, several records in a row make sense again.
+    /// Returns the first offset from `from` on at which [`CHAIN`] valid records follow each other.
     fn find_chain(&self, from: u64) -> Result<Option<u64>> {
         let mut window = vec![0; WINDOW];
         let mut start = from;
@@ -192,7 +180,7 @@ impl Records {
                     return Ok(Some(offset));
                 }
             }
-            // The next window begins with the last bytes of this one, where a record's head may be cut.
+            // Overlap the windows, so that a record header on the border is found.
             start += (length - PREFIX as usize + 1) as u64;
         }
         Ok(None)
@@ -201,7 +189,7 @@ impl Records {
     fn chain_at(&self, mut offset: u64) -> Result<bool> {
         for _ in 0..CHAIN {
             match self.header_at(offset)? {
-                // The data section's end has four bytes: nothing else looks like it by chance.
+                // The record that ends the data section holds four bytes: random bytes hardly match it.
                 Some(Record { opcode: op::DATA_END, length, .. }) => return Ok(length == 4),
                 Some(record) if record.length > 0 && record.opcode <= op::DATA_END => {
                     offset += PREFIX + record.length;
@@ -213,16 +201,16 @@ impl Records {
     }
 }
 
-/// Parses a chunk's head; also says where its data begins.
+/// Parses the header of a chunk; also returns the offset of its data.
 pub(super) fn chunk_header(body: &[u8]) -> Option<(ChunkHeader, usize)> {
-    // Four numbers, then the name of the compression.
+    // Start time, end time, size, CRC-32, then the name of the compression.
     const NAME: usize = 8 + 8 + 8 + 4;
     let length = u32::from_le_bytes(body.get(NAME..NAME + 4)?.try_into().ok()?) as usize;
     if !["", "zstd", "lz4"].map(str::len).contains(&length) {
         return None;
     }
     let data = NAME + 4 + length + 8;
-    // The parser wants the data too; what it is asked for is the head alone.
+    // The parser expects the data as well: set its length to 0 to parse the header alone.
     let mut head = body.get(..data)?.to_vec();
     let size = head.len() - 8;
     let compressed_size = u64::from_le_bytes(head[size..].try_into().ok()?);

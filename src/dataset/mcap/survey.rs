@@ -1,4 +1,4 @@
-//! What is in a bag, without reading all of it where its summary tells.
+//! Topics, schemas and metadata of MCAP files, from their summaries where possible.
 
 use std::collections::BTreeMap;
 use std::os::unix::fs::FileExt;
@@ -11,45 +11,46 @@ use super::piece::{Piece, Pieces};
 use super::records::{PREFIX, Records};
 use crate::error::{Error, Result};
 
-/// Largest summary that is read whole, bytes; beyond it the file itself is read.
+/// Largest summary that is read, bytes; beyond it the records are read.
 const LARGEST_SUMMARY: u64 = 1 << 30;
 
 /// A channel of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Topic {
-    /// The topic's name.
+    /// Name of the topic.
     pub name: String,
     /// Type of its messages; empty without a schema.
     pub type_name: String,
-    /// How messages are serialised, for instance `cdr`.
+    /// Serialisation of the messages, for instance `cdr`.
     pub encoding: String,
-    /// Offered qualities of service as the channel names them.
+    /// Offered QoS profiles, as the channel states them.
     pub qos: String,
-    /// Messages.
+    /// Number of messages.
     pub messages: u64,
 }
 
-/// What an MCAP file holds.
+/// Content of an MCAP file.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Survey {
     /// Channels by id.
     pub topics: BTreeMap<u16, Topic>,
     /// Name, encoding and text of the schemas by id.
     pub schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
-    /// Whether messages lie in chunks.
+    /// True if messages lie in chunks.
     pub chunked: bool,
     /// First and last log time, ns; None without a message.
     pub times: Option<(u64, u64)>,
-    /// Whether this comes from the file's summary, or else from its records.
+    /// True if this comes from the file's summary, false if from its records.
     pub from_summary: bool,
-    /// Text metadata of the file by name.
+    /// Metadata records by name.
     pub metadata: BTreeMap<String, BTreeMap<String, String>>,
 }
 
-/// The MCAP files of a bag in order: those that `metadata.yaml` names, or else all of the folder; or the file itself.
+/// Returns the MCAP files of a bag in order: the files that `metadata.yaml` lists, or else all of the folder by name. For an
+/// MCAP file, returns the file itself.
 ///
 /// # Errors
-/// If there is none, or the bag is of another storage.
+/// If there is none, or the bag uses another storage.
 pub fn bag_files(path: &Path) -> Result<Vec<PathBuf>> {
     if !path.is_dir() {
         return Ok(vec![path.to_path_buf()]);
@@ -65,7 +66,7 @@ pub fn bag_files(path: &Path) -> Result<Vec<PathBuf>> {
             return Err(Error::file(path, message));
         }
         let named = bag["relative_file_paths"].as_sequence().into_iter().flatten();
-        // Older bags name their files from the folder above.
+        // Older bags list their files relative to the parent folder.
         files.extend(named.filter_map(|name| Some(path.join(Path::new(name.as_str()?).file_name()?))));
     }
     if files.is_empty() {
@@ -80,10 +81,10 @@ pub fn bag_files(path: &Path) -> Result<Vec<PathBuf>> {
     }
 }
 
-/// Surveys one MCAP file: from its summary, or all its records if there is none.
+/// Reads the content of one MCAP file from its summary, or from all records without one.
 ///
 /// # Errors
-/// If the file can't be read or is no MCAP file.
+/// If the file can't be read or is not an MCAP file.
 pub fn survey(path: &Path) -> Result<Survey> {
     if let Some(survey) = from_summary(&Records::open(path)?, path)? {
         return Ok(survey);
@@ -130,7 +131,7 @@ fn from_summary(file: &Records, path: &Path) -> Result<Option<Survey>> {
             Err(_) => return Ok(None),
         }
     }
-    // A summary may leave out what it likes; without counts, or with counts of channels it does not name, it is no help.
+    // All parts of a summary are optional: without counts, or with counts of unlisted channels, read the records.
     let Some(counts) = counts else { return Ok(None) };
     if counts.keys().any(|id| !survey.topics.contains_key(id)) {
         return Ok(None);
@@ -178,13 +179,13 @@ impl Survey {
         }
     }
 
-    /// Messages of all topics.
+    /// Returns the number of messages over all topics.
     pub fn messages(&self) -> u64 {
         self.topics.values().map(|topic| topic.messages).sum()
     }
 }
 
-/// All records of a stretch that holds no damage; stops where it does.
+/// Returns the records in `bytes`, up to the first damage.
 fn records_in(bytes: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
     let mut at = 0;
     std::iter::from_fn(move || {

@@ -1,43 +1,43 @@
-//! Arrays added to a store that is there already.
+//! Writer of further arrays into an existing store.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
 
-use super::column::Column;
-use super::folder::{Root, write_json};
+use super::column::ArrayWriter;
+use super::folder::{StoreRoot, write_json};
 use super::{ArraySpec, Compression, Values};
 use crate::error::{Error, Result};
 
-/// Consolidated metadata: a copy of all metadata in one file, which some readers take for the whole truth.
+/// Consolidated metadata: a copy of all metadata in one file, which some readers use instead of the originals.
 const CONSOLIDATED: &str = ".zmetadata";
 
-/// Writes new arrays of labels into a Zarr v2 folder, frame by frame; what is there stays as it is.
+/// Writes new arrays of labels into a Zarr v2 folder, frame by frame, and leaves existing arrays as they are.
 #[derive(Debug)]
 pub struct AddedArrays {
-    columns: Vec<Column>,
+    columns: Vec<ArrayWriter>,
     root: PathBuf,
-    place: Root,
+    place: StoreRoot,
 }
 
 impl AddedArrays {
-    /// Begins arrays `specs` in the store at `root`, of which nothing but the folder need be there yet.
+    /// Starts the arrays `specs` in the folder `root`; the store's own files may follow before [`Self::finish`].
     ///
     /// # Errors
-    /// If it is no folder, or has an array of one of these names.
+    /// If it is not a folder, or has an array of one of these names.
     pub fn new(root: &Path, specs: Vec<ArraySpec>) -> Result<Self> {
         if let Some(taken) = specs.iter().find(|spec| root.join(&spec.name).exists()) {
             return Err(Error::file(root, format!("has an array {} already", taken.name)));
         }
-        let columns = specs.into_iter().map(|spec| Column::new(spec, Compression::Labels)).collect();
-        Ok(Self { columns, root: root.to_path_buf(), place: Root::new(root, root)? })
+        let columns = specs.into_iter().map(|spec| ArrayWriter::new(spec, Compression::Labels)).collect();
+        Ok(Self { columns, root: root.to_path_buf(), place: StoreRoot::new(root, root)? })
     }
 
     /// Appends one frame's values, in the order of the arrays.
     ///
     /// # Errors
-    /// If values don't fit their array, or can't be written.
+    /// If the values don't fit their arrays, or can't be written.
     pub fn push(&mut self, values: Vec<Values>) -> Result<()> {
         if values.len() != self.columns.len() {
             return Err(Error::shape("values", format!("[{}]", self.columns.len()), [values.len()]));
@@ -49,10 +49,10 @@ impl AddedArrays {
         Ok(())
     }
 
-    /// Writes what is left, and `attributes` beside those of the root group, which must be there by now.
+    /// Writes the open chunks, and adds `attributes` to those of the root group, which must exist by now.
     ///
     /// # Errors
-    /// If something can't be written, this is no Zarr v2 store, or its own metadata is not what Zarr has there.
+    /// If a file can't be written, this is not a Zarr v2 store, or its metadata is invalid.
     pub fn finish(mut self, attributes: Map<String, Value>) -> Result<()> {
         if !self.root.join(".zgroup").is_file() {
             return Err(Error::file(&self.root, "expected a Zarr v2 store; arrays can't be added to another"));
@@ -70,7 +70,7 @@ impl AddedArrays {
         self.consolidate(all)
     }
 
-    /// Brings the consolidated metadata in line, where there is some.
+    /// Adds attributes and arrays to the consolidated metadata, if the store has some.
     fn consolidate(&self, attributes: Map<String, Value>) -> Result<()> {
         let file = self.root.join(CONSOLIDATED);
         if !file.is_file() {

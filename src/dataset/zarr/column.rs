@@ -1,29 +1,29 @@
-//! One array of a store, written chunk by chunk in constant memory.
+//! Writer of one array of a store, chunk by chunk in constant memory.
 
 use std::path::Path;
 use std::thread::JoinHandle;
 
 use zarrs::array::ArrayBytes;
 
-use super::folder::{Root, create_array, write_metadata};
+use super::folder::{StoreRoot, create_array, write_metadata};
 use super::{ArraySpec, Compression, Values};
 use crate::error::{Error, Result};
 
-/// One array: frames wait in `buffer` until a chunk is full.
+/// Writer of one array; collects frames until a chunk is full.
 #[derive(Debug)]
-pub(super) struct Column {
+pub(super) struct ArrayWriter {
     pub(super) spec: ArraySpec,
     compression: Compression,
-    // Frames of one chunk.
+    /// Number of frames in a chunk.
     chunk_len: usize,
-    // Native-endian bytes of the frames of the open chunk.
+    /// Frames of the open chunk as native-endian bytes.
     buffer: Vec<u8>,
     n_frames: usize,
     n_chunks: usize,
     writing: Background,
 }
 
-/// A chunk on its way to the disk, on a thread of its own: the next frames need not wait for its compression.
+/// A thread that compresses and writes a chunk, so that the next frames need not wait.
 #[derive(Debug, Default)]
 struct Background(Option<JoinHandle<Result<()>>>);
 
@@ -36,14 +36,14 @@ impl Background {
 
 impl Drop for Background {
     fn drop(&mut self) {
-        // An abandoned store: whether its chunk could be written does not matter.
+        // The store is abandoned: ignore the result.
         if let Some(thread) = self.0.take() {
             let _ = thread.join();
         }
     }
 }
 
-impl Column {
+impl ArrayWriter {
     pub(super) fn new(spec: ArraySpec, compression: Compression) -> Self {
         let chunk_len = spec.chunk_len();
         Self {
@@ -70,7 +70,7 @@ impl Column {
         Ok(())
     }
 
-    pub(super) fn push(&mut self, values: Values, root: &Root) -> Result<()> {
+    pub(super) fn push(&mut self, values: Values, root: &StoreRoot) -> Result<()> {
         match values {
             Values::U8(v) => self.buffer.extend_from_slice(&v),
             Values::F32(v) => v.iter().for_each(|x| self.buffer.extend_from_slice(&x.to_ne_bytes())),
@@ -84,26 +84,26 @@ impl Column {
         Ok(())
     }
 
-    pub(super) fn finish(&mut self, root: &Root) -> Result<()> {
+    pub(super) fn finish(&mut self, root: &StoreRoot) -> Result<()> {
         if self.n_chunks == 0 {
-            // A short store needs no padding up to a whole chunk.
+            // A short array gets a short chunk instead of padding.
             self.chunk_len = self.n_frames.max(1);
         }
         if !self.buffer.is_empty() {
-            // Zarr v2 stores the last chunk whole.
+            // Zarr v2 pads the last chunk to full length.
             self.buffer.resize(self.chunk_len * self.spec.frame_bytes(), 0);
             self.flush(root)?;
         }
         write_metadata(root, &self.spec, self.n_frames, self.chunk_len, self.compression)
     }
 
-    /// Waits until what was begun is written.
+    /// Waits until the last chunk is written.
     pub(super) fn wait(&mut self, path: &Path) -> Result<()> {
         self.writing.wait(path)
     }
 
-    /// Begins to write the open chunk, when the one before is written; at most one of each array is under way.
-    fn flush(&mut self, root: &Root) -> Result<()> {
+    /// Starts to write the open chunk once the previous one is written: at most one chunk per array is in memory twice.
+    fn flush(&mut self, root: &StoreRoot) -> Result<()> {
         let path = root.path().to_path_buf();
         self.writing.wait(&path)?;
         let n_frames = (self.n_chunks + 1) * self.chunk_len;

@@ -1,4 +1,4 @@
-//! Several stores as one.
+//! Concatenation of several stores into one.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -15,14 +15,14 @@ use super::{ArraySpec, Compression, ZarrReader};
 use crate::dataset::{Attributes, EpisodeReader};
 use crate::error::{Error, Result};
 
-/// Writes the frames of `parts`, one after another, as one store at `out`, with `threads` threads; `progress` is called
-/// after each chunk with (done, all).
+/// Writes the frames of `parts`, one after another, into one store at `out`, with `threads` threads. Calls `progress` with
+/// (done, all) after each chunk.
 ///
-/// The parts hold the same arrays of `data/`, whatever their compression. Memory: a few chunks for each thread.
+/// The parts must hold the same arrays in `data/`; their compression may differ. Memory: a few chunks per thread.
 ///
 /// # Errors
-/// If there is no part or already something at `out`, the parts differ in an array's shape or dtype or in topology, or
-/// reading or writing fails.
+/// If there is no part, `out` exists, the parts differ in topology or in an array's shape or dtype, or reading or writing
+/// fails.
 pub fn concatenate(
     parts: &[PathBuf],
     out: &Path,
@@ -36,15 +36,15 @@ pub fn concatenate(
     let folder = StoreFolder::create(out)?;
     let mut outputs = Vec::new();
     for spec in &specs {
-        // A short store needs no padding up to a whole chunk.
+        // A short array gets a short chunk instead of padding.
         let chunk_len = spec.chunk_len().min(n_frames);
         let array = create_array(folder.root(), spec, n_frames, chunk_len, Compression::Keep)?;
-        outputs.push(Output { spec, array, chunk_len });
+        outputs.push(OutputArray { spec, array, chunk_len });
     }
-    let chunks: Vec<(&Output, usize)> =
+    let chunks: Vec<(&OutputArray, usize)> =
         outputs.iter().flat_map(|output| (0..n_frames.div_ceil(output.chunk_len)).map(move |n| (output, n))).collect();
     let done = AtomicUsize::new(0);
-    let write = |(output, n): &(&Output, usize)| -> Result<()> {
+    let write = |(output, n): &(&OutputArray, usize)| -> Result<()> {
         output.write(*n, &sources, n_frames, out)?;
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, chunks.len());
         Ok(())
@@ -58,15 +58,15 @@ pub fn concatenate(
     folder.finish(attributes, more_attributes, &episode_ends)
 }
 
-/// A part and the frames of the whole that it holds.
-struct Source {
+/// A part and its frames in the whole.
+struct StorePart {
     path: PathBuf,
     store: Arc<FilesystemStore>,
     frames: Range<usize>,
 }
 
-/// The parts, the arrays that they have in common, and the ends of all episodes.
-fn survey(parts: &[PathBuf], attributes: &Attributes) -> Result<(Vec<Source>, Vec<ArraySpec>, Vec<i64>)> {
+/// Returns the parts, the arrays that they have in common, and the ends of all episodes.
+fn survey(parts: &[PathBuf], attributes: &Attributes) -> Result<(Vec<StorePart>, Vec<ArraySpec>, Vec<i64>)> {
     let (mut sources, mut specs, mut ends) = (Vec::new(), Vec::new(), Vec::new());
     let mut n_frames = 0;
     for path in parts {
@@ -85,7 +85,11 @@ fn survey(parts: &[PathBuf], attributes: &Attributes) -> Result<(Vec<Source>, Ve
         }
         ends.extend(reader.episode_ends().iter().map(|end| (n_frames + end) as i64));
         let store = FilesystemStore::new(path).map_err(|error| Error::file(path, error))?;
-        sources.push(Source { path: path.clone(), store: Arc::new(store), frames: n_frames..n_frames + reader.len() });
+        sources.push(StorePart {
+            path: path.clone(),
+            store: Arc::new(store),
+            frames: n_frames..n_frames + reader.len(),
+        });
         n_frames += reader.len();
     }
     match n_frames {
@@ -94,16 +98,16 @@ fn survey(parts: &[PathBuf], attributes: &Attributes) -> Result<(Vec<Source>, Ve
     }
 }
 
-/// One array of the whole.
-struct Output<'a> {
+/// One array of the output.
+struct OutputArray<'a> {
     spec: &'a ArraySpec,
     array: Array<FilesystemStore>,
     chunk_len: usize,
 }
 
-impl Output<'_> {
+impl OutputArray<'_> {
     /// Gathers and writes the `n`-th chunk.
-    fn write(&self, n: usize, sources: &[Source], n_frames: usize, out: &Path) -> Result<()> {
+    fn write(&self, n: usize, sources: &[StorePart], n_frames: usize, out: &Path) -> Result<()> {
         let wanted = n * self.chunk_len..((n + 1) * self.chunk_len).min(n_frames);
         let mut bytes = Vec::with_capacity(self.chunk_len * self.spec.frame_bytes());
         let first = sources.partition_point(|source| source.frames.end <= wanted.start);
@@ -112,14 +116,14 @@ impl Output<'_> {
             let to = wanted.end.min(source.frames.end) - source.frames.start;
             bytes.extend_from_slice(&source.read(self.spec, from..to)?);
         }
-        // Zarr v2 stores the last chunk whole.
+        // Zarr v2 pads the last chunk to full length.
         bytes.resize(self.chunk_len * self.spec.frame_bytes(), 0);
         let written = self.array.store_chunk_opt(&self.spec.chunk_index(n), ArrayBytes::new_flen(bytes), &one_thread());
         written.map_err(|error| Error::file(out, format!("{}: {error}", self.spec.name)))
     }
 }
 
-impl Source {
+impl StorePart {
     fn read(&self, spec: &ArraySpec, frames: Range<usize>) -> Result<Vec<u8>> {
         let fail = |error: &dyn std::fmt::Display| Error::file(&self.path, format!("{}: {error}", spec.name));
         let array = Array::open(self.store.clone(), &format!("/{}", spec.name)).map_err(|e| fail(&e))?;
@@ -130,7 +134,7 @@ impl Source {
     }
 }
 
-/// The chunks are what is done side by side.
+/// Options without concurrency inside a chunk, since chunks are written concurrently.
 fn one_thread() -> CodecOptions {
     CodecOptions::default().with_concurrent_target(1)
 }
@@ -149,7 +153,7 @@ mod tests {
         serde_json::from_value(serde_json::json!({ "topology": topology })).unwrap()
     }
 
-    /// A store whose frames are numbered on from `first`, in episodes of the lengths given.
+    /// Writes a store whose frames count on from `first`, in episodes of the given lengths.
     fn part(path: &Path, first: usize, episodes: &[usize], compression: Compression, item: usize) {
         let extra = vec![ArraySpec::new("data/own", [item], Dtype::F32)];
         let writer = ZarrWriter::create(path, attributes(Topology::Mano), Contact::Truth, extra).unwrap();
@@ -159,7 +163,7 @@ mod tests {
             for _ in 0..*length {
                 let frame = Frame {
                     timestamp: at as f64,
-                    // 300 kB, so that a chunk of 2 MB ends within parts.
+                    // 300 kB per image: chunks of 2 MB end within parts.
                     camera_ego_rgb: RgbImage::from_fn(320, 313, |x, y| [at as u8, x as u8, (x * y) as u8].into()),
                     field: TactileField::zeros(Topology::Mano),
                     force_valid: vec![1; N_FIELD],
@@ -178,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_of_any_length_and_compression_follow_each_other() {
+    fn parts_of_any_length_and_compression_are_concatenated() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         let all = [[3, 1], [8, 1], [1, 9], [2, 2]];
@@ -189,7 +193,7 @@ mod tests {
             part(&parts[at], first, episodes, compression, 2);
             first += episodes.iter().sum::<usize>();
         }
-        // The same frames in one go.
+        // The same frames as one store.
         part(&path("whole"), 0, all.as_flattened(), Compression::Keep, 2);
         let whole = ZarrReader::open(&path("whole")).unwrap();
         for threads in [1, 3] {
@@ -210,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_that_differ_are_refused_by_name_and_leave_nothing() {
+    fn parts_that_differ_are_refused_by_name_and_leave_no_output() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         part(&path("a"), 0, &[2], Compression::Pass, 2);

@@ -1,4 +1,4 @@
-//! A store in the making: where its arrays are written, and a folder that gets its name when all is.
+//! The unfinished folder of a store, which gets its name when all arrays are written.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,40 +13,40 @@ use super::{ArraySpec, Compression, Dtype, EPISODE_ENDS};
 use crate::dataset::Attributes;
 use crate::error::{Error, Result};
 
-/// Where arrays are written.
+/// Folder into which arrays are written.
 #[derive(Debug)]
-pub(super) struct Root {
-    /// The store's name in errors.
+pub(super) struct StoreRoot {
+    /// Name of the store in errors.
     path: PathBuf,
     folder: PathBuf,
     store: Arc<FilesystemStore>,
 }
 
-impl Root {
-    /// The folder `folder`, of a store that is called `path`.
+impl StoreRoot {
+    /// Opens the folder `folder` of a store; errors name `path`.
     ///
     /// # Errors
-    /// If it is no folder.
+    /// If it is not a folder.
     pub fn new(folder: &Path, path: &Path) -> Result<Self> {
         let store = FilesystemStore::new(folder).map_err(|e| Error::file(folder, e))?;
         Ok(Self { path: path.to_path_buf(), folder: folder.to_path_buf(), store: Arc::new(store) })
     }
 
-    /// The store's name in errors.
+    /// Returns the name of the store in errors.
     pub fn path(&self) -> &Path {
         &self.path
     }
 }
 
-/// The hidden folder beside the store's place; removed when dropped.
+/// Hidden folder beside the store's path; removed when dropped.
 #[derive(Debug)]
 pub(super) struct StoreFolder {
     folder: TempDir,
-    root: Root,
+    root: StoreRoot,
 }
 
 impl StoreFolder {
-    /// Starts a store that will lie at `path`.
+    /// Starts the store `path`.
     ///
     /// # Errors
     /// If `path` exists or its folder can't be written.
@@ -59,26 +59,26 @@ impl StoreFolder {
         fs::create_dir_all(parent).map_err(Error::io(parent))?;
         let prefix = format!(".{}.partial-", name.to_string_lossy());
         let folder = tempfile::Builder::new().prefix(&prefix).tempdir_in(parent).map_err(Error::io(parent))?;
-        // A folder inside: the temporary one is private to the user, the store gets the usual permissions.
+        // A folder within the temporary one: that one is private to the user, the store gets the usual permissions.
         let root = folder.path().join(name);
         fs::create_dir(&root).map_err(Error::io(&root))?;
-        Ok(Self { root: Root::new(&root, path)?, folder })
+        Ok(Self { root: StoreRoot::new(&root, path)?, folder })
     }
 
-    /// Where the store will lie.
+    /// Returns the path of the finished store.
     pub fn path(&self) -> &Path {
         &self.root.path
     }
 
-    /// Where its arrays are written.
-    pub fn root(&self) -> &Root {
+    /// Returns the folder into which arrays are written.
+    pub fn root(&self) -> &StoreRoot {
         &self.root
     }
 
     /// Writes episodes, groups and attributes, and gives the store its name.
     ///
     /// # Errors
-    /// If `path` has come into being meanwhile, or writing fails.
+    /// If another process created `path`, or writing fails.
     pub fn finish(self, attributes: &Attributes, mut more: Map<String, Value>, episode_ends: &[i64]) -> Result<()> {
         let ends = ArraySpec::new(EPISODE_ENDS, [], Dtype::I64);
         let n_ends = episode_ends.len();
@@ -103,9 +103,9 @@ impl StoreFolder {
     }
 }
 
-/// An array of `n_frames` frames to store chunks in; its metadata is written by [`write_metadata`].
+/// Creates an array of `n_frames` frames, without metadata: [`write_metadata`] writes that.
 pub(super) fn create_array(
-    root: &Root,
+    root: &StoreRoot,
     spec: &ArraySpec,
     n_frames: usize,
     chunk_len: usize,
@@ -118,9 +118,9 @@ pub(super) fn create_array(
     Array::new_with_metadata(root.store.clone(), &name, ArrayMetadata::V2(metadata)).map_err(|e| fail(&e))
 }
 
-/// Writes the array's `.zarray`.
+/// Writes the `.zarray` of an array.
 pub(super) fn write_metadata(
-    root: &Root,
+    root: &StoreRoot,
     spec: &ArraySpec,
     n_frames: usize,
     chunk_len: usize,

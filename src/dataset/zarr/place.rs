@@ -1,4 +1,4 @@
-//! Where stores lie: in folders, or in zip files.
+//! Locations of stores: folders, or folders within zip files.
 
 use std::fs;
 use std::fs::File;
@@ -13,24 +13,25 @@ use zip::ZipArchive;
 use super::EPISODE_ENDS;
 use crate::error::{Error, Result};
 
-/// A place where a store lies.
+/// Location of a store.
 ///
 /// Zip files come in three layouts: one `NAME.zarr/` folder, the store at the file's root, or many `NAME.zarr/` folders.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Place {
-    /// The store's folder, or the zip file.
+pub struct StoreLocation {
+    /// Folder of the store, or the zip file.
     pub path: PathBuf,
-    /// The folder within the zip file, ending in `/`, empty for its root; None = a folder of the file system.
+    /// Folder within the zip file, ending in `/`, empty for its root; None = a folder of the file system.
     pub inside: Option<String>,
 }
 
-impl Place {
-    /// A folder of the file system.
+impl StoreLocation {
+    /// Creates the location of a folder of the file system.
     pub fn folder(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into(), inside: None }
     }
 
-    /// Every store that `path` names: a store, a zip file with stores in it, or a folder of `*.zarr` and `*.zip`; by name.
+    /// Finds all stores that `path` names, in order of their names: a store, a zip file with stores, or a folder of
+    /// `*.zarr` and `*.zip`.
     ///
     /// # Errors
     /// If there is none, or a file can't be read.
@@ -45,7 +46,7 @@ impl Place {
         for entry in fs::read_dir(path).map_err(Error::io(path))? {
             let entry = entry.map_err(Error::io(path))?.path();
             if is_zip(&entry) {
-                // A zip file of other things is not ours to read.
+                // Skip zip files without stores.
                 places.extend(in_zip(&entry).unwrap_or_default());
             } else if entry.extension().is_some_and(|extension| extension == "zarr") && is_store(&entry) {
                 places.push(Self::folder(entry));
@@ -58,7 +59,7 @@ impl Place {
         Ok(places)
     }
 
-    /// The one store that `path` names.
+    /// Finds the only store that `path` names.
     ///
     /// # Errors
     /// If there is none or several.
@@ -76,7 +77,7 @@ impl Place {
         }
     }
 
-    /// The store's own name, for instance `pour.zarr`.
+    /// Returns the name of the store, for instance `pour.zarr`.
     pub fn name(&self) -> String {
         let file = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         match self.inside.as_deref() {
@@ -89,7 +90,7 @@ impl Place {
         }
     }
 
-    /// Whether the store is of Zarr v2.
+    /// True if the store has the format Zarr v2.
     ///
     /// # Errors
     /// If it can't be read.
@@ -118,7 +119,7 @@ impl Place {
     }
 }
 
-impl std::fmt::Display for Place {
+impl std::fmt::Display for StoreLocation {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}", self.path.display())?;
         match self.inside.as_deref() {
@@ -128,7 +129,7 @@ impl std::fmt::Display for Place {
     }
 }
 
-/// Whether the folder is a store.
+/// True if the folder is a store.
 pub(super) fn is_store(path: &Path) -> bool {
     path.join(".zgroup").is_file() || path.join("zarr.json").is_file()
 }
@@ -137,7 +138,7 @@ fn is_zip(path: &Path) -> bool {
     path.is_file() && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("zip"))
 }
 
-fn in_zip(path: &Path) -> Result<Vec<Place>> {
+fn in_zip(path: &Path) -> Result<Vec<StoreLocation>> {
     let file = File::open(path).map_err(Error::io(path))?;
     let archive = ZipArchive::new(file).map_err(|e| Error::file(path, format!("expected a zip file: {e}")))?;
     let marks = [".zarray", "zarr.json"].map(|file| format!("{EPISODE_ENDS}/{file}"));
@@ -146,7 +147,7 @@ fn in_zip(path: &Path) -> Result<Vec<Place>> {
         let name = name.map_err(|e| Error::file(path, e))?;
         let root = marks.iter().find_map(|mark| name.strip_suffix(mark.as_str()));
         if let Some(root) = root.filter(|root| root.is_empty() || root.ends_with('/')) {
-            places.push(Place { path: path.to_path_buf(), inside: Some(root.to_string()) });
+            places.push(StoreLocation { path: path.to_path_buf(), inside: Some(root.to_string()) });
         }
     }
     if places.is_empty() {

@@ -1,4 +1,4 @@
-//! Reads a store: one frame, or a range of one array.
+//! Reader of stores: single frames, or ranges of one array.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -10,8 +10,8 @@ use zarrs::array::Array;
 use zarrs::group::Group;
 use zarrs::storage::{ReadableListableStorageTraits, StoreKey, StorePrefix};
 
-use super::place::Place;
-use super::stored::{ArrayInfo, Stored};
+use super::place::StoreLocation;
+use super::stored::{ArrayInfo, StoredArray};
 use super::*;
 use crate::dataset::{Attributes, EpisodeReader, Frame};
 use crate::error::{Error, Result};
@@ -28,28 +28,28 @@ pub struct ZarrReader {
     attributes: Attributes,
     raw_attributes: serde_json::Map<String, serde_json::Value>,
     episode_ends: Vec<usize>,
-    arrays: BTreeMap<String, Stored>,
+    arrays: BTreeMap<String, StoredArray>,
     camera: Camera,
 }
 
-/// The array that images are read from.
+/// Array of the images.
 #[derive(Debug, Clone)]
 struct Camera {
     name: String,
-    // (H, W)
+    /// (H, W) pixels.
     size: (usize, usize),
-    // (T, 3, H, W) in place of (T, H, W, 3).
+    /// True for (T, 3, H, W) instead of (T, H, W, 3).
     planar: bool,
 }
 
-/// Opens every store that `paths` name: a store, or a folder with stores in it, as [`Place::find`] does.
+/// Opens all stores that `paths` name: stores, or folders of stores, as [`StoreLocation::find`] finds them.
 ///
 /// # Errors
 /// If a path holds no store, one can't be opened, or two differ in topology.
 pub fn open_all(paths: &[PathBuf]) -> Result<Vec<ZarrReader>> {
     let mut stores = Vec::new();
     for path in paths {
-        for place in Place::find(path)? {
+        for place in StoreLocation::find(path)? {
             stores.push(ZarrReader::open_at(&place)?);
         }
     }
@@ -67,16 +67,16 @@ impl ZarrReader {
     /// Opens the store at `path`, a folder or a zip file with one store in it.
     ///
     /// # Errors
-    /// If it is not a store, a needed array is missing, or an array's shape or dtype is not the one of its name.
+    /// If it is not a store, a required array is missing, or an array has not the shape or dtype of its name.
     pub fn open(path: &Path) -> Result<Self> {
-        Self::open_at(&Place::only(path)?)
+        Self::open_at(&StoreLocation::only(path)?)
     }
 
     /// Opens the store at `place`.
     ///
     /// # Errors
     /// As [`Self::open`].
-    pub fn open_at(place: &Place) -> Result<Self> {
+    pub fn open_at(place: &StoreLocation) -> Result<Self> {
         let path = &PathBuf::from(place.to_string());
         let storage = place.storage()?;
         let group = Group::open(storage.clone().readable(), "/").map_err(|e| Error::file(path, e))?;
@@ -86,7 +86,7 @@ impl ZarrReader {
         for name in array_names(&storage).map_err(|e| Error::file(path, e))? {
             let array = Array::open(storage.clone().readable(), &format!("/{name}"))
                 .map_err(|e| Error::file(path, format!("{name}: {e}")))?;
-            arrays.insert(name.clone(), Stored::new(name, array));
+            arrays.insert(name.clone(), StoredArray::new(name, array));
         }
         let attributes = attributes(path, &raw_attributes, &arrays)?;
         let mut reader = Self {
@@ -104,8 +104,8 @@ impl ZarrReader {
         Ok(reader)
     }
 
-    /// The same store, with its images read from array `name`, (T, H, W, 3) or (T, 3, H, W) u8. Without this they come
-    /// from `data/camera_ego_rgb`, or `data/camera_main_rgb` where there is no such array.
+    /// Sets the array of the images, (T, H, W, 3) or (T, 3, H, W) u8. The default is `data/camera_ego_rgb`, or else
+    /// `data/camera_main_rgb`.
     ///
     /// # Errors
     /// If there is no such array, or it holds no images.
@@ -114,32 +114,32 @@ impl ZarrReader {
         Ok(self)
     }
 
-    /// The array that images are read from.
+    /// Returns the name of the array of the images.
     pub fn camera(&self) -> &str {
         &self.camera.name
     }
 
-    /// Where the store lies.
+    /// Returns the path of the store.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// All attributes of the root group.
+    /// Returns all attributes of the root group.
     pub fn raw_attributes(&self) -> &serde_json::Map<String, serde_json::Value> {
         &self.raw_attributes
     }
 
-    /// Frames of all episodes together.
+    /// Returns the number of frames over all episodes.
     pub fn len(&self) -> usize {
         self.episode_ends.last().copied().unwrap_or(0)
     }
 
-    /// Whether there is no frame; never so for an opened store.
+    /// True if there is no frame, which an open store never has.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Height and width of the image.
+    /// Returns height and width of the images, pixels.
     pub fn image_size(&self) -> (usize, usize) {
         self.camera.size
     }
@@ -159,20 +159,20 @@ impl ZarrReader {
             .ok_or_else(|| Error::file(&self.path, format!("{name}: frame {index} is too short")))
     }
 
-    /// Whether the store has an array of this name.
+    /// True if the store has an array of this name.
     pub fn has(&self, name: &str) -> bool {
         self.arrays.contains_key(name)
     }
 
-    /// Every array of the store, by name.
+    /// Returns all arrays of the store, by name.
     pub fn arrays(&self) -> Vec<ArrayInfo> {
-        self.arrays.values().map(Stored::info).collect()
+        self.arrays.values().map(StoredArray::info).collect()
     }
 
-    /// The arrays of `data/`, by name, as a writer would declare them.
+    /// Returns the declarations of the arrays in `data/`, by name.
     ///
     /// # Errors
-    /// If one has a dtype that is none of ours.
+    /// If one has a dtype that [`Dtype`] does not have.
     pub fn specs(&self) -> Result<Vec<ArraySpec>> {
         let of_frames = self.arrays.values().filter(|column| column.name.starts_with("data/"));
         of_frames
@@ -185,7 +185,7 @@ impl ZarrReader {
             .collect()
     }
 
-    /// Reads one frame of array `name`, keeping the chunk for the next ones.
+    /// Reads one frame of array `name` and keeps its chunk for the next frames.
     ///
     /// # Errors
     /// As [`Self::read`].
@@ -196,12 +196,12 @@ impl ZarrReader {
     /// Reads frames `range` of array `name`, row-major, decoding each chunk once.
     ///
     /// # Errors
-    /// If there is no such array, the range is not within it, its dtype is none of ours, or a chunk can't be decoded.
+    /// If there is no such array, the range exceeds it, its dtype is not supported, or a chunk can't be decoded.
     pub fn read(&self, name: &str, range: Range<usize>) -> Result<Values> {
         self.column(name)?.read(range, &self.path)
     }
 
-    /// [`Self::read`], as f32 whatever number is stored.
+    /// As [`Self::read`], converted to f32.
     ///
     /// # Errors
     /// As [`Self::read`].
@@ -209,7 +209,7 @@ impl ZarrReader {
         Ok(self.read(name, range)?.into_f32())
     }
 
-    /// [`Self::read`] of an array of bytes.
+    /// As [`Self::read`], for an array of bytes.
     ///
     /// # Errors
     /// As [`Self::read`], or if the array holds other numbers.
@@ -217,10 +217,10 @@ impl ZarrReader {
         self.bytes(name, self.read(name, range)?)
     }
 
-    /// Contact of frames `range`, (n, 1556): the truth as 0 and 1, or else the predicted score.
+    /// Reads the contact of frames `range`, (n, 1556): truth as 0 and 1, or else the predicted score; NaN without either.
     ///
     /// # Errors
-    /// As [`Self::read`]; a store without contact gives NaN.
+    /// As [`Self::read`].
     pub fn read_contact(&self, range: Range<usize>) -> Result<Vec<f32>> {
         match self.contact_name() {
             Some(name) => self.read_f32(name, range),
@@ -232,7 +232,7 @@ impl ZarrReader {
         [MANO_CONTACT, MANO_CONTACT_SCORE].into_iter().find(|name| self.has(name))
     }
 
-    fn column(&self, name: &str) -> Result<&Stored> {
+    fn column(&self, name: &str) -> Result<&StoredArray> {
         self.arrays.get(name).ok_or_else(|| Error::Missing {
             name: name.to_string(),
             place: self.path.display().to_string(),
@@ -270,7 +270,7 @@ impl ZarrReader {
         Ok(ends.into_iter().map(|end| end as usize).collect())
     }
 
-    /// Every array's frames against the episodes, known arrays' shapes and dtypes against their names.
+    /// Checks the number of frames of all arrays, and the shapes of known arrays.
     fn check_shapes(&self) -> Result<()> {
         let n_frames = self.len();
         for column in self.arrays.values().filter(|column| column.name.starts_with("data/")) {
@@ -322,7 +322,7 @@ impl ZarrReader {
         Ok(array.iter().any(|x| *x != 0.0).then(|| HandParams::from_array(&array)))
     }
 
-    /// One frame of a (T, 1556) array, or `missing` everywhere if the store has none.
+    /// Reads one frame of a (T, 1556) array; `missing` everywhere without such an array.
     fn field(&self, name: Option<&str>, index: usize, missing: f32) -> Result<Vec<f32>> {
         match name.and_then(|name| self.arrays.get(name)) {
             Some(column) => Ok(column.read_frame(index, &self.path)?.into_f32()),
@@ -380,7 +380,7 @@ impl std::fmt::Debug for ZarrReader {
     }
 }
 
-/// Names of the arrays in `data/` and `meta/`.
+/// Returns the names of the arrays in `data/` and `meta/`.
 fn array_names(
     storage: &Arc<dyn ReadableListableStorageTraits>,
 ) -> std::result::Result<Vec<String>, Box<dyn std::error::Error>> {
@@ -399,14 +399,14 @@ fn array_names(
     Ok(names)
 }
 
-/// The fixed attributes; a store without labels needs none of them.
+/// Returns the fixed attributes; a store without labels needs none of them.
 fn attributes(
     path: &Path,
     raw: &serde_json::Map<String, serde_json::Value>,
-    arrays: &BTreeMap<String, Stored>,
+    arrays: &BTreeMap<String, StoredArray>,
 ) -> Result<Attributes> {
     let mut map = raw.clone();
-    // Who else writes stores may keep other things under names that only describe.
+    // Stores by other programs may hold values of other types under these descriptive names: ignore them.
     map.retain(|name, value| match name.as_str() {
         "scene" | "producer" | "version" => value.is_string(),
         "seed" => value.is_u64(),
@@ -421,7 +421,7 @@ fn attributes(
             let labels = labels.join(", ");
             return Err(Error::file(
                 path,
-                format!("attribute topology is missing: what do the vertices of {labels} mean?"),
+                format!("attribute topology is missing: it states the vertex numbering of {labels}"),
             ));
         }
         map.insert("topology".into(), Topology::default().id().into());

@@ -1,4 +1,4 @@
-//! One array of a store, read frame by frame or in ranges.
+//! Reader of one array of a store, by frame or by range.
 
 use std::ops::Range;
 use std::path::Path;
@@ -10,34 +10,34 @@ use zarrs::storage::ReadableStorageTraits;
 use super::{Dtype, Values};
 use crate::error::{Error, Result};
 
-/// What an array of a store looks like.
+/// Name, shape and type of an array.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ArrayInfo {
     /// Name with its group.
     pub name: String,
-    /// Whole shape; the first axis is time (or episodes in `meta/`).
+    /// Shape; the first axis is time (episodes in `meta/`).
     pub shape: Vec<usize>,
-    /// Element type as the store names it.
+    /// Name of the element type.
     pub dtype: String,
     /// Shape of a chunk; empty if the chunks are not regular.
     pub chunks: Vec<usize>,
 }
 
-/// One array and the chunk of time it was last read from: frames are mostly read in order.
-pub(super) struct Stored {
-    /// With its group.
+/// An array and its last decoded chunk, since frames are mostly read in order.
+pub(super) struct StoredArray {
+    /// Name with its group.
     pub(super) name: String,
     array: Array<dyn ReadableStorageTraits>,
     last_chunk: Mutex<Option<(usize, Arc<Values>)>>,
 }
 
-impl Stored {
-    /// An array by its name with its group.
+impl StoredArray {
+    /// Creates the reader of `array`.
     pub(super) fn new(name: String, array: Array<dyn ReadableStorageTraits>) -> Self {
         Self { name, array, last_chunk: Mutex::new(None) }
     }
 
-    /// Its element type, if it is one of ours.
+    /// Returns the element type; None if [`Dtype`] does not have it.
     pub(super) fn dtype(&self) -> Option<Dtype> {
         let of = self.array.data_type();
         let known = [
@@ -49,7 +49,7 @@ impl Stored {
         known.into_iter().find(|(dtype, _)| dtype == of).map(|(_, dtype)| dtype)
     }
 
-    /// What it looks like.
+    /// Returns name, shape and type.
     pub(super) fn info(&self) -> ArrayInfo {
         let origin = vec![0; self.array.shape().len()];
         let chunks = self.array.chunk_shape_usize(&origin).unwrap_or_default();
@@ -61,7 +61,7 @@ impl Stored {
         ArrayInfo { name: self.name.clone(), shape, dtype, chunks }
     }
 
-    /// The numbers of one frame; `path` is named in errors.
+    /// Reads one frame; errors name `path`.
     ///
     /// # Errors
     /// If there is no such frame, or it can't be read.
@@ -80,7 +80,7 @@ impl Stored {
         let values = match cached {
             Some(values) => values,
             None => {
-                // Decoded outside the lock: another thread may want another chunk.
+                // Decode outside the lock, since another thread may need another chunk.
                 let values = Arc::new(self.read(start..(start + chunk_len).min(n_frames), path)?);
                 *self.last_chunk.lock().unwrap_or_else(PoisonError::into_inner) = Some((start, values.clone()));
                 values
@@ -91,10 +91,10 @@ impl Stored {
         Ok(values.slice(at..at + item))
     }
 
-    /// The numbers of a range of frames; `path` is named in errors.
+    /// Reads a range of frames; errors name `path`.
     ///
     /// # Errors
-    /// If one of them is not there or can't be read, or the element type is unknown.
+    /// If a frame is out of range or can't be read, or the element type is not supported.
     pub(super) fn read(&self, range: Range<usize>, path: &Path) -> Result<Values> {
         let shape = self.array.shape();
         let n_frames = shape.first().copied().unwrap_or(0);

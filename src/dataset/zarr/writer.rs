@@ -1,11 +1,11 @@
-//! Writes a store frame by frame, in constant memory.
+//! Writer of stores, frame by frame in constant memory.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde_json::{Map, Value};
 
-use super::column::Column;
+use super::column::ArrayWriter;
 use super::folder::StoreFolder;
 use super::*;
 use crate::dataset::{Attributes, EpisodeWriter, Frame};
@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::hand::HandParams;
 use crate::tactile::N_FIELD;
 
-/// What the contact of the pushed frames is.
+/// Meaning of the frames' contact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Contact {
     /// Truth: 0 or 1, stored as `data/mano_contact`; unknown (NaN) only where `contact_valid` is 0.
@@ -23,28 +23,28 @@ pub enum Contact {
     Score,
 }
 
-/// Writes one store; it appears under its name when [`ZarrWriter::finish`] returns, complete or not at all.
+/// Atomic writer of one store: [`ZarrWriter::finish`] gives the complete store its name.
 #[derive(Debug)]
 pub struct ZarrWriter {
-    // Before the folder: what is still being written ends before the folder is removed.
-    columns: Vec<Column>,
+    // Declared before the folder, so that dropping ends the writing threads before it removes the folder.
+    columns: Vec<ArrayWriter>,
     folder: StoreFolder,
     compression: Compression,
     attributes: Attributes,
     more_attributes: Map<String, Value>,
     contact: Contact,
     extra: Vec<ArraySpec>,
-    // Known from the first frame on.
+    /// Width and height; None before the first frame.
     image_size: Option<(u32, u32)>,
     n_frames: usize,
     episode_ends: Vec<i64>,
 }
 
 impl ZarrWriter {
-    /// Starts a store that will lie at `path`; `extra` declares arrays beside the fixed ones.
+    /// Starts the store `path`; `extra` declares arrays beside the fixed ones.
     ///
     /// # Errors
-    /// If `path` exists, its folder can't be written, or an extra array's name is not `data/NAME` or taken.
+    /// If `path` exists, its folder can't be written, or the name of an extra array is not `data/NAME` or not unique.
     pub fn create(path: &Path, attributes: Attributes, contact: Contact, extra: Vec<ArraySpec>) -> Result<Self> {
         let writer = Self {
             columns: Vec::new(),
@@ -62,24 +62,24 @@ impl ZarrWriter {
         Ok(writer)
     }
 
-    /// Sets how the chunks are compressed; before the first frame.
+    /// Sets the compression of the chunks; must precede the first frame.
     #[must_use]
     pub fn with_compression(mut self, compression: Compression) -> Self {
         self.compression = compression;
         self
     }
 
-    /// Sets an attribute beside the fixed ones, e.g. the camera's intrinsics.
+    /// Sets an attribute beside the fixed ones, such as the camera's intrinsics.
     pub fn set_attribute(&mut self, name: &str, value: Value) {
         self.more_attributes.insert(name.to_string(), value);
     }
 
-    /// Frames pushed so far, all episodes together.
+    /// Returns the number of frames so far, over all episodes.
     pub fn n_frames(&self) -> usize {
         self.n_frames
     }
 
-    /// Appends one frame and, by name, the values of every extra array.
+    /// Appends one frame and the values of all extra arrays, by name.
     ///
     /// # Errors
     /// If the frame or an extra value does not fit the store (image size, topology, shape, dtype, range), an extra
@@ -95,7 +95,7 @@ impl ZarrWriter {
             return Err(Error::shape(CAMERA_EGO_RGB, "(H, W, 3)", (size.1, size.0, 3)));
         }
         if self.columns.is_empty() {
-            self.columns = self.specs(size).into_iter().map(|spec| Column::new(spec, self.compression)).collect();
+            self.columns = self.specs(size).into_iter().map(|spec| ArrayWriter::new(spec, self.compression)).collect();
         }
         let mut values = fixed_values(frame, self.contact)?;
         for (name, value) in extra {
@@ -104,7 +104,7 @@ impl ZarrWriter {
             }
             values.insert(name.to_string(), value);
         }
-        // All are checked before the first is taken, so that a refused frame leaves no half of itself.
+        // Check all values before the first push, so that a refused frame leaves no part of itself.
         for column in &self.columns {
             column.check(values.get(&column.spec.name), self.folder.path())?;
         }
@@ -117,10 +117,10 @@ impl ZarrWriter {
         Ok(())
     }
 
-    /// Writes what is left and gives the store its name.
+    /// Writes the open chunks and gives the store its name.
     ///
     /// # Errors
-    /// If an episode is still open, there is none at all, `path` has come into being meanwhile, or writing fails.
+    /// If an episode is still open, there is no episode, another process created `path`, or writing fails.
     pub fn finish(mut self) -> Result<()> {
         let ended = self.episode_ends.last().copied().unwrap_or(0);
         if ended != self.n_frames as i64 {
@@ -190,7 +190,7 @@ impl EpisodeWriter for ZarrWriter {
     }
 }
 
-/// The values of every fixed array.
+/// Returns the values of all fixed arrays.
 fn fixed_values(frame: Frame, contact: Contact) -> Result<BTreeMap<String, Values>> {
     let left = frame.left_hand_pose.as_ref().map_or([0.0; 61], HandParams::to_array).to_vec();
     let right = frame.right_hand_pose.as_ref().map_or([0.0; 61], HandParams::to_array).to_vec();

@@ -1,13 +1,14 @@
-//! Anatomy of the built-in right hand: where its bones lie and how thick it is around them.
+//! Anatomy of the built-in right hand: positions of its bones and thickness around them.
 //!
-//! Metres, in the rest frame of the hand module: fingers along -x, palm facing -y, thumb towards +z. The sizes are
-//! those of a medium adult hand (length 0.19 m from wrist to middle fingertip, breadth 0.085 m), set by hand.
+//! Units are metres, in the rest frame of the hand module: fingers along -x, palm facing -y, thumb towards +z. The
+//! sizes are those of a medium adult hand (length 0.19 m from wrist to middle fingertip, breadth 0.085 m), tuned
+//! manually.
 
 use glam::DVec3;
 
 use crate::hand::N_JOINTS;
 
-/// Wrist joint.
+/// Position of the wrist joint, m.
 pub const WRIST: DVec3 = DVec3::new(0.0957, 0.0064, 0.0062);
 
 /// A finger: a straight chain of phalanges with elliptic cross-sections.
@@ -15,38 +16,39 @@ pub const WRIST: DVec3 = DVec3::new(0.0957, 0.0064, 0.0062);
 pub struct Finger {
     /// Joint index of its first joint in MANO order.
     pub first_joint: usize,
-    /// Joints from base to end, then the skin's tip.
+    /// Positions of the joints from base to end, then of the skin's tip, m.
     pub joints: [DVec3; 4],
     /// Unit direction from base to tip of the swept part.
     pub axis: DVec3,
-    /// Unit direction its pad faces.
+    /// Unit direction that its pad faces.
     pub palmar: DVec3,
-    /// Unit direction across, `axis x palmar`.
+    /// Unit direction across the finger, `axis x palmar`.
     pub across: DVec3,
-    /// Where the swept part starts.
+    /// Start of the swept part, m.
     pub base: DVec3,
-    /// Distance from `base` to each joint of the swept part and to the tip.
+    /// Distances from `base` to each joint of the swept part and to the tip, m.
     pub marks: Vec<f64>,
     /// Cross-sections along the axis, ascending.
     pub sections: Vec<Section>,
-    /// Length of the rounded end.
+    /// Length of the rounded end, m.
     pub cap: f64,
 }
 
 /// An elliptic cross-section whose palmar and dorsal halves differ.
 #[derive(Debug, Clone, Copy)]
 pub struct Section {
-    /// Distance from the base along the axis.
+    /// Distance from the base along the axis, m.
     pub at: f64,
-    /// Half the width.
+    /// Half width, m.
     pub width: f64,
-    /// Thickness above the axis.
+    /// Thickness on the dorsal side of the axis, m.
     pub dorsal: f64,
-    /// Thickness below the axis.
+    /// Thickness on the palmar side of the axis, m.
     pub palmar: f64,
 }
 
-/// Placement of one finger: base joint, yaw towards +z in degrees, lengths of its phalanges, radius at its middle joint.
+/// Position and size of one finger: base joint, yaw towards +z, degrees, lengths of its phalanges, m, and radius at its
+/// middle joint, m.
 struct Placement {
     first_joint: usize,
     base: DVec3,
@@ -55,7 +57,7 @@ struct Placement {
     radius: f64,
 }
 
-/// Index, middle, little, ring (MANO order), thumb.
+/// Returns index, middle, little, ring (MANO order) and thumb.
 pub fn fingers() -> [Finger; 5] {
     let place = |first_joint, base: [f64; 3], yaw_deg, lengths, radius| {
         finger(&Placement { first_joint, base: DVec3::from_array(base), yaw_deg, lengths, radius })
@@ -69,7 +71,7 @@ pub fn fingers() -> [Finger; 5] {
     ]
 }
 
-/// The sixteen joints in MANO order.
+/// Returns the 16 joints in MANO order, m.
 pub fn joints() -> [DVec3; N_JOINTS] {
     let mut joints = [WRIST; N_JOINTS];
     for finger in fingers() {
@@ -78,14 +80,14 @@ pub fn joints() -> [DVec3; N_JOINTS] {
     joints
 }
 
-/// A finger that starts at its knuckle, pad facing -y.
+/// Creates a finger that starts at its knuckle, with the pad facing -y.
 fn finger(placement: &Placement) -> Finger {
     let yaw = placement.yaw_deg.to_radians();
     let axis = DVec3::new(-yaw.cos(), 0.0, yaw.sin());
     let palmar = DVec3::NEG_Y;
     let [proximal, middle, distal] = placement.lengths;
     let marks = vec![0.0, proximal, proximal + middle, proximal + middle + distal];
-    // Factors of the radius: narrower between the joints, padded below, flat above the nail.
+    // Factors of the radius: narrower between the joints, thicker on the pads, flat at the nail.
     let section = |at, width, dorsal, palmar| (at, [width, dorsal, palmar]);
     let sections = [
         section(0.0, 1.04, 1.14, 1.24),
@@ -109,8 +111,8 @@ fn finger(placement: &Placement) -> Finger {
     }
 }
 
-/// The thumb: its metacarpal lies in the ball of the thumb, the other two phalanges are swept; the pad is turned
-/// towards the index finger.
+/// Creates the thumb. Its metacarpal lies in the ball of the thumb, the other two phalanges are swept, and the pad
+/// faces the index finger.
 fn thumb() -> Finger {
     const RADIUS: f64 = 0.0105;
     let carpal = DVec3::new(0.0735, -0.0060, 0.0290);
@@ -140,6 +142,7 @@ fn thumb() -> Finger {
     }
 }
 
+/// Scales sections, given as factors, by a radius.
 fn scaled(sections: &[(f64, [f64; 3])], radius: f64) -> Vec<Section> {
     let scale = |&(at, [width, dorsal, palmar]): &(f64, [f64; 3])| Section {
         at,

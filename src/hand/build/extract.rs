@@ -1,4 +1,4 @@
-//! A dense triangle mesh of an implicit surface, by surface nets (Gibson 1998).
+//! Meshes an implicit surface by surface nets (Gibson 1998).
 
 use std::collections::HashMap;
 
@@ -6,9 +6,9 @@ use glam::{DVec3, IVec3};
 
 /// Meshes the zero level of `value` (negative inside) within `low..high` on a grid of `step`.
 ///
-/// Every vertex lies in one grid cell that the surface crosses, every crossed grid edge gives a quad of two triangles,
-/// counter-clockwise seen from outside. The surface must not touch the bounds, and must be smooth at the scale of `step`
-/// for the mesh to be manifold.
+/// Each grid cell that the surface crosses gives one vertex, each crossed grid edge a quad of two triangles,
+/// counter-clockwise seen from outside. The surface must not touch the bounds. The mesh is manifold if the surface is
+/// smooth at the scale of `step`.
 pub fn surface_nets(value: impl Fn(DVec3) -> f64, low: DVec3, high: DVec3, step: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     let size = ((high - low) / step).ceil().as_ivec3() + IVec3::ONE;
     let corner = |cell: IVec3| low + cell.as_dvec3() * step;
@@ -36,7 +36,7 @@ pub fn surface_nets(value: impl Fn(DVec3) -> f64, low: DVec3, high: DVec3, step:
             if here == there {
                 continue;
             }
-            // The four cells around the grid edge; absent ones would mean that the surface leaves the bounds.
+            // The four cells around the grid edge. One is absent only if the surface leaves the bounds.
             let quad = [cell - u - v, cell - v, cell, cell - u].map(|cell| vertex_of_cell.get(&cell).copied());
             let [Some(a), Some(b), Some(c), Some(d)] = quad else { continue };
             let [a, b, c, d] = if here { [a, b, c, d] } else { [d, c, b, a] };
@@ -46,7 +46,7 @@ pub fn surface_nets(value: impl Fn(DVec3) -> f64, low: DVec3, high: DVec3, step:
     (vertices, faces)
 }
 
-/// Mean of the points where the cell's edges cross the surface, in grid units; `None` when none does.
+/// Computes the mean of the points where the cell's edges cross the surface, in grid units; `None` if no edge does.
 fn crossing_centre(cell: IVec3, value: impl Fn(IVec3) -> f64) -> Option<DVec3> {
     let mut sum = DVec3::ZERO;
     let mut count = 0;

@@ -1,7 +1,7 @@
-//! Makes the built-in hand `egotac-hand-1` from its anatomy.
+//! Generates the built-in hand `egotac-hand-1` from its anatomy.
 //!
-//! The result is committed as `src/hand/builtin.safetensors`, because another machine's rounding could connect other
-//! vertices, and vertex indices are what stores and checkpoints mean. `egotac hand build` runs this again.
+//! The result is committed as `src/hand/builtin.safetensors`, because rounding on another machine could connect other
+//! vertices, and stores and checkpoints depend on the vertex indices. `egotac hand build` runs the generator.
 
 mod anatomy;
 mod extract;
@@ -16,26 +16,26 @@ use glam::{DQuat, DVec3, Vec3};
 
 use super::{HandModel, N_JOINTS, N_VERTICES, Side};
 use crate::hand::Topology;
-use remesh::{Mesh, Target};
+use remesh::{EditableMesh, TargetSurface};
 
-pub use surface::Surface;
+pub use surface::ImplicitHand;
 
-/// Grid of the first, dense mesh, m.
+/// Grid spacing of the initial dense mesh, m.
 const GRID: f64 = 0.0016;
-/// Vertex counts at which collapsing pauses for flips and smoothing.
+/// Vertex counts at which edge collapse pauses for flips and smoothing.
 const STAGES: [usize; 5] = [6000, 3000, 1600, 1000, N_VERTICES];
 
-/// Parents in MANO's joint order.
+/// Parent of each joint, in MANO's joint order.
 pub const PARENTS: [usize; N_JOINTS] = [0, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14];
 
-/// The sixteen joints of the right hand at rest with zero betas, in MANO order, m.
+/// Returns the 16 joints of the right hand at rest with zero betas, in MANO order, m.
 pub fn rest_joints() -> [Vec3; N_JOINTS] {
     anatomy::joints().map(|joint| joint.as_vec3())
 }
 
-/// Makes the right hand, without pose blend shapes.
+/// Generates the right hand, without pose blend shapes.
 pub fn build() -> HandModel {
-    let surface = Surface::new();
+    let surface = ImplicitHand::new();
     let (points, faces) = mesh(&surface);
     let weights = skin::weights(&points, &faces, &surface.fingers);
     let single = |values: Vec<f64>| values.into_iter().map(|value| value as f32).collect::<Vec<f32>>();
@@ -53,11 +53,11 @@ pub fn build() -> HandModel {
     }
 }
 
-/// The surface with exactly 778 vertices, finer where touch happens.
-fn mesh(surface: &Surface) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+/// Meshes the surface with exactly 778 vertices, finer where touch happens.
+fn mesh(surface: &ImplicitHand) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     let (low, high) = (DVec3::new(-0.105, -0.040, -0.065), DVec3::new(0.130, 0.040, 0.115));
     let (points, faces) = extract::surface_nets(|point| surface.value(point), low, high, GRID);
-    let mut mesh = Mesh::new(surface, points, &faces);
+    let mut mesh = EditableMesh::new(surface, points, &faces);
     for count in STAGES {
         mesh.collapse_to(count);
         for _ in 0..6 {
@@ -65,7 +65,7 @@ fn mesh(surface: &Surface) -> (Vec<DVec3>, Vec<[u32; 3]>) {
             mesh.smooth();
         }
     }
-    // Trade the relatively longest edges against the shortest until the density is even.
+    // Split the relatively longest edges and collapse the shortest until the density is even.
     for _ in 0..12 {
         mesh.split_longest(12);
         mesh.flip();
@@ -79,9 +79,9 @@ fn mesh(surface: &Surface) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     mesh.compact()
 }
 
-impl Target for Surface {
+impl TargetSurface for ImplicitHand {
     fn project(&self, point: DVec3) -> DVec3 {
-        Surface::project(self, point)
+        ImplicitHand::project(self, point)
     }
 
     fn normal(&self, point: DVec3) -> DVec3 {
@@ -89,15 +89,15 @@ impl Target for Surface {
     }
 
     fn edge_length(&self, point: DVec3) -> f64 {
-        const LEAST: f64 = 0.0025;
+        const MIN_LENGTH: f64 = 0.0025;
         let normal = self.normal(point);
-        // Shorter than the radius of curvature, or a web between fingers is bridged by one fold.
-        edge_length(self, point, normal).min((0.9 / curvature(self, point, normal)).max(LEAST))
+        // An edge longer than the radius of curvature would bridge the web between two fingers.
+        edge_length(self, point, normal).min((0.9 / curvature(self, point, normal)).max(MIN_LENGTH))
     }
 }
 
-/// Largest change of the normal per metre, over steps of 2 mm along two tangents.
-fn curvature(surface: &Surface, point: DVec3, normal: DVec3) -> f64 {
+/// Computes the largest change of the normal per metre, over steps of 2 mm in four tangent directions.
+fn curvature(surface: &ImplicitHand, point: DVec3, normal: DVec3) -> f64 {
     const STEP: f64 = 0.002;
     let tangent = normal.any_orthonormal_vector();
     let bend = |along: DVec3| {
@@ -108,8 +108,9 @@ fn curvature(surface: &Surface, point: DVec3, normal: DVec3) -> f64 {
     bends.fold(1e-3, f64::max)
 }
 
-/// Wanted edge length in metres: finest on the pads of the fingertips, coarsest on the back of the hand and the wrist.
-fn edge_length(surface: &Surface, point: DVec3, normal: DVec3) -> f64 {
+/// Returns the target edge length, m: shortest on the pads of the fingertips, longest on the back of the hand and at
+/// the wrist.
+fn edge_length(surface: &ImplicitHand, point: DVec3, normal: DVec3) -> f64 {
     let palmar_side = smoothstep(-0.5, 0.6, -normal.y);
     let palm = mix(0.0125, 0.0085, palmar_side);
     let palm = mix(palm, 0.0135, smoothstep(0.080, 0.105, point.x));
@@ -117,7 +118,7 @@ fn edge_length(surface: &Surface, point: DVec3, normal: DVec3) -> f64 {
     for finger in &surface.fingers {
         let at = (point - finger.base).dot(finger.axis);
         let aside = (point - finger.base - finger.axis * at).length();
-        // Only what is swept around this finger's axis.
+        // Skip points outside of the sweep around this finger's axis.
         if aside > 0.017 || at < 0.0 {
             continue;
         }
@@ -132,8 +133,8 @@ fn edge_length(surface: &Surface, point: DVec3, normal: DVec3) -> f64 {
     wanted
 }
 
-/// Vertex furthest along each finger, thumb to little: the keypoint at its tip.
-fn tip_vertices(points: &[DVec3], surface: &Surface) -> [u32; 5] {
+/// Returns the vertex nearest to the tip of each finger, thumb to little.
+fn tip_vertices(points: &[DVec3], surface: &ImplicitHand) -> [u32; 5] {
     let [index, middle, little, ring, thumb] = &surface.fingers;
     [thumb, index, middle, ring, little].map(|finger| {
         let tip = finger.joints[3];

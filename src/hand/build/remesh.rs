@@ -1,33 +1,43 @@
-//! Remeshing to an exact number of vertices: edge collapse by relative length, flips, smoothing on the surface.
+//! Remeshes to an exact number of vertices by edge collapse, edge flips and smoothing on the surface.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap};
 
 use glam::DVec3;
 
-/// What the mesh has to follow.
-pub trait Target {
-    /// Nearest point of the surface.
+/// Largest valence (number of edges) of a vertex that a collapse or flip may create.
+const MAX_VALENCE: usize = 8;
+/// Smallest angle of a triangle that an edit may create, rad.
+const MIN_ANGLE: f64 = 0.12;
+/// Smallest cosine between a triangle's normal and the surface normals at its corners that an edit may create.
+const MIN_FACING: f64 = 0.3;
+
+/// Surface that the mesh approximates.
+pub trait TargetSurface {
+    /// Returns the nearest point of the surface.
     fn project(&self, point: DVec3) -> DVec3;
-    /// Outward unit normal of the surface at a point on it.
+    /// Returns the outward unit normal at a point of the surface.
     fn normal(&self, point: DVec3) -> DVec3;
-    /// Wanted edge length at a point of the surface, up to a common factor.
+    /// Returns the target edge length at a point of the surface, up to a common factor.
     fn edge_length(&self, point: DVec3) -> f64;
 }
 
-/// A closed manifold triangle mesh that can be edited; dead vertices and faces stay until [`Mesh::compact`].
-pub struct Mesh<'a, T: Target> {
+/// A closed manifold triangle mesh under edit; deleted vertices and faces stay until [`EditableMesh::compact`].
+pub struct EditableMesh<'a, T: TargetSurface> {
     target: &'a T,
     points: Vec<DVec3>,
     normals: Vec<DVec3>,
+    /// Target edge length at each vertex.
     wanted: Vec<f64>,
+    /// Triangles; `None` after deletion.
     faces: Vec<Option<[u32; 3]>>,
+    /// Indices of the faces at each vertex; empty after the vertex is deleted.
     faces_at: Vec<Vec<u32>>,
     n_alive: usize,
 }
 
-impl<'a, T: Target> Mesh<'a, T> {
-    /// Takes a closed manifold mesh near the target surface.
+impl<'a, T: TargetSurface> EditableMesh<'a, T> {
+    /// Creates an editable mesh from a closed manifold mesh near the target surface.
     pub fn new(target: &'a T, points: Vec<DVec3>, faces: &[[u32; 3]]) -> Self {
         let points: Vec<DVec3> = points.into_iter().map(|point| target.project(point)).collect();
         let mut faces_at = vec![Vec::new(); points.len()];
@@ -42,12 +52,12 @@ impl<'a, T: Target> Mesh<'a, T> {
         Self { target, points, normals, wanted, faces: faces.iter().copied().map(Some).collect(), faces_at, n_alive }
     }
 
-    /// Collapses the relatively shortest edges until `n_vertices` are left, or no collapse is allowed any more.
+    /// Collapses the relatively shortest edges until `n_vertices` are left or no collapse is allowed.
     pub fn collapse_to(&mut self, n_vertices: usize) {
         let mut queue: BinaryHeap<_> = self.edges().into_iter().map(|edge| Reverse(self.keyed(edge))).collect();
         while self.n_alive > n_vertices {
             let Some(Reverse((key, a, b))) = queue.pop() else { break };
-            // An entry is stale when an end died or moved since.
+            // An entry is stale if an end was deleted or moved since.
             if self.faces_at[a as usize].is_empty() || self.faces_at[b as usize].is_empty() {
                 continue;
             }
@@ -60,7 +70,7 @@ impl<'a, T: Target> Mesh<'a, T> {
         }
     }
 
-    /// Splits the `count` relatively longest edges at their middle.
+    /// Splits the `count` relatively longest edges at their midpoints.
     pub fn split_longest(&mut self, count: usize) {
         for _ in 0..count {
             let Some((_, a, b)) = self.edges().into_iter().map(|edge| self.keyed(edge)).max() else { return };
@@ -68,14 +78,14 @@ impl<'a, T: Target> Mesh<'a, T> {
         }
     }
 
-    /// Flips edges where that raises the quality of the worse of the two triangles; one sweep.
+    /// Flips each edge if that improves the worse of its two triangles; one sweep.
     pub fn flip(&mut self) {
         for (a, b) in self.edges() {
             self.flip_edge(a, b);
         }
     }
 
-    /// Moves each vertex along the surface to the centre of its triangles, weighted by the wanted density; one sweep.
+    /// Moves each vertex along the surface towards the centre of its triangles, weighted by target density; one sweep.
     pub fn smooth(&mut self) {
         for vertex in 0..self.points.len() {
             if self.faces_at[vertex].is_empty() {
@@ -100,7 +110,7 @@ impl<'a, T: Target> Mesh<'a, T> {
         }
     }
 
-    /// The living vertices and faces, renumbered in order.
+    /// Returns the remaining vertices and faces, renumbered in order.
     pub fn compact(&self) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         let mut number = vec![0; self.points.len()];
         let mut points = Vec::new();
@@ -113,26 +123,27 @@ impl<'a, T: Target> Mesh<'a, T> {
         (points, self.faces.iter().flatten().map(|face| face.map(|vertex| number[vertex as usize])).collect())
     }
 
-    /// Living edges, lower index first, in order.
+    /// Returns the remaining edges, lower index first, in ascending order.
     fn edges(&self) -> BTreeSet<(u32, u32)> {
         let sides = |&[a, b, c]: &[u32; 3]| [(a, b), (b, c), (c, a)];
         self.faces.iter().flatten().flat_map(sides).map(|(a, b)| (a.min(b), a.max(b))).collect()
     }
 
-    /// An edge with its sorting key: length over wanted length, as the bits of a positive float, which sort like it.
+    /// Returns an edge with its sort key: length over target length as float bits, which order positive numbers
+    /// correctly.
     fn keyed(&self, (a, b): (u32, u32)) -> (u64, u32, u32) {
         let length = self.points[a as usize].distance(self.points[b as usize]);
         let wanted = 0.5 * (self.wanted[a as usize] + self.wanted[b as usize]);
         ((length / wanted).to_bits(), a, b)
     }
 
-    /// Neighbours of a vertex, ascending.
+    /// Returns the neighbours of a vertex in ascending order.
     fn ring(&self, vertex: u32) -> BTreeSet<u32> {
         let faces = self.faces_at[vertex as usize].iter().filter_map(|&face| self.faces[face as usize]);
         faces.flatten().filter(|&other| other != vertex).collect()
     }
 
-    /// Faces at the edge with the corner opposite of it, as `(face, opposite)`.
+    /// Returns the faces at an edge with the corner opposite of it, as `(face, opposite)`.
     fn faces_at_edge(&self, a: u32, b: u32) -> Vec<(u32, u32)> {
         let opposite = |&face: &u32| {
             let corners = self.faces[face as usize]?;
@@ -142,15 +153,15 @@ impl<'a, T: Target> Mesh<'a, T> {
         self.faces_at[a as usize].iter().filter_map(opposite).collect()
     }
 
-    /// Merges `b` into `a`; refuses what would change the topology or fold the surface.
+    /// Merges `b` into `a`. Returns false, and changes nothing, if that would change the topology or fold the surface.
     fn collapse(&mut self, a: u32, b: u32) -> bool {
         let sides = self.faces_at_edge(a, b);
-        // Link condition: the ends share just the two opposite corners, and no corner falls below valence 4.
+        // Link condition: the ends share only the two opposite corners. Opposite corners keep a valence of at least 4.
         let shared = self.ring(a).intersection(&self.ring(b)).count();
         if sides.len() != 2 || shared != 2 || sides.iter().any(|&(_, corner)| self.ring(corner).len() < 5) {
             return false;
         }
-        if self.ring(a).union(&self.ring(b)).count() - 2 > 8 {
+        if self.ring(a).union(&self.ring(b)).count() - 2 > MAX_VALENCE {
             return false;
         }
         let middle = self.target.project(0.5 * (self.points[a as usize] + self.points[b as usize]));
@@ -180,13 +191,14 @@ impl<'a, T: Target> Mesh<'a, T> {
         true
     }
 
+    /// Moves a vertex.
     fn place(&mut self, vertex: u32, point: DVec3, normal: DVec3) {
         self.points[vertex as usize] = point;
         self.normals[vertex as usize] = normal;
         self.wanted[vertex as usize] = self.target.edge_length(point);
     }
 
-    /// Puts a vertex in the middle of an edge.
+    /// Inserts a vertex in the middle of an edge.
     fn split(&mut self, a: u32, b: u32) {
         let middle = self.target.project(0.5 * (self.points[a as usize] + self.points[b as usize]));
         let new = self.points.len() as u32;
@@ -207,16 +219,16 @@ impl<'a, T: Target> Mesh<'a, T> {
         self.n_alive += 1;
     }
 
-    /// Replaces edge `ab` by the other diagonal where that makes better triangles.
+    /// Replaces edge `ab` by the other diagonal if that makes better triangles.
     fn flip_edge(&mut self, a: u32, b: u32) {
         let [(left, c), (right, d)] = self.faces_at_edge(a, b)[..] else { return };
         if self.ring(a).len() < 5 || self.ring(b).len() < 5 || self.ring(c).contains(&d) {
             return;
         }
-        if self.ring(c).len() > 7 || self.ring(d).len() > 7 {
+        if self.ring(c).len() >= MAX_VALENCE || self.ring(d).len() >= MAX_VALENCE {
             return;
         }
-        // Let `left` be the face that runs from a to b.
+        // `left` is the face whose boundary runs from a to b.
         let runs =
             |face: u32| self.faces[face as usize].is_some_and(|f| (0..3).any(|i| f[i] == a && f[(i + 1) % 3] == b));
         let (left, c, right, d) = if runs(left) { (left, c, right, d) } else { (right, d, left, c) };
@@ -234,7 +246,7 @@ impl<'a, T: Target> Mesh<'a, T> {
         self.faces_at[c as usize].push(right);
     }
 
-    /// Smallest angle, counted less the more the triangle turns away from the surface at its corners.
+    /// Returns the smallest angle times the smallest cosine between the triangle and the surface at its corners.
     fn quality(&self, corners: [u32; 3]) -> f64 {
         let at = corners.map(|corner| self.points[corner as usize]);
         let facing = (at[1] - at[0]).cross(at[2] - at[0]).normalize_or_zero();
@@ -242,17 +254,17 @@ impl<'a, T: Target> Mesh<'a, T> {
         smallest_angle(at) * aligned.into_iter().fold(1.0, f64::min)
     }
 
-    /// Whether a triangle, with `vertex` at `place`, is no sliver and faces the way the surface does at its corners.
+    /// Returns true if a triangle, with `vertex` moved to `place`, is no sliver and faces outwards.
     fn faces_outwards(&self, corners: [u32; 3], vertex: u32, place: DVec3, normal: DVec3) -> bool {
         let point = |corner: u32| if corner == vertex { place } else { self.points[corner as usize] };
         let at = corners.map(point);
         let facing = (at[1] - at[0]).cross(at[2] - at[0]).normalize_or_zero();
         let outward = |corner: u32| if corner == vertex { normal } else { self.normals[corner as usize] };
-        smallest_angle(at) > 0.12 && corners.iter().all(|&corner| outward(corner).dot(facing) > 0.3)
+        smallest_angle(at) > MIN_ANGLE && corners.iter().all(|&corner| outward(corner).dot(facing) > MIN_FACING)
     }
 }
 
-/// Smallest angle of a triangle, rad.
+/// Computes the smallest angle of a triangle, rad.
 fn smallest_angle([a, b, c]: [DVec3; 3]) -> f64 {
     let angle = |at: DVec3, p: DVec3, q: DVec3| (p - at).cross(q - at).length().atan2((p - at).dot(q - at));
     angle(a, b, c).min(angle(b, c, a)).min(angle(c, a, b))

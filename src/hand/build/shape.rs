@@ -1,4 +1,4 @@
-//! Shape blend shapes of the built-in hand, and the regressor that lets its joints follow them.
+//! Shape blend shapes of the built-in hand, and the regressor of its joints.
 
 use glam::DVec3;
 use nalgebra::{DMatrix, DVector};
@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use super::anatomy::{self, Finger, WRIST};
 use crate::hand::{N_BETAS, N_JOINTS};
 
-/// Vertices that determine a joint.
+/// Number of vertices that determine a joint.
 const REGRESSOR_VERTICES: usize = 36;
 
 /// Relative growth per unit of a beta: along the bones, across (width), through (thickness).
@@ -17,15 +17,16 @@ struct Growth {
     thickness: f64,
 }
 
-/// What one beta does to palm, thumb, index, middle, ring, little finger, and (factor on top) to finger ends.
+/// Effect of one beta on the palm and on thumb, index, middle, ring and little finger.
 #[derive(Debug, Clone, Copy, Default)]
 struct Beta {
     palm: Growth,
     fingers: [Growth; 5],
+    /// Additional relative length of the fingers' last bones.
     end_length: f64,
 }
 
-/// Meaning of the ten betas; at 3 each moves some part by about a centimetre, as MANO's do.
+/// Returns the effects of the ten betas; at 3 each moves some part by about a centimetre, as MANO's betas do.
 fn betas() -> [Beta; N_BETAS] {
     let growth = |length, width, thickness| Growth { length, width, thickness };
     let lengths = |lengths: [f64; 5]| lengths.map(|length| growth(length, 0.0, 0.0));
@@ -54,10 +55,10 @@ fn betas() -> [Beta; N_BETAS] {
     ]
 }
 
-/// (V, 3, 10) displacement in metres per unit of each beta, row-major.
+/// Computes the (V, 3, 10) row-major displacement per unit of each beta, m.
 ///
-/// Each bone is scaled about its own joint along its own axes and carried by the bones before it, so joints stay
-/// joined; the skin blends the bones' displacements by its skinning weights.
+/// Each bone is scaled about its joint along its own axes and moved by the bones before it, so that joints stay
+/// connected. The skin blends the bones' displacements with the skinning weights.
 pub fn shapedirs(points: &[DVec3], weights: &[[f64; N_JOINTS]], fingers: &[Finger; 5]) -> Vec<f64> {
     let mut shapedirs = vec![0.0; points.len() * 3 * N_BETAS];
     for (beta, meaning) in betas().iter().enumerate() {
@@ -72,7 +73,7 @@ pub fn shapedirs(points: &[DVec3], weights: &[[f64; N_JOINTS]], fingers: &[Finge
     shapedirs
 }
 
-/// Displacement of `point` as if it were fixed to one joint's bone.
+/// Computes the displacement of `point` as if it were fixed to one joint's bone.
 fn bone_displacement(beta: &Beta, fingers: &[Finger; 5], joint: usize, point: DVec3) -> DVec3 {
     let palm = |point: DVec3| {
         let offset = point - WRIST;
@@ -82,7 +83,7 @@ fn bone_displacement(beta: &Beta, fingers: &[Finger; 5], joint: usize, point: DV
     else {
         return palm(point);
     };
-    // MANO's order of fingers to the order of the table: thumb first, ring before little.
+    // Row of the table, which has the thumb first and the ring finger before the little finger.
     let row = match finger.first_joint {
         13 => 0,
         1 => 1,
@@ -108,17 +109,18 @@ fn bone_displacement(beta: &Beta, fingers: &[Finger; 5], joint: usize, point: DV
         + through * (offset.dot(through) * growth.thickness)
 }
 
-/// (16, V) row-major: weights of nearby vertices that give each joint exactly, rows summing to 1.
+/// Computes the (16, V) row-major weights of nearby vertices that reproduce each joint exactly; rows sum to 1.
 ///
-/// Of all such weights the ones with the least sum of w² d² (d the distance to the joint), so that no vertex counts
-/// much and near ones count most.
+/// Of all such weights it takes those with the least sum of w² d², with d the distance to the joint: the weights are
+/// small, and largest for near vertices.
 pub fn j_regressor(points: &[DVec3]) -> Vec<f64> {
     let mut regressor = vec![0.0; N_JOINTS * points.len()];
     for (joint, &place) in anatomy::joints().iter().enumerate() {
         let mut near: Vec<usize> = (0..points.len()).collect();
         near.sort_by(|&a, &b| points[a].distance(place).total_cmp(&points[b].distance(place)));
         near.truncate(REGRESSOR_VERTICES);
-        // Minimise w' D w subject to A w = b: w = D⁻¹ A' (A D⁻¹ A')⁻¹ b, with offsets from the joint so that b = (0, 0, 0, 1).
+        // Minimise w' D w subject to A w = b: w = D⁻¹ A' (A D⁻¹ A')⁻¹ b, with offsets from the joint so that b = (0, 0,
+        // 0, 1).
         let scale = points[near[0]].distance(place);
         let constraints = DMatrix::from_fn(4, near.len(), |row, column| match row {
             3 => 1.0,
@@ -131,7 +133,7 @@ pub fn j_regressor(points: &[DVec3]) -> Vec<f64> {
         let damped = &cost * constraints.transpose();
         let system = &constraints * &damped;
         let goal = DVector::from_vec(vec![0.0, 0.0, 0.0, 1.0]);
-        // Vertices all around a joint span space, so the system is regular.
+        // The vertices surround the joint, so they span space and the system is regular.
         let solved = damped * system.cholesky().expect("vertices around a joint span space").solve(&goal);
         for (&vertex, &weight) in near.iter().zip(solved.iter()) {
             regressor[joint * points.len() + vertex] = weight;

@@ -1,4 +1,4 @@
-//! Skinning weights by heat diffusion along the surface (Baran & Popović 2007).
+//! Computes skinning weights by heat diffusion along the surface (Baran & Popović 2007).
 
 use glam::DVec3;
 use nalgebra::{DMatrix, DVector};
@@ -6,16 +6,16 @@ use nalgebra::{DMatrix, DVector};
 use super::anatomy::{self, Finger};
 use crate::hand::N_JOINTS;
 
-/// How firmly a vertex belongs to its nearest bone; larger is stiffer, with narrower joints.
+/// Factor of the heat that a vertex receives from its nearest bone; larger values give narrower joints.
 const STIFFNESS: f64 = 1.0;
-/// Taken off every weight before they are normalised: cuts the far tails without a jump.
+/// Value subtracted from every weight before normalisation; it removes the far tails without a discontinuity.
 const CUT: f64 = 0.02;
 
-/// (V, 16) skinning weights, rows summing to 1.
+/// Computes (V, 16) skinning weights; rows sum to 1.
 ///
-/// Solves (L + H) w = H p per joint: L the cotangent Laplacian, H = area x STIFFNESS / d² with d the distance to the
-/// nearest bone, p = 1 where the joint's bone is the nearest. Heat travels along the skin, not through the gap between
-/// two fingers.
+/// Solves (L + H) w = H p per joint, with the cotangent Laplacian L, H = area x STIFFNESS / d², the distance d to the
+/// nearest bone, and p = 1 at vertices nearest to the joint's bone. Heat spreads along the skin, so it does not cross
+/// the gap between two fingers.
 pub fn weights(points: &[DVec3], faces: &[[u32; 3]], fingers: &[Finger; 5]) -> Vec<[f64; N_JOINTS]> {
     let (mut matrix, areas) = laplacian(points, faces);
     let bones = bones(fingers);
@@ -32,7 +32,7 @@ pub fn weights(points: &[DVec3], faces: &[[u32; 3]], fingers: &[Finger; 5]) -> V
             if nearest[vertex].0 == joint { heat[vertex] } else { 0.0 }
         },
     );
-    // The matrix is diagonally dominant with positive diagonal, so it is positive definite.
+    // The matrix is diagonally dominant with a positive diagonal, hence positive definite.
     let solved = matrix.cholesky().expect("a diagonally dominant matrix").solve(&sources);
     let row = |vertex| {
         let kept: [f64; N_JOINTS] = std::array::from_fn(|joint| (solved[(vertex, joint)] - CUT).max(0.0));
@@ -42,7 +42,7 @@ pub fn weights(points: &[DVec3], faces: &[[u32; 3]], fingers: &[Finger; 5]) -> V
     (0..points.len()).map(row).collect()
 }
 
-/// Stiffness matrix with non-negative cotangent weights, and the area of each vertex.
+/// Computes the stiffness matrix with positive cotangent weights, and the area of each vertex.
 fn laplacian(points: &[DVec3], faces: &[[u32; 3]]) -> (DMatrix<f64>, Vec<f64>) {
     let mut matrix = DMatrix::zeros(points.len(), points.len());
     let mut areas = vec![0.0; points.len()];
@@ -53,7 +53,7 @@ fn laplacian(points: &[DVec3], faces: &[[u32; 3]]) -> (DMatrix<f64>, Vec<f64>) {
             let (p, q) = (points[a] - points[c], points[b] - points[c]);
             let double_area = p.cross(q).length();
             areas[a] += double_area / 6.0;
-            // An obtuse angle's negative weight could make a skinning weight negative.
+            // The negative weight of an obtuse angle could make a skinning weight negative.
             let weight = (0.5 * p.dot(q) / double_area).max(0.02);
             for (i, j) in [(a, b), (b, a)] {
                 matrix[(i, j)] -= weight;
@@ -64,7 +64,7 @@ fn laplacian(points: &[DVec3], faces: &[[u32; 3]]) -> (DMatrix<f64>, Vec<f64>) {
     (matrix, areas)
 }
 
-/// Bones as (joint, from, to): each phalanx, and the palm's bones, which move with the wrist.
+/// Returns the bones as (joint, from, to): each phalanx, and the palm's bones, which move with the wrist.
 fn bones(fingers: &[Finger; 5]) -> Vec<(usize, DVec3, DVec3)> {
     let mut bones = Vec::new();
     for finger in fingers {
@@ -72,13 +72,14 @@ fn bones(fingers: &[Finger; 5]) -> Vec<(usize, DVec3, DVec3)> {
         bones.push((0, anatomy::WRIST + DVec3::X * 0.02, joints[0]));
         bones.extend((0..3).map(|i| (finger.first_joint + i, joints[i], joints[i + 1])));
     }
-    // The web between thumb and index finger hangs on the thumb's metacarpal, not on its phalanx.
+    // The web between thumb and index finger follows the thumb's metacarpal, not its phalanx.
     let [index, .., thumb] = fingers;
     let [carpal, base, ..] = thumb.joints;
     bones.push((thumb.first_joint, carpal.lerp(base, 0.6), base.lerp(index.base, 0.4)));
     bones
 }
 
+/// Returns the joint of the nearest bone, and its distance, m.
 fn nearest_bone(point: DVec3, bones: &[(usize, DVec3, DVec3)]) -> (usize, f64) {
     let distance = |(from, to): (DVec3, DVec3)| {
         let along = to - from;

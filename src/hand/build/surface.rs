@@ -1,4 +1,4 @@
-//! The built-in hand's skin as an implicit surface: swept fingers on a palm of blended bones.
+//! Implicit surface of the built-in hand: swept fingers on a palm of blended bones.
 
 use glam::DVec3;
 
@@ -8,21 +8,21 @@ use super::anatomy::{self, Finger, Section, WRIST};
 const PALM_BLEND: f64 = 0.012;
 /// Width of the blend between palm and finger, m.
 const FINGER_BLEND: f64 = 0.010;
-/// Width of the blend between fingers, m; less than their gap, so that neighbours don't attract each other.
+/// Width of the blend between fingers, m; smaller than their gap, so that neighbours do not merge.
 const NEIGHBOUR_BLEND: f64 = 0.003;
 
-/// The skin: negative inside, close to the distance in metres near the surface.
+/// The skin as a scalar field: negative inside, and close to the distance in metres near the surface.
 #[derive(Debug, Clone)]
-pub struct Surface {
+pub struct ImplicitHand {
     /// Index, middle, little, ring, thumb.
     pub fingers: [Finger; 5],
     swept_fingers: [Sweep; 5],
     bones: Vec<Capsule>,
-    sheets: Vec<Sheet>,
+    webs: Vec<Web>,
     wrist: Sweep,
 }
 
-/// A capsule whose radius goes linearly from one end to the other.
+/// A capsule whose radius varies linearly from one end to the other.
 #[derive(Debug, Clone, Copy)]
 struct Capsule {
     from: DVec3,
@@ -30,9 +30,9 @@ struct Capsule {
     radii: [f64; 2],
 }
 
-/// A rounded triangle: the web of skin between two bones.
+/// A triangle with thickness: the web of skin between two bones.
 #[derive(Debug, Clone, Copy)]
-struct Sheet {
+struct Web {
     corners: [DVec3; 3],
     radius: f64,
 }
@@ -47,41 +47,41 @@ struct Sweep {
     cap: f64,
 }
 
-impl Surface {
-    /// The hand of the anatomy tables.
+impl ImplicitHand {
+    /// Creates the surface from the anatomy tables.
     pub fn new() -> Self {
         let fingers = anatomy::fingers();
         Self {
             swept_fingers: fingers.each_ref().map(Sweep::of_finger),
             bones: palm_bones(&fingers),
-            sheets: webs(&fingers),
+            webs: webs(&fingers),
             wrist: wrist(),
             fingers,
         }
     }
 
-    /// Signed value at `point`: negative inside.
+    /// Returns the field at `point`: negative inside.
     pub fn value(&self, point: DVec3) -> f64 {
         let mut palm = self.wrist.value(point);
         for bone in &self.bones {
             palm = smooth_min(palm, bone.value(point), PALM_BLEND);
         }
-        for sheet in &self.sheets {
-            palm = smooth_min(palm, sheet.value(point), PALM_BLEND);
+        for web in &self.webs {
+            palm = smooth_min(palm, web.value(point), PALM_BLEND);
         }
         let fingers = self.swept_fingers.iter().map(|finger| finger.value(point));
         let fingers = fingers.fold(f64::INFINITY, |nearest, finger| smooth_min(nearest, finger, NEIGHBOUR_BLEND));
         smooth_min(palm, fingers, FINGER_BLEND)
     }
 
-    /// Gradient by central differences.
+    /// Computes the gradient by central differences.
     pub fn gradient(&self, point: DVec3) -> DVec3 {
         const STEP: f64 = 1e-5;
         let along = |axis: DVec3| self.value(point + axis * STEP) - self.value(point - axis * STEP);
         DVec3::new(along(DVec3::X), along(DVec3::Y), along(DVec3::Z)) / (2.0 * STEP)
     }
 
-    /// Nearest surface point downhill from `point`, by Newton steps along the gradient.
+    /// Moves `point` to the surface by Newton steps along the gradient.
     pub fn project(&self, mut point: DVec3) -> DVec3 {
         const MAX_STEP: f64 = 0.003;
         for _ in 0..12 {
@@ -97,7 +97,7 @@ impl Surface {
     }
 }
 
-impl Default for Surface {
+impl Default for ImplicitHand {
     fn default() -> Self {
         Self::new()
     }
@@ -111,7 +111,7 @@ impl Capsule {
     }
 }
 
-impl Sheet {
+impl Web {
     fn value(&self, point: DVec3) -> f64 {
         let [a, b, c] = self.corners;
         let normal = (b - a).cross(c - a);
@@ -139,7 +139,7 @@ impl Sweep {
         }
     }
 
-    /// First-order distance to the ellipsoid that fits the section at `point`: k0 (k0 - 1) / k1 with
+    /// Computes the first-order distance to the ellipsoid that fits the section at `point`: k0 (k0 - 1) / k1, with
     /// k0 = |p / r| and k1 = |p / r²|.
     fn value(&self, point: DVec3) -> f64 {
         let local = point - self.base;
@@ -155,7 +155,7 @@ impl Sweep {
         if k1 < 1e-6 { -section.width.min(thickness) } else { k0 * (k0 - 1.0) / k1 }
     }
 
-    /// Section at `at`, between the given ones by cubic Hermite interpolation.
+    /// Interpolates the section at `at` by cubic Hermite splines.
     fn section(&self, at: f64) -> Section {
         let sections = &self.sections;
         let last = sections.len() - 1;
@@ -177,7 +177,7 @@ impl Sweep {
     }
 }
 
-/// Metacarpals, balls of thumb and little finger, pads below the knuckles, webs between the fingers.
+/// Returns metacarpals, balls of thumb and little finger, pads below the knuckles, and webs between the fingers.
 fn palm_bones(fingers: &[Finger; 5]) -> Vec<Capsule> {
     let bone = |from: [f64; 3], to: DVec3, radii| Capsule { from: DVec3::from_array(from), to, radii };
     let [index, middle, little, ring, thumb] = fingers;
@@ -200,14 +200,14 @@ fn palm_bones(fingers: &[Finger; 5]) -> Vec<Capsule> {
     bones
 }
 
-/// The web between thumb and index finger.
-fn webs(fingers: &[Finger; 5]) -> Vec<Sheet> {
+/// Returns the web between thumb and index finger.
+fn webs(fingers: &[Finger; 5]) -> Vec<Web> {
     let [index, .., thumb] = fingers;
     let corners = [thumb.joints[0], thumb.base + thumb.axis * 0.006, index.base + DVec3::new(0.010, -0.004, 0.002)];
-    vec![Sheet { corners, radius: 0.0048 }]
+    vec![Web { corners, radius: 0.0048 }]
 }
 
-/// The wrist: a stub closed behind the joint.
+/// Returns the wrist: a stub that is closed behind the joint.
 fn wrist() -> Sweep {
     let section = |at, width, thickness| Section { at, width, dorsal: thickness, palmar: thickness };
     Sweep {
@@ -225,7 +225,7 @@ fn segment_distance(point: DVec3, from: DVec3, to: DVec3) -> f64 {
     (point - from - along * t).length()
 }
 
-/// Minimum whose corner is rounded over a width of `k`.
+/// Computes the minimum of two fields, rounded over a width of `k`.
 fn smooth_min(a: f64, b: f64, k: f64) -> f64 {
     let overlap = (k - (a - b).abs()).max(0.0) / k;
     a.min(b) - overlap * overlap * k * 0.25

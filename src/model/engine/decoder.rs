@@ -1,12 +1,15 @@
-//! The tactile decoder on a few rows: what it costs is reading its weights.
+//! The compiled tactile decoder. It has few rows, so reading the weights takes most of its time.
 
-use super::attention::Attention;
-use super::norm::{Norm, modulated};
-use super::packed::{Packed, Then};
-use super::quantise::Quantised;
-use super::{finite, rows};
+use egotac_kernels::attention::Attention;
+use egotac_kernels::norm::{Norm, modulated};
+use egotac_kernels::packed::{Packed, Then};
+use egotac_kernels::quantise::Quantised;
+use egotac_kernels::rows::Rows;
+
 use crate::error::Result;
+use crate::model::attention::EPS;
 use crate::model::decoder as layers;
+use crate::model::heads::check_finite;
 use crate::model::precision::Precision;
 
 /// Weights of the decoder.
@@ -23,14 +26,14 @@ pub struct Decoder {
 struct Layer {
     ada_attn: Packed,
     ada_mlp: Packed,
-    /// The value projection alone where there is one step to attend to.
+    /// Queries, keys and values side by side; the values alone if K = 1, where the softmax over the single key is 1.
     qkv: Packed,
     out: Packed,
     fc1: Packed,
     fc2: Packed,
 }
 
-/// What a batch needs on its way.
+/// Intermediate results of a batch.
 #[derive(Debug, Clone)]
 pub struct Buffers {
     condition: Vec<f32>,  // (B, d)
@@ -43,22 +46,22 @@ pub struct Buffers {
 }
 
 impl Decoder {
-    /// Takes the layers apart.
+    /// Packs the layers.
     pub fn new(from: layers::Decoder, precision: Precision) -> Result<Self> {
         let steps = from.queries.dim(0)?;
         let layer = |layer| Layer::new(layer, steps, precision);
-        // The last products are small, and their rounding is not averaged by any layer behind.
+        // In f32 also for int8: the heads are small, and no layer behind them averages their rounding.
         let heads = precision.of_small_layers();
         Ok(Self {
             queries: from.queries.flatten_all()?.to_vec1()?,
             layers: from.layers.into_iter().map(layer).collect::<Result<_>>()?,
-            norm: from.norm.lay_out()?,
-            force_head: from.force_head.lay_out(heads)?,
-            contact_head: from.contact_head.lay_out(heads)?,
+            norm: from.norm.pack()?,
+            force_head: from.force_head.pack(heads)?,
+            contact_head: from.contact_head.pack(heads)?,
         })
     }
 
-    /// Bytes of weights.
+    /// Bytes of the weights.
     pub fn bytes(&self) -> usize {
         let layers = self.layers.iter().flat_map(|l| [&l.ada_attn, &l.ada_mlp, &l.qkv, &l.out, &l.fc1, &l.fc2]);
         let all = layers.chain([&self.force_head, &self.contact_head]);
@@ -70,7 +73,7 @@ impl Decoder {
         self.queries.len() / self.norm.d()
     }
 
-    /// Room to work in; it grows with the batch.
+    /// Creates empty buffers; they grow with the batch.
     pub fn buffers(&self, heads: usize) -> Buffers {
         let empty = Vec::new;
         Buffers {
@@ -84,7 +87,10 @@ impl Decoder {
         }
     }
 
-    /// `z`: `(B, d)`, `force` and `contact`: `(B, K, 1556)`.
+    /// Decodes scene vectors `z`, `(B, d)`, into `force` and `contact` logits, `(B, K, 1556)` each.
+    ///
+    /// # Errors
+    /// With `checked`: if the result of a step is not finite; names the first one.
     pub fn forward(
         &self,
         z: &[f32],
@@ -105,47 +111,47 @@ impl Decoder {
             h.copy_from_slice(&self.queries);
         }
         for (i, layer) in self.layers.iter().enumerate() {
-            layer.ada_attn.forward(rows(condition, d), modulation, 2 * d, Then::Store, quantised);
+            layer.ada_attn.forward(Rows::new(condition, d), modulation, 2 * d, Then::Store, quantised);
             modulate(h, modulation, steps, d, x);
             let wide = layer.qkv.n();
-            layer.qkv.forward(rows(x, d), qkv, wide, Then::Store, quantised);
+            layer.qkv.forward(Rows::new(x, d), qkv, wide, Then::Store, quantised);
             let attended = match steps {
-                1 => rows(qkv, d),
+                1 => Rows::new(qkv, d),
                 _ => {
                     for (qkv, x) in qkv.chunks_exact(steps * wide).zip(x.chunks_exact_mut(steps * d)) {
                         attention.forward(qkv, x);
                     }
-                    rows(x, d)
+                    Rows::new(x, d)
                 }
             };
             layer.out.forward(attended, h, d, Then::Add, quantised);
             if checked {
-                finite(&format!("decoder.{i}.attn"), h)?;
+                check_finite(&format!("decoder.{i}.attn"), h)?;
             }
-            layer.ada_mlp.forward(rows(condition, d), modulation, 2 * d, Then::Store, quantised);
+            layer.ada_mlp.forward(Rows::new(condition, d), modulation, 2 * d, Then::Store, quantised);
             modulate(h, modulation, steps, d, x);
-            layer.fc1.forward(rows(x, d), hidden, 4 * d, Then::Gelu, quantised);
-            layer.fc2.forward(rows(hidden, 4 * d), h, d, Then::Add, quantised);
+            layer.fc1.forward(Rows::new(x, d), hidden, 4 * d, Then::Gelu, quantised);
+            layer.fc2.forward(Rows::new(hidden, 4 * d), h, d, Then::Add, quantised);
             if checked {
-                finite(&format!("decoder.{i}.mlp"), h)?;
+                check_finite(&format!("decoder.{i}.mlp"), h)?;
             }
         }
-        self.norm.forward(rows(h, d), x);
-        self.force_head.forward(rows(x, d), force, self.force_head.n(), Then::Store, quantised);
-        self.contact_head.forward(rows(x, d), contact, self.contact_head.n(), Then::Store, quantised);
+        self.norm.forward(Rows::new(h, d), x);
+        self.force_head.forward(Rows::new(x, d), force, self.force_head.n(), Then::Store, quantised);
+        self.contact_head.forward(Rows::new(x, d), contact, self.contact_head.n(), Then::Store, quantised);
         if checked {
-            finite("force_head", force)?;
-            finite("contact_head", contact)?;
+            check_finite("force_head", force)?;
+            check_finite("contact_head", contact)?;
         }
         Ok(())
     }
 }
 
-/// AdaLN of each row with its clip's γ and β.
+/// Applies AdaLN to each row, with γ and β of the row's clip.
 fn modulate(h: &[f32], modulation: &[f32], steps: usize, d: usize, out: &mut [f32]) {
     for (row, (h, out)) in h.chunks_exact(d).zip(out.chunks_exact_mut(d)).enumerate() {
         let (gamma, beta) = modulation[row / steps * 2 * d..][..2 * d].split_at(d);
-        modulated(h, gamma, beta, out);
+        modulated(h, gamma, beta, EPS as f32, out);
     }
 }
 
@@ -153,18 +159,17 @@ impl Layer {
     fn new(from: layers::DecoderLayer, steps: usize, precision: Precision) -> Result<Self> {
         let layers::DecoderLayer { ada_attn, ada_mlp, attn, mlp } = from;
         let (qkv, out) = match steps {
-            // The softmax over a single key is 1.
             1 => attn.value_and_out()?,
             _ => attn.parts()?,
         };
         let (fc1, fc2) = mlp.parts();
         Ok(Self {
-            ada_attn: ada_attn.linear.lay_out(precision)?,
-            ada_mlp: ada_mlp.linear.lay_out(precision)?,
-            qkv: qkv.lay_out(precision)?,
-            out: out.lay_out(precision)?,
-            fc1: fc1.lay_out(precision)?,
-            fc2: fc2.lay_out(precision)?,
+            ada_attn: ada_attn.linear.pack(precision)?,
+            ada_mlp: ada_mlp.linear.pack(precision)?,
+            qkv: qkv.pack(precision)?,
+            out: out.pack(precision)?,
+            fc1: fc1.pack(precision)?,
+            fc2: fc2.pack(precision)?,
         })
     }
 }

@@ -1,17 +1,19 @@
-//! The vision encoder: one frame at a time, through one set of buffers.
+//! The compiled vision encoder: one frame at a time, through one set of buffers.
 
-use super::attention::Attention;
-use super::norm::Norm;
-use super::packed::{Packed, Rows, Then};
-use super::quantise::Quantised;
-use super::{finite, rows};
+use egotac_kernels::attention::Attention;
+use egotac_kernels::norm::Norm;
+use egotac_kernels::packed::{Packed, Then};
+use egotac_kernels::quantise::Quantised;
+use egotac_kernels::rows::Rows;
+
 use crate::error::Result;
 use crate::model::config::Config;
 use crate::model::dinov2::{self, Dinov2};
+use crate::model::heads::check_finite;
 use crate::model::precision::Precision;
 
-/// Values by which a row of the hidden layer is longer than it is wide: rows whose distance is a multiple of a memory
-/// page would all fall into the same few places of the cache.
+/// Unused values at the end of each row of the hidden layer. The width of that layer is a multiple of a memory page at
+/// common sizes; rows at such a distance would all map to the same few sets of the cache.
 const PADDING: usize = 16;
 
 /// Weights of the encoder.
@@ -21,13 +23,13 @@ pub struct Encoder {
     patch: usize,
     registers: usize,
     projection: Packed,
-    /// CLS and registers, and the position embedding of each patch: `(1 + registers + patches, dv)`.
+    /// Tokens before the image is added: CLS, registers, position embedding of each patch, `(1 + registers + patches, dv)`.
     start: Vec<f32>,
     layers: Vec<Layer>,
     norm: Norm,
 }
 
-/// The scales of the residuals lie in `out` and `fc2`.
+/// One layer. The scales of its residuals are multiplied into `out` and `fc2`.
 #[derive(Debug, Clone)]
 struct Layer {
     norm1: Norm,
@@ -38,7 +40,7 @@ struct Layer {
     fc2: Packed,
 }
 
-/// What one frame needs on its way.
+/// Intermediate results of one frame.
 #[derive(Debug, Clone)]
 pub struct Buffers {
     patches: Vec<f32>, // (patches, 3 · patch²)
@@ -50,7 +52,7 @@ pub struct Buffers {
 }
 
 impl Encoder {
-    /// Takes the layers apart, each as it is packed.
+    /// Packs the layers; each is freed once it is packed.
     pub fn new(config: &Config, from: Dinov2, precision: Precision) -> Result<Self> {
         let (start, projection) = from.embeddings.parts()?;
         let layers = from.layers.into_iter().map(|layer| Layer::new(layer, precision)).collect::<Result<_>>()?;
@@ -58,15 +60,15 @@ impl Encoder {
             image: config.image,
             patch: config.patch,
             registers: config.registers,
-            // A hundredth of the work; the picture meets it without a norm before.
-            projection: projection.lay_out(precision.of_small_layers())?,
+            // In f32 also for int8: a hundredth of the work, and its input has no layer norm before it.
+            projection: projection.pack(precision.of_small_layers())?,
             start,
             layers,
-            norm: from.layernorm.lay_out()?,
+            norm: from.layernorm.pack()?,
         })
     }
 
-    /// Bytes of weights.
+    /// Bytes of the weights.
     pub fn bytes(&self) -> usize {
         let layers = self.layers.iter().map(|l| l.qkv.bytes() + l.out.bytes() + l.fc1.bytes() + l.fc2.bytes());
         self.projection.bytes() + 4 * self.start.len() + layers.sum::<usize>()
@@ -80,7 +82,7 @@ impl Encoder {
         self.start.len() / self.dv()
     }
 
-    /// Room for one frame.
+    /// Creates the buffers of one frame.
     pub fn buffers(&self, heads: usize) -> Buffers {
         let (tokens, dv) = (self.tokens(), self.dv());
         let patches = tokens - 1 - self.registers;
@@ -94,7 +96,10 @@ impl Encoder {
         }
     }
 
-    /// `frame`: `(3, H, W)`, `out`: `(P, dv)`. With `checked`, the first step whose result is not finite is named.
+    /// Encodes one frame, `(3, H, W)`, into `out`, `(P, dv)`.
+    ///
+    /// # Errors
+    /// With `checked`: if the result of a step is not finite; names the first one.
     pub fn forward(
         &self,
         frame: &[f32],
@@ -106,43 +111,43 @@ impl Encoder {
         let (dv, tokens) = (self.dv(), self.tokens());
         let Buffers { patches, h, x, qkv, hidden, attention } = buffers;
         if checked {
-            finite("images", frame)?;
+            check_finite("images", frame)?;
         }
         self.gather(frame, patches);
         h.copy_from_slice(&self.start);
         let size = 3 * self.patch * self.patch;
         let place = &mut h[(1 + self.registers) * dv..];
-        self.projection.forward(rows(patches, size), place, dv, Then::Add, quantised);
+        self.projection.forward(Rows::new(patches, size), place, dv, Then::Add, quantised);
         if checked {
-            finite("encoder.embeddings", h)?;
+            check_finite("encoder.embeddings", h)?;
         }
         let wide = 4 * dv + PADDING;
         for (i, layer) in self.layers.iter().enumerate() {
-            layer.norm1.forward(rows(h, dv), x);
-            layer.qkv.forward(rows(x, dv), qkv, 3 * dv, Then::Store, quantised);
+            layer.norm1.forward(Rows::new(h, dv), x);
+            layer.qkv.forward(Rows::new(x, dv), qkv, 3 * dv, Then::Store, quantised);
             attention.forward(qkv, x);
-            layer.out.forward(rows(x, dv), h, dv, Then::Add, quantised);
+            layer.out.forward(Rows::new(x, dv), h, dv, Then::Add, quantised);
             if checked {
-                finite(&format!("encoder.encoder.layer.{i}.attention"), h)?;
+                check_finite(&format!("encoder.encoder.layer.{i}.attention"), h)?;
             }
-            layer.norm2.forward(rows(h, dv), x);
-            layer.fc1.forward(rows(x, dv), hidden, wide, Then::Gelu, quantised);
+            layer.norm2.forward(Rows::new(h, dv), x);
+            layer.fc1.forward(Rows::new(x, dv), hidden, wide, Then::Gelu, quantised);
             let input = Rows { data: hidden, stride: wide, count: tokens };
             layer.fc2.forward(input, h, dv, Then::Add, quantised);
             if checked {
-                finite(&format!("encoder.encoder.layer.{i}.mlp"), h)?;
+                check_finite(&format!("encoder.encoder.layer.{i}.mlp"), h)?;
             }
         }
-        // CLS, then the patches: registers stay behind.
-        self.norm.forward(rows(&h[..dv], dv), &mut out[..dv]);
-        self.norm.forward(rows(&h[(1 + self.registers) * dv..], dv), &mut out[dv..]);
+        // CLS, then the patches; the registers between them have served their purpose.
+        self.norm.forward(Rows::new(&h[..dv], dv), &mut out[..dv]);
+        self.norm.forward(Rows::new(&h[(1 + self.registers) * dv..], dv), &mut out[dv..]);
         if checked {
-            finite("encoder.layernorm", out)?;
+            check_finite("encoder.layernorm", out)?;
         }
         Ok(())
     }
 
-    /// The pixels of each patch: channel, row, column.
+    /// Copies the pixels of each patch into one row, in the order channel, row, column.
     fn gather(&self, frame: &[f32], patches: &mut [f32]) {
         let (side, patch) = (self.image, self.patch);
         let grid = side / patch;
@@ -163,12 +168,12 @@ impl Layer {
         let (qkv, out) = attention.parts()?;
         let (fc1, fc2) = mlp.parts();
         Ok(Self {
-            norm1: norm1.lay_out()?,
-            qkv: qkv.lay_out(precision)?,
-            out: out.scaled(&layer_scale1)?.lay_out(precision)?,
-            norm2: norm2.lay_out()?,
-            fc1: fc1.lay_out(precision)?,
-            fc2: fc2.scaled(&layer_scale2)?.lay_out(precision)?,
+            norm1: norm1.pack()?,
+            qkv: qkv.pack(precision)?,
+            out: out.scaled(&layer_scale1)?.pack(precision)?,
+            norm2: norm2.pack()?,
+            fc1: fc1.pack(precision)?,
+            fc2: fc2.scaled(&layer_scale2)?.pack(precision)?,
         })
     }
 }

@@ -1,33 +1,28 @@
-//! The network laid out for inference on the CPU: weights packed once in the wanted precision, each step fused with
-//! what follows it, buffers kept from frame to frame.
+//! The network compiled for inference on the CPU: weights packed once in the wanted precision, each step fused with the one
+//! that follows it, buffers kept from frame to frame. The kernels are those of `egotac_kernels`.
 //!
-//! A frame passes alone, so that its activations stay in the cache; a product is split into many small tasks, so that
-//! a thread that is held up elsewhere costs little. Results don't depend on the number of threads.
+//! Frames pass one by one, so that the activations of a frame stay in the cache. Each product is split into many small
+//! tasks, so that a thread that the system suspends delays little work. Results do not depend on the number of threads.
 
-mod aligned;
-mod attention;
 mod decoder;
 mod encoder;
-mod norm;
-mod packed;
-mod quantise;
-mod team;
 mod temporal;
-mod tile;
-mod tile8;
 
 use std::sync::{Mutex, PoisonError};
 
-use candle_core::Tensor;
+use egotac_kernels::norm::Norm;
+use egotac_kernels::packed::Packed;
+use egotac_kernels::quantise::Quantised;
+use egotac_kernels::rows::Rows;
+use egotac_kernels::team;
 
-use self::norm::Norm;
-use self::packed::{Packed, Rows};
-use self::quantise::Quantised;
 use super::Layers;
-use super::attention::{LayerNorm, Linear};
+use super::attention::{EPS, LayerNorm, Linear};
 use super::config::Config;
+use super::heads::check_finite;
 use super::precision::Precision;
-use crate::error::{Error, Result};
+use crate::error::Result;
+use crate::tactile::N_FIELD;
 
 /// The compiled network.
 pub struct Engine {
@@ -36,11 +31,11 @@ pub struct Engine {
     encoder: encoder::Encoder,
     temporal: temporal::Temporal,
     decoder: decoder::Decoder,
-    /// Buffers of callers that are done; each caller takes one, so that several threads may call.
+    /// Buffers that no call uses. Each call takes one set, so that several threads may call at once.
     spare: Mutex<Vec<Buffers>>,
 }
 
-/// Everything a frame or a window needs on its way.
+/// Intermediate results of one call.
 struct Buffers {
     encoder: encoder::Buffers,
     temporal: temporal::Buffers,
@@ -49,7 +44,7 @@ struct Buffers {
 }
 
 impl Engine {
-    /// Takes the layers apart.
+    /// Compiles the layers; each is freed once it is packed.
     ///
     /// # Errors
     /// If a tensor is not f32 on the CPU.
@@ -69,23 +64,23 @@ impl Engine {
         self.precision
     }
 
-    /// Bytes of weights.
+    /// Bytes of the weights.
     pub fn bytes(&self) -> usize {
         self.encoder.bytes() + self.temporal.bytes() + self.decoder.bytes()
     }
 
-    /// `frames`: N times `(3, H, W)`. Returns N times `(P, dv)`.
+    /// Encodes frames: N times `(3, H, W)`. Returns N times `(P, dv)`.
     ///
     /// # Errors
     /// If a result is not finite; names the step.
     pub fn encode(&self, frames: &[f32]) -> Result<Vec<f32>> {
         let (size, wide) = (3 * self.config.image.pow(2), self.config.tokens() * self.config.vision_width);
         let mut out = vec![0.0; frames.len() / size * wide];
-        self.with_buffers(|Buffers { encoder, quantised, .. }| {
+        self.with_buffers(|Buffers { encoder, quantised, .. }| -> Result<()> {
             for (frame, out) in frames.chunks_exact(size).zip(out.chunks_exact_mut(wide)) {
                 self.encoder.forward(frame, out, encoder, quantised, false)?;
                 if !all_finite(out) {
-                    // Again, slowly, for the name of the step.
+                    // A second pass with checks after each step names the first one that fails.
                     self.encoder.forward(frame, out, encoder, quantised, true)?;
                 }
             }
@@ -94,30 +89,28 @@ impl Engine {
         Ok(out)
     }
 
-    /// `tokens`: `(rows, dv)`. Returns `(rows, d)`.
+    /// Projects tokens, `(rows, dv)`, to the width of the decoder. Returns `(rows, d)`.
     pub fn project(&self, tokens: &[f32]) -> Vec<f32> {
         let dv = self.config.vision_width;
         let mut out = vec![0.0; tokens.len() / dv * self.config.width];
-        let done = self.with_buffers(|Buffers { quantised, .. }| {
-            self.temporal.project(rows(tokens, dv), &mut out, quantised);
-            Ok(())
+        self.with_buffers(|Buffers { quantised, .. }| {
+            self.temporal.project(Rows::new(tokens, dv), &mut out, quantised)
         });
-        debug_assert!(done.is_ok());
         out
     }
 
-    /// `windows`: B times T frames of `(P, d)`, oldest first. Returns `(B, d)`.
+    /// Fuses windows: B times T frames of `(P, d)`, oldest first. Returns `(B, d)`.
     ///
     /// # Errors
     /// If a result is not finite; names the step.
     pub fn fuse(&self, windows: &[&[f32]]) -> Result<Vec<f32>> {
         let (horizon, d) = (self.config.horizon, self.config.width);
         let mut z = vec![0.0; windows.len() / horizon * d];
-        self.with_buffers(|Buffers { temporal, quantised, .. }| {
+        self.with_buffers(|Buffers { temporal, quantised, .. }| -> Result<()> {
             for (frames, z) in windows.chunks_exact(horizon).zip(z.chunks_exact_mut(d)) {
                 self.temporal.fuse(frames, z, temporal, quantised, false)?;
                 if !all_finite(z) {
-                    frames.iter().try_for_each(|frame| finite("temporal.proj", frame))?;
+                    frames.iter().try_for_each(|frame| check_finite("temporal.proj", frame))?;
                     self.temporal.fuse(frames, z, temporal, quantised, true)?;
                 }
             }
@@ -126,17 +119,17 @@ impl Engine {
         Ok(z)
     }
 
-    /// `z`: `(B, d)`. Returns force and contact logits, `(B, K, 1556)` each.
+    /// Computes force and contact logits, `(B, K, 1556)` each, from scene vectors `z`, `(B, d)`.
     ///
     /// # Errors
     /// If a result is not finite; names the step.
     pub fn heads(&self, z: &[f32]) -> Result<[Vec<f32>; 2]> {
-        let outputs = z.len() / self.config.width * self.decoder.steps() * crate::tactile::N_FIELD;
+        let outputs = z.len() / self.config.width * self.decoder.steps() * N_FIELD;
         let (mut force, mut contact) = (vec![0.0; outputs], vec![0.0; outputs]);
-        self.with_buffers(|Buffers { decoder, quantised, .. }| {
+        self.with_buffers(|Buffers { decoder, quantised, .. }| -> Result<()> {
             self.decoder.forward(z, &mut force, &mut contact, decoder, quantised, false)?;
             if !all_finite(&force) || !all_finite(&contact) {
-                finite("temporal.norm_out", z)?;
+                check_finite("temporal.norm_out", z)?;
                 self.decoder.forward(z, &mut force, &mut contact, decoder, quantised, true)?;
             }
             Ok(())
@@ -144,8 +137,8 @@ impl Engine {
         Ok([force, contact])
     }
 
-    /// Leads the threads of the pool.
-    fn with_buffers(&self, run: impl FnOnce(&mut Buffers) -> Result<()> + Send) -> Result<()> {
+    /// Runs a call with a set of buffers, and with the threads of the pool as its team.
+    fn with_buffers<R: Send>(&self, run: impl FnOnce(&mut Buffers) -> R + Send) -> R {
         let spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let mut buffers = spare.unwrap_or_else(|| Buffers {
             encoder: self.encoder.buffers(self.config.vision_heads),
@@ -169,49 +162,23 @@ impl std::fmt::Debug for Engine {
 }
 
 impl Linear {
-    /// Lays the weights out.
-    fn lay_out(&self, precision: Precision) -> Result<Packed> {
+    /// Packs the layer in the wanted precision.
+    fn pack(&self, precision: Precision) -> Result<Packed> {
         let (weight, bias) = self.values()?;
-        Ok(Packed::new(&weight, bias, precision))
+        Ok(Packed::new(&weight, bias, precision.format()))
     }
 }
 
 impl LayerNorm {
-    fn lay_out(&self) -> Result<Norm> {
+    fn pack(&self) -> Result<Norm> {
         let (weight, bias) = self.values()?;
-        Ok(Norm::new(weight, bias))
+        Ok(Norm::new(weight, bias, EPS as f32))
     }
 }
 
-/// All rows of `data`, `d` values each, close to each other.
-fn rows(data: &[f32], d: usize) -> Rows<'_> {
-    Rows { data, stride: d, count: data.len() / d }
-}
-
+/// True if all values are finite. Much faster than [`check_finite`]: zero times a value that is not finite is NaN, so one sum
+/// without branches shows it.
 fn all_finite(values: &[f32]) -> bool {
-    // Zero times what is not finite is NaN.
     let sum: f32 = values.chunks(4096).map(|chunk| chunk.iter().map(|value| 0.0 * value).sum::<f32>()).sum();
     sum == 0.0
-}
-
-/// # Errors
-/// If a value is not finite; names the step it came from.
-fn finite(step: &str, values: &[f32]) -> Result<()> {
-    match values.iter().position(|value| !value.is_finite()) {
-        Some(at) => Err(Error::value(format!("network, {step}"), "finite numbers", format!("{} at {at}", values[at]))),
-        None => Ok(()),
-    }
-}
-
-/// The values of a contiguous f32 tensor on the CPU.
-///
-/// # Errors
-/// If it is no such tensor.
-pub fn with_values<R>(tensor: &Tensor, run: impl FnOnce(&[f32]) -> Result<R>) -> Result<R> {
-    let mut result = None;
-    super::ops::cpu::with_slice(&tensor.contiguous()?, |values| {
-        result = Some(run(values));
-        Ok(())
-    })?;
-    result.unwrap_or_else(|| Err(Error::value("tensor", "one on the CPU", "another")))
 }

@@ -1,23 +1,27 @@
-//! Temporal fusion with one query that never changes, so that its products with the key weights are made once.
+//! The compiled temporal fusion. Its query is a learned constant, so the products with the key weights are computed once.
+//!
+//! Tasks take blocks of 64 tokens. Each computes scores against the block's own largest score; the last step rescales the
+//! blocks to the largest of all (as in flash attention), so that no task waits for another.
 
 use std::cell::RefCell;
 
-use super::norm::Norm;
-use super::packed::{Packed, Rows, Then};
-use super::quantise::Quantised;
-use super::team;
-use super::{finite, rows};
+use egotac_kernels::norm::Norm;
+use egotac_kernels::packed::{Packed, Then};
+use egotac_kernels::quantise::Quantised;
+use egotac_kernels::rows::Rows;
+use egotac_kernels::{simd, team};
+
 use crate::error::Result;
-use crate::model::ops::simd;
+use crate::model::heads::check_finite;
 use crate::model::precision::Precision;
 use crate::model::temporal::TemporalFusion;
 
-/// Tokens that one task takes; fixed, so that sums don't depend on the number of threads.
-const TOKENS: usize = 64;
+/// Tokens of one task. Fixed, so that sums do not depend on the number of threads.
+const TOKENS_PER_TASK: usize = 64;
 
 thread_local! {
-    /// Normalised tokens of a block, and their scores for each head.
-    static ROOM: RefCell<(Vec<f32>, Vec<f32>)> = const { RefCell::new((Vec::new(), Vec::new())) };
+    /// Normalised tokens of a block and their scores for each head, kept so that a task allocates nothing.
+    static SCRATCH: RefCell<(Vec<f32>, Vec<f32>)> = const { RefCell::new((Vec::new(), Vec::new())) };
 }
 
 /// Weights of the fusion.
@@ -38,10 +42,10 @@ pub struct Temporal {
     norm_out: Norm,
 }
 
-/// What one window needs on its way.
+/// Intermediate results of one window.
 #[derive(Debug, Clone, Default)]
 pub struct Buffers {
-    partial: Vec<f32>, // per task and head: largest score, sum, weighted sum (d)
+    partial: Vec<f32>, // per task and head: largest score, sum of exponentials, weighted sum (d)
     pooled: Vec<f32>,  // (heads, d)
     values: Vec<f32>,  // (d)
     h: Vec<f32>,       // (d)
@@ -50,7 +54,7 @@ pub struct Buffers {
 }
 
 impl Temporal {
-    /// Takes the layers apart.
+    /// Packs the layers.
     pub fn new(from: TemporalFusion, precision: Precision) -> Result<Self> {
         let heads = from.attn.heads;
         let folded = from.folded_query()?;
@@ -58,34 +62,37 @@ impl Temporal {
         let (value, value_bias) = from.attn.v.values()?;
         Ok(Self {
             heads,
-            proj: from.proj.lay_out(precision)?,
+            proj: from.proj.pack(precision)?,
             steps: from.step_embedding.flatten_all()?.to_vec1()?,
             token: from.token.flatten_all()?.to_vec1()?,
             folded,
-            norm_kv: from.norm_kv.lay_out()?,
+            norm_kv: from.norm_kv.pack()?,
             value,
             value_bias,
-            out: from.attn.out.lay_out(precision)?,
-            norm_mlp: from.norm_mlp.lay_out()?,
-            fc1: fc1.lay_out(precision)?,
-            fc2: fc2.lay_out(precision)?,
-            norm_out: from.norm_out.lay_out()?,
+            out: from.attn.out.pack(precision)?,
+            norm_mlp: from.norm_mlp.pack()?,
+            fc1: fc1.pack(precision)?,
+            fc2: fc2.pack(precision)?,
+            norm_out: from.norm_out.pack()?,
         })
     }
 
-    /// Bytes of weights.
+    /// Bytes of the weights.
     pub fn bytes(&self) -> usize {
         let layers = [&self.proj, &self.out, &self.fc1, &self.fc2];
         let plain = self.steps.len() + self.token.len() + self.folded.len() + self.value.len() + self.value_bias.len();
         layers.iter().map(|layer| layer.bytes()).sum::<usize>() + 4 * plain
     }
 
-    /// `tokens`: `(rows, dv)`, `out`: `(rows, d)`.
+    /// Projects tokens, `(rows, dv)`, into `out`, `(rows, d)`.
     pub fn project(&self, tokens: Rows, out: &mut [f32], quantised: &mut Quantised) {
         self.proj.forward(tokens, out, self.token.len(), Then::Store, quantised);
     }
 
-    /// `frames`: T times `(P, d)`, oldest first, `z`: `(d)`.
+    /// Fuses one window, T times `(P, d)`, oldest first, into `z`, `(d)`.
+    ///
+    /// # Errors
+    /// With `checked`: if the result of a step is not finite; names the first one.
     pub fn fuse(
         &self,
         frames: &[&[f32]],
@@ -98,20 +105,20 @@ impl Temporal {
         let size = d / heads;
         buffers.size(d, heads, frames);
         let Buffers { partial, pooled, values, h, x, hidden } = buffers;
-        let blocks = frames.first().map_or(0, |frame| (frame.len() / d).div_ceil(TOKENS));
+        let blocks = frames.first().map_or(0, |frame| (frame.len() / d).div_ceil(TOKENS_PER_TASK));
         team::chunks(partial, heads * (2 + d), |i, out| {
-            let (frame, first) = (i / blocks, i % blocks * TOKENS * d);
-            let data = &frames[frame][first..frames[frame].len().min(first + TOKENS * d)];
+            let (frame, first) = (i / blocks, i % blocks * TOKENS_PER_TASK * d);
+            let data = &frames[frame][first..frames[frame].len().min(first + TOKENS_PER_TASK * d)];
             let step = &self.steps[frame * d..(frame + 1) * d];
-            ROOM.with_borrow_mut(|(tokens, scores)| {
-                tokens.resize(TOKENS * d, 0.0);
-                scores.resize(heads * TOKENS, 0.0);
+            SCRATCH.with_borrow_mut(|(tokens, scores)| {
+                tokens.resize(TOKENS_PER_TASK * d, 0.0);
+                scores.resize(heads * TOKENS_PER_TASK, 0.0);
                 self.block(data, step, tokens, scores, out);
             });
         });
         self.combine(partial, pooled);
         if checked {
-            finite("temporal.attn", pooled)?;
+            check_finite("temporal.attn", pooled)?;
         }
         for (i, (value, bias)) in values.iter_mut().zip(&self.value_bias).enumerate() {
             let (row, pooled) = (&self.value[i * d..(i + 1) * d], &pooled[i / size * d..(i / size + 1) * d]);
@@ -122,27 +129,28 @@ impl Temporal {
                 );
         }
         h.copy_from_slice(&self.token);
-        self.out.forward(rows(values, d), h, d, Then::Add, quantised);
+        self.out.forward(Rows::new(values, d), h, d, Then::Add, quantised);
         self.norm_mlp.row(h, x);
-        self.fc1.forward(rows(x, d), hidden, 4 * d, Then::Gelu, quantised);
-        self.fc2.forward(rows(hidden, 4 * d), h, d, Then::Add, quantised);
+        self.fc1.forward(Rows::new(x, d), hidden, 4 * d, Then::Gelu, quantised);
+        self.fc2.forward(Rows::new(hidden, 4 * d), h, d, Then::Add, quantised);
         self.norm_out.row(h, z);
         if checked {
-            finite("temporal.norm_out", z)?;
+            check_finite("temporal.norm_out", z)?;
         }
         Ok(())
     }
 
-    /// Scores of up to [`TOKENS`] tokens against their own largest, and their weighted sums.
+    /// Computes for up to [`TOKENS_PER_TASK`] tokens and each head: the largest score, the sum of the exponentials relative to
+    /// it, and the sum of the tokens weighted by them.
     fn block(&self, data: &[f32], step: &[f32], tokens: &mut [f32], scores: &mut [f32], out: &mut [f32]) {
         let d = step.len();
         let count = data.len() / d;
         for (x, token) in data.chunks_exact(d).zip(tokens.chunks_exact_mut(d)) {
-            self.norm_kv.sum(x, step, token);
+            self.norm_kv.shifted_row(x, step, token);
         }
         for (head, out) in out.chunks_exact_mut(2 + d).enumerate() {
             let query = &self.folded[head * d..(head + 1) * d];
-            let scores = &mut scores[head * TOKENS..head * TOKENS + count];
+            let scores = &mut scores[head * TOKENS_PER_TASK..head * TOKENS_PER_TASK + count];
             simd::dispatch(
                 #[inline(always)]
                 || {
@@ -167,7 +175,7 @@ impl Temporal {
         }
     }
 
-    /// The blocks' sums, each scaled from its own largest score to the largest of all.
+    /// Adds the sums of all blocks, each rescaled from its own largest score to the largest of all.
     fn combine(&self, partial: &[f32], pooled: &mut [f32]) {
         let d = self.token.len();
         let wide = 2 + d;
@@ -188,7 +196,7 @@ impl Temporal {
 
 impl Buffers {
     fn size(&mut self, d: usize, heads: usize, frames: &[&[f32]]) {
-        let blocks: usize = frames.iter().map(|frame| (frame.len() / d).div_ceil(TOKENS)).sum();
+        let blocks: usize = frames.iter().map(|frame| (frame.len() / d).div_ceil(TOKENS_PER_TASK)).sum();
         self.partial.resize(blocks * heads * (2 + d), 0.0);
         self.pooled.resize(heads * d, 0.0);
         for buffer in [&mut self.values, &mut self.h, &mut self.x] {

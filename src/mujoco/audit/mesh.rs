@@ -1,29 +1,31 @@
-//! What is wrong with a triangle mesh that an engine takes without a word.
+//! Finds faults of a triangle mesh that the engine accepts without a warning.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use glam::{DVec3, Vec3};
 
-/// Longest edge over shortest height from which a triangle is a needle.
+/// Ratio of longest edge to height above which a triangle counts as a needle.
 const NEEDLE: f64 = 1e4;
+/// Ratio of longest edge to height above which a triangle has no area: single-precision coordinates have seven digits.
+const NO_AREA: f64 = 1e6;
 
-/// A fault of a mesh, with how often it occurs.
+/// A fault of a mesh, with its number of occurrences.
 #[derive(Debug, Clone, PartialEq)]
 pub enum MeshFault {
-    /// Coordinates that are not finite.
+    /// Vertices with a coordinate that is not finite.
     NotFinite(usize),
-    /// Triangles that name a vertex which does not exist.
+    /// Triangles with a vertex index out of range.
     BadIndex(usize),
-    /// Triangles without area: two corners in one place, or all three on a line.
+    /// Triangles without area: two equal corners, or three corners on a line.
     ZeroArea(usize),
-    /// Triangles ten thousand times as long as high.
+    /// Triangles more than ten thousand times as long as high.
     Needle(usize),
-    /// Vertices in the place of another one.
+    /// Vertices at the position of another vertex.
     Duplicate(usize),
-    /// Edges of one triangle only, or of more than two, or run through twice in one direction.
+    /// Edges that do not belong to exactly two triangles of opposite direction.
     Open(usize),
-    /// The enclosed volume is negative, m³: faces look inwards.
+    /// Enclosed volume, m³, which is negative because the faces look inwards.
     InsideOut(f64),
 }
 
@@ -41,7 +43,7 @@ impl fmt::Display for MeshFault {
     }
 }
 
-/// Looks for faults; none in a closed, outward-facing surface of proper triangles.
+/// Returns the faults of a mesh; a closed, outward-facing surface of proper triangles has none.
 ///
 /// `vertices` in m; `faces` counter-clockwise seen from outside.
 pub fn mesh_faults(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<MeshFault> {
@@ -63,8 +65,7 @@ pub fn mesh_faults(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<MeshFault> {
         let height = (b - a).cross(c - a).length() / longest.max(f64::MIN_POSITIVE);
         longest / height.max(f64::MIN_POSITIVE)
     };
-    // Coordinates have seven digits: what is flatter than that has no area.
-    let flat = |face: &[u32; 3]| slender(face) > 1e6;
+    let flat = |face: &[u32; 3]| slender(face) > NO_AREA;
     add(proper.iter().filter(|face| flat(face)).count(), MeshFault::ZeroArea);
     add(proper.iter().filter(|face| !flat(face) && slender(face) >= NEEDLE).count(), MeshFault::Needle);
 
@@ -72,7 +73,7 @@ pub fn mesh_faults(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<MeshFault> {
     let places: BTreeSet<_> = vertices.iter().map(key).collect();
     add(vertices.len() - places.len(), MeshFault::Duplicate);
 
-    // Edges by place, so that vertices which only coincide do not look like holes.
+    // Edges are identified by position, so that duplicate vertices do not count as holes.
     let mut edges: BTreeMap<_, i32> = BTreeMap::new();
     for face in proper.iter().filter(|face| !flat(face)) {
         let [a, b, c] = face.map(|i| key(&vertices[i as usize]));

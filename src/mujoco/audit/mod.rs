@@ -1,87 +1,86 @@
-//! A model looked at before its first step: what in it is known to go wrong silently.
+//! Checks a model before its first step for faults that the engine accepts without a warning.
 //!
-//! The engine accepts all of this without a warning. Errors are models whose motion or forces would be false; advice is
-//! what costs accuracy or matters only under conditions that a model alone does not tell.
+//! An error marks a model whose motion or forces would be wrong. Advice marks a loss of accuracy, or a fault that
+//! depends on conditions outside of the model.
 
-pub mod mesh;
+mod mesh;
+mod pairs;
 mod rules;
-mod touch;
 
 use super::world::World;
 
 pub use mesh::{MeshFault, mesh_faults};
-pub use touch::{depth_limits, speed_limits};
+pub use pairs::{depth_limits, speed_limits};
 
-/// How grave a finding is.
+/// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Severity {
-    /// Costs accuracy, or matters only at times.
+    /// Reduces accuracy, or is a fault under some conditions only.
     Advice,
-    /// Results would be false.
+    /// Makes results wrong.
     Error,
 }
 
-/// What a model may break.
+/// A rule of the audit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Rule {
-    /// Bodies on each other differ in mass by 100 at most, or their contact is stiffened.
+    /// The mass ratio of bodies in contact is at most 100, or their contact is stiffened.
     MassRatio,
-    /// A timestep is at most half of a contact's time constant; a tenth for accurate forces.
+    /// The timestep is at most half of a contact's time constant, a tenth for accurate forces.
     ContactTime,
-    /// Stiffness given directly is within what the timestep bears.
+    /// Contact stiffness given directly is stable at the timestep.
     DirectStiffness,
     /// A contact is damped at least critically, or the timestep is at most an eighth of its time constant.
     ContactDamping,
-    /// At the expected speed nothing passes through anything.
+    /// No body passes through another at the expected speed.
     Tunnelling,
-    /// Nothing starts inside of something else.
+    /// No geoms overlap at the start.
     StartDepth,
     /// A body's radius of gyration is at least 0.1 mm.
     Inertia,
-    /// Collision meshes are closed, face outwards and span a volume.
+    /// Collision meshes are closed, face outwards and enclose a volume.
     Mesh,
-    /// Friction does not creep.
+    /// Friction is stiff enough to hold an object without creep.
     Creep,
-    /// Bodies at rest stay in the list of contacts.
+    /// Contacts of resting bodies stay in the contact list.
     Sleep,
 }
 
-/// One thing found.
+/// A violation of a rule.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
-    /// How grave.
+    /// Severity.
     pub severity: Severity,
-    /// What is broken.
+    /// Violated rule.
     pub rule: Rule,
-    /// Which parts of the model, what was expected, what came.
+    /// Elements concerned, expected value and actual value.
     pub message: String,
 }
 
-/// What the model is for.
+/// Conditions that the model is used under.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expectation {
-    /// Speed at which things meet, m/s.
+    /// Speed at which bodies meet, m/s.
     pub speed: f64,
 }
 
 impl Default for Expectation {
-    /// A brisk hand.
+    /// 1 m/s, the speed of a brisk hand.
     fn default() -> Self {
         Self { speed: 1.0 }
     }
 }
 
-/// Looks at a world before its first step, in its start pose, after [`World::forward`]; gravest findings first.
-///
-/// Of each rule only the worst case is reported.
+/// Audits a world in its initial pose, after [`World::forward`]. Returns the worst violation of each rule, errors
+/// first.
 pub fn audit(world: &World, expectation: Expectation) -> Vec<Finding> {
-    let touches = touch::touches(world);
+    let pairs = pairs::geom_pairs(world);
     let mut findings = Vec::new();
-    findings.extend(rules::mass_ratio(world, &touches));
-    findings.extend(rules::contact_time(world, &touches));
-    findings.extend(rules::direct_stiffness(world, &touches));
-    findings.extend(rules::contact_damping(world, &touches));
-    findings.extend(rules::tunnelling(world, &touches, expectation.speed));
+    findings.extend(rules::mass_ratio(world, &pairs));
+    findings.extend(rules::contact_time(world, &pairs));
+    findings.extend(rules::direct_stiffness(world, &pairs));
+    findings.extend(rules::contact_damping(world, &pairs));
+    findings.extend(rules::tunnelling(world, &pairs, expectation.speed));
     findings.extend(rules::start_depth(world));
     findings.extend(rules::inertia(world));
     findings.extend(rules::meshes(world));
@@ -91,10 +90,10 @@ pub fn audit(world: &World, expectation: Expectation) -> Vec<Finding> {
     findings
 }
 
-/// The errors among findings as one error; for those who refuse to simulate such a model.
+/// Fails if findings contain errors.
 ///
 /// # Errors
-/// If there is an error among them; it names all of them.
+/// If a finding has [`Severity::Error`]; the message names all such findings.
 pub fn refuse_errors(findings: &[Finding]) -> crate::Result<()> {
     let errors: Vec<&str> =
         findings.iter().filter(|f| f.severity == Severity::Error).map(|f| f.message.as_str()).collect();

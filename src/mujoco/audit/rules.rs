@@ -3,67 +3,70 @@
 use mujoco_rs::prelude::*;
 
 use super::mesh::mesh_faults;
-use super::touch::{PEAK_DEPTH, Touch, depth_limits, half_thickness, refsafe};
+use super::pairs::{GeomPair, depth_limits, half_thickness, refsafe};
 use super::{Finding, Rule, Severity};
 use crate::mujoco::options::Integrator;
 use crate::mujoco::world::World;
 
-/// Mass ratio that default contacts bear.
-const MOST_MASS_RATIO: f64 = 100.0;
-/// How far a stiffened contact may give way under a stack, m.
-const MOST_SINK: f64 = 1e-3;
-/// How deep things may overlap at the start, m.
-const MOST_START_DEPTH: f64 = 2e-3;
-/// Least radius of gyration, m.
-const LEAST_GYRATION: f64 = 1e-4;
-/// Least thickness of a collision mesh, m.
-const LEAST_THICKNESS: f64 = 1e-5;
-/// impratio from which a held object does not visibly creep.
-const STIFF_FRICTION: f64 = 10.0;
+/// Largest mass ratio that default contacts bear.
+const MAX_MASS_RATIO: f64 = 100.0;
+/// Largest penetration of the lower contact of a stack at rest, m.
+const MAX_SINK: f64 = 1e-3;
+/// Largest overlap of geoms at the start, m.
+const MAX_START_DEPTH: f64 = 2e-3;
+/// Smallest radius of gyration, m.
+const MIN_GYRATION: f64 = 1e-4;
+/// Smallest thickness of a collision mesh, m.
+const MIN_THICKNESS: f64 = 1e-5;
+/// Smallest impratio at which a held object does not visibly creep.
+const MIN_IMPRATIO: f64 = 10.0;
 
-/// A light body carries a heavy one: it is pressed through, since contacts are soft in proportion to mass.
-pub(super) fn mass_ratio(world: &World, touches: &[Touch]) -> Option<Finding> {
+/// Finds a light body that carries a heavy one. Contact stiffness scales with the light mass, so the heavy body sinks
+/// in.
+pub(super) fn mass_ratio(world: &World, pairs: &[GeomPair]) -> Option<Finding> {
     let model = world.model();
     let g = glam::DVec3::from_array(world.options().gravity).length();
     let mass = |body: usize| model.body_subtreemass()[model.body_rootid()[body] as usize];
     let mut worst: Option<(f64, f64, [usize; 2])> = None;
-    for touch in touches.iter().filter(|t| t.bodies.iter().all(|body| model.body_treeid()[*body] >= 0)) {
-        let [a, b] = touch.bodies;
+    for pair in pairs.iter().filter(|t| t.bodies.iter().all(|body| model.body_treeid()[*body] >= 0)) {
+        let [a, b] = pair.bodies;
         if model.body_rootid()[a] == model.body_rootid()[b] {
             continue;
         }
         let (light, heavy) = if mass(a) < mass(b) { (a, b) } else { (b, a) };
-        // A body that gravity does not pull presses with its actuators, not with its mass.
+        // A gravity-compensated body does not load the contact with its weight.
         let weighing = 1.0 - model.body_gravcomp()[heavy].clamp(0.0, 1.0);
         let ratio = weighing * mass(heavy) / mass(light).max(1e-12);
-        let sink = sink(world, touch, ratio, g);
-        if ratio > MOST_MASS_RATIO && sink > MOST_SINK && worst.is_none_or(|(most, ..)| ratio > most) {
+        let sink = sink(world, pair, ratio, g);
+        if ratio > MAX_MASS_RATIO && sink > MAX_SINK && worst.is_none_or(|(most, ..)| ratio > most) {
             worst = Some((ratio, sink, [light, heavy]));
         }
     }
     let (ratio, sink, bodies) = worst?;
     let [light, heavy] = bodies.map(|body| body_name(world, body));
     let message = format!(
-        "{heavy} is {ratio:.0} times as heavy as {light}, expected at most {MOST_MASS_RATIO:.0} or a stiffer contact: \
+        "{heavy} is {ratio:.0} times as heavy as {light}, expected at most {MAX_MASS_RATIO:.0} or a stiffer contact: \
          on top of it, it would sink about {:.1} mm",
         1e3 * sink
     );
     Some(Finding { severity: Severity::Error, rule: Rule::MassRatio, message })
 }
 
-/// How far the lower contact of a stack gives way, m: at rest `d k r = (1 - d) a`, `a` what the load would accelerate.
-fn sink(world: &World, touch: &Touch, ratio: f64, g: f64) -> f64 {
-    let [_, d, ..] = touch.solimp;
-    let stiffness = match touch.time_constant(world) {
-        Some(time) => 1.0 / (d * time * touch.solref[1]).powi(2),
-        None => -touch.solref[0] / (d * d),
+/// Returns the penetration of the lower contact of a stack at rest, m: `d k r = (1 - d) a`, with impedance `d`,
+/// stiffness `k`, penetration `r`, and `a` the acceleration that the load alone would cause.
+fn sink(world: &World, pair: &GeomPair, ratio: f64, g: f64) -> f64 {
+    let [_, d, ..] = pair.solimp;
+    let stiffness = match pair.time_constant(world) {
+        Some(time) => 1.0 / (d * time * pair.solref[1]).powi(2),
+        None => -pair.solref[0] / (d * d),
     };
     (1.0 - d) / d * (ratio + 1.0) * g / stiffness.max(1e-9)
 }
 
-pub(super) fn contact_time(world: &World, touches: &[Touch]) -> Option<Finding> {
+/// Compares the timestep with the shortest time constant of a contact.
+pub(super) fn contact_time(world: &World, pairs: &[GeomPair]) -> Option<Finding> {
     let dt = world.options().timestep;
-    let times = touches.iter().filter(|t| t.solref[0] > 0.0);
+    let times = pairs.iter().filter(|t| t.solref[0] > 0.0);
     let worst = times.min_by(|a, b| a.solref[0].total_cmp(&b.solref[0]))?;
     let time = worst.solref[0];
     let pair = pair_name(world, worst);
@@ -92,12 +95,13 @@ pub(super) fn contact_time(world: &World, touches: &[Touch]) -> Option<Finding> 
     Some(Finding { severity, rule: Rule::ContactTime, message })
 }
 
-pub(super) fn direct_stiffness(world: &World, touches: &[Touch]) -> Option<Finding> {
+/// Finds directly given stiffness that an explicit integrator cannot integrate at the timestep.
+pub(super) fn direct_stiffness(world: &World, pairs: &[GeomPair]) -> Option<Finding> {
     if world.options().integrator == Integrator::Discrete {
         return None;
     }
     let dt = world.options().timestep;
-    let worst = touches.iter().min_by(|a, b| a.solref[0].total_cmp(&b.solref[0]))?;
+    let worst = pairs.iter().min_by(|a, b| a.solref[0].total_cmp(&b.solref[0]))?;
     let rate = (-worst.solref[0]).max(0.0).sqrt();
     (dt * rate > 1.0).then(|| {
         let message = format!(
@@ -110,10 +114,11 @@ pub(super) fn direct_stiffness(world: &World, touches: &[Touch]) -> Option<Findi
     })
 }
 
-pub(super) fn contact_damping(world: &World, touches: &[Touch]) -> Option<Finding> {
+/// Finds an underdamped contact that gains energy at the timestep.
+pub(super) fn contact_damping(world: &World, pairs: &[GeomPair]) -> Option<Finding> {
     let dt = world.options().timestep;
-    let loose = |t: &&Touch| t.solref[0] > 0.0 && t.solref[1] < 1.0 && dt > t.solref[0] / 8.0 * (1.0 + 1e-9);
-    let worst = touches.iter().filter(loose).min_by(|a, b| a.solref[1].total_cmp(&b.solref[1]))?;
+    let loose = |t: &&GeomPair| t.solref[0] > 0.0 && t.solref[1] < 1.0 && dt > t.solref[0] / 8.0 * (1.0 + 1e-9);
+    let worst = pairs.iter().filter(loose).min_by(|a, b| a.solref[1].total_cmp(&b.solref[1]))?;
     let [time, ratio] = worst.solref;
     let message = format!(
         "{}: the contact's damping ratio is {ratio}, expected at least 1 or a timestep of at most {} s: it would gain energy",
@@ -123,13 +128,10 @@ pub(super) fn contact_damping(world: &World, touches: &[Touch]) -> Option<Findin
     Some(Finding { severity: Severity::Error, rule: Rule::ContactDamping, message })
 }
 
-pub(super) fn tunnelling(world: &World, touches: &[Touch], speed: f64) -> Option<Finding> {
-    let limit = |touch: &Touch| {
-        let time = touch.time_constant(world).map_or(0.0, |time| PEAK_DEPTH * time).max(world.options().timestep);
-        touch.geoms.map(|geom| half_thickness(world, geom)).iter().sum::<f64>() / time
-    };
-    let worst = touches.iter().min_by(|a, b| limit(a).total_cmp(&limit(b)))?;
-    let most = limit(worst);
+/// Finds a pair that passes through each other at the expected speed.
+pub(super) fn tunnelling(world: &World, pairs: &[GeomPair], speed: f64) -> Option<Finding> {
+    let worst = pairs.iter().min_by(|a, b| a.speed_limit(world).total_cmp(&b.speed_limit(world)))?;
+    let most = worst.speed_limit(world);
     (most < speed).then(|| {
         let message = format!(
             "{}: above {most:.2} m/s they pass through each other; shorten the contact's time constant and the timestep, or \
@@ -140,12 +142,13 @@ pub(super) fn tunnelling(world: &World, touches: &[Touch], speed: f64) -> Option
     })
 }
 
+/// Finds geoms that overlap at the start.
 pub(super) fn start_depth(world: &World) -> Option<Finding> {
-    let limits = depth_limits(world, 2.0 * MOST_START_DEPTH);
+    let limits = depth_limits(world, 2.0 * MAX_START_DEPTH);
     let excess = |geoms: [usize; 2], distance: f64| -distance - 0.5 * limits[geoms[0]].min(limits[geoms[1]]);
     let bodies = world.model().geom_bodyid();
     let tree = |geom: usize| world.model().body_treeid()[bodies[geom] as usize];
-    // Links of one mechanism are held by its joints: they part, and are not thrown.
+    // Joints hold the links of one mechanism together: overlapping links separate without being thrown apart.
     let linked = |[a, b]: [usize; 2]| tree(a) >= 0 && tree(a) == tree(b);
     let worst = |of_one: bool| {
         let gaps = world.gaps().filter(|(geoms, distance)| linked(*geoms) == of_one && excess(*geoms, *distance) > 0.0);
@@ -165,7 +168,7 @@ pub(super) fn start_depth(world: &World) -> Option<Finding> {
     Some(Finding { severity, rule: Rule::StartDepth, message })
 }
 
-/// Bodies that turn freely with next to no inertia spin up from rounding.
+/// Finds a freely rotating body whose inertia is so small that rounding spins it up.
 pub(super) fn inertia(world: &World) -> Option<Finding> {
     let model = world.model();
     let turning = model.jnt_type().iter().zip(model.jnt_bodyid());
@@ -174,13 +177,13 @@ pub(super) fn inertia(world: &World) -> Option<Finding> {
         let least = model.body_inertia()[body].into_iter().fold(f64::INFINITY, f64::min);
         (least / model.body_mass()[body].max(1e-15)).sqrt()
     };
-    // A body with children turns them too.
+    // A body with children rotates with their inertia too.
     let alone = |body: usize| !model.body_parentid().iter().any(|parent| *parent as usize == body);
     let bodies = turning.map(|(_, body)| *body as usize).filter(|body| alone(*body));
     let worst = bodies.min_by(|a, b| gyration(*a).total_cmp(&gyration(*b)))?;
-    (gyration(worst) < LEAST_GYRATION).then(|| {
+    (gyration(worst) < MIN_GYRATION).then(|| {
         let message = format!(
-            "{}: the radius of gyration is {:.1e} m, expected at least {LEAST_GYRATION:.0e} m: it would spin from rounding",
+            "{}: the radius of gyration is {:.1e} m, expected at least {MIN_GYRATION:.0e} m: it would spin from rounding",
             body_name(world, worst),
             gyration(worst)
         );
@@ -188,15 +191,15 @@ pub(super) fn inertia(world: &World) -> Option<Finding> {
     })
 }
 
-/// Meshes collide as their convex hull, which hides what is wrong with them.
+/// Finds faults of collision meshes, which the engine hides by colliding their convex hulls.
 pub(super) fn meshes(world: &World) -> Option<Finding> {
     let model = world.model();
     let collides = |geom: usize| model.geom_contype()[geom] != 0 || model.geom_conaffinity()[geom] != 0;
     let is_mesh = |geom: usize| matches!(model.geom_type()[geom], MjtGeomBase::mjGEOM_MESH | MjtGeomBase::mjGEOM_SDF);
     let geoms: Vec<usize> = (0..model.geom_type().len()).filter(|geom| is_mesh(*geom) && collides(*geom)).collect();
-    if let Some(thin) = geoms.iter().find(|geom| half_thickness(world, **geom) < 0.5 * LEAST_THICKNESS) {
+    if let Some(thin) = geoms.iter().find(|geom| half_thickness(world, **geom) < 0.5 * MIN_THICKNESS) {
         let message = format!(
-            "{}: the mesh is {:.1e} m thick, expected at least {LEAST_THICKNESS:.0e} m",
+            "{}: the mesh is {:.1e} m thick, expected at least {MIN_THICKNESS:.0e} m",
             geom_name(world, *thin),
             2.0 * half_thickness(world, *thin)
         );
@@ -219,19 +222,21 @@ pub(super) fn meshes(world: &World) -> Option<Finding> {
     })
 }
 
+/// Finds friction too soft to hold an object.
 pub(super) fn creep(world: &World) -> Option<Finding> {
     let options = world.options();
-    if options.impratio >= STIFF_FRICTION || options.noslip_iterations >= 3 {
+    if options.impratio >= MIN_IMPRATIO || options.noslip_iterations >= 3 {
         return None;
     }
     let message = format!(
-        "impratio is {}, for holding expected at least {STIFF_FRICTION} or 3 noslip_iterations: a held object slides out of the \
+        "impratio is {}, for holding expected at least {MIN_IMPRATIO} or 3 noslip_iterations: a held object slides out of the \
          hand by a millimetre per second",
         options.impratio
     );
     Some(Finding { severity: Severity::Advice, rule: Rule::Creep, message })
 }
 
+/// Finds a model whose bodies may sleep.
 pub(super) fn sleep(world: &World) -> Option<Finding> {
     let sleeps = world.model().opt().enableflags & MjtEnableBit::mjENBL_SLEEP as i32 != 0;
     sleeps.then(|| Finding {
@@ -241,12 +246,12 @@ pub(super) fn sleep(world: &World) -> Option<Finding> {
     })
 }
 
-fn pair_name(world: &World, touch: &Touch) -> String {
-    let [a, b] = touch.geoms.map(|geom| geom_name(world, geom));
+fn pair_name(world: &World, pair: &GeomPair) -> String {
+    let [a, b] = pair.geoms.map(|geom| geom_name(world, geom));
     format!("{a} and {b}")
 }
 
-/// Name of a geom, or of its body and its number.
+/// Returns the name of a geom, or its index and its body's name.
 fn geom_name(world: &World, geom: usize) -> String {
     match world.model().id_to_name(MjtObjBase::mjOBJ_GEOM, geom) {
         Some(name) if !name.is_empty() => format!("`{name}`"),

@@ -6,9 +6,10 @@ use std::time::Instant;
 
 use super::Inputs;
 use crate::error::Error;
-use crate::node::diagnostics::{self, Level, Tally, TaskReport, percentile};
+use crate::node::diagnostics::{self, Level, Tally, TaskReport};
 use crate::node::runtime::Runtime;
 use crate::retarget::Status;
+use crate::statistics::percentile;
 
 /// The newest times of the solver that percentiles look back on.
 const WINDOW: usize = 500;

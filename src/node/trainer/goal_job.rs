@@ -10,8 +10,8 @@ use crate::node::episode_recorder::SharedRing;
 use crate::node::lock::lock;
 use crate::node::params::Parameters;
 use crate::train::Config;
-use crate::train::job::{Job, Live};
-use crate::train::source::Source;
+use crate::train::job::{Job, LiveRecordings};
+use crate::train::source::TrainingSource;
 
 /// Builds and checks the training job that a goal asks for.
 ///
@@ -32,7 +32,7 @@ pub(super) fn job(
     let config = config(goal, Path::new(&file), folder)?;
     if goal.live && config.data.is_empty() {
         // The recorded episodes do not exist yet; an existing folder stands in for them in the check.
-        let checked = Config { data: vec![Source::path(folder)], ..config.clone() };
+        let checked = Config { data: vec![TrainingSource::path(folder)], ..config.clone() };
         checked.check().with_context(|| file.clone())?;
     } else {
         config.check().with_context(|| file.clone())?;
@@ -45,7 +45,7 @@ pub(super) fn job(
 fn config(goal: &Train::Goal, file: &Path, folder: &Path) -> anyhow::Result<Config> {
     let mut config = Config::read_unchecked(file)?;
     if !goal.data.is_empty() {
-        config.data = goal.data.iter().map(Source::path).collect();
+        config.data = goal.data.iter().map(TrainingSource::path).collect();
     } else if goal.live && config.data.iter().all(|source| source.stores.iter().all(|store| !store.exists())) {
         // Stores that do not exist belong to runs without topics; a live goal does without them.
         config.data.clear();
@@ -65,9 +65,9 @@ fn config(goal: &Train::Goal, file: &Path, folder: &Path) -> anyhow::Result<Conf
 }
 
 /// Returns the source of recorded episodes for a live goal.
-fn live(parameters: &Parameters, ring: &SharedRing) -> Live {
+fn live(parameters: &Parameters, ring: &SharedRing) -> LiveRecordings {
     let ring = Arc::clone(ring);
-    Live {
+    LiveRecordings {
         stores: Box::new(move || lock(&ring).stores()),
         least_frames: parameters.get::<i64>("min_live_frames") as usize,
         round_steps: parameters.get::<i64>("round_steps") as usize,

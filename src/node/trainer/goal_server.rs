@@ -99,8 +99,8 @@ impl GoalServer {
         let stop = Arc::new(AtomicBool::new(false));
         let (progress, device, stopped) = (Arc::clone(&self.progress), self.device.clone(), Arc::clone(&stop));
         let work = move || {
-            job::run(&job, &device, &stopped, &mut |news| {
-                lock(&progress).update(&news);
+            job::run(&job, &device, &stopped, &mut |event| {
+                lock(&progress).update(&event);
             })
         };
         match std::thread::Builder::new().name("training".into()).spawn(work) {

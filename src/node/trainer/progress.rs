@@ -3,7 +3,7 @@
 use crate::message::TrainerStatus;
 use crate::node::flatten::flatten;
 use crate::train::Event;
-use crate::train::job::News;
+use crate::train::job::JobEvent;
 use crate::train::pass::Losses;
 
 /// Weight of the previous value in the exponential smoothing of the throughput; averages over about ten steps.
@@ -47,13 +47,13 @@ impl Default for Progress {
 
 impl Progress {
     /// Applies an event of the training thread.
-    pub(super) fn update(&mut self, news: &News) {
-        match news {
-            News::Waiting(there, wanted) => {
+    pub(super) fn update(&mut self, event: &JobEvent) {
+        match event {
+            JobEvent::Waiting(there, wanted) => {
                 self.state = "waiting";
                 self.message = format!("{there} of {wanted} live frames");
             }
-            News::Training(before, Event::Stepped(step)) => {
+            JobEvent::Training(before, Event::Stepped(step)) => {
                 self.state = "training";
                 self.message.clear();
                 self.step = before + step.step;
@@ -61,8 +61,8 @@ impl Progress {
                 self.losses = losses.map(|(name, value)| ((*name).to_owned(), value.into())).collect();
                 self.update_throughput(step.windows as f64, step.secs);
             }
-            News::Training(_, Event::Validated(_, report)) => self.scores = flatten(&serde_json::json!(report)),
-            News::Training(..) => {}
+            JobEvent::Training(_, Event::Validated(_, report)) => self.scores = flatten(&serde_json::json!(report)),
+            JobEvent::Training(..) => {}
         }
     }
 

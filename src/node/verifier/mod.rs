@@ -24,9 +24,9 @@ use super::shutdown::Shutdown;
 use super::{diagnostics, program, qos};
 use crate::file;
 use crate::message::{TactileFrame, TactileMetrics, TactileTruth};
-use crate::score::verify::Bar;
+use crate::score::verify::Requirement;
+use crate::score::verify::episode_splitter::EpisodeSplitter;
 use crate::score::verify::report::scores_of;
-use crate::score::verify::stretches::Stretches;
 use scores::Scores;
 
 /// Most messages per topic that wait for their partner: several seconds of any camera.
@@ -71,10 +71,10 @@ fn parameters() -> Vec<Parameter> {
 /// # Errors
 /// If ROS refuses a topic, `require` does not parse, the report cannot be written, or a required score was missed.
 fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
-    let bars = required_scores(&runtime.parameters().get::<String>("require"))?;
+    let required = required_scores(&runtime.parameters().get::<String>("require"))?;
     let verifier = Rc::new(RefCell::new(Verifier {
         sync: ExactSync::new(MAX_UNPAIRED),
-        stretches: Stretches::default(),
+        splitter: EpisodeSplitter::default(),
         scores: Scores::default(),
         tally: Tally::default(),
         clock: runtime.clock().clone(),
@@ -87,7 +87,7 @@ fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     runtime.spin(shutdown);
 
     let mut verifier = verifier.borrow_mut();
-    let missed = verifier.missed(&bars);
+    let missed = verifier.missed(&required);
     // Log before the node is dropped, while /rosout still has subscribers.
     missed.iter().for_each(|missed| runtime.log().error(missed.clone()));
     drop(runtime);
@@ -95,16 +95,16 @@ fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     if !report.is_empty() {
         file::write(Path::new(&report), format!("{summary:#}\n").as_bytes()).context("cannot write the report")?;
     }
-    anyhow::ensure!(missed.is_empty(), "{} of {} required scores missed", missed.len(), bars.len());
+    anyhow::ensure!(missed.is_empty(), "{} of {} required scores missed", missed.len(), required.len());
     Ok(())
 }
 
 /// Parses the parameter `require`. The node has one candidate, so a score that names a candidate is an error.
-fn required_scores(text: &str) -> anyhow::Result<Vec<Bar>> {
-    let bars = Bar::parse_all(text).context("parameter require")?;
-    let named = bars.iter().find_map(|bar| bar.candidate.as_deref());
+fn required_scores(text: &str) -> anyhow::Result<Vec<Requirement>> {
+    let required = Requirement::parse_all(text).context("parameter require")?;
+    let named = required.iter().find_map(|requirement| requirement.candidate.as_deref());
     anyhow::ensure!(named.is_none(), "parameter require: expected NAME=NUMBER, got a label {:?}", named.unwrap_or(""));
-    Ok(bars)
+    Ok(required)
 }
 
 fn subscribe(runtime: &mut Runtime, verifier: &Rc<RefCell<Verifier>>) -> anyhow::Result<()> {
@@ -133,7 +133,7 @@ fn publish_metrics(runtime: &mut Runtime, verifier: &Rc<RefCell<Verifier>>) -> a
 
 struct Verifier {
     sync: ExactSync<TactileFrame, (u64, TactileTruth)>,
-    stretches: Stretches,
+    splitter: EpisodeSplitter,
     scores: Scores,
     tally: Tally,
     clock: RosClock,
@@ -157,8 +157,8 @@ impl Verifier {
     fn take_truth(&mut self, truth: crate::Result<TactileTruth>) {
         match truth {
             Ok(truth) => {
-                let stretch = self.stretches.number_of(&truth);
-                let pair = self.sync.push_right(truth.frame.header.stamp, (stretch, truth));
+                let episode = self.splitter.episode_number(&truth);
+                let pair = self.sync.push_right(truth.frame.header.stamp, (episode, truth));
                 self.score(pair);
             }
             Err(error) => self.refuse("truth", &error),
@@ -166,8 +166,8 @@ impl Verifier {
     }
 
     fn score(&mut self, pair: Option<(TactileFrame, (u64, TactileTruth))>) {
-        let Some((frame, (stretch, truth))) = pair else { return };
-        if let Err(error) = self.scores.push(frame, &truth, stretch) {
+        let Some((frame, (episode, truth))) = pair else { return };
+        if let Err(error) = self.scores.push(frame, &truth, episode) {
             self.refuse("pair", &error);
         }
     }
@@ -273,9 +273,9 @@ impl Verifier {
     }
 
     /// Describes each required score that was missed.
-    fn missed(&self, bars: &[Bar]) -> Vec<String> {
+    fn missed(&self, required: &[Requirement]) -> Vec<String> {
         let total = self.scores.touch.total();
-        bars.iter().filter_map(|bar| bar.missed((bar.score.value)(&total))).collect()
+        required.iter().filter_map(|requirement| requirement.missed((requirement.score.value)(&total))).collect()
     }
 }
 

@@ -37,10 +37,10 @@ pub(super) struct Scores {
     /// Fields of the first valid pairs.
     predicted: TactileSequence,
     target: TactileSequence,
-    /// Ends of the closed stretches of truth, as indices into `frames`.
-    stretch_ends: Vec<usize>,
-    /// Number of the stretch of the newest valid pair.
-    stretch: u64,
+    /// Ends of the closed episodes of truth, as indices into `frames`.
+    episode_ends: Vec<usize>,
+    /// Number of the episode of the newest valid pair.
+    episode: u64,
     /// Arrival of the newest valid pair.
     arrived: Option<Instant>,
 }
@@ -52,11 +52,11 @@ struct StampedScore {
 }
 
 impl Scores {
-    /// Adds a pair; `stretch` numbers the truth's stretches of time.
+    /// Adds a pair; `episode` is the number of the truth's episode.
     ///
     /// # Errors
     /// If a message has no hands, or the fields of the pair do not fit each other.
-    pub(super) fn push(&mut self, frame: TactileFrame, truth: &TactileTruth, stretch: u64) -> crate::Result<()> {
+    pub(super) fn push(&mut self, frame: TactileFrame, truth: &TactileTruth, episode: u64) -> crate::Result<()> {
         for (name, hands) in [("tactile.hands", &frame.hands), ("truth.hands", &truth.frame.hands)] {
             if hands.is_empty() {
                 return Err(crate::Error::value(name, "at least one hand", "none, which means no result"));
@@ -75,10 +75,10 @@ impl Scores {
             self.target.push(&target)?;
         }
         let secs = frame.header.stamp.secs();
-        if std::mem::replace(&mut self.stretch, stretch) != stretch && !self.frames.is_empty() {
-            self.stretch_ends.push(self.frames.len());
+        if std::mem::replace(&mut self.episode, episode) != episode && !self.frames.is_empty() {
+            self.episode_ends.push(self.frames.len());
             self.window.clear();
-            self.touch.end_stretch();
+            self.touch.end_episode();
         }
         let sums = self.touch.push(secs, &predicted, &target)?;
         let score = FrameScore::new(&predicted.force, &predicted.contact, &target.force, &target.contact, &[], &[]);
@@ -130,9 +130,9 @@ impl Scores {
         scores
     }
 
-    /// Returns the valid pairs per second of their stamps, within stretches; None for fewer than two pairs.
+    /// Returns the valid pairs per second of their stamps, within episodes; None for fewer than two pairs.
     pub(super) fn rate(&self) -> Option<f64> {
-        let steps = self.stretches().flat_map(|stretch| stretch.windows(2).map(|pair| pair[1].secs - pair[0].secs));
+        let steps = self.episodes().flat_map(|episode| episode.windows(2).map(|pair| pair[1].secs - pair[0].secs));
         let (secs, count) = steps.fold((0.0, 0), |(secs, count), step| (secs + step, count + 1));
         (secs > 0.0).then(|| f64::from(count) / secs)
     }
@@ -142,26 +142,26 @@ impl Scores {
     ///
     /// # Errors
     /// If the metrics cannot be computed.
-    pub(super) fn total(&mut self) -> crate::Result<metrics::Report> {
+    pub(super) fn total(&mut self) -> crate::Result<metrics::Metrics> {
         if self.frames.len() > self.predicted.n_frames() {
             let summary = |frames: &[StampedScore]| metrics::summarize(frames.iter().map(|frame| &frame.score));
-            let each: Vec<f64> = self.stretches().filter_map(|stretch| summary(stretch).temporal_pearson).collect();
+            let each: Vec<f64> = self.episodes().filter_map(|episode| summary(episode).temporal_pearson).collect();
             let temporal_pearson = (!each.is_empty()).then(|| each.iter().sum::<f64>() / each.len() as f64);
-            return Ok(metrics::Report { temporal_pearson, ..summary(&self.frames) });
+            return Ok(metrics::Metrics { temporal_pearson, ..summary(&self.frames) });
         }
-        self.target.episode_ends = self.all_stretch_ends();
+        self.target.episode_ends = self.all_episode_ends();
         metrics::evaluate(&self.predicted, &self.target, &EvalOptions { fps: self.rate(), calibration: None })
     }
 
-    /// Ends of all stretches, the open one included.
-    fn all_stretch_ends(&self) -> Vec<usize> {
+    /// Ends of all episodes, the open one included.
+    fn all_episode_ends(&self) -> Vec<usize> {
         let open = (!self.frames.is_empty()).then_some(self.frames.len());
-        self.stretch_ends.iter().copied().chain(open).collect()
+        self.episode_ends.iter().copied().chain(open).collect()
     }
 
-    /// Valid pairs of each stretch.
-    fn stretches(&self) -> impl Iterator<Item = &[StampedScore]> {
-        let ends = self.all_stretch_ends();
+    /// Valid pairs of each episode.
+    fn episodes(&self) -> impl Iterator<Item = &[StampedScore]> {
+        let ends = self.all_episode_ends();
         let starts = std::iter::once(0).chain(ends.clone());
         starts.zip(ends).map(|(start, end)| &self.frames[start..end])
     }

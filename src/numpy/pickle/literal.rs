@@ -1,33 +1,33 @@
-//! The text lines of a pickle: numbers and strings as protocol 0 spells them.
+//! Parses the text lines of a pickle: numbers and strings of protocol 0.
 
 use super::{Outcome, Value};
 
-/// A line of text.
-pub(crate) fn text(line: &[u8]) -> Outcome<&str> {
-    std::str::from_utf8(line).map_err(|_| "a line that is no text".to_string())
+/// Parses a line of text.
+pub(super) fn text(line: &[u8]) -> Outcome<&str> {
+    std::str::from_utf8(line).map_err(|_| "a line that is not text".to_string())
 }
 
-/// A memo number.
-pub(crate) fn number(line: &[u8]) -> Outcome<u64> {
+/// Parses a memo number.
+pub(super) fn number(line: &[u8]) -> Outcome<u64> {
     let line = text(line)?;
-    line.parse().map_err(|_| format!("{line:?} is no memo number"))
+    line.parse().map_err(|_| format!("{line:?} is not a memo number"))
 }
 
-/// `I` and `L` lines: decimal, `L` perhaps with that letter at the end; 00 and 01 are booleans.
-pub(crate) fn integer<'a>(line: &[u8]) -> Outcome<Value<'a>> {
+/// Parses an `I` or `L` line: a decimal number, after `L` with an optional suffix `L`; 00 and 01 are booleans.
+pub(super) fn integer<'a>(line: &[u8]) -> Outcome<Value<'a>> {
     let line = text(line)?;
     match line {
         "00" => Ok(Value::Bool(false)),
         "01" => Ok(Value::Bool(true)),
         _ => {
             let digits = line.strip_suffix('L').unwrap_or(line);
-            digits.parse().map(Value::Int).map_err(|_| format!("{line:?} is no integer of at most 64 bits"))
+            digits.parse().map(Value::Int).map_err(|_| format!("{line:?} is not an integer of at most 64 bits"))
         }
     }
 }
 
-/// A Python 2 string literal with its quotes and escapes.
-pub(crate) fn python2_string(line: &[u8]) -> Outcome<Vec<u8>> {
+/// Parses a Python 2 string literal with its quotes and escapes.
+pub(super) fn python2_string(line: &[u8]) -> Outcome<Vec<u8>> {
     let inner = match line {
         [open @ (b'\'' | b'"'), inner @ .., close] if open == close => inner,
         _ => return Err("a string without its quotes".into()),
@@ -59,8 +59,8 @@ pub(crate) fn python2_string(line: &[u8]) -> Outcome<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Python's raw-unicode-escape: latin-1 with \uXXXX and \UXXXXXXXX.
-pub(crate) fn raw_unicode(line: &[u8]) -> Outcome<String> {
+/// Decodes Python's raw-unicode-escape: latin-1 with \uXXXX and \UXXXXXXXX.
+pub(super) fn raw_unicode(line: &[u8]) -> Outcome<String> {
     let mut text = String::with_capacity(line.len());
     let mut rest = line;
     while let [first, tail @ ..] = rest {
@@ -75,7 +75,7 @@ pub(crate) fn raw_unicode(line: &[u8]) -> Outcome<String> {
         };
         let digits = tail.get(1..=length).and_then(|digits| std::str::from_utf8(digits).ok());
         let code = digits.and_then(|digits| u32::from_str_radix(digits, 16).ok()).and_then(char::from_u32);
-        text.push(code.ok_or("a \\u that is no character")?);
+        text.push(code.ok_or("a \\u that is not a character")?);
         rest = &tail[length + 1..];
     }
     Ok(text)
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn integers_and_booleans_are_told_apart() {
+    fn integers_and_booleans_are_distinguished() {
         assert!(matches!(integer(b"01"), Ok(Value::Bool(true))));
         assert!(matches!(integer(b"1"), Ok(Value::Int(1))));
         assert!(matches!(integer(b"-7L"), Ok(Value::Int(-7))));

@@ -7,12 +7,13 @@ use std::collections::HashMap;
 use super::literal::{integer, number, python2_string, raw_unicode, text};
 use super::{Id, Outcome, Pickle, Value};
 
-/// Most values a pickle may hold; a MANO file holds some hundreds. Each takes at least one byte of the file.
+/// Largest number of values of a pickle; a MANO file has some hundreds.
 const MAX_VALUES: usize = 1 << 20;
 
-/// Packages whose names are data to [`super::meaning`], or harmless parts of the objects in a MANO file.
+/// Packages whose names may occur: [`super::arrays`] interprets them or ignores them as parts of objects in a MANO
+/// file.
 const KNOWN_PACKAGES: [&str; 3] = ["numpy", "scipy.sparse", "chumpy"];
-/// Other names, by themselves.
+/// Further names that may occur.
 const KNOWN_NAMES: [&str; 11] = [
     "copy_reg._reconstructor",
     "copyreg._reconstructor",
@@ -31,13 +32,13 @@ struct Machine<'a> {
     rest: &'a [u8],
     values: Vec<Value<'a>>,
     stack: Vec<Id>,
-    /// Heights of the stack at which marks lie.
+    /// Stack heights at the marks.
     marks: Vec<usize>,
     memo: HashMap<u64, Id>,
 }
 
-/// Runs a whole pickle.
-pub(crate) fn run(bytes: &[u8]) -> Outcome<Pickle<'_>> {
+/// Runs a complete pickle.
+pub(super) fn run(bytes: &[u8]) -> Outcome<Pickle<'_>> {
     let mut machine =
         Machine { rest: bytes, values: Vec::new(), stack: Vec::new(), marks: Vec::new(), memo: HashMap::new() };
     loop {
@@ -49,184 +50,185 @@ pub(crate) fn run(bytes: &[u8]) -> Outcome<Pickle<'_>> {
         machine.step(opcode).map_err(|message| format!("{message} (pickle opcode at byte {at})"))?;
     }
     let root = machine.pop()?;
-    Ok(Pickle { values: machine.values, root, work: Cell::new(0) })
+    Ok(Pickle { values: machine.values, root, n_read: Cell::new(0) })
 }
 
 impl<'a> Machine<'a> {
+    /// Executes one opcode.
     fn step(&mut self, opcode: u8) -> Outcome<()> {
-        match opcode {
-            // Protocol version and frame length: the opcodes say all.
-            0x80 => self.fixed::<1>().map(drop),
-            0x95 => self.fixed::<8>().map(drop),
+        let known = self.stack_opcode(opcode)?
+            || self.number_opcode(opcode)?
+            || self.text_opcode(opcode)?
+            || self.container_opcode(opcode)?
+            || self.memo_opcode(opcode)?
+            || self.object_opcode(opcode)?;
+        if known {
+            return Ok(());
+        }
+        Err(format!("opcode {:?} (0x{opcode:02x}) is not supported", char::from(opcode)))
+    }
 
-            b'(' => {
-                self.marks.push(self.stack.len());
-                Ok(())
-            }
-            b'0' if self.marks.last() == Some(&self.stack.len()) => {
-                self.marks.pop();
-                Ok(())
-            }
-            b'0' => self.pop().map(drop),
-            b'1' => self.pop_to_mark().map(drop),
+    /// Executes an opcode of the stack or the framing; false if `opcode` is another one. So do the functions below.
+    fn stack_opcode(&mut self, opcode: u8) -> Outcome<bool> {
+        match opcode {
+            // Protocol version and frame length: neither changes the meaning of later opcodes.
+            0x80 => drop(self.fixed::<1>()?),
+            0x95 => drop(self.fixed::<8>()?),
+            b'(' => self.marks.push(self.stack.len()),
+            b'0' if self.marks.last() == Some(&self.stack.len()) => drop(self.marks.pop()),
+            b'0' => drop(self.pop()?),
+            b'1' => drop(self.pop_to_mark()?),
             b'2' => {
                 let top = self.pop()?;
                 self.stack.extend([top, top]);
-                Ok(())
             }
+            _ => return Ok(false),
+        }
+        Ok(true)
+    }
 
-            b'N' => self.push(Value::None),
-            0x88 => self.push(Value::Bool(true)),
-            0x89 => self.push(Value::Bool(false)),
-            b'J' => {
-                let value = i64::from(i32::from_le_bytes(self.fixed()?));
-                self.push(Value::Int(value))
-            }
-            b'K' => {
-                let [value] = self.fixed()?;
-                self.push(Value::Int(value.into()))
-            }
-            b'M' => {
-                let value = u16::from_le_bytes(self.fixed()?);
-                self.push(Value::Int(value.into()))
-            }
-            b'I' | b'L' => {
-                let value = integer(self.line()?)?;
-                self.push(value)
-            }
+    fn number_opcode(&mut self, opcode: u8) -> Outcome<bool> {
+        let value = match opcode {
+            b'N' => Value::None,
+            0x88 => Value::Bool(true),
+            0x89 => Value::Bool(false),
+            b'J' => Value::Int(i32::from_le_bytes(self.fixed()?).into()),
+            b'K' => Value::Int(u8::from_le_bytes(self.fixed()?).into()),
+            b'M' => Value::Int(u16::from_le_bytes(self.fixed()?).into()),
+            b'I' | b'L' => integer(self.line()?)?,
             0x8a => {
-                let [length] = self.fixed()?;
-                self.long(length.into())
+                let length = self.length::<1>()?;
+                self.long(length)?
             }
             0x8b => {
-                let length = u32::from_le_bytes(self.fixed()?);
-                self.long(length.into())
+                let length = self.length::<4>()?;
+                self.long(length)?
             }
             b'F' => {
                 let line = text(self.line()?)?;
-                let value = line.parse().map_err(|_| format!("{line:?} is not a number"))?;
-                self.push(Value::Float(value))
+                Value::Float(line.parse().map_err(|_| format!("{line:?} is not a number"))?)
             }
-            b'G' => {
-                let value = f64::from_be_bytes(self.fixed()?);
-                self.push(Value::Float(value))
-            }
+            b'G' => Value::Float(f64::from_be_bytes(self.fixed()?)),
+            _ => return Ok(false),
+        };
+        self.push(value)?;
+        Ok(true)
+    }
 
+    fn text_opcode(&mut self, opcode: u8) -> Outcome<bool> {
+        let length = match opcode {
             b'S' => {
                 let bytes = python2_string(self.line()?)?;
-                self.push(Value::Bytes(Cow::Owned(bytes)))
-            }
-            b'U' | b'C' => {
-                let [length] = self.fixed()?;
-                self.bytes(length.into())
-            }
-            b'T' | b'B' => {
-                let length = u32::from_le_bytes(self.fixed()?);
-                self.bytes(length.into())
-            }
-            0x8e | 0x96 => {
-                let length = u64::from_le_bytes(self.fixed()?);
-                self.bytes(length)
+                self.push(Value::Bytes(Cow::Owned(bytes)))?;
+                return Ok(true);
             }
             b'V' => {
                 let text = raw_unicode(self.line()?)?;
-                self.push(Value::Text(text))
+                self.push(Value::Text(text))?;
+                return Ok(true);
             }
-            0x8c => {
-                let [length] = self.fixed()?;
-                self.text(length.into())
-            }
-            b'X' => {
-                let length = u32::from_le_bytes(self.fixed()?);
-                self.text(length.into())
-            }
-            0x8d => {
-                let length = u64::from_le_bytes(self.fixed()?);
-                self.text(length)
-            }
+            b'U' | b'C' | 0x8c => self.length::<1>()?,
+            b'T' | b'B' | b'X' => self.length::<4>()?,
+            0x8e | 0x96 | 0x8d => self.length::<8>()?,
+            _ => return Ok(false),
+        };
+        let bytes = self.take(length)?;
+        let is_text = matches!(opcode, 0x8c | b'X' | 0x8d);
+        self.push(match is_text {
+            // Rust text cannot hold lone surrogates; no key or array of a hand model has them.
+            true => Value::Text(String::from_utf8_lossy(bytes).into_owned()),
+            false => Value::Bytes(Cow::Borrowed(bytes)),
+        })?;
+        Ok(true)
+    }
 
-            b']' | 0x8f => self.push(Value::List(Vec::new())),
-            b'}' => self.push(Value::Dict(Vec::new())),
-            b')' => self.push(Value::Tuple(Vec::new())),
+    fn container_opcode(&mut self, opcode: u8) -> Outcome<bool> {
+        match opcode {
+            b']' | 0x8f => self.push(Value::List(Vec::new()))?,
+            b'}' => self.push(Value::Dict(Vec::new()))?,
+            b')' => self.push(Value::Tuple(Vec::new()))?,
             b'l' | 0x91 => {
                 let items = self.pop_to_mark()?;
-                self.push(Value::List(items))
+                self.push(Value::List(items))?;
             }
             b't' => {
                 let items = self.pop_to_mark()?;
-                self.push(Value::Tuple(items))
+                self.push(Value::Tuple(items))?;
             }
+            // Tuples of one to three items.
             0x85..=0x87 => {
                 let mut items = (0x84..opcode).map(|_| self.pop()).collect::<Outcome<Vec<Id>>>()?;
                 items.reverse();
-                self.push(Value::Tuple(items))
+                self.push(Value::Tuple(items))?;
             }
             b'd' => {
                 let items = self.pop_to_mark()?;
-                self.push(Value::Dict(pairs(&items)?))
+                self.push(Value::Dict(pairs(&items)?))?;
             }
             b'a' => {
                 let item = self.pop()?;
-                self.append(vec![item])
+                self.append(vec![item])?;
             }
             b'e' | 0x90 => {
                 let items = self.pop_to_mark()?;
-                self.append(items)
+                self.append(items)?;
             }
             b's' => {
                 let (value, key) = (self.pop()?, self.pop()?);
-                self.insert(&[key, value])
+                self.insert(&[key, value])?;
             }
             b'u' => {
                 let items = self.pop_to_mark()?;
-                self.insert(&items)
+                self.insert(&items)?;
             }
+            _ => return Ok(false),
+        }
+        Ok(true)
+    }
 
-            b'p' => {
-                let slot = number(self.line()?)?;
-                self.put(slot)
+    fn memo_opcode(&mut self, opcode: u8) -> Outcome<bool> {
+        let slot = match opcode {
+            b'p' | b'g' => number(self.line()?)?,
+            b'q' | b'h' => self.length::<1>()?,
+            b'r' | b'j' => self.length::<4>()?,
+            0x94 => self.memo.len() as u64,
+            _ => return Ok(false),
+        };
+        match opcode {
+            b'g' | b'h' | b'j' => {
+                let id = self.memo.get(&slot).ok_or_else(|| format!("memo {slot} is read before it is written"))?;
+                self.stack.push(*id);
             }
-            b'q' => {
-                let [slot] = self.fixed()?;
-                self.put(slot.into())
+            _ => {
+                let top = self.pop()?;
+                self.stack.push(top);
+                self.memo.insert(slot, top);
             }
-            b'r' => {
-                let slot = u32::from_le_bytes(self.fixed()?);
-                self.put(slot.into())
-            }
-            0x94 => self.put(self.memo.len() as u64),
-            b'g' => {
-                let slot = number(self.line()?)?;
-                self.get(slot)
-            }
-            b'h' => {
-                let [slot] = self.fixed()?;
-                self.get(slot.into())
-            }
-            b'j' => {
-                let slot = u32::from_le_bytes(self.fixed()?);
-                self.get(slot.into())
-            }
+        }
+        Ok(true)
+    }
 
+    /// Records names and calls; see [`Value::Call`].
+    fn object_opcode(&mut self, opcode: u8) -> Outcome<bool> {
+        match opcode {
             b'c' => {
-                let module = text(self.line()?)?;
-                let name = text(self.line()?)?;
-                self.global(module, name)
+                let (module, name) = (text(self.line()?)?, text(self.line()?)?);
+                self.global(module, name)?;
             }
             0x93 => {
                 let (name, module) = (self.pop()?, self.pop()?);
                 match (&self.values[module], &self.values[name]) {
-                    (Value::Text(module), Value::Text(name)) => self.global(&module.clone(), &name.clone()),
-                    _ => Err("a name that is no text".into()),
+                    (Value::Text(module), Value::Text(name)) => self.global(&module.clone(), &name.clone())?,
+                    _ => return Err("a name that is not text".into()),
                 }
             }
             b'R' | 0x81 => {
                 let (args, function) = (self.pop()?, self.pop()?);
-                self.push(Value::Call { function, args, state: None })
+                self.push(Value::Call { function, args, state: None })?;
             }
             0x92 => {
                 let (_keywords, args, function) = (self.pop()?, self.pop()?, self.pop()?);
-                self.push(Value::Call { function, args, state: None })
+                self.push(Value::Call { function, args, state: None })?;
             }
             b'o' => {
                 let mut items = self.pop_to_mark()?;
@@ -234,28 +236,25 @@ impl<'a> Machine<'a> {
                     return Err("an object without a class".into());
                 }
                 let function = items.remove(0);
-                self.call(function, items)
+                self.call(function, items)?;
             }
             b'i' => {
-                let module = text(self.line()?)?;
-                let name = text(self.line()?)?;
+                let (module, name) = (text(self.line()?)?, text(self.line()?)?);
                 let items = self.pop_to_mark()?;
                 self.global(module, name)?;
                 let function = self.pop()?;
-                self.call(function, items)
+                self.call(function, items)?;
             }
             b'b' => {
                 let new_state = self.pop()?;
                 match self.top()? {
-                    Value::Call { state, .. } => {
-                        *state = Some(new_state);
-                        Ok(())
-                    }
-                    other => Err(format!("a state for {}", kind(other))),
+                    Value::Call { state, .. } => *state = Some(new_state),
+                    other => return Err(format!("a state for {}", kind(other))),
                 }
             }
-            _ => Err(format!("opcode {:?} (0x{opcode:02x}) is unknown or needs the outside world", char::from(opcode))),
+            _ => return Ok(false),
         }
+        Ok(true)
     }
 
     fn push(&mut self, value: Value<'a>) -> Outcome<()> {
@@ -267,7 +266,7 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    /// The topmost value above the last mark.
+    /// Pops the topmost value above the last mark.
     fn pop(&mut self) -> Outcome<Id> {
         let floor = self.marks.last().copied().unwrap_or(0);
         let top = self.stack.pop().filter(|_| self.stack.len() >= floor);
@@ -288,7 +287,7 @@ impl<'a> Machine<'a> {
     fn append(&mut self, items: Vec<Id>) -> Outcome<()> {
         match self.top()? {
             Value::List(list) => list.extend(items),
-            // An object that is a list in Python (a set made by a call, say); no array hides in it.
+            // An object made by a call, such as a set: no array is read from it, so the items are dropped.
             Value::Call { .. } => {}
             other => return Err(format!("items for {}", kind(other))),
         }
@@ -302,19 +301,6 @@ impl<'a> Machine<'a> {
             Value::Call { .. } => {}
             other => return Err(format!("entries for {}", kind(other))),
         }
-        Ok(())
-    }
-
-    fn put(&mut self, slot: u64) -> Outcome<()> {
-        let top = self.pop()?;
-        self.stack.push(top);
-        self.memo.insert(slot, top);
-        Ok(())
-    }
-
-    fn get(&mut self, slot: u64) -> Outcome<()> {
-        let id = *self.memo.get(&slot).ok_or_else(|| format!("memo {slot} is read before it is written"))?;
-        self.stack.push(id);
         Ok(())
     }
 
@@ -334,7 +320,8 @@ impl<'a> Machine<'a> {
         self.push(Value::Call { function, args, state: None })
     }
 
-    fn long(&mut self, length: u64) -> Outcome<()> {
+    /// Reads a signed integer of `length` bytes.
+    fn long(&mut self, length: u64) -> Outcome<Value<'a>> {
         let bytes = self.take(length)?;
         if bytes.len() > 8 {
             return Err(format!("an integer of {length} bytes"));
@@ -342,18 +329,14 @@ impl<'a> Machine<'a> {
         let negative = bytes.last().is_some_and(|last| last & 0x80 != 0);
         let mut word = if negative { [0xff; 8] } else { [0; 8] };
         word[..bytes.len()].copy_from_slice(bytes);
-        self.push(Value::Int(i64::from_le_bytes(word)))
+        Ok(Value::Int(i64::from_le_bytes(word)))
     }
 
-    fn bytes(&mut self, length: u64) -> Outcome<()> {
-        let bytes = self.take(length)?;
-        self.push(Value::Bytes(Cow::Borrowed(bytes)))
-    }
-
-    fn text(&mut self, length: u64) -> Outcome<()> {
-        let bytes = self.take(length)?;
-        // Lone surrogates can't be text here, and no key or array of a hand has them.
-        self.push(Value::Text(String::from_utf8_lossy(bytes).into_owned()))
+    /// Reads an unsigned number of `N` bytes, at most 8.
+    fn length<const N: usize>(&mut self) -> Outcome<u64> {
+        let mut word = [0; 8];
+        word[..N].copy_from_slice(&self.fixed::<N>()?);
+        Ok(u64::from_le_bytes(word))
     }
 
     fn take(&mut self, length: u64) -> Outcome<&'a [u8]> {
@@ -369,7 +352,7 @@ impl<'a> Machine<'a> {
         Ok(*taken)
     }
 
-    /// Bytes up to the next line end, without it.
+    /// Returns the bytes up to the next line end.
     fn line(&mut self) -> Outcome<&'a [u8]> {
         let end = self.rest.iter().position(|&byte| byte == b'\n').ok_or("the file ends in the middle of a line")?;
         let line = &self.rest[..end];
@@ -378,8 +361,8 @@ impl<'a> Machine<'a> {
     }
 }
 
-/// What a value is, in words.
-pub(crate) fn kind(value: &Value) -> &'static str {
+/// Describes the type of a value.
+pub(super) fn kind(value: &Value) -> &'static str {
     match value {
         Value::None => "None",
         Value::Bool(_) => "a boolean",

@@ -1,20 +1,20 @@
-//! Reads Python pickles as plain data: nothing a pickle names is imported, called or executed.
+//! Reads Python pickles as plain data: nothing that a pickle names is imported, called or executed.
 //!
-//! A pickle is a program for a stack machine. [`machine`] runs it, but where Python would call a function it only notes
-//! "this name, with these arguments"; [`meaning`] then knows what a few such notes of numpy, scipy and chumpy stand for.
+//! A pickle is a program for a stack machine. [`machine`] runs it, but records each function call as a name with
+//! arguments instead of making it. [`arrays`] converts the recorded calls of numpy, scipy and chumpy to arrays.
 
+mod arrays;
 mod literal;
 mod machine;
-mod meaning;
 
 use std::borrow::Cow;
 use std::cell::Cell;
 
 use crate::numpy::array::{Array, Outcome};
 
-pub(crate) use meaning::{uncompressed, zipped};
+pub(crate) use arrays::{expand_indptr, triplets};
 
-/// Place of a value in [`Pickle::values`]; values refer to each other by it, so cycles are harmless.
+/// Index of a value in [`Pickle::values`]. Values refer to each other by index, so cycles are harmless.
 type Id = usize;
 
 /// One value of a pickle.
@@ -32,7 +32,7 @@ enum Value<'a> {
     Dict(Vec<(Id, Id)>),
     /// A name such as `numpy.dtype`.
     Global(String),
-    /// What calling `function` with `args` would have made, and the state it would have been given.
+    /// The result of a call that was not made, and the state that the pickle sets on it.
     Call {
         function: Id,
         args: Id,
@@ -45,38 +45,38 @@ enum Value<'a> {
 pub(crate) struct Pickle<'a> {
     values: Vec<Value<'a>>,
     root: Id,
-    /// Numbers read so far.
-    work: Cell<usize>,
+    /// Number of array elements read so far.
+    n_read: Cell<usize>,
 }
 
 impl<'a> Pickle<'a> {
     /// Reads a pickle of protocol 0 to 5.
     ///
     /// # Errors
-    /// If the bytes are no complete pickle, use an unknown opcode, or name anything but numpy, scipy and chumpy data;
-    /// the message names it.
+    /// If the pickle is incomplete, has an unknown opcode, or names anything but numpy, scipy and chumpy data; the
+    /// message names it.
     pub fn read(bytes: &'a [u8]) -> Outcome<Self> {
         machine::run(bytes)
     }
 
-    /// String keys of the outermost dictionary, in order; empty when it is none.
+    /// Returns the string keys of the outermost dictionary, in order; empty if the outermost value is not a dictionary.
     pub fn keys(&self) -> Vec<String> {
         self.entries().iter().filter_map(|&(key, _)| self.text(key)).collect()
     }
 
-    /// The array under a key; `None` when the key is absent. Sparse matrices come dense.
+    /// Reads the array of a key; `None` if the key is absent. Sparse matrices become dense.
     ///
     /// # Errors
-    /// If the value is no numeric array.
+    /// If the value is not a numeric array.
     pub fn array(&self, name: &str) -> Outcome<Option<Array>> {
         let found = self.entries().iter().rev().find(|&&(key, _)| self.text(key).as_deref() == Some(name));
         found.map(|&(_, value)| self.to_array(value, 0)).transpose()
     }
 
-    /// The pickle's outermost value as an array (an object array inside an `.npz`).
+    /// Reads the outermost value as an array (the data of an object array in an `.npz`).
     ///
     /// # Errors
-    /// If it is no numeric array, nor a box around one.
+    /// If the value is neither a numeric array nor an object array with one in it.
     pub fn root_array(&self) -> Outcome<Array> {
         self.to_array(self.root, 0)
     }
@@ -88,7 +88,7 @@ impl<'a> Pickle<'a> {
         }
     }
 
-    /// A string of either kind; Python 2 strings are latin-1.
+    /// Returns a string of either kind; Python 2 strings are latin-1.
     fn text(&self, id: Id) -> Option<String> {
         match &self.values[id] {
             Value::Text(text) => Some(text.clone()),
@@ -104,7 +104,7 @@ mod tests {
 
     use super::*;
 
-    /// `small_*.pkl` beside `make_golden.py`: one dictionary, by Python 2 and 3 in every protocol.
+    /// Reads `small_*.pkl` of `make_golden.py`: one dictionary, written by Python 2 and 3 in every protocol.
     fn small_pickles() -> Vec<(String, Vec<u8>)> {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hand");
         let names =
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn every_protocol_of_both_pythons_gives_the_same_arrays() {
+    fn all_protocols_of_python_2_and_3_give_the_same_arrays() {
         for (file, bytes) in small_pickles() {
             let pickle = Pickle::read(&bytes).unwrap_or_else(|message| panic!("{file}: {message}"));
             assert_eq!(pickle.keys(), ["int", "fortran", "flag", "sparse", "list", "scalar", "text"], "{file}");
@@ -129,13 +129,13 @@ mod tests {
             assert_eq!(array(&pickle, "sparse"), sparse, "{file}");
             assert_eq!(array(&pickle, "list"), Array { shape: vec![3], data: vec![1.0, 2.5, 3.0] }, "{file}");
             assert_eq!(array(&pickle, "scalar").data, [1.25], "{file}");
-            assert!(pickle.array("text").unwrap_err().contains("no array"), "{file}");
+            assert!(pickle.array("text").unwrap_err().contains("not an array"), "{file}");
             assert_eq!(pickle.array("absent").unwrap(), None, "{file}");
         }
     }
 
     #[test]
-    fn names_of_other_programs_are_refused_by_name() {
+    fn names_outside_of_numpy_scipy_and_chumpy_are_refused() {
         let message = Pickle::read(b"cos\nsystem\n(S'true'\ntR.").unwrap_err();
         assert!(message.contains("`os.system`"), "{message}");
         let message = Pickle::read(b"\x80\x04\x8c\x08builtins\x8c\x04eval\x93.").unwrap_err();
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_opcodes_are_named_with_their_place() {
+    fn unknown_opcodes_are_named_with_their_position() {
         let message = Pickle::read(b"N\xff.").unwrap_err();
         assert!(message.contains("0xff") && message.contains("byte 1"), "{message}");
     }
@@ -158,14 +158,14 @@ mod tests {
     }
 
     #[test]
-    fn values_that_hold_themselves_end_in_an_error() {
+    fn recursive_values_are_errors() {
         // l = []; l.append(l); {"l": l}
         let pickle = Pickle::read(b"}S'l'\n]q\x00h\x00as.").unwrap();
         assert!(pickle.array("l").unwrap_err().contains("deep"));
     }
 
     #[test]
-    fn lists_that_multiply_end_in_an_error() {
+    fn lists_of_exponential_size_are_errors() {
         // Twelve levels, each a list of 100 times the one below: 100^12 numbers from a few kilobytes.
         let mut bytes = b"}S'l'\n]".to_vec();
         for level in 0..12u8 {

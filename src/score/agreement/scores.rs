@@ -1,17 +1,17 @@
-//! The scores of one label against another, by name: ratios of [`Sums`], each undefined where its denominator is 0.
+//! Agreement scores by name: ratios of [`Sums`], each undefined where its denominator is 0.
 
 use super::Sums;
 use crate::error::{Error, Result};
 
-/// Which way a score is better.
+/// Direction in which a score is better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Better {
-    /// Higher: a gate demands at least so much.
-    Higher,
-    /// Lower: a gate allows at most so much.
-    Lower,
-    /// Neither: it describes.
-    Neither,
+pub enum Direction {
+    /// A gate sets a lower bound.
+    HigherIsBetter,
+    /// A gate sets an upper bound.
+    LowerIsBetter,
+    /// The score describes the data and can't be required.
+    Descriptive,
 }
 
 /// One score.
@@ -19,11 +19,11 @@ pub enum Better {
 pub struct Score {
     /// Name in JSON, tables and gates.
     pub name: &'static str,
-    /// Which way it is better.
-    pub better: Better,
-    /// What it is, with its unit.
+    /// Direction in which it is better.
+    pub direction: Direction,
+    /// Meaning, with the unit.
     pub meaning: &'static str,
-    /// Its value; None = undefined.
+    /// Computes the score; None = undefined.
     pub value: fn(&Sums) -> Option<f64>,
 }
 
@@ -57,20 +57,20 @@ pub const SCORES: [Score; 22] = [
     }),
     Score {
         name: "onset_bias_secs",
-        better: Better::Neither,
+        direction: Direction::Descriptive,
         meaning: "positive: labels begin late, s",
         value: |s| known(s, ratio(s.timing.onset.sum, s.timing.onset.count as f64)),
     },
     Score {
         name: "offset_bias_secs",
-        better: Better::Neither,
+        direction: Direction::Descriptive,
         meaning: "positive: labels end late, s",
         value: |s| known(s, ratio(s.timing.offset.sum, s.timing.offset.count as f64)),
     },
     lower("mae", "mean absolute error of the force, N", |s| s.errors.mae()),
     lower("active_mae", "the same on touched vertices, N", |s| s.errors.active_mae()),
     lower("link_force_error", "sum over links of |force error| over the sum of their force", |s| {
-        let sum = |k: usize| s.part_force.iter().map(|part| part[k]).sum::<f64>();
+        let sum = |k: usize| s.group_force.iter().map(|group| group[k]).sum::<f64>();
         if s.errors.unknown == 0 { ratio(sum(0), sum(1)) } else { None }
     }),
     lower("cop_distance_mm", "distance of the centres of pressure of pressed links, mm", |s| {
@@ -78,13 +78,13 @@ pub const SCORES: [Score; 22] = [
     }),
     Score {
         name: "contact_ratio",
-        better: Better::Neither,
+        direction: Direction::Descriptive,
         meaning: "share of all vertices that are touched",
         value: |s| ratio(s.counts.positives() as f64, s.counts.total() as f64),
     },
     Score {
         name: "labelled_ratio",
-        better: Better::Neither,
+        direction: Direction::Descriptive,
         meaning: "share of all vertices that are labelled",
         value: |s| known(s, ratio((s.counts.tp + s.counts.fp) as f64, s.counts.total() as f64)),
     },
@@ -94,10 +94,10 @@ pub const SCORES: [Score; 22] = [
 const SHORT: [(&str, &str); 4] =
     [("precision", "pooled.precision"), ("recall", "pooled.recall"), ("f1", "pooled.f1"), ("iou", "pooled.iou")];
 
-/// The score of that name; `f1` is short for `pooled.f1`, and so on.
+/// Returns the score of the given name; `f1` is short for `pooled.f1`, and so on.
 ///
 /// # Errors
-/// If there is none; the error lists them.
+/// If there is no such score; the error lists the names.
 pub fn find(name: &str) -> Result<&'static Score> {
     let full = SHORT.iter().find(|(short, _)| *short == name).map_or(name, |(_, full)| full);
     let names = SHORT.iter().map(|(short, _)| *short).chain(SCORES.iter().map(|score| score.name));
@@ -105,18 +105,18 @@ pub fn find(name: &str) -> Result<&'static Score> {
 }
 
 const fn higher(name: &'static str, meaning: &'static str, value: fn(&Sums) -> Option<f64>) -> Score {
-    Score { name, better: Better::Higher, meaning, value }
+    Score { name, direction: Direction::HigherIsBetter, meaning, value }
 }
 
 const fn lower(name: &'static str, meaning: &'static str, value: fn(&Sums) -> Option<f64>) -> Score {
-    Score { name, better: Better::Lower, meaning, value }
+    Score { name, direction: Direction::LowerIsBetter, meaning, value }
 }
 
 fn frame_mean(sums: &Sums, which: usize) -> Option<f64> {
     known(sums, ratio(sums.frame_scores.1[which], sums.frame_scores.0 as f64))
 }
 
-/// A score is undefined where the label is unknown at a vertex that counts.
+/// Returns None if the label is unknown at a vertex that counts.
 fn known(sums: &Sums, value: Option<f64>) -> Option<f64> {
     value.filter(|_| sums.counts.unknown == 0)
 }

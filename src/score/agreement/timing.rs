@@ -1,43 +1,43 @@
-//! When touches begin and end, by one label and by another.
+//! Onset and offset times of touches, labelled against true.
 //!
-//! A touch is a stretch of frames in which some vertex of a part of the hand is labelled; pauses of up to [`PAUSE`] do
-//! not end it. A true touch is compared with the labelled one that overlaps it longest: the errors are the differences
-//! of their first and of their last frames' times. A touch that is under way where the episode starts or ends, or next
-//! to a refused frame, has no known beginning or end there.
+//! A touch is a run of frames in which some vertex of a group is labelled; pauses of up to [`MAX_PAUSE`] do not end it. A
+//! true touch is compared with the labelled touch that overlaps it longest: the errors are the differences between the times
+//! of their first frames (onset) and of their last frames (offset). A touch that is under way at the start or end of the
+//! episode, or beside a refused frame, has no known onset or offset there.
 
-/// Longest pause within one touch, s.
-pub const PAUSE: f64 = 0.1;
+/// Longest pause within one touch, s: at 25 Hz, one missing frame does not end a touch, two do.
+pub const MAX_PAUSE: f64 = 0.1;
 
 /// Sums over touches.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Timing {
     /// True touches.
     pub touches: u64,
-    /// Those without any label.
+    /// True touches that no labelled touch overlaps.
     pub missed: u64,
     /// Labelled touches.
     pub labelled: u64,
-    /// Those that overlap no true one.
+    /// Labelled touches that overlap no true one.
     pub invented: u64,
-    /// Beginnings compared.
+    /// Differences of the onsets.
     pub onset: Differences,
-    /// Ends compared.
+    /// Differences of the offsets.
     pub offset: Differences,
 }
 
-/// Sums of labelled minus true times.
+/// Sums of the differences between labelled and true times.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Differences {
     /// Number of pairs.
     pub count: u64,
     /// Sum of the differences, s; positive = the label is late.
     pub sum: f64,
-    /// Sum of their absolute values, s.
+    /// Sum of the absolute differences, s.
     pub absolute: f64,
 }
 
 impl Differences {
-    fn take(&mut self, difference: f64) {
+    fn push(&mut self, difference: f64) {
         self.count += 1;
         self.sum += difference;
         self.absolute += difference.abs();
@@ -62,13 +62,13 @@ impl Timing {
     }
 }
 
-/// One instant of a part: when, whether it is truly touched, whether it is labelled.
-pub type Instant = (f64, bool, bool);
+/// One group in one frame: time (s), touched in truth, labelled.
+pub type TouchSample = (f64, bool, bool);
 
-/// Compares the touches of one part over one stretch of frames without a gap, oldest first.
-pub fn compare(stretch: &[Instant]) -> Timing {
-    let truth = touches(stretch.iter().map(|(time, truth, _)| (*time, *truth)));
-    let label = touches(stretch.iter().map(|(time, _, label)| (*time, *label)));
+/// Compares the touches of one group over consecutive frames, oldest first.
+pub fn compare(samples: &[TouchSample]) -> Timing {
+    let truth = touches(samples.iter().map(|(time, truth, _)| (*time, *truth)));
+    let label = touches(samples.iter().map(|(time, _, label)| (*time, *label)));
     let overlap = |a: &Touch, b: &Touch| a.last.min(b.last) - a.first.max(b.first);
     let mut timing = Timing { touches: truth.len() as u64, labelled: label.len() as u64, ..Timing::default() };
     for touch in &truth {
@@ -77,11 +77,11 @@ pub fn compare(stretch: &[Instant]) -> Timing {
             timing.missed += 1;
             continue;
         };
-        if touch.begins && best.begins {
-            timing.onset.take(best.first - touch.first);
+        if touch.has_onset && best.has_onset {
+            timing.onset.push(best.first - touch.first);
         }
-        if touch.ends && best.ends {
-            timing.offset.take(best.last - touch.last);
+        if touch.has_offset && best.has_offset {
+            timing.offset.push(best.last - touch.last);
         }
     }
     timing.invented = label.iter().filter(|label| truth.iter().all(|t| overlap(t, label) < 0.0)).count() as u64;
@@ -91,10 +91,10 @@ pub fn compare(stretch: &[Instant]) -> Timing {
 struct Touch {
     first: f64,
     last: f64,
-    /// Whether the frame before its first is known.
-    begins: bool,
-    /// Whether the frame after its last is known.
-    ends: bool,
+    /// True if the frame before the touch is known.
+    has_onset: bool,
+    /// True if the frame after the touch is known.
+    has_offset: bool,
 }
 
 fn touches(frames: impl Iterator<Item = (f64, bool)>) -> Vec<Touch> {
@@ -102,9 +102,11 @@ fn touches(frames: impl Iterator<Item = (f64, bool)>) -> Vec<Touch> {
     for (index, (time, touched)) in frames.enumerate() {
         match touches.last_mut() {
             // A little more than the pause, for stamps that are no round numbers.
-            Some(touch) if touched && time - touch.last <= PAUSE + 1e-6 => (touch.last, touch.ends) = (time, false),
-            _ if touched => touches.push(Touch { first: time, last: time, begins: index > 0, ends: false }),
-            Some(touch) => touch.ends = true,
+            Some(touch) if touched && time - touch.last <= MAX_PAUSE + 1e-6 => {
+                (touch.last, touch.has_offset) = (time, false)
+            }
+            _ if touched => touches.push(Touch { first: time, last: time, has_onset: index > 0, has_offset: false }),
+            Some(touch) => touch.has_offset = true,
             None => {}
         }
     }
@@ -115,13 +117,13 @@ fn touches(frames: impl Iterator<Item = (f64, bool)>) -> Vec<Touch> {
 mod tests {
     use super::*;
 
-    fn frames(truth: &str, label: &str) -> Vec<Instant> {
+    fn frames(truth: &str, label: &str) -> Vec<TouchSample> {
         let marks = truth.chars().zip(label.chars()).enumerate();
         marks.map(|(i, (t, l))| (0.04 * i as f64, t == '#', l == '#')).collect()
     }
 
     #[test]
-    fn a_late_label_is_late_by_its_frames() {
+    fn a_late_label_gives_a_positive_difference() {
         let timing = compare(&frames("..######..", "....#####."));
         assert_eq!((timing.touches, timing.missed, timing.labelled, timing.invented), (1, 0, 1, 0));
         assert!((timing.onset.sum - 0.08).abs() < 1e-12 && (timing.offset.sum - 0.04).abs() < 1e-12, "{timing:?}");
@@ -130,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn a_touch_under_way_at_the_edge_has_no_beginning_or_end() {
+    fn a_touch_cut_off_by_the_edge_has_no_onset_or_offset() {
         let timing = compare(&frames("####", "..##"));
         assert_eq!((timing.touches, timing.onset.count, timing.offset.count), (1, 0, 0));
         let timing = compare(&frames("###.", "#..."));

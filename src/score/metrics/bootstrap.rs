@@ -1,18 +1,18 @@
-//! Confidence intervals by drawing episodes anew.
+//! Bootstrap confidence intervals over episodes.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Drawings.
-pub const DRAWINGS: usize = 1000;
-/// Share of the drawings that an interval holds.
-pub const LEVEL: f64 = 0.95;
+/// Resamples per interval.
+pub const RESAMPLES: usize = 1000;
+/// Confidence level of the intervals.
+pub const CONFIDENCE: f64 = 0.95;
 
-/// The interval that holds 95 % of each statistic when as many episodes as there are get drawn from them with
-/// replacement (percentile bootstrap); frames of one episode depend on each other and stay together.
+/// Returns the 95 % interval of each statistic by a percentile bootstrap: each resample draws as many episodes as there
+/// are, with replacement. Whole episodes are drawn because the frames of one episode depend on each other.
 ///
-/// `sum` adds up a drawing; `statistics` gives the same number of values for each. An interval is None for fewer than two
-/// episodes, or where more than half of the drawings leave the statistic undefined. The same seed gives the same bits.
+/// `sum` adds up a resample; `statistics` returns the same number of values for each. An interval is None for fewer than
+/// two episodes, or if the statistic is undefined in more than half of the resamples. The same seed gives the same bits.
 pub fn intervals<T, S>(
     episodes: &[T],
     seed: u64,
@@ -24,25 +24,25 @@ pub fn intervals<T, S>(
     if episodes.len() < 2 {
         return vec![None; count];
     }
-    let mut values = vec![Vec::with_capacity(DRAWINGS); count];
-    for _ in 0..DRAWINGS {
+    let mut values = vec![Vec::with_capacity(RESAMPLES); count];
+    for _ in 0..RESAMPLES {
         let drawn: Vec<usize> = (0..episodes.len()).map(|_| rng.random_range(0..episodes.len())).collect();
         let total = sum(&mut drawn.iter().map(|index| &episodes[*index]));
         for (all, value) in values.iter_mut().zip(statistics(&total)) {
             all.extend(value);
         }
     }
-    values.into_iter().map(middle).collect()
+    values.into_iter().map(percentiles).collect()
 }
 
-/// What lies between the outer 2.5 % on each side.
-fn middle(mut values: Vec<f64>) -> Option<[f64; 2]> {
-    if 2 * values.len() < DRAWINGS {
+/// Returns the 2.5th and 97.5th percentile of the resampled values.
+fn percentiles(mut values: Vec<f64>) -> Option<[f64; 2]> {
+    if 2 * values.len() < RESAMPLES {
         return None;
     }
     values.sort_by(f64::total_cmp);
     let at = |share: f64| values[(share * (values.len() - 1) as f64).round() as usize];
-    Some([at(0.5 - LEVEL / 2.0), at(0.5 + LEVEL / 2.0)])
+    Some([at(0.5 - CONFIDENCE / 2.0), at(0.5 + CONFIDENCE / 2.0)])
 }
 
 #[cfg(test)]
@@ -57,13 +57,13 @@ mod tests {
     }
 
     #[test]
-    fn intervals_of_a_mean_cover_it_nineteen_times_in_twenty() {
+    fn intervals_of_a_mean_cover_it_in_95_percent_of_cases() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let normal = Normal::new(3.0, 2.0).unwrap();
         let covered = (0..400).filter(|seed| {
             let values: Vec<f64> = (0..40).map(|_| normal.sample(&mut rng)).collect();
             let [low, high] = mean_interval(&values, *seed).unwrap();
-            // The normal interval has this half width.
+            // Half width of the interval of a normal distribution.
             assert!(((high - low) / 2.0 - 1.96 * 2.0 / 40f64.sqrt()).abs() < 0.4);
             low <= 3.0 && 3.0 <= high
         });

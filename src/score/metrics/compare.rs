@@ -1,46 +1,52 @@
-//! Two predictions of the same truth: by how much they differ, and how sure that is.
+//! Comparison of two predictions of the same truth, with confidence intervals of the differences.
 
 use serde::Serialize;
 
-use super::trace::{TraceScores, Traces};
-use super::{Counts, Errors, EvalOptions, FrameScore, Mask, Report, Scores, bootstrap, contact, evaluate};
+use super::bootstrap;
+use super::contact::{self, Confusion, ContactScores};
+use super::evaluate::{EvalOptions, Mask, evaluate, score_frames, score_traces};
+use super::force::ForceErrors;
+use super::summary::Metrics;
+use super::trace::TraceScores;
 use crate::error::{Error, Result};
 use crate::tactile::{N_FIELD, TactileSequence};
 
-/// Scores are sorted into so many bins of equal population for the AUROC of a drawing; that is exact to 1 in 10 000.
-const BINS: usize = 4096;
+/// Bins of equal population that predicted probabilities are sorted into for the AUROC of a resample; 4096 of them keep
+/// it exact to 1 in 10 000.
+const AUROC_BINS: usize = 4096;
 
 /// Scores of two predictions and their paired difference.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// The other prediction's scores.
-    pub other: Report,
-    /// By score, in the report's order.
+    /// Scores of the other prediction.
+    pub other: Metrics,
+    /// One entry per score, in the order of the table.
     pub differences: Vec<Difference>,
-    /// Episodes that were drawn anew; intervals need at least two.
+    /// Episodes that were resampled; intervals need at least two.
     pub episodes: usize,
-    /// Drawings.
-    pub drawings: usize,
-    /// Seed of the drawings.
+    /// Resamples.
+    #[serde(rename = "drawings")]
+    pub resamples: usize,
+    /// Seed of the resamples.
     pub seed: u64,
 }
 
-/// One score of both.
+/// One score of both predictions.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Difference {
-    /// Its name in the report, e.g. `pooled.f1`.
+    /// Name of the score in the JSON report, e.g. `pooled.f1`.
     pub name: &'static str,
-    /// Of the first prediction.
+    /// Score of the first prediction.
     pub value: Option<f64>,
-    /// Of the other.
+    /// Score of the other prediction.
     pub other: Option<f64>,
     /// First minus other.
     pub difference: Option<f64>,
-    /// What holds 95 % of the differences when the same episodes are drawn anew for both.
+    /// 95 % interval of the difference, over resamples that draw the same episodes for both.
     pub interval: Option<[f64; 2]>,
 }
 
-/// Scores that are compared, as the report names them.
+/// Names of the compared scores, as in the JSON report.
 const NAMES: [&str; 19] = [
     "mae",
     "active_mae",
@@ -63,11 +69,11 @@ const NAMES: [&str; 19] = [
     "dominant_frequency_error_hz",
 ];
 
-/// Scores `pred` and `other` against `target`, with a paired bootstrap over episodes: each drawing takes the same episodes
-/// for both.
+/// Scores `pred` and `other` against `target`, with a paired bootstrap over episodes: each resample draws the same
+/// episodes for both.
 ///
 /// # Errors
-/// As [`evaluate`], for either.
+/// As [`evaluate`], for either prediction.
 pub fn compare(
     pred: &TactileSequence,
     other: &TactileSequence,
@@ -79,17 +85,17 @@ pub fn compare(
     let other_report = evaluate(other, target, options)
         .map_err(|error| Error::value("the other prediction", "a fitting one", error))?;
     let n_episodes = target.episodes().len();
-    let [mine, theirs] = [pred, other].map(|sequence| parts(sequence, target, options));
-    let pairs: Vec<(Part, Part)> = mine.into_iter().zip(theirs).collect();
-    let sum = |drawn: &mut dyn Iterator<Item = &(Part, Part)>| {
-        let mut sums = [Sum::default(), Sum::default()];
+    let [mine, theirs] = [pred, other].map(|sequence| episode_terms(sequence, target, options));
+    let pairs: Vec<(EpisodeTerms, EpisodeTerms)> = mine.into_iter().zip(theirs).collect();
+    let sum = |drawn: &mut dyn Iterator<Item = &(EpisodeTerms, EpisodeTerms)>| {
+        let mut sums = [TermSum::default(), TermSum::default()];
         for (mine, theirs) in drawn {
             sums[0].add(mine);
             sums[1].add(theirs);
         }
         sums
     };
-    let statistics = |[mine, theirs]: &[Sum; 2]| {
+    let statistics = |[mine, theirs]: &[TermSum; 2]| {
         mine.scores().iter().zip(theirs.scores()).map(|(a, b)| Some((*a)? - b?)).collect::<Vec<_>>()
     };
     let intervals = bootstrap::intervals(&pairs, seed, sum, statistics);
@@ -102,14 +108,14 @@ pub fn compare(
         differences: differences.collect(),
         other: other_report,
         episodes: n_episodes,
-        drawings: bootstrap::DRAWINGS,
+        resamples: bootstrap::RESAMPLES,
         seed,
     })
 }
 
-/// A report's scores in the order of [`NAMES`].
-fn values(report: &Report) -> [Option<f64>; 19] {
-    let Report { frame_mean: f, pooled: p, .. } = report;
+/// Returns the scores in the order of [`NAMES`].
+fn values(report: &Metrics) -> [Option<f64>; 19] {
+    let Metrics { frame_mean: f, pooled: p, .. } = report;
     [
         report.mae,
         report.active_mae,
@@ -133,31 +139,31 @@ fn values(report: &Report) -> [Option<f64>; 19] {
     ]
 }
 
-/// What one episode adds to the scores of one prediction.
+/// Contribution of one episode to the scores of one prediction.
 #[derive(Debug, Clone, Default)]
-struct Part {
-    force: Errors,
-    contact: Counts,
+struct EpisodeTerms {
+    force: ForceErrors,
+    contact: Confusion,
     /// Sums and counts over the frames that have positives: precision, recall, F1, IoU, AUROC.
     frames: [(f64, usize); 5],
     trace: TraceScores,
-    /// Untrue and true entries by bin of their score; empty if a score is unknown.
+    /// Negatives and positives by bin of their probability; empty if a probability is unknown.
     bins: Vec<[u32; 2]>,
 }
 
-fn parts(pred: &TactileSequence, target: &TactileSequence, options: &EvalOptions) -> Vec<Part> {
-    let (episodes, mask) = (target.episodes(), Mask::of(target));
-    let frames = FrameScore::all(pred, target, &mask);
-    let traces = Traces::of(&frames).scores(&episodes, options.calibration.as_ref(), options.fps(target));
+fn episode_terms(pred: &TactileSequence, target: &TactileSequence, options: &EvalOptions) -> Vec<EpisodeTerms> {
+    let mask = Mask::of(target);
+    let frames = score_frames(pred, target, &mask);
+    let traces = score_traces(&frames, target, options);
     let edges = edges(contact::pairs(&pred.contact, &target.contact, &mask.contact));
-    let of = |(episode, trace): (&std::ops::Range<usize>, TraceScores)| {
-        let mut part = Part { trace, bins: vec![[0; 2]; edges.len()], ..Part::default() };
+    let of = |(episode, trace): (std::ops::Range<usize>, TraceScores)| {
+        let mut terms = EpisodeTerms { trace, bins: vec![[0; 2]; edges.len()], ..EpisodeTerms::default() };
         for frame in &frames[episode.clone()] {
-            part.force = part.force + frame.force;
-            part.contact = part.contact + frame.contact;
+            terms.force = terms.force + frame.force;
+            terms.contact = terms.contact + frame.contact;
             if frame.contact.positives() > 0 {
-                let Scores { precision, recall, f1, iou, .. } = frame.contact.scores();
-                for ((sum, count), score) in part.frames.iter_mut().zip([precision, recall, f1, iou, frame.auroc]) {
+                let ContactScores { precision, recall, f1, iou, .. } = frame.contact.scores();
+                for ((sum, count), score) in terms.frames.iter_mut().zip([precision, recall, f1, iou, frame.auroc]) {
                     *sum += score.unwrap_or(0.0);
                     *count += usize::from(score.is_some());
                 }
@@ -166,16 +172,16 @@ fn parts(pred: &TactileSequence, target: &TactileSequence, options: &EvalOptions
         let rows = episode.start * N_FIELD..episode.end * N_FIELD;
         let mask = mask.contact.get(rows.clone()).unwrap_or_default();
         for (score, truth) in contact::pairs(&pred.contact[rows.clone()], &target.contact[rows], mask) {
-            if let Some(bin) = part.bins.get_mut(edges.partition_point(|edge| *edge < score)) {
+            if let Some(bin) = terms.bins.get_mut(edges.partition_point(|edge| *edge < score)) {
                 bin[usize::from(truth)] += 1;
             }
         }
-        part
+        terms
     };
-    episodes.iter().zip(traces).map(of).collect()
+    target.episodes().into_iter().zip(traces).map(of).collect()
 }
 
-/// Upper ends of the bins, so that each holds as many scores; none if a score is unknown.
+/// Returns the upper ends of bins of equal population; none if a probability is unknown.
 fn edges(pairs: Vec<(f32, bool)>) -> Vec<f32> {
     let mut scores: Vec<f32> = pairs.into_iter().map(|(score, _)| score).collect();
     if scores.iter().any(|score| score.is_nan()) {
@@ -183,39 +189,39 @@ fn edges(pairs: Vec<(f32, bool)>) -> Vec<f32> {
     }
     scores.sort_unstable_by(f32::total_cmp);
     let last = scores.len().saturating_sub(1);
-    let mut edges: Vec<f32> = (1..=BINS).filter_map(|n| scores.get(last * n / BINS).copied()).collect();
+    let mut edges: Vec<f32> = (1..=AUROC_BINS).filter_map(|n| scores.get(last * n / AUROC_BINS).copied()).collect();
     edges.dedup();
     edges
 }
 
-/// Parts of drawn episodes.
+/// Sum over the episodes of a resample.
 #[derive(Debug, Default)]
-struct Sum {
-    part: Part,
+struct TermSum {
+    terms: EpisodeTerms,
     traces: Vec<TraceScores>,
 }
 
-impl Sum {
-    fn add(&mut self, other: &Part) {
-        self.part.force = self.part.force + other.force;
-        self.part.contact = self.part.contact + other.contact;
-        for ((sum, count), (more, n)) in self.part.frames.iter_mut().zip(other.frames) {
+impl TermSum {
+    fn add(&mut self, other: &EpisodeTerms) {
+        self.terms.force = self.terms.force + other.force;
+        self.terms.contact = self.terms.contact + other.contact;
+        for ((sum, count), (more, n)) in self.terms.frames.iter_mut().zip(other.frames) {
             *sum += more;
             *count += n;
         }
-        self.part.bins.resize(other.bins.len(), [0; 2]);
-        for (sum, more) in self.part.bins.iter_mut().zip(&other.bins) {
+        self.terms.bins.resize(other.bins.len(), [0; 2]);
+        for (sum, more) in self.terms.bins.iter_mut().zip(&other.bins) {
             *sum = [sum[0] + more[0], sum[1] + more[1]];
         }
         self.traces.push(other.trace);
     }
 
-    /// In the order of [`NAMES`].
+    /// Returns the scores in the order of [`NAMES`].
     fn scores(&self) -> [Option<f64>; 19] {
-        let Part { force, contact, frames, bins, .. } = &self.part;
+        let EpisodeTerms { force, contact, frames, bins, .. } = &self.terms;
         let mean = |(sum, count): (f64, usize)| (count > 0 && contact.unknown == 0).then(|| sum / count as f64);
         let [fp, fr, ff, fi, fa] = frames.map(mean);
-        let Scores { precision, recall, f1, iou, .. } = contact.scores();
+        let ContactScores { precision, recall, f1, iou, .. } = contact.scores();
         let t = TraceScores::mean(self.traces.iter());
         [
             force.mae(),
@@ -241,13 +247,13 @@ impl Sum {
     }
 }
 
-/// As [`contact::auroc`], with all scores of a bin tied.
+/// Returns the AUROC as [`contact::auroc`] does, with all probabilities of a bin tied.
 fn binned_auroc(bins: &[[u32; 2]]) -> Option<f64> {
     let (mut negatives, mut positives, mut u) = (0.0, 0.0, 0.0);
-    for [untrue, truth] in bins.iter().map(|bin| bin.map(f64::from)) {
-        u += truth * (negatives + 0.5 * untrue);
-        negatives += untrue;
-        positives += truth;
+    for [bin_negatives, bin_positives] in bins.iter().map(|bin| bin.map(f64::from)) {
+        u += bin_positives * (negatives + 0.5 * bin_negatives);
+        negatives += bin_negatives;
+        positives += bin_positives;
     }
     (positives > 0.0 && negatives > 0.0).then(|| u / (positives * negatives))
 }
@@ -262,7 +268,7 @@ mod tests {
     const EPISODES: usize = 12;
     const FRAMES: usize = 6;
 
-    /// Truth, and predictions with noise of the given sizes.
+    /// Returns truth, and predictions with noise of the given sizes.
     fn fields(noises: [f64; 2]) -> (TactileSequence, [TactileSequence; 2], EvalOptions) {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let n = EPISODES * FRAMES * N_FIELD;
@@ -284,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn the_better_of_two_is_told_with_its_interval() {
+    fn the_better_of_two_predictions_has_an_interval_beyond_zero() {
         let (target, [good, bad], options) = fields([0.3, 1.2]);
         let comparison = compare(&good, &bad, &target, &options, 1).unwrap();
         let of = |name: &str| comparison.differences.iter().find(|d| d.name == name).unwrap().clone();
@@ -302,10 +308,10 @@ mod tests {
     }
 
     #[test]
-    fn all_episodes_together_give_the_scores_of_the_whole() {
+    fn terms_of_all_episodes_add_up_to_the_scores_of_the_whole() {
         let (target, [pred, _], options) = fields([0.8, 0.0]);
-        let mut sum = Sum::default();
-        parts(&pred, &target, &options).iter().for_each(|part| sum.add(part));
+        let mut sum = TermSum::default();
+        episode_terms(&pred, &target, &options).iter().for_each(|terms| sum.add(terms));
         let whole = values(&evaluate(&pred, &target, &options).unwrap());
         for ((name, got), expected) in NAMES.iter().zip(sum.scores()).zip(whole) {
             let tolerance = if name.ends_with("pooled.auroc") { 1e-4 } else { 1e-12 };
@@ -317,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_prediction_twice_differs_by_nothing_and_one_episode_has_no_interval() {
+    fn a_prediction_against_itself_differs_by_zero_and_one_episode_has_no_interval() {
         let (mut target, [pred, _], options) = fields([0.8, 0.0]);
         let same = compare(&pred, &pred, &target, &options, 1).unwrap();
         for Difference { name, difference, interval, .. } in same.differences {

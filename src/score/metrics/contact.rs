@@ -1,25 +1,25 @@
-//! Contact decisions and rankings.
+//! Contact scores: decisions at a threshold, and ranking.
 
 use std::ops::Add;
 
 use rayon::slice::ParallelSliceMut;
 use serde::Serialize;
 
-use super::finite;
+use super::statistics::finite;
 
 /// A vertex is predicted in contact above this probability.
 pub const CONTACT_THRESHOLD: f32 = 0.5;
 
-/// Decisions counted against truth.
+/// Confusion matrix of contact decisions.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counts {
-    /// Predicted and true.
+pub struct Confusion {
+    /// True positives: predicted and true.
     pub tp: u64,
-    /// Predicted, not true.
+    /// False positives: predicted, not true.
     pub fp: u64,
-    /// True, not predicted.
+    /// False negatives: true, not predicted.
     pub fn_: u64,
-    /// Neither.
+    /// True negatives: neither.
     pub tn: u64,
     /// Counted entries without a prediction (NaN).
     pub unknown: u64,
@@ -27,7 +27,7 @@ pub struct Counts {
 
 /// Contact scores; each is None where undefined.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Scores {
+pub struct ContactScores {
     /// TP / (TP + FP); 0 if there are positives but none is predicted.
     pub precision: Option<f64>,
     /// TP / (TP + FN).
@@ -40,7 +40,7 @@ pub struct Scores {
     pub auroc: Option<f64>,
 }
 
-impl Counts {
+impl Confusion {
     /// Counts the decisions of (probability, truth) pairs at the threshold 0.5.
     pub fn of(pairs: &[(f32, bool)]) -> Self {
         let mut counts = Self::default();
@@ -62,14 +62,14 @@ impl Counts {
         self.tp + self.fn_
     }
 
-    /// All decided entries.
+    /// Entries with a decision.
     pub fn total(&self) -> u64 {
         self.tp + self.fp + self.fn_ + self.tn
     }
 
-    /// Precision, recall, F1 and IoU (AUROC needs the probabilities: [`auroc`]). As in scikit-learn with
-    /// `zero_division=0`, except that scores whose every count is zero are undefined.
-    pub fn scores(&self) -> Scores {
+    /// Returns precision, recall, F1 and IoU ([`auroc`] needs the probabilities), as scikit-learn does with
+    /// `zero_division=0`; a score whose counts are all zero is undefined.
+    pub fn scores(&self) -> ContactScores {
         let ratio = |part: u64, whole: u64| {
             (self.unknown == 0 && whole > 0).then(|| finite(part as f64 / whole as f64)).flatten()
         };
@@ -77,7 +77,7 @@ impl Counts {
             0 if self.positives() > 0 => ratio(0, 1),
             predicted => ratio(self.tp, predicted),
         };
-        Scores {
+        ContactScores {
             precision,
             recall: ratio(self.tp, self.positives()),
             f1: ratio(2 * self.tp, 2 * self.tp + self.fp + self.fn_),
@@ -87,7 +87,7 @@ impl Counts {
     }
 }
 
-impl Add for Counts {
+impl Add for Confusion {
     type Output = Self;
 
     fn add(self, other: Self) -> Self {
@@ -101,7 +101,7 @@ impl Add for Counts {
     }
 }
 
-/// (probability, truth) where the mask is set and the truth is known; an empty mask is set everywhere.
+/// Returns (probability, truth) where the mask is set and the truth is known; an empty mask is set everywhere.
 pub fn pairs(score: &[f32], truth: &[f32], mask: &[u8]) -> Vec<(f32, bool)> {
     let counted = |index: usize| mask.is_empty() || mask.get(index).is_some_and(|m| *m != 0);
     let pairs = score.iter().zip(truth).enumerate();
@@ -111,22 +111,22 @@ pub fn pairs(score: &[f32], truth: &[f32], mask: &[u8]) -> Vec<(f32, bool)> {
         .collect()
 }
 
-/// Probability that a true vertex scores above an untrue one, ties counted half (the normalised Mann-Whitney U);
-/// undefined without positives, without negatives, or with an unknown probability.
+/// Returns the probability that a positive scores above a negative, ties counted half (the normalised Mann-Whitney U);
+/// None without positives, without negatives, or with an unknown probability.
 pub fn auroc(mut pairs: Vec<(f32, bool)>) -> Option<f64> {
     if pairs.iter().any(|(score, _)| score.is_nan()) {
         return None;
     }
-    // Few distinct values of -0 and 0 would not tie under a total order.
+    // -0 and 0 tie, but not under a total order: adding 0 turns -0 into 0.
     pairs.iter_mut().for_each(|(score, _)| *score += 0.0);
     pairs.par_sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
     let (mut positives, mut negatives, mut u) = (0u64, 0u64, 0.0f64);
     for tied in pairs.chunk_by(|a, b| a.0 == b.0) {
-        let true_ones = tied.iter().filter(|(_, truth)| *truth).count() as u64;
-        let others = tied.len() as u64 - true_ones;
-        u += true_ones as f64 * (negatives as f64 + 0.5 * others as f64);
-        positives += true_ones;
-        negatives += others;
+        let tied_positives = tied.iter().filter(|(_, truth)| *truth).count() as u64;
+        let tied_negatives = tied.len() as u64 - tied_positives;
+        u += tied_positives as f64 * (negatives as f64 + 0.5 * tied_negatives as f64);
+        positives += tied_positives;
+        negatives += tied_negatives;
     }
     (positives > 0 && negatives > 0).then(|| u / (positives as f64 * negatives as f64))
 }
@@ -146,9 +146,9 @@ mod tests {
     }
 
     #[test]
-    fn scores_without_a_case_are_undefined() {
-        let of = |tp, fp, fn_, tn| Counts { tp, fp, fn_, tn, unknown: 0 }.scores();
-        assert_eq!(of(0, 0, 0, 9), Scores::default());
+    fn scores_with_all_counts_zero_are_undefined() {
+        let of = |tp, fp, fn_, tn| Confusion { tp, fp, fn_, tn, unknown: 0 }.scores();
+        assert_eq!(of(0, 0, 0, 9), ContactScores::default());
         let missed = of(0, 0, 3, 6);
         assert_eq!(
             (missed.precision, missed.recall, missed.f1, missed.iou),
@@ -156,6 +156,6 @@ mod tests {
         );
         let false_alarm = of(0, 2, 0, 7);
         assert_eq!((false_alarm.precision, false_alarm.recall, false_alarm.f1), (Some(0.0), None, Some(0.0)));
-        assert_eq!(Counts { tp: 1, unknown: 1, ..Default::default() }.scores(), Scores::default());
+        assert_eq!(Confusion { tp: 1, unknown: 1, ..Default::default() }.scores(), ContactScores::default());
     }
 }

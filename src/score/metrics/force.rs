@@ -2,17 +2,17 @@
 
 use std::ops::Add;
 
-use super::finite;
+use super::statistics::finite;
 use crate::tactile::CONTACT_FORCE_N;
 
 /// Sums of absolute force errors over counted vertices.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Errors {
+pub struct ForceErrors {
     /// Sum of |predicted - true|, N.
     pub sum: f64,
     /// Entries in `sum`.
     pub count: u64,
-    /// The same where the true force is above 0.05 N.
+    /// Sum of |predicted - true| where the true force is above 0.05 N, N.
     pub active_sum: f64,
     /// Entries in `active_sum`.
     pub active_count: u64,
@@ -20,8 +20,8 @@ pub struct Errors {
     pub unknown: u64,
 }
 
-impl Errors {
-    /// Errors of (predicted, true) pairs, N.
+impl ForceErrors {
+    /// Sums the errors of (predicted, true) pairs, N.
     pub fn of(pairs: &[(f32, f32)]) -> Self {
         let mut errors = Self::default();
         for (pred, target) in pairs {
@@ -40,12 +40,12 @@ impl Errors {
         errors
     }
 
-    /// Mean absolute error, N; undefined if nothing counts or a prediction is unknown.
+    /// Returns the mean absolute error, N; None if nothing counts or a prediction is unknown.
     pub fn mae(&self) -> Option<f64> {
         self.mean(self.sum, self.count)
     }
 
-    /// Mean absolute error where the true force is above 0.05 N; undefined without such entries.
+    /// Returns the mean absolute error where the true force is above 0.05 N; None without such entries.
     pub fn active_mae(&self) -> Option<f64> {
         self.mean(self.active_sum, self.active_count)
     }
@@ -55,7 +55,7 @@ impl Errors {
     }
 }
 
-impl Add for Errors {
+impl Add for ForceErrors {
     type Output = Self;
 
     fn add(self, other: Self) -> Self {
@@ -69,14 +69,14 @@ impl Add for Errors {
     }
 }
 
-/// (predicted, true) force where the mask is set and the truth is known; an empty mask is set everywhere.
+/// Returns (predicted, true) forces where the mask is set and the truth is known; an empty mask is set everywhere.
 pub fn pairs(pred: &[f32], target: &[f32], mask: &[u8]) -> Vec<(f32, f32)> {
     let counted = |index: usize| mask.is_empty() || mask.get(index).is_some_and(|m| *m != 0);
     let pairs = pred.iter().zip(target).enumerate();
     pairs.filter(|(index, (_, t))| counted(*index) && !t.is_nan()).map(|(_, (p, t))| (*p, *t)).collect()
 }
 
-/// Predicted and true total force of one frame, N; the predicted one is None if any of it is unknown.
+/// Returns the predicted and the true total force of one frame, N; the predicted one is None if a vertex of it is unknown.
 pub fn totals(pairs: &[(f32, f32)]) -> (Option<f64>, f64) {
     let (pred, target) =
         pairs.iter().fold((0.0, 0.0), |(p, t), (pred, target)| (p + f64::from(*pred), t + f64::from(*target)));

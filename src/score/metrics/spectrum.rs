@@ -1,12 +1,12 @@
-//! The rhythm of the total force: its spectrum with the mean removed and a symmetric Hann window.
+//! Spectrum of the total force, with the mean removed and a symmetric Hann window.
 
 use std::f64::consts::PI;
 
 use realfft::RealFftPlanner;
 
-use super::{finite, is_constant, pearson};
+use super::statistics::{finite, is_constant, pearson};
 
-/// Magnitudes of the single-sided spectrum, `n / 2 + 1` bins; undefined for fewer than three frames (the window is
+/// Returns the magnitudes of the single-sided spectrum, `n / 2 + 1` bins; None for fewer than three frames (the window is
 /// zero at both ends) or a constant trace.
 pub fn magnitudes(trace: &[f64]) -> Option<Vec<f64>> {
     let n = trace.len();
@@ -22,13 +22,13 @@ pub fn magnitudes(trace: &[f64]) -> Option<Vec<f64>> {
     Some(spectrum.iter().map(|bin| bin.norm()).collect())
 }
 
-/// Pearson correlation of log(1 + magnitude) across the bins.
+/// Returns the Pearson correlation of log(1 + magnitude) across the bins.
 pub fn dft_pearson(pred: &[f64], target: &[f64]) -> Option<f64> {
     let log = |trace: &[f64]| Some(magnitudes(trace)?.into_iter().map(f64::ln_1p).collect::<Vec<_>>());
     pearson(&log(pred)?, &log(target)?)
 }
 
-/// Distance of the magnitudes relative to the target's; a constant prediction has magnitude zero.
+/// Returns the distance of the magnitudes relative to the norm of the target's; a constant prediction has magnitude zero.
 pub fn spectral_convergence(pred: &[f64], target: &[f64]) -> Option<f64> {
     let target = magnitudes(target)?;
     let pred = match magnitudes(pred) {
@@ -40,7 +40,7 @@ pub fn spectral_convergence(pred: &[f64], target: &[f64]) -> Option<f64> {
     finite(norm(&mut pred.iter().zip(&target).map(|(p, t)| p - t)) / norm(&mut target.iter().copied()))
 }
 
-/// Distance of the strongest frequencies above zero, Hz; the lowest of equally strong ones counts.
+/// Returns the distance of the strongest frequencies above zero, Hz; of equally strong ones the lowest counts.
 pub fn dominant_frequency_error(pred: &[f64], target: &[f64], fps: f64) -> Option<f64> {
     let dominant = |trace: &[f64]| {
         let magnitudes = magnitudes(trace)?;

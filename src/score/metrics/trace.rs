@@ -3,9 +3,11 @@
 use std::ops::Range;
 
 use super::dynamics::{self, Calibration};
-use super::{FrameScore, mean, pearson, spectrum};
+use super::spectrum;
+use super::statistics::{mean, pearson};
+use super::summary::FrameScore;
 
-/// Total force over time on both sides; empty on the predicted side if that is unknown anywhere.
+/// Predicted and true total force over time; the predicted one is empty if it is unknown in any frame.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Traces {
     /// Predicted, N.
@@ -23,7 +25,7 @@ pub struct TraceScores {
     pub force_cosine: Option<f64>,
     /// F1 of the frames where the force rises.
     pub rise_f1: Option<f64>,
-    /// F1 of the frames where it falls.
+    /// F1 of the frames where the force falls.
     pub fall_f1: Option<f64>,
     /// Pearson correlation of the log-magnitude spectra.
     pub dft_pearson: Option<f64>,
@@ -34,14 +36,14 @@ pub struct TraceScores {
 }
 
 impl Traces {
-    /// The totals of frames that follow each other.
+    /// Collects the totals of consecutive frames.
     pub fn of<'a>(frames: impl IntoIterator<Item = &'a FrameScore>) -> Self {
         let (pred, target): (Vec<Option<f64>>, Vec<f64>) =
             frames.into_iter().map(|frame| (frame.pred_total, frame.target_total)).unzip();
         Self { pred: pred.into_iter().collect::<Option<Vec<f64>>>().unwrap_or_default(), target }
     }
 
-    /// Scores of each episode. Without a calibration each side is normalised by its own range over all episodes.
+    /// Scores each episode. Without a calibration, each side is normalised by its own range over all episodes.
     pub fn scores(
         &self,
         episodes: &[Range<usize>],
@@ -70,7 +72,7 @@ impl Traces {
 }
 
 impl TraceScores {
-    /// Means over the episodes where a score is defined.
+    /// Returns the mean of each score over the episodes where it is defined.
     pub fn mean<'a>(episodes: impl Iterator<Item = &'a Self> + Clone) -> Self {
         let of = |score: fn(&Self) -> Option<f64>| mean(episodes.clone().map(score));
         Self {

@@ -1,51 +1,51 @@
-//! What is scored against truth: a distance rule at a threshold, or a prediction.
+//! Candidates that are scored against truth: distance labels at several thresholds, or a prediction.
 
 use crate::error::{Error, Result};
 use crate::geometry::SPACING;
 
-/// Thresholds of the sweep, m.
+/// Default distance thresholds of the sweep, m.
 const THRESHOLDS: [f32; 5] = [0.0, 0.001, 0.002, 0.005, 0.010];
-/// Beyond this nothing is near, m.
-const MOST_DISTANCE: f32 = 0.1;
+/// Largest distance threshold, m: a hand's breadth, beyond which a vertex is near nothing.
+const MAX_THRESHOLD: f32 = 0.1;
 
 /// A way to label vertices.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Candidate {
-    /// Label (c) itself: what a perfect label scores.
+    /// Label (c) itself; gives the scores of a perfect label.
     Truth,
-    /// Label (a): a point of the resampled surface within so many metres.
+    /// Label (a): a point of the resampled surface within the given distance, m.
     Points(f32),
-    /// Label (b): the surface within so many metres.
+    /// Label (b): the surface within the given distance, m.
     Surface(f32),
-    /// Somebody's prediction.
+    /// A prediction.
     Prediction,
 }
 
-/// Which labels to score, and how.
+/// Settings of the sweep over labels (a) and (b).
 #[derive(Debug, Clone, PartialEq)]
-pub struct Settings {
-    /// Thresholds of labels (a) and (b), m, growing.
+pub struct SweepSettings {
+    /// Distance thresholds, m, growing.
     pub thresholds: Vec<f32>,
     /// Spacing of the points of label (a), m.
     pub spacing: f32,
 }
 
-impl Default for Settings {
+impl Default for SweepSettings {
     fn default() -> Self {
         Self { thresholds: THRESHOLDS.to_vec(), spacing: SPACING }
     }
 }
 
-impl Settings {
-    /// Refuses what makes no sense.
+impl SweepSettings {
+    /// Validates thresholds and spacing.
     ///
     /// # Errors
     /// If there is no threshold, or one is not a length from 0 to 0.1 m above the one before; or the spacing is not a
     /// length from 0.5 mm to 1 m.
     pub fn check(&self) -> Result<()> {
         let grow = self.thresholds.windows(2).all(|pair| pair[0] < pair[1]);
-        if self.thresholds.is_empty() || !grow || self.thresholds.iter().any(|t| !(0.0..=MOST_DISTANCE).contains(t)) {
-            let expected = format!("growing lengths from 0 to {MOST_DISTANCE} m");
+        if self.thresholds.is_empty() || !grow || self.thresholds.iter().any(|t| !(0.0..=MAX_THRESHOLD).contains(t)) {
+            let expected = format!("growing lengths from 0 to {MAX_THRESHOLD} m");
             return Err(Error::value("thresholds", expected, format!("{:?} m", self.thresholds)));
         }
         if !(5e-4..=1.0).contains(&self.spacing) {
@@ -54,23 +54,23 @@ impl Settings {
         Ok(())
     }
 
-    /// The labels of the sweep, label (c) first.
+    /// Returns the candidates of the sweep, label (c) first.
     pub fn sweep(&self) -> Vec<Candidate> {
         let points = self.thresholds.iter().map(|t| Candidate::Points(*t));
         let surface = self.thresholds.iter().map(|t| Candidate::Surface(*t));
         std::iter::once(Candidate::Truth).chain(points).chain(surface).collect()
     }
 
-    /// How far distances need be known, m.
+    /// Returns the largest threshold, m: distances need not be known beyond it.
     pub fn reach(&self) -> f32 {
         self.thresholds.iter().copied().fold(0.0, f32::max)
     }
 }
 
 impl Candidate {
-    /// Name in tables, JSON and gates, for instance `b_5mm`.
+    /// Returns the name in tables, JSON and gates, for instance `b_5mm`.
     pub fn name(self) -> String {
-        // Thresholds come from millimetres: back to their shortest decimals.
+        // Rounds to micrometres, so that 5 mm in f32 is written as 5.
         let millimetres = |metres: f32| (f64::from(metres) * 1e6).round() / 1e3;
         match self {
             Self::Truth => "c".into(),

@@ -1,40 +1,40 @@
-//! One episode's scores.
+//! Scores of one episode.
 
 use std::collections::BTreeMap;
 
 use super::candidate::Candidate;
 use crate::error::{Error, Result};
 use crate::geometry::Sampling;
-use crate::score::agreement::{Parts, Scorer, Sums, TruthFrame};
+use crate::score::agreement::{Scorer, Sums, TruthFrame, VertexGroups};
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField, Validity};
 
-/// What an episode says about each candidate.
+/// Sums of one episode for each candidate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Episode {
-    /// Scene, or where it comes from.
+    /// Name of the scene, or path of the source.
     pub name: String,
-    /// Seed, where it has one.
+    /// Seed of the rollout, if there is one.
     pub seed: Option<u64>,
-    /// Frames that guards refused, by reason; they are not scored.
+    /// Number of frames that guards refused, by reason; they are not scored.
     pub refused: BTreeMap<&'static str, u64>,
     /// Sums of each candidate.
     pub sums: Vec<Sums>,
-    /// Whether the places of contacts were known in each frame.
+    /// True if the contact points were known in every frame.
     pub has_contacts: bool,
-    /// How finely the things were sampled for label (a); empty where no distances were needed.
+    /// Sampling density of each object for label (a); empty where no distances were needed.
     pub samplings: Vec<Sampling>,
 }
 
-/// Distances of the 1556 vertices from the nearest thing, m; infinity where it is far.
+/// Distances of the 1556 vertices from the nearest object, m; infinite beyond the largest threshold.
 #[derive(Debug, Clone, Copy)]
-pub struct Near<'a> {
-    /// From the nearest point of a resampled surface.
+pub struct VertexDistances<'a> {
+    /// Distance from the nearest point of a resampled surface.
     pub points: &'a [f32],
-    /// From the nearest surface, negative inside.
+    /// Signed distance from the nearest surface, negative inside.
     pub surface: &'a [f32],
 }
 
-/// Scores an episode frame by frame.
+/// Scores an episode for all candidates, frame by frame.
 #[derive(Debug, Clone)]
 pub struct EpisodeScorer {
     candidates: Vec<Candidate>,
@@ -45,19 +45,24 @@ pub struct EpisodeScorer {
 
 impl EpisodeScorer {
     /// Starts an episode.
-    pub fn new(parts: &Parts, candidates: &[Candidate]) -> Self {
-        let scorers = vec![Scorer::new(parts.clone()); candidates.len()];
+    pub fn new(groups: &VertexGroups, candidates: &[Candidate]) -> Self {
+        let scorers = vec![Scorer::new(groups.clone()); candidates.len()];
         Self { candidates: candidates.to_vec(), scorers, refused: BTreeMap::new(), has_contacts: true }
     }
 
-    /// Takes a frame: the truth, and what its candidates need of distances and prediction.
+    /// Adds a frame: the truth, with the distances or the prediction that the candidates need.
     ///
     /// # Errors
-    /// If a candidate lacks what it needs, an array has another length, or time goes back.
-    pub fn push(&mut self, truth: &TruthFrame, near: Option<Near>, prediction: Option<&TactileField>) -> Result<()> {
+    /// If a candidate lacks its input, an array has another length, or time does not grow.
+    pub fn push(
+        &mut self,
+        truth: &TruthFrame,
+        near: Option<VertexDistances>,
+        prediction: Option<&TactileField>,
+    ) -> Result<()> {
         self.has_contacts &= truth.has_contacts();
         for (candidate, scorer) in self.candidates.iter().zip(&mut self.scorers) {
-            let lacks = |what: &str| Error::value(format!("candidate {}", candidate.name()), what, "none");
+            let lacks = |input: &str| Error::value(format!("candidate {}", candidate.name()), input, "none");
             let within = |distances: &[f32], threshold: f32| -> Vec<f32> {
                 distances.iter().map(|distance| f32::from(*distance <= threshold)).collect()
             };
@@ -94,7 +99,7 @@ impl EpisodeScorer {
     }
 }
 
-/// Contact as predicted; of a prediction that has forces alone, where they exceed the threshold of truth.
+/// Returns the predicted contact; for a prediction of forces alone, contact where the force exceeds the threshold of truth.
 fn contact(field: &TactileField) -> Vec<f32> {
     let unknown = field.contact.len() == N_FIELD && field.contact.iter().all(|c| c.is_nan());
     match unknown {

@@ -1,26 +1,26 @@
-//! A gate: bars that scores must clear, for continuous integration.
+//! Gate for continuous integration: scores that must be reached.
 
 use crate::error::{Error, Result};
-use crate::score::agreement::scores::{self, Better, SCORES, Score};
+use crate::score::agreement::scores::{self, Direction, SCORES, Score};
 
-/// One bar, for instance `f1=0.7`: at least so much of a score that is better higher, at most of another.
+/// A bound on one score, for instance `f1=0.7`: a lower bound if higher is better, else an upper bound.
 #[derive(Debug, Clone)]
-pub struct Bar {
-    /// Candidate it is for; None = the only one.
+pub struct Requirement {
+    /// Candidate that the bound applies to; None = the only one.
     pub candidate: Option<String>,
     /// The score.
     pub score: &'static Score,
-    /// The least or the most it may be.
+    /// Lower or upper bound.
     pub bound: f64,
 }
 
-impl Bar {
-    /// Reads bars such as `f1=0.7,missed_force=0.2`, or `b_5mm:f1=0.7` for one candidate of several.
+impl Requirement {
+    /// Parses requirements such as `f1=0.7,missed_force=0.2`, or `b_5mm:f1=0.7` for one candidate of several.
     ///
     /// # Errors
-    /// If one is no `NAME=NUMBER`, or its score is unknown or has no better side; the error lists the names.
+    /// If one is not `NAME=NUMBER`, or its score is unknown or only descriptive; the error lists the names.
     pub fn parse_all(text: &str) -> Result<Vec<Self>> {
-        text.split(',').map(str::trim).filter(|bar| !bar.is_empty()).map(Self::parse).collect()
+        text.split(',').map(str::trim).filter(|text| !text.is_empty()).map(Self::parse).collect()
     }
 
     fn parse(text: &str) -> Result<Self> {
@@ -32,18 +32,18 @@ impl Bar {
             None => (None, name.trim()),
         };
         let score = scores::find(name)?;
-        if score.better == Better::Neither {
-            let fit = SCORES.iter().filter(|score| score.better != Better::Neither).map(|score| score.name);
-            return Err(Error::unknown("score with a better side", name, fit));
+        if score.direction == Direction::Descriptive {
+            let fit = SCORES.iter().filter(|score| score.direction != Direction::Descriptive).map(|score| score.name);
+            return Err(Error::unknown("score that can be required", name, fit));
         }
         Ok(Self { candidate, score, bound })
     }
 
-    /// What is missing to clear the bar, in words; None = nothing.
+    /// Describes by how much `value` misses the bound; None if it does not.
     pub fn missed(&self, value: Option<f64>) -> Option<String> {
         let Self { score, bound, .. } = self;
-        let (side, miss) = match score.better {
-            Better::Lower => ("at most", value.map(|value| value - bound)),
+        let (side, miss) = match score.direction {
+            Direction::LowerIsBetter => ("at most", value.map(|value| value - bound)),
             _ => ("at least", value.map(|value| bound - value)),
         };
         match (value, miss) {
@@ -61,26 +61,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bars_are_lower_bounds_of_scores_and_upper_bounds_of_errors() {
-        let bars = Bar::parse_all("f1=0.7, missed_force=0.2,b_5mm:frame_mean.iou=0.5").unwrap();
-        assert_eq!(bars.len(), 3);
-        assert_eq!(bars[0].score.name, "pooled.f1");
-        assert_eq!(bars[2].candidate.as_deref(), Some("b_5mm"));
-        assert_eq!((bars[0].missed(Some(0.7)), bars[1].missed(Some(0.2))), (None, None));
-        assert!(bars[0].missed(Some(0.65)).unwrap().contains("misses by 0.0500"));
+    fn requirements_bound_scores_from_below_and_errors_from_above() {
+        let requirements = Requirement::parse_all("f1=0.7, missed_force=0.2,b_5mm:frame_mean.iou=0.5").unwrap();
+        assert_eq!(requirements.len(), 3);
+        assert_eq!(requirements[0].score.name, "pooled.f1");
+        assert_eq!(requirements[2].candidate.as_deref(), Some("b_5mm"));
+        assert_eq!((requirements[0].missed(Some(0.7)), requirements[1].missed(Some(0.2))), (None, None));
+        assert!(requirements[0].missed(Some(0.65)).unwrap().contains("misses by 0.0500"));
         assert!(
-            bars[1].missed(Some(0.5)).unwrap().contains("at most 0.2 is required, got 0.5000, which misses by 0.3")
+            requirements[1]
+                .missed(Some(0.5))
+                .unwrap()
+                .contains("at most 0.2 is required, got 0.5000, which misses by 0.3")
         );
-        assert!(bars[1].missed(None).unwrap().contains("undefined"));
-        assert!(Bar::parse_all("").unwrap().is_empty());
+        assert!(requirements[1].missed(None).unwrap().contains("undefined"));
+        assert!(Requirement::parse_all("").unwrap().is_empty());
     }
 
     #[test]
-    fn what_is_no_bar_is_refused_with_what_would_be() {
-        let error = |text: &str| Bar::parse_all(text).unwrap_err().to_string();
+    fn an_invalid_requirement_is_refused_with_the_valid_ones() {
+        let error = |text: &str| Requirement::parse_all(text).unwrap_err().to_string();
         assert!(error("f2=0.5").contains("missed_force") && error("f2=0.5").contains("\"f2\""));
         assert!(error("f1").contains("NAME=NUMBER") && error("f1=high").contains("NAME=NUMBER"));
         assert!(error("f1=nan").contains("NAME=NUMBER"));
-        assert!(error("contact_ratio=0.1").contains("better side"));
+        assert!(error("contact_ratio=0.1").contains("can be required"));
     }
 }

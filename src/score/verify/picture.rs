@@ -1,19 +1,19 @@
-//! The report as one picture: scores above, errors below, a column for each candidate.
+//! Plot of a report: scores above, errors below, one column per candidate.
 
 use ::image::RgbImage;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::report::{CandidateReport, Report};
+use super::report::{CandidateReport, VerifyReport};
 use crate::error::{Error, Result};
 use crate::render;
 
-/// Size, pixels.
+/// Width and height of the picture, pixels.
 const SIZE: (u32, u32) = (1200, 900);
-/// Pixels of the line above the charts.
-const HEAD: u32 = 40;
+/// Height of the title above the charts, pixels.
+const TITLE_HEIGHT: u32 = 40;
 
-/// One curve: label, score, colour.
+/// A curve: label, name of the score, colour.
 type Curve = (&'static str, &'static str, RGBColor);
 
 const SCORES: [Curve; 4] = [
@@ -29,11 +29,11 @@ const ERRORS: [Curve; 4] = [
     ("link force error", "link_force_error", RGBColor(40, 140, 140)),
 ];
 
-/// Draws the report; bars are 95 % intervals over episodes.
+/// Draws the report; error bars are 95 % intervals over episodes.
 ///
 /// # Errors
 /// If drawing fails.
-pub fn draw(report: &Report) -> Result<RgbImage> {
+pub fn draw(report: &VerifyReport) -> Result<RgbImage> {
     render::font::register();
     let mut pixels = vec![255u8; (SIZE.0 * SIZE.1 * 3) as usize];
     chart(report, &mut pixels).map_err(|error| Error::value("picture", "one that can be drawn", error))?;
@@ -43,17 +43,17 @@ pub fn draw(report: &Report) -> Result<RgbImage> {
 type Drawn = std::result::Result<(), Box<dyn std::error::Error>>;
 type Area<'a> = DrawingArea<BitMapBackend<'a>, Shift>;
 
-fn chart(report: &Report, pixels: &mut [u8]) -> Drawn {
+fn chart(report: &VerifyReport, pixels: &mut [u8]) -> Drawn {
     let root = BitMapBackend::with_buffer(pixels, SIZE).into_drawing_area();
     root.fill(&WHITE)?;
-    let (head, body) = root.split_vertically(HEAD);
+    let (head, body) = root.split_vertically(TITLE_HEIGHT);
     let counts = &report.counts;
     let title = format!(
         "against contact forces (label c): {} episodes, {} frames, {} with touch; bars: 95 % over episodes",
         counts.episodes, counts.frames, counts.touching_frames
     );
     head.draw(&Text::new(title, (16, 12), (render::font::FAMILY, 19)))?;
-    let (upper, lower) = body.split_vertically((SIZE.1 - HEAD) / 2);
+    let (upper, lower) = body.split_vertically((SIZE.1 - TITLE_HEIGHT) / 2);
     panel(&upper, "better high", &report.candidates, &SCORES)?;
     panel(&lower, "better low", &report.candidates, &ERRORS)?;
     root.present()?;
@@ -64,7 +64,7 @@ fn panel(area: &Area, title: &str, candidates: &[CandidateReport], curves: &[Cur
     let value = |candidate: &CandidateReport, name: &str| candidate.scores.get(name).and_then(|v| v.value);
     let all = candidates.iter().flat_map(|c| curves.iter().filter_map(|(_, name, _)| value(c, name)));
     let top = all.fold(1.0, f64::max) * 1.05;
-    // To the right, room for the legend.
+    // Leaves room for the legend on the right.
     let end = candidates.len() as f64 * 1.18 + 0.3;
     let mut chart = ChartBuilder::on(area)
         .margin(10)

@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::dataset::zarr::{MANO_FORCE, ZarrReader, open_all};
-use crate::dataset::{EpisodeReader, tensors};
+use crate::dataset::tensors;
+use crate::dataset::zarr::{ZarrReader, open_all, read_fields};
 use crate::error::{Error, Result};
-use crate::tactile::{N_FIELD, TactileSequence};
+use crate::tactile::TactileSequence;
 
 /// Reads predictions for `stores` from tensor files or stores (or folders of stores), in the given order.
 ///
@@ -28,17 +28,7 @@ pub fn read(paths: &[PathBuf], stores: &[ZarrReader]) -> Result<TactileSequence>
 
 fn read_path(path: &Path) -> Result<Vec<TactileSequence>> {
     match path.is_dir() {
-        true => open_all(&[path.to_path_buf()])?.iter().map(read_store).collect(),
+        true => open_all(&[path.to_path_buf()])?.iter().map(|store| read_fields(store, 0..store.len())).collect(),
         false => Ok(vec![tensors::read(path)?]),
     }
-}
-
-fn read_store(store: &ZarrReader) -> Result<TactileSequence> {
-    let frames = 0..store.len();
-    let force = match store.has(MANO_FORCE) {
-        true => store.read_f32(MANO_FORCE, frames.clone())?,
-        false => vec![f32::NAN; frames.len() * N_FIELD],
-    };
-    let (topology, contact) = (Some(store.attributes().topology), store.read_contact(frames)?);
-    Ok(TactileSequence { topology, force, contact, ..Default::default() })
 }

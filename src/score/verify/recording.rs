@@ -1,86 +1,71 @@
-//! A recording of predictions and truth: an MCAP file, or the folder of a bag.
+//! Scores of a recording of predictions and truth: an MCAP file, or the folder of a bag.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::candidate::Candidate;
 use super::episode::{Episode, EpisodeScorer};
-use super::stretches::Stretches;
+use super::episode_splitter::EpisodeSplitter;
+use crate::dataset::LostBytes;
+use crate::dataset::mcap::{bag_files, for_each_message, survey};
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, Side, Topology};
 use crate::message::{Message, TactileFrame, TactileTruth, Time};
-use crate::score::agreement::{Parts, TruthFrame};
+use crate::score::agreement::{TruthFrame, VertexGroups};
 use crate::tactile::Validity;
 
-/// Which topics to compare; None = the only one of its type.
+/// Topics to compare; None = the only one of its type.
 #[derive(Debug, Clone, Default)]
 pub struct Topics {
-    /// Predictions, `egotac_msgs/msg/TactileFrame`.
+    /// Topic of predictions, `egotac_msgs/msg/TactileFrame`.
     pub tactile: Option<String>,
-    /// Truth, `egotac_msgs/msg/TactileTruth`.
+    /// Topic of truth, `egotac_msgs/msg/TactileTruth`.
     pub truth: Option<String>,
 }
 
-/// Episodes of a recording, and messages that found no partner of the same stamp.
+/// Scored episodes of a recording, and numbers of messages without a partner of the same stamp.
 #[derive(Debug)]
 pub struct Recording {
-    /// One episode per scene or stretch of time.
+    /// Episodes, split as [`EpisodeSplitter`] does.
     pub episodes: Vec<Episode>,
-    /// What the vertices mean, and how they group into links.
-    pub parts: Parts,
+    /// Groups of vertices, links where these are known.
+    pub groups: VertexGroups,
     /// Predictions without truth.
     pub unmatched_predictions: u64,
-    /// Truths without prediction.
+    /// Number of truths without prediction.
     pub unmatched_truths: u64,
 }
 
 /// Scores the predictions in the recording at `path` by equal stamps.
 ///
-/// Vertices lie as in the rest pose of `hands`, each hand by itself; without hands of the recording's topology, what
-/// needs places or links is undefined, except on the built-in hand.
+/// Vertices take their positions from the rest pose of `hands`, each hand in its own frame. Without hands of the
+/// recording's topology, scores that need positions or links are undefined, except on the built-in hand.
 ///
 /// # Errors
-/// If the recording can't be read, a topic is not there or not the only one of its type, a message is not what its topic
-/// says, or nothing pairs.
+/// If the recording can't be read or is damaged, a topic is missing or ambiguous, a message can't be decoded, or no stamps
+/// pair.
 pub fn score(path: &Path, topics: &Topics, hands: Option<&[HandModel; 2]>) -> Result<Recording> {
-    let file = file_of(path)?;
-    let bytes = std::fs::read(&file).map_err(Error::io(&file))?;
-    let channels = channels(&bytes, &file)?;
-    let tactile = topic(&channels, &file, TactileFrame::TYPE, topics.tactile.as_deref())?;
-    let truth = topic(&channels, &file, TactileTruth::TYPE, topics.truth.as_deref())?;
-    let mut predictions: BTreeMap<Time, TactileFrame> = BTreeMap::new();
-    let mut truths: BTreeMap<Time, TactileTruth> = BTreeMap::new();
-    for message in mcap::MessageStream::new(&bytes).map_err(|error| Error::file(&file, error))? {
-        let message = message.map_err(|error| Error::file(&file, error))?;
-        let named = |error: Error| Error::file(&file, format!("{}: {error}", message.channel.topic));
-        if message.channel.topic == tactile {
-            let frame = TactileFrame::from_cdr(&message.data).map_err(named)?;
-            predictions.insert(frame.header.stamp, frame);
-        } else if message.channel.topic == truth {
-            let truth = TactileTruth::from_cdr(&message.data).map_err(named)?;
-            truths.insert(truth.frame.header.stamp, truth);
-        }
-    }
+    let (predictions, truths) = read(path, topics)?;
     let unmatched = |own: &mut dyn Iterator<Item = bool>| own.filter(|paired| !paired).count() as u64;
     let unmatched_predictions = unmatched(&mut predictions.keys().map(|stamp| truths.contains_key(stamp)));
     let unmatched_truths = unmatched(&mut truths.keys().map(|stamp| predictions.contains_key(stamp)));
     let first = truths.values().find(|truth| predictions.contains_key(&truth.frame.header.stamp)).ok_or_else(|| {
         let got = format!("{} predictions, {} truths", predictions.len(), truths.len());
-        Error::value(format!("{}: pairs of equal stamps", file.display()), "at least one", got)
+        Error::value(format!("{}: pairs of equal stamps", path.display()), "at least one", got)
     })?;
     let hand = RestHands::of(Topology::from_id(&first.frame.topology)?, hands)?;
 
-    let mut stretches = Stretches::default();
+    let mut splitter = EpisodeSplitter::default();
     let mut episodes = Vec::new();
     let mut open: Option<(u64, String, EpisodeScorer)> = None;
     for (stamp, truth) in &truths {
-        let number = stretches.number_of(truth);
+        let number = splitter.episode_number(truth);
         let Some(prediction) = predictions.get(stamp) else { continue };
         if open.as_ref().is_some_and(|(of, ..)| *of != number) {
             episodes.extend(open.take().map(|(_, name, scorer)| scorer.finish(name, None, Vec::new())));
         }
         let name = || truth.frame.model_id.clone();
-        let scorer = || EpisodeScorer::new(&hand.parts, &[Candidate::Prediction]);
+        let scorer = || EpisodeScorer::new(&hand.groups, &[Candidate::Prediction]);
         let (_, _, scorer) = open.get_or_insert_with(|| (number, name(), scorer()));
         let validity = truth.validity()?;
         if validity != Validity::Valid {
@@ -94,22 +79,22 @@ pub fn score(path: &Path, topics: &Topics, hands: Option<&[HandModel; 2]>) -> Re
         scorer.push(&frame, None, Some(&field))?;
     }
     episodes.extend(open.map(|(_, name, scorer)| scorer.finish(name, None, Vec::new())));
-    Ok(Recording { episodes, parts: hand.parts, unmatched_predictions, unmatched_truths })
+    Ok(Recording { episodes, groups: hand.groups, unmatched_predictions, unmatched_truths })
 }
 
-/// Where vertices lie, and to which part they belong, when nothing says how the hands are posed.
+/// Positions and groups of the vertices of hands whose pose is not known.
 #[derive(Debug, Clone)]
 pub struct RestHands {
-    /// What the vertices mean.
+    /// Meaning of the vertex indices.
     pub topology: Topology,
-    /// (1556) m, each hand by itself; empty = not known.
+    /// (1556) m, each hand in its own frame; empty = not known.
     pub positions: Vec<glam::Vec3>,
     /// Links where they are known, else hands.
-    pub parts: Parts,
+    pub groups: VertexGroups,
 }
 
 impl RestHands {
-    /// The rest pose of `hands`, or of the built-in hand for its topology.
+    /// Returns the rest pose of `hands`, or that of the built-in hand for its topology.
     ///
     /// # Errors
     /// If `hands` are of another topology.
@@ -124,52 +109,63 @@ impl RestHands {
             (None, Topology::Mano) => None,
         };
         let Some(hands) = hands else {
-            return Ok(Self { topology, positions: Vec::new(), parts: Parts::hands() });
+            return Ok(Self { topology, positions: Vec::new(), groups: VertexGroups::hands() });
         };
         let positions = hands.iter().flat_map(|hand| hand.forward(&HandParams::default()).vertices).collect();
-        Ok(Self { topology, positions, parts: Parts::links(hands) })
+        Ok(Self { topology, positions, groups: VertexGroups::links(hands) })
     }
 }
 
-/// The one MCAP file of a bag's folder, or the file itself.
-fn file_of(path: &Path) -> Result<PathBuf> {
-    if !path.is_dir() {
-        return Ok(path.to_path_buf());
-    }
-    let entries = std::fs::read_dir(path).map_err(Error::io(path))?;
-    let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
-    files.retain(|file| file.extension().is_some_and(|extension| extension == "mcap"));
-    match files.as_slice() {
-        [file] => Ok(file.clone()),
-        _ => Err(Error::file(path, format!("expected a folder with one .mcap file, got {}", files.len()))),
+/// Predictions and truths by stamp.
+type Messages = (BTreeMap<Time, TactileFrame>, BTreeMap<Time, TactileTruth>);
+
+/// Reads predictions and truths from all files of the recording.
+fn read(path: &Path, topics: &Topics) -> Result<Messages> {
+    let present = topics_of(path)?;
+    let tactile = topic(&present, path, TactileFrame::TYPE, topics.tactile.as_deref())?;
+    let truth = topic(&present, path, TactileTruth::TYPE, topics.truth.as_deref())?;
+    let (mut predictions, mut truths) = (BTreeMap::new(), BTreeMap::new());
+    let lost = for_each_message(path, |_, message| {
+        if message.topic == tactile {
+            let frame = TactileFrame::from_cdr(message.payload)?;
+            predictions.insert(frame.header.stamp, frame);
+        } else if message.topic == truth {
+            let truth = TactileTruth::from_cdr(message.payload)?;
+            truths.insert(truth.frame.header.stamp, truth);
+        }
+        Ok(())
+    })?;
+    match lost.first() {
+        // A score of the readable part would look like one of the whole.
+        Some(LostBytes { file, offset, bytes, reason }) => {
+            Err(Error::file(path, format!("{file} is damaged, {bytes} bytes from byte {offset}: {reason}")))
+        }
+        None => Ok((predictions, truths)),
     }
 }
 
-/// Topic and type of each channel that has a message.
-fn channels(bytes: &[u8], file: &Path) -> Result<BTreeMap<String, String>> {
-    let mut channels = BTreeMap::new();
-    // Not from the summary: a recording that was cut off has none.
-    for message in mcap::MessageStream::new(bytes).map_err(|error| Error::file(file, error))? {
-        let channel = message.map_err(|error| Error::file(file, error))?.channel;
-        if !channels.contains_key(&channel.topic) {
-            let type_name = channel.schema.as_ref().map(|schema| schema.name.clone()).unwrap_or_default();
-            channels.insert(channel.topic.clone(), type_name);
+/// Returns the message type of each topic with messages.
+fn topics_of(path: &Path) -> Result<BTreeMap<String, String>> {
+    let mut topics = BTreeMap::new();
+    for file in bag_files(path)? {
+        for topic in survey(&file)?.topics.into_values().filter(|topic| topic.messages > 0) {
+            topics.entry(topic.name).or_insert(topic.type_name);
         }
     }
-    Ok(channels)
+    Ok(topics)
 }
 
-/// The topic of messages of `type_name`: the wanted one, or the only one.
-fn topic(channels: &BTreeMap<String, String>, file: &Path, type_name: &str, wanted: Option<&str>) -> Result<String> {
-    let topics: Vec<&str> = channels.iter().filter(|(_, t)| *t == type_name).map(|(topic, _)| topic.as_str()).collect();
+/// Returns the topic called `wanted`, or the only topic of messages of `type_name`.
+fn topic(present: &BTreeMap<String, String>, path: &Path, type_name: &str, wanted: Option<&str>) -> Result<String> {
+    let topics: Vec<&str> = present.iter().filter(|(_, t)| *t == type_name).map(|(topic, _)| topic.as_str()).collect();
     match (wanted, topics.as_slice()) {
         (Some(wanted), topics) if topics.contains(&wanted) => Ok(wanted.to_owned()),
         (Some(wanted), _) => Err(Error::unknown("topic", wanted, topics)),
         (None, [only]) => Ok((*only).to_owned()),
-        (None, []) => Err(Error::file(file, format!("has no topic of {type_name}"))),
+        (None, []) => Err(Error::file(path, format!("has no topic of {type_name}"))),
         (None, several) => {
             let got = several.join(", ");
-            Err(Error::value(format!("{}: topics of {type_name}", file.display()), "one, or one named", got))
+            Err(Error::value(format!("{}: topics of {type_name}", path.display()), "one, or one named", got))
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What all episodes together say: scores with confidence intervals, as JSON and as a table.
+//! Report over all episodes: scores with confidence intervals, as JSON and as a table.
 
 use std::collections::BTreeMap;
 
@@ -9,24 +9,24 @@ use super::episode::Episode;
 use crate::error::{Error, Result};
 use crate::geometry::Sampling;
 use crate::score::agreement::scores::SCORES;
-use crate::score::agreement::{Parts, Sums};
+use crate::score::agreement::{Sums, VertexGroups};
 use crate::score::metrics::bootstrap;
 use crate::tactile::CONTACT_FORCE_N;
 
 /// The scores of each candidate over all episodes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Report {
+pub struct VerifyReport {
     /// Version of egotac.
     pub version: &'static str,
-    /// Seed of the confidence intervals' drawings.
+    /// Seed of the bootstrap resamples.
     pub seed: u64,
     /// Force above which a vertex is touched, N.
     pub contact_force: f64,
-    /// Where forces act, for `false_contact_mass`: `contacts` of the engine, `touched_vertices` in their place, or `both`
-    /// where episodes differ.
+    /// Points where forces act, for `false_contact_mass`: `contacts` of the engine, `touched_vertices` instead of them, or
+    /// `both` if episodes differ.
     pub force_places: &'static str,
-    /// Frames and touches.
-    pub counts: Counts,
+    /// Numbers of frames and touches.
+    pub counts: VerifyCounts,
     /// In the order of the table.
     pub candidates: Vec<CandidateReport>,
     /// In the order in which they were given.
@@ -36,62 +36,61 @@ pub struct Report {
     pub unmatched: Option<Unmatched>,
 }
 
-/// What there was to score.
+/// Numbers of frames and touches that were scored.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct Counts {
+pub struct VerifyCounts {
     /// Episodes.
     pub episodes: usize,
     /// Frames scored.
     pub frames: u64,
-    /// Those with a touched vertex.
+    /// Scored frames with a touched vertex.
     pub touching_frames: u64,
     /// Frames that guards refused, by reason; they are not scored.
     pub refused: BTreeMap<&'static str, u64>,
-    /// Touches of links (of hands, where links are not known).
+    /// Touches of links, or of hands where links are not known.
     pub touches: u64,
     /// Force on touched vertices, N, summed over frames.
     pub force: f64,
 }
 
-/// One candidate's scores.
+/// Scores of one candidate.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CandidateReport {
-    /// Its name.
+    /// Name of the candidate.
     pub name: String,
     /// Value and interval by score.
-    pub scores: BTreeMap<&'static str, Value>,
-    /// Beginnings and ends of touches that could be compared.
+    pub scores: BTreeMap<&'static str, ScoreValue>,
+    /// Numbers of onsets and offsets that could be compared.
     pub compared: [u64; 2],
-    /// By link with true force: its mean true force over all frames, N, and the share by which the candidate's is off;
-    /// empty for a candidate without forces.
+    /// Force error by link, for links with force; empty for a candidate without forces.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub links: BTreeMap<String, LinkForce>,
 }
 
 /// A score over all episodes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Value {
+pub struct ScoreValue {
     /// None = undefined.
     pub value: Option<f64>,
-    /// Ends of its 95 % interval over episodes; None for fewer than two episodes.
+    /// 95 % interval over episodes; None for fewer than two episodes.
     pub interval: Option<[f64; 2]>,
 }
 
-/// Force on one link.
+/// Force error on one link.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LinkForce {
-    /// Mean over frames, N.
+    /// Mean true force over frames, N.
     pub mean_force: f64,
     /// Sum of |labelled - true| over frames, over the sum of the true force; None for a link without force.
     pub error: Option<f64>,
 }
 
-/// One episode.
+/// Brief scores of one episode.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct EpisodeReport {
-    /// Scene, or where it comes from.
+    /// Name of the scene, or path of the source.
     pub name: String,
-    /// Its seed.
+    /// Seed of the rollout, if there is one.
     pub seed: Option<u64>,
     /// Frames scored.
     pub frames: u64,
@@ -99,12 +98,12 @@ pub struct EpisodeReport {
     pub refused: u64,
     /// `pooled.f1` and `missed_force` by candidate.
     pub scores: BTreeMap<String, BTreeMap<&'static str, Option<f64>>>,
-    /// How finely the things were sampled for label (a).
+    /// Sampling density of each object for label (a).
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub samplings: Vec<Sampling>,
 }
 
-/// Messages without partner.
+/// Numbers of messages without a partner of the same stamp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Unmatched {
     /// Predictions without truth.
@@ -113,12 +112,12 @@ pub struct Unmatched {
     pub truths: u64,
 }
 
-impl Report {
-    /// Sums episodes up; `seed` is that of the intervals' drawings.
+impl VerifyReport {
+    /// Sums up the episodes; `seed` is the seed of the bootstrap.
     ///
     /// # Errors
-    /// If there is no episode, or none with a frame to score.
-    pub fn new(candidates: &[Candidate], parts: &Parts, episodes: &[Episode], seed: u64) -> Result<Self> {
+    /// If no episode has a frame to score.
+    pub fn new(candidates: &[Candidate], groups: &VertexGroups, episodes: &[Episode], seed: u64) -> Result<Self> {
         let counts = counts(episodes);
         if counts.frames == 0 {
             let refused: u64 = counts.refused.values().sum();
@@ -126,12 +125,12 @@ impl Report {
         }
         let reports = candidates.iter().enumerate().map(|(index, candidate)| {
             let sums: Vec<&Sums> = episodes.iter().map(|episode| &episode.sums[index]).collect();
-            candidate_report(candidate.name(), parts, &sums, seed)
+            candidate_report(candidate.name(), groups, &sums, seed)
         });
         Ok(Self {
             version: env!("CARGO_PKG_VERSION"),
             seed,
-            // In f64 it would be 0.05000000074505806.
+            // Through text: the f32 converted to f64 would be written as 0.05000000074505806.
             contact_force: CONTACT_FORCE_N.to_string().parse().unwrap_or(CONTACT_FORCE_N.into()),
             force_places: match episodes.iter().filter(|episode| episode.has_contacts).count() {
                 0 => "touched_vertices",
@@ -145,10 +144,10 @@ impl Report {
         })
     }
 
-    /// The candidate of that name; without a name the only one, if there is only one.
+    /// Returns the candidate of the given name; without a name, the only candidate.
     ///
     /// # Errors
-    /// If there is none, or a name is needed; the error lists them.
+    /// If there is no such candidate, or several and no name; the error lists the names.
     pub fn candidate(&self, name: Option<&str>) -> Result<&CandidateReport> {
         let names = || self.candidates.iter().map(|candidate| candidate.name.as_str());
         match (name, self.candidates.as_slice()) {
@@ -165,18 +164,18 @@ impl Report {
     }
 }
 
-/// The scores of sums, by name; undefined ones are null.
+/// Returns all scores by name; an undefined score is None.
 pub fn scores_of(sums: &Sums) -> BTreeMap<&'static str, Option<f64>> {
     SCORES.iter().map(|score| (score.name, (score.value)(sums))).collect()
 }
 
-fn counts(episodes: &[Episode]) -> Counts {
-    let mut counts = Counts { episodes: episodes.len(), ..Counts::default() };
+fn counts(episodes: &[Episode]) -> VerifyCounts {
+    let mut counts = VerifyCounts { episodes: episodes.len(), ..VerifyCounts::default() };
     for episode in episodes {
         for (reason, count) in &episode.refused {
             *counts.refused.entry(reason).or_default() += count;
         }
-        // Frames, truth and its touches are the same for each candidate.
+        // Frames and truth are the same for each candidate.
         if let Some(sums) = episode.sums.first() {
             counts.frames += sums.frames;
             counts.touching_frames += sums.frame_scores.0;
@@ -187,7 +186,7 @@ fn counts(episodes: &[Episode]) -> Counts {
     counts
 }
 
-fn candidate_report(name: String, parts: &Parts, episodes: &[&Sums], seed: u64) -> CandidateReport {
+fn candidate_report(name: String, groups: &VertexGroups, episodes: &[&Sums], seed: u64) -> CandidateReport {
     let sum = |drawn: &mut dyn Iterator<Item = &&Sums>| {
         drawn.fold(Sums::default(), |mut sum, sums| {
             sum += *sums;
@@ -197,8 +196,8 @@ fn candidate_report(name: String, parts: &Parts, episodes: &[&Sums], seed: u64) 
     let total = sum(&mut episodes.iter());
     let statistics = |sums: &Sums| SCORES.iter().map(|score| (score.value)(sums)).collect::<Vec<_>>();
     let intervals = bootstrap::intervals(episodes, seed, sum, statistics);
-    let values = statistics(&total).into_iter().zip(intervals).map(|(value, interval)| Value { value, interval });
-    let forces = parts.names().iter().zip(&total.part_force);
+    let values = statistics(&total).into_iter().zip(intervals).map(|(value, interval)| ScoreValue { value, interval });
+    let forces = groups.names().iter().zip(&total.group_force);
     let links = forces.filter(|(_, [error, force])| *error > 0.0 || *force > 0.0).map(|(name, [error, force])| {
         let mean_force = force / total.frames.max(1) as f64;
         (name.clone(), LinkForce { mean_force, error: (*force > 0.0).then(|| error / force) })
@@ -226,8 +225,8 @@ fn episode_report(candidates: &[Candidate], episode: &Episode) -> EpisodeReport 
     }
 }
 
-/// The report for a terminal: one candidate in full, several side by side.
-pub fn table(report: &Report) -> String {
+/// Returns the report for a terminal: one candidate in full, or several side by side.
+pub fn table(report: &VerifyReport) -> String {
     let mut text = match report.candidates.as_slice() {
         [only] => in_full(only),
         all => side_by_side(all),
@@ -250,7 +249,7 @@ pub fn table(report: &Report) -> String {
 fn in_full(candidate: &CandidateReport) -> String {
     let mut text = format!("{:24}{:>11}  {:22}", candidate.name, "", "95 % over episodes");
     for score in &SCORES {
-        let Some(Value { value, interval }) = candidate.scores.get(score.name) else { continue };
+        let Some(ScoreValue { value, interval }) = candidate.scores.get(score.name) else { continue };
         let value = value.map_or("undefined".into(), |value| format!("{value:.4}"));
         let interval = interval.map_or(String::new(), |[low, high]| format!("{low:.4} .. {high:.4}"));
         text += format!("\n{:24}{value:>11}  {interval:22}{}", score.name, score.meaning).trim_end();
@@ -258,7 +257,7 @@ fn in_full(candidate: &CandidateReport) -> String {
     text
 }
 
-/// One score in the wide table: heading and name.
+/// Columns of the table of several candidates: heading and name of the score.
 const COLUMNS: [(&str, &str); 9] = [
     ("precision", "pooled.precision"),
     ("recall", "pooled.recall"),
@@ -275,10 +274,11 @@ fn side_by_side(candidates: &[CandidateReport]) -> String {
     let mut text = format!("{:12}{:>22}{:>22}", "label", "F1 (95 %)", "missed force (95 %)");
     COLUMNS.iter().for_each(|(heading, _)| text += &format!("{heading:>11}"));
     for candidate in candidates {
-        let value = |name: &str| candidate.scores.get(name).copied().unwrap_or(Value { value: None, interval: None });
+        let value =
+            |name: &str| candidate.scores.get(name).copied().unwrap_or(ScoreValue { value: None, interval: None });
         text += &format!("\n{:12}", candidate.name);
         for name in ["pooled.f1", "missed_force"] {
-            let Value { value, interval } = value(name);
+            let ScoreValue { value, interval } = value(name);
             let interval = interval.map_or(String::new(), |[low, high]| format!(" ({low:.3}..{high:.3})"));
             text += &format!("{:>22}", value.map_or("undefined".into(), |value| format!("{value:.3}{interval}")));
         }

@@ -1,4 +1,4 @@
-//! Forces of one instant: Newton's second law, and the cone of friction.
+//! Guard of the forces at one instant: Newton's second law, and the friction cone.
 
 use glam::DVec3;
 
@@ -6,30 +6,31 @@ use crate::mujoco::World;
 use crate::mujoco::world::FreeJoint;
 use crate::tactile::Validity;
 
-/// Share of the forces on an object by which they may miss its weight and acceleration.
-const BALANCE: f64 = 0.02;
-/// Friction over what the cone allows, at most.
-const CONE: f64 = 1.05;
-/// Normal force below which the cone is not looked at, N.
-const SMALL_FORCE: f64 = 0.01;
+/// Largest residual of Newton's second law, as a share of the forces on the object.
+const MAX_IMBALANCE: f64 = 0.02;
+/// Largest ratio of friction to the friction that the cone allows.
+const MAX_CONE_RATIO: f64 = 1.05;
+/// Normal force below which the friction cone is not checked, N.
+const MIN_CONE_FORCE: f64 = 0.01;
 
-/// Looks at the forces of an instant.
+/// Checks the forces of an instant.
 #[derive(Debug)]
-pub struct Balance {
+pub(super) struct BalanceGuard {
+    /// Objects with their masses, kg.
     objects: Vec<(FreeJoint, f64)>,
 }
 
-impl Balance {
-    /// Watches the forces on `objects`, and friction everywhere.
-    pub fn new(world: &World, objects: &[FreeJoint]) -> Self {
+impl BalanceGuard {
+    /// Creates a guard of the forces on `objects`, and of friction everywhere.
+    pub(super) fn new(world: &World, objects: &[FreeJoint]) -> Self {
         Self { objects: objects.iter().map(|joint| (*joint, world.mass(world.body_of(*joint)))).collect() }
     }
 
-    /// Looks at the world after `World::forward`.
-    pub fn look(&self, world: &World) -> Validity {
-        if self.objects.iter().any(|object| !balanced(world, *object)) {
+    /// Checks the world; call after `World::forward`.
+    pub(super) fn check(&self, world: &World) -> Validity {
+        if self.objects.iter().any(|object| !is_balanced(world, *object)) {
             Validity::Unbalanced
-        } else if world.grips().any(|grip| grip.normal_force > SMALL_FORCE && grip.cone_ratio > CONE) {
+        } else if world.grips().any(|grip| grip.normal_force > MIN_CONE_FORCE && grip.cone_ratio > MAX_CONE_RATIO) {
             Validity::OutsideCone
         } else {
             Validity::Valid
@@ -37,8 +38,8 @@ impl Balance {
     }
 }
 
-/// Newton's second law on a free object: contact forces + m g = m a.
-fn balanced(world: &World, (joint, mass): (FreeJoint, f64)) -> bool {
+/// Returns true if Newton's second law holds for a free object: contact forces + m g = m a.
+fn is_balanced(world: &World, (joint, mass): (FreeJoint, f64)) -> bool {
     let body = world.body_of(joint);
     let weight = mass * DVec3::from_array(world.options().gravity);
     let (mut sum, mut size) = (weight, weight.length());
@@ -51,5 +52,5 @@ fn balanced(world: &World, (joint, mass): (FreeJoint, f64)) -> bool {
         sum += sign * contact.force;
         size += contact.force.length();
     }
-    (sum - mass * world.acceleration(joint)).length() <= BALANCE * size.max(1e-9)
+    (sum - mass * world.acceleration(joint)).length() <= MAX_IMBALANCE * size.max(1e-9)
 }

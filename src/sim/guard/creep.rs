@@ -1,7 +1,7 @@
-//! Slow slip of a held object: friction that gives way although it is far inside of its cone.
+//! Guard against creep: slow slip of a held object far inside the friction cone.
 //!
-//! A friction constraint is soft; under a steady load it slides at a steady speed, a millimetre per second with default
-//! settings, and a held object leaves the hand by itself after some seconds. In one frame that is invisible.
+//! Friction constraints are soft. Under a steady load they slide at a steady speed, a millimetre per second with
+//! default settings, so that a held object leaves the hand after some seconds. A single frame does not show it.
 
 use std::collections::VecDeque;
 
@@ -11,40 +11,41 @@ use crate::mujoco::World;
 use crate::mujoco::world::FreeJoint;
 use crate::tactile::Validity;
 
-/// Slip of a grip that should stick, m/s. Forces that change slip a little on their way; those that rest must not.
+/// Largest slip of a sticking grip over a whole window, m/s; changing forces may slip more for a moment.
 const MAX_CREEP: f64 = 5e-4;
-/// Seconds of holding in which no frame may slip less.
-const WINDOW: f64 = 0.5;
-/// Share of the cone above which a grip is meant to slide.
-const STICKING: f64 = 0.9;
+/// Duration for which each frame must slip more than [`MAX_CREEP`] before the guard fires, s.
+const CREEP_WINDOW: f64 = 0.5;
+/// Share of the friction cone above which a grip slides on purpose.
+const MAX_STICKING_CONE_RATIO: f64 = 0.9;
 
-/// Watches held objects.
+/// Checks held objects.
 #[derive(Debug)]
-pub struct Creep {
-    objects: Vec<Held>,
+pub(super) struct CreepGuard {
+    objects: Vec<HeldObject>,
 }
 
 #[derive(Debug)]
-struct Held {
+struct HeldObject {
     joint: FreeJoint,
-    /// Time and slip of the frames since the object is held, s and m/s.
+    /// Time and slip of the frames since the object is held, s and m/s; at most one frame is older than the window.
     slips: VecDeque<(f64, f64)>,
 }
 
-impl Creep {
-    /// Watches `objects`.
-    pub fn new(objects: &[FreeJoint]) -> Self {
-        Self { objects: objects.iter().map(|joint| Held { joint: *joint, slips: VecDeque::new() }).collect() }
+impl CreepGuard {
+    /// Creates a guard of `objects`.
+    pub(super) fn new(objects: &[FreeJoint]) -> Self {
+        Self { objects: objects.iter().map(|joint| HeldObject { joint: *joint, slips: VecDeque::new() }).collect() }
     }
 
-    /// Looks at the world after `World::forward`.
-    pub fn look(&mut self, world: &World) -> Validity {
+    /// Checks the world; call after `World::forward`.
+    pub(super) fn check(&mut self, world: &World) -> Validity {
+        // Each object must see each frame: no short circuit.
         let creeps = self.objects.iter_mut().map(|object| object.creeps(world)).fold(false, |any, one| any | one);
         if creeps { Validity::Creeping } else { Validity::Valid }
     }
 }
 
-impl Held {
+impl HeldObject {
     fn creeps(&mut self, world: &World) -> bool {
         let Some(slip) = self.slip(world) else {
             self.slips.clear();
@@ -52,18 +53,18 @@ impl Held {
         };
         let now = world.time();
         self.slips.push_back((now, slip));
-        // The oldest frame that is kept is just older than the window.
-        while self.slips.get(1).is_some_and(|(time, _)| now - time >= WINDOW) {
+        // Keep one frame that is older than the window, so that the rest covers it.
+        while self.slips.get(1).is_some_and(|(time, _)| now - time >= CREEP_WINDOW) {
             self.slips.pop_front();
         }
-        if self.slips.front().is_none_or(|(time, _)| now - time < WINDOW) {
+        if self.slips.front().is_none_or(|(time, _)| now - time < CREEP_WINDOW) {
             return false;
         }
         self.slips.iter().all(|(_, slip)| *slip > MAX_CREEP)
     }
 
-    /// Length of the mean slip over all grips, weighted by normal force, m/s; `None` if the object is not held: it touches nothing that
-    /// moves, rests on something that does not, or slides.
+    /// Returns the magnitude of the mean slip over all grips, weighted by normal force, m/s; `None` if the object is
+    /// not held: it touches nothing that moves, rests on something that does not move, or slides.
     fn slip(&self, world: &World) -> Option<f64> {
         let body = world.body_of(self.joint);
         let (mut sum, mut force) = (DVec3::ZERO, 0.0);
@@ -74,7 +75,7 @@ impl Held {
                 (true, false) => (b, -1.0),
                 _ => continue,
             };
-            if world.tree(other).is_none() || grip.cone_ratio > STICKING {
+            if world.tree(other).is_none() || grip.cone_ratio > MAX_STICKING_CONE_RATIO {
                 return None;
             }
             sum += sign * grip.slip * grip.normal_force;

@@ -1,58 +1,61 @@
-//! Guards: reasons not to trust a frame. Engine warnings alone miss most of what goes wrong.
+//! Guards: checks that a frame's physics can be trusted. Engine warnings alone miss most failures.
 //!
-//! Three things are watched: every step ([`step`], [`energy`]), the forces at each frame's instant ([`balance`]), and
-//! slow slip over many frames ([`creep`]). What a model tells before its first step is [`mod@crate::mujoco::audit`]'s.
-//! A guard never says "no contact": a frame it refuses keeps its forces, and carries the reason.
+//! Guards check every step (`step`, `energy`), the forces at each frame's instant (`balance`), and slow slip over
+//! many frames (`creep`). [`mod@crate::mujoco::audit`] checks the model before the first step. A refused frame keeps
+//! its forces and carries the reason: it is never labelled as "no contact".
 
-pub mod balance;
-pub mod creep;
-pub mod energy;
-pub mod step;
+mod balance;
+mod creep;
+mod energy;
+mod step;
 
 use crate::mujoco::World;
 use crate::mujoco::world::FreeJoint;
 use crate::tactile::Validity;
 
-use balance::Balance;
-use creep::Creep;
-use energy::Energy;
-use step::Step;
+use balance::BalanceGuard;
+use creep::CreepGuard;
+use energy::EnergyGuard;
+use step::StepGuard;
 
-/// Watches a world from step to step.
+/// Guard of a world, step by step and frame by frame.
 #[derive(Debug)]
 pub struct Guard {
-    step: Step,
-    energy: Energy,
-    balance: Balance,
-    creep: Creep,
+    step: StepGuard,
+    energy: EnergyGuard,
+    balance: BalanceGuard,
+    creep: CreepGuard,
+    /// Gravest reason since the last frame.
     fired: Validity,
 }
 
 impl Guard {
-    /// Watches `objects`; no contact may be deeper than `max_depth`, m, nor than half of what touches is thick.
+    /// Creates a guard of `objects`; it allows contacts up to `max_depth`, m, and up to half the thickness of what
+    /// touches.
     pub fn new(world: &World, objects: &[FreeJoint], max_depth: f64) -> Self {
         Self {
-            step: Step::new(world, max_depth),
-            energy: Energy::new(world, objects),
-            balance: Balance::new(world, objects),
-            creep: Creep::new(objects),
+            step: StepGuard::new(world, max_depth),
+            energy: EnergyGuard::new(world, objects),
+            balance: BalanceGuard::new(world, objects),
+            creep: CreepGuard::new(objects),
             fired: Validity::Valid,
         }
     }
 
-    /// Looks at the world after a step.
+    /// Checks the world after a step.
     pub fn after_step(&mut self, world: &World) {
-        let (step, energy) = (self.step.look(world), self.energy.look(world));
+        let (step, energy) = (self.step.check(world), self.energy.check(world));
         self.fire(step);
         self.fire(energy);
     }
 
-    /// What fired since the last frame; looks at the forces of this instant too. Call after `World::forward`.
+    /// Returns the gravest reason since the last frame, the forces of this instant included. Call after
+    /// `World::forward`.
     ///
-    /// A state that is not finite and an engine warning stay: nothing after them can be trusted.
+    /// After a state that is not finite, or an engine warning, each further frame has the same reason.
     pub fn frame(&mut self, world: &World) -> Validity {
         if !self.is_lost() {
-            let (balance, creep) = (self.balance.look(world), self.creep.look(world));
+            let (balance, creep) = (self.balance.check(world), self.creep.check(world));
             self.fire(balance);
             self.fire(creep);
             self.energy.begin_window(world);
@@ -69,7 +72,7 @@ impl Guard {
     }
 
     fn fire(&mut self, validity: Validity) {
-        // The gravest reason of the frame is the one to report: codes 1 and 2 outlive the others.
+        // The frame reports its gravest reason; lower codes are graver.
         let rank = |v: Validity| match v {
             Validity::NotFinite => 0,
             Validity::EngineWarning => 1,

@@ -1,34 +1,36 @@
-//! What a single step shows: time, finiteness, memory, speeds, depths, the solver.
+//! Guard of single steps: time, finiteness, memory, speeds, depths, solver.
 
 use crate::mujoco::World;
 use crate::mujoco::audit::{depth_limits, speed_limits};
 use crate::mujoco::world::Body;
 use crate::tactile::Validity;
 
-/// Velocity that nothing in a scene reaches, m/s or rad/s.
+/// Largest generalised velocity, m/s or rad/s: no motion in a scene reaches it.
 const MAX_SPEED: f64 = 200.0;
-/// Share of the engine's memory above which contacts may soon be dropped.
+/// Largest use of the engine's memory, as a share: above it the engine may soon drop contacts.
 const MAX_ARENA: f64 = 0.8;
 
-/// Looks at each step by itself.
+/// Checks each step by itself.
 #[derive(Debug)]
-pub struct Step {
+pub(super) struct StepGuard {
+    /// Time after the last step, s.
     time: f64,
+    /// Bodies with a speed limit below [`MAX_SPEED`], and the limit, m/s.
     max_speeds: Vec<(Body, f64)>,
-    /// Per geom, m.
+    /// Largest penetration depth per geom, m.
     max_depths: Vec<f64>,
 }
 
-impl Step {
-    /// No contact may be deeper than `max_depth`, m, nor than half of what touches is thick.
-    pub fn new(world: &World, max_depth: f64) -> Self {
+impl StepGuard {
+    /// Creates a guard that allows contacts up to `max_depth`, m, and up to half the thickness of what touches.
+    pub(super) fn new(world: &World, max_depth: f64) -> Self {
         let mut max_speeds = speed_limits(world);
         max_speeds.retain(|(_, limit)| *limit < MAX_SPEED);
         Self { time: world.time(), max_speeds, max_depths: depth_limits(world, max_depth) }
     }
 
-    /// Looks at the world after a step.
-    pub fn look(&mut self, world: &World) -> Validity {
+    /// Checks the world after a step.
+    pub(super) fn check(&mut self, world: &World) -> Validity {
         let dt = world.options().timestep;
         let advanced = (world.time() - self.time - dt).abs() < 1e-6 * dt.max(world.time());
         self.time = world.time();

@@ -1,4 +1,4 @@
-//! Surfaces of one's own: OBJ and STL files, taken apart into convex pieces by parry's VHACD.
+//! Objects from OBJ and STL files, decomposed into convex pieces by parry's VHACD.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -9,19 +9,20 @@ use parry3d::math::Vector;
 use parry3d::shape::SharedShape;
 use parry3d::transformation::vhacd::VHACDParameters;
 
+use super::assembly::{Object, TriangleMesh};
 use super::piece::{Piece, PieceShape};
-use super::{Object, Surface};
 use crate::error::{Error, Result};
-use crate::mujoco::audit::{MeshFault, mesh_faults};
+use crate::mujoco::audit;
 use crate::sim::convex::{self, double, single};
+use crate::sim::scene::{Scene, ShapeSpec};
 
-/// More triangles than this are for looking at, not for touching.
-const MOST_TRIANGLES: usize = 200_000;
+/// Largest number of triangles of a mesh file: finer meshes are made for display, not for contact.
+const MAX_TRIANGLES: usize = 200_000;
 
-/// An object from a mesh file; its origin becomes the middle of its bounding box.
+/// Creates an object from a mesh file; the centre of the bounding box becomes its origin.
 ///
 /// # Errors
-/// If the file can't be read, holds no surface, or spans no volume; the error names the file.
+/// If the file cannot be read, holds no surface, or spans no volume; the error names the file.
 pub(super) fn mesh(path: &Path, scale: f64) -> Result<Object> {
     let (mut vertices, triangles) = load(path)?;
     let low = vertices.iter().copied().fold(DVec3::INFINITY, DVec3::min);
@@ -39,31 +40,41 @@ pub(super) fn mesh(path: &Path, scale: f64) -> Result<Object> {
     Ok(Object { visual: Some((vertices, triangles)), ..Object::free(pieces, 0.5 * size.z, outline) })
 }
 
-/// What is wrong with the surface in a file, at `scale`. An object is made of it all the same, from its convex pieces;
-/// but where it is open or inside out, those may not be what its author saw.
+/// Checks the mesh files of a scene's objects; returns a line per file with faults: a surface that is open, or inside
+/// out.
+///
+/// Such a surface is still decomposed into convex pieces, which may differ from the shape that its author sees.
 ///
 /// # Errors
-/// As [`load`].
-pub(in crate::sim) fn faults(path: &Path, scale: f64) -> Result<Vec<MeshFault>> {
-    let (vertices, triangles) = load(path)?;
-    let vertices: Vec<Vec3> = vertices.iter().map(|vertex| (scale * *vertex).as_vec3()).collect();
-    Ok(mesh_faults(&vertices, &triangles))
+/// If a file cannot be read or holds no surface.
+pub fn mesh_faults(scene: &Scene) -> Result<Vec<String>> {
+    let mut lines = Vec::new();
+    for object in &scene.spec.objects {
+        let ShapeSpec::Mesh { file, scale } = &object.shape else { continue };
+        let (vertices, triangles) = load(file)?;
+        let vertices: Vec<Vec3> = vertices.iter().map(|vertex| (scale.low() * *vertex).as_vec3()).collect();
+        let faults: Vec<String> = audit::mesh_faults(&vertices, &triangles).iter().map(ToString::to_string).collect();
+        if !faults.is_empty() {
+            lines.push(format!("{}: the mesh {}", file.display(), faults.join(", ")));
+        }
+    }
+    Ok(lines)
 }
 
 /// Reads vertices and triangles of an OBJ or STL file.
 ///
 /// # Errors
-/// If the file has another ending, can't be read, holds nothing, or a number that is not finite.
-fn load(path: &Path) -> Result<Surface> {
+/// If the file has another extension, cannot be read, holds no triangles, or holds a number that is not finite.
+fn load(path: &Path) -> Result<TriangleMesh> {
     let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let open = || File::open(path).map(BufReader::new).map_err(Error::io(path));
-    let (vertices, triangles): Surface = match ending.as_str() {
+    let (vertices, triangles): TriangleMesh = match ending.as_str() {
         "obj" => obj(path, &mut open()?)?,
         "stl" => stl(path, &mut open()?)?,
         _ => return Err(Error::file(path, format!("expected a mesh ending in .obj or .stl, got {ending:?}"))),
     };
-    if !(4..=MOST_TRIANGLES).contains(&triangles.len()) {
-        let expected = format!("expected 4 to {MOST_TRIANGLES} triangles, got {}", triangles.len());
+    if !(4..=MAX_TRIANGLES).contains(&triangles.len()) {
+        let expected = format!("expected 4 to {MAX_TRIANGLES} triangles, got {}", triangles.len());
         return Err(Error::file(path, expected));
     }
     if let Some(bad) = vertices.iter().position(|vertex| !vertex.is_finite()) {
@@ -76,13 +87,13 @@ fn load(path: &Path) -> Result<Surface> {
     Ok((vertices, triangles))
 }
 
-fn obj(path: &Path, reader: &mut BufReader<File>) -> Result<Surface> {
+fn obj(path: &Path, reader: &mut BufReader<File>) -> Result<TriangleMesh> {
     let options =
         tobj::LoadOptions { triangulate: true, ignore_lines: true, ignore_points: true, ..Default::default() };
-    // Materials are not wanted; a file that names some loads without them.
+    // Materials are ignored: a file that names missing ones still loads.
     let (models, _) =
         tobj::load_obj_buf(reader, &options, |_| Ok(Default::default())).map_err(|e| Error::file(path, e))?;
-    let mut surface = Surface::default();
+    let mut surface = TriangleMesh::default();
     for model in models {
         let first = surface.0.len() as u32;
         let corners = model.mesh.positions.chunks_exact(3);
@@ -92,13 +103,13 @@ fn obj(path: &Path, reader: &mut BufReader<File>) -> Result<Surface> {
     Ok(surface)
 }
 
-fn stl(path: &Path, reader: &mut BufReader<File>) -> Result<Surface> {
+fn stl(path: &Path, reader: &mut BufReader<File>) -> Result<TriangleMesh> {
     let mesh = stl_io::read_stl(reader).map_err(|e| Error::file(path, e))?;
     let vertices = mesh.vertices.iter().map(|v| DVec3::new(v[0].into(), v[1].into(), v[2].into())).collect();
     Ok((vertices, mesh.faces.iter().map(|face| face.vertices.map(|index| index as u32)).collect()))
 }
 
-/// Convex pieces that together fill the surface; the outline where the surface is convex already.
+/// Decomposes a surface into convex pieces; a convex surface is its outline. `None` if no piece spans a volume.
 fn decompose(vertices: &[DVec3], triangles: &[[u32; 3]], outline: &SharedShape) -> Option<Vec<Piece>> {
     let points: Vec<Vector> = vertices.iter().copied().map(single).collect();
     let hull_volume = f64::from(outline.mass_properties(1.0).mass());
@@ -112,14 +123,14 @@ fn decompose(vertices: &[DVec3], triangles: &[[u32; 3]], outline: &SharedShape) 
     };
     let piece = |shape: &SharedShape| {
         let corners = shape.as_convex_polyhedron()?.points().iter().copied().map(double).collect();
-        // Slivers that span no volume are left out.
+        // Pieces that span no volume are left out.
         Piece::new(PieceShape::Hull(corners), DVec3::ZERO, DQuat::IDENTITY, false).ok()
     };
     let pieces: Vec<Piece> = hulls.iter().filter_map(piece).collect();
     (!pieces.is_empty()).then_some(pieces)
 }
 
-/// Volume inside a closed surface, m³, whichever way its triangles face.
+/// Returns the volume inside a closed surface, m³, for either orientation of its triangles.
 fn volume(vertices: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     let of = |t: &[u32; 3]| {
         let [a, b, c] = t.map(|index| vertices[index as usize]);
@@ -134,7 +145,7 @@ mod tests {
 
     use super::*;
 
-    /// An L of three cubes with 20 mm edges.
+    /// Returns an L of three cubes with 20 mm edges.
     fn corner_obj() -> String {
         let outline = [[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]];
         let mut text = String::new();
@@ -143,7 +154,7 @@ mod tests {
                 text += &format!("v {} {} {}\n", 20 * x, 20 * y, 20 * z);
             }
         }
-        // Bottom, top (a fan from the inner corner fits the L), sides.
+        // Bottom and top (a fan from the inner corner covers the L), then sides.
         for [a, b] in [[4, 5], [5, 6], [6, 1], [1, 2], [2, 3]] {
             text += &format!("f 4 {b} {a}\n");
             text += &format!("f 10 {} {}\n", a + 6, b + 6);
@@ -155,23 +166,28 @@ mod tests {
         text
     }
 
+    /// Returns the sum of the pieces' volumes, m³.
+    fn volume_of(object: &Object) -> f64 {
+        object.pieces.iter().map(Piece::volume).sum()
+    }
+
     #[test]
-    fn a_concave_mesh_keeps_its_hollow() {
+    fn concave_mesh_keeps_its_hollow() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("corner.obj");
         std::fs::write(&path, corner_obj()).unwrap();
         let object = mesh(&path, 1e-3).unwrap();
         assert!(object.pieces.len() > 1, "{} pieces", object.pieces.len());
         assert!((object.half_height - 0.01).abs() < 1e-9);
-        // Origin: middle of the bounding box, which lies on the L's inner corner.
+        // The origin, the centre of the bounding box, lies on the L's inner corner.
         assert!(object.distance(DVec3::new(0.01, 0.01, 0.0)) > 0.008, "the hollow is filled");
         assert!(object.distance(DVec3::new(-0.01, -0.01, 0.0)) < -0.005, "the corner is empty");
         let full = 3.0 * 0.02f64.powi(3);
-        assert!((object.volume() / full - 1.0).abs() < 0.1, "{} of {full} m3", object.volume());
+        assert!((volume_of(&object) / full - 1.0).abs() < 0.1, "{} of {full} m3", volume_of(&object));
     }
 
     #[test]
-    fn a_convex_stl_is_one_piece() {
+    fn convex_stl_becomes_one_piece() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("wedge.stl");
         let corners = [[0.0f32, 0.0, 0.0], [30.0, 0.0, 0.0], [0.0, 20.0, 0.0], [0.0, 0.0, 40.0]];
@@ -188,11 +204,11 @@ mod tests {
         drop(file);
         let object = mesh(&path, 1e-3).unwrap();
         assert_eq!(object.pieces.len(), 1);
-        assert!((object.volume() - 30.0 * 20.0 * 40.0 / 6.0 * 1e-9).abs() < 1e-9, "{}", object.volume());
+        assert!((volume_of(&object) - 30.0 * 20.0 * 40.0 / 6.0 * 1e-9).abs() < 1e-9, "{}", volume_of(&object));
     }
 
     #[test]
-    fn a_file_that_is_no_mesh_is_named() {
+    fn error_names_the_file_that_is_no_mesh() {
         let folder = tempfile::tempdir().unwrap();
         let refused = |name: &str, text: &str| {
             let path = folder.path().join(name);

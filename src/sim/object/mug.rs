@@ -1,19 +1,19 @@
-//! A mug: convex pieces for contact, a surface of revolution for the picture.
+//! Mugs: convex pieces for contact, a surface of revolution for the picture.
 
 use std::f64::consts::{PI, TAU};
 
 use glam::{DQuat, DVec3};
 
+use super::assembly::{Object, TriangleMesh};
 use super::piece::{Piece, PieceShape, hull, ring_points};
-use super::{Object, Surface};
 use crate::error::Result;
 
-/// Sides of a mug's wall.
-const MUG_PIECES: usize = 20;
-/// Segments of a mug's handle.
+/// Number of convex pieces of a mug's wall.
+const WALL_PIECES: usize = 20;
+/// Number of capsules of a mug's handle.
 const HANDLE_PIECES: usize = 7;
 
-/// A mug with its handle along +x.
+/// Creates a mug with its handle along +x.
 ///
 /// # Errors
 /// If a piece is degenerate.
@@ -22,10 +22,10 @@ pub(super) fn mug(radius: f64, height: f64, wall: f64) -> Result<Object> {
     let inner = radius - wall;
     let mut pieces = Vec::new();
     let around = |angle: f64, r: f64, z: f64| DVec3::new(r * angle.cos(), r * angle.sin(), z);
-    // A polygon of the same mean radius as the round wall.
-    let outer = radius / (PI / MUG_PIECES as f64).cos().sqrt();
-    for i in 0..MUG_PIECES {
-        let angles = [i, i + 1].map(|k| TAU * k as f64 / MUG_PIECES as f64);
+    // Outer radius of a polygon whose mean radius is that of the round wall.
+    let outer = radius / (PI / WALL_PIECES as f64).cos().sqrt();
+    for i in 0..WALL_PIECES {
+        let angles = [i, i + 1].map(|k| TAU * k as f64 / WALL_PIECES as f64);
         let corners = angles
             .into_iter()
             .flat_map(|a| [-half, half].into_iter().flat_map(move |z| [outer, inner].map(|r| around(a, r, z))));
@@ -34,7 +34,7 @@ pub(super) fn mug(radius: f64, height: f64, wall: f64) -> Result<Object> {
     let floor = PieceShape::Cylinder(inner + 0.5 * wall, 0.5 * wall);
     pieces.push(Piece::new(floor, DVec3::Z * (0.5 * wall - half), DQuat::IDENTITY, false)?);
 
-    // Handle: a half ellipse in the xz plane from wall to wall.
+    // Handle: half an ellipse in the xz plane, from wall to wall.
     let reach = 0.028;
     let tall = 0.36 * height;
     let thick = 0.0045;
@@ -52,12 +52,12 @@ pub(super) fn mug(radius: f64, height: f64, wall: f64) -> Result<Object> {
     Ok(Object { visual: Some(mug_surface(radius, height, wall)), ..Object::free(pieces, half, outline) })
 }
 
-/// The mug's body as a surface of revolution, finely faceted for the picture.
-fn mug_surface(radius: f64, height: f64, wall: f64) -> Surface {
+/// Creates the mug's body as a fine surface of revolution for the picture.
+fn mug_surface(radius: f64, height: f64, wall: f64) -> TriangleMesh {
     const AROUND: usize = 48;
     let (half, inner) = (0.5 * height, radius - wall);
     let rim = 0.3 * wall;
-    // Profile (r, z) from the middle of the underside around the rim to the middle of the inner floor. Corners appear
+    // Profile (r, z) from the centre of the underside around the rim to the centre of the inner floor. Corners appear
     // twice, close together, so that averaged normals stay sharp there.
     let profile = [
         (0.0, -half),
@@ -78,7 +78,7 @@ fn mug_surface(radius: f64, height: f64, wall: f64) -> Surface {
     for (r, z) in profile {
         for i in 0..AROUND {
             let angle = TAU * i as f64 / AROUND as f64;
-            // The axis is a small ring, not a point: coincident vertices would be merged.
+            // A small ring instead of a point on the axis: the engine would merge coincident vertices.
             let r = r.max(1e-4);
             vertices.push(DVec3::new(r * angle.cos(), r * angle.sin(), z));
         }

@@ -10,44 +10,49 @@ use parry3d::shape::{SharedShape, TriMeshFlags};
 use crate::error::{Error, Result};
 use crate::sim::convex::{self, double, single};
 
-/// One convex piece.
+/// Convex piece.
 #[derive(Debug, Clone)]
 pub struct Piece {
-    /// Its shape.
+    /// Shape.
     pub shape: PieceShape,
-    /// Its place in the object's frame, m.
+    /// Position in the object frame, m.
     pub position: DVec3,
-    /// Its orientation in the object's frame.
+    /// Orientation in the object frame.
     pub orientation: DQuat,
-    /// Whether the picture shows it.
+    /// True if the picture shows the piece.
     pub visible: bool,
+    /// Shape for collision queries.
     pub(super) collider: SharedShape,
-    /// Answers how far points are: a hull's triangles. For a hull itself parry searches, and near corners of pieces of a
-    /// few millimetres it ended 3.6 mm off.
-    pub(super) gauge: SharedShape,
+    /// Shape for distance queries: the triangles of a hull. parry's own search on hulls was 3.6 mm off near the corners
+    /// of pieces of a few millimetres.
+    distance_shape: SharedShape,
 }
 
-/// Shapes the engine knows; the axis of cylinder and capsule is z.
+/// Shapes of the engine, lengths in m; the axis of cylinder and capsule is z.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PieceShape {
-    /// Half edges.
+    /// Cuboid: half edges.
     Box(DVec3),
-    /// Radius.
+    /// Ball: radius.
     Ball(f64),
-    /// Radius and half height.
+    /// Cylinder: radius and half height.
     Cylinder(f64, f64),
-    /// Radius and half length of the axis.
+    /// Capsule: radius and half length of the axis.
     Capsule(f64, f64),
-    /// Corners of a convex hull.
+    /// Convex hull: corners.
     Hull(Vec<DVec3>),
 }
 
 impl Piece {
+    /// Creates a piece.
+    ///
+    /// # Errors
+    /// If the shape spans no volume.
     pub(super) fn new(shape: PieceShape, position: DVec3, orientation: DQuat, visible: bool) -> Result<Self> {
         let collider = match &shape {
             PieceShape::Box(half) => SharedShape::cuboid(half.x as f32, half.y as f32, half.z as f32),
             PieceShape::Ball(radius) => SharedShape::ball(*radius as f32),
-            // parry's cylinders and capsules stand along y; as hulls of their own mesh they keep our axis.
+            // parry's cylinders stand along y; as hulls they keep our axis.
             PieceShape::Cylinder(radius, half) => hull(&ring_points(*radius, *half))?,
             PieceShape::Capsule(radius, half) => {
                 let end = Vector::new(0.0, 0.0, *half as f32);
@@ -55,7 +60,7 @@ impl Piece {
             }
             PieceShape::Hull(points) => hull(points)?,
         };
-        let gauge = match collider.as_convex_polyhedron() {
+        let distance_shape = match collider.as_convex_polyhedron() {
             Some(hull) => {
                 let (vertices, triangles) = hull.to_trimesh();
                 SharedShape::trimesh_with_flags(vertices, triangles, TriMeshFlags::ORIENTED)
@@ -63,11 +68,11 @@ impl Piece {
             }
             None => collider.clone(),
         };
-        Ok(Self { shape, position, orientation, visible, collider, gauge })
+        Ok(Self { shape, position, orientation, visible, collider, distance_shape })
     }
 
-    /// Volume, m³.
-    pub fn volume(&self) -> f64 {
+    /// Returns the volume, m³.
+    pub(crate) fn volume(&self) -> f64 {
         match &self.shape {
             PieceShape::Box(half) => 8.0 * half.x * half.y * half.z,
             PieceShape::Ball(radius) => 4.0 / 3.0 * PI * radius.powi(3),
@@ -77,8 +82,8 @@ impl Piece {
         }
     }
 
-    /// Half of its least extent along its own axes, m.
-    pub fn half_thickness(&self) -> f64 {
+    /// Returns half the smallest extent along the axes of the shape, m.
+    pub(crate) fn half_thickness(&self) -> f64 {
         match &self.shape {
             PieceShape::Box(half) => half.min_element(),
             PieceShape::Ball(radius) | PieceShape::Capsule(radius, _) => *radius,
@@ -91,22 +96,23 @@ impl Piece {
         }
     }
 
-    /// Where a ray first meets it: distance along the ray, m, and outward unit normal.
-    pub(super) fn meet(&self, ray: &Ray, far: f64) -> Option<(f64, DVec3)> {
+    /// Returns the first hit of a ray up to `far`, m: distance along the ray, m, and outward unit normal.
+    pub(super) fn cast_ray(&self, ray: &Ray, far: f64) -> Option<(f64, DVec3)> {
         let hit = self.collider.cast_ray_and_get_normal(&self.pose(), ray, far as f32, true)?;
         Some((f64::from(hit.time_of_impact), double(hit.normal)))
     }
 
-    /// Signed distance of a point in the object's frame, m.
+    /// Returns the signed distance of a point in the object frame, m.
     pub(super) fn distance(&self, point: DVec3) -> f64 {
-        self.gauge.distance_to_point(&self.pose(), single(point), false).into()
+        self.distance_shape.distance_to_point(&self.pose(), single(point), false).into()
     }
 
+    /// Returns the pose in the object frame.
     pub(super) fn pose(&self) -> Pose {
         convex::pose(self.position, self.orientation)
     }
 
-    /// Surface in the object's frame.
+    /// Returns the surface in the object frame: vertices, m, and triangles.
     pub(super) fn mesh(&self) -> (Vec<Vec3>, Vec<[u32; 3]>) {
         let (vertices, triangles) = if let Some(cuboid) = self.collider.as_cuboid() {
             cuboid.to_trimesh()
@@ -128,12 +134,16 @@ impl Piece {
     }
 }
 
+/// Computes the convex hull of points.
+///
+/// # Errors
+/// If they span no volume.
 pub(super) fn hull(points: &[DVec3]) -> Result<SharedShape> {
     convex::hull(points)
         .ok_or_else(|| Error::value("convex piece", "points that span a volume", format!("{} points", points.len())))
 }
 
-/// Corners of an upright cylinder as a prism of 48 sides.
+/// Returns the corners of an upright cylinder as a prism of 48 sides.
 pub(super) fn ring_points(radius: f64, half: f64) -> Vec<DVec3> {
     let ring = (0..48)
         .map(|i| DVec3::new(radius * (TAU * i as f64 / 48.0).cos(), radius * (TAU * i as f64 / 48.0).sin(), 0.0));

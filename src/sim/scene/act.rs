@@ -1,71 +1,72 @@
-//! What a hand does: contact goals and their course in time.
+//! Acts: contact goals of a hand and their course in time.
 
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-use super::{ObjectSpec, half, within, zero, zero3};
+use super::limits::{within, zero};
+use super::object::ObjectSpec;
 use crate::error::{Error, Result};
-use crate::sim::range::Span;
+use crate::sim::range::UniformRange;
 
-/// No hand presses harder, N.
-const MOST_FORCE: f64 = 1000.0;
-/// No hand is sent further, m.
-const FAR: f64 = 1.0;
+/// Largest force of a contact goal, N: far above what a hand can exert.
+const MAX_FORCE: f64 = 1000.0;
+/// Largest displacement of a hand, m: beyond the table's edge.
+const MAX_DISPLACEMENT: f64 = 1.0;
 
-/// Contact goals of a hand and their course in time. Directions are those of the right hand, in the object's frame.
+/// Contact goals of a hand and their course in time. Directions are those of the right hand in the object frame.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActSpec {
-    /// Name of the object the hand deals with.
+    /// Name of the object to touch.
     pub object: String,
-    /// Where the stretched fingers would point.
+    /// Direction of the stretched fingers.
     pub fingers: [f64; 3],
-    /// Where the palm faces.
+    /// Direction that the palm faces.
     pub palm: [f64; 3],
-    /// Random turn of the whole hand about a random axis, rad.
+    /// Angle by which the whole hand turns about a random axis, rad.
     #[serde(default = "zero")]
-    pub turn: Span,
-    /// Direction from which the hand comes and to which it leaves, in the world frame.
+    pub turn: UniformRange,
+    /// Direction from the object to where the hand comes from and leaves to, in the world frame.
     pub from: [f64; 3],
-    /// Random turn of `from`, rad.
+    /// Angle by which `from` turns about a random axis, rad.
     #[serde(default = "zero")]
-    pub from_turn: Span,
-    /// Goals by site.
-    pub contacts: BTreeMap<Site, ContactSpec>,
-    /// Grip force as a multiple of what just holds the object against gravity; 0 leaves `force` alone.
+    pub from_turn: UniformRange,
+    /// Contact goals by site.
+    pub contacts: BTreeMap<HandSite, ContactSpec>,
+    /// Grip force as a multiple of the force that just holds the object against gravity; 0 leaves only `force`.
     #[serde(default = "zero")]
-    pub grip: Span,
-    /// Curl of fingers without goal: 0 stretched, 1 fist.
-    #[serde(default = "half")]
-    pub curl: Span,
-    /// Fingers that close around the object until they meet it.
+    pub grip: UniformRange,
+    /// Curl of fingers without a goal: 0 stretched, 1 fist.
+    #[serde(default = "default_curl")]
+    pub curl: UniformRange,
+    /// Fingers that close around the object until contact stops them.
     pub wrap: Option<WrapSpec>,
-    /// Whether durations and values are drawn with the same random numbers as the other hand's, and left and right are
-    /// those of the first hand: two hands that carry one thing.
+    /// True if durations and values are drawn with the same random numbers as the other hand's, and left and right are
+    /// those of the first hand: for two hands that carry one object.
     #[serde(default)]
     pub in_step: bool,
-    /// Channels at the start.
+    /// Values of the channels at the start.
     pub start: Channels,
-    /// Phases, one after another.
+    /// Phases in order.
     pub script: Vec<PhaseSpec>,
 }
 
-/// Fingers that close until something stops them, with a torque that is limited.
+/// Fingers that close with limited torque until contact stops them.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WrapSpec {
-    /// The fingers.
-    pub fingers: Vec<Site>,
-    /// Torque of the knuckle's hinge when closed, N m; the hinges beyond have 0.7 and 0.45 of it.
-    pub torque: Span,
+    /// Fingers that close.
+    pub fingers: Vec<HandSite>,
+    /// Torque of the knuckle's hinge when closed, N m; the two hinges beyond it have 0.7 and 0.45 of it.
+    pub torque: UniformRange,
 }
 
-/// A part of a hand that can be given a contact goal.
+/// Part of a hand that can have a contact goal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[allow(missing_docs)]
-pub enum Site {
+pub enum HandSite {
     Thumb,
     Index,
     Middle,
@@ -74,98 +75,99 @@ pub enum Site {
     Palm,
 }
 
-impl Site {
+impl HandSite {
     /// The five fingers in anatomical order.
-    pub const FINGERS: [Site; 5] = [Site::Thumb, Site::Index, Site::Middle, Site::Ring, Site::Little];
+    pub const FINGERS: [HandSite; 5] =
+        [HandSite::Thumb, HandSite::Index, HandSite::Middle, HandSite::Ring, HandSite::Little];
 }
 
-/// A goal: where a site touches the object, and how hard.
+/// Contact goal: point on the object and normal force.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContactSpec {
-    /// Direction from the object's axis to the point, in its frame; the outermost surface that way is touched.
+    /// Direction from the object's axis to the point, in the object frame; the goal is on the outermost surface in it.
     pub at: [f64; 3],
     /// Height of the point above the object's centre, m.
     #[serde(default = "zero")]
-    pub height: Span,
-    /// How far aside of the object's axis the point lies, m: x and y of its frame, y mirrored for the left hand.
-    pub aside: Option<[Span; 2]>,
-    /// Normal force, N, in addition to the grip's share.
+    pub height: UniformRange,
+    /// Offset of the point from the object's axis, x and y of the object frame, m; y is mirrored for the left hand.
+    pub aside: Option<[UniformRange; 2]>,
+    /// Normal force in addition to the share of the grip force, N.
     #[serde(default = "zero")]
-    pub force: Span,
+    pub force: UniformRange,
     /// Share of the grip force that this site carries.
     #[serde(default)]
     pub share: f64,
 }
 
-/// One phase: the channels that change, and how long that takes. Channels not named keep their value.
+/// One phase: duration, and values that channels reach at its end. Channels without a value keep theirs.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PhaseSpec {
-    /// Name, for the reader.
+    /// Name, for readers of the file.
     pub phase: String,
     /// Duration, s.
-    pub seconds: Span,
+    pub seconds: UniformRange,
     /// See [`Channels`].
-    pub standoff: Option<Span>,
+    pub standoff: Option<UniformRange>,
     /// See [`Channels`].
-    pub opening: Option<Span>,
+    pub opening: Option<UniformRange>,
     /// See [`Channels`].
-    pub squeeze: Option<Span>,
+    pub squeeze: Option<UniformRange>,
     /// See [`Channels`].
-    pub shift: Option<[Span; 3]>,
+    pub shift: Option<[UniformRange; 3]>,
     /// See [`Channels`].
-    pub twist: Option<Span>,
+    pub twist: Option<UniformRange>,
     /// See [`Channels`].
-    pub wrap: Option<Span>,
+    pub wrap: Option<UniformRange>,
 }
 
-/// What a script drives.
+/// Channels that a script drives.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Channels {
-    /// How far the hand is from its place at the object, along `from`, m.
+    /// Distance of the hand from its place at the object, along `from`, m.
     #[serde(default = "zero")]
-    pub standoff: Span,
-    /// How far the sites with goals are from the surface, m.
+    pub standoff: UniformRange,
+    /// Distance of the sites with goals from the surface, m.
     #[serde(default = "zero")]
-    pub opening: Span,
-    /// Share of the goal forces applied, 0 to 1.
+    pub opening: UniformRange,
+    /// Share of the goal forces that is applied, 0 to 1.
     #[serde(default = "zero")]
-    pub squeeze: Span,
+    pub squeeze: UniformRange,
     /// Displacement of the hand in the world frame, m; x is mirrored for the left hand.
     #[serde(default = "zero3")]
-    pub shift: [Span; 3],
-    /// Turn of the hand about the upright axis through the object's start, rad; mirrored for the left hand.
+    pub shift: [UniformRange; 3],
+    /// Rotation of the hand about the upright axis through the object's start, rad; mirrored for the left hand.
     #[serde(default = "zero")]
-    pub twist: Span,
-    /// How far the fingers of `wrap` close: 0 open, 1 until they meet the object.
+    pub twist: UniformRange,
+    /// Closure of the fingers of `wrap`: 0 open, 1 closed until contact stops them.
     #[serde(default = "zero")]
-    pub wrap: Span,
+    pub wrap: UniformRange,
 }
 
 impl ActSpec {
-    /// Whether the script ever presses or carries anything.
-    pub fn presses(&self) -> bool {
+    /// True if the script ever applies force.
+    pub(crate) fn presses(&self) -> bool {
         let pushes = self.grip.high() > 0.0 || self.contacts.values().any(|contact| contact.force.high() > 0.0);
-        let some = |span: Option<Span>| span.is_some_and(|span| span.high() > 0.0);
+        let some = |range: Option<UniformRange>| range.is_some_and(|range| range.high() > 0.0);
         (pushes && (self.start.squeeze.high() > 0.0 || self.script.iter().any(|phase| some(phase.squeeze))))
             || self.start.wrap.high() > 0.0
             || self.script.iter().any(|phase| some(phase.wrap))
     }
 
-    /// Whether it presses and raises the hand at once, so that the object hangs in the grip.
-    pub fn lifts(&self) -> bool {
+    /// True if the script applies force and raises the hand, so that the object hangs in the grip.
+    pub(crate) fn lifts(&self) -> bool {
         self.presses() && self.script.iter().any(|phase| phase.shift.is_some_and(|[_, _, z]| z.high() > 0.005))
     }
 
-    /// Whether it presses and turns the hand.
-    pub fn twists(&self) -> bool {
-        let turn = |span: Span| span.low() < 0.0 || span.high() > 0.0;
+    /// True if the script applies force and turns the hand.
+    pub(crate) fn twists(&self) -> bool {
+        let turn = |range: UniformRange| range.low() < 0.0 || range.high() > 0.0;
         self.presses() && self.script.iter().any(|phase| phase.twist.is_some_and(turn))
     }
 
-    /// Checks ranges and names; `key` names the act in messages.
+    /// Checks ranges and names; `key` names the act in errors.
     pub(super) fn check(&self, key: &str, objects: &[ObjectSpec]) -> Result<()> {
         if !objects.iter().any(|object| object.name == self.object) {
             return Err(Error::unknown("object", &self.object, objects.iter().map(|o| o.name.as_str())));
@@ -184,14 +186,14 @@ impl ActSpec {
         if self.script.is_empty() {
             return Err(Error::value(format!("{key}.script"), "at least one phase", "none"));
         }
-        within(&format!("{key}.grip"), self.grip, 0.0, MOST_FORCE)?;
+        within(&format!("{key}.grip"), self.grip, 0.0, MAX_FORCE)?;
         within(&format!("{key}.curl"), self.curl, 0.0, 1.0)?;
         for (site, contact) in &self.contacts {
             let key = format!("{key}.contacts.{site:?}").to_lowercase();
-            within(&format!("{key}.force"), contact.force, 0.0, MOST_FORCE)?;
-            within(&format!("{key}.height"), contact.height, -FAR, FAR)?;
+            within(&format!("{key}.force"), contact.force, 0.0, MAX_FORCE)?;
+            within(&format!("{key}.height"), contact.height, -MAX_DISPLACEMENT, MAX_DISPLACEMENT)?;
             for aside in contact.aside.iter().flatten() {
-                within(&format!("{key}.aside"), *aside, -FAR, FAR)?;
+                within(&format!("{key}.aside"), *aside, -MAX_DISPLACEMENT, MAX_DISPLACEMENT)?;
             }
             if !(0.0..=1.0).contains(&contact.share) {
                 return Err(Error::value(format!("{key}.share"), "0 to 1", contact.share));
@@ -222,7 +224,7 @@ impl ActSpec {
             };
         };
         within(&format!("{key}.wrap.torque"), wrap.torque, 0.0, 10.0)?;
-        if wrap.fingers.is_empty() || wrap.fingers.contains(&Site::Palm) {
+        if wrap.fingers.is_empty() || wrap.fingers.contains(&HandSite::Palm) {
             let got = format!("{:?}", wrap.fingers).to_lowercase();
             return Err(Error::value(format!("{key}.wrap.fingers"), "fingers, at least one", got));
         }
@@ -232,16 +234,28 @@ impl ActSpec {
 
 impl PhaseSpec {
     fn check(&self, key: &str) -> Result<()> {
-        let check = |name: &str, span: Option<Span>, low: f64, high: f64| match span {
-            Some(span) => within(&format!("{key}.{name}"), span, low, high),
+        let check = |name: &str, range: Option<UniformRange>, low: f64, high: f64| match range {
+            Some(range) => within(&format!("{key}.{name}"), range, low, high),
             None => Ok(()),
         };
         check("seconds", Some(self.seconds), 0.0, 600.0)?;
-        check("standoff", self.standoff, -FAR, FAR)?;
-        check("opening", self.opening, -FAR, FAR)?;
+        check("standoff", self.standoff, -MAX_DISPLACEMENT, MAX_DISPLACEMENT)?;
+        check("opening", self.opening, -MAX_DISPLACEMENT, MAX_DISPLACEMENT)?;
         check("squeeze", self.squeeze, 0.0, 1.0)?;
         check("twist", self.twist, -2.0, 2.0)?;
         check("wrap", self.wrap, 0.0, 1.0)?;
-        self.shift.iter().flatten().try_for_each(|axis| check("shift", Some(*axis), -FAR, FAR))
+        self.shift
+            .iter()
+            .flatten()
+            .try_for_each(|axis| check("shift", Some(*axis), -MAX_DISPLACEMENT, MAX_DISPLACEMENT))
     }
+}
+
+fn zero3() -> [UniformRange; 3] {
+    [zero(); 3]
+}
+
+/// Default curl of fingers without a goal.
+fn default_curl() -> UniformRange {
+    UniformRange::new(0.3, 0.6)
 }

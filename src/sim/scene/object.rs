@@ -1,131 +1,131 @@
-//! Objects as a scene writes them.
+//! Objects as a scene file gives them.
 
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::{TURN, positive, within, zero};
+use super::limits::{MAX_ANGLE, positive, within, zero};
 use crate::error::{Error, Result};
-use crate::sim::range::Span;
+use crate::sim::range::UniformRange;
 
 /// An object on the table.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObjectSpec {
-    /// Name.
+    /// Name, unique in the scene: letters, digits and `_`.
     pub name: String,
-    /// Shape; its frame has the centre of the shape as origin and z up.
+    /// Shape; the object frame has the centre of the shape as origin and z up.
     #[serde(with = "serde_yaml::with::singleton_map")]
     pub shape: ShapeSpec,
-    /// Mass, kg; of what moves.
-    pub mass: Span,
+    /// Mass of the moving part, kg.
+    pub mass: UniformRange,
     /// Coefficient of sliding friction.
-    pub friction: Span,
-    /// Friction against the table where it differs: a cloth that glides under the fingers' press.
-    pub table_friction: Option<Span>,
-    /// Where on the table, m: x and y; x is mirrored for the left hand.
-    pub position: [Span; 2],
-    /// Height above its place on the table, m; only for objects that are not solid.
-    pub raised: Option<Span>,
-    /// Rotation about z, rad, for the right hand; mirrored for the left one.
+    pub friction: UniformRange,
+    /// Coefficient of sliding friction against the table where it differs, as of a cloth that slides under the fingers.
+    pub table_friction: Option<UniformRange>,
+    /// Position on the table, x and y, m; x is mirrored for the left hand.
+    pub position: [UniformRange; 2],
+    /// Height above its position on the table, m; only for objects that are not solid.
+    pub raised: Option<UniformRange>,
+    /// Rotation about z for the right hand, rad; mirrored for the left hand.
     #[serde(default = "zero")]
-    pub yaw: Span,
-    /// Whether it is there at all: without, it is a place to reach, which nothing can touch or see.
+    pub yaw: UniformRange,
+    /// True if the object exists in the world; false makes it a place to reach that nothing can touch or see.
     #[serde(default = "yes")]
     pub solid: bool,
-    /// Whether its surface has a drawn pattern in place of one colour.
+    /// True if the surface gets a random pattern instead of one colour.
     #[serde(default)]
     pub texture: bool,
 }
 
-/// Shapes; lengths in metres. All are symmetric in their frame's y.
+/// Shapes; lengths are in metres. All are symmetric about the xz plane of the object frame.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum ShapeSpec {
-    /// A cuboid with the given edges along x, y and z.
+    /// Cuboid with the given edges along x, y and z.
     Box {
         /// Edges.
-        size: [Span; 3],
+        size: [UniformRange; 3],
     },
-    /// A cuboid with three equal edges.
+    /// Cuboid with three equal edges.
     Cube {
         /// Edge.
-        size: Span,
+        size: UniformRange,
     },
-    /// A ball.
+    /// Ball.
     Ball {
         /// Radius.
-        radius: Span,
+        radius: UniformRange,
     },
-    /// An upright cylinder.
+    /// Upright cylinder.
     Cylinder {
         /// Radius.
-        radius: Span,
+        radius: UniformRange,
         /// Height.
-        height: Span,
+        height: UniformRange,
     },
-    /// A mug of convex pieces, open above, its handle along +x.
+    /// Mug of convex pieces, open above, with its handle along +x.
     Mug {
         /// Outer radius.
-        radius: Span,
+        radius: UniformRange,
         /// Height.
-        height: Span,
+        height: UniformRange,
         /// Thickness of wall and floor.
-        wall: Span,
+        wall: UniformRange,
     },
-    /// A round push button on a housing that stands fast; its spring pushes it up.
+    /// Round push button on a fixed housing; a spring pushes it up.
     Button {
         /// Radius of the button.
-        radius: Span,
-        /// How far it can be pressed.
-        travel: Span,
+        radius: UniformRange,
+        /// Travel of the button.
+        travel: UniformRange,
         /// Stiffness of its spring, N/m.
-        stiffness: Span,
+        stiffness: UniformRange,
     },
-    /// A knob on a plate that stands fast; it turns about its upright axis.
+    /// Knob on a fixed plate; it turns about its upright axis.
     Knob {
         /// Radius.
-        radius: Span,
+        radius: UniformRange,
         /// Height.
-        height: Span,
-        /// Torque that just turns it, N m.
-        resistance: Span,
+        height: UniformRange,
+        /// Torque of the joint's dry friction, N m.
+        resistance: UniformRange,
     },
-    /// A swing door that faces -y, hinged upright at its -x edge.
+    /// Swing door that faces -y, with an upright hinge at its -x edge.
     Door {
         /// Width of the leaf along x.
-        width: Span,
+        width: UniformRange,
         /// Height of the leaf.
-        height: Span,
+        height: UniformRange,
         /// Thickness of the leaf.
-        thickness: Span,
-        /// Torque that just turns it, N m.
-        resistance: Span,
+        thickness: UniformRange,
+        /// Torque of the joint's dry friction, N m.
+        resistance: UniformRange,
     },
-    /// An elastic ball.
+    /// Elastic ball.
     Soft {
         /// Radius at rest.
-        radius: Span,
+        radius: UniformRange,
         /// Young's modulus, Pa.
-        stiffness: Span,
+        stiffness: UniformRange,
     },
-    /// A surface of one's own, taken apart into convex pieces for contact.
+    /// Surface from a file, decomposed into convex pieces for contact.
     Mesh {
-        /// Wavefront OBJ or STL file; a relative path starts at the scene's folder.
+        /// OBJ or STL file; a relative path starts at the scene's folder.
         file: PathBuf,
         /// Metres per unit of the file.
-        scale: Span,
+        scale: UniformRange,
     },
 }
 
 impl ObjectSpec {
-    /// Checks ranges; `key` names the object in messages.
+    /// Checks ranges; `key` names the object in errors.
     pub(super) fn check(&self, key: &str) -> Result<()> {
         positive(&format!("{key}.mass"), self.mass)?;
         positive(&format!("{key}.friction"), self.friction)?;
-        // On the table or near it.
+        // The table is 1.2 m wide.
         self.position.iter().try_for_each(|axis| within(&format!("{key}.position"), *axis, -1.0, 1.0))?;
-        within(&format!("{key}.yaw"), self.yaw, -TURN, TURN)?;
+        within(&format!("{key}.yaw"), self.yaw, -MAX_ANGLE, MAX_ANGLE)?;
         if let Some(friction) = self.table_friction {
             positive(&format!("{key}.table_friction"), friction)?;
         }
@@ -138,24 +138,24 @@ impl ObjectSpec {
         self.shape.check(&format!("{key}.shape"))
     }
 
-    /// Whether nothing holds it but contact.
-    pub fn is_free(&self) -> bool {
+    /// True if only contact holds the object.
+    pub(crate) fn is_free(&self) -> bool {
         self.solid && !self.shape.is_articulated()
     }
 }
 
 impl ShapeSpec {
-    /// Whether it hangs on a joint of its own.
-    pub fn is_articulated(&self) -> bool {
+    /// True if the object has a joint.
+    pub(crate) fn is_articulated(&self) -> bool {
         matches!(self, Self::Button { .. } | Self::Knob { .. } | Self::Door { .. })
     }
 
-    /// Whether it deforms.
-    pub fn is_soft(&self) -> bool {
+    /// True if the object deforms.
+    pub(crate) fn is_soft(&self) -> bool {
         matches!(self, Self::Soft { .. })
     }
 
-    /// Makes relative paths start at `folder`.
+    /// Resolves a relative mesh path against `folder`.
     pub(super) fn resolve(&mut self, folder: &Path) {
         if let Self::Mesh { file, .. } = self
             && file.is_relative()
@@ -165,8 +165,8 @@ impl ShapeSpec {
     }
 
     fn check(&self, key: &str) -> Result<()> {
-        let length = |name: &str, span: Span| within(&format!("{key}.{name}"), span, 1e-3, 10.0);
-        let torque = |span: Span| within(&format!("{key}.resistance"), span, 0.0, 100.0);
+        let length = |name: &str, range: UniformRange| within(&format!("{key}.{name}"), range, 1e-3, 10.0);
+        let torque = |range: UniformRange| within(&format!("{key}.resistance"), range, 0.0, 100.0);
         match self {
             Self::Box { size } => size.iter().try_for_each(|s| length("size", *s)),
             Self::Cube { size } => length("size", *size),

@@ -1,13 +1,13 @@
-//! Scenes that are part of the program.
+//! Scenes embedded in the program.
 
-/// Name and text of a scene in `sim/scenes`.
+/// Expands to name and text of a scene in `sim/scenes`.
 macro_rules! scene {
     ($name:literal) => {
         ($name, include_str!(concat!("../../../sim/scenes/", $name, ".yaml")))
     };
 }
 
-/// Name and text of each, in the order in which `egotac sim list` shows them.
+/// Name and YAML text of each shipped scene, in the order of `egotac sim list`.
 pub const SHIPPED: [(&str, &str); 19] = [
     scene!("pinch_cube"),
     scene!("lift_mug"),

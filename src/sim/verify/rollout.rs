@@ -1,28 +1,28 @@
-//! Scores of simulated rollouts, as they run.
+//! Scores of simulated rollouts while they run.
 
 use glam::{DVec3, Vec3};
 
 use crate::error::{Error, Result};
 use crate::hand::Side;
 use crate::model::Predictor;
-use crate::score::agreement::{Parts, TruthFrame};
-use crate::score::verify::candidate::{Candidate, Settings};
-use crate::score::verify::episode::{Episode, EpisodeScorer, Near};
+use crate::score::agreement::{TruthFrame, VertexGroups};
+use crate::score::verify::candidate::{Candidate, SweepSettings};
+use crate::score::verify::episode::{Episode, EpisodeScorer, VertexDistances};
 use crate::sim::effect::Observation;
 use crate::sim::{Rollout, RolloutOptions, Scene, SimFrame, Touchables};
 use crate::tactile::{N_FIELD, Validity};
 
-/// Runs an episode of `scene` and scores it: with a predictor its predictions for the rendered pictures, else the sweep of
-/// labels (a) and (b).
+/// Runs an episode of `scene` and scores it: the predictions for the rendered images if there is a predictor, else the sweep
+/// of labels (a) and (b).
 ///
 /// # Errors
-/// If the rollout fails (the error names scene and seed), the predictor's vertices are of another topology, or a picture
-/// is needed and `options` has none.
+/// If the rollout fails (the error names scene and seed), the predictor is on another topology, or a predictor needs images
+/// and `options` has none.
 pub fn score(
     scene: &Scene,
     seed: u64,
     options: &RolloutOptions,
-    settings: &Settings,
+    settings: &SweepSettings,
     predictor: Option<&mut Predictor>,
 ) -> Result<Episode> {
     let named = |error: Error| Error::file(format!("{} with seed {seed}", scene.name), error);
@@ -33,7 +33,7 @@ fn run(
     scene: &Scene,
     seed: u64,
     options: &RolloutOptions,
-    settings: &Settings,
+    settings: &SweepSettings,
     mut predictor: Option<&mut Predictor>,
 ) -> Result<Episode> {
     let observes = |observation| scene.spec.observe.contains(&observation);
@@ -47,7 +47,7 @@ fn run(
     if predictor.is_some() && !observes(Observation::Rgb) {
         return Err(Error::value("observe", "rgb among it, for the predictor", format!("{:?}", scene.spec.observe)));
     }
-    let parts = Parts::links(&options.hands);
+    let groups = VertexGroups::links(&options.hands);
     let mut rollout = Rollout::new(scene, seed, options)?;
     if let Some(predictor) = &mut predictor {
         predictor.metadata().topology.must_match(rollout.topology())?;
@@ -61,9 +61,9 @@ fn run(
         Some(_) => None,
     };
     let candidates = if predictor.is_some() { vec![Candidate::Prediction] } else { settings.sweep() };
-    let mut scorer = EpisodeScorer::new(&parts, &candidates);
+    let mut scorer = EpisodeScorer::new(&groups, &candidates);
     while let Some(sim) = rollout.next_frame()? {
-        // Pictures of refused frames are seen, too: the stream goes on.
+        // The predictor also sees the images of refused frames, because its window needs them.
         let prediction = match &mut predictor {
             Some(predictor) => Some(predictor.push(&sim.frame.camera_ego_rgb, sim.frame.timestamp)?.field),
             None => None,
@@ -81,7 +81,7 @@ fn run(
             }
             None => None,
         };
-        let near = distances.as_ref().map(|d| Near { points: &d.points, surface: &d.surface });
+        let near = distances.as_ref().map(|d| VertexDistances { points: &d.points, surface: &d.surface });
         scorer.push(&truth, near, prediction.as_ref())?;
     }
     let samplings = near.map(|touchables| touchables.samplings()).unwrap_or_default();

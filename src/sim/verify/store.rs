@@ -1,4 +1,4 @@
-//! Scores of recorded episodes: shapes drawn anew from scene and seed, poses and forces from the store.
+//! Scores of recorded episodes: object shapes regenerated from scene and seed, poses and forces from the store.
 
 use std::ops::Range;
 
@@ -12,52 +12,53 @@ use crate::dataset::zarr::{
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, N_BETAS, Side};
 use crate::model::Predictor;
-use crate::score::agreement::{Parts, TruthFrame};
-use crate::score::verify::candidate::{Candidate, Settings};
-use crate::score::verify::episode::{Episode, EpisodeScorer, Near};
+use crate::score::agreement::{TruthFrame, VertexGroups};
+use crate::score::verify::candidate::{Candidate, SweepSettings};
+use crate::score::verify::episode::{Episode, EpisodeScorer, VertexDistances};
 use crate::sim::ObjectPose;
 use crate::sim::rig::HandRig;
 use crate::sim::{Scene, Touchables, randomize};
 use crate::tactile::{N_FIELD, TactileField, TactileSequence, Validity, episode_ranges};
 
-/// How far an object may start from where its seed puts it, m: stores hold single precision, and the middle of what is soft.
-const START: f64 = 2e-3;
+/// Largest distance of an object's first stored position from the one that its seed gives, m. The store rounds to single
+/// precision, and stores the centre of a soft object.
+const START_TOLERANCE: f64 = 2e-3;
 
-/// What is scored against the store's forces.
+/// Source of the labels or predictions that are scored against the store's forces.
 #[derive(Debug)]
-pub enum Against<'a> {
-    /// Labels (a) and (b); scenes that the program does not ship are looked up here first.
+pub enum EstimateSource<'a> {
+    /// Labels (a) and (b), from the distances to the objects of the scene; given scenes come before the shipped ones.
     Labels(&'a [Scene]),
-    /// A network on the store's pictures.
+    /// A network, on the store's images.
     Predictor(&'a mut Predictor),
-    /// Predictions that were made before, and how many frames of other stores lie before this store's.
+    /// Predictions of all stores, and the index of this store's first frame in them.
     Predictions(&'a TactileSequence, usize),
 }
 
-/// Scores every episode of `store`; `hands` are of its topology.
+/// Scores every episode of `store`; `hands` must be on its topology.
 ///
 /// # Errors
-/// If an array is missing or misshapen, a scene is not known or no longer the one that the store was made from, or a
-/// prediction is of another topology.
+/// If an array is missing or has another shape, a scene is unknown or differs from the one that the store was made from,
+/// or a prediction is on another topology.
 pub fn score(
     store: &ZarrReader,
     hands: &[HandModel; 2],
-    settings: &Settings,
-    mut against: Against,
+    settings: &SweepSettings,
+    mut source: EstimateSource,
 ) -> Result<Vec<Episode>> {
     let topology = store.attributes().topology;
     hands.iter().try_for_each(|hand| topology.must_match(hand.topology))?;
-    if let Against::Predictor(predictor) = &against {
+    if let EstimateSource::Predictor(predictor) = &source {
         topology.must_match(predictor.metadata().topology)?;
     }
     // Files that do not name their topology are taken to be on the store's.
-    if let Against::Predictions(TactileSequence { topology: Some(predicted), .. }, _) = &against {
+    if let EstimateSource::Predictions(TactileSequence { topology: Some(predicted), .. }, _) = &source {
         topology.must_match(*predicted)?;
     }
     let mut episodes = Vec::new();
     for (index, range) in episode_ranges(store.episode_ends()).enumerate() {
         let named = |error: Error| Error::file(store.path(), format!("episode {index}: {error}"));
-        episodes.push(episode(store, index, range, hands, settings, &mut against).map_err(named)?);
+        episodes.push(episode(store, index, range, hands, settings, &mut source).map_err(named)?);
     }
     Ok(episodes)
 }
@@ -67,32 +68,32 @@ fn episode(
     index: usize,
     range: Range<usize>,
     hands: &[HandModel; 2],
-    settings: &Settings,
-    against: &mut Against,
+    settings: &SweepSettings,
+    source: &mut EstimateSource,
 ) -> Result<Episode> {
     let data = Data::read(store, range.clone())?;
     let (name, seed) = origin(store, index);
-    let mut near = match against {
-        Against::Labels(scenes) => {
+    let mut near = match source {
+        EstimateSource::Labels(scenes) => {
             let name = name.as_deref().ok_or_else(|| missing(store, "episodes[..].scene"))?;
             let seed = seed.ok_or_else(|| missing(store, "episodes[..].seed"))?;
             Some(touchables(&find_scene(name, scenes)?, seed, hands, settings, &data)?)
         }
         _ => None,
     };
-    if let Against::Predictor(predictor) = against {
+    if let EstimateSource::Predictor(predictor) = source {
         predictor.reset();
     }
     let candidates = if near.is_some() { settings.sweep() } else { vec![Candidate::Prediction] };
-    let mut scorer = EpisodeScorer::new(&Parts::links(hands), &candidates);
+    let mut scorer = EpisodeScorer::new(&VertexGroups::links(hands), &candidates);
     for (at, frame) in range.enumerate() {
         let topology = hands[0].topology;
-        let prediction: Option<TactileField> = match against {
-            Against::Labels(_) => None,
-            Against::Predictor(predictor) => {
+        let prediction: Option<TactileField> = match source {
+            EstimateSource::Labels(_) => None,
+            EstimateSource::Predictor(predictor) => {
                 Some(predictor.push(&store.frame(frame)?.camera_ego_rgb, data.timestamps[at])?.field)
             }
-            Against::Predictions(predictions, before) => {
+            EstimateSource::Predictions(predictions, before) => {
                 Some(TactileField { topology, ..predictions.field(*before + frame)? })
             }
         };
@@ -120,14 +121,14 @@ fn episode(
             }
             None => None,
         };
-        let near = distances.as_ref().map(|d| Near { points: &d.points, surface: &d.surface });
+        let near = distances.as_ref().map(|d| VertexDistances { points: &d.points, surface: &d.surface });
         scorer.push(&truth, near, prediction.as_ref())?;
     }
     let samplings = near.map(|(touchables, _)| touchables.samplings()).unwrap_or_default();
     Ok(scorer.finish(name.unwrap_or_else(|| store.path().display().to_string()), seed, samplings))
 }
 
-/// Scene and seed of an episode as the attribute `episodes` gives them.
+/// Returns scene and seed of an episode from the store's attribute `episodes`.
 fn origin(store: &ZarrReader, index: usize) -> (Option<String>, Option<u64>) {
     let entry = store.raw_attributes().get("episodes").and_then(|episodes| episodes.get(index));
     let scene = entry.and_then(|entry| entry.get("scene")).and_then(Value::as_str).map(str::to_owned);
@@ -153,24 +154,24 @@ fn find_scene(name: &str, given: &[Scene]) -> Result<Scene> {
     })
 }
 
-/// What the hands can touch in the episode, and the objects' names.
+/// Returns the surfaces that the hands can touch in the episode, and the names of the objects.
 fn touchables(
     scene: &Scene,
     seed: u64,
     hands: &[HandModel; 2],
-    settings: &Settings,
+    settings: &SweepSettings,
     data: &Data,
 ) -> Result<(Touchables, Vec<String>)> {
     let betas = data.betas();
     let [left, right] = hands;
     let rigs = [HandRig::new(left.clone(), betas)?, HandRig::new(right.clone(), betas)?];
-    let drawn = randomize::Episode::sample(scene, seed, &rigs)?;
-    // Stores hold poses of what is solid.
+    let drawn = randomize::EpisodeDraw::sample(scene, seed, &rigs)?;
+    // Stores hold poses of solid objects only.
     let solid = || drawn.objects.iter().filter(|object| object.solid);
     let names: Vec<String> = solid().map(|object| object.name.clone()).collect();
     for (object, pose) in solid().zip(data.objects(0, &names)) {
         let off = pose.position.distance(object.position);
-        if off.is_nan() || off > START {
+        if off.is_nan() || off > START_TOLERANCE {
             let expected = format!("the one that the store was made from, with {} at {}", object.name, pose.position);
             return Err(Error::value(format!("scene {} with seed {seed}", scene.name), expected, object.position));
         }
@@ -212,7 +213,7 @@ impl Data {
         known.ok_or_else(|| Error::value(FRAME_VALIDITY, format!("a code below {}", Validity::ALL.len()), code))
     }
 
-    /// Both hands' parameters; zeros mean absent.
+    /// Returns the parameters of both hands; zeros in the store mean an absent hand.
     fn poses(&self, at: usize) -> [Option<[f32; 61]>; 2] {
         self.poses.each_ref().map(|rows| {
             let row: [f32; 61] = rows.get(at * 61..(at + 1) * 61)?.try_into().ok()?;
@@ -220,13 +221,13 @@ impl Data {
         })
     }
 
-    /// Shape of the hands; zeros if none is ever there.
+    /// Returns the shape of the hands; zeros if no hand is ever present.
     fn betas(&self) -> [f32; N_BETAS] {
-        let there = (0..self.timestamps.len()).flat_map(|at| self.poses(at)).flatten().next();
-        there.map_or([0.0; N_BETAS], |row| HandParams::from_array(&row).betas)
+        let present = (0..self.timestamps.len()).flat_map(|at| self.poses(at)).flatten().next();
+        present.map_or([0.0; N_BETAS], |row| HandParams::from_array(&row).betas)
     }
 
-    /// Poses of the objects of these names, in the scene's order; NaN for one that the store lacks.
+    /// Returns the poses of the named objects, in the order of the scene; NaN for one that the store lacks.
     fn objects(&self, at: usize, names: &[String]) -> Vec<ObjectPose> {
         let frames = self.timestamps.len().max(1);
         let width = self.objects.len() / frames; // 7 per object

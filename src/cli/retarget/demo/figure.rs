@@ -12,7 +12,7 @@ use plotters::prelude::*;
 use super::Moment;
 use crate::cli::sheet::{Bar, PANEL, Series, Sheet};
 use crate::hand::HandModel;
-use crate::mujoco::{View, World};
+use crate::mujoco::{FreeCamera, Renderer, World};
 use crate::render;
 use crate::retarget::Robot;
 use crate::retarget::robot::frame;
@@ -77,7 +77,7 @@ fn robot_picture(robot: &mut Robot, moment: &Moment) -> Result<RgbImage> {
     let reach = places.iter().map(|place| place.distance(middle)).fold(0.05, f64::max);
     // From the palm's side, a little from the thumb's, as the human hand is seen.
     let toward = axes.x_axis + 0.45 * axes.y_axis;
-    let view = View { point: middle, toward, distance: 3.0 * reach };
+    let view = FreeCamera { point: middle, toward, distance: 3.0 * reach };
     let small = on_paper(&view, &mut robot.world)?;
     let edge = FINE * PANEL;
     let mut large = resize(&small, edge, edge, FilterType::CatmullRom).into_raw();
@@ -105,8 +105,8 @@ fn robot_picture(robot: &mut Robot, moment: &Moment) -> Result<RgbImage> {
 }
 
 /// The robot alone, on paper.
-fn on_paper(view: &View, world: &mut World) -> Result<RgbImage> {
-    let mut renderer = view.renderer(world, PANEL, PANEL, true)?;
+fn on_paper(view: &FreeCamera, world: &mut World) -> Result<RgbImage> {
+    let mut renderer = Renderer::free(world, view, (PANEL, PANEL), true)?;
     let mut picture = renderer.render(world)?;
     let depth = renderer.depth();
     let farthest = depth.iter().copied().fold(0.0, f32::max);

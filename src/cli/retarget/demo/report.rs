@@ -3,11 +3,11 @@
 use serde_json::{Value, json};
 
 use super::Moment;
-use crate::bench::Machine;
-use crate::bench::retarget::follow::percentile;
 use crate::cli::retarget::Demo;
 use crate::hand::Side;
+use crate::machine::Machine;
 use crate::retarget::{Retargeter, Status};
+use crate::statistics::median;
 use crate::text::significant;
 
 /// Human force from which on a moment counts as a touch, N.
@@ -24,6 +24,7 @@ pub fn summary(args: &Demo, retargeter: &Retargeter, side: Side, moments: &[Mome
             (sum - feel.asked).length() / feel.asked.length()
         })
         .collect();
+    let touching_frames = errors.len();
     let most = |value: fn(&Moment) -> f64| moments.iter().map(value).fold(0.0, f64::max);
     let ranges: Vec<[f64; 2]> = robot.output_joints().map(|joint| robot.parts.joints[joint].range).collect();
     let beyond = moments
@@ -42,13 +43,13 @@ pub fn summary(args: &Demo, retargeter: &Retargeter, side: Side, moments: &[Mome
         "frames": moments.len(),
         "held_frames": held,
         "limited_frames": moments.iter().filter(|moment| moment.output.status == Status::Limited).count(),
-        "touching_frames": errors.len(),
+        "touching_frames": touching_frames,
         "human_force_most_n": most(Moment::human),
         "robot_force_most_n": most(Moment::robot),
-        "net_force_error_median": percentile(&errors, 0.5),
+        "net_force_error_median": median(errors),
         "clipped_frames": moments.iter().filter(|moment| moment.output.feel.clipped).count(),
         "beyond_joint_limits_rad": beyond,
-        "solve_median_us": percentile(&moments.iter().map(|m| 1e6 * m.output.solve_secs).collect::<Vec<_>>(), 0.5),
+        "solve_median_us": median(moments.iter().map(|moment| 1e6 * moment.output.solve_secs)),
     })
 }
 

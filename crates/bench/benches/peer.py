@@ -1,0 +1,175 @@
+#!/usr/bin/env python3
+"""Times the network in PyTorch, as the peer of `egotac bench model --peer`.
+
+    python crates/bench/benches/peer.py --preset tiny --threads 2 [--runs 20] [--openvino]
+    python crates/bench/benches/peer.py --preset tiny --threads 2 --train [--batch 4] [--runs 3]
+
+Needs torch and transformers, and openvino for its encoder. Prints medians in ms and the largest resident memory in MB
+(2^20 bytes) as JSON: encoder_ms one frame, streaming_ms one more frame of a stream whose other frames' tokens are kept,
+clip_ms the whole window. With --train: step_ms and windows_per_s of an optimisation step.
+"""
+import argparse
+import json
+import resource
+import time
+
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+PRESETS = {  # as src/model/config.rs has them
+    "toy": dict(dv=48, vision_depth=2, vision_heads=3, d=32, depth=2, heads=4, image=56, pretrain=70, horizon=3, steps=2),
+    "pocket": dict(dv=128, vision_depth=6, vision_heads=4, d=128, depth=3, heads=4, image=112, pretrain=112, horizon=3, steps=1),
+    "tiny": dict(dv=192, vision_depth=12, vision_heads=3, d=192, depth=4, heads=3, image=224, pretrain=518, horizon=4, steps=1),
+    "small": dict(dv=384, vision_depth=12, vision_heads=6, d=384, depth=12, heads=6, image=224, pretrain=518, horizon=4, steps=1),
+    "base": dict(dv=768, vision_depth=12, vision_heads=12, d=768, depth=12, heads=12, image=224, pretrain=518, horizon=4, steps=1),
+}
+
+
+class Attention(nn.Module):
+    def __init__(self, d, heads):
+        super().__init__()
+        self.heads = heads
+        self.q, self.k, self.v, self.out = (nn.Linear(d, d) for _ in range(4))
+
+    def forward(self, x, kv):
+        split = lambda t: t.unflatten(-1, (self.heads, -1)).transpose(1, 2)
+        y = F.scaled_dot_product_attention(split(self.q(x)), split(self.k(kv)), split(self.v(kv)))
+        return self.out(y.transpose(1, 2).flatten(2))
+
+
+def mlp(d):
+    return nn.Sequential(nn.Linear(d, 4 * d), nn.GELU(), nn.Linear(4 * d, d))
+
+
+class Layer(nn.Module):
+    def __init__(self, d, heads):
+        super().__init__()
+        self.ada_attn, self.ada_mlp = nn.Linear(d, 2 * d), nn.Linear(d, 2 * d)
+        self.attn, self.mlp = Attention(d, heads), mlp(d)
+
+    def forward(self, h, z):
+        def modulated(linear):
+            gamma, beta = linear(z)[:, None].chunk(2, -1)
+            return (1 + gamma) * F.layer_norm(h, h.shape[-1:], eps=1e-6) + beta
+
+        x = modulated(self.ada_attn)
+        h = h + self.attn(x, x)
+        return h + self.mlp(modulated(self.ada_mlp))
+
+
+class EgoTac(nn.Module):
+    def __init__(self, c):
+        super().__init__()
+        from transformers import Dinov2Config, Dinov2Model
+
+        d, norm = c["d"], lambda: nn.LayerNorm(c["d"], eps=1e-6)
+        self.encoder = Dinov2Model(Dinov2Config(
+            hidden_size=c["dv"], num_hidden_layers=c["vision_depth"], num_attention_heads=c["vision_heads"],
+            image_size=c["pretrain"], patch_size=14, layer_norm_eps=1e-6, mlp_ratio=4))
+        self.proj, self.steps = nn.Linear(c["dv"], d), nn.Parameter(torch.randn(c["horizon"], d))
+        self.token, self.attn, self.mlp = nn.Parameter(torch.randn(1, 1, d)), Attention(d, c["heads"]), mlp(d)
+        self.norm_q, self.norm_kv, self.norm_mlp, self.norm_out, self.norm = (norm() for _ in range(5))
+        self.queries = nn.Parameter(torch.randn(c["steps"], d))
+        self.layers = nn.ModuleList(Layer(d, c["heads"]) for _ in range(c["depth"]))
+        self.force, self.contact = nn.Linear(d, 1556), nn.Linear(d, 1556)
+
+    def encode(self, frames):
+        return self.encoder(pixel_values=frames).last_hidden_state
+
+    def decode(self, tokens):
+        kv = self.norm_kv((self.proj(tokens) + self.steps[None, :, None]).flatten(1, 2))
+        h = self.token.expand(len(kv), -1, -1)
+        h = h + self.attn(self.norm_q(h), kv)
+        z = F.silu(self.norm_out(h + self.mlp(self.norm_mlp(h)))[:, 0])
+        h = self.queries[None].expand(len(z), -1, -1)
+        for layer in self.layers:
+            h = layer(h, z)
+        h = self.norm(h)
+        return self.force(h), self.contact(h)
+
+    def forward(self, images):
+        return self.decode(self.encode(images.flatten(0, 1)).unflatten(0, images.shape[:2]))
+
+
+def median_ms(run, runs):
+    times = []
+    for _ in range(runs + 1):
+        begun = time.perf_counter()
+        run()
+        times.append((time.perf_counter() - begun) * 1e3)
+    return sorted(times[1:])[runs // 2]
+
+
+def openvino_encoder_ms(model, frame, threads, runs):
+    import openvino as ov
+
+    class Encoder(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.inner = model
+
+        def forward(self, x):
+            return self.inner.encode(x)
+
+    converted = ov.convert_model(Encoder().eval(), example_input=frame, input=list(frame.shape))
+    request = ov.Core().compile_model(converted, "CPU", {
+        "INFERENCE_PRECISION_HINT": "f32", "INFERENCE_NUM_THREADS": threads, "PERFORMANCE_HINT": "LATENCY",
+    }).create_infer_request()
+    return median_ms(lambda: request.infer({0: frame.numpy()}), runs)
+
+
+def train_step(c, batch, runs):
+    """A whole optimisation step: forward, force and contact loss, backward, clipping, AdamW."""
+    model = EgoTac(c).train()
+    optimiser = torch.optim.AdamW(model.parameters(), 1e-4)
+    images = torch.randn(batch, c["horizon"], 3, c["image"], c["image"])
+    force = torch.rand(batch, c["steps"], 1556)
+    contact = (force > 0.9).float()
+
+    def step():
+        predicted, logits = model(images)
+        loss = F.mse_loss(predicted, force)
+        loss = loss + F.binary_cross_entropy_with_logits(logits, contact, pos_weight=torch.tensor(2.0))
+        optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), 5.0)
+        optimiser.step()
+
+    ms = median_ms(step, runs)
+    return {"step_ms": ms, "windows_per_s": 1e3 * batch / ms}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--preset", default="tiny", choices=PRESETS)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--openvino", action="store_true", help="also time the encoder in OpenVINO")
+    parser.add_argument("--train", action="store_true", help="time a training step in place of all else")
+    parser.add_argument("--batch", type=int, default=4, help="windows of a training step")
+    args = parser.parse_args()
+    torch.set_num_threads(args.threads)
+    c = PRESETS[args.preset]
+    if args.train:
+        print(json.dumps(train_step(c, args.batch, args.runs)))
+        return
+    model = EgoTac(c).eval()
+    frame = torch.randn(1, 3, c["image"], c["image"])
+    clip = frame[None].expand(1, c["horizon"], -1, -1, -1).contiguous()
+    with torch.inference_mode():
+        cache = model.encode(frame)[None].expand(1, c["horizon"], -1, -1).contiguous()
+        streaming = lambda: model.decode(torch.cat([cache[:, 1:], model.encode(frame)[None]], dim=1))
+        out = {
+            "encoder_ms": median_ms(lambda: model.encode(frame), args.runs),
+            "streaming_ms": median_ms(streaming, args.runs),
+            "clip_ms": median_ms(lambda: model(clip), args.runs),
+        }
+        out["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        if args.openvino:
+            out["openvino_encoder_ms"] = openvino_encoder_ms(model, frame, args.threads, args.runs)
+    print(json.dumps(out))
+
+
+if __name__ == "__main__":
+    main()

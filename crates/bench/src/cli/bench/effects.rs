@@ -1,0 +1,44 @@
+//! `egotac bench effects`.
+
+use std::path::PathBuf;
+
+#[cfg(feature = "sim")]
+use super::{load_scenes, show};
+#[cfg(feature = "sim")]
+use crate::effects;
+
+/// Arguments of `egotac bench effects`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Names of scenes (`egotac sim list`), or YAML files; without them, all that are part of the program.
+    scenes: Vec<String>,
+    /// Seed of the episodes.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Width and height of the picture, pixels.
+    #[arg(long, default_value_t = 224, value_parser = clap::value_parser!(u32).range(8..=1024))]
+    size: u32,
+    /// Folder for `effects.md` and `effects.json`.
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+}
+
+/// Runs the subject.
+#[cfg(feature = "sim")]
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let mut words = vec!["egotac bench effects".to_owned()];
+    words.extend(args.scenes.iter().cloned());
+    words.push(format!("--seed {} --size {} --out {}", args.seed, args.size, args.out.display()));
+    let bar = egotac::cli::progress::told_bar();
+    let scenes = load_scenes(&args.scenes)?;
+    let report = effects::measure(words.join(" "), &scenes, args.seed, args.size, |what, done, all| {
+        show(&bar, what, done, all);
+    })?;
+    bar.finish_and_clear();
+    let table = effects::markdown(&report);
+    egotac::file::write(&args.out.join("effects.md"), table.as_bytes())?;
+    egotac::file::write(&args.out.join("effects.json"), serde_json::to_string_pretty(&report)?.as_bytes())?;
+    print!("{table}");
+    println!("wrote {0}/effects.md and {0}/effects.json", args.out.display());
+    Ok(())
+}

@@ -1,0 +1,69 @@
+//! `egotac bench train`.
+
+use std::path::PathBuf;
+
+use anyhow::ensure;
+use egotac::cli::progress;
+use egotac::file;
+use egotac::model::Config;
+
+use crate::train;
+
+/// Arguments of `egotac bench train`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Presets, comma separated.
+    #[arg(long, value_delimiter = ',', default_value = "tiny,small")]
+    preset: Vec<String>,
+    /// Threads.
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..=1024))]
+    threads: u64,
+    /// Timed steps of each form.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    runs: u64,
+    /// Also run this command with --train, --preset, --threads, --runs and --batch, in turn with ours (crates/bench/benches/peer.py
+    /// prints what is expected).
+    #[arg(long, value_name = "COMMAND")]
+    peer: Option<String>,
+    /// Rounds beside the peer.
+    #[arg(long, default_value_t = 3)]
+    rounds: usize,
+    /// Print JSON instead of a table.
+    #[arg(long)]
+    json: bool,
+    /// Folder for train.md and train.json.
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+}
+
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    args.preset.iter().try_for_each(|preset| Config::preset(preset).map(drop))?;
+    ensure!(args.rounds > 0, "--rounds: expected at least 1");
+    rayon::ThreadPoolBuilder::new().num_threads(args.threads as usize).build_global()?;
+    let mut command = format!(
+        "egotac bench train --preset {} --threads {} --runs {}",
+        args.preset.join(","),
+        args.threads,
+        args.runs
+    );
+    if let Some(peer) = &args.peer {
+        command += &format!(" --peer \"{peer}\" --rounds {}", args.rounds);
+    }
+    if let Some(out) = &args.out {
+        command += &format!(" --out {}", out.display());
+    }
+    let bar = progress::told_bar();
+    let peer = args.peer.as_deref().map(|peer| (peer, args.rounds));
+    let report = train::measure(command, &args.preset, args.threads as usize, args.runs as usize, peer, |preset| {
+        bar.set_message(preset.to_owned());
+        bar.inc(1);
+    })?;
+    bar.finish_and_clear();
+    let json = format!("{:#}\n", serde_json::to_value(&report)?);
+    if let Some(out) = &args.out {
+        file::write(&out.join("train.md"), report.markdown().as_bytes())?;
+        file::write(&out.join("train.json"), json.as_bytes())?;
+    }
+    print!("{}", if args.json { json } else { report.markdown() });
+    Ok(())
+}

@@ -1,0 +1,68 @@
+//! Command line of the program `egotac-bench`: the commands `egotac bench` and `egotac experiment`.
+
+mod bench;
+mod experiment;
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Benchmarks and experiments of egotac.
+// Its users type `egotac bench`, so help and errors name it so.
+#[derive(Debug, Parser)]
+#[command(name = "egotac", version = egotac::VERSION, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Measurements that the documentation holds: model, train, label, retarget, sim, effects, hard-cases, guards.
+    Bench(bench::Args),
+    /// Train and compare: ablations, sources, scaling, on rendered data.
+    Experiment(experiment::Args),
+    /// Serve as a worker process of a simulation that this program started.
+    #[command(hide = true, disable_help_flag = true, disable_version_flag = true)]
+    Sim(Passed),
+}
+
+/// Arguments that egotac's own command line reads.
+#[derive(Debug, clap::Args)]
+struct Passed {
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    _arguments: Vec<OsString>,
+}
+
+/// Runs the command line; the exit status is 0 for success, 1 for a failed check or an error, 2 for bad usage.
+pub fn main() -> ExitCode {
+    let command = Cli::parse().command;
+    if let Command::Sim(_) = command {
+        // Workers are started as this same program (`sim_workers`), so both ends are of one build.
+        return egotac::cli::main();
+    }
+    egotac::cli::execute(|| match command {
+        Command::Bench(args) => bench::run(args),
+        Command::Experiment(args) => experiment::run(args),
+        Command::Sim(_) => Ok(ExitCode::SUCCESS),
+    })
+}
+
+/// Returns worker processes that simulate `scenes` (names or files) with pictures of `size` x `size` pixels.
+#[cfg(feature = "sim")]
+fn sim_workers(size: u32, scenes: impl IntoIterator<Item = OsString>) -> anyhow::Result<egotac::sim::Workers> {
+    use anyhow::Context;
+    let program = std::env::current_exe().context("path of this program")?;
+    let arguments = ["sim", "worker", "--size", &size.to_string(), "--"].map(OsString::from);
+    Ok(egotac::sim::Workers { program, arguments: arguments.into_iter().chain(scenes).collect() })
+}
+
+/// Returns the error of a command that needs the feature `sim`.
+#[cfg(not(feature = "sim"))]
+fn feature_off(command: &str) -> anyhow::Error {
+    anyhow::anyhow!(
+        "`egotac {command}` needs the feature `sim`: `make setup`, `. ./env.sh`, \
+         `cargo build --release --features ros,sim -p egotac-bench`"
+    )
+}

@@ -1,0 +1,265 @@
+//! Results of an experiment: scores of every run, and each arm against the first.
+
+use egotac::dataset::tensors::FieldFile;
+use egotac::dataset::zarr;
+use egotac::error::Result;
+use egotac::machine::Machine;
+use egotac::model::checkpoint::parameter_count;
+use egotac::score::metrics::compare::Difference;
+use egotac::score::metrics::{self, Fields, Options};
+use egotac::text::put;
+use egotac::train::Config;
+use egotac::train::data::{Dataset, Labels};
+use serde::Serialize;
+
+use super::data::{Domain, SIDE, Stores};
+use super::{Arm, Experiment, Size, fields_file};
+
+/// Scores in tables and plots: name in a report, name for readers, true if more is better.
+pub const SHOWN: [(&str, &str, bool); 6] = [
+    ("pooled.f1", "contact F1", true),
+    ("pooled.iou", "contact IoU", true),
+    ("pooled.auroc", "AUROC", true),
+    ("active_mae", "active MAE (N)", false),
+    ("temporal_pearson", "temporal Pearson", true),
+    ("force_cosine", "force cosine", true),
+];
+
+/// Results of an experiment.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// Name of the experiment.
+    pub experiment: &'static str,
+    /// Question of the experiment.
+    pub question: &'static str,
+    /// The command that measures the same again.
+    pub command: String,
+    /// Version of egotac.
+    pub egotac: &'static str,
+    /// The machine that it ran on.
+    pub machine: Machine,
+    /// Size of the experiment.
+    pub size: Size,
+    /// Side of the input, pixels.
+    pub image: u32,
+    /// Parameters of the network.
+    pub parameters: usize,
+    /// Held-out frames in and out of the domain.
+    pub held_out_frames: [usize; 2],
+    /// Results of the arms; the others are compared with the first.
+    pub arms: Vec<ArmReport>,
+}
+
+/// Results of one arm.
+#[derive(Debug, Clone, Serialize)]
+pub struct ArmReport {
+    /// Name of the arm.
+    pub name: &'static str,
+    /// Difference from the usual run, in words.
+    pub about: &'static str,
+    /// Training frames.
+    pub training_frames: usize,
+    /// Minutes of training, by seed.
+    pub minutes: Vec<f64>,
+    /// Scores in the domain.
+    pub in_domain: DomainReport,
+    /// Scores out of the domain.
+    pub out_of_domain: DomainReport,
+}
+
+/// Scores in one domain.
+#[derive(Debug, Clone, Serialize)]
+pub struct DomainReport {
+    /// Scores of each seed.
+    pub seeds: Vec<metrics::Report>,
+    /// Differences from the first arm over all seeds, with 95 % intervals by resampling the same episodes for both.
+    pub against_first: Vec<Difference>,
+}
+
+impl ArmReport {
+    /// Returns the scores in a domain.
+    pub fn domain(&self, domain: Domain) -> &DomainReport {
+        match domain {
+            Domain::InDomain => &self.in_domain,
+            Domain::OutOfDomain => &self.out_of_domain,
+        }
+    }
+}
+
+impl DomainReport {
+    /// Returns a score of [`SHOWN`] for each seed.
+    pub fn score(&self, name: &str) -> Vec<Option<f64>> {
+        let of = |report: &metrics::Metrics| match name {
+            "pooled.f1" => report.pooled.f1,
+            "pooled.iou" => report.pooled.iou,
+            "pooled.auroc" => report.pooled.auroc,
+            "active_mae" => report.active_mae,
+            "temporal_pearson" => report.temporal_pearson,
+            _ => report.force_cosine,
+        };
+        self.seeds.iter().map(of).collect()
+    }
+}
+
+/// Scores the predictions of all runs.
+pub(super) fn make(
+    experiment: &Experiment,
+    size: &Size,
+    stores: &Stores,
+    runs: &[(&Arm, u64, &Config)],
+    command: String,
+) -> Result<Report> {
+    let mut truths = Vec::new();
+    for domain in Domain::ALL {
+        truths.push(truth(stores, domain)?);
+    }
+    let mut arms = Vec::new();
+    for arm in &experiment.arms {
+        let own = runs_of(runs, arm);
+        let first = runs_of(runs, &experiment.arms[0]);
+        let mut domains = Vec::new();
+        for (domain, truth) in Domain::ALL.into_iter().zip(&truths) {
+            domains.push(score(&own, &first, domain, truth)?);
+        }
+        let minutes = own.iter().map(|config| minutes(config)).collect();
+        let training_frames = own.first().map_or(Ok(0), |config| frames(config))?;
+        if let (Some(out_of_domain), Some(in_domain)) = (domains.pop(), domains.pop()) {
+            let (name, about) = (arm.name, arm.about);
+            arms.push(ArmReport { name, about, training_frames, minutes, in_domain, out_of_domain });
+        }
+    }
+    Ok(Report {
+        experiment: experiment.name,
+        question: experiment.question,
+        command,
+        egotac: egotac::VERSION,
+        machine: Machine::this(),
+        size: size.clone(),
+        image: SIDE,
+        parameters: parameter_count(&super::geometry())?,
+        held_out_frames: [truths[0].n_frames(), truths[1].n_frames()],
+        arms,
+    })
+}
+
+fn runs_of<'a>(runs: &[(&Arm, u64, &'a Config)], arm: &Arm) -> Vec<&'a Config> {
+    runs.iter().filter(|(of, ..)| of.name == arm.name).map(|(_, _, config)| *config).collect()
+}
+
+fn truth(stores: &Stores, domain: Domain) -> Result<Labels> {
+    let preparation = egotac::model::Metadata::new("truth", 1.0, 0.1).preparation(&super::geometry());
+    Dataset::new(zarr::open_all(stores.held_out(domain))?, preparation, false)?.labels()
+}
+
+fn score(own: &[&Config], first: &[&Config], domain: Domain, truth: &TactileSequence) -> Result<DomainReport> {
+    let read = |runs: &[&Config]| -> Result<Vec<TactileSequence>> {
+        runs.iter().map(|config| tensors::read(&fields_file(config, domain))).collect()
+    };
+    let predicted = read(own)?;
+    let options = EvalOptions { fps: truth.fps(), calibration: None };
+    let seeds = predicted.iter().map(|sequence| metrics::evaluate(sequence, truth, &options));
+    let seeds = seeds.collect::<Result<Vec<_>>>()?;
+    // The seeds are concatenated, and the truth is repeated for each.
+    let together = |all: &[Fields]| Fields {
+        force: all.iter().flat_map(|fields| fields.force.iter().copied()).collect(),
+        contact: all.iter().flat_map(|fields| fields.contact.iter().copied()).collect(),
+    };
+    let (n, frames) = (predicted.len(), truth.fields.n_frames());
+    let repeated = Options {
+        mask_force: truth.mask_force.repeat(n),
+        mask_contact: truth.mask_contact.repeat(n),
+        episode_ends: (0..n).flat_map(|k| truth.episode_ends.iter().map(move |end| k * frames + end)).collect(),
+        ..options
+    };
+    let truth = together(&vec![truth.fields.clone(); n]);
+    let comparison = metrics::compare(&together(&predicted), &together(&read(first)?), &truth, &repeated, 0)?;
+    Ok(DomainReport { seeds, against_first: comparison.differences })
+}
+
+/// Counts the training frames of a run.
+fn frames(config: &Config) -> Result<usize> {
+    let paths: Vec<_> = config.data.iter().flat_map(|source| source.stores.clone()).collect();
+    Ok(zarr::open_all(&paths)?.iter().map(zarr::ZarrReader::len).sum())
+}
+
+/// Returns the minutes of all steps in a run's log.
+fn minutes(config: &Config) -> f64 {
+    let text = std::fs::read_to_string(config.out.join("log.csv")).unwrap_or_default();
+    let mut lines = text.lines();
+    let column = lines.next().and_then(|line| line.split(',').position(|name| name == "secs"));
+    let secs = lines.filter_map(|line| line.split(',').nth(column?)?.parse::<f64>().ok());
+    secs.sum::<f64>() / 60.0
+}
+
+impl Report {
+    /// Returns the report as Markdown.
+    pub fn markdown(&self) -> String {
+        let Size { episodes, held_out, encoder_steps, steps, seeds } = self.size;
+        let mut text = format!(
+            "# {}\n\n{} Written by `{}`, egotac {}, {}. Numbers: `{}.json`.\n\n\
+             {seeds} seeds; {steps} steps of up to 30 windows; {episodes} episodes of each training scene, {held_out} held-out ones \
+             of each scene; {} px, {} parameters.\nThe encoder has learned in {encoder_steps} steps to find the hands' keypoints in the \
+             training pictures, without a word of touch; all else starts\nat random. A score is the mean over seeds with the least and the most; \
+             in the column *against `{}`* the difference of F1\nwith its 95 % interval (episodes of all seeds drawn anew, the same \
+             for both arms).\n",
+            self.experiment,
+            self.question,
+            self.command,
+            self.egotac,
+            self.machine,
+            self.experiment,
+            self.image,
+            self.parameters,
+            self.arms.first().map_or("", |arm| arm.name),
+        );
+        for (domain, frames) in Domain::ALL.into_iter().zip(self.held_out_frames) {
+            let title = match domain {
+                Domain::InDomain => "In the domain: unseen seeds of the training scenes",
+                Domain::OutOfDomain => "Out of the domain: unseen scenes, objects and camera",
+            };
+            let names: Vec<&str> = SHOWN.iter().map(|(_, name, _)| *name).collect();
+            put(&mut text, format_args!("\n## {title} ({frames} frames)\n"));
+            put(
+                &mut text,
+                format_args!(
+                    "| arm | what is other | training frames | {} | F1 against `{}` |",
+                    names.join(" | "),
+                    self.arms.first().map_or("", |arm| arm.name)
+                ),
+            );
+            put(&mut text, format_args!("|---|---|---|{}---|", "---|".repeat(SHOWN.len())));
+            for arm in &self.arms {
+                let scores: Vec<String> =
+                    SHOWN.iter().map(|(name, ..)| spread(&arm.domain(domain).score(name))).collect();
+                let difference = arm.domain(domain).against_first.iter().find(|d| d.name == "pooled.f1");
+                let against = match difference.and_then(|d| Some((d.difference?, d.interval?))) {
+                    Some((difference, [low, high])) if arm.name != self.arms[0].name => {
+                        format!("{difference:+.3} ({low:+.3} .. {high:+.3})")
+                    }
+                    _ => "—".into(),
+                };
+                put(
+                    &mut text,
+                    format_args!(
+                        "| {} | {} | {} | {} | {against} |",
+                        arm.name,
+                        arm.about,
+                        arm.training_frames,
+                        scores.join(" | ")
+                    ),
+                );
+            }
+        }
+        text
+    }
+}
+
+/// Formats mean (least..most); a dash if a seed leaves the score undefined.
+fn spread(values: &[Option<f64>]) -> String {
+    let Some(values) = values.iter().copied().collect::<Option<Vec<f64>>>().filter(|values| !values.is_empty()) else {
+        return "—".into();
+    };
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
+    format!("{mean:.3} ({low:.3}..{high:.3})")
+}

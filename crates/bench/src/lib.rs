@@ -1,0 +1,28 @@
+//! Benchmarks, hard cases and experiments: the library behind the program `egotac-bench`, which `egotac bench` and
+//! `egotac experiment` run.
+//!
+//! | module | measures |
+//! |---|---|
+//! | [`model`], [`train`] | time and memory of the network and of a training step, beside PyTorch and OpenVINO |
+//! | [`label`] | time that `egotac label` spends outside the network |
+//! | `sim`, `effects`, `guards` | accuracy, effects and guards of the simulation against their cost |
+//! | `retarget` | accuracy and time of retargeting, beside other programs |
+//! | [`hard_cases`] | inputs that go wrong, the guards that report them, and their remedies |
+//! | [`experiment`] | several trainings, compared |
+
+pub mod cli;
+#[cfg(feature = "sim")]
+pub mod effects;
+pub mod experiment;
+mod front;
+#[cfg(feature = "sim")]
+pub mod guards;
+pub mod hard_cases;
+pub mod label;
+pub mod model;
+pub mod peer;
+#[cfg(feature = "sim")]
+pub mod retarget;
+#[cfg(feature = "sim")]
+pub mod sim;
+pub mod train;

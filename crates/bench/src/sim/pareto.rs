@@ -1,0 +1,143 @@
+//! Plot of `egotac bench sim`: error against cost, with the recommended preset marked.
+
+use std::path::Path;
+
+use egotac::error::Result;
+use egotac::render::figure::{self, Drawn, Figure};
+use egotac::render::font::FAMILY;
+use egotac::render::plot::{self, ACCENT, PALETTE};
+use plotters::coord::Shift;
+use plotters::prelude::*;
+
+use super::knob::Knob;
+use super::table::{Entry, Report};
+use crate::front::front;
+
+/// Smallest relative error that is drawn; smaller ones are drawn at it.
+const FLOOR: f64 = 1e-5;
+/// Knobs whose settings are drawn beside the presets.
+const KNOBS: [Knob; 6] = [Knob::Timestep, Knob::Cone, Knob::Iterations, Knob::Integrator, Knob::Impratio, Knob::Hull];
+
+type ErrorOf = fn(&Entry) -> Option<f64>;
+
+/// A setting in the plot.
+struct Point {
+    knob: String,
+    setting: String,
+    /// Computation per simulated second, ms.
+    cost: f64,
+    /// Relative force error.
+    error: f64,
+}
+
+/// Titles of the two panels and their errors.
+const PANELS: [(&str, ErrorOf); 2] = [
+    ("against the same model at 0.1 ms", |entry| entry.same.force),
+    ("against elliptic, impratio 100, 0.05 ms", |entry| entry.model.force),
+];
+
+/// Writes `sim.png` and `sim.svg` into `folder`; false if no setting has both a cost and an error, because no hand presses
+/// in the scenes.
+///
+/// # Errors
+/// If a file can't be written.
+pub fn write(folder: &Path, report: &Report) -> Result<bool> {
+    if PANELS.iter().any(|(_, error)| points(report, *error).is_empty()) {
+        return Ok(false);
+    }
+    figure::write(folder, "sim", report)?;
+    Ok(true)
+}
+
+impl Figure for Report {
+    const SIZE: (u32, u32) = (1400, 640);
+
+    fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
+    where
+        B::ErrorType: 'static,
+    {
+        root.fill(&WHITE)?;
+        let panels = root.split_evenly((1, 2));
+        for (panel, (title, error)) in panels.iter().zip(PANELS) {
+            draw_panel(panel, title, &self.shared_scenes().join(", "), &points(self, error), self.recommended.name())?;
+        }
+        root.present()?;
+        Ok(())
+    }
+}
+
+/// Returns the settings as the worst of the scenes in which all were measured: single knobs have fewer scenes than presets.
+fn points(report: &Report, error: ErrorOf) -> Vec<Point> {
+    let shared = report.shared_scenes();
+    let point = |row: &super::table::Row| {
+        let worst = row.worst_of(|scene| shared.contains(&scene));
+        let (cost, error) = (worst.ms_per_second?, error(&worst)?);
+        Some(Point { knob: row.knob.clone(), setting: row.setting.clone(), cost, error: error.max(FLOOR) })
+    };
+    let physics = report.rows.iter().filter(|row| row.knob != Knob::Label.name());
+    let mut points: Vec<Point> = physics.filter_map(point).collect();
+    // Settings that equal the recommended preset, or have no effect, would hide its mark.
+    let same = |a: &Point, b: &Point| a.error == b.error && (a.cost / b.cost - 1.0).abs() < 0.05;
+    let is_preset = |point: &Point| point.knob == Knob::Preset.name();
+    if let Some(at) = points.iter().position(|p| is_preset(p) && p.setting == report.recommended.name()) {
+        let recommended = points.swap_remove(at);
+        points.retain(|point| is_preset(point) || !same(point, &recommended));
+        points.push(recommended);
+    }
+    points
+}
+
+fn draw_panel<B: DrawingBackend>(
+    area: &DrawingArea<B, Shift>,
+    title: &str,
+    scenes: &str,
+    points: &[Point],
+    marked: &str,
+) -> Drawn<()>
+where
+    B::ErrorType: 'static,
+{
+    let (least, most) =
+        points.iter().fold((f64::INFINITY, 0.0f64), |(low, high), p| (low.min(p.cost), high.max(p.cost)));
+    // A logarithmic axis without bounds would have endless ticks.
+    if !(least > 0.0 && least <= most && most.is_finite()) {
+        return Err("no setting has both a cost and an error".into());
+    }
+    let mut chart = plot::chart(area, &format!("Force error {title}"), [48, 72])
+        .build_cartesian_2d((0.6 * least..2.5 * most).log_scale(), (0.7 * FLOOR..2.0).log_scale())?;
+    plot::axes(
+        &mut chart,
+        (&format!("milliseconds per simulated second (worst of {scenes})"), &|x| format!("{x}")),
+        ("error of quasi-static forces (worst scene)", &|y| format!("{} %", (100.0 * y * 1e6).round() / 1e6)),
+    )?;
+    let front = front(points.iter().map(|point| (point.cost, point.error)));
+    chart.draw_series(LineSeries::new(front, plot::front_line()))?;
+    // The accent is the recommended preset's alone.
+    for (knob, color) in KNOBS.into_iter().zip(PALETTE.into_iter().filter(|color| *color != ACCENT)) {
+        let own: Vec<&Point> = points.iter().filter(|point| point.knob == knob.name()).collect();
+        if own.is_empty() {
+            continue;
+        }
+        chart
+            .draw_series(own.iter().map(|p| Circle::new((p.cost, p.error), 4, color.filled())))?
+            .label(knob.name())
+            .legend(plot::dot_key(color, 4));
+        let label = |p: &&Point| {
+            EmptyElement::at((p.cost, p.error))
+                + Text::new(p.setting.clone(), (7, -12), TextStyle::from((FAMILY, 12)).color(&color))
+        };
+        chart.draw_series(own.iter().map(label))?;
+    }
+    for point in points.iter().filter(|point| point.knob == Knob::Preset.name()) {
+        let is_marked = point.setting == marked;
+        let (color, size) = if is_marked { (ACCENT, 9) } else { (BLACK, 6) };
+        let name = if is_marked { format!("{} (recommended)", point.setting) } else { point.setting.clone() };
+        chart.draw_series([EmptyElement::at((point.cost, point.error))
+            + Circle::new((0, 0), size, color.stroke_width(3))
+            + Text::new(name, (9, 6), TextStyle::from((FAMILY, 17)).color(&color))])?;
+    }
+    if KNOBS.iter().any(|knob| points.iter().any(|point| point.knob == knob.name())) {
+        plot::legend(&mut chart, SeriesLabelPosition::UpperRight)?;
+    }
+    Ok(())
+}

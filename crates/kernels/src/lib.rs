@@ -1,0 +1,36 @@
+//! CPU kernels of egotac.
+//!
+//! | module | contents |
+//! |---|---|
+//! | [`ops`] | operations on candle tensors with their gradients, for training and as the reference of inference |
+//! | [`packed`], [`norm`], [`attention`] | layers laid out once for inference, on slices |
+//! | [`quantise`], [`rows`] | their inputs: rows of f32, and the same rows in 8 bits |
+//! | [`team`] | threads that share the many short steps of one inference |
+//! | [`simd`] | loops compiled for the widest vectors of the processor at hand |
+//!
+//! From the bottom of the inference side: `tile` and `tile8` multiply a few rows by a panel of weights in registers,
+//! `packed` cuts a layer into such tiles and distributes them over a `team`. The network itself (which layer follows
+//! which) is not known here.
+//!
+//! # Unsafe code
+//!
+//! All of it lies in the modules marked below. Everything public is safe to call: sizes are checked against slices
+//! before a pointer is formed from them.
+
+#[allow(unsafe_code)] // plain numbers seen as bytes of cache lines, and back
+mod aligned;
+#[allow(unsafe_code)] // tiles that write disjoint parts of one result
+pub mod attention;
+pub mod norm;
+pub mod ops;
+#[allow(unsafe_code)] // tiles that write disjoint parts of one result
+pub mod packed;
+pub mod quantise;
+pub mod rows;
+pub mod simd;
+#[allow(unsafe_code)] // a borrowed task and disjoint parts of one slice, shared between threads
+pub mod team;
+#[allow(unsafe_code)] // vector instructions and pointers into panels
+mod tile;
+#[allow(unsafe_code)] // vector instructions and pointers into panels
+mod tile8;

@@ -1,0 +1,132 @@
+//! Linear layer with bias.
+
+use candle_core::{Result, Shape, Tensor, bail};
+use rayon::prelude::*;
+
+use super::cpu::{self, Operand, Operation};
+use super::matrix::{Mat, MatMut, Onto, Threads, multiply};
+use crate::simd;
+
+/// Largest number of rows for which reading the weights once per row is faster than packing them for a matrix product.
+const FEW_ROWS: usize = 2;
+/// Weights that one task reads for few rows: 128 KiB, far more work than a task costs.
+const WEIGHTS_PER_TASK: usize = 32_768;
+
+/// `x Wᵀ + b`. `x`: `(.., k)`, `weight`: `(n, k)`, `bias`: `(n)`.
+struct Linear;
+
+/// See [`super::linear`].
+pub fn linear(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
+    cpu::apply(Linear, [x, weight, bias])
+}
+
+impl Operation for Linear {
+    const NAME: &'static str = "linear";
+
+    fn forward(&self, operands: [Operand; 3]) -> Result<(Vec<f32>, Shape)> {
+        let shape = shape(operands)?;
+        let [x, weight, bias] = operands;
+        Ok((forward(x.values, weight.values, bias.values, weight.dims()[1]), shape))
+    }
+
+    fn backward(&self, [x, weight, bias]: [&Tensor; 3], _: &Tensor, grad: &Tensor) -> Result<[Option<Tensor>; 3]> {
+        cpu::with_slice(grad, |grad| {
+            let dx = match x.track_op() {
+                true => Some(cpu::with_slice(weight, |weight| cpu::tensor_like(input_gradient(grad, weight, x)?, x))?),
+                false => None,
+            };
+            let [dweight, dbias] = cpu::with_slice(x, |x| parameter_gradients(x, weight, bias, grad))?;
+            Ok([dx, dweight, dbias])
+        })
+    }
+}
+
+/// Returns the shape of the result of [`super::linear`] for x, weight and bias.
+///
+/// # Errors
+/// If their shapes don't fit each other.
+pub fn shape([x, weight, bias]: [Operand; 3]) -> Result<Shape> {
+    let (n, k) = weight.layout.shape().dims2()?;
+    let mut dims = x.dims().to_vec();
+    match dims.last_mut() {
+        Some(last) if *last == k && bias.dims() == [n] => *last = n,
+        _ => bail!("linear: x {dims:?}, weight [{n}, {k}], bias {:?}", bias.dims()),
+    }
+    Ok(Shape::from(dims))
+}
+
+/// Applies the layer to rows of `k` values.
+pub fn forward(x: &[f32], weight: &[f32], bias: &[f32], k: usize) -> Vec<f32> {
+    let rows = x.len() / k.max(1);
+    if rows <= FEW_ROWS { few_rows(x, weight, bias) } else { many_rows(x, weight, bias, rows) }
+}
+
+/// Returns the gradient of the input: that of the output times the weights `(n, k)`.
+pub fn input_gradient(grad: &[f32], weight: &[f32], x: &Tensor) -> Result<Vec<f32>> {
+    let k = x.layout().shape().dims().last().copied().unwrap_or(1).max(1);
+    let (rows, n) = (x.elem_count() / k, weight.len() / k);
+    Ok(product(rows, k, Mat::new(grad, rows, n, n), Mat::new(weight, n, k, k)))
+}
+
+/// Returns the gradients of weight and bias; `None` for one that is not a variable.
+pub fn parameter_gradients(x: &[f32], weight: &Tensor, bias: &Tensor, grad: &[f32]) -> Result<[Option<Tensor>; 2]> {
+    let (n, k) = weight.dims2()?;
+    let rows = x.len() / k.max(1);
+    let dweight = weight
+        .track_op()
+        .then(|| cpu::tensor_like(product(n, k, Mat::new(grad, rows, n, n).t(), Mat::new(x, rows, k, k)), weight));
+    let dbias = bias.track_op().then(|| {
+        let [sum] = cpu::sum_rows(rows, n, |rows, [sum]| {
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    for row in grad[rows.start * n..rows.end * n].chunks_exact(n) {
+                        cpu::add(sum, row);
+                    }
+                },
+            )
+        });
+        cpu::tensor_like(sum, bias)
+    });
+    Ok([dweight.transpose()?, dbias.transpose()?])
+}
+
+/// Returns a matrix product, computed on all threads.
+fn product(rows: usize, cols: usize, lhs: Mat, rhs: Mat) -> Vec<f32> {
+    let mut out = cpu::filled(rows * cols, cpu::CHUNK, |_, _| {});
+    multiply(MatMut::new(&mut out, rows, cols, cols), Onto::Nothing, 1.0, lhs, rhs, Threads::All);
+    out
+}
+
+/// Writes the bias into every row, and adds one matrix product.
+fn many_rows(x: &[f32], weight: &[f32], bias: &[f32], rows: usize) -> Vec<f32> {
+    let (n, k) = (bias.len(), x.len() / rows);
+    let mut out = cpu::filled(rows * n, cpu::ROWS * n, |_, out| {
+        out.chunks_exact_mut(n).for_each(|row| row.copy_from_slice(bias));
+    });
+    let (lhs, rhs) = (Mat::new(x, rows, k, k), Mat::new(weight, n, k, k).t());
+    multiply(MatMut::new(&mut out, rows, n, n), Onto::Existing, 1.0, lhs, rhs, Threads::All);
+    out
+}
+
+/// Computes one scalar product per output.
+fn few_rows(x: &[f32], weight: &[f32], bias: &[f32]) -> Vec<f32> {
+    let n = bias.len();
+    let k = weight.len() / n.max(1);
+    let mut out = vec![0.0; x.len() / k.max(1) * n];
+    let outputs = (WEIGHTS_PER_TASK / k.max(1)).max(1);
+    for (x, out) in x.chunks_exact(k.max(1)).zip(out.chunks_exact_mut(n.max(1))) {
+        let tasks = out.par_chunks_mut(outputs).zip(weight.par_chunks(outputs * k)).zip(bias.par_chunks(outputs));
+        tasks.for_each(|((out, weight), bias)| {
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    for ((out, row), bias) in out.iter_mut().zip(weight.chunks_exact(k)).zip(bias) {
+                        *out = simd::dot(x, row) + bias;
+                    }
+                },
+            )
+        });
+    }
+    out
+}

@@ -1,0 +1,294 @@
+//! The innermost product in floating point: a few rows times a panel of columns, in registers.
+
+use crate::aligned::Number;
+use crate::simd;
+
+/// Rows of most tiles. With three vectors of columns the sums take 24 of the 32 registers of AVX-512; three more hold a
+/// line of the panel and one the broadcast value of `a`.
+const ROWS: usize = 8;
+/// Rows of the largest tile. A frame has a multiple of 8 patches and one CLS token: in a tile of its own that token would
+/// leave most registers idle, and each multiply-add would wait for the one before.
+pub const MOST_ROWS: usize = ROWS + 1;
+/// Tiles of one task, one below the other: they share the panel, which stays in the L1 or L2 cache between them.
+pub const TILES_PER_TASK: usize = 4;
+/// f32 values in a vector of AVX-512.
+pub const LANES: usize = 16;
+/// Vectors of columns in the widest panel; see [`ROWS`].
+pub const VECTORS: usize = 3;
+
+/// `out = a b + bias (+ out)` for one tile.
+///
+/// `a`: rows of `k` values. `b`: a panel, which holds for each of the `k` inputs one line with the weights of all its
+/// columns. A tile reads its panel from start to end, so the prefetcher keeps up.
+#[derive(Debug, Clone, Copy)]
+pub struct Tile<E> {
+    /// First value of the first row.
+    pub a: *const f32,
+    /// Values from one row of `a` to the next.
+    pub lda: usize,
+    /// The panel.
+    pub b: *const E,
+    /// Lines of the panel.
+    pub k: usize,
+    /// Bias of each column; null for none.
+    pub bias: *const f32,
+    /// First value of the first row of the result.
+    pub out: *mut f32,
+    /// Values from one row of the result to the next.
+    pub ldc: usize,
+    /// Columns of the result; the panel is padded to whole vectors.
+    pub cols: usize,
+    /// True to add to the result instead of replacing it.
+    pub add: bool,
+}
+
+/// Number of tiles that `rows` rows are split into.
+pub fn count(rows: usize) -> usize {
+    match rows % ROWS {
+        1 if rows > ROWS => rows / ROWS,
+        _ => rows.div_ceil(ROWS),
+    }
+}
+
+/// Returns first row and number of rows of each tile of a task, with `rows` rows in all. Tiles differ by at most one row.
+pub fn of_task(task: usize, rows: usize) -> impl Iterator<Item = (usize, usize)> {
+    let count = count(rows);
+    let first = task * TILES_PER_TASK;
+    (first..count.min(first + TILES_PER_TASK)).map(move |i| {
+        let (start, end) = (i * rows / count, (i + 1) * rows / count);
+        (start, end - start)
+    })
+}
+
+/// A stored weight that is converted to f32 when it is used.
+pub trait Weight: Number {
+    /// The weight as f32.
+    fn value(self) -> f32;
+
+    /// Loads 16 weights as f32.
+    ///
+    /// # Safety
+    /// 16 weights can be read from `at`, and the processor has AVX-512 F.
+    #[cfg(target_arch = "x86_64")]
+    unsafe fn load(at: *const Self) -> std::arch::x86_64::__m512;
+}
+
+impl Weight for f32 {
+    #[inline(always)]
+    fn value(self) -> f32 {
+        self
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline]
+    #[target_feature(enable = "avx512f")]
+    unsafe fn load(at: *const Self) -> std::arch::x86_64::__m512 {
+        // SAFETY: the caller guarantees 16 readable values and the feature; the load needs no alignment.
+        unsafe { std::arch::x86_64::_mm512_loadu_ps(at) }
+    }
+}
+
+/// bf16: the upper half of an f32.
+impl Weight for u16 {
+    #[inline(always)]
+    fn value(self) -> f32 {
+        f32::from_bits(u32::from(self) << 16)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline]
+    #[target_feature(enable = "avx512f")]
+    unsafe fn load(at: *const Self) -> std::arch::x86_64::__m512 {
+        use std::arch::x86_64::{_mm256_loadu_si256, _mm512_castsi512_ps, _mm512_cvtepu16_epi32, _mm512_slli_epi32};
+        // SAFETY: the caller guarantees 16 readable weights, 32 bytes, and the feature; the load needs no alignment.
+        let half = unsafe { _mm256_loadu_si256(at.cast()) };
+        _mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_cvtepu16_epi32(half)))
+    }
+}
+
+/// Computes a tile of `rows` rows and `vectors` vectors of columns, with the widest vectors of the processor.
+///
+/// # Safety
+/// - `rows` is 1 to [`MOST_ROWS`], `vectors` 1 to [`VECTORS`], `cols` at most 16 `vectors`;
+/// - `rows` rows of `k` values can be read from `a`, `k` x 16 `vectors` weights from `b`, `cols` values from a bias that is
+///   not null;
+/// - `rows` rows of `cols` values of `out` can be read and written, and no other thread uses them during the call.
+pub unsafe fn compute<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx512f") {
+        macro_rules! table {
+            ($($r:literal)*) => {
+                match (rows, vectors) {
+                    // SAFETY: AVX-512 F was detected above; sizes and pointers are as the caller guarantees.
+                    $(
+                        ($r, 1) => unsafe { avx512::<E, $r, 1>(tile) },
+                        ($r, 2) => unsafe { avx512::<E, $r, 2>(tile) },
+                        ($r, 3) => unsafe { avx512::<E, $r, 3>(tile) },
+                    )*
+                    _ => unreachable!("a tile of {rows} rows and {vectors} vectors"),
+                }
+            };
+        }
+        return table!(1 2 3 4 5 6 7 8 9);
+    }
+    // SAFETY: sizes and pointers are as the caller guarantees.
+    unsafe { portable(tile, rows, vectors) }
+}
+
+/// The tile in AVX-512: `R` x `V` sums stay in registers while the panel passes once.
+///
+/// # Safety
+/// As [`compute`] with `R` rows and `V` vectors; the processor has AVX-512 F.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f")]
+unsafe fn avx512<E: Weight, const R: usize, const V: usize>(tile: &Tile<E>) {
+    use std::arch::x86_64::{
+        _mm512_add_ps, _mm512_fmadd_ps, _mm512_mask_storeu_ps, _mm512_maskz_loadu_ps, _mm512_set1_ps, _mm512_setzero_ps,
+    };
+    let Tile { a, lda, b, k, bias, out, ldc, cols, add } = *tile;
+    let mut sums = [[_mm512_setzero_ps(); V]; R];
+    for i in 0..k {
+        let mut line = [_mm512_setzero_ps(); V];
+        for (v, vector) in line.iter_mut().enumerate() {
+            // SAFETY: line i < k of the panel, vector v < V: inside the k x V vectors that the caller guarantees.
+            *vector = unsafe { E::load(b.add((i * V + v) * LANES)) };
+        }
+        for (r, sums) in sums.iter_mut().enumerate() {
+            // SAFETY: value i < k of row r < R, which the caller guarantees.
+            let value = _mm512_set1_ps(unsafe { *a.add(r * lda + i) });
+            for (sum, vector) in sums.iter_mut().zip(line) {
+                *sum = _mm512_fmadd_ps(value, vector, *sum);
+            }
+        }
+    }
+    for v in 0..V {
+        let there = cols.saturating_sub(v * LANES).min(LANES);
+        let mask = ((1u32 << there) - 1) as u16;
+        let bias = match bias.is_null() {
+            true => _mm512_setzero_ps(),
+            // SAFETY: the mask admits only columns below `cols`, which the caller guarantees of the bias.
+            false => unsafe { _mm512_maskz_loadu_ps(mask, bias.wrapping_add(v * LANES)) },
+        };
+        for (r, sums) in sums.iter().enumerate() {
+            let at = out.wrapping_add(r * ldc + v * LANES);
+            let mut sum = _mm512_add_ps(sums[v], bias);
+            if add {
+                // SAFETY: the mask admits only columns below `cols` of row r, which the caller guarantees of `out`.
+                sum = _mm512_add_ps(sum, unsafe { _mm512_maskz_loadu_ps(mask, at) });
+            }
+            // SAFETY: as for the load from `out`; nothing else uses these values, as the caller guarantees.
+            unsafe { _mm512_mask_storeu_ps(at, mask, sum) };
+        }
+    }
+}
+
+/// As [`compute`], in plain Rust.
+///
+/// # Safety
+/// As [`compute`].
+unsafe fn portable<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
+    let Tile { a, lda, b, k, bias, out, ldc, cols, add } = *tile;
+    // SAFETY of the five blocks: the caller guarantees k x 16 `vectors` weights, `cols` biases unless null, and for each
+    // row r < `rows` k values of `a` and `cols` values of `out` that nothing else uses. The rows of `out` are formed one
+    // at a time, so no two slices of it exist together.
+    let panel = unsafe { std::slice::from_raw_parts(b, k * vectors * LANES) };
+    let bias = (!bias.is_null()).then(|| unsafe { std::slice::from_raw_parts(bias, cols) });
+    for r in 0..rows {
+        let row = unsafe { std::slice::from_raw_parts(a.add(r * lda), k) };
+        let out = unsafe { std::slice::from_raw_parts_mut(out.add(r * ldc), cols) };
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                let mut sums = [0.0f32; VECTORS * LANES];
+                for (value, line) in row.iter().zip(panel.chunks_exact(vectors * LANES)) {
+                    for (sum, weight) in sums.iter_mut().zip(line) {
+                        *sum = value.mul_add(weight.value(), *sum);
+                    }
+                }
+                for (i, (out, sum)) in out.iter_mut().zip(sums).enumerate() {
+                    let sum = sum + bias.map_or(0.0, |bias| bias[i]);
+                    *out = if add { *out + sum } else { sum };
+                }
+            },
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_cover_all_rows_once_and_none_has_a_single_row() {
+        for rows in 1..2000 {
+            let tasks = count(rows).div_ceil(TILES_PER_TASK);
+            let tiles: Vec<_> = (0..tasks).flat_map(|task| of_task(task, rows)).collect();
+            assert_eq!(tiles.len(), count(rows));
+            let mut next = 0;
+            for (first, size) in tiles {
+                assert_eq!(first, next, "{rows}");
+                assert!((rows.min(4)..=MOST_ROWS).contains(&size), "{rows}: {size}");
+                next += size;
+            }
+            assert_eq!(next, rows);
+        }
+    }
+
+    #[test]
+    fn both_forms_give_the_product_in_f64_for_every_size() {
+        let value = |i: usize| ((i * 7919 % 1013) as f32 / 1013.0) - 0.5;
+        let (k, lda) = (21, 25);
+        let a: Vec<f32> = (0..MOST_ROWS * lda).map(value).collect();
+        for (rows, vectors, cols) in [(1, 1, 3), (2, 2, 32), (5, 3, 33), (8, 3, 48), (8, 2, 17), (7, 1, 16), (9, 3, 40)]
+        {
+            let width = vectors * LANES;
+            let b: Vec<f32> = (0..k * width).map(|i| value(i + 5)).collect();
+            let half: Vec<u16> = b.iter().map(|b| half::bf16::from_f32(*b).to_bits()).collect();
+            let bias: Vec<f32> = (0..cols).map(|i| value(i + 99)).collect();
+            let ldc = cols + 2;
+            for (add, portable_form, bf16) in [
+                (false, false, false),
+                (true, false, false),
+                (true, true, false),
+                (false, false, true),
+                (false, true, true),
+            ] {
+                let mut out = vec![1.0f32; rows * ldc];
+                let base = Tile {
+                    a: a.as_ptr(),
+                    lda,
+                    b: b.as_ptr(),
+                    k,
+                    bias: bias.as_ptr(),
+                    out: out.as_mut_ptr(),
+                    ldc,
+                    cols,
+                    add,
+                };
+                let with_half =
+                    Tile { b: half.as_ptr(), a: base.a, lda, k, bias: base.bias, out: base.out, ldc, cols, add };
+                // SAFETY: the slices have the sizes that the tile states, and this thread alone uses `out`.
+                unsafe {
+                    match (portable_form, bf16) {
+                        (false, false) => compute(&base, rows, vectors),
+                        (true, false) => portable(&base, rows, vectors),
+                        (false, true) => compute(&with_half, rows, vectors),
+                        (true, true) => portable(&with_half, rows, vectors),
+                    }
+                }
+                for (i, got) in out.iter().enumerate() {
+                    let (r, c) = (i / ldc, i % ldc);
+                    let weight = |j: usize| if bf16 { half[j].value() } else { b[j] };
+                    let sum: f64 = (0..k)
+                        .map(|j| f64::from(a[r * lda + j]) * f64::from(weight(j * width + c.min(width - 1))))
+                        .sum();
+                    let want = match c < cols {
+                        true => sum + f64::from(bias[c]) + if add { 1.0 } else { 0.0 },
+                        false => 1.0,
+                    };
+                    assert!((f64::from(*got) - want).abs() < 1e-5, "{rows} {vectors} ({r}, {c}): {got} for {want}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! Description of the labels in a data set: provenance and summary.
+
+use serde::{Deserialize, Serialize};
+
+use super::label_frame::LabelCounts;
+use super::provenance::Provenance;
+use super::source::LostBytes;
+
+/// Largest number of unlabelled images that a summary lists; further ones are only counted.
+const LISTED: usize = 1000;
+/// Largest number of unlabelled images, and of lost stretches, that the text shows.
+const SHOWN: usize = 20;
+
+/// Description of labels; every output holds one under [`super::PROVENANCE_KEY`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LabelInfo {
+    /// Origin and meaning of the labels.
+    #[serde(flatten)]
+    pub provenance: Provenance,
+    /// Coverage of the labels.
+    pub summary: LabelSummary,
+}
+
+/// Coverage of labels: counts, unlabelled images and lost bytes.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct LabelSummary {
+    /// Coverage and confidence.
+    #[serde(flatten)]
+    pub counts: LabelCounts,
+    /// Images without a label, the first thousand.
+    pub faults: Vec<UnlabelledImage>,
+    /// Unreadable bytes of the input, which no output holds.
+    pub lost: Vec<LostBytes>,
+}
+
+/// An image without a label.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UnlabelledImage {
+    /// Name of the unit.
+    pub unit: String,
+    /// Index of the image in the unit.
+    pub frame: u64,
+    /// Place and cause of the failure.
+    pub reason: String,
+}
+
+impl LabelSummary {
+    /// Adds counts and unlabelled images.
+    pub fn add_images(&mut self, counts: &LabelCounts, faults: impl IntoIterator<Item = UnlabelledImage>) {
+        self.counts.add(counts);
+        let room = LISTED.saturating_sub(self.faults.len());
+        self.faults.extend(faults.into_iter().take(room));
+    }
+
+    /// Adds another summary.
+    pub fn add(&mut self, other: &Self) {
+        self.add_images(&other.counts, other.faults.iter().cloned());
+        self.lost.extend_from_slice(&other.lost);
+    }
+
+    /// True if every image has a label and every byte was read.
+    pub fn is_whole(&self) -> bool {
+        self.counts.labelled == self.counts.frames && self.lost.is_empty()
+    }
+
+    /// Returns the summary as text, one fact per line.
+    pub fn text(&self) -> String {
+        let share = |part: u64, whole: u64| 100.0 * part as f64 / whole.max(1) as f64;
+        let LabelCounts { frames, labelled, warming_up, confidence, touched } = &self.counts;
+        let entries = confidence.iter().sum();
+        let mut text = format!(
+            "{labelled} of {frames} images labelled ({:.1} %), {warming_up} of them before the window was full\n{:.3} % of the vertices touched",
+            share(*labelled, *frames),
+            share(*touched, entries)
+        );
+        if entries > 0 {
+            text += "; confidence";
+            for (bin, count) in confidence.iter().enumerate() {
+                let (low, high) = (0.5 + 0.1 * bin as f64, 0.6 + 0.1 * bin as f64);
+                text += &format!(" {low:.1}-{high:.1}: {:.2} %", share(*count, entries));
+            }
+        }
+        for fault in self.faults.iter().take(SHOWN) {
+            text += &format!("\nno label: {}, image {}: {}", fault.unit, fault.frame, fault.reason);
+        }
+        let missing = frames - labelled;
+        if missing > SHOWN as u64 {
+            text += &format!("\nno label: {} more images", missing - SHOWN as u64);
+        }
+        for lost in self.lost.iter().take(SHOWN) {
+            text += &format!("\nlost: {}, {} bytes from byte {}: {}", lost.file, lost.bytes, lost.offset, lost.reason);
+        }
+        if self.lost.len() > SHOWN {
+            text += &format!("\nlost: {} more places", self.lost.len() - SHOWN);
+        }
+        text
+    }
+}

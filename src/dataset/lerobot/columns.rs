@@ -1,0 +1,83 @@
+//! Columns of a LeRobot data set that hold labels.
+
+use serde_json::Value;
+
+use super::images::LeRobotDataset;
+use crate::dataset::label_frame::LabelFrame;
+use crate::hand::{HandModel, Region, Side, Topology};
+use crate::tactile::N_FIELD;
+
+/// Returns the values of a column for a label.
+type Values = dyn Fn(&LabelFrame) -> Vec<f32>;
+
+/// A new column.
+pub struct Column {
+    /// Name.
+    pub name: String,
+    /// Names of the elements, if they have some.
+    pub names: Option<Vec<String>>,
+    /// Number of elements.
+    pub width: usize,
+    /// Returns the values of the elements for a label.
+    pub value: Box<Values>,
+}
+
+impl LeRobotDataset {
+    /// Returns the new columns: force and contact of each vertex, and the force of each region if the regions are known.
+    pub fn columns(&self, topology: Topology) -> Vec<Column> {
+        let field = |name: &str, value: fn(&crate::TactileField) -> &Vec<f32>| Column {
+            name: format!("{}.{name}", self.prefix),
+            names: None,
+            width: N_FIELD,
+            value: Box::new(move |label| match &label.touch {
+                Ok(field) => value(field).clone(),
+                Err(_) => vec![f32::NAN; N_FIELD],
+            }),
+        };
+        let mut columns = vec![field("force", |field| &field.force), field("contact", |field| &field.contact)];
+        // The regions of MANO would need its model file.
+        if topology == Topology::EgotacHand1 {
+            let names = Side::BOTH
+                .iter()
+                .flat_map(|side| Region::ALL.iter().map(move |region| format!("{}_{}", side.name(), region.name())));
+            columns.push(Column {
+                name: format!("{}.region_force", self.prefix),
+                names: Some(names.collect()),
+                width: 2 * Region::ALL.len(),
+                value: Box::new(region_force()),
+            });
+        }
+        columns
+    }
+}
+
+/// Adds the new columns to the Hugging Face types of a table. The entry copies that of another list, since the type's name
+/// differs between versions; None if there is no other list.
+pub fn with_types(text: &str, columns: &[Column]) -> Option<String> {
+    let mut types: Value = serde_json::from_str(text).ok()?;
+    let features = types["info"]["features"].as_object_mut()?;
+    let is_list = |feature: &&Value| feature["length"].is_i64() && feature["feature"]["_type"] == "Value";
+    let mut list = features.values().find(is_list)?.clone();
+    list["feature"]["dtype"] = "float32".into();
+    for column in columns {
+        list["length"] = column.width.into();
+        features.insert(column.name.clone(), list.clone());
+    }
+    Some(types.to_string())
+}
+
+/// Sums the forces of each region, left hand first; NaN if one of them is unknown.
+fn region_force() -> impl Fn(&LabelFrame) -> Vec<f32> {
+    let regions = Side::BOTH.map(|side| HandModel::builtin(side).regions());
+    move |label| {
+        let mut sums = vec![0.0f64; 2 * Region::ALL.len()];
+        let Ok(field) = &label.touch else { return vec![f32::NAN; sums.len()] };
+        for side in Side::BOTH {
+            let start = side as usize * Region::ALL.len();
+            for (force, region) in field.force[side.range()].iter().zip(&regions[side as usize]) {
+                sums[start + region.index()] += f64::from(*force);
+            }
+        }
+        sums.into_iter().map(|sum| sum as f32).collect()
+    }
+}

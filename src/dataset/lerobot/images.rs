@@ -1,0 +1,126 @@
+//! LeRobot data sets as image sources, one unit per episode.
+
+use std::path::Path;
+
+use super::{Camera, Episode, LeRobot, Row};
+use crate::dataset::source::{EncodedImage, ImageSource, SourceFrame, SourceFrames, Unit};
+use crate::dataset::video::VideoFrames;
+use crate::error::{Error, Result};
+
+/// Default prefix of the new columns. Policies ignore names that begin neither with `observation` nor with `action`.
+pub const PREFIX: &str = "tactile";
+
+/// A data set whose images are labelled.
+#[derive(Debug)]
+pub struct LeRobotDataset {
+    pub(super) dataset: LeRobot,
+    camera: String,
+    kind: Camera,
+    pub(super) prefix: String,
+    units: Vec<Unit>,
+}
+
+impl LeRobotDataset {
+    /// Opens the data set at `root`. Images come from `camera`, by default the only one; the new columns are named
+    /// `prefix.force` and so on.
+    ///
+    /// # Errors
+    /// If it can't be read, `camera` does not exist or is ambiguous, or columns with this prefix exist already.
+    pub fn open(root: &Path, camera: Option<&str>, prefix: &str) -> Result<Self> {
+        let dataset = LeRobot::open(root)?;
+        let cameras = dataset.cameras();
+        let names = || cameras.keys().map(String::as_str);
+        let found = match (camera, cameras.len()) {
+            (Some(camera), _) => cameras.iter().find(|(name, _)| *name == camera),
+            (None, 1) => cameras.iter().next(),
+            (None, 0) => return Err(Error::file(root, "has no camera: no feature of dtype video or image")),
+            (None, _) => {
+                let expected = "one camera, or one named by --camera";
+                return Err(Error::value(root.display(), expected, names().collect::<Vec<_>>().join(", ")));
+            }
+        };
+        let Some((camera, kind)) = found else {
+            return Err(Error::unknown("camera", camera.unwrap_or_default(), names()));
+        };
+        if prefix.is_empty() || prefix.contains('/') {
+            return Err(Error::value("prefix", "a name without slashes, which LeRobot refuses", prefix));
+        }
+        let dotted = format!("{prefix}.");
+        let features = dataset.info["features"].as_object();
+        if let Some(taken) = features.into_iter().flatten().map(|(name, _)| name).find(|name| name.starts_with(&dotted))
+        {
+            return Err(Error::file(root, format!("has a feature {taken} already; choose another --prefix")));
+        }
+        let unit =
+            |episode: &Episode| Unit { name: format!("episode {}", episode.index), frames: Some(episode.length) };
+        let units = dataset.episodes.iter().map(unit).collect();
+        Ok(Self { camera: camera.clone(), kind: *kind, prefix: prefix.to_string(), units, dataset })
+    }
+
+    /// Returns the camera's key.
+    pub fn camera(&self) -> &str {
+        &self.camera
+    }
+
+    /// Returns the prefix of the new columns.
+    pub fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// Returns the rows of an episode with the video frames nearest to their times.
+    fn video_frames(&self, episode: &Episode, from: usize) -> Result<SourceFrames<'_>> {
+        let Some((path, start)) = self.dataset.video_file(&self.camera, episode) else {
+            return Err(Error::file(&self.dataset.root, format!("episode {} has no video", episode.index)));
+        };
+        // A video frame belongs to a row if their times differ by at most half a frame.
+        let half = 0.5 / self.dataset.fps;
+        let mut rows = self.dataset.rows(episode, None, from)?.peekable();
+        let first = rows.peek().and_then(|row| row.as_ref().ok()).map_or(0.0, |row| row.timestamp);
+        // A missing video is damage: the rows get no label.
+        let mut frames = match path.exists() {
+            true => Some(VideoFrames::open(&path, Some((start + first - half).max(0.0)))?.peekable()),
+            false => None,
+        };
+        let frame = move |row: Result<Row>| {
+            let row = match row {
+                Ok(row) => row,
+                Err(error) => return SourceFrame::new(f64::NAN, Err(error.to_string())),
+            };
+            let wanted = start + row.timestamp;
+            let mut image = Err(format!("{}: no frame at {wanted:.3} s", path.display()));
+            while let Some(frame) = frames.as_mut().and_then(|frames| {
+                frames.next_if(|frame| frame.as_ref().map_or(true, |(stamp, _)| *stamp <= wanted + half))
+            }) {
+                match frame {
+                    Ok((stamp, pixels)) if (stamp - wanted).abs() <= half => image = Ok(EncodedImage::Pixels(pixels)),
+                    Ok(_) => continue,
+                    Err(error) => image = Err(error.to_string()),
+                }
+                break;
+            }
+            SourceFrame::new(row.timestamp, image)
+        };
+        Ok(Box::new(rows.map(frame)))
+    }
+}
+
+impl ImageSource for LeRobotDataset {
+    fn units(&self) -> &[Unit] {
+        &self.units
+    }
+
+    fn frames(&self, unit: usize, from: usize) -> Result<SourceFrames<'_>> {
+        let episode = &self.dataset.episodes[unit];
+        if self.kind == Camera::Video {
+            return self.video_frames(episode, from);
+        }
+        let rows = self.dataset.rows(episode, Some(&self.camera), from)?;
+        Ok(Box::new(rows.map(|row| match row {
+            Ok(row) => {
+                let image = row.image.map(EncodedImage::File).ok_or_else(|| "the row has no image".to_string());
+                SourceFrame::new(row.timestamp, image)
+            }
+            Err(error) => SourceFrame::new(f64::NAN, Err(error.to_string())),
+        })))
+    }
+}

@@ -1,0 +1,84 @@
+//! Origin and meaning of labels.
+
+use serde::{Deserialize, Serialize};
+
+use crate::hand::Topology;
+use crate::model::{Precision, Predictor};
+use crate::tactile::CONTACT_FORCE_N;
+
+/// Name under which outputs hold a [`super::LabelInfo`]: an attribute of a store, a metadata record of a bag, and so on.
+pub const PROVENANCE_KEY: &str = "egotac_labels";
+/// Probability above which a vertex is predicted as touched.
+pub const CONTACT_THRESHOLD: f64 = 0.5;
+
+/// Origin and meaning of labels. Equal provenance means equal labels of equal images.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Program that made the labels.
+    pub producer: String,
+    /// Version of the program.
+    pub version: String,
+    /// Name of the network.
+    pub model: String,
+    /// SHA-256 of the network's file.
+    pub model_sha256: String,
+    /// Number format of the network.
+    pub precision: String,
+    /// Meaning of vertex indices.
+    pub topology: Topology,
+    /// Name of the hand model, for people.
+    pub hand_model: String,
+    /// Number of images in the observation window.
+    pub horizon: usize,
+    /// Time between two images of the window, s.
+    pub frame_dt: f64,
+    /// True if forces are known; otherwise they are NaN.
+    pub has_force: bool,
+    /// Thresholds of contact.
+    pub thresholds: Thresholds,
+    /// The input's name, and the choices that decide which images are read and how.
+    pub source: Vec<String>,
+}
+
+/// Thresholds of contact.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Thresholds {
+    /// Probability above which a vertex is predicted as touched.
+    pub contact: f64,
+    /// True force above which a vertex is touched, N.
+    pub contact_force: f64,
+}
+
+impl Provenance {
+    /// Creates the provenance of labels by `predictor`.
+    pub fn of(predictor: &Predictor, precision: Precision, source: Vec<String>) -> Self {
+        let metadata = predictor.metadata();
+        let hand_model = match metadata.topology {
+            Topology::EgotacHand1 => "egotac built-in hand",
+            Topology::Mano => "MANO",
+        };
+        Self {
+            producer: "egotac label".into(),
+            version: env!("CARGO_PKG_VERSION").into(),
+            model: metadata.name.clone(),
+            model_sha256: predictor.sha256().to_string(),
+            precision: precision.to_string(),
+            topology: metadata.topology,
+            hand_model: hand_model.into(),
+            horizon: predictor.config().horizon,
+            frame_dt: metadata.frame_dt,
+            has_force: metadata.has_force,
+            thresholds: Thresholds {
+                contact: CONTACT_THRESHOLD,
+                // The shortest decimal: 0.05, not the f32 nearest to it.
+                contact_force: CONTACT_FORCE_N.to_string().parse().unwrap_or(f64::from(CONTACT_FORCE_N)),
+            },
+            source,
+        }
+    }
+
+    /// Returns the model id of messages: name and first digits of the hash.
+    pub fn model_id(&self) -> String {
+        format!("{}/{}", self.model, self.model_sha256.get(..12).unwrap_or(&self.model_sha256))
+    }
+}

@@ -1,0 +1,149 @@
+//! Images in order of time, read from a recording of any format.
+
+use std::sync::Arc;
+
+use ::image::RgbImage;
+
+use crate::error::{Error, Result};
+use crate::image::{self, RawImage};
+use crate::message;
+
+/// A stretch of images in order of time that is labelled as one stream: an episode, a file of a bag, a video.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Unit {
+    /// Name within the source.
+    pub name: String,
+    /// Number of images; None = known only after reading.
+    pub frames: Option<usize>,
+}
+
+/// Images of a recording, in one or several units.
+pub trait ImageSource: Send + Sync {
+    /// Returns the units in the source's order.
+    fn units(&self) -> &[Unit];
+
+    /// Returns the images of unit `unit` from index `from` on, each once and in the same order at every call.
+    ///
+    /// # Errors
+    /// If the unit can't be opened. A damaged image is not an error: its frame carries the reason.
+    fn frames(&self, unit: usize, from: usize) -> Result<SourceFrames<'_>>;
+
+    /// Returns the damage that hides images of unit `unit`, if only the source can find it. `images` is the number of
+    /// images that were read.
+    ///
+    /// # Errors
+    /// If the unit can't be read.
+    fn damage(&self, unit: usize, images: usize) -> Result<Option<LostBytes>> {
+        let _ = (unit, images);
+        Ok(None)
+    }
+}
+
+/// Images in order.
+pub type SourceFrames<'a> = Box<dyn Iterator<Item = SourceFrame> + Send + 'a>;
+
+/// One image as it lies in its source.
+#[derive(Debug)]
+pub struct SourceFrame {
+    /// Time of the image, s.
+    pub stamp_secs: f64,
+    /// Offset of its record in the unit's file, bytes.
+    pub offset: Option<u64>,
+    /// The image, or the reason why it can't be read.
+    pub image: std::result::Result<EncodedImage, String>,
+    /// Text that the journal keeps for the output, so that the output need not read the same bytes again.
+    pub note: Option<String>,
+}
+
+impl SourceFrame {
+    /// Creates a frame without offset and note.
+    pub fn new(stamp_secs: f64, image: std::result::Result<EncodedImage, String>) -> Self {
+        Self { stamp_secs, offset: None, image, note: None }
+    }
+}
+
+/// An image that is not decoded yet.
+#[derive(Debug, Clone)]
+pub enum EncodedImage {
+    /// Pixels.
+    Pixels(RgbImage),
+    /// Content of a PNG or JPEG file.
+    File(Vec<u8>),
+    /// Raw image message of a camera.
+    Raw(message::Image),
+}
+
+impl EncodedImage {
+    /// Decodes the image.
+    ///
+    /// # Errors
+    /// If it is damaged, or its encoding is unknown.
+    pub fn decode(self) -> Result<RgbImage> {
+        match self {
+            Self::Pixels(pixels) => Ok(pixels),
+            Self::File(bytes) => image::decode(&bytes),
+            Self::Raw(raw) => {
+                let message::Image { height, width, encoding, step, data, .. } = &raw;
+                RawImage { width: *width, height: *height, encoding, step: *step, data }.to_rgb()
+            }
+        }
+    }
+}
+
+/// Several sources, one behind the other.
+pub struct SourceChain {
+    sources: Vec<Arc<dyn ImageSource>>,
+    units: Vec<Unit>,
+}
+
+impl SourceChain {
+    /// Chains named sources; each unit's name begins with the name of its source.
+    pub fn new(sources: Vec<(String, Arc<dyn ImageSource>)>) -> Self {
+        let mut units = Vec::new();
+        for (name, source) in &sources {
+            let prefixed = |unit: &Unit| Unit { name: format!("{name}: {}", unit.name), frames: unit.frames };
+            units.extend(source.units().iter().map(prefixed));
+        }
+        Self { sources: sources.into_iter().map(|(_, source)| source).collect(), units }
+    }
+
+    /// Returns the source of unit `unit`, and the unit's index there.
+    fn source(&self, mut unit: usize) -> Result<(&dyn ImageSource, usize)> {
+        for source in &self.sources {
+            match unit.checked_sub(source.units().len()) {
+                Some(rest) => unit = rest,
+                None => return Ok((source.as_ref(), unit)),
+            }
+        }
+        Err(Error::value("unit", format!("an index below {}", self.units.len()), unit))
+    }
+}
+
+impl ImageSource for SourceChain {
+    fn units(&self) -> &[Unit] {
+        &self.units
+    }
+
+    fn frames(&self, unit: usize, from: usize) -> Result<SourceFrames<'_>> {
+        let (source, unit) = self.source(unit)?;
+        source.frames(unit, from)
+    }
+
+    fn damage(&self, unit: usize, images: usize) -> Result<Option<LostBytes>> {
+        let (source, unit) = self.source(unit)?;
+        source.damage(unit, images)
+    }
+}
+
+/// Bytes of an input that can't be read and are left out of the output.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct LostBytes {
+    /// Name of the file.
+    pub file: String,
+    /// Offset at which the damage begins, bytes.
+    pub offset: u64,
+    /// Number of bytes left out.
+    pub bytes: u64,
+    /// Kind of damage.
+    pub reason: String,
+}

@@ -1,0 +1,121 @@
+//! New stores from the images and labels of any source.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use ::image::RgbImage;
+use ::image::imageops::{FilterType, resize};
+
+use super::{Contact, ZarrWriter};
+use crate::dataset::copy::remove;
+use crate::dataset::label_frame::LabelFrame;
+use crate::dataset::label_info::LabelInfo;
+use crate::dataset::labels::{LabelOutput, SourceLabels, next_label};
+use crate::dataset::provenance::PROVENANCE_KEY;
+use crate::dataset::source::{ImageSource, SourceFrame};
+use crate::dataset::{Attributes, EpisodeWriter, Frame};
+use crate::error::{Error, Result};
+use crate::hand::Topology;
+use crate::tactile::{N_FIELD, TactileField, Validity};
+
+/// Writes images, times and labels into a new store.
+pub struct StoreOutput {
+    /// Source of the images.
+    pub source: Arc<dyn ImageSource>,
+    /// Upper limit of the images' shorter side, pixels; None = original size.
+    pub side: Option<u32>,
+}
+
+impl LabelOutput for StoreOutput {
+    fn assemble(&self, labels: &dyn SourceLabels, info: &mut LabelInfo, at: &Path, out: &Path) -> Result<()> {
+        remove(at)?;
+        let topology = labels.topology();
+        let mut writer = ZarrWriter::create(at, attributes(topology, info), Contact::Score, Vec::new())?;
+        writer.set_attribute(PROVENANCE_KEY, serde_json::to_value(&*info).unwrap_or_default());
+        let mut size = None;
+        for (index, unit) in self.source.units().iter().enumerate() {
+            let before = writer.n_frames();
+            let mut labels = labels.labels(index)?;
+            let mut time = 0.0;
+            for image in self.source.frames(index, 0)? {
+                let label = next_label(&mut labels, &unit.name)?;
+                let size = match size {
+                    Some(size) => size,
+                    None => *size.insert(self.size(index, &image)?),
+                };
+                // A frame without a time takes that of the frame before it.
+                time = if image.stamp_secs.is_finite() { image.stamp_secs } else { time };
+                writer.push(frame(time, image, label, size, topology))?;
+            }
+            // A unit without images is no episode.
+            if writer.n_frames() > before {
+                writer.end_episode()?;
+            }
+        }
+        if writer.n_frames() == 0 {
+            return Err(Error::file(out, "would be a store without an image"));
+        }
+        writer.finish()
+    }
+
+    fn info(&self, out: &Path) -> Option<LabelInfo> {
+        super::labels::read_info(out)
+    }
+}
+
+impl StoreOutput {
+    /// Returns width and height of the store's images: the size of the first decodable image, scaled down to `side`.
+    fn size(&self, unit: usize, first: &SourceFrame) -> Result<(u32, u32)> {
+        let decoded = |frame: &SourceFrame| frame.image.as_ref().ok()?.clone().decode().ok();
+        let found = decoded(first).or_else(|| {
+            let units = unit..self.source.units().len();
+            units.flat_map(|unit| self.source.frames(unit, 0).into_iter().flatten()).find_map(|frame| decoded(&frame))
+        });
+        let (width, height) = found.map(|image| image.dimensions()).ok_or_else(|| {
+            Error::value(&self.source.units()[unit].name, "at least one image that can be read", "none")
+        })?;
+        let short = width.min(height);
+        Ok(match self.side {
+            Some(side) if side < short => {
+                let scaled = |length: u32| (u64::from(length) * u64::from(side)).div_ceil(u64::from(short)) as u32;
+                (scaled(width), scaled(height))
+            }
+            _ => (width, height),
+        })
+    }
+}
+
+fn attributes(topology: Topology, info: &LabelInfo) -> Attributes {
+    let provenance = &info.provenance;
+    Attributes {
+        topology,
+        sigma: 0.0,
+        contact_force: provenance.thresholds.contact_force,
+        producer: provenance.producer.clone(),
+        version: provenance.version.clone(),
+        scene: provenance.source.first().cloned().unwrap_or_default(),
+        seed: 0,
+    }
+}
+
+fn frame(timestamp: f64, source: SourceFrame, label: LabelFrame, size: (u32, u32), topology: Topology) -> Frame {
+    let image = source.image.ok().and_then(|image| image.decode().ok());
+    // Unreadable images are black and have no label.
+    let image = image.unwrap_or_else(|| RgbImage::new(size.0, size.1));
+    let camera_ego_rgb = match image.dimensions() == size {
+        true => image,
+        false => resize(&image, size.0, size.1, FilterType::Triangle),
+    };
+    let contact_valid = vec![u8::from(label.touch.is_ok()); N_FIELD];
+    let (force, contact) = label.into_values();
+    Frame {
+        timestamp,
+        camera_ego_rgb,
+        force_valid: force.iter().map(|force| u8::from(!force.is_nan())).collect(),
+        contact_valid,
+        field: TactileField { topology, force, contact },
+        validity: Validity::Valid,
+        left_hand_pose: None,
+        right_hand_pose: None,
+    }
+}

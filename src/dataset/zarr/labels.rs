@@ -1,0 +1,184 @@
+//! Labels of a store: written as further arrays into a copy of it.
+
+use std::fs;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use serde_json::{Map, Value};
+
+use super::images::Store;
+use super::{
+    AddedArrays, ArraySpec, Dtype, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, StoreLocation,
+    Values, ZarrReader,
+};
+use crate::dataset::EpisodeReader;
+use crate::dataset::copy::{copy_file, copy_folder};
+use crate::dataset::label_frame::LabelFrame;
+use crate::dataset::label_info::LabelInfo;
+use crate::dataset::labels::{LabelOutput, SourceLabels};
+use crate::dataset::prefetch::prefetch;
+use crate::dataset::provenance::PROVENANCE_KEY;
+use crate::dataset::source::{LostBytes, Unit};
+use crate::error::{Error, Result};
+use crate::hand::Topology;
+use crate::tactile::N_FIELD;
+
+/// Prefix of the labels' arrays in stores that hold arrays of these names already, such as truth.
+pub const PREDICTED: &str = "predicted_";
+
+impl Store {
+    /// Returns the names of the labels' arrays: force, contact, and their validity.
+    fn label_names(&self) -> [String; 4] {
+        let names = [MANO_FORCE, MANO_CONTACT_SCORE, MANO_FORCE_VALID, MANO_CONTACT_VALID];
+        let taken = self.reader.arrays().iter().any(|array| array.name.starts_with("data/mano_"));
+        names.map(|name| match taken {
+            true => predicted(name),
+            false => name.to_string(),
+        })
+    }
+}
+
+/// Returns the name of a label array in a store that holds truth: `data/mano_force` becomes `data/predicted_mano_force`.
+pub(crate) fn predicted(name: &str) -> String {
+    name.replacen("data/", &format!("data/{PREDICTED}"), 1)
+}
+
+impl LabelOutput for Store {
+    fn assemble(&self, labels: &dyn SourceLabels, info: &mut LabelInfo, at: &Path, _: &Path) -> Result<()> {
+        let [force, contact, force_valid, contact_valid] = self.label_names();
+        // Remove arrays that a killed attempt left.
+        for name in [&force, &contact, &force_valid, &contact_valid] {
+            let array = at.join(name);
+            if array.exists() {
+                fs::remove_dir_all(&array).map_err(Error::io(&array))?;
+            }
+        }
+        let specs = vec![
+            ArraySpec::new(force, [N_FIELD], Dtype::F32),
+            ArraySpec::new(contact, [N_FIELD], Dtype::F32),
+            ArraySpec::new(force_valid, [N_FIELD], Dtype::U8),
+            ArraySpec::new(contact_valid, [N_FIELD], Dtype::U8),
+        ];
+        fs::create_dir_all(at).map_err(Error::io(at))?;
+        let mut arrays = AddedArrays::new(at, specs)?;
+        // Copy and labels touch different files until `finish` writes the attributes, so they run at the same time.
+        let (copied, added) = std::thread::scope(|scope| {
+            let copying = scope.spawn(|| copy(&self.place, at));
+            let added = self.units.iter().enumerate().try_for_each(|(index, unit)| {
+                let labels = labels.labels(index)?;
+                prefetch(labels, |labels| add_labels(&mut arrays, unit, labels))
+            });
+            (copying.join(), added)
+        });
+        let died = |_| Err(Error::file(at, "the thread that copied the store died"));
+        info.summary.lost.extend(copied.unwrap_or_else(died)?);
+        added?;
+        let mut attributes = Map::new();
+        if !self.reader.raw_attributes().contains_key("topology") {
+            attributes.insert("topology".into(), info.provenance.topology.id().into());
+        }
+        attributes.insert(PROVENANCE_KEY.into(), serde_json::to_value(&*info).unwrap_or(Value::Null));
+        arrays.finish(attributes)
+    }
+
+    fn check(&self, topology: Topology) -> Result<()> {
+        if !self.place.is_v2()? {
+            let message = "is a Zarr v3 store, to which v2 arrays can't be added; use --to store to write a new store";
+            return Err(Error::file(self.place.to_string(), message));
+        }
+        match self.reader.raw_attributes().contains_key("topology") {
+            true => self.reader.attributes().topology.must_match(topology),
+            false => Ok(()),
+        }
+    }
+
+    fn info(&self, out: &Path) -> Option<LabelInfo> {
+        read_info(out)
+    }
+}
+
+/// Appends the labels of a unit; the unit must have one label per frame.
+fn add_labels(
+    arrays: &mut AddedArrays,
+    unit: &Unit,
+    labels: &mut dyn Iterator<Item = Result<LabelFrame>>,
+) -> Result<()> {
+    let mut count = 0;
+    for label in labels {
+        arrays.push(values(label?))?;
+        count += 1;
+    }
+    match Some(count) == unit.frames {
+        true => Ok(()),
+        false => Err(Error::value(&unit.name, format!("{} labels", unit.frames.unwrap_or(0)), count)),
+    }
+}
+
+/// Reads the description of the labels in a store; None without one.
+pub fn read_info(store: &Path) -> Option<LabelInfo> {
+    let reader = ZarrReader::open(store).ok()?;
+    serde_json::from_value(reader.raw_attributes().get(PROVENANCE_KEY)?.clone()).ok()
+}
+
+/// Returns the values of one frame: force, contact, and their validity.
+fn values(label: LabelFrame) -> Vec<Values> {
+    let (force, contact) = label.into_values();
+    let known = |values: &[f32]| Values::U8(values.iter().map(|value| u8::from(!value.is_nan())).collect());
+    let masks = [known(&force), known(&contact)];
+    [Values::F32(force), Values::F32(contact)].into_iter().chain(masks).collect()
+}
+
+/// Copies a store into the folder `to`, skipping files that an earlier attempt copied. Returns the files of a zip archive
+/// that can't be read and are left out.
+fn copy(place: &StoreLocation, to: &Path) -> Result<Vec<LostBytes>> {
+    let mut lost = Vec::new();
+    let Some(inside) = &place.inside else {
+        copy_folder(&place.path, to, true)?;
+        return Ok(lost);
+    };
+    let file = File::open(&place.path).map_err(Error::io(&place.path))?;
+    let fail = |error: zip::result::ZipError| Error::file(&place.path, error);
+    let mut archive = zip::ZipArchive::new(file).map_err(fail)?;
+    for index in 0..archive.len() {
+        let mut entry = archive.by_index(index).map_err(fail)?;
+        // `enclosed_name` refuses names that would lead out of the folder.
+        let Some(name) = entry.enclosed_name() else {
+            return Err(Error::file(&place.path, format!("entry {index} has a path that leads out of the store")));
+        };
+        let Ok(name) = name.strip_prefix(inside) else { continue };
+        let (path, size) = (to.join(name), entry.size());
+        if entry.is_dir() {
+            fs::create_dir_all(&path).map_err(Error::io(&path))?;
+            continue;
+        }
+        let (offset, bytes) = (entry.data_start().unwrap_or_default(), entry.compressed_size());
+        let mut reader = FailureRecorder { reader: &mut entry, failure: None };
+        let copied = copy_file(&path, size, |file| std::io::copy(&mut reader, file));
+        match reader.failure {
+            // Leave the chunk's file out: a missing chunk reads as the fill value, which is marked invalid.
+            Some(failure) => {
+                let file = format!("{}: {}", place.path.display(), name.display());
+                lost.push(LostBytes { file, offset, bytes, reason: failure });
+            }
+            None => copied?,
+        }
+    }
+    Ok(lost)
+}
+
+/// A reader that records its own failure, to distinguish a damaged input from a full disk.
+struct FailureRecorder<R> {
+    reader: R,
+    failure: Option<String>,
+}
+
+impl<R: Read> Read for FailureRecorder<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        self.reader.read(buffer).inspect_err(|error| {
+            if error.kind() != std::io::ErrorKind::Interrupted {
+                self.failure = Some(error.to_string());
+            }
+        })
+    }
+}

@@ -1,0 +1,86 @@
+//! Evaluation of a predicted sequence against a true one.
+
+use std::borrow::Cow;
+
+use super::contact::{self, ContactScores};
+use super::dynamics::Calibration;
+use super::summary::{EntryCounts, FrameScore, Metrics, summarize};
+use super::trace::{TraceScores, Traces};
+use crate::error::Result;
+use crate::tactile::{N_FIELD, TactileSequence, check_rows};
+
+/// Settings of an evaluation; masks, episodes and frame rate come from the target.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct EvalOptions {
+    /// Range of the total force; None = each side's own.
+    pub calibration: Option<Calibration>,
+    /// Frames per second, in place of the rate of the target's time stamps. The dominant frequency is undefined without
+    /// either.
+    pub fps: Option<f64>,
+}
+
+/// Scores `pred` against `target`. Entries that the target masks out or leaves unknown (NaN) do not count.
+///
+/// # Errors
+/// If lengths or topologies differ, or the target's episodes do not end where its data does.
+pub fn evaluate(pred: &TactileSequence, target: &TactileSequence, options: &EvalOptions) -> Result<Metrics> {
+    target.check()?;
+    for (name, values) in [("pred force", &pred.force), ("pred contact", &pred.contact)] {
+        check_rows(name, values.len(), target.n_frames())?;
+    }
+    if let (Some(pred), Some(target)) = (pred.topology, target.topology) {
+        pred.must_match(target)?;
+    }
+    let mask = Mask::of(target);
+    let frames = score_frames(pred, target, &mask);
+    let per_episode = score_traces(&frames, target, options);
+    let trace = TraceScores::mean(per_episode.iter());
+    let auroc = contact::auroc(contact::pairs(&pred.contact, &target.contact, &mask.contact));
+    let summary = summarize(&frames);
+    Ok(Metrics {
+        temporal_pearson: trace.temporal_pearson,
+        pooled: ContactScores { auroc, ..summary.pooled },
+        force_cosine: trace.force_cosine,
+        rise_f1: trace.rise_f1,
+        fall_f1: trace.fall_f1,
+        dft_pearson: trace.dft_pearson,
+        spectral_convergence: trace.spectral_convergence,
+        dominant_frequency_error_hz: trace.dominant_frequency_error_hz,
+        counts: EntryCounts { episodes: per_episode.len(), ..summary.counts },
+        ..summary
+    })
+}
+
+/// Entries of a target that count, (T, 1556) each; empty = all of them.
+pub(super) struct Mask<'a> {
+    pub force: Cow<'a, [u8]>,
+    pub contact: Cow<'a, [u8]>,
+}
+
+impl<'a> Mask<'a> {
+    pub fn of(target: &'a TactileSequence) -> Self {
+        Self { force: target.counted_force(), contact: target.counted_contact() }
+    }
+}
+
+/// Scores each frame by itself.
+pub(super) fn score_frames(pred: &TactileSequence, target: &TactileSequence, mask: &Mask) -> Vec<FrameScore> {
+    let score = |frame: usize| {
+        let rows = frame * N_FIELD..(frame + 1) * N_FIELD;
+        FrameScore::new(
+            pred.force_at(frame),
+            pred.contact_at(frame),
+            target.force_at(frame),
+            target.contact_at(frame),
+            mask.force.get(rows.clone()).unwrap_or_default(),
+            mask.contact.get(rows).unwrap_or_default(),
+        )
+    };
+    (0..target.n_frames()).map(score).collect()
+}
+
+/// Scores the total force over time, episode by episode.
+pub(super) fn score_traces(frames: &[FrameScore], target: &TactileSequence, options: &EvalOptions) -> Vec<TraceScores> {
+    let fps = options.fps.or_else(|| target.fps());
+    Traces::of(frames).scores(&target.episodes(), options.calibration.as_ref(), fps)
+}

@@ -1,0 +1,138 @@
+//! Scores of single frames and their summary.
+
+use serde::Serialize;
+
+use super::contact::{self, Confusion, ContactScores};
+use super::force::{self, ForceErrors};
+use super::statistics::{mean, pearson};
+use super::trace::Traces;
+
+/// All scores, under the names of `egotac eval --json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Metrics {
+    /// Mean absolute force error, N.
+    pub mae: Option<f64>,
+    /// Mean absolute force error where the true force is above 0.05 N, N.
+    pub active_mae: Option<f64>,
+    /// Pearson correlation of the total force over time, mean over episodes.
+    pub temporal_pearson: Option<f64>,
+    /// Contact scores of each frame that has positives, averaged.
+    pub frame_mean: ContactScores,
+    /// Contact scores over all vertices of all frames.
+    pub pooled: ContactScores,
+    /// Cosine of the normalised total force, mean over episodes.
+    pub force_cosine: Option<f64>,
+    /// F1 of the frames where the total force rises, mean over episodes.
+    pub rise_f1: Option<f64>,
+    /// F1 of the frames where the total force falls, mean over episodes.
+    pub fall_f1: Option<f64>,
+    /// Pearson correlation of the log-magnitude spectra, mean over episodes.
+    pub dft_pearson: Option<f64>,
+    /// Relative distance of the magnitude spectra, mean over episodes.
+    pub spectral_convergence: Option<f64>,
+    /// Distance of the dominant frequencies, Hz, mean over episodes.
+    pub dominant_frequency_error_hz: Option<f64>,
+    /// Numbers of frames and entries that the scores were computed from.
+    pub counts: EntryCounts,
+}
+
+/// Numbers of frames and entries that scores were computed from.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct EntryCounts {
+    /// Frames.
+    pub frames: usize,
+    /// Episodes.
+    pub episodes: usize,
+    /// Frames without a contact in truth: left out of `frame_mean`.
+    pub frames_without_positives: usize,
+    /// (frame, vertex) pairs whose force counts.
+    pub force_entries: u64,
+    /// (frame, vertex) pairs whose force counts and is above 0.05 N in truth.
+    pub active_entries: u64,
+    /// (frame, vertex) pairs whose contact counts.
+    pub contact_entries: u64,
+    /// Counted entries that the prediction leaves unknown; above 0 the scores they enter are undefined.
+    pub unknown_predictions: u64,
+}
+
+/// Contribution of one frame to the scores; [`summarize`] makes scores of many frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameScore {
+    /// Force errors of the frame.
+    pub force: ForceErrors,
+    /// Contact decisions of the frame.
+    pub contact: Confusion,
+    /// AUROC within the frame.
+    pub auroc: Option<f64>,
+    /// Predicted total force, N; None if unknown.
+    pub pred_total: Option<f64>,
+    /// True total force, N.
+    pub target_total: f64,
+}
+
+impl FrameScore {
+    /// Scores one frame of 1556 vertices; an empty mask counts every vertex.
+    pub fn new(
+        pred_force: &[f32],
+        pred_contact: &[f32],
+        target_force: &[f32],
+        target_contact: &[f32],
+        mask_force: &[u8],
+        mask_contact: &[u8],
+    ) -> Self {
+        let forces = force::pairs(pred_force, target_force, mask_force);
+        let contacts = contact::pairs(pred_contact, target_contact, mask_contact);
+        let (pred_total, target_total) = force::totals(&forces);
+        Self {
+            force: ForceErrors::of(&forces),
+            contact: Confusion::of(&contacts),
+            auroc: contact::auroc(contacts),
+            pred_total,
+            target_total,
+        }
+    }
+}
+
+/// Scores consecutive frames: all of [`Metrics`] that [`FrameScore`]s alone determine. The pooled AUROC, dynamics and
+/// spectra are left undefined. A call per new frame of a sliding window is cheap.
+pub fn summarize<'a>(frames: impl IntoIterator<Item = &'a FrameScore>) -> Metrics {
+    let frames: Vec<&FrameScore> = frames.into_iter().collect();
+    let force = frames.iter().fold(ForceErrors::default(), |sum, frame| sum + frame.force);
+    let confusion = frames.iter().fold(Confusion::default(), |sum, frame| sum + frame.contact);
+    let with_positives: Vec<&&FrameScore> = frames.iter().filter(|f| f.contact.positives() > 0).collect();
+    let scores: Vec<ContactScores> =
+        with_positives.iter().map(|f| ContactScores { auroc: f.auroc, ..f.contact.scores() }).collect();
+    let frame_mean = |score: fn(&ContactScores) -> Option<f64>| {
+        // One unknown prediction makes the mean undefined, as it makes the pooled score.
+        (confusion.unknown == 0).then(|| mean(scores.iter().map(score))).flatten()
+    };
+    let traces = Traces::of(frames.iter().copied());
+    Metrics {
+        mae: force.mae(),
+        active_mae: force.active_mae(),
+        temporal_pearson: pearson(&traces.pred, &traces.target),
+        frame_mean: ContactScores {
+            precision: frame_mean(|s| s.precision),
+            recall: frame_mean(|s| s.recall),
+            f1: frame_mean(|s| s.f1),
+            iou: frame_mean(|s| s.iou),
+            auroc: frame_mean(|s| s.auroc),
+        },
+        pooled: confusion.scores(),
+        force_cosine: None,
+        rise_f1: None,
+        fall_f1: None,
+        dft_pearson: None,
+        spectral_convergence: None,
+        dominant_frequency_error_hz: None,
+        counts: EntryCounts {
+            frames: frames.len(),
+            episodes: usize::from(!frames.is_empty()),
+            frames_without_positives: frames.len() - with_positives.len(),
+            force_entries: force.count,
+            active_entries: force.active_count,
+            contact_entries: confusion.total(),
+            unknown_predictions: force.unknown + confusion.unknown,
+        },
+    }
+}

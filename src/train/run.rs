@@ -1,0 +1,111 @@
+//! Validation and saving of a run's weights.
+
+use std::path::PathBuf;
+
+use candle_core::Device;
+use candle_nn::VarMap;
+
+use super::config::Config;
+use super::optimizer::AdamW;
+use super::setup::Data;
+use super::{Started, checkpoint, predict};
+use crate::error::{Error, Result};
+use crate::file;
+use crate::model::{self, Checkpoint, EgoTac};
+use crate::score::metrics::{self, EvalOptions, Metrics};
+
+/// Files in the folder of a run.
+pub struct Files {
+    /// Resumable state.
+    pub state: PathBuf,
+    /// Checkpoint with the averaged weights.
+    pub checkpoint: PathBuf,
+    /// CSV file with one line per step.
+    pub log: PathBuf,
+    config: PathBuf,
+    /// The configuration as YAML; identifies the run.
+    pub yaml: String,
+}
+
+impl Files {
+    /// Names the files of the run.
+    ///
+    /// # Errors
+    /// If the folder holds the state of a run that is not to be resumed.
+    pub fn new(config: &Config, resume: bool) -> Result<Self> {
+        let yaml = serde_yaml::to_string(config).map_err(|e| Error::value("config", "one that YAML can hold", e))?;
+        let [state, checkpoint, log, config] =
+            ["state.safetensors", "checkpoint.safetensors", "log.csv", "config.yaml"].map(|name| config.out.join(name));
+        match !resume && state.exists() {
+            true => Err(Error::file(&state, "a run lies there already: resume it, or choose another folder")),
+            false => Ok(Self { state, checkpoint, log, config, yaml }),
+        }
+    }
+
+    /// Writes the configuration beside the weights.
+    ///
+    /// # Errors
+    /// If the file can't be written.
+    pub fn write_config(&self) -> Result<()> {
+        file::write(&self.config, self.yaml.as_bytes())
+    }
+}
+
+/// The parts of a run that stay the same from step to step.
+pub struct Run<'a> {
+    pub config: &'a Config,
+    pub geometry: &'a model::Config,
+    pub data: &'a Data,
+    pub files: &'a Files,
+    pub started: &'a Started,
+    pub device: &'a Device,
+}
+
+impl Run<'_> {
+    /// Scores the averaged weights on the held-out stores; None without such stores.
+    ///
+    /// # Errors
+    /// If a store can't be read, or the network gives a number that is not finite.
+    pub fn validate(&self, optimizer: &AdamW) -> Result<Option<Metrics>> {
+        let Some((held_out, truth)) = &self.data.validation else { return Ok(None) };
+        let vb = model::init::var_builder(&self.averaged(optimizer)?, self.config.seed, self.device);
+        let network = EgoTac::new(self.geometry, vb)?.freeze()?;
+        let predicted = predict(&network, &self.data.metadata, held_out, self.device, |_| ())?;
+        metrics::evaluate(&predicted, truth, &EvalOptions::default()).map(Some)
+    }
+
+    /// Saves the resumable state and the checkpoint with the averaged weights; returns the checkpoint's SHA-256.
+    ///
+    /// # Errors
+    /// If a file can't be written.
+    pub fn save(&self, optimizer: &AdamW, step: usize, validated: Option<&(usize, Metrics)>) -> Result<String> {
+        checkpoint::save(&self.files.state, optimizer, step, &self.files.yaml)?;
+        let mut metadata = self.data.metadata.clone();
+        // Scores of earlier weights are not those of the saved ones.
+        let validation = validated.filter(|(at, _)| *at == step).map(|(_, metrics)| metrics);
+        metadata.training = self.record(step, validation);
+        Checkpoint::save(&self.files.checkpoint, self.geometry, &metadata, &self.averaged(optimizer)?)
+    }
+
+    /// Returns variables that hold the averaged weights.
+    fn averaged(&self, optimizer: &AdamW) -> Result<VarMap> {
+        let mut varmap = VarMap::new();
+        // Creates the variables.
+        EgoTac::new(self.geometry, model::init::var_builder(&varmap, self.config.seed, self.device))?;
+        optimizer.write_average(&mut varmap)?;
+        Ok(varmap)
+    }
+
+    /// Returns the checkpoint's record of its training, as JSON.
+    fn record(&self, step: usize, validation: Option<&Metrics>) -> String {
+        serde_json::json!({
+            "config": self.config,
+            "steps": step,
+            "frames": self.started.frames,
+            "validation_frames": self.started.validation_frames,
+            "validation": validation,
+            "producer": concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")),
+        })
+        .to_string()
+    }
+}
