@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What a policy sees, with touch: image, joint state and TactileFrame paired by their stamps into a dict with history.
+"""Builds policy observations with touch: pairs image, joint state and TactileFrame by their stamps into a dict with history.
 
     builder = ObservationBuilder(node, history=3)
     ...                                    # rclpy spins
@@ -9,13 +9,13 @@
 |---|---|---|
 | observation.image | (N, H, W, 3) uint8 | RGB, oldest first |
 | observation.state | (N, J) float32 | joint positions, rad, in the order of `joint_names` |
-| tactile.force | (N, 1556) float32 | N, left hand first; NaN = unknown |
-| tactile.contact | (N, 1556) float32 | probability; NaN = unknown |
+| tactile.force | (N, 1556) float32 | force, newton, left hand first; NaN = unknown |
+| tactile.contact | (N, 1556) float32 | contact probability; NaN = unknown |
 | timestamp | (N,) float64 | stamps of the images, s |
-| is_pad | (N,) bool | the oldest step stands in for earlier ones, of which there are too few |
+| is_pad | (N,) bool | True for steps that repeat the oldest one, because earlier ones are missing |
 
-A step is an image, the TactileFrame with exactly its stamp, and the joint state nearest to it, at most `slop` seconds away.
-Needs rclpy, numpy and egotac_msgs. Run as a program, it prints what it sees:
+A step consists of an image, the TactileFrame with the same stamp, and the nearest joint state, at most `slop` seconds away.
+Needs rclpy, numpy and egotac_msgs. Run as a program, it prints its observations:
 
     observation_builder.py --ros-args -r image:=/camera/image_raw -r tactile:=/predictor/tactile
 """
@@ -35,11 +35,12 @@ CHANNELS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
 
 
 def nanoseconds(header):
+    """Returns the stamp of a header, nanoseconds."""
     return header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
 
 
 def pixels(message):
-    """(H, W, 3) uint8, RGB."""
+    """Returns the image as (H, W, 3) uint8, RGB."""
     if message.encoding not in CHANNELS:
         raise ValueError(f"image encoding {message.encoding!r}; expected one of {', '.join(CHANNELS)}")
     rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
@@ -48,7 +49,7 @@ def pixels(message):
 
 
 def touch(message):
-    """Force and contact, (1556,) float32 each; NaN where the message has no result."""
+    """Returns force and contact, (1556,) float32 each; NaN where the message has no result."""
     fields = np.full((2, 2 * VERTICES), np.nan, np.float32)
     for hand in message.hands:
         part = slice(hand.side * VERTICES, (hand.side + 1) * VERTICES)
@@ -57,12 +58,14 @@ def touch(message):
 
 
 class ObservationBuilder:
+    """Subscribes to `image`, `tactile` and `joint_states` and keeps the newest `history` steps."""
+
     def __init__(self, node: Node, history=1, slop=0.02, joint_names=None, waiting=100):
         self.history, self.slop, self.joint_names = history, int(slop * 1e9), joint_names
         self.lock = threading.Lock()
-        self.images, self.frames = OrderedDict(), OrderedDict()  # by stamp, without their partner yet
-        self.joints = deque(maxlen=10 * waiting)  # stamp and positions
-        self.ready = deque(maxlen=waiting)  # image and touch, without joints yet
+        self.images, self.frames = OrderedDict(), OrderedDict()  # by stamp; unpaired
+        self.joints = deque(maxlen=10 * waiting)  # (stamp, positions)
+        self.ready = deque(maxlen=waiting)  # (stamp, image, touch) that wait for a joint state
         self.steps = deque(maxlen=history)
         self.waiting = waiting
         node.create_subscription(Image, "image", self.on_image, SENSOR)
@@ -70,7 +73,7 @@ class ObservationBuilder:
         node.create_subscription(JointState, "joint_states", self.on_joints, SENSOR)
 
     def latest(self):
-        """The newest step with its history, or None."""
+        """Returns the newest step with its history, or None before the first step."""
         with self.lock:
             steps = list(self.steps)
         if not steps:
@@ -104,22 +107,23 @@ class ObservationBuilder:
             self.complete()
 
     def pair(self, own, others, stamp, value):
+        """Stores a message of one topic; moves it with its partner of the other topic to `ready`."""
         with self.lock:
             own[stamp] = value
             if stamp in others:
                 image, field = self.images.pop(stamp), self.frames.pop(stamp)
                 self.ready.append((stamp, image, field))
-            while len(own) > self.waiting:  # a partner that never came
+            while len(own) > self.waiting:  # the partner never arrived
                 own.popitem(last=False)
             self.complete()
 
     def complete(self):
-        """Joins image and touch with the nearest joint state, once none nearer can come."""
+        """Adds the nearest joint state to image and touch, once no nearer one can arrive."""
         while self.ready and self.joints:
             stamp, image, field = self.ready[0]
             at, state = min(self.joints, key=lambda joint: abs(joint[0] - stamp))
             if self.joints[-1][0] < stamp:
-                return  # the next one may be nearer
+                return  # the next joint state may be nearer
             self.ready.popleft()
             if abs(at - stamp) <= self.slop and (not self.steps or stamp > self.steps[-1][0]):
                 self.steps.append((stamp, image, state, field))

@@ -3,10 +3,10 @@
 
     ray_label.py INPUT OUT [--shards N] [--address auto] [-- OPTIONS OF egotac label]
 
-INPUT and OUT lie on storage that all nodes see. The episodes and files are shared out over N shards, each a Ray task that runs
-`egotac label --shard I/N`. A task whose worker dies is run again, on any node, and goes on where the dead one was; whoever is
-done last puts each output together. OUT/manifest.json lists what came of several inputs. Needs Ray (`pip install ray`) and egotac
-on each node's PATH, or in EGOTAC.
+INPUT and OUT lie on storage that all nodes can access. The episodes and files are distributed over N shards; each shard is a Ray
+task that runs `egotac label --shard I/N`. If a worker dies, Ray runs its task again on any node, and the task resumes where the
+worker stopped. The shard that finishes an output last assembles it. OUT/manifest.json lists the outputs of several inputs. Needs
+Ray (`pip install ray`), and egotac on each node's PATH or in EGOTAC.
 """
 import argparse
 import ctypes
@@ -17,16 +17,17 @@ import sys
 
 import ray
 
-PARTLY = 3  # exit status: all that could be read is labelled, the rest is listed
+PARTLY = 3  # exit status of egotac label: everything readable is labelled, the rest is listed
 
 
 def die_with_parent():
-    """A worker that is killed must not leave its labeller behind, which would still hold the episode's journal."""
+    """Ends the labeller with its worker: a labeller left behind would continue to write the episode's journal."""
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 @ray.remote(max_retries=10)
 def label(command, shard):
+    """Labels one shard; returns shard, exit status and output."""
     done = subprocess.run([*command, "--shard", shard], capture_output=True, text=True, preexec_fn=die_with_parent)
     if done.returncode not in (0, PARTLY):
         raise RuntimeError(f"shard {shard}: exit status {done.returncode}: {done.stderr.strip()}")
@@ -37,10 +38,10 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("input")
     parser.add_argument("out")
-    parser.add_argument("--shards", type=int, default=16, help="tasks; more than workers, so that none idles at the end")
-    parser.add_argument("--cpus", type=float, default=1, help="processors that a task counts for")
-    parser.add_argument("--address", help="of the cluster, for instance auto; without it a local one is started")
-    parser.add_argument("options", nargs="*", help="further options of egotac label, after --")
+    parser.add_argument("--shards", type=int, default=16, help="number of tasks; more than workers, so that no worker idles at the end")
+    parser.add_argument("--cpus", type=float, default=1, help="processors that Ray reserves per task")
+    parser.add_argument("--address", help="address of the cluster, for instance auto; default: start a local cluster")
+    parser.add_argument("options", nargs="*", help="options of egotac label, after --")
     args = parser.parse_args()
 
     ray.init(address=args.address)

@@ -4,9 +4,9 @@ losses on held-out episodes.
 
     train_with_touch.py DATASET [--steps 500] [--seed 0] [--camera observation.images.head] [--out FOLDER]
 
-Touch goes in as the sum of force on each of the 17 regions of both hands (the column PREFIX.region_force), under the name of
-LeRobot's environment state, which ACT gives a token of its own; the network is otherwise the same, from the same seed, with the
-same batches. Needs lerobot 0.4; a CPU will do.
+The touch input is the sum of force on each of the 17 regions of both hands (the column PREFIX.region_force). It takes the name of
+LeRobot's environment state, for which ACT has a separate token. Both networks start from the same seed and train on the same
+batches. Needs lerobot 0.4; a CPU is enough.
 """
 import argparse
 import json
@@ -19,11 +19,12 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.policies.act.modeling_act import ACTPolicy
 
-CHUNK = 4  # actions predicted at a time
+CHUNK = 4  # actions per prediction
 STATE, TOUCH, ACTION = "observation.state", "observation.environment_state", "action"
 
 
 def policy(dataset, camera, column, with_touch):
+    """Creates an ACT policy; returns it with mean and standard deviation of each input."""
     features, stats = dataset.meta.features, dataset.meta.stats
     inputs = {STATE: PolicyFeature(FeatureType.STATE, tuple(features[STATE]["shape"]))}
     if camera:
@@ -42,7 +43,7 @@ def policy(dataset, camera, column, with_touch):
 
 
 def prepared(batch, column, scales, camera):
-    """Batch under the policy's names, centred and scaled by the data set's statistics; unknown touch becomes the mean."""
+    """Returns the batch under the policy's names, normalised by the data set's statistics; unknown touch becomes the mean."""
     batch = {**batch, TOUCH: batch[column]}
     taken = {camera: batch[camera]} if camera else {}
     for name, (mean, std) in scales.items():
@@ -56,9 +57,9 @@ def main():
     parser.add_argument("--steps", type=int, default=500)
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--camera", help="key of a camera; without it the policy sees no image")
+    parser.add_argument("--camera", help="key of a camera; default: the policy sees no image")
     parser.add_argument("--prefix", default="tactile")
-    parser.add_argument("--out", type=pathlib.Path, help="folder for both policies and losses.json")
+    parser.add_argument("--out", type=pathlib.Path, help="folder of both policies and losses.json")
     args = parser.parse_args()
 
     column = f"{args.prefix}.region_force"

@@ -1,7 +1,7 @@
-# Runs cargo for CMakeLists.txt, at build time, when the messages are installed.
+# Runs cargo for CMakeLists.txt at build time, after the messages are installed.
 
-# r2r binds the messages named here. The last name is no package: it changes with the layout of our messages, which
-# makes r2r's build scripts run again (a stale binding would be memory corruption, not a compile error).
+# r2r generates bindings for the packages named here. The last name is not a package: it holds a hash of our message
+# files, so that r2r's build scripts run again when these change. Stale bindings would corrupt memory, not fail to compile.
 # build.rs and scripts/lib/common.sh compute the same hash.
 file(STRINGS "${REPOSITORY}/scripts/idl_packages.txt" packages)
 file(GLOB idls RELATIVE "${MESSAGES}" "${MESSAGES}/action/*.idl" "${MESSAGES}/msg/*.idl" "${MESSAGES}/srv/*.idl")
@@ -16,8 +16,8 @@ string(SUBSTRING "${hash}" 0 16 hash)
 list(APPEND packages "egotac_idl_${hash}")
 set(ENV{IDL_PACKAGE_FILTER} "${packages}")
 
-# The programs look for their libraries where set-up says (EGOTAC_RPATH), but first beside the messages they are bound
-# to: set-up has messages of its own, which may have another layout.
+# The programs search for libraries next to the messages that they are bound to, and only then in EGOTAC_RPATH: set-up
+# installs its own copy of the messages there, which may have another layout.
 get_filename_component(prefix "${MESSAGES}/../.." ABSOLUTE)
 string(CONCAT rpath "${prefix}/lib:" "$ENV{EGOTAC_RPATH}")
 string(REGEX REPLACE ":$" "" rpath "${rpath}")

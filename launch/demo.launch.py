@@ -1,84 +1,39 @@
-"""Starts the simulator, the predictor on its camera, and the verifier that compares the two.
+"""Starts the simulator, the predictor on its camera, and the verifier that compares predictions with the truth.
 
     ros2 launch egotac demo.launch.py
 """
 
+import sys
+from pathlib import Path
+
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
-from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import Node
-from launch_ros.substitutions import FindPackageShare
+from launch.actions import OpaqueFunction
+
+sys.path.insert(0, str(Path(__file__).parent))
+from egotac_launch import argument, given, include, node, node_arguments, pass_on, rviz  # noqa: E402
 
 ARGUMENTS = [
-    DeclareLaunchArgument(
-        "scenes",
-        default_value="",
-        description="Scenes to play in turn, separated by commas. Empty: as the parameter file says.",
-    ),
-    DeclareLaunchArgument(
-        "seed", default_value="", description="Seed of the first episode. Empty: as the parameter file says."
-    ),
-    DeclareLaunchArgument("model", default_value="", description="Checkpoint. Empty: the one that comes with egotac."),
-    DeclareLaunchArgument(
-        "params_file",
-        default_value=PathJoinSubstitution([FindPackageShare("egotac"), "launch", "params.yaml"]),
-        description="Parameters of the nodes. Arguments given here win over it.",
-    ),
-    DeclareLaunchArgument("namespace", default_value="", description="Namespace of the nodes and their topics."),
-    DeclareLaunchArgument("rviz", default_value="false", description="true: show the point cloud in RViz."),
-    DeclareLaunchArgument("log_level", default_value="info", description="debug, info, warn, error or fatal."),
+    argument("scenes", "Scenes to play in turn, separated by commas. Empty: as in the parameter file."),
+    argument("seed", "Seed of the first episode. Empty: as in the parameter file."),
+    argument("model", "Checkpoint. Empty: the checkpoint shipped with egotac."),
+    *node_arguments(),
+    rviz(),
 ]
 
 
-def given(context):
-    """The scenes and the seed, where they were given, as parameters that win over the file."""
-    parameters = {}
-    if scenes := LaunchConfiguration("scenes").perform(context):
-        parameters["scenes"] = [scene.strip() for scene in scenes.split(",")]
-    if seed := LaunchConfiguration("seed").perform(context):
-        parameters["seed"] = int(seed)
-    return parameters
-
-
-def node(name, parameters, remappings):
-    """One of egotac's nodes."""
-    return Node(
-        package="egotac",
-        executable=f"egotac_{name}",
-        name=name,
-        namespace=LaunchConfiguration("namespace"),
-        parameters=[LaunchConfiguration("params_file"), *parameters],
-        remappings=remappings,
-        arguments=["--ros-args", "--log-level", LaunchConfiguration("log_level")],
-        output="screen",
-    )
-
-
 def nodes(context):
-    """The simulator and the verifier."""
+    """Returns the simulator and the verifier."""
     return [
-        node("simulator", [given(context)], []),
-        node("verifier", [], [("tactile", "predictor/tactile"), ("truth", "truth/tactile")]),
+        node("simulator", given(context, "scenes", "seed")),
+        node("verifier", {}, [("tactile", "predictor/tactile"), ("truth", "truth/tactile")]),
     ]
 
 
 def generate_launch_description():
-    """What `ros2 launch` asks for."""
-    predictor = IncludeLaunchDescription(
-        PythonLaunchDescriptionSource(
-            PathJoinSubstitution([FindPackageShare("egotac"), "launch", "egotac.launch.py"])
-        ),
-        launch_arguments={
-            "image_topic": "image_raw",
-            "hand_pose_topic": "truth/hand_pose",
-            "image_transport": "raw",
-            "model": LaunchConfiguration("model"),
-            "params_file": LaunchConfiguration("params_file"),
-            "namespace": LaunchConfiguration("namespace"),
-            "rviz": LaunchConfiguration("rviz"),
-            "log_level": LaunchConfiguration("log_level"),
-        }.items(),
+    """Entry point of `ros2 launch`."""
+    topics = {"image_topic": "image_raw", "hand_pose_topic": "truth/hand_pose", "image_transport": "raw"}
+    predictor = include(
+        "egotac.launch.py", topics | pass_on("model", "params_file", "namespace", "rviz", "log_level")
     )
-    # The include comes first: it also gives the middleware room for images.
+    # The include precedes the nodes, because it also sets the Fast DDS profile for them.
     return LaunchDescription([*ARGUMENTS, predictor, OpaqueFunction(function=nodes)])

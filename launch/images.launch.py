@@ -1,30 +1,28 @@
-"""Gives Fast DDS room for camera images, for the launch files that start a node on a camera topic."""
+"""Gives Fast DDS room for camera images; included by the launch files that start a node on a camera topic."""
 
 import os
+import sys
+from pathlib import Path
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.substitutions import FindPackageShare
+from launch.actions import OpaqueFunction, SetEnvironmentVariable
+from launch.substitutions import LaunchConfiguration
 
-ARGUMENTS = [
-    DeclareLaunchArgument(
-        "fastdds_profile",
-        default_value=PathJoinSubstitution([FindPackageShare("egotac"), "launch", "fastdds.xml"]),
-        description="Fast DDS profile; this one has room for camera images. It is not used where one is set already.",
-    ),
-]
+sys.path.insert(0, str(Path(__file__).parent))
+from egotac_launch import fastdds_profile  # noqa: E402
+
+VARIABLES = ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"]
+"""Name of the environment variable up to ROS 2 Jazzy, and in newer releases."""
 
 
-def make_room(context):
-    """Fast DDS loses most images above half a megabyte with its default settings."""
+def set_profile(context):
+    """Sets the profile; with its default settings Fast DDS loses most images above half a megabyte."""
     profile = LaunchConfiguration("fastdds_profile").perform(context)
-    names = ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"]  # Jazzy's name, and the newer one
-    if not profile or any(os.environ.get(name) for name in names):
+    if not profile or any(os.environ.get(name) for name in VARIABLES):
         return []
-    return [SetEnvironmentVariable(name, profile) for name in names]
+    return [SetEnvironmentVariable(name, profile) for name in VARIABLES]
 
 
 def generate_launch_description():
-    """What `ros2 launch` asks for."""
-    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=make_room)])
+    """Entry point of `ros2 launch`."""
+    return LaunchDescription([fastdds_profile(), OpaqueFunction(function=set_profile)])

@@ -1,4 +1,4 @@
-//! Launch files and parameter file name programs, parameters and files that exist.
+//! The launch files and the parameter file name only programs, parameters and files that exist.
 #![cfg(all(feature = "ros", feature = "sim"))]
 
 use std::path::{Path, PathBuf};
@@ -18,22 +18,27 @@ fn stdout(command: &mut Command) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// What a launch file would start, given some arguments.
+/// Describes what a launch file of the source tree starts with these arguments.
 fn describe(file: &str, arguments: &[&str]) -> Value {
+    describe_in(&root().join("launch"), file, arguments)
+}
+
+fn describe_in(folder: &Path, file: &str, arguments: &[&str]) -> Value {
     let python = std::env::var("EGOTAC_PYTHON").expect("source env.sh");
     let mut command = Command::new(python);
-    command.arg(root().join("tests/data/launch/describe.py")).arg(root().join("launch").join(file)).args(arguments);
+    command.arg(root().join("tests/data/launch/describe.py")).arg(folder.join(file)).args(arguments);
+    command.env("PYTHONDONTWRITEBYTECODE", "1");
     command.env_remove("FASTRTPS_DEFAULT_PROFILES_FILE").env_remove("FASTDDS_DEFAULT_PROFILES_FILE");
     serde_json::from_str(&stdout(&mut command)).unwrap()
 }
 
-/// A node's parameters, from the node itself: name to type, default and range.
+/// Returns the parameters that a node describes: name to type, default and range.
 fn parameter_table(node: &str) -> Value {
     let program = Path::new(env!("CARGO_BIN_EXE_egotac")).with_file_name(format!("egotac_{node}"));
     serde_json::from_str(&stdout(Command::new(program).arg("--describe-parameters"))).unwrap()
 }
 
-/// Checks a value against a node's table: name, type, range and choices.
+/// Checks a value against a node's parameters: name, type, range and choices.
 fn check_parameter(node: &str, name: &str, value: &Value) {
     let table = parameter_table(node);
     let entry = table.get(name).unwrap_or_else(|| panic!("{node} has no parameter {name}: {table:#}"));
@@ -66,14 +71,14 @@ fn nodes_of(description: &Value) -> Vec<&Value> {
     description["nodes"].as_array().unwrap().iter().filter(|node| node["package"] == "egotac").collect()
 }
 
-/// Where a file of the installed package lies in the source tree.
+/// Returns the path in the source tree of a file of the installed package.
 fn in_source(installed: &str) -> PathBuf {
     let relative = installed.strip_prefix("<share of egotac>/").unwrap_or_else(|| panic!("{installed}"));
     root().join(relative)
 }
 
 #[test]
-fn each_node_of_the_launch_files_is_one_of_our_programs_with_its_own_parameters() {
+fn launch_files_start_our_programs_with_valid_parameters() {
     let programs = program_names();
     let given =
         ["use_sim_time:=true", "image_transport:=compressed", "model:=/m.safetensors", "device:=cpu", "rviz:=true"];
@@ -106,7 +111,7 @@ fn each_node_of_the_launch_files_is_one_of_our_programs_with_its_own_parameters(
 }
 
 #[test]
-fn the_demo_starts_all_nodes_and_joins_their_topics() {
+fn demo_starts_three_nodes_and_connects_their_topics() {
     let description = describe("demo.launch.py", &["namespace:=left", "model:=/m.safetensors"]);
     let mut started: Vec<_> =
         nodes_of(&description).iter().map(|node| node["name"].as_str().unwrap().to_owned()).collect();
@@ -133,7 +138,7 @@ fn the_demo_starts_all_nodes_and_joins_their_topics() {
 }
 
 #[test]
-fn the_retargeter_follows_the_simulators_hand_and_the_predictors_touch() {
+fn retarget_demo_connects_the_retargeter_to_simulator_and_predictor() {
     let description = describe("retarget.launch.py", &["demo:=true", "namespace:=right"]);
     let nodes = nodes_of(&description);
     let names: Vec<_> = nodes.iter().map(|node| node["name"].as_str().unwrap()).collect();
@@ -143,7 +148,7 @@ fn the_retargeter_follows_the_simulators_hand_and_the_predictors_touch() {
     assert_eq!(nodes[0]["remappings"]["tactile"], "predictor/tactile");
     let includes = description["includes"].as_array().unwrap();
     assert!(includes.iter().any(|include| include["file"].as_str().unwrap().ends_with("egotac.launch.py")));
-    // Without the demo the retargeter is alone.
+    // Without demo:=true the retargeter starts alone.
     let description = describe("retarget.launch.py", &["keypoints_topic:=/tracker/hand"]);
     assert_eq!(description["includes"], serde_json::json!([]));
     assert_eq!(nodes_of(&description).len(), 1);
@@ -151,7 +156,30 @@ fn the_retargeter_follows_the_simulators_hand_and_the_predictors_touch() {
 }
 
 #[test]
-fn arguments_that_are_not_given_leave_the_parameter_file_its_say() {
+fn installed_launch_files_find_the_module_that_they_share() {
+    // Installs by the patterns of launch/CMakeLists.txt.
+    let cmake = std::fs::read_to_string(root().join("launch/CMakeLists.txt")).unwrap();
+    let (_, rule) = cmake.split_once("FILES_MATCHING").unwrap();
+    let (rule, _) = rule.split_once(')').unwrap();
+    let patterns: Vec<&str> =
+        rule.split('"').skip(1).step_by(2).map(|pattern| pattern.trim_start_matches('*')).collect();
+    let folder = tempfile::tempdir().unwrap();
+    for entry in std::fs::read_dir(root().join("launch")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        if patterns.iter().any(|pattern| name.ends_with(pattern)) && name.contains('.') {
+            std::fs::copy(root().join("launch").join(&name), folder.path().join(&name)).unwrap();
+        }
+    }
+    for file in ["egotac.launch.py", "demo.launch.py", "images.launch.py", "retarget.launch.py", "trainer.launch.py"] {
+        assert_eq!(describe_in(folder.path(), file, &[]), describe(file, &[]), "{file}");
+    }
+    for file in ["params.yaml", "fastdds.xml", "egotac.rviz"] {
+        assert!(folder.path().join(file).is_file(), "{file} is not installed");
+    }
+}
+
+#[test]
+fn arguments_that_are_not_given_do_not_override_the_parameter_file() {
     let description = describe("egotac.launch.py", &["image_topic:=/camera/image"]);
     let nodes = nodes_of(&description);
     assert_eq!(nodes[0]["parameters"], serde_json::json!({}));
@@ -160,7 +188,7 @@ fn arguments_that_are_not_given_leave_the_parameter_file_its_say() {
 }
 
 #[test]
-fn each_argument_says_what_it_does() {
+fn each_argument_has_a_description() {
     let expected = [
         "image_topic",
         "image_transport",
@@ -184,7 +212,7 @@ fn each_argument_says_what_it_does() {
 }
 
 #[test]
-fn the_middleware_gets_room_for_images_unless_a_profile_is_set() {
+fn images_launch_sets_the_fast_dds_profile_unless_it_is_empty() {
     let description = describe("images.launch.py", &[]);
     for name in ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"] {
         let profile = description["environment"][name].as_str().unwrap();
@@ -192,7 +220,7 @@ fn the_middleware_gets_room_for_images_unless_a_profile_is_set() {
     }
     let description = describe("images.launch.py", &["fastdds_profile:="]);
     assert_eq!(description["environment"], serde_json::json!({}));
-    // Whatever takes images from a camera asks for it.
+    // Launch files of nodes that take camera images include it.
     for file in ["egotac.launch.py", "trainer.launch.py"] {
         let description = describe(file, &["fastdds_profile:=/mine.xml"]);
         let include = &description["includes"][0];
@@ -202,7 +230,7 @@ fn the_middleware_gets_room_for_images_unless_a_profile_is_set() {
 }
 
 #[test]
-fn the_parameter_file_names_nodes_and_parameters_that_exist() {
+fn the_parameter_file_names_existing_nodes_and_parameters() {
     let text = std::fs::read_to_string(root().join("launch/params.yaml")).unwrap();
     let file: Value = serde_yaml::from_str(&text).unwrap();
     for (node, content) in file.as_object().unwrap() {

@@ -1,4 +1,4 @@
-//! The policy's observation builder of `examples/` against rclpy, which plays camera, arm and predictor.
+//! `examples/observation_builder.py` with an rclpy peer in the roles of camera, arm and predictor.
 #![cfg(feature = "ros")]
 
 #[path = "ros/harness.rs"]
@@ -7,6 +7,6 @@ mod harness;
 use harness::Session;
 
 #[test]
-fn image_joints_and_touch_pair_by_their_stamps() {
+fn image_joints_and_touch_are_paired_by_their_stamps() {
     Session::new().check("observation_peer.py", &[]);
 }

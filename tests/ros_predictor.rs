@@ -1,4 +1,4 @@
-//! The node `predictor` against rclpy: what `tests/ros/predictor_peer.py` sees of the real program.
+//! The program `egotac_predictor`, tested by the rclpy peer `tests/ros/predictor_peer.py`.
 #![cfg(feature = "ros")]
 
 #[path = "ros/harness.rs"]
@@ -10,7 +10,7 @@ use harness::{Running, Session};
 const PROGRAM: &str = env!("CARGO_BIN_EXE_egotac_predictor");
 const PEER: &str = "predictor_peer.py";
 
-/// A predictor with a small random network.
+/// Starts a predictor with a small random network.
 fn predictor(session: &Session, ros_args: &[&str]) -> Running {
     predictor_with(session, &Config::toy(), ros_args)
 }
@@ -20,7 +20,7 @@ fn predictor_with(session: &Session, config: &Config, ros_args: &[&str]) -> Runn
     session.node(PROGRAM, &[&["-p", &model], ros_args].concat())
 }
 
-/// Starts the node, lets the peer check one fact, and ends the node cleanly.
+/// Starts the node, runs one check of the peer, and stops the node.
 fn holds(fact: &str, ros_args: &[&str]) {
     let session = Session::new();
     let mut node = predictor(&session, ros_args);
@@ -29,7 +29,7 @@ fn holds(fact: &str, ros_args: &[&str]) {
 }
 
 #[test]
-fn images_of_every_encoding_size_and_padding_get_predictions_with_equal_stamps() {
+fn images_of_every_encoding_size_and_padding_are_predicted_with_equal_stamps() {
     holds("encodings", &[]);
 }
 
@@ -39,7 +39,7 @@ fn a_frame_holds_both_hands_left_first() {
 }
 
 #[test]
-fn png_and_jpeg_files_get_predictions_on_the_resolved_topic() {
+fn png_and_jpeg_images_are_taken_from_the_resolved_compressed_topic() {
     let session = Session::new();
     let mut node = predictor(&session, &["-p", "image_transport:=compressed", "-r", "image:=cam/image_raw"]);
     session.check(PEER, &["compressed", concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/ros")]);
@@ -52,17 +52,17 @@ fn the_image_topic_can_be_remapped() {
 }
 
 #[test]
-fn a_malformed_image_is_named_in_a_warning_and_survived() {
+fn a_malformed_image_is_dropped_with_a_warning_that_names_the_fault() {
     holds("malformed", &[]);
 }
 
 #[test]
-fn a_damaged_file_is_survived() {
+fn a_damaged_compressed_image_is_dropped() {
     holds("malformed_compressed", &["-p", "image_transport:=compressed"]);
 }
 
 #[test]
-fn sigint_and_sigterm_end_it_cleanly_while_images_flow() {
+fn sigint_and_sigterm_end_the_node_with_status_0_while_images_arrive() {
     for signal in ["INT", "TERM"] {
         let session = Session::new();
         let mut node = predictor(&session, &[]);
@@ -73,7 +73,7 @@ fn sigint_and_sigterm_end_it_cleanly_while_images_flow() {
 }
 
 #[test]
-fn the_latched_description_reaches_a_late_subscriber() {
+fn model_info_reaches_a_late_subscriber() {
     let session = Session::new();
     let mut node = predictor(&session, &[]);
     node.prints("images from");
@@ -83,12 +83,12 @@ fn the_latched_description_reaches_a_late_subscriber() {
 
 #[test]
 fn parameters_are_listed_described_set_and_refused() {
-    // A whole number serves as a double on the command line, too.
+    // An integer is accepted for a double on the command line, too.
     holds("parameters", &["-p", "contact_threshold:=0.25", "-p", "max_age_ms:=0"]);
 }
 
 #[test]
-fn the_newest_image_wins_over_a_slow_network() {
+fn a_slow_network_processes_the_newest_image_and_drops_older_ones() {
     let session = Session::new();
     let slow = Config { vision_width: 384, vision_depth: 12, image: 224, ..Config::toy() };
     let mut node = predictor_with(&session, &slow, &["-p", "reliability:=reliable"]);
@@ -97,7 +97,7 @@ fn the_newest_image_wins_over_a_slow_network() {
 }
 
 #[test]
-fn a_latency_budget_takes_the_best_network_of_a_folder_and_says_why() {
+fn latency_budget_picks_the_best_network_of_a_folder_and_logs_the_reason() {
     let session = Session::new();
     let large = session.checkpoint(&Config::pocket());
     std::fs::rename(&large, large.with_file_name("large.safetensors")).unwrap();
@@ -110,26 +110,26 @@ fn a_latency_budget_takes_the_best_network_of_a_folder_and_says_why() {
 }
 
 #[test]
-fn it_can_be_switched_off_and_on() {
+fn set_enabled_stops_and_resumes_predictions() {
     holds("enabled", &[]);
 }
 
 #[test]
-fn points_follow_the_frame_and_the_hand_pose() {
+fn points_carry_the_frames_forces_on_the_hand_pose() {
     holds("points", &[]);
 }
 
 #[test]
-fn reliability_matches_a_publisher_that_comes_later() {
+fn reliability_match_adapts_to_a_later_publisher() {
     holds("match", &["-p", "reliability:=match"]);
 }
 
 #[test]
-fn large_images_arrive_with_the_transport_profile() {
+fn large_images_arrive_with_the_fast_dds_profile() {
     holds("large", &[]);
 }
 
-/// Starts the program and expects it to refuse, with one line that says `text`.
+/// Starts the program and expects exit status 1 and one line with `text`.
 fn refuses(ros_args: &[&str], text: &str) {
     let session = Session::new();
     let mut node = session.node(PROGRAM, ros_args);
@@ -141,7 +141,7 @@ fn refuses(ros_args: &[&str], text: &str) {
 }
 
 #[test]
-fn it_refuses_what_it_cant_work_with_in_one_line() {
+fn invalid_parameters_end_the_program_with_one_line() {
     refuses(&["-p", "model:=/nowhere/model.safetensors"], "/nowhere/model.safetensors: no such file");
     refuses(&["-p", "device:=tpu"], "parameter device: expected one of cpu, cuda, got \"tpu\"");
     refuses(&["-p", "max_age_ms:=soon"], "parameter max_age_ms: expected double, got string \"soon\"");

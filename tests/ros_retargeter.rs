@@ -1,4 +1,4 @@
-//! The node `retargeter` against rclpy: what `tests/ros/retargeter_peer.py` sees of the real program.
+//! The program `egotac_retargeter`, tested by the rclpy peer `tests/ros/retargeter_peer.py`.
 #![cfg(all(feature = "ros", feature = "sim"))]
 
 #[path = "ros/harness.rs"]
@@ -29,7 +29,7 @@ fn node(session: &Session, ros_args: &[&str]) -> Running {
     session.node(PROGRAM, ros_args)
 }
 
-/// Starts the node, lets the peer check one fact about `case`, and ends the node cleanly; returns what it printed.
+/// Starts the node, runs one check of the peer on `case`, and stops the node; returns its output.
 fn holds(fact: &str, case: &Value, ros_args: &[&str]) -> String {
     let session = Session::new();
     let path = session.path("case.json");
@@ -40,12 +40,12 @@ fn holds(fact: &str, case: &Value, ros_args: &[&str]) -> String {
     node.output()
 }
 
-/// Frames as the peer sends them, and what the library makes of them: `hand`, `force` (778), `qpos`, `normal_force`.
+/// Returns frames for the peer with the library's results: `hand`, `force` (778), `qpos`, `normal_force`.
 fn case(robot: &str, frames: Vec<(Value, [glam::DVec3; 21], Vec<f32>)>) -> Value {
     case_about(Robot::load(robot, None).unwrap(), frames, |_| None)
 }
 
-/// Likewise, with an object: `object` is where it is for a hand.
+/// Returns frames as [`case`]; `object` gives the pose of the object for a hand.
 fn case_about(
     robot: Robot,
     frames: Vec<(Value, [glam::DVec3; 21], Vec<f32>)>,
@@ -88,7 +88,7 @@ fn keypoints_json(keypoints: &[glam::DVec3; 21]) -> Value {
     json!(keypoints.map(|point| point.to_array()))
 }
 
-/// A hand that moves freely, as keypoints; its index fingertip is pressed on.
+/// Returns frames of a hand that moves freely, as keypoints, with a growing force on its index fingertip.
 fn moving(frames: usize) -> Value {
     let hands = Trajectory::generate(frames, 5).unwrap().keypoints;
     let regions = HandModel::builtin(Side::Right).regions();
@@ -100,12 +100,12 @@ fn moving(frames: usize) -> Value {
     case("four_finger", frames.collect())
 }
 
-/// A hand that closes, as parameters.
+/// Returns frames of a hand that closes, as MANO parameters.
 fn closing(frames: usize, side: Side) -> Value {
     let model = HandModel::builtin(side);
     let frames = (0..frames).map(|frame| {
         let mut params = HandParams { transl: Vec3::new(0.1, -0.2, 0.4), ..HandParams::default() };
-        // Index to ring, second and third joints, a little.
+        // Bend the second and third joints of the index, middle and ring finger.
         let sign = if side == Side::Right { 1.0 } else { -1.0 };
         for joint in [1, 2, 4, 5, 10, 11] {
             params.hand_pose[joint] = Vec3::new(0.0, 0.0, sign * 0.02 * frame as f32);
@@ -122,25 +122,25 @@ fn closing(frames: usize, side: Side) -> Value {
 }
 
 #[test]
-fn keypoints_and_touch_are_followed_as_the_library_follows_them() {
+fn joints_and_forces_from_keypoints_agree_with_the_library() {
     assert_eq!(HandModel::builtin(Side::Right).v_template.len(), N_VERTICES);
     let printed = holds("keypoints", &moving(25), &["-p", "touch_wait_ms:=60000.0"]);
     assert!(printed.contains("four_finger") && printed.contains("follows the right hand"), "{printed}");
 }
 
 #[test]
-fn poses_are_followed_and_those_of_the_other_hand_passed_over() {
+fn poses_are_followed_and_those_of_the_other_hand_ignored() {
     holds("poses", &closing(12, Side::Right), &[]);
 }
 
 #[test]
-fn an_object_in_the_way_is_kept_out_of() {
+fn links_stay_out_of_an_object() {
     let folder = tempfile::tempdir().unwrap();
     let ball = folder.path().join("ball.xml");
     std::fs::write(&ball, "<mujoco><worldbody><geom type=\"sphere\" size=\"0.02\"/></worldbody></mujoco>").unwrap();
     let shapes = Shapes::read(&ball).unwrap();
     let hands = Trajectory::generate(12, 5).unwrap().keypoints;
-    // Where the index fingertip is in the middle of the motion, wherever the wrist goes.
+    // The object is at the index fingertip of the middle frame, in the frame of the wrist.
     let place = Hand::new(&hands[6], Side::Right).unwrap().points[keypoint(1, 3)];
     let frames = || hands.iter().map(|hand| (keypoints_json(hand), *hand, vec![0.0; 778])).collect::<Vec<_>>();
     let there = |keypoints: &[glam::DVec3; 21]| {
@@ -157,12 +157,12 @@ fn an_object_in_the_way_is_kept_out_of() {
 }
 
 #[test]
-fn joints_come_at_a_fixed_rate_with_a_trajectory_that_a_controller_takes() {
+fn joints_and_trajectories_are_published_at_a_fixed_rate() {
     holds("rate", &moving(3), &["-p", "rate_hz:=25.0"]);
 }
 
 #[test]
-fn no_command_is_faster_than_the_joints_may() {
+fn no_command_exceeds_the_joint_velocity_limits() {
     let mut jump = moving(2);
     // The second hand is far from the first.
     let far = Trajectory::generate(200, 5).unwrap().keypoints[60];
@@ -171,12 +171,12 @@ fn no_command_is_faster_than_the_joints_may() {
 }
 
 #[test]
-fn stamps_pair_within_the_slop_and_late_touch_is_waited_for() {
+fn touches_pair_within_the_slop_and_a_hand_waits_for_a_late_one() {
     holds("pairs", &moving(8), &["-p", "touch_wait_ms:=60000.0", "-p", "sync_slop_ms:=12.0"]);
 }
 
 #[test]
-fn silence_and_bad_messages_hold_the_last_pose_and_end_nothing() {
+fn silence_and_malformed_messages_hold_the_last_pose() {
     let printed = holds("bad", &moving(12), &[]);
     for said in ["keypoint 8 (index tip)", "poses", "topology", "expected 0 (left) or 1 (right)"] {
         assert!(printed.contains(said), "{said}: {printed}");
@@ -184,22 +184,22 @@ fn silence_and_bad_messages_hold_the_last_pose_and_end_nothing() {
 }
 
 #[test]
-fn it_can_be_switched_off_and_on() {
+fn set_enabled_stops_and_resumes_commands() {
     holds("switched", &moving(3), &[]);
 }
 
 #[test]
-fn stamps_that_go_back_begin_anew() {
-    holds("anew", &moving(10), &[]);
+fn tracking_restarts_when_stamps_go_back() {
+    holds("restarts", &moving(10), &[]);
 }
 
 #[test]
-fn what_became_of_the_hands_is_in_the_diagnostics() {
+fn diagnostics_count_hands_by_outcome() {
     holds("diagnostics", &moving(6), &[]);
 }
 
 #[test]
-fn an_unknown_robot_ends_the_node_at_once_with_those_that_are_known() {
+fn an_unknown_robot_ends_the_node_with_the_list_of_known_ones() {
     let session = Session::new();
     let mut node = node(&session, &["-p", "robot:=five_finger"]);
     assert_eq!(node.wait().code(), Some(1));
@@ -208,7 +208,7 @@ fn an_unknown_robot_ends_the_node_at_once_with_those_that_are_known() {
 }
 
 #[test]
-fn a_hand_of_mano_needs_its_file() {
+fn a_mano_hand_needs_the_mano_file() {
     let mut case = closing(2, Side::Right);
     case["frames"][0]["hand"]["topology"] = json!("mano");
     let printed = holds("mano", &case, &[]);
@@ -216,14 +216,14 @@ fn a_hand_of_mano_needs_its_file() {
 }
 
 #[test]
-fn a_simulated_hand_is_followed_with_the_touch_that_the_predictor_sees() {
+fn retargeter_follows_the_simulated_hand_and_the_predicted_touch() {
     let session = Session::new();
     let model = format!("model:={}", session.checkpoint(&egotac::model::Config::toy()).display());
     let predictor = ["-p", &model, "-p", "reliability:=reliable", "-r", "image:=image_raw"];
     let mut predictor = session.node(env!("CARGO_BIN_EXE_egotac_predictor"), &predictor);
     predictor.prints("images from");
     let remapped = ["-r", "hand_pose:=truth/hand_pose", "-r", "tactile:=predictor/tactile"];
-    // Hands wait for touch as long as a busy machine takes.
+    // Hands wait for touch as long as a busy machine needs for it.
     let mut retargeter = node(&session, &[&remapped[..], &["-p", "touch_wait_ms:=60000.0"]].concat());
     let seen: PathBuf = session.path("case.json");
     std::fs::write(&seen, "{}").unwrap();

@@ -1,4 +1,4 @@
-//! The node `simulator` against rclpy: what `tests/ros/simulator_peer.py` sees of the real program.
+//! The program `egotac_simulator`, tested by the rclpy peer `tests/ros/simulator_peer.py`.
 #![cfg(all(feature = "ros", feature = "sim"))]
 
 #[path = "ros/harness.rs"]
@@ -9,7 +9,7 @@ use harness::Session;
 const PROGRAM: &str = env!("CARGO_BIN_EXE_egotac_simulator");
 const PEER: &str = "simulator_peer.py";
 
-/// Lets the peer check one fact of a run that ends by itself.
+/// Runs one check of the peer on a node that ends by itself.
 fn holds(fact: &str, ros_args: &[&str]) {
     let session = Session::new();
     let mut peer = session.peer(PEER, &[fact]);
@@ -21,36 +21,36 @@ fn holds(fact: &str, ros_args: &[&str]) {
 }
 
 #[test]
-fn a_frame_has_one_stamp_on_all_topics_and_the_hand_where_the_image_shows_it() {
+fn all_topics_of_a_frame_carry_one_stamp_and_the_hand_lies_in_the_image() {
     holds("frames", &["-p", "scenes:=lift_mug", "-p", "pace:=clock", "-p", "duration:=1.0", "-p", "seed:=3"]);
 }
 
 #[test]
-fn stamps_of_the_wall_clock_are_the_time_of_publication() {
+fn wall_clock_stamps_are_the_time_of_publication() {
     holds("wall", &["-p", "scenes:=[pinch_cube]", "-p", "duration:=0.4", "-p", "width:=64", "-p", "height:=48"]);
 }
 
 #[test]
-fn with_sim_time_somebody_elses_clock_sets_the_pace() {
+fn with_use_sim_time_an_external_clock_sets_the_pace() {
     let small = ["-p", "width:=32", "-p", "height:=32"];
     let follows = ["-p", "scenes:=[pinch_cube]", "-p", "duration:=1.0", "-p", "use_sim_time:=true"];
     holds("follows", &[&small[..], &follows[..]].concat());
 }
 
 #[test]
-fn jpeg_files_come_on_request() {
+fn compressed_images_are_published_on_request() {
     holds("compressed", &["-p", "scenes:=[pinch_cube]", "-p", "duration:=0.4", "-p", "compressed:=true"]);
 }
 
 #[test]
-fn episodes_follow_each_other_in_the_order_of_scenes() {
+fn episodes_are_played_in_the_order_of_the_scenes() {
     let scenes = "scenes:=[hover, pinch_cube]";
     let small = ["-p", scenes, "-p", "episodes:=2", "-p", "pace:=fast", "-p", "width:=16", "-p", "height:=16"];
     holds("episodes", &small);
 }
 
 #[test]
-fn sigint_and_sigterm_end_it_cleanly_in_the_middle_of_an_episode() {
+fn sigint_and_sigterm_end_the_node_with_status_0_during_an_episode() {
     for signal in ["INT", "TERM"] {
         let session = Session::new();
         let mut node = session.node(PROGRAM, &["-p", "scenes:=[pinch_cube]"]);
@@ -60,7 +60,7 @@ fn sigint_and_sigterm_end_it_cleanly_in_the_middle_of_an_episode() {
 }
 
 #[test]
-fn an_unknown_scene_is_refused_with_those_there_are() {
+fn an_unknown_scene_is_refused_with_the_list_of_known_ones() {
     let session = Session::new();
     let mut node = session.node(PROGRAM, &["-p", "scenes:=[juggle]"]);
     assert_eq!(node.wait().code(), Some(1), "{}", node.output());

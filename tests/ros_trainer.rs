@@ -1,4 +1,4 @@
-//! The node `trainer` against rclpy, which plays a world; and the predictor that takes what it made.
+//! The program `egotac_trainer` with an rclpy peer in the role of camera and truth, and a predictor that takes its checkpoints.
 #![cfg(feature = "ros")]
 
 #[path = "ros/harness.rs"]
@@ -20,7 +20,7 @@ const TRAINER: &str = env!("CARGO_BIN_EXE_egotac_trainer");
 const PREDICTOR: &str = env!("CARGO_BIN_EXE_egotac_predictor");
 const PEER: &str = "trainer_peer.py";
 
-/// Brightness says how hard the first vertices are touched.
+/// Writes a store in which the brightness of the image is proportional to the force on the first vertices.
 fn store(session: &Session) -> PathBuf {
     let path = session.path("train.zarr");
     let attributes: Attributes = serde_json::from_value(serde_json::json!({ "topology": "egotac-hand-1" })).unwrap();
@@ -45,7 +45,7 @@ fn store(session: &Session) -> PathBuf {
     path
 }
 
-/// A configuration for a small network; returns its file.
+/// Writes a configuration for a small network; returns its path.
 fn config(session: &Session, data: &str, more: &str) -> String {
     let path = session.path("config.yaml");
     let text = format!(
@@ -62,7 +62,7 @@ fn trainer(session: &Session, more: &[&str]) -> Running {
 }
 
 #[test]
-fn a_goal_trains_with_feedback_and_gives_a_scored_checkpoint() {
+fn a_goal_sends_feedback_and_returns_a_checkpoint_with_scores() {
     let session = Session::new();
     let store = store(&session).display().to_string();
     let config = config(&session, &store, &format!("validation: [{store}]\n"));
@@ -72,7 +72,7 @@ fn a_goal_trains_with_feedback_and_gives_a_scored_checkpoint() {
 }
 
 #[test]
-fn a_goal_that_cannot_be_done_is_rejected_with_the_reason() {
+fn an_invalid_goal_is_rejected_with_the_reason() {
     let session = Session::new();
     let config = config(&session, &store(&session).display().to_string(), "");
     let mut node = trainer(&session, &[]);
@@ -81,7 +81,7 @@ fn a_goal_that_cannot_be_done_is_rejected_with_the_reason() {
 }
 
 #[test]
-fn a_cancelled_goal_can_be_resumed_and_a_signal_stops_a_training() {
+fn a_cancelled_goal_resumes_and_a_signal_stops_a_training() {
     let session = Session::new();
     let config = config(&session, &store(&session).display().to_string(), "");
     let mut node = trainer(&session, &[]);
@@ -90,7 +90,7 @@ fn a_cancelled_goal_can_be_resumed_and_a_signal_stops_a_training() {
 }
 
 #[test]
-fn live_frames_are_recorded_in_bounds_while_rounds_learn_from_them() {
+fn live_frames_are_recorded_within_limits_while_rounds_train_on_them() {
     let session = Session::new();
     let config = config(&session, "none.zarr", "augment: { mirror: 0.0 }\n");
     let text = std::fs::read_to_string(&config).unwrap().replace("steps: 150", "steps: 120");
@@ -122,7 +122,7 @@ fn a_predictor_takes_another_network_and_misses_no_image() {
         path
     };
     let (second, other) = (save("second.safetensors", Topology::EgotacHand1), save("mano.safetensors", Topology::Mano));
-    // One weight of the file is no number.
+    // One weight of the file is NaN.
     let spoilt = session.path("spoilt.safetensors");
     let mut bytes = std::fs::read(&second).unwrap();
     let end = bytes.len();
@@ -136,7 +136,7 @@ fn a_predictor_takes_another_network_and_misses_no_image() {
 }
 
 #[test]
-fn what_is_learned_live_makes_the_predictor_better() {
+fn live_training_improves_the_predictor() {
     let session = Session::new();
     let vars = VarMap::new();
     EgoTac::new(&Config::toy(), init::var_builder(&vars, 1, &Device::Cpu)).unwrap();

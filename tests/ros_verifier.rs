@@ -1,4 +1,4 @@
-//! The node `verifier` against rclpy, which plays predictor and simulator; and all three nodes together.
+//! The program `egotac_verifier` with an rclpy peer in the roles of predictor and simulator, and the three real nodes together.
 #![cfg(feature = "ros")]
 
 #[path = "ros/harness.rs"]
@@ -10,7 +10,7 @@ use serde_json::Value;
 const PROGRAM: &str = env!("CARGO_BIN_EXE_egotac_verifier");
 const PEER: &str = "verifier_peer.py";
 
-/// Runs a fact against the verifier; returns its report and what it printed.
+/// Runs one check of the peer; returns the verifier's report and output.
 fn report(fact: &str) -> (Value, String) {
     let session = Session::new();
     let path = session.path("report.json");
@@ -22,8 +22,8 @@ fn report(fact: &str) -> (Value, String) {
 }
 
 #[test]
-fn pairs_are_scored_as_numpy_scores_them() {
-    // The peer compares ~/metrics with its own arithmetic; the report holds the same totals.
+fn metrics_agree_with_numpy() {
+    // The peer compares ~/metrics with its own numpy computation; the report holds the same totals.
     let (report, printed) = report("scores");
     assert_eq!(report["pairs"], 20);
     assert_eq!(report["unmatched_predictions"], 1);
@@ -37,17 +37,17 @@ fn pairs_are_scored_as_numpy_scores_them() {
 }
 
 #[test]
-fn fields_of_two_topologies_are_not_compared() {
+fn fields_of_different_topologies_are_not_compared() {
     let (report, printed) = report("topologies");
     assert_eq!(report["pairs"], 1);
     assert!(printed.contains("topology mismatch: mano and egotac-hand-1"), "{printed}");
 }
 
 #[test]
-fn a_report_that_cant_be_written_fails_at_the_end_with_its_path() {
+fn a_report_that_cannot_be_written_ends_the_node_with_an_error_and_the_path() {
     let session = Session::new();
     let mut node = session.node(PROGRAM, &["-p", "report:=/dev/null/report.json"]);
-    // The node is up once its services answer.
+    // The node runs once its services answer.
     session.check(PEER, &["up"]);
     node.signal("INT");
     assert_eq!(node.wait().code(), Some(1));
@@ -55,7 +55,7 @@ fn a_report_that_cant_be_written_fails_at_the_end_with_its_path() {
 }
 
 #[test]
-fn a_required_score_that_is_missed_is_logged_and_sets_the_exit_status() {
+fn a_missed_required_score_is_logged_and_sets_the_exit_status() {
     for (require, code) in [("require:=f1=0.5,missed_force=0.9", 0), ("require:=f1=0.5,mae=0.001", 1)] {
         let session = Session::new();
         let path = session.path("report.json");
@@ -67,7 +67,7 @@ fn a_required_score_that_is_missed_is_logged_and_sets_the_exit_status() {
         let missed = "mae: at most 0.001 is required, got 0.0161, which misses by 0.0151";
         assert_eq!(node.output().contains(missed), code == 1, "{}", node.output());
         assert!(!node.output().contains("f1: at least"), "{}", node.output());
-        // The report is written all the same.
+        // The report is written in both cases.
         let report: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
         assert_eq!(report["touch"]["pooled.f1"], report["metrics"]["pooled"]["f1"]);
         assert!(report["touch"]["onset_error_secs"].is_f64());
@@ -75,14 +75,14 @@ fn a_required_score_that_is_missed_is_logged_and_sets_the_exit_status() {
 }
 
 #[test]
-fn a_gate_of_unknown_scores_ends_the_node_at_once() {
+fn an_unknown_required_score_ends_the_node_at_start() {
     let session = Session::new();
     let mut node = session.node(PROGRAM, &["-p", "require:=f2=0.5"]);
     assert_eq!(node.wait().code(), Some(1));
     assert!(node.output().contains("parameter require") && node.output().contains("missed_force"), "{}", node.output());
 }
 
-/// Three simulated seconds through all three programs; returns the verifier's report.
+/// Runs all three programs for three simulated seconds; returns the verifier's report.
 #[cfg(feature = "sim")]
 fn pipeline(simulator_args: &[&str], predictor_args: &[&str], verifier_args: &[&str]) -> Value {
     let session = Session::new();
@@ -103,10 +103,10 @@ fn pipeline(simulator_args: &[&str], predictor_args: &[&str], verifier_args: &[&
     predictor.ends_cleanly("INT");
     verifier.ends_cleanly("INT");
     let report: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
-    // A busy machine may skip frames, and the last one may still be under way.
+    // A busy machine may skip frames, and the last frame may not be predicted yet.
     let (pairs, alone) = (report["pairs"].as_u64().unwrap(), report["unmatched_truths"].as_u64().unwrap());
     assert!(pairs >= 10 && pairs + alone <= 75, "{report:#}");
-    // On a busy machine the verifier may find the simulator later than the predictor does.
+    // On a busy machine DDS may connect the verifier to the simulator later than the predictor.
     assert!(pairs + report["unmatched_predictions"].as_u64().unwrap() <= 75, "{report:#}");
     assert!(report["model_id"].as_str().unwrap().starts_with("random/"));
     report
@@ -114,17 +114,17 @@ fn pipeline(simulator_args: &[&str], predictor_args: &[&str], verifier_args: &[&
 
 #[cfg(feature = "sim")]
 #[test]
-fn simulated_frames_are_predicted_and_verified() {
+fn simulated_frames_are_predicted_and_scored() {
     let report = pipeline(&[], &["-r", "hand_pose:=truth/hand_pose"], &[]);
     assert!(report["latency_secs"]["p50"].as_f64().unwrap() > 0.0);
 }
 
 #[cfg(feature = "sim")]
 #[test]
-fn simulated_time_and_compressed_images_serve_as_well() {
+fn pipeline_works_with_simulated_time_and_compressed_images() {
     let simulator = ["-p", "pace:=clock", "-p", "compressed:=true"];
     let predictor = ["-p", "image_transport:=compressed", "-p", "use_sim_time:=true"];
     let report = pipeline(&simulator, &predictor, &["-p", "use_sim_time:=true"]);
-    // Three simulated seconds have passed at most, whatever the wall clock says.
+    // Latencies are in simulated time, of which at most three seconds passed.
     assert!(report["latency_secs"]["max"].as_f64().unwrap() < 3.0);
 }

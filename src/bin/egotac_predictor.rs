@@ -1,9 +1,7 @@
-//! The node `predictor`.
+//! The program `egotac_predictor`.
 
 use std::process::ExitCode;
 
-use egotac::node::{self, predictor};
-
 fn main() -> ExitCode {
-    node::main("Predicts touch on both hands from images.", &predictor::parameters(), predictor::start)
+    egotac::node::predictor::main()
 }

@@ -1,9 +1,7 @@
-//! The node `retargeter`.
+//! The program `egotac_retargeter`.
 
 use std::process::ExitCode;
 
-use egotac::node::{self, retargeter};
-
 fn main() -> ExitCode {
-    node::main("Follows a hand and its touch with a robot hand.", &retargeter::parameters(), retargeter::start)
+    egotac::node::retargeter::main()
 }

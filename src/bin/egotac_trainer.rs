@@ -1,12 +1,11 @@
-//! The node `trainer`.
+//! The program `egotac_trainer`.
 
 use std::process::ExitCode;
 
-use egotac::node::{self, trainer};
-
+// Training allocates and frees many large tensors per step, which mimalloc does faster than the system's allocator.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
-    node::main("Trains networks on stores and on live topics.", &trainer::parameters(), trainer::start)
+    egotac::node::trainer::main()
 }

@@ -1,9 +1,7 @@
-//! The node `verifier`.
+//! The program `egotac_verifier`.
 
 use std::process::ExitCode;
 
-use egotac::node::{self, verifier};
-
 fn main() -> ExitCode {
-    node::main("Scores predictions against truth, live.", &verifier::parameters(), verifier::start)
+    egotac::node::verifier::main()
 }

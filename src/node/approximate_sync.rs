@@ -1,138 +1,154 @@
-//! Hands of one topic and touches of another, matched by near stamps.
+//! Approximate synchroniser: pairs hands of one topic with touches of another by near stamps.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
+use super::time_jump;
 use crate::message::Time;
 
-/// Nanoseconds by which a stamp may lie before the newest one of its side; further back, time began anew.
-const JUMP: i64 = 1_000_000_000;
-/// Messages that may wait on each side.
+/// Most messages that wait per topic; more than three seconds of any camera.
 const CAPACITY: usize = 200;
-/// Silence of touches after which no hand waits for one, at least.
-const SILENCE: Duration = Duration::from_secs(1);
+/// Shortest silence of the touch topic after which hands no longer wait for touches: a predictor that runs publishes
+/// several times per second.
+const MIN_TOUCH_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Hands that wait for their touch, and touches for their hand.
+/// Pairs hands with touches; both wait in queues of bounded length.
 ///
-/// A touch is computed from an image and comes later than the hand's pose, so a hand waits a while for it. What comes out
-/// is in the order of the hands' stamps; hands that were overtaken are counted, not given out.
+/// A touch is computed from an image and arrives later than the pose of the same hand, so a hand waits for it. Hands leave
+/// in the order of their stamps; hands that a newer one overtook are counted and dropped.
 #[derive(Debug)]
-pub(super) struct Matching<H, T> {
-    hands: VecDeque<Waiting<H>>,
+pub(crate) struct ApproximateSync<H, T> {
+    hands: VecDeque<WaitingHand<H>>,
     touches: VecDeque<(Time, T)>,
-    /// Most nanoseconds between the stamps of a hand and its touch.
-    slop: i64,
-    /// How long a hand waits for its touch.
-    patience: Duration,
-    newest: [Option<Time>; 2],
-    taken: Option<Time>,
-    /// When a touch came last.
-    touched: Option<Instant>,
-    began_anew: bool,
+    /// Largest difference between the stamps of a hand and its touch, nanoseconds.
+    slop_nanos: i64,
+    /// Longest time that a hand waits for its touch.
+    max_wait: Duration,
+    newest_hand: Option<Time>,
+    newest_touch: Option<Time>,
+    /// Stamp of the hand that left last.
+    last_taken: Option<Time>,
+    /// Arrival of the newest touch.
+    last_touch: Option<Instant>,
+    restarted: bool,
     overtaken: u64,
 }
 
 #[derive(Debug)]
-struct Waiting<H> {
+struct WaitingHand<H> {
     stamp: Time,
-    came: Instant,
+    arrived: Instant,
     hand: H,
 }
 
-/// A hand, with its touch if there is one.
+/// A hand with its touch, if there is one.
 #[derive(Debug, PartialEq)]
-pub(super) struct Matched<H, T> {
-    pub(super) stamp: Time,
-    pub(super) hand: H,
-    pub(super) touch: Option<(Time, T)>,
-    /// Whether stamps jumped back since the last one.
-    pub(super) began_anew: bool,
+pub(crate) struct SyncedHand<H, T> {
+    pub(crate) stamp: Time,
+    pub(crate) hand: H,
+    pub(crate) touch: Option<(Time, T)>,
+    /// True if stamps jumped back since the hand before.
+    pub(crate) restarted: bool,
 }
 
-impl<H, T> Matching<H, T> {
-    /// Matches stamps at most `slop` seconds apart; a hand waits for `patience`.
-    pub(super) fn new(slop: f64, patience: Duration) -> Self {
+impl<H, T> ApproximateSync<H, T> {
+    /// Pairs stamps at most `slop` seconds apart; a hand waits for its touch at most `max_wait`.
+    pub(crate) fn new(slop: f64, max_wait: Duration) -> Self {
         Self {
             hands: VecDeque::new(),
             touches: VecDeque::new(),
-            slop: (slop * 1e9).round() as i64,
-            patience,
-            newest: [None; 2],
-            taken: None,
-            touched: None,
-            began_anew: false,
+            slop_nanos: (slop * 1e9).round() as i64,
+            max_wait,
+            newest_hand: None,
+            newest_touch: None,
+            last_taken: None,
+            last_touch: None,
+            restarted: false,
             overtaken: 0,
         }
     }
 
-    /// A hand came.
-    pub(super) fn hand(&mut self, stamp: Time, hand: H, now: Instant) {
-        self.note(0, stamp);
-        if self.taken.is_some_and(|taken| stamp <= taken) {
+    /// Takes a hand that arrived at `now`.
+    pub(crate) fn push_hand(&mut self, stamp: Time, hand: H, now: Instant) {
+        if time_jump::jumps_back(self.newest_hand, stamp) {
+            self.restart();
+        }
+        self.newest_hand = self.newest_hand.max(Some(stamp));
+        if self.last_taken.is_some_and(|taken| stamp <= taken) {
             self.overtaken += 1;
             return;
         }
-        let at = self.hands.partition_point(|waiting| waiting.stamp <= stamp);
-        self.hands.insert(at, Waiting { stamp, came: now, hand });
+        let index = self.hands.partition_point(|waiting| waiting.stamp <= stamp);
+        self.hands.insert(index, WaitingHand { stamp, arrived: now, hand });
         if self.hands.len() > CAPACITY {
             self.hands.pop_front();
             self.overtaken += 1;
         }
     }
 
-    /// A touch came.
-    pub(super) fn touch(&mut self, stamp: Time, touch: T, now: Instant) {
-        self.note(1, stamp);
-        self.touched = Some(now);
+    /// Takes a touch that arrived at `now`.
+    pub(crate) fn push_touch(&mut self, stamp: Time, touch: T, now: Instant) {
+        if time_jump::jumps_back(self.newest_touch, stamp) {
+            self.restart();
+        }
+        self.newest_touch = self.newest_touch.max(Some(stamp));
+        self.last_touch = Some(now);
         self.touches.push_back((stamp, touch));
         if self.touches.len() > CAPACITY {
             self.touches.pop_front();
         }
     }
 
-    /// The newest hand whose touch is here; else the newest one that need not wait for it any longer.
-    pub(super) fn take(&mut self, now: Instant) -> Option<Matched<H, T>> {
-        let matched = (0..self.hands.len()).rev().find_map(|index| Some((index, Some(self.partner(index)?))));
-        // Hands wait for touches that come at all.
-        let silence = SILENCE.max(self.patience);
-        let flows = self.touched.is_some_and(|touched| now.saturating_duration_since(touched) <= silence);
-        let waited = |waiting: &Waiting<H>| now.saturating_duration_since(waiting.came) >= self.patience;
-        let alone = || self.hands.iter().rposition(|waiting| !flows || waited(waiting)).map(|index| (index, None));
-        let (index, partner) = matched.or_else(alone)?;
-        let touch = partner.and_then(|partner| self.touches.remove(partner));
+    /// Returns the newest hand that has its touch, else the newest hand that need not wait any longer.
+    pub(crate) fn take(&mut self, now: Instant) -> Option<SyncedHand<H, T>> {
+        let (index, touch_index) = self.newest_paired().or_else(|| self.newest_unpaired(now))?;
+        let touch = touch_index.and_then(|touch| self.touches.remove(touch));
         self.overtaken += index as u64;
-        let Waiting { stamp, hand, .. } = self.hands.drain(..=index).next_back()?;
-        self.taken = Some(stamp);
-        let oldest = stamp.nanos() - self.slop;
+        let WaitingHand { stamp, hand, .. } = self.hands.drain(..=index).next_back()?;
+        self.last_taken = Some(stamp);
+        let oldest = stamp.nanos() - self.slop_nanos;
         self.touches.retain(|(touch, _)| touch.nanos() > oldest);
-        Some(Matched { stamp, hand, touch, began_anew: std::mem::take(&mut self.began_anew) })
+        Some(SyncedHand { stamp, hand, touch, restarted: std::mem::take(&mut self.restarted) })
     }
 
-    /// Hands that newer ones overtook so far.
-    pub(super) fn overtaken(&self) -> u64 {
+    /// Number of hands that newer ones overtook so far.
+    pub(crate) fn overtaken(&self) -> u64 {
         self.overtaken
     }
 
-    /// Whether touches have come of late.
-    pub(super) fn touch_flows(&self, now: Instant) -> bool {
-        self.touched.is_some_and(|touched| now.saturating_duration_since(touched) <= SILENCE.max(self.patience))
+    /// Returns true if touches arrive at present, so that hands wait for them.
+    pub(crate) fn touches_arrive(&self, now: Instant) -> bool {
+        let timeout = MIN_TOUCH_TIMEOUT.max(self.max_wait);
+        self.last_touch.is_some_and(|arrived| now.saturating_duration_since(arrived) <= timeout)
     }
 
-    /// The touch whose stamp is nearest to a hand's.
-    fn partner(&self, hand: usize) -> Option<usize> {
+    /// Returns the indices of the newest hand that has a touch, and of this touch.
+    fn newest_paired(&self) -> Option<(usize, Option<usize>)> {
+        (0..self.hands.len()).rev().find_map(|hand| Some((hand, Some(self.nearest_touch(hand)?))))
+    }
+
+    /// Returns the index of the newest hand that need not wait for a touch any longer.
+    fn newest_unpaired(&self, now: Instant) -> Option<(usize, Option<usize>)> {
+        let touches_arrive = self.touches_arrive(now);
+        let may_leave = |waiting: &WaitingHand<H>| {
+            !touches_arrive || now.saturating_duration_since(waiting.arrived) >= self.max_wait
+        };
+        Some((self.hands.iter().rposition(may_leave)?, None))
+    }
+
+    /// Returns the index of the touch whose stamp is nearest to a hand's, if it lies within the slop.
+    fn nearest_touch(&self, hand: usize) -> Option<usize> {
         let stamp = self.hands[hand].stamp.nanos();
-        let apart = |touch: usize| (self.touches[touch].0.nanos() - stamp).abs();
-        (0..self.touches.len()).filter(|touch| apart(*touch) <= self.slop).min_by_key(|touch| apart(*touch))
+        let distance = |touch: usize| (self.touches[touch].0.nanos() - stamp).abs();
+        (0..self.touches.len()).filter(|touch| distance(*touch) <= self.slop_nanos).min_by_key(|touch| distance(*touch))
     }
 
-    fn note(&mut self, side: usize, stamp: Time) {
-        if self.newest[side].is_some_and(|newest| newest.nanos() - stamp.nanos() > JUMP) {
-            self.overtaken += self.hands.len() as u64;
-            self.hands.clear();
-            self.touches.clear();
-            (self.newest, self.taken, self.began_anew) = ([None; 2], None, true);
-        }
-        self.newest[side] = self.newest[side].max(Some(stamp));
+    fn restart(&mut self) {
+        self.overtaken += self.hands.len() as u64;
+        self.hands.clear();
+        self.touches.clear();
+        (self.newest_hand, self.newest_touch, self.last_taken) = (None, None, None);
+        self.restarted = true;
     }
 }
 
@@ -140,96 +156,96 @@ impl<H, T> Matching<H, T> {
 mod tests {
     use super::*;
 
-    const PATIENCE: Duration = Duration::from_millis(200);
+    const MAX_WAIT: Duration = Duration::from_millis(200);
 
     fn at(millis: u32) -> Time {
         Time { sec: 7, nanosec: millis * 1_000_000 }
     }
 
-    /// What comes out: hand and touch.
-    fn take(matching: &mut Matching<char, u32>, now: Instant) -> Option<(char, Option<u32>)> {
-        matching.take(now).map(|matched| (matched.hand, matched.touch.map(|(_, touch)| touch)))
+    /// Returns hand and touch of the next pair.
+    fn take(sync: &mut ApproximateSync<char, u32>, now: Instant) -> Option<(char, Option<u32>)> {
+        sync.take(now).map(|synced| (synced.hand, synced.touch.map(|(_, touch)| touch)))
     }
 
     #[test]
-    fn a_hand_waits_for_its_touch_and_not_for_ever() {
+    fn a_hand_waits_for_its_touch_at_most_max_wait() {
         let start = Instant::now();
-        let mut matching = Matching::new(0.02, PATIENCE);
-        matching.touch(at(0), 0, start);
-        matching.hand(at(0), 'a', start);
-        assert_eq!(take(&mut matching, start), Some(('a', Some(0))));
-        matching.hand(at(40), 'b', start);
-        assert_eq!(take(&mut matching, start), None);
-        matching.touch(at(45), 1, start);
-        assert_eq!(take(&mut matching, start), Some(('b', Some(1))));
-        matching.hand(at(80), 'c', start);
-        assert_eq!(take(&mut matching, start + PATIENCE / 2), None);
-        assert_eq!(take(&mut matching, start + PATIENCE), Some(('c', None)));
+        let mut sync = ApproximateSync::new(0.02, MAX_WAIT);
+        sync.push_touch(at(0), 0, start);
+        sync.push_hand(at(0), 'a', start);
+        assert_eq!(take(&mut sync, start), Some(('a', Some(0))));
+        sync.push_hand(at(40), 'b', start);
+        assert_eq!(take(&mut sync, start), None);
+        sync.push_touch(at(45), 1, start);
+        assert_eq!(take(&mut sync, start), Some(('b', Some(1))));
+        sync.push_hand(at(80), 'c', start);
+        assert_eq!(take(&mut sync, start + MAX_WAIT / 2), None);
+        assert_eq!(take(&mut sync, start + MAX_WAIT), Some(('c', None)));
     }
 
     #[test]
-    fn without_touches_no_hand_waits() {
+    fn hands_do_not_wait_while_no_touches_arrive() {
         let start = Instant::now();
-        let mut matching: Matching<char, u32> = Matching::new(0.02, PATIENCE);
-        matching.hand(at(0), 'a', start);
-        assert_eq!(take(&mut matching, start), Some(('a', None)));
-        matching.touch(at(0), 0, start);
-        matching.hand(at(40), 'b', start + 2 * SILENCE);
-        assert_eq!(take(&mut matching, start + 2 * SILENCE), Some(('b', None)));
+        let mut sync: ApproximateSync<char, u32> = ApproximateSync::new(0.02, MAX_WAIT);
+        sync.push_hand(at(0), 'a', start);
+        assert_eq!(take(&mut sync, start), Some(('a', None)));
+        sync.push_touch(at(0), 0, start);
+        sync.push_hand(at(40), 'b', start + 2 * MIN_TOUCH_TIMEOUT);
+        assert_eq!(take(&mut sync, start + 2 * MIN_TOUCH_TIMEOUT), Some(('b', None)));
     }
 
     #[test]
-    fn the_nearest_touch_within_the_slop_is_taken() {
+    fn a_hand_gets_the_nearest_touch_within_the_slop() {
         let start = Instant::now();
-        let mut matching = Matching::new(0.02, PATIENCE);
+        let mut sync = ApproximateSync::new(0.02, MAX_WAIT);
         for (millis, touch) in [(0, 0), (30, 1), (38, 2), (75, 3)] {
-            matching.touch(at(millis), touch, start);
+            sync.push_touch(at(millis), touch, start);
         }
-        matching.hand(at(40), 'a', start);
-        assert_eq!(take(&mut matching, start), Some(('a', Some(2))));
-        // 21 ms off is none.
-        matching.hand(at(54), 'b', start);
-        assert_eq!(take(&mut matching, start), None);
+        sync.push_hand(at(40), 'a', start);
+        assert_eq!(take(&mut sync, start), Some(('a', Some(2))));
+        // The nearest touch is 21 ms away.
+        sync.push_hand(at(54), 'b', start);
+        assert_eq!(take(&mut sync, start), None);
     }
 
     #[test]
-    fn the_newest_hand_with_a_touch_overtakes_the_others() {
+    fn the_newest_hand_with_a_touch_overtakes_older_hands() {
         let start = Instant::now();
-        let mut matching = Matching::new(0.01, PATIENCE);
+        let mut sync = ApproximateSync::new(0.01, MAX_WAIT);
         for (millis, hand) in [(0, 'a'), (40, 'b'), (80, 'c')] {
-            matching.hand(at(millis), hand, start);
+            sync.push_hand(at(millis), hand, start);
         }
-        matching.touch(at(40), 1, start);
-        assert_eq!(take(&mut matching, start), Some(('b', Some(1))));
-        assert_eq!(matching.overtaken(), 1);
-        assert_eq!(take(&mut matching, start), None);
-        // One from before comes too late.
-        matching.hand(at(20), 'd', start);
-        assert_eq!(matching.overtaken(), 2);
-        assert_eq!(take(&mut matching, start + PATIENCE), Some(('c', None)));
+        sync.push_touch(at(40), 1, start);
+        assert_eq!(take(&mut sync, start), Some(('b', Some(1))));
+        assert_eq!(sync.overtaken(), 1);
+        assert_eq!(take(&mut sync, start), None);
+        // An older hand arrives too late.
+        sync.push_hand(at(20), 'd', start);
+        assert_eq!(sync.overtaken(), 2);
+        assert_eq!(take(&mut sync, start + MAX_WAIT), Some(('c', None)));
     }
 
     #[test]
-    fn stamps_that_jump_back_begin_anew() {
+    fn stamps_that_jump_back_restart_the_synchroniser() {
         let start = Instant::now();
-        let mut matching: Matching<char, u32> = Matching::new(0.02, PATIENCE);
-        matching.hand(Time { sec: 100, nanosec: 0 }, 'a', start);
-        assert!(!matching.take(start).unwrap().began_anew);
-        matching.hand(at(0), 'b', start);
-        let matched = matching.take(start).unwrap();
-        assert_eq!((matched.hand, matched.began_anew), ('b', true));
-        matching.hand(at(40), 'c', start);
-        assert!(!matching.take(start).unwrap().began_anew);
+        let mut sync: ApproximateSync<char, u32> = ApproximateSync::new(0.02, MAX_WAIT);
+        sync.push_hand(Time { sec: 100, nanosec: 0 }, 'a', start);
+        assert!(!sync.take(start).unwrap().restarted);
+        sync.push_hand(at(0), 'b', start);
+        let synced = sync.take(start).unwrap();
+        assert_eq!((synced.hand, synced.restarted), ('b', true));
+        sync.push_hand(at(40), 'c', start);
+        assert!(!sync.take(start).unwrap().restarted);
     }
 
     #[test]
-    fn what_waits_is_bounded() {
+    fn the_number_of_waiting_messages_is_bounded() {
         let start = Instant::now();
-        let mut matching = Matching::new(0.0, PATIENCE);
+        let mut sync = ApproximateSync::new(0.0, MAX_WAIT);
         for millis in 0..999 {
-            matching.touch(at(millis), millis, start);
-            matching.hand(at(millis), 'a', start);
+            sync.push_touch(at(millis), millis, start);
+            sync.push_hand(at(millis), 'a', start);
         }
-        assert_eq!((matching.hands.len(), matching.touches.len()), (CAPACITY, CAPACITY));
+        assert_eq!((sync.hands.len(), sync.touches.len()), (CAPACITY, CAPACITY));
     }
 }

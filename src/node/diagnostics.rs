@@ -1,56 +1,60 @@
-//! What a node counts, and its report on `/diagnostics` once a second.
+//! Message counts of a node, and its report on `/diagnostics`.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
-use super::{Runtime, qos};
+use super::lock::lock;
+use super::qos;
+use super::runtime::Runtime;
 use crate::message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue};
 use crate::statistics::percentile;
 
-/// Latencies that percentiles look back on.
-const WINDOW: usize = 500;
+/// Number of newest latencies that percentiles are computed over.
+const LATENCY_WINDOW: usize = 500;
+/// Time between two reports.
+const REPORT_PERIOD: Duration = Duration::from_secs(1);
 
-/// State of a task as monitors colour it.
+/// Level of `diagnostic_msgs/DiagnosticStatus`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
-pub enum Level {
-    /// As it should be.
+pub(crate) enum Level {
+    /// Works.
     Ok = 0,
-    /// Worse than it should be.
+    /// Works, but with losses.
     Warn = 1,
     /// Does not work.
     Error = 2,
-    /// Nothing has come for a while.
+    /// No input since the last report.
     Stale = 3,
 }
 
-/// One task's report.
+/// State of one task of a node.
 #[derive(Debug)]
-pub struct Report {
+pub(crate) struct TaskReport {
     /// Name of the task.
-    pub task: &'static str,
-    /// Its state.
-    pub level: Level,
-    /// Its state in words.
-    pub message: String,
-    /// Numbers behind it.
-    pub values: Vec<(String, String)>,
+    pub(crate) task: &'static str,
+    /// State of the task.
+    pub(crate) level: Level,
+    /// State in words.
+    pub(crate) message: String,
+    /// Names and values of the counts.
+    pub(crate) values: Vec<(String, String)>,
 }
 
-/// Publishes what `report` says as `<node>: <task>`, once a second, about what `hardware_id` names then.
+/// Publishes the result of `report` once a second as `<node>: <task>`, with `hardware_id` in the field of this name.
 ///
 /// # Errors
 /// If ROS refuses the topic.
-pub fn publish(
+pub(crate) fn publish(
     runtime: &mut Runtime,
     hardware_id: impl Fn() -> String + 'static,
-    mut report: impl FnMut(&mut Runtime) -> Report + 'static,
+    mut report: impl FnMut(&mut Runtime) -> TaskReport + 'static,
 ) -> anyhow::Result<()> {
     let publisher = runtime.publisher("/diagnostics", qos::output())?;
     let node = runtime.name()?;
-    runtime.every(Duration::from_secs(1), move |runtime| {
-        let Report { task, level, message, values } = report(runtime);
+    runtime.every(REPORT_PERIOD, move |runtime| {
+        let TaskReport { task, level, message, values } = report(runtime);
         let status = DiagnosticStatus {
             level: level as u8,
             name: format!("{node}: {task}"),
@@ -66,20 +70,20 @@ pub fn publish(
     Ok(())
 }
 
-/// Counts of a stream of messages: what came, what was done, what was dropped why, and how long it took.
+/// Counts of a stream of messages: received, processed and dropped by cause, with latencies. Clones share the counts.
 #[derive(Debug, Clone)]
-pub struct Tally(Arc<Mutex<Counts>>);
+pub(crate) struct Tally(Arc<Mutex<TallyCounts>>);
 
-/// See [`Tally`].
+/// Counts of a [`Tally`].
 #[derive(Debug)]
-pub struct Counts {
-    /// Messages that came.
-    pub received: u64,
+pub(crate) struct TallyCounts {
+    /// Messages received.
+    pub(crate) received: u64,
     /// Messages that led to a result.
-    pub processed: u64,
+    pub(crate) processed: u64,
     /// Messages dropped, by cause.
-    pub drops: BTreeMap<&'static str, u64>,
-    /// The newest latencies, s.
+    pub(crate) drops: BTreeMap<&'static str, u64>,
+    /// Newest latencies, s.
     latencies: VecDeque<f64>,
     since: Instant,
     received_before: u64,
@@ -88,7 +92,7 @@ pub struct Counts {
 
 impl Default for Tally {
     fn default() -> Self {
-        Self(Arc::new(Mutex::new(Counts {
+        Self(Arc::new(Mutex::new(TallyCounts {
             received: 0,
             processed: 0,
             drops: BTreeMap::new(),
@@ -101,61 +105,63 @@ impl Default for Tally {
 }
 
 impl Tally {
-    /// A message came.
-    pub fn received(&self) {
+    /// Counts a received message.
+    pub(crate) fn received(&self) {
         self.counts().received += 1;
     }
 
-    /// A message led to a result, `latency` seconds after it was made if that is known.
-    pub fn processed(&self, latency: Option<f64>) {
+    /// Counts a message that led to a result; `latency` is the time from its stamp to the result, s, None if unknown.
+    pub(crate) fn processed(&self, latency: Option<f64>) {
         let mut counts = self.counts();
         counts.processed += 1;
         if let Some(latency) = latency {
-            if counts.latencies.len() == WINDOW {
+            if counts.latencies.len() == LATENCY_WINDOW {
                 counts.latencies.pop_front();
             }
             counts.latencies.push_back(latency);
         }
     }
 
-    /// A message was dropped.
-    pub fn dropped(&self, cause: &'static str) {
+    /// Counts a message that was dropped for `cause`.
+    pub(crate) fn dropped(&self, cause: &'static str) {
         *self.counts().drops.entry(cause).or_default() += 1;
     }
 
-    /// Sets how many messages were dropped for a cause that somebody else counts.
-    pub fn set_dropped(&self, cause: &'static str, count: u64) {
+    /// Sets the number of messages dropped for `cause`, which another object counts.
+    pub(crate) fn set_dropped(&self, cause: &'static str, count: u64) {
         self.counts().drops.insert(cause, count);
     }
 
-    /// The counts, locked.
-    pub fn counts(&self) -> MutexGuard<'_, Counts> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Locks the counts.
+    pub(crate) fn counts(&self) -> MutexGuard<'_, TallyCounts> {
+        lock(&self.0)
     }
 }
 
-impl Counts {
-    /// Messages that came and that led to a result per second, since the last call or the start.
-    pub fn rates(&mut self) -> (f64, f64) {
+/// Rates of messages, Hz.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Rates {
+    pub(crate) received: f64,
+    pub(crate) processed: f64,
+}
+
+impl TallyCounts {
+    /// Returns the rates since the last call, or since the start.
+    pub(crate) fn rates(&mut self) -> Rates {
         let secs = self.since.elapsed().as_secs_f64().max(1e-9);
         let received = (self.received - self.received_before) as f64 / secs;
         let processed = (self.processed - self.processed_before) as f64 / secs;
         (self.since, self.received_before, self.processed_before) = (Instant::now(), self.received, self.processed);
-        (received, processed)
+        Rates { received, processed }
     }
 
-    /// All dropped messages.
-    pub fn dropped(&self) -> u64 {
-        self.drops.values().sum()
-    }
-
-    /// Percentile `q` (0 to 1) of the newest latencies, s; NaN without any.
-    pub fn latency(&self, q: f64) -> f64 {
+    /// Returns percentile `q` (0 to 1) of the newest latencies, s; NaN if there are none.
+    pub(crate) fn latency(&self, q: f64) -> f64 {
         percentile(self.latencies.iter().copied(), q)
     }
 
-    /// The counts as names and values of a report, with the rates given.
-    pub fn values(&self, (received, processed): (f64, f64)) -> Vec<(String, String)> {
+    /// Returns the counts and the given rates as names and values of a report.
+    pub(crate) fn values(&self, Rates { received, processed }: Rates) -> Vec<(String, String)> {
         let mut values = vec![
             ("input_rate_hz".to_owned(), format!("{received:.2}")),
             ("output_rate_hz".to_owned(), format!("{processed:.2}")),
@@ -175,15 +181,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_tally_counts_by_cause() {
+    fn dropped_messages_are_counted_by_cause() {
         let tally = Tally::default();
         (0..3).for_each(|_| tally.received());
         tally.processed(Some(0.010));
         tally.dropped("malformed");
         tally.set_dropped("superseded", 1);
         let counts = tally.counts();
-        assert_eq!((counts.received, counts.processed, counts.dropped()), (3, 1, 2));
-        assert!(counts.values((1.0, 1.0)).contains(&("dropped_malformed".into(), "1".into())));
+        assert_eq!((counts.received, counts.processed, counts.drops["superseded"]), (3, 1, 1));
+        assert!(
+            counts.values(Rates { received: 1.0, processed: 1.0 }).contains(&("dropped_malformed".into(), "1".into()))
+        );
         assert_eq!(counts.latency(0.95), 0.010);
     }
 }

@@ -1,93 +1,96 @@
-//! Live images and truth, paired and recorded into a bounded folder of episodes.
+//! Episode recorder: pairs live images with their truth and records them into a bounded folder of episodes.
 
 use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::JoinHandle;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use ::image::RgbImage;
 
-use super::exact_sync::Pairing;
+use super::exact_sync::ExactSync;
+use super::lock::lock;
 use super::log::Log;
-use super::{Shutdown, runtime};
+use super::shutdown::Shutdown;
+use super::worker_thread::WorkerThread;
 use crate::dataset::ring::EpisodeRing;
 use crate::dataset::{Attributes, Frame};
 use crate::message::{Header, TactileTruth};
 use crate::score::verify::episode_splitter::EpisodeSplitter;
 use crate::tactile::CONTACT_FORCE_N;
 
-/// Messages that may wait for their partner.
-const WAITING: usize = 200;
-/// Pairs that may wait for the disk.
-const QUEUE: usize = 100;
-/// Silence after which an open episode is ended.
-const SILENCE: Duration = Duration::from_secs(2);
+/// Most images and truths that wait for their partner; more than three seconds of any camera.
+const MAX_UNPAIRED: usize = 200;
+/// Most pairs that wait to be written; bounds the memory while the disk is slow.
+const MAX_QUEUED_PAIRS: usize = 100;
+/// Silence after which the open episode ends.
+const EPISODE_TIMEOUT: Duration = Duration::from_secs(2);
+/// Longest wait of the writer for a pair; bounds the delay of shutdown.
+const PAIR_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// The ring as several threads see it.
-pub type SharedRing = Arc<Mutex<EpisodeRing>>;
+/// Folder of episodes that several threads share.
+pub(crate) type SharedRing = Arc<Mutex<EpisodeRing>>;
 
-/// Pairs messages; those that found their partner go to a thread of its own, which writes.
-pub struct Recording {
-    pairing: Pairing<RgbImage, TactileTruth>,
-    pairs: SyncSender<(RgbImage, TactileTruth)>,
+type Pair = (RgbImage, TactileTruth);
+
+/// Limits of the recorded episodes.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Limits {
+    /// Largest size of all episodes on disk, bytes.
+    pub(crate) bytes: u64,
+    /// Longest duration of an episode, s.
+    pub(crate) episode_secs: f64,
+}
+
+/// Pairs images with truths of equal stamps and passes the pairs to the writer thread.
+pub(crate) struct EpisodeRecorder {
+    sync: ExactSync<RgbImage, TactileTruth>,
+    pairs: SyncSender<Pair>,
     log: Log,
 }
 
-/// What comes out of opening.
-pub struct Opened {
-    /// Takes messages.
-    pub recording: Recording,
-    /// The episodes.
-    pub ring: SharedRing,
-    /// The thread that writes.
-    pub writer: JoinHandle<anyhow::Result<()>>,
-}
-
-impl Recording {
-    /// Opens the folder and starts the thread that writes.
+impl EpisodeRecorder {
+    /// Opens the folder and starts the writer thread, which ends the open episode at `shutdown`. Returns the recorder, the
+    /// recorded episodes and the thread.
     ///
     /// # Errors
-    /// If the folder can't be used.
-    pub fn open(
+    /// If the folder cannot be created or read.
+    pub(crate) fn open(
         folder: &Path,
-        most_bytes: u64,
-        episode_secs: f64,
+        limits: Limits,
         log: &Log,
         shutdown: &Shutdown,
-    ) -> anyhow::Result<Opened> {
-        let ring = Arc::new(Mutex::new(EpisodeRing::open(folder, most_bytes)?));
-        let (pairs, received) = sync_channel(QUEUE);
+    ) -> anyhow::Result<(Self, SharedRing, WorkerThread)> {
+        let ring = Arc::new(Mutex::new(EpisodeRing::open(folder, limits.bytes)?));
+        let (pairs, received) = sync_channel(MAX_QUEUED_PAIRS);
         let writer = Writer {
             ring: Arc::clone(&ring),
             received,
-            episode_secs,
-            stretches: EpisodeSplitter::default(),
+            episode_secs: limits.episode_secs,
+            splitter: EpisodeSplitter::default(),
             open: None,
             log: log.clone(),
         };
-        let stop = shutdown.clone();
-        let writer = std::thread::Builder::new().name("recording".into()).spawn(move || {
-            let _guard = stop.when_dropped();
-            writer.work(&stop)
+        let thread = WorkerThread::spawn("recording", shutdown, move |shutdown| {
+            writer.run(shutdown);
+            Ok(())
         })?;
-        let recording = Self { pairing: Pairing::new(WAITING), pairs, log: log.clone() };
-        Ok(Opened { recording, ring, writer })
+        let recorder = Self { sync: ExactSync::new(MAX_UNPAIRED), pairs, log: log.clone() };
+        Ok((recorder, ring, thread))
     }
 
-    /// An image came.
-    pub fn image(&mut self, header: &Header, image: RgbImage) {
-        let pair = self.pairing.left(header.stamp, image);
-        self.keep(pair);
+    /// Takes an image.
+    pub(crate) fn push_image(&mut self, header: &Header, image: RgbImage) {
+        let pair = self.sync.push_left(header.stamp, image);
+        self.queue(pair);
     }
 
-    /// A truth came.
-    pub fn truth(&mut self, truth: TactileTruth) {
-        let pair = self.pairing.right(truth.frame.header.stamp, truth);
-        self.keep(pair);
+    /// Takes a truth.
+    pub(crate) fn push_truth(&mut self, truth: TactileTruth) {
+        let pair = self.sync.push_right(truth.frame.header.stamp, truth);
+        self.queue(pair);
     }
 
-    fn keep(&mut self, pair: Option<(RgbImage, TactileTruth)>) {
+    fn queue(&mut self, pair: Option<Pair>) {
         let Some(pair) = pair else { return };
         if let Err(TrySendError::Full(_)) = self.pairs.try_send(pair) {
             self.log.warn_throttled("full", "a live frame is lost: the disk is slower than the topics");
@@ -98,87 +101,99 @@ impl Recording {
 /// Writes pairs as episodes.
 struct Writer {
     ring: SharedRing,
-    received: Receiver<(RgbImage, TactileTruth)>,
+    received: Receiver<Pair>,
     episode_secs: f64,
-    stretches: EpisodeSplitter,
-    /// Stretch and first stamp of the open episode, and when its newest frame came.
-    open: Option<(u64, f64, Instant)>,
+    splitter: EpisodeSplitter,
+    open: Option<OpenEpisode>,
     log: Log,
 }
 
+#[derive(Debug, Clone, Copy)]
+struct OpenEpisode {
+    /// Number of the truth's episode.
+    number: u64,
+    /// Stamp of the first frame, s.
+    first_stamp: f64,
+    /// Arrival of the newest frame.
+    last_arrival: Instant,
+}
+
 impl Writer {
-    fn work(mut self, stop: &Shutdown) -> anyhow::Result<()> {
+    /// Writes until `shutdown` and the queue is empty, or the recorder is dropped.
+    fn run(mut self, shutdown: &Shutdown) {
         loop {
-            match self.received.recv_timeout(Duration::from_millis(100)) {
+            match self.received.recv_timeout(PAIR_TIMEOUT) {
                 Ok((image, truth)) => self.write(image, &truth),
-                Err(RecvTimeoutError::Timeout) if !stop.requested() => {
-                    if self.open.is_some_and(|(.., came)| came.elapsed() > SILENCE) {
-                        self.end();
+                Err(RecvTimeoutError::Timeout) if !shutdown.requested() => {
+                    if self.open.is_some_and(|open| open.last_arrival.elapsed() > EPISODE_TIMEOUT) {
+                        self.end_episode();
                     }
                 }
-                Err(_) => {
-                    self.end();
-                    return Ok(());
-                }
+                Err(_) => return self.end_episode(),
             }
         }
     }
 
     fn write(&mut self, image: RgbImage, truth: &TactileTruth) {
-        let stretch = self.stretches.episode_number(truth);
+        let number = self.splitter.episode_number(truth);
         let stamp = truth.frame.header.stamp.secs();
-        let size = image.dimensions();
+        let (width, height) = image.dimensions();
         let frame = match frame(image, truth) {
             Ok(frame) => frame,
-            Err(error) => return self.log.warn_throttled("truth", format!("truth: frame left out: {error}")),
+            Err(error) => return self.log.warn_throttled("truth", format!("truth: frame dropped: {error}")),
         };
-        // Time stands still or goes back within a stretch only if somebody publishes twice.
-        if self.open.is_some_and(|(of, first, _)| of != stretch || stamp - first >= self.episode_secs || stamp < first)
-        {
-            self.end();
+        if self.open.is_some_and(|open| self.must_end(open, number, stamp)) {
+            self.end_episode();
         }
-        let attributes = || Attributes {
-            topology: frame.field.topology,
-            sigma: 0.0,
-            contact_force: CONTACT_FORCE_N.into(),
-            producer: "egotac trainer".into(),
-            version: env!("CARGO_PKG_VERSION").into(),
-            scene: truth.frame.model_id.clone(),
-            seed: 0,
-        };
-        let attributes = attributes();
-        let mut ring = self.ring.lock().unwrap_or_else(PoisonError::into_inner);
-        let pushed = match ring.push(frame.clone(), || attributes.clone()) {
-            Ok(()) => Ok(()),
-            // Another size of image or another topology begins another episode.
+        if let Err(error) = self.push(frame, &truth.frame.model_id) {
+            let line = format!("a frame of {width}x{height} was not recorded: {error}");
+            return self.log.warn_throttled("write", line);
+        }
+        let first_stamp = self.open.map_or(stamp, |open| open.first_stamp);
+        self.open = Some(OpenEpisode { number, first_stamp, last_arrival: Instant::now() });
+    }
+
+    /// Returns true if a frame cannot belong to the open episode. Stamps before the first one within an episode mean that
+    /// two publishers send.
+    fn must_end(&self, open: OpenEpisode, number: u64, stamp: f64) -> bool {
+        open.number != number || stamp - open.first_stamp >= self.episode_secs || stamp < open.first_stamp
+    }
+
+    /// Writes a frame; another image size or topology starts another episode.
+    fn push(&mut self, frame: Frame, scene: &str) -> crate::Result<()> {
+        let attributes = attributes(&frame, scene);
+        let ring = Arc::clone(&self.ring);
+        let mut ring = lock(&ring);
+        match ring.push(frame.clone(), || attributes.clone()) {
             Err(_) if ring.open_frames() > 0 => {
                 self.open = None;
                 ring.end_episode().and_then(|()| ring.push(frame, || attributes))
             }
-            Err(error) => Err(error),
-        };
-        drop(ring);
-        match pushed {
-            Ok(()) => {
-                let first = self.open.map_or(stamp, |(_, first, _)| first);
-                self.open = Some((stretch, first, Instant::now()));
-            }
-            Err(error) => {
-                self.log.warn_throttled("write", format!("a frame of {}x{} was not recorded: {error}", size.0, size.1));
-            }
+            result => result,
         }
     }
 
-    fn end(&mut self) {
+    fn end_episode(&mut self) {
         self.open = None;
-        let mut ring = self.ring.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Err(error) = ring.end_episode() {
-            self.log.error(format!("an episode could not be written: {error}"));
+        if let Err(error) = lock(&self.ring).end_episode() {
+            self.log.error(format!("cannot write an episode: {error}"));
         }
     }
 }
 
-/// A frame to learn from; what the truth leaves unknown is not supervised.
+fn attributes(frame: &Frame, scene: &str) -> Attributes {
+    Attributes {
+        topology: frame.field.topology,
+        sigma: 0.0,
+        contact_force: CONTACT_FORCE_N.into(),
+        producer: "egotac trainer".into(),
+        version: env!("CARGO_PKG_VERSION").into(),
+        scene: scene.to_owned(),
+        seed: 0,
+    }
+}
+
+/// Returns a training frame; unknown values of the truth are not supervised.
 fn frame(image: RgbImage, truth: &TactileTruth) -> crate::Result<Frame> {
     let mut field = truth.frame.to_field()?;
     let known = |values: &[f32]| values.iter().map(|value| u8::from(!value.is_nan())).collect::<Vec<_>>();
@@ -194,12 +209,4 @@ fn frame(image: RgbImage, truth: &TactileTruth) -> crate::Result<Frame> {
         left_hand_pose: None,
         right_hand_pose: None,
     })
-}
-
-/// Waits for the writer.
-///
-/// # Errors
-/// If it died.
-pub fn join(writer: JoinHandle<anyhow::Result<()>>) -> anyhow::Result<()> {
-    runtime::join(writer, "recording")
 }

@@ -1,4 +1,4 @@
-//! The images that a node takes, raw or compressed.
+//! Image subscription of a node, raw or compressed.
 
 use ::image::RgbImage;
 use r2r::QosProfile;
@@ -9,51 +9,75 @@ use crate::error::Result;
 use crate::image::{self, RawImage};
 use crate::message::{CompressedImage, Header, Image, Message as _};
 
-/// The parameter that says in which of the two forms they come.
-pub fn transport() -> Parameter {
-    Parameter::fixed(
-        "image_transport",
-        "raw",
-        Allowed::OneOf(&["raw", "compressed"]),
-        "Take sensor_msgs/Image on image, or sensor_msgs/CompressedImage (JPEG, PNG) on image/compressed.",
-    )
+/// Message type of the images, set by the parameter `image_transport`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ImageTransport {
+    /// `sensor_msgs/Image` on `image`.
+    Raw,
+    /// `sensor_msgs/CompressedImage` on the resolved topic `image` followed by `/compressed`.
+    Compressed,
 }
 
-/// The resolved topic that they come on.
-pub fn topic(runtime: &Runtime) -> String {
-    let image = runtime.resolve("image");
-    match is_compressed(runtime.parameters()) {
-        true => runtime.resolve(&format!("{image}/compressed")),
-        false => image,
+impl ImageTransport {
+    /// Declares the parameter `image_transport`.
+    pub(crate) fn parameter() -> Parameter {
+        Parameter::fixed(
+            "image_transport",
+            "raw",
+            Allowed::OneOf(&["raw", "compressed"]),
+            "raw: take sensor_msgs/Image on image; compressed: take sensor_msgs/CompressedImage (JPEG or PNG) on \
+             image/compressed.",
+        )
     }
-}
 
-/// Calls `call` with the bytes of each, for [`decode`].
-///
-/// # Errors
-/// If ROS refuses the name or the quality of service.
-pub fn subscribe(runtime: &mut Runtime, qos: QosProfile, call: impl FnMut(Vec<u8>) + 'static) -> anyhow::Result<()> {
-    match is_compressed(runtime.parameters()) {
-        true => runtime.subscribe_bytes::<CompressedImage>(&topic(runtime), qos, call),
-        false => runtime.subscribe_bytes::<Image>("image", qos, call),
+    /// Reads the parameter `image_transport`.
+    pub(crate) fn of(parameters: &Parameters) -> Self {
+        match parameters.get::<String>("image_transport").as_str() {
+            "compressed" => Self::Compressed,
+            _ => Self::Raw,
+        }
     }
-}
 
-/// The picture in a message's bytes.
-///
-/// # Errors
-/// If they are no such message, or hold no picture in a known encoding.
-pub fn decode(payload: &[u8], parameters: &Parameters) -> Result<(Header, RgbImage)> {
-    if is_compressed(parameters) {
-        let CompressedImage { header, data, .. } = CompressedImage::from_cdr(payload)?;
-        return Ok((header, image::decode(&data)?));
+    /// Returns the resolved image topic.
+    pub(crate) fn topic(self, runtime: &Runtime) -> String {
+        let image = runtime.resolve("image");
+        match self {
+            Self::Raw => image,
+            Self::Compressed => runtime.resolve(&format!("{image}/compressed")),
+        }
     }
-    let Image { header, height, width, encoding, step, data, .. } = Image::from_cdr(payload)?;
-    let raw = RawImage { width, height, encoding: &encoding, step, data: &data };
-    let image = raw.to_rgb()?;
-    Ok((header, image))
-}
 
-fn is_compressed(parameters: &Parameters) -> bool {
-    parameters.get::<String>("image_transport") == "compressed"
+    /// Subscribes to the image topic and calls `call` with the bytes of each message, for [`Self::decode`].
+    ///
+    /// # Errors
+    /// If ROS refuses the topic name or the quality of service.
+    pub(crate) fn subscribe(
+        self,
+        runtime: &mut Runtime,
+        qos: QosProfile,
+        call: impl FnMut(Vec<u8>) + 'static,
+    ) -> anyhow::Result<()> {
+        match self {
+            Self::Raw => runtime.subscribe_bytes::<Image>("image", qos, call),
+            Self::Compressed => runtime.subscribe_bytes::<CompressedImage>(&self.topic(runtime), qos, call),
+        }
+    }
+
+    /// Decodes the header and the pixels of a message.
+    ///
+    /// # Errors
+    /// If the bytes are not this message, or its image has an unknown encoding or contradicts itself.
+    pub(crate) fn decode(self, payload: &[u8]) -> Result<(Header, RgbImage)> {
+        match self {
+            Self::Raw => {
+                let Image { header, height, width, encoding, step, data, .. } = Image::from_cdr(payload)?;
+                let raw = RawImage { width, height, encoding: &encoding, step, data: &data };
+                Ok((header, raw.to_rgb()?))
+            }
+            Self::Compressed => {
+                let CompressedImage { header, data, .. } = CompressedImage::from_cdr(payload)?;
+                Ok((header, image::decode(&data)?))
+            }
+        }
+    }
 }

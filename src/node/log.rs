@@ -1,22 +1,23 @@
-//! A node's log: the console and log file through ROS, and `/rosout`, which r2r leaves to its user.
+//! Log of a node: console and log file through ROS, and the topic `/rosout`, which r2r does not publish itself.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use r2r::LogSeverity;
 
-use super::runtime::{Publisher, RosClock};
+use super::clock::RosClock;
+use super::lock::lock;
+use super::publisher::Publisher;
 use crate::message;
 
-/// Between two lines of one kind that repeats per frame.
-const THROTTLE: Duration = Duration::from_secs(5);
+/// Shortest time between two throttled warnings of one kind.
+const THROTTLE_INTERVAL: Duration = Duration::from_secs(5);
 
-/// A node's log; clones write to the same one.
-#[derive(Debug, Clone)]
-pub struct Log(Arc<Inner>);
+/// Log of a node; clones write to the same log.
+#[derive(Clone)]
+pub(crate) struct Log(Arc<Inner>);
 
-#[derive(Debug)]
 struct Inner {
     name: String,
     clock: RosClock,
@@ -24,67 +25,64 @@ struct Inner {
     throttled: Mutex<HashMap<String, Throttled>>,
 }
 
-#[derive(Debug)]
+/// State of one kind of throttled warning.
 struct Throttled {
-    said: Instant,
-    unsaid: u64,
+    last_written: Instant,
+    /// Number of warnings left out since then.
+    suppressed: u64,
 }
 
 impl Log {
-    pub(super) fn new(name: String, clock: RosClock, rosout: Publisher<message::Log>) -> Self {
+    /// Creates the log of the logger `name`.
+    pub(crate) fn new(name: String, clock: RosClock, rosout: Publisher<message::Log>) -> Self {
         let throttled = Mutex::default();
         Self(Arc::new(Inner { name, clock, rosout: Mutex::new(rosout), throttled }))
     }
 
-    /// For those who look for a fault; not on `/rosout`.
-    pub fn debug(&self, line: impl AsRef<str>) {
-        self.say(LogSeverity::Debug, None, line.as_ref());
+    /// Logs a rare event that is worth knowing.
+    pub(crate) fn info(&self, line: impl AsRef<str>) {
+        self.write(LogSeverity::Info, line.as_ref());
     }
 
-    /// What happens rarely and is good to know.
-    pub fn info(&self, line: impl AsRef<str>) {
-        self.say(LogSeverity::Info, Some(20), line.as_ref());
+    /// Logs a fault that the node recovered from.
+    pub(crate) fn warn(&self, line: impl AsRef<str>) {
+        self.write(LogSeverity::Warn, line.as_ref());
     }
 
-    /// What went wrong and was dealt with.
-    pub fn warn(&self, line: impl AsRef<str>) {
-        self.say(LogSeverity::Warn, Some(30), line.as_ref());
+    /// Logs a loss of data or a failure.
+    pub(crate) fn error(&self, line: impl AsRef<str>) {
+        self.write(LogSeverity::Error, line.as_ref());
     }
 
-    /// What is lost.
-    pub fn error(&self, line: impl AsRef<str>) {
-        self.say(LogSeverity::Error, Some(40), line.as_ref());
-    }
-
-    /// A warning of a kind that may come with every frame: said at once, then at most every five seconds with the
-    /// number of those left out.
-    pub fn warn_throttled(&self, kind: &str, line: impl AsRef<str>) {
-        let left_out = {
-            let mut kinds = self.0.throttled.lock().unwrap_or_else(PoisonError::into_inner);
+    /// Logs a warning that may repeat per frame: at most one of each `kind` every five seconds, with the number of
+    /// warnings of this kind left out in between.
+    pub(crate) fn warn_throttled(&self, kind: &str, line: impl AsRef<str>) {
+        let suppressed = {
+            let mut kinds = lock(&self.0.throttled);
             let now = Instant::now();
             match kinds.get_mut(kind) {
-                Some(last) if now.duration_since(last.said) < THROTTLE => {
-                    last.unsaid += 1;
+                Some(state) if now.duration_since(state.last_written) < THROTTLE_INTERVAL => {
+                    state.suppressed += 1;
                     return;
                 }
-                Some(last) => std::mem::replace(last, Throttled { said: now, unsaid: 0 }).unsaid,
+                Some(state) => std::mem::replace(state, Throttled { last_written: now, suppressed: 0 }).suppressed,
                 None => {
-                    kinds.insert(kind.to_owned(), Throttled { said: now, unsaid: 0 });
+                    kinds.insert(kind.to_owned(), Throttled { last_written: now, suppressed: 0 });
                     0
                 }
             }
         };
-        match left_out {
+        match suppressed {
             0 => self.warn(line),
-            n => self.warn(format!("{} ({n} more like it before)", line.as_ref())),
+            n => self.warn(format!("{} ({n} similar warnings suppressed)", line.as_ref())),
         }
     }
 
-    fn say(&self, severity: LogSeverity, rosout_level: Option<u8>, line: &str) {
-        // ROS takes C strings; text from outside may hold what they can't.
+    fn write(&self, severity: LogSeverity, line: &str) {
+        // ROS takes C strings; a NUL byte in text from outside would truncate the line.
         let line = line.replace('\0', "\\0");
+        let level = rosout_level(&severity);
         r2r::log(&line, &self.0.name, file!(), line!(), severity);
-        let Some(level) = rosout_level else { return };
         let log = message::Log {
             stamp: self.0.clock.now(),
             level,
@@ -94,7 +92,19 @@ impl Log {
             function: String::new(),
             line: 0,
         };
-        // The console already has the line, and there is nowhere else to complain.
-        let _ = self.0.rosout.lock().unwrap_or_else(PoisonError::into_inner).publish(&log);
+        // Ignore the error: the console already has the line, and there is no other channel to report it on.
+        let _ = lock(&self.0.rosout).publish(&log);
+    }
+}
+
+/// Returns the level code of `rcl_interfaces/msg/Log`.
+fn rosout_level(severity: &LogSeverity) -> u8 {
+    match severity {
+        LogSeverity::Unset => 0,
+        LogSeverity::Debug => 10,
+        LogSeverity::Info => 20,
+        LogSeverity::Warn => 30,
+        LogSeverity::Error => 40,
+        LogSeverity::Fatal => 50,
     }
 }

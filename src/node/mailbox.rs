@@ -1,11 +1,13 @@
-//! A mailbox of one: the newest message wins, and what it displaced is counted.
+//! Mailbox that holds only the newest value and counts the values it displaced.
 
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Hands the newest value from the thread that receives to the thread that computes.
+use super::lock::lock;
+
+/// Passes the newest value from the receiving thread to the computing thread.
 #[derive(Debug)]
-pub struct Mailbox<T> {
+pub(crate) struct Mailbox<T> {
     state: Mutex<State<T>>,
     arrived: Condvar,
 }
@@ -23,19 +25,19 @@ impl<T> Default for Mailbox<T> {
 }
 
 impl<T> Mailbox<T> {
-    /// Puts a value in; one that nobody took yet is displaced and counted.
-    pub fn put(&self, value: T) {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+    /// Stores a value; displaces and counts a value that was not taken yet.
+    pub(crate) fn put(&self, value: T) {
+        let mut state = lock(&self.state);
         if state.value.replace(value).is_some() {
             state.superseded += 1;
         }
         self.arrived.notify_one();
     }
 
-    /// Takes the newest value, waiting up to `patience` for one.
-    pub fn take(&self, patience: Duration) -> Option<T> {
-        let deadline = Instant::now() + patience;
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+    /// Takes the newest value; waits for one at most `timeout`.
+    pub(crate) fn take(&self, timeout: Duration) -> Option<T> {
+        let deadline = Instant::now() + timeout;
+        let mut state = lock(&self.state);
         loop {
             if let Some(value) = state.value.take() {
                 return Some(value);
@@ -45,9 +47,9 @@ impl<T> Mailbox<T> {
         }
     }
 
-    /// How many values were displaced by newer ones so far.
-    pub fn superseded(&self) -> u64 {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner).superseded
+    /// Returns the number of values displaced so far.
+    pub(crate) fn superseded(&self) -> u64 {
+        lock(&self.state).superseded
     }
 }
 
@@ -56,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_newest_value_wins_and_the_rest_is_counted() {
+    fn take_returns_the_newest_value_and_displaced_ones_are_counted() {
         let mailbox = Mailbox::default();
         (0..5).for_each(|value| mailbox.put(value));
         assert_eq!(mailbox.take(Duration::ZERO), Some(4));
@@ -65,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_wakes_the_thread_that_waits() {
+    fn put_wakes_the_waiting_thread() {
         let mailbox = Mailbox::default();
         let taken = std::thread::scope(|scope| {
             let waiting = scope.spawn(|| mailbox.take(Duration::from_secs(60)));

@@ -1,63 +1,38 @@
 //! The six parameter services and `/parameter_events`, as `ros2 param` and `rqt` expect them.
 //!
-//! r2r's own handlers know neither ranges nor read-only parameters, and refuse a whole number for a double.
+//! r2r's own handlers support neither ranges nor read-only parameters, and refuse an integer for a double.
 
 use std::rc::Rc;
 use std::sync::Arc;
 
-use anyhow::Result;
 use r2r::rcl_interfaces::{msg, srv};
 
+use super::clock::RosClock;
 use super::params::{Allowed, Parameter, Parameters, Value};
-use super::runtime::{RosClock, Runtime};
+use super::runtime::Runtime;
 
 /// Codes of `rcl_interfaces/msg/ParameterType`.
 mod code {
-    pub(super) const NOT_SET: u8 = 0;
-    pub(super) const BOOL: u8 = 1;
-    pub(super) const INTEGER: u8 = 2;
-    pub(super) const DOUBLE: u8 = 3;
-    pub(super) const TEXT: u8 = 4;
-    pub(super) const INTEGERS: u8 = 7;
-    pub(super) const TEXTS: u8 = 9;
+    pub(crate) const NOT_SET: u8 = 0;
+    pub(crate) const BOOL: u8 = 1;
+    pub(crate) const INTEGER: u8 = 2;
+    pub(crate) const DOUBLE: u8 = 3;
+    pub(crate) const TEXT: u8 = 4;
+    pub(crate) const INTEGERS: u8 = 7;
+    pub(crate) const TEXTS: u8 = 9;
 }
 
-/// Offers the services for the runtime's parameters and publishes their changes.
-pub(super) fn serve(runtime: &mut Runtime, node: String) -> Result<()> {
+/// Offers the services for the parameters of a node and publishes their changes.
+///
+/// # Errors
+/// If ROS refuses a service or the topic.
+pub(crate) fn serve(runtime: &mut Runtime, node: String) -> anyhow::Result<()> {
     let parameters = Arc::clone(runtime.parameters());
     let events = runtime.native_publisher("/parameter_events", r2r::QosProfile::parameter_events())?;
     let setter = Setter { parameters: Arc::clone(&parameters), events, clock: runtime.clock().clone(), node };
     setter.announce_all();
 
-    let table = Arc::clone(&parameters);
-    runtime.service::<srv::ListParameters::Service>("~/list_parameters", move |request| {
-        let wanted = |name: &str| {
-            let below = |prefix: &String| name == prefix || name.starts_with(&format!("{prefix}."));
-            request.prefixes.is_empty() || request.prefixes.iter().any(below)
-        };
-        let names = table.table().iter().map(|p| p.name).filter(|name| wanted(name)).map(String::from).collect();
-        srv::ListParameters::Response { result: msg::ListParametersResult { names, prefixes: Vec::new() } }
-    })?;
-
-    let table = Arc::clone(&parameters);
-    runtime.service::<srv::GetParameters::Service>("~/get_parameters", move |request| {
-        let value = |name: &String| table.value(name).map(to_message).unwrap_or_default();
-        srv::GetParameters::Response { values: request.names.iter().map(value).collect() }
-    })?;
-
-    let table = Arc::clone(&parameters);
-    runtime.service::<srv::GetParameterTypes::Service>("~/get_parameter_types", move |request| {
-        let type_of = |name: &String| table.value(name).as_ref().map_or(code::NOT_SET, type_code);
-        srv::GetParameterTypes::Response { types: request.names.iter().map(type_of).collect() }
-    })?;
-
-    runtime.service::<srv::DescribeParameters::Service>("~/describe_parameters", move |request| {
-        let describe = |name: &String| match parameters.table().iter().find(|p| p.name == name) {
-            Some(parameter) => descriptor(parameter),
-            None => msg::ParameterDescriptor { name: name.clone(), ..Default::default() },
-        };
-        srv::DescribeParameters::Response { descriptors: request.names.iter().map(describe).collect() }
-    })?;
+    serve_getters(runtime, &parameters)?;
 
     let one_by_one = Rc::new(setter);
     let at_once = Rc::clone(&one_by_one);
@@ -70,6 +45,41 @@ pub(super) fn serve(runtime: &mut Runtime, node: String) -> Result<()> {
     })
 }
 
+/// Offers the services that list, read and describe parameters.
+fn serve_getters(runtime: &mut Runtime, parameters: &Arc<Parameters>) -> anyhow::Result<()> {
+    let table = Arc::clone(parameters);
+    runtime.service::<srv::ListParameters::Service>("~/list_parameters", move |request| {
+        let wanted = |name: &str| {
+            let below = |prefix: &String| name == prefix || name.starts_with(&format!("{prefix}."));
+            request.prefixes.is_empty() || request.prefixes.iter().any(below)
+        };
+        let names = table.table().iter().map(|p| p.name).filter(|name| wanted(name)).map(String::from).collect();
+        srv::ListParameters::Response { result: msg::ListParametersResult { names, prefixes: Vec::new() } }
+    })?;
+
+    let table = Arc::clone(parameters);
+    runtime.service::<srv::GetParameters::Service>("~/get_parameters", move |request| {
+        let value = |name: &String| table.value(name).map(to_message).unwrap_or_default();
+        srv::GetParameters::Response { values: request.names.iter().map(value).collect() }
+    })?;
+
+    let table = Arc::clone(parameters);
+    runtime.service::<srv::GetParameterTypes::Service>("~/get_parameter_types", move |request| {
+        let type_of = |name: &String| table.value(name).as_ref().map_or(code::NOT_SET, type_code);
+        srv::GetParameterTypes::Response { types: request.names.iter().map(type_of).collect() }
+    })?;
+
+    let table = Arc::clone(parameters);
+    runtime.service::<srv::DescribeParameters::Service>("~/describe_parameters", move |request| {
+        let describe = |name: &String| match table.table().iter().find(|p| p.name == name) {
+            Some(parameter) => descriptor(parameter),
+            None => msg::ParameterDescriptor { name: name.clone(), ..Default::default() },
+        };
+        srv::DescribeParameters::Response { descriptors: request.names.iter().map(describe).collect() }
+    })
+}
+
+/// Sets parameters and publishes the changes.
 struct Setter {
     parameters: Arc<Parameters>,
     events: r2r::Publisher<msg::ParameterEvent>,
@@ -79,15 +89,15 @@ struct Setter {
 
 impl Setter {
     fn set(&self, wanted: &[msg::Parameter]) -> msg::SetParametersResult {
-        let checked: std::result::Result<Vec<_>, String> = wanted
+        let changes: Result<Vec<_>, String> = wanted
             .iter()
             .map(|parameter| {
                 let value = from_message(&parameter.value);
-                let value = value.ok_or_else(|| format!("{}: no parameter has this type", parameter.name));
+                let value = value.ok_or_else(|| format!("{}: no parameter of egotac has this type", parameter.name));
                 Ok((parameter.name.clone(), value?))
             })
             .collect();
-        let result = checked.and_then(|changes| self.parameters.set(changes));
+        let result = changes.and_then(|changes| self.parameters.set(changes));
         if result.is_ok() {
             let mut event = self.event();
             event.changed_parameters = wanted.iter().filter_map(|p| self.current(&p.name)).collect();
@@ -96,24 +106,27 @@ impl Setter {
         msg::SetParametersResult { successful: result.is_ok(), reason: result.err().unwrap_or_default() }
     }
 
+    /// Publishes all parameters as new ones, as a node does at start.
     fn announce_all(&self) {
         let mut event = self.event();
         event.new_parameters = self.parameters.table().iter().filter_map(|p| self.current(p.name)).collect();
         self.publish(&event);
     }
 
+    /// Returns an event without changes.
     fn event(&self) -> msg::ParameterEvent {
         let now = self.clock.now();
         let stamp = r2r::builtin_interfaces::msg::Time { sec: now.sec, nanosec: now.nanosec };
         msg::ParameterEvent { stamp, node: self.node.clone(), ..Default::default() }
     }
 
+    /// Returns a parameter with its present value; None if the table lacks it.
     fn current(&self, name: &str) -> Option<msg::Parameter> {
         Some(msg::Parameter { name: name.to_owned(), value: to_message(self.parameters.value(name)?) })
     }
 
     fn publish(&self, event: &msg::ParameterEvent) {
-        // An event that can't be sent changes nothing: the parameter is set and its service answers.
+        // Ignore the error: the parameter is set, and the service still responds.
         let _ = self.events.publish(event);
     }
 }
@@ -142,7 +155,7 @@ fn to_message(value: Value) -> msg::ParameterValue {
     message
 }
 
-/// None for a type that no parameter has.
+/// Converts a value from its message; None for a type that no parameter has.
 fn from_message(message: &msg::ParameterValue) -> Option<Value> {
     Some(match message.type_ {
         code::BOOL => Value::Bool(message.bool_value),

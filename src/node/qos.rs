@@ -1,41 +1,41 @@
-//! The qualities of service that the nodes use.
+//! Qualities of service of the nodes' topics.
 
 use r2r::QosProfile;
 use r2r::qos::{DurabilityPolicy, ReliabilityPolicy};
 
-/// Sensor data to take: keep the newest, lose rather than wait unless `reliable`.
-pub fn sensor_input(reliable: bool) -> QosProfile {
+/// Subscription that needs only the newest message; best effort unless `reliable`.
+pub(crate) fn sensor_input(reliable: bool) -> QosProfile {
     let reliability = if reliable { ReliabilityPolicy::Reliable } else { ReliabilityPolicy::BestEffort };
     QosProfile { depth: 1, reliability, ..QosProfile::sensor_data() }
 }
 
-/// Messages that are all wanted, such as pairs to compare: reliable, with room for a stall of a second.
-pub fn every_input() -> QosProfile {
+/// Subscription that needs every message, such as pairs to compare: reliable, with a queue for a stall of one second.
+pub(crate) fn every_input() -> QosProfile {
     QosProfile { depth: 50, ..QosProfile::default() }
 }
 
-/// Results: reliable, so that subscribers of either kind get them.
-pub fn output() -> QosProfile {
+/// Publisher of results: reliable, which both reliable and best-effort subscriptions can receive.
+pub(crate) fn output() -> QosProfile {
     QosProfile::default()
 }
 
-/// Results that are all wanted, even by a subscriber that stalls for some seconds.
-pub fn every_output() -> QosProfile {
+/// Publisher of results that no subscriber may lose: reliable, with a queue for a stall of a few seconds.
+pub(crate) fn every_output() -> QosProfile {
     QosProfile { depth: 100, ..QosProfile::default() }
 }
 
-/// Raw images: reliable, with room for a stall of a second.
-pub fn image_output() -> QosProfile {
+/// Publisher of raw images: reliable, with a queue for a stall of one second; raw images are too large for more.
+pub(crate) fn image_output() -> QosProfile {
     QosProfile { depth: 30, ..QosProfile::default() }
 }
 
-/// What is published once and kept for those who come later.
-pub fn latched() -> QosProfile {
+/// Topic that is published once and kept for late subscribers.
+pub(crate) fn latched() -> QosProfile {
     QosProfile { depth: 1, durability: DurabilityPolicy::TransientLocal, ..QosProfile::default() }
 }
 
-/// `/rosout`, as the other client libraries have it.
-pub fn rosout() -> QosProfile {
+/// Quality of service of `/rosout` in the other client libraries.
+pub(crate) fn rosout() -> QosProfile {
     QosProfile {
         depth: 1000,
         durability: DurabilityPolicy::TransientLocal,

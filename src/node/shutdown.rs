@@ -1,4 +1,4 @@
-//! The request to stop that all threads of a node share.
+//! Shutdown flag that all threads of a node share.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,28 +7,28 @@ use anyhow::Context as _;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 
-/// A flag, set once: by a signal, by a thread that ended, or by a test.
+/// Shutdown flag; clones share it. A signal, a worker that ends, or a test sets it; nothing clears it.
 #[derive(Debug, Clone, Default)]
-pub struct Shutdown(Arc<AtomicBool>);
+pub(crate) struct Shutdown(Arc<AtomicBool>);
 
 impl Shutdown {
-    /// Asks everybody to stop.
-    pub fn request(&self) {
+    /// Requests shutdown.
+    pub(crate) fn request(&self) {
         self.0.store(true, Ordering::SeqCst);
     }
 
-    /// Whether to stop.
-    pub fn requested(&self) -> bool {
+    /// Returns true if shutdown was requested.
+    pub(crate) fn requested(&self) -> bool {
         self.0.load(Ordering::SeqCst)
     }
 
-    /// Stops on SIGINT and SIGTERM; the second of them ends the process at once, should the first not have helped.
+    /// Requests shutdown on SIGINT and SIGTERM; a second signal ends the process at once, in case the node hangs.
     ///
     /// # Errors
-    /// If the system refuses the handlers.
-    pub fn on_signals(&self) -> anyhow::Result<()> {
+    /// If the system refuses the signal handlers.
+    pub(crate) fn request_on_signals(&self) -> anyhow::Result<()> {
         for signal in [SIGINT, SIGTERM] {
-            // In this order: the first signal finds the flag still unset.
+            // The handlers run in this order, so that the first signal finds the flag still unset.
             flag::register_conditional_shutdown(signal, 1, Arc::clone(&self.0))
                 .and_then(|_| flag::register(signal, Arc::clone(&self.0)))
                 .context("cannot handle SIGINT and SIGTERM")?;
@@ -36,15 +36,15 @@ impl Shutdown {
         Ok(())
     }
 
-    /// Asks everybody to stop when dropped, so that a node does not outlive its worker.
-    pub fn when_dropped(&self) -> RequestOnDrop {
+    /// Returns a guard that requests shutdown when it is dropped.
+    pub(crate) fn request_when_dropped(&self) -> RequestOnDrop {
         RequestOnDrop(self.clone())
     }
 }
 
-/// See [`Shutdown::when_dropped`].
+/// Guard made by [`Shutdown::request_when_dropped`].
 #[derive(Debug)]
-pub struct RequestOnDrop(Shutdown);
+pub(crate) struct RequestOnDrop(Shutdown);
 
 impl Drop for RequestOnDrop {
     fn drop(&mut self) {

@@ -1,5 +1,5 @@
-#![allow(dead_code)] // Each test file that takes this in uses a part of it.
-//! Starts the nodes' programs and rclpy peers in a ROS domain and namespace of their own, and ends them always.
+#![allow(dead_code)] // Each test file that includes this module uses a part of it.
+//! Starts the nodes' programs and rclpy peers in their own ROS domain and namespace, and always ends them.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -12,10 +12,10 @@ use candle_nn::VarMap;
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
 use tempfile::TempDir;
 
-/// Longest time that anything here may take before it counts as hung; nothing waits for it when all is well.
-const PATIENCE: Duration = Duration::from_secs(120);
+/// Time after which a program counts as hung; a passing test never waits for it.
+const TIMEOUT: Duration = Duration::from_secs(120);
 
-/// One test's corner of ROS.
+/// ROS domain, namespace and temporary folder of one test.
 pub struct Session {
     domain: u32,
     namespace: String,
@@ -28,7 +28,7 @@ impl Session {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         let (process, count) = (std::process::id(), COUNT.fetch_add(1, Ordering::SeqCst));
         Self {
-            // Domains 1 to 101 keep clear of the ports that the system hands out.
+            // The ports of domains 1 to 101 lie below the system's ephemeral ports.
             domain: (process.wrapping_mul(7) + count) % 101 + 1,
             namespace: format!("/test_{process}_{count}"),
             folder: TempDir::new().unwrap(),
@@ -36,12 +36,12 @@ impl Session {
         }
     }
 
-    /// A path in this test's temporary folder.
+    /// Returns a path in the temporary folder of this test.
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
-    /// A checkpoint with random weights, so that its output depends on each pixel of the image.
+    /// Writes a checkpoint with random weights, so that its output depends on each pixel of the image.
     pub fn checkpoint(&self, config: &Config) -> PathBuf {
         let path = self.path("model.safetensors");
         let vars = VarMap::new();
@@ -68,14 +68,14 @@ impl Session {
         self.spawn(command, script)
     }
 
-    /// Runs a peer to its end, which must be good.
+    /// Runs a peer and expects exit status 0.
     pub fn check(&self, script: &str, arguments: &[&str]) {
         let mut peer = self.peer(script, arguments);
         let status = peer.wait();
         assert!(status.success(), "{script} {arguments:?}: {status}\n{}", peer.output());
     }
 
-    /// Starts any program in this corner of ROS.
+    /// Starts any program in this ROS domain.
     pub fn spawn(&self, mut command: Command, name: &str) -> Running {
         let count = self.started.fetch_add(1, Ordering::SeqCst);
         let stem = Path::new(name).file_stem().unwrap().to_string_lossy().into_owned();
@@ -91,12 +91,12 @@ impl Session {
     }
 }
 
-/// The Python that set-up made, which has rclpy and our messages.
+/// Returns the Python interpreter of `make setup`, which has rclpy and our messages.
 pub fn python() -> Command {
     Command::new(std::env::var("EGOTAC_PYTHON").expect("EGOTAC_PYTHON is not set: source env.sh first"))
 }
 
-/// A program that is killed when the test ends, however it ends.
+/// Running program; killed when the test ends, also by a panic.
 pub struct Running {
     child: Child,
     log: PathBuf,
@@ -109,41 +109,41 @@ impl Running {
         assert!(status.unwrap().success());
     }
 
-    /// Waits for the end.
+    /// Waits for the end of the program.
     pub fn wait(&mut self) -> ExitStatus {
         let started = Instant::now();
         loop {
             if let Some(status) = self.child.try_wait().unwrap() {
                 return status;
             }
-            assert!(started.elapsed() < PATIENCE, "{} does not end\n{}", self.log.display(), self.output());
+            assert!(started.elapsed() < TIMEOUT, "{} does not end\n{}", self.log.display(), self.output());
             std::thread::sleep(Duration::from_millis(20));
         }
     }
 
-    /// Asks the program to end and expects exit status 0.
+    /// Sends a signal and expects exit status 0.
     pub fn ends_cleanly(&mut self, signal: &str) {
         self.signal(signal);
         let status = self.wait();
         assert_eq!(status.code(), Some(0), "after SIG{signal}: {status}\n{}", self.output());
     }
 
-    /// Whether it still runs.
+    /// Returns true if the program still runs.
     pub fn is_running(&mut self) -> bool {
         self.child.try_wait().unwrap().is_none()
     }
 
-    /// What it printed so far.
+    /// Returns the output so far.
     pub fn output(&self) -> String {
         std::fs::read_to_string(&self.log).unwrap_or_default()
     }
 
-    /// Waits until it prints `text`.
+    /// Waits until the program prints `text`.
     pub fn prints(&mut self, text: &str) {
         let started = Instant::now();
         while !self.output().contains(text) {
             assert!(self.is_running(), "ended without printing {text:?}\n{}", self.output());
-            assert!(started.elapsed() < PATIENCE, "does not print {text:?}\n{}", self.output());
+            assert!(started.elapsed() < TIMEOUT, "does not print {text:?}\n{}", self.output());
             std::thread::sleep(Duration::from_millis(20));
         }
     }

@@ -1,4 +1,4 @@
-"""What the rclpy peers of the tests share: a node that waits for facts, pictures, and their encodings."""
+"""Shared code of the tests' rclpy peers: a node that waits for conditions, test images, and their encodings."""
 import os
 import struct
 import time
@@ -10,8 +10,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
-PATIENCE = 60.0
-"""Seconds after which what does not come counts as missing; nothing waits for it when all is well."""
+TIMEOUT = 60.0
+"""Seconds after which a condition counts as failed; a passing test never waits for it."""
 
 RELIABLE = QoSProfile(depth=100)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -19,7 +19,7 @@ LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Peer(Node):
-    """A node in the test's namespace; `got[topic]` holds what came."""
+    """Node in the test's namespace; `got[topic]` holds the received messages."""
 
     def __init__(self, name="peer"):
         rclpy.init()
@@ -31,21 +31,21 @@ class Peer(Node):
         self.create_subscription(kind, topic, self.got[topic].append, qos)
         return self.got[topic]
 
-    def wait(self, fact, what):
-        """Spins until `fact()` is true."""
-        end = time.monotonic() + PATIENCE
-        while not fact():
+    def wait(self, condition, what):
+        """Spins until `condition()` is true; `what` describes it in the error."""
+        end = time.monotonic() + TIMEOUT
+        while not condition():
             assert time.monotonic() < end, f"still waiting for: {what}"
             rclpy.spin_once(self, timeout_sec=0.02)
 
     def rest(self, seconds):
-        """Spins for a while, to see that something does not come."""
+        """Spins for some seconds, to check that a message does not arrive."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             rclpy.spin_once(self, timeout_sec=0.02)
 
     def connected(self, publisher):
-        """Waits until somebody subscribes."""
+        """Waits until the publisher has a subscriber."""
         self.wait(lambda: publisher.get_subscription_count() > 0, f"a subscriber of {publisher.topic}")
         return publisher
 
@@ -58,7 +58,7 @@ class Peer(Node):
 
 
 def photo(height, width, seed=0):
-    """(height, width, 3) u8: smooth shapes with shading and some noise, as a camera sees them."""
+    """Returns a (height, width, 3) u8 image of smooth shapes with shading and some noise."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[0:1 : height * 1j, 0:1 : width * 1j]
     image = np.stack([0.3 + 0.4 * x, 0.5 - 0.3 * y, 0.4 + 0.2 * x * y], axis=-1)
@@ -71,7 +71,7 @@ def photo(height, width, seed=0):
 
 
 def message(rgb, encoding, sec, padding=0):
-    """A sensor_msgs/Image of the picture in this encoding, each row followed by `padding` bytes of rubbish."""
+    """Returns a sensor_msgs/Image of `rgb` in this encoding; `padding` bytes of noise follow each row."""
     height, width, _ = rgb.shape
     opaque = np.full((height, width, 1), 200, np.uint8)
     pixels = {
@@ -93,7 +93,7 @@ def stamp(message, sec, nanosec=987_654_321):
 
 
 def png(rgb):
-    """The picture as a PNG file, written by hand."""
+    """Returns `rgb` as a PNG file, encoded without a library."""
 
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -105,7 +105,7 @@ def png(rgb):
 
 
 def same_field(a, b):
-    """Whether two frames hold the same force and contact on both hands."""
+    """Returns true if two frames hold the same force and contact on both hands."""
     return all(
         np.array_equal(x.force, y.force) and np.array_equal(x.contact, y.contact) for x, y in zip(a.hands, b.hands)
     )

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""What a user of the node `predictor` sees, one fact per function; `tests/ros_predictor.rs` starts the node.
+"""Checks the node `predictor` from outside, one check per function; `tests/ros_predictor.rs` starts the node.
 
-Usage: predictor_peer.py FACT [ARGUMENT...]
+Usage: predictor_peer.py CHECK [ARGUMENT...]
 """
 import sys
 from pathlib import Path
@@ -18,7 +18,7 @@ from peer import BEST_EFFORT, LATCHED, RELIABLE, Peer, message, photo, png, same
 
 
 class Camera:
-    """Publishes one image at a time and waits for what the predictor makes of it."""
+    """Publishes one image at a time and waits for its prediction."""
 
     def __init__(self, peer, topic="image", kind=Image, qos=RELIABLE):
         self.peer = peer
@@ -27,7 +27,7 @@ class Camera:
         peer.wait(lambda: peer.count_publishers(peer.resolve_topic_name("predictor/tactile")) > 0, "the predictor")
 
     def frame_of(self, image):
-        """The frame whose stamp equals the image's. Each image is sent once: latest wins, so one after another."""
+        """Publishes an image and returns the frame with its stamp. The newest image wins, so images go one after another."""
         self.publisher.publish(image)
         self.peer.wait(lambda: any(f.header == image.header for f in self.frames), f"a frame for {image.header}")
         (frame,) = [f for f in self.frames if f.header == image.header]
@@ -35,10 +35,10 @@ class Camera:
 
 
 def encodings():
-    """Every encoding, size and padding gets a frame with the image's header; equal pictures get equal frames."""
+    """Every encoding, size and padding gets a frame with the image's header; equal pixels get equal frames."""
     camera = Camera(Peer())
     rgb = photo(90, 121)
-    # A pause of ten seconds begins a new stream, so each frame depends on its image alone.
+    # A pause of ten seconds restarts the stream, so each frame depends on one image only.
     variants = [("rgb8", 0), ("bgr8", 0), ("rgba8", 0), ("bgra8", 0), ("rgb8", 13), ("rgba8", 5)]
     frames = [camera.frame_of(message(rgb, *v[:1], sec=10 * i, padding=v[1])) for i, v in enumerate(variants, 1)]
     for frame, variant in zip(frames, variants):
@@ -55,7 +55,7 @@ def encodings():
 
 
 def frames():
-    """A frame holds both hands, left first, with forces, probabilities and its own bookkeeping."""
+    """A frame holds both hands, left first, with forces, probabilities and the fields about the frame itself."""
     peer = Peer()
     (info,) = latched(peer)
     camera = Camera(peer, qos=BEST_EFFORT)
@@ -77,7 +77,7 @@ def frames():
 
 
 def latched(peer=None):
-    """Who comes late still gets the model's description."""
+    """A late subscriber gets the description of the model."""
     peer = peer or Peer()
     got = peer.listen(HandModelInfo, "predictor/model_info", LATCHED)
     peer.wait(lambda: got, "model_info")
@@ -92,7 +92,7 @@ def latched(peer=None):
 
 
 def compressed(folder):
-    """PNG and JPEG files on <image>/compressed get frames, whatever their format field says."""
+    """PNG and JPEG images on <image>/compressed get frames, independent of their format field."""
     camera = Camera(Peer(), "cam/image_raw/compressed", CompressedImage)
     rgb = photo(75, 100)
     jpeg = (Path(folder) / "photo.jpg").read_bytes()
@@ -107,12 +107,12 @@ def compressed(folder):
 
 
 def remapped():
-    """A raw image topic that is remapped on the command line."""
+    """A raw image topic remapped on the command line gets frames."""
     Camera(Peer(), "cam/image_raw").frame_of(message(photo(20, 30), "rgb8", sec=5))
 
 
 def malformed():
-    """An image that contradicts itself is named in a warning on /rosout and counted; the next good one works."""
+    """An image that contradicts itself is counted and named in a warning on /rosout; the next valid image is predicted."""
     peer = Peer()
     logs = peer.listen(Log, "/rosout", LATCHED)
     states = peer.listen(DiagnosticArray, "/diagnostics")
@@ -158,7 +158,7 @@ def malformed():
 
 
 def malformed_compressed():
-    """A damaged file is survived as well."""
+    """A damaged compressed image is dropped; the next valid image is predicted."""
     peer = Peer()
     logs = peer.listen(Log, "/rosout", LATCHED)
     camera = Camera(peer, "image/compressed", CompressedImage)
@@ -174,7 +174,7 @@ def malformed_compressed():
 
 
 def stream():
-    """Sends images until it is killed."""
+    """Publishes images until the process is killed."""
     peer = Peer()
     publisher = peer.create_publisher(Image, "image", RELIABLE)
     frames = peer.listen(TactileFrame, "predictor/tactile")
@@ -190,7 +190,7 @@ def stream():
 
 
 def camera():
-    """A camera driver: ten pictures on /camera/image_raw, the next when the last one's touch is there."""
+    """Camera driver: publishes ten images on /camera/image_raw, each after the prediction of the one before."""
     peer = Peer()
     frames = peer.listen(TactileFrame, "/predictor/tactile")
     publisher = peer.connected(peer.create_publisher(Image, "/camera/image_raw", BEST_EFFORT))
@@ -203,7 +203,7 @@ def camera():
 
 
 def latest_wins():
-    """With images faster than the network, the newest is processed, the others are counted, none is left behind."""
+    """With images faster than the network, the newest is processed and all others are counted."""
     peer = Peer()
     states = peer.listen(DiagnosticArray, "/diagnostics")
     camera = Camera(peer)
@@ -227,7 +227,7 @@ def latest_wins():
             return False
         received, processed = int(values[-1]["received"]), int(values[-1]["processed"])
         superseded = int(values[-1].get("dropped_superseded", 0))
-        # The middleware itself may let a newer image replace one that nobody took yet.
+        # The middleware, too, may replace an image that was not taken yet by a newer one.
         assert received <= count, received
         return processed == len(camera.frames) and superseded == received - processed > 0
 
@@ -235,7 +235,7 @@ def latest_wins():
 
 
 def enabled():
-    """~/set_enabled stops and resumes."""
+    """~/set_enabled stops and resumes predictions."""
     peer = Peer()
     camera = Camera(peer)
     camera.frame_of(message(photo(20, 20), "rgb8", sec=10))
@@ -250,7 +250,7 @@ def enabled():
 
 
 def parameters():
-    """The parameter services list, describe, get and set, and refuse with a reason."""
+    """The parameter services list, describe, get and set parameters, and refuse invalid values with a reason."""
     peer = Peer()
     events = peer.listen(ParameterEvent, "/parameter_events")
     service = lambda kind, name, **request: peer.call(kind, f"predictor/{name}", kind.Request(**request))
@@ -306,7 +306,7 @@ def parameters():
 
 
 def points():
-    """The cloud shows the frame's forces: on hands at rest in the camera's frame, or where hand_pose says."""
+    """The cloud holds the frame's forces on hands in the rest pose in the camera's frame, or on the hand_pose."""
     peer = Peer()
     clouds = peer.listen(PointCloud2, "predictor/points")
     poses = peer.create_publisher(HandPose, "hand_pose", RELIABLE)
@@ -336,17 +336,17 @@ def points():
     frame, cloud, points_ = cloud_of(message(photo(30, 30), "rgb8", sec=20))
     assert cloud.header.frame_id == "table" and points_.shape == (778, 6)
     assert np.array_equal(points_[:, 3], frame.hands[1].force)
-    # The hand surrounds its wrist, within a hand's length.
+    # All vertices lie within a hand's length of the wrist.
     assert np.linalg.norm(points_[:, :3] - [3.0, 0.0, 7.0], axis=1).max() < 0.25
 
 
 def match():
-    """Reliability `match` finds the publisher that comes later, of either kind."""
+    """Reliability `match` connects to a publisher that starts later."""
     Camera(Peer(), qos=BEST_EFFORT).frame_of(message(photo(20, 20), "rgb8", sec=10))
 
 
 def large():
-    """A raw VGA image of a best-effort camera arrives with the transport profile that comes with egotac."""
+    """A raw VGA image of a best-effort camera arrives with the Fast DDS profile of egotac."""
     camera = Camera(Peer(), qos=BEST_EFFORT)
     for i in range(5):
         camera.frame_of(message(photo(480, 640, seed=i), "rgb8", sec=10 + 10 * i))

@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Plays hand tracker, predictor and robot driver to the node `retargeter`; `tests/ros_retargeter.rs` starts the node.
+"""Takes the roles of hand tracker, predictor and robot driver for the node `retargeter`; `tests/ros_retargeter.rs` starts
+the node.
 
-Usage: retargeter_peer.py FACT CASE.json
+Usage: retargeter_peer.py CHECK CASE.json
 """
 import copy
 import json
@@ -49,7 +50,7 @@ def hand_pose(frame, i):
 
 
 def tactile(frame, i, **at):
-    """The frame's force on the right hand; the left one touches something else."""
+    """Returns the frame's force on the right hand, with another force on the left one."""
     message = TactileFrame(model_id="peer/1", topology="egotac-hand-1", sequence=i)
     other = np.full(778, 3.0, "f4")
     for side, force in ((HandTactile.LEFT, other), (HandTactile.RIGHT, np.array(frame["force"], "f4"))):
@@ -59,7 +60,7 @@ def tactile(frame, i, **at):
 
 
 class Robot:
-    """Publishers and subscribers around the node, once it listens."""
+    """Publishers and subscribers connected to the node."""
 
     def __init__(self, case):
         self.case = case
@@ -78,18 +79,18 @@ class Robot:
             self.peer.wait(lambda: self.peer.count_publishers(name) > 0, f"a publisher of {topic}")
 
     def touch(self, message):
-        """Publishes a touch, and goes on once it must have come: topics keep no order among each other."""
+        """Publishes a touch and waits until it must have arrived, because messages of different topics are not ordered."""
         self.tactile.publish(message)
         self.peer.rest(0.5)
 
     def with_stamp(self, stamp):
-        """The joint state that was made for a hand."""
+        """Returns the joint state with the stamp of a hand."""
         found = lambda: [state for state in self.joints if nanos(state.header.stamp) == stamp]
         self.peer.wait(found, f"joints for the stamp {stamp}")
         return found()[0]
 
     def settled(self):
-        """The pose once the robot does not move any more."""
+        """Returns the pose after the robot stopped moving."""
 
         def still():
             last = [state.position for state in self.joints[-5:]]
@@ -100,7 +101,7 @@ class Robot:
         return np.array(self.joints[-1].position)
 
     def silent(self):
-        """Waits until no joints come any more."""
+        """Waits until no further joint states arrive."""
         count = -1
         while count != len(self.joints):
             count = len(self.joints)
@@ -111,16 +112,16 @@ class Robot:
 
 
 def keypoints(case):
-    """Each frame gives the joints and forces that the library gives."""
+    """Joints and forces of each frame agree with the library."""
     robot = Robot(case)
     for i, frame in enumerate(case["frames"]):
-        # Hands wait for touches once touches come.
+        # Hands wait for touches once touches arrive, so the first touch precedes its hand.
         (robot.tactile.publish if i else robot.touch)(tactile(frame, i))
         robot.keypoints.publish(points(frame, i))
         stamp = 1000 * 10**9 + i * DT
         state = robot.with_stamp(stamp)
         assert list(state.name) == case["joints"]
-        # On a busy machine joints have more time between frames than their stamps say, never less than a cycle.
+        # On a busy machine more time passes between frames than their stamps say, never less than a cycle.
         got = robot.settled()
         assert np.abs(got - frame["qpos"]).max() < 2e-3, (i, got - frame["qpos"])
         robot.peer.wait(lambda: len(robot.touches) > i, "touch")
@@ -143,7 +144,7 @@ def keypoints(case):
 
 
 def poses(case):
-    """Hands as parameters; messages of the left hand change nothing."""
+    """Hands as MANO parameters are followed; messages of the left hand are ignored."""
     robot = Robot(case)
     for i, frame in enumerate(case["frames"]):
         left = copy.deepcopy(frame)
@@ -153,7 +154,7 @@ def poses(case):
         robot.with_stamp(1000 * 10**9 + i * DT)
         got = robot.settled()
         assert np.abs(got - frame["qpos"]).max() < 2e-3, (i, got - frame["qpos"])
-    assert not robot.touches, "nobody told of a touch"
+    assert not robot.touches, "no touch was published"
     assert not any("left out" in log.msg for log in robot.logs)
     moved = np.abs(np.array(case["frames"][-1]["qpos"]) - case["frames"][0]["qpos"]).max()
     assert moved > 0.05, moved
@@ -166,7 +167,7 @@ def object_pose(frame, i):
 
 
 def about(case):
-    """What the library does about the object; a pose in another frame is named, and one that is old counts no more."""
+    """Joints with an object agree with the library; an object pose in another frame causes a warning, an old one is ignored."""
     robot = Robot(case)
     objects = robot.peer.connected(robot.peer.create_publisher(PoseStamped, "object", 100))
     for i, frame in enumerate(case["frames"]):
@@ -177,7 +178,7 @@ def about(case):
         got = robot.settled()
         assert np.abs(got - frame["qpos"]).max() < 2e-3, (i, got - frame["qpos"])
     last = len(case["frames"]) - 1
-    # Ten frames later the newest pose is too old: the same hand goes through where the ball was.
+    # Ten frames later the object pose is too old: the same hand moves through the former place of the ball.
     robot.keypoints.publish(points(case["frames"][last], last + 10))
     robot.with_stamp(1000 * 10**9 + (last + 10) * DT)
     assert np.abs(robot.settled() - case["frames"][last]["qpos"]).max() > 0.05
@@ -191,16 +192,16 @@ def about(case):
 
 
 def rate(case):
-    """Between hands joints keep coming, their stamps go on by the node's clock, and trajectories say the same."""
+    """Between hands joint states continue with the node's clock, and trajectories hold the same positions."""
     robot = Robot(case)
     robot.peer.rest(0.2)
-    assert not robot.joints, "nothing comes before the first hand"
+    assert not robot.joints, "no joint states before the first hand"
     robot.keypoints.publish(points(case["frames"][0], 0))
     robot.peer.wait(lambda: len(robot.joints) > 40 and len(robot.trajectories) > 40, "joints in silence")
     stamps = [nanos(state.header.stamp) for state in robot.joints]
     assert stamps[0] == 1000 * 10**9
     steps = np.diff(stamps) / 1e9
-    # A busy machine leaves cycles out or is late with one, and in time with the next; the mean is no shorter than the period.
+    # A busy machine skips or delays cycles, so only the mean step is bounded by the period.
     assert (steps > 0).all() and np.mean(steps) > 0.039, (steps.min(), np.mean(steps))
     by_joints = [dict(zip(state.name, state.position)) for state in robot.joints]
     for trajectory in robot.trajectories[:40]:
@@ -213,13 +214,13 @@ def rate(case):
 
 
 def velocity(case):
-    """A hand that jumps is followed no faster than joints may move."""
+    """A hand that jumps is followed within the velocity limits of the joints."""
     robot = Robot(case)
     for i, frame in enumerate(case["frames"]):
         robot.keypoints.publish(points(frame, i))
         robot.with_stamp(1000 * 10**9 + i * DT)
         robot.settled()
-    # Back to the first one, and all messages kept.
+    # Return to the first hand and check every message.
     robot.keypoints.publish(points(case["frames"][0], 30))
     start = robot.with_stamp(1000 * 10**9 + 30 * DT)
     count = len(robot.joints)
@@ -238,7 +239,7 @@ def velocity(case):
 
 
 def pairs(case):
-    """Touches pair within the slop, whichever comes first; a hand waits for a late one."""
+    """Touches pair within the slop in either order of arrival; a hand waits for a late touch."""
     robot = Robot(case)
     frames = case["frames"]
 
@@ -250,14 +251,14 @@ def pairs(case):
     robot.touch(tactile(frames[0], 0, offset=10_000_000))
     robot.keypoints.publish(points(frames[0], 0))
     touched(0, 10_000_000)
-    # The hand first: it waits.
+    # The hand arrives first and waits.
     robot.keypoints.publish(points(frames[1], 1))
     robot.peer.rest(0.5)
     stamps = {nanos(state.header.stamp) for state in robot.joints}
-    assert 1000 * 10**9 + DT not in stamps, "it waits for its touch"
+    assert 1000 * 10**9 + DT not in stamps, "the hand did not wait for its touch"
     robot.tactile.publish(tactile(frames[1], 1, offset=-12_000_000))
     touched(1, -12_000_000)
-    # 13 ms is too far: the next one, which has a touch, overtakes it.
+    # 13 ms exceeds the slop: the next hand, which has a touch, overtakes this one.
     robot.tactile.publish(tactile(frames[2], 2, offset=13_000_000))
     robot.keypoints.publish(points(frames[2], 2))
     robot.keypoints.publish(points(frames[3], 3))
@@ -267,7 +268,7 @@ def pairs(case):
 
 
 def bad(case):
-    """Bad messages of every kind are named, the pose is held, and what follows is followed."""
+    """Malformed messages of every kind cause a warning and hold the pose; later valid hands are followed."""
     robot = Robot(case)
     frames = case["frames"]
     robot.keypoints.publish(points(frames[0], 0))
@@ -297,7 +298,7 @@ def bad(case):
     assert np.array_equal(robot.settled(), held), "held"
     assert all(np.isfinite(state.position).all() for state in robot.joints)
 
-    # A bad touch does not spoil a good hand.
+    # A hand with a malformed touch is still followed.
     for k, spoil in enumerate((lambda m: setattr(m, "topology", "hoof"), lambda m: m.hands[1].force.__setitem__(5, -1.0))):
         touch = tactile(frames[7 + k], 7 + k)
         spoil(touch)
@@ -309,11 +310,11 @@ def bad(case):
         robot.keypoints.publish(points(frames[i], i))
         state = robot.with_stamp(1000 * 10**9 + i * DT)
         assert np.isfinite(state.position).all()
-    assert np.abs(robot.settled() - held).max() > 1e-4, "it follows again"
+    assert np.abs(robot.settled() - held).max() > 1e-4, "the robot does not follow again"
 
 
 def switched(case):
-    """Disabled, nothing comes; enabled, hands are followed again."""
+    """A disabled node publishes nothing; an enabled one follows hands again."""
     robot = Robot(case)
     robot.keypoints.publish(points(case["frames"][0], 0))
     robot.with_stamp(1000 * 10**9)
@@ -326,8 +327,8 @@ def switched(case):
     robot.with_stamp(1000 * 10**9 + 2 * DT)
 
 
-def anew(case):
-    """A recording that is played again is followed again."""
+def restarts(case):
+    """A recording that is played a second time is followed again."""
     robot = Robot(case)
     for base in (1000, 500):
         for i, frame in enumerate(case["frames"]):
@@ -338,7 +339,7 @@ def anew(case):
 
 
 def diagnostics(case):
-    """Counts by what became of the hands, and the solver's time."""
+    """Diagnostics count hands by outcome and give the solver's time."""
     robot = Robot(case)
 
     def values():
@@ -361,7 +362,7 @@ def diagnostics(case):
 
 
 def mano(case):
-    """A hand on MANO's topology is refused by the parameter that would help; one on ours is followed."""
+    """A hand of MANO's topology is refused with the name of the missing parameter; one of our topology is followed."""
     robot = Robot(case)
     robot.poses.publish(hand_pose(case["frames"][0], 0))
     robot.warned("mano_right")
@@ -370,7 +371,7 @@ def mano(case):
 
 
 def pipeline(case):
-    """Simulator and predictor feed it: joints and touch come, with stamps of the same images."""
+    """With simulator and predictor, joints and touch are published with the stamps of the same images."""
     peer = Peer()
     joints = peer.listen(JointState, "retargeter/joint_states")
     touches = peer.listen(RobotTouch, "retargeter/touch")

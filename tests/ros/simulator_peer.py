@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""What a user of the node `simulator` sees, one fact per function; `tests/ros_simulator.rs` starts the node.
+"""Checks the node `simulator` from outside, one check per function; `tests/ros_simulator.rs` starts the node.
 
-Usage: simulator_peer.py FACT
+Usage: simulator_peer.py CHECK
 """
 import sys
 
@@ -22,7 +22,7 @@ def stamps(messages):
 
 
 def frames():
-    """One second at 25 Hz in simulated time: 25 frames, 40 ms apart, everything of a frame under one stamp."""
+    """One second at 25 Hz in simulated time: 25 frames, 40 ms apart; all messages of a frame carry one stamp."""
     peer = Peer()
     infos = peer.listen(CameraInfo, "camera_info")
     truths = peer.listen(TactileTruth, "truth/tactile")
@@ -63,14 +63,14 @@ def frames():
         assert pose.header.frame_id == "camera_optical" and pose.topology == "egotac-hand-1"
         assert 0.1 < p.z < 1.5, "the hand is before the camera, within an arm's length"
         assert abs(np.linalg.norm([q.x, q.y, q.z, q.w]) - 1) < 1e-9
-        # A hand is 0.2 m long: its wrist may lie outside the picture by that much.
+        # A hand is 0.2 m long, so its wrist may lie outside the image by that much.
         margin = 0.2 * k[0] / p.z
         u, v = k[0] * p.x / p.z + k[2], k[4] * p.y / p.z + k[5]
         assert -margin < u < 224 + margin and -margin < v < 224 + margin, (u, v)
 
 
 def wall():
-    """Stamps are the node's clock at publication: in order, not before the start, not after arrival."""
+    """Stamps are the node's time at publication: ordered, after the start, before the arrival."""
     peer = Peer()
     start = peer.get_clock().now().nanoseconds
     images = peer.listen(Image, "image_raw")
@@ -81,7 +81,7 @@ def wall():
 
 
 def compressed():
-    """image_raw/compressed carries a JPEG file under the frame's stamp; the node waits for its listeners, too."""
+    """image_raw/compressed carries a JPEG image with the frame's stamp; the node waits for its subscribers, too."""
     peer = Peer()
     truths = peer.listen(TactileTruth, "truth/tactile")
     files = peer.listen(CompressedImage, "image_raw/compressed")
@@ -93,14 +93,14 @@ def compressed():
 
 
 def follows():
-    """Under somebody else's /clock frames come when it has come as far, and none while it stands still."""
+    """With an external /clock each frame is published when the clock reaches its time, and none while the clock stands still."""
     peer = Peer()
     images = peer.listen(Image, "image_raw")
     clock = peer.connected(peer.create_publisher(Clock, "/clock", RELIABLE))
     peer.wait(lambda: peer.count_publishers(peer.resolve_topic_name("image_raw")) > 0, "the simulator")
-    # Longer than the simulator waits for more listeners.
+    # Longer than the simulator waits for further subscribers.
     peer.rest(4.0)
-    assert not images, "frames came before anybody said what time it is"
+    assert not images, "frames arrived before the first message on /clock"
     # Half a second in steps of 10 ms: frames 0 to 12.
     for i in range(51):
         time = Clock()
@@ -113,7 +113,7 @@ def follows():
     assert 0 <= times[0] and times[-1] <= 500_000_000, times
     steps = np.diff(times)
     assert steps.min() >= 30_000_000 and abs(steps.mean() - 40_000_000) < 3_000_000, times
-    # The clock goes on, and so does the simulator, to its end.
+    # The clock continues until the simulator ends.
     while peer.count_publishers(peer.resolve_topic_name("image_raw")):
         i += 1
         time.clock.sec, time.clock.nanosec = 100 + i // 100, i % 100 * 10_000_000
@@ -122,7 +122,7 @@ def follows():
 
 
 def episodes():
-    """Two scenes, one after the other; stamps go on."""
+    """Two scenes are played one after the other with increasing stamps."""
     peer = Peer()
     truths = peer.listen(TactileTruth, "truth/tactile")
     peer.listen(Image, "image_raw")

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""What a user of the node `trainer` sees, one fact per function; `tests/ros_trainer.rs` starts the nodes.
+"""Checks the node `trainer` from outside, one check per function; `tests/ros_trainer.rs` starts the nodes.
 
-Usage: trainer_peer.py FACT [ARGUMENT...]
+Usage: trainer_peer.py CHECK [ARGUMENT...]
 """
 import hashlib
 import sys
@@ -20,7 +20,7 @@ from peer import LATCHED, RELIABLE, Peer, message, stamp
 
 
 class Client:
-    """Sends goals and gathers feedback."""
+    """Sends goals and collects feedback."""
 
     def __init__(self, peer):
         self.peer = peer
@@ -41,13 +41,13 @@ class Client:
 
 
 def trains(config, out):
-    """A goal trains on stores: feedback on the way, a checkpoint and its scores at the end."""
+    """A goal trains on stores, sends feedback, and returns a checkpoint with scores."""
     peer = Peer()
     client = Client(peer)
     statuses = peer.listen(TrainerStatus, "trainer/status")
     handle = client.send(config=config, out=out)
     assert handle.accepted
-    # One goal at a time.
+    # The node accepts one goal at a time.
     assert not client.send(config=config, out=out + "_other").accepted
     answer = client.result(handle)
     assert answer.status == GoalStatus.STATUS_SUCCEEDED, answer.status
@@ -67,7 +67,7 @@ def trains(config, out):
 
 
 def refuses(config, folder):
-    """A goal that can't be done is rejected, and the status says why; the node lives on."""
+    """An invalid goal is rejected, the status gives the reason, and the node continues."""
     peer = Peer()
     client = Client(peer)
     statuses = peer.listen(TrainerStatus, "trainer/status")
@@ -84,7 +84,7 @@ def refuses(config, folder):
 
 
 def cancels(config, out):
-    """A cancelled goal keeps what it needs to go on, and goes on."""
+    """A cancelled goal saves its state and resumes from it."""
     peer = Peer()
     client = Client(peer)
     handle = client.send(config=config, out=out, steps=100000)
@@ -96,7 +96,7 @@ def cancels(config, out):
     taken = answer.result.steps
     assert 3 < taken < 100000 and not answer.result.success
     assert (Path(out) / "state.safetensors").is_file() and Path(answer.result.checkpoint).is_file()
-    # The same run goes on from there, until it is cancelled again.
+    # The same run resumes, until it is cancelled again.
     client.feedback.clear()
     handle = client.send(config=config, out=out, steps=100000, resume=True)
     assert handle.accepted
@@ -107,7 +107,7 @@ def cancels(config, out):
 
 
 class World:
-    """A disc wanders over grey; its quadrant says which vertices are touched, its brightness how hard."""
+    """A disc moves over a grey image; its quadrant defines the touched vertices, its brightness the force."""
 
     def __init__(self, peer):
         self.images = peer.connected(peer.create_publisher(Image, "image", RELIABLE))
@@ -141,7 +141,7 @@ class World:
 
 
 def live(config, folder):
-    """Recording and training at the same time: episodes without a gap, the oldest evicted, the touch learned."""
+    """Recording and training run at the same time: episodes are numbered without gaps, and the oldest are deleted."""
     peer = Peer()
     client = Client(peer)
     statuses = peer.listen(TrainerStatus, "trainer/status")
@@ -159,7 +159,7 @@ def live(config, folder):
     rounds = sorted(path.name for path in Path(folder, "run").glob("round_*"))
     assert rounds == ["round_0000", "round_0001", "round_0002"], rounds
     assert not list(Path(folder, "run").glob("round_*/recordings"))
-    # Recording goes on: how many frames came beside the training is a matter of the machine's speed.
+    # Recording continues; the number of frames recorded during the training depends on the machine's speed.
     def evicted():
         world.show()
         return statuses[-1].recorded_frames > 200 and statuses[-1].evicted_episodes > 0
@@ -176,7 +176,7 @@ def live(config, folder):
 
 
 def swaps(small, other, spoilt):
-    """A predictor takes another network while images flow, misses none, and refuses what does not fit."""
+    """A predictor replaces its network while images arrive, drops none of them, and refuses unusable checkpoints."""
     peer = Peer()
     frames = peer.listen(TactileFrame, "predictor/tactile")
     infos = peer.listen(HandModelInfo, "predictor/model_info", LATCHED)
@@ -218,7 +218,7 @@ def swaps(small, other, spoilt):
 
 
 def improves(config, folder):
-    """Live training makes a predictor better: it is told of the checkpoint, and its errors shrink below a constant's."""
+    """Live training improves a predictor: it loads the new checkpoint, and its error falls below that of a constant."""
     peer = Peer()
     client = Client(peer)
     frames = peer.listen(TactileFrame, "predictor/tactile")
@@ -227,7 +227,7 @@ def improves(config, folder):
     world = World(peer)
 
     def errors(count):
-        """Mean absolute errors of the predictor, and of the mean over all that was seen, over the next images."""
+        """Returns the mean absolute errors of the predictor and of the mean truth over the next images."""
         predicted, truth = [], []
         for _ in range(count):
             image, force = world.show()

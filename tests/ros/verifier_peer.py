@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Plays predictor and simulator to the node `verifier`; `tests/ros_verifier.rs` starts the node.
+"""Takes the roles of predictor and simulator for the node `verifier`; `tests/ros_verifier.rs` starts the node.
 
-Usage: verifier_peer.py FACT
+Usage: verifier_peer.py CHECK
 """
 import math
 import sys
@@ -15,7 +15,7 @@ from peer import LATCHED, Peer
 
 
 def frame(i, force, contact, topology="egotac-hand-1"):
-    """Frame i of a 25 Hz stream."""
+    """Returns frame i of a 25 Hz stream."""
     message = TactileFrame(model_id="peer/1", topology=topology, sequence=i)
     message.header.stamp.sec, message.header.stamp.nanosec = 1000 + i // 25, (i % 25) * 40_000_000
     for side in (HandTactile.LEFT, HandTactile.RIGHT):
@@ -27,7 +27,7 @@ def frame(i, force, contact, topology="egotac-hand-1"):
 
 
 class Two:
-    """Publishers of both topics, once the verifier listens."""
+    """Publishers of both topics, connected to the verifier."""
 
     def __init__(self):
         self.peer = Peer()
@@ -39,7 +39,7 @@ class Two:
 
 
 def scores():
-    """20 pairs, 2 of them invalid, in both orders of arrival; some messages stay alone."""
+    """20 pairs, 2 of them invalid, in both orders of arrival; some messages stay unmatched."""
     two = Two()
     rng = np.random.default_rng(1)
     predicted, true = [], []
@@ -49,7 +49,7 @@ def scores():
         force = np.zeros(1556, "f4")
         touched = rng.choice(1556, 200, replace=False)
         force[touched] = (rng.integers(1, 9, 200) / 4).astype("f4")
-        # 100 vertices get another quarter newton: exact in single precision.
+        # 100 vertices get an error of 0.25 N, which is exact in single precision.
         wrong = force.copy()
         wrong[rng.choice(1556, 100, replace=False)] += 0.25
         contact = (rng.random(1556) * 0.5 + 0.5 * (force > 0.05) * rng.random(1556)).astype("f4")
@@ -88,17 +88,17 @@ def scores():
         "pooled.f1": 2 * precision * recall / (precision + recall),
         "pooled.iou": hit / (positive | active).sum(),
         "missed_force": target[active & ~positive].sum() / target[active].sum(),
-        "false_contact_mass": 0.0,  # no vertex is labelled that is not touched
+        "false_contact_mass": 0.0,  # every labelled vertex is touched
         "contact_ratio": active.mean(),
         "labelled_ratio": positive.mean(),
     }
     for name, value in expected.items():
         assert math.isclose(values[name], value, rel_tol=1e-6), (name, values[name], value)
-    assert not any("_secs" in name and "onset" in name for name in values), "touches are whole at the end only"
+    assert not any("_secs" in name and "onset" in name for name in values), "scores of whole touches are known only at the end"
 
 
 def topologies():
-    """A prediction on another hand is not scored; the next good pair is."""
+    """A pair of different topologies is not scored; the next valid pair is."""
     two = Two()
     logs = two.peer.listen(Log, "/rosout", LATCHED)
     force = np.zeros(1556, "f4")
@@ -111,7 +111,7 @@ def topologies():
 
 
 def up():
-    """Returns once the verifier answers."""
+    """Returns once the verifier's services answer."""
     Peer().call(ListParameters, "verifier/list_parameters", ListParameters.Request())
 
 

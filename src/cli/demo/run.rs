@@ -11,7 +11,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use super::children::NodeProcess;
 use super::{Args, report, topics};
 use crate::message::{CameraInfo, HandModelInfo, HandPose, Image, TactileFrame, TactileMetrics, TactileTruth};
-use crate::node::bag_recorder::{Recorder, Topic};
+use crate::node::bag_recorder::{BagRecorder, RecordedTopic};
 
 /// Frames per simulated second.
 const FPS: f64 = 25.0;
@@ -31,7 +31,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         bail!("--duration: expected at least 1 second, got {}", args.duration);
     }
     let out = fresh_folder(&args.out)?;
-    let recorder = Recorder::start(&out.join("bag"), recorded_topics()).context("recorder")?;
+    let recorder = BagRecorder::start(&out.join("bag"), recorded_topics()).context("recorder")?;
     let verifier_report = out.join("verifier.json");
     let nodes = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     nodes.block_on(async {
@@ -76,20 +76,20 @@ fn fresh_folder(path: &Path) -> Result<PathBuf> {
 }
 
 /// Returns the topics of the recording.
-fn recorded_topics() -> Vec<Topic> {
+fn recorded_topics() -> Vec<RecordedTopic> {
     vec![
-        Topic::of::<Image>(topics::IMAGE),
-        Topic::of::<CameraInfo>(topics::CAMERA_INFO),
-        Topic::of::<TactileTruth>(topics::TRUTH),
-        Topic::of::<HandPose>(topics::HAND_POSE),
-        Topic::of::<TactileFrame>(topics::TACTILE),
-        Topic::of::<HandModelInfo>(topics::MODEL_INFO).latched(),
-        Topic::of::<TactileMetrics>(topics::METRICS),
+        RecordedTopic::of::<Image>(topics::IMAGE),
+        RecordedTopic::of::<CameraInfo>(topics::CAMERA_INFO),
+        RecordedTopic::of::<TactileTruth>(topics::TRUTH),
+        RecordedTopic::of::<HandPose>(topics::HAND_POSE),
+        RecordedTopic::of::<TactileFrame>(topics::TACTILE),
+        RecordedTopic::of::<HandModelInfo>(topics::MODEL_INFO).latched(),
+        RecordedTopic::of::<TactileMetrics>(topics::METRICS),
     ]
 }
 
 /// Fails if a running node already publishes one of the demo's topics.
-async fn refuse_other_publishers(recorder: &Recorder) -> Result<()> {
+async fn refuse_other_publishers(recorder: &BagRecorder) -> Result<()> {
     tokio::time::sleep(DISCOVERY).await;
     if let Some(topic) = recorder.published().into_iter().next() {
         bail!("another node already publishes {topic}: stop it, or set another ROS_DOMAIN_ID");
@@ -98,7 +98,7 @@ async fn refuse_other_publishers(recorder: &Recorder) -> Result<()> {
 }
 
 /// Runs the three nodes until the simulator has published all its images.
-async fn simulate(args: &Args, out: &Path, recorder: &Recorder, verifier_report: &Path) -> Result<()> {
+async fn simulate(args: &Args, out: &Path, recorder: &BagRecorder, verifier_report: &Path) -> Result<()> {
     let mut predictor = NodeProcess::start("predictor", &predictor_arguments(args), out)?;
     let mut verifier = NodeProcess::start("verifier", &verifier_arguments(verifier_report), out)?;
     tokio::select! {
@@ -121,7 +121,7 @@ async fn simulate(args: &Args, out: &Path, recorder: &Recorder, verifier_report:
 }
 
 /// Waits until the predictor has published its model info.
-async fn network_is_ready(recorder: &Recorder) -> Result<()> {
+async fn network_is_ready(recorder: &BagRecorder) -> Result<()> {
     let waiting = ProgressBar::new_spinner().with_message("loading the network");
     let deadline = Instant::now() + NODE_TIMEOUT;
     while recorder.count(topics::MODEL_INFO) == 0 {
@@ -134,7 +134,7 @@ async fn network_is_ready(recorder: &Recorder) -> Result<()> {
 }
 
 /// Shows the progress of the run; returns only if the recording fails.
-async fn show_progress(recorder: &Recorder, images: u64) {
+async fn show_progress(recorder: &BagRecorder, images: u64) {
     let style = ProgressStyle::with_template("simulating {bar:32} {pos}/{len} images, {msg}, {elapsed}");
     let progress = ProgressBar::new(images).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
     while !recorder.has_failed() {

@@ -1,94 +1,121 @@
-//! Another network for a predictor that runs: loaded on a thread of its own, taken between two images.
+//! Service `~/load_model`: loads another network on its own thread; the inference takes it over between two images.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use anyhow::{Context as _, bail};
 use r2r::ServiceRequest;
 use r2r::egotac_msgs::srv::LoadModel;
 
-use super::network::{self, load_file, try_out};
+use super::load::{load_file, measure_inference, model_info};
 use crate::hand::Topology;
 use crate::message::HandModelInfo;
 use crate::model::predictor::{Options, Predictor};
-use crate::node::runtime::{RosClock, Runtime};
+use crate::node::clock::RosClock;
+use crate::node::lock::lock;
+use crate::node::log::Log;
+use crate::node::runtime::Runtime;
 
 /// A network with its description.
-pub struct Loaded {
-    /// The network, with no image seen yet.
-    pub predictor: Predictor,
-    /// What it is.
-    pub info: HandModelInfo,
+pub(super) struct LoadedModel {
+    /// Network that has seen no image yet.
+    pub(super) predictor: Predictor,
+    /// Description of the network.
+    pub(super) info: HandModelInfo,
 }
 
-/// Where a new network waits for the thread that predicts.
+/// Place where a loaded network waits for the inference; clones share it.
 #[derive(Clone, Default)]
-pub struct Slot(Arc<Mutex<Option<Loaded>>>);
+pub(super) struct PendingModel(Arc<Mutex<Option<LoadedModel>>>);
 
-impl Slot {
-    /// Takes the network that waits, if one does.
-    pub fn take(&self) -> Option<Loaded> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).take()
+impl PendingModel {
+    /// Takes the waiting network, if there is one.
+    pub(super) fn take(&self) -> Option<LoadedModel> {
+        lock(&self.0).take()
     }
 
-    fn put(&self, loaded: Loaded) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(loaded);
+    fn put(&self, loaded: LoadedModel) {
+        *lock(&self.0) = Some(loaded);
     }
 }
 
-/// What a new network must fit.
+/// Requirements on another network.
 #[derive(Clone)]
-pub struct Terms {
-    /// File of a request that names none.
-    pub path: PathBuf,
-    /// How it is run.
-    pub options: Options,
-    /// What its vertices must mean: whoever listens relies on it.
-    pub topology: Topology,
+pub(super) struct ModelRequirements {
+    /// File that a request without a file loads.
+    pub(super) default_path: PathBuf,
+    /// Device and precision.
+    pub(super) options: Options,
+    /// Vertex numbering; subscribers rely on it.
+    pub(super) topology: Topology,
 }
 
-/// Offers `~/load_model`.
+/// Offers `~/load_model`; `model_id` names the network in use.
 ///
 /// # Errors
-/// If ROS refuses the name.
-pub fn serve(runtime: &mut Runtime, slot: Slot, terms: Terms, model_id: String) -> anyhow::Result<()> {
-    let (clock, log) = (runtime.clock().clone(), runtime.log().clone());
-    let in_use = Arc::new(Mutex::new(model_id));
-    runtime.service_later::<LoadModel::Service>("~/load_model", move |request: ServiceRequest<LoadModel::Service>| {
-        let (slot, terms, clock, log, in_use) =
-            (slot.clone(), terms.clone(), clock.clone(), log.clone(), Arc::clone(&in_use));
-        let work = move || {
-            let mut in_use = in_use.lock().unwrap_or_else(PoisonError::into_inner);
-            let (success, message) = match load(&request.message.model, &terms, &clock) {
-                Ok(loaded) => {
-                    log.info(format!("model {} takes over", loaded.info.model_id));
-                    in_use.clone_from(&loaded.info.model_id);
-                    slot.put(loaded);
-                    (true, String::new())
-                }
-                Err(error) => {
-                    log.warn(format!("the model stays as it is: {error:#}"));
-                    (false, format!("{error:#}"))
-                }
-            };
-            let answer = LoadModel::Response { success, message, model_id: in_use.clone() };
-            if let Err(error) = request.respond(answer) {
-                log.warn_throttled("load_model", format!("~/load_model: the answer could not be sent: {error}"));
-            }
-        };
-        // Without a thread there is no answer, and the caller's patience ends.
-        drop(std::thread::Builder::new().name("loading".into()).spawn(work));
+/// If ROS refuses the service name.
+pub(super) fn serve(
+    runtime: &mut Runtime,
+    pending: PendingModel,
+    requirements: ModelRequirements,
+    model_id: String,
+) -> anyhow::Result<()> {
+    let loader = Loader {
+        pending,
+        requirements,
+        model_id: Arc::new(Mutex::new(model_id)),
+        clock: runtime.clock().clone(),
+        log: runtime.log().clone(),
+    };
+    runtime.deferred_service("~/load_model", move |request| {
+        let loader = loader.clone();
+        // Ignore the error: without a thread there is no response, and the caller's timeout ends.
+        drop(std::thread::Builder::new().name("loading".into()).spawn(move || loader.respond(request)));
     })
 }
 
-fn load(path: &str, terms: &Terms, clock: &RosClock) -> anyhow::Result<Loaded> {
-    let path = if path.is_empty() { &terms.path } else { Path::new(path) };
-    let mut predictor = load_file(path, terms.options.clone())?;
-    let topology = predictor.metadata().topology;
-    if topology != terms.topology {
-        bail!("{}: expected topology {}, got {}", path.display(), terms.topology.id(), topology.id());
+#[derive(Clone)]
+struct Loader {
+    pending: PendingModel,
+    requirements: ModelRequirements,
+    /// Id of the network in use; locked while a network is loaded, so that requests are served one by one.
+    model_id: Arc<Mutex<String>>,
+    clock: RosClock,
+    log: Log,
+}
+
+impl Loader {
+    fn respond(&self, request: ServiceRequest<LoadModel::Service>) {
+        let mut model_id = lock(&self.model_id);
+        let (success, message) = match self.load(&request.message.model) {
+            Ok(loaded) => {
+                self.log.info(format!("model {} replaces {model_id}", loaded.info.model_id));
+                model_id.clone_from(&loaded.info.model_id);
+                self.pending.put(loaded);
+                (true, String::new())
+            }
+            Err(error) => {
+                self.log.warn(format!("the model is not replaced: {error:#}"));
+                (false, format!("{error:#}"))
+            }
+        };
+        let response = LoadModel::Response { success, message, model_id: model_id.clone() };
+        if let Err(error) = request.respond(response) {
+            self.log.warn_throttled("load_model", format!("~/load_model: cannot send the response: {error}"));
+        }
     }
-    try_out(&mut predictor).with_context(|| path.display().to_string())?;
-    let info = network::info(&predictor, clock.now())?;
-    Ok(Loaded { predictor, info })
+
+    /// Loads and runs a checkpoint once, so that an unusable one is refused before it replaces the network in use.
+    fn load(&self, path: &str) -> anyhow::Result<LoadedModel> {
+        let ModelRequirements { default_path, options, topology } = &self.requirements;
+        let path = if path.is_empty() { default_path } else { Path::new(path) };
+        let mut predictor = load_file(path, options.clone())?;
+        let loaded = predictor.metadata().topology;
+        if loaded != *topology {
+            bail!("{}: expected topology {}, got {}", path.display(), topology.id(), loaded.id());
+        }
+        measure_inference(&mut predictor).with_context(|| path.display().to_string())?;
+        let info = model_info(&predictor, self.clock.now())?;
+        Ok(LoadedModel { predictor, info })
+    }
 }

@@ -13,12 +13,15 @@ use crate::message::{
     self, Header, JointState, JointTrajectory, JointTrajectoryPoint, LinkTouch, RobotTouch, TactileFrame, Time,
     Vector3, Wrench,
 };
-use crate::node::approximate_sync::Matched;
-use crate::node::held_object::HeldObject;
+use crate::node::approximate_sync::SyncedHand;
+use crate::node::clock::RosClock;
 use crate::node::log::Log;
+use crate::node::object_pose::LatestObjectPose;
 use crate::node::params::Parameters;
-use crate::node::runtime::{Publisher, RosClock, Runtime};
-use crate::node::{Shutdown, qos};
+use crate::node::publisher::Publisher;
+use crate::node::qos;
+use crate::node::runtime::Runtime;
+use crate::node::shutdown::Shutdown;
 use crate::retarget::touch::LinkFeel;
 use crate::retarget::{Input, Output, Retargeter, Robot};
 
@@ -55,7 +58,7 @@ struct Outputs {
 pub struct Worker {
     retargeter: Retargeter,
     hands: Hands,
-    object: Arc<HeldObject>,
+    object: Arc<LatestObjectPose>,
     names: Names,
     period: Duration,
     inputs: Inputs,
@@ -79,7 +82,7 @@ impl Worker {
         runtime: &mut Runtime,
         retargeter: Retargeter,
         hands: Hands,
-        object: Arc<HeldObject>,
+        object: Arc<LatestObjectPose>,
         inputs: Inputs,
         state: State,
     ) -> anyhow::Result<Self> {
@@ -148,9 +151,9 @@ impl Worker {
     }
 
     /// Takes a hand at the node's time; whether the robot follows it.
-    fn follow(&mut self, matched: Matched<Seen, TactileFrame>, now: Time) -> bool {
-        let Matched { stamp, hand, touch, began_anew } = matched;
-        if began_anew {
+    fn follow(&mut self, matched: SyncedHand<Seen, TactileFrame>, now: Time) -> bool {
+        let SyncedHand { stamp, hand, touch, restarted } = matched;
+        if restarted {
             self.log.warn_throttled("anew", "stamps went back: begins anew");
             self.retargeter.reset();
         }
@@ -190,7 +193,7 @@ impl Worker {
                 Err(error) => self.log.warn_throttled("tactile", format!("tactile: message left out: {error}")),
             }
         }
-        match self.object.at(stamp, &hand.header().frame_id) {
+        match self.object.pose_at(stamp, &hand.header().frame_id) {
             Ok(object) => input.object = object,
             // As are pose and touch.
             Err(error) => self.log.warn_throttled("object", format!("object: message left out: {error}")),

@@ -5,18 +5,22 @@ mod hands;
 mod state;
 
 use std::path::PathBuf;
+use std::process::ExitCode;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use r2r::std_srvs::srv::SetBool;
 
-use super::approximate_sync::Matching;
-use super::held_object::HeldObject;
+use super::approximate_sync::ApproximateSync;
+use super::clock::RosClock;
+use super::enabled::serve_set_enabled;
 use super::log::Log;
+use super::object_pose::LatestObjectPose;
 use super::params::{Allowed, Parameter, Parameters};
-use super::runtime::{self, RosClock, Runtime};
-use super::{Shutdown, qos};
+use super::runtime::Runtime;
+use super::shutdown::Shutdown;
+use super::worker_thread::WorkerThread;
+use super::{program, qos};
 use crate::error::Error;
 use crate::hand::Side;
 use crate::message::{HandPose, Header, PoseArray, PoseStamped, TactileFrame};
@@ -26,8 +30,13 @@ use control::Worker;
 use hands::{Hands, Seen};
 use state::State;
 
+/// Runs the program `egotac_retargeter`.
+pub fn main() -> ExitCode {
+    program::run("retargeter", "Follows a hand and its touch with a robot hand.", &parameters(), start)
+}
+
 /// The node's parameters.
-pub fn parameters() -> Vec<Parameter> {
+fn parameters() -> Vec<Parameter> {
     vec![
         Parameter::fixed(
             "robot",
@@ -85,12 +94,11 @@ pub fn parameters() -> Vec<Parameter> {
     ]
 }
 
-/// Creates the node, loads its robot, and runs until `shutdown`.
+/// Loads the robot and runs the node until `shutdown`.
 ///
 /// # Errors
 /// If ROS refuses something, or the robot or a MANO file can't be used.
-pub fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
-    let runtime = Runtime::create("retargeter", &parameters())?;
+fn start(runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     let parameters = Arc::clone(runtime.parameters());
     let model = path_of(&parameters, "model");
     let object =
@@ -104,7 +112,7 @@ pub fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If ROS refuses something, the robot can't take a pose, or a MANO file can't be read.
-pub fn run(mut runtime: Runtime, robot: Robot, shutdown: &Shutdown) -> anyhow::Result<()> {
+fn run(mut runtime: Runtime, robot: Robot, shutdown: &Shutdown) -> anyhow::Result<()> {
     let parameters = Arc::clone(runtime.parameters());
     let side = match parameters.get::<String>("side").as_str() {
         "left" => Side::Left,
@@ -121,8 +129,8 @@ pub fn run(mut runtime: Runtime, robot: Robot, shutdown: &Shutdown) -> anyhow::R
 
     let slop = 1e-3 * parameters.get::<f64>("sync_slop_ms");
     let patience = Duration::from_secs_f64(1e-3 * parameters.get::<f64>("touch_wait_ms"));
-    let inputs = Arc::new(Mutex::new(Matching::new(slop, patience)));
-    let object = Arc::new(HeldObject::new(1e-3 * parameters.get::<f64>("object_timeout_ms")));
+    let inputs = Arc::new(Mutex::new(ApproximateSync::new(slop, patience)));
+    let object = Arc::new(LatestObjectPose::new(1e-3 * parameters.get::<f64>("object_timeout_ms")));
     if retargeter.robot().object.is_some() {
         subscribe_object(&mut runtime, &object)?;
     }
@@ -133,23 +141,19 @@ pub fn run(mut runtime: Runtime, robot: Robot, shutdown: &Shutdown) -> anyhow::R
     serve_set_enabled(&mut runtime)?;
     state::report(&mut runtime, inputs, state, name)?;
 
-    let stop = shutdown.clone();
-    let worker = std::thread::Builder::new().name("control".into()).spawn(move || {
-        let _guard = stop.when_dropped();
-        worker.work(&stop);
+    let worker = WorkerThread::spawn("control", shutdown, move |shutdown| {
+        worker.work(shutdown);
         Ok(())
     })?;
     runtime.spin(shutdown);
-    let result = runtime::join(worker, "control");
-    drop(runtime);
-    result
+    runtime.finish(worker)
 }
 
 fn path_of(parameters: &Parameters, name: &str) -> Option<PathBuf> {
     Some(parameters.get::<String>(name)).filter(|path| !path.is_empty()).map(PathBuf::from)
 }
 
-type Inputs = Arc<Mutex<Matching<Seen, TactileFrame>>>;
+type Inputs = Arc<Mutex<ApproximateSync<Seen, TactileFrame>>>;
 
 /// What the subscriptions feed.
 #[derive(Clone)]
@@ -168,7 +172,7 @@ impl Source {
         }
         // Without a stamp the order of arrival is all there is.
         let stamp = if header.stamp.is_zero() { clock.now() } else { header.stamp };
-        self.inputs.lock().unwrap_or_else(PoisonError::into_inner).hand(stamp, hand, Instant::now());
+        self.inputs.lock().unwrap_or_else(PoisonError::into_inner).push_hand(stamp, hand, Instant::now());
     }
 
     fn refuse(&self, topic: &str, error: &Error, log: &Log) {
@@ -202,24 +206,16 @@ fn subscribe(runtime: &mut Runtime, source: &Source) -> anyhow::Result<()> {
     runtime.subscribe::<TactileFrame>("tactile", qos::every_input(), move |frame| match frame {
         Ok(frame) => {
             let mut inputs = touches.inputs.lock().unwrap_or_else(PoisonError::into_inner);
-            inputs.touch(frame.header.stamp, frame, Instant::now());
+            inputs.push_touch(frame.header.stamp, frame, Instant::now());
         }
         Err(error) => touches.refuse("tactile", &error, &log),
     })
 }
 
-fn subscribe_object(runtime: &mut Runtime, object: &Arc<HeldObject>) -> anyhow::Result<()> {
+fn subscribe_object(runtime: &mut Runtime, object: &Arc<LatestObjectPose>) -> anyhow::Result<()> {
     let (object, log) = (Arc::clone(object), runtime.log().clone());
     runtime.subscribe::<PoseStamped>("object", qos::every_input(), move |pose| match pose {
-        Ok(pose) => object.see(pose),
+        Ok(pose) => object.update(pose),
         Err(error) => log.warn_throttled("object", format!("object: message left out: {error}")),
-    })
-}
-
-fn serve_set_enabled(runtime: &mut Runtime) -> anyhow::Result<()> {
-    let parameters = Arc::clone(runtime.parameters());
-    runtime.service::<SetBool::Service>("~/set_enabled", move |request| {
-        let set = parameters.set([("enabled".to_owned(), request.data.into())]);
-        SetBool::Response { success: set.is_ok(), message: set.err().unwrap_or_default() }
     })
 }

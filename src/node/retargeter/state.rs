@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use super::Inputs;
 use crate::error::Error;
-use crate::node::diagnostics::{self, Level, Report, Tally};
+use crate::node::diagnostics::{self, Level, Tally, TaskReport};
 use crate::node::runtime::Runtime;
 use crate::retarget::Status;
 use crate::statistics::percentile;
@@ -76,7 +76,7 @@ pub fn report(runtime: &mut Runtime, inputs: Inputs, state: State, robot: String
         move |runtime| {
             let (overtaken, touched) = {
                 let inputs = inputs.lock().unwrap_or_else(PoisonError::into_inner);
-                (inputs.overtaken(), inputs.touch_flows(Instant::now()))
+                (inputs.overtaken(), inputs.touches_arrive(Instant::now()))
             };
             state.hands.set_dropped("superseded", overtaken);
             let mut tally = state.hands.counts();
@@ -86,11 +86,11 @@ pub fn report(runtime: &mut Runtime, inputs: Inputs, state: State, robot: String
                 (Level::Ok, "disabled".to_owned())
             } else if let Some(error) = &counts.refused {
                 (Level::Warn, format!("holds the last pose: {error}"))
-            } else if rates.0 == 0.0 {
+            } else if rates.received == 0.0 {
                 (Level::Stale, format!("no hands on {topics}"))
             } else {
                 let touch = if touched { "with touch" } else { "no touch" };
-                (Level::Ok, format!("follows {:.1} hands per second, {touch}", rates.1))
+                (Level::Ok, format!("follows {:.1} hands per second, {touch}", rates.processed))
             };
             let mut values = tally.values(rates);
             values.push(("with_touch".to_owned(), counts.with_touch.to_string()));
@@ -102,7 +102,7 @@ pub fn report(runtime: &mut Runtime, inputs: Inputs, state: State, robot: String
                 let secs = percentile(counts.solve_secs.make_contiguous().iter().copied(), q);
                 values.push((format!("solve_{name}_us"), format!("{:.0}", 1e6 * secs)));
             }
-            Report { task: "hands", level, message, values }
+            TaskReport { task: "hands", level, message, values }
         },
     )
 }

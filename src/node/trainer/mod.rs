@@ -1,147 +1,157 @@
-//! The node `trainer`: an action that trains, on stores or on what comes live.
+//! The node `trainer`: an action that trains networks, on stores or on live topics.
 
-mod goal;
+mod goal_job;
+mod goal_server;
 mod progress;
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::Context as _;
-use candle_core::Device;
 use r2r::egotac_msgs::action::Train;
 use r2r::egotac_msgs::srv::LoadModel;
 
 use super::diagnostics::{self, Tally};
-use super::episode_recorder::{self, Recording};
+use super::episode_recorder::{EpisodeRecorder, Limits};
+use super::images::ImageTransport;
 use super::params::{Allowed, Parameter};
 use super::runtime::Runtime;
-use super::{Shutdown, images, qos};
+use super::shutdown::Shutdown;
+use super::{device, program, qos};
 use crate::message::TactileTruth;
-use goal::Trainer;
+use goal_server::GoalServer;
 
-/// Time between two statuses, and feedbacks.
-const STATUS: Duration = Duration::from_millis(500);
-/// How long a predictor may take to answer.
-const PATIENCE: Duration = Duration::from_secs(30);
+/// Time between two statuses, and between two feedbacks of a goal.
+const STATUS_PERIOD: Duration = Duration::from_millis(500);
+/// Longest wait for the response of the service `notify`, which loads and runs the checkpoint first.
+const NOTIFY_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// The node's parameters.
-pub fn parameters() -> Vec<Parameter> {
+/// Runs the program `egotac_trainer`.
+pub fn main() -> ExitCode {
+    program::run("trainer", "Trains networks on stores and on live topics.", &parameters(), run)
+}
+
+/// Parameters of the node.
+fn parameters() -> Vec<Parameter> {
     vec![
-        Parameter::new("config", "", Allowed::Any, "Configuration (YAML) of goals that name none."),
+        Parameter::new("config", "", Allowed::Any, "Configuration file (YAML) of goals that name none."),
         Parameter::fixed(
             "folder",
             "trainer",
             Allowed::Any,
-            "Folder for recorded episodes, and for runs that name none.",
+            "Folder of the recorded episodes, and of runs whose configuration has a relative folder.",
         ),
-        Parameter::fixed("device", "cpu", Allowed::OneOf(&["cpu", "cuda"]), "Where networks are trained."),
-        images::transport(),
-        Parameter::new("record", true, Allowed::Any, "Record images that come with a truth of the same stamp."),
+        device::parameter(),
+        ImageTransport::parameter(),
+        Parameter::new("record", true, Allowed::Any, "Record each image that has a truth of equal stamp."),
         Parameter::fixed(
             "max_recorded_mb",
             2000.0,
             Allowed::Doubles(0.001, 1e9),
-            "What recorded episodes may take on the disk, MB; the oldest are removed beyond it.",
+            "Largest size of all recorded episodes on disk, MB; beyond it the oldest are deleted.",
         ),
-        Parameter::fixed("episode_secs", 10.0, Allowed::Doubles(0.1, 3600.0), "Longest recorded episode, seconds."),
+        Parameter::fixed(
+            "episode_secs",
+            10.0,
+            Allowed::Doubles(0.1, 3600.0),
+            "Longest duration of a recorded episode, seconds.",
+        ),
         Parameter::new(
             "min_live_frames",
             200,
             Allowed::Integers(1, 100_000_000),
-            "Recorded frames that a live goal waits for.",
+            "Number of recorded frames that a live goal waits for.",
         ),
         Parameter::new(
             "round_steps",
             200,
             Allowed::Integers(1, 100_000_000),
-            "Steps of a live goal between two looks for new episodes.",
+            "Steps of a live goal per round; each round takes the newest episodes.",
         ),
         Parameter::new(
             "notify",
             "",
             Allowed::Any,
-            "Service (egotac_msgs/srv/LoadModel) that hears of each new checkpoint, e.g. /predictor/load_model.",
+            "Service (egotac_msgs/srv/LoadModel) called with each new checkpoint, for instance /predictor/load_model; empty = \
+             none.",
         ),
         Parameter::use_sim_time(),
     ]
 }
 
-/// Creates the node and runs until `shutdown`.
+/// Runs the node until `shutdown`, which stops an active training and saves its state.
 ///
 /// # Errors
-/// As [`run`].
-pub fn start(shutdown: &Shutdown) -> anyhow::Result<()> {
-    run(Runtime::create("trainer", &parameters())?, shutdown)
-}
-
-/// Runs the node until `shutdown`; a training that runs then is stopped, with its state saved.
-///
-/// # Errors
-/// If ROS or the disk refuses something.
-pub fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
+/// If ROS refuses a topic or the action, or the folder cannot be written.
+fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     let parameters = Arc::clone(runtime.parameters());
     let folder = PathBuf::from(parameters.get::<String>("folder"));
-    let device = match parameters.get::<String>("device").as_str() {
-        "cuda" => Device::new_cuda(0).context("device cuda")?,
-        _ => Device::Cpu,
+    let device = device::open(&parameters)?;
+    let limits = Limits {
+        bytes: (parameters.get::<f64>("max_recorded_mb") * 1e6) as u64,
+        episode_secs: parameters.get("episode_secs"),
     };
-    let most_bytes = (parameters.get::<f64>("max_recorded_mb") * 1e6) as u64;
-    let log = runtime.log().clone();
-    let opened = Recording::open(&folder.join("live"), most_bytes, parameters.get("episode_secs"), &log, shutdown)?;
+    let (recorder, ring, writer) = EpisodeRecorder::open(&folder.join("live"), limits, runtime.log(), shutdown)?;
     let tally = Tally::default();
-    subscribe(&mut runtime, Rc::new(RefCell::new(opened.recording)), &tally)?;
+    subscribe(&mut runtime, recorder, &tally)?;
+    let server = GoalServer::new(ring, folder, device, parameters, runtime.log().clone());
+    let server = Rc::new(RefCell::new(server));
+    serve_goals(&mut runtime, &server)?;
+    let states = Rc::clone(&server);
+    diagnostics::publish(&mut runtime, String::new, move |_| states.borrow().task_report(&tally))?;
 
-    let trainer = Rc::new(RefCell::new(Trainer::new(opened.ring, folder, device, parameters, log)));
-    let goals = Rc::clone(&trainer);
+    runtime.spin(shutdown);
+    server.borrow_mut().stop();
+    runtime.finish(writer)
+}
+
+/// Offers the action and publishes `~/status`.
+fn serve_goals(runtime: &mut Runtime, server: &Rc<RefCell<GoalServer>>) -> anyhow::Result<()> {
+    let goals = Rc::clone(server);
     runtime.action_server::<Train::Action>("~/train", move |request| goals.borrow_mut().take(request))?;
     let publisher = runtime.publisher("~/status", qos::output())?;
-    let statuses = Rc::clone(&trainer);
-    runtime.every(STATUS, move |runtime| {
+    let statuses = Rc::clone(server);
+    runtime.every(STATUS_PERIOD, move |runtime| {
         let finished = statuses.borrow_mut().tick(&publisher, runtime);
         if let Some(checkpoint) = finished {
             notify(runtime, &checkpoint);
         }
     });
-    let states = Rc::clone(&trainer);
-    diagnostics::publish(&mut runtime, String::new, move |_| states.borrow().report(&tally))?;
-
-    runtime.spin(shutdown);
-    trainer.borrow_mut().stop();
-    drop(runtime);
-    episode_recorder::join(opened.writer)
+    Ok(())
 }
 
-/// Feeds the recording while `record` is set.
-fn subscribe(runtime: &mut Runtime, recording: Rc<RefCell<Recording>>, tally: &Tally) -> anyhow::Result<()> {
-    let parameters = Arc::clone(runtime.parameters());
-    let (pictures, records, log, counts) =
-        (Rc::clone(&recording), Arc::clone(&parameters), runtime.log().clone(), tally.clone());
-    images::subscribe(runtime, qos::every_input(), move |payload| {
-        counts.received();
-        match images::decode(&payload, &records) {
-            Ok((header, image)) if records.get("record") => {
-                pictures.borrow_mut().image(&header, image);
-                counts.processed(None);
+/// Passes images and truths to the recorder while the parameter `record` is set.
+fn subscribe(runtime: &mut Runtime, recorder: EpisodeRecorder, tally: &Tally) -> anyhow::Result<()> {
+    let recorder = Rc::new(RefCell::new(recorder));
+    let transport = ImageTransport::of(runtime.parameters());
+    let (images, tally) = (Rc::clone(&recorder), tally.clone());
+    let (parameters, log) = (Arc::clone(runtime.parameters()), runtime.log().clone());
+    transport.subscribe(runtime, qos::every_input(), move |payload| {
+        tally.received();
+        match transport.decode(&payload) {
+            Ok((header, image)) if parameters.get("record") => {
+                images.borrow_mut().push_image(&header, image);
+                tally.processed(None);
             }
-            Ok(_) => counts.dropped("disabled"),
+            Ok(_) => tally.dropped("disabled"),
             Err(error) => {
-                counts.dropped("malformed");
-                log.warn_throttled("image", format!("image left out: {error}"));
+                tally.dropped("malformed");
+                log.warn_throttled("image", format!("image dropped: {error}"));
             }
         }
     })?;
-    let log = runtime.log().clone();
+    let (parameters, log) = (Arc::clone(runtime.parameters()), runtime.log().clone());
     runtime.subscribe::<TactileTruth>("truth", qos::every_input(), move |truth| match truth {
-        Ok(truth) if parameters.get("record") => recording.borrow_mut().truth(truth),
+        Ok(truth) if parameters.get("record") => recorder.borrow_mut().push_truth(truth),
         Ok(_) => {}
-        Err(error) => log.warn_throttled("truth", format!("truth: message left out: {error}")),
+        Err(error) => log.warn_throttled("truth", format!("truth: message dropped: {error}")),
     })
 }
 
-/// Tells a predictor, if one is to hear of it.
+/// Calls the service that the parameter `notify` names with a new checkpoint.
 fn notify(runtime: &mut Runtime, checkpoint: &Path) {
     let service = runtime.parameters().get::<String>("notify");
     if service.is_empty() {
@@ -151,11 +161,12 @@ fn notify(runtime: &mut Runtime, checkpoint: &Path) {
     let path = checkpoint.canonicalize().unwrap_or_else(|_| checkpoint.to_path_buf());
     let request = LoadModel::Request { model: path.display().to_string() };
     let name = service.clone();
-    let called = runtime.call::<LoadModel::Service>(&service, &request, PATIENCE, move |answer| match answer {
-        Some(answer) if answer.success => log.info(format!("{name} runs {}", answer.model_id)),
-        Some(answer) => log.error(format!("{name} refused {}: {}", path.display(), answer.message)),
-        None => log.error(format!("{name} did not answer")),
-    });
+    let called =
+        runtime.call::<LoadModel::Service>(&service, &request, NOTIFY_TIMEOUT, move |response| match response {
+            Some(response) if response.success => log.info(format!("{name} runs {}", response.model_id)),
+            Some(response) => log.error(format!("{name} refused {}: {}", path.display(), response.message)),
+            None => log.error(format!("{name} did not respond")),
+        });
     if let Err(error) = called {
         runtime.log().error(format!("notify: {error:#}"));
     }

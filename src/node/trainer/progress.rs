@@ -1,32 +1,33 @@
-//! How far a training is.
-
-use std::sync::{Mutex, PoisonError};
+//! Progress of a training, for status, feedback and diagnostics.
 
 use crate::message::TrainerStatus;
-use crate::node::verifier::flatten;
+use crate::node::flatten::flatten;
 use crate::train::Event;
 use crate::train::job::JobEvent;
 use crate::train::pass::Losses;
 
-/// What the training thread tells.
+/// Weight of the previous value in the exponential smoothing of the throughput; averages over about ten steps.
+const THROUGHPUT_SMOOTHING: f64 = 0.9;
+
+/// Progress of a training.
 #[derive(Debug, Clone)]
-pub struct Progress {
-    /// As in TrainerStatus.
-    pub state: &'static str,
-    /// As in TrainerStatus.
-    pub message: String,
+pub(super) struct Progress {
+    /// State as in TrainerStatus.
+    pub(super) state: &'static str,
+    /// Message as in TrainerStatus.
+    pub(super) message: String,
     /// Steps taken.
-    pub step: usize,
-    /// Steps wanted.
-    pub steps: usize,
+    pub(super) step: usize,
+    /// Steps of the goal.
+    pub(super) steps: usize,
     /// Losses of the newest step, by name.
-    pub losses: Vec<(String, f64)>,
-    /// Scores on the held-out stores, by name.
-    pub scores: Vec<(String, f64)>,
-    /// Throughput, smoothed.
-    pub windows_per_s: f64,
-    /// Seconds to go.
-    pub remaining_secs: f64,
+    pub(super) losses: Vec<(String, f64)>,
+    /// Newest scores on the held-out stores, by name.
+    pub(super) scores: Vec<(String, f64)>,
+    /// Smoothed throughput, windows per second.
+    pub(super) windows_per_s: f64,
+    /// Time to the last step, s.
+    pub(super) remaining_secs: f64,
 }
 
 impl Default for Progress {
@@ -44,44 +45,41 @@ impl Default for Progress {
     }
 }
 
-/// Writes down what the training thread says.
-pub fn tell(progress: &Mutex<Progress>, steps: usize, news: &JobEvent) {
-    const KEEP: f64 = 0.9;
-    let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
-    match news {
-        JobEvent::Waiting(there, wanted) => {
-            progress.state = "waiting";
-            progress.message = format!("{there} of {wanted} live frames");
+impl Progress {
+    /// Applies an event of the training thread.
+    pub(super) fn update(&mut self, event: &JobEvent) {
+        match event {
+            JobEvent::Waiting(there, wanted) => {
+                self.state = "waiting";
+                self.message = format!("{there} of {wanted} live frames");
+            }
+            JobEvent::Training(before, Event::Stepped(step)) => {
+                self.state = "training";
+                self.message.clear();
+                self.step = before + step.step;
+                let losses = Losses::NAMES.iter().zip(step.losses.values());
+                self.losses = losses.map(|(name, value)| ((*name).to_owned(), value.into())).collect();
+                self.update_throughput(step.windows as f64, step.secs);
+            }
+            JobEvent::Training(_, Event::Validated(_, report)) => self.scores = flatten(&serde_json::json!(report)),
+            JobEvent::Training(..) => {}
         }
-        JobEvent::Training(before, Event::Stepped(step)) => {
-            progress.state = "training";
-            progress.message.clear();
-            progress.step = before + step.step;
-            progress.losses = Losses::NAMES
-                .iter()
-                .zip(step.losses.values())
-                .map(|(name, value)| ((*name).to_owned(), value.into()))
-                .collect();
-            let now = step.windows as f64 / step.secs.max(1e-9);
-            let smooth = progress.windows_per_s;
-            progress.windows_per_s = if smooth.is_nan() { now } else { KEEP * smooth + (1.0 - KEEP) * now };
-            let left = steps.saturating_sub(progress.step) as f64;
-            progress.remaining_secs = left * step.windows as f64 / progress.windows_per_s;
-        }
-        JobEvent::Training(_, Event::Validated(_, report)) => progress.scores = flat(&serde_json::json!(report)),
-        JobEvent::Training(..) => {}
+    }
+
+    /// Updates throughput and remaining time after a step of `windows` windows in `secs` seconds.
+    fn update_throughput(&mut self, windows: f64, secs: f64) {
+        let newest = windows / secs.max(1e-9);
+        self.windows_per_s = match self.windows_per_s.is_nan() {
+            true => newest,
+            false => THROUGHPUT_SMOOTHING * self.windows_per_s + (1.0 - THROUGHPUT_SMOOTHING) * newest,
+        };
+        let left = self.steps.saturating_sub(self.step) as f64;
+        self.remaining_secs = left * windows / self.windows_per_s;
     }
 }
 
-/// Numbers of a JSON object, by names with dots; null = NaN.
-pub fn flat(value: &serde_json::Value) -> Vec<(String, f64)> {
-    let mut values = Vec::new();
-    flatten("", value, &mut values);
-    values
-}
-
-/// r2r's form of a status.
-pub fn native(status: &TrainerStatus) -> r2r::egotac_msgs::msg::TrainerStatus {
+/// Converts a status to r2r's own type, which the action's feedback holds.
+pub(super) fn native_status(status: &TrainerStatus) -> r2r::egotac_msgs::msg::TrainerStatus {
     let s = status.clone();
     let stamp = r2r::builtin_interfaces::msg::Time { sec: s.header.stamp.sec, nanosec: s.header.stamp.nanosec };
     r2r::egotac_msgs::msg::TrainerStatus {

@@ -1,9 +1,9 @@
-"""Prints, as JSON, what a launch file would start.
+"""Prints the nodes, includes, arguments and environment of a launch file as JSON.
 
 Usage: describe.py FILE.launch.py [ARGUMENT:=VALUE ...]
 
-`launch` and `launch_ros` are not on PyPI, so stand-ins take their place here. They accept what the real classes accept,
-as far as our files use it, and refuse the rest; an argument that is used but not declared is an error.
+`launch` and `launch_ros` are not on PyPI, so stand-ins replace them here. The stand-ins accept the arguments of the real
+classes that our files use and refuse all others. Use of an undeclared launch argument is an error.
 """
 
 import json
@@ -17,11 +17,11 @@ result = {"arguments": {}, "nodes": [], "includes": [], "environment": {}}
 
 
 class Context:
-    """What `perform` and OpaqueFunction get."""
+    """Launch context; passed to `perform` and OpaqueFunction."""
 
 
 def text(value, context=None):
-    """The text that a substitution, or a list of them, stands for."""
+    """Returns the text of a substitution or of a list of substitutions."""
     if isinstance(value, (list, tuple)):
         return "".join(text(part, context) for part in value)
     return value.perform(context) if hasattr(value, "perform") else str(value)
@@ -33,7 +33,7 @@ class LaunchConfiguration:
 
     def perform(self, context):
         if self.name not in declared:
-            sys.exit(f"the argument {self.name!r} is used and not declared")
+            sys.exit(f"the argument {self.name!r} is used but not declared")
         return text(given.get(self.name, declared[self.name]), context)
 
 
@@ -150,7 +150,7 @@ class LaunchDescription:
 
 
 def stand_in(name, **members):
-    """Makes `name` importable."""
+    """Makes the module `name` importable."""
     module = ModuleType(name)
     module.__dict__.update(members)
     sys.modules[name] = module

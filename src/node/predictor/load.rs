@@ -1,68 +1,76 @@
-//! The network that the node runs.
+//! Loading and description of the node's network.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use ::image::RgbImage;
 use anyhow::{Context as _, bail};
-use candle_core::Device;
 
 use crate::hand::{HandModel, N_VERTICES, Side, Topology};
 use crate::message::{HandModelInfo, Header, Time};
 use crate::model::budget::{self, Tried};
 use crate::model::predictor::{Options, Predictor};
 use crate::model::shipped;
+use crate::node::device;
 use crate::node::log::Log;
 use crate::node::params::Parameters;
 
-/// The network that the parameters ask for, its file, and how it is run.
+/// A network with its file and options.
+pub(crate) struct LoadedNetwork {
+    pub(crate) predictor: Predictor,
+    pub(crate) path: PathBuf,
+    pub(crate) options: Options,
+}
+
+/// Loads the network that the parameters name.
 ///
 /// # Errors
-/// If there is none that can be used.
-pub fn load(parameters: &Parameters, log: &Log) -> anyhow::Result<(Predictor, PathBuf, Options)> {
+/// If there is no usable checkpoint or device.
+pub(super) fn load(parameters: &Parameters, log: &Log) -> anyhow::Result<LoadedNetwork> {
     let path = match parameters.get::<String>("model") {
         path if path.is_empty() => {
             shipped::path().context("without `-p model:=PATH` the predictor takes the shipped checkpoint")?
         }
         path => PathBuf::from(path),
     };
-    let device = match parameters.get::<String>("device").as_str() {
-        "cuda" => Device::new_cuda(0).context("device cuda")?,
-        _ => Device::Cpu,
-    };
     let precision = parameters.get::<String>("precision").parse()?;
-    let options = Options { device, precision, ..Options::default() };
+    let options = Options { device: device::open(parameters)?, precision, ..Options::default() };
     let budget_ms = parameters.get::<f64>("latency_budget_ms");
     if budget_ms > 0.0 {
-        let (predictor, choice) = budget::pick(&budget::candidates(&path)?, budget_ms, &options)?;
-        match choice.fits {
-            true => log.info(format!("model {choice}")),
-            false => log.warn(format!("model: {choice}")),
-        }
-        let Tried { path, precision, .. } = choice.chosen;
-        return Ok((predictor, path, Options { precision, ..options }));
+        return load_within_budget(&path, budget_ms, options, log);
     }
     let predictor = load_file(&path, options.clone())?;
     log.info(format!("model {} in {precision}", path.display()));
-    Ok((predictor, path, options))
+    Ok(LoadedNetwork { predictor, path, options })
+}
+
+/// Loads the best network of the file or folder `path` that takes at most `budget_ms` per image on this machine.
+fn load_within_budget(path: &Path, budget_ms: f64, options: Options, log: &Log) -> anyhow::Result<LoadedNetwork> {
+    let (predictor, choice) = budget::pick(&budget::candidates(path)?, budget_ms, &options)?;
+    match choice.fits {
+        true => log.info(format!("model {choice}")),
+        false => log.warn(format!("model: {choice}")),
+    }
+    let Tried { path, precision, .. } = choice.chosen;
+    Ok(LoadedNetwork { predictor, path, options: Options { precision, ..options } })
 }
 
 /// Loads a checkpoint file.
 ///
 /// # Errors
-/// If there is none, or it can't be used.
-pub fn load_file(path: &Path, options: Options) -> anyhow::Result<Predictor> {
+/// If the file is missing or is no usable checkpoint.
+pub(super) fn load_file(path: &Path, options: Options) -> anyhow::Result<Predictor> {
     if !path.is_file() {
         bail!("model {}: no such file; give a checkpoint with -p model:=PATH", path.display());
     }
     Ok(Predictor::load(path, options)?)
 }
 
-/// Seconds that one image takes; the first one, which takes longer, goes before.
+/// Runs the network on a black image; returns the seconds of the second run, because the first one also allocates.
 ///
 /// # Errors
-/// If the network can't process an image.
-pub fn try_out(predictor: &mut Predictor) -> anyhow::Result<f64> {
+/// If the network cannot process an image.
+pub(super) fn measure_inference(predictor: &mut Predictor) -> anyhow::Result<f64> {
     let black = RgbImage::new(64, 48);
     predictor.push(&black, 0.0).context("the model can't process an image")?;
     let started = Instant::now();
@@ -71,14 +79,14 @@ pub fn try_out(predictor: &mut Predictor) -> anyhow::Result<f64> {
     Ok(started.elapsed().as_secs_f64())
 }
 
-/// What a network is, for those who listen.
+/// Describes a network for subscribers of its results.
 ///
 /// # Errors
-/// If its geometry does not fit the message.
-pub fn info(predictor: &Predictor, now: Time) -> anyhow::Result<HandModelInfo> {
+/// If a number of its configuration does not fit the message.
+pub(super) fn model_info(predictor: &Predictor, now: Time) -> anyhow::Result<HandModelInfo> {
     let (metadata, config) = (predictor.metadata(), predictor.config());
     let hash = predictor.sha256();
-    // The built-in hand's regions are those of both sides; MANO's need a file that predicting does not.
+    // Both built-in hands have the same regions. MANO's regions need a MANO file, which the predictor does not read.
     let (hand_model, vertex_region) = match metadata.topology {
         Topology::EgotacHand1 => {
             let regions = HandModel::builtin(Side::Right).regions();

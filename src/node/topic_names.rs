@@ -1,40 +1,41 @@
-//! Topic names as ROS resolves them: expanded by namespace and node, then remapped by the command line.
+//! Topic names as ROS resolves them: expanded by namespace and node name, then remapped by the command line.
 //!
-//! A transport's topic is the resolved image topic with `/compressed` behind it; r2r does not offer the resolution.
+//! r2r does not offer this resolution, and the compressed image topic needs it: its name is the resolved image topic
+//! followed by `/compressed`.
 
-/// Names and remapping rules of one node.
-#[derive(Debug)]
-pub(super) struct Names {
+/// Name, namespace and remapping rules of one node.
+pub(crate) struct TopicNames {
     namespace: String,
     node: String,
-    rules: Vec<Rule>,
+    rules: Vec<RemapRule>,
 }
 
-#[derive(Debug, PartialEq)]
-struct Rule {
-    /// The only node it is for; None = all.
+struct RemapRule {
+    /// Node that the rule applies to; None = all nodes.
     node: Option<String>,
     from: String,
     to: String,
 }
 
-impl Names {
-    /// Of the node `node` in `namespace` (`/` or `/a/b`), started with the command line `arguments`.
-    pub(super) fn new(namespace: &str, node: &str, arguments: impl IntoIterator<Item = String>) -> Self {
-        Self { namespace: namespace.to_owned(), node: node.to_owned(), rules: rules(arguments) }
+impl TopicNames {
+    /// Collects the rules of the node `node` in `namespace` (`/` or `/a/b`) from the command line `arguments`.
+    pub(crate) fn new(namespace: &str, node: &str, arguments: impl IntoIterator<Item = String>) -> Self {
+        Self { namespace: namespace.to_owned(), node: node.to_owned(), rules: remap_rules(arguments) }
     }
 
-    /// The full name of `topic` after remapping.
-    pub(super) fn resolve(&self, topic: &str) -> String {
+    /// Returns the full name of `topic` after remapping.
+    pub(crate) fn resolve(&self, topic: &str) -> String {
         let full = self.expand(topic);
-        let matching =
-            |rule: &&Rule| rule.node.as_ref().is_none_or(|node| *node == self.node) && self.expand(&rule.from) == full;
+        let matching = |rule: &&RemapRule| {
+            rule.node.as_ref().is_none_or(|node| *node == self.node) && self.expand(&rule.from) == full
+        };
         match self.rules.iter().find(matching) {
             Some(rule) => self.expand(&rule.to),
             None => full,
         }
     }
 
+    /// Returns the full name of a relative, private or absolute name.
     fn expand(&self, name: &str) -> String {
         let namespace = self.namespace.trim_end_matches('/');
         if name.starts_with('/') {
@@ -47,8 +48,8 @@ impl Names {
     }
 }
 
-/// The rules `[node:]from:=to` after `-r` or `--remap`, between `--ros-args` and `--`.
-fn rules(arguments: impl IntoIterator<Item = String>) -> Vec<Rule> {
+/// Returns the rules `[node:]from:=to` given after `-r` or `--remap`, between `--ros-args` and `--`.
+fn remap_rules(arguments: impl IntoIterator<Item = String>) -> Vec<RemapRule> {
     let mut rules = Vec::new();
     let mut for_ros = false;
     let mut arguments = arguments.into_iter();
@@ -56,14 +57,15 @@ fn rules(arguments: impl IntoIterator<Item = String>) -> Vec<Rule> {
         match argument.as_str() {
             "--ros-args" => for_ros = true,
             "--" => for_ros = false,
-            "-r" | "--remap" if for_ros => rules.extend(arguments.next().as_deref().and_then(rule)),
+            "-r" | "--remap" if for_ros => rules.extend(arguments.next().as_deref().and_then(remap_rule)),
             _ => {}
         }
     }
     rules
 }
 
-fn rule(text: &str) -> Option<Rule> {
+/// Parses `[node:]from:=to`; None if `text` is no topic remapping rule.
+fn remap_rule(text: &str) -> Option<RemapRule> {
     let (left, to) = text.split_once(":=")?;
     let (node, from) = match left.split_once(':') {
         // `rostopic://name` names a topic, not a node.
@@ -72,8 +74,8 @@ fn rule(text: &str) -> Option<Rule> {
         None => (None, left),
     };
     let strip = |name: &str| name.strip_prefix("rostopic://").unwrap_or(name).to_owned();
-    // `__ns` and `__node` rename the node, which already happened.
-    (!from.starts_with("__")).then(|| Rule { node, from: strip(from), to: strip(to) })
+    // `__ns` and `__node` rename the node; ROS has applied them before.
+    (!from.starts_with("__")).then(|| RemapRule { node, from: strip(from), to: strip(to) })
 }
 
 #[cfg(test)]
@@ -81,7 +83,7 @@ mod tests {
     use super::*;
 
     fn resolve(topic: &str, arguments: &str) -> String {
-        Names::new("/robot", "predictor", arguments.split_whitespace().map(String::from)).resolve(topic)
+        TopicNames::new("/robot", "predictor", arguments.split_whitespace().map(String::from)).resolve(topic)
     }
 
     #[test]
@@ -89,11 +91,11 @@ mod tests {
         assert_eq!(resolve("image", ""), "/robot/image");
         assert_eq!(resolve("~/tactile", ""), "/robot/predictor/tactile");
         assert_eq!(resolve("/image", ""), "/image");
-        assert_eq!(Names::new("/", "n", []).resolve("image"), "/image");
+        assert_eq!(TopicNames::new("/", "n", []).resolve("image"), "/image");
     }
 
     #[test]
-    fn the_first_rule_that_matches_remaps() {
+    fn the_first_matching_rule_remaps() {
         assert_eq!(resolve("image", "--ros-args -r image:=/cam/image_raw"), "/cam/image_raw");
         assert_eq!(resolve("image", "--ros-args --remap /robot/image:=cam"), "/robot/cam");
         assert_eq!(resolve("image", "--ros-args -r image:=a -r image:=b"), "/robot/a");
@@ -102,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_for_ros_does_not_remap() {
+    fn arguments_outside_ros_args_do_not_remap() {
         assert_eq!(resolve("image", "-r image:=a"), "/robot/image");
         assert_eq!(resolve("image", "--ros-args -- -r image:=a"), "/robot/image");
         assert_eq!(resolve("image", "--ros-args -r __node:=image -p image:=a"), "/robot/image");

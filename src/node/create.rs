@@ -1,0 +1,67 @@
+//! Creation of a node with parameters, clock, log and parameter services.
+
+use std::panic;
+use std::sync::Arc;
+
+use anyhow::{Context as _, bail};
+
+use super::clock::RosClock;
+use super::lock::lock;
+use super::log::Log;
+use super::params::{Parameter, Parameters};
+use super::publisher::Publisher;
+use super::runtime::Runtime;
+use super::topic_names::TopicNames;
+use super::{parameter_services, qos};
+
+/// Creates the node `name` (remappable) with parameter services for `table`, `/rosout` and `/parameter_events`.
+///
+/// # Errors
+/// If ROS refuses its arguments, or a parameter given at start is not allowed; the error names it and its range.
+pub(crate) fn create(name: &str, table: &[Parameter]) -> anyhow::Result<Runtime> {
+    let context = context()?;
+    let mut node = r2r::Node::create(context, name, "").with_context(|| format!("cannot create node {name}"))?;
+    let full_name = node.fully_qualified_name()?;
+    let names = TopicNames::new(&node.namespace()?, &node.name()?, std::env::args().skip(1));
+    let (parameters, unknown) = parameters(&node, table)?;
+    if parameters.get::<bool>("use_sim_time") {
+        let time_source = node.get_time_source();
+        time_source.enable_sim_time(&mut node)?;
+    }
+    let clock = RosClock::new(node.get_ros_clock());
+    let rosout = Publisher::create(&mut node, "/rosout", qos::rosout())?;
+    let log = Log::new(logger_name(&full_name), clock.clone(), rosout);
+    for name in unknown {
+        log.warn(format!("parameter {name} is unknown and ignored; known: {}", parameters.names()));
+    }
+    let mut runtime = Runtime::new(node, names, clock, log, Arc::new(parameters));
+    parameter_services::serve(&mut runtime, full_name)?;
+    Ok(runtime)
+}
+
+/// Returns the values given on the command line, else the defaults; and the given names that `table` lacks.
+fn parameters(node: &r2r::Node, table: &[Parameter]) -> anyhow::Result<(Parameters, Vec<String>)> {
+    let given = lock(&node.params);
+    Parameters::new(table, given.iter().map(|(name, given)| (name.as_str(), &given.value)))
+}
+
+/// Creates the ROS context of the process. r2r panics on arguments that ROS refuses; the panic becomes an error.
+fn context() -> anyhow::Result<r2r::Context> {
+    let hook = panic::take_hook();
+    panic::set_hook(Box::new(|_| {}));
+    let created = panic::catch_unwind(r2r::Context::create);
+    panic::set_hook(hook);
+    match created {
+        Ok(context) => Ok(context.context("cannot start ROS")?),
+        Err(reason) => {
+            let reason = reason.downcast_ref::<String>().map_or("ROS refused its arguments", String::as_str);
+            // The text after ", at /" is the position in ROS's own source file.
+            bail!("ROS arguments: {}", reason.split(", at /").next().unwrap_or(reason))
+        }
+    }
+}
+
+/// Returns the logger name of a node: its full name with dots.
+fn logger_name(full_name: &str) -> String {
+    full_name.trim_start_matches('/').replace('/', ".")
+}

@@ -1,0 +1,168 @@
+//! Scores of the pairs of prediction and truth, over the rolling window and since the start.
+
+use std::collections::VecDeque;
+use std::time::Instant;
+
+use serde_json::json;
+
+use super::touch_scores::TouchScores;
+use crate::message::{Header, TactileFrame, TactileTruth};
+use crate::node::flatten::flatten;
+use crate::score::agreement::Sums;
+use crate::score::metrics::{self, EvalOptions, FrameScore};
+use crate::score::verify::report::scores_of;
+use crate::tactile::{TactileSequence, Validity};
+
+/// Parts of the names of scores that need whole touches and are therefore unknown in the rolling window.
+const WHOLE_TOUCH_SCORES: [&str; 2] = ["_secs", "_touches"];
+/// Most pairs whose fields are kept for the scores that need all vertices of all frames; about 100 MB.
+const MAX_KEPT_FIELDS: usize = 2000;
+
+/// Scores of the pairs so far.
+#[derive(Default)]
+pub(super) struct Scores {
+    /// Header of the newest valid pair.
+    pub(super) header: Header,
+    pub(super) model_id: String,
+    pub(super) topology: String,
+    /// Pairs so far, with valid and invalid truth.
+    pub(super) pairs: u64,
+    /// Pairs with invalid truth.
+    pub(super) invalid: u64,
+    pub(super) touch: TouchScores,
+    /// Scores of all valid pairs.
+    frames: Vec<StampedScore>,
+    /// Scores and touch sums of the valid pairs in the rolling window.
+    window: VecDeque<(StampedScore, Sums)>,
+    /// Fields of the first valid pairs.
+    predicted: TactileSequence,
+    target: TactileSequence,
+    /// Ends of the closed episodes of truth, as indices into `frames`.
+    episode_ends: Vec<usize>,
+    /// Number of the episode of the newest valid pair.
+    episode: u64,
+    /// Arrival of the newest valid pair.
+    arrived: Option<Instant>,
+}
+
+#[derive(Clone)]
+struct StampedScore {
+    secs: f64,
+    score: FrameScore,
+}
+
+impl Scores {
+    /// Adds a pair; `episode` is the number of the truth's episode.
+    ///
+    /// # Errors
+    /// If a message has no hands, or the fields of the pair do not fit each other.
+    pub(super) fn push(&mut self, frame: TactileFrame, truth: &TactileTruth, episode: u64) -> crate::Result<()> {
+        for (name, hands) in [("tactile.hands", &frame.hands), ("truth.hands", &truth.frame.hands)] {
+            if hands.is_empty() {
+                return Err(crate::Error::value(name, "at least one hand", "none, which means no result"));
+            }
+        }
+        let (predicted, target) = (frame.to_field()?, truth.frame.to_field()?);
+        predicted.topology.must_match(target.topology)?;
+        self.pairs += 1;
+        if truth.validity()? != Validity::Valid {
+            self.invalid += 1;
+            self.touch.skip();
+            return Ok(());
+        }
+        if self.predicted.n_frames() < MAX_KEPT_FIELDS {
+            self.predicted.push(&predicted)?;
+            self.target.push(&target)?;
+        }
+        let secs = frame.header.stamp.secs();
+        if std::mem::replace(&mut self.episode, episode) != episode && !self.frames.is_empty() {
+            self.episode_ends.push(self.frames.len());
+            self.window.clear();
+            self.touch.end_episode();
+        }
+        let sums = self.touch.push(secs, &predicted, &target)?;
+        let score = FrameScore::new(&predicted.force, &predicted.contact, &target.force, &target.contact, &[], &[]);
+        let stamped = StampedScore { secs, score };
+        self.frames.push(stamped.clone());
+        self.window.push_back((stamped, sums));
+        self.arrived = Some(Instant::now());
+        self.header = frame.header;
+        self.model_id = frame.model_id;
+        self.topology = frame.topology;
+        Ok(())
+    }
+
+    /// Drops pairs older than the rolling window; all of them if none arrived for the length of the window.
+    pub(super) fn slide_window(&mut self, window_secs: f64) {
+        if self.arrived.is_some_and(|arrived| arrived.elapsed().as_secs_f64() > window_secs) {
+            self.window.clear();
+        }
+        let Some((newest, _)) = self.window.back() else { return };
+        let oldest = newest.secs - window_secs;
+        self.window.retain(|(frame, _)| frame.secs >= oldest);
+    }
+
+    /// Number of pairs in the rolling window.
+    pub(super) fn window_len(&self) -> usize {
+        self.window.len()
+    }
+
+    /// Returns the time between the oldest and the newest pair of the rolling window, s.
+    pub(super) fn window_secs(&self) -> f64 {
+        let ends = self.window.front().zip(self.window.back());
+        ends.map_or(0.0, |((first, _), (last, _))| last.secs - first.secs)
+    }
+
+    /// Returns names and values of the scores over the rolling window; NaN = undefined.
+    pub(super) fn window_scores(&self) -> Vec<(String, f64)> {
+        let report = metrics::summarize(self.window.iter().map(|(frame, _)| &frame.score));
+        let mut scores = flatten(&json!(report));
+        let touch = self.window.iter().fold(Sums::default(), |mut total, (_, sums)| {
+            total += sums;
+            total
+        });
+        for (name, value) in scores_of(&touch) {
+            let is_known = scores.iter().any(|(known, _)| known == name);
+            if !is_known && !WHOLE_TOUCH_SCORES.iter().any(|part| name.contains(part)) {
+                scores.push((name.to_owned(), value.unwrap_or(f64::NAN)));
+            }
+        }
+        scores
+    }
+
+    /// Returns the valid pairs per second of their stamps, within episodes; None for fewer than two pairs.
+    pub(super) fn rate(&self) -> Option<f64> {
+        let steps = self.episodes().flat_map(|episode| episode.windows(2).map(|pair| pair[1].secs - pair[0].secs));
+        let (secs, count) = steps.fold((0.0, 0), |(secs, count), step| (secs + step, count + 1));
+        (secs > 0.0).then(|| f64::from(count) / secs)
+    }
+
+    /// Returns the metrics over all valid pairs. If not all fields were kept, metrics that need all vertices of all frames
+    /// are undefined.
+    ///
+    /// # Errors
+    /// If the metrics cannot be computed.
+    pub(super) fn total(&mut self) -> crate::Result<metrics::Metrics> {
+        if self.frames.len() > self.predicted.n_frames() {
+            let summary = |frames: &[StampedScore]| metrics::summarize(frames.iter().map(|frame| &frame.score));
+            let each: Vec<f64> = self.episodes().filter_map(|episode| summary(episode).temporal_pearson).collect();
+            let temporal_pearson = (!each.is_empty()).then(|| each.iter().sum::<f64>() / each.len() as f64);
+            return Ok(metrics::Metrics { temporal_pearson, ..summary(&self.frames) });
+        }
+        self.target.episode_ends = self.all_episode_ends();
+        metrics::evaluate(&self.predicted, &self.target, &EvalOptions { fps: self.rate(), calibration: None })
+    }
+
+    /// Ends of all episodes, the open one included.
+    fn all_episode_ends(&self) -> Vec<usize> {
+        let open = (!self.frames.is_empty()).then_some(self.frames.len());
+        self.episode_ends.iter().copied().chain(open).collect()
+    }
+
+    /// Valid pairs of each episode.
+    fn episodes(&self) -> impl Iterator<Item = &[StampedScore]> {
+        let ends = self.all_episode_ends();
+        let starts = std::iter::once(0).chain(ends.clone());
+        starts.zip(ends).map(|(start, end)| &self.frames[start..end])
+    }
+}

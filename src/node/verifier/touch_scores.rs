@@ -1,0 +1,53 @@
+//! Scores of touches, as `egotac verify` computes them, from fields alone: vertices are placed as in the rest pose.
+
+use crate::score::agreement::{Scorer, Sums, TruthFrame};
+use crate::score::verify::recording::RestHands;
+use crate::tactile::TactileField;
+
+/// Sums of touch scores over the episodes of the truth.
+#[derive(Default)]
+pub(super) struct TouchScores {
+    hands: Option<RestHands>,
+    /// Scorer of the open episode.
+    open: Option<Scorer>,
+    /// Sums of the closed episodes.
+    closed: Sums,
+}
+
+impl TouchScores {
+    /// Adds a valid pair with its stamp in seconds; returns the sums of this pair.
+    ///
+    /// # Errors
+    /// If the truth has no rest pose or the fields do not fit it.
+    pub(super) fn push(&mut self, secs: f64, predicted: &TactileField, target: &TactileField) -> crate::Result<Sums> {
+        if self.hands.as_ref().is_none_or(|hands| hands.topology != target.topology) {
+            self.end_episode();
+            self.hands = Some(RestHands::of(target.topology, None)?);
+        }
+        let Some(hands) = &self.hands else { return Ok(Sums::default()) };
+        let truth = TruthFrame::new(secs, target.force.clone(), Vec::new(), hands.positions.clone(), None)?;
+        let scorer = self.open.get_or_insert_with(|| Scorer::new(hands.groups.clone()));
+        scorer.push(&truth, &predicted.contact, &predicted.force)
+    }
+
+    /// Skips a pair whose truth is invalid.
+    pub(super) fn skip(&mut self) {
+        self.open.iter_mut().for_each(Scorer::refuse);
+    }
+
+    /// Closes the open episode.
+    pub(super) fn end_episode(&mut self) {
+        if let Some(scorer) = self.open.take() {
+            self.closed += &scorer.finish();
+        }
+    }
+
+    /// Returns the sums of all episodes; the open one counts as if it ended here.
+    pub(super) fn total(&self) -> Sums {
+        let mut total = self.closed.clone();
+        if let Some(scorer) = &self.open {
+            total += &scorer.clone().finish();
+        }
+        total
+    }
+}
