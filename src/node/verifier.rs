@@ -367,10 +367,6 @@ impl Scored {
             self.touch.refuse();
             return Ok(());
         }
-        if self.kept.0.n_frames() < KEPT {
-            self.kept.0.push(&predicted)?;
-            self.kept.1.push(&target)?;
-        }
         let score = FrameScore::new(&predicted.force, &predicted.contact, &target.force, &target.contact, &[], &[]);
         let stamp = frame.header.stamp.secs();
         if std::mem::replace(&mut self.stretch, stretch) != stretch && !self.frames.is_empty() {
@@ -382,6 +378,12 @@ impl Scored {
         self.came = Some(Instant::now());
         self.frames.push((stamp, score.clone()));
         self.window.push_back((stamp, score, sums));
+        // After a change of topology, pairs no longer fit those kept before.
+        let fits = self.kept.0.topology.is_none_or(|kept| kept == predicted.topology);
+        if fits && self.kept.0.n_frames() < KEPT {
+            self.kept.0.push(&predicted)?;
+            self.kept.1.push(&target)?;
+        }
         self.newest = frame.header;
         self.model_id = frame.model_id;
         self.topology = frame.topology;
