@@ -70,10 +70,6 @@ impl Scores {
             self.touch.skip();
             return Ok(());
         }
-        if self.predicted.n_frames() < MAX_KEPT_FIELDS {
-            self.predicted.push(&predicted)?;
-            self.target.push(&target)?;
-        }
         let secs = frame.header.stamp.secs();
         if std::mem::replace(&mut self.episode, episode) != episode && !self.frames.is_empty() {
             self.episode_ends.push(self.frames.len());
@@ -86,6 +82,12 @@ impl Scores {
         self.frames.push(stamped.clone());
         self.window.push_back((stamped, sums));
         self.arrived = Some(Instant::now());
+        // After a change of topology, pairs no longer fit those kept before.
+        let fits = self.predicted.topology.is_none_or(|kept| kept == predicted.topology);
+        if fits && self.predicted.n_frames() < MAX_KEPT_FIELDS {
+            self.predicted.push(&predicted)?;
+            self.target.push(&target)?;
+        }
         self.header = frame.header;
         self.model_id = frame.model_id;
         self.topology = frame.topology;
