@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 
 use egotac::bench::retarget::trajectory::{Noise, Trajectory};
 use egotac::mujoco::{PhysicsOptions, World};
-use egotac::retarget::robot::spec::Spec;
+use egotac::retarget::robot::spec::RobotSpec;
 use egotac::retarget::{Input, Retargeter, Robot, Status};
 use glam::{DQuat, DVec3};
 use proptest::prelude::*;
@@ -19,7 +19,7 @@ fn retargeter(name: &str) -> Retargeter {
 
 fn robot_of(yaml: &str, mjcf: &str) -> egotac::Result<Robot> {
     let world = World::from_mjcf(mjcf, &PhysicsOptions::default()).unwrap();
-    Robot::new(Spec::parse(yaml).unwrap(), world, "a test".into(), Vec::new())
+    Robot::new(RobotSpec::parse(yaml).unwrap(), world, "a test".into(), Vec::new())
 }
 
 fn hands(frames: usize) -> Trajectory {
@@ -81,7 +81,7 @@ fn no_link_runs_into_another_whatever_comes() {
             for frame in 0..hands.keypoints.len() {
                 let of = if frame % 5 == 4 { (frame * 37) % hands.keypoints.len() } else { frame };
                 let _ = retargeter.push(&Input::new(hands.keypoints[of], frame as f64 * DT));
-                let (robot, goal) = retargeter.look();
+                let (robot, goal) = retargeter.robot_and_goal_mut();
                 let deepest = goal.deepest(robot);
                 assert!(deepest <= 5e-4, "{name}, {noise:?}, frame {frame}: {deepest} m deep");
             }
@@ -301,9 +301,9 @@ fn touching_fingers_meet_and_others_stay_apart() {
         let contact = trajectory.tip_contact[frame];
         input.touch = Some(egotac::retarget::Touch { tip_contact: contact, ..Default::default() });
         retargeter.push(&input).unwrap();
-        let (robot, goal) = retargeter.look();
+        let (robot, goal) = retargeter.robot_and_goal_mut();
         for finger in 0..robot.fingers.len() {
-            let Some(gap) = goal.exact_gap(robot, finger) else { continue };
+            let Some(gap) = goal.gap_to_thumb(robot, finger) else { continue };
             match contact[0] > 0.5 && contact[robot.fingers[finger].human] > 0.5 {
                 true => {
                     touching += 1;
@@ -353,8 +353,8 @@ proptest! {
         let scaled = keypoints.map(|point| size * point);
         let (mut a, mut b) = (retargeter("four_finger"), retargeter("four_finger"));
         // Far from a pinch, which has one size whatever hand makes it.
-        a.look().0.spec.weights.pinch = 0.0;
-        b.look().0.spec.weights.pinch = 0.0;
+        a.robot_and_goal_mut().0.spec.weights.pinch = 0.0;
+        b.robot_and_goal_mut().0.spec.weights.pinch = 0.0;
         a.push(&Input::new(keypoints, 0.0)).unwrap();
         b.push(&Input::new(scaled, 0.0)).unwrap();
         prop_assert!(apart(&a.output().qpos, &b.output().qpos) < 2e-3);

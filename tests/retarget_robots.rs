@@ -7,18 +7,18 @@ use egotac::hand::Side;
 use egotac::mujoco::{PhysicsOptions, World};
 use egotac::retarget::Robot;
 use egotac::retarget::robot::source;
-use egotac::retarget::robot::spec::Spec;
+use egotac::retarget::robot::spec::RobotSpec;
 
 fn robot_of(yaml: &str, mjcf: &str) -> egotac::Result<Robot> {
     let world = World::from_mjcf(mjcf, &PhysicsOptions::default())?;
-    Robot::new(Spec::parse(yaml)?, world, "a test".into(), Vec::new())
+    Robot::new(RobotSpec::parse(yaml)?, world, "a test".into(), Vec::new())
 }
 
 fn ratio_of(robot: &Robot, joint: &str) -> (usize, f64, f64) {
-    use egotac::retarget::robot::coupling::Driven;
+    use egotac::retarget::robot::coupling::JointDrive;
     let index = robot.parts.joints.iter().position(|j| j.name == joint).unwrap();
     match robot.coupling.joints[index] {
-        Driven::By { coordinate, ratio, offset } => (coordinate, ratio, offset),
+        JointDrive::Coupled { coordinate, ratio, offset } => (coordinate, ratio, offset),
         other => panic!("{joint}: {other:?}"),
     }
 }
@@ -58,7 +58,7 @@ fn sides_are_derived_as_the_files_say() {
     for (name, _, fingers, side) in FETCHED.iter().filter(|(_, _, fingers, _)| *fingers > 2) {
         let mut source = source::open(name, None, None).unwrap();
         source.spec.side = None;
-        let robot = Robot::new(source.spec, source.world, source.origin, source.lost).unwrap();
+        let robot = Robot::new(source.spec, source.world, source.origin, source.missing_meshes).unwrap();
         assert_eq!((robot.side(), robot.fingers.len()), (*side, *fingers), "{name}");
     }
 }
@@ -81,7 +81,7 @@ fn every_shipped_file_reads() {
     for entry in std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("sim/robots")).unwrap() {
         let path = entry.unwrap().path();
         if path.extension().is_some_and(|extension| extension == "yaml") {
-            let spec = Spec::parse(&std::fs::read_to_string(&path).unwrap()).unwrap();
+            let spec = RobotSpec::parse(&std::fs::read_to_string(&path).unwrap()).unwrap();
             assert_eq!(spec.robot, path.file_stem().unwrap().to_str().unwrap());
             assert!(source::names().any(|name| name == spec.robot), "{} is not part of the program", spec.robot);
             count += 1;

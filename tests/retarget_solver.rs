@@ -5,8 +5,8 @@ use egotac::bench::retarget::objective::{Setup, solve, vectors};
 use egotac::bench::retarget::trajectory::{Noise, Trajectory};
 use egotac::mujoco::{PhysicsOptions, World};
 use egotac::retarget::Robot;
-use egotac::retarget::problem::{Problem, Side, Vector};
-use egotac::retarget::robot::spec::Spec;
+use egotac::retarget::problem::{GapSide, Problem, Vector};
+use egotac::retarget::robot::spec::RobotSpec;
 use egotac::retarget::solver::{Solver, Stop};
 use glam::DVec3;
 use nalgebra::{DMatrix, DVector};
@@ -20,7 +20,7 @@ const ARM: &str = r#"<mujoco><compiler angle="radian"/><worldbody><body name="in
 
 fn arm() -> Robot {
     let world = World::from_mjcf(ARM, &PhysicsOptions::default()).unwrap();
-    let spec = Spec::parse("robot: arm\nwrist: { frame: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }").unwrap();
+    let spec = RobotSpec::parse("robot: arm\nwrist: { frame: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }").unwrap();
     Robot::new(spec, world, "a test".into(), Vec::new()).unwrap()
 }
 
@@ -93,12 +93,12 @@ fn two_points_meet_in_a_few_steps() {
         <body name="index_b" pos="0 0 .1"><joint name="ib" axis="0 1 0"/><geom type="capsule" size=".001" fromto="0 0 0 0 0 .1"/>
         <site name="index_tip" pos="0 0 .1"/></body></body></worldbody></mujoco>"#;
     let world = World::from_mjcf(TWO, &PhysicsOptions::default()).unwrap();
-    let spec = Spec::parse("robot: two\nwrist: { frame: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }").unwrap();
+    let spec = RobotSpec::parse("robot: two\nwrist: { frame: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }").unwrap();
     let mut robot = Robot::new(spec, world, "a test".into(), Vec::new()).unwrap();
     let mut problem = Problem::new(&robot.world, &robot.parts, &robot.coupling);
     let tips: Vec<usize> =
         robot.fingers.clone().iter().map(|finger| problem.add_point(finger.tip_body, finger.tip)).collect();
-    let ball = |point| Side::Sphere { point, radius: 0.0 };
+    let ball = |point| GapSide::Sphere { point, radius: 0.0 };
     let gap = problem.add_gap([ball(tips[0]), ball(tips[1])], false);
     problem.weigh(gap, 1.0);
     let Robot { world, parts, coupling, .. } = &mut robot;
@@ -108,7 +108,7 @@ fn two_points_meet_in_a_few_steps() {
         let stop = Stop { iterations: 12, tolerance: 1e-9 };
         Solver::new(4).solve(&mut problem, world, parts, coupling, stop, &mut u).unwrap();
         problem.cost(world, parts, coupling, &u).unwrap();
-        let apart = problem.place(tips[0]).distance(problem.place(tips[1]));
+        let apart = problem.position(tips[0]).distance(problem.position(tips[1]));
         assert!(apart < 1e-5, "{apart} m apart after 12 steps");
     }
 }
@@ -131,7 +131,7 @@ fn derivatives_are_those_of_finite_differences() {
             huber: 0.03,
         });
     }
-    let ball = |point| Side::Sphere { point, radius: 0.008 };
+    let ball = |point| GapSide::Sphere { point, radius: 0.008 };
     let gap = problem.add_gap([ball(tips[0]), ball(tips[2])], false);
     problem.weigh(gap, 3.0);
     let n = robot.coupling.len();
@@ -208,7 +208,7 @@ fn reachable_targets_are_reached() {
     for _ in 0..1000 {
         let goal: Vec<f64> = (0..n).map(|k| rng.random_range(robot.coupling.low[k]..robot.coupling.high[k])).collect();
         problem.cost(&mut robot.world, &robot.parts, &robot.coupling, &goal).unwrap();
-        let places: Vec<DVec3> = problem.vectors.iter().map(|vector| problem.place(vector.to)).collect();
+        let places: Vec<DVec3> = problem.vectors.iter().map(|vector| problem.position(vector.to)).collect();
         problem.vectors.iter_mut().zip(places).for_each(|(vector, place)| vector.target = place);
         let mut u: Vec<f64> = goal.iter().map(|x| x + rng.random_range(-0.5..0.5)).collect();
         let stop = Stop { iterations: 60, tolerance: 1e-9 };

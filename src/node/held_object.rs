@@ -42,7 +42,7 @@ impl HeldObject {
         }
         let (place, turn) = (&pose.position, &pose.orientation);
         let pose = ObjectPose {
-            place: DVec3::new(place.x, place.y, place.z),
+            position: DVec3::new(place.x, place.y, place.z),
             orientation: DQuat::from_xyzw(turn.x, turn.y, turn.z, turn.w),
         };
         pose.checked().map(Some)
@@ -66,7 +66,7 @@ mod tests {
         let at = |nanos: i64, frame: &str| object.at(Time::from_nanos(nanos), frame);
         assert_eq!(at(1, "world").unwrap(), None);
         object.see(message(1_000_000_000, "world", 1.0));
-        let pose = ObjectPose { place: DVec3::new(1.0, 2.0, 3.0), orientation: DQuat::IDENTITY };
+        let pose = ObjectPose { position: DVec3::new(1.0, 2.0, 3.0), orientation: DQuat::IDENTITY };
         assert_eq!(at(1_150_000_000, "world").unwrap(), Some(pose));
         assert_eq!(at(900_000_000, "").unwrap(), Some(pose));
         assert_eq!(at(1_250_000_000, "world").unwrap(), None);

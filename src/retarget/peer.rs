@@ -8,7 +8,7 @@ use glam::DVec3;
 
 use super::problem::{Problem, Vector};
 use super::robot::Robot;
-use super::robot::fingers::body;
+use super::robot::lookup::body;
 use super::solver::{Solved, Solver, Stop};
 use crate::error::Result;
 

@@ -5,7 +5,6 @@ use serde::{Deserialize, Serialize};
 use super::trajectory::{RATE, Trajectory};
 use crate::bench::sim::clock::Stopwatch;
 use crate::error::Result;
-use crate::retarget::robot::frame;
 use crate::retarget::{Input, Retargeter, Robot, Touch};
 
 /// What was seen while a robot followed.
@@ -57,7 +56,7 @@ pub struct Followed {
 pub fn follow(robot: Robot, trajectory: &Trajectory, with_touch: bool) -> Result<Followed> {
     let mut retargeter = Retargeter::new(robot)?;
     let mut seen = Followed { frames: trajectory.keypoints.len(), ..Followed::default() };
-    seen.meets_in_points = retargeter.look().0.fingers.iter().any(|finger| finger.pad_geoms.is_empty());
+    seen.meets_in_points = retargeter.robot_and_goal_mut().0.fingers.iter().any(|finger| finger.pad_geoms.is_empty());
     let mut times = Vec::with_capacity(seen.frames);
     let (mut tips, mut tip_count) = (0.0, 0.0);
     let (mut closed, mut touching, mut opened, mut released) = (0.0, 0.0, 0.0, 0.0);
@@ -69,14 +68,14 @@ pub fn follow(robot: Robot, trajectory: &Trajectory, with_touch: bool) -> Result
         let contact = trajectory.tip_contact[frame];
         if with_touch {
             let force = trajectory.tip_force[frame];
-            input.touch = Some(Touch { tip_contact: contact, tip_force: Some(force), slots: None });
+            input.touch = Some(Touch { tip_contact: contact, tip_force: Some(force), segments: None });
         }
         let began = Stopwatch::start();
         retargeter.push(&input)?;
         times.push(1e6 * began.seconds());
         let output = retargeter.output().clone();
-        let (robot, goal) = retargeter.look();
-        let gaps: Vec<Option<f64>> = (0..robot.fingers.len()).map(|finger| goal.exact_gap(robot, finger)).collect();
+        let (robot, goal) = retargeter.robot_and_goal_mut();
+        let gaps: Vec<Option<f64>> = (0..robot.fingers.len()).map(|finger| goal.gap_to_thumb(robot, finger)).collect();
         for (index, finger) in robot.fingers.iter().enumerate() {
             tips += 1e3 * goal.tip_error(robot, index);
             tip_count += 1.0;
@@ -110,26 +109,26 @@ pub fn follow(robot: Robot, trajectory: &Trajectory, with_touch: bool) -> Result
         }
         let pressed: f64 = trajectory.tip_force[frame].iter().map(|force| force.length()).sum();
         if with_touch && pressed > 0.1 {
-            let sum: glam::DVec3 = output.feel.links.iter().map(|link| link.force).sum();
-            net += (sum - output.feel.asked).length() / pressed;
-            let touched: Vec<_> = output.feel.links.iter().filter(|link| link.contact > 0.0).collect();
+            let sum: glam::DVec3 = output.expected_touch.links.iter().map(|link| link.force).sum();
+            net += (sum - output.expected_touch.net_force).length() / pressed;
+            let touched: Vec<_> = output.expected_touch.links.iter().filter(|link| link.contact > 0.0).collect();
             let count = touched.len().max(1) as f64;
             let middle = touched.iter().map(|link| link.position).sum::<glam::DVec3>() / count;
             let spread = touched.iter().map(|link| link.position.distance(middle)).sum::<f64>() / count;
             let moment: glam::DVec3 = touched.iter().map(|link| (link.position - middle).cross(link.force)).sum();
             // Fingertips that meet in a point hold no torque.
-            torque += (moment - output.feel.asked_moment).length() / (pressed * spread.max(1e-3));
+            torque += (moment - output.expected_touch.net_torque).length() / (pressed * spread.max(1e-3));
             net_count += 1.0;
             for (human, asked) in trajectory.tip_force[frame].iter().enumerate() {
                 let is = robot.fingers.iter().any(|finger| finger.human == human);
-                let got = output.feel.tip_force[human];
+                let got = output.expected_touch.tip_force[human];
                 if is && asked.length() > 0.1 && got.length() > 0.0 {
                     angle += got.angle_between(*asked).to_degrees();
                     angles += 1.0;
                 }
             }
         }
-        debug_assert!(robot.fingers.iter().all(|finger| frame::place(&robot.world, finger).is_finite()));
+        debug_assert!(robot.fingers.iter().all(|finger| finger.tip_position(&robot.world).is_finite()));
         last = Some(output.qpos.clone());
         seen.qpos.push(output.qpos);
     }

@@ -17,7 +17,7 @@ use self::trajectory::{Noise, Trajectory};
 use crate::bench::Machine;
 use crate::error::Result;
 use crate::retarget::Robot;
-use crate::retarget::robot::spec::Pairs;
+use crate::retarget::robot::spec::PairSelection;
 use crate::retarget::solver::Stop;
 
 /// Frames for which the best objective is looked for.
@@ -237,8 +237,8 @@ fn choices(name: &str, trajectory: &Trajectory, say: &mut impl FnMut(&str)) -> R
         let mut robot = Robot::load(name, None)?;
         let alone = choice == "tips alone";
         if alone || choice == "without collisions" {
-            robot.spec.collision.pairs = Pairs::None;
-            robot.pairs.clear();
+            robot.spec.collision.pairs = PairSelection::None;
+            robot.collision_pairs.clear();
         }
         if alone || choice == "without posture" {
             robot.spec.weights.posture = 1e-3;

@@ -14,7 +14,7 @@ use crate::retarget::Robot;
 use crate::retarget::filter::Smoother;
 use crate::retarget::human::{Hand, keypoint};
 use crate::retarget::peer::{Kind, Peer};
-use crate::retarget::robot::fingers::joint;
+use crate::retarget::robot::lookup::joint;
 use crate::retarget::solver::Stop;
 
 /// Delay of slow motion at which jerk is compared, s: with it the joints, measured, lag by 50 ms.
