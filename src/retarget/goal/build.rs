@@ -2,9 +2,8 @@
 
 use glam::DVec3;
 
-use super::collision::CollisionTerm;
 use super::fingertip::TipBall;
-use super::{Facing, FingerGoal, Goal, METRES_PER_RADIAN, PhalanxTerm};
+use super::{CollisionTerm, Facing, FingerGoal, Goal, METRES_PER_RADIAN, PhalanxTerm};
 use crate::error::Result;
 use crate::retarget::human::{self, Hand, keypoint};
 use crate::retarget::problem::{GapSide, Problem, Vector};

@@ -3,7 +3,7 @@
 //! Distances of geoms take most of the time of a cost evaluation, so only pairs that are near at the start of a solve are
 //! terms of the cost. After the solve all pairs are checked; if one penetrates, it becomes a term and the solve is repeated.
 
-use super::Goal;
+use super::{CollisionTerm, Goal};
 use crate::error::Result;
 use crate::retarget::robot::Robot;
 use crate::retarget::solver::{Solved, Stop};
@@ -16,17 +16,6 @@ const WATCH_DISTANCE: f64 = 0.012;
 const MAX_REPEATS: usize = 3;
 /// Distance up to which penetration is measured exactly, m.
 const DEPTH_RANGE: f64 = 1e-3;
-
-/// Pair of geoms that must not penetrate each other.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct CollisionTerm {
-    /// Index of its gap in the problem.
-    pub gap: usize,
-    /// Indices of the geoms.
-    pub geoms: [usize; 2],
-    /// Sum of the radii of their bounding spheres, m.
-    pub radii: f64,
-}
 
 impl Goal {
     /// Finds the pose with the least cost from `u`, without penetration.

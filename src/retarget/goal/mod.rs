@@ -22,7 +22,6 @@ use glam::DVec3;
 
 pub use self::observation::HandObservation;
 
-use self::collision::CollisionTerm;
 use super::filter::SizeEstimate;
 use super::human::{Hand, keypoint, pad_normal};
 use super::problem::Problem;
@@ -78,6 +77,17 @@ struct Facing {
     vector: usize,
     /// Length at which the balls touch, m.
     length: f64,
+}
+
+/// Pair of geoms that must not penetrate each other.
+#[derive(Debug, Clone, Copy)]
+struct CollisionTerm {
+    /// Index of its gap in the problem.
+    gap: usize,
+    /// Indices of the geoms.
+    geoms: [usize; 2],
+    /// Sum of the radii of their bounding spheres, m.
+    radii: f64,
 }
 
 /// Goal of a frame.

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 
+use super::kinematics::SAME_KNUCKLE;
 use super::labels::labels;
 use super::lookup;
 use super::spec::{FINGERS, FingerSpec, RobotSpec, finger_index};
@@ -10,8 +11,6 @@ use crate::error::{Error, Result};
 use crate::mujoco::World;
 use crate::mujoco::parts::{Motion, Parts};
 
-/// Greatest distance of joint anchors that make one knuckle, m: axes of such joints nearly cross.
-pub(in crate::retarget) const SAME_KNUCKLE: f64 = 0.006;
 /// Least cosine between a joint's axis and the last joint's at which the joint bends the finger (45 degrees).
 const MIN_BEND_COSINE: f64 = 0.7;
 /// Greatest distance of a tip from the ends of the geoms that are its skin, m. A tip further out has lost its mesh.

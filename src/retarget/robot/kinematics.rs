@@ -6,6 +6,9 @@ use super::coupling::{Coupling, JointDrive};
 use crate::mujoco::World;
 use crate::mujoco::parts::{Motion, Parts};
 
+/// Greatest distance of joint anchors that make one knuckle, m: the axes of such joints nearly cross.
+pub const SAME_KNUCKLE: f64 = 0.006;
+
 /// Hinge or slide that moves a body.
 #[derive(Debug, Clone, Copy)]
 pub struct ChainJoint {

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::fingers::SAME_KNUCKLE;
+use super::kinematics::SAME_KNUCKLE;
 use super::lookup;
 use super::spec::TipSpec;
 use crate::error::{Error, Result};

@@ -3,7 +3,8 @@
 use glam::{DMat3, DVec3};
 
 use crate::retarget::robot::Robot;
-use crate::retarget::robot::fingers::{Finger, SAME_KNUCKLE};
+use crate::retarget::robot::fingers::Finger;
+use crate::retarget::robot::kinematics::SAME_KNUCKLE;
 
 /// Link of the robot that takes force.
 #[derive(Debug, Clone)]
