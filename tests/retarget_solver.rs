@@ -57,7 +57,7 @@ fn out_of_reach_the_arm_points_at_the_target_with_its_elbow_at_the_bound() {
 }
 
 #[test]
-fn within_a_reach_the_best_pose_is_found_and_not_the_nearest_to_the_best() {
+fn within_narrowed_bounds_the_best_pose_is_found() {
     let mut robot = arm();
     let target = DVec3::new(0.1, 0.0, 0.35);
     let mut problem = Problem::new(&robot.world, &robot.parts, &robot.coupling);
@@ -71,7 +71,7 @@ fn within_a_reach_the_best_pose_is_found_and_not_the_nearest_to_the_best() {
     let mut u = centre;
     let solved = solver.solve(&mut problem, world, parts, coupling, stop, &mut u).unwrap();
     assert!((0..2).all(|k| (u[k] - centre[k]).abs() <= reach[k] + 1e-12), "{u:?}");
-    // A grid over the box knows nothing better.
+    // No pose of a grid over the bounds is better.
     let steps = 200;
     for (i, j) in (0..=steps).flat_map(|i| (0..=steps).map(move |j| (i, j))) {
         let at = |k: usize, i: usize| centre[k] + reach[k] * (2.0 * i as f64 / steps as f64 - 1.0);
@@ -84,7 +84,7 @@ fn within_a_reach_the_best_pose_is_found_and_not_the_nearest_to_the_best() {
 }
 
 #[test]
-fn two_points_meet_in_a_few_steps() {
+fn two_points_coincide_within_twelve_steps() {
     const TWO: &str = r#"<mujoco><compiler angle="radian"/><worldbody>
         <body name="thumb_a"><joint name="ta" axis="0 1 0"/><geom type="capsule" size=".001" fromto="0 0 0 0 0 .1"/>
         <body name="thumb_b" pos="0 0 .1"><joint name="tb" axis="1 0 0"/><geom type="capsule" size=".001" fromto="0 0 0 0 0 .1"/>
@@ -157,7 +157,7 @@ fn derivatives_are_those_of_finite_differences() {
             assert!((slope - gradient[k]).abs() < 1e-6 * (1.0 + slope.abs()), "{slope} {}", gradient[k]);
         }
     }
-    // Without distances, whose curvature is left out, the Hessian is exact.
+    // Without gaps, whose second derivatives are left out, the Hessian is exact.
     problem.weigh(gap, 0.0);
     let u: Vec<f64> = (0..n).map(|k| 0.6 * robot.coupling.low[k] + 0.4 * robot.coupling.high[k]).collect();
     let (mut gradient, mut hessian) = (DVector::zeros(n), DMatrix::zeros(n, n));
@@ -217,8 +217,8 @@ fn reachable_targets_are_reached() {
         exact += usize::from(solved.cost < 0.5 * 1e-4f64.powi(2));
         steps += solved.iterations;
     }
-    // Starts are up to half a radian off in every joint: some lie in another valley.
+    // Starts are up to half a radian off in every joint: some lie in another basin.
     assert!(exact >= 980, "{exact} of 1000 within 0.1 mm");
-    // At a cost of nothing, a share of it is nothing: the solver has to know when rounding is all that is left.
+    // The cost tends to 0, and a tolerance relative to it as well: the solver must stop at the rounding of the cost.
     assert!(steps <= 15_000, "{steps} steps");
 }

@@ -1,4 +1,4 @@
-//! Touch carried over: sums, cones, limits, merged fingers, pooled vertices, and a grip in simulation.
+//! Transfer of touch: sums, cones, limits, merged fingers, pooled vertices, and a grip in simulation.
 #![cfg(feature = "sim")]
 
 use egotac::bench::retarget::grip::{self, Hold};
@@ -115,7 +115,7 @@ fn follow(
 
 #[test]
 fn the_net_force_of_five_fingers_stays_on_four_and_two() {
-    // Five fingers press on a ball before the palm: whatever takes their place must carry the same sum.
+    // Five fingers press on a ball before the palm: fewer fingers must carry the same sum.
     let press = |_: usize, keypoints: &[DVec3; 21], _, _| {
         let hand = Hand::new(keypoints, Side::Right).unwrap();
         let forces = std::array::from_fn(|finger| {
@@ -171,7 +171,7 @@ fn turned_pinches(robot: &str, facing: Option<f64>) -> f64 {
 }
 
 #[test]
-fn fingertips_meet_from_where_the_humans_press_each_other() {
+fn fingertips_press_each_other_in_the_humans_direction() {
     // Seven coupled joints can turn fingertips less than sixteen free ones.
     for (robot, most, share) in [("four_finger", 8.0, 0.5), ("tendon_hand", 18.0, 0.85)] {
         let (facing, not) = (turned_pinches(robot, None), turned_pinches(robot, Some(0.0)));
@@ -201,7 +201,7 @@ fn what_is_not_touched_feels_nothing_and_forces_may_be_huge() {
 }
 
 #[test]
-fn joints_give_no_more_than_their_actuators_can() {
+fn joint_torques_stay_within_the_actuators_limits() {
     let touch = |_: usize, _: &[DVec3; 21], contact: [f64; 5], force: [DVec3; 5]| Touch {
         tip_contact: contact,
         tip_force: Some(force.map(|f| 100.0 * f)),
@@ -221,7 +221,7 @@ fn joints_give_no_more_than_their_actuators_can() {
 }
 
 #[test]
-fn a_bad_force_is_named() {
+fn a_bad_force_is_reported_by_name() {
     let good = Trajectory::generate(2, 0).unwrap().keypoints;
     let mut retargeter = Retargeter::new(Robot::load("four_finger", None).unwrap()).unwrap();
     for (force, says) in [(f64::NAN, "tip_force[2]"), (f64::INFINITY, "tip_force[2]")] {
@@ -237,7 +237,7 @@ fn a_bad_force_is_named() {
 }
 
 #[test]
-fn vertices_pool_to_the_parts_they_lie_on() {
+fn vertices_pool_to_the_segments_they_lie_on() {
     for side in Side::BOTH {
         let model = HandModel::builtin(side);
         let pooling = TouchPooling::new(&model).unwrap();
@@ -304,7 +304,7 @@ fn a_links_own_frame_and_that_of_the_hand_hold_the_same_force() {
         for link in &output.expected_touch.links {
             assert!((link.force.length() - link.body_force.length()).abs() < 1e-9);
             pressed += usize::from(link.force.length() > 1.0);
-            // Torque about a point moves with it: about the place itself there is none in either frame.
+            // A force has no torque about its own point of action.
             assert!((link.torque - link.position.cross(link.force)).length() < 1e-9);
         }
     }
