@@ -1,4 +1,4 @@
-//! `egotac retarget` as a user calls it: files in, files out, errors by name.
+//! `egotac retarget` as a user calls it: files, metadata, errors.
 #![cfg(feature = "sim")]
 
 #[allow(dead_code)]
@@ -43,7 +43,7 @@ fn flat(trajectory: &Trajectory) -> Vec<f64> {
 }
 
 #[test]
-fn hands_in_robots_out_with_bad_frames_named() {
+fn run_writes_a_trajectory_and_reports_bad_frames() {
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (folder.path().join("in.safetensors"), folder.path().join("out.safetensors"));
     let trajectory = Trajectory::generate(90, 2).unwrap();
@@ -85,7 +85,7 @@ fn hands_in_robots_out_with_bad_frames_named() {
         assert_eq!(got, shape, "{name}");
         assert!(values.iter().all(|x| x.is_finite()), "{name}");
     }
-    // The little finger is not there; what is asked of the others comes out with its sum.
+    // The robot has no little finger: the other fingers carry the sum of all forces.
     let (_, out_force) = numbers(&bytes, "tip_force");
     for frame in (0..90).filter(|frame| *frame != 40) {
         let sum = |all: &[f64], axis: usize| (0..5).map(|finger| all[(frame * 5 + finger) * 3 + axis]).sum::<f64>();
@@ -100,7 +100,7 @@ fn hands_in_robots_out_with_bad_frames_named() {
     let names: Vec<String> = serde_json::from_str(names).unwrap();
     assert_eq!((names.len(), names[0].as_str()), (16, "index_spread"));
 
-    // Forces of the fingers on the world are the same with the other sign, in and out.
+    // Forces of the fingers on the world have the opposite sign, in the output as in the input.
     let turned: Vec<f64> = force.iter().map(|x| -x).collect();
     let other = folder.path().join("other.safetensors");
     write(&input, &[tensors[0].clone(), tensors[1].clone(), ("tip_force", vec![90, 5, 3], turned)], &[]);
@@ -153,7 +153,7 @@ fn a_field_on_the_vertices_is_pooled_and_mano_parameters_are_posed() {
 }
 
 #[test]
-fn what_is_wrong_is_said() {
+fn errors_name_the_file_the_tensor_and_the_known_robots() {
     let folder = tempfile::tempdir().unwrap();
     let input = folder.path().join("in.safetensors");
     let out = folder.path().join("out.safetensors");
@@ -185,13 +185,13 @@ fn what_is_wrong_is_said() {
 }
 
 #[test]
-fn an_object_is_kept_out_of_and_comes_with_its_poses() {
+fn links_stay_out_of_an_object_which_needs_poses_and_shape() {
     let folder = tempfile::tempdir().unwrap();
     let [input, ball, free, held] =
         ["in.safetensors", "ball.xml", "free.safetensors", "held.safetensors"].map(|name| folder.path().join(name));
     std::fs::write(&ball, "<mujoco><worldbody><geom type=\"sphere\" size=\"0.02\"/></worldbody></mujoco>").unwrap();
     let trajectory = Trajectory::generate(60, 2).unwrap();
-    // A ball where the index fingertip is, which the robot's would be inside of.
+    // A ball at the human's index fingertip: without it, the robot's would be inside.
     let poses =
         |tip: usize| trajectory.keypoints.iter().flat_map(move |k| [k[tip].x, k[tip].y, k[tip].z, 1.0, 0.0, 0.0, 0.0]);
     let keypoints = ("keypoints", vec![60, 21, 3], flat(&trajectory));
@@ -220,6 +220,6 @@ fn an_object_is_kept_out_of_and_comes_with_its_poses() {
             })
             .fold(0.0, f64::max)
     };
-    assert!(moved(0..4) > 0.1, "the index finger keeps out: {}", moved(0..4));
+    assert!(moved(0..4) > 0.1, "the index finger stays out: {}", moved(0..4));
     assert!(moved(0..4) > 3.0 * moved(8..12), "the ring finger is far: {}", moved(8..12));
 }

@@ -1,4 +1,4 @@
-//! A robot follows a hand: limits and couplings always, hard inputs, history, mirror images.
+//! Following a hand: limits and couplings, bad input, independence of the past, mirror images.
 #![cfg(feature = "sim")]
 
 #[allow(dead_code)]
@@ -8,7 +8,7 @@ mod trajectory;
 use std::sync::LazyLock;
 
 use egotac::mujoco::{PhysicsOptions, World};
-use egotac::retarget::robot::spec::Spec;
+use egotac::retarget::robot::spec::RobotSpec;
 use egotac::retarget::{Input, Retargeter, Robot, Status};
 use glam::{DQuat, DVec3};
 use proptest::prelude::*;
@@ -23,7 +23,7 @@ fn retargeter(name: &str) -> Retargeter {
 
 fn robot_of(yaml: &str, mjcf: &str) -> egotac::Result<Robot> {
     let world = World::from_mjcf(mjcf, &PhysicsOptions::default()).unwrap();
-    Robot::new(Spec::parse(yaml).unwrap(), world, "a test".into(), Vec::new())
+    Robot::new(RobotSpec::parse(yaml).unwrap(), world, "a test".into(), Vec::new())
 }
 
 fn hands(frames: usize) -> Trajectory {
@@ -50,13 +50,13 @@ fn settle(retargeter: &mut Retargeter, keypoints: [DVec3; 21], time: &mut f64) -
 }
 
 #[test]
-fn limits_speeds_and_couplings_hold_whatever_comes() {
+fn limits_speeds_and_couplings_hold_for_any_input() {
     let noisy = hands(240).with(Noise::White(0.03), 1);
     for name in OWN {
         let mut retargeter = retargeter(name);
         let mut last: Option<Vec<f64>> = None;
         for (frame, keypoints) in noisy.keypoints.iter().enumerate() {
-            // Some of these are no hands; what is held must keep the limits as well.
+            // Some frames are refused; the pose held for them must keep the limits as well.
             let _ = retargeter.push(&Input::new(*keypoints, frame as f64 * DT));
             let output = retargeter.output().clone();
             let robot = retargeter.robot();
@@ -75,17 +75,17 @@ fn limits_speeds_and_couplings_hold_whatever_comes() {
 }
 
 #[test]
-fn no_link_runs_into_another_whatever_comes() {
+fn no_link_penetrates_another_for_any_input() {
     let inputs = [Noise::White(0.005), Noise::White(0.02), Noise::Spikes];
     for (seed, noise) in (0..).zip(inputs) {
         let hands = hands(480).with(noise, seed);
         for name in OWN {
             let mut retargeter = retargeter(name);
-            // Every fifth frame is of another moment: faster than any joint.
+            // Every fifth frame is from another time, which no joint is fast enough for.
             for frame in 0..hands.keypoints.len() {
                 let of = if frame % 5 == 4 { (frame * 37) % hands.keypoints.len() } else { frame };
                 let _ = retargeter.push(&Input::new(hands.keypoints[of], frame as f64 * DT));
-                let (robot, goal) = retargeter.look();
+                let (robot, goal) = retargeter.robot_and_goal_mut();
                 let deepest = goal.deepest(robot);
                 assert!(deepest <= 5e-4, "{name}, {noise:?}, frame {frame}: {deepest} m deep");
             }
@@ -94,7 +94,7 @@ fn no_link_runs_into_another_whatever_comes() {
 }
 
 #[test]
-fn between_frames_a_robot_goes_on_as_fast_as_it_may_and_then_stays() {
+fn advance_moves_within_the_speed_limit_and_then_stays() {
     let hands = hands(80).keypoints;
     for name in OWN {
         let (mut often, mut once) = (retargeter(name), retargeter(name));
@@ -117,17 +117,17 @@ fn between_frames_a_robot_goes_on_as_fast_as_it_may_and_then_stays() {
         assert!(apart(&last, &there) < 1e-3, "{name}: {last:?} {there:?}");
         assert_eq!(often.output().qpos, last, "{name} stays");
         assert!(often.advance(f64::NAN).is_err());
-        // Time that goes back moves nothing, and stops nothing for good.
+        // A time in the past moves nothing, and later times still work.
         often.advance(0.0).unwrap();
         assert_eq!(often.output().qpos, last);
         often.reset();
         often.push_at(&Input::new(hands[0], 0.0), 0.0).unwrap();
-        assert!(apart(&last, &often.output().qpos) > 0.0, "{name} moves after a new beginning");
+        assert!(apart(&last, &often.output().qpos) > 0.0, "{name} moves after a reset");
     }
 }
 
 #[test]
-fn a_bad_frame_is_named_and_held_and_forgotten_in_three() {
+fn a_bad_frame_is_reported_held_and_forgotten_within_three_frames() {
     let good = hands(80).keypoints;
     type Spoil = fn(&mut [DVec3; 21]);
     let cases: [(&str, &str, Spoil); 7] = [
@@ -219,7 +219,7 @@ fn an_old_frame_is_refused_and_a_gap_is_not() {
     assert_eq!(retargeter.output().qpos.len(), 16);
 }
 
-/// The robot in a mirror, as MJCF: every y turned round.
+/// Robot hand as MJCF; `mirrored_hand` fills in the fingers.
 const HAND: &str = r#"<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom type="box" size=".01 .04 .04" pos="0 0 .05"/>
     INDEX MIDDLE RING THUMB</body></worldbody></mujoco>"#;
 
@@ -296,7 +296,7 @@ fn robots_of_one_joint_a_locked_joint_or_no_range_are_followed() {
 }
 
 #[test]
-fn touching_fingers_meet_and_others_stay_apart() {
+fn fingertips_touch_if_the_humans_do_and_stay_apart_otherwise() {
     let trajectory = hands(480);
     let mut retargeter = retargeter("four_finger");
     let (mut touching, mut closed) = (0, 0);
@@ -305,9 +305,9 @@ fn touching_fingers_meet_and_others_stay_apart() {
         let contact = trajectory.tip_contact[frame];
         input.touch = Some(egotac::retarget::Touch { tip_contact: contact, ..Default::default() });
         retargeter.push(&input).unwrap();
-        let (robot, goal) = retargeter.look();
+        let (robot, goal) = retargeter.robot_and_goal_mut();
         for finger in 0..robot.fingers.len() {
-            let Some(gap) = goal.exact_gap(robot, finger) else { continue };
+            let Some(gap) = goal.gap_to_thumb(robot, finger) else { continue };
             match contact[0] > 0.5 && contact[robot.fingers[finger].human] > 0.5 {
                 true => {
                     touching += 1;
@@ -323,7 +323,7 @@ fn touching_fingers_meet_and_others_stay_apart() {
 #[test]
 fn smoothing_is_the_same_at_any_frame_rate() {
     use egotac::retarget::filter::Smoother;
-    // A ramp comes out late by the delay, and no other.
+    // A ramp comes out late by exactly the delay.
     for rate in [15.0, 30.0, 60.0, 120.0] {
         let (mut smoother, mut out) = (Smoother::new(0.045), 0.0);
         for frame in 0..(3.0 * rate) as usize {
@@ -339,7 +339,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn where_the_hand_is_and_how_it_is_turned_makes_no_difference(
+    fn the_pose_of_the_wrist_makes_no_difference(
         x in -5.0f64..5.0, y in -5.0f64..5.0, angle in 0.0f64..std::f64::consts::TAU, a in -1.0f64..1.0, b in -1.0f64..1.0, frame in 0usize..200,
     ) {
         let keypoints = hands(200).keypoints[frame];
@@ -356,9 +356,9 @@ proptest! {
         let keypoints = hands(200).keypoints[frame];
         let scaled = keypoints.map(|point| size * point);
         let (mut a, mut b) = (retargeter("four_finger"), retargeter("four_finger"));
-        // Far from a pinch, which has one size whatever hand makes it.
-        a.look().0.spec.weights.pinch = 0.0;
-        b.look().0.spec.weights.pinch = 0.0;
+        // Without pinches, whose gap does not scale with the hand.
+        a.robot_and_goal_mut().0.spec.weights.pinch = 0.0;
+        b.robot_and_goal_mut().0.spec.weights.pinch = 0.0;
         a.push(&Input::new(keypoints, 0.0)).unwrap();
         b.push(&Input::new(scaled, 0.0)).unwrap();
         prop_assert!(apart(&a.output().qpos, &b.output().qpos) < 2e-3);

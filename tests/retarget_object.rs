@@ -1,4 +1,4 @@
-//! A robot hand about an object: links stay out of it, fingertips that touch lie on it, wherever both are in the world.
+//! A robot hand with an object: links stay out of it, touching fingertips lie on it, in any pose of the world.
 #![cfg(feature = "sim")]
 
 #[allow(dead_code)]
@@ -32,22 +32,22 @@ fn ball() -> Shapes {
 }
 
 fn retargeter(name: &str, object: Option<&Shapes>) -> Retargeter {
-    Retargeter::new(Robot::load_beside(name, None, object).unwrap()).unwrap()
+    Retargeter::new(Robot::load_with_object(name, None, object).unwrap()).unwrap()
 }
 
-/// A frame of the hand, with an object at a place in its wrist frame.
+/// A frame of the hand, with an object at a position in its wrist frame.
 fn input(hands: &Trajectory, frame: usize, place: Option<DVec3>) -> Input {
     let mut input = Input::new(hands.keypoints[frame], frame as f64 * DT);
     let tip_contact = hands.tip_contact[frame];
-    input.touch = Some(Touch { tip_contact, tip_force: Some(hands.tip_force[frame]), slots: None });
+    input.touch = Some(Touch { tip_contact, tip_force: Some(hands.tip_force[frame]), segments: None });
     input.object = place.map(|place| {
         let hand = Hand::new(&hands.keypoints[frame], Side::Right).unwrap();
-        ObjectPose { place: hand.wrist + hand.axes * place, orientation: DQuat::from_mat3(&hand.axes) }
+        ObjectPose { position: hand.wrist + hand.axes * place, orientation: DQuat::from_mat3(&hand.axes) }
     });
     input
 }
 
-/// Between thumb and finger where they are held together the first time, in the wrist frame.
+/// Middle of thumb and fingertip when they first touch, in the wrist frame.
 fn meeting(hands: &Trajectory) -> DVec3 {
     let frame = hands.tip_contact.iter().position(|contact| contact[0] > 0.5).unwrap();
     let finger = (1..5).find(|finger| hands.tip_contact[frame][*finger] > 0.5).unwrap();
@@ -55,9 +55,9 @@ fn meeting(hands: &Trajectory) -> DVec3 {
     0.5 * (points[keypoint(0, 3)] + points[keypoint(finger, 3)])
 }
 
-/// How deep the robot is in its object, m.
+/// Penetration of the robot into its object, m.
 fn depth(robot: &mut Robot) -> f64 {
-    let pairs = robot.against_object();
+    let pairs = robot.object_pairs();
     pairs.into_iter().map(|pair| -robot.world.geom_distance(pair, 0.05).0).fold(f64::NEG_INFINITY, f64::max)
 }
 
@@ -67,16 +67,16 @@ fn links_stay_out_of_the_object_and_touching_fingertips_lie_on_it() {
     let place = meeting(&hands);
     for name in ["four_finger", "tendon_hand"] {
         let mut with = retargeter(name, Some(&ball()));
-        // The same robot beside the same ball, which it is told nothing of: what would be without.
+        // A control: the same robot beside the same ball, without the ball's pose.
         let mut blind = retargeter(name, Some(&ball()));
         let (mut deepest, mut deepest_blind) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
         let (mut held, mut on) = (0, 0);
         for frame in 0..hands.keypoints.len() {
             with.push(&input(&hands, frame, Some(place))).unwrap();
-            let (robot, goal) = with.look();
+            let (robot, goal) = with.robot_and_goal_mut();
             deepest = deepest.max(depth(robot));
             let there = robot.world.body_pose(robot.object.as_ref().unwrap().body);
-            // Held for a while: joints take their time.
+            // Held for half a second: joints need time to get there.
             let contact = hands.tip_contact[frame];
             let before = hands.tip_contact[frame.saturating_sub(15)];
             for (index, finger) in (0..robot.fingers.len()).map(|k| (k, robot.fingers[k].human)).collect::<Vec<_>>() {
@@ -87,7 +87,7 @@ fn links_stay_out_of_the_object_and_touching_fingertips_lie_on_it() {
                 }
             }
             blind.push(&input(&hands, frame, None)).unwrap();
-            let (robot, _) = blind.look();
+            let (robot, _) = blind.robot_and_goal_mut();
             robot.place_object(Some((there.0, DQuat::from_mat3(&there.1))));
             robot.world.update_poses();
             deepest_blind = deepest_blind.max(depth(robot));
@@ -109,7 +109,7 @@ fn an_object_out_of_reach_changes_nothing() {
         alone.push(&input(&hands, frame, None)).unwrap();
         beside.push(&input(&hands, frame, far)).unwrap();
         assert_eq!(alone.output().qpos, beside.output().qpos, "frame {frame}");
-        assert_eq!(alone.output().feel, beside.output().feel, "frame {frame}");
+        assert_eq!(alone.output().expected_touch, beside.output().expected_touch, "frame {frame}");
     }
 }
 
@@ -117,7 +117,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 12, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn hand_and_object_may_be_anywhere_together(axis in prop::array::uniform3(-1.0f64..1.0), angle in 0.0f64..6.2, shift in -3.0f64..3.0) {
+    fn a_common_motion_of_hand_and_object_makes_no_difference(axis in prop::array::uniform3(-1.0f64..1.0), angle in 0.0f64..6.2, shift in -3.0f64..3.0) {
         let hands = Trajectory::generate(45, 3).unwrap();
         let place = meeting(&Trajectory::generate(90, 3).unwrap());
         let turn = DQuat::from_axis_angle(DVec3::from_array(axis).try_normalize().unwrap_or(DVec3::X), angle);
@@ -127,7 +127,7 @@ proptest! {
             let given = input(&hands, frame, Some(place));
             let mut moved = given.clone();
             moved.keypoints = given.keypoints.map(to);
-            moved.object = given.object.map(|pose| ObjectPose { place: to(pose.place), orientation: turn * pose.orientation });
+            moved.object = given.object.map(|pose| ObjectPose { position: to(pose.position), orientation: turn * pose.orientation });
             moved.touch = None;
             let mut given = given;
             given.touch = None;
@@ -140,7 +140,7 @@ proptest! {
 }
 
 #[test]
-fn a_mesh_is_the_shape_it_draws_and_a_models_frame_its_world() {
+fn a_mesh_and_an_equal_model_are_at_the_same_distance() {
     let half = [0.02, 0.03, 0.01];
     let corner = |k: usize, axis: usize| if k >> axis & 1 == 1 { half[axis] } else { -half[axis] };
     let mut obj = String::new();
@@ -166,7 +166,7 @@ fn a_mesh_is_the_shape_it_draws_and_a_models_frame_its_world() {
     let mjcf = "<mujoco><worldbody><body pos=\"0.1 0 0\"><freejoint/><geom type=\"box\" size=\"0.02 0.03 0.01\" pos=\"0 0 -0.05\"/>\
                 <geom type=\"sphere\" size=\"0.3\" contype=\"0\" conaffinity=\"0\"/></body></worldbody></mujoco>";
     let mut robots = [shapes("a.obj", &obj), shapes("a.xml", mjcf)]
-        .map(|object| Robot::load_beside("four_finger", None, Some(&object)).unwrap());
+        .map(|object| Robot::load_with_object("four_finger", None, Some(&object)).unwrap());
     for step in 0..30 {
         let angle = 0.3 * step as f64;
         let place = DVec3::new(0.15 * angle.sin(), 0.1 * angle.cos(), 0.1 + 0.02 * step as f64 % 0.2);
@@ -180,7 +180,7 @@ fn a_mesh_is_the_shape_it_draws_and_a_models_frame_its_world() {
 }
 
 #[test]
-fn what_is_no_pose_is_refused_and_the_last_good_one_held() {
+fn an_invalid_object_pose_is_refused_and_the_last_pose_held() {
     let hands = Trajectory::generate(30, 3).unwrap();
     let place = DVec3::new(0.05, 0.0, 0.1);
     let mut beside = retargeter("four_finger", Some(&ball()));
@@ -189,7 +189,7 @@ fn what_is_no_pose_is_refused_and_the_last_good_one_held() {
     let good = input(&hands, 1, Some(place));
     let pose = good.object.unwrap();
     for (bad, said) in [
-        (ObjectPose { place: DVec3::NAN, ..pose }, "finite metres"),
+        (ObjectPose { position: DVec3::NAN, ..pose }, "finite metres"),
         (ObjectPose { orientation: DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), ..pose }, "length 1"),
         (ObjectPose { orientation: pose.orientation * 1.1, ..pose }, "length 1"),
     ] {
@@ -205,16 +205,16 @@ fn what_is_no_pose_is_refused_and_the_last_good_one_held() {
         ..hands
     };
     let options = egotac::retarget::Options { side: Some(Side::Left), ..Default::default() };
-    let robot = Robot::load_beside("four_finger", None, Some(&ball())).unwrap();
+    let robot = Robot::load_with_object("four_finger", None, Some(&ball())).unwrap();
     let mut other = Retargeter::with_options(robot, options).unwrap();
     let mut mirrored = Input::new(left.keypoints[0], 0.0);
-    mirrored.object = Some(ObjectPose { place: DVec3::ZERO, orientation: DQuat::from_mat3(&DMat3::IDENTITY) });
+    mirrored.object = Some(ObjectPose { position: DVec3::ZERO, orientation: DQuat::from_mat3(&DMat3::IDENTITY) });
     let error = other.push(&mirrored).unwrap_err().to_string();
     assert!(error.contains("a right hand") && error.contains("a left hand"), "{error}");
 }
 
 #[test]
-fn files_that_are_no_object_are_named() {
+fn files_that_are_not_an_object_are_reported_by_name() {
     let folder = tempfile::tempdir().unwrap();
     for (name, text) in [
         ("a.txt", "ball"),

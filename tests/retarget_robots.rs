@@ -1,4 +1,4 @@
-//! Robot files: what is derived from models, what is refused, and every shipped file against its model.
+//! Robot files: facts derived from models, errors, and every shipped file against its model.
 #![cfg(feature = "sim")]
 
 use std::path::Path;
@@ -7,23 +7,23 @@ use egotac::hand::Side;
 use egotac::mujoco::{PhysicsOptions, World};
 use egotac::retarget::Robot;
 use egotac::retarget::robot::source;
-use egotac::retarget::robot::spec::Spec;
+use egotac::retarget::robot::spec::RobotSpec;
 
 fn robot_of(yaml: &str, mjcf: &str) -> egotac::Result<Robot> {
     let world = World::from_mjcf(mjcf, &PhysicsOptions::default())?;
-    Robot::new(Spec::parse(yaml)?, world, "a test".into(), Vec::new())
+    Robot::new(RobotSpec::parse(yaml)?, world, "a test".into(), Vec::new())
 }
 
 fn ratio_of(robot: &Robot, joint: &str) -> (usize, f64, f64) {
-    use egotac::retarget::robot::coupling::Driven;
+    use egotac::retarget::robot::coupling::JointDrive;
     let index = robot.parts.joints.iter().position(|j| j.name == joint).unwrap();
     match robot.coupling.joints[index] {
-        Driven::By { coordinate, ratio, offset } => (coordinate, ratio, offset),
+        JointDrive::Coupled { coordinate, ratio, offset } => (coordinate, ratio, offset),
         other => panic!("{joint}: {other:?}"),
     }
 }
 
-/// Robots whose models `make setup` fetches: free coordinates, fingers, side.
+/// Robots whose models `make setup` fetches: name, free coordinates, fingers, side.
 const FETCHED: [(&str, usize, usize, Side); 12] = [
     ("shadow_right", 18, 5, Side::Right),
     ("shadow_urdf_right", 18, 5, Side::Right),
@@ -47,7 +47,7 @@ fn shipped_files_fit_their_models() {
         if fingers > 2 {
             assert_eq!(robot.side(), side, "{name}");
         }
-        // Fingers in order, and the frame a frame.
+        // Fingers in order, and the wrist frame orthonormal.
         assert!(robot.fingers.windows(2).all(|pair| pair[0].human < pair[1].human), "{name}");
         assert!((robot.wrist.axes.determinant().abs() - 1.0).abs() < 1e-9, "{name}");
     }
@@ -58,13 +58,13 @@ fn sides_are_derived_as_the_files_say() {
     for (name, _, fingers, side) in FETCHED.iter().filter(|(_, _, fingers, _)| *fingers > 2) {
         let mut source = source::open(name, None, None).unwrap();
         source.spec.side = None;
-        let robot = Robot::new(source.spec, source.world, source.origin, source.lost).unwrap();
+        let robot = Robot::new(source.spec, source.world, source.origin, source.missing_meshes).unwrap();
         assert_eq!((robot.side(), robot.fingers.len()), (*side, *fingers), "{name}");
     }
 }
 
 #[test]
-fn models_alone_give_the_same_fingers() {
+fn a_model_without_a_robot_file_gives_the_same_fingers() {
     for name in ["shadow_right", "shadow_urdf_right", "leap_urdf_right", "allegro_urdf_right", "inspire_right"] {
         let known = Robot::load(name, None).unwrap();
         let alone = Robot::load(&known.origin, None).unwrap();
@@ -76,12 +76,12 @@ fn models_alone_give_the_same_fingers() {
 }
 
 #[test]
-fn every_shipped_file_reads() {
+fn every_shipped_file_is_read_and_listed() {
     let mut count = 0;
     for entry in std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("sim/robots")).unwrap() {
         let path = entry.unwrap().path();
         if path.extension().is_some_and(|extension| extension == "yaml") {
-            let spec = Spec::parse(&std::fs::read_to_string(&path).unwrap()).unwrap();
+            let spec = RobotSpec::parse(&std::fs::read_to_string(&path).unwrap()).unwrap();
             assert_eq!(spec.robot, path.file_stem().unwrap().to_str().unwrap());
             assert!(source::names().any(|name| name == spec.robot), "{} is not part of the program", spec.robot);
             count += 1;
@@ -141,8 +141,8 @@ fn tendons_and_equalities_couple_joints_by_leverage_and_springs() {
 }
 
 #[test]
-fn a_tip_without_a_shape_is_no_skin() {
-    // The file of LEAP's rubber tips is often missing: the shapes that are left end before the tip.
+fn a_tip_beyond_all_shapes_has_no_pad_geoms() {
+    // The mesh of LEAP's rubber tips is often missing: the other shapes end before the tip.
     let hand = |tip: f64| {
         format!(
             r#"<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom size=".01"/><body name="index_a" pos="0 0 .03">
@@ -225,7 +225,7 @@ fn both_generations_of_leap_names_are_understood() {
 }
 
 #[test]
-fn what_a_file_starts_as_reads_back() {
+fn a_new_robot_file_reads_back() {
     let folder = tempfile::tempdir().unwrap();
     let model = folder.path().join("hand.xml");
     std::fs::write(&model, include_str!("../sim/robots/four_finger.xml")).unwrap();

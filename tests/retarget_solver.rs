@@ -3,8 +3,8 @@
 
 use egotac::mujoco::{PhysicsOptions, World};
 use egotac::retarget::Robot;
-use egotac::retarget::problem::{Problem, Side, Vector};
-use egotac::retarget::robot::spec::Spec;
+use egotac::retarget::problem::{GapSide, Problem, Vector};
+use egotac::retarget::robot::spec::RobotSpec;
 use egotac::retarget::solver::{Solver, Stop};
 use glam::DVec3;
 use nalgebra::{DMatrix, DVector};
@@ -18,7 +18,7 @@ const ARM: &str = r#"<mujoco><compiler angle="radian"/><worldbody><body name="in
 
 fn arm() -> Robot {
     let world = World::from_mjcf(ARM, &PhysicsOptions::default()).unwrap();
-    let spec = Spec::parse("robot: arm\nwrist: { frame: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }").unwrap();
+    let spec = RobotSpec::parse("robot: arm\nwrist: { frame: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }").unwrap();
     Robot::new(spec, world, "a test".into(), Vec::new()).unwrap()
 }
 
@@ -55,7 +55,7 @@ fn out_of_reach_the_arm_points_at_the_target_with_its_elbow_at_the_bound() {
 }
 
 #[test]
-fn within_a_reach_the_best_pose_is_found_and_not_the_nearest_to_the_best() {
+fn within_narrowed_bounds_the_best_pose_is_found() {
     let mut robot = arm();
     let target = DVec3::new(0.1, 0.0, 0.35);
     let mut problem = Problem::new(&robot.world, &robot.parts, &robot.coupling);
@@ -69,7 +69,7 @@ fn within_a_reach_the_best_pose_is_found_and_not_the_nearest_to_the_best() {
     let mut u = centre;
     let solved = solver.solve(&mut problem, world, parts, coupling, stop, &mut u).unwrap();
     assert!((0..2).all(|k| (u[k] - centre[k]).abs() <= reach[k] + 1e-12), "{u:?}");
-    // A grid over the box knows nothing better.
+    // No pose of a grid over the bounds is better.
     let steps = 200;
     for (i, j) in (0..=steps).flat_map(|i| (0..=steps).map(move |j| (i, j))) {
         let at = |k: usize, i: usize| centre[k] + reach[k] * (2.0 * i as f64 / steps as f64 - 1.0);
@@ -82,7 +82,7 @@ fn within_a_reach_the_best_pose_is_found_and_not_the_nearest_to_the_best() {
 }
 
 #[test]
-fn two_points_meet_in_a_few_steps() {
+fn two_points_coincide_within_twelve_steps() {
     const TWO: &str = r#"<mujoco><compiler angle="radian"/><worldbody>
         <body name="thumb_a"><joint name="ta" axis="0 1 0"/><geom type="capsule" size=".001" fromto="0 0 0 0 0 .1"/>
         <body name="thumb_b" pos="0 0 .1"><joint name="tb" axis="1 0 0"/><geom type="capsule" size=".001" fromto="0 0 0 0 0 .1"/>
@@ -91,12 +91,12 @@ fn two_points_meet_in_a_few_steps() {
         <body name="index_b" pos="0 0 .1"><joint name="ib" axis="0 1 0"/><geom type="capsule" size=".001" fromto="0 0 0 0 0 .1"/>
         <site name="index_tip" pos="0 0 .1"/></body></body></worldbody></mujoco>"#;
     let world = World::from_mjcf(TWO, &PhysicsOptions::default()).unwrap();
-    let spec = Spec::parse("robot: two\nwrist: { frame: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }").unwrap();
+    let spec = RobotSpec::parse("robot: two\nwrist: { frame: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }").unwrap();
     let mut robot = Robot::new(spec, world, "a test".into(), Vec::new()).unwrap();
     let mut problem = Problem::new(&robot.world, &robot.parts, &robot.coupling);
     let tips: Vec<usize> =
         robot.fingers.clone().iter().map(|finger| problem.add_point(finger.tip_body, finger.tip)).collect();
-    let ball = |point| Side::Sphere { point, radius: 0.0 };
+    let ball = |point| GapSide::Sphere { point, radius: 0.0 };
     let gap = problem.add_gap([ball(tips[0]), ball(tips[1])], false);
     problem.weigh(gap, 1.0);
     let Robot { world, parts, coupling, .. } = &mut robot;
@@ -106,7 +106,7 @@ fn two_points_meet_in_a_few_steps() {
         let stop = Stop { iterations: 12, tolerance: 1e-9 };
         Solver::new(4).solve(&mut problem, world, parts, coupling, stop, &mut u).unwrap();
         problem.cost(world, parts, coupling, &u).unwrap();
-        let apart = problem.place(tips[0]).distance(problem.place(tips[1]));
+        let apart = problem.position(tips[0]).distance(problem.position(tips[1]));
         assert!(apart < 1e-5, "{apart} m apart after 12 steps");
     }
 }
@@ -129,7 +129,7 @@ fn derivatives_are_those_of_finite_differences() {
             huber: 0.03,
         });
     }
-    let ball = |point| Side::Sphere { point, radius: 0.008 };
+    let ball = |point| GapSide::Sphere { point, radius: 0.008 };
     let gap = problem.add_gap([ball(tips[0]), ball(tips[2])], false);
     problem.weigh(gap, 3.0);
     let n = robot.coupling.len();
@@ -155,7 +155,7 @@ fn derivatives_are_those_of_finite_differences() {
             assert!((slope - gradient[k]).abs() < 1e-6 * (1.0 + slope.abs()), "{slope} {}", gradient[k]);
         }
     }
-    // Without distances, whose curvature is left out, the Hessian is exact.
+    // Without gaps, whose second derivatives are left out, the Hessian is exact.
     problem.weigh(gap, 0.0);
     let u: Vec<f64> = (0..n).map(|k| 0.6 * robot.coupling.low[k] + 0.4 * robot.coupling.high[k]).collect();
     let (mut gradient, mut hessian) = (DVector::zeros(n), DMatrix::zeros(n, n));
@@ -192,7 +192,7 @@ fn reachable_targets_are_reached() {
     for _ in 0..1000 {
         let goal: Vec<f64> = (0..n).map(|k| rng.random_range(robot.coupling.low[k]..robot.coupling.high[k])).collect();
         problem.cost(&mut robot.world, &robot.parts, &robot.coupling, &goal).unwrap();
-        let places: Vec<DVec3> = problem.vectors.iter().map(|vector| problem.place(vector.to)).collect();
+        let places: Vec<DVec3> = problem.vectors.iter().map(|vector| problem.position(vector.to)).collect();
         problem.vectors.iter_mut().zip(places).for_each(|(vector, place)| vector.target = place);
         let mut u: Vec<f64> = goal.iter().map(|x| x + rng.random_range(-0.5..0.5)).collect();
         let stop = Stop { iterations: 60, tolerance: 1e-9 };
@@ -201,8 +201,8 @@ fn reachable_targets_are_reached() {
         exact += usize::from(solved.cost < 0.5 * 1e-4f64.powi(2));
         steps += solved.iterations;
     }
-    // Starts are up to half a radian off in every joint: some lie in another valley.
+    // Starts are up to half a radian off in every joint: some lie in another basin.
     assert!(exact >= 980, "{exact} of 1000 within 0.1 mm");
-    // At a cost of nothing, a share of it is nothing: the solver has to know when rounding is all that is left.
+    // The cost tends to 0, and a tolerance relative to it as well: the solver must stop at the rounding of the cost.
     assert!(steps <= 15_000, "{steps} steps");
 }

@@ -13,8 +13,7 @@ use egotac::hand::{HandModel, HandParams, N_VERTICES, Region, Side};
 use egotac::message::{HandPose, Header};
 use egotac::mujoco::object::Shapes;
 use egotac::retarget::human::{Hand, keypoint};
-use egotac::retarget::touch::pool;
-use egotac::retarget::{Input, ObjectPose, Retargeter, Robot, Touch};
+use egotac::retarget::{Input, ObjectPose, Retargeter, Robot, Touch, TouchPooling};
 use glam::Vec3;
 use harness::{Running, Session};
 use serde_json::{Value, json};
@@ -53,7 +52,7 @@ fn case_about(
 ) -> Value {
     let mut retargeter = Retargeter::new(robot).unwrap();
     let side = retargeter.robot().side();
-    let pool = pool::builtin(side).unwrap();
+    let pooling = TouchPooling::builtin(side).unwrap();
     let names: Vec<String> = retargeter.robot().joint_names().into_iter().map(str::to_owned).collect();
     let ranges: Vec<[f64; 2]> = {
         let robot = retargeter.robot();
@@ -68,16 +67,16 @@ fn case_about(
             if !force.is_empty() {
                 let mut touch = Touch::default();
                 let contact: Vec<f32> = force.iter().map(|f| f32::from(*f > 0.05)).collect();
-                pool.add(&force, &contact, &mut touch).unwrap();
+                pooling.pool_into(&force, &contact, &mut touch).unwrap();
                 input.touch = Some(touch);
             }
             let output = retargeter.push(&input).unwrap();
-            let normal_force: Vec<f64> = output.feel.links.iter().map(|link| link.normal_force).collect();
-            let links: Vec<&str> = output.feel.links.iter().map(|link| link.name.as_str()).collect();
+            let normal_force: Vec<f64> = output.expected_touch.links.iter().map(|link| link.normal_force).collect();
+            let links: Vec<&str> = output.expected_touch.links.iter().map(|link| link.name.as_str()).collect();
             json!({
                 "hand": hand, "force": force, "qpos": output.qpos, "links": links, "normal_force": normal_force,
-                "net_force": output.feel.asked.to_array(),
-                "object": input.object.map(|pose| (pose.place.to_array(), pose.orientation.to_array())),
+                "net_force": output.expected_touch.net_force.to_array(),
+                "object": input.object.map(|pose| (pose.position.to_array(), pose.orientation.to_array())),
             })
         })
         .collect();
@@ -146,9 +145,9 @@ fn links_stay_out_of_an_object() {
     let there = |keypoints: &[glam::DVec3; 21]| {
         let hand = Hand::new(keypoints, Side::Right).unwrap();
         let orientation = glam::DQuat::from_mat3(&hand.axes);
-        Some(ObjectPose { place: hand.wrist + hand.axes * place, orientation })
+        Some(ObjectPose { position: hand.wrist + hand.axes * place, orientation })
     };
-    let about = case_about(Robot::load_beside("four_finger", None, Some(&shapes)).unwrap(), frames(), there);
+    let about = case_about(Robot::load_with_object("four_finger", None, Some(&shapes)).unwrap(), frames(), there);
     let alone = case("four_finger", frames());
     let last = |case: &Value| -> Vec<f64> { serde_json::from_value(case["frames"][11]["qpos"].clone()).unwrap() };
     let apart = last(&about).iter().zip(last(&alone)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);

@@ -43,7 +43,7 @@ impl LatestObjectPose {
         }
         let (position, orientation) = (&pose.position, &pose.orientation);
         let pose = ObjectPose {
-            place: DVec3::new(position.x, position.y, position.z),
+            position: DVec3::new(position.x, position.y, position.z),
             orientation: DQuat::from_xyzw(orientation.x, orientation.y, orientation.z, orientation.w),
         };
         pose.checked().map(Some)
@@ -67,7 +67,7 @@ mod tests {
         let at = |nanos: i64, frame: &str| object.pose_at(Time::from_nanos(nanos), frame);
         assert_eq!(at(1, "world").unwrap(), None);
         object.update(message(1_000_000_000, "world", 1.0));
-        let pose = ObjectPose { place: DVec3::new(1.0, 2.0, 3.0), orientation: DQuat::IDENTITY };
+        let pose = ObjectPose { position: DVec3::new(1.0, 2.0, 3.0), orientation: DQuat::IDENTITY };
         assert_eq!(at(1_150_000_000, "world").unwrap(), Some(pose));
         assert_eq!(at(900_000_000, "").unwrap(), Some(pose));
         assert_eq!(at(1_250_000_000, "world").unwrap(), None);

@@ -11,18 +11,21 @@ use super::{Inspect, New};
 use crate::file;
 use crate::mujoco::{FreeCamera, Renderer};
 use crate::retarget::Robot;
-use crate::retarget::robot::coupling::Driven;
-use crate::retarget::robot::frame;
-use crate::retarget::robot::spec::{FINGERS, FingerSpec, ModelSpec, Spec, TipSpec};
+use crate::retarget::robot::coupling::JointDrive;
+use crate::retarget::robot::fingers::Finger;
+use crate::retarget::robot::spec::{FINGERS, FingerSpec, ModelSpec, RobotSpec, TipSpec};
 
-/// Width and height of one view, pixels.
+/// Width and height of one view, px.
 const VIEW: u32 = 480;
 
+/// Prints what was derived from a robot's model, and draws the robot.
+///
+/// # Errors
+/// If the robot can't be loaded or drawn, or the picture can't be written.
 pub fn inspect(args: &Inspect) -> anyhow::Result<()> {
     let mut robot = Robot::load(&args.robot, args.model.as_deref())?;
-    let facts = facts(&robot);
     match args.json {
-        true => println!("{facts:#}"),
+        true => println!("{:#}", facts(&robot)),
         false => print!("{}", text(&robot)),
     }
     if let Some(out) = &args.out {
@@ -32,10 +35,14 @@ pub fn inspect(args: &Inspect) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Writes a YAML file for a model, with what was derived from it.
+///
+/// # Errors
+/// If the model is no hand, or the file can't be written.
 pub fn new(args: &New) -> anyhow::Result<()> {
     let path = args.model.to_string_lossy();
     let robot = Robot::load(&path, None)?;
-    let yaml = start(&robot, args)?;
+    let yaml = yaml(&robot, args)?;
     match &args.out {
         Some(out) => {
             file::write(out, yaml.as_bytes())?;
@@ -46,20 +53,12 @@ pub fn new(args: &New) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A YAML file that says what was derived.
-fn start(robot: &Robot, args: &New) -> anyhow::Result<String> {
+/// Returns a YAML file with the derived model, root, side, fingers and merges; the rest stays `auto`.
+fn yaml(robot: &Robot, args: &New) -> anyhow::Result<String> {
     let model = std::path::absolute(&args.model)?;
     let is_urdf = model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("urdf"));
     let (mjcf, urdf) = if is_urdf { (None, Some(model)) } else { (Some(model), None) };
-    let tip = |name: &str| {
-        let named = name.split_once(' ');
-        match named {
-            Some(("site", site)) => TipSpec { site: Some(site.to_owned()), ..TipSpec::default() },
-            Some(("body", body)) => TipSpec { body: Some(body.to_owned()), ..TipSpec::default() },
-            _ => TipSpec { body: name.rsplit_once(" of ").map(|(_, body)| body.to_owned()), ..TipSpec::default() },
-        }
-    };
-    let fingers: BTreeMap<String, FingerSpec> = robot
+    let fingers = robot
         .fingers
         .iter()
         .map(|finger| {
@@ -73,79 +72,44 @@ fn start(robot: &Robot, args: &New) -> anyhow::Result<String> {
             Some((FINGERS[human].to_owned(), FINGERS[taker.human].to_owned()))
         })
         .collect();
-    let spec = Spec {
+    let root = Some(robot.parts.bodies[robot.root].name.clone()).filter(|name| name != "world");
+    let spec = RobotSpec {
         robot: robot.spec.robot.clone(),
-        model: ModelSpec {
-            mjcf,
-            urdf,
-            root: Some(robot.parts.bodies[robot.root].name.clone()).filter(|n| n != "world"),
-        },
+        model: ModelSpec { mjcf, urdf, root },
         side: Some(robot.side()),
         fingers,
         merge,
-        ..Spec::default()
+        ..RobotSpec::default()
     };
     Ok(format!(
-        "# Written by `egotac retarget new`; what is auto is derived from the model: `egotac retarget inspect` prints it.\n{}",
+        "# Written by `egotac retarget new`. `auto` is derived from the model: `egotac retarget inspect` prints it.\n{}",
         serde_yaml::to_string(&spec)?
     ))
 }
 
+/// Returns the tip of a finger as a file names it, from [`Finger::tip_name`].
+fn tip(name: &str) -> TipSpec {
+    match name.split_once(' ') {
+        Some(("site", site)) => TipSpec { site: Some(site.to_owned()), ..TipSpec::default() },
+        Some(("body", body)) => TipSpec { body: Some(body.to_owned()), ..TipSpec::default() },
+        _ => TipSpec { body: name.rsplit_once(" of ").map(|(_, body)| body.to_owned()), ..TipSpec::default() },
+    }
+}
+
+/// Rounds to 0.1 mm.
 fn rounded(v: DVec3) -> [f64; 3] {
     v.to_array().map(|x| (1e4 * x).round() / 1e4)
 }
 
-/// What was derived, as JSON.
+/// Returns what was derived, as JSON.
 fn facts(robot: &Robot) -> Value {
-    let name = |joint: usize| robot.parts.joints[joint].name.as_str();
-    let fingers: BTreeMap<&str, Value> = robot
-        .fingers
-        .iter()
-        .map(|finger| {
-            let geoms: Vec<usize> = finger.pad_geoms.clone();
-            let value = json!({
-                "tip": finger.tip_name,
-                "tip_body": robot.parts.bodies[finger.tip_body].name,
-                "tip_position_m": rounded(finger.tip),
-                "pad_normal": rounded(finger.pad_normal),
-                "pad_geoms": geoms,
-                "joints": finger.joints.iter().map(|joint| name(*joint)).collect::<Vec<_>>(),
-                "length_m": finger.length,
-                "scale": robot.scale[finger.human],
-            });
-            (FINGERS[finger.human], value)
-        })
-        .collect();
-    let coordinates: Vec<Value> = (0..robot.coupling.len())
-        .map(|k| {
-            let followers: BTreeMap<&str, [f64; 2]> = robot
-                .coupling
-                .joints
-                .iter()
-                .enumerate()
-                .filter_map(|(joint, driven)| match driven {
-                    Driven::By { coordinate, ratio, offset }
-                        if *coordinate == k && joint != robot.coupling.masters[k] =>
-                    {
-                        Some((name(joint), [*ratio, *offset]))
-                    }
-                    _ => None,
-                })
-                .collect();
-            json!({
-                "joint": name(robot.coupling.masters[k]),
-                "range": [robot.coupling.low[k], robot.coupling.high[k]],
-                "followers": followers,
-            })
-        })
-        .collect();
-    let fixed: BTreeMap<&str, f64> = robot
-        .coupling
-        .joints
-        .iter()
-        .enumerate()
-        .filter_map(|(joint, driven)| match driven {
-            Driven::Fixed(at) => Some((name(joint), *at)),
+    let fingers: BTreeMap<&str, Value> =
+        robot.fingers.iter().map(|finger| (FINGERS[finger.human], finger_facts(robot, finger))).collect();
+    let coordinates: Vec<Value> = (0..robot.coupling.len()).map(|k| coordinate_facts(robot, k)).collect();
+    let drives = robot.parts.joints.iter().zip(&robot.coupling.joints);
+    let fixed: BTreeMap<&str, f64> = drives
+        .filter_map(|(joint, drive)| match drive {
+            JointDrive::Fixed(position) => Some((joint.name.as_str(), *position)),
             _ => None,
         })
         .collect();
@@ -163,12 +127,45 @@ fn facts(robot: &Robot) -> Value {
         "coordinates": coordinates,
         "fixed_joints": fixed,
         "commands": robot.commands.names,
-        "collision_pairs": robot.pairs.len(),
-        "shapes_left_away": robot.lost,
+        "collision_pairs": robot.collision_pairs.len(),
+        "shapes_left_away": robot.missing_meshes,
     })
 }
 
-/// What was derived, for people.
+fn finger_facts(robot: &Robot, finger: &Finger) -> Value {
+    let joints: Vec<&str> = finger.joints.iter().map(|joint| robot.parts.joints[*joint].name.as_str()).collect();
+    json!({
+        "tip": finger.tip_name,
+        "tip_body": robot.parts.bodies[finger.tip_body].name,
+        "tip_position_m": rounded(finger.tip),
+        "pad_normal": rounded(finger.pad_normal),
+        "pad_geoms": finger.pad_geoms,
+        "joints": joints,
+        "length_m": finger.length,
+        "scale": robot.scale[finger.human],
+    })
+}
+
+/// Returns a free coordinate: its joint, range, and the joints that follow it as [ratio, offset].
+fn coordinate_facts(robot: &Robot, k: usize) -> Value {
+    let master = robot.coupling.masters[k];
+    let drives = robot.coupling.joints.iter().enumerate().filter(|(joint, _)| *joint != master);
+    let followers: BTreeMap<&str, [f64; 2]> = drives
+        .filter_map(|(joint, drive)| match drive {
+            JointDrive::Coupled { coordinate, ratio, offset } if *coordinate == k => {
+                Some((robot.parts.joints[joint].name.as_str(), [*ratio, *offset]))
+            }
+            _ => None,
+        })
+        .collect();
+    json!({
+        "joint": robot.parts.joints[master].name,
+        "range": [robot.coupling.low[k], robot.coupling.high[k]],
+        "followers": followers,
+    })
+}
+
+/// Returns what was derived, for people.
 fn text(robot: &Robot) -> String {
     let facts = facts(robot);
     let mut text = String::new();
@@ -215,20 +212,20 @@ fn text(robot: &Robot) -> String {
         put(&mut text, format!("  {:24} {low:.3} to {high:.3}{followers}", joint.as_str().unwrap_or_default()));
     }
     if facts["fixed_joints"].as_object().is_some_and(|fixed| !fixed.is_empty()) {
-        put(&mut text, format!("stand still: {}", facts["fixed_joints"]));
+        put(&mut text, format!("fixed joints: {}", facts["fixed_joints"]));
     }
     put(&mut text, format!("commands: {}", robot.commands.names.join(", ")));
-    put(&mut text, format!("{} pairs of geoms are kept apart", robot.pairs.len()));
-    if !robot.lost.is_empty() {
-        put(&mut text, format!("left away, as no file that the engine reads is there: {}", robot.lost.join(", ")));
+    put(&mut text, format!("{} pairs of geoms are kept apart", robot.collision_pairs.len()));
+    if !robot.missing_meshes.is_empty() {
+        put(&mut text, format!("meshes missing or of an unknown format: {}", robot.missing_meshes.join(", ")));
     }
     text
 }
 
-/// The robot at rest and half closed, seen on the palm and from the thumb's side.
+/// Draws the robot at rest and half closed, seen from the palm and the thumb's side.
 fn picture(robot: &mut Robot) -> anyhow::Result<RgbImage> {
     let axes = robot.wrist.world_axes(&robot.world);
-    let tips: Vec<DVec3> = robot.fingers.iter().map(|finger| frame::place(&robot.world, finger)).collect();
+    let tips: Vec<DVec3> = robot.fingers.iter().map(|finger| finger.tip_position(&robot.world)).collect();
     let (wrist, _) = robot.world.body_pose(robot.wrist.body);
     let middle = (tips.iter().sum::<DVec3>() / tips.len() as f64 + wrist) / 2.0;
     let reach = tips.iter().map(|tip| tip.distance(middle)).fold(0.05, f64::max);

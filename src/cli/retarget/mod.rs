@@ -1,4 +1,4 @@
-//! `egotac retarget`: a human hand's pose and touch, carried over to a robot hand.
+//! `egotac retarget`: transfer of a human hand's pose and touch to a robot hand.
 
 #[cfg(feature = "sim")]
 mod demo;
@@ -21,13 +21,13 @@ pub struct Args {
 enum Command {
     /// Follow recorded hands with a robot.
     Run(Run),
-    /// Say what is derived from a robot's model, and draw it.
+    /// Print and draw the facts that are derived from a robot's model.
     Inspect(Inspect),
     /// Write a starting YAML file for a model.
     New(New),
     /// List the robots that are part of the program.
     List,
-    /// Simulate a hand that grasps, follow it with a robot, and draw both with their forces.
+    /// Simulate a grasping hand, follow it with a robot, and draw both with their forces.
     Demo(Demo),
 }
 
@@ -37,33 +37,33 @@ enum Command {
     little, each from base to tip; or MANO's hand_pose (T, 45), global_orient, transl, betas. Optional: timestamps (T) s, \
     tip_contact (T, 5), tip_force (T, 5, 3) N, force and contact (T, 778) or (T, 1556).\n\
     Output: qpos (T, n) with joint_names in the metadata, ctrl, tip_force (T, 5, 3) in the frame of the keypoints, \
-    objective, solve_time_us, status, and what each link is to feel.\n\
-    A frame that is no hand is named on standard error; the last good pose is held (status 4)."
+    objective, solve_time_us, status, and the expected touch of each link.\n\
+    A frame that is not a hand is reported on standard error; the last good pose is held (status 4)."
 )]
 struct Run {
     /// Robot: a name of `egotac retarget list`, a YAML file, or a model (MJCF or URDF).
     #[arg(long, value_name = "NAME|YAML|MODEL")]
     robot: String,
-    /// Model in place of the one that the robot's YAML names.
+    /// Model file in place of the one that the robot's YAML file names.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Hands to follow.
     #[arg(long, value_name = "FILE")]
     input: PathBuf,
-    /// Object that links stay out of and touching fingertips lie on: a model (MJCF, URDF) or mesh (OBJ, STL; its convex hull
-    /// counts). The input's `object_pose` says where it is.
+    /// Object that the hand holds: links stay out of it and touching fingertips lie on it. A model (MJCF, URDF) or mesh (OBJ,
+    /// STL; its convex hull counts). The input's `object_pose` holds its poses.
     #[arg(long, value_name = "FILE")]
     object: Option<PathBuf>,
     /// File to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Frames per second of an input without timestamps.
+    /// Frame rate of an input without timestamps, Hz [default: 30].
     #[arg(long, value_name = "F", value_parser = super::positive)]
     rate: Option<f64>,
-    /// Which hand the input is; without it, what its metadata says, else the robot's side.
+    /// Side of the recorded hand [default: that of the input's metadata, or else the robot's].
     #[arg(long, value_parser = ["left", "right"])]
     side: Option<String>,
-    /// Smoothing delay in place of the robot's own, s; 0 = none.
+    /// Smoothing delay in place of that of the robot's file, s; 0 = no smoothing.
     #[arg(long, value_name = "S")]
     smooth: Option<f64>,
     #[command(flatten)]
@@ -75,13 +75,13 @@ struct Inspect {
     /// Robot: a name of `egotac retarget list`, a YAML file, or a model (MJCF or URDF).
     #[arg(value_name = "NAME|YAML|MODEL")]
     robot: String,
-    /// Model in place of the one that the robot's YAML names.
+    /// Model file in place of the one that the robot's YAML file names.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// PNG file to draw: the robot at rest and half closed.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Print JSON in place of the text.
+    /// Print JSON instead of text.
     #[arg(long)]
     json: bool,
 }
@@ -91,7 +91,7 @@ struct New {
     /// Model (MJCF or URDF).
     #[arg(value_name = "MODEL")]
     model: PathBuf,
-    /// YAML file to write; standard output without it.
+    /// YAML file to write [default: standard output].
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
@@ -101,7 +101,7 @@ struct Demo {
     /// Robot: a name of `egotac retarget list`, a YAML file, or a model (MJCF or URDF).
     #[arg(long, value_name = "NAME|YAML|MODEL", default_value = "four_finger")]
     robot: String,
-    /// Model in place of the one that the robot's YAML names.
+    /// Model file in place of the one that the robot's YAML file names.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Scene to play: a name of `egotac sim list`, or a YAML file.
@@ -110,10 +110,10 @@ struct Demo {
     /// Seed of the rollout.
     #[arg(long, default_value_t = 900_000)]
     seed: u64,
-    /// Where touch comes from: the simulator's truth, or what the network sees in the images.
+    /// Source of touch: the simulator's truth, or the network's prediction from the images.
     #[arg(long, default_value = "truth", value_parser = ["truth", "predicted"])]
     touch: String,
-    /// Checkpoint for predicted touch; the shipped one if absent.
+    /// Checkpoint for predicted touch [default: the shipped one].
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Folder for the picture (retarget.png) and the report (retarget.json).
@@ -121,7 +121,10 @@ struct Demo {
     out: PathBuf,
 }
 
-/// Runs the command.
+/// Reports that the feature is missing.
+///
+/// # Errors
+/// Always.
 #[cfg(not(feature = "sim"))]
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let name = match args.command {
@@ -135,6 +138,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 }
 
 /// Runs the command.
+///
+/// # Errors
+/// If the subcommand fails.
 #[cfg(feature = "sim")]
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     match args.command {

@@ -1,4 +1,4 @@
-//! The control loop: takes hands as they come and commands the robot at a fixed rate.
+//! Control loop: takes hands as they come and commands the robot at a fixed rate.
 
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
@@ -6,33 +6,34 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 
 use super::Inputs;
-use super::hands::{Hands, Seen};
-use super::state::State;
+use super::hands::{HandMessage, HandModels};
+use super::statistics::Statistics;
 use crate::error::{Error, Result};
 use crate::message::{
     self, Header, JointState, JointTrajectory, JointTrajectoryPoint, LinkTouch, RobotTouch, TactileFrame, Time,
     Vector3, Wrench,
 };
 use crate::node::approximate_sync::SyncedHand;
-use crate::node::clock::RosClock;
-use crate::node::log::Log;
 use crate::node::object_pose::LatestObjectPose;
+use crate::node::log::Log;
 use crate::node::params::Parameters;
+use crate::node::clock::RosClock;
 use crate::node::publisher::Publisher;
-use crate::node::qos;
 use crate::node::runtime::Runtime;
+use crate::node::qos;
 use crate::node::shutdown::Shutdown;
-use crate::retarget::touch::LinkFeel;
+use crate::retarget::touch::ExpectedLinkTouch;
 use crate::retarget::{Input, Output, Retargeter, Robot};
 
-/// Names that the messages carry.
+/// Names in the messages.
 struct Names {
     robot: String,
+    /// Names of all joints, in the order of [`Output::qpos`].
     joints: Vec<String>,
-    /// Joints that move on their own.
+    /// Names of the joints of the free coordinates.
     masters: Vec<String>,
-    /// Their places among all.
-    places: Vec<usize>,
+    /// Index of each of them in [`Output::qpos`].
+    master_indices: Vec<usize>,
 }
 
 impl Names {
@@ -43,48 +44,49 @@ impl Names {
             robot: robot.spec.robot.clone(),
             joints: robot.joint_names().into_iter().map(str::to_owned).collect(),
             masters: masters().map(|joint| robot.parts.joints[joint].name.clone()).collect(),
-            places: masters().filter_map(|joint| all.iter().position(|other| *other == joint)).collect(),
+            master_indices: masters().filter_map(|joint| all.iter().position(|other| *other == joint)).collect(),
         }
     }
 }
 
+/// Publishers of the robot's topics.
 struct Outputs {
     joint_states: Publisher<JointState>,
     joint_trajectory: Publisher<JointTrajectory>,
     touch: Publisher<RobotTouch>,
 }
 
-/// The control loop, on a thread of its own.
-pub struct Worker {
+/// Control loop, on a thread of its own.
+pub struct ControlLoop {
     retargeter: Retargeter,
-    hands: Hands,
+    models: HandModels,
     object: Arc<LatestObjectPose>,
     names: Names,
     period: Duration,
     inputs: Inputs,
     outputs: Outputs,
-    state: State,
+    statistics: Statistics,
     clock: RosClock,
     log: Log,
     parameters: Arc<Parameters>,
-    /// Stamp of the hand that was taken last, and the node's time then.
-    given: Option<(Time, Time)>,
+    /// Stamp of the last hand that was followed, and the node's time at which it was.
+    followed: Option<(Time, Time)>,
     /// The node's time in the last cycle.
-    before: Time,
+    last_cycle: Time,
 }
 
-impl Worker {
-    /// With the node's outputs; nothing is commanded before [`Self::work`].
+impl ControlLoop {
+    /// Creates the loop and its publishers; it commands nothing before [`Self::run`].
     ///
     /// # Errors
     /// If ROS refuses a topic.
     pub fn new(
         runtime: &mut Runtime,
         retargeter: Retargeter,
-        hands: Hands,
+        models: HandModels,
         object: Arc<LatestObjectPose>,
         inputs: Inputs,
-        state: State,
+        statistics: Statistics,
     ) -> anyhow::Result<Self> {
         let parameters = Arc::clone(runtime.parameters());
         Ok(Self {
@@ -97,27 +99,27 @@ impl Worker {
             period: Duration::from_secs_f64(1.0 / parameters.get::<f64>("rate_hz")),
             clock: runtime.clock().clone(),
             log: runtime.log().clone(),
-            given: None,
-            before: Time::default(),
+            followed: None,
+            last_cycle: Time::default(),
             retargeter,
-            hands,
+            models,
             object,
             inputs,
-            state,
+            statistics,
             parameters,
         })
     }
 
     /// Commands the robot until `stop`.
-    pub fn work(mut self, stop: &Shutdown) {
+    pub fn run(mut self, stop: &Shutdown) {
         let mut next = Instant::now();
         while !stop.requested() {
             let now = Instant::now();
             if let Some(left) = next.checked_duration_since(now) {
                 std::thread::sleep(left);
             } else if now > next + self.period {
-                // Cycles that were missed are left out.
-                self.state.late();
+                // Skip missed cycles: a burst of commands would help no controller.
+                self.statistics.missed_cycle();
                 next = now;
             }
             next += self.period;
@@ -127,22 +129,23 @@ impl Worker {
         }
     }
 
+    /// Follows the next hand if there is one, and publishes a command.
     fn cycle(&mut self) {
         let now = self.clock.now();
-        if now < std::mem::replace(&mut self.before, now) {
-            // Simulated time began anew.
+        if now < std::mem::replace(&mut self.last_cycle, now) {
+            // Simulated time was reset.
             self.retargeter.reset();
-            self.given = self.given.map(|(stamp, _)| (stamp, now));
+            self.followed = self.followed.map(|(stamp, _)| (stamp, now));
         }
         let matched = self.inputs.lock().unwrap_or_else(PoisonError::into_inner).take(Instant::now());
-        let followed = match matched {
+        let has_followed = match matched {
             Some(matched) => self.follow(matched, now),
             None => false,
         };
-        let Some((stamp, taken)) = self.given else { return };
+        let Some((stamp, taken)) = self.followed else { return };
         let stamp = Time::from_nanos(stamp.nanos() + now.nanos() - taken.nanos());
-        // Between hands and in their silence the robot goes on to where it was told to go, and stays there.
-        if !followed && let Err(error) = self.retargeter.advance(now.secs()) {
+        // Without a new hand the robot moves on to the last pose, and stays there.
+        if !has_followed && let Err(error) = self.retargeter.advance(now.secs()) {
             return self.log.warn_throttled("advance", format!("no command: {error}"));
         }
         if let Err(error) = self.publish(stamp) {
@@ -150,8 +153,8 @@ impl Worker {
         }
     }
 
-    /// Takes a hand at the node's time; whether the robot follows it.
-    fn follow(&mut self, matched: SyncedHand<Seen, TactileFrame>, now: Time) -> bool {
+    /// Follows a hand at the node's time `now`; returns false if the hand is refused.
+    fn follow(&mut self, matched: SyncedHand<HandMessage, TactileFrame>, now: Time) -> bool {
         let SyncedHand { stamp, hand, touch, restarted } = matched;
         if restarted {
             self.log.warn_throttled("anew", "stamps went back: begins anew");
@@ -165,15 +168,15 @@ impl Worker {
         let (has_touch, status, secs) = match pushed {
             Ok(pushed) => pushed,
             Err(error) => {
-                self.state.refused(&error);
+                self.statistics.refused(&error);
                 let kind = format!("refused {}", cause(&error));
                 self.log.warn_throttled(&kind, format!("a hand was left out, the last pose is held: {error}"));
                 return false;
             }
         };
-        self.state.followed(status, has_touch, secs);
-        self.given = Some((stamp, now));
-        self.state.hands.processed(self.clock.secs_since(stamp));
+        self.statistics.followed(status, has_touch, secs);
+        self.followed = Some((stamp, now));
+        self.statistics.hands.processed(self.clock.secs_since(stamp));
         if let (true, Some(touched)) = (has_touch, touched) {
             let header = Header { stamp: touched, frame_id: hand.header().frame_id.clone() };
             let message = robot_touch(header, stamp, &self.names, self.retargeter.output());
@@ -184,23 +187,23 @@ impl Worker {
         true
     }
 
-    fn input(&self, stamp: Time, hand: &Seen, touch: Option<(Time, TactileFrame)>) -> Result<Input> {
-        let mut input = Input::new(self.hands.keypoints(hand)?, stamp.secs());
+    /// Converts messages to the retargeter's input; a bad touch or object pose is dropped, because the hand is still good.
+    fn input(&self, stamp: Time, hand: &HandMessage, touch: Option<(Time, TactileFrame)>) -> Result<Input> {
+        let mut input = Input::new(self.models.keypoints(hand)?, stamp.secs());
         if let Some((_, frame)) = touch {
-            match self.hands.touch(&frame) {
+            match self.models.touch(&frame) {
                 Ok(touch) => input.touch = touch,
-                // The pose is good all the same.
                 Err(error) => self.log.warn_throttled("tactile", format!("tactile: message left out: {error}")),
             }
         }
         match self.object.pose_at(stamp, &hand.header().frame_id) {
             Ok(object) => input.object = object,
-            // As are pose and touch.
             Err(error) => self.log.warn_throttled("object", format!("object: message left out: {error}")),
         }
         Ok(input)
     }
 
+    /// Publishes the present pose and the command.
     fn publish(&self, stamp: Time) -> anyhow::Result<()> {
         let output = self.retargeter.output();
         let header = Header { stamp, frame_id: String::new() };
@@ -212,7 +215,7 @@ impl Worker {
             effort: Vec::new(),
         })?;
         let point = JointTrajectoryPoint {
-            positions: self.names.places.iter().map(|place| output.qpos[*place]).collect(),
+            positions: self.names.master_indices.iter().map(|index| output.qpos[*index]).collect(),
             velocities: Vec::new(),
             accelerations: Vec::new(),
             effort: Vec::new(),
@@ -221,7 +224,7 @@ impl Worker {
                 nanosec: self.period.subsec_nanos(),
             },
         };
-        // A controller begins at once with a trajectory without stamp; the image's stamp is in its past.
+        // A controller starts a trajectory without stamp at once. The image's stamp would be in the controller's past.
         self.outputs.joint_trajectory.publish(&JointTrajectory {
             header: Header::default(),
             joint_names: self.names.masters.clone(),
@@ -230,7 +233,7 @@ impl Worker {
     }
 }
 
-/// What is wrong with a hand, without what came: each cause has warnings of its own.
+/// Returns the field that is wrong with a hand, without its value: warnings are throttled for each field.
 fn cause(error: &Error) -> &str {
     match error {
         Error::Value { name, .. } | Error::Shape { name, .. } => name,
@@ -239,21 +242,21 @@ fn cause(error: &Error) -> &str {
 }
 
 fn robot_touch(header: Header, hand_stamp: Time, names: &Names, output: &Output) -> RobotTouch {
-    let feel = &output.feel;
+    let touch = &output.expected_touch;
     RobotTouch {
         header,
         robot: names.robot.clone(),
         hand_stamp,
-        links: feel.links.iter().map(link_touch).collect(),
+        links: touch.links.iter().map(link_touch).collect(),
         joint_names: names.masters.clone(),
-        joint_torques: feel.torque.clone(),
-        clipped: feel.clipped,
-        net_force: vector(feel.asked),
-        left_out: feel.left_out,
+        joint_torques: touch.torque.clone(),
+        clipped: touch.clipped,
+        net_force: vector(touch.net_force),
+        left_out: touch.unassigned_force,
     }
 }
 
-fn link_touch(link: &LinkFeel) -> LinkTouch {
+fn link_touch(link: &ExpectedLinkTouch) -> LinkTouch {
     let DVec3 { x, y, z } = link.body_position;
     LinkTouch {
         link: link.name.clone(),

@@ -1,4 +1,4 @@
-//! Hands as messages bring them, and what of them the robot follows.
+//! Messages of human hands, converted to keypoints and touch.
 
 use anyhow::Context as _;
 use glam::DVec3;
@@ -9,18 +9,18 @@ use crate::hand::{HandModel, N_KEYPOINTS, Side, Topology};
 use crate::message::{HandPose, Header, PoseArray, TactileFrame};
 use crate::node::params::Parameters;
 use crate::retarget::human::Hand;
-use crate::retarget::{Pool, Touch};
+use crate::retarget::{Touch, TouchPooling};
 
-/// A hand as it came.
-pub enum Seen {
-    /// With joint angles and shape.
+/// Message of a human hand.
+pub enum HandMessage {
+    /// MANO parameters.
     Pose(Box<HandPose>),
-    /// 21 points of any hand tracker.
+    /// 21 keypoints of any hand tracker.
     Keypoints(Box<PoseArray>),
 }
 
-impl Seen {
-    /// Stamp and frame.
+impl HandMessage {
+    /// Header of the message.
     pub fn header(&self) -> &Header {
         match self {
             Self::Pose(pose) => &pose.header,
@@ -29,15 +29,14 @@ impl Seen {
     }
 }
 
-/// Models of the hand that is followed.
-pub struct Hands {
+/// Models of the hand that is followed, one for each topology.
+pub struct HandModels {
     side: Side,
-    /// With what its vertices pool to.
-    models: Vec<(HandModel, Pool)>,
+    models: Vec<(HandModel, TouchPooling)>,
 }
 
-impl Hands {
-    /// The built-in hand of a side and, if its parameter names a file, that of MANO.
+impl HandModels {
+    /// Loads the built-in hand of a side and, if its parameter names a file, that of MANO.
     ///
     /// # Errors
     /// If the file can't be used.
@@ -50,24 +49,25 @@ impl Hands {
         if let Some(path) = path_of(parameters, name) {
             models.push(HandModel::load(&path, side).with_context(|| format!("parameter {name}"))?);
         }
-        let pooled = models.into_iter().map(|model| Pool::new(&model).map(|pool| (model, pool)));
+        let pooled = models.into_iter().map(|model| TouchPooling::new(&model).map(|pooling| (model, pooling)));
         Ok(Self { side, models: pooled.collect::<Result<_>>()? })
     }
 
-    fn of(&self, topology: Topology) -> Result<&(HandModel, Pool)> {
+    /// Returns the model of a topology.
+    fn of(&self, topology: Topology) -> Result<&(HandModel, TouchPooling)> {
         let found = self.models.iter().find(|(model, _)| model.topology == topology);
         let expected = format!("{}, or the parameter mano_{}", Topology::EgotacHand1.id(), self.side.name());
         found.ok_or_else(|| Error::value("topology", expected, topology.id()))
     }
 
-    /// The keypoints of a hand, m.
-    pub fn keypoints(&self, seen: &Seen) -> Result<[DVec3; N_KEYPOINTS]> {
+    /// Returns the keypoints of a hand, m.
+    pub fn keypoints(&self, seen: &HandMessage) -> Result<[DVec3; N_KEYPOINTS]> {
         match seen {
-            Seen::Pose(pose) => {
+            HandMessage::Pose(pose) => {
                 let (model, _) = self.of(Topology::from_id(&pose.topology)?)?;
                 Ok(Hand::of_model(model, &pose.to_params(model)?))
             }
-            Seen::Keypoints(array) => {
+            HandMessage::Keypoints(array) => {
                 let points: Vec<DVec3> = array
                     .poses
                     .iter()
@@ -78,15 +78,15 @@ impl Hands {
         }
     }
 
-    /// The touch of a frame; None if it says nothing about this hand.
+    /// Returns the touch of a frame; None if it does not contain this hand.
     pub fn touch(&self, frame: &TactileFrame) -> Result<Option<Touch>> {
         if !frame.hands.iter().any(|hand| hand.side == self.side as u8) {
             return Ok(None);
         }
-        let (_, pool) = self.of(Topology::from_id(&frame.topology)?)?;
+        let (_, pooling) = self.of(Topology::from_id(&frame.topology)?)?;
         let field = frame.to_field()?;
         let mut touch = Touch::default();
-        pool.add(&field.force[self.side.range()], &field.contact[self.side.range()], &mut touch)?;
+        pooling.pool_into(&field.force[self.side.range()], &field.contact[self.side.range()], &mut touch)?;
         Ok(Some(touch))
     }
 }

@@ -1,39 +1,45 @@
-//! Joints that move together: every joint's position as a line over the free coordinates, q = C u + c.
+//! Coupled joints: every joint position is a linear function of the free coordinates, q = C u + c.
 //!
-//! Three things couple joints: equalities (URDF `mimic` becomes one), an actuated tendon over several joints, and the
-//! robot's YAML file. A tendon fixes its length alone; how the joints share it is where their springs balance, equal
-//! shares by leverage where there are no springs.
+//! Joints are coupled by equalities of the model (URDF `mimic` becomes one), by an actuated tendon over several joints, and
+//! by the robot's YAML file. A tendon determines its length only; its joints share it so that their springs are in balance,
+//! or, without springs, in proportion to their leverage.
 
 use crate::error::{Error, Result};
 use crate::mujoco::World;
 use crate::mujoco::parts::{Joint, Motion, Parts, Pull};
 
-/// Range of a joint that has no limits, rad or m.
+/// Position range to both sides of 0 for a joint without limits, rad or m.
 const UNLIMITED: f64 = std::f64::consts::PI;
+/// Least change of a tendon's length per unit of a joint, m/rad, that counts: below it the difference quotient is noise.
+const MIN_LEVERAGE: f64 = 1e-6;
+/// Greatest overlap of two bounds, or difference of two couplings, that counts as rounding, rad or m.
+const TOLERANCE: f64 = 1e-6;
+/// Least ratio of a coupling: the leading joint must be determined by the one that follows.
+const MIN_RATIO: f64 = 1e-9;
 
-/// How all joints follow from the free coordinates.
+/// Map from the free coordinates to all joint positions.
 #[derive(Debug, Clone, Default)]
 pub struct Coupling {
-    /// For each joint of the model, in its order.
-    pub joints: Vec<Driven>,
-    /// Least position of each free coordinate, rad or m.
+    /// Drive of each joint of the model, in the model's order.
+    pub joints: Vec<JointDrive>,
+    /// Lower bound of each free coordinate, rad or m.
     pub low: Vec<f64>,
-    /// Most.
+    /// Upper bound of each free coordinate, rad or m.
     pub high: Vec<f64>,
-    /// The joint whose position each free coordinate is.
+    /// Joint whose position each free coordinate is.
     pub masters: Vec<usize>,
 }
 
-/// What decides a joint's position.
+/// Source of a joint's position.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Driven {
-    /// Nothing of ours: a ball or free joint, left as it is.
-    Not,
-    /// It stands still.
+pub enum JointDrive {
+    /// Not controlled: a ball or free joint keeps its position.
+    Free,
+    /// Fixed at this position, rad or m.
     Fixed(f64),
-    /// ratio * u + offset.
-    By {
-        /// Index of the free coordinate.
+    /// Position = ratio * u + offset.
+    Coupled {
+        /// Index of the free coordinate u.
         coordinate: usize,
         /// Ratio.
         ratio: f64,
@@ -42,12 +48,12 @@ pub enum Driven {
     },
 }
 
-/// A joint that follows another: joint = ratio * of + offset.
+/// Coupling of one joint to another: joint = ratio * of + offset.
 #[derive(Debug, Clone, Copy)]
-pub struct Follow {
-    /// The joint that follows.
+pub struct JointCoupling {
+    /// Index of the joint that couplings.
     pub joint: usize,
-    /// The joint it follows.
+    /// Index of the joint that leads.
     pub of: usize,
     /// Ratio.
     pub ratio: f64,
@@ -55,9 +61,9 @@ pub struct Follow {
     pub offset: f64,
 }
 
-/// A joint on the way to its place: it follows the joint `of` by a line.
+/// Position of a joint in terms of a master joint, while couplings are collected: ratio * of + offset.
 #[derive(Debug, Clone, Copy)]
-struct Line {
+struct MasterLine {
     of: usize,
     ratio: f64,
     offset: f64,
@@ -66,33 +72,34 @@ struct Line {
 impl Coupling {
     /// Derives the coupling of a model.
     ///
-    /// `initial`: positions of the model's initial state; `fixed`: position of each joint that stands still.
+    /// `initial`: `qpos` of the model's initial state; `fixed`: position of each joint that stands still, rad or m; `more`:
+    /// couplings beside the model's; `margin`: distance to keep from joint limits, rad or m.
     ///
     /// # Errors
-    /// If a coupling is not a line, two contradict each other, or the limits of coupled joints leave no position.
+    /// If a coupling is not linear, two contradict each other, or the limits of coupled joints leave no position.
     pub fn derive(
         world: &mut World,
         parts: &Parts,
         initial: &[f64],
         fixed: &[Option<f64>],
-        more: &[Follow],
+        more: &[JointCoupling],
         margin: f64,
     ) -> Result<Self> {
-        let mut lines: Vec<Line> =
-            (0..parts.joints.len()).map(|joint| Line { of: joint, ratio: 1.0, offset: 0.0 }).collect();
+        let mut lines: Vec<MasterLine> =
+            (0..parts.joints.len()).map(|joint| MasterLine { of: joint, ratio: 1.0, offset: 0.0 }).collect();
         let mut fixed = fixed.to_vec();
-        for follow in equalities(parts, initial, &mut fixed)?.iter().chain(more) {
-            attach(&mut lines, parts, follow)?;
+        for new in equalities(parts, initial, &mut fixed)?.iter().chain(more) {
+            attach(&mut lines, parts, new)?;
         }
-        for follow in tendons(world, parts, initial, &fixed, &lines)? {
-            attach(&mut lines, parts, &follow)?;
+        for new in tendons(world, parts, initial, &fixed, &lines)? {
+            attach(&mut lines, parts, &new)?;
         }
         Self::assemble(parts, &lines, &fixed, margin)
     }
 
-    fn assemble(parts: &Parts, lines: &[Line], fixed: &[Option<f64>], margin: f64) -> Result<Self> {
-        let mut coupling = Self { joints: vec![Driven::Not; lines.len()], ..Self::default() };
-        // A joint that stands still keeps all that follow it, and all that it follows, still.
+    fn assemble(parts: &Parts, lines: &[MasterLine], fixed: &[Option<f64>], margin: f64) -> Result<Self> {
+        let mut coupling = Self { joints: vec![JointDrive::Free; lines.len()], ..Self::default() };
+        // A joint that stands still holds its master still, and with it every joint of the group.
         let mut still: Vec<Option<f64>> = vec![None; lines.len()];
         for (joint, position) in fixed.iter().enumerate() {
             let Some(position) = position else { continue };
@@ -105,7 +112,7 @@ impl Coupling {
                 continue;
             }
             coupling.joints[joint] = match still[line.of] {
-                Some(master) => Driven::Fixed(line.ratio * master + line.offset),
+                Some(master) => JointDrive::Fixed(line.ratio * master + line.offset),
                 None => {
                     let coordinate = *index[line.of].get_or_insert_with(|| {
                         coupling.masters.push(line.of);
@@ -117,13 +124,13 @@ impl Coupling {
                     let [a, b] = [(low - line.offset) / line.ratio, (high - line.offset) / line.ratio];
                     coupling.low[coordinate] = coupling.low[coordinate].max(a.min(b));
                     coupling.high[coordinate] = coupling.high[coordinate].min(a.max(b));
-                    Driven::By { coordinate, ratio: line.ratio, offset: line.offset }
+                    JointDrive::Coupled { coordinate, ratio: line.ratio, offset: line.offset }
                 }
             };
         }
         for coordinate in 0..coupling.masters.len() {
             let (low, high) = (coupling.low[coordinate], coupling.high[coordinate]);
-            if low > high + 1e-6 {
+            if low > high + TOLERANCE {
                 let names: Vec<&str> = (0..lines.len())
                     .filter(|joint| lines[*joint].of == coupling.masters[coordinate])
                     .map(|joint| parts.joints[joint].name.as_str())
@@ -131,61 +138,61 @@ impl Coupling {
                 let got = format!("least {low:.4} above most {high:.4}");
                 return Err(Error::value(format!("limits of joints {}", names.join(", ")), "a common position", got));
             }
-            // Rounding alone must not turn a range inside out.
+            // Rounding may leave the upper bound below the lower one by less than the tolerance above.
             coupling.high[coordinate] = high.max(low);
         }
         Ok(coupling)
     }
 
-    /// Free coordinates.
+    /// Number of free coordinates.
     pub fn len(&self) -> usize {
         self.masters.len()
     }
 
-    /// Whether nothing can move.
+    /// True if there is no free coordinate.
     pub fn is_empty(&self) -> bool {
         self.masters.is_empty()
     }
 
-    /// Writes all joints' positions into `qpos`, given the free coordinates.
+    /// Writes the joint positions of free coordinates `u` into `qpos`; free and ball joints keep theirs.
     pub fn expand(&self, parts: &Parts, u: &[f64], qpos: &mut [f64]) {
-        for (joint, driven) in parts.joints.iter().zip(&self.joints) {
-            match *driven {
-                Driven::Not => {}
-                Driven::Fixed(position) => qpos[joint.qpos] = position,
-                Driven::By { coordinate, ratio, offset } => qpos[joint.qpos] = ratio * u[coordinate] + offset,
+        for (joint, drive) in parts.joints.iter().zip(&self.joints) {
+            match *drive {
+                JointDrive::Free => {}
+                JointDrive::Fixed(position) => qpos[joint.qpos] = position,
+                JointDrive::Coupled { coordinate, ratio, offset } => qpos[joint.qpos] = ratio * u[coordinate] + offset,
             }
         }
     }
 
-    /// Reads the free coordinates from positions; what the couplings do not allow is lost.
+    /// Reads the free coordinates `u` from the positions of their master joints; all other positions are ignored.
     pub fn reduce(&self, parts: &Parts, qpos: &[f64], u: &mut [f64]) {
         for (coordinate, master) in self.masters.iter().enumerate() {
             u[coordinate] = qpos[parts.joints[*master].qpos].clamp(self.low[coordinate], self.high[coordinate]);
         }
     }
 
-    /// How far positions are beyond limits or off couplings at most, rad or m.
+    /// Greatest violation of joint limits and couplings by `qpos`, rad or m.
     pub fn violation(&self, parts: &Parts, qpos: &[f64]) -> f64 {
         let mut worst = 0.0f64;
-        for (joint, driven) in parts.joints.iter().zip(&self.joints) {
+        for (joint, drive) in parts.joints.iter().zip(&self.joints) {
             let position = qpos[joint.qpos];
-            let off = match *driven {
-                Driven::Not => 0.0,
-                Driven::Fixed(there) => (position - there).abs(),
-                Driven::By { coordinate, ratio, offset } => {
+            let violation = match *drive {
+                JointDrive::Free => 0.0,
+                JointDrive::Fixed(fixed) => (position - fixed).abs(),
+                JointDrive::Coupled { coordinate, ratio, offset } => {
                     let master = qpos[parts.joints[self.masters[coordinate]].qpos];
                     let [low, high] = range(joint, 0.0);
                     (position - ratio * master - offset).abs().max(low - position).max(position - high)
                 }
             };
-            worst = worst.max(off);
+            worst = worst.max(violation);
         }
         worst
     }
 }
 
-/// Limits of a joint, a margin inside; a joint with less room than that keeps its middle.
+/// Limits of a joint, reduced by a margin on both sides; the middle, twice, if the range is narrower than both margins.
 fn range(joint: &Joint, margin: f64) -> [f64; 2] {
     let [low, high] = joint.range;
     let low = if low.is_finite() { low } else { -UNLIMITED };
@@ -196,33 +203,34 @@ fn range(joint: &Joint, margin: f64) -> [f64; 2] {
     }
 }
 
-/// Makes one joint, and all that moves with it, follow another.
-fn attach(lines: &mut [Line], parts: &Parts, follow: &Follow) -> Result<()> {
-    let (a, b) = (lines[follow.joint], lines[follow.of]);
+/// Couples one joint, and all joints of its group, to another.
+fn attach(lines: &mut [MasterLine], parts: &Parts, new: &JointCoupling) -> Result<()> {
+    let (a, b) = (lines[new.joint], lines[new.of]);
     let name = |joint: usize| parts.joints[joint].name.clone();
-    if follow.ratio.abs() < 1e-9 || !follow.ratio.is_finite() || !follow.offset.is_finite() {
-        let what = format!("coupling of joints {} and {}", name(follow.joint), name(follow.of));
-        return Err(Error::value(what, "a ratio other than 0", follow.ratio));
+    if new.ratio.abs() < MIN_RATIO || !new.ratio.is_finite() || !new.offset.is_finite() {
+        let what = format!("coupling of joints {} and {}", name(new.joint), name(new.of));
+        return Err(Error::value(what, "a ratio other than 0", new.ratio));
     }
-    // joint = a.ratio * master_a + a.offset = follow.ratio * (b.ratio * master_b + b.offset) + follow.offset
-    let ratio = follow.ratio * b.ratio / a.ratio;
-    let offset = (follow.ratio * b.offset + follow.offset - a.offset) / a.ratio;
+    // joint = a.ratio * master_a + a.offset = new.ratio * (b.ratio * master_b + b.offset) + new.offset
+    // is solved for master_a.
+    let ratio = new.ratio * b.ratio / a.ratio;
+    let offset = (new.ratio * b.offset + new.offset - a.offset) / a.ratio;
     if a.of == b.of {
-        if (ratio - 1.0).abs() < 1e-6 && offset.abs() < 1e-6 {
+        if (ratio - 1.0).abs() < TOLERANCE && offset.abs() < TOLERANCE {
             return Ok(());
         }
-        let what = format!("couplings of joints {} and {}", name(follow.joint), name(follow.of));
+        let what = format!("couplings of joints {} and {}", name(new.joint), name(new.of));
         return Err(Error::value(what, "couplings that agree", "two that contradict each other"));
     }
     for line in lines.iter_mut().filter(|line| line.of == a.of) {
-        *line = Line { of: b.of, ratio: line.ratio * ratio, offset: line.ratio * offset + line.offset };
+        *line = MasterLine { of: b.of, ratio: line.ratio * ratio, offset: line.ratio * offset + line.offset };
     }
     Ok(())
 }
 
-/// The model's own joint equalities; those that hold a joint still go to `fixed`.
-fn equalities(parts: &Parts, initial: &[f64], fixed: &mut [Option<f64>]) -> Result<Vec<Follow>> {
-    let mut follows = Vec::new();
+/// Returns the joint equalities of the model; positions of joints that an equality holds still go to `fixed`.
+fn equalities(parts: &Parts, initial: &[f64], fixed: &mut [Option<f64>]) -> Result<Vec<JointCoupling>> {
+    let mut couplings = Vec::new();
     for equality in &parts.equalities {
         let joint = &parts.joints[equality.joint];
         let [constant, ratio, higher @ ..] = equality.polynomial;
@@ -235,23 +243,25 @@ fn equalities(parts: &Parts, initial: &[f64], fixed: &mut [Option<f64>]) -> Resu
                     return Err(Error::value(format!("equality of joint {}", joint.name), expected, got));
                 }
                 let offset = start + constant - ratio * initial[parts.joints[of].qpos];
-                follows.push(Follow { joint: equality.joint, of, ratio, offset });
+                couplings.push(JointCoupling { joint: equality.joint, of, ratio, offset });
             }
             _ => fixed[equality.joint] = Some(start + constant),
         }
     }
-    Ok(follows)
+    Ok(couplings)
 }
 
-/// Joints that share an actuated tendon and nothing else pulls at.
+/// Couplings of joints by actuated tendons.
+///
+/// A tendon couples the groups of joints that it moves, no other actuated tendon moves, and no actuator drives directly.
 fn tendons(
     world: &mut World,
     parts: &Parts,
     initial: &[f64],
     fixed: &[Option<f64>],
-    lines: &[Line],
-) -> Result<Vec<Follow>> {
-    let pulled: Vec<usize> = parts
+    lines: &[MasterLine],
+) -> Result<Vec<JointCoupling>> {
+    let actuated: Vec<usize> = parts
         .actuators
         .iter()
         .filter_map(|actuator| match actuator.pull {
@@ -259,45 +269,82 @@ fn tendons(
             _ => None,
         })
         .collect();
-    if pulled.is_empty() {
+    if actuated.is_empty() {
         return Ok(Vec::new());
     }
-    // Groups that move as one, by their master: what the tendons' lengths gain per unit of the master.
-    let masters: Vec<usize> = (0..lines.len())
-        .filter(|joint| lines[*joint].of == *joint && parts.joints[*joint].motion != Motion::Other)
-        .filter(|master| (0..lines.len()).all(|joint| lines[joint].of != *master || fixed[joint].is_none()))
-        .collect();
-    let has_own = |master: usize| {
+    let masters = moving_masters(parts, fixed, lines);
+    let is_driven_directly = |master: usize| {
         parts.actuators.iter().any(|a| matches!(a.pull, Pull::Joint(joint) if lines[joint].of == master))
     };
     let leverages: Vec<Vec<f64>> =
         masters.iter().map(|master| leverage(world, parts, initial, lines, *master)).collect::<Result<_>>()?;
-    let pulls = |group: usize, tendon: usize| leverages[group][tendon].abs() > 1e-6;
-    let mut follows = Vec::new();
-    for tendon in &pulled {
-        let alone = |group: usize| pulled.iter().filter(|other| pulls(group, **other)).count() == 1;
-        let groups: Vec<usize> = (0..masters.len())
-            .filter(|group| pulls(*group, *tendon) && !has_own(masters[*group]) && alone(*group))
-            .collect();
-        let springs: Vec<f64> = groups.iter().map(|group| stiffness(parts, lines, masters[*group])).collect();
-        let no_springs = springs.iter().any(|k| *k <= 0.0);
-        let share = |k: usize| leverages[groups[k]][*tendon] / if no_springs { 1.0 } else { springs[k] };
-        let Some(lead) = (0..groups.len()).max_by(|a, b| share(*a).abs().total_cmp(&share(*b).abs())) else { continue };
-        let rest = |k: usize| {
-            let joint = &parts.joints[masters[groups[k]]];
-            if no_springs { initial[joint.qpos] } else { joint.spring_ref }
-        };
-        for k in (0..groups.len()).filter(|k| *k != lead) {
-            let ratio = share(k) / share(lead);
-            let (joint, of) = (masters[groups[k]], masters[groups[lead]]);
-            follows.push(Follow { joint, of, ratio, offset: rest(k) - ratio * rest(lead) });
-        }
+    let moves = |tendon: usize, group: usize| leverages[group][tendon].abs() > MIN_LEVERAGE;
+    let mut couplings = Vec::new();
+    for tendon in actuated.iter().copied() {
+        let is_only_mover = |group: usize| actuated.iter().filter(|other| moves(**other, group)).count() == 1;
+        let groups = (0..masters.len())
+            .filter(|group| moves(tendon, *group) && !is_driven_directly(masters[*group]) && is_only_mover(*group))
+            .map(|group| TendonGroup {
+                master: masters[group],
+                leverage: leverages[group][tendon],
+                stiffness: stiffness(parts, lines, masters[group]),
+            });
+        couplings.extend(share_tendon(parts, initial, &groups.collect::<Vec<_>>()));
     }
-    Ok(follows)
+    Ok(couplings)
 }
 
-/// What each tendon's length gains per unit of a master, in the initial state.
-fn leverage(world: &mut World, parts: &Parts, initial: &[f64], lines: &[Line], master: usize) -> Result<Vec<f64>> {
+/// Group of coupled joints that a tendon moves.
+#[derive(Debug, Clone, Copy)]
+struct TendonGroup {
+    master: usize,
+    /// Tendon length per unit of the master, m/rad or 1.
+    leverage: f64,
+    /// Spring stiffness per unit of the master, N m/rad or N/m.
+    stiffness: f64,
+}
+
+/// Returns the masters of the groups that can move.
+fn moving_masters(parts: &Parts, fixed: &[Option<f64>], lines: &[MasterLine]) -> Vec<usize> {
+    (0..lines.len())
+        .filter(|joint| lines[*joint].of == *joint && parts.joints[*joint].motion != Motion::Other)
+        .filter(|master| (0..lines.len()).all(|joint| lines[joint].of != *master || fixed[joint].is_none()))
+        .collect()
+}
+
+/// Couples the groups that share a tendon to the group that moves most.
+///
+/// A tendon under tension T pulls a group with T * leverage; its springs balance that at a deflection of
+/// T * leverage / stiffness. Deflections therefore keep the ratio of leverage / stiffness.
+fn share_tendon(parts: &Parts, initial: &[f64], groups: &[TendonGroup]) -> Vec<JointCoupling> {
+    let has_springs = groups.iter().all(|group| group.stiffness > 0.0);
+    let share = |group: &TendonGroup| group.leverage / if has_springs { group.stiffness } else { 1.0 };
+    let rest = |group: &TendonGroup| {
+        let joint = &parts.joints[group.master];
+        if has_springs { joint.spring_ref } else { initial[joint.qpos] }
+    };
+    let Some(lead) = (0..groups.len()).max_by(|a, b| share(&groups[*a]).abs().total_cmp(&share(&groups[*b]).abs()))
+    else {
+        return Vec::new();
+    };
+    let leader = groups[lead];
+    let others = groups.iter().enumerate().filter(|(index, _)| *index != lead);
+    let coupling = |(_, group): (usize, &TendonGroup)| {
+        let ratio = share(group) / share(&leader);
+        JointCoupling { joint: group.master, of: leader.master, ratio, offset: rest(group) - ratio * rest(&leader) }
+    };
+    others.map(coupling).collect()
+}
+
+/// Change of each tendon's length per unit of a master in the initial state, by central differences.
+fn leverage(
+    world: &mut World,
+    parts: &Parts,
+    initial: &[f64],
+    lines: &[MasterLine],
+    master: usize,
+) -> Result<Vec<f64>> {
+    /// Half the difference of positions, rad or m: truncation (STEP squared) and rounding errors are both below 1e-8 there.
     const STEP: f64 = 1e-4;
     let mut lengths = |step: f64| -> Result<Vec<f64>> {
         let mut qpos = initial.to_vec();
@@ -313,8 +360,8 @@ fn leverage(world: &mut World, parts: &Parts, initial: &[f64], lines: &[Line], m
     Ok(more.iter().zip(&less).map(|(a, b)| (a - b) / (2.0 * STEP)).collect())
 }
 
-/// Stiffness of the springs on all joints of a group, per unit of the master.
-fn stiffness(parts: &Parts, lines: &[Line], master: usize) -> f64 {
+/// Stiffness of the springs on all joints of a group, per unit of the master, N m/rad or N/m.
+fn stiffness(parts: &Parts, lines: &[MasterLine], master: usize) -> f64 {
     let group = lines.iter().zip(&parts.joints).filter(|(line, _)| line.of == master);
     group.map(|(line, joint)| joint.stiffness * line.ratio * line.ratio).sum()
 }

@@ -1,14 +1,14 @@
-//! Where robots and their models are found.
+//! Search for robot files and their models.
 
 use std::path::{Path, PathBuf};
 
-use super::spec::Spec;
+use super::spec::RobotSpec;
 use super::urdf;
 use crate::error::{Error, Result};
 use crate::mujoco::object::{ModelText, Shapes};
 use crate::mujoco::{PhysicsOptions, World};
 
-/// Robots that are part of the program: name, YAML, and the model where it is ours.
+/// Robots that are part of the program: name, YAML, and the model if it is part of the program too.
 const SHIPPED: &[(&str, &str, Option<&str>)] = &[
     (
         "four_finger",
@@ -46,7 +46,7 @@ const SHIPPED: &[(&str, &str, Option<&str>)] = &[
     ("panda_gripper", include_str!("../../../sim/robots/panda_gripper.yaml"), None),
 ];
 
-/// Where models lie below a Python environment's `site-packages`.
+/// Folders of models below a Python environment's `site-packages`.
 const PACKAGES: [&str; 5] = [
     "dexi_rs/resources/assets/robots/hands",
     "mujoco/mjx/test_data",
@@ -55,42 +55,47 @@ const PACKAGES: [&str; 5] = [
     "cmeel.prefix/share/example-robot-data/robots",
 ];
 
-/// A robot's YAML with its compiled model.
+/// Content of a robot's YAML file, with its compiled model.
 #[derive(Debug)]
-pub struct Source {
-    /// As written.
-    pub spec: Spec,
-    /// The model.
+pub struct RobotSource {
+    /// Content of the YAML file.
+    pub spec: RobotSpec,
+    /// Compiled model.
     pub world: World,
-    /// Where the model came from.
+    /// Origin of the model: a file, or "part of the program".
     pub origin: String,
-    /// Meshes of shapes that were left away.
-    pub lost: Vec<String>,
+    /// Mesh files that could not be loaded; their shapes are missing in the model.
+    pub missing_meshes: Vec<String>,
 }
 
-/// Names of the robots that are part of the program.
+/// Returns the names of the robots that are part of the program.
 pub fn names() -> impl Iterator<Item = &'static str> {
     SHIPPED.iter().map(|(name, ..)| *name)
 }
 
-/// Whether the program carries the robot's model itself.
+/// True if the robot's model is part of the program.
 pub fn has_own_model(name: &str) -> bool {
     SHIPPED.iter().any(|(shipped, _, model)| *shipped == name && model.is_some())
 }
 
-/// Reads a robot: a name of the program's own, a YAML file, or a model (MJCF or URDF) alone. `model` replaces the one
-/// that the YAML names; `object` is put beside it.
+/// Reads a robot: a name of [`names`], a YAML file, or a model (MJCF or URDF) without one. `model` replaces the model that
+/// the YAML file names; `object` is added to the model.
 ///
 /// # Errors
-/// If there is no such robot, or its model can't be found, read or compiled; the error says where it was looked for.
-pub fn open(robot: &str, model: Option<&Path>, object: Option<&Shapes>) -> Result<Source> {
+/// If there is no such robot, or its model can't be found, read or compiled; the error lists the folders searched.
+pub fn open(robot: &str, model: Option<&Path>, object: Option<&Shapes>) -> Result<RobotSource> {
     if let Some((_, yaml, own)) = SHIPPED.iter().find(|(name, ..)| *name == robot) {
-        let spec = Spec::parse(yaml)?;
+        let spec = RobotSpec::parse(yaml)?;
         return match (model, own) {
             (Some(path), _) => compile(spec, path, object),
             (None, Some(xml)) => {
                 let world = build(ModelText::Text(xml), object)?;
-                Ok(Source { spec, world, origin: format!("{robot}, part of the program"), lost: Vec::new() })
+                Ok(RobotSource {
+                    spec,
+                    world,
+                    origin: format!("{robot}, part of the program"),
+                    missing_meshes: Vec::new(),
+                })
             }
             (None, None) => {
                 let path = locate(&spec, None)?;
@@ -109,7 +114,7 @@ pub fn open(robot: &str, model: Option<&Path>, object: Option<&Shapes>) -> Resul
     match extension.as_str() {
         "yaml" | "yml" => {
             let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
-            let spec = Spec::parse(&text).map_err(|error| Error::file(path, error))?;
+            let spec = RobotSpec::parse(&text).map_err(|error| Error::file(path, error))?;
             let found = match model {
                 Some(model) => model.to_owned(),
                 None => locate(&spec, path.parent())?,
@@ -118,28 +123,30 @@ pub fn open(robot: &str, model: Option<&Path>, object: Option<&Shapes>) -> Resul
         }
         "xml" | "mjcf" | "urdf" => {
             let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-            compile(Spec { robot: stem, ..Spec::default() }, model.unwrap_or(path), object)
+            compile(RobotSpec { robot: stem, ..RobotSpec::default() }, model.unwrap_or(path), object)
         }
         _ => Err(Error::file(path, "expected a robot's .yaml, or a model: .xml (MJCF) or .urdf")),
     }
 }
 
-fn compile(spec: Spec, path: &Path, object: Option<&Shapes>) -> Result<Source> {
+/// Compiles a model file, MJCF or URDF.
+fn compile(spec: RobotSpec, path: &Path, object: Option<&Shapes>) -> Result<RobotSource> {
     let is_urdf = match std::fs::read_to_string(path) {
         Ok(text) => text.contains("<robot"),
         Err(error) => return Err(Error::io(path)(error)),
     };
-    let (world, lost) = match is_urdf {
+    let (world, missing_meshes) = match is_urdf {
         true => {
             let prepared = urdf::prepare(path)?;
             let world = build(ModelText::Text(&prepared.xml), object).map_err(|error| Error::file(path, error))?;
-            (world, prepared.lost)
+            (world, prepared.missing_meshes)
         }
         false => (build(ModelText::File(path), object)?, Vec::new()),
     };
-    Ok(Source { spec, world, origin: path.display().to_string(), lost })
+    Ok(RobotSource { spec, world, origin: path.display().to_string(), missing_meshes })
 }
 
+/// Compiles a model, with an object beside it if there is one.
 fn build(text: ModelText, object: Option<&Shapes>) -> Result<World> {
     let options = PhysicsOptions::default();
     match (text, object) {
@@ -152,8 +159,8 @@ fn build(text: ModelText, object: Option<&Shapes>) -> Result<World> {
     }
 }
 
-/// Finds the model that a YAML names.
-fn locate(spec: &Spec, beside: Option<&Path>) -> Result<PathBuf> {
+/// Finds the model that a YAML file names; `beside`: the folder of that file.
+fn locate(spec: &RobotSpec, beside: Option<&Path>) -> Result<PathBuf> {
     let name = match (&spec.model.mjcf, &spec.model.urdf) {
         (Some(name), None) | (None, Some(name)) => name,
         (Some(_), Some(_)) => return Err(Error::value("model", "one of mjcf and urdf", "both")),
@@ -164,14 +171,14 @@ fn locate(spec: &Spec, beside: Option<&Path>) -> Result<PathBuf> {
     found.ok_or_else(|| {
         let looked: Vec<String> = folders.iter().map(|folder| folder.display().to_string()).collect();
         let expected = format!(
-            "a file; give --model, or name its folder in EGOTAC_ROBOTS or MENAGERIE_ROOT (looked in: {})",
+            "a file; give --model, or name its folder in EGOTAC_ROBOTS or MENAGERIE_ROOT (searched: {})",
             if looked.is_empty() { "nowhere".to_owned() } else { looked.join(", ") }
         );
         Error::value(format!("model of {}", spec.robot), expected, name.display())
     })
 }
 
-/// Folders in which models are looked for, in order.
+/// Returns the folders that are searched for models, in order.
 fn folders(beside: Option<&Path>) -> Vec<PathBuf> {
     let mut folders: Vec<PathBuf> = beside.map(Path::to_path_buf).into_iter().collect();
     let mut add_root = |root: PathBuf| {

@@ -1,4 +1,4 @@
-//! A robot as its YAML file has it; every key but `robot` and `model` may be left out.
+//! Schema of a robot's YAML file, of which every key but `robot` is optional.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -11,88 +11,88 @@ use crate::hand::Side;
 /// Names of the human fingers, thumb to little.
 pub const FINGERS: [&str; 5] = ["thumb", "index", "middle", "ring", "little"];
 
-/// A robot's YAML file. Unknown keys are refused.
+/// Content of a robot's YAML file. Unknown keys are errors.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Spec {
-    /// Id, for files and messages.
+pub struct RobotSpec {
+    /// Name, for files and messages.
     pub robot: String,
-    /// The model.
+    /// Model.
     #[serde(default)]
     pub model: ModelSpec,
-    /// Which hand it is; without it, by the names in the model or by the way the fingers bend.
+    /// Side of the hand; None = the side to whose palm the fingers close.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub side: Option<Side>,
-    /// The wrist frame.
+    /// Wrist frame.
     #[serde(default, skip_serializing_if = "WristSpec::is_default")]
     pub wrist: WristSpec,
-    /// Human finger -> robot finger; empty = by names, else by geometry.
+    /// Robot finger of each human finger; empty = by the names in the model, otherwise by geometry.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub fingers: BTreeMap<String, FingerSpec>,
-    /// Human finger -> human finger that takes over its force.
+    /// For a human finger that the robot lacks, the human finger whose robot finger takes its force.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub merge: BTreeMap<String, String>,
-    /// Robot metres per human metre.
+    /// Robot metres per human metre (`scaling_factor` of dex-retargeting).
     #[serde(default)]
-    pub scale: Scale,
-    /// Joints that follow others, beside those that the model itself couples.
+    pub scale: ScaleSpec,
+    /// Couplings of joints beside those of the model.
     #[serde(default)]
-    pub couplings: Couplings,
-    /// Joints that stand still, at a position (rad or m).
+    pub couplings: CouplingsSpec,
+    /// Positions of joints that stand still, rad or m.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub fixed_joints: BTreeMap<String, f64>,
-    /// Positions to which joints lean that nothing else decides (rad or m).
+    /// Positions to which joints tend if no other term of the cost determines them, rad or m.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub neutral: BTreeMap<String, f64>,
-    /// What counts how much.
+    /// Weights of the cost's terms.
     #[serde(default)]
     pub weights: Weights,
-    /// Limits beyond the model's.
+    /// Limits beside the model's.
     #[serde(default)]
-    pub limits: Limits,
-    /// Links that must not run into each other.
+    pub limits: LimitSpec,
+    /// Links that must not penetrate each other.
     #[serde(default)]
-    pub collision: Collision,
-    /// Touch.
+    pub collision: CollisionSpec,
+    /// Parts that take force.
     #[serde(default)]
-    pub contact: Contact,
-    /// Smoothing and outliers.
+    pub contact: ContactSpec,
+    /// Smoothing and outlier rejection.
     #[serde(default)]
     pub filter: FilterSpec,
-    /// What is given out.
+    /// Output.
     #[serde(default)]
     pub output: OutputSpec,
 }
 
-/// Where the model is.
+/// Location of the model.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelSpec {
-    /// MJCF file: absolute, beside the YAML file, or below a folder where models are looked for.
+    /// MJCF file: absolute, or relative to the YAML file or a folder that is searched for models.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mjcf: Option<PathBuf>,
     /// URDF file, likewise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub urdf: Option<PathBuf>,
-    /// Body that carries the fingers; without it, the lowest one that all fingers share.
+    /// Body that carries the fingers; None = the lowest one that all fingers share.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub root: Option<String>,
 }
 
-/// The wrist frame.
+/// Wrist frame.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WristSpec {
-    /// Body it is fixed to; without it, the model's root.
+    /// Body that the frame is fixed to (`wrist_link_name` of dex-retargeting); None = the model's root.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub body: Option<String>,
-    /// The point that is the human's wrist, in the body's frame, m, where `scale` is a number; without it, the bases of the
-    /// fingers are laid over the human's.
+    /// Position of the human's wrist in the body's frame, m, if `scale` is a number; None = the bases of the robot's and the
+    /// human's fingers coincide on average.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pos: Option<[f64; 3]>,
     /// Axes.
     #[serde(default)]
-    pub frame: Axes,
+    pub frame: WristAxes,
 }
 
 impl WristSpec {
@@ -104,8 +104,8 @@ impl WristSpec {
 /// Axes of the wrist frame.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub enum Axes {
-    /// From the model.
+pub enum WristAxes {
+    /// Derived from the model.
     #[default]
     #[serde(with = "auto")]
     Auto,
@@ -113,37 +113,37 @@ pub enum Axes {
     Rows([[f64; 3]; 3]),
 }
 
-/// A robot finger.
+/// Robot finger.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FingerSpec {
-    /// Its tip.
+    /// Tip.
     pub tip: TipSpec,
-    /// Bodies from base to tip that carry the proximal and middle phalanx; without it, by the joints.
+    /// Bodies from base to tip that carry the proximal and middle phalanx; empty = derived from the joints.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub links: Vec<String>,
-    /// Geoms of the fingertip; without it, all of the tip's link.
+    /// Geoms of the fingertip; empty = all of the tip's link.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pad_geoms: Vec<String>,
-    /// Outward normal of the pad in the tip body's frame; without it, across the last phalanx on the palm's side.
+    /// Outward normal of the pad in the tip body's frame; None = across the last phalanx, in the direction of closing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pad_normal: Option<[f64; 3]>,
 }
 
-/// Where a finger ends: one of body, site or geom.
+/// Tip of a finger: exactly one of body (`target_link_names` of dex-retargeting), site or geom.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TipSpec {
-    /// A body.
+    /// Name of a body.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub body: Option<String>,
-    /// A site.
+    /// Name of a site.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub site: Option<String>,
-    /// A geom.
+    /// Name of a geom.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub geom: Option<String>,
-    /// The tip in the body's frame, m; without it, a site is the tip, and of a body or geom it is the far end.
+    /// Position of the tip in the body's frame, m; None = the site's, or the far end of the body's or geom's shapes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pos: Option<[f64; 3]>,
 }
@@ -151,21 +151,21 @@ pub struct TipSpec {
 /// Robot metres per human metre.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub enum Scale {
-    /// Each robot finger's length over that of the human finger, as it is seen.
+pub enum ScaleSpec {
+    /// Length of each robot finger over the measured length of the human finger.
     #[default]
     #[serde(with = "auto")]
     Auto,
-    /// One number, whatever the human hand's size.
+    /// One number for all fingers, independent of the size of the human hand.
     Number(f64),
-    /// By human finger.
+    /// One number for each human finger.
     Fingers(BTreeMap<String, f64>),
 }
 
-/// Joints that follow others.
+/// Couplings of joints.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub enum Couplings {
+pub enum CouplingsSpec {
     /// Those of the model.
     #[default]
     #[serde(with = "auto")]
@@ -174,13 +174,13 @@ pub enum Couplings {
     More(Vec<CouplingSpec>),
 }
 
-/// A joint that follows another: joint = ratio * of + offset.
+/// Coupling of one joint to another: joint = ratio * of + offset.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CouplingSpec {
-    /// The joint that follows.
+    /// Joint that follows.
     pub joint: String,
-    /// The joint it follows.
+    /// Joint that leads.
     pub of: String,
     /// Ratio.
     pub ratio: f64,
@@ -189,23 +189,23 @@ pub struct CouplingSpec {
     pub offset: f64,
 }
 
-/// What counts how much; the tips' distance counts as metres, angles as 0.1 m per radian.
+/// Weights of the cost's terms. Distances count in metres, angles as 0.1 m per radian.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Weights {
-    /// Fingertips where the human's are.
+    /// Positions of the fingertips.
     pub tip: f64,
-    /// Pads of touched fingertips turned as the human's.
+    /// Orientations of the pads of touched fingertips.
     pub pad_normal: f64,
-    /// Touching pairs of fingers as far apart as the human's.
+    /// Distances between thumb and fingertips.
     pub pinch: f64,
-    /// Touching pairs of fingers meeting from where the human's press each other.
+    /// Directions in which touching thumb and fingertip press each other.
     pub facing: f64,
-    /// Phalanges turned as the human's.
+    /// Directions of the phalanges.
     pub posture: f64,
-    /// Joints near their neutral positions.
+    /// Distances of the free coordinates from their neutral positions.
     pub neutral: f64,
-    /// Joints near where they were a frame ago; more than 0 makes results depend on the past.
+    /// Distances of the free coordinates from the last frame's; above 0, results depend on the past.
     pub smooth: f64,
 }
 
@@ -215,90 +215,91 @@ impl Default for Weights {
     }
 }
 
-/// Limits beyond the model's.
+/// Limits beside the model's.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Limits {
-    /// Distance kept from the model's joint limits, rad or m.
+pub struct LimitSpec {
+    /// Distance to keep from the model's joint limits, rad or m.
     pub margin: f64,
-    /// Speed of a joint at most, rad/s (slides: a tenth of it in m/s).
+    /// Greatest speed of a hinge, rad/s; a slide's, in m/s, is a tenth of the number.
     pub velocity: f64,
 }
 
-impl Default for Limits {
+impl Default for LimitSpec {
     fn default() -> Self {
         Self { margin: 0.0, velocity: 10.0 }
     }
 }
 
-/// Links that must not run into each other.
+/// Links that must not penetrate each other.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Collision {
-    /// Which pairs.
-    pub pairs: Pairs,
-    /// Distance kept, m.
+pub struct CollisionSpec {
+    /// Selection of pairs.
+    pub pairs: PairSelection,
+    /// Distance to keep, m.
     pub margin: f64,
-    /// Pairs of bodies that may touch.
+    /// Pairs of bodies that may penetrate each other.
     pub ignore: Vec<[String; 2]>,
 }
 
-impl Default for Collision {
+impl Default for CollisionSpec {
     fn default() -> Self {
-        Self { pairs: Pairs::Auto, margin: 0.0005, ignore: Vec::new() }
+        Self { pairs: PairSelection::Auto, margin: 0.0005, ignore: Vec::new() }
     }
 }
 
-/// Which pairs of links are kept apart.
+/// Selection of the pairs of links that are kept apart.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Pairs {
+pub enum PairSelection {
     /// All geoms that the model lets collide, of different fingers or of a finger and the palm.
     #[default]
     Auto,
-    /// None.
+    /// No pairs.
     None,
 }
 
-/// Touch.
+/// Parts of the robot that take force.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Contact {
-    /// Which parts of the robot take force.
-    pub regions: Regions,
+pub struct ContactSpec {
+    /// Regions that take force.
+    pub regions: ContactRegions,
     /// Friction coefficient of the robot's skin.
     pub friction: f64,
-    /// Most normal force of a link, N; without it, only the actuators limit it.
+    /// Greatest normal force of a link, N; None = limited by the actuators only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_force: Option<f64>,
 }
 
-impl Default for Contact {
+impl Default for ContactSpec {
     fn default() -> Self {
-        Self { regions: Regions::Palm, friction: 0.8, max_force: None }
+        Self { regions: ContactRegions::Palm, friction: 0.8, max_force: None }
     }
 }
 
-/// Which parts of the robot take force; each choice holds those before it.
+/// Regions of the robot that take force; each choice includes those before it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Regions {
+pub enum ContactRegions {
     /// Fingertips.
     Fingertips,
     /// All phalanges.
     Phalanges,
-    /// The palm too.
+    /// All phalanges and the palm.
     #[default]
     Palm,
 }
 
-/// Smoothing and outliers.
+/// Smoothing and outlier rejection.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FilterSpec {
-    /// Delay of slow motion behind the input, s; 0 = no smoothing.
+    /// Delay of slow motion behind the input, s; 0 = no smoothing. (`low_pass_alpha` of dex-retargeting smooths per frame, so
+    /// its delay depends on the frame rate.)
     pub time_constant: f64,
-    /// A keypoint further than this from where it was expected is left out at first, m; 0 = none is.
+    /// Distance from its expected position at which a keypoint counts as an outlier, m; 0 = never.
     pub outlier: f64,
 }
 
@@ -308,36 +309,37 @@ impl Default for FilterSpec {
     }
 }
 
-/// What is given out.
+/// Output.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OutputSpec {
     /// Order of `ctrl`.
-    pub order: Order,
+    pub order: CommandOrder,
 }
 
 /// Order of the commands.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Order {
-    /// The model's actuators; of a model without any, the joints that are free to move.
+pub enum CommandOrder {
+    /// The model's actuators, if all are position servos; otherwise as `joints`.
     #[default]
     Actuators,
-    /// The joints that are free to move.
+    /// The master joints of the free coordinates.
     Joints,
 }
 
-impl Spec {
-    /// Reads a YAML text.
+impl RobotSpec {
+    /// Parses and checks a YAML text.
     ///
     /// # Errors
-    /// If it is no YAML, has an unknown key or a value outside its range.
+    /// If it is not YAML, has an unknown key or a value outside its range.
     pub fn parse(text: &str) -> Result<Self> {
         let spec: Self = serde_yaml::from_str(text).map_err(|e| Error::value("robot file", "a robot in YAML", e))?;
         spec.check()?;
         Ok(spec)
     }
 
+    /// Checks names of fingers and ranges of values.
     fn check(&self) -> Result<()> {
         for finger in self.fingers.keys().chain(self.merge.keys()).chain(self.merge.values()) {
             finger_index(finger)?;
@@ -365,9 +367,9 @@ impl Spec {
             }
         }
         let scales: Vec<f64> = match &self.scale {
-            Scale::Auto => Vec::new(),
-            Scale::Number(scale) => vec![*scale],
-            Scale::Fingers(scales) => {
+            ScaleSpec::Auto => Vec::new(),
+            ScaleSpec::Number(scale) => vec![*scale],
+            ScaleSpec::Fingers(scales) => {
                 scales.keys().try_for_each(|finger| finger_index(finger).map(|_| ()))?;
                 scales.values().copied().collect()
             }
@@ -379,7 +381,7 @@ impl Spec {
     }
 }
 
-/// Index of a human finger, thumb 0 to little 4.
+/// Returns the index of a human finger, thumb 0 to little 4.
 ///
 /// # Errors
 /// If there is no such finger.
@@ -387,7 +389,7 @@ pub fn finger_index(name: &str) -> Result<usize> {
     FINGERS.iter().position(|finger| *finger == name).ok_or_else(|| Error::unknown("finger", name, FINGERS))
 }
 
-/// The word `auto`.
+/// Serialises a unit variant as the word `auto`.
 mod auto {
     use serde::{Deserialize, Deserializer, Serializer, de::Error as _};
 

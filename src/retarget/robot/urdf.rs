@@ -1,24 +1,24 @@
-//! URDF files made ready for the engine.
+//! Preparation of URDF files for MuJoCo.
 //!
-//! The engine reads URDF, but leaves out links that do not move (fingertips often are such), knows no `package://`, no
-//! DAE and no glTF, and refuses a file of which one mesh is missing. Here links are kept, meshes get absolute paths, and
-//! shapes that can't be loaded are left away and named.
+//! MuJoCo reads URDF, but merges links that do not move into their parents (fingertips often are such links), knows no
+//! `package://`, DAE or glTF, and refuses a file if one mesh is missing. Preparation keeps the links, makes the paths of
+//! meshes absolute, and removes and reports shapes that can't be loaded.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 
-/// A URDF that the engine reads.
+/// URDF that MuJoCo reads.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prepared {
-    /// The text.
+    /// Content.
     pub xml: String,
-    /// Meshes of shapes that were left away.
-    pub lost: Vec<String>,
+    /// Mesh files of the shapes that were removed, as the URDF names them.
+    pub missing_meshes: Vec<String>,
 }
 
-/// What the compiler of models is told; fixed links stay, masses that are missing are made up (nothing here weighs).
+/// Compiler options: keep fixed links, and substitute missing masses, which retargeting does not use.
 const COMPILER: &str = "<mujoco><compiler fusestatic=\"false\" discardvisual=\"true\" strippath=\"false\" \
     balanceinertia=\"true\" boundmass=\"1e-5\" boundinertia=\"1e-9\"/></mujoco>";
 
@@ -40,10 +40,10 @@ pub fn prepare(path: &Path) -> Result<Prepared> {
     }
     let folder = path.parent().unwrap_or(Path::new("."));
     let mut edits: Vec<(Range<usize>, String)> = Vec::new();
-    let mut lost = Vec::new();
+    let mut missing_meshes = Vec::new();
     for node in robot.descendants().filter(roxmltree::Node::is_element) {
         match node.tag_name().name() {
-            // The first child of the robot: an own block in its place would come twice.
+            // Ours replaces it: MuJoCo accepts one block.
             "mujoco" => edits.push((node.range(), String::new())),
             "visual" => edits.push((node.range(), String::new())),
             "collision" => {
@@ -52,7 +52,7 @@ pub fn prepare(path: &Path) -> Result<Prepared> {
                 match find_mesh(folder, attribute.value()) {
                     Some(found) => edits.push((attribute.range_value(), escaped(&found))),
                     None => {
-                        lost.push(attribute.value().to_owned());
+                        missing_meshes.push(attribute.value().to_owned());
                         edits.push((node.range(), String::new()));
                     }
                 }
@@ -67,7 +67,7 @@ pub fn prepare(path: &Path) -> Result<Prepared> {
     let mut xml = String::with_capacity(text.len() + COMPILER.len());
     let mut at = 0;
     for (range, with) in edits {
-        // What lies within something that was left away.
+        // Inside an element that was removed.
         if range.start < at {
             continue;
         }
@@ -76,10 +76,10 @@ pub fn prepare(path: &Path) -> Result<Prepared> {
         at = range.end;
     }
     xml += &text[at..];
-    Ok(Prepared { xml, lost })
+    Ok(Prepared { xml, missing_meshes })
 }
 
-/// The file behind a mesh's name, if the engine can read it.
+/// Returns the file of a mesh, if it exists and MuJoCo reads its format.
 fn find_mesh(folder: &Path, name: &str) -> Option<PathBuf> {
     let extension = Path::new(name).extension()?.to_str()?.to_lowercase();
     if !["stl", "obj", "msh"].contains(&extension.as_str()) {
@@ -92,11 +92,12 @@ fn find_mesh(folder: &Path, name: &str) -> Option<PathBuf> {
     if !is_url || name.starts_with("file://") {
         return here(folder, plain);
     }
-    // package://name/path: the package is this folder, one above it, or beside one above it.
+    // package://name/path: the package is this folder, one above it, or a sibling of one of these.
     let inside = plain.split_once('/').map_or(plain, |(_, inside)| inside);
     folder.ancestors().take(6).find_map(|base| here(base, plain).or_else(|| here(base, inside)))
 }
 
+/// Escapes a path for an XML attribute.
 fn escaped(path: &Path) -> String {
     path.to_string_lossy().replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;")
 }

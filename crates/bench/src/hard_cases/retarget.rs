@@ -260,9 +260,10 @@ fn beyond_servos(size: f64) -> Result<(f64, String)> {
     for frame in 0..FRAMES {
         let keypoints = hand.usual(frame);
         let seen = egotac::retarget::human::Hand::new(&keypoints, Side::Right)?;
-        let force = |finger| -size * (seen.axes * egotac::retarget::goal::pad_normal(&seen.points, finger));
-        let touch = Touch { tip_contact: [1.0; 5], tip_force: Some(std::array::from_fn(force)), slots: None };
-        let feel = &follower.push(&Input { touch: Some(touch), ..Input::new(keypoints, frame as f64 * DT) })?.feel;
+        let force = |finger| -size * (seen.axes * egotac::retarget::human::pad_normal(&seen.points, finger));
+        let touch = Touch { tip_contact: [1.0; 5], tip_force: Some(std::array::from_fn(force)), segments: None };
+        let feel =
+            &follower.push(&Input { touch: Some(touch), ..Input::new(keypoints, frame as f64 * DT) })?.expected_touch;
         for torque in &feel.torque {
             beyond = beyond.max(if torque.is_finite() { torque.abs() - SERVO } else { f64::INFINITY });
         }

@@ -6,7 +6,7 @@
 use egotac::error::Result;
 use egotac::retarget::Robot;
 use egotac::retarget::problem::{Problem, Vector};
-use egotac::retarget::robot::fingers::body;
+use egotac::retarget::robot::lookup::body;
 use egotac::retarget::solver::{Solved, Solver, Stop};
 use glam::DVec3;
 

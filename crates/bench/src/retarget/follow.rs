@@ -67,7 +67,7 @@ pub struct Followed {
 pub fn follow(robot: Robot, trajectory: &Trajectory, with_touch: bool) -> Result<Followed> {
     let mut retargeter = Retargeter::new(robot)?;
     let mut seen = Followed { frames: trajectory.keypoints.len(), ..Followed::default() };
-    seen.meets_in_points = retargeter.look().0.fingers.iter().any(|finger| finger.pad_geoms.is_empty());
+    seen.meets_in_points = retargeter.robot_and_goal_mut().0.fingers.iter().any(|finger| finger.pad_geoms.is_empty());
     let mut times = Vec::with_capacity(seen.frames);
     let mut pinches = Pinches::default();
     let mut forces = Forces::default();
@@ -76,13 +76,13 @@ pub fn follow(robot: Robot, trajectory: &Trajectory, with_touch: bool) -> Result
         let mut input = Input::new(trajectory.keypoints[frame], frame as f64 / RATE);
         if with_touch {
             let (tip_contact, tip_force) = (trajectory.tip_contact[frame], trajectory.tip_force[frame]);
-            input.touch = Some(Touch { tip_contact, tip_force: Some(tip_force), slots: None });
+            input.touch = Some(Touch { tip_contact, tip_force: Some(tip_force), segments: None });
         }
         let stopwatch = Stopwatch::start();
         retargeter.push(&input)?;
         times.push(1e6 * stopwatch.seconds());
         let output = retargeter.output().clone();
-        let (robot, goal) = retargeter.look();
+        let (robot, goal) = retargeter.robot_and_goal_mut();
         for finger in 0..robot.fingers.len() {
             tip_error.add(1e3 * goal.tip_error(robot, finger));
         }
@@ -98,9 +98,9 @@ pub fn follow(robot: Robot, trajectory: &Trajectory, with_touch: bool) -> Result
             seen.speed_share = seen.speed_share.max(fastest);
         }
         if with_touch {
-            forces.add(robot, &output.feel, &trajectory.tip_force[frame]);
+            forces.add(robot, &output.expected_touch, &trajectory.tip_force[frame]);
         }
-        debug_assert!(robot.fingers.iter().all(|finger| frame::place(&robot.world, finger).is_finite()));
+        debug_assert!(robot.fingers.iter().all(|finger| finger.tip_position(&robot.world).is_finite()));
         seen.qpos.push(output.qpos);
     }
     (seen.median_us, seen.p99_us) = (median(times.iter().copied()), percentile(times, 0.99));
@@ -152,7 +152,7 @@ struct Pinches {
 impl Pinches {
     fn add(&mut self, robot: &mut Robot, goal: &Goal, trajectory: &Trajectory, frame: usize) {
         for index in 0..robot.fingers.len() {
-            let Some(gap) = goal.exact_gap(robot, index) else { continue };
+            let Some(gap) = goal.gap_to_thumb(robot, index) else { continue };
             let human = robot.fingers[index].human;
             let touches = |frame: usize| {
                 let contact = trajectory.tip_contact[frame];
@@ -195,7 +195,7 @@ impl Forces {
         let spread = touched.iter().map(|link| link.position.distance(middle)).sum::<f64>() / count;
         let moment: DVec3 = touched.iter().map(|link| (link.position - middle).cross(link.force)).sum();
         // Fingertips that meet in a point hold no torque: the millimetre keeps their ratio finite.
-        self.torque.add((moment - feel.asked_moment).length() / (pressed * spread.max(1e-3)));
+        self.torque.add((moment - feel.net_torque).length() / (pressed * spread.max(1e-3)));
         for (human, asked) in tip_force.iter().enumerate() {
             let has_finger = robot.fingers.iter().any(|finger| finger.human == human);
             let expected = feel.tip_force[human];

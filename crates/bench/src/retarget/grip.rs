@@ -5,7 +5,7 @@ use egotac::error::{Error, Result};
 use egotac::hand::{N_KEYPOINTS, Side};
 use egotac::mujoco::options::Unchecked;
 use egotac::mujoco::{PhysicsOptions, World};
-use egotac::retarget::goal::pad_normal;
+use egotac::retarget::human::pad_normal;
 use egotac::retarget::human::{Hand, keypoint};
 use egotac::retarget::{Input, Retargeter, Robot, Touch};
 use egotac::statistics::{median, percentile};
@@ -98,7 +98,7 @@ fn holds(hand: &Hand, finger: usize) -> bool {
 /// retargeter expects no force on it.
 fn grip(keypoints: &[DVec3; N_KEYPOINTS], finger: usize, force: f64, hold: Hold) -> Result<Option<[(f64, f64); 2]>> {
     let line = (keypoints[keypoint(0, 3)] - keypoints[keypoint(finger, 3)]).normalize_or_zero();
-    let mut touch = Touch { tip_contact: [0.0; 5], tip_force: Some([DVec3::ZERO; 5]), slots: None };
+    let mut touch = Touch { tip_contact: [0.0; 5], tip_force: Some([DVec3::ZERO; 5]), segments: None };
     for (finger, force) in [(0, force * line), (finger, -force * line)] {
         touch.tip_contact[finger] = 1.0;
         touch.tip_force.iter_mut().for_each(|forces| forces[finger] = force);
@@ -109,14 +109,15 @@ fn grip(keypoints: &[DVec3; N_KEYPOINTS], finger: usize, force: f64, hold: Hold)
         retargeter.push(&Input { touch: Some(touch.clone()), ..Input::new(*keypoints, time) })?;
     }
     let output = retargeter.output().clone();
-    let (robot, _) = retargeter.look();
+    let (robot, _) = retargeter.robot_and_goal_mut();
     let mut presses = Vec::new();
     for human in [0, finger] {
         let Some(tip) = robot.fingers.iter().find(|finger| finger.human == human).map(|finger| finger.tip_body) else {
             return Ok(None);
         };
         let name = robot.parts.bodies[tip].name.clone();
-        let Some(link) = output.feel.links.iter().find(|link| link.name == name && link.normal_force > 0.1) else {
+        let Some(link) = output.expected_touch.links.iter().find(|link| link.name == name && link.normal_force > 0.1)
+        else {
             return Ok(None);
         };
         let (origin, rotation) = robot.world.body_pose(tip);
@@ -137,7 +138,7 @@ fn grip(keypoints: &[DVec3; N_KEYPOINTS], finger: usize, force: f64, hold: Hold)
     }
     world.set_qpos(&qpos)?;
     let mut ctrl = output.ctrl.clone();
-    for (joint, torque) in robot.coupling.masters.iter().zip(&output.feel.torque) {
+    for (joint, torque) in robot.coupling.masters.iter().zip(&output.expected_touch.torque) {
         let name = &robot.parts.joints[*joint].name;
         if let Some(servo) = robot.commands.names.iter().position(|command| command == name) {
             ctrl[servo] += torque / STIFFNESS;

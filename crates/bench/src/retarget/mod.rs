@@ -12,7 +12,7 @@ pub mod trajectory;
 use egotac::error::Result;
 use egotac::machine::Machine;
 use egotac::retarget::Robot;
-use egotac::retarget::robot::spec::Pairs;
+use egotac::retarget::robot::spec::PairSelection;
 use egotac::retarget::solver::Stop;
 use serde::{Deserialize, Serialize};
 
@@ -277,8 +277,8 @@ fn choices(name: &str, trajectory: &Trajectory, say: &mut impl FnMut(&str)) -> R
         let mut robot = Robot::load(name, None)?;
         let tips_alone = choice == "tips alone";
         if tips_alone || choice == "without collisions" {
-            robot.spec.collision.pairs = Pairs::None;
-            robot.pairs.clear();
+            robot.spec.collision.pairs = PairSelection::None;
+            robot.collision_pairs.clear();
         }
         if tips_alone || choice == "without posture" {
             robot.spec.weights.posture = 1e-3;

@@ -5,7 +5,7 @@ use egotac::hand::Side;
 use egotac::retarget::Robot;
 use egotac::retarget::filter::Smoother;
 use egotac::retarget::human::{Hand, keypoint};
-use egotac::retarget::robot::fingers::joint;
+use egotac::retarget::robot::lookup::joint;
 use egotac::retarget::solver::Stop;
 use egotac::sim::budget::clock::Stopwatch;
 use egotac::statistics::{median, percentile};

@@ -1,5 +1,4 @@
-//! The demo's picture: what the camera saw, the touch on the human hand, the robot with what it is to feel, and both over
-//! time.
+//! Picture of the demo: camera image, touch on the human hand, touch expected on the robot, and both over time.
 
 use std::path::Path;
 
@@ -15,16 +14,21 @@ use crate::hand::HandModel;
 use crate::mujoco::{FreeCamera, Renderer, World};
 use crate::render;
 use crate::retarget::Robot;
-use crate::retarget::robot::frame;
 
-/// The robot is drawn so much larger and then reduced, for smooth arrows.
-const FINE: u32 = 2;
-/// Length of an arrow, m per newton, and the longest, m.
-const ARROW: (f64, f64) = (0.015, 0.07);
+/// Factor by which the robot is drawn larger and then reduced, to smooth the arrows.
+const OVERSAMPLING: u32 = 2;
+/// Length of an arrow per force, m/N.
+const ARROW_PER_NEWTON: f64 = 0.015;
+/// Greatest length of an arrow, m: about that of a finger.
+const MAX_ARROW: f64 = 0.07;
+/// Least force that is drawn, N.
+const MIN_DRAWN_FORCE: f64 = 0.02;
+/// Share of the greatest depth beyond which a pixel is background.
+const BACKGROUND_DEPTH: f32 = 0.99;
 const HUMAN: RGBColor = RGBColor(30, 30, 30);
 const ROBOT: RGBColor = RGBColor(31, 119, 180);
 
-/// Writes the picture of `moments`, of which `shown` is drawn large, to `path` (PNG).
+/// Draws `moments`, of which `shown` in full, to `path` (PNG).
 ///
 /// # Errors
 /// If drawing or writing fails.
@@ -48,7 +52,7 @@ pub fn write(path: &Path, hand: &HandModel, robot: &mut Robot, moments: &[Moment
             (robot_title, robot_picture(robot, moment)?),
         ],
         bar: Bar { peak, label: "force per vertex", column: 1.0 },
-        note: Some(format!("arrows: force of the world on a link, {:.0} mm per newton", 1e3 * ARROW.0)),
+        note: Some(format!("arrows: force of the world on a link, {:.0} mm per newton", 1e3 * ARROW_PER_NEWTON)),
         axis: "sum of normal forces, N",
         series: [series("human hand", HUMAN, Moment::human), series("robot hand, expected", ROBOT, Moment::robot)],
         shown: moment.seconds,
@@ -58,7 +62,7 @@ pub fn write(path: &Path, hand: &HandModel, robot: &mut Robot, moments: &[Moment
 
 type Area<'a> = DrawingArea<BitMapBackend<'a>, plotters::coord::Shift>;
 
-/// The robot in a moment's pose, seen on its palm, with an arrow per force.
+/// Draws the robot in a moment's pose, seen from its palm, with an arrow for each force.
 fn robot_picture(robot: &mut Robot, moment: &Moment) -> Result<RgbImage> {
     let joints: Vec<usize> = robot.output_joints().map(|joint| robot.parts.joints[joint].qpos).collect();
     for (place, position) in joints.into_iter().zip(&moment.output.qpos) {
@@ -68,28 +72,28 @@ fn robot_picture(robot: &mut Robot, moment: &Moment) -> Result<RgbImage> {
     let world = &robot.world;
     let axes = robot.wrist.world_axes(world);
     let (wrist, _) = world.body_pose(robot.wrist.body);
-    let tips: Vec<DVec3> = robot.fingers.iter().map(|finger| frame::place(world, finger)).collect();
+    let tips: Vec<DVec3> = robot.fingers.iter().map(|finger| finger.tip_position(world)).collect();
     let bases = robot.fingers.iter().filter_map(|finger| finger.joints.first());
     let bases = bases.map(|joint| world.joint_axis(*joint).0);
     let places: Vec<DVec3> = bases.chain(tips).chain([wrist]).collect();
     let ends = |less: fn(DVec3, DVec3) -> DVec3| places.iter().copied().fold(wrist, less);
     let middle = 0.5 * (ends(DVec3::min) + ends(DVec3::max));
     let reach = places.iter().map(|place| place.distance(middle)).fold(0.05, f64::max);
-    // From the palm's side, a little from the thumb's, as the human hand is seen.
+    // The human hand is drawn from the same side: the palm's, a little from the thumb's.
     let toward = axes.x_axis + 0.45 * axes.y_axis;
     let view = FreeCamera { point: middle, toward, distance: 3.0 * reach };
-    let small = on_paper(&view, &mut robot.world)?;
-    let edge = FINE * PANEL;
+    let small = on_white(&view, &mut robot.world)?;
+    let edge = OVERSAMPLING * PANEL;
     let mut large = resize(&small, edge, edge, FilterType::CatmullRom).into_raw();
     {
         let area = BitMapBackend::with_buffer(&mut large, (edge, edge)).into_drawing_area();
-        let most = moment.output.feel.links.iter().map(|link| link.force.length()).fold(0.05, f64::max);
-        for link in moment.output.feel.links.iter().filter(|link| link.force.length() > 0.02) {
+        let most = moment.output.expected_touch.links.iter().map(|link| link.force.length()).fold(0.05, f64::max);
+        for link in moment.output.expected_touch.links.iter().filter(|link| link.force.length() > MIN_DRAWN_FORCE) {
             let Some(body) = robot.parts.bodies.iter().position(|body| body.name == link.name) else { continue };
             let (origin, rotation) = robot.world.body_pose(body);
             let place = origin + rotation * link.body_position;
             let force = rotation * link.body_force;
-            let length = (ARROW.0 * force.length()).min(ARROW.1);
+            let length = (ARROW_PER_NEWTON * force.length()).min(MAX_ARROW);
             let from = place - length * force.normalize_or_zero();
             let size = (f64::from(edge), f64::from(edge));
             let ends = [from, place].map(|end| view.pixel(&robot.world, end, size));
@@ -104,21 +108,21 @@ fn robot_picture(robot: &mut Robot, moment: &Moment) -> Result<RgbImage> {
     Ok(resize(&large, PANEL, PANEL, FilterType::Triangle))
 }
 
-/// The robot alone, on paper.
-fn on_paper(view: &FreeCamera, world: &mut World) -> Result<RgbImage> {
+/// Draws the robot alone, on a white background.
+fn on_white(view: &FreeCamera, world: &mut World) -> Result<RgbImage> {
     let mut renderer = Renderer::free(world, view, (PANEL, PANEL), true)?;
     let mut picture = renderer.render(world)?;
     let depth = renderer.depth();
     let farthest = depth.iter().copied().fold(0.0, f32::max);
     for (pixel, depth) in picture.pixels_mut().zip(&depth) {
-        if *depth >= 0.99 * farthest {
+        if *depth >= BACKGROUND_DEPTH * farthest {
             *pixel = Rgb([255, 255, 255]);
         }
     }
     Ok(picture)
 }
 
-/// An arrow with a dark rim, pixels.
+/// Draws an arrow with a dark rim; positions in px.
 fn draw_arrow(area: &Area, from: (f64, f64), to: (f64, f64), color: RGBColor) -> Result<()> {
     let (dx, dy) = (to.0 - from.0, to.1 - from.1);
     let length = dx.hypot(dy).max(1e-9);

@@ -1,4 +1,4 @@
-//! `egotac retarget demo`: a simulated hand grasps something, a robot hand follows, and both are drawn with their forces.
+//! `egotac retarget demo`: a robot hand follows a simulated grasp; both are drawn with their forces.
 
 mod figure;
 mod report;
@@ -13,15 +13,15 @@ use crate::hand::{HandModel, HandParams, Side};
 use crate::model::predictor::{self, Predictor};
 use crate::model::shipped;
 use crate::retarget::human::Hand;
-use crate::retarget::{Input, Options, Output, Pool, Retargeter, Robot, Touch};
+use crate::retarget::{Input, Options, Output, Retargeter, Robot, Touch, TouchPooling};
 use crate::sim::{Rollout, RolloutOptions, Scene};
 use crate::tactile::TactileField;
 
-/// Width and height of the camera image, pixels.
+/// Width and height of the camera image, px.
 const PICTURE: u32 = 448;
 
 impl Demo {
-    /// The command that does the same again.
+    /// Returns the command that repeats this run.
     fn command(&self) -> String {
         let Self { robot, scene, seed, touch, .. } = self;
         let path = |flag: &str, path: &Option<PathBuf>| {
@@ -32,12 +32,12 @@ impl Demo {
     }
 }
 
-/// One frame of the human hand that acts, and of the robot that follows it.
+/// One frame of the acting human hand and of the robot that follows it.
 struct Moment {
     seconds: f64,
     image: image::RgbImage,
     params: HandParams,
-    /// (778) N, as the robot was told of it.
+    /// (778) force on the human hand that was transferred, N.
     force: Vec<f32>,
     output: Output,
 }
@@ -49,13 +49,13 @@ struct Moment {
 pub fn demo(args: &Demo) -> anyhow::Result<()> {
     let robot = Robot::load(&args.robot, args.model.as_deref())?;
     let frames = record(args)?;
-    // The hand that presses more is the one that acts.
+    // The acting hand is the one that presses more.
     let total = |side: Side| frames.iter().map(|frame| frame.field.total_force(side)).sum::<f32>();
     let side = if total(Side::Left) > total(Side::Right) { Side::Left } else { Side::Right };
     ensure!(total(side) > 0.0, "scene {}, seed {}: no hand touches anything", args.scene, args.seed);
 
     let model = HandModel::builtin(side);
-    let pool = Pool::new(&model)?;
+    let pooling = TouchPooling::new(&model)?;
     let mut retargeter = Retargeter::with_options(robot, Options { side: Some(side), ..Options::default() })?;
     let mut moments = Vec::new();
     let mut held = 0;
@@ -63,7 +63,7 @@ pub fn demo(args: &Demo) -> anyhow::Result<()> {
         let Some(params) = frame.hands[side as usize].clone() else { continue };
         let (force, contact) = (&frame.field.force[side.range()], &frame.field.contact[side.range()]);
         let mut touch = Touch::default();
-        pool.add(force, contact, &mut touch)?;
+        pooling.pool_into(force, contact, &mut touch)?;
         let mut input = Input::new(Hand::of_model(&model, &params), frame.seconds);
         input.touch = Some(touch);
         if let Err(error) = retargeter.push(&input) {
@@ -79,16 +79,16 @@ pub fn demo(args: &Demo) -> anyhow::Result<()> {
         });
     }
     let summary = report::summary(args, &retargeter, side, &moments, held);
-    let shown = report::firmest(&moments).context("the hand that acts is in no frame")?;
+    let shown = report::firmest(&moments).context("the acting hand is in no frame")?;
     let (picture, json) = (args.out.join("retarget.png"), args.out.join("retarget.json"));
-    let (robot, _) = retargeter.look();
+    let (robot, _) = retargeter.robot_and_goal_mut();
     figure::write(&picture, &model, robot, &moments, shown)?;
     file::write(&json, format!("{summary:#}\n").as_bytes())?;
     println!("picture  {}\nnumbers  {}\n{}", picture.display(), json.display(), report::headline(&summary));
     Ok(())
 }
 
-/// A frame of the simulation.
+/// Frame of the simulation.
 struct Recorded {
     seconds: f64,
     image: image::RgbImage,
@@ -96,7 +96,7 @@ struct Recorded {
     field: TactileField,
 }
 
-/// Plays the scene once; the field is the truth, or what the network sees.
+/// Plays the scene once; fields are the truth or the network's prediction, as `--touch` says.
 fn record(args: &Demo) -> anyhow::Result<Vec<Recorded>> {
     let scene = Scene::load(&args.scene)?;
     let options = RolloutOptions { picture: Some((PICTURE, PICTURE)), ..RolloutOptions::default() };

@@ -1,4 +1,4 @@
-//! The demo's numbers.
+//! Summary of the demo.
 
 use serde_json::{Value, json};
 
@@ -10,18 +10,18 @@ use crate::retarget::{Retargeter, Status};
 use crate::statistics::median;
 use crate::text::significant;
 
-/// Human force from which on a moment counts as a touch, N.
-const TOUCH: f64 = 0.05;
+/// Net force of the human above which a moment counts as touching, N.
+const MIN_TOUCH_FORCE: f64 = 0.05;
 
-/// What was seen, as JSON.
+/// Returns the summary as JSON.
 pub fn summary(args: &Demo, retargeter: &Retargeter, side: Side, moments: &[Moment], held: usize) -> Value {
     let robot = retargeter.robot();
-    let touching = || moments.iter().filter(|moment| moment.output.feel.asked.length() > TOUCH);
+    let touching = || moments.iter().filter(|moment| moment.output.expected_touch.net_force.length() > MIN_TOUCH_FORCE);
     let errors: Vec<f64> = touching()
         .map(|moment| {
-            let feel = &moment.output.feel;
-            let sum: glam::DVec3 = feel.links.iter().map(|link| link.force).sum();
-            (sum - feel.asked).length() / feel.asked.length()
+            let touch = &moment.output.expected_touch;
+            let sum: glam::DVec3 = touch.links.iter().map(|link| link.force).sum();
+            (sum - touch.net_force).length() / touch.net_force.length()
         })
         .collect();
     let touching_frames = errors.len();
@@ -47,18 +47,18 @@ pub fn summary(args: &Demo, retargeter: &Retargeter, side: Side, moments: &[Mome
         "human_force_most_n": most(Moment::human),
         "robot_force_most_n": most(Moment::robot),
         "net_force_error_median": median(errors),
-        "clipped_frames": moments.iter().filter(|moment| moment.output.feel.clipped).count(),
+        "clipped_frames": moments.iter().filter(|moment| moment.output.expected_touch.clipped).count(),
         "beyond_joint_limits_rad": beyond,
         "solve_median_us": median(moments.iter().map(|moment| 1e6 * moment.output.solve_secs)),
     })
 }
 
-/// The moment of the human's firmest touch.
+/// Returns the index of the moment in which the human presses most.
 pub fn firmest(moments: &[Moment]) -> Option<usize> {
     (0..moments.len()).max_by(|a, b| moments[*a].human().total_cmp(&moments[*b].human()))
 }
 
-/// The summary in a line.
+/// Returns the summary in one line.
 pub fn headline(summary: &Value) -> String {
     let number = |name: &str| significant(summary[name].as_f64().unwrap_or(f64::NAN));
     format!(
@@ -81,8 +81,8 @@ impl Moment {
         self.force.iter().copied().filter(|force| force.is_finite()).map(f64::from).sum()
     }
 
-    /// Sum of the robot's expected normal forces, N.
+    /// Sum of the normal forces expected on the robot, N.
     pub fn robot(&self) -> f64 {
-        self.output.feel.links.iter().map(|link| link.normal_force).sum()
+        self.output.expected_touch.links.iter().map(|link| link.normal_force).sum()
     }
 }

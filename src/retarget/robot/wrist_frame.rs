@@ -1,4 +1,4 @@
-//! The robot's wrist frame, found from its own fingers.
+//! Wrist frame of a robot, derived from its fingers.
 
 use glam::{DMat3, DVec3};
 
@@ -7,43 +7,42 @@ use crate::error::{Error, Result};
 use crate::hand::Side;
 use crate::mujoco::World;
 
-/// The robot's wrist frame: palmar, radial, distal, as [`crate::retarget::human`] has them for people.
+/// Greatest deviation of a given frame from an orthonormal basis, per entry of axes^T axes.
+const MAX_DEVIATION: f64 = 1e-3;
+
+/// Wrist frame of a robot: palmar, radial, distal, as [`crate::retarget::human`] defines it for people.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WristFrame {
-    /// Body it is fixed to.
+    /// Body that it is fixed to.
     pub body: usize,
     /// Columns palmar, radial, distal in the body's frame.
     pub axes: DMat3,
-    /// Which hand it is.
+    /// Side of the hand.
     pub side: Side,
 }
 
 impl WristFrame {
-    /// Derives the frame: distal as the fingers point when they are straight, radial from the last finger's base to the
-    /// first's, palmar to the side to which they close.
+    /// Derives the frame: distal as the fingers point in the present pose, radial from the last finger's base to the
+    /// first's, palmar to the side to which the fingers close. `side`: None = the side for which that is the palm.
     ///
     /// # Errors
-    /// If the fingers do not tell.
+    /// If there is no finger but a thumb, or the directions of the fingers cancel out.
     pub fn derive(world: &World, fingers: &[Finger], body: usize, side: Option<Side>) -> Result<Self> {
         let (_, rotation) = world.body_pose(body);
         let base = |finger: &Finger| world.joint_axis(finger.joints[0]).0;
         let knuckle = |finger: &Finger| finger.knuckles.last().map_or(base(finger), |joint| world.joint_axis(*joint).0);
-        let tip = |finger: &Finger| place(world, finger);
+        let tip = |finger: &Finger| finger.tip_position(world);
         let others: Vec<&Finger> = fingers.iter().filter(|finger| finger.human != 0).collect();
         let Some(first) = others.first() else {
-            return Err(Error::value(
-                "wrist.frame",
-                "rows palmar, radial, distal, as there is no finger but a thumb",
-                "auto",
-            ));
+            return Err(not_derivable("there is no finger but a thumb"));
         };
-        let pad: DVec3 = others.iter().map(|finger| normal(world, finger)).sum();
+        let pad: DVec3 = others.iter().map(|finger| finger.world_pad_normal(world)).sum();
         let distal = match others.iter().all(|finger| finger.knuckles.is_empty()) {
-            // Jaws on slides: across the way they close, from the root on.
+            // Jaws on slides point from the root to the middle of their tips, across the direction in which they close.
             true => {
-                let way = pad.normalize_or_zero();
+                let closing = pad.normalize_or_zero();
                 let middle = fingers.iter().map(tip).sum::<DVec3>() / fingers.len() as f64;
-                (middle - world.body_pose(body).0).reject_from(way)
+                (middle - world.body_pose(body).0).reject_from(closing)
             }
             false => others.iter().map(|finger| (tip(finger) - base(finger)).normalize_or_zero()).sum(),
         };
@@ -56,50 +55,38 @@ impl WristFrame {
         let (Some(distal), Some(radial)) =
             (distal, distal.and_then(|distal| across.reject_from_normalized(distal).try_normalize()))
         else {
-            return Err(Error::value(
-                "wrist.frame",
-                "rows palmar, radial, distal, as fingers do not tell them",
-                "auto",
-            ));
+            return Err(not_derivable("the directions of the fingers cancel out"));
         };
         let palmar = radial.cross(distal);
-        let closes_to = palmar.dot(pad);
-        let side = side.unwrap_or(if closes_to >= 0.0 { Side::Right } else { Side::Left });
+        let side = side.unwrap_or(if palmar.dot(pad) >= 0.0 { Side::Right } else { Side::Left });
         let palmar = if side == Side::Right { palmar } else { -palmar };
         let axes = rotation.transpose() * DMat3::from_cols(palmar, radial, distal);
         Ok(Self { body, axes, side })
     }
 
-    /// A frame that is given as rows in the body's frame.
+    /// Checks a frame that is given as rows palmar, radial, distal in the body's frame.
     ///
     /// # Errors
-    /// If the rows are not of unit length and at right angles.
+    /// If the rows are not orthonormal.
     pub fn given(body: usize, rows: [[f64; 3]; 3]) -> Result<Self> {
         let axes = DMat3::from_cols_array_2d(&rows);
-        let off = (axes.transpose() * axes - DMat3::IDENTITY)
+        let deviation = (axes.transpose() * axes - DMat3::IDENTITY)
             .to_cols_array()
             .into_iter()
             .fold(0.0, |a: f64, b| a.max(b.abs()));
-        if off.is_nan() || off > 1e-3 {
+        if deviation.is_nan() || deviation > MAX_DEVIATION {
             return Err(Error::value("wrist.frame", "rows of unit length at right angles", format!("{rows:?}")));
         }
         let side = if axes.determinant() > 0.0 { Side::Right } else { Side::Left };
         Ok(Self { body, axes, side })
     }
 
-    /// Columns palmar, radial, distal in the world.
+    /// Returns the columns palmar, radial, distal in the world.
     pub fn world_axes(&self, world: &World) -> DMat3 {
         world.body_pose(self.body).1 * self.axes
     }
 }
 
-/// World position of a finger's tip.
-pub fn place(world: &World, finger: &Finger) -> DVec3 {
-    let (origin, rotation) = world.body_pose(finger.tip_body);
-    origin + rotation * finger.tip
-}
-
-/// Outward normal of a finger's pad in the world.
-pub fn normal(world: &World, finger: &Finger) -> DVec3 {
-    world.body_pose(finger.tip_body).1 * finger.pad_normal
+fn not_derivable(reason: &str) -> Error {
+    Error::value("wrist.frame", format!("rows palmar, radial, distal, because {reason}"), "auto")
 }

@@ -1,4 +1,4 @@
-//! What became of the hands, for /diagnostics.
+//! Statistics of followed and refused hands, for /diagnostics.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,30 +11,31 @@ use crate::node::runtime::Runtime;
 use crate::retarget::Status;
 use crate::statistics::percentile;
 
-/// The newest times of the solver that percentiles look back on.
+/// Number of latest solve times that percentiles cover.
 const WINDOW: usize = 500;
 
-/// What the control loop tells the diagnostics.
+/// Statistics shared by the control loop and the diagnostics.
 #[derive(Clone, Default)]
-pub struct State {
-    /// Hands that came, were followed, or were not, and why.
+pub struct Statistics {
+    /// Hands received, followed, and dropped by reason.
     pub hands: Tally,
-    counts: Arc<Mutex<Counts>>,
+    counts: Arc<Mutex<FollowCounts>>,
 }
 
+/// Counts since the start.
 #[derive(Default)]
-struct Counts {
+struct FollowCounts {
     with_touch: u64,
     statuses: [u64; Status::ALL.len()],
     solve_secs: VecDeque<f64>,
-    /// Times that the loop missed.
-    late: u64,
-    /// What is wrong with the newest hand, if anything.
+    /// Cycles that the control loop missed.
+    missed_cycles: u64,
+    /// Error of the newest hand, if it was refused.
     refused: Option<String>,
 }
 
-impl State {
-    /// A hand was followed, and the solver took so long.
+impl Statistics {
+    /// Counts a hand that was followed; `solve_secs`: time of the solver, s.
     pub fn followed(&self, status: Status, has_touch: bool, solve_secs: f64) {
         let mut counts = self.counts();
         counts.refused = None;
@@ -46,7 +47,7 @@ impl State {
         counts.solve_secs.push_back(solve_secs);
     }
 
-    /// A hand could not be followed.
+    /// Counts a hand that could not be followed.
     pub fn refused(&self, error: &Error) {
         self.hands.dropped("refused");
         let mut counts = self.counts();
@@ -54,21 +55,21 @@ impl State {
         counts.refused = Some(error.to_string());
     }
 
-    /// The control loop missed a cycle.
-    pub fn late(&self) {
-        self.counts().late += 1;
+    /// Counts a missed cycle of the control loop.
+    pub fn missed_cycle(&self) {
+        self.counts().missed_cycles += 1;
     }
 
-    fn counts(&self) -> std::sync::MutexGuard<'_, Counts> {
+    fn counts(&self) -> std::sync::MutexGuard<'_, FollowCounts> {
         self.counts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Publishes /diagnostics from now on.
+/// Starts to publish /diagnostics.
 ///
 /// # Errors
 /// If ROS refuses it.
-pub fn report(runtime: &mut Runtime, inputs: Inputs, state: State, robot: String) -> anyhow::Result<()> {
+pub fn report(runtime: &mut Runtime, inputs: Inputs, statistics: Statistics, robot: String) -> anyhow::Result<()> {
     let topics = format!("{} or {}", runtime.resolve("hand_pose"), runtime.resolve("keypoints"));
     diagnostics::publish(
         runtime,
@@ -78,10 +79,10 @@ pub fn report(runtime: &mut Runtime, inputs: Inputs, state: State, robot: String
                 let inputs = inputs.lock().unwrap_or_else(PoisonError::into_inner);
                 (inputs.overtaken(), inputs.touches_arrive(Instant::now()))
             };
-            state.hands.set_dropped("superseded", overtaken);
-            let mut tally = state.hands.counts();
+            statistics.hands.set_dropped("superseded", overtaken);
+            let mut tally = statistics.hands.counts();
             let rates = tally.rates();
-            let mut counts = state.counts();
+            let mut counts = statistics.counts();
             let (level, message) = if !runtime.parameters().get::<bool>("enabled") {
                 (Level::Ok, "disabled".to_owned())
             } else if let Some(error) = &counts.refused {
@@ -94,7 +95,7 @@ pub fn report(runtime: &mut Runtime, inputs: Inputs, state: State, robot: String
             };
             let mut values = tally.values(rates);
             values.push(("with_touch".to_owned(), counts.with_touch.to_string()));
-            values.push(("late_cycles".to_owned(), counts.late.to_string()));
+            values.push(("late_cycles".to_owned(), counts.missed_cycles.to_string()));
             for (name, count) in STATUS_NAMES.into_iter().zip(counts.statuses) {
                 values.push((format!("status_{name}"), count.to_string()));
             }
