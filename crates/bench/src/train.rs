@@ -11,7 +11,7 @@ use egotac::statistics::median;
 use egotac::tactile::N_FIELD;
 use egotac::text::put;
 use egotac::train::batch::Batch;
-use egotac::train::config::Loss;
+use egotac::train::config::LossWeights;
 use egotac::train::optimizer::AdamW;
 use egotac::train::pass::Pass;
 use rand::{Rng, SeedableRng};

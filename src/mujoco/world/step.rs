@@ -1,6 +1,5 @@
 //! Advancing a world and recomputing what follows from its state.
 
-use mujoco_rs::mujoco_c::{mj_step, mjData, mjModel};
 use mujoco_rs::prelude::*;
 
 use super::World;

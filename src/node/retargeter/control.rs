@@ -14,13 +14,13 @@ use crate::message::{
     Vector3, Wrench,
 };
 use crate::node::approximate_sync::SyncedHand;
-use crate::node::object_pose::LatestObjectPose;
-use crate::node::log::Log;
-use crate::node::params::Parameters;
 use crate::node::clock::RosClock;
+use crate::node::log::Log;
+use crate::node::object_pose::LatestObjectPose;
+use crate::node::params::Parameters;
 use crate::node::publisher::Publisher;
-use crate::node::runtime::Runtime;
 use crate::node::qos;
+use crate::node::runtime::Runtime;
 use crate::node::shutdown::Shutdown;
 use crate::retarget::touch::ExpectedLinkTouch;
 use crate::retarget::{Input, Output, Retargeter, Robot};

@@ -12,14 +12,14 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 
 use super::approximate_sync::ApproximateSync;
-use super::object_pose::LatestObjectPose;
-use super::log::Log;
-use super::params::{Allowed, Parameter, Parameters};
 use super::clock::RosClock;
 use super::enabled::serve_set_enabled;
+use super::log::Log;
+use super::object_pose::LatestObjectPose;
+use super::params::{Allowed, Parameter, Parameters};
 use super::runtime::Runtime;
-use super::worker_thread::WorkerThread;
 use super::shutdown::Shutdown;
+use super::worker_thread::WorkerThread;
 use super::{program, qos};
 use crate::error::Error;
 use crate::hand::Side;

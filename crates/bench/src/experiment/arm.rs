@@ -3,7 +3,7 @@
 use egotac::error::{Error, Result};
 use egotac::model;
 use egotac::train::Config;
-use egotac::train::config::Geometry;
+use egotac::train::config::ModelChoice;
 use egotac::train::source::Supervision;
 
 use super::data::Stores;

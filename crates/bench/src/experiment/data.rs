@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use egotac::train::source::Source;
+use egotac::train::source::TrainingSource;
 
 /// Origin of held-out episodes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
@@ -125,17 +125,17 @@ impl Stores {
     }
 
     /// Returns the two sources with all episodes.
-    pub fn sources(&self) -> Vec<Source> {
+    pub fn sources(&self) -> Vec<TrainingSource> {
         self.up_to(SHARES.len() - 1)
     }
 
     /// Returns the two sources with the `n`-th share (10, 20, 50, 100 %) of each scene.
-    pub fn share(&self, n: usize) -> Vec<Source> {
+    pub fn share(&self, n: usize) -> Vec<TrainingSource> {
         self.up_to(n)
     }
 
     /// Returns the first `n` scenes, each as a source, in turn from both training cameras.
-    pub fn scenes(&self, n: usize) -> Vec<Source> {
+    pub fn scenes(&self, n: usize) -> Vec<TrainingSource> {
         let half = self.training.len() / 2;
         let in_turn = (0..half).flat_map(|i| [i, half + i]);
         in_turn.take(n).map(|scene| mirrored(self.training[scene].clone())).collect()

@@ -20,13 +20,12 @@ pub mod report;
 use std::path::{Path, PathBuf};
 
 use candle_core::Device;
-use egotac::dataset::tensors::FieldFile;
+use egotac::dataset::tensors;
 use egotac::dataset::zarr;
 use egotac::error::{Error, Result};
 use egotac::file;
 use egotac::model::{self, Checkpoint, Precision};
-use egotac::score::metrics::Fields;
-use egotac::train::config::{Augment, Batch, Geometry, Loss, Optimizer, Sampling};
+use egotac::train::config::{AugmentConfig, BatchConfig, LossWeights, ModelChoice, OptimizerConfig, SamplingConfig};
 use egotac::train::data::Dataset;
 use egotac::train::{self, Config, Control, Event, predict};
 
@@ -37,7 +36,7 @@ use data::{Domain, Stores};
 pub use report::Report;
 
 /// Clips and windows of a training step.
-const BATCH: Batch = Batch { clips: 10, windows: 3, accumulate: 1 };
+const BATCH: BatchConfig = BatchConfig { clips: 10, windows: 3, accumulate: 1 };
 
 /// Factor of the encoder's learning rate: it is trained already.
 const ENCODER_FACTOR: f64 = 0.3;
@@ -156,8 +155,15 @@ fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Re
         },
         // Five times the paper's weights, and ten times its weight of force: touch is zero nearly everywhere, and a network
         // this small learns it from a random start only if force weighs more. Keypoints keep the encoder on the hands.
-        loss: Loss { force: 50.0, contact: 5.0, active: 1.0, consistency: 0.25, keypoints: 0.3, ..Loss::default() },
-        augment: Augment::default(),
+        loss: LossWeights {
+            force: 50.0,
+            contact: 5.0,
+            active: 1.0,
+            consistency: 0.25,
+            keypoints: 0.3,
+            ..LossWeights::default()
+        },
+        augment: AugmentConfig::default(),
         ema: 0.995,
         save_every: 200,
         validate_every: size.steps,
@@ -183,7 +189,7 @@ fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Re
         ..config.clone()
     };
     (arm.change)(&mut config, stores);
-    if let (Geometry::Explicit(own), Geometry::Explicit(of_arm)) = (&mut encoder.model, &config.model) {
+    if let (ModelChoice::Explicit(own), ModelChoice::Explicit(of_arm)) = (&mut encoder.model, &config.model) {
         // One frame is enough to find keypoints.
         *own = model::Config { horizon: 1, ..of_arm.clone() };
     }

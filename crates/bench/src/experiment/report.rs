@@ -1,15 +1,16 @@
 //! Results of an experiment: scores of every run, and each arm against the first.
 
-use egotac::dataset::tensors::FieldFile;
+use egotac::dataset::tensors;
 use egotac::dataset::zarr;
 use egotac::error::Result;
 use egotac::machine::Machine;
 use egotac::model::checkpoint::parameter_count;
-use egotac::score::metrics::compare::Difference;
-use egotac::score::metrics::{self, Fields, Options};
+use egotac::score::metrics::Difference;
+use egotac::score::metrics::{self, EvalOptions};
+use egotac::tactile::TactileSequence;
 use egotac::text::put;
 use egotac::train::Config;
-use egotac::train::data::{Dataset, Labels};
+use egotac::train::data::Dataset;
 use serde::Serialize;
 
 use super::data::{Domain, SIDE, Stores};
@@ -71,7 +72,7 @@ pub struct ArmReport {
 #[derive(Debug, Clone, Serialize)]
 pub struct DomainReport {
     /// Scores of each seed.
-    pub seeds: Vec<metrics::Report>,
+    pub seeds: Vec<metrics::Metrics>,
     /// Differences from the first arm over all seeds, with 95 % intervals by resampling the same episodes for both.
     pub against_first: Vec<Difference>,
 }
@@ -146,7 +147,7 @@ fn runs_of<'a>(runs: &[(&Arm, u64, &'a Config)], arm: &Arm) -> Vec<&'a Config> {
     runs.iter().filter(|(of, ..)| of.name == arm.name).map(|(_, _, config)| *config).collect()
 }
 
-fn truth(stores: &Stores, domain: Domain) -> Result<Labels> {
+fn truth(stores: &Stores, domain: Domain) -> Result<TactileSequence> {
     let preparation = egotac::model::Metadata::new("truth", 1.0, 0.1).preparation(&super::geometry());
     Dataset::new(zarr::open_all(stores.held_out(domain))?, preparation, false)?.labels()
 }
@@ -160,20 +161,15 @@ fn score(own: &[&Config], first: &[&Config], domain: Domain, truth: &TactileSequ
     let seeds = predicted.iter().map(|sequence| metrics::evaluate(sequence, truth, &options));
     let seeds = seeds.collect::<Result<Vec<_>>>()?;
     // The seeds are concatenated, and the truth is repeated for each.
-    let together = |all: &[Fields]| Fields {
-        force: all.iter().flat_map(|fields| fields.force.iter().copied()).collect(),
-        contact: all.iter().flat_map(|fields| fields.contact.iter().copied()).collect(),
-    };
-    let (n, frames) = (predicted.len(), truth.fields.n_frames());
-    let repeated = Options {
-        mask_force: truth.mask_force.repeat(n),
-        mask_contact: truth.mask_contact.repeat(n),
-        episode_ends: (0..n).flat_map(|k| truth.episode_ends.iter().map(move |end| k * frames + end)).collect(),
-        ..options
-    };
-    let truth = together(&vec![truth.fields.clone(); n]);
-    let comparison = metrics::compare(&together(&predicted), &together(&read(first)?), &truth, &repeated, 0)?;
+    let repeated = joined(std::iter::repeat_n(truth, predicted.len()))?;
+    let comparison = metrics::compare(&joined(&predicted)?, &joined(&read(first)?)?, &repeated, &options, 0)?;
     Ok(DomainReport { seeds, against_first: comparison.differences })
+}
+
+fn joined<'a>(sequences: impl IntoIterator<Item = &'a TactileSequence>) -> Result<TactileSequence> {
+    let mut all = TactileSequence::default();
+    sequences.into_iter().try_for_each(|sequence| all.append(sequence))?;
+    Ok(all)
 }
 
 /// Counts the training frames of a run.

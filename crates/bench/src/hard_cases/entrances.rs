@@ -6,8 +6,8 @@ use egotac::hand::{HandModel, HandParams, N_VERTICES, Side, Topology};
 use egotac::image::Preparation;
 use egotac::message::{HandPose, Header, Message, TactileFrame};
 use egotac::model::Metadata;
-use egotac::score::metrics::{self, Fields};
-use egotac::tactile::{N_FIELD, TactileField};
+use egotac::score::metrics::{self, EvalOptions};
+use egotac::tactile::{N_FIELD, TactileField, TactileSequence};
 use glam::{DVec3, Vec3};
 
 use super::{Family, HardCase, Outcome, accepted};

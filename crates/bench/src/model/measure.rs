@@ -9,7 +9,7 @@ use egotac::dataset::zarr::ZarrReader;
 use egotac::error::{Error, Result};
 use egotac::model::predictor::{Options, Predictor};
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, checkpoint, init};
-use egotac::score::metrics;
+use egotac::score::metrics::{self, EvalOptions};
 use egotac::statistics::percentile;
 use egotac::train::data::Dataset;
 use egotac::train::predict;

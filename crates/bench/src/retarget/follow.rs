@@ -2,8 +2,7 @@
 
 use egotac::error::Result;
 use egotac::retarget::goal::Goal;
-use egotac::retarget::robot::frame;
-use egotac::retarget::{Feel, Input, Retargeter, Robot, Touch};
+use egotac::retarget::{ExpectedTouch, Input, Retargeter, Robot, Touch};
 use egotac::sim::budget::clock::Stopwatch;
 use egotac::statistics::{median, percentile};
 use glam::DVec3;
@@ -182,13 +181,13 @@ struct Forces {
 }
 
 impl Forces {
-    fn add(&mut self, robot: &Robot, feel: &Feel, tip_force: &[DVec3; 5]) {
+    fn add(&mut self, robot: &Robot, feel: &ExpectedTouch, tip_force: &[DVec3; 5]) {
         let pressed: f64 = tip_force.iter().map(|force| force.length()).sum();
         if pressed <= LEAST_FORCE {
             return;
         }
         let sum: DVec3 = feel.links.iter().map(|link| link.force).sum();
-        self.net.add((sum - feel.asked).length() / pressed);
+        self.net.add((sum - feel.net_force).length() / pressed);
         let touched: Vec<_> = feel.links.iter().filter(|link| link.contact > 0.0).collect();
         let count = touched.len().max(1) as f64;
         let middle = touched.iter().map(|link| link.position).sum::<DVec3>() / count;

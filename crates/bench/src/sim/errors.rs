@@ -1,6 +1,6 @@
 //! Errors of a trace against a reference: quasi-static forces, impulses and contact sets.
 
-use egotac::score::metrics::contact::Counts;
+use egotac::score::metrics::contact::Confusion;
 use egotac::tactile::N_FIELD;
 use serde::{Deserialize, Serialize};
 
