@@ -22,6 +22,7 @@ pub mod lerobot;
 pub mod mcap;
 mod prefetch;
 mod provenance;
+#[doc(hidden)]
 pub mod ring;
 pub(crate) mod source;
 pub mod tensors;

@@ -3,6 +3,7 @@
 //! Units are metres and radians. The frame is MANO's: in the flat rest pose the right hand's fingers point along -x,
 //! the palm faces -y and the thumb points towards +z; the left hand is the mirror image in x.
 
+#[doc(hidden)]
 pub mod build;
 mod builtin;
 mod fit;

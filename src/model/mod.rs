@@ -9,24 +9,30 @@
 //! force = max(0, `force_scale` · f), contact = 1 / (1 + e^-l).
 
 mod attention;
+#[doc(hidden)]
 pub mod budget;
 pub mod checkpoint;
 pub mod config;
 mod decoder;
 mod dinov2;
 mod engine;
+#[doc(hidden)]
 pub mod grow;
 mod heads;
+#[doc(hidden)]
 pub mod import;
+#[doc(hidden)]
 pub mod init;
 mod loader;
 pub mod metadata;
 pub mod precision;
 pub mod predictor;
+#[doc(hidden)]
 pub mod pretrained;
 pub mod shipped;
 mod stages;
 mod temporal;
+#[doc(hidden)]
 pub mod window;
 
 use std::sync::Arc;

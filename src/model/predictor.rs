@@ -48,6 +48,21 @@ pub struct Prediction {
 ///
 /// Each image is encoded once. Its tokens, projected for temporal fusion, are kept as long as a window may need them; see
 /// [`window`] for the frames of a window.
+///
+/// ```
+/// use egotac::model::{predictor::Options, shipped};
+/// use egotac::{Predictor, Side};
+///
+/// # fn main() -> egotac::Result<()> {
+/// let mut predictor = Predictor::load(&shipped::path()?, Options::default())?;
+/// for frame in 0..3 {
+///     let image = egotac::crates::image::RgbImage::new(640, 480);
+///     let prediction = predictor.push(&image, 0.04 * f64::from(frame))?; // image and its stamp, s
+///     assert!(prediction.field.total_force(Side::Left) >= 0.0); // N
+/// }
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone)]
 pub struct Predictor {
     checkpoint: Checkpoint,

@@ -31,17 +31,22 @@
 //! is in its wrist frame (palmar, radial, distal), a robot in the world of its model.
 
 pub(crate) mod file;
+#[doc(hidden)]
 pub mod filter;
+#[doc(hidden)]
 pub mod goal;
+#[doc(hidden)]
 pub mod human;
 mod input;
 mod motion_limit;
 pub mod object;
 mod output;
+#[doc(hidden)]
 pub mod problem;
 mod retargeter;
 pub mod robot;
 mod search;
+#[doc(hidden)]
 pub mod solver;
 pub mod touch;
 

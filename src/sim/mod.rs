@@ -14,27 +14,37 @@ pub(crate) mod appearance;
 #[doc(hidden)]
 pub mod budget;
 pub mod camera;
+#[doc(hidden)]
 pub mod contact;
 pub(crate) mod convex;
 pub(crate) mod driver;
 pub(crate) mod effect;
+#[doc(hidden)]
 pub mod explain;
 pub(crate) mod frame;
+#[doc(hidden)]
 pub mod guard;
 pub(crate) mod ik;
 pub(crate) mod image_sensor;
+#[doc(hidden)]
 pub mod lens;
+#[doc(hidden)]
 pub mod mjcf;
+#[doc(hidden)]
 pub mod object;
+#[doc(hidden)]
 pub mod randomize;
 pub(crate) mod range;
 pub(crate) mod record;
+#[doc(hidden)]
 pub mod rig;
 pub(crate) mod rollout;
 pub mod scene;
+#[doc(hidden)]
 pub mod scene_object;
 pub(crate) mod timeline;
 pub(crate) mod touchable;
+#[doc(hidden)]
 pub mod verify;
 pub(crate) mod worker_process;
 

@@ -78,6 +78,17 @@ impl Validity {
 }
 
 /// Force and contact on the vertices of both hands at one instant.
+///
+/// ```
+/// use egotac::{Side, TactileField, Topology};
+///
+/// let mut force = vec![0.0; 1556]; // N; left hand 0..778, right hand 778..1556
+/// force[778 + 320] = 0.4; // tip of the right index finger
+/// let field = TactileField::from_force(Topology::EgotacHand1, force)?;
+/// assert_eq!(field.total_force(Side::Right), 0.4);
+/// assert_eq!(field.contact[778 + 320], 1.0); // above 0.05 N
+/// # Ok::<(), egotac::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct TactileField {
     /// Meaning of the vertex indices.

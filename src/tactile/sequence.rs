@@ -15,6 +15,20 @@ use crate::hand::Topology;
 ///
 /// Arrays of shape (T, 1556) hold one row per frame, left hand first. An empty optional array means that the source does
 /// not provide it.
+///
+/// ```
+/// use egotac::{TactileField, TactileSequence, Topology};
+///
+/// let mut sequence = TactileSequence::default();
+/// for _ in 0..25 {
+///     sequence.push(&TactileField::zeros(Topology::EgotacHand1))?;
+/// }
+/// sequence.timestamps = (0..25).map(|frame| 0.04 * f64::from(frame)).collect();
+/// sequence.check()?;
+/// assert_eq!((sequence.n_frames(), sequence.episodes()), (25, vec![0..25]));
+/// assert_eq!(sequence.fps().map(f64::round), Some(25.0));
+/// # Ok::<(), egotac::Error>(())
+/// ```
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TactileSequence {
     /// Meaning of the vertex indices; None = the source does not say.

@@ -4,7 +4,8 @@ use std::borrow::Cow;
 
 use super::contact::{self, ContactScores};
 use super::dynamics::Calibration;
-use super::summary::{EntryCounts, FrameScore, Metrics, summarize};
+use super::frame_score::FrameScore;
+use super::summary::{EntryCounts, Metrics, summarize};
 use super::trace::{TraceScores, Traces};
 use crate::error::Result;
 use crate::tactile::{N_FIELD, TactileSequence, check_rows};
@@ -20,6 +21,22 @@ pub struct EvalOptions {
 }
 
 /// Scores `pred` against `target`. Entries that the target masks out or leaves unknown (NaN) do not count.
+///
+/// ```
+/// use egotac::metrics::{EvalOptions, evaluate};
+/// use egotac::{TactileSequence, Topology};
+///
+/// # fn main() -> egotac::Result<()> {
+/// let mut force = vec![0.0; 1556]; // one frame of two hands, N
+/// force[800] = 2.0; // on the right hand
+/// let truth = TactileSequence::from_force(Some(Topology::EgotacHand1), force.clone());
+/// force[800] = 1.5;
+/// let predicted = TactileSequence::from_force(Some(Topology::EgotacHand1), force);
+/// let scores = evaluate(&predicted, &truth, &EvalOptions::default())?;
+/// assert_eq!((scores.active_mae, scores.pooled.f1), (Some(0.5), Some(1.0)));
+/// # Ok(())
+/// # }
+/// ```
 ///
 /// # Errors
 /// If lengths or topologies differ, or the target's episodes do not end where its data does.

@@ -1,9 +1,10 @@
-//! Scores of single frames and their summary.
+//! Summary of frame scores.
 
 use serde::Serialize;
 
-use super::contact::{self, Confusion, ContactScores};
-use super::force::{self, ForceErrors};
+use super::contact::{Confusion, ContactScores};
+use super::force::ForceErrors;
+use super::frame_score::FrameScore;
 use super::statistics::{mean, pearson};
 use super::trace::Traces;
 
@@ -53,44 +54,6 @@ pub struct EntryCounts {
     pub contact_entries: u64,
     /// Counted entries that the prediction leaves unknown; above 0 the scores they enter are undefined.
     pub unknown_predictions: u64,
-}
-
-/// Contribution of one frame to the scores; [`summarize`] makes scores of many frames.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FrameScore {
-    /// Force errors of the frame.
-    pub force: ForceErrors,
-    /// Contact decisions of the frame.
-    pub contact: Confusion,
-    /// AUROC within the frame.
-    pub auroc: Option<f64>,
-    /// Predicted total force, N; None if unknown.
-    pub pred_total: Option<f64>,
-    /// True total force, N.
-    pub target_total: f64,
-}
-
-impl FrameScore {
-    /// Scores one frame of 1556 vertices; an empty mask counts every vertex.
-    pub fn new(
-        pred_force: &[f32],
-        pred_contact: &[f32],
-        target_force: &[f32],
-        target_contact: &[f32],
-        mask_force: &[u8],
-        mask_contact: &[u8],
-    ) -> Self {
-        let forces = force::pairs(pred_force, target_force, mask_force);
-        let contacts = contact::pairs(pred_contact, target_contact, mask_contact);
-        let (pred_total, target_total) = force::totals(&forces);
-        Self {
-            force: ForceErrors::of(&forces),
-            contact: Confusion::of(&contacts),
-            auroc: contact::auroc(contacts),
-            pred_total,
-            target_total,
-        }
-    }
 }
 
 /// Scores consecutive frames: all of [`Metrics`] that [`FrameScore`]s alone determine. The pooled AUROC, dynamics and

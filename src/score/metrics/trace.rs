@@ -3,9 +3,9 @@
 use std::ops::Range;
 
 use super::dynamics::{self, Calibration};
+use super::frame_score::FrameScore;
 use super::spectrum;
 use super::statistics::{mean, pearson};
-use super::summary::FrameScore;
 
 /// Predicted and true total force over time; the predicted one is empty if it is unknown in any frame.
 #[derive(Debug, Clone, Default, PartialEq)]
