@@ -62,7 +62,9 @@ fn program_names() -> Vec<String> {
     let metadata =
         stdout(Command::new(env!("CARGO")).args(["metadata", "--no-deps", "--format-version=1"]).current_dir(root()));
     let metadata: Value = serde_json::from_str(&metadata).unwrap();
-    let targets = metadata["packages"][0]["targets"].as_array().unwrap().clone();
+    let packages = metadata["packages"].as_array().unwrap();
+    let package = packages.iter().find(|package| package["name"] == "egotac").unwrap();
+    let targets = package["targets"].as_array().unwrap().clone();
     let programs = targets.into_iter().filter(|target| target["kind"][0] == "bin");
     programs.map(|target| target["name"].as_str().unwrap().to_owned()).collect()
 }
