@@ -43,7 +43,7 @@ impl Intrinsics {
 
     /// Returns the same intrinsics with another distortion.
     #[must_use]
-    pub(crate) fn with_distortion(self, distortion: Distortion) -> Self {
+    pub fn with_distortion(self, distortion: Distortion) -> Self {
         Self { distortion, ..self }
     }
 

@@ -76,7 +76,7 @@ mod tests {
 
     fn outputs(force: f32, logit: f32, steps: usize) -> HeadOutputs {
         let values = |first: f32| -> Vec<f32> {
-            (0..2 * steps * N_FIELD).map(|i| if i / N_FIELD % steps == 0 { first } else { 99.0 }).collect()
+            (0..2 * steps * N_FIELD).map(|i| if (i / N_FIELD).is_multiple_of(steps) { first } else { 99.0 }).collect()
         };
         HeadOutputs { force: values(force), contact_logits: values(logit), steps }
     }

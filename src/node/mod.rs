@@ -2,8 +2,8 @@
 //! the results.
 //!
 //! A node has three kinds of threads. The thread that calls a node's `run` owns the ROS node and spins: it takes
-//! messages, answers services and does no slow work. One [`worker_thread`] per node computes and publishes; the
-//! predictor's takes the newest image from a [`mailbox`]. Shutdown goes in the other direction: the flag is set, spinning
+//! messages, answers services and does no slow work. One `worker_thread` per node computes and publishes; the
+//! predictor's takes the newest image from a `mailbox`. Shutdown goes in the other direction: the flag is set, spinning
 //! ends, the worker is joined, then the ROS node is dropped.
 
 #[cfg(feature = "sim")]

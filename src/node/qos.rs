@@ -20,11 +20,13 @@ pub(crate) fn output() -> QosProfile {
 }
 
 /// Publisher of results that no subscriber may lose: reliable, with a queue for a stall of a few seconds.
+#[cfg(feature = "sim")]
 pub(crate) fn every_output() -> QosProfile {
     QosProfile { depth: 100, ..QosProfile::default() }
 }
 
 /// Publisher of raw images: reliable, with a queue for a stall of one second; raw images are too large for more.
+#[cfg(feature = "sim")]
 pub(crate) fn image_output() -> QosProfile {
     QosProfile { depth: 30, ..QosProfile::default() }
 }

@@ -10,7 +10,7 @@
 //! | hold, if touched and near | distance 0 from pad to object | `pinch` |
 //! | neutral | `neutral` of the robot's file, or its rest pose | `neutral`, `smooth` |
 //!
-//! Terms of direction are vectors of [`METRES_PER_RADIAN`], so that all terms are in metres.
+//! Terms of direction are vectors of `METRES_PER_RADIAN`, so that all terms are in metres.
 
 mod build;
 mod collision;

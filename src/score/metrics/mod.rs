@@ -2,10 +2,10 @@
 //!
 //! | score | file | undefined when |
 //! |---|---|---|
-//! | MAE, active MAE, temporal Pearson | [`force`] | nothing valid (active); fewer than two frames or a constant trace |
+//! | MAE, active MAE, temporal Pearson | `force` | nothing valid (active); fewer than two frames or a constant trace |
 //! | precision, recall, F1, IoU, AUROC | [`contact`] | no positives (AUROC: nor negatives) |
-//! | force cosine, rise F1, fall F1 | [`dynamics`] | a trace that is zero everywhere; no event on either side |
-//! | DFT Pearson, spectral convergence, dominant frequency | [`spectrum`] | fewer than three frames or a constant trace |
+//! | force cosine, rise F1, fall F1 | `dynamics` | a trace that is zero everywhere; no event on either side |
+//! | DFT Pearson, spectral convergence, dominant frequency | `spectrum` | fewer than three frames or a constant trace |
 //!
 //! An undefined score is `None` here, `null` in JSON and `undefined` in a table; it is never NaN and never an invented
 //! number. A score is also undefined if the prediction is unknown (NaN) at a valid vertex.
