@@ -18,7 +18,7 @@ pub struct SceneEffects {
 
 /// Effects of several scenes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Report {
+pub struct EffectsReport {
     /// The command that measures the same again.
     pub command: String,
     /// Version of the program.
@@ -41,7 +41,7 @@ pub fn measure(
     seed: u64,
     side: u32,
     mut progress: impl FnMut(&str, usize, usize),
-) -> Result<Report> {
+) -> Result<EffectsReport> {
     let options = RolloutOptions { picture: Some((side, side)), ..RolloutOptions::default() };
     let all = scenes.len() * Effect::ALL.len();
     let mut done = 0;
@@ -55,12 +55,12 @@ pub fn measure(
         }
         measured.push(SceneEffects { scene: scene.name.clone(), effects });
     }
-    Ok(Report { command, version: egotac::VERSION, machine: Machine::this(), scenes: measured })
+    Ok(EffectsReport { command, version: egotac::VERSION, machine: Machine::this(), scenes: measured })
 }
 
 /// Returns the text of `effects.md`.
-pub fn markdown(report: &Report) -> String {
-    let Report { command, version, machine, .. } = report;
+pub fn markdown(report: &EffectsReport) -> String {
+    let EffectsReport { command, version, machine, .. } = report;
     let mut text = format!(
         "# Effects: what each scene simulates, and at what price\n\n\
          Written by `{command}` (egotac {version}, {machine}).\n\n\
@@ -103,7 +103,7 @@ mod tests {
             cost: Some(i as f64 - 3.0),
         });
         let scenes = vec![SceneEffects { scene: "poke".into(), effects: effects.collect() }];
-        let report = Report { command: "c".into(), version: "0", machine: Machine::this(), scenes };
+        let report = EffectsReport { command: "c".into(), version: "0", machine: Machine::this(), scenes };
         let text = markdown(&report);
         let row = text.lines().find(|line| line.starts_with("| poke")).unwrap();
         assert!(row.starts_with("| poke | -3.0 | -2.0 | (-1.0) | 0.0 | (1.0) | 2.0 |"), "{row}");

@@ -29,7 +29,7 @@ const FORMATS: [(&str, (u32, u32)); 3] =
 
 /// Results for all networks and formats.
 #[derive(Debug, Clone, Serialize)]
-pub struct Report {
+pub struct LabelReport {
     /// The command that measures the same again.
     pub command: String,
     /// Version of the program.
@@ -76,7 +76,7 @@ pub fn run(
     repetitions: usize,
     folder: &Path,
     command: String,
-) -> Result<Report> {
+) -> Result<LabelReport> {
     let mut rows = Vec::new();
     for (format, size) in FORMATS {
         let input = folder.join(format.replace([',', ' '], "_"));
@@ -95,7 +95,7 @@ pub fn run(
         }
         std::fs::remove_dir_all(&input).map_err(Error::io(&input))?;
     }
-    Ok(Report { command, version: egotac::VERSION, machine: Machine::this(), frames, rows })
+    Ok(LabelReport { command, version: egotac::VERSION, machine: Machine::this(), frames, rows })
 }
 
 fn measure(predictor: &mut Predictor, format: &str, image: (u32, u32), input: &Path, out: &Path) -> Result<Row> {
@@ -137,8 +137,8 @@ fn copy_secs(from: &Path, to: &Path) -> Result<f64> {
 }
 
 /// Returns the report as Markdown.
-pub fn markdown(report: &Report) -> String {
-    let Report { command, version, machine, frames, rows } = report;
+pub fn markdown(report: &LabelReport) -> String {
+    let LabelReport { command, version, machine, frames, rows } = report;
     let mut text = format!(
         "# What labelling costs beside the network\n\nWritten by `{command}`: {frames} images of each format, egotac {version},\n\
          {machine}. Numbers: `label.json`.\n\n\

@@ -70,7 +70,7 @@ pub struct Row {
 
 /// Results of all presets.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Report {
+pub struct TrainReport {
     /// The command that measures the same again.
     pub command: String,
     /// Version of egotac.
@@ -120,7 +120,7 @@ pub fn measure(
     runs: usize,
     peer: Option<(&str, usize)>,
     mut progress: impl FnMut(&str),
-) -> Result<Report> {
+) -> Result<TrainReport> {
     let mut rows = Vec::new();
     for preset in presets {
         let geometry = Config::preset(preset)?;
@@ -135,10 +135,10 @@ pub fn measure(
         }
         rows.push(row);
     }
-    Ok(Report { command, egotac: egotac::VERSION, machine: Machine::this(), threads, runs, rows })
+    Ok(TrainReport { command, egotac: egotac::VERSION, machine: Machine::this(), threads, runs, rows })
 }
 
-impl Report {
+impl TrainReport {
     /// Returns the report as Markdown.
     pub fn markdown(&self) -> String {
         let mut text = format!(

@@ -10,7 +10,7 @@ use egotac::mujoco::{PhysicsOptions, Preset};
 use egotac::sim::{Rollout, RolloutOptions, Scene};
 use egotac_bench::sim::errors::{Errors, Pool};
 use egotac_bench::sim::replay::replay;
-use egotac_bench::sim::table::Report;
+use egotac_bench::sim::table::SimReport;
 use egotac_bench::sim::trace::Trace;
 
 /// A cube on the table between thumb and index finger for a second; only the colours are random.
@@ -186,7 +186,7 @@ fn bench_sim_writes_table_and_plots() {
     let output = egotac(&args);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let path = out.join("sim.json");
-    let report = Report::from_json(&path, &std::fs::read_to_string(&path).unwrap()).unwrap();
+    let report = SimReport::from_json(&path, &std::fs::read_to_string(&path).unwrap()).unwrap();
     assert_eq!((report.seed, report.seeds, report.scenes.len()), (0, 1, 1));
     assert!(report.scenes[0].quiet_seconds > 0.1, "{:?}", report.scenes);
     for preset in Preset::ALL {

@@ -33,7 +33,7 @@ use crate::train::{self as bench, Form};
 
 pub use arm::{Arm, Experiment};
 use data::{Domain, Stores};
-pub use report::Report;
+pub use report::ExperimentReport;
 
 /// Clips and windows of a training step.
 const BATCH: BatchConfig = BatchConfig { clips: 10, windows: 3, accumulate: 1 };
@@ -104,7 +104,7 @@ pub fn run(
     work: &Path,
     command: String,
     report_progress: &mut dyn FnMut(Progress),
-) -> Result<Report> {
+) -> Result<ExperimentReport> {
     let (mut planned, mut encoders): (Vec<_>, Vec<Config>) = Default::default();
     for arm in &experiment.arms {
         for seed in 0..size.seeds {

@@ -10,17 +10,17 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::data::Domain;
-use super::report::{Report, SHOWN};
+use super::report::{ExperimentReport, SHOWN};
 
 /// Writes `EXPERIMENT.png` and `EXPERIMENT.svg` into `folder`.
 ///
 /// # Errors
 /// If a file can't be written.
-pub fn write(folder: &Path, report: &Report) -> Result<()> {
+pub fn write(folder: &Path, report: &ExperimentReport) -> Result<()> {
     figure::write(folder, report.experiment, report)
 }
 
-impl Figure for Report {
+impl Figure for ExperimentReport {
     const SIZE: (u32, u32) = (1500, 900);
 
     fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
@@ -38,7 +38,12 @@ impl Figure for Report {
 }
 
 /// Draws one score: a dot for each seed, a bar for their mean.
-fn draw_score<B: DrawingBackend>(area: &DrawingArea<B, Shift>, report: &Report, name: &str, title: &str) -> Drawn<()>
+fn draw_score<B: DrawingBackend>(
+    area: &DrawingArea<B, Shift>,
+    report: &ExperimentReport,
+    name: &str,
+    title: &str,
+) -> Drawn<()>
 where
     B::ErrorType: 'static,
 {

@@ -28,7 +28,7 @@ pub const SHOWN: [(&str, &str, bool); 6] = [
 
 /// Results of an experiment.
 #[derive(Debug, Clone, Serialize)]
-pub struct Report {
+pub struct ExperimentReport {
     /// Name of the experiment.
     pub experiment: &'static str,
     /// Question of the experiment.
@@ -109,7 +109,7 @@ pub(super) fn make(
     stores: &Stores,
     runs: &[(&Arm, u64, &Config)],
     command: String,
-) -> Result<Report> {
+) -> Result<ExperimentReport> {
     let mut truths = Vec::new();
     for domain in Domain::ALL {
         truths.push(truth(stores, domain)?);
@@ -129,7 +129,7 @@ pub(super) fn make(
             arms.push(ArmReport { name, about, training_frames, minutes, in_domain, out_of_domain });
         }
     }
-    Ok(Report {
+    Ok(ExperimentReport {
         experiment: experiment.name,
         question: experiment.question,
         command,
@@ -187,7 +187,7 @@ fn minutes(config: &Config) -> f64 {
     secs.sum::<f64>() / 60.0
 }
 
-impl Report {
+impl ExperimentReport {
     /// Returns the report as Markdown.
     pub fn markdown(&self) -> String {
         let Size { episodes, held_out, encoder_steps, steps, seeds } = self.size;

@@ -9,4 +9,4 @@ pub mod sweep;
 pub mod table;
 
 pub use measure::{Accuracy, Row, Setup, Spread};
-pub use sweep::{Plan, Report};
+pub use sweep::{ModelReport, Plan};

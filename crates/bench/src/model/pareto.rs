@@ -11,7 +11,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::measure::Row;
-use super::sweep::Report;
+use super::sweep::ModelReport;
 use crate::front::front;
 
 /// A configuration in the plot.
@@ -26,11 +26,11 @@ struct Point {
 ///
 /// # Errors
 /// If a file can't be written.
-pub fn write(folder: &Path, report: &Report) -> Result<()> {
+pub fn write(folder: &Path, report: &ModelReport) -> Result<()> {
     figure::write(folder, "model", report)
 }
 
-impl Figure for Report {
+impl Figure for ModelReport {
     const SIZE: (u32, u32) = (1400, 640);
 
     fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>

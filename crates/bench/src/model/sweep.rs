@@ -40,7 +40,7 @@ pub struct Plan {
 
 /// Results of all configurations.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Report {
+pub struct ModelReport {
     /// The command that measures the same again.
     pub command: String,
     /// Version of egotac.
@@ -64,7 +64,7 @@ pub struct Report {
 ///
 /// # Errors
 /// If a process fails; the error holds what it printed.
-pub fn run(plan: &Plan, mut progress: impl FnMut(&str, usize, usize)) -> Result<Report> {
+pub fn run(plan: &Plan, mut progress: impl FnMut(&str, usize, usize)) -> Result<ModelReport> {
     let commands = commands(plan);
     let varied = plan.vary.as_ref().map(|preset| varied(plan, preset)).unwrap_or_default();
     let rounds = plan.peer.as_ref().map_or(0, |(_, rounds)| *rounds);
@@ -101,7 +101,7 @@ pub fn run(plan: &Plan, mut progress: impl FnMut(&str, usize, usize)) -> Result<
         }
         beside.push(pair);
     }
-    Ok(Report {
+    Ok(ModelReport {
         command: plan.command.clone(),
         egotac: egotac::VERSION.into(),
         machine: Machine::this(),

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use super::measure::Row;
 use super::peer::{Rounds, Timing, least};
-use super::sweep::Report;
+use super::sweep::ModelReport;
 
 const LEGEND: &str = "\
 Each row is a process of its own with random weights, or with a checkpoint's where accuracy stands. *Encoder*: one frame. *Stream*:
@@ -15,7 +15,7 @@ weights.
 ";
 
 /// Returns the report as Markdown.
-pub fn render(report: &Report) -> String {
+pub fn render(report: &ModelReport) -> String {
     let mut text = String::from("# What the network's accuracy costs in time\n\n");
     let _ = writeln!(
         text,

@@ -47,7 +47,7 @@ pub struct Plan {
 
 /// Results of a measurement.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Report {
+pub struct RetargetReport {
     /// The command that measures the same again.
     pub command: String,
     /// Version of the program.
@@ -150,7 +150,7 @@ struct NoisyInput {
 ///
 /// # Errors
 /// If a robot can't be loaded, or a peer fails.
-pub fn run(plan: &Plan, mut say: impl FnMut(&str)) -> Result<Report> {
+pub fn run(plan: &Plan, mut say: impl FnMut(&str)) -> Result<RetargetReport> {
     let clean = Trajectory::generate(plan.frames, plan.seed)?;
     let noisy = |noise: Noise, seed: u64| clean.with(noise, plan.seed + seed);
     let inputs = [
@@ -170,7 +170,7 @@ pub fn run(plan: &Plan, mut say: impl FnMut(&str)) -> Result<Report> {
         costs.extend(choices(name, &mild.trajectory, &mut say)?);
     }
     say("grips in simulation");
-    Ok(Report {
+    Ok(RetargetReport {
         command: plan.command.clone(),
         version: egotac::VERSION.to_owned(),
         machine: Machine::this(),

@@ -8,7 +8,7 @@ use egotac::render::plot::{self, PALETTE};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::Report;
+use super::RetargetReport;
 
 /// Smallest relative distance from the best objective that is drawn; smaller ones are drawn at it.
 const LEAST: f64 = 1e-7;
@@ -17,7 +17,7 @@ const LEAST: f64 = 1e-7;
 ///
 /// # Errors
 /// If a file can't be written.
-pub fn write(folder: &Path, report: &Report) -> Result<bool> {
+pub fn write(folder: &Path, report: &RetargetReport) -> Result<bool> {
     if report.costs.iter().all(|cost| cost.ratio_p999.is_nan()) {
         return Ok(false);
     }
@@ -25,7 +25,7 @@ pub fn write(folder: &Path, report: &Report) -> Result<bool> {
     Ok(true)
 }
 
-impl Figure for Report {
+impl Figure for RetargetReport {
     const SIZE: (u32, u32) = (900, 560);
 
     fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>

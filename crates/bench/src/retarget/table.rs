@@ -3,10 +3,10 @@
 use egotac::text::{put, significant};
 
 use super::grip::{Grips, PRESSED};
-use super::{Objective, Report};
+use super::{Objective, RetargetReport};
 
 /// Returns the tables as Markdown.
-pub fn markdown(report: &Report) -> String {
+pub fn markdown(report: &RetargetReport) -> String {
     let mut text = String::new();
     head(&mut text, report);
     if !report.objectives.is_empty() {
@@ -20,7 +20,7 @@ pub fn markdown(report: &Report) -> String {
     text
 }
 
-fn head(text: &mut String, report: &Report) {
+fn head(text: &mut String, report: &RetargetReport) {
     put(text, format_args!("# Retargeting: time, exactness, touch\n"));
     put(text, format_args!("Written by `{}` (egotac {}), {}.", report.command, report.version, report.machine));
     if let Some(load) = &report.load {
@@ -36,7 +36,7 @@ fn head(text: &mut String, report: &Report) {
 }
 
 /// Writes the results of our solver on the peers' objective.
-fn objectives(text: &mut String, report: &Report) {
+fn objectives(text: &mut String, report: &RetargetReport) {
     put(text, format_args!("## Tip objective of dex-retargeting (vector), one core\n"));
     put(
         text,
@@ -68,7 +68,7 @@ fn objectives(text: &mut String, report: &Report) {
 }
 
 /// Writes the results of whole retargeters.
-fn whole(text: &mut String, report: &Report) {
+fn whole(text: &mut String, report: &RetargetReport) {
     put(text, format_args!("\n## Everything on: contact, force, collisions, couplings\n"));
     put(
         text,
@@ -129,7 +129,7 @@ fn grips(text: &mut String, grips: &Grips) {
     );
 }
 
-fn jitter(text: &mut String, report: &Report) {
+fn jitter(text: &mut String, report: &RetargetReport) {
     put(text, format_args!("\n## Jitter\n"));
     put(text, format_args!("| robot | input | lag, ms | jerk, rad/s³ | the motion's own | off the clean run, rad |"));
     put(text, format_args!("|---|---|---|---|---|---|"));
@@ -149,7 +149,7 @@ fn jitter(text: &mut String, report: &Report) {
     }
 }
 
-fn costs(text: &mut String, report: &Report) {
+fn costs(text: &mut String, report: &RetargetReport) {
     put(text, format_args!("\n## What accuracy costs in time\n"));
     put(text, format_args!("| robot | choice | median, us | objective over best, p99.9 | tip error, mm |"));
     put(text, format_args!("|---|---|---|---|---|"));
@@ -170,7 +170,7 @@ fn costs(text: &mut String, report: &Report) {
 }
 
 /// Explains the force angle of robots whose fingertips meet in points; empty if there are none.
-fn in_points(report: &Report) -> String {
+fn in_points(report: &RetargetReport) -> String {
     let mut names: Vec<&str> =
         report.robots.iter().filter(|row| row.seen.meets_in_points).map(|row| row.robot.as_str()).collect();
     names.dedup();
@@ -185,7 +185,7 @@ fn in_points(report: &Report) -> String {
 }
 
 /// Writes the results of the peers on the same vectors.
-fn peers(text: &mut String, report: &Report) {
+fn peers(text: &mut String, report: &RetargetReport) {
     let all = || report.objectives.iter().flat_map(|row| row.peers.iter().map(move |peer| (row, peer)));
     if all().next().is_none() {
         return;

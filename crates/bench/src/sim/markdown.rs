@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use egotac::text::significant;
 
 use super::knob::Knob;
-use super::table::{Entry, Report, Row};
+use super::table::{Entry, Row, SimReport};
 
 /// Explanation of the columns.
 const LEGEND: &str = "\
@@ -20,7 +20,7 @@ along with its forces. *x real time* is its inverse. A dash: nothing to compare.
 ";
 
 /// Returns the report as Markdown.
-pub fn render(report: &Report) -> String {
+pub fn render(report: &SimReport) -> String {
     let mut text = String::from("# What accuracy costs in time\n\n");
     let seeds = if report.seeds == 1 { "1 seed".into() } else { format!("{} seeds", report.seeds) };
     let _ = writeln!(
@@ -55,7 +55,7 @@ pub fn render(report: &Report) -> String {
     text
 }
 
-fn scenes(report: &Report, text: &mut String) {
+fn scenes(report: &SimReport, text: &mut String) {
     text.push_str("\n| scene | simulated s | of these compared |\n|---|---|---|\n");
     for scene in &report.scenes {
         let _ = writeln!(text, "| {} | {:.1} | {:.1} |", scene.name, scene.seconds, scene.quiet_seconds);
@@ -116,7 +116,7 @@ fn physics_table(knob: Knob, rows: &[&Row], text: &mut String) {
     }
 }
 
-fn presets_by_scene(report: &Report, text: &mut String) {
+fn presets_by_scene(report: &SimReport, text: &mut String) {
     let rows: Vec<&Row> =
         report.rows.iter().filter(|row| row.knob == Knob::Preset.name() && row.setting != "replay").collect();
     text.push_str(
@@ -137,7 +137,7 @@ fn presets_by_scene(report: &Report, text: &mut String) {
     }
 }
 
-fn speed(report: &Report, text: &mut String) {
+fn speed(report: &SimReport, text: &mut String) {
     if let Some(wrapper) = &report.wrapper {
         let more = |ratio: f64| format!("{:+.1} %", 100.0 * (ratio - 1.0));
         let _ = writeln!(

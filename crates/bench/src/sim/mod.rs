@@ -31,7 +31,7 @@ use rayon::prelude::*;
 
 use self::errors::{Errors, Pool};
 use self::knob::{Change, Knob, Setup, Variant};
-use self::table::{Entry, RECOMMENDED, Report, Row, SceneNote};
+use self::table::{Entry, RECOMMENDED, Row, SceneNote, SimReport};
 use self::trace::Trace;
 
 /// Shipped scenes in which single knobs are compared if no scenes are named; presets are compared in all scenes.
@@ -69,7 +69,7 @@ pub struct Plan {
 ///
 /// # Errors
 /// If a scene can't be simulated with the reference's options, or the speed can't be measured.
-pub fn run(plan: &Plan, progress: impl Fn(&str, usize, usize)) -> Result<Report> {
+pub fn run(plan: &Plan, progress: impl Fn(&str, usize, usize)) -> Result<SimReport> {
     let mut rows = Vec::new();
     let mut scenes = Vec::new();
     let count = plan.scenes.len() + usize::from(plan.workers.is_some());
@@ -108,7 +108,7 @@ pub fn run(plan: &Plan, progress: impl Fn(&str, usize, usize)) -> Result<Report>
             repetitions,
         )?);
     }
-    Ok(Report {
+    Ok(SimReport {
         command: plan.command.clone(),
         seed: plan.seed,
         seeds: plan.seeds,

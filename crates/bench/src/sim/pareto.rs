@@ -10,7 +10,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::knob::Knob;
-use super::table::{Entry, Report};
+use super::table::{Entry, SimReport};
 use crate::front::front;
 
 /// Smallest relative error that is drawn; smaller ones are drawn at it.
@@ -41,7 +41,7 @@ const PANELS: [(&str, ErrorOf); 2] = [
 ///
 /// # Errors
 /// If a file can't be written.
-pub fn write(folder: &Path, report: &Report) -> Result<bool> {
+pub fn write(folder: &Path, report: &SimReport) -> Result<bool> {
     if PANELS.iter().any(|(_, error)| points(report, *error).is_empty()) {
         return Ok(false);
     }
@@ -49,7 +49,7 @@ pub fn write(folder: &Path, report: &Report) -> Result<bool> {
     Ok(true)
 }
 
-impl Figure for Report {
+impl Figure for SimReport {
     const SIZE: (u32, u32) = (1400, 640);
 
     fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
@@ -67,7 +67,7 @@ impl Figure for Report {
 }
 
 /// Returns the settings as the worst of the scenes in which all were measured: single knobs have fewer scenes than presets.
-fn points(report: &Report, error: ErrorOf) -> Vec<Point> {
+fn points(report: &SimReport, error: ErrorOf) -> Vec<Point> {
     let shared = report.shared_scenes();
     let point = |row: &super::table::Row| {
         let worst = row.worst_of(|scene| shared.contains(&scene));

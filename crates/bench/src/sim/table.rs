@@ -16,7 +16,7 @@ pub const RECOMMENDED: Preset = Preset::Default;
 
 /// Results of one call.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Report {
+pub struct SimReport {
     /// The command that measures the same again.
     pub command: String,
     /// First seed.
@@ -131,7 +131,7 @@ impl Row {
     }
 }
 
-impl Report {
+impl SimReport {
     /// Reads what [`Self::to_json`] wrote.
     ///
     /// # Errors

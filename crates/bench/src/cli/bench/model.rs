@@ -166,7 +166,7 @@ fn grow(args: &Args, frames: usize) -> anyhow::Result<bool> {
     Ok(growth.mb() <= GROWTH_MB)
 }
 
-fn sweep(args: &Args, out: &std::path::Path) -> anyhow::Result<sweep::Report> {
+fn sweep(args: &Args, out: &std::path::Path) -> anyhow::Result<sweep::ModelReport> {
     let plan = Plan {
         command: command(args, out),
         presets: args.preset.clone(),
@@ -189,7 +189,7 @@ fn sweep(args: &Args, out: &std::path::Path) -> anyhow::Result<sweep::Report> {
     Ok(report)
 }
 
-fn write(out: &std::path::Path, report: &sweep::Report) -> anyhow::Result<bool> {
+fn write(out: &std::path::Path, report: &sweep::ModelReport) -> anyhow::Result<bool> {
     let text = table::render(report);
     file::write(&out.join("model.md"), text.as_bytes())?;
     file::write(&out.join("model.json"), format!("{:#}\n", serde_json::to_value(report)?).as_bytes())?;
