@@ -1,16 +1,15 @@
 //! `egotac eval` on files written by other tools.
 
+mod common;
+
 use std::collections::HashMap;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use common::egotac;
 use egotac::tactile::N_FIELD;
 use safetensors::tensor::{Dtype, TensorView};
 use serde_json::Value;
-
-fn egotac(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_egotac")).args(args).output().unwrap()
-}
 
 /// Returns forces whose frame t has `scale` x (t + 1) N on vertices 0..10.
 fn field(frames: usize, scale: f32) -> Vec<f32> {

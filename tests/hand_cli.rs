@@ -1,16 +1,15 @@
 //! `egotac hand` poses, draws and maps hands, and its errors name the cause.
 
+mod common;
+
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use common::hand_data;
 use egotac::hand::{N_JOINTS, N_VERTICES};
 use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensors, serialize};
-
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hand").join(name)
-}
 
 fn hand(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_egotac")).arg("hand").args(args).output().unwrap()
@@ -50,7 +49,8 @@ fn floats(bytes: &[u8], name: &str) -> (Vec<usize>, Vec<f32>) {
 fn forward_gives_what_smplx_gives() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out.safetensors");
-    let [golden, mano, out] = [data("golden.safetensors"), data("right.npz"), out].map(|p| p.display().to_string());
+    let [golden, mano, out] =
+        [hand_data("golden.safetensors"), hand_data("right.npz"), out].map(|p| p.display().to_string());
     succeeds(&["forward", "--model", &mano, "--params", &golden, "--out", &out]);
     let (out, golden) = (std::fs::read(&out).unwrap(), std::fs::read(&golden).unwrap());
     for (name, rows) in [("vertices", N_VERTICES), ("joints", N_JOINTS)] {
@@ -109,7 +109,7 @@ fn fix_left_shapedirs_is_refused_for_the_built_in_hand() {
 #[test]
 fn show_draws_a_png() {
     let folder = tempfile::tempdir().unwrap();
-    for (model, side) in [("builtin".into(), "left"), (data("right.npz").display().to_string(), "right")] {
+    for (model, side) in [("builtin".into(), "left"), (hand_data("right.npz").display().to_string(), "right")] {
         let out = folder.path().join(format!("{side}.png"));
         succeeds(&["show", "--model", &model, "--side", side, "--out", out.to_str().unwrap()]);
         let picture = image::open(&out).unwrap().to_rgb8();
@@ -123,7 +123,7 @@ fn map_transfers_force_in_both_directions() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (field, there, back, weights) = (path("f"), path("t"), path("b"), path("w"));
-    let mano = data("right.npz").display().to_string();
+    let mano = hand_data("right.npz").display().to_string();
     let force: Vec<f32> = (0..2 * 1556).map(|k| if k % 7 == 0 { 0.3 } else { 0.0 }).collect();
     let metadata = HashMap::from([("topology".to_string(), "egotac-hand-1".to_string())]);
     write(Path::new(&field), &[("force", vec![2, 1556], force.clone())], Some(metadata));
@@ -153,7 +153,7 @@ fn map_transfers_force_in_both_directions() {
 fn invalid_hand_files_are_named() {
     let message = fails(&["show", "--model", "/nowhere/MANO_RIGHT.pkl"]);
     assert!(message.contains("/nowhere/MANO_RIGHT.pkl"), "{message}");
-    let golden = data("golden.safetensors").display().to_string();
+    let golden = hand_data("golden.safetensors").display().to_string();
     let message = fails(&["show", "--model", &golden]);
     assert!(message.contains("golden.safetensors") && message.contains("not a MANO pickle"), "{message}");
 }

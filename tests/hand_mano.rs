@@ -2,16 +2,15 @@
 //!
 //! Files and golden values: tests/data/hand/make_golden.py.
 
+mod common;
+
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
+use common::hand_data;
 use egotac::hand::{HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, Region, Side, Topology};
 use glam::Vec3;
 use safetensors::SafeTensors;
-
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hand").join(name)
-}
 
 /// Loads a fixture, decompressed into a temporary file if necessary.
 fn load(name: &str, side: Side) -> HandModel {
@@ -21,7 +20,7 @@ fn load(name: &str, side: Side) -> HandModel {
 }
 
 fn unpacked(name: &str) -> Vec<u8> {
-    let bytes = std::fs::read(data(name)).unwrap();
+    let bytes = std::fs::read(hand_data(name)).unwrap();
     if !name.ends_with(".gz") {
         return bytes;
     }
@@ -37,7 +36,7 @@ fn floats(file: &SafeTensors, name: &str) -> Vec<f32> {
 /// Returns the largest distance between the vertices or joints of `model` and those of smplx for the golden parameters,
 /// m.
 fn worst_distance(model: &HandModel, vertices: &str, joints: Option<&str>) -> f32 {
-    let bytes = std::fs::read(data("golden.safetensors")).unwrap();
+    let bytes = std::fs::read(hand_data("golden.safetensors")).unwrap();
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let [betas, orient, pose, transl] =
         ["betas", "global_orient", "hand_pose", "transl"].map(|name| floats(&file, name));

@@ -4,26 +4,25 @@
 //! The MANO file is the synthetic one of tests/data/hand/make_golden.py: the built-in hand deformed, thickened, rotated
 //! and renumbered, so that the true correspondence is known.
 
+mod common;
+
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use common::hand_data;
 use egotac::hand::{HandMap, HandModel, N_VERTICES, Region, Side, Topology};
 use egotac::tactile::N_FIELD;
 use glam::Vec3;
 use proptest::prelude::*;
 use safetensors::SafeTensors;
 
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hand").join(name)
-}
-
 fn right_mano() -> HandModel {
-    HandModel::load(&data("right.npz"), Side::Right).unwrap()
+    HandModel::load(&hand_data("right.npz"), Side::Right).unwrap()
 }
 
 fn left_mano() -> HandModel {
     let mut plain = Vec::new();
-    let bytes = std::fs::read(data("left_plain.pkl.gz")).unwrap();
+    let bytes = std::fs::read(hand_data("left_plain.pkl.gz")).unwrap();
     flate2::read::GzDecoder::new(&bytes[..]).read_to_end(&mut plain).unwrap();
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), plain).unwrap();
@@ -32,7 +31,7 @@ fn left_mano() -> HandModel {
 
 /// Returns the built-in vertex of each MANO vertex.
 fn builtin_vertex() -> Vec<usize> {
-    let bytes = std::fs::read(data("golden.safetensors")).unwrap();
+    let bytes = std::fs::read(hand_data("golden.safetensors")).unwrap();
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let data = file.tensor("builtin_vertex").unwrap().data().to_vec();
     data.as_chunks().0.iter().map(|word| i32::from_le_bytes(*word) as usize).collect()

@@ -1,6 +1,8 @@
 //! `egotac label` on bags: original records stay, touch is added beside the images, damage is reported, and a killed run
 //! resumes.
 
+mod common;
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Cursor;
@@ -8,6 +10,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
+use common::egotac;
 use egotac::label::Progress;
 use egotac::message::{CompressedImage, Header, Image, Message, TactileFrame, Time};
 use egotac::model::predictor::{Options, Predictor};
@@ -92,10 +95,6 @@ fn write_mcap(path: &Path, frames: u64, form: Form) {
     let metadata = BTreeMap::from([("operator".to_string(), "nobody".to_string())]);
     writer.write_metadata(&mcap::records::Metadata { name: "session".into(), metadata }).unwrap();
     writer.finish().unwrap();
-}
-
-fn egotac(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_egotac")).args(args).output().unwrap()
 }
 
 fn label(input: &Path, out: &Path, more: &[&str]) -> Output {
@@ -346,26 +345,24 @@ fn a_killed_run_resumes_to_the_same_bytes() {
     write_mcap(&input, 250, PLAIN);
     summary(&label(&input, &alone, &[]), 0);
     let journal = folder.path().join(".killed.mcap.unfinished/000000.labels");
-    let mut sizes = vec![0];
-    for round in 1..=2 {
+    let labelled = || Progress::read(&journal).map_or(0, |progress| progress.frames as u64);
+    let mut done = 0;
+    for _ in 0..2 {
         let mut child = Command::new(env!("CARGO_BIN_EXE_egotac"));
         child.args(["label", input.to_str().unwrap(), "--out", killed.to_str().unwrap()]);
         let mut child = child.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-        while fs::metadata(&journal).map_or(0, |file| file.len()) <= sizes[round - 1]
-            && child.try_wait().unwrap().is_none()
-        {
+        while labelled() <= done && child.try_wait().unwrap().is_none() {
             std::thread::sleep(Duration::from_millis(1));
         }
         child.kill().unwrap(); // SIGKILL
         child.wait().unwrap();
         assert!(!killed.exists(), "the run was over before it was killed");
+        done = labelled();
         // What a kill in the middle of a write leaves behind.
         let mut bytes = fs::read(&journal).unwrap();
-        sizes.push(bytes.len() as u64);
         bytes.extend_from_slice(&[17; 100]);
         fs::write(&journal, &bytes).unwrap();
     }
-    let done = Progress::read(&journal).unwrap().frames as u64;
     let json = summary(&label(&input, &killed, &[]), 0);
     assert!(done > 0 && done < 250);
     assert_eq!(json["images_labelled_now"].as_u64(), Some(250 - done));

@@ -1,10 +1,13 @@
 //! `egotac label` on Open X-Tactile stores written by zarr-python (tests/data/oxt).
 
+mod common;
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use common::egotac;
 use egotac::dataset::EpisodeReader;
 use egotac::dataset::zarr::{StoreLocation, ZarrReader};
 use egotac::model::predictor::{Options, Predictor};
@@ -13,10 +16,6 @@ use egotac::tactile::N_FIELD;
 use serde_json::Value;
 
 const DATA: &str = "tests/data/oxt";
-
-fn egotac(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_egotac")).args(args).output().unwrap()
-}
 
 fn label(input: &Path, out: &Path, more: &[&str]) -> Output {
     let [input, out] = [input, out].map(|path| path.to_str().unwrap());

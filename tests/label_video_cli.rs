@@ -1,9 +1,12 @@
 //! `egotac label` and `egotac predict` on videos and folders of images; other output formats; `egotac data` on the outputs.
 
+mod common;
+
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use common::egotac;
 use egotac::dataset::EpisodeReader;
 use egotac::dataset::tensors;
 use egotac::dataset::video::{VideoFrames, damage, probe};
@@ -12,10 +15,6 @@ use egotac::model::predictor::{Options, Predictor};
 use egotac::model::shipped;
 use image::{Rgb, RgbImage};
 use serde_json::Value;
-
-fn egotac(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_egotac")).args(args).output().unwrap()
-}
 
 fn json(args: &[&str], status: i32) -> Value {
     let output = egotac(args);

@@ -1,8 +1,11 @@
 //! The commands of `egotac model` and `egotac bench model`, run as programs.
 
+mod common;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use common::model_data;
 use egotac::model::{checkpoint, shipped};
 use serde_json::Value;
 
@@ -20,10 +23,6 @@ fn refused(arguments: &[&str], folder: &Path) -> String {
     let output = egotac(arguments, folder);
     assert!(!output.status.success(), "{arguments:?}");
     String::from_utf8(output.stderr).unwrap()
-}
-
-fn data(file: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/model").join(file)
 }
 
 #[test]
@@ -59,7 +58,7 @@ fn attention_is_drawn_for_layers_and_the_temporal_token() {
 #[test]
 fn import_and_init_write_checkpoints_that_load() {
     let folder = tempfile::tempdir().unwrap();
-    let published = data("pretrained_registers.safetensors");
+    let published = model_data("pretrained_registers.safetensors");
     let init = [
         "model",
         "init",
@@ -93,7 +92,7 @@ fn import_and_init_write_checkpoints_that_load() {
 #[test]
 fn forward_takes_a_precision() {
     let folder = tempfile::tempdir().unwrap();
-    let (weights, input) = (data("toy_0_weights.safetensors"), data("toy_0_activations.safetensors"));
+    let (weights, input) = (model_data("toy_0_weights.safetensors"), model_data("toy_0_activations.safetensors"));
     let forward = |precision: &str| {
         good(
             &[

@@ -1,8 +1,11 @@
 //! A table converts another program's checkpoint, or each mismatch is named.
 
+mod common;
+
 use std::path::{Path, PathBuf};
 
 use candle_core::{DType, Device};
+use common::model_data;
 use egotac::model::import::Mapping;
 use egotac::model::{Checkpoint, checkpoint};
 
@@ -29,10 +32,6 @@ tensors:
 same: true
 ignore: [vision.embeddings.mask_token]
 "#;
-
-fn data(file: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/model").join(file)
-}
 
 fn table() -> String {
     let layer = [
@@ -68,7 +67,7 @@ fn mapping(text: &str) -> egotac::Result<Mapping> {
 
 #[test]
 fn a_pytorch_file_gives_the_outputs_it_was_saved_with() {
-    let (config, metadata, tensors) = mapping(&table()).unwrap().apply(&data("foreign.pth")).unwrap();
+    let (config, metadata, tensors) = mapping(&table()).unwrap().apply(&model_data("foreign.pth")).unwrap();
     assert_eq!((metadata.force_scale, metadata.frame_dt, metadata.has_force), (1.5, 0.1, true));
     assert_eq!((metadata.topology.id(), metadata.mean, metadata.std), ("mano", [0.5; 3], [0.25; 3]));
     let folder = tempfile::tempdir().unwrap();
@@ -77,9 +76,12 @@ fn a_pytorch_file_gives_the_outputs_it_was_saved_with() {
     let imported = Checkpoint::load(&path, &Device::Cpu).unwrap();
     assert_eq!(imported.metadata, metadata);
     // The same network under egotac's names, and the outputs that PyTorch computed with it.
-    let ours =
-        checkpoint::load_model(&data("other_0_weights.safetensors"), None, &Device::Cpu).unwrap().freeze().unwrap();
-    let activations = candle_core::safetensors::load(data("other_0_activations.safetensors"), &Device::Cpu).unwrap();
+    let ours = checkpoint::load_model(&model_data("other_0_weights.safetensors"), None, &Device::Cpu)
+        .unwrap()
+        .freeze()
+        .unwrap();
+    let activations =
+        candle_core::safetensors::load(model_data("other_0_activations.safetensors"), &Device::Cpu).unwrap();
     let images = activations["images"].to_dtype(DType::F32).unwrap();
     let (force, contact) = imported.model.forward(&images).unwrap();
     let values = |t: &candle_core::Tensor| t.flatten_all().unwrap().to_vec1::<f32>().unwrap();
@@ -100,7 +102,7 @@ fn tensors_that_do_not_fit_are_named() {
     let fails = |from: &str, to: &str| {
         assert!(table().contains(from));
         let error =
-            mapping(&table().replace(from, to)).and_then(|mapping| mapping.apply(&data("foreign.pth")).map(drop));
+            mapping(&table().replace(from, to)).and_then(|mapping| mapping.apply(&model_data("foreign.pth")).map(drop));
         error.unwrap_err().to_string()
     };
     let absent = fails("from: fuse.proj", "from: fuse.absent");

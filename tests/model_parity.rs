@@ -1,10 +1,13 @@
 //! The network agrees, stage by stage, with one written in PyTorch (tests/data/model/golden.py).
 
+mod common;
+
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use candle_core::{DType, Device, Tensor};
+use common::{model_data, relative_error};
 use egotac::model::{EgoTac, checkpoint, init};
 
 const CASES: [&str; 5] = ["toy_0", "toy_1", "other_0", "other_1", "third_0"];
@@ -12,23 +15,10 @@ const STAGES: [&str; 4] = ["tokens", "z", "force", "contact_logits"];
 /// Relative L2 error that a stage may have; measured: below 1e-6.
 const TOLERANCE: f64 = 1e-5;
 
-fn data(file: String) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/model").join(file)
-}
-
 fn activations(case: &str) -> HashMap<String, Tensor> {
-    let path = data(format!("{case}_activations.safetensors"));
+    let path = model_data(format!("{case}_activations.safetensors"));
     let tensors = candle_core::safetensors::load(path, &Device::Cpu).unwrap();
     tensors.into_iter().map(|(name, t)| (name, t.to_dtype(DType::F32).unwrap())).collect()
-}
-
-fn relative_error(got: &Tensor, want: &Tensor) -> f64 {
-    assert_eq!(got.dims(), want.dims());
-    let norm = |t: &Tensor| -> f64 {
-        let values = t.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-        values.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt()
-    };
-    norm(&(got - want).unwrap()) / norm(want)
 }
 
 fn assert_stages_agree(case: &str, got: &BTreeMap<&str, Tensor>, want: &HashMap<String, Tensor>) {
@@ -47,7 +37,7 @@ fn stages(model: &EgoTac, images: &Tensor) -> BTreeMap<&'static str, Tensor> {
 #[test]
 fn every_stage_of_a_compiled_network_agrees_with_pytorch() {
     for case in CASES {
-        let weights = data(format!("{case}_weights.safetensors"));
+        let weights = model_data(format!("{case}_weights.safetensors"));
         let model = checkpoint::load_model(&weights, None, &Device::Cpu).unwrap().freeze().unwrap();
         let want = activations(case);
         assert_stages_agree(case, &stages(&model, &want["images"]), &want);
@@ -57,7 +47,7 @@ fn every_stage_of_a_compiled_network_agrees_with_pytorch() {
 #[test]
 fn every_stage_of_a_network_in_training_agrees_with_pytorch() {
     for case in CASES {
-        let weights = data(format!("{case}_weights.safetensors"));
+        let weights = model_data(format!("{case}_weights.safetensors"));
         let config = checkpoint::load_model(&weights, None, &Device::Cpu).unwrap().config().clone();
         let vars = candle_nn::VarMap::new();
         let model = EgoTac::new(&config, init::var_builder(&vars, 0, &Device::Cpu)).unwrap();
@@ -75,9 +65,9 @@ fn model_forward_repeats_the_golden_activations_from_the_command_line() {
         let out = folder.path().join(format!("{case}.safetensors"));
         let output = Command::new(env!("CARGO_BIN_EXE_egotac"))
             .args(["model", "forward", "--weights"])
-            .arg(data(format!("{case}_weights.safetensors")))
+            .arg(model_data(format!("{case}_weights.safetensors")))
             .arg("--input")
-            .arg(data(format!("{case}_activations.safetensors")))
+            .arg(model_data(format!("{case}_activations.safetensors")))
             .arg("--out")
             .arg(&out)
             .output()
@@ -97,9 +87,9 @@ fn model_forward_says_in_one_line_what_is_wrong() {
     let forward = |weights: &str, input: &str| {
         let output = Command::new(env!("CARGO_BIN_EXE_egotac"))
             .args(["model", "forward", "--weights"])
-            .arg(data(weights.into()))
+            .arg(model_data(weights))
             .arg("--input")
-            .arg(data(input.into()))
+            .arg(model_data(input))
             .arg("--out")
             .arg(&out)
             .output()

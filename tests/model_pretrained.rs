@@ -1,22 +1,15 @@
 //! Published DINOv2 checkpoints, with and without register tokens, give the tokens of PyTorch.
 
+mod common;
+
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use candle_core::{DType, Device, Tensor};
+use common::{model_data, relative_error};
 use egotac::image::{Filter, Resize};
 use egotac::model::pretrained::{self, InitOptions};
 use egotac::model::{Checkpoint, Precision};
-
-fn data(file: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/model").join(file)
-}
-
-fn relative_error(got: &Tensor, want: &Tensor) -> f32 {
-    assert_eq!(got.dims(), want.dims());
-    let norm = |t: &Tensor| t.sqr().unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap().sqrt();
-    norm(&(got - want).unwrap()) / norm(want)
-}
 
 fn options() -> InitOptions {
     InitOptions { image: 56, horizon: 2, predict: 1, depth: 1, seed: 3 }
@@ -27,15 +20,17 @@ fn tokens_agree_with_the_transformers_library() {
     let folder = tempfile::tempdir().unwrap();
     for (name, registers, pretrain_image) in [("plain", 0, 70), ("registers", 4, 98)] {
         let (config, metadata, tensors) =
-            pretrained::init(&data(&format!("pretrained_{name}.safetensors")), &options()).unwrap();
+            pretrained::init(&model_data(format!("pretrained_{name}.safetensors")), &options()).unwrap();
         assert_eq!((config.registers, config.pretrain_image, config.vision_width), (registers, pretrain_image, 64));
         assert_eq!((config.vision_depth, config.vision_heads, config.patch, config.tokens()), (2, 1, 14, 17));
         assert_eq!((metadata.resize, metadata.filter, metadata.has_force), (Resize::Centre, Filter::Bicubic, false));
         let path = folder.path().join(name);
         Checkpoint::save_tensors(&path, &config, &metadata, &tensors).unwrap();
 
-        let activations =
-            candle_core::safetensors::load(data(&format!("pretrained_{name}_activations.safetensors")), &Device::Cpu);
+        let activations = candle_core::safetensors::load(
+            model_data(format!("pretrained_{name}_activations.safetensors")),
+            &Device::Cpu,
+        );
         let activations: HashMap<String, Tensor> = activations.unwrap();
         let images = activations["images"].to_dtype(DType::F32).unwrap();
         let (layers, _) = egotac::model::checkpoint::load_uncompiled(&path).unwrap();
@@ -53,7 +48,7 @@ fn tokens_agree_with_the_transformers_library() {
 #[test]
 fn a_missing_or_misshapen_tensor_is_named_with_both_shapes() {
     let folder = tempfile::tempdir().unwrap();
-    let whole = candle_core::safetensors::load(data("pretrained_plain.safetensors"), &Device::Cpu).unwrap();
+    let whole = candle_core::safetensors::load(model_data("pretrained_plain.safetensors"), &Device::Cpu).unwrap();
     let refused = |change: &dyn Fn(&mut HashMap<String, Tensor>)| {
         let mut tensors = whole.clone();
         change(&mut tensors);
@@ -75,7 +70,7 @@ fn a_missing_or_misshapen_tensor_is_named_with_both_shapes() {
         tensors.insert(name.into(), fewer);
     });
     assert!(no_square.contains("position_embeddings") && no_square.contains("20 places"), "{no_square}");
-    let no_encoder = pretrained::init(&data("toy_0_weights.safetensors"), &options()).unwrap_err().to_string();
+    let no_encoder = pretrained::init(&model_data("toy_0_weights.safetensors"), &options()).unwrap_err().to_string();
     assert!(no_encoder.contains("embeddings.cls_token: expected [1, 1, width], found none"), "{no_encoder}");
 }
 

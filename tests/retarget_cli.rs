@@ -1,6 +1,8 @@
 //! `egotac retarget` as a user calls it: files, metadata, errors.
 #![cfg(feature = "sim")]
 
+mod common;
+
 #[allow(dead_code)]
 #[path = "../crates/bench/src/retarget/trajectory.rs"]
 mod trajectory;
@@ -9,13 +11,10 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use common::egotac;
 use egotac::hand::{N_VERTICES, Side};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use trajectory::Trajectory;
-
-fn egotac(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_egotac")).args(arguments).output().unwrap()
-}
 
 fn write(path: &Path, tensors: &[(&str, Vec<usize>, Vec<f64>)], metadata: &[(&str, &str)]) {
     let bytes: Vec<Vec<u8>> = tensors.iter().map(|(.., v)| v.iter().flat_map(|x| x.to_le_bytes()).collect()).collect();

@@ -1,12 +1,15 @@
 //! `egotac verify` on scenes, stores, predictions and recordings.
 #![cfg(feature = "sim")]
 
+mod common;
+
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
+use common::egotac;
 use egotac::dataset::mcap::BagWriter;
 use egotac::dataset::tensors;
 use egotac::dataset::zarr::{MANO_FORCE, ZarrReader};
@@ -16,10 +19,6 @@ use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
 use egotac::tactile::{N_FIELD, TactileField, TactileSequence, Validity};
 use serde_json::Value;
 use tempfile::TempDir;
-
-fn egotac(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_egotac")).args(arguments).output().unwrap()
-}
 
 /// Runs `egotac verify`, which must succeed, and returns its JSON.
 fn verify(arguments: &[&str]) -> Value {
