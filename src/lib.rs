@@ -36,10 +36,10 @@
 //! | [`image`](mod@image) | preparation of any image for the network |
 //! | [`model`] | the network, its checkpoints, the streaming predictor |
 //! | `geometry` | meshes, distances, solids, spread of forces over vertices |
-//! | [`score`] | the paper's metrics, agreement of labels, gates |
 //! | `message` | the ROS messages and their CDR bytes, without ROS |
 //! | `render` | pictures of hands |
 //! | [`dataset`] | Zarr stores, LeRobot data sets, MCAP bags, videos, tensor files |
+//! | [`score`] | the paper's metrics, agreement of labels, gates |
 //! | `mujoco`, `sim` | physics; scenes whose touch is known (feature `sim`) |
 //! | `retarget` | hand pose and touch carried over to robot hands (feature `sim`) |
 //! | `train` | training from stores to a checkpoint |

@@ -4,7 +4,6 @@ mod common;
 
 use std::collections::HashMap;
 use std::path::Path;
-use std::process::{Command, Output};
 
 use common::egotac;
 use egotac::tactile::N_FIELD;

@@ -5,7 +5,6 @@
 mod common;
 
 use std::io::{Read, Write};
-use std::path::{Path, PathBuf};
 
 use common::hand_data;
 use egotac::hand::{HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, Region, Side, Topology};

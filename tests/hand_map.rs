@@ -7,7 +7,6 @@
 mod common;
 
 use std::io::Read;
-use std::path::{Path, PathBuf};
 
 use common::hand_data;
 use egotac::hand::{HandMap, HandModel, N_VERTICES, Region, Side, Topology};

@@ -2,8 +2,6 @@
 
 mod common;
 
-use std::path::{Path, PathBuf};
-
 use candle_core::{DType, Device};
 use common::model_data;
 use egotac::model::import::Mapping;

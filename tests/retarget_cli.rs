@@ -9,7 +9,6 @@ mod trajectory;
 
 use std::collections::HashMap;
 use std::path::Path;
-use std::process::{Command, Output};
 
 use common::egotac;
 use egotac::hand::{N_VERTICES, Side};

@@ -30,6 +30,8 @@ pub use transfer::{HandMap, Transfer};
 
 /// Number of vertices of one hand.
 pub const N_VERTICES: usize = 778;
+/// Number of vertices of both hands in one array: left 0..777, right 778..1555.
+pub const N_FIELD: usize = 2 * N_VERTICES;
 /// Number of joints of one hand, in MANO order: wrist, index 1-3, middle 1-3, little 1-3, ring 1-3, thumb 1-3.
 pub const N_JOINTS: usize = 16;
 /// Names of the joints, and of the links that they move, in MANO order.

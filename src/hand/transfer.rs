@@ -6,10 +6,9 @@ use parry3d::query::PointQueryWithLocation;
 use parry3d::shape::Triangle;
 
 use super::fit::{Fit, PlaneTarget, fit_keypoints, refine};
-use super::{HandModel, HandParams, N_VERTICES, mesh};
+use super::{HandModel, HandParams, N_FIELD, N_VERTICES, mesh};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
-use crate::tactile::N_FIELD;
 
 /// Cost of a surface that faces the opposite way, as distance, m; it keeps the palm from mapping to the back.
 const NORMAL_COST: f32 = 0.008;

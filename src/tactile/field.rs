@@ -1,10 +1,7 @@
 //! The tactile field: force and contact per vertex of both hands, one of the two types that cross the middle.
 
 use crate::error::{Error, Result};
-use crate::hand::{N_VERTICES, Side, Topology};
-
-/// Vertices of both hands: left 0..777, right 778..1555.
-pub const N_FIELD: usize = 2 * N_VERTICES;
+use crate::hand::{N_FIELD, Side, Topology};
 
 /// Force above which a vertex is in contact in truth, N (paper: CONTACT = F > 0.05 N).
 pub const CONTACT_FORCE_N: f32 = 0.05;

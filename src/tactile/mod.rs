@@ -3,6 +3,7 @@
 mod field;
 mod sequence;
 
-pub use field::{CONTACT_FORCE_N, N_FIELD, TactileField, Validity};
+pub use crate::hand::N_FIELD;
+pub use field::{CONTACT_FORCE_N, TactileField, Validity};
 pub use sequence::{TactileSequence, episode_ranges, fps};
 pub(crate) use sequence::{check_rows, median_step};
