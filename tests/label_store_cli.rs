@@ -5,7 +5,7 @@ mod common;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
 use common::egotac;
 use egotac::dataset::EpisodeReader;
@@ -208,7 +208,7 @@ assert after.attrs["topology"] == "egotac-hand-1"
 print(force.sum(dtype="f8"), contact.sum(dtype="f8"))
 "#;
     let python = std::env::var("EGOTAC_PYTHON").expect("EGOTAC_PYTHON names the set-up's Python: source env.sh");
-    let output = Command::new(python).args(["-c", script]).args([&input, &out]).output().unwrap();
+    let output = std::process::Command::new(python).args(["-c", script]).args([&input, &out]).output().unwrap();
     succeeds(&output);
     let store = ZarrReader::open(&out).unwrap();
     let sum = |name| store.read_f32(name, 0..12).unwrap().into_iter().map(f64::from).sum::<f64>();
