@@ -1,4 +1,4 @@
-//! What several test files share. Each file uses a part of it.
+//! Helpers shared by several test files; each file uses a part of them.
 #![allow(dead_code)]
 
 use std::path::{Path, PathBuf};
