@@ -1,7 +1,10 @@
-//! Atomic file writes, file locks and checksums.
+//! Opening of files from outside, durable file writes, file locks and checksums.
+
+pub mod input;
+pub mod limits;
 
 use std::fs::{File, TryLockError};
-use std::io::{Cursor, Write};
+use std::io::{Cursor, ErrorKind, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::time::Duration;
@@ -16,7 +19,8 @@ const LOCK_ATTEMPTS: usize = 20;
 /// Pause between attempts of [`lock`].
 const LOCK_PAUSE: Duration = Duration::from_millis(10);
 
-/// Writes a file atomically: to a temporary file in the same directory, which then replaces the target.
+/// Writes a file atomically and durably: to a temporary file in the same directory, which then replaces the target. After a
+/// power loss the path holds the old content or the new one, whole.
 ///
 /// Creates missing parent directories and follows symbolic links. Writes directly to a target that is not a regular
 /// file, such as `/dev/stdout`.
@@ -38,8 +42,48 @@ pub fn write(path: &Path, content: &[u8]) -> Result<()> {
     let mode = PermissionsExt::from_mode(0o666);
     let mut file = tempfile::Builder::new().permissions(mode).tempfile_in(folder).map_err(Error::io(folder))?;
     file.write_all(content).map_err(Error::io(path))?;
+    file.as_file().sync_all().map_err(Error::io(path))?;
     file.persist(path).map_err(|error| Error::io(path)(error.error))?;
-    Ok(())
+    sync_folder(folder)
+}
+
+/// Renames a file or folder whose content is on disk already, durably.
+///
+/// # Errors
+/// If renaming fails.
+pub fn rename(from: &Path, to: &Path) -> Result<()> {
+    std::fs::rename(from, to).map_err(Error::io(to))?;
+    sync_folder(to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")))
+}
+
+/// Writes the names in a folder to disk: a file that was created or renamed there is found after a power loss.
+///
+/// # Errors
+/// If the folder can't be opened or written.
+pub fn sync_folder(folder: &Path) -> Result<()> {
+    let result = File::open(folder).and_then(|folder| folder.sync_all());
+    match result {
+        // Some network file systems have no fsync of folders.
+        Err(error) if matches!(error.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported) => Ok(()),
+        other => other.map_err(Error::io(folder)),
+    }
+}
+
+/// Writes all files and names below a folder to disk, so that [`rename()`] may publish it.
+///
+/// # Errors
+/// If a file can't be opened or written.
+pub fn sync_tree(folder: &Path) -> Result<()> {
+    for entry in std::fs::read_dir(folder).map_err(Error::io(folder))? {
+        let entry = entry.map_err(Error::io(folder))?;
+        let (path, kind) = (entry.path(), entry.file_type().map_err(Error::io(folder))?);
+        if kind.is_dir() {
+            sync_tree(&path)?;
+        } else if kind.is_file() {
+            File::open(&path).and_then(|file| file.sync_all()).map_err(Error::io(&path))?;
+        }
+    }
+    sync_folder(folder)
 }
 
 /// Locks a file against other processes. Returns false if another process holds the lock, and true if the file system
