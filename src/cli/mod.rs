@@ -8,6 +8,7 @@ mod external;
 mod hand;
 mod hands;
 mod label;
+mod limits;
 mod model;
 mod predict;
 #[doc(hidden)]
@@ -24,10 +25,16 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use crate::file::input;
+use crate::file::limits::check_environment;
+
 /// Touch from sight: dense force and contact on both hands, from egocentric RGB.
 #[derive(Debug, Parser)]
 #[command(version, propagate_version = true)]
 struct Cli {
+    /// Permit symbolic links inside data sets that lead out of them.
+    #[arg(long, global = true)]
+    follow_links: bool,
     #[command(subcommand)]
     command: Command,
 }
@@ -66,11 +73,17 @@ enum Command {
     Data(data::Args),
     /// Run simulator, predictor and verifier end to end on this machine.
     Demo(demo::Args),
+    /// Print the limits on files and messages from outside, and the variables that raise them.
+    Limits,
 }
 
 /// Runs the command line; the exit status is 0 for success, 1 for a failed check or an error, 2 for bad usage.
 pub fn main() -> ExitCode {
-    execute(|| match Cli::parse().command {
+    let Cli { follow_links, command } = Cli::parse();
+    if follow_links {
+        input::follow_links();
+    }
+    execute(|| match command {
         Command::Doctor(args) => doctor::run(args),
         Command::Hand(args) => hand::run(args),
         Command::Sim(args) => sim::run(args),
@@ -86,6 +99,7 @@ pub fn main() -> ExitCode {
         Command::Bench(args) => external::run("bench", args),
         Command::Data(args) => data::run(args),
         Command::Demo(args) => demo::run(args),
+        Command::Limits => limits::run(),
     })
 }
 
@@ -93,7 +107,7 @@ pub fn main() -> ExitCode {
 #[doc(hidden)]
 pub fn execute(command: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitCode {
     exit_quietly_on_closed_pipe();
-    match command() {
+    match check_environment().map_err(Into::into).and_then(|()| command()) {
         Ok(code) => code,
         Err(error) => {
             eprintln!("egotac: {error:#}");

@@ -6,6 +6,7 @@ use super::create::create;
 use super::params::{self, Parameter};
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
+use crate::file::limits::check_environment;
 
 /// Runs the program of the node `name`: `--help` and `--describe-parameters` print without starting ROS; otherwise `run`
 /// gets the node and runs until SIGINT or SIGTERM. The exit status is 0 after a clean shutdown, 1 after an error, which is
@@ -35,7 +36,12 @@ pub(crate) fn run(
         };
     }
     let shutdown = Shutdown::default();
-    match shutdown.request_on_signals().and_then(|()| run(create(name, table)?, &shutdown)) {
+    let run = || {
+        check_environment()?;
+        shutdown.request_on_signals()?;
+        run(create(name, table)?, &shutdown)
+    };
+    match run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("{error:#}");
