@@ -264,16 +264,20 @@ impl<'a> View<'a> {
         stride: Vec<usize>,
     ) -> Outcome<Self> {
         check_rank(size.len())?;
-        let count = size.iter().try_fold(1usize, |count, n| count.checked_mul(*n)).filter(|count| *count <= length);
+        let product = |least: usize| size.iter().try_fold(1usize, |count, n| count.checked_mul((*n).max(least)));
         let last = size
             .iter()
             .zip(&stride)
             .try_fold(start, |last, (n, step)| last.checked_add(n.saturating_sub(1).checked_mul(*step)?));
-        match (count, last) {
-            (Some(count), Some(last)) if size.len() == stride.len() && !size.contains(&0) && last < length => {
-                Ok(Self { number, bytes, start, size, stride, count })
-            }
-            _ => Err(format!(
+        // A tensor without elements has no place, but its other sizes must not overflow either.
+        let (count, inside) = match product(0) {
+            Some(0) => (0, product(1).is_some()),
+            Some(count) => (count, count <= length && last.is_some_and(|last| last < length)),
+            None => (0, false),
+        };
+        match inside && size.len() == stride.len() {
+            true => Ok(Self { number, bytes, start, size, stride, count }),
+            false => Err(format!(
                 "expected a tensor inside its storage of {length} numbers, got size {size:?} with stride {stride:?} from {start}"
             )),
         }

@@ -68,8 +68,11 @@ impl<'a> WeightsFile<'a> {
             return Err(Error::file(path, format!("expected at most {MAX_TENSORS} tensors, got {}", views.len())));
         }
         let tensors: BTreeMap<String, TensorView> = views.tensors().into_iter().collect();
-        for (name, view) in tensors.iter().filter(|(_, view)| view.shape().contains(&0)) {
-            return Err(Error::file(path, format!("{name}: expected sizes of at least 1, found {:?}", view.shape())));
+        // The library takes [2^40, 2^40, 0] for empty; strides would overflow.
+        let overflows =
+            |shape: &[usize]| shape.iter().try_fold(1usize, |n, size| n.checked_mul((*size).max(1))).is_none();
+        if let Some((name, view)) = tensors.iter().find(|(_, view)| overflows(view.shape())) {
+            return Err(Error::file(path, format!("{name}: expected a smaller shape, found {:?}", view.shape())));
         }
         Ok(Self { path, metadata, tensors: tensors.into_iter().filter(|(name, _)| name != MASK_TOKEN).collect() })
     }
