@@ -3,7 +3,7 @@
 use super::Outcome;
 
 /// Memory that every pickle may use, bytes. A MANO file needs 1 MB beside its arrays, the dictionary of a large network 10 MB.
-const BASE: u64 = 128 << 20;
+const BASE: u64 = 64 << 20;
 /// Further memory per byte of the file: strings are copied once, and a character of one byte may become two.
 const PER_BYTE: u64 = 2;
 
