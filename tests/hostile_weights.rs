@@ -60,7 +60,7 @@ fn a_checkpoint_that_promises_a_large_network_is_refused() {
     for (name, config, word) in [
         ("grid", with(json!({ "image": 4096, "patch": 1, "pretrain_image": 4095 })), "config.image"),
         ("patch", with(json!({ "image": 4096, "patch": 4096, "pretrain_image": 4096 })), "EGOTAC_LIMIT_PARAMETERS"),
-        ("window", with(json!({ "image": 64, "patch": 1, "pretrain_image": 64, "horizon": 256 })), "do not fit"),
+        ("window", with(json!({ "image": 64, "patch": 1, "pretrain_image": 64, "horizon": 256 })), "config.horizon"),
         (
             "largest",
             with(
