@@ -12,7 +12,7 @@ use glam::Vec3;
 use safetensors::tensor::{Dtype, TensorView};
 
 use crate::dataset::tensors;
-use crate::file;
+use crate::file::{self, input, limits};
 use crate::hand::{self, HandMap, HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, Region, Side, Topology};
 use crate::render::{View, color, font, hand_picture, region_colors};
 use crate::tactile::{N_FIELD, TactileSequence};
@@ -318,7 +318,8 @@ impl From<To> for Topology {
 /// Reads a batch of MANO parameters; all four keys are required, with the same number of rows.
 fn read_params(path: &Path) -> anyhow::Result<Vec<HandParams>> {
     let file = || path.display().to_string();
-    let tensors = candle_core::safetensors::load(path, &Device::Cpu).with_context(file)?;
+    let tensors =
+        candle_core::safetensors::load_buffer(&input::read(path, limits::FILE)?, &Device::Cpu).with_context(file)?;
     let keys = [("betas", N_BETAS), ("global_orient", 3), ("hand_pose", 3 * (N_JOINTS - 1)), ("transl", 3)];
     let missing: Vec<&str> = keys.iter().map(|(key, _)| *key).filter(|key| !tensors.contains_key(*key)).collect();
     if !missing.is_empty() {

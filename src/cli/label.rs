@@ -18,6 +18,8 @@ use crate::model::{Precision, Predictor, shipped};
 
 /// Exit status if a part of the input could not be labelled.
 const PARTLY: u8 = 3;
+/// Largest number of threads that decode images.
+const MAX_DECODERS: usize = 256;
 
 /// Arguments of `egotac label`.
 #[derive(Debug, clap::Args)]
@@ -74,7 +76,7 @@ pub struct Args {
     #[arg(long, value_name = "I/N", value_parser = shard, default_value = "0/1")]
     shard: Shard,
     /// Number of threads that decode images beside the network.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = decoders)]
     decoders: usize,
     /// JSON file for the closing summary; `-` prints JSON instead of text.
     #[arg(long, value_name = "FILE")]
@@ -215,6 +217,13 @@ fn time_unit(text: &str) -> Result<f64, String> {
         "us" => Ok(1e-6),
         "ns" => Ok(1e-9),
         _ => Err("expected s, ms, us or ns".into()),
+    }
+}
+
+fn decoders(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(number) if (1..=MAX_DECODERS).contains(&number) => Ok(number),
+        _ => Err(format!("expected 1 to {MAX_DECODERS}")),
     }
 }
 

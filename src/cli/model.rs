@@ -10,6 +10,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 use candle_core::{DType, Device, Tensor};
 
+use crate::file::{input, limits};
 use crate::model::{Checkpoint, Config, Precision, checkpoint};
 
 /// Arguments of `egotac model`.
@@ -83,7 +84,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 fn forward(args: &Forward) -> anyhow::Result<()> {
     let config = match &args.config {
         Some(path) => {
-            let json = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            let json = input::read_text(path, limits::TEXT)?;
             Some(Config::from_json(&json).with_context(|| path.display().to_string())?)
         }
         None => None,
@@ -109,7 +110,8 @@ fn forward(args: &Forward) -> anyhow::Result<()> {
 /// Reads the tensor `images` of a file as f32.
 fn images(path: &Path, device: &Device) -> anyhow::Result<Tensor> {
     let mut tensors: HashMap<String, Tensor> =
-        candle_core::safetensors::load(path, device).with_context(|| path.display().to_string())?;
+        candle_core::safetensors::load_buffer(&input::read(path, limits::FILE)?, device)
+            .with_context(|| path.display().to_string())?;
     let Some(images) = tensors.remove("images") else {
         let mut keys: Vec<_> = tensors.into_keys().collect();
         keys.sort();

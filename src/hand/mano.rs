@@ -1,18 +1,17 @@
 //! Reads MANO files: the published pickle and the `.npz` variants.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 use glam::Vec3;
 
 use super::{HandModel, N_BETAS, N_JOINTS, N_VERTICES, Side};
 use crate::error::{Error, Result};
+use crate::file::{input, limits};
 use crate::hand::Topology;
 use crate::numpy::{Array, Npz, Outcome, Pickle, expand_indptr, triplets};
 
-/// Largest accepted file, bytes; the published ones have 4 MB.
-const MAX_FILE: u64 = 256 << 20;
+/// Names listed in the message about an absent array.
+const MAX_NAMED: usize = 32;
 /// Columns of the pose blend shapes: 15 rotations of 9 entries.
 const N_POSE: usize = 9 * (N_JOINTS - 1);
 /// Fingertip vertices, thumb to little, as in the smplx package.
@@ -20,12 +19,7 @@ const TIP_VERTICES: [u32; 5] = [744, 320, 443, 554, 671];
 
 /// Loads a MANO file; the format follows from the content, not from the name.
 pub(super) fn load(path: &Path, side: Side) -> Result<HandModel> {
-    let mut bytes = Vec::new();
-    let file = File::open(path).map_err(Error::io(path))?;
-    file.take(MAX_FILE + 1).read_to_end(&mut bytes).map_err(Error::io(path))?;
-    if bytes.len() as u64 > MAX_FILE {
-        return Err(Error::file(path, format!("more than {MAX_FILE} bytes; a MANO file has about 4 million")));
-    }
+    let bytes = input::read(path, limits::FILE)?;
     let arrays = if bytes.starts_with(b"PK") {
         Npz::open(&bytes).map(Arrays::Npz)
     } else {
@@ -190,6 +184,7 @@ impl ManoFile<'_> {
             Arrays::Npz(npz) => npz.keys(),
         };
         present.sort();
+        present.truncate(MAX_NAMED);
         let present = if present.is_empty() { "nothing".to_string() } else { present.join(", ") };
         Err(Error::Missing { name: name.into(), place: self.path.display().to_string(), present })
     }

@@ -1,10 +1,14 @@
 //! Geometry of the network.
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
+use super::shapes;
 use crate::error::{Error, Result};
+use crate::file::limits;
 
-/// Largest width. The four limits are far beyond published networks; a larger number is a typing error.
+/// Largest width. These limits are far beyond published networks; a larger number is a typing error.
 const MAX_WIDTH: usize = 8192;
 /// Largest number of layers of encoder or decoder.
 const MAX_DEPTH: usize = 96;
@@ -12,6 +16,11 @@ const MAX_DEPTH: usize = 96;
 const MAX_IMAGE: usize = 4096;
 /// Largest number of observation steps, tactile steps or register tokens.
 const MAX_STEPS: usize = 256;
+/// Largest number of patches along a side of an image. Memory for attention and for resampled positions grows with its
+/// fourth power: 67 MB at 64, 1 GB at 128.
+const MAX_GRID: usize = 64;
+/// Largest number of values in the tokens of one observation window, whose multiples a predictor keeps: 134 MB in f32.
+const MAX_WINDOW: usize = 1 << 25;
 
 /// Geometry of the network.
 ///
@@ -193,7 +202,23 @@ impl Config {
                 return Err(Error::value(format!("config.{key}"), expected, value));
             }
         }
-        Ok(())
+        self.check_sizes()
+    }
+
+    /// Checks the sizes that follow from several keys, which are in range.
+    fn check_sizes(&self) -> Result<()> {
+        for (key, grid) in [("image", self.grid()), ("pretrain_image", self.pretrain_grid())] {
+            if grid > MAX_GRID {
+                let expected = format!("at most {MAX_GRID} patches along a side");
+                return Err(Error::value(format!("config.{key}"), expected, grid));
+            }
+        }
+        let window = self.horizon * self.tokens() * self.width;
+        if window > MAX_WINDOW {
+            let expected = format!("at most {MAX_WINDOW} values in the tokens of a window (horizon x tokens x width)");
+            return Err(Error::value("config.horizon", expected, window));
+        }
+        limits::PARAMETERS.check(Path::new("config"), "size", shapes::count(&shapes::of_network(self)))
     }
 
     /// Patches along one side of the input image.
@@ -237,6 +262,26 @@ mod tests {
             ("\"image\":56", "\"image\":57", "config.image"),
             ("\"horizon\":3", "\"horizon\":0", "config.horizon"),
             ("\"predict\":2", "\"predict\":-1", "-1"),
+            (
+                "\"image\":56,\"patch\":14,\"pretrain_image\":70",
+                "\"image\":65,\"patch\":1,\"pretrain_image\":5",
+                "config.image",
+            ),
+            (
+                "\"image\":56,\"patch\":14,\"pretrain_image\":70",
+                "\"image\":5,\"patch\":1,\"pretrain_image\":65",
+                "config.pretrain_image",
+            ),
+            (
+                "\"width\":32,\"depth\":2,\"heads\":4,\"image\":56,\"patch\":14,\"pretrain_image\":70,\"horizon\":3",
+                "\"width\":64,\"depth\":2,\"heads\":4,\"image\":64,\"patch\":1,\"pretrain_image\":5,\"horizon\":256",
+                "config.horizon",
+            ),
+            (
+                "\"width\":32,\"depth\":2,\"heads\":4",
+                "\"width\":8192,\"depth\":96,\"heads\":4",
+                "at most 2000000000 parameters",
+            ),
         ] {
             assert!(json.contains(from), "{json}");
             let error = Config::from_json(&json.replacen(from, to, 1)).unwrap_err().to_string();

@@ -28,20 +28,16 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use candle_core::{Device, Tensor};
-use candle_nn::VarMap;
+use candle_core::Tensor;
 use serde::Deserialize;
 
-use super::checkpoint;
 use super::config::Config;
 use super::metadata::Metadata;
-use super::{EgoTac, init};
+use super::{shapes, weights};
 use crate::error::{Error, Result};
+use crate::file::{input, limits};
 use crate::hand::{N_VERTICES, Topology};
 use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Resize};
-
-/// Mismatches listed in one message.
-const MAX_NAMED: usize = 8;
 
 /// The table as written.
 #[derive(Debug, Clone, Deserialize)]
@@ -123,7 +119,7 @@ impl Mapping {
     /// # Errors
     /// If it can't be read, a key is unknown or missing, or a value is out of range.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+        let text = input::read_text(path, limits::TEXT)?;
         let mapping: Self = serde_yaml::from_str(&text).map_err(|error| Error::file(path, error))?;
         mapping.config.check().map_err(|error| Error::file(path, error))?;
         mapping.metadata().map_err(|error| Error::file(path, error))?;
@@ -161,25 +157,22 @@ impl Mapping {
     /// # Errors
     /// If the file can't be read, or tensors are missing, left over or of a wrong shape; names them.
     pub fn apply(&self, path: &Path) -> Result<(Config, Metadata, BTreeMap<String, Tensor>)> {
-        let theirs = checkpoint::read_tensors(path)?;
-        let vars = VarMap::new();
-        EgoTac::new(&self.config, init::var_builder(&vars, 0, &Device::Cpu))?;
+        let theirs = weights::read_tensors(path)?;
         let (mut tensors, mut used, mut problems) = (BTreeMap::new(), BTreeSet::new(), Vec::new());
-        for (name, like) in checkpoint::variables(&vars)? {
+        for (name, dims) in shapes::of_network(&self.config) {
             let Some(source) = self.source(&name) else {
                 problems.push(format!("{name}: the table does not name it"));
                 continue;
             };
             match theirs.get(&source.from) {
-                None => problems.push(format!("{name}: expected {:?} in {}, found none", like.dims(), source.from)),
+                None => problems.push(format!("{name}: expected {dims:?} in {}, found none", source.from)),
                 Some(tensor) => {
                     used.insert(source.from.clone());
-                    match take(tensor, &source, like.dims())? {
+                    match take(tensor, &source, &dims)? {
                         Some(tensor) => drop(tensors.insert(name.clone(), self.left_hand_first(&name, tensor)?)),
                         None => {
-                            let (expected, found) = (like.dims(), tensor.dims());
-                            problems
-                                .push(format!("{name}: expected {expected:?} from {}, found {found:?}", source.from));
+                            let found = tensor.dims();
+                            problems.push(format!("{name}: expected {dims:?} from {}, found {found:?}", source.from));
                         }
                     }
                 }
@@ -189,10 +182,8 @@ impl Mapping {
         let left = theirs.iter().filter(|(name, _)| !used.contains(*name) && !is_ignored(name));
         problems.extend(left.map(|(name, tensor)| format!("{name} {:?}: left over", tensor.dims())));
         if !problems.is_empty() {
-            let more = problems.len().saturating_sub(MAX_NAMED);
-            let named = problems[..problems.len().min(MAX_NAMED)].join("; ");
-            let more = if more > 0 { format!("; and {more} more") } else { String::new() };
-            return Err(Error::file(path, format!("{} tensors do not fit: {named}{more}", problems.len())));
+            let message = format!("{} tensors do not fit: {}", problems.len(), shapes::first(&problems));
+            return Err(Error::file(path, message));
         }
         Ok((self.config.clone(), self.metadata()?, tensors))
     }

@@ -23,15 +23,17 @@ mod heads;
 pub mod import;
 #[doc(hidden)]
 pub mod init;
-mod loader;
 pub mod metadata;
 pub mod precision;
 pub mod predictor;
 #[doc(hidden)]
 pub mod pretrained;
+mod pytorch;
+mod shapes;
 pub mod shipped;
 mod stages;
 mod temporal;
+mod weights;
 #[doc(hidden)]
 pub mod window;
 

@@ -9,7 +9,7 @@ use candle_nn::VarMap;
 use super::checkpoint::{self, ENCODER};
 use super::config::Config;
 use super::metadata::Metadata;
-use super::{EgoTac, init};
+use super::{EgoTac, init, shapes};
 use crate::error::{Error, Result};
 use crate::image::{Filter, Resize};
 
@@ -50,12 +50,14 @@ pub fn init(path: &Path, options: &InitOptions) -> Result<(Config, Metadata, BTr
     let mut published = checkpoint::read_tensors(path)?;
     published.remove(MASK_TOKEN);
     let config = config(path, &published, options)?;
+    let encoder = |(name, shape): (String, _)| Some((name.strip_prefix(ENCODER)?.to_string(), shape));
+    let expected = shapes::of_network(&config).into_iter().filter_map(encoder).collect();
+    shapes::check(path, &expected, &shapes::of_tensors(&published))?;
     let vars = VarMap::new();
     EgoTac::new(&config, init::var_builder(&vars, options.seed, &Device::Cpu))?;
     let mut tensors = checkpoint::variables(&vars)?;
     tensors.retain(|name, _| !name.starts_with(ENCODER));
     tensors.extend(published.into_iter().map(|(name, tensor)| (format!("{ENCODER}{name}"), tensor)));
-    checkpoint::check(path, &config, &tensors)?;
     let name = path.file_stem().map_or("dinov2".into(), |stem| stem.to_string_lossy().into_owned());
     let mut metadata = Metadata::new(format!("{name}, untrained around it"), 1.0, 0.04);
     metadata.resize = Resize::Centre;

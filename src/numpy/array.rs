@@ -5,6 +5,8 @@ pub(crate) type Outcome<T> = Result<T, String>;
 
 /// Largest number of elements of an array; MANO's largest array has 315 090.
 const MAX_ELEMENTS: usize = 1 << 24;
+/// Largest number of dimensions of an array, that of numpy 1.
+const MAX_RANK: usize = 32;
 
 /// A dense array in row-major order, converted from any numeric type.
 #[derive(Debug, Clone, PartialEq)]
@@ -114,11 +116,24 @@ impl Array {
     }
 }
 
+/// Checks the number of dimensions of an array.
+///
+/// # Errors
+/// If it exceeds [`MAX_RANK`].
+pub(crate) fn check_rank(rank: usize) -> Outcome<()> {
+    if rank <= MAX_RANK {
+        Ok(())
+    } else {
+        Err(format!("expected an array of at most {MAX_RANK} dimensions, got {rank}"))
+    }
+}
+
 /// Returns the number of elements of a shape.
 ///
 /// # Errors
-/// If it exceeds [`MAX_ELEMENTS`].
+/// If it exceeds [`MAX_ELEMENTS`], or the shape has too many dimensions.
 fn n_elements(shape: &[usize]) -> Outcome<usize> {
+    check_rank(shape.len())?;
     let count = shape.iter().try_fold(1usize, |count, &n| count.checked_mul(n)).filter(|&count| count <= MAX_ELEMENTS);
     count.ok_or_else(|| format!("an array of shape {shape:?} is too large for a hand model"))
 }

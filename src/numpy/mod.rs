@@ -4,6 +4,6 @@ mod array;
 mod npz;
 mod pickle;
 
-pub(crate) use array::{Array, Outcome};
+pub(crate) use array::{Array, Outcome, check_rank};
 pub(crate) use npz::Npz;
-pub(crate) use pickle::{Pickle, expand_indptr, triplets};
+pub(crate) use pickle::{Id, Names, Pickle, Value, expand_indptr, triplets};

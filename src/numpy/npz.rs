@@ -4,9 +4,7 @@ use std::io::{Cursor, Read};
 
 use super::array::{Array, Dtype, Outcome};
 use super::pickle::Pickle;
-
-/// Largest size of a decompressed member, bytes.
-const MAX_MEMBER: u64 = 256 << 20;
+use crate::file::limits;
 
 /// An archive of named arrays, which are decompressed on access.
 pub(crate) struct Npz<'a> {
@@ -40,9 +38,12 @@ impl<'a> Npz<'a> {
             Err(error) => return Err(error.to_string()),
         };
         let mut bytes = Vec::new();
-        member.take(MAX_MEMBER + 1).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
-        if bytes.len() as u64 > MAX_MEMBER {
-            return Err(format!("more than {MAX_MEMBER} bytes"));
+        // The header's size may lie, so the bytes are counted.
+        let most = limits::CHUNK.value();
+        member.take(most.saturating_add(1)).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
+        if bytes.len() as u64 > most {
+            let variable = limits::CHUNK.variable();
+            return Err(format!("expected at most {most} bytes, got more; {variable} raises the limit"));
         }
         read_npy(&bytes).map(Some)
     }
@@ -103,6 +104,20 @@ mod tests {
     fn npy_with_fortran_order_reads_row_major() {
         let bytes = npy("{'descr': '|u1', 'fortran_order': True, 'shape': (2, 2), }\n", &[1, 2, 3, 4]);
         assert_eq!(read_npy(&bytes).unwrap(), Array { shape: vec![2, 2], data: vec![1.0, 3.0, 2.0, 4.0] });
+    }
+
+    #[test]
+    fn a_header_of_many_dimensions_is_refused() {
+        for count in [33, 60_000] {
+            let shape = "1,".repeat(count);
+            let header = format!("{{'descr': '|u1', 'fortran_order': True, 'shape': ({shape}), }}\n");
+            let mut bytes = b"\x93NUMPY\x02\x00".to_vec();
+            bytes.extend((header.len() as u32).to_le_bytes());
+            bytes.extend(header.as_bytes());
+            bytes.push(0);
+            let message = read_npy(&bytes).unwrap_err();
+            assert!(message.contains("at most 32 dimensions"), "{message}");
+        }
     }
 
     #[test]

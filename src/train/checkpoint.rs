@@ -1,6 +1,6 @@
 //! Resumable state of a run: weights, optimiser moments, averages and step.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use candle_core::Tensor;
@@ -9,12 +9,12 @@ use safetensors::tensor::{Dtype, TensorView};
 
 use super::optimizer::{AdamW, Param};
 use crate::error::{Error, Result};
-use crate::file;
+use crate::file::{self, input, limits};
 
 /// Tensors of a variable's state; each is named KIND.VARIABLE in the file.
 const STATE_KINDS: [&str; 4] = ["weight", "moment1", "moment2", "average"];
 
-/// Saves the state of a run atomically. `config` identifies the run: [`load`] refuses the state of another one.
+/// Saves the state of a run atomically; equal states give equal bytes. `config` identifies the run: [`load`] refuses the state of another one.
 ///
 /// # Errors
 /// If the file can't be written.
@@ -32,21 +32,21 @@ pub fn save(path: &Path, optimizer: &AdamW, step: usize, config: &str) -> Result
         let view = TensorView::new(Dtype::F32, shape.clone(), data);
         views.push((name.as_str(), view.map_err(|e| Error::file(path, format!("{name}: {e}")))?));
     }
-    let metadata = HashMap::from([
+    let metadata = BTreeMap::from([
         ("step".to_string(), step.to_string()),
         ("optimizer_steps".to_string(), optimizer.steps().to_string()),
         ("config".to_string(), config.to_string()),
     ]);
-    let content = safetensors::serialize(views, Some(metadata)).map_err(|e| Error::file(path, e))?;
-    file::write(path, &content)
+    file::write(path, &file::tensors::to_bytes(path, views, &metadata)?)
 }
 
 /// Restores a saved state into variables and optimiser. Returns the number of steps taken.
 ///
 /// # Errors
-/// If the file is not a state, belongs to another configuration, or its variables are not the network's.
-pub fn load(path: &Path, optimizer: &mut AdamW, config: &str) -> Result<usize> {
-    let bytes = std::fs::read(path).map_err(Error::io(path))?;
+/// If the file is not a state, belongs to another configuration, has taken more steps than it asks for, or its variables are
+/// not the network's.
+pub fn load(path: &Path, optimizer: &mut AdamW, config: &str, steps: usize) -> Result<usize> {
+    let bytes = input::read(path, limits::WEIGHTS)?;
     let invalid = |error: &dyn std::fmt::Display| Error::file(path, format!("is not a training state: {error}"));
     let tensors = SafeTensors::deserialize(&bytes).map_err(|e| invalid(&e))?;
     let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| invalid(&e))?;
@@ -55,8 +55,11 @@ pub fn load(path: &Path, optimizer: &mut AdamW, config: &str) -> Result<usize> {
         metadata.get(key).and_then(|text| text.parse::<usize>().ok()).ok_or_else(|| invalid(&format!("no {key} in it")))
     };
     let (step, optimizer_steps) = (number("step")?, number("optimizer_steps")?);
-    if let Some(difference) = first_difference(metadata.get("config").map_or("", String::as_str), config) {
-        return Err(Error::file(path, format!("belongs to a run with another configuration: {difference}")));
+    check_config(path, metadata.get("config").map_or("", String::as_str), config)?;
+    for (name, value, most) in [("step", step, steps), ("optimizer_steps", optimizer_steps, step)] {
+        if value > most {
+            return Err(Error::file(path, Error::value(name, format!("at most {most}"), value)));
+        }
     }
     let read = |kind: &str, param: &Param| -> Result<Vec<f32>> {
         let name = format!("{kind}.{}", param.name);
@@ -74,6 +77,19 @@ pub fn load(path: &Path, optimizer: &mut AdamW, config: &str) -> Result<usize> {
         Ok(())
     })?;
     Ok(step)
+}
+
+/// Checks that the configuration in a run's file is that of this run.
+///
+/// # Errors
+/// If it differs; names the first line that does.
+pub fn check_config(path: &Path, saved: &str, now: &str) -> Result<()> {
+    match first_difference(saved, now) {
+        Some(difference) => {
+            Err(Error::file(path, format!("belongs to a run with another configuration: {difference}")))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Describes the first line in which two configurations differ; None if they are equal.

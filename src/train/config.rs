@@ -6,7 +6,17 @@ use serde::{Deserialize, Serialize};
 
 use super::source::TrainingSource;
 use crate::error::{Error, Result};
+use crate::file::{input, limits};
 use crate::model::{self, Precision};
+
+/// Largest number of steps; some counters are 32 bits wide.
+const MAX_STEPS: usize = 1 << 30;
+/// Largest number of clips, windows per clip or batches of a step.
+const MAX_BATCH: usize = 1 << 16;
+/// Largest number of windows of an epoch, all of which each loading thread holds: 130 MB.
+const MAX_EPOCH: usize = 1 << 24;
+/// Largest number of loading threads.
+const MAX_THREADS: usize = 256;
 
 /// Configuration of a run as written in YAML; unknown keys are refused. Paths are relative to the current folder.
 ///
@@ -247,7 +257,7 @@ impl Config {
     /// # Errors
     /// If it can't be read, is not YAML, or a key is unknown, missing or of another type.
     pub fn read_unchecked(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+        let text = input::read_text(path, limits::TEXT)?;
         serde_yaml::from_str(&text).map_err(|e| Error::file(path, e))
     }
 
@@ -278,20 +288,22 @@ impl Config {
     }
 
     fn check_counts(&self) -> Result<()> {
-        let at_least_one = [
-            ("steps", self.steps),
-            ("batch.clips", self.batch.clips),
-            ("batch.windows", self.batch.windows),
-            ("batch.accumulate", self.batch.accumulate),
-            ("save_every", self.save_every),
-            ("validate_every", self.validate_every),
-            ("threads", self.threads),
-            ("data", self.data.len()),
-            ("data.stores", self.data.iter().map(|source| source.stores.len()).min().unwrap_or(0)),
-            ("sampling.epoch", self.sampling.epoch.unwrap_or(1)),
+        let least_stores = self.data.iter().map(|source| source.stores.len()).min().unwrap_or(0);
+        let ranges = [
+            ("steps", self.steps, MAX_STEPS),
+            ("batch.clips", self.batch.clips, MAX_BATCH),
+            ("batch.windows", self.batch.windows, MAX_BATCH),
+            ("batch.accumulate", self.batch.accumulate, MAX_BATCH),
+            ("save_every", self.save_every, usize::MAX),
+            ("validate_every", self.validate_every, usize::MAX),
+            ("threads", self.threads, MAX_THREADS),
+            ("data", self.data.len(), usize::MAX),
+            ("data.stores", least_stores, usize::MAX),
+            ("sampling.epoch", self.sampling.epoch.unwrap_or(1), MAX_EPOCH),
         ];
-        match at_least_one.iter().find(|(_, value)| *value == 0) {
-            Some((key, value)) => Err(Error::value(key, "at least 1", value)),
+        match ranges.iter().find(|(_, value, most)| !(1..=*most).contains(value)) {
+            Some((key, value, usize::MAX)) => Err(Error::value(key, "at least 1", value)),
+            Some((key, value, most)) => Err(Error::value(key, format!("1 to {most}"), value)),
             None => Ok(()),
         }
     }
@@ -424,6 +436,9 @@ mod tests {
             ("sampling: {temperature: -0.5}", "sampling.temperature"),
             ("sampling: {epoch: 0}", "sampling.epoch"),
             ("batch: {accumulate: 0}", "batch.accumulate"),
+            ("threads: 1000000", "threads: expected 1 to 256"),
+            ("batch: {accumulate: 1152921504606846976}", "batch.accumulate: expected 1 to 65536"),
+            ("sampling: {epoch: 17179869184}", "sampling.epoch: expected 1 to 16777216"),
             ("augment: {mirror: 2}", "augment.mirror"),
             ("validation: [no/such/store]", "no/such/store"),
             ("encoder: no/such/checkpoint", "no/such/checkpoint"),
@@ -442,6 +457,8 @@ mod tests {
             let error = parsed(&MINIMAL.replace("data: [.]", &format!("data: [{data}]"))).unwrap_err();
             assert!(error.contains(names), "{data}: {error}");
         }
+        let steps = parsed(&MINIMAL.replace("steps: 100", "steps: 17179869184")).unwrap_err();
+        assert!(steps.contains("steps: expected 1 to 1073741824"), "{steps}");
         assert!(parsed(&MINIMAL.replace("toy", "huge")).unwrap_err().contains("pocket"));
         assert!(parsed(&MINIMAL.replace("toy", "init")).unwrap_err().contains("no init names a checkpoint"));
         let absent = MINIMAL.replace("toy", "init, init: no/such/checkpoint");

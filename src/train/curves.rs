@@ -5,7 +5,8 @@ use std::path::Path;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use crate::error::{Error, Result};
+use crate::error::Result;
+use crate::file::{input, limits};
 use crate::render::figure::{self, Drawn, Figure};
 use crate::render::plot::{self, PALETTE};
 use crate::score::metrics::Metrics;
@@ -33,7 +34,7 @@ struct Curve {
 /// # Errors
 /// If the log can't be read or the plot can't be written.
 pub fn write(log: &Path, scores: &[(usize, Metrics)]) -> Result<()> {
-    let text = std::fs::read_to_string(log).map_err(Error::io(log))?;
+    let text = input::read_text(log, limits::FILE)?;
     let losses = losses(&text);
     if losses.iter().all(|curve| curve.points.is_empty()) {
         return Ok(());

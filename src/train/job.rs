@@ -7,10 +7,12 @@ use std::time::Duration;
 
 use candle_core::Device;
 
+use super::run::lock_folder;
 use super::source::TrainingSource;
 use super::{Config, Control, Event, Outcome, train};
 use crate::dataset::zarr::ZarrReader;
 use crate::error::{Error, Result};
+use crate::file::{self, input, limits};
 
 /// Time between two looks for recordings.
 const POLL_INTERVAL: Duration = Duration::from_millis(200);
@@ -57,6 +59,8 @@ pub fn run(job: &Job, device: &Device, stop: &AtomicBool, observe: &mut dyn FnMu
             control()
         });
     };
+    // Each round locks its own folder; the folder of them all gets the checkpoint.
+    let _lock = lock_folder(&job.config.out)?;
     let mut taken = 0;
     let mut last: Option<Outcome> = None;
     while taken < job.config.steps && !stop.load(Ordering::Relaxed) {
@@ -78,8 +82,7 @@ pub fn run(job: &Job, device: &Device, stop: &AtomicBool, observe: &mut dyn FnMu
         return Err(Error::value("live recordings", format!("at least {} frames", live.least_frames), "none in time"));
     };
     let checkpoint = job.config.out.join("checkpoint.safetensors");
-    let bytes = fs::read(&last.checkpoint).map_err(Error::io(&last.checkpoint))?;
-    crate::file::write(&checkpoint, &bytes)?;
+    file::write(&checkpoint, &input::read(&last.checkpoint, limits::WEIGHTS)?)?;
     Ok(Outcome { checkpoint, steps: taken, ..last })
 }
 

@@ -1,7 +1,7 @@
 //! Prefetching of batches by several threads, in an order that does not depend on the threads.
 
 use std::sync::mpsc::{Receiver, sync_channel};
-use std::thread::Scope;
+use std::thread::{Builder, Scope};
 
 use super::batch::{Batch, Collate};
 use super::config::Config;
@@ -23,7 +23,7 @@ impl Loader {
     /// Starts the threads of `config`; batch `first` of the run comes first.
     ///
     /// # Errors
-    /// If the sources can't be mixed as the configuration asks.
+    /// If the sources can't be mixed as the configuration asks, or a thread can't be started.
     pub fn start<'scope>(
         scope: &'scope Scope<'scope, '_>,
         data: &'scope Dataset,
@@ -36,17 +36,19 @@ impl Loader {
             .map(|thread| {
                 let (sender, receiver) = sync_channel(PREFETCH_PER_THREAD);
                 let batches = sampler.clone().enumerate().skip(first + thread).step_by(config.threads);
-                scope.spawn(move || {
+                let work = move || {
                     for (index, clips) in batches {
                         // The receiver is dropped when the run ends.
                         if sender.send(data.batch(collate, index, &clips)).is_err() {
                             break;
                         }
                     }
-                });
-                receiver
+                };
+                let started = Builder::new().spawn_scoped(scope, work);
+                started.map_err(|error| Error::value("threads", "a number that the system starts", error))?;
+                Ok(receiver)
             })
-            .collect();
+            .collect::<Result<_>>()?;
         Ok(Self { receivers, next: 0 })
     }
 

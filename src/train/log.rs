@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::Step;
 use super::pass::Losses;
 use crate::error::{Error, Result};
-use crate::file;
+use crate::file::{self, input, limits};
 
 /// Columns after the step and the losses.
 const COLUMNS: &str = "learning_rate,grad_norm,windows,frames,secs,wait_secs";
@@ -25,12 +25,19 @@ impl Log {
     /// # Errors
     /// If the file can't be read or written.
     pub fn open(path: &Path, step: usize) -> Result<Self> {
-        let before = if step > 0 { std::fs::read_to_string(path).unwrap_or_default() } else { String::new() };
+        let before = match step > 0 && path.exists() {
+            true => input::read_text(path, limits::FILE)?,
+            false => String::new(),
+        };
+        let header = format!("step,{},{COLUMNS}", Losses::NAMES.join(","));
+        // A line that was cut off by a kill may read as that of an earlier step.
+        let is_whole = |line: &&str| line.matches(',').count() == header.matches(',').count();
         let is_before = |line: &&str| {
             line.split(',').next().and_then(|text| text.parse::<usize>().ok()).is_some_and(|at| at <= step)
         };
-        let kept: String = before.lines().filter(is_before).map(|line| format!("{line}\n")).collect();
-        file::write(path, format!("step,{},{COLUMNS}\n{kept}", Losses::NAMES.join(",")).as_bytes())?;
+        let lines = before.split_inclusive('\n').filter_map(|line| line.strip_suffix('\n'));
+        let kept: String = lines.filter(is_whole).filter(is_before).map(|line| format!("{line}\n")).collect();
+        file::write(path, format!("{header}\n{kept}").as_bytes())?;
         let file = OpenOptions::new().append(true).open(path).map_err(Error::io(path))?;
         Ok(Self { path: path.to_path_buf(), file })
     }
@@ -47,5 +54,13 @@ impl Log {
             losses.join(",")
         );
         self.file.write_all(line.as_bytes()).map_err(Error::io(&self.path))
+    }
+
+    /// Writes all lines to disk: a state that is saved afterwards has its log.
+    ///
+    /// # Errors
+    /// If the file can't be written.
+    pub fn sync(&self) -> Result<()> {
+        self.file.sync_data().map_err(Error::io(&self.path))
     }
 }

@@ -120,11 +120,12 @@ pub struct Outcome {
     pub skipped_steps: usize,
 }
 
-/// Trains a network as `config` says; with `resume`, from the state that an earlier run left in its folder.
+/// Trains a network as `config` says; with `resume`, from the state that an earlier run left in its folder, or from the
+/// beginning if it was stopped before it saved any.
 ///
 /// # Errors
-/// If the configuration or data don't fit, the state is another run's, gradients stay not finite, or a file can't be
-/// written.
+/// If the configuration or data don't fit, the state is another run's, another run trains in the folder, gradients stay not
+/// finite, or a file can't be written.
 pub fn train(
     config: &Config,
     resume: bool,
@@ -137,7 +138,7 @@ pub fn train(
     let data = Data::open(config, &geometry)?;
     let network = Network::build(config, &geometry, &data, device)?;
     let mut optimizer = AdamW::new(&network.varmap, config)?;
-    let first = if resume { checkpoint::load(&files.state, &mut optimizer, &files.yaml)? } else { 0 };
+    let first = if resume { files.resume(&mut optimizer, config.steps)? } else { 0 };
     files.write_config()?;
     let mut log = Log::open(&files.log, first)?;
     let started = data.started(config, &network, first);
@@ -187,6 +188,7 @@ pub fn train(
                 }
             }
             if last || step.is_multiple_of(config.save_every) {
+                log.sync()?;
                 run.save(&optimizer, step, validated.as_ref())?;
                 stop |= observe(Event::Saved(step)) == Control::Stop;
             }
@@ -195,6 +197,7 @@ pub fn train(
         if validated.as_ref().is_none_or(|(at, _)| *at != step) {
             validated = run.validate(&optimizer)?.map(|metrics| (step, metrics));
         }
+        log.sync()?;
         let sha256 = run.save(&optimizer, step, validated.as_ref())?;
         curves::write(&files.log, &scores)?;
         let validation = validated.map(|(_, metrics)| metrics);

@@ -1,6 +1,7 @@
 //! Validation and saving of a run's weights.
 
-use std::path::PathBuf;
+use std::fs::{self, File, OpenOptions};
+use std::path::{Path, PathBuf};
 
 use candle_core::Device;
 use candle_nn::VarMap;
@@ -10,11 +11,25 @@ use super::optimizer::AdamW;
 use super::setup::Data;
 use super::{Started, checkpoint, predict};
 use crate::error::{Error, Result};
-use crate::file;
+use crate::file::{self, input, limits};
 use crate::model::{self, Checkpoint, EgoTac};
 use crate::score::metrics::{self, EvalOptions, Metrics};
 
-/// Files in the folder of a run.
+/// Locks a folder for one run; the lock ends with the returned file.
+///
+/// # Errors
+/// If another run has locked it, or the folder can't be written.
+pub fn lock_folder(folder: &Path) -> Result<File> {
+    fs::create_dir_all(folder).map_err(Error::io(folder))?;
+    let path = folder.join(".lock");
+    let lock = OpenOptions::new().create(true).append(true).open(&path).map_err(Error::io(&path))?;
+    match file::lock(&lock) {
+        true => Ok(lock),
+        false => Err(Error::file(folder, "another run trains in this folder: wait for its end, or choose another one")),
+    }
+}
+
+/// Files in the folder of a run, which is locked as long as they are used.
 pub struct Files {
     /// Resumable state.
     pub state: PathBuf,
@@ -25,21 +40,39 @@ pub struct Files {
     config: PathBuf,
     /// The configuration as YAML; identifies the run.
     pub yaml: String,
+    _lock: File,
 }
 
 impl Files {
-    /// Names the files of the run.
+    /// Locks the folder of the run and names its files.
     ///
     /// # Errors
-    /// If the folder holds the state of a run that is not to be resumed.
+    /// If another run trains in the folder, or it holds the state of a run that is not to be resumed.
     pub fn new(config: &Config, resume: bool) -> Result<Self> {
         let yaml = serde_yaml::to_string(config).map_err(|e| Error::value("config", "one that YAML can hold", e))?;
+        let folder = &config.out;
         let [state, checkpoint, log, config] =
-            ["state.safetensors", "checkpoint.safetensors", "log.csv", "config.yaml"].map(|name| config.out.join(name));
+            ["state.safetensors", "checkpoint.safetensors", "log.csv", "config.yaml"].map(|name| folder.join(name));
+        let lock = lock_folder(folder)?;
         match !resume && state.exists() {
             true => Err(Error::file(&state, "a run lies there already: resume it, or choose another folder")),
-            false => Ok(Self { state, checkpoint, log, config, yaml }),
+            false => Ok(Self { state, checkpoint, log, config, yaml, _lock: lock }),
         }
+    }
+
+    /// Restores the state that the run of `steps` steps saved last. Returns the number of steps taken: 0, and the beginning is left as it is,
+    /// if the run was stopped before its first save.
+    ///
+    /// # Errors
+    /// If the state can't be read, or the folder is that of a run with another configuration.
+    pub fn resume(&self, optimizer: &mut AdamW, steps: usize) -> Result<usize> {
+        if self.state.exists() {
+            return checkpoint::load(&self.state, optimizer, &self.yaml, steps);
+        }
+        if self.config.exists() {
+            checkpoint::check_config(&self.config, &input::read_text(&self.config, limits::TEXT)?, &self.yaml)?;
+        }
+        Ok(0)
     }
 
     /// Writes the configuration beside the weights.

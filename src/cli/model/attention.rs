@@ -6,8 +6,9 @@ use ::image::{Rgb, RgbImage, imageops};
 use anyhow::{Context as _, ensure};
 use candle_core::{Device, Tensor};
 
+use crate::file::{self, input, limits};
+use crate::image;
 use crate::model::{EgoTac, Metadata, checkpoint, shipped};
-use crate::{file, image};
 
 /// Side of each drawn image, pixels: twice the input of the larger presets.
 const SIDE: u32 = 448;
@@ -57,7 +58,7 @@ fn read_window(paths: &[PathBuf], horizon: usize) -> anyhow::Result<Vec<RgbImage
     ensure!(paths.len() <= horizon, "images: expected at most {horizon}, the window, got {}", paths.len());
     let mut pictures = Vec::new();
     for path in paths {
-        let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+        let bytes = input::read(path, limits::FILE)?;
         pictures.push(image::decode(&bytes).with_context(|| path.display().to_string())?);
     }
     while pictures.len() < horizon {

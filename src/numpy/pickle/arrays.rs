@@ -2,10 +2,8 @@
 
 use super::machine::kind;
 use super::{Array, Id, Outcome, Pickle, Value};
-use crate::numpy::array::Dtype;
+use crate::numpy::array::{Dtype, check_rank};
 
-/// Largest number of elements that are read from one pickle; a small file can refer to a large array many times.
-const MAX_READ: usize = 1 << 26;
 /// Largest nesting depth of arrays; numpy inside of chumpy has depth 2.
 const MAX_DEPTH: usize = 16;
 
@@ -16,10 +14,7 @@ impl Pickle<'_> {
             return Err(format!("arrays wrapped more than {MAX_DEPTH} deep"));
         }
         let array = self.convert(id, depth)?;
-        self.n_read.set(self.n_read.get() + 1 + array.data.len());
-        if self.n_read.get() > MAX_READ {
-            return Err("more numbers than any hand model has".into());
-        }
+        self.pay(1 + array.data.len())?;
         Ok(array)
     }
 
@@ -85,10 +80,10 @@ impl Pickle<'_> {
     /// Reads a sparse matrix in column-compressed, row-compressed or coordinate form as a dense array.
     fn sparse_matrix(&self, class: &str, state: Id, depth: usize) -> Outcome<Array> {
         let part = |name: &str| -> Outcome<Array> {
-            let id = self.attribute(state, name).ok_or_else(|| format!("a {class} without {name}"))?;
+            let id = self.attribute(state, name)?.ok_or_else(|| format!("a {class} without {name}"))?;
             self.to_array(id, depth + 1)
         };
-        let shape = part(if self.attribute(state, "_shape").is_some() { "_shape" } else { "shape" })?.indices()?;
+        let shape = part(if self.attribute(state, "_shape")?.is_some() { "_shape" } else { "shape" })?.indices()?;
         let &[rows, columns] = &shape[..] else { return Err(format!("a {class} of shape {shape:?}")) };
         let data = part("data")?.data;
         let triplets = match class.rsplit('.').next() {
@@ -102,7 +97,7 @@ impl Pickle<'_> {
             }
             Some("coo_matrix" | "coo_array") => {
                 // SciPy 1.13 and later store rows and columns in one attribute.
-                let (rows, columns) = match self.attribute(state, "coords") {
+                let (rows, columns) = match self.attribute(state, "coords")? {
                     Some(coords) => {
                         let mut rows = self.to_array(coords, depth + 1)?.indices()?;
                         let columns = rows.split_off(rows.len() / 2);
@@ -119,7 +114,7 @@ impl Pickle<'_> {
 
     /// Reads a chumpy object: `Ch` wraps an array as `x`; `Select` takes the entries `idxs` of another object `a`.
     fn chumpy_array(&self, class: &str, state: Id, depth: usize) -> Outcome<Array> {
-        let part = |name: &str| self.attribute(state, name).map(|id| self.to_array(id, depth + 1)).transpose();
+        let part = |name: &str| self.attribute(state, name)?.map(|id| self.to_array(id, depth + 1)).transpose();
         match class {
             "chumpy.ch.Ch" => part("x")?.ok_or_else(|| "a chumpy.ch.Ch without x".to_string()),
             "chumpy.reordering.Select" => {
@@ -134,7 +129,8 @@ impl Pickle<'_> {
                     Some(shape) => shape.indices()?,
                     None => indices.shape,
                 };
-                if shape.iter().product::<usize>() != data.len() {
+                check_rank(shape.len())?;
+                if shape.iter().try_fold(1usize, |count, n| count.checked_mul(*n)) != Some(data.len()) {
                     return Err(format!("a chumpy selection of {} entries has shape {shape:?}", data.len()));
                 }
                 Ok(Array { shape, data })
@@ -156,6 +152,7 @@ impl Pickle<'_> {
         }
         let mut full = vec![items.len()];
         full.extend(shape.unwrap_or_default());
+        check_rank(full.len())?;
         Ok(Array { shape: full, data })
     }
 
@@ -185,10 +182,12 @@ impl Pickle<'_> {
         }
     }
 
-    fn shape(&self, id: Id) -> Outcome<Vec<usize>> {
+    /// Returns the lengths in a tuple or list.
+    pub fn shape(&self, id: Id) -> Outcome<Vec<usize>> {
         let (Value::Tuple(items) | Value::List(items)) = &self.values[id] else {
             return Err(format!("{} where a shape should be", kind(&self.values[id])));
         };
+        check_rank(items.len())?;
         let length = |&id: &Id| match self.values[id] {
             Value::Int(length) => usize::try_from(length).map_err(|_| format!("the length {length}")),
             ref other => Err(format!("{} where a length should be", kind(other))),
@@ -202,7 +201,7 @@ impl Pickle<'_> {
     }
 
     /// Returns an entry of a tuple or list.
-    fn item(&self, id: Id, index: usize) -> Outcome<Id> {
+    pub fn item(&self, id: Id, index: usize) -> Outcome<Id> {
         match &self.values[id] {
             Value::Tuple(items) | Value::List(items) => {
                 items.get(index).copied().ok_or_else(|| format!("a tuple of {} without entry {index}", items.len()))
@@ -212,16 +211,14 @@ impl Pickle<'_> {
     }
 
     /// Returns an entry of an object's state: a dictionary, or a tuple that starts with one (objects with slots).
-    fn attribute(&self, state: Id, name: &str) -> Option<Id> {
+    fn attribute(&self, state: Id, name: &str) -> Outcome<Option<Id>> {
+        let state = match &self.values[state] {
+            Value::Tuple(items) => items.first().copied().unwrap_or(state),
+            _ => state,
+        };
         match &self.values[state] {
-            Value::Dict(entries) => {
-                entries.iter().rev().find(|&&(key, _)| self.text(key).as_deref() == Some(name)).map(|&(_, value)| value)
-            }
-            Value::Tuple(items) => match &self.values[*items.first()?] {
-                Value::Dict(_) => self.attribute(*items.first()?, name),
-                _ => None,
-            },
-            _ => None,
+            Value::Dict(entries) => self.entry(entries, name),
+            _ => Ok(None),
         }
     }
 }

@@ -4,32 +4,25 @@ use std::borrow::Cow;
 use std::cell::Cell;
 use std::collections::HashMap;
 
+use super::account::Account;
+use super::cursor::Cursor;
 use super::literal::{integer, number, python2_string, raw_unicode, text};
+use super::names::Names;
 use super::{Id, Outcome, Pickle, Value};
 
-/// Largest number of values of a pickle; a MANO file has some hundreds.
-const MAX_VALUES: usize = 1 << 20;
-
-/// Packages whose names may occur: [`super::arrays`] interprets them or ignores them as parts of objects in a MANO
-/// file.
-const KNOWN_PACKAGES: [&str; 3] = ["numpy", "scipy.sparse", "chumpy"];
-/// Further names that may occur.
-const KNOWN_NAMES: [&str; 11] = [
-    "copy_reg._reconstructor",
-    "copyreg._reconstructor",
-    "__builtin__.object",
-    "builtins.object",
-    "__builtin__.set",
-    "builtins.set",
-    "__builtin__.bytearray",
-    "builtins.bytearray",
-    "_codecs.encode",
-    "collections.OrderedDict",
-    "collections.defaultdict",
-];
+/// Memory of one value beside its text or items, bytes.
+const VALUE: usize = size_of::<Value>();
+/// Memory of a place on the stack, of a mark, or of an item of a list, bytes.
+const PLACE: usize = size_of::<Id>();
+/// Memory of an entry of the memo, bytes: key, value and the table's share.
+const MEMO: usize = 32;
+/// Classes whose objects are read as dictionaries.
+const DICTIONARIES: [&str; 2] = ["collections.OrderedDict", "collections.defaultdict"];
 
 struct Machine<'a> {
-    rest: &'a [u8],
+    input: Cursor<'a>,
+    names: &'static Names,
+    account: Account,
     values: Vec<Value<'a>>,
     stack: Vec<Id>,
     /// Stack heights at the marks.
@@ -37,20 +30,21 @@ struct Machine<'a> {
     memo: HashMap<u64, Id>,
 }
 
-/// Runs a complete pickle.
-pub(super) fn run(bytes: &[u8]) -> Outcome<Pickle<'_>> {
-    let mut machine =
-        Machine { rest: bytes, values: Vec::new(), stack: Vec::new(), marks: Vec::new(), memo: HashMap::new() };
+/// Runs a complete pickle that contains no other names than `names`.
+pub(super) fn run<'a>(bytes: &'a [u8], names: &'static Names) -> Outcome<Pickle<'a>> {
+    let (input, account) = (Cursor(bytes), Account::new(bytes.len()));
+    let (values, stack, marks, memo) = (Vec::new(), Vec::new(), Vec::new(), HashMap::new());
+    let mut machine = Machine { input, names, account, values, stack, marks, memo };
     loop {
-        let at = bytes.len() - machine.rest.len();
-        let [opcode] = machine.fixed()?;
+        let at = bytes.len() - machine.input.0.len();
+        let [opcode] = machine.input.fixed()?;
         if opcode == b'.' {
             break;
         }
         machine.step(opcode).map_err(|message| format!("{message} (pickle opcode at byte {at})"))?;
     }
     let root = machine.pop()?;
-    Ok(Pickle { values: machine.values, root, n_read: Cell::new(0) })
+    Ok(Pickle { values: machine.values, root, work: Cell::new(0) })
 }
 
 impl<'a> Machine<'a> {
@@ -72,15 +66,19 @@ impl<'a> Machine<'a> {
     fn stack_opcode(&mut self, opcode: u8) -> Outcome<bool> {
         match opcode {
             // Protocol version and frame length: neither changes the meaning of later opcodes.
-            0x80 => drop(self.fixed::<1>()?),
-            0x95 => drop(self.fixed::<8>()?),
-            b'(' => self.marks.push(self.stack.len()),
+            0x80 => drop(self.input.fixed::<1>()?),
+            0x95 => drop(self.input.fixed::<8>()?),
+            b'(' => {
+                self.account.charge(PLACE)?;
+                self.marks.push(self.stack.len());
+            }
             b'0' if self.marks.last() == Some(&self.stack.len()) => drop(self.marks.pop()),
             b'0' => drop(self.pop()?),
             b'1' => drop(self.pop_to_mark()?),
             b'2' => {
                 let top = self.pop()?;
-                self.stack.extend([top, top]);
+                self.stack.push(top);
+                self.put(top)?;
             }
             _ => return Ok(false),
         }
@@ -92,23 +90,23 @@ impl<'a> Machine<'a> {
             b'N' => Value::None,
             0x88 => Value::Bool(true),
             0x89 => Value::Bool(false),
-            b'J' => Value::Int(i32::from_le_bytes(self.fixed()?).into()),
-            b'K' => Value::Int(u8::from_le_bytes(self.fixed()?).into()),
-            b'M' => Value::Int(u16::from_le_bytes(self.fixed()?).into()),
-            b'I' | b'L' => integer(self.line()?)?,
+            b'J' => Value::Int(i32::from_le_bytes(self.input.fixed()?).into()),
+            b'K' => Value::Int(u8::from_le_bytes(self.input.fixed()?).into()),
+            b'M' => Value::Int(u16::from_le_bytes(self.input.fixed()?).into()),
+            b'I' | b'L' => integer(self.input.line()?)?,
             0x8a => {
-                let length = self.length::<1>()?;
-                self.long(length)?
+                let length = self.input.length::<1>()?;
+                Value::Int(self.input.integer(length)?)
             }
             0x8b => {
-                let length = self.length::<4>()?;
-                self.long(length)?
+                let length = self.input.length::<4>()?;
+                Value::Int(self.input.integer(length)?)
             }
             b'F' => {
-                let line = text(self.line()?)?;
+                let line = text(self.input.line()?)?;
                 Value::Float(line.parse().map_err(|_| format!("{line:?} is not a number"))?)
             }
-            b'G' => Value::Float(f64::from_be_bytes(self.fixed()?)),
+            b'G' => Value::Float(f64::from_be_bytes(self.input.fixed()?)),
             _ => return Ok(false),
         };
         self.push(value)?;
@@ -118,22 +116,25 @@ impl<'a> Machine<'a> {
     fn text_opcode(&mut self, opcode: u8) -> Outcome<bool> {
         let length = match opcode {
             b'S' => {
-                let bytes = python2_string(self.line()?)?;
+                let bytes = python2_string(self.input.line()?)?;
+                self.account.charge(bytes.len())?;
                 self.push(Value::Bytes(Cow::Owned(bytes)))?;
                 return Ok(true);
             }
             b'V' => {
-                let text = raw_unicode(self.line()?)?;
+                let text = raw_unicode(self.input.line()?)?;
+                self.account.charge(text.len())?;
                 self.push(Value::Text(text))?;
                 return Ok(true);
             }
-            b'U' | b'C' | 0x8c => self.length::<1>()?,
-            b'T' | b'B' | b'X' => self.length::<4>()?,
-            0x8e | 0x96 | 0x8d => self.length::<8>()?,
+            b'U' | b'C' | 0x8c => self.input.length::<1>()?,
+            b'T' | b'B' | b'X' => self.input.length::<4>()?,
+            0x8e | 0x96 | 0x8d => self.input.length::<8>()?,
             _ => return Ok(false),
         };
-        let bytes = self.take(length)?;
+        let bytes = self.input.take(length)?;
         let is_text = matches!(opcode, 0x8c | b'X' | 0x8d);
+        self.account.charge(if is_text { bytes.len() } else { 0 })?;
         self.push(match is_text {
             // Rust text cannot hold lone surrogates; no key or array of a hand model has them.
             true => Value::Text(String::from_utf8_lossy(bytes).into_owned()),
@@ -188,20 +189,21 @@ impl<'a> Machine<'a> {
 
     fn memo_opcode(&mut self, opcode: u8) -> Outcome<bool> {
         let slot = match opcode {
-            b'p' | b'g' => number(self.line()?)?,
-            b'q' | b'h' => self.length::<1>()?,
-            b'r' | b'j' => self.length::<4>()?,
+            b'p' | b'g' => number(self.input.line()?)?,
+            b'q' | b'h' => self.input.length::<1>()?,
+            b'r' | b'j' => self.input.length::<4>()?,
             0x94 => self.memo.len() as u64,
             _ => return Ok(false),
         };
         match opcode {
             b'g' | b'h' | b'j' => {
                 let id = self.memo.get(&slot).ok_or_else(|| format!("memo {slot} is read before it is written"))?;
-                self.stack.push(*id);
+                self.put(*id)?;
             }
             _ => {
                 let top = self.pop()?;
                 self.stack.push(top);
+                self.account.charge(MEMO)?;
                 self.memo.insert(slot, top);
             }
         }
@@ -212,19 +214,31 @@ impl<'a> Machine<'a> {
     fn object_opcode(&mut self, opcode: u8) -> Outcome<bool> {
         match opcode {
             b'c' => {
-                let (module, name) = (text(self.line()?)?, text(self.line()?)?);
+                let (module, name) = (text(self.input.line()?)?, text(self.input.line()?)?);
                 self.global(module, name)?;
             }
             0x93 => {
                 let (name, module) = (self.pop()?, self.pop()?);
                 match (&self.values[module], &self.values[name]) {
-                    (Value::Text(module), Value::Text(name)) => self.global(&module.clone(), &name.clone())?,
+                    (Value::Text(module), Value::Text(name)) => {
+                        self.account.charge(2 * (module.len() + name.len()))?;
+                        self.global(&module.clone(), &name.clone())?;
+                    }
                     _ => return Err("a name that is not text".into()),
                 }
             }
             b'R' | 0x81 => {
                 let (args, function) = (self.pop()?, self.pop()?);
-                self.push(Value::Call { function, args, state: None })?;
+                let is_dictionary =
+                    matches!(&self.values[function], Value::Global(name) if DICTIONARIES.contains(&name.as_str()));
+                self.push(match is_dictionary {
+                    true => Value::Dict(Vec::new()),
+                    false => Value::Call { function, args, state: None },
+                })?;
+            }
+            b'Q' => {
+                let id = self.pop()?;
+                self.push(Value::Persistent(id))?;
             }
             0x92 => {
                 let (_keywords, args, function) = (self.pop()?, self.pop()?, self.pop()?);
@@ -239,7 +253,7 @@ impl<'a> Machine<'a> {
                 self.call(function, items)?;
             }
             b'i' => {
-                let (module, name) = (text(self.line()?)?, text(self.line()?)?);
+                let (module, name) = (text(self.input.line()?)?, text(self.input.line()?)?);
                 let items = self.pop_to_mark()?;
                 self.global(module, name)?;
                 let function = self.pop()?;
@@ -249,6 +263,8 @@ impl<'a> Machine<'a> {
                 let new_state = self.pop()?;
                 match self.top()? {
                     Value::Call { state, .. } => *state = Some(new_state),
+                    // Attributes of a dictionary, such as `_metadata` of a network's; no entry is among them.
+                    Value::Dict(_) => {}
                     other => return Err(format!("a state for {}", kind(other))),
                 }
             }
@@ -258,11 +274,16 @@ impl<'a> Machine<'a> {
     }
 
     fn push(&mut self, value: Value<'a>) -> Outcome<()> {
-        if self.values.len() >= MAX_VALUES {
-            return Err(format!("more than {MAX_VALUES} values"));
-        }
-        self.stack.push(self.values.len());
+        self.account.charge(VALUE)?;
+        self.put(self.values.len())?;
         self.values.push(value);
+        Ok(())
+    }
+
+    /// Puts a value on the stack.
+    fn put(&mut self, id: Id) -> Outcome<()> {
+        self.account.charge(PLACE)?;
+        self.stack.push(id);
         Ok(())
     }
 
@@ -275,7 +296,10 @@ impl<'a> Machine<'a> {
 
     fn pop_to_mark(&mut self) -> Outcome<Vec<Id>> {
         let mark = self.marks.pop().ok_or("a mark is missing from the stack")?;
-        Ok(self.stack.split_off(mark.min(self.stack.len())))
+        let mark = mark.min(self.stack.len());
+        // The items are copied once more when they are appended to a list or become the pairs of a dictionary.
+        self.account.charge(2 * PLACE * (self.stack.len() - mark))?;
+        Ok(self.stack.split_off(mark))
     }
 
     fn top(&mut self) -> Outcome<&mut Value<'a>> {
@@ -305,11 +329,10 @@ impl<'a> Machine<'a> {
     }
 
     fn global(&mut self, module: &str, name: &str) -> Outcome<()> {
+        self.account.charge(module.len() + name.len() + 1)?;
         let path = format!("{module}.{name}");
-        let within = |package: &&str| module.strip_prefix(*package).is_some_and(|r| r.is_empty() || r.starts_with('.'));
-        let known = KNOWN_PACKAGES.iter().any(within) || KNOWN_NAMES.contains(&path.as_str());
-        if !known {
-            return Err(format!("the pickle names `{path}`, which is not part of a hand model"));
+        if !self.names.contain(module, name) {
+            return Err(format!("the pickle names `{path}`, which is not part of {}", self.names.kind));
         }
         self.push(Value::Global(path))
     }
@@ -318,46 +341,6 @@ impl<'a> Machine<'a> {
         self.push(Value::Tuple(args))?;
         let args = self.pop()?;
         self.push(Value::Call { function, args, state: None })
-    }
-
-    /// Reads a signed integer of `length` bytes.
-    fn long(&mut self, length: u64) -> Outcome<Value<'a>> {
-        let bytes = self.take(length)?;
-        if bytes.len() > 8 {
-            return Err(format!("an integer of {length} bytes"));
-        }
-        let negative = bytes.last().is_some_and(|last| last & 0x80 != 0);
-        let mut word = if negative { [0xff; 8] } else { [0; 8] };
-        word[..bytes.len()].copy_from_slice(bytes);
-        Ok(Value::Int(i64::from_le_bytes(word)))
-    }
-
-    /// Reads an unsigned number of `N` bytes, at most 8.
-    fn length<const N: usize>(&mut self) -> Outcome<u64> {
-        let mut word = [0; 8];
-        word[..N].copy_from_slice(&self.fixed::<N>()?);
-        Ok(u64::from_le_bytes(word))
-    }
-
-    fn take(&mut self, length: u64) -> Outcome<&'a [u8]> {
-        let length = usize::try_from(length).ok().filter(|&length| length <= self.rest.len());
-        let (taken, rest) = self.rest.split_at(length.ok_or("the file ends in the middle of a value")?);
-        self.rest = rest;
-        Ok(taken)
-    }
-
-    fn fixed<const N: usize>(&mut self) -> Outcome<[u8; N]> {
-        let (taken, rest) = self.rest.split_first_chunk().ok_or("the file ends before the pickle does")?;
-        self.rest = rest;
-        Ok(*taken)
-    }
-
-    /// Returns the bytes up to the next line end.
-    fn line(&mut self) -> Outcome<&'a [u8]> {
-        let end = self.rest.iter().position(|&byte| byte == b'\n').ok_or("the file ends in the middle of a line")?;
-        let line = &self.rest[..end];
-        self.rest = &self.rest[end + 1..];
-        Ok(line.strip_suffix(b"\r").unwrap_or(line))
     }
 }
 
@@ -375,6 +358,7 @@ pub(super) fn kind(value: &Value) -> &'static str {
         Value::Dict(_) => "a dictionary",
         Value::Global(_) => "a name",
         Value::Call { .. } => "an object",
+        Value::Persistent(_) => "a reference to a storage",
     }
 }
 

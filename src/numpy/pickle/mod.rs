@@ -3,9 +3,12 @@
 //! A pickle is a program for a stack machine. [`machine`] runs it, but records each function call as a name with
 //! arguments instead of making it. [`arrays`] converts the recorded calls of numpy, scipy and chumpy to arrays.
 
+mod account;
 mod arrays;
+mod cursor;
 mod literal;
 mod machine;
+mod names;
 
 use std::borrow::Cow;
 use std::cell::Cell;
@@ -13,13 +16,18 @@ use std::cell::Cell;
 use crate::numpy::array::{Array, Outcome};
 
 pub(crate) use arrays::{expand_indptr, triplets};
+pub(crate) use names::Names;
+
+/// Largest amount of work on one pickle after it was run: numbers converted, and entries and characters looked at. A small
+/// file can refer to a large array many times. MANO's largest array has 315 090 numbers.
+const MAX_WORK: usize = 1 << 24;
 
 /// Index of a value in [`Pickle::values`]. Values refer to each other by index, so cycles are harmless.
-type Id = usize;
+pub(crate) type Id = usize;
 
 /// One value of a pickle.
 #[derive(Debug, Clone)]
-enum Value<'a> {
+pub(crate) enum Value<'a> {
     None,
     Bool(bool),
     Int(i64),
@@ -38,25 +46,45 @@ enum Value<'a> {
         args: Id,
         state: Option<Id>,
     },
+    /// An object outside of the pickle, by its description.
+    Persistent(Id),
 }
 
-/// A pickle whose outermost value is a dictionary with string keys.
+/// The values of a pickle. That of a hand model is a dictionary with string keys.
 #[derive(Debug)]
 pub(crate) struct Pickle<'a> {
     values: Vec<Value<'a>>,
     root: Id,
-    /// Number of array elements read so far.
-    n_read: Cell<usize>,
+    /// Work done so far; see [`MAX_WORK`].
+    work: Cell<usize>,
 }
 
 impl<'a> Pickle<'a> {
-    /// Reads a pickle of protocol 0 to 5.
+    /// Reads the pickle of a hand model, of protocol 0 to 5.
     ///
     /// # Errors
-    /// If the pickle is incomplete, has an unknown opcode, or names anything but numpy, scipy and chumpy data; the
-    /// message names it.
+    /// If the pickle is incomplete, has an unknown opcode, needs too much memory, or names anything but numpy, scipy and
+    /// chumpy data; the message names it.
     pub fn read(bytes: &'a [u8]) -> Outcome<Self> {
-        machine::run(bytes)
+        Self::read_with(bytes, &names::HAND_MODEL)
+    }
+
+    /// As [`Pickle::read`], of a file with other names.
+    ///
+    /// # Errors
+    /// As [`Pickle::read`].
+    pub fn read_with(bytes: &'a [u8], names: &'static Names) -> Outcome<Self> {
+        machine::run(bytes, names)
+    }
+
+    /// Index of the outermost value.
+    pub fn root(&self) -> Id {
+        self.root
+    }
+
+    /// Returns a value.
+    pub fn value(&self, id: Id) -> &Value<'a> {
+        &self.values[id]
     }
 
     /// Returns the string keys of the outermost dictionary, in order; empty if the outermost value is not a dictionary.
@@ -69,8 +97,7 @@ impl<'a> Pickle<'a> {
     /// # Errors
     /// If the value is not a numeric array.
     pub fn array(&self, name: &str) -> Outcome<Option<Array>> {
-        let found = self.entries().iter().rev().find(|&&(key, _)| self.text(key).as_deref() == Some(name));
-        found.map(|&(_, value)| self.to_array(value, 0)).transpose()
+        self.entry(self.entries(), name)?.map(|value| self.to_array(value, 0)).transpose()
     }
 
     /// Reads the outermost value as an array (the data of an object array in an `.npz`).
@@ -85,6 +112,26 @@ impl<'a> Pickle<'a> {
         match &self.values[self.root] {
             Value::Dict(entries) => entries,
             _ => &[],
+        }
+    }
+
+    /// Returns the value of a key among the entries of a dictionary.
+    fn entry(&self, entries: &[(Id, Id)], name: &str) -> Outcome<Option<Id>> {
+        self.pay(entries.len())?;
+        let is_name = |id: Id| match &self.values[id] {
+            Value::Text(text) => text == name,
+            Value::Bytes(bytes) => bytes.as_ref() == name.as_bytes(),
+            _ => false,
+        };
+        Ok(entries.iter().rev().find(|&&(key, _)| is_name(key)).map(|&(_, value)| value))
+    }
+
+    /// Counts work.
+    fn pay(&self, work: usize) -> Outcome<()> {
+        self.work.set(self.work.get().saturating_add(work));
+        match self.work.get() > MAX_WORK {
+            true => Err("more numbers than any hand model has".into()),
+            false => Ok(()),
         }
     }
 
@@ -176,6 +223,42 @@ mod tests {
         bytes.extend(b"s.");
         let pickle = Pickle::read(&bytes).unwrap();
         assert!(pickle.array("l").unwrap_err().contains("more numbers"));
+    }
+
+    #[test]
+    fn stack_marks_memo_and_names_are_paid_from_one_account() {
+        let name = [&b"X"[..], &100_000u32.to_le_bytes(), b"numpy.", &[b'a'; 99_994]].concat();
+        let named = [&name[..], b"q\0", &name, b"q\x01"].concat();
+        for (start, repeated, count) in [
+            (&b"N"[..], &b"2"[..], 12 << 20),  // copies of the topmost value
+            (b"", b"(", 12 << 20),             // marks
+            (b"", b"]", 3 << 20),              // empty lists
+            (b"N", b"\x94", 3 << 20),          // memo
+            (b"Nq\0", b"h\0", 18 << 20),       // values from the memo
+            (&named, b"h\0h\x01\x930", 2_000), // names of 200 kB each from six bytes
+        ] {
+            let bytes = [start, &repeated.repeat(count)].concat();
+            let message = Pickle::read(&bytes).unwrap_err();
+            assert!(message.contains("bytes of memory"), "{repeated:?}: {message}");
+        }
+    }
+
+    #[test]
+    fn an_object_whose_state_is_looked_through_again_and_again_is_an_error() {
+        // A list of references to one chumpy object, whose state has many entries before the wanted one.
+        let mut bytes = b"}S'l'\n](cchumpy.ch\nCh\n)R}(S'x'\nK\x01".to_vec();
+        bytes.extend(b"NN".repeat(100_000));
+        bytes.extend(b"ubq\0");
+        bytes.extend(b"h\0".repeat(100_000));
+        bytes.extend(b"es.");
+        let pickle = Pickle::read(&bytes).unwrap();
+        assert!(pickle.array("l").unwrap_err().contains("more numbers"));
+    }
+
+    #[test]
+    fn an_ordered_dictionary_is_a_dictionary() {
+        let pickle = Pickle::read(b"ccollections\nOrderedDict\n)RS'a'\nK\x05s.").unwrap();
+        assert_eq!(array(&pickle, "a").data, [5.0]);
     }
 
     fn use_all(bytes: &[u8]) {
