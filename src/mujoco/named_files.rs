@@ -40,7 +40,7 @@ pub fn check_named_files(model: &Path) -> Result<()> {
             .collect();
         for node in elements() {
             let files = node.attributes().filter(|attribute| attribute.name().starts_with("file"));
-            for file in files.flat_map(|file| folders.iter().map(|folder| folder.join(file.value()))) {
+            for file in files.flat_map(|file| folders.iter().map(move |folder| folder.join(file.value()))) {
                 if file.exists() && !file.is_dir() {
                     input::open(&file)?;
                 }

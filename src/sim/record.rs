@@ -12,7 +12,7 @@ use super::rollout::{Rollout, RolloutOptions};
 use super::scene::Scene;
 use crate::dataset::zarr::{ArraySpec, CAMERA_POSE, Compression, Contact, Dtype, OBJECT_POSE, Values, ZarrWriter};
 use crate::dataset::{Attributes, EpisodeWriter};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::hand::Side;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
 
