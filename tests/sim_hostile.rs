@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use egotac::dataset::EpisodeReader;
 use egotac::dataset::zarr::ZarrReader;
 use egotac::sim::SHIPPED;
 
