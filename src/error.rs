@@ -102,6 +102,10 @@ pub enum Error {
     /// The physics engine or its renderer reported an error.
     #[error("mujoco: {0}")]
     Engine(String),
+
+    /// A child process reported an error; the text is its own.
+    #[error("{0}")]
+    Child(String),
 }
 
 impl Error {

@@ -95,6 +95,9 @@ pub mod tactile;
 pub mod text;
 #[doc(hidden)]
 pub mod train;
+#[cfg(feature = "sim")]
+#[doc(hidden)]
+pub mod trial;
 
 pub use error::{Error, Result};
 pub use hand::{HandModel, HandParams, Side, Topology};

@@ -68,9 +68,7 @@ fn wait_for_worker(parent: u32, parts: &Path) -> u32 {
     let deadline = Instant::now() + Duration::from_secs(120);
     loop {
         assert!(Instant::now() < deadline, "no worker started an episode");
-        // Unfinished episodes have names that start with a dot.
-        let entries = std::fs::read_dir(parts).into_iter().flatten().flatten();
-        let begun = entries.map(|entry| entry.file_name()).any(|name| name.to_string_lossy().starts_with('.'));
+        let begun = std::fs::read_dir(parts.join(".unfinished")).is_ok_and(|mut episodes| episodes.next().is_some());
         if let (true, Some(pid)) = (begun, children(parent).first()) {
             return *pid;
         }

@@ -6,6 +6,7 @@
 pub mod audit;
 mod camera;
 mod fatal;
+mod named_files;
 pub mod object;
 pub mod options;
 pub mod parts;

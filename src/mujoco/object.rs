@@ -6,9 +6,12 @@ use glam::{DQuat, DVec3};
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::MjtMeshInertia;
 
+use super::named_files::check_named_files;
 use super::options::PhysicsOptions;
 use super::world::{World, disable_log_file};
 use crate::error::{Error, Result};
+use crate::file::input;
+use crate::trial::Trial;
 
 /// Name of the mocap body that carries the object.
 pub const OBJECT: &str = "egotac_object";
@@ -51,10 +54,12 @@ impl Shapes {
     /// # Errors
     /// If the file can't be read or compiled, or holds no solid shape.
     pub fn read(path: &Path) -> Result<Self> {
+        Trial::Object(path.to_path_buf()).run()?;
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
         let options = PhysicsOptions::default();
         let world = match extension.as_str() {
             "obj" | "stl" => {
+                input::open(path)?;
                 let file = std::path::absolute(path).map_err(Error::io(path))?;
                 let xml = format!(
                     "<mujoco><asset><mesh name=\"object\" inertia=\"shell\" file=\"{}\"/></asset><worldbody>\
@@ -134,7 +139,10 @@ impl World {
         let engine = |error: MjEditError| Error::Engine(error.to_string());
         let mut spec = match text {
             ModelText::Text(text) => MjSpec::from_xml_string(text),
-            ModelText::File(path) => MjSpec::from_xml(path),
+            ModelText::File(path) => {
+                check_named_files(path)?;
+                MjSpec::from_xml(path)
+            }
         }
         .map_err(engine)?;
         object.add_to(&mut spec);

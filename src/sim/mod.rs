@@ -22,6 +22,7 @@ pub(crate) mod effect;
 #[doc(hidden)]
 pub mod explain;
 pub(crate) mod frame;
+pub(crate) mod generate;
 #[doc(hidden)]
 pub mod guard;
 pub(crate) mod ik;
@@ -32,6 +33,7 @@ pub mod lens;
 pub mod mjcf;
 #[doc(hidden)]
 pub mod object;
+pub(crate) mod parts;
 #[doc(hidden)]
 pub mod randomize;
 pub(crate) mod range;
@@ -50,9 +52,12 @@ pub(crate) mod worker_process;
 
 pub use effect::{Effect, EffectSet, EffectsSpec, Observation};
 pub use frame::{ObjectPose, SimFrame};
+pub use generate::{DatasetPlan, GenerateProgress, generate};
 pub use object::mesh_faults;
+#[doc(hidden)]
+pub use object::try_mesh;
 pub use range::UniformRange;
-pub use record::{DatasetPlan, GenerateProgress, RecordSummary, generate, record};
+pub use record::{RecordSummary, record};
 pub use rollout::{Rollout, RolloutOptions};
 pub use scene::{EffectPlan, SHIPPED, Scene};
 pub use touchable::{Distances, Touchables};

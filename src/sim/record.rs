@@ -1,10 +1,7 @@
-//! Recording of rollouts to stores: one episode, or a data set that an interrupted run resumes.
+//! Recording of a rollout to a store.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -13,11 +10,9 @@ use super::effect::Observation;
 use super::frame::SimFrame;
 use super::rollout::{Rollout, RolloutOptions};
 use super::scene::Scene;
-use crate::dataset::zarr::{
-    ArraySpec, CAMERA_POSE, Compression, Contact, Dtype, OBJECT_POSE, Values, ZarrReader, ZarrWriter, concatenate,
-};
+use crate::dataset::zarr::{ArraySpec, CAMERA_POSE, Compression, Contact, Dtype, OBJECT_POSE, Values, ZarrWriter};
 use crate::dataset::{Attributes, EpisodeWriter};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::hand::Side;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
 
@@ -32,8 +27,10 @@ pub const SLIP: &str = "data/mano_slip";
 /// Array (T, H, W) f32: distance from the camera plane, m; only if the scene observes depth.
 pub const DEPTH: &str = "data/camera_ego_depth";
 
+/// Name of the attribute that describes the episodes.
+pub(super) const EPISODES: &str = "episodes";
 /// Name of the attribute with the [`RecordSummary`].
-const SUMMARY: &str = "summary";
+pub(super) const SUMMARY: &str = "summary";
 
 /// Counts and extremes of recorded frames.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -53,30 +50,6 @@ pub struct RecordSummary {
     pub moment_residual: f64,
     /// Failed episodes, which are not in the store: scene, seed and reason.
     pub failed: Vec<String>,
-}
-
-/// Progress of [`generate`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum GenerateProgress {
-    /// Number of simulated episodes, and of all episodes.
-    Episodes(usize, usize),
-    /// Number of written chunks of the store, and of all chunks.
-    Chunks(usize, usize),
-}
-
-/// Data set to generate.
-#[derive(Debug, Clone)]
-pub struct DatasetPlan {
-    /// Scenes, used in turn.
-    pub scenes: Vec<Scene>,
-    /// Number of episodes.
-    pub episodes: usize,
-    /// Seed of the first episode; episode `i` has seed + i.
-    pub seed: u64,
-    /// Number of episodes simulated at a time, and of threads that write the store.
-    pub jobs: usize,
-    /// Options of the rollouts.
-    pub options: RolloutOptions,
 }
 
 /// Records one episode as a store at `out`; calls `progress` after each frame with (done, all).
@@ -109,7 +82,7 @@ fn record_one(
     let attributes = attributes(std::slice::from_ref(scene), seed, options);
     let writer = ZarrWriter::create(out, attributes, Contact::Truth, extras.arrays())?;
     let mut writer = writer.with_compression(compression);
-    writer.set_attribute("episodes", json!([episode_entry(scene, seed, &rollout)]));
+    writer.set_attribute(EPISODES, json!([episode_entry(scene, seed, &rollout)]));
     let mut summary = RecordSummary::default();
     while let Some(frame) = rollout.next_frame()? {
         summary.count(&frame);
@@ -137,158 +110,7 @@ pub(super) fn record_part(
     record_one(scenes, scene, seed, options, Compression::Pass, out, |_, _| ()).map(drop)
 }
 
-/// Generates a data set as one store at `out`; calls `progress` after each episode, then after each chunk.
-///
-/// Finished episodes are kept in `OUT.parts` until the end; the same call resumes an interrupted one. Other episodes go
-/// on when one fails.
-///
-/// # Errors
-/// If `out` exists, the parts belong to another call, or an episode fails; the error names scenes and seeds of the
-/// failed episodes.
-pub fn generate(plan: &DatasetPlan, out: &Path, progress: impl Fn(GenerateProgress) + Sync) -> Result<RecordSummary> {
-    let recorder = || {
-        let record = |scene: usize, seed: u64, out: &Path| record_part(&plan.scenes, scene, seed, &plan.options, out);
-        Box::new(record) as Recorder
-    };
-    generate_with(plan, &recorder, false, out, progress)
-}
-
-/// Records an episode, given the index of its scene and its seed, as a store.
-pub(super) type Recorder<'a> = Box<dyn FnMut(usize, u64, &Path) -> Result<()> + 'a>;
-
-/// Generates a data set as [`generate`] with one recorder per job; `skip_failed` leaves out failed episodes.
-pub(super) fn generate_with<'a>(
-    plan: &DatasetPlan,
-    recorder: &(dyn Fn() -> Recorder<'a> + Sync),
-    skip_failed: bool,
-    out: &Path,
-    progress: impl Fn(GenerateProgress) + Sync,
-) -> Result<RecordSummary> {
-    if out.exists() {
-        return Err(Error::file(out, "exists already; choose another name or remove it"));
-    }
-    if plan.scenes.is_empty() || plan.episodes == 0 || plan.jobs == 0 {
-        return Err(Error::value("scenes, episodes and jobs", "at least one of each", "none"));
-    }
-    let mut folder = out.as_os_str().to_owned();
-    folder.push(".parts");
-    let folder = PathBuf::from(folder);
-    claim(&folder, plan)?;
-    let failed = record_parts(plan, recorder, &folder, &progress);
-    if failed.len() == plan.episodes || !(failed.is_empty() || skip_failed) {
-        return Err(Error::file(&folder, failure_message(&failed, plan.episodes)));
-    }
-    // Failed episodes left no part.
-    let parts: Vec<PathBuf> =
-        (0..plan.episodes).map(|index| part_path(&folder, index)).filter(|part| part.exists()).collect();
-    let mut total = merge(plan, &parts, out, progress)?;
-    fs::remove_dir_all(&folder).map_err(Error::io(&folder))?;
-    total.failed = failed;
-    Ok(total)
-}
-
-/// Records the missing parts with one thread per job; returns a sorted line for each episode that failed.
-fn record_parts<'a>(
-    plan: &DatasetPlan,
-    recorder: &(dyn Fn() -> Recorder<'a> + Sync),
-    folder: &Path,
-    progress: &(impl Fn(GenerateProgress) + Sync),
-) -> Vec<String> {
-    let next = AtomicUsize::new(0);
-    let done = AtomicUsize::new(0);
-    let failed: Mutex<Vec<String>> = Mutex::new(Vec::new());
-    let work = || {
-        let mut record = recorder();
-        loop {
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            if index >= plan.episodes {
-                return;
-            }
-            let (scene, seed) = (index % plan.scenes.len(), plan.seed + index as u64);
-            let part = part_path(folder, index);
-            if !part.exists()
-                && let Err(error) = record(scene, seed, &part)
-            {
-                let line = format!("{} with seed {seed}: {error}", plan.scenes[scene].name);
-                failed.lock().unwrap_or_else(PoisonError::into_inner).push(line);
-            }
-            progress(GenerateProgress::Episodes(done.fetch_add(1, Ordering::Relaxed) + 1, plan.episodes));
-        }
-    };
-    std::thread::scope(|scope| (0..plan.jobs).for_each(|_| drop(scope.spawn(work))));
-    let mut failed = failed.into_inner().unwrap_or_else(PoisonError::into_inner);
-    failed.sort();
-    failed
-}
-
-fn part_path(folder: &Path, index: usize) -> PathBuf {
-    folder.join(format!("{index:06}"))
-}
-
-/// Formats the error for failed episodes; names the first few.
-fn failure_message(failed: &[String], episodes: usize) -> String {
-    const MAX_NAMED: usize = 5;
-    let named = failed.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join("; ");
-    let more =
-        if failed.len() > MAX_NAMED { format!("; and {} more", failed.len() - MAX_NAMED) } else { String::new() };
-    let others = match failed.len() < episodes {
-        true => "; the others are kept here, and --skip-failed writes a store of them",
-        false => "",
-    };
-    format!("{} of {episodes} episodes failed: {named}{more}{others}", failed.len())
-}
-
-/// Creates the folder of parts, or checks that the same plan created it.
-fn claim(folder: &Path, plan: &DatasetPlan) -> Result<()> {
-    let scenes: Vec<String> = plan.scenes.iter().map(|s| format!("{} {:?}", s.name, s.spec)).collect();
-    let text = format!(
-        "{} {} {:?} {:?} {} {}\n{}\n",
-        plan.seed,
-        plan.options.hands[0].topology.id(),
-        plan.options.betas,
-        plan.options.picture,
-        plan.options.shadows,
-        plan.options.sigma,
-        scenes.join("\n")
-    );
-    let file = folder.join("plan");
-    if !file.exists() {
-        fs::create_dir_all(folder).map_err(Error::io(folder))?;
-        return fs::write(&file, text).map_err(Error::io(&file));
-    }
-    if fs::read_to_string(&file).map_err(Error::io(&file))? != text {
-        return Err(Error::file(
-            folder,
-            "contains episodes of other scenes, seeds or options; remove it or choose another --out",
-        ));
-    }
-    Ok(())
-}
-
-/// Concatenates the parts and their summaries to one store.
-fn merge(
-    plan: &DatasetPlan,
-    parts: &[PathBuf],
-    out: &Path,
-    progress: impl Fn(GenerateProgress) + Sync,
-) -> Result<RecordSummary> {
-    let mut total = RecordSummary::default();
-    let mut entries: Vec<Value> = Vec::new();
-    for part in parts {
-        let reader = ZarrReader::open(part)?;
-        let attributes = reader.raw_attributes();
-        entries.extend(attributes.get("episodes").and_then(Value::as_array).cloned().unwrap_or_default());
-        let summary = attributes.get(SUMMARY).cloned().unwrap_or_default();
-        total.add(serde_json::from_value(summary).map_err(|e| Error::file(part, format!("{SUMMARY}: {e}")))?);
-    }
-    let attributes = attributes(&plan.scenes, plan.seed, &plan.options);
-    let more = [("episodes".to_string(), Value::Array(entries)), (SUMMARY.to_string(), json!(total))];
-    let chunks = |done, all| progress(GenerateProgress::Chunks(done, all));
-    concatenate(parts, out, &attributes, more.into_iter().collect(), plan.jobs, chunks)?;
-    Ok(total)
-}
-
-fn attributes(scenes: &[Scene], seed: u64, options: &RolloutOptions) -> Attributes {
+pub(super) fn attributes(scenes: &[Scene], seed: u64, options: &RolloutOptions) -> Attributes {
     Attributes {
         topology: options.hands[0].topology,
         sigma: options.sigma,
@@ -405,7 +227,7 @@ impl RecordSummary {
     }
 
     /// Adds the counts of another summary.
-    fn add(&mut self, other: Self) {
+    pub(super) fn add(&mut self, other: Self) {
         self.frames += other.frames;
         for (reason, count) in other.invalid {
             *self.invalid.entry(reason).or_default() += count;

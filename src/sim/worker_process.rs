@@ -10,7 +10,8 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use serde::{Deserialize, Serialize};
 
-use super::record::{DatasetPlan, GenerateProgress, RecordSummary, Recorder, generate_with, record_part};
+use super::generate::{DatasetPlan, GenerateProgress, Recorder, generate_with};
+use super::record::{RecordSummary, record_part};
 use super::rollout::RolloutOptions;
 use super::scene::Scene;
 use crate::error::{Error, Result};

@@ -8,6 +8,8 @@ mod record;
 mod shared;
 #[cfg(feature = "sim")]
 mod show;
+#[cfg(feature = "sim")]
+mod trial;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -38,6 +40,9 @@ enum Command {
     /// Record the episodes requested on standard input; `generate` starts this command.
     #[command(hide = true)]
     Worker(Worker),
+    /// Load a model within limits of memory and time; commands and nodes that load models of others start this first.
+    #[command(hide = true)]
+    Trial(Trial),
 }
 
 #[derive(Debug, clap::Args)]
@@ -167,7 +172,19 @@ struct Accuracy {
 }
 
 #[derive(Debug, clap::Args)]
+struct Trial {
+    /// Process that waits for the answer.
+    #[arg(long)]
+    parent: u32,
+    /// Load, in JSON.
+    request: String,
+}
+
+#[derive(Debug, clap::Args)]
 struct Worker {
+    /// Process that sends the requests.
+    #[arg(long)]
+    parent: u32,
     /// Names of scenes, or YAML files.
     #[arg(required = true)]
     scenes: Vec<String>,
@@ -210,6 +227,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Run(_) => "sim run",
         Command::Generate(_) => "sim generate",
         Command::Worker(_) => "sim worker",
+        Command::Trial(_) => "sim trial",
     };
     Err(super::feature_off(name, "sim"))
 }
@@ -224,6 +242,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Run(args) => record::run(&args)?,
         Command::Generate(args) => record::generate(&args)?,
         Command::Worker(args) => record::work(&args)?,
+        Command::Trial(args) => trial::serve(&args)?,
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -11,6 +11,7 @@ use crate::cli::progress;
 use crate::mujoco::{PhysicsOptions, Preset};
 use crate::sim::budget::{self, Request, Table};
 use crate::sim::{self, RecordSummary, Scene, WorkerCommand};
+use crate::trial;
 
 pub fn run(args: &Run) -> anyhow::Result<()> {
     let factor = factor(&args.accuracy)?;
@@ -53,7 +54,8 @@ pub fn generate(args: &Generate) -> anyhow::Result<()> {
 /// Returns the command that starts this program as a worker with the same scenes and options.
 fn workers(args: &Generate, factor: Option<f64>) -> anyhow::Result<WorkerCommand> {
     let program = std::env::current_exe().context("cannot find the path of this program")?;
-    let mut arguments: Vec<OsString> = ["sim", "worker"].map(OsString::from).to_vec();
+    let mut arguments: Vec<OsString> = ["sim", "worker", "--parent"].map(OsString::from).to_vec();
+    arguments.push(std::process::id().to_string().into());
     arguments.extend(["--size".into(), args.size.to_string().into()]);
     let RolloutArgs { shadows, kernel, hands } = &args.rollout;
     arguments.extend(["--sigma".into(), kernel.sigma.to_string().into()]);
@@ -78,6 +80,8 @@ fn workers(args: &Generate, factor: Option<f64>) -> anyhow::Result<WorkerCommand
 }
 
 pub fn work(args: &Worker) -> anyhow::Result<()> {
+    trial::end_with_parent(args.parent)?;
+    trial::trust_parent();
     let factor = args.budget_factor.map_or_else(|| factor(&args.accuracy), |factor| Ok(Some(factor)))?;
     let scenes = args.scenes.iter().map(|name| Ok(with_accuracy(Scene::load(name)?, &args.accuracy, factor)?.0));
     let scenes = scenes.collect::<anyhow::Result<Vec<_>>>()?;

@@ -24,6 +24,8 @@ pub fn show(args: &Show) -> anyhow::Result<()> {
     let instants = instants(args, &rollout)?;
     let columns = (instants.len() as f64).sqrt().ceil() as u32;
     let rows = (instants.len() as u32).div_ceil(columns);
+    let pixels = u64::from(columns * args.size) * u64::from(rows * args.size);
+    file::limits::IMAGE.check(&args.out, "--sheet with this --size", pixels)?;
     let mut sheet = RgbImage::new(columns * args.size, rows * args.size);
     let mut at = 0;
     for (i, instant) in instants.iter().enumerate() {

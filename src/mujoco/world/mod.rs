@@ -15,6 +15,7 @@ use glam::Vec3;
 use mujoco_rs::prelude::*;
 
 use super::fatal::check_fatal;
+use super::named_files::check_named_files;
 use super::options::{Cone, Integrator, PhysicsOptions, Solver};
 use crate::error::{Error, Result};
 
@@ -47,7 +48,8 @@ impl World {
         Self::from_model(model, options)
     }
 
-    /// Compiles an MJCF or URDF file with the files that it names; see [`Self::from_mjcf`].
+    /// Compiles an MJCF or URDF file with the files that it names; see [`Self::from_mjcf`]. Of a file by somebody else, a
+    /// [`crate::trial::Trial`] comes first.
     ///
     /// # Errors
     /// As [`Self::from_mjcf`]; the error names the file.
@@ -56,6 +58,7 @@ impl World {
         if path.to_str().is_none_or(|path| path.contains('\0')) {
             return Err(Error::file(path, "expected a path in UTF-8 without NUL"));
         }
+        check_named_files(path)?;
         let model = MjModel::from_xml(path).map_err(|error| Error::file(path, error))?;
         Self::from_model(model, options).map_err(|error| Error::file(path, error))
     }

@@ -20,6 +20,7 @@ use safetensors::tensor::{SafeTensors, TensorView};
 
 use crate::dataset::tensors::numbers;
 use crate::error::{Error, Result};
+use crate::file::{input, limits};
 use crate::hand::{HandModel, HandParams, N_BETAS, N_KEYPOINTS, N_VERTICES, Side, Topology};
 use crate::retarget::human::{Hand, pad_normal};
 use crate::retarget::input::Input;
@@ -59,7 +60,7 @@ impl HandRecording {
     /// # Errors
     /// If it is not a safetensors file, holds no hand, or a tensor has another shape or dtype than its name requires.
     pub fn read(path: &Path, model: impl Fn(Option<Topology>, Option<Side>) -> Result<HandModel>) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(Error::io(path))?;
+        let bytes = input::read(path, limits::FILE)?;
         Self::parse(&bytes, model).map_err(|error| Error::file(path, error))
     }
 

@@ -28,6 +28,7 @@ use crate::hand::Side;
 use crate::mujoco::World;
 use crate::mujoco::object::{OBJECT, Shapes};
 use crate::mujoco::parts::{Motion, Parts};
+use crate::trial::Trial;
 
 /// Robot hand with everything that retargeting needs to know of it.
 ///
@@ -98,8 +99,13 @@ impl Robot {
     /// # Errors
     /// As [`Self::load`].
     pub fn load_with_object(robot: &str, model: Option<&Path>, object: Option<&Shapes>) -> Result<Self> {
+        if model.is_some() || !source::has_own_model(robot) {
+            Trial::Robot { robot: robot.to_owned(), model: model.map(Path::to_path_buf) }.run()?;
+        }
         let source::RobotSource { spec, world, origin, missing_meshes } = source::open(robot, model, object)?;
-        Self::new(spec, world, origin, missing_meshes)
+        let missing = missing_meshes.clone();
+        Self::new(spec, world, origin.clone(), missing_meshes)
+            .map_err(|error| urdf::without_meshes(&origin, &missing, error))
     }
 
     /// Derives a robot from its spec and compiled model.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use super::spec::RobotSpec;
 use super::urdf;
 use crate::error::{Error, Result};
+use crate::file::{input, limits};
 use crate::mujoco::object::{ModelText, Shapes};
 use crate::mujoco::{PhysicsOptions, World};
 
@@ -113,7 +114,7 @@ pub fn open(robot: &str, model: Option<&Path>, object: Option<&Shapes>) -> Resul
     }
     match extension.as_str() {
         "yaml" | "yml" => {
-            let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+            let text = input::read_text(path, limits::TEXT)?;
             let spec = RobotSpec::parse(&text).map_err(|error| Error::file(path, error))?;
             let found = match model {
                 Some(model) => model.to_owned(),
@@ -131,10 +132,7 @@ pub fn open(robot: &str, model: Option<&Path>, object: Option<&Shapes>) -> Resul
 
 /// Compiles a model file, MJCF or URDF.
 fn compile(spec: RobotSpec, path: &Path, object: Option<&Shapes>) -> Result<RobotSource> {
-    let is_urdf = match std::fs::read_to_string(path) {
-        Ok(text) => text.contains("<robot"),
-        Err(error) => return Err(Error::io(path)(error)),
-    };
+    let is_urdf = input::read_text(path, limits::TEXT)?.contains("<robot");
     let (world, missing_meshes) = match is_urdf {
         true => {
             let prepared = urdf::prepare(path)?;

@@ -8,6 +8,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
+use crate::file::{input, limits};
 
 /// URDF that MuJoCo reads.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,6 +19,8 @@ pub struct Prepared {
     pub missing_meshes: Vec<String>,
 }
 
+/// Greatest number of XML nodes of a URDF; a humanoid has some ten thousand.
+const MAX_NODES: u32 = 1_000_000;
 /// Compiler options: keep fixed links, and substitute missing masses, which retargeting does not use.
 const COMPILER: &str = "<mujoco><compiler fusestatic=\"false\" discardvisual=\"true\" strippath=\"false\" \
     balanceinertia=\"true\" boundmass=\"1e-5\" boundinertia=\"1e-9\"/></mujoco>";
@@ -27,13 +30,17 @@ const COMPILER: &str = "<mujoco><compiler fusestatic=\"false\" discardvisual=\"t
 /// # Errors
 /// If it can't be read or is no URDF.
 pub fn prepare(path: &Path) -> Result<Prepared> {
-    let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+    let text = input::read_text(path, limits::TEXT)?;
     let wrong = |message: String| Error::file(path, message);
-    let document = roxmltree::Document::parse_with_options(
-        &text,
-        roxmltree::ParsingOptions { allow_dtd: true, ..Default::default() },
-    )
-    .map_err(|error| wrong(format!("expected XML: {error}")))?;
+    // An entity of a few bytes may stand for a text of any length.
+    if text.contains("<!ENTITY") {
+        return Err(wrong(
+            "expected a URDF that declares no entities, got <!ENTITY; write their text in their places".into(),
+        ));
+    }
+    let options = roxmltree::ParsingOptions { allow_dtd: true, nodes_limit: MAX_NODES, ..Default::default() };
+    let document = roxmltree::Document::parse_with_options(&text, options)
+        .map_err(|error| wrong(format!("expected XML of at most {MAX_NODES} nodes: {error}")))?;
     let robot = document.root_element();
     if !robot.has_tag_name("robot") {
         return Err(wrong(format!("expected a URDF, whose root is <robot>, got <{}>", robot.tag_name().name())));
@@ -100,4 +107,22 @@ fn find_mesh(folder: &Path, name: &str) -> Option<PathBuf> {
 /// Escapes a path for an XML attribute.
 fn escaped(path: &Path) -> String {
     path.to_string_lossy().replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;")
+}
+
+/// Names the mesh files that a model lacks beside the error that follows from their absence.
+pub fn without_meshes(origin: &str, missing: &[String], error: Error) -> Error {
+    /// Number of files that are named; the rest is counted.
+    const MAX_NAMED: usize = 3;
+    if missing.is_empty() {
+        return error;
+    }
+    let named = missing.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
+    let more = match missing.len().saturating_sub(MAX_NAMED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    let message = format!(
+        "expected the mesh files that it names, found no OBJ or STL file for {named}{more}; without them: {error}"
+    );
+    Error::file(origin, message)
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::clock::Clock;
 use super::table::Table;
 use crate::error::{Error, Result};
-use crate::file;
+use crate::file::{self, input, limits};
 use crate::machine::Machine;
 use crate::mujoco::Preset;
 use crate::sim::{Rollout, RolloutOptions, Scene};
@@ -38,7 +38,7 @@ fn factor(
     measure: impl FnOnce() -> Result<f64>,
 ) -> Result<f64> {
     let key = format!("{machine}; egotac {}; table {}", crate::VERSION, table.sha256);
-    let text = cache.and_then(|path| std::fs::read_to_string(path).ok());
+    let text = cache.and_then(|path| input::read_text(path, limits::TEXT).ok());
     let mut cached: Cached = text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
     let is_factor = |factor: &f64| factor.is_finite() && *factor > 0.0;
     if let Some(factor) = cached.get(&key).copied().filter(is_factor) {

@@ -1,7 +1,6 @@
 //! Objects from OBJ and STL files, decomposed into convex pieces by parry's VHACD.
 
-use std::fs::File;
-use std::io::BufReader;
+use std::io::Cursor;
 use std::path::Path;
 
 use glam::{DQuat, DVec3, Vec3};
@@ -12,9 +11,11 @@ use parry3d::transformation::vhacd::VHACDParameters;
 use super::assembly::{Object, TriangleMesh};
 use super::piece::{Piece, PieceShape};
 use crate::error::{Error, Result};
+use crate::file::{input, limits};
 use crate::mujoco::audit;
 use crate::sim::convex::{self, double, single};
 use crate::sim::scene::{Scene, ShapeSpec};
+use crate::trial::Trial;
 
 /// Largest number of triangles of a mesh file: finer meshes are made for display, not for contact.
 const MAX_TRIANGLES: usize = 200_000;
@@ -24,6 +25,7 @@ const MAX_TRIANGLES: usize = 200_000;
 /// # Errors
 /// If the file cannot be read, holds no surface, or spans no volume; the error names the file.
 pub(super) fn mesh(path: &Path, scale: f64) -> Result<Object> {
+    Trial::Mesh { file: path.to_path_buf(), scale }.run()?;
     let (mut vertices, triangles) = load(path)?;
     let low = vertices.iter().copied().fold(DVec3::INFINITY, DVec3::min);
     let high = vertices.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
@@ -40,6 +42,15 @@ pub(super) fn mesh(path: &Path, scale: f64) -> Result<Object> {
     Ok(Object { visual: Some((vertices, triangles)), ..Object::free(pieces, 0.5 * size.z, outline) })
 }
 
+/// Creates an object from a mesh file and drops it.
+///
+/// # Errors
+/// As for an object of a scene.
+#[doc(hidden)]
+pub fn try_mesh(path: &Path, scale: f64) -> Result<()> {
+    mesh(path, scale).map(drop)
+}
+
 /// Checks the mesh files of a scene's objects; returns a line per file with faults: a surface that is open, or inside
 /// out.
 ///
@@ -51,6 +62,7 @@ pub fn mesh_faults(scene: &Scene) -> Result<Vec<String>> {
     let mut lines = Vec::new();
     for object in &scene.spec.objects {
         let ShapeSpec::Mesh { file, scale } = &object.shape else { continue };
+        Trial::Mesh { file: file.clone(), scale: scale.low() }.run()?;
         let (vertices, triangles) = load(file)?;
         let vertices: Vec<Vec3> = vertices.iter().map(|vertex| (scale.low() * *vertex).as_vec3()).collect();
         let faults: Vec<String> = audit::mesh_faults(&vertices, &triangles).iter().map(ToString::to_string).collect();
@@ -67,10 +79,10 @@ pub fn mesh_faults(scene: &Scene) -> Result<Vec<String>> {
 /// If the file has another extension, cannot be read, holds no triangles, or holds a number that is not finite.
 fn load(path: &Path) -> Result<TriangleMesh> {
     let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let open = || File::open(path).map(BufReader::new).map_err(Error::io(path));
+    let text = || input::read(path, limits::TEXT);
     let (vertices, triangles): TriangleMesh = match ending.as_str() {
-        "obj" => obj(path, &mut open()?)?,
-        "stl" => stl(path, &mut open()?)?,
+        "obj" => obj(path, &text()?)?,
+        "stl" => stl(path, &text()?)?,
         _ => return Err(Error::file(path, format!("expected a mesh ending in .obj or .stl, got {ending:?}"))),
     };
     if !(4..=MAX_TRIANGLES).contains(&triangles.len()) {
@@ -87,12 +99,12 @@ fn load(path: &Path) -> Result<TriangleMesh> {
     Ok((vertices, triangles))
 }
 
-fn obj(path: &Path, reader: &mut BufReader<File>) -> Result<TriangleMesh> {
+fn obj(path: &Path, mut text: &[u8]) -> Result<TriangleMesh> {
     let options =
         tobj::LoadOptions { triangulate: true, ignore_lines: true, ignore_points: true, ..Default::default() };
     // Materials are ignored: a file that names missing ones still loads.
     let (models, _) =
-        tobj::load_obj_buf(reader, &options, |_| Ok(Default::default())).map_err(|e| Error::file(path, e))?;
+        tobj::load_obj_buf(&mut text, &options, |_| Ok(Default::default())).map_err(|e| Error::file(path, e))?;
     let mut surface = TriangleMesh::default();
     for model in models {
         let first = surface.0.len() as u32;
@@ -103,10 +115,33 @@ fn obj(path: &Path, reader: &mut BufReader<File>) -> Result<TriangleMesh> {
     Ok(surface)
 }
 
-fn stl(path: &Path, reader: &mut BufReader<File>) -> Result<TriangleMesh> {
-    let mesh = stl_io::read_stl(reader).map_err(|e| Error::file(path, e))?;
+fn stl(path: &Path, bytes: &[u8]) -> Result<TriangleMesh> {
+    check_stl_count(path, bytes)?;
+    let mesh = stl_io::read_stl(&mut Cursor::new(bytes)).map_err(|e| Error::file(path, e))?;
     let vertices = mesh.vertices.iter().map(|v| DVec3::new(v[0].into(), v[1].into(), v[2].into())).collect();
     Ok((vertices, mesh.faces.iter().map(|face| face.vertices.map(|index| index as u32)).collect()))
+}
+
+/// Checks the number of triangles in the header of a binary STL file against the bytes that follow.
+fn check_stl_count(path: &Path, bytes: &[u8]) -> Result<()> {
+    /// Bytes before the number.
+    const HEADER: usize = 80;
+    /// Bytes of each triangle.
+    const TRIANGLE: usize = 50;
+    if bytes.starts_with(b"solid ") {
+        return Ok(());
+    }
+    let Some((count, triangles)) = bytes.get(HEADER..).and_then(|rest| rest.split_first_chunk()) else {
+        let expected = format!("expected an STL file with a header of {HEADER} bytes, got {} bytes", bytes.len());
+        return Err(Error::file(path, expected));
+    };
+    let (count, there) = (u32::from_le_bytes(*count) as usize, triangles.len() / TRIANGLE);
+    match count <= there {
+        true => Ok(()),
+        false => {
+            Err(Error::file(path, format!("expected {count} triangles, as its header says, got bytes of {there}")))
+        }
+    }
 }
 
 /// Decomposes a surface into convex pieces; a convex surface is its outline. `None` if no piece spans a volume.
@@ -141,6 +176,7 @@ fn volume(vertices: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::fs::File;
     use std::io::Write;
 
     use super::*;

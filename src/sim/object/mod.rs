@@ -10,7 +10,7 @@ use glam::{DQuat, DVec3};
 use rand::Rng;
 
 pub use assembly::{JointMount, Mount, Object, TriangleMesh};
-pub use mesh::mesh_faults;
+pub use mesh::{mesh_faults, try_mesh};
 pub use piece::{Piece, PieceShape};
 
 use super::scene::ShapeSpec;

@@ -14,6 +14,9 @@ const MAX_FORCE: f64 = 1000.0;
 /// Largest displacement of a hand, m: beyond the table's edge.
 const MAX_DISPLACEMENT: f64 = 1.0;
 
+/// Longest script, s.
+const MAX_SCRIPT_SECS: f64 = 3600.0;
+
 /// Contact goals of a hand and their course in time. Directions are those of the right hand in the object frame.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -186,6 +189,8 @@ impl ActSpec {
         if self.script.is_empty() {
             return Err(Error::value(format!("{key}.script"), "at least one phase", "none"));
         }
+        let longest: f64 = self.script.iter().map(|phase| phase.seconds.high()).sum();
+        within(&format!("{key}.script, sum of seconds"), UniformRange::fixed(longest), 0.0, MAX_SCRIPT_SECS)?;
         within(&format!("{key}.grip"), self.grip, 0.0, MAX_FORCE)?;
         within(&format!("{key}.curl"), self.curl, 0.0, 1.0)?;
         for (site, contact) in &self.contacts {

@@ -17,7 +17,8 @@ pub use spec::{CameraSpec, HandSpec, SceneSpec, SideSpec};
 
 use super::range::UniformRange;
 use crate::error::{Error, Result};
-use limits::{MAX_ANGLE, positive, within};
+use crate::file::{self, input};
+use limits::{MAX_ANGLE, within};
 
 /// Names of bodies and geoms that every world has; objects cannot take them.
 const RESERVED_NAMES: [&str; 4] = ["head", "table", "floor", "sky"];
@@ -25,6 +26,10 @@ const RESERVED_NAMES: [&str; 4] = ["head", "table", "floor", "sky"];
 const MAX_DISTRACTORS: f64 = 40.0;
 /// Largest coordinate of the camera's eye and target, m.
 const MAX_CAMERA_COORDINATE: f64 = 10.0;
+/// Largest number of objects: more find no room on the table.
+const MAX_OBJECTS: usize = 100;
+/// Least and greatest number of frames per second; physics steps are finer.
+const RATES: [f64; 2] = [0.1, 10_000.0];
 
 /// A checked scene: a family of episodes, from which a seed draws one.
 ///
@@ -73,7 +78,7 @@ impl Scene {
         if !path.exists() {
             return Err(Error::unknown("scene", name_or_path, SHIPPED.iter().map(|(name, _)| *name)));
         }
-        let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+        let text = input::read_text(path, file::limits::TEXT)?;
         let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
         Self::parse(&stem, path, &text)
     }
@@ -93,7 +98,7 @@ impl Scene {
 
 /// Checks all values of a scene.
 fn check(spec: &SceneSpec) -> Result<()> {
-    positive("rate", UniformRange::fixed(spec.rate))?;
+    within("rate", UniformRange::fixed(spec.rate), RATES[0], RATES[1])?;
     spec.physics.steps_in(1.0 / spec.rate)?;
     check_objects(spec)?;
     check_hands(spec)?;
@@ -103,6 +108,9 @@ fn check(spec: &SceneSpec) -> Result<()> {
 }
 
 fn check_objects(spec: &SceneSpec) -> Result<()> {
+    if spec.objects.len() > MAX_OBJECTS {
+        return Err(Error::value("objects", format!("at most {MAX_OBJECTS}"), spec.objects.len()));
+    }
     for (i, object) in spec.objects.iter().enumerate() {
         let key = |field: &str| format!("objects[{i}].{field}");
         if object.name.is_empty() || !object.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') {
