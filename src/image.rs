@@ -4,11 +4,12 @@ mod raw;
 
 use std::io::Cursor;
 
-use ::image::{ImageReader, Limits, RgbImage};
+use ::image::{DynamicImage, ImageDecoder, ImageReader, Limits, RgbImage};
 use fast_image_resize as fir;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
+use crate::file::limits;
 
 pub use raw::{ENCODINGS, RawImage};
 
@@ -97,7 +98,7 @@ impl Preparation {
 /// Decodes a PNG or JPEG file to RGB with 8 bits; grey is repeated, transparency is dropped.
 ///
 /// # Errors
-/// If the bytes are of neither format or damaged, or the image has a side of more than 16,384 pixels.
+/// If the bytes are of neither format or damaged, or the image is larger than [`limits::IMAGE`].
 pub fn decode(bytes: &[u8]) -> Result<RgbImage> {
     let invalid = |error: &dyn std::fmt::Display| Error::value("image", "an intact PNG or JPEG file", error);
     let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| invalid(&e))?;
@@ -110,7 +111,29 @@ pub fn decode(bytes: &[u8]) -> Result<RgbImage> {
     limits.max_image_width = Some(MAX_SIDE);
     limits.max_image_height = Some(MAX_SIDE);
     reader.limits(limits);
-    Ok(reader.decode().map_err(|e| invalid(&e))?.into_rgb8())
+    let decoder = reader.into_decoder().map_err(|e| invalid(&e))?;
+    let (width, height) = decoder.dimensions();
+    check_size(width.into(), height.into())?;
+    Ok(DynamicImage::from_decoder(decoder).map_err(|e| invalid(&e))?.into_rgb8())
+}
+
+/// Returns width and height from the header of a PNG or JPEG file, pixels; None if it has none.
+pub(crate) fn dimensions(bytes: &[u8]) -> Option<(u32, u32)> {
+    ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok()?.into_dimensions().ok()
+}
+
+/// Checks width and height, pixels, before an image of this size is allocated.
+///
+/// # Errors
+/// If a side is 0 or above 16,384, or the image has more pixels than [`limits::IMAGE`].
+pub(crate) fn check_size(width: u64, height: u64) -> Result<()> {
+    let (most, side) = (limits::IMAGE.value(), u64::from(MAX_SIDE));
+    if (1..=side).contains(&width) && (1..=side).contains(&height) && width * height <= most {
+        return Ok(());
+    }
+    let variable = limits::IMAGE.variable();
+    let expected = format!("sides of 1 to {MAX_SIDE} and at most {most} pixels, which {variable} changes");
+    Err(Error::value("image size", expected, format!("{width} x {height}")))
 }
 
 /// Resizes to a square of `side` pixels.
@@ -165,4 +188,27 @@ pub fn normalise(image: &RgbImage, mean: [f32; 3], std: [f32; 3]) -> Vec<f32> {
         out.extend(pixels.iter().skip(channel).step_by(3).map(|v| table[usize::from(*v)]));
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_image_above_the_limit_is_refused_by_its_header() {
+        let mut png = b"\x89PNG\r\n\x1a\n".to_vec();
+        let mut header = [16_000u32.to_be_bytes(), 16_000u32.to_be_bytes()].concat();
+        header.extend_from_slice(&[8, 2, 0, 0, 0]);
+        for (name, data) in [(b"IHDR", header.as_slice()), (b"IDAT", &[])] {
+            let chunk = [name.as_slice(), data].concat();
+            png.extend_from_slice(&(data.len() as u32).to_be_bytes());
+            png.extend_from_slice(&chunk);
+            png.extend_from_slice(&crc32fast::hash(&chunk).to_be_bytes());
+        }
+        let error = decode(&png).unwrap_err().to_string();
+        assert!(error.contains("16000 x 16000") && error.contains("EGOTAC_LIMIT_IMAGE_PIXELS"), "{error}");
+        let data = vec![0; 256_000_000];
+        let raw = RawImage { width: 16_000, height: 16_000, encoding: "mono8", step: 16_000, data: &data };
+        assert!(raw.to_rgb().unwrap_err().to_string().contains("16000 x 16000"));
+    }
 }

@@ -7,6 +7,7 @@ use anyhow::{Context, bail};
 
 use crate::dataset::tensors;
 use crate::dataset::zarr::{self, ZarrReader, read_truth};
+use crate::file::{input, limits};
 use crate::hand::{HandModel, Side, Topology};
 use crate::model::{Precision, Predictor, predictor};
 use crate::score::metrics::{self, Calibration, Comparison, EvalOptions, Metrics, VertexGroup};
@@ -201,7 +202,7 @@ fn options(args: &Args) -> anyhow::Result<EvalOptions> {
 }
 
 fn read_calibration(path: &Path) -> anyhow::Result<Calibration> {
-    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    let text = input::read_text(path, limits::TEXT)?;
     let calibration: Calibration = serde_json::from_str(&text).map_err(|_| {
         let expected = r#"{"min": number, "max": number}, or one each under "pred" and "target""#;
         anyhow::anyhow!("{}: expected {expected}", path.display())

@@ -21,8 +21,10 @@ mod sim;
 mod train;
 mod verify;
 
+use std::io::Write;
 use std::process::ExitCode;
 
+use anyhow::Context;
 use clap::{Parser, Subcommand};
 
 use crate::file::input;
@@ -106,8 +108,12 @@ pub fn main() -> ExitCode {
 /// Runs a program's command and prints its error once; the exit status is 1 for an error.
 #[doc(hidden)]
 pub fn execute(command: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitCode {
-    exit_quietly_on_closed_pipe();
-    match check_environment().map_err(Into::into).and_then(|()| command()) {
+    exit_where_printing_fails();
+    let done = check_environment().map_err(Into::into).and_then(|()| command()).and_then(|code| {
+        std::io::stdout().flush().context("standard output")?;
+        Ok(code)
+    });
+    match done {
         Ok(code) => code,
         Err(error) => {
             eprintln!("egotac: {error:#}");
@@ -144,15 +150,20 @@ fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Exits without a message if standard output is closed, as in `egotac ... | head`; `print!` panics there by default.
-fn exit_quietly_on_closed_pipe() {
+/// Exits where `print!` would panic: without a message if standard output is closed, as in `egotac ... | head`, and otherwise
+/// with the error, as of a full disk.
+fn exit_where_printing_fails() {
     /// Exit status that a shell reports for a program ended by SIGPIPE.
     const CLOSED_PIPE: i32 = 128 + 13;
     let default_hook = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         let message = panic.payload_as_str().unwrap_or_default();
-        if message.starts_with("failed printing to stdout") && message.contains("Broken pipe") {
-            std::process::exit(CLOSED_PIPE);
+        if let Some(error) = message.strip_prefix("failed printing to stdout: ") {
+            if error.contains("Broken pipe") {
+                std::process::exit(CLOSED_PIPE);
+            }
+            eprintln!("egotac: standard output: {error}");
+            std::process::exit(1);
         }
         default_hook(panic);
     }));

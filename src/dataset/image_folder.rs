@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 use super::base_name;
 use super::source::{EncodedImage, ImageSource, SourceFrame, SourceFrames, Unit};
 use crate::error::{Error, Result};
+use crate::file::input::{self, InputFolder};
+use crate::file::limits;
 
 /// PNG and JPEG files in order, as one unit.
 #[derive(Debug)]
@@ -23,6 +25,8 @@ impl ImageFolder {
     /// If the folder can't be read or holds no image.
     pub fn open(path: &Path, step_secs: f64) -> Result<Self> {
         let files = image_files(path)?;
+        let folder = InputFolder::open(path)?;
+        files.iter().try_for_each(|file| folder.check(file))?;
         match files.is_empty() {
             true => Err(Error::file(path, "holds no PNG or JPEG file")),
             false => Ok(Self::from_files(base_name(path), files, step_secs)),
@@ -43,8 +47,7 @@ impl ImageSource for ImageFolder {
 
     fn frames(&self, _: usize, from: usize) -> Result<SourceFrames<'_>> {
         let frame = |(index, path): (usize, &PathBuf)| {
-            let image = fs::read(path).map(EncodedImage::File);
-            let image = image.map_err(|error| format!("{}: {error}", path.display()));
+            let image = input::read(path, limits::CHUNK).map(EncodedImage::File).map_err(|error| error.to_string());
             SourceFrame::new(index as f64 * self.step_secs, image)
         };
         Ok(Box::new(self.files.iter().enumerate().skip(from).map(frame)))

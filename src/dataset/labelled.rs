@@ -25,7 +25,7 @@ impl Labelled {
     /// # Errors
     /// If there are none, or they can't be read.
     pub fn read(path: &Path) -> Result<Self> {
-        match Format::of(path) {
+        let labelled = match Format::of(path) {
             Some(Format::Store) => zarr::read_labelled(path),
             Some(Format::Bag) => mcap::read_labelled(path),
             Some(Format::LeRobot) => lerobot::read_labelled(path),
@@ -33,6 +33,10 @@ impl Labelled {
             _ => {
                 Err(Error::file(path, "holds no labels: expected a store, a bag, a LeRobot data set or a tensor file"))
             }
+        }?;
+        for sequence in [Some(&labelled.labels), labelled.truth.as_ref()].into_iter().flatten() {
+            sequence.check().map_err(|error| Error::file(path, error))?;
         }
+        Ok(labelled)
     }
 }

@@ -3,7 +3,9 @@
 mod columns;
 mod images;
 mod labels;
+mod pages;
 mod read_labels;
+mod rows;
 mod statistics;
 
 use std::collections::BTreeMap;
@@ -19,19 +21,24 @@ use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use serde_json::Value;
 
 use crate::error::{Error, Result};
+use crate::file::input::{self, InputFolder};
+use crate::file::limits;
 
 pub(crate) use images::{LeRobotDataset, PREFIX};
 pub(crate) use labels::read_info;
 pub(crate) use read_labels::read_labelled;
+pub(crate) use rows::Row;
+use rows::Rows;
 
-/// Number of rows read at a time; small, since rows may hold images.
-const BATCH: usize = 16;
+/// Largest width to which a pattern of `info.json` pads a number: a file's name has at most 255 bytes.
+const MOST_DIGITS: usize = 255;
 
 /// Metadata of a data set, from its folder `meta/`.
 #[derive(Debug, Clone)]
 pub(crate) struct LeRobot {
     /// Folder of the data set.
     pub root: PathBuf,
+    folder: InputFolder,
     /// Content of `meta/info.json`.
     pub info: Value,
     /// Frame rate, 1/s.
@@ -64,23 +71,15 @@ pub(crate) enum Camera {
     Rows,
 }
 
-/// A row with its image.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Row {
-    /// Time since the start of the episode, s.
-    pub timestamp: f64,
-    /// Content of the image's file; None if the images lie in videos or the row has none.
-    pub image: Option<Vec<u8>>,
-}
-
 impl LeRobot {
     /// Opens the data set in the folder `root`.
     ///
     /// # Errors
     /// If it can't be read, or is of another version.
     pub fn open(root: &Path) -> Result<Self> {
-        let path = root.join("meta/info.json");
-        let text = std::fs::read_to_string(&path).map_err(Error::io(&path))?;
+        let folder = InputFolder::open(root)?;
+        let path = folder.join("meta/info.json")?;
+        let text = input::read_text(&path, limits::TEXT)?;
         let info: Value = serde_json::from_str(&text).map_err(|e| Error::file(&path, e))?;
         let version = info["codebase_version"].as_str().unwrap_or_default();
         if !version.starts_with("v3.") {
@@ -89,7 +88,7 @@ impl LeRobot {
         }
         let fps = info["fps"].as_f64().filter(|fps| *fps > 0.0);
         let fps = fps.ok_or_else(|| Error::file(&path, format!("expected fps above 0, got {}", info["fps"])))?;
-        let mut dataset = Self { root: root.to_path_buf(), info, fps, episodes: Vec::new() };
+        let mut dataset = Self { root: root.to_path_buf(), folder, info, fps, episodes: Vec::new() };
         for file in dataset.episode_files()? {
             dataset.read_episodes(&file)?;
         }
@@ -97,6 +96,8 @@ impl LeRobot {
         if dataset.episodes.is_empty() {
             return Err(Error::file(root, "has no episode"));
         }
+        let frames = dataset.episodes.iter().fold(0u64, |sum, episode| sum.saturating_add(episode.length as u64));
+        limits::FRAMES.check(root, "frames of all episodes", frames)?;
         Ok(dataset)
     }
 
@@ -116,7 +117,7 @@ impl LeRobot {
     /// # Errors
     /// If the folder can't be read.
     pub fn episode_files(&self) -> Result<Vec<PathBuf>> {
-        parquet_files(&self.root.join("meta/episodes"))
+        parquet_files(&self.folder, "meta/episodes")
     }
 
     /// Returns the Parquet files of the rows in order.
@@ -124,25 +125,26 @@ impl LeRobot {
     /// # Errors
     /// If the folder can't be read.
     pub fn data_files(&self) -> Result<Vec<PathBuf>> {
-        parquet_files(&self.root.join("data"))
+        parquet_files(&self.folder, "data")
     }
 
     /// Returns the file of rows with this chunk and number.
-    fn data_file(&self, (chunk, file): (i64, i64)) -> PathBuf {
+    fn data_file(&self, (chunk, file): (i64, i64)) -> Result<PathBuf> {
         let pattern = self.info["data_path"].as_str();
-        self.root.join(filled(
-            pattern.unwrap_or("data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"),
-            chunk,
-            file,
-        ))
+        let pattern = pattern.unwrap_or("data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet");
+        self.folder.join(filled(pattern, chunk, file))
     }
 
-    /// Returns the video file of a camera and the start of the episode in it, s.
-    pub fn video_file(&self, camera: &str, episode: &Episode) -> Option<(PathBuf, f64)> {
-        let (chunk, file, start) = *episode.videos.get(camera)?;
+    /// Returns the video file of a camera and the start of the episode in it, s; None if the episode names none.
+    ///
+    /// # Errors
+    /// If the file lies outside of the data set.
+    pub fn video_file(&self, camera: &str, episode: &Episode) -> Result<Option<(PathBuf, f64)>> {
+        let Some((chunk, file, start)) = episode.videos.get(camera) else { return Ok(None) };
         let pattern = self.info["video_path"].as_str();
         let pattern = pattern.unwrap_or("videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4");
-        Some((self.root.join(filled(&pattern.replace("{video_key}", camera), chunk, file)), start))
+        let path = self.folder.join(filled(&pattern.replace("{video_key}", camera), *chunk, *file))?;
+        Ok(Some((path, *start)))
     }
 
     /// Reads the rows of an episode from index `from` on, with the images of `camera` if they lie in the rows.
@@ -155,36 +157,12 @@ impl LeRobot {
         camera: Option<&str>,
         from: usize,
     ) -> Result<impl Iterator<Item = Result<Row>> + use<>> {
-        let path = self.data_file(episode.data);
+        let path = self.data_file(episode.data)?;
         let in_file = self.episodes.iter().filter(|other| other.data == episode.data);
         let first = in_file.map(|other| other.start).min().unwrap_or(episode.start);
-        let builder = reader(&path)?;
-        let wanted: Vec<&str> = ["timestamp"].into_iter().chain(camera).collect();
-        for name in &wanted {
-            if builder.schema().field_with_name(name).is_err() {
-                let present = builder.schema().fields().iter().map(|field| field.name().clone()).collect::<Vec<_>>();
-                let (name, place) = ((*name).to_string(), path.display().to_string());
-                return Err(Error::Missing { name, place, present: present.join(", ") });
-            }
-        }
-        let mask = only(&builder, |name| wanted.contains(&name));
-        let from = from.min(episode.length);
-        let batches = builder
-            .with_projection(mask)
-            .with_batch_size(BATCH)
-            .with_offset((episode.start - first).max(0) as usize + from)
-            .with_limit(episode.length - from)
-            .build()
-            .map_err(|e| Error::file(&path, e))?;
-        let camera = camera.map(str::to_string);
-        Ok(batches.flat_map(move |batch| {
-            let rows =
-                batch.map_err(|e| Error::file(&path, e)).and_then(|batch| rows_of(&batch, camera.as_deref(), &path));
-            match rows {
-                Ok(rows) => rows.into_iter().map(Ok).collect::<Vec<_>>(),
-                Err(error) => vec![Err(error)],
-            }
-        }))
+        let start = episode.start.saturating_sub(first).max(0) as usize;
+        let end = start.saturating_add(episode.length);
+        Rows::open(&path, camera, start.saturating_add(from.min(episode.length)), end)
     }
 
     fn read_episodes(&mut self, path: &Path) -> Result<()> {
@@ -225,8 +203,19 @@ impl LeRobot {
 /// # Errors
 /// If it can't be read or is not a Parquet file.
 pub fn reader(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
-    let file = File::open(path).map_err(Error::io(path))?;
-    ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| Error::file(path, e))
+    Ok(reader_and_page(path)?.0)
+}
+
+/// Opens a Parquet file; also returns the size of its largest page, which no cell exceeds, bytes.
+///
+/// # Errors
+/// As [`reader`].
+fn reader_and_page(path: &Path) -> Result<(ParquetRecordBatchReaderBuilder<File>, u64)> {
+    let file = input::open(path)?;
+    let same = file.try_clone().map_err(Error::io(path))?;
+    let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| Error::file(path, e))?;
+    let page = pages::check(path, &same, builder.metadata())?;
+    Ok((builder, page))
 }
 
 /// Selects the columns whose names are `wanted`. Selects by index, since the library's selection by name treats dots as
@@ -262,39 +251,18 @@ pub(crate) fn numbers(batch: &RecordBatch, name: &str, path: &Path) -> Result<Ve
     }
 }
 
-/// Returns timestamps and image files of a batch of rows.
-fn rows_of(batch: &RecordBatch, camera: Option<&str>, path: &Path) -> Result<Vec<Row>> {
-    let timestamps = numbers(batch, "timestamp", path)?;
-    let mut rows: Vec<Row> = timestamps.into_iter().map(|timestamp| Row { timestamp, image: None }).collect();
-    let Some(column) = camera.and_then(|camera| batch.column_by_name(camera)) else { return Ok(rows) };
-    let bytes = column.as_struct_opt().and_then(|image| image.column_by_name("bytes"));
-    let Some(bytes) = bytes else {
-        let name = camera.unwrap_or_default();
-        return Err(Error::file(
-            path,
-            format!("{name}: expected structs with the image's bytes, got {}", column.data_type()),
-        ));
-    };
-    for (index, row) in rows.iter_mut().enumerate().filter(|(index, _)| bytes.is_valid(*index)) {
-        row.image = match bytes.data_type() {
-            DataType::Binary => Some(bytes.as_binary::<i32>().value(index).to_vec()),
-            DataType::LargeBinary => Some(bytes.as_binary::<i64>().value(index).to_vec()),
-            _ => None,
-        };
-    }
-    Ok(rows)
-}
-
-/// Returns the Parquet files below `folder` by name.
-fn parquet_files(folder: &Path) -> Result<Vec<PathBuf>> {
+/// Returns the Parquet files below `name` in the data set by name.
+fn parquet_files(folder: &InputFolder, name: &str) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
-    for chunk in std::fs::read_dir(folder).map_err(Error::io(folder))?.flatten().filter(|entry| entry.path().is_dir()) {
+    let below = folder.join(name)?;
+    for chunk in std::fs::read_dir(&below).map_err(Error::io(&below))?.flatten().filter(|entry| entry.path().is_dir()) {
         let chunk = chunk.path();
         for file in std::fs::read_dir(&chunk).map_err(Error::io(&chunk))?.flatten() {
             files.push(file.path());
         }
     }
     files.retain(|file| file.extension().is_some_and(|extension| extension == "parquet"));
+    files.iter().try_for_each(|file| folder.check(file))?;
     files.sort();
     Ok(files)
 }
@@ -305,6 +273,7 @@ fn filled(pattern: &str, chunk: i64, file: i64) -> String {
         let Some((before, rest)) = text.split_once(&format!("{{{name}")) else { return text };
         let Some((format, after)) = rest.split_once('}') else { return text.clone() };
         let width: usize = format.trim_start_matches(":0").trim_end_matches('d').parse().unwrap_or(0);
+        let width = width.min(MOST_DIGITS);
         format!("{before}{number:0width$}{after}")
     };
     put(put(pattern.to_string(), "chunk_index", chunk), "file_index", file)
@@ -320,5 +289,8 @@ mod tests {
         assert_eq!(filled(pattern, 0, 12), "data/chunk-000/file-012.parquet");
         assert_eq!(filled(pattern, 1234, 5), "data/chunk-1234/file-005.parquet");
         assert_eq!(filled("{chunk_index}/{file_index:06d}", 7, 8), "7/000008");
+        for width in ["70000", "9223372036854775808", "99999999999999999999"] {
+            assert!(filled(&format!("{{chunk_index:0{width}d}}"), 1, 2).len() <= MOST_DIGITS);
+        }
     }
 }

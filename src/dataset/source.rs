@@ -74,6 +74,21 @@ pub enum EncodedImage {
 }
 
 impl EncodedImage {
+    /// Estimates the memory that the image takes until it is decoded, bytes; it is close to the most for usual images.
+    pub fn memory(&self) -> u64 {
+        /// Bytes per pixel of a decoded file, and of its conversion to RGB.
+        const PIXEL: u64 = 4 + 3;
+        match self {
+            Self::Pixels(pixels) => pixels.as_raw().len() as u64,
+            Self::File(bytes) => {
+                let (width, height) = image::dimensions(bytes).unwrap_or_default();
+                bytes.len() as u64 + PIXEL * u64::from(width) * u64::from(height)
+            }
+            // From one byte per pixel on, and three of RGB.
+            Self::Raw(raw) => 4 * raw.data.len() as u64,
+        }
+    }
+
     /// Decodes the image.
     ///
     /// # Errors

@@ -1,5 +1,6 @@
 //! Frames of video files, decoded by the program ffmpeg.
 
+mod demuxer;
 mod images;
 
 use std::io::{BufRead, BufReader, Read};
@@ -11,7 +12,7 @@ use ::image::RgbImage;
 use serde_json::Value;
 
 use crate::error::{Error, Result};
-use crate::image::MAX_SIDE;
+use crate::image::check_size;
 
 pub(crate) use images::VideoFile;
 
@@ -55,6 +56,7 @@ pub fn probe(path: &Path) -> Result<Video> {
         let reason = if errors.is_empty() { "ffprobe finds no video in it".into() } else { errors.join("; ") };
         return Err(Error::file(path, reason));
     };
+    check_size(width.into(), height.into()).map_err(|error| Error::file(path, error))?;
     let rate = |name: &str| {
         let (over, under) = stream[name].as_str()?.split_once('/')?;
         let fps = over.parse::<f64>().ok()? / under.parse::<f64>().ok()?;
@@ -90,7 +92,10 @@ pub fn damage(path: &Path, decoded: usize) -> Result<Option<Damage>> {
 
 fn ffprobe(path: &Path, arguments: &[&str]) -> Result<(Value, Vec<String>)> {
     let mut command = Command::new("ffprobe");
-    command.args(["-v", "error", "-select_streams", "v:0", "-of", "json"]).args(arguments).arg(url(path));
+    command
+        .args(["-v", "error", "-select_streams", "v:0", "-of", "json"])
+        .args(arguments)
+        .args(demuxer::arguments(path)?);
     let output = command.stdin(Stdio::null()).output().map_err(|error| not_installed("ffprobe", path, &error))?;
     let mut errors: Vec<String> = String::from_utf8_lossy(&output.stderr).lines().map(without_tags).collect();
     errors.truncate(KEPT_ERRORS);
@@ -120,7 +125,7 @@ impl VideoFrames {
             // ffmpeg seeks to the key frame before `start` and drops the frames in between.
             command.args(["-ss", &format!("{start:.6}")]);
         }
-        command.arg("-copyts").arg("-i").arg(url(path)).args(["-map", "0:v:0", "-vf", "showinfo=checksum=0"]);
+        command.arg("-copyts").args(demuxer::arguments(path)?).args(["-map", "0:v:0", "-vf", "showinfo=checksum=0"]);
         // Passthrough: ffmpeg must neither repeat nor drop frames to reach an even rate.
         command.args([if has_fps_mode() { "-fps_mode" } else { "-vsync" }, "passthrough"]);
         command.args(["-f", "image2pipe", "-c:v", "ppm", "-"]);
@@ -213,18 +218,13 @@ fn read_ppm(reader: &mut impl BufRead) -> std::io::Result<Option<RgbImage>> {
     let head = String::from_utf8_lossy(&head);
     let words: Vec<&str> = head.split_whitespace().collect();
     let ["P6", width, height, "255"] = words[..] else { return Err(invalid("no image")) };
-    let side = |text: &str| text.parse::<u32>().ok().filter(|side| (1..=MAX_SIDE).contains(side));
-    let (Some(width), Some(height)) = (side(width), side(height)) else { return Err(invalid("an image's size")) };
+    let (Ok(width), Ok(height)) = (width.parse::<u32>(), height.parse::<u32>()) else {
+        return Err(invalid("an image's size"));
+    };
+    check_size(width.into(), height.into()).map_err(|error| invalid(&error.to_string()))?;
     let mut pixels = vec![0; width as usize * height as usize * 3];
     reader.read_exact(&mut pixels)?;
     Ok(RgbImage::from_raw(width, height, pixels))
-}
-
-/// Returns the file as a URL, so that ffmpeg does not interpret its name.
-fn url(path: &Path) -> std::ffi::OsString {
-    let mut url = std::ffi::OsString::from("file:");
-    url.push(path);
-    url
 }
 
 fn without_tags(line: &str) -> String {

@@ -12,13 +12,15 @@
 //! | `data/left_hand_pose`, `data/right_hand_pose` | (T, 61) | f32 | transl 3 m, global_orient 3 rad, hand_pose 45 rad, betas 10; zeros = absent |
 //! | `meta/episode_ends` | (E) | i64 | exclusive cumulative ends |
 //!
-//! A producer may declare further arrays when it creates the store. Chunks split the time axis alone and hold about 2 MB.
+//! Images may also be (T, 3, H, W). A producer may declare further arrays when it creates the store. Chunks split the time axis alone and hold about 2 MB.
 //! Chunks equal to the fill value are not written, so a missing chunk reads as zeros.
 
 mod added;
+mod bounded;
 mod column;
 mod concatenate;
 mod convert;
+mod files;
 mod folder;
 mod images;
 mod labels;

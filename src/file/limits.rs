@@ -39,6 +39,8 @@ pub const IMAGE: Limit = limit("IMAGE_PIXELS", "one image", 36_000_000, "pixels"
 pub const RECORD: Limit = limit("RECORD_BYTES", "one record of a bag", 256 * MIB, "bytes");
 /// Decompressed size of one chunk, page or cell.
 pub const CHUNK: Limit = limit("CHUNK_BYTES", "one decompressed chunk, page or cell", 256 * MIB, "bytes");
+/// Size of the part of an array that is read at once. Force on both hands in 690,000 frames has 4 GiB.
+pub const ARRAY: Limit = limit("ARRAY_BYTES", "one array of a recording that is read whole", 4 * GIB, "bytes");
 /// Number of images or rows of one recording. At 30 Hz, 16 million are 148 hours.
 pub const FRAMES: Limit = limit("FRAMES", "one recording", 1 << 24, "frames");
 /// Number of parameters of a network; DINOv2 giant has 1.1 thousand million.
@@ -50,8 +52,8 @@ pub const MODEL_SECONDS: Limit =
     limit("MODEL_SECONDS", "the processor time to compile a scene or robot model", 10, "seconds");
 
 /// All limits, in the order of the table.
-pub const ALL: [Limit; 10] =
-    [TEXT, FILE, WEIGHTS, PARAMETERS, IMAGE, RECORD, CHUNK, FRAMES, MODEL_MEMORY, MODEL_SECONDS];
+pub const ALL: [Limit; 11] =
+    [TEXT, FILE, WEIGHTS, PARAMETERS, IMAGE, RECORD, CHUNK, ARRAY, FRAMES, MODEL_MEMORY, MODEL_SECONDS];
 
 const fn limit(name: &'static str, bounds: &'static str, default: u64, unit: &'static str) -> Limit {
     Limit { name, bounds, default, unit }

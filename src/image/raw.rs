@@ -2,7 +2,7 @@
 
 use ::image::RgbImage;
 
-use super::MAX_SIDE;
+use super::{MAX_SIDE, check_size};
 use crate::error::{Error, Result};
 
 /// Encodings that [`RawImage::to_rgb`] converts; `yuv422_yuy2` and `yuv422` are older names of `yuyv` and `uyvy` in ROS.
@@ -89,6 +89,7 @@ impl RawImage<'_> {
                 return Err(Error::value(format!("image {name}"), format!("1 to {MAX_SIDE} pixels"), length));
             }
         }
+        check_size(width.into(), height.into())?;
         let (even_width, even_height) = match layout {
             Layout::Packed(..) => (false, false),
             Layout::Yuv422(_) => (true, false),

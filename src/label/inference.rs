@@ -5,8 +5,9 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use super::budget::{Budget, Share};
 use super::journal::Journal;
-use crate::dataset::source::SourceFrames;
+use crate::dataset::source::{EncodedImage, SourceFrames};
 use crate::dataset::{ImageSource, LabelFrame, SourceFrame};
 use crate::error::Result;
 use crate::image::Preparation;
@@ -40,8 +41,8 @@ impl InferenceTiming {
     }
 }
 
-/// Number of a batch, and its images by index.
-type Batch = (usize, Vec<(usize, SourceFrame)>);
+/// Number of a batch, and its images by index, each with its share of the memory.
+type Batch = (usize, Vec<(usize, SourceFrame, Share)>);
 
 /// An image prepared for the network.
 struct PreparedImage {
@@ -163,20 +164,35 @@ fn prepare_images(
 }
 
 fn read(frames: SourceFrames, from: usize, wanted: &(dyn Fn(usize) -> bool + Sync), to_decode: SyncSender<Batch>) {
+    let budget = Budget::default();
     let mut batch = Vec::with_capacity(BATCH);
     let mut number = 0;
+    let mut send = |batch: &mut Vec<_>| {
+        let sent = to_decode.send((number, std::mem::take(batch)));
+        number += 1;
+        // Receiver gone: there is nothing left to do.
+        sent.is_ok()
+    };
+    let mut first = true;
     for (index, frame) in (from..).zip(frames).filter(|(index, _)| wanted(*index)) {
-        batch.push((index, frame));
-        // Send the first image at once: the network waits for it.
-        if batch.len() == BATCH || number == 0 {
-            if to_decode.send((number, std::mem::take(&mut batch))).is_err() {
-                return;
+        let bytes = frame.image.as_ref().map_or(0, EncodedImage::memory);
+        let share = match budget.try_take(bytes) {
+            Some(share) => share,
+            None => {
+                if !send(&mut batch) {
+                    return;
+                }
+                budget.take(bytes)
             }
-            number += 1;
+        };
+        batch.push((index, frame, share));
+        // Send the first image at once: the network waits for it.
+        if (batch.len() == BATCH || first) && !send(&mut batch) {
+            return;
         }
+        first = false;
     }
-    // Receiver gone: ignore the error.
-    let _ = to_decode.send((number, batch));
+    send(&mut batch);
 }
 
 fn decode(
@@ -187,7 +203,8 @@ fn decode(
     loop {
         let batch = taken.lock().unwrap_or_else(PoisonError::into_inner).recv();
         let Ok((number, frames)) = batch else { return };
-        let prepare = |(index, SourceFrame { stamp_secs, offset, image, note }): (usize, SourceFrame)| {
+        let prepare = |(index, frame, _share): (usize, SourceFrame, Share)| {
+            let SourceFrame { stamp_secs, offset, image, note } = frame;
             let input = image.and_then(|image| {
                 let image = image.decode().map_err(|error| error.to_string())?;
                 preparation.apply(&image).map_err(|error| error.to_string())

@@ -15,6 +15,7 @@
 //!   completes the last journal assembles the output.
 //! - *Memory*: bounded queues and streaming readers; it does not grow with the length of a recording.
 
+mod budget;
 mod inference;
 mod input;
 mod job;

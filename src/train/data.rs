@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::keypoints::{self, Points};
 use super::source::{Supervision, TrainingSource};
 use crate::dataset::EpisodeReader;
-use crate::dataset::zarr::{self, CAMERA_EGO_RGB, TIMESTAMPS, ZarrReader, read_labels};
+use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader, read_labels};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
 use crate::image::{Preparation, resize};
@@ -16,6 +16,8 @@ use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileSequence, episode_ranges};
 
 /// Frames read at once while a store is scanned.
 const BLOCK: usize = 128;
+/// Largest size of the stored images that are read at once, bytes.
+const PIECE_BYTES: usize = 128 << 20;
 
 /// Stores, and the preparation that turns their images into the network's input.
 #[derive(Debug)]
@@ -199,22 +201,15 @@ impl Dataset {
             block.labels = self.stores[store].labels(frames.clone())?;
         }
         let (height, width) = reader.image_size();
-        // In blocks, because the stored images may be much larger than the resized ones.
+        // In pieces, because the stored images may be much larger than the resized ones.
+        let most = (PIECE_BYTES / (height * width * 3)).clamp(1, BLOCK);
+        let Preparation { resize: how, filter, .. } = self.preparation;
         let mut start = frames.start;
         while start < frames.end {
-            let piece = start..(start + BLOCK).min(frames.end);
-            let raw = reader.read_u8(CAMERA_EGO_RGB, piece.clone())?;
-            let shrunk: Result<Vec<Vec<u8>>> = raw
-                .par_chunks(height * width * 3)
-                .map(|pixels| {
-                    let image =
-                        ::image::RgbImage::from_raw(width as u32, height as u32, pixels.to_vec()).ok_or_else(|| {
-                            Error::shape(CAMERA_EGO_RGB, format!("({height}, {width}, 3)"), [pixels.len()])
-                        })?;
-                    let Preparation { resize: how, filter, .. } = self.preparation;
-                    Ok(resize(&image, side, how, filter)?.into_raw())
-                })
-                .collect();
+            let piece = start..(start + most).min(frames.end);
+            let images = reader.images(piece.clone())?;
+            let shrunk: Result<Vec<Vec<u8>>> =
+                images.par_iter().map(|image| Ok(resize(image, side, how, filter)?.into_raw())).collect();
             shrunk?.iter().for_each(|pixels| block.images.extend_from_slice(pixels));
             start = piece.end;
         }

@@ -55,12 +55,13 @@ impl LeRobotDataset {
 /// differs between versions; None if there is no other list.
 pub fn with_types(text: &str, columns: &[Column]) -> Option<String> {
     let mut types: Value = serde_json::from_str(text).ok()?;
-    let features = types["info"]["features"].as_object_mut()?;
+    // Not by `[..]`, which panics where a value that is to be changed is no object.
+    let features = types.pointer_mut("/info/features")?.as_object_mut()?;
     let is_list = |feature: &&Value| feature["length"].is_i64() && feature["feature"]["_type"] == "Value";
     let mut list = features.values().find(is_list)?.clone();
-    list["feature"]["dtype"] = "float32".into();
+    *list.pointer_mut("/feature/dtype")? = "float32".into();
     for column in columns {
-        list["length"] = column.width.into();
+        *list.pointer_mut("/length")? = column.width.into();
         features.insert(column.name.clone(), list.clone());
     }
     Some(types.to_string())
@@ -79,5 +80,25 @@ fn region_force() -> impl Fn(&LabelFrame) -> Vec<f32> {
             }
         }
         sums.into_iter().map(|sum| sum as f32).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn types_of_another_form_are_dropped() {
+        let column = Column { name: "a".into(), names: None, width: 2, value: Box::new(|_| vec![]) };
+        let list = r#"{"length": 3, "feature": {"_type": "Value", "dtype": "int8"}, "_type": "List"}"#;
+        let types = format!(r#"{{"info": {{"features": {{"b": {list}}}}}}}"#);
+        let added = with_types(&types, std::slice::from_ref(&column)).unwrap();
+        assert!(
+            added.contains(r#""a":{"_type":"List","feature":{"_type":"Value","dtype":"float32"},"length":2}"#),
+            "{added}"
+        );
+        for text in ["[]", "\"text\"", "3", "{}", r#"{"info": []}"#, r#"{"info": {"features": "x"}}"#, "no JSON"] {
+            assert_eq!(with_types(text, std::slice::from_ref(&column)), None, "{text}");
+        }
     }
 }

@@ -69,7 +69,7 @@ impl LeRobotDataset {
 
     /// Returns the rows of an episode with the video frames nearest to their times.
     fn video_frames(&self, episode: &Episode, from: usize) -> Result<SourceFrames<'_>> {
-        let Some((path, start)) = self.dataset.video_file(&self.camera, episode) else {
+        let Some((path, start)) = self.dataset.video_file(&self.camera, episode)? else {
             return Err(Error::file(&self.dataset.root, format!("episode {} has no video", episode.index)));
         };
         // A video frame belongs to a row if their times differ by at most half a frame.

@@ -17,14 +17,15 @@ use serde_json::{Map, Value, json};
 use super::columns::{Column, with_types};
 use super::images::LeRobotDataset;
 use super::statistics::{EpisodeStatistics, Statistics};
-use super::{LeRobot, numbers, reader};
+use super::{LeRobot, numbers, reader, reader_and_page};
 use crate::dataset::copy::copy_folder;
 use crate::dataset::label_info::LabelInfo;
 use crate::dataset::labels::{LabelFrames, LabelOutput, SourceLabels};
 use crate::dataset::provenance::PROVENANCE_KEY;
 use crate::error::{Error, Result};
+use crate::file::{input, limits};
 
-/// Number of rows rewritten at a time.
+/// Largest number of rows rewritten at a time.
 const BATCH: usize = 64;
 /// Upper limit of the rows in a row group.
 const ROW_GROUP: usize = 1 << 13;
@@ -37,7 +38,9 @@ impl LeRobotDataset {
     /// Writes one file of rows with the values of the new columns.
     fn rewrite_rows(&self, from: &Path, to: &Path, columns: &[Column], labelling: &mut Labelling) -> Result<()> {
         let fail = |error: parquet::errors::ParquetError| Error::file(from, error);
-        let builder = reader(from)?;
+        let (builder, page) = reader_and_page(from)?;
+        // Fewer rows at a time where a cell may be large.
+        let batch = (limits::CHUNK.value() / page.max(1)).clamp(1, BATCH as u64) as usize;
         let key_values = builder.metadata().file_metadata().key_value_metadata().cloned().unwrap_or_default();
         let (schema, key_values) = extended_schema(builder.schema(), key_values, columns);
         let properties = WriterProperties::builder()
@@ -47,7 +50,7 @@ impl LeRobotDataset {
             .build();
         let file = File::create(to).map_err(Error::io(to))?;
         let mut writer = ArrowWriter::try_new(file, schema.clone(), Some(properties)).map_err(fail)?;
-        for batch in builder.with_batch_size(BATCH).build().map_err(fail)? {
+        for batch in builder.with_batch_size(batch).build().map_err(fail)? {
             let batch = batch.map_err(|e| Error::file(from, e))?;
             let mut values: Vec<Vec<f32>> = columns.iter().map(|_| Vec::new()).collect();
             for episode in numbers(&batch, "episode_index", from)? {
@@ -134,10 +137,13 @@ impl LeRobotDataset {
 
     /// Returns the content of `meta/stats.json` with statistics of the new columns over all episodes.
     fn extended_stats(&self, columns: &[Column], done: &[(i64, Vec<Statistics>)]) -> Result<Value> {
-        let path = self.dataset.root.join("meta/stats.json");
-        let mut stats: Map<String, Value> = match fs::read_to_string(&path) {
-            Ok(text) => serde_json::from_str(&text).map_err(|e| Error::file(&path, e))?,
-            Err(_) => Map::new(),
+        let path = self.dataset.folder.join("meta/stats.json")?;
+        let mut stats: Map<String, Value> = match path.exists() {
+            true => {
+                let text = input::read_text(&path, limits::TEXT)?;
+                serde_json::from_str(&text).map_err(|e| Error::file(&path, e))?
+            }
+            false => Map::new(),
         };
         for (at, column) in columns.iter().enumerate() {
             let mut total = Statistics::default();
@@ -269,7 +275,7 @@ impl LabelOutput for LeRobotDataset {
 
 /// Reads the description of the labels in a data set; None without one.
 pub fn read_info(root: &Path) -> Option<LabelInfo> {
-    serde_json::from_str(&fs::read_to_string(info_file(root)).ok()?).ok()
+    serde_json::from_str(&input::read_text(&info_file(root), limits::TEXT).ok()?).ok()
 }
 
 fn info_file(root: &Path) -> std::path::PathBuf {

@@ -10,9 +10,13 @@ use serde::{Deserialize, Serialize};
 use super::records::{PREFIX, Record, Records, chunk_header};
 use crate::dataset::source::LostBytes;
 use crate::error::Result;
+use crate::file::limits;
 
 /// Upper limit of the memory reserved from a chunk's header, bytes: a damaged header may state any size.
 const ROOM: u64 = 1 << 26;
+/// Largest window of zstd, as the exponent of 2 of its bytes; the format's own recommendation for decoders is 23, and the
+/// library's highest level takes 27.
+const WINDOW: u32 = 27;
 
 /// A chunk and its uncompressed records.
 #[derive(Debug)]
@@ -96,6 +100,11 @@ pub(super) fn open_chunk(
     };
     let compressed = &body[start..];
     let wanted = header.uncompressed_size;
+    let most = limits::CHUNK.value();
+    if wanted > most {
+        let variable = limits::CHUNK.variable();
+        return lost(format!("a chunk of {wanted} bytes, expected at most {most}; {variable} raises the limit"));
+    }
     let mut unpacked = Vec::with_capacity(if header.compression.is_empty() { 0 } else { wanted.min(ROOM) as usize });
     let result = match header.compression.as_str() {
         "" => Ok(0),
@@ -103,7 +112,10 @@ pub(super) fn open_chunk(
         "zstd" if wanted <= ROOM && !cut_off => {
             zstd::bulk::Decompressor::new().and_then(|mut zstd| zstd.decompress_to_buffer(compressed, &mut unpacked))
         }
-        "zstd" => zstd::Decoder::new(compressed).and_then(|decoder| decoder.take(wanted).read_to_end(&mut unpacked)),
+        "zstd" => zstd::Decoder::new(compressed).and_then(|mut decoder| {
+            decoder.window_log_max(WINDOW)?;
+            decoder.take(wanted).read_to_end(&mut unpacked)
+        }),
         "lz4" => lz4::Decoder::new(compressed).and_then(|decoder| decoder.take(wanted).read_to_end(&mut unpacked)),
         other => return lost(format!("a chunk with unknown compression {other:?}")),
     };

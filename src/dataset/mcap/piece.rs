@@ -8,6 +8,7 @@ use super::chunk::{ChunkContent, inner_records, open_chunk};
 use super::records::{FileSpan, Record, Records};
 use crate::dataset::source::LostBytes;
 use crate::error::Result;
+use crate::file::limits;
 
 /// A piece of a file with its content.
 #[derive(Debug)]
@@ -76,13 +77,24 @@ impl Records {
         };
         Ok(match record.opcode {
             op::DATA_END => None,
+            op::ATTACHMENT => Some(Piece::Record(record, Vec::new())),
+            _ if record.length > limits::RECORD.value() => Some(Piece::Lost(self.too_large(&record))),
             op::CHUNK => Some(match open_chunk(self, &record, cut_off)? {
                 Ok(content) => Piece::Chunk(record.offset, content),
                 Err(lost) => Piece::Lost(lost),
             }),
-            op::ATTACHMENT => Some(Piece::Record(record, Vec::new())),
             _ => Some(Piece::Record(record, self.body(&record)?)),
         })
+    }
+}
+
+impl Records {
+    /// Returns the report of a record that is not read because of its length.
+    fn too_large(&self, record: &Record) -> LostBytes {
+        let (most, variable) = (limits::RECORD.value(), limits::RECORD.variable());
+        let reason =
+            format!("a record of {} bytes, expected at most {most}; {variable} raises the limit", record.length);
+        self.lost(record, reason)
     }
 }
 

@@ -10,6 +10,7 @@ use mcap::records::{ChunkHeader, Record as Parsed, op};
 
 use crate::dataset::source::LostBytes;
 use crate::error::{Error, Result};
+use crate::file::input;
 
 /// Size of opcode and length, which precede the content of each record, bytes.
 pub(super) const PREFIX: u64 = 9;
@@ -56,7 +57,7 @@ impl Records {
     /// # Errors
     /// If it can't be read, or lacks the magic bytes of MCAP.
     pub fn open(path: &Path) -> Result<Self> {
-        let file = File::open(path).map_err(Error::io(path))?;
+        let file = input::open(path)?;
         let size = file.metadata().map_err(Error::io(path))?.len();
         let mut magic = [0; MAGIC.len()];
         if size < MAGIC.len() as u64 || file.read_exact_at(&mut magic, 0).is_err() || magic != *MAGIC {
@@ -94,7 +95,7 @@ impl Records {
 
     /// Returns the damage report of `record`.
     pub fn lost(&self, record: &Record, reason: impl ToString) -> LostBytes {
-        let bytes = (record.length + PREFIX).min(self.size - record.offset);
+        let bytes = record.length.saturating_add(PREFIX).min(self.size - record.offset);
         self.lost_bytes(record.offset, bytes, reason)
     }
 
@@ -161,7 +162,7 @@ impl Records {
         }
         let start = self.body(&Record { length: record.length.min(128), ..record })?;
         Ok(chunk_header(&start)
-            .filter(|(header, at)| *at as u64 + header.compressed_size == record.length)
+            .filter(|(header, at)| header.compressed_size.checked_add(*at as u64) == Some(record.length))
             .map(|_| record))
     }
 

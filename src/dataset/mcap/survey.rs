@@ -10,9 +10,8 @@ use mcap::records::{Record as Parsed, op};
 use super::piece::{Piece, Pieces};
 use super::records::{PREFIX, Records};
 use crate::error::{Error, Result};
-
-/// Largest summary that is read, bytes; beyond it the records are read.
-const LARGEST_SUMMARY: u64 = 1 << 30;
+use crate::file::input::{self, InputFolder};
+use crate::file::limits;
 
 /// A channel of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -55,10 +54,11 @@ pub fn bag_files(path: &Path) -> Result<Vec<PathBuf>> {
     if !path.is_dir() {
         return Ok(vec![path.to_path_buf()]);
     }
-    let yaml = path.join("metadata.yaml");
+    let folder = InputFolder::open(path)?;
+    let yaml = folder.join("metadata.yaml")?;
     let mut files = Vec::new();
     if yaml.is_file() {
-        let text = std::fs::read_to_string(&yaml).map_err(Error::io(&yaml))?;
+        let text = input::read_text(&yaml, limits::TEXT)?;
         let metadata: serde_yaml::Value = serde_yaml::from_str(&text).map_err(|e| Error::file(&yaml, e))?;
         let bag = &metadata["rosbag2_bagfile_information"];
         if let Some(storage) = bag["storage_identifier"].as_str().filter(|storage| *storage != "mcap") {
@@ -75,6 +75,7 @@ pub fn bag_files(path: &Path) -> Result<Vec<PathBuf>> {
         files.retain(|file| file.extension().is_some_and(|extension| extension == "mcap"));
         files.sort();
     }
+    files.iter().try_for_each(|file| folder.check(file))?;
     match files.is_empty() {
         true => Err(Error::file(path, "holds no .mcap file")),
         false => Ok(files),
@@ -109,8 +110,9 @@ fn from_summary(file: &Records, path: &Path) -> Result<Option<Survey>> {
         return Ok(None);
     }
     let Ok(Parsed::Footer(parsed)) = mcap::parse_record(op::FOOTER, body) else { return Ok(None) };
-    let size =
-        start.checked_sub(parsed.summary_start).filter(|size| parsed.summary_start > 0 && *size < LARGEST_SUMMARY);
+    // Beyond the limit the records are read instead.
+    let most = limits::RECORD.value();
+    let size = start.checked_sub(parsed.summary_start).filter(|size| parsed.summary_start > 0 && *size <= most);
     let Some(size) = size else { return Ok(None) };
     let mut summary = vec![0; size as usize];
     file.file().read_exact_at(&mut summary, parsed.summary_start).map_err(Error::io(path))?;
@@ -145,7 +147,7 @@ fn from_summary(file: &Records, path: &Path) -> Result<Option<Survey>> {
             offset: index.offset,
             length: index.length.saturating_sub(PREFIX).min(file.size()),
         };
-        if index.offset < file.size() {
+        if index.offset < file.size() && record.length <= limits::TEXT.value() {
             survey.note(op::METADATA, &file.body(&record)?);
         }
     }

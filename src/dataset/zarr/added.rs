@@ -1,6 +1,5 @@
 //! Writer of further arrays into an existing store.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
@@ -9,6 +8,7 @@ use super::column::ArrayWriter;
 use super::folder::{StoreRoot, write_json};
 use super::{ArraySpec, Compression, Values};
 use crate::error::{Error, Result};
+use crate::file::{input, limits};
 
 /// Consolidated metadata: a copy of all metadata in one file, which some readers use instead of the originals.
 const CONSOLIDATED: &str = ".zmetadata";
@@ -92,6 +92,6 @@ impl AddedArrays {
 }
 
 fn read_object(file: &Path) -> Result<Map<String, Value>> {
-    let text = fs::read_to_string(file).map_err(Error::io(file))?;
+    let text = input::read_text(file, limits::TEXT)?;
     serde_json::from_str(&text).map_err(|e| Error::file(file, format!("expected a JSON object: {e}")))
 }

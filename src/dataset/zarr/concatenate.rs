@@ -10,8 +10,9 @@ use serde_json::{Map, Value};
 use zarrs::array::{Array, ArrayBytes, ArraySubset, CodecOptions};
 use zarrs::filesystem::FilesystemStore;
 
+use super::files::StoreFiles;
 use super::folder::{StoreFolder, create_array, write_metadata};
-use super::{ArraySpec, Compression, ZarrReader};
+use super::{ArraySpec, Compression, StoreLocation, ZarrReader};
 use crate::dataset::{Attributes, EpisodeReader};
 use crate::error::{Error, Result};
 
@@ -61,7 +62,7 @@ pub fn concatenate(
 /// A part and its frames in the whole.
 struct StorePart {
     path: PathBuf,
-    store: Arc<FilesystemStore>,
+    store: Arc<StoreFiles>,
     frames: Range<usize>,
 }
 
@@ -84,12 +85,8 @@ fn survey(parts: &[PathBuf], attributes: &Attributes) -> Result<(Vec<StorePart>,
             return Err(Error::file(path, what));
         }
         ends.extend(reader.episode_ends().iter().map(|end| (n_frames + end) as i64));
-        let store = FilesystemStore::new(path).map_err(|error| Error::file(path, error))?;
-        sources.push(StorePart {
-            path: path.clone(),
-            store: Arc::new(store),
-            frames: n_frames..n_frames + reader.len(),
-        });
+        let store = StoreLocation::folder(path).files()?;
+        sources.push(StorePart { path: path.clone(), store, frames: n_frames..n_frames + reader.len() });
         n_frames += reader.len();
     }
     match n_frames {

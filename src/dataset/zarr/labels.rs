@@ -1,12 +1,12 @@
 //! Labels of a store: written as further arrays into a copy of it.
 
 use std::fs;
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use serde_json::{Map, Value};
 
+use super::files::open_zip;
 use super::images::Store;
 use super::{
     AddedArrays, ArraySpec, Dtype, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, StoreLocation,
@@ -21,6 +21,7 @@ use crate::dataset::prefetch::prefetch;
 use crate::dataset::provenance::PROVENANCE_KEY;
 use crate::dataset::source::{LostBytes, Unit};
 use crate::error::{Error, Result};
+use crate::file::limits;
 use crate::hand::Topology;
 use crate::tactile::N_FIELD;
 
@@ -137,9 +138,8 @@ fn copy(place: &StoreLocation, to: &Path) -> Result<Vec<LostBytes>> {
         copy_folder(&place.path, to, true)?;
         return Ok(lost);
     };
-    let file = File::open(&place.path).map_err(Error::io(&place.path))?;
     let fail = |error: zip::result::ZipError| Error::file(&place.path, error);
-    let mut archive = zip::ZipArchive::new(file).map_err(fail)?;
+    let mut archive = open_zip(&place.path)?;
     for index in 0..archive.len() {
         let mut entry = archive.by_index(index).map_err(fail)?;
         // `enclosed_name` refuses names that would lead out of the folder.
@@ -153,8 +153,17 @@ fn copy(place: &StoreLocation, to: &Path) -> Result<Vec<LostBytes>> {
             continue;
         }
         let (offset, bytes) = (entry.data_start().unwrap_or_default(), entry.compressed_size());
-        let mut reader = FailureRecorder { reader: &mut entry, failure: None };
-        let copied = copy_file(&path, size, |file| std::io::copy(&mut reader, file));
+        limits::FILE.check(&place.path, &name.to_string_lossy(), size)?;
+        // A deflated file may hold more than the archive's directory states. One byte more, so that the end is reached, where
+        // the checksum is checked.
+        let mut reader = FailureRecorder { reader: (&mut entry).take(size + 1), failure: None };
+        let copied = copy_file(&path, size, |file| match std::io::copy(&mut reader, file)? {
+            copied if copied == size => Ok(copied),
+            _ => {
+                let failure = reader.failure.insert(format!("expected {size} bytes, got another number"));
+                Err(std::io::Error::other(failure.clone()))
+            }
+        });
         match reader.failure {
             // Leave the chunk's file out: a missing chunk reads as the fill value, which is marked invalid.
             Some(failure) => {

@@ -1,16 +1,12 @@
 //! Locations of stores: folders, or folders within zip files.
 
 use std::fs;
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use zarrs::filesystem::FilesystemStore;
-use zarrs::storage::{ReadableListableStorageTraits, ReadableStorageTraits, StoreKey};
-use zarrs_zip::ZipStorageAdapter;
-use zip::ZipArchive;
-
 use super::EPISODE_ENDS;
+use super::bounded;
+use super::files::{StoreFiles, open_zip};
 use crate::error::{Error, Result};
 
 /// Location of a store.
@@ -95,27 +91,19 @@ impl StoreLocation {
     /// # Errors
     /// If it can't be read.
     pub fn is_v2(&self) -> Result<bool> {
-        let fail = |error: &dyn std::fmt::Display| Error::file(&self.path, error);
-        let key = StoreKey::new(".zgroup").map_err(|e| fail(&e))?;
-        Ok(self.storage()?.size_key(&key).map_err(|e| fail(&e))?.is_some())
+        self.files()?.has(".zgroup")
     }
 
-    /// Opens the storage.
+    /// Opens the files of the store.
     ///
     /// # Errors
-    /// If it can't be read.
-    pub(super) fn storage(&self) -> Result<Arc<dyn ReadableListableStorageTraits>> {
-        let fail = |error: &dyn std::fmt::Display| Error::file(&self.path, error);
-        let Some(inside) = &self.inside else {
-            return Ok(Arc::new(FilesystemStore::new(&self.path).map_err(|e| fail(&e))?));
-        };
-        let (Some(name), Some(parent)) = (self.path.file_name(), self.path.parent()) else {
-            return Err(fail(&"is not a name for a zip file"));
-        };
-        let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
-        let around = Arc::new(FilesystemStore::new(parent).map_err(|e| fail(&e))?);
-        let key = StoreKey::new(name.to_string_lossy()).map_err(|e| fail(&e))?;
-        Ok(Arc::new(ZipStorageAdapter::new_with_path(around, key, inside).map_err(|e| fail(&e))?))
+    /// If the folder or zip file can't be read.
+    pub(super) fn files(&self) -> Result<Arc<StoreFiles>> {
+        bounded::register();
+        Ok(Arc::new(match &self.inside {
+            None => StoreFiles::folder(&self.path)?,
+            Some(inside) => StoreFiles::zip(&self.path, inside)?,
+        }))
     }
 }
 
@@ -139,8 +127,7 @@ fn is_zip(path: &Path) -> bool {
 }
 
 fn in_zip(path: &Path) -> Result<Vec<StoreLocation>> {
-    let file = File::open(path).map_err(Error::io(path))?;
-    let archive = ZipArchive::new(file).map_err(|e| Error::file(path, format!("expected a zip file: {e}")))?;
+    let archive = open_zip(path)?;
     let marks = [".zarray", "zarr.json"].map(|file| format!("{EPISODE_ENDS}/{file}"));
     let mut places = Vec::new();
     for name in archive.file_names() {

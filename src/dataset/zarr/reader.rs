@@ -8,15 +8,21 @@ use std::sync::Arc;
 use ::image::RgbImage;
 use zarrs::array::Array;
 use zarrs::group::Group;
-use zarrs::storage::{ReadableListableStorageTraits, StoreKey, StorePrefix};
+use zarrs::storage::ReadableStorageTraits;
 
+use super::files::StoreFiles;
 use super::place::StoreLocation;
 use super::stored::{ArrayInfo, StoredArray};
 use super::*;
 use crate::dataset::{Attributes, EpisodeReader, Frame};
 use crate::error::{Error, Result};
+use crate::file::limits;
 use crate::hand::{HandParams, Topology};
+use crate::image::check_size;
 use crate::tactile::{N_FIELD, TactileField, Validity};
+
+/// Number of frames up to which a store may leave out all chunks of its images, as if they were black.
+const UNCHECKED: usize = 4096;
 
 /// An open store. Reads Zarr v2 as written here or by zarr-python (any of its Blosc, zlib, gzip, zstd or no
 /// compression), and v3.
@@ -25,6 +31,7 @@ use crate::tactile::{N_FIELD, TactileField, Validity};
 /// hand poses as absent.
 pub struct ZarrReader {
     path: PathBuf,
+    files: Arc<StoreFiles>,
     attributes: Attributes,
     raw_attributes: serde_json::Map<String, serde_json::Value>,
     episode_ends: Vec<usize>,
@@ -78,19 +85,21 @@ impl ZarrReader {
     /// As [`Self::open`].
     pub fn open_at(place: &StoreLocation) -> Result<Self> {
         let path = &PathBuf::from(place.to_string());
-        let storage = place.storage()?;
-        let group = Group::open(storage.clone().readable(), "/").map_err(|e| Error::file(path, e))?;
+        let files = place.files()?;
+        let storage: Arc<dyn ReadableStorageTraits> = files.clone();
+        let group = Group::open(storage.clone(), "/").map_err(|e| Error::file(path, e))?;
         let raw_attributes = group.attributes().clone();
 
         let mut arrays = BTreeMap::new();
-        for name in array_names(&storage).map_err(|e| Error::file(path, e))? {
-            let array = Array::open(storage.clone().readable(), &format!("/{name}"))
+        for name in array_names(&files)? {
+            let array = Array::open(storage.clone(), &format!("/{name}"))
                 .map_err(|e| Error::file(path, format!("{name}: {e}")))?;
             arrays.insert(name.clone(), StoredArray::new(name, array));
         }
         let attributes = attributes(path, &raw_attributes, &arrays)?;
         let mut reader = Self {
             path: path.to_path_buf(),
+            files,
             attributes,
             raw_attributes,
             episode_ends: Vec::new(),
@@ -144,15 +153,34 @@ impl ZarrReader {
         self.camera.size
     }
 
-    /// Reads the image of one frame.
+    /// Reads the image of one frame, and keeps its chunk for the next frames.
     ///
     /// # Errors
     /// As [`Self::read`].
     pub fn image(&self, index: usize) -> Result<RgbImage> {
+        let name = &self.camera.name;
+        self.picture(self.bytes(name, self.read_frame(name, index)?)?, index)
+    }
+
+    /// Reads the images of frames `range`, decoding each chunk once.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn images(&self, range: Range<usize>) -> Result<Vec<RgbImage>> {
+        let Camera { name, size: (height, width), .. } = &self.camera;
+        let pixels = self.read_u8(name, range.clone())?;
+        let images = pixels.chunks_exact(height * width * 3).zip(range);
+        images.map(|(pixels, index)| self.picture(pixels.to_vec(), index)).collect()
+    }
+
+    /// Returns the image of the stored bytes, by the layout of the camera.
+    fn picture(&self, mut pixels: Vec<u8>, index: usize) -> Result<RgbImage> {
         let Camera { name, size: (height, width), planar } = &self.camera;
-        let mut pixels = self.bytes(name, self.read_frame(name, index)?)?;
+        let plane = height * width;
+        if pixels.len() != 3 * plane {
+            return Err(Error::file(&self.path, format!("{name}: frame {index} is too short")));
+        }
         if *planar {
-            let plane = height * width;
             pixels = (0..plane).flat_map(|i| [pixels[i], pixels[plane + i], pixels[2 * plane + i]]).collect();
         }
         RgbImage::from_raw(*width as u32, *height as u32, pixels)
@@ -252,6 +280,9 @@ impl ZarrReader {
 
     fn read_episode_ends(&self) -> Result<Vec<usize>> {
         let column = self.column(EPISODE_ENDS)?;
+        let [_] = column.info().shape[..] else {
+            return Err(self.named(Error::shape(EPISODE_ENDS, "(E)", column.info().shape)));
+        };
         let fail = |message: String| Error::file(&self.path, format!("{EPISODE_ENDS}: {message}"));
         let values = self.read(EPISODE_ENDS, 0..column.info().shape.first().copied().unwrap_or(0))?;
         let Values::I64(ends) = values else {
@@ -267,6 +298,7 @@ impl ZarrReader {
         if ends.is_empty() {
             return Err(fail("the store has no episode".into()));
         }
+        limits::FRAMES.check(&self.path, EPISODE_ENDS, before as u64)?;
         Ok(ends.into_iter().map(|end| end as usize).collect())
     }
 
@@ -307,6 +339,14 @@ impl ZarrReader {
         };
         if height == 0 || width == 0 {
             return Err(self.named(Error::shape(name, "(T, H, W, 3)", info.shape)));
+        }
+        check_size(width as u64, height as u64).map_err(|error| self.named(error))?;
+        // An intact image takes at least a byte; a shape by itself is no recording.
+        let frames = self.len();
+        if frames > UNCHECKED && self.files.bytes_below(name, frames as u64)? < frames as u64 {
+            let message =
+                format!("{name}: expected {frames} images, as {EPISODE_ENDS} states, got fewer bytes than that");
+            return Err(Error::file(&self.path, message));
         }
         Ok(Camera { name: name.to_string(), size: (height, width), planar })
     }
@@ -381,18 +421,14 @@ impl std::fmt::Debug for ZarrReader {
 }
 
 /// Returns the names of the arrays in `data/` and `meta/`.
-fn array_names(
-    storage: &Arc<dyn ReadableListableStorageTraits>,
-) -> std::result::Result<Vec<String>, Box<dyn std::error::Error>> {
+fn array_names(files: &StoreFiles) -> Result<Vec<String>> {
     let mut names = Vec::new();
     for group in ["data/", "meta/"] {
-        let (group, listed) = (StorePrefix::new(group)?, storage.clone().listable());
-        for array in listed.list_dir(&group)?.prefixes() {
-            let has = |file: &str| -> std::result::Result<bool, Box<dyn std::error::Error>> {
-                Ok(storage.size_key(&StoreKey::new(format!("{array}{file}"))?)?.is_some())
-            };
+        for array in files.folders_in(group)? {
+            let name = format!("{group}{array}");
+            let has = |file: &str| files.has(&format!("{name}/{file}"));
             if has(".zarray")? || (has("zarr.json")? && !has(".zgroup")?) {
-                names.push(array.as_str().trim_end_matches('/').to_string());
+                names.push(name);
             }
         }
     }

@@ -9,6 +9,10 @@ use zarrs::storage::ReadableStorageTraits;
 
 use super::{Dtype, Values};
 use crate::error::{Error, Result};
+use crate::file::limits;
+
+/// Largest number of chunks that the values of one frame may lie in.
+const MOST_PARTS: u64 = 4096;
 
 /// Name, shape and type of an array.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -102,6 +106,7 @@ impl StoredArray {
             let got = format!("{}..{}", range.start, range.end);
             return Err(Error::file(path, Error::value(&self.name, format!("frames within 0..{n_frames}"), got)));
         }
+        self.check(range.len(), path)?;
         let time = range.start as u64..range.end as u64;
         let subset = ArraySubset::from(std::iter::once(time).chain(shape.iter().skip(1).map(|n| 0..*n)));
         let array = &self.array;
@@ -129,6 +134,29 @@ impl StoredArray {
         }
         let known = "uint8, bool, float16, float32, float64, int32, int64, uint32 or uint64";
         Err(Error::file(path, format!("{}: expected dtype {known}, got {of:?}", self.name)))
+    }
+
+    /// Checks the sizes of `frames` frames and of a chunk before anything is allocated; errors name `path`.
+    fn check(&self, frames: usize, path: &Path) -> Result<()> {
+        let info = self.info();
+        let width = self.array.data_type().fixed_size().unwrap_or(1);
+        let product = |shape: &[usize]| {
+            shape.iter().try_fold(width as u64, |bytes, length| bytes.checked_mul(*length as u64)).unwrap_or(u64::MAX)
+        };
+        limits::FRAMES.check(path, &format!("{}: frames", self.name), frames as u64)?;
+        limits::CHUNK.check(path, &format!("{}: a chunk", self.name), product(&info.chunks))?;
+        let item = product(info.shape.get(1..).unwrap_or(&[]));
+        let bytes = item.saturating_mul(frames as u64);
+        limits::ARRAY.check(path, &format!("{}: {frames} frames", self.name), bytes)?;
+        let mut grid = self.array.chunk_grid_shape().iter().skip(1);
+        match grid.try_fold(1u64, |count, parts| count.checked_mul(*parts)) {
+            Some(parts) if parts <= MOST_PARTS => Ok(()),
+            _ => {
+                let message =
+                    format!("{}: expected chunks that split a frame into at most {MOST_PARTS} parts", self.name);
+                Err(Error::file(path, message))
+            }
+        }
     }
 
     fn retrieve<T: ElementOwned>(&self, subset: &ArraySubset, path: &Path) -> Result<Vec<T>> {
