@@ -129,10 +129,9 @@ impl Subject {
                 arguments.extend(input.map(OsString::from));
                 arguments
             }
-            Kind::Generate => words(&format!(
-                "sim generate poke hover --episodes 4 --jobs 2 --seed 3 --size 32 --out {}",
-                self.out
-            )),
+            Kind::Generate => {
+                words(&format!("sim generate poke hover --episodes 4 --jobs 2 --seed 3 --size 32 --out {}", self.out))
+            }
             Kind::Train => words("train --config train.yaml"),
             Kind::Experiment => words(&format!(
                 "experiment sources --seeds 1 --episodes 1 --held-out 1 --encoder-steps 2 --steps 2 \

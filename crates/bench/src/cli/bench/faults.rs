@@ -9,8 +9,10 @@ use crate::faults::{self, Options};
 
 /// Arguments of `egotac bench faults`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "The exit status is 1 if a run loses, mixes up, doubles or half-writes anything, ends with a wrong \
-    status or leaves something behind. It needs a C compiler, and writes only below the temporary folder (TMPDIR).")]
+#[command(
+    after_help = "The exit status is 1 if a run loses, mixes up, doubles or half-writes anything, ends with a wrong \
+    status or leaves something behind. It needs a C compiler, and writes only below the temporary folder (TMPDIR)."
+)]
 pub struct Args {
     /// Run a few cases of each command, as CI does.
     #[arg(long)]
