@@ -8,12 +8,14 @@
 //! | `sim`, `effects`, `guards` | accuracy, effects and guards of the simulation against their cost |
 //! | `retarget` | accuracy and time of retargeting, beside other programs |
 //! | [`hard_cases`] | inputs that go wrong, the guards that report them, and their remedies |
+//! | [`faults`] | kills, errors of the disk and changing inputs while commands write their outputs |
 //! | [`experiment`] | several trainings, compared |
 
 pub mod cli;
 #[cfg(feature = "sim")]
 pub mod effects;
 pub mod experiment;
+pub mod faults;
 mod front;
 #[cfg(feature = "sim")]
 pub mod guards;

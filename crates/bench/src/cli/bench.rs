@@ -1,6 +1,7 @@
 //! `egotac bench`: time, memory and accuracy, measured on this machine.
 
 mod effects;
+mod faults;
 mod guards;
 mod hard_cases;
 mod label;
@@ -36,6 +37,8 @@ enum Subject {
     HardCases(hard_cases::Args),
     /// Measure the guards: a step with and without them.
     Guards(guards::Args),
+    /// Disturb commands while they write their outputs: kills, full disks, two runs at once.
+    Faults(faults::Args),
 }
 
 /// Runs the command.
@@ -45,6 +48,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::Model(args) => return status(model::run(&args)?),
         Subject::Train(args) => return train::run(&args).map(|()| ExitCode::SUCCESS),
         Subject::Label(args) => return status(label::run(&args)?),
+        Subject::Faults(args) => return status(faults::run(&args)?),
         Subject::Sim(_) => "bench sim",
         Subject::Retarget(_) => "bench retarget",
         Subject::Effects(_) => "bench effects",
@@ -54,7 +58,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     Err(super::feature_off(name))
 }
 
-/// Runs the command; the exit status is 1 if a hard case fails silently, if guards or labelling cost more than they may,
+/// Runs the command; the exit status is 1 if a hard case fails silently, a fault does harm, if guards or labelling cost more than they may,
 /// or if a stream's memory grows.
 #[cfg(feature = "sim")]
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
@@ -67,6 +71,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::Effects(args) => effects::run(&args).map(|()| true)?,
         Subject::HardCases(args) => hard_cases::run(&args)?,
         Subject::Guards(args) => guards::run(&args)?,
+        Subject::Faults(args) => faults::run(&args)?,
     })
 }
 

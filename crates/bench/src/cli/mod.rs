@@ -19,13 +19,19 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Measurements that the documentation holds: model, train, label, retarget, sim, effects, hard-cases, guards.
+    /// Measurements that the documentation holds: model, train, label, retarget, sim, effects, hard-cases, guards, faults.
     Bench(bench::Args),
     /// Train and compare: ablations, sources, scaling, on rendered data.
     Experiment(experiment::Args),
     /// Serve as a worker process of a simulation that this program started.
     #[command(hide = true, disable_help_flag = true, disable_version_flag = true)]
     Sim(Passed),
+    /// Serve as a command that this program disturbs.
+    #[command(hide = true, disable_help_flag = true, disable_version_flag = true)]
+    Label(Passed),
+    /// Serve as a command that this program disturbs.
+    #[command(hide = true, disable_help_flag = true, disable_version_flag = true)]
+    Train(Passed),
 }
 
 /// Arguments that egotac's own command line reads.
@@ -38,14 +44,14 @@ struct Passed {
 /// Runs the command line; the exit status is 0 for success, 1 for a failed check or an error, 2 for bad usage.
 pub fn main() -> ExitCode {
     let command = Cli::parse().command;
-    if let Command::Sim(_) = command {
-        // Workers are started as this same program (`sim_workers`), so both ends are of one build.
+    if let Command::Sim(_) | Command::Label(_) | Command::Train(_) = command {
+        // Workers, and commands that `bench faults` disturbs, are started as this same program (`sim_workers`), so both ends are of one build.
         return egotac::cli::main();
     }
     egotac::cli::execute(|| match command {
         Command::Bench(args) => bench::run(args),
         Command::Experiment(args) => experiment::run(args),
-        Command::Sim(_) => Ok(ExitCode::SUCCESS),
+        Command::Sim(_) | Command::Label(_) | Command::Train(_) => Ok(ExitCode::SUCCESS),
     })
 }
 

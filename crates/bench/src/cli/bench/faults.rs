@@ -1,0 +1,54 @@
+//! `egotac bench faults`.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, ensure};
+use egotac::file;
+
+use crate::faults::{self, Options};
+
+/// Arguments of `egotac bench faults`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "The exit status is 1 if a run loses, mixes up, doubles or half-writes anything, ends with a wrong \
+    status or leaves something behind. It needs a C compiler, and writes only below the temporary folder (TMPDIR)."
+)]
+pub struct Args {
+    /// Run a few cases of each command, as CI does.
+    #[arg(long)]
+    short: bool,
+    /// Only commands whose name contains one of these, comma separated.
+    #[arg(long, value_name = "PART", value_delimiter = ',')]
+    only: Vec<String>,
+    /// Seed of the times at which faults happen.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Folder for faults.md and faults.json; without it the table is only printed.
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+}
+
+/// Runs the subject; false if a run found anything.
+pub fn run(args: &Args) -> anyhow::Result<bool> {
+    let folder = tempfile::tempdir()?;
+    let options = Options {
+        short: args.short,
+        seed: args.seed,
+        only: args.only.clone(),
+        program: std::env::current_exe().context("path of this program")?,
+        folder: folder.path().to_path_buf(),
+    };
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let report = faults::run(&options, format!("egotac {}", words.join(" ")), |row| {
+        for (run, finding) in &row.findings {
+            eprintln!("{}, {}, run {run}: {finding}", row.command, row.fault);
+        }
+    })?;
+    ensure!(!report.rows.is_empty(), "--only: expected a part of a command's name; no command has this in its name");
+    if let Some(out) = &args.out {
+        file::write(&out.join("faults.md"), report.markdown().as_bytes())?;
+        file::write(&out.join("faults.json"), format!("{:#}\n", serde_json::to_value(&report)?).as_bytes())?;
+    }
+    print!("{}", report.markdown());
+    Ok(report.is_clean())
+}

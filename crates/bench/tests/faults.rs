@@ -1,0 +1,130 @@
+//! Commands that write outputs lose, mix up, double and half-write nothing; and the check would see it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use egotac_bench::faults::check::{Harm, Reference};
+use egotac_bench::faults::{Options, input, run};
+
+fn short(only: &[&str]) {
+    let folder = tempfile::tempdir().unwrap();
+    let options = Options {
+        short: true,
+        seed: 1,
+        only: only.iter().map(|name| name.to_string()).collect(),
+        program: PathBuf::from(env!("CARGO_BIN_EXE_egotac-bench")),
+        folder: folder.path().to_path_buf(),
+    };
+    let report = run(&options, "test".into(), |_| ()).unwrap();
+    let findings: Vec<_> = report
+        .rows
+        .iter()
+        .flat_map(|row| row.findings.iter().map(move |(run, what)| (&row.command, &row.fault, run, what)))
+        .collect();
+    assert!(!report.rows.is_empty() && report.is_clean(), "{findings:#?}");
+}
+
+#[test]
+fn label_survives_every_fault() {
+    short(&["label"]);
+}
+
+#[test]
+fn train_survives_every_fault() {
+    short(&["train"]);
+}
+
+#[cfg(feature = "sim")]
+#[test]
+fn generate_and_experiment_survive_every_fault() {
+    short(&["generate", "experiment"]);
+}
+
+/// Labels the same store twice; returns the outputs.
+fn labelled(folder: &Path) -> [PathBuf; 2] {
+    let [store, model] = ["in.zarr", "model.safetensors"].map(|name| folder.join(name));
+    input::store(&store, 1).unwrap();
+    input::checkpoint(&model, 1).unwrap();
+    ["first.zarr", "second.zarr"].map(|name| {
+        let out = folder.join(name);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_egotac-bench"));
+        command.args(["label", "--checkpoint"]).arg(&model).arg("--out").arg(&out).arg(&store);
+        assert!(command.output().unwrap().status.success());
+        out
+    })
+}
+
+#[test]
+fn planted_faults_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let [first, second] = labelled(folder.path());
+    let reference = Reference::read(&first, &second, &[""]).unwrap();
+    assert_eq!(reference.varying, Vec::<PathBuf>::new());
+    let compare = |out: &Path| {
+        let mut harm = Harm::default();
+        reference.compare(out, false, &mut harm);
+        harm
+    };
+    assert!(compare(&second).is_none(), "{:?}", compare(&second));
+    let entries = &reference.entries[Path::new("")];
+    assert_eq!(entries.len(), 160);
+
+    // Chunks of the labels, and of the images, trade places.
+    let chunks = |array: &str| -> Vec<PathBuf> {
+        let listed = fs::read_dir(second.join("data").join(array)).unwrap().map(|entry| entry.unwrap().path());
+        let mut chunks: Vec<PathBuf> =
+            listed.filter(|path| !path.file_name().unwrap().to_string_lossy().starts_with('.')).collect();
+        chunks.sort();
+        chunks
+    };
+    let forces = chunks("predicted_mano_force");
+    let (a, bytes) = (&forces[0], fs::read(&forces[0]).unwrap());
+    fs::write(a, &bytes[..bytes.len() / 2]).unwrap();
+    assert!(compare(&second).half_written, "a chunk is cut");
+    fs::remove_file(a).unwrap();
+    let harm = compare(&second);
+    assert!(harm.lost && harm.mixed_up, "a chunk is missing: its labels read as zeros");
+    fs::write(a, &bytes).unwrap();
+    assert!(compare(&second).is_none());
+
+    fs::write(second.join("left"), b"x").unwrap();
+    assert!(compare(&second).leftovers);
+    fs::remove_file(second.join("left")).unwrap();
+
+    let mut harm = Harm::default();
+    reference.compare(&folder.path().join("in.zarr"), false, &mut harm);
+    assert!(harm.lost && harm.mixed_up, "truth is not a label: {:?}", harm.notes);
+}
+
+#[test]
+fn planted_entries_are_told_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    let [first, second] = labelled(folder.path());
+    let reference = |change: fn(&mut Reference)| {
+        let mut reference = Reference::read(&first, &second, &[""]).unwrap();
+        change(&mut reference);
+        let mut harm = Harm::default();
+        reference.compare(&second, false, &mut harm);
+        harm
+    };
+    // Two labels trade places.
+    let swapped = reference(|reference| {
+        let entries = reference.entries.values_mut().next().unwrap();
+        let label = entries[3].label.clone();
+        entries[3].label = entries[90].label.clone();
+        entries[90].label = label;
+    });
+    assert!(swapped.mixed_up && !swapped.lost && !swapped.doubled, "{swapped:?}");
+    // An image that only the reference has.
+    let lost = reference(|reference| {
+        let entries = reference.entries.values_mut().next().unwrap();
+        let mut more = entries[0].clone();
+        more.picture = Some("another".into());
+        entries.push(more);
+    });
+    assert!(lost.lost && !lost.mixed_up && !lost.doubled, "{lost:?}");
+    // An image that the reference has not.
+    let foreign = reference(|reference| drop(reference.entries.values_mut().next().unwrap().remove(7)));
+    assert!(foreign.mixed_up && !foreign.lost, "{foreign:?}");
+}
