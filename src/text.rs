@@ -8,6 +8,28 @@ pub fn significant(value: f64) -> String {
     format!("{value:.*}", usize::try_from(2 - magnitude).unwrap_or(0).min(6))
 }
 
+/// Parses YAML. Refuses a text with many nested brackets, for which the parser's time grows with their number squared.
+///
+/// # Errors
+/// If it is not YAML of the type, or nested too deep.
+pub fn parse_yaml<T: serde::de::DeserializeOwned>(text: &str) -> std::result::Result<T, serde_yaml::Error> {
+    /// Greatest nesting; brackets in comments and quotes count too.
+    const MAX_NESTING: usize = 1000;
+    let mut open = 0_usize;
+    for byte in text.bytes() {
+        match byte {
+            b'[' | b'{' => open += 1,
+            b']' | b'}' => open = open.saturating_sub(1),
+            _ => {}
+        }
+        if open > MAX_NESTING {
+            let message = format!("expected at most {MAX_NESTING} nested brackets, got more");
+            return Err(serde::de::Error::custom(message));
+        }
+    }
+    serde_yaml::from_str(text)
+}
+
 /// Appends a line.
 pub fn put(text: &mut String, line: Arguments<'_>) {
     // Writing to a String cannot fail.

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::hand::Side;
+use crate::text::parse_yaml;
 
 /// Names of the human fingers, thumb to little.
 pub const FINGERS: [&str; 5] = ["thumb", "index", "middle", "ring", "little"];
@@ -334,7 +335,7 @@ impl RobotSpec {
     /// # Errors
     /// If it is not YAML, has an unknown key or a value outside its range.
     pub fn parse(text: &str) -> Result<Self> {
-        let spec: Self = serde_yaml::from_str(text).map_err(|e| Error::value("robot file", "a robot in YAML", e))?;
+        let spec: Self = parse_yaml(text).map_err(|e| Error::value("robot file", "a robot in YAML", e))?;
         spec.check()?;
         Ok(spec)
     }

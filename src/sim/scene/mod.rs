@@ -18,6 +18,7 @@ pub use spec::{CameraSpec, HandSpec, SceneSpec, SideSpec};
 use super::range::UniformRange;
 use crate::error::{Error, Result};
 use crate::file::{self, input};
+use crate::text::parse_yaml;
 use limits::{MAX_ANGLE, within};
 
 /// Names of bodies and geoms that every world has; objects cannot take them.
@@ -88,7 +89,7 @@ impl Scene {
     /// # Errors
     /// If the text is not a valid scene.
     pub fn parse(name: &str, path: &Path, text: &str) -> Result<Self> {
-        let mut spec: SceneSpec = serde_yaml::from_str(text).map_err(|e| Error::file(path, e))?;
+        let mut spec: SceneSpec = parse_yaml(text).map_err(|e| Error::file(path, e))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         spec.objects.iter_mut().for_each(|object| object.shape.resolve(folder));
         check(&spec).map_err(|e| Error::file(path, e))?;
