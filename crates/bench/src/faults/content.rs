@@ -9,6 +9,8 @@ use egotac::error::{Error, Result};
 use egotac::file;
 use egotac::label::{FormatOptions, find_tasks};
 
+use super::input::CAMERA;
+
 /// An image with its label.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Entry {
@@ -27,6 +29,7 @@ pub struct Entry {
 pub fn entries(path: &Path) -> Result<Vec<Entry>> {
     // Names that no output has: the data set is opened as one that could be labelled again.
     let options = FormatOptions {
+        camera: path.join("meta").is_dir().then(|| CAMERA.into()),
         frame_dt: 0.04,
         prefix: Some("again".into()),
         labels_topic: Some("/again".into()),
