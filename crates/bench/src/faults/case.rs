@@ -251,8 +251,8 @@ impl Bench<'_> {
         let before = out.exists();
         let again = || {
             let arguments = match fault {
-                // Nothing is left to go on from.
-                Fault::Vanishing => self.subject.arguments(input),
+                // If nothing is left to go on from, the run begins anew.
+                Fault::Vanishing if !before => self.subject.arguments(input),
                 _ => self.subject.resume(input),
             };
             Running::start(self.command(arguments), folder, "recovery")?.wait()

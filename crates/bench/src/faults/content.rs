@@ -9,6 +9,8 @@ use egotac::error::{Error, Result};
 use egotac::file;
 use egotac::label::{FormatOptions, find_tasks};
 
+use super::input::CAMERA;
+
 /// An image with its label.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Entry {
@@ -27,6 +29,7 @@ pub struct Entry {
 pub fn entries(path: &Path) -> Result<Vec<Entry>> {
     // Names that no output has: the data set is opened as one that could be labelled again.
     let options = FormatOptions {
+        camera: path.join("meta").is_dir().then(|| CAMERA.into()),
         frame_dt: 0.04,
         prefix: Some("again".into()),
         labels_topic: Some("/again".into()),
@@ -62,16 +65,24 @@ pub fn entries(path: &Path) -> Result<Vec<Entry>> {
 /// If one can't be read.
 pub fn files(path: &Path) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
     let mut found = BTreeMap::new();
-    if path.is_file() {
-        found.insert(PathBuf::new(), fs::read(path).map_err(Error::io(path))?);
-        return Ok(found);
-    }
-    for entry in fs::read_dir(path).map_err(Error::io(path))? {
-        let entry = entry.map_err(Error::io(path))?;
-        let name = PathBuf::from(entry.file_name());
-        found.extend(files(&entry.path())?.into_iter().map(|(inner, bytes)| (name.join(inner), bytes)));
+    match path.is_file() {
+        true => drop(found.insert(PathBuf::new(), fs::read(path).map_err(Error::io(path))?)),
+        false => collect(path, Path::new(""), &mut found)?,
     }
     Ok(found)
+}
+
+fn collect(root: &Path, below: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) -> Result<()> {
+    let folder = root.join(below);
+    for entry in fs::read_dir(&folder).map_err(Error::io(&folder))? {
+        let name = below.join(entry.map_err(Error::io(&folder))?.file_name());
+        let path = root.join(&name);
+        match path.is_dir() {
+            true => collect(root, &name, found)?,
+            false => drop(found.insert(name, fs::read(&path).map_err(Error::io(&path))?)),
+        }
+    }
+    Ok(())
 }
 
 /// True if two files have the same content; in safetensors files, the header's keys may stand in any order.

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use candle_core::Device;
+use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
 use egotac::dataset::mcap::BagWriter;
 use egotac::dataset::zarr::{Contact, ZarrWriter};
@@ -28,6 +28,9 @@ const SIDE: u32 = 48;
 const FRAMES: usize = 80;
 /// Time between two images, s.
 const STEP_SECS: f64 = 0.04;
+
+/// Labelled camera of the LeRobot data set.
+pub const CAMERA: &str = "observation.images.head";
 
 /// LeRobot data set of two episodes, as other programs write it.
 const LEROBOT: [(&str, &[u8]); 5] = [
@@ -55,13 +58,23 @@ pub fn picture(recording: u16, index: usize) -> RgbImage {
     })
 }
 
-/// Writes a checkpoint of random weights.
+/// Writes a checkpoint of random weights, whose labels differ from image to image.
 ///
 /// # Errors
 /// If it can't be written.
 pub fn checkpoint(path: &Path, seed: u64) -> Result<()> {
     let (config, vars) = (Config::preset("toy")?, VarMap::new());
     EgoTac::new(&config, init::var_builder(&vars, seed, &Device::Cpu))?;
+    // Initial weights have gates that are zero: such a network does not look at the image.
+    let named = vars.data().lock().map_err(|_| Error::file(path, "a thread panicked while it held the weights"))?;
+    let mut sorted: Vec<_> = named.iter().collect();
+    sorted.sort_by_key(|(name, _)| name.as_str());
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    for (_, var) in sorted {
+        let noise: Vec<f32> = (0..var.elem_count()).map(|_| rng.random_range(-0.1..0.1)).collect();
+        var.set(&(var.as_tensor() + Tensor::from_vec(noise, var.shape(), &Device::Cpu)?)?)?;
+    }
+    drop(named);
     Checkpoint::save(path, &config, &Metadata::new("faults", 1.0, STEP_SECS), &vars).map(drop)
 }
 

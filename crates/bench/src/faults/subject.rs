@@ -43,12 +43,15 @@ pub struct Subject {
 /// Writer of an input at a path, of the recording with a number.
 type Writer = fn(&Path, u16) -> Result<()>;
 
+/// Name of the labelling of a LeRobot data set.
+const LEROBOT: &str = "label, LeRobot";
+
 /// Labelled inputs: name, file name, output, data sets in it, writer.
 const LABELLED: [(&str, &str, &str, &[&str], Writer); 7] = [
     ("label, store", "table.zarr", "out/table.zarr", &[""], input::store),
     ("label, zip", "table.zarr.zip", "out/table.zarr", &[""], input::zipped),
     ("label, bag", "table", "out/table", &[""], input::bag),
-    ("label, LeRobot", "table", "out/table", &[""], |path, _| input::lerobot(path)),
+    (LEROBOT, "table", "out/table", &[""], |path, _| input::lerobot(path)),
     ("label, video", "table.mkv", "out/table.zarr", &[""], input::video),
     ("label, images", "table", "out/table.zarr", &[""], input::images),
     ("label, folder", "all", "out/all", &["left.zarr", "right.zarr", "table.zarr"], input::several),
@@ -73,7 +76,7 @@ impl Subject {
                 write(&place(which).join(file), recording)?;
             }
             let input = Some(place("a").join(file));
-            let other = (name != "label, LeRobot").then(|| place("b").join(file));
+            let other = (name != LEROBOT).then(|| place("b").join(file));
             subjects.push(Self { name, kind: Kind::Label, input, other, out, sets, folder: folder.to_path_buf() });
         }
         let mut add = |name, kind, out, sets| {
@@ -126,6 +129,9 @@ impl Subject {
                 let mut arguments = words("label --checkpoint");
                 arguments.push(self.folder.join("model.safetensors").into());
                 arguments.extend(words(&format!("--out {}", self.out)));
+                if self.name == LEROBOT {
+                    arguments.extend(["--camera", input::CAMERA].map(OsString::from));
+                }
                 arguments.extend(input.map(OsString::from));
                 arguments
             }
