@@ -16,7 +16,8 @@ use crate::mutate::{self, Rng, below, bytes, chance, extreme, often, pick};
 pub fn raw(rng: &mut Rng) -> Case {
     let (width, height) = (*pick(rng, &[1, 2, 7, 8, 64]), *pick(rng, &[1, 2, 5, 8, 64]));
     let pixel = *pick(rng, &[1, 2, 3, 4]);
-    let step = often(rng, width * pixel + *pick(rng, &[0, 0, 0, 3]));
+    let padding = *pick(rng, &[0, 0, 0, 3]);
+    let step = often(rng, width * pixel + padding);
     let data = (often(rng, width * pixel).unsigned_abs().min(1 << 12) * height as u64) as usize;
     let image = message::Image {
         header: Header::default(),

@@ -67,7 +67,7 @@ fn rewritten(rng: &mut Rng, content: Vec<u8>) -> Option<Vec<u8>> {
     let mut metadata = schema.metadata().clone();
     let change_values = chance(rng, 0.7);
     if !change_values {
-        metadata.insert("huggingface".into(), pick(rng, &HUGGINGFACE).to_string());
+        metadata.insert("huggingface".to_string(), pick(rng, &HUGGINGFACE).to_string());
     }
     let schema = Arc::new(Schema::new_with_metadata(schema.fields().clone(), metadata));
     let column = numeric(rng, &schema)?;

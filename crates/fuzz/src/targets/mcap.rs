@@ -42,10 +42,12 @@ pub fn file(rng: &mut Rng) -> Case {
     }
     if chance(rng, 0.3) {
         let body = [&[0; 8][..], &number(rng, 2), &[0; 20], &text("x")].concat();
-        records.push(record(rng, *pick(rng, &[0x09, 0x0b, 0x0c, 0x0d, 0x80, 0xff]), body));
+        let opcode = *pick(rng, &[0x09, 0x0b, 0x0c, 0x0d, 0x80, 0xff]);
+        records.push(record(rng, opcode, body));
     }
     shuffle(rng, &mut records);
-    records.push(record(rng, 0x02, [number(rng, 0), number(rng, 0), vec![0; 4]].concat()));
+    let footer = [number(rng, 0), number(rng, 0), vec![0; 4]].concat();
+    records.push(record(rng, 0x02, footer));
     let mut file = [MAGIC, &records.concat(), MAGIC].concat();
     if chance(rng, 0.2) {
         bytes::change(rng, &mut file);

@@ -39,7 +39,7 @@ pub fn urdf(rng: &mut Rng) -> Case {
         for part in 0..3 {
             let link = format!("{finger}_{part}");
             hand += &format!("<link name=\"{link}\">\n<collision><geometry>\n");
-            hand += pick(
+            hand += *pick(
                 rng,
                 &["<box size=\"0.01 0.01 0.03\"/>", "<mesh filename=\"a.stl\"/>", "<sphere radius=\"0.01\"/>"],
             );
