@@ -1,6 +1,6 @@
 # Thin names for scripts/ and cargo.
 
-.PHONY: help setup demo demo-retarget test doctor lint bench check-cuda
+.PHONY: help setup demo demo-retarget test doctor lint bench fuzz check-cuda
 
 help:
 	@echo 'make setup       what this machine lacks: Python environment, ROS 2, messages, MuJoCo; writes env.sh'
@@ -10,6 +10,7 @@ help:
 	@echo 'make doctor      what is missing on this machine, and how to fix it'
 	@echo 'make lint        formatting, clippy for each feature set, docs, shell scripts'
 	@echo 'make bench       what accuracy costs in simulation (results in out/bench/), criterion benchmarks'
+	@echo 'make fuzz        crafted hostile files for every reader, an hour each (inputs that fail in out/fuzz/)'
 	@echo 'make check-cuda  clippy and a build of the feature cuda, with a toolkit from Python wheels'
 
 setup:
@@ -32,6 +33,9 @@ lint:
 
 bench:
 	@scripts/bench
+
+fuzz:
+	@scripts/fuzz --seconds 3600
 
 check-cuda:
 	@scripts/check-cuda
