@@ -19,6 +19,7 @@ use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use serde_json::Value;
 
 use crate::error::{Error, Result};
+use crate::file::input;
 
 pub(crate) use images::{LeRobotDataset, PREFIX};
 pub(crate) use labels::read_info;
@@ -179,7 +180,7 @@ impl LeRobot {
         let camera = camera.map(str::to_string);
         Ok(batches.flat_map(move |batch| {
             let rows =
-                batch.map_err(|e| Error::file(&path, e)).and_then(|batch| rows_of(&batch, camera.as_deref(), &path));
+                batch.map_err(|e| Error::library(&path, e)).and_then(|batch| rows_of(&batch, camera.as_deref(), &path));
             match rows {
                 Ok(rows) => rows.into_iter().map(Ok).collect::<Vec<_>>(),
                 Err(error) => vec![Err(error)],
@@ -225,8 +226,8 @@ impl LeRobot {
 /// # Errors
 /// If it can't be read or is not a Parquet file.
 pub fn reader(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
-    let file = File::open(path).map_err(Error::io(path))?;
-    ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| Error::file(path, e))
+    let file = input::open(path)?;
+    ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| Error::library(path, e))
 }
 
 /// Selects the columns whose names are `wanted`. Selects by index, since the library's selection by name treats dots as

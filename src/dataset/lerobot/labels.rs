@@ -18,11 +18,12 @@ use super::columns::{Column, with_types};
 use super::images::LeRobotDataset;
 use super::statistics::{EpisodeStatistics, Statistics};
 use super::{LeRobot, numbers, reader};
-use crate::dataset::copy::copy_folder;
+use crate::dataset::copy::{copy_folder, copy_regular};
 use crate::dataset::label_info::LabelInfo;
 use crate::dataset::labels::{LabelFrames, LabelOutput, SourceLabels};
 use crate::dataset::provenance::PROVENANCE_KEY;
 use crate::error::{Error, Result};
+use crate::file::{input, limits};
 
 /// Number of rows rewritten at a time.
 const BATCH: usize = 64;
@@ -116,7 +117,7 @@ impl LeRobotDataset {
         }
         match writer {
             Some(writer) => writer.close().map(drop).map_err(fail),
-            None => fs::copy(from, to).map(drop).map_err(Error::io(to)),
+            None => copy_regular(from, to),
         }
     }
 
@@ -135,9 +136,9 @@ impl LeRobotDataset {
     /// Returns the content of `meta/stats.json` with statistics of the new columns over all episodes.
     fn extended_stats(&self, columns: &[Column], done: &[(i64, Vec<Statistics>)]) -> Result<Value> {
         let path = self.dataset.root.join("meta/stats.json");
-        let mut stats: Map<String, Value> = match fs::read_to_string(&path) {
-            Ok(text) => serde_json::from_str(&text).map_err(|e| Error::file(&path, e))?,
-            Err(_) => Map::new(),
+        let mut stats: Map<String, Value> = match path.exists() {
+            true => serde_json::from_str(&input::read_text(&path, limits::TEXT)?).map_err(|e| Error::file(&path, e))?,
+            false => Map::new(),
         };
         for (at, column) in columns.iter().enumerate() {
             let mut total = Statistics::default();
@@ -269,7 +270,7 @@ impl LabelOutput for LeRobotDataset {
 
 /// Reads the description of the labels in a data set; None without one.
 pub fn read_info(root: &Path) -> Option<LabelInfo> {
-    serde_json::from_str(&fs::read_to_string(info_file(root)).ok()?).ok()
+    serde_json::from_str(&input::read_text(&info_file(root), limits::TEXT).ok()?).ok()
 }
 
 fn info_file(root: &Path) -> std::path::PathBuf {

@@ -10,6 +10,7 @@ use mcap::records::{ChunkHeader, Record as Parsed, op};
 
 use crate::dataset::source::LostBytes;
 use crate::error::{Error, Result};
+use crate::file::input;
 
 /// Size of opcode and length, which precede the content of each record, bytes.
 pub(super) const PREFIX: u64 = 9;
@@ -56,10 +57,13 @@ impl Records {
     /// # Errors
     /// If it can't be read, or lacks the magic bytes of MCAP.
     pub fn open(path: &Path) -> Result<Self> {
-        let file = File::open(path).map_err(Error::io(path))?;
+        let file = input::open(path)?;
         let size = file.metadata().map_err(Error::io(path))?.len();
         let mut magic = [0; MAGIC.len()];
-        if size < MAGIC.len() as u64 || file.read_exact_at(&mut magic, 0).is_err() || magic != *MAGIC {
+        if size >= MAGIC.len() as u64 {
+            file.read_exact_at(&mut magic, 0).map_err(Error::io(path))?;
+        }
+        if magic != *MAGIC {
             return Err(Error::file(path, "expected an MCAP file"));
         }
         Ok(Self { path: path.to_path_buf(), file, size, at: MAGIC.len() as u64, done: false })

@@ -10,6 +10,8 @@ use mcap::records::{Record as Parsed, op};
 use super::piece::{Piece, Pieces};
 use super::records::{PREFIX, Records};
 use crate::error::{Error, Result};
+use crate::file::input::{self, InputFolder};
+use crate::file::limits;
 
 /// Largest summary that is read, bytes; beyond it the records are read.
 const LARGEST_SUMMARY: u64 = 1 << 30;
@@ -50,15 +52,16 @@ pub struct Survey {
 /// MCAP file, returns the file itself.
 ///
 /// # Errors
-/// If there is none, or the bag uses another storage.
+/// If there is none, the bag uses another storage, or a link leads out of it.
 pub fn bag_files(path: &Path) -> Result<Vec<PathBuf>> {
     if !path.is_dir() {
         return Ok(vec![path.to_path_buf()]);
     }
-    let yaml = path.join("metadata.yaml");
+    let folder = InputFolder::open(path)?;
+    let yaml = folder.join("metadata.yaml")?;
     let mut files = Vec::new();
-    if yaml.is_file() {
-        let text = std::fs::read_to_string(&yaml).map_err(Error::io(&yaml))?;
+    if yaml.exists() {
+        let text = input::read_text(&yaml, limits::TEXT)?;
         let metadata: serde_yaml::Value = serde_yaml::from_str(&text).map_err(|e| Error::file(&yaml, e))?;
         let bag = &metadata["rosbag2_bagfile_information"];
         if let Some(storage) = bag["storage_identifier"].as_str().filter(|storage| *storage != "mcap") {
@@ -75,6 +78,7 @@ pub fn bag_files(path: &Path) -> Result<Vec<PathBuf>> {
         files.retain(|file| file.extension().is_some_and(|extension| extension == "mcap"));
         files.sort();
     }
+    files.iter().try_for_each(|file| folder.check(file))?;
     match files.is_empty() {
         true => Err(Error::file(path, "holds no .mcap file")),
         false => Ok(files),

@@ -15,6 +15,7 @@ use crate::dataset::labels::{LabelOutput, SourceLabels};
 use crate::dataset::provenance::PROVENANCE_KEY;
 use crate::dataset::source::ImageSource;
 use crate::error::{Error, Result};
+use crate::file::input;
 use crate::tactile::N_FIELD;
 
 /// Largest header that is read, bytes; the format's own limit.
@@ -72,7 +73,7 @@ impl LabelOutput for TensorOutput {
 
 /// Reads the description of the labels in a tensor file; None without one.
 pub fn read_info(path: &Path) -> Option<LabelInfo> {
-    let mut file = File::open(path).ok()?;
+    let mut file = input::open(path).ok()?;
     let mut size = [0; 8];
     file.read_exact(&mut size).ok()?;
     let size = Some(u64::from_le_bytes(size)).filter(|size| *size < LARGEST_HEADER)?;

@@ -1,7 +1,6 @@
 //! Labels of a store: written as further arrays into a copy of it.
 
 use std::fs;
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
@@ -21,6 +20,7 @@ use crate::dataset::prefetch::prefetch;
 use crate::dataset::provenance::PROVENANCE_KEY;
 use crate::dataset::source::{LostBytes, Unit};
 use crate::error::{Error, Result};
+use crate::file::input;
 use crate::hand::Topology;
 use crate::tactile::N_FIELD;
 
@@ -137,7 +137,7 @@ fn copy(place: &StoreLocation, to: &Path) -> Result<Vec<LostBytes>> {
         copy_folder(&place.path, to, true)?;
         return Ok(lost);
     };
-    let file = File::open(&place.path).map_err(Error::io(&place.path))?;
+    let file = input::open(&place.path)?;
     let fail = |error: zip::result::ZipError| Error::file(&place.path, error);
     let mut archive = zip::ZipArchive::new(file).map_err(fail)?;
     for index in 0..archive.len() {

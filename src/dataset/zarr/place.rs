@@ -1,7 +1,6 @@
 //! Locations of stores: folders, or folders within zip files.
 
 use std::fs;
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -12,6 +11,7 @@ use zip::ZipArchive;
 
 use super::EPISODE_ENDS;
 use crate::error::{Error, Result};
+use crate::file::input;
 
 /// Location of a store.
 ///
@@ -139,7 +139,7 @@ fn is_zip(path: &Path) -> bool {
 }
 
 fn in_zip(path: &Path) -> Result<Vec<StoreLocation>> {
-    let file = File::open(path).map_err(Error::io(path))?;
+    let file = input::open(path)?;
     let archive = ZipArchive::new(file).map_err(|e| Error::file(path, format!("expected a zip file: {e}")))?;
     let marks = [".zarray", "zarr.json"].map(|file| format!("{EPISODE_ENDS}/{file}"));
     let mut places = Vec::new();
