@@ -24,6 +24,8 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use crate::text;
+
 /// Touch from sight: dense force and contact on both hands, from egocentric RGB.
 #[derive(Debug, Parser)]
 #[command(version, propagate_version = true)]
@@ -96,7 +98,7 @@ pub fn execute(command: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitCode {
     match command() {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("egotac: {error:#}");
+            eprintln!("egotac: {}", text::error_chain(error.as_ref()));
             ExitCode::FAILURE
         }
     }

@@ -126,7 +126,7 @@ pub(super) fn copy_file(path: &Path, size: u64, write: impl FnOnce(&mut File) ->
 ///
 /// # Errors
 /// If it can't be removed.
-pub(super) fn remove(at: &Path) -> Result<()> {
+pub(crate) fn remove(at: &Path) -> Result<()> {
     let removed = match at.symlink_metadata() {
         Ok(there) if there.is_dir() => fs::remove_dir_all(at),
         Ok(_) => fs::remove_file(at),

@@ -161,7 +161,10 @@ impl Job<'_> {
     fn check_unchanged(&self, before: &InputState) -> Result<()> {
         match before.is_same(&self.input()?) {
             true => Ok(()),
-            false => Err(Error::file(before.place(), "has changed while it was labelled; label it again once it is complete")),
+            false => Err(Error::file(
+                before.place(),
+                "has changed while it was labelled; label it again once it is complete",
+            )),
         }
     }
 

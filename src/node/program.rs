@@ -38,7 +38,7 @@ pub(crate) fn run(
     match shutdown.request_on_signals().and_then(|()| run(create(name, table)?, &shutdown)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("{error:#}");
+            eprintln!("{}", crate::text::error_chain(error.as_ref()));
             ExitCode::FAILURE
         }
     }
