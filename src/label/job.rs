@@ -203,3 +203,100 @@ pub fn is_within(out: &Path, input: &Path) -> bool {
         _ => false,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    use ::image::{Rgb, RgbImage};
+
+    use super::*;
+    use crate::dataset::source::{EncodedImage, SourceFrames};
+    use crate::dataset::tensors::TensorOutput;
+    use crate::dataset::{InputFiles, SourceFrame, Unit};
+    use crate::model::predictor::Options;
+    use crate::model::{Precision, shipped};
+
+    const FRAMES: usize = 12;
+    const BAD: usize = 3;
+    const STOP: usize = 7;
+
+    /// A source with an image that can't be decoded; its medium fails at an image as long as `fails`.
+    struct Source {
+        units: [Unit; 1],
+        file: PathBuf,
+        fails: AtomicBool,
+    }
+
+    impl ImageSource for Source {
+        fn units(&self) -> &[Unit] {
+            &self.units
+        }
+
+        fn files(&self) -> Result<InputFiles> {
+            let mut files = InputFiles::new(&self.file);
+            files.add([self.file.clone()]);
+            Ok(files)
+        }
+
+        fn frames(&self, _: usize, from: usize) -> Result<SourceFrames<'_>> {
+            Ok(Box::new((from..FRAMES).map(|index| {
+                if index == STOP && self.fails.load(Ordering::Relaxed) {
+                    return Err(Error::io("disk")(std::io::Error::from_raw_os_error(libc::EIO)));
+                }
+                let pixels = RgbImage::from_pixel(40, 32, Rgb([20 * index as u8, 90, 40]));
+                let image = match index {
+                    BAD => EncodedImage::File(b"no image".to_vec()),
+                    _ => EncodedImage::Pixels(pixels),
+                };
+                Ok(SourceFrame::new(0.04 * index as f64, Ok(image)))
+            })))
+        }
+    }
+
+    fn run(source: &Arc<Source>, out: &Path) -> Result<(Outcome, u64)> {
+        let mut predictor = Predictor::load(&shipped::path()?, Options::default())?;
+        let job = Job {
+            source: source.as_ref(),
+            output: &TensorOutput { source: source.clone(), with_info: true },
+            out: out.to_path_buf(),
+            provenance: Provenance::of(&predictor, Precision::F32, vec!["a source".into()]),
+            decoders: 2,
+        };
+        let mut timing = LabelTiming::default();
+        let outcome = job.run(&mut predictor, Shard { index: 0, of: 1 }, 0, &mut timing, &mut || {})?;
+        Ok((outcome, timing.frames))
+    }
+
+    #[test]
+    fn a_medium_that_fails_stops_the_recording_and_the_next_run_goes_on_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let [file, out, whole] = ["input", "out", "whole"].map(|name| folder.path().join(name));
+        fs::write(&file, b"content").unwrap();
+        let units = [Unit { name: "the only unit".into(), frames: Some(FRAMES) }];
+        let source = Arc::new(Source { units, file: file.clone(), fails: AtomicBool::new(true) });
+        for _ in 0..2 {
+            let error = run(&source, &out).unwrap_err().to_string();
+            assert_eq!(
+                error,
+                "disk: Input/output error (os error 5); 7 images of the only unit are labelled, and the same command goes on there"
+            );
+            assert!(!out.exists());
+        }
+        source.fails.store(false, Ordering::Relaxed);
+        let (Outcome::Done(info), frames) = run(&source, &out).unwrap() else { panic!("the output is complete") };
+        assert_eq!((frames, info.summary.counts.labelled), ((FRAMES - STOP) as u64, FRAMES as u64 - 1));
+        assert_eq!(info.summary.faults[0].frame, BAD as u64);
+        run(&source, &whole).unwrap();
+        assert!(fs::read(&out).unwrap() == fs::read(&whole).unwrap());
+        // The input changes while it is labelled.
+        source.fails.store(true, Ordering::Relaxed);
+        fs::remove_file(&out).unwrap();
+        run(&source, &out).unwrap_err();
+        fs::write(&file, b"content and more").unwrap();
+        source.fails.store(false, Ordering::Relaxed);
+        let error = run(&source, &out).unwrap_err().to_string();
+        assert!(error.contains("as it was before it changed") && error.contains("or remove"), "{error}");
+    }
+}
