@@ -18,6 +18,17 @@ pub enum Error {
         source: std::io::Error,
     },
 
+    /// Labelling stopped where an input could not be read further.
+    #[error("{cause}; {frames} images of {unit} are labelled, and the same command goes on there")]
+    Stopped {
+        /// Name of the episode or file.
+        unit: String,
+        /// Number of its images that are labelled.
+        frames: usize,
+        /// Reason of the stop.
+        cause: Box<Error>,
+    },
+
     /// A file has invalid content.
     #[error("{path}: {message}")]
     File {
@@ -115,6 +126,16 @@ impl Error {
         move |source| Self::Io { path, source }
     }
 
+    /// Creates the error of a library that read `path`: [`Error::Io`] if an error of the operating system caused it, else
+    /// [`Error::File`]. Libraries pass errors of the operating system on as text, which always holds the number.
+    pub fn library(path: impl AsRef<Path>, error: impl ToString) -> Self {
+        let message = error.to_string();
+        match os_error(&message) {
+            Some(number) => Self::io(path)(std::io::Error::from_raw_os_error(number)),
+            None => Self::file(path, message),
+        }
+    }
+
     /// Creates [`Error::File`].
     pub fn file(path: impl AsRef<Path>, message: impl ToString) -> Self {
         Self::File { path: path.as_ref().to_path_buf(), message: message.to_string() }
@@ -136,9 +157,32 @@ impl Error {
         Self::Unknown { kind, name: name.to_string(), known }
     }
 
+    /// True if the operating system could not read or write: the medium failed, and the content is not known to be damaged.
+    pub fn is_of_medium(&self) -> bool {
+        matches!(self, Self::Io { .. })
+    }
+
     /// True if the error concerns one input alone (a value, a shape, numbers that overflow), so that the next input may
     /// succeed; false if a file, a device or an engine failed.
     pub fn is_recoverable(&self) -> bool {
         matches!(self, Self::Value { .. } | Self::Shape { .. } | Self::NotFinite { .. })
+    }
+}
+
+/// Returns the number of the operating system's error that a text quotes, as in `Input/output error (os error 5)`.
+fn os_error(text: &str) -> Option<i32> {
+    text.split_once("(os error ")?.1.split_once(')')?.0.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_of_the_operating_system_is_recognised_behind_a_library() {
+        let quoted = format!("External: {}", std::io::Error::from_raw_os_error(libc::EIO));
+        assert_eq!(Error::library("a", quoted).to_string(), "a: Input/output error (os error 5)");
+        assert!(Error::library("a", "os error (os error 5)").is_of_medium());
+        assert!(!Error::library("a", "invalid magic (os error x)").is_of_medium());
     }
 }

@@ -1,5 +1,7 @@
 //! Formats text for people.
 
+use std::borrow::Cow;
+use std::error::Error;
 use std::fmt::{Arguments, Write};
 
 /// Formats a number with three significant digits and at most six decimals, without an exponent.
@@ -36,6 +38,50 @@ pub fn put(text: &mut String, line: Arguments<'_>) {
     let _ = writeln!(text, "{line}");
 }
 
+/// Escapes what a text from outside could do to a terminal: control characters except line feeds and tabs, and the
+/// characters that reverse the direction of text. The escapes are those of JSON, so JSON stays JSON.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    escaped(text, |c| acts_on_terminal(c) && !matches!(c, '\n' | '\t'))
+}
+
+/// As [`printable()`], and escapes line feeds and tabs: for a name within a line.
+pub fn printable_name(text: &str) -> Cow<'_, str> {
+    escaped(text, acts_on_terminal)
+}
+
+fn acts_on_terminal(c: char) -> bool {
+    c.is_control() || matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
+fn escaped(text: &str, acts: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.chars().any(&acts) {
+        return Cow::Borrowed(text);
+    }
+    let mut escaped = String::with_capacity(text.len());
+    for c in text.chars() {
+        match acts(c) {
+            // All of them lie below 2^16.
+            true => escaped += &format!("\\u{:04x}", u32::from(c)),
+            false => escaped.push(c),
+        }
+    }
+    Cow::Owned(escaped)
+}
+
+/// Formats an error and its causes for a terminal, each once: some errors quote their cause in their own text.
+pub fn error_chain(error: &dyn Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let words = error.to_string();
+        if !text.contains(&words) {
+            text += &format!(": {words}");
+        }
+        cause = error.source();
+    }
+    printable(&text).into_owned()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -47,5 +93,22 @@ mod tests {
             assert_eq!(significant(value), text);
         }
         assert_eq!((significant(-2e-9), significant(4e-6)), ("-0.000000".into(), "0.000004".into()));
+    }
+
+    #[test]
+    fn names_from_outside_cannot_act_on_a_terminal() {
+        assert!(matches!(printable("/camera/image\n\ttouché"), Cow::Borrowed(_)));
+        assert_eq!(printable("a\u{1b}[2J\u{7f}\u{9b}\u{202e}b\r"), "a\\u001b[2J\\u007f\\u009b\\u202eb\\u000d");
+        assert_eq!(printable_name("a\nlost: b\t"), "a\\u000alost: b\\u0009");
+        let json = serde_json::json!({ "topic": "\u{9b}31m\u{1b}" });
+        assert_eq!(serde_json::from_str::<serde_json::Value>(&printable(&json.to_string())).unwrap(), json);
+    }
+
+    #[test]
+    fn an_error_states_its_cause_once() {
+        let error = crate::error::Error::io("a")(std::io::Error::from_raw_os_error(libc::EIO));
+        assert_eq!(error_chain(&error), "a: Input/output error (os error 5)");
+        let error = anyhow::Error::from(error).context("b.mcap");
+        assert_eq!(error_chain(error.as_ref()), "b.mcap: a: Input/output error (os error 5)");
     }
 }

@@ -12,6 +12,7 @@ use crate::hand::{HandModel, Side, Topology};
 use crate::model::{Precision, Predictor, predictor};
 use crate::score::metrics::{self, Calibration, Comparison, EvalOptions, Metrics, VertexGroup};
 use crate::tactile::TactileSequence;
+use crate::text::printable;
 use crate::train::baseline;
 use crate::train::data::Dataset;
 
@@ -98,7 +99,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     }
     let scored = score(&args, &mut case)?;
     match args.json {
-        true => println!("{:#}", json(&scored)?),
+        true => println!("{}", printable(&format!("{:#}", json(&scored)?))),
         false => print(&scored),
     }
     Ok(ExitCode::SUCCESS)
@@ -217,12 +218,12 @@ fn read_calibration(path: &Path) -> anyhow::Result<Calibration> {
 
 fn print(scored: &Scored) {
     let estimators: Vec<_> = scored.estimators.iter().map(|(name, metrics)| (*name, metrics)).collect();
-    println!("{}", metrics::table(&estimators));
+    println!("{}", printable(&metrics::table(&estimators)));
     if !scored.groups.is_empty() {
-        println!("\n{}", metrics::groups_table(&scored.groups));
+        println!("\n{}", printable(&metrics::groups_table(&scored.groups)));
     }
     if let Some(comparison) = &scored.against {
-        println!("\n{}", metrics::comparison_table(comparison));
+        println!("\n{}", printable(&metrics::comparison_table(comparison)));
     }
 }
 

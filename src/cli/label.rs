@@ -15,6 +15,7 @@ use crate::label::{
 };
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
+use crate::text::{printable, printable_name};
 
 /// Exit status if a part of the input could not be labelled.
 const PARTLY: u8 = 3;
@@ -124,7 +125,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     }
     report(&args, &ends, &timing)?;
     for (name, reason) in &ends.failed {
-        eprintln!("{name}: {reason}");
+        eprintln!("{}", printable_name(&format!("{name}: {reason}")));
     }
     if ends.done.is_empty() && ends.waiting.is_empty() {
         bail!("{}: none of {} recordings could be labelled", args.input.display(), ends.failed.len());
@@ -189,20 +190,21 @@ fn report(args: &Args, Ends { done, waiting, failed }: &Ends, timing: &LabelTimi
         },
     });
     if args.json.as_deref().is_some_and(|path| path.as_os_str() == "-") {
-        println!("{json:#}");
+        println!("{}", printable(&format!("{json:#}")));
         return Ok(());
     }
     for (task, _, before) in done {
-        println!("{}{}", task.out.display(), if *before { ": done before" } else { "" });
+        println!("{}{}", printable_name(&task.out.to_string_lossy()), if *before { ": done before" } else { "" });
     }
     if !done.is_empty() {
-        println!("{}", total.text());
+        println!("{}", printable(&total.text()));
     }
     if timing.frames > 0 {
         println!("{} images in {:.1} s, {fps:.1} per second", timing.frames, timing.inference_secs);
     }
     for task in waiting {
-        println!("{}: this shard's part is done; other shards are not", task.out.display());
+        let out = task.out.to_string_lossy();
+        println!("{}: this shard's part is done; other shards are not", printable_name(&out));
     }
     if let Some(path) = &args.json {
         file::write(path, format!("{json:#}\n").as_bytes())?;

@@ -29,6 +29,7 @@ use clap::{Parser, Subcommand};
 
 use crate::file::input;
 use crate::file::limits::check_environment;
+use crate::text;
 
 /// Touch from sight: dense force and contact on both hands, from egocentric RGB.
 #[derive(Debug, Parser)]
@@ -116,7 +117,7 @@ pub fn execute(command: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitCode {
     match done {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("egotac: {error:#}");
+            eprintln!("egotac: {}", text::error_chain(error.as_ref()));
             ExitCode::FAILURE
         }
     }

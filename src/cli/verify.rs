@@ -10,6 +10,7 @@ use crate::file;
 use crate::score::verify::recording::{self, Topics};
 use crate::score::verify::report::{self, Unmatched};
 use crate::score::verify::{Candidate, Requirement, SweepSettings, VerifyReport, picture};
+use crate::text::printable;
 
 /// Arguments of `egotac verify`.
 #[derive(Debug, clap::Args)]
@@ -103,9 +104,9 @@ fn write(args: &Args, report: &VerifyReport) -> anyhow::Result<()> {
     let json = format!("{:#}\n", serde_json::to_value(report)?);
     let table = report::table(report);
     if args.json.as_deref() == Some(Path::new("-")) {
-        print!("{json}");
+        print!("{}", printable(&json));
     } else {
-        println!("{table}");
+        println!("{}", printable(&table));
     }
     let in_folder = |name: &str| args.out.as_ref().map(|folder| folder.join(name));
     let given = |path: &Option<PathBuf>| path.clone().filter(|path| path != Path::new("-"));
@@ -164,7 +165,7 @@ fn gate(requirements: &[Requirement], report: &VerifyReport) -> anyhow::Result<E
         let candidate = report.candidate(requirement.candidate.as_deref())?;
         let value = candidate.scores.get(requirement.score.name).and_then(|scored| scored.value);
         if let Some(missed) = requirement.missed(value) {
-            eprintln!("egotac: {}: {missed}", candidate.name);
+            eprintln!("egotac: {}", printable(&format!("{}: {missed}", candidate.name)));
             status = ExitCode::FAILURE;
         }
     }

@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::base_name;
+use super::identity::InputFiles;
 use super::source::{EncodedImage, ImageSource, SourceFrame, SourceFrames, Unit};
 use crate::error::{Error, Result};
 use crate::file::input::{self, InputFolder};
@@ -13,6 +14,7 @@ use crate::file::limits;
 /// PNG and JPEG files in order, as one unit.
 #[derive(Debug)]
 pub struct ImageFolder {
+    folder: PathBuf,
     files: Vec<PathBuf>,
     units: [Unit; 1],
     step_secs: f64,
@@ -22,21 +24,21 @@ impl ImageFolder {
     /// Opens the folder at `path`; `step_secs` is the time between two images.
     ///
     /// # Errors
-    /// If the folder can't be read or holds no image.
+    /// If the folder can't be read or holds no image, or a link leads out of it.
     pub fn open(path: &Path, step_secs: f64) -> Result<Self> {
         let files = image_files(path)?;
         let folder = InputFolder::open(path)?;
         files.iter().try_for_each(|file| folder.check(file))?;
         match files.is_empty() {
             true => Err(Error::file(path, "holds no PNG or JPEG file")),
-            false => Ok(Self::from_files(base_name(path), files, step_secs)),
+            false => Ok(Self { folder: path.to_path_buf(), ..Self::from_files(base_name(path), files, step_secs) }),
         }
     }
 
     /// Creates a sequence of `files`, which follow each other by `step_secs`.
     pub fn from_files(name: String, files: Vec<PathBuf>, step_secs: f64) -> Self {
         let units = [Unit { name, frames: Some(files.len()) }];
-        Self { files, units, step_secs }
+        Self { folder: PathBuf::new(), files, units, step_secs }
     }
 }
 
@@ -45,10 +47,19 @@ impl ImageSource for ImageFolder {
         &self.units
     }
 
+    fn files(&self) -> Result<InputFiles> {
+        let mut files = InputFiles::new(&self.folder);
+        files.add(self.files.iter().cloned());
+        Ok(files)
+    }
+
     fn frames(&self, _: usize, from: usize) -> Result<SourceFrames<'_>> {
         let frame = |(index, path): (usize, &PathBuf)| {
-            let image = input::read(path, limits::CHUNK).map(EncodedImage::File).map_err(|error| error.to_string());
-            SourceFrame::new(index as f64 * self.step_secs, image)
+            let image = match input::read(path, limits::CHUNK) {
+                Err(error) if error.is_of_medium() => return Err(error),
+                image => image.map(EncodedImage::File).map_err(|error| error.to_string()),
+            };
+            Ok(SourceFrame::new(index as f64 * self.step_secs, image))
         };
         Ok(Box::new(self.files.iter().enumerate().skip(from).map(frame)))
     }

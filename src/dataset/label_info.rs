@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::label_frame::LabelCounts;
 use super::provenance::Provenance;
 use super::source::LostBytes;
+use crate::text::printable_name;
 
 /// Largest number of unlabelled images that a summary lists; further ones are only counted.
 const LISTED: usize = 1000;
@@ -81,14 +82,16 @@ impl LabelSummary {
             }
         }
         for fault in self.faults.iter().take(SHOWN) {
-            text += &format!("\nno label: {}, image {}: {}", fault.unit, fault.frame, fault.reason);
+            let line = format!("no label: {}, image {}: {}", fault.unit, fault.frame, fault.reason);
+            text += &format!("\n{}", printable_name(&line));
         }
         let missing = frames - labelled;
         if missing > SHOWN as u64 {
             text += &format!("\nno label: {} more images", missing - SHOWN as u64);
         }
         for lost in self.lost.iter().take(SHOWN) {
-            text += &format!("\nlost: {}, {} bytes from byte {}: {}", lost.file, lost.bytes, lost.offset, lost.reason);
+            let line = format!("lost: {}, {} bytes from byte {}: {}", lost.file, lost.bytes, lost.offset, lost.reason);
+            text += &format!("\n{}", printable_name(&line));
         }
         if self.lost.len() > SHOWN {
             text += &format!("\nlost: {} more places", self.lost.len() - SHOWN);

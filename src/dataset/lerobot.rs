@@ -213,7 +213,7 @@ pub fn reader(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
 fn reader_and_page(path: &Path) -> Result<(ParquetRecordBatchReaderBuilder<File>, u64)> {
     let file = input::open(path)?;
     let same = file.try_clone().map_err(Error::io(path))?;
-    let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| Error::file(path, e))?;
+    let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| Error::library(path, e))?;
     let page = pages::check(path, &same, builder.metadata())?;
     Ok((builder, page))
 }

@@ -11,8 +11,9 @@
 //!
 //! `source` and `labels` hold the traits that all formats implement; [`Format`] finds the format of a path.
 
-mod copy;
+pub(crate) mod copy;
 pub(crate) mod format;
+pub(crate) mod identity;
 pub(crate) mod image_folder;
 mod label_frame;
 mod label_info;
@@ -35,6 +36,7 @@ use ::image::RgbImage;
 
 pub use copy::copy_folder;
 pub use format::Format;
+pub use identity::{InputFiles, InputIdentity, InputState};
 pub use label_frame::LabelCounts;
 pub use label_frame::LabelFrame;
 pub use label_info::{LabelInfo, LabelSummary, UnlabelledImage};

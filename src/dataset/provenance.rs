@@ -2,9 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::identity::InputIdentity;
 use crate::hand::Topology;
 use crate::model::{Precision, Predictor};
 use crate::tactile::CONTACT_FORCE_N;
+use crate::text;
 
 /// Name under which outputs hold a [`super::LabelInfo`]: an attribute of a store, a metadata record of a bag, and so on.
 pub const PROVENANCE_KEY: &str = "egotac_labels";
@@ -38,6 +40,9 @@ pub struct Provenance {
     pub thresholds: Thresholds,
     /// The input's name, and the choices that decide which images are read and how.
     pub source: Vec<String>,
+    /// Identity of the input; None in outputs of versions before this field.
+    #[serde(default)]
+    pub input: Option<InputIdentity>,
 }
 
 /// Thresholds of contact.
@@ -50,7 +55,7 @@ pub struct Thresholds {
 }
 
 impl Provenance {
-    /// Creates the provenance of labels by `predictor`.
+    /// Creates the provenance of labels by `predictor`; a [`crate::label::Job`] adds the identity of its input.
     pub fn of(predictor: &Predictor, precision: Precision, source: Vec<String>) -> Self {
         let metadata = predictor.metadata();
         let hand_model = match metadata.topology {
@@ -74,7 +79,23 @@ impl Provenance {
                 contact_force: CONTACT_FORCE_N.to_string().parse().unwrap_or(f64::from(CONTACT_FORCE_N)),
             },
             source,
+            input: None,
         }
+    }
+
+    /// Returns name and identity of the input for messages.
+    pub fn input_text(&self) -> String {
+        let name = self.source.first().map_or("an input without a name", String::as_str);
+        let name = text::printable_name(name);
+        match &self.input {
+            Some(identity) => format!("{name} ({identity})"),
+            None => name.into_owned(),
+        }
+    }
+
+    /// True if both are of the same input.
+    pub fn has_input_of(&self, other: &Self) -> bool {
+        self.input == other.input && self.source.first() == other.source.first()
     }
 
     /// Returns the model id of messages: name and first digits of the hash.

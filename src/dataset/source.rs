@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use ::image::RgbImage;
 
+use super::identity::InputFiles;
 use crate::error::{Error, Result};
 use crate::image::{self, RawImage};
 use crate::message;
@@ -22,10 +23,20 @@ pub trait ImageSource: Send + Sync {
     /// Returns the units in the source's order.
     fn units(&self) -> &[Unit];
 
-    /// Returns the images of unit `unit` from index `from` on, each once and in the same order at every call.
+    /// Lists the files that hold the images and their times, as they are now.
     ///
     /// # Errors
-    /// If the unit can't be opened. A damaged image is not an error: its frame carries the reason.
+    /// If a folder can't be listed.
+    fn files(&self) -> Result<InputFiles>;
+
+    /// Returns the images of unit `unit` from index `from` on, each once and in the same order at every call.
+    ///
+    /// The two kinds of failure differ. An item that is an error ends the images: the medium could not be read or a
+    /// decoder died, so nothing is known about the images that follow, and a later call may succeed. A damaged image is
+    /// no error: its frame carries the reason, at every call the same.
+    ///
+    /// # Errors
+    /// If the unit can't be opened.
     fn frames(&self, unit: usize, from: usize) -> Result<SourceFrames<'_>>;
 
     /// Returns the damage that hides images of unit `unit`, if only the source can find it. `images` is the number of
@@ -40,7 +51,15 @@ pub trait ImageSource: Send + Sync {
 }
 
 /// Images in order.
-pub type SourceFrames<'a> = Box<dyn Iterator<Item = SourceFrame> + Send + 'a>;
+pub type SourceFrames<'a> = Box<dyn Iterator<Item = Result<SourceFrame>> + Send + 'a>;
+
+/// Leaves out the first `n` images. An error among them stays, so that a failure there is not mistaken for an image.
+pub(super) fn skip_images<'a>(
+    frames: impl Iterator<Item = Result<SourceFrame>> + Send + 'a,
+    n: usize,
+) -> SourceFrames<'a> {
+    Box::new(frames.enumerate().filter(move |(index, frame)| *index >= n || frame.is_err()).map(|(_, frame)| frame))
+}
 
 /// One image as it lies in its source.
 #[derive(Debug)]
@@ -137,6 +156,14 @@ impl SourceChain {
 impl ImageSource for SourceChain {
     fn units(&self) -> &[Unit] {
         &self.units
+    }
+
+    fn files(&self) -> Result<InputFiles> {
+        let mut files = InputFiles::default();
+        for source in &self.sources {
+            files.append(source.files()?);
+        }
+        Ok(files)
     }
 
     fn frames(&self, unit: usize, from: usize) -> Result<SourceFrames<'_>> {

@@ -18,7 +18,7 @@ use std::path::Path;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
 use crate::error::{Error, Result};
-use crate::file;
+use crate::file::{self, input, limits};
 use crate::hand::Topology;
 use crate::tactile::{N_FIELD, TactileSequence};
 
@@ -30,7 +30,7 @@ pub(crate) use labels::{TensorOutput, read_info, read_labelled};
 /// # Errors
 /// If it is no safetensors file, holds neither field, or a tensor has another shape or dtype than its name demands.
 pub fn read(path: &Path) -> Result<TactileSequence> {
-    let bytes = file::input::read(path, file::limits::ARRAY)?;
+    let bytes = input::read(path, limits::ARRAY)?;
     let tensors =
         SafeTensors::deserialize(&bytes).map_err(|e| Error::file(path, format!("expected a safetensors file: {e}")))?;
     let (_, metadata) = SafeTensors::read_metadata(&bytes).map_err(|e| Error::file(path, e))?;

@@ -3,21 +3,37 @@
 mod demuxer;
 mod images;
 
+use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
+use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, Stdio};
-use std::sync::mpsc::{Receiver, channel};
+use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
 
 use ::image::RgbImage;
 use serde_json::Value;
 
 use crate::error::{Error, Result};
+use crate::file::input;
 use crate::image::check_size;
 
 pub(crate) use images::VideoFile;
 
 /// Extensions of video files.
 pub const EXTENSIONS: [&str; 8] = ["mp4", "mkv", "mov", "avi", "webm", "m4v", "mpg", "mpeg"];
+/// Exit status of ffmpeg if it could decode few frames of a damaged file.
+const MANY_ERRORS: i32 = 69;
+/// Number of ffmpeg's last error messages that are searched for failures of the medium.
+const HEARD_ERRORS: usize = 16;
+/// Messages of ffmpeg for errors of the operating system, which are no damage of the file.
+const MEDIUM: [&str; 5] = [
+    "Input/output error",
+    "Cannot allocate memory",
+    "Too many open files",
+    "Stale file handle",
+    "Connection timed out",
+];
 /// Number of ffprobe's error messages that are reported.
 const KEPT_ERRORS: usize = 3;
 
@@ -91,6 +107,7 @@ pub fn damage(path: &Path, decoded: usize) -> Result<Option<Damage>> {
 }
 
 fn ffprobe(path: &Path, arguments: &[&str]) -> Result<(Value, Vec<String>)> {
+    drop(input::open(path)?);
     let mut command = Command::new("ffprobe");
     command
         .args(["-v", "error", "-select_streams", "v:0", "-of", "json"])
@@ -109,6 +126,9 @@ pub struct VideoFrames {
     process: Child,
     pixels: BufReader<ChildStdout>,
     stamps: Receiver<f64>,
+    /// Reads what ffmpeg says; returns its last error messages.
+    listener: Option<JoinHandle<Vec<String>>>,
+    frames: usize,
     done: bool,
 }
 
@@ -119,6 +139,7 @@ impl VideoFrames {
     /// # Errors
     /// If ffmpeg is not installed.
     pub fn open(path: &Path, start: Option<f64>) -> Result<Self> {
+        drop(input::open(path)?);
         let mut command = Command::new("ffmpeg");
         command.args(["-nostdin", "-hide_banner", "-nostats", "-loglevel", "level+info"]);
         if let Some(start) = start {
@@ -135,29 +156,72 @@ impl VideoFrames {
             return Err(Error::file(path, "ffmpeg's output can't be read"));
         };
         let (to_frames, stamps) = channel();
-        std::thread::spawn(move || {
-            let mut time_base = None;
-            for line in BufReader::new(words).split(b'\n').map_while(std::result::Result::ok) {
-                let line = String::from_utf8_lossy(&line);
-                if let Some(base) = after(&line, "config in time_base:").and_then(fraction) {
-                    time_base = Some(base);
-                }
-                if let Some(stamp) = stamp(&line, time_base)
-                    && to_frames.send(stamp).is_err()
-                {
-                    return;
-                }
-            }
-        });
+        let listener = std::thread::spawn(move || listen(words, &to_frames));
         let pixels = BufReader::with_capacity(1 << 20, pixels);
-        Ok(Self { path: path.to_path_buf(), process, pixels, stamps, done: false })
+        let path = path.to_path_buf();
+        Ok(Self { path, process, pixels, stamps, listener: Some(listener), frames: 0, done: false })
     }
 
     fn read(&mut self) -> Result<Option<(f64, RgbImage)>> {
-        let Some(image) = read_ppm(&mut self.pixels).map_err(Error::io(&self.path))? else { return Ok(None) };
-        let stamp = self.stamps.recv().map_err(|_| Error::file(&self.path, "ffmpeg gave a frame without a time"))?;
+        let image = read_ppm(&mut self.pixels);
+        let Ok(Some(image)) = image else {
+            // How ffmpeg ended says more than the output that it left.
+            self.end()?;
+            return image.map(|_| None).map_err(Error::io(&self.path));
+        };
+        let Ok(stamp) = self.stamps.recv() else {
+            self.end()?;
+            return Err(Error::file(&self.path, "ffmpeg gave a frame without a time"));
+        };
+        self.frames += 1;
         Ok(Some((stamp, image)))
     }
+
+    /// Checks that ffmpeg came to the end of the file: that it was not killed, did not fail, and could read the file.
+    /// Damaged content is no failure; [`damage`] reports it.
+    fn end(&mut self) -> Result<()> {
+        let status = self.process.wait().map_err(Error::io(&self.path))?;
+        let errors = self.listener.take().and_then(|listener| listener.join().ok()).unwrap_or_default();
+        let last = errors.last().map_or(String::new(), |error| format!(": {error}"));
+        let fails =
+            |how: String| Err(Error::file(&self.path, format!("ffmpeg {how} after {} images{last}", self.frames)));
+        match (status.code(), status.signal()) {
+            (_, Some(signal)) => return fails(format!("was ended by signal {signal}")),
+            (Some(0 | MANY_ERRORS), _) => {}
+            _ => return fails(format!("failed with {status}")),
+        }
+        // ffmpeg ends well where a file can't be read further.
+        if let Some(error) = errors.iter().find(|error| MEDIUM.iter().any(|medium| error.contains(medium))) {
+            return Err(Error::file(
+                &self.path,
+                format!("ffmpeg could not read on after {} images: {error}", self.frames),
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// Sends the times of the frames in ffmpeg's messages; returns the last error messages.
+fn listen(words: ChildStderr, stamps: &Sender<f64>) -> Vec<String> {
+    let (mut time_base, mut errors) = (None, VecDeque::new());
+    for line in BufReader::new(words).split(b'\n').map_while(std::result::Result::ok) {
+        let line = String::from_utf8_lossy(&line);
+        if let Some(base) = after(&line, "config in time_base:").and_then(fraction) {
+            time_base = Some(base);
+        }
+        if let Some(stamp) = stamp(&line, time_base)
+            && stamps.send(stamp).is_err()
+        {
+            break;
+        }
+        if line.contains("[error]") || line.contains("[fatal]") {
+            errors.push_back(without_tags(&line));
+            if errors.len() > HEARD_ERRORS {
+                errors.pop_front();
+            }
+        }
+    }
+    errors.into()
 }
 
 impl Iterator for VideoFrames {

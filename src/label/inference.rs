@@ -9,7 +9,7 @@ use super::budget::{Budget, Share};
 use super::journal::Journal;
 use crate::dataset::source::{EncodedImage, SourceFrames};
 use crate::dataset::{ImageSource, LabelFrame, SourceFrame};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::image::Preparation;
 use crate::model::Predictor;
 use crate::model::predictor::Prediction;
@@ -52,11 +52,12 @@ struct PreparedImage {
     note: Option<String>,
 }
 
-/// Labels the images of unit `unit` that `journal` lacks; calls `progress` after every image. An image that can't be read,
-/// or for which the network gives no finite numbers, gets a reason in place of a label.
+/// Labels the images of unit `unit` that `journal` lacks; calls `progress` after every image. An image that is damaged, or
+/// for which the network gives no finite numbers, gets a reason in place of a label.
 ///
 /// # Errors
-/// If the unit can't be opened, the journal can't be written, or the network's device fails.
+/// If the unit can't be opened or read to its end, the journal can't be written, or the network's device fails. The journal
+/// then holds the labels of all images before the failure and stays open: the next run goes on there.
 pub fn label_unit(
     source: &dyn ImageSource,
     unit: usize,
@@ -78,7 +79,7 @@ pub fn label_unit(
     predictor.reset();
     let mut recent = Recent::default();
     let mut written = Instant::now();
-    prepare_images(frames, from, &wanted, &preparation, decoders, |ready, waited| {
+    let end = prepare_images(frames, from, &wanted, &preparation, decoders, |ready, waited| {
         timing.waiting_secs += waited;
         let PreparedImage { index, stamp_secs, input, note } = ready;
         if index < done.frames {
@@ -113,7 +114,9 @@ pub fn label_unit(
         progress();
         Ok(())
     })?;
-    journal.flush(recent.kept(predictor), true)?;
+    journal.flush(recent.kept(predictor), end.is_ok())?;
+    let (unit, frames) = (source.units()[unit].name.clone(), journal.progress().frames);
+    end.map_err(|cause| Error::Stopped { unit, frames, cause: Box::new(cause) })?;
     Ok(timing)
 }
 
@@ -138,7 +141,10 @@ impl Recent {
 }
 
 /// Reads, decodes and prepares the `wanted` images on other threads. Calls `take` with each in order, and with the seconds
-/// spent waiting for it.
+/// spent waiting for it. The inner error says why the images could not be read to their end.
+///
+/// # Errors
+/// If `take` fails.
 fn prepare_images(
     frames: SourceFrames,
     from: usize,
@@ -146,24 +152,31 @@ fn prepare_images(
     preparation: &Preparation,
     decoders: usize,
     mut take: impl FnMut(PreparedImage, f64) -> Result<()>,
-) -> Result<()> {
+) -> Result<Result<()>> {
     let decoders = decoders.max(1);
     let (to_decode, taken) = sync_channel::<Batch>(decoders);
     let (to_label, ready) = sync_channel::<(usize, Vec<PreparedImage>)>(decoders);
     let taken = Arc::new(Mutex::new(taken));
     std::thread::scope(|scope| {
-        scope.spawn(move || read(frames, from, wanted, to_decode));
+        let reader = scope.spawn(move || read(frames, from, wanted, to_decode));
         for _ in 0..decoders {
             let (taken, to_label) = (Arc::clone(&taken), to_label.clone());
             scope.spawn(move || decode(&taken, preparation, to_label));
         }
         // Drop our ends, so that threads see the channels close.
         drop((taken, to_label));
-        in_order(ready, &mut take)
+        in_order(ready, &mut take)?;
+        Ok(reader.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
     })
 }
 
-fn read(frames: SourceFrames, from: usize, wanted: &(dyn Fn(usize) -> bool + Sync), to_decode: SyncSender<Batch>) {
+/// Sends the `wanted` images in batches. The images before one that can't be read are sent before the error is returned.
+fn read(
+    frames: SourceFrames,
+    from: usize,
+    wanted: &(dyn Fn(usize) -> bool + Sync),
+    to_decode: SyncSender<Batch>,
+) -> Result<()> {
     let budget = Budget::default();
     let mut batch = Vec::with_capacity(BATCH);
     let mut number = 0;
@@ -174,13 +187,22 @@ fn read(frames: SourceFrames, from: usize, wanted: &(dyn Fn(usize) -> bool + Syn
         sent.is_ok()
     };
     let mut first = true;
-    for (index, frame) in (from..).zip(frames).filter(|(index, _)| wanted(*index)) {
+    let mut end = Ok(());
+    for (index, frame) in (from..).zip(frames) {
+        let frame = match frame {
+            Ok(frame) if wanted(index) => frame,
+            Ok(_) => continue,
+            Err(error) => {
+                end = Err(error);
+                break;
+            }
+        };
         let bytes = frame.image.as_ref().map_or(0, EncodedImage::memory);
         let share = match budget.try_take(bytes) {
             Some(share) => share,
             None => {
                 if !send(&mut batch) {
-                    return;
+                    return Ok(());
                 }
                 budget.take(bytes)
             }
@@ -188,11 +210,12 @@ fn read(frames: SourceFrames, from: usize, wanted: &(dyn Fn(usize) -> bool + Syn
         batch.push((index, frame, share));
         // Send the first image at once: the network waits for it.
         if (batch.len() == BATCH || first) && !send(&mut batch) {
-            return;
+            return Ok(());
         }
         first = false;
     }
     send(&mut batch);
+    end
 }
 
 fn decode(

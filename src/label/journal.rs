@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::dataset::{LabelCounts, LabelFrame};
 use crate::error::{Error, Result};
-use crate::file;
+use crate::file::{self, input};
 use crate::hand::Topology;
 use crate::tactile::{N_FIELD, TactileField};
 
@@ -42,7 +42,7 @@ impl Progress {
     /// # Errors
     /// If the file can't be read.
     pub fn read(path: &Path) -> Result<Self> {
-        let file = File::open(path).map_err(Error::io(path))?;
+        let file = input::open(path)?;
         Ok(Self::scan(&file).map_err(Error::io(path))?.0)
     }
 
@@ -177,7 +177,7 @@ impl JournalLabels {
     /// # Errors
     /// If it can't be read.
     pub fn open(path: &Path, topology: Topology) -> Result<Self> {
-        let file = File::open(path).map_err(Error::io(path))?;
+        let file = input::open(path)?;
         let reader = BufReader::with_capacity(1 << 20, file);
         Ok(Self { path: path.to_path_buf(), reader, topology, waiting: Vec::new().into_iter() })
     }
@@ -236,7 +236,7 @@ impl JournalHeads {
     /// # Errors
     /// If it can't be read.
     pub fn open(path: &Path) -> Result<Self> {
-        let file = File::open(path).map_err(Error::io(path))?;
+        let file = input::open(path)?;
         Ok(Self { path: path.to_path_buf(), reader: BufReader::with_capacity(1 << 20, file) })
     }
 }

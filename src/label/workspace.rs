@@ -4,12 +4,22 @@ use std::fs;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
+
 use super::journal::{Journal, JournalHeads, JournalLabels, Progress};
+use crate::dataset::copy::remove;
 use crate::dataset::labels::{LabelFrames, Notes};
-use crate::dataset::{Provenance, SourceLabels, Unit};
+use crate::dataset::{InputState, Provenance, SourceLabels, Unit};
 use crate::error::{Error, Result};
-use crate::file;
+use crate::file::{self, input, limits};
 use crate::hand::Topology;
+
+/// End of the workspace's name.
+const UNFINISHED: &str = "unfinished";
+/// End of the workspace's name while it is removed.
+const FINISHED: &str = "finished";
+/// Difference of a workspace whose description can't be read.
+const OLD: &str = "was left by another version of egotac; finish it with that one";
 
 /// Journals of the units of one output, and the output while it is assembled.
 #[derive(Debug)]
@@ -22,25 +32,43 @@ impl Workspace {
     /// Opens the workspace of the output `out`, as an earlier process left it, or creates it.
     ///
     /// # Errors
-    /// If it belongs to another input or other settings, or can't be written.
-    pub fn open(out: &Path, provenance: &Provenance, units: &[Unit]) -> Result<Self> {
-        let folder = folder_of(out)?;
+    /// If it belongs to another input or other settings, the input has changed since, or it can't be written.
+    pub fn open(out: &Path, provenance: &Provenance, input: &InputState, units: &[Unit]) -> Result<Self> {
+        let folder = hidden(out, UNFINISHED)?;
+        remove(&hidden(out, FINISHED)?)?;
         fs::create_dir_all(&folder).map_err(Error::io(&folder))?;
-        let units: Vec<_> = units.iter().map(|unit| (&unit.name, unit.frames)).collect();
-        let json = format!("{:#}\n", serde_json::json!({ "provenance": provenance, "units": units }));
+        let units = units.iter().map(|unit| (unit.name.clone(), unit.frames)).collect();
+        let description = JobDescription { provenance: provenance.clone(), input: input.clone(), units };
+        let json = serde_json::to_string_pretty(&description).map_err(|e| Error::file(&folder, e))?;
         let job = folder.join("job.json");
-        match fs::read_to_string(&job) {
-            Ok(there) if there == json => {}
-            Ok(_) => {
-                let message = format!(
-                    "holds an unfinished labelling of another input or with other settings; finish it with those, or remove {}",
-                    folder.display()
-                );
-                return Err(Error::file(&folder, message));
+        if job.try_exists().map_err(Error::io(&job))? {
+            let read = |json: &str| serde_json::from_str::<JobDescription>(json);
+            // Compare both as read: a number may change in its last digit on the way.
+            let there = read(&input::read_text(&job, limits::TEXT)?).map_err(|_| ());
+            let here = read(&json).map_err(|e| Error::file(&folder, e))?;
+            if let Some(difference) = there.map_or(Some(OLD.into()), |there| there.difference(&here)) {
+                return Err(Error::file(&folder, format!("{difference}, or remove {}", folder.display())));
             }
-            Err(_) => file::write(&job, json.as_bytes())?,
+        } else {
+            file::write(&job, json.as_bytes())?;
         }
         Ok(Self { folder, topology: provenance.topology })
+    }
+
+    /// Removes what a process left that was killed between publishing `out` and its clean-up. A workspace that another
+    /// process is about to remove itself stays.
+    ///
+    /// # Errors
+    /// If it can't be removed.
+    pub fn remove_leftovers(out: &Path) -> Result<()> {
+        let folder = hidden(out, UNFINISHED)?;
+        if folder.exists() {
+            let workspace = Self { folder, topology: Topology::default() };
+            if let Some(_lock) = workspace.lock()? {
+                workspace.remove(out)?;
+            }
+        }
+        remove(&hidden(out, FINISHED)?)
     }
 
     /// Locks the journal of one unit; None = another process holds it.
@@ -70,7 +98,8 @@ impl Workspace {
     /// If its journal can't be read.
     pub fn progress(&self, unit: usize) -> Result<Progress> {
         let path = self.journal_path(unit);
-        if path.exists() { Progress::read(&path) } else { Ok(Progress::default()) }
+        let exists = path.try_exists().map_err(Error::io(&path))?;
+        if exists { Progress::read(&path) } else { Ok(Progress::default()) }
     }
 
     /// Returns the heads of the journal's blocks of one unit.
@@ -96,16 +125,30 @@ impl Workspace {
         Ok(file::lock(&file).then_some(file))
     }
 
-    /// Renames the assembled output to `out` and removes the workspace.
+    /// Renames the assembled output to `out`, durably, and removes the workspace.
     ///
     /// # Errors
     /// If another process created `out`, or it can't be written.
     pub fn publish(self, out: &Path) -> Result<()> {
+        let unfinished = self.unfinished();
+        match unfinished.is_dir() {
+            true => file::sync_tree(&unfinished)?,
+            false => File::open(&unfinished).and_then(|file| file.sync_all()).map_err(Error::io(&unfinished))?,
+        }
         if out.exists() {
             return Err(Error::file(out, "was created by another process"));
         }
-        fs::rename(self.unfinished(), out).map_err(Error::io(out))?;
-        fs::remove_dir_all(&self.folder).map_err(Error::io(&self.folder))
+        file::rename(&unfinished, out)?;
+        self.remove(out)
+    }
+
+    /// Removes the workspace. A rename takes it away as a whole first: of a workspace that is removed file by file, a kill
+    /// could leave journals without the description of their input.
+    fn remove(&self, out: &Path) -> Result<()> {
+        let finished = hidden(out, FINISHED)?;
+        remove(&finished)?;
+        fs::rename(&self.folder, &finished).map_err(Error::io(&self.folder))?;
+        remove(&finished)
     }
 
     fn journal_path(&self, unit: usize) -> PathBuf {
@@ -131,10 +174,54 @@ impl SourceLabels for Workspace {
     }
 }
 
-/// Returns the workspace folder of `out`.
-pub fn folder_of(out: &Path) -> Result<PathBuf> {
+/// Content of `job.json`: whose labels the journals hold.
+#[derive(Debug, Serialize, Deserialize)]
+struct JobDescription {
+    provenance: Provenance,
+    input: InputState,
+    /// Name and number of images of each unit.
+    units: Vec<(String, Option<usize>)>,
+}
+
+impl JobDescription {
+    /// Returns why the labels of this job can't be used for `other`, and how they can be; None if they can.
+    fn difference(&self, other: &Self) -> Option<String> {
+        if self.input.is_same(&other.input) && self.provenance == other.provenance && self.units == other.units {
+            return None;
+        }
+        let same_name = self.provenance.source.first() == other.provenance.source.first();
+        Some(match (self.input.is_same(&other.input), same_name && self.input.places == other.input.places) {
+            (false, true) => format!(
+                "holds unfinished labels of {} as it was before it changed; put that back",
+                self.provenance.input_text()
+            ),
+            (false, false) => format!(
+                "holds unfinished labels of another input, {} at {}, not of {}; finish those, choose another output",
+                self.provenance.input_text(),
+                self.input.place(),
+                other.provenance.input_text()
+            ),
+            (true, _) => format!(
+                "holds unfinished labels of {} with another name or other settings; finish them with those, choose \
+                 another output",
+                self.provenance.input_text()
+            ),
+        })
+    }
+}
+
+/// True if `out` has a workspace.
+///
+/// # Errors
+/// If `out` is no name for an output.
+pub fn exists(out: &Path) -> Result<bool> {
+    Ok(hidden(out, UNFINISHED)?.exists())
+}
+
+/// Returns the path of a hidden folder beside `out`.
+fn hidden(out: &Path, end: &str) -> Result<PathBuf> {
     let (Some(name), Some(parent)) = (out.file_name(), out.parent()) else {
         return Err(Error::file(out, "is not a name for an output"));
     };
-    Ok(parent.join(format!(".{}.unfinished", name.to_string_lossy())))
+    Ok(parent.join(format!(".{}.{end}", name.to_string_lossy())))
 }

@@ -44,7 +44,7 @@ pub(crate) fn run(
     match run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("{error:#}");
+            eprintln!("{}", crate::text::error_chain(error.as_ref()));
             ExitCode::FAILURE
         }
     }

@@ -113,7 +113,7 @@ impl<'a> Images<'a> {
             }
             (self.unit, self.start) = (self.unit + 1, self.start + length);
         }
-        let frame = self.source.frames(self.unit, frame - self.start).ok()?.next()?;
+        let frame = self.source.frames(self.unit, frame - self.start).ok()?.next()?.ok()?;
         frame.image.ok()?.decode().ok()
     }
 }

@@ -10,6 +10,7 @@ use serde_json::json;
 use crate::dataset::Labelled;
 use crate::score::metrics::{self, EvalOptions};
 use crate::tactile::TactileSequence;
+use crate::text::printable;
 
 /// Arguments of `egotac data diff`.
 #[derive(Debug, clap::Args)]
@@ -53,7 +54,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         println!("{value:#}");
         return Ok(ExitCode::SUCCESS);
     }
-    println!("{}", metrics::table(&[("A against B", &report)]));
+    println!("{}", printable(&metrics::table(&[("A against B", &report)])));
     if only_a + only_b > 0 {
         println!("{only_a} frames of A and {only_b} of B without a partner of equal time");
     }

@@ -11,6 +11,7 @@ use crate::dataset::lerobot::LeRobot;
 use crate::dataset::mcap::{bag_files, survey};
 use crate::dataset::{Format, LabelInfo, Labelled, video, zarr};
 use crate::error::{Error, Result};
+use crate::text::{printable, printable_name};
 
 /// Runs the command.
 pub fn run(paths: &[PathBuf], json: bool) -> anyhow::Result<ExitCode> {
@@ -19,9 +20,9 @@ pub fn run(paths: &[PathBuf], json: bool) -> anyhow::Result<ExitCode> {
         infos.extend(of(path)?);
     }
     match (json, infos.as_slice()) {
-        (true, [one]) => println!("{one:#}"),
-        (true, _) => println!("{:#}", Value::Array(infos)),
-        (false, _) => infos.iter().for_each(|info| println!("{}", text(info))),
+        (true, [one]) => println!("{}", printable(&format!("{one:#}"))),
+        (true, _) => println!("{}", printable(&format!("{:#}", Value::Array(infos)))),
+        (false, _) => infos.iter().for_each(|info| println!("{}", printable(&text(info)))),
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -124,11 +125,12 @@ fn text(info: &Value) -> String {
         text += &format!(", {} x {} pixels", image["width"], image["height"]);
     }
     for (name, feature) in info["features"].as_object().into_iter().flatten() {
+        let name = printable_name(name);
         text += &format!("\n  {name}: {} {}", feature["dtype"].as_str().unwrap_or_default(), feature["shape"]);
     }
     for (topic, about) in info["topics"].as_object().into_iter().flatten() {
-        text +=
-            &format!("\n  {topic}: {} messages of {}", about["messages"], about["type"].as_str().unwrap_or_default());
+        let (topic, type_name) = (printable_name(topic), printable_name(about["type"].as_str().unwrap_or_default()));
+        text += &format!("\n  {topic}: {} messages of {type_name}", about["messages"]);
     }
     for file in info["files"].as_array().into_iter().flatten() {
         let cut =

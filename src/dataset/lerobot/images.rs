@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::{Camera, Episode, LeRobot, Row};
+use crate::dataset::identity::InputFiles;
 use crate::dataset::source::{EncodedImage, ImageSource, SourceFrame, SourceFrames, Unit};
 use crate::dataset::video::VideoFrames;
 use crate::error::{Error, Result};
@@ -84,21 +85,20 @@ impl LeRobotDataset {
         let frame = move |row: Result<Row>| {
             let row = match row {
                 Ok(row) => row,
-                Err(error) => return SourceFrame::new(f64::NAN, Err(error.to_string())),
+                Err(error) => return unreadable(error),
             };
             let wanted = start + row.timestamp;
             let mut image = Err(format!("{}: no frame at {wanted:.3} s", path.display()));
             while let Some(frame) = frames.as_mut().and_then(|frames| {
                 frames.next_if(|frame| frame.as_ref().map_or(true, |(stamp, _)| *stamp <= wanted + half))
             }) {
-                match frame {
-                    Ok((stamp, pixels)) if (stamp - wanted).abs() <= half => image = Ok(EncodedImage::Pixels(pixels)),
-                    Ok(_) => continue,
-                    Err(error) => image = Err(error.to_string()),
+                let (stamp, pixels) = frame?;
+                if (stamp - wanted).abs() <= half {
+                    image = Ok(EncodedImage::Pixels(pixels));
+                    break;
                 }
-                break;
             }
-            SourceFrame::new(row.timestamp, image)
+            Ok(SourceFrame::new(row.timestamp, image))
         };
         Ok(Box::new(rows.map(frame)))
     }
@@ -107,6 +107,16 @@ impl LeRobotDataset {
 impl ImageSource for LeRobotDataset {
     fn units(&self) -> &[Unit] {
         &self.units
+    }
+
+    fn files(&self) -> Result<InputFiles> {
+        let mut files = InputFiles::new(&self.dataset.root);
+        files.add_folder("meta")?;
+        files.add_folder("data")?;
+        for episode in self.dataset.episodes.iter().filter(|_| self.kind == Camera::Video) {
+            files.add(self.dataset.video_file(&self.camera, episode)?.map(|(file, _)| file));
+        }
+        Ok(files)
     }
 
     fn frames(&self, unit: usize, from: usize) -> Result<SourceFrames<'_>> {
@@ -118,9 +128,20 @@ impl ImageSource for LeRobotDataset {
         Ok(Box::new(rows.map(|row| match row {
             Ok(row) => {
                 let image = row.image.map(EncodedImage::File).ok_or_else(|| "the row has no image".to_string());
-                SourceFrame::new(row.timestamp, image)
+                Ok(SourceFrame::new(row.timestamp, image))
             }
-            Err(error) => SourceFrame::new(f64::NAN, Err(error.to_string())),
+            Err(error) => unreadable(error),
         })))
+    }
+}
+
+/// Returns the frame of a damaged row.
+///
+/// # Errors
+/// If the row is not damaged, but its file can't be read.
+fn unreadable(error: Error) -> Result<SourceFrame> {
+    match error.is_of_medium() {
+        true => Err(error),
+        false => Ok(SourceFrame::new(f64::NAN, Err(error.to_string()))),
     }
 }

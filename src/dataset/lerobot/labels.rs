@@ -18,7 +18,7 @@ use super::columns::{Column, with_types};
 use super::images::LeRobotDataset;
 use super::statistics::{EpisodeStatistics, Statistics};
 use super::{LeRobot, numbers, reader, reader_and_page};
-use crate::dataset::copy::copy_folder;
+use crate::dataset::copy::{copy_folder, copy_regular};
 use crate::dataset::label_info::LabelInfo;
 use crate::dataset::labels::{LabelFrames, LabelOutput, SourceLabels};
 use crate::dataset::provenance::PROVENANCE_KEY;
@@ -119,7 +119,7 @@ impl LeRobotDataset {
         }
         match writer {
             Some(writer) => writer.close().map(drop).map_err(fail),
-            None => fs::copy(from, to).map(drop).map_err(Error::io(to)),
+            None => copy_regular(from, to),
         }
     }
 

@@ -79,7 +79,7 @@ impl Rows {
             .with_offset(first)
             .with_limit(self.end - first)
             .build()
-            .map_err(|e| Error::file(&self.path, e))
+            .map_err(|e| Error::library(&self.path, e))
     }
 
     /// Reads the next batch into `ready`; false at the end of the file.
@@ -95,7 +95,7 @@ impl Rows {
                 if batch.is_ok() {
                     self.batches = Some(batches);
                 }
-                batch.map_err(|e| Error::file(&self.path, e))
+                batch.map_err(|e| Error::library(&self.path, e))
             }
             Err(error) => Err(error),
         };
@@ -118,7 +118,7 @@ impl Rows {
                     let single = self.batches(row, 1).map(|mut batches| batches.next());
                     let read = match single {
                         Ok(Some(Ok(batch))) => row_of(&batch, self.camera.as_deref(), &self.path),
-                        Ok(Some(Err(error))) => Err(Error::file(&self.path, error)),
+                        Ok(Some(Err(error))) => Err(Error::library(&self.path, error)),
                         Ok(None) => Err(Error::file(&self.path, format!("row {row} is missing"))),
                         Err(error) => Err(error),
                     };

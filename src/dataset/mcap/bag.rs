@@ -10,6 +10,7 @@ use mcap::{Compression, WriteOptions, Writer};
 
 use super::metadata::{BagFile, BagTopic, metadata_yaml};
 use crate::error::{Error, Result};
+use crate::file;
 
 /// Size at which a chunk is compressed and written, bytes.
 const CHUNK: u64 = 4 << 20;
@@ -143,7 +144,8 @@ impl BagWriter {
         self.writer.finish().map_err(|error| Error::file(&self.folder, error))?;
         let path = self.unfinished.join("metadata.yaml");
         std::fs::write(&path, self.metadata()?).map_err(Error::io(&path))?;
-        std::fs::rename(&self.unfinished, &self.folder).map_err(Error::io(&self.folder))
+        file::sync_tree(&self.unfinished)?;
+        file::rename(&self.unfinished, &self.folder)
     }
 
     fn metadata(&self) -> Result<String> {

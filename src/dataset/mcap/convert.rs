@@ -40,6 +40,7 @@ impl LabelOutput for BagOutput {
         for (index, unit) in self.source.units().iter().enumerate() {
             let mut labels = labels.labels(index)?;
             for frame in self.source.frames(index, 0)? {
+                let frame = frame?;
                 let label = next_label(&mut labels, &unit.name)?;
                 let nanos = (label.stamp_secs * 1e9).round();
                 let stamp = Time::from_nanos(if nanos.is_finite() { nanos as i64 } else { 0 });

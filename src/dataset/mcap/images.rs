@@ -6,7 +6,8 @@ use super::messages::{Channels, MessageRecord};
 use super::note::{ChunkNote, ImageHead};
 use super::{Piece, Pieces, Survey, Topic, bag_files, survey};
 use crate::dataset::base_name;
-use crate::dataset::source::{EncodedImage, ImageSource, SourceFrame, SourceFrames, Unit};
+use crate::dataset::identity::InputFiles;
+use crate::dataset::source::{EncodedImage, ImageSource, SourceFrame, SourceFrames, Unit, skip_images};
 use crate::error::{Error, Result};
 use crate::message::{CompressedImage, Header, Image, Message, Time};
 
@@ -116,10 +117,18 @@ impl ImageSource for Bag {
         &self.units
     }
 
+    fn files(&self) -> Result<InputFiles> {
+        let folder = self.folder.as_deref();
+        let mut files = InputFiles::new(folder.or(self.files.first().map(PathBuf::as_path)).unwrap_or(Path::new("")));
+        files.add(folder.map(|folder| folder.join("metadata.yaml")));
+        files.add(self.files.iter().cloned());
+        Ok(files)
+    }
+
     fn frames(&self, unit: usize, from: usize) -> Result<SourceFrames<'_>> {
         let pieces = Pieces::open(&self.files[unit])?;
         let frames = BagFrames { bag: self, pieces, channels: Channels::default(), ready: Vec::new().into_iter() };
-        Ok(Box::new(frames.skip(from)))
+        Ok(skip_images(frames, from))
     }
 }
 
@@ -133,15 +142,17 @@ struct BagFrames<'a> {
 }
 
 impl Iterator for BagFrames<'_> {
-    type Item = SourceFrame;
+    type Item = Result<SourceFrame>;
 
-    fn next(&mut self) -> Option<SourceFrame> {
+    fn next(&mut self) -> Option<Self::Item> {
         loop {
             if let Some(frame) = self.ready.next() {
-                return Some(frame);
+                return Some(Ok(frame));
             }
-            // A read error ends the images; assembly meets the same error and reports it.
-            let piece = self.pieces.next()?.ok()?;
+            let piece = match self.pieces.next()? {
+                Ok(piece) => piece,
+                Err(error) => return Some(Err(error)),
+            };
             let (mut frames, mut heads) = (Vec::new(), Vec::new());
             for (opcode, body) in piece.records() {
                 if let Some(message) = self.channels.message(opcode, body).filter(|m| m.topic == self.bag.topic) {

@@ -1,9 +1,10 @@
 //! Labels of a bag: a copy of its records, with touch beside the images.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
+use super::ids::{UsedIds, free_id};
 use super::images::Bag;
 use super::messages::Channels;
 use super::note::{ImageHead, OriginalPiece, OriginalPieces};
@@ -11,12 +12,14 @@ use super::{
     BagFile, BagTopic, ChunkOutline, CopyWriter, Piece, Record, Records, bag_files, metadata_yaml, op, put_text, survey,
 };
 use crate::dataset::base_name;
+use crate::dataset::copy::copy_regular;
 use crate::dataset::label_frame::LabelFrame;
 use crate::dataset::label_info::LabelInfo;
 use crate::dataset::labels::{LabelOutput, SourceLabels, next_label};
 use crate::dataset::prefetch::prefetch;
 use crate::dataset::provenance::PROVENANCE_KEY;
 use crate::error::{Error, Result};
+use crate::file::input::InputFolder;
 use crate::message::{Header, Message, TactileFrame};
 
 /// Default topic of the labels: the predictor's own.
@@ -26,7 +29,7 @@ impl LabelOutput for Bag {
     fn assemble(&self, labels: &dyn SourceLabels, info: &mut LabelInfo, at: &Path, out: &Path) -> Result<()> {
         let bare = self.files.len() == 1 && out.extension().is_some_and(|extension| extension == "mcap");
         if bare {
-            TactileMessages::new(self, 0, 0).copy(labels, at, info)?;
+            TactileMessages::new(self, 0, 0, labels)?.copy(labels, at, info)?;
             return Ok(());
         }
         if at.exists() {
@@ -36,7 +39,7 @@ impl LabelOutput for Bag {
         let (mut files, mut topics) = (Vec::new(), BTreeMap::<String, BagTopic>::new());
         let mut sequence = 0;
         for index in 0..self.files.len() {
-            let mut messages = TactileMessages::new(self, index, sequence);
+            let mut messages = TactileMessages::new(self, index, sequence, labels)?;
             let name = match (&self.folder, out.file_name()) {
                 // The name that rosbag2 gives the file of a bag.
                 (None, Some(_)) => format!("{}_{index}.mcap", base_name(out)),
@@ -66,11 +69,14 @@ impl Bag {
     /// Copies files of the bag's folder that are neither recordings nor metadata, such as notes and calibration.
     fn copy_others(&self, to: &Path) -> Result<()> {
         let Some(folder) = &self.folder else { return Ok(()) };
-        for entry in fs::read_dir(folder).map_err(Error::io(folder))?.flatten() {
+        let inside = InputFolder::open(folder)?;
+        for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
+            let entry = entry.map_err(Error::io(folder))?;
             let from = entry.path();
             let recording = from.extension().is_some_and(|extension| extension == "mcap");
             if from.is_file() && !recording && entry.file_name() != "metadata.yaml" {
-                fs::copy(&from, to.join(entry.file_name())).map_err(Error::io(&from))?;
+                inside.check(&from)?;
+                copy_regular(&from, &to.join(entry.file_name()))?;
             }
         }
         Ok(())
@@ -100,19 +106,20 @@ struct TactileMessages<'a> {
 }
 
 impl<'a> TactileMessages<'a> {
-    fn new(bag: &'a Bag, index: usize, sequence: u64) -> Self {
-        let survey = &bag.surveys[index];
-        // Ids above those in use.
-        let free = |used: Option<&u16>| used.map_or(1, |last| last.saturating_add(1));
-        Self {
-            bag,
-            index,
-            channels: Channels::default(),
-            channel: free(survey.topics.keys().last()),
-            schema: free(survey.schemas.keys().last()),
-            announced: false,
-            sequence,
+    fn new(bag: &'a Bag, index: usize, sequence: u64, labels: &dyn SourceLabels) -> Result<Self> {
+        let file = &bag.files[index];
+        let used = UsedIds::of(file, labels.notes(index)?)?;
+        if used.topics.contains(&bag.labels_topic) {
+            let message = format!("has a topic {} already; choose another with --labels-topic", bag.labels_topic);
+            return Err(Error::file(file, message));
         }
+        let free = |ids: &BTreeSet<u16>, kind: &str| {
+            let none =
+                || Error::file(file, format!("uses all 65535 {kind} ids, so no label can be added; use --to store"));
+            free_id(ids).ok_or_else(none)
+        };
+        let (channel, schema) = (free(&used.channels, "channel")?, free(&used.schemas, "schema")?);
+        Ok(Self { bag, index, channels: Channels::default(), channel, schema, announced: false, sequence })
     }
 
     /// Copies the file to `to`.

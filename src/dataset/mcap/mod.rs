@@ -4,6 +4,7 @@ mod bag;
 mod chunk;
 mod convert;
 mod copy;
+mod ids;
 mod images;
 mod labels;
 mod messages;

@@ -138,7 +138,7 @@ mod tests {
         writer.finish().unwrap();
         let file = bag.join(file_name(&bag));
         let source = Bag::open(&file, None, "/touch").unwrap();
-        let notes = source.frames(0, 0).unwrap().filter_map(|frame| frame.note).collect();
+        let notes = source.frames(0, 0).unwrap().filter_map(|frame| frame.unwrap().note).collect();
         (file, notes)
     }
 

@@ -60,7 +60,10 @@ impl Records {
         let file = input::open(path)?;
         let size = file.metadata().map_err(Error::io(path))?.len();
         let mut magic = [0; MAGIC.len()];
-        if size < MAGIC.len() as u64 || file.read_exact_at(&mut magic, 0).is_err() || magic != *MAGIC {
+        if size >= MAGIC.len() as u64 {
+            file.read_exact_at(&mut magic, 0).map_err(Error::io(path))?;
+        }
+        if magic != *MAGIC {
             return Err(Error::file(path, "expected an MCAP file"));
         }
         Ok(Self { path: path.to_path_buf(), file, size, at: MAGIC.len() as u64, done: false })

@@ -49,7 +49,7 @@ pub struct Survey {
 /// MCAP file, returns the file itself.
 ///
 /// # Errors
-/// If there is none, or the bag uses another storage.
+/// If there is none, the bag uses another storage, or a link leads out of it.
 pub fn bag_files(path: &Path) -> Result<Vec<PathBuf>> {
     if !path.is_dir() {
         return Ok(vec![path.to_path_buf()]);

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use super::VideoFrames;
 use crate::dataset::base_name;
-use crate::dataset::source::{EncodedImage, ImageSource, LostBytes, SourceFrame, SourceFrames, Unit};
+use crate::dataset::identity::InputFiles;
+use crate::dataset::source::{EncodedImage, ImageSource, LostBytes, SourceFrame, SourceFrames, Unit, skip_images};
 use crate::error::Result;
 
 /// Frame rate of videos that don't state one, 1/s: that of our recordings.
@@ -35,16 +36,22 @@ impl ImageSource for VideoFile {
         &self.units
     }
 
+    fn files(&self) -> Result<InputFiles> {
+        let mut files = InputFiles::new(&self.path);
+        files.add([self.path.clone()]);
+        Ok(files)
+    }
+
     fn frames(&self, _: usize, from: usize) -> Result<SourceFrames<'_>> {
         let frames = VideoFrames::open(&self.path, None)?;
         let fps = self.fps;
         let frame = move |(index, frame): (usize, Result<_>)| {
             // Frames that ffmpeg can't decode yield no image; `damage` reports them when the output is assembled.
-            let (stamp, image): (f64, _) = frame.ok()?;
+            let (stamp, image): (f64, _) = frame?;
             let stamp_secs = if stamp.is_finite() { stamp } else { index as f64 / fps };
-            Some(SourceFrame::new(stamp_secs, Ok(EncodedImage::Pixels(image))))
+            Ok(SourceFrame::new(stamp_secs, Ok(EncodedImage::Pixels(image))))
         };
-        Ok(Box::new(frames.enumerate().map_while(frame).skip(from)))
+        Ok(skip_images(frames.enumerate().map(frame), from))
     }
 
     fn damage(&self, _: usize, images: usize) -> Result<Option<LostBytes>> {

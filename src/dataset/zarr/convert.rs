@@ -38,6 +38,7 @@ impl LabelOutput for StoreOutput {
             let mut labels = labels.labels(index)?;
             let mut time = 0.0;
             for image in self.source.frames(index, 0)? {
+                let image = image?;
                 let label = next_label(&mut labels, &unit.name)?;
                 let size = match size {
                     Some(size) => size,
@@ -67,10 +68,13 @@ impl StoreOutput {
     /// Returns width and height of the store's images: the size of the first decodable image, scaled down to `side`.
     fn size(&self, unit: usize, first: &SourceFrame) -> Result<(u32, u32)> {
         let decoded = |frame: &SourceFrame| frame.image.as_ref().ok()?.clone().decode().ok();
-        let found = decoded(first).or_else(|| {
-            let units = unit..self.source.units().len();
-            units.flat_map(|unit| self.source.frames(unit, 0).into_iter().flatten()).find_map(|frame| decoded(&frame))
-        });
+        let mut found = decoded(first);
+        for unit in unit..self.source.units().len() {
+            let mut frames = if found.is_none() { self.source.frames(unit, 0)? } else { break };
+            while let (None, Some(frame)) = (&found, frames.next()) {
+                found = decoded(&frame?);
+            }
+        }
         let (width, height) = found.map(|image| image.dimensions()).ok_or_else(|| {
             Error::value(&self.source.units()[unit].name, "at least one image that can be read", "none")
         })?;

@@ -12,6 +12,7 @@ use zarrs::filesystem::FilesystemStore;
 use super::{ArraySpec, Compression, Dtype, EPISODE_ENDS};
 use crate::dataset::Attributes;
 use crate::error::{Error, Result};
+use crate::file;
 
 /// Folder into which arrays are written.
 #[derive(Debug)]
@@ -98,7 +99,8 @@ impl StoreFolder {
         }
         write_json(&self.root.folder.join(".zattrs"), &Value::Object(attributes))?;
         refuse_existing(&self.root.path)?;
-        fs::rename(&self.root.folder, &self.root.path).map_err(Error::io(&self.root.path))?;
+        file::sync_tree(&self.root.folder)?;
+        file::rename(&self.root.folder, &self.root.path)?;
         self.folder.close().map_err(Error::io(&self.root.path))
     }
 }

@@ -1,6 +1,7 @@
 //! Stores as image sources, one unit per episode.
 
-use super::{StoreLocation, TIMESTAMPS, ZarrReader};
+use super::{EPISODE_ENDS, StoreLocation, TIMESTAMPS, ZarrReader};
+use crate::dataset::identity::InputFiles;
 use crate::dataset::source::{EncodedImage, ImageSource, SourceFrame, SourceFrames, Unit};
 use crate::dataset::{EpisodeReader, time_unit_of};
 use crate::error::Result;
@@ -61,13 +62,28 @@ impl ImageSource for Store {
         &self.units
     }
 
+    fn files(&self) -> Result<InputFiles> {
+        let mut files = InputFiles::new(&self.place.path);
+        if self.place.inside.is_some() {
+            files.add([self.place.path.clone()]);
+            return Ok(files);
+        }
+        for array in [EPISODE_ENDS, TIMESTAMPS, self.camera()] {
+            files.add_folder(array)?;
+        }
+        Ok(files)
+    }
+
     fn frames(&self, unit: usize, from: usize) -> Result<SourceFrames<'_>> {
         let ends = self.reader.episode_ends();
         let (start, end) = (unit.checked_sub(1).map_or(0, |before| ends[before]), ends[unit]);
         let stamps = self.reader.read(TIMESTAMPS, start..end)?.into_f64();
         let frame = move |index: usize| {
-            let image = self.reader.image(start + index).map(EncodedImage::Pixels);
-            SourceFrame::new(stamps[index] * self.seconds, image.map_err(|error| error.to_string()))
+            let image = match self.reader.image(start + index) {
+                Err(error) if error.is_of_medium() => return Err(error),
+                image => image.map(EncodedImage::Pixels).map_err(|error| error.to_string()),
+            };
+            Ok(SourceFrame::new(stamps[index] * self.seconds, image))
         };
         Ok(Box::new((from..end - start).map(frame)))
     }

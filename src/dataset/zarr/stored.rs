@@ -160,6 +160,6 @@ impl StoredArray {
     }
 
     fn retrieve<T: ElementOwned>(&self, subset: &ArraySubset, path: &Path) -> Result<Vec<T>> {
-        self.array.retrieve_array_subset(subset).map_err(|e| Error::file(path, format!("{}: {e}", self.name)))
+        self.array.retrieve_array_subset(subset).map_err(|e| Error::library(path, format!("{}: {e}", self.name)))
     }
 }
