@@ -20,6 +20,8 @@ use super::subject::{Kind, Subject};
 const PARTLY: i32 = 3;
 /// Time for which a process is stopped.
 const PAUSE: Duration = Duration::from_millis(100);
+/// Longest time of an undisturbed run; the experiment renders its data.
+const LONGEST: Duration = Duration::from_secs(1800);
 /// Fewest open files: the program starts with them, and needs more.
 const FEW_FILES: usize = 8;
 
@@ -34,6 +36,8 @@ pub struct Bench<'a> {
     pub subject: &'a Subject,
     /// Output of an undisturbed run.
     pub reference: &'a Reference,
+    /// Output of an undisturbed run on the other input of the same name.
+    pub other: Option<&'a Reference>,
     /// Wall time of an undisturbed run, s.
     pub secs: f64,
     /// Calls of an undisturbed run on the output, and on the input.
@@ -86,6 +90,11 @@ impl Bench<'_> {
         Ok(Outcome { harm, recovery_secs })
     }
 
+    /// Returns the time after which a run hangs.
+    fn limit(&self) -> Duration {
+        Duration::from_secs_f64(60.0 + 20.0 * self.secs)
+    }
+
     /// Copies the input if the fault changes it.
     fn own_input(&self, fault: Fault, folder: &Path) -> Result<Option<PathBuf>> {
         let (Fault::Truncated | Fault::Growing, Some(input)) = (fault, &self.subject.input) else { return Ok(None) };
@@ -116,13 +125,17 @@ impl Bench<'_> {
         if let Some(injection) = fault.injection(draw.run, draw.runs, of) {
             let below = if fault == Fault::ReadError { input.unwrap_or(folder) } else { &folder.join("out") };
             self.library.load(&mut command, &injection, below, &folder.join("counts"))?;
-            return Running::start(command, folder, "faulted")?.wait().map(Some);
+            let ended = Running::start(command, folder, "faulted")?.wait(self.limit())?;
+            if fault == Fault::OtherInput {
+                self.label_other(folder, harm)?;
+            }
+            return Ok(Some(ended));
         }
         if fault == Fault::FewFiles {
             let mut limited = Command::new("sh");
             limited.args(["-c", "ulimit -n $0; exec \"$@\"", &(FEW_FILES + 3 * draw.run).to_string()]);
             limited.arg(self.program).args(self.subject.arguments(input));
-            return Running::start(limited, folder, "faulted")?.wait().map(Some);
+            return Running::start(limited, folder, "faulted")?.wait(self.limit()).map(Some);
         }
         let cut = || cut(input.unwrap_or(folder));
         if fault == Fault::Growing {
@@ -131,7 +144,7 @@ impl Bench<'_> {
         let mut running = Running::start(command, folder, "faulted")?;
         if fault == Fault::Twice {
             let second = Running::start(self.command(self.subject.arguments(input)), folder, "second")?;
-            return self.both(running.wait()?, second.wait()?, harm).map(Some);
+            return self.both(running.wait(self.limit())?, second.wait(self.limit())?, harm).map(Some);
         }
         running.sleep_until(at);
         match fault {
@@ -153,11 +166,7 @@ impl Bench<'_> {
             }
             _ => running.signal("KILL")?,
         }
-        let ended = running.wait()?;
-        if fault == Fault::OtherInput {
-            return self.other(folder, harm).map(|()| Some(ended));
-        }
-        Ok(Some(ended))
+        running.wait(self.limit()).map(Some)
     }
 
     /// Of two runs at once, one succeeds; of two trainings in one folder, only one.
@@ -173,17 +182,20 @@ impl Bench<'_> {
     }
 
     /// Labels another input of the same name into the same output: refused, or the other's own labels.
-    fn other(&self, folder: &Path, harm: &mut Harm) -> Result<()> {
-        let Some(other) = &self.subject.other else { return Ok(()) };
+    fn label_other(&self, folder: &Path, harm: &mut Harm) -> Result<()> {
+        let (Some(input), Some(reference)) = (&self.subject.other, self.other) else { return Ok(()) };
         let out = folder.join(self.subject.out);
-        let ended = Running::start(self.command(self.subject.arguments(Some(other))), folder, "other")?.wait()?;
-        if ended.code == Some(0) {
-            harm.add(|harm| &mut harm.mixed_up, "another input of the same name goes on with the first one's labels");
+        let command = self.command(self.subject.arguments(Some(input)));
+        let ended = Running::start(command, folder, "other")?.wait(self.limit())?;
+        if ended.code != Some(0) {
+            return Ok(());
         }
-        if ended.code == Some(0) && out.exists() {
-            fs::remove_dir_all(&out).map_err(Error::io(&out))?;
+        let mut found = Harm::default();
+        reference.compare(&out, false, &mut found);
+        if !found.is_none() {
+            harm.add(|harm| &mut harm.mixed_up, "another input of the same name gets the first one's labels");
         }
-        Ok(())
+        clear(&folder.join("out"))
     }
 
     /// Checks the status of the disturbed run and the output that it left.
@@ -255,7 +267,7 @@ impl Bench<'_> {
                 Fault::Vanishing if !before => self.subject.arguments(input),
                 _ => self.subject.resume(input),
             };
-            Running::start(self.command(arguments), folder, "recovery")?.wait()
+            Running::start(self.command(arguments), folder, "recovery")?.wait(self.limit())
         };
         let mut ended = again()?;
         let mut secs = ended.secs;
@@ -303,20 +315,26 @@ impl Bench<'_> {
             None => Injection::count(),
         };
         self.library.load(&mut command, &injection, below.unwrap_or(&out), &counts)?;
-        succeed(Running::start(command, folder, "count")?.wait()?, self.subject.name)?;
+        succeed(Running::start(command, folder, "count")?.wait(self.limit())?, self.subject.name)?;
         Counts::read(&counts)
     }
 }
 
-/// Runs the undisturbed command in a new folder; returns its wall time, s.
+/// Runs the undisturbed command on `input` in a new folder; returns its wall time, s.
 ///
 /// # Errors
 /// If it fails.
-pub fn undisturbed(program: &Path, subject: &Subject, folder: &Path, rendered: &Path) -> Result<f64> {
+pub fn undisturbed(
+    program: &Path,
+    subject: &Subject,
+    input: Option<&Path>,
+    folder: &Path,
+    rendered: &Path,
+) -> Result<f64> {
     subject.prepare(folder, rendered)?;
     let mut command = Command::new(program);
-    command.args(subject.arguments(subject.input.as_deref()));
-    let ended = Running::start(command, folder, "undisturbed")?.wait()?;
+    command.args(subject.arguments(input));
+    let ended = Running::start(command, folder, "undisturbed")?.wait(LONGEST)?;
     let secs = ended.secs;
     succeed(ended, subject.name)?;
     Ok(secs)
