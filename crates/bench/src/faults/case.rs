@@ -6,18 +6,17 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use egotac::dataset::copy_folder;
 use egotac::error::{Error, Result};
 
+use super::alter::{clear, cut, restore};
 use super::check::{Harm, Reference};
-use super::content;
 use super::fault::Fault;
 use super::inject::{Counts, Injection, Library};
-use super::process::{Ended, Running, left_behind};
+use super::process::{Ended, Running};
 use super::subject::{Kind, Subject};
 
 /// Exit status if a part of the input could not be labelled.
-const PARTLY: i32 = 3;
+pub(super) const PARTLY: i32 = 3;
 /// Time for which a process is stopped.
 const PAUSE: Duration = Duration::from_millis(100);
 /// Longest time of an undisturbed run; the experiment renders its data.
@@ -169,10 +168,11 @@ impl Bench<'_> {
         running.wait(self.limit()).map(Some)
     }
 
-    /// Of two runs at once, one succeeds; of two trainings in one folder, only one.
+    /// Of two runs at once, one succeeds, or each labels a part; of two trainings in one folder, only one succeeds.
     fn both(&self, first: Ended, second: Ended, harm: &mut Harm) -> Result<Ended> {
         let good = [&first, &second].iter().filter(|ended| ended.code == Some(0)).count();
-        if good == 0 {
+        let parts = [&first, &second].iter().all(|ended| ended.code == Some(PARTLY));
+        if good == 0 && !parts {
             harm.add(|harm| &mut harm.wrong_status, format!("both runs fail: {} {}", first.told, second.told));
         }
         if good == 2 && self.subject.kind == Kind::Train {
@@ -198,53 +198,6 @@ impl Bench<'_> {
         clear(&folder.join("out"))
     }
 
-    /// Checks the status of the disturbed run and the output that it left.
-    fn judge(&self, fault: Fault, ended: Option<&Ended>, out: &Path, harm: &mut Harm) {
-        let Some(ended) = ended else { return };
-        let killed = matches!(fault, Fault::KillAtRandom | Fault::KillAtCall | Fault::OtherInput);
-        let said = ended.told.lines().last().unwrap_or_default();
-        let wrong = |harm: &mut Harm, what: &str| harm.add(|harm| &mut harm.wrong_status, format!("{what}: {said}"));
-        match (ended.hangs, ended.signal, ended.code) {
-            (true, ..) => wrong(harm, "the run hangs"),
-            (_, Some(9), _) if killed => {}
-            (_, Some(signal), _) => wrong(harm, &format!("signal {signal}")),
-            (.., Some(0)) if !out.exists() && fault != Fault::Vanishing => {
-                wrong(harm, "exit status 0 without an output");
-            }
-            (.., Some(0 | 1)) => {}
-            (.., Some(PARTLY)) if self.subject.kind == Kind::Label => {
-                return self.reference.compare(out, true, harm);
-            }
-            // The loader of shared libraries says 127 where it can't open one.
-            (.., Some(127)) if fault == Fault::FewFiles => {}
-            (.., code) => wrong(harm, &format!("exit status {code:?}")),
-        }
-        if ended.code == Some(1) && ended.told.trim().is_empty() {
-            wrong(harm, "a failure without a reason");
-        }
-        if ended.code == Some(0) && out.exists() {
-            self.reference.compare(out, matches!(fault, Fault::Growing | Fault::Truncated), harm);
-        } else {
-            self.visible(out, harm);
-        }
-    }
-
-    /// Checks that an unfinished run shows no output, or a valid one.
-    fn visible(&self, out: &Path, harm: &mut Harm) {
-        if !out.exists() {
-            return;
-        }
-        if self.subject.is_atomic() {
-            return self.reference.compare(out, false, harm);
-        }
-        for (name, bytes) in content::files(out).unwrap_or_default() {
-            let hidden = name.iter().any(|part| part.to_string_lossy().starts_with('.'));
-            if let (false, Err(why)) = (hidden, content::whole(&name, &bytes)) {
-                harm.add(|harm| &mut harm.half_written, why);
-            }
-        }
-    }
-
     /// Gives the command again, without the fault; returns the time that it takes, s.
     fn recover(
         &self,
@@ -257,7 +210,7 @@ impl Bench<'_> {
         let out = folder.join(self.subject.out);
         // Who let labels be missing, or changed the input, starts afresh where the command says so.
         let changed = matches!(fault, Fault::Truncated | Fault::Growing);
-        if code == Some(PARTLY) || changed && code == Some(0) {
+        if code == Some(PARTLY) && fault != Fault::Twice || changed && code == Some(0) {
             clear(&folder.join("out"))?;
         }
         let before = out.exists();
@@ -282,24 +235,6 @@ impl Bench<'_> {
             harm.add(|harm| &mut harm.wrong_status, format!("the same command again: {:?}, {told}", ended.code));
         }
         Ok(secs)
-    }
-
-    fn leftovers(&self, folder: &Path, harm: &mut Harm) -> Result<()> {
-        let processes = left_behind(folder);
-        if processes > 0 {
-            harm.add(|harm| &mut harm.leftovers, format!("{processes} processes"));
-        }
-        let expected = Path::new(self.subject.out).file_name();
-        for place in ["out", "tmp"] {
-            let path = folder.join(place);
-            for entry in fs::read_dir(&path).map_err(Error::io(&path))? {
-                let name = entry.map_err(Error::io(&path))?.file_name();
-                if Some(name.as_os_str()) != expected || place == "tmp" {
-                    harm.add(|harm| &mut harm.leftovers, format!("{place}/{}", name.display()));
-                }
-            }
-        }
-        Ok(())
     }
 
     /// Runs the undisturbed command in a new folder and counts its calls on files below `below`.
@@ -345,39 +280,4 @@ fn succeed(ended: Ended, name: &str) -> Result<()> {
         Some(0) => Ok(()),
         code => Err(Error::value(name, "exit status 0 without a fault", format!("{code:?}: {}", ended.told))),
     }
-}
-
-/// Removes everything in a folder.
-fn clear(folder: &Path) -> Result<()> {
-    fs::remove_dir_all(folder).map_err(Error::io(folder))?;
-    fs::create_dir_all(folder).map_err(Error::io(folder))
-}
-
-/// Copies a file or folder over `to`, with the times of the original.
-fn restore(from: &Path, to: &Path) -> Result<()> {
-    if from.is_file() {
-        let parent = to.parent().unwrap_or(to);
-        fs::create_dir_all(parent).map_err(Error::io(parent))?;
-        fs::copy(from, to).map_err(Error::io(to))?;
-    } else {
-        if to.exists() {
-            fs::remove_dir_all(to).map_err(Error::io(to))?;
-        }
-        copy_folder(from, to, false)?;
-    }
-    for name in content::files(from)?.keys() {
-        let [from, to] = [from, to].map(|path| if name.as_os_str().is_empty() { path.into() } else { path.join(name) });
-        let times = fs::metadata(&from).and_then(|metadata| metadata.modified()).map_err(Error::io(&from))?;
-        fs::File::options().write(true).open(&to).and_then(|file| file.set_modified(times)).map_err(Error::io(&to))?;
-    }
-    Ok(())
-}
-
-/// Cuts the largest file of an input in half.
-fn cut(input: &Path) -> Result<()> {
-    let files = content::files(input)?;
-    let Some((name, bytes)) = files.iter().max_by_key(|(_, bytes)| bytes.len()) else { return Ok(()) };
-    let path = if name.as_os_str().is_empty() { input.to_path_buf() } else { input.join(name) };
-    let file = fs::File::options().write(true).open(&path).map_err(Error::io(&path))?;
-    file.set_len(bytes.len() as u64 / 2).map_err(Error::io(&path))
 }

@@ -2,12 +2,14 @@
 //!
 //! A later command is one more [`subject::Subject`], a later fault one more [`fault::Fault`].
 
+mod alter;
 pub mod case;
 pub mod check;
 pub mod content;
 pub mod fault;
 pub mod inject;
 pub mod input;
+mod judge;
 pub mod process;
 pub mod subject;
 pub mod table;
