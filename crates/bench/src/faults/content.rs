@@ -29,7 +29,7 @@ pub struct Entry {
 pub fn entries(path: &Path) -> Result<Vec<Entry>> {
     // Names that no output has: the data set is opened as one that could be labelled again.
     let options = FormatOptions {
-        camera: path.join("meta").is_dir().then(|| CAMERA.into()),
+        camera: path.join("meta/info.json").is_file().then(|| CAMERA.into()),
         frame_dt: 0.04,
         prefix: Some("again".into()),
         labels_topic: Some("/again".into()),

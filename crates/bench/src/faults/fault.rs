@@ -100,7 +100,7 @@ impl Fault {
         let (calls, action, goes_on) = match self {
             // Renames and fsyncs first, as the moments when files appear.
             Self::KillAtCall if run % 2 == 0 => ("sync,rename", "kill", false),
-            Self::KillAtCall => (CHANGES, "kill", false),
+            Self::KillAtCall | Self::OtherInput => (CHANGES, "kill", false),
             Self::WriteError => ("write,sync,rename", EIO, false),
             Self::ReadError => ("read", EIO, false),
             Self::DiskFull => ("write,create", ENOSPC, true),

@@ -2,12 +2,14 @@
 //!
 //! A later command is one more [`subject::Subject`], a later fault one more [`fault::Fault`].
 
+mod alter;
 pub mod case;
 pub mod check;
 pub mod content;
 pub mod fault;
 pub mod inject;
 pub mod input;
+mod judge;
 pub mod process;
 pub mod subject;
 pub mod table;
@@ -73,12 +75,21 @@ fn rows_of(
         Kind::Experiment => first.join(subject.out).join("work/data"),
         _ => PathBuf::new(),
     };
-    undisturbed(program, subject, &first, &PathBuf::new())?;
-    let secs = undisturbed(program, subject, &second, &rendered)?;
+    let run = |input: &Option<PathBuf>, folder: &Path, rendered: &Path| {
+        undisturbed(program, subject, input.as_deref(), folder, rendered)
+    };
+    run(&subject.input, &first, Path::new(""))?;
+    let secs = run(&subject.input, &second, &rendered)?;
     let [outs_first, outs_second] = [&first, &second].map(|run| run.join(subject.out));
     let reference = Reference::read(&outs_first, &outs_second, subject.sets)?;
-    let mut bench =
-        Bench { program, library, subject, reference: &reference, secs, calls: Default::default(), rendered };
+    let mut other = None;
+    if subject.other.is_some() {
+        let folder = work.join("other");
+        run(&subject.other, &folder, Path::new(""))?;
+        other = Some(Reference::read(&folder.join(subject.out), &folder.join(subject.out), subject.sets)?);
+    }
+    let (calls, reference, other) = (Default::default(), &reference, other.as_ref());
+    let mut bench = Bench { program, library, subject, reference, other, secs, calls, rendered };
     bench.calls[0] = bench.count(&work.join("counted"), None)?;
     if let Some(input) = &subject.input {
         bench.calls[1] = bench.count(&work.join("counted-input"), Some(input))?;

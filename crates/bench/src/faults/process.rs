@@ -10,8 +10,6 @@ use egotac::error::{Error, Result};
 
 /// Environment variable that marks processes of one case, also those that the program starts.
 const MARK: &str = "EGOTAC_FAULTS_CASE";
-/// Time after which a program counts as hanging. No undisturbed run takes a tenth of it.
-const HANG: Duration = Duration::from_secs(120);
 /// Time that processes get to end after the one that started them.
 const GRACE: Duration = Duration::from_secs(5);
 const POLL: Duration = Duration::from_millis(2);
@@ -71,17 +69,17 @@ impl Running {
         kill.status().map_err(Error::io("sh")).map(drop)
     }
 
-    /// Waits for its end.
+    /// Waits for its end; after `limit` it counts as hanging and is killed.
     ///
     /// # Errors
     /// If waiting fails.
-    pub fn wait(mut self) -> Result<Ended> {
+    pub fn wait(mut self, limit: Duration) -> Result<Ended> {
         let mut hangs = false;
         let status: ExitStatus = loop {
             if let Some(status) = self.child.try_wait().map_err(Error::io("wait"))? {
                 break status;
             }
-            if self.started.elapsed() > HANG {
+            if self.started.elapsed() > limit {
                 hangs = true;
                 // An error means that it has just ended.
                 let _ = self.child.kill();
