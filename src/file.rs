@@ -15,6 +15,8 @@ use sha2::{Digest, Sha256};
 
 use crate::error::{Error, Result};
 
+/// Name of the file in a temporary folder that the process that writes there keeps locked.
+pub const LOCK: &str = "lock";
 /// Number of attempts of [`lock`].
 const LOCK_ATTEMPTS: usize = 20;
 /// Pause between attempts of [`lock`].
@@ -34,6 +36,7 @@ pub fn write(path: &Path, content: &[u8]) -> Result<()> {
     }
     let real = path.canonicalize().ok();
     let path = real.as_deref().unwrap_or(path);
+    let prefix = partial_prefix(path);
     if path.metadata().is_ok_and(|there| !there.is_file() && !there.is_dir()) {
         return std::fs::write(path, content).map_err(Error::io(path));
     }
@@ -41,7 +44,16 @@ pub fn write(path: &Path, content: &[u8]) -> Result<()> {
     std::fs::create_dir_all(folder).map_err(Error::io(folder))?;
     // Temporary files are readable by their owner alone by default; the umask decides here, as for any other file.
     let mode = PermissionsExt::from_mode(0o666);
-    let mut file = tempfile::Builder::new().permissions(mode).tempfile_in(folder).map_err(Error::io(folder))?;
+    let mut builder = tempfile::Builder::new();
+    builder.permissions(mode).prefix(&prefix);
+    remove_leftovers(folder, &prefix);
+    let mut file = loop {
+        let file = builder.tempfile_in(folder).map_err(Error::io(folder))?;
+        // Another process that removes leftovers may have taken it before this one locked it.
+        if lock(file.as_file()) && file.path().exists() {
+            break file;
+        }
+    };
     file.write_all(content).map_err(Error::io(path))?;
     file.as_file().sync_all().map_err(Error::io(path))?;
     file.persist(path).map_err(|error| Error::io(path)(error.error))?;
@@ -87,6 +99,29 @@ pub fn sync_tree(folder: &Path) -> Result<()> {
     sync_folder(folder)
 }
 
+/// Returns the beginning of the names under which the file or folder `path` is written before it gets its name.
+pub fn partial_prefix(path: &Path) -> String {
+    format!(".{}.partial-", path.file_name().unwrap_or_default().to_string_lossy())
+}
+
+/// Removes what killed processes left in `folder` under names that begin with `prefix`: files, and folders with a file
+/// [`LOCK`], that no living process has locked. What can't be removed stays; without locks in the file system, everything.
+pub fn remove_leftovers(folder: &Path, prefix: &str) {
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        if !entry.file_name().to_string_lossy().starts_with(prefix) {
+            continue;
+        }
+        let (path, is_folder) = (entry.path(), entry.file_type().is_ok_and(|kind| kind.is_dir()));
+        let locked = if is_folder { path.join(LOCK) } else { path.clone() };
+        let Ok(held) = input::open(&locked) else { continue };
+        if held.try_lock().is_ok() {
+            let removed = if is_folder { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
+            // Ignore a leftover that can't be removed: it belongs to somebody else, or another process was faster.
+            let _ = removed;
+        }
+    }
+}
+
 /// Locks a file against other processes. Returns false if another process holds the lock, and true if the file system
 /// does not support locks: then the user must prevent concurrent use.
 ///
@@ -128,6 +163,26 @@ mod tests {
         write(&path, b"after").unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"after");
         assert_eq!(std::fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn what_a_killed_write_left_is_removed_unless_a_process_holds_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for name in [".a.partial-left", ".a.partial-held", ".b.partial-other"] {
+            std::fs::write(at(name), b"part").unwrap();
+        }
+        for name in [".a.partial-folder", ".a.partial-young"] {
+            std::fs::create_dir(at(name)).unwrap();
+        }
+        std::fs::write(at(".a.partial-folder/lock"), b"").unwrap();
+        let held = File::open(at(".a.partial-held")).unwrap();
+        assert!(lock(&held));
+        write(&at("a"), b"whole").unwrap();
+        let mut names: Vec<_> =
+            std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        assert_eq!(names, [".a.partial-held", ".a.partial-young", ".b.partial-other", "a"]);
     }
 
     #[test]

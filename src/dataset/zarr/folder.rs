@@ -1,6 +1,7 @@
 //! The unfinished folder of a store, which gets its name when all arrays are written.
 
 use std::fs;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -44,6 +45,8 @@ impl StoreRoot {
 pub(super) struct StoreFolder {
     folder: TempDir,
     root: StoreRoot,
+    /// Tells other processes that the folder is in use; the lock ends with the file.
+    _lock: File,
 }
 
 impl StoreFolder {
@@ -58,12 +61,21 @@ impl StoreFolder {
         };
         let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
         fs::create_dir_all(parent).map_err(Error::io(parent))?;
-        let prefix = format!(".{}.partial-", name.to_string_lossy());
-        let folder = tempfile::Builder::new().prefix(&prefix).tempdir_in(parent).map_err(Error::io(parent))?;
+        let prefix = file::partial_prefix(path);
+        file::remove_leftovers(parent, &prefix);
+        let (folder, lock) = loop {
+            let folder = tempfile::Builder::new().prefix(&prefix).tempdir_in(parent).map_err(Error::io(parent))?;
+            let path = folder.path().join(file::LOCK);
+            let lock = File::create(&path).map_err(Error::io(&path))?;
+            // Another process that removes leftovers may have taken the folder before this one locked it.
+            if file::lock(&lock) && path.exists() {
+                break (folder, lock);
+            }
+        };
         // A folder within the temporary one: that one is private to the user, the store gets the usual permissions.
         let root = folder.path().join(name);
         fs::create_dir(&root).map_err(Error::io(&root))?;
-        Ok(Self { root: StoreRoot::new(&root, path)?, folder })
+        Ok(Self { root: StoreRoot::new(&root, path)?, folder, _lock: lock })
     }
 
     /// Returns the path of the finished store.
