@@ -39,7 +39,7 @@ pub fn entries(path: &Path) -> Result<Vec<Entry>> {
     for task in find_tasks(path, Path::new("/again"), &options)?.tasks {
         for unit in 0..task.source.units().len() {
             for frame in task.source.frames(unit, 0)? {
-                let pixels = frame.image.ok().and_then(|image| image.decode().ok());
+                let pixels = frame?.image.ok().and_then(|image| image.decode().ok());
                 pictures.push(pixels.map(|pixels| file::sha256(pixels.as_raw())));
             }
         }
