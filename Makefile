@@ -1,6 +1,6 @@
 # Thin names for scripts/ and cargo.
 
-.PHONY: help setup demo demo-retarget test doctor lint bench fuzz check-cuda
+.PHONY: help setup demo demo-retarget test doctor lint bench fuzz build-times check-cuda
 
 help:
 	@echo 'make setup       what this machine lacks: Python environment, ROS 2, messages, MuJoCo; writes env.sh'
@@ -11,6 +11,7 @@ help:
 	@echo 'make lint        formatting, clippy for each feature set, docs, shell scripts'
 	@echo 'make bench       what accuracy costs in simulation (results in out/bench/), criterion benchmarks'
 	@echo 'make fuzz        crafted hostile files for every reader, an hour each (inputs that fail in out/fuzz/)'
+	@echo 'make build-times the crates that a first build spends its time on'
 	@echo 'make check-cuda  clippy and a build of the feature cuda, with a toolkit from Python wheels'
 
 setup:
@@ -36,6 +37,9 @@ bench:
 
 fuzz:
 	@scripts/fuzz --seconds 3600
+
+build-times:
+	@scripts/build-times
 
 check-cuda:
 	@scripts/check-cuda
