@@ -210,14 +210,15 @@ impl Bench<'_> {
         let out = folder.join(self.subject.out);
         // Who let labels be missing, or changed the input, starts afresh where the command says so.
         let changed = matches!(fault, Fault::Truncated | Fault::Growing);
-        if code == Some(PARTLY) && fault != Fault::Twice || changed && code == Some(0) {
+        // What a run writes after its folder has vanished, such as a log, has no beginning.
+        let vanished = fault == Fault::Vanishing && !self.subject.is_atomic();
+        if code == Some(PARTLY) && fault != Fault::Twice || changed && code == Some(0) || vanished {
             clear(&folder.join("out"))?;
         }
         let before = out.exists();
         let again = || {
             let arguments = match fault {
-                // If nothing is left to go on from, the run begins anew.
-                Fault::Vanishing if !before => self.subject.arguments(input),
+                Fault::Vanishing => self.subject.arguments(input),
                 _ => self.subject.resume(input),
             };
             Running::start(self.command(arguments), folder, "recovery")?.wait(self.limit())

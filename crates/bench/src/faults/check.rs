@@ -83,6 +83,7 @@ impl Reference {
             match content::entries(&path) {
                 Ok(got) => compare_entries(expected, &got, partly, harm),
                 Err(_) if partly && !path.exists() => {}
+                Err(error) if !path.exists() => harm.add(|harm| &mut harm.lost, error.to_string()),
                 Err(error) => harm.add(|harm| &mut harm.half_written, error.to_string()),
             }
         }

@@ -53,7 +53,8 @@ pub fn run(options: &Options, command: String, mut progress: impl FnMut(&Row)) -
     let library = Library::compile(&folder)?;
     let subjects = Subject::all(&folder.join("inputs"), &options.only, options.seed)?;
     let mut rows = Vec::new();
-    for subject in &subjects {
+    let has_cases = |subject: &&Subject| Fault::ALL.iter().any(|fault| fault.runs(subject, options.short) > 0);
+    for subject in subjects.iter().filter(has_cases) {
         let work = folder.join("work").join(subject.name.replace(", ", "-").replace(' ', "-"));
         rows.extend(rows_of(subject, options, &library, &work, &mut progress)?);
         fs::remove_dir_all(&work).map_err(Error::io(&work))?;

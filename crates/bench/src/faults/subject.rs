@@ -136,7 +136,7 @@ impl Subject {
                 arguments
             }
             Kind::Generate => {
-                words(&format!("sim generate poke hover --episodes 4 --jobs 2 --seed 3 --size 32 --out {}", self.out))
+                words(&format!("sim generate poke hover --episodes 3 --jobs 2 --seed 3 --size 32 --out {}", self.out))
             }
             Kind::Train => words("train --config train.yaml"),
             Kind::Experiment => words(&format!(

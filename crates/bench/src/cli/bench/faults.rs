@@ -14,7 +14,7 @@ use crate::faults::{self, Options};
     status or leaves something behind. It needs a C compiler, and writes only below the temporary folder (TMPDIR)."
 )]
 pub struct Args {
-    /// Run a few cases of each command, as CI does.
+    /// Run a few cases of each command but the experiment, as CI does.
     #[arg(long)]
     short: bool,
     /// Only commands whose name contains one of these, comma separated.
