@@ -20,7 +20,7 @@ fn a_variable_raises_and_lowers_its_limit() {
     let image = folder.path().join("a.png");
     image::RgbImage::new(64, 48).save(&image).unwrap();
     let out = folder.path().join("out.safetensors");
-    let args = ["predict", image.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let args = ["predict", "--data", image.to_str().unwrap(), "--out", out.to_str().unwrap()];
     let refused = egotac(&args, Some(("EGOTAC_LIMIT_IMAGE_PIXELS", "3000")));
     let message = String::from_utf8(refused.stderr).unwrap();
     assert!(!refused.status.success() && message.contains("EGOTAC_LIMIT_IMAGE_PIXELS"), "{message}");
