@@ -100,7 +100,7 @@ impl Fault {
     pub fn injection(self, run: usize, runs: usize, of: impl Fn(&str) -> u32) -> Option<Injection> {
         let (calls, action, goes_on) = match self {
             // Renames and fsyncs first, as the moments when files appear.
-            Self::KillAtCall if run % 2 == 0 => ("sync,rename", "kill", false),
+            Self::KillAtCall if run.is_multiple_of(2) => ("sync,rename", "kill", false),
             Self::KillAtCall | Self::OtherInput => (CHANGES, "kill", false),
             Self::WriteError => ("write,sync,rename", EIO, false),
             Self::ReadError => ("read", EIO, false),

@@ -93,11 +93,11 @@ pub fn pt(rng: &mut Rng) -> Case {
     let kinds = ["FloatStorage", "HalfStorage", "BFloat16Storage", "LongStorage", "DoubleStorage", "OddStorage"];
     let mut pickle = b"\x80\x02}(".to_vec();
     for _ in 0..1 + below(rng, 3) {
-        text(&mut pickle, *pick(rng, &names));
+        text(&mut pickle, pick::<&str>(rng, &names));
         pickle.extend(b"ctorch._utils\n_rebuild_tensor_v2\n((");
         text(&mut pickle, "storage");
         pickle.extend(format!("ctorch\n{}\n", pick(rng, &kinds)).bytes());
-        text(&mut pickle, *pick(rng, &["0", "1", "../0"]));
+        text(&mut pickle, pick::<&str>(rng, &["0", "1", "../0"]));
         text(&mut pickle, "cpu");
         pickle.extend(mutate::pickle::integer(often(rng, 4)));
         pickle.extend(b"tQ");
