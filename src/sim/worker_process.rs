@@ -30,6 +30,20 @@ pub struct WorkerCommand {
     pub arguments: Vec<OsString>,
 }
 
+impl WorkerCommand {
+    /// Creates the command that starts this same program as a worker: `sim worker` and further arguments. The worker ends
+    /// with this process.
+    ///
+    /// # Errors
+    /// If the path of this program is unknown.
+    pub fn of_this_program(arguments: impl IntoIterator<Item = OsString>) -> Result<Self> {
+        let program = std::env::current_exe().map_err(Error::io("/proc/self/exe"))?;
+        let parent = std::process::id().to_string();
+        let first = ["sim", "worker", "--parent", &parent].map(OsString::from);
+        Ok(Self { program, arguments: first.into_iter().chain(arguments).collect() })
+    }
+}
+
 /// Request to record an episode.
 #[derive(Debug, Serialize, Deserialize)]
 struct EpisodeRequest {

@@ -53,10 +53,7 @@ pub fn generate(args: &Generate) -> anyhow::Result<()> {
 
 /// Returns the command that starts this program as a worker with the same scenes and options.
 fn workers(args: &Generate, factor: Option<f64>) -> anyhow::Result<WorkerCommand> {
-    let program = std::env::current_exe().context("cannot find the path of this program")?;
-    let mut arguments: Vec<OsString> = ["sim", "worker", "--parent"].map(OsString::from).to_vec();
-    arguments.push(std::process::id().to_string().into());
-    arguments.extend(["--size".into(), args.size.to_string().into()]);
+    let mut arguments: Vec<OsString> = vec!["--size".into(), args.size.to_string().into()];
     let RolloutArgs { shadows, kernel, hands } = &args.rollout;
     arguments.extend(["--sigma".into(), kernel.sigma.to_string().into()]);
     if *shadows {
@@ -76,7 +73,7 @@ fn workers(args: &Generate, factor: Option<f64>) -> anyhow::Result<WorkerCommand
     }
     arguments.push("--".into());
     arguments.extend(args.scenes.iter().map(OsString::from));
-    Ok(WorkerCommand { program, arguments })
+    Ok(WorkerCommand::of_this_program(arguments)?)
 }
 
 pub fn work(args: &Worker) -> anyhow::Result<()> {

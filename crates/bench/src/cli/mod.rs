@@ -58,10 +58,8 @@ pub fn main() -> ExitCode {
 /// Returns worker processes that simulate `scenes` (names or files) with pictures of `size` x `size` pixels.
 #[cfg(feature = "sim")]
 fn sim_workers(size: u32, scenes: impl IntoIterator<Item = OsString>) -> anyhow::Result<egotac::sim::WorkerCommand> {
-    use anyhow::Context;
-    let program = std::env::current_exe().context("path of this program")?;
-    let arguments = ["sim", "worker", "--size", &size.to_string(), "--"].map(OsString::from);
-    Ok(egotac::sim::WorkerCommand { program, arguments: arguments.into_iter().chain(scenes).collect() })
+    let arguments = ["--size", &size.to_string(), "--"].map(OsString::from);
+    Ok(egotac::sim::WorkerCommand::of_this_program(arguments.into_iter().chain(scenes))?)
 }
 
 /// Returns the error of a command that needs the feature `sim`.
