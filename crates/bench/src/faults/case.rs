@@ -59,7 +59,7 @@ pub struct Draw {
 /// Result of a case.
 #[derive(Debug)]
 pub struct Outcome {
-    /// What was found.
+    /// Findings.
     pub harm: Harm,
     /// Time of the recovery, s.
     pub recovery_secs: f64,
@@ -210,7 +210,7 @@ impl Bench<'_> {
         let out = folder.join(self.subject.out);
         // Who let labels be missing, or changed the input, starts afresh where the command says so.
         let changed = matches!(fault, Fault::Truncated | Fault::Growing);
-        // What a run writes after its folder has vanished, such as a log, has no beginning.
+        // A file written after its folder has vanished, such as a log, has no beginning.
         let vanished = fault == Fault::Vanishing && !self.subject.is_atomic();
         if code == Some(PARTLY) && fault != Fault::Twice || changed && code == Some(0) || vanished {
             clear(&folder.join("out"))?;

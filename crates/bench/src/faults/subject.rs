@@ -9,7 +9,7 @@ use egotac::error::{Error, Result};
 
 use super::input;
 
-/// What a command does.
+/// Purpose of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// `egotac label`.
@@ -27,7 +27,7 @@ pub enum Kind {
 pub struct Subject {
     /// Name in the table.
     pub name: &'static str,
-    /// What it does.
+    /// Purpose.
     pub kind: Kind,
     /// Its input; None = it has none that a fault could touch.
     pub input: Option<PathBuf>,
