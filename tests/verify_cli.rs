@@ -3,7 +3,6 @@
 
 mod common;
 
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use candle_core::{Device, Tensor};
@@ -206,7 +205,7 @@ fn a_cube_from_a_mesh_file_scores_like_the_primitive() {
 }
 
 fn write(path: &str, sequence: &TactileSequence) {
-    tensors::write(Path::new(path), sequence, HashMap::new()).unwrap();
+    tensors::write(Path::new(path), sequence, Default::default()).unwrap();
 }
 
 #[test]
