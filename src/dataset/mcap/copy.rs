@@ -12,7 +12,8 @@ use mcap::MAGIC;
 use mcap::records::{AttachmentIndex, Record as Parsed, op};
 
 use super::chunk::{ChunkOutline, log_time};
-use super::records::{PREFIX, Record, chunk_header};
+use super::parse::parse;
+use super::records::{PREFIX, Record, Records, chunk_header};
 use crate::error::{Error, Result};
 
 /// Size at which a chunk of new records is compressed and written, bytes.
@@ -143,7 +144,7 @@ impl CopyWriter {
         match (opcode, body.first_chunk(), log_time(body)) {
             (op::MESSAGE, Some(id), Some(time)) => self.count(u16::from_le_bytes(*id), time),
             (op::METADATA, ..) => {
-                if let Ok(Parsed::Metadata(metadata)) = mcap::parse_record(opcode, body) {
+                if let Some(Parsed::Metadata(metadata)) = parse(opcode, body) {
                     self.metadata.push((self.at, PREFIX + body.len() as u64, metadata.name));
                 }
             }
@@ -193,13 +194,13 @@ impl CopyWriter {
         Ok(())
     }
 
-    /// Copies an attachment; false = its checksum is wrong and it was left out.
+    /// Copies an attachment of the file `original`; false = its checksum is wrong and it was left out.
     ///
     /// # Errors
     /// If a file can't be read or written.
-    pub fn attachment(&mut self, file: &File, record: &Record) -> Result<bool> {
-        let start = record.offset + PREFIX;
-        let Some(index) = attachment_index(file, record, self.at).map_err(Error::io(&self.path))? else {
+    pub fn attachment(&mut self, original: &Records, record: &Record) -> Result<bool> {
+        let (start, file, from) = (record.offset + PREFIX, original.file(), original.path());
+        let Some(index) = attachment_index(file, record, self.at).map_err(Error::io(from))? else {
             return Ok(false);
         };
         let mut prefix = vec![record.opcode];
@@ -209,7 +210,7 @@ impl CopyWriter {
         let mut done = 0;
         while done < record.length {
             let length = (record.length - done).min(COPY as u64) as usize;
-            file.read_exact_at(&mut buffer[..length], start + done).map_err(Error::io(&self.path))?;
+            file.read_exact_at(&mut buffer[..length], start + done).map_err(Error::io(from))?;
             self.write(&buffer[..length])?;
             done += length as u64;
         }

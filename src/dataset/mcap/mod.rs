@@ -10,6 +10,7 @@ mod labels;
 mod messages;
 mod metadata;
 mod note;
+mod parse;
 mod piece;
 mod read_labels;
 mod records;
