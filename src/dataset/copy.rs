@@ -92,11 +92,16 @@ pub fn copy_folder(from: &Path, to: &Path, resume: bool) -> Result<()> {
 /// Copies a regular file, unless `to` has its size.
 ///
 /// # Errors
-/// If it is no regular file, or a file can't be read or written.
+/// If it is no regular file, or a file can't be read or written; the system does not tell which, so the error names both.
 pub(super) fn copy_regular(from: &Path, to: &Path) -> Result<()> {
     let mut source = input::open(from)?;
     let size = source.metadata().map_err(Error::io(from))?.len();
-    copy_file(to, size, |file| std::io::copy(&mut source, file))
+    copy_file(to, size, |file| std::io::copy(&mut source, file)).map_err(|error| match error {
+        Error::Io { path, source } if path == to => {
+            Error::io(format!("{}, copied to {}", from.display(), to.display()))(source)
+        }
+        other => other,
+    })
 }
 
 /// Writes `path` by way of a temporary name, unless it exists with `size` bytes.
