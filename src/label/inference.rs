@@ -13,11 +13,14 @@ use crate::error::{Error, Result};
 use crate::image::Preparation;
 use crate::model::Predictor;
 use crate::model::predictor::Prediction;
+use crate::text::shortened;
 
 /// Number of labels in a journal block.
 const BLOCK: usize = 64;
 /// Longest time between two journal writes: the work that a killed process loses.
 const AT_LATEST: Duration = Duration::from_secs(2);
+/// Largest number of characters of the reason why an image has no label: it may quote the input.
+const REASON: usize = 400;
 /// Number of images that a decoder takes at a time; together with the queue lengths it bounds the memory.
 const BATCH: usize = 4;
 
@@ -232,9 +235,9 @@ fn decode(
                 let image = image.decode().map_err(|error| error.to_string())?;
                 preparation.apply(&image).map_err(|error| error.to_string())
             });
-            let placed = |reason: String| match offset {
-                Some(offset) => format!("at byte {offset}: {reason}"),
-                None => reason,
+            let placed = |reason: String| match (shortened(&reason, REASON), offset) {
+                (reason, Some(offset)) => format!("at byte {offset}: {reason}"),
+                (reason, None) => reason.into_owned(),
             };
             PreparedImage { index, stamp_secs, input: input.map_err(placed), note }
         };

@@ -15,6 +15,7 @@ use crate::node::clock::RosClock;
 use crate::node::lock::lock;
 use crate::node::log::Log;
 use crate::node::runtime::Runtime;
+use crate::text::error_chain;
 
 /// A network with its description.
 pub(super) struct LoadedModel {
@@ -95,8 +96,9 @@ impl Loader {
                 (true, String::new())
             }
             Err(error) => {
-                self.log.warn(format!("the model is not replaced: {error:#}"));
-                (false, format!("{error:#}"))
+                let reason = error_chain(error.as_ref());
+                self.log.warn(format!("the model is not replaced: {reason}"));
+                (false, reason)
             }
         };
         let response = LoadModel::Response { success, message, model_id: model_id.clone() };
