@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from egotac_msgs.msg import HandModelInfo, HandPose, HandTactile, TactileFrame
+from egotac_msgs.srv import LoadModel
 from rcl_interfaces.msg import Log, Parameter, ParameterEvent, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2
@@ -350,6 +351,30 @@ def large():
     camera = Camera(Peer(), qos=BEST_EFFORT)
     for i in range(5):
         camera.frame_of(message(photo(480, 640, seed=i), "rgb8", sec=10 + 10 * i))
+
+
+def hostile_models(folder):
+    """Files that are no usable checkpoint are refused by name, and the network in use goes on with the same predictions."""
+    peer = Peer()
+    (info,) = latched(peer)
+    camera = Camera(peer)
+    load = peer.create_client(LoadModel, "predictor/load_model")
+    peer.wait(load.service_is_ready, "the service")
+    # A pause of ten seconds restarts the stream, so that equal images get equal frames.
+    frame_at = lambda second: camera.frame_of(message(photo(64, 64), "rgb8", sec=second))
+    first = frame_at(10)
+    paths = sorted(Path(folder).iterdir())
+    assert len(paths) > 10, paths
+    for number, path in enumerate(paths):
+        future = load.call_async(LoadModel.Request(model=str(path)))
+        # Images are predicted while the file is read.
+        during = frame_at(100 + 20 * number)
+        peer.wait(future.done, f"the answer about {path.name}")
+        answer = future.result()
+        assert not answer.success and str(path) in answer.message and "\n" not in answer.message, (path.name, answer)
+        assert answer.model_id == info.model_id, (path.name, answer)
+        for frame in (during, frame_at(110 + 20 * number)):
+            assert same_field(frame, first) and frame.model_id == info.model_id, path.name
 
 
 if __name__ == "__main__":
