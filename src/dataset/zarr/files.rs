@@ -1,5 +1,6 @@
 //! Files of a store, in a folder or a zip file: regular files inside the store, with bounded reads.
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::os::unix::fs::FileExt;
@@ -9,7 +10,6 @@ use std::sync::Arc;
 use zarrs::storage::byte_range::{ByteRange, ByteRangeIterator, InvalidByteRangeError};
 use zarrs::storage::{Bytes, MaybeBytesIterator, ReadableStorageTraits, StorageError, StoreKey};
 use zip::ZipArchive;
-use zip::result::ZipError;
 
 use crate::dataset::copy::Tree;
 use crate::error::{Error, Result};
@@ -34,6 +34,8 @@ enum Place {
 struct ZipFiles {
     path: PathBuf,
     archive: ZipArchive<SharedFile>,
+    /// Places of the files by name. The library searches all files for a name that is absent.
+    places: HashMap<String, usize>,
     /// Folder within the archive, ending in `/`, or empty.
     inside: String,
 }
@@ -53,7 +55,9 @@ impl StoreFiles {
     /// If it can't be read or is no zip file.
     pub fn zip(path: &Path, inside: &str) -> Result<Self> {
         let archive = open_zip(path)?;
-        Ok(Self(Place::Zip(ZipFiles { path: path.to_path_buf(), archive, inside: inside.to_string() })))
+        let named = archive.file_names().enumerate().filter_map(|(place, name)| Some((name.ok()?.into_owned(), place)));
+        let (places, inside) = (named.collect(), inside.to_string());
+        Ok(Self(Place::Zip(ZipFiles { path: path.to_path_buf(), archive, places, inside })))
     }
 
     /// Returns the names of the folders directly in `folder`, which ends in `/`.
@@ -95,7 +99,7 @@ impl StoreFiles {
     pub fn has(&self, name: &str) -> Result<bool> {
         match &self.0 {
             Place::Folder(root) => Ok(root.join(name)?.is_file()),
-            Place::Zip(zip) => Ok(zip.archive.index_for_name(&zip.named(name)).is_some()),
+            Place::Zip(zip) => Ok(zip.place(name).is_some()),
         }
     }
 
@@ -218,7 +222,7 @@ impl ReadableStorageTraits for StoreFiles {
                 Err(error) => Err(error.into()),
             },
             Place::Zip(zip) => {
-                let Some(index) = zip.archive.index_for_name(&zip.named(key.as_str())) else { return Ok(None) };
+                let Some(index) = zip.place(key.as_str()) else { return Ok(None) };
                 let mut archive = zip.archive.clone();
                 let entry = archive.by_index_raw(index).map_err(|e| StorageError::Other(e.to_string()))?;
                 Ok(Some(entry.size()))
@@ -236,15 +240,17 @@ impl ZipFiles {
         format!("{}{name}", self.inside)
     }
 
+    /// Returns the index of a file of the store.
+    fn place(&self, name: &str) -> Option<usize> {
+        self.places.get(&self.named(name)).copied()
+    }
+
     /// Reads a file of the archive whole, and checks its checksum; None if there is none.
     fn read(&self, name: &str, limit: Limit) -> Result<Option<Vec<u8>>> {
         let fail = |error: &dyn std::fmt::Display| Error::file(&self.path, format!("{}: {error}", self.named(name)));
+        let Some(place) = self.place(name) else { return Ok(None) };
         let mut archive = self.archive.clone();
-        let entry = match archive.by_name(&self.named(name)) {
-            Ok(entry) => entry,
-            Err(ZipError::FileNotFound) => return Ok(None),
-            Err(error) => return Err(fail(&error)),
-        };
+        let entry = archive.by_index(place).map_err(|error| fail(&error))?;
         limit.check(&self.path, name, entry.size())?;
         let mut bytes = Vec::new();
         // The size in the archive's directory may be wrong.
