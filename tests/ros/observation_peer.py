@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Takes the roles of camera, arm and predictor for examples/observation_builder.py, in one process; started by
-`tests/ros_observation.rs`."""
+`tests/ros/observation.rs`."""
 import pathlib
 import sys
 

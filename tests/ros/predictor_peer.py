@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Checks the node `predictor` from outside, one check per function; `tests/ros_predictor.rs` starts the node.
+"""Checks the node `predictor` from outside, one check per function; `tests/ros/predictor.rs` starts the node.
 
 Usage: predictor_peer.py CHECK [ARGUMENT...]
 """

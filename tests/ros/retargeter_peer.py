@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Takes the roles of hand tracker, predictor and robot driver for the node `retargeter`; `tests/ros_retargeter.rs` starts
+"""Takes the roles of hand tracker, predictor and robot driver for the node `retargeter`; `tests/ros/retargeter.rs` starts
 the node.
 
 Usage: retargeter_peer.py CHECK CASE.json

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Checks the node `simulator` from outside, one check per function; `tests/ros_simulator.rs` starts the node.
+"""Checks the node `simulator` from outside, one check per function; `tests/ros/simulator.rs` starts the node.
 
 Usage: simulator_peer.py CHECK
 """

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Checks the node `trainer` from outside, one check per function; `tests/ros_trainer.rs` starts the nodes.
+"""Checks the node `trainer` from outside, one check per function; `tests/ros/trainer.rs` starts the nodes.
 
 Usage: trainer_peer.py CHECK [ARGUMENT...]
 """

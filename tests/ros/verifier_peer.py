@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Takes the roles of predictor and simulator for the node `verifier`; `tests/ros_verifier.rs` starts the node.
+"""Takes the roles of predictor and simulator for the node `verifier`; `tests/ros/verifier.rs` starts the node.
 
 Usage: verifier_peer.py CHECK
 """

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Writes expected.json beside this file: agreement scores by scikit-learn, scipy and numpy of fields that
-tests/label_agreement.rs builds by the same integer formulas. Needs numpy, scipy, scikit-learn."""
+tests/label/agreement.rs builds by the same integer formulas. Needs numpy, scipy, scikit-learn."""
 import json
 import pathlib
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the messages of tests/message_golden.rs as ROS 2 serialises them: one .cdr file per message, beside this script.
+"""Writes the messages of tests/message/golden.rs as ROS 2 serialises them: one .cdr file per message, beside this script.
 
 Needs rclpy and a built egotac_msgs (`source env.sh`). Every number that is sent in single precision is exact in it.
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes expected.json beside this file: scores by scikit-learn, scipy and numpy of fields that tests/metrics.rs
+"""Writes expected.json beside this file: scores by scikit-learn, scipy and numpy of fields that tests/score/metrics.rs
 builds by the same integer formulas. Needs numpy, scipy, scikit-learn."""
 import json
 import pathlib

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the golden files of tests/model_parity.rs: small random networks, their inputs, and what each stage gives.
+"""Writes the golden files of tests/model/parity.rs: small random networks, their inputs, and what each stage gives.
 
 Needs torch, transformers and safetensors (CPU builds do):
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the files of tests/model_pretrained.rs and tests/model_import.rs (needs torch, transformers and safetensors):
+"""Writes the files of tests/model/pretrained.rs and tests/model/import.rs (needs torch, transformers and safetensors):
 
     python tests/data/model/pretrained.py        # writes pretrained_*.safetensors and foreign.pth beside this script
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Writes python.zarr beside this file: a small store by zarr-python, with one compressor per array.
 
-Needs zarr 2.x and numpy. The values are formulas that tests/zarr.rs computes again:
+Needs zarr 2.x and numpy. The values are formulas that tests/dataset/zarr.rs computes again:
 T = 5 frames in two episodes [2, 5], 8 x 10 images.
 """
 import pathlib

@@ -1,0 +1,10 @@
+//! Commands of `egotac` that belong to no other group.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod doctor;
+mod eval;
+mod examples;
+mod external;
+mod limits;

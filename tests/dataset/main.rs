@@ -1,0 +1,6 @@
+//! Formats of recordings.
+
+mod mcap_bag;
+mod zarr;
+#[cfg(feature = "sim")]
+mod zarr_python;

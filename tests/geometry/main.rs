@@ -1,0 +1,4 @@
+//! Distances, meshes and the spread of forces.
+
+mod force;
+mod surface;

@@ -1,0 +1,9 @@
+//! The hand: shapes, poses, files, maps.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod builtin;
+mod cli;
+mod mano;
+mod map;

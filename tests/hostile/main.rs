@@ -1,0 +1,8 @@
+//! Input made to do harm.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod pytorch_file;
+mod recordings;
+mod weights;

@@ -1,0 +1,4 @@
+//! Decoding and preparation of images.
+
+mod prepare;
+mod raw;

@@ -1,0 +1,11 @@
+//! `egotac label` and the agreement of labels.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod agreement;
+mod bag_cli;
+mod identity;
+mod lerobot_cli;
+mod store_cli;
+mod video_cli;

@@ -1,0 +1,4 @@
+//! ROS messages and their bytes.
+
+mod golden;
+mod robust;

@@ -1,0 +1,18 @@
+//! The network, its checkpoints and the predictor.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod budget;
+mod checkpoint;
+mod cli;
+mod engine;
+mod grow;
+mod import;
+mod ops;
+mod parity;
+mod predictor;
+mod pretrained;
+mod shipped;
+mod stable;
+mod window;

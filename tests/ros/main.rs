@@ -1,0 +1,21 @@
+//! The ROS 2 nodes, with rclpy peers.
+#![cfg(feature = "ros")]
+
+mod harness;
+#[cfg(feature = "sim")]
+#[path = "../../crates/bench/src/retarget/trajectory.rs"]
+#[allow(dead_code)] // used in part
+mod trajectory;
+
+#[cfg(feature = "sim")]
+mod docs;
+#[cfg(feature = "sim")]
+mod launch_files;
+mod observation;
+mod predictor;
+#[cfg(feature = "sim")]
+mod retargeter;
+#[cfg(feature = "sim")]
+mod simulator;
+mod trainer;
+mod verifier;

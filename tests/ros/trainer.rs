@@ -1,0 +1,156 @@
+//! The program `egotac_trainer` with an rclpy peer in the role of camera and truth, and a predictor that takes its checkpoints.
+
+use std::path::PathBuf;
+
+use crate::harness::{Running, Session};
+use candle_core::{Device, Tensor};
+use candle_nn::VarMap;
+use egotac::dataset::zarr::{Contact, ZarrWriter};
+use egotac::dataset::{Attributes, EpisodeWriter, Frame};
+use egotac::hand::Topology;
+use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
+use egotac::tactile::{N_FIELD, TactileField, Validity};
+use image::{Rgb, RgbImage};
+
+const TRAINER: &str = env!("CARGO_BIN_EXE_egotac_trainer");
+const PREDICTOR: &str = env!("CARGO_BIN_EXE_egotac_predictor");
+const PEER: &str = "trainer_peer.py";
+
+/// Writes a store in which the brightness of the image is proportional to the force on the first vertices.
+fn store(session: &Session) -> PathBuf {
+    let path = session.path("train.zarr");
+    let attributes: Attributes = serde_json::from_value(serde_json::json!({ "topology": "egotac-hand-1" })).unwrap();
+    let mut writer = ZarrWriter::create(&path, attributes, Contact::Truth, Vec::new()).unwrap();
+    for t in 0..60 {
+        let level = (t * 37 % 11) as f32 / 10.0;
+        let force = (0..N_FIELD).map(|v| if v < 50 { level } else { 0.0 }).collect();
+        let frame = Frame {
+            timestamp: 0.04 * f64::from(t),
+            camera_ego_rgb: RgbImage::from_pixel(64, 64, Rgb([(200.0 * level) as u8, 90, 90])),
+            field: TactileField::from_force(Topology::EgotacHand1, force).unwrap(),
+            force_valid: vec![1; N_FIELD],
+            contact_valid: vec![1; N_FIELD],
+            validity: Validity::Valid,
+            left_hand_pose: None,
+            right_hand_pose: None,
+        };
+        writer.push(frame).unwrap();
+    }
+    writer.end_episode().unwrap();
+    writer.finish().unwrap();
+    path
+}
+
+/// Writes a configuration for a small network; returns its path.
+fn config(session: &Session, data: &str, more: &str) -> String {
+    let path = session.path("config.yaml");
+    let text = format!(
+        "name: node\ndata: [{data}]\nout: run\nmodel: toy\nseed: 1\nsteps: 150\nframe_dt: 0.04\n\
+         optimizer: {{ learning_rate: 0.004, final_learning_rate: 0.0001 }}\nema: 0.9\nbatch: {{ clips: 3, windows: 8 }}\n{more}"
+    );
+    std::fs::write(&path, text).unwrap();
+    path.display().to_string()
+}
+
+fn trainer(session: &Session, more: &[&str]) -> Running {
+    let folder = format!("folder:={}", session.path("trainer").display());
+    session.node(TRAINER, &[&["-p", &folder], more].concat())
+}
+
+#[test]
+fn a_goal_sends_feedback_and_returns_a_checkpoint_with_scores() {
+    let session = Session::new();
+    let store = store(&session).display().to_string();
+    let config = config(&session, &store, &format!("validation: [{store}]\n"));
+    let mut node = trainer(&session, &[]);
+    session.check(PEER, &["trains", &config, &session.path("run").display().to_string()]);
+    node.ends_cleanly("INT");
+}
+
+#[test]
+fn an_invalid_goal_is_rejected_with_the_reason() {
+    let session = Session::new();
+    let config = config(&session, &store(&session).display().to_string(), "");
+    let mut node = trainer(&session, &[]);
+    session.check(PEER, &["refuses", &config, &session.path("").display().to_string()]);
+    node.ends_cleanly("TERM");
+}
+
+#[test]
+fn a_cancelled_goal_resumes_and_a_signal_stops_a_training() {
+    let session = Session::new();
+    let config = config(&session, &store(&session).display().to_string(), "");
+    let mut node = trainer(&session, &[]);
+    session.check(PEER, &["cancels", &config, &session.path("run").display().to_string()]);
+    node.ends_cleanly("INT");
+}
+
+#[test]
+fn live_frames_are_recorded_within_limits_while_rounds_train_on_them() {
+    let session = Session::new();
+    let config = config(&session, "none.zarr", "augment: { mirror: 0.0 }\n");
+    let text = std::fs::read_to_string(&config).unwrap().replace("steps: 150", "steps: 120");
+    std::fs::write(&config, text).unwrap();
+    let live = [
+        "-p",
+        "max_recorded_mb:=0.05",
+        "-p",
+        "episode_secs:=1.0",
+        "-p",
+        "min_live_frames:=60",
+        "-p",
+        "round_steps:=40",
+    ];
+    let mut node = trainer(&session, &live);
+    session.check(PEER, &["live", &config, &session.path("trainer").display().to_string()]);
+    node.ends_cleanly("INT");
+}
+
+#[test]
+fn a_predictor_takes_another_network_and_misses_no_image() {
+    let session = Session::new();
+    let first = session.checkpoint(&Config::toy());
+    let save = |name: &str, topology: Topology| {
+        let (path, vars) = (session.path(name), VarMap::new());
+        EgoTac::new(&Config::toy(), init::var_builder(&vars, 7, &Device::Cpu)).unwrap();
+        let metadata = Metadata { topology, ..Metadata::new("second", 1.0, 0.04) };
+        Checkpoint::save(&path, &Config::toy(), &metadata, &vars).unwrap();
+        path
+    };
+    let (second, other) = (save("second.safetensors", Topology::EgotacHand1), save("mano.safetensors", Topology::Mano));
+    // One weight of the file is NaN.
+    let spoilt = session.path("spoilt.safetensors");
+    let mut bytes = std::fs::read(&second).unwrap();
+    let end = bytes.len();
+    bytes[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+    std::fs::write(&spoilt, bytes).unwrap();
+    let model = format!("model:={}", first.display());
+    let mut node = session.node(PREDICTOR, &["-p", &model, "-p", "reliability:=reliable"]);
+    let paths = [second, other, spoilt].map(|path| path.display().to_string());
+    session.check(PEER, &["swaps", &paths[0], &paths[1], &paths[2]]);
+    node.ends_cleanly("INT");
+}
+
+#[test]
+fn live_training_improves_the_predictor() {
+    let session = Session::new();
+    let vars = VarMap::new();
+    EgoTac::new(&Config::toy(), init::var_builder(&vars, 1, &Device::Cpu)).unwrap();
+    for var in vars.all_vars() {
+        var.set(&Tensor::randn(0f32, 0.05, var.shape(), &Device::Cpu).unwrap()).unwrap();
+    }
+    let first = session.path("first.safetensors");
+    Checkpoint::save(&first, &Config::toy(), &Metadata::new("random", 1.0, 0.04), &vars).unwrap();
+    let config =
+        config(&session, "none.zarr", "augment: { mirror: 0.0, crop: 0.0, view_scale: 0.0 }\nloss: { active: 1.0 }\n");
+    let text = std::fs::read_to_string(&config).unwrap().replace("steps: 150", "steps: 600");
+    std::fs::write(&config, text).unwrap();
+    let model = format!("model:={}", first.display());
+    let mut predictor = session.node(PREDICTOR, &["-p", &model, "-p", "reliability:=reliable"]);
+    let live = ["-p", "min_live_frames:=250", "-p", "round_steps:=300", "-p", "episode_secs:=2.0"];
+    let notify = ["-p", "notify:=predictor/load_model"];
+    let mut node = trainer(&session, &[&live[..], &notify].concat());
+    session.check(PEER, &["improves", &config, &session.path("trainer").display().to_string()]);
+    node.ends_cleanly("INT");
+    predictor.ends_cleanly("INT");
+}

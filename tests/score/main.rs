@@ -1,0 +1,8 @@
+//! Metrics and verification.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod metrics;
+#[cfg(feature = "sim")]
+mod verify_cli;

@@ -1,0 +1,9 @@
+//! Training.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod batch;
+mod folder;
+mod initial_weights;
+mod training;
