@@ -4,38 +4,13 @@
 //! wake up too late. The helpers of a team spin while the frame is under way. The leader also takes tasks, and completes
 //! every step even if no helper ever arrives.
 
-use std::any::Any;
-use std::cell::{Cell, UnsafeCell};
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+mod step;
+mod sync;
 
-/// Times that a waiting thread looks for work before it yields its processor. A helper that
-/// yields at once misses the next step; one that never yields takes time from others on a busy machine.
-const SPINS: usize = 4_000;
-/// Bits of each of the two low fields of [`Team::work`]: number of tasks, and next task. The step takes the rest.
-const BITS: u32 = 16;
-/// Mask of one field, also the largest number of tasks of a step.
-const MASK: u64 = (1 << BITS) - 1;
+use std::cell::Cell;
+use std::panic::resume_unwind;
 
-type Task = *const (dyn Fn(usize) + Sync);
-
-/// The state that the threads of one frame share.
-struct Team {
-    /// Step, number of tasks and next task, in one word: taking a task is one atomic exchange, and fails if the step is
-    /// over.
-    work: AtomicU64,
-    /// The function of the current step; written before `work` announces the step.
-    task: UnsafeCell<Option<Task>>,
-    /// Finished tasks of the current step.
-    done: AtomicUsize,
-    /// True once the frame is finished.
-    over: AtomicBool,
-}
-
-// SAFETY: `task` is the only field that is not atomic. The leader alone writes it, at the start of a step, when every
-// task of the step before is done and `work` offers none; a thread reads it only after it took a task of the current
-// step from `work`, whose release and acquire order the write before the read.
-unsafe impl Sync for Team {}
+use step::Team;
 
 thread_local! {
     /// The team that this thread leads; null for none.
@@ -44,12 +19,7 @@ thread_local! {
 
 /// Runs `lead` in rayon's pool; the pool's other threads help with each [`run`] that it calls.
 pub fn lead<R: Send>(lead: impl FnOnce() -> R + Send) -> R {
-    let team = Team {
-        work: AtomicU64::new(0),
-        task: UnsafeCell::new(None),
-        done: AtomicUsize::new(0),
-        over: AtomicBool::new(false),
-    };
+    let team = Team::new();
     rayon::scope(|scope| {
         let team = &team;
         for _ in 1..rayon::current_num_threads() {
@@ -67,7 +37,7 @@ struct End<'a>(&'a Team, *const Team);
 impl Drop for End<'_> {
     fn drop(&mut self) {
         LEADS.set(self.1);
-        self.0.over.store(true, Ordering::Release);
+        self.0.end();
     }
 }
 
@@ -75,7 +45,7 @@ impl Drop for End<'_> {
 /// alone if it leads none.
 pub fn run(count: usize, task: impl Fn(usize) + Sync) {
     let team = LEADS.get();
-    if team.is_null() || count <= 1 || count as u64 > MASK {
+    if team.is_null() || count <= 1 || count as u64 > step::MASK {
         return (0..count).for_each(task);
     }
     // A nested step runs on the thread that meets it: the team is busy with the outer one.
@@ -133,89 +103,15 @@ impl<T> Pointer<T> {
 // per task, so threads never share a value; T: Send lets a value be written by another thread.
 unsafe impl<T: Send> Sync for Pointer<T> {}
 
-impl Team {
-    fn run(&self, count: usize, task: &(dyn Fn(usize) + Sync)) -> Result<(), Box<dyn Any + Send>> {
-        // SAFETY: only the lifetime changes. This function returns only when `done` has reached `count`: all taken tasks
-        // have returned and `work` offers no more, so the reference is not used after the borrow ends.
-        let task: Task =
-            unsafe { std::mem::transmute::<&(dyn Fn(usize) + Sync), &'static (dyn Fn(usize) + Sync)>(task) };
-        // SAFETY: the previous step is over (`done` reached its count), so no thread reads the cell; see `Sync`.
-        unsafe {
-            *self.task.get() = Some(task);
-        }
-        self.done.store(0, Ordering::Relaxed);
-        let step = (self.work.load(Ordering::Relaxed) >> (2 * BITS)) + 1;
-        self.work.store(step << (2 * BITS) | (count as u64) << BITS, Ordering::Release);
-        let result = catch_unwind(AssertUnwindSafe(|| while self.take() {}));
-        if result.is_err() {
-            // The remaining tasks are withdrawn, and count as done for the wait below.
-            let word = self.work.fetch_or(MASK, Ordering::AcqRel);
-            let taken = (word & MASK).min(count as u64) as usize;
-            self.done.fetch_add(count - taken, Ordering::Release);
-        }
-        let mut spins = 0;
-        while self.done.load(Ordering::Acquire) < count {
-            wait(&mut spins);
-        }
-        result
-    }
-
-    /// Takes a task of the current step and runs it. Returns false if there is none.
-    fn take(&self) -> bool {
-        let mut word = self.work.load(Ordering::Acquire);
-        loop {
-            let (count, next) = (word >> BITS & MASK, word & MASK);
-            if next >= count {
-                return false;
-            }
-            match self.work.compare_exchange_weak(word, word + 1, Ordering::AcqRel, Ordering::Acquire) {
-                Err(now) => word = now,
-                Ok(_) => {
-                    let _done = Done(&self.done);
-                    // SAFETY: this thread took a task of the current step, so the leader waits for it in `Team::run`,
-                    // does not write the cell, and keeps the function alive; see `Sync`.
-                    if let Some(task) = unsafe { *self.task.get() } {
-                        unsafe { (*task)(next as usize) };
-                    }
-                    return true;
-                }
-            }
-        }
-    }
-
-    /// Takes tasks until the frame is finished.
-    fn help(&self) {
-        let mut spins = 0;
-        while !self.over.load(Ordering::Acquire) {
-            match self.take() {
-                true => spins = 0,
-                false => wait(&mut spins),
-            }
-        }
-    }
-}
-
-/// Counts a task as done when dropped, also if the task panics.
-struct Done<'a>(&'a AtomicUsize);
-
-impl Drop for Done<'_> {
-    fn drop(&mut self) {
-        self.0.fetch_add(1, Ordering::Release);
-    }
-}
-
-/// Spins, and after [`SPINS`] calls yields.
-fn wait(spins: &mut usize) {
-    *spins += 1;
-    match *spins < SPINS {
-        true => std::hint::spin_loop(),
-        false => std::thread::yield_now(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use std::panic::catch_unwind;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
     use super::*;
+
+    /// Number of steps; fewer in miri, which is slow.
+    const STEPS: usize = if cfg!(miri) { 20 } else { 2000 };
 
     #[test]
     fn every_task_of_every_step_runs_once_with_any_number_of_threads() {
@@ -224,14 +120,14 @@ mod tests {
             pool.install(|| {
                 let mut values = vec![0usize; 1000];
                 lead(|| {
-                    for step in 0..2000 {
+                    for step in 0..STEPS {
                         let size = 1 + step % 97;
                         chunks(&mut values, size, |i, piece| {
                             piece.iter_mut().enumerate().for_each(|(j, value)| *value += i * size + j);
                         });
                     }
                 });
-                assert!(values.iter().enumerate().all(|(i, value)| *value == 2000 * i), "{threads} threads");
+                assert!(values.iter().enumerate().all(|(i, value)| *value == STEPS * i), "{threads} threads");
             });
         }
     }
@@ -243,7 +139,7 @@ mod tests {
             for _ in 0..4 {
                 scope.spawn(|| {
                     lead(|| {
-                        for _ in 0..100 {
+                        for _ in 0..STEPS / 20 {
                             run(10, |_| {
                                 run(3, |_| {
                                     total.fetch_add(1, Ordering::Relaxed);
@@ -254,7 +150,7 @@ mod tests {
                 });
             }
         });
-        assert_eq!(total.into_inner(), 4 * 100 * 30);
+        assert_eq!(total.into_inner(), 4 * (STEPS / 20) * 30);
     }
 
     #[test]
