@@ -3,10 +3,12 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::fs::File;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 use crate::file::input::{self, InputFolder};
+use crate::file::turn::turn;
 
 /// Folders and files below a folder of a data set, by their paths in the data set, sorted.
 #[derive(Debug, Default)]
@@ -127,12 +129,18 @@ pub(super) fn copy_file(path: &Path, size: u64, write: impl FnOnce(&mut File) ->
 /// # Errors
 /// If it can't be removed.
 pub(crate) fn remove(at: &Path) -> Result<()> {
-    let removed = match at.symlink_metadata() {
+    let there = at.symlink_metadata();
+    turn();
+    let removed = match there {
         Ok(there) if there.is_dir() => fs::remove_dir_all(at),
         Ok(_) => fs::remove_file(at),
         Err(_) => Ok(()),
     };
-    removed.map_err(Error::io(at))
+    match removed {
+        // Another process was faster.
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+        removed => removed.map_err(Error::io(at)),
+    }
 }
 
 #[cfg(test)]

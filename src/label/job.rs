@@ -8,6 +8,7 @@ use super::inference::{InferenceTiming, label_unit};
 use super::workspace::{self, Workspace};
 use crate::dataset::{ImageSource, InputState, LabelInfo, LabelOutput, LabelSummary, Provenance, UnlabelledImage};
 use crate::error::{Error, Result};
+use crate::file::turn::turn;
 use crate::model::Predictor;
 
 /// A share of the units: those whose number modulo `of` is `index`.
@@ -91,15 +92,37 @@ impl Job<'_> {
     ) -> Result<Outcome> {
         let input = self.input()?;
         let provenance = self.provenance(&input);
+        turn();
         if self.out.exists() {
             return self.done_before(&provenance).map(Outcome::DoneBefore);
         }
+        let outcome = self.label(predictor, shard, first_number, (&input, &provenance), timing, progress);
+        turn();
+        match outcome {
+            // Another process has published the output meanwhile, and taken the workspace away.
+            Err(_) | Ok(Outcome::Waiting) if self.out.exists() => {
+                self.done_before(&provenance).map(Outcome::DoneBefore)
+            }
+            outcome => outcome,
+        }
+    }
+
+    /// As [`run`](Self::run), of an output that does not exist yet.
+    fn label(
+        &self,
+        predictor: &mut Predictor,
+        shard: Shard,
+        first_number: usize,
+        (input, provenance): (&InputState, &Provenance),
+        timing: &mut LabelTiming,
+        progress: &mut dyn FnMut(),
+    ) -> Result<Outcome> {
         self.output.check(self.provenance.topology)?;
         if let Some(parent) = self.out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
             fs::create_dir_all(parent).map_err(Error::io(parent))?;
         }
         let units = self.source.units();
-        let workspace = Workspace::open(&self.out, &provenance, &input, units)?;
+        let workspace = Workspace::open(&self.out, provenance, input, units)?;
         let started = Instant::now();
         for unit in (0..units.len()).filter(|unit| (first_number + unit) % shard.of == shard.index) {
             let Some(mut journal) = workspace.journal(unit)? else {
@@ -117,14 +140,15 @@ impl Job<'_> {
         }
         let Some(_lock) = workspace.lock()? else { return Ok(Outcome::Waiting) };
         // Another shard may have published the output before this one took the lock.
+        turn();
         if self.out.exists() {
-            return self.done_before(&provenance).map(Outcome::DoneBefore);
+            return self.done_before(provenance).map(Outcome::DoneBefore);
         }
         let started = Instant::now();
-        self.check_unchanged(&input)?;
-        let mut info = LabelInfo { provenance, summary: self.summary(&workspace)? };
+        self.check_unchanged(input)?;
+        let mut info = LabelInfo { provenance: provenance.clone(), summary: self.summary(&workspace)? };
         self.output.assemble(&workspace, &mut info, &workspace.unfinished(), &self.out)?;
-        self.check_unchanged(&input)?;
+        self.check_unchanged(input)?;
         workspace.publish(&self.out)?;
         timing.assembly_secs += started.elapsed().as_secs_f64();
         Ok(Outcome::Done(info))

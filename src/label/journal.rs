@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::dataset::{LabelCounts, LabelFrame};
 use crate::error::{Error, Result};
+use crate::file::turn::turn;
 use crate::file::{self, input};
 use crate::hand::Topology;
 use crate::tactile::{N_FIELD, TactileField};
@@ -97,6 +98,7 @@ impl Journal {
     /// If the file can't be read or written.
     pub fn open(path: &Path) -> Result<Option<Self>> {
         let io = || Error::io(path);
+        turn();
         let mut file =
             OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path).map_err(io())?;
         if !file::lock(&file) {
@@ -154,6 +156,7 @@ impl Journal {
         let size = block.len() as u64;
         block[..8].copy_from_slice(&size.to_le_bytes());
         block[8..12].copy_from_slice(&crc.to_le_bytes());
+        turn();
         self.file.write_all(&block).map_err(Error::io(&self.path))?;
         self.fields.clear();
         self.progress = Progress { frames, kept: head.kept, complete: last };

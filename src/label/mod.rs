@@ -18,6 +18,8 @@
 mod budget;
 mod inference;
 mod input;
+#[cfg(test)]
+mod interleavings;
 mod job;
 mod journal;
 mod manifest;
