@@ -1,6 +1,8 @@
 //! Helpers shared by several test files; each file uses a part of them.
 #![allow(dead_code)]
 
+pub mod store;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 

@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use egotac::dataset::zarr::{ArraySpec, Compression, Contact, ZarrReader, ZarrWriter};
-use egotac::dataset::{Attributes, EpisodeWriter, Frame};
+use crate::common::store::write_plain_store;
+use egotac::dataset::zarr::ZarrReader;
 use egotac::hand::Topology;
 use egotac::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
-use egotac::tactile::{N_FIELD, TactileField, Validity};
+use egotac::tactile::{N_FIELD, TactileField};
 use egotac::train::data::Dataset;
 use flate2::write::{GzEncoder, ZlibEncoder};
 use image::{Rgb, RgbImage};
@@ -63,24 +63,10 @@ fn refused(arguments: &[&str], word: &str) {
 
 /// Writes an intact store of four frames.
 fn store(path: &Path) {
-    let attributes: Attributes = serde_json::from_value(json!({ "topology": Topology::EgotacHand1 })).unwrap();
-    let writer = ZarrWriter::create(path, attributes, Contact::Truth, Vec::<ArraySpec>::new()).unwrap();
-    let mut writer = writer.with_compression(Compression::None);
-    for index in 0..4u8 {
-        let frame = Frame {
-            timestamp: 0.04 * f64::from(index + 1),
-            camera_ego_rgb: RgbImage::from_fn(60, 40, |x, y| Rgb([10 * index + x as u8, y as u8, 200 - x as u8])),
-            field: TactileField::zeros(Topology::EgotacHand1),
-            force_valid: vec![1; N_FIELD],
-            contact_valid: vec![1; N_FIELD],
-            validity: Validity::Valid,
-            left_hand_pose: None,
-            right_hand_pose: None,
-        };
-        writer.push(frame).unwrap();
-    }
-    writer.end_episode().unwrap();
-    writer.finish().unwrap();
+    write_plain_store(path, &[4], 0.04, |index| {
+        let image = RgbImage::from_fn(60, 40, |x, y| Rgb([10 * index as u8 + x as u8, y as u8, 200 - x as u8]));
+        (image, TactileField::zeros(Topology::EgotacHand1))
+    });
 }
 
 fn edit(store: &Path, array: &str, change: impl FnOnce(&mut Value)) {

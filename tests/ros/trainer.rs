@@ -2,42 +2,21 @@
 
 use std::path::PathBuf;
 
+use crate::common::store::write_bright_store;
 use crate::harness::{Running, Session};
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
-use egotac::dataset::zarr::{Contact, ZarrWriter};
-use egotac::dataset::{Attributes, EpisodeWriter, Frame};
 use egotac::hand::Topology;
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
-use egotac::tactile::{N_FIELD, TactileField, Validity};
-use image::{Rgb, RgbImage};
 
 const TRAINER: &str = env!("CARGO_BIN_EXE_egotac_trainer");
 const PREDICTOR: &str = env!("CARGO_BIN_EXE_egotac_predictor");
 const PEER: &str = "trainer_peer.py";
 
-/// Writes a store in which the brightness of the image is proportional to the force on the first vertices.
+/// Writes a store in which the brightness of the image is proportional to force; returns its path.
 fn store(session: &Session) -> PathBuf {
     let path = session.path("train.zarr");
-    let attributes: Attributes = serde_json::from_value(serde_json::json!({ "topology": "egotac-hand-1" })).unwrap();
-    let mut writer = ZarrWriter::create(&path, attributes, Contact::Truth, Vec::new()).unwrap();
-    for t in 0..60 {
-        let level = (t * 37 % 11) as f32 / 10.0;
-        let force = (0..N_FIELD).map(|v| if v < 50 { level } else { 0.0 }).collect();
-        let frame = Frame {
-            timestamp: 0.04 * f64::from(t),
-            camera_ego_rgb: RgbImage::from_pixel(64, 64, Rgb([(200.0 * level) as u8, 90, 90])),
-            field: TactileField::from_force(Topology::EgotacHand1, force).unwrap(),
-            force_valid: vec![1; N_FIELD],
-            contact_valid: vec![1; N_FIELD],
-            validity: Validity::Valid,
-            left_hand_pose: None,
-            right_hand_pose: None,
-        };
-        writer.push(frame).unwrap();
-    }
-    writer.end_episode().unwrap();
-    writer.finish().unwrap();
+    write_bright_store(&path, 60);
     path
 }
 
