@@ -1,5 +1,6 @@
 //! Bags as rosbag2 writes them: folders with MCAP files and a `metadata.yaml`, or an MCAP file by itself.
 
+mod attachment;
 mod bag;
 mod chunk;
 mod convert;

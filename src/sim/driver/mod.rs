@@ -3,9 +3,12 @@
 //! A site with a force goal is pushed by `J^T F` at its servos, corrected by the measured contact force: the same
 //! script closes on an object of any size until it touches, and presses with the goal's force.
 
+mod force_control;
+
 use glam::{DQuat, DVec3, EulerRot};
 use parry3d::math::Pose;
 
+use self::force_control::ForceControl;
 use super::convex;
 use super::ik::{self, Clearance, JointVariable, PadTarget};
 use super::mjcf::{WRIST, WRIST_STIFFNESS};
@@ -14,8 +17,8 @@ use super::randomize::{ActDraw, ContactGoal, HandDraw};
 use super::rig::{HandRig, Hinge, HingeMotion, JOINT_NAMES, base_joint, site_of};
 use super::scene::HandSite;
 use crate::error::Result;
+use crate::mujoco::World;
 use crate::mujoco::world::{Body, Servo, Skin};
-use crate::mujoco::{Contact, World};
 
 /// Number of openings at which poses are solved; joint positions between them are interpolated.
 const SOLVED_OPENINGS: usize = 4;
@@ -25,10 +28,6 @@ const MIN_WIDEST_OPENING: f64 = 1e-3;
 const LINK_MARGIN: f64 = 0.002;
 /// Distance of the whole hand from the object, as a share of the opening.
 const OPENING_MARGIN_SHARE: f64 = 0.6;
-/// Time constant of the force correction, s.
-const FORCE_TIME_CONSTANT: f64 = 0.15;
-/// Largest force correction, as a multiple of the goal.
-const MAX_FORCE_CORRECTION: f64 = 1.5;
 /// Smallest height of the hand above the table in solved poses, m.
 const TABLE_CLEARANCE: f64 = 0.004;
 /// Iterations of the solver for the pose at the object, and for each pose at an opening.
@@ -98,18 +97,6 @@ struct MotionPlan {
     force_controls: Vec<ForceControl>,
 }
 
-/// Integral control of a goal's force.
-#[derive(Debug)]
-struct ForceControl {
-    goal: ContactGoal,
-    /// Bodies of the goal's site.
-    bodies: Vec<Body>,
-    /// Change of servo targets per newton, m or rad: index into wrist (0..6) or hinges (6..), and change.
-    per_newton: Vec<(usize, f64)>,
-    /// Integrated correction, N.
-    correction: f64,
-}
-
 impl MotionPlan {
     /// Creates the plan of a hand that keeps its rest pose.
     fn idle(posture: &[f64]) -> Self {
@@ -130,24 +117,6 @@ impl MotionPlan {
         let high = (low + 1).min(self.poses.len() - 1);
         let part = place - low as f64;
         self.poses[low].iter().zip(&self.poses[high]).map(|(a, b)| a + (b - a) * part).collect()
-    }
-}
-
-impl ForceControl {
-    /// Integrates the difference between the wanted and the measured force over `interval`, s; resets without squeeze.
-    fn update(&mut self, world: &World, squeeze: f64, interval: f64, is_target: impl Fn(Body) -> bool) {
-        if squeeze <= 0.0 {
-            self.correction = 0.0;
-            return;
-        }
-        let touches = |contact: &Contact| {
-            let [a, b] = contact.bodies;
-            (self.bodies.contains(&a) && is_target(b)) || (self.bodies.contains(&b) && is_target(a))
-        };
-        let measured: f64 = world.contacts().filter(touches).map(|contact| contact.normal_force).sum();
-        let limit = MAX_FORCE_CORRECTION * self.goal.force;
-        let missing = squeeze * self.goal.force - measured;
-        self.correction = (self.correction + missing * interval / FORCE_TIME_CONSTANT).clamp(-limit, limit);
     }
 }
 

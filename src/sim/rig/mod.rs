@@ -1,8 +1,12 @@
 //! Rigs: hinges, pads and collision hulls of a hand model, derived from its joints and skinning weights.
 
+mod hinge;
+
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 use parry3d::shape::SharedShape;
 
+use self::hinge::hinges;
+pub use self::hinge::{Hinge, HingeMotion};
 use super::convex;
 use super::scene::HandSite;
 use crate::error::{Error, Result};
@@ -51,40 +55,6 @@ pub struct HandFrame {
     pub palm: DVec3,
     /// Direction from the little finger's side to the thumb's.
     pub thumb: DVec3,
-}
-
-/// Hinge of a hand.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Hinge {
-    /// Name without the hand's prefix, e.g. `index1_flex`.
-    pub name: String,
-    /// Index of the joint.
-    pub joint: usize,
-    /// Finger.
-    pub site: HandSite,
-    /// Kind of motion.
-    pub motion: HingeMotion,
-    /// Unit axis in the joint's frame.
-    pub axis: DVec3,
-    /// Limits, rad.
-    pub range: [f64; 2],
-    /// Servo stiffness, N m/rad.
-    pub stiffness: f64,
-    /// Servo damping, N m s/rad.
-    pub damping: f64,
-    /// Torque limit, N m.
-    pub torque: f64,
-}
-
-/// Kinds of hinge motion.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum HingeMotion {
-    /// Flexion towards the palm.
-    Flex,
-    /// Abduction towards the thumb; of the thumb, out of the palm's plane.
-    Abduct,
-    /// Rotation about the bone.
-    Twist,
 }
 
 /// Point of the skin that touches at a contact goal.
@@ -352,43 +322,6 @@ fn palm_pad(model: &HandModel, vertices: &[Vec3], joints: &[DVec3; N_JOINTS], fr
         .filter(|v| local(*v).dot(frame.palm) > 0.0)
         .min_by(|a, b| aside(a).total_cmp(&aside(b)));
     Pad { joint: 0, position: best.map_or(centre, |v| vertices[v].as_dvec3()) - joints[0], normal: frame.palm }
-}
-
-/// Creates the hinges of a human hand: ranges in rad, torques that give several newtons at a fingertip.
-fn hinges(joints: &[DVec3; N_JOINTS], frame: &HandFrame, tips: &[DVec3; 5]) -> Vec<Hinge> {
-    let mut hinges = Vec::new();
-    for (site, tip) in HandSite::FINGERS.into_iter().zip(tips) {
-        let base = base_joint(site);
-        let bones = [joints[base + 1] - joints[base], joints[base + 2] - joints[base + 1], *tip - joints[base + 2]];
-        let pad = frame.pad_direction(site);
-        let mut add = |link: usize, motion, axis: DVec3, range, stiffness, torque| {
-            let joint = base + link;
-            let word = match motion {
-                HingeMotion::Flex => "flex",
-                HingeMotion::Abduct => "abduct",
-                HingeMotion::Twist => "twist",
-            };
-            let name = format!("{}_{word}", JOINT_NAMES[joint]);
-            let axis = axis.try_normalize().unwrap_or(frame.thumb);
-            let damping = 0.04 * stiffness;
-            hinges.push(Hinge { name, joint, site, motion, axis, range, stiffness, damping, torque });
-        };
-        // A rotation about a x b moves a towards b.
-        if site == HandSite::Thumb {
-            let bone = bones[0];
-            add(0, HingeMotion::Abduct, bone.cross(frame.palm), [-0.3, 1.0], 2.5, 1.2);
-            add(0, HingeMotion::Flex, bone.cross(-frame.thumb), [-0.5, 0.7], 2.5, 1.2);
-            add(0, HingeMotion::Twist, bone, [-0.8, 0.8], 1.5, 0.8);
-            add(1, HingeMotion::Flex, bones[1].cross(pad), [-0.2, 0.9], 1.8, 0.8);
-            add(2, HingeMotion::Flex, bones[2].cross(pad), [-0.3, 1.3], 1.2, 0.5);
-        } else {
-            add(0, HingeMotion::Abduct, bones[0].cross(frame.thumb), [-0.3, 0.3], 1.5, 0.5);
-            add(0, HingeMotion::Flex, bones[0].cross(pad), [-0.4, 1.6], 1.8, 1.0);
-            add(1, HingeMotion::Flex, bones[1].cross(pad), [-0.05, 1.8], 1.4, 0.7);
-            add(2, HingeMotion::Flex, bones[2].cross(pad), [-0.1, 1.2], 0.9, 0.4);
-        }
-    }
-    hinges
 }
 
 /// Computes the convex hulls of the links.
