@@ -138,10 +138,12 @@ impl Job<'_> {
         if !workspace.is_complete(units.len())? {
             return Ok(Outcome::Waiting);
         }
-        let Some(_lock) = workspace.lock()? else { return Ok(Outcome::Waiting) };
-        // Another shard may have published the output before this one took the lock.
+        let Some(lock) = workspace.lock()? else { return Ok(Outcome::Waiting) };
+        // Another shard may have published the output before this one took the lock, and this one made its workspace anew:
+        // it is a leftover, which nobody removes while it is locked.
         turn();
         if self.out.exists() {
+            drop(lock);
             return self.done_before(provenance).map(Outcome::DoneBefore);
         }
         let started = Instant::now();
