@@ -195,7 +195,8 @@ mod tests {
     #[test]
     fn attention_of_any_size_agrees_with_its_definition_in_f64() {
         let value = |i: usize| (i * 7919 % 1013) as f32 / 250.0 - 2.0;
-        for (n, heads, size) in [(1, 1, 8), (7, 2, 12), (20, 3, 16), (50, 2, 33)] {
+        let sizes = [(1, 1, 8), (7, 2, 12), (20, 3, 16), (50, 2, 33)];
+        for &(n, heads, size) in &sizes[..if cfg!(miri) { 2 } else { sizes.len() }] {
             let d = heads * size;
             let qkv: Vec<f32> = (0..n * 3 * d).map(value).collect();
             let mut out = vec![0.0; n * d + 1];
