@@ -12,12 +12,12 @@ use egotac::hand::Topology;
 use egotac::model::checkpoint::Stored;
 use egotac::model::grow::{Growth, grow};
 use egotac::model::{self, Checkpoint, EgoTac, Predictor, init, predictor};
-use egotac::score::metrics::{EvalOptions, evaluate};
+use egotac::score::metrics::{EvalOptions, baseline, evaluate};
 use egotac::tactile::{N_FIELD, TactileField, Validity};
 use egotac::train::config::{AugmentConfig, BatchConfig};
 use egotac::train::data::Dataset;
 use egotac::train::source::TrainingSource;
-use egotac::train::{Config, Control, Event, baseline, predict, train};
+use egotac::train::{Config, Control, Event, predict, train};
 use image::{Rgb, RgbImage};
 use serde_json::Value;
 
@@ -334,15 +334,18 @@ fn train_predict_and_eval_commands_agree() {
     assert_eq!((file.n_frames(), file.episode_ends, file.topology), (30, vec![30], Some(Topology::EgotacHand1)));
     let args = ["eval", "--checkpoint", checkpoint, "--data", "test.zarr", "--baselines-from", "train.zarr", "--json"];
     let json: Value = serde_json::from_str(&ok(&args)).unwrap();
-    let keys: Vec<&String> = json.as_object().unwrap().keys().collect();
-    assert_eq!(keys, ["mean", "median", "model", "zero"]);
+    let keys: Vec<&String> = json["baselines"].as_object().unwrap().keys().collect();
+    assert_eq!(keys, ["mean", "median", "persistence", "zero"]);
     // Scores of the written fields are the same.
     let by_file: Value =
         serde_json::from_str(&ok(&["eval", "--pred", "fields.safetensors", "--target", "test.zarr", "--json"]))
             .unwrap();
-    assert_eq!(by_file, json["model"]);
+    for part in ["mae", "frame_mean", "pooled", "counts", "intervals"] {
+        assert_eq!(by_file[part], json[part], "{part}");
+    }
+    assert_eq!(by_file["baselines"]["zero"], json["baselines"]["zero"]);
     let table = ok(&args[..args.len() - 1]);
-    assert!(table.contains("model") && table.contains("median") && table.contains("active MAE (N)"), "{table}");
+    assert!(table.contains("prediction") && table.contains("median") && table.contains("active MAE (N)"), "{table}");
 
     // A folder of images.
     std::fs::create_dir(at("images")).unwrap();

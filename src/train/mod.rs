@@ -4,7 +4,6 @@
 //! weights, and so does a run that was stopped and resumed.
 
 mod augment;
-pub mod baseline;
 pub mod batch;
 mod checkpoint;
 pub mod config;
