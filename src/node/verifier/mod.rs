@@ -58,8 +58,8 @@ fn parameters() -> Vec<Parameter> {
             "require",
             "",
             Allowed::Any,
-            "Scores required over all pairs, for instance f1=0.7,missed_force=0.2 (names as in egotac verify). A missed one \
-             is logged at shutdown and sets the exit status to 1.",
+            "Scores required over all pairs, for instance f1=0.7,missed_force=0.2 (names as in egotac verify: f1 is the mean over \
+             frames with touch, pooled_f1 that over all vertices). A missed one is logged at shutdown and sets the exit status to 1.",
         ),
         Parameter::new("print", true, Allowed::Any, "Print one line of scores per second on the terminal."),
         Parameter::use_sim_time(),
@@ -231,15 +231,16 @@ impl Verifier {
     fn line(&self, values: &[(String, f64)]) -> String {
         let value = |name: &str| values.iter().find(|(n, _)| n == name).map_or(f64::NAN, |(_, value)| *value);
         format!(
-            "{:6} pairs {:5.1} Hz | MAE {:.4} N, active {:.3} N, r {:.2} | F1 {:.2}, IoU {:.2} | \
+            "{:6} pairs {:5.1} Hz | MAE {:.4} N, active {:.3} N, r {:.2} | F1 {:.2} (pooled {:.2}), IoU {:.2} | \
              latency p50 {:.0} ms, p95 {:.0} ms | without prediction {}",
             self.scores.pairs,
             value("rate_hz"),
             value("mae"),
             value("active_mae"),
             value("temporal_pearson"),
+            value("frame_mean.f1"),
             value("pooled.f1"),
-            value("pooled.iou"),
+            value("frame_mean.iou"),
             value("latency_p50_secs") * 1e3,
             value("latency_p95_secs") * 1e3,
             self.sync.unmatched(UNMATCHED_AFTER_SECS).1,
@@ -249,6 +250,7 @@ impl Verifier {
     /// Returns the totals since the start.
     fn summary(&mut self) -> anyhow::Result<Value> {
         let metrics = self.scores.total()?;
+        let baselines = self.scores.baselines()?;
         let counts = self.tally.counts();
         // No further message comes, so every message that waits is unmatched.
         let (unmatched_predictions, unmatched_truths) = self.sync.unmatched(0.0);
@@ -268,6 +270,7 @@ impl Verifier {
                 "max": finite(counts.latency(1.0)),
             },
             "metrics": metrics,
+            "baselines": baselines,
             "touch": scores_of(&self.scores.touch.total()),
         }))
     }

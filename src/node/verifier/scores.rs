@@ -1,6 +1,6 @@
 //! Scores of the pairs of prediction and truth, over the rolling window and since the start.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Instant;
 
 use serde_json::json;
@@ -9,9 +9,9 @@ use super::touch_scores::TouchScores;
 use crate::message::{Header, TactileFrame, TactileTruth};
 use crate::node::flatten::flatten;
 use crate::score::agreement::Sums;
-use crate::score::metrics::{self, EvalOptions, FrameScore};
+use crate::score::metrics::{self, EvalOptions, FrameScore, baseline};
 use crate::score::verify::report::scores_of;
-use crate::tactile::{TactileSequence, Validity};
+use crate::tactile::{TactileField, TactileSequence, Validity};
 
 /// Parts of the names of scores that need whole touches and are therefore unknown in the rolling window.
 const WHOLE_TOUCH_SCORES: [&str; 2] = ["_secs", "_touches"];
@@ -30,7 +30,7 @@ pub(super) struct Scores {
     /// Pairs with invalid truth.
     pub(super) invalid: u64,
     pub(super) touch: TouchScores,
-    /// Scores of all valid pairs.
+    /// Scores of all pairs; a pair with invalid truth is a gap.
     frames: Vec<StampedScore>,
     /// Scores and touch sums of the valid pairs in the rolling window.
     window: VecDeque<(StampedScore, Sums)>,
@@ -65,12 +65,17 @@ impl Scores {
         let (predicted, target) = (frame.to_field()?, truth.frame.to_field()?);
         predicted.topology.must_match(target.topology)?;
         self.pairs += 1;
-        if truth.validity()? != Validity::Valid {
+        let secs = frame.header.stamp.secs();
+        let validity = truth.validity()?;
+        if validity != Validity::Valid {
             self.invalid += 1;
             self.touch.skip();
+            if self.episode == episode {
+                self.frames.push(StampedScore { secs, score: FrameScore::default() });
+                self.keep(&predicted, &target, validity)?;
+            }
             return Ok(());
         }
-        let secs = frame.header.stamp.secs();
         if std::mem::replace(&mut self.episode, episode) != episode && !self.frames.is_empty() {
             self.episode_ends.push(self.frames.len());
             self.window.clear();
@@ -82,15 +87,25 @@ impl Scores {
         self.frames.push(stamped.clone());
         self.window.push_back((stamped, sums));
         self.arrived = Some(Instant::now());
-        // After a change of topology, pairs no longer fit those kept before.
-        let fits = self.predicted.topology.is_none_or(|kept| kept == predicted.topology);
-        if fits && self.predicted.n_frames() < MAX_KEPT_FIELDS {
-            self.predicted.push(&predicted)?;
-            self.target.push(&target)?;
-        }
+        self.keep(&predicted, &target, validity)?;
         self.header = frame.header;
         self.model_id = frame.model_id;
         self.topology = frame.topology;
+        Ok(())
+    }
+
+    /// Keeps the fields of a pair for the scores that need them.
+    fn keep(&mut self, predicted: &TactileField, target: &TactileField, validity: Validity) -> crate::Result<()> {
+        // After a change of topology, pairs no longer fit those kept before.
+        let fits = self.predicted.topology.is_none_or(|kept| kept == predicted.topology);
+        if fits && self.predicted.n_frames() < MAX_KEPT_FIELDS {
+            self.predicted.push(predicted)?;
+            self.target.push(target)?;
+            self.target.validity.resize(self.target.n_frames(), 0);
+            if let Some(code) = self.target.validity.last_mut() {
+                *code = validity.code();
+            }
+        }
         Ok(())
     }
 
@@ -132,14 +147,31 @@ impl Scores {
         scores
     }
 
-    /// Returns the valid pairs per second of their stamps, within episodes; None for fewer than two pairs.
+    /// Returns the pairs per second of their stamps, within episodes; None for fewer than two pairs.
     pub(super) fn rate(&self) -> Option<f64> {
         let steps = self.episodes().flat_map(|episode| episode.windows(2).map(|pair| pair[1].secs - pair[0].secs));
         let (secs, count) = steps.fold((0.0, 0), |(secs, count), step| (secs + step, count + 1));
         (secs > 0.0).then(|| f64::from(count) / secs)
     }
 
-    /// Returns the metrics over all valid pairs. If not all fields were kept, metrics that need all vertices of all frames
+    /// Returns the metrics of no touch at all and of the truth of the frame before, over the same pairs; none if not all
+    /// fields were kept.
+    ///
+    /// # Errors
+    /// If the metrics cannot be computed.
+    pub(super) fn baselines(&mut self) -> crate::Result<BTreeMap<&'static str, metrics::Metrics>> {
+        if self.frames.len() > self.target.n_frames() {
+            return Ok(BTreeMap::new());
+        }
+        self.target.episode_ends = self.all_episode_ends();
+        let options = EvalOptions { fps: self.rate(), calibration: None };
+        let zero = baseline::zero().sequence(self.target.n_frames());
+        let fields = [("zero", zero), ("persistence", baseline::persistence(&self.target, None))];
+        let score = |fields: &TactileSequence| metrics::evaluate(fields, &self.target, &options);
+        fields.iter().map(|(name, fields)| score(fields).map(|scores| (*name, scores))).collect()
+    }
+
+    /// Returns the metrics over all pairs; those with invalid truth are gaps. If not all fields were kept, metrics that need all vertices of all frames
     /// are undefined.
     ///
     /// # Errors
