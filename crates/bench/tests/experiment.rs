@@ -43,6 +43,17 @@ fn an_experiment_writes_its_tables_and_repeats_no_run() {
             assert_eq!(scores["active_mae"].is_null(), arm["name"] == "contact_only", "{arm}");
         }
     }
+    // What sees no image stands beside what does, in both domains and both tables.
+    let baselines: Vec<&str> =
+        report["baselines"].as_array().unwrap().iter().map(|own| own["name"].as_str().unwrap()).collect();
+    assert_eq!(baselines, ["zero", "mean", "median", "persistence"]);
+    for name in baselines {
+        assert_eq!(markdown.matches(&format!("\n| {name} | ")).count(), 4, "{name}");
+    }
+    assert_eq!(report["baselines"][0]["in_domain"]["frame_mean"]["f1"], 0.0);
+    for heading in ["F1, frame mean", "F1, pooled", "| false-positive rate |", "spectral convergence"] {
+        assert_eq!(markdown.matches(heading).count(), 2, "{heading}");
+    }
     // The mixed arm learns from both sources, the others from one each.
     let frames = |arm: usize| report["arms"][arm]["training_frames"].as_u64().unwrap();
     assert_eq!(frames(0), frames(1) + frames(2));

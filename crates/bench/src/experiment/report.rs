@@ -1,12 +1,14 @@
 //! Results of an experiment: scores of every run, and each arm against the first.
 
+use std::path::PathBuf;
+
 use egotac::dataset::tensors;
 use egotac::dataset::zarr;
 use egotac::error::Result;
 use egotac::machine::Machine;
 use egotac::model::checkpoint::parameter_count;
 use egotac::score::metrics::Difference;
-use egotac::score::metrics::{self, EvalOptions};
+use egotac::score::metrics::{self, EvalOptions, baseline};
 use egotac::tactile::TactileSequence;
 use egotac::text::put;
 use egotac::train::Config;
@@ -16,15 +18,39 @@ use serde::Serialize;
 use super::data::{Domain, SIDE, Stores};
 use super::{Arm, Experiment, Size, fields_file};
 
-/// Scores in tables and plots: name in a report, name for readers, true if more is better.
+/// Scores in plots: name in a report, name for readers, true if more is better.
 pub const SHOWN: [(&str, &str, bool); 6] = [
-    ("pooled.f1", "contact F1", true),
-    ("pooled.iou", "contact IoU", true),
-    ("pooled.auroc", "AUROC", true),
+    ("frame_mean.f1", "contact F1, frame mean", true),
+    ("frame_mean.iou", "contact IoU, frame mean", true),
+    ("frame_mean.auroc", "AUROC, frame mean", true),
     ("active_mae", "active MAE (N)", false),
     ("temporal_pearson", "temporal Pearson", true),
     ("force_cosine", "force cosine", true),
 ];
+
+/// Columns of the table of contact and force: name in a report, name for readers.
+const COLUMNS: [(&str, &str); 7] = [
+    ("frame_mean.f1", "F1, frame mean"),
+    ("frame_mean.iou", "IoU, frame mean"),
+    ("frame_mean.auroc", "AUROC, frame mean"),
+    ("false_positive_rate", "false-positive rate"),
+    ("pooled.f1", "F1, pooled"),
+    ("active_mae", "active MAE (N)"),
+    ("temporal_pearson", "temporal Pearson"),
+];
+
+/// Columns of the table of dynamics.
+const DYNAMICS: [(&str, &str); 6] = [
+    ("force_cosine", "force cosine"),
+    ("rise_f1", "rise F1"),
+    ("fall_f1", "fall F1"),
+    ("dft_pearson", "DFT Pearson"),
+    ("spectral_convergence", "spectral convergence"),
+    ("dominant_frequency_error_hz", "dominant frequency error (Hz)"),
+];
+
+/// Score whose difference from the first arm stands in the table.
+const COMPARED: &str = "frame_mean.f1";
 
 /// Results of an experiment.
 #[derive(Debug, Clone, Serialize)]
@@ -49,6 +75,19 @@ pub struct ExperimentReport {
     pub held_out_frames: [usize; 2],
     /// Results of the arms; the others are compared with the first.
     pub arms: Vec<ArmReport>,
+    /// Scores of predictions that see no image.
+    pub baselines: Vec<BaselineReport>,
+}
+
+/// Scores of a prediction that sees no image: a constant, or the truth of the frame before.
+#[derive(Debug, Clone, Serialize)]
+pub struct BaselineReport {
+    /// Name of the prediction.
+    pub name: &'static str,
+    /// Scores in the domain.
+    pub in_domain: metrics::Metrics,
+    /// Scores out of the domain.
+    pub out_of_domain: metrics::Metrics,
 }
 
 /// Results of one arm.
@@ -88,17 +127,19 @@ impl ArmReport {
 }
 
 impl DomainReport {
-    /// Returns a score of [`SHOWN`] for each seed.
+    /// Returns a score for each seed, by its name in a report.
     pub fn score(&self, name: &str) -> Vec<Option<f64>> {
-        let of = |report: &metrics::Metrics| match name {
-            "pooled.f1" => report.pooled.f1,
-            "pooled.iou" => report.pooled.iou,
-            "pooled.auroc" => report.pooled.auroc,
-            "active_mae" => report.active_mae,
-            "temporal_pearson" => report.temporal_pearson,
-            _ => report.force_cosine,
-        };
-        self.seeds.iter().map(of).collect()
+        self.seeds.iter().map(|report| report.score(name)).collect()
+    }
+}
+
+impl BaselineReport {
+    /// Returns the scores in a domain.
+    pub fn domain(&self, domain: Domain) -> &metrics::Metrics {
+        match domain {
+            Domain::InDomain => &self.in_domain,
+            Domain::OutOfDomain => &self.out_of_domain,
+        }
     }
 }
 
@@ -140,7 +181,24 @@ pub(super) fn make(
         parameters: parameter_count(&super::geometry())?,
         held_out_frames: [truths[0].n_frames(), truths[1].n_frames()],
         arms,
+        baselines: baselines(stores, [&truths[0], &truths[1]])?,
     })
+}
+
+/// Scores zero, mean and median of the training labels, and persistence.
+fn baselines(stores: &Stores, truths: [&TactileSequence; 2]) -> Result<Vec<BaselineReport>> {
+    let training: Vec<_> = stores.sources().into_iter().flat_map(|source| source.stores).collect();
+    let evaluate = |name: &'static str, fields: [TactileSequence; 2]| -> Result<BaselineReport> {
+        let [in_domain, out_of_domain] = &fields;
+        let of = |fields, truth: &TactileSequence| metrics::evaluate(fields, truth, &EvalOptions::default());
+        Ok(BaselineReport { name, in_domain: of(in_domain, truths[0])?, out_of_domain: of(out_of_domain, truths[1])? })
+    };
+    let mut reports = Vec::new();
+    for constant in baseline::constants(&labels(&training)?) {
+        reports.push(evaluate(constant.name, truths.map(|truth| constant.sequence(truth.n_frames())))?);
+    }
+    reports.push(evaluate("persistence", truths.map(|truth| baseline::persistence(truth, None)))?);
+    Ok(reports)
 }
 
 fn runs_of<'a>(runs: &[(&Arm, u64, &'a Config)], arm: &Arm) -> Vec<&'a Config> {
@@ -148,8 +206,12 @@ fn runs_of<'a>(runs: &[(&Arm, u64, &'a Config)], arm: &Arm) -> Vec<&'a Config> {
 }
 
 fn truth(stores: &Stores, domain: Domain) -> Result<TactileSequence> {
+    labels(stores.held_out(domain))
+}
+
+fn labels(stores: &[PathBuf]) -> Result<TactileSequence> {
     let preparation = egotac::model::Metadata::new("truth", 1.0, 0.1).preparation(&super::geometry());
-    Dataset::new(zarr::open_all(stores.held_out(domain))?, preparation, false)?.labels()
+    Dataset::new(zarr::open_all(stores)?, preparation, false)?.labels()
 }
 
 fn score(own: &[&Config], first: &[&Config], domain: Domain, truth: &TactileSequence) -> Result<DomainReport> {
@@ -196,8 +258,12 @@ impl ExperimentReport {
              {seeds} seeds; {steps} steps of up to 30 windows; {episodes} episodes of each training scene, {held_out} held-out ones \
              of each scene; {} px, {} parameters.\nThe encoder has learned in {encoder_steps} steps to find the hands' keypoints in the \
              training pictures, without a word of touch; all else starts\nat random. A score is the mean over seeds with the least and the most; \
-             in the column *against `{}`* the difference of F1\nwith its 95 % interval (episodes of all seeds drawn anew, the same \
-             for both arms).\n",
+             in the column *against `{}`* the difference of the \
+             frame-mean F1\nwith its 95 % interval (episodes of all seeds drawn anew, the same for both arms). *Frame mean*: average \
+             over frames with contact, as in the paper;\n*false-positive rate*: share of vertices predicted in contact in the frames \
+             without; *pooled*: over all vertices of all frames. `zero`, `mean` and `median`\nof the training labels and \
+             `persistence` (the truth of the frame before) see no image. Temporal scores are averages over the episodes whose\n\
+             true force changes; a constant has correlations of 0.\n",
             self.experiment,
             self.question,
             self.command,
@@ -213,49 +279,81 @@ impl ExperimentReport {
                 Domain::InDomain => "In the domain: unseen seeds of the training scenes",
                 Domain::OutOfDomain => "Out of the domain: unseen scenes, objects and camera",
             };
-            let names: Vec<&str> = SHOWN.iter().map(|(_, name, _)| *name).collect();
-            put(&mut text, format_args!("\n## {title} ({frames} frames)\n"));
+            let share = self.baselines.first().and_then(|zero| zero.domain(domain).share_without_positives);
+            let share =
+                share.map_or(String::new(), |share| format!(", {:.0} % of them without contact", 100.0 * share));
+            put(&mut text, format_args!("\n## {title} ({frames} frames{share})\n"));
+            let first = self.arms.first().map_or("", |arm| arm.name);
+            let names: Vec<&str> = COLUMNS.iter().map(|(_, name)| *name).collect();
+            let against = format!("F1 against `{first}`");
             put(
                 &mut text,
-                format_args!(
-                    "| arm | what is other | training frames | {} | F1 against `{}` |",
-                    names.join(" | "),
-                    self.arms.first().map_or("", |arm| arm.name)
-                ),
+                format_args!("| arm | what is other | training frames | {} | {against} |", names.join(" | ")),
             );
-            put(&mut text, format_args!("|---|---|---|{}---|", "---|".repeat(SHOWN.len())));
+            put(&mut text, format_args!("|---|---|---|{}---|", "---|".repeat(COLUMNS.len())));
             for arm in &self.arms {
-                let scores: Vec<String> =
-                    SHOWN.iter().map(|(name, ..)| spread(&arm.domain(domain).score(name))).collect();
-                let difference = arm.domain(domain).against_first.iter().find(|d| d.name == "pooled.f1");
+                let scores = cells(&COLUMNS, |name| spread(&arm.domain(domain).score(name), digits(name)));
+                let difference = arm.domain(domain).against_first.iter().find(|d| d.name == COMPARED);
                 let against = match difference.and_then(|d| Some((d.difference?, d.interval?))) {
-                    Some((difference, [low, high])) if arm.name != self.arms[0].name => {
+                    Some((difference, [low, high])) if arm.name != first => {
                         format!("{difference:+.3} ({low:+.3} .. {high:+.3})")
                     }
                     _ => "—".into(),
                 };
-                put(
-                    &mut text,
-                    format_args!(
-                        "| {} | {} | {} | {} | {against} |",
-                        arm.name,
-                        arm.about,
-                        arm.training_frames,
-                        scores.join(" | ")
-                    ),
-                );
+                let (name, about, frames) = (arm.name, arm.about, arm.training_frames);
+                put(&mut text, format_args!("| {name} | {about} | {frames} | {scores} | {against} |"));
+            }
+            for baseline in &self.baselines {
+                let scores = cells(&COLUMNS, |name| one(baseline.domain(domain).score(name), digits(name)));
+                put(&mut text, format_args!("| {} | sees no image | — | {scores} | — |", baseline.name));
+            }
+            let names: Vec<&str> = DYNAMICS.iter().map(|(_, name)| *name).collect();
+            put(
+                &mut text,
+                format_args!("\nDynamics of the total force:\n\n| arm | {} | episodes |", names.join(" | ")),
+            );
+            put(&mut text, format_args!("|---|{}---|", "---|".repeat(DYNAMICS.len())));
+            for arm in &self.arms {
+                let scores = cells(&DYNAMICS, |name| spread(&arm.domain(domain).score(name), digits(name)));
+                let episodes = arm.domain(domain).seeds.first().map_or_else(|| "—".into(), defined);
+                put(&mut text, format_args!("| {} | {scores} | {episodes} |", arm.name));
+            }
+            for baseline in &self.baselines {
+                let of = baseline.domain(domain);
+                let scores = cells(&DYNAMICS, |name| one(of.score(name), digits(name)));
+                put(&mut text, format_args!("| {} | {scores} | {} |", baseline.name, defined(of)));
             }
         }
         text
     }
 }
 
+/// Returns the cells of a row.
+fn cells(columns: &[(&str, &str)], cell: impl Fn(&str) -> String) -> String {
+    columns.iter().map(|(name, _)| cell(name)).collect::<Vec<_>>().join(" | ")
+}
+
+/// Returns the decimals of a score; the false-positive rate is small.
+fn digits(name: &str) -> usize {
+    if name == "false_positive_rate" { 5 } else { 3 }
+}
+
+/// Formats a single score; a dash if it is undefined.
+fn one(value: Option<f64>, digits: usize) -> String {
+    value.map_or("—".into(), |value| format!("{value:.digits$}"))
+}
+
+/// Formats the number of episodes on which temporal scores are defined.
+fn defined(report: &metrics::Metrics) -> String {
+    format!("{} of {}", report.episodes_defined.temporal_pearson, report.counts.episodes)
+}
+
 /// Formats mean (least..most); a dash if a seed leaves the score undefined.
-fn spread(values: &[Option<f64>]) -> String {
+fn spread(values: &[Option<f64>], digits: usize) -> String {
     let Some(values) = values.iter().copied().collect::<Option<Vec<f64>>>().filter(|values| !values.is_empty()) else {
         return "—".into();
     };
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
-    format!("{mean:.3} ({low:.3}..{high:.3})")
+    format!("{mean:.digits$} ({low:.digits$}..{high:.digits$})")
 }
