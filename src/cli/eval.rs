@@ -27,8 +27,7 @@ use groups::Grouping;
     mean: contact scores of each frame with contact, averaged, as the paper does; pooled: over all vertices of all frames.\n\
     Temporal scores are averages over episodes. A constant prediction of a changing truth has correlations of 0; an episode \
     whose truth does not change has no temporal scores; frames that are masked whole are gaps.\nIntervals are 95 % bootstrap \
-    intervals over episodes.\nzero and persistence (the truth of one observation step ago; of one frame ago for --pred) stand \
-    beside every prediction."
+    intervals over episodes.\nzero and persistence (the truth of a moment ago) stand beside every prediction."
 )]
 pub struct Args {
     /// Predicted fields: safetensors with `force` and `contact`, (T, 1556) each.
@@ -49,6 +48,10 @@ pub struct Args {
     /// Training stores; also scores two constant predictions from them: the mean and the median of each vertex.
     #[arg(long, value_name = "STORE", num_args = 1..)]
     baselines_from: Vec<PathBuf>,
+    /// Age of the truth that `persistence` repeats, s; by default one observation step of the checkpoint, one frame for
+    /// `--pred`.
+    #[arg(long, value_name = "SECS", value_parser = super::positive)]
+    persistence: Option<f64>,
     /// Frames per second, for the dominant frequency; by default from the target's timestamps.
     #[arg(long, value_name = "F", value_parser = super::positive)]
     fps: Option<f64>,

@@ -38,7 +38,7 @@ pub fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
         }
         None => calibration::read(args)?,
     };
-    let lag = Some(predictor.metadata().frame_dt);
+    let lag = args.persistence.or(Some(predictor.metadata().frame_dt));
     let options = EvalOptions { calibration, fps: args.fps };
     let baselines = baselines(constants, &target, lag);
     Ok(Case { pred, target, options, baselines, lag, origins })
@@ -66,9 +66,9 @@ pub fn of_files(args: &Args, pred_path: &Path, target_path: &Path) -> anyhow::Re
         (None, _) => calibration::read(args)?,
     };
     let topology = target.topology.or(pred.topology).unwrap_or_default();
-    let baselines = baselines(constants(&args.baselines_from, topology)?, &target, None);
+    let baselines = baselines(constants(&args.baselines_from, topology)?, &target, args.persistence);
     let options = EvalOptions { calibration, fps: args.fps };
-    Ok(Case { pred, target, options, baselines, lag: None, origins })
+    Ok(Case { pred, target, options, baselines, lag: args.persistence, origins })
 }
 
 /// Checks that another prediction has the case's frames and topology.

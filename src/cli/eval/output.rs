@@ -56,7 +56,7 @@ pub fn write_egophi(case: &Case, seed: u64, as_json: bool) -> anyhow::Result<()>
 
 fn about_persistence(lag: Option<f64>) -> String {
     match lag {
-        Some(secs) => format!("persistence: the truth of {secs:.3} s ago (one observation step); it reads the truth"),
+        Some(secs) => format!("persistence: the truth of {secs:.3} s ago; it reads the truth"),
         None => "persistence: the truth of the frame before; it reads the truth".into(),
     }
 }
