@@ -191,9 +191,12 @@ impl ForceTerms {
     }
 }
 
+/// Selects one score.
+type Score = fn(&EgophiScores) -> Option<f64>;
+
 /// Returns a table with one column per named prediction.
 pub fn egophi_table(reports: &[(&str, &EgophiScores)]) -> String {
-    let rows: [(&str, fn(&EgophiScores) -> Option<f64>); NAMES.len()] = [
+    let rows: [(&str, Score); NAMES.len()] = [
         ("precision at 0.3", |s| s.precision),
         ("recall at 0.3", |s| s.recall),
         ("F1 at 0.3", |s| s.f1),
