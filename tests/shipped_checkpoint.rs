@@ -77,7 +77,7 @@ fn its_card_shows_the_scores_that_the_commands_wrote() {
                 None => "undefined".into(),
             };
             let end = |at: usize| report["intervals"][score][at].as_f64().unwrap();
-            let interval = format!("{:.3} .. {:.3}", end(0), end(1));
+            let interval = format!("{:.4} .. {:.4}", end(0), end(1));
             let baselines = ["zero", "mean", "median", "persistence"].map(|name| cell(&report["baselines"][name]));
             let row = format!("| {name} | {} | {interval} | {} |", cell(&report), baselines.join(" | "));
             assert!(card.contains(&row), "models/README.md lacks the row of {file}: {row}");

@@ -13,7 +13,8 @@ use crate::tactile::{N_FIELD, TactileSequence, check_rows};
 /// Settings of an evaluation; masks, episodes and frame rate come from the target.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct EvalOptions {
-    /// Range of the total force; None = each side's own.
+    /// Range of the total force, from [`calibrate`] or a file; differences and spectra are then those of normalised traces. None
+    /// = each side's own over all episodes, and spectra in newtons.
     pub calibration: Option<Calibration>,
     /// Frames per second, in place of the rate of the target's time stamps. The dominant frequency is undefined without
     /// either.
