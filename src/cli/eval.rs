@@ -37,6 +37,9 @@ pub struct Args {
     /// Number format that the checkpoint runs in: f32, bf16 or int8.
     #[arg(long, requires = "checkpoint", default_value = "f32")]
     precision: Precision,
+    /// Score the force head as it is, also where no force ever trained it; by default such forces are unknown.
+    #[arg(long, requires = "checkpoint")]
+    untrained_force: bool,
     /// Zarr stores with truth, or folders of them.
     #[arg(long, value_name = "STORE", num_args = 1.., requires = "checkpoint")]
     data: Vec<PathBuf>,
@@ -152,6 +155,9 @@ fn vertex_groups(args: &Args, topology: Topology) -> anyhow::Result<Vec<VertexGr
 fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
     let stream = predictor::Options { precision: args.precision, ..super::predict::stream() };
     let mut predictor = Predictor::load(checkpoint, stream)?;
+    if args.untrained_force {
+        predictor = predictor.with_untrained_force();
+    }
     let topology = predictor.metadata().topology;
     let preparation = predictor.metadata().preparation(predictor.config());
     let open = |paths: &[PathBuf]| -> anyhow::Result<Dataset> {

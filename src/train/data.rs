@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::keypoints::{self, Points};
 use super::source::{Supervision, TrainingSource};
 use crate::dataset::EpisodeReader;
-use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader, read_labels};
+use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader, read_labels, read_proximity};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
 use crate::image::{Preparation, resize};
@@ -281,12 +281,16 @@ impl Store {
 
     /// Reads the labels that the source supervises.
     fn labels(&self, frames: Range<usize>) -> Result<TactileSequence> {
-        let mut labels = read_labels(&self.reader, frames)?;
-        if self.supervision == Supervision::Contact {
-            labels.force.fill(f32::NAN);
-            labels.mask_force.fill(0);
+        match self.supervision {
+            Supervision::Both => read_labels(&self.reader, frames),
+            Supervision::Contact => {
+                let mut labels = read_labels(&self.reader, frames)?;
+                labels.force.fill(f32::NAN);
+                labels.mask_force.fill(0);
+                Ok(labels)
+            }
+            Supervision::Proximity => read_proximity(&self.reader, frames),
         }
-        Ok(labels)
     }
 }
 
