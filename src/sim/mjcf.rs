@@ -49,7 +49,7 @@ pub(crate) fn write(episode: &EpisodeDraw, rigs: &[HandRig; 2], effects: EffectS
         let rig = &rigs[hand.side as usize];
         hand_assets(hand, rig, &mut assets);
         hand_bodies(hand, rig, effects, &mut world);
-        skin(rig, &mut skins);
+        skin(hand, rig, &mut skins);
         for (a, b) in &rig.excluded {
             let (a, b) = (rig.name(JOINT_NAMES[*a]), rig.name(JOINT_NAMES[*b]));
             put(&mut excludes, format_args!(r#"<exclude body1="{a}" body2="{b}"/>"#));
@@ -311,6 +311,16 @@ fn hand_assets(hand: &HandDraw, rig: &HandRig, assets: &mut String) {
         assets,
         format_args!(r#"<material name="{}" rgba="{sleeve} 1" specular="0" shininess="0"/>"#, rig.name("sleeve")),
     );
+    if let Some(glove) = &hand.glove {
+        let (name, fabric, pads) = (rig.name("glove"), rgb(glove.fabric), rgb(glove.pads));
+        put(
+            assets,
+            format_args!(
+                r#"<texture name="{name}" type="2d" builtin="checker" rgb1="{fabric}" rgb2="{pads}" width="32" height="32"/>"#
+            ),
+        );
+        put(assets, format_args!(r#"<material name="{name}" texture="{name}" specular="0" shininess="0"/>"#));
+    }
     for (joint, hull) in rig.hulls.iter().enumerate() {
         let corners = join(hull.iter().copied().map(vec3));
         let limit = rig.max_corners.map(|max| format!(r#" maxhullvert="{max}""#)).unwrap_or_default();
@@ -396,13 +406,24 @@ fn link(joint: usize, rig: &HandRig, effects: EffectSet, world: &mut String) {
     }
 }
 
-/// Writes the skin of a hand with the model's skinning weights.
-fn skin(rig: &HandRig, skins: &mut String) {
+/// Writes the skin of a hand with the model's skinning weights; a glove is the same surface, thicker and with a pattern.
+fn skin(hand: &HandDraw, rig: &HandRig, skins: &mut String) {
     let vertices = join(rig.vertices.iter().map(|v| vec3(v.as_dvec3())));
     let faces = join(rig.model.faces.iter().map(|[a, b, c]| format!("{a} {b} {c}")));
+    let (name, material, cover) = match &hand.glove {
+        None => (rig.name("skin"), rig.name("skin"), String::new()),
+        Some(glove) => {
+            // The flat hand seen from above; the checker has two squares per repeat.
+            let place = |v: &glam::Vec3| f64::from(v.x) / (2.0 * glove.pitch);
+            let along = |v: &glam::Vec3| f64::from(v.z) / (2.0 * glove.pitch);
+            let places = join(rig.vertices.iter().map(|v| format!("{} {}", place(v), along(v))));
+            let cover = format!(r#" inflate="{}" texcoord="{places}""#, glove.thickness);
+            (rig.name("skin"), rig.name("glove"), cover)
+        }
+    };
     put(
         skins,
-        format_args!(r#"<skin name="{0}" material="{0}" vertex="{vertices}" face="{faces}">"#, rig.name("skin")),
+        format_args!(r#"<skin name="{name}" material="{material}" vertex="{vertices}" face="{faces}"{cover}>"#),
     );
     for (joint, name) in JOINT_NAMES.iter().enumerate() {
         let weights = rig.model.lbs_weights.iter().skip(joint).step_by(N_JOINTS).enumerate().filter(|(_, w)| **w > 0.0);

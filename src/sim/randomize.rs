@@ -7,7 +7,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
 
-use super::appearance::{Appearance, Rgb, colour, skin, texture};
+use super::appearance::{Appearance, Glove, Rgb, colour, skin, texture};
 use super::object::Object;
 use super::range::UniformRange;
 use super::rig::{HandRig, Hinge, HingeMotion, base_joint};
@@ -83,6 +83,8 @@ pub struct HandDraw {
     pub skin: Rgb,
     /// Colour of the sleeve.
     pub sleeve: Rgb,
+    /// Glove over the hand; `None` = bare.
+    pub glove: Option<Glove>,
 }
 
 /// Drawn values of an act.
@@ -183,8 +185,9 @@ impl EpisodeDraw {
         let mut rng = stream(8);
         // Both hands of a person have the same skin.
         let (skin, sleeve) = (skin(&mut rng), colour(&mut rng, 0.0..0.8, 0.1..0.9));
-        hands.iter_mut().for_each(|hand| (hand.skin, hand.sleeve) = (skin, sleeve));
-        let appearance = Appearance::sample(&mut rng);
+        let glove = Glove::sample(spec.look.hands, skin, &mut stream(13));
+        hands.iter_mut().for_each(|hand| (hand.skin, hand.sleeve, hand.glove) = (skin, sleeve, glove));
+        let appearance = Appearance::sample(&spec.look, &mut rng);
         Ok(Self { objects, hands, camera: CameraDraw::sample(&spec.camera, &mut stream(9)), appearance, duration })
     }
 }
@@ -280,10 +283,10 @@ impl HandDraw {
         rng: &mut impl Rng,
     ) -> Result<Self> {
         let side = rig.side();
-        let (skin, sleeve) = ([0.0; 3], [0.0; 3]);
+        let (skin, sleeve, glove) = ([0.0; 3], [0.0; 3], None);
         let Some(act) = &spec.act else {
             let (wrist, orientation, posture) = draw_idle(rig, rng);
-            return Ok(Self { side, wrist, orientation, posture, act: None, wrap: None, skin, sleeve });
+            return Ok(Self { side, wrist, orientation, posture, act: None, wrap: None, skin, sleeve, glove });
         };
         let index = objects
             .iter()
@@ -315,7 +318,7 @@ impl HandDraw {
         let timeline = Timeline::sample(&act.start, &act.script, side == Side::Left, rng);
         let wrap = act.wrap.as_ref().map(|wrap| (wrap.fingers.clone(), wrap.torque.sample(rng)));
         let act = ActDraw { object: index, goals, from: from.normalize(), timeline };
-        Ok(Self { side, wrist, orientation, posture, act: Some(act), wrap, skin, sleeve })
+        Ok(Self { side, wrist, orientation, posture, act: Some(act), wrap, skin, sleeve, glove })
     }
 }
 
