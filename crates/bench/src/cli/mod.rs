@@ -21,7 +21,7 @@ struct Cli {
 enum Command {
     /// Measurements that the documentation holds: model, train, label, retarget, sim, effects, hard-cases, guards, faults.
     Bench(bench::Args),
-    /// Train and compare: ablations, sources, scaling, on rendered data.
+    /// Test the paper's claims on rendered data: train, measure, compare.
     Experiment(experiment::Args),
     /// Serve as a worker process of a simulation that this program started.
     #[command(hide = true, disable_help_flag = true, disable_version_flag = true)]
