@@ -6,9 +6,8 @@ use image::{ImageBuffer, Luma, Rgb, RgbImage, imageops};
 /// much. Returns a picture of `side` x `side` pixels.
 pub fn overlay(image: &RgbImage, weights: &[f32], grid: u32, largest: f32, side: u32) -> RgbImage {
     let share = |weight: f32| if largest > 0.0 { weight / largest } else { 0.0 };
-    let map = ImageBuffer::<Luma<f32>, Vec<f32>>::from_fn(grid, grid, |x, y| {
-        Luma([share(weights[(y * grid + x) as usize])])
-    });
+    let map =
+        ImageBuffer::<Luma<f32>, Vec<f32>>::from_fn(grid, grid, |x, y| Luma([share(weights[(y * grid + x) as usize])]));
     let map = imageops::resize(&map, side, side, imageops::FilterType::Triangle);
     let picture = imageops::resize(image, side, side, imageops::FilterType::Triangle);
     RgbImage::from_fn(side, side, |x, y| {

@@ -89,10 +89,7 @@ impl Appearance {
             table: [base, other],
             table_pattern,
             table_repeat: rng.random_range(2.0_f64..14.0).round(),
-            background: [
-                colour(rng, surroundings(0.0..0.4), 0.3..0.9),
-                colour(rng, surroundings(0.0..0.4), 0.2..0.8),
-            ],
+            background: [colour(rng, surroundings(0.0..0.4), 0.3..0.9), colour(rng, surroundings(0.0..0.4), 0.2..0.8)],
             floor: colour(rng, surroundings(0.0..0.5), 0.15..0.8),
             ambient: rng.random_range(span(look.ambient)),
             lamps: vec![lamp(rng, 0.5), lamp(rng, 0.25)],

@@ -421,10 +421,7 @@ fn skin(hand: &HandDraw, rig: &HandRig, skins: &mut String) {
             (rig.name("skin"), rig.name("glove"), cover)
         }
     };
-    put(
-        skins,
-        format_args!(r#"<skin name="{name}" material="{material}" vertex="{vertices}" face="{faces}"{cover}>"#),
-    );
+    put(skins, format_args!(r#"<skin name="{name}" material="{material}" vertex="{vertices}" face="{faces}"{cover}>"#));
     for (joint, name) in JOINT_NAMES.iter().enumerate() {
         let weights = rig.model.lbs_weights.iter().skip(joint).step_by(N_JOINTS).enumerate().filter(|(_, w)| **w > 0.0);
         let (ids, weights): (Vec<String>, Vec<String>) = weights.map(|(v, w)| (v.to_string(), w.to_string())).unzip();

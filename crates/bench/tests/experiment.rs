@@ -97,7 +97,8 @@ fn a_finished_network_is_measured_against_worse_pictures_and_other_sensors() {
     let folder = tempfile::tempdir().unwrap();
     let work = folder.path().join("work");
     let (_, decline) = done("decline", &work, folder.path());
-    let score = |name: &str, of: &str| arm(&decline, name)["tests"]["known"]["seeds"][0]["frame_mean"][of].as_f64().unwrap();
+    let score =
+        |name: &str, of: &str| arm(&decline, name)["tests"]["known"]["seeds"][0]["frame_mean"][of].as_f64().unwrap();
     assert!(score("clean", "auroc") > score("occlusion 75%", "auroc"));
     assert!(fs::metadata(folder.path().join("decline.png")).unwrap().len() > 1000);
     // Conditions are kept: what was measured is read again.
@@ -118,7 +119,9 @@ fn attention_is_shared_out_over_hands_objects_and_touch() {
     assert_eq!(shares.len(), 6);
     for share in shares {
         let [area, attention, ratio] = ["area", "attention", "ratio"].map(|key| share[key].as_f64().unwrap());
-        assert!((0.0..1.0).contains(&area) && (0.0..1.0).contains(&attention) && (ratio - attention / area).abs() < 1e-9);
+        assert!(
+            (0.0..1.0).contains(&area) && (0.0..1.0).contains(&attention) && (ratio - attention / area).abs() < 1e-9
+        );
     }
     assert!(text.contains("| temporal token | hand |"));
     assert!(fs::metadata(folder.path().join("attention.png")).unwrap().len() > 1000);

@@ -46,7 +46,9 @@ pub fn generate(args: &Generate) -> anyhow::Result<()> {
     };
     let summary = match args.in_process {
         true => sim::generate(&plan, &args.out, progress)?,
-        false => sim::generate_in_processes(&plan, &workers(args, &names, factor)?, args.skip_failed, &args.out, progress)?,
+        false => {
+            sim::generate_in_processes(&plan, &workers(args, &names, factor)?, args.skip_failed, &args.out, progress)?
+        }
     };
     chunks.finish_and_clear();
     print(&summary, &args.out);

@@ -5,8 +5,8 @@ use std::path::Path;
 use ::image::{GenericImage, Rgb, RgbImage};
 use anyhow::{Context, ensure};
 
-use super::{List, Show};
 use super::shared::options;
+use super::{List, Show};
 use crate::file;
 use crate::hand::Side;
 use crate::sim::scene::Split;

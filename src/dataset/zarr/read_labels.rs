@@ -5,8 +5,8 @@ use std::path::Path;
 
 use super::labels::{predicted, read_info};
 use super::{
-    FRAME_VALIDITY, MANO_CONTACT, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID,
-    MANO_PROXIMITY, TIMESTAMPS, ZarrReader,
+    FRAME_VALIDITY, MANO_CONTACT, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, MANO_PROXIMITY,
+    TIMESTAMPS, ZarrReader,
 };
 use crate::dataset::{EpisodeReader, Labelled};
 use crate::error::{Error, Result};

@@ -82,7 +82,8 @@ impl Split {
             return Err(Error::unknown("scene", scene, SHIPPED.iter().map(|(name, _)| *name)));
         };
         let mut tree: Mapping = parse_yaml(text).map_err(|e| Error::file(scene, e))?;
-        let parts = [("camera", self.camera.clone()), ("look", self.look.clone()), ("rate", self.rate.map(Value::from))];
+        let parts =
+            [("camera", self.camera.clone()), ("look", self.look.clone()), ("rate", self.rate.map(Value::from))];
         for (key, value) in parts {
             value.into_iter().for_each(|value| drop(tree.insert(key.into(), value)));
         }

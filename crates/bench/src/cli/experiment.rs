@@ -88,7 +88,9 @@ mod enabled {
     use serde::Serialize;
 
     use super::*;
-    use crate::experiment::{self, Experiment, MEASUREMENTS, Network, Progress, Setup, Size, attention, claims, decline, plot, transfer};
+    use crate::experiment::{
+        self, Experiment, MEASUREMENTS, Network, Progress, Setup, Size, attention, claims, decline, plot, transfer,
+    };
 
     /// Runs the command.
     pub fn run(args: Args) -> anyhow::Result<ExitCode> {

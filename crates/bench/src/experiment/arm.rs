@@ -70,12 +70,7 @@ const OOD_FORCE: Test = test("ood_force", "Out of the domain, truth by force", &
 /// Out of the domain by distance, as the paper's OAKINK2.
 const OOD_CONTACT: Test = test("ood_contact", "Out of the domain, truth by distance", &[OOD], Supervision::Proximity);
 
-const fn test(
-    name: &'static str,
-    title: &'static str,
-    worlds: &'static [&'static str],
-    truth: Supervision,
-) -> Test {
+const fn test(name: &'static str, title: &'static str, worlds: &'static [&'static str], truth: Supervision) -> Test {
     Test { name, title, worlds, truth, right_hand: false }
 }
 
@@ -103,17 +98,8 @@ impl Test {
 
 impl Experiment {
     /// Names of all experiments that train.
-    pub const NAMES: [&'static str; 9] = [
-        "sources",
-        "consistency",
-        "sampling",
-        "glove",
-        "history",
-        "separation",
-        "scaling",
-        "ablations",
-        "limits",
-    ];
+    pub const NAMES: [&'static str; 9] =
+        ["sources", "consistency", "sampling", "glove", "history", "separation", "scaling", "ablations", "limits"];
 
     /// Returns the experiment of this name.
     ///
@@ -122,7 +108,9 @@ impl Experiment {
     pub fn by_name(name: &str) -> Result<Self> {
         match name {
             "sources" => Ok(sources()),
-            "consistency" => Ok(mixed("consistency", "Does the consistency loss link force and contact?", [NO_CONSISTENCY])),
+            "consistency" => {
+                Ok(mixed("consistency", "Does the consistency loss link force and contact?", [NO_CONSISTENCY]))
+            }
             "sampling" => Ok(sampling()),
             "glove" => Ok(glove()),
             "history" => Ok(mixed("history", "Does the history of pictures help the dynamics of force?", [NO_CONTEXT])),
@@ -246,7 +234,8 @@ fn separation() -> Experiment {
         ..arm("crop", "one frame cut out around the hand, contact alone: a per-frame baseline", |config, _| {
             geometry(config, |geometry| geometry.horizon = 1);
             let LossWeights { contact, positive_weight, .. } = config.loss;
-            let none = LossWeights { force: 0.0, contact, active: 0.0, consistency: 0.0, keypoints: 0.0, positive_weight };
+            let none =
+                LossWeights { force: 0.0, contact, active: 0.0, consistency: 0.0, keypoints: 0.0, positive_weight };
             config.loss = none;
             Ok(())
         })
@@ -290,7 +279,9 @@ fn scaling() -> Experiment {
 /// increased. `scaling` asks the same for data.
 fn limits() -> Experiment {
     fn pixels(config: &mut Config, factor: f64) {
-        geometry(config, |own| own.image = (((own.image / own.patch) as f64 * factor).round() as usize).max(1) * own.patch);
+        geometry(config, |own| {
+            own.image = (((own.image / own.patch) as f64 * factor).round() as usize).max(1) * own.patch
+        });
     }
     let others = [
         arm("steps_half", "half the steps", |config, _| {

@@ -169,7 +169,7 @@ fn episode_samples(
     while let Some(frame) = rollout.next_frame()? {
         pictures.push(frame.frame.camera_ego_rgb.clone());
         let touches = frame.frame.field.contact.iter().any(|contact| *contact > 0.5);
-        if !touches || (pictures.len() - 1) % STRIDE != 0 {
+        if !touches || !(pictures.len() - 1).is_multiple_of(STRIDE) {
             continue;
         }
         let newest = pictures.len() - 1;
@@ -207,7 +207,7 @@ fn sample(rollout: &Rollout, frame: &SimFrame, grid: usize, side: usize, weights
     let mask = Mask::of(rollout, frame, side);
     let mut near_touch = vec![0.0; grid * grid];
     for [x, y] in touched(rollout, frame, CONTACT_FORCE_N) {
-        let inside = |share: f32| (0.0..1.0).contains(&share).then(|| (share * grid as f32) as usize);
+        let inside = |share: f32| (0.0..1.0).contains(&share).then_some((share * grid as f32) as usize);
         if let (Some(x), Some(y)) = (inside(x), inside(y)) {
             near_touch[y * grid + x] = 1.0;
         }
@@ -237,7 +237,9 @@ fn world(name: &'static str, episodes: &[Vec<Sample>]) -> World {
             let sums: Vec<[f64; 3]> = episodes
                 .iter()
                 .map(|samples| {
-                    samples.iter().fold([0.0; 3], |sum, s| [sum[0] + s.attention[l][r], sum[1] + s.area[r], sum[2] + 1.0])
+                    samples
+                        .iter()
+                        .fold([0.0; 3], |sum, s| [sum[0] + s.attention[l][r], sum[1] + s.area[r], sum[2] + 1.0])
                 })
                 .collect();
             let total = |chosen: &mut dyn Iterator<Item = &[f64; 3]>| {
@@ -301,12 +303,22 @@ impl AttentionReport {
             self.network.has_seen,
         );
         for world in &self.worlds {
-            put(&mut text, format_args!("\n## {} ({} frames, {} episodes)\n", world.name, world.frames, world.episodes));
-            put(&mut text, format_args!("| attention of | region | share of area | share of attention | ratio |\n|---|---|---|---|---|"));
+            put(
+                &mut text,
+                format_args!("\n## {} ({} frames, {} episodes)\n", world.name, world.frames, world.episodes),
+            );
+            put(
+                &mut text,
+                format_args!(
+                    "| attention of | region | share of area | share of attention | ratio |\n|---|---|---|---|---|"
+                ),
+            );
             for Share { layer, region, area, attention, ratio, interval: [low, high] } in &world.shares {
                 put(
                     &mut text,
-                    format_args!("| {layer} | {region} | {area:.3} | {attention:.3} | {ratio:.2} ({low:.2} .. {high:.2}) |"),
+                    format_args!(
+                        "| {layer} | {region} | {area:.3} | {attention:.3} | {ratio:.2} ({low:.2} .. {high:.2}) |"
+                    ),
                 );
             }
         }

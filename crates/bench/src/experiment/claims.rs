@@ -161,9 +161,8 @@ fn compare(comparison: &Comparison, results: &Results) -> Result<(String, Verdic
     let Comparison { arm, test, score, expect, share } = comparison;
     let found = results.arms.iter().find(|own| own.name == *arm);
     let found = found.ok_or_else(|| Error::unknown("arm", arm, results.arms.iter().map(|own| own.name.as_str())))?;
-    let scores = found.tests.get(test).ok_or_else(|| {
-        Error::unknown("test", test, found.tests.keys().map(String::as_str))
-    })?;
+    let scores =
+        found.tests.get(test).ok_or_else(|| Error::unknown("test", test, found.tests.keys().map(String::as_str)))?;
     let title = table::FORCE.iter().chain(&table::CONTACT).find(|column| column.names[0] == score);
     let title = title.map_or(score.as_str(), |column| column.title);
     let mean = |values: &[Option<f64>]| {
@@ -201,12 +200,18 @@ fn attention(share: &AttentionShare, results: &Results) -> Result<(String, Verdi
         (_, true) => Verdict::Disagrees,
         _ => Verdict::Uncertain,
     };
-    Ok((format!("{region}: {on:.3} of the attention on {area:.3} of the area, {ratio:.2} times ({low:.2} .. {high:.2})"), verdict))
+    Ok((
+        format!(
+            "{region}: {on:.3} of the attention on {area:.3} of the area, {ratio:.2} times ({low:.2} .. {high:.2})"
+        ),
+        verdict,
+    ))
 }
 
 /// Lists the tables that are there.
 fn links(folder: &Path, claims: &[Claim]) -> String {
-    let mut names: Vec<&str> = claims.iter().map(|claim| claim.experiment.as_str()).chain(["limits", "policy"]).collect();
+    let mut names: Vec<&str> =
+        claims.iter().map(|claim| claim.experiment.as_str()).chain(["limits", "policy"]).collect();
     names.sort_unstable();
     names.dedup();
     let there = names.iter().filter(|name| folder.join(format!("{name}.md")).exists());

@@ -92,10 +92,11 @@ pub fn put_back(from: &Path, predicted: &TactileSequence) -> Result<TactileSeque
     let mut row = 0;
     for part in parts(&reader)? {
         if predicted.n_frames() < row + part.frames.len() {
-            return Err(Error::shape("predicted contact", format!("(>= {}, {N_FIELD})", row + part.frames.len()), [
-                predicted.n_frames(),
-                N_FIELD,
-            ]));
+            return Err(Error::shape(
+                "predicted contact",
+                format!("(>= {}, {N_FIELD})", row + part.frames.len()),
+                [predicted.n_frames(), N_FIELD],
+            ));
         }
         for frame in part.frames {
             let hand = &predicted.contact_at(row)[Side::Right.range()];
@@ -124,13 +125,8 @@ pub fn hand_squares(reader: &ZarrReader) -> Result<Vec<Vec<[f32; 3]>>> {
 /// Returns the hands in view, episode by episode, left before right.
 fn parts(reader: &ZarrReader) -> Result<Vec<Part>> {
     let side = reader.image_size().1;
-    let whole = Preparation {
-        side,
-        resize: Default::default(),
-        filter: Default::default(),
-        mean: [0.0; 3],
-        std: [1.0; 3],
-    };
+    let whole =
+        Preparation { side, resize: Default::default(), filter: Default::default(), mean: [0.0; 3], std: [1.0; 3] };
     let points = keypoints::read(reader, 0..reader.len(), &whole)?;
     let mut parts = Vec::new();
     for frames in episode_ranges(reader.episode_ends()) {

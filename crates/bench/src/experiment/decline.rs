@@ -10,7 +10,6 @@ use egotac::model::checkpoint::parameter_count;
 use egotac::render::figure::{self, Drawn, Figure};
 use egotac::render::font::FAMILY;
 use egotac::render::plot::{self, PALETTE};
-use egotac::score::metrics::EvalOptions;
 use egotac::tactile::TactileSequence;
 use image::RgbImage;
 use plotters::coord::Shift;
@@ -21,7 +20,7 @@ use rand_chacha::ChaCha8Rng;
 use super::data::{self, Recipe};
 use super::degrade::{Degradation, Episode};
 use super::measure::{self, Finished, Place};
-use super::report::{ArmReport, FORMAT, Report, TestInfo, force_truth};
+use super::report::{ArmReport, FORMAT, Report, TestInfo, force_truth, options};
 use super::{Progress, Setup, crop, render};
 
 /// Seed of noise, blocks and directions.
@@ -79,8 +78,10 @@ const FACTORS: [Factor; 6] = [
 /// Pictures of stores as they are.
 const CLEAN: &str = "clean";
 /// Tests: name and title.
-const TESTS: [(&str, &str); 2] =
-    [("known", "Scenes that the network may know, unseen episodes"), ("ood", "The split `ood`: unseen shapes, camera and look")];
+const TESTS: [(&str, &str); 2] = [
+    ("known", "Scenes that the network may know, unseen episodes"),
+    ("ood", "The split `ood`: unseen shapes, camera and look"),
+];
 /// Scores in the plot: name in the JSON and title.
 const DRAWN: [(&str, &str); 2] = [("frame_mean.f1", "F1, frame mean"), ("temporal_pearson", "temporal Pearson")];
 
@@ -107,15 +108,20 @@ pub fn run(setup: &Setup, command: String, progress: &mut dyn FnMut(Progress)) -
     let mut data = Vec::new();
     for recipes in sets {
         let clean = measure::predict(&mut predictor, &recipes, &mut |_, image| Ok(image))?;
-        let squares = recipes.iter().map(|recipe| {
-            Ok((recipe.path.clone(), crop::hand_squares(&ZarrReader::open(&recipe.path)?)?))
-        });
+        let squares = recipes
+            .iter()
+            .map(|recipe| Ok((recipe.path.clone(), crop::hand_squares(&ZarrReader::open(&recipe.path)?)?)));
         data.push(Data { truth: force_truth(&recipes)?, squares: squares.collect::<Result<_>>()?, clean, recipes });
     }
     let mut arms = vec![finished.or_measure(CLEAN, || {
         let mut arm = condition(CLEAN.into(), "the pictures as they are".into());
         for ((name, _), data) in TESTS.iter().zip(&data) {
-            arm.tests.entry((*name).into()).or_default().push(&data.clean, None, &data.truth, &options(&data.truth))?;
+            arm.tests.entry((*name).into()).or_default().push(
+                &data.clean,
+                None,
+                &data.truth,
+                &options(&data.truth, None),
+            )?;
         }
         Ok(arm)
     })?];
@@ -127,7 +133,7 @@ pub fn run(setup: &Setup, command: String, progress: &mut dyn FnMut(Progress)) -
             for ((name, _), data) in TESTS.iter().zip(&data) {
                 let predicted = measure::predict(&mut predictor, &data.recipes, &mut degrader(*how, data))?;
                 let scores = arm.tests.entry((*name).into()).or_default();
-                scores.push(&predicted, Some(&data.clean), &data.truth, &options(&data.truth))?;
+                scores.push(&predicted, Some(&data.clean), &data.truth, &options(&data.truth, None))?;
             }
             Ok(arm)
         })?);
@@ -155,10 +161,6 @@ pub fn run(setup: &Setup, command: String, progress: &mut dyn FnMut(Progress)) -
         tests: tests.collect(),
         arms,
     })
-}
-
-fn options(truth: &TactileSequence) -> EvalOptions {
-    EvalOptions { fps: truth.fps(), ..EvalOptions::default() }
 }
 
 /// Returns the empty row of a condition.
@@ -221,9 +223,11 @@ impl Figure for Plot<'_> {
         root.fill(&WHITE)?;
         let panels = root.titled(&self.0.question, (FAMILY, 24))?.split_evenly((2, 3));
         for (panel, factor) in panels.iter().zip(&FACTORS) {
-            let names: Vec<&str> = std::iter::once(CLEAN).chain(factor.levels.iter().map(|(level, _)| *level)).collect();
+            let names: Vec<&str> =
+                std::iter::once(CLEAN).chain(factor.levels.iter().map(|(level, _)| *level)).collect();
             let last = names.len() as f64 - 1.0;
-            let mut chart = plot::chart(panel, factor.title, [44, 52]).build_cartesian_2d(-0.2..last + 0.2, 0.0..1.0)?;
+            let mut chart =
+                plot::chart(panel, factor.title, [44, 52]).build_cartesian_2d(-0.2..last + 0.2, 0.0..1.0)?;
             let tick = |x: &f64| {
                 let at = x.round();
                 let near = (x - at).abs() < 1e-6 && at >= 0.0;
@@ -239,10 +243,10 @@ impl Figure for Plot<'_> {
             for (series, ((score, score_title), (test, _))) in
                 DRAWN.iter().flat_map(|drawn| TESTS.iter().map(move |test| (drawn, test))).enumerate()
             {
-                let place = |at: usize| if at == 0 { CLEAN.to_string() } else { format!("{} {}", factor.name, names[at]) };
-                let points: Vec<(f64, f64)> = (0..names.len())
-                    .filter_map(|at| Some((at as f64, self.score(&place(at), test, score)?)))
-                    .collect();
+                let place =
+                    |at: usize| if at == 0 { CLEAN.to_string() } else { format!("{} {}", factor.name, names[at]) };
+                let points: Vec<(f64, f64)> =
+                    (0..names.len()).filter_map(|at| Some((at as f64, self.score(&place(at), test, score)?))).collect();
                 let color = PALETTE[series];
                 chart
                     .draw_series(LineSeries::new(points, color.stroke_width(2)).point_size(3))?
@@ -262,12 +266,14 @@ mod tests {
 
     #[test]
     fn at_a_lower_frame_rate_a_picture_stands_until_the_next_is_due() {
-        let data = Data { recipes: vec![], truth: Default::default(), squares: BTreeMap::new(), clean: Default::default() };
+        let data =
+            Data { recipes: vec![], truth: Default::default(), squares: BTreeMap::new(), clean: Default::default() };
         let mut degrade = degrader(FrameRate(5.0), &data);
         let shown: Vec<u8> = (0..12)
             .map(|frame| {
                 // 25 pictures a second in two episodes.
-                let (start, stamp) = if frame < 8 { (0, f64::from(frame) * 0.04) } else { (8, f64::from(frame - 8) * 0.04) };
+                let (start, stamp) =
+                    if frame < 8 { (0, f64::from(frame) * 0.04) } else { (8, f64::from(frame - 8) * 0.04) };
                 let place = Place { store: Path::new("a"), episode: 0, start, frame: frame as usize, stamp };
                 degrade(place, RgbImage::from_pixel(1, 1, image::Rgb([frame as u8; 3]))).unwrap().get_pixel(0, 0).0[0]
             })

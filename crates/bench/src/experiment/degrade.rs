@@ -71,7 +71,8 @@ fn occlude(mut image: RgbImage, squares: &[[f32; 3]], share: f32, place: [f32; 2
             let pixel = |at: f32| at.round().clamp(0.0, end as f32) as u32;
             pixel(from)..pixel(from + side * length)
         };
-        for (x, y) in span(top, image.height()).flat_map(|y| span(left, image.width()).map(move |x| (x, y))) {
+        let (rows, columns) = (span(top, image.height()), span(left, image.width()));
+        for (x, y) in rows.flat_map(|y| columns.clone().map(move |x| (x, y))) {
             image.put_pixel(x, y, BLOCK);
         }
     }
@@ -135,8 +136,10 @@ mod tests {
     fn a_block_hides_its_share_of_the_square_and_nothing_else() {
         let out = degraded(Degradation::Occlusion(0.25), &[[0.5, 0.5, 0.25]]);
         // The square is 16..48; half its side is hidden at the lower left.
-        let changed: Vec<(u32, u32)> =
-            (0..64).flat_map(|y| (0..64).map(move |x| (x, y))).filter(|(x, y)| out.get_pixel(*x, *y) == &BLOCK).collect();
+        let changed: Vec<(u32, u32)> = (0..64)
+            .flat_map(|y| (0..64).map(move |x| (x, y)))
+            .filter(|(x, y)| out.get_pixel(*x, *y) == &BLOCK)
+            .collect();
         assert_eq!(changed.len(), 16 * 16);
         assert!(changed.iter().all(|(x, y)| (16..32).contains(x) && (32..48).contains(y)));
         assert_eq!(degraded(Degradation::Occlusion(0.5), &[]), picture());

@@ -44,7 +44,8 @@ impl Mask {
         }
         for (object, drawn) in rollout.objects().iter().zip(&rollout.episode().objects) {
             let shown = if drawn.name.starts_with("distractor_") { Shown::Other } else { Shown::Object };
-            let parts = [(&drawn.shape.pieces, object.pose()), (&drawn.shape.base, (drawn.position, drawn.orientation))];
+            let parts =
+                [(&drawn.shape.pieces, object.pose()), (&drawn.shape.base, (drawn.position, drawn.orientation))];
             for (pieces, (position, orientation)) in parts.into_iter().filter(|_| drawn.solid) {
                 for piece in pieces.iter() {
                     let (vertices, faces) = piece.mesh();
@@ -75,7 +76,8 @@ impl Mask {
 
     /// Draws triangles with their depth.
     fn mesh(&mut self, projection: &Projection, vertices: &[Vec3], faces: &[[u32; 3]], shown: Shown) {
-        let corners: Vec<Option<[f32; 3]>> = vertices.iter().map(|vertex| projection.corner(*vertex, self.side)).collect();
+        let corners: Vec<Option<[f32; 3]>> =
+            vertices.iter().map(|vertex| projection.corner(*vertex, self.side)).collect();
         for face in faces {
             if let [Some(a), Some(b), Some(c)] = face.map(|vertex| corners[vertex as usize]) {
                 self.triangle([a, b, c], shown);
@@ -85,7 +87,8 @@ impl Mask {
 
     /// Draws a triangle of corners (x, y in pixels, reciprocal of the depth).
     fn triangle(&mut self, [a, b, c]: [[f32; 3]; 3], shown: Shown) {
-        let edge = |p: [f32; 3], q: [f32; 3], at: [f32; 2]| (q[0] - p[0]) * (at[1] - p[1]) - (q[1] - p[1]) * (at[0] - p[0]);
+        let edge =
+            |p: [f32; 3], q: [f32; 3], at: [f32; 2]| (q[0] - p[0]) * (at[1] - p[1]) - (q[1] - p[1]) * (at[0] - p[0]);
         let area = edge(a, b, [c[0], c[1]]);
         if area.abs() < 1e-9 {
             return;

@@ -60,7 +60,8 @@ pub fn predict(
             for first in frames.clone().step_by(BLOCK) {
                 let block = first..(first + BLOCK).min(frames.end);
                 for (frame, image) in block.clone().zip(reader.images(block)?) {
-                    let place = Place { store: &recipe.path, episode, start: frames.start, frame, stamp: stamps[frame] };
+                    let place =
+                        Place { store: &recipe.path, episode, start: frames.start, frame, stamp: stamps[frame] };
                     own.push(&predictor.push(&change(place, image)?, stamps[frame])?.field)?;
                 }
             }

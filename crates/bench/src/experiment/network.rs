@@ -82,7 +82,8 @@ mod tests {
     fn the_shipped_network_says_that_it_knows_the_scenes_and_others_name_their_stores() {
         let shipped = Network::load(None).unwrap();
         assert!(shipped.has_seen.contains("nineteen") && shipped.sha256.len() == 64);
-        let record = r#"{"steps": 5, "frames": 70, "config": {"data": ["a/b.zarr", {"stores": ["c.zarr"], "mirror": true}]}}"#;
+        let record =
+            r#"{"steps": 5, "frames": 70, "config": {"data": ["a/b.zarr", {"stores": ["c.zarr"], "mirror": true}]}}"#;
         assert_eq!(seen(record), "5 steps on 70 frames of b.zarr, c.zarr");
         assert_eq!(seen("by hand"), "not recorded in it");
     }

@@ -7,7 +7,7 @@ use egotac::error::Result;
 use egotac::hand::Side;
 use egotac::machine::Machine;
 use egotac::model::{Metadata, checkpoint::parameter_count};
-use egotac::score::metrics::{self, EvalOptions, VertexGroup};
+use egotac::score::metrics::{self, Calibration, EvalOptions, VertexGroup};
 use egotac::tactile::TactileSequence;
 use egotac::train::baseline;
 use egotac::train::data::Dataset;
@@ -194,7 +194,7 @@ pub(super) fn make(
     for test in &experiment.tests {
         let held_out = stores.held_out(test.worlds)?;
         let truth = truth(&held_out, test, setup)?;
-        let options = EvalOptions { fps: truth.fps(), ..EvalOptions::default() };
+        let options = options(&truth, None);
         let force = test.truth == Supervision::Both;
         tests.push(TestInfo {
             name: test.name.into(),
@@ -271,6 +271,11 @@ fn truth(held_out: &[Recipe], test: &Test, setup: &Setup) -> Result<TactileSeque
         VertexGroup::hand(Side::Right).restrict(&mut truth);
     }
     Ok(truth)
+}
+
+/// Returns the settings of an evaluation against `truth`; without a calibration each side has its own range.
+pub(super) fn options(truth: &TactileSequence, calibration: Option<Calibration>) -> EvalOptions {
+    EvalOptions { fps: truth.fps(), calibration }
 }
 
 /// Reads the truth, force and contact, of stores, one behind the other.

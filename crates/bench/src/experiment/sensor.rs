@@ -1,6 +1,6 @@
 //! A tactile glove of another make: other taxels, gain and spread than the simulator's label.
 
-use egotac::hand::{HandModel, N_VERTICES, Region, Side};
+use egotac::hand::{HandModel, N_VERTICES, Region, Side, vertex_normals};
 use egotac::tactile::{N_FIELD, TactileSequence};
 use glam::Vec3;
 use rand::{Rng, SeedableRng};
@@ -61,7 +61,8 @@ impl Sensor {
                 let mut members: Vec<Vec<u32>> = vec![Vec::new(); centres.len()];
                 for vertex in &inner {
                     let distance = |centre: &usize| vertices[*vertex].distance(vertices[*centre]);
-                    let nearest = (0..centres.len()).min_by(|a, b| distance(&centres[*a]).total_cmp(&distance(&centres[*b])));
+                    let nearest =
+                        (0..centres.len()).min_by(|a, b| distance(&centres[*a]).total_cmp(&distance(&centres[*b])));
                     if let Some(taxel) = nearest.filter(|taxel| distance(&centres[*taxel]) <= radius) {
                         members[taxel].push(*vertex as u32);
                     }
@@ -99,12 +100,7 @@ impl HandMap {
 /// Returns the vertices that face the palm's side at rest.
 fn inner_side(model: &HandModel) -> Vec<usize> {
     let regions = model.regions();
-    let mut normals = vec![Vec3::ZERO; N_VERTICES];
-    for face in &model.faces {
-        let [a, b, c] = face.map(|vertex| model.v_template[vertex as usize]);
-        let normal = (b - a).cross(c - a);
-        face.iter().for_each(|vertex| normals[*vertex as usize] += normal);
-    }
+    let normals = vertex_normals(&model.v_template, &model.faces);
     // The palms of both hands face -y at rest.
     (0..N_VERTICES).filter(|v| regions[*v] != Region::Dorsal && normals[*v].y <= 0.0).collect()
 }
@@ -134,7 +130,11 @@ fn spread(vertices: &[Vec3], sigma: f32, rows: &[Vec<(u32, f32)>]) -> Vec<Vec<(u
         for (through, share) in near {
             rows[through].iter().for_each(|(to, weight)| row[*to as usize] += share / sum * weight);
         }
-        row.into_iter().enumerate().filter(|(_, weight)| *weight > 0.0).map(|(to, weight)| (to as u32, weight)).collect()
+        row.into_iter()
+            .enumerate()
+            .filter(|(_, weight)| *weight > 0.0)
+            .map(|(to, weight)| (to as u32, weight))
+            .collect()
     };
     (0..N_VERTICES).map(of).collect()
 }
@@ -175,7 +175,11 @@ mod tests {
         let model = HandModel::builtin(Side::Left);
         let inner = inner_side(&model);
         let covered = read.force_at(0)[Side::Left.range()].iter().filter(|force| **force > 0.0).count();
-        assert!(covered > 48 && covered < inner.len() && inner.len() < N_VERTICES / 2 + 150, "{covered} {}", inner.len());
+        assert!(
+            covered > 48 && covered < inner.len() && inner.len() < N_VERTICES / 2 + 150,
+            "{covered} {}",
+            inner.len()
+        );
         // Within a taxel the reading is even, and the taxels together read each covered vertex once.
         assert!((total(&read, 0) - 2.0 * covered as f32).abs() < 0.1 * covered as f32);
         assert_eq!(farthest(&model.v_template, &inner, 5).len(), 5);

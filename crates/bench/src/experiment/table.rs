@@ -107,7 +107,8 @@ impl Report {
     fn table(&self, test: &TestInfo, text: &mut String) {
         let columns = columns(test);
         let titles: Vec<&str> = columns.iter().map(|column| column.title).collect();
-        let title = |name: &str| columns.iter().find(|column| column.names[0] == name).map_or("", |column| column.title);
+        let title =
+            |name: &str| columns.iter().find(|column| column.names[0] == name).map_or("", |column| column.title);
         let [first, second] = test.compared.map(title);
         put(
             text,

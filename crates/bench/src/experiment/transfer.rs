@@ -6,14 +6,14 @@
 use egotac::error::{Error, Result};
 use egotac::machine::Machine;
 use egotac::model::checkpoint::parameter_count;
-use egotac::score::metrics::{Calibration, EvalOptions};
+use egotac::score::metrics::Calibration;
 use egotac::tactile::{N_FIELD, TactileSequence};
 use egotac::train::baseline;
 
 use super::data::{self, Recipe};
 use super::decline::condition;
 use super::measure::{self, Finished};
-use super::report::{FORMAT, Report, TestInfo, constant_row, force_truth};
+use super::report::{FORMAT, Report, TestInfo, constant_row, force_truth, options};
 use super::sensor::Sensor;
 use super::{Progress, Setup, render};
 
@@ -34,8 +34,10 @@ const SENSORS: [(&str, &str, Sensor); 5] = [
     ("all", "all of these at once", Sensor { layout: Some((96, 0.005)), spread: 0.008, gain: Some((0.4, 0.4)) }),
 ];
 /// Tests: name and title.
-const TESTS: [(&str, &str); 2] =
-    [("known", "scenes that the network may know, unseen episodes"), ("ood", "the split `ood`, unseen shapes, camera and look")];
+const TESTS: [(&str, &str); 2] = [
+    ("known", "scenes that the network may know, unseen episodes"),
+    ("ood", "the split `ood`, unseen shapes, camera and look"),
+];
 
 /// Measures a network against all sensors.
 ///
@@ -76,7 +78,7 @@ pub fn run(setup: &Setup, command: String, progress: &mut dyn FnMut(Progress)) -
                 // Any constant has the same normalised trace; this one is the mean force of each vertex.
                 let [_, constant, ..] = baseline::constants(&read);
                 let calibration = calibration(&calibrating_predicted, &sensor.read(&calibrating_truth))?;
-                let options = EvalOptions { fps: read.fps(), calibration: Some(calibration), ..EvalOptions::default() };
+                let options = options(&read, Some(calibration));
                 let mut arm = condition((*name).into(), (*about).into());
                 let constant = constant.sequence(read.n_frames());
                 let scores = arm.tests.entry((*test).into()).or_default();
@@ -92,7 +94,7 @@ pub fn run(setup: &Setup, command: String, progress: &mut dyn FnMut(Progress)) -
             let [_, constant, ..] = baseline::constants(&truth);
             let constant = constant.sequence(truth.n_frames());
             let calibration = calibration(&calibrating_predicted, &calibrating_truth)?;
-            let options = EvalOptions { fps: truth.fps(), calibration: Some(calibration), ..EvalOptions::default() };
+            let options = options(&truth, Some(calibration));
             let mut row = constant_row("constant");
             row.about = "the mean force of each vertex against the simulator's label".into();
             row.tests.entry((*test).into()).or_default().push(&constant, None, &truth, &options)?;
