@@ -60,16 +60,12 @@ fn an_experiment_writes_its_tables_and_repeats_no_run() {
     let (text, again) = done("sources", &work, &second);
     assert!(text.starts_with("0 runs to make, 0 windows"), "{text}");
     assert_eq!(again, report);
-    // Another experiment takes the runs that are equal: here two of its ten.
-    let (text, scaling) = done("scaling", &work, &second);
-    assert!(text.contains("sources_1, seed 1: done") && scaling["arms"].as_array().unwrap().len() == 7 + 3);
-    assert_eq!(arm(&scaling, "sources_1")["tests"], {
-        let mut tests = arm(&report, "force_only")["tests"].clone();
-        let own = arm(&scaling, "sources_1")["tests"].as_object().unwrap();
-        // Only the reference differs.
-        own.iter().for_each(|(name, scores)| tests[name]["differences"] = scores["differences"].clone());
-        tests
-    });
+    // Another experiment takes the runs that are equal: here those of its first arm.
+    let (text, history) = done("history", &work, &second);
+    assert!(text.starts_with("2 runs to make, 120 windows altogether"), "{text}");
+    assert_eq!(arm(&history, "mixed")["tests"]["force"]["seeds"], arm(&report, "plus_3")["tests"]["force"]["seeds"]);
+
+    check_the_per_frame_baseline(&work, &second);
 
     let output = experiment("results", &work, &first);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -78,10 +74,9 @@ fn an_experiment_writes_its_tables_and_repeats_no_run() {
     assert!(page.contains("| `egotac experiment glove` |"), "{page}");
 }
 
-#[test]
-fn the_per_frame_baseline_sees_one_hand_and_says_nothing_of_force() {
-    let folder = tempfile::tempdir().unwrap();
-    let (_, report) = done("separation", &folder.path().join("work"), folder.path());
+/// Checks that the baseline sees one hand at a time, on the same vertices as the network, and says nothing of force.
+fn check_the_per_frame_baseline(work: &Path, out: &Path) {
+    let (_, report) = done("separation", work, out);
     let crop = &arm(&report, "crop")["tests"]["ood_force"]["seeds"][0];
     let whole = &arm(&report, "mixed")["tests"]["ood_force"]["seeds"][0];
     assert!(crop["active_mae"].is_null() && whole["active_mae"].is_number());

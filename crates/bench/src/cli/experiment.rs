@@ -154,7 +154,7 @@ mod enabled {
             },
         };
         let network = if args.quick && !measures { Network::toy() } else { Network::load(args.init.as_deref())? };
-        Ok(Setup { size, network, work: args.work.clone() })
+        Ok(Setup { size, network, work: args.work.clone(), quick: args.quick })
     }
 
     /// Returns the command line that measures the same again.

@@ -36,7 +36,7 @@ struct Factor {
 
 use Degradation::{Blur, Exposure, FrameRate, Noise, Occlusion, Resolution};
 
-const FACTORS: [Factor; 6] = [
+static FACTORS: [Factor; 6] = [
     Factor {
         name: "occlusion",
         title: "Occluded share of the hands' squares",
@@ -103,8 +103,11 @@ pub fn run(setup: &Setup, command: String, progress: &mut dyn FnMut(Progress)) -
     render(&all, progress)?;
     let finished = Finished::new(setup, "decline", &all);
     let mut predictor = measure::predictor(setup)?;
-    let conditions: Vec<(&Factor, &(&str, Degradation))> =
-        FACTORS.iter().flat_map(|factor| factor.levels.iter().map(move |level| (factor, level))).collect();
+    let levels = |factor: &'static Factor| {
+        let first = if setup.quick { factor.levels.len() - 1 } else { 0 };
+        factor.levels[first..].iter().map(move |level| (factor, level))
+    };
+    let conditions: Vec<(&Factor, &(&str, Degradation))> = FACTORS.iter().flat_map(levels).collect();
     let mut data = Vec::new();
     for recipes in sets {
         let clean = measure::predict(&mut predictor, &recipes, &mut |_, image| Ok(image))?;

@@ -81,6 +81,8 @@ pub struct Setup {
     pub network: Network,
     /// Folder for data and runs.
     pub work: PathBuf,
+    /// True to measure only the last level of each kind of degradation.
+    pub quick: bool,
 }
 
 /// Work that an experiment still has to do.

@@ -233,6 +233,7 @@ mod tests {
             size: Size { episodes: 10, held_out: 2, steps: 5, seeds: 2, image: 112, scenes: 9 },
             network: Network::toy(),
             work: "work".into(),
+            quick: true,
         };
         let stores = Stores::plan(Path::new("work/data"), 10, 2, 112, 9).unwrap();
         let folder = |experiment: &str, arm: &str, seed: u64| {
