@@ -24,8 +24,8 @@ fn forces(scene: &Scene, seed: u64) -> Vec<Vec<f32>> {
 fn held_out_scenes_touch_as_their_relatives_do() {
     for name in Split::named("ood").unwrap().scene_names("ood") {
         let scene = Scene::load(&name).unwrap();
-        let touches = (0..4).filter(|seed| forces(&scene, *seed).iter().flatten().any(|force| *force > 0.05)).count();
-        assert_eq!(touches, if name == "ood/reach_past" { 0 } else { 4 }, "{name}");
+        let touches = (0..2).filter(|seed| forces(&scene, *seed).iter().flatten().any(|force| *force > 0.05)).count();
+        assert_eq!(touches, if name == "ood/reach_past" { 0 } else { 2 }, "{name}");
     }
 }
 
