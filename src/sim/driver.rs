@@ -13,6 +13,7 @@ use super::object::Object;
 use super::randomize::{ActDraw, ContactGoal, HandDraw};
 use super::rig::{HandRig, Hinge, HingeMotion, JOINT_NAMES, base_joint, site_of};
 use super::scene::HandSite;
+use super::timeline::{ChannelValues, Ramp};
 use crate::error::Result;
 use crate::mujoco::world::{Body, Servo, Skin};
 use crate::mujoco::{Contact, World};
@@ -55,6 +56,8 @@ pub struct HandDriver {
     zero: (DVec3, DQuat),
     wrap_hinges: Vec<WrapHinge>,
     plan: MotionPlan,
+    /// Command in place of the script.
+    command: Option<Ramp>,
 }
 
 /// Object that a hand touches, at its start.
@@ -169,6 +172,7 @@ impl HandDriver {
             zero: (hand.wrist, hand.orientation),
             wrap_hinges: wrap_hinges(hand, rig),
             plan: MotionPlan::idle(&hand.posture),
+            command: None,
         };
         if let Some(act) = &hand.act {
             driver.plan = driver.solve(world, hand, act, rig, &objects[act.object]);
@@ -202,7 +206,8 @@ impl HandDriver {
     /// Sets the servo targets for the next `interval` seconds.
     pub fn drive(&mut self, world: &mut World, interval: f64) {
         let time = world.time();
-        if let Some(act) = &self.plan.act {
+        // A command is open loop: the measured force would tell its sender what no sensor has told.
+        if let (Some(act), None) = (&self.plan.act, &self.command) {
             let squeeze = act.timeline.at(time).squeeze;
             let object = self.plan.object;
             // At a place to reach, contact with anything but this hand counts: the other hand.
@@ -213,6 +218,16 @@ impl HandDriver {
         }
         let targets = self.targets(world, time);
         self.set_targets(world, &targets);
+    }
+
+    /// Replaces the script from now on: the channels change linearly to `to` over `seconds` and then stay. Returns false if
+    /// the hand has no act, and so no channels.
+    pub fn command(&mut self, now: f64, seconds: f64, to: ChannelValues) -> bool {
+        let Some(act) = &self.plan.act else { return false };
+        let from = self.channels(act, now);
+        self.plan.force_controls.iter_mut().for_each(|control| control.correction = 0.0);
+        self.command = Some(Ramp { from, to, begin: now, seconds });
+        true
     }
 
     /// Moves the hand to its planned pose at `time`, s, without servos and forces.
@@ -238,13 +253,18 @@ impl HandDriver {
         }
     }
 
+    /// Returns the channels at `time`, s: those of the command, or of the script without one.
+    fn channels(&self, act: &ActDraw, time: f64) -> ChannelValues {
+        self.command.map_or_else(|| act.timeline.at(time), |command| command.at(time))
+    }
+
     /// Computes the servo targets at `time`, s: wrist, then hinges, m and rad.
     fn targets(&self, world: &World, time: f64) -> Vec<f64> {
         let plan = &self.plan;
         let Some(act) = &plan.act else {
             return plan.poses[0].clone();
         };
-        let channels = act.timeline.at(time);
+        let channels = self.channels(act, time);
         let mut targets = plan.pose_at(channels.opening);
         for wrap in self.wrap_hinges.iter().filter(|_| channels.wrap > 0.0) {
             let target = &mut targets[6 + wrap.hinge];
