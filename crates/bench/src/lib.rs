@@ -10,6 +10,7 @@
 //! | [`hard_cases`] | inputs that go wrong, the guards that report them, and their remedies |
 //! | [`faults`] | kills, errors of the disk and changing inputs while commands write their outputs |
 //! | [`experiment`] | several trainings, compared |
+//! | `policy` | a policy in simulation with and without touch |
 
 pub mod cli;
 #[cfg(feature = "sim")]
@@ -23,6 +24,8 @@ pub mod hard_cases;
 pub mod label;
 pub mod model;
 pub mod peer;
+#[cfg(feature = "sim")]
+pub mod policy;
 #[cfg(feature = "sim")]
 pub mod retarget;
 #[cfg(feature = "sim")]
