@@ -55,7 +55,7 @@ impl Environment {
     pub fn reset(&mut self, seed: u64) -> Result<SimFrame> {
         self.rollout = None;
         let mut rollout = Rollout::new(&self.scene, seed, &self.options)?;
-        if !rollout.episode().hands.first().is_some_and(|hand| hand.act.is_some()) {
+        if rollout.episode().hands.first().is_none_or(|hand| hand.act.is_none()) {
             let expected = format!("a hand with an act in scene {}, which commands replace", self.scene.name);
             return Err(Error::value("hands[0].act", expected, "none"));
         }

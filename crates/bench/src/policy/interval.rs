@@ -61,7 +61,7 @@ mod tests {
     #[test]
     fn a_bootstrap_over_trials_alone_has_the_width_of_the_binomial_distribution() {
         let trials: Vec<f64> = (0..200).map(|i| f64::from(i % 4 == 0)).collect();
-        let [low, high] = bootstrap(&[trials.clone()], 1).unwrap();
+        let [low, high] = bootstrap(std::slice::from_ref(&trials), 1).unwrap();
         let expected = 2.0 * Z * (0.25 * 0.75 / 200.0f64).sqrt();
         assert!(((high - low) - expected).abs() < 0.15 * expected, "{low} {high}");
         assert!(low < 0.25 && 0.25 < high);
