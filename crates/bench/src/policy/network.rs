@@ -56,17 +56,21 @@ impl Inputs {
     /// Adds an observation: pictures (64, 64, 3) and touch (34; zeros for an arm without), now and earlier, and own commands.
     pub fn push(&mut self, pictures: [&[u8]; 2], look: Look, touch: [&[f32]; 2], own: &[f32]) {
         let inside = |at: i32| at.clamp(0, SIDE as i32 - 1) as usize;
-        let scale = look.brightness / 255.0;
+        let values: [f32; 256] = std::array::from_fn(|value| value as f32 * look.brightness / 255.0 - 0.5);
+        self.patches.reserve(2 * PICTURE);
         for square in 0..(GRID / JOINED).pow(2) {
             let (top, left) = (square / (GRID / JOINED) * JOINED, square % (GRID / JOINED) * JOINED);
             for patch in 0..JOINED * JOINED {
                 let (y, x) = ((top + patch / JOINED) * PATCH, (left + patch % JOINED) * PATCH);
+                let columns: [usize; PATCH] = std::array::from_fn(|column| inside((x + column) as i32 - look.shift[0]));
                 for picture in pictures {
-                    for pixel in 0..PATCH * PATCH {
-                        let row = inside((y + pixel / PATCH) as i32 - look.shift[1]);
-                        let column = inside((x + pixel % PATCH) as i32 - look.shift[0]);
-                        let at = 3 * (row * SIDE + column);
-                        self.patches.extend(picture[at..at + 3].iter().map(|value| f32::from(*value) * scale - 0.5));
+                    for row in y..y + PATCH {
+                        let start = inside(row as i32 - look.shift[1]) * SIDE;
+                        for column in columns {
+                            let at = 3 * (start + column);
+                            self.patches
+                                .extend_from_slice(&[at, at + 1, at + 2].map(|at| values[picture[at] as usize]));
+                        }
                     }
                 }
             }
