@@ -5,8 +5,11 @@ use std::path::Path;
 use candle_core::{DType, Device, Tensor};
 use egotac::error::{Error, Result};
 
+use super::clone::Arm;
+use super::closed_loop::Recent;
 use super::control::{Disturbance, expert};
 use super::cores::on_all_cores;
+use super::network::Policy;
 use super::senses::{OWN, PICTURE, RENDERED, SIDE, Senser, Senses, TOUCH};
 use super::task::{MAX_CHANGE, Trial};
 
@@ -31,20 +34,27 @@ pub struct Demonstrations {
 }
 
 impl Demonstrations {
-    /// Records the trial of a seed: disturbed commands are executed, the expert's are recorded.
+    /// Records the trial of a seed with the expert's actions. Executed are the actions of `learner`, a policy with the touch
+    /// of its arm, or the expert's with a disturbance.
     ///
     /// # Errors
-    /// If the trial can't be simulated, or the network fails.
-    pub fn record(seed: u64, senser: &mut Senser) -> Result<Self> {
+    /// If the trial can't be simulated, or a network fails.
+    pub fn record(seed: u64, senser: &mut Senser, learner: Option<(&Policy, Arm)>) -> Result<Self> {
         let mut trial = Trial::start(seed, Some(RENDERED))?;
         let mut disturbance = Disturbance::new(seed);
+        let mut recent = Recent::default();
         let mut all = Self::default();
         senser.reset();
         loop {
             let change = expert(&trial)?;
-            all.push(senser.sense(&trial, true)?, (change / MAX_CHANGE) as f32);
-            let fingers = trial.grasp()?.fingers;
-            if !trial.act(change + disturbance.next(fingers), false)? {
+            let senses = senser.sense(&trial, true)?;
+            recent.push(senses.clone());
+            all.push(senses, (change / MAX_CHANGE) as f32);
+            let executed = match learner {
+                Some((policy, arm)) => recent.decide(policy, arm)?,
+                None => change + disturbance.next(trial.grasp()?.fingers),
+            };
+            if !trial.act(executed, false)? {
                 return Ok(all);
             }
         }
@@ -142,12 +152,18 @@ impl Demonstrations {
 ///
 /// # Errors
 /// As [`Demonstrations::record`], and if the file can't be written.
-pub fn lot(path: &Path, seeds: &[u64], senser: &Senser, mut done: impl FnMut()) -> Result<Demonstrations> {
+pub fn lot(
+    path: &Path,
+    seeds: &[u64],
+    senser: &Senser,
+    learner: Option<(&Policy, Arm)>,
+    mut done: impl FnMut(),
+) -> Result<Demonstrations> {
     if path.is_file() {
         seeds.iter().for_each(|_| done());
         return Demonstrations::read(path);
     }
-    let record = |senser: &mut Senser, seed: &u64| Demonstrations::record(*seed, senser);
+    let record = |senser: &mut Senser, seed: &u64| Demonstrations::record(*seed, senser, learner);
     let mut all = Demonstrations::default();
     for demonstration in on_all_cores(seeds, || senser.clone(), record, &mut done)? {
         all.append(demonstration);

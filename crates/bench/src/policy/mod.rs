@@ -3,8 +3,9 @@
 //! [`task`] is to lift a ball whose weight no picture tells. An expert that knows the forces shows it
 //! ([`control::expert`], [`demonstrations`]); the policy ([`network`]) is cloned from the demonstrations ([`clone`]) with
 //! pictures alone, pictures and the touch that the shipped network predicts from them, or pictures and the simulator's
-//! touch, and then tried on seeds that no demonstration has ([`closed_loop`]). Initial weights, demonstrations and trials are the
-//! same for all arms. A predicted touch is a function of the pictures: it can bring what another network has
+//! touch. In each of two rounds the expert corrects the policy's own trials, and the policy is trained anew (DAgger): a
+//! clone of demonstrations alone takes the grip that the expert has chosen for a sign of the weight. Then it is tried on seeds that no demonstration has ([`closed_loop`]). Initial weights, demonstrations, and the seeds of corrections
+//! and trials are the same for all arms. A predicted touch is a function of the pictures: it can bring what another network has
 //! learned about them, and nothing that they do not show.
 //!
 //! Demonstrations, weights and results of trials stay in the work folder, so a stopped experiment resumes.
@@ -42,6 +43,10 @@ use task::Outcome;
 /// First seed of the demonstrations, and of the trials.
 const DEMONSTRATION_SEED: u64 = 1_000_000;
 const TRIAL_SEED: u64 = 2_000_000;
+/// First seed of the policies' own trials that the expert corrects.
+const CORRECTION_SEED: u64 = 3_000_000;
+/// Rounds of correction: after each, a policy is trained anew on all data so far.
+const ROUNDS: usize = 2;
 /// Demonstrations of one file.
 const LOT: usize = 24;
 /// Most trials by which the best constant grip is chosen.
@@ -166,7 +171,7 @@ fn demonstrate(size: &Size, folder: &Path, senser: &Senser, progress: Progress) 
     let mut done = 0;
     for (index, lot) in seeds(DEMONSTRATION_SEED, size.demonstrations).chunks(LOT).enumerate() {
         let path = folder.join(format!("demonstrations-{index}-{}.safetensors", lot.len()));
-        all.append(demonstrations::lot(&path, lot, senser, || {
+        all.append(demonstrations::lot(&path, lot, senser, None, || {
             done += 1;
             progress("demonstrations", done, size.demonstrations);
         })?);
@@ -188,24 +193,26 @@ fn run_arm(
     progress: Progress,
 ) -> Result<Run> {
     let named = |what: String| folder.join(format!("{}-{seed}{what}", arm.name()));
-    let (weights, losses) = (named(".safetensors".into()), named("-trained.json".into()));
     let results = named(format!("-{}.json", size.trials));
     if let Some(read) = read_json(&results)? {
         return Ok(read);
     }
-    let trained = match read_json(&losses)? {
-        Some(trained) => trained,
-        None => {
-            let what = format!("training {}, seed {seed}", arm.name());
-            let trained = clone::train(demonstrations, arm, seed, size.steps, &weights, |step| {
-                progress(&what, step, size.steps);
-            })?;
-            // Written last: weights without it are those of a stopped training.
-            write_json(&losses, &trained)?;
-            trained
-        }
-    };
-    let policy = Policy::load(&weights)?;
+    let mut data = demonstrations.clone();
+    for round in 0..ROUNDS {
+        // The first policies only show where a policy of this arm goes wrong.
+        let steps = size.steps.div_ceil(ROUNDS + 1);
+        let (policy, _) = train_once(&data, arm, seed, steps, &named(format!("-round{round}")), progress)?;
+        let count = size.demonstrations.div_ceil(2);
+        let corrected = seeds(CORRECTION_SEED + (round * count) as u64, count);
+        let path = named(format!("-corrections{round}.safetensors"));
+        let what = format!("corrections of {}, seed {seed}", arm.name());
+        let mut done = 0;
+        data.append(demonstrations::lot(&path, &corrected, senser, Some((&policy, arm)), || {
+            done += 1;
+            progress(&what, done, count);
+        })?);
+    }
+    let (policy, trained) = train_once(&data, arm, seed, size.steps, &named("-last".into()), progress)?;
     let what = format!("trials of {}, seed {seed}", arm.name());
     let mut done = 0;
     let outcomes = on_all_cores(
@@ -220,6 +227,29 @@ fn run_arm(
     let run = Run { arm, seed, trained, outcomes };
     write_json(&results, &run)?;
     Ok(run)
+}
+
+/// Trains a policy and loads it, or loads it if that is done; `path`: its files without their endings.
+fn train_once(
+    data: &Demonstrations,
+    arm: Arm,
+    seed: u64,
+    steps: usize,
+    path: &Path,
+    progress: Progress,
+) -> Result<(Policy, Trained)> {
+    let (weights, losses) = (path.with_extension("safetensors"), path.with_extension("json"));
+    let trained = match read_json(&losses)? {
+        Some(trained) => trained,
+        None => {
+            let what = format!("training {}, seed {seed}", arm.name());
+            let trained = clone::train(data, arm, seed, steps, &weights, |step| progress(&what, step, steps))?;
+            // Written last: weights without it are those of a stopped training.
+            write_json(&losses, &trained)?;
+            trained
+        }
+    };
+    Ok((Policy::load(&weights)?, trained))
 }
 
 fn trial_seeds(size: &Size) -> Vec<u64> {
