@@ -1,13 +1,12 @@
 //! Image subscription of a node, raw or compressed.
 
-use ::image::RgbImage;
-use r2r::QosProfile;
-
+use super::input_topics::InputTopic;
 use super::params::{Allowed, Parameter, Parameters};
 use super::runtime::Runtime;
 use crate::error::Result;
 use crate::image::{self, RawImage};
 use crate::message::{CompressedImage, Header, Image, Message as _};
+use ::image::RgbImage;
 
 /// Message type of the images, set by the parameter `image_transport`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,19 +46,23 @@ impl ImageTransport {
         }
     }
 
-    /// Subscribes to the image topic and calls `call` with the bytes of each message, for [`Self::decode`].
+    /// Subscribes to the image topic, with the rest of `input`, and calls `call` with the bytes of each message, for
+    /// [`Self::decode`].
     ///
     /// # Errors
     /// If ROS refuses the topic name or the quality of service.
     pub(crate) fn subscribe(
         self,
         runtime: &mut Runtime,
-        qos: QosProfile,
+        input: InputTopic,
         call: impl FnMut(Vec<u8>) + 'static,
     ) -> anyhow::Result<()> {
         match self {
-            Self::Raw => runtime.subscribe_bytes::<Image>("image", qos, call),
-            Self::Compressed => runtime.subscribe_bytes::<CompressedImage>(&self.topic(runtime), qos, call),
+            Self::Raw => runtime.input_bytes::<Image>(InputTopic { name: "image".into(), ..input }, call),
+            Self::Compressed => {
+                let name = self.topic(runtime);
+                runtime.input_bytes::<CompressedImage>(InputTopic { name, ..input }, call)
+            }
         }
     }
 

@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex};
 
 use crate::hand::{HandModel, Side, Topology};
 use crate::message::{HandPose, Header, PointCloud2};
+use crate::node::input_topics::{InputTopic, Need};
 use crate::node::lock::lock;
 use crate::node::log::Log;
 use crate::node::params::Parameters;
@@ -91,10 +92,15 @@ impl Cloud {
 
 fn subscribe_poses(runtime: &mut Runtime, poses: Poses) -> anyhow::Result<()> {
     let log = runtime.log().clone();
-    runtime.subscribe::<HandPose>("hand_pose", qos::sensor_input(false).keep_last(4), move |pose| {
-        match pose.and_then(|pose| Ok((pose.side()?, pose))) {
-            Ok((side, pose)) => lock(&poses)[side as usize] = Some(pose),
-            Err(error) => log.warn_throttled("hand_pose", format!("hand_pose: {error}")),
-        }
+    let input = InputTopic {
+        name: "hand_pose".into(),
+        content: "poses of the hands",
+        qos: qos::newest_input().keep_last(4),
+        matches: false,
+        need: Need::Optional,
+    };
+    runtime.input::<HandPose>(input, move |pose| match pose.and_then(|pose| Ok((pose.side()?, pose))) {
+        Ok((side, pose)) => lock(&poses)[side as usize] = Some(pose),
+        Err(error) => log.warn_throttled("hand_pose", format!("hand_pose: {error}")),
     })
 }

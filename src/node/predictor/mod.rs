@@ -12,6 +12,7 @@ use std::sync::Arc;
 use super::diagnostics::{self, Level, TaskReport};
 use super::enabled::serve_set_enabled;
 use super::images::ImageTransport;
+use super::input_topics::reliability_parameter;
 use super::params::{Allowed, Parameter};
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
@@ -53,12 +54,7 @@ fn parameters() -> Vec<Parameter> {
              machine; 0 = take model and precision as given.",
         ),
         ImageTransport::parameter(),
-        Parameter::fixed(
-            "reliability",
-            "best_effort",
-            Allowed::OneOf(&["best_effort", "reliable", "match"]),
-            "Reliability of the image subscription; match = that of the publishers, once there is one.",
-        ),
+        reliability_parameter("best_effort"),
         Parameter::new(
             "max_age_ms",
             0.0,
@@ -151,8 +147,6 @@ fn publish_diagnostics(runtime: &mut Runtime, input: Input, model_id: ModelId) -
         let topic = &input.topic;
         let (level, message) = if !runtime.parameters().get::<bool>("enabled") {
             (Level::Ok, "disabled".to_owned())
-        } else if input.has_incompatible_publisher(runtime) {
-            (Level::Error, format!("a best-effort publisher on {topic} cannot reach a reliable subscription"))
         } else if rates.received == 0.0 {
             (Level::Stale, format!("no images on {topic}"))
         } else if newly_refused {
@@ -160,9 +154,6 @@ fn publish_diagnostics(runtime: &mut Runtime, input: Input, model_id: ModelId) -
         } else {
             (Level::Ok, format!("{:.1} of {:.1} images per second", rates.processed, rates.received))
         };
-        if level == Level::Error {
-            runtime.log().warn_throttled("incompatible", &message);
-        }
         TaskReport { task: "images", level, message, values: counts.values(rates) }
     })
 }

@@ -17,6 +17,7 @@ use r2r::egotac_msgs::srv::LoadModel;
 use super::diagnostics::{self, Tally};
 use super::episode_recorder::{EpisodeRecorder, Limits};
 use super::images::ImageTransport;
+use super::input_topics::{InputTopic, Need, reliability_parameter};
 use super::params::{Allowed, Parameter};
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
@@ -46,6 +47,7 @@ fn parameters() -> Vec<Parameter> {
         ),
         device::parameter(),
         ImageTransport::parameter(),
+        reliability_parameter("match"),
         Parameter::new("record", true, Allowed::Any, "Record each image that has a truth of equal stamp."),
         Parameter::fixed(
             "max_recorded_mb",
@@ -129,7 +131,8 @@ fn subscribe(runtime: &mut Runtime, recorder: EpisodeRecorder, tally: &Tally) ->
     let transport = ImageTransport::of(runtime.parameters());
     let (images, tally) = (Rc::clone(&recorder), tally.clone());
     let (parameters, log) = (Arc::clone(runtime.parameters()), runtime.log().clone());
-    transport.subscribe(runtime, qos::every_input(), move |payload| {
+    let input = InputTopic::new(runtime, "image", "images", qos::every_input(), Need::Optional);
+    transport.subscribe(runtime, input, move |payload| {
         tally.received();
         match transport.decode(&payload) {
             Ok((header, image)) if parameters.get("record") => {
@@ -144,7 +147,8 @@ fn subscribe(runtime: &mut Runtime, recorder: EpisodeRecorder, tally: &Tally) ->
         }
     })?;
     let (parameters, log) = (Arc::clone(runtime.parameters()), runtime.log().clone());
-    runtime.subscribe::<TactileTruth>("truth", qos::every_input(), move |truth| match truth {
+    let input = InputTopic::new(runtime, "truth", "truth", qos::every_input(), Need::Optional);
+    runtime.input::<TactileTruth>(input, move |truth| match truth {
         Ok(truth) if parameters.get("record") => recorder.borrow_mut().push_truth(truth),
         Ok(_) => {}
         Err(error) => log.warn_throttled("truth", format!("truth: message dropped: {error}")),

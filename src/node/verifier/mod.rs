@@ -16,6 +16,7 @@ use serde_json::{Value, json};
 use super::clock::RosClock;
 use super::diagnostics::{Level, Rates, Tally, TaskReport};
 use super::exact_sync::ExactSync;
+use super::input_topics::{InputTopic, Need, reliability_parameter};
 use super::log::Log;
 use super::params::{Allowed, Parameter, Parameters};
 use super::publisher::Publisher;
@@ -61,6 +62,7 @@ fn parameters() -> Vec<Parameter> {
             "Scores required over all pairs, for instance f1=0.7,missed_force=0.2 (names as in egotac verify). A missed one \
              is logged at shutdown and sets the exit status to 1.",
         ),
+        reliability_parameter("match"),
         Parameter::new("print", true, Allowed::Any, "Print one line of scores per second on the terminal."),
         Parameter::use_sim_time(),
     ]
@@ -109,11 +111,13 @@ fn required_scores(text: &str) -> anyhow::Result<Vec<Requirement>> {
 
 fn subscribe(runtime: &mut Runtime, verifier: &Rc<RefCell<Verifier>>) -> anyhow::Result<()> {
     let predictions = Rc::clone(verifier);
-    runtime.subscribe::<TactileFrame>("tactile", qos::every_input(), move |frame| {
+    let tactile = InputTopic::new(runtime, "tactile", "predictions", qos::every_input(), Need::Required);
+    runtime.input::<TactileFrame>(tactile, move |frame| {
         predictions.borrow_mut().take_prediction(frame);
     })?;
     let truths = Rc::clone(verifier);
-    runtime.subscribe::<TactileTruth>("truth", qos::every_input(), move |truth| {
+    let truth = InputTopic::new(runtime, "truth", "truth", qos::every_input(), Need::Required);
+    runtime.input::<TactileTruth>(truth, move |truth| {
         truths.borrow_mut().take_truth(truth);
     })
 }
