@@ -1,6 +1,8 @@
 //! Preparation of images for the network: decode, resize, normalise.
 
+mod bayer;
 mod raw;
+pub mod rectify;
 
 use std::io::Cursor;
 
@@ -11,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result};
 use crate::file::limits;
 
-pub use raw::{ENCODINGS, RawImage};
+pub use raw::{ENCODINGS, RawImage, has_16_bits, is_bayer};
 
 /// Longest accepted side of an image, pixels; bounds the memory that a damaged or hostile file can ask for.
 pub(crate) const MAX_SIDE: u32 = 16_384;
@@ -100,6 +102,28 @@ impl Preparation {
 /// # Errors
 /// If the bytes are of neither format or damaged, or the image is larger than [`limits::IMAGE`].
 pub fn decode(bytes: &[u8]) -> Result<RgbImage> {
+    Ok(decode_any(bytes)?.into_rgb8())
+}
+
+/// Decodes a PNG or JPEG file whose pixels have the ROS encoding `encoding`: a grey image with a Bayer pattern gets its colours.
+/// Otherwise as [`decode`].
+///
+/// # Errors
+/// As [`decode`].
+pub fn decode_as(bytes: &[u8], encoding: &str) -> Result<RgbImage> {
+    let image = decode_any(bytes)?;
+    if image.color().has_color() || !is_bayer(encoding) {
+        return Ok(image.into_rgb8());
+    }
+    let (width, height) = (image.width(), image.height());
+    let (step, data) = match has_16_bits(encoding) {
+        true => (2 * width, image.into_luma16().iter().flat_map(|value| value.to_le_bytes()).collect()),
+        false => (width, image.into_luma8().into_raw()),
+    };
+    RawImage { width, height, encoding, step, data: &data }.to_rgb()
+}
+
+fn decode_any(bytes: &[u8]) -> Result<DynamicImage> {
     let invalid = |error: &dyn std::fmt::Display| Error::value("image", "an intact PNG or JPEG file", error);
     let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| invalid(&e))?;
     if reader.format().is_none() {
@@ -114,7 +138,7 @@ pub fn decode(bytes: &[u8]) -> Result<RgbImage> {
     let decoder = reader.into_decoder().map_err(|e| invalid(&e))?;
     let (width, height) = decoder.dimensions();
     check_size(width.into(), height.into())?;
-    Ok(DynamicImage::from_decoder(decoder).map_err(|e| invalid(&e))?.into_rgb8())
+    DynamicImage::from_decoder(decoder).map_err(|e| invalid(&e))
 }
 
 /// Returns width and height from the header of a PNG or JPEG file, pixels; None if it has none.

@@ -5,7 +5,7 @@ use super::params::{Allowed, Parameter, Parameters};
 use super::runtime::Runtime;
 use crate::error::Result;
 use crate::image::{self, RawImage};
-use crate::message::{CompressedImage, Header, Image, Message as _};
+use crate::message::{CompressedImage, Header, Image, Message as _, Reader};
 use ::image::RgbImage;
 
 /// Message type of the images, set by the parameter `image_transport`.
@@ -66,6 +66,17 @@ impl ImageTransport {
         }
     }
 
+    /// Reads only the header of a message.
+    ///
+    /// # Errors
+    /// If the bytes are no message of this type.
+    pub(crate) fn header(self, payload: &[u8]) -> Result<Header> {
+        match self {
+            Self::Raw => Reader::leading(Image::TYPE, payload),
+            Self::Compressed => Reader::leading(CompressedImage::TYPE, payload),
+        }
+    }
+
     /// Decodes the header and the pixels of a message.
     ///
     /// # Errors
@@ -73,13 +84,18 @@ impl ImageTransport {
     pub(crate) fn decode(self, payload: &[u8]) -> Result<(Header, RgbImage)> {
         match self {
             Self::Raw => {
-                let Image { header, height, width, encoding, step, data, .. } = Image::from_cdr(payload)?;
+                let Image { header, height, width, encoding, is_bigendian, step, mut data } = Image::from_cdr(payload)?;
+                if is_bigendian != 0 && image::has_16_bits(&encoding) {
+                    data.chunks_exact_mut(2).for_each(|value| value.swap(0, 1));
+                }
                 let raw = RawImage { width, height, encoding: &encoding, step, data: &data };
                 Ok((header, raw.to_rgb()?))
             }
             Self::Compressed => {
-                let CompressedImage { header, data, .. } = CompressedImage::from_cdr(payload)?;
-                Ok((header, image::decode(&data)?))
+                let CompressedImage { header, format, data } = CompressedImage::from_cdr(payload)?;
+                // For instance `bayer_rggb8; jpeg compressed`: the first part is the encoding before compression.
+                let encoding = format.split(';').next().unwrap_or_default().trim();
+                Ok((header, image::decode_as(&data, encoding)?))
             }
         }
     }

@@ -32,6 +32,7 @@ mod program;
 mod publisher;
 mod qos;
 mod qos_overrides;
+mod rectify;
 #[cfg(feature = "sim")]
 pub mod retargeter;
 mod runtime;

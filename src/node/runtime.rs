@@ -17,6 +17,7 @@ use r2r::{
 use super::clock::RosClock;
 use super::input_topics::InputTopics;
 use super::log::Log;
+use super::parameter_services::Setter;
 use super::params::Parameters;
 use super::publisher::Publisher;
 use super::qos_overrides::{Endpoint, QosOverrides};
@@ -41,6 +42,7 @@ pub(crate) struct Runtime {
     clients: HashMap<(TypeId, String), Rc<dyn Any>>,
     inputs: InputTopics,
     qos_overrides: QosOverrides,
+    setter: Option<Rc<Setter>>,
     timers: Vec<Timer>,
     clock: RosClock,
     log: Log,
@@ -89,6 +91,7 @@ impl Runtime {
             clients: HashMap::new(),
             inputs: InputTopics::default(),
             qos_overrides,
+            setter: None,
             timers: Vec::new(),
             clock,
             log,
@@ -99,6 +102,16 @@ impl Runtime {
     /// Parameters of the node.
     pub(crate) fn parameters(&self) -> &Arc<Parameters> {
         &self.parameters
+    }
+
+    /// Keeps the setter of parameters that also publishes changes.
+    pub(crate) fn set_parameter_setter(&mut self, setter: Rc<Setter>) {
+        self.setter = Some(setter);
+    }
+
+    /// Returns the setter of parameters that also publishes changes; None before the parameter services exist.
+    pub(crate) fn parameter_setter(&self) -> Option<Rc<Setter>> {
+        self.setter.clone()
     }
 
     /// Log of the node.
@@ -300,6 +313,14 @@ impl Runtime {
             self.log.warn(format!("parameter {name} is ignored: the node has no such publisher or subscription"));
         }
         while !shutdown.requested() {
+            self.spin_once();
+        }
+    }
+
+    /// Serves ROS for some time, also after shutdown was requested, so that last responses leave.
+    pub(crate) fn spin_for(&mut self, time: Duration) {
+        let end = Instant::now() + time;
+        while Instant::now() < end {
             self.spin_once();
         }
     }

@@ -99,7 +99,7 @@ fn the_first_command_of_a_live_robot_is_within_a_step_of_the_measured_pose() {
 #[test]
 fn no_command_exceeds_a_limit_from_ten_thousand_starts() {
     // (robot, starts, commands after each)
-    for (name, starts, commands) in [("gripper", 8000, 24), ("four_finger", 2000, 12)] {
+    for (name, starts, commands) in [("gripper", 8000, 10), ("tendon_hand", 1500, 8), ("four_finger", 500, 10)] {
         let mut retargeter = live(name, LIVE);
         let mut rng = ChaCha8Rng::seed_from_u64(11);
         for start in 0..starts {
@@ -136,7 +136,7 @@ fn limits_hold_over_pauses_brakes_and_late_commands() {
         let (mut now, mut frame) = (0.0, 0);
         let mut before = retargeter.output().clone();
         let mut paused = 0;
-        for command in 0..2000 {
+        for command in 0..800 {
             // Clocks of control loops are uneven, and stall at times.
             let late = if rng.random_bool(0.02) { 40.0 } else { rng.random_range(0.5..1.5) };
             let dt = late * PERIOD;
@@ -176,7 +176,7 @@ fn no_link_penetrates_another_while_a_robot_brakes() {
         let mut rng = ChaCha8Rng::seed_from_u64(17);
         let mut now = 0.0;
         let mut stopped_in_motion = 0;
-        for round in 0..150 {
+        for round in 0..60 {
             // Each hand is far from the last one, so the robot is fast when it has to brake.
             for command in 0..rng.random_range(3..20) {
                 now += PERIOD;
@@ -202,7 +202,7 @@ fn no_link_penetrates_another_while_a_robot_brakes() {
             assert!(apart < 1e-9, "{name}, round {round}: stops {apart} rad from where it was said to");
             assert!((f64::from(commands) * PERIOD - secs).abs() <= PERIOD + 1e-9);
         }
-        assert!(stopped_in_motion > 50, "{name}: {stopped_in_motion} of 150 brakes were from speed");
+        assert!(stopped_in_motion > 20, "{name}: {stopped_in_motion} of 60 brakes were from speed");
     }
 }
 
@@ -212,8 +212,8 @@ fn a_live_robot_arrives_where_an_unlimited_one_does() {
     let mut live = live("four_finger", LIVE);
     let mut now = 0.0;
     let mut far = Vec::new();
-    for hand in HANDS.iter().step_by(24) {
-        for _ in 0..120 {
+    for hand in HANDS.iter().step_by(48) {
+        for _ in 0..100 {
             now += PERIOD;
             let _ = offline.push(&Input::new(*hand, now));
             let _ = live.push(&Input::new(*hand, now));
@@ -246,10 +246,12 @@ fn a_joint_takes_the_time_of_a_trapezoid_to_its_target() {
         hand
     };
     let _ = retargeter.push_at(&Input::new(hand(0.03), 0.0), 0.0);
-    let mut now = 0.0;
-    for _ in 0..4000 {
+    let mut now = 1e-3;
+    retargeter.advance(now).unwrap();
+    while retargeter.is_moving() {
         now += 1e-3;
         retargeter.advance(now).unwrap();
+        assert!(now < 10.0);
     }
     let from = retargeter.output().qpos.clone();
     let _ = retargeter.push_at(&Input::new(hand(0.09), now), now);

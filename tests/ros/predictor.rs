@@ -53,6 +53,11 @@ fn a_malformed_image_is_dropped_with_a_warning_that_names_the_fault() {
 }
 
 #[test]
+fn images_are_rectified_by_camera_info_if_asked_for() {
+    holds("rectifies", &["-p", "rectify:=true"]);
+}
+
+#[test]
 fn a_damaged_compressed_image_is_dropped() {
     holds("malformed_compressed", &["-p", "image_transport:=compressed"]);
 }

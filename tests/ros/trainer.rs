@@ -86,6 +86,33 @@ fn a_cancelled_goal_resumes_and_a_signal_stops_a_training() {
 }
 
 #[test]
+fn a_goal_is_aborted_with_a_result_and_its_state_is_saved_if_the_node_ends() {
+    let session = Session::new();
+    let store = store(&session).display().to_string();
+    let config = config(&session, &store, &format!("validation: [{store}]\n"));
+    let out = session.path("run").display().to_string();
+    let mut node = trainer(&session, &[]);
+    let mut peer = session.peer(PEER, &["ended", &config, &out]);
+    peer.prints("training");
+    // A terminal and a launch program each send a signal.
+    node.signal("INT");
+    std::thread::sleep(std::time::Duration::from_millis(120));
+    node.signal("INT");
+    let status = node.wait();
+    assert_eq!(status.code(), Some(0), "{status}");
+    let status = peer.wait();
+    assert!(status.success(), "{status}\n{}", peer.output());
+}
+
+#[test]
+fn lost_images_are_counted_and_the_memory_of_waiting_ones_is_bounded() {
+    let session = Session::new();
+    let mut node = trainer(&session, &["-p", "max_waiting_mb:=2.0"]);
+    session.check(PEER, &["loses", &session.path("trainer").display().to_string()]);
+    node.ends_cleanly("INT");
+}
+
+#[test]
 fn live_frames_are_recorded_within_limits_while_rounds_train_on_them() {
     let session = Session::new();
     let config = config(&session, "none.zarr", "augment: { mirror: 0.0 }\n");

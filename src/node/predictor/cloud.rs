@@ -17,6 +17,9 @@ use crate::tactile::TactileField;
 /// Largest difference between the stamps of an image and of a hand pose that is drawn for it, s: five frames at 25 Hz.
 const MAX_POSE_AGE_SECS: f64 = 0.2;
 
+/// Frame of hands whose pose is unknown: they are nowhere in the camera's frame.
+const REST_FRAME: &str = "hand_rest";
+
 /// Newest pose of each hand, left first.
 type Poses = Arc<Mutex<[Option<HandPose>; 2]>>;
 
@@ -62,7 +65,10 @@ impl Cloud {
         let threshold = self.parameters.get::<f64>("contact_threshold") as f32;
         let cloud = match self.posed_hands(&header) {
             Some((frame_id, hands)) => point_cloud(Header { stamp: header.stamp, frame_id }, field, &hands, threshold),
-            None => point_cloud(header, field, &self.rest, threshold),
+            None => {
+                let header = Header { stamp: header.stamp, frame_id: REST_FRAME.into() };
+                point_cloud(header, field, &self.rest, threshold)
+            }
         };
         self.publisher.publish(&cloud)
     }

@@ -14,6 +14,7 @@ use super::enabled::serve_set_enabled;
 use super::images::ImageTransport;
 use super::input_topics::reliability_parameter;
 use super::params::{Allowed, Parameter};
+use super::rectify::Rectification;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
@@ -55,6 +56,7 @@ fn parameters() -> Vec<Parameter> {
         ),
         ImageTransport::parameter(),
         reliability_parameter("best_effort"),
+        Rectification::parameter(),
         Parameter::new(
             "max_age_ms",
             0.0,
@@ -89,7 +91,7 @@ fn start(runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
 /// If ROS refuses a topic or service, or the network cannot process an image.
 fn run(mut runtime: Runtime, network: LoadedNetwork, shutdown: &Shutdown) -> anyhow::Result<()> {
     let input = Input::new(&runtime);
-    let inference = prepare(&mut runtime, network, input.clone())?;
+    let (inference, loader) = prepare(&mut runtime, shutdown, network, input.clone())?;
     serve_set_enabled(&mut runtime)?;
     publish_diagnostics(&mut runtime, input.clone(), inference.model_id.clone())?;
     input.subscribe(&mut runtime)?;
@@ -99,11 +101,17 @@ fn run(mut runtime: Runtime, network: LoadedNetwork, shutdown: &Shutdown) -> any
         Ok(())
     })?;
     runtime.spin(shutdown);
-    runtime.finish(worker)
+    let loaded = loader.join();
+    runtime.finish(worker).and(loaded)
 }
 
-/// Publishes `~/model_info`, offers `~/load_model`, and creates the inference loop.
-fn prepare(runtime: &mut Runtime, network: LoadedNetwork, input: Input) -> anyhow::Result<Inference> {
+/// Publishes `~/model_info`, offers `~/load_model` with its thread, and creates the inference loop.
+fn prepare(
+    runtime: &mut Runtime,
+    shutdown: &Shutdown,
+    network: LoadedNetwork,
+    input: Input,
+) -> anyhow::Result<(Inference, WorkerThread)> {
     let LoadedNetwork { mut predictor, path, options } = network;
     let log = runtime.log().clone();
     log.info(format!("one image takes {:.0} ms", load::measure_inference(&mut predictor)? * 1e3));
@@ -117,13 +125,14 @@ fn prepare(runtime: &mut Runtime, network: LoadedNetwork, input: Input) -> anyho
     let pending = PendingModel::default();
     let topology = predictor.metadata().topology;
     let requirements = ModelRequirements { default_path: path, options, topology };
-    load_model::serve(runtime, pending.clone(), requirements, model_info.model_id.clone())?;
-    Ok(Inference {
+    let loader = load_model::serve(runtime, shutdown, pending.clone(), requirements, model_info.model_id.clone())?;
+    let inference = Inference {
         predictor,
         model_id: ModelId::new(model_info.model_id),
         pending,
         replaced: false,
         input,
+        rectification: Rectification::subscribe(runtime)?,
         frames: runtime.publisher("~/tactile", qos::output())?,
         info,
         cloud: Cloud::create(runtime)?,
@@ -131,7 +140,8 @@ fn prepare(runtime: &mut Runtime, network: LoadedNetwork, input: Input) -> anyho
         parameters: Arc::clone(runtime.parameters()),
         clock: runtime.clock().clone(),
         log,
-    })
+    };
+    Ok((inference, loader))
 }
 
 /// Reports the counts of images on `/diagnostics`.

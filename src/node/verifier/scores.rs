@@ -31,13 +31,17 @@ pub(super) struct Scores {
     pub(super) invalid: u64,
     pub(super) touch: TouchScores,
     /// Scores of all valid pairs.
-    frames: Vec<StampedScore>,
+    running: metrics::RunningSummary,
+    /// Sum of the time between two valid pairs of an episode, s, and their number.
+    steps: (f64, u64),
+    /// Stamp of the newest valid pair of the open episode, s.
+    last_secs: Option<f64>,
     /// Scores and touch sums of the valid pairs in the rolling window.
     window: VecDeque<(StampedScore, Sums)>,
     /// Fields of the first valid pairs.
     predicted: TactileSequence,
     target: TactileSequence,
-    /// Ends of the closed episodes of truth, as indices into `frames`.
+    /// Ends of the closed episodes, as indices into the fields; complete while all fields are kept.
     episode_ends: Vec<usize>,
     /// Number of the episode of the newest valid pair.
     episode: u64,
@@ -45,7 +49,6 @@ pub(super) struct Scores {
     arrived: Option<Instant>,
 }
 
-#[derive(Clone)]
 struct StampedScore {
     secs: f64,
     score: FrameScore,
@@ -71,16 +74,22 @@ impl Scores {
             return Ok(());
         }
         let secs = frame.header.stamp.secs();
-        if std::mem::replace(&mut self.episode, episode) != episode && !self.frames.is_empty() {
-            self.episode_ends.push(self.frames.len());
+        if std::mem::replace(&mut self.episode, episode) != episode && self.running.frames() > 0 {
+            if self.keeps_all() {
+                self.episode_ends.push(self.running.frames());
+            }
+            self.running.end_episode();
+            self.last_secs = None;
             self.window.clear();
             self.touch.end_episode();
         }
         let sums = self.touch.push(secs, &predicted, &target)?;
         let score = FrameScore::new(&predicted.force, &predicted.contact, &target.force, &target.contact, &[], &[]);
-        let stamped = StampedScore { secs, score };
-        self.frames.push(stamped.clone());
-        self.window.push_back((stamped, sums));
+        self.running.push(&score);
+        if let Some(last) = self.last_secs.replace(secs) {
+            self.steps = (self.steps.0 + secs - last, self.steps.1 + 1);
+        }
+        self.window.push_back((StampedScore { secs, score }, sums));
         self.arrived = Some(Instant::now());
         // After a change of topology, pairs no longer fit those kept before.
         let fits = self.predicted.topology.is_none_or(|kept| kept == predicted.topology);
@@ -134,9 +143,8 @@ impl Scores {
 
     /// Returns the valid pairs per second of their stamps, within episodes; None for fewer than two pairs.
     pub(super) fn rate(&self) -> Option<f64> {
-        let steps = self.episodes().flat_map(|episode| episode.windows(2).map(|pair| pair[1].secs - pair[0].secs));
-        let (secs, count) = steps.fold((0.0, 0), |(secs, count), step| (secs + step, count + 1));
-        (secs > 0.0).then(|| f64::from(count) / secs)
+        let (secs, count) = self.steps;
+        (secs > 0.0).then(|| count as f64 / secs)
     }
 
     /// Returns the metrics over all valid pairs. If not all fields were kept, metrics that need all vertices of all frames
@@ -145,26 +153,16 @@ impl Scores {
     /// # Errors
     /// If the metrics cannot be computed.
     pub(super) fn total(&mut self) -> crate::Result<metrics::Metrics> {
-        if self.frames.len() > self.predicted.n_frames() {
-            let summary = |frames: &[StampedScore]| metrics::summarize(frames.iter().map(|frame| &frame.score));
-            let each: Vec<f64> = self.episodes().filter_map(|episode| summary(episode).temporal_pearson).collect();
-            let temporal_pearson = (!each.is_empty()).then(|| each.iter().sum::<f64>() / each.len() as f64);
-            return Ok(metrics::Metrics { temporal_pearson, ..summary(&self.frames) });
+        if !self.keeps_all() {
+            return Ok(self.running.metrics());
         }
-        self.target.episode_ends = self.all_episode_ends();
+        let open = (self.running.frames() > 0).then_some(self.running.frames());
+        self.target.episode_ends = self.episode_ends.iter().copied().chain(open).collect();
         metrics::evaluate(&self.predicted, &self.target, &EvalOptions { fps: self.rate(), calibration: None })
     }
 
-    /// Ends of all episodes, the open one included.
-    fn all_episode_ends(&self) -> Vec<usize> {
-        let open = (!self.frames.is_empty()).then_some(self.frames.len());
-        self.episode_ends.iter().copied().chain(open).collect()
-    }
-
-    /// Valid pairs of each episode.
-    fn episodes(&self) -> impl Iterator<Item = &[StampedScore]> {
-        let ends = self.all_episode_ends();
-        let starts = std::iter::once(0).chain(ends.clone());
-        starts.zip(ends).map(|(start, end)| &self.frames[start..end])
+    /// True if the fields of all valid pairs were kept.
+    fn keeps_all(&self) -> bool {
+        self.predicted.n_frames() == self.running.frames()
     }
 }
