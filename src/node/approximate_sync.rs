@@ -159,7 +159,7 @@ impl<H, T> ApproximateSync<H, T> {
         let timeout = MIN_TOUCH_TIMEOUT.max(self.max_wait);
         let is_recent = |then: Option<Instant>| then.is_some_and(|then| now.saturating_duration_since(then) <= timeout);
         match (is_recent(self.last_touch), is_recent(self.last_match), self.newest_touch.zip(self.newest_hand)) {
-            (true, false, Some((touch, hand))) => Touches::Apart(1e-9 * (touch.nanos() - hand.nanos()) as f64),
+            (true, false, Some((touch, hand))) => Touches::Apart((touch.nanos() - hand.nanos()) as f64 / 1e9),
             (true, true, _) => Touches::Matching,
             _ => Touches::None,
         }

@@ -11,8 +11,7 @@ use crate::error::{Error, Result};
 
 /// Shares of the wanted change of motion that are tried in turn, against full braking.
 const SHARES: [f64; 3] = [1.0, 0.5, 0.25];
-/// Time at full speed within which a frame's intermediate target lies, s. The solver leads around links within that reach;
-/// farther away only the straight way is known.
+/// Time at full speed within which an intermediate target lies, s.
 const REACH_SECS: f64 = 0.05;
 /// Greatest number of poses at which one way to brake is checked; at 60 Hz each is that of a command.
 const MAX_BRAKE_POSES: u32 = 24;
@@ -63,6 +62,8 @@ pub struct LiveMotion {
     pub last_acceleration: Vec<f64>,
     /// Time since the last start, s.
     since_start: f64,
+    /// True if links were in the way of the last step.
+    is_blocked: bool,
     /// Intermediate target on the way to the pose, if there is one.
     waypoint: Option<Vec<f64>>,
     /// Workspace: position and velocity at the end of a step, and a pose on the way.
@@ -87,6 +88,7 @@ impl LiveMotion {
             velocity: vec![0.0; n],
             last_acceleration: vec![0.0; n],
             since_start: 0.0,
+            is_blocked: false,
             waypoint: None,
             next: vec![0.0; n],
             next_velocity: vec![0.0; n],
@@ -103,6 +105,7 @@ impl LiveMotion {
     pub fn stand(&mut self) {
         self.velocity.fill(0.0);
         self.last_acceleration.fill(0.0);
+        self.is_blocked = false;
         self.waypoint = None;
     }
 
@@ -124,15 +127,14 @@ impl LiveMotion {
         brake_secs(&self.velocity, &self.acceleration)
     }
 
-    /// Plans the way to a new pose: through an intermediate target if the pose is far and lies in the present basin, because
-    /// there the solver knows a way around links.
+    /// Plans the way to a new pose: straight, or, if links were in the way of the last step, through an intermediate target, because
+    /// in the present basin the solver knows a way around them.
     ///
     /// # Errors
     /// If a target of the goal is not finite.
     pub fn aim(&mut self, robot: &mut Robot, goal: &mut Goal, step: Step, u: &[f64]) -> Result<()> {
-        let is_far = step.target.iter().zip(u).zip(&self.speed).any(|((x, u), v)| (x - u).abs() > REACH_SECS * v);
         self.waypoint = None;
-        if step.basin == Basin::Present && is_far {
+        if step.basin == Basin::Present && self.is_blocked {
             let reach: Vec<f64> = self.speed.iter().map(|speed| REACH_SECS * speed).collect();
             let mut waypoint: Vec<f64> = (0..u.len())
                 .map(|k| {
@@ -177,13 +179,14 @@ impl LiveMotion {
     fn step(&mut self, robot: &mut Robot, goal: &Goal, target: &[f64], dt: f64, u: &mut [f64]) {
         // A robot that starts with links in each other may stay so, but no deeper.
         let allowed = penetration(robot, goal, u).max(MAX_PENETRATION);
-        let found = SHARES.iter().any(|share| {
+        let found = SHARES.iter().position(|share| {
             self.plan(*share, target, dt, u);
             self.is_safe(robot, goal, allowed, dt, u)
         });
-        if !found {
+        if found.is_none() {
             self.plan(0.0, target, dt, u);
         }
+        self.is_blocked = found != Some(0);
         for (next, (low, high)) in self.next.iter_mut().zip(robot.coupling.low.iter().zip(&robot.coupling.high)) {
             // Sums may exceed a limit by their rounding.
             *next = next.clamp(*low, *high);

@@ -238,14 +238,15 @@ fn a_joint_takes_the_time_of_a_trapezoid_to_its_target() {
     let options = LiveOptions { acceleration: 10.0, ramp_secs: 0.0, period: 1e-3 };
     let mut retargeter =
         Retargeter::with_options(robot, Options { live: Some(options), ..Options::default() }).unwrap();
-    let hand = |gap: f64| {
-        let mut hand = HANDS[0];
-        // The gripper follows the gap of thumb and index fingertip.
-        let towards = (hand[8] - hand[4]).normalize();
-        hand[4] = hand[8] - gap * towards;
-        hand
-    };
-    let _ = retargeter.push_at(&Input::new(hand(0.03), 0.0), 0.0);
+    // The hands that close and open the gripper most.
+    let mut unlimited = Retargeter::new(Robot::load("gripper", None).unwrap()).unwrap();
+    let jaw: Vec<(f64, usize)> = (0..HANDS.len())
+        .step_by(8)
+        .filter_map(|frame| Some((unlimited.push(&Input::new(HANDS[frame], frame as f64)).ok()?.qpos[0], frame)))
+        .collect();
+    let closed = jaw.iter().min_by(|a, b| a.0.total_cmp(&b.0)).unwrap().1;
+    let open = jaw.iter().max_by(|a, b| a.0.total_cmp(&b.0)).unwrap().1;
+    retargeter.push_at(&Input::new(HANDS[closed], 0.0), 0.0).unwrap();
     let mut now = 1e-3;
     retargeter.advance(now).unwrap();
     while retargeter.is_moving() {
@@ -254,7 +255,7 @@ fn a_joint_takes_the_time_of_a_trapezoid_to_its_target() {
         assert!(now < 10.0);
     }
     let from = retargeter.output().qpos.clone();
-    let _ = retargeter.push_at(&Input::new(hand(0.09), now), now);
+    retargeter.push_at(&Input::new(HANDS[open], now), now).unwrap();
     let began = now;
     loop {
         now += 1e-3;

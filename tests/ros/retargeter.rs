@@ -207,7 +207,7 @@ fn the_first_command_starts_from_the_measured_joints_within_all_limits() {
 
 #[test]
 fn silence_brakes_and_holds_the_robot_and_the_next_hand_ramps_up() {
-    let slow = ["-p", "start:=rest", "-p", "input_timeout_ms:=200.0"];
+    let slow = ["-p", "start:=rest", "-p", "input_timeout_ms:=200.0", "-p", "ramp_secs:=30.0"];
     holds_with("pauses", &far_hands(), &slow);
 }
 
@@ -218,7 +218,7 @@ fn a_node_that_is_enabled_again_starts_from_the_measured_joints() {
 
 #[test]
 fn the_robot_moves_only_while_the_deadman_switch_is_held() {
-    holds_with("deadman", &far_hands(), &["-p", "start:=rest", "-p", "deadman:=true"]);
+    holds_with("deadman", &far_hands(), &["-p", "start:=rest", "-p", "deadman:=true", "-p", "ramp_secs:=30.0"]);
 }
 
 #[test]

@@ -128,7 +128,7 @@ def loses(folder):
     """Images beyond the memory limit, without truth or with damage are counted; those with record:=false cost nothing."""
     peer = Peer()
     states = peer.listen(DiagnosticArray, "/diagnostics")
-    images = peer.connected(peer.create_publisher(Image, "image", BEST_EFFORT))
+    images = peer.connected(peer.create_publisher(Image, "image", RELIABLE))
     truths = peer.connected(peer.create_publisher(TactileTruth, "truth", BEST_EFFORT))
     name = peer.get_namespace().strip("/") + "/trainer: training"
 

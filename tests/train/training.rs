@@ -414,3 +414,29 @@ fn a_run_on_mixed_sources_resumes_bit_for_bit() {
     assert!(logged(&straight, "consistency").iter().all(|value| *value > 0.0));
     assert_eq!(logged(&straight, "loss"), logged(&halted, "loss"));
 }
+
+#[test]
+fn a_stopped_run_is_saved_before_it_is_validated() {
+    let folder = tempfile::tempdir().unwrap();
+    write_store(&folder.path().join("train.zarr"), 1, 1, 40);
+    let more = format!("validation: [{}/train.zarr]\nsave_every: 100", folder.path().display());
+    let stopping = |out: &str, answer: Control| {
+        let config = config(folder.path(), out, 100, &more);
+        let state = config.out.join("state.safetensors");
+        let mut saved_before_validation = Vec::new();
+        let outcome = train(&config, false, &Device::Cpu, &mut |event| match event {
+            Event::Stepped(step) if step.step == 3 => answer,
+            Event::Validated(..) => {
+                saved_before_validation.push(state.is_file());
+                Control::Continue
+            }
+            _ => Control::Continue,
+        });
+        let outcome = outcome.unwrap();
+        assert!(outcome.steps == 3 && state.is_file() && outcome.checkpoint.is_file());
+        (saved_before_validation, outcome.validation.is_some())
+    };
+    // A program that is killed while it validates has lost nothing.
+    assert_eq!(stopping("stopped", Control::Stop), (vec![true], true));
+    assert_eq!(stopping("at_once", Control::StopUnvalidated), (Vec::new(), false));
+}

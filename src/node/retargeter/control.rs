@@ -49,6 +49,8 @@ pub struct ControlLoop {
     parameters: Arc<Parameters>,
     /// Stamp of the last hand that was followed, and the node's time at which it was; None while the robot gets no commands.
     followed: Option<(Time, Time)>,
+    /// True once the robot got a command.
+    has_commanded: bool,
     /// Arrival of the last hand that was followed.
     last_hand: Instant,
     /// Reason for which the robot holds its pose, if it does.
@@ -80,6 +82,7 @@ impl ControlLoop {
             clock: runtime.clock().clone(),
             log: runtime.log().clone(),
             followed: None,
+            has_commanded: false,
             last_hand: Instant::now(),
             hold: None,
             last_cycle: Time::default(),
@@ -210,7 +213,11 @@ impl ControlLoop {
 
     fn start_from_pose(&mut self, now: Instant) -> std::result::Result<(), Hold> {
         let names = &self.outputs.names;
-        let mut pose = self.retargeter.robot().rest_positions();
+        // The robot stands where the last command left it, unless its joints say otherwise.
+        let mut pose = match self.has_commanded {
+            true => self.retargeter.output().qpos.clone(),
+            false => self.retargeter.robot().rest_positions(),
+        };
         if self.parameters.get::<String>("start") == "measured" {
             let measured = self.sensors.measured.positions(&names.masters, now);
             let missing = names.masters.iter().zip(&measured).filter(|(_, position)| position.is_none());
@@ -276,6 +283,7 @@ impl ControlLoop {
         };
         self.statistics.followed(status, has_touch, secs);
         self.followed = Some((stamp, now));
+        self.has_commanded = true;
         self.statistics.hands.processed(self.clock.secs_since(stamp));
         if let (true, Some(touched)) = (has_touch, touched) {
             let header = Header { stamp: touched, frame_id: hand.header().frame_id.clone() };

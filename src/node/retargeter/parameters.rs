@@ -80,7 +80,7 @@ fn of_the_motion() -> Vec<Parameter> {
             "measured",
             Allowed::OneOf(&["measured", "rest"]),
             "Pose in which the robot is before the first command, and when the node is enabled again: measured = that on the \
-             topic joint_states, for which the node waits; rest = the rest pose of its model.",
+             topic joint_states, for which the node waits; rest = the rest pose of its model, and later that of the last command.",
         ),
         Parameter::fixed(
             "acceleration",
