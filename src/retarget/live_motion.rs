@@ -11,8 +11,10 @@ use crate::error::{Error, Result};
 
 /// Shares of the wanted change of motion that are tried in turn, against full braking.
 const SHARES: [f64; 3] = [1.0, 0.5, 0.25];
-/// Time at full speed within which an intermediate target lies, s.
+/// Time at full speed within which the first intermediate target around a link lies, s.
 const REACH_SECS: f64 = 0.05;
+/// Greatest number of times that this is halved while links stay in the way.
+const MAX_HALVINGS: u32 = 4;
 /// Greatest number of poses at which one way to brake is checked; at 60 Hz each is that of a command.
 const MAX_BRAKE_POSES: u32 = 24;
 /// Time at full speed between two poses at which a step is checked, s: 0.05 rad at 10 rad/s.
@@ -62,8 +64,10 @@ pub struct LiveMotion {
     pub last_acceleration: Vec<f64>,
     /// Time since the last start, s.
     since_start: f64,
-    /// True if links were in the way of the last step.
-    is_blocked: bool,
+    /// Number of steps that links were in the way of, less the number of free ones since.
+    blocked_steps: u32,
+    /// True if the solver knows no way around the links.
+    has_given_up: bool,
     /// Intermediate target on the way to the pose, if there is one.
     waypoint: Option<Vec<f64>>,
     /// Workspace: position and velocity at the end of a step, and a pose on the way.
@@ -88,7 +92,8 @@ impl LiveMotion {
             velocity: vec![0.0; n],
             last_acceleration: vec![0.0; n],
             since_start: 0.0,
-            is_blocked: false,
+            blocked_steps: 0,
+            has_given_up: false,
             waypoint: None,
             next: vec![0.0; n],
             next_velocity: vec![0.0; n],
@@ -105,7 +110,7 @@ impl LiveMotion {
     pub fn stand(&mut self) {
         self.velocity.fill(0.0);
         self.last_acceleration.fill(0.0);
-        self.is_blocked = false;
+        self.blocked_steps = 0;
         self.waypoint = None;
     }
 
@@ -127,25 +132,35 @@ impl LiveMotion {
         brake_secs(&self.velocity, &self.acceleration)
     }
 
-    /// Plans the way to a new pose: straight, or, if links were in the way of the last step, through an intermediate target, because
-    /// in the present basin the solver knows a way around them.
+    /// True if a link is in the way, so that [`Self::aim`] should look for a way around it again.
+    pub fn is_blocked(&self) -> bool {
+        self.blocked_steps > 0 && !self.has_given_up
+    }
+
+    /// Plans the way to a pose: straight, or, if links were in the way of the last steps, through an intermediate target, because
+    /// in the present basin the solver knows a way around them. The more steps were blocked, the nearer is the target.
     ///
     /// # Errors
     /// If a target of the goal is not finite.
     pub fn aim(&mut self, robot: &mut Robot, goal: &mut Goal, step: Step, u: &[f64]) -> Result<()> {
         self.waypoint = None;
-        if step.basin == Basin::Present && self.is_blocked {
-            let reach: Vec<f64> = self.speed.iter().map(|speed| REACH_SECS * speed).collect();
-            let mut waypoint: Vec<f64> = (0..u.len())
-                .map(|k| {
-                    (u[k] + (step.target[k] - u[k]).clamp(-reach[k], reach[k]))
-                        .clamp(robot.coupling.low[k], robot.coupling.high[k])
-                })
-                .collect();
+        self.has_given_up = false;
+        if step.basin == Basin::Present && self.blocked_steps > 0 {
+            let reach: Vec<f64> = self.speed.iter().map(|speed| self.reach_secs() * speed).collect();
+            let (low, high) = (&robot.coupling.low, &robot.coupling.high);
+            let toward = |k: usize| u[k] + (step.target[k] - u[k]).clamp(-reach[k], reach[k]);
+            let mut waypoint: Vec<f64> = (0..u.len()).map(|k| toward(k).clamp(low[k], high[k])).collect();
             goal.solve_within(robot, step.stop, [u, &reach], &mut waypoint)?;
-            self.waypoint = Some(waypoint);
+            let farthest = waypoint.iter().zip(u).zip(&reach).map(|((x, u), reach)| (x - u).abs() / reach);
+            self.has_given_up = farthest.fold(0.0, f64::max) < PASSED;
+            self.waypoint = Some(waypoint).filter(|_| !self.has_given_up);
         }
         Ok(())
+    }
+
+    /// Time at full speed within which an intermediate target lies, s.
+    fn reach_secs(&self) -> f64 {
+        REACH_SECS * 0.5f64.powi(self.blocked_steps.saturating_sub(1).min(MAX_HALVINGS) as i32)
     }
 
     /// Moves `u` towards a pose, for `dt` seconds. Returns true if a limit or a link kept it from getting there.
@@ -170,6 +185,7 @@ impl LiveMotion {
     /// Brakes `u` for `dt` seconds, along the way that was checked before.
     pub fn brake(&mut self, dt: f64, u: &mut [f64]) {
         self.waypoint = None;
+        self.blocked_steps = 0;
         if dt > 0.0 {
             self.plan(0.0, u, dt, u);
             self.take(dt, u);
@@ -186,7 +202,8 @@ impl LiveMotion {
         if found.is_none() {
             self.plan(0.0, target, dt, u);
         }
-        self.is_blocked = found != Some(0);
+        let is_free = found == Some(0);
+        self.blocked_steps = if is_free { self.blocked_steps.saturating_sub(1) } else { self.blocked_steps + 1 };
         for (next, (low, high)) in self.next.iter_mut().zip(robot.coupling.low.iter().zip(&robot.coupling.high)) {
             // Sums may exceed a limit by their rounding.
             *next = next.clamp(*low, *high);
@@ -258,7 +275,11 @@ impl LiveMotion {
 
     /// True if `u` is so near an intermediate target that the robot should no longer slow down for it.
     fn has_passed(&self, waypoint: &[f64], u: &[f64]) -> bool {
-        waypoint.iter().zip(u).zip(&self.speed).all(|((x, u), speed)| (x - u).abs() <= PASSED * REACH_SECS * speed)
+        waypoint
+            .iter()
+            .zip(u)
+            .zip(&self.speed)
+            .all(|((x, u), speed)| (x - u).abs() <= PASSED * self.reach_secs() * speed)
     }
 }
 

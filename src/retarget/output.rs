@@ -58,6 +58,6 @@ pub struct Output {
     pub iterations: usize,
     /// Outcome of the frame.
     pub status: Status,
-    /// Touch that the robot should measure.
+    /// Touch that the robot should measure; if live, once it is in the pose of the last frame.
     pub expected_touch: ExpectedTouch,
 }

@@ -71,6 +71,8 @@ pub struct Retargeter {
     limit: MotionLimit,
     live: Option<LiveMotion>,
     transfer: TouchTransfer,
+    /// Basin of the pose found last.
+    basin: Basin,
     /// Free coordinates of the pose given out last, rad or m.
     u: Vec<f64>,
     /// Workspace: pose at which the robot stops if it brakes.
@@ -120,6 +122,7 @@ impl Retargeter {
             search: PoseSearch::new(&robot),
             limit,
             transfer,
+            basin: Basin::Present,
             u: robot.rest.clone(),
             stop: robot.rest.clone(),
             frame_time: None,
@@ -226,7 +229,11 @@ impl Retargeter {
         if !now.is_finite() {
             return Err(Error::value("time", "finite seconds", now));
         }
-        // The best pose within reach is solved for when a frame comes. Between frames each joint just moves on.
+        // The best pose within reach is solved for when a frame comes. Between frames each joint just moves on, unless a link is
+        // in its way.
+        if self.live.as_ref().is_some_and(LiveMotion::is_blocked) {
+            self.aim_around_links()?;
+        }
         let is_limited = self.move_towards_pose(now, Basin::Other)?;
         self.write_pose();
         self.mark_output(now);
@@ -297,18 +304,23 @@ impl Retargeter {
         let present = Present { u: &self.u, is_given_out: self.has_given_out, is_new_hand };
         let stop = self.options.stop;
         let found = self.search.run(&mut self.robot, &mut self.goal, &mut self.limit, stop, present)?;
-        if let Some(live) = &mut self.live {
-            let step = Step { target: self.search.pose(), basin: found.basin, dt: live.period(), stop };
-            live.aim(&mut self.robot, &mut self.goal, step, &self.u)?;
-        }
+        self.basin = found.basin;
+        self.aim_around_links()?;
         let is_limited = self.move_towards_pose(now, found.basin)?;
-        self.write_pose();
+        match self.live {
+            // A live robot gets to the pose of this frame later; its touch is that in this pose, whatever the motion does.
+            Some(_) => self.robot.set_pose(self.search.pose()),
+            None => self.write_pose(),
+        }
         if let Some(touch) = &input.touch {
             let pinches = self.goal.pinch_points(&mut self.robot, &filtered.points, touch);
             let transfer = TransferInput { hand: &hand, points: &filtered.points, touch, pinches: &pinches };
             self.transfer.transfer(&self.robot, &transfer, &mut self.output.expected_touch);
         } else {
             self.output.expected_touch.clear();
+        }
+        if self.live.is_some() {
+            self.write_pose();
         }
         self.frame_time = Some(input.time);
         self.output.objective = self.search.cost();
@@ -320,6 +332,13 @@ impl Retargeter {
             _ => Status::Solved,
         };
         Ok(())
+    }
+
+    /// Plans the way of a live robot to the pose found.
+    fn aim_around_links(&mut self) -> Result<()> {
+        let Some(live) = &mut self.live else { return Ok(()) };
+        let step = Step { target: self.search.pose(), basin: self.basin, dt: live.period(), stop: self.options.stop };
+        live.aim(&mut self.robot, &mut self.goal, step, &self.u)
     }
 
     /// Returns the seconds since the last good frame, infinite for the first one.

@@ -242,7 +242,16 @@ fn a_tracker_that_cannot_reach_the_node_is_an_error() {
 
 #[test]
 fn a_topic_without_a_publisher_is_named_once_with_those_of_its_type() {
-    holds("misnamed", &json!({}), &[]);
+    let session = Session::new();
+    let path = session.path("case.json");
+    std::fs::write(&path, "{}").unwrap();
+    // The tracker is there first.
+    let mut peer = session.peer(PEER, &["misnamed", path.to_str().unwrap()]);
+    peer.prints("publishing");
+    let mut node = node(&session, &AT_ONCE);
+    let status = peer.wait();
+    assert!(status.success(), "{status}\n{}", peer.output());
+    node.ends_cleanly("INT");
 }
 
 #[test]

@@ -426,6 +426,7 @@ def misnamed(case):
     peer = Peer()
     logs = peer.listen(Log, "/rosout", LATCHED)
     peer.create_publisher(PoseArray, "tracker/hand", 10)
+    print("publishing", flush=True)
     told = lambda: [log.msg for log in logs if "no publisher of geometry_msgs/msg/PoseArray" in log.msg]
     peer.wait(told, "a warning")
     assert peer.resolve_topic_name("tracker/hand") in told()[0] and "-r keypoints:=TOPIC" in told()[0], told()
