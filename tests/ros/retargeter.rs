@@ -18,8 +18,10 @@ const PEER: &str = "retargeter_peer.py";
 /// Time between two frames of the peer, s.
 const DT: f64 = 0.04;
 
-/// Parameters of a node that follows at once, to compare it with the library.
-const AT_ONCE: [&str; 6] = ["-p", "start:=rest", "-p", "ramp_secs:=0.0", "-p", "input_timeout_ms:=0.0"];
+/// Parameters of a node that follows at once, to compare it with the library: on another way, a robot may end in another local
+/// minimum.
+const AT_ONCE: [&str; 8] =
+    ["-p", "start:=rest", "-p", "ramp_secs:=0.0", "-p", "input_timeout_ms:=0.0", "-p", "acceleration:=100000.0"];
 /// Default of the parameter `acceleration`, rad/s^2.
 const ACCELERATION: f64 = 50.0;
 
