@@ -234,7 +234,7 @@ fn a_live_robot_arrives_where_an_unlimited_one_does() {
 fn a_joint_takes_the_time_of_a_trapezoid_to_its_target() {
     // Acceleration a to speed v and back over the way s takes s / v + v / a.
     let mut robot = Robot::load("gripper", None).unwrap();
-    robot.spec.limits.velocity = 1.0;
+    robot.spec.limits.velocity = 0.2;
     let options = LiveOptions { acceleration: 10.0, ramp_secs: 0.0, period: 1e-3 };
     let mut retargeter =
         Retargeter::with_options(robot, Options { live: Some(options), ..Options::default() }).unwrap();
@@ -267,9 +267,9 @@ fn a_joint_takes_the_time_of_a_trapezoid_to_its_target() {
     }
     let moved = from.iter().zip(&retargeter.output().qpos).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     // A slide's limits are a tenth of a hinge's.
-    let (v, a): (f64, f64) = (0.1, 1.0);
-    assert!(moved > 0.005, "{moved}");
-    let expected = if moved > v * v / a { moved / v + v / a } else { 2.0 * (moved / a).sqrt() };
+    let (v, a): (f64, f64) = (0.02, 1.0);
+    assert!(moved > v * v / a, "{moved} m: the jaw does not reach its speed");
+    let expected = moved / v + v / a;
     assert!((now - began - expected).abs() < 5e-3, "{} s for {moved} m, expected {expected} s", now - began);
 }
 
