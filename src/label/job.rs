@@ -4,7 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use super::inference::{InferenceTiming, label_unit};
+use super::inference::{InferenceTiming, NetworkLabeller};
+use super::journal::Journal;
 use super::workspace::{self, Workspace};
 use crate::dataset::{ImageSource, InputState, LabelInfo, LabelOutput, LabelSummary, Provenance, UnlabelledImage};
 use crate::error::{Error, Result};
@@ -17,6 +18,23 @@ pub struct Shard {
     pub index: usize,
     /// Number of shards.
     pub of: usize,
+}
+
+/// Maker of labels: a network, or the geometry of hands and objects.
+pub trait Labeller {
+    /// Labels the images of unit `unit` of `source` that `journal` lacks; calls `progress` after every image. An image without
+    /// a label gets the reason in its place.
+    ///
+    /// # Errors
+    /// If the unit can't be read to its end, or the journal can't be written. The journal then holds the labels of all images
+    /// before the failure, and the next run goes on there.
+    fn label_unit(
+        &mut self,
+        source: &dyn ImageSource,
+        unit: usize,
+        journal: &mut Journal,
+        progress: &mut dyn FnMut(),
+    ) -> Result<InferenceTiming>;
 }
 
 /// One recording to label, and its output.
@@ -89,6 +107,22 @@ impl Job<'_> {
         timing: &mut LabelTiming,
         progress: &mut dyn FnMut(),
     ) -> Result<Outcome> {
+        let mut labeller = NetworkLabeller { predictor, decoders: self.decoders };
+        self.run_with(&mut labeller, shard, first_number, timing, progress)
+    }
+
+    /// As [`Job::run`], with labels of any origin.
+    ///
+    /// # Errors
+    /// As [`Job::run`].
+    pub fn run_with(
+        &self,
+        labeller: &mut dyn Labeller,
+        shard: Shard,
+        first_number: usize,
+        timing: &mut LabelTiming,
+        progress: &mut dyn FnMut(),
+    ) -> Result<Outcome> {
         let input = self.input()?;
         let provenance = self.provenance(&input);
         if self.out.exists() {
@@ -105,7 +139,7 @@ impl Job<'_> {
             let Some(mut journal) = workspace.journal(unit)? else {
                 return Err(Error::file(&self.out, format!("{}: another process is labelling it", units[unit].name)));
             };
-            let of_unit = label_unit(self.source, unit, predictor, &mut journal, self.decoders, || {
+            let of_unit = labeller.label_unit(self.source, unit, &mut journal, &mut || {
                 timing.frames += 1;
                 progress()
             })?;

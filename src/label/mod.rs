@@ -25,6 +25,7 @@ mod workspace;
 
 pub use inference::InferenceTiming;
 pub use input::{FormatOptions, LabelTask, LabelTasks, OutputFormat, find_tasks};
-pub use job::{Job, LabelTiming, Outcome, Shard};
-pub use journal::Progress;
+pub(crate) use job::is_within;
+pub use job::{Job, LabelTiming, Labeller, Outcome, Shard};
+pub use journal::{Journal, Progress};
 pub(crate) use manifest::write_manifest;
