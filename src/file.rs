@@ -1,7 +1,8 @@
-//! Opening of files from outside, durable file writes, tensor files, file locks and checksums.
+//! Opening of files from outside, durable file writes, tensor and mesh files, file locks and checksums.
 
 pub mod input;
 pub mod limits;
+pub mod mesh;
 pub mod tensors;
 
 use std::fs::{File, TryLockError};
