@@ -94,6 +94,10 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         (None, None, Some(checkpoint)) => of_checkpoint(&args, checkpoint)?,
         _ => bail!("give --pred and --target, or --checkpoint and --data"),
     };
+    let TactileSequence { mask_force, mask_contact, .. } = &case.target;
+    if [mask_force, mask_contact].iter().all(|mask| !mask.is_empty() && !mask.contains(&1)) {
+        bail!("the truth has no supervised force or contact to score; `egotac data info` tells what a store holds");
+    }
     if args.right_hand_only {
         VertexGroup::hand(Side::Right).restrict(&mut case.target);
     }
