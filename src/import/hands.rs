@@ -102,6 +102,9 @@ impl HandModels {
                 let params = self.params(side, params, convention)?;
                 PosedRecord { vertices: model.forward(&params).vertices, params }
             }
+            RecordedHand::Vertices(params, vertices) => {
+                PosedRecord { params: self.params(side, params, convention)?, vertices: vertices.clone() }
+            }
             RecordedHand::Keypoints(keypoints) => {
                 let fit = fitted(model, keypoints, before.take());
                 let record = PosedRecord { vertices: fit.posed(model).vertices, params: fit.params.clone() };
@@ -128,7 +131,8 @@ impl HandModels {
         HandParams { global_orient: orient.to_scaled_axis().as_vec3(), transl: transl.as_vec3(), ..params.clone() }
     }
 
-    fn model(&self, side: Side, convention: Convention) -> &HandModel {
+    /// Returns the model of a hand under a data set's convention.
+    pub fn model(&self, side: Side, convention: Convention) -> &HandModel {
         match side {
             Side::Left if convention.fixes_left_shapedirs => &self.left_fixed,
             _ => &self.models[side as usize],

@@ -53,11 +53,12 @@ pub struct Found {
 }
 
 /// All kinds, in the order of the table.
-pub static ALL: [Kind; 7] = [
+pub static ALL: [Kind; 8] = [
     readers::hot3d::KIND,
     readers::h2o::KIND,
     readers::taco::KIND,
     readers::fpha::KIND,
+    readers::egopressure::KIND,
     readers::arctic::KIND,
     readers::hoi4d::KIND,
     readers::oakink2::KIND,

@@ -23,6 +23,8 @@ pub struct Known {
     pub camera: Vec<f32>,
     /// (objects, 7) `world_from_object`.
     pub objects: Vec<f32>,
+    /// (2) measured force that is on no vertex of the left and the right hand, N; empty if the recording measures none.
+    pub lost: Vec<f32>,
 }
 
 impl Known {
@@ -45,18 +47,22 @@ impl Known {
             hands: Side::BOTH.map(moved),
             camera: pose_values(moment.world_from_camera).to_vec(),
             objects: moment.objects.iter().flat_map(object).collect(),
+            lost: Vec::new(),
         }
     }
 
     /// Returns all numbers in a row.
     pub fn into_values(self) -> Vec<f32> {
         let hands = self.hands.iter().flat_map(|hand| hand.as_ref().map_or([f32::NAN; HAND], HandParams::to_array));
-        self.distances.iter().copied().chain(hands).chain(self.camera).chain(self.objects).collect()
+        self.distances.iter().copied().chain(hands).chain(self.camera).chain(self.objects).chain(self.lost).collect()
     }
 
-    /// Reads the numbers of [`Known::into_values`]; `n_objects` is the number of objects. An empty row, that of a moment
-    /// without a label, is unknown.
-    pub fn from_values(values: &[f32], n_objects: usize) -> Self {
+    /// Reads the numbers of [`Known::into_values`] of a recording. An empty row, that of a moment without a label, is unknown.
+    pub fn from_values(values: &[f32], recording: &Recording) -> Self {
+        Self::split(values, recording.objects.len(), if recording.measures_force { 2 } else { 0 })
+    }
+
+    fn split(values: &[f32], n_objects: usize, n_lost: usize) -> Self {
         let mut rest = values;
         let mut take = |n: usize| {
             let (taken, tail) = rest.split_at_checked(n).unwrap_or((&[], &[]));
@@ -68,7 +74,7 @@ impl Known {
             let values: [f32; HAND] = values.try_into().ok()?;
             (!values[0].is_nan()).then(|| HandParams::from_array(&values))
         });
-        Self { distances, hands, camera: take(POSE), objects: take(POSE * n_objects) }
+        Self { distances, hands, camera: take(POSE), objects: take(POSE * n_objects), lost: take(n_lost) }
     }
 }
 
@@ -90,9 +96,10 @@ mod tests {
         let right = HandParams { transl: Vec3::new(0.1, 0.2, 0.3), ..HandParams::default() };
         let camera = vec![1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0];
         let objects: Vec<f32> = (0..14).map(|k| k as f32).collect();
-        let known = Known { distances: vec![0.5; N_FIELD], hands: [None, Some(right)], camera, objects };
-        assert_eq!(Known::from_values(&known.clone().into_values(), 2), known);
-        let unknown = Known::from_values(&[], 2);
+        let lost = vec![0.25, 0.5];
+        let known = Known { distances: vec![0.5; N_FIELD], hands: [None, Some(right)], camera, objects, lost };
+        assert_eq!(Known::split(&known.clone().into_values(), 2, 2), known);
+        let unknown = Known::split(&[], 2, 0);
         assert!(unknown.hands == [None, None] && unknown.objects.len() == 14);
         assert!(unknown.distances.iter().chain(&unknown.camera).chain(&unknown.objects).all(|value| value.is_nan()));
     }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use super::forces::{HandForces, VertexForces};
 use super::hands::{HandModels, PosedRecord};
 use super::known::Known;
 use super::recording::{Moment, Reader, RecordedObject, Recording};
@@ -12,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::geometry::PROXIMITY;
 use crate::hand::{Fit, Side, Topology};
 use crate::label::{InferenceTiming, Journal, Labeller};
-use crate::tactile::{N_FIELD, TactileField};
+use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField};
 
 /// Number of labels in a journal block.
 const BLOCK: usize = 64;
@@ -27,6 +28,9 @@ pub enum ContactRule {
     /// The signed distance from an object's surface is at most this, m.
     SignedDistance(f32),
 }
+
+/// Meaning of contact where a calibrated sensor measures force.
+pub const FORCE_RULE: &str = "force above 0.05 N";
 
 impl ContactRule {
     /// Describes the rule for the store's attributes.
@@ -97,11 +101,13 @@ pub fn posed(
     Ok(posed)
 }
 
-/// Labels one moment: contact, and the signed distances from the objects, (1556) m. NaN where a hand is unknown; where
+/// Labels one moment: force and contact, and the signed distances from the objects, (1556) m. Contact follows from the force
+/// where it was measured, else from the distances. NaN where a hand is unknown; where
 /// an object's shape or pose is unknown, vertices that touch no other object are NaN as well, because they may touch that one.
 pub fn labelled(
     moment: &Moment,
     hands: &[Option<PosedRecord>; 2],
+    forces: &[Option<VertexForces>; 2],
     shapes: &ObjectShapes,
     rule: ContactRule,
     topology: Topology,
@@ -130,8 +136,38 @@ pub fn labelled(
                 distances[vertex] = gaps.surface[index].min(FAR);
             }
         }
+        if let Some(VertexForces { newtons, .. }) = &forces[side as usize] {
+            for (vertex, newtons) in side.range().zip(newtons) {
+                let touches = f32::from(*newtons > CONTACT_FORCE_N);
+                (field.force[vertex], field.contact[vertex]) =
+                    (*newtons, if newtons.is_nan() { f32::NAN } else { touches });
+            }
+        }
     }
     (field, distances)
+}
+
+/// Distributes the measured forces of a moment over both hands; `None` where there are none.
+fn forces_of(
+    moment: &Moment,
+    hands: &[Option<PosedRecord>; 2],
+    sensed: &[HandForces],
+) -> Result<[Option<VertexForces>; 2]> {
+    let mut found = [None, None];
+    for (index, forces) in sensed.iter().enumerate() {
+        if let (Some(hand), Some(measured)) = (&hands[index], &moment.forces[index]) {
+            found[index] = Some(forces.spread(&hand.vertices, measured)?);
+        }
+    }
+    Ok(found)
+}
+
+/// Returns the lost force of both hands, N, if the recording measures force; NaN = not measured.
+fn lost(recording: &Recording, forces: &[Option<VertexForces>; 2]) -> Vec<f32> {
+    match recording.measures_force {
+        true => forces.iter().map(|forces| forces.as_ref().map_or(f32::NAN, |forces| forces.lost)).collect(),
+        false => Vec::new(),
+    }
 }
 
 impl Labeller for GeometryLabeller<'_> {
@@ -149,6 +185,12 @@ impl Labeller for GeometryLabeller<'_> {
         let recording = self.reader.recording();
         let shapes = ObjectShapes::read(recording, self.shapes)?;
         let topology = self.hands.topology();
+        let sensed = match recording.measures_force {
+            true => {
+                Side::BOTH.iter().map(|side| HandForces::new(self.hands.model(*side, recording.convention))).collect()
+            }
+            false => Ok(Vec::new()),
+        }?;
         let first = journal.progress().frames;
         let (mut fits, mut written) = ([None, None], Instant::now());
         // A fit depends on those before it in its block: replay the block that an earlier run began.
@@ -162,8 +204,10 @@ impl Labeller for GeometryLabeller<'_> {
                 if index < first {
                     return Ok(LabelFrame::without(moment.stamp_secs, String::new()));
                 }
-                let (field, distances) = labelled(&moment, &hands, &shapes, self.rule, topology);
-                let further = Known::new(&moment, &hands, self.hands, recording, distances).into_values();
+                let forces = forces_of(&moment, &hands, &sensed)?;
+                let (field, distances) = labelled(&moment, &hands, &forces, &shapes, self.rule, topology);
+                let known = Known::new(&moment, &hands, self.hands, recording, distances);
+                let further = Known { lost: lost(recording, &forces), ..known }.into_values();
                 Ok(LabelFrame { stamp_secs: moment.stamp_secs, warming_up: false, touch: Ok(field), further })
             });
             if index < first {

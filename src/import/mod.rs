@@ -9,6 +9,7 @@
 //! [`crate::label`] keeps the labels in a journal, resumes and divides work among shards; [`output`] writes the store. Unknown
 //! values are NaN with mask 0.
 
+mod forces;
 pub mod hands;
 mod input;
 pub mod kind;

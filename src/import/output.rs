@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::kind::Kind;
 use super::known::{Known, POSE};
-use super::labeller::ContactRule;
+use super::labeller::{ContactRule, FORCE_RULE};
 use super::recording::Reader;
 use super::source::RecordingSource;
 use crate::dataset::copy::remove;
@@ -21,11 +21,14 @@ use crate::dataset::{
     SourceLabels, UnlabelledImage,
 };
 use crate::error::{Error, Result};
+use crate::geometry::SIGMA;
 use crate::tactile::{N_FIELD, TactileField, Validity};
 
 /// Array (T, 1556) f32: signed distance from the nearest object's surface, m, at most 0.05; negative inside of a closed
 /// surface, NaN = unknown.
 pub const DISTANCE: &str = "data/mano_distance";
+/// Array (T, 2) f32, left hand first: measured force that is on no vertex, N; only of recordings that measure force.
+pub const FORCE_LOST: &str = "data/force_lost";
 /// Attribute that describes the origin of an imported store.
 pub const IMPORT: &str = "import";
 
@@ -55,6 +58,9 @@ impl LabelOutput for ImportOutput {
         if n_objects > 0 {
             extra.push(ArraySpec::new(OBJECT_POSE, [n_objects, POSE], Dtype::F32));
         }
+        if recording.measures_force {
+            extra.push(ArraySpec::new(FORCE_LOST, [2], Dtype::F32));
+        }
         let mut writer = ZarrWriter::create(at, self.attributes(info), Contact::Truth, extra)?;
         let mut labels = labels.labels(0)?;
         let (mut size, mut time) = (None, 0.0);
@@ -69,9 +75,14 @@ impl LabelOutput for ImportOutput {
             };
             let stamps = [label.stamp_secs, image.stamp_secs, time];
             time = stamps.into_iter().find(|stamp| stamp.is_finite()).unwrap_or(0.0);
-            let known = Known::from_values(&label.further, n_objects);
+            let known = Known::from_values(&label.further, recording);
             let (image, label) = self.decoded(image, label, size, writer.n_frames(), info);
-            let values = [(DISTANCE, known.distances), (CAMERA_POSE, known.camera), (OBJECT_POSE, known.objects)];
+            let values = [
+                (DISTANCE, known.distances),
+                (CAMERA_POSE, known.camera),
+                (OBJECT_POSE, known.objects),
+                (FORCE_LOST, known.lost),
+            ];
             let values = values.into_iter().filter(|(_, values)| !values.is_empty());
             let values = values.map(|(name, values)| (name, Values::F32(values))).collect();
             let [left_hand_pose, right_hand_pose] = known.hands;
@@ -141,7 +152,7 @@ impl ImportOutput {
         let provenance = &info.provenance;
         Attributes {
             topology: provenance.topology,
-            sigma: 0.0,
+            sigma: if self.reader.recording().measures_force { SIGMA } else { 0.0 },
             contact_force: provenance.thresholds.contact_force,
             producer: provenance.producer.clone(),
             version: provenance.version.clone(),
@@ -166,8 +177,9 @@ impl ImportOutput {
             "recording": recording.name,
             "data_set": self.kind.origin,
             "licence": self.kind.licence,
-            "contact_rule": self.rule.text(),
-            "force": "unknown",
+            "contact_rule": if recording.measures_force { FORCE_RULE.into() } else { self.rule.text() },
+            "force": if recording.measures_force { "measured" } else { "unknown" },
+            "force_kind": recording.measures_force.then_some("spread"),
             "hand": hand,
             "translation": recording.convention.translation.name(),
             "mean_pose_added": recording.convention.adds_mean,

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use glam::{DAffine3, Vec3};
+use glam::{DAffine3, DVec3, Vec3};
 use serde_json::Value;
 
 use super::shapes::MeshFile;
@@ -24,6 +24,8 @@ pub struct Recording {
     pub objects: Vec<RecordedObject>,
     /// Meaning of the hands' parameters.
     pub convention: Convention,
+    /// True if a calibrated sensor measures force: contact then follows from it.
+    pub measures_force: bool,
     /// Camera: intrinsics and distortion as the data set states them; null if it does not.
     pub camera: Value,
     /// Facts about this recording for the store's attributes, such as the subject; an object.
@@ -88,6 +90,28 @@ pub struct Moment {
     pub hands: [Option<RecordedHand>; 2],
     /// `reference_from_object` of each object of the recording; `None` = unknown.
     pub objects: Vec<Option<DAffine3>>,
+    /// Forces on the left and the right hand; `None` = not measured.
+    pub forces: [Option<SensedForce>; 2],
+}
+
+/// Forces on one hand by a calibrated sensor.
+#[derive(Debug, Clone)]
+pub struct SensedForce {
+    /// Forces of the sensor's cells that are loaded.
+    pub points: Vec<PointForce>,
+    /// (778) true where a vertex may touch something that the sensor does not measure.
+    pub unmeasured: Vec<bool>,
+}
+
+/// Force at a point.
+#[derive(Debug, Clone, Copy)]
+pub struct PointForce {
+    /// Position in the reference frame, m.
+    pub position: DVec3,
+    /// Unit normal into the hand.
+    pub normal: DVec3,
+    /// Normal force, N.
+    pub newtons: f64,
 }
 
 /// Pose of one hand as its data set gives it.
@@ -97,6 +121,8 @@ pub enum RecordedHand {
     Mano(ManoParams),
     /// 21 keypoints, m: wrist, then thumb to little finger, each from base to tip.
     Keypoints([Vec3; N_KEYPOINTS]),
+    /// 778 vertices in MANO's order, m, and the parameters nearest to them.
+    Vertices(ManoParams, Vec<Vec3>),
 }
 
 /// MANO parameters of one hand; [`Convention`] tells their meaning.

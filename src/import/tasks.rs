@@ -36,6 +36,8 @@ pub struct ImportTasks {
     settings: Settings,
     shapes: Arc<ShapeCache>,
     readers: Vec<Arc<dyn Reader>>,
+    /// True if the data set measures force.
+    measures_force: bool,
     /// Outputs, in the order of the recordings.
     pub tasks: Vec<LabelTask>,
     /// Names of recordings that can't be read, and the reasons.
@@ -103,14 +105,15 @@ impl ImportTasks {
         if let Some(pair) = outs.windows(2).find(|pair| pair[0] == pair[1]) {
             return Err(Error::file(pair[0], "would be the output of two recordings"));
         }
-        Ok(Self { settings, shapes, readers, tasks, unreadable })
+        let measures_force = readers.iter().any(|reader| reader.recording().measures_force);
+        Ok(Self { settings, shapes, readers, measures_force, tasks, unreadable })
     }
 
     /// Returns the job of each task.
     pub fn jobs(&self) -> Vec<Job<'_>> {
         let job = |task| {
             let LabelTask { source, output, out, description, .. }: &LabelTask = task;
-            let provenance = self.settings.provenance(description.clone());
+            let provenance = self.settings.provenance(description.clone(), self.measures_force);
             Job { source: source.as_ref(), output: output.as_ref(), out: out.clone(), provenance, decoders: 1 }
         };
         self.tasks.iter().map(job).collect()
@@ -130,7 +133,7 @@ impl Settings {
         vec![format!("{} recording {recording}", self.kind.name), format!("contact: {}", self.rule.text()), side]
     }
 
-    fn provenance(&self, source: Vec<String>) -> Provenance {
+    fn provenance(&self, source: Vec<String>, has_force: bool) -> Provenance {
         let topology = self.hands.topology();
         let hand_model = match topology {
             Topology::EgotacHand1 => "egotac built-in hand",
@@ -146,7 +149,7 @@ impl Settings {
             hand_model: hand_model.into(),
             horizon: 1,
             frame_dt: 0.0,
-            has_force: false,
+            has_force,
             thresholds: Thresholds {
                 contact: CONTACT_THRESHOLD,
                 contact_force: CONTACT_FORCE_N.to_string().parse().unwrap_or(f64::from(CONTACT_FORCE_N)),

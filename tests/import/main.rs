@@ -10,6 +10,7 @@ mod common;
 mod files;
 mod hot3d;
 mod pickle;
+mod sensors;
 mod sets;
 mod take;
 mod videos;

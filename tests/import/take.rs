@@ -33,6 +33,8 @@ pub struct TakeHand {
     /// Position of the wrist joint, m.
     pub wrist: DVec3,
     pub vertices: Vec<Vec3>,
+    /// (778) true force, N.
+    pub forces: Vec<f32>,
     /// 21 keypoints, m.
     pub keypoints: [Vec3; 21],
 }
@@ -70,7 +72,8 @@ impl Take {
                 let params = of_sides[side as usize].clone().unwrap();
                 let posed = models[side as usize].forward(&params);
                 let keypoints = models[side as usize].keypoints(&posed);
-                TakeHand { wrist: posed.joints[0].as_dvec3(), vertices: posed.vertices, keypoints, params }
+                let forces = frame.frame.field.force[side.range()].to_vec();
+                TakeHand { wrist: posed.joints[0].as_dvec3(), forces, vertices: posed.vertices, keypoints, params }
             };
             let object = &frame.objects[0];
             frames.push(TakeFrame {

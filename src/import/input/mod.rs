@@ -6,4 +6,5 @@ pub mod images;
 pub mod json;
 pub mod lazy;
 pub mod numbers;
+pub mod shard;
 pub mod tar;

@@ -113,6 +113,7 @@ impl Sequence {
                 frames: files.len(),
                 objects: vec![part("top"), part("bottom")],
                 convention: Convention { adds_mean: true, ..Convention::PLAIN },
+                measures_force: false,
                 camera: Value::Null,
                 about: json!({ "object": object, "images": folder.strip_prefix(root).unwrap_or(folder).display().to_string() }),
                 name,
@@ -238,6 +239,7 @@ impl Reader for Sequence {
             world_from_camera: None,
             hands: [None, None],
             objects: vec![None, None],
+            forces: [None, None],
         };
         // Images before the first and after the last annotation have none.
         let Ok(at) = usize::try_from(self.annotations[index]) else { return Ok(moment) };

@@ -98,6 +98,7 @@ impl Sequence {
                 frames: files.len(),
                 objects: touched.collect(),
                 convention: Convention::PLAIN,
+                measures_force: false,
                 // Colour camera of the data set's documentation.
                 camera: json!({
                     "fx": 1395.749023, "fy": 1395.749268, "cx": 935.732544, "cy": 540.681030,
@@ -212,6 +213,7 @@ impl Reader for Sequence {
             world_from_camera: Some(world_from_camera()),
             hands: [None, self.hand(index)?],
             objects,
+            forces: [None, None],
         })
     }
 

@@ -108,6 +108,7 @@ impl Sequence {
                 frames: files.len(),
                 objects: Vec::new(),
                 convention: Convention::PLAIN,
+                measures_force: false,
                 camera,
                 about: json!({ "images": base_name(&folder) }),
             },
@@ -213,6 +214,7 @@ impl Reader for Sequence {
             world_from_camera,
             hands: self.hands(index)?,
             objects: self.class.iter().map(|_| object.map(|(_, pose)| pose)).collect(),
+            forces: [None, None],
         })
     }
 

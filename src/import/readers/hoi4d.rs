@@ -134,6 +134,7 @@ impl Sequence {
                 frames,
                 objects: vec![RecordedObject { name: format!("{category} {instance:03}"), mesh }],
                 convention: Convention::PLAIN,
+                measures_force: false,
                 camera,
                 about: json!({ "category": category, "instance": instance }),
                 name,
@@ -212,6 +213,7 @@ impl Reader for Sequence {
             world_from_camera: Some(DAffine3::IDENTITY),
             hands: [self.hand(Side::Left, index)?, self.hand(Side::Right, index)?],
             objects: vec![self.object(index)?],
+            forces: [None, None],
         })
     }
 

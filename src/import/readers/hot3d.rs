@@ -96,6 +96,7 @@ impl Clip {
                     translation: Translation::AfterRotation,
                     fixes_left_shapedirs: true,
                 },
+                measures_force: false,
                 camera: Value::Null,
                 about: Value::Null,
             },
@@ -249,6 +250,7 @@ impl Reader for Clip {
             world_from_camera: pose.map(|pose| pose * sensor_from_upright()),
             hands,
             objects,
+            forces: [None, None],
         })
     }
 

@@ -1,6 +1,7 @@
 //! Readers of data sets, one file per kind.
 
 pub mod arctic;
+pub mod egopressure;
 pub mod fpha;
 pub mod h2o;
 pub mod hoi4d;

@@ -115,6 +115,7 @@ impl Sequence {
                 frames: files.len(),
                 objects,
                 convention: Convention { translation: Translation::OfWrist, ..Convention::PLAIN },
+                measures_force: false,
                 camera,
                 about: json!({ "camera": serial }),
             },
@@ -212,6 +213,7 @@ impl Reader for Sequence {
             world_from_camera: track.cameras.get(&frame).map(DAffine3::inverse),
             hands: Side::BOTH.map(hand),
             objects: track.objects.iter().map(|poses| poses.get(&frame).copied()).collect(),
+            forces: [None, None],
         })
     }
 

@@ -106,6 +106,7 @@ impl Sequence {
                 frames,
                 objects: poses.iter().map(object).collect(),
                 convention: Convention { translation: Translation::OfWrist, ..Convention::PLAIN },
+                measures_force: false,
                 camera,
                 about: json!({ "triplet": name.split('/').next() }),
                 name: name.clone(),
@@ -202,6 +203,7 @@ impl Reader for Sequence {
             world_from_camera,
             hands: [self.hand(Side::Left, index)?, self.hand(Side::Right, index)?],
             objects: objects.iter().map(|poses| Some(poses[index])).collect(),
+            forces: [None, None],
         })
     }
 
