@@ -6,7 +6,6 @@ use glam::{DAffine3, DVec3, Vec3};
 use serde_json::Value;
 
 use super::shapes::MeshFile;
-use crate::dataset::InputFiles;
 use crate::dataset::source::SourceFrames;
 use crate::error::Result;
 use crate::hand::{N_BETAS, N_JOINTS, N_KEYPOINTS};
@@ -152,11 +151,11 @@ pub trait Reader: Send + Sync {
     /// Returns the parts that do not change with time.
     fn recording(&self) -> &Recording;
 
-    /// Lists the files that are read.
+    /// Lists the files that are read, without the objects' meshes; some may not exist.
     ///
     /// # Errors
     /// If a folder can't be listed.
-    fn files(&self) -> Result<InputFiles>;
+    fn files(&self) -> Result<Vec<PathBuf>>;
 
     /// Reads what is known about the instant of image `index`.
     ///

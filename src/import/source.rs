@@ -1,5 +1,6 @@
 //! A recording as a source of images, in one unit.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::labeller::faults;
@@ -31,10 +32,24 @@ impl ImageSource for RecordingSource {
     }
 
     fn files(&self) -> Result<InputFiles> {
-        let mut files = self.reader.files()?;
-        let recording = self.reader.recording();
-        files.add(recording.objects.iter().filter_map(|object| Some(object.mesh.as_ref()?.path.clone())));
-        Ok(files)
+        let meshes =
+            self.reader.recording().objects.iter().filter_map(|object| Some(object.mesh.as_ref()?.path.clone()));
+        // Names within their folders identify the files: a data set may be moved.
+        let mut folders: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
+        for path in self.reader.files()?.into_iter().chain(meshes) {
+            let folder = path.parent().unwrap_or(Path::new("")).to_path_buf();
+            match folders.iter_mut().find(|(known, _)| *known == folder) {
+                Some((_, files)) => files.push(path),
+                None => folders.push((folder, vec![path])),
+            }
+        }
+        let mut all = InputFiles::default();
+        for (folder, paths) in folders {
+            let mut files = InputFiles::new(&folder);
+            files.add(paths);
+            all.append(files);
+        }
+        Ok(all)
     }
 
     fn frames(&self, _: usize, from: usize) -> Result<SourceFrames<'_>> {

@@ -8,8 +8,8 @@ use crate::check::{check_hands, check_poses, check_stamps, f1, open, supervised}
 use crate::common::{self, egotac};
 use crate::files::{ManoFiles, angles, glb, jpeg, tar, write};
 use crate::take::{FRAMES, Take, cuboid};
+use egotac::dataset::SourceFrames;
 use egotac::dataset::zarr::{CAMERA_POSE, ZarrReader};
-use egotac::dataset::{InputFiles, SourceFrames};
 use egotac::error::{Error, Result};
 use egotac::hand::Side;
 use egotac::import::{ContactRule, HandModels, ImportTasks, Kind, Moment, Options, Reader, Recording, Settings};
@@ -111,7 +111,10 @@ fn a_clip_has_the_simulators_contact_stamps_poses_and_upright_images() {
     assert_eq!((&about["kind"], &about["hand"]["exact"]), (&json!("hot3d"), &json!(true)));
     assert!(about["licence"].as_str().unwrap().contains("CC BY-NC-SA"));
     assert_eq!(store.raw_attributes()["camera"]["projection_params"][0], 611.1);
-    // The same command again finds the store complete; another rule would be another store.
+    // The same command again finds the store complete, also of a data set that was moved; another rule would be another store.
+    let moved = folder.path().join("moved");
+    std::fs::rename(&root, &moved).unwrap();
+    let root = moved;
     let again = import(&root, &mano, &out, &["--side", "0"]);
     assert!(String::from_utf8_lossy(&again.stdout).contains("done before"));
     assert_eq!(import(&root, &mano, &out, &["--contact-distance", "3"]).status.code(), Some(1));
@@ -256,7 +259,7 @@ impl Reader for Failing<'_> {
         self.reader.recording()
     }
 
-    fn files(&self) -> Result<InputFiles> {
+    fn files(&self) -> Result<Vec<PathBuf>> {
         self.reader.files()
     }
 

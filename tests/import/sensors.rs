@@ -202,7 +202,7 @@ fn egopressure_gives_the_touchpads_newtons_to_the_vertices_above_it() {
     }
     // The simulator's labels are spread over vertices once, those of the cells twice.
     let score = 2.0 * hits as f64 / (2 * hits + wrong) as f64;
-    assert!(hits > 100 && score > 0.75, "F1 {score} of {hits} vertices");
+    assert!(hits > 50 && score > 0.85, "F1 {score} of {hits} vertices");
     let [with_force, with_contact] = supervised(&store);
     assert_eq!(with_force, with_contact);
     assert!(with_force > (FRAMES - 1) * 400 && with_force <= (FRAMES - 1) * 778, "{with_force}");

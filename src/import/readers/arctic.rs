@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 use serde_json::{Value, json};
 
+use crate::dataset::base_name;
 use crate::dataset::source::SourceFrames;
-use crate::dataset::{InputFiles, base_name};
 use crate::error::{Error, Result};
 use crate::file::{input, limits};
 use crate::hand::{N_BETAS, Side};
@@ -165,7 +165,7 @@ impl Sequence {
 
     /// Returns `world_from_object` of the top and the bottom part at an annotation.
     fn parts(&self, at: usize) -> Result<Vec<Option<DAffine3>>> {
-        let track = self.object_track.get(|| arrays::npy(&self.object, &[0, 7]))?;
+        let track = self.object_track.get(&self.object, || arrays::npy(&self.object, &[0, 7]))?;
         let Some(row) = track.data.as_chunks::<7>().0.get(at) else { return Ok(vec![None, None]) };
         let rotation = DQuat::from_scaled_axis(DVec3::from_slice(&row[1..4]));
         let bottom = DAffine3::from_rotation_translation(rotation, DVec3::from_slice(&row[4..7]) * MILLIMETRE);
@@ -178,7 +178,7 @@ impl Sequence {
         if !self.camera.is_file() {
             return Ok(None);
         }
-        let track = self.camera_track.get(|| {
+        let track = self.camera_track.get(&self.camera, || {
             let content = input::read(&self.camera, limits::FILE)?;
             let file = PickleFile::parse_npy(&self.camera, &content)?;
             let rotations = file.root().get("R_k_cam_np")?.shaped(&[0, 3, 3])?;
@@ -225,10 +225,10 @@ impl Reader for Sequence {
         &self.recording
     }
 
-    fn files(&self) -> Result<InputFiles> {
-        let mut files = InputFiles::new(&self.recording.path);
-        files.add(self.images.paths());
-        files.add([self.hands.clone(), self.object.clone(), self.camera.clone()]);
+    fn files(&self) -> Result<Vec<PathBuf>> {
+        let mut files = Vec::new();
+        files.extend(self.images.paths());
+        files.extend([self.hands.clone(), self.object.clone(), self.camera.clone()]);
         Ok(files)
     }
 
@@ -243,7 +243,7 @@ impl Reader for Sequence {
         };
         // Images before the first and after the last annotation have none.
         let Ok(at) = usize::try_from(self.annotations[index]) else { return Ok(moment) };
-        let tracks = self.hand_tracks.get(|| self.hand_tracks())?;
+        let tracks = self.hand_tracks.get(&self.hands, || self.hand_tracks())?;
         for side in Side::BOTH {
             let params = tracks[side as usize].as_ref().and_then(|track| track.params(at));
             moment.hands[side as usize] = params.map(RecordedHand::Mano);

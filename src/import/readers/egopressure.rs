@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use serde_json::{Value, json};
 
+use crate::dataset::base_name;
 use crate::dataset::source::{EncodedImage, SourceFrame, SourceFrames};
-use crate::dataset::{InputFiles, base_name};
 use crate::error::{Error, Result};
 use crate::file::{input, limits};
 use crate::hand::{N_BETAS, N_VERTICES, Side};
@@ -171,10 +171,10 @@ impl Reader for Sequence {
         &self.recording
     }
 
-    fn files(&self) -> Result<InputFiles> {
-        let mut files = InputFiles::new(&self.recording.path);
-        files.add([self.images.clone()]);
-        files.add([&self.annotation, &self.pressure].into_iter().flatten().map(|shard| shard.path().to_path_buf()));
+    fn files(&self) -> Result<Vec<PathBuf>> {
+        let mut files = Vec::new();
+        files.extend([self.images.clone()]);
+        files.extend([&self.annotation, &self.pressure].into_iter().flatten().map(|shard| shard.path().to_path_buf()));
         Ok(files)
     }
 

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use serde_json::json;
 
+use crate::dataset::base_name;
 use crate::dataset::source::SourceFrames;
-use crate::dataset::{InputFiles, base_name};
 use crate::error::{Error, Result};
 use crate::file::{input, limits};
 use crate::hand::N_KEYPOINTS;
@@ -123,7 +123,7 @@ impl Sequence {
         lines: &Lazy<BTreeMap<usize, String>>,
         index: usize,
     ) -> Result<Option<[f64; N]>> {
-        let lines = lines.get(|| read_lines(path))?;
+        let lines = lines.get(path, || read_lines(path))?;
         let Some(line) = lines.get(&self.numbers[index]) else { return Ok(None) };
         let frame = format!("frame {}", self.numbers[index]);
         let values =
@@ -195,10 +195,10 @@ impl Reader for Sequence {
         &self.recording
     }
 
-    fn files(&self) -> Result<InputFiles> {
-        let mut files = InputFiles::new(&self.recording.path);
-        files.add(self.images.paths());
-        files.add([&self.skeleton, &self.object].into_iter().flatten().cloned());
+    fn files(&self) -> Result<Vec<PathBuf>> {
+        let mut files = Vec::new();
+        files.extend(self.images.paths());
+        files.extend([&self.skeleton, &self.object].into_iter().flatten().cloned());
         Ok(files)
     }
 

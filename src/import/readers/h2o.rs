@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use glam::DAffine3;
 use serde_json::{Value, json};
 
+use crate::dataset::base_name;
 use crate::dataset::source::SourceFrames;
-use crate::dataset::{InputFiles, base_name};
 use crate::error::{Error, Result};
 use crate::file::limits;
 use crate::hand::Side;
@@ -184,13 +184,13 @@ impl Reader for Sequence {
         &self.recording
     }
 
-    fn files(&self) -> Result<InputFiles> {
-        let mut files = InputFiles::new(&self.recording.path);
-        files.add(self.images.paths());
+    fn files(&self) -> Result<Vec<PathBuf>> {
+        let mut files = Vec::new();
+        files.extend(self.images.paths());
         for folder in [&self.hands, &self.object, &self.camera].into_iter().flatten() {
-            files.add(folders::files(folder, ".txt")?);
+            files.extend(folders::files(folder, ".txt")?);
         }
-        files.add([self.recording.path.join("cam_intrinsics.txt")]);
+        files.extend([self.recording.path.join("cam_intrinsics.txt")]);
         Ok(files)
     }
 

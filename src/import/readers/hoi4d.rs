@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use serde_json::{Value, json};
 
-use crate::dataset::InputFiles;
 use crate::dataset::source::SourceFrames;
 use crate::error::{Error, Result};
 use crate::file::{input, limits};
@@ -193,14 +192,14 @@ impl Reader for Sequence {
         &self.recording
     }
 
-    fn files(&self) -> Result<InputFiles> {
-        let mut files = InputFiles::new(&self.recording.path);
-        files.add(self.images.paths());
+    fn files(&self) -> Result<Vec<PathBuf>> {
+        let mut files = Vec::new();
+        files.extend(self.images.paths());
         if let Some(folder) = &self.object {
-            files.add(folders::files(folder, ".json")?);
+            files.extend(folders::files(folder, ".json")?);
         }
         for folder in self.hands.iter().flatten() {
-            files.add(folders::files(folder, ".pickle")?);
+            files.extend(folders::files(folder, ".pickle")?);
         }
         Ok(files)
     }

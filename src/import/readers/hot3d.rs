@@ -7,8 +7,8 @@ use ::image::imageops::rotate90;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use serde_json::{Value, json};
 
+use crate::dataset::base_name;
 use crate::dataset::source::{EncodedImage, SourceFrame, SourceFrames};
-use crate::dataset::{InputFiles, base_name};
 use crate::error::{Error, Result};
 use crate::file::limits;
 use crate::hand::Side;
@@ -215,10 +215,8 @@ impl Reader for Clip {
         &self.recording
     }
 
-    fn files(&self) -> Result<InputFiles> {
-        let mut files = InputFiles::new(&self.recording.path);
-        files.add([self.recording.path.clone()]);
-        Ok(files)
+    fn files(&self) -> Result<Vec<PathBuf>> {
+        Ok(vec![self.recording.path.clone()])
     }
 
     fn damage(&self) -> Option<String> {

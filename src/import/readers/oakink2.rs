@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DQuat, Vec3};
 use serde_json::{Value, json};
 
+use crate::dataset::base_name;
 use crate::dataset::source::SourceFrames;
-use crate::dataset::{InputFiles, base_name};
 use crate::error::{Error, Result};
 use crate::file::{input, limits};
 use crate::hand::{N_BETAS, Side};
@@ -196,15 +196,15 @@ impl Reader for Sequence {
         &self.recording
     }
 
-    fn files(&self) -> Result<InputFiles> {
-        let mut files = InputFiles::new(&self.recording.path);
-        files.add(self.images.paths());
-        files.add([self.annotation.clone()]);
+    fn files(&self) -> Result<Vec<PathBuf>> {
+        let mut files = Vec::new();
+        files.extend(self.images.paths());
+        files.extend([self.annotation.clone()]);
         Ok(files)
     }
 
     fn moment(&self, index: usize) -> Result<Moment> {
-        let track = self.track.get(|| self.track())?;
+        let track = self.track.get(&self.annotation, || self.track())?;
         let frame = self.numbers[index].to_string();
         let hand = |side: Side| track.hands[side as usize].get(&frame).cloned().map(RecordedHand::Mano);
         Ok(Moment {

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, Vec3};
 use serde_json::{Value, json};
 
+use crate::dataset::base_name;
 use crate::dataset::source::SourceFrames;
-use crate::dataset::{InputFiles, base_name};
 use crate::error::{Error, Result};
 use crate::file::{input, limits};
 use crate::hand::{N_BETAS, Side};
@@ -132,7 +132,7 @@ impl Sequence {
         if !poses.is_file() {
             return Ok(None);
         }
-        let track = self.tracks[side as usize].get(|| self.track(&poses, &shape))?;
+        let track = self.tracks[side as usize].get(&poses, || self.track(&poses, &shape))?;
         Ok(Some(RecordedHand::Mano(track[index].clone())))
     }
 
@@ -181,20 +181,20 @@ impl Reader for Sequence {
         &self.recording
     }
 
-    fn files(&self) -> Result<InputFiles> {
-        let mut files = InputFiles::new(&self.recording.path);
-        files.add(self.images.paths());
-        files.add(self.poses.clone());
-        files.add(Side::BOTH.into_iter().flat_map(|side| self.hand_files(side)));
-        files.add([self.extrinsic.clone()]);
+    fn files(&self) -> Result<Vec<PathBuf>> {
+        let mut files = Vec::new();
+        files.extend(self.images.paths());
+        files.extend(self.poses.clone());
+        files.extend(Side::BOTH.into_iter().flat_map(|side| self.hand_files(side)));
+        files.extend([self.extrinsic.clone()]);
         Ok(files)
     }
 
     fn moment(&self, index: usize) -> Result<Moment> {
         let read = || self.poses.iter().map(|path| self.motions(path)).collect::<Result<Vec<_>>>();
-        let objects = self.objects.get(read)?;
+        let objects = self.objects.get(&self.recording.path, read)?;
         let world_from_camera = match self.extrinsic.is_file() {
-            true => Some(self.cameras.get(|| self.motions(&self.extrinsic))?[index].inverse()),
+            true => Some(self.cameras.get(&self.extrinsic, || self.motions(&self.extrinsic))?[index].inverse()),
             false => None,
         };
         Ok(Moment {
