@@ -4,13 +4,15 @@ use std::path::Path;
 use std::sync::LazyLock;
 
 use crate::check::{check_hands, check_images, check_poses, check_stamps, f1, open, supervised};
-use crate::common::egotac;
+use crate::common::{egotac, refused};
 use crate::files::{ManoFiles, angles, jpeg, npy_f64, obj, ply, png, write};
 use crate::pickle::Py;
 use crate::take::{FRAMES, Take, cuboid, moved};
 use egotac::dataset::zarr::CAMERA_POSE;
 use egotac::hand::Side;
 use glam::{DAffine3, DMat4, DQuat, DVec3, Vec3};
+use safetensors::Dtype;
+use safetensors::tensor::TensorView;
 use serde_json::json;
 
 static TAKE: LazyLock<Take> = LazyLock::new(Take::simulated);
@@ -183,6 +185,26 @@ fn fpha_fits_the_hand_to_its_joints() {
     let several = folder.path().join("several");
     succeeded(&import("fpha", &root, &several, &[]));
     assert_eq!(supervised(&open(&several.join("Subject_2_wash_sponge_1.zarr"))), [0, 0]);
+}
+
+#[test]
+fn neither_training_nor_scoring_takes_a_store_without_a_label() {
+    let (folder, take) = (tempfile::tempdir().unwrap(), &*TAKE);
+    let (root, store) = (folder.path().join("fpha"), folder.path().join("unlabelled.zarr"));
+    // An action without an annotated object.
+    write(&root.join("Video_files/Subject_2/wash_sponge/1/color/color_0000.jpeg"), jpeg(&take.frames[0].image));
+    succeeded(&import("fpha", &root, &store, &[]));
+    let (at, config) = (folder.path().display(), folder.path().join("config.yaml"));
+    let text = format!("name: test\ndata: [{at}/unlabelled.zarr]\nout: {at}/run\nmodel: toy\nseed: 5\nsteps: 2\n");
+    write(&config, text);
+    let error = refused(&["train", "--config", config.to_str().unwrap()], "expected a supervised force or contact");
+    assert!(error.contains("unlabelled.zarr") && !folder.path().join("run/checkpoint.safetensors").exists(), "{error}");
+    let values = vec![0u8; 4 * 1556];
+    let view = || TensorView::new(Dtype::F32, vec![1, 1556], &values).unwrap();
+    let fields = folder.path().join("fields.safetensors");
+    write(&fields, safetensors::serialize([("force", view()), ("contact", view())], None).unwrap());
+    let [fields, store] = [&fields, &store].map(|path| path.to_str().unwrap());
+    refused(&["eval", "--pred", fields, "--target", store], "no supervised force or contact to score");
 }
 
 /// Number of the image of the first annotation in ARCTIC.

@@ -67,6 +67,11 @@ impl Shard {
         self.rows.keys().copied()
     }
 
+    /// Closes the file; the next row opens it again.
+    pub fn release(&self) {
+        *self.cursor.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
     /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path

@@ -217,4 +217,7 @@ impl Reader for Sequence {
         };
         Ok(Box::new((from..self.frames.len()).map(frame)))
     }
+    fn release(&self) {
+        [&self.annotation, &self.pressure].into_iter().flatten().for_each(Shard::release);
+    }
 }

@@ -15,6 +15,7 @@ use crate::hand::Side;
 use crate::image;
 use crate::import::input::folders;
 use crate::import::input::json::Json;
+use crate::import::input::lazy::Lazy;
 use crate::import::input::tar::TarFile;
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
@@ -62,10 +63,10 @@ fn find(source: &Path, options: &Options) -> Result<Found> {
     Ok(found)
 }
 
-/// One clip.
+/// One clip. A data set has thousands: each keeps its archive open only while it is read.
 struct Clip {
     recording: Recording,
-    tar: TarFile,
+    tar: Lazy<TarFile>,
     /// Name of the image stream.
     stream: &'static str,
     /// Keys of the frames, such as `000012`.
@@ -73,6 +74,7 @@ struct Clip {
     /// Indices of the objects by id; several objects of one id follow each other.
     ids: BTreeMap<i64, Vec<usize>>,
     betas: Option<[f32; 10]>,
+    fault: Option<String>,
 }
 
 impl Clip {
@@ -100,28 +102,29 @@ impl Clip {
                 camera: Value::Null,
                 about: Value::Null,
             },
-            tar,
+            tar: Lazy::default(),
             stream,
             keys,
             ids: BTreeMap::new(),
             betas: None,
+            fault: tar.fault().map(|fault| format!("archive: {fault}")),
         };
-        clip.find_objects(objects)?;
-        if let Some(shapes) = clip.json(SHAPES)? {
+        clip.find_objects(&tar, objects);
+        if let Some(shapes) = clip.json(&tar, SHAPES)? {
             clip.betas = Some(shapes.get("mano").exactly::<10>()?.map(|beta| beta as f32));
         }
-        (clip.recording.camera, clip.recording.about) = clip.description();
+        (clip.recording.camera, clip.recording.about) = clip.description(&tar);
         Ok(clip)
     }
 
     /// Lists the objects. All are annotated in every frame, so the first, middle and last one name them.
-    fn find_objects(&mut self, folder: Option<&Path>) -> Result<()> {
+    fn find_objects(&mut self, tar: &TarFile, folder: Option<&Path>) {
         let last = self.keys.len() - 1;
         let mut counts = BTreeMap::<i64, usize>::new();
         for index in [0, last / 2, last] {
             let mut here = BTreeMap::<i64, usize>::new();
             // A damaged annotation is reported with its frame.
-            for (id, _) in self.instances(index).ok().flatten().unwrap_or_default() {
+            for (id, _) in self.instances(tar, index).ok().flatten().unwrap_or_default() {
                 *here.entry(id).or_default() += 1;
             }
             here.into_iter().for_each(|(id, count)| {
@@ -141,12 +144,11 @@ impl Clip {
                 self.recording.objects.push(RecordedObject { name, mesh });
             }
         }
-        Ok(())
     }
 
     /// Returns the camera's calibration and the facts about the clip, as far as the first frame states them.
-    fn description(&self) -> (Value, Value) {
-        let first = |member: &str| self.json(&format!("{}.{member}.json", self.keys[0])).ok().flatten();
+    fn description(&self, tar: &TarFile) -> (Value, Value) {
+        let first = |member: &str| self.json(tar, &format!("{}.{member}.json", self.keys[0])).ok().flatten();
         let calibration = first("cameras").map(|cameras| cameras.get(self.stream).get("calibration").value().clone());
         let info = first("info");
         let fact = |name: &str| info.as_ref().map_or(Value::Null, |info| info.value()[name].clone());
@@ -159,19 +161,19 @@ impl Clip {
         (calibration.unwrap_or_default(), about)
     }
 
-    fn json(&self, member: &str) -> Result<Option<Json>> {
-        let content = self.tar.read(member, limits::TEXT)?;
+    fn json(&self, tar: &TarFile, member: &str) -> Result<Option<Json>> {
+        let content = tar.read(member, limits::TEXT)?;
         content.map(|content| Json::parse(&self.recording.path.join(member), &content)).transpose()
     }
 
-    fn required(&self, member: &str) -> Result<Json> {
+    fn required(&self, tar: &TarFile, member: &str) -> Result<Json> {
         let missing = || Error::file(self.recording.path.join(member), "expected this member of the clip, got none");
-        self.json(member)?.ok_or_else(missing)
+        self.json(tar, member)?.ok_or_else(missing)
     }
 
     /// Returns ids and annotations of the objects in a frame; `None` if the frame is not annotated, as in test clips.
-    fn instances(&self, index: usize) -> Result<Option<Vec<(i64, Json)>>> {
-        let Some(objects) = self.json(&format!("{}.objects.json", self.keys[index]))? else { return Ok(None) };
+    fn instances(&self, tar: &TarFile, index: usize) -> Result<Option<Vec<(i64, Json)>>> {
+        let Some(objects) = self.json(tar, &format!("{}.objects.json", self.keys[index]))? else { return Ok(None) };
         let mut found = Vec::new();
         for instance in objects.entries().iter().flat_map(|(_, list)| list.items()) {
             let id = instance.get("object_bop_id");
@@ -204,8 +206,8 @@ impl Clip {
         })))
     }
 
-    fn stamp(&self, index: usize) -> Result<f64> {
-        let info = self.required(&format!("{}.info.json", self.keys[index]))?;
+    fn stamp(&self, tar: &TarFile, index: usize) -> Result<f64> {
+        let info = self.required(tar, &format!("{}.info.json", self.keys[index]))?;
         Ok(info.get("image_timestamps_ns").get(self.stream).number()? / 1e9)
     }
 }
@@ -220,13 +222,15 @@ impl Reader for Clip {
     }
 
     fn damage(&self) -> Option<String> {
-        self.tar.fault().map(|fault| format!("archive: {fault}"))
+        self.fault.clone()
     }
 
     fn moment(&self, index: usize) -> Result<Moment> {
+        let path = &self.recording.path;
+        let tar = &*self.tar.get(path, || TarFile::open(path))?;
         let mut objects = vec![None; self.recording.objects.len()];
         let mut used = BTreeMap::<i64, usize>::new();
-        for (id, instance) in self.instances(index)?.unwrap_or_default() {
+        for (id, instance) in self.instances(tar, index)?.unwrap_or_default() {
             let nth = used.entry(id).or_default();
             let Some(place) = self.ids.get(&id).and_then(|places| places.get(*nth)) else {
                 return Err(instance.get("object_bop_id").expected("an object of the first, middle or last frame"));
@@ -235,15 +239,15 @@ impl Reader for Clip {
             objects[*place] = Some(instance.get("T_world_from_object").motion()?);
         }
         let mut hands = [None, None];
-        if let Some(annotated) = self.json(&format!("{}.hands.json", self.keys[index]))? {
+        if let Some(annotated) = self.json(tar, &format!("{}.hands.json", self.keys[index]))? {
             for side in Side::BOTH {
                 hands[side as usize] = self.hand(&annotated, side)?;
             }
         }
-        let cameras = self.json(&format!("{}.cameras.json", self.keys[index]))?;
+        let cameras = self.json(tar, &format!("{}.cameras.json", self.keys[index]))?;
         let pose = cameras.map(|cameras| cameras.get(self.stream).get("T_world_from_camera").motion()).transpose()?;
         Ok(Moment {
-            stamp_secs: self.stamp(index)?,
+            stamp_secs: self.stamp(tar, index)?,
             world_from_reference: DAffine3::IDENTITY,
             world_from_camera: pose.map(|pose| pose * sensor_from_upright()),
             hands,
@@ -253,9 +257,10 @@ impl Reader for Clip {
     }
 
     fn images(&self, from: usize) -> Result<SourceFrames<'_>> {
+        let tar = TarFile::open(&self.recording.path)?;
         let frame = move |index: usize| {
             let member = format!("{}.image_{}.jpg", self.keys[index], self.stream);
-            let content = match self.tar.read(&member, limits::CHUNK) {
+            let content = match tar.read(&member, limits::CHUNK) {
                 Err(error) if error.is_of_medium() => return Err(error),
                 content => content.map_err(|error| error.to_string()),
             };
@@ -265,9 +270,12 @@ impl Reader for Clip {
                 let image = image::decode(&content).map_err(|error| format!("{}: {error}", place.display()))?;
                 Ok(EncodedImage::Pixels(rotate90(&image)))
             };
-            Ok(SourceFrame::new(self.stamp(index).unwrap_or(f64::NAN), content.and_then(upright)))
+            Ok(SourceFrame::new(self.stamp(&tar, index).unwrap_or(f64::NAN), content.and_then(upright)))
         };
         Ok(Box::new((from..self.keys.len()).map(frame)))
+    }
+    fn release(&self) {
+        self.tar.release();
     }
 }
 
