@@ -1,6 +1,6 @@
 # Thin names for scripts/ and cargo.
 
-.PHONY: help setup demo demo-retarget test doctor lint bench fuzz build-times check-cuda
+.PHONY: help setup demo demo-retarget test doctor lint miri bench fuzz build-times check-cuda
 
 help:
 	@echo 'make setup       what this machine lacks: Python environment, ROS 2, messages, MuJoCo; writes env.sh'
@@ -8,7 +8,8 @@ help:
 	@echo 'make demo-retarget  a simulated hand grasps a mug, a robot hand follows; picture in out/demo-retarget/'
 	@echo 'make test        everything that CI runs'
 	@echo 'make doctor      what is missing on this machine, and how to fix it'
-	@echo 'make lint        formatting, clippy for each feature set, docs, shell scripts'
+	@echo 'make lint        formatting, clippy for each feature set, docs, shell scripts, licences of crates, unsafe code'
+	@echo 'make miri        the unsafe code of the kernels, interpreted (fetches a nightly toolchain)'
 	@echo 'make bench       what accuracy costs in simulation (results in out/bench/), criterion benchmarks'
 	@echo 'make fuzz        crafted hostile files for every reader, an hour each (inputs that fail in out/fuzz/)'
 	@echo 'make build-times the crates that a first build spends its time on'
@@ -31,6 +32,9 @@ doctor:
 
 lint:
 	@scripts/lint
+
+miri:
+	@scripts/miri
 
 bench:
 	@scripts/bench

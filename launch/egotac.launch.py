@@ -30,7 +30,7 @@ ARGUMENTS = [
         "Checkpoint (.safetensors). Empty: as in the parameter file, by default the checkpoint shipped with egotac.",
     ),
     argument("device", "cpu or cuda. Empty: as in the parameter file, by default cpu."),
-    argument("fixed_frame", "For RViz: the frame_id of the camera's images.", default="camera_optical"),
+    argument("fixed_frame", "For RViz: the frame_id of the camera's images, or hand_rest if nobody publishes hand poses.", default="camera_optical"),
     *node_arguments(),
     use_sim_time(),
     rviz(),

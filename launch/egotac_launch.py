@@ -51,11 +51,17 @@ def fastdds_profile():
     )
 
 
+def truth(text):
+    """Returns the truth value of a launch argument."""
+    return text.lower() in ("true", "1", "yes", "on")
+
+
 PARAMETER_TYPES = {
+    "deadman": truth,
     "rate_hz": float,
     "scenes": lambda text: [scene.strip() for scene in text.split(",")],
     "seed": int,
-    "use_sim_time": lambda text: text.lower() in ("true", "1", "yes", "on"),
+    "use_sim_time": truth,
 }
 """Conversion of launch arguments, which are text, to parameters of another type."""
 
@@ -66,8 +72,12 @@ def given(context, *names):
     return {name: PARAMETER_TYPES.get(name, str)(value) for name, value in values.items() if value}
 
 
-def node(name, parameters, remappings=(), condition=None):
-    """Returns one of egotac's nodes; needs the arguments of `node_arguments`."""
+def node(name, parameters, remappings=(), condition=None, patience=None):
+    """Returns one of egotac's nodes; needs the arguments of `node_arguments`.
+
+    `patience`: seconds that the node may take to save its work after a first signal, and again after a second one.
+    """
+    timeouts = {} if patience is None else {"sigterm_timeout": str(patience), "sigkill_timeout": str(patience)}
     return Node(
         package="egotac",
         executable=f"egotac_{name}",
@@ -78,6 +88,7 @@ def node(name, parameters, remappings=(), condition=None):
         arguments=["--ros-args", "--log-level", LaunchConfiguration("log_level")],
         output="screen",
         condition=condition,
+        **timeouts,
     )
 
 

@@ -27,6 +27,10 @@ ARGUMENTS = [
     argument("tactile_topic", "Touch (TactileFrame), with the stamps of the hands.", default="predictor/tactile"),
     argument("object", "Object that the hand manipulates: a model or mesh file. Empty: none."),
     argument("object_topic", "Pose of the object (PoseStamped), if there is one.", default="object"),
+    argument("joint_states_topic", "Measured joints of the robot (JointState), from which it starts.", default="joint_states"),
+    argument("start", "measured, or rest: the robot is in its rest pose. Empty: as in the parameter file; rest for the demo."),
+    argument("deadman", "true: move only while true (Bool) arrives on deadman_topic. Empty: as in the parameter file."),
+    argument("deadman_topic", "Deadman switch (Bool).", default="deadman"),
     argument("demo", "true: start the simulator and the predictor, too.", default="false"),
     argument("scenes", "For the demo: scenes to play in turn, separated by commas.", default="lift_mug"),
     *node_arguments(),
@@ -36,8 +40,11 @@ ARGUMENTS = [
 
 def nodes(context):
     """Returns the retargeter and, for the demo, the simulator."""
-    parameters = given(context, "robot", "model", "side", "object", "rate_hz", "use_sim_time")
-    topics = ("hand_pose", "keypoints", "tactile", "object")
+    parameters = given(context, "robot", "model", "side", "object", "rate_hz", "start", "deadman", "use_sim_time")
+    if IfCondition(LaunchConfiguration("demo")).evaluate(context):
+        # Nobody measures the joints of a robot that does not exist.
+        parameters.setdefault("start", "rest")
+    topics = ("hand_pose", "keypoints", "tactile", "object", "joint_states", "deadman")
     return [
         node("retargeter", parameters, [(topic, LaunchConfiguration(f"{topic}_topic")) for topic in topics]),
         node("simulator", given(context, "scenes"), condition=IfCondition(LaunchConfiguration("demo"))),

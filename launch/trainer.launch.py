@@ -15,6 +15,9 @@ from egotac_launch import (  # noqa: E402
     argument, fastdds_profile, given, include, node, node_arguments, pass_on, use_sim_time,
 )
 
+PATIENCE = 60
+"""Seconds that the trainer may take to save a large network."""
+
 ARGUMENTS = [
     argument("image_topic", "Camera topic to record.", default="image_raw"),
     argument("truth_topic", "Touch (TactileTruth) with the stamps of the images.", default="truth/tactile"),
@@ -35,7 +38,7 @@ def trainer(context):
     """Returns the trainer."""
     parameters = given(context, "config", "folder", "notify", "use_sim_time")
     remappings = [(topic, LaunchConfiguration(f"{topic}_topic")) for topic in ("image", "truth")]
-    return [node("trainer", parameters, remappings)]
+    return [node("trainer", parameters, remappings, patience=PATIENCE)]
 
 
 def generate_launch_description():

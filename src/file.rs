@@ -1,8 +1,10 @@
-//! Opening of files from outside, durable file writes, tensor files, file locks and checksums.
+//! Opening of files from outside, durable file writes, tensor and mesh files, file locks and checksums.
 
 pub mod input;
 pub mod limits;
+pub mod mesh;
 pub mod tensors;
+pub(crate) mod turn;
 
 use std::fs::{File, TryLockError};
 use std::io::{Cursor, ErrorKind, Write};
@@ -13,6 +15,7 @@ use std::time::Duration;
 use ::image::{ImageFormat, RgbImage};
 use sha2::{Digest, Sha256};
 
+use self::turn::turn;
 use crate::error::{Error, Result};
 
 /// Name of the file in a temporary folder that the process that writes there keeps locked.
@@ -56,6 +59,7 @@ pub fn write(path: &Path, content: &[u8]) -> Result<()> {
     };
     file.write_all(content).map_err(Error::io(path))?;
     file.as_file().sync_all().map_err(Error::io(path))?;
+    turn();
     file.persist(path).map_err(|error| Error::io(path)(error.error))?;
     sync_folder(folder)
 }
@@ -65,6 +69,7 @@ pub fn write(path: &Path, content: &[u8]) -> Result<()> {
 /// # Errors
 /// If renaming fails.
 pub fn rename(from: &Path, to: &Path) -> Result<()> {
+    turn();
     std::fs::rename(from, to).map_err(Error::io(to))?;
     sync_folder(to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")))
 }
@@ -128,8 +133,9 @@ pub fn remove_leftovers(folder: &Path, prefix: &str) {
 /// It retries for 0.2 s, because a child process that is being spawned holds the locks of its parent until `exec`.
 pub fn lock(file: &File) -> bool {
     for _ in 0..LOCK_ATTEMPTS {
+        turn();
         match file.try_lock() {
-            Err(TryLockError::WouldBlock) => std::thread::sleep(LOCK_PAUSE),
+            Err(TryLockError::WouldBlock) => turn::pause(LOCK_PAUSE),
             Ok(()) | Err(TryLockError::Error(_)) => return true,
         }
     }

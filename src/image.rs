@@ -1,7 +1,10 @@
 //! Preparation of images for the network: decode, resize, normalise.
 
+mod bayer;
 mod raw;
+pub mod rectify;
 
+use std::borrow::Cow;
 use std::io::Cursor;
 
 use ::image::{DynamicImage, ImageDecoder, ImageReader, Limits, RgbImage};
@@ -11,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result};
 use crate::file::limits;
 
-pub use raw::{ENCODINGS, RawImage};
+pub use raw::{ENCODINGS, RawImage, has_16_bits, is_bayer};
 
 /// Longest accepted side of an image, pixels; bounds the memory that a damaged or hostile file can ask for.
 pub(crate) const MAX_SIDE: u32 = 16_384;
@@ -20,6 +23,8 @@ pub const IMAGENET_MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 /// ImageNet's standard deviation per RGB channel, for values in 0..1.
 pub const IMAGENET_STD: [f32; 3] = [0.229, 0.224, 0.225];
 
+/// First bytes of a PNG file.
+const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 /// Part of the shorter side that [`Resize::Centre`] keeps: 224 of 256 pixels.
 const CENTRE: f64 = 7.0 / 8.0;
 
@@ -100,7 +105,30 @@ impl Preparation {
 /// # Errors
 /// If the bytes are of neither format or damaged, or the image is larger than [`limits::IMAGE`].
 pub fn decode(bytes: &[u8]) -> Result<RgbImage> {
+    Ok(decode_any(bytes)?.into_rgb8())
+}
+
+/// Decodes a PNG or JPEG file whose pixels have the ROS encoding `encoding`: a grey image with a Bayer pattern gets its colours.
+/// Otherwise as [`decode`].
+///
+/// # Errors
+/// As [`decode`].
+pub fn decode_as(bytes: &[u8], encoding: &str) -> Result<RgbImage> {
+    let image = decode_any(bytes)?;
+    if image.color().has_color() || !is_bayer(encoding) {
+        return Ok(image.into_rgb8());
+    }
+    let (width, height) = (image.width(), image.height());
+    let (step, data) = match has_16_bits(encoding) {
+        true => (2 * width, image.into_luma16().iter().flat_map(|value| value.to_le_bytes()).collect()),
+        false => (width, image.into_luma8().into_raw()),
+    };
+    RawImage { width, height, encoding, step, data: &data }.to_rgb()
+}
+
+fn decode_any(bytes: &[u8]) -> Result<DynamicImage> {
     let invalid = |error: &dyn std::fmt::Display| Error::value("image", "an intact PNG or JPEG file", error);
+    let bytes = &*without_profiles(bytes);
     let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| invalid(&e))?;
     if reader.format().is_none() {
         let start: Vec<String> = bytes.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
@@ -114,11 +142,40 @@ pub fn decode(bytes: &[u8]) -> Result<RgbImage> {
     let decoder = reader.into_decoder().map_err(|e| invalid(&e))?;
     let (width, height) = decoder.dimensions();
     check_size(width.into(), height.into())?;
-    Ok(DynamicImage::from_decoder(decoder).map_err(|e| invalid(&e))?.into_rgb8())
+    DynamicImage::from_decoder(decoder).map_err(|e| invalid(&e))
+}
+
+/// Leaves out the chunks of a PNG file that hold compressed profiles and texts, which do not change the pixels: the decoder
+/// would decompress them, and a kilobyte may hold a gigabyte.
+fn without_profiles(bytes: &[u8]) -> Cow<'_, [u8]> {
+    const NAMES: [&[u8]; 3] = [b"iCCP", b"zTXt", b"iTXt"];
+    let Some(body) = bytes.strip_prefix(PNG) else { return Cow::Borrowed(bytes) };
+    let is_left_out = |(name, _): &(&[u8], &[u8])| NAMES.contains(name);
+    if !png_chunks(body).any(|chunk| is_left_out(&chunk)) {
+        return Cow::Borrowed(bytes);
+    }
+    let kept = png_chunks(body).filter(|chunk| !is_left_out(chunk)).map(|(_, chunk)| chunk);
+    Cow::Owned(std::iter::once(PNG).chain(kept).collect::<Vec<_>>().concat())
+}
+
+/// Returns name and bytes of each chunk of a PNG file behind its first bytes; the last one may be cut off.
+fn png_chunks(mut rest: &[u8]) -> impl Iterator<Item = (&[u8], &[u8])> {
+    std::iter::from_fn(move || {
+        // A chunk has a length, a name, so many bytes, and a checksum.
+        let length = rest.first_chunk().map_or(0, |length| u32::from_be_bytes(*length) as usize);
+        let (chunk, behind) = rest.split_at(length.saturating_add(12).min(rest.len()));
+        rest = behind;
+        (!chunk.is_empty()).then(|| (chunk.get(4..8).unwrap_or_default(), chunk))
+    })
 }
 
 /// Returns width and height from the header of a PNG or JPEG file, pixels; None if it has none.
 pub(crate) fn dimensions(bytes: &[u8]) -> Option<(u32, u32)> {
+    if bytes.starts_with(PNG) {
+        // The first chunk begins with them. The library would read all chunks before the pixels.
+        let side = |at: usize| Some(u32::from_be_bytes(*bytes.get(at..)?.first_chunk()?));
+        return side(16).zip(side(20));
+    }
     ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok()?.into_dimensions().ok()
 }
 
@@ -193,6 +250,38 @@ pub fn normalise(image: &RgbImage, mean: [f32; 3], std: [f32; 3]) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn profiles_and_texts_of_a_png_are_left_out_and_its_pixels_stay() {
+        let picture = RgbImage::from_fn(5, 3, |x, y| ::image::Rgb([x as u8, y as u8, 7]));
+        let mut png = Cursor::new(Vec::new());
+        picture.write_to(&mut png, ::image::ImageFormat::Png).unwrap();
+        let png = png.into_inner();
+        assert!(matches!(without_profiles(&png), Cow::Borrowed(_)));
+        assert_eq!(dimensions(&png), Some((5, 3)));
+        let chunk = |name: &[u8], content: &[u8]| {
+            let named = [name, content].concat();
+            let (length, crc) = (content.len() as u32, crc32fast::hash(&named));
+            [&length.to_be_bytes()[..], &named, &crc.to_be_bytes()].concat()
+        };
+        // Behind the header of 13 bytes, and before the end.
+        let (header, end) = (PNG.len() + 25, png.len() - 12);
+        let parts = [
+            &png[..header],
+            &chunk(b"iCCP", b"a\0\0x"),
+            &chunk(b"zTXt", b"b\0\0y"),
+            &png[header..end],
+            &chunk(b"iTXt", b"c"),
+            &png[end..],
+        ];
+        let full = parts.concat();
+        assert_eq!(without_profiles(&full), png);
+        assert_eq!(decode(&full).unwrap(), picture);
+        for cut in 0..full.len() {
+            // No cut makes it panic, and none gives another picture.
+            assert!(decode(&full[..cut]).map_or(true, |other| other == picture));
+        }
+    }
 
     #[test]
     fn an_image_above_the_limit_is_refused_by_its_header() {

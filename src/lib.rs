@@ -44,6 +44,7 @@
 //! | `retarget` | hand pose and touch carried over to robot hands (feature `sim`) |
 //! | `train` | training from stores to a checkpoint |
 //! | `label` | the engine behind `egotac label` |
+//! | `import` | data sets of others, read into stores with labels from geometry |
 //! | `report` | an HTML page about labels |
 //! | `node` | the ROS 2 nodes (feature `ros`) |
 //! | `cli` | the commands |
@@ -65,6 +66,8 @@ pub mod file;
 pub mod geometry;
 pub mod hand;
 pub mod image;
+#[doc(hidden)]
+pub mod import;
 #[doc(hidden)]
 pub mod label;
 #[doc(hidden)]

@@ -32,6 +32,14 @@ pub fn parse_yaml<T: serde::de::DeserializeOwned>(text: &str) -> std::result::Re
     serde_yaml::from_str(text)
 }
 
+/// Shortens a text to its first `most` characters, and says how long it was: a file may hold a name of any length.
+pub fn shortened(text: &str, most: usize) -> Cow<'_, str> {
+    match text.char_indices().nth(most) {
+        None => Cow::Borrowed(text),
+        Some((end, _)) => Cow::Owned(format!("{}... ({} bytes)", &text[..end], text.len())),
+    }
+}
+
 /// Appends a line.
 pub fn put(text: &mut String, line: Arguments<'_>) {
     // Writing to a String cannot fail.
@@ -70,6 +78,8 @@ fn escaped(text: &str, acts: impl Fn(char) -> bool) -> Cow<'_, str> {
 
 /// Formats an error and its causes for a terminal, each once: some errors quote their cause in their own text.
 pub fn error_chain(error: &dyn Error) -> String {
+    /// Largest number of characters of the text.
+    const MOST: usize = 3000;
     let mut text = error.to_string();
     let mut cause = error.source();
     while let Some(error) = cause {
@@ -79,7 +89,7 @@ pub fn error_chain(error: &dyn Error) -> String {
         }
         cause = error.source();
     }
-    printable(&text).into_owned()
+    printable(&shortened(&text, MOST)).into_owned()
 }
 
 #[cfg(test)]
@@ -96,12 +106,41 @@ mod tests {
     }
 
     #[test]
+    fn all_yaml_of_the_library_is_parsed_with_bounded_nesting() {
+        let nested = |depth: usize| parse_yaml::<serde_yaml::Value>(&("[".repeat(depth) + &"]".repeat(depth)));
+        assert!(nested(1001).unwrap_err().to_string().contains("at most 1000 nested brackets"));
+        assert!(nested(100).is_ok());
+        // No other module parses a text by itself.
+        let mut folders = vec![std::path::PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/src"))];
+        while let Some(folder) = folders.pop() {
+            for entry in std::fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.is_dir() {
+                    folders.push(path);
+                    continue;
+                }
+                let text = std::fs::read_to_string(&path).unwrap_or_default();
+                let product = text.split("#[cfg(test)]").next().unwrap();
+                let parses = ["from_str", "from_slice", "from_reader"].map(|name| format!("serde_yaml::{name}"));
+                let is_here = path.ends_with("src/text.rs");
+                assert!(is_here || !parses.iter().any(|call| product.contains(call)), "{}", path.display());
+            }
+        }
+    }
+
+    #[test]
     fn names_from_outside_cannot_act_on_a_terminal() {
         assert!(matches!(printable("/camera/image\n\ttouché"), Cow::Borrowed(_)));
         assert_eq!(printable("a\u{1b}[2J\u{7f}\u{9b}\u{202e}b\r"), "a\\u001b[2J\\u007f\\u009b\\u202eb\\u000d");
         assert_eq!(printable_name("a\nlost: b\t"), "a\\u000alost: b\\u0009");
         let json = serde_json::json!({ "topic": "\u{9b}31m\u{1b}" });
         assert_eq!(serde_json::from_str::<serde_json::Value>(&printable(&json.to_string())).unwrap(), json);
+    }
+
+    #[test]
+    fn a_long_text_is_cut_between_characters() {
+        assert!(matches!(shortened("touché", 6), Cow::Borrowed("touché")));
+        assert_eq!(shortened("touchée", 6), "touché... (8 bytes)");
     }
 
     #[test]

@@ -11,7 +11,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{LazyLock, Mutex, PoisonError};
+use std::sync::{LazyLock, Mutex, OnceLock, PoisonError};
 
 use serde::{Deserialize, Serialize};
 
@@ -50,6 +50,20 @@ pub enum Trial {
         /// Metres per unit of the file.
         scale: f64,
     },
+}
+
+/// Program that [`serve_by_this_program`] chose.
+static THIS_PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+
+/// Serves the trials of this process by its own program, whatever its name; its `main` must hand the command `sim` to
+/// [`crate::cli::main`].
+///
+/// # Errors
+/// If the path of the program is unknown.
+pub fn serve_by_this_program() -> Result<()> {
+    let own = std::env::current_exe().map_err(Error::io("the path of this program"))?;
+    THIS_PROGRAM.get_or_init(|| own);
+    Ok(())
 }
 
 /// Skips all further trials of this process, because its parent has tried the same files.
@@ -143,6 +157,9 @@ fn is_about_memory(text: &str) -> bool {
 
 /// Returns the program that serves trials: this one, or the one beside it.
 fn program() -> Option<PathBuf> {
+    if let Some(own) = THIS_PROGRAM.get() {
+        return Some(own.clone());
+    }
     let own = std::env::current_exe().ok()?;
     if own.file_name()? == PROGRAM {
         return Some(own);

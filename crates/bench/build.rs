@@ -1,10 +1,9 @@
-//! Passes on to this package's programs where egotac's libraries are.
+//! Passes on to a package's programs where egotac's libraries are; crates/bench and crates/fuzz share it.
 
 use std::env;
 use std::path::PathBuf;
 
 fn main() {
-    println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-env-changed=DEP_EGOTAC_LIBRARY_PATH");
     let list = env::var_os("DEP_EGOTAC_LIBRARY_PATH").unwrap_or_default();
     let dirs: Vec<PathBuf> = env::split_paths(&list).filter(|path| !path.as_os_str().is_empty()).collect();

@@ -1,6 +1,7 @@
 //! `egotac data`.
 
 mod diff;
+mod import;
 mod info;
 mod store_info;
 
@@ -28,6 +29,8 @@ enum Command {
     },
     /// Compare two labelled data sets, frame by frame, under the scores of `egotac eval`.
     Diff(diff::Args),
+    /// Turn data sets of hands and objects into stores: images, contact by distance, poses.
+    Import(import::Args),
 }
 
 /// Runs the command.
@@ -35,5 +38,6 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     match args.command {
         Command::Info { paths, json } => info::run(&paths, json),
         Command::Diff(args) => diff::run(args),
+        Command::Import(args) => import::run(args),
     }
 }

@@ -1,6 +1,6 @@
 //! `egotac hand`: pose a hand, draw it, transfer fields between the built-in hand and MANO, rebuild the built-in hand.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -136,7 +136,7 @@ fn forward(args: &Forward) -> anyhow::Result<()> {
         ("vertices".to_string(), Dtype::F32, vec![batch.len(), N_VERTICES, 3], floats(&vertices)),
         ("joints".to_string(), Dtype::F32, vec![batch.len(), N_JOINTS, 3], floats(&joints)),
     ];
-    let metadata = HashMap::from([
+    let metadata = BTreeMap::from([
         ("topology".to_string(), model.topology.id().to_string()),
         ("side".into(), model.side.name().into()),
     ]);
@@ -204,7 +204,7 @@ fn map(args: &Map) -> anyhow::Result<()> {
     match (&args.field, args.to) {
         (Some(field), Some(to)) => {
             let transferred = transfer(&map, field, to.into())?;
-            tensors::write(&args.out, &transferred, HashMap::new())?;
+            tensors::write(&args.out, &transferred, BTreeMap::new())?;
             println!("field transferred to {}, written to {}", Topology::from(to).id(), args.out.display());
         }
         _ => {
@@ -264,7 +264,7 @@ fn write_map(path: &Path, map: &HandMap, mano: &HandModel) -> anyhow::Result<()>
             tensors.push((name("weight"), Dtype::F32, shape, words(|t| t.2.to_le_bytes())));
         }
     }
-    let metadata = HashMap::from([
+    let metadata = BTreeMap::from([
         ("side".to_string(), mano.side.name().to_string()),
         ("builtin".into(), Topology::EgotacHand1.id().into()),
         ("mano".into(), Topology::Mano.id().into()),
@@ -354,15 +354,16 @@ fn floats(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
-/// Writes named tensors of little-endian bytes as safetensors.
+/// Writes named tensors of little-endian bytes as safetensors; equal content gives equal bytes.
 fn write_tensors(
     path: &Path,
     tensors: &[(String, Dtype, Vec<usize>, Vec<u8>)],
-    metadata: HashMap<String, String>,
+    metadata: BTreeMap<String, String>,
 ) -> anyhow::Result<()> {
-    let views =
-        tensors.iter().map(|(name, dtype, shape, data)| Ok((name, TensorView::new(*dtype, shape.clone(), data)?)));
-    let views = views.collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
-    file::write(path, &safetensors::serialize(views, Some(metadata))?)?;
+    let views = tensors.iter().map(|(name, dtype, shape, data)| {
+        Ok((name.as_str(), TensorView::new(*dtype, shape.clone(), data).with_context(|| name.clone())?))
+    });
+    let views = views.collect::<anyhow::Result<Vec<_>>>()?;
+    file::write(path, &file::tensors::to_bytes(path, views, &metadata)?)?;
     Ok(())
 }

@@ -3,22 +3,13 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use anyhow::{Context, bail};
-use indicatif::ProgressBar;
-use serde_json::json;
-
+use super::labelling::{Work, shard};
+use crate::dataset::Provenance;
 use crate::dataset::mcap::TOPIC;
-use crate::dataset::{LabelSummary, Provenance};
-use crate::file;
-use crate::label::{
-    FormatOptions, Job, LabelTask, LabelTasks, LabelTiming, Outcome, OutputFormat, Shard, find_tasks, write_manifest,
-};
+use crate::label::{FormatOptions, Job, LabelTask, LabelTasks, OutputFormat, Shard, find_tasks};
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
-use crate::text::{printable, printable_name};
 
-/// Exit status if a part of the input could not be labelled.
-const PARTLY: u8 = 3;
 /// Largest number of threads that decode images.
 const MAX_DECODERS: usize = 256;
 
@@ -101,48 +92,11 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         labels_topic: Some(args.labels_topic.clone()),
     };
     let LabelTasks { tasks, unreadable } = find_tasks(&args.input, &args.out, &options)?;
-    let several = tasks.len() + unreadable.len() > 1;
     let jobs: Vec<Job> = tasks.iter().map(|task| job(task, &predictor, &args)).collect();
-    let bar = bar(&tasks, &jobs)?;
-    let (mut timing, mut ends) = (LabelTiming::default(), Ends::default());
-    ends.failed.extend(unreadable.iter().map(|(name, error)| (name.clone(), error.to_string())));
-    let mut number = 0;
-    for (task, job) in tasks.iter().zip(&jobs) {
-        let outcome = job.run(&mut predictor, args.shard, number, &mut timing, &mut || bar.inc(1));
-        number += task.source.units().len();
-        match outcome {
-            Ok(Outcome::Done(info)) => ends.done.push((task, info.summary, false)),
-            Ok(Outcome::DoneBefore(info)) => ends.done.push((task, info.summary, true)),
-            Ok(Outcome::Waiting) => ends.waiting.push(task),
-            // An error in one of several recordings does not stop the others.
-            Err(error) if several => ends.failed.push((task.name.clone(), error.to_string())),
-            Err(error) => return Err(error).with_context(|| task.name.clone()),
-        }
-    }
-    bar.finish_and_clear();
-    if several && args.out.is_dir() {
-        write_manifest(&args.out, &tasks, &unreadable)?;
-    }
-    report(&args, &ends, &timing)?;
-    for (name, reason) in &ends.failed {
-        eprintln!("{}", printable_name(&format!("{name}: {reason}")));
-    }
-    if ends.done.is_empty() && ends.waiting.is_empty() {
-        bail!("{}: none of {} recordings could be labelled", args.input.display(), ends.failed.len());
-    }
-    let whole = ends.failed.is_empty() && ends.done.iter().all(|(_, summary, _)| summary.is_whole());
-    Ok(if whole { ExitCode::SUCCESS } else { ExitCode::from(PARTLY) })
-}
-
-/// Results of the jobs.
-#[derive(Default)]
-struct Ends<'a> {
-    /// Complete outputs; true if an earlier run completed them.
-    done: Vec<(&'a LabelTask, LabelSummary, bool)>,
-    /// Outputs that wait for other shards.
-    waiting: Vec<&'a LabelTask>,
-    /// Names of inputs without an output, and the reasons.
-    failed: Vec<(String, String)>,
+    let work = Work { input: &args.input, out: &args.out, tasks: &tasks, jobs: &jobs, unreadable: &unreadable };
+    work.run(args.json.as_deref(), |index, number, timing, progress| {
+        jobs[index].run(&mut predictor, args.shard, number, timing, progress)
+    })
 }
 
 fn job<'a>(task: &'a LabelTask, predictor: &Predictor, args: &Args) -> Job<'a> {
@@ -153,63 +107,6 @@ fn job<'a>(task: &'a LabelTask, predictor: &Predictor, args: &Args) -> Job<'a> {
         provenance: Provenance::of(predictor, args.precision, task.description.clone()),
         decoders: args.decoders,
     }
-}
-
-/// Creates a bar over all images that starts where earlier runs stopped.
-fn bar(tasks: &[LabelTask], jobs: &[Job]) -> anyhow::Result<ProgressBar> {
-    let bar = super::progress::bar("images");
-    let frames: Option<usize> = tasks.iter().flat_map(|task| task.source.units()).map(|unit| unit.frames).sum();
-    bar.set_length(frames.unwrap_or(0) as u64);
-    let mut before = 0;
-    for job in jobs {
-        before += job.done()?;
-    }
-    bar.set_position(before);
-    bar.reset_eta();
-    Ok(bar)
-}
-
-fn report(args: &Args, Ends { done, waiting, failed }: &Ends, timing: &LabelTiming) -> anyhow::Result<()> {
-    let mut total = LabelSummary::default();
-    done.iter().for_each(|(_, summary, _)| total.add(summary));
-    let fps = timing.frames as f64 / timing.inference_secs.max(f64::MIN_POSITIVE);
-    let outputs: Vec<_> = done.iter().map(|(task, ..)| task.out.display().to_string()).collect();
-    let json = json!({
-        "outputs": outputs,
-        "waiting_for_other_shards": waiting.iter().map(|task| task.out.display().to_string()).collect::<Vec<_>>(),
-        "failed": failed.iter().map(|(name, reason)| json!({ "input": name, "reason": reason })).collect::<Vec<_>>(),
-        "summary": total,
-        "images_labelled_now": timing.frames,
-        "images_per_sec": (timing.frames > 0).then_some(fps),
-        "seconds": {
-            "pass": timing.inference_secs,
-            "network": timing.inference.network_secs,
-            "waiting_for_images": timing.inference.waiting_secs,
-            "journal": timing.inference.journal_secs,
-            "assembly": timing.assembly_secs,
-        },
-    });
-    if args.json.as_deref().is_some_and(|path| path.as_os_str() == "-") {
-        println!("{}", printable(&format!("{json:#}")));
-        return Ok(());
-    }
-    for (task, _, before) in done {
-        println!("{}{}", printable_name(&task.out.to_string_lossy()), if *before { ": done before" } else { "" });
-    }
-    if !done.is_empty() {
-        println!("{}", printable(&total.text()));
-    }
-    if timing.frames > 0 {
-        println!("{} images in {:.1} s, {fps:.1} per second", timing.frames, timing.inference_secs);
-    }
-    for task in waiting {
-        let out = task.out.to_string_lossy();
-        println!("{}: this shard's part is done; other shards are not", printable_name(&out));
-    }
-    if let Some(path) = &args.json {
-        file::write(path, format!("{json:#}\n").as_bytes())?;
-    }
-    Ok(())
 }
 
 fn time_unit(text: &str) -> Result<f64, String> {
@@ -227,16 +124,4 @@ fn decoders(text: &str) -> Result<usize, String> {
         Ok(number) if (1..=MAX_DECODERS).contains(&number) => Ok(number),
         _ => Err(format!("expected 1 to {MAX_DECODERS}")),
     }
-}
-
-fn shard(text: &str) -> Result<Shard, String> {
-    let parse = || -> anyhow::Result<Shard> {
-        let (index, of) = text.split_once('/').context("no slash")?;
-        let shard = Shard { index: index.parse()?, of: of.parse()? };
-        if shard.index >= shard.of {
-            bail!("out of range");
-        }
-        Ok(shard)
-    };
-    parse().map_err(|_| "expected I/N with I from 0 to N-1, such as 0/4".into())
 }

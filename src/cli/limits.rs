@@ -16,6 +16,10 @@ the variable; set the variable to accept it, for instance `EGOTAC_LIMIT_IMAGE_PI
 Inputs are regular files: pipes, sockets and devices are refused. Symbolic links inside a data set lead to files of the same
 data set; `--follow-links` permits others. In a snapshot of the Hugging Face cache, links to its blobs are permitted.
 
+While a bag is labelled, one record or chunk of it, its decompressed form and one of its images are in memory, beside at most
+512 MiB of images that wait for the network; while it is copied, two chunks. A cell of a Parquet file is in memory up to five times
+while its row is copied, compressed and decompressed.
+
 ";
 
 /// Runs the command.

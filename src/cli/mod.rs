@@ -8,6 +8,7 @@ mod external;
 mod hand;
 mod hands;
 mod label;
+mod labelling;
 mod limits;
 mod model;
 mod predict;
@@ -72,7 +73,7 @@ enum Command {
     /// Benchmarks of the documentation: model, train, label, retarget, sim, effects, hard-cases, guards, faults.
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Bench(external::Args),
-    /// Recordings and labels: info, diff.
+    /// Recordings and labels: info, diff, import.
     Data(data::Args),
     /// Run simulator, predictor and verifier end to end on this machine.
     Demo(demo::Args),

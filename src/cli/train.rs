@@ -47,13 +47,14 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
                 let show = |score: Option<f64>| score.map_or("undefined".into(), |score| format!("{score:.4}"));
                 bar.suspend(|| {
                     println!(
-                        "step {step}: MAE {} N, active MAE {} N, temporal Pearson {}, F1 {}, IoU {}, AUROC {}",
+                        "step {step}: MAE {} N, active MAE {} N, temporal Pearson {}, F1 {} (pooled {}), IoU {}, AUROC {}",
                         show(report.mae),
                         show(report.active_mae),
                         show(report.temporal_pearson),
+                        show(report.frame_mean.f1),
                         show(report.pooled.f1),
-                        show(report.pooled.iou),
-                        show(report.pooled.auroc)
+                        show(report.frame_mean.iou),
+                        show(report.frame_mean.auroc)
                     );
                 });
             }

@@ -19,8 +19,9 @@ use crate::text::printable;
     0.05 N. Without predictions, labels a (a point of the resampled surface within a distance) and b (the surface within \
     it) are swept over distances.\nScores that can be required: precision, recall, f1, iou (at least), missed_force, \
     false_contact_mass, missed_touches, false_touches, onset_error_secs, offset_error_secs, mae, active_mae, \
-    link_force_error, cop_distance_mm (at most); frame_mean.f1 and so on average over frames; b_5mm:f1=0.6 is for one \
-    of several labels. The exit status is 1 if a required score is missed."
+    link_force_error, cop_distance_mm, false_positive_rate (at most). precision, recall, f1 and iou are means over frames \
+    with touch, as in the paper; pooled_f1 and so on are over all vertices of all frames; b_5mm:f1=0.6 is for one of several \
+    labels. The exit status is 1 if a required score is missed."
 )]
 pub struct Args {
     /// Scenes to simulate (a name from `egotac sim list`, or a YAML file), or stores written by `egotac sim run` or
@@ -87,7 +88,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let requirements = Requirement::parse_all(args.require.as_deref().unwrap_or_default())?;
     let settings = settings(&args)?;
     let candidates = match args.recording.is_some() || args.predictor.is_some() || !args.predictions.is_empty() {
-        true => vec![Candidate::Prediction],
+        true => Candidate::PREDICTIONS.to_vec(),
         false => settings.sweep(),
     };
     check_candidates(&requirements, &candidates)?;
@@ -139,12 +140,12 @@ fn settings(args: &Args) -> anyhow::Result<SweepSettings> {
     Ok(settings)
 }
 
-/// Checks that each requirement names one of the candidates, if there are several.
+/// Checks that each requirement names one of the candidates, if there are several labels; a prediction needs no name.
 fn check_candidates(requirements: &[Requirement], candidates: &[Candidate]) -> anyhow::Result<()> {
     let names: Vec<String> = candidates.iter().map(|candidate| candidate.name()).collect();
     for requirement in requirements {
         match &requirement.candidate {
-            None if names.len() > 1 => bail!(
+            None if names.len() > 1 && !candidates.contains(&Candidate::Prediction) => bail!(
                 "--require: {} of which label? Expected LABEL:NAME=NUMBER, with one of {}",
                 requirement.score.name,
                 names.join(", ")
@@ -175,7 +176,7 @@ fn gate(requirements: &[Requirement], report: &VerifyReport) -> anyhow::Result<E
 fn score_recording(args: &Args, path: &Path) -> anyhow::Result<VerifyReport> {
     let topics = Topics { tactile: args.tactile_topic.clone(), truth: args.truth_topic.clone() };
     let recording = recording::score(path, &topics, args.hands.files()?.as_ref())?;
-    let mut report = VerifyReport::new(&[Candidate::Prediction], &recording.groups, &recording.episodes, args.seed)?;
+    let mut report = VerifyReport::new(&Candidate::PREDICTIONS, &recording.groups, &recording.episodes, args.seed)?;
     let (predictions, truths) = (recording.unmatched_predictions, recording.unmatched_truths);
     report.unmatched = Some(Unmatched { predictions, truths });
     Ok(report)

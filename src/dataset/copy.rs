@@ -3,10 +3,12 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::fs::File;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 use crate::file::input::{self, InputFolder};
+use crate::file::turn::turn;
 
 /// Folders and files below a folder of a data set, by their paths in the data set, sorted.
 #[derive(Debug, Default)]
@@ -92,11 +94,16 @@ pub fn copy_folder(from: &Path, to: &Path, resume: bool) -> Result<()> {
 /// Copies a regular file, unless `to` has its size.
 ///
 /// # Errors
-/// If it is no regular file, or a file can't be read or written.
+/// If it is no regular file, or a file can't be read or written; the system does not tell which, so the error names both.
 pub(super) fn copy_regular(from: &Path, to: &Path) -> Result<()> {
     let mut source = input::open(from)?;
     let size = source.metadata().map_err(Error::io(from))?.len();
-    copy_file(to, size, |file| std::io::copy(&mut source, file))
+    copy_file(to, size, |file| std::io::copy(&mut source, file)).map_err(|error| match error {
+        Error::Io { path, source } if path == to => {
+            Error::io(format!("{}, copied to {}", from.display(), to.display()))(source)
+        }
+        other => other,
+    })
 }
 
 /// Writes `path` by way of a temporary name, unless it exists with `size` bytes.
@@ -127,12 +134,18 @@ pub(super) fn copy_file(path: &Path, size: u64, write: impl FnOnce(&mut File) ->
 /// # Errors
 /// If it can't be removed.
 pub(crate) fn remove(at: &Path) -> Result<()> {
-    let removed = match at.symlink_metadata() {
+    let there = at.symlink_metadata();
+    turn();
+    let removed = match there {
         Ok(there) if there.is_dir() => fs::remove_dir_all(at),
         Ok(_) => fs::remove_file(at),
         Err(_) => Ok(()),
     };
-    removed.map_err(Error::io(at))
+    match removed {
+        // Another process was faster.
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+        removed => removed.map_err(Error::io(at)),
+    }
 }
 
 #[cfg(test)]

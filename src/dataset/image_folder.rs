@@ -88,7 +88,7 @@ pub fn is_image(path: &Path) -> bool {
 }
 
 /// Compares names by natural order: runs of digits compare by value, everything else by byte.
-fn natural(a: &str, b: &str) -> Ordering {
+pub fn natural(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (a.as_bytes(), b.as_bytes());
     while let (Some(x), Some(y)) = (left.first(), right.first()) {
         let order = if x.is_ascii_digit() && y.is_ascii_digit() {

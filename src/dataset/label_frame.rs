@@ -17,9 +17,16 @@ pub struct LabelFrame {
     pub warming_up: bool,
     /// Force and contact, or the reason why there are none.
     pub touch: std::result::Result<TactileField, String>,
+    /// Further numbers of a labelled image, such as distances; the same number of them in all images of a journal.
+    pub further: Vec<f32>,
 }
 
 impl LabelFrame {
+    /// Creates the label of an image that can't be labelled for `reason`.
+    pub fn without(stamp_secs: f64, reason: String) -> Self {
+        Self { stamp_secs, warming_up: false, touch: Err(reason), further: Vec::new() }
+    }
+
     /// Returns force and contact, (1556) each; NaN without a label.
     pub fn into_values(self) -> (Vec<f32>, Vec<f32>) {
         match self.touch {
@@ -38,7 +45,7 @@ pub struct LabelCounts {
     pub labelled: u64,
     /// Number of images whose window was not full yet.
     pub warming_up: u64,
-    /// Number of vertices of labelled images by confidence, the larger of the probabilities of touch and no touch: 0.5 to
+    /// Number of vertices of labelled images whose contact is known by confidence, the larger of the probabilities of touch and no touch: 0.5 to
     /// 0.6, 0.6 to 0.7, and so on.
     pub confidence: [u64; BINS],
     /// Number of touched vertices of labelled images.
@@ -52,7 +59,7 @@ impl LabelCounts {
         self.warming_up += u64::from(label.warming_up);
         let Ok(field) = &label.touch else { return };
         self.labelled += 1;
-        for contact in &field.contact {
+        for contact in field.contact.iter().filter(|contact| !contact.is_nan()) {
             let confidence = contact.max(1.0 - contact);
             let bin = ((confidence - 0.5) * 2.0 * BINS as f32) as usize;
             self.confidence[bin.min(BINS - 1)] += 1;

@@ -30,7 +30,7 @@ pub struct LabelSummary {
     pub counts: LabelCounts,
     /// Images without a label, the first thousand.
     pub faults: Vec<UnlabelledImage>,
-    /// Unreadable bytes of the input, which no output holds.
+    /// Bytes of the input that can't be read.
     pub lost: Vec<LostBytes>,
 }
 

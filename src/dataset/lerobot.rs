@@ -1,6 +1,7 @@
 //! LeRobot data sets of version 3: rows in Parquet, images in videos or in the rows.
 
 mod columns;
+mod finished;
 mod images;
 mod labels;
 mod pages;
@@ -45,6 +46,8 @@ pub(crate) struct LeRobot {
     pub fps: f64,
     /// Episodes in order.
     pub episodes: Vec<Episode>,
+    /// `index` of the first frame of each file of rows, by chunk and file.
+    first: BTreeMap<(i64, i64), i64>,
 }
 
 /// One episode.
@@ -88,13 +91,22 @@ impl LeRobot {
         }
         let fps = info["fps"].as_f64().filter(|fps| *fps > 0.0);
         let fps = fps.ok_or_else(|| Error::file(&path, format!("expected fps above 0, got {}", info["fps"])))?;
-        let mut dataset = Self { root: root.to_path_buf(), folder, info, fps, episodes: Vec::new() };
+        let (episodes, first) = (Vec::new(), BTreeMap::new());
+        let mut dataset = Self { root: root.to_path_buf(), folder, info, fps, episodes, first };
         for file in dataset.episode_files()? {
             dataset.read_episodes(&file)?;
         }
         dataset.episodes.sort_by_key(|episode| episode.index);
         if dataset.episodes.is_empty() {
             return Err(Error::file(root, "has no episode"));
+        }
+        if let Some(pair) = dataset.episodes.windows(2).find(|pair| pair[0].index == pair[1].index) {
+            let message = format!("meta/episodes: expected each episode once, got episode {} twice", pair[0].index);
+            return Err(Error::file(root, message));
+        }
+        for episode in &dataset.episodes {
+            let first = dataset.first.entry(episode.data).or_insert(episode.start);
+            *first = episode.start.min(*first);
         }
         let frames = dataset.episodes.iter().fold(0u64, |sum, episode| sum.saturating_add(episode.length as u64));
         limits::FRAMES.check(root, "frames of all episodes", frames)?;
@@ -158,11 +170,15 @@ impl LeRobot {
         from: usize,
     ) -> Result<impl Iterator<Item = Result<Row>> + use<>> {
         let path = self.data_file(episode.data)?;
-        let in_file = self.episodes.iter().filter(|other| other.data == episode.data);
-        let first = in_file.map(|other| other.start).min().unwrap_or(episode.start);
-        let start = episode.start.saturating_sub(first).max(0) as usize;
+        let start = self.start_in_file(episode);
         let end = start.saturating_add(episode.length);
         Rows::open(&path, camera, start.saturating_add(from.min(episode.length)), end)
+    }
+
+    /// Returns the number of the episode's first row within its file.
+    fn start_in_file(&self, episode: &Episode) -> usize {
+        let first = self.first.get(&episode.data).copied().unwrap_or(episode.start);
+        episode.start.saturating_sub(first).max(0) as usize
     }
 
     fn read_episodes(&mut self, path: &Path) -> Result<()> {
@@ -180,6 +196,11 @@ impl LeRobot {
             for (key, _) in cameras.iter().filter(|(_, camera)| **camera == Camera::Video) {
                 let part = |part: &str| number(&format!("videos/{key}/{part}"));
                 videos.push((key, part("chunk_index")?, part("file_index")?, part("from_timestamp")?));
+            }
+            limits::EPISODES.check(path, "episodes", (self.episodes.len() + batch.num_rows()) as u64)?;
+            if let Some(row) = length.iter().position(|length| !(1.0..=f64::MAX).contains(length)) {
+                let got = format!("expected a length of at least 1 frame, got {}", length[row]);
+                return Err(Error::file(path, format!("episode {}: {got}", index[row])));
             }
             for row in 0..batch.num_rows() {
                 let video = |(key, chunk, file, start): &(&String, Vec<f64>, Vec<f64>, Vec<f64>)| {

@@ -44,7 +44,7 @@ pub use labelled::Labelled;
 pub use labels::{LabelOutput, SourceLabels};
 pub use provenance::{CONTACT_THRESHOLD, PROVENANCE_KEY, Provenance, Thresholds};
 pub use source::LostBytes;
-pub use source::{ImageSource, SourceFrame, Unit};
+pub use source::{ImageSource, SourceFrame, SourceFrames, Unit};
 
 use crate::error::Result;
 use crate::hand::{HandParams, Topology};

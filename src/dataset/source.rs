@@ -177,7 +177,7 @@ impl ImageSource for SourceChain {
     }
 }
 
-/// Bytes of an input that can't be read and are left out of the output.
+/// Bytes of an input that can't be read; an output leaves them out, or holds them as they are.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct LostBytes {
     /// Name of the file.

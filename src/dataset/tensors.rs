@@ -12,7 +12,7 @@
 
 mod labels;
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -78,11 +78,11 @@ pub fn read(path: &Path) -> Result<TactileSequence> {
     })
 }
 
-/// Writes a field file atomically. Frames that are not valid are masked out in it.
+/// Writes a field file atomically. Frames that are not valid are masked out in it. Equal content gives equal bytes.
 ///
 /// # Errors
 /// If the arrays differ in length or the file can't be written.
-pub fn write(path: &Path, sequence: &TactileSequence, mut metadata: HashMap<String, String>) -> Result<()> {
+pub fn write(path: &Path, sequence: &TactileSequence, mut metadata: BTreeMap<String, String>) -> Result<()> {
     let n_frames = sequence.n_frames();
     let field = [n_frames, N_FIELD];
     let bytes = |values: &[f32]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
@@ -111,8 +111,7 @@ pub fn write(path: &Path, sequence: &TactileSequence, mut metadata: HashMap<Stri
         let view = TensorView::new(*dtype, shape.clone(), data);
         views.push((*name, view.map_err(|e| Error::file(path, format!("{name}: {e}")))?));
     }
-    let content = safetensors::serialize(views, Some(metadata)).map_err(|e| Error::file(path, e))?;
-    file::write(path, &content)
+    file::write(path, &file::tensors::to_bytes(path, views, &metadata)?)
 }
 
 /// Converts episode ends to whole numbers.
@@ -150,4 +149,24 @@ pub(crate) fn numbers(name: &str, tensor: &TensorView, shape: &[usize]) -> Resul
             return Err(Error::value(name, "dtype F16, BF16, F32, F64, an integer or BOOL", format!("{other:?}")));
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_fields_give_equal_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        let sequence = TactileSequence::from_force(Some(Topology::Mano), vec![0.5; N_FIELD]);
+        let write = |name: &str| {
+            let path = folder.path().join(name);
+            let metadata = ["d", "c", "b", "a"].map(|key| (key.to_string(), "1".to_string()));
+            super::write(&path, &sequence, metadata.into()).unwrap();
+            std::fs::read(path).unwrap()
+        };
+        let bytes = write("x");
+        assert_eq!(bytes, write("y"));
+        assert_eq!(read(&folder.path().join("x")).unwrap(), sequence);
+    }
 }

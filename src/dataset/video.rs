@@ -16,6 +16,7 @@ use serde_json::Value;
 
 use crate::error::{Error, Result};
 use crate::file::input;
+use crate::file::limits;
 use crate::image::check_size;
 
 pub(crate) use images::VideoFile;
@@ -65,7 +66,12 @@ pub struct Damage {
 /// If ffprobe is not installed, or finds no video.
 pub fn probe(path: &Path) -> Result<Video> {
     let entries = "stream=width,height,codec_name,avg_frame_rate,r_frame_rate,nb_frames";
-    let (json, errors) = ffprobe(path, &["-show_entries", entries])?;
+    let mut text = Vec::new();
+    let errors = ffprobe(path, &["-show_entries", entries, "-of", "json"], |words| {
+        // An output that breaks off is no JSON.
+        let _ = words.take(limits::TEXT.value()).read_to_end(&mut text);
+    })?;
+    let json: Value = serde_json::from_slice(&text).unwrap_or(Value::Null);
     let stream = &json["streams"][0];
     let side = |name: &str| stream[name].as_u64().and_then(|n| u32::try_from(n).ok()).filter(|n| *n > 0);
     let (Some(width), Some(height)) = (side("width"), side("height")) else {
@@ -93,30 +99,45 @@ pub fn probe(path: &Path) -> Result<Video> {
 /// If ffprobe is not installed.
 pub fn damage(path: &Path, decoded: usize) -> Result<Option<Damage>> {
     let promised = probe(path)?.frames.unwrap_or(0);
-    let (json, errors) = ffprobe(path, &["-show_entries", "packet=pos,size"])?;
-    let packets = json["packets"].as_array().map_or(&[][..], Vec::as_slice);
-    let expected = promised.max(packets.len());
+    let (mut packets, mut offset) = (0, 0);
+    // A line for each packet, such as `size=512|pos=48`: those of a long video do not fit into memory together.
+    let errors = ffprobe(path, &["-show_entries", "packet=pos,size", "-of", "compact=p=0"], |words| {
+        for line in BufReader::new(words).split(b'\n').map_while(std::result::Result::ok) {
+            let line = String::from_utf8_lossy(&line);
+            let number = |name: &str| line.split('|').find_map(|field| field.strip_prefix(name)?.parse::<u64>().ok());
+            packets += usize::from(!line.trim().is_empty());
+            offset = offset.max(number("pos=").zip(number("size=")).map_or(0, |(pos, size)| pos.saturating_add(size)));
+        }
+    })?;
+    let expected = promised.max(packets);
     if errors.is_empty() && decoded >= expected {
         return Ok(None);
     }
-    let number = |packet: &Value, name: &str| packet[name].as_str().and_then(|n| n.parse::<u64>().ok());
-    let ends = packets.iter().filter_map(|packet| Some(number(packet, "pos")? + number(packet, "size")?));
     let counts = format!("{decoded} of {expected} images could be decoded");
     let reason = [vec![counts], errors].concat().join("; ");
-    Ok(Some(Damage { offset: ends.max().unwrap_or(0), reason }))
+    Ok(Some(Damage { offset, reason }))
 }
 
-fn ffprobe(path: &Path, arguments: &[&str]) -> Result<(Value, Vec<String>)> {
+/// Runs ffprobe on the first video stream; `read` takes its output. Returns its first error messages.
+fn ffprobe(path: &Path, arguments: &[&str], read: impl FnOnce(ChildStdout)) -> Result<Vec<String>> {
     drop(input::open(path)?);
     let mut command = Command::new("ffprobe");
-    command
-        .args(["-v", "error", "-select_streams", "v:0", "-of", "json"])
-        .args(arguments)
-        .args(demuxer::arguments(path)?);
-    let output = command.stdin(Stdio::null()).output().map_err(|error| not_installed("ffprobe", path, &error))?;
-    let mut errors: Vec<String> = String::from_utf8_lossy(&output.stderr).lines().map(without_tags).collect();
-    errors.truncate(KEPT_ERRORS);
-    Ok((serde_json::from_slice(&output.stdout).unwrap_or(Value::Null), errors))
+    command.args(["-v", "error", "-select_streams", "v:0"]).args(arguments).args(demuxer::arguments(path)?);
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut process = command.spawn().map_err(|error| not_installed("ffprobe", path, &error))?;
+    let errors = process.stderr.take().map(|words| {
+        std::thread::spawn(move || {
+            let lines = BufReader::new(words).split(b'\n').map_while(std::result::Result::ok);
+            // Take all lines, so that ffprobe is not held up, and keep the first.
+            lines.enumerate().filter(|(index, _)| *index < KEPT_ERRORS).map(|(_, line)| line).collect::<Vec<_>>()
+        })
+    });
+    if let Some(words) = process.stdout.take() {
+        read(words);
+    }
+    process.wait().map_err(Error::io(path))?;
+    let errors = errors.and_then(|errors| errors.join().ok()).unwrap_or_default();
+    Ok(errors.iter().map(|line| without_tags(&String::from_utf8_lossy(line))).collect())
 }
 
 /// Frames of a video in display order, with their times.

@@ -8,6 +8,7 @@
 //! | `data/mano_contact` (truth) | (T, 1556) | u8 | 0 or 1 |
 //! | `data/mano_contact_score` (prediction) | (T, 1556) | f32 | probability |
 //! | `data/mano_force_valid`, `data/mano_contact_valid` | (T, 1556) | u8 | 1 = supervised |
+//! | `data/mano_proximity` (by distance; optional) | (T, 1556) | u8 | 1 = an object within 1 cm |
 //! | `data/frame_validity` | (T) | u8 | 0 = valid, else the guard's code |
 //! | `data/left_hand_pose`, `data/right_hand_pose` | (T, 61) | f32 | transl 3 m, global_orient 3 rad, hand_pose 45 rad, betas 10; zeros = absent |
 //! | `meta/episode_ends` | (E) | i64 | exclusive cumulative ends |
@@ -36,12 +37,12 @@ use serde_json::{Value, json};
 
 pub use added::AddedArrays;
 pub use concatenate::concatenate;
-pub(crate) use convert::StoreOutput;
+pub(crate) use convert::{StoreOutput, fitted, image_size};
 pub(crate) use images::Store;
 pub(crate) use labels::read_info;
 pub use place::StoreLocation;
 pub(crate) use read_labels::read_labelled;
-pub use read_labels::{read_fields, read_labels, read_truth};
+pub use read_labels::{read_fields, read_labels, read_proximity, read_truth};
 pub use reader::{ZarrReader, open_all};
 pub use stored::ArrayInfo;
 pub use writer::{Contact, ZarrWriter};
@@ -62,6 +63,8 @@ pub const MANO_CONTACT_SCORE: &str = "data/mano_contact_score";
 pub const MANO_FORCE_VALID: &str = "data/mano_force_valid";
 /// 1 where the contact is supervised, (T, 1556) u8.
 pub const MANO_CONTACT_VALID: &str = "data/mano_contact_valid";
+/// Contact by distance: 1 where the surface of an object is within 1 cm, (T, 1556) u8.
+pub const MANO_PROXIMITY: &str = "data/mano_proximity";
 /// 0 for a valid frame, else the code of the guard that refused it, (T) u8.
 pub const FRAME_VALIDITY: &str = "data/frame_validity";
 /// Left hand's MANO parameters, (T, 61) f32.

@@ -43,6 +43,8 @@ pub const CHUNK: Limit = limit("CHUNK_BYTES", "one decompressed chunk, page or c
 pub const ARRAY: Limit = limit("ARRAY_BYTES", "one array of a recording that is read whole", 4 * GIB, "bytes");
 /// Number of images or rows of one recording. At 30 Hz, 16 million are 148 hours.
 pub const FRAMES: Limit = limit("FRAMES", "one recording", 1 << 24, "frames");
+/// Number of episodes of one data set: each has a journal of its own while it is labelled.
+pub const EPISODES: Limit = limit("EPISODES", "one data set", 1 << 20, "episodes");
 /// Number of parameters of a network; DINOv2 giant has 1.1 thousand million.
 pub const PARAMETERS: Limit = limit("PARAMETERS", "a network", 2_000_000_000, "parameters");
 /// Memory of a child process that reads a model of others (MJCF, URDF, meshes).
@@ -52,8 +54,8 @@ pub const MODEL_SECONDS: Limit =
     limit("MODEL_SECONDS", "the processor time to compile a scene or robot model", 10, "seconds");
 
 /// All limits, in the order of the table.
-pub const ALL: [Limit; 11] =
-    [TEXT, FILE, WEIGHTS, PARAMETERS, IMAGE, RECORD, CHUNK, ARRAY, FRAMES, MODEL_MEMORY, MODEL_SECONDS];
+pub const ALL: [Limit; 12] =
+    [TEXT, FILE, WEIGHTS, PARAMETERS, IMAGE, RECORD, CHUNK, ARRAY, FRAMES, EPISODES, MODEL_MEMORY, MODEL_SECONDS];
 
 const fn limit(name: &'static str, bounds: &'static str, default: u64, unit: &'static str) -> Limit {
     Limit { name, bounds, default, unit }

@@ -8,14 +8,6 @@ use super::{HandModel, HandParams, N_BETAS, N_JOINTS, N_KEYPOINTS, PosedHand};
 
 /// Number of unknowns: log scale, transl, global_orient, betas, hand_pose.
 const N_UNKNOWNS: usize = 1 + 3 + 3 + N_BETAS + 3 * (N_JOINTS - 1);
-/// Regularisation of the betas: a beta of 1 costs as much as this keypoint error, m. It keeps betas at zero that the
-/// keypoints do not determine.
-const BETA_COST: f64 = 0.001;
-/// Regularisation of the pose: one radian costs as much as this keypoint error, m.
-const POSE_COST: f64 = 0.005;
-/// Regularisation of the scale: a unit of log scale costs as much as this keypoint error, m. The first beta changes the
-/// size too, and is cheaper.
-const SCALE_COST: f64 = 0.02;
 /// Weight of a surface distance relative to a keypoint distance.
 const SKIN_WEIGHT: f64 = 0.3;
 /// Maximum number of steps; a fit that converges stops earlier, at [`MIN_GAIN`].
@@ -24,6 +16,25 @@ const MAX_STEPS: usize = 40;
 const MIN_GAIN: f64 = 1e-9;
 /// Damping above which the fit stops: no step decreases the error.
 const MAX_DAMPING: f64 = 1e6;
+
+/// Regularisation of a fit: the keypoint error, m, that a unit of each parameter costs as much as. It keeps parameters at
+/// zero that the keypoints do not determine.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct FitCosts {
+    /// Cost of a unit of log scale. The first beta changes the size too, and is cheaper.
+    scale: f64,
+    /// Cost of a beta of 1.
+    betas: f64,
+    /// Cost of a rotation by one radian.
+    pose: f64,
+}
+
+impl FitCosts {
+    /// For hands of other models, whose keypoints mean slightly different places.
+    pub const OTHER_MODEL: Self = Self { scale: 0.02, betas: 0.001, pose: 0.005 };
+    /// For measured keypoints of hands in any pose: bent fingers must not be pulled straight.
+    pub const MEASURED: Self = Self { scale: 0.01, betas: 0.001, pose: 0.0005 };
+}
 
 /// A hand fitted to keypoints.
 #[derive(Debug, Clone)]
@@ -48,7 +59,7 @@ impl Fit {
 
 /// Target of one vertex: the tangent plane of another surface at its nearest point.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct PlaneTarget {
+pub(crate) struct PlaneTarget {
     pub vertex: usize,
     /// Point on the plane, m.
     pub point: Vec3,
@@ -61,14 +72,20 @@ pub(super) struct PlaneTarget {
 /// girth) stay at rest.
 pub(super) fn fit_keypoints(model: &HandModel, targets: &[Vec3; N_KEYPOINTS]) -> Fit {
     let rest = Fit { params: HandParams::default(), scale: 1.0, residual: f64::INFINITY };
-    refine(model, &rest, targets, &[])
+    refine(model, &rest, targets, &[], FitCosts::OTHER_MODEL)
 }
 
 /// Continues a fit with surface targets as well.
-pub(super) fn refine(model: &HandModel, start: &Fit, targets: &[Vec3; N_KEYPOINTS], planes: &[PlaneTarget]) -> Fit {
+pub(crate) fn refine(
+    model: &HandModel,
+    start: &Fit,
+    targets: &[Vec3; N_KEYPOINTS],
+    planes: &[PlaneTarget],
+    costs: FitCosts,
+) -> Fit {
     // Pose blend shapes move tips by less than the regularisation does, and take most of the time.
     let plain = HandModel { posedirs: Vec::new(), ..model.clone() };
-    let problem = FitProblem { model: &plain, keypoints: targets, planes };
+    let problem = FitProblem { model: &plain, keypoints: targets, planes, costs };
     let mut unknowns = packed(start);
     let mut residuals = problem.residuals(&unknowns);
     let mut damping = 1e-3;
@@ -104,6 +121,7 @@ struct FitProblem<'a> {
     model: &'a HandModel,
     keypoints: &'a [Vec3; N_KEYPOINTS],
     planes: &'a [PlaneTarget],
+    costs: FitCosts,
 }
 
 impl FitProblem<'_> {
@@ -115,10 +133,10 @@ impl FitProblem<'_> {
         let errors = keypoints.iter().zip(self.keypoints);
         let errors = errors.flat_map(|(point, target)| (*point - *target).as_dvec3().to_array());
         let cost = |k: usize| match k {
-            0 => SCALE_COST,
+            0 => self.costs.scale,
             1..7 => 0.0,
-            7..17 => BETA_COST,
-            _ => POSE_COST,
+            7..17 => self.costs.betas,
+            _ => self.costs.pose,
         };
         let costs = unknowns.iter().enumerate().map(|(k, value)| value * cost(k));
         let distance = |plane: &PlaneTarget| {

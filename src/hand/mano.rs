@@ -14,19 +14,21 @@ use crate::numpy::{Array, Npz, Outcome, Pickle, expand_indptr, triplets};
 const MAX_NAMED: usize = 32;
 /// Columns of the pose blend shapes: 15 rotations of 9 entries.
 const N_POSE: usize = 9 * (N_JOINTS - 1);
+/// Numbers of a hand pose: 15 rotations as axis-angle.
+const N_ANGLES: usize = 3 * (N_JOINTS - 1);
 /// Fingertip vertices, thumb to little, as in the smplx package.
 const TIP_VERTICES: [u32; 5] = [744, 320, 443, 554, 671];
 
 /// Loads a MANO file; the format follows from the content, not from the name.
 pub(super) fn load(path: &Path, side: Side) -> Result<HandModel> {
+    ManoFile::open(path, &input::read(path, limits::FILE)?)?.model(side)
+}
+
+/// Loads mean and components of the hand pose, (45) and (45, 45) row-major, rad.
+pub(super) fn load_basis(path: &Path) -> Result<(Vec<f32>, Vec<f32>)> {
     let bytes = input::read(path, limits::FILE)?;
-    let arrays = if bytes.starts_with(b"PK") {
-        Npz::open(&bytes).map(Arrays::Npz)
-    } else {
-        Pickle::read(&bytes).map(Arrays::Pickle)
-    };
-    let arrays = arrays.map_err(|message| Error::file(path, format!("not a MANO pickle or .npz: {message}")))?;
-    ManoFile { path, arrays }.model(side)
+    let mut file = ManoFile::open(path, &bytes)?;
+    Ok((file.shaped("hands_mean", &[N_ANGLES])?, file.shaped("hands_components", &[N_ANGLES, N_ANGLES])?))
 }
 
 /// Named arrays of either format.
@@ -41,7 +43,18 @@ struct ManoFile<'a> {
     arrays: Arrays<'a>,
 }
 
-impl ManoFile<'_> {
+impl<'a> ManoFile<'a> {
+    /// Finds the arrays of the file at `path` in its `bytes`.
+    fn open(path: &'a Path, bytes: &'a [u8]) -> Result<Self> {
+        let arrays = if bytes.starts_with(b"PK") {
+            Npz::open(bytes).map(Arrays::Npz)
+        } else {
+            Pickle::read(bytes).map(Arrays::Pickle)
+        };
+        let arrays = arrays.map_err(|message| Error::file(path, format!("not a MANO pickle or .npz: {message}")))?;
+        Ok(Self { path, arrays })
+    }
+
     /// Reads all arrays and checks their shapes.
     fn model(mut self, side: Side) -> Result<HandModel> {
         let v_template = self.shaped("v_template", &[N_VERTICES, 3])?;

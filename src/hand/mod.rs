@@ -10,6 +10,7 @@ mod fit;
 mod lbs;
 mod mano;
 mod mesh;
+mod pose_basis;
 mod region;
 mod topology;
 mod transfer;
@@ -23,7 +24,9 @@ use crate::error::Result;
 
 pub(crate) use builtin::to_bytes as builtin_bytes;
 pub use fit::Fit;
+pub(crate) use fit::{FitCosts, refine};
 pub use mesh::{edges, vertex_areas, vertex_normals};
+pub use pose_basis::PoseBasis;
 pub use region::Region;
 pub use topology::Topology;
 pub use transfer::{HandMap, Transfer};

@@ -5,7 +5,7 @@ use parry3d::math::Vector;
 use parry3d::query::PointQueryWithLocation;
 use parry3d::shape::Triangle;
 
-use super::fit::{Fit, PlaneTarget, fit_keypoints, refine};
+use super::fit::{Fit, FitCosts, PlaneTarget, fit_keypoints, refine};
 use super::{HandModel, HandParams, N_FIELD, N_VERTICES, mesh};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
@@ -81,7 +81,8 @@ impl HandMap {
         let mut fit = fit_keypoints(&builtin, &keypoints);
         let mut fitted = SkinSurface::new(&builtin, fit.posed(&builtin).vertices);
         for _ in 0..SKIN_ROUNDS {
-            fit = refine(&builtin, &fit, &keypoints, &fitted.planes_of(&target));
+            let planes = fitted.planes_of(&target);
+            fit = refine(&builtin, &fit, &keypoints, &planes, FitCosts::OTHER_MODEL);
             fitted = SkinSurface::new(&builtin, fit.posed(&builtin).vertices);
         }
         let on_builtin: Vec<SurfacePoint> = target.nearest_on(&fitted);

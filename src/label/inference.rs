@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::budget::{Budget, Share};
+use super::job::Labeller;
 use super::journal::Journal;
 use crate::dataset::source::{EncodedImage, SourceFrames};
 use crate::dataset::{ImageSource, LabelFrame, SourceFrame};
@@ -13,11 +14,14 @@ use crate::error::{Error, Result};
 use crate::image::Preparation;
 use crate::model::Predictor;
 use crate::model::predictor::Prediction;
+use crate::text::shortened;
 
 /// Number of labels in a journal block.
 const BLOCK: usize = 64;
 /// Longest time between two journal writes: the work that a killed process loses.
 const AT_LATEST: Duration = Duration::from_secs(2);
+/// Largest number of characters of the reason why an image has no label: it may quote the input.
+const REASON: usize = 400;
 /// Number of images that a decoder takes at a time; together with the queue lengths it bounds the memory.
 const BATCH: usize = 4;
 
@@ -52,13 +56,33 @@ struct PreparedImage {
     note: Option<String>,
 }
 
+/// Maker of labels by a network.
+pub(super) struct NetworkLabeller<'a> {
+    /// The network and its window.
+    pub predictor: &'a mut Predictor,
+    /// Number of threads that decode images beside the network.
+    pub decoders: usize,
+}
+
+impl Labeller for NetworkLabeller<'_> {
+    fn label_unit(
+        &mut self,
+        source: &dyn ImageSource,
+        unit: usize,
+        journal: &mut Journal,
+        progress: &mut dyn FnMut(),
+    ) -> Result<InferenceTiming> {
+        label_unit(source, unit, self.predictor, journal, self.decoders, progress)
+    }
+}
+
 /// Labels the images of unit `unit` that `journal` lacks; calls `progress` after every image. An image that is damaged, or
 /// for which the network gives no finite numbers, gets a reason in place of a label.
 ///
 /// # Errors
 /// If the unit can't be opened or read to its end, the journal can't be written, or the network's device fails. The journal
 /// then holds the labels of all images before the failure and stays open: the next run goes on there.
-pub fn label_unit(
+fn label_unit(
     source: &dyn ImageSource,
     unit: usize,
     predictor: &mut Predictor,
@@ -100,9 +124,10 @@ pub fn label_unit(
             Ok(prediction) => {
                 let prediction = prediction?;
                 recent.push(index, &prediction);
-                LabelFrame { stamp_secs, warming_up: prediction.warming_up, touch: Ok(prediction.field) }
+                let warming_up = prediction.warming_up;
+                LabelFrame { stamp_secs, warming_up, touch: Ok(prediction.field), further: Vec::new() }
             }
-            Err(reason) => LabelFrame { stamp_secs, warming_up: false, touch: Err(reason) },
+            Err(reason) => LabelFrame::without(stamp_secs, reason),
         };
         let started = Instant::now();
         journal.push(&label, note);
@@ -232,9 +257,9 @@ fn decode(
                 let image = image.decode().map_err(|error| error.to_string())?;
                 preparation.apply(&image).map_err(|error| error.to_string())
             });
-            let placed = |reason: String| match offset {
-                Some(offset) => format!("at byte {offset}: {reason}"),
-                None => reason,
+            let placed = |reason: String| match (shortened(&reason, REASON), offset) {
+                (reason, Some(offset)) => format!("at byte {offset}: {reason}"),
+                (reason, None) => reason.into_owned(),
             };
             PreparedImage { index, stamp_secs, input: input.map_err(placed), note }
         };

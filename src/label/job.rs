@@ -4,10 +4,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use super::inference::{InferenceTiming, label_unit};
+use super::inference::{InferenceTiming, NetworkLabeller};
+use super::journal::Journal;
 use super::workspace::{self, Workspace};
 use crate::dataset::{ImageSource, InputState, LabelInfo, LabelOutput, LabelSummary, Provenance, UnlabelledImage};
 use crate::error::{Error, Result};
+use crate::file::turn::turn;
 use crate::model::Predictor;
 
 /// A share of the units: those whose number modulo `of` is `index`.
@@ -17,6 +19,23 @@ pub struct Shard {
     pub index: usize,
     /// Number of shards.
     pub of: usize,
+}
+
+/// Maker of labels: a network, or the geometry of hands and objects.
+pub trait Labeller {
+    /// Labels the images of unit `unit` of `source` that `journal` lacks; calls `progress` after every image. An image without
+    /// a label gets the reason in its place.
+    ///
+    /// # Errors
+    /// If the unit can't be read to its end, or the journal can't be written. The journal then holds the labels of all images
+    /// before the failure, and the next run goes on there.
+    fn label_unit(
+        &mut self,
+        source: &dyn ImageSource,
+        unit: usize,
+        journal: &mut Journal,
+        progress: &mut dyn FnMut(),
+    ) -> Result<InferenceTiming>;
 }
 
 /// One recording to label, and its output.
@@ -89,23 +108,61 @@ impl Job<'_> {
         timing: &mut LabelTiming,
         progress: &mut dyn FnMut(),
     ) -> Result<Outcome> {
+        let mut labeller = NetworkLabeller { predictor, decoders: self.decoders };
+        self.run_with(&mut labeller, shard, first_number, timing, progress)
+    }
+
+    /// As [`Job::run`], with labels of any origin.
+    ///
+    /// # Errors
+    /// As [`Job::run`].
+    pub fn run_with(
+        &self,
+        labeller: &mut dyn Labeller,
+        shard: Shard,
+        first_number: usize,
+        timing: &mut LabelTiming,
+        progress: &mut dyn FnMut(),
+    ) -> Result<Outcome> {
         let input = self.input()?;
         let provenance = self.provenance(&input);
+        turn();
         if self.out.exists() {
             return self.done_before(&provenance).map(Outcome::DoneBefore);
         }
+        let outcome = self.label(labeller, shard, first_number, (&input, &provenance), timing, progress);
+        turn();
+        match outcome {
+            // Another process has published the output meanwhile, and taken the workspace away.
+            Err(_) | Ok(Outcome::Waiting) if self.out.exists() => {
+                self.done_before(&provenance).map(Outcome::DoneBefore)
+            }
+            outcome => outcome,
+        }
+    }
+
+    /// As [`run_with`](Self::run_with), of an output that does not exist yet.
+    fn label(
+        &self,
+        labeller: &mut dyn Labeller,
+        shard: Shard,
+        first_number: usize,
+        (input, provenance): (&InputState, &Provenance),
+        timing: &mut LabelTiming,
+        progress: &mut dyn FnMut(),
+    ) -> Result<Outcome> {
         self.output.check(self.provenance.topology)?;
         if let Some(parent) = self.out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
             fs::create_dir_all(parent).map_err(Error::io(parent))?;
         }
         let units = self.source.units();
-        let workspace = Workspace::open(&self.out, &provenance, &input, units)?;
+        let workspace = Workspace::open(&self.out, provenance, input, units)?;
         let started = Instant::now();
         for unit in (0..units.len()).filter(|unit| (first_number + unit) % shard.of == shard.index) {
             let Some(mut journal) = workspace.journal(unit)? else {
                 return Err(Error::file(&self.out, format!("{}: another process is labelling it", units[unit].name)));
             };
-            let of_unit = label_unit(self.source, unit, predictor, &mut journal, self.decoders, || {
+            let of_unit = labeller.label_unit(self.source, unit, &mut journal, &mut || {
                 timing.frames += 1;
                 progress()
             })?;
@@ -115,16 +172,19 @@ impl Job<'_> {
         if !workspace.is_complete(units.len())? {
             return Ok(Outcome::Waiting);
         }
-        let Some(_lock) = workspace.lock()? else { return Ok(Outcome::Waiting) };
-        // Another shard may have published the output before this one took the lock.
+        let Some(lock) = workspace.lock()? else { return Ok(Outcome::Waiting) };
+        // Another shard may have published the output before this one took the lock, and this one made its workspace anew:
+        // it is a leftover, which nobody removes while it is locked.
+        turn();
         if self.out.exists() {
-            return self.done_before(&provenance).map(Outcome::DoneBefore);
+            drop(lock);
+            return self.done_before(provenance).map(Outcome::DoneBefore);
         }
         let started = Instant::now();
-        self.check_unchanged(&input)?;
-        let mut info = LabelInfo { provenance, summary: self.summary(&workspace)? };
+        self.check_unchanged(input)?;
+        let mut info = LabelInfo { provenance: provenance.clone(), summary: self.summary(&workspace)? };
         self.output.assemble(&workspace, &mut info, &workspace.unfinished(), &self.out)?;
-        self.check_unchanged(&input)?;
+        self.check_unchanged(input)?;
         workspace.publish(&self.out)?;
         timing.assembly_secs += started.elapsed().as_secs_f64();
         Ok(Outcome::Done(info))

@@ -1,7 +1,7 @@
 //! Journal of one unit: an append-only file of labels that survives a killed process.
 //!
 //! A block holds, in this order: its length (u64), the CRC-32 of all that follows (u32), the length of its head (u32), the
-//! head in JSON, and the compressed labels (1556 forces and 1556 contacts per labelled image, little-endian f32). A block
+//! head in JSON, and the compressed labels (1556 forces, 1556 contacts and further numbers per labelled image, little-endian f32). A block
 //! that a killed process left incomplete fails the length or checksum test; it ends the journal, and the next process
 //! truncates the file there. Heads hold everything but the fields: counts, faults and the source's notes, so that summaries
 //! and copies need no decompression.
@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::dataset::{LabelCounts, LabelFrame};
 use crate::error::{Error, Result};
+use crate::file::turn::turn;
 use crate::file::{self, input};
 use crate::hand::Topology;
 use crate::tactile::{N_FIELD, TactileField};
@@ -78,6 +79,9 @@ pub struct BlockHead {
     warming_up: Vec<bool>,
     kept: Vec<usize>,
     last: bool,
+    /// Number of further numbers of each labelled image.
+    #[serde(default)]
+    further: usize,
 }
 
 /// Writer of one unit's labels; a file lock keeps other processes out.
@@ -97,6 +101,7 @@ impl Journal {
     /// If the file can't be read or written.
     pub fn open(path: &Path) -> Result<Option<Self>> {
         let io = || Error::io(path);
+        turn();
         let mut file =
             OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path).map_err(io())?;
         if !file::lock(&file) {
@@ -128,7 +133,9 @@ impl Journal {
         self.head.warming_up.push(label.warming_up);
         match &label.touch {
             Ok(field) => {
-                let values = field.force.iter().chain(&field.contact);
+                debug_assert!(self.head.further == 0 || self.head.further == label.further.len());
+                self.head.further = label.further.len();
+                let values = field.force.iter().chain(&field.contact).chain(&label.further);
                 self.fields.extend(values.flat_map(|value| value.to_le_bytes()));
             }
             Err(reason) => self.head.faults.push((place, reason.clone())),
@@ -154,6 +161,7 @@ impl Journal {
         let size = block.len() as u64;
         block[..8].copy_from_slice(&size.to_le_bytes());
         block[8..12].copy_from_slice(&crc.to_le_bytes());
+        turn();
         self.file.write_all(&block).map_err(Error::io(&self.path))?;
         self.fields.clear();
         self.progress = Progress { frames, kept: head.kept, complete: last };
@@ -186,8 +194,13 @@ impl JournalLabels {
         let Some((head, fields, _)) = next_block(&mut self.reader).map_err(Error::io(&self.path))? else {
             return Ok(None);
         };
-        let frame = 2 * N_FIELD * 4;
         let labelled = head.stamps.len() - head.faults.len().min(head.stamps.len());
+        let damaged = || Error::file(&self.path, format!("{} further numbers per label", head.further));
+        let frame =
+            head.further.checked_mul(4).and_then(|size| size.checked_add(2 * N_FIELD * 4)).ok_or_else(damaged)?;
+        if frame.checked_mul(labelled).is_none_or(|size| size as u64 > LARGEST) {
+            return Err(damaged());
+        }
         let fields = zstd::bulk::decompress(&fields, labelled * frame).map_err(Error::io(&self.path))?;
         if fields.len() != labelled * frame {
             return Err(Error::file(&self.path, format!("expected {labelled} labels in a block")));
@@ -196,11 +209,14 @@ impl JournalLabels {
         let mut faults = head.faults.into_iter().peekable();
         let mut labels = Vec::with_capacity(head.stamps.len());
         for (place, (stamp, warming_up)) in head.stamps.into_iter().zip(head.warming_up).enumerate() {
-            let touch = match faults.next_if(|(at, _)| *at == place) {
-                Some((_, reason)) => Err(reason),
-                None => Ok(field(values.next().unwrap_or_default(), self.topology)),
-            };
-            labels.push(LabelFrame { stamp_secs: f64::from_bits(stamp), warming_up, touch });
+            let stamp_secs = f64::from_bits(stamp);
+            labels.push(match faults.next_if(|(at, _)| *at == place) {
+                Some((_, reason)) => LabelFrame { warming_up, ..LabelFrame::without(stamp_secs, reason) },
+                None => {
+                    let (field, further) = field(values.next().unwrap_or_default(), self.topology);
+                    LabelFrame { stamp_secs, warming_up, touch: Ok(field), further }
+                }
+            });
         }
         Ok(Some(labels))
     }
@@ -250,10 +266,12 @@ impl Iterator for JournalHeads {
     }
 }
 
-fn field(bytes: &[u8], topology: Topology) -> TactileField {
+/// Decodes the field of one image, and its further numbers.
+fn field(bytes: &[u8], topology: Topology) -> (TactileField, Vec<f32>) {
     let mut force: Vec<f32> = bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-    let contact = force.split_off(N_FIELD.min(force.len()));
-    TactileField { topology, force, contact }
+    let mut contact = force.split_off(N_FIELD.min(force.len()));
+    let further = contact.split_off(N_FIELD.min(contact.len()));
+    (TactileField { topology, force, contact }, further)
 }
 
 /// Reads the next valid block: head, compressed fields, size in bytes. None at the end, or where damage begins.
@@ -299,16 +317,13 @@ mod tests {
 
     fn label(index: usize) -> LabelFrame {
         if index % 5 == 3 {
-            return LabelFrame {
-                stamp_secs: f64::NAN,
-                warming_up: false,
-                touch: Err(format!("frame {index}: cut off")),
-            };
+            return LabelFrame::without(f64::NAN, format!("frame {index}: cut off"));
         }
         let mut field = TactileField::zeros(Topology::EgotacHand1);
         field.force[index] = 0.1 * index as f32;
         field.contact[N_FIELD - 1 - index] = 0.25;
-        LabelFrame { stamp_secs: 1.0 / 3.0 + index as f64, warming_up: index < 2, touch: Ok(field) }
+        let further = vec![index as f32, -0.5];
+        LabelFrame { stamp_secs: 1.0 / 3.0 + index as f64, warming_up: index < 2, touch: Ok(field), further }
     }
 
     fn write(path: &Path, frames: std::ops::Range<usize>) {

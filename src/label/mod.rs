@@ -18,6 +18,8 @@
 mod budget;
 mod inference;
 mod input;
+#[cfg(test)]
+mod interleavings;
 mod job;
 mod journal;
 mod manifest;
@@ -25,6 +27,7 @@ mod workspace;
 
 pub use inference::InferenceTiming;
 pub use input::{FormatOptions, LabelTask, LabelTasks, OutputFormat, find_tasks};
-pub use job::{Job, LabelTiming, Outcome, Shard};
-pub use journal::Progress;
+pub(crate) use job::is_within;
+pub use job::{Job, LabelTiming, Labeller, Outcome, Shard};
+pub use journal::{Journal, Progress};
 pub(crate) use manifest::write_manifest;

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::fs::File;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -11,6 +12,7 @@ use crate::dataset::copy::remove;
 use crate::dataset::labels::{LabelFrames, Notes};
 use crate::dataset::{InputState, Provenance, SourceLabels, Unit};
 use crate::error::{Error, Result};
+use crate::file::turn::turn;
 use crate::file::{self, input, limits};
 use crate::hand::Topology;
 
@@ -36,11 +38,13 @@ impl Workspace {
     pub fn open(out: &Path, provenance: &Provenance, input: &InputState, units: &[Unit]) -> Result<Self> {
         let folder = hidden(out, UNFINISHED)?;
         remove(&hidden(out, FINISHED)?)?;
+        turn();
         fs::create_dir_all(&folder).map_err(Error::io(&folder))?;
         let units = units.iter().map(|unit| (unit.name.clone(), unit.frames)).collect();
         let description = JobDescription { provenance: provenance.clone(), input: input.clone(), units };
         let json = serde_json::to_string_pretty(&description).map_err(|e| Error::file(&folder, e))?;
         let job = folder.join("job.json");
+        turn();
         if job.try_exists().map_err(Error::io(&job))? {
             let read = |json: &str| serde_json::from_str::<JobDescription>(json);
             // Compare both as read: a number may change in its last digit on the way.
@@ -64,8 +68,12 @@ impl Workspace {
         let folder = hidden(out, UNFINISHED)?;
         if folder.exists() {
             let workspace = Self { folder, topology: Topology::default() };
-            if let Some(_lock) = workspace.lock()? {
-                workspace.remove(out)?;
+            match workspace.lock() {
+                Ok(Some(_lock)) => workspace.remove(out)?,
+                Ok(None) => {}
+                // Another process has removed it meanwhile.
+                Err(Error::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {}
+                Err(error) => return Err(error),
             }
         }
         remove(&hidden(out, FINISHED)?)
@@ -98,6 +106,7 @@ impl Workspace {
     /// If its journal can't be read.
     pub fn progress(&self, unit: usize) -> Result<Progress> {
         let path = self.journal_path(unit);
+        turn();
         let exists = path.try_exists().map_err(Error::io(&path))?;
         if exists { Progress::read(&path) } else { Ok(Progress::default()) }
     }
@@ -121,6 +130,7 @@ impl Workspace {
     /// If the lock file can't be written.
     pub fn lock(&self) -> Result<Option<File>> {
         let path = self.folder.join("lock");
+        turn();
         let file = File::create(&path).map_err(Error::io(&path))?;
         Ok(file::lock(&file).then_some(file))
     }
@@ -135,6 +145,7 @@ impl Workspace {
             true => file::sync_tree(&unfinished)?,
             false => File::open(&unfinished).and_then(|file| file.sync_all()).map_err(Error::io(&unfinished))?,
         }
+        turn();
         if out.exists() {
             return Err(Error::file(out, "was created by another process"));
         }
@@ -147,7 +158,12 @@ impl Workspace {
     fn remove(&self, out: &Path) -> Result<()> {
         let finished = hidden(out, FINISHED)?;
         remove(&finished)?;
-        fs::rename(&self.folder, &finished).map_err(Error::io(&self.folder))?;
+        turn();
+        match fs::rename(&self.folder, &finished) {
+            // Another process has taken it away.
+            Err(error) if error.kind() == ErrorKind::NotFound => {}
+            renamed => renamed.map_err(Error::io(&self.folder))?,
+        }
         remove(&finished)
     }
 

@@ -16,9 +16,10 @@ pub use own::{
     TrainerStatus,
 };
 pub use standard::{
-    CameraInfo, Clock, CompressedImage, DiagnosticArray, DiagnosticStatus, Duration, Header, Image, JointState,
-    JointTrajectory, JointTrajectoryPoint, KeyValue, Log, Point, Point32, PointCloud2, PointField, Pose, PoseArray,
-    PoseStamped, Quaternion, RegionOfInterest, Time, Vector3, Wrench,
+    Bool, CameraInfo, Clock, CompressedImage, DiagnosticArray, DiagnosticStatus, Duration, Float64MultiArray, Header,
+    Image, JointState, JointTrajectory, JointTrajectoryPoint, KeyValue, Log, MultiArrayDimension, MultiArrayLayout,
+    Point, Point32, PointCloud2, PointField, Pose, PoseArray, PoseStamped, Quaternion, RegionOfInterest, Time, Vector3,
+    Wrench,
 };
 
 /// A message of topics and recordings.

@@ -32,6 +32,42 @@ message! {
         frame_id: String,
     }
 
+    /// Yes or no.
+    #[derive(Copy, Default, Eq)]
+    Bool = "std_msgs/msg/Bool" {
+        /// The value.
+        data: bool,
+    }
+
+    /// One dimension of an array.
+    #[derive(Default)]
+    MultiArrayDimension = "std_msgs/msg/MultiArrayDimension" {
+        /// Name of the dimension.
+        label: String,
+        /// Number of elements along it.
+        size: u32,
+        /// Number of elements from the start of one of its slices to the next, times its size.
+        stride: u32,
+    }
+
+    /// Layout of an array.
+    #[derive(Default)]
+    MultiArrayLayout = "std_msgs/msg/MultiArrayLayout" {
+        /// Dimensions, outermost first; empty = one dimension without a name.
+        dim: Vec<MultiArrayDimension>,
+        /// Number of elements before the array.
+        data_offset: u32,
+    }
+
+    /// An array of numbers.
+    #[derive(Default)]
+    Float64MultiArray = "std_msgs/msg/Float64MultiArray" {
+        /// Layout of the numbers.
+        layout: MultiArrayLayout,
+        /// The numbers.
+        data: Vec<f64>,
+    }
+
     /// A position, m.
     #[derive(Copy, Default)]
     #[allow(missing_docs)]

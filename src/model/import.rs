@@ -38,6 +38,7 @@ use crate::error::{Error, Result};
 use crate::file::{input, limits};
 use crate::hand::{N_VERTICES, Topology};
 use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Resize};
+use crate::text::parse_yaml;
 
 /// The table as written.
 #[derive(Debug, Clone, Deserialize)]
@@ -120,7 +121,7 @@ impl Mapping {
     /// If it can't be read, a key is unknown or missing, or a value is out of range.
     pub fn read(path: &Path) -> Result<Self> {
         let text = input::read_text(path, limits::TEXT)?;
-        let mapping: Self = serde_yaml::from_str(&text).map_err(|error| Error::file(path, error))?;
+        let mapping: Self = parse_yaml(&text).map_err(|error| Error::file(path, error))?;
         mapping.config.check().map_err(|error| Error::file(path, error))?;
         mapping.metadata().map_err(|error| Error::file(path, error))?;
         for source in mapping.tensors.values() {

@@ -99,6 +99,14 @@ impl Predictor {
         Ok(Self { checkpoint, device: options.device, max_gap_secs, frames: Vec::new() })
     }
 
+    /// Returns the predictor with the output of the force head as force, also where no force ever trained it; otherwise such
+    /// forces are unknown (NaN). The paper scores its network without force supervision so.
+    #[must_use]
+    pub fn with_untrained_force(mut self) -> Self {
+        self.checkpoint.metadata.has_force = true;
+        self
+    }
+
     /// Metadata of the checkpoint.
     pub fn metadata(&self) -> &Metadata {
         &self.checkpoint.metadata

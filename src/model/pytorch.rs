@@ -10,7 +10,7 @@ use zip::{CompressionMethod, ZipArchive};
 use super::weights;
 use crate::error::{Error, Result};
 use crate::file::limits;
-use crate::numpy::{Id, Names, Outcome, Pickle, Value, check_rank};
+use crate::numpy::{Id, Names, Outcome, Pickle, StorageReference, Value, View, rebuilt};
 
 /// Names in files of networks and of their training. Those of tensors and storages are interpreted, the others ignored.
 const NAMES: Names = Names {
@@ -106,20 +106,6 @@ fn is_name(pickle: &Pickle, id: Id, wanted: &str) -> bool {
     }
 }
 
-/// Returns the arguments of `_rebuild_tensor_v2` if the value is a tensor, or a parameter or subclass around one.
-fn rebuilt(pickle: &Pickle, id: Id) -> Outcome<Option<Id>> {
-    let Value::Call { mut function, mut args, .. } = *pickle.value(id) else { return Ok(None) };
-    if is_name(pickle, function, "torch._utils._rebuild_parameter") {
-        match *pickle.value(pickle.item(args, 0)?) {
-            Value::Call { function: inner, args: of_inner, .. } => (function, args) = (inner, of_inner),
-            _ => return Ok(None),
-        }
-    } else if is_name(pickle, function, "torch._tensor._rebuild_from_type_v2") {
-        (function, args) = (pickle.item(args, 0)?, pickle.item(args, 2)?);
-    }
-    Ok(is_name(pickle, function, "torch._utils._rebuild_tensor_v2").then_some(args))
-}
-
 /// An archive with stored members, and the storages that were read from it.
 struct Archive<'a> {
     bytes: &'a [u8],
@@ -177,143 +163,13 @@ impl<'a> Archive<'a> {
         Ok(bytes)
     }
 
-    /// Reads the arguments of `_rebuild_tensor_v2`: storage, offset, size, stride (in elements), and others without meaning
-    /// here. The storage is a reference ("storage", type, key, device, number of elements).
+    /// Reads the arguments of `_rebuild_tensor_v2`, whose storage is a member of the archive.
     fn view(&mut self, pickle: &Pickle, arguments: Id) -> Outcome<View<'a>> {
         let Value::Persistent(storage) = *pickle.value(pickle.item(arguments, 0)?) else {
             return Err("expected a reference to a storage".into());
         };
-        let text = |id: Id| match pickle.value(id) {
-            Value::Text(text) | Value::Global(text) => Ok(text.as_str()),
-            _ => Err("expected a storage with a type and a name".to_string()),
-        };
-        let whole = |id: Id| match pickle.value(id) {
-            Value::Int(number) => usize::try_from(*number).map_err(|_| format!("expected a number >= 0, got {number}")),
-            _ => Err("expected a whole number".to_string()),
-        };
-        let kind = text(pickle.item(storage, 1)?)?;
-        let number = Number::of_storage(kind.rsplit('.').next().unwrap_or(kind))?;
-        let (key, length) = (text(pickle.item(storage, 2)?)?, whole(pickle.item(storage, 4)?)?);
-        let bytes = self.storage(key)?;
-        let bytes = length.checked_mul(number.size()).and_then(|n_bytes| bytes.get(..n_bytes)).ok_or_else(|| {
-            format!("expected a storage of {length} numbers of {} bytes, got {} bytes", number.size(), bytes.len())
-        })?;
-        let start = whole(pickle.item(arguments, 1)?)?;
-        let (size, stride) = (pickle.shape(pickle.item(arguments, 2)?)?, pickle.shape(pickle.item(arguments, 3)?)?);
-        View::new(number, bytes, length, start, size, stride)
-    }
-}
-
-/// Type of the numbers of a storage.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Number {
-    F16,
-    Bf16,
-    F32,
-    F64,
-    U8,
-    I8,
-    I16,
-    I32,
-    I64,
-}
-
-impl Number {
-    fn of_storage(class: &str) -> Outcome<Self> {
-        match class {
-            "HalfStorage" => Ok(Self::F16),
-            "BFloat16Storage" => Ok(Self::Bf16),
-            "FloatStorage" => Ok(Self::F32),
-            "DoubleStorage" => Ok(Self::F64),
-            "ByteStorage" | "BoolStorage" => Ok(Self::U8),
-            "CharStorage" => Ok(Self::I8),
-            "ShortStorage" => Ok(Self::I16),
-            "IntStorage" => Ok(Self::I32),
-            "LongStorage" => Ok(Self::I64),
-            _ => Err(format!("expected a storage of floating point numbers, integers or bytes, got {class}")),
-        }
-    }
-
-    fn size(self) -> usize {
-        match self {
-            Self::U8 | Self::I8 => 1,
-            Self::F16 | Self::Bf16 | Self::I16 => 2,
-            Self::F32 | Self::I32 => 4,
-            Self::F64 | Self::I64 => 8,
-        }
-    }
-}
-
-/// A tensor in the bytes of its storage; all its places lie inside.
-struct View<'a> {
-    number: Number,
-    bytes: &'a [u8],
-    start: usize,
-    size: Vec<usize>,
-    stride: Vec<usize>,
-    count: usize,
-}
-
-impl<'a> View<'a> {
-    fn new(
-        number: Number,
-        bytes: &'a [u8],
-        length: usize,
-        start: usize,
-        size: Vec<usize>,
-        stride: Vec<usize>,
-    ) -> Outcome<Self> {
-        check_rank(size.len())?;
-        let product = |least: usize| size.iter().try_fold(1usize, |count, n| count.checked_mul((*n).max(least)));
-        let last = size
-            .iter()
-            .zip(&stride)
-            .try_fold(start, |last, (n, step)| last.checked_add(n.saturating_sub(1).checked_mul(*step)?));
-        // A tensor without elements has no place, but its other sizes must not overflow either.
-        let (count, inside) = match product(0) {
-            Some(0) => (0, product(1).is_some()),
-            Some(count) => (count, count <= length && last.is_some_and(|last| last < length)),
-            None => (0, false),
-        };
-        match inside && size.len() == stride.len() {
-            true => Ok(Self { number, bytes, start, size, stride, count }),
-            false => Err(format!(
-                "expected a tensor inside its storage of {length} numbers, got size {size:?} with stride {stride:?} from {start}"
-            )),
-        }
-    }
-
-    fn values(&self) -> Vec<f32> {
-        match self.number {
-            Number::F16 => self.convert(|b| half::f16::from_le_bytes(b).to_f32()),
-            Number::Bf16 => self.convert(|b| half::bf16::from_le_bytes(b).to_f32()),
-            Number::F32 => self.convert(f32::from_le_bytes),
-            Number::F64 => self.convert(|b| f64::from_le_bytes(b) as f32),
-            Number::U8 => self.convert(|[byte]| f32::from(byte)),
-            Number::I8 => self.convert(|b| f32::from(i8::from_le_bytes(b))),
-            Number::I16 => self.convert(|b| f32::from(i16::from_le_bytes(b))),
-            Number::I32 => self.convert(|b| i32::from_le_bytes(b) as f32),
-            Number::I64 => self.convert(|b| i64::from_le_bytes(b) as f32),
-        }
-    }
-
-    /// Converts the numbers in row-major order.
-    fn convert<const N: usize>(&self, of: impl Fn([u8; N]) -> f32) -> Vec<f32> {
-        let numbers = self.bytes.as_chunks::<N>().0;
-        let mut values = Vec::with_capacity(self.count);
-        let (mut index, mut place) = (vec![0; self.size.len()], self.start);
-        while values.len() < self.count {
-            values.push(of(numbers[place]));
-            for ((i, n), step) in index.iter_mut().zip(&self.size).zip(&self.stride).rev() {
-                *i += 1;
-                place += step;
-                if *i < *n {
-                    break;
-                }
-                place -= *i * step;
-                *i = 0;
-            }
-        }
-        values
+        let storage = StorageReference::read(pickle, storage)?;
+        let bytes = self.storage(storage.key)?;
+        View::read(pickle, arguments, &storage, bytes)
     }
 }

@@ -30,6 +30,10 @@ pub(crate) struct ApproximateSync<H, T> {
     last_taken: Option<Time>,
     /// Arrival of the newest touch.
     last_touch: Option<Instant>,
+    /// Stamps of the newest hands, also of those that left.
+    hand_stamps: VecDeque<Time>,
+    /// Time at which a hand and a touch with near stamps were last seen, in either order of arrival.
+    last_match: Option<Instant>,
     restarted: bool,
     overtaken: u64,
 }
@@ -41,10 +45,23 @@ struct WaitingHand<H> {
     hand: H,
 }
 
+/// Touches that arrive at present.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Touches {
+    /// None.
+    None,
+    /// Touches with the stamps of hands.
+    Matching,
+    /// Touches whose stamps are not those of hands; seconds from the newest hand's to the newest touch's.
+    Apart(f64),
+}
+
 /// A hand with its touch, if there is one.
 #[derive(Debug, PartialEq)]
 pub(crate) struct SyncedHand<H, T> {
     pub(crate) stamp: Time,
+    /// Arrival of the hand.
+    pub(crate) arrived: Instant,
     pub(crate) hand: H,
     pub(crate) touch: Option<(Time, T)>,
     /// True if stamps jumped back since the hand before.
@@ -63,6 +80,8 @@ impl<H, T> ApproximateSync<H, T> {
             newest_touch: None,
             last_taken: None,
             last_touch: None,
+            hand_stamps: VecDeque::new(),
+            last_match: None,
             restarted: false,
             overtaken: 0,
         }
@@ -77,6 +96,13 @@ impl<H, T> ApproximateSync<H, T> {
         if self.last_taken.is_some_and(|taken| stamp <= taken) {
             self.overtaken += 1;
             return;
+        }
+        self.hand_stamps.push_back(stamp);
+        if self.hand_stamps.len() > CAPACITY {
+            self.hand_stamps.pop_front();
+        }
+        if self.touches.iter().any(|(touch, _)| self.is_near(*touch, stamp)) {
+            self.last_match = Some(now);
         }
         let index = self.hands.partition_point(|waiting| waiting.stamp <= stamp);
         self.hands.insert(index, WaitingHand { stamp, arrived: now, hand });
@@ -93,6 +119,9 @@ impl<H, T> ApproximateSync<H, T> {
         }
         self.newest_touch = self.newest_touch.max(Some(stamp));
         self.last_touch = Some(now);
+        if self.hand_stamps.iter().any(|hand| self.is_near(*hand, stamp)) {
+            self.last_match = Some(now);
+        }
         self.touches.push_back((stamp, touch));
         if self.touches.len() > CAPACITY {
             self.touches.pop_front();
@@ -104,11 +133,20 @@ impl<H, T> ApproximateSync<H, T> {
         let (index, touch_index) = self.newest_paired().or_else(|| self.newest_unpaired(now))?;
         let touch = touch_index.and_then(|touch| self.touches.remove(touch));
         self.overtaken += index as u64;
-        let WaitingHand { stamp, hand, .. } = self.hands.drain(..=index).next_back()?;
+        let WaitingHand { stamp, arrived, hand } = self.hands.drain(..=index).next_back()?;
         self.last_taken = Some(stamp);
         let oldest = stamp.nanos() - self.slop_nanos;
         self.touches.retain(|(touch, _)| touch.nanos() > oldest);
-        Some(SyncedHand { stamp, hand, touch, restarted: std::mem::take(&mut self.restarted) })
+        Some(SyncedHand { stamp, arrived, hand, touch, restarted: std::mem::take(&mut self.restarted) })
+    }
+
+    /// Drops all waiting messages; returns the number of hands among them.
+    pub(crate) fn clear(&mut self) -> usize {
+        self.touches.clear();
+        let count = self.hands.len();
+        self.last_taken = self.last_taken.max(self.hands.back().map(|waiting| waiting.stamp));
+        self.hands.clear();
+        count
     }
 
     /// Number of hands that newer ones overtook so far.
@@ -116,10 +154,19 @@ impl<H, T> ApproximateSync<H, T> {
         self.overtaken
     }
 
-    /// Returns true if touches arrive at present, so that hands wait for them.
-    pub(crate) fn touches_arrive(&self, now: Instant) -> bool {
+    /// Returns which touches arrive at present.
+    pub(crate) fn touches(&self, now: Instant) -> Touches {
         let timeout = MIN_TOUCH_TIMEOUT.max(self.max_wait);
-        self.last_touch.is_some_and(|arrived| now.saturating_duration_since(arrived) <= timeout)
+        let is_recent = |then: Option<Instant>| then.is_some_and(|then| now.saturating_duration_since(then) <= timeout);
+        match (is_recent(self.last_touch), is_recent(self.last_match), self.newest_touch.zip(self.newest_hand)) {
+            (true, false, Some((touch, hand))) => Touches::Apart((touch.nanos() - hand.nanos()) as f64 / 1e9),
+            (true, true, _) => Touches::Matching,
+            _ => Touches::None,
+        }
+    }
+
+    fn is_near(&self, a: Time, b: Time) -> bool {
+        (a.nanos() - b.nanos()).abs() <= self.slop_nanos
     }
 
     /// Returns the indices of the newest hand that has a touch, and of this touch.
@@ -129,9 +176,10 @@ impl<H, T> ApproximateSync<H, T> {
 
     /// Returns the index of the newest hand that need not wait for a touch any longer.
     fn newest_unpaired(&self, now: Instant) -> Option<(usize, Option<usize>)> {
-        let touches_arrive = self.touches_arrive(now);
+        // Waiting is in vain if the stamps never match, for instance because the clocks differ.
+        let touches_match = self.touches(now) == Touches::Matching;
         let may_leave = |waiting: &WaitingHand<H>| {
-            !touches_arrive || now.saturating_duration_since(waiting.arrived) >= self.max_wait
+            !touches_match || now.saturating_duration_since(waiting.arrived) >= self.max_wait
         };
         Some((self.hands.iter().rposition(may_leave)?, None))
     }
@@ -147,6 +195,7 @@ impl<H, T> ApproximateSync<H, T> {
         self.overtaken += self.hands.len() as u64;
         self.hands.clear();
         self.touches.clear();
+        self.hand_stamps.clear();
         (self.newest_hand, self.newest_touch, self.last_taken) = (None, None, None);
         self.restarted = true;
     }
@@ -209,6 +258,24 @@ mod tests {
     }
 
     #[test]
+    fn hands_do_not_wait_for_touches_of_another_clock() {
+        let start = Instant::now();
+        let mut sync = ApproximateSync::new(0.02, MAX_WAIT);
+        for frame in 0..20 {
+            sync.push_touch(Time { sec: 1007, nanosec: frame * 1_000_000 }, frame, start);
+            sync.push_hand(at(frame), 'a', start);
+            assert_eq!(take(&mut sync, start), Some(('a', None)));
+        }
+        assert_eq!(sync.touches(start), Touches::Apart(1000.0));
+        // Once the clocks agree, hands wait.
+        sync.push_touch(at(21), 21, start);
+        sync.push_hand(at(21), 'b', start);
+        assert_eq!(take(&mut sync, start), Some(('b', Some(21))));
+        sync.push_hand(at(45), 'c', start);
+        assert_eq!((take(&mut sync, start), sync.touches(start)), (None, Touches::Matching));
+    }
+
+    #[test]
     fn the_newest_hand_with_a_touch_overtakes_older_hands() {
         let start = Instant::now();
         let mut sync = ApproximateSync::new(0.01, MAX_WAIT);
@@ -222,6 +289,19 @@ mod tests {
         // An older hand arrives too late.
         sync.push_hand(at(20), 'd', start);
         assert_eq!(sync.overtaken(), 2);
+        assert_eq!(take(&mut sync, start + MAX_WAIT), Some(('c', None)));
+    }
+
+    #[test]
+    fn cleared_hands_are_not_followed_and_newer_ones_are() {
+        let start = Instant::now();
+        let mut sync: ApproximateSync<char, u32> = ApproximateSync::new(0.02, MAX_WAIT);
+        sync.push_touch(at(0), 0, start);
+        sync.push_hand(at(0), 'a', start);
+        sync.push_hand(at(40), 'b', start);
+        assert_eq!(sync.clear(), 2);
+        assert_eq!(take(&mut sync, start + MAX_WAIT), None);
+        sync.push_hand(at(80), 'c', start);
         assert_eq!(take(&mut sync, start + MAX_WAIT), Some(('c', None)));
     }
 

@@ -45,7 +45,7 @@ impl RecordedTopic {
             schema: M::schema(),
             qos: qos::every_input(),
             latched: false,
-            subscribe: |runtime, name, qos, call| runtime.subscribe_bytes::<M>(name, qos, call),
+            subscribe: |runtime, name, qos, call| runtime.subscribe_bytes::<M>(name, qos, call).map(drop),
         }
     }
 
@@ -204,7 +204,7 @@ impl Recording {
         let names: Vec<String> = self.topics.iter().map(|topic| topic.name.clone()).collect();
         let status = Arc::clone(&self.status);
         runtime.every(PUBLISHER_POLL_INTERVAL, move |runtime| {
-            let has_publisher = |name: &&String| runtime.publishers_are_reliable(name).is_ok_and(|all| !all.is_empty());
+            let has_publisher = |name: &&String| runtime.publishers(name).is_ok_and(|all| !all.is_empty());
             let published = names.iter().filter(has_publisher).cloned().collect();
             lock(&status).published = published;
         });

@@ -10,6 +10,7 @@ use super::lock::lock;
 use super::log::Log;
 use super::params::{Parameter, Parameters};
 use super::publisher::Publisher;
+use super::qos_overrides::{self, QosOverrides};
 use super::runtime::Runtime;
 use super::topic_names::TopicNames;
 use super::{parameter_services, qos};
@@ -24,6 +25,10 @@ pub(crate) fn create(name: &str, table: &[Parameter]) -> anyhow::Result<Runtime>
     let full_name = node.fully_qualified_name()?;
     let names = TopicNames::new(&node.namespace()?, &node.name()?, std::env::args().skip(1));
     let (parameters, unknown) = parameters(&node, table)?;
+    let overrides = {
+        let given = lock(&node.params);
+        QosOverrides::new(given.iter().map(|(name, given)| (name.as_str(), &given.value)))?
+    };
     if parameters.get::<bool>("use_sim_time") {
         let time_source = node.get_time_source();
         time_source.enable_sim_time(&mut node)?;
@@ -31,10 +36,10 @@ pub(crate) fn create(name: &str, table: &[Parameter]) -> anyhow::Result<Runtime>
     let clock = RosClock::new(node.get_ros_clock());
     let rosout = Publisher::create(&mut node, "/rosout", qos::rosout())?;
     let log = Log::new(logger_name(&full_name), clock.clone(), rosout);
-    for name in unknown {
+    for name in unknown.into_iter().filter(|name| !qos_overrides::is_override(name)) {
         log.warn(format!("parameter {name} is unknown and ignored; known: {}", parameters.names()));
     }
-    let mut runtime = Runtime::new(node, names, clock, log, Arc::new(parameters));
+    let mut runtime = Runtime::new(node, names, clock, log, Arc::new(parameters), overrides);
     parameter_services::serve(&mut runtime, full_name)?;
     Ok(runtime)
 }

@@ -42,7 +42,8 @@ pub(crate) struct TaskReport {
     pub(crate) values: Vec<(String, String)>,
 }
 
-/// Publishes the result of `report` once a second as `<node>: <task>`, with `hardware_id` in the field of this name.
+/// Publishes the result of `report` once a second as `<full name of the node>: <task>`, with `hardware_id` in the field of this
+/// name. An input that a publisher can't reach makes it an error.
 ///
 /// # Errors
 /// If ROS refuses the topic.
@@ -52,9 +53,13 @@ pub(crate) fn publish(
     mut report: impl FnMut(&mut Runtime) -> TaskReport + 'static,
 ) -> anyhow::Result<()> {
     let publisher = runtime.publisher("/diagnostics", qos::output())?;
-    let node = runtime.name()?;
+    let node = runtime.full_name()?;
     runtime.every(REPORT_PERIOD, move |runtime| {
         let TaskReport { task, level, message, values } = report(runtime);
+        let (level, message) = match runtime.input_fault() {
+            Some(fault) => (Level::Error, fault),
+            None => (level, message),
+        };
         let status = DiagnosticStatus {
             level: level as u8,
             name: format!("{node}: {task}"),

@@ -1,7 +1,6 @@
 //! Service `~/set_enabled`, which sets the parameter `enabled`.
 
-use std::sync::Arc;
-
+use anyhow::Context as _;
 use r2r::std_srvs::srv::SetBool;
 
 use super::runtime::Runtime;
@@ -11,9 +10,9 @@ use super::runtime::Runtime;
 /// # Errors
 /// If ROS refuses the service name.
 pub(crate) fn serve_set_enabled(runtime: &mut Runtime) -> anyhow::Result<()> {
-    let parameters = Arc::clone(runtime.parameters());
+    let setter = runtime.parameter_setter().context("the node has no parameter services")?;
     runtime.service::<SetBool::Service>("~/set_enabled", move |request| {
-        let set = parameters.set([("enabled".to_owned(), request.data.into())]);
+        let set = setter.set_one("enabled", request.data);
         SetBool::Response { success: set.is_ok(), message: set.err().unwrap_or_default() }
     })
 }

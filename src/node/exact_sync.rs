@@ -14,6 +14,14 @@ pub(crate) struct ExactSync<L, R> {
     left: Queue<L>,
     right: Queue<R>,
     capacity: usize,
+    budget: Budget<L>,
+}
+
+/// Memory that waiting messages of the left topic may use.
+#[derive(Debug)]
+struct Budget<L> {
+    bytes: usize,
+    size: fn(&L) -> usize,
 }
 
 /// Messages of one topic that wait for their partner.
@@ -27,7 +35,12 @@ struct Queue<T> {
 impl<L, R> ExactSync<L, R> {
     /// Keeps at most `capacity` unpaired messages per topic.
     pub(crate) fn new(capacity: usize) -> Self {
-        Self { left: Queue::new(), right: Queue::new(), capacity }
+        Self::with_budget(capacity, usize::MAX, |_| 0)
+    }
+
+    /// Keeps at most `capacity` unpaired messages per topic, and at most `bytes` of the left one, whose messages have a `size`.
+    pub(crate) fn with_budget(capacity: usize, bytes: usize, size: fn(&L) -> usize) -> Self {
+        Self { left: Queue::new(), right: Queue::new(), capacity, budget: Budget { bytes, size } }
     }
 
     /// Takes a message of the left topic; returns it with its partner if the partner came before.
@@ -38,6 +51,7 @@ impl<L, R> ExactSync<L, R> {
         self.left.newest = self.left.newest.max(Some(stamp));
         let Some(partner) = self.right.take(stamp) else {
             self.left.keep(stamp, message, self.capacity);
+            self.left.shrink(&self.budget);
             return None;
         };
         self.left.drop_before(stamp);
@@ -91,6 +105,16 @@ impl<T> Queue<T> {
         self.unmatched += u64::from(self.messages.insert(stamp, message).is_some());
         while self.messages.len() > capacity {
             self.messages.pop_first();
+            self.unmatched += 1;
+        }
+    }
+
+    fn shrink(&mut self, Budget { bytes, size }: &Budget<T>) {
+        let mut total: usize = self.messages.values().map(size).sum();
+        while total > *bytes
+            && let Some((_, message)) = self.messages.pop_first()
+        {
+            total -= size(&message);
             self.unmatched += 1;
         }
     }
@@ -168,6 +192,20 @@ mod tests {
         let mut sync = ExactSync::new(10);
         assert_eq!(sync.push_left(Time { sec: 1, nanosec: 5 }, 'a'), None);
         assert_eq!(sync.push_right(Time { sec: 1, nanosec: 6 }, 1), None);
+    }
+
+    #[test]
+    fn the_bytes_of_waiting_messages_are_bounded_and_losses_counted() {
+        let mut sync: ExactSync<Vec<u8>, ()> = ExactSync::with_budget(100, 10, Vec::len);
+        for millis in 0..6 {
+            sync.push_left(at(millis), vec![0; 4]);
+        }
+        assert_eq!(sync.unmatched(1.0), (4, 0));
+        assert_eq!(sync.push_right(at(3), ()), None);
+        assert_eq!(sync.push_right(at(4), ()), Some((vec![0; 4], ())));
+        // One message alone may be too large.
+        sync.push_left(at(7), vec![0; 11]);
+        assert_eq!(sync.push_right(at(7), ()), None);
     }
 
     #[test]

@@ -1,13 +1,12 @@
 //! Image subscription of a node, raw or compressed.
 
-use ::image::RgbImage;
-use r2r::QosProfile;
-
+use super::input_topics::InputTopic;
 use super::params::{Allowed, Parameter, Parameters};
 use super::runtime::Runtime;
 use crate::error::Result;
 use crate::image::{self, RawImage};
-use crate::message::{CompressedImage, Header, Image, Message as _};
+use crate::message::{CompressedImage, Header, Image, Message as _, Reader};
+use ::image::RgbImage;
 
 /// Message type of the images, set by the parameter `image_transport`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,19 +46,34 @@ impl ImageTransport {
         }
     }
 
-    /// Subscribes to the image topic and calls `call` with the bytes of each message, for [`Self::decode`].
+    /// Subscribes to the image topic, with the rest of `input`, and calls `call` with the bytes of each message, for
+    /// [`Self::decode`].
     ///
     /// # Errors
     /// If ROS refuses the topic name or the quality of service.
     pub(crate) fn subscribe(
         self,
         runtime: &mut Runtime,
-        qos: QosProfile,
+        input: InputTopic,
         call: impl FnMut(Vec<u8>) + 'static,
     ) -> anyhow::Result<()> {
         match self {
-            Self::Raw => runtime.subscribe_bytes::<Image>("image", qos, call),
-            Self::Compressed => runtime.subscribe_bytes::<CompressedImage>(&self.topic(runtime), qos, call),
+            Self::Raw => runtime.input_bytes::<Image>(InputTopic { name: "image".into(), ..input }, call),
+            Self::Compressed => {
+                let name = self.topic(runtime);
+                runtime.input_bytes::<CompressedImage>(InputTopic { name, ..input }, call)
+            }
+        }
+    }
+
+    /// Reads only the header of a message.
+    ///
+    /// # Errors
+    /// If the bytes are no message of this type.
+    pub(crate) fn header(self, payload: &[u8]) -> Result<Header> {
+        match self {
+            Self::Raw => Reader::leading(Image::TYPE, payload),
+            Self::Compressed => Reader::leading(CompressedImage::TYPE, payload),
         }
     }
 
@@ -70,13 +84,18 @@ impl ImageTransport {
     pub(crate) fn decode(self, payload: &[u8]) -> Result<(Header, RgbImage)> {
         match self {
             Self::Raw => {
-                let Image { header, height, width, encoding, step, data, .. } = Image::from_cdr(payload)?;
+                let Image { header, height, width, encoding, is_bigendian, step, mut data } = Image::from_cdr(payload)?;
+                if is_bigendian != 0 && image::has_16_bits(&encoding) {
+                    data.chunks_exact_mut(2).for_each(|value| value.swap(0, 1));
+                }
                 let raw = RawImage { width, height, encoding: &encoding, step, data: &data };
                 Ok((header, raw.to_rgb()?))
             }
             Self::Compressed => {
-                let CompressedImage { header, data, .. } = CompressedImage::from_cdr(payload)?;
-                Ok((header, image::decode(&data)?))
+                let CompressedImage { header, format, data } = CompressedImage::from_cdr(payload)?;
+                // For instance `bayer_rggb8; jpeg compressed`: the first part is the encoding before compression.
+                let encoding = format.split(';').next().unwrap_or_default().trim();
+                Ok((header, image::decode_as(&data, encoding)?))
             }
         }
     }

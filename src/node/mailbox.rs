@@ -1,9 +1,9 @@
 //! Mailbox that holds only the newest value and counts the values it displaced.
 
-use std::sync::{Condvar, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::sync::PoisonError;
+use std::time::Duration;
 
-use super::lock::lock;
+use super::lock::{Condvar, Instant, Mutex, lock};
 
 /// Passes the newest value from the receiving thread to the computing thread.
 #[derive(Debug)]
@@ -50,30 +50,5 @@ impl<T> Mailbox<T> {
     /// Returns the number of values displaced so far.
     pub(crate) fn superseded(&self) -> u64 {
         lock(&self.state).superseded
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn take_returns_the_newest_value_and_displaced_ones_are_counted() {
-        let mailbox = Mailbox::default();
-        (0..5).for_each(|value| mailbox.put(value));
-        assert_eq!(mailbox.take(Duration::ZERO), Some(4));
-        assert_eq!(mailbox.take(Duration::ZERO), None);
-        assert_eq!(mailbox.superseded(), 4);
-    }
-
-    #[test]
-    fn put_wakes_the_waiting_thread() {
-        let mailbox = Mailbox::default();
-        let taken = std::thread::scope(|scope| {
-            let waiting = scope.spawn(|| mailbox.take(Duration::from_secs(60)));
-            mailbox.put("here");
-            waiting.join()
-        });
-        assert_eq!(taken.unwrap(), Some("here"));
     }
 }

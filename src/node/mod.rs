@@ -18,6 +18,7 @@ mod episode_recorder;
 mod exact_sync;
 mod flatten;
 mod images;
+mod input_topics;
 mod lock;
 mod log;
 mod mailbox;
@@ -30,6 +31,8 @@ pub mod predictor;
 mod program;
 mod publisher;
 mod qos;
+mod qos_overrides;
+mod rectify;
 #[cfg(feature = "sim")]
 pub mod retargeter;
 mod runtime;

@@ -36,6 +36,7 @@ pub(crate) fn serve(runtime: &mut Runtime, node: String) -> anyhow::Result<()> {
 
     let one_by_one = Rc::new(setter);
     let at_once = Rc::clone(&one_by_one);
+    runtime.set_parameter_setter(Rc::clone(&one_by_one));
     runtime.service::<srv::SetParameters::Service>("~/set_parameters", move |request| {
         let results = request.parameters.iter().map(|p| one_by_one.set(std::slice::from_ref(p)));
         srv::SetParameters::Response { results: results.collect() }
@@ -80,7 +81,7 @@ fn serve_getters(runtime: &mut Runtime, parameters: &Arc<Parameters>) -> anyhow:
 }
 
 /// Sets parameters and publishes the changes.
-struct Setter {
+pub(crate) struct Setter {
     parameters: Arc<Parameters>,
     events: r2r::Publisher<msg::ParameterEvent>,
     clock: RosClock,
@@ -88,6 +89,15 @@ struct Setter {
 }
 
 impl Setter {
+    /// Sets one parameter and publishes the change.
+    ///
+    /// # Errors
+    /// If the value is not allowed; the text gives the reason.
+    pub(crate) fn set_one(&self, name: &str, value: impl Into<Value>) -> Result<(), String> {
+        let result = self.set(&[msg::Parameter { name: name.to_owned(), value: to_message(value.into()) }]);
+        if result.successful { Ok(()) } else { Err(result.reason) }
+    }
+
     fn set(&self, wanted: &[msg::Parameter]) -> msg::SetParametersResult {
         let changes: Result<Vec<_>, String> = wanted
             .iter()

@@ -18,15 +18,15 @@ pub(crate) struct PosedHand {
     pub(crate) vertices: Vec<Vec3>,
 }
 
-/// Returns both hands in the rest pose, half a metre before the camera, in its optical frame: palms to the camera, fingers
-/// up, the right hand on the right. Shows the field while the poses of the hands are unknown.
+/// Returns both hands in the rest pose, in a frame of their own with the axes of a camera (z to the front, x right, y down): palms
+/// to the viewer, fingers up, the right hand on the right. Shows the field while the poses of the hands are unknown.
 pub(crate) fn rest_hands(hands: &[HandModel; 2]) -> Vec<PosedHand> {
     let place = |hand: &HandModel| {
         let posed = hand.forward(&HandParams::default());
         let wrist = posed.joints[0];
         // In the rest pose the right hand's fingers point along -x and its palm faces -y; the left hand is its mirror image in x.
         let sign = if hand.side == Side::Right { 1.0 } else { -1.0 };
-        let optical = |v: Vec3| Vec3::new(sign * v.z, sign * v.x, v.y) + Vec3::new(sign * 0.12, 0.09, 0.5);
+        let optical = |v: Vec3| Vec3::new(sign * v.z, sign * v.x, v.y) + Vec3::new(sign * 0.12, 0.09, 0.0);
         PosedHand { side: hand.side, vertices: posed.vertices.iter().map(|v| optical(*v - wrist)).collect() }
     };
     hands.iter().map(place).collect()

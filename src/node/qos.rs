@@ -3,13 +3,12 @@
 use r2r::QosProfile;
 use r2r::qos::{DurabilityPolicy, ReliabilityPolicy};
 
-/// Subscription that needs only the newest message; best effort unless `reliable`.
-pub(crate) fn sensor_input(reliable: bool) -> QosProfile {
-    let reliability = if reliable { ReliabilityPolicy::Reliable } else { ReliabilityPolicy::BestEffort };
-    QosProfile { depth: 1, reliability, ..QosProfile::sensor_data() }
+/// Subscription that needs only the newest message. Best effort, so that it hears every publisher.
+pub(crate) fn newest_input() -> QosProfile {
+    QosProfile { depth: 1, reliability: ReliabilityPolicy::BestEffort, ..QosProfile::sensor_data() }
 }
 
-/// Subscription that needs every message, such as pairs to compare: reliable, with a queue for a stall of one second.
+/// Subscription that needs every message, such as pairs to compare: a queue for a stall of one second.
 pub(crate) fn every_input() -> QosProfile {
     QosProfile { depth: 50, ..QosProfile::default() }
 }

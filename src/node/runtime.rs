@@ -1,5 +1,9 @@
 //! ROS executor of a node: subscriptions, services, actions and timers, served on one thread.
 
+use std::any::{Any, TypeId};
+use std::cell::Cell;
+use std::collections::{BTreeMap, HashMap};
+use std::rc::Rc;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -11,13 +15,15 @@ use r2r::{
 };
 
 use super::clock::RosClock;
+use super::input_topics::InputTopics;
 use super::log::Log;
+use super::parameter_services::Setter;
 use super::params::Parameters;
 use super::publisher::Publisher;
+use super::qos_overrides::{Endpoint, QosOverrides};
 use super::shutdown::Shutdown;
 use super::topic_names::TopicNames;
 use super::worker_thread::WorkerThread;
-use crate::error::Result;
 use crate::message::Message;
 
 /// Longest wait for ROS in one cycle of the loop; bounds the delay of timers and of the shutdown flag.
@@ -30,11 +36,36 @@ const SPIN_TIMEOUT: Duration = Duration::from_millis(10);
 pub(crate) struct Runtime {
     node: r2r::Node,
     names: TopicNames,
-    polls: Vec<Box<dyn FnMut()>>,
+    /// Each returns false once it is not needed any longer.
+    polls: Vec<Box<dyn FnMut() -> bool>>,
+    /// Clients of services that were called; r2r keeps each until the node ends.
+    clients: HashMap<(TypeId, String), Rc<dyn Any>>,
+    inputs: InputTopics,
+    qos_overrides: QosOverrides,
+    setter: Option<Rc<Setter>>,
     timers: Vec<Timer>,
     clock: RosClock,
     log: Log,
     parameters: Arc<Parameters>,
+}
+
+/// Quality of service of a publisher on a topic.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PublisherQos {
+    /// True unless it is best effort.
+    pub(crate) reliable: bool,
+    /// True if late subscribers get its last messages.
+    pub(crate) transient_local: bool,
+}
+
+/// A subscription; lasts until [`Self::cancel`] or the end of the node.
+pub(crate) struct Subscription(Rc<Cell<bool>>);
+
+impl Subscription {
+    /// Ends the subscription.
+    pub(crate) fn cancel(self) {
+        self.0.set(false);
+    }
 }
 
 struct Timer {
@@ -51,13 +82,36 @@ impl Runtime {
         clock: RosClock,
         log: Log,
         parameters: Arc<Parameters>,
+        qos_overrides: QosOverrides,
     ) -> Self {
-        Self { node, names, polls: Vec::new(), timers: Vec::new(), clock, log, parameters }
+        Self {
+            node,
+            names,
+            polls: Vec::new(),
+            clients: HashMap::new(),
+            inputs: InputTopics::default(),
+            qos_overrides,
+            setter: None,
+            timers: Vec::new(),
+            clock,
+            log,
+            parameters,
+        }
     }
 
     /// Parameters of the node.
     pub(crate) fn parameters(&self) -> &Arc<Parameters> {
         &self.parameters
+    }
+
+    /// Keeps the setter of parameters that also publishes changes.
+    pub(crate) fn set_parameter_setter(&mut self, setter: Rc<Setter>) {
+        self.setter = Some(setter);
+    }
+
+    /// Returns the setter of parameters that also publishes changes; None before the parameter services exist.
+    pub(crate) fn parameter_setter(&self) -> Option<Rc<Setter>> {
+        self.setter.clone()
     }
 
     /// Log of the node.
@@ -70,12 +124,27 @@ impl Runtime {
         &self.clock
     }
 
-    /// Returns the node's name without namespace.
+    /// Returns the node's full name without the first slash, for instance `robot/predictor`.
     ///
     /// # Errors
     /// If the ROS node is no longer valid.
-    pub(crate) fn name(&self) -> anyhow::Result<String> {
-        Ok(self.node.name()?)
+    pub(crate) fn full_name(&self) -> anyhow::Result<String> {
+        Ok(self.node.fully_qualified_name()?.trim_start_matches('/').to_owned())
+    }
+
+    /// Inputs of the node.
+    pub(crate) fn inputs_mut(&mut self) -> &mut InputTopics {
+        &mut self.inputs
+    }
+
+    /// Returns `qos` with the overrides for a subscription to `topic`, which is a full name.
+    pub(crate) fn subscription_qos(&self, topic: &str, qos: QosProfile) -> QosProfile {
+        self.qos_overrides.apply(topic, Endpoint::Subscription, qos)
+    }
+
+    /// Returns true if an override gives the reliability of a subscription to `topic`, which is a full name.
+    pub(crate) fn overrides_reliability(&self, topic: &str) -> bool {
+        self.qos_overrides.fix_reliability(topic)
     }
 
     /// Returns the full name of a topic after remapping.
@@ -83,13 +152,26 @@ impl Runtime {
         self.names.resolve(topic)
     }
 
-    /// Returns one entry per publisher on a resolved topic: true if that publisher is reliable.
+    /// Returns one entry per publisher on a resolved topic.
     ///
     /// # Errors
     /// If ROS cannot list the publishers.
-    pub(crate) fn publishers_are_reliable(&self, topic: &str) -> anyhow::Result<Vec<bool>> {
+    pub(crate) fn publishers(&self, topic: &str) -> anyhow::Result<Vec<PublisherQos>> {
+        use r2r::qos::{DurabilityPolicy, ReliabilityPolicy};
         let publishers = self.node.get_publishers_info_by_topic(topic, false)?;
-        Ok(publishers.iter().map(|p| p.qos_profile.reliability != r2r::qos::ReliabilityPolicy::BestEffort).collect())
+        let qos = |profile: &QosProfile| PublisherQos {
+            reliable: profile.reliability != ReliabilityPolicy::BestEffort,
+            transient_local: profile.durability == DurabilityPolicy::TransientLocal,
+        };
+        Ok(publishers.iter().map(|publisher| qos(&publisher.qos_profile)).collect())
+    }
+
+    /// Returns the types of all topics, by their full names.
+    ///
+    /// # Errors
+    /// If ROS cannot list the topics.
+    pub(crate) fn topics(&self) -> anyhow::Result<BTreeMap<String, Vec<String>>> {
+        Ok(self.node.get_topic_names_and_types()?.into_iter().collect())
     }
 
     /// Creates a publisher on `topic` (relative, private or absolute; remappable).
@@ -97,6 +179,7 @@ impl Runtime {
     /// # Errors
     /// If ROS refuses the topic name or the quality of service.
     pub(crate) fn publisher<M: Message>(&mut self, topic: &str, qos: QosProfile) -> anyhow::Result<Publisher<M>> {
+        let qos = self.qos_overrides.apply(&self.names.resolve(topic), Endpoint::Publisher, qos);
         Publisher::create(&mut self.node, topic, qos)
     }
 
@@ -122,24 +205,12 @@ impl Runtime {
         topic: &str,
         qos: QosProfile,
         call: impl FnMut(Vec<u8>) + 'static,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<Subscription> {
         let stream = self.node.subscribe_raw(topic, M::TYPE, qos);
         let stream = stream.with_context(|| format!("cannot subscribe to {topic} as {}", M::TYPE))?;
-        self.poll(stream, call);
-        Ok(())
-    }
-
-    /// Subscribes to `topic` and calls `call` with each decoded message, or with the decoding error.
-    ///
-    /// # Errors
-    /// If ROS refuses the topic name or the quality of service.
-    pub(crate) fn subscribe<M: Message>(
-        &mut self,
-        topic: &str,
-        qos: QosProfile,
-        mut call: impl FnMut(Result<M>) + 'static,
-    ) -> anyhow::Result<()> {
-        self.subscribe_bytes::<M>(topic, qos, move |payload| call(M::from_cdr(&payload)))
+        let is_wanted = Rc::new(Cell::new(true));
+        self.poll(stream, Rc::clone(&is_wanted), call);
+        Ok(Subscription(is_wanted))
     }
 
     /// Offers the service `name`; `answer` runs on the spinning thread.
@@ -172,7 +243,7 @@ impl Runtime {
     ) -> anyhow::Result<()> {
         let requests = self.node.create_service::<S>(name, QosProfile::services_default());
         let requests = requests.with_context(|| format!("cannot offer the service {name}"))?;
-        self.poll(requests, take);
+        self.poll(requests, Rc::new(Cell::new(true)), take);
         Ok(())
     }
 
@@ -187,26 +258,33 @@ impl Runtime {
         timeout: Duration,
         done: impl FnOnce(Option<S::Response>) + 'static,
     ) -> anyhow::Result<()> {
-        let client = self.node.create_client::<S>(name, QosProfile::services_default());
-        let client = client.with_context(|| format!("cannot use the service {name}"))?;
+        let client = self.client::<S>(name)?;
         let mut response = Box::pin(client.request(request).with_context(|| format!("cannot call {name}"))?);
         let (mut done, deadline) = (Some(done), Instant::now() + timeout);
         self.polls.push(Box::new(move || {
-            // Capture the client: without it the response never arrives.
-            let _ = &client;
-            if done.is_none() {
-                return;
-            }
             let outcome = match response.as_mut().now_or_never() {
                 Some(response) => response.ok(),
                 None if Instant::now() > deadline => None,
-                None => return,
+                None => return true,
             };
             if let Some(done) = done.take() {
                 done(outcome);
             }
+            false
         }));
         Ok(())
+    }
+
+    /// Returns the client of a service, which is created once.
+    fn client<S: WrappedServiceTypeSupport + 'static>(&mut self, name: &str) -> anyhow::Result<Rc<r2r::Client<S>>> {
+        let key = (TypeId::of::<S>(), name.to_owned());
+        if let Some(Ok(client)) = self.clients.get(&key).map(|client| Rc::clone(client).downcast()) {
+            return Ok(client);
+        }
+        let client = self.node.create_client::<S>(name, QosProfile::services_default());
+        let client = Rc::new(client.with_context(|| format!("cannot use the service {name}"))?);
+        self.clients.insert(key, Rc::clone(&client) as Rc<dyn Any>);
+        Ok(client)
     }
 
     /// Offers the action `name`; `take` gets each goal request.
@@ -220,7 +298,7 @@ impl Runtime {
     ) -> anyhow::Result<()> {
         let requests = self.node.create_action_server::<A>(name);
         let requests = requests.with_context(|| format!("cannot offer the action {name}"))?;
-        self.poll(requests, take);
+        self.poll(requests, Rc::new(Cell::new(true)), take);
         Ok(())
     }
 
@@ -231,7 +309,18 @@ impl Runtime {
 
     /// Serves ROS until `shutdown`.
     pub(crate) fn spin(&mut self, shutdown: &Shutdown) {
+        for name in self.qos_overrides.unused() {
+            self.log.warn(format!("parameter {name} is ignored: the node has no such publisher or subscription"));
+        }
         while !shutdown.requested() {
+            self.spin_once();
+        }
+    }
+
+    /// Serves ROS for some time, also after shutdown was requested, so that last responses leave.
+    pub(crate) fn spin_for(&mut self, time: Duration) {
+        let end = Instant::now() + time;
+        while Instant::now() < end {
             self.spin_once();
         }
     }
@@ -249,9 +338,7 @@ impl Runtime {
 
     fn spin_once(&mut self) {
         self.node.spin_once(SPIN_TIMEOUT);
-        for poll in &mut self.polls {
-            poll();
-        }
+        self.polls.retain_mut(|poll| poll());
         // A timer may add subscriptions and timers, so the timers leave the runtime while they run.
         let mut timers = std::mem::take(&mut self.timers);
         for timer in &mut timers {
@@ -266,12 +353,20 @@ impl Runtime {
     }
 
     /// Passes everything that an r2r stream holds to `call` after each spin. Such a stream is a channel that only
-    /// `spin_once` fills, on this thread, so it needs no waker.
-    fn poll<T>(&mut self, mut stream: impl Stream<Item = T> + Unpin + 'static, mut call: impl FnMut(T) + 'static) {
+    /// `spin_once` fills, on this thread, so it needs no waker. Ends once `is_wanted` is false.
+    fn poll<T>(
+        &mut self,
+        mut stream: impl Stream<Item = T> + Unpin + 'static,
+        is_wanted: Rc<Cell<bool>>,
+        mut call: impl FnMut(T) + 'static,
+    ) {
         self.polls.push(Box::new(move || {
-            while let Some(Some(item)) = stream.next().now_or_never() {
+            while is_wanted.get()
+                && let Some(Some(item)) = stream.next().now_or_never()
+            {
                 call(item);
             }
+            is_wanted.get()
         }));
     }
 }

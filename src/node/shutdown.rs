@@ -2,10 +2,16 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use anyhow::Context as _;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
+
+/// Number of signals that a node takes without ending at once.
+const PATIENT_SIGNALS: u32 = 5;
+/// Time in which several signals count as one.
+const SIGNAL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Shutdown flag; clones share it. A signal, a worker that ends, or a test sets it; nothing clears it.
 #[derive(Debug, Clone, Default)]
@@ -22,17 +28,28 @@ impl Shutdown {
         self.0.load(Ordering::SeqCst)
     }
 
-    /// Requests shutdown on SIGINT and SIGTERM; a second signal ends the process at once, in case the node hangs.
+    /// Requests shutdown on SIGINT and SIGTERM. Further signals do not interrupt it, because a terminal and a launch program
+    /// each send one while a node saves its work; the sixth ends the process at once, in case the node hangs.
     ///
     /// # Errors
-    /// If the system refuses the signal handlers.
+    /// If the system refuses the signal handlers or a thread.
     pub(crate) fn request_on_signals(&self) -> anyhow::Result<()> {
+        let (arrived, must_exit) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
         for signal in [SIGINT, SIGTERM] {
-            // The handlers run in this order, so that the first signal finds the flag still unset.
-            flag::register_conditional_shutdown(signal, 1, Arc::clone(&self.0))
+            flag::register_conditional_shutdown(signal, 1, Arc::clone(&must_exit))
                 .and_then(|_| flag::register(signal, Arc::clone(&self.0)))
+                .and_then(|_| flag::register(signal, Arc::clone(&arrived)))
                 .context("cannot handle SIGINT and SIGTERM")?;
         }
+        let count = move || {
+            let mut left = PATIENT_SIGNALS;
+            while left > 0 {
+                std::thread::sleep(SIGNAL_INTERVAL);
+                left -= u32::from(arrived.swap(false, Ordering::SeqCst));
+            }
+            must_exit.store(true, Ordering::SeqCst);
+        };
+        std::thread::Builder::new().name("signals".into()).spawn(count).context("cannot count signals")?;
         Ok(())
     }
 

@@ -50,7 +50,34 @@ impl<'a> Npz<'a> {
 }
 
 /// Reads a `.npy` file of version 1 to 3. An object array with one element gives the array in it.
-fn read_npy(bytes: &[u8]) -> Outcome<Array> {
+///
+/// # Errors
+/// If it is damaged, or holds no numbers.
+pub(crate) fn read_npy(bytes: &[u8]) -> Outcome<Array> {
+    let (header, data) = npy_header(bytes)?;
+    let descr = field(header, "descr").and_then(quoted).ok_or("a .npy header without descr")?;
+    if descr.ends_with('O') {
+        return Pickle::read(data)?.root_array();
+    }
+    let fortran = field(header, "fortran_order").ok_or("a .npy header without fortran_order")?.starts_with("True");
+    let shape = field(header, "shape").and_then(numbers).ok_or("a .npy header without shape")?;
+    Array::from_bytes(data, Dtype::parse(descr)?, shape, fortran)
+}
+
+/// Returns the pickle in a `.npy` file of objects.
+///
+/// # Errors
+/// If the file holds numbers, or is damaged.
+pub(crate) fn npy_pickle(bytes: &[u8]) -> Outcome<&[u8]> {
+    let (header, data) = npy_header(bytes)?;
+    match field(header, "descr").and_then(quoted) {
+        Some(descr) if descr.ends_with('O') => Ok(data),
+        other => Err(format!("expected a .npy file of objects, got elements {}", other.unwrap_or("without a type"))),
+    }
+}
+
+/// Splits a `.npy` file into header and data.
+fn npy_header(bytes: &[u8]) -> Outcome<(&str, &[u8])> {
     let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or("no .npy magic number")?;
     let ([version, _minor], rest) = rest.split_first_chunk().ok_or("no .npy version")?;
     let (length, rest) = if *version == 1 {
@@ -61,14 +88,7 @@ fn read_npy(bytes: &[u8]) -> Outcome<Array> {
     .ok_or("no .npy header")?;
     let (header, data) = rest.split_at_checked(length).ok_or("a truncated .npy header")?;
     let header = std::str::from_utf8(header).map_err(|_| "a .npy header that is not text")?;
-
-    let descr = field(header, "descr").and_then(quoted).ok_or("a .npy header without descr")?;
-    if descr.ends_with('O') {
-        return Pickle::read(data)?.root_array();
-    }
-    let fortran = field(header, "fortran_order").ok_or("a .npy header without fortran_order")?.starts_with("True");
-    let shape = field(header, "shape").and_then(numbers).ok_or("a .npy header without shape")?;
-    Array::from_bytes(data, Dtype::parse(descr)?, shape, fortran)
+    Ok((header, data))
 }
 
 /// Returns the text after `'name':` in the header, which is a Python dictionary literal.

@@ -16,6 +16,7 @@ pub mod color;
 pub mod figure;
 pub mod font;
 mod hand;
+pub mod heat;
 #[doc(hidden)]
 pub mod plot;
 mod raster;

@@ -10,7 +10,8 @@ use std::path::Path;
 use crate::dataset::{Labelled, format::open_images};
 use crate::error::Result;
 use crate::hand::{HandModel, Topology};
-use crate::score::metrics::{self, EvalOptions};
+use crate::score::metrics::{self, EvalOptions, Metrics, baseline};
+use crate::tactile::TactileSequence;
 
 pub use page::page;
 pub use regions::{RegionRow, region_rows};
@@ -46,10 +47,19 @@ pub fn html(path: &Path, settings: &PageSettings) -> Result<String> {
     };
     let images = open_images(path, labelled.info.as_ref());
     let samples = samples(&labelled, images.as_deref(), hands.as_ref(), settings.frames)?;
-    let metrics = match &labelled.truth {
-        Some(truth) => Some(metrics::evaluate(&labelled.labels, truth, &EvalOptions::default())?),
-        None => None,
+    let scores = match &labelled.truth {
+        Some(truth) => scores(&labelled.labels, truth)?,
+        None => Vec::new(),
     };
     let rows = hands.as_ref().map(|hands| region_rows(&labelled, hands)).unwrap_or_default();
-    Ok(page(path, &labelled, &samples, &traces(&labelled, settings.episodes), &rows, metrics.as_ref()))
+    Ok(page(path, &labelled, &samples, &traces(&labelled, settings.episodes), &rows, &scores))
+}
+
+/// Scores the labels, and beside them no touch at all and the truth of the frame before.
+fn scores(labels: &TactileSequence, truth: &TactileSequence) -> Result<Vec<(&'static str, Metrics)>> {
+    let zero = baseline::zero().sequence(truth.n_frames());
+    let persistence = baseline::persistence(truth, None);
+    let fields = [("labels against truth", labels), ("zero", &zero), ("persistence", &persistence)];
+    let score = |fields: &TactileSequence| metrics::evaluate(fields, truth, &EvalOptions::default());
+    fields.into_iter().map(|(name, fields)| score(fields).map(|scores| (name, scores))).collect()
 }

@@ -30,7 +30,7 @@ pub fn page(
     samples: &[Sample],
     traces: &[Trace],
     regions: &[RegionRow],
-    metrics: Option<&Metrics>,
+    scores: &[(&'static str, Metrics)],
 ) -> String {
     let name = escaped(&path.file_name().unwrap_or_default().to_string_lossy());
     let mut html = format!(
@@ -38,8 +38,9 @@ pub fn page(
          </head><body>\n<h1>Touch in {name}</h1>\n"
     );
     html += &about(labelled);
-    if let Some(metrics) = metrics {
-        let table = escaped(&table(&[("labels against truth", metrics)]));
+    if !scores.is_empty() {
+        let columns: Vec<(&str, &Metrics)> = scores.iter().map(|(name, metrics)| (*name, metrics)).collect();
+        let table = escaped(&table(&columns));
         html += &format!("<h2 id=\"metrics\">Labels against the truth</h2>\n<pre>{table}</pre>\n");
     }
     html += &frames(samples);

@@ -25,6 +25,7 @@
 //! | [`goal`] | targets of the frame, as terms of a [`problem`] |
 //! | `search`, [`solver`] | the pose with the least cost |
 //! | `motion_limit` | speed limits, links in the way |
+//! | `live_motion` | on a live robot also acceleration limits, and a free way to brake |
 //! | [`touch`] | expected contact forces |
 //!
 //! Units are SI. Keypoints, forces and object poses are in one right-handed frame of the caller's choice; inside, a hand
@@ -38,6 +39,7 @@ pub mod goal;
 #[doc(hidden)]
 pub mod human;
 mod input;
+mod live_motion;
 mod motion_limit;
 pub mod object;
 mod output;
@@ -51,6 +53,7 @@ pub mod solver;
 pub mod touch;
 
 pub use self::input::Input;
+pub use self::live_motion::LiveOptions;
 pub use self::object::ObjectPose;
 pub use self::output::{Output, Status};
 pub use self::retargeter::{Options, Retargeter};

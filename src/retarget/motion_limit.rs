@@ -12,7 +12,7 @@ const SLIDE_SPEED_RATIO: f64 = 0.1;
 /// Poses, its end excluded, at which a path is checked for penetration.
 const PATH_STEPS: u32 = 12;
 /// Greatest penetration of links in a pose that is given out, m: below it, engine and geoms are not exact.
-const MAX_PENETRATION: f64 = 5e-4;
+pub const MAX_PENETRATION: f64 = 5e-4;
 /// Least share of a step that is taken if all of it would end in penetration; below it, the robot stays.
 const MIN_STEP_SHARE: f64 = 0.1;
 
@@ -60,6 +60,11 @@ impl MotionLimit {
             speed[coordinate] = speed[coordinate].min(share * robot.spec.limits.velocity / ratio.abs());
         }
         Self { speed, reach: vec![0.0; n], between: robot.rest.clone() }
+    }
+
+    /// Speed limit of each free coordinate, rad/s or m/s.
+    pub fn speed(&self) -> &[f64] {
+        &self.speed
     }
 
     /// True if no link penetrates another on the straight path between two poses.
@@ -124,7 +129,7 @@ impl MotionLimit {
 }
 
 /// Greatest penetration of links in a pose, m; negative = none. Leaves the robot in the pose.
-fn penetration(robot: &mut Robot, goal: &Goal, u: &[f64]) -> f64 {
+pub fn penetration(robot: &mut Robot, goal: &Goal, u: &[f64]) -> f64 {
     robot.set_pose(u);
     goal.deepest(robot)
 }

@@ -40,6 +40,14 @@ impl Status {
 pub struct Output {
     /// Position of every hinge and slide, rad or m, in the order of [`super::Robot::joint_names`].
     pub qpos: Vec<f64>,
+    /// Velocity of each of them, rad/s or m/s; empty unless the retargeter has [`super::LiveOptions`].
+    pub qvel: Vec<f64>,
+    /// Mean acceleration of each of them in the last step, rad/s^2 or m/s^2; empty unless live.
+    pub qacc: Vec<f64>,
+    /// Positions at which the robot stops if it brakes from now on, rad or m; empty unless live.
+    pub stop_qpos: Vec<f64>,
+    /// Time that this takes, s; 0 unless live.
+    pub stop_secs: f64,
     /// Commands for the drivers, in the order of [`super::robot::commands::Commands::names`].
     pub ctrl: Vec<f64>,
     /// Cost of the pose found, m^2.
@@ -50,6 +58,6 @@ pub struct Output {
     pub iterations: usize,
     /// Outcome of the frame.
     pub status: Status,
-    /// Touch that the robot should measure.
+    /// Touch that the robot should measure; if live, once it is in the pose of the last frame.
     pub expected_touch: ExpectedTouch,
 }

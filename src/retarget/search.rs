@@ -90,6 +90,11 @@ impl PoseSearch {
         }
     }
 
+    /// Replaces the best pose found by `u`.
+    pub fn start_at(&mut self, u: &[f64]) {
+        self.pose.copy_from_slice(u);
+    }
+
     /// Free coordinates of the best pose found, rad or m.
     pub fn pose(&self) -> &[f64] {
         &self.pose

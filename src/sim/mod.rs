@@ -19,6 +19,7 @@ pub mod contact;
 pub(crate) mod convex;
 pub(crate) mod driver;
 pub(crate) mod effect;
+pub(crate) mod environment;
 #[doc(hidden)]
 pub mod explain;
 pub(crate) mod frame;
@@ -51,6 +52,7 @@ pub mod verify;
 pub(crate) mod worker_process;
 
 pub use effect::{Effect, EffectSet, EffectsSpec, Observation};
+pub use environment::Environment;
 pub use frame::{ObjectPose, SimFrame};
 pub use generate::{DatasetPlan, GenerateProgress, generate};
 pub use object::mesh_faults;
@@ -60,5 +62,6 @@ pub use range::UniformRange;
 pub use record::{RecordSummary, record};
 pub use rollout::{Rollout, RolloutOptions};
 pub use scene::{EffectPlan, SHIPPED, Scene};
+pub use timeline::ChannelValues;
 pub use touchable::{Distances, Touchables};
 pub use worker_process::{WorkerCommand, generate_in_processes};

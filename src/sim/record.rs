@@ -10,14 +10,14 @@ use super::effect::Observation;
 use super::frame::SimFrame;
 use super::rollout::{Rollout, RolloutOptions};
 use super::scene::Scene;
-use crate::dataset::zarr::{ArraySpec, CAMERA_POSE, Compression, Contact, Dtype, OBJECT_POSE, Values, ZarrWriter};
+use crate::dataset::zarr::{
+    ArraySpec, CAMERA_POSE, Compression, Contact, Dtype, MANO_PROXIMITY, OBJECT_POSE, Values, ZarrWriter,
+};
 use crate::dataset::{Attributes, EpisodeWriter};
 use crate::error::Result;
 use crate::hand::Side;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
 
-/// Array (T, 1556) u8: 1 = an object's surface is within 1 cm.
-pub const PROXIMITY: &str = "data/mano_proximity";
 /// Array (T, 2, 2) f32, left hand first: relative residual of the force sum, and moment that spreading adds, N m; zero
 /// for an absent hand.
 pub const FORCE_RESIDUAL: &str = "data/force_residual";
@@ -155,7 +155,7 @@ impl ExtraArrays {
     /// Returns the specifications of the arrays.
     fn arrays(&self) -> Vec<ArraySpec> {
         let mut arrays = vec![
-            ArraySpec::new(PROXIMITY, [N_FIELD], Dtype::U8),
+            ArraySpec::new(MANO_PROXIMITY, [N_FIELD], Dtype::U8),
             ArraySpec::new(FORCE_RESIDUAL, [2, 2], Dtype::F32),
             ArraySpec::new(CAMERA_POSE, [7], Dtype::F32),
         ];
@@ -189,7 +189,7 @@ impl ExtraArrays {
             hand.as_ref().map_or([0.0; 2], |hand| [hand.sum_residual as f32, hand.moment_residual as f32])
         });
         let mut values = vec![
-            (PROXIMITY, Values::U8(frame.proximity.clone())),
+            (MANO_PROXIMITY, Values::U8(frame.proximity.clone())),
             (FORCE_RESIDUAL, Values::F32(residuals.collect())),
             (CAMERA_POSE, Values::F32(camera)),
         ];

@@ -6,14 +6,14 @@ use rand::Rng;
 use super::range::UniformRange;
 use super::scene::{Channels, PhaseSpec};
 
-/// Values of the channels at one instant.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Values of the channels at one instant: what a script gives over time, and what [`super::Environment::step`] takes.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ChannelValues {
     /// Distance of the hand from its place at the object, m.
     pub standoff: f64,
     /// Distance of sites with goals from the surface, m.
     pub opening: f64,
-    /// Share of the goal forces that is applied, 0 to 1.
+    /// Share of the goal forces that is applied: 0 to 1 in a script, any multiple in a command.
     pub squeeze: f64,
     /// Displacement of the hand in the world frame, m.
     pub shift: DVec3,
@@ -21,6 +21,46 @@ pub struct ChannelValues {
     pub twist: f64,
     /// Closure of wrapping fingers, 0 to 1.
     pub wrap: f64,
+}
+
+impl ChannelValues {
+    /// Interpolates linearly: `self` at 0, `to` at 1.
+    pub(super) fn lerp(self, to: Self, share: f64) -> Self {
+        let mix = |a: f64, b: f64| a + (b - a) * share;
+        Self {
+            standoff: mix(self.standoff, to.standoff),
+            opening: mix(self.opening, to.opening),
+            squeeze: mix(self.squeeze, to.squeeze),
+            shift: self.shift.lerp(to.shift, share),
+            twist: mix(self.twist, to.twist),
+            wrap: mix(self.wrap, to.wrap),
+        }
+    }
+
+    /// Returns true if no channel is NaN or infinite.
+    pub fn is_finite(&self) -> bool {
+        let Self { standoff, opening, squeeze, shift, twist, wrap } = self;
+        shift.is_finite() && [standoff, opening, squeeze, twist, wrap].iter().all(|value| value.is_finite())
+    }
+}
+
+/// Command to a hand: channels that change linearly over an interval and then stay.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Ramp {
+    /// Values at the start, and at the end.
+    pub from: ChannelValues,
+    pub to: ChannelValues,
+    /// Start, s.
+    pub begin: f64,
+    /// Duration, s; positive.
+    pub seconds: f64,
+}
+
+impl Ramp {
+    /// Returns the values at `time`, s.
+    pub fn at(&self, time: f64) -> ChannelValues {
+        self.from.lerp(self.to, ((time - self.begin) / self.seconds).clamp(0.0, 1.0))
+    }
 }
 
 /// Script with drawn durations and values.
@@ -86,16 +126,7 @@ impl Timeline {
         let (mut begin, mut from) = (0.0, self.start);
         for &(end, to) in &self.phases {
             if time < end {
-                let s = minimum_jerk((time - begin) / (end - begin));
-                let mix = |a: f64, b: f64| a + (b - a) * s;
-                return ChannelValues {
-                    standoff: mix(from.standoff, to.standoff),
-                    opening: mix(from.opening, to.opening),
-                    squeeze: mix(from.squeeze, to.squeeze),
-                    shift: from.shift.lerp(to.shift, s),
-                    twist: mix(from.twist, to.twist),
-                    wrap: mix(from.wrap, to.wrap),
-                };
+                return from.lerp(to, minimum_jerk((time - begin) / (end - begin)));
             }
             (begin, from) = (end, to);
         }

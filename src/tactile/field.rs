@@ -1,7 +1,7 @@
 //! The tactile field: force and contact per vertex of both hands, one of the two types that cross the middle.
 
 use crate::error::{Error, Result};
-use crate::hand::{N_FIELD, Side, Topology};
+use crate::hand::{N_FIELD, Region, Side, Topology};
 
 /// Force above which a vertex is in contact in truth, N (paper: CONTACT = F > 0.05 N).
 pub const CONTACT_FORCE_N: f32 = 0.05;
@@ -115,6 +115,21 @@ impl TactileField {
         }
         let contact = force.iter().map(|f| f32::from(*f > CONTACT_FORCE_N)).collect();
         Ok(Self { topology, force, contact })
+    }
+
+    /// Returns the total force on each region, N: the 17 of the left hand in the order of [`Region::ALL`], then those of the
+    /// right hand; NaN if a force in the region is unknown.
+    ///
+    /// `regions`: region of each vertex of the left and the right hand, (778) each, as `HandModel::regions` returns them.
+    pub fn region_forces(&self, regions: &[Vec<Region>; 2]) -> Vec<f32> {
+        let mut sums = vec![0.0f64; 2 * Region::ALL.len()];
+        for side in Side::BOTH {
+            let start = side as usize * Region::ALL.len();
+            for (force, region) in self.force[side.range()].iter().zip(&regions[side as usize]) {
+                sums[start + region.index()] += f64::from(*force);
+            }
+        }
+        sums.into_iter().map(|sum| sum as f32).collect()
     }
 
     /// Returns the total normal force on one hand, N; NaN if any force is unknown.

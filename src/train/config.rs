@@ -8,6 +8,7 @@ use super::source::TrainingSource;
 use crate::error::{Error, Result};
 use crate::file::{input, limits};
 use crate::model::{self, Precision};
+use crate::text::parse_yaml;
 
 /// Largest number of steps; some counters are 32 bits wide.
 const MAX_STEPS: usize = 1 << 30;
@@ -258,7 +259,7 @@ impl Config {
     /// If it can't be read, is not YAML, or a key is unknown, missing or of another type.
     pub fn read_unchecked(path: &Path) -> Result<Self> {
         let text = input::read_text(path, limits::TEXT)?;
-        serde_yaml::from_str(&text).map_err(|e| Error::file(path, e))
+        parse_yaml(&text).map_err(|e| Error::file(path, e))
     }
 
     /// Checks that all values are in range and that the input files exist.

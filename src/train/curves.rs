@@ -44,8 +44,8 @@ pub fn write(log: &Path, scores: &[(usize, Metrics)]) -> Result<()> {
         points: scores.iter().filter_map(|(step, report)| Some((*step as f64, of(report)?))).collect(),
     };
     let scores = [
-        score("contact F1", |r| r.pooled.f1),
-        score("AUROC", |r| r.pooled.auroc),
+        score("contact F1, frame mean", |r| r.frame_mean.f1),
+        score("AUROC, frame mean", |r| r.frame_mean.auroc),
         score("temporal Pearson", |r| r.temporal_pearson),
         score("force cosine", |r| r.force_cosine),
     ];

@@ -1,14 +1,16 @@
 //! Training data: stores with resized images, labels and masks.
 
 use std::cmp::Ordering;
+use std::collections::BTreeMap;
 use std::ops::Range;
+use std::path::Path;
 
 use rayon::prelude::*;
 
 use super::keypoints::{self, Points};
 use super::source::{Supervision, TrainingSource};
 use crate::dataset::EpisodeReader;
-use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader, read_labels};
+use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader, read_labels, read_proximity};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
 use crate::image::{Preparation, resize};
@@ -219,11 +221,14 @@ impl Dataset {
     /// Computes statistics of the supervised labels of all stores, in one pass.
     ///
     /// # Errors
-    /// If a store can't be read.
+    /// If a store can't be read, or no store of a source has a supervised entry.
     pub fn statistics(&self) -> Result<Statistics> {
         let mut active = Vec::new();
         let mut sums = [(); 4].map(|()| vec![0f64; N_FIELD]);
+        // By source, the first store, and true if any of its stores has a supervised entry.
+        let mut supervised: BTreeMap<usize, (&Path, bool)> = BTreeMap::new();
         for store in &self.stores {
+            let (_, any) = supervised.entry(store.source).or_insert((store.reader.path(), false));
             let frames = store.reader.len();
             for start in (0..frames).step_by(BLOCK) {
                 let labels = match &store.memory {
@@ -231,6 +236,7 @@ impl Dataset {
                     Some(_) => break,
                     None => &store.labels(start..(start + BLOCK).min(frames))?,
                 };
+                *any |= labels.mask_force.contains(&1) || labels.mask_contact.contains(&1);
                 for (entry, (force, mask)) in labels.force.iter().zip(&labels.mask_force).enumerate() {
                     if *mask == 1 {
                         sums[0][entry % N_FIELD] += f64::from(*force);
@@ -245,6 +251,10 @@ impl Dataset {
                     }
                 }
             }
+        }
+        if let Some((path, _)) = supervised.into_values().find(|(_, any)| !any) {
+            let expected = "expected a supervised force or contact in the source that begins with this store, got none";
+            return Err(Error::file(path, format!("{expected}; `egotac data info` tells what a store holds")));
         }
         let [force, force_count, contact, contact_count] = &sums;
         let mean = |sum: &[f64], count: &[f64]| -> Vec<f32> {
@@ -281,12 +291,16 @@ impl Store {
 
     /// Reads the labels that the source supervises.
     fn labels(&self, frames: Range<usize>) -> Result<TactileSequence> {
-        let mut labels = read_labels(&self.reader, frames)?;
-        if self.supervision == Supervision::Contact {
-            labels.force.fill(f32::NAN);
-            labels.mask_force.fill(0);
+        match self.supervision {
+            Supervision::Both => read_labels(&self.reader, frames),
+            Supervision::Contact => {
+                let mut labels = read_labels(&self.reader, frames)?;
+                labels.force.fill(f32::NAN);
+                labels.mask_force.fill(0);
+                Ok(labels)
+            }
+            Supervision::Proximity => read_proximity(&self.reader, frames),
         }
-        Ok(labels)
     }
 }
 

@@ -45,14 +45,17 @@ pub enum JobEvent<'a> {
     Waiting(usize, usize),
     /// Event of the current run, with the number of steps that earlier rounds have taken.
     Training(usize, &'a Event<'a>),
+    /// A round of a live job has ended with this checkpoint.
+    RoundEnded(&'a Path),
 }
 
-/// Runs a job until its last step or until `stop` is set; in both cases checkpoint and state are saved.
+/// Runs a job until its last step or until `stop` is set; in both cases checkpoint and state are saved. A stopped job is not
+/// validated.
 ///
 /// # Errors
 /// As [`train()`], and if recordings can't be read.
 pub fn run(job: &Job, device: &Device, stop: &AtomicBool, observe: &mut dyn FnMut(JobEvent)) -> Result<Outcome> {
-    let control = || if stop.load(Ordering::Relaxed) { Control::Stop } else { Control::Continue };
+    let control = || if stop.load(Ordering::Relaxed) { Control::StopUnvalidated } else { Control::Continue };
     let Some(live) = &job.live else {
         return train(&job.config, job.resume, device, &mut |event| {
             observe(JobEvent::Training(0, &event));
@@ -76,6 +79,7 @@ pub fn run(job: &Job, device: &Device, stop: &AtomicBool, observe: &mut dyn FnMu
         fs::remove_dir_all(&snapshot).map_err(Error::io(&snapshot))?;
         let outcome = outcome?;
         taken += outcome.steps;
+        observe(JobEvent::RoundEnded(&outcome.checkpoint));
         last = Some(outcome);
     }
     let Some(last) = last else {

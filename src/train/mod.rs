@@ -4,7 +4,6 @@
 //! weights, and so does a run that was stopped and resumed.
 
 mod augment;
-pub mod baseline;
 pub mod batch;
 mod checkpoint;
 pub mod config;
@@ -63,8 +62,10 @@ pub enum Event<'a> {
 pub enum Control {
     /// Take the next step.
     Continue,
-    /// Save and return.
+    /// Save, validate and return.
     Stop,
+    /// Save and return.
+    StopUnvalidated,
 }
 
 /// Sizes of a run, known before its first step.
@@ -144,7 +145,8 @@ pub fn train(
     let started = data.started(config, &network, first);
     let run = Run { config, geometry: &geometry, data: &data, files: &files, started: &started, device };
     let collate = data.collate(config, &geometry);
-    let mut stop = observe(Event::Started(&started)) == Control::Stop;
+    let control = observe(Event::Started(&started));
+    let (mut stop, mut may_validate) = (control != Control::Continue, control != Control::StopUnvalidated);
 
     std::thread::scope(|scope| {
         let mut loader = Loader::start(scope, &data.training, &collate, config, first * config.batch.accumulate)?;
@@ -177,24 +179,31 @@ pub fn train(
             let taken = Step { step, losses, learning_rate, grad_norm, windows, frames, secs, wait_secs };
             began = Instant::now();
             log.push(&taken)?;
-            stop = observe(Event::Stepped(&taken)) == Control::Stop;
+            let control = observe(Event::Stepped(&taken));
+            stop = control != Control::Continue;
+            may_validate = control != Control::StopUnvalidated;
+            if control == Control::Stop {
+                // Validation may take minutes. A program that is told to end may be killed before that.
+                log.sync()?;
+                run.save(&optimizer, step, validated.as_ref())?;
+            }
 
             let last = stop || step == config.steps;
-            if last || step.is_multiple_of(config.validate_every) {
+            if may_validate && (last || step.is_multiple_of(config.validate_every)) {
                 validated = run.validate(&optimizer)?.map(|metrics| (step, metrics));
                 if let Some((_, metrics)) = &validated {
                     scores.push((step, metrics.clone()));
-                    stop |= observe(Event::Validated(step, metrics)) == Control::Stop;
+                    stop |= observe(Event::Validated(step, metrics)) != Control::Continue;
                 }
             }
             if last || step.is_multiple_of(config.save_every) {
                 log.sync()?;
                 run.save(&optimizer, step, validated.as_ref())?;
-                stop |= observe(Event::Saved(step)) == Control::Stop;
+                stop |= observe(Event::Saved(step)) != Control::Continue;
             }
         }
         // The observer may have stopped the run after a step without validation.
-        if validated.as_ref().is_none_or(|(at, _)| *at != step) {
+        if may_validate && validated.as_ref().is_none_or(|(at, _)| *at != step) {
             validated = run.validate(&optimizer)?.map(|metrics| (step, metrics));
         }
         log.sync()?;

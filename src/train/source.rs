@@ -19,7 +19,7 @@ pub struct TrainingSource {
     pub labels: Supervision,
 }
 
-/// Labels that are supervised, if the store has them.
+/// Labels of a source that are supervised. The first two supervise what the store has; the third needs its array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Supervision {
@@ -28,6 +28,9 @@ pub enum Supervision {
     Both,
     /// Contact only, as if the store had no force.
     Contact,
+    /// Contact only, and by distance in place of force: a vertex within 1 cm of an object counts as touched
+    /// (`data/mano_proximity`), as in recordings that know where hands and objects are, but no force.
+    Proximity,
 }
 
 /// A source as a YAML map.
@@ -106,6 +109,8 @@ mod tests {
             TrainingSource { quota: 0.2, mirror: true, labels: Supervision::Contact, ..TrainingSource::of(stores) };
         assert_eq!(sources, [TrainingSource::path("a.zarr"), long]);
         assert_eq!(serde_yaml::to_string(&sources).unwrap(), text);
+        let near: TrainingSource = serde_yaml::from_str("{stores: [a.zarr], labels: proximity}").unwrap();
+        assert_eq!(near.labels, Supervision::Proximity);
         let error = |text: &str| serde_yaml::from_str::<TrainingSource>(text).unwrap_err().to_string();
         assert!(error("{stores: [a], quotum: 3}").contains("quotum"));
         assert!(error("3").contains("a path, or a map of stores"));

@@ -4,7 +4,11 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use crate::common::egotac;
-use egotac::tactile::N_FIELD;
+use egotac::crates::image::RgbImage;
+use egotac::dataset::zarr::{Contact, ZarrWriter};
+use egotac::dataset::{Attributes, EpisodeWriter, Frame};
+use egotac::hand::Topology;
+use egotac::tactile::{N_FIELD, TactileField, Validity};
 use safetensors::tensor::{Dtype, TensorView};
 use serde_json::Value;
 
@@ -125,7 +129,7 @@ fn eval_also_scores_hands_regions_and_another_estimator() {
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         serde_json::from_slice(&output.stdout).unwrap()
     };
-    let all = json(&["--parts", "--against", &other]);
+    let all = json(&["--by", "side,region", "--against", &other]);
     // 2.5 N on average; a tenth and a half of it are the errors.
     assert!((all["active_mae"].as_f64().unwrap() - 0.25).abs() < 1e-6);
     let difference = |name: &str| {
@@ -138,18 +142,13 @@ fn eval_also_scores_hands_regions_and_another_estimator() {
     assert!(interval.iter().all(|x| (x + 1.0).abs() < 1e-6), "all episodes are alike: {interval:?}");
     assert_eq!(difference("pooled.f1")["difference"], 0.0);
     let entries = |value: &Value| value["counts"]["active_entries"].as_u64().unwrap();
-    assert_eq!((entries(&all["parts"]["left"]), entries(&all["parts"]["right"]), entries(&all)), (12, 12, 24));
-    let regions: u64 = all["parts"]
-        .as_object()
-        .unwrap()
-        .iter()
-        .filter(|(name, _)| !["left", "right"].contains(&name.as_str()))
-        .map(|(_, part)| entries(part))
-        .sum();
+    let sides = &all["by"]["side"];
+    assert_eq!((entries(&sides["left"]), entries(&sides["right"]), entries(&all)), (12, 12, 24));
+    let regions: u64 = all["by"]["region"].as_object().unwrap().values().map(entries).sum();
     assert_eq!(regions, 24, "each vertex is in one region");
     let right = json(&["--right-hand-only"]);
     assert_eq!((entries(&right), right["counts"]["force_entries"].as_u64().unwrap()), (12, 12 * 778));
-    let table = egotac(&["eval", "--pred", &pred, "--target", &truth, "--parts", "--against", &other]).stdout;
+    let table = egotac(&["eval", "--pred", &pred, "--target", &truth, "--by", "region", "--against", &other]).stdout;
     let table = String::from_utf8(table).unwrap();
     assert!(table.contains("95 % interval") && table.contains("thumb_tip") && table.contains("3 episodes"), "{table}");
     // An estimator of right-hand contact only: force and the left hand are unknown.
@@ -174,8 +173,108 @@ fn eval_also_scores_hands_regions_and_another_estimator() {
     write(Path::new(&file("mano")), "mano", &[force(1.0)]);
     let mano = file("mano");
     let refused = |args: &[&str]| String::from_utf8(egotac(args).stderr).unwrap();
-    let error = refused(&["eval", "--pred", &mano, "--target", &mano, "--parts"]);
+    let error = refused(&["eval", "--pred", &mano, "--target", &mano, "--by", "region"]);
     assert!(error.contains("--mano-left"), "{error}");
+    let error = refused(&["eval", "--pred", &pred, "--target", &truth, "--by-scene"]);
+    assert!(error.contains("--by scene: expected truth from stores"), "{error}");
+    // What sees no image stands beside the prediction: no touch at all, and the truth of the frame before.
+    let baselines = &all["baselines"];
+    assert_eq!(
+        (&baselines["zero"]["frame_mean"]["f1"], &baselines["zero"]["temporal_pearson"]),
+        (&0.0.into(), &0.0.into())
+    );
+    // Force grows by 1 N per frame, from nothing.
+    assert!((baselines["persistence"]["active_mae"].as_f64().unwrap() - 1.0).abs() < 1e-6, "{baselines:#}");
+    assert_eq!(baselines["persistence"]["frame_mean"]["f1"], 0.75, "the first of four frames has no frame before");
+    assert!(all["persistence_secs"].is_null() && all["episodes_defined"]["temporal_pearson"] == 3);
+    let interval: Vec<f64> = serde_json::from_value(all["intervals"]["active_mae"].clone()).unwrap();
+    assert!(interval.iter().all(|x| (x - 0.25).abs() < 1e-6), "all episodes are alike: {interval:?}");
     let error = refused(&["eval", "--pred", &pred, "--target", &truth, "--against", &mano]);
     assert!(error.contains("mano") && error.contains("topology"), "{error}");
+}
+
+#[test]
+fn eval_measures_a_calibration_and_scores_by_scene_and_source() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
+    for (store, scene, peak) in [("a.zarr", "poke", 2.0), ("split.zarr", "wipe", 8.0)] {
+        write_store(Path::new(&file(store)), scene, peak);
+    }
+    // Predictions in another unit: ten times the truth.
+    let louder = |peak: f32| f32_bytes(&store_force(10.0 * peak));
+    write(Path::new(&file("pred_a")), "mano", &[("force", Dtype::F32, vec![4, N_FIELD], louder(2.0))]);
+    write(Path::new(&file("pred_split")), "mano", &[("force", Dtype::F32, vec![4, N_FIELD], louder(8.0))]);
+
+    let (store, pred, split, split_pred, out) =
+        (file("a.zarr"), file("pred_a"), file("split.zarr"), file("pred_split"), file("ranges.json"));
+    let base = ["eval", "--pred", &pred, "--target", &store, "--json"];
+    let json = |more: &[&str]| -> Value {
+        let output = egotac(&[&base[..], more].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let from = ["--calibration-from", &split, "--calibration-pred", &split_pred];
+    let measured = json(&[&from[..], &["--calibration-out", &out]].concat());
+    let ranges: Value = serde_json::from_str(&std::fs::read_to_string(&out).unwrap()).unwrap();
+    assert_eq!(ranges, serde_json::json!({"pred": {"min": 0.0, "max": 80.0}, "target": {"min": 0.0, "max": 8.0}}));
+    assert_eq!(measured["calibration"], ranges);
+    // The written file gives the same scores. Normalised traces are equal, those in newtons are not.
+    assert_eq!(json(&["--calibration", &out]), measured);
+    assert!(measured["spectral_convergence"].as_f64().unwrap() < 1e-6, "{measured:#}");
+    assert!(json(&[])["spectral_convergence"].as_f64().unwrap() > 8.0);
+
+    let refused = |more: &[&str]| String::from_utf8(egotac(&[&base[..], more].concat()).stderr).unwrap();
+    assert!(refused(&["--calibration-from", &split]).contains("give --calibration-pred"));
+    assert!(refused(&[&from[..], &["--calibration", &out]].concat()).contains("cannot be used with"));
+    assert!(refused(&["--by", "colour"]).contains("scene, source, side, region"));
+
+    let by = json(&["--by", "scene,source", "--by-scene"]);
+    let names = |by: &Value| by.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+    assert_eq!((names(&by["by"]["scene"]), names(&by["by"]["source"])), (vec!["poke".into()], vec!["a.zarr".into()]));
+    assert_eq!(by["by"]["scene"]["poke"]["counts"], by["counts"]);
+
+    // EgoPHI's protocol has other thresholds and averages, and no groups.
+    let other = json(&["--protocol", "egophi"]);
+    assert_eq!((&other["protocol"], &other["hands"], &other["f1"]), (&"egophi".into(), &3.into(), &1.0.into()));
+    // Nine times the true force, (1, 2 and 1 N on one vertex); nothing else is touched.
+    assert!((other["masked_mae"].as_f64().unwrap() - 9.0 * 4.0 / 3.0).abs() < 1e-6, "{other:#}");
+    assert!((other["volumetric_iou"].as_f64().unwrap() - 0.1).abs() < 1e-6);
+    assert_eq!(other["baselines"]["zero"]["recall"], 0.0);
+    assert!(refused(&["--protocol", "egophi", "--by-scene"]).contains("without --by"));
+}
+
+/// Four frames in which the force on one vertex rises to `peak` and falls: 0, half, all, half.
+fn store_force(peak: f32) -> Vec<f32> {
+    let at = |frame: usize| [0.0, 0.5, 1.0, 0.5][frame] * peak;
+    (0..4 * N_FIELD).map(|i| if i % N_FIELD == 900 { at(i / N_FIELD) } else { 0.0 }).collect()
+}
+
+/// Writes a store of one episode with that force.
+fn write_store(path: &Path, scene: &str, peak: f32) {
+    let attributes = Attributes {
+        topology: Topology::Mano,
+        sigma: 0.0,
+        contact_force: 0.05,
+        producer: "test".into(),
+        version: "1".into(),
+        scene: scene.into(),
+        seed: 0,
+    };
+    let mut writer = ZarrWriter::create(path, attributes, Contact::Truth, Vec::new()).unwrap();
+    for (at, force) in store_force(peak).chunks(N_FIELD).enumerate() {
+        writer
+            .push(Frame {
+                timestamp: 0.04 * at as f64,
+                camera_ego_rgb: RgbImage::new(8, 8),
+                field: TactileField::from_force(Topology::Mano, force.to_vec()).unwrap(),
+                force_valid: vec![1; N_FIELD],
+                contact_valid: vec![1; N_FIELD],
+                validity: Validity::Valid,
+                left_hand_pose: None,
+                right_hand_pose: None,
+            })
+            .unwrap();
+    }
+    writer.end_episode().unwrap();
+    writer.finish().unwrap();
 }

@@ -1,10 +1,17 @@
 //! Helpers shared by several test files; each file uses a part of them.
 #![allow(dead_code)]
 
+pub mod store;
+
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use candle_core::Tensor;
+use egotac::hand::Topology;
+use egotac::tactile::TactileField;
+use image::{Rgb, RgbImage};
 
 /// Runs `egotac` with these arguments.
 pub fn egotac(arguments: &[&str]) -> Output {
@@ -50,4 +57,58 @@ pub fn relative_error(got: &Tensor, want: &Tensor) -> f64 {
         values.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt()
     };
     norm(&(got - want).unwrap()) / norm(want)
+}
+
+/// Largest memory of a command, kB: 1 GB beyond what it needs for its work.
+pub const MEMORY_KB: u64 = 1_300_000;
+/// Time after which a command counts as hung; no measure of its speed.
+const HUNG: Duration = Duration::from_secs(120);
+
+/// Result of a command: status (None = killed by a signal), both outputs, and its largest memory, kB.
+pub struct Ran {
+    pub status: Option<i32>,
+    pub text: String,
+    pub memory_kb: u64,
+}
+
+/// Runs `egotac` and measures its memory.
+pub fn measured(arguments: &[&str]) -> Ran {
+    let folder = tempfile::tempdir().unwrap();
+    let to = folder.path().join("text");
+    let out = File::create(&to).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_egotac"));
+    command.args(arguments).stdin(Stdio::null()).stdout(out.try_clone().unwrap()).stderr(out);
+    let mut child = command.spawn().unwrap();
+    let (started, mut memory_kb) = (Instant::now(), 0);
+    let status = loop {
+        let status = fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
+        let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        memory_kb = memory_kb.max(peak.map_or(0, |kb| kb.trim().trim_end_matches(" kB").parse().unwrap()));
+        if let Some(status) = child.try_wait().unwrap() {
+            break status.code();
+        }
+        if started.elapsed() > HUNG || memory_kb > 4 * MEMORY_KB {
+            child.kill().unwrap();
+            child.wait().unwrap();
+            break None;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    };
+    Ran { status, text: fs::read_to_string(&to).unwrap(), memory_kb }
+}
+
+/// Checks that a command fails by itself, names `word` and stays small.
+pub fn refused_small(arguments: &[&str], word: &str) {
+    let Ran { status, text, memory_kb } = measured(arguments);
+    assert!(matches!(status, Some(1 | 3)), "{arguments:?}: {status:?} {text}");
+    assert!(text.contains(word) && !text.contains("panicked"), "{word} is not in: {text}");
+    assert!(memory_kb < MEMORY_KB, "{arguments:?}: {memory_kb} kB");
+}
+
+/// Writes an intact store of four frames.
+pub fn small_store(path: &Path) {
+    store::write_plain_store(path, &[4], 0.04, |index| {
+        let image = RgbImage::from_fn(60, 40, |x, y| Rgb([10 * index as u8 + x as u8, y as u8, 200 - x as u8]));
+        (image, TactileField::zeros(Topology::EgotacHand1))
+    });
 }

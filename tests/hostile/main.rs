@@ -5,4 +5,5 @@ mod common;
 
 mod pytorch_file;
 mod recordings;
+mod stores;
 mod weights;

@@ -4,219 +4,12 @@ use std::fs::{self, File};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
 
-use egotac::dataset::zarr::{ArraySpec, Compression, Contact, ZarrReader, ZarrWriter};
-use egotac::dataset::{Attributes, EpisodeWriter, Frame};
-use egotac::hand::Topology;
-use egotac::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
-use egotac::tactile::{N_FIELD, TactileField, Validity};
-use egotac::train::data::Dataset;
-use flate2::write::{GzEncoder, ZlibEncoder};
-use image::{Rgb, RgbImage};
-use serde_json::{Value, json};
-
-/// Largest memory of a command, kB: 1 GB beyond what it needs for its work.
-const MEMORY_KB: u64 = 1_300_000;
-/// Time after which a command counts as hung; no measure of its speed.
-const HUNG: Duration = Duration::from_secs(120);
-
-/// Result of a command: status (None = killed by a signal), both outputs, and its largest memory, kB.
-struct Ran {
-    status: Option<i32>,
-    text: String,
-    memory_kb: u64,
-}
-
-fn run(arguments: &[&str]) -> Ran {
-    let folder = tempfile::tempdir().unwrap();
-    let to = folder.path().join("text");
-    let out = File::create(&to).unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_egotac"));
-    command.args(arguments).stdin(Stdio::null()).stdout(out.try_clone().unwrap()).stderr(out);
-    let mut child = command.spawn().unwrap();
-    let (started, mut memory_kb) = (Instant::now(), 0);
-    let status = loop {
-        let status = fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
-        let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-        memory_kb = memory_kb.max(peak.map_or(0, |kb| kb.trim().trim_end_matches(" kB").parse().unwrap()));
-        if let Some(status) = child.try_wait().unwrap() {
-            break status.code();
-        }
-        if started.elapsed() > HUNG || memory_kb > 4 * MEMORY_KB {
-            child.kill().unwrap();
-            child.wait().unwrap();
-            break None;
-        }
-        std::thread::sleep(Duration::from_millis(2));
-    };
-    Ran { status, text: fs::read_to_string(&to).unwrap(), memory_kb }
-}
-
-/// Checks that a command fails by itself, names `word` and stays small.
-fn refused(arguments: &[&str], word: &str) {
-    let Ran { status, text, memory_kb } = run(arguments);
-    assert!(matches!(status, Some(1 | 3)), "{arguments:?}: {status:?} {text}");
-    assert!(text.contains(word) && !text.contains("panicked"), "{word} is not in: {text}");
-    assert!(memory_kb < MEMORY_KB, "{arguments:?}: {memory_kb} kB");
-}
-
-/// Writes an intact store of four frames.
-fn store(path: &Path) {
-    let attributes: Attributes = serde_json::from_value(json!({ "topology": Topology::EgotacHand1 })).unwrap();
-    let writer = ZarrWriter::create(path, attributes, Contact::Truth, Vec::<ArraySpec>::new()).unwrap();
-    let mut writer = writer.with_compression(Compression::None);
-    for index in 0..4u8 {
-        let frame = Frame {
-            timestamp: 0.04 * f64::from(index + 1),
-            camera_ego_rgb: RgbImage::from_fn(60, 40, |x, y| Rgb([10 * index + x as u8, y as u8, 200 - x as u8])),
-            field: TactileField::zeros(Topology::EgotacHand1),
-            force_valid: vec![1; N_FIELD],
-            contact_valid: vec![1; N_FIELD],
-            validity: Validity::Valid,
-            left_hand_pose: None,
-            right_hand_pose: None,
-        };
-        writer.push(frame).unwrap();
-    }
-    writer.end_episode().unwrap();
-    writer.finish().unwrap();
-}
-
-fn edit(store: &Path, array: &str, change: impl FnOnce(&mut Value)) {
-    let file = store.join(array).join(".zarray");
-    let mut metadata: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
-    change(&mut metadata);
-    fs::write(file, metadata.to_string()).unwrap();
-}
-
-#[test]
-fn shapes_without_chunks_behind_them_are_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.zarr");
-    let name = path.to_str().unwrap();
-    let fresh = || {
-        let _ = fs::remove_dir_all(&path);
-        store(&path);
-    };
-    for power in [28, 34, 40, 62] {
-        for chunk in [1u64 << power, 1] {
-            fresh();
-            fs::remove_file(path.join("meta/episode_ends/0")).unwrap();
-            edit(&path, "meta/episode_ends", |array| {
-                (array["shape"], array["chunks"]) = (json!([1u64 << power]), json!([chunk]))
-            });
-            refused(&["data", "info", name], "meta/episode_ends");
-        }
-    }
-    for side in [1u64 << 15, 1 << 20, 1 << 31, 1 << 62] {
-        fresh();
-        let _ = fs::remove_file(path.join("data/camera_ego_rgb/0.0.0.0"));
-        edit(&path, "data/camera_ego_rgb", |array| {
-            (array["shape"], array["chunks"]) = (json!([4, side, side, 3]), json!([4, side, side, 3]));
-        });
-        refused(&["data", "info", name], "image size");
-    }
-    // All arrays agree on a number of frames, of which no image exists.
-    fresh();
-    let frames = 1u64 << 23;
-    for entry in fs::read_dir(path.join("data")).unwrap() {
-        let entry = entry.unwrap();
-        if !entry.path().is_dir() {
-            continue;
-        }
-        let array = format!("data/{}", entry.file_name().to_str().unwrap());
-        edit(&path, &array, |array| array["shape"][0] = json!(frames));
-    }
-    fs::write(path.join("meta/episode_ends/0"), frames.to_le_bytes()).unwrap();
-    refused(&["data", "info", name], "camera_ego_rgb: expected 8388608 images");
-}
-
-#[test]
-fn chunks_that_decompress_to_more_than_their_shape_are_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.zarr");
-    store(&path);
-    let chunk = path.join("data/timestamps/0");
-    let zeros = |to: &mut dyn Write| std::io::copy(&mut std::io::repeat(0).take(1 << 30), to).unwrap();
-    let mut blosc = vec![2, 1, 0x33, 8];
-    [1u32 << 30, 1 << 18, 1 << 10].iter().for_each(|size| blosc.extend_from_slice(&size.to_le_bytes()));
-    blosc.resize(1 << 10, 0);
-    for id in ["gzip", "zlib", "zstd", "blosc"] {
-        let bytes = match id {
-            "gzip" => {
-                let mut encoder = GzEncoder::new(Vec::new(), flate2::Compression::fast());
-                zeros(&mut encoder);
-                encoder.finish().unwrap()
-            }
-            "zlib" => {
-                let mut encoder = ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
-                zeros(&mut encoder);
-                encoder.finish().unwrap()
-            }
-            "zstd" => {
-                let mut encoder = zstd::Encoder::new(Vec::new(), 1).unwrap();
-                zeros(&mut encoder);
-                encoder.finish().unwrap()
-            }
-            _ => blosc.clone(),
-        };
-        fs::write(&chunk, bytes).unwrap();
-        let compressor = match id {
-            "blosc" => json!({ "id": id, "cname": "lz4", "clevel": 1, "shuffle": 0, "blocksize": 0 }),
-            _ => json!({ "id": id, "level": 1 }),
-        };
-        edit(&path, "data/timestamps", |array| array["compressor"] = compressor);
-        refused(&["data", "info", path.to_str().unwrap()], "data/timestamps");
-    }
-}
-
-#[test]
-fn training_reads_planar_images_as_every_other_command_does() {
-    let folder = tempfile::tempdir().unwrap();
-    let [rows, planes] = ["rows.zarr", "planes.zarr"].map(|name| folder.path().join(name));
-    store(&rows);
-    store(&planes);
-    // The images as (T, 3, H, W).
-    let chunk = planes.join("data/camera_ego_rgb/0.0.0.0");
-    let pixels = fs::read(&chunk).unwrap();
-    let size = 60 * 40;
-    let frames = pixels.chunks_exact(3 * size);
-    let planar = frames.flat_map(|frame| (0..3).flat_map(move |c| (0..size).map(move |i| frame[3 * i + c])));
-    fs::write(&chunk, planar.collect::<Vec<u8>>()).unwrap();
-    edit(&planes, "data/camera_ego_rgb", |array| {
-        (array["shape"], array["chunks"]) = (json!([4, 3, 40, 60]), json!([4, 3, 40, 60]));
-    });
-    let preparation = Preparation {
-        side: 32,
-        resize: Resize::Crop,
-        filter: Filter::Triangle,
-        mean: IMAGENET_MEAN,
-        std: IMAGENET_STD,
-    };
-    let [a, b] = [&rows, &planes].map(|path| {
-        let reader = ZarrReader::open(path).unwrap();
-        let images: Vec<RgbImage> = (0..4).map(|frame| reader.image(frame).unwrap()).collect();
-        assert_eq!(reader.images(1..3).unwrap(), images[1..3]);
-        let seen = |in_memory| {
-            let reader = ZarrReader::open(path).unwrap();
-            let data = Dataset::new(vec![reader], preparation.clone(), in_memory).unwrap();
-            data.read(0, 0..4, false).unwrap().images
-        };
-        assert_eq!(seen(false), seen(true));
-        (images, seen(false))
-    });
-    assert_eq!(a, b);
-    assert_eq!(a.0[2].get_pixel(5, 7), &Rgb([25, 7, 195]));
-    // `predict` (and `eval --checkpoint`, which calls it).
-    let fields = [&rows, &planes].map(|path| {
-        let out = path.with_extension("safetensors");
-        let done = run(&["predict", "--data", path.to_str().unwrap(), "--out", out.to_str().unwrap()]);
-        assert_eq!(done.status, Some(0), "{}", done.text);
-        fs::read(out).unwrap()
-    });
-    assert_eq!(fields[0], fields[1]);
-}
+use crate::common::{MEMORY_KB, Ran, measured, refused_small, small_store};
+use egotac::message::{self, Message};
+use egotac::tactile::N_FIELD;
+use image::RgbImage;
+use serde_json::Value;
 
 /// Writes an MCAP file of one chunk that states `wanted` bytes.
 fn chunk_file(path: &Path, compression: &str, wanted: u64, data: &[u8]) {
@@ -254,7 +47,7 @@ fn bags_whose_chunks_or_records_are_bombs_take_little_memory() {
             let path = folder.path().join("a.mcap");
             chunk_file(&path, compression, wanted, data);
             let out = folder.path().join("out");
-            refused(&["label", path.to_str().unwrap(), "--out", out.to_str().unwrap()], "sensor_msgs/msg/Image");
+            refused_small(&["label", path.to_str().unwrap(), "--out", out.to_str().unwrap()], "sensor_msgs/msg/Image");
         }
     }
     // One record of 3 GB, nearly all of it a hole.
@@ -264,8 +57,33 @@ fn bags_whose_chunks_or_records_are_bombs_take_little_memory() {
     file.write_all(&[12]).unwrap();
     file.write_all(&(3 * GIB).to_le_bytes()).unwrap();
     file.set_len(8 + 9 + 3 * GIB).unwrap();
-    let done = run(&["data", "info", path.to_str().unwrap()]);
+    let done = measured(&["data", "info", path.to_str().unwrap()]);
     assert!(done.status.is_some() && done.memory_kb < MEMORY_KB, "{} {} kB", done.text, done.memory_kb);
+}
+
+#[test]
+fn images_of_a_chunk_are_decoded_one_by_one() {
+    const IMAGES: u32 = 76;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mcap");
+    let options = mcap::WriteOptions::new().profile("ros2").chunk_size(Some(1 << 30));
+    let mut writer = options.create(File::create(&path).unwrap()).unwrap();
+    let schema = writer.add_schema(message::Image::TYPE, "ros2msg", message::Image::schema().as_bytes()).unwrap();
+    let channel_id = writer.add_channel(schema, "/image", "cdr", &Default::default()).unwrap();
+    for sequence in 0..IMAGES {
+        let stamp = message::Time { sec: 1, nanosec: 1000 * sequence };
+        let header = message::Header { stamp, frame_id: String::new() };
+        let payload = message::Image::from_rgb(header, &RgbImage::new(1024, 1024)).to_cdr();
+        let time = u64::from(sequence);
+        let header = mcap::records::MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
+        writer.write_to_known_channel(&header, &payload).unwrap();
+    }
+    writer.finish().unwrap();
+    let out = folder.path().join("out");
+    let Ran { status, text, memory_kb } = measured(&["label", path.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    assert!(status == Some(0) && text.contains("76 of 76 images labelled"), "{text}");
+    // The chunk has 239 MB, and so would all its images together.
+    assert!(memory_kb < 420_000, "{memory_kb} kB");
 }
 
 #[test]
@@ -294,7 +112,7 @@ fn a_cell_that_decompresses_to_much_more_is_refused() {
     writer.close().unwrap();
     let out = folder.path().join("out");
     let [input, out] = [&data, &out].map(|path| path.to_str().unwrap());
-    refused(&["label", input, "--camera", &camera, "--out", out], "EGOTAC_LIMIT_CHUNK_BYTES");
+    refused_small(&["label", input, "--camera", &camera, "--out", out], "EGOTAC_LIMIT_CHUNK_BYTES");
 }
 
 /// Copies a LeRobot data set of the tests.
@@ -318,7 +136,7 @@ fn names_in_a_data_set_lead_to_no_other_file() {
     // An output of its own for each: labels of a data set before it changed would be refused for that.
     let mut outs = (0..).map(|index| folder.path().join(format!("out{index}")).to_str().unwrap().to_owned());
     let mut label_refused = |input: &Path, word: &str| {
-        refused(&["label", input.to_str().unwrap(), "--out", &outs.next().unwrap()], word);
+        refused_small(&["label", input.to_str().unwrap(), "--out", &outs.next().unwrap()], word);
     };
     for (key, name) in [
         ("video_path", "../secret.mp4"),
@@ -364,12 +182,12 @@ fn pipes_and_devices_are_refused_at_once() {
     };
     for special in [&pipe as &dyn Fn(&Path), &zero] {
         let _ = fs::remove_dir_all(&path);
-        store(&path);
+        small_store(&path);
         special(&path.join("data/camera_ego_rgb/0.0.0.0"));
-        refused(&["predict", "--data", path.to_str().unwrap(), "--out", out.to_str().unwrap()], "0.0.0.0");
+        refused_small(&["predict", "--data", path.to_str().unwrap(), "--out", out.to_str().unwrap()], "0.0.0.0");
         let data = copied("image", folder.path());
         special(&data.join("data/chunk-000/file-000.parquet"));
-        refused(
+        refused_small(
             &[
                 "label",
                 data.to_str().unwrap(),
@@ -384,8 +202,8 @@ fn pipes_and_devices_are_refused_at_once() {
         for name in ["a.mp4", "a.mcap", "a.safetensors"] {
             let file = folder.path().join(name);
             special(&file);
-            refused(&["report", file.to_str().unwrap(), "--out", out.to_str().unwrap()], name);
-            refused(&["data", "info", file.to_str().unwrap()], name);
+            refused_small(&["report", file.to_str().unwrap(), "--out", out.to_str().unwrap()], name);
+            refused_small(&["data", "info", file.to_str().unwrap()], name);
             fs::remove_file(&file).unwrap();
         }
     }
@@ -402,7 +220,7 @@ fn a_report_on_more_frames_than_there_are_is_refused() {
     let [force, ends] =
         [tensor(safetensors::Dtype::F32, &[3, N_FIELD], &field[..]), tensor(safetensors::Dtype::I64, &[1], &ends)];
     fs::write(&path, safetensors::serialize([("force", force), ("episode_ends", ends)], None).unwrap()).unwrap();
-    refused(
+    refused_small(
         &["report", path.to_str().unwrap(), "--out", folder.path().join("a.html").to_str().unwrap()],
         "episode_ends",
     );
@@ -417,26 +235,4 @@ fn output_to_a_full_disk_is_an_error() {
     let text = String::from_utf8(done.stderr).unwrap();
     assert_eq!(done.status.code(), Some(1), "{text}");
     assert!(text.starts_with("egotac: standard output: No space left on device"), "{text}");
-}
-
-#[test]
-fn a_deflated_zip_store_reads_as_a_stored_one() {
-    let folder = tempfile::tempdir().unwrap();
-    let deflated = folder.path().join("task.zarr.zip");
-    let stored = Path::new("tests/data/oxt/task.zarr.zip");
-    let mut from = zip::ZipArchive::new(File::open(stored).unwrap()).unwrap();
-    let mut to = zip::ZipWriter::new(File::create(&deflated).unwrap());
-    for index in 0..from.len() {
-        let mut entry = from.by_index(index).unwrap();
-        if entry.is_dir() {
-            continue;
-        }
-        let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Deflated);
-        to.start_file(entry.name().unwrap().to_string(), options).unwrap();
-        std::io::copy(&mut entry, &mut to).unwrap();
-    }
-    to.finish().unwrap();
-    let [a, b] = [stored, &deflated].map(|path| ZarrReader::open(path).unwrap());
-    assert_eq!(a.arrays(), b.arrays());
-    assert_eq!(a.images(0..a.len()).unwrap(), b.images(0..b.len()).unwrap());
 }

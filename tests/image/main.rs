@@ -1,4 +1,5 @@
 //! Decoding and preparation of images.
 
+mod opencv;
 mod prepare;
 mod raw;

@@ -16,15 +16,22 @@ fn yuv(p: Rgb<u8>) -> [u8; 3] {
 fn encode(image: &RgbImage, encoding: &str, padding: usize) -> (Vec<u8>, u32) {
     let (width, height) = image.dimensions();
     let at = |x: u32, y: u32| *image.get_pixel(x, y);
+    // A value of 8 bits is 257 times itself in 16.
+    let wide = |value: u8| (u16::from(value) * 257).to_le_bytes();
     let row = |y: u32| -> Vec<u8> {
         let pixels = (0..width).map(|x| at(x, y));
         let pairs = (0..width / 2).map(|x| yuv(at(2 * x, y)));
         match encoding {
             "rgb8" => pixels.flat_map(|p| p.0).collect(),
-            "bgr8" => pixels.flat_map(|Rgb([r, g, b])| [b, g, r]).collect(),
+            "bgr8" | "8UC3" => pixels.flat_map(|Rgb([r, g, b])| [b, g, r]).collect(),
             "rgba8" => pixels.flat_map(|Rgb([r, g, b])| [r, g, b, 7]).collect(),
             "bgra8" => pixels.flat_map(|Rgb([r, g, b])| [b, g, r, 7]).collect(),
-            "mono8" => pixels.map(|p| p.0[0]).collect(),
+            "mono8" | "8UC1" => pixels.map(|p| p.0[0]).collect(),
+            "rgb16" => pixels.flat_map(|p| p.0).flat_map(wide).collect(),
+            "bgr16" | "16UC3" => pixels.flat_map(|Rgb([r, g, b])| [b, g, r]).flat_map(wide).collect(),
+            "rgba16" => pixels.flat_map(|Rgb([r, g, b])| [r, g, b, 9]).flat_map(wide).collect(),
+            "bgra16" => pixels.flat_map(|Rgb([r, g, b])| [b, g, r, 9]).flat_map(wide).collect(),
+            "mono16" | "16UC1" => pixels.map(|p| p.0[0]).flat_map(wide).collect(),
             "yuyv" | "yuv422_yuy2" => pairs.flat_map(|[y, u, v]| [y, u, y, v]).collect(),
             "uyvy" | "yuv422" => pairs.flat_map(|[y, u, v]| [u, y, v, y]).collect(),
             _ => pixels.map(|p| yuv(p)[0]).collect(),
@@ -35,11 +42,18 @@ fn encode(image: &RgbImage, encoding: &str, padding: usize) -> (Vec<u8>, u32) {
         pairs.flat_map(|[_, u, v]| if encoding == "nv12" { [u, v] } else { [v, u] }).collect()
     };
     let mut rows: Vec<Vec<u8>> = (0..height).map(row).collect();
-    if encoding.starts_with("nv") {
+    if encoding == "nv12" || encoding == "nv21" {
         rows.extend((0..height / 2).map(chroma));
     }
     rows.iter_mut().for_each(|row| row.extend(std::iter::repeat_n(0xAA, padding)));
     let step = rows[0].len() as u32;
+    if encoding == "nv24" {
+        // Chroma at full size: twice as many bytes per row.
+        rows.extend((0..height).map(|y| {
+            let pixels = (0..width).map(|x| yuv(at(x, y))).flat_map(|[_, u, v]| [u, v]);
+            pixels.chain(std::iter::repeat_n(0xAA, 2 * padding)).collect()
+        }));
+    }
     (rows.concat(), step)
 }
 
@@ -52,13 +66,14 @@ proptest! {
             Rgb(colours[(x / 2 + 8 * (y / 2)) as usize])
         });
         let (width, height) = image.dimensions();
-        for encoding in ENCODINGS {
+        // OpenCV checks Bayer patterns, in `opencv.rs`.
+        for encoding in ENCODINGS.into_iter().filter(|encoding| !egotac::image::is_bayer(encoding)) {
             let (data, step) = encode(&image, encoding, padding);
             let rgb = RawImage { width, height, encoding, step, data: &data }.to_rgb().unwrap();
             for (got, want) in rgb.pixels().zip(image.pixels()) {
                 let (want, tolerance) = match encoding {
-                    "rgb8" | "bgr8" | "rgba8" | "bgra8" => (*want, 0),
-                    "mono8" => (Rgb([want.0[0]; 3]), 0),
+                    "mono8" | "mono16" | "8UC1" | "16UC1" => (Rgb([want.0[0]; 3]), 0),
+                    _ if encoding.contains("rgb") || encoding.contains("bgr") || encoding.contains("UC3") => (*want, 0),
                     // Eight-bit chroma steps are worth up to two steps of blue, plus rounding.
                     _ => (*want, 3),
                 };
@@ -76,7 +91,11 @@ proptest! {
         let data = vec![1; size];
         if let Ok(rgb) = (RawImage { width, height, encoding, step, data: &data }).to_rgb() {
             prop_assert_eq!(rgb.dimensions(), (width, height));
-            let rows = if encoding.starts_with("nv") { height * 3 / 2 } else { height };
+            let rows = match encoding {
+                "nv12" | "nv21" => height * 3 / 2,
+                "nv24" => height * 3,
+                _ => height,
+            };
             prop_assert_eq!(size, (rows * step) as usize);
         }
     }
@@ -89,8 +108,10 @@ fn errors_name_the_wrong_field() {
         RawImage { width, height, encoding, step, data: &data }.to_rgb().unwrap_err().to_string()
     };
     for (error, parts) in [
-        (image(2, 2, "bayer_rggb8", 2, 4), ["bayer_rggb8", "rgb8, bgr8"]),
-        (image(2, 2, "16UC1", 4, 8), ["16UC1", "known"]),
+        (image(2, 2, "32FC1", 8, 16), ["32FC1", "rgb8, bgr8"]),
+        (image(2, 2, "64FC1", 16, 32), ["64FC1", "known"]),
+        (image(2, 3, "bayer_rggb8", 2, 6), ["image width", "at least 3"]),
+        (image(2, 2, "mono16", 3, 6), ["image step", "at least 4 bytes"]),
         (image(2, 2, "rgb8", 5, 10), ["image step", "at least 6 bytes"]),
         (image(2, 2, "rgb8", 8, 15), ["image data", "15 bytes"]),
         (image(3, 2, "yuyv", 6, 12), ["image width", "even"]),

@@ -7,12 +7,12 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use crate::common::egotac;
+use crate::common::store::write_plain_store;
 use egotac::TactileField;
-use egotac::dataset::zarr::{Compression, Contact, ZarrReader, ZarrWriter};
-use egotac::dataset::{Attributes, EpisodeReader, EpisodeWriter, Frame};
+use egotac::dataset::EpisodeReader;
+use egotac::dataset::zarr::ZarrReader;
 use egotac::hand::Topology;
 use egotac::message::{CompressedImage, Header, Message, TactileFrame, Time};
-use egotac::tactile::{N_FIELD, Validity};
 use image::{ImageFormat, Rgb, RgbImage};
 use mcap::records::MessageHeader;
 use mcap::{MessageStream, WriteOptions};
@@ -51,27 +51,8 @@ fn images(folder: &Path, n: u32, shade: u8) {
 
 /// Writes a store of two episodes of four images.
 fn store(path: &Path, shade: u8) {
-    let attributes: Attributes = serde_json::from_value(serde_json::json!({ "topology": "egotac-hand-1" })).unwrap();
-    let mut writer = ZarrWriter::create(path, attributes, Contact::Truth, Vec::new()).unwrap();
-    // Chunks without compression have the same size whatever the pixels are.
-    writer = writer.with_compression(Compression::None);
-    for index in 0..8 {
-        let frame = Frame {
-            timestamp: 0.1 * f64::from(index),
-            camera_ego_rgb: picture(index, shade),
-            field: TactileField::zeros(Topology::EgotacHand1),
-            force_valid: vec![1; N_FIELD],
-            contact_valid: vec![1; N_FIELD],
-            validity: Validity::Valid,
-            left_hand_pose: None,
-            right_hand_pose: None,
-        };
-        writer.push(frame).unwrap();
-        if index % 4 == 3 {
-            writer.end_episode().unwrap();
-        }
-    }
-    writer.finish().unwrap();
+    let touch = || TactileField::zeros(Topology::EgotacHand1);
+    write_plain_store(path, &[4, 4], 0.1, |index| (picture(index as u32, shade), touch()));
 }
 
 /// Copies a folder as `cp -r`, so that the files get new times.

@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::sync::Arc;
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::{Float32Type, Float64Type, Int64Type};
-use arrow_array::{Array, RecordBatch};
+use arrow_array::{Array, Int64Array, RecordBatch};
 use egotac::TactileField;
 use egotac::dataset::lerobot::reader;
 use egotac::dataset::video::VideoFrames;
@@ -17,6 +18,7 @@ use egotac::model::predictor::{Options, Predictor};
 use egotac::model::shipped;
 use egotac::tactile::N_FIELD;
 use image::RgbImage;
+use parquet::arrow::ArrowWriter;
 use serde_json::Value;
 
 const DATA: &str = "tests/data/lerobot";
@@ -216,4 +218,40 @@ fn other_versions_are_refused_with_advice() {
     let output = label(&input, &folder.path().join("out"), &[]);
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.code() == Some(1) && error.contains("convert_dataset_v21_to_v30"), "{error}");
+}
+
+/// Writes the table again with other numbers in a column.
+fn change(root: &Path, file: &str, column: &str, numbers: Vec<i64>) {
+    let old = table(root, file);
+    let place = old.schema().index_of(column).unwrap();
+    let mut columns = old.columns().to_vec();
+    columns[place] = Arc::new(Int64Array::from(numbers));
+    let new = RecordBatch::try_new(old.schema(), columns).unwrap();
+    let mut writer = ArrowWriter::try_new(fs::File::create(root.join(file)).unwrap(), old.schema(), None).unwrap();
+    writer.write(&new).unwrap();
+    writer.close().unwrap();
+}
+
+#[test]
+fn rows_at_other_places_than_the_episodes_say_get_no_labels() {
+    let folder = tempfile::tempdir().unwrap();
+    let camera = ["--camera", "observation.images.head"];
+    let alternating = (0..12).map(|row| row % 2).collect();
+    let swapped = (0..12).map(|row| i64::from(row < 5)).collect();
+    for (name, file, column, numbers, words) in [
+        ("alternating", ROWS, "episode_index", alternating, "lacks 6 of the rows"),
+        ("swapped", ROWS, "episode_index", swapped, "starts at row 7"),
+        ("overlapping", EPISODES, "dataset_from_index", vec![0, 4], "starts at row 4"),
+        ("longer", EPISODES, "length", vec![8, 5], "lacks 1 of the rows"),
+        ("shorter", EPISODES, "length", vec![6, 5], "more rows than meta/episodes says"),
+        ("twice", EPISODES, "episode_index", vec![1, 1], "got episode 1 twice"),
+    ] {
+        let (input, out) = (folder.path().join(name), folder.path().join(format!("{name}-out")));
+        copy(&Path::new(DATA).join("image"), &input);
+        change(&input, file, column, numbers);
+        let output = label(&input, &out, &camera);
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(1) && error.contains(words), "{name}: {error}");
+        assert!(!out.exists(), "{name}");
+    }
 }

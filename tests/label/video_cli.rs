@@ -140,6 +140,9 @@ fn labels_are_the_same_in_every_output_format() {
     json(&["label", &at("in"), "--out", &at("d.zarr"), "--fps", "20", "--json", "-"], 3);
     let diff = json(&["data", "diff", &at("d.zarr"), &at("c"), "--json"], 0);
     assert_eq!((&diff["unmatched"]["b"], &diff["mae"]), (&1.into(), &0.0.into()));
+    // The unlabelled frame and the one without a partner are gaps.
+    let counts = &diff["counts"];
+    assert_eq!(counts["trace_frames"], 10, "{counts}");
 }
 
 #[test]

@@ -193,6 +193,10 @@ fn robot_messages_have_the_bytes_of_ros() {
         effort: vec![3.0],
         time_from_start: Duration { sec: 2, nanosec: 16_666_667 },
     };
+    agrees("bool", &Bool { data: true });
+    let dim = vec![MultiArrayDimension { label: "joint".into(), size: 2, stride: 2 }];
+    let layout = MultiArrayLayout { dim, data_offset: 1 };
+    agrees("float64_multi_array", &Float64MultiArray { layout, data: vec![0.5, -0.25, 3.0] });
     agrees("joint_trajectory", &JointTrajectory { header: Header::default(), joint_names: names, points: vec![point] });
 }
 

@@ -85,6 +85,8 @@ proptest! {
             let _ = PoseStamped::from_cdr(bytes);
             let _ = JointState::from_cdr(bytes);
             let _ = JointTrajectory::from_cdr(bytes);
+            let _ = Bool::from_cdr(bytes);
+            let _ = Float64MultiArray::from_cdr(bytes);
             let _ = Image::from_cdr(bytes);
             let _ = CompressedImage::from_cdr(bytes);
             let _ = CameraInfo::from_cdr(bytes);

@@ -5,54 +5,7 @@ use candle_core::{DType, Device};
 use egotac::model::import::Mapping;
 use egotac::model::{Checkpoint, checkpoint};
 
-const TABLE: &str = r#"
-config: { vision_width: 40, vision_depth: 3, vision_heads: 5, width: 36, depth: 1, heads: 3, image: 48, patch: 8,
-          pretrain_image: 24, horizon: 1, predict: 1 }
-sidecar: { name: theirs, topology: mano, force_scale: 1.5, hand_order: right_left, fps: 30, frame_stride: 3,
-           mean: [0.5, 0.5, 0.5], std: [0.25, 0.25, 0.25], resize: squash, filter: bicubic }
-tensors:
-  encoder.embeddings.cls_token: vision.embeddings.cls_token
-  encoder.embeddings.position_embeddings: vision.embeddings.position_embeddings
-  encoder.embeddings.patch_embeddings.projection.weight: vision.embeddings.patch_embeddings.projection.weight
-  encoder.embeddings.patch_embeddings.projection.bias: vision.embeddings.patch_embeddings.projection.bias
-  encoder.layernorm.weight: vision.layernorm.weight
-  encoder.layernorm.bias: vision.layernorm.bias
-  ENCODER
-  temporal.proj.weight: { from: fuse.proj, transpose: true }
-  decoder.{i}.attn.q.weight: { from: "decoder.{i}.attn.qkv.weight", part: [0, 3] }
-  decoder.{i}.attn.k.weight: { from: "decoder.{i}.attn.qkv.weight", part: [1, 3] }
-  decoder.{i}.attn.v.weight: { from: "decoder.{i}.attn.qkv.weight", part: [2, 3] }
-  decoder.{i}.attn.q.bias: { from: "decoder.{i}.attn.qkv.bias", part: [0, 3] }
-  decoder.{i}.attn.k.bias: { from: "decoder.{i}.attn.qkv.bias", part: [1, 3] }
-  decoder.{i}.attn.v.bias: { from: "decoder.{i}.attn.qkv.bias", part: [2, 3] }
-same: true
-ignore: [vision.embeddings.mask_token]
-"#;
-
-fn table() -> String {
-    let layer = [
-        "norm1.weight",
-        "norm1.bias",
-        "norm2.weight",
-        "norm2.bias",
-        "attention.attention.query.weight",
-        "attention.attention.query.bias",
-        "attention.attention.key.weight",
-        "attention.attention.key.bias",
-        "attention.attention.value.weight",
-        "attention.attention.value.bias",
-        "attention.output.dense.weight",
-        "attention.output.dense.bias",
-        "layer_scale1.lambda1",
-        "layer_scale2.lambda1",
-        "mlp.fc1.weight",
-        "mlp.fc1.bias",
-        "mlp.fc2.weight",
-        "mlp.fc2.bias",
-    ];
-    let lines = layer.map(|name| format!("encoder.encoder.layer.{{i}}.{name}: vision.encoder.layer.{{i}}.{name}"));
-    TABLE.replace("ENCODER", &lines.join("\n  "))
-}
+const TABLE: &str = include_str!("../data/model/foreign.yaml");
 
 fn mapping(text: &str) -> egotac::Result<Mapping> {
     let folder = tempfile::tempdir().unwrap();
@@ -63,7 +16,7 @@ fn mapping(text: &str) -> egotac::Result<Mapping> {
 
 #[test]
 fn a_pytorch_file_gives_the_outputs_it_was_saved_with() {
-    let (config, metadata, tensors) = mapping(&table()).unwrap().apply(&model_data("foreign.pth")).unwrap();
+    let (config, metadata, tensors) = mapping(TABLE).unwrap().apply(&model_data("foreign.pth")).unwrap();
     assert_eq!((metadata.force_scale, metadata.frame_dt, metadata.has_force), (1.5, 0.1, true));
     assert_eq!((metadata.topology.id(), metadata.mean, metadata.std), ("mano", [0.5; 3], [0.25; 3]));
     let folder = tempfile::tempdir().unwrap();
@@ -96,9 +49,9 @@ fn a_pytorch_file_gives_the_outputs_it_was_saved_with() {
 #[test]
 fn tensors_that_do_not_fit_are_named() {
     let fails = |from: &str, to: &str| {
-        assert!(table().contains(from));
+        assert!(TABLE.contains(from));
         let error =
-            mapping(&table().replace(from, to)).and_then(|mapping| mapping.apply(&model_data("foreign.pth")).map(drop));
+            mapping(&TABLE.replace(from, to)).and_then(|mapping| mapping.apply(&model_data("foreign.pth")).map(drop));
         error.unwrap_err().to_string()
     };
     let absent = fails("from: fuse.proj", "from: fuse.absent");
@@ -126,8 +79,8 @@ fn a_table_with_a_mistake_is_refused() {
         ("part: [0, 3]", "part: [3, 3]", "part"),
         ("hand_order: right_left", "hand_order: upside_down", "hand_order"),
     ] {
-        assert!(table().contains(from), "{from}");
-        let error = mapping(&table().replacen(from, to, 1)).unwrap_err().to_string();
+        assert!(TABLE.contains(from), "{from}");
+        let error = mapping(&TABLE.replacen(from, to, 1)).unwrap_err().to_string();
         assert!(error.contains(named) && error.contains("mapping.yaml"), "{to}: {error}");
     }
 }

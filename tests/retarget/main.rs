@@ -10,6 +10,7 @@ mod trajectory;
 mod cli;
 mod follow;
 mod hostile;
+mod live;
 mod object;
 mod robots;
 mod solver;

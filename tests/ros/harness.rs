@@ -36,6 +36,11 @@ impl Session {
         }
     }
 
+    /// Returns the namespace of the nodes, for instance `/test_7_0`.
+    pub fn namespace(&self) -> &str {
+        &self.namespace
+    }
+
     /// Returns a path in the temporary folder of this test.
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)

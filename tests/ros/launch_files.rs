@@ -149,11 +149,23 @@ fn retarget_demo_connects_the_retargeter_to_simulator_and_predictor() {
     assert_eq!(nodes[0]["remappings"]["tactile"], "predictor/tactile");
     let includes = description["includes"].as_array().unwrap();
     assert!(includes.iter().any(|include| include["file"].as_str().unwrap().ends_with("egotac.launch.py")));
+    // Nobody measures the joints of a simulated robot; for a real one the node waits for them.
+    assert_eq!(nodes[0]["parameters"]["start"], "rest");
+    let real = describe("retarget.launch.py", &["deadman:=true", "joint_states_topic:=/joint_states"]);
+    let real = nodes_of(&real)[0];
+    assert_eq!((&real["parameters"]["start"], &real["parameters"]["deadman"]), (&Value::Null, &Value::Bool(true)));
+    assert_eq!(real["remappings"]["joint_states"], "/joint_states");
     // Without demo:=true the retargeter starts alone.
     let description = describe("retarget.launch.py", &["keypoints_topic:=/tracker/hand"]);
     assert_eq!(description["includes"], serde_json::json!([]));
     assert_eq!(nodes_of(&description).len(), 1);
     assert_eq!(nodes_of(&description)[0]["remappings"]["keypoints"], "/tracker/hand");
+}
+
+#[test]
+fn a_launched_trainer_has_a_minute_to_save_its_work() {
+    let description = describe("trainer.launch.py", &[]);
+    assert_eq!(nodes_of(&description)[0]["timeouts"], serde_json::json!([60.0, 60.0]));
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! The ROS 2 nodes, with rclpy peers.
 #![cfg(feature = "ros")]
 
+#[path = "../common/mod.rs"]
+mod common;
 mod harness;
 #[cfg(feature = "sim")]
 #[path = "../../crates/bench/src/retarget/trajectory.rs"]

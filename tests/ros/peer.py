@@ -80,6 +80,8 @@ def message(rgb, encoding, sec, padding=0):
         "rgba8": lambda: np.concatenate([rgb, opaque], -1),
         "bgra8": lambda: np.concatenate([rgb[..., ::-1], opaque], -1),
         "mono8": lambda: rgb[..., :1],
+        "8UC3": lambda: rgb[..., ::-1],
+        "rgb16": lambda: np.ascontiguousarray(rgb.astype("<u2") * 257).view(np.uint8),
     }[encoding]().reshape(height, -1)
     rows = np.concatenate([pixels, np.full((height, padding), 171, np.uint8)], -1)
     image = Image(height=height, width=width, encoding=encoding, step=rows.shape[1], data=rows.tobytes())

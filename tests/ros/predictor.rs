@@ -53,6 +53,11 @@ fn a_malformed_image_is_dropped_with_a_warning_that_names_the_fault() {
 }
 
 #[test]
+fn images_are_rectified_by_camera_info_if_asked_for() {
+    holds("rectifies", &["-p", "rectify:=true"]);
+}
+
+#[test]
 fn a_damaged_compressed_image_is_dropped() {
     holds("malformed_compressed", &["-p", "image_transport:=compressed"]);
 }
@@ -102,6 +107,33 @@ fn latency_budget_picks_the_best_network_of_a_folder_and_logs_the_reason() {
     node.prints("large.safetensors in f32");
     node.prints("is the best that keeps the budget of 60000 ms");
     session.check(PEER, &["frames"]);
+    node.ends_cleanly("INT");
+}
+
+#[test]
+fn hostile_checkpoints_are_refused_and_the_predictor_goes_on() {
+    let session = Session::new();
+    let folder = session.path("hostile");
+    std::fs::create_dir(&folder).unwrap();
+    let at = |name: &str| folder.join(name);
+    // Checkpoints that promise more than they hold, among them the largest geometry and 96 layers.
+    let crafted = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hostile");
+    for kind in ["safetensors", "pt"] {
+        for entry in std::fs::read_dir(crafted.join(kind)).unwrap() {
+            let entry = entry.unwrap();
+            std::fs::copy(entry.path(), at(entry.file_name().to_str().unwrap())).unwrap();
+        }
+    }
+    let intact = std::fs::read(session.checkpoint(&Config::toy())).unwrap();
+    for (name, length) in [("empty", 0), ("of_7_bytes", 7), ("half", intact.len() / 2), ("cut", intact.len() - 1)] {
+        std::fs::write(at(&format!("{name}.safetensors")), &intact[..length]).unwrap();
+    }
+    std::fs::create_dir(at("folder.safetensors")).unwrap();
+    assert!(std::process::Command::new("mkfifo").arg(at("pipe.safetensors")).status().unwrap().success());
+    std::os::unix::fs::symlink("/dev/zero", at("zeros.safetensors")).unwrap();
+    let mut node = predictor(&session, &[]);
+    session.check(PEER, &["hostile_models", folder.to_str().unwrap()]);
+    assert!(node.is_running());
     node.ends_cleanly("INT");
 }
 

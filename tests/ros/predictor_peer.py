@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from egotac_msgs.msg import HandModelInfo, HandPose, HandTactile, TactileFrame
+from egotac_msgs.srv import LoadModel
 from rcl_interfaces.msg import Log, Parameter, ParameterEvent, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically
-from sensor_msgs.msg import CompressedImage, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_srvs.srv import SetBool
 
 from peer import BEST_EFFORT, LATCHED, RELIABLE, Peer, message, photo, png, same_field, stamp
@@ -39,10 +40,15 @@ def encodings():
     camera = Camera(Peer())
     rgb = photo(90, 121)
     # A pause of ten seconds restarts the stream, so each frame depends on one image only.
-    variants = [("rgb8", 0), ("bgr8", 0), ("rgba8", 0), ("bgra8", 0), ("rgb8", 13), ("rgba8", 5)]
+    variants = [("rgb8", 0), ("bgr8", 0), ("rgba8", 0), ("bgra8", 0), ("rgb8", 13), ("rgba8", 5), ("8UC3", 0), ("rgb16", 4)]
     frames = [camera.frame_of(message(rgb, *v[:1], sec=10 * i, padding=v[1])) for i, v in enumerate(variants, 1)]
     for frame, variant in zip(frames, variants):
         assert same_field(frame, frames[0]), f"{variant} gives another result than rgb8"
+
+    # Values of 16 bits in the other order of bytes.
+    swapped = message(rgb, "rgb16", sec=900)
+    swapped.is_bigendian, swapped.data = 1, np.frombuffer(bytes(swapped.data), "<u2").astype(">u2").tobytes()
+    assert same_field(camera.frame_of(swapped), frames[0]), "big endian gives another result"
 
     grey = np.repeat(rgb[..., :1], 3, axis=-1)
     as_grey = camera.frame_of(message(rgb, "mono8", sec=1000, padding=3))
@@ -130,7 +136,7 @@ def malformed():
     peer.wait(lambda: any("step" in w for w in warnings()), "a warning that names step")
     assert any("image" in w and "at least 120" in w and "got 7" in w for w in warnings()), warnings()
     others = [
-        bad(30, encoding="rgb16"),
+        bad(30, encoding="32FC1"),
         bad(40, data=b"\0" * 100),
         bad(50, height=0),
         bad(60, width=2**31),
@@ -145,7 +151,7 @@ def malformed():
         return values and values[-1].get("dropped_malformed") == "6"
 
     peer.wait(counted, "six malformed images in the diagnostics")
-    for cause in ["rgb16", "100 bytes", "height", "width"]:
+    for cause in ["32FC1", "100 bytes", "height", "width"]:
         assert any(cause in w for w in warnings()), f"no warning names {cause}: {warnings()}"
     before = len(warnings())
     for i in range(20):
@@ -234,12 +240,41 @@ def latest_wins():
     peer.wait(complete, "diagnostics that account for each image")
 
 
+def rectifies():
+    """With rectify:=true images wait for the calibration; one without distortion changes nothing, another one does."""
+    peer = Peer()
+    states = peer.listen(DiagnosticArray, "/diagnostics")
+    camera = Camera(peer)
+    infos = peer.connected(peer.create_publisher(CameraInfo, "camera_info", RELIABLE))
+    image = photo(40, 60)
+
+    def calibrate(d):
+        k = [50.0, 0.0, 30.0, 0.0, 50.0, 20.0, 0.0, 0.0, 1.0]
+        infos.publish(CameraInfo(height=40, width=60, distortion_model="plumb_bob", d=d, k=k))
+        peer.rest(0.3)
+
+    camera.publisher.publish(message(image, "rgb8", sec=10))
+    counts = lambda: [{v.key: v.value for v in s.status[0].values} for s in states if "predictor: " in s.status[0].name]
+    peer.wait(lambda: counts() and counts()[-1].get("dropped_uncalibrated") == "1", "the count of uncalibrated images")
+    calibrate([])
+    straight = camera.frame_of(message(image, "rgb8", sec=20))
+    calibrate([-0.4, 0.1, 0.0, 0.0, 0.0])
+    bent = camera.frame_of(message(image, "rgb8", sec=30))
+    calibrate([])
+    again = camera.frame_of(message(image, "rgb8", sec=40))
+    assert same_field(straight, again) and not same_field(straight, bent)
+
+
 def enabled():
     """~/set_enabled stops and resumes predictions."""
     peer = Peer()
     camera = Camera(peer)
+    events = peer.listen(ParameterEvent, "/parameter_events")
     camera.frame_of(message(photo(20, 20), "rgb8", sec=10))
     assert peer.call(SetBool, "predictor/set_enabled", SetBool.Request(data=False)).success
+    # Whoever watches parameters learns of it, too.
+    changes = lambda: [(p.name, p.value.bool_value) for e in events for p in e.changed_parameters if e.node.endswith("/predictor")]
+    peer.wait(lambda: ("enabled", False) in changes(), "the event of the parameter")
     for i in range(5):
         camera.publisher.publish(message(photo(20, 20), "rgb8", sec=20 + i))
         peer.rest(0.1)
@@ -322,7 +357,7 @@ def points():
         return frame, cloud, np.frombuffer(bytes(cloud.data), "<f4").reshape(-1, 6)
 
     frame, cloud, points_ = cloud_of(message(photo(30, 30), "rgb8", sec=10))
-    assert cloud.header.frame_id == "head_camera_optical" and points_.shape == (2 * 778, 6)
+    assert cloud.header.frame_id == "hand_rest" and points_.shape == (2 * 778, 6)
     assert np.array_equal(points_[:, 3], np.concatenate([hand.force for hand in frame.hands]))
     assert np.array_equal(points_[:, 4], np.concatenate([hand.contact for hand in frame.hands]))
     assert np.array_equal(points_[:, 5], (points_[:, 4] > 0.5).astype("f4"))
@@ -350,6 +385,30 @@ def large():
     camera = Camera(Peer(), qos=BEST_EFFORT)
     for i in range(5):
         camera.frame_of(message(photo(480, 640, seed=i), "rgb8", sec=10 + 10 * i))
+
+
+def hostile_models(folder):
+    """Files that are no usable checkpoint are refused by name, and the network in use goes on with the same predictions."""
+    peer = Peer()
+    (info,) = latched(peer)
+    camera = Camera(peer)
+    load = peer.create_client(LoadModel, "predictor/load_model")
+    peer.wait(load.service_is_ready, "the service")
+    # A pause of ten seconds restarts the stream, so that equal images get equal frames.
+    frame_at = lambda second: camera.frame_of(message(photo(64, 64), "rgb8", sec=second))
+    first = frame_at(10)
+    paths = sorted(Path(folder).iterdir())
+    assert len(paths) > 10, paths
+    for number, path in enumerate(paths):
+        future = load.call_async(LoadModel.Request(model=str(path)))
+        # Images are predicted while the file is read.
+        during = frame_at(100 + 20 * number)
+        peer.wait(future.done, f"the answer about {path.name}")
+        answer = future.result()
+        assert not answer.success and str(path) in answer.message and "\n" not in answer.message, (path.name, answer)
+        assert answer.model_id == info.model_id, (path.name, answer)
+        for frame in (during, frame_at(110 + 20 * number)):
+            assert same_field(frame, first) and frame.model_id == info.model_id, path.name
 
 
 if __name__ == "__main__":

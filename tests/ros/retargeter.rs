@@ -18,12 +18,24 @@ const PEER: &str = "retargeter_peer.py";
 /// Time between two frames of the peer, s.
 const DT: f64 = 0.04;
 
+/// Parameters of a node that follows at once, to compare it with the library: on another way, a robot may end in another local
+/// minimum.
+const AT_ONCE: [&str; 8] =
+    ["-p", "start:=rest", "-p", "ramp_secs:=0.0", "-p", "input_timeout_ms:=0.0", "-p", "acceleration:=100000.0"];
+/// Default of the parameter `acceleration`, rad/s^2.
+const ACCELERATION: f64 = 50.0;
+
 fn node(session: &Session, ros_args: &[&str]) -> Running {
     session.node(PROGRAM, ros_args)
 }
 
-/// Starts the node, runs one check of the peer on `case`, and stops the node; returns its output.
+/// Runs one check of the peer on a node that follows at once.
 fn holds(fact: &str, case: &Value, ros_args: &[&str]) -> String {
+    holds_with(fact, case, &[&AT_ONCE, ros_args].concat())
+}
+
+/// Starts the node, runs one check of the peer on `case`, and stops the node; returns its output.
+fn holds_with(fact: &str, case: &Value, ros_args: &[&str]) -> String {
     let session = Session::new();
     let path = session.path("case.json");
     std::fs::write(&path, case.to_string()).unwrap();
@@ -74,7 +86,21 @@ fn case_about(
             })
         })
         .collect();
-    json!({ "joints": names, "ranges": ranges, "velocity": retargeter.robot().spec.limits.velocity, "frames": frames })
+    let robot = retargeter.robot();
+    let masters: Vec<&str> =
+        robot.coupling.masters.iter().map(|joint| robot.parts.joints[*joint].name.as_str()).collect();
+    let rest = robot.rest_positions();
+    // A pose within the limits that is not the rest pose.
+    let pose: serde_json::Map<String, Value> = names
+        .iter()
+        .zip(&rest)
+        .zip(&ranges)
+        .map(|((name, at), [low, high])| (name.clone(), json!(at + 0.3 * (0.5 * (low + high) - at))))
+        .collect();
+    json!({
+        "joints": names, "masters": masters, "rest": rest, "pose": pose, "ranges": ranges,
+        "velocity": robot.spec.limits.velocity, "acceleration": ACCELERATION, "frames": frames,
+    })
 }
 
 fn keypoints_json(keypoints: &[glam::DVec3; 21]) -> Value {
@@ -177,6 +203,75 @@ fn silence_and_malformed_messages_hold_the_last_pose() {
 }
 
 #[test]
+fn the_first_command_starts_from_the_measured_joints_within_all_limits() {
+    holds_with("starts", &far_hands(), &["-p", "publish_positions:=true"]);
+}
+
+#[test]
+fn silence_brakes_and_holds_the_robot_and_the_next_hand_ramps_up() {
+    let slow = ["-p", "start:=rest", "-p", "input_timeout_ms:=200.0", "-p", "ramp_secs:=30.0"];
+    holds_with("pauses", &far_hands(), &slow);
+}
+
+#[test]
+fn a_node_that_is_enabled_again_starts_from_the_measured_joints() {
+    holds_with("reenabled", &far_hands(), &[]);
+}
+
+#[test]
+fn the_robot_moves_only_while_the_deadman_switch_is_held() {
+    holds_with("deadman", &far_hands(), &["-p", "start:=rest", "-p", "deadman:=true", "-p", "ramp_secs:=30.0"]);
+}
+
+#[test]
+fn hands_of_a_best_effort_tracker_are_followed() {
+    holds("best_effort", &moving(2), &[]);
+}
+
+#[test]
+fn a_tracker_that_cannot_reach_the_node_is_an_error() {
+    holds("unheard", &json!({}), &["-p", "reliability:=reliable"]);
+    let session = Session::new();
+    let namespace = session.namespace();
+    let name = format!("qos_overrides.{namespace}/keypoints.subscription.reliability:=reliable");
+    let path = session.path("case.json");
+    std::fs::write(&path, "{}").unwrap();
+    let mut node = node(&session, &["-p", &name, "-p", "qos_overrides./nothing.publisher.depth:=3"]);
+    session.check(PEER, &["unheard", path.to_str().unwrap()]);
+    node.ends_cleanly("INT");
+    assert!(node.output().contains("qos_overrides./nothing.publisher.depth is ignored"), "{}", node.output());
+}
+
+#[test]
+fn a_topic_without_a_publisher_is_named_once_with_those_of_its_type() {
+    let session = Session::new();
+    let path = session.path("case.json");
+    std::fs::write(&path, "{}").unwrap();
+    // The tracker is there first.
+    let mut peer = session.peer(PEER, &["misnamed", path.to_str().unwrap()]);
+    peer.prints("publishing");
+    let mut node = node(&session, &AT_ONCE);
+    let status = peer.wait();
+    assert!(status.success(), "{status}\n{}", peer.output());
+    node.ends_cleanly("INT");
+}
+
+#[test]
+fn an_override_of_quality_of_service_that_is_not_allowed_ends_the_node() {
+    let session = Session::new();
+    let mut node = node(&session, &["-p", "qos_overrides./keypoints.subscription.reliability:=sure"]);
+    assert_eq!(node.wait().code(), Some(1));
+    assert!(node.output().contains("reliable, best_effort"), "{}", node.output());
+}
+
+/// Returns two hands that are far from the rest pose and from each other.
+fn far_hands() -> Value {
+    let hands = Trajectory::generate(200, 5).unwrap().keypoints;
+    let frames = [60, 5].map(|frame| (keypoints_json(&hands[frame]), hands[frame], Vec::new()));
+    case("four_finger", frames.into())
+}
+
+#[test]
 fn set_enabled_stops_and_resumes_commands() {
     holds("switched", &moving(3), &[]);
 }
@@ -217,7 +312,7 @@ fn retargeter_follows_the_simulated_hand_and_the_predicted_touch() {
     predictor.prints("images from");
     let remapped = ["-r", "hand_pose:=truth/hand_pose", "-r", "tactile:=predictor/tactile"];
     // Hands wait for touch as long as a busy machine needs for it.
-    let mut retargeter = node(&session, &[&remapped[..], &["-p", "touch_wait_ms:=60000.0"]].concat());
+    let mut retargeter = node(&session, &[&AT_ONCE[..], &remapped, &["-p", "touch_wait_ms:=60000.0"]].concat());
     let seen: PathBuf = session.path("case.json");
     std::fs::write(&seen, "{}").unwrap();
     let mut peer = session.peer(PEER, &["pipeline", seen.to_str().unwrap()]);

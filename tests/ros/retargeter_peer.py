@@ -15,10 +15,11 @@ from egotac_msgs.msg import HandPose, HandTactile, RobotTouch, TactileFrame
 from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
-from peer import LATCHED, Peer
+from peer import BEST_EFFORT, LATCHED, Peer
 
 DT = 40_000_000
 """Nanoseconds between two frames."""
@@ -106,6 +107,32 @@ class Robot:
         while count != len(self.joints):
             count = len(self.joints)
             self.peer.rest(0.5)
+
+    def driver(self):
+        """Publisher of the robot's measured joints."""
+        return self.peer.connected(self.peer.create_publisher(JointState, "joint_states", 10))
+
+    def measured(self, positions):
+        names = [name for name in self.case["joints"] if name in self.case["masters"]]
+        # A driver knows other joints, too, and some of them have no position.
+        return JointState(name=["arm", *names], position=[math.nan, *[float(positions[n]) for n in names]])
+
+    def state(self):
+        """Returns level, message and values of the newest diagnostics."""
+        name = self.peer.get_namespace().strip("/") + "/retargeter: hands"
+        statuses = [s for array in self.diagnostics for s in array.status if s.name == name]
+        if not statuses:
+            return b"", "", {}
+        return statuses[-1].level, statuses[-1].message, {v.key: v.value for v in statuses[-1].values}
+
+    def stream(self, frame, secs, start=0, until=None):
+        """Publishes a hand at 30 Hz for some seconds, or until a condition; returns the number of the next frame."""
+        count = 0
+        while count < 30 * secs and not (until and until()):
+            self.keypoints.publish(points(frame, start + count))
+            self.peer.rest(1 / 30)
+            count += 1
+        return start + count
 
     def warned(self, text):
         self.peer.wait(lambda: any(text in log.msg for log in self.logs), f"a warning of {text!r}")
@@ -207,7 +234,7 @@ def rate(case):
     for trajectory in robot.trajectories[:40]:
         assert nanos(trajectory.header.stamp) == 0
         assert set(trajectory.joint_names) <= set(case["joints"]) and len(trajectory.joint_names) > 0
-        (point,) = trajectory.points
+        point = trajectory.points[0]
         assert (point.time_from_start.sec, point.time_from_start.nanosec) == (0, 40_000_000)
         told = dict(zip(trajectory.joint_names, point.positions))
         assert any(all(state[name] == position for name, position in told.items()) for state in by_joints)
@@ -228,7 +255,8 @@ def velocity(case):
     way = robot.joints[robot.joints.index(start) :]
     moved = 0.0
     for before, after in zip(way, way[1:]):
-        secs = (nanos(after.header.stamp) - nanos(before.header.stamp)) / 1e9
+        # Stamps are the node's time, which is uneven; each command is one period of the robot's motion.
+        secs = max((nanos(after.header.stamp) - nanos(before.header.stamp)) / 1e9, 1 / 60)
         step = np.abs(np.array(after.position) - before.position).max()
         assert step <= case["velocity"] * secs + 1e-5, (step, secs)
         moved += step
@@ -236,6 +264,175 @@ def velocity(case):
         for position, (low, high) in zip(state.position, case["ranges"]):
             assert low <= position <= high
     assert moved > 0.1, moved
+
+
+def secs_of(duration):
+    return duration.sec + duration.nanosec / 1e9
+
+
+def check_limits(case, trajectories, start, period=1 / 60):
+    """Every command follows from the one before within the limits; the first from the pose `start`. Returns the fastest speed."""
+    before = np.array([start[name] for name in trajectories[0].joint_names])
+    velocity = np.zeros_like(before)
+    fastest = 0.0
+    for trajectory in trajectories:
+        point = trajectory.points[0]
+        assert abs(secs_of(point.time_from_start) - period) < 1e-6
+        position, speed, acceleration = (np.array(v) for v in (point.positions, point.velocities, point.accelerations))
+        assert len(position) == len(speed) == len(acceleration) == len(before)
+        assert np.abs(position - before).max() <= case["velocity"] * period + 1e-9, np.abs(position - before).max()
+        assert np.abs(speed).max() <= case["velocity"] + 1e-9
+        assert np.abs(acceleration).max() <= case["acceleration"] + 1e-6
+        assert np.abs(speed - velocity).max() <= case["acceleration"] * period + 1e-6, np.abs(speed - velocity).max()
+        last = trajectory.points[-1]
+        assert not np.any(last.velocities), "the last point of a trajectory is a stop"
+        ways = np.abs(np.array(last.positions) - position)
+        stops = secs_of(last.time_from_start) - period
+        assert (ways <= 0.5 * np.abs(speed) * stops + 1e-6).all(), (ways, speed, stops)
+        before, velocity, fastest = position, speed, max(fastest, np.abs(speed).max())
+    return fastest
+
+
+def starts(case):
+    """Without measured joints the node commands nothing and says so; with them it starts there and keeps all limits."""
+    robot = Robot(case)
+    at = robot.stream(case["frames"][0], 1.0)
+    robot.warned("waits for the measured position of")
+    robot.warned("start:=rest")
+    assert not robot.joints and not robot.trajectories, "a command without a known pose"
+    robot.peer.wait(lambda: int(robot.state()[2].get("dropped_unmeasured", 0)) > 5, "the count of hands without a pose")
+    assert robot.state()[0] == b"\x01" and "waits for" in robot.state()[1], robot.state()
+    driver = robot.driver()
+    commands = robot.peer.listen(Float64MultiArray, "retargeter/position_commands")
+    pose = case["pose"]
+    driver.publish(robot.measured(pose))
+    at = robot.stream(case["frames"][0], 3.0, at)
+    assert len(robot.trajectories) > 60
+    fastest = check_limits(case, robot.trajectories, pose)
+    assert fastest > 0.5, fastest
+    # The ramp: in the first tenth of a second at most a tenth of the speed.
+    early = [np.abs(t.points[0].velocities).max() for t in robot.trajectories[:6]]
+    assert max(early) <= 0.12 * case["velocity"], early
+    told = [list(t.points[0].positions) for t in robot.trajectories]
+    assert len(commands) > 60 and all(list(c.data) in told for c in commands[:-1])
+    assert all(len(state.velocity) == len(state.name) for state in robot.joints)
+
+
+def pauses(case):
+    """Silence brakes and holds, and diagnostics say so; then the robot ramps up again. Old hands are not followed."""
+    robot = Robot(case)
+    at = robot.stream(case["frames"][0], 0.6)
+    assert robot.trajectories, "no command"
+    robot.peer.wait(lambda: robot.state()[1].startswith("no hands on") and "holds the pose: no hand for 0.2 s" in robot.state()[1], "a report")
+    robot.warned("holds the pose: no hand for 0.2 s")
+    held = robot.settled()
+    assert np.abs(held - case["frames"][0]["qpos"]).max() > 0.05, "the robot arrived before the pause: no test"
+    robot.peer.rest(0.5)
+    assert np.array_equal(robot.settled(), held), "held"
+    count = len(robot.trajectories)
+    at = robot.stream(case["frames"][1], 3.0, at + 30)
+    resumed = robot.trajectories[count:]
+    moving = [i for i, t in enumerate(resumed) if np.any(t.points[0].velocities)]
+    early = [np.abs(resumed[i].points[0].velocities).max() for i in moving[:6]]
+    # 0.1 s of a ramp of 30 s.
+    assert max(early) <= 0.02 * case["velocity"], early
+    rest = dict(zip(case["joints"], case["rest"]))
+    check_limits(case, robot.trajectories, rest)
+
+
+def reenabled(case):
+    """A disabled node brakes; an enabled one starts from the measured pose, and not with hands from before."""
+    robot = Robot(case)
+    driver = robot.driver()
+    pose = case["pose"]
+    driver.publish(robot.measured(pose))
+    at = robot.stream(case["frames"][0], 0.7)
+    set_enabled = lambda data: robot.peer.call(SetBool, "retargeter/set_enabled", SetBool.Request(data=data)).success
+    assert set_enabled(False)
+    robot.silent()
+    check_limits(case, robot.trajectories, pose)
+    assert not np.any(robot.trajectories[-1].points[0].velocities), "the last command is a stop"
+    at = robot.stream(case["frames"][1], 0.3, at)
+    # Somebody moves the robot by hand.
+    moved = {name: position + 0.1 for name, position in pose.items()}
+    robot.trajectories.clear()
+    robot.joints.clear()
+    driver.publish(robot.measured(moved))
+    assert set_enabled(True)
+    robot.peer.rest(0.3)
+    assert not robot.joints, "hands from before were followed"
+    driver.publish(robot.measured(moved))
+    robot.peer.rest(0.1)
+    robot.stream(case["frames"][1], 1.0, at)
+    assert len(robot.trajectories) > 10
+    check_limits(case, robot.trajectories, moved)
+
+
+def deadman(case):
+    """The robot moves only while the deadman switch is held."""
+    robot = Robot(case)
+    switch = robot.peer.connected(robot.peer.create_publisher(Bool, "deadman", BEST_EFFORT))
+    at = robot.stream(case["frames"][0], 0.5)
+    assert not robot.trajectories, "the switch was never held"
+    robot.warned("the deadman switch is not held")
+
+    def held(secs, at):
+        for _ in range(int(30 * secs)):
+            switch.publish(Bool(data=True))
+            at = robot.stream(case["frames"][0], 1 / 30, at)
+        return at
+
+    at = held(0.6, at)
+    assert np.any(robot.trajectories[-1].points[0].velocities), "the robot does not move"
+    # Released: it brakes, although hands come.
+    switch.publish(Bool(data=False))
+    at = robot.stream(case["frames"][0], 1.5, at)
+    assert not np.any(robot.trajectories[-1].points[0].velocities)
+    robot.peer.wait(lambda: "deadman" in robot.state()[1] and robot.state()[0] == b"\x01", "a report")
+    count = len(robot.trajectories)
+    at = held(0.5, at)
+    assert any(np.any(t.points[0].velocities) for t in robot.trajectories[count:])
+    # Silent: the same.
+    at = robot.stream(case["frames"][0], 1.5, at)
+    assert not np.any(robot.trajectories[-1].points[0].velocities)
+    check_limits(case, robot.trajectories, dict(zip(case["joints"], case["rest"])))
+
+
+def best_effort(case):
+    """Hands of a best-effort tracker are followed, also if it replaces a reliable one."""
+    robot = Robot(case)
+    robot.keypoints.publish(points(case["frames"][0], 0))
+    robot.with_stamp(1000 * 10**9)
+    robot.peer.destroy_publisher(robot.keypoints)
+    robot.keypoints = robot.peer.connected(robot.peer.create_publisher(PoseArray, "keypoints", BEST_EFFORT))
+    robot.keypoints.publish(points(case["frames"][1], 1))
+    robot.with_stamp(1000 * 10**9 + DT)
+
+
+def unheard(case):
+    """A reliable subscription to a best-effort tracker is an error in diagnostics and log."""
+    peer = Peer()
+    diagnostics = peer.listen(DiagnosticArray, "/diagnostics")
+    logs = peer.listen(Log, "/rosout", LATCHED)
+    peer.create_publisher(PoseArray, "keypoints", BEST_EFFORT)
+    said = "a best-effort publisher on " + peer.resolve_topic_name("keypoints")
+    found = lambda: any(s.level == b"\x02" and said in s.message for array in diagnostics for s in array.status)
+    peer.wait(found, "an error in the diagnostics")
+    peer.wait(lambda: any(log.level == 40 and said in log.msg for log in logs), "an error in the log")
+
+
+def misnamed(case):
+    """After three seconds without a publisher one warning lists the topics of this type."""
+    peer = Peer()
+    logs = peer.listen(Log, "/rosout", LATCHED)
+    peer.create_publisher(PoseArray, "tracker/hand", 10)
+    print("publishing", flush=True)
+    told = lambda: [log.msg for log in logs if "no publisher of geometry_msgs/msg/PoseArray" in log.msg]
+    peer.wait(told, "a warning")
+    assert peer.resolve_topic_name("tracker/hand") in told()[0] and "-r keypoints:=TOPIC" in told()[0], told()
+    peer.wait(lambda: any("egotac_msgs/msg/HandPose" in log.msg and "no topic of this type" in log.msg for log in logs), "the other")
+    peer.rest(2.5)
+    assert len(told()) == 1, told()
 
 
 def pairs(case):
@@ -343,8 +540,8 @@ def diagnostics(case):
     robot = Robot(case)
 
     def values():
-        statuses = [s for array in robot.diagnostics for s in array.status if s.name == "retargeter: hands"]
-        return {v.key: v.value for v in statuses[-1].values} | {"level": statuses[-1].level} if statuses else {}
+        level, _, values = robot.state()
+        return values | {"level": level} if level else {}
 
     robot.peer.wait(lambda: values().get("level") == b"\x03", "a report of silence")
     for i, frame in enumerate(case["frames"]):

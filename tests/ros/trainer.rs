@@ -2,42 +2,21 @@
 
 use std::path::PathBuf;
 
+use crate::common::store::write_bright_store;
 use crate::harness::{Running, Session};
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
-use egotac::dataset::zarr::{Contact, ZarrWriter};
-use egotac::dataset::{Attributes, EpisodeWriter, Frame};
 use egotac::hand::Topology;
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
-use egotac::tactile::{N_FIELD, TactileField, Validity};
-use image::{Rgb, RgbImage};
 
 const TRAINER: &str = env!("CARGO_BIN_EXE_egotac_trainer");
 const PREDICTOR: &str = env!("CARGO_BIN_EXE_egotac_predictor");
 const PEER: &str = "trainer_peer.py";
 
-/// Writes a store in which the brightness of the image is proportional to the force on the first vertices.
+/// Writes a store in which the brightness of the image is proportional to force; returns its path.
 fn store(session: &Session) -> PathBuf {
     let path = session.path("train.zarr");
-    let attributes: Attributes = serde_json::from_value(serde_json::json!({ "topology": "egotac-hand-1" })).unwrap();
-    let mut writer = ZarrWriter::create(&path, attributes, Contact::Truth, Vec::new()).unwrap();
-    for t in 0..60 {
-        let level = (t * 37 % 11) as f32 / 10.0;
-        let force = (0..N_FIELD).map(|v| if v < 50 { level } else { 0.0 }).collect();
-        let frame = Frame {
-            timestamp: 0.04 * f64::from(t),
-            camera_ego_rgb: RgbImage::from_pixel(64, 64, Rgb([(200.0 * level) as u8, 90, 90])),
-            field: TactileField::from_force(Topology::EgotacHand1, force).unwrap(),
-            force_valid: vec![1; N_FIELD],
-            contact_valid: vec![1; N_FIELD],
-            validity: Validity::Valid,
-            left_hand_pose: None,
-            right_hand_pose: None,
-        };
-        writer.push(frame).unwrap();
-    }
-    writer.end_episode().unwrap();
-    writer.finish().unwrap();
+    write_bright_store(&path, 60);
     path
 }
 
@@ -82,6 +61,33 @@ fn a_cancelled_goal_resumes_and_a_signal_stops_a_training() {
     let config = config(&session, &store(&session).display().to_string(), "");
     let mut node = trainer(&session, &[]);
     session.check(PEER, &["cancels", &config, &session.path("run").display().to_string()]);
+    node.ends_cleanly("INT");
+}
+
+#[test]
+fn a_goal_is_aborted_with_a_result_and_its_state_is_saved_if_the_node_ends() {
+    let session = Session::new();
+    let store = store(&session).display().to_string();
+    let config = config(&session, &store, &format!("validation: [{store}]\n"));
+    let out = session.path("run").display().to_string();
+    let mut node = trainer(&session, &[]);
+    let mut peer = session.peer(PEER, &["ended", &config, &out]);
+    peer.prints("training");
+    // A terminal and a launch program each send a signal.
+    node.signal("INT");
+    std::thread::sleep(std::time::Duration::from_millis(120));
+    node.signal("INT");
+    let status = node.wait();
+    assert_eq!(status.code(), Some(0), "{status}");
+    let status = peer.wait();
+    assert!(status.success(), "{status}\n{}", peer.output());
+}
+
+#[test]
+fn lost_images_are_counted_and_the_memory_of_waiting_ones_is_bounded() {
+    let session = Session::new();
+    let mut node = trainer(&session, &["-p", "max_waiting_mb:=2.0"]);
+    session.check(PEER, &["loses", &session.path("trainer").display().to_string()]);
     node.ends_cleanly("INT");
 }
 

@@ -16,7 +16,7 @@ from egotac_msgs.srv import LoadModel
 from rclpy.action import ActionClient
 from sensor_msgs.msg import Image
 
-from peer import LATCHED, RELIABLE, Peer, message, stamp
+from peer import BEST_EFFORT, LATCHED, RELIABLE, Peer, message, stamp
 
 
 class Client:
@@ -104,6 +104,53 @@ def cancels(config, out):
     assert client.feedback[-1].step > taken
     client.wait(handle.cancel_goal_async(), "the cancellation")
     assert client.result(handle).status == GoalStatus.STATUS_CANCELED
+
+
+def ended(config, out):
+    """A goal whose node is shut down is aborted with a result; checkpoint and state are saved."""
+    peer = Peer()
+    client = Client(peer)
+    handle = client.send(config=config, out=out, steps=100000)
+    assert handle.accepted
+    pending = handle.get_result_async()
+    peer.wait(lambda: client.feedback and client.feedback[-1].step > 3, "some steps")
+    print("training", flush=True)
+    peer.wait(pending.done, "the result")
+    answer = pending.result()
+    assert answer.status == GoalStatus.STATUS_ABORTED, answer.status
+    result = answer.result
+    assert not result.success and "shut down" in result.message and result.steps > 3, result
+    assert Path(result.checkpoint).is_file() and (Path(out) / "state.safetensors").is_file()
+    assert hashlib.sha256(Path(result.checkpoint).read_bytes()).hexdigest() == result.sha256
+
+
+def loses(folder):
+    """Images beyond the memory limit, without truth or with damage are counted; those with record:=false cost nothing."""
+    peer = Peer()
+    states = peer.listen(DiagnosticArray, "/diagnostics")
+    images = peer.connected(peer.create_publisher(Image, "image", RELIABLE))
+    truths = peer.connected(peer.create_publisher(TactileTruth, "truth", BEST_EFFORT))
+    name = peer.get_namespace().strip("/") + "/trainer: training"
+
+    def values():
+        found = [s for array in states for s in array.status if s.name == name]
+        return {v.key: v.value for v in found[-1].values} if found else {}
+
+    large = np.zeros((400, 400, 3), np.uint8)  # 0.48 MB; 1 MB may wait
+    for i in range(6):
+        images.publish(message(large, "rgb8", sec=10 + i))
+        peer.rest(0.1)
+    peer.wait(lambda: int(values().get("dropped_unmatched", 0)) >= 4, "the count of images without truth")
+    bad = message(large, "rgb8", sec=30)
+    bad.encoding = "colourful"
+    frame = TactileFrame(topology="egotac-hand-1", model_id="peer")
+    frame.hands = [HandTactile(side=side) for side in range(2)]
+    stamp(frame, 30)
+    truths.publish(TactileTruth(frame=frame))
+    peer.rest(0.2)
+    images.publish(bad)
+    peer.wait(lambda: values().get("dropped_malformed") == "1", "the count of damaged images")
+    assert values()["received"] == "7", values()
 
 
 class World:
@@ -247,7 +294,8 @@ def improves(config, folder):
         world.show()
         peer.rest(0.01)
     assert pending.result().status == GoalStatus.STATUS_SUCCEEDED, pending.result().result.message
-    peer.wait(lambda: len(infos) > 1, "the new network")
+    # Each of the two rounds is announced, not only the end.
+    peer.wait(lambda: len(infos) > 2, "the networks of both rounds")
     after, constant = errors(60)
     assert after < 0.8 * constant and after < before, (before, after, constant)
 

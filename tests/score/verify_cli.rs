@@ -1,6 +1,5 @@
 //! `egotac verify` on scenes, stores, predictions and recordings.
 
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use crate::common::egotac;
@@ -203,7 +202,7 @@ fn a_cube_from_a_mesh_file_scores_like_the_primitive() {
 }
 
 fn write(path: &str, sequence: &TactileSequence) {
-    tensors::write(Path::new(path), sequence, HashMap::new()).unwrap();
+    tensors::write(Path::new(path), sequence, Default::default()).unwrap();
 }
 
 #[test]
@@ -228,6 +227,10 @@ fn predictions_are_scored_and_the_gate_sets_the_exit_status() {
         assert_eq!(score(&report, "prediction", "cop_distance_mm"), 0.0);
     }
     let report = verify(&[&store, "--predictions", &half]);
+    // What sees no image stands beside it: no touch at all, and the truth of the frame before.
+    assert_eq!((score(&report, "zero", "frame_mean.f1"), score(&report, "zero", "missed_force")), (0.0, 1.0));
+    let held = ["frame_mean.f1", "mae"].map(|name| score(&report, "persistence", name));
+    assert!(held[0] > 0.5 && held[0] < 1.0 && held[1] > 0.0, "{held:?}");
     assert!((score(&report, "prediction", "link_force_error") - 0.5).abs() < 1e-6);
     let links = report["candidates"][0]["links"].as_object().unwrap();
     assert!(!links.is_empty() && links.values().all(|link| (link["error"].as_f64().unwrap() - 0.5).abs() < 1e-6));
@@ -238,7 +241,7 @@ fn predictions_are_scored_and_the_gate_sets_the_exit_status() {
         "an unknown name lists the known: {missed}"
     );
     let missed = refusal(&[&store, "--predictions", &none, "--require", "f1=0.7,missed_force=0.2,mae=1"]);
-    assert!(missed.contains("pooled.f1: at least 0.7 is required, got 0.0000, which misses by 0.7000"), "{missed}");
+    assert!(missed.contains("frame_mean.f1: at least 0.7 is required, got 0.0000, which misses by 0.7000"), "{missed}");
     assert!(
         missed.contains("missed_force: at most 0.2 is required, got 1.0000") && !missed.contains("mae"),
         "{missed}"
@@ -268,7 +271,7 @@ fn a_network_is_scored_on_rendered_images() {
     let rate = score(&report, "prediction", "labelled_ratio");
     assert!(rate > 0.0 && rate < 1.0, "{rate}");
     let missed = refusal(&[&arguments[..], &["--require", "f1=0.99"]].concat());
-    assert!(missed.contains("prediction: pooled.f1: at least 0.99 is required"), "{missed}");
+    assert!(missed.contains("prediction: frame_mean.f1: at least 0.99 is required"), "{missed}");
     // The images of a store give the same scores.
     let stored = verify(&[&folder.store("pinch_cube", "5"), "--predictor", model]);
     for name in ["pooled.f1", "mae", "missed_force"] {

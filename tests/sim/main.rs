@@ -1,6 +1,9 @@
 //! Scenes and rollouts.
 #![cfg(feature = "sim")]
 
+#[path = "../common/mod.rs"]
+mod common;
+
 mod budget;
 mod effects;
 mod hostile;
@@ -8,4 +11,6 @@ mod isolate;
 mod rollout;
 mod scene_file;
 mod scenes;
+mod splits;
 mod touchable;
+mod environment;

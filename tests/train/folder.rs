@@ -6,42 +6,15 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::common::refused;
+use crate::common::store::write_bright_store;
 use candle_core::Device;
-use egotac::dataset::zarr::{Contact, ZarrWriter};
-use egotac::dataset::{Attributes, EpisodeWriter, Frame};
 use egotac::file;
-use egotac::hand::Topology;
-use egotac::tactile::{N_FIELD, TactileField, Validity};
 use egotac::train::{Config, Control, Event, train};
-use image::{Rgb, RgbImage};
 use safetensors::SafeTensors;
-
-/// Writes a store in which the brightness of the image is proportional to the force on the first vertices.
-fn write_store(path: &Path) {
-    let attributes: Attributes = serde_json::from_value(serde_json::json!({ "topology": "egotac-hand-1" })).unwrap();
-    let mut writer = ZarrWriter::create(path, attributes, Contact::Truth, Vec::new()).unwrap();
-    for t in 0..40 {
-        let level = (t * 37 % 11) as f32 / 10.0;
-        let force = (0..N_FIELD).map(|v| if v < 50 { level } else { 0.0 }).collect();
-        let frame = Frame {
-            timestamp: 0.04 * f64::from(t),
-            camera_ego_rgb: RgbImage::from_pixel(64, 64, Rgb([(200.0 * level) as u8, 90, 90])),
-            field: TactileField::from_force(Topology::EgotacHand1, force).unwrap(),
-            force_valid: vec![1; N_FIELD],
-            contact_valid: vec![1; N_FIELD],
-            validity: Validity::Valid,
-            left_hand_pose: None,
-            right_hand_pose: None,
-        };
-        writer.push(frame).unwrap();
-    }
-    writer.end_episode().unwrap();
-    writer.finish().unwrap();
-}
 
 /// Writes a store and the configuration of a run; returns both forms of the configuration.
 fn prepare(folder: &Path, steps: usize) -> (PathBuf, Config) {
-    write_store(&folder.join("train.zarr"));
+    write_bright_store(&folder.join("train.zarr"), 40);
     let at = folder.display();
     let text = format!(
         "name: test\ndata: [{at}/train.zarr]\nout: {at}/run\nmodel: toy\nseed: 5\nsteps: {steps}\nsave_every: {steps}\n\

@@ -6,4 +6,6 @@ mod common;
 mod batch;
 mod folder;
 mod initial_weights;
+mod proximity;
+mod recipes;
 mod training;

@@ -12,12 +12,12 @@ use egotac::hand::Topology;
 use egotac::model::checkpoint::Stored;
 use egotac::model::grow::{Growth, grow};
 use egotac::model::{self, Checkpoint, EgoTac, Predictor, init, predictor};
-use egotac::score::metrics::{EvalOptions, evaluate};
+use egotac::score::metrics::{EvalOptions, baseline, evaluate};
 use egotac::tactile::{N_FIELD, TactileField, Validity};
 use egotac::train::config::{AugmentConfig, BatchConfig};
 use egotac::train::data::Dataset;
 use egotac::train::source::TrainingSource;
-use egotac::train::{Config, Control, Event, baseline, predict, train};
+use egotac::train::{Config, Control, Event, predict, train};
 use image::{Rgb, RgbImage};
 use serde_json::Value;
 
@@ -334,15 +334,16 @@ fn train_predict_and_eval_commands_agree() {
     assert_eq!((file.n_frames(), file.episode_ends, file.topology), (30, vec![30], Some(Topology::EgotacHand1)));
     let args = ["eval", "--checkpoint", checkpoint, "--data", "test.zarr", "--baselines-from", "train.zarr", "--json"];
     let json: Value = serde_json::from_str(&ok(&args)).unwrap();
-    let keys: Vec<&String> = json.as_object().unwrap().keys().collect();
-    assert_eq!(keys, ["mean", "median", "model", "zero"]);
+    let mut keys: Vec<&String> = json["baselines"].as_object().unwrap().keys().collect();
+    keys.sort();
+    assert_eq!(keys, ["mean", "median", "persistence", "zero"]);
     // Scores of the written fields are the same.
-    let by_file: Value =
-        serde_json::from_str(&ok(&["eval", "--pred", "fields.safetensors", "--target", "test.zarr", "--json"]))
-            .unwrap();
-    assert_eq!(by_file, json["model"]);
+    let lag = json["persistence_secs"].to_string();
+    let files = ["eval", "--pred", "fields.safetensors", "--target", "test.zarr", "--persistence", &lag];
+    let by_file = ok(&[&files[..], &["--baselines-from", "train.zarr", "--json"]].concat());
+    assert_eq!(serde_json::from_str::<Value>(&by_file).unwrap(), json);
     let table = ok(&args[..args.len() - 1]);
-    assert!(table.contains("model") && table.contains("median") && table.contains("active MAE (N)"), "{table}");
+    assert!(table.contains("prediction") && table.contains("median") && table.contains("active MAE (N)"), "{table}");
 
     // A folder of images.
     std::fs::create_dir(at("images")).unwrap();
@@ -413,4 +414,30 @@ fn a_run_on_mixed_sources_resumes_bit_for_bit() {
     assert_eq!(weights(&run(&halted, true, usize::MAX).checkpoint), weights(&whole.checkpoint));
     assert!(logged(&straight, "consistency").iter().all(|value| *value > 0.0));
     assert_eq!(logged(&straight, "loss"), logged(&halted, "loss"));
+}
+
+#[test]
+fn a_stopped_run_is_saved_before_it_is_validated() {
+    let folder = tempfile::tempdir().unwrap();
+    write_store(&folder.path().join("train.zarr"), 1, 1, 40);
+    let more = format!("validation: [{}/train.zarr]\nsave_every: 100", folder.path().display());
+    let stopping = |out: &str, answer: Control| {
+        let config = config(folder.path(), out, 100, &more);
+        let state = config.out.join("state.safetensors");
+        let mut saved_before_validation = Vec::new();
+        let outcome = train(&config, false, &Device::Cpu, &mut |event| match event {
+            Event::Stepped(step) if step.step == 3 => answer,
+            Event::Validated(..) => {
+                saved_before_validation.push(state.is_file());
+                Control::Continue
+            }
+            _ => Control::Continue,
+        });
+        let outcome = outcome.unwrap();
+        assert!(outcome.steps == 3 && state.is_file() && outcome.checkpoint.is_file());
+        (saved_before_validation, outcome.validation.is_some())
+    };
+    // A program that is killed while it validates has lost nothing.
+    assert_eq!(stopping("stopped", Control::Stop), (vec![true], true));
+    assert_eq!(stopping("at_once", Control::StopUnvalidated), (Vec::new(), false));
 }

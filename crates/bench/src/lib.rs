@@ -9,11 +9,13 @@
 //! | `retarget` | accuracy and time of retargeting, beside other programs |
 //! | [`hard_cases`] | inputs that go wrong, the guards that report them, and their remedies |
 //! | [`faults`] | kills, errors of the disk and changing inputs while commands write their outputs |
-//! | [`experiment`] | several trainings, compared |
+//! | `experiment` | the paper's claims: trainings and measurements, compared |
+//! | `policy` | a policy in simulation with and without touch |
 
 pub mod cli;
 #[cfg(feature = "sim")]
 pub mod effects;
+#[cfg(feature = "sim")]
 pub mod experiment;
 pub mod faults;
 mod front;
@@ -23,6 +25,8 @@ pub mod hard_cases;
 pub mod label;
 pub mod model;
 pub mod peer;
+#[cfg(feature = "sim")]
+pub mod policy;
 #[cfg(feature = "sim")]
 pub mod retarget;
 #[cfg(feature = "sim")]

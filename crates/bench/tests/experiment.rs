@@ -7,52 +7,120 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
-fn experiment(work: &Path, out: &Path, more: &[&str]) -> Output {
+fn experiment(name: &str, work: &Path, out: &Path) -> Output {
     Command::new(env!("CARGO_BIN_EXE_egotac-bench"))
-        .args(["experiment", "sources", "--seeds", "1", "--episodes", "1", "--held-out", "1"])
-        .arg("--work")
+        .args(["experiment", name, "--quick", "--work"])
         .arg(work)
         .arg("--out")
         .arg(out)
-        .args(more)
         .output()
         .unwrap()
+}
+
+/// Runs an experiment that must succeed; returns what it printed and its JSON.
+fn done(name: &str, work: &Path, out: &Path) -> (String, Value) {
+    let output = experiment(name, work, out);
+    assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+    let json = fs::read_to_string(out.join(format!("{name}.json"))).unwrap();
+    (String::from_utf8_lossy(&output.stdout).into_owned(), serde_json::from_str(&json).unwrap())
+}
+
+fn arm<'a>(report: &'a Value, name: &str) -> &'a Value {
+    report["arms"].as_array().unwrap().iter().find(|arm| arm["name"] == name).unwrap()
 }
 
 #[test]
 fn an_experiment_writes_its_tables_and_repeats_no_run() {
     let folder = tempfile::tempdir().unwrap();
     let [work, first, second] = ["work", "first", "second"].map(|name| folder.path().join(name));
-    let output = experiment(&work, &first, &["--encoder-steps", "2", "--steps", "2"]);
-    let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert!(text.starts_with("4 runs to make, 240 windows altogether"), "{text}");
+    let (text, report) = done("sources", &work, &first);
+    assert!(text.starts_with("10 runs to make, 600 windows altogether"), "{text}");
 
-    let json = fs::read_to_string(first.join("sources.json")).unwrap();
-    let report: Value = serde_json::from_str(&json).unwrap();
     let names: Vec<&str> = report["arms"].as_array().unwrap().iter().map(|arm| arm["name"].as_str().unwrap()).collect();
-    assert_eq!(names, ["mixed", "force_supervised", "contact_only"]);
+    assert_eq!(names[..5], ["force_only", "plus_1", "plus_2", "plus_3", "contact_only"]);
+    assert_eq!(names[5..], ["zero", "mean", "median", "persistence"]);
     let markdown = fs::read_to_string(first.join("sources.md")).unwrap();
-    for arm in report["arms"].as_array().unwrap() {
-        assert!(markdown.contains(arm["name"].as_str().unwrap()));
-        for domain in ["in_domain", "out_of_domain"] {
-            let scores = &arm[domain]["seeds"][0];
-            let auroc = scores["pooled"]["auroc"].as_f64().unwrap();
-            assert!((0.0..=1.0).contains(&auroc));
-            // Who has never seen a force says so.
-            assert_eq!(scores["active_mae"].is_null(), arm["name"] == "contact_only", "{arm}");
-        }
+    for (name, force) in [("force", true), ("contact", false), ("ood_force", true), ("ood_contact", false)] {
+        let scores = &arm(&report, "plus_3")["tests"][name];
+        assert_eq!(scores["seeds"].as_array().unwrap().len(), 2);
+        assert_eq!(scores["seeds"][0]["mae"].is_null(), !force, "{name}");
+        assert_eq!(scores["differences"].as_array().unwrap().len(), 2);
     }
-    // The mixed arm learns from both sources, the others from one each.
-    let frames = |arm: usize| report["arms"][arm]["training_frames"].as_u64().unwrap();
-    assert_eq!(frames(0), frames(1) + frames(2));
+    // No force trains the last arm, and its head is scored as it is.
+    assert!(arm(&report, "contact_only")["tests"]["force"]["seeds"][0]["active_mae"].as_f64().unwrap() > 0.0);
+    names.iter().for_each(|name| assert!(markdown.contains(&format!("| {name} |")), "{name}"));
+    // Each arm learns from one source more than the one before it, and the last from all but the first.
+    let frames = |name: &str| arm(&report, name)["training_frames"].as_u64().unwrap();
+    assert_eq!(frames("plus_3"), frames("force_only") + frames("contact_only"));
+    assert!(frames("force_only") < frames("plus_1") && frames("plus_1") < frames("plus_2"));
     for picture in ["sources.png", "sources.svg"] {
         assert!(fs::metadata(first.join(picture)).unwrap().len() > 1000);
     }
 
-    let output = experiment(&work, &second, &["--encoder-steps", "2", "--steps", "2"]);
-    assert!(String::from_utf8_lossy(&output.stdout).starts_with("0 runs to make, 0 windows"));
-    assert_eq!(fs::read_to_string(second.join("sources.json")).unwrap(), json);
+    let (text, again) = done("sources", &work, &second);
+    assert!(text.starts_with("0 runs to make, 0 windows"), "{text}");
+    assert_eq!(again, report);
+    // Another experiment takes the runs that are equal: here those of its first arm.
+    let (text, history) = done("history", &work, &second);
+    assert!(text.starts_with("2 runs to make, 120 windows altogether"), "{text}");
+    assert_eq!(arm(&history, "mixed")["tests"]["force"]["seeds"], arm(&report, "plus_3")["tests"]["force"]["seeds"]);
+
+    check_the_per_frame_baseline(&work, &second);
+
+    let output = experiment("results", &work, &first);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let page = fs::read_to_string(first.join("README.md")).unwrap();
+    assert!(page.contains("[sources](sources.md)") && page.contains("`plus_3`: F1, frame mean"), "{page}");
+    assert!(page.contains("| `egotac experiment glove` |"), "{page}");
+}
+
+/// Checks that the baseline sees one hand at a time, on the same vertices as the network, and says nothing of force.
+fn check_the_per_frame_baseline(work: &Path, out: &Path) {
+    let (_, report) = done("separation", work, out);
+    let crop = &arm(&report, "crop")["tests"]["ood_force"]["seeds"][0];
+    let whole = &arm(&report, "mixed")["tests"]["ood_force"]["seeds"][0];
+    assert!(crop["active_mae"].is_null() && whole["active_mae"].is_number());
+    // Both are scored on the same vertices: those of the right hand.
+    assert_eq!(crop["counts"]["contact_entries"], whole["counts"]["contact_entries"]);
+    let (entries, frames) = (&whole["counts"]["contact_entries"], &whole["counts"]["frames"]);
+    assert!(entries.as_u64().unwrap() <= 778 * frames.as_u64().unwrap());
+    assert!(crop["pooled"]["auroc"].is_number(), "{crop}");
+}
+
+#[test]
+fn a_finished_network_is_measured_against_worse_pictures_and_other_sensors() {
+    let folder = tempfile::tempdir().unwrap();
+    let work = folder.path().join("work");
+    let (_, decline) = done("decline", &work, folder.path());
+    let score =
+        |name: &str, of: &str| arm(&decline, name)["tests"]["known"]["seeds"][0]["frame_mean"][of].as_f64().unwrap();
+    assert!(score("clean", "auroc") > score("occlusion 75%", "auroc"));
+    assert!(fs::metadata(folder.path().join("decline.png")).unwrap().len() > 1000);
+    // Conditions are kept: what was measured is read again.
+    let kept = fs::read_dir(work.join("measured")).unwrap().next().unwrap().unwrap().path();
+    assert_eq!(fs::read_dir(kept).unwrap().count(), decline["arms"].as_array().unwrap().len() - 4);
+    assert_eq!(arm(&decline, "zero")["tests"]["ood"]["seeds"][0]["frame_mean"]["f1"], 0.0);
+
+    let (_, transfer) = done("transfer", &work, folder.path());
+    let of = |name: &str, of: &str| arm(&transfer, name)["tests"]["known"]["seeds"][0][of].as_f64().unwrap();
+    assert!(of("same", "temporal_pearson") > 0.3, "{transfer}");
+    assert!(of("all", "mae") != of("same", "mae"));
+}
+
+#[test]
+fn attention_is_shared_out_over_hands_objects_and_touch() {
+    let folder = tempfile::tempdir().unwrap();
+    let (text, report) = done("attention", &folder.path().join("work"), folder.path());
+    let shares = report["worlds"][0]["shares"].as_array().unwrap();
+    assert_eq!(shares.len(), 6);
+    for share in shares {
+        let [area, attention, ratio] = ["area", "attention", "ratio"].map(|key| share[key].as_f64().unwrap());
+        assert!(
+            (0.0..1.0).contains(&area) && (0.0..1.0).contains(&attention) && (ratio - attention / area).abs() < 1e-9
+        );
+    }
+    assert!(text.contains("| temporal token | hand |"));
+    assert!(fs::metadata(folder.path().join("attention.png")).unwrap().len() > 1000);
 }
 
 #[test]
@@ -64,6 +132,7 @@ fn an_unknown_experiment_is_refused_before_data_is_made() {
         .output()
         .unwrap();
     assert!(!output.status.success());
-    assert!(String::from_utf8_lossy(&output.stderr).contains("ablations, sources, scaling, limits"));
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(error.contains("ablations") && error.contains("separation"), "{error}");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
 }

@@ -11,6 +11,7 @@ fn short(only: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
     let options = Options {
         short: true,
+        runs: 1,
         seed: 1,
         only: only.iter().map(|name| name.to_string()).collect(),
         program: PathBuf::from(env!("CARGO_BIN_EXE_egotac-bench")),
@@ -43,16 +44,18 @@ fn generate_survives_every_fault() {
 
 /// Labels the same store twice; returns the outputs.
 fn labelled(folder: &Path) -> [PathBuf; 2] {
-    let [store, model] = ["in.zarr", "model.safetensors"].map(|name| folder.join(name));
-    input::store(&store, 1).unwrap();
-    input::checkpoint(&model, 1).unwrap();
-    ["first.zarr", "second.zarr"].map(|name| {
-        let out = folder.join(name);
-        let mut command = Command::new(env!("CARGO_BIN_EXE_egotac-bench"));
-        command.args(["label", "--checkpoint"]).arg(&model).arg("--out").arg(&out).arg(&store);
-        assert!(command.output().unwrap().status.success());
-        out
-    })
+    input::store(&folder.join("in.zarr"), 1).unwrap();
+    input::checkpoint(&folder.join("model.safetensors"), 1).unwrap();
+    ["first.zarr", "second.zarr"].map(|name| label(folder, "in.zarr", name))
+}
+
+/// Labels an input of the folder by its network; returns the output.
+fn label(folder: &Path, input: &str, out: &str) -> PathBuf {
+    let [input, model, out] = [input, "model.safetensors", out].map(|name| folder.join(name));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_egotac-bench"));
+    command.args(["label", "--checkpoint"]).arg(&model).arg("--out").arg(&out).arg(&input);
+    assert!(command.output().unwrap().status.success());
+    out
 }
 
 #[test]
@@ -128,4 +131,28 @@ fn planted_entries_are_told_apart() {
     // An image that the reference has not.
     let foreign = reference(|reference| drop(reference.entries.values_mut().next().unwrap().remove(7)));
     assert!(foreign.mixed_up && !foreign.lost, "{foreign:?}");
+}
+
+#[test]
+fn a_planted_doubling_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let [first, second] = labelled(folder.path());
+    let reference = Reference::read(&first, &second, &[""]).unwrap();
+    let compare = |images: Vec<usize>| {
+        let planted = folder.path().join("planted.zarr");
+        input::store_of(&planted, 1, images).unwrap();
+        let out = label(folder.path(), "planted.zarr", "planted-labels.zarr");
+        let mut harm = Harm::default();
+        reference.compare(&out, false, &mut harm);
+        [planted, out].iter().for_each(|path| fs::remove_dir_all(path).unwrap());
+        harm
+    };
+    // As a run would write it that labels the last block of an episode again after a kill.
+    let doubled = compare((0..80).chain(72..152).collect());
+    assert!(doubled.doubled && doubled.lost, "{:?}", doubled.notes);
+    // An image in the place of another one is a doubling as well as a loss.
+    let replaced = compare((0..160).map(|index| if index == 90 { 89 } else { index }).collect());
+    assert!(replaced.doubled && replaced.lost, "{:?}", replaced.notes);
+    let same = compare((0..160).collect());
+    assert!(!same.doubled && !same.lost && !same.mixed_up, "{:?}", same.notes);
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::Read;
 use std::path::Path;
 
 use anyhow::Context;
@@ -16,9 +17,12 @@ pub enum Case {
 }
 
 impl Case {
-    /// Reads a file or folder.
+    /// Reads a file or folder, or the folder in a file `*.zip`.
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         if !path.is_dir() {
+            if path.extension().is_some_and(|end| end == "zip") {
+                return read_zip(path).with_context(|| path.display().to_string());
+            }
             return Ok(Self::File(fs::read(path).with_context(|| path.display().to_string())?));
         }
         let mut files = BTreeMap::new();
@@ -91,6 +95,18 @@ fn shorter(bytes: &[u8]) -> Vec<Vec<u8>> {
         }
     }
     found
+}
+
+fn read_zip(path: &Path) -> anyhow::Result<Case> {
+    let mut archive = zip::ZipArchive::new(fs::File::open(path)?)?;
+    let mut files = BTreeMap::new();
+    for index in 0..archive.len() {
+        let mut member = archive.by_index(index)?;
+        let (name, mut bytes) = (member.name()?.to_string(), Vec::new());
+        member.read_to_end(&mut bytes)?;
+        files.insert(name, bytes);
+    }
+    Ok(Case::Folder(files))
 }
 
 fn read_folder(folder: &Path, prefix: &str, files: &mut BTreeMap<String, Vec<u8>>) -> anyhow::Result<()> {

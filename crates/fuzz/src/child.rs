@@ -24,6 +24,8 @@ pub struct Span {
     pub seed: u64,
     /// Number of the first input.
     pub first: u64,
+    /// Number behind that of the last input.
+    pub end: u64,
     /// Time after which no further input is read.
     pub time: Duration,
 }
@@ -33,12 +35,12 @@ pub fn input(target: &Target, folder: &Path) -> PathBuf {
     folder.join("input").join(target.file)
 }
 
-/// Reads inputs until the time is over.
+/// Reads inputs until the last one, or until the time is over.
 pub fn run(target: &Target, folder: &Path, span: &Span) -> anyhow::Result<()> {
     prepare(folder)?;
     let begun = Instant::now();
     let (mut number, mut accepted) = (span.first, 0u64);
-    while begun.elapsed() < span.time {
+    while number < span.end && begun.elapsed() < span.time {
         let mut rng = Rng::seed_from_u64(span.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ number);
         let case = (target.make)(&mut rng);
         fs::write(folder.join(NUMBER), number.to_string())?;

@@ -1,7 +1,7 @@
 //! Limits on a child process: memory and time.
 
 /// Largest address space of a child, bytes: limits of the readers at their defaults, and what they hold at once.
-const MEMORY: u64 = 2 << 30;
+pub const MEMORY: u64 = 2 << 30;
 /// Processor time of one input, s. Unlike wall time it does not depend on what else the machine does.
 const PROCESSOR_SECONDS: i64 = 10;
 /// Wall time of one input, s: an input that waits for something uses no processor time.

@@ -21,6 +21,9 @@ use clap::{Parser, Subcommand};
 
 use targets::{TARGETS, Target};
 
+/// Longest time of a target in the short form, where the number of inputs ends it.
+const LONGEST: Duration = Duration::from_secs(600);
+
 /// Hostile files for every reader of egotac.
 #[derive(Debug, Parser)]
 struct Args {
@@ -29,6 +32,9 @@ struct Args {
     /// Time of each target, s.
     #[arg(long, default_value_t = 15.0)]
     seconds: f64,
+    /// Read as many inputs of each target as continuous integration does, whatever the time: some seconds' worth.
+    #[arg(long, conflicts_with = "seconds")]
+    short: bool,
     /// Target; several are given one by one. Without one, all.
     #[arg(long)]
     target: Vec<String>,
@@ -61,6 +67,8 @@ enum Child {
         seed: u64,
         #[arg(long, default_value_t = 0)]
         first: u64,
+        #[arg(long, default_value_t = u64::MAX)]
+        end: u64,
         #[arg(long, default_value_t = 0.0)]
         seconds: f64,
         #[arg(long)]
@@ -69,12 +77,23 @@ enum Child {
 }
 
 fn main() -> anyhow::Result<ExitCode> {
+    // Robots and objects are tried in a child process, which is this same program.
+    #[cfg(feature = "sim")]
+    {
+        if std::env::args().nth(1).is_some_and(|command| command == "sim") {
+            return Ok(egotac::cli::main());
+        }
+        egotac::trial::serve_by_this_program()?;
+    }
     let args = Args::parse();
-    if let Some(Child::Child { target, folder, seed, first, seconds, replay }) = args.child {
+    if let Some(Child::Child { target, folder, seed, first, end, seconds, replay }) = args.child {
         let target = find(&target)?;
         match replay {
             Some(case) => child::replay(target, &folder, &case)?,
-            None => child::run(target, &folder, &child::Span { seed, first, time: Duration::from_secs_f64(seconds) })?,
+            None => {
+                let span = child::Span { seed, first, end, time: Duration::from_secs_f64(seconds) };
+                child::run(target, &folder, &span)?
+            }
         }
         return Ok(ExitCode::SUCCESS);
     }
@@ -118,13 +137,14 @@ fn fuzz(args: &Args, chosen: &[&Target]) -> anyhow::Result<ExitCode> {
         0 => std::thread::available_parallelism()?.get(),
         jobs => jobs,
     };
-    let time = Duration::from_secs_f64(args.seconds);
+    let time = if args.short { LONGEST } else { Duration::from_secs_f64(args.seconds) };
     let (waiting, failed) = (Mutex::new(chosen.iter()), Mutex::new(Vec::new()));
     let work = || -> anyhow::Result<()> {
         loop {
             let next = waiting.lock().map(|mut waiting| waiting.next()).unwrap_or(None);
             let Some(target) = next else { return Ok(()) };
-            let report = parent::run(target, args.seed, time, &args.out)?;
+            let inputs = if args.short { target.short } else { u64::MAX };
+            let report = parent::run(target, args.seed, inputs, time, &args.out)?;
             println!(
                 "{:12} {:>8} inputs, {:>7} accepted, {} findings",
                 target.name,

@@ -9,6 +9,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 
+use egotac::file::limits::MODEL_MEMORY;
+
 use crate::case::Case;
 use crate::child::{self, Span};
 use crate::limits;
@@ -30,13 +32,13 @@ pub struct Report {
     pub findings: BTreeMap<String, (PathBuf, u64)>,
 }
 
-/// Reads hostile inputs for `time` in children, and keeps in `keep` one input per reason.
-pub fn run(target: &Target, seed: u64, time: Duration, keep: &Path) -> anyhow::Result<Report> {
+/// Reads `inputs` hostile inputs in children, fewer if `time` is over before, and keeps in `keep` one input per reason.
+pub fn run(target: &Target, seed: u64, inputs: u64, time: Duration, keep: &Path) -> anyhow::Result<Report> {
     let temp = tempfile::tempdir()?;
     let folder = temp.path();
     let (begun, mut report, mut first) = (Instant::now(), Report::default(), 0);
-    while let Some(left) = time.checked_sub(begun.elapsed()).filter(|left| !left.is_zero()) {
-        let span = Span { seed, first, time: left };
+    while let Some(left) = time.checked_sub(begun.elapsed()).filter(|left| first < inputs && !left.is_zero()) {
+        let span = Span { seed, first, end: inputs, time: left };
         let _ = fs::remove_file(folder.join(child::NUMBER));
         let ended = start(
             target,
@@ -46,6 +48,8 @@ pub fn run(target: &Target, seed: u64, time: Duration, keep: &Path) -> anyhow::R
                 seed.to_string(),
                 "--first".into(),
                 first.to_string(),
+                "--end".into(),
+                span.end.to_string(),
                 "--seconds".into(),
                 span.time.as_secs_f64().to_string(),
             ],
@@ -88,6 +92,8 @@ fn start(target: &Target, folder: &Path, arguments: &[String]) -> anyhow::Result
     command.args(["child", target.name, "--folder"]).arg(folder).args(arguments);
     // One thread in each pool: processor time is then the time of the input.
     command.env("RAYON_NUM_THREADS", "1").env("RUST_BACKTRACE", "0").env("MALLOC_ARENA_MAX", "1");
+    // A model that its trial accepts must fit into the memory of the process that tried it.
+    command.env(MODEL_MEMORY.variable(), (limits::MEMORY / 2).to_string());
     let status = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(File::create(&errors)?).status()?;
     Ok((!status.success()).then(|| reason(status, &String::from_utf8_lossy(&fs::read(&errors).unwrap_or_default()))))
 }

@@ -31,6 +31,9 @@ fn the_hostile_inputs_belong_to_targets() {
     let targets = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/targets/mod.rs")).unwrap();
     for entry in std::fs::read_dir(folder).unwrap() {
         let name = entry.unwrap().file_name().into_string().unwrap();
-        assert!(name.ends_with(".md") || targets.contains(&format!("name: \"{name}\"")), "{name}");
+        assert!(
+            name.ends_with(".md") || name.ends_with(".py") || targets.contains(&format!("name: \"{name}\"")),
+            "{name}"
+        );
     }
 }

@@ -187,3 +187,36 @@ fn exponentials(row: &mut [f32], scale: f32) -> f32 {
         |x| x,
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn attention_of_any_size_agrees_with_its_definition_in_f64() {
+        let value = |i: usize| (i * 7919 % 1013) as f32 / 250.0 - 2.0;
+        let sizes = [(1, 1, 8), (7, 2, 12), (20, 3, 16), (50, 2, 33)];
+        for &(n, heads, size) in &sizes[..if cfg!(miri) { 2 } else { sizes.len() }] {
+            let d = heads * size;
+            let qkv: Vec<f32> = (0..n * 3 * d).map(value).collect();
+            let mut out = vec![0.0; n * d + 1];
+            Attention::new(n, d, heads).forward(&qkv, &mut out);
+            assert_eq!(out.pop(), Some(0.0), "wrote beyond the rows");
+            let part = |token: usize, part: usize, head: usize, i: usize| {
+                f64::from(qkv[3 * d * token + part * d + head * size + i])
+            };
+            for (query, head) in (0..n).flat_map(|query| (0..heads).map(move |head| (query, head))) {
+                let score = |key| (0..size).map(|i| part(query, 0, head, i) * part(key, 1, head, i)).sum::<f64>();
+                let scores: Vec<f64> = (0..n).map(|key| score(key) / (size as f64).sqrt()).collect();
+                let largest = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+                let weights: Vec<f64> = scores.iter().map(|score| (score - largest).exp()).collect();
+                let sum: f64 = weights.iter().sum();
+                for i in 0..size {
+                    let want = (0..n).map(|key| weights[key] * part(key, 2, head, i)).sum::<f64>() / sum;
+                    let got = f64::from(out[query * d + head * size + i]);
+                    assert!((got - want).abs() < 2e-5, "{n} tokens, {heads} heads of {size}: {got} for {want}");
+                }
+            }
+        }
+    }
+}

@@ -119,17 +119,19 @@ pub unsafe fn compute<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
         macro_rules! table {
             ($($r:literal)*) => {
                 match (rows, vectors) {
-                    // SAFETY: AVX-512 F was detected above; sizes and pointers are as the caller guarantees.
                     $(
-                        ($r, 1) => unsafe { avx512::<E, $r, 1>(tile) },
-                        ($r, 2) => unsafe { avx512::<E, $r, 2>(tile) },
-                        ($r, 3) => unsafe { avx512::<E, $r, 3>(tile) },
+                        ($r, 1) => avx512::<E, $r, 1>,
+                        ($r, 2) => avx512::<E, $r, 2>,
+                        ($r, 3) => avx512::<E, $r, 3>,
                     )*
                     _ => unreachable!("a tile of {rows} rows and {vectors} vectors"),
                 }
             };
         }
-        return table!(1 2 3 4 5 6 7 8 9);
+        let form: unsafe fn(&Tile<E>) = table!(1 2 3 4 5 6 7 8 9);
+        // SAFETY: AVX-512 F was detected above, and `form` is the one for `rows` and `vectors`; sizes and pointers are as the
+        // caller guarantees.
+        return unsafe { form(tile) };
     }
     // SAFETY: sizes and pointers are as the caller guarantees.
     unsafe { portable(tile, rows, vectors) }
@@ -188,13 +190,15 @@ unsafe fn avx512<E: Weight, const R: usize, const V: usize>(tile: &Tile<E>) {
 /// As [`compute`].
 unsafe fn portable<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
     let Tile { a, lda, b, k, bias, out, ldc, cols, add } = *tile;
-    // SAFETY of the five blocks: the caller guarantees k x 16 `vectors` weights, `cols` biases unless null, and for each
-    // row r < `rows` k values of `a` and `cols` values of `out` that nothing else uses. The rows of `out` are formed one
-    // at a time, so no two slices of it exist together.
+    // SAFETY: the caller guarantees a panel of k x 16 `vectors` weights, which nobody changes during the call.
     let panel = unsafe { std::slice::from_raw_parts(b, k * vectors * LANES) };
+    // SAFETY: not null, so the caller guarantees `cols` biases, which nobody changes during the call.
     let bias = (!bias.is_null()).then(|| unsafe { std::slice::from_raw_parts(bias, cols) });
     for r in 0..rows {
+        // SAFETY: the caller guarantees k values in row r < `rows` of `a`.
         let row = unsafe { std::slice::from_raw_parts(a.add(r * lda), k) };
+        // SAFETY: the caller guarantees `cols` values in row r < `rows` of `out`, which nothing else uses. The slice ends with
+        // this turn of the loop, so no two slices of `out` exist together.
         let out = unsafe { std::slice::from_raw_parts_mut(out.add(r * ldc), cols) };
         simd::dispatch(
             #[inline(always)]

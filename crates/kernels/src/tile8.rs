@@ -52,17 +52,19 @@ pub unsafe fn compute(tile: &Tile8, rows: usize, vectors: usize) {
         macro_rules! table {
             ($($r:literal)*) => {
                 match (rows, vectors) {
-                    // SAFETY: both features were detected above; sizes and pointers are as the caller guarantees.
                     $(
-                        ($r, 1) => unsafe { vnni::<$r, 1>(tile) },
-                        ($r, 2) => unsafe { vnni::<$r, 2>(tile) },
-                        ($r, 3) => unsafe { vnni::<$r, 3>(tile) },
+                        ($r, 1) => vnni::<$r, 1>,
+                        ($r, 2) => vnni::<$r, 2>,
+                        ($r, 3) => vnni::<$r, 3>,
                     )*
                     _ => unreachable!("a tile of {rows} rows and {vectors} vectors"),
                 }
             };
         }
-        return table!(1 2 3 4 5 6 7 8 9);
+        let form: unsafe fn(&Tile8) = table!(1 2 3 4 5 6 7 8 9);
+        // SAFETY: both features were detected above, and `form` is the one for `rows` and `vectors`; sizes and pointers are
+        // as the caller guarantees.
+        return unsafe { form(tile) };
     }
     // SAFETY: sizes and pointers are as the caller guarantees.
     unsafe { portable(tile, rows, vectors) }
@@ -108,7 +110,7 @@ unsafe fn vnni<const R: usize, const V: usize>(tile: &Tile8) {
             )
         };
         for (r, total) in total.iter().enumerate() {
-            // SAFETY: r < R, and the caller guarantees a scale and zero point per row.
+            // SAFETY: the caller guarantees a scale and zero point for each row r < R.
             let (scale, zero) = unsafe { *rows.add(r) };
             let product = _mm512_sub_epi32(total[v], _mm512_mullo_epi32(_mm512_set1_epi32(zero), sums));
             let scale = _mm512_mul_ps(_mm512_set1_ps(scale), scales);
@@ -131,10 +133,9 @@ unsafe fn vnni<const R: usize, const V: usize>(tile: &Tile8) {
 unsafe fn portable(tile: &Tile8, rows: usize, vectors: usize) {
     let Tile8 { a, lda, b, k, scales, sums, bias, out, ldc, cols, add, .. } = *tile;
     let width = vectors * LANES;
-    // SAFETY of the blocks below: the caller guarantees k x 64 `vectors` weights, `cols` scales, sums and biases, and for
-    // each row r < `rows` 4 k activations, a scale with zero point, and `cols` values of `out` that nothing else uses. The
-    // rows of `out` are formed one at a time, so no two slices of it exist together.
+    // SAFETY: the caller guarantees a panel of k x 64 `vectors` weights, which nobody changes during the call.
     let panel = unsafe { std::slice::from_raw_parts(b, k * width * GROUP) };
+    // SAFETY: the caller guarantees `cols` scales, sums and biases, which nobody changes during the call.
     let (scales, sums, bias) = unsafe {
         (
             std::slice::from_raw_parts(scales, cols),
@@ -143,8 +144,12 @@ unsafe fn portable(tile: &Tile8, rows: usize, vectors: usize) {
         )
     };
     for r in 0..rows {
+        // SAFETY: the caller guarantees 4 k activations in row r < `rows` of `a`.
         let row = unsafe { std::slice::from_raw_parts(a.add(r * lda), k * GROUP) };
+        // SAFETY: the caller guarantees a scale and zero point for each row r < `rows`.
         let (scale, zero) = unsafe { *tile.rows.add(r) };
+        // SAFETY: the caller guarantees `cols` values in row r < `rows` of `out`, which nothing else uses. The slice ends with
+        // this turn of the loop, so no two slices of `out` exist together.
         let out = unsafe { std::slice::from_raw_parts_mut(out.add(r * ldc), cols) };
         simd::dispatch(
             #[inline(always)]

@@ -9,7 +9,7 @@ use serde_json::json;
 
 use crate::dataset::Labelled;
 use crate::score::metrics::{self, EvalOptions};
-use crate::tactile::TactileSequence;
+use crate::tactile::{N_FIELD, TactileSequence};
 use crate::text::printable;
 
 /// Arguments of `egotac data diff`.
@@ -38,15 +38,12 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     }
     let pairs = pairs(&a, &b);
     ensure!(!pairs.is_empty(), "{} and {} have no frame of equal time", args.a.display(), args.b.display());
-    let pred = a.select(pairs.iter().map(|pair| pair.0));
-    let mut target = b.select(pairs.iter().map(|pair| pair.1));
+    let (pred, mut target) = paired(&a, &b, &pairs);
     // Predictions become 0 or 1, as truth is already.
     for contact in target.contact.iter_mut().filter(|contact| !contact.is_nan()) {
         *contact = f32::from(*contact > 0.5);
     }
-    // The frame rate comes from all frames of B, since pairs may leave gaps.
-    let options = EvalOptions { fps: b.fps(), calibration: None };
-    let report = metrics::evaluate(&pred, &target, &options)?;
+    let report = metrics::evaluate(&pred, &target, &EvalOptions::default())?;
     let (only_a, only_b) = (a.n_frames() - pairs.len(), b.n_frames() - pairs.len());
     if args.json {
         let mut value = serde_json::to_value(&report)?;
@@ -59,6 +56,31 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         println!("{only_a} frames of A and {only_b} of B without a partner of equal time");
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Returns both sides over B's frames. Frames without a partner are unknown in A and masked in B, so that they are gaps in
+/// the total force over time.
+fn paired(a: &TactileSequence, b: &TactileSequence, pairs: &[(usize, usize)]) -> (TactileSequence, TactileSequence) {
+    let unknown = vec![f32::NAN; b.force.len()];
+    let mut pred =
+        TactileSequence { topology: a.topology, force: unknown.clone(), contact: unknown, ..Default::default() };
+    let mut target = b.clone();
+    for mask in [&mut target.mask_force, &mut target.mask_contact] {
+        let is_counted = |at: &usize| mask.get(*at).is_none_or(|mask| *mask != 0);
+        let counted: Vec<usize> = pairs.iter().flat_map(|(_, b)| row(*b)).filter(is_counted).collect();
+        *mask = vec![0; b.force.len()];
+        counted.into_iter().for_each(|at| mask[at] = 1);
+    }
+    for (from, to) in pairs {
+        pred.force[row(*to)].copy_from_slice(a.force_at(*from));
+        pred.contact[row(*to)].copy_from_slice(a.contact_at(*from));
+    }
+    (pred, target)
+}
+
+/// Returns the entries of a frame.
+fn row(frame: usize) -> std::ops::Range<usize> {
+    frame * N_FIELD..(frame + 1) * N_FIELD
 }
 
 /// Returns the indices of paired frames of A and B, in B's order.

@@ -67,7 +67,7 @@ fn summarize(args: &Args, run: &MessagesByStamp, verifier: &Value) -> Value {
 }
 
 /// Rows of the table: title, JSON pointer into the summary, factor and unit.
-const ROWS: [(&str, &str, f64, &str); 13] = [
+const ROWS: [(&str, &str, f64, &str); 18] = [
     ("images published", "/images", 1.0, ""),
     ("predictions with an image's stamp", "/predictions", 1.0, ""),
     ("dropped frames", "/dropped_frames", 1.0, ""),
@@ -77,16 +77,33 @@ const ROWS: [(&str, &str, f64, &str); 13] = [
     ("force MAE, all vertices", "/verifier/metrics/mae", 1.0, "N"),
     ("force MAE, vertices above 0.05 N", "/verifier/metrics/active_mae", 1.0, "N"),
     ("temporal Pearson of the total force", "/verifier/metrics/temporal_pearson", 1.0, ""),
+    ("force cosine", "/verifier/metrics/force_cosine", 1.0, ""),
+    ("contact F1 (mean over frames with touch)", "/verifier/metrics/frame_mean/f1", 1.0, ""),
+    ("contact IoU (mean over frames with touch)", "/verifier/metrics/frame_mean/iou", 1.0, ""),
+    ("contact AUROC (mean over frames with touch)", "/verifier/metrics/frame_mean/auroc", 1.0, ""),
+    ("frames without touch", "/verifier/metrics/share_without_positives", 100.0, "%"),
+    ("false-positive rate on these", "/verifier/metrics/false_positive_rate", 100.0, "% of vertices"),
     ("contact F1 (pooled)", "/verifier/metrics/pooled/f1", 1.0, ""),
-    ("contact IoU (pooled)", "/verifier/metrics/pooled/iou", 1.0, ""),
     ("contact AUROC (pooled)", "/verifier/metrics/pooled/auroc", 1.0, ""),
     ("frames left out as invalid", "/verifier/invalid_truths", 1.0, ""),
 ];
 
+/// JSON pointer of the network's scores.
+const SCORES: &str = "/verifier/metrics";
+/// JSON pointers of the scores of predictions that see no image.
+const BASELINES: [&str; 2] = ["/verifier/baselines/zero", "/verifier/baselines/persistence"];
+
 fn table(summary: &Value) -> String {
-    let mut text = String::from("| predicted against the simulator's truth | |\n|---|---|\n");
+    let mut text = String::from(
+        "| predicted against the simulator's truth | network | no touch ever | truth of the frame before |\n|---|---|---|---|\n",
+    );
     for (name, pointer, factor, unit) in ROWS {
-        let _ = writeln!(text, "| {name} | {} |", cell(summary.pointer(pointer), factor, unit));
+        let baselines = BASELINES.map(|baseline| match pointer.strip_prefix(SCORES) {
+            Some(score) => cell(summary.pointer(&format!("{baseline}{score}")), factor, unit),
+            None => String::new(),
+        });
+        let _ =
+            writeln!(text, "| {name} | {} | {} |", cell(summary.pointer(pointer), factor, unit), baselines.join(" | "));
     }
     let field = |pointer: &str| summary.pointer(pointer).and_then(Value::as_str).unwrap_or("unknown").to_owned();
     let _ = writeln!(text, "\n`{}`, network {}, {}", field("/command"), field("/verifier/model_id"), field("/machine"));
@@ -105,13 +122,13 @@ fn cell(value: Option<&Value>, factor: f64, unit: &str) -> String {
 fn headline(summary: &Value) -> String {
     let get = |pointer: &str, factor, unit| cell(summary.pointer(pointer), factor, unit);
     format!(
-        "{} predictions for {} images at {}, latency {} (p50); contact F1 {}, AUROC {}; active force error {}, temporal Pearson {}",
+        "{} predictions for {} images at {}, latency {} (p50); contact F1 {} (frame mean), AUROC {}; active force error {}, temporal Pearson {}",
         get("/predictions", 1.0, ""),
         get("/images", 1.0, ""),
         get("/verifier/rate_hz", 1.0, "Hz"),
         get("/verifier/latency_secs/p50", 1e3, "ms"),
-        get("/verifier/metrics/pooled/f1", 1.0, ""),
-        get("/verifier/metrics/pooled/auroc", 1.0, ""),
+        get("/verifier/metrics/frame_mean/f1", 1.0, ""),
+        get("/verifier/metrics/frame_mean/auroc", 1.0, ""),
         get("/verifier/metrics/active_mae", 1.0, "N"),
         get("/verifier/metrics/temporal_pearson", 1.0, ""),
     )

@@ -2,13 +2,14 @@
 
 use std::path::PathBuf;
 
-use ::image::{Rgb, RgbImage, imageops};
+use ::image::{RgbImage, imageops};
 use anyhow::{Context as _, ensure};
 use candle_core::{Device, Tensor};
 
 use crate::file::{self, input, limits};
 use crate::image;
 use crate::model::{EgoTac, Metadata, checkpoint, shipped};
+use crate::render::heat;
 
 /// Side of each drawn image, pixels: twice the input of the larger presets.
 const SIDE: u32 = 448;
@@ -44,7 +45,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut out = RgbImage::new(SIDE * config.horizon as u32, SIDE);
     for (i, (picture, weights)) in pictures.iter().zip(&weights).enumerate() {
         let square = image::resize(picture, config.image, metadata.resize, metadata.filter)?;
-        let drawn = overlay(&square, weights, config.grid() as u32, largest);
+        let drawn = heat::overlay(&square, weights, config.grid() as u32, largest, SIDE);
         imageops::replace(&mut out, &drawn, i64::from(SIDE) * i as i64, 0);
         println!("image {i}: {:.1} % of the attention on patches", 100.0 * weights.iter().sum::<f32>());
     }
@@ -99,36 +100,4 @@ fn patch_weights(
         None => weights.mean(1)?,
     };
     Ok(weights.contiguous()?.to_vec2::<f32>()?)
-}
-
-/// Draws attention over an image: darker where there is little, redder where there is much.
-fn overlay(image: &RgbImage, weights: &[f32], grid: u32, largest: f32) -> RgbImage {
-    let share = |weight: f32| if largest > 0.0 { weight / largest } else { 0.0 };
-    let map = ::image::ImageBuffer::<::image::Luma<f32>, Vec<f32>>::from_fn(grid, grid, |x, y| {
-        ::image::Luma([share(weights[(y * grid + x) as usize])])
-    });
-    let map = imageops::resize(&map, SIDE, SIDE, imageops::FilterType::Triangle);
-    let image = imageops::resize(image, SIDE, SIDE, imageops::FilterType::Triangle);
-    RgbImage::from_fn(SIDE, SIDE, |x, y| {
-        let heat = map.get_pixel(x, y).0[0].clamp(0.0, 1.0).sqrt();
-        let Rgb(pixel) = *image.get_pixel(x, y);
-        let color = [255.0, 200.0 * heat, 0.0];
-        Rgb(std::array::from_fn(|channel| {
-            let dark = f32::from(pixel[channel]) * 0.55;
-            (dark + 0.7 * heat * (color[channel] - dark)) as u8
-        }))
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_patch_with_the_most_attention_is_the_reddest() {
-        let image = RgbImage::from_pixel(28, 28, Rgb([80, 80, 80]));
-        let picture = overlay(&image, &[0.0, 0.1, 0.0, 0.0], 2, 0.1);
-        let red = |x: u32, y: u32| i32::from(picture.get_pixel(x, y).0[0]) - i32::from(picture.get_pixel(x, y).0[2]);
-        assert!(red(3 * SIDE / 4, SIDE / 4) > 100 && red(SIDE / 4, 3 * SIDE / 4) < 40);
-    }
 }

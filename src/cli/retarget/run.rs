@@ -1,6 +1,6 @@
 //! `egotac retarget run`.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::process::ExitCode;
 
 use anyhow::{Context, bail, ensure};
@@ -56,7 +56,7 @@ pub fn run(args: &Run) -> anyhow::Result<ExitCode> {
     let options = Options { side: Some(side), ..Options::default() };
     let mut retargeter = Retargeter::with_options(robot, options)?;
     let trajectory = follow(args, &hands, side, pooling.as_ref(), &mut retargeter)?;
-    let metadata = HashMap::from([
+    let metadata = BTreeMap::from([
         ("robot".to_owned(), retargeter.robot().spec.robot.clone()),
         ("model".to_owned(), retargeter.robot().origin.clone()),
         ("side".to_owned(), side.name().to_owned()),

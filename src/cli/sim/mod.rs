@@ -28,7 +28,7 @@ pub struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum Command {
     /// List the scenes that are part of the program.
-    List,
+    List(List),
     /// Render a scene to a PNG: one instant, or a sheet of several.
     Show(Show),
     /// Print a scene's effects: on or off, the reason, and the measured cost.
@@ -43,6 +43,13 @@ enum Command {
     /// Load a model within limits of memory and time; commands and nodes that load models of others start this first.
     #[command(hide = true)]
     Trial(Trial),
+}
+
+#[derive(Debug, clap::Args)]
+struct List {
+    /// Only the scenes of this split, train or ood, under the names that the other commands take.
+    #[arg(long)]
+    split: Option<String>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -114,8 +121,11 @@ struct Run {
 #[derive(Debug, clap::Args)]
 struct Generate {
     /// Names of scenes, or YAML files, used in turn.
-    #[arg(required = true)]
+    #[arg(required_unless_present = "split")]
     scenes: Vec<String>,
+    /// All scenes of this split (sim/splits.yaml): train, or ood, which no training may see.
+    #[arg(long, value_name = "NAME", conflicts_with = "scenes")]
+    split: Option<String>,
     /// Number of episodes.
     #[arg(long, default_value_t = 100)]
     episodes: usize,
@@ -221,7 +231,7 @@ fn parse_error(text: &str) -> Result<f64, String> {
 #[cfg(not(feature = "sim"))]
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let name = match args.command {
-        Command::List => "sim list",
+        Command::List(_) => "sim list",
         Command::Show(_) => "sim show",
         Command::Explain(_) => "sim explain",
         Command::Run(_) => "sim run",
@@ -236,7 +246,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 #[cfg(feature = "sim")]
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     match args.command {
-        Command::List => show::list()?,
+        Command::List(args) => show::list(&args)?,
         Command::Show(args) => show::show(&args)?,
         Command::Explain(args) => explain::explain(&args)?,
         Command::Run(args) => record::run(&args)?,

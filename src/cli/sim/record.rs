@@ -10,6 +10,7 @@ use super::{Accuracy, Generate, RolloutArgs, Run, Worker};
 use crate::cli::progress;
 use crate::mujoco::{PhysicsOptions, Preset};
 use crate::sim::budget::{self, Request, Table};
+use crate::sim::scene::Split;
 use crate::sim::{self, RecordSummary, Scene, WorkerCommand};
 use crate::trial;
 
@@ -26,7 +27,8 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
 
 pub fn generate(args: &Generate) -> anyhow::Result<()> {
     let factor = factor(&args.accuracy)?;
-    let scenes = args.scenes.iter().map(|name| with_printed_accuracy(load(name)?, &args.accuracy, factor));
+    let names = scene_names(args)?;
+    let scenes = names.iter().map(|name| with_printed_accuracy(load(name)?, &args.accuracy, factor));
     let plan = sim::DatasetPlan {
         scenes: scenes.collect::<anyhow::Result<_>>()?,
         episodes: args.episodes,
@@ -44,15 +46,25 @@ pub fn generate(args: &Generate) -> anyhow::Result<()> {
     };
     let summary = match args.in_process {
         true => sim::generate(&plan, &args.out, progress)?,
-        false => sim::generate_in_processes(&plan, &workers(args, factor)?, args.skip_failed, &args.out, progress)?,
+        false => {
+            sim::generate_in_processes(&plan, &workers(args, &names, factor)?, args.skip_failed, &args.out, progress)?
+        }
     };
     chunks.finish_and_clear();
     print(&summary, &args.out);
     Ok(())
 }
 
+/// Returns the names of the scenes to simulate: those given, or those of the split.
+fn scene_names(args: &Generate) -> anyhow::Result<Vec<String>> {
+    match &args.split {
+        Some(name) => Ok(Split::named(name)?.scene_names(name)),
+        None => Ok(args.scenes.clone()),
+    }
+}
+
 /// Returns the command that starts this program as a worker with the same scenes and options.
-fn workers(args: &Generate, factor: Option<f64>) -> anyhow::Result<WorkerCommand> {
+fn workers(args: &Generate, scenes: &[String], factor: Option<f64>) -> anyhow::Result<WorkerCommand> {
     let mut arguments: Vec<OsString> = vec!["--size".into(), args.size.to_string().into()];
     let RolloutArgs { shadows, kernel, hands } = &args.rollout;
     arguments.extend(["--sigma".into(), kernel.sigma.to_string().into()]);
@@ -72,7 +84,7 @@ fn workers(args: &Generate, factor: Option<f64>) -> anyhow::Result<WorkerCommand
         arguments.extend(path.iter().flat_map(|path| [flag.into(), path.clone().into_os_string()]));
     }
     arguments.push("--".into());
-    arguments.extend(args.scenes.iter().map(OsString::from));
+    arguments.extend(scenes.iter().map(OsString::from));
     Ok(WorkerCommand::of_this_program(arguments)?)
 }
 

@@ -5,15 +5,20 @@ use std::path::Path;
 use ::image::{GenericImage, Rgb, RgbImage};
 use anyhow::{Context, ensure};
 
-use super::Show;
 use super::shared::options;
+use super::{List, Show};
 use crate::file;
 use crate::hand::Side;
+use crate::sim::scene::Split;
 use crate::sim::{Rollout, SHIPPED, Scene, SimFrame};
 
-pub fn list() -> anyhow::Result<()> {
-    let width = SHIPPED.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
-    for (name, _) in SHIPPED {
+pub fn list(args: &List) -> anyhow::Result<()> {
+    let names = match &args.split {
+        Some(split) => Split::named(split)?.scene_names(split),
+        None => SHIPPED.iter().map(|(name, _)| (*name).into()).collect(),
+    };
+    let width = names.iter().map(String::len).max().unwrap_or(0);
+    for name in &names {
         println!("{name:width$}  {}", Scene::load(name)?.spec.description);
     }
     Ok(())

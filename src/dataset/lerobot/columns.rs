@@ -70,16 +70,9 @@ pub fn with_types(text: &str, columns: &[Column]) -> Option<String> {
 /// Sums the forces of each region, left hand first; NaN if one of them is unknown.
 fn region_force() -> impl Fn(&LabelFrame) -> Vec<f32> {
     let regions = Side::BOTH.map(|side| HandModel::builtin(side).regions());
-    move |label| {
-        let mut sums = vec![0.0f64; 2 * Region::ALL.len()];
-        let Ok(field) = &label.touch else { return vec![f32::NAN; sums.len()] };
-        for side in Side::BOTH {
-            let start = side as usize * Region::ALL.len();
-            for (force, region) in field.force[side.range()].iter().zip(&regions[side as usize]) {
-                sums[start + region.index()] += f64::from(*force);
-            }
-        }
-        sums.into_iter().map(|sum| sum as f32).collect()
+    move |label| match &label.touch {
+        Ok(field) => field.region_forces(&regions),
+        Err(_) => vec![f32::NAN; 2 * Region::ALL.len()],
     }
 }
 

@@ -15,6 +15,7 @@ use parquet::file::properties::WriterProperties;
 use serde_json::{Map, Value, json};
 
 use super::columns::{Column, with_types};
+use super::finished::FinishedEpisodes;
 use super::images::LeRobotDataset;
 use super::statistics::{EpisodeStatistics, Statistics};
 use super::{LeRobot, numbers, reader, reader_and_page};
@@ -37,7 +38,8 @@ const HUGGINGFACE: &str = "huggingface";
 impl LeRobotDataset {
     /// Writes one file of rows with the values of the new columns.
     fn rewrite_rows(&self, from: &Path, to: &Path, columns: &[Column], labelling: &mut Labelling) -> Result<()> {
-        let fail = |error: parquet::errors::ParquetError| Error::file(from, error);
+        let fail = |error: parquet::errors::ParquetError| Error::library(from, error);
+        let not_written = |error: parquet::errors::ParquetError| Error::library(to, error);
         let (builder, page) = reader_and_page(from)?;
         // Fewer rows at a time where a cell may be large.
         let batch = (limits::CHUNK.value() / page.max(1)).clamp(1, BATCH as u64) as usize;
@@ -49,12 +51,14 @@ impl LeRobotDataset {
             .set_max_row_group_row_count(Some(ROW_GROUP))
             .build();
         let file = File::create(to).map_err(Error::io(to))?;
-        let mut writer = ArrowWriter::try_new(file, schema.clone(), Some(properties)).map_err(fail)?;
+        let mut writer = ArrowWriter::try_new(file, schema.clone(), Some(properties)).map_err(not_written)?;
+        let mut place = 0;
         for batch in builder.with_batch_size(batch).build().map_err(fail)? {
-            let batch = batch.map_err(|e| Error::file(from, e))?;
+            let batch = batch.map_err(|e| Error::library(from, e))?;
             let mut values: Vec<Vec<f32>> = columns.iter().map(|_| Vec::new()).collect();
             for episode in numbers(&batch, "episode_index", from)? {
-                let row = labelling.next(episode as i64, columns)?;
+                let row = labelling.next(episode as i64, (from, place), columns)?;
+                place += 1;
                 values.iter_mut().zip(row).for_each(|(column, value)| column.extend(value));
             }
             let mut arrays: Vec<ArrayRef> = batch.columns().to_vec();
@@ -64,37 +68,31 @@ impl LeRobotDataset {
                 arrays.push(Arc::new(list.map_err(|e| Error::file(from, e))?));
             }
             let batch = RecordBatch::try_new(schema.clone(), arrays).map_err(|e| Error::file(from, e))?;
-            writer.write(&batch).map_err(fail)?;
+            writer.write(&batch).map_err(not_written)?;
             if writer.in_progress_size() > BUFFER {
-                writer.flush().map_err(fail)?;
+                writer.flush().map_err(not_written)?;
             }
         }
-        writer.close().map_err(fail)?;
+        writer.close().map_err(not_written)?;
         Ok(())
     }
 
     /// Writes one file of `meta/episodes` with the statistics of the new columns.
-    fn rewrite_episodes(
-        &self,
-        from: &Path,
-        to: &Path,
-        columns: &[Column],
-        done: &[(i64, Vec<Statistics>)],
-    ) -> Result<()> {
-        let fail = |error: parquet::errors::ParquetError| Error::file(from, error);
-        let builder = reader(from)?;
+    fn rewrite_episodes(&self, from: &Path, to: &Path, columns: &[Column], done: &FinishedEpisodes) -> Result<()> {
+        let fail = |error: parquet::errors::ParquetError| Error::library(from, error);
+        let not_written = |error: parquet::errors::ParquetError| Error::library(to, error);
+        let builder = reader(from)?.with_batch_size(BATCH);
         let old = builder.schema().clone();
         let mut metadata = old.metadata().clone();
         // The entry lists types of the old columns alone; without it, readers take the types of the columns themselves.
         metadata.remove(HUGGINGFACE);
         let (mut writer, mut schema) = (None, None);
         for batch in builder.build().map_err(fail)? {
-            let batch = batch.map_err(|e| Error::file(from, e))?;
+            let batch = batch.map_err(|e| Error::library(from, e))?;
             let mut statistics = Vec::new();
             for index in numbers(&batch, "episode_index", from)? {
-                let found = done.iter().find(|(episode, _)| *episode == index as i64);
                 let missing = || Error::file(from, format!("episode {index} has no row in the data"));
-                statistics.push(&found.ok_or_else(missing)?.1);
+                statistics.push(done.get(index as i64)?.ok_or_else(missing)?);
             }
             let mut fields: Vec<FieldRef> = old.fields().iter().cloned().collect();
             let mut arrays: Vec<ArrayRef> = batch.columns().to_vec();
@@ -111,14 +109,17 @@ impl LeRobotDataset {
                 none => {
                     let properties = WriterProperties::builder().set_compression(Compression::SNAPPY).build();
                     let file = File::create(to).map_err(Error::io(to))?;
-                    none.insert(ArrowWriter::try_new(file, schema.clone(), Some(properties)).map_err(fail)?)
+                    none.insert(ArrowWriter::try_new(file, schema.clone(), Some(properties)).map_err(not_written)?)
                 }
             };
             let batch = RecordBatch::try_new(schema.clone(), arrays).map_err(|e| Error::file(from, e))?;
-            writer.write(&batch).map_err(fail)?;
+            writer.write(&batch).map_err(not_written)?;
+            if writer.in_progress_size() > BUFFER {
+                writer.flush().map_err(not_written)?;
+            }
         }
         match writer {
-            Some(writer) => writer.close().map(drop).map_err(fail),
+            Some(writer) => writer.close().map(drop).map_err(not_written),
             None => copy_regular(from, to),
         }
     }
@@ -136,7 +137,7 @@ impl LeRobotDataset {
     }
 
     /// Returns the content of `meta/stats.json` with statistics of the new columns over all episodes.
-    fn extended_stats(&self, columns: &[Column], done: &[(i64, Vec<Statistics>)]) -> Result<Value> {
+    fn extended_stats(&self, columns: &[Column], done: &FinishedEpisodes) -> Result<Value> {
         let path = self.dataset.folder.join("meta/stats.json")?;
         let mut stats: Map<String, Value> = match path.exists() {
             true => {
@@ -146,9 +147,7 @@ impl LeRobotDataset {
             false => Map::new(),
         };
         for (at, column) in columns.iter().enumerate() {
-            let mut total = Statistics::default();
-            done.iter().for_each(|(_, statistics)| total.add(&statistics[at]));
-            stats.insert(column.name.clone(), total.json());
+            stats.insert(column.name.clone(), done.total(at).json());
         }
         Ok(Value::Object(stats))
     }
@@ -204,39 +203,59 @@ struct Labelling<'a> {
     labels: &'a dyn SourceLabels,
     /// The present episode.
     open: Option<OpenEpisode<'a>>,
-    /// Index and statistics of each finished episode.
-    done: Vec<(i64, Vec<Statistics>)>,
+    done: FinishedEpisodes,
 }
 
 struct OpenEpisode<'a> {
     index: i64,
+    /// Number of its rows that have no label yet.
+    left: usize,
     labels: LabelFrames<'a>,
     statistics: Vec<EpisodeStatistics>,
 }
 
 impl Labelling<'_> {
-    /// Returns the values of the columns for the next row, which belongs to episode `index`.
-    fn next(&mut self, index: i64, columns: &[Column]) -> Result<Vec<Vec<f32>>> {
+    /// Returns the values of the columns for the next row, which belongs to episode `index` and lies at a place of a file.
+    ///
+    /// # Errors
+    /// If the row is not the one whose image was labelled: rows must lie where `meta/episodes` says.
+    fn next(&mut self, index: i64, row: (&Path, usize), columns: &[Column]) -> Result<Vec<Vec<f32>>> {
         if self.open.as_ref().is_none_or(|open| open.index != index) {
-            self.close();
-            let unit = self.dataset.episodes.iter().position(|other| other.index == index);
-            let unit = unit.ok_or_else(|| self.error(index, "is in the data but not in meta/episodes"))?;
-            let frames = self.dataset.episodes[unit].length;
-            let statistics = columns.iter().map(|column| EpisodeStatistics::new(column.width, frames)).collect();
-            self.open = Some(OpenEpisode { index, labels: self.labels.labels(unit)?, statistics });
+            self.close()?;
+            self.open(index, row, columns)?;
         }
-        let missing = self.error(index, "has more rows than meta/episodes says");
-        let Some(open) = &mut self.open else { return Err(missing) };
-        let label = open.labels.next().ok_or(missing)??;
+        let more = self.error(index, "has more rows than meta/episodes says");
+        let Some(open) = self.open.as_mut().filter(|open| open.left > 0) else { return Err(more) };
+        open.left -= 1;
+        let label = open.labels.next().ok_or(more)??;
         let values: Vec<Vec<f32>> = columns.iter().map(|column| (column.value)(&label)).collect();
         open.statistics.iter_mut().zip(&values).for_each(|(statistics, values)| statistics.push(values));
         Ok(values)
     }
 
-    fn close(&mut self) {
-        if let Some(OpenEpisode { index, statistics, .. }) = self.open.take() {
-            self.done.push((index, statistics.into_iter().map(EpisodeStatistics::finish).collect()));
+    /// Starts episode `index`, whose first row lies at a place of a file.
+    fn open(&mut self, index: i64, (file, place): (&Path, usize), columns: &[Column]) -> Result<()> {
+        let dataset = self.dataset;
+        let unit = dataset.episodes.binary_search_by_key(&index, |episode| episode.index);
+        let unit = unit.map_err(|_| self.error(index, "is in the data but not in meta/episodes"))?;
+        let episode = &dataset.episodes[unit];
+        let (told, start) = (dataset.data_file(episode.data)?, dataset.start_in_file(episode));
+        if self.done.contains(index) || told != file || start != place {
+            let expected = format!("starts at row {start} of {}, as meta/episodes says", told.display());
+            return Err(self.error(index, &format!("{expected}, but also at row {place} of {}", file.display())));
         }
+        let statistics = columns.iter().map(|column| EpisodeStatistics::new(column.width, episode.length)).collect();
+        self.open = Some(OpenEpisode { index, left: episode.length, labels: self.labels.labels(unit)?, statistics });
+        Ok(())
+    }
+
+    fn close(&mut self) -> Result<()> {
+        let Some(OpenEpisode { index, left, statistics, .. }) = self.open.take() else { return Ok(()) };
+        if left > 0 {
+            return Err(self.error(index, &format!("lacks {left} of the rows that meta/episodes says")));
+        }
+        let statistics: Vec<Statistics> = statistics.into_iter().map(EpisodeStatistics::finish).collect();
+        self.done.add(index, &statistics)
     }
 
     fn error(&self, index: i64, problem: &str) -> Error {
@@ -248,14 +267,16 @@ impl LabelOutput for LeRobotDataset {
     fn assemble(&self, labels: &dyn SourceLabels, info: &mut LabelInfo, at: &Path, _: &Path) -> Result<()> {
         let root = &self.dataset.root;
         let columns = self.columns(labels.topology());
-        let mut labelling = Labelling { dataset: &self.dataset, labels, open: None, done: Vec::new() };
+        fs::create_dir_all(at).map_err(Error::io(at))?;
+        let done = FinishedEpisodes::new(at)?;
+        let mut labelling = Labelling { dataset: &self.dataset, labels, open: None, done };
         let place = |path: &Path| at.join(path.strip_prefix(root).unwrap_or(path));
         for file in self.dataset.data_files()? {
             let to = place(&file);
             create_parent(&to)?;
             self.rewrite_rows(&file, &to, &columns, &mut labelling)?;
         }
-        labelling.close();
+        labelling.close()?;
         for file in self.dataset.episode_files()? {
             let to = place(&file);
             create_parent(&to)?;

@@ -105,6 +105,26 @@ impl Statistics {
         self.count += other.count;
     }
 
+    /// Returns all numbers as words: counts, and the bits of floats.
+    pub fn words(&self) -> Vec<u64> {
+        let Self { count, known, min, max, mean, spread, quantiles } = self;
+        let mut words = vec![*count, known.len() as u64];
+        words.extend(known);
+        let floats = [min, max, mean, spread].into_iter().chain(quantiles).flatten();
+        words.extend(floats.map(|value| value.to_bits()));
+        words
+    }
+
+    /// Returns the statistics of the next words; None at their end.
+    pub fn from_words(words: &mut impl Iterator<Item = u64>) -> Option<Self> {
+        let (count, width) = (words.next()?, words.next()? as usize);
+        let known: Vec<u64> = words.by_ref().take(width).collect();
+        let mut floats = || words.by_ref().take(width).map(f64::from_bits).collect::<Vec<_>>();
+        let [min, max, mean, spread] = std::array::from_fn(|_| floats());
+        let quantiles = QUANTILES.iter().map(|_| floats()).collect();
+        Some(Self { count, known, min, max, mean, spread, quantiles })
+    }
+
     /// Returns the statistics by name, as the columns `stats/FEATURE/NAME` hold them. Elements that are never known are 0,
     /// so that normalisation in policies meets no NaN.
     pub fn lists(&self) -> Vec<(&'static str, Vec<f64>)> {

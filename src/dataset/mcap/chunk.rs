@@ -12,8 +12,6 @@ use crate::dataset::source::LostBytes;
 use crate::error::Result;
 use crate::file::limits;
 
-/// Upper limit of the memory reserved from a chunk's header, bytes: a damaged header may state any size.
-const ROOM: u64 = 1 << 26;
 /// Largest window of zstd, as the exponent of 2 of its bytes; the format's own recommendation for decoders is 23, and the
 /// library's highest level takes 27.
 const WINDOW: u32 = 27;
@@ -34,6 +32,13 @@ impl ChunkContent {
     /// Returns the content of the chunk's record as it lies in the file.
     pub fn body(&self) -> &[u8] {
         &self.body
+    }
+
+    /// Frees the compressed form, which only a copy of the chunk needs; [`Self::body`] is empty afterwards.
+    pub fn forget_body(&mut self) {
+        if self.unpacked.is_some() {
+            self.body = Vec::new();
+        }
     }
 
     /// Returns the complete records, opcode and length included.
@@ -63,6 +68,13 @@ impl ChunkOutline {
             start = end as u64;
         }
         skeleton
+    }
+
+    /// Estimates the memory of definitions and index, bytes.
+    pub fn memory(&self) -> usize {
+        let definitions = self.definitions.iter().map(|(_, body)| body.len() + size_of::<(u8, Vec<u8>)>());
+        let index = self.index.values().map(|messages| messages.len() * size_of::<(u64, u64)>());
+        definitions.sum::<usize>() + index.sum::<usize>()
     }
 
     /// Adds the record at `offset`.
@@ -105,11 +117,15 @@ pub(super) fn open_chunk(
         let variable = limits::CHUNK.variable();
         return lost(format!("a chunk of {wanted} bytes, expected at most {most}; {variable} raises the limit"));
     }
-    let mut unpacked = Vec::with_capacity(if header.compression.is_empty() { 0 } else { wanted.min(ROOM) as usize });
+    // Room for all, so that no larger buffer ever stands beside it; the system gives the memory as it is written.
+    let mut unpacked = Vec::new();
+    if !header.compression.is_empty() && unpacked.try_reserve_exact(wanted as usize).is_err() {
+        return lost(format!("a chunk of {wanted} bytes, more than there is memory"));
+    }
     let result = match header.compression.as_str() {
         "" => Ok(0),
-        // Decompress into the final buffer where the size is trusted: spares one copy.
-        "zstd" if wanted <= ROOM && !cut_off => {
+        // Decompress into the final buffer where the chunk is whole: spares one copy.
+        "zstd" if !cut_off => {
             zstd::bulk::Decompressor::new().and_then(|mut zstd| zstd.decompress_to_buffer(compressed, &mut unpacked))
         }
         "zstd" => zstd::Decoder::new(compressed).and_then(|mut decoder| {

@@ -11,8 +11,10 @@ use crc32fast::Hasher;
 use mcap::MAGIC;
 use mcap::records::{AttachmentIndex, Record as Parsed, op};
 
+use super::attachment::attachment_index;
 use super::chunk::{ChunkOutline, log_time};
-use super::records::{PREFIX, Record, chunk_header};
+use super::parse::parse;
+use super::records::{PREFIX, Record, Records, chunk_header};
 use crate::error::{Error, Result};
 
 /// Size at which a chunk of new records is compressed and written, bytes.
@@ -143,7 +145,7 @@ impl CopyWriter {
         match (opcode, body.first_chunk(), log_time(body)) {
             (op::MESSAGE, Some(id), Some(time)) => self.count(u16::from_le_bytes(*id), time),
             (op::METADATA, ..) => {
-                if let Ok(Parsed::Metadata(metadata)) = mcap::parse_record(opcode, body) {
+                if let Some(Parsed::Metadata(metadata)) = parse(opcode, body) {
                     self.metadata.push((self.at, PREFIX + body.len() as u64, metadata.name));
                 }
             }
@@ -193,13 +195,13 @@ impl CopyWriter {
         Ok(())
     }
 
-    /// Copies an attachment; false = its checksum is wrong and it was left out.
+    /// Copies an attachment of the file `original`; false = its checksum is wrong and it was left out.
     ///
     /// # Errors
     /// If a file can't be read or written.
-    pub fn attachment(&mut self, file: &File, record: &Record) -> Result<bool> {
-        let start = record.offset + PREFIX;
-        let Some(index) = attachment_index(file, record, self.at).map_err(Error::io(&self.path))? else {
+    pub fn attachment(&mut self, original: &Records, record: &Record) -> Result<bool> {
+        let (start, file, from) = (record.offset + PREFIX, original.file(), original.path());
+        let Some(index) = attachment_index(file, record, self.at).map_err(Error::io(from))? else {
             return Ok(false);
         };
         let mut prefix = vec![record.opcode];
@@ -209,7 +211,7 @@ impl CopyWriter {
         let mut done = 0;
         while done < record.length {
             let length = (record.length - done).min(COPY as u64) as usize;
-            file.read_exact_at(&mut buffer[..length], start + done).map_err(Error::io(&self.path))?;
+            file.read_exact_at(&mut buffer[..length], start + done).map_err(Error::io(from))?;
             self.write(&buffer[..length])?;
             done += length as u64;
         }
@@ -365,42 +367,6 @@ impl std::fmt::Debug for CopyWriter {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("CopyWriter").field("path", &self.path).field("at", &self.at).finish_non_exhaustive()
     }
-}
-
-/// Returns the index record of an attachment at its new `offset`; None if its checksum or header is invalid.
-fn attachment_index(file: &File, record: &Record, offset: u64) -> std::io::Result<Option<AttachmentIndex>> {
-    let start = record.offset + PREFIX;
-    // Layout: log time, creation time, name, media type, data size, data, CRC-32.
-    let mut head = vec![0; record.length.min(64 << 10) as usize];
-    file.read_exact_at(&mut head, start)?;
-    let text = |at: usize| -> Option<(String, usize)> {
-        let length = u32::from_le_bytes(*head.get(at..)?.first_chunk()?) as usize;
-        let text = head.get(at + 4..at.checked_add(4)?.checked_add(length)?)?;
-        Some((String::from_utf8_lossy(text).into_owned(), at + 4 + length))
-    };
-    let number = |at: usize| head.get(at..).and_then(|rest| rest.first_chunk()).map(|n| u64::from_le_bytes(*n));
-    let parsed = || {
-        let (name, at) = text(16)?;
-        let (media_type, at) = text(at)?;
-        let data_size = number(at)?;
-        ((at as u64 + 8).checked_add(data_size)?.checked_add(4)? == record.length).then_some(())?;
-        let (log_time, create_time) = (number(0)?, number(8)?);
-        let length = PREFIX + record.length;
-        Some(AttachmentIndex { offset, length, log_time, create_time, data_size, name, media_type })
-    };
-    let Some(index) = parsed() else { return Ok(None) };
-    let (mut crc, mut buffer, mut done) = (Hasher::new(), vec![0; COPY], 0);
-    let checked = record.length - 4;
-    while done < checked {
-        let length = (checked - done).min(COPY as u64) as usize;
-        file.read_exact_at(&mut buffer[..length], start + done)?;
-        crc.update(&buffer[..length]);
-        done += length as u64;
-    }
-    let mut stored = [0; 4];
-    file.read_exact_at(&mut stored, start + checked)?;
-    let stored = u32::from_le_bytes(stored);
-    Ok((stored == 0 || stored == crc.finalize()).then_some(index))
 }
 
 fn put_record(out: &mut Vec<u8>, opcode: u8, body: &[u8]) {

@@ -7,6 +7,7 @@ use mcap::records::{Record as Parsed, op};
 
 use super::Records;
 use super::note::{OriginalPiece, OriginalPieces};
+use super::parse::parse;
 use crate::dataset::labels::Notes;
 use crate::error::Result;
 
@@ -45,7 +46,7 @@ impl UsedIds {
             op::SCHEMA => drop(self.schemas.insert(id)),
             op::CHANNEL => {
                 self.channels.insert(id);
-                if let Ok(Parsed::Channel(channel)) = mcap::parse_record(opcode, body) {
+                if let Some(Parsed::Channel(channel)) = parse(opcode, body) {
                     self.schemas.insert(channel.schema_id);
                     self.topics.insert(channel.topic);
                 }

@@ -1,9 +1,10 @@
 //! Bags as image sources, one unit per file.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use super::messages::{Channels, MessageRecord};
-use super::note::{ChunkNote, ImageHead};
+use super::messages::Channels;
+use super::note::{ChunkNote, ImageHead, LARGEST};
 use super::{Piece, Pieces, Survey, Topic, bag_files, survey};
 use crate::dataset::base_name;
 use crate::dataset::identity::InputFiles;
@@ -64,14 +65,14 @@ impl Bag {
         &self.files
     }
 
-    /// Decodes the payload of an image message.
-    fn frame(&self, message: &MessageRecord, offset: u64) -> SourceFrame {
+    /// Decodes the payload of an image message; `log_time`: ns.
+    fn frame(&self, payload: &[u8], log_time: u64, offset: u64) -> SourceFrame {
         let read = || -> Result<(Header, EncodedImage)> {
             if self.compressed {
-                let CompressedImage { header, data, .. } = CompressedImage::from_cdr(message.payload)?;
+                let CompressedImage { header, data, .. } = CompressedImage::from_cdr(payload)?;
                 return Ok((header, EncodedImage::File(data)));
             }
-            let image = Image::from_cdr(message.payload)?;
+            let image = Image::from_cdr(payload)?;
             Ok((image.header.clone(), EncodedImage::Raw(image)))
         };
         let (stamp, image) = match read() {
@@ -79,7 +80,7 @@ impl Bag {
             Err(error) => (Time::default(), Err(error.to_string())),
         };
         // An image without a stamp takes the time of its recording.
-        let stamp_secs = if stamp.is_zero() { message.log_time as f64 * 1e-9 } else { stamp.secs() };
+        let stamp_secs = if stamp.is_zero() { log_time as f64 * 1e-9 } else { stamp.secs() };
         SourceFrame { stamp_secs, offset: Some(offset), image, note: None }
     }
 }
@@ -127,7 +128,7 @@ impl ImageSource for Bag {
 
     fn frames(&self, unit: usize, from: usize) -> Result<SourceFrames<'_>> {
         let pieces = Pieces::open(&self.files[unit])?;
-        let frames = BagFrames { bag: self, pieces, channels: Channels::default(), ready: Vec::new().into_iter() };
+        let frames = BagFrames { bag: self, pieces, channels: Channels::default(), open: None };
         Ok(skip_images(frames, from))
     }
 }
@@ -137,8 +138,46 @@ struct BagFrames<'a> {
     bag: &'a Bag,
     pieces: Pieces,
     channels: Channels,
-    /// Remaining images of the present chunk.
-    ready: std::vec::IntoIter<SourceFrame>,
+    open: Option<OpenPiece>,
+}
+
+/// A piece whose images are decoded one by one: a chunk and one of its images are in memory, not all images.
+struct OpenPiece {
+    piece: Piece,
+    /// Images that are not decoded yet.
+    images: std::vec::IntoIter<ImagePlace>,
+    /// Note of the chunk, which goes with its first image.
+    note: Option<String>,
+}
+
+/// An image message within the bytes of a piece.
+struct ImagePlace {
+    /// Time of recording, ns.
+    log_time: u64,
+    payload: Range<usize>,
+}
+
+impl BagFrames<'_> {
+    /// Finds the images of a piece.
+    fn find_images(&mut self, mut piece: Piece) -> OpenPiece {
+        let (mut images, mut heads, mut size) = (Vec::new(), Vec::new(), 0);
+        for (end, opcode, body) in piece.entries() {
+            if let Some(message) = self.channels.message(opcode, body).filter(|m| m.topic == self.bag.topic) {
+                images.push(ImagePlace { log_time: message.log_time, payload: end - message.payload.len()..end });
+                if size <= LARGEST {
+                    let head = ImageHead::of(&message);
+                    size += head.memory();
+                    heads.push(head);
+                }
+            }
+        }
+        let mut note = None;
+        if let Piece::Chunk(offset, content) = &mut piece {
+            note = (heads.len() == images.len()).then(|| ChunkNote::of(*offset, content, heads)).flatten();
+            content.forget_body();
+        }
+        OpenPiece { piece, images: images.into_iter(), note }
+    }
 }
 
 impl Iterator for BagFrames<'_> {
@@ -146,24 +185,19 @@ impl Iterator for BagFrames<'_> {
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            if let Some(frame) = self.ready.next() {
-                return Some(Ok(frame));
+            if let Some(OpenPiece { piece, images, note }) = &mut self.open
+                && let Some(ImagePlace { log_time, payload }) = images.next()
+            {
+                let payload = piece.bytes().get(payload).unwrap_or_default();
+                let frame = self.bag.frame(payload, log_time, piece.offset());
+                return Some(Ok(SourceFrame { note: note.take(), ..frame }));
             }
-            let piece = match self.pieces.next()? {
-                Ok(piece) => piece,
+            // Free the piece before the next one is read.
+            self.open = None;
+            self.open = match self.pieces.next()? {
+                Ok(piece) => Some(self.find_images(piece)),
                 Err(error) => return Some(Err(error)),
             };
-            let (mut frames, mut heads) = (Vec::new(), Vec::new());
-            for (opcode, body) in piece.records() {
-                if let Some(message) = self.channels.message(opcode, body).filter(|m| m.topic == self.bag.topic) {
-                    frames.push(self.bag.frame(&message, piece.offset()));
-                    heads.push(ImageHead::of(&message));
-                }
-            }
-            if let (Piece::Chunk(offset, content), Some(first)) = (&piece, frames.first_mut()) {
-                first.note = ChunkNote::of(*offset, content, heads);
-            }
-            self.ready = frames.into_iter();
         }
     }
 }

@@ -8,6 +8,7 @@ use super::ids::{UsedIds, free_id};
 use super::images::Bag;
 use super::messages::Channels;
 use super::note::{ImageHead, OriginalPiece, OriginalPieces};
+use super::parse::parse;
 use super::{
     BagFile, BagTopic, ChunkOutline, CopyWriter, Piece, Record, Records, bag_files, metadata_yaml, op, put_text, survey,
 };
@@ -16,7 +17,7 @@ use crate::dataset::copy::copy_regular;
 use crate::dataset::label_frame::LabelFrame;
 use crate::dataset::label_info::LabelInfo;
 use crate::dataset::labels::{LabelOutput, SourceLabels, next_label};
-use crate::dataset::prefetch::prefetch;
+use crate::dataset::prefetch::{prefetch, prefetch_up_to};
 use crate::dataset::provenance::PROVENANCE_KEY;
 use crate::error::{Error, Result};
 use crate::file::input::InputFolder;
@@ -128,8 +129,8 @@ impl<'a> TactileMessages<'a> {
         let pieces = OriginalPieces::new(Records::open(file)?, labels.notes(self.index)?);
         let (original, labels) = (Records::open(file)?, labels.labels(self.index)?);
         let mut out = CopyWriter::create(to, self.bag.surveys[self.index].chunked)?;
-        // Reading and unpacking take as long as writing, so each runs on its own thread.
-        prefetch(pieces, |pieces| {
+        // Reading and unpacking take as long as writing, so each runs on its own thread. A piece may be as large as a chunk.
+        prefetch_up_to(0, pieces, |pieces| {
             prefetch(labels, |labels| {
                 for piece in pieces {
                     out.flush_if_full()?;
@@ -173,7 +174,7 @@ impl<'a> TactileMessages<'a> {
             // `CopyWriter` writes new message indexes: damage may have destroyed some, or the chunks they refer to.
             Piece::Record(Record { opcode: op::MESSAGE_INDEX, .. }, _) => {}
             Piece::Record(record, _) if record.opcode == op::ATTACHMENT => {
-                if !out.attachment(original.file(), record)? {
+                if !out.attachment(original, record)? {
                     info.summary.lost.push(original.lost(record, "an attachment whose checksum is wrong"));
                 }
             }
@@ -211,7 +212,9 @@ impl<'a> TactileMessages<'a> {
         body.extend_from_slice(&image.publish_time.to_le_bytes());
         body.extend_from_slice(&frame.to_cdr());
         self.sequence += 1;
-        out.record(op::MESSAGE, &body)
+        out.record(op::MESSAGE, &body)?;
+        // A chunk of the input may hold any number of small images.
+        out.flush_if_full()
     }
 
     /// Writes schema and channel of the labels.
@@ -278,12 +281,12 @@ fn metadata(info: &LabelInfo) -> Result<Vec<u8>> {
 
 /// Returns the topics of a written file as `metadata.yaml` lists them.
 fn topics_of(writer: &CopyWriter) -> Vec<BagTopic> {
-    let type_of = |id: u16| match writer.schemas().get(&id).map(|body| mcap::parse_record(op::SCHEMA, body)) {
-        Some(Ok(mcap::records::Record::Schema { header, .. })) => header.name,
+    let type_of = |id: u16| match writer.schemas().get(&id).and_then(|body| parse(op::SCHEMA, body)) {
+        Some(mcap::records::Record::Schema { header, .. }) => header.name,
         _ => String::new(),
     };
-    let topic = |body: &Vec<u8>| match mcap::parse_record(op::CHANNEL, body) {
-        Ok(mcap::records::Record::Channel(channel)) => Some(BagTopic {
+    let topic = |body: &Vec<u8>| match parse(op::CHANNEL, body) {
+        Some(mcap::records::Record::Channel(channel)) => Some(BagTopic {
             type_name: type_of(channel.schema_id),
             messages: writer.counts().get(&channel.id).copied().unwrap_or(0),
             name: channel.topic,

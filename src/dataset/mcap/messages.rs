@@ -5,6 +5,7 @@ use std::path::Path;
 
 use mcap::records::{Record as Parsed, op};
 
+use super::parse::parse;
 use super::piece::{Piece, Pieces};
 use super::survey::bag_files;
 use crate::dataset::source::LostBytes;
@@ -84,9 +85,9 @@ impl Channels {
         if !matches!(opcode, op::SCHEMA | op::CHANNEL) {
             return;
         }
-        match mcap::parse_record(opcode, body) {
-            Ok(Parsed::Schema { header, .. }) => drop(self.schemas.insert(header.id, header.name)),
-            Ok(Parsed::Channel(channel)) => {
+        match parse(opcode, body) {
+            Some(Parsed::Schema { header, .. }) => drop(self.schemas.insert(header.id, header.name)),
+            Some(Parsed::Channel(channel)) => {
                 let type_name = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
                 self.channels.insert(channel.id, (channel.topic, type_name));
             }

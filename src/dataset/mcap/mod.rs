@@ -1,5 +1,6 @@
 //! Bags as rosbag2 writes them: folders with MCAP files and a `metadata.yaml`, or an MCAP file by itself.
 
+mod attachment;
 mod bag;
 mod chunk;
 mod convert;
@@ -10,6 +11,7 @@ mod labels;
 mod messages;
 mod metadata;
 mod note;
+mod parse;
 mod piece;
 mod read_labels;
 mod records;

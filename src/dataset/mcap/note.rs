@@ -11,6 +11,9 @@ use crate::dataset::labels::Notes;
 use crate::error::{Error, Result};
 use crate::message::{Header, Image, Message, Reader, Time};
 
+/// Largest memory of a note before it becomes text, bytes: a chunk of very many small messages is better read again.
+pub(super) const LARGEST: usize = 1 << 20;
+
 /// An undamaged chunk with images, as it was during inference.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct ChunkNote {
@@ -43,6 +46,11 @@ impl ImageHead {
         Self { log_time, publish_time, stamp: (sec, nanosec), frame_id }
     }
 
+    /// Returns the memory of this value, bytes.
+    pub fn memory(&self) -> usize {
+        size_of::<Self>() + self.frame_id.len()
+    }
+
     /// Returns the message's header.
     pub fn header(&self) -> Header {
         let (sec, nanosec) = self.stamp;
@@ -51,12 +59,15 @@ impl ImageHead {
 }
 
 impl ChunkNote {
-    /// Returns the note of the chunk at `offset` as text; None if the chunk is damaged or holds no image.
+    /// Returns the note of the chunk at `offset` as text; None if the chunk is damaged, holds no image or too much else.
     pub fn of(offset: u64, content: &ChunkContent, images: Vec<ImageHead>) -> Option<String> {
         if content.lost.is_some() || images.is_empty() {
             return None;
         }
         let skeleton = ChunkOutline::of(content.records());
+        if skeleton.memory() + images.iter().map(ImageHead::memory).sum::<usize>() > LARGEST {
+            return None;
+        }
         let note = Self { offset, crc: crc32fast::hash(content.body()), skeleton, images };
         // Serialisation can fail without harm: a chunk without a note is decompressed again.
         serde_json::to_string(&note).ok()

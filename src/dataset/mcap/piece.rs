@@ -25,12 +25,26 @@ pub enum Piece {
 impl Piece {
     /// Returns opcode and content of the record, or of each record in the chunk.
     pub fn records(&self) -> impl Iterator<Item = (u8, &[u8])> {
+        self.entries().map(|(_, opcode, body)| (opcode, body))
+    }
+
+    /// Returns the records as [`Self::records`] does, each behind the offset of its end in [`Self::bytes`].
+    pub fn entries(&self) -> impl Iterator<Item = (usize, u8, &[u8])> {
         let (single, chunk) = match self {
-            Self::Record(record, body) => (Some((record.opcode, body.as_slice())), None),
+            Self::Record(record, body) => (Some((body.len(), record.opcode, body.as_slice())), None),
             Self::Chunk(_, content) => (None, Some(inner_records(content.records()))),
             Self::Lost(_) => (None, None),
         };
-        single.into_iter().chain(chunk.into_iter().flatten().map(|(_, opcode, body)| (opcode, body)))
+        single.into_iter().chain(chunk.into_iter().flatten())
+    }
+
+    /// Returns the content of the record, or all records of the chunk.
+    pub fn bytes(&self) -> &[u8] {
+        match self {
+            Self::Record(_, body) => body,
+            Self::Chunk(_, content) => content.records(),
+            Self::Lost(_) => &[],
+        }
     }
 
     /// Returns the offset of the piece in the file, bytes.

@@ -74,6 +74,11 @@ impl Records {
         self.size
     }
 
+    /// Returns the path of the file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Returns the file.
     pub fn file(&self) -> &File {
         &self.file
@@ -145,11 +150,16 @@ impl Records {
             return Ok(None);
         }
         self.file.read_exact_at(&mut prefix, offset).map_err(Error::io(&self.path))?;
-        let record = record_of(&prefix, offset);
+        Ok(self.header_of(&prefix, offset))
+    }
+
+    /// Returns the record at `offset` that begins with `prefix`, if it fits into the file.
+    fn header_of(&self, prefix: &[u8], offset: u64) -> Option<Record> {
+        let record = record_of(prefix, offset);
         let fits = record.length <= self.size - offset - PREFIX;
         // Opcodes from 0x80 on are private; those in between are not assigned.
         let known = (op::HEADER..=op::DATA_END).contains(&record.opcode) || record.opcode >= 0x80;
-        Ok((fits && known).then_some(record))
+        (fits && known).then_some(record)
     }
 
     /// Returns the chunk at the present offset, if its header is valid and only its end is missing.
@@ -180,7 +190,7 @@ impl Records {
                 let offset = start + at as u64;
                 let plausible = (op::HEADER..=op::DATA_END).contains(&prefix[0])
                     && record_of(prefix, offset).length <= self.size - offset - PREFIX;
-                if plausible && self.chain_at(offset)? {
+                if plausible && self.chain_at(offset, (start, &window[..length]))? {
                     return Ok(Some(offset));
                 }
             }
@@ -190,9 +200,16 @@ impl Records {
         Ok(None)
     }
 
-    fn chain_at(&self, mut offset: u64) -> Result<bool> {
+    /// True if [`CHAIN`] valid records follow each other from `offset` on. `window`: its offset and content; damage may hold
+    /// millions of places that look like a record, so the file is read only beyond it.
+    fn chain_at(&self, mut offset: u64, (start, window): (u64, &[u8])) -> Result<bool> {
         for _ in 0..CHAIN {
-            match self.header_at(offset)? {
+            let place = (offset - start) as usize;
+            let header = match window.get(place..place.saturating_add(PREFIX as usize)) {
+                Some(prefix) => self.header_of(prefix, offset),
+                None => self.header_at(offset)?,
+            };
+            match header {
                 // The record that ends the data section holds four bytes: random bytes hardly match it.
                 Some(Record { opcode: op::DATA_END, length, .. }) => return Ok(length == 4),
                 Some(record) if record.length > 0 && record.opcode <= op::DATA_END => {

@@ -7,11 +7,13 @@ use std::path::{Path, PathBuf};
 use mcap::MAGIC;
 use mcap::records::{Record as Parsed, op};
 
+use super::parse::parse;
 use super::piece::{Piece, Pieces};
 use super::records::{PREFIX, Records};
 use crate::error::{Error, Result};
 use crate::file::input::{self, InputFolder};
 use crate::file::limits;
+use crate::text::parse_yaml;
 
 /// A channel of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -59,7 +61,7 @@ pub fn bag_files(path: &Path) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     if yaml.is_file() {
         let text = input::read_text(&yaml, limits::TEXT)?;
-        let metadata: serde_yaml::Value = serde_yaml::from_str(&text).map_err(|e| Error::file(&yaml, e))?;
+        let metadata: serde_yaml::Value = parse_yaml(&text).map_err(|e| Error::file(&yaml, e))?;
         let bag = &metadata["rosbag2_bagfile_information"];
         if let Some(storage) = bag["storage_identifier"].as_str().filter(|storage| *storage != "mcap") {
             let message = format!("is a bag with storage {storage}; convert it to mcap with `ros2 bag convert`");
@@ -109,7 +111,7 @@ fn from_summary(file: &Records, path: &Path) -> Result<Option<Survey>> {
     if footer[0] != op::FOOTER || footer[(PREFIX + FOOTER) as usize..] != *MAGIC {
         return Ok(None);
     }
-    let Ok(Parsed::Footer(parsed)) = mcap::parse_record(op::FOOTER, body) else { return Ok(None) };
+    let Some(Parsed::Footer(parsed)) = parse(op::FOOTER, body) else { return Ok(None) };
     // Beyond the limit the records are read instead.
     let most = limits::RECORD.value();
     let size = start.checked_sub(parsed.summary_start).filter(|size| parsed.summary_start > 0 && *size <= most);
@@ -120,17 +122,17 @@ fn from_summary(file: &Records, path: &Path) -> Result<Option<Survey>> {
     let mut counts = None;
     let mut metadata = Vec::new();
     for (opcode, body) in records_in(&summary) {
-        match mcap::parse_record(opcode, body) {
-            Ok(Parsed::Statistics(statistics)) => {
+        match parse(opcode, body) {
+            Some(Parsed::Statistics(statistics)) => {
                 survey.chunked = statistics.chunk_count > 0;
                 survey.times = (statistics.message_count > 0)
                     .then_some((statistics.message_start_time, statistics.message_end_time));
                 counts = Some(statistics.channel_message_counts);
             }
-            Ok(Parsed::ChunkIndex(_)) => survey.chunked = true,
-            Ok(Parsed::MetadataIndex(index)) => metadata.push(index),
-            Ok(_) => survey.note(opcode, body),
-            Err(_) => return Ok(None),
+            Some(Parsed::ChunkIndex(_)) => survey.chunked = true,
+            Some(Parsed::MetadataIndex(index)) => metadata.push(index),
+            Some(_) => survey.note(opcode, body),
+            None => return Ok(None),
         }
     }
     // All parts of a summary are optional: without counts, or with counts of unlisted channels, read the records.
@@ -156,25 +158,25 @@ fn from_summary(file: &Records, path: &Path) -> Result<Option<Survey>> {
 
 impl Survey {
     fn note(&mut self, opcode: u8, body: &[u8]) {
-        match mcap::parse_record(opcode, body) {
-            Ok(Parsed::Schema { header, data }) => {
+        match parse(opcode, body) {
+            Some(Parsed::Schema { header, data }) => {
                 self.schemas.insert(header.id, (header.name, header.encoding, data.into_owned()));
             }
-            Ok(Parsed::Channel(channel)) => {
+            Some(Parsed::Channel(channel)) => {
                 let type_name = self.schemas.get(&channel.schema_id).map(|schema| schema.0.clone()).unwrap_or_default();
                 let qos = channel.metadata.get("offered_qos_profiles").cloned().unwrap_or_default();
                 let messages = self.topics.get(&channel.id).map_or(0, |topic| topic.messages);
                 let topic = Topic { name: channel.topic, type_name, encoding: channel.message_encoding, qos, messages };
                 self.topics.insert(channel.id, topic);
             }
-            Ok(Parsed::Message { header, .. }) => {
+            Some(Parsed::Message { header, .. }) => {
                 if let Some(topic) = self.topics.get_mut(&header.channel_id) {
                     topic.messages += 1;
                 }
                 let (start, end) = self.times.unwrap_or((header.log_time, header.log_time));
                 self.times = Some((start.min(header.log_time), end.max(header.log_time)));
             }
-            Ok(Parsed::Metadata(metadata)) => {
+            Some(Parsed::Metadata(metadata)) => {
                 self.metadata.insert(metadata.name, metadata.metadata);
             }
             _ => {}

@@ -42,7 +42,7 @@ impl LabelOutput for StoreOutput {
                 let label = next_label(&mut labels, &unit.name)?;
                 let size = match size {
                     Some(size) => size,
-                    None => *size.insert(self.size(index, &image)?),
+                    None => *size.insert(image_size(self.source.as_ref(), index, &image, self.side)?),
                 };
                 // A frame without a time takes that of the frame before it.
                 time = if image.stamp_secs.is_finite() { image.stamp_secs } else { time };
@@ -64,28 +64,43 @@ impl LabelOutput for StoreOutput {
     }
 }
 
-impl StoreOutput {
-    /// Returns width and height of the store's images: the size of the first decodable image, scaled down to `side`.
-    fn size(&self, unit: usize, first: &SourceFrame) -> Result<(u32, u32)> {
-        let decoded = |frame: &SourceFrame| frame.image.as_ref().ok()?.clone().decode().ok();
-        let mut found = decoded(first);
-        for unit in unit..self.source.units().len() {
-            let mut frames = if found.is_none() { self.source.frames(unit, 0)? } else { break };
-            while let (None, Some(frame)) = (&found, frames.next()) {
-                found = decoded(&frame?);
-            }
+/// Returns width and height of a store's images: the size of the first decodable image of `source` from `first` in unit
+/// `unit` on, scaled down so that the shorter side has at most `side` pixels.
+///
+/// # Errors
+/// If no image can be decoded.
+pub(crate) fn image_size(
+    source: &dyn ImageSource,
+    unit: usize,
+    first: &SourceFrame,
+    side: Option<u32>,
+) -> Result<(u32, u32)> {
+    let decoded = |frame: &SourceFrame| frame.image.as_ref().ok()?.clone().decode().ok();
+    let mut found = decoded(first);
+    for unit in unit..source.units().len() {
+        let mut frames = if found.is_none() { source.frames(unit, 0)? } else { break };
+        while let (None, Some(frame)) = (&found, frames.next()) {
+            found = decoded(&frame?);
         }
-        let (width, height) = found.map(|image| image.dimensions()).ok_or_else(|| {
-            Error::value(&self.source.units()[unit].name, "at least one image that can be read", "none")
-        })?;
-        let short = width.min(height);
-        Ok(match self.side {
-            Some(side) if side < short => {
-                let scaled = |length: u32| (u64::from(length) * u64::from(side)).div_ceil(u64::from(short)) as u32;
-                (scaled(width), scaled(height))
-            }
-            _ => (width, height),
-        })
+    }
+    let (width, height) = found
+        .map(|image| image.dimensions())
+        .ok_or_else(|| Error::value(&source.units()[unit].name, "at least one image that can be read", "none"))?;
+    let short = width.min(height);
+    Ok(match side {
+        Some(side) if side < short => {
+            let scaled = |length: u32| (u64::from(length) * u64::from(side)).div_ceil(u64::from(short)) as u32;
+            (scaled(width), scaled(height))
+        }
+        _ => (width, height),
+    })
+}
+
+/// Scales an image to the size of a store's images, if it has another.
+pub(crate) fn fitted(image: RgbImage, size: (u32, u32)) -> RgbImage {
+    match image.dimensions() == size {
+        true => image,
+        false => resize(&image, size.0, size.1, FilterType::Triangle),
     }
 }
 
@@ -106,10 +121,7 @@ fn frame(timestamp: f64, source: SourceFrame, label: LabelFrame, size: (u32, u32
     let image = source.image.ok().and_then(|image| image.decode().ok());
     // Unreadable images are black and have no label.
     let image = image.unwrap_or_else(|| RgbImage::new(size.0, size.1));
-    let camera_ego_rgb = match image.dimensions() == size {
-        true => image,
-        false => resize(&image, size.0, size.1, FilterType::Triangle),
-    };
+    let camera_ego_rgb = fitted(image, size);
     let contact_valid = vec![u8::from(label.touch.is_ok()); N_FIELD];
     let (force, contact) = label.into_values();
     Frame {

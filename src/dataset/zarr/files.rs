@@ -1,5 +1,6 @@
 //! Files of a store, in a folder or a zip file: regular files inside the store, with bounded reads.
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::os::unix::fs::FileExt;
@@ -9,14 +10,16 @@ use std::sync::Arc;
 use zarrs::storage::byte_range::{ByteRange, ByteRangeIterator, InvalidByteRangeError};
 use zarrs::storage::{Bytes, MaybeBytesIterator, ReadableStorageTraits, StorageError, StoreKey};
 use zip::ZipArchive;
-use zip::result::ZipError;
 
+use crate::dataset::copy::Tree;
 use crate::error::{Error, Result};
 use crate::file::input::{self, InputFolder};
 use crate::file::limits::{self, Limit};
 
 /// Ends of the names of files that hold metadata.
 const METADATA: [&str; 5] = [".zarray", ".zattrs", ".zgroup", ".zmetadata", "zarr.json"];
+/// Size of the buffer of small reads from a zip file, bytes.
+const AHEAD: usize = 16 << 10;
 /// Largest depth of folders below an array: one for each axis of its chunks, and some.
 const DEPTH: usize = 12;
 
@@ -31,6 +34,8 @@ enum Place {
 struct ZipFiles {
     path: PathBuf,
     archive: ZipArchive<SharedFile>,
+    /// Places of the files by name. The library searches all files for a name that is absent.
+    places: HashMap<String, usize>,
     /// Folder within the archive, ending in `/`, or empty.
     inside: String,
 }
@@ -50,7 +55,9 @@ impl StoreFiles {
     /// If it can't be read or is no zip file.
     pub fn zip(path: &Path, inside: &str) -> Result<Self> {
         let archive = open_zip(path)?;
-        Ok(Self(Place::Zip(ZipFiles { path: path.to_path_buf(), archive, inside: inside.to_string() })))
+        let named = archive.file_names().enumerate().filter_map(|(place, name)| Some((name.ok()?.into_owned(), place)));
+        let (places, inside) = (named.collect(), inside.to_string());
+        Ok(Self(Place::Zip(ZipFiles { path: path.to_path_buf(), archive, places, inside })))
     }
 
     /// Returns the names of the folders directly in `folder`, which ends in `/`.
@@ -92,8 +99,36 @@ impl StoreFiles {
     pub fn has(&self, name: &str) -> Result<bool> {
         match &self.0 {
             Place::Folder(root) => Ok(root.join(name)?.is_file()),
-            Place::Zip(zip) => Ok(zip.archive.index_for_name(&zip.named(name)).is_some()),
+            Place::Zip(zip) => Ok(zip.place(name).is_some()),
         }
+    }
+
+    /// Returns the names below `folder` of all files and folders in it and in its folders, and their sizes in bytes.
+    ///
+    /// # Errors
+    /// If a folder can't be read, or a link leads out of the store.
+    pub fn entries_in(&self, folder: &str) -> Result<Vec<(String, u64)>> {
+        let mut files = Vec::new();
+        match &self.0 {
+            Place::Folder(root) => {
+                let (path, tree) = (root.join(folder)?, Tree::list(root, folder)?);
+                for name in tree.files.into_iter().chain(tree.folders) {
+                    let file = root.path().join(&name);
+                    let size = file.metadata().map_err(Error::io(&file))?.len();
+                    let name = file.strip_prefix(&path).unwrap_or(&file).to_string_lossy();
+                    files.push((name.into_owned(), size));
+                }
+            }
+            Place::Zip(zip) => {
+                let (prefix, mut archive) = (zip.named(&format!("{folder}/")), zip.archive.clone());
+                for index in 0..archive.len() {
+                    let entry = archive.by_index_raw(index).map_err(|e| Error::file(&zip.path, e))?;
+                    let name = entry.name().ok().and_then(|name| Some(name.strip_prefix(&prefix)?.to_string()));
+                    files.extend(name.map(|name| (name, entry.compressed_size())));
+                }
+            }
+        }
+        Ok(files)
     }
 
     /// Returns the number of bytes of the files below `folder`, or a number above `enough` as soon as it is reached.
@@ -187,7 +222,7 @@ impl ReadableStorageTraits for StoreFiles {
                 Err(error) => Err(error.into()),
             },
             Place::Zip(zip) => {
-                let Some(index) = zip.archive.index_for_name(&zip.named(key.as_str())) else { return Ok(None) };
+                let Some(index) = zip.place(key.as_str()) else { return Ok(None) };
                 let mut archive = zip.archive.clone();
                 let entry = archive.by_index_raw(index).map_err(|e| StorageError::Other(e.to_string()))?;
                 Ok(Some(entry.size()))
@@ -205,15 +240,17 @@ impl ZipFiles {
         format!("{}{name}", self.inside)
     }
 
+    /// Returns the index of a file of the store.
+    fn place(&self, name: &str) -> Option<usize> {
+        self.places.get(&self.named(name)).copied()
+    }
+
     /// Reads a file of the archive whole, and checks its checksum; None if there is none.
     fn read(&self, name: &str, limit: Limit) -> Result<Option<Vec<u8>>> {
         let fail = |error: &dyn std::fmt::Display| Error::file(&self.path, format!("{}: {error}", self.named(name)));
+        let Some(place) = self.place(name) else { return Ok(None) };
         let mut archive = self.archive.clone();
-        let entry = match archive.by_name(&self.named(name)) {
-            Ok(entry) => entry,
-            Err(ZipError::FileNotFound) => return Ok(None),
-            Err(error) => return Err(fail(&error)),
-        };
+        let entry = archive.by_index(place).map_err(|error| fail(&error))?;
         limit.check(&self.path, name, entry.size())?;
         let mut bytes = Vec::new();
         // The size in the archive's directory may be wrong.
@@ -230,21 +267,45 @@ impl ZipFiles {
 pub(super) fn open_zip(path: &Path) -> Result<ZipArchive<SharedFile>> {
     let file = input::open(path)?;
     let size = file.metadata().map_err(Error::io(path))?.len();
-    let shared = SharedFile { file: Arc::new(file), at: 0, size };
+    let shared = SharedFile { file: Arc::new(file), at: 0, size, ahead: Vec::new(), ahead_at: 0 };
     ZipArchive::new(shared).map_err(|e| Error::file(path, format!("expected a zip file: {e}")))
 }
 
-/// An open file with a position of its own, which threads can share.
-#[derive(Debug, Clone)]
+/// An open file with a position of its own, which threads can share. Small reads are buffered: the directory of an archive
+/// consists of them.
+#[derive(Debug)]
 pub(super) struct SharedFile {
     file: Arc<File>,
     at: u64,
     size: u64,
+    /// Bytes that were read ahead, and their offset in the file.
+    ahead: Vec<u8>,
+    ahead_at: u64,
+}
+
+impl Clone for SharedFile {
+    fn clone(&self) -> Self {
+        Self { file: self.file.clone(), at: self.at, size: self.size, ahead: Vec::new(), ahead_at: 0 }
+    }
 }
 
 impl Read for SharedFile {
     fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
-        let count = self.file.read_at(buffer, self.at)?;
+        if buffer.len() >= AHEAD {
+            let count = self.file.read_at(buffer, self.at)?;
+            self.at += count as u64;
+            return Ok(count);
+        }
+        if !(self.ahead_at..self.ahead_at + self.ahead.len() as u64).contains(&self.at) {
+            self.ahead.resize(AHEAD, 0);
+            let count = self.file.read_at(&mut self.ahead, self.at);
+            self.ahead.truncate(*count.as_ref().unwrap_or(&0));
+            count?;
+            self.ahead_at = self.at;
+        }
+        let ready = &self.ahead[(self.at - self.ahead_at) as usize..];
+        let count = ready.len().min(buffer.len());
+        buffer[..count].copy_from_slice(&ready[..count]);
         self.at += count as u64;
         Ok(count)
     }

@@ -9,8 +9,8 @@ use serde_json::{Map, Value};
 use super::files::open_zip;
 use super::images::Store;
 use super::{
-    AddedArrays, ArraySpec, Dtype, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, StoreLocation,
-    Values, ZarrReader,
+    AddedArrays, ArraySpec, Dtype, FRAME_VALIDITY, MANO_CONTACT, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE,
+    MANO_FORCE_VALID, StoreLocation, Values, ZarrReader,
 };
 use crate::dataset::EpisodeReader;
 use crate::dataset::copy::{copy_file, copy_folder};
@@ -37,6 +37,16 @@ impl Store {
             true => predicted(name),
             false => name.to_string(),
         })
+    }
+
+    /// Copies the store into the folder `to`. Returns the files that can't be read; those of images are listed with the
+    /// images.
+    fn copy(&self, to: &Path) -> Result<Vec<LostBytes>> {
+        let mut lost = copy(&self.place, to)?;
+        let left_out: Vec<String> = lost.iter().map(|lost| lost.file.clone()).collect();
+        let damaged = self.reader.damaged_chunks(self.camera())?;
+        lost.extend(damaged.into_iter().filter(|damaged| !left_out.contains(&damaged.file)));
+        Ok(lost)
     }
 }
 
@@ -65,7 +75,7 @@ impl LabelOutput for Store {
         let mut arrays = AddedArrays::new(at, specs)?;
         // Copy and labels touch different files until `finish` writes the attributes, so they run at the same time.
         let (copied, added) = std::thread::scope(|scope| {
-            let copying = scope.spawn(|| copy(&self.place, at));
+            let copying = scope.spawn(|| self.copy(at));
             let added = self.units.iter().enumerate().try_for_each(|(index, unit)| {
                 let labels = labels.labels(index)?;
                 prefetch(labels, |labels| add_labels(&mut arrays, unit, labels))
@@ -130,6 +140,12 @@ fn values(label: LabelFrame) -> Vec<Values> {
     [Values::F32(force), Values::F32(contact)].into_iter().chain(masks).collect()
 }
 
+/// True for the file of an array of truth or its validity.
+fn is_truth(file: &str) -> bool {
+    let names = [MANO_FORCE, MANO_CONTACT, MANO_CONTACT_SCORE, MANO_FORCE_VALID, MANO_CONTACT_VALID, FRAME_VALIDITY];
+    names.iter().any(|name| file.strip_prefix(name).is_some_and(|rest| rest.starts_with('/')))
+}
+
 /// Copies a store into the folder `to`, skipping files that an earlier attempt copied. Returns the files of a zip archive
 /// that can't be read and are left out.
 fn copy(place: &StoreLocation, to: &Path) -> Result<Vec<LostBytes>> {
@@ -165,9 +181,13 @@ fn copy(place: &StoreLocation, to: &Path) -> Result<Vec<LostBytes>> {
             }
         });
         match reader.failure {
-            // Leave the chunk's file out: a missing chunk reads as the fill value, which is marked invalid.
+            // Leave the chunk's file out: a missing chunk reads as the fill value. As truth that would be false, so an empty
+            // file, which no reader accepts, stays in its place.
             Some(failure) => {
-                let file = format!("{}: {}", place.path.display(), name.display());
+                if is_truth(&name.to_string_lossy()) {
+                    copy_file(&path, 0, |_| Ok(0))?;
+                }
+                let file = format!("{place}: {}", name.display());
                 lost.push(LostBytes { file, offset, bytes, reason: failure });
             }
             None => copied?,

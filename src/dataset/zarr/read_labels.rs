@@ -5,8 +5,8 @@ use std::path::Path;
 
 use super::labels::{predicted, read_info};
 use super::{
-    FRAME_VALIDITY, MANO_CONTACT, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, TIMESTAMPS,
-    ZarrReader,
+    FRAME_VALIDITY, MANO_CONTACT, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, MANO_PROXIMITY,
+    TIMESTAMPS, ZarrReader,
 };
 use crate::dataset::{EpisodeReader, Labelled};
 use crate::error::{Error, Result};
@@ -80,6 +80,24 @@ pub fn read_labels(store: &ZarrReader, frames: Range<usize>) -> Result<TactileSe
     let mask_force = mask(MANO_FORCE_VALID, &fields.force)?;
     let mask_contact = mask(MANO_CONTACT_VALID, &fields.contact)?;
     Ok(TactileSequence { mask_force, mask_contact, validity, ..fields })
+}
+
+/// Reads contact by distance of a range of frames, `data/mano_proximity`, without timestamps and episodes. Force is
+/// unknown; the contact's mask is 0 where the store's own contact is not supervised or a guard refused the frame.
+///
+/// # Errors
+/// If the store lacks the array, or one can't be read.
+pub fn read_proximity(store: &ZarrReader, frames: Range<usize>) -> Result<TactileSequence> {
+    if !store.has(MANO_PROXIMITY) {
+        let missing = "holds no data/mano_proximity, which `labels: proximity` needs; stores of `egotac sim` hold it";
+        return Err(Error::file(store.path(), missing));
+    }
+    let contact = store.read_u8(MANO_PROXIMITY, frames.clone())?.into_iter().map(f32::from).collect();
+    let mut labels = read_labels(store, frames)?;
+    labels.contact = contact;
+    labels.force.fill(f32::NAN);
+    labels.mask_force.fill(0);
+    Ok(labels)
 }
 
 /// Reads force and contact of a range of frames, without masks; NaN = unknown.

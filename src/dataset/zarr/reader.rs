@@ -14,6 +14,7 @@ use super::files::StoreFiles;
 use super::place::StoreLocation;
 use super::stored::{ArrayInfo, StoredArray};
 use super::*;
+use crate::dataset::source::LostBytes;
 use crate::dataset::{Attributes, EpisodeReader, Frame};
 use crate::error::{Error, Result};
 use crate::file::limits;
@@ -187,6 +188,29 @@ impl ZarrReader {
             .ok_or_else(|| Error::file(&self.path, format!("{name}: frame {index} is too short")))
     }
 
+    /// Decodes the chunks of all arrays but `except`, and returns those that can't be read, by the name of their file.
+    ///
+    /// # Errors
+    /// If the medium fails.
+    pub(super) fn damaged_chunks(&self, except: &str) -> Result<Vec<LostBytes>> {
+        let mut damaged = Vec::new();
+        for array in self.arrays.values().filter(|array| array.name != except) {
+            for (name, bytes) in self.files.entries_in(&array.name)? {
+                match array.check_file(&name, &self.path) {
+                    Ok(()) => {}
+                    Err(error) if error.is_of_medium() => return Err(error),
+                    Err(error) => damaged.push(LostBytes {
+                        file: format!("{}: {}/{name}", self.path.display(), array.name),
+                        offset: 0,
+                        bytes,
+                        reason: error.to_string(),
+                    }),
+                }
+            }
+        }
+        Ok(damaged)
+    }
+
     /// True if the store has an array of this name.
     pub fn has(&self, name: &str) -> bool {
         self.arrays.contains_key(name)
@@ -284,7 +308,9 @@ impl ZarrReader {
             return Err(self.named(Error::shape(EPISODE_ENDS, "(E)", column.info().shape)));
         };
         let fail = |message: String| Error::file(&self.path, format!("{EPISODE_ENDS}: {message}"));
-        let values = self.read(EPISODE_ENDS, 0..column.info().shape.first().copied().unwrap_or(0))?;
+        let episodes = column.info().shape.first().copied().unwrap_or(0);
+        limits::EPISODES.check(&self.path, EPISODE_ENDS, episodes as u64)?;
+        let values = self.read(EPISODE_ENDS, 0..episodes)?;
         let Values::I64(ends) = values else {
             return Err(fail(format!("expected integers, got {}", values.dtype())));
         };

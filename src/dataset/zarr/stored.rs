@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use zarrs::array::{Array, ArraySubset, ElementOwned, data_type};
+use zarrs::array::{Array, ArrayBytes, ArrayError, ArraySubset, ElementOwned, data_type};
 use zarrs::storage::ReadableStorageTraits;
 
 use super::{Dtype, Values};
@@ -13,6 +13,9 @@ use crate::file::limits;
 
 /// Largest number of chunks that the values of one frame may lie in.
 const MOST_PARTS: u64 = 4096;
+/// Largest number of chunks of an array whose chunks are parts of a frame: each costs a look into the file system, also where
+/// it is absent.
+const MOST_CHUNKS: u64 = 1 << 22;
 
 /// Name, shape and type of an array.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -148,18 +151,52 @@ impl StoredArray {
         let item = product(info.shape.get(1..).unwrap_or(&[]));
         let bytes = item.saturating_mul(frames as u64);
         limits::ARRAY.check(path, &format!("{}: {frames} frames", self.name), bytes)?;
-        let mut grid = self.array.chunk_grid_shape().iter().skip(1);
-        match grid.try_fold(1u64, |count, parts| count.checked_mul(*parts)) {
-            Some(parts) if parts <= MOST_PARTS => Ok(()),
-            _ => {
-                let message =
-                    format!("{}: expected chunks that split a frame into at most {MOST_PARTS} parts", self.name);
-                Err(Error::file(path, message))
-            }
+        let grid = self.array.chunk_grid_shape();
+        let mut of_frame = grid.iter().skip(1);
+        let parts = of_frame.try_fold(1u64, |count, parts| count.checked_mul(*parts)).unwrap_or(u64::MAX);
+        let refused = |what: &str, most: u64| {
+            Err(Error::file(
+                path,
+                format!("{}: expected chunks that split {what} into at most {most} parts", self.name),
+            ))
+        };
+        if parts > MOST_PARTS {
+            return refused("a frame", MOST_PARTS);
+        }
+        match parts > 1 && parts.saturating_mul(grid.first().copied().unwrap_or(1)) > MOST_CHUNKS {
+            true => refused("all frames", MOST_CHUNKS),
+            false => Ok(()),
         }
     }
 
+    /// Decodes the chunk in the file `name` below the array's folder; another file is not looked at. Errors name `path`.
+    ///
+    /// # Errors
+    /// If the chunk can't be read.
+    pub(super) fn check_file(&self, name: &str, path: &Path) -> Result<()> {
+        let numbers = name.strip_prefix("c/").unwrap_or(name).split(['.', '/']).map(str::parse::<u64>);
+        let Ok(indices) = numbers.collect::<std::result::Result<Vec<_>, _>>() else { return Ok(()) };
+        let grid = self.array.chunk_grid_shape();
+        let is_inside = indices.len() == grid.len() && indices.iter().zip(grid).all(|(index, n)| index < n);
+        if !is_inside || self.array.chunk_key(&indices).as_str() != format!("{}/{name}", self.name) {
+            return Ok(());
+        }
+        let info = self.info();
+        let frames = info.shape.first().copied().unwrap_or(0).min(info.chunks.first().copied().unwrap_or(1));
+        self.check(frames, path)?;
+        let decoded = self.array.retrieve_chunk::<ArrayBytes<'static>>(&indices).map(drop);
+        decoded.map_err(|error| self.failed(path, error))
+    }
+
     fn retrieve<T: ElementOwned>(&self, subset: &ArraySubset, path: &Path) -> Result<Vec<T>> {
-        self.array.retrieve_array_subset(subset).map_err(|e| Error::library(path, format!("{}: {e}", self.name)))
+        self.array.retrieve_array_subset(subset).map_err(|error| self.failed(path, error))
+    }
+
+    /// Returns the error of a read that failed; an error of the operating system names the array's folder.
+    fn failed(&self, path: &Path, error: ArrayError) -> Error {
+        match Error::library(path.join(&self.name), &error) {
+            of_medium @ Error::Io { .. } => of_medium,
+            _ => Error::file(path, format!("{}: {error}", self.name)),
+        }
     }
 }

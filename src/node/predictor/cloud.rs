@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex};
 
 use crate::hand::{HandModel, Side, Topology};
 use crate::message::{HandPose, Header, PointCloud2};
+use crate::node::input_topics::{InputTopic, Need};
 use crate::node::lock::lock;
 use crate::node::log::Log;
 use crate::node::params::Parameters;
@@ -15,6 +16,9 @@ use crate::tactile::TactileField;
 
 /// Largest difference between the stamps of an image and of a hand pose that is drawn for it, s: five frames at 25 Hz.
 const MAX_POSE_AGE_SECS: f64 = 0.2;
+
+/// Frame of hands whose pose is unknown: they are nowhere in the camera's frame.
+const REST_FRAME: &str = "hand_rest";
 
 /// Newest pose of each hand, left first.
 type Poses = Arc<Mutex<[Option<HandPose>; 2]>>;
@@ -61,7 +65,10 @@ impl Cloud {
         let threshold = self.parameters.get::<f64>("contact_threshold") as f32;
         let cloud = match self.posed_hands(&header) {
             Some((frame_id, hands)) => point_cloud(Header { stamp: header.stamp, frame_id }, field, &hands, threshold),
-            None => point_cloud(header, field, &self.rest, threshold),
+            None => {
+                let header = Header { stamp: header.stamp, frame_id: REST_FRAME.into() };
+                point_cloud(header, field, &self.rest, threshold)
+            }
         };
         self.publisher.publish(&cloud)
     }
@@ -91,10 +98,15 @@ impl Cloud {
 
 fn subscribe_poses(runtime: &mut Runtime, poses: Poses) -> anyhow::Result<()> {
     let log = runtime.log().clone();
-    runtime.subscribe::<HandPose>("hand_pose", qos::sensor_input(false).keep_last(4), move |pose| {
-        match pose.and_then(|pose| Ok((pose.side()?, pose))) {
-            Ok((side, pose)) => lock(&poses)[side as usize] = Some(pose),
-            Err(error) => log.warn_throttled("hand_pose", format!("hand_pose: {error}")),
-        }
+    let input = InputTopic {
+        name: "hand_pose".into(),
+        content: "poses of the hands",
+        qos: qos::newest_input().keep_last(4),
+        matches: false,
+        need: Need::Optional,
+    };
+    runtime.input::<HandPose>(input, move |pose| match pose.and_then(|pose| Ok((pose.side()?, pose))) {
+        Ok((side, pose)) => lock(&poses)[side as usize] = Some(pose),
+        Err(error) => log.warn_throttled("hand_pose", format!("hand_pose: {error}")),
     })
 }

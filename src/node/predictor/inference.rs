@@ -15,6 +15,7 @@ use crate::node::lock::lock;
 use crate::node::log::Log;
 use crate::node::params::Parameters;
 use crate::node::publisher::Publisher;
+use crate::node::rectify::Rectification;
 use crate::node::shutdown::Shutdown;
 
 /// Longest wait for an image; bounds the delay of shutdown and of a network exchange.
@@ -45,6 +46,8 @@ pub(super) struct Inference {
     /// True if the network was replaced after the last image.
     pub(super) replaced: bool,
     pub(super) input: Input,
+    /// Rectification of the images, if it is wanted.
+    pub(super) rectification: Option<Rectification>,
     /// Publisher of `~/tactile`.
     pub(super) frames: Publisher<TactileFrame>,
     /// Publisher of `~/model_info`.
@@ -104,6 +107,14 @@ impl Inference {
             self.input.tally.dropped("stale");
             return None;
         }
+        let image = match self.rectification.as_ref().map(|rectification| rectification.apply(&image)) {
+            None => image,
+            Some(Ok(rectified)) => rectified,
+            Some(Err(error)) => {
+                self.drop_image("uncalibrated", "uncalibrated", &error);
+                return None;
+            }
+        };
         Some((header, image))
     }
 

@@ -1,7 +1,9 @@
 //! Service `~/load_model`: loads another network on its own thread; the inference takes it over between two images.
 
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::{RecvTimeoutError, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 use r2r::ServiceRequest;
@@ -15,6 +17,14 @@ use crate::node::clock::RosClock;
 use crate::node::lock::lock;
 use crate::node::log::Log;
 use crate::node::runtime::Runtime;
+use crate::node::shutdown::Shutdown;
+use crate::node::worker_thread::WorkerThread;
+use crate::text::error_chain;
+
+/// Most requests that wait while a network is loaded.
+const MAX_WAITING_REQUESTS: usize = 4;
+/// Longest wait of the thread for a request; bounds the delay of shutdown.
+const REQUEST_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// A network with its description.
 pub(super) struct LoadedModel {
@@ -50,59 +60,65 @@ pub(super) struct ModelRequirements {
     pub(super) topology: Topology,
 }
 
-/// Offers `~/load_model`; `model_id` names the network in use.
+/// Offers `~/load_model`; `model_id` names the network in use. Returns the thread that loads networks, which ends at `shutdown`.
 ///
 /// # Errors
-/// If ROS refuses the service name.
+/// If ROS refuses the service name, or the system a thread.
 pub(super) fn serve(
     runtime: &mut Runtime,
+    shutdown: &Shutdown,
     pending: PendingModel,
     requirements: ModelRequirements,
     model_id: String,
-) -> anyhow::Result<()> {
-    let loader = Loader {
-        pending,
-        requirements,
-        model_id: Arc::new(Mutex::new(model_id)),
-        clock: runtime.clock().clone(),
-        log: runtime.log().clone(),
-    };
+) -> anyhow::Result<WorkerThread> {
+    let (clock, log) = (runtime.clock().clone(), runtime.log().clone());
+    let mut loader = Loader { pending, requirements, model_id, clock, log: log.clone() };
+    let (requests, received) = sync_channel(MAX_WAITING_REQUESTS);
     runtime.deferred_service("~/load_model", move |request| {
-        let loader = loader.clone();
-        // Ignore the error: without a thread there is no response, and the caller's timeout ends.
-        drop(std::thread::Builder::new().name("loading".into()).spawn(move || loader.respond(request)));
+        if let Err(TrySendError::Full(request) | TrySendError::Disconnected(request)) = requests.try_send(request) {
+            let message = format!("{MAX_WAITING_REQUESTS} other requests wait");
+            respond(request, LoadModel::Response { success: false, message, model_id: String::new() }, &log);
+        }
+    })?;
+    WorkerThread::spawn("loading", shutdown, move |shutdown| {
+        while !shutdown.requested() {
+            match received.recv_timeout(REQUEST_TIMEOUT) {
+                Ok(request) => loader.serve(request),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        Ok(())
     })
 }
 
-#[derive(Clone)]
+type Request = ServiceRequest<LoadModel::Service>;
+
 struct Loader {
     pending: PendingModel,
     requirements: ModelRequirements,
-    /// Id of the network in use; locked while a network is loaded, so that requests are served one by one.
-    model_id: Arc<Mutex<String>>,
+    /// Id of the network in use.
+    model_id: String,
     clock: RosClock,
     log: Log,
 }
 
 impl Loader {
-    fn respond(&self, request: ServiceRequest<LoadModel::Service>) {
-        let mut model_id = lock(&self.model_id);
+    fn serve(&mut self, request: Request) {
         let (success, message) = match self.load(&request.message.model) {
             Ok(loaded) => {
-                self.log.info(format!("model {} replaces {model_id}", loaded.info.model_id));
-                model_id.clone_from(&loaded.info.model_id);
+                self.log.info(format!("model {} replaces {}", loaded.info.model_id, self.model_id));
+                self.model_id.clone_from(&loaded.info.model_id);
                 self.pending.put(loaded);
                 (true, String::new())
             }
             Err(error) => {
-                self.log.warn(format!("the model is not replaced: {error:#}"));
-                (false, format!("{error:#}"))
+                let reason = error_chain(error.as_ref());
+                self.log.warn(format!("the model is not replaced: {reason}"));
+                (false, reason)
             }
         };
-        let response = LoadModel::Response { success, message, model_id: model_id.clone() };
-        if let Err(error) = request.respond(response) {
-            self.log.warn_throttled("load_model", format!("~/load_model: cannot send the response: {error}"));
-        }
+        respond(request, LoadModel::Response { success, message, model_id: self.model_id.clone() }, &self.log);
     }
 
     /// Loads and runs a checkpoint once, so that an unusable one is refused before it replaces the network in use.
@@ -117,5 +133,11 @@ impl Loader {
         measure_inference(&mut predictor).with_context(|| path.display().to_string())?;
         let info = model_info(&predictor, self.clock.now())?;
         Ok(LoadedModel { predictor, info })
+    }
+}
+
+fn respond(request: Request, response: LoadModel::Response, log: &Log) {
+    if let Err(error) = request.respond(response) {
+        log.warn_throttled("load_model", format!("~/load_model: cannot send the response: {error}"));
     }
 }

@@ -12,7 +12,9 @@ use std::sync::Arc;
 use super::diagnostics::{self, Level, TaskReport};
 use super::enabled::serve_set_enabled;
 use super::images::ImageTransport;
+use super::input_topics::reliability_parameter;
 use super::params::{Allowed, Parameter};
+use super::rectify::Rectification;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
@@ -53,12 +55,8 @@ fn parameters() -> Vec<Parameter> {
              machine; 0 = take model and precision as given.",
         ),
         ImageTransport::parameter(),
-        Parameter::fixed(
-            "reliability",
-            "best_effort",
-            Allowed::OneOf(&["best_effort", "reliable", "match"]),
-            "Reliability of the image subscription; match = that of the publishers, once there is one.",
-        ),
+        reliability_parameter("best_effort"),
+        Rectification::parameter(),
         Parameter::new(
             "max_age_ms",
             0.0,
@@ -93,7 +91,7 @@ fn start(runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
 /// If ROS refuses a topic or service, or the network cannot process an image.
 fn run(mut runtime: Runtime, network: LoadedNetwork, shutdown: &Shutdown) -> anyhow::Result<()> {
     let input = Input::new(&runtime);
-    let inference = prepare(&mut runtime, network, input.clone())?;
+    let (inference, loader) = prepare(&mut runtime, shutdown, network, input.clone())?;
     serve_set_enabled(&mut runtime)?;
     publish_diagnostics(&mut runtime, input.clone(), inference.model_id.clone())?;
     input.subscribe(&mut runtime)?;
@@ -103,11 +101,17 @@ fn run(mut runtime: Runtime, network: LoadedNetwork, shutdown: &Shutdown) -> any
         Ok(())
     })?;
     runtime.spin(shutdown);
-    runtime.finish(worker)
+    let loaded = loader.join();
+    runtime.finish(worker).and(loaded)
 }
 
-/// Publishes `~/model_info`, offers `~/load_model`, and creates the inference loop.
-fn prepare(runtime: &mut Runtime, network: LoadedNetwork, input: Input) -> anyhow::Result<Inference> {
+/// Publishes `~/model_info`, offers `~/load_model` with its thread, and creates the inference loop.
+fn prepare(
+    runtime: &mut Runtime,
+    shutdown: &Shutdown,
+    network: LoadedNetwork,
+    input: Input,
+) -> anyhow::Result<(Inference, WorkerThread)> {
     let LoadedNetwork { mut predictor, path, options } = network;
     let log = runtime.log().clone();
     log.info(format!("one image takes {:.0} ms", load::measure_inference(&mut predictor)? * 1e3));
@@ -121,13 +125,14 @@ fn prepare(runtime: &mut Runtime, network: LoadedNetwork, input: Input) -> anyho
     let pending = PendingModel::default();
     let topology = predictor.metadata().topology;
     let requirements = ModelRequirements { default_path: path, options, topology };
-    load_model::serve(runtime, pending.clone(), requirements, model_info.model_id.clone())?;
-    Ok(Inference {
+    let loader = load_model::serve(runtime, shutdown, pending.clone(), requirements, model_info.model_id.clone())?;
+    let inference = Inference {
         predictor,
         model_id: ModelId::new(model_info.model_id),
         pending,
         replaced: false,
         input,
+        rectification: Rectification::subscribe(runtime)?,
         frames: runtime.publisher("~/tactile", qos::output())?,
         info,
         cloud: Cloud::create(runtime)?,
@@ -135,7 +140,8 @@ fn prepare(runtime: &mut Runtime, network: LoadedNetwork, input: Input) -> anyho
         parameters: Arc::clone(runtime.parameters()),
         clock: runtime.clock().clone(),
         log,
-    })
+    };
+    Ok((inference, loader))
 }
 
 /// Reports the counts of images on `/diagnostics`.
@@ -151,8 +157,6 @@ fn publish_diagnostics(runtime: &mut Runtime, input: Input, model_id: ModelId) -
         let topic = &input.topic;
         let (level, message) = if !runtime.parameters().get::<bool>("enabled") {
             (Level::Ok, "disabled".to_owned())
-        } else if input.has_incompatible_publisher(runtime) {
-            (Level::Error, format!("a best-effort publisher on {topic} cannot reach a reliable subscription"))
         } else if rates.received == 0.0 {
             (Level::Stale, format!("no images on {topic}"))
         } else if newly_refused {
@@ -160,9 +164,6 @@ fn publish_diagnostics(runtime: &mut Runtime, input: Input, model_id: ModelId) -
         } else {
             (Level::Ok, format!("{:.1} of {:.1} images per second", rates.processed, rates.received))
         };
-        if level == Level::Error {
-            runtime.log().warn_throttled("incompatible", &message);
-        }
         TaskReport { task: "images", level, message, values: counts.values(rates) }
     })
 }

@@ -2,11 +2,14 @@
 
 mod control;
 mod hands;
+mod hold;
+mod measured;
+mod outputs;
+mod parameters;
 mod statistics;
 
-use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -14,84 +17,29 @@ use anyhow::Context as _;
 use super::approximate_sync::ApproximateSync;
 use super::clock::RosClock;
 use super::enabled::serve_set_enabled;
+use super::input_topics::{InputTopic, Need};
+use super::lock::lock;
 use super::log::Log;
 use super::object_pose::LatestObjectPose;
-use super::params::{Allowed, Parameter, Parameters};
+use super::params::Parameters;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
 use super::{program, qos};
 use crate::error::Error;
 use crate::hand::Side;
-use crate::message::{HandPose, Header, PoseArray, PoseStamped, TactileFrame};
+use crate::message::{Bool, HandPose, Header, JointState, PoseArray, PoseStamped, TactileFrame};
 use crate::mujoco::object::Shapes;
 use crate::retarget::{Options, Retargeter, Robot};
-use control::ControlLoop;
+use control::{ControlLoop, Sensors};
 use hands::{HandMessage, HandModels};
+use outputs::Names;
+use parameters::{live_options, parameters, path_of};
 use statistics::Statistics;
 
 /// Runs the program `egotac_retargeter`.
 pub fn main() -> ExitCode {
     program::run("retargeter", "Follows a hand and its touch with a robot hand.", &parameters(), start)
-}
-
-/// The node's parameters.
-fn parameters() -> Vec<Parameter> {
-    vec![
-        Parameter::fixed(
-            "robot",
-            "four_finger",
-            Allowed::Any,
-            "Robot hand: a name of `egotac retarget list`, a YAML file, or a model (MJCF or URDF).",
-        ),
-        Parameter::fixed(
-            "model",
-            "",
-            Allowed::Any,
-            "Model file in place of the one that the robot's file names; empty = that one.",
-        ),
-        Parameter::fixed(
-            "object",
-            "",
-            Allowed::Any,
-            "Object that the hand holds: links stay out of it and touching fingertips lie on it. A model (MJCF, URDF) or mesh \
-             (OBJ, STL; its convex hull counts); empty = none. The topic object carries its pose.",
-        ),
-        Parameter::fixed(
-            "object_timeout_ms",
-            200.0,
-            Allowed::Doubles(0.0, 60_000.0),
-            "Greatest difference of the stamps of a hand and the object pose that is used for it, milliseconds.",
-        ),
-        Parameter::fixed(
-            "side",
-            "robot",
-            Allowed::OneOf(&["robot", "left", "right"]),
-            "Side of the human hand that is followed; robot = the robot's own side.",
-        ),
-        Parameter::fixed(
-            "rate_hz",
-            60.0,
-            Allowed::Doubles(1.0, 1000.0),
-            "Rate at which joints are published, whether hands come or not, hertz.",
-        ),
-        Parameter::fixed(
-            "sync_slop_ms",
-            20.0,
-            Allowed::Doubles(0.0, 1000.0),
-            "Greatest difference of the stamps of a hand and its touch, milliseconds.",
-        ),
-        Parameter::fixed(
-            "touch_wait_ms",
-            200.0,
-            Allowed::Doubles(0.0, 60_000.0),
-            "Greatest time that a hand waits for its touch while touch messages come, milliseconds; 0 = never.",
-        ),
-        Parameter::fixed("mano_left", "", Allowed::Any, "Left MANO file, for hands of the topology mano."),
-        Parameter::fixed("mano_right", "", Allowed::Any, "Right MANO file, for hands of the topology mano."),
-        Parameter::new("enabled", true, Allowed::Any, "True to follow hands; also set by ~/set_enabled."),
-        Parameter::use_sim_time(),
-    ]
 }
 
 /// Creates the node, loads its robot, and runs until `shutdown`.
@@ -125,17 +73,20 @@ fn run(mut runtime: Runtime, robot: Robot, shutdown: &Shutdown) -> anyhow::Resul
         runtime.log().warn(format!("{name}: mesh {mesh} could not be loaded; its shape is missing"));
     }
     let models = HandModels::load(&parameters, side)?;
-    let retargeter = Retargeter::with_options(robot, Options { side: Some(side), ..Options::default() })?;
+    let options = Options { side: Some(side), live: Some(live_options(&parameters)), ..Options::default() };
+    let retargeter = Retargeter::with_options(robot, options)?;
 
     let slop = 1e-3 * parameters.get::<f64>("sync_slop_ms");
     let patience = Duration::from_secs_f64(1e-3 * parameters.get::<f64>("touch_wait_ms"));
     let inputs = Arc::new(Mutex::new(ApproximateSync::new(slop, patience)));
     let object = Arc::new(LatestObjectPose::new(1e-3 * parameters.get::<f64>("object_timeout_ms")));
+    let sensors = Sensors { object, measured: Arc::default(), deadman: Arc::default() };
     if retargeter.robot().object.is_some() {
-        subscribe_object(&mut runtime, &object)?;
+        subscribe_object(&mut runtime, &sensors.object)?;
     }
+    subscribe_robot(&mut runtime, &sensors, Names::of(retargeter.robot()).masters)?;
     let statistics = Statistics::default();
-    let control = ControlLoop::new(&mut runtime, retargeter, models, object, Arc::clone(&inputs), statistics.clone())?;
+    let control = ControlLoop::new(&mut runtime, retargeter, models, sensors, Arc::clone(&inputs), statistics.clone())?;
     let receiver = Receiver { inputs: Arc::clone(&inputs), side, statistics: statistics.clone(), parameters };
     subscribe(&mut runtime, &receiver)?;
     serve_set_enabled(&mut runtime)?;
@@ -149,10 +100,8 @@ fn run(mut runtime: Runtime, robot: Robot, shutdown: &Shutdown) -> anyhow::Resul
     runtime.finish(worker)
 }
 
-/// Returns the path of a parameter; None if it is empty.
-fn path_of(parameters: &Parameters, name: &str) -> Option<PathBuf> {
-    Some(parameters.get::<String>(name)).filter(|path| !path.is_empty()).map(PathBuf::from)
-}
+/// A hand comes on one of two topics.
+const HANDS: Need = Need::OneOf("hands");
 
 /// Hands that wait for their touch.
 type Inputs = Arc<Mutex<ApproximateSync<HandMessage, TactileFrame>>>;
@@ -175,7 +124,7 @@ impl Receiver {
         }
         // A hand without stamp counts as observed when it arrives.
         let stamp = if header.stamp.is_zero() { clock.now() } else { header.stamp };
-        self.inputs.lock().unwrap_or_else(PoisonError::into_inner).push_hand(stamp, hand, Instant::now());
+        lock(&self.inputs).push_hand(stamp, hand, Instant::now());
     }
 
     /// Counts and logs a malformed message.
@@ -188,7 +137,8 @@ impl Receiver {
 fn subscribe(runtime: &mut Runtime, receiver: &Receiver) -> anyhow::Result<()> {
     let (clock, log) = (runtime.clock().clone(), runtime.log().clone());
     let poses = (receiver.clone(), clock.clone(), log.clone());
-    runtime.subscribe::<HandPose>("hand_pose", qos::every_input(), move |pose| {
+    let input = InputTopic::new(runtime, "hand_pose", "hands", qos::every_input(), HANDS);
+    runtime.input::<HandPose>(input, move |pose| {
         let (receiver, clock, log) = &poses;
         match pose.and_then(|pose| Ok((pose.side()?, pose))) {
             Ok((side, pose)) if side == receiver.side => {
@@ -199,7 +149,8 @@ fn subscribe(runtime: &mut Runtime, receiver: &Receiver) -> anyhow::Result<()> {
         }
     })?;
     let arrays = (receiver.clone(), clock.clone(), log.clone());
-    runtime.subscribe::<PoseArray>("keypoints", qos::every_input(), move |array| {
+    let input = InputTopic::new(runtime, "keypoints", "hands", qos::every_input(), HANDS);
+    runtime.input::<PoseArray>(input, move |array| {
         let (receiver, clock, log) = &arrays;
         match array {
             Ok(array) => receiver.hand(&array.header.clone(), HandMessage::Keypoints(Box::new(array)), clock),
@@ -207,10 +158,10 @@ fn subscribe(runtime: &mut Runtime, receiver: &Receiver) -> anyhow::Result<()> {
         }
     })?;
     let touches = receiver.clone();
-    runtime.subscribe::<TactileFrame>("tactile", qos::every_input(), move |frame| match frame {
+    let input = InputTopic::new(runtime, "tactile", "touch", qos::every_input(), Need::Optional);
+    runtime.input::<TactileFrame>(input, move |frame| match frame {
         Ok(frame) => {
-            let mut inputs = touches.inputs.lock().unwrap_or_else(PoisonError::into_inner);
-            inputs.push_touch(frame.header.stamp, frame, Instant::now());
+            lock(&touches.inputs).push_touch(frame.header.stamp, frame, Instant::now());
         }
         Err(error) => touches.refuse("tactile", &error, &log),
     })
@@ -218,8 +169,30 @@ fn subscribe(runtime: &mut Runtime, receiver: &Receiver) -> anyhow::Result<()> {
 
 fn subscribe_object(runtime: &mut Runtime, object: &Arc<LatestObjectPose>) -> anyhow::Result<()> {
     let (object, log) = (Arc::clone(object), runtime.log().clone());
-    runtime.subscribe::<PoseStamped>("object", qos::every_input(), move |pose| match pose {
+    let input = InputTopic::new(runtime, "object", "poses of the object", qos::every_input(), Need::Required);
+    runtime.input::<PoseStamped>(input, move |pose| match pose {
         Ok(pose) => object.update(pose),
         Err(error) => log.warn_throttled("object", format!("object: message left out: {error}")),
     })
+}
+
+/// Subscribes to the measured positions of `joints` and to the deadman switch, where the parameters ask for them.
+fn subscribe_robot(runtime: &mut Runtime, sensors: &Sensors, joints: Vec<String>) -> anyhow::Result<()> {
+    if runtime.parameters().get::<String>("start") == "measured" {
+        let (measured, log) = (Arc::clone(&sensors.measured), runtime.log().clone());
+        let input = InputTopic::new(runtime, "joint_states", "measured joints", qos::every_input(), Need::Required);
+        runtime.input::<JointState>(input, move |state| match state {
+            Ok(state) => measured.update(&state, &joints, Instant::now()),
+            Err(error) => log.warn_throttled("joint_states", format!("joint_states: message left out: {error}")),
+        })?;
+    }
+    if runtime.parameters().get::<bool>("deadman") {
+        let (deadman, log) = (Arc::clone(&sensors.deadman), runtime.log().clone());
+        let input = InputTopic::new(runtime, "deadman", "deadman switch", qos::newest_input(), Need::Required);
+        runtime.input::<Bool>(input, move |held| match held {
+            Ok(Bool { data }) => deadman.update(data, Instant::now()),
+            Err(error) => log.warn_throttled("deadman", format!("deadman: message left out: {error}")),
+        })?;
+    }
+    Ok(())
 }

@@ -1,12 +1,15 @@
 //! Statistics of followed and refused hands, for /diagnostics.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use super::Inputs;
+use super::hold::Hold;
 use crate::error::Error;
+use crate::node::approximate_sync::Touches;
 use crate::node::diagnostics::{self, Level, Tally, TaskReport};
+use crate::node::lock::lock;
 use crate::node::runtime::Runtime;
 use crate::retarget::Status;
 use crate::statistics::percentile;
@@ -32,6 +35,8 @@ struct FollowCounts {
     missed_cycles: u64,
     /// Error of the newest hand, if it was refused.
     refused: Option<String>,
+    /// Reason for which the robot holds its pose, if it does.
+    hold: Option<Hold>,
 }
 
 impl Statistics {
@@ -60,8 +65,13 @@ impl Statistics {
         self.counts().missed_cycles += 1;
     }
 
+    /// Sets the reason for which the robot holds its pose.
+    pub fn set_hold(&self, hold: Option<Hold>) {
+        self.counts().hold = hold;
+    }
+
     fn counts(&self) -> std::sync::MutexGuard<'_, FollowCounts> {
-        self.counts.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.counts)
     }
 }
 
@@ -75,9 +85,9 @@ pub fn report(runtime: &mut Runtime, inputs: Inputs, statistics: Statistics, rob
         runtime,
         move || robot.clone(),
         move |runtime| {
-            let (overtaken, touched) = {
-                let inputs = inputs.lock().unwrap_or_else(PoisonError::into_inner);
-                (inputs.overtaken(), inputs.touches_arrive(Instant::now()))
+            let (overtaken, touches) = {
+                let inputs = lock(&inputs);
+                (inputs.overtaken(), inputs.touches(Instant::now()))
             };
             statistics.hands.set_dropped("superseded", overtaken);
             let mut tally = statistics.hands.counts();
@@ -88,10 +98,21 @@ pub fn report(runtime: &mut Runtime, inputs: Inputs, statistics: Statistics, rob
             } else if let Some(error) = &counts.refused {
                 (Level::Warn, format!("holds the last pose: {error}"))
             } else if rates.received == 0.0 {
-                (Level::Stale, format!("no hands on {topics}"))
+                let held = counts.hold.as_ref().filter(|hold| **hold != Hold::Disabled);
+                let held = held.map(|hold| format!(": {hold}")).unwrap_or_default();
+                (Level::Stale, format!("no hands on {topics}{held}"))
+            } else if let Some(hold) = counts.hold.as_ref().filter(|hold| **hold != Hold::Disabled) {
+                (Level::Warn, hold.to_string())
             } else {
-                let touch = if touched { "with touch" } else { "no touch" };
-                (Level::Ok, format!("follows {:.1} hands per second, {touch}", rates.processed))
+                let follows = format!("follows {:.1} hands per second", rates.processed);
+                match touches {
+                    Touches::None => (Level::Ok, format!("{follows}, no touch")),
+                    Touches::Matching => (Level::Ok, format!("{follows}, with touch")),
+                    Touches::Apart(secs) => (
+                        Level::Warn,
+                        format!("{follows}; the stamps of touches are {secs:+.3} s from those of hands: not used"),
+                    ),
+                }
             };
             let mut values = tally.values(rates);
             values.push(("with_touch".to_owned(), counts.with_touch.to_string()));

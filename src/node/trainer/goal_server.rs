@@ -39,10 +39,23 @@ pub(super) struct GoalServer {
 struct ActiveGoal {
     goal: ActionServerGoal<Train::Action>,
     cancel_requests: CancelRequests,
-    cancelled: bool,
+    cause: Cause,
+    /// True for training in rounds; the checkpoint of each is announced.
+    is_live: bool,
     /// Tells the training thread to stop and save its state.
     stop: Arc<AtomicBool>,
     thread: JoinHandle<crate::Result<Outcome>>,
+}
+
+/// Cause of the end of a training.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Cause {
+    /// Its last step, or an error.
+    Itself,
+    /// A cancel request.
+    Cancelled,
+    /// The end of the node.
+    Shutdown,
 }
 
 type CancelRequests = Box<dyn Stream<Item = ActionServerCancelRequest> + Unpin>;
@@ -59,12 +72,12 @@ impl GoalServer {
         Self { ring, folder, device, parameters, progress: Arc::default(), active: None, log }
     }
 
-    /// Stops the active goal and waits until its state is saved.
-    pub(super) fn stop(&mut self) {
-        if let Some(active) = self.active.take() {
-            active.stop.store(true, Ordering::Relaxed);
-            drop(active.thread.join());
-        }
+    /// Stops the active goal, waits until its state is saved, and aborts it with a result. Returns true if there was one.
+    pub(super) fn stop(&mut self) -> bool {
+        let Some(active) = self.active.take() else { return false };
+        active.stop.store(true, Ordering::Relaxed);
+        self.join(ActiveGoal { cause: Cause::Shutdown, ..active });
+        true
     }
 
     /// Starts a goal, or rejects it if it is invalid or another goal is active.
@@ -94,7 +107,7 @@ impl GoalServer {
 
     /// Starts the training thread of an accepted goal.
     fn start(&mut self, mut goal: ActionServerGoal<Train::Action>, cancel_requests: CancelRequests, job: Job) {
-        let steps = job.config.steps;
+        let (steps, is_live) = (job.config.steps, job.live.is_some());
         self.update(|progress| *progress = Progress { state: "training", steps, ..Progress::default() });
         let stop = Arc::new(AtomicBool::new(false));
         let (progress, device, stopped) = (Arc::clone(&self.progress), self.device.clone(), Arc::clone(&stop));
@@ -104,7 +117,9 @@ impl GoalServer {
             })
         };
         match std::thread::Builder::new().name("training".into()).spawn(work) {
-            Ok(thread) => self.active = Some(ActiveGoal { goal, cancel_requests, cancelled: false, stop, thread }),
+            Ok(thread) => {
+                self.active = Some(ActiveGoal { goal, cancel_requests, cause: Cause::Itself, is_live, stop, thread });
+            }
             Err(error) => {
                 let message = format!("cannot start the training thread: {error}");
                 self.log.error(message.clone());
@@ -113,7 +128,8 @@ impl GoalServer {
         }
     }
 
-    /// Publishes the status and serves the active goal; returns the checkpoint of a goal that succeeded just now.
+    /// Publishes the status and serves the active goal; returns the checkpoint of a goal that succeeded just now, or of a round
+    /// that ended.
     pub(super) fn tick(&mut self, publisher: &Publisher<TrainerStatus>, runtime: &Runtime) -> Option<PathBuf> {
         let status = self.status(runtime);
         if let Err(error) = publisher.publish(&status) {
@@ -122,33 +138,49 @@ impl GoalServer {
         let active = self.active.as_mut()?;
         while let Some(Some(request)) = active.cancel_requests.next().now_or_never() {
             request.accept();
-            active.cancelled = true;
+            active.cause = Cause::Cancelled;
             active.stop.store(true, Ordering::Relaxed);
         }
         if !active.thread.is_finished() {
             if let Err(error) = active.goal.publish_feedback(Train::Feedback { status: native_status(&status) }) {
                 self.log.warn_throttled("feedback", format!("cannot send the goal's feedback: {error}"));
             }
-            return None;
+            return lock(&self.progress).round_checkpoint.take();
         }
-        let ActiveGoal { goal, cancelled, thread, .. } = self.active.take()?;
+        let active = self.active.take()?;
+        let last_round = lock(&self.progress).round_checkpoint.take();
+        self.join(active).or(last_round)
+    }
+
+    /// Waits for the end of a training and sends its result; returns the checkpoint if it succeeded and was not announced before.
+    fn join(&mut self, active: ActiveGoal) -> Option<PathBuf> {
+        let ActiveGoal { goal, cause, is_live, thread, .. } = active;
         let outcome = match thread.join() {
             Ok(outcome) => outcome.map_err(|error| error.to_string()),
             Err(_) => Err("the training thread panicked".to_owned()),
         };
-        self.finish(goal, cancelled, outcome)
+        // The last round of a live goal has the same weights.
+        self.finish(goal, cause, outcome).filter(|_| !is_live)
     }
 
     /// Sends the result of a goal; returns the checkpoint if it succeeded.
     fn finish(
         &mut self,
         mut goal: ActionServerGoal<Train::Action>,
-        cancelled: bool,
+        cause: Cause,
         outcome: Result<Outcome, String>,
     ) -> Option<PathBuf> {
         let mut result = outcome.as_ref().map(result_of).unwrap_or_default();
         let (state, sent, checkpoint) = match outcome {
-            Ok(_) if cancelled => {
+            outcome if cause == Cause::Shutdown => {
+                let saved = match outcome {
+                    Ok(_) => "checkpoint and the state to resume from are saved".to_owned(),
+                    Err(error) => error,
+                };
+                result.message = format!("the node was shut down; {saved}");
+                ("aborted", goal.abort(result.clone()), None)
+            }
+            Ok(_) if cause == Cause::Cancelled => {
                 result.message = "cancelled; the state to resume from is saved".into();
                 ("cancelled", goal.cancel(result.clone()), None)
             }

@@ -15,9 +15,11 @@ use r2r::egotac_msgs::action::Train;
 use r2r::egotac_msgs::srv::LoadModel;
 
 use super::diagnostics::{self, Tally};
-use super::episode_recorder::{EpisodeRecorder, Limits};
+use super::episode_recorder::{EpisodeRecorder, ImageSource, Limits};
 use super::images::ImageTransport;
+use super::input_topics::{InputTopic, Need, reliability_parameter};
 use super::params::{Allowed, Parameter};
+use super::rectify::Rectification;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::{device, program, qos};
@@ -26,6 +28,8 @@ use goal_server::GoalServer;
 
 /// Time between two statuses, and between two feedbacks of a goal.
 const STATUS_PERIOD: Duration = Duration::from_millis(500);
+/// Time in which the result of an aborted goal leaves before the node ends.
+const GOODBYE_TIME: Duration = Duration::from_millis(300);
 /// Longest wait for the response of the service `notify`, which loads and runs the checkpoint first.
 const NOTIFY_TIMEOUT: Duration = Duration::from_secs(30);
 
@@ -46,12 +50,21 @@ fn parameters() -> Vec<Parameter> {
         ),
         device::parameter(),
         ImageTransport::parameter(),
+        reliability_parameter("match"),
+        Rectification::parameter(),
         Parameter::new("record", true, Allowed::Any, "Record each image that has a truth of equal stamp."),
         Parameter::fixed(
             "max_recorded_mb",
             2000.0,
             Allowed::Doubles(0.001, 1e9),
             "Largest size of all recorded episodes on disk, MB; beyond it the oldest are deleted.",
+        ),
+        Parameter::fixed(
+            "max_waiting_mb",
+            256.0,
+            Allowed::Doubles(1.0, 1e6),
+            "Largest size of the images that wait in memory, MB: half of it for their truth, half for the disk; beyond it images \
+             are lost and counted.",
         ),
         Parameter::fixed(
             "episode_secs",
@@ -93,9 +106,14 @@ fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     let limits = Limits {
         bytes: (parameters.get::<f64>("max_recorded_mb") * 1e6) as u64,
         episode_secs: parameters.get("episode_secs"),
+        waiting_bytes: (parameters.get::<f64>("max_waiting_mb") * 1e6) as usize,
     };
-    let (recorder, ring, writer) = EpisodeRecorder::open(&folder.join("live"), limits, runtime.log(), shutdown)?;
     let tally = Tally::default();
+    let transport = ImageTransport::of(&parameters);
+    let images =
+        ImageSource { transport, rectification: Rectification::subscribe(&mut runtime)?, tally: tally.clone() };
+    let (recorder, ring, writer) =
+        EpisodeRecorder::open(&folder.join("live"), limits, images, runtime.log(), shutdown)?;
     subscribe(&mut runtime, recorder, &tally)?;
     let server = GoalServer::new(ring, folder, device, parameters, runtime.log().clone());
     let server = Rc::new(RefCell::new(server));
@@ -104,7 +122,9 @@ fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     diagnostics::publish(&mut runtime, String::new, move |_| states.borrow().task_report(&tally))?;
 
     runtime.spin(shutdown);
-    server.borrow_mut().stop();
+    if server.borrow_mut().stop() {
+        runtime.spin_for(GOODBYE_TIME);
+    }
     runtime.finish(writer)
 }
 
@@ -128,23 +148,18 @@ fn subscribe(runtime: &mut Runtime, recorder: EpisodeRecorder, tally: &Tally) ->
     let recorder = Rc::new(RefCell::new(recorder));
     let transport = ImageTransport::of(runtime.parameters());
     let (images, tally) = (Rc::clone(&recorder), tally.clone());
-    let (parameters, log) = (Arc::clone(runtime.parameters()), runtime.log().clone());
-    transport.subscribe(runtime, qos::every_input(), move |payload| {
+    let parameters = Arc::clone(runtime.parameters());
+    let input = InputTopic::new(runtime, "image", "images", qos::every_input(), Need::Optional);
+    transport.subscribe(runtime, input, move |payload| {
         tally.received();
-        match transport.decode(&payload) {
-            Ok((header, image)) if parameters.get("record") => {
-                images.borrow_mut().push_image(&header, image);
-                tally.processed(None);
-            }
-            Ok(_) => tally.dropped("disabled"),
-            Err(error) => {
-                tally.dropped("malformed");
-                log.warn_throttled("image", format!("image dropped: {error}"));
-            }
+        match parameters.get("record") {
+            true => images.borrow_mut().push_image(payload),
+            false => tally.dropped("disabled"),
         }
     })?;
     let (parameters, log) = (Arc::clone(runtime.parameters()), runtime.log().clone());
-    runtime.subscribe::<TactileTruth>("truth", qos::every_input(), move |truth| match truth {
+    let input = InputTopic::new(runtime, "truth", "truth", qos::every_input(), Need::Optional);
+    runtime.input::<TactileTruth>(input, move |truth| match truth {
         Ok(truth) if parameters.get("record") => recorder.borrow_mut().push_truth(truth),
         Ok(_) => {}
         Err(error) => log.warn_throttled("truth", format!("truth: message dropped: {error}")),

@@ -1,5 +1,7 @@
 //! Progress of a training, for status, feedback and diagnostics.
 
+use std::path::PathBuf;
+
 use crate::message::TrainerStatus;
 use crate::node::flatten::flatten;
 use crate::train::Event;
@@ -28,6 +30,8 @@ pub(super) struct Progress {
     pub(super) windows_per_s: f64,
     /// Time to the last step, s.
     pub(super) remaining_secs: f64,
+    /// Checkpoint of a round that has ended, until it is announced.
+    pub(super) round_checkpoint: Option<PathBuf>,
 }
 
 impl Default for Progress {
@@ -41,6 +45,7 @@ impl Default for Progress {
             scores: Vec::new(),
             windows_per_s: f64::NAN,
             remaining_secs: f64::NAN,
+            round_checkpoint: None,
         }
     }
 }
@@ -63,6 +68,7 @@ impl Progress {
             }
             JobEvent::Training(_, Event::Validated(_, report)) => self.scores = flatten(&serde_json::json!(report)),
             JobEvent::Training(..) => {}
+            JobEvent::RoundEnded(checkpoint) => self.round_checkpoint = Some(checkpoint.to_path_buf()),
         }
     }
 

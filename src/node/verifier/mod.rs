@@ -16,6 +16,7 @@ use serde_json::{Value, json};
 use super::clock::RosClock;
 use super::diagnostics::{Level, Rates, Tally, TaskReport};
 use super::exact_sync::ExactSync;
+use super::input_topics::{InputTopic, Need, reliability_parameter};
 use super::log::Log;
 use super::params::{Allowed, Parameter, Parameters};
 use super::publisher::Publisher;
@@ -58,9 +59,10 @@ fn parameters() -> Vec<Parameter> {
             "require",
             "",
             Allowed::Any,
-            "Scores required over all pairs, for instance f1=0.7,missed_force=0.2 (names as in egotac verify). A missed one \
-             is logged at shutdown and sets the exit status to 1.",
+            "Scores required over all pairs, for instance f1=0.7,missed_force=0.2 (names as in egotac verify: f1 is the mean over \
+             frames with touch, pooled_f1 that over all vertices). A missed one is logged at shutdown and sets the exit status to 1.",
         ),
+        reliability_parameter("match"),
         Parameter::new("print", true, Allowed::Any, "Print one line of scores per second on the terminal."),
         Parameter::use_sim_time(),
     ]
@@ -109,11 +111,13 @@ fn required_scores(text: &str) -> anyhow::Result<Vec<Requirement>> {
 
 fn subscribe(runtime: &mut Runtime, verifier: &Rc<RefCell<Verifier>>) -> anyhow::Result<()> {
     let predictions = Rc::clone(verifier);
-    runtime.subscribe::<TactileFrame>("tactile", qos::every_input(), move |frame| {
+    let tactile = InputTopic::new(runtime, "tactile", "predictions", qos::every_input(), Need::Required);
+    runtime.input::<TactileFrame>(tactile, move |frame| {
         predictions.borrow_mut().take_prediction(frame);
     })?;
     let truths = Rc::clone(verifier);
-    runtime.subscribe::<TactileTruth>("truth", qos::every_input(), move |truth| {
+    let truth = InputTopic::new(runtime, "truth", "truth", qos::every_input(), Need::Required);
+    runtime.input::<TactileTruth>(truth, move |truth| {
         truths.borrow_mut().take_truth(truth);
     })
 }
@@ -231,15 +235,16 @@ impl Verifier {
     fn line(&self, values: &[(String, f64)]) -> String {
         let value = |name: &str| values.iter().find(|(n, _)| n == name).map_or(f64::NAN, |(_, value)| *value);
         format!(
-            "{:6} pairs {:5.1} Hz | MAE {:.4} N, active {:.3} N, r {:.2} | F1 {:.2}, IoU {:.2} | \
+            "{:6} pairs {:5.1} Hz | MAE {:.4} N, active {:.3} N, r {:.2} | F1 {:.2} (pooled {:.2}), IoU {:.2} | \
              latency p50 {:.0} ms, p95 {:.0} ms | without prediction {}",
             self.scores.pairs,
             value("rate_hz"),
             value("mae"),
             value("active_mae"),
             value("temporal_pearson"),
+            value("frame_mean.f1"),
             value("pooled.f1"),
-            value("pooled.iou"),
+            value("frame_mean.iou"),
             value("latency_p50_secs") * 1e3,
             value("latency_p95_secs") * 1e3,
             self.sync.unmatched(UNMATCHED_AFTER_SECS).1,
@@ -249,6 +254,7 @@ impl Verifier {
     /// Returns the totals since the start.
     fn summary(&mut self) -> anyhow::Result<Value> {
         let metrics = self.scores.total()?;
+        let baselines = self.scores.baselines()?;
         let counts = self.tally.counts();
         // No further message comes, so every message that waits is unmatched.
         let (unmatched_predictions, unmatched_truths) = self.sync.unmatched(0.0);
@@ -268,6 +274,7 @@ impl Verifier {
                 "max": finite(counts.latency(1.0)),
             },
             "metrics": metrics,
+            "baselines": baselines,
             "touch": scores_of(&self.scores.touch.total()),
         }))
     }

@@ -1,6 +1,6 @@
 //! Scores of the pairs of prediction and truth, over the rolling window and since the start.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Instant;
 
 use serde_json::json;
@@ -9,9 +9,9 @@ use super::touch_scores::TouchScores;
 use crate::message::{Header, TactileFrame, TactileTruth};
 use crate::node::flatten::flatten;
 use crate::score::agreement::Sums;
-use crate::score::metrics::{self, EvalOptions, FrameScore};
+use crate::score::metrics::{self, EvalOptions, FrameScore, baseline};
 use crate::score::verify::report::scores_of;
-use crate::tactile::{TactileSequence, Validity};
+use crate::tactile::{TactileField, TactileSequence, Validity};
 
 /// Parts of the names of scores that need whole touches and are therefore unknown in the rolling window.
 const WHOLE_TOUCH_SCORES: [&str; 2] = ["_secs", "_touches"];
@@ -30,14 +30,18 @@ pub(super) struct Scores {
     /// Pairs with invalid truth.
     pub(super) invalid: u64,
     pub(super) touch: TouchScores,
-    /// Scores of all valid pairs.
-    frames: Vec<StampedScore>,
+    /// Scores of all pairs; a pair with invalid truth is a gap.
+    running: metrics::RunningSummary,
+    /// Sum of the time between two pairs of an episode, s, and their number.
+    steps: (f64, u64),
+    /// Stamp of the newest pair of the open episode, s.
+    last_secs: Option<f64>,
     /// Scores and touch sums of the valid pairs in the rolling window.
     window: VecDeque<(StampedScore, Sums)>,
     /// Fields of the first valid pairs.
     predicted: TactileSequence,
     target: TactileSequence,
-    /// Ends of the closed episodes of truth, as indices into `frames`.
+    /// Ends of the closed episodes, as indices into the fields; complete while all fields are kept.
     episode_ends: Vec<usize>,
     /// Number of the episode of the newest valid pair.
     episode: u64,
@@ -45,7 +49,6 @@ pub(super) struct Scores {
     arrived: Option<Instant>,
 }
 
-#[derive(Clone)]
 struct StampedScore {
     secs: f64,
     score: FrameScore,
@@ -65,32 +68,58 @@ impl Scores {
         let (predicted, target) = (frame.to_field()?, truth.frame.to_field()?);
         predicted.topology.must_match(target.topology)?;
         self.pairs += 1;
-        if truth.validity()? != Validity::Valid {
+        let secs = frame.header.stamp.secs();
+        let validity = truth.validity()?;
+        if validity != Validity::Valid {
             self.invalid += 1;
             self.touch.skip();
+            if self.episode == episode {
+                self.count(secs, &FrameScore::default());
+                self.keep(&predicted, &target, validity)?;
+            }
             return Ok(());
         }
-        let secs = frame.header.stamp.secs();
-        if std::mem::replace(&mut self.episode, episode) != episode && !self.frames.is_empty() {
-            self.episode_ends.push(self.frames.len());
+        if std::mem::replace(&mut self.episode, episode) != episode && self.running.frames() > 0 {
+            if self.keeps_all() {
+                self.episode_ends.push(self.running.frames());
+            }
+            self.running.end_episode();
+            self.last_secs = None;
             self.window.clear();
             self.touch.end_episode();
         }
         let sums = self.touch.push(secs, &predicted, &target)?;
         let score = FrameScore::new(&predicted.force, &predicted.contact, &target.force, &target.contact, &[], &[]);
-        let stamped = StampedScore { secs, score };
-        self.frames.push(stamped.clone());
-        self.window.push_back((stamped, sums));
+        self.count(secs, &score);
+        self.window.push_back((StampedScore { secs, score }, sums));
         self.arrived = Some(Instant::now());
-        // After a change of topology, pairs no longer fit those kept before.
-        let fits = self.predicted.topology.is_none_or(|kept| kept == predicted.topology);
-        if fits && self.predicted.n_frames() < MAX_KEPT_FIELDS {
-            self.predicted.push(&predicted)?;
-            self.target.push(&target)?;
-        }
+        self.keep(&predicted, &target, validity)?;
         self.header = frame.header;
         self.model_id = frame.model_id;
         self.topology = frame.topology;
+        Ok(())
+    }
+
+    /// Adds a pair to the scores of all pairs.
+    fn count(&mut self, secs: f64, score: &FrameScore) {
+        self.running.push(score);
+        if let Some(last) = self.last_secs.replace(secs) {
+            self.steps = (self.steps.0 + secs - last, self.steps.1 + 1);
+        }
+    }
+
+    /// Keeps the fields of a pair for the scores that need them.
+    fn keep(&mut self, predicted: &TactileField, target: &TactileField, validity: Validity) -> crate::Result<()> {
+        // After a change of topology, pairs no longer fit those kept before.
+        let fits = self.predicted.topology.is_none_or(|kept| kept == predicted.topology);
+        if fits && self.predicted.n_frames() < MAX_KEPT_FIELDS {
+            self.predicted.push(predicted)?;
+            self.target.push(target)?;
+            self.target.validity.resize(self.target.n_frames(), 0);
+            if let Some(code) = self.target.validity.last_mut() {
+                *code = validity.code();
+            }
+        }
         Ok(())
     }
 
@@ -132,39 +161,50 @@ impl Scores {
         scores
     }
 
-    /// Returns the valid pairs per second of their stamps, within episodes; None for fewer than two pairs.
+    /// Returns the pairs per second of their stamps, within episodes; None for fewer than two pairs.
     pub(super) fn rate(&self) -> Option<f64> {
-        let steps = self.episodes().flat_map(|episode| episode.windows(2).map(|pair| pair[1].secs - pair[0].secs));
-        let (secs, count) = steps.fold((0.0, 0), |(secs, count), step| (secs + step, count + 1));
-        (secs > 0.0).then(|| f64::from(count) / secs)
+        let (secs, count) = self.steps;
+        (secs > 0.0).then(|| count as f64 / secs)
     }
 
-    /// Returns the metrics over all valid pairs. If not all fields were kept, metrics that need all vertices of all frames
-    /// are undefined.
+    /// Returns the metrics of no touch at all and of the truth of the frame before, over the same pairs; none if not all
+    /// fields were kept.
+    ///
+    /// # Errors
+    /// If the metrics cannot be computed.
+    pub(super) fn baselines(&mut self) -> crate::Result<BTreeMap<&'static str, metrics::Metrics>> {
+        if !self.keeps_all() {
+            return Ok(BTreeMap::new());
+        }
+        self.target.episode_ends = self.all_episode_ends();
+        let options = EvalOptions { fps: self.rate(), calibration: None };
+        let zero = baseline::zero().sequence(self.target.n_frames());
+        let fields = [("zero", zero), ("persistence", baseline::persistence(&self.target, None))];
+        let score = |fields: &TactileSequence| metrics::evaluate(fields, &self.target, &options);
+        fields.iter().map(|(name, fields)| score(fields).map(|scores| (*name, scores))).collect()
+    }
+
+    /// Returns the metrics over all pairs; those with invalid truth are gaps. If not all fields were kept, metrics that need
+    /// all vertices of all frames are undefined.
     ///
     /// # Errors
     /// If the metrics cannot be computed.
     pub(super) fn total(&mut self) -> crate::Result<metrics::Metrics> {
-        if self.frames.len() > self.predicted.n_frames() {
-            let summary = |frames: &[StampedScore]| metrics::summarize(frames.iter().map(|frame| &frame.score));
-            let each: Vec<f64> = self.episodes().filter_map(|episode| summary(episode).temporal_pearson).collect();
-            let temporal_pearson = (!each.is_empty()).then(|| each.iter().sum::<f64>() / each.len() as f64);
-            return Ok(metrics::Metrics { temporal_pearson, ..summary(&self.frames) });
+        if !self.keeps_all() {
+            return Ok(self.running.metrics());
         }
         self.target.episode_ends = self.all_episode_ends();
         metrics::evaluate(&self.predicted, &self.target, &EvalOptions { fps: self.rate(), calibration: None })
     }
 
-    /// Ends of all episodes, the open one included.
+    /// Ends of all episodes, the open one included; complete while all fields are kept.
     fn all_episode_ends(&self) -> Vec<usize> {
-        let open = (!self.frames.is_empty()).then_some(self.frames.len());
+        let open = (self.running.frames() > 0).then_some(self.running.frames());
         self.episode_ends.iter().copied().chain(open).collect()
     }
 
-    /// Valid pairs of each episode.
-    fn episodes(&self) -> impl Iterator<Item = &[StampedScore]> {
-        let ends = self.all_episode_ends();
-        let starts = std::iter::once(0).chain(ends.clone());
-        starts.zip(ends).map(|(start, end)| &self.frames[start..end])
+    /// True if the fields of all pairs were kept.
+    fn keeps_all(&self) -> bool {
+        self.predicted.n_frames() == self.running.frames()
     }
 }

@@ -4,12 +4,18 @@ use crate::score::agreement::{Scorer, Sums, TruthFrame};
 use crate::score::verify::recording::RestHands;
 use crate::tactile::TactileField;
 
+/// Most frames of one episode, which bound its memory to about 2 MB; touches under way where a longer one is cut have no known
+/// onset or offset.
+const MAX_EPISODE_FRAMES: u64 = 100_000;
+
 /// Sums of touch scores over the episodes of the truth.
 #[derive(Default)]
 pub(super) struct TouchScores {
     hands: Option<RestHands>,
     /// Scorer of the open episode.
     open: Option<Scorer>,
+    /// Frames of the open episode.
+    frames: u64,
     /// Sums of the closed episodes.
     closed: Sums,
 }
@@ -24,6 +30,11 @@ impl TouchScores {
             self.end_episode();
             self.hands = Some(RestHands::of(target.topology, None)?);
         }
+        self.frames += 1;
+        if self.frames > MAX_EPISODE_FRAMES {
+            self.end_episode();
+            self.frames = 1;
+        }
         let Some(hands) = &self.hands else { return Ok(Sums::default()) };
         let truth = TruthFrame::new(secs, target.force.clone(), Vec::new(), hands.positions.clone(), None)?;
         let scorer = self.open.get_or_insert_with(|| Scorer::new(hands.groups.clone()));
@@ -37,6 +48,7 @@ impl TouchScores {
 
     /// Closes the open episode.
     pub(super) fn end_episode(&mut self) {
+        self.frames = 0;
         if let Some(scorer) = self.open.take() {
             self.closed += &scorer.finish();
         }

@@ -168,7 +168,7 @@ impl Pickle<'_> {
     }
 
     /// Reads raw bytes, which Python 3 writes as `_codecs.encode(text, 'latin1')` in protocol 2 and below.
-    fn raw(&self, id: Id) -> Outcome<std::borrow::Cow<'_, [u8]>> {
+    pub fn raw(&self, id: Id) -> Outcome<std::borrow::Cow<'_, [u8]>> {
         match &self.values[id] {
             Value::Bytes(bytes) => Ok(bytes.as_ref().into()),
             // A Python 2 string that another program re-encoded; each character is a byte.

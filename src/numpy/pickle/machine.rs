@@ -44,7 +44,7 @@ pub(super) fn run<'a>(bytes: &'a [u8], names: &'static Names) -> Outcome<Pickle<
         machine.step(opcode).map_err(|message| format!("{message} (pickle opcode at byte {at})"))?;
     }
     let root = machine.pop()?;
-    Ok(Pickle { values: machine.values, root, work: Cell::new(0) })
+    Ok(Pickle { end: bytes.len() - machine.input.0.len(), values: machine.values, root, work: Cell::new(0) })
 }
 
 impl<'a> Machine<'a> {

@@ -55,6 +55,8 @@ pub(crate) enum Value<'a> {
 pub(crate) struct Pickle<'a> {
     values: Vec<Value<'a>>,
     root: Id,
+    /// Length of the pickle, bytes; what follows it in the file is not part of it.
+    end: usize,
     /// Work done so far; see [`MAX_WORK`].
     work: Cell<usize>,
 }
@@ -82,6 +84,11 @@ impl<'a> Pickle<'a> {
         self.root
     }
 
+    /// Length of the pickle, bytes.
+    pub fn end(&self) -> usize {
+        self.end
+    }
+
     /// Returns a value.
     pub fn value(&self, id: Id) -> &Value<'a> {
         &self.values[id]
@@ -98,6 +105,37 @@ impl<'a> Pickle<'a> {
     /// If the value is not a numeric array.
     pub fn array(&self, name: &str) -> Outcome<Option<Array>> {
         self.entry(self.entries(), name)?.map(|value| self.to_array(value, 0)).transpose()
+    }
+
+    /// Returns the value of a key of the dictionary `id`; `None` if the key is absent, or the value is no dictionary.
+    ///
+    /// # Errors
+    /// If the pickle needs too much work.
+    pub fn value_of(&self, id: Id, key: &str) -> Outcome<Option<Id>> {
+        match &self.values[id] {
+            Value::Dict(entries) => self.entry(entries, key),
+            _ => Ok(None),
+        }
+    }
+
+    /// Reads a value as an array.
+    ///
+    /// # Errors
+    /// If the value is not a numeric array.
+    pub fn array_at(&self, id: Id) -> Outcome<Array> {
+        self.to_array(id, 0)
+    }
+
+    /// Returns the object in an object array of shape (), which `numpy.save` wraps around a dictionary.
+    pub fn unwrapped(&self, id: Id) -> Id {
+        let inner = || {
+            let Value::Call { state: Some(state), .. } = self.values[id] else { return None };
+            match &self.values[self.item(state, 4).ok()?] {
+                Value::List(items) if items.len() == 1 => Some(items[0]),
+                _ => None,
+            }
+        };
+        inner().unwrap_or(id)
     }
 
     /// Reads the outermost value as an array (the data of an object array in an `.npz`).
@@ -136,7 +174,7 @@ impl<'a> Pickle<'a> {
     }
 
     /// Returns a string of either kind; Python 2 strings are latin-1.
-    fn text(&self, id: Id) -> Option<String> {
+    pub fn text(&self, id: Id) -> Option<String> {
         match &self.values[id] {
             Value::Text(text) => Some(text.clone()),
             Value::Bytes(bytes) => Some(bytes.iter().map(|&byte| char::from(byte)).collect()),

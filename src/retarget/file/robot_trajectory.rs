@@ -1,6 +1,6 @@
 //! Trajectory of a robot hand, the output of `egotac retarget run`.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use safetensors::tensor::{Dtype, TensorView};
@@ -78,11 +78,11 @@ impl RobotTrajectory {
         &self.solve_time_us
     }
 
-    /// Writes the file atomically.
+    /// Writes the file atomically. Equal content gives equal bytes.
     ///
     /// # Errors
     /// If it can't be written.
-    pub fn write(&self, path: &Path, mut metadata: HashMap<String, String>) -> Result<()> {
+    pub fn write(&self, path: &Path, mut metadata: BTreeMap<String, String>) -> Result<()> {
         let json = |names: &[String]| serde_json::to_string(names).map_err(|error| Error::file(path, error));
         metadata.insert("joint_names".into(), json(&self.joint_names)?);
         metadata.insert("ctrl_names".into(), json(&self.ctrl_names)?);
@@ -112,7 +112,22 @@ impl RobotTrajectory {
             let view = TensorView::new(*dtype, shape.clone(), data);
             views.push((*name, view.map_err(|e| Error::file(path, format!("{name}: {e}")))?));
         }
-        let content = safetensors::serialize(views, Some(metadata)).map_err(|e| Error::file(path, e))?;
-        file::write(path, &content)
+        file::write(path, &file::tensors::to_bytes(path, views, &metadata)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_trajectories_give_equal_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str| {
+            let path = folder.path().join(name);
+            RobotTrajectory::default().write(&path, BTreeMap::from([("robot".into(), "r".into())])).unwrap();
+            std::fs::read(path).unwrap()
+        };
+        assert_eq!(write("a"), write("b"));
     }
 }

@@ -173,6 +173,13 @@ impl Robot {
         (0..self.parts.joints.len()).filter(|joint| self.parts.joints[*joint].motion != Motion::Other)
     }
 
+    /// Returns the positions of the rest pose, rad or m, in the order of [`super::Output::qpos`].
+    pub fn rest_positions(&self) -> Vec<f64> {
+        let mut all = self.world.qpos().to_vec();
+        self.coupling.expand(&self.parts, &self.rest, &mut all);
+        self.output_joints().map(|joint| all[self.parts.joints[joint].qpos]).collect()
+    }
+
     /// Position of a finger's base knuckle relative to the wrist body's origin, m, in the axes of the wrist frame.
     pub fn base(&self, finger: &Finger) -> DVec3 {
         let (origin, _) = self.world.body_pose(self.wrist.body);

@@ -159,6 +159,10 @@ pub struct Sums {
     pub counts: Confusion,
     /// Number of frames with a touched vertex, and the sums of their precision, recall, F1 and IoU.
     pub frame_scores: (u64, [f64; 4]),
+    /// Number of frames without a touched vertex in which a vertex counts.
+    pub quiet_frames: u64,
+    /// Confusion of labelled against touched vertices in these frames.
+    pub quiet: Confusion,
     /// Force on touched vertices, N.
     pub force: f64,
     /// Force on touched vertices that are not labelled, N.
@@ -181,6 +185,8 @@ impl AddAssign<&Sums> for Sums {
         self.counts = self.counts + other.counts;
         self.frame_scores.0 += other.frame_scores.0;
         self.frame_scores.1.iter_mut().zip(other.frame_scores.1).for_each(|(sum, x)| *sum += x);
+        self.quiet_frames += other.quiet_frames;
+        self.quiet = self.quiet + other.quiet;
         self.force += other.force;
         self.missed_force += other.missed_force;
         self.labelled = (self.labelled.0 + other.labelled.0, self.labelled.1 + other.labelled.1);
@@ -213,6 +219,8 @@ impl Sums {
             let scores = counts.scores();
             let each = [scores.precision, scores.recall, scores.f1, scores.iou];
             sums.frame_scores = (1, each.map(Option::unwrap_or_default));
+        } else if counts.counts() {
+            (sums.quiet_frames, sums.quiet) = (1, counts);
         }
         for vertex in (0..N_FIELD).filter(|vertex| truth.counts(*vertex)) {
             let labelled = label[vertex] > LABEL_THRESHOLD;

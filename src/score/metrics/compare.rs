@@ -3,17 +3,11 @@
 use serde::Serialize;
 
 use super::bootstrap;
-use super::contact::{self, Confusion, ContactScores};
-use super::evaluate::{EvalOptions, Mask, evaluate, score_frames, score_traces};
-use super::force::ForceErrors;
+use super::episode_terms::{EpisodeTerms, NAMES, TermSum, episode_terms};
+use super::evaluate::{EvalOptions, evaluate};
 use super::summary::Metrics;
-use super::trace::TraceScores;
 use crate::error::{Error, Result};
-use crate::tactile::{N_FIELD, TactileSequence};
-
-/// Bins of equal population that predicted probabilities are sorted into for the AUROC of a resample; 4096 of them keep
-/// it exact to 1 in 10 000.
-const AUROC_BINS: usize = 4096;
+use crate::tactile::TactileSequence;
 
 /// Scores of two predictions and their paired difference.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -46,29 +40,6 @@ pub struct Difference {
     pub interval: Option<[f64; 2]>,
 }
 
-/// Names of the compared scores, as in the JSON report.
-const NAMES: [&str; 19] = [
-    "mae",
-    "active_mae",
-    "temporal_pearson",
-    "frame_mean.precision",
-    "frame_mean.recall",
-    "frame_mean.f1",
-    "frame_mean.iou",
-    "frame_mean.auroc",
-    "pooled.precision",
-    "pooled.recall",
-    "pooled.f1",
-    "pooled.iou",
-    "pooled.auroc",
-    "force_cosine",
-    "rise_f1",
-    "fall_f1",
-    "dft_pearson",
-    "spectral_convergence",
-    "dominant_frequency_error_hz",
-];
-
 /// Scores `pred` and `other` against `target`, with a paired bootstrap over episodes: each resample draws the same
 /// episodes for both.
 ///
@@ -99,7 +70,7 @@ pub fn compare(
         mine.scores().iter().zip(theirs.scores()).map(|(a, b)| Some((*a)? - b?)).collect::<Vec<_>>()
     };
     let intervals = bootstrap::intervals(&pairs, seed, sum, statistics);
-    let values = values(&report).into_iter().zip(values(&other_report));
+    let values = report.values().into_iter().zip(other_report.values());
     let differences = NAMES.into_iter().zip(values).zip(intervals).map(|((name, (value, other)), interval)| {
         let difference = value.zip(other).map(|(a, b)| a - b);
         Difference { name, value, other, difference, interval: interval.filter(|_| difference.is_some()) }
@@ -113,157 +84,14 @@ pub fn compare(
     })
 }
 
-/// Returns the scores in the order of [`NAMES`].
-fn values(report: &Metrics) -> [Option<f64>; 19] {
-    let Metrics { frame_mean: f, pooled: p, .. } = report;
-    [
-        report.mae,
-        report.active_mae,
-        report.temporal_pearson,
-        f.precision,
-        f.recall,
-        f.f1,
-        f.iou,
-        f.auroc,
-        p.precision,
-        p.recall,
-        p.f1,
-        p.iou,
-        p.auroc,
-        report.force_cosine,
-        report.rise_f1,
-        report.fall_f1,
-        report.dft_pearson,
-        report.spectral_convergence,
-        report.dominant_frequency_error_hz,
-    ]
-}
-
-/// Contribution of one episode to the scores of one prediction.
-#[derive(Debug, Clone, Default)]
-struct EpisodeTerms {
-    force: ForceErrors,
-    contact: Confusion,
-    /// Sums and counts over the frames that have positives: precision, recall, F1, IoU, AUROC.
-    frames: [(f64, usize); 5],
-    trace: TraceScores,
-    /// Negatives and positives by bin of their probability; empty if a probability is unknown.
-    bins: Vec<[u32; 2]>,
-}
-
-fn episode_terms(pred: &TactileSequence, target: &TactileSequence, options: &EvalOptions) -> Vec<EpisodeTerms> {
-    let mask = Mask::of(target);
-    let frames = score_frames(pred, target, &mask);
-    let traces = score_traces(&frames, target, options);
-    let edges = edges(contact::pairs(&pred.contact, &target.contact, &mask.contact));
-    let of = |(episode, trace): (std::ops::Range<usize>, TraceScores)| {
-        let mut terms = EpisodeTerms { trace, bins: vec![[0; 2]; edges.len()], ..EpisodeTerms::default() };
-        for frame in &frames[episode.clone()] {
-            terms.force = terms.force + frame.force;
-            terms.contact = terms.contact + frame.contact;
-            if frame.contact.positives() > 0 {
-                let ContactScores { precision, recall, f1, iou, .. } = frame.contact.scores();
-                for ((sum, count), score) in terms.frames.iter_mut().zip([precision, recall, f1, iou, frame.auroc]) {
-                    *sum += score.unwrap_or(0.0);
-                    *count += usize::from(score.is_some());
-                }
-            }
-        }
-        let rows = episode.start * N_FIELD..episode.end * N_FIELD;
-        let mask = mask.contact.get(rows.clone()).unwrap_or_default();
-        for (score, truth) in contact::pairs(&pred.contact[rows.clone()], &target.contact[rows], mask) {
-            if let Some(bin) = terms.bins.get_mut(edges.partition_point(|edge| *edge < score)) {
-                bin[usize::from(truth)] += 1;
-            }
-        }
-        terms
-    };
-    target.episodes().into_iter().zip(traces).map(of).collect()
-}
-
-/// Returns the upper ends of bins of equal population; none if a probability is unknown.
-fn edges(pairs: Vec<(f32, bool)>) -> Vec<f32> {
-    let mut scores: Vec<f32> = pairs.into_iter().map(|(score, _)| score).collect();
-    if scores.iter().any(|score| score.is_nan()) {
-        return Vec::new();
-    }
-    scores.sort_unstable_by(f32::total_cmp);
-    let last = scores.len().saturating_sub(1);
-    let mut edges: Vec<f32> = (1..=AUROC_BINS).filter_map(|n| scores.get(last * n / AUROC_BINS).copied()).collect();
-    edges.dedup();
-    edges
-}
-
-/// Sum over the episodes of a resample.
-#[derive(Debug, Default)]
-struct TermSum {
-    terms: EpisodeTerms,
-    traces: Vec<TraceScores>,
-}
-
-impl TermSum {
-    fn add(&mut self, other: &EpisodeTerms) {
-        self.terms.force = self.terms.force + other.force;
-        self.terms.contact = self.terms.contact + other.contact;
-        for ((sum, count), (more, n)) in self.terms.frames.iter_mut().zip(other.frames) {
-            *sum += more;
-            *count += n;
-        }
-        self.terms.bins.resize(other.bins.len(), [0; 2]);
-        for (sum, more) in self.terms.bins.iter_mut().zip(&other.bins) {
-            *sum = [sum[0] + more[0], sum[1] + more[1]];
-        }
-        self.traces.push(other.trace);
-    }
-
-    /// Returns the scores in the order of [`NAMES`].
-    fn scores(&self) -> [Option<f64>; 19] {
-        let EpisodeTerms { force, contact, frames, bins, .. } = &self.terms;
-        let mean = |(sum, count): (f64, usize)| (count > 0 && contact.unknown == 0).then(|| sum / count as f64);
-        let [fp, fr, ff, fi, fa] = frames.map(mean);
-        let ContactScores { precision, recall, f1, iou, .. } = contact.scores();
-        let t = TraceScores::mean(self.traces.iter());
-        [
-            force.mae(),
-            force.active_mae(),
-            t.temporal_pearson,
-            fp,
-            fr,
-            ff,
-            fi,
-            fa,
-            precision,
-            recall,
-            f1,
-            iou,
-            binned_auroc(bins),
-            t.force_cosine,
-            t.rise_f1,
-            t.fall_f1,
-            t.dft_pearson,
-            t.spectral_convergence,
-            t.dominant_frequency_error_hz,
-        ]
-    }
-}
-
-/// Returns the AUROC as [`contact::auroc`] does, with all probabilities of a bin tied.
-fn binned_auroc(bins: &[[u32; 2]]) -> Option<f64> {
-    let (mut negatives, mut positives, mut u) = (0.0, 0.0, 0.0);
-    for [bin_negatives, bin_positives] in bins.iter().map(|bin| bin.map(f64::from)) {
-        u += bin_positives * (negatives + 0.5 * bin_negatives);
-        negatives += bin_negatives;
-        positives += bin_positives;
-    }
-    (positives > 0.0 && negatives > 0.0).then(|| u / (positives * negatives))
-}
-
 #[cfg(test)]
 mod tests {
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
+    use super::super::episode_terms::intervals;
     use super::*;
+    use crate::tactile::N_FIELD;
 
     const EPISODES: usize = 12;
     const FRAMES: usize = 6;
@@ -302,6 +130,11 @@ mod tests {
             assert!(better, "{name}: {low}..{high}");
         }
         let exact = evaluate(&good, &target, &options).unwrap();
+        assert_eq!((exact.score("frame_mean.f1"), exact.score("f1")), (exact.frame_mean.f1, None));
+        let own = intervals(&good, &target, &options, 1).unwrap();
+        let [low, high] = own["frame_mean.f1"];
+        let value = exact.frame_mean.f1.unwrap();
+        assert!(low <= value && value <= high, "{value} outside of {low}..{high}");
         assert_eq!(of("pooled.f1").value, exact.pooled.f1);
         assert_eq!(comparison.other, evaluate(&bad, &target, &options).unwrap());
         assert_eq!(comparison, compare(&good, &bad, &target, &options, 1).unwrap());
@@ -312,7 +145,7 @@ mod tests {
         let (target, [pred, _], options) = fields([0.8, 0.0]);
         let mut sum = TermSum::default();
         episode_terms(&pred, &target, &options).iter().for_each(|terms| sum.add(terms));
-        let whole = values(&evaluate(&pred, &target, &options).unwrap());
+        let whole = evaluate(&pred, &target, &options).unwrap().values();
         for ((name, got), expected) in NAMES.iter().zip(sum.scores()).zip(whole) {
             let tolerance = if name.ends_with("pooled.auroc") { 1e-4 } else { 1e-12 };
             match (got, expected) {

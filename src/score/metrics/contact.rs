@@ -43,9 +43,14 @@ pub struct ContactScores {
 impl Confusion {
     /// Counts the decisions of (probability, truth) pairs at the threshold 0.5.
     pub fn of(pairs: &[(f32, bool)]) -> Self {
+        Self::at(pairs, CONTACT_THRESHOLD)
+    }
+
+    /// Counts the decisions of (probability, truth) pairs at a threshold.
+    pub fn at(pairs: &[(f32, bool)], threshold: f32) -> Self {
         let mut counts = Self::default();
         for (score, truth) in pairs {
-            let slot = match (*score > CONTACT_THRESHOLD, truth) {
+            let slot = match (*score > threshold, truth) {
                 _ if score.is_nan() => &mut counts.unknown,
                 (true, true) => &mut counts.tp,
                 (true, false) => &mut counts.fp,
@@ -65,6 +70,16 @@ impl Confusion {
     /// Entries with a decision.
     pub fn total(&self) -> u64 {
         self.tp + self.fp + self.fn_ + self.tn
+    }
+
+    /// Returns true if an entry counts, with or without a decision.
+    pub fn counts(&self) -> bool {
+        self.total() + self.unknown > 0
+    }
+
+    /// Returns FP / (FP + TN); None without negatives or with an unknown prediction.
+    pub fn false_positive_rate(&self) -> Option<f64> {
+        (self.unknown == 0).then(|| finite(self.fp as f64 / (self.fp + self.tn) as f64)).flatten()
     }
 
     /// Returns precision, recall, F1 and IoU ([`auroc`] needs the probabilities), as scikit-learn does with

@@ -3,17 +3,18 @@
 use std::borrow::Cow;
 
 use super::contact::{self, ContactScores};
-use super::dynamics::Calibration;
+use super::dynamics::{Calibration, Range};
 use super::frame_score::FrameScore;
 use super::summary::{EntryCounts, Metrics, summarize};
-use super::trace::{TraceScores, Traces};
-use crate::error::Result;
+use super::trace::{EpisodesDefined, TraceScores, Traces};
+use crate::error::{Error, Result};
 use crate::tactile::{N_FIELD, TactileSequence, check_rows};
 
 /// Settings of an evaluation; masks, episodes and frame rate come from the target.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct EvalOptions {
-    /// Range of the total force; None = each side's own.
+    /// Range of the total force, from [`calibrate`] or a file; differences and spectra are then those of normalised traces. None
+    /// = each side's own over all episodes, and spectra in newtons.
     pub calibration: Option<Calibration>,
     /// Frames per second, in place of the rate of the target's time stamps. The dominant frequency is undefined without
     /// either.
@@ -41,13 +42,7 @@ pub struct EvalOptions {
 /// # Errors
 /// If lengths or topologies differ, or the target's episodes do not end where its data does.
 pub fn evaluate(pred: &TactileSequence, target: &TactileSequence, options: &EvalOptions) -> Result<Metrics> {
-    target.check()?;
-    for (name, values) in [("pred force", &pred.force), ("pred contact", &pred.contact)] {
-        check_rows(name, values.len(), target.n_frames())?;
-    }
-    if let (Some(pred), Some(target)) = (pred.topology, target.topology) {
-        pred.must_match(target)?;
-    }
+    check(pred, target)?;
     let mask = Mask::of(target);
     let frames = score_frames(pred, target, &mask);
     let per_episode = score_traces(&frames, target, options);
@@ -63,9 +58,42 @@ pub fn evaluate(pred: &TactileSequence, target: &TactileSequence, options: &Eval
         dft_pearson: trace.dft_pearson,
         spectral_convergence: trace.spectral_convergence,
         dominant_frequency_error_hz: trace.dominant_frequency_error_hz,
+        episodes_defined: EpisodesDefined::of(&per_episode),
         counts: EntryCounts { episodes: per_episode.len(), ..summary.counts },
         ..summary
     })
+}
+
+/// Returns the range of the predicted and of the true total force over a calibration split, for
+/// [`EvalOptions::calibration`].
+///
+/// # Errors
+/// As [`evaluate`]; and if a total is unknown in a frame that counts, or one side does not change.
+pub fn calibrate(pred: &TactileSequence, target: &TactileSequence) -> Result<Calibration> {
+    check(pred, target)?;
+    let frames = score_frames(pred, target, &Mask::of(target));
+    let calibration = Traces::of(&frames, &target.episodes()).calibration().ok_or_else(|| {
+        Error::value("calibration split", "known total forces, predicted and true", "an unknown one, or no frame")
+    })?;
+    for (side, Range { min, max }) in [("predicted", calibration.pred()), ("true", calibration.target())] {
+        if min >= max {
+            let got = format!("{min} N in every frame");
+            return Err(Error::value(format!("calibration split, {side} total force"), "a range", got));
+        }
+    }
+    Ok(calibration)
+}
+
+/// Checks that both sequences have the same frames and topology.
+pub(super) fn check(pred: &TactileSequence, target: &TactileSequence) -> Result<()> {
+    target.check()?;
+    for (name, values) in [("pred force", &pred.force), ("pred contact", &pred.contact)] {
+        check_rows(name, values.len(), target.n_frames())?;
+    }
+    match (pred.topology, target.topology) {
+        (Some(pred), Some(target)) => pred.must_match(target),
+        _ => Ok(()),
+    }
 }
 
 /// Entries of a target that count, (T, 1556) each; empty = all of them.
@@ -99,5 +127,5 @@ pub(super) fn score_frames(pred: &TactileSequence, target: &TactileSequence, mas
 /// Scores the total force over time, episode by episode.
 pub(super) fn score_traces(frames: &[FrameScore], target: &TactileSequence, options: &EvalOptions) -> Vec<TraceScores> {
     let fps = options.fps.or_else(|| target.fps());
-    Traces::of(frames).scores(&target.episodes(), options.calibration.as_ref(), fps)
+    Traces::of(frames, &target.episodes()).scores(options.calibration.as_ref(), fps)
 }

@@ -76,9 +76,13 @@ pub fn pairs(pred: &[f32], target: &[f32], mask: &[u8]) -> Vec<(f32, f32)> {
     pairs.filter(|(index, (_, t))| counted(*index) && !t.is_nan()).map(|(_, (p, t))| (*p, *t)).collect()
 }
 
-/// Returns the predicted and the true total force of one frame, N; the predicted one is None if a vertex of it is unknown.
-pub fn totals(pairs: &[(f32, f32)]) -> (Option<f64>, f64) {
+/// Returns the predicted and the true total force of one frame, N. Both are None if no vertex counts: such a frame takes part
+/// in no trace. The predicted one is also None if a counted vertex of it is unknown.
+pub fn totals(pairs: &[(f32, f32)]) -> (Option<f64>, Option<f64>) {
+    if pairs.is_empty() {
+        return (None, None);
+    }
     let (pred, target) =
         pairs.iter().fold((0.0, 0.0), |(p, t), (pred, target)| (p + f64::from(*pred), t + f64::from(*target)));
-    (finite(pred), target)
+    (finite(pred), Some(target))
 }

@@ -4,7 +4,9 @@ use super::contact::{self, Confusion};
 use super::force::{self, ForceErrors};
 
 /// Contribution of one frame to the scores; [`summarize`](super::summarize) makes scores of many frames.
-#[derive(Debug, Clone, PartialEq)]
+///
+/// The default is a frame of which nothing counts.
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct FrameScore {
     /// Force errors of the frame.
     pub force: ForceErrors,
@@ -14,8 +16,8 @@ pub struct FrameScore {
     pub auroc: Option<f64>,
     /// Predicted total force, N; None if unknown.
     pub pred_total: Option<f64>,
-    /// True total force, N.
-    pub target_total: f64,
+    /// True total force, N; None if the force of no vertex counts, so that the frame is a gap in every trace.
+    pub target_total: Option<f64>,
 }
 
 impl FrameScore {

@@ -22,25 +22,29 @@ pub fn magnitudes(trace: &[f64]) -> Option<Vec<f64>> {
     Some(spectrum.iter().map(|bin| bin.norm()).collect())
 }
 
-/// Returns the Pearson correlation of log(1 + magnitude) across the bins.
+/// Returns the Pearson correlation of log(1 + magnitude) across the bins; 0 for a constant prediction.
 pub fn dft_pearson(pred: &[f64], target: &[f64]) -> Option<f64> {
-    let log = |trace: &[f64]| Some(magnitudes(trace)?.into_iter().map(f64::ln_1p).collect::<Vec<_>>());
-    pearson(&log(pred)?, &log(target)?)
+    let log = |spectrum: Vec<f64>| spectrum.into_iter().map(f64::ln_1p).collect::<Vec<_>>();
+    let target = log(magnitudes(target)?);
+    match is_constant(pred) {
+        true => Some(0.0),
+        false => pearson(&log(magnitudes(pred)?), &target),
+    }
 }
 
 /// Returns the distance of the magnitudes relative to the norm of the target's; a constant prediction has magnitude zero.
 pub fn spectral_convergence(pred: &[f64], target: &[f64]) -> Option<f64> {
     let target = magnitudes(target)?;
-    let pred = match magnitudes(pred) {
-        Some(pred) => pred,
-        None if is_constant(pred) && !pred.is_empty() => vec![0.0; target.len()],
-        None => return None,
+    let pred = match is_constant(pred) {
+        true => vec![0.0; target.len()],
+        false => magnitudes(pred)?,
     };
     let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>().sqrt();
     finite(norm(&mut pred.iter().zip(&target).map(|(p, t)| p - t)) / norm(&mut target.iter().copied()))
 }
 
-/// Returns the distance of the strongest frequencies above zero, Hz; of equally strong ones the lowest counts.
+/// Returns the distance of the strongest frequencies above zero, Hz; of equally strong ones the lowest counts. The strongest
+/// frequency of a constant prediction is 0.
 pub fn dominant_frequency_error(pred: &[f64], target: &[f64], fps: f64) -> Option<f64> {
     let dominant = |trace: &[f64]| {
         let magnitudes = magnitudes(trace)?;
@@ -52,5 +56,7 @@ pub fn dominant_frequency_error(pred: &[f64], target: &[f64], fps: f64) -> Optio
         }
         Some(at as f64 * fps / trace.len() as f64)
     };
-    finite((dominant(pred)? - dominant(target)?).abs())
+    let target = dominant(target)?;
+    let pred = if is_constant(pred) { 0.0 } else { dominant(pred)? };
+    finite((pred - target).abs())
 }

@@ -5,8 +5,8 @@ use serde::Serialize;
 use super::contact::{Confusion, ContactScores};
 use super::force::ForceErrors;
 use super::frame_score::FrameScore;
-use super::statistics::{mean, pearson};
-use super::trace::Traces;
+use super::statistics::{finite, mean};
+use super::trace::{EpisodesDefined, TraceScores, Traces};
 
 /// All scores, under the names of `egotac eval --json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -17,8 +17,12 @@ pub struct Metrics {
     pub active_mae: Option<f64>,
     /// Pearson correlation of the total force over time, mean over episodes.
     pub temporal_pearson: Option<f64>,
-    /// Contact scores of each frame that has positives, averaged.
+    /// Contact scores of each frame that has positives, averaged: the paper's averaging.
     pub frame_mean: ContactScores,
+    /// Share of the frames without a contact in truth, which are left out of `frame_mean`.
+    pub share_without_positives: Option<f64>,
+    /// Share of the vertices that are predicted in contact in the frames without a contact in truth.
+    pub false_positive_rate: Option<f64>,
     /// Contact scores over all vertices of all frames.
     pub pooled: ContactScores,
     /// Cosine of the normalised total force, mean over episodes.
@@ -33,6 +37,8 @@ pub struct Metrics {
     pub spectral_convergence: Option<f64>,
     /// Distance of the dominant frequencies, Hz, mean over episodes.
     pub dominant_frequency_error_hz: Option<f64>,
+    /// Numbers of episodes on which the temporal scores are defined, and over which they are averaged.
+    pub episodes_defined: EpisodesDefined,
     /// Numbers of frames and entries that the scores were computed from.
     pub counts: EntryCounts,
 }
@@ -44,7 +50,11 @@ pub struct EntryCounts {
     pub frames: usize,
     /// Episodes.
     pub episodes: usize,
-    /// Frames without a contact in truth: left out of `frame_mean`.
+    /// Frames in which the force of a vertex counts; the others are gaps in the traces.
+    pub trace_frames: usize,
+    /// Frames in which the contact of a vertex counts.
+    pub contact_frames: usize,
+    /// Those of them without a contact in truth: left out of `frame_mean`.
     pub frames_without_positives: usize,
     /// (frame, vertex) pairs whose force counts.
     pub force_entries: u64,
@@ -56,24 +66,29 @@ pub struct EntryCounts {
     pub unknown_predictions: u64,
 }
 
-/// Scores consecutive frames: all of [`Metrics`] that [`FrameScore`]s alone determine. The pooled AUROC, dynamics and
-/// spectra are left undefined. A call per new frame of a sliding window is cheap.
+/// Scores the consecutive frames of one episode: all of [`Metrics`] that [`FrameScore`]s alone determine. The pooled AUROC,
+/// dynamics and spectra are left undefined. A call per new frame of a sliding window is cheap.
 pub fn summarize<'a>(frames: impl IntoIterator<Item = &'a FrameScore>) -> Metrics {
     let frames: Vec<&FrameScore> = frames.into_iter().collect();
     let force = frames.iter().fold(ForceErrors::default(), |sum, frame| sum + frame.force);
     let confusion = frames.iter().fold(Confusion::default(), |sum, frame| sum + frame.contact);
-    let with_positives: Vec<&&FrameScore> = frames.iter().filter(|f| f.contact.positives() > 0).collect();
+    let with_contact: Vec<&FrameScore> = frames.iter().copied().filter(|frame| frame.contact.counts()).collect();
+    let (positive, negative): (Vec<&FrameScore>, Vec<&FrameScore>) =
+        with_contact.iter().copied().partition(|frame| frame.contact.positives() > 0);
     let scores: Vec<ContactScores> =
-        with_positives.iter().map(|f| ContactScores { auroc: f.auroc, ..f.contact.scores() }).collect();
+        positive.iter().map(|f| ContactScores { auroc: f.auroc, ..f.contact.scores() }).collect();
     let frame_mean = |score: fn(&ContactScores) -> Option<f64>| {
         // One unknown prediction makes the mean undefined, as it makes the pooled score.
         (confusion.unknown == 0).then(|| mean(scores.iter().map(score))).flatten()
     };
-    let traces = Traces::of(frames.iter().copied());
+    let quiet = negative.iter().fold(Confusion::default(), |sum, frame| sum + frame.contact);
+    let consecutive: Vec<FrameScore> = frames.iter().map(|frame| (*frame).clone()).collect();
+    let traces = Traces::of(&consecutive, std::slice::from_ref(&(0..frames.len()))).scores(None, None);
+    let defined = EpisodesDefined::of(&traces);
     Metrics {
         mae: force.mae(),
         active_mae: force.active_mae(),
-        temporal_pearson: pearson(&traces.pred, &traces.target),
+        temporal_pearson: TraceScores::mean(traces.iter()).temporal_pearson,
         frame_mean: ContactScores {
             precision: frame_mean(|s| s.precision),
             recall: frame_mean(|s| s.recall),
@@ -81,6 +96,8 @@ pub fn summarize<'a>(frames: impl IntoIterator<Item = &'a FrameScore>) -> Metric
             iou: frame_mean(|s| s.iou),
             auroc: frame_mean(|s| s.auroc),
         },
+        share_without_positives: finite(negative.len() as f64 / with_contact.len() as f64),
+        false_positive_rate: quiet.false_positive_rate(),
         pooled: confusion.scores(),
         force_cosine: None,
         rise_f1: None,
@@ -88,10 +105,13 @@ pub fn summarize<'a>(frames: impl IntoIterator<Item = &'a FrameScore>) -> Metric
         dft_pearson: None,
         spectral_convergence: None,
         dominant_frequency_error_hz: None,
+        episodes_defined: EpisodesDefined { temporal_pearson: defined.temporal_pearson, ..EpisodesDefined::default() },
         counts: EntryCounts {
             frames: frames.len(),
             episodes: usize::from(!frames.is_empty()),
-            frames_without_positives: frames.len() - with_positives.len(),
+            trace_frames: frames.iter().filter(|frame| frame.target_total.is_some()).count(),
+            contact_frames: with_contact.len(),
+            frames_without_positives: negative.len(),
             force_entries: force.count,
             active_entries: force.active_count,
             contact_entries: confusion.total(),

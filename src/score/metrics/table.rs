@@ -1,73 +1,110 @@
 //! Scores as a table for the terminal.
 
-use super::{Comparison, ContactScores, Metrics};
+use super::{Comparison, EpisodesDefined, Intervals, Metrics};
 
-/// Selects one contact score.
-type ContactScore = fn(&ContactScores) -> Option<f64>;
+/// Selects the number of episodes on which a temporal score is defined.
+type Defined = fn(&EpisodesDefined) -> usize;
 
 /// Returns a table with one column per named evaluation.
 pub fn table(reports: &[(&str, &Metrics)]) -> String {
-    let contact = |name: &'static str, part: fn(&Metrics) -> &ContactScores| {
-        let rows: [(&str, ContactScore); 5] = [
-            ("precision", |s| s.precision),
-            ("recall", |s| s.recall),
-            ("F1", |s| s.f1),
-            ("IoU", |s| s.iou),
-            ("AUROC", |s| s.auroc),
-        ];
-        rows.map(|(row, score)| {
-            (format!("{row}, {name}"), reports.iter().map(|(_, r)| score(part(r))).collect::<Vec<_>>())
-        })
-    };
-    let row = |name: &str, score: fn(&Metrics) -> Option<f64>| {
-        (name.to_string(), reports.iter().map(|(_, r)| score(r)).collect::<Vec<_>>())
-    };
-    let mut rows = vec![
-        row("MAE (N)", |r| r.mae),
-        row("active MAE (N)", |r| r.active_mae),
-        row("temporal Pearson", |r| r.temporal_pearson),
-    ];
-    rows.extend(contact("frame mean", |r| &r.frame_mean));
-    rows.extend(contact("pooled", |r| &r.pooled));
-    rows.extend([
-        row("force cosine", |r| r.force_cosine),
-        row("rise F1", |r| r.rise_f1),
-        row("fall F1", |r| r.fall_f1),
-        row("DFT Pearson", |r| r.dft_pearson),
-        row("spectral convergence", |r| r.spectral_convergence),
-        row("dominant frequency error (Hz)", |r| r.dominant_frequency_error_hz),
-    ]);
+    table_with_intervals(reports, &Intervals::new())
+}
 
+/// Returns a table with one column per named evaluation, and the 95 % intervals of the first one.
+pub fn table_with_intervals(reports: &[(&str, &Metrics)], intervals: &Intervals) -> String {
     let width = reports.iter().map(|(name, _)| name.len()).max().unwrap_or(0).max(9) + 2;
     let mut text = format!("{:30}", "");
     reports.iter().for_each(|(name, _)| text += &format!("{name:>width$}"));
-    for (name, values) in rows {
-        text += &format!("\n{name:30}");
-        for value in values {
-            text += &cell(value, width, 5);
-        }
+    if !intervals.is_empty() {
+        text += &format!("{:>24}", "95 % of the first");
     }
     if let Some((_, first)) = reports.first() {
-        let c = &first.counts;
-        text += &format!(
-            "\n{} frames in {} episodes, {} of them without contact (left out of the frame mean); \
-             {} force entries, {} active",
-            c.frames, c.episodes, c.frames_without_positives, c.force_entries, c.active_entries
-        );
+        let episodes = first.counts.episodes;
+        for (name, title) in ROWS {
+            text += &format!("\n{title:30}");
+            reports.iter().for_each(|(_, report)| text += &cell(report.score(name), width, 5));
+            if !intervals.is_empty() {
+                text += &format!("{:>24}", interval(intervals.get(name), 5));
+            }
+            if let Some((_, defined)) = TEMPORAL.iter().find(|(temporal, _)| *temporal == name) {
+                text += &format!("   on {} of {episodes} episodes", defined(&first.episodes_defined));
+            }
+        }
+        text += &footer(first);
     }
     text
 }
 
-/// Returns a table with one line per named group of vertices.
-pub fn groups_table(groups: &[(String, Metrics)]) -> String {
+/// Scores in tables: name in the JSON report, title.
+const ROWS: [(&str, &str); 20] = [
+    ("frame_mean.f1", "F1, frame mean"),
+    ("frame_mean.precision", "precision, frame mean"),
+    ("frame_mean.recall", "recall, frame mean"),
+    ("frame_mean.iou", "IoU, frame mean"),
+    ("frame_mean.auroc", "AUROC, frame mean"),
+    ("false_positive_rate", "false positives without contact"),
+    ("pooled.f1", "F1, pooled"),
+    ("pooled.precision", "precision, pooled"),
+    ("pooled.recall", "recall, pooled"),
+    ("pooled.iou", "IoU, pooled"),
+    ("pooled.auroc", "AUROC, pooled"),
+    ("mae", "MAE (N)"),
+    ("active_mae", "active MAE (N)"),
+    ("temporal_pearson", "temporal Pearson"),
+    ("force_cosine", "force cosine"),
+    ("rise_f1", "rise F1"),
+    ("fall_f1", "fall F1"),
+    ("dft_pearson", "DFT Pearson"),
+    ("spectral_convergence", "spectral convergence"),
+    ("dominant_frequency_error_hz", "dominant frequency error (Hz)"),
+];
+
+/// Temporal scores with their numbers of episodes.
+const TEMPORAL: [(&str, Defined); 7] = [
+    ("temporal_pearson", |d| d.temporal_pearson),
+    ("force_cosine", |d| d.force_cosine),
+    ("rise_f1", |d| d.rise_f1),
+    ("fall_f1", |d| d.fall_f1),
+    ("dft_pearson", |d| d.dft_pearson),
+    ("spectral_convergence", |d| d.spectral_convergence),
+    ("dominant_frequency_error_hz", |d| d.dominant_frequency_error_hz),
+];
+
+/// Describes the frames that scores were computed from, and the rules that a table alone does not tell.
+fn footer(report: &Metrics) -> String {
+    let c = &report.counts;
+    let share = report.share_without_positives.map_or(String::new(), |share| format!(", {:.1} %", 100.0 * share));
+    let gaps = c.frames - c.trace_frames;
+    format!(
+        "\n{} frames in {} episodes, {} of them without contact{share} (left out of the frame mean); {} force entries, {} active\n\
+         temporal scores: means over episodes whose true force changes; {gaps} masked frames are gaps; a constant prediction has \
+         correlations of 0",
+        c.frames, c.episodes, c.frames_without_positives, c.force_entries, c.active_entries
+    )
+}
+
+/// Returns a table with one line per named group of frames or vertices, each with the interval of its frame-mean F1.
+pub fn groups_table(groups: &[(String, Metrics, Intervals)]) -> String {
+    let width = groups.iter().map(|(name, ..)| name.len()).max().unwrap_or(0).max(16) + 2;
     let mut text = format!(
-        "{:18}{:>12}{:>17}{:>11}{:>11}{:>11}{:>11}{:>11}{:>16}",
-        "part", "MAE (N)", "active MAE (N)", "precision", "recall", "F1", "IoU", "AUROC", "active entries"
+        "{:width$}{:>15}{:>18}{:>11}{:>11}{:>11}{:>11}{:>11}{:>17}{:>16}",
+        "",
+        "F1, frame mean",
+        "95 %",
+        "F1, pooled",
+        "IoU, fr.m.",
+        "AUROC",
+        "false pos.",
+        "MAE (N)",
+        "active MAE (N)",
+        "active entries"
     );
-    for (name, report) in groups {
-        let ContactScores { precision, recall, f1, iou, auroc } = report.pooled;
-        text += &format!("\n{name:18}{}{}", cell(report.mae, 12, 5), cell(report.active_mae, 17, 4));
-        [precision, recall, f1, iou, auroc].into_iter().for_each(|score| text += &cell(score, 11, 4));
+    for (name, report, intervals) in groups {
+        text += &format!("\n{name:width$}{}", cell(report.frame_mean.f1, 15, 4));
+        text += &format!("{:>18}", interval(intervals.get("frame_mean.f1"), 3));
+        let scores = [report.pooled.f1, report.frame_mean.iou, report.frame_mean.auroc, report.false_positive_rate];
+        scores.into_iter().for_each(|score| text += &cell(score, 11, 4));
+        text += &format!("{}{}", cell(report.mae, 11, 5), cell(report.active_mae, 17, 4));
         text += &format!("{:>16}", report.counts.active_entries);
     }
     text
@@ -79,8 +116,7 @@ pub fn comparison_table(comparison: &Comparison) -> String {
         format!("{:30}{:>12}{:>12}{:>12}{:>24}", "score", "prediction", "other", "difference", "95 % interval");
     for d in &comparison.differences {
         text += &format!("\n{:30}{}{}", d.name, cell(d.value, 12, 5), cell(d.other, 12, 5));
-        let interval = d.interval.map_or("-".to_string(), |[low, high]| format!("{low:.5} .. {high:.5}"));
-        text += &format!("{}{interval:>24}", cell(d.difference, 12, 5));
+        text += &format!("{}{:>24}", cell(d.difference, 12, 5), interval(d.interval.as_ref(), 5));
     }
     let few = if comparison.episodes < 2 { "; intervals need at least two episodes" } else { "" };
     text + &format!("\n{} resamples of {} episodes, the same for both{few}", comparison.resamples, comparison.episodes)
@@ -88,4 +124,8 @@ pub fn comparison_table(comparison: &Comparison) -> String {
 
 fn cell(value: Option<f64>, width: usize, digits: usize) -> String {
     value.map_or(format!("{:>width$}", "undefined"), |value| format!("{value:>width$.digits$}"))
+}
+
+fn interval(interval: Option<&[f64; 2]>, digits: usize) -> String {
+    interval.map_or("-".into(), |[low, high]| format!("{low:.digits$} .. {high:.digits$}"))
 }

@@ -1,4 +1,4 @@
-//! Candidates that are scored against truth: distance labels at several thresholds, or a prediction.
+//! Candidates that are scored against truth: distance labels at several thresholds, or a prediction beside baselines.
 
 use crate::error::{Error, Result};
 use crate::geometry::SPACING;
@@ -19,6 +19,15 @@ pub enum Candidate {
     Surface(f32),
     /// A prediction.
     Prediction,
+    /// No touch at all.
+    Zero,
+    /// The truth of the frame before.
+    Persistence,
+}
+
+impl Candidate {
+    /// A prediction, beside those that see no image.
+    pub const PREDICTIONS: [Self; 3] = [Self::Prediction, Self::Zero, Self::Persistence];
 }
 
 /// Settings of the sweep over labels (a) and (b).
@@ -77,6 +86,8 @@ impl Candidate {
             Self::Points(threshold) => format!("a_{}mm", millimetres(threshold)),
             Self::Surface(threshold) => format!("b_{}mm", millimetres(threshold)),
             Self::Prediction => "prediction".into(),
+            Self::Zero => "zero".into(),
+            Self::Persistence => "persistence".into(),
         }
     }
 }

@@ -41,13 +41,16 @@ pub struct EpisodeScorer {
     scorers: Vec<Scorer>,
     refused: BTreeMap<&'static str, u64>,
     has_contacts: bool,
+    /// (1556) last known truth of each vertex: touched, and force, N; 0 before.
+    before: [Vec<f32>; 2],
 }
 
 impl EpisodeScorer {
     /// Starts an episode.
     pub fn new(groups: &VertexGroups, candidates: &[Candidate]) -> Self {
         let scorers = vec![Scorer::new(groups.clone()); candidates.len()];
-        Self { candidates: candidates.to_vec(), scorers, refused: BTreeMap::new(), has_contacts: true }
+        let before = [vec![0.0; N_FIELD], vec![0.0; N_FIELD]];
+        Self { candidates: candidates.to_vec(), scorers, refused: BTreeMap::new(), has_contacts: true, before }
     }
 
     /// Adds a frame: the truth, with the distances or the prediction that the candidates need.
@@ -80,7 +83,12 @@ impl EpisodeScorer {
                     let field = prediction.ok_or_else(|| lacks("a prediction"))?;
                     scorer.push(truth, &contact(field), &field.force)?
                 }
+                Candidate::Zero => scorer.push(truth, &[0.0; N_FIELD], &[0.0; N_FIELD])?,
+                Candidate::Persistence => scorer.push(truth, &self.before[0], &self.before[1])?,
             };
+        }
+        for (before, now) in self.before.iter_mut().zip([truth.touched(), truth.force()]) {
+            before.iter_mut().zip(now).filter(|(_, now)| !now.is_nan()).for_each(|(before, now)| *before = *now);
         }
         Ok(())
     }

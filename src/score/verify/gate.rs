@@ -6,7 +6,7 @@ use crate::score::agreement::scores::{self, Direction, SCORES, Score};
 /// A bound on one score, for instance `f1=0.7`: a lower bound if higher is better, else an upper bound.
 #[derive(Debug, Clone)]
 pub struct Requirement {
-    /// Candidate that the bound applies to; None = the only one.
+    /// Candidate that the bound applies to; None = the prediction, or the only one.
     pub candidate: Option<String>,
     /// The score.
     pub score: &'static Score,
@@ -62,9 +62,9 @@ mod tests {
 
     #[test]
     fn requirements_bound_scores_from_below_and_errors_from_above() {
-        let requirements = Requirement::parse_all("f1=0.7, missed_force=0.2,b_5mm:frame_mean.iou=0.5").unwrap();
+        let requirements = Requirement::parse_all("f1=0.7, missed_force=0.2,b_5mm:pooled_f1=0.5").unwrap();
         assert_eq!(requirements.len(), 3);
-        assert_eq!(requirements[0].score.name, "pooled.f1");
+        assert_eq!((requirements[0].score.name, requirements[2].score.name), ("frame_mean.f1", "pooled.f1"));
         assert_eq!(requirements[2].candidate.as_deref(), Some("b_5mm"));
         assert_eq!((requirements[0].missed(Some(0.7)), requirements[1].missed(Some(0.2))), (None, None));
         assert!(requirements[0].missed(Some(0.65)).unwrap().contains("misses by 0.0500"));

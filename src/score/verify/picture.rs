@@ -17,10 +17,10 @@ const TITLE_HEIGHT: u32 = 40;
 type Curve = (&'static str, &'static str, RGBColor);
 
 const SCORES: [Curve; 4] = [
-    ("F1", "pooled.f1", RGBColor(20, 80, 160)),
-    ("precision", "pooled.precision", RGBColor(90, 160, 60)),
-    ("recall", "pooled.recall", RGBColor(214, 96, 24)),
-    ("IoU", "pooled.iou", RGBColor(120, 120, 120)),
+    ("F1", "frame_mean.f1", RGBColor(20, 80, 160)),
+    ("precision", "frame_mean.precision", RGBColor(90, 160, 60)),
+    ("recall", "frame_mean.recall", RGBColor(214, 96, 24)),
+    ("IoU", "frame_mean.iou", RGBColor(120, 120, 120)),
 ];
 const ERRORS: [Curve; 4] = [
     ("missed force", "missed_force", RGBColor(170, 30, 60)),
@@ -49,7 +49,7 @@ fn chart(report: &VerifyReport, pixels: &mut [u8]) -> Drawn {
     let (head, body) = root.split_vertically(TITLE_HEIGHT);
     let counts = &report.counts;
     let title = format!(
-        "against contact forces (label c): {} episodes, {} frames, {} with touch; bars: 95 % over episodes",
+        "against contact forces (label c): {} episodes, {} frames, {} with touch (means over these); bars: 95 % over episodes",
         counts.episodes, counts.frames, counts.touching_frames
     );
     head.draw(&Text::new(title, (16, 12), (render::font::FAMILY, 19)))?;

@@ -65,7 +65,7 @@ pub fn score(path: &Path, topics: &Topics, hands: Option<&[HandModel; 2]>) -> Re
             episodes.extend(open.take().map(|(_, name, scorer)| scorer.finish(name, None, Vec::new())));
         }
         let name = || truth.frame.model_id.clone();
-        let scorer = || EpisodeScorer::new(&hand.groups, &[Candidate::Prediction]);
+        let scorer = || EpisodeScorer::new(&hand.groups, &Candidate::PREDICTIONS);
         let (_, _, scorer) = open.get_or_insert_with(|| (number, name(), scorer()));
         let validity = truth.validity()?;
         if validity != Validity::Valid {

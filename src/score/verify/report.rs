@@ -96,7 +96,7 @@ pub struct EpisodeReport {
     pub frames: u64,
     /// Frames refused.
     pub refused: u64,
-    /// `pooled.f1` and `missed_force` by candidate.
+    /// `frame_mean.f1`, `pooled.f1` and `missed_force` by candidate.
     pub scores: BTreeMap<String, BTreeMap<&'static str, Option<f64>>>,
     /// Sampling density of each object for label (a).
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -144,7 +144,7 @@ impl VerifyReport {
         })
     }
 
-    /// Returns the candidate of the given name; without a name, the only candidate.
+    /// Returns the candidate of the given name; without a name, the prediction or the only candidate.
     ///
     /// # Errors
     /// If there is no such candidate, or several and no name; the error lists the names.
@@ -152,6 +152,7 @@ impl VerifyReport {
         let names = || self.candidates.iter().map(|candidate| candidate.name.as_str());
         match (name, self.candidates.as_slice()) {
             (None, [only]) => Ok(only),
+            (None, [first, ..]) if is_prediction(first) => Ok(first),
             (None, _) => {
                 let all = names().collect::<Vec<_>>().join(", ");
                 Err(Error::value("require", "CANDIDATE:NAME=NUMBER where there are several candidates", all))
@@ -213,7 +214,10 @@ fn candidate_report(name: String, groups: &VertexGroups, episodes: &[&Sums], see
 fn episode_report(candidates: &[Candidate], episode: &Episode) -> EpisodeReport {
     let brief = |sums: &Sums| {
         let all = scores_of(sums);
-        ["pooled.f1", "missed_force"].map(|name| (name, all.get(name).copied().flatten())).into_iter().collect()
+        ["frame_mean.f1", "pooled.f1", "missed_force"]
+            .map(|name| (name, all.get(name).copied().flatten()))
+            .into_iter()
+            .collect()
     };
     EpisodeReport {
         name: episode.name.clone(),
@@ -228,7 +232,7 @@ fn episode_report(candidates: &[Candidate], episode: &Episode) -> EpisodeReport 
 /// Returns the report for a terminal: one candidate in full, or several side by side.
 pub fn table(report: &VerifyReport) -> String {
     let mut text = match report.candidates.as_slice() {
-        [only] => in_full(only),
+        [first, baselines @ ..] if baselines.is_empty() || is_prediction(first) => in_full(first, baselines),
         all => side_by_side(all),
     };
     let counts = &report.counts;
@@ -246,23 +250,36 @@ pub fn table(report: &VerifyReport) -> String {
     text
 }
 
-fn in_full(candidate: &CandidateReport) -> String {
-    let mut text = format!("{:24}{:>11}  {:22}", candidate.name, "", "95 % over episodes");
+/// Returns true for the report of a prediction, which stands before its baselines.
+fn is_prediction(candidate: &CandidateReport) -> bool {
+    candidate.name == Candidate::Prediction.name()
+}
+
+/// Returns all scores of one candidate with their intervals, beside those of baselines.
+fn in_full(candidate: &CandidateReport, baselines: &[CandidateReport]) -> String {
+    let value = |of: &CandidateReport, name: &str| {
+        let value = of.scores.get(name).and_then(|scored| scored.value);
+        value.map_or("undefined".into(), |value| format!("{value:.4}"))
+    };
+    let mut text = format!("{:24}{:>11}  {:22}", "", candidate.name, "95 % over episodes");
+    baselines.iter().for_each(|baseline| text += &format!("{:>13}", baseline.name));
     for score in &SCORES {
-        let Some(ScoreValue { value, interval }) = candidate.scores.get(score.name) else { continue };
-        let value = value.map_or("undefined".into(), |value| format!("{value:.4}"));
+        let Some(ScoreValue { interval, .. }) = candidate.scores.get(score.name) else { continue };
         let interval = interval.map_or(String::new(), |[low, high]| format!("{low:.4} .. {high:.4}"));
-        text += format!("\n{:24}{value:>11}  {interval:22}{}", score.name, score.meaning).trim_end();
+        let mut line = format!("\n{:24}{:>11}  {interval:22}", score.name, value(candidate, score.name));
+        baselines.iter().for_each(|baseline| line += &format!("{:>13}", value(baseline, score.name)));
+        text += format!("{line}  {}", score.meaning).trim_end();
     }
     text
 }
 
 /// Columns of the table of several candidates: heading and name of the score.
-const COLUMNS: [(&str, &str); 9] = [
-    ("precision", "pooled.precision"),
-    ("recall", "pooled.recall"),
-    ("IoU", "pooled.iou"),
-    ("frame F1", "frame_mean.f1"),
+const COLUMNS: [(&str, &str); 10] = [
+    ("precision", "frame_mean.precision"),
+    ("recall", "frame_mean.recall"),
+    ("IoU", "frame_mean.iou"),
+    ("pooled F1", "pooled.f1"),
+    ("false pos.", "false_positive_rate"),
     ("false mass", "false_contact_mass"),
     ("onset s", "onset_error_secs"),
     ("offset s", "offset_error_secs"),
@@ -277,7 +294,7 @@ fn side_by_side(candidates: &[CandidateReport]) -> String {
         let value =
             |name: &str| candidate.scores.get(name).copied().unwrap_or(ScoreValue { value: None, interval: None });
         text += &format!("\n{:12}", candidate.name);
-        for name in ["pooled.f1", "missed_force"] {
+        for name in ["frame_mean.f1", "missed_force"] {
             let ScoreValue { value, interval } = value(name);
             let interval = interval.map_or(String::new(), |[low, high]| format!(" ({low:.3}..{high:.3})"));
             text += &format!("{:>22}", value.map_or("undefined".into(), |value| format!("{value:.3}{interval}")));
@@ -286,5 +303,6 @@ fn side_by_side(candidates: &[CandidateReport]) -> String {
             text += &value(name).value.map_or(format!("{:>11}", "-"), |value| format!("{value:>11.3}"));
         }
     }
-    text
+    text + "\nF1, precision, recall, IoU: mean over frames with touch; pooled F1: over all vertices of all frames; false pos.: share \
+            of vertices labelled in frames without touch"
 }

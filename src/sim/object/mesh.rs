@@ -11,7 +11,7 @@ use parry3d::transformation::vhacd::VHACDParameters;
 use super::assembly::{Object, TriangleMesh};
 use super::piece::{Piece, PieceShape};
 use crate::error::{Error, Result};
-use crate::file::{input, limits};
+use crate::file::{self, input, limits};
 use crate::mujoco::audit;
 use crate::sim::convex::{self, double, single};
 use crate::sim::scene::{Scene, ShapeSpec};
@@ -99,20 +99,9 @@ fn load(path: &Path) -> Result<TriangleMesh> {
     Ok((vertices, triangles))
 }
 
-fn obj(path: &Path, mut text: &[u8]) -> Result<TriangleMesh> {
-    let options =
-        tobj::LoadOptions { triangulate: true, ignore_lines: true, ignore_points: true, ..Default::default() };
-    // Materials are ignored: a file that names missing ones still loads.
-    let (models, _) =
-        tobj::load_obj_buf(&mut text, &options, |_| Ok(Default::default())).map_err(|e| Error::file(path, e))?;
-    let mut surface = TriangleMesh::default();
-    for model in models {
-        let first = surface.0.len() as u32;
-        let corners = model.mesh.positions.chunks_exact(3);
-        surface.0.extend(corners.map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into())));
-        surface.1.extend(model.mesh.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]].map(|index| first + index)));
-    }
-    Ok(surface)
+fn obj(path: &Path, text: &[u8]) -> Result<TriangleMesh> {
+    let (vertices, triangles) = file::mesh::obj(path, text)?;
+    Ok((vertices.into_iter().map(Vec3::as_dvec3).collect(), triangles))
 }
 
 fn stl(path: &Path, bytes: &[u8]) -> Result<TriangleMesh> {

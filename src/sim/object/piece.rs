@@ -113,7 +113,7 @@ impl Piece {
     }
 
     /// Returns the surface in the object frame: vertices, m, and triangles.
-    pub(super) fn mesh(&self) -> (Vec<Vec3>, Vec<[u32; 3]>) {
+    pub fn mesh(&self) -> (Vec<Vec3>, Vec<[u32; 3]>) {
         let (vertices, triangles) = if let Some(cuboid) = self.collider.as_cuboid() {
             cuboid.to_trimesh()
         } else if let Some(ball) = self.collider.as_ball() {

@@ -6,6 +6,7 @@ use crate::mujoco::World;
 use crate::sim::driver::{HandDriver, TargetObject};
 use crate::sim::randomize::EpisodeDraw;
 use crate::sim::rig::HandRig;
+use crate::sim::timeline::ChannelValues;
 
 /// Rigs of both hands, and drivers of the hands that are present.
 #[derive(Debug)]
@@ -32,6 +33,11 @@ impl SimHands {
     /// Returns the driver of a hand; `None` = absent.
     pub fn driver(&self, side: Side) -> Option<&HandDriver> {
         self.drivers[side as usize].as_ref()
+    }
+
+    /// Commands a hand in place of its script; see [`HandDriver::command`]. Returns false if it is absent or has no act.
+    pub fn command(&mut self, side: Side, now: f64, seconds: f64, to: ChannelValues) -> bool {
+        self.drivers[side as usize].as_mut().is_some_and(|driver| driver.command(now, seconds, to))
     }
 
     /// Updates the servo targets for the next `interval` seconds.

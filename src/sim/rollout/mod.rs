@@ -17,6 +17,7 @@ use super::randomize::{EpisodeDraw, ObjectDraw};
 use super::rig::HandRig;
 use super::scene::Scene;
 use super::scene_object::SceneObject;
+use super::timeline::ChannelValues;
 use crate::camera::Intrinsics;
 use crate::dataset::Frame;
 use crate::error::Result;
@@ -189,6 +190,12 @@ impl Rollout {
     /// Returns the current parameters of a hand; `None` = absent.
     pub fn hand_params(&self, side: Side) -> Option<HandParams> {
         self.hands.params(&self.world, side)
+    }
+
+    /// Commands a hand in place of its script: the channels change linearly to `to` until the next frame, and then stay.
+    /// Returns false if the hand is absent or has no act.
+    pub(super) fn command(&mut self, side: Side, to: ChannelValues) -> bool {
+        self.hands.command(side, self.world.time(), self.clock.interval, to)
     }
 
     /// Simulates up to the next frame's instant; with `exposing`, takes the exposures of its picture on the way.

@@ -3,17 +3,21 @@
 mod act;
 mod effect_plan;
 mod limits;
+mod look;
 mod object;
 mod shipped;
 mod spec;
+mod split;
 
 use std::path::Path;
 
 pub use act::{ActSpec, Channels, ContactSpec, HandSite, PhaseSpec, WrapSpec};
 pub use effect_plan::EffectPlan;
+pub use look::{HandLook, LookSpec, TablePattern};
 pub use object::{ObjectSpec, ShapeSpec};
 pub use shipped::SHIPPED;
 pub use spec::{CameraSpec, HandSpec, SceneSpec, SideSpec};
+pub use split::Split;
 
 use super::range::UniformRange;
 use crate::error::{Error, Result};
@@ -67,13 +71,16 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Loads a shipped scene by name, or a YAML file by path.
+    /// Loads a shipped scene by name, a scene of a split by `SPLIT/SCENE`, or a YAML file by path.
     ///
     /// # Errors
     /// If it is neither, cannot be read, or is not a valid scene; the error names file, key and the expected value.
     pub fn load(name_or_path: &str) -> Result<Self> {
         if let Some((name, text)) = SHIPPED.iter().find(|(name, _)| *name == name_or_path) {
             return Self::parse(name, Path::new(name), text);
+        }
+        if let Some(text) = Split::resolve(name_or_path)? {
+            return Self::parse(name_or_path, Path::new(name_or_path), &text);
         }
         let path = Path::new(name_or_path);
         if !path.exists() {
@@ -105,6 +112,7 @@ fn check(spec: &SceneSpec) -> Result<()> {
     check_hands(spec)?;
     within("distractors", spec.distractors, 0.0, MAX_DISTRACTORS)?;
     check_camera(&spec.camera, spec.rate)?;
+    spec.look.check()?;
     EffectPlan::of(spec).map(drop)
 }
 

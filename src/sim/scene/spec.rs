@@ -4,6 +4,7 @@ use serde::Deserialize;
 
 use super::act::ActSpec;
 use super::limits::zero;
+use super::look::LookSpec;
 use super::object::ObjectSpec;
 use crate::mujoco::PhysicsOptions;
 use crate::sim::effect::{EffectsSpec, Observation};
@@ -37,6 +38,9 @@ pub struct SceneSpec {
     /// Head-mounted camera.
     #[serde(default)]
     pub camera: CameraSpec,
+    /// Colours, lights, covering of the hands.
+    #[serde(default)]
+    pub look: LookSpec,
 }
 
 /// A hand and its act.

@@ -60,7 +60,7 @@ fn run(
         None => Some(Touchables::new(rollout.episode(), options.hands.each_ref(), settings.spacing)?),
         Some(_) => None,
     };
-    let candidates = if predictor.is_some() { vec![Candidate::Prediction] } else { settings.sweep() };
+    let candidates = if predictor.is_some() { Candidate::PREDICTIONS.to_vec() } else { settings.sweep() };
     let mut scorer = EpisodeScorer::new(&groups, &candidates);
     while let Some(sim) = rollout.next_frame()? {
         // The predictor also sees the images of refused frames, because its window needs them.

@@ -84,7 +84,7 @@ fn episode(
     if let EstimateSource::Predictor(predictor) = source {
         predictor.reset();
     }
-    let candidates = if near.is_some() { settings.sweep() } else { vec![Candidate::Prediction] };
+    let candidates = if near.is_some() { settings.sweep() } else { Candidate::PREDICTIONS.to_vec() };
     let mut scorer = EpisodeScorer::new(&VertexGroups::links(hands), &candidates);
     for (at, frame) in range.enumerate() {
         let topology = hands[0].topology;

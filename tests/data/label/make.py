@@ -41,6 +41,8 @@ for name, score in zip(names, scores):
     out[f"pooled.{name}"] = score(touched.ravel(), label.ravel())
     with_touch = [t for t in range(T) if touched[t].any()]
     out[f"frame_mean.{name}"] = np.mean([score(touched[t], label[t], zero_division=0) for t in with_touch])
+quiet = ~touched.any(1)
+out["false_positive_rate"], out["share_without_positives"] = label[quiet].mean(), quiet.mean()
 pressed = np.where(touched, force, 0).astype(np.float64)
 out["missed_force"] = pressed[~label].sum() / pressed.sum()
 near = np.concatenate(

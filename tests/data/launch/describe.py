@@ -123,11 +123,12 @@ class IncludeLaunchDescription(Action):
 class Node(Action):
     def __init__(
         self, *, package, executable, name=None, namespace=None, parameters=(), remappings=(), arguments=(),
-        output=None, **options,
+        output=None, sigterm_timeout="5", sigkill_timeout="5", **options,
     ):
         super().__init__(**options)
         self.package, self.executable, self.name, self.namespace = package, executable, name, namespace
         self.parameters, self.remappings, self.arguments, self.output = parameters, remappings, arguments, output
+        self.timeouts = [sigterm_timeout, sigkill_timeout]
 
     def execute(self, context):
         result["nodes"].append(
@@ -140,6 +141,7 @@ class Node(Action):
                 "parameters": {k: v for p in self.parameters if isinstance(p, dict) for k, v in p.items()},
                 "remappings": {text(a, context): text(b, context) for a, b in self.remappings},
                 "arguments": [text(argument, context) for argument in self.arguments],
+                "timeouts": [float(text(timeout, context)) for timeout in self.timeouts],
             }
         )
 

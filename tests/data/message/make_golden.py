@@ -26,7 +26,7 @@ from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState, PointCloud2, PointField, RegionOfInterest
-from std_msgs.msg import Header
+from std_msgs.msg import Bool, Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -158,6 +158,11 @@ MESSAGES = {
                 time_from_start=Duration(sec=2, nanosec=16_666_667),
             )
         ],
+    ),
+    "bool": Bool(data=True),
+    "float64_multi_array": Float64MultiArray(
+        layout=MultiArrayLayout(dim=[MultiArrayDimension(label="joint", size=2, stride=2)], data_offset=1),
+        data=[0.5, -0.25, 3.0],
     ),
     "image": Image(
         header=header(), height=2, width=3, encoding="rgb8", is_bigendian=0, step=10, data=bytes(range(20))

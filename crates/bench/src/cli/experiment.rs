@@ -3,38 +3,67 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use egotac::file;
-use indicatif::{ProgressBar, ProgressStyle};
+use clap::builder::PossibleValuesParser;
 
-use crate::experiment::data::{Recipe, Stores};
-use crate::experiment::{self, Experiment, Progress, Size, plot};
+/// Names of all experiments, and `results`, which writes the page about them.
+const NAMES: [&str; 13] = [
+    "sources",
+    "consistency",
+    "sampling",
+    "glove",
+    "history",
+    "separation",
+    "scaling",
+    "ablations",
+    "limits",
+    "transfer",
+    "decline",
+    "attention",
+    "results",
+];
 
 /// Arguments of `egotac experiment`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "ablations: everything, and without temporal context, active-region loss, force supervision, consistency loss. \
-    sources: force-supervised only, contact-only, mixed. scaling: 10, 20, 50, 100 % of the data; 1, 4, 6 scenes. \
-    limits: less and more time, resolution, capacity.\n\
+    after_help = "Trained: sources (contact by distance beside force: 0 to 3 sources), consistency (loss L_cons), sampling \
+    (temperature, quotas), glove (its look), history (EgoTac-i), separation (per-frame crops), scaling (10 to 100 % of the data; \
+    1 to 4 sources), ablations (the parts of the method, the paper's recipe), limits (time, resolution, capacity).\n\
+    Measured on a finished network: transfer (other sensors), decline (worse pictures), attention (where it looks).\n\
+    results: the page that sets what was found beside the paper, from the JSON files in --out.\n\
     Data is rendered and runs are trained in the work folder; both stay there, so a stopped experiment resumes."
 )]
 pub struct Args {
-    /// ablations, sources, scaling or limits.
+    /// Name of the experiment.
+    #[arg(value_parser = PossibleValuesParser::new(NAMES))]
     name: String,
     /// Runs of each arm.
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..=100))]
     seeds: u64,
-    /// Optimisation steps of the encoder of all runs, before the runs.
-    #[arg(long, default_value_t = 4000, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
-    encoder_steps: u64,
     /// Optimisation steps of a run.
     #[arg(long, default_value_t = 1200, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     steps: u64,
-    /// Training episodes of each of the eight scenes.
+    /// Training episodes of each scene.
     #[arg(long, default_value_t = 25, value_parser = clap::value_parser!(u64).range(1..=900))]
     episodes: u64,
-    /// Held-out episodes of each scene.
-    #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u64).range(1..=900))]
-    held_out: u64,
+    /// Held-out episodes of each scene [default: 6, or 3 where nothing is trained].
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..=900))]
+    held_out: Option<u64>,
+    /// Side of the pictures, pixels, a multiple of the network's patch [default: 112, or 176 where nothing is trained].
+    #[arg(long, value_parser = clap::value_parser!(u32).range(28..=1024))]
+    image: Option<u32>,
+    /// Use only this many scenes of each world.
+    #[arg(long, default_value_t = 19, value_parser = clap::value_parser!(u64).range(1..=19))]
+    scenes: u64,
+    /// Checkpoint whose encoder all arms start from, or which is measured [default: the one shipped with egotac].
+    #[arg(long, value_name = "FILE")]
+    init: Option<PathBuf>,
+    /// Try the command in seconds: one scene, one or two episodes, two steps and, where it trains, a tiny network with random
+    /// weights. The numbers mean nothing.
+    #[arg(long, conflicts_with_all = ["seeds", "steps", "episodes", "held_out", "image", "scenes", "init"])]
+    quick: bool,
+    /// Index of the CUDA device that trains; by default the CPU.
+    #[arg(long, value_name = "INDEX")]
+    cuda: Option<usize>,
     /// Folder for data and runs.
     #[arg(long, value_name = "FOLDER", default_value = "out/experiments")]
     work: PathBuf,
@@ -44,84 +73,131 @@ pub struct Args {
 }
 
 /// Runs the command.
-pub fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let experiment = Experiment::by_name(&args.name)?;
-    let size = Size {
-        episodes: args.episodes as usize,
-        held_out: args.held_out as usize,
-        encoder_steps: args.encoder_steps as usize,
-        steps: args.steps as usize,
-        seeds: args.seeds,
-    };
-    let stores = Stores::plan(&args.work.join("data"), size.episodes, size.held_out);
-    render(stores.recipes())?;
-    let bar = ProgressBar::new(0);
-    bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed}<{eta} {msg}")?);
-    let command = format!(
-        "egotac experiment {} --seeds {} --encoder-steps {} --steps {} --episodes {} --held-out {}",
-        args.name, args.seeds, args.encoder_steps, args.steps, args.episodes, args.held_out
-    );
-    let report = experiment::run(&experiment, &size, &stores, &args.work, command, &mut |progress| match progress {
-        Progress::Budget(budget) => bar.suspend(|| {
-            let minutes = budget.windows as f64 / budget.windows_per_s / 60.0;
-            println!(
-                "{} runs to make, {} windows altogether: about {minutes:.0} min at {:.0} windows/s, measured now",
-                budget.runs, budget.windows, budget.windows_per_s
-            );
-        }),
-        Progress::Step(arm, seed, done, all) => {
-            bar.set_length(all as u64);
-            bar.set_position(done as u64);
-            bar.set_message(format!("{arm}, seed {seed}"));
-        }
-        Progress::Run(arm, seed) => bar.suspend(|| println!("{arm}, seed {seed}: done")),
-    })?;
-    bar.finish_and_clear();
-    let named = |ending: &str| args.out.join(format!("{}.{ending}", args.name));
-    file::write(&named("md"), report.markdown().as_bytes())?;
-    file::write(&named("json"), format!("{:#}\n", serde_json::to_value(&report)?).as_bytes())?;
-    plot::write(&args.out, &report)?;
-    print!("{}", report.markdown());
-    Ok(ExitCode::SUCCESS)
-}
-
-/// Renders the stores that are missing.
-fn render(recipes: &[Recipe]) -> anyhow::Result<()> {
-    let missing: Vec<&Recipe> = recipes.iter().filter(|recipe| !recipe.path.exists()).collect();
-    let bar = ProgressBar::new(missing.iter().map(|recipe| recipe.episodes as u64).sum());
-    bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} episodes {elapsed}<{eta}")?);
-    for recipe in missing {
-        file::write(&recipe.scene, recipe.text.as_bytes())?;
-        make(recipe, &bar)?;
-    }
-    bar.finish_and_clear();
-    Ok(())
+#[cfg(not(feature = "sim"))]
+pub fn run(_: Args) -> anyhow::Result<ExitCode> {
+    Err(super::feature_off("experiment"))
 }
 
 #[cfg(feature = "sim")]
-fn make(recipe: &Recipe, bar: &ProgressBar) -> anyhow::Result<()> {
-    use crate::experiment::data::SIDE;
-    use egotac::sim::{DatasetPlan, GenerateProgress as Rendered, RolloutOptions, Scene, generate_in_processes};
-    let options = RolloutOptions { picture: Some((SIDE, SIDE)), ..RolloutOptions::default() };
-    let plan = DatasetPlan {
-        scenes: vec![Scene::load(&recipe.scene.display().to_string())?],
-        episodes: recipe.episodes,
-        seed: recipe.seed,
-        jobs: std::thread::available_parallelism().map_or(1, usize::from).min(recipe.episodes),
-        options,
-    };
-    let workers = crate::cli::sim_workers(SIDE, [recipe.scene.clone().into_os_string()])?;
-    let before = bar.position();
-    // An episode that can't be simulated is left out: always the same one, and the report counts the frames that exist.
-    generate_in_processes(&plan, &workers, true, &recipe.path, |at| {
-        if let Rendered::Episodes(done, _) = at {
-            bar.set_position(before + done as u64);
-        }
-    })?;
-    Ok(())
-}
+pub use enabled::run;
 
-#[cfg(not(feature = "sim"))]
-fn make(recipe: &Recipe, _: &ProgressBar) -> anyhow::Result<()> {
-    anyhow::bail!("{}: is missing, and rendering it needs the feature `sim`", recipe.path.display())
+#[cfg(feature = "sim")]
+mod enabled {
+    use egotac::file;
+    use indicatif::{ProgressBar, ProgressStyle};
+    use serde::Serialize;
+
+    use super::*;
+    use crate::experiment::{
+        self, Experiment, MEASUREMENTS, Network, Progress, Setup, Size, attention, claims, decline, plot, transfer,
+    };
+
+    /// Runs the command.
+    pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+        if args.name == "results" {
+            let page = claims::page(&args.out)?;
+            file::write(&args.out.join("README.md"), page.as_bytes())?;
+            print!("{page}");
+            return Ok(ExitCode::SUCCESS);
+        }
+        let setup = setup(&args)?;
+        let command = command(&args, &setup.size);
+        let bar = ProgressBar::new(0);
+        bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed}<{eta} {msg}")?);
+        let mut show = |progress: Progress| show(&bar, progress);
+        let markdown = match args.name.as_str() {
+            "attention" => {
+                let report = attention::run(&setup, command, &args.out, &mut show)?;
+                write(&args, &report, report.markdown())?
+            }
+            "transfer" => {
+                let report = transfer::run(&setup, command, &mut show)?;
+                plot::write(&args.out, &report)?;
+                write(&args, &report, report.markdown())?
+            }
+            "decline" => {
+                let report = decline::run(&setup, command, &mut show)?;
+                decline::write_plot(&args.out, &report)?;
+                write(&args, &report, report.markdown())?
+            }
+            name => {
+                let device = egotac::cli::device(args.cuda)?;
+                let report = experiment::run(&Experiment::by_name(name)?, &setup, &device, command, &mut show)?;
+                plot::write(&args.out, &report)?;
+                write(&args, &report, report.markdown())?
+            }
+        };
+        bar.finish_and_clear();
+        print!("{markdown}");
+        Ok(ExitCode::SUCCESS)
+    }
+
+    /// Returns size and network of an experiment.
+    fn setup(args: &Args) -> anyhow::Result<Setup> {
+        let measures = MEASUREMENTS.contains(&args.name.as_str());
+        let size = match args.quick {
+            true => Size {
+                episodes: usize::from(!measures),
+                held_out: 2,
+                steps: if measures { 0 } else { 2 },
+                seeds: if measures { 1 } else { 2 },
+                image: 56,
+                scenes: 1,
+            },
+            false => Size {
+                episodes: if measures { 0 } else { args.episodes as usize },
+                held_out: args.held_out.unwrap_or(if measures { 3 } else { 6 }) as usize,
+                steps: if measures { 0 } else { args.steps as usize },
+                seeds: if measures { 1 } else { args.seeds },
+                image: args.image.unwrap_or(if measures { 176 } else { 112 }),
+                scenes: args.scenes as usize,
+            },
+        };
+        let network = if args.quick && !measures { Network::toy() } else { Network::load(args.init.as_deref())? };
+        Ok(Setup { size, network, work: args.work.clone(), quick: args.quick })
+    }
+
+    /// Returns the command line that measures the same again.
+    fn command(args: &Args, size: &Size) -> String {
+        let init = args.init.as_ref().map(|path| format!(" --init {}", path.display())).unwrap_or_default();
+        let Size { episodes, held_out, steps, seeds, image, .. } = size;
+        if args.quick {
+            return format!("egotac experiment {} --quick", args.name);
+        }
+        let training = match steps {
+            0 => String::new(),
+            steps => format!(" --seeds {seeds} --steps {steps} --episodes {episodes}"),
+        };
+        let scenes = if args.scenes < 19 { format!(" --scenes {}", args.scenes) } else { String::new() };
+        format!("egotac experiment {}{training} --held-out {held_out} --image {image}{scenes}{init}", args.name)
+    }
+
+    /// Writes the report as JSON and Markdown; returns the latter.
+    fn write<R: Serialize>(args: &Args, report: &R, markdown: String) -> anyhow::Result<String> {
+        let named = |ending: &str| args.out.join(format!("{}.{ending}", args.name));
+        file::write(&named("json"), format!("{:#}\n", serde_json::to_value(report)?).as_bytes())?;
+        file::write(&named("md"), markdown.as_bytes())?;
+        Ok(markdown)
+    }
+
+    fn show(bar: &ProgressBar, progress: Progress) {
+        let at = |done: usize, all: usize, message: String| {
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+            bar.set_message(message);
+        };
+        match progress {
+            Progress::Rendered(done, all) => at(done as usize, all as usize, "episodes rendered".into()),
+            Progress::Budget(budget) => bar.suspend(|| {
+                let minutes = budget.windows as f64 / budget.windows_per_s / 60.0;
+                println!(
+                    "{} runs to make, {} windows altogether: about {minutes:.0} min at {:.0} windows/s, measured now",
+                    budget.runs, budget.windows, budget.windows_per_s
+                );
+            }),
+            Progress::Step(arm, seed, done, all) => at(done, all, format!("{arm}, seed {seed}")),
+            Progress::Run(arm, seed) => bar.suspend(|| println!("{arm}, seed {seed}: done")),
+            Progress::Measured(done, all) => at(done, all, "conditions".into()),
+        }
+    }
 }

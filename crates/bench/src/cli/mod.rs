@@ -2,6 +2,8 @@
 
 mod bench;
 mod experiment;
+#[cfg(feature = "sim")]
+mod policy;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -21,8 +23,8 @@ struct Cli {
 enum Command {
     /// Measurements that the documentation holds: model, train, label, retarget, sim, effects, hard-cases, guards, faults.
     Bench(bench::Args),
-    /// Train and compare: ablations, sources, scaling, on rendered data.
-    Experiment(experiment::Args),
+    /// Test the paper's claims on rendered data: train, measure, compare.
+    Experiment(Experiments),
     /// Serve as a worker process of a simulation that this program started.
     #[command(hide = true, disable_help_flag = true, disable_version_flag = true)]
     Sim(Passed),
@@ -32,6 +34,25 @@ enum Command {
     /// Serve as a command that this program disturbs.
     #[command(hide = true, disable_help_flag = true, disable_version_flag = true)]
     Train(Passed),
+}
+
+/// Arguments of `egotac experiment`: an experiment in a closed loop, or one of trainings.
+#[derive(Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+struct Experiments {
+    #[command(subcommand)]
+    closed_loop: Option<ClosedLoop>,
+    #[command(flatten)]
+    trained: Option<experiment::Args>,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum ClosedLoop {
+    /// Lift a ball of unknown weight: a policy with pictures alone, predicted touch, true touch.
+    #[cfg(feature = "sim")]
+    Policy(policy::Args),
+    #[cfg(not(feature = "sim"))]
+    Policy(Passed),
 }
 
 /// Arguments that egotac's own command line reads.
@@ -50,9 +71,21 @@ pub fn main() -> ExitCode {
     }
     egotac::cli::execute(|| match command {
         Command::Bench(args) => bench::run(args),
-        Command::Experiment(args) => experiment::run(args),
+        Command::Experiment(args) => run_experiment(args),
         Command::Sim(_) | Command::Label(_) | Command::Train(_) => Ok(ExitCode::SUCCESS),
     })
+}
+
+fn run_experiment(args: Experiments) -> anyhow::Result<ExitCode> {
+    match (args.closed_loop, args.trained) {
+        #[cfg(feature = "sim")]
+        (Some(ClosedLoop::Policy(args)), _) => policy::run(args),
+        #[cfg(not(feature = "sim"))]
+        (Some(ClosedLoop::Policy(_)), _) => Err(feature_off("experiment policy")),
+        (None, Some(args)) => experiment::run(args),
+        // The name of an experiment is required.
+        (None, None) => Ok(ExitCode::FAILURE),
+    }
 }
 
 /// Returns worker processes that simulate `scenes` (names or files) with pictures of `size` x `size` pixels.

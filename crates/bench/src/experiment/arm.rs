@@ -1,12 +1,12 @@
-//! The experiments and their conditions (arms).
+//! The experiments that train, and their conditions (arms).
 
 use egotac::error::{Error, Result};
 use egotac::model;
 use egotac::train::Config;
-use egotac::train::config::ModelChoice;
+use egotac::train::config::{LossWeights, ModelChoice, OptimizerConfig};
 use egotac::train::source::Supervision;
 
-use super::data::Stores;
+use super::data::{CONTACT_WORLDS, OOD, Stores};
 
 /// One condition of an experiment.
 #[derive(Debug, Clone, Copy)]
@@ -16,7 +16,35 @@ pub struct Arm {
     /// Difference from the usual run, in words.
     pub about: &'static str,
     /// Changes the configuration of the usual run.
-    pub change: fn(&mut Config, &Stores),
+    pub change: fn(&mut Config, &Stores) -> Result<()>,
+    /// Input and task of the network.
+    pub view: View,
+    /// True to score the force head as it is, although no force trains it.
+    pub untrained_force: bool,
+}
+
+/// What a network sees and predicts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum View {
+    /// The whole picture and its history; force and contact of both hands.
+    Scene,
+    /// One frame, cut out around one hand; contact of this hand.
+    Crop,
+}
+
+/// Held-out frames with truth of one kind.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Test {
+    /// Name in reports.
+    pub name: &'static str,
+    /// Title in tables.
+    pub title: &'static str,
+    /// Worlds whose held-out episodes are used.
+    pub worlds: &'static [&'static str],
+    /// Truth: force and contact of the simulator, or contact by distance.
+    pub truth: Supervision,
+    /// True if only the right hand counts.
+    pub right_hand: bool,
 }
 
 /// A question with the conditions that answer it.
@@ -28,18 +56,50 @@ pub struct Experiment {
     pub question: &'static str,
     /// The conditions; the others are compared with the first.
     pub arms: Vec<Arm>,
+    /// Held-out frames that all arms are scored on.
+    pub tests: Vec<Test>,
 }
 
-const fn arm(name: &'static str, about: &'static str, change: fn(&mut Config, &Stores)) -> Arm {
-    Arm { name, about, change }
+/// The source with force in the domain, as the paper's Table 1.
+const FORCE: Test = test("force", "In the domain, the source with force", &["force"], Supervision::Both);
+/// The sources by distance in the domain, as the paper's Table 2.
+const CONTACT: Test =
+    test("contact", "In the domain, the sources by distance", &CONTACT_WORLDS, Supervision::Proximity);
+/// Out of the domain by force, as the paper's OpenTouch.
+const OOD_FORCE: Test = test("ood_force", "Out of the domain, truth by force", &[OOD], Supervision::Both);
+/// Out of the domain by distance, as the paper's OAKINK2.
+const OOD_CONTACT: Test = test("ood_contact", "Out of the domain, truth by distance", &[OOD], Supervision::Proximity);
+
+const fn test(name: &'static str, title: &'static str, worlds: &'static [&'static str], truth: Supervision) -> Test {
+    Test { name, title, worlds, truth, right_hand: false }
 }
 
-/// The usual run.
-const FULL: Arm = arm("full", "everything", |_, _| ());
+const fn arm(name: &'static str, about: &'static str, change: fn(&mut Config, &Stores) -> Result<()>) -> Arm {
+    Arm { name, about, change, view: View::Scene, untrained_force: false }
+}
+
+/// The paper's main network: force of one source, contact by distance of three.
+const MIXED: Arm = arm("mixed", "force of one source, contact by distance of three others", |_, _| Ok(()));
+const NO_CONTEXT: Arm = arm("no_context", "one frame in place of the history (EgoTac-i)", |config, _| {
+    geometry(config, |geometry| geometry.horizon = 1);
+    Ok(())
+});
+const NO_CONSISTENCY: Arm = arm("no_consistency", "without the consistency loss L_cons", |config, _| {
+    config.loss.consistency = 0.0;
+    Ok(())
+});
+
+impl Test {
+    /// Returns the name of the file that holds a run's predictions: tests on the same frames share it.
+    pub fn file(&self) -> String {
+        self.worlds.join("+")
+    }
+}
 
 impl Experiment {
-    /// Names of all experiments.
-    pub const NAMES: [&'static str; 4] = ["ablations", "sources", "scaling", "limits"];
+    /// Names of all experiments that train.
+    pub const NAMES: [&'static str; 9] =
+        ["sources", "consistency", "sampling", "glove", "history", "separation", "scaling", "ablations", "limits"];
 
     /// Returns the experiment of this name.
     ///
@@ -47,95 +107,215 @@ impl Experiment {
     /// If there is none; the error lists the names.
     pub fn by_name(name: &str) -> Result<Self> {
         match name {
-            "ablations" => Ok(ablations()),
             "sources" => Ok(sources()),
+            "consistency" => {
+                Ok(mixed("consistency", "Does the consistency loss link force and contact?", [NO_CONSISTENCY]))
+            }
+            "sampling" => Ok(sampling()),
+            "glove" => Ok(glove()),
+            "history" => Ok(mixed("history", "Does the history of pictures help the dynamics of force?", [NO_CONTEXT])),
+            "separation" => Ok(separation()),
             "scaling" => Ok(scaling()),
+            "ablations" => Ok(ablations()),
             "limits" => Ok(limits()),
             _ => Err(Error::unknown("experiment", name, Self::NAMES)),
         }
     }
 }
 
+/// Returns an experiment whose other arms differ from the mixed one.
+fn mixed<const N: usize>(name: &'static str, question: &'static str, others: [Arm; N]) -> Experiment {
+    let arms = [MIXED].into_iter().chain(others).collect();
+    Experiment { name, question, arms, tests: vec![FORCE, CONTACT, OOD_FORCE, OOD_CONTACT] }
+}
+
 fn ablations() -> Experiment {
-    Experiment {
-        name: "ablations",
-        question: "What does each part of the method give?",
-        arms: vec![
-            FULL,
-            arm("no_context", "one frame in place of three (EgoTac-i)", |config, _| {
-                geometry(config, |geometry| geometry.horizon = 1);
-            }),
-            arm("no_active", "without the active-region loss L_A", |config, _| config.loss.active = 0.0),
-            arm("no_force", "contact labels alone: L_F and L_A have nothing to learn from", |config, _| {
-                config.data.iter_mut().for_each(|source| source.labels = Supervision::Contact);
-            }),
-            arm("no_consistency", "without the consistency loss L_cons", |config, _| config.loss.consistency = 0.0),
-        ],
-    }
+    let others = [
+        NO_CONTEXT,
+        arm("no_active", "without the active-region loss L_A", |config, _| {
+            config.loss.active = 0.0;
+            Ok(())
+        }),
+        Arm {
+            untrained_force: true,
+            ..arm("no_force", "without force labels; its force head as the consistency loss left it", |config, _| {
+                config.data[0].labels = Supervision::Contact;
+                Ok(())
+            })
+        },
+        NO_CONSISTENCY,
+        arm("paper_recipe", "the paper's loss weights (1, 0.2, 1, 0.05) and optimiser", |config, _| {
+            config.loss = LossWeights::default();
+            config.optimizer = OptimizerConfig::default();
+            Ok(())
+        }),
+    ];
+    mixed("ablations", "What does each part of the method give?", others)
 }
 
 fn sources() -> Experiment {
-    Experiment {
-        name: "sources",
-        question: "Does a second source that looks different and has contact labels alone help?",
-        arms: vec![
-            arm("mixed", "force and contact of the first source, contact of the second", |config, stores| {
-                config.data = stores.sources();
-                config.data[1].labels = Supervision::Contact;
-            }),
-            arm("force_supervised", "the first source alone, force and contact", |config, stores| {
-                config.data = stores.sources()[..1].to_vec();
-            }),
-            arm("contact_only", "the second source alone, contact", |config, stores| {
-                config.data = stores.sources()[1..].to_vec();
-                config.data[0].labels = Supervision::Contact;
-            }),
-        ],
+    let only = arm("force_only", "the source with force alone", |config, stores| {
+        config.data = stores.mixture(0)?;
+        Ok(())
+    });
+    let others = [
+        arm("plus_1", "and contact by distance of one other source", |config, stores| {
+            config.data = stores.mixture(1)?;
+            Ok(())
+        }),
+        arm("plus_2", "of two", |config, stores| {
+            config.data = stores.mixture(2)?;
+            Ok(())
+        }),
+        arm("plus_3", "of three (the arm `mixed` of other experiments)", |_, _| Ok(())),
+        Arm {
+            untrained_force: true,
+            ..arm("contact_only", "the three by distance alone; the force head as it is", |config, _| {
+                config.data.remove(0);
+                Ok(())
+            })
+        },
+    ];
+    let arms = [only].into_iter().chain(others).collect();
+    let question = "Do sources without force, labelled by distance, help force and contact across domains?";
+    Experiment { arms, ..mixed("sources", question, []) }
+}
+
+fn sampling() -> Experiment {
+    /// Keeps a tenth of the episodes of the source with force, and sets how sources are drawn.
+    fn scarce(config: &mut Config, stores: &Stores, temperature: f64, quota: f64) -> Result<()> {
+        config.data[0] = stores.share("force", 1, Supervision::Both)?;
+        config.data[0].quota = quota;
+        config.sampling.temperature = temperature;
+        Ok(())
     }
+    let arms = vec![
+        arm("tau_1", "sources in proportion to their size", |config, stores| scarce(config, stores, 1.0, 0.0)),
+        arm("tau_05", "to the root of it, as in the paper", |config, stores| scarce(config, stores, 0.5, 0.0)),
+        arm("tau_0", "all alike", |config, stores| scarce(config, stores, 0.0, 0.0)),
+        arm("tau_1_quota", "in proportion, but a tenth at least from the small one", |config, stores| {
+            scarce(config, stores, 1.0, 0.1)
+        }),
+    ];
+    let question = "Do temperature and quotas keep a small source, here a tenth of the one with force, from starving?";
+    Experiment { arms, ..mixed("sampling", question, []) }
+}
+
+fn glove() -> Experiment {
+    let bare = Test { title: "Bare hands, otherwise the same world", ..FORCE };
+    let gloved = test("gloved", "Gloved hands, as in training", &["force_gloved"], Supervision::Both);
+    let force_of = |name, about, change| arm(name, about, change);
+    let arms = vec![
+        force_of("gloved", "force from gloved hands alone", |config, stores| {
+            config.data = vec![stores.source("force_gloved", Supervision::Both)?];
+            Ok(())
+        }),
+        force_of("bare", "force from bare hands alone: the bound", |config, stores| {
+            config.data = stores.mixture(0)?;
+            Ok(())
+        }),
+        force_of("mixed", "force from gloved hands, contact by distance from bare ones", |config, stores| {
+            config.data[0] = stores.source("force_gloved", Supervision::Both)?;
+            Ok(())
+        }),
+        force_of("recoloured", "force from gloved hands painted in the tone of skin", |config, stores| {
+            config.data = vec![stores.source("force_recoloured", Supervision::Both)?];
+            Ok(())
+        }),
+    ];
+    let question = "Is a glove's look a domain gap, and do bare hands in other sources or recolouring close it?";
+    Experiment { name: "glove", question, arms, tests: vec![bare, gloved, OOD_FORCE, OOD_CONTACT] }
+}
+
+fn separation() -> Experiment {
+    let right = |of: Test| Test { right_hand: true, ..of };
+    let crop = Arm {
+        view: View::Crop,
+        ..arm("crop", "one frame cut out around the hand, contact alone: a per-frame baseline", |config, _| {
+            geometry(config, |geometry| geometry.horizon = 1);
+            let LossWeights { contact, positive_weight, .. } = config.loss;
+            let none =
+                LossWeights { force: 0.0, contact, active: 0.0, consistency: 0.0, keypoints: 0.0, positive_weight };
+            config.loss = none;
+            Ok(())
+        })
+    };
+    let question = "Does the network separate touch from no touch better than a baseline that sees one crop at a time?";
+    let tests = vec![right(CONTACT), right(OOD_CONTACT), right(OOD_FORCE)];
+    Experiment { tests, ..mixed("separation", question, [crop]) }
 }
 
 fn scaling() -> Experiment {
-    Experiment {
-        name: "scaling",
-        question: "What do more data and more sources give?",
-        arms: vec![
-            arm("share_100", "all episodes of all eight scenes", |_, _| ()),
-            arm("share_50", "half of each scene's episodes", |config, stores| config.data = stores.share(2)),
-            arm("share_20", "a fifth", |config, stores| config.data = stores.share(1)),
-            arm("share_10", "a tenth", |config, stores| config.data = stores.share(0)),
-            arm("scenes_6", "all episodes of six scenes", |config, stores| config.data = stores.scenes(6)),
-            arm("scenes_4", "of four", |config, stores| config.data = stores.scenes(4)),
-            arm("scenes_1", "of one", |config, stores| config.data = stores.scenes(1)),
-        ],
+    /// Keeps the first `n` shares of every source.
+    fn share(config: &mut Config, stores: &Stores, n: usize) -> Result<()> {
+        config.data[0] = stores.share("force", n, Supervision::Both)?;
+        for (source, world) in config.data[1..].iter_mut().zip(CONTACT_WORLDS) {
+            *source = stores.share(world, n, Supervision::Proximity)?;
+        }
+        Ok(())
     }
+    let arms = vec![
+        arm("share_100", "all episodes of all four sources", |_, _| Ok(())),
+        arm("share_50", "half of each scene's episodes", |config, stores| share(config, stores, 3)),
+        arm("share_20", "a fifth", |config, stores| share(config, stores, 2)),
+        arm("share_10", "a tenth", |config, stores| share(config, stores, 1)),
+        arm("sources_3", "all episodes of three sources", |config, stores| {
+            config.data = stores.mixture(2)?;
+            Ok(())
+        }),
+        arm("sources_2", "of two", |config, stores| {
+            config.data = stores.mixture(1)?;
+            Ok(())
+        }),
+        arm("sources_1", "of one, the source with force", |config, stores| {
+            config.data = stores.mixture(0)?;
+            Ok(())
+        }),
+    ];
+    Experiment { arms, ..mixed("scaling", "What do more data and more sources give?", []) }
 }
 
 /// Returns the experiment on the limits of the scores: time, resolution and capacity, each reduced and, where possible,
 /// increased. `scaling` asks the same for data.
 fn limits() -> Experiment {
-    Experiment {
-        name: "limits",
-        question: "What limits the scores: time, resolution or capacity?",
-        arms: vec![
-            arm("usual", "as in all experiments", |_, _| ()),
-            arm("steps_half", "half the steps", |config, _| config.steps = config.steps.div_ceil(2)),
-            arm("steps_double", "twice the steps", |config, _| config.steps *= 2),
-            arm("pixels_56", "pictures of 56 pixels, 16 patches", |config, _| geometry(config, |own| own.image = 56)),
-            arm("pixels_84", "of 84 pixels, 36 patches", |config, _| geometry(config, |own| own.image = 84)),
-            arm("width_half", "half as wide", |config, _| widths(config, 48)),
-            arm("width_more", "half as wide again", |config, _| widths(config, 144)),
-        ],
+    fn pixels(config: &mut Config, factor: f64) {
+        geometry(config, |own| {
+            own.image = (((own.image / own.patch) as f64 * factor).round() as usize).max(1) * own.patch
+        });
     }
+    let others = [
+        arm("steps_half", "half the steps", |config, _| {
+            config.steps = config.steps.div_ceil(2);
+            Ok(())
+        }),
+        arm("steps_double", "twice the steps", |config, _| {
+            config.steps *= 2;
+            Ok(())
+        }),
+        arm("pixels_half", "half the resolution, a quarter of the patches", |config, _| {
+            pixels(config, 0.5);
+            Ok(())
+        }),
+        arm("pixels_more", "a quarter more resolution, from the same pictures", |config, _| {
+            pixels(config, 1.25);
+            Ok(())
+        }),
+        arm("decoder_half", "a decoder half as wide", |config, _| {
+            geometry(config, |own| own.width = own.width.div_ceil(2 * own.heads) * own.heads);
+            Ok(())
+        }),
+        arm("decoder_more", "half as wide again", |config, _| {
+            geometry(config, |own| own.width = (3 * own.width).div_ceil(2 * own.heads) * own.heads);
+            Ok(())
+        }),
+    ];
+    mixed("limits", "What limits the scores: time, resolution or capacity?", others)
 }
 
 fn geometry(config: &mut Config, change: impl FnOnce(&mut model::Config)) {
     if let ModelChoice::Explicit(geometry) = &mut config.model {
         change(geometry);
     }
-}
-
-fn widths(config: &mut Config, width: usize) {
-    geometry(config, |own| (own.vision_width, own.width) = (width, width));
 }
 
 #[cfg(test)]
@@ -145,10 +325,38 @@ mod tests {
     #[test]
     fn names_are_known_and_others_are_refused_with_the_list() {
         for name in Experiment::NAMES {
-            assert_eq!(Experiment::by_name(name).unwrap().name, name);
+            let experiment = Experiment::by_name(name).unwrap();
+            assert_eq!(experiment.name, name);
+            assert!(experiment.arms.len() > 1 && !experiment.tests.is_empty());
+            assert!(experiment.tests.iter().any(|test| test.worlds == [OOD]), "{name} is scored out of the domain");
+            let mut names: Vec<_> = experiment.arms.iter().map(|arm| arm.name).collect();
+            names.sort_unstable();
+            names.dedup();
+            assert_eq!(names.len(), experiment.arms.len(), "{name}: arms have names of their own");
         }
-        assert!(
-            Experiment::by_name("ablation").unwrap_err().to_string().contains("ablations, sources, scaling, limits")
-        );
+        let error = Experiment::by_name("ablation").unwrap_err().to_string();
+        assert!(error.contains("sources, consistency, sampling"), "{error}");
+    }
+
+    #[test]
+    fn ablations_start_from_the_mixture_and_change_one_thing() {
+        let stores = Stores::plan(std::path::Path::new("data"), 10, 2, 112, 9).unwrap();
+        let text = "{name: a, data: [.], out: x, model: {vision_width: 48, vision_depth: 2, vision_heads: 3, width: 32, \
+                    depth: 2, heads: 4, image: 56, patch: 14, pretrain_image: 70, horizon: 3, predict: 1}, seed: 1, steps: 9}";
+        let usual = Config { data: stores.mixture(3).unwrap(), ..serde_yaml::from_str(text).unwrap() };
+        for arm in ablations().arms {
+            let mut config = usual.clone();
+            (arm.change)(&mut config, &stores).unwrap();
+            let changed = [
+                config.data != usual.data,
+                config.model != usual.model,
+                config.loss != usual.loss || config.optimizer != usual.optimizer,
+            ];
+            let expected = usize::from(arm.name != "mixed" && arm.name != "paper_recipe");
+            if arm.name != "paper_recipe" {
+                assert_eq!(changed.iter().filter(|changed| **changed).count(), expected, "{}", arm.name);
+            }
+            assert!(config.data[1..].iter().all(|source| source.labels == Supervision::Proximity), "{}", arm.name);
+        }
     }
 }

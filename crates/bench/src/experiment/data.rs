@@ -1,223 +1,230 @@
-//! The rendered data of all experiments: two sources that look different, and held-out episodes within and beyond them.
+//! Rendered data of the experiments: worlds with training and held-out episodes.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use egotac::train::source::TrainingSource;
+use egotac::error::{Error, Result};
+use egotac::sim::scene::Split;
+use egotac::train::source::{Supervision, TrainingSource};
 
-/// Origin of held-out episodes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Domain {
-    /// Unseen seeds of the training scenes, with the cameras of training.
-    InDomain,
-    /// Scenes with objects and a camera that training has not seen.
-    OutOfDomain,
-}
-
-impl Domain {
-    /// Both domains.
-    pub const ALL: [Self; 2] = [Self::InDomain, Self::OutOfDomain];
-
-    /// Returns the name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::InDomain => "in_domain",
-            Self::OutOfDomain => "out_of_domain",
-        }
-    }
-}
-
-/// Camera of some scenes: the `camera` of a scene file.
-struct Appearance {
-    name: &'static str,
-    camera: &'static str,
-    scenes: [&'static str; 4],
-}
-
-/// Cameras of the two training sources, then the camera that training does not see.
-const APPEARANCES: [Appearance; 3] = [
-    // The usual camera of the scenes.
-    Appearance {
-        name: "plain",
-        camera: "{ fovy: [40, 50] }",
-        scenes: ["pinch_cube", "poke", "press_button", "palm_push"],
-    },
-    // A higher camera with a wide, distorted, noisy picture.
-    Appearance {
-        name: "field",
-        camera: "{ eye: [[-0.1, 0.1], [-0.34, -0.24], [0.46, 0.56]], fovy: [54, 62], distortion: [[-0.15, -0.05], 0], noise: [2, 6], shutter: [0, 0.02] }",
-        scenes: ["lift_mug", "open_door", "squeeze_ball", "tripod"],
-    },
-    // A camera at the side with a narrow picture.
-    Appearance {
-        name: "unseen",
-        camera: "{ eye: [[0.12, 0.22], [-0.4, -0.3], [0.4, 0.5]], fovy: [32, 38], noise: [0, 3], distortion: [[0.05, 0.2], 0] }",
-        scenes: ["turn_knob", "wipe_table", "power_grasp", "hold_plate"],
-    },
-];
-
+/// Worlds of the experiments, YAML; see the file.
+const WORLDS: &str = include_str!("worlds.yaml");
+/// Name of the world that no training sees: the split of the same name.
+pub const OOD: &str = "ood";
+/// Worlds whose contact is labelled by distance, in the order in which experiments add them.
+pub const CONTACT_WORLDS: [&str; 3] = ["contact_1", "contact_2", "contact_3"];
 /// Shares of a scene's episodes at which a store ends, per cent: the first n stores hold the n-th share.
 const SHARES: [usize; 4] = [10, 20, 50, 100];
 /// First seed of training episodes, and of held-out ones.
 const SEEDS: [u64; 2] = [70_000, 570_000];
-/// Width and height of the pictures, pixels.
-pub const SIDE: u32 = 112;
 /// Frames per second: at the usual 25, most windows would be nearly the same pictures.
 pub const RATE: f64 = 10.0;
-
-/// Paths of all stores.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Stores {
-    /// Stores of each training scene, in the order of [`APPEARANCES`]; the first n together hold the n-th share.
-    training: Vec<Vec<PathBuf>>,
-    held_out: [Vec<PathBuf>; 2],
-    /// Recipes of all stores.
-    recipes: Vec<Recipe>,
-}
 
 /// Scene and seeds of a store.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recipe {
     /// The store.
     pub path: PathBuf,
-    /// Path of the scene file.
+    /// Path of the scene file, or name of a shipped scene if there is no text.
     pub scene: PathBuf,
-    /// Text of the scene file.
+    /// Text of the scene file; empty for a shipped scene.
     pub text: String,
     /// Episodes.
     pub episodes: usize,
     /// Seed of the first episode.
     pub seed: u64,
+    /// Width and height of the pictures, pixels.
+    pub side: u32,
+}
+
+/// Stores of one world.
+#[derive(Debug, Clone, Default, PartialEq)]
+struct World {
+    /// Stores of each scene; the first n together hold the n-th share. Empty in worlds that only tests see.
+    training: Vec<Vec<Recipe>>,
+    held_out: Vec<Recipe>,
+}
+
+/// Stores of all worlds. Planning makes none: an experiment renders those that it uses.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stores {
+    worlds: BTreeMap<String, World>,
 }
 
 impl Stores {
-    /// Plans the stores in `folder`, with `episodes` training episodes and `held_out` held-out episodes of each scene.
-    pub fn plan(folder: &Path, episodes: usize, held_out: usize) -> Self {
-        let mut stores = Self { training: vec![], held_out: [vec![], vec![]], recipes: vec![] };
-        let scenes =
-            APPEARANCES.iter().enumerate().flat_map(|(at, look)| look.scenes.map(|scene| (at < 2, look, scene)));
-        for (index, (is_training, Appearance { name: appearance, camera, .. }, scene)) in (0..).zip(scenes) {
-            let file = folder.join("scenes").join(format!("{scene}_{appearance}.yaml"));
-            let mut add = |name: String, episodes: usize, seed: u64| {
-                let text = text(scene, camera);
-                // A changed scene makes a new store.
-                let hash = egotac::file::sha256(text.as_bytes());
-                let path = folder.join(format!("{scene}_{name}_{episodes}_{}.zarr", &hash[..8]));
-                let recipe = Recipe { path: path.clone(), scene: file.clone(), text, episodes, seed };
-                stores.recipes.push(recipe);
-                path
-            };
-            let first = |of: u64| of + 1000 * index;
-            if is_training {
-                let (mut own, mut begun) = (vec![], 0);
-                for share in SHARES {
-                    let end = (episodes * share).div_ceil(100);
-                    if end > begun {
-                        own.push(add(format!("train{begun}"), end - begun, first(SEEDS[0]) + begun as u64));
-                        begun = end;
-                    }
+    /// Plans the stores in `folder`: `episodes` training and `held_out` held-out episodes of each scene, with pictures of
+    /// `side` x `side` pixels. At most `scenes` of each world are used.
+    ///
+    /// # Errors
+    /// If the list of worlds does not fit the shipped scenes.
+    pub fn plan(folder: &Path, episodes: usize, held_out: usize, side: u32, scenes: usize) -> Result<Self> {
+        let mut splits = Split::parse("worlds.yaml", WORLDS)?;
+        splits.insert(OOD.into(), Split { rate: Some(RATE), ..Split::named(OOD)? });
+        let mut worlds = BTreeMap::new();
+        for (name, split) in &splits {
+            let mut world = World::default();
+            for scene in split.scenes.iter().take(scenes) {
+                let text = split.text(scene)?;
+                let file = folder.join("scenes").join(format!("{name}_{scene}.yaml"));
+                // A changed scene or another size makes a new store.
+                let hash = &egotac::file::sha256(format!("{side} {text}").as_bytes())[..8];
+                let recipe = |part: &str, episodes: usize, seed: u64| Recipe {
+                    path: folder.join(format!("{name}_{scene}_{part}_{episodes}_{hash}.zarr")),
+                    scene: file.clone(),
+                    text: text.clone(),
+                    episodes,
+                    seed,
+                    side,
+                };
+                if name != OOD {
+                    world.training.push(shares(episodes, |begin, count| {
+                        recipe(&format!("train{begin}"), count, SEEDS[0] + begin as u64)
+                    }));
                 }
-                stores.training.push(own);
+                world.held_out.push(recipe("test", held_out, SEEDS[1]));
             }
-            stores.held_out[usize::from(!is_training)].push(add("test".into(), held_out, first(SEEDS[1])));
+            worlds.insert(name.clone(), world);
         }
-        stores
+        Ok(Self { worlds })
     }
 
-    /// Returns the two sources with all episodes.
-    pub fn sources(&self) -> Vec<TrainingSource> {
-        self.up_to(SHARES.len() - 1)
+    /// Returns the first `n` stores of each of a world's scenes (10, 20, 50, 100 % of the episodes) as a source.
+    ///
+    /// # Errors
+    /// If there is no such world.
+    pub fn share(&self, world: &str, n: usize, labels: Supervision) -> Result<TrainingSource> {
+        let scenes = &self.world(world)?.training;
+        let stores = scenes.iter().flat_map(|stores| stores.iter().take(n.max(1)).map(|recipe| recipe.path.clone()));
+        Ok(TrainingSource { mirror: true, labels, ..TrainingSource::of(stores) })
     }
 
-    /// Returns the two sources with the `n`-th share (10, 20, 50, 100 %) of each scene.
-    pub fn share(&self, n: usize) -> Vec<TrainingSource> {
-        self.up_to(n)
+    /// Returns a world with all its episodes as a source.
+    ///
+    /// # Errors
+    /// As [`Self::share`].
+    pub fn source(&self, world: &str, labels: Supervision) -> Result<TrainingSource> {
+        self.share(world, SHARES.len(), labels)
     }
 
-    /// Returns the first `n` scenes, each as a source, in turn from both training cameras.
-    pub fn scenes(&self, n: usize) -> Vec<TrainingSource> {
-        let half = self.training.len() / 2;
-        let in_turn = (0..half).flat_map(|i| [i, half + i]);
-        in_turn.take(n).map(|scene| mirrored(self.training[scene].clone())).collect()
+    /// Returns the source with force and the first `n` sources by distance: the paper's mixture.
+    ///
+    /// # Errors
+    /// As [`Self::share`].
+    pub fn mixture(&self, n: usize) -> Result<Vec<TrainingSource>> {
+        let mut sources = vec![self.source("force", Supervision::Both)?];
+        for world in &CONTACT_WORLDS[..n.min(CONTACT_WORLDS.len())] {
+            sources.push(self.source(world, Supervision::Proximity)?);
+        }
+        Ok(sources)
     }
 
-    /// Returns the held-out stores of a domain.
-    pub fn held_out(&self, domain: Domain) -> &[PathBuf] {
-        &self.held_out[usize::from(domain == Domain::OutOfDomain)]
+    /// Returns the recipes of the held-out stores of some worlds.
+    ///
+    /// # Errors
+    /// As [`Self::share`].
+    pub fn held_out(&self, worlds: &[&str]) -> Result<Vec<Recipe>> {
+        let mut recipes = Vec::new();
+        for world in worlds {
+            recipes.extend(self.world(world)?.held_out.iter().cloned());
+        }
+        Ok(recipes)
     }
 
-    /// Returns the recipes of all stores.
-    pub fn recipes(&self) -> &[Recipe] {
-        &self.recipes
+    /// Returns the recipe of a store of a training source.
+    pub fn recipe(&self, path: &Path) -> Option<&Recipe> {
+        self.worlds.values().flat_map(|world| world.training.iter().flatten()).find(|recipe| recipe.path == path)
     }
 
-    fn up_to(&self, n: usize) -> Vec<TrainingSource> {
-        let of = |scenes: &[Vec<PathBuf>]| {
-            mirrored(scenes.iter().flat_map(|stores| stores[..(n + 1).min(stores.len())].to_vec()).collect())
-        };
-        self.training.chunks(self.training.len().div_ceil(2).max(1)).map(of).collect()
+    fn world(&self, name: &str) -> Result<&World> {
+        self.worlds.get(name).ok_or_else(|| Error::unknown("world", name, self.worlds.keys().map(String::as_str)))
     }
 }
 
-fn mirrored(stores: Vec<PathBuf>) -> TrainingSource {
-    TrainingSource { mirror: true, ..TrainingSource::of(stores) }
+/// Makes a store for each share's part of `episodes` episodes; small numbers leave some shares without one.
+fn shares(episodes: usize, mut store: impl FnMut(usize, usize) -> Recipe) -> Vec<Recipe> {
+    let (mut own, mut begun) = (vec![], 0);
+    for share in SHARES {
+        let end = (episodes * share).div_ceil(100);
+        if end > begun {
+            own.push(store(begun, end - begun));
+            begun = end;
+        }
+    }
+    own
 }
 
-/// Returns the text of a shipped scene with another camera.
-fn text(scene: &str, camera: &str) -> String {
-    #[cfg(feature = "sim")]
-    let own = egotac::sim::SHIPPED.iter().find(|(name, _)| *name == scene).map_or("", |(_, text)| *text);
-    #[cfg(not(feature = "sim"))]
-    let own = scene;
-    let kept = own.lines().filter(|line| !line.starts_with("camera:") && !line.starts_with("rate:"));
-    let mut text: String = kept.map(|line| format!("{line}\n")).collect();
-    text += &format!("camera: {camera}\nrate: {RATE}\n");
-    text
+/// Returns the recipes of held-out episodes of shipped scenes as they are, and of the split `ood`: for measurements of a
+/// finished network. The first list is of scenes that the shipped network has learned from, in unseen episodes.
+///
+/// # Errors
+/// If the split can't be read.
+pub fn measured(folder: &Path, episodes: usize, side: u32, scenes: usize) -> Result<[Vec<Recipe>; 2]> {
+    let recipe = |name: &str| Recipe {
+        path: folder.join(format!("{}_{episodes}_{side}.zarr", name.replace('/', "_"))),
+        scene: name.into(),
+        text: String::new(),
+        episodes,
+        seed: MEASURED_SEED,
+        side,
+    };
+    let names: Vec<&str> = egotac::sim::SHIPPED.iter().map(|(name, _)| *name).collect();
+    let known = names.iter().take(scenes).map(|name| recipe(name)).collect();
+    let ood = Split::named(OOD)?.scene_names(OOD);
+    Ok([known, ood.iter().take(scenes).map(|name| recipe(name)).collect()])
 }
+
+/// First seed of the episodes that finished networks are measured on: no training and no published score uses them.
+pub const MEASURED_SEED: u64 = 810_000;
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn plan(episodes: usize) -> Stores {
+        Stores::plan(Path::new("data"), episodes, 3, 112, 9).unwrap()
+    }
+
     #[test]
     fn shares_grow_to_the_whole_and_no_seed_is_used_twice() {
-        let stores = Stores::plan(Path::new("data"), 10, 3);
-        let paths =
-            |sources: &[TrainingSource]| sources.iter().flat_map(|source| source.stores.clone()).collect::<Vec<_>>();
-        let all = paths(&stores.sources());
+        let stores = plan(10);
+        let all = stores.source("force", Supervision::Both).unwrap();
         let mut before = 0;
-        for share in 0..4 {
-            let part = paths(&stores.share(share));
-            assert!(part.len() > before && part.iter().all(|path| all.contains(path)));
-            before = part.len();
+        for n in 1..=4 {
+            let part = stores.share("force", n, Supervision::Both).unwrap();
+            assert!(part.stores.len() > before && part.stores.iter().all(|path| all.stores.contains(path)));
+            before = part.stores.len();
         }
-        assert_eq!((before, stores.sources().len()), (all.len(), 2));
-        assert_eq!((stores.scenes(6).len(), stores.scenes(1).len()), (6, 1));
-        let training = |recipe: &&Recipe| all.contains(&recipe.path);
-        let episodes: usize = stores.recipes().iter().filter(training).map(|recipe| recipe.episodes).sum();
-        assert_eq!(episodes, 8 * 10);
-        let mut seeds: Vec<u64> =
-            stores.recipes().iter().flat_map(|recipe| recipe.seed..recipe.seed + recipe.episodes as u64).collect();
-        let count = seeds.len();
-        seeds.sort_unstable();
-        seeds.dedup();
-        assert_eq!((seeds.len(), count), (count, 8 * 13 + 4 * 3));
-        assert_eq!(stores.held_out(Domain::InDomain).len(), 8);
-        assert_eq!(stores.held_out(Domain::OutOfDomain).len(), 4);
+        assert_eq!(before, all.stores.len());
+        let recipes: Vec<&Recipe> = all.stores.iter().filter_map(|path| stores.recipe(path)).collect();
+        assert_eq!(recipes.iter().map(|recipe| recipe.episodes).sum::<usize>(), 4 * 10);
+        for scene in recipes.iter().map(|recipe| &recipe.scene) {
+            let mut seeds: Vec<u64> = recipes
+                .iter()
+                .filter(|recipe| recipe.scene == *scene)
+                .flat_map(|recipe| recipe.seed..recipe.seed + recipe.episodes as u64)
+                .collect();
+            seeds.sort_unstable();
+            assert_eq!(seeds, (SEEDS[0]..SEEDS[0] + 10).collect::<Vec<_>>());
+        }
     }
 
     #[test]
-    fn one_episode_of_each_scene_is_enough() {
-        let stores = Stores::plan(Path::new("data"), 1, 1);
-        assert_eq!(stores.sources()[0].stores.len(), 4);
-        assert_eq!(stores.share(0), stores.sources());
+    fn no_source_has_a_scene_of_the_worlds_that_only_tests_see() {
+        let held_out = Split::named(OOD).unwrap().scenes;
+        for (name, split) in Split::parse("worlds.yaml", WORLDS).unwrap() {
+            assert!(split.scenes.iter().all(|scene| !held_out.contains(scene)), "{name}");
+            assert_eq!(split.rate, Some(RATE), "{name}");
+        }
+        assert_eq!(plan(10).held_out(&[OOD]).unwrap().len(), held_out.len());
+        assert!(plan(10).share(OOD, 4, Supervision::Both).unwrap().stores.is_empty());
     }
 
-    #[cfg(feature = "sim")]
     #[test]
-    fn every_scene_file_parses() {
-        for recipe in Stores::plan(Path::new("data"), 1, 1).recipes() {
-            egotac::sim::Scene::parse("own", &recipe.scene, &recipe.text).unwrap();
-        }
+    fn the_mixture_has_force_in_its_first_source_and_distance_in_the_others() {
+        let sources = plan(1).mixture(3).unwrap();
+        let labels: Vec<Supervision> = sources.iter().map(|source| source.labels).collect();
+        use Supervision::{Both, Proximity};
+        assert_eq!(labels, [Both, Proximity, Proximity, Proximity]);
+        assert!(plan(1).source("force_", Both).unwrap_err().to_string().contains("force_gloved"));
     }
 }

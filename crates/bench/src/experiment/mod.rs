@@ -1,61 +1,88 @@
-//! Experiments on rendered data: one network under several conditions, scored on held-out episodes.
+//! Experiments on rendered data: the paper's claims, tested where a simulation can.
 //!
 //! | experiment | question |
 //! |---|---|
-//! | `ablations` | contribution of each part of the method |
-//! | `sources` | benefit of contact-only data when force labels are scarce |
+//! | `sources` | benefit of sources without force, labelled by distance, across domains |
+//! | `consistency` | benefit of the consistency loss in this mixture |
+//! | `sampling` | temperature and quotas against the starvation of a small source |
+//! | `glove` | gap between gloved and bare hands, and what closes it |
+//! | `history` | benefit of the history of pictures |
+//! | `separation` | touch and no touch, beside a per-frame baseline on crops |
 //! | `scaling` | benefit of more data and more sources |
+//! | `ablations` | contribution of each part of the method |
 //! | `limits` | limit of the scores: time, resolution or capacity |
+//! | `transfer` | dynamics of force against sensors with another layout, gain and spread; no training |
+//! | `decline` | accuracy against occlusion, blur, noise, exposure, resolution and frame rate; no training |
+//! | `attention` | share of the attention on hands and objects; no training |
 //!
-//! The encoder of all runs is trained once, to find the hands' keypoints in the training pictures, without labels of touch.
-//! It replaces a published encoder: without one, a network this small spends a whole run on learning to see.
-//!
-//! Finished runs stay in the work folder, so an experiment can be stopped at any time and resumed.
+//! Arms start from the encoder of a network that has learned, the shipped one by default: a network this small spends a whole
+//! run on learning to see otherwise. Finished runs stay in the work folder, so an experiment can be stopped at any time and
+//! resumed, and experiments share equal runs.
 
 pub mod arm;
+pub mod attention;
+pub mod claims;
+mod crop;
 pub mod data;
+pub mod decline;
+mod degrade;
+mod mask;
+mod measure;
+mod network;
 pub mod plot;
+mod render;
 pub mod report;
+mod sensor;
+pub mod table;
+mod training;
+pub mod transfer;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use candle_core::Device;
-use egotac::dataset::tensors;
-use egotac::dataset::zarr;
-use egotac::error::{Error, Result};
-use egotac::file;
-use egotac::model::{self, Checkpoint, Precision};
-use egotac::train::config::{AugmentConfig, BatchConfig, LossWeights, ModelChoice, OptimizerConfig, SamplingConfig};
-use egotac::train::data::Dataset;
-use egotac::train::{self, Config, Control, Event, predict};
+use egotac::error::Result;
+use serde::Serialize;
 
 use crate::train::{self as bench, Form};
 
 pub use arm::{Arm, Experiment};
-use data::{Domain, Stores};
-pub use report::ExperimentReport;
+use data::{Recipe, Stores};
+pub use network::Network;
+pub use render::render;
+pub use report::Report;
+use training::{BATCH, Run};
 
-/// Clips and windows of a training step.
-const BATCH: BatchConfig = BatchConfig { clips: 10, windows: 3, accumulate: 1 };
-
-/// Factor of the encoder's learning rate: it is trained already.
-const ENCODER_FACTOR: f64 = 0.3;
-/// File name of a run's weights.
-const CHECKPOINT: &str = "checkpoint.safetensors";
+/// Names of the experiments that measure a finished network.
+pub const MEASUREMENTS: [&str; 3] = ["transfer", "decline", "attention"];
 
 /// Size of an experiment.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Size {
-    /// Training episodes of each scene.
+    /// Training episodes of each scene; 0 without training.
     pub episodes: usize,
-    /// Held-out episodes of each scene, in each domain.
+    /// Held-out episodes of each scene.
     pub held_out: usize,
-    /// Optimisation steps of the encoder, before all runs.
-    pub encoder_steps: usize,
-    /// Optimisation steps of a run.
+    /// Optimisation steps of a run; 0 without training.
     pub steps: usize,
     /// Runs of each arm.
     pub seeds: u64,
+    /// Side of the pictures, pixels.
+    pub image: u32,
+    /// Scenes of each world at most.
+    pub scenes: usize,
+}
+
+/// Size, network and work folder of an experiment.
+#[derive(Debug, Clone)]
+pub struct Setup {
+    /// Size.
+    pub size: Size,
+    /// Network that all arms start from, or that is measured.
+    pub network: Network,
+    /// Folder for data and runs.
+    pub work: PathBuf,
+    /// True to measure only the last level of each kind of degradation.
+    pub quick: bool,
 }
 
 /// Work that an experiment still has to do.
@@ -72,188 +99,64 @@ pub struct Budget {
 /// Progress of an experiment.
 #[derive(Debug)]
 pub enum Progress<'a> {
+    /// Episodes rendered, and all episodes.
+    Rendered(u64, u64),
     /// Work to do, sent before the first run.
     Budget(&'a Budget),
     /// Steps of a run: arm, seed, steps done, all steps.
     Step(&'a str, u64, usize, usize),
     /// A finished run: arm, seed.
     Run(&'a str, u64),
+    /// Conditions measured, and all conditions.
+    Measured(usize, usize),
 }
 
-/// Returns the network of all experiments: 112 pixels, and so small that a run takes minutes on two cores.
-pub fn geometry() -> model::Config {
-    model::Config {
-        vision_width: 96,
-        vision_depth: 4,
-        vision_heads: 3,
-        width: 96,
-        depth: 2,
-        heads: 3,
-        ..model::Config::pocket()
-    }
-}
-
-/// Makes the missing runs and scores all.
+/// Renders the missing data, makes the missing runs and scores all.
 ///
 /// # Errors
-/// If data can't be made (rendering needs the feature `sim`), a run fails, or a file can't be written.
+/// If data can't be made, a run fails, or a file can't be written.
 pub fn run(
     experiment: &Experiment,
-    size: &Size,
-    stores: &Stores,
-    work: &Path,
+    setup: &Setup,
+    device: &Device,
     command: String,
-    report_progress: &mut dyn FnMut(Progress),
-) -> Result<ExperimentReport> {
-    let (mut planned, mut encoders): (Vec<_>, Vec<Config>) = Default::default();
-    for arm in &experiment.arms {
-        for seed in 0..size.seeds {
-            let (config, encoder) = config(arm, seed, size, stores, work)?;
-            planned.push((arm, seed, config));
-            if !encoders.iter().any(|other| other.out == encoder.out) {
-                encoders.push(encoder);
-            }
-        }
-    }
-    report_progress(Progress::Budget(&budget(&encoders, &planned)?));
-    for config in &encoders {
-        train_once(config, |done, all| report_progress(Progress::Step("encoder", 0, done, all)))?;
-    }
+    progress: &mut dyn FnMut(Progress),
+) -> Result<Report> {
+    let Size { episodes, held_out, image, scenes, seeds, .. } = setup.size;
+    let stores = Stores::plan(&setup.work.join("data"), episodes, held_out, image, scenes)?;
     let mut runs = Vec::new();
-    for (arm, seed, config) in &planned {
-        let checkpoint = train_once(config, |done, all| report_progress(Progress::Step(arm.name, *seed, done, all)))?;
-        for domain in Domain::ALL {
-            predict_once(&checkpoint, stores.held_out(domain), &fields_file(config, domain))?;
+    for arm in &experiment.arms {
+        for seed in 0..seeds {
+            runs.push(Run::plan(arm, seed, &stores, setup)?);
         }
-        report_progress(Progress::Run(arm.name, *seed));
-        runs.push((*arm, *seed, config));
     }
-    report::make(experiment, size, stores, &runs, command)
-}
-
-/// Returns the configuration of an arm's run and of the encoder that it starts from.
-fn config(arm: &Arm, seed: u64, size: &Size, stores: &Stores, work: &Path) -> Result<(Config, Config)> {
-    let mut config = Config {
-        name: "experiment".into(),
-        data: stores.sources(),
-        sampling: SamplingConfig::default(),
-        validation: Vec::new(),
-        out: PathBuf::new(),
-        model: ModelChoice::Explicit(geometry()),
-        init: None,
-        encoder: None,
-        seed: seed + 1,
-        frame_dt: 1.0 / data::RATE,
-        precision: Precision::F32,
-        steps: size.steps,
-        batch: BATCH,
-        optimizer: OptimizerConfig {
-            learning_rate: 1e-3,
-            weight_decay: 0.05,
-            encoder_factor: Some(ENCODER_FACTOR),
-            ..OptimizerConfig::default()
-        },
-        // Five times the paper's weights, and ten times its weight of force: touch is zero nearly everywhere, and a network
-        // this small learns it from a random start only if force weighs more. Keypoints keep the encoder on the hands.
-        loss: LossWeights {
-            force: 50.0,
-            contact: 5.0,
-            active: 1.0,
-            consistency: 0.25,
-            keypoints: 0.3,
-            ..LossWeights::default()
-        },
-        augment: AugmentConfig::default(),
-        ema: 0.995,
-        save_every: 200,
-        validate_every: size.steps,
-        threads: 1,
-        in_memory: true,
-    };
-    let mut encoder = Config {
-        data: stores.sources(),
-        model: config.model.clone(),
-        seed: 1,
-        steps: size.encoder_steps,
-        batch: BatchConfig { clips: BATCH.clips * BATCH.windows, windows: 1, accumulate: 1 },
-        optimizer: OptimizerConfig { encoder_factor: None, ..config.optimizer },
-        loss: LossWeights {
-            force: 0.0,
-            contact: 0.0,
-            active: 0.0,
-            consistency: 0.0,
-            keypoints: 1.0,
-            ..LossWeights::default()
-        },
-        validate_every: size.encoder_steps.max(1),
-        ..config.clone()
-    };
-    (arm.change)(&mut config, stores);
-    if let (ModelChoice::Explicit(own), ModelChoice::Explicit(of_arm)) = (&mut encoder.model, &config.model) {
-        // One frame is enough to find keypoints.
-        *own = model::Config { horizon: 1, ..of_arm.clone() };
+    let mut recipes: Vec<Recipe> = runs.iter().flat_map(|run| run.recipes(&stores)).collect();
+    for test in &experiment.tests {
+        recipes.extend(stores.held_out(test.worlds)?);
     }
-    encoder.out = folder(work, &encoder)?;
-    config.encoder = Some(encoder.out.join(CHECKPOINT));
-    config.out = folder(work, &config)?;
-    Ok((config, encoder))
-}
-
-/// Returns the folder of a run, named by the hash of its configuration.
-fn folder(work: &Path, config: &Config) -> Result<PathBuf> {
-    let config = Config { out: PathBuf::new(), ..config.clone() };
-    let yaml = serde_yaml::to_string(&config).map_err(|e| Error::value("config", "one that YAML can hold", e))?;
-    Ok(work.join("runs").join(&file::sha256(yaml.as_bytes())[..12]))
+    render(&recipes, progress)?;
+    progress(Progress::Budget(&budget(&runs, device)?));
+    for run in &runs {
+        let (arm, seed) = (run.arm.name, run.seed);
+        run.train(device, |done, all| progress(Progress::Step(arm, seed, done, all)))?;
+        for test in &experiment.tests {
+            run.predict(&test.file(), &stores.held_out(test.worlds)?, device)?;
+        }
+        progress(Progress::Run(arm, seed));
+    }
+    report::make(experiment, setup, &stores, &runs, command)
 }
 
 /// Counts the missing work and times a step.
-fn budget(encoders: &[Config], planned: &[(&Arm, u64, Config)]) -> Result<Budget> {
-    let predicted = |config: &&Config| Domain::ALL.iter().all(|domain| fields_file(config, *domain).exists());
-    let runs = planned.iter().map(|(_, _, config)| config).filter(|config| !predicted(config));
-    let encoders = encoders.iter().filter(|config| !is_trained(config));
-    let missing: Vec<&Config> = encoders.chain(runs).collect();
-    let windows = missing.iter().map(|config| config.steps * config.batch.clips * config.batch.windows).sum();
-    let timed = bench::step(&geometry(), Form { clips: BATCH.clips, windows: BATCH.windows }, 3, &Device::Cpu)?;
-    Ok(Budget { runs: missing.len(), windows, windows_per_s: timed.windows_per_s })
-}
-
-/// Trains a run, or resumes it; returns its checkpoint.
-fn train_once(config: &Config, mut progress: impl FnMut(usize, usize)) -> Result<PathBuf> {
-    if !is_trained(config) {
-        let resume = config.out.join("state.safetensors").exists();
-        train::train(config, resume, &Device::Cpu, &mut |event| {
-            if let Event::Stepped(step) = event {
-                progress(step.step, config.steps);
-            }
-            Control::Continue
-        })?;
-    }
-    Ok(config.out.join(CHECKPOINT))
-}
-
-/// Returns true if the run is finished; a stopped run has a checkpoint of fewer steps.
-fn is_trained(config: &Config) -> bool {
-    Checkpoint::load(&config.out.join(CHECKPOINT), &Device::Cpu)
-        .is_ok_and(|checkpoint| steps_of(&checkpoint.metadata.training) == Some(config.steps))
-}
-
-/// Reads the number of steps from a checkpoint's record of its training.
-fn steps_of(record: &str) -> Option<usize> {
-    serde_json::from_str::<serde_json::Value>(record).ok()?["steps"].as_u64().map(|steps| steps as usize)
-}
-
-fn fields_file(config: &Config, domain: Domain) -> PathBuf {
-    config.out.join(format!("{}.safetensors", domain.name()))
-}
-
-/// Writes a checkpoint's predictions on stores, unless the file exists.
-fn predict_once(checkpoint: &Path, stores: &[PathBuf], out: &Path) -> Result<()> {
-    if out.exists() {
-        return Ok(());
-    }
-    let checkpoint = Checkpoint::load(checkpoint, &Device::Cpu)?;
-    let data =
-        Dataset::new(zarr::open_all(stores)?, checkpoint.metadata.preparation(checkpoint.model.config()), false)?;
-    let predicted = predict(&checkpoint.model, &checkpoint.metadata, &data, &Device::Cpu, |_| ())?;
-    tensors::write(out, &predicted, Default::default())
+fn budget(runs: &[Run], device: &Device) -> Result<Budget> {
+    let missing: Vec<&Run> = runs.iter().filter(|run| !run.is_trained()).collect();
+    let windows = missing.iter().map(|run| run.config.steps * BATCH.clips * BATCH.windows).sum();
+    let windows_per_s = match missing.first() {
+        Some(run) => {
+            let form = Form { clips: BATCH.clips, windows: BATCH.windows };
+            bench::step(&run.config.geometry()?, form, 3, device)?.windows_per_s
+        }
+        None => f64::INFINITY,
+    };
+    Ok(Budget { runs: missing.len(), windows, windows_per_s })
 }

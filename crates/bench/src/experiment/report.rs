@@ -1,38 +1,38 @@
-//! Results of an experiment: scores of every run, and each arm against the first.
+//! Results of an experiment: scores of every run, constants beside them, and each arm against the first.
 
-use egotac::dataset::tensors;
-use egotac::dataset::zarr;
+use std::collections::BTreeMap;
+
+use egotac::dataset::{tensors, zarr};
 use egotac::error::Result;
+use egotac::hand::Side;
 use egotac::machine::Machine;
-use egotac::model::checkpoint::parameter_count;
-use egotac::score::metrics::Difference;
-use egotac::score::metrics::{self, EvalOptions};
+use egotac::model::{Metadata, checkpoint::parameter_count};
+use egotac::score::metrics::baseline;
+use egotac::score::metrics::{self, Calibration, EvalOptions, VertexGroup};
 use egotac::tactile::TactileSequence;
-use egotac::text::put;
-use egotac::train::Config;
 use egotac::train::data::Dataset;
-use serde::Serialize;
+use egotac::train::source::{Supervision, TrainingSource};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
-use super::data::{Domain, SIDE, Stores};
-use super::{Arm, Experiment, Size, fields_file};
+use super::arm::{Experiment, Test};
+use super::data::{Recipe, Stores};
+use super::network::Network;
+use super::training::Run;
+use super::{Setup, Size};
 
-/// Scores in tables and plots: name in a report, name for readers, true if more is better.
-pub const SHOWN: [(&str, &str, bool); 6] = [
-    ("pooled.f1", "contact F1", true),
-    ("pooled.iou", "contact IoU", true),
-    ("pooled.auroc", "AUROC", true),
-    ("active_mae", "active MAE (N)", false),
-    ("temporal_pearson", "temporal Pearson", true),
-    ("force_cosine", "force cosine", true),
-];
+/// Format of the JSON; a changed meaning of a number gets a higher one, and reports of lower ones are not read.
+pub const FORMAT: u32 = 2;
 
 /// Results of an experiment.
 #[derive(Debug, Clone, Serialize)]
-pub struct ExperimentReport {
+pub struct Report {
+    /// [`FORMAT`].
+    pub format: u32,
     /// Name of the experiment.
-    pub experiment: &'static str,
+    pub experiment: String,
     /// Question of the experiment.
-    pub question: &'static str,
+    pub question: String,
     /// The command that measures the same again.
     pub command: String,
     /// Version of egotac.
@@ -41,221 +41,298 @@ pub struct ExperimentReport {
     pub machine: Machine,
     /// Size of the experiment.
     pub size: Size,
-    /// Side of the input, pixels.
-    pub image: u32,
-    /// Parameters of the network.
+    /// Network that all arms start from, or that was measured.
+    pub network: Network,
+    /// Parameters of the first arm's network.
     pub parameters: usize,
-    /// Held-out frames in and out of the domain.
-    pub held_out_frames: [usize; 2],
+    /// How the differences are made, in words.
+    pub differences: String,
+    /// Held-out frames that the arms are scored on.
+    pub tests: Vec<TestInfo>,
     /// Results of the arms; the others are compared with the first.
     pub arms: Vec<ArmReport>,
 }
 
-/// Results of one arm.
-#[derive(Debug, Clone, Serialize)]
+/// Held-out frames of a test.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TestInfo {
+    /// Name.
+    pub name: String,
+    /// Title in tables.
+    pub title: String,
+    /// True if the truth has forces; otherwise it is contact by distance.
+    pub force: bool,
+    /// Frames.
+    pub frames: usize,
+    /// Episodes.
+    pub episodes: usize,
+    /// Names of the scores whose differences tables show.
+    pub compared: [&'static str; 2],
+}
+
+/// Difference of one score from the reference.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Difference {
+    /// Name of the score in the JSON, e.g. `frame_mean.f1`.
+    pub name: String,
+    /// The arm's score minus the reference's.
+    pub difference: Option<f64>,
+    /// 95 % interval of the difference over resamples of the episodes, the same ones for both.
+    pub interval: Option<[f64; 2]>,
+}
+
+/// Results of one arm, of a condition, or of a constant prediction.
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct ArmReport {
-    /// Name of the arm.
-    pub name: &'static str,
+    /// Name.
+    pub name: String,
     /// Difference from the usual run, in words.
-    pub about: &'static str,
+    pub about: String,
+    /// True for a prediction that sees no picture.
+    pub constant: bool,
     /// Training frames.
-    pub training_frames: usize,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub training_frames: Option<usize>,
     /// Minutes of training, by seed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub minutes: Vec<f64>,
-    /// Scores in the domain.
-    pub in_domain: DomainReport,
-    /// Scores out of the domain.
-    pub out_of_domain: DomainReport,
+    /// Scores by test.
+    pub tests: BTreeMap<String, Scores>,
 }
 
-/// Scores in one domain.
-#[derive(Debug, Clone, Serialize)]
-pub struct DomainReport {
-    /// Scores of each seed.
-    pub seeds: Vec<metrics::Metrics>,
-    /// Differences from the first arm over all seeds, with 95 % intervals by resampling the same episodes for both.
-    pub against_first: Vec<Difference>,
+/// Scores of an arm in one test.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct Scores {
+    /// Scores of each seed, as `egotac eval --json` names them.
+    pub seeds: Vec<Value>,
+    /// Differences from the reference by seed, with 95 % intervals by resampling the same episodes for both.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub differences: Vec<Vec<Difference>>,
 }
 
-impl ArmReport {
-    /// Returns the scores in a domain.
-    pub fn domain(&self, domain: Domain) -> &DomainReport {
-        match domain {
-            Domain::InDomain => &self.in_domain,
-            Domain::OutOfDomain => &self.out_of_domain,
+impl Scores {
+    /// Scores one prediction; with a reference also the difference from it.
+    ///
+    /// # Errors
+    /// If a prediction does not fit the truth.
+    pub fn push(
+        &mut self,
+        predicted: &TactileSequence,
+        reference: Option<&TactileSequence>,
+        truth: &TactileSequence,
+        options: &EvalOptions,
+    ) -> Result<()> {
+        self.seeds.push(value(&metrics::evaluate(predicted, truth, options)?));
+        if let Some(reference) = reference {
+            let compared = metrics::compare(predicted, reference, truth, options, 0)?.differences.into_iter();
+            let own = compared.map(|of| Difference {
+                name: of.name.to_string(),
+                difference: of.difference,
+                interval: of.interval,
+            });
+            self.differences.push(own.collect());
         }
+        Ok(())
+    }
+
+    /// Returns a score of each seed by its name in the JSON, such as `frame_mean.f1`.
+    pub fn score(&self, name: &str) -> Vec<Option<f64>> {
+        self.seeds.iter().map(|seed| score(seed, name)).collect()
+    }
+
+    /// Returns the mean difference over seeds, and the hull of the seeds' intervals: a difference beyond it holds in each
+    /// seed.
+    pub fn difference(&self, name: &str) -> Option<(f64, [f64; 2])> {
+        let found = self.differences.iter().map(|seed| {
+            let of = seed.iter().find(|difference| difference.name == name)?;
+            Some((of.difference?, of.interval?))
+        });
+        let found = found.collect::<Option<Vec<_>>>().filter(|found| !found.is_empty())?;
+        let mean = found.iter().map(|(difference, _)| difference).sum::<f64>() / found.len() as f64;
+        let low = found.iter().map(|(_, [low, _])| *low).fold(f64::INFINITY, f64::min);
+        let high = found.iter().map(|(_, [_, high])| *high).fold(f64::NEG_INFINITY, f64::max);
+        Some((mean, [low, high]))
     }
 }
 
-impl DomainReport {
-    /// Returns a score of [`SHOWN`] for each seed.
-    pub fn score(&self, name: &str) -> Vec<Option<f64>> {
-        let of = |report: &metrics::Metrics| match name {
-            "pooled.f1" => report.pooled.f1,
-            "pooled.iou" => report.pooled.iou,
-            "pooled.auroc" => report.pooled.auroc,
-            "active_mae" => report.active_mae,
-            "temporal_pearson" => report.temporal_pearson,
-            _ => report.force_cosine,
-        };
-        self.seeds.iter().map(of).collect()
-    }
+/// Returns a score by its name in the JSON, with dots between levels.
+pub fn score(metrics: &Value, name: &str) -> Option<f64> {
+    name.split('.').try_fold(metrics, |value, key| value.get(key))?.as_f64()
+}
+
+/// Converts to JSON a value that can always be.
+fn value<T: Serialize>(of: &T) -> Value {
+    serde_json::to_value(of).unwrap_or_default()
 }
 
 /// Scores the predictions of all runs.
+///
+/// # Errors
+/// If a store or a prediction can't be read.
 pub(super) fn make(
     experiment: &Experiment,
-    size: &Size,
+    setup: &Setup,
     stores: &Stores,
-    runs: &[(&Arm, u64, &Config)],
+    runs: &[Run],
     command: String,
-) -> Result<ExperimentReport> {
-    let mut truths = Vec::new();
-    for domain in Domain::ALL {
-        truths.push(truth(stores, domain)?);
-    }
+) -> Result<Report> {
     let mut arms = Vec::new();
     for arm in &experiment.arms {
-        let own = runs_of(runs, arm);
-        let first = runs_of(runs, &experiment.arms[0]);
-        let mut domains = Vec::new();
-        for (domain, truth) in Domain::ALL.into_iter().zip(&truths) {
-            domains.push(score(&own, &first, domain, truth)?);
-        }
-        let minutes = own.iter().map(|config| minutes(config)).collect();
-        let training_frames = own.first().map_or(Ok(0), |config| frames(config))?;
-        if let (Some(out_of_domain), Some(in_domain)) = (domains.pop(), domains.pop()) {
-            let (name, about) = (arm.name, arm.about);
-            arms.push(ArmReport { name, about, training_frames, minutes, in_domain, out_of_domain });
-        }
+        let own: Vec<&Run> = runs.iter().filter(|run| run.arm.name == arm.name).collect();
+        arms.push(ArmReport {
+            name: arm.name.into(),
+            about: arm.about.into(),
+            constant: false,
+            training_frames: own.first().map(|run| run.frames()).transpose()?,
+            minutes: own.iter().map(|run| run.minutes()).collect(),
+            tests: BTreeMap::new(),
+        });
     }
-    Ok(ExperimentReport {
-        experiment: experiment.name,
-        question: experiment.question,
+    let constants = constants(experiment.arms[0].name, runs)?;
+    let mut rows = Vec::new();
+    let mut tests = Vec::new();
+    for test in &experiment.tests {
+        let held_out = stores.held_out(test.worlds)?;
+        let truth = truth(&held_out, test, setup)?;
+        let options = options(&truth, None);
+        let force = test.truth == Supervision::Both;
+        tests.push(TestInfo {
+            name: test.name.into(),
+            title: test.title.into(),
+            force,
+            frames: truth.n_frames(),
+            episodes: truth.episodes().len(),
+            compared: ["frame_mean.f1", if force { "temporal_pearson" } else { "frame_mean.auroc" }],
+        });
+        let read = |arm: &str, seed: u64| -> Result<TactileSequence> {
+            let run = runs.iter().find(|run| run.arm.name == arm && run.seed == seed);
+            let path = run.map(|run| run.config.out.join(format!("{}.safetensors", test.file())));
+            tensors::read(&path.unwrap_or_default())
+        };
+        for seed in 0..setup.size.seeds {
+            let reference = read(experiment.arms[0].name, seed)?;
+            for (index, arm) in arms.iter_mut().enumerate() {
+                let scores = arm.tests.entry(test.name.into()).or_default();
+                match index {
+                    0 => scores.push(&reference, None, &truth, &options)?,
+                    _ => scores.push(&read(&arm.name, seed)?, Some(&reference), &truth, &options)?,
+                }
+            }
+        }
+        score_blind(&mut rows, test.name, &constants, &truth, &options)?;
+    }
+    arms.extend(rows);
+    let geometry = runs[0].config.geometry()?;
+    Ok(Report {
+        format: FORMAT,
+        experiment: experiment.name.into(),
+        question: experiment.question.into(),
         command,
         egotac: egotac::VERSION,
         machine: Machine::this(),
-        size: size.clone(),
-        image: SIDE,
-        parameters: parameter_count(&super::geometry())?,
-        held_out_frames: [truths[0].n_frames(), truths[1].n_frames()],
+        size: setup.size.clone(),
+        network: setup.network.clone(),
+        parameters: parameter_count(&geometry)?,
+        differences: format!("from the arm `{}` with the same seed", experiment.arms[0].name),
+        tests,
         arms,
     })
 }
 
-fn runs_of<'a>(runs: &[(&Arm, u64, &'a Config)], arm: &Arm) -> Vec<&'a Config> {
-    runs.iter().filter(|(of, ..)| of.name == arm.name).map(|(_, _, config)| *config).collect()
+/// Returns the constant predictions of the first arm's training data.
+fn constants(arm: &str, runs: &[Run]) -> Result<Vec<baseline::Constant>> {
+    let Some(run) = runs.iter().find(|run| run.arm.name == arm) else { return Ok(Vec::new()) };
+    let preparation = Metadata::new("labels", 1.0, 0.1).preparation(&run.config.geometry()?);
+    let labels = Dataset::open(&run.config.data, preparation, false)?.labels()?;
+    Ok(baseline::constants(&labels).into_iter().collect())
 }
 
-fn truth(stores: &Stores, domain: Domain) -> Result<TactileSequence> {
-    let preparation = egotac::model::Metadata::new("truth", 1.0, 0.1).preparation(&super::geometry());
-    Dataset::new(zarr::open_all(stores.held_out(domain))?, preparation, false)?.labels()
+/// Scores the predictions that see no picture in one test: constants, and the truth of the frame before; adds them to `rows`.
+///
+/// # Errors
+/// If a constant does not fit the truth.
+pub(super) fn score_blind(
+    rows: &mut Vec<ArmReport>,
+    test: &str,
+    constants: &[baseline::Constant],
+    truth: &TactileSequence,
+    options: &EvalOptions,
+) -> Result<()> {
+    let constants = constants
+        .iter()
+        .map(|constant| (constant.name, "the same in every frame, from labels", constant.sequence(truth.n_frames())));
+    let persistence = ("persistence", "the truth of the frame before", baseline::persistence(truth, None));
+    for (name, about, predicted) in constants.chain([persistence]) {
+        let at = rows.iter().position(|row| row.name == name).unwrap_or_else(|| {
+            rows.push(ArmReport {
+                name: name.into(),
+                about: about.into(),
+                constant: true,
+                training_frames: None,
+                minutes: Vec::new(),
+                tests: BTreeMap::new(),
+            });
+            rows.len() - 1
+        });
+        rows[at].tests.entry(test.into()).or_default().push(&predicted, None, truth, options)?;
+    }
+    Ok(())
 }
 
-fn score(own: &[&Config], first: &[&Config], domain: Domain, truth: &TactileSequence) -> Result<DomainReport> {
-    let read = |runs: &[&Config]| -> Result<Vec<TactileSequence>> {
-        runs.iter().map(|config| tensors::read(&fields_file(config, domain))).collect()
-    };
-    let predicted = read(own)?;
-    let options = EvalOptions { fps: truth.fps(), calibration: None };
-    let seeds = predicted.iter().map(|sequence| metrics::evaluate(sequence, truth, &options));
-    let seeds = seeds.collect::<Result<Vec<_>>>()?;
-    // The seeds are concatenated, and the truth is repeated for each.
-    let repeated = joined(std::iter::repeat_n(truth, predicted.len()))?;
-    let comparison = metrics::compare(&joined(&predicted)?, &joined(&read(first)?)?, &repeated, &options, 0)?;
-    Ok(DomainReport { seeds, against_first: comparison.differences })
+/// Reads the truth of a test.
+fn truth(held_out: &[Recipe], test: &Test, setup: &Setup) -> Result<TactileSequence> {
+    let source = TrainingSource { labels: test.truth, ..TrainingSource::of(held_out.iter().map(|r| r.path.clone())) };
+    let preparation = Metadata::new("truth", 1.0, 0.1).preparation(&setup.network.geometry);
+    let mut truth = Dataset::open(&[source], preparation, false)?.labels()?;
+    if test.right_hand {
+        VertexGroup::hand(Side::Right).restrict(&mut truth);
+    }
+    Ok(truth)
 }
 
-fn joined<'a>(sequences: impl IntoIterator<Item = &'a TactileSequence>) -> Result<TactileSequence> {
+/// Returns the settings of an evaluation against `truth`; without a calibration each side has its own range.
+pub(super) fn options(truth: &TactileSequence, calibration: Option<Calibration>) -> EvalOptions {
+    EvalOptions { fps: truth.fps(), calibration }
+}
+
+/// Reads the truth, force and contact, of stores, one behind the other.
+///
+/// # Errors
+/// If a store can't be read.
+pub(super) fn force_truth(recipes: &[Recipe]) -> Result<TactileSequence> {
     let mut all = TactileSequence::default();
-    sequences.into_iter().try_for_each(|sequence| all.append(sequence))?;
+    for recipe in recipes {
+        all.append(&zarr::read_truth(&zarr::ZarrReader::open(&recipe.path)?)?)?;
+    }
     Ok(all)
 }
 
-/// Counts the training frames of a run.
-fn frames(config: &Config) -> Result<usize> {
-    let paths: Vec<_> = config.data.iter().flat_map(|source| source.stores.clone()).collect();
-    Ok(zarr::open_all(&paths)?.iter().map(zarr::ZarrReader::len).sum())
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// Returns the minutes of all steps in a run's log.
-fn minutes(config: &Config) -> f64 {
-    let text = std::fs::read_to_string(config.out.join("log.csv")).unwrap_or_default();
-    let mut lines = text.lines();
-    let column = lines.next().and_then(|line| line.split(',').position(|name| name == "secs"));
-    let secs = lines.filter_map(|line| line.split(',').nth(column?)?.parse::<f64>().ok());
-    secs.sum::<f64>() / 60.0
-}
-
-impl ExperimentReport {
-    /// Returns the report as Markdown.
-    pub fn markdown(&self) -> String {
-        let Size { episodes, held_out, encoder_steps, steps, seeds } = self.size;
-        let mut text = format!(
-            "# {}\n\n{} Written by `{}`, egotac {}, {}. Numbers: `{}.json`.\n\n\
-             {seeds} seeds; {steps} steps of up to 30 windows; {episodes} episodes of each training scene, {held_out} held-out ones \
-             of each scene; {} px, {} parameters.\nThe encoder has learned in {encoder_steps} steps to find the hands' keypoints in the \
-             training pictures, without a word of touch; all else starts\nat random. A score is the mean over seeds with the least and the most; \
-             in the column *against `{}`* the difference of F1\nwith its 95 % interval (episodes of all seeds drawn anew, the same \
-             for both arms).\n",
-            self.experiment,
-            self.question,
-            self.command,
-            self.egotac,
-            self.machine,
-            self.experiment,
-            self.image,
-            self.parameters,
-            self.arms.first().map_or("", |arm| arm.name),
-        );
-        for (domain, frames) in Domain::ALL.into_iter().zip(self.held_out_frames) {
-            let title = match domain {
-                Domain::InDomain => "In the domain: unseen seeds of the training scenes",
-                Domain::OutOfDomain => "Out of the domain: unseen scenes, objects and camera",
-            };
-            let names: Vec<&str> = SHOWN.iter().map(|(_, name, _)| *name).collect();
-            put(&mut text, format_args!("\n## {title} ({frames} frames)\n"));
-            put(
-                &mut text,
-                format_args!(
-                    "| arm | what is other | training frames | {} | F1 against `{}` |",
-                    names.join(" | "),
-                    self.arms.first().map_or("", |arm| arm.name)
-                ),
-            );
-            put(&mut text, format_args!("|---|---|---|{}---|", "---|".repeat(SHOWN.len())));
-            for arm in &self.arms {
-                let scores: Vec<String> =
-                    SHOWN.iter().map(|(name, ..)| spread(&arm.domain(domain).score(name))).collect();
-                let difference = arm.domain(domain).against_first.iter().find(|d| d.name == "pooled.f1");
-                let against = match difference.and_then(|d| Some((d.difference?, d.interval?))) {
-                    Some((difference, [low, high])) if arm.name != self.arms[0].name => {
-                        format!("{difference:+.3} ({low:+.3} .. {high:+.3})")
-                    }
-                    _ => "—".into(),
-                };
-                put(
-                    &mut text,
-                    format_args!(
-                        "| {} | {} | {} | {} | {against} |",
-                        arm.name,
-                        arm.about,
-                        arm.training_frames,
-                        scores.join(" | ")
-                    ),
-                );
-            }
-        }
-        text
+    fn difference(difference: f64, interval: [f64; 2]) -> Vec<Difference> {
+        vec![Difference { name: "mae".into(), difference: Some(difference), interval: Some(interval) }]
     }
-}
 
-/// Formats mean (least..most); a dash if a seed leaves the score undefined.
-fn spread(values: &[Option<f64>]) -> String {
-    let Some(values) = values.iter().copied().collect::<Option<Vec<f64>>>().filter(|values| !values.is_empty()) else {
-        return "—".into();
-    };
-    let mean = values.iter().sum::<f64>() / values.len() as f64;
-    let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
-    format!("{mean:.3} ({low:.3}..{high:.3})")
+    #[test]
+    fn a_difference_is_the_seeds_mean_within_the_hull_of_their_intervals() {
+        let differences = vec![difference(0.1, [0.02, 0.2]), difference(0.3, [-0.1, 0.6])];
+        let scores = Scores { seeds: vec![], differences };
+        let (mean, [low, high]) = scores.difference("mae").unwrap();
+        assert!((mean - 0.2).abs() < 1e-12 && low == -0.1 && high == 0.6);
+        assert_eq!(scores.difference("active_mae"), None);
+        assert_eq!(Scores::default().difference("mae"), None);
+    }
+
+    #[test]
+    fn scores_are_found_by_their_names() {
+        let scores = Scores {
+            seeds: vec![serde_json::json!({"mae": 0.5, "frame_mean": {"f1": 0.25, "iou": null}})],
+            differences: vec![],
+        };
+        assert_eq!(scores.score("mae"), [Some(0.5)]);
+        assert_eq!(scores.score("frame_mean.f1"), [Some(0.25)]);
+        assert_eq!((scores.score("frame_mean.iou"), scores.score("pooled.f1")), (vec![None], vec![None]));
+    }
 }

@@ -8,13 +8,18 @@ use egotac::error::{Error, Result};
 
 use super::content;
 
-/// Removes everything in a folder.
+/// Removes everything in a folder; the folder stays, as a disk may be mounted there.
 ///
 /// # Errors
-/// If a file can't be read or written.
+/// If a file can't be read or removed.
 pub fn clear(folder: &Path) -> Result<()> {
-    fs::remove_dir_all(folder).map_err(Error::io(folder))?;
-    fs::create_dir_all(folder).map_err(Error::io(folder))
+    for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
+        let path = entry.map_err(Error::io(folder))?.path();
+        let is_folder = path.is_dir() && !path.is_symlink();
+        let removed = if is_folder { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+        removed.map_err(Error::io(&path))?;
+    }
+    Ok(())
 }
 
 /// Copies a file or folder over `to`, with the times of the original.

@@ -13,6 +13,7 @@ use super::check::{Harm, Reference};
 use super::fault::Fault;
 use super::inject::{Counts, Injection, Library};
 use super::process::{Ended, Running};
+use super::small_disk::SmallDisk;
 use super::subject::{Kind, Subject};
 
 /// Exit status if a part of the input could not be labelled.
@@ -75,6 +76,7 @@ impl Bench<'_> {
         let own = self.own_input(fault, folder)?;
         let input = own.as_deref().or(self.subject.input.as_deref());
         let mut harm = Harm::default();
+        let disk = self.small_disk(fault, draw, folder)?;
         let ended = self.disturb(fault, draw, folder, input, &mut harm)?;
         let out = folder.join(self.subject.out);
         self.judge(fault, ended.as_ref(), &out, &mut harm);
@@ -82,6 +84,7 @@ impl Bench<'_> {
             restore(whole, own)?;
         }
         fs::create_dir_all(folder.join("out")).map_err(Error::io(folder))?;
+        disk.as_ref().map_or(Ok(()), SmallDisk::make_room)?;
         let recovery_secs = self.recover(fault, folder, input, ended.and_then(|ended| ended.code), &mut harm)?;
         self.reference.compare(&out, false, &mut harm);
         self.leftovers(folder, &mut harm)?;
@@ -100,6 +103,15 @@ impl Bench<'_> {
         let own = folder.join("in").join(input.file_name().unwrap_or_default());
         restore(input, &own)?;
         Ok(Some(own))
+    }
+
+    /// Mounts the disk that the fault is about; its sizes are spread from nothing to that of the output.
+    fn small_disk(&self, fault: Fault, draw: Draw, folder: &Path) -> Result<Option<SmallDisk>> {
+        if fault != Fault::SmallDisk {
+            return Ok(None);
+        }
+        let part = (2 * draw.run as u64 + 1, 2 * draw.runs.max(1) as u64);
+        SmallDisk::mount(&folder.join("out"), self.reference.bytes * part.0 / part.1).map(Some)
     }
 
     fn command(&self, arguments: Vec<OsString>) -> Command {
@@ -129,6 +141,9 @@ impl Bench<'_> {
                 self.label_other(folder, harm)?;
             }
             return Ok(Some(ended));
+        }
+        if fault == Fault::SmallDisk {
+            return Running::start(command, folder, "faulted")?.wait(self.limit()).map(Some);
         }
         if fault == Fault::FewFiles {
             let mut limited = Command::new("sh");

@@ -49,6 +49,8 @@ pub struct Reference {
     pub files: BTreeMap<PathBuf, Vec<u8>>,
     /// Files that differ between two undisturbed runs.
     pub varying: Vec<PathBuf>,
+    /// Size of all files, bytes.
+    pub bytes: u64,
 }
 
 impl Reference {
@@ -60,6 +62,7 @@ impl Reference {
         let (mut files, other) = (content::files(first)?, content::files(second)?);
         let varies =
             |(name, bytes): (&PathBuf, &Vec<u8>)| !other.get(name).is_some_and(|b| content::is_same(name, bytes, b));
+        let bytes = files.values().map(|bytes| bytes.len() as u64).sum();
         let varying: Vec<PathBuf> = files.iter().filter(|file| varies(*file)).map(|(name, _)| name.clone()).collect();
         files.retain(|name, _| !varying.contains(name));
         let mut entries = BTreeMap::new();
@@ -73,7 +76,7 @@ impl Reference {
             let message = format!("expected images that differ, got {} of {} images", different.len(), all.len());
             return Err(egotac::Error::file(first, message));
         }
-        Ok(Self { entries, files, varying })
+        Ok(Self { entries, files, varying, bytes })
     }
 
     /// Compares the finished output at `out`. If `partly`, labels may be missing, as the exit status says.

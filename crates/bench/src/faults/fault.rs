@@ -21,8 +21,10 @@ pub enum Fault {
     ReadError,
     /// EIO at a write, fsync or rename.
     WriteError,
-    /// ENOSPC from some write on.
+    /// ENOSPC from some write on, by the preloaded library.
     DiskFull,
+    /// A small disk that the output fills.
+    SmallDisk,
     /// EROFS from some change on.
     ReadOnly,
     /// The output's folder is moved away.
@@ -41,13 +43,14 @@ pub enum Fault {
 
 impl Fault {
     /// All faults, in the order of the table.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::KillAtRandom,
         Self::KillAtCall,
         Self::Stop,
         Self::ReadError,
         Self::WriteError,
         Self::DiskFull,
+        Self::SmallDisk,
         Self::ReadOnly,
         Self::Vanishing,
         Self::Twice,
@@ -65,7 +68,8 @@ impl Fault {
             Self::Stop => "SIGSTOP, SIGCONT",
             Self::ReadError => "EIO at a read",
             Self::WriteError => "EIO at a write, fsync or rename",
-            Self::DiskFull => "disk full",
+            Self::DiskFull => "disk full (ENOSPC)",
+            Self::SmallDisk => "disk full (tmpfs)",
             Self::ReadOnly => "read-only output",
             Self::Vanishing => "output's folder vanishes",
             Self::Twice => "two runs at once",
@@ -76,11 +80,13 @@ impl Fault {
         }
     }
 
-    /// Returns the number of runs with `subject`.
-    pub fn runs(self, subject: &Subject, short: bool) -> usize {
+    /// Returns the number of runs with `subject`; `most` is that of the faults whose moment is drawn from the whole run.
+    pub fn runs(self, subject: &Subject, short: bool, most: usize) -> usize {
         let possible = match self {
             Self::ReadError | Self::Truncated | Self::Growing => subject.input.is_some(),
             Self::OtherInput => subject.other.is_some(),
+            // Its rendered data lie in the output and must be there first.
+            Self::SmallDisk => subject.kind != Kind::Experiment,
             _ => true,
         };
         let everything = matches!(subject.name, "label, store" | "train");
@@ -90,9 +96,9 @@ impl Fault {
             // Rendering its data takes minutes.
             (true, true, Kind::Experiment) => 0,
             (true, true, _) => usize::from(everything || few),
-            (true, false, Kind::Experiment) => 3,
-            (true, false, _) if matches!(self, Self::KillAtRandom | Self::KillAtCall | Self::WriteError) => 24,
-            (true, false, _) => 6,
+            (true, false, Kind::Experiment) => most.div_ceil(8),
+            (true, false, _) if matches!(self, Self::KillAtRandom | Self::KillAtCall | Self::WriteError) => most,
+            (true, false, _) => most.div_ceil(4),
         }
     }
 

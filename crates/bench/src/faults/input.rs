@@ -83,6 +83,14 @@ pub fn checkpoint(path: &Path, seed: u64) -> Result<()> {
 /// # Errors
 /// If it can't be written.
 pub fn store(path: &Path, recording: u16) -> Result<()> {
+    store_of(path, recording, 0..2 * FRAMES)
+}
+
+/// As [`store`], with the images of these numbers.
+///
+/// # Errors
+/// If it can't be written.
+pub fn store_of(path: &Path, recording: u16, images: impl IntoIterator<Item = usize>) -> Result<()> {
     let attributes = Attributes {
         topology: Topology::default(),
         sigma: 0.0,
@@ -93,10 +101,10 @@ pub fn store(path: &Path, recording: u16) -> Result<()> {
         seed: recording.into(),
     };
     let mut writer = ZarrWriter::create(path, attributes, Contact::Truth, Vec::new())?;
-    for index in 0..2 * FRAMES {
+    for (place, index) in images.into_iter().enumerate() {
         let force = (0..N_FIELD).map(|vertex| if vertex % 7 == index % 7 { 0.4 } else { 0.0 }).collect();
         writer.push(Frame {
-            timestamp: STEP_SECS * index as f64,
+            timestamp: STEP_SECS * place as f64,
             camera_ego_rgb: picture(recording, index),
             field: TactileField::from_force(Topology::default(), force)?,
             force_valid: vec![1; N_FIELD],
@@ -105,7 +113,7 @@ pub fn store(path: &Path, recording: u16) -> Result<()> {
             left_hand_pose: None,
             right_hand_pose: None,
         })?;
-        if index % FRAMES == FRAMES - 1 {
+        if place % FRAMES == FRAMES - 1 {
             writer.end_episode()?;
         }
     }

@@ -11,6 +11,7 @@ pub mod inject;
 pub mod input;
 mod judge;
 pub mod process;
+mod small_disk;
 pub mod subject;
 pub mod table;
 
@@ -26,6 +27,7 @@ use case::{Bench, Draw, undisturbed};
 use check::{Harm, Reference};
 use fault::Fault;
 use inject::Library;
+use small_disk::SmallDisk;
 use subject::{Kind, Subject};
 pub use table::{FaultsReport, Row};
 
@@ -34,6 +36,9 @@ pub use table::{FaultsReport, Row};
 pub struct Options {
     /// A few cases of each command.
     pub short: bool,
+    /// Runs of each command with a fault that may hit any moment; of the other faults there are a quarter, of the experiment
+    /// an eighth.
+    pub runs: usize,
     /// Seed of the times at which faults happen.
     pub seed: u64,
     /// Parts of the names of commands to run; empty = all.
@@ -53,23 +58,27 @@ pub fn run(options: &Options, command: String, mut progress: impl FnMut(&Row)) -
     let library = Library::compile(&folder)?;
     let subjects = Subject::all(&folder.join("inputs"), &options.only, options.seed)?;
     let mut rows = Vec::new();
-    let has_cases = |subject: &&Subject| Fault::ALL.iter().any(|fault| fault.runs(subject, options.short) > 0);
+    let has_cases = |subject: &&Subject| Fault::ALL.iter().any(|fault| fault.runs(subject, options.short, 1) > 0);
+    let small_disk = SmallDisk::is_possible();
+    let faults: Vec<_> = Fault::ALL.into_iter().filter(|fault| *fault != Fault::SmallDisk || small_disk).collect();
     for subject in subjects.iter().filter(has_cases) {
         let work = folder.join("work").join(subject.name.replace(", ", "-").replace(' ', "-"));
-        rows.extend(rows_of(subject, options, &library, &work, &mut progress)?);
+        rows.extend(rows_of(subject, &faults, options, &library, &work, &mut progress)?);
         fs::remove_dir_all(&work).map_err(Error::io(&work))?;
     }
-    Ok(FaultsReport { command, version: egotac::VERSION, machine: Machine::this(), seed: options.seed, rows })
+    let machine = Machine::this();
+    Ok(FaultsReport { command, version: egotac::VERSION, machine, seed: options.seed, small_disk, rows })
 }
 
 fn rows_of(
     subject: &Subject,
+    faults: &[Fault],
     options: &Options,
     library: &Library,
     work: &Path,
     progress: &mut impl FnMut(&Row),
 ) -> Result<Vec<Row>> {
-    let Options { short, seed, program, .. } = options;
+    let Options { short, runs, seed, program, .. } = options;
     let [first, second] = ["first", "second"].map(|name| work.join(name));
     // The first run of the experiment renders its data, which all others use.
     let rendered = match subject.kind {
@@ -97,8 +106,8 @@ fn rows_of(
     }
     let mut rng = ChaCha8Rng::seed_from_u64(*seed);
     let mut rows = Vec::new();
-    for fault in Fault::ALL {
-        let runs = fault.runs(subject, *short);
+    for &fault in faults {
+        let runs = fault.runs(subject, *short, *runs);
         let mut cases: Vec<(Harm, f64)> = Vec::new();
         for run in 0..runs {
             let draw = Draw { run, runs, share: rng.random_range(0.05..1.0) };

@@ -81,6 +81,8 @@ pub struct FaultsReport {
     pub machine: Machine,
     /// Seed of the times at which faults happen.
     pub seed: u64,
+    /// True if small disks could be mounted.
+    pub small_disk: bool,
     /// One per command and fault.
     pub rows: Vec<Row>,
 }
@@ -93,7 +95,11 @@ impl FaultsReport {
 
     /// Returns the report as Markdown.
     pub fn markdown(&self) -> String {
-        let Self { command, version, machine, seed, rows } = self;
+        let Self { command, version, machine, seed, small_disk, rows } = self;
+        let disk = match small_disk {
+            true => "or a small tmpfs is full.",
+            false => "no small tmpfs was mounted, which needs root.",
+        };
         let runs: usize = rows.iter().map(|row| row.runs).sum();
         let mut text = format!(
             "# Faults while a command writes its output\n\nWritten by `{command}` (egotac {version}, {machine}, seed {seed}): \
@@ -102,7 +108,8 @@ impl FaultsReport {
              undisturbed run. Counts are runs. *Lost*: an image, label or file is missing. *Mixed up*: a label beside another\n\
              image than its own. *Doubled*: an image twice. *Half-written*: an output that is not whole, or has other bytes.\n\
              *Wrong status*: an exit status that is not documented, a signal, a panic or a hang. *Leftovers*: files or processes\n\
-             that stay behind. All should be 0. *Recovery*: time of the second command.\n\n\
+             that stay behind. All should be 0. *Recovery*: time of the second command.\n\
+             *Disk full*: each write fails from some write on (ENOSPC by a preloaded library), {disk}\n\n\
              | command | fault | runs | lost | mixed up | doubled | half-written | wrong status | leftovers | recovery p50 | max |\n\
              |---|---|---|---|---|---|---|---|---|---|---|\n"
         );

@@ -57,6 +57,8 @@ pub struct Accuracy {
     pub force_mae: Option<f64>,
     /// Mean absolute error where the true force is above 0.05 N, N.
     pub active_mae: Option<f64>,
+    /// F1 of contact, mean over frames with contact.
+    pub frame_mean_f1: Option<f64>,
     /// Pooled F1 of contact.
     pub contact_f1: Option<f64>,
     /// Pooled AUROC of contact.
@@ -145,6 +147,7 @@ fn accuracy(checkpoint: &Checkpoint, stores: Vec<ZarrReader>, device: &Device) -
     Ok(Accuracy {
         force_mae: report.mae,
         active_mae: report.active_mae,
+        frame_mean_f1: report.frame_mean.f1,
         contact_f1: report.pooled.f1,
         auroc: report.pooled.auroc,
         frames: data.n_frames(),

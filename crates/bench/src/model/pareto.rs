@@ -54,8 +54,14 @@ impl Figure for ModelReport {
             &points(|row| row.accuracy.is_none().then_some(row.parameters as f64 / 1e6)),
             false,
         )?;
-        let scored = points(|row| row.accuracy.as_ref()?.contact_f1);
-        panel(&right, "Accuracy against latency: trained weights", "contact F1, held-out frames", &scored, true)?;
+        let scored = points(|row| row.accuracy.as_ref()?.frame_mean_f1);
+        panel(
+            &right,
+            "Accuracy against latency: trained weights",
+            "contact F1 (frame mean), held-out frames",
+            &scored,
+            true,
+        )?;
         root.present()?;
         Ok(())
     }

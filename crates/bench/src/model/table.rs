@@ -39,8 +39,8 @@ pub fn render(report: &ModelReport) -> String {
 pub fn rows(rows: &[Row]) -> String {
     let mut text = String::from(
         "\n| network | M parameters | T | px | precision | threads | encoder ms | stream ms | p95 | window ms | picture ms \
-         | pictures/s | weights MB | memory MB | force MAE mN | active MAE mN | contact F1 | AUROC |\n\
-         |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
+         | pictures/s | weights MB | memory MB | force MAE mN | active MAE mN | F1, frame mean | F1, pooled | AUROC, pooled |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
     );
     for row in rows {
         let score = |value: Option<f64>, scale: f64, digits: usize| {
@@ -50,7 +50,7 @@ pub fn rows(rows: &[Row]) -> String {
         let of_device = if row.device == "cpu" { String::new() } else { format!(", {}", row.device) };
         let _ = writeln!(
             text,
-            "| {}{of_device} | {:.1} | {} | {} | {} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {:.0} | {} | {:.0} | {} | {} | {} | {} |",
+            "| {}{of_device} | {:.1} | {} | {} | {} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {:.0} | {} | {:.0} | {} | {} | {} | {} | {} |",
             row.preset,
             row.parameters as f64 / 1e6,
             row.horizon,
@@ -67,6 +67,7 @@ pub fn rows(rows: &[Row]) -> String {
             row.peak_memory_mb,
             score(accuracy.and_then(|a| a.force_mae), 1e3, 2),
             score(accuracy.and_then(|a| a.active_mae), 1e3, 1),
+            score(accuracy.and_then(|a| a.frame_mean_f1), 1.0, 4),
             score(accuracy.and_then(|a| a.contact_f1), 1.0, 4),
             score(accuracy.and_then(|a| a.auroc), 1.0, 4),
         );

@@ -13,7 +13,7 @@ Errors are against two references: **same model** (same cone, impratio and hulls
 the numbers; **one model** (elliptic, impratio 100, 0.05 ms, all hull corners) is that of the model as well. *Force* sums
 |mean normal force - reference| over fingers and palms, relative to the reference's sum, over the seconds in which the hands
 press and neither forces nor objects change; *impulse* does the same with the time integral over the whole run; *F1* is that
-of the vertices in contact (label c). *Lift* is the upward contact force on the objects that are awake over their weight in
+of the vertices in contact (label c), pooled over all frames. *Lift* is the upward contact force on the objects that are awake over their weight in
 the quiet seconds: right is 1, with no reference needed. *Flagged* is the share of frames that a guard refused. *ms* are milliseconds per simulated second: processor time of one thread, least of interleaved repetitions, with
 neither labels nor pictures except where these are the knob (pictures: time on the wall); that of the reference is taken once,
 along with its forces. *x real time* is its inverse. A dash: nothing to compare.
@@ -66,7 +66,7 @@ fn knob_table(knob: Knob, rows: &[&Row], text: &mut String) {
     let _ = writeln!(text, "\n## {}\n", title(knob));
     match knob {
         Knob::Label => {
-            text.push_str("| label | ms | F1 against c, 4 mm | same vertices |\n|---|---|---|---|\n");
+            text.push_str("| label | ms | F1 against c, 4 mm, pooled | same vertices |\n|---|---|---|---|\n");
             for row in rows {
                 let Entry { ms_per_second, same, .. } = row.worst();
                 let cells = [number(ms_per_second), percent(same.f1), percent(same.agreement)];

@@ -105,6 +105,30 @@ pub fn change(rng: &mut Rng, bytes: &[u8]) -> Vec<u8> {
     operations.concat()
 }
 
+/// Writes an extreme number into the content of a string or of bytes, as which arrays lie in a pickle.
+pub fn change_content(rng: &mut Rng, bytes: &[u8]) -> Vec<u8> {
+    /// Size of an operation's code and length, bytes.
+    const START: usize = 5;
+    let mut operations = split(bytes);
+    let places: Vec<usize> = (0..operations.len())
+        .filter(|i| operations[*i].len() > START + 8 && b"TBX".contains(&operations[*i][0]))
+        .collect();
+    if places.is_empty() {
+        return bytes.to_vec();
+    }
+    // Small arrays are rather indices, which decide more than coordinates.
+    let (one, other) = (*pick(rng, &places), *pick(rng, &places));
+    let at = if operations[one].len() < operations[other].len() { one } else { other };
+    let content = &mut operations[at][START..];
+    let width = *pick(rng, &[4, 8]);
+    let place = below(rng, content.len() / width) * width;
+    let value = extreme(rng).to_le_bytes();
+    for (to, from) in content.iter_mut().skip(place).zip(&value[..width]) {
+        *to = *from;
+    }
+    operations.concat()
+}
+
 /// Replaces the number of an operation that has one: an integer, a length or a place in the memo.
 fn change_argument(rng: &mut Rng, operations: &mut [Vec<u8>]) {
     let numeric =

@@ -1,11 +1,13 @@
 //! LeRobot data sets: `info.json`, and Parquet files whose values, metadata or pages lie.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::{Float32Type, Float64Type, Int64Type};
 use arrow_array::{ArrayRef, Float32Array, Float64Array, Int64Array, RecordBatch};
 use arrow_schema::{DataType, Schema};
+use egotac::Result;
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use parquet::file::properties::WriterProperties;
@@ -16,6 +18,11 @@ use crate::mutate::{Rng, below, bytes, chance, extreme, json, pick};
 
 /// Values that `huggingface` in the metadata of a Parquet file may have instead of an object.
 const HUGGINGFACE: [&str; 6] = ["[]", "\"text\"", "{}", "{\"info\": []}", "{\"info\": {\"features\": 1}}", "{"];
+
+/// Labels the data set by one of its two cameras.
+pub fn read(path: &Path, scratch: &Path) -> Result<()> {
+    super::label_camera(path, scratch, Some("observation.images.head"))
+}
 
 /// Changes files of the data set of the tests whose images lie in the rows.
 pub fn make(rng: &mut Rng) -> Case {

@@ -102,9 +102,10 @@ pub fn pt(rng: &mut Rng) -> Case {
         pickle.extend(mutate::pickle::integer(often(rng, 4)));
         pickle.extend(b"tQ");
         pickle.extend(mutate::pickle::integer(often(rng, 0)));
+        let rank = *pick(rng, &[0, 1, 2, 2, 2, 3, 70, 5000]);
         for side in [2, 1] {
             pickle.push(b'(');
-            for _ in 0..*pick(rng, &[0, 1, 2, 2, 2, 3, 70, 5000]) {
+            for _ in 0..if chance(rng, 0.1) { below(rng, 4) } else { rank } {
                 pickle.extend(mutate::pickle::integer(often(rng, side)));
             }
             pickle.push(b't');
@@ -118,7 +119,7 @@ pub fn pt(rng: &mut Rng) -> Case {
     let members = [
         ("archive/data.pkl".to_string(), pickle),
         ("archive/version".to_string(), b"3\n".to_vec()),
-        ("archive/data/0".to_string(), vec![0; *pick(rng, &[0, 8, 16, 64])]),
+        ("archive/data/0".to_string(), vec![0; *pick(rng, &[0, 8, 16, 16, 16, 64])]),
     ];
     Case::File(archive::zip(rng, &members))
 }

@@ -3,38 +3,49 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use candle_core::Device;
 #[cfg(feature = "sim")]
 use egotac::Error;
 use egotac::Result;
 use egotac::dataset::mcap::BagWriter;
 use egotac::message::{Header, Image, Message};
+use egotac::model;
 use egotac::model::import::Mapping;
-use egotac::train::Config;
+use egotac::train::{Config, Control, Event};
 use image::RgbImage;
 
 use super::{repository, seed};
 use crate::case::Case;
 use crate::mutate::{Rng, below, chance, pick, text};
 
-/// Table of an import, after the example of its module.
-const IMPORT: &str = "\
-config: { vision_width: 64, vision_depth: 1, vision_heads: 1, width: 64, depth: 1, heads: 1, image: 28, patch: 14, pretrain_image: 28, horizon: 2, predict: 1 }
-sidecar:
-  name: theirs
-  topology: mano
-  force_scale: 1.7
-  hand_order: right_left
-  mean: [0.485, 0.456, 0.406]
-  resize: crop
-  fps: 30
-  frame_stride: 4
-tensors:
-  queries: decoder.tactile_queries
-  encoder.encoder.layer.{i}.norm1.weight: backbone.blocks.{i}.norm1.weight
-  encoder.encoder.layer.{i}.attention.attention.query.weight: { from: backbone.blocks.{i}.attn.qkv.weight, part: [0, 3] }
-same: true
-ignore: [optimizer.]
+/// Training configuration with all keys; STORE and OUT stand for a store of the tests and an output.
+const TRAIN: &str = "\
+name: fuzz
+data:
+- STORE
+- { stores: [STORE], quota: 0.25, mirror: true, labels: contact }
+sampling: { temperature: 0.5, epoch: 16 }
+validation: [STORE]
+out: OUT
+model: { vision_width: 16, vision_depth: 1, vision_heads: 2, width: 16, depth: 1, heads: 2, image: 28, patch: 14, pretrain_image: 28, horizon: 2, predict: 1 }
+seed: 3
+frame_dt: 0.04
+precision: f32
+steps: 2
+batch: { clips: 2, windows: 2, accumulate: 1 }
+optimizer: { learning_rate: 1e-3, final_learning_rate: 1e-5, encoder_factor: 0.5, warmup: 0.05, weight_decay: 1e-5, max_grad_norm: 5.0 }
+loss: { force: 1.0, contact: 1.0, active: 0.2, consistency: 0.05, keypoints: 0.0, positive_weight: 2.0 }
+augment: { brightness: 0.2, contrast: 0.2, saturation: 0.2, hue: 0.1, crop: 0.1, view_scale: 0.1, view_scale_probability: 0.8, mirror: 0.5 }
+ema: 0.9
+save_every: 1
+validate_every: 1
+threads: 1
+in_memory: true
 ";
+/// Largest geometry that is trained: the preset `toy` of the library has a side of 56 pixels.
+const LARGEST_SIDE: usize = 56;
+/// Largest number of channels and layers that is trained.
+const LARGEST_WIDTH: usize = 64;
 
 fn changed(rng: &mut Rng, original: &str) -> Case {
     let mut changed = original.to_string();
@@ -60,28 +71,49 @@ fn file_of(rng: &mut Rng, folder: &str, end: &str) -> Case {
     changed(rng, &String::from_utf8_lossy(&original))
 }
 
-/// Changes a training configuration.
+/// Changes a training configuration: one with all keys, or one of the shipped ones.
 pub fn train(rng: &mut Rng) -> Case {
-    file_of(rng, "models", ".yaml")
+    match chance(rng, 0.8) {
+        true => changed(rng, TRAIN),
+        false => file_of(rng, "models", ".yaml"),
+    }
 }
 
-/// Reads a training configuration and derives its geometry.
-pub fn read_train(path: &Path, _scratch: &Path) -> Result<()> {
-    let config = Config::read_unchecked(path)?;
+/// Reads a training configuration, checks it, and takes a step if it asks for a small network and batch.
+pub fn read_train(path: &Path, scratch: &Path) -> Result<()> {
+    let mut config = Config::read_unchecked(path)?;
+    for store in config.data.iter_mut().flat_map(|source| &mut source.stores).chain(&mut config.validation) {
+        if store.as_os_str() == "STORE" {
+            *store = repository("tests/data/zarr/python.zarr");
+        }
+    }
     let checked = config.check();
-    config.geometry()?;
-    checked
+    let geometry = config.geometry()?;
+    checked?;
+    let model::Config { vision_width, vision_depth, width, depth, image, horizon, .. } = geometry;
+    let is_small = [vision_width, vision_depth, width, depth].iter().all(|size| *size <= LARGEST_WIDTH)
+        && image <= LARGEST_SIDE
+        && horizon <= 8
+        && config.batch.clips * config.batch.windows * config.batch.accumulate <= 64
+        && config.threads <= 4;
+    if !is_small {
+        return Ok(());
+    }
+    config.out = scratch.join("run");
+    let mut stop = |event: Event| if matches!(event, Event::Stepped(_)) { Control::Stop } else { Control::Continue };
+    egotac::train::train(&config, false, &Device::Cpu, &mut stop).map(drop)
 }
 
 /// Changes the table of an import.
 pub fn import(rng: &mut Rng) -> Case {
-    changed(rng, IMPORT)
+    let original = seed("tests/data/model/foreign.yaml");
+    changed(rng, &String::from_utf8_lossy(&original))
 }
 
-/// Reads the table of an import, and applies it to a file of tensors.
+/// Reads the table of an import, and applies it to another program's network.
 pub fn read_import(path: &Path, _scratch: &Path) -> Result<()> {
     let mapping = Mapping::read(path)?;
-    mapping.apply(&repository("tests/data/model/toy_0_weights.safetensors")).map(drop)
+    mapping.apply(&repository("tests/data/model/foreign.pth")).map(drop)
 }
 
 /// Changes `metadata.yaml` of a bag.

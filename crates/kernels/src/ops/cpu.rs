@@ -203,3 +203,20 @@ pub fn add(a: &mut [f32], b: &[f32]) {
         *a += b;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_block_begins_as_zeros_and_keeps_what_is_written() {
+        for (len, block) in [(0, 4), (1, 4), (8, 4), (11, 3), (11, 0)] {
+            let values = filled(len, block, |index, out| {
+                for (i, value) in out.iter_mut().enumerate() {
+                    *value += (index * block.max(1) + i) as f32;
+                }
+            });
+            assert_eq!(values, (0..len).map(|i| i as f32).collect::<Vec<_>>(), "{len} values in blocks of {block}");
+        }
+    }
+}

@@ -20,6 +20,9 @@ pub struct Args {
     /// Only commands whose name contains one of these, comma separated.
     #[arg(long, value_name = "PART", value_delimiter = ',')]
     only: Vec<String>,
+    /// Runs of each command with a fault that may hit any moment; the other faults get a quarter, the experiment an eighth.
+    #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u16).range(1..))]
+    runs: u16,
     /// Seed of the times at which faults happen.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -33,6 +36,7 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     let folder = tempfile::tempdir()?;
     let options = Options {
         short: args.short,
+        runs: args.runs.into(),
         seed: args.seed,
         only: args.only.clone(),
         program: std::env::current_exe().context("path of this program")?,
@@ -40,6 +44,7 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     };
     let words: Vec<String> = std::env::args().skip(1).collect();
     let report = faults::run(&options, format!("egotac {}", words.join(" ")), |row| {
+        eprintln!("{}, {}: {} runs", row.command, row.fault, row.runs);
         for (run, finding) in &row.findings {
             eprintln!("{}, {}, run {run}: {finding}", row.command, row.fault);
         }

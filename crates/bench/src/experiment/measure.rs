@@ -1,0 +1,106 @@
+//! Measurement of a finished network: conditions that are finished are not measured again.
+
+use std::path::{Path, PathBuf};
+
+use egotac::dataset::EpisodeReader;
+use egotac::dataset::zarr::{TIMESTAMPS, ZarrReader};
+use egotac::error::{Error, Result};
+use egotac::file::{self, input, limits};
+use egotac::model::{Predictor, predictor};
+use egotac::tactile::{TactileSequence, episode_ranges};
+use image::RgbImage;
+
+use super::Setup;
+use super::data::Recipe;
+use super::report::ArmReport;
+
+/// Frames whose pictures are read at once.
+const BLOCK: usize = 64;
+
+/// Place of a frame: store, episode and frame within the store, stamp.
+#[derive(Debug, Clone, Copy)]
+pub struct Place<'a> {
+    /// The store.
+    pub store: &'a Path,
+    /// Number of the episode within the store.
+    pub episode: usize,
+    /// First frame of the episode.
+    pub start: usize,
+    /// Number of the frame within the store.
+    pub frame: usize,
+    /// Stamp, s.
+    pub stamp: f64,
+}
+
+/// Loads the network of an experiment as a predictor whose streams are whole episodes.
+///
+/// # Errors
+/// If it can't be read, or is one of random weights.
+pub fn predictor(setup: &Setup) -> Result<Predictor> {
+    let path = setup.network.path.as_deref().ok_or_else(|| Error::value("--init", "a checkpoint", "none"))?;
+    Predictor::load(path, predictor::Options { max_gap_secs: Some(f64::MAX), ..Default::default() })
+}
+
+/// Predicts touch on every frame of stores, as on a stream of pictures; `change` may alter each one.
+///
+/// # Errors
+/// If a store can't be read, or the network's output is not finite.
+pub fn predict(
+    predictor: &mut Predictor,
+    recipes: &[Recipe],
+    change: &mut dyn FnMut(Place, RgbImage) -> Result<RgbImage>,
+) -> Result<TactileSequence> {
+    let mut all = TactileSequence::default();
+    for recipe in recipes {
+        let reader = ZarrReader::open(&recipe.path)?;
+        let stamps = reader.read(TIMESTAMPS, 0..reader.len())?.into_f64();
+        let mut own = TactileSequence::default();
+        for (episode, frames) in episode_ranges(reader.episode_ends()).enumerate() {
+            predictor.reset();
+            for first in frames.clone().step_by(BLOCK) {
+                let block = first..(first + BLOCK).min(frames.end);
+                for (frame, image) in block.clone().zip(reader.images(block)?) {
+                    let place =
+                        Place { store: &recipe.path, episode, start: frames.start, frame, stamp: stamps[frame] };
+                    own.push(&predictor.push(&change(place, image)?, stamps[frame])?.field)?;
+                }
+            }
+        }
+        own.episode_ends = reader.episode_ends().to_vec();
+        own.timestamps = stamps;
+        all.append(&own)?;
+    }
+    Ok(all)
+}
+
+/// Folder of finished conditions, named by the network and the data.
+#[derive(Debug)]
+pub struct Finished {
+    folder: PathBuf,
+}
+
+impl Finished {
+    /// Names the folder for an experiment on some stores.
+    pub fn new(setup: &Setup, experiment: &str, recipes: &[Recipe]) -> Self {
+        let names: Vec<String> = recipes.iter().map(|recipe| recipe.path.display().to_string()).collect();
+        let text = format!("{experiment} {} {}", setup.network.sha256, names.join(" "));
+        Self { folder: setup.work.join("measured").join(&file::sha256(text.as_bytes())[..12]) }
+    }
+
+    /// Returns the result of a condition: the one that was saved, or that of `measure`, which is then saved.
+    ///
+    /// # Errors
+    /// If `measure` fails, or the result can't be saved.
+    pub fn or_measure(&self, name: &str, measure: impl FnOnce() -> Result<ArmReport>) -> Result<ArmReport> {
+        let path = self.folder.join(format!("{name}.json"));
+        if path.exists() {
+            let text = input::read_text(&path, limits::TEXT)?;
+            return serde_json::from_str(&text).map_err(|e| Error::file(&path, e));
+        }
+        let report = measure()?;
+        let text = serde_json::to_string(&report).map_err(|e| Error::file(&path, e))?;
+        std::fs::create_dir_all(&self.folder).map_err(Error::io(&self.folder))?;
+        file::write(&path, text.as_bytes())?;
+        Ok(report)
+    }
+}

@@ -1,0 +1,257 @@
+//! Runs of an experiment: configuration, training, prediction. What is finished is not made again.
+
+use std::path::{Path, PathBuf};
+
+use candle_core::Device;
+use egotac::dataset::tensors;
+use egotac::dataset::zarr;
+use egotac::error::{Error, Result};
+use egotac::file;
+use egotac::model::{self, Checkpoint, Metadata, Precision};
+use egotac::train::config::{AugmentConfig, BatchConfig, LossWeights, ModelChoice, OptimizerConfig, SamplingConfig};
+use egotac::train::data::Dataset;
+use egotac::train::source::TrainingSource;
+use egotac::train::{self, Config, Control, Event, predict};
+
+use super::arm::{Arm, View};
+use super::crop;
+use super::data::{RATE, Recipe, Stores};
+use super::network::Network;
+use super::{Setup, Size};
+
+/// Clips and windows of a training step.
+pub const BATCH: BatchConfig = BatchConfig { clips: 10, windows: 3, accumulate: 1 };
+/// File name of a run's weights.
+const CHECKPOINT: &str = "checkpoint.safetensors";
+
+/// One training: an arm with a seed.
+#[derive(Debug)]
+pub struct Run<'a> {
+    /// The arm.
+    pub arm: &'a Arm,
+    /// Seed, from 0.
+    pub seed: u64,
+    /// Configuration; its folder is named by its hash, so that experiments share equal runs.
+    pub config: Config,
+}
+
+impl<'a> Run<'a> {
+    /// Plans the run of an arm.
+    ///
+    /// # Errors
+    /// If the arm names a world that does not exist.
+    pub fn plan(arm: &'a Arm, seed: u64, stores: &Stores, setup: &Setup) -> Result<Self> {
+        let mut config = usual(seed, stores, &setup.size, &setup.network)?;
+        (arm.change)(&mut config, stores)?;
+        if arm.view == View::Crop {
+            // A mirrored crop would be one of a left hand, and all crops are of right hands.
+            config.data.iter_mut().for_each(|source| {
+                source.mirror = false;
+                source.stores.iter_mut().for_each(|store| *store = cropped(store, setup.size.image));
+            });
+        }
+        config.out = folder(&setup.work, &config, &setup.network)?;
+        Ok(Self { arm, seed, config })
+    }
+
+    /// Returns the recipes of the stores that the run learns from.
+    pub fn recipes(&self, stores: &Stores) -> Vec<Recipe> {
+        self.paths().iter().filter_map(|path| stores.recipe(&uncropped(path))).cloned().collect()
+    }
+
+    fn paths(&self) -> Vec<PathBuf> {
+        self.config.data.iter().flat_map(|source| source.stores.clone()).collect()
+    }
+
+    /// Trains the run, resumes it, or leaves it if it is finished.
+    ///
+    /// # Errors
+    /// If a store can't be read or the training fails.
+    pub fn train(&self, device: &Device, mut progress: impl FnMut(usize, usize)) -> Result<()> {
+        let config = &self.config;
+        if self.is_trained() {
+            return Ok(());
+        }
+        if self.arm.view == View::Crop {
+            for path in self.paths().iter().filter(|path| !path.exists()) {
+                crop::write(&uncropped(path), path, side_of(config)?)?;
+            }
+        }
+        let resume = config.out.join("state.safetensors").exists();
+        train::train(config, resume, device, &mut |event| {
+            if let Event::Stepped(step) = event {
+                progress(step.step, config.steps);
+            }
+            Control::Continue
+        })?;
+        Ok(())
+    }
+
+    /// Returns true if the run is finished; a stopped run has a checkpoint of fewer steps.
+    pub fn is_trained(&self) -> bool {
+        let steps = |record: &str| serde_json::from_str::<serde_json::Value>(record).ok()?["steps"].as_u64();
+        Checkpoint::load(&self.config.out.join(CHECKPOINT), &Device::Cpu)
+            .is_ok_and(|checkpoint| steps(&checkpoint.metadata.training) == Some(self.config.steps as u64))
+    }
+
+    /// Returns the predictions on held-out stores, made now unless they were made before.
+    ///
+    /// # Errors
+    /// If a store or the checkpoint can't be read.
+    pub fn predict(&self, worlds: &str, held_out: &[Recipe], device: &Device) -> Result<PathBuf> {
+        let out = self.config.out.join(format!("{worlds}.safetensors"));
+        if out.exists() {
+            return Ok(out);
+        }
+        let Checkpoint { model, metadata, .. } = Checkpoint::load(&self.config.out.join(CHECKPOINT), device)?;
+        let metadata = Metadata { has_force: metadata.has_force || self.arm.untrained_force, ..metadata };
+        let preparation = metadata.preparation(model.config());
+        let mut all = egotac::TactileSequence::default();
+        for recipe in held_out {
+            let path = match self.arm.view {
+                View::Scene => recipe.path.clone(),
+                View::Crop => cropped(&recipe.path, model.config().image as u32),
+            };
+            if self.arm.view == View::Crop && !path.exists() {
+                crop::write(&recipe.path, &path, model.config().image as u32)?;
+            }
+            let data = Dataset::new(zarr::open_all(&[path])?, preparation.clone(), false)?;
+            let predicted = predict(&model, &metadata, &data, device, |_| ())?;
+            all.append(&match self.arm.view {
+                View::Scene => predicted,
+                View::Crop => crop::put_back(&recipe.path, &predicted)?,
+            })?;
+        }
+        tensors::write(&out, &all, Default::default())?;
+        Ok(out)
+    }
+
+    /// Counts the training frames.
+    ///
+    /// # Errors
+    /// If a store can't be opened.
+    pub fn frames(&self) -> Result<usize> {
+        Ok(zarr::open_all(&self.paths())?.iter().map(zarr::ZarrReader::len).sum())
+    }
+
+    /// Returns the minutes of all steps in the log.
+    pub fn minutes(&self) -> f64 {
+        let text = std::fs::read_to_string(self.config.out.join("log.csv")).unwrap_or_default();
+        let mut lines = text.lines();
+        let column = lines.next().and_then(|line| line.split(',').position(|name| name == "secs"));
+        let secs = lines.filter_map(|line| line.split(',').nth(column?)?.parse::<f64>().ok());
+        secs.sum::<f64>() / 60.0
+    }
+}
+
+/// Returns the configuration of the usual run: the mixture of all sources, from the encoder of a network that has learned.
+fn usual(seed: u64, stores: &Stores, size: &Size, network: &Network) -> Result<Config> {
+    let geometry = model::Config { image: size.image as usize, ..network.geometry.clone() };
+    Ok(Config {
+        name: "experiment".into(),
+        data: stores.mixture(3)?,
+        sampling: SamplingConfig::default(),
+        validation: Vec::new(),
+        out: PathBuf::new(),
+        model: ModelChoice::Explicit(geometry),
+        init: None,
+        encoder: network.path.clone(),
+        seed: seed + 1,
+        frame_dt: 1.0 / RATE,
+        precision: Precision::F32,
+        steps: size.steps,
+        batch: BATCH,
+        // The encoder learns at a tenth of the rate, as in the paper; the rest starts at random and has few steps.
+        optimizer: OptimizerConfig {
+            learning_rate: 1e-3,
+            final_learning_rate: 1e-5,
+            weight_decay: 0.05,
+            encoder_factor: Some(0.1),
+            ..OptimizerConfig::default()
+        },
+        // Touch is zero nearly everywhere: in so few steps a network learns it only if force weighs more than in the paper.
+        loss: LossWeights {
+            force: 50.0,
+            contact: 8.0,
+            active: 1.0,
+            consistency: 0.25,
+            keypoints: 0.0,
+            ..LossWeights::default()
+        },
+        augment: AugmentConfig::default(),
+        ema: 0.995,
+        save_every: 200,
+        validate_every: size.steps,
+        threads: 1,
+        in_memory: true,
+    })
+}
+
+/// Returns the folder of a run, named by the hash of its configuration and of the network it starts from.
+fn folder(work: &Path, config: &Config, network: &Network) -> Result<PathBuf> {
+    let mut hashed = Config { out: PathBuf::new(), encoder: None, ..config.clone() };
+    // Moving the work folder changes no run.
+    let name = |path: &PathBuf| path.file_name().map(PathBuf::from).unwrap_or_default();
+    hashed.data.iter_mut().for_each(|source: &mut TrainingSource| {
+        source.stores = source.stores.iter().map(name).collect();
+    });
+    let yaml = serde_yaml::to_string(&hashed).map_err(|e| Error::value("config", "one that YAML can hold", e))?;
+    Ok(work.join("runs").join(&file::sha256(format!("{} {yaml}", network.sha256).as_bytes())[..12]))
+}
+
+/// Returns the side of a run's input, pixels.
+fn side_of(config: &Config) -> Result<u32> {
+    Ok(config.geometry()?.image as u32)
+}
+
+/// Extension of a store of crops, before `.zarr`.
+const CROPS: &str = ".crops";
+
+/// Returns the path of the crops of a store.
+fn cropped(path: &Path, side: u32) -> PathBuf {
+    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    path.with_file_name(format!("{name}{CROPS}{side}.zarr"))
+}
+
+/// Returns the path of the store that crops are from; other paths as they are.
+fn uncropped(path: &Path) -> PathBuf {
+    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    match name.split_once(CROPS) {
+        Some((own, _)) => path.with_file_name(format!("{own}.zarr")),
+        None => path.to_path_buf(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::Experiment;
+
+    #[test]
+    fn experiments_share_equal_runs_and_seeds_and_arms_differ() {
+        let setup = Setup {
+            size: Size { episodes: 10, held_out: 2, steps: 5, seeds: 2, image: 112, scenes: 9 },
+            network: Network::toy(),
+            work: "work".into(),
+            quick: true,
+        };
+        let stores = Stores::plan(Path::new("work/data"), 10, 2, 112, 9).unwrap();
+        let folder = |experiment: &str, arm: &str, seed: u64| {
+            let experiment = Experiment::by_name(experiment).unwrap();
+            let arm = experiment.arms.iter().find(|other| other.name == arm).unwrap();
+            Run::plan(arm, seed, &stores, &setup).unwrap().config.out
+        };
+        assert_eq!(folder("ablations", "mixed", 0), folder("sources", "plus_3", 0));
+        assert_eq!(folder("history", "no_context", 1), folder("ablations", "no_context", 1));
+        assert_ne!(folder("ablations", "mixed", 0), folder("ablations", "mixed", 1));
+        assert_ne!(folder("ablations", "mixed", 0), folder("ablations", "no_force", 0));
+    }
+
+    #[test]
+    fn the_path_of_crops_leads_back_to_their_store() {
+        let store = Path::new("data/force_poke_train0_3_abcd.zarr");
+        let crops = cropped(store, 56);
+        assert_eq!(crops, Path::new("data/force_poke_train0_3_abcd.crops56.zarr"));
+        assert_eq!((uncropped(&crops), uncropped(store)), (store.to_path_buf(), store.to_path_buf()));
+    }
+}

@@ -1,0 +1,91 @@
+//! `egotac data import`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Context;
+
+use crate::cli::labelling::{Work, shard};
+use crate::import::{ContactRule, HandModels, ImportTasks, Kind, Options, Settings, table};
+use crate::label::Shard;
+
+/// Arguments of `egotac data import`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "The source is only read. A run that was stopped, even by a kill, resumes when the same command is given \
+    again. A store appears when it is complete.\n\
+    Exit status: 0 = everything is imported, 3 = everything readable is imported and the rest is listed, 1 = error."
+)]
+pub struct Args {
+    /// Kind of the data set; --list names all.
+    #[arg(required_unless_present = "list")]
+    kind: Option<String>,
+    /// Folder of the data set, laid out as its authors distribute it, or one of its recordings.
+    #[arg(required_unless_present = "list")]
+    source: Option<PathBuf>,
+    /// The store of a single recording; of several ones, a folder for their stores and a manifest.json.
+    #[arg(long, required_unless_present = "list", value_name = "STORE")]
+    out: Option<PathBuf>,
+    /// Print the table of all kinds.
+    #[arg(long)]
+    list: bool,
+    /// Left hand of MANO, the published pickle or an .npz variant; without MANO files the built-in hand approximates.
+    #[arg(long, value_name = "FILE", requires = "mano_right")]
+    mano_left: Option<PathBuf>,
+    /// Right hand of MANO.
+    #[arg(long, value_name = "FILE", requires = "mano_left")]
+    mano_right: Option<PathBuf>,
+    /// Folder of the objects' meshes; by default where the data set has it.
+    #[arg(long, value_name = "FOLDER")]
+    objects: Option<PathBuf>,
+    /// Vertices touch an object whose surface is at most so far, mm, negative inside; by default vertices touch an object
+    /// that has a point within 1 cm, the paper's rule.
+    #[arg(long, value_name = "MM", value_parser = millimetres, allow_negative_numbers = true)]
+    contact_distance: Option<f32>,
+    /// Upper limit of the images' shorter side, pixels; 0 = original size.
+    #[arg(long, value_name = "PIXELS", default_value_t = 224)]
+    side: u32,
+    /// Shard: import only every N-th recording from the I-th (from 0) on.
+    #[arg(long, value_name = "I/N", value_parser = shard, default_value = "0/1")]
+    shard: Shard,
+    /// JSON file for the closing summary; `-` prints JSON instead of text.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    if args.list {
+        print!("{}", table());
+        return Ok(ExitCode::SUCCESS);
+    }
+    let (kind, source, out) = args
+        .kind
+        .zip(args.source)
+        .zip(args.out)
+        .map(|((kind, source), out)| (kind, source, out))
+        .context("expected KIND, SOURCE and --out")?;
+    let settings = Settings {
+        kind: Kind::of(&kind)?,
+        hands: HandModels::load(args.mano_left.as_deref(), args.mano_right.as_deref())?,
+        rule: args.contact_distance.map_or(ContactRule::Proximity, |mm| ContactRule::SignedDistance(mm * 1e-3)),
+        side: (args.side > 0).then_some(args.side),
+        options: Options { objects: args.objects },
+    };
+    let import = ImportTasks::find(&source, &out, settings)?;
+    let jobs = import.jobs();
+    let work = Work { input: &source, out: &out, tasks: &import.tasks, jobs: &jobs, unreadable: &import.unreadable };
+    work.run(args.json.as_deref(), |index, number, timing, progress| {
+        jobs[index].run_with(&mut import.labeller(index), args.shard, number, timing, progress)
+    })
+}
+
+/// Largest distance of contact, mm: distances are known up to 5 cm.
+const MOST: f32 = 50.0;
+
+fn millimetres(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(value) if value.is_finite() && value.abs() < MOST => Ok(value),
+        _ => Err(format!("expected millimetres between -{MOST} and {MOST}")),
+    }
+}

@@ -1,0 +1,132 @@
+//! Predictions and truth that `egotac eval` scores, from files or from a checkpoint.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+
+use super::calibration;
+use super::groups::Origin;
+use super::{Args, Case};
+use crate::cli::predict;
+use crate::dataset::EpisodeReader;
+use crate::dataset::tensors;
+use crate::dataset::zarr::{self, ZarrReader, read_truth};
+use crate::error::Result;
+use crate::hand::Topology;
+use crate::model::{Predictor, predictor};
+use crate::score::metrics::{EvalOptions, baseline};
+use crate::tactile::TactileSequence;
+
+/// Runs a checkpoint on stores.
+pub fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
+    let stream = predictor::Options { precision: args.precision, ..predict::stream() };
+    let mut predictor = Predictor::load(checkpoint, stream)?;
+    if args.untrained_force {
+        predictor = predictor.with_untrained_force();
+    }
+    let topology = predictor.metadata().topology;
+    let (target, origins) = truth(&args.data)?;
+    target.topology.unwrap_or_default().must_match(topology)?;
+    // Checks all other inputs first: predicting may take hours.
+    let constants = constants(&args.baselines_from, topology)?;
+    let split = calibration::truth(args)?;
+    if let Some(split) = &split {
+        split.topology.unwrap_or_default().must_match(topology)?;
+    }
+    let pred = predicted(args, &args.data, &mut predictor)?;
+    let calibration = match split {
+        Some(split) => {
+            let pred = predicted(args, &args.calibration_from, &mut predictor)?;
+            Some(calibration::measure(args, &pred, &split)?)
+        }
+        None => calibration::read(args)?,
+    };
+    let lag = args.persistence.or(Some(predictor.metadata().frame_dt));
+    let options = EvalOptions { calibration, fps: args.fps };
+    let baselines = baselines(constants, &target, lag);
+    Ok(Case { pred, target, options, baselines, lag, origins })
+}
+
+/// Reads predictions and truth from files.
+pub fn of_files(args: &Args, pred_path: &Path, target_path: &Path) -> anyhow::Result<Case> {
+    let pred = tensors::read(pred_path)?;
+    // Frames of a store that a guard refused are masked out.
+    let (target, origins) = match target_path.is_dir() {
+        true => truth(&[target_path.to_path_buf()])?,
+        false => (tensors::read(target_path)?, Vec::new()),
+    };
+    if let (Some(pred), Some(target)) = (pred.topology, target.topology) {
+        pred.must_match(target)?;
+    }
+    same_length(pred_path, &pred, target.n_frames()).with_context(|| format!("beside {}", target_path.display()))?;
+    let calibration = match (calibration::truth(args)?, &args.calibration_pred) {
+        (Some(split), Some(path)) => {
+            let pred = tensors::read(path)?;
+            same_length(path, &pred, split.n_frames())?;
+            Some(calibration::measure(args, &pred, &split)?)
+        }
+        (Some(_), None) => bail!("--calibration-from: give --calibration-pred, the predicted fields of these stores"),
+        (None, _) => calibration::read(args)?,
+    };
+    let topology = target.topology.or(pred.topology).unwrap_or_default();
+    let baselines = baselines(constants(&args.baselines_from, topology)?, &target, args.persistence);
+    let options = EvalOptions { calibration, fps: args.fps };
+    Ok(Case { pred, target, options, baselines, lag: args.persistence, origins })
+}
+
+/// Checks that another prediction has the case's frames and topology.
+pub fn must_fit(path: &Path, other: &TactileSequence, case: &Case) -> anyhow::Result<()> {
+    if let (Some(topology), Some(other)) = (case.target.topology.or(case.pred.topology), other.topology) {
+        topology.must_match(other).with_context(|| path.display().to_string())?;
+    }
+    same_length(path, other, case.target.n_frames())
+}
+
+/// Reads the truth of all stores that `paths` name, with the origin of each episode.
+pub fn truth(paths: &[PathBuf]) -> Result<(TactileSequence, Vec<Origin>)> {
+    let (mut all, mut origins) = (TactileSequence::default(), Vec::new());
+    for store in zarr::open_all(paths)? {
+        let mut own = read_truth(&store)?;
+        if own.episode_ends.is_empty() {
+            own.episode_ends = vec![own.n_frames()];
+        }
+        origins.extend((0..own.episode_ends.len()).map(|episode| Origin::of(&store, episode)));
+        all.append(&own)?;
+    }
+    Ok((all, origins))
+}
+
+/// Predicts touch on stores.
+fn predicted(args: &Args, paths: &[PathBuf], predictor: &mut Predictor) -> anyhow::Result<TactileSequence> {
+    let folder = tempfile::tempdir()?;
+    let file = folder.path().join("fields.safetensors");
+    predict::predict_stores(paths, predictor, args.precision, &file)?;
+    Ok(tensors::read(&file)?)
+}
+
+/// Returns the constant predictions: zero, and mean and median where training stores are given.
+fn constants(training: &[PathBuf], topology: Topology) -> anyhow::Result<Vec<baseline::Constant>> {
+    if training.is_empty() {
+        return Ok(vec![baseline::zero()]);
+    }
+    let stores: Vec<ZarrReader> = zarr::open_all(training)?;
+    stores.iter().try_for_each(|store| store.attributes().topology.must_match(topology))?;
+    Ok(baseline::constants(&truth(training)?.0).into())
+}
+
+/// Returns the constants and persistence, as long as the truth.
+fn baselines(
+    constants: Vec<baseline::Constant>,
+    target: &TactileSequence,
+    lag: Option<f64>,
+) -> Vec<(&'static str, TactileSequence)> {
+    let constants = constants.into_iter().map(|constant| (constant.name, constant.sequence(target.n_frames())));
+    constants.chain(std::iter::once(("persistence", baseline::persistence(target, lag)))).collect()
+}
+
+fn same_length(path: &Path, sequence: &TactileSequence, n_frames: usize) -> anyhow::Result<()> {
+    if sequence.n_frames() != n_frames {
+        bail!("{} has {} frames, expected the truth's {n_frames}", path.display(), sequence.n_frames());
+    }
+    Ok(())
+}

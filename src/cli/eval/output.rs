@@ -1,0 +1,93 @@
+//! Scores of `egotac eval` as a table or as JSON.
+
+use serde_json::{Map, Value, json};
+
+use super::{Case, Scored};
+use crate::score::metrics::{self, EgophiScores, Metrics, egophi::egophi_table, evaluate_egophi};
+use crate::text::printable;
+
+/// Prints the scores.
+pub fn write(scored: &Scored, as_json: bool) -> anyhow::Result<()> {
+    if as_json {
+        println!("{}", printable(&format!("{:#}", to_json(scored)?)));
+        return Ok(());
+    }
+    let mut columns: Vec<(&str, &Metrics)> = vec![("prediction", &scored.metrics)];
+    columns.extend(scored.baselines.iter().map(|(name, metrics)| (*name, metrics)));
+    println!("{}", printable(&metrics::table_with_intervals(&columns, &scored.intervals)));
+    println!("{}", about_persistence(scored.lag));
+    if let Some(calibration) = &scored.options.calibration {
+        let (pred, target) = (calibration.pred(), calibration.target());
+        println!(
+            "calibration: total force {} .. {} N predicted, {} .. {} N true; spectra and differences of normalised traces",
+            pred.min, pred.max, target.min, target.max
+        );
+    }
+    for group in &scored.groups {
+        println!("\nby {}\n{}", group.by.name(), printable(&metrics::groups_table(&group.groups)));
+    }
+    if let Some(comparison) = &scored.against {
+        println!("\n{}", printable(&metrics::comparison_table(comparison)));
+    }
+    Ok(())
+}
+
+/// Prints the scores of EgoPHI's protocol.
+pub fn write_egophi(case: &Case, seed: u64, as_json: bool) -> anyhow::Result<()> {
+    let own = evaluate_egophi(&case.pred, &case.target, seed)?;
+    let mut baselines: Vec<(&str, EgophiScores)> = Vec::new();
+    for (name, fields) in &case.baselines {
+        baselines.push((*name, evaluate_egophi(fields, &case.target, seed)?));
+    }
+    if as_json {
+        let mut value = serde_json::to_value(&own)?;
+        value["protocol"] = "egophi".into();
+        value["baselines"] = named(baselines.iter().map(|(name, scores)| (name.to_string(), scores)))?;
+        value["persistence_secs"] = json!(case.lag);
+        println!("{}", printable(&format!("{value:#}")));
+        return Ok(());
+    }
+    let mut columns = vec![("prediction", &own)];
+    columns.extend(baselines.iter().map(|(name, scores)| (*name, scores)));
+    println!("{}", printable(&egophi_table(&columns)));
+    println!("{}", about_persistence(case.lag));
+    Ok(())
+}
+
+fn about_persistence(lag: Option<f64>) -> String {
+    match lag {
+        Some(secs) => format!("persistence: the truth of {secs:.3} s ago; it reads the truth"),
+        None => "persistence: the truth of the frame before; it reads the truth".into(),
+    }
+}
+
+/// Returns the prediction's scores at the top level, with the baselines, groups and the comparison under names of their own.
+fn to_json(scored: &Scored) -> anyhow::Result<Value> {
+    let mut value = serde_json::to_value(&scored.metrics)?;
+    value["intervals"] = serde_json::to_value(&scored.intervals)?;
+    value["baselines"] = named(scored.baselines.iter().map(|(name, metrics)| (name.to_string(), metrics)))?;
+    value["persistence_secs"] = json!(scored.lag);
+    value["calibration"] = json!(scored.options.calibration);
+    if !scored.groups.is_empty() {
+        let mut by = Map::new();
+        for group in &scored.groups {
+            let mut groups = Map::new();
+            for (name, metrics, intervals) in &group.groups {
+                let mut scores = serde_json::to_value(metrics)?;
+                scores["intervals"] = serde_json::to_value(intervals)?;
+                groups.insert(name.clone(), scores);
+            }
+            by.insert(group.by.name().into(), groups.into());
+        }
+        value["by"] = by.into();
+    }
+    if let Some(comparison) = &scored.against {
+        value["against"] = serde_json::to_value(comparison)?;
+    }
+    Ok(value)
+}
+
+fn named<'a, T: serde::Serialize + 'a>(values: impl Iterator<Item = (String, &'a T)>) -> anyhow::Result<Value> {
+    let map = values.map(|(name, value)| Ok((name, serde_json::to_value(value)?)));
+    Ok(map.collect::<serde_json::Result<Map<_, _>>>()?.into())
+}

@@ -1,0 +1,154 @@
+//! Jobs of one command over several recordings: progress, results and exit status.
+
+use std::path::Path;
+use std::process::ExitCode;
+
+use anyhow::{Context, bail};
+use indicatif::ProgressBar;
+use serde_json::json;
+
+use crate::dataset::LabelSummary;
+use crate::error::{Error, Result};
+use crate::file;
+use crate::label::{Job, LabelTask, LabelTiming, Outcome, Shard, write_manifest};
+use crate::text::{printable, printable_name};
+
+/// Exit status if a part of the input could not be labelled.
+const PARTLY: u8 = 3;
+
+/// The jobs of one command.
+pub(super) struct Work<'a> {
+    /// Path of the input.
+    pub input: &'a Path,
+    /// Path of the output; of several recordings, a folder.
+    pub out: &'a Path,
+    /// Recordings and their outputs.
+    pub tasks: &'a [LabelTask],
+    /// Their jobs, in the same order.
+    pub jobs: &'a [Job<'a>],
+    /// Names of recordings that can't be opened, and the reasons.
+    pub unreadable: &'a [(String, Error)],
+}
+
+impl Work<'_> {
+    /// Runs all jobs by `run`, which gets the job's index, the number of its first unit, the times to add to, and the
+    /// function to call after each image; reports the results and returns the exit status.
+    pub fn run(
+        &self,
+        json: Option<&Path>,
+        mut run: impl FnMut(usize, usize, &mut LabelTiming, &mut dyn FnMut()) -> Result<Outcome>,
+    ) -> anyhow::Result<ExitCode> {
+        let Self { input, out, tasks, jobs, unreadable } = self;
+        let several = tasks.len() + unreadable.len() > 1;
+        let bar = bar(tasks, jobs)?;
+        let (mut timing, mut ends) = (LabelTiming::default(), Ends::default());
+        ends.failed.extend(unreadable.iter().map(|(name, error)| (name.clone(), error.to_string())));
+        let mut number = 0;
+        for (index, task) in tasks.iter().enumerate() {
+            let outcome = run(index, number, &mut timing, &mut || bar.inc(1));
+            number += task.source.units().len();
+            match outcome {
+                Ok(Outcome::Done(info)) => ends.done.push((task, info.summary, false)),
+                Ok(Outcome::DoneBefore(info)) => ends.done.push((task, info.summary, true)),
+                Ok(Outcome::Waiting) => ends.waiting.push(task),
+                // An error in one of several recordings does not stop the others.
+                Err(error) if several => ends.failed.push((task.name.clone(), error.to_string())),
+                Err(error) => return Err(error).with_context(|| task.name.clone()),
+            }
+        }
+        bar.finish_and_clear();
+        if several && out.is_dir() {
+            write_manifest(out, tasks, unreadable)?;
+        }
+        report(json, &ends, &timing)?;
+        for (name, reason) in &ends.failed {
+            eprintln!("{}", printable_name(&format!("{name}: {reason}")));
+        }
+        if ends.done.is_empty() && ends.waiting.is_empty() {
+            bail!("{}: none of {} recordings could be labelled", input.display(), ends.failed.len());
+        }
+        let whole = ends.failed.is_empty() && ends.done.iter().all(|(_, summary, _)| summary.is_whole());
+        Ok(if whole { ExitCode::SUCCESS } else { ExitCode::from(PARTLY) })
+    }
+}
+
+/// Results of the jobs.
+#[derive(Default)]
+struct Ends<'a> {
+    /// Complete outputs; true if an earlier run completed them.
+    done: Vec<(&'a LabelTask, LabelSummary, bool)>,
+    /// Outputs that wait for other shards.
+    waiting: Vec<&'a LabelTask>,
+    /// Names of inputs without an output, and the reasons.
+    failed: Vec<(String, String)>,
+}
+
+/// Creates a bar over all images that starts where earlier runs stopped.
+fn bar(tasks: &[LabelTask], jobs: &[Job]) -> anyhow::Result<ProgressBar> {
+    let bar = super::progress::bar("images");
+    let frames: Option<usize> = tasks.iter().flat_map(|task| task.source.units()).map(|unit| unit.frames).sum();
+    bar.set_length(frames.unwrap_or(0) as u64);
+    let mut before = 0;
+    for job in jobs {
+        before += job.done()?;
+    }
+    bar.set_position(before);
+    bar.reset_eta();
+    Ok(bar)
+}
+
+fn report(json_path: Option<&Path>, Ends { done, waiting, failed }: &Ends, timing: &LabelTiming) -> anyhow::Result<()> {
+    let mut total = LabelSummary::default();
+    done.iter().for_each(|(_, summary, _)| total.add(summary));
+    let fps = timing.frames as f64 / timing.inference_secs.max(f64::MIN_POSITIVE);
+    let outputs: Vec<_> = done.iter().map(|(task, ..)| task.out.display().to_string()).collect();
+    let json = json!({
+        "outputs": outputs,
+        "waiting_for_other_shards": waiting.iter().map(|task| task.out.display().to_string()).collect::<Vec<_>>(),
+        "failed": failed.iter().map(|(name, reason)| json!({ "input": name, "reason": reason })).collect::<Vec<_>>(),
+        "summary": total,
+        "images_labelled_now": timing.frames,
+        "images_per_sec": (timing.frames > 0).then_some(fps),
+        "seconds": {
+            "pass": timing.inference_secs,
+            "network": timing.inference.network_secs,
+            "waiting_for_images": timing.inference.waiting_secs,
+            "journal": timing.inference.journal_secs,
+            "assembly": timing.assembly_secs,
+        },
+    });
+    if json_path.is_some_and(|path| path.as_os_str() == "-") {
+        println!("{}", printable(&format!("{json:#}")));
+        return Ok(());
+    }
+    for (task, _, before) in done {
+        println!("{}{}", printable_name(&task.out.to_string_lossy()), if *before { ": done before" } else { "" });
+    }
+    if !done.is_empty() {
+        println!("{}", printable(&total.text()));
+    }
+    if timing.frames > 0 {
+        println!("{} images in {:.1} s, {fps:.1} per second", timing.frames, timing.inference_secs);
+    }
+    for task in waiting {
+        let out = task.out.to_string_lossy();
+        println!("{}: this shard's part is done; other shards are not", printable_name(&out));
+    }
+    if let Some(path) = json_path {
+        file::write(path, format!("{json:#}\n").as_bytes())?;
+    }
+    Ok(())
+}
+
+/// Parses a shard, I/N.
+pub(super) fn shard(text: &str) -> std::result::Result<Shard, String> {
+    let parse = || -> anyhow::Result<Shard> {
+        let (index, of) = text.split_once('/').context("no slash")?;
+        let shard = Shard { index: index.parse()?, of: of.parse()? };
+        if shard.index >= shard.of {
+            bail!("out of range");
+        }
+        Ok(shard)
+    };
+    parse().map_err(|_| "expected I/N with I from 0 to N-1, such as 0/4".into())
+}

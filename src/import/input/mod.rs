@@ -1,0 +1,10 @@
+//! Contents of the files that data sets consist of, checked.
+
+pub mod arrays;
+pub mod folders;
+pub mod images;
+pub mod json;
+pub mod lazy;
+pub mod numbers;
+pub mod shard;
+pub mod tar;

@@ -1,0 +1,196 @@
+//! The store of one imported recording.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use ::image::RgbImage;
+use serde_json::{Value, json};
+
+use super::kind::Kind;
+use super::known::{Known, POSE};
+use super::labeller::{ContactRule, FORCE_RULE};
+use super::recording::Reader;
+use super::source::RecordingSource;
+use crate::dataset::copy::remove;
+use crate::dataset::source::SourceFrame;
+use crate::dataset::zarr::{
+    ArraySpec, CAMERA_POSE, Contact, Dtype, OBJECT_POSE, Values, ZarrWriter, fitted, image_size, read_info,
+};
+use crate::dataset::{
+    Attributes, EpisodeWriter, Frame, ImageSource, LabelCounts, LabelFrame, LabelInfo, LabelOutput, PROVENANCE_KEY,
+    SourceLabels, UnlabelledImage,
+};
+use crate::error::{Error, Result};
+use crate::geometry::SIGMA;
+use crate::tactile::{N_FIELD, TactileField, Validity};
+
+/// Array (T, 1556) f32: signed distance from the nearest object's surface, m, at most 0.05; negative inside of a closed
+/// surface, NaN = unknown.
+pub const DISTANCE: &str = "data/mano_distance";
+/// Array (T, 2) f32, left hand first: measured force that is on no vertex, N; only of recordings that measure force.
+pub const FORCE_LOST: &str = "data/force_lost";
+/// Attribute that describes the origin of an imported store.
+pub const IMPORT: &str = "import";
+
+/// Writer of one recording's store.
+pub struct ImportOutput {
+    /// The recording.
+    pub reader: Arc<dyn Reader>,
+    /// Its images.
+    pub source: Arc<RecordingSource>,
+    /// Kind of the data set.
+    pub kind: &'static Kind,
+    /// Rule of contact.
+    pub rule: ContactRule,
+    /// SHA-256 of the MANO files, left first; empty = the built-in hand.
+    pub hand_sha256: Vec<String>,
+    /// Upper limit of the images' shorter side, pixels; None = original size.
+    pub side: Option<u32>,
+}
+
+impl LabelOutput for ImportOutput {
+    fn assemble(&self, labels: &dyn SourceLabels, info: &mut LabelInfo, at: &Path, out: &Path) -> Result<()> {
+        remove(at)?;
+        let recording = self.reader.recording();
+        let n_objects = recording.objects.len();
+        let mut extra =
+            vec![ArraySpec::new(DISTANCE, [N_FIELD], Dtype::F32), ArraySpec::new(CAMERA_POSE, [POSE], Dtype::F32)];
+        if n_objects > 0 {
+            extra.push(ArraySpec::new(OBJECT_POSE, [n_objects, POSE], Dtype::F32));
+        }
+        if recording.measures_force {
+            extra.push(ArraySpec::new(FORCE_LOST, [2], Dtype::F32));
+        }
+        let mut writer = ZarrWriter::create(at, self.attributes(info), Contact::Truth, extra)?;
+        let mut labels = labels.labels(0)?;
+        let (mut size, mut time) = (None, 0.0);
+        for image in self.source.frames(0, 0)? {
+            let image = image?;
+            let Some(label) = labels.next().transpose()? else {
+                return Err(Error::file(&recording.path, format!("expected {} images, got more", recording.frames)));
+            };
+            let size = match size {
+                Some(size) => size,
+                None => *size.insert(image_size(self.source.as_ref(), 0, &image, self.side)?),
+            };
+            let stamps = [label.stamp_secs, image.stamp_secs, time];
+            time = stamps.into_iter().find(|stamp| stamp.is_finite()).unwrap_or(0.0);
+            let known = Known::from_values(&label.further, recording);
+            let (image, label) = self.decoded(image, label, size, writer.n_frames(), info);
+            let values = [
+                (DISTANCE, known.distances),
+                (CAMERA_POSE, known.camera),
+                (OBJECT_POSE, known.objects),
+                (FORCE_LOST, known.lost),
+            ];
+            let values = values.into_iter().filter(|(_, values)| !values.is_empty());
+            let values = values.map(|(name, values)| (name, Values::F32(values))).collect();
+            let [left_hand_pose, right_hand_pose] = known.hands;
+            let field = label.touch.unwrap_or_else(|_| unknown(info));
+            let valid = |values: &[f32]| values.iter().map(|value| u8::from(!value.is_nan())).collect();
+            let frame = Frame {
+                timestamp: time,
+                camera_ego_rgb: image,
+                force_valid: valid(&field.force),
+                contact_valid: valid(&field.contact),
+                field,
+                validity: Validity::Valid,
+                left_hand_pose,
+                right_hand_pose,
+            };
+            writer.push_with(frame, values)?;
+        }
+        if writer.n_frames() != recording.frames {
+            let (wanted, got) = (recording.frames, writer.n_frames());
+            return Err(Error::file(
+                &recording.path,
+                format!("expected {wanted} images, got {got}; {} is left out", out.display()),
+            ));
+        }
+        writer.end_episode()?;
+        writer.set_attribute(PROVENANCE_KEY, serde_json::to_value(&*info).unwrap_or_default());
+        writer.set_attribute(IMPORT, self.description());
+        writer.set_attribute("camera", recording.camera.clone());
+        writer.finish()
+    }
+
+    fn info(&self, out: &Path) -> Option<LabelInfo> {
+        read_info(out)
+    }
+}
+
+impl ImportOutput {
+    /// Decodes an image. One that can't be decoded is black, and its label is unknown: it would teach touch without a view.
+    fn decoded(
+        &self,
+        image: SourceFrame,
+        label: LabelFrame,
+        size: (u32, u32),
+        index: usize,
+        info: &mut LabelInfo,
+    ) -> (RgbImage, LabelFrame) {
+        let reason = match image.image.map(|image| image.decode()) {
+            Ok(Ok(image)) => return (fitted(image, size), label),
+            Ok(Err(error)) => error.to_string(),
+            Err(reason) => reason,
+        };
+        if label.touch.is_ok() {
+            let mut counts = LabelCounts::default();
+            counts.count(&label);
+            info.summary.counts.labelled -= counts.labelled;
+            info.summary.counts.touched -= counts.touched;
+            let bins = info.summary.counts.confidence.iter_mut().zip(counts.confidence);
+            bins.for_each(|(sum, lost)| *sum -= lost);
+            let unit = self.reader.recording().name.clone();
+            let fault = UnlabelledImage { unit, frame: index as u64, reason: reason.clone() };
+            info.summary.add_images(&LabelCounts::default(), [fault]);
+        }
+        (RgbImage::new(size.0, size.1), LabelFrame::without(label.stamp_secs, reason))
+    }
+
+    fn attributes(&self, info: &LabelInfo) -> Attributes {
+        let provenance = &info.provenance;
+        Attributes {
+            topology: provenance.topology,
+            sigma: if self.reader.recording().measures_force { SIGMA } else { 0.0 },
+            contact_force: provenance.thresholds.contact_force,
+            producer: provenance.producer.clone(),
+            version: provenance.version.clone(),
+            scene: format!("{}: {}", self.kind.name, self.reader.recording().name),
+            seed: 0,
+        }
+    }
+
+    /// Describes origin and meaning of the store's content.
+    fn description(&self) -> Value {
+        let recording = self.reader.recording();
+        let hand = match self.hand_sha256.as_slice() {
+            [] => json!({
+                "exact": false,
+                "note": "approximation: the built-in hand, posed by the recorded rotations; recorded shape not applied",
+            }),
+            [left, right] => json!({ "exact": true, "mano_left_sha256": left, "mano_right_sha256": right }),
+            _ => Value::Null,
+        };
+        json!({
+            "kind": self.kind.name,
+            "recording": recording.name,
+            "data_set": self.kind.origin,
+            "licence": self.kind.licence,
+            "contact_rule": if recording.measures_force { FORCE_RULE.into() } else { self.rule.text() },
+            "force": if recording.measures_force { "measured" } else { "unknown" },
+            "force_kind": recording.measures_force.then_some("spread"),
+            "hand": hand,
+            "translation": recording.convention.translation.name(),
+            "mean_pose_added": recording.convention.adds_mean,
+            "left_shapedirs_fixed": recording.convention.fixes_left_shapedirs,
+            "objects": recording.objects.iter().map(|object| object.name.as_str()).collect::<Vec<_>>(),
+            "about": recording.about,
+        })
+    }
+}
+
+fn unknown(info: &LabelInfo) -> TactileField {
+    let nothing = || vec![f32::NAN; N_FIELD];
+    TactileField { topology: info.provenance.topology, force: nothing(), contact: nothing() }
+}

@@ -1,0 +1,94 @@
+//! Look of a scene: colours, lights, and what covers the hands.
+
+use serde::Deserialize;
+
+use super::limits::within;
+use crate::error::{Error, Result};
+use crate::sim::range::UniformRange;
+
+/// Look of a scene, from which each seed draws; the defaults are those of the shipped scenes.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LookSpec {
+    /// Covering of both hands.
+    pub hands: HandLook,
+    /// Patterns of the table, of which each seed takes one.
+    pub table_patterns: Vec<TablePattern>,
+    /// Saturation of the table's colours, 0 to 1.
+    pub table_saturation: UniformRange,
+    /// Saturation of background and floor, 0 to 1; without it 0 to 0.4 and 0 to 0.5.
+    pub surroundings_saturation: Option<UniformRange>,
+    /// Brightness of the ambient light, 0 to 1.
+    pub ambient: UniformRange,
+    /// Factor on the brightness of both lamps.
+    pub lamps: UniformRange,
+    /// Height of the lamps above the table, m.
+    pub lamp_height: UniformRange,
+}
+
+/// Covering of the hands in the picture. Touch and collision are those of the bare hand in all cases.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum HandLook {
+    /// Skin.
+    #[default]
+    Bare,
+    /// Dark, matt glove, 1.5 mm thick, with a grid of sensor pads.
+    Glove,
+    /// The glove, painted in the tone of the person's skin: the best that recolouring a picture can reach, since the
+    /// edge of the glove is exactly known.
+    Recoloured,
+}
+
+/// Pattern of the table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TablePattern {
+    /// One colour.
+    Flat,
+    /// Squares of two colours.
+    Checker,
+    /// Gradient between two colours.
+    Gradient,
+}
+
+impl TablePattern {
+    /// Returns the engine's name.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Flat => "flat",
+            Self::Checker => "checker",
+            Self::Gradient => "gradient",
+        }
+    }
+}
+
+impl Default for LookSpec {
+    fn default() -> Self {
+        Self {
+            hands: HandLook::Bare,
+            table_patterns: vec![TablePattern::Flat, TablePattern::Checker, TablePattern::Gradient],
+            table_saturation: UniformRange::new(0.05, 0.55),
+            surroundings_saturation: None,
+            ambient: UniformRange::new(0.2, 0.4),
+            lamps: UniformRange::fixed(1.0),
+            lamp_height: UniformRange::new(0.9, 1.8),
+        }
+    }
+}
+
+impl LookSpec {
+    /// Checks ranges.
+    pub(super) fn check(&self) -> Result<()> {
+        if self.table_patterns.is_empty() {
+            return Err(Error::value("look.table_patterns", "at least one of flat, checker, gradient", "none"));
+        }
+        within("look.table_saturation", self.table_saturation, 0.0, 1.0)?;
+        if let Some(saturation) = self.surroundings_saturation {
+            within("look.surroundings_saturation", saturation, 0.0, 1.0)?;
+        }
+        within("look.ambient", self.ambient, 0.0, 1.0)?;
+        within("look.lamps", self.lamps, 0.0, 10.0)?;
+        within("look.lamp_height", self.lamp_height, 0.1, 10.0)
+    }
+}

@@ -1,0 +1,16 @@
+//! Data sets of others become stores.
+//!
+//! Each test writes a simulated take in the layout of a data set, by writers that share no code with the readers, and imports
+//! it: the store must hold the simulator's contact, stamps, poses and images.
+#![cfg(feature = "sim")]
+
+mod check;
+#[path = "../common/mod.rs"]
+mod common;
+mod files;
+mod hot3d;
+mod pickle;
+mod sensors;
+mod sets;
+mod take;
+mod videos;
