@@ -20,6 +20,8 @@ use crate::hand::Topology;
 const UNFINISHED: &str = "unfinished";
 /// End of the workspace's name while it is removed.
 const FINISHED: &str = "finished";
+/// File that says whose labels the journals hold; every workspace has it.
+const DESCRIPTION: &str = "job.json";
 /// Difference of a workspace whose description can't be read.
 const OLD: &str = "was left by another version of egotac; finish it with that one";
 
@@ -43,7 +45,7 @@ impl Workspace {
         let units = units.iter().map(|unit| (unit.name.clone(), unit.frames)).collect();
         let description = JobDescription { provenance: provenance.clone(), input: input.clone(), units };
         let json = serde_json::to_string_pretty(&description).map_err(|e| Error::file(&folder, e))?;
-        let job = folder.join("job.json");
+        let job = folder.join(DESCRIPTION);
         turn();
         if job.try_exists().map_err(Error::io(&job))? {
             let read = |json: &str| serde_json::from_str::<JobDescription>(json);
@@ -138,7 +140,7 @@ impl Workspace {
     /// Renames the assembled output to `out`, durably, and removes the workspace.
     ///
     /// # Errors
-    /// If another process created `out`, or it can't be written.
+    /// If another process created `out`, the workspace was moved away or removed meanwhile, or `out` can't be written.
     pub fn publish(self, out: &Path) -> Result<()> {
         let unfinished = self.unfinished();
         match unfinished.is_dir() {
@@ -148,6 +150,14 @@ impl Workspace {
         turn();
         if out.exists() {
             return Err(Error::file(out, "was created by another process"));
+        }
+        // Writers create missing folders: of a workspace that was moved away they may have written the rest of an output alone.
+        let description = self.folder.join(DESCRIPTION);
+        if !description.try_exists().map_err(Error::io(&description))? {
+            return Err(Error::file(
+                &self.folder,
+                "was moved or removed while the output was written; run the command again",
+            ));
         }
         file::rename(&unfinished, out)?;
         self.remove(out)
@@ -240,4 +250,24 @@ fn hidden(out: &Path, end: &str) -> Result<PathBuf> {
         return Err(Error::file(out, "is not a name for an output"));
     };
     Ok(parent.join(format!(".{}.{end}", name.to_string_lossy())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_output_whose_workspace_was_moved_away_is_not_published() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("a.zarr");
+        let workspace =
+            || Workspace { folder: folder.path().join(".a.zarr.unfinished"), topology: Topology::default() };
+        let description = workspace().folder.join(DESCRIPTION);
+        fs::create_dir_all(workspace().unfinished()).unwrap(); // what a writer creates anew
+        let error = workspace().publish(&out).unwrap_err().to_string();
+        assert!(error.contains("was moved or removed") && !out.exists(), "{error}");
+        fs::write(description, "{}").unwrap();
+        workspace().publish(&out).unwrap();
+        assert!(out.is_dir() && !workspace().folder.exists());
+    }
 }

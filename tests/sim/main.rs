@@ -6,6 +6,7 @@ mod common;
 
 mod budget;
 mod effects;
+mod environment;
 mod hostile;
 mod isolate;
 mod rollout;
@@ -13,4 +14,3 @@ mod scene_file;
 mod scenes;
 mod splits;
 mod touchable;
-mod environment;
