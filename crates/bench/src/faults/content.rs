@@ -77,6 +77,9 @@ fn collect(root: &Path, below: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) ->
     for entry in fs::read_dir(&folder).map_err(Error::io(&folder))? {
         let name = below.join(entry.map_err(Error::io(&folder))?.file_name());
         let path = root.join(&name);
+        if name.ends_with(".lock") {
+            continue; // empty; a run whose folder was moved away leaves it there
+        }
         match path.is_dir() {
             true => collect(root, &name, found)?,
             false => drop(found.insert(name, fs::read(&path).map_err(Error::io(&path))?)),
