@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::budget::{Budget, Share};
-use super::job::Labeller;
 use super::journal::Journal;
+use super::labeller::{InferenceTiming, Labeller};
 use crate::dataset::source::{EncodedImage, SourceFrames};
 use crate::dataset::{ImageSource, LabelFrame, SourceFrame};
 use crate::error::{Error, Result};
@@ -24,26 +24,6 @@ const AT_LATEST: Duration = Duration::from_secs(2);
 const REASON: usize = 400;
 /// Number of images that a decoder takes at a time; together with the queue lengths it bounds the memory.
 const BATCH: usize = 4;
-
-/// Parts of the inference time, s.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct InferenceTiming {
-    /// Time in the network, s.
-    pub network_secs: f64,
-    /// Time of waiting for images, s.
-    pub waiting_secs: f64,
-    /// Time of writing the journal, s.
-    pub journal_secs: f64,
-}
-
-impl InferenceTiming {
-    /// Adds the times of another unit.
-    pub(super) fn add(&mut self, other: &Self) {
-        self.network_secs += other.network_secs;
-        self.waiting_secs += other.waiting_secs;
-        self.journal_secs += other.journal_secs;
-    }
-}
 
 /// Number of a batch, and its images by index, each with its share of the memory.
 type Batch = (usize, Vec<(usize, SourceFrame, Share)>);

@@ -4,8 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use super::inference::{InferenceTiming, NetworkLabeller};
-use super::journal::Journal;
+use super::inference::NetworkLabeller;
+use super::labeller::{InferenceTiming, Labeller};
 use super::workspace::{self, Workspace};
 use crate::dataset::{ImageSource, InputState, LabelInfo, LabelOutput, LabelSummary, Provenance, UnlabelledImage};
 use crate::error::{Error, Result};
@@ -19,23 +19,6 @@ pub struct Shard {
     pub index: usize,
     /// Number of shards.
     pub of: usize,
-}
-
-/// Maker of labels: a network, or the geometry of hands and objects.
-pub trait Labeller {
-    /// Labels the images of unit `unit` of `source` that `journal` lacks; calls `progress` after every image. An image without
-    /// a label gets the reason in its place.
-    ///
-    /// # Errors
-    /// If the unit can't be read to its end, or the journal can't be written. The journal then holds the labels of all images
-    /// before the failure, and the next run goes on there.
-    fn label_unit(
-        &mut self,
-        source: &dyn ImageSource,
-        unit: usize,
-        journal: &mut Journal,
-        progress: &mut dyn FnMut(),
-    ) -> Result<InferenceTiming>;
 }
 
 /// One recording to label, and its output.

@@ -22,12 +22,13 @@ mod input;
 mod interleavings;
 mod job;
 mod journal;
+mod labeller;
 mod manifest;
 mod workspace;
 
-pub use inference::InferenceTiming;
 pub use input::{FormatOptions, LabelTask, LabelTasks, OutputFormat, find_tasks};
 pub(crate) use job::is_within;
-pub use job::{Job, LabelTiming, Labeller, Outcome, Shard};
+pub use job::{Job, LabelTiming, Outcome, Shard};
 pub use journal::{Journal, Progress};
+pub use labeller::{InferenceTiming, Labeller};
 pub(crate) use manifest::write_manifest;
