@@ -12,7 +12,7 @@ pub const POSE: usize = 7;
 /// Numbers of a hand's parameters.
 const HAND: usize = 61;
 
-/// What is known of one moment beside force and contact; NaN = unknown.
+/// Known quantities of one moment beside force and contact; NaN = unknown.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Known {
     /// (1556) signed distance from the nearest object, m.

@@ -23,7 +23,7 @@ pub struct Arm {
     pub untrained_force: bool,
 }
 
-/// What a network sees and predicts.
+/// Images of a network and its predictions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum View {
     /// The whole picture and its history; force and contact of both hands.

@@ -89,7 +89,7 @@ struct Results {
 pub fn page(folder: &Path) -> Result<String> {
     let claims: Vec<Claim> = serde_yaml::from_str(CLAIMS).map_err(|e| Error::file("claims.yaml", e))?;
     let mut text = String::from(
-        "# What was found beside the paper\n\n\
+        "# Results beside the paper\n\n\
          Written by `egotac experiment results` from the JSON files beside it. Each experiment is one command, which stands at the \
          head of its table.\n\nThe paper trains a far larger network on recordings of people; here hands, objects and pictures are \
          rendered, and networks\nsmall. Levels can't be compared, directions can. Contact scores are means over frames with contact, \

@@ -26,7 +26,7 @@ const MAX_BRIGHTNESS: f32 = 0.2;
 pub enum Arm {
     /// None: zeros.
     Image,
-    /// What the shipped network predicts from the pictures.
+    /// Touch that the shipped network predicts from the pictures.
     ImagePredictedTouch,
     /// The simulator's.
     ImageTrueTouch,

@@ -58,7 +58,7 @@ pub struct TouchQuality {
 pub struct Row {
     /// Name.
     pub name: String,
-    /// What it is given.
+    /// Inputs of the policy, in words.
     pub about: String,
     /// Success rate of each training.
     pub by_seed: Vec<f64>,
