@@ -23,7 +23,7 @@ pub struct Arm {
     pub untrained_force: bool,
 }
 
-/// Images of a network and its predictions.
+/// Part of the scene that a network sees and predicts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum View {
     /// The whole picture and its history; force and contact of both hands.
