@@ -4,6 +4,7 @@ mod calibration;
 mod cases;
 mod groups;
 mod output;
+mod truth;
 
 use std::path::PathBuf;
 use std::process::ExitCode;

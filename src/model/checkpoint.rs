@@ -7,6 +7,7 @@ use candle_core::{DType, Device, Tensor, Var};
 use candle_nn::VarMap;
 use safetensors::{Dtype, tensor::TensorView};
 
+use super::finite::check_finite_in;
 use super::metadata::Metadata;
 use super::shapes::{self, Shapes};
 use super::weights::{self, WeightsFile};
@@ -252,7 +253,7 @@ fn serialize(
     let mut data = Vec::new();
     for (name, tensor) in tensors {
         let values = tensor.flatten_all()?.to_vec1::<f32>()?;
-        weights::finite(path, &format!("not saved, {name}"), &values)?;
+        check_finite_in(path, &format!("not saved, {name}"), &values)?;
         if let Some(bad) = values.iter().find(|value| value.abs() > max) {
             return Err(Error::file(path, format!("not saved, {name}: expected at most {max}, found {bad}")));
         }

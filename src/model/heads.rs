@@ -10,7 +10,8 @@
 //! Stream ([`super::Predictor`]) and batch (evaluation) use these functions.
 
 use super::Metadata;
-use crate::error::{Error, Result};
+use super::finite::check_finite;
+use crate::error::Result;
 use crate::tactile::N_FIELD;
 
 /// Outputs of both heads for a batch of windows.
@@ -57,17 +58,6 @@ pub(crate) fn newtons(output: f32, force_scale: f32) -> f32 {
 /// where the probability is zero in f32 too.
 pub(crate) fn probability(logit: f32) -> f32 {
     (1.0 / (1.0 + (-f64::from(logit)).exp())) as f32
-}
-
-/// Checks that all values of a tensor are finite.
-///
-/// # Errors
-/// [`Error::NotFinite`] with the first value that is not.
-pub(crate) fn check_finite(tensor: &str, values: &[f32]) -> Result<()> {
-    match values.iter().position(|value| !value.is_finite()) {
-        Some(index) => Err(Error::NotFinite { tensor: tensor.into(), index, value: values[index] }),
-        None => Ok(()),
-    }
 }
 
 #[cfg(test)]

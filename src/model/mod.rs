@@ -13,9 +13,11 @@ mod attention;
 pub mod budget;
 pub mod checkpoint;
 pub mod config;
+mod config_check;
 mod decoder;
 mod dinov2;
 mod engine;
+mod finite;
 #[doc(hidden)]
 pub mod grow;
 mod heads;

@@ -7,7 +7,7 @@ use std::path::Path;
 use candle_core::{Device, Tensor};
 use zip::{CompressionMethod, ZipArchive};
 
-use super::weights;
+use super::finite::check_finite_in;
 use crate::error::{Error, Result};
 use crate::file::limits;
 use crate::numpy::{Id, Names, Outcome, Pickle, StorageReference, Value, View, rebuilt};
@@ -60,7 +60,7 @@ pub(super) fn tensors(path: &Path, bytes: &[u8]) -> Result<BTreeMap<String, Tens
         let more = "expected tensors of at most eight times the size of the file, got more";
         left = left.checked_sub(4 * view.count as u64).ok_or_else(|| damaged(more.into()))?;
         let values = view.values();
-        weights::finite(path, name, &values)?;
+        check_finite_in(path, name, &values)?;
         tensors.insert(name.to_string(), Tensor::from_vec(values, view.size, &Device::Cpu)?);
     }
     Ok(tensors)

@@ -7,6 +7,7 @@ use candle_core::{DType, Device, Tensor};
 use candle_nn::VarBuilder;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
+use super::finite::check_finite_in;
 use super::metadata::names;
 use super::shapes::{self, Shapes};
 use super::{Config, EgoTac, Precision, pytorch};
@@ -130,14 +131,6 @@ fn tensor(path: &Path, name: &str, view: &TensorView) -> Result<Tensor> {
         Dtype::BF16 => bytes.as_chunks().0.iter().map(|b| half::bf16::from_le_bytes(*b).to_f32()).collect(),
         other => return Err(Error::file(path, format!("{name}: expected type F32, F16 or BF16, found {other:?}"))),
     };
-    finite(path, name, &values)?;
+    check_finite_in(path, name, &values)?;
     Ok(Tensor::from_vec(values, view.shape(), &Device::Cpu)?)
-}
-
-/// Checks that all values of a tensor are finite.
-pub(super) fn finite(path: &Path, name: &str, values: &[f32]) -> Result<()> {
-    match values.iter().find(|value| !value.is_finite()) {
-        Some(bad) => Err(Error::file(path, format!("{name}: expected finite numbers, found {bad}"))),
-        None => Ok(()),
-    }
 }

@@ -77,12 +77,8 @@ pub(crate) fn reliability_parameter(default: &'static str) -> Parameter {
     )
 }
 
-/// Inputs of a node, to be watched.
-#[derive(Default)]
-pub(crate) struct InputTopics {
-    inputs: Vec<Input>,
-    is_watched: bool,
-}
+/// Inputs of a node, which [`watch`] looks at.
+struct InputTopics(Vec<Input>);
 
 type Call = Rc<RefCell<dyn FnMut(Vec<u8>)>>;
 
@@ -137,9 +133,12 @@ impl Runtime {
         if !matches {
             input.subscribe(self)?;
         }
-        self.inputs_mut().inputs.push(input);
-        if !std::mem::replace(&mut self.inputs_mut().is_watched, true) {
-            self.every(WAITING_INTERVAL, watch);
+        match self.extension_mut::<InputTopics>() {
+            Some(topics) => topics.0.push(input),
+            None => {
+                self.set_extension(InputTopics(vec![input]));
+                self.every(WAITING_INTERVAL, watch);
+            }
         }
         Ok(())
     }
@@ -157,15 +156,17 @@ impl Runtime {
     }
 
     /// Describes the first input that a publisher can't reach; None if there is none.
-    pub(crate) fn input_fault(&mut self) -> Option<String> {
-        self.inputs_mut().inputs.iter().find_map(|input| input.fault.clone())
+    pub(crate) fn input_fault(&self) -> Option<String> {
+        self.extension::<InputTopics>()?.0.iter().find_map(|input| input.fault.clone())
     }
 }
 
 /// Looks at the publishers of all inputs.
 fn watch(runtime: &mut Runtime) {
     let now = Instant::now();
-    let mut inputs = std::mem::take(&mut runtime.inputs_mut().inputs);
+    // The inputs leave the runtime while it subscribes for them.
+    let Some(topics) = runtime.extension_mut::<InputTopics>() else { return };
+    let mut inputs = std::mem::take(&mut topics.0);
     for input in inputs.iter_mut().filter(|input| now >= input.next_look) {
         input.look(runtime, now);
     }
@@ -180,7 +181,9 @@ fn watch(runtime: &mut Runtime) {
     for (input, _) in inputs.iter_mut().zip(silent).filter(|(_, is_silent)| *is_silent) {
         input.warn_of_silence(runtime);
     }
-    runtime.inputs_mut().inputs.append(&mut inputs);
+    if let Some(topics) = runtime.extension_mut::<InputTopics>() {
+        topics.0.append(&mut inputs);
+    }
 }
 
 impl Input {

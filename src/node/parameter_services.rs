@@ -36,7 +36,7 @@ pub(crate) fn serve(runtime: &mut Runtime, node: String) -> anyhow::Result<()> {
 
     let one_by_one = Rc::new(setter);
     let at_once = Rc::clone(&one_by_one);
-    runtime.set_parameter_setter(Rc::clone(&one_by_one));
+    runtime.set_extension(Rc::clone(&one_by_one));
     runtime.service::<srv::SetParameters::Service>("~/set_parameters", move |request| {
         let results = request.parameters.iter().map(|p| one_by_one.set(std::slice::from_ref(p)));
         srv::SetParameters::Response { results: results.collect() }

@@ -15,9 +15,7 @@ use r2r::{
 };
 
 use super::clock::RosClock;
-use super::input_topics::InputTopics;
 use super::log::Log;
-use super::parameter_services::Setter;
 use super::params::Parameters;
 use super::publisher::Publisher;
 use super::qos_overrides::{Endpoint, QosOverrides};
@@ -40,9 +38,9 @@ pub(crate) struct Runtime {
     polls: Vec<Box<dyn FnMut() -> bool>>,
     /// Clients of services that were called; r2r keeps each until the node ends.
     clients: HashMap<(TypeId, String), Rc<dyn Any>>,
-    inputs: InputTopics,
     qos_overrides: QosOverrides,
-    setter: Option<Rc<Setter>>,
+    /// State of the modules that build on this one, one value of each type.
+    extensions: HashMap<TypeId, Box<dyn Any>>,
     timers: Vec<Timer>,
     clock: RosClock,
     log: Log,
@@ -89,9 +87,8 @@ impl Runtime {
             names,
             polls: Vec::new(),
             clients: HashMap::new(),
-            inputs: InputTopics::default(),
             qos_overrides,
-            setter: None,
+            extensions: HashMap::new(),
             timers: Vec::new(),
             clock,
             log,
@@ -104,14 +101,19 @@ impl Runtime {
         &self.parameters
     }
 
-    /// Keeps the setter of parameters that also publishes changes.
-    pub(crate) fn set_parameter_setter(&mut self, setter: Rc<Setter>) {
-        self.setter = Some(setter);
+    /// Keeps a value for a module that builds on this one, in place of an earlier one of its type.
+    pub(crate) fn set_extension<T: 'static>(&mut self, value: T) {
+        self.extensions.insert(TypeId::of::<T>(), Box::new(value));
     }
 
-    /// Returns the setter of parameters that also publishes changes; None before the parameter services exist.
-    pub(crate) fn parameter_setter(&self) -> Option<Rc<Setter>> {
-        self.setter.clone()
+    /// Returns the value of a type that [`Self::set_extension`] kept; None if there is none.
+    pub(crate) fn extension<T: 'static>(&self) -> Option<&T> {
+        self.extensions.get(&TypeId::of::<T>())?.downcast_ref()
+    }
+
+    /// Returns the value of a type that [`Self::set_extension`] kept, for changes; None if there is none.
+    pub(crate) fn extension_mut<T: 'static>(&mut self) -> Option<&mut T> {
+        self.extensions.get_mut(&TypeId::of::<T>())?.downcast_mut()
     }
 
     /// Log of the node.
@@ -130,11 +132,6 @@ impl Runtime {
     /// If the ROS node is no longer valid.
     pub(crate) fn full_name(&self) -> anyhow::Result<String> {
         Ok(self.node.fully_qualified_name()?.trim_start_matches('/').to_owned())
-    }
-
-    /// Inputs of the node.
-    pub(crate) fn inputs_mut(&mut self) -> &mut InputTopics {
-        &mut self.inputs
     }
 
     /// Returns `qos` with the overrides for a subscription to `topic`, which is a full name.

@@ -10,7 +10,7 @@ use egotac::dataset::{Attributes, EpisodeWriter, Frame};
 use egotac::hand::Topology;
 use egotac::message::{Header, Image, Message, Time};
 use egotac::tactile::{N_FIELD, TactileField, Validity};
-use egotac_bench::faults::content::files;
+use egotac_bench::faults::content::{self, files};
 use egotac_bench::faults::inject::{Counts, Injection, Library};
 use egotac_bench::faults::input;
 use image::{RgbImage, imageops};
@@ -153,5 +153,5 @@ fn of_a_bag() {
 #[test]
 fn of_a_lerobot_data_set() {
     let write = |path: &Path| input::lerobot(path).unwrap();
-    read_errors_lose_nothing("table", write, "data", &["--camera", input::CAMERA]);
+    read_errors_lose_nothing("table", write, "data", &["--camera", content::CAMERA]);
 }

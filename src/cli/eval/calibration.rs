@@ -3,7 +3,7 @@
 use anyhow::bail;
 
 use super::Args;
-use super::cases;
+use super::truth;
 use crate::file::{self, input, limits};
 use crate::score::metrics::{self, Calibration, EvalOptions};
 use crate::tactile::TactileSequence;
@@ -28,7 +28,7 @@ pub fn read(args: &Args) -> anyhow::Result<Option<Calibration>> {
 pub fn truth(args: &Args) -> anyhow::Result<Option<TactileSequence>> {
     match args.calibration_from.as_slice() {
         [] => Ok(None),
-        stores => Ok(Some(cases::truth(stores)?.0)),
+        stores => Ok(Some(truth::truth(stores)?.0)),
     }
 }
 

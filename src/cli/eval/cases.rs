@@ -5,13 +5,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 
 use super::calibration;
-use super::groups::Origin;
+use super::truth::truth;
 use super::{Args, Case};
 use crate::cli::predict;
 use crate::dataset::EpisodeReader;
 use crate::dataset::tensors;
-use crate::dataset::zarr::{self, ZarrReader, read_truth};
-use crate::error::Result;
+use crate::dataset::zarr::{self, ZarrReader};
 use crate::hand::Topology;
 use crate::model::{Predictor, predictor};
 use crate::score::metrics::{EvalOptions, baseline};
@@ -80,20 +79,6 @@ pub fn must_fit(path: &Path, other: &TactileSequence, case: &Case) -> anyhow::Re
         topology.must_match(other).with_context(|| path.display().to_string())?;
     }
     same_length(path, other, case.target.n_frames())
-}
-
-/// Reads the truth of all stores that `paths` name, with the origin of each episode.
-pub fn truth(paths: &[PathBuf]) -> Result<(TactileSequence, Vec<Origin>)> {
-    let (mut all, mut origins) = (TactileSequence::default(), Vec::new());
-    for store in zarr::open_all(paths)? {
-        let mut own = read_truth(&store)?;
-        if own.episode_ends.is_empty() {
-            own.episode_ends = vec![own.n_frames()];
-        }
-        origins.extend((0..own.episode_ends.len()).map(|episode| Origin::of(&store, episode)));
-        all.append(&own)?;
-    }
-    Ok((all, origins))
 }
 
 /// Predicts touch on stores.

@@ -9,7 +9,7 @@ use egotac_kernels::rows::Rows;
 use crate::error::Result;
 use crate::model::attention::EPS;
 use crate::model::decoder as layers;
-use crate::model::heads::check_finite;
+use crate::model::finite::check_finite;
 use crate::model::precision::Precision;
 
 /// Weights of the decoder.

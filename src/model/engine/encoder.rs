@@ -9,7 +9,7 @@ use egotac_kernels::rows::Rows;
 use crate::error::Result;
 use crate::model::config::Config;
 use crate::model::dinov2::{self, Dinov2};
-use crate::model::heads::check_finite;
+use crate::model::finite::check_finite;
 use crate::model::precision::Precision;
 
 /// Unused values at the end of each row of the hidden layer. The width of that layer is a multiple of a memory page at

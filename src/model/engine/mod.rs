@@ -19,7 +19,7 @@ use egotac_kernels::team;
 use super::Layers;
 use super::attention::{EPS, LayerNorm, Linear};
 use super::config::Config;
-use super::heads::check_finite;
+use super::finite::check_finite;
 use super::precision::Precision;
 use crate::error::Result;
 use crate::tactile::N_FIELD;

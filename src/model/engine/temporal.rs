@@ -12,7 +12,7 @@ use egotac_kernels::rows::Rows;
 use egotac_kernels::{simd, team};
 
 use crate::error::Result;
-use crate::model::heads::check_finite;
+use crate::model::finite::check_finite;
 use crate::model::precision::Precision;
 use crate::model::temporal::TemporalFusion;
 

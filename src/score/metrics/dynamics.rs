@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::contact::Confusion;
+use super::run::Run;
 use super::statistics::{finite, is_constant};
-use super::trace::Run;
 
 /// A change of the normalised total force beyond this, per frame, is an event (paper, eta).
 pub const EVENT_THRESHOLD: f64 = 1e-4;

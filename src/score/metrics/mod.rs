@@ -30,6 +30,7 @@ mod episode_terms;
 mod evaluate;
 pub(crate) mod force;
 mod frame_score;
+mod run;
 mod running;
 mod spectrum;
 mod statistics;

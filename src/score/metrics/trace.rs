@@ -9,17 +9,9 @@ use serde::Serialize;
 
 use super::dynamics::{self, Calibration};
 use super::frame_score::FrameScore;
+use super::run::Run;
 use super::spectrum;
 use super::statistics::{is_constant, mean, pearson};
-
-/// Total force over consecutive frames without a gap, N.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Run {
-    /// Predicted.
-    pub pred: Vec<f64>,
-    /// True, as many values.
-    pub target: Vec<f64>,
-}
 
 /// Predicted and true total force of episodes, as runs between gaps.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -9,7 +9,8 @@ use egotac::error::{Error, Result};
 use egotac::file;
 use egotac::label::{FormatOptions, find_tasks};
 
-use super::input::CAMERA;
+/// Labelled camera of the LeRobot data set.
+pub const CAMERA: &str = "observation.images.head";
 
 /// An image with its label.
 #[derive(Debug, Clone, PartialEq, Eq)]

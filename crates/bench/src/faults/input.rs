@@ -29,9 +29,6 @@ const FRAMES: usize = 80;
 /// Time between two images, s.
 const STEP_SECS: f64 = 0.04;
 
-/// Labelled camera of the LeRobot data set.
-pub const CAMERA: &str = "observation.images.head";
-
 /// LeRobot data set of two episodes, as other programs write it.
 const LEROBOT: [(&str, &[u8]); 5] = [
     ("meta/info.json", include_bytes!("../../../../tests/data/lerobot/image/meta/info.json")),

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use egotac::dataset::copy_folder;
 use egotac::error::{Error, Result};
 
+use super::content;
 use super::input;
 
 /// Purpose of a command.
@@ -130,7 +131,7 @@ impl Subject {
                 arguments.push(self.folder.join("model.safetensors").into());
                 arguments.extend(words(&format!("--out {}", self.out)));
                 if self.name == LEROBOT {
-                    arguments.extend(["--camera", input::CAMERA].map(OsString::from));
+                    arguments.extend(["--camera", content::CAMERA].map(OsString::from));
                 }
                 arguments.extend(input.map(OsString::from));
                 arguments

@@ -5,16 +5,13 @@ use std::path::Path;
 use candle_core::{DType, Device, Tensor};
 use egotac::error::{Error, Result};
 
-use super::clone::Arm;
-use super::closed_loop::Recent;
+use super::arm::Arm;
 use super::control::{Disturbance, expert};
 use super::cores::on_all_cores;
 use super::network::Policy;
+use super::recent::{LAG, Recent};
 use super::senses::{OWN, PICTURE, RENDERED, SIDE, Senser, Senses, TOUCH};
 use super::task::{MAX_CHANGE, Trial};
-
-/// Frames between the two pictures, and the two touches, that a policy is given.
-pub const LAG: usize = 2;
 
 /// Demonstrations, frame by frame.
 #[derive(Debug, Clone, Default, PartialEq)]

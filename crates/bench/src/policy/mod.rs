@@ -10,6 +10,7 @@
 //!
 //! Demonstrations, weights and results of trials stay in the work folder, so a stopped experiment resumes.
 
+pub mod arm;
 pub mod clone;
 pub mod closed_loop;
 pub mod control;
@@ -18,6 +19,7 @@ pub mod demonstrations;
 pub mod interval;
 pub mod network;
 pub mod plot;
+pub mod recent;
 pub mod report;
 pub mod senses;
 pub mod task;
@@ -31,7 +33,8 @@ use egotac::file;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use clone::{Arm, Trained};
+use arm::Arm;
+use clone::Trained;
 use control::{constant, expert};
 use cores::on_all_cores;
 use demonstrations::Demonstrations;

@@ -4,7 +4,7 @@ use egotac::machine::Machine;
 use egotac::text::put;
 use serde::Serialize;
 
-use super::clone::Arm;
+use super::arm::Arm;
 use super::demonstrations::Demonstrations;
 use super::interval::{bootstrap, wilson};
 use super::senses::TOUCH;
