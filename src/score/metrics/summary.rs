@@ -1,12 +1,9 @@
-//! Summary of frame scores.
+//! All scores of a prediction, and the numbers of entries behind them.
 
 use serde::Serialize;
 
-use super::contact::{Confusion, ContactScores};
-use super::force::ForceErrors;
-use super::frame_score::FrameScore;
-use super::statistics::{finite, mean};
-use super::trace::{EpisodesDefined, TraceScores, Traces};
+use super::contact::ContactScores;
+use super::trace::EpisodesDefined;
 
 /// All scores, under the names of `egotac eval --json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -64,58 +61,4 @@ pub struct EntryCounts {
     pub contact_entries: u64,
     /// Counted entries that the prediction leaves unknown; above 0 the scores they enter are undefined.
     pub unknown_predictions: u64,
-}
-
-/// Scores the consecutive frames of one episode: all of [`Metrics`] that [`FrameScore`]s alone determine. The pooled AUROC,
-/// dynamics and spectra are left undefined. A call per new frame of a sliding window is cheap.
-pub fn summarize<'a>(frames: impl IntoIterator<Item = &'a FrameScore>) -> Metrics {
-    let frames: Vec<&FrameScore> = frames.into_iter().collect();
-    let force = frames.iter().fold(ForceErrors::default(), |sum, frame| sum + frame.force);
-    let confusion = frames.iter().fold(Confusion::default(), |sum, frame| sum + frame.contact);
-    let with_contact: Vec<&FrameScore> = frames.iter().copied().filter(|frame| frame.contact.counts()).collect();
-    let (positive, negative): (Vec<&FrameScore>, Vec<&FrameScore>) =
-        with_contact.iter().copied().partition(|frame| frame.contact.positives() > 0);
-    let scores: Vec<ContactScores> =
-        positive.iter().map(|f| ContactScores { auroc: f.auroc, ..f.contact.scores() }).collect();
-    let frame_mean = |score: fn(&ContactScores) -> Option<f64>| {
-        // One unknown prediction makes the mean undefined, as it makes the pooled score.
-        (confusion.unknown == 0).then(|| mean(scores.iter().map(score))).flatten()
-    };
-    let quiet = negative.iter().fold(Confusion::default(), |sum, frame| sum + frame.contact);
-    let consecutive: Vec<FrameScore> = frames.iter().map(|frame| (*frame).clone()).collect();
-    let traces = Traces::of(&consecutive, std::slice::from_ref(&(0..frames.len()))).scores(None, None);
-    let defined = EpisodesDefined::of(&traces);
-    Metrics {
-        mae: force.mae(),
-        active_mae: force.active_mae(),
-        temporal_pearson: TraceScores::mean(traces.iter()).temporal_pearson,
-        frame_mean: ContactScores {
-            precision: frame_mean(|s| s.precision),
-            recall: frame_mean(|s| s.recall),
-            f1: frame_mean(|s| s.f1),
-            iou: frame_mean(|s| s.iou),
-            auroc: frame_mean(|s| s.auroc),
-        },
-        share_without_positives: finite(negative.len() as f64 / with_contact.len() as f64),
-        false_positive_rate: quiet.false_positive_rate(),
-        pooled: confusion.scores(),
-        force_cosine: None,
-        rise_f1: None,
-        fall_f1: None,
-        dft_pearson: None,
-        spectral_convergence: None,
-        dominant_frequency_error_hz: None,
-        episodes_defined: EpisodesDefined { temporal_pearson: defined.temporal_pearson, ..EpisodesDefined::default() },
-        counts: EntryCounts {
-            frames: frames.len(),
-            episodes: usize::from(!frames.is_empty()),
-            trace_frames: frames.iter().filter(|frame| frame.target_total.is_some()).count(),
-            contact_frames: with_contact.len(),
-            frames_without_positives: negative.len(),
-            force_entries: force.count,
-            active_entries: force.active_count,
-            contact_entries: confusion.total(),
-            unknown_predictions: force.unknown + confusion.unknown,
-        },
-    }
 }

@@ -236,7 +236,8 @@ impl PolicyReport {
                  All arms have the same small network (two pictures of 64 px, 34 forces on regions now and 0.16 s earlier, commanded grip and\n\
                  height; zeros in place of a touch that an arm lacks), the same initial weights, and the same {demonstrations} demonstrations\n\
                  ({} frames) of an expert with disturbed commands. In each of {ROUNDS} rounds the expert then corrects trials of the policy's own, on\n\
-                 seeds that are the same for all arms (DAgger); {steps} steps on all data, {seeds} trainings of each arm, each tried on the same\n\
+                 seeds that are the same for all arms (DAgger; added to all arms after a first look at pictures alone, on seeds that are not\n\
+                 used here); {steps} steps on all data, {seeds} trainings of each arm, each tried on the same\n\
                  {trials} unseen seeds. A predicted touch is a function of the same pictures (three, over 0.24 s): it can bring what\n\
                  the shipped network has learned, and nothing that pictures do not show. Pictures are rendered, and the true touch has no noise.\n",
                 self.frames
