@@ -1,8 +1,9 @@
-//! Formats text for people.
+//! Text for people.
 
 use std::borrow::Cow;
 use std::error::Error;
 use std::fmt::{Arguments, Write};
+use std::io;
 
 /// Formats a number with three significant digits and at most six decimals, without an exponent.
 pub fn significant(value: f64) -> String {
@@ -44,6 +45,13 @@ pub fn shortened(text: &str, most: usize) -> Cow<'_, str> {
 pub fn put(text: &mut String, line: Arguments<'_>) {
     // Writing to a String cannot fail.
     let _ = writeln!(text, "{line}");
+}
+
+/// Prints a line to standard error. If that fails, as on a full disk or a closed pipe, the line is lost and the program goes
+/// on: `eprintln!` would panic, and the exit status would no longer tell the result.
+pub fn tell(line: Arguments<'_>) {
+    // Nowhere is left to report the failure.
+    let _ = io::Write::write_fmt(&mut io::stderr().lock(), format_args!("{line}\n"));
 }
 
 /// Escapes what a text from outside could do to a terminal: control characters except line feeds and tabs, and the

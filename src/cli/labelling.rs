@@ -11,7 +11,7 @@ use crate::dataset::LabelSummary;
 use crate::error::{Error, Result};
 use crate::file;
 use crate::label::{Job, LabelTask, LabelTiming, Outcome, Shard, write_manifest};
-use crate::text::{printable, printable_name};
+use crate::text::{printable, printable_name, tell};
 
 /// Exit status if a part of the input could not be labelled.
 const PARTLY: u8 = 3;
@@ -57,12 +57,13 @@ impl Work<'_> {
             }
         }
         bar.finish_and_clear();
+        ends.forget_moved();
         if several && out.is_dir() {
             write_manifest(out, tasks, unreadable)?;
         }
         report(json, &ends, &timing)?;
         for (name, reason) in &ends.failed {
-            eprintln!("{}", printable_name(&format!("{name}: {reason}")));
+            tell(format_args!("{}", printable_name(&format!("{name}: {reason}"))));
         }
         if ends.done.is_empty() && ends.waiting.is_empty() {
             bail!("{}: none of {} recordings could be labelled", input.display(), ends.failed.len());
@@ -81,6 +82,16 @@ struct Ends<'a> {
     waiting: Vec<&'a LabelTask>,
     /// Names of inputs without an output, and the reasons.
     failed: Vec<(String, String)>,
+}
+
+impl Ends<'_> {
+    /// Counts outputs as failed that somebody moved or removed while others were written.
+    fn forget_moved(&mut self) {
+        for (task, ..) in self.done.extract_if(.., |(task, ..)| !task.out.exists()) {
+            let reason = "was moved or removed after it was written; run the command again";
+            self.failed.push((task.name.clone(), Error::file(&task.out, reason).to_string()));
+        }
+    }
 }
 
 /// Creates a bar over all images that starts where earlier runs stopped.

@@ -18,7 +18,7 @@ data set; `--follow-links` permits others. In a snapshot of the Hugging Face cac
 
 While a bag is labelled, one record or chunk of it, its decompressed form and one of its images are in memory, beside at most
 512 MiB of images that wait for the network; while it is copied, two chunks. A cell of a Parquet file is in memory up to five times
-while its row is copied, compressed and decompressed.
+while its row is copied, compressed and decompressed; a page of several cells that hardly shrink may exceed the limit of pages.
 
 ";
 

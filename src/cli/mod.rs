@@ -30,7 +30,7 @@ use clap::{Parser, Subcommand};
 
 use crate::file::input;
 use crate::file::limits::check_environment;
-use crate::text;
+use crate::text::{self, tell};
 
 /// Touch from sight: dense force and contact on both hands, from egocentric RGB.
 #[derive(Debug, Parser)]
@@ -118,7 +118,7 @@ pub fn execute(command: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitCode {
     match done {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("egotac: {}", text::error_chain(error.as_ref()));
+            tell(format_args!("egotac: {}", text::error_chain(error.as_ref())));
             ExitCode::FAILURE
         }
     }
@@ -153,7 +153,7 @@ fn positive(text: &str) -> Result<f64, String> {
 }
 
 /// Exits where `print!` would panic: without a message if standard output is closed, as in `egotac ... | head`, and otherwise
-/// with the error, as of a full disk.
+/// with the error, as of a full disk. A crate that can't print to standard error ends the program as an error does.
 fn exit_where_printing_fails() {
     /// Exit status that a shell reports for a program ended by SIGPIPE.
     const CLOSED_PIPE: i32 = 128 + 13;
@@ -164,7 +164,10 @@ fn exit_where_printing_fails() {
             if error.contains("Broken pipe") {
                 std::process::exit(CLOSED_PIPE);
             }
-            eprintln!("egotac: standard output: {error}");
+            tell(format_args!("egotac: standard output: {error}"));
+            std::process::exit(1);
+        }
+        if message.starts_with("failed printing to stderr: ") {
             std::process::exit(1);
         }
         default_hook(panic);

@@ -10,7 +10,7 @@ use crate::file;
 use crate::score::verify::recording::{self, Topics};
 use crate::score::verify::report::{self, Unmatched};
 use crate::score::verify::{Candidate, Requirement, SweepSettings, VerifyReport, picture};
-use crate::text::printable;
+use crate::text::{printable, tell};
 
 /// Arguments of `egotac verify`.
 #[derive(Debug, clap::Args)]
@@ -166,7 +166,7 @@ fn gate(requirements: &[Requirement], report: &VerifyReport) -> anyhow::Result<E
         let candidate = report.candidate(requirement.candidate.as_deref())?;
         let value = candidate.scores.get(requirement.score.name).and_then(|scored| scored.value);
         if let Some(missed) = requirement.missed(value) {
-            eprintln!("egotac: {}", printable(&format!("{}: {missed}", candidate.name)));
+            tell(format_args!("egotac: {}", printable(&format!("{}: {missed}", candidate.name))));
             status = ExitCode::FAILURE;
         }
     }

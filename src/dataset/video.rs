@@ -4,7 +4,7 @@ mod demuxer;
 mod images;
 
 use std::collections::VecDeque;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, ErrorKind, Read};
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
@@ -167,10 +167,14 @@ impl VideoFrames {
             // ffmpeg seeks to the key frame before `start` and drops the frames in between.
             command.args(["-ss", &format!("{start:.6}")]);
         }
+        // One thread: several hide damage in the order in which they come upon it, so that an image would differ between the
+        // pass that labels it and the pass that copies it.
+        command.args(["-threads", "1"]);
         command.arg("-copyts").args(demuxer::arguments(path)?).args(["-map", "0:v:0", "-vf", "showinfo=checksum=0"]);
         // Passthrough: ffmpeg must neither repeat nor drop frames to reach an even rate.
         command.args([if has_fps_mode() { "-fps_mode" } else { "-vsync" }, "passthrough"]);
-        command.args(["-f", "image2pipe", "-c:v", "ppm", "-"]);
+        // Of videos with more than 8 bits per channel, PPM files would have 16.
+        command.args(["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "rgb24", "-"]);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut process = command.spawn().map_err(|error| not_installed("ffmpeg", path, &error))?;
         let (Some(pixels), Some(words)) = (process.stdout.take(), process.stderr.take()) else {
@@ -185,6 +189,13 @@ impl VideoFrames {
 
     fn read(&mut self) -> Result<Option<(f64, RgbImage)>> {
         let image = read_ppm(&mut self.pixels);
+        if let Err(error) = &image
+            && error.kind() == ErrorKind::InvalidData
+        {
+            // ffmpeg would wait for ever for a reader of its next images. An error means that it has ended.
+            let _ = self.process.kill();
+            return Err(Error::file(&self.path, error));
+        }
         let Ok(Some(image)) = image else {
             // How ffmpeg ended says more than the output that it left.
             self.end()?;
@@ -292,7 +303,7 @@ fn fraction(text: &str) -> Option<(f64, f64)> {
 
 /// Reads the next image of a stream of binary PPM files; None at the end.
 fn read_ppm(reader: &mut impl BufRead) -> std::io::Result<Option<RgbImage>> {
-    let invalid = |what: &str| std::io::Error::new(std::io::ErrorKind::InvalidData, format!("ffmpeg's output: {what}"));
+    let invalid = |what: &str| std::io::Error::new(ErrorKind::InvalidData, format!("ffmpeg's output: {what}"));
     let mut head = Vec::new();
     // Three lines: format, width and height, largest value.
     for _ in 0..3 {

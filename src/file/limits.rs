@@ -37,10 +37,18 @@ pub const FILE: Limit =
 pub const IMAGE: Limit = limit("IMAGE_PIXELS", "one image", 36_000_000, "pixels");
 /// Size of one record of a bag before decompression.
 pub const RECORD: Limit = limit("RECORD_BYTES", "one record of a bag", 256 * MIB, "bytes");
-/// Decompressed size of one chunk, page or cell.
-pub const CHUNK: Limit = limit("CHUNK_BYTES", "one decompressed chunk, page or cell", 256 * MIB, "bytes");
+/// Decompressed size of one chunk.
+pub const CHUNK: Limit = limit("CHUNK_BYTES", "one decompressed chunk", 256 * MIB, "bytes");
+/// Decompressed size of a page or a cell of a Parquet file. Five times that are in memory while a row is copied.
+pub const PAGE: Limit = limit("PAGE_BYTES", "one decompressed page or cell of a Parquet file", 128 * MIB, "bytes");
 /// Size of the part of an array that is read at once. Force on both hands in 690,000 frames has 4 GiB.
 pub const ARRAY: Limit = limit("ARRAY_BYTES", "one array of a recording that is read whole", 4 * GIB, "bytes");
+/// Number of chunks that the values of one frame of an array may lie in.
+pub const FRAME_CHUNKS: Limit = limit("FRAME_CHUNKS", "one frame of an array", 4096, "chunks");
+/// Number of chunks of an array whose chunks are parts of a frame: each costs a look into the file system, also where it is
+/// absent.
+pub const PART_CHUNKS: Limit =
+    limit("PART_CHUNKS", "all frames of an array whose frames lie in several chunks each", 1 << 22, "chunks");
 /// Number of images or rows of one recording. At 30 Hz, 16 million are 148 hours.
 pub const FRAMES: Limit = limit("FRAMES", "one recording", 1 << 24, "frames");
 /// Number of episodes of one data set: each has a journal of its own while it is labelled.
@@ -54,8 +62,23 @@ pub const MODEL_SECONDS: Limit =
     limit("MODEL_SECONDS", "the processor time to compile a scene or robot model", 10, "seconds");
 
 /// All limits, in the order of the table.
-pub const ALL: [Limit; 12] =
-    [TEXT, FILE, WEIGHTS, PARAMETERS, IMAGE, RECORD, CHUNK, ARRAY, FRAMES, EPISODES, MODEL_MEMORY, MODEL_SECONDS];
+pub const ALL: [Limit; 15] = [
+    TEXT,
+    FILE,
+    WEIGHTS,
+    PARAMETERS,
+    IMAGE,
+    RECORD,
+    CHUNK,
+    PAGE,
+    ARRAY,
+    FRAME_CHUNKS,
+    PART_CHUNKS,
+    FRAMES,
+    EPISODES,
+    MODEL_MEMORY,
+    MODEL_SECONDS,
+];
 
 const fn limit(name: &'static str, bounds: &'static str, default: u64, unit: &'static str) -> Limit {
     Limit { name, bounds, default, unit }

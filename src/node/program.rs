@@ -7,6 +7,7 @@ use super::params::{self, Parameter};
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use crate::file::limits::check_environment;
+use crate::text::{error_chain, tell};
 
 /// Runs the program of the node `name`: `--help` and `--describe-parameters` print without starting ROS; otherwise `run`
 /// gets the node and runs until SIGINT or SIGTERM. The exit status is 0 after a clean shutdown, 1 after an error, which is
@@ -30,7 +31,7 @@ pub(crate) fn run(
                 ExitCode::SUCCESS
             }
             other => {
-                eprintln!("unknown argument {other:?}; ROS arguments follow --ros-args, see --help");
+                tell(format_args!("unknown argument {other:?}; ROS arguments follow --ros-args, see --help"));
                 ExitCode::from(2)
             }
         };
@@ -44,7 +45,7 @@ pub(crate) fn run(
     match run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("{}", crate::text::error_chain(error.as_ref()));
+            tell(format_args!("{}", error_chain(error.as_ref())));
             ExitCode::FAILURE
         }
     }

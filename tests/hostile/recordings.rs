@@ -97,7 +97,7 @@ fn a_cell_that_decompresses_to_much_more_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let data = copied("image", folder.path());
     let rows = data.join("data/chunk-000/file-000.parquet");
-    let cell = vec![0u8; 300 << 20];
+    let cell = vec![0u8; 150 << 20];
     let bytes: ArrayRef = Arc::new(BinaryArray::from(vec![&cell[..], b"x"]));
     let field = Arc::new(arrow_schema::Field::new("bytes", bytes.data_type().clone(), true));
     let times: ArrayRef = Arc::new(Float64Array::from(vec![0.0, 0.1]));
@@ -112,7 +112,7 @@ fn a_cell_that_decompresses_to_much_more_is_refused() {
     writer.close().unwrap();
     let out = folder.path().join("out");
     let [input, out] = [&data, &out].map(|path| path.to_str().unwrap());
-    refused_small(&["label", input, "--camera", &camera, "--out", out], "EGOTAC_LIMIT_CHUNK_BYTES");
+    refused_small(&["label", input, "--camera", &camera, "--out", out], "EGOTAC_LIMIT_PAGE_BYTES");
 }
 
 /// Copies a LeRobot data set of the tests.
@@ -235,4 +235,79 @@ fn output_to_a_full_disk_is_an_error() {
     let text = String::from_utf8(done.stderr).unwrap();
     assert_eq!(done.status.code(), Some(1), "{text}");
     assert!(text.starts_with("egotac: standard output: No space left on device"), "{text}");
+}
+
+#[test]
+fn the_exit_status_tells_the_result_also_where_nothing_can_be_printed() {
+    let folder = tempfile::tempdir().unwrap();
+    small_store(&folder.path().join("in/a.zarr"));
+    fs::write(folder.path().join("in/b.mcap"), b"no bag").unwrap();
+    let run = |words: &[&str], input: &str| {
+        let full = || File::options().write(true).open("/dev/full").unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_egotac"));
+        command.args(words).arg(folder.path().join(input)).stdout(Stdio::null()).stderr(full());
+        command.status().unwrap().code()
+    };
+    let out = folder.path().join("out");
+    // A recording that can't be read is listed on standard error; the other one is labelled.
+    assert_eq!(run(&["label", "--out", out.to_str().unwrap()], "in"), Some(3));
+    assert!(out.join("a.zarr").is_dir());
+    assert_eq!(run(&["data", "info"], "none"), Some(1));
+    assert_eq!(run(&["data", "no-such-command"], "none"), Some(2));
+}
+
+#[test]
+fn an_output_that_was_moved_away_is_no_success() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, out] = ["in", "out"].map(|name| folder.path().join(name));
+    small_store(&input.join("a.zarr"));
+    fs::create_dir(input.join("b")).unwrap();
+    for index in 0..200 {
+        RgbImage::new(64, 64).save(input.join(format!("b/{index}.png"))).unwrap();
+    }
+    let mut command = Command::new(env!("CARGO_BIN_EXE_egotac"));
+    command.arg("label").arg(&input).arg("--out").arg(&out).stdout(Stdio::null()).stderr(Stdio::piped());
+    let child = command.spawn().unwrap();
+    while !out.join("a.zarr").exists() {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    fs::rename(out.join("a.zarr"), folder.path().join("moved.zarr")).unwrap();
+    let done = child.wait_with_output().unwrap();
+    let text = String::from_utf8(done.stderr).unwrap();
+    assert_eq!(done.status.code(), Some(3), "{text}");
+    assert!(text.contains("a.zarr: was moved or removed after it was written"), "{text}");
+    // The same command labels it again.
+    let done = measured(&["label", input.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    assert!(done.status == Some(0) && out.join("a.zarr").is_dir(), "{}", done.text);
+}
+
+#[test]
+fn labels_of_a_bag_with_evil_metadata_are_a_bag_that_reads_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, out) = (folder.path().join("a.mcap"), folder.path().join("out"));
+    let options = mcap::WriteOptions::new().profile("ros2");
+    let mut writer = options.create(File::create(&path).unwrap()).unwrap();
+    let schema = writer.add_schema(message::Image::TYPE, "ros2msg", message::Image::schema().as_bytes()).unwrap();
+    let topic = format!("/{}", "camera".repeat(100_000));
+    // As YAML, more nested lists than any reader takes; as a list of profiles, none.
+    let qos = format!("- history: {}", "[".repeat(5000));
+    let metadata = std::collections::BTreeMap::from([("offered_qos_profiles".to_string(), qos)]);
+    let channel_id = writer.add_channel(schema, &topic, "cdr", &metadata).unwrap();
+    for sequence in 0..4 {
+        let stamp = message::Time { sec: 1, nanosec: 40_000_000 * sequence };
+        let header = message::Header { stamp, frame_id: String::new() };
+        let payload = message::Image::from_rgb(header, &RgbImage::new(64, 64)).to_cdr();
+        let time = stamp.nanos() as u64;
+        let header = mcap::records::MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
+        writer.write_to_known_channel(&header, &payload).unwrap();
+    }
+    writer.finish().unwrap();
+    let [input, out] = [&path, &out].map(|path| path.to_str().unwrap());
+    let done = measured(&["label", input, "--out", out]);
+    assert_eq!(done.status, Some(0), "{}", done.text);
+    for bag in [input, out] {
+        let done = measured(&["data", "info", bag]);
+        assert_eq!(done.status, Some(0), "{}", done.text);
+        assert!(done.text.contains("... (600001 bytes)") && done.text.len() < 4000, "{} bytes", done.text.len());
+    }
 }

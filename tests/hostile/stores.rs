@@ -78,7 +78,7 @@ fn a_frame_in_very_many_chunks_is_refused() {
     }
     fs::write(path.join("meta/episode_ends/0"), 4096u64.to_le_bytes()).unwrap();
     let out = folder.path().join("a.html");
-    refused_small(&["report", path.to_str().unwrap(), "--out", out.to_str().unwrap()], "parts");
+    refused_small(&["report", path.to_str().unwrap(), "--out", out.to_str().unwrap()], "EGOTAC_LIMIT_PART_CHUNKS");
 }
 
 /// Packs a store into a zip file, and flips a bit of the content of one of its files.

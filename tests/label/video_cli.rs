@@ -76,6 +76,23 @@ fn every_frame_of_a_video_is_read_once_with_its_time() {
 }
 
 #[test]
+fn videos_of_more_than_eight_bits_per_channel_give_the_same_images() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    images(&at("in"), 12);
+    for format in ["gbrp12le", "gbrp16le", "gray16le"] {
+        let file = at(format).with_extension("mkv");
+        video(&at("in"), &file, &["-c:v", "ffv1", "-pix_fmt", format]);
+        let frames: Vec<RgbImage> = VideoFrames::open(&file, None).unwrap().map(|frame| frame.unwrap().1).collect();
+        assert_eq!(frames.len(), 12, "{format}");
+        for (index, image) in frames.iter().enumerate().filter(|_| format != "gray16le") {
+            let differ = image.iter().zip(picture(index as u32).iter()).any(|(got, own)| got.abs_diff(*own) > 1);
+            assert!(!differ, "{format} {index}");
+        }
+    }
+}
+
+#[test]
 fn a_video_becomes_a_store_with_labels() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);

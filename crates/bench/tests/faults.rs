@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use egotac_bench::faults::check::{Harm, Reference};
+use egotac_bench::faults::subject::Subject;
 use egotac_bench::faults::{Options, input, run};
 
 fn short(only: &[&str]) {
@@ -24,6 +25,21 @@ fn short(only: &[&str]) {
         .flat_map(|row| row.findings.iter().map(move |(run, what)| (&row.command, &row.fault, run, what)))
         .collect();
     assert!(!report.rows.is_empty() && report.is_clean(), "{findings:#?}");
+}
+
+#[test]
+fn import_survives_every_fault() {
+    short(&["import"]);
+}
+
+#[test]
+fn findings_name_files_without_the_folders_of_one_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let inputs = folder.path().join("inputs");
+    let subjects = Subject::all(&inputs, &["label, images".into()], 1).unwrap();
+    let case = folder.path().join("work/case");
+    let text = format!("{}: cut; {} is gone", case.join("out/a.zarr").display(), inputs.join("b/table").display());
+    assert_eq!(subjects[0].shortened(&text, &case), "out/a.zarr: cut; inputs/b/table is gone");
 }
 
 #[test]

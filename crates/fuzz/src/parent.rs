@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 
 use egotac::file::limits::MODEL_MEMORY;
+use egotac::text::tell;
 
 use crate::case::Case;
 use crate::child::{self, Span};
@@ -73,7 +74,7 @@ pub fn run(target: &Target, seed: u64, inputs: u64, time: Duration, keep: &Path)
         let path = keep.join(target.name).join(file_name(target, &reason));
         fs::create_dir_all(path.parent().unwrap_or(keep))?;
         case.write(&path)?;
-        eprintln!("{}: {reason}\n    {}", target.name, path.display());
+        tell(format_args!("{}: {reason}\n    {}", target.name, path.display()));
         report.findings.insert(reason, (path, 1));
     }
     Ok(report)

@@ -11,7 +11,7 @@ use crate::dataset::lerobot::LeRobot;
 use crate::dataset::mcap::{bag_files, survey};
 use crate::dataset::{Format, LabelInfo, Labelled, video, zarr};
 use crate::error::{Error, Result};
-use crate::text::{printable, printable_name};
+use crate::text::{printable, printable_name, shortened};
 
 /// Runs the command.
 pub fn run(paths: &[PathBuf], json: bool) -> anyhow::Result<ExitCode> {
@@ -103,6 +103,13 @@ fn bag(path: &Path) -> Result<Value> {
     )
 }
 
+/// Returns a name from a file as a part of a line.
+fn name_of(name: &str) -> String {
+    /// Number of a name's characters that are printed.
+    const MOST: usize = 200;
+    printable_name(&shortened(name, MOST)).into_owned()
+}
+
 fn text(info: &Value) -> String {
     if info["kind"] == "store" {
         return store_info::text(info);
@@ -125,11 +132,11 @@ fn text(info: &Value) -> String {
         text += &format!(", {} x {} pixels", image["width"], image["height"]);
     }
     for (name, feature) in info["features"].as_object().into_iter().flatten() {
-        let name = printable_name(name);
+        let name = name_of(name);
         text += &format!("\n  {name}: {} {}", feature["dtype"].as_str().unwrap_or_default(), feature["shape"]);
     }
     for (topic, about) in info["topics"].as_object().into_iter().flatten() {
-        let (topic, type_name) = (printable_name(topic), printable_name(about["type"].as_str().unwrap_or_default()));
+        let (topic, type_name) = (name_of(topic), name_of(about["type"].as_str().unwrap_or_default()));
         text += &format!("\n  {topic}: {} messages of {type_name}", about["messages"]);
     }
     for file in info["files"].as_array().into_iter().flatten() {

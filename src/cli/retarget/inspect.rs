@@ -14,6 +14,7 @@ use crate::retarget::Robot;
 use crate::retarget::robot::coupling::JointDrive;
 use crate::retarget::robot::fingers::Finger;
 use crate::retarget::robot::spec::{FINGERS, FingerSpec, ModelSpec, RobotSpec, TipSpec};
+use crate::text::tell;
 
 /// Width and height of one view, px.
 const VIEW: u32 = 480;
@@ -30,7 +31,7 @@ pub fn inspect(args: &Inspect) -> anyhow::Result<()> {
     }
     if let Some(out) = &args.out {
         file::write_png(out, &picture(&mut robot)?)?;
-        eprintln!("wrote {}", out.display());
+        tell(format_args!("wrote {}", out.display()));
     }
     Ok(())
 }

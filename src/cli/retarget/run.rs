@@ -11,6 +11,7 @@ use crate::mujoco::object::Shapes;
 use crate::retarget::file::{HandRecording, RobotTrajectory};
 use crate::retarget::{Options, Retargeter, Robot, Status, TouchPooling};
 use crate::statistics::percentile;
+use crate::text::tell;
 
 /// Frame rate of recordings without timestamps, Hz.
 const DEFAULT_RATE: f64 = 30.0;
@@ -90,13 +91,13 @@ fn follow(
         if let Err(error) = result {
             held += 1;
             if held <= MAX_REPORTED {
-                eprintln!("egotac: frame {frame}: {error}; the last good pose is held");
+                tell(format_args!("egotac: frame {frame}: {error}; the last good pose is held"));
             }
         }
         trajectory.push(retargeter.output(), sign);
     }
     if held > MAX_REPORTED {
-        eprintln!("egotac: {} more frames were bad", held - MAX_REPORTED);
+        tell(format_args!("egotac: {} more frames were bad", held - MAX_REPORTED));
     }
     ensure!(held < hands.len() || held == 0, "{}: no frame is a hand", args.input.display());
     Ok(trajectory)

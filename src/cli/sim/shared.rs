@@ -4,12 +4,13 @@ use anyhow::ensure;
 
 use super::RolloutArgs;
 use crate::sim::{RolloutOptions, Scene, mesh_faults, mjcf};
+use crate::text::tell;
 
 /// Loads a scene; prints faults of its mesh files to standard error.
 pub fn load(name_or_path: &str) -> anyhow::Result<Scene> {
     let scene = Scene::load(name_or_path)?;
     for line in mesh_faults(&scene)? {
-        eprintln!("egotac: warning: {line}");
+        tell(format_args!("egotac: warning: {line}"));
     }
     Ok(scene)
 }

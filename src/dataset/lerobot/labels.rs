@@ -42,7 +42,7 @@ impl LeRobotDataset {
         let not_written = |error: parquet::errors::ParquetError| Error::library(to, error);
         let (builder, page) = reader_and_page(from)?;
         // Fewer rows at a time where a cell may be large.
-        let batch = (limits::CHUNK.value() / page.max(1)).clamp(1, BATCH as u64) as usize;
+        let batch = (limits::PAGE.value() / page.max(1)).clamp(1, BATCH as u64) as usize;
         let key_values = builder.metadata().file_metadata().key_value_metadata().cloned().unwrap_or_default();
         let (schema, key_values) = extended_schema(builder.schema(), key_values, columns);
         let properties = WriterProperties::builder()

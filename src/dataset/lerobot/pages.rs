@@ -11,7 +11,7 @@ use crate::file::limits;
 
 /// Sizes of the reads of a page's header, bytes: that of most headers, then that of one with long statistics.
 const HEADER: [u64; 2] = [1 << 12, 1 << 22];
-/// Largest ratio of decompressed to compressed size at which a page may exceed the limit of a chunk: images hardly shrink.
+/// Largest ratio of decompressed to compressed size at which a page may exceed its limit: images hardly shrink.
 const RATIO: u64 = 4;
 /// Largest depth of structures in a page's header.
 const DEPTH: usize = 8;
@@ -19,8 +19,8 @@ const DEPTH: usize = 8;
 /// Checks all pages of the file at `path`, which `file` is, and returns the size of the largest, bytes.
 ///
 /// # Errors
-/// If a place or size is negative or outside of the file, or a page is larger than [`limits::CHUNK`] and its compressed bytes
-/// do not account for that.
+/// If a place or size is negative or outside of the file, or a page is larger than [`limits::PAGE`], and holds a single cell or
+/// its compressed bytes do not account for that.
 pub(super) fn check(path: &Path, file: &File, metadata: &ParquetMetaData) -> Result<u64> {
     let invalid = |what: &str| Error::file(path, format!("expected an intact Parquet file, got {what}"));
     let size = file.metadata().map_err(Error::io(path))?.len();
@@ -40,8 +40,8 @@ pub(super) fn check(path: &Path, file: &File, metadata: &ParquetMetaData) -> Res
             while at < end {
                 let page = page(file, at, end).map_err(Error::io(path))?;
                 let page = page.ok_or_else(|| invalid(&format!("no page header at byte {at}")))?;
-                if page.decompressed > RATIO.saturating_mul(page.compressed) {
-                    limits::CHUNK.check(path, &format!("the page at byte {at}"), page.decompressed)?;
+                if page.values <= 1 || page.decompressed > RATIO.saturating_mul(page.compressed) {
+                    limits::PAGE.check(path, &format!("the page at byte {at}"), page.decompressed)?;
                 }
                 largest = largest.max(page.decompressed);
                 at = at.saturating_add(page.header).saturating_add(page.compressed);
@@ -51,8 +51,9 @@ pub(super) fn check(path: &Path, file: &File, metadata: &ParquetMetaData) -> Res
     Ok(largest)
 }
 
-/// Sizes of a page, bytes.
+/// Sizes of a page, bytes, and its number of values.
 struct Page {
+    values: u64,
     header: u64,
     compressed: u64,
     decompressed: u64,
@@ -78,16 +79,35 @@ struct Thrift<'a> {
 
 impl Thrift<'_> {
     fn page(&mut self) -> Option<Page> {
-        let (mut field, mut sizes) = (0, [None; 2]);
+        let (mut field, mut sizes, mut values) = (0, [None; 2], 0);
         loop {
             let head = self.byte()?;
             if head == 0 {
                 let [decompressed, compressed] = sizes;
-                return Some(Page { header: self.at as u64, compressed: compressed?, decompressed: decompressed? });
+                let header = self.at as u64;
+                return Some(Page { values, header, compressed: compressed?, decompressed: decompressed? });
             }
             field = self.field(field, head)?;
             match (field, head & 0x0f) {
                 (2 | 3, 5) => sizes[field as usize - 2] = Some(u64::try_from(self.zigzag()?).ok()?),
+                // Headers of a data page, a dictionary, and a data page of version 2.
+                (5 | 7 | 8, 12) => values = self.values()?,
+                (_, kind) => self.skip(kind, DEPTH)?,
+            }
+        }
+    }
+
+    /// Reads the header of one kind of page; returns its number of values.
+    fn values(&mut self) -> Option<u64> {
+        let (mut field, mut values) = (0, 0);
+        loop {
+            let head = self.byte()?;
+            if head == 0 {
+                return Some(values);
+            }
+            field = self.field(field, head)?;
+            match (field, head & 0x0f) {
+                (1, 5) => values = u64::try_from(self.zigzag()?).ok()?,
                 (_, kind) => self.skip(kind, DEPTH)?,
             }
         }

@@ -161,7 +161,7 @@ fn row_of(batch: &RecordBatch, camera: Option<&str>, path: &Path) -> Result<Row>
         DataType::LargeBinary => bytes.as_binary::<i64>().value(0),
         other => return Err(Error::file(path, format!("{name}: expected the image's bytes, got {other}"))),
     };
-    limits::CHUNK.check(path, name, image.len() as u64)?;
+    limits::PAGE.check(path, name, image.len() as u64)?;
     Ok(Row { timestamp, image: Some(image.to_vec()) })
 }
 

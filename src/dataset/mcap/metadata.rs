@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::error::{Error, Result};
+use crate::text::parse_yaml;
 
 /// Version of the layout; all distributions from Humble on read version 5.
 const VERSION: u32 = 5;
@@ -33,10 +34,11 @@ pub struct BagFile {
     pub messages: u64,
 }
 
-/// Returns the text of `metadata.yaml` for a bag with these topics and files.
+/// Returns the text of `metadata.yaml` for a bag with these topics and files. QoS profiles that are no YAML list are left out:
+/// no player could read the bag.
 ///
 /// # Errors
-/// If a name can't be written as YAML.
+/// If a name can't be written as YAML that reads back.
 pub fn metadata_yaml(topics: &[BagTopic], files: &[BagFile]) -> Result<String> {
     let span = |files: &[BagFile]| {
         let times = files.iter().filter_map(|file| file.times);
@@ -49,7 +51,7 @@ pub fn metadata_yaml(topics: &[BagTopic], files: &[BagFile]) -> Result<String> {
             name: topic.name.clone(),
             r#type: topic.type_name.clone(),
             serialization_format: topic.encoding.clone(),
-            offered_qos_profiles: topic.qos.clone(),
+            offered_qos_profiles: if is_list(&topic.qos) { topic.qos.clone() } else { String::new() },
         },
         message_count: topic.messages,
     };
@@ -71,7 +73,14 @@ pub fn metadata_yaml(topics: &[BagTopic], files: &[BagFile]) -> Result<String> {
             files: files.iter().map(information).collect(),
         },
     };
-    serde_yaml::to_string(&metadata).map_err(|error| Error::file("metadata.yaml", error))
+    let failed = |error| Error::file("metadata.yaml", error);
+    let text = serde_yaml::to_string(&metadata).map_err(failed)?;
+    parse_yaml::<serde_yaml::Value>(&text).map_err(failed)?;
+    Ok(text)
+}
+
+fn is_list(qos: &str) -> bool {
+    parse_yaml::<serde_yaml::Value>(qos).is_ok_and(|value| value.is_sequence())
 }
 
 #[derive(Serialize)]

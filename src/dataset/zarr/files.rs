@@ -160,19 +160,18 @@ impl StoreFiles {
     /// Reads ranges of a file; None if there is no such file.
     fn read(&self, key: &str, ranges: ByteRangeIterator<'_>) -> std::result::Result<Option<Vec<Bytes>>, StorageError> {
         let limit = limit(key);
-        let other = |error: Error| StorageError::Other(error.to_string());
         let (path, size, whole) = match &self.0 {
             Place::Folder(root) => {
-                let path = root.join(key).map_err(other)?;
+                let path = root.join(key).map_err(storage_error)?;
                 let file = match input::open(&path) {
                     Ok(file) => file,
                     Err(Error::Io { source, .. }) if is_absent(&source) => return Ok(None),
-                    Err(error) => return Err(other(error)),
+                    Err(error) => return Err(storage_error(error)),
                 };
-                let size = file.metadata()?.len();
+                let size = file.metadata().map_err(|e| storage_error(Error::io(&path)(e)))?.len();
                 (path, size, Source::File(file))
             }
-            Place::Zip(zip) => match zip.read(key, limit).map_err(other)? {
+            Place::Zip(zip) => match zip.read(key, limit).map_err(storage_error)? {
                 Some(bytes) => (zip.path.clone(), bytes.len() as u64, Source::Bytes(bytes)),
                 None => return Ok(None),
             },
@@ -180,17 +179,34 @@ impl StoreFiles {
         let mut parts = Vec::new();
         for range in ranges {
             let (start, length) = within(range, size)?;
-            limit.check(&path, "bytes to read", length).map_err(other)?;
+            limit.check(&path, "bytes to read", length).map_err(storage_error)?;
             parts.push(match &whole {
                 Source::Bytes(bytes) => Bytes::copy_from_slice(&bytes[start as usize..(start + length) as usize]),
                 Source::File(file) => {
                     let mut bytes = vec![0; length as usize];
-                    file.read_exact_at(&mut bytes, start)?;
+                    file.read_exact_at(&mut bytes, start).map_err(|e| storage_error(Error::io(&path)(e)))?;
                     bytes.into()
                 }
             });
         }
         Ok(Some(parts))
+    }
+}
+
+/// Wraps an error for the library; [`failed_read`] finds an error of the operating system again, with its file.
+fn storage_error(error: Error) -> StorageError {
+    match &error {
+        Error::Io { source, .. } => std::io::Error::new(source.kind(), error).into(),
+        _ => StorageError::Other(error.to_string()),
+    }
+}
+
+/// Returns the error of the operating system that made a read of a store fail, if one did.
+pub(super) fn failed_read(error: &StorageError) -> Option<Error> {
+    let StorageError::IOError(error) = error else { return None };
+    match error.get_ref()?.downcast_ref::<Error>()? {
+        Error::Io { path, source } => Some(Error::io(path)(std::io::Error::from_raw_os_error(source.raw_os_error()?))),
+        _ => None,
     }
 }
 
@@ -213,9 +229,8 @@ impl ReadableStorageTraits for StoreFiles {
     }
 
     fn size_key(&self, key: &StoreKey) -> std::result::Result<Option<u64>, StorageError> {
-        let other = |error: Error| StorageError::Other(error.to_string());
         match &self.0 {
-            Place::Folder(root) => match root.join(key.as_str()).map_err(other)?.metadata() {
+            Place::Folder(root) => match root.join(key.as_str()).map_err(storage_error)?.metadata() {
                 Ok(there) if there.is_file() => Ok(Some(there.len())),
                 Ok(_) => Ok(None),
                 Err(error) if is_absent(&error) => Ok(None),
@@ -254,7 +269,10 @@ impl ZipFiles {
         limit.check(&self.path, name, entry.size())?;
         let mut bytes = Vec::new();
         // The size in the archive's directory may be wrong.
-        entry.take(limit.value().saturating_add(1)).read_to_end(&mut bytes).map_err(|e| fail(&e))?;
+        entry.take(limit.value().saturating_add(1)).read_to_end(&mut bytes).map_err(|e| match e.raw_os_error() {
+            Some(_) => Error::io(self.path.join(self.named(name)))(e),
+            None => fail(&e),
+        })?;
         limit.check(&self.path, name, bytes.len() as u64)?;
         Ok(Some(bytes))
     }

@@ -23,7 +23,7 @@ use crate::image::check_size;
 use crate::tactile::{N_FIELD, TactileField, Validity};
 
 /// Number of frames up to which a store may leave out all chunks of its images, as if they were black.
-const UNCHECKED: usize = 4096;
+const UNCHECKED: usize = 1024;
 
 /// An open store. Reads Zarr v2 as written here or by zarr-python (any of its Blosc, zlib, gzip, zstd or no
 /// compression), and v3.

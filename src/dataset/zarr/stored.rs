@@ -4,18 +4,13 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use zarrs::array::{Array, ArrayBytes, ArrayError, ArraySubset, ElementOwned, data_type};
+use zarrs::array::{Array, ArrayBytes, ArrayError, ArraySubset, CodecError, ElementOwned, data_type};
 use zarrs::storage::ReadableStorageTraits;
 
+use super::files::failed_read;
 use super::{Dtype, Values};
 use crate::error::{Error, Result};
 use crate::file::limits;
-
-/// Largest number of chunks that the values of one frame may lie in.
-const MOST_PARTS: u64 = 4096;
-/// Largest number of chunks of an array whose chunks are parts of a frame: each costs a look into the file system, also where
-/// it is absent.
-const MOST_CHUNKS: u64 = 1 << 22;
 
 /// Name, shape and type of an array.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -154,17 +149,10 @@ impl StoredArray {
         let grid = self.array.chunk_grid_shape();
         let mut of_frame = grid.iter().skip(1);
         let parts = of_frame.try_fold(1u64, |count, parts| count.checked_mul(*parts)).unwrap_or(u64::MAX);
-        let refused = |what: &str, most: u64| {
-            Err(Error::file(
-                path,
-                format!("{}: expected chunks that split {what} into at most {most} parts", self.name),
-            ))
-        };
-        if parts > MOST_PARTS {
-            return refused("a frame", MOST_PARTS);
-        }
-        match parts > 1 && parts.saturating_mul(grid.first().copied().unwrap_or(1)) > MOST_CHUNKS {
-            true => refused("all frames", MOST_CHUNKS),
+        limits::FRAME_CHUNKS.check(path, &format!("{}: a frame", self.name), parts)?;
+        let all = parts.saturating_mul(grid.first().copied().unwrap_or(1));
+        match parts > 1 {
+            true => limits::PART_CHUNKS.check(path, &format!("{}: all frames", self.name), all),
             false => Ok(()),
         }
     }
@@ -192,8 +180,13 @@ impl StoredArray {
         self.array.retrieve_array_subset(subset).map_err(|error| self.failed(path, error))
     }
 
-    /// Returns the error of a read that failed; an error of the operating system names the array's folder.
+    /// Returns the error of a read that failed; an error of the operating system names the chunk's file.
     fn failed(&self, path: &Path, error: ArrayError) -> Error {
+        if let ArrayError::StorageError(of_store) | ArrayError::CodecError(CodecError::StorageError(of_store)) = &error
+            && let Some(of_medium) = failed_read(of_store)
+        {
+            return of_medium;
+        }
         match Error::library(path.join(&self.name), &error) {
             of_medium @ Error::Io { .. } => of_medium,
             _ => Error::file(path, format!("{}: {error}", self.name)),

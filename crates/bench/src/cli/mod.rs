@@ -34,6 +34,9 @@ enum Command {
     /// Serve as a command that this program disturbs.
     #[command(hide = true, disable_help_flag = true, disable_version_flag = true)]
     Train(Passed),
+    /// Serve as a command that this program disturbs.
+    #[command(hide = true, disable_help_flag = true, disable_version_flag = true)]
+    Data(Passed),
 }
 
 /// Arguments of `egotac experiment`: an experiment in a closed loop, or one of trainings.
@@ -65,14 +68,14 @@ struct Passed {
 /// Runs the command line; the exit status is 0 for success, 1 for a failed check or an error, 2 for bad usage.
 pub fn main() -> ExitCode {
     let command = Cli::parse().command;
-    if let Command::Sim(_) | Command::Label(_) | Command::Train(_) = command {
+    if let Command::Sim(_) | Command::Label(_) | Command::Train(_) | Command::Data(_) = command {
         // Workers, and commands that `bench faults` disturbs, are started as this same program (`sim_workers`), so both ends are of one build.
         return egotac::cli::main();
     }
     egotac::cli::execute(|| match command {
         Command::Bench(args) => bench::run(args),
         Command::Experiment(args) => run_experiment(args),
-        Command::Sim(_) | Command::Label(_) | Command::Train(_) => Ok(ExitCode::SUCCESS),
+        Command::Sim(_) | Command::Label(_) | Command::Train(_) | Command::Data(_) => Ok(ExitCode::SUCCESS),
     })
 }
 

@@ -88,6 +88,7 @@ impl Bench<'_> {
         let recovery_secs = self.recover(fault, folder, input, ended.and_then(|ended| ended.code), &mut harm)?;
         self.reference.compare(&out, false, &mut harm);
         self.leftovers(folder, &mut harm)?;
+        harm.notes.iter_mut().for_each(|note| *note = self.subject.shortened(note, folder));
         harm.notes.dedup();
         Ok(Outcome { harm, recovery_secs })
     }
@@ -225,9 +226,10 @@ impl Bench<'_> {
         let out = folder.join(self.subject.out);
         // Who let labels be missing, or changed the input, starts afresh where the command says so.
         let changed = matches!(fault, Fault::Truncated | Fault::Growing);
-        // A file written after its folder has vanished, such as a log, has no beginning.
-        let vanished = fault == Fault::Vanishing && !self.subject.is_atomic();
-        if code == Some(PARTLY) && fault != Fault::Twice || changed && code == Some(0) || vanished {
+        // A file written after its folder has vanished, such as a log, has no beginning; a recording's output is whole or absent.
+        let vanished = fault == Fault::Vanishing && !self.subject.is_atomic() && !self.subject.tells_of_parts();
+        let parts_stay = matches!(fault, Fault::Twice | Fault::Vanishing);
+        if code == Some(PARTLY) && !parts_stay || changed && code == Some(0) || vanished {
             clear(&folder.join("out"))?;
         }
         let before = out.exists();

@@ -52,7 +52,7 @@ pub fn entries(path: &Path) -> Result<Vec<Entry>> {
     }
     let entry = |(frame, picture): (usize, Option<String>)| {
         let values = labels.force_at(frame).iter().chain(labels.contact_at(frame));
-        let known = !labels.force_at(frame).iter().all(|force| force.is_nan());
+        let known = values.clone().any(|value| !value.is_nan());
         let bytes: Vec<u8> = values.flat_map(|value| value.to_le_bytes()).collect();
         let stamp = labels.stamp_or_index(frame).to_bits();
         Entry { picture, label: known.then(|| file::sha256(&bytes)), stamp }

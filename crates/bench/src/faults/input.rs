@@ -198,6 +198,35 @@ pub fn lerobot(path: &Path) -> Result<()> {
     LEROBOT.iter().try_for_each(|(name, bytes)| egotac::file::write(&path.join(name), bytes))
 }
 
+/// Writes a recording as H2O distributes it: both hands move over a box, in the frame of the camera.
+///
+/// # Errors
+/// If a file can't be written.
+pub fn h2o(path: &Path, recording: u16) -> Result<()> {
+    let camera = path.join("cam4");
+    images(&camera.join("rgb"), recording)?;
+    let corners = (0..8).map(|corner| {
+        let at = |axis: i32| if corner >> axis & 1 == 1 { 0.04 } else { -0.04 };
+        format!("v {} {} {}\n", at(0), at(1), at(2))
+    });
+    let faces =
+        "f 1 3 2\nf 2 3 4\nf 5 6 7\nf 6 8 7\nf 1 2 5\nf 2 6 5\nf 3 7 4\nf 4 7 8\nf 1 5 3\nf 3 5 7\nf 2 4 6\nf 4 8 6\n";
+    let mesh = corners.chain([faces.into()]).collect::<String>();
+    egotac::file::write(&path.join("object/spray/lotion_spray.obj"), mesh.as_bytes())?;
+    for index in 0..FRAMES {
+        let along = 0.002 * index as f64 - 0.08 + 0.001 * f64::from(recording);
+        let hand = |x: f64| format!("1 {x} 0 0.4 0 0 {}{}", 0.01 * index as f64, " 0".repeat(55));
+        let files = [
+            ("hand_pose_mano", format!("{} {}", hand(along), hand(along + 0.05))),
+            ("obj_pose_rt", "4 1 0 0 0 0 1 0 0 0 0 1 0.4 0 0 0 1".into()), // class 4 is the spray
+        ];
+        for (folder, text) in files {
+            egotac::file::write(&camera.join(folder).join(format!("{index:06}.txt")), text.as_bytes())?;
+        }
+    }
+    Ok(())
+}
+
 /// Writes a folder of recordings: two folders of images and a store.
 ///
 /// # Errors

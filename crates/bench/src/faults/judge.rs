@@ -10,7 +10,6 @@ use super::check::Harm;
 use super::content;
 use super::fault::Fault;
 use super::process::{Ended, left_behind};
-use super::subject::Kind;
 
 impl Bench<'_> {
     /// Checks the status of the disturbed run and the output that it left.
@@ -27,7 +26,7 @@ impl Bench<'_> {
                 wrong(harm, "exit status 0 without an output");
             }
             (.., Some(0 | 1)) => {}
-            (.., Some(PARTLY)) if self.subject.kind == Kind::Label => {
+            (.., Some(PARTLY)) if self.subject.tells_of_parts() => {
                 return self.reference.compare(out, true, harm);
             }
             // The loader of shared libraries says 127 where it can't open one.

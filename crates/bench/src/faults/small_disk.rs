@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use egotac::error::{Error, Result};
+use egotac::text::tell;
 
 /// Smallest disk, bytes: a page.
 const SMALLEST: u64 = 4096;
@@ -46,7 +47,7 @@ impl Drop for SmallDisk {
     fn drop(&mut self) {
         // A process that still has a file open there keeps the disk until it ends.
         if let Err(error) = system("umount", &["-l"], &self.0) {
-            eprintln!("{error}");
+            tell(format_args!("{error}"));
         }
     }
 }

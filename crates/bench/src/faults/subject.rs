@@ -15,6 +15,8 @@ use super::input;
 pub enum Kind {
     /// `egotac label`.
     Label,
+    /// `egotac data import`.
+    Import,
     /// `egotac sim generate`.
     Generate,
     /// `egotac train`.
@@ -47,15 +49,16 @@ type Writer = fn(&Path, u16) -> Result<()>;
 /// Name of the labelling of a LeRobot data set.
 const LEROBOT: &str = "label, LeRobot";
 
-/// Labelled inputs: name, file name, output, data sets in it, writer.
-const LABELLED: [(&str, &str, &str, &[&str], Writer); 7] = [
-    ("label, store", "table.zarr", "out/table.zarr", &[""], input::store),
-    ("label, zip", "table.zarr.zip", "out/table.zarr", &[""], input::zipped),
-    ("label, bag", "table", "out/table", &[""], input::bag),
-    (LEROBOT, "table", "out/table", &[""], |path, _| input::lerobot(path)),
-    ("label, video", "table.mkv", "out/table.zarr", &[""], input::video),
-    ("label, images", "table", "out/table.zarr", &[""], input::images),
-    ("label, folder", "all", "out/all", &["left.zarr", "right.zarr", "table.zarr"], input::several),
+/// Commands with an input: name, purpose, file name, output, data sets in it, writer.
+const WITH_INPUT: [(&str, Kind, &str, &str, &[&str], Writer); 8] = [
+    ("label, store", Kind::Label, "table.zarr", "out/table.zarr", &[""], input::store),
+    ("label, zip", Kind::Label, "table.zarr.zip", "out/table.zarr", &[""], input::zipped),
+    ("label, bag", Kind::Label, "table", "out/table", &[""], input::bag),
+    (LEROBOT, Kind::Label, "table", "out/table", &[""], |path, _| input::lerobot(path)),
+    ("label, video", Kind::Label, "table.mkv", "out/table.zarr", &[""], input::video),
+    ("label, images", Kind::Label, "table", "out/table.zarr", &[""], input::images),
+    ("label, folder", Kind::Label, "all", "out/all", &["left.zarr", "right.zarr", "table.zarr"], input::several),
+    ("import", Kind::Import, "table", "out/table.zarr", &[""], input::h2o),
 ];
 
 impl Subject {
@@ -67,7 +70,7 @@ impl Subject {
         let is_wanted = |name: &str| only.is_empty() || only.iter().any(|part| name.contains(part.as_str()));
         input::checkpoint(&folder.join("model.safetensors"), seed)?;
         let mut subjects = Vec::new();
-        for (name, file, out, sets, write) in LABELLED {
+        for (name, kind, file, out, sets, write) in WITH_INPUT {
             if !is_wanted(name) || name == "label, video" && !input::has_ffmpeg() {
                 continue;
             }
@@ -78,7 +81,7 @@ impl Subject {
             }
             let input = Some(place("a").join(file));
             let other = (name != LEROBOT).then(|| place("b").join(file));
-            subjects.push(Self { name, kind: Kind::Label, input, other, out, sets, folder: folder.to_path_buf() });
+            subjects.push(Self { name, kind, input, other, out, sets, folder: folder.to_path_buf() });
         }
         let mut add = |name, kind, out, sets| {
             if is_wanted(name) {
@@ -136,6 +139,11 @@ impl Subject {
                 arguments.extend(input.map(OsString::from));
                 arguments
             }
+            Kind::Import => {
+                let mut arguments = words(&format!("data import h2o --out {}", self.out));
+                arguments.extend(input.map(OsString::from));
+                arguments
+            }
             Kind::Generate => {
                 words(&format!("sim generate poke hover --episodes 3 --jobs 2 --seed 3 --size 32 --out {}", self.out))
             }
@@ -146,6 +154,19 @@ impl Subject {
                 self.out
             )),
         }
+    }
+
+    /// True if the exit status says that a part of the input has no label.
+    pub fn tells_of_parts(&self) -> bool {
+        matches!(self.kind, Kind::Label | Kind::Import)
+    }
+
+    /// Returns `text` with names of files below `case` or the inputs, without the folders that hold them in one run alone.
+    pub fn shortened(&self, text: &str, case: &Path) -> String {
+        let folders = [(case, ""), (&self.folder, "inputs/")];
+        folders
+            .iter()
+            .fold(text.to_owned(), |text, (folder, short)| text.replace(&format!("{}/", folder.display()), short))
     }
 
     /// Returns the arguments with which a user lets the stopped command go on.
@@ -159,6 +180,6 @@ impl Subject {
 
     /// True if the output appears when it is complete; otherwise only each of its files does.
     pub fn is_atomic(&self) -> bool {
-        matches!(self.kind, Kind::Label | Kind::Generate) && self.name != "label, folder"
+        matches!(self.kind, Kind::Label | Kind::Import | Kind::Generate) && self.name != "label, folder"
     }
 }

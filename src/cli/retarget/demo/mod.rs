@@ -16,6 +16,7 @@ use crate::retarget::human::Hand;
 use crate::retarget::{Input, Options, Output, Retargeter, Robot, Touch, TouchPooling};
 use crate::sim::{Rollout, RolloutOptions, Scene};
 use crate::tactile::TactileField;
+use crate::text::tell;
 
 /// Width and height of the camera image, px.
 const PICTURE: u32 = 448;
@@ -67,7 +68,7 @@ pub fn demo(args: &Demo) -> anyhow::Result<()> {
         let mut input = Input::new(Hand::of_model(&model, &params), frame.seconds);
         input.touch = Some(touch);
         if let Err(error) = retargeter.push(&input) {
-            eprintln!("egotac: {:.2} s: {error}; the last good pose is held", frame.seconds);
+            tell(format_args!("egotac: {:.2} s: {error}; the last good pose is held", frame.seconds));
             held += 1;
         }
         moments.push(Moment {

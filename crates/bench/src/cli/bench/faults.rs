@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
 use egotac::file;
+use egotac::text::tell;
 
 use crate::faults::{self, Options};
 
@@ -44,9 +45,9 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     };
     let words: Vec<String> = std::env::args().skip(1).collect();
     let report = faults::run(&options, format!("egotac {}", words.join(" ")), |row| {
-        eprintln!("{}, {}: {} runs", row.command, row.fault, row.runs);
+        tell(format_args!("{}, {}: {} runs", row.command, row.fault, row.runs));
         for (run, finding) in &row.findings {
-            eprintln!("{}, {}, run {run}: {finding}", row.command, row.fault);
+            tell(format_args!("{}, {}, run {run}: {finding}", row.command, row.fault));
         }
     })?;
     ensure!(!report.rows.is_empty(), "--only: expected a part of a command's name; no command has this in its name");

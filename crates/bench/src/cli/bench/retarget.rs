@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use egotac::text::tell;
+
 #[cfg(feature = "sim")]
 use crate::retarget::{Plan, plot, run as measure, table};
 
@@ -46,7 +48,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         egotac::file::write(&folder.join("retarget.md"), table.as_bytes())?;
         egotac::file::write(&folder.join("retarget.json"), json.as_bytes())?;
         plot::write(folder, &report)?;
-        eprintln!("wrote {0}/retarget.md and {0}/retarget.json", folder.display());
+        tell(format_args!("wrote {0}/retarget.md and {0}/retarget.json", folder.display()));
     }
     Ok(())
 }
