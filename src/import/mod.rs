@@ -13,6 +13,7 @@ mod forces;
 pub mod hands;
 mod input;
 pub mod kind;
+pub mod kinds;
 mod known;
 pub mod labeller;
 pub mod output;
@@ -23,7 +24,8 @@ mod source;
 mod tasks;
 
 pub use hands::HandModels;
-pub use kind::{Kind, Mano, Options, table};
+pub use kind::{Kind, Mano, Options};
+pub use kinds::{kind, table};
 pub use labeller::ContactRule;
 pub use recording::{Moment, Reader, RecordedHand, Recording};
 pub use tasks::{ImportTasks, Settings};
