@@ -7,7 +7,7 @@ use super::readers;
 use crate::error::{Error, Result};
 
 /// All kinds, in the order of the table.
-pub static ALL: [Kind; 8] = [
+pub static ALL: [Kind; 11] = [
     readers::hot3d::KIND,
     readers::h2o::KIND,
     readers::taco::KIND,
@@ -16,6 +16,9 @@ pub static ALL: [Kind; 8] = [
     readers::arctic::KIND,
     readers::hoi4d::KIND,
     readers::oakink2::KIND,
+    readers::opentouch::KIND,
+    readers::touchanything::KIND,
+    readers::egodex::KIND,
 ];
 
 /// Returns the kind of a name.

@@ -19,6 +19,7 @@ pub mod labeller;
 pub mod output;
 mod readers;
 pub mod recording;
+pub mod sensors;
 pub mod shapes;
 mod source;
 mod tasks;

@@ -8,6 +8,8 @@ mod check;
 #[path = "../common/mod.rs"]
 mod common;
 mod files;
+mod gloves;
+mod h5;
 mod hot3d;
 mod pickle;
 mod sensors;

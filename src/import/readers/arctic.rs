@@ -18,7 +18,7 @@ use crate::import::input::lazy::Lazy;
 use crate::import::input::numbers;
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording,
+    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, View,
 };
 use crate::import::shapes::MeshFile;
 use crate::numpy::Array;
@@ -114,6 +114,9 @@ impl Sequence {
                 objects: vec![part("top"), part("bottom")],
                 convention: Convention { adds_mean: true, ..Convention::PLAIN },
                 measures_force: false,
+                sensors: Vec::new(),
+                view: View::Ego,
+                further_views: Vec::new(),
                 camera: Value::Null,
                 about: json!({ "object": object, "images": folder.strip_prefix(root).unwrap_or(folder).display().to_string() }),
                 name,
@@ -240,6 +243,7 @@ impl Reader for Sequence {
             hands: [None, None],
             objects: vec![None, None],
             forces: [None, None],
+            readings: Vec::new(),
         };
         // Images before the first and after the last annotation have none.
         let Ok(at) = usize::try_from(self.annotations[index]) else { return Ok(moment) };

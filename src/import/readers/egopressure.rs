@@ -16,7 +16,7 @@ use crate::import::input::numbers::{self, vec3};
 use crate::import::input::shard::{Shard, ShardRow};
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
-    Convention, ManoParams, Moment, PointForce, PoseParams, Reader, RecordedHand, Recording, SensedForce,
+    Convention, ManoParams, Moment, PointForce, PoseParams, Reader, RecordedHand, Recording, SensedForce, View,
 };
 
 /// EgoPressure.
@@ -103,6 +103,9 @@ impl Sequence {
                 objects: Vec::new(),
                 convention: Convention::PLAIN,
                 measures_force: true,
+                sensors: Vec::new(),
+                view: View::Ego,
+                further_views: Vec::new(),
                 camera,
                 about,
             },
@@ -186,6 +189,7 @@ impl Reader for Sequence {
             hands: [None, None],
             objects: Vec::new(),
             forces: [None, None],
+            readings: Vec::new(),
         };
         let frame = self.frames[index];
         let Some(annotation) = &self.annotation else { return Ok(moment) };

@@ -15,7 +15,7 @@ use crate::import::input::images::Images;
 use crate::import::input::numbers::{self, exactly, vec3};
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording,
+    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, View,
 };
 use crate::import::shapes::MeshFile;
 
@@ -109,6 +109,9 @@ impl Sequence {
                 objects: Vec::new(),
                 convention: Convention::PLAIN,
                 measures_force: false,
+                sensors: Vec::new(),
+                view: View::Ego,
+                further_views: Vec::new(),
                 camera,
                 about: json!({ "images": base_name(&folder) }),
             },
@@ -215,6 +218,7 @@ impl Reader for Sequence {
             hands: self.hands(index)?,
             objects: self.class.iter().map(|_| object.map(|(_, pose)| pose)).collect(),
             forces: [None, None],
+            readings: Vec::new(),
         })
     }
 

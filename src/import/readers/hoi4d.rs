@@ -16,7 +16,7 @@ use crate::import::input::json::Json;
 use crate::import::input::numbers;
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording,
+    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, View,
 };
 use crate::import::shapes::MeshFile;
 
@@ -134,6 +134,9 @@ impl Sequence {
                 objects: vec![RecordedObject { name: format!("{category} {instance:03}"), mesh }],
                 convention: Convention::PLAIN,
                 measures_force: false,
+                sensors: Vec::new(),
+                view: View::Ego,
+                further_views: Vec::new(),
                 camera,
                 about: json!({ "category": category, "instance": instance }),
                 name,
@@ -213,6 +216,7 @@ impl Reader for Sequence {
             hands: [self.hand(Side::Left, index)?, self.hand(Side::Right, index)?],
             objects: vec![self.object(index)?],
             forces: [None, None],
+            readings: Vec::new(),
         })
     }
 

@@ -19,7 +19,7 @@ use crate::import::input::lazy::Lazy;
 use crate::import::input::tar::TarFile;
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, Translation,
+    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, Translation, View,
 };
 use crate::import::shapes::MeshFile;
 
@@ -99,6 +99,9 @@ impl Clip {
                     fixes_left_shapedirs: true,
                 },
                 measures_force: false,
+                sensors: Vec::new(),
+                view: View::Ego,
+                further_views: Vec::new(),
                 camera: Value::Null,
                 about: Value::Null,
             },
@@ -253,6 +256,7 @@ impl Reader for Clip {
             hands,
             objects,
             forces: [None, None],
+            readings: Vec::new(),
         })
     }
 

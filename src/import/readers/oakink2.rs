@@ -18,7 +18,7 @@ use crate::import::input::lazy::Lazy;
 use crate::import::input::numbers;
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, Translation,
+    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, Translation, View,
 };
 use crate::import::shapes::MeshFile;
 
@@ -116,6 +116,9 @@ impl Sequence {
                 objects,
                 convention: Convention { translation: Translation::OfWrist, ..Convention::PLAIN },
                 measures_force: false,
+                sensors: Vec::new(),
+                view: View::Ego,
+                further_views: Vec::new(),
                 camera,
                 about: json!({ "camera": serial }),
             },
@@ -214,6 +217,7 @@ impl Reader for Sequence {
             hands: Side::BOTH.map(hand),
             objects: track.objects.iter().map(|poses| poses.get(&frame).copied()).collect(),
             forces: [None, None],
+            readings: Vec::new(),
         })
     }
 

@@ -17,7 +17,7 @@ use crate::import::input::lazy::Lazy;
 use crate::import::input::numbers::{self, exactly};
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, Translation,
+    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, Translation, View,
 };
 use crate::import::shapes::MeshFile;
 
@@ -107,6 +107,9 @@ impl Sequence {
                 objects: poses.iter().map(object).collect(),
                 convention: Convention { translation: Translation::OfWrist, ..Convention::PLAIN },
                 measures_force: false,
+                sensors: Vec::new(),
+                view: View::Ego,
+                further_views: Vec::new(),
                 camera,
                 about: json!({ "triplet": name.split('/').next() }),
                 name: name.clone(),
@@ -204,6 +207,7 @@ impl Reader for Sequence {
             hands: [self.hand(Side::Left, index)?, self.hand(Side::Right, index)?],
             objects: objects.iter().map(|poses| Some(poses[index])).collect(),
             forces: [None, None],
+            readings: Vec::new(),
         })
     }
 
