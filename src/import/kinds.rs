@@ -7,7 +7,7 @@ use super::readers;
 use crate::error::{Error, Result};
 
 /// All kinds, in the order of the table.
-pub static ALL: [Kind; 11] = [
+pub static ALL: [Kind; 14] = [
     readers::hot3d::KIND,
     readers::h2o::KIND,
     readers::taco::KIND,
@@ -19,6 +19,9 @@ pub static ALL: [Kind; 11] = [
     readers::opentouch::KIND,
     readers::touchanything::KIND,
     readers::egodex::KIND,
+    readers::dexycb::KIND,
+    readers::grab::KIND,
+    readers::contactpose::KIND,
 ];
 
 /// Returns the kind of a name.

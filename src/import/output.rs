@@ -219,6 +219,7 @@ impl ImportOutput {
             "force": if recording.measures_force { "measured" } else { "unknown" },
             "force_kind": recording.measures_force.then_some("spread"),
             "hand": hand,
+            "scanned_hands": recording.templates.iter().any(Option::is_some),
             "translation": recording.convention.translation.name(),
             "mean_pose_added": recording.convention.adds_mean,
             "left_shapedirs_fixed": recording.convention.fixes_left_shapedirs,

@@ -1,6 +1,7 @@
 //! The typed intermediate that every reader of a data set fills, and from which labels are made.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use ::image::RgbImage;
 use glam::{DAffine3, DVec3, Vec3};
@@ -33,10 +34,33 @@ pub struct Recording {
     pub view: View,
     /// Names of the arrays of further cameras' images, such as `data/left_wrist_camera_rgb`.
     pub further_views: Vec<&'static str>,
+    /// (778) vertices of the left and the right hand at rest, in MANO's order, m, of a data set that scanned them; they
+    /// replace the shape. `None` = the hand's shape follows from its betas.
+    pub templates: [Option<Arc<Vec<Vec3>>>; 2],
     /// Camera: intrinsics and distortion as the data set states them; null if it does not.
     pub camera: Value,
     /// Facts about this recording for the store's attributes, such as the subject; an object.
     pub about: Value,
+}
+
+impl Default for Recording {
+    /// Returns an ego recording without objects and sensors, whose hands are plain MANO.
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            path: PathBuf::new(),
+            frames: 0,
+            objects: Vec::new(),
+            convention: Convention::PLAIN,
+            measures_force: false,
+            sensors: Vec::new(),
+            view: View::Ego,
+            further_views: Vec::new(),
+            templates: [None, None],
+            camera: Value::Null,
+            about: Value::Null,
+        }
+    }
 }
 
 /// Place of the camera that gives a recording's images.
@@ -150,6 +174,8 @@ pub struct PointForce {
 pub enum RecordedHand {
     /// MANO parameters.
     Mano(ManoParams),
+    /// MANO parameters, and a rigid motion that then places the posed hand in the reference frame.
+    Placed(ManoParams, DAffine3),
     /// 21 keypoints, m: wrist, then thumb to little finger, each from base to tip.
     Keypoints([Vec3; N_KEYPOINTS]),
     /// 778 vertices in MANO's order, m, and the parameters nearest to them.

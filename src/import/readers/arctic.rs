@@ -18,7 +18,7 @@ use crate::import::input::lazy::Lazy;
 use crate::import::input::numbers;
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, View,
+    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording,
 };
 use crate::import::shapes::MeshFile;
 use crate::numpy::Array;
@@ -113,13 +113,9 @@ impl Sequence {
                 frames: files.len(),
                 objects: vec![part("top"), part("bottom")],
                 convention: Convention { adds_mean: true, ..Convention::PLAIN },
-                measures_force: false,
-                sensors: Vec::new(),
-                view: View::Ego,
-                further_views: Vec::new(),
-                camera: Value::Null,
                 about: json!({ "object": object, "images": folder.strip_prefix(root).unwrap_or(folder).display().to_string() }),
                 name,
+                ..Recording::default()
             },
             images: Images::Files(files),
             annotations: numbers.iter().map(|number| *number as i64 - offset).collect(),

@@ -14,7 +14,7 @@ use crate::import::input::images::{self, Images};
 use crate::import::input::lazy::Lazy;
 use crate::import::input::numbers;
 use crate::import::kind::{Found, Kind, Mano, Options};
-use crate::import::recording::{Convention, Moment, Reader, RecordedHand, Recording, View};
+use crate::import::recording::{Moment, Reader, RecordedHand, Recording};
 
 /// EgoDex.
 pub const KIND: Kind = Kind {
@@ -104,12 +104,6 @@ impl Episode {
             recording: Recording {
                 path: path.to_path_buf(),
                 frames,
-                objects: Vec::new(),
-                convention: Convention::PLAIN,
-                measures_force: false,
-                sensors: Vec::new(),
-                view: View::Ego,
-                further_views: Vec::new(),
                 camera,
                 about: json!({
                     "task": path.parent().map(crate::dataset::base_name),
@@ -117,6 +111,7 @@ impl Episode {
                     "hand": "fitted to 21 joints",
                 }),
                 name,
+                ..Recording::default()
             },
             images: Images::Video(video),
             path: path.to_path_buf(),

@@ -16,7 +16,7 @@ use crate::import::input::numbers::{self, vec3};
 use crate::import::input::shard::{Shard, ShardRow};
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
-    Convention, ManoParams, Moment, PointForce, PoseParams, Reader, RecordedHand, Recording, SensedForce, View,
+    ManoParams, Moment, PointForce, PoseParams, Reader, RecordedHand, Recording, SensedForce,
 };
 
 /// EgoPressure.
@@ -100,14 +100,10 @@ impl Sequence {
                 name,
                 path: path.to_path_buf(),
                 frames: frames.len(),
-                objects: Vec::new(),
-                convention: Convention::PLAIN,
                 measures_force: true,
-                sensors: Vec::new(),
-                view: View::Ego,
-                further_views: Vec::new(),
                 camera,
                 about,
+                ..Recording::default()
             },
             frames,
             annotation: optional("annotation.parquet", &annotation)?,

@@ -14,9 +14,7 @@ use crate::import::input::folders;
 use crate::import::input::images::Images;
 use crate::import::input::numbers::{self, exactly, vec3};
 use crate::import::kind::{Found, Kind, Mano, Options};
-use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, View,
-};
+use crate::import::recording::{ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording};
 use crate::import::shapes::MeshFile;
 
 /// H2O.
@@ -106,14 +104,9 @@ impl Sequence {
                 name,
                 path: path.to_path_buf(),
                 frames: files.len(),
-                objects: Vec::new(),
-                convention: Convention::PLAIN,
-                measures_force: false,
-                sensors: Vec::new(),
-                view: View::Ego,
-                further_views: Vec::new(),
                 camera,
                 about: json!({ "images": base_name(&folder) }),
+                ..Recording::default()
             },
             images: Images::Files(files),
             numbers,

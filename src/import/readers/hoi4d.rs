@@ -15,9 +15,7 @@ use crate::import::input::images::{self, Images};
 use crate::import::input::json::Json;
 use crate::import::input::numbers;
 use crate::import::kind::{Found, Kind, Mano, Options};
-use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, View,
-};
+use crate::import::recording::{ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording};
 use crate::import::shapes::MeshFile;
 
 /// HOI4D.
@@ -132,14 +130,10 @@ impl Sequence {
                 path: path.to_path_buf(),
                 frames,
                 objects: vec![RecordedObject { name: format!("{category} {instance:03}"), mesh }],
-                convention: Convention::PLAIN,
-                measures_force: false,
-                sensors: Vec::new(),
-                view: View::Ego,
-                further_views: Vec::new(),
                 camera,
                 about: json!({ "category": category, "instance": instance }),
                 name,
+                ..Recording::default()
             },
             images: Images::Video(video),
             fps: facts.fps,

@@ -19,7 +19,7 @@ use crate::import::input::lazy::Lazy;
 use crate::import::input::tar::TarFile;
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, Translation, View,
+    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, Translation,
 };
 use crate::import::shapes::MeshFile;
 
@@ -92,18 +92,13 @@ impl Clip {
                 name,
                 path: path.to_path_buf(),
                 frames: keys.len(),
-                objects: Vec::new(),
                 convention: Convention {
                     adds_mean: true,
                     translation: Translation::AfterRotation,
                     fixes_left_shapedirs: true,
                 },
-                measures_force: false,
-                sensors: Vec::new(),
-                view: View::Ego,
-                further_views: Vec::new(),
-                camera: Value::Null,
                 about: Value::Null,
+                ..Recording::default()
             },
             tar: Lazy::default(),
             stream,

@@ -18,7 +18,7 @@ use crate::import::input::lazy::Lazy;
 use crate::import::input::numbers;
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, Translation, View,
+    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, Translation,
 };
 use crate::import::shapes::MeshFile;
 
@@ -115,12 +115,9 @@ impl Sequence {
                 frames: files.len(),
                 objects,
                 convention: Convention { translation: Translation::OfWrist, ..Convention::PLAIN },
-                measures_force: false,
-                sensors: Vec::new(),
-                view: View::Ego,
-                further_views: Vec::new(),
                 camera,
                 about: json!({ "camera": serial }),
+                ..Recording::default()
             },
             images: Images::Files(files),
             annotation: annotation.to_path_buf(),

@@ -16,7 +16,7 @@ use crate::import::input::hdf5_images;
 use crate::import::input::lazy::Lazy;
 use crate::import::input::numbers::keypoints;
 use crate::import::kind::{Found, Kind, Mano, Options};
-use crate::import::recording::{Convention, Moment, Reader, RecordedHand, Recording, View};
+use crate::import::recording::{Moment, Reader, RecordedHand, Recording};
 use crate::import::sensors::Sensor;
 
 /// OpenTouch.
@@ -85,14 +85,10 @@ impl Clip {
                 name,
                 path: path.to_path_buf(),
                 frames,
-                objects: Vec::new(),
-                convention: Convention::PLAIN,
-                measures_force: false,
                 sensors,
-                view: View::Ego,
-                further_views: Vec::new(),
                 camera: calibration(file)?,
                 about: json!({ "clip": clip, "hand": "fitted to 21 landmarks, in the file's frame, which is not documented" }),
+                ..Recording::default()
             },
             path: path.to_path_buf(),
             group,

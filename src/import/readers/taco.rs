@@ -17,7 +17,7 @@ use crate::import::input::lazy::Lazy;
 use crate::import::input::numbers::{self, exactly};
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, Translation, View,
+    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, Translation,
 };
 use crate::import::shapes::MeshFile;
 
@@ -106,13 +106,10 @@ impl Sequence {
                 frames,
                 objects: poses.iter().map(object).collect(),
                 convention: Convention { translation: Translation::OfWrist, ..Convention::PLAIN },
-                measures_force: false,
-                sensors: Vec::new(),
-                view: View::Ego,
-                further_views: Vec::new(),
                 camera,
                 about: json!({ "triplet": name.split('/').next() }),
                 name: name.clone(),
+                ..Recording::default()
             },
             images: Images::Video(video.to_path_buf()),
             fps,

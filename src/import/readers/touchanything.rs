@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use glam::DAffine3;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::dataset::source::{EncodedImage, SourceFrames};
 use crate::error::{Error, Result};
@@ -14,7 +14,7 @@ use crate::import::input::hdf5_images::{self, H5Images};
 use crate::import::input::lazy::Lazy;
 use crate::import::input::numbers::keypoints;
 use crate::import::kind::{Found, Kind, Mano, Options};
-use crate::import::recording::{Convention, Moment, Reader, RecordedHand, Recording, View};
+use crate::import::recording::{Moment, Reader, RecordedHand, Recording};
 use crate::import::sensors::Sensor;
 use ::image::RgbImage;
 
@@ -107,14 +107,10 @@ impl Trajectory {
                 name,
                 path: path.to_path_buf(),
                 frames,
-                objects: Vec::new(),
-                convention: Convention::PLAIN,
-                measures_force: false,
                 sensors,
-                view: View::Ego,
                 further_views: views,
-                camera: Value::Null,
                 about,
+                ..Recording::default()
             },
             path: path.to_path_buf(),
             stamps: stamps.into_iter().map(|micros| micros as f64 / MICROSECONDS).collect(),
