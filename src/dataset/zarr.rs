@@ -37,7 +37,7 @@ use serde_json::{Value, json};
 
 pub use added::AddedArrays;
 pub use concatenate::concatenate;
-pub(crate) use convert::{StoreOutput, fitted, image_size};
+pub(crate) use convert::{StoreOutput, fitted, image_size, scaled};
 pub(crate) use images::Store;
 pub(crate) use labels::read_info;
 pub use place::StoreLocation;

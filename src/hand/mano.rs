@@ -34,7 +34,7 @@ pub(super) fn load_basis(path: &Path) -> Result<(Vec<f32>, Vec<f32>)> {
 /// Named arrays of either format.
 enum Arrays<'a> {
     Pickle(Pickle<'a>),
-    Npz(Npz<'a>),
+    Npz(Npz<std::io::Cursor<&'a [u8]>>),
 }
 
 /// Arrays of a file, and its path for error messages.

@@ -1,13 +1,16 @@
 //! Hand models that pose recorded hands: the user's MANO files, or the built-in hand as an approximation.
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 
-use super::recording::{Convention, ManoParams, PoseParams, RecordedHand, Translation};
+use super::recording::{Convention, ManoParams, PoseParams, RecordedHand, Recording, Translation};
 use crate::error::{Error, Result};
 use crate::file::{self, input, limits};
-use crate::hand::{Fit, FitCosts, HandModel, HandParams, N_BETAS, N_KEYPOINTS, PoseBasis, Side, Topology, refine};
+use crate::hand::{
+    Fit, FitCosts, HandModel, HandParams, N_BETAS, N_KEYPOINTS, N_VERTICES, PoseBasis, Side, Topology, refine,
+};
 
 /// Position of MANO's wrist at rest, m, of the right hand; x is negated for the left hand. The built-in hand has its wrist
 /// elsewhere, and translations of data sets refer to MANO's.
@@ -102,6 +105,11 @@ impl HandModels {
                 let params = self.params(side, params, convention)?;
                 PosedRecord { vertices: model.forward(&params).vertices, params }
             }
+            RecordedHand::Placed(params, motion) => {
+                let params = self.params(side, params, convention)?;
+                let params = self.moved(side, &params, convention, *motion);
+                PosedRecord { vertices: model.forward(&params).vertices, params }
+            }
             RecordedHand::Vertices(params, vertices) => {
                 PosedRecord { params: self.params(side, params, convention)?, vertices: vertices.clone() }
             }
@@ -129,6 +137,29 @@ impl HandModels {
         let rest = wrist - params.transl.as_dvec3();
         let transl = to_from.transform_point3(wrist) - rest;
         HandParams { global_orient: orient.to_scaled_axis().as_vec3(), transl: transl.as_vec3(), ..params.clone() }
+    }
+
+    /// Returns the models of a recording: with its hands' scanned shapes, if it has some and these are MANO files.
+    ///
+    /// # Errors
+    /// If a scanned hand has another number of vertices.
+    pub fn of(&self, recording: &Recording) -> Result<Cow<'_, Self>> {
+        if !self.are_mano() || recording.templates.iter().all(Option::is_none) {
+            return Ok(Cow::Borrowed(self));
+        }
+        let mut models = self.clone();
+        for (side, template) in Side::BOTH.into_iter().zip(&recording.templates) {
+            let Some(template) = template else { continue };
+            if template.len() != N_VERTICES {
+                let name = format!("{}: scanned {} hand", recording.name, side.name());
+                return Err(Error::value(name, format!("{N_VERTICES} vertices"), template.len()));
+            }
+            models.models[side as usize].v_template = template.to_vec();
+            if side == Side::Left {
+                models.left_fixed.v_template = template.to_vec();
+            }
+        }
+        Ok(Cow::Owned(models))
     }
 
     /// Returns the model of a hand under a data set's convention.

@@ -1,10 +1,8 @@
-//! Kinds of data sets that can be imported.
+//! A kind of data sets, and the recordings that it finds.
 
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::readers;
 use super::recording::Reader;
 use crate::error::{Error, Result};
 
@@ -52,29 +50,6 @@ pub struct Found {
     pub unreadable: Vec<(String, Error)>,
 }
 
-/// All kinds, in the order of the table.
-pub static ALL: [Kind; 8] = [
-    readers::hot3d::KIND,
-    readers::h2o::KIND,
-    readers::taco::KIND,
-    readers::fpha::KIND,
-    readers::egopressure::KIND,
-    readers::arctic::KIND,
-    readers::hoi4d::KIND,
-    readers::oakink2::KIND,
-];
-
-impl Kind {
-    /// Returns the kind of a name.
-    ///
-    /// # Errors
-    /// If there is none; the error lists the names.
-    pub fn of(name: &str) -> Result<&'static Self> {
-        let known = || ALL.iter().map(|kind| kind.name);
-        ALL.iter().find(|kind| kind.name == name).ok_or_else(|| Error::unknown("data set kind", name, known()))
-    }
-}
-
 impl Found {
     /// Adds the reader of a recording, or the reason why it can't be read.
     pub fn add<R: Reader + 'static>(&mut self, name: String, reader: Result<R>) {
@@ -83,20 +58,4 @@ impl Found {
             Err(error) => self.unreadable.push((name, error)),
         }
     }
-}
-
-/// Formats the table of all kinds in Markdown.
-pub fn table() -> String {
-    let mut text = String::from("| kind | gives | MANO files | data set | licence |\n|---|---|---|---|---|\n");
-    for kind in &ALL {
-        let mano = match kind.mano {
-            Mano::Required => "required",
-            Mano::Optional => "for exact hands",
-            Mano::Fitted => "for MANO's vertices",
-        };
-        let Kind { name, gives, origin, licence, .. } = kind;
-        // Writing to a String cannot fail.
-        let _ = writeln!(text, "| {name} | {gives} | {mano} | {origin} | {licence} |");
-    }
-    text
 }

@@ -4,6 +4,7 @@ use glam::{DAffine3, DQuat};
 
 use super::hands::{HandModels, PosedRecord};
 use super::recording::{Moment, Recording};
+use super::sensors::Sensor;
 use crate::hand::{HandParams, Side};
 use crate::tactile::N_FIELD;
 
@@ -25,6 +26,8 @@ pub struct Known {
     pub objects: Vec<f32>,
     /// (2) measured force that is on no vertex of the left and the right hand, N; empty if the recording measures none.
     pub lost: Vec<f32>,
+    /// Reading of each sensor of the recording.
+    pub readings: Vec<Vec<f32>>,
 }
 
 impl Known {
@@ -48,21 +51,36 @@ impl Known {
             camera: pose_values(moment.world_from_camera).to_vec(),
             objects: moment.objects.iter().flat_map(object).collect(),
             lost: Vec::new(),
+            readings: recording
+                .sensors
+                .iter()
+                .enumerate()
+                .map(|(index, sensor)| reading(moment, index, sensor))
+                .collect(),
         }
     }
 
     /// Returns all numbers in a row.
     pub fn into_values(self) -> Vec<f32> {
         let hands = self.hands.iter().flat_map(|hand| hand.as_ref().map_or([f32::NAN; HAND], HandParams::to_array));
-        self.distances.iter().copied().chain(hands).chain(self.camera).chain(self.objects).chain(self.lost).collect()
+        self.distances
+            .iter()
+            .copied()
+            .chain(hands)
+            .chain(self.camera)
+            .chain(self.objects)
+            .chain(self.lost)
+            .chain(self.readings.into_iter().flatten())
+            .collect()
     }
 
     /// Reads the numbers of [`Known::into_values`] of a recording. An empty row, that of a moment without a label, is unknown.
     pub fn from_values(values: &[f32], recording: &Recording) -> Self {
-        Self::split(values, recording.objects.len(), if recording.measures_force { 2 } else { 0 })
+        let sensors: Vec<usize> = recording.sensors.iter().map(Sensor::values).collect();
+        Self::split(values, recording.objects.len(), if recording.measures_force { 2 } else { 0 }, &sensors)
     }
 
-    fn split(values: &[f32], n_objects: usize, n_lost: usize) -> Self {
+    fn split(values: &[f32], n_objects: usize, n_lost: usize, sensors: &[usize]) -> Self {
         let mut rest = values;
         let mut take = |n: usize| {
             let (taken, tail) = rest.split_at_checked(n).unwrap_or((&[], &[]));
@@ -74,8 +92,15 @@ impl Known {
             let values: [f32; HAND] = values.try_into().ok()?;
             (!values[0].is_nan()).then(|| HandParams::from_array(&values))
         });
-        Self { distances, hands, camera: take(POSE), objects: take(POSE * n_objects), lost: take(n_lost) }
+        let (camera, objects, lost) = (take(POSE), take(POSE * n_objects), take(n_lost));
+        Self { distances, hands, camera, objects, lost, readings: sensors.iter().map(|n| take(*n)).collect() }
     }
+}
+
+/// Returns the reading of a sensor; NaN where the moment has none.
+fn reading(moment: &Moment, index: usize, sensor: &Sensor) -> Vec<f32> {
+    let reading = moment.readings.get(index).cloned().flatten();
+    reading.filter(|values| values.len() == sensor.values()).unwrap_or_else(|| sensor.unknown())
 }
 
 /// Returns position, m, and quaternion (w, x, y, z); NaN for an unknown pose.
@@ -97,9 +122,12 @@ mod tests {
         let camera = vec![1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0];
         let objects: Vec<f32> = (0..14).map(|k| k as f32).collect();
         let lost = vec![0.25, 0.5];
-        let known = Known { distances: vec![0.5; N_FIELD], hands: [None, Some(right)], camera, objects, lost };
-        assert_eq!(Known::split(&known.clone().into_values(), 2, 2), known);
-        let unknown = Known::split(&[], 2, 0);
+        let readings = vec![vec![1.0; 6], vec![2.0; 3]];
+        let distances = vec![0.5; N_FIELD];
+        let known = Known { distances, hands: [None, Some(right)], camera, objects, lost, readings };
+        assert_eq!(Known::split(&known.clone().into_values(), 2, 2, &[6, 3]), known);
+        let unknown = Known::split(&[], 2, 0, &[4]);
+        assert!(unknown.readings[0].len() == 4 && unknown.readings[0][0].is_nan());
         assert!(unknown.hands == [None, None] && unknown.objects.len() == 14);
         assert!(unknown.distances.iter().chain(&unknown.camera).chain(&unknown.objects).all(|value| value.is_nan()));
     }

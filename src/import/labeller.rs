@@ -184,11 +184,11 @@ impl Labeller for GeometryLabeller<'_> {
         }
         let recording = self.reader.recording();
         let shapes = ObjectShapes::read(recording, self.shapes)?;
-        let topology = self.hands.topology();
+        let hands = self.hands.of(recording)?;
+        let hands = hands.as_ref();
+        let topology = hands.topology();
         let sensed = match recording.measures_force {
-            true => {
-                Side::BOTH.iter().map(|side| HandForces::new(self.hands.model(*side, recording.convention))).collect()
-            }
+            true => Side::BOTH.iter().map(|side| HandForces::new(hands.model(*side, recording.convention))).collect(),
             false => Ok(Vec::new()),
         }?;
         let first = journal.progress().frames;
@@ -200,13 +200,13 @@ impl Labeller for GeometryLabeller<'_> {
             }
             let started = Instant::now();
             let label = self.reader.moment(index).and_then(|moment| {
-                let hands = posed(&moment, recording, self.hands, &mut fits)?;
+                let posed = posed(&moment, recording, hands, &mut fits)?;
                 if index < first {
                     return Ok(LabelFrame::without(moment.stamp_secs, String::new()));
                 }
-                let forces = forces_of(&moment, &hands, &sensed)?;
-                let (field, distances) = labelled(&moment, &hands, &forces, &shapes, self.rule, topology);
-                let known = Known::new(&moment, &hands, self.hands, recording, distances);
+                let forces = forces_of(&moment, &posed, &sensed)?;
+                let (field, distances) = labelled(&moment, &posed, &forces, &shapes, self.rule, topology);
+                let known = Known::new(&moment, &posed, hands, recording, distances);
                 let further = Known { lost: lost(recording, &forces), ..known }.into_values();
                 Ok(LabelFrame { stamp_secs: moment.stamp_secs, warming_up: false, touch: Ok(field), further })
             });

@@ -10,11 +10,12 @@ use super::kind::Kind;
 use super::known::{Known, POSE};
 use super::labeller::{ContactRule, FORCE_RULE};
 use super::recording::Reader;
+use super::sensors::Sensor;
 use super::source::RecordingSource;
 use crate::dataset::copy::remove;
 use crate::dataset::source::SourceFrame;
 use crate::dataset::zarr::{
-    ArraySpec, CAMERA_POSE, Contact, Dtype, OBJECT_POSE, Values, ZarrWriter, fitted, image_size, read_info,
+    ArraySpec, CAMERA_POSE, Contact, Dtype, OBJECT_POSE, Values, ZarrWriter, fitted, image_size, read_info, scaled,
 };
 use crate::dataset::{
     Attributes, EpisodeWriter, Frame, ImageSource, LabelCounts, LabelFrame, LabelInfo, LabelOutput, PROVENANCE_KEY,
@@ -61,6 +62,12 @@ impl LabelOutput for ImportOutput {
         if recording.measures_force {
             extra.push(ArraySpec::new(FORCE_LOST, [2], Dtype::F32));
         }
+        extra.extend(
+            recording.sensors.iter().map(|sensor| ArraySpec::new(sensor.array(), sensor.shape.as_slice(), Dtype::F32)),
+        );
+        let views = self.views()?;
+        extra
+            .extend(views.iter().map(|(name, (w, h))| ArraySpec::new(*name, [*h as usize, *w as usize, 3], Dtype::U8)));
         let mut writer = ZarrWriter::create(at, self.attributes(info), Contact::Truth, extra)?;
         let mut labels = labels.labels(0)?;
         let (mut size, mut time) = (None, 0.0);
@@ -83,8 +90,13 @@ impl LabelOutput for ImportOutput {
                 (OBJECT_POSE, known.objects),
                 (FORCE_LOST, known.lost),
             ];
-            let values = values.into_iter().filter(|(_, values)| !values.is_empty());
-            let values = values.map(|(name, values)| (name, Values::F32(values))).collect();
+            let sensors = recording.sensors.iter().map(Sensor::array).collect::<Vec<_>>();
+            let readings = sensors.iter().map(String::as_str).zip(known.readings);
+            let values = values.into_iter().chain(readings).filter(|(_, values)| !values.is_empty());
+            let mut values: Vec<(&str, Values)> = values.map(|(name, values)| (name, Values::F32(values))).collect();
+            for (view, size) in &views {
+                values.push((view, Values::U8(self.further_image(view, *size, writer.n_frames(), info).into_raw())));
+            }
             let [left_hand_pose, right_hand_pose] = known.hands;
             let field = label.touch.unwrap_or_else(|_| unknown(info));
             let valid = |values: &[f32]| values.iter().map(|value| u8::from(!value.is_nan())).collect();
@@ -148,6 +160,32 @@ impl ImportOutput {
         (RgbImage::new(size.0, size.1), LabelFrame::without(label.stamp_secs, reason))
     }
 
+    /// Returns names and sizes of the further views.
+    fn views(&self) -> Result<Vec<(&'static str, (u32, u32))>> {
+        let recording = self.reader.recording();
+        let size = |name: &&'static str| {
+            let mut images = (0..recording.frames).map(|index| self.reader.further_image(name, index));
+            let image = images.find_map(Result::ok).ok_or_else(|| {
+                Error::file(&recording.path, format!("{name}: expected at least one image that can be read, got none"))
+            })?;
+            Ok((*name, scaled(image.dimensions(), self.side)))
+        };
+        recording.further_views.iter().map(size).collect()
+    }
+
+    /// Reads an image of a further view. One that can't be read is black, and listed.
+    fn further_image(&self, view: &'static str, size: (u32, u32), index: usize, info: &mut LabelInfo) -> RgbImage {
+        match self.reader.further_image(view, index) {
+            Ok(image) => fitted(image, size),
+            Err(error) => {
+                let unit = self.reader.recording().name.clone();
+                let fault = UnlabelledImage { unit, frame: index as u64, reason: error.to_string() };
+                info.summary.add_images(&LabelCounts::default(), [fault]);
+                RgbImage::new(size.0, size.1)
+            }
+        }
+    }
+
     fn attributes(&self, info: &LabelInfo) -> Attributes {
         let provenance = &info.provenance;
         Attributes {
@@ -181,10 +219,13 @@ impl ImportOutput {
             "force": if recording.measures_force { "measured" } else { "unknown" },
             "force_kind": recording.measures_force.then_some("spread"),
             "hand": hand,
+            "scanned_hands": recording.templates.iter().any(Option::is_some),
             "translation": recording.convention.translation.name(),
             "mean_pose_added": recording.convention.adds_mean,
             "left_shapedirs_fixed": recording.convention.fixes_left_shapedirs,
             "objects": recording.objects.iter().map(|object| object.name.as_str()).collect::<Vec<_>>(),
+            "view": recording.view.name(),
+            "sensors": recording.sensors.iter().map(Sensor::description).collect::<Vec<_>>(),
             "about": recording.about,
         })
     }

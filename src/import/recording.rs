@@ -1,13 +1,16 @@
 //! The typed intermediate that every reader of a data set fills, and from which labels are made.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
+use ::image::RgbImage;
 use glam::{DAffine3, DVec3, Vec3};
 use serde_json::Value;
 
+use super::sensors::Sensor;
 use super::shapes::MeshFile;
 use crate::dataset::source::SourceFrames;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::hand::{N_BETAS, N_JOINTS, N_KEYPOINTS};
 
 /// The parts of a recording that do not change with time.
@@ -25,10 +28,61 @@ pub struct Recording {
     pub convention: Convention,
     /// True if a calibrated sensor measures force: contact then follows from it.
     pub measures_force: bool,
+    /// Tactile sensors whose readings are kept, at most one per hand.
+    pub sensors: Vec<Sensor>,
+    /// Place of the camera.
+    pub view: View,
+    /// Names of the arrays of further cameras' images, such as `data/left_wrist_camera_rgb`.
+    pub further_views: Vec<&'static str>,
+    /// (778) vertices of the left and the right hand at rest, in MANO's order, m, of a data set that scanned them; they
+    /// replace the shape. `None` = the hand's shape follows from its betas.
+    pub templates: [Option<Arc<Vec<Vec3>>>; 2],
     /// Camera: intrinsics and distortion as the data set states them; null if it does not.
     pub camera: Value,
     /// Facts about this recording for the store's attributes, such as the subject; an object.
     pub about: Value,
+}
+
+impl Default for Recording {
+    /// Returns an ego recording without objects and sensors, whose hands are plain MANO.
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            path: PathBuf::new(),
+            frames: 0,
+            objects: Vec::new(),
+            convention: Convention::PLAIN,
+            measures_force: false,
+            sensors: Vec::new(),
+            view: View::Ego,
+            further_views: Vec::new(),
+            templates: [None, None],
+            camera: Value::Null,
+            about: Value::Null,
+        }
+    }
+}
+
+/// Place of the camera that gives a recording's images.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum View {
+    /// On the head or the chest of the person.
+    Ego,
+    /// Beside the person.
+    ThirdPerson,
+    /// No camera: images are black.
+    None,
+}
+
+impl View {
+    /// Name in the store's attributes.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ego => "ego",
+            Self::ThirdPerson => "third person",
+            Self::None => "none",
+        }
+    }
 }
 
 /// An object of a recording, rigid; of an articulated object, one part.
@@ -91,6 +145,8 @@ pub struct Moment {
     pub objects: Vec<Option<DAffine3>>,
     /// Forces on the left and the right hand; `None` = not measured.
     pub forces: [Option<SensedForce>; 2],
+    /// Reading of each sensor of the recording, of its number of values; `None` = unknown.
+    pub readings: Vec<Option<Vec<f32>>>,
 }
 
 /// Forces on one hand by a calibrated sensor.
@@ -118,6 +174,8 @@ pub struct PointForce {
 pub enum RecordedHand {
     /// MANO parameters.
     Mano(ManoParams),
+    /// MANO parameters, and a rigid motion that then places the posed hand in the reference frame.
+    Placed(ManoParams, DAffine3),
     /// 21 keypoints, m: wrist, then thumb to little finger, each from base to tip.
     Keypoints([Vec3; N_KEYPOINTS]),
     /// 778 vertices in MANO's order, m, and the parameters nearest to them.
@@ -162,6 +220,14 @@ pub trait Reader: Send + Sync {
     /// # Errors
     /// If an annotation is damaged; the error names file and field, and other instants may still be read.
     fn moment(&self, index: usize) -> Result<Moment>;
+
+    /// Reads the image `index` of a further view of the recording.
+    ///
+    /// # Errors
+    /// If it is damaged, or the recording has no such view.
+    fn further_image(&self, view: &'static str, index: usize) -> Result<RgbImage> {
+        Err(Error::value(view, "a view of the recording", format!("image {index} of {}", self.recording().name)))
+    }
 
     /// Frees what was read for moments: many recordings are open at the same time.
     fn release(&self) {}

@@ -1,23 +1,33 @@
 //! Reads numpy `.npz` archives.
 
-use std::io::{Cursor, Read};
+use std::io::{Cursor, Read, Seek};
 
 use super::array::{Array, Dtype, Outcome};
 use super::pickle::Pickle;
 use crate::file::limits;
 
 /// An archive of named arrays, which are decompressed on access.
-pub(crate) struct Npz<'a> {
-    archive: zip::ZipArchive<Cursor<&'a [u8]>>,
+pub(crate) struct Npz<R> {
+    archive: zip::ZipArchive<R>,
 }
 
-impl<'a> Npz<'a> {
-    /// Opens an archive.
+impl<'a> Npz<Cursor<&'a [u8]>> {
+    /// Opens an archive in memory.
     ///
     /// # Errors
     /// If the bytes are not a zip archive.
     pub fn open(bytes: &'a [u8]) -> Outcome<Self> {
-        let archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(|error| format!("no .npz archive: {error}"))?;
+        Self::new(Cursor::new(bytes))
+    }
+}
+
+impl<R: Read + Seek> Npz<R> {
+    /// Opens an archive that is read member by member.
+    ///
+    /// # Errors
+    /// If it is not a zip archive.
+    pub fn new(reader: R) -> Outcome<Self> {
+        let archive = zip::ZipArchive::new(reader).map_err(|error| format!("no .npz archive: {error}"))?;
         Ok(Self { archive })
     }
 
@@ -32,6 +42,14 @@ impl<'a> Npz<'a> {
     /// # Errors
     /// If the member is damaged or is not a numeric array.
     pub fn array(&mut self, name: &str) -> Outcome<Option<Array>> {
+        self.member(name)?.map(|bytes| read_npy(&bytes)).transpose()
+    }
+
+    /// Reads the `.npy` file of a name; `None` if the archive has no such member.
+    ///
+    /// # Errors
+    /// If the member is damaged, or larger than the limit of a chunk.
+    pub fn member(&mut self, name: &str) -> Outcome<Option<Vec<u8>>> {
         let member = match self.archive.by_name(&format!("{name}.npy")) {
             Ok(member) => member,
             Err(zip::result::ZipError::FileNotFound) => return Ok(None),
@@ -45,7 +63,7 @@ impl<'a> Npz<'a> {
             let variable = limits::CHUNK.variable();
             return Err(format!("expected at most {most} bytes, got more; {variable} raises the limit"));
         }
-        read_npy(&bytes).map(Some)
+        Ok(Some(bytes))
     }
 }
 

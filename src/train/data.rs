@@ -228,6 +228,10 @@ impl Dataset {
         // By source, the first store, and true if any of its stores has a supervised entry.
         let mut supervised: BTreeMap<usize, (&Path, bool)> = BTreeMap::new();
         for store in &self.stores {
+            if store.reader.raw_attributes()["import"]["view"] == "none" {
+                let path = store.reader.path();
+                return Err(Error::file(path, "expected images to learn from, got a recording without a camera"));
+            }
             let (_, any) = supervised.entry(store.source).or_insert((store.reader.path(), false));
             let frames = store.reader.len();
             for start in (0..frames).step_by(BLOCK) {

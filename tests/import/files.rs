@@ -104,6 +104,17 @@ pub fn npy_f64(shape: &[usize], values: &[f64]) -> Vec<u8> {
     npy(shape, "<f8", &values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<_>>())
 }
 
+/// Returns a `.npz` archive of these `.npy` files.
+pub fn archive<'a>(arrays: impl IntoIterator<Item = (&'a str, Vec<u8>)>) -> Vec<u8> {
+    let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    for (name, content) in arrays {
+        zip.start_file(format!("{name}.npy"), options).unwrap();
+        zip.write_all(&content).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
+}
+
 /// Returns a tar archive as Python's `tarfile` writes it.
 pub fn tar(members: &[(String, Vec<u8>)]) -> Vec<u8> {
     let mut bytes = Vec::new();
@@ -242,11 +253,5 @@ fn npz(model: &HandModel, mean: &[f64], components: &[f64]) -> Vec<u8> {
         ("hands_mean", npy_f64(&[45], mean)),
         ("hands_components", npy_f64(&[45, 45], components)),
     ];
-    let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
-    let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
-    for (name, content) in arrays {
-        zip.start_file(format!("{name}.npy"), options).unwrap();
-        zip.write_all(&content).unwrap();
-    }
-    zip.finish().unwrap().into_inner()
+    archive(arrays)
 }

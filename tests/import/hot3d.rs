@@ -12,7 +12,7 @@ use egotac::dataset::SourceFrames;
 use egotac::dataset::zarr::{CAMERA_POSE, ZarrReader};
 use egotac::error::{Error, Result};
 use egotac::hand::Side;
-use egotac::import::{ContactRule, HandModels, ImportTasks, Kind, Moment, Options, Reader, Recording, Settings};
+use egotac::import::{ContactRule, HandModels, ImportTasks, Moment, Options, Reader, Recording, Settings, kind};
 use egotac::label::{LabelTiming, Outcome, Shard};
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use image::RgbImage;
@@ -216,7 +216,7 @@ fn hands_of_a_basis_need_mano_files() {
 fn the_list_names_every_kind_with_its_licence() {
     let output = egotac(&["data", "import", "--list"]);
     let text = String::from_utf8(output.stdout).unwrap();
-    for kind in &egotac::import::kind::ALL {
+    for kind in &egotac::import::kinds::ALL {
         assert!(text.contains(&format!("| {} |", kind.name)) && text.contains(kind.licence));
     }
     let docs = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/import.md")).unwrap();
@@ -280,7 +280,7 @@ fn an_import_that_stopped_goes_on_where_it_stopped() {
     let folder = tempfile::tempdir().unwrap();
     let (root, mano) = data_set(folder.path(), |_| ());
     let settings = || Settings {
-        kind: Kind::of("hot3d").unwrap(),
+        kind: kind("hot3d").unwrap(),
         hands: HandModels::load(Some(&mano.left), Some(&mano.right)).unwrap(),
         rule: ContactRule::Proximity,
         side: None,

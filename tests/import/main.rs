@@ -8,9 +8,13 @@ mod check;
 #[path = "../common/mod.rs"]
 mod common;
 mod files;
+mod gloves;
+mod h5;
 mod hot3d;
 mod pickle;
+mod run;
 mod sensors;
 mod sets;
 mod take;
+mod third;
 mod videos;

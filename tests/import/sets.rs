@@ -4,9 +4,10 @@ use std::path::Path;
 use std::sync::LazyLock;
 
 use crate::check::{check_hands, check_images, check_poses, check_stamps, f1, open, supervised};
-use crate::common::{egotac, refused};
+use crate::common::refused;
 use crate::files::{ManoFiles, angles, jpeg, npy_f64, obj, ply, png, write};
 use crate::pickle::Py;
+use crate::run::{import, rows, succeeded, with_mano};
 use crate::take::{FRAMES, Take, cuboid, moved};
 use egotac::dataset::zarr::CAMERA_POSE;
 use egotac::hand::Side;
@@ -16,29 +17,6 @@ use safetensors::tensor::TensorView;
 use serde_json::json;
 
 static TAKE: LazyLock<Take> = LazyLock::new(Take::simulated);
-
-fn import(kind: &str, root: &Path, out: &Path, more: &[&str]) -> std::process::Output {
-    let [root, out] = [root, out].map(|path| path.to_str().unwrap());
-    egotac(&[&["data", "import", kind, root, "--out", out, "--side", "0"][..], more].concat())
-}
-
-fn with_mano(mano: &ManoFiles) -> [&str; 4] {
-    ["--mano-left", mano.left.to_str().unwrap(), "--mano-right", mano.right.to_str().unwrap()]
-}
-
-fn succeeded(output: &std::process::Output) {
-    assert!(
-        output.status.success(),
-        "{}{}",
-        String::from_utf8_lossy(&output.stdout),
-        String::from_utf8_lossy(&output.stderr)
-    );
-}
-
-/// Returns the rows of a rigid motion's 4 x 4 matrix.
-fn rows(pose: DAffine3) -> [f64; 16] {
-    DMat4::from(pose).transpose().to_cols_array()
-}
 
 fn joined(numbers: &[f64]) -> String {
     numbers.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")

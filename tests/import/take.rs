@@ -18,6 +18,7 @@ pub struct Take {
     pub frames: Vec<TakeFrame>,
 }
 
+#[derive(Clone)]
 pub struct TakeFrame {
     pub image: RgbImage,
     /// Left and right hand in the world.
@@ -28,6 +29,7 @@ pub struct TakeFrame {
     pub camera: DAffine3,
 }
 
+#[derive(Clone)]
 pub struct TakeHand {
     pub params: HandParams,
     /// Position of the wrist joint, m.

@@ -4,9 +4,9 @@ use std::path::Path;
 use std::sync::LazyLock;
 
 use crate::check::{check_hands, check_images, check_poses, check_stamps, f1, open, supervised};
-use crate::common::egotac;
 use crate::files::{ManoFiles, angles, npy_f64, obj, video, write};
 use crate::pickle::Py;
+use crate::run::{import, rows, succeeded, with_mano};
 use crate::take::{FRAMES, Take, cuboid, moved};
 use egotac::dataset::zarr::CAMERA_POSE;
 use egotac::hand::Side;
@@ -14,24 +14,6 @@ use glam::{DAffine3, DMat4, DVec3};
 use serde_json::json;
 
 static TAKE: LazyLock<Take> = LazyLock::new(Take::simulated);
-
-fn import(kind: &str, root: &Path, out: &Path, mano: &ManoFiles) -> std::process::Output {
-    let [root, out, left, right] = [root, out, &mano.left, &mano.right].map(|path| path.to_str().unwrap());
-    egotac(&["data", "import", kind, root, "--out", out, "--side", "0", "--mano-left", left, "--mano-right", right])
-}
-
-fn succeeded(output: &std::process::Output) {
-    assert!(
-        output.status.success(),
-        "{}{}",
-        String::from_utf8_lossy(&output.stdout),
-        String::from_utf8_lossy(&output.stderr)
-    );
-}
-
-fn rows(pose: DAffine3) -> [f64; 16] {
-    DMat4::from(pose).transpose().to_cols_array()
-}
 
 const SEQUENCE: &str = "(stir, spoon, bowl)/20231105_019";
 
@@ -77,7 +59,7 @@ fn taco_has_the_simulators_contact_stamps_poses_and_images() {
     let (root, out) = (folder.path().join("taco"), folder.path().join("taco.zarr"));
     write_taco(&root, take);
     let mano = ManoFiles::write(folder.path(), take, false);
-    succeeded(&import("taco", &root, &out, &mano));
+    succeeded(&import("taco", &root, &out, &with_mano(&mano)));
     let store = open(&out);
     let score = f1(&store, take, &Side::BOTH);
     assert!(score >= 0.99, "F1 {score}");
@@ -110,7 +92,7 @@ fn taco_leaves_out_a_video_that_lost_frames_and_names_damaged_tensors() {
     let at = bytes.windows(12).position(|window| window == b"FloatStorage").unwrap();
     bytes[at] = b'f';
     write(&hands, bytes);
-    let output = import("taco", &root, &out, &mano);
+    let output = import("taco", &root, &out, &with_mano(&mano));
     assert_eq!(output.status.code(), Some(3));
     let (text, error) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(error.contains("color.mp4: expected 9 frames, one per annotation, got 8"), "{error}");
@@ -165,7 +147,7 @@ fn hoi4d_has_the_simulators_contact_in_the_cameras_frame() {
     let (root, out) = (folder.path().join("hoi4d"), folder.path().join("hoi4d.zarr"));
     write_hoi4d(&root, take);
     let mano = ManoFiles::write(folder.path(), take, false);
-    succeeded(&import("hoi4d", &root, &out, &mano));
+    succeeded(&import("hoi4d", &root, &out, &with_mano(&mano)));
     let store = open(&out);
     check_images(&store, take);
     check_stamps(&store, (0..FRAMES).map(|index| index as f64 / 30.0));

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 
 use crate::cli::labelling::{Work, shard};
-use crate::import::{ContactRule, HandModels, ImportTasks, Kind, Options, Settings, table};
+use crate::import::{ContactRule, HandModels, ImportTasks, Options, Settings, kind, table};
 use crate::label::Shard;
 
 /// Arguments of `egotac data import`.
@@ -59,14 +59,14 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         print!("{}", table());
         return Ok(ExitCode::SUCCESS);
     }
-    let (kind, source, out) = args
+    let (name, source, out) = args
         .kind
         .zip(args.source)
         .zip(args.out)
-        .map(|((kind, source), out)| (kind, source, out))
+        .map(|((name, source), out)| (name, source, out))
         .context("expected KIND, SOURCE and --out")?;
     let settings = Settings {
-        kind: Kind::of(&kind)?,
+        kind: kind(&name)?,
         hands: HandModels::load(args.mano_left.as_deref(), args.mano_right.as_deref())?,
         rule: args.contact_distance.map_or(ContactRule::Proximity, |mm| ContactRule::SignedDistance(mm * 1e-3)),
         side: (args.side > 0).then_some(args.side),

@@ -86,14 +86,19 @@ pub(crate) fn image_size(
     let (width, height) = found
         .map(|image| image.dimensions())
         .ok_or_else(|| Error::value(&source.units()[unit].name, "at least one image that can be read", "none"))?;
+    Ok(scaled((width, height), side))
+}
+
+/// Returns the size of an image whose shorter side is scaled down to `side` pixels; `None` = not scaled.
+pub(crate) fn scaled((width, height): (u32, u32), side: Option<u32>) -> (u32, u32) {
     let short = width.min(height);
-    Ok(match side {
+    match side {
         Some(side) if side < short => {
             let scaled = |length: u32| (u64::from(length) * u64::from(side)).div_ceil(u64::from(short)) as u32;
             (scaled(width), scaled(height))
         }
         _ => (width, height),
-    })
+    }
 }
 
 /// Scales an image to the size of a store's images, if it has another.

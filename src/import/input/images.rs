@@ -2,10 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
+use ::image::RgbImage;
+
 use crate::dataset::source::{EncodedImage, SourceFrame, SourceFrames};
 use crate::dataset::video::{self, VideoFrames};
 use crate::error::{Error, Result};
 use crate::file::{input, limits};
+
+/// Height and width of the images of a recording without a camera, pixels.
+const BLACK: u32 = 16;
 
 /// Images of one recording, in order.
 #[derive(Debug, Clone)]
@@ -14,6 +19,8 @@ pub enum Images {
     Files(Vec<PathBuf>),
     /// A video; its own times are not used.
     Video(PathBuf),
+    /// No camera: so many black images.
+    Black(usize),
 }
 
 /// Properties of a video, as far as annotations need them.
@@ -43,6 +50,10 @@ impl Images {
                 };
                 Ok(Box::new(files.iter().enumerate().skip(from).map(frame)))
             }
+            Self::Black(frames) => {
+                let image = || EncodedImage::Pixels(RgbImage::new(BLACK, BLACK));
+                Ok(Box::new((from..*frames).map(move |index| Ok(SourceFrame::new(stamp(index), Ok(image()))))))
+            }
             Self::Video(path) => {
                 let frames = VideoFrames::open(path, None)?;
                 let frame = move |(index, frame): (usize, Result<_>)| {
@@ -65,6 +76,7 @@ impl Images {
         match self {
             Self::Files(files) => files.clone(),
             Self::Video(path) => vec![path.clone()],
+            Self::Black(_) => Vec::new(),
         }
     }
 }

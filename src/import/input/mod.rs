@@ -2,6 +2,8 @@
 
 pub mod arrays;
 pub mod folders;
+pub mod hdf5;
+pub mod hdf5_images;
 pub mod images;
 pub mod json;
 pub mod lazy;

@@ -6,6 +6,7 @@ use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
 
 use crate::error::{Error, Result};
 use crate::file::{input, limits};
+use crate::hand::N_KEYPOINTS;
 
 /// Largest deviation of a rotation matrix from orthonormal: files hold four digits at least.
 const MAX_SKEW: f64 = 2e-3;
@@ -42,6 +43,14 @@ pub fn exactly<const N: usize>(path: &Path, field: &str, values: &[f64]) -> Resu
 /// Returns three numbers as a vector.
 pub fn vec3(values: &[f64]) -> Vec3 {
     Vec3::new(values[0] as f32, values[1] as f32, values[2] as f32)
+}
+
+/// Returns 21 keypoints, m; `None` if a number is not finite: the tracker did not see the hand.
+pub fn keypoints(values: &[f64]) -> Option<[Vec3; N_KEYPOINTS]> {
+    let points: Vec<Vec3> =
+        values.as_chunks::<3>().0.iter().map(|[x, y, z]| Vec3::new(*x as f32, *y as f32, *z as f32)).collect();
+    let points: [Vec3; N_KEYPOINTS] = points.try_into().ok()?;
+    points.iter().all(|point| point.is_finite()).then_some(points)
 }
 
 /// Creates a rigid motion from a row-major 4 x 4 matrix. `to_metres` is the unit of its translation, m.

@@ -113,10 +113,9 @@ impl Sequence {
                 frames: files.len(),
                 objects: vec![part("top"), part("bottom")],
                 convention: Convention { adds_mean: true, ..Convention::PLAIN },
-                measures_force: false,
-                camera: Value::Null,
                 about: json!({ "object": object, "images": folder.strip_prefix(root).unwrap_or(folder).display().to_string() }),
                 name,
+                ..Recording::default()
             },
             images: Images::Files(files),
             annotations: numbers.iter().map(|number| *number as i64 - offset).collect(),
@@ -240,6 +239,7 @@ impl Reader for Sequence {
             hands: [None, None],
             objects: vec![None, None],
             forces: [None, None],
+            readings: Vec::new(),
         };
         // Images before the first and after the last annotation have none.
         let Ok(at) = usize::try_from(self.annotations[index]) else { return Ok(moment) };

@@ -16,7 +16,7 @@ use crate::import::input::numbers::{self, vec3};
 use crate::import::input::shard::{Shard, ShardRow};
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{
-    Convention, ManoParams, Moment, PointForce, PoseParams, Reader, RecordedHand, Recording, SensedForce,
+    ManoParams, Moment, PointForce, PoseParams, Reader, RecordedHand, Recording, SensedForce,
 };
 
 /// EgoPressure.
@@ -100,11 +100,10 @@ impl Sequence {
                 name,
                 path: path.to_path_buf(),
                 frames: frames.len(),
-                objects: Vec::new(),
-                convention: Convention::PLAIN,
                 measures_force: true,
                 camera,
                 about,
+                ..Recording::default()
             },
             frames,
             annotation: optional("annotation.parquet", &annotation)?,
@@ -186,6 +185,7 @@ impl Reader for Sequence {
             hands: [None, None],
             objects: Vec::new(),
             forces: [None, None],
+            readings: Vec::new(),
         };
         let frame = self.frames[index];
         let Some(annotation) = &self.annotation else { return Ok(moment) };

@@ -16,7 +16,7 @@ use crate::import::input::images::Images;
 use crate::import::input::lazy::Lazy;
 use crate::import::input::numbers::{self, exactly};
 use crate::import::kind::{Found, Kind, Mano, Options};
-use crate::import::recording::{Convention, Moment, Reader, RecordedHand, RecordedObject, Recording};
+use crate::import::recording::{Moment, Reader, RecordedHand, RecordedObject, Recording};
 use crate::import::shapes::MeshFile;
 
 /// FPHA.
@@ -97,8 +97,6 @@ impl Sequence {
                 path: path.to_path_buf(),
                 frames: files.len(),
                 objects: touched.collect(),
-                convention: Convention::PLAIN,
-                measures_force: false,
                 // Colour camera of the data set's documentation.
                 camera: json!({
                     "fx": 1395.749023, "fy": 1395.749268, "cx": 935.732544, "cy": 540.681030,
@@ -106,6 +104,7 @@ impl Sequence {
                 }),
                 about: json!({ "action": action, "hand": "fitted to 21 joints" }),
                 name,
+                ..Recording::default()
             },
             images: Images::Files(files),
             numbers,
@@ -214,6 +213,7 @@ impl Reader for Sequence {
             hands: [None, self.hand(index)?],
             objects,
             forces: [None, None],
+            readings: Vec::new(),
         })
     }
 

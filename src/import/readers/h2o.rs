@@ -14,9 +14,7 @@ use crate::import::input::folders;
 use crate::import::input::images::Images;
 use crate::import::input::numbers::{self, exactly, vec3};
 use crate::import::kind::{Found, Kind, Mano, Options};
-use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording,
-};
+use crate::import::recording::{ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording};
 use crate::import::shapes::MeshFile;
 
 /// H2O.
@@ -106,11 +104,9 @@ impl Sequence {
                 name,
                 path: path.to_path_buf(),
                 frames: files.len(),
-                objects: Vec::new(),
-                convention: Convention::PLAIN,
-                measures_force: false,
                 camera,
                 about: json!({ "images": base_name(&folder) }),
+                ..Recording::default()
             },
             images: Images::Files(files),
             numbers,
@@ -215,6 +211,7 @@ impl Reader for Sequence {
             hands: self.hands(index)?,
             objects: self.class.iter().map(|_| object.map(|(_, pose)| pose)).collect(),
             forces: [None, None],
+            readings: Vec::new(),
         })
     }
 

@@ -15,9 +15,7 @@ use crate::import::input::images::{self, Images};
 use crate::import::input::json::Json;
 use crate::import::input::numbers;
 use crate::import::kind::{Found, Kind, Mano, Options};
-use crate::import::recording::{
-    Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording,
-};
+use crate::import::recording::{ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording};
 use crate::import::shapes::MeshFile;
 
 /// HOI4D.
@@ -132,11 +130,10 @@ impl Sequence {
                 path: path.to_path_buf(),
                 frames,
                 objects: vec![RecordedObject { name: format!("{category} {instance:03}"), mesh }],
-                convention: Convention::PLAIN,
-                measures_force: false,
                 camera,
                 about: json!({ "category": category, "instance": instance }),
                 name,
+                ..Recording::default()
             },
             images: Images::Video(video),
             fps: facts.fps,
@@ -213,6 +210,7 @@ impl Reader for Sequence {
             hands: [self.hand(Side::Left, index)?, self.hand(Side::Right, index)?],
             objects: vec![self.object(index)?],
             forces: [None, None],
+            readings: Vec::new(),
         })
     }
 

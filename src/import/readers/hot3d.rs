@@ -92,15 +92,13 @@ impl Clip {
                 name,
                 path: path.to_path_buf(),
                 frames: keys.len(),
-                objects: Vec::new(),
                 convention: Convention {
                     adds_mean: true,
                     translation: Translation::AfterRotation,
                     fixes_left_shapedirs: true,
                 },
-                measures_force: false,
-                camera: Value::Null,
                 about: Value::Null,
+                ..Recording::default()
             },
             tar: Lazy::default(),
             stream,
@@ -253,6 +251,7 @@ impl Reader for Clip {
             hands,
             objects,
             forces: [None, None],
+            readings: Vec::new(),
         })
     }
 

@@ -115,9 +115,9 @@ impl Sequence {
                 frames: files.len(),
                 objects,
                 convention: Convention { translation: Translation::OfWrist, ..Convention::PLAIN },
-                measures_force: false,
                 camera,
                 about: json!({ "camera": serial }),
+                ..Recording::default()
             },
             images: Images::Files(files),
             annotation: annotation.to_path_buf(),
@@ -214,6 +214,7 @@ impl Reader for Sequence {
             hands: Side::BOTH.map(hand),
             objects: track.objects.iter().map(|poses| poses.get(&frame).copied()).collect(),
             forces: [None, None],
+            readings: Vec::new(),
         })
     }
 

@@ -106,10 +106,10 @@ impl Sequence {
                 frames,
                 objects: poses.iter().map(object).collect(),
                 convention: Convention { translation: Translation::OfWrist, ..Convention::PLAIN },
-                measures_force: false,
                 camera,
                 about: json!({ "triplet": name.split('/').next() }),
                 name: name.clone(),
+                ..Recording::default()
             },
             images: Images::Video(video.to_path_buf()),
             fps,
@@ -204,6 +204,7 @@ impl Reader for Sequence {
             hands: [self.hand(Side::Left, index)?, self.hand(Side::Right, index)?],
             objects: objects.iter().map(|poses| Some(poses[index])).collect(),
             forces: [None, None],
+            readings: Vec::new(),
         })
     }
 

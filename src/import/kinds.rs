@@ -1,0 +1,50 @@
+//! Table of the kinds of data sets that can be imported.
+
+use std::fmt::Write;
+
+use super::kind::{Kind, Mano};
+use super::readers;
+use crate::error::{Error, Result};
+
+/// All kinds, in the order of the table.
+pub static ALL: [Kind; 14] = [
+    readers::hot3d::KIND,
+    readers::h2o::KIND,
+    readers::taco::KIND,
+    readers::fpha::KIND,
+    readers::egopressure::KIND,
+    readers::arctic::KIND,
+    readers::hoi4d::KIND,
+    readers::oakink2::KIND,
+    readers::opentouch::KIND,
+    readers::touchanything::KIND,
+    readers::egodex::KIND,
+    readers::dexycb::KIND,
+    readers::grab::KIND,
+    readers::contactpose::KIND,
+];
+
+/// Returns the kind of a name.
+///
+/// # Errors
+/// If there is none; the error lists the names.
+pub fn kind(name: &str) -> Result<&'static Kind> {
+    let known = || ALL.iter().map(|kind| kind.name);
+    ALL.iter().find(|kind| kind.name == name).ok_or_else(|| Error::unknown("data set kind", name, known()))
+}
+
+/// Formats the table of all kinds in Markdown.
+pub fn table() -> String {
+    let mut text = String::from("| kind | gives | MANO files | data set | licence |\n|---|---|---|---|---|\n");
+    for kind in &ALL {
+        let mano = match kind.mano {
+            Mano::Required => "required",
+            Mano::Optional => "for exact hands",
+            Mano::Fitted => "for MANO's vertices",
+        };
+        let Kind { name, gives, origin, licence, .. } = kind;
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "| {name} | {gives} | {mano} | {origin} | {licence} |");
+    }
+    text
+}
