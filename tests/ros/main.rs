@@ -21,3 +21,4 @@ mod retargeter;
 mod simulator;
 mod trainer;
 mod verifier;
+mod views;
