@@ -22,6 +22,7 @@ mod images;
 mod input_topics;
 mod lock;
 mod log;
+mod log_level;
 mod mailbox;
 #[cfg(feature = "sim")]
 mod object_pose;
@@ -39,6 +40,7 @@ mod rectify;
 pub mod retargeter;
 mod runtime;
 mod shutdown;
+mod sim_time;
 #[cfg(feature = "sim")]
 pub mod simulator;
 mod time_jump;
