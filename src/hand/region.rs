@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::{HandModel, N_JOINTS, mesh};
+use super::{HandModel, N_JOINTS, Side, mesh};
 use crate::error::{Error, Result};
 
 /// A named region of a hand's surface.
@@ -75,6 +75,12 @@ impl Region {
             Self::Palm => "palm",
             Self::Dorsal => "dorsal",
         }
+    }
+
+    /// Returns the names of the regions of both hands, `<side>_<region>`, left hand first; the order of all vectors over regions.
+    pub fn names_of_both_hands() -> Vec<String> {
+        let of_side = |side: Side| Self::ALL.iter().map(move |region| format!("{}_{}", side.name(), region.name()));
+        Side::BOTH.into_iter().flat_map(of_side).collect()
     }
 
     /// Parses a name.

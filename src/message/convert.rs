@@ -3,9 +3,12 @@
 use ::image::RgbImage;
 use glam::{DQuat, DVec3, Vec3};
 
-use super::{HandPose, HandTactile, Header, Image, Point, Pose, Quaternion, TactileFrame, TactileTruth};
+use super::{
+    HandPose, HandPoses, HandTactile, Header, Image, Point, Pose, Quaternion, TactileFrame, TactileRegions,
+    TactileTruth,
+};
 use crate::error::{Error, Result};
-use crate::hand::{HandModel, HandParams, Side, Topology};
+use crate::hand::{HandModel, HandParams, Region, Side, Topology};
 use crate::tactile::{TactileField, Validity};
 
 impl HandTactile {
@@ -83,7 +86,7 @@ impl TactileFrame {
 impl TactileTruth {
     /// Creates the truth of one simulated frame.
     pub fn new(frame: TactileFrame, validity: Validity) -> Self {
-        Self { frame, validity: validity.code(), reason: validity.reason().to_owned() }
+        Self { header: frame.header.clone(), frame, validity: validity.code(), reason: validity.reason().to_owned() }
     }
 
     /// Returns the frame's validity: valid, or the guard that refused it.
@@ -97,7 +100,8 @@ impl TactileTruth {
 }
 
 impl HandPose {
-    /// Creates the message of `model` posed by `params`, given in `header.frame_id`. The receiver computes the vertices.
+    /// Creates the message of `model` posed by `params`, given in `header.frame_id`. The confidence is NaN; a
+    /// caller that knows it sets it.
     pub fn from_params(header: Header, model: &HandModel, params: &HandParams) -> Self {
         let position = rest_wrist(model, params) + params.transl.as_dvec3();
         let orientation = DQuat::from_scaled_axis(params.global_orient.as_dvec3());
@@ -115,7 +119,7 @@ impl HandPose {
             },
             hand_pose,
             betas: params.betas,
-            vertices: Vec::new(),
+            confidence: f32::NAN,
         }
     }
 
@@ -161,6 +165,57 @@ impl HandPose {
         };
         params.transl = (position - rest_wrist(model, &params)).as_vec3();
         Ok(params)
+    }
+}
+
+impl HandPoses {
+    /// Creates the message of the poses of one image, of which each gets `header`.
+    pub fn new(header: Header, poses: impl IntoIterator<Item = HandPose>) -> Self {
+        let poses = poses.into_iter().map(|pose| HandPose { header: header.clone(), ..pose }).collect();
+        Self { header, poses }
+    }
+
+    /// Returns the poses with their sides; each has the header of the array, whatever its own says.
+    ///
+    /// # Errors
+    /// If a side is unknown or comes twice.
+    pub fn into_poses(self) -> Result<Vec<(Side, HandPose)>> {
+        let mut poses: Vec<(Side, HandPose)> = Vec::with_capacity(self.poses.len());
+        for (index, pose) in self.poses.into_iter().enumerate() {
+            let name = format!("poses[{index}].side");
+            let side = side_from_code(pose.side).map_err(|got| Error::value(&name, "0 (left) or 1 (right)", got))?;
+            if poses.iter().any(|(other, _)| *other == side) {
+                return Err(Error::value(name, "each hand once", format!("{} twice", side.name())));
+            }
+            poses.push((side, HandPose { header: self.header.clone(), ..pose }));
+        }
+        Ok(poses)
+    }
+}
+
+impl TactileRegions {
+    /// Sums up a frame of a hand whose vertices lie in `regions`, (778) of the left and the right hand. A hand that is missing from
+    /// the frame is zero, with presence 0.
+    ///
+    /// # Errors
+    /// As [`TactileFrame::to_field`].
+    pub fn from_frame(frame: &TactileFrame, regions: &[Vec<Region>; 2]) -> Result<Self> {
+        let field = frame.to_field()?;
+        let (force, contact) = (field.region_forces(regions), field.region_contacts(regions));
+        let array = |name, values: Vec<f32>| {
+            let got = values.len();
+            values.try_into().map_err(|_| Error::shape(name, "[34]", [got]))
+        };
+        let mut presence = [0.0; 2];
+        for hand in &frame.hands {
+            presence[usize::from(hand.side)] = hand.score;
+        }
+        Ok(Self {
+            header: frame.header.clone(),
+            force: array("force", force)?,
+            contact: array("contact", contact)?,
+            presence,
+        })
     }
 }
 

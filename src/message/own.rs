@@ -1,7 +1,7 @@
 //! Messages of `egotac_msgs`, as `msg/*.msg` defines them.
 
 use super::message;
-use super::standard::{Header, Point, Point32, Pose, Time, Vector3, Wrench};
+use super::standard::{Header, Point, Pose, Time, Vector3, Wrench};
 use crate::hand::{N_BETAS, N_VERTICES};
 
 message! {
@@ -39,6 +39,8 @@ message! {
 
     /// Description of a predictor: its network and its hand model.
     HandModelInfo = "egotac_msgs/msg/HandModelInfo" from "../../msg/HandModelInfo.msg" {
+        /// [`HandModelInfo::INTERFACE_VERSION`] of the publisher.
+        interface_version: u16,
         /// Time at which the model was loaded.
         header: Header,
         /// Id in each [`TactileFrame`] of the predictor.
@@ -55,6 +57,8 @@ message! {
         vertex_count: u32,
         /// Region of each vertex, the same for both hands.
         vertex_region: Vec<String>,
+        /// Names of the entries of [`TactileRegions`]; empty if the regions are unknown.
+        region_names: Vec<String>,
         /// Number of images in the observation window.
         horizon: u32,
         /// Time between two images of the window, s.
@@ -67,11 +71,11 @@ message! {
 
     /// Pose and shape of one hand, as MANO parameters.
     HandPose = "egotac_msgs/msg/HandPose" from "../../msg/HandPose.msg" {
-        /// Stamp of the image, and coordinate frame of `wrist` and `vertices`.
+        /// Stamp of the image, and coordinate frame of `wrist`.
         header: Header,
         /// [`HandTactile::LEFT`] or [`HandTactile::RIGHT`].
         side: u8,
-        /// Meaning of parameters and vertex indices.
+        /// Meaning of the parameters.
         topology: String,
         /// Pose of the wrist joint, m: position J0(betas) + transl, orientation global_orient.
         wrist: Pose,
@@ -79,12 +83,34 @@ message! {
         hand_pose: [f32; 45],
         /// Shape coefficients.
         betas: [f32; N_BETAS],
-        /// The posed vertices, m, 778 or none.
-        vertices: Vec<Point32>,
+        /// Confidence that this pose is right, 0 to 1; NaN = not estimated.
+        confidence: f32,
+    }
+
+    /// Poses of both hands at one stamp.
+    HandPoses = "egotac_msgs/msg/HandPoses" from "../../msg/HandPoses.msg" {
+        /// Stamp and coordinate frame of all poses.
+        header: Header,
+        /// At most one entry per hand, left first; empty = no hand was found.
+        poses: Vec<HandPose> [<= 2],
+    }
+
+    /// Touch on the 17 regions of each hand.
+    TactileRegions = "egotac_msgs/msg/TactileRegions" from "../../msg/TactileRegions.msg" {
+        /// Stamp and frame of the image.
+        header: Header,
+        /// Total normal force on each region, N: 17 of the left hand, then of the right; NaN = unknown.
+        force: [f32; 34],
+        /// Highest contact probability in each region; NaN = unknown.
+        contact: [f32; 34],
+        /// Confidence that the left and the right hand are present; NaN = unknown.
+        presence: [f32; 2],
     }
 
     /// True touch for an image, and its validity.
     TactileTruth = "egotac_msgs/msg/TactileTruth" from "../../msg/TactileTruth.msg" {
+        /// Stamp and frame of the image, equal to those of `frame`.
+        header: Header,
         /// True force and contact.
         frame: TactileFrame,
         /// Code of [`crate::Validity`]; 0 = valid.
@@ -97,7 +123,7 @@ message! {
     TrainerStatus = "egotac_msgs/msg/TrainerStatus" from "../../msg/TrainerStatus.msg" {
         /// Time of the status.
         header: Header,
-        /// `idle`, `waiting`, `training`, `succeeded`, `cancelled` or `failed`.
+        /// [`TrainerStatus::IDLE`] or another of the constants.
         state: String,
         /// Condition that it waits for, or cause of the failure.
         message: String,
@@ -187,4 +213,24 @@ impl HandTactile {
     pub const LEFT: u8 = 0;
     /// `side` of a right hand.
     pub const RIGHT: u8 = 1;
+}
+
+impl HandModelInfo {
+    /// Version of the messages; it grows by one with each change of a field of any message.
+    pub const INTERFACE_VERSION: u16 = 2;
+}
+
+impl TrainerStatus {
+    /// `state` before the first goal.
+    pub const IDLE: &'static str = "idle";
+    /// `state` of a live goal that waits for enough recorded frames.
+    pub const WAITING: &'static str = "waiting";
+    /// `state` of a goal that trains.
+    pub const TRAINING: &'static str = "training";
+    /// `state` after a goal that took all its steps.
+    pub const SUCCEEDED: &'static str = "succeeded";
+    /// `state` after a cancelled goal.
+    pub const CANCELLED: &'static str = "cancelled";
+    /// `state` after a goal that failed.
+    pub const FAILED: &'static str = "failed";
 }

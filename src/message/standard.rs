@@ -73,11 +73,6 @@ message! {
     #[allow(missing_docs)]
     Point = "geometry_msgs/msg/Point" { x: f64, y: f64, z: f64 }
 
-    /// A position in single precision, m.
-    #[derive(Copy, Default)]
-    #[allow(missing_docs)]
-    Point32 = "geometry_msgs/msg/Point32" { x: f32, y: f32, z: f32 }
-
     /// A rotation.
     #[derive(Copy)]
     #[allow(missing_docs)]
@@ -104,6 +99,111 @@ message! {
         force: Vector3,
         /// Torque, N m.
         torque: Vector3,
+    }
+
+    /// A force and a torque at a time.
+    #[derive(Default)]
+    WrenchStamped = "geometry_msgs/msg/WrenchStamped" {
+        /// Time, and coordinate frame of the wrench; the torque is about the frame's origin.
+        header: Header,
+        /// The wrench.
+        wrench: Wrench,
+    }
+
+    /// A rotation and then a translation.
+    #[derive(Copy, Default)]
+    Transform = "geometry_msgs/msg/Transform" {
+        /// Translation, m.
+        translation: Vector3,
+        /// Rotation.
+        rotation: Quaternion,
+    }
+
+    /// Pose of a coordinate frame in its parent.
+    #[derive(Default)]
+    TransformStamped = "geometry_msgs/msg/TransformStamped" {
+        /// Time, and name of the parent frame.
+        header: Header,
+        /// Name of the frame.
+        child_frame_id: String,
+        /// Pose of the frame in its parent.
+        transform: Transform,
+    }
+
+    /// Transforms of a tree of coordinate frames.
+    #[derive(Default)]
+    TFMessage = "tf2_msgs/msg/TFMessage" {
+        /// The transforms.
+        transforms: Vec<TransformStamped>,
+    }
+
+    /// A colour with opacity, each from 0 to 1.
+    #[derive(Copy, Default)]
+    #[allow(missing_docs)]
+    ColorRGBA = "std_msgs/msg/ColorRGBA" { r: f32, g: f32, b: f32, a: f32 }
+
+    /// Coordinates in a texture, 0 to 1.
+    #[derive(Copy, Default)]
+    #[allow(missing_docs)]
+    UVCoordinate = "visualization_msgs/msg/UVCoordinate" { u: f32, v: f32 }
+
+    /// A mesh file within a message.
+    #[derive(Default)]
+    MeshFile = "visualization_msgs/msg/MeshFile" {
+        /// Name of the file.
+        filename: String,
+        /// Content of the file.
+        data: Vec<u8>,
+    }
+
+    /// A shape to display.
+    #[derive(Default)]
+    Marker = "visualization_msgs/msg/Marker" {
+        /// Time, and coordinate frame of `pose`.
+        header: Header,
+        /// Namespace of `id`.
+        ns: String,
+        /// Name of the marker in its namespace.
+        id: i32,
+        /// Kind of shape: 11 = list of triangles.
+        kind: i32,
+        /// 0 = add or replace, 2 = delete, 3 = delete all.
+        action: i32,
+        /// Pose of the shape.
+        pose: Pose,
+        /// Size of the shape; 1 = as given.
+        scale: Vector3,
+        /// Colour of the whole shape.
+        color: ColorRGBA,
+        /// Time for which it is shown; 0 = until it is replaced.
+        lifetime: Duration,
+        /// True if the shape moves with its frame.
+        frame_locked: bool,
+        /// Points of lists, three per triangle, m.
+        points: Vec<Point>,
+        /// Colour of each point; empty = that of the shape.
+        colors: Vec<ColorRGBA>,
+        /// Texture's address.
+        texture_resource: String,
+        /// Texture.
+        texture: CompressedImage,
+        /// Texture coordinates of each point.
+        uv_coordinates: Vec<UVCoordinate>,
+        /// Text of a text marker.
+        text: String,
+        /// Mesh's address.
+        mesh_resource: String,
+        /// Mesh.
+        mesh_file: MeshFile,
+        /// True if the mesh's own materials are used.
+        mesh_use_embedded_materials: bool,
+    }
+
+    /// Shapes to display.
+    #[derive(Default)]
+    MarkerArray = "visualization_msgs/msg/MarkerArray" {
+        /// The shapes.
+        markers: Vec<Marker>,
     }
 
     /// A pose at a time.
@@ -179,6 +279,7 @@ message! {
     }
 
     /// A JPEG or PNG file.
+    #[derive(Default)]
     CompressedImage = "sensor_msgs/msg/CompressedImage" {
         /// Time of exposure, and the camera's optical frame.
         header: Header,

@@ -13,7 +13,7 @@ use super::publisher::Publisher;
 use super::qos_overrides::{self, QosOverrides};
 use super::runtime::Runtime;
 use super::topic_names::TopicNames;
-use super::{parameter_services, qos};
+use super::{log_level, parameter_services, qos, sim_time};
 
 /// Creates the node `name` (remappable) with parameter services for `table`, `/rosout` and `/parameter_events`.
 ///
@@ -35,12 +35,16 @@ pub(crate) fn create(name: &str, table: &[Parameter]) -> anyhow::Result<Runtime>
     }
     let clock = RosClock::new(node.get_ros_clock());
     let rosout = Publisher::create(&mut node, "/rosout", qos::rosout())?;
-    let log = Log::new(logger_name(&full_name), clock.clone(), rosout);
+    let logger = logger_name(&full_name);
+    let level = log_level::from_arguments(std::env::args(), &logger);
+    let log = Log::new(logger, level, clock.clone(), rosout);
     for name in unknown.into_iter().filter(|name| !qos_overrides::is_override(name)) {
         log.warn(format!("parameter {name} is unknown and ignored; known: {}", parameters.names()));
     }
     let mut runtime = Runtime::new(node, names, clock, log, Arc::new(parameters), overrides);
     parameter_services::serve(&mut runtime, full_name)?;
+    log_level::serve(&mut runtime)?;
+    sim_time::follow_parameter(&mut runtime);
     Ok(runtime)
 }
 

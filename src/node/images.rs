@@ -1,12 +1,18 @@
 //! Image subscription of a node, raw or compressed.
 
+use ::image::RgbImage;
+use ::image::codecs::jpeg::JpegEncoder;
+use anyhow::Context as _;
+
 use super::input_topics::InputTopic;
 use super::params::{Allowed, Parameter, Parameters};
 use super::runtime::Runtime;
 use crate::error::Result;
 use crate::image::{self, RawImage};
 use crate::message::{CompressedImage, Header, Image, Message as _, Reader};
-use ::image::RgbImage;
+
+/// JPEG quality of compressed images, 0 to 100; high, so that compression changes the image little.
+const JPEG_QUALITY: u8 = 90;
 
 /// Message type of the images, set by the parameter `image_transport`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -99,4 +105,14 @@ impl ImageTransport {
             }
         }
     }
+}
+
+/// Compresses an image.
+///
+/// # Errors
+/// If the image has no pixels or is too large for JPEG.
+pub(crate) fn jpeg(header: Header, image: &RgbImage) -> anyhow::Result<CompressedImage> {
+    let mut data = Vec::new();
+    JpegEncoder::new_with_quality(&mut data, JPEG_QUALITY).encode_image(image).context("cannot compress the image")?;
+    Ok(CompressedImage { header, format: "rgb8; jpeg compressed bgr8".to_owned(), data })
 }

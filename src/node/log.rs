@@ -1,6 +1,7 @@
 //! Log of a node: console and log file through ROS, and the topic `/rosout`, which r2r does not publish itself.
 
 use std::collections::HashMap;
+use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -20,6 +21,8 @@ pub(crate) struct Log(Arc<Inner>);
 
 struct Inner {
     name: String,
+    /// Level below which nothing is written.
+    level: AtomicU8,
     clock: RosClock,
     rosout: Mutex<Publisher<message::Log>>,
     throttled: Mutex<HashMap<String, Throttled>>,
@@ -33,10 +36,25 @@ struct Throttled {
 }
 
 impl Log {
-    /// Creates the log of the logger `name`.
-    pub(crate) fn new(name: String, clock: RosClock, rosout: Publisher<message::Log>) -> Self {
-        let throttled = Mutex::default();
-        Self(Arc::new(Inner { name, clock, rosout: Mutex::new(rosout), throttled }))
+    /// Creates the log of the logger `name`, which writes nothing below `level`.
+    pub(crate) fn new(name: String, level: u8, clock: RosClock, rosout: Publisher<message::Log>) -> Self {
+        let (throttled, level) = (Mutex::default(), AtomicU8::new(level));
+        Self(Arc::new(Inner { name, level, clock, rosout: Mutex::new(rosout), throttled }))
+    }
+
+    /// Name of the logger.
+    pub(crate) fn name(&self) -> &str {
+        &self.0.name
+    }
+
+    /// Returns the level below which nothing is written.
+    pub(crate) fn level(&self) -> u8 {
+        self.0.level.load(Ordering::Relaxed)
+    }
+
+    /// Sets the level below which nothing is written.
+    pub(crate) fn set_level(&self, level: u8) {
+        self.0.level.store(level, Ordering::Relaxed);
     }
 
     /// Logs a rare event that is worth knowing.
@@ -79,9 +97,12 @@ impl Log {
     }
 
     fn write(&self, severity: LogSeverity, line: &str) {
+        let level = rosout_level(&severity);
+        if level < self.level() {
+            return;
+        }
         // ROS takes C strings; a NUL byte in text from outside would truncate the line.
         let line = line.replace('\0', "\\0");
-        let level = rosout_level(&severity);
         r2r::log(&line, &self.0.name, file!(), line!(), severity);
         let log = message::Log {
             stamp: self.0.clock.now(),

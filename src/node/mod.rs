@@ -17,15 +17,18 @@ mod enabled;
 mod episode_recorder;
 mod exact_sync;
 mod flatten;
+mod hand_confidence;
 mod images;
 mod input_topics;
 mod lock;
 mod log;
+mod log_level;
 mod mailbox;
 #[cfg(feature = "sim")]
 mod object_pose;
 mod parameter_services;
 mod params;
+mod placed_hand;
 mod point_cloud;
 pub mod predictor;
 mod program;
@@ -37,10 +40,13 @@ mod rectify;
 pub mod retargeter;
 mod runtime;
 mod shutdown;
+mod sim_time;
 #[cfg(feature = "sim")]
 pub mod simulator;
 mod time_jump;
 mod topic_names;
 pub mod trainer;
+#[cfg(feature = "sim")]
+mod transforms;
 pub mod verifier;
 mod worker_thread;

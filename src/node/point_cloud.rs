@@ -1,8 +1,6 @@
 //! Point cloud of a touch field for RViz: each vertex at its place on the posed hand, or on a hand at rest.
 
-use glam::Vec3;
-
-use crate::hand::{HandModel, HandParams, Side};
+use super::placed_hand::PlacedHand;
 use crate::message::{Header, PointCloud2, PointField};
 use crate::tactile::TactileField;
 
@@ -11,36 +9,15 @@ const FIELDS: [&str; 6] = ["x", "y", "z", "force", "contact", "touching"];
 /// Code `FLOAT32` of `sensor_msgs/msg/PointField`.
 const FLOAT32: u8 = 7;
 
-/// Vertices of one hand in the frame of the point cloud, m.
-#[derive(Debug, Clone)]
-pub(crate) struct PosedHand {
-    pub(crate) side: Side,
-    pub(crate) vertices: Vec<Vec3>,
-}
-
-/// Returns both hands in the rest pose, in a frame of their own with the axes of a camera (z to the front, x right, y down): palms
-/// to the viewer, fingers up, the right hand on the right. Shows the field while the poses of the hands are unknown.
-pub(crate) fn rest_hands(hands: &[HandModel; 2]) -> Vec<PosedHand> {
-    let place = |hand: &HandModel| {
-        let posed = hand.forward(&HandParams::default());
-        let wrist = posed.joints[0];
-        // In the rest pose the right hand's fingers point along -x and its palm faces -y; the left hand is its mirror image in x.
-        let sign = if hand.side == Side::Right { 1.0 } else { -1.0 };
-        let optical = |v: Vec3| Vec3::new(sign * v.z, sign * v.x, v.y) + Vec3::new(sign * 0.12, 0.09, 0.0);
-        PosedHand { side: hand.side, vertices: posed.vertices.iter().map(|v| optical(*v - wrist)).collect() }
-    };
-    hands.iter().map(place).collect()
-}
-
 /// Creates the point cloud of `field` on `hands`, whose vertices are in `header.frame_id`. The point field `touching` is 1
 /// where the contact probability is above `threshold`, else 0.
-pub(crate) fn point_cloud(header: Header, field: &TactileField, hands: &[PosedHand], threshold: f32) -> PointCloud2 {
+pub(crate) fn point_cloud(header: Header, field: &TactileField, hands: &[PlacedHand], threshold: f32) -> PointCloud2 {
     let mut data = Vec::new();
     let mut points = 0;
-    for PosedHand { side, vertices } in hands {
+    for PlacedHand { side, posed } in hands {
         let force = &field.force[side.range()];
         let contact = &field.contact[side.range()];
-        for ((vertex, force), contact) in vertices.iter().zip(force).zip(contact) {
+        for ((vertex, force), contact) in posed.vertices.iter().zip(force).zip(contact) {
             let touching = f32::from(*contact > threshold);
             for number in [vertex.x, vertex.y, vertex.z, *force, *contact, touching] {
                 data.extend_from_slice(&number.to_le_bytes());
@@ -71,36 +48,22 @@ pub(crate) fn point_cloud(header: Header, field: &TactileField, hands: &[PosedHa
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::hand::{N_VERTICES, Topology};
+    use crate::hand::{HandModel, HandParams, N_VERTICES, Side, Topology};
+    use glam::Vec3;
 
     #[test]
     fn each_vertex_is_a_point_with_its_force_and_contact() {
         let mut field = TactileField::zeros(Topology::EgotacHand1);
         field.force[N_VERTICES + 2] = 1.5;
         field.contact[N_VERTICES + 2] = 0.75;
-        let vertices = (0..N_VERTICES).map(|i| Vec3::new(i as f32, 0.0, -1.0)).collect();
-        let cloud = point_cloud(Header::default(), &field, &[PosedHand { side: Side::Right, vertices }], 0.5);
+        let mut posed = HandModel::builtin(Side::Right).forward(&HandParams::default());
+        posed.vertices = (0..N_VERTICES).map(|i| Vec3::new(i as f32, 0.0, -1.0)).collect();
+        let cloud = point_cloud(Header::default(), &field, &[PlacedHand { side: Side::Right, posed }], 0.5);
         assert_eq!((cloud.width as usize, cloud.data.len()), (N_VERTICES, N_VERTICES * cloud.point_step as usize));
         let point: Vec<f32> = cloud.data[2 * 24..3 * 24]
             .chunks_exact(4)
             .map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
             .collect();
         assert_eq!(point, [2.0, 0.0, -1.0, 1.5, 0.75, 1.0]);
-    }
-
-    #[test]
-    fn hands_at_rest_do_not_overlap_and_point_up() {
-        let hands = rest_hands(&Side::BOTH.map(HandModel::builtin));
-        let xs = |hand: &PosedHand| {
-            let xs = hand.vertices.iter().map(|v| v.x);
-            (xs.clone().fold(f32::MAX, f32::min), xs.fold(f32::MIN, f32::max))
-        };
-        assert!(xs(&hands[0]).1 < 0.0 && xs(&hands[1]).0 > 0.0);
-        for hand in &hands {
-            // The fingers, the longest part, lie above the wrist; y points down.
-            let highest = hand.vertices.iter().map(|v| v.y).fold(f32::MAX, f32::min);
-            let lowest = hand.vertices.iter().map(|v| v.y).fold(f32::MIN, f32::max);
-            assert!(0.09 - highest > 0.12 && lowest - 0.09 < 0.06, "{highest} {lowest}");
-        }
     }
 }

@@ -44,3 +44,8 @@ pub(crate) fn rosout() -> QosProfile {
         ..QosProfile::default()
     }
 }
+
+/// Quality of service of `/tf` in the other client libraries.
+pub(crate) fn transforms() -> QosProfile {
+    QosProfile { depth: 100, ..QosProfile::default() }
+}

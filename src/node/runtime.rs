@@ -126,6 +126,19 @@ impl Runtime {
         &self.clock
     }
 
+    /// Takes the time from `/clock`, or from the wall clock.
+    ///
+    /// # Errors
+    /// If ROS refuses the subscription to `/clock`.
+    pub(crate) fn simulate_time(&mut self, from_clock: bool) -> anyhow::Result<()> {
+        let time_source = self.node.get_time_source();
+        match from_clock {
+            true => time_source.enable_sim_time(&mut self.node)?,
+            false => time_source.disable_sim_time(),
+        }
+        Ok(())
+    }
+
     /// Returns the node's full name without the first slash, for instance `robot/predictor`.
     ///
     /// # Errors

@@ -132,6 +132,23 @@ impl TactileField {
         sums.into_iter().map(|sum| sum as f32).collect()
     }
 
+    /// Returns the highest contact probability in each region, in the order of [`Self::region_forces`]; NaN if one in the region is
+    /// unknown.
+    ///
+    /// `regions`: as for [`Self::region_forces`].
+    pub fn region_contacts(&self, regions: &[Vec<Region>; 2]) -> Vec<f32> {
+        let mut highest = vec![0.0f32; 2 * Region::ALL.len()];
+        for side in Side::BOTH {
+            let start = side as usize * Region::ALL.len();
+            for (contact, region) in self.contact[side.range()].iter().zip(&regions[side as usize]) {
+                let highest = &mut highest[start + region.index()];
+                // `max` would ignore NaN.
+                *highest = if contact.is_nan() || highest.is_nan() { f32::NAN } else { highest.max(*contact) };
+            }
+        }
+        highest
+    }
+
     /// Returns the total normal force on one hand, N; NaN if any force is unknown.
     pub fn total_force(&self, side: Side) -> f32 {
         self.force[side.range()].iter().map(|f| f64::from(*f)).sum::<f64>() as f32

@@ -38,6 +38,21 @@ fn frame() -> TactileFrame {
     }
 }
 
+fn hand_pose() -> HandPose {
+    HandPose {
+        header: header("world"),
+        side: 1,
+        topology: "egotac-hand-1".into(),
+        wrist: Pose {
+            position: Point { x: 0.25, y: -0.5, z: 0.75 },
+            orientation: Quaternion { x: 0.5, y: -0.5, z: 0.5, w: 0.5 },
+        },
+        hand_pose: std::array::from_fn(|i| i as f32 / 64.0),
+        betas: std::array::from_fn(|i| 0.0 - i as f32 / 8.0),
+        confidence: 0.875,
+    }
+}
+
 /// Checks that we write the same bytes as ROS, but for padding at the end, and that the bytes of ROS read back to the same message.
 fn agrees<M: Message + Debug>(name: &str, message: &M) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/message").join(format!("{name}.cdr"));
@@ -71,10 +86,28 @@ fn own_messages_have_the_bytes_of_ros() {
         },
     );
     agrees("hand_tactile", &left());
-    agrees("tactile_truth", &TactileTruth { frame: frame(), validity: 4, reason: "too deep: 7 mm".into() });
+    agrees(
+        "tactile_truth",
+        &TactileTruth {
+            header: header("camera_optical"),
+            frame: frame(),
+            validity: 4,
+            reason: "too deep: 7 mm".into(),
+        },
+    );
+    agrees(
+        "tactile_regions",
+        &TactileRegions {
+            header: header("camera_optical"),
+            force: std::array::from_fn(|i| i as f32 / 8.0),
+            contact: std::array::from_fn(|i| (i % 5) as f32 / 4.0),
+            presence: [1.0, f32::NAN],
+        },
+    );
     agrees(
         "hand_model_info",
         &HandModelInfo {
+            interface_version: HandModelInfo::INTERFACE_VERSION,
             header: header(""),
             model_id: "m".into(),
             model_name: "Modell für Hände".into(),
@@ -83,32 +116,22 @@ fn own_messages_have_the_bytes_of_ros() {
             topology: "mano".into(),
             vertex_count: 778,
             vertex_region: ["thumb_tip", "palm", "", "dorsal"].map(String::from).to_vec(),
+            region_names: ["left_thumb_tip", "right_palm"].map(String::from).to_vec(),
             horizon: 4,
             frame_dt: 0.04,
             input_size: 98,
             force_scale: 1.5,
         },
     );
-    agrees(
-        "hand_pose",
-        &HandPose {
-            header: header("world"),
-            side: 1,
-            topology: "egotac-hand-1".into(),
-            wrist: Pose {
-                position: Point { x: 0.25, y: -0.5, z: 0.75 },
-                orientation: Quaternion { x: 0.5, y: -0.5, z: 0.5, w: 0.5 },
-            },
-            hand_pose: std::array::from_fn(|i| i as f32 / 64.0),
-            betas: std::array::from_fn(|i| 0.0 - i as f32 / 8.0),
-            vertices: vec![Point32 { x: 1.0, y: 2.0, z: 3.0 }, Point32 { x: -1.0, y: -2.0, z: -3.0 }],
-        },
-    );
+    agrees("hand_pose", &hand_pose());
+    let right = HandPose { side: 1, ..hand_pose() };
+    let left = HandPose { side: 0, confidence: f32::NAN, ..right.clone() };
+    agrees("hand_poses", &HandPoses { header: header("world"), poses: vec![left, right] });
     agrees(
         "trainer_status",
         &TrainerStatus {
             header: header(""),
-            state: "training".into(),
+            state: TrainerStatus::TRAINING.into(),
             message: "".into(),
             recorded_frames: 1000,
             recorded_episodes: 10,
@@ -279,6 +302,62 @@ fn node_messages_have_the_bytes_of_ros() {
     agrees("diagnostic_array", &DiagnosticArray { header: header(""), status: vec![status] });
 }
 
+#[test]
+fn constants_have_the_values_of_their_msg_files() {
+    let states = [
+        ("IDLE", TrainerStatus::IDLE),
+        ("WAITING", TrainerStatus::WAITING),
+        ("TRAINING", TrainerStatus::TRAINING),
+        ("SUCCEEDED", TrainerStatus::SUCCEEDED),
+        ("CANCELLED", TrainerStatus::CANCELLED),
+        ("FAILED", TrainerStatus::FAILED),
+    ];
+    for (name, value) in states {
+        assert!(TrainerStatus::definition().contains(&format!("string {name}=\"{value}\"\n")), "{name}");
+    }
+    let version = format!("uint16 INTERFACE_VERSION={}\n", HandModelInfo::INTERFACE_VERSION);
+    assert!(HandModelInfo::definition().contains(&version));
+}
+
+#[test]
+fn display_messages_have_the_bytes_of_ros() {
+    let vector = |x, y, z| Vector3 { x, y, z };
+    let pose = Pose {
+        position: Point { x: 0.25, y: -0.5, z: 0.75 },
+        orientation: Quaternion { x: 0.5, y: -0.5, z: 0.5, w: 0.5 },
+    };
+    let wrench = Wrench { force: vector(1.0, -2.0, 3.0), torque: vector(0.5, 0.25, -0.125) };
+    agrees("wrench_stamped", &WrenchStamped { header: header("left_thumb"), wrench });
+    let transform = TransformStamped {
+        header: header("world"),
+        child_frame_id: "camera".into(),
+        transform: Transform { translation: vector(0.25, -0.5, 0.75), rotation: pose.orientation },
+    };
+    agrees("tf_message", &TFMessage { transforms: vec![transform.clone(), transform] });
+    let marker = Marker {
+        header: header("world"),
+        ns: "touch".into(),
+        id: 1,
+        kind: 11,
+        action: 0,
+        pose,
+        scale: vector(1.0, 1.0, 1.0),
+        color: ColorRGBA { r: 0.5, g: 0.25, b: 0.125, a: 1.0 },
+        lifetime: Duration { sec: 1, nanosec: 500 },
+        frame_locked: true,
+        points: vec![Point { x: 1.0, y: 2.0, z: 3.0 }],
+        colors: vec![ColorRGBA { r: 0.0, g: 1.0, b: 0.5, a: 0.75 }],
+        texture_resource: "a".into(),
+        texture: CompressedImage { header: header(""), format: "png".into(), data: vec![1, 2, 3] },
+        uv_coordinates: vec![UVCoordinate { u: 0.5, v: 0.25 }],
+        text: "text".into(),
+        mesh_resource: "package://a".into(),
+        mesh_file: MeshFile { filename: "b.obj".into(), data: vec![4, 5] },
+        mesh_use_embedded_materials: true,
+    };
+    agrees("marker_array", &MarkerArray { markers: vec![marker] });
+}
+
 /// Returns the fields of a `.msg` file without comments, constants and alignment.
 fn fields_of(definition: &str) -> String {
     let lines = definition.lines().map(|line| line.split('#').next().unwrap_or_default());
@@ -296,6 +375,8 @@ fn structs_have_the_fields_of_their_msg_files() {
     check(TactileFrame::definition(), TactileFrame::fields());
     check(HandModelInfo::definition(), HandModelInfo::fields());
     check(HandPose::definition(), HandPose::fields());
+    check(HandPoses::definition(), HandPoses::fields());
+    check(TactileRegions::definition(), TactileRegions::fields());
     check(TactileTruth::definition(), TactileTruth::fields());
     check(TactileMetrics::definition(), TactileMetrics::fields());
     check(TrainerStatus::definition(), TrainerStatus::fields());

@@ -79,6 +79,10 @@ proptest! {
             let _ = TactileTruth::from_cdr(bytes);
             let _ = HandModelInfo::from_cdr(bytes);
             let _ = HandPose::from_cdr(bytes);
+            let _ = HandPoses::from_cdr(bytes).and_then(HandPoses::into_poses);
+            let _ = TactileRegions::from_cdr(bytes);
+            let _ = MarkerArray::from_cdr(bytes);
+            let _ = TFMessage::from_cdr(bytes);
             let _ = TactileMetrics::from_cdr(bytes);
             let _ = RobotTouch::from_cdr(bytes);
             let _ = PoseArray::from_cdr(bytes);

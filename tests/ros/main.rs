@@ -19,5 +19,7 @@ mod predictor;
 mod retargeter;
 #[cfg(feature = "sim")]
 mod simulator;
+mod standard;
 mod trainer;
 mod verifier;
+mod views;

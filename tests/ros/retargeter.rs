@@ -153,7 +153,22 @@ fn poses_are_followed_and_those_of_the_other_hand_ignored() {
 }
 
 #[test]
+fn one_hand_of_a_message_with_both_is_followed_if_its_confidence_is_high_enough() {
+    holds("pairs_of_hands", &closing(12, Side::Right), &["-p", "min_confidence:=0.5"]);
+}
+
+#[test]
 fn links_stay_out_of_an_object() {
+    holds_about_a_ball("about");
+}
+
+#[test]
+fn an_object_in_another_frame_is_carried_over_by_tf() {
+    holds_about_a_ball("frames_of_object");
+}
+
+/// Runs one check of the peer on a hand that closes about a ball.
+fn holds_about_a_ball(fact: &str) {
     let folder = tempfile::tempdir().unwrap();
     let ball = folder.path().join("ball.xml");
     std::fs::write(&ball, "<mujoco><worldbody><geom type=\"sphere\" size=\"0.02\"/></worldbody></mujoco>").unwrap();
@@ -172,7 +187,7 @@ fn links_stay_out_of_an_object() {
     let last = |case: &Value| -> Vec<f64> { serde_json::from_value(case["frames"][11]["qpos"].clone()).unwrap() };
     let apart = last(&about).iter().zip(last(&alone)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(apart > 0.1, "{apart} rad: the ball is not in the way");
-    holds("about", &about, &["-p", &format!("object:={}", ball.display())]);
+    holds(fact, &about, &["-p", &format!("object:={}", ball.display())]);
 }
 
 #[test]

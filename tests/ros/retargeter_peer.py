@@ -11,12 +11,13 @@ import sys
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from egotac_msgs.msg import HandPose, HandTactile, RobotTouch, TactileFrame
-from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion
+from egotac_msgs.msg import HandPose, HandPoses, HandTactile, RobotTouch, TactileFrame
+from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion, TransformStamped
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool
+from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory
 
 from peer import BEST_EFFORT, LATCHED, Peer
@@ -187,35 +188,96 @@ def poses(case):
     assert moved > 0.05, moved
 
 
-def object_pose(frame, i):
-    (x, y, z), (a, b, c, d) = frame["object"]
-    pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=a, y=b, z=c, w=d))
-    return put_stamp(PoseStamped(pose=pose), i)
-
-
-def about(case):
-    """Joints with an object agree with the library; an object pose in another frame causes a warning, an old one is ignored."""
+def pairs_of_hands(case):
+    """Both hands in one message: that of the robot's side is followed, unless its confidence is too low."""
     robot = Robot(case)
-    objects = robot.peer.connected(robot.peer.create_publisher(PoseStamped, "object", 100))
+    both = robot.peer.connected(robot.peer.create_publisher(HandPoses, "hand_poses", 100))
+
+    def send(shown, i, confidence):
+        right = put_stamp(hand_pose(case["frames"][shown], i), i)
+        left = copy.deepcopy(right)
+        left.side, right.confidence = HandPose.LEFT, confidence
+        both.publish(HandPoses(header=right.header, poses=[left, right]))
+
+    count = len(case["frames"])
     for i, frame in enumerate(case["frames"]):
-        objects.publish(object_pose(frame, i))
-        robot.peer.rest(0.3)
-        robot.keypoints.publish(points(frame, i))
+        # Another pose, of too low confidence.
+        send((i + count // 2) % count, i, 0.2)
+        send(i, i, 0.9)
         robot.with_stamp(1000 * 10**9 + i * DT)
         got = robot.settled()
         assert np.abs(got - frame["qpos"]).max() < 2e-3, (i, got - frame["qpos"])
-    last = len(case["frames"]) - 1
-    # Ten frames later the object pose is too old: the same hand moves through the former place of the ball.
-    robot.keypoints.publish(points(case["frames"][last], last + 10))
-    robot.with_stamp(1000 * 10**9 + (last + 10) * DT)
-    assert np.abs(robot.settled() - case["frames"][last]["qpos"]).max() > 0.05
-    strange = object_pose(case["frames"][last], last + 11)
-    strange.header.frame_id = "elsewhere"
-    objects.publish(strange)
-    robot.peer.rest(0.3)
-    robot.keypoints.publish(points(case["frames"][last], last + 11))
-    robot.with_stamp(1000 * 10**9 + (last + 11) * DT)
-    robot.warned("elsewhere")
+    counted = lambda: robot.state()[2].get("dropped_unsure") == str(count)
+    robot.peer.wait(counted, "the count of hands of low confidence")
+
+
+def matrix(pose):
+    """Returns the 4 x 4 matrix of a position and a quaternion."""
+    (x, y, z), (a, b, c, d) = pose
+    turn = np.array([
+        [1 - 2 * (b * b + c * c), 2 * (a * b - c * d), 2 * (a * c + b * d)],
+        [2 * (a * b + c * d), 1 - 2 * (a * a + c * c), 2 * (b * c - a * d)],
+        [2 * (a * c - b * d), 2 * (b * c + a * d), 1 - 2 * (a * a + b * b)],
+    ])
+    return np.block([[turn, np.array([[x], [y], [z]])], [np.zeros((1, 3)), np.ones((1, 1))]])
+
+
+def quaternion(turn):
+    """Returns the quaternion (x, y, z, w) of a rotation matrix: the eigenvector of the largest eigenvalue (Bar-Itzhack 2000)."""
+    m = turn
+    k = np.array([
+        [m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2], m[2, 1] - m[1, 2]],
+        [m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], m[2, 1] + m[1, 2], m[0, 2] - m[2, 0]],
+        [m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1], m[1, 0] - m[0, 1]],
+        [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], m[0, 0] + m[1, 1] + m[2, 2]],
+    ])
+    return np.linalg.eigh(k)[1][:, -1]
+
+
+def turned(axis, angle, position):
+    """Returns the matrix of a rotation about an axis and a position."""
+    axis = np.array(axis) / np.linalg.norm(axis)
+    return matrix((position, (*(axis * math.sin(angle / 2)), math.cos(angle / 2))))
+
+
+def frames_of_object(case):
+    """An object pose in the frame of a moving camera is carried over to the tracker's frame by /tf and /tf_static."""
+    robot = Robot(case)
+    objects = robot.peer.connected(robot.peer.create_publisher(PoseStamped, "object", 100))
+    moving = robot.peer.connected(robot.peer.create_publisher(TFMessage, "/tf", 100))
+    still = robot.peer.connected(robot.peer.create_publisher(TFMessage, "/tf_static", LATCHED))
+    base_from_tracker = turned((1, 2, 3), 0.7, (0.3, -0.2, 0.5))
+    base_from_camera = lambda secs: turned((0, 0, 1), 0.5 * secs, (0.1 * secs, 0.2, 0.8))
+
+    def transform(child, pose, at):
+        message = TransformStamped(child_frame_id=child)
+        message.header.frame_id = "base"
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(round(1000 * 10**9 + at * 10**9), 10**9)
+        t, r = message.transform.translation, message.transform.rotation
+        t.x, t.y, t.z = map(float, pose[:3, 3])
+        r.x, r.y, r.z, r.w = map(float, quaternion(pose[:3, :3]))
+        return message
+
+    still.publish(TFMessage(transforms=[transform("tracker", base_from_tracker, 0)]))
+    # Samples every second: the poses of the object lie between them.
+    samples = TFMessage(transforms=[transform("camera", base_from_camera(k), k) for k in range(3)])
+    for i, frame in enumerate(case["frames"]):
+        seen = np.linalg.inv(base_from_camera(i * DT / 1e9)) @ base_from_tracker @ matrix(frame["object"])
+        message = object_pose(frame, i)
+        message.header.frame_id = "camera"
+        p, q = message.pose.position, message.pose.orientation
+        p.x, p.y, p.z = map(float, seen[:3, 3])
+        q.x, q.y, q.z, q.w = map(float, quaternion(seen[:3, :3]))
+        objects.publish(message)
+        if i == 0:
+            # The transforms come after the pose that needs them.
+            robot.peer.rest(0.1)
+            moving.publish(samples)
+        robot.peer.rest(0.4)
+        robot.keypoints.publish(points(frame, i))
+        robot.with_stamp(1000 * 10**9 + i * DT)
+        got = robot.settled()
+        assert np.abs(got - frame["qpos"]).max() < 3e-3, (i, got - frame["qpos"])
 
 
 def rate(case):

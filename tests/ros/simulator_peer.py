@@ -6,7 +6,7 @@ Usage: simulator_peer.py CHECK
 import sys
 
 import numpy as np
-from egotac_msgs.msg import HandPose, HandTactile, TactileTruth
+from egotac_msgs.msg import HandPose, HandPoses, HandTactile, TactileTruth
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
@@ -27,6 +27,7 @@ def frames():
     infos = peer.listen(CameraInfo, "camera_info")
     truths = peer.listen(TactileTruth, "truth/tactile")
     poses = peer.listen(HandPose, "truth/hand_pose")
+    pairs = peer.listen(HandPoses, "truth/hand_poses")
     clocks = peer.listen(Clock, "/clock")
     images = peer.listen(Image, "image_raw")
     peer.wait(lambda: len(images) == 25 and len(truths) == 25 and len(infos) == 25, "25 frames")
@@ -38,6 +39,8 @@ def frames():
     assert stamps(infos) == times and [nanos(t.frame.header.stamp) for t in truths] == times
     assert [nanos(c.clock) for c in clocks] == times
     assert poses and set(stamps(poses)) <= set(times)
+    assert stamps(pairs) == times and stamps(truths) == times
+    assert [pose for pair in pairs for pose in pair.poses] == poses, "both topics hold the same poses"
 
     for image, info in zip(images, infos):
         assert (image.height, image.width, image.encoding, image.step) == (224, 224, "rgb8", 672)
@@ -60,7 +63,7 @@ def frames():
     k = infos[0].k
     for pose in poses:
         p, q = pose.wrist.position, pose.wrist.orientation
-        assert pose.header.frame_id == "camera_optical" and pose.topology == "egotac-hand-1"
+        assert pose.confidence == 1.0 and pose.header.frame_id == "camera_optical" and pose.topology == "egotac-hand-1"
         assert 0.1 < p.z < 1.5, "the hand is before the camera, within an arm's length"
         assert abs(np.linalg.norm([q.x, q.y, q.z, q.w]) - 1) < 1e-9
         # A hand is 0.2 m long, so its wrist may lie outside the image by that much.

@@ -9,6 +9,7 @@
 //! | `retarget` | accuracy and time of retargeting, beside other programs |
 //! | [`hard_cases`] | inputs that go wrong, the guards that report them, and their remedies |
 //! | [`faults`] | kills, errors of the disk and changing inputs while commands write their outputs |
+//! | `node` | the ROS 2 nodes under load and faults |
 //! | `experiment` | the paper's claims: trainings and measurements, compared |
 //! | `policy` | a policy in simulation with and without touch |
 
@@ -24,6 +25,8 @@ pub mod guards;
 pub mod hard_cases;
 pub mod label;
 pub mod model;
+#[cfg(all(feature = "ros", feature = "sim"))]
+pub mod node;
 pub mod peer;
 #[cfg(feature = "sim")]
 pub mod policy;

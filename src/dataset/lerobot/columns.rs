@@ -37,12 +37,9 @@ impl LeRobotDataset {
         let mut columns = vec![field("force", |field| &field.force), field("contact", |field| &field.contact)];
         // The regions of MANO would need its model file.
         if topology == Topology::EgotacHand1 {
-            let names = Side::BOTH
-                .iter()
-                .flat_map(|side| Region::ALL.iter().map(move |region| format!("{}_{}", side.name(), region.name())));
             columns.push(Column {
                 name: format!("{}.region_force", self.prefix),
-                names: Some(names.collect()),
+                names: Some(Region::names_of_both_hands()),
                 width: 2 * Region::ALL.len(),
                 value: Box::new(region_force()),
             });

@@ -53,7 +53,7 @@ impl Parameter {
 
     /// Declares `use_sim_time`, which every node has.
     pub(crate) fn use_sim_time() -> Self {
-        Self::fixed("use_sim_time", false, Allowed::Any, "Take the time from /clock instead of the wall clock.")
+        Self::new("use_sim_time", false, Allowed::Any, "Take the time from /clock instead of the wall clock.")
     }
 
     /// Converts `value` to the type of this parameter and checks its range.

@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 
 use ::image::RgbImage;
 
-use super::cloud::Cloud;
 use super::input::Input;
 use super::load_model::{LoadedModel, PendingModel};
+use super::views::Views;
 use crate::message::{HandModelInfo, Header, TactileFrame};
 use crate::model::predictor::{Prediction, Predictor};
 use crate::node::clock::RosClock;
@@ -52,7 +52,8 @@ pub(super) struct Inference {
     pub(super) frames: Publisher<TactileFrame>,
     /// Publisher of `~/model_info`.
     pub(super) info: Publisher<HandModelInfo>,
-    pub(super) cloud: Cloud,
+    /// Publishers of touch in other forms.
+    pub(super) views: Views,
     /// Number of frames published.
     pub(super) sequence: u64,
     pub(super) parameters: Arc<Parameters>,
@@ -88,7 +89,7 @@ impl Inference {
         let started = Instant::now();
         let Some((header, image)) = self.decode(payload) else { return };
         let Some(prediction) = self.predict(&header, &image) else { return };
-        if let Err(error) = self.publish(header, &prediction, started) {
+        if let Err(error) = self.publish(header, &image, &prediction, started) {
             self.log.warn_throttled("publish", format!("cannot publish a result: {error:#}"));
         }
     }
@@ -135,7 +136,13 @@ impl Inference {
         Some(prediction)
     }
 
-    fn publish(&mut self, header: Header, prediction: &Prediction, started: Instant) -> anyhow::Result<()> {
+    fn publish(
+        &mut self,
+        header: Header,
+        image: &RgbImage,
+        prediction: &Prediction,
+        started: Instant,
+    ) -> anyhow::Result<()> {
         let frame = TactileFrame {
             sequence: self.sequence,
             inference_secs: started.elapsed().as_secs_f64(),
@@ -146,7 +153,7 @@ impl Inference {
         self.frames.publish(&frame)?;
         self.sequence += 1;
         self.input.tally.processed(self.clock.secs_since(header.stamp));
-        self.cloud.publish(header, &prediction.field)
+        self.views.publish(&frame, &prediction.field, image)
     }
 
     fn drop_image(&self, counter: &'static str, warning_kind: &str, error: &crate::Error) {

@@ -6,7 +6,7 @@ use std::time::Instant;
 use ::image::RgbImage;
 use anyhow::{Context as _, bail};
 
-use crate::hand::{HandModel, N_VERTICES, Side, Topology};
+use crate::hand::{HandModel, N_VERTICES, Region, Side, Topology};
 use crate::message::{HandModelInfo, Header, Time};
 use crate::model::budget::{self, Tried};
 use crate::model::predictor::{Options, Predictor};
@@ -87,14 +87,19 @@ pub(super) fn model_info(predictor: &Predictor, now: Time) -> anyhow::Result<Han
     let (metadata, config) = (predictor.metadata(), predictor.config());
     let hash = predictor.sha256();
     // Both built-in hands have the same regions. MANO's regions need a MANO file, which the predictor does not read.
-    let (hand_model, vertex_region) = match metadata.topology {
+    let (hand_model, vertex_region): (_, Vec<String>) = match metadata.topology {
         Topology::EgotacHand1 => {
             let regions = HandModel::builtin(Side::Right).regions();
             ("egotac built-in hand", regions.into_iter().map(|region| region.name().to_owned()).collect())
         }
         Topology::Mano => ("MANO", Vec::new()),
     };
+    let region_names = match vertex_region.is_empty() {
+        true => Vec::new(),
+        false => Region::names_of_both_hands(),
+    };
     Ok(HandModelInfo {
+        interface_version: HandModelInfo::INTERFACE_VERSION,
         header: Header { stamp: now, frame_id: String::new() },
         model_id: format!("{}/{}", metadata.name, hash.get(..12).unwrap_or(hash)),
         model_name: metadata.name.clone(),
@@ -103,6 +108,7 @@ pub(super) fn model_info(predictor: &Predictor, now: Time) -> anyhow::Result<Han
         topology: metadata.topology.id().to_owned(),
         vertex_count: N_VERTICES as u32,
         vertex_region,
+        region_names,
         horizon: u32::try_from(config.horizon)?,
         frame_dt: metadata.frame_dt,
         input_size: u32::try_from(config.image)?,

@@ -1,10 +1,10 @@
 //! The node `predictor`: predicts touch on both hands from images.
 
-mod cloud;
 mod inference;
 mod input;
 mod load;
 mod load_model;
+mod views;
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -18,13 +18,13 @@ use super::rectify::Rectification;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
-use super::{device, program, qos};
+use super::{device, hand_confidence, program, qos};
 use crate::model::Precision;
-use cloud::Cloud;
 use inference::{Inference, ModelId};
 use input::Input;
 use load::LoadedNetwork;
 use load_model::{ModelRequirements, PendingModel};
+use views::Views;
 
 /// Runs the program `egotac_predictor`.
 pub fn main() -> ExitCode {
@@ -70,6 +70,13 @@ fn parameters() -> Vec<Parameter> {
             "Contact probability above which ~/points marks a vertex as touching.",
         ),
         Parameter::new("publish_points", true, Allowed::Any, "Publish ~/points while it has a subscriber."),
+        hand_confidence::parameter(),
+        Parameter::fixed(
+            "frame_prefix",
+            "",
+            Allowed::Any,
+            "Start of the names of the frames of ~/wrench/*, so that those of several predictors differ.",
+        ),
         Parameter::new("enabled", true, Allowed::Any, "Process images; ~/set_enabled sets it, too."),
         Parameter::use_sim_time(),
     ]
@@ -117,7 +124,7 @@ fn prepare(
     log.info(format!("one image takes {:.0} ms", load::measure_inference(&mut predictor)? * 1e3));
     let model_info = load::model_info(&predictor, runtime.clock().now())?;
     if model_info.vertex_region.is_empty() {
-        log.warn("the regions of MANO's vertices need a MANO file: ~/model_info has no regions, ~/points is off");
+        log.warn("the regions of MANO's vertices need a MANO file: ~/model_info has no regions, and of the views of touch only ~/tactile is published");
     }
     let info = runtime.publisher("~/model_info", qos::latched())?;
     info.publish(&model_info)?;
@@ -135,7 +142,7 @@ fn prepare(
         rectification: Rectification::subscribe(runtime)?,
         frames: runtime.publisher("~/tactile", qos::output())?,
         info,
-        cloud: Cloud::create(runtime)?,
+        views: Views::create(runtime)?,
         sequence: 0,
         parameters: Arc::clone(runtime.parameters()),
         clock: runtime.clock().clone(),

@@ -303,7 +303,7 @@ impl ControlLoop {
                 Err(error) => self.log.warn_throttled("tactile", format!("tactile: message left out: {error}")),
             }
         }
-        match self.sensors.object.pose_at(stamp, &hand.header().frame_id) {
+        match self.sensors.object.pose_at(stamp, &hand.header().frame_id, Instant::now()) {
             Ok(object) => input.object = object,
             Err(error) => self.log.warn_throttled("object", format!("object: message left out: {error}")),
         }

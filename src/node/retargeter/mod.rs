@@ -24,11 +24,12 @@ use super::object_pose::LatestObjectPose;
 use super::params::Parameters;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
+use super::transforms::Transforms;
 use super::worker_thread::WorkerThread;
-use super::{program, qos};
+use super::{hand_confidence, program, qos};
 use crate::error::Error;
 use crate::hand::Side;
-use crate::message::{Bool, HandPose, Header, JointState, PoseArray, PoseStamped, TactileFrame};
+use crate::message::{Bool, HandPose, HandPoses, Header, JointState, PoseArray, PoseStamped, TactileFrame};
 use crate::mujoco::object::Shapes;
 use crate::retarget::{Options, Retargeter, Robot};
 use control::{ControlLoop, Sensors};
@@ -79,7 +80,13 @@ fn run(mut runtime: Runtime, robot: Robot, shutdown: &Shutdown) -> anyhow::Resul
     let slop = 1e-3 * parameters.get::<f64>("sync_slop_ms");
     let patience = Duration::from_secs_f64(1e-3 * parameters.get::<f64>("touch_wait_ms"));
     let inputs = Arc::new(Mutex::new(ApproximateSync::new(slop, patience)));
-    let object = Arc::new(LatestObjectPose::new(1e-3 * parameters.get::<f64>("object_timeout_ms")));
+    let transforms = match retargeter.robot().object.is_some() {
+        true => Transforms::subscribe(&mut runtime)?,
+        false => Transforms::default(),
+    };
+    let millis = |name: &str| Duration::from_secs_f64(1e-3 * parameters.get::<f64>(name));
+    let object = LatestObjectPose::new(transforms, millis("object_timeout_ms").as_secs_f64(), millis("tf_timeout_ms"));
+    let object = Arc::new(object);
     let sensors = Sensors { object, measured: Arc::default(), deadman: Arc::default() };
     if retargeter.robot().object.is_some() {
         subscribe_object(&mut runtime, &sensors.object)?;
@@ -100,7 +107,7 @@ fn run(mut runtime: Runtime, robot: Robot, shutdown: &Shutdown) -> anyhow::Resul
     runtime.finish(worker)
 }
 
-/// A hand comes on one of two topics.
+/// A hand comes on one of three topics.
 const HANDS: Need = Need::OneOf("hands");
 
 /// Hands that wait for their touch.
@@ -127,6 +134,20 @@ impl Receiver {
         lock(&self.inputs).push_hand(stamp, hand, Instant::now());
     }
 
+    /// Queues the pose of a hand if it is the one to follow and its confidence is high enough.
+    fn pose(&self, side: Side, pose: HandPose, clock: &RosClock) {
+        if side != self.side {
+            return;
+        }
+        match hand_confidence::is_enough(&self.parameters, pose.confidence) {
+            true => self.hand(&pose.header.clone(), HandMessage::Pose(Box::new(pose)), clock),
+            false => {
+                self.statistics.hands.received();
+                self.statistics.hands.dropped("unsure");
+            }
+        }
+    }
+
     /// Counts and logs a malformed message.
     fn refuse(&self, topic: &str, error: &Error, log: &Log) {
         self.statistics.hands.dropped("malformed");
@@ -141,11 +162,17 @@ fn subscribe(runtime: &mut Runtime, receiver: &Receiver) -> anyhow::Result<()> {
     runtime.input::<HandPose>(input, move |pose| {
         let (receiver, clock, log) = &poses;
         match pose.and_then(|pose| Ok((pose.side()?, pose))) {
-            Ok((side, pose)) if side == receiver.side => {
-                receiver.hand(&pose.header.clone(), HandMessage::Pose(Box::new(pose)), clock);
-            }
-            Ok(_) => {} // Of the other hand.
+            Ok((side, pose)) => receiver.pose(side, pose, clock),
             Err(error) => receiver.refuse("hand_pose", &error, log),
+        }
+    })?;
+    let both = (receiver.clone(), clock.clone(), log.clone());
+    let input = InputTopic::new(runtime, "hand_poses", "hands", qos::every_input(), HANDS);
+    runtime.input::<HandPoses>(input, move |poses| {
+        let (receiver, clock, log) = &both;
+        match poses.and_then(HandPoses::into_poses) {
+            Ok(poses) => poses.into_iter().for_each(|(side, pose)| receiver.pose(side, pose, clock)),
+            Err(error) => receiver.refuse("hand_poses", &error, log),
         }
     })?;
     let arrays = (receiver.clone(), clock.clone(), log.clone());
@@ -171,7 +198,7 @@ fn subscribe_object(runtime: &mut Runtime, object: &Arc<LatestObjectPose>) -> an
     let (object, log) = (Arc::clone(object), runtime.log().clone());
     let input = InputTopic::new(runtime, "object", "poses of the object", qos::every_input(), Need::Required);
     runtime.input::<PoseStamped>(input, move |pose| match pose {
-        Ok(pose) => object.update(pose),
+        Ok(pose) => object.update(pose, Instant::now()),
         Err(error) => log.warn_throttled("object", format!("object: message left out: {error}")),
     })
 }

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use crate::node::hand_confidence;
 use crate::node::input_topics::reliability_parameter;
 use crate::node::params::{Allowed, Parameter, Parameters};
 use crate::retarget::LiveOptions;
@@ -17,6 +18,7 @@ pub fn parameters() -> Vec<Parameter> {
 /// Parameters of the robot and of the hand that it follows.
 fn of_the_hand() -> Vec<Parameter> {
     vec![
+        hand_confidence::parameter(),
         Parameter::fixed(
             "robot",
             "four_finger",
@@ -41,6 +43,12 @@ fn of_the_hand() -> Vec<Parameter> {
             200.0,
             Allowed::Doubles(0.0, 60_000.0),
             "Greatest difference of the stamps of a hand and the object pose that is used for it, milliseconds.",
+        ),
+        Parameter::fixed(
+            "tf_timeout_ms",
+            100.0,
+            Allowed::Doubles(0.0, 10_000.0),
+            "Longest wait of an object pose in another frame than the hand for the transform of its stamp, milliseconds.",
         ),
         Parameter::fixed(
             "side",

@@ -79,7 +79,8 @@ fn parameters() -> Vec<Parameter> {
             Allowed::Integers(1, 1000),
             "Number of image subscribers that end the wait of `wait_secs` early.",
         ),
-        Parameter::use_sim_time(),
+        // The pace is chosen at start.
+        Parameter { read_only: true, ..Parameter::use_sim_time() },
     ]
 }
 

@@ -1,25 +1,20 @@
 //! Topics of the node `simulator`.
 
-use ::image::RgbImage;
-use ::image::codecs::jpeg::JpegEncoder;
-use anyhow::Context as _;
 use glam::{DQuat, DVec3};
 
 use crate::camera::{Distortion, Intrinsics};
 use crate::hand::{HandModel, Side};
 use crate::message::{
-    CameraInfo, Clock, CompressedImage, HandPose, Header, Image, Point, Quaternion, RegionOfInterest, TactileFrame,
-    TactileTruth, Time,
+    CameraInfo, Clock, CompressedImage, HandPose, HandPoses, Header, Image, Point, Quaternion, RegionOfInterest,
+    TactileFrame, TactileTruth, Time,
 };
+use crate::node::images::jpeg;
 use crate::node::params::Parameters;
 use crate::node::publisher::Publisher;
 use crate::node::qos;
 use crate::node::runtime::Runtime;
 use crate::sim::SimFrame;
 use crate::sim::camera::CameraPose;
-
-/// JPEG quality of the compressed images, 0 to 100; high, so that compression changes the image little.
-const JPEG_QUALITY: u8 = 90;
 
 /// Publishers of a simulated frame.
 pub(super) struct Outputs {
@@ -29,6 +24,7 @@ pub(super) struct Outputs {
     camera_info: Publisher<CameraInfo>,
     truth: Publisher<TactileTruth>,
     hand_pose: Publisher<HandPose>,
+    hand_poses: Publisher<HandPoses>,
     clock: Option<Publisher<Clock>>,
     hands: [HandModel; 2],
     sequence: u64,
@@ -50,6 +46,7 @@ impl Outputs {
             camera_info: runtime.publisher("camera_info", qos::every_output())?,
             truth: runtime.publisher("truth/tactile", qos::every_output())?,
             hand_pose: runtime.publisher("truth/hand_pose", qos::every_output())?,
+            hand_poses: runtime.publisher("truth/hand_poses", qos::every_output())?,
             clock: with_clock.then(|| runtime.publisher("/clock", qos::every_output())).transpose()?,
             hands: Side::BOTH.map(HandModel::builtin),
             sequence: 0,
@@ -67,6 +64,7 @@ impl Outputs {
             + self.camera_info.subscriber_count()
             + self.truth.subscriber_count()
             + self.hand_pose.subscriber_count()
+            + self.hand_poses.subscriber_count()
     }
 
     /// Publishes all messages of a frame with one stamp. The truth precedes the image, so that it arrives before the
@@ -106,14 +104,19 @@ impl Outputs {
         truth.model_id = format!("simulator/{scene}");
         self.sequence += 1;
         self.truth.publish(&TactileTruth::new(truth, data.validity))?;
-        for (model, params) in self.hands.iter().zip(poses) {
-            if let Some(params) = params {
+        let known = self.hands.iter().zip(poses).filter_map(|(model, params)| Some((model, params.as_ref()?)));
+        let poses: Vec<HandPose> = known
+            .map(|(model, params)| {
                 let mut pose = HandPose::from_params(header.clone(), model, params);
+                pose.confidence = 1.0;
                 transform_to_camera(&mut pose, &frame.camera);
-                self.hand_pose.publish(&pose)?;
-            }
+                pose
+            })
+            .collect();
+        for pose in &poses {
+            self.hand_pose.publish(pose)?;
         }
-        Ok(())
+        self.hand_poses.publish(&HandPoses::new(header.clone(), poses))
     }
 }
 
@@ -142,10 +145,4 @@ fn camera_info(header: Header, intrinsics: Intrinsics) -> CameraInfo {
         binning_y: 0,
         roi: RegionOfInterest::default(),
     }
-}
-
-fn jpeg(header: Header, image: &RgbImage) -> anyhow::Result<CompressedImage> {
-    let mut data = Vec::new();
-    JpegEncoder::new_with_quality(&mut data, JPEG_QUALITY).encode_image(image).context("cannot compress the image")?;
-    Ok(CompressedImage { header, format: "rgb8; jpeg compressed bgr8".to_owned(), data })
 }

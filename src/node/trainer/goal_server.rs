@@ -108,7 +108,7 @@ impl GoalServer {
     /// Starts the training thread of an accepted goal.
     fn start(&mut self, mut goal: ActionServerGoal<Train::Action>, cancel_requests: CancelRequests, job: Job) {
         let (steps, is_live) = (job.config.steps, job.live.is_some());
-        self.update(|progress| *progress = Progress { state: "training", steps, ..Progress::default() });
+        self.update(|progress| *progress = Progress { state: TrainerStatus::TRAINING, steps, ..Progress::default() });
         let stop = Arc::new(AtomicBool::new(false));
         let (progress, device, stopped) = (Arc::clone(&self.progress), self.device.clone(), Arc::clone(&stop));
         let work = move || {
@@ -182,16 +182,16 @@ impl GoalServer {
             }
             Ok(_) if cause == Cause::Cancelled => {
                 result.message = "cancelled; the state to resume from is saved".into();
-                ("cancelled", goal.cancel(result.clone()), None)
+                (TrainerStatus::CANCELLED, goal.cancel(result.clone()), None)
             }
             Ok(outcome) => {
                 result.success = true;
-                ("succeeded", goal.succeed(result.clone()), Some(outcome.checkpoint))
+                (TrainerStatus::SUCCEEDED, goal.succeed(result.clone()), Some(outcome.checkpoint))
             }
             Err(error) => {
                 self.log.error(format!("training failed: {error}"));
                 result.message = error;
-                ("failed", goal.abort(result.clone()), None)
+                (TrainerStatus::FAILED, goal.abort(result.clone()), None)
             }
         };
         if let Err(error) = sent {
@@ -232,7 +232,7 @@ impl GoalServer {
         let mut counts = tally.counts();
         let rates = counts.rates();
         let progress = lock(&self.progress);
-        let level = if progress.state == "failed" { Level::Error } else { Level::Ok };
+        let level = if progress.state == TrainerStatus::FAILED { Level::Error } else { Level::Ok };
         let message = format!("{}, step {} of {}", progress.state, progress.step, progress.steps);
         TaskReport { task: "training", level, message, values: counts.values(rates) }
     }

@@ -37,7 +37,7 @@ pub(super) struct Progress {
 impl Default for Progress {
     fn default() -> Self {
         Self {
-            state: "idle",
+            state: TrainerStatus::IDLE,
             message: String::new(),
             step: 0,
             steps: 0,
@@ -55,11 +55,11 @@ impl Progress {
     pub(super) fn update(&mut self, event: &JobEvent) {
         match event {
             JobEvent::Waiting(there, wanted) => {
-                self.state = "waiting";
+                self.state = TrainerStatus::WAITING;
                 self.message = format!("{there} of {wanted} live frames");
             }
             JobEvent::Training(before, Event::Stepped(step)) => {
-                self.state = "training";
+                self.state = TrainerStatus::TRAINING;
                 self.message.clear();
                 self.step = before + step.step;
                 let losses = Losses::NAMES.iter().zip(step.losses.values());

@@ -19,16 +19,21 @@ if os.environ.get("GLIBC_TUNABLES") != TUNABLES:
 
 from builtin_interfaces.msg import Duration, Time
 from egotac_msgs.msg import (
-    HandModelInfo, HandPose, HandTactile, LinkTouch, RobotTouch, TactileFrame, TactileMetrics, TactileTruth, TrainerStatus
+    HandModelInfo, HandPose, HandPoses, HandTactile, LinkTouch, RobotTouch, TactileFrame, TactileMetrics, TactileRegions,
+    TactileTruth, TrainerStatus,
 )
-from geometry_msgs.msg import Point, Point32, Pose, PoseArray, PoseStamped, Quaternion, Vector3, Wrench
+from geometry_msgs.msg import (
+    Point, Pose, PoseArray, PoseStamped, Quaternion, Transform, TransformStamped, Vector3, Wrench, WrenchStamped,
+)
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState, PointCloud2, PointField, RegionOfInterest
-from std_msgs.msg import Bool, Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
+from std_msgs.msg import Bool, ColorRGBA, Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from visualization_msgs.msg import Marker, MarkerArray, MeshFile, UVCoordinate
 
 N = 778
 NAN = float("nan")
@@ -64,12 +69,45 @@ def frame():
     )
 
 
+def pose():
+    return Pose(position=Point(x=0.25, y=-0.5, z=0.75), orientation=Quaternion(x=0.5, y=-0.5, z=0.5, w=0.5))
+
+
+def hand_pose(side, confidence):
+    return HandPose(
+        header=header("world"),
+        side=side,
+        topology="egotac-hand-1",
+        wrist=pose(),
+        hand_pose=[i / 64 for i in range(45)],
+        betas=[-i / 8 for i in range(10)],
+        confidence=confidence,
+    )
+
+
+def transform():
+    return TransformStamped(
+        header=header("world"),
+        child_frame_id="camera",
+        transform=Transform(translation=Vector3(x=0.25, y=-0.5, z=0.75), rotation=pose().orientation),
+    )
+
+
 MESSAGES = {
     "tactile_frame": frame(),
     "tactile_frame_empty": TactileFrame(inference_secs=NAN),
     "hand_tactile": left(),
-    "tactile_truth": TactileTruth(frame=frame(), validity=TactileTruth.TOO_DEEP, reason="too deep: 7 mm"),
+    "tactile_truth": TactileTruth(
+        header=header(), frame=frame(), validity=TactileTruth.TOO_DEEP, reason="too deep: 7 mm"
+    ),
+    "tactile_regions": TactileRegions(
+        header=header(),
+        force=[i / 8 for i in range(34)],
+        contact=[(i % 5) / 4 for i in range(34)],
+        presence=[1.0, NAN],
+    ),
     "hand_model_info": HandModelInfo(
+        interface_version=HandModelInfo.INTERFACE_VERSION,
         header=header(""),
         model_id="m",
         model_name="Modell für Hände",
@@ -78,23 +116,19 @@ MESSAGES = {
         topology="mano",
         vertex_count=778,
         vertex_region=["thumb_tip", "palm", "", "dorsal"],
+        region_names=["left_thumb_tip", "right_palm"],
         horizon=4,
         frame_dt=0.04,
         input_size=98,
         force_scale=1.5,
     ),
-    "hand_pose": HandPose(
-        header=header("world"),
-        side=HandPose.RIGHT,
-        topology="egotac-hand-1",
-        wrist=Pose(position=Point(x=0.25, y=-0.5, z=0.75), orientation=Quaternion(x=0.5, y=-0.5, z=0.5, w=0.5)),
-        hand_pose=[i / 64 for i in range(45)],
-        betas=[-i / 8 for i in range(10)],
-        vertices=[Point32(x=1.0, y=2.0, z=3.0), Point32(x=-1.0, y=-2.0, z=-3.0)],
+    "hand_pose": hand_pose(HandPose.RIGHT, 0.875),
+    "hand_poses": HandPoses(
+        header=header("world"), poses=[hand_pose(HandPose.LEFT, NAN), hand_pose(HandPose.RIGHT, 0.875)]
     ),
     "trainer_status": TrainerStatus(
         header=header(""),
-        state="training",
+        state=TrainerStatus.TRAINING,
         recorded_frames=1000,
         recorded_episodes=10,
         evicted_episodes=3,
@@ -191,6 +225,36 @@ MESSAGES = {
         row_step=8,
         data=bytes(range(8)),
         is_dense=True,
+    ),
+    "wrench_stamped": WrenchStamped(
+        header=header("left_thumb"),
+        wrench=Wrench(force=Vector3(x=1.0, y=-2.0, z=3.0), torque=Vector3(x=0.5, y=0.25, z=-0.125)),
+    ),
+    "tf_message": TFMessage(transforms=[transform(), transform()]),
+    "marker_array": MarkerArray(
+        markers=[
+            Marker(
+                header=header("world"),
+                ns="touch",
+                id=1,
+                type=Marker.TRIANGLE_LIST,
+                action=Marker.ADD,
+                pose=pose(),
+                scale=Vector3(x=1.0, y=1.0, z=1.0),
+                color=ColorRGBA(r=0.5, g=0.25, b=0.125, a=1.0),
+                lifetime=Duration(sec=1, nanosec=500),
+                frame_locked=True,
+                points=[Point(x=1.0, y=2.0, z=3.0)],
+                colors=[ColorRGBA(r=0.0, g=1.0, b=0.5, a=0.75)],
+                texture_resource="a",
+                texture=CompressedImage(header=header(""), format="png", data=bytes([1, 2, 3])),
+                uv_coordinates=[UVCoordinate(u=0.5, v=0.25)],
+                text="text",
+                mesh_resource="package://a",
+                mesh_file=MeshFile(filename="b.obj", data=bytes([4, 5])),
+                mesh_use_embedded_materials=True,
+            )
+        ]
     ),
     "clock": Clock(clock=Time(sec=12, nanosec=40_000_000)),
     "log": Log(

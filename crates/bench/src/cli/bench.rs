@@ -6,6 +6,8 @@ mod guards;
 mod hard_cases;
 mod label;
 mod model;
+#[cfg(all(feature = "ros", feature = "sim"))]
+mod node;
 mod retarget;
 mod sim;
 mod train;
@@ -39,6 +41,9 @@ enum Subject {
     Guards(guards::Args),
     /// Disturb commands while they write their outputs: kills, full disks, two runs at once.
     Faults(faults::Args),
+    /// Load and disturb the ROS 2 nodes: latency, overload, memory over time, faults, kills.
+    #[cfg(all(feature = "ros", feature = "sim"))]
+    Node(node::Args),
 }
 
 /// Runs the command.
@@ -58,7 +63,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     Err(super::feature_off(name))
 }
 
-/// Runs the command; the exit status is 1 if a hard case fails silently, a fault does harm, if guards or labelling cost more than they may,
+/// Runs the command; the exit status is 1 if a hard case fails silently, a fault does harm, a node misses a goal, if guards or labelling cost more than they may,
 /// or if a stream's memory grows.
 #[cfg(feature = "sim")]
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
@@ -72,6 +77,8 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::HardCases(args) => hard_cases::run(&args)?,
         Subject::Guards(args) => guards::run(&args)?,
         Subject::Faults(args) => faults::run(&args)?,
+        #[cfg(feature = "ros")]
+        Subject::Node(args) => node::run(&args)?,
     })
 }
 

@@ -1,0 +1,58 @@
+//! `egotac bench node`.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, ensure};
+use egotac::file;
+
+use crate::node::{self, MEASUREMENTS, Options};
+
+/// Arguments of `egotac bench node`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Takes about 15 minutes with the soak of 10. The nodes' programs must lie beside this one, and EGOTAC_PYTHON (env.sh) must name a \
+    Python with rclpy. The exit status is 1 if a goal is missed; beside other work (the report says so) missed times do not count."
+)]
+pub struct Args {
+    /// Take short measurements, as the tests do.
+    #[arg(long)]
+    short: bool,
+    /// Only these measurements, comma separated: overhead, overload, soak, faults, kills.
+    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    only: Vec<String>,
+    /// Seconds of the soak; 3600 for an hour.
+    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u32).range(10..))]
+    soak: Option<u32>,
+    /// Folder for node.md and node.json; without it the report is only printed.
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+}
+
+/// Runs the subject; false if a goal is missed.
+pub fn run(args: &Args) -> anyhow::Result<bool> {
+    let unknown = args.only.iter().find(|name| !MEASUREMENTS.contains(&name.as_str()));
+    ensure!(unknown.is_none(), "--only: expected {}, got {unknown:?}", MEASUREMENTS.join(", "));
+    let python = std::env::var_os("EGOTAC_PYTHON").context("EGOTAC_PYTHON is not set: source env.sh first")?;
+    let folder = tempfile::tempdir()?;
+    let program = std::env::current_exe().context("path of this program")?;
+    let soak_secs = args.soak.unwrap_or(if args.short { 20 } else { 600 });
+    let options = Options {
+        programs: program.parent().map(PathBuf::from).unwrap_or_default(),
+        python: python.into(),
+        folder: folder.path().to_path_buf(),
+        only: match args.only.is_empty() {
+            true => MEASUREMENTS.map(str::to_owned).to_vec(),
+            false => args.only.clone(),
+        },
+        secs: if args.short { 4.0 } else { 30.0 },
+        soak_secs: soak_secs.into(),
+    };
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let report = node::measure(&options, format!("egotac {}", words.join(" ")), |name| eprintln!("measuring: {name}"))?;
+    if let Some(out) = &args.out {
+        file::write(&out.join("node.md"), report.markdown().as_bytes())?;
+        file::write(&out.join("node.json"), format!("{:#}\n", serde_json::to_value(&report)?).as_bytes())?;
+    }
+    print!("{}", report.markdown());
+    Ok(report.is_good())
+}

@@ -1,0 +1,371 @@
+#!/usr/bin/env python3
+"""Loads and disturbs the nodes of egotac from outside and prints what it measured as JSON on the last line.
+
+Usage: measure.py MEASUREMENT SETTINGS.json
+"""
+import json
+import math
+import os
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from egotac_msgs.msg import HandPose, TactileMetrics, TactileRegions, TactileTruth, TrainerStatus
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Image, JointState, PointCloud2
+from visualization_msgs.msg import MarkerArray
+
+from graph import Peer, Program, RELIABLE, hand_pose, nanos, percentiles, picture, put_stamp, truth_of
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def predictor(settings, model, **parameters):
+    given = {"model": settings[model], "reliability": "reliable", **parameters}
+    return Program(settings["programs"], "predictor", given, log=settings["logs"])
+
+
+def latencies(peer, sent):
+    """Returns the times of each result: from the stamp, from the return of the send, and all but the node's own work."""
+    found = [(stamp, returned, *peer.results[stamp]) for stamp, returned in sent.items() if stamp in peer.results]
+    return {
+        "sent": len(sent),
+        "results": len(found),
+        "from_stamp": percentiles([arrival - stamp for stamp, _, arrival, _ in found]),
+        "from_send": percentiles([max(0, arrival - returned) for _, returned, arrival, _ in found]),
+        "transport_and_wait": percentiles([arrival - stamp - frame.inference_secs * 1e9 for stamp, _, arrival, frame in found]),
+        "processing": percentiles([frame.inference_secs * 1e9 for *_, frame in found]),
+    }
+
+
+def overhead(settings):
+    """Latency with a network of almost no cost, at 30 Hz, also beside a subscriber that takes one message per second."""
+    predictor(settings, "toy_model")
+    peer = Peer()
+    peer.take_results()
+    peer.ready()
+    rows = []
+    for name, width, height in (("VGA", 640, 480), ("1080p", 1920, 1080)):
+        image = picture(width, height)
+        peer.stream(image, 30, 2.0)
+        before = peer.counts()
+        sent = peer.stream(image, 30, settings["secs"])
+        peer.rest(1.5)
+        rows.append({"images": name, "subscribers": "one", **latencies(peer, sent), "dropped": dropped(before, peer.counts())})
+    slow = subprocess.Popen([sys.executable, __file__, "slow", sys.argv[2]])
+    peer.rest(3.0)
+    before = peer.counts()
+    sent = peer.stream(picture(640, 480), 30, settings["secs"])
+    peer.rest(1.5)
+    rows.append(
+        {"images": "VGA", "subscribers": "and a slow one", **latencies(peer, sent), "dropped": dropped(before, peer.counts())}
+    )
+    slow.kill()
+    slow.wait()
+    return {"rows": rows}
+
+
+def slow(settings):
+    """Subscribes to the results and takes one per second, until it is killed."""
+    import rclpy
+
+    peer = Peer()
+    peer.take_results()
+    while True:
+        rclpy.spin_once(peer, timeout_sec=1.0)
+        time.sleep(1.0)
+
+
+def dropped(before, after):
+    """Returns the images dropped between two diagnostics, by cause."""
+    keys = [key for key in after if key.startswith("dropped_")]
+    return {key[8:]: after[key] - before.get(key, 0) for key in keys if after[key] != before.get(key, 0)}
+
+
+def overload(settings):
+    """More images than the network can process: the newest wins, all others are counted, and the latency stays flat."""
+    predictor(settings, "model")
+    peer = Peer()
+    peer.take_results()
+    peer.ready()
+    before = peer.counts()
+    image = picture(640, 480)
+    sent = peer.stream(image, 4 * 30, settings["secs"])
+    peer.rest(2.5)
+    after = peer.counts()
+    stamps = sorted(stamp for stamp in sent if stamp in peer.results)
+    half = (min(sent) + max(sent)) // 2
+    early, late = ([peer.results[s][0] - s for s in stamps if (s < half) == first] for first in (True, False))
+    arrivals = [peer.results[stamp][0] for stamp in stamps]
+    drops = dropped(before, after)
+    return {
+        "sent": len(sent),
+        "received": after["received"] - before["received"],
+        "results": len(stamps),
+        "dropped": drops,
+        "uncounted": after["received"] - before["received"] - len(stamps) - sum(drops.values()),
+        "in_order": arrivals == sorted(arrivals),
+        "first_half": percentiles(early),
+        "second_half": percentiles(late),
+    }
+
+
+def soak(settings):
+    """All nodes at 30 Hz while subscribers come and go: growth of memory, and images that nobody accounts for."""
+    nodes = [predictor(settings, "toy_model")]
+    add = lambda name, parameters, remap: nodes.append(
+        Program(settings["programs"], name, parameters, remap, log=settings["logs"])
+    )
+    add("verifier", {"print": "false"}, {"tactile": "predictor/tactile"})
+    add("retargeter", {"start": "rest"}, {"tactile": "predictor/tactile"})
+    peer = Peer()
+    peer.take_results()
+    truths = peer.create_publisher(TactileTruth, "truth", 100)
+    poses = peer.create_publisher(HandPose, "hand_pose", 100)
+    metrics, joints = [], [0]
+    peer.create_subscription(TactileMetrics, "verifier/metrics", metrics.append, 10)
+    peer.create_subscription(JointState, "retargeter/joint_states", lambda _: joints.__setitem__(0, joints[0] + 1), 10)
+    peer.ready()
+    (_, frame) = next(iter(peer.results.values()))
+    image = picture(640, 480)
+    kinds = [(PointCloud2, "points"), (TactileRegions, "regions"), (MarkerArray, "markers")]
+    memory = {node.name: [] for node in nodes}
+    visitor, seen, sent = None, 0, 0
+    start = time.monotonic()
+    secs = settings["secs"]
+
+    def before(stamp):
+        truths.publish(truth_of(put_stamp(frame, stamp)))
+        poses.publish(hand_pose(stamp))
+
+    counts_before = peer.counts()
+    while (now := time.monotonic() - start) < secs:
+        # A subscriber of another view comes every five seconds and goes after five.
+        if visitor is not None:
+            peer.destroy_subscription(visitor)
+        kind, topic = kinds[int(now / 5) % 3]
+        visitor = peer.create_subscription(kind, f"predictor/{topic}", lambda _: None, 10) if int(now / 5) % 2 else None
+        part = peer.stream(image, 30, min(5.0, secs - now) - 0.5, before)
+        sent += len(part)
+        seen += sum(stamp in peer.results for stamp in part)
+        for node in nodes:
+            memory[node.name].append((time.monotonic() - start, node.resident_bytes()))
+        for old in sorted(peer.results)[:-100]:
+            del peer.results[old]
+    peer.rest(2.5)
+    counts = peer.counts()
+    drops = dropped(counts_before, counts)
+    alive = {node.name: node.is_alive() for node in nodes}
+    return {
+        "secs": secs,
+        "sent": sent,
+        "results": seen,
+        "lost_by_the_middleware": sent - (counts["received"] - counts_before["received"]),
+        "dropped": drops,
+        "uncounted": counts["received"] - counts_before["received"] - (counts["processed"] - counts_before["processed"]) - sum(drops.values()),
+        "scored_pairs": metrics[-1].pairs if metrics else 0,
+        "joint_states": joints[0],
+        "alive": alive,
+        "growth_bytes": {name: growth(samples) for name, samples in memory.items()},
+        "resident_bytes": {name: samples[-1][1] for name, samples in memory.items()},
+    }
+
+
+def growth(samples):
+    """Returns the growth of memory from the second fifth of a run to the last: medians, after the buffers have filled."""
+    part = lambda first, last: [b for t, b in samples if first <= t / samples[-1][0] <= last]
+    early, late = part(0.2, 0.4), part(0.8, 1.0)
+    return float(np.median(late) - np.median(early)) if early and late else None
+
+
+def faults(settings):
+    """Faults of publishers and messages, one after another: the node lives, names each, and recovers."""
+    node = predictor(settings, "toy_model")
+    robot = Program(settings["programs"], "retargeter", {"start": "rest"}, log=settings["logs"])
+    peer = Peer()
+    peer.take_results()
+    poses = peer.create_publisher(HandPose, "hand_pose", 100)
+    joints = []
+    peer.create_subscription(JointState, "retargeter/joint_states", lambda m: joints.append(nanos(m.header.stamp)), 10)
+    peer.ready()
+    image = picture(640, 480)
+    rows = []
+
+    def row(name, told, recovered):
+        alive = node.is_alive() and robot.is_alive()
+        rows.append({"fault": name, "lives": alive, "told": told, "recovered_secs": recovered})
+
+    def counter(key, cause, secs=5.0, task="predictor: images"):
+        """Waits until a count of dropped messages has grown; returns how diagnostics say it."""
+        before = peer.counts(task).get(key, 0)
+        cause()
+        found = peer.wait(lambda: peer.counts(task).get(key, 0) > before, secs)
+        return None if found is None else f"{key} +{peer.counts(task)[key] - before}"
+
+    def says(text, secs=6.0, task="predictor: images"):
+        peer.wait(lambda: text in peer.states.get(task, (0, "", {}))[1], secs)
+        return peer.states[task][1] if text in peer.states[task][1] else None
+
+    def log_says(text, program=node):
+        lines = Path(program.log).read_text(errors="replace").splitlines()
+        found = [line for line in lines if text in line]
+        return found[-1].split(": ", 1)[-1][-120:] if found else None
+
+    peer.destroy_publisher(peer.images)
+    told = says("no images")
+    peer.images = peer.create_publisher(Image, "image", RELIABLE)
+    row("publisher dies and another one starts", told, peer.recovery(image))
+
+    for name, hours in (("clock jumps ahead by 1 h", 1), ("clock jumps back by 1 h", 0)):
+        shift = hours * 3600 * 10**9
+        start = time.monotonic()
+        stamps = set()
+        while time.monotonic() - start < 10 and not stamps & peer.results.keys():
+            stamp = time.time_ns() + shift
+            stamps.add(stamp)
+            peer.images.publish(put_stamp(image, stamp))
+            peer.wait(lambda: stamps & peer.results.keys(), 1 / 30)
+        recovered = time.monotonic() - start if stamps & peer.results.keys() else None
+        row(name, log_says("restarted"), recovered)
+
+    def empty():
+        bad = Image(width=0, height=0, encoding="rgb8", step=0)
+        peer.images.publish(put_stamp(bad, time.time_ns()))
+
+    row("image of size zero", counter("dropped_malformed", empty), peer.recovery(image))
+
+    large = picture(7680, 4320)
+    stamp = time.time_ns()
+    peer.images.publish(put_stamp(large, stamp))
+    took = peer.wait(lambda: stamp in peer.results, 30.0)
+    told = None if took is None else f"a result after {took:.1f} s"
+    row("8K image, 99 MB", told, peer.recovery(image))
+    del large
+
+    rng = random.Random(1)
+
+    def malformed():
+        for number in range(10_000):
+            size = rng.choice([0, 3, 4, 5, 40, 400])
+            payload = rng.randbytes(size) if number % 2 else b"\x00\x01\x00\x00" + rng.randbytes(size)
+            peer.images.publish(payload)
+            if number % 200 == 0:
+                peer.rest(0.01)
+
+    told = counter("dropped_malformed", malformed)
+    row("10,000 malformed messages", told, peer.recovery(image))
+
+    def follow():
+        """Sends good hands until the robot follows one; returns the seconds."""
+        start = time.monotonic()
+        stamps = set()
+        while time.monotonic() - start < 10 and not stamps & set(joints):
+            stamp = time.time_ns()
+            stamps.add(stamp)
+            poses.publish(hand_pose(stamp))
+            peer.wait(lambda: stamps & set(joints), 1 / 30)
+        return time.monotonic() - start if stamps & set(joints) else None
+
+    follow()
+
+    def nan_poses():
+        for _ in range(30):
+            bad = hand_pose(time.time_ns())
+            bad.wrist.position.x = math.nan
+            bad.hand_pose[7] = math.inf
+            poses.publish(bad)
+            peer.rest(1 / 30)
+
+    nan_poses()
+    row("hand poses that are NaN", log_says("wrist.position", robot), follow())
+    return {"rows": rows, "exit_status": Program.stop_all()}
+
+
+def kills(settings):
+    """SIGKILL of each node of the demo's graph: the others go on, and it resumes when it is started again."""
+    folder = Path(settings["logs"]) / "recorded"
+    programs, log = settings["programs"], settings["logs"]
+    scene = {"scenes": "[pinch_cube]", "width": 64, "height": 64}
+    nodes = {
+        "predictor": Program(
+            programs, "predictor", {"model": settings["toy_model"], "reliability": "reliable"}, {"image": "image_raw"}, log
+        ),
+        "verifier": Program(
+            programs, "verifier", {"print": "false"}, {"tactile": "predictor/tactile", "truth": "truth/tactile"}, log
+        ),
+        "trainer": Program(
+            programs, "trainer", {"folder": folder, "episode_secs": 2.0}, {"image": "image_raw", "truth": "truth/tactile"}, log
+        ),
+        "simulator": Program(programs, "simulator", scene, log=log),
+    }
+    peer = Peer()
+    got = {name: 0 for name in nodes}
+    status = []
+
+    def count(name):
+        return lambda _: got.__setitem__(name, got[name] + 1)
+
+    peer.create_subscription(TactileTruth, "truth/tactile", count("simulator"), 10)
+    peer.take_results()
+    metrics = []
+    peer.create_subscription(TactileMetrics, "verifier/metrics", lambda m: metrics.append(m), 10)
+    peer.create_subscription(TrainerStatus, "trainer/status", status.append, 10)
+
+    def progress():
+        """Returns a number for each node that grows while it works."""
+        return {
+            "simulator": got["simulator"],
+            "predictor": len(peer.results),
+            "verifier": metrics[-1].pairs if metrics else 0,
+            "trainer": status[-1].recorded_frames if status else 0,
+        }
+
+    assert peer.wait(lambda: all(progress().values()), 120.0) is not None, progress()
+    needs = {"simulator": (), "predictor": ("simulator",), "verifier": ("simulator", "predictor"), "trainer": ("simulator",)}
+    rows = []
+    for name, node in nodes.items():
+        peer.rest(3.0)
+        recorded = status[-1].recorded_frames
+        node.kill()
+        peer.rest(1.0)
+        before = progress()
+        peer.rest(3.0)
+        after = progress()
+        independent = [other for other in nodes if other != name and name not in needs[other]]
+        go_on = all(after[other] > before[other] for other in independent)
+        alive = all(other.is_alive() for other in nodes.values() if other is not node)
+        if name in ("verifier", "trainer"):
+            metrics.clear()
+            status.clear()
+        before = progress()
+        node.start()
+        if name == "verifier":
+            before["verifier"] = 0
+        resumed = peer.wait(lambda: all(value > before[key] for key, value in progress().items()), 60.0)
+        rows.append(
+            {
+                "killed": name,
+                "others_live": alive,
+                "others_go_on": go_on,
+                "resumed_secs": resumed,
+                "recorded_before_the_kill": recorded if name == "trainer" else None,
+            }
+        )
+        if name == "trainer":
+            peer.rest(1.0)
+            rows[-1]["episodes"] = sorted(str(path) for path in (folder / "live").glob("episode_*"))
+    return {"rows": rows, "exit_status": Program.stop_all()}
+
+
+if __name__ == "__main__":
+    try:
+        result = globals()[sys.argv[1]](json.loads(Path(sys.argv[2]).read_text()))
+    finally:
+        Program.stop_all()
+    print(json.dumps(result))
+    sys.stdout.flush()
+    # DDS may hang when the interpreter ends.
+    os._exit(0)

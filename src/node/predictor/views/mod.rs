@@ -1,0 +1,84 @@
+//! Topics that show touch in other forms than `~/tactile`. Each is computed only while it has a subscriber.
+
+mod cloud;
+mod hands;
+mod markers;
+mod overlay;
+mod regions;
+mod wrenches;
+
+use std::sync::Arc;
+
+use ::image::RgbImage;
+
+use crate::hand::Topology;
+use crate::message::TactileFrame;
+use crate::node::params::Parameters;
+use crate::node::runtime::Runtime;
+use crate::tactile::TactileField;
+use cloud::Cloud;
+use hands::Hands;
+use markers::Markers;
+use overlay::Overlay;
+use regions::Regions;
+use wrenches::Wrenches;
+
+/// Force at the dark end of the colours, N: that of a light grip on one vertex, and that of the shipped RViz configuration.
+const MAX_COLOR_FORCE: f32 = 0.5;
+
+/// Publishers of all views.
+pub(super) struct Views {
+    hands: Hands,
+    regions: Regions,
+    cloud: Cloud,
+    markers: Markers,
+    wrenches: Wrenches,
+    overlay: Overlay,
+    parameters: Arc<Parameters>,
+}
+
+impl Views {
+    /// Creates the publishers and subscribes to the hand poses.
+    ///
+    /// # Errors
+    /// If ROS refuses a topic.
+    pub(super) fn create(runtime: &mut Runtime) -> anyhow::Result<Self> {
+        let hands = Hands::subscribe(runtime)?;
+        Ok(Self {
+            regions: Regions::create(runtime, &hands.models)?,
+            cloud: Cloud::create(runtime)?,
+            markers: Markers::create(runtime)?,
+            wrenches: Wrenches::create(runtime, &hands.models)?,
+            overlay: Overlay::create(runtime)?,
+            parameters: Arc::clone(runtime.parameters()),
+            hands,
+        })
+    }
+
+    /// Publishes each view of the touch in `image` that has a subscriber. The built-in hand can't show touch of another topology.
+    ///
+    /// # Errors
+    /// If the node is gone or the middleware refuses a message.
+    pub(super) fn publish(
+        &mut self,
+        frame: &TactileFrame,
+        field: &TactileField,
+        image: &RgbImage,
+    ) -> anyhow::Result<()> {
+        if field.topology != Topology::EgotacHand1 {
+            return Ok(());
+        }
+        self.regions.publish(frame)?;
+        let threshold = self.parameters.get::<f64>("contact_threshold") as f32;
+        let points = self.parameters.get::<bool>("publish_points") && self.cloud.is_wanted();
+        if points || self.markers.is_wanted() || self.wrenches.are_wanted() {
+            let (header, hands) = self.hands.at(&frame.header);
+            if points {
+                self.cloud.publish(header.clone(), field, &hands, threshold)?;
+            }
+            self.markers.publish(&header, field, &hands, &self.hands.models)?;
+            self.wrenches.publish(&header, field, &hands, &self.hands.models)?;
+        }
+        self.overlay.publish(&frame.header, field, image, &self.hands.models)
+    }
+}
