@@ -61,12 +61,14 @@ def frame():
         model_id="egotac-small/0123456789ab",
         topology="egotac-hand-1",
         warming_up=True,
+        familiarity=0.625,
+        reason="left: no hand",
     )
 
 
 MESSAGES = {
     "tactile_frame": frame(),
-    "tactile_frame_empty": TactileFrame(inference_secs=NAN),
+    "tactile_frame_empty": TactileFrame(inference_secs=NAN, familiarity=NAN),
     "hand_tactile": left(),
     "tactile_truth": TactileTruth(frame=frame(), validity=TactileTruth.TOO_DEEP, reason="too deep: 7 mm"),
     "hand_model_info": HandModelInfo(
