@@ -2,6 +2,7 @@
 
 mod attention;
 mod convert;
+mod familiarity;
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -35,6 +36,8 @@ enum Command {
     Grow(convert::Grow),
     /// Store the weights of a checkpoint in f16: half the size.
     Half(convert::Half),
+    /// Measure the features of training images, so that a checkpoint tells images unlike them.
+    Familiarity(familiarity::Args),
     /// Print geometry, parameter count, metadata and hash of a checkpoint.
     Info(Info),
 }
@@ -76,6 +79,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Init(args) => convert::init(&args)?,
         Command::Grow(args) => convert::grow(&args)?,
         Command::Half(args) => convert::half(&args)?,
+        Command::Familiarity(args) => familiarity::run(&args)?,
         Command::Info(args) => info(&args)?,
     }
     Ok(ExitCode::SUCCESS)
@@ -121,13 +125,13 @@ fn images(path: &Path, device: &Device) -> anyhow::Result<Tensor> {
 }
 
 fn info(args: &Info) -> anyhow::Result<()> {
-    let Checkpoint { model, metadata, sha256 } = Checkpoint::load(&args.weights, &Device::Cpu)?;
+    let Checkpoint { model, metadata, familiarity, sha256 } = Checkpoint::load(&args.weights, &Device::Cpu)?;
     let config = model.config();
     let parameters = checkpoint::parameter_count(config)?;
     if args.json {
         let text = serde_json::json!({
             "file": args.weights, "sha256": sha256, "parameters": parameters, "config": config,
-            "metadata": metadata.to_map(),
+            "metadata": metadata.to_map(), "familiarity": familiarity.is_some(),
         });
         println!("{}", serde_json::to_string_pretty(&text)?);
         return Ok(());
@@ -146,6 +150,10 @@ fn info(args: &Info) -> anyhow::Result<()> {
     );
     println!("  decoder     {} x {} wide, {} heads", config.depth, config.width, config.heads);
     println!("  window      {} frames, {} s apart; {} predicted", config.horizon, metadata.frame_dt, config.predict);
+    match familiarity {
+        Some(_) => println!("  familiarity  estimated; touch is unknown below {}", metadata.doubt.familiarity),
+        None => println!("  familiarity  not estimated: `egotac model familiarity` adds it"),
+    }
     for (key, value) in metadata.to_map() {
         if !["name", "frame_dt"].contains(&key.as_str()) {
             println!("  {key:<11} {value}");

@@ -35,6 +35,10 @@ message! {
         topology: String,
         /// True while the observation window is not full yet.
         warming_up: bool,
+        /// Likeness of the image to the network's training images, 0 to 1; NaN = not estimated.
+        familiarity: f32,
+        /// Why touch of a hand is not known; empty = touch of both hands is known.
+        reason: String,
     }
 
     /// Description of a predictor: its network and its hand model.

@@ -8,6 +8,7 @@ use candle_nn::VarMap;
 use safetensors::{Dtype, tensor::TensorView};
 
 use super::finite::check_finite_in;
+use super::familiarity::Familiarity;
 use super::metadata::Metadata;
 use super::shapes::{self, Shapes};
 use super::weights::{self, WeightsFile};
@@ -36,6 +37,8 @@ pub struct Checkpoint {
     pub model: EgoTac,
     /// Metadata of the file.
     pub metadata: Metadata,
+    /// Statistics of the encoder's features; None in a checkpoint that has none.
+    pub familiarity: Option<Familiarity>,
     /// SHA-256 of the file, lower-case hexadecimal, as `sha256sum` prints it.
     pub sha256: String,
 }
@@ -59,11 +62,12 @@ impl Checkpoint {
         let file = WeightsFile::parse(path, &bytes)?;
         let metadata = Metadata::from_map(path, file.metadata())?;
         let model = file.model(&file.config()?, device, precision)?;
+        let familiarity = Familiarity::from_tensors(path, &file.optional_tensors()?)?;
         drop(file);
         let sha256 = file::sha256(&bytes);
         // Compiling lays the weights out anew: the bytes of the file need not lie in memory too.
         drop(bytes);
-        Ok(Self { model: model.compile(precision)?, metadata, sha256 })
+        Ok(Self { model: model.compile(precision)?, metadata, familiarity, sha256 })
     }
 
     /// Saves the variables of a network in training in an atomic write. Returns the SHA-256 of the file.
@@ -147,7 +151,17 @@ pub fn geometry(path: &Path) -> Result<Config> {
     WeightsFile::parse(path, &weights::read(path)?)?.config()
 }
 
-/// Reads geometry, metadata and tensors of a checkpoint. The tensors are f32 on the CPU, and exactly those of the geometry.
+/// Returns the number format of the weights in a file.
+///
+/// # Errors
+/// If the file can't be read.
+pub fn stored(path: &Path) -> Result<Stored> {
+    let bytes = weights::read(path)?;
+    Ok(if WeightsFile::parse(path, &bytes)?.is_half() { Stored::F16 } else { Stored::F32 })
+}
+
+/// Reads geometry, metadata and tensors of a checkpoint. The tensors are f32 on the CPU, and exactly those of the geometry
+/// and of the optional parts that the file has.
 ///
 /// # Errors
 /// As [`Checkpoint::load`].
@@ -155,7 +169,7 @@ pub fn load_tensors(path: &Path) -> Result<(Config, Metadata, BTreeMap<String, T
     let bytes = weights::read(path)?;
     let file = WeightsFile::parse(path, &bytes)?;
     let (config, metadata) = (file.config()?, Metadata::from_map(path, file.metadata())?);
-    shapes::check(path, &shapes::of_network(&config), &file.shapes())?;
+    file.check(&config)?;
     Ok((config, metadata, file.tensors()?))
 }
 
@@ -173,7 +187,10 @@ pub fn load_variables(path: &Path, vars: &VarMap) -> Result<Option<Metadata>> {
     };
     let vars = lock(vars)?;
     let expected = vars.iter().map(|(name, var)| (name.clone(), var.dims().to_vec())).collect();
-    shapes::check(path, &expected, &file.shapes())?;
+    let mut found = file.shapes();
+    // Statistics of the encoder that was: training makes another one of it.
+    found.retain(|name, _| !shapes::is_optional(name));
+    shapes::check(path, &expected, &found)?;
     set(&vars, file.tensors()?)?;
     Ok(metadata)
 }
@@ -219,16 +236,17 @@ pub fn parameter_count(config: &Config) -> Result<usize> {
     Ok(shapes::count(&shapes::of_network(config)) as usize)
 }
 
-/// Checks that tensors are exactly those of a geometry.
+/// Checks that tensors are exactly those of a geometry, and of optional parts.
 ///
 /// # Errors
 /// Names tensors that are missing, unexpected or of a wrong shape, and `path` as their file.
 pub(super) fn check(path: &Path, config: &Config, tensors: &BTreeMap<String, Tensor>) -> Result<()> {
-    shapes::check(path, &shapes::of_network(config), &shapes::of_tensors(tensors))
+    let found = shapes::of_tensors(tensors);
+    shapes::check(path, &shapes::of_checkpoint(config, &found), &found)
 }
 
 /// Returns the variables by name, as f32 on the CPU.
-pub(super) fn variables(vars: &VarMap) -> Result<BTreeMap<String, Tensor>> {
+pub(crate) fn variables(vars: &VarMap) -> Result<BTreeMap<String, Tensor>> {
     lock(vars)?
         .iter()
         .map(|(name, var)| Ok((name.clone(), var.as_tensor().to_device(&Device::Cpu)?.to_dtype(DType::F32)?)))
@@ -239,19 +257,20 @@ fn lock(vars: &VarMap) -> Result<std::sync::MutexGuard<'_, HashMap<String, Var>>
     vars.data().lock().map_err(|_| Error::value("variables", "a map in working order", "one whose thread panicked"))
 }
 
-/// Returns the bytes of a safetensors file.
+/// Returns the bytes of a safetensors file. Optional tensors stay f32: they are small, and have quantiles beyond f16.
 fn serialize(
     path: &Path,
     tensors: &BTreeMap<String, Tensor>,
     map: &BTreeMap<String, String>,
     stored: Stored,
 ) -> Result<Vec<u8>> {
-    let (dtype, max) = match stored {
-        Stored::F32 => (Dtype::F32, f32::MAX),
-        Stored::F16 => (Dtype::F16, half::f16::MAX.to_f32()),
-    };
     let mut data = Vec::new();
     for (name, tensor) in tensors {
+        let stored = if shapes::is_optional(name) { Stored::F32 } else { stored };
+        let (dtype, max) = match stored {
+            Stored::F32 => (Dtype::F32, f32::MAX),
+            Stored::F16 => (Dtype::F16, half::f16::MAX.to_f32()),
+        };
         let values = tensor.flatten_all()?.to_vec1::<f32>()?;
         check_finite_in(path, &format!("not saved, {name}"), &values)?;
         if let Some(bad) = values.iter().find(|value| value.abs() > max) {
@@ -261,12 +280,12 @@ fn serialize(
             Stored::F32 => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
             Stored::F16 => values.iter().flat_map(|value| half::f16::from_f32(*value).to_le_bytes()).collect(),
         };
-        data.push((name.as_str(), tensor.dims().to_vec(), bytes));
+        data.push((name.as_str(), dtype, tensor.dims().to_vec(), bytes));
     }
     let invalid = |error| Error::file(path, format!("not saved: {error}"));
     let views = data
         .iter()
-        .map(|(name, dims, bytes)| Ok((*name, TensorView::new(dtype, dims.clone(), bytes)?)))
+        .map(|(name, dtype, dims, bytes)| Ok((*name, TensorView::new(*dtype, dims.clone(), bytes)?)))
         .collect::<std::result::Result<Vec<_>, safetensors::SafeTensorError>>()
         .map_err(invalid)?;
     file::tensors::to_bytes(path, views, map)

@@ -6,10 +6,16 @@ use std::path::Path;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use super::unknown::DoubtThresholds;
 use super::Config;
 use crate::error::{Error, Result};
 use crate::hand::Topology;
 use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
+
+/// Key of the threshold of familiarity; absent = the default.
+const FAMILIARITY: &str = "familiarity_threshold";
+/// Key of the threshold of presence; absent = the default.
+const PRESENCE: &str = "presence_threshold";
 
 /// Metadata of a checkpoint; one key of the file's metadata per field.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,6 +38,8 @@ pub struct Metadata {
     pub mean: [f32; 3],
     /// Standard deviation per RGB channel, for values in 0..1.
     pub std: [f32; 3],
+    /// Thresholds below which touch is unknown.
+    pub doubt: DoubtThresholds,
     /// Data, command, seed and metrics of the training: free text, JSON if egotac trained the network.
     pub training: String,
 }
@@ -49,6 +57,7 @@ impl Metadata {
             filter: Filter::default(),
             mean: IMAGENET_MEAN,
             std: IMAGENET_STD,
+            doubt: DoubtThresholds::default(),
             training: String::new(),
         }
     }
@@ -69,6 +78,7 @@ impl Metadata {
         };
         positive("force_scale", f64::from(self.force_scale))?;
         positive("frame_dt", self.frame_dt)?;
+        self.doubt.check()?;
         self.std.iter().try_for_each(|std| positive("std", f64::from(*std)))?;
         match self.mean.iter().find(|mean| !mean.is_finite()) {
             Some(mean) => Err(Error::value("mean", "finite numbers", mean)),
@@ -79,7 +89,7 @@ impl Metadata {
     /// Returns the entries of the file's metadata: strings; numbers, flags and lists in JSON.
     pub fn to_map(&self) -> BTreeMap<String, String> {
         let enum_name = |name: String| name.trim_matches('"').to_string();
-        BTreeMap::from([
+        let mut map = BTreeMap::from([
             ("name".into(), self.name.clone()),
             ("topology".into(), self.topology.id().into()),
             ("force_scale".into(), json(&self.force_scale)),
@@ -90,7 +100,17 @@ impl Metadata {
             ("mean".into(), json(&self.mean)),
             ("std".into(), json(&self.std)),
             ("training".into(), self.training.clone()),
-        ])
+        ]);
+        let (own, default) = (self.doubt, DoubtThresholds::default());
+        let optional = [
+            (FAMILIARITY, own.familiarity, default.familiarity),
+            (PRESENCE, own.presence, default.presence),
+        ];
+        // Files of before these keys keep their bytes.
+        for (key, value, _) in optional.into_iter().filter(|(_, value, default)| value != default) {
+            map.insert(key.into(), json(&value));
+        }
+        map
     }
 
     /// Reads the entries of a file's metadata.
@@ -109,6 +129,11 @@ impl Metadata {
             serde_json::from_str(json)
                 .map_err(|_| Error::file(path, format!("metadata {key:?}: expected {expected}, got {json:?}")))
         }
+        let threshold = |key: &str, default: f32| match map.get(key) {
+            Some(json) => parse(path, key, json, "a number from 0 to 1"),
+            None => Ok(default),
+        };
+        let default = DoubtThresholds::default();
         let quoted = |key: &str| Ok::<_, Error>(json(&text(key)?));
         let metadata = Self {
             name: text("name")?,
@@ -120,6 +145,10 @@ impl Metadata {
             filter: parse(path, "filter", &quoted("filter")?, "triangle or bicubic")?,
             mean: parse(path, "mean", &text("mean")?, "three numbers in brackets")?,
             std: parse(path, "std", &text("std")?, "three numbers in brackets")?,
+            doubt: DoubtThresholds {
+                familiarity: threshold(FAMILIARITY, default.familiarity)?,
+                presence: threshold(PRESENCE, default.presence)?,
+            },
             training: text("training")?,
         };
         metadata.check().map_err(|error| Error::file(path, error))?;

@@ -7,6 +7,7 @@
 //! [`predictor::Predictor`] runs it on a stream of images. Two rules hold for streams and batches alike: [`window`]
 //! chooses the frames of an observation window, `heads` converts the outputs of the network to newtons and probabilities:
 //! force = max(0, `force_scale` · f), contact = 1 / (1 + e^-l).
+//! A third one, [`unknown`], says which touch a network does not know, by the [`familiarity`] of the image.
 
 mod attention;
 #[doc(hidden)]
@@ -18,6 +19,7 @@ mod decoder;
 mod dinov2;
 mod engine;
 mod finite;
+pub mod familiarity;
 #[doc(hidden)]
 pub mod grow;
 mod heads;
@@ -35,6 +37,7 @@ mod shapes;
 pub mod shipped;
 mod stages;
 mod temporal;
+pub mod unknown;
 mod weights;
 #[doc(hidden)]
 pub mod window;
@@ -48,10 +51,12 @@ use crate::error::{Error, Result};
 
 pub use checkpoint::Checkpoint;
 pub use config::Config;
+pub use familiarity::Familiarity;
 pub use metadata::Metadata;
 pub use precision::Precision;
 pub use predictor::{Prediction, Predictor};
 pub use stages::Stages;
+pub use unknown::{DoubtThresholds, Unknown};
 
 /// The whole network (EgoTac): vision encoder, temporal fusion, tactile decoder.
 #[derive(Debug, Clone)]

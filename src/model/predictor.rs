@@ -5,9 +5,10 @@ use std::path::Path;
 use ::image::RgbImage;
 use candle_core::{Device, Tensor};
 
-use super::{Checkpoint, Config, EgoTac, Metadata, Precision, window};
+use super::unknown::Unknown;
+use super::{Checkpoint, Config, EgoTac, Metadata, Precision, familiarity, window};
 use crate::error::{Error, Result};
-use crate::tactile::TactileField;
+use crate::tactile::{Certainty, TactileField};
 
 /// Frames kept per observation step, at most. Bounds the memory under a camera much faster than `frame_dt`.
 const KEPT_PER_STEP: usize = 8;
@@ -22,12 +23,25 @@ pub struct Options {
     /// Longest interval between two images of a stream, s; a longer one starts a new stream. None = twice the length of
     /// the window, at least 1 s.
     pub max_gap_secs: Option<f64>,
+    /// Form of touch that is unknown.
+    pub unknown: Unknown,
+    /// Familiarity below which touch is unknown, 0 to 1. None = the checkpoint's threshold.
+    pub familiarity_threshold: Option<f32>,
+    /// Presence of a hand below which its touch is unknown, 0 to 1. None = the checkpoint's threshold.
+    pub presence_threshold: Option<f32>,
 }
 
 impl Default for Options {
-    /// Runs on the CPU in f32, with the default interval.
+    /// Runs on the CPU in f32, with the default interval; unknown touch is NaN.
     fn default() -> Self {
-        Self { device: Device::Cpu, precision: Precision::F32, max_gap_secs: None }
+        Self {
+            device: Device::Cpu,
+            precision: Precision::F32,
+            max_gap_secs: None,
+            unknown: Unknown::default(),
+            familiarity_threshold: None,
+            presence_threshold: None,
+        }
     }
 }
 
@@ -36,8 +50,11 @@ impl Default for Options {
 pub struct Prediction {
     /// Stamp of the image, s.
     pub stamp_secs: f64,
-    /// Force (N; NaN if the force head was never trained) and contact probability.
+    /// Force (N; NaN if the force head was never trained) and contact probability; where touch is unknown, the form that
+    /// [`Options::unknown`] names.
     pub field: TactileField,
+    /// Estimates about the image, and the hands whose touch is unknown.
+    pub certainty: Certainty,
     /// True if the stream does not reach back to the start of the window, so that the oldest frame is repeated.
     pub warming_up: bool,
     /// True if this image started a new stream: the first one, a jump back in time, or an interval that is too long.
@@ -68,6 +85,7 @@ pub struct Predictor {
     checkpoint: Checkpoint,
     device: Device,
     max_gap_secs: f64,
+    unknown: Unknown,
     frames: Vec<CachedFrame>, // oldest first, stamps strictly increasing
 }
 
@@ -90,13 +108,18 @@ impl Predictor {
     ///
     /// # Errors
     /// If an option is out of range.
-    pub fn new(checkpoint: Checkpoint, options: Options) -> Result<Self> {
+    pub fn new(mut checkpoint: Checkpoint, options: Options) -> Result<Self> {
         let window = checkpoint.model.config().horizon.saturating_sub(1) as f64 * checkpoint.metadata.frame_dt;
         let max_gap_secs = options.max_gap_secs.unwrap_or((2.0 * window).max(1.0));
         if max_gap_secs.is_nan() || max_gap_secs <= 0.0 {
             return Err(Error::value("max_gap_secs", "seconds > 0", max_gap_secs));
         }
-        Ok(Self { checkpoint, device: options.device, max_gap_secs, frames: Vec::new() })
+        let doubt = &mut checkpoint.metadata.doubt;
+        doubt.familiarity = options.familiarity_threshold.unwrap_or(doubt.familiarity);
+        doubt.presence = options.presence_threshold.unwrap_or(doubt.presence);
+        doubt.check()?;
+        let Options { device, unknown, .. } = options;
+        Ok(Self { checkpoint, device, max_gap_secs, unknown, frames: Vec::new() })
     }
 
     /// Returns the predictor with the output of the force head as force, also where no force ever trained it; otherwise such
@@ -105,6 +128,26 @@ impl Predictor {
     pub fn with_untrained_force(mut self) -> Self {
         self.checkpoint.metadata.has_force = true;
         self
+    }
+
+    /// Form of touch that is unknown.
+    pub fn unknown(&self) -> Unknown {
+        self.unknown
+    }
+
+    /// True if the checkpoint can tell unfamiliar images.
+    pub fn estimates_familiarity(&self) -> bool {
+        self.checkpoint.familiarity.is_some()
+    }
+
+    /// Returns a warning for people if the checkpoint lacks an estimate of what it does not know; None if it has all.
+    pub fn warning(&self) -> Option<String> {
+        let missing = (!self.estimates_familiarity()).then_some("how familiar an image is")?;
+        let name = &self.metadata().name;
+        Some(format!(
+            "network {name} does not tell {missing}: touch is reported for every image, whatever it shows; `egotac model \
+             familiarity` adds that to a checkpoint"
+        ))
     }
 
     /// Metadata of the checkpoint.
@@ -169,7 +212,9 @@ impl Predictor {
             return Err(Error::shape("input", format!("[3, {side}, {side}]"), [input.len()]));
         }
         let input = Tensor::from_vec(input, (1, 3, side, side), &self.device)?;
-        let tokens = self.model().frame_tokens(&input)?;
+        let encoded = self.model().frame_tokens(&input)?;
+        let mut certainty = self.judge(&encoded.encoded);
+        let tokens = encoded.projected;
 
         // A copy of the list (the tokens are shared) that replaces it only on success.
         let restarted = self.restarts_at(stamp_secs);
@@ -184,10 +229,18 @@ impl Predictor {
         let places = window::window(&stamps, horizon, frame_dt);
         let window: Vec<&Tensor> = places.iter().map(|place| &frames[*place].tokens).collect();
         let (force, contact) = self.model().head_outputs(&window)?.first_step(self.metadata())?;
-        let field = TactileField { topology: self.metadata().topology, force, contact };
+        let mut field = TactileField { topology: self.metadata().topology, force, contact };
+        self.unknown.apply(&mut field, &mut certainty);
         let warming_up = window::is_warming_up(&stamps, horizon, frame_dt);
         self.frames = frames;
-        Ok(Prediction { stamp_secs, field, warming_up, restarted })
+        Ok(Prediction { stamp_secs, field, certainty, warming_up, restarted })
+    }
+
+    /// Judges a frame by its tokens, `(P, dv)`.
+    fn judge(&self, tokens: &[f32]) -> Certainty {
+        let feature = familiarity::features(tokens, self.config().tokens(), self.config().vision_width);
+        let familiarity = self.checkpoint.familiarity.as_ref().map(|statistics| statistics.of(&feature));
+        self.metadata().doubt.judge(familiarity, [None; 2])
     }
 
     /// True if an image with this stamp starts a new stream.

@@ -7,6 +7,7 @@ use candle_core::Tensor;
 
 use super::attention::Mlp;
 use super::config::Config;
+use super::familiarity::{self, Familiarity};
 use crate::error::{Error, Result};
 use crate::tactile::N_FIELD;
 
@@ -23,6 +24,21 @@ pub fn of_network(config: &Config) -> Shapes {
     list.temporal(config);
     list.decoder(config);
     list.0
+}
+
+/// True for the name of a tensor that a checkpoint may lack, and that the network itself does not use.
+pub fn is_optional(name: &str) -> bool {
+    name.starts_with(familiarity::PREFIX)
+}
+
+/// Returns the tensors of a checkpoint that has `found`: those of the network, and each group of optional tensors of which
+/// one is there.
+pub fn of_checkpoint(config: &Config, found: &Shapes) -> Shapes {
+    let mut expected = of_network(config);
+    if found.keys().any(|name| name.starts_with(familiarity::PREFIX)) {
+        expected.extend(Familiarity::shapes(config.vision_width));
+    }
+    expected
 }
 
 /// Returns the shapes of tensors.

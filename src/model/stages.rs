@@ -3,13 +3,23 @@
 //! Training and tests call them one by one on tensors. Stream and batch call [`EgoTac::frame_tokens`] once per frame and
 //! [`EgoTac::head_outputs`] once per window, which pass plain slices from stage to stage in a compiled network.
 
-use candle_core::{DType, Tensor};
+use candle_core::{DType, Device, Tensor};
 use egotac_kernels::ops::with_slices;
 
 use super::heads::HeadOutputs;
 use super::{EgoTac, Form, Layers};
 use crate::error::{Error, Result};
 use crate::tactile::N_FIELD;
+
+/// Tokens of single frames: those that a stream keeps, and those before their projection, which familiarity and presence
+/// are computed from.
+#[derive(Debug, Clone)]
+pub(crate) struct FrameTokens {
+    /// `(N, P, d)`.
+    pub projected: Tensor,
+    /// `(N, P, dv)` after the encoder's last norm, CLS first.
+    pub encoded: Vec<f32>,
+}
 
 /// Outputs of every stage for whole clips, as `egotac model forward` writes them.
 #[derive(Debug, Clone)]
@@ -63,20 +73,25 @@ impl EgoTac {
         }
     }
 
-    /// Encodes and projects single frames: the tokens that a stream keeps of each.
+    /// Encodes and projects single frames.
     ///
-    /// `frames`: `(N, 3, H, W)`, ImageNet-normalised. Returns `(N, P, d)`.
+    /// `frames`: `(N, 3, H, W)`, ImageNet-normalised.
     ///
     /// # Errors
     /// As [`EgoTac::encode`].
-    pub(crate) fn frame_tokens(&self, frames: &Tensor) -> Result<Tensor> {
+    pub(crate) fn frame_tokens(&self, frames: &Tensor) -> Result<FrameTokens> {
         match &self.form {
-            Form::Trainable(_) => self.project(&self.encode(frames)?),
+            Form::Trainable(_) => {
+                let tokens = self.encode(frames)?;
+                let encoded = tokens.to_device(&Device::Cpu)?.to_dtype(DType::F32)?.flatten_all()?.to_vec1()?;
+                Ok(FrameTokens { projected: self.project(&tokens)?, encoded })
+            }
             Form::Compiled(engine) => {
                 let n = self.check_frames(frames)?;
-                let tokens = with_slices(&[frames], |values| engine.encode(values[0]))?;
-                let projected = engine.project(&tokens);
-                Ok(Tensor::from_vec(projected, (n, self.config.tokens(), self.config.width), frames.device())?)
+                let encoded = with_slices(&[frames], |values| engine.encode(values[0]))?;
+                let projected = engine.project(&encoded);
+                let shape = (n, self.config.tokens(), self.config.width);
+                Ok(FrameTokens { projected: Tensor::from_vec(projected, shape, frames.device())?, encoded })
             }
         }
     }

@@ -109,6 +109,30 @@ impl<'a> WeightsFile<'a> {
         Config::from_json(json).map_err(|error| Error::file(self.path, error))
     }
 
+    /// Checks that the tensors are those of a checkpoint of this geometry.
+    ///
+    /// # Errors
+    /// Names the tensors that are missing, unexpected or of another shape.
+    pub fn check(&self, config: &Config) -> Result<()> {
+        let found = self.shapes();
+        shapes::check(self.path, &shapes::of_checkpoint(config, &found), &found)
+    }
+
+    /// Converts the optional tensors to f32 on the CPU.
+    ///
+    /// # Errors
+    /// As [`WeightsFile::tensors`].
+    pub fn optional_tensors(&self) -> Result<BTreeMap<String, Tensor>> {
+        let optional = self.tensors.iter().filter(|(name, _)| shapes::is_optional(name));
+        optional.map(|(name, view)| Ok((name.clone(), tensor(self.path, name, view)?))).collect()
+    }
+
+    /// True if all tensors of the network are f16.
+    pub fn is_half(&self) -> bool {
+        let mut network = self.tensors.iter().filter(|(name, _)| !shapes::is_optional(name));
+        network.all(|(_, view)| view.dtype() == Dtype::F16)
+    }
+
     /// Builds the network of a geometry, after a comparison of all shapes. On the CPU its tensors are f32 for every
     /// precision: the engine converts them when it compiles.
     ///
@@ -116,7 +140,7 @@ impl<'a> WeightsFile<'a> {
     /// If the tensors are not exactly those of the geometry, or one is not finite.
     pub fn model(&self, config: &Config, device: &Device, precision: Precision) -> Result<EgoTac> {
         config.check()?;
-        shapes::check(self.path, &shapes::of_network(config), &self.shapes())?;
+        self.check(config)?;
         let dtype = if precision == Precision::Bf16 && !device.is_cpu() { DType::BF16 } else { DType::F32 };
         EgoTac::new(config, VarBuilder::from_tensors(self.tensors()?.into_iter().collect(), dtype, device))
     }

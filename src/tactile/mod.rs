@@ -1,9 +1,11 @@
-//! Touch on both hands: [`TactileField`] at one instant, [`TactileSequence`] over time.
+//! Touch on both hands: [`TactileField`] at one instant, [`TactileSequence`] over time; [`Certainty`] of who predicts it.
 
+mod certainty;
 mod field;
 mod sequence;
 
 pub use crate::hand::N_FIELD;
+pub use certainty::{Certainty, Doubt};
 pub use field::{CONTACT_FORCE_N, TactileField, Validity};
 pub use sequence::{TactileSequence, episode_ranges, fps};
 pub(crate) use sequence::{check_rows, median_step};

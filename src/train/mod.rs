@@ -9,6 +9,7 @@ mod checkpoint;
 pub mod config;
 mod curves;
 pub mod data;
+pub mod familiarity;
 pub mod initial_weights;
 pub mod job;
 pub mod keypoints;
@@ -207,7 +208,7 @@ pub fn train(
             validated = run.validate(&optimizer)?.map(|metrics| (step, metrics));
         }
         log.sync()?;
-        let sha256 = run.save(&optimizer, step, validated.as_ref())?;
+        let sha256 = run.finish(&optimizer, step, validated.as_ref(), may_validate)?;
         curves::write(&files.log, &scores)?;
         let validation = validated.map(|(_, metrics)| metrics);
         Ok(Outcome { checkpoint: files.checkpoint.clone(), sha256, steps: step, validation, skipped_steps: skipped })

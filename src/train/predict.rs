@@ -37,7 +37,7 @@ pub fn predict(
         for start in episode.clone().step_by(BLOCK) {
             let block = start..(start + BLOCK).min(episode.end);
             let images = dataset.read(store, block.clone(), false)?.images;
-            let tokens = model.frame_tokens(&input(&images, &preparation, device)?)?;
+            let tokens = model.frame_tokens(&input(&images, &preparation, device)?)?.projected;
             for (at, frame) in block.clone().enumerate() {
                 projected.insert(frame, tokens.get(at)?);
             }
@@ -62,7 +62,7 @@ pub fn predict(
 }
 
 /// Normalises images, `(N, side, side, 3)`, into the input of the network, `(N, 3, side, side)`.
-fn input(images: &[u8], preparation: &Preparation, device: &Device) -> Result<Tensor> {
+pub(super) fn input(images: &[u8], preparation: &Preparation, device: &Device) -> Result<Tensor> {
     let side = preparation.side;
     let mut values = Vec::with_capacity(images.len());
     for pixels in images.chunks_exact(side * side * 3) {

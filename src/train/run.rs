@@ -9,10 +9,10 @@ use candle_nn::VarMap;
 use super::config::Config;
 use super::optimizer::AdamW;
 use super::setup::Data;
-use super::{Started, checkpoint, predict};
+use super::{Started, checkpoint, familiarity, predict};
 use crate::error::{Error, Result};
 use crate::file::{self, input, limits};
-use crate::model::{self, Checkpoint, EgoTac};
+use crate::model::{self, Checkpoint, EgoTac, Metadata};
 use crate::score::metrics::{self, EvalOptions, Metrics};
 
 /// Locks a folder for one run; the lock ends with the returned file.
@@ -101,8 +101,7 @@ impl Run<'_> {
     /// If a store can't be read, or the network gives a number that is not finite.
     pub fn validate(&self, optimizer: &AdamW) -> Result<Option<Metrics>> {
         let Some((held_out, truth)) = &self.data.validation else { return Ok(None) };
-        let vb = model::init::var_builder(&self.averaged(optimizer)?, self.config.seed, self.device);
-        let network = EgoTac::new(self.geometry, vb)?.freeze()?;
+        let network = self.network(&self.averaged(optimizer)?)?;
         let predicted = predict(&network, &self.data.metadata, held_out, self.device, |_| ())?;
         metrics::evaluate(&predicted, truth, &EvalOptions::default()).map(Some)
     }
@@ -113,11 +112,50 @@ impl Run<'_> {
     /// If a file can't be written.
     pub fn save(&self, optimizer: &AdamW, step: usize, validated: Option<&(usize, Metrics)>) -> Result<String> {
         checkpoint::save(&self.files.state, optimizer, step, &self.files.yaml)?;
+        let metadata = self.metadata(step, validated);
+        Checkpoint::save(&self.files.checkpoint, self.geometry, &metadata, &self.averaged(optimizer)?)
+    }
+
+    /// As [`Run::save`], at the end of a run: with `measured`, the checkpoint also gets the statistics of its features, if
+    /// the stores hold enough frames. A run that is told to end at once has no time for them.
+    ///
+    /// # Errors
+    /// If a file can't be written, a store can't be read, or the network gives a number that is not finite.
+    pub fn finish(
+        &self,
+        optimizer: &AdamW,
+        step: usize,
+        validated: Option<&(usize, Metrics)>,
+        measured: bool,
+    ) -> Result<String> {
+        if !measured {
+            return self.save(optimizer, step, validated);
+        }
+        checkpoint::save(&self.files.state, optimizer, step, &self.files.yaml)?;
+        let averaged = self.averaged(optimizer)?;
+        let held_out = self.data.validation.as_ref().map(|(held_out, _)| held_out);
+        let network = self.network(&averaged)?;
+        let statistics = familiarity::measure_if_enough(&network, &self.data.training, held_out, self.device)?;
+        let mut tensors = model::checkpoint::variables(&averaged)?;
+        if let Some(statistics) = statistics {
+            tensors.extend(statistics.tensors()?);
+        }
+        let metadata = self.metadata(step, validated);
+        Checkpoint::save_tensors(&self.files.checkpoint, self.geometry, &metadata, &tensors)
+    }
+
+    /// Returns a network that infers with the averaged weights.
+    fn network(&self, averaged: &VarMap) -> Result<EgoTac> {
+        EgoTac::new(self.geometry, model::init::var_builder(averaged, self.config.seed, self.device))?.freeze()
+    }
+
+    /// Returns the checkpoint's metadata after `step` steps.
+    fn metadata(&self, step: usize, validated: Option<&(usize, Metrics)>) -> Metadata {
         let mut metadata = self.data.metadata.clone();
         // Scores of earlier weights are not those of the saved ones.
         let validation = validated.filter(|(at, _)| *at == step).map(|(_, metrics)| metrics);
         metadata.training = self.record(step, validation);
-        Checkpoint::save(&self.files.checkpoint, self.geometry, &metadata, &self.averaged(optimizer)?)
+        metadata
     }
 
     /// Returns variables that hold the averaged weights.

@@ -35,6 +35,8 @@ fn frame() -> TactileFrame {
         model_id: "egotac-small/0123456789ab".into(),
         topology: "egotac-hand-1".into(),
         warming_up: true,
+        familiarity: 0.625,
+        reason: "left: no hand".into(),
     }
 }
 
@@ -83,6 +85,8 @@ fn own_messages_have_the_bytes_of_ros() {
             model_id: String::new(),
             topology: String::new(),
             warming_up: false,
+            familiarity: f32::NAN,
+            reason: String::new(),
         },
     );
     agrees("hand_tactile", &left());

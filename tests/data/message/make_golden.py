@@ -66,6 +66,8 @@ def frame():
         model_id="egotac-small/0123456789ab",
         topology="egotac-hand-1",
         warming_up=True,
+        familiarity=0.625,
+        reason="left: no hand",
     )
 
 
@@ -95,7 +97,7 @@ def transform():
 
 MESSAGES = {
     "tactile_frame": frame(),
-    "tactile_frame_empty": TactileFrame(inference_secs=NAN),
+    "tactile_frame_empty": TactileFrame(inference_secs=NAN, familiarity=NAN),
     "hand_tactile": left(),
     "tactile_truth": TactileTruth(
         header=header(), frame=frame(), validity=TactileTruth.TOO_DEEP, reason="too deep: 7 mm"
