@@ -47,6 +47,8 @@ impl TactileFrame {
             model_id: String::new(),
             topology: field.topology.id().to_owned(),
             warming_up: false,
+            familiarity: f32::NAN,
+            reason: String::new(),
         })
     }
 

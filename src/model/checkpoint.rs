@@ -7,8 +7,8 @@ use candle_core::{DType, Device, Tensor, Var};
 use candle_nn::VarMap;
 use safetensors::{Dtype, tensor::TensorView};
 
-use super::finite::check_finite_in;
 use super::familiarity::Familiarity;
+use super::finite::check_finite_in;
 use super::metadata::Metadata;
 use super::shapes::{self, Shapes};
 use super::weights::{self, WeightsFile};

@@ -18,8 +18,8 @@ mod config_check;
 mod decoder;
 mod dinov2;
 mod engine;
-mod finite;
 pub mod familiarity;
+mod finite;
 #[doc(hidden)]
 pub mod grow;
 mod heads;

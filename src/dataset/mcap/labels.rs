@@ -252,6 +252,8 @@ pub(super) fn tactile_frame(header: Header, label: &LabelFrame, info: &LabelInfo
             model_id,
             topology,
             warming_up: label.warming_up,
+            familiarity: f32::NAN,
+            reason: String::new(),
         },
     })
 }
