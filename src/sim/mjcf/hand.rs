@@ -119,7 +119,9 @@ fn arm(rig: &HandRig, sleeve: Option<f64>, world: &mut String) -> (DVec3, f64) {
     };
     capsule("skin", 0.018, 0.2, 0.93 * radius, world);
     let start = sleeve.map_or(0.1, |share| 0.2 - 0.16 * share);
-    capsule("sleeve", start, 0.32, 1.25 * radius, world);
+    // Where the wearer is seen, the sleeve reaches the elbow.
+    let end = if sleeve.is_some() { 0.5 } else { 0.32 };
+    capsule("sleeve", start, end, 1.25 * radius, world);
     (centre, radius)
 }
 

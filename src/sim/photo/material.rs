@@ -80,11 +80,13 @@ impl Material {
                 (base, base.map(|c| c * rng.random_range(0.45..0.75)))
             }
             Surface::Print => {
-                let paper = colour(rng, 0.0..0.35, 0.6..1.0);
+                let paper = colour(rng, 0.0..0.25, 0.6..1.0);
                 (paper, colour(rng, 0.0..0.9, 0.0..0.5))
             }
             _ => {
-                let base = colour(rng, 0.0..0.7, 0.15..0.95);
+                // Few surfaces of rooms have strong colours.
+                let strong = rng.random::<f64>().powi(2) * 0.75;
+                let base = colour(rng, 0.0..strong + 0.05, 0.15..0.95);
                 (base, base.map(|c| (c * rng.random_range(0.5..1.4)).clamp(0.0, 1.0)))
             }
         };
@@ -164,14 +166,14 @@ impl Material {
     fn paint_print(&self) -> RgbImage {
         let mut picture = RgbImage::from_pixel(TEXTURE_SIDE, TEXTURE_SIDE, pixel(self.base));
         let (ink, accent) = (pixel(self.other), pixel(self.other.map(|c| 1.0 - c)));
-        let rows = 6 + (18.0 * unit(self.seed, [5, 0, 0])) as u32;
+        let rows = 10 + (30.0 * unit(self.seed, [5, 0, 0])) as u32;
         let pitch = TEXTURE_SIDE / rows;
         for row in 0..rows {
             let mut x = pitch;
             let mut word = 0;
             while x + 4 < TEXTURE_SIDE - pitch / 2 {
                 let random = |k: u64| unit(self.seed, [6 + k, u64::from(row), word]);
-                let length = 2 + (40.0 * random(0)) as u32;
+                let length = 2 + (4.0 * f64::from(pitch) * random(0)) as u32;
                 if random(1) < 0.85 {
                     fill(&mut picture, [x, row * pitch + pitch / 4], [length, (pitch / 2).max(1)], ink);
                 }
