@@ -39,11 +39,25 @@ pub enum Effect {
     SensorNoise,
     /// Blur by motion during the exposure time.
     MotionBlur,
+    /// Painted skin with nails, or gloves of several kinds.
+    SkinDetail,
+    /// Procedural textures of table, floor, walls and objects.
+    Textures,
+    /// Objects in the background, which nothing touches.
+    Clutter,
+    /// The camera's wearer: trunk, legs, trackers and wires.
+    Wearer,
+    /// Further lamps of warm and cold colours.
+    MoreLamps,
+    /// Other head cameras: their place, and the width of their view.
+    OtherCamera,
+    /// Exposure, white balance, tone curve, vignetting and JPEG.
+    CameraProcessing,
 }
 
 impl Effect {
     /// All effects, in the order of tables.
-    pub const ALL: [Effect; 14] = [
+    pub const ALL: [Effect; 21] = [
         Self::Dynamics,
         Self::RigidContact,
         Self::Friction,
@@ -58,6 +72,13 @@ impl Effect {
         Self::LensDistortion,
         Self::SensorNoise,
         Self::MotionBlur,
+        Self::SkinDetail,
+        Self::Textures,
+        Self::Clutter,
+        Self::Wearer,
+        Self::MoreLamps,
+        Self::OtherCamera,
+        Self::CameraProcessing,
     ];
 
     /// Returns the name, as in YAML.
@@ -77,6 +98,13 @@ impl Effect {
             Self::LensDistortion => "lens_distortion",
             Self::SensorNoise => "sensor_noise",
             Self::MotionBlur => "motion_blur",
+            Self::SkinDetail => "skin_detail",
+            Self::Textures => "textures",
+            Self::Clutter => "clutter",
+            Self::Wearer => "wearer",
+            Self::MoreLamps => "more_lamps",
+            Self::OtherCamera => "other_camera",
+            Self::CameraProcessing => "camera_processing",
         }
     }
 
@@ -90,6 +118,8 @@ impl Effect {
             Self::SoftBody | Self::Sleep => &[Self::Dynamics, Self::RigidContact],
             Self::NearContact => &[Self::RigidContact],
             Self::Shadows | Self::LensDistortion | Self::SensorNoise | Self::MotionBlur => &[Self::Rendering],
+            Self::SkinDetail | Self::Textures | Self::Clutter | Self::Wearer => &[Self::Rendering],
+            Self::MoreLamps | Self::OtherCamera | Self::CameraProcessing => &[Self::Rendering],
         }
     }
 }
@@ -143,24 +173,24 @@ impl Observation {
 
 /// Set of effects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct EffectSet(u16);
+pub struct EffectSet(u32);
 
 impl EffectSet {
     /// Returns true if `effect` is in the set.
     pub fn contains(self, effect: Effect) -> bool {
-        self.0 & (1 << effect as u16) != 0
+        self.0 & (1 << effect as u32) != 0
     }
 
     /// Returns the set with `effect` added.
     #[must_use]
     pub fn with(self, effect: Effect) -> Self {
-        Self(self.0 | 1 << effect as u16)
+        Self(self.0 | 1 << effect as u32)
     }
 
     /// Returns the set with `effect` removed.
     #[must_use]
     pub fn without(self, effect: Effect) -> Self {
-        Self(self.0 & !(1 << effect as u16))
+        Self(self.0 & !(1 << effect as u32))
     }
 
     /// Iterates over the effects in the order of [`Effect::ALL`].

@@ -182,12 +182,13 @@ fn failure_message(failed: &[String], episodes: usize) -> String {
 fn plan_text(plan: &DatasetPlan) -> String {
     let scenes: Vec<String> = plan.scenes.iter().map(|s| format!("{} {:?}", s.name, s.spec)).collect();
     format!(
-        "{} {} {:?} {:?} {} {}\n{}\n",
+        "{} {} {:?} {:?} {} {:?} {}\n{}\n",
         plan.seed,
         plan.options.hands[0].topology.id(),
         plan.options.betas,
         plan.options.picture,
         plan.options.shadows,
+        plan.options.style,
         plan.options.sigma,
         scenes.join("\n")
     )

@@ -7,6 +7,7 @@ use rand_distr::{Distribution, Normal};
 
 use super::effect::{Effect, EffectSet};
 use super::lens::Lens;
+use super::photo::Processing;
 use super::randomize::CameraDraw;
 use crate::error::Result;
 use crate::mujoco::{Renderer, World};
@@ -25,6 +26,7 @@ pub struct ImageSensor {
     exposure_sums: Vec<u32>,
     n_exposures: u32,
     noise: Option<Normal<f64>>,
+    processing: Option<Processing>,
     rng: ChaCha8Rng,
     size: (u32, u32),
     renders: usize,
@@ -45,6 +47,8 @@ pub struct SensorOptions {
     pub effects: EffectSet,
     /// Physics steps between two frames.
     pub steps_per_frame: usize,
+    /// Processing of the pictures.
+    pub processing: Option<Processing>,
     /// Seed of the noise.
     pub seed: u64,
 }
@@ -55,7 +59,7 @@ impl ImageSensor {
     /// # Errors
     /// If there is no OpenGL.
     pub fn new(world: &World, draw: &CameraDraw, options: SensorOptions) -> Result<Self> {
-        let SensorOptions { camera, size, lens, depth, effects, steps_per_frame, seed } = options;
+        let SensorOptions { camera, size, lens, depth, effects, steps_per_frame, processing, seed } = options;
         let (width, height) = lens.as_ref().map_or(size, Lens::source_size);
         let renderer = Renderer::new(world, camera, width, height, depth)?;
         let exposure_steps = match effects.contains(Effect::MotionBlur) {
@@ -74,6 +78,7 @@ impl ImageSensor {
             exposure_sums: Vec::new(),
             n_exposures: 0,
             noise,
+            processing,
             rng,
             size,
             renders: 0,
@@ -122,6 +127,10 @@ impl ImageSensor {
         let pixels: Vec<u8> = pixels.collect();
         let blank = || RgbImage::new(self.size.0, self.size.1);
         let picture = RgbImage::from_raw(self.size.0, self.size.1, pixels).unwrap_or_else(blank);
+        let picture = match &self.processing {
+            Some(processing) => processing.apply(picture),
+            None => picture,
+        };
         let depth = self.renderer.depth();
         let distorted = self.lens.as_ref().filter(|_| !depth.is_empty()).map(|lens| lens.distort_depth(&depth));
         Ok((picture, distorted.unwrap_or(depth)))

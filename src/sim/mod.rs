@@ -35,6 +35,7 @@ pub mod mjcf;
 #[doc(hidden)]
 pub mod object;
 pub(crate) mod parts;
+pub(crate) mod photo;
 #[doc(hidden)]
 pub mod randomize;
 pub(crate) mod range;

@@ -6,10 +6,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::effect::Observation;
+use super::effect::{Effect, EffectSet, Observation};
 use super::frame::SimFrame;
 use super::rollout::{Rollout, RolloutOptions};
-use super::scene::Scene;
+use super::scene::{LookStyle, Scene};
 use crate::dataset::zarr::{
     ArraySpec, CAMERA_POSE, Compression, Contact, Dtype, MANO_PROXIMITY, OBJECT_POSE, Values, ZarrWriter,
 };
@@ -124,12 +124,18 @@ pub(super) fn attributes(scenes: &[Scene], seed: u64, options: &RolloutOptions) 
 }
 
 fn episode_entry(scene: &Scene, seed: u64, rollout: &Rollout) -> Value {
-    json!({
+    let mut entry = json!({
         "scene": scene.name,
         "seed": seed,
         "objects": rollout.objects().iter().filter(|o| o.body().is_some()).map(|o| o.name.as_str()).collect::<Vec<_>>(),
         "intrinsics": rollout.intrinsics(),
-    })
+    });
+    let of_look: EffectSet =
+        LookStyle::Photo.effects().iter().filter(|effect| rollout.effects().contains(*effect)).collect();
+    if of_look != EffectSet::default() {
+        entry["look"] = of_look.iter().map(Effect::name).collect();
+    }
+    entry
 }
 
 /// Arrays in addition to those that every store has.

@@ -9,6 +9,7 @@ mod effects;
 mod environment;
 mod hostile;
 mod isolate;
+mod looks;
 mod rollout;
 mod scene_file;
 mod scenes;

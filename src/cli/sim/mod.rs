@@ -159,6 +159,10 @@ struct RolloutArgs {
     /// Render shadows (a picture takes about five times as long).
     #[arg(long)]
     shadows: bool,
+    /// Effects that make pictures richer, in place of the scene's: plain (none), varied (painted skin and gloves, textures,
+    /// clutter, lamps), photo (also the wearer, other cameras, and the processing of a real camera).
+    #[arg(long, value_name = "STYLE", value_parser = ["plain", "varied", "photo"])]
+    look: Option<String>,
     #[command(flatten)]
     kernel: Kernel,
     #[command(flatten)]

@@ -66,10 +66,13 @@ fn scene_names(args: &Generate) -> anyhow::Result<Vec<String>> {
 /// Returns the command that starts this program as a worker with the same scenes and options.
 fn workers(args: &Generate, scenes: &[String], factor: Option<f64>) -> anyhow::Result<WorkerCommand> {
     let mut arguments: Vec<OsString> = vec!["--size".into(), args.size.to_string().into()];
-    let RolloutArgs { shadows, kernel, hands } = &args.rollout;
+    let RolloutArgs { shadows, look, kernel, hands } = &args.rollout;
     arguments.extend(["--sigma".into(), kernel.sigma.to_string().into()]);
     if *shadows {
         arguments.push("--shadows".into());
+    }
+    if let Some(look) = look {
+        arguments.extend(["--look".into(), look.into()]);
     }
     let Accuracy { preset, budget, error } = &args.accuracy;
     let preset = preset.clone().map(|name| ("--preset", name));

@@ -3,6 +3,7 @@
 use anyhow::ensure;
 
 use super::RolloutArgs;
+use crate::sim::scene::LookStyle;
 use crate::sim::{RolloutOptions, Scene, mesh_faults, mjcf};
 use crate::text::tell;
 
@@ -28,6 +29,7 @@ pub fn options(rollout: &RolloutArgs, size: u32) -> anyhow::Result<RolloutOption
         hands: rollout.hands.models()?,
         picture: picture(size)?,
         shadows: rollout.shadows,
+        style: rollout.look.as_deref().map(LookStyle::from_name).transpose()?,
         sigma: rollout.kernel.metres(),
         ..RolloutOptions::default()
     })

@@ -13,6 +13,7 @@ use std::path::Path;
 
 use glam::Vec3;
 use mujoco_rs::prelude::*;
+use mujoco_rs::wrappers::MjVfs;
 
 use super::fatal::check_fatal;
 use super::named_files::check_named_files;
@@ -23,6 +24,9 @@ pub use contacts::{Contact, Grip};
 pub use facts::Facts;
 pub use flex::Flex;
 pub use names::{Body, FreeJoint, Servo, Skin};
+
+/// Name of a model among files in memory.
+const MODEL_FILE: &str = "model.xml";
 
 /// A physics model with its state.
 ///
@@ -45,6 +49,25 @@ impl World {
     pub fn from_mjcf(mjcf: &str, options: &PhysicsOptions) -> Result<Self> {
         disable_log_file();
         let model = MjModel::from_xml_string(mjcf).map_err(|e| Error::Engine(e.to_string()))?;
+        Self::from_model(model, options)
+    }
+
+    /// Compiles MJCF text that names files which lie in memory: name and content; see [`Self::from_mjcf`].
+    ///
+    /// # Errors
+    /// As [`Self::from_mjcf`], and if two files have the same name.
+    pub fn from_mjcf_with_files(mjcf: &str, files: &[(String, Vec<u8>)], options: &PhysicsOptions) -> Result<Self> {
+        if files.is_empty() {
+            return Self::from_mjcf(mjcf, options);
+        }
+        disable_log_file();
+        let engine = |error: &dyn std::fmt::Display| Error::Engine(error.to_string());
+        let mut folder = MjVfs::new();
+        folder.add_from_buffer(MODEL_FILE, mjcf.as_bytes()).map_err(|e| engine(&e))?;
+        for (name, content) in files {
+            folder.add_from_buffer(name, content).map_err(|e| engine(&e))?;
+        }
+        let model = MjModel::from_xml_vfs(MODEL_FILE, &folder).map_err(|e| engine(&e))?;
         Self::from_model(model, options)
     }
 

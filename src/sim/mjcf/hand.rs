@@ -2,9 +2,12 @@
 
 use glam::DVec3;
 
-use super::{WRIST, WRIST_STIFFNESS, contact, join, quat, rgb, vec3};
+use super::photo::{self, Files};
+use super::{PhotoDraw, WRIST, WRIST_STIFFNESS, contact, join, quat, rgb, vec3};
+use crate::error::Result;
 use crate::hand::N_JOINTS;
 use crate::sim::effect::{Effect, EffectSet};
+use crate::sim::photo::Flat;
 use crate::sim::randomize::HandDraw;
 use crate::sim::rig::{HandRig, JOINT_NAMES};
 use crate::text::put;
@@ -13,8 +16,29 @@ use crate::text::put;
 /// the hulls.
 const NEAR_DISTANCE: f64 = 0.014;
 
-/// Writes materials and hulls of a hand.
-pub(super) fn assets(hand: &HandDraw, rig: &HandRig, assets: &mut String) {
+/// Half sizes of a nail, m: across, along, thickness.
+const NAIL: DVec3 = DVec3::new(0.0045, 0.0055, 0.0012);
+
+/// Writes materials and hulls of a hand; `painted`: the looks, if the skin or the glove has a painted texture.
+///
+/// # Errors
+/// If a texture can't be encoded.
+pub(super) fn assets(
+    hand: &HandDraw,
+    rig: &HandRig,
+    painted: Option<&PhotoDraw>,
+    assets: &mut String,
+    files: &mut Files,
+) -> Result<()> {
+    if let Some(look) = painted {
+        let picture = look.cover.paint(rig, hand.skin, look.skin_seed);
+        photo::painted(&rig.name("cover"), "2d", &picture, 1.0, 0.15, assets, files)?;
+        let nail = rgb([hand.skin[0] * 1.05, hand.skin[1] * 0.95, hand.skin[2] * 0.95].map(|c| c.min(1.0)));
+        put(
+            assets,
+            format_args!(r#"<material name="{}" rgba="{nail} 1" specular="0.6" shininess="0.7"/>"#, rig.name("nail")),
+        );
+    }
     let (skin, sleeve) = (rgb(hand.skin), rgb(hand.sleeve));
     put(
         assets,
@@ -39,10 +63,11 @@ pub(super) fn assets(hand: &HandDraw, rig: &HandRig, assets: &mut String) {
         let limit = rig.max_corners.map(|max| format!(r#" maxhullvert="{max}""#)).unwrap_or_default();
         put(assets, format_args!(r#"<mesh name="{}" vertex="{corners}"{limit}/>"#, rig.name(JOINT_NAMES[joint])));
     }
+    Ok(())
 }
 
 /// Writes the bodies of a hand, the wrist's joints included.
-pub(super) fn bodies(hand: &HandDraw, rig: &HandRig, effects: EffectSet, world: &mut String) {
+pub(super) fn bodies(hand: &HandDraw, rig: &HandRig, look: &PhotoDraw, effects: EffectSet, world: &mut String) {
     let name = rig.name(JOINT_NAMES[0]);
     put(
         world,
@@ -62,13 +87,18 @@ pub(super) fn bodies(hand: &HandDraw, rig: &HandRig, effects: EffectSet, world: 
             format_args!(r#"<joint name="{joint}" type="{kind}" axis="{}" armature="{armature}"/>"#, vec3(axis)),
         );
     }
-    arm(rig, world);
-    link(0, rig, effects, world);
+    let (centre, radius) = arm(rig, effects.contains(Effect::Wearer).then_some(look.wearer.sleeve), world);
+    if let Some(tracker) = look.wearer.tracker.as_ref().filter(|_| effects.contains(Effect::Wearer)) {
+        photo::tracker(tracker, rig, centre, radius, world);
+    }
+    let nails = effects.contains(Effect::SkinDetail) && look.cover.shows_nails();
+    link(0, rig, nails, effects, world);
     world.push_str("</body>\n");
 }
 
-/// Writes forearm and sleeve, for the picture only.
-fn arm(rig: &HandRig, world: &mut String) {
+/// Writes forearm and sleeve, for the picture only; `sleeve`: the share of the forearm that it covers, where that is
+/// drawn. Returns centre and radius of the forearm at the wrist, m.
+fn arm(rig: &HandRig, sleeve: Option<f64>, world: &mut String) -> (DVec3, f64) {
     let back = -rig.frame.fingers;
     // Centre and radius of the wrist from the vertices near the plane through its joint.
     let off = |v: &glam::Vec3| v.as_dvec3() - rig.joints[0];
@@ -88,11 +118,15 @@ fn arm(rig: &HandRig, world: &mut String) {
         );
     };
     capsule("skin", 0.018, 0.2, 0.93 * radius, world);
-    capsule("sleeve", 0.1, 0.32, 1.25 * radius, world);
+    let start = sleeve.map_or(0.1, |share| 0.2 - 0.16 * share);
+    // Where the wearer is seen, the sleeve reaches the elbow.
+    let end = if sleeve.is_some() { 0.5 } else { 0.32 };
+    capsule("sleeve", start, end, 1.25 * radius, world);
+    (centre, radius)
 }
 
 /// Writes the geom of a link and, recursively, the bodies of its children.
-fn link(joint: usize, rig: &HandRig, effects: EffectSet, world: &mut String) {
+fn link(joint: usize, rig: &HandRig, nails: bool, effects: EffectSet, world: &mut String) {
     let contact = contact(effects);
     let gap = if effects.contains(Effect::NearContact) { NEAR_DISTANCE } else { 0.0 };
     let name = rig.name(JOINT_NAMES[joint]);
@@ -102,6 +136,18 @@ fn link(joint: usize, rig: &HandRig, effects: EffectSet, world: &mut String) {
             r#"<geom type="mesh" mesh="{name}" group="3" density="1000" friction="1 0.01 0.0001" gap="{gap}" {contact}/>"#
         ),
     );
+    if nails && let Some((place, turn)) = rig.nail(joint) {
+        put(
+            world,
+            format_args!(
+                r#"<geom type="ellipsoid" size="{}" pos="{}" quat="{}" material="{}" contype="0" conaffinity="0" mass="0" group="1"/>"#,
+                vec3(NAIL),
+                vec3(place),
+                quat(turn),
+                rig.name("nail")
+            ),
+        );
+    }
     for child in (0..N_JOINTS).filter(|child| rig.parent(*child) == Some(joint)) {
         let offset = vec3(rig.joints[child] - rig.joints[joint]);
         put(world, format_args!(r#"<body name="{}" pos="{offset}" gravcomp="1">"#, rig.name(JOINT_NAMES[child])));
@@ -114,18 +160,25 @@ fn link(joint: usize, rig: &HandRig, effects: EffectSet, world: &mut String) {
                 ),
             );
         }
-        link(child, rig, effects, world);
+        link(child, rig, nails, effects, world);
         world.push_str("</body>\n");
     }
 }
 
 /// Writes the skin of a hand with the model's skinning weights; a glove is the same surface, thicker and with a pattern.
-pub(super) fn skin(hand: &HandDraw, rig: &HandRig, skins: &mut String) {
+/// `painted`: the looks, if the surface has a painted texture.
+pub(super) fn skin(hand: &HandDraw, rig: &HandRig, painted: Option<&PhotoDraw>, skins: &mut String) {
     let vertices = join(rig.vertices.iter().map(|v| vec3(v.as_dvec3())));
     let faces = join(rig.model.faces.iter().map(|[a, b, c]| format!("{a} {b} {c}")));
-    let (name, material, cover) = match &hand.glove {
-        None => (rig.name("skin"), rig.name("skin"), String::new()),
-        Some(glove) => {
+    let (name, material, cover) = match (painted, &hand.glove) {
+        (Some(look), _) => {
+            let flat = Flat::of(rig);
+            let places = join(rig.vertices.iter().map(|v| flat.place(*v)).map(|[u, v]| format!("{u} {v}")));
+            let cover = format!(r#" inflate="{}" texcoord="{places}""#, look.cover.thickness());
+            (rig.name("skin"), rig.name("cover"), cover)
+        }
+        (None, None) => (rig.name("skin"), rig.name("skin"), String::new()),
+        (None, Some(glove)) => {
             // The flat hand seen from above; the checker has two squares per repeat.
             let place = |v: &glam::Vec3| f64::from(v.x) / (2.0 * glove.pitch);
             let along = |v: &glam::Vec3| f64::from(v.z) / (2.0 * glove.pitch);

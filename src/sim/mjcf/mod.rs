@@ -1,15 +1,20 @@
 //! Episodes as MJCF, MuJoCo's model format.
 
 mod hand;
+mod photo;
 
 use glam::{DQuat, DVec3};
 
 use super::appearance::{Appearance, Rgb};
 use super::effect::{Effect, EffectSet};
 use super::object::{JointMount, Mount, Piece, PieceShape};
+use super::photo::PhotoDraw;
 use super::randomize::{EpisodeDraw, ObjectDraw};
 use super::rig::{HandRig, JOINT_NAMES};
+use crate::error::Result;
 use crate::text::put;
+
+pub(crate) use photo::Files;
 
 /// Stiffness of the wrist's linear servos, N/m; [`super::driver`] converts forces to displacements with it.
 pub(crate) const WRIST_STIFFNESS: f64 = 2500.0;
@@ -30,23 +35,39 @@ pub(crate) const WRIST: [&str; 6] = ["wrist_x", "wrist_y", "wrist_z", "wrist_rx"
 /// Half thickness below which a piece is thin, m: a card is, a mug's wall is not.
 const THIN_HALF_THICKNESS: f64 = 1.6e-3;
 
-/// Writes the model of an episode with the given effects; `fovy` is the camera's vertical field of view, rad.
-pub(crate) fn write(episode: &EpisodeDraw, rigs: &[HandRig; 2], effects: EffectSet, fovy: f64) -> String {
+/// Writes the model of an episode with the given effects, and the files that it names; `fovy` is the camera's vertical
+/// field of view, rad.
+///
+/// # Errors
+/// If a texture can't be encoded.
+pub(crate) fn write(
+    episode: &EpisodeDraw,
+    rigs: &[HandRig; 2],
+    effects: EffectSet,
+    fovy: f64,
+) -> Result<(String, Files)> {
     let shadows = effects.contains(Effect::Shadows);
     let mut assets = String::new();
     let mut world = String::new();
     let mut skins = String::new();
     let mut excludes = String::new();
     let mut actuators = String::new();
-    surroundings(&episode.appearance, &mut assets, &mut world, effects);
-    for object in episode.objects.iter().filter(|object| object.solid) {
+    let mut files = Files::new();
+    surroundings(episode, &mut assets, &mut world, &mut files, effects)?;
+    for (index, object) in episode.objects.iter().enumerate().filter(|(_, object)| object.solid) {
+        match effects.contains(Effect::Textures) {
+            true => photo::wrapped_material(&object.name, episode.photo.object(index), &mut assets, &mut files)?,
+            false => object_material(object, &mut assets),
+        }
         object_body(object, effects, &mut assets, &mut world, &mut excludes);
     }
+    let photo = &episode.photo;
     for hand in &episode.hands {
         let rig = &rigs[hand.side as usize];
-        hand::assets(hand, rig, &mut assets);
-        hand::bodies(hand, rig, effects, &mut world);
-        hand::skin(hand, rig, &mut skins);
+        let painted = effects.contains(Effect::SkinDetail).then_some(photo);
+        hand::assets(hand, rig, painted, &mut assets, &mut files)?;
+        hand::bodies(hand, rig, photo, effects, &mut world);
+        hand::skin(hand, rig, painted, &mut skins);
         for (a, b) in &rig.excluded {
             let (a, b) = (rig.name(JOINT_NAMES[*a]), rig.name(JOINT_NAMES[*b]));
             put(&mut excludes, format_args!(r#"<exclude body1="{a}" body2="{b}"/>"#));
@@ -61,7 +82,7 @@ pub(crate) fn write(episode: &EpisodeDraw, rigs: &[HandRig; 2], effects: EffectS
     let flag = |on: bool| if on { "enable" } else { "disable" };
     let [contact, gravity, sleep] =
         [Effect::RigidContact, Effect::Gravity, Effect::Sleep].map(|effect| flag(effects.contains(effect)));
-    format!(
+    let text = format!(
         r#"<mujoco model="egotac">
 <compiler angle="radian" autolimits="true"/>
 <option><flag contact="{contact}" gravity="{gravity}" sleep="{sleep}"/></option>
@@ -86,7 +107,8 @@ pub(crate) fn write(episode: &EpisodeDraw, rigs: &[HandRig; 2], effects: EffectS
 {actuators}</actuator>
 </mujoco>
 "#
-    )
+    );
+    Ok((text, files))
 }
 
 /// Contact attributes of skin and objects: dimension of friction, softness.
@@ -110,12 +132,48 @@ fn contact_with(effects: EffectSet, time: f64) -> String {
     format!(r#"condim="{condim}" solref="{time} 1" solimp="0.9 0.95 0.001""#)
 }
 
-/// Writes sky, table, floor and lamps.
-fn surroundings(appearance: &Appearance, assets: &mut String, world: &mut String, effects: EffectSet) {
-    let (contact, shadows) = (contact(effects), effects.contains(Effect::Shadows));
+/// Writes sky, table, floor, lamps and background.
+fn surroundings(
+    episode: &EpisodeDraw,
+    assets: &mut String,
+    world: &mut String,
+    files: &mut Files,
+    effects: EffectSet,
+) -> Result<()> {
+    let photo = &episode.photo;
+    let textured = effects.contains(Effect::Textures);
+    match textured {
+        true => photo::surfaces(photo, assets, world, files)?,
+        false => plain_surfaces(&episode.appearance, assets),
+    }
+    lamps(&episode.appearance, world, effects);
+    table(world, effects);
+    if !textured {
+        let floor = rgb(episode.appearance.floor);
+        put(
+            world,
+            format_args!(
+                r#"<geom name="floor" type="plane" size="4 4 0.1" pos="0 0 -0.75" rgba="{floor} 1" contype="0" conaffinity="0"/>"#
+            ),
+        );
+    }
+    if effects.contains(Effect::MoreLamps) {
+        photo::lamps(photo, world);
+    }
+    if effects.contains(Effect::Clutter) {
+        photo::clutter(photo, textured, assets, world, files)?;
+    }
+    if effects.contains(Effect::Wearer) {
+        photo::wearer(&photo.wearer, episode.camera(effects).eye, world);
+    }
+    Ok(())
+}
+
+/// Writes sky and table's material of plain colours and patterns.
+fn plain_surfaces(appearance: &Appearance, assets: &mut String) {
     let [table, other] = appearance.table.map(rgb);
     let [up, down] = appearance.background.map(rgb);
-    let (pattern, repeat, floor) = (appearance.table_pattern, appearance.table_repeat, rgb(appearance.floor));
+    let (pattern, repeat) = (appearance.table_pattern, appearance.table_repeat);
     put(
         assets,
         format_args!(
@@ -134,6 +192,11 @@ fn surroundings(appearance: &Appearance, assets: &mut String, world: &mut String
             r#"<material name="table" texture="table" texrepeat="{repeat} {repeat}" specular="0.1" shininess="0.2"/>"#
         ),
     );
+}
+
+/// Writes the lamps that cast shadows.
+fn lamps(appearance: &Appearance, world: &mut String, effects: EffectSet) {
+    let shadows = effects.contains(Effect::Shadows);
     for (position, power) in &appearance.lamps {
         let (at, aim) = (vec3(*position), vec3((DVec3::ZERO - *position).normalize()));
         put(
@@ -143,16 +206,15 @@ fn surroundings(appearance: &Appearance, assets: &mut String, world: &mut String
             ),
         );
     }
+}
+
+/// Writes the table.
+fn table(world: &mut String, effects: EffectSet) {
+    let contact = contact(effects);
     let [size, place] = [TABLE_HALF, TABLE_CENTRE].map(|v| format!("{} {} {}", v.x, v.y, v.z));
     put(
         world,
         format_args!(r#"<geom name="table" type="box" size="{size}" pos="{place}" material="table" {contact}/>"#),
-    );
-    put(
-        world,
-        format_args!(
-            r#"<geom name="floor" type="plane" size="4 4 0.1" pos="0 0 -0.75" rgba="{floor} 1" contype="0" conaffinity="0"/>"#
-        ),
     );
 }
 
@@ -165,7 +227,6 @@ fn object_body(
     excludes: &mut String,
 ) {
     let (name, at, turn) = (&object.name, vec3(object.position), quat(object.orientation));
-    object_material(object, assets);
     if !object.shape.base.is_empty() {
         put(world, format_args!(r#"<body name="{name}/base" pos="{at}" quat="{turn}">"#));
         pieces(object, "base", &object.shape.base, effects, assets, world);

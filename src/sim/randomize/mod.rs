@@ -10,7 +10,9 @@ use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
 
 use super::appearance::{Appearance, Glove, Rgb, colour, skin, texture};
+use super::effect::{Effect, EffectSet};
 use super::object::Object;
+use super::photo::PhotoDraw;
 use super::range::UniformRange;
 use super::rig::{HandRig, Hinge, HingeMotion, base_joint};
 use super::scene::{ActSpec, HandSite, HandSpec, ObjectSpec, Scene, SceneSpec, ShapeSpec, SideSpec};
@@ -35,6 +37,8 @@ pub struct EpisodeDraw {
     pub camera: CameraDraw,
     /// Colours and lights.
     pub appearance: Appearance,
+    /// Richer looks.
+    pub photo: PhotoDraw,
     /// End of the last script, s.
     pub duration: f64,
 }
@@ -165,7 +169,16 @@ impl EpisodeDraw {
         let glove = Glove::sample(spec.look.hands, skin, &mut stream(13));
         hands.iter_mut().for_each(|hand| (hand.skin, hand.sleeve, hand.glove) = (skin, sleeve, glove));
         let appearance = Appearance::sample(&spec.look, &mut rng);
-        Ok(Self { objects, hands, camera: CameraDraw::sample(&spec.camera, &mut stream(9)), appearance, duration })
+        let camera = CameraDraw::sample(&spec.camera, &mut stream(9));
+        let photo = PhotoDraw::sample(&camera, stream);
+        Ok(Self { objects, hands, camera, appearance, photo, duration })
+    }
+}
+
+impl EpisodeDraw {
+    /// Returns the camera that a rollout with these effects has.
+    pub(crate) fn camera(&self, effects: EffectSet) -> &CameraDraw {
+        if effects.contains(Effect::OtherCamera) { &self.photo.camera } else { &self.camera }
     }
 }
 

@@ -125,6 +125,28 @@ impl HandRig {
         self.pads[site as usize]
     }
 
+    /// Returns place, m, and orientation of the nail of a finger's last link in the link's frame, with z out of the nail and
+    /// y towards the fingertip; `None` for other links.
+    pub fn nail(&self, joint: usize) -> Option<(DVec3, DQuat)> {
+        let site = HandSite::FINGERS.into_iter().find(|site| self.pad(*site).joint == joint)?;
+        let pad = self.pad(site);
+        let out = -pad.normal;
+        let along = pad.position.reject_from_normalized(out).try_normalize()?;
+        let own = self.model.strongest_joints();
+        let points: Vec<DVec3> = self
+            .vertices
+            .iter()
+            .zip(own)
+            .filter(|(_, strongest)| *strongest == joint)
+            .map(|(vertex, _)| vertex.as_dvec3() - self.joints[joint])
+            .collect();
+        let length = points.iter().map(|point| point.dot(along)).fold(0.0, f64::max);
+        let near_tip = points.iter().filter(|point| (0.6..0.9).contains(&(point.dot(along) / length)));
+        let place = near_tip.max_by(|a, b| a.dot(out).total_cmp(&b.dot(out)))?;
+        let across = along.cross(out);
+        Some((*place, DQuat::from_mat3(&DMat3::from_cols(across, along, out))))
+    }
+
     /// Returns the parent of a joint; `None` for the wrist.
     pub fn parent(&self, joint: usize) -> Option<usize> {
         (self.model.parents[joint] != joint).then_some(self.model.parents[joint])

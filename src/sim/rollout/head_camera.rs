@@ -11,29 +11,33 @@ use crate::sim::effect::{Effect, EffectSet, Observation};
 use crate::sim::image_sensor::{ImageSensor, SensorOptions};
 use crate::sim::lens::Lens;
 use crate::sim::mjcf::HEAD;
-use crate::sim::randomize::CameraDraw;
+use crate::sim::photo::Processing;
+use crate::sim::randomize::{CameraDraw, EpisodeDraw};
 
 /// Optics of a camera before the world exists: the lens decides about the engine's field of view.
 #[derive(Debug)]
 pub(super) struct Optics {
     draw: CameraDraw,
+    processing: Option<Processing>,
     /// Width and height of the picture, pixels; `None` = no pictures.
     size: Option<(u32, u32)>,
     lens: Option<Lens>,
 }
 
 impl Optics {
-    /// Creates the optics of a drawn camera for pictures of `size` (width, height).
+    /// Creates the optics of an episode's camera for pictures of `size` (width, height).
     ///
     /// # Errors
     /// As [`Lens::new`].
-    pub fn new(draw: CameraDraw, size: Option<(u32, u32)>, effects: EffectSet) -> Result<Self> {
+    pub fn new(episode: &EpisodeDraw, size: Option<(u32, u32)>, effects: EffectSet) -> Result<Self> {
+        let draw = *episode.camera(effects);
+        let processing = effects.contains(Effect::CameraProcessing).then_some(episode.photo.processing);
         let size = size.filter(|_| effects.contains(Effect::Rendering));
         let lens = match size.filter(|_| effects.contains(Effect::LensDistortion)) {
             Some(size) => Some(Lens::new(&draw, size)?),
             None => None,
         };
-        Ok(Self { draw, size, lens })
+        Ok(Self { draw, processing, size, lens })
     }
 
     /// Returns the vertical field of view that the engine renders, rad.
@@ -78,11 +82,19 @@ impl HeadCamera {
     ) -> Result<Self> {
         let (head, camera) = (world.mocap(HEAD)?, world.camera(HEAD)?);
         let (intrinsics, observes_depth) = (optics.intrinsics(), observed.contains(&Observation::Depth));
-        let Optics { draw, size, lens } = optics;
+        let Optics { draw, processing, size, lens } = optics;
         let sensor = match size {
             Some(size) => {
-                let options =
-                    SensorOptions { camera, size, lens, depth: observes_depth, effects, steps_per_frame, seed };
+                let options = SensorOptions {
+                    camera,
+                    size,
+                    lens,
+                    depth: observes_depth,
+                    effects,
+                    steps_per_frame,
+                    processing,
+                    seed,
+                };
                 Some(ImageSensor::new(world, &draw, options)?)
             }
             None => None,

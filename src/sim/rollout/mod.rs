@@ -76,8 +76,9 @@ impl Rollout {
         let (rigs, spreaders) = (options.rigs()?, options.spreaders()?);
         let episode = EpisodeDraw::sample(scene, seed, &rigs)?;
         let (effects, physics) = options.effects_and_physics(&scene.spec)?;
-        let optics = Optics::new(episode.camera, options.picture, effects)?;
-        let mut world = World::from_mjcf(&mjcf::write(&episode, &rigs, effects, optics.fovy()), &physics)?;
+        let optics = Optics::new(&episode, options.picture, effects)?;
+        let (model, files) = mjcf::write(&episode, &rigs, effects, optics.fovy())?;
+        let mut world = World::from_mjcf_with_files(&model, &files, &physics)?;
 
         let objects = episode.objects.iter().map(|draw| SceneObject::new(&world, draw)).collect::<Result<Vec<_>>>()?;
         let targets: Vec<TargetObject> =

@@ -6,7 +6,7 @@ use crate::hand::{HandModel, N_BETAS, Side};
 use crate::mujoco::PhysicsOptions;
 use crate::sim::effect::{Effect, EffectSet};
 use crate::sim::rig::HandRig;
-use crate::sim::scene::{EffectPlan, SceneSpec};
+use crate::sim::scene::{EffectPlan, LookStyle, SceneSpec};
 
 /// Hands, picture, labels and physics of a rollout.
 #[derive(Debug, Clone)]
@@ -19,6 +19,8 @@ pub struct RolloutOptions {
     pub picture: Option<(u32, u32)>,
     /// True to draw shadows even where the scene does not list them.
     pub shadows: bool,
+    /// Style of the look instead of the scene's.
+    pub style: Option<LookStyle>,
     /// Effects instead of those of the scene; for measuring the cost of an effect.
     pub effects: Option<EffectSet>,
     /// Standard deviation of the kernel that spreads contact forces, m.
@@ -38,6 +40,7 @@ impl Default for RolloutOptions {
             betas: [0.0; N_BETAS],
             picture: Some((224, 224)),
             shadows: false,
+            style: None,
             effects: None,
             sigma: SIGMA,
             physics: None,
@@ -92,6 +95,10 @@ impl RolloutOptions {
 
     fn select_effects(&self, plan: &EffectPlan) -> Result<EffectSet> {
         let mut effects = self.effects.unwrap_or(plan.effects());
+        if let Some(style) = self.style.filter(|_| effects.contains(Effect::Rendering)) {
+            effects = LookStyle::Photo.effects().iter().fold(effects, EffectSet::without);
+            effects = style.effects().iter().fold(effects, EffectSet::with);
+        }
         if self.shadows && effects.contains(Effect::Rendering) {
             effects = effects.with(Effect::Shadows);
         }

@@ -105,6 +105,7 @@ struct SceneFacts {
     lens: bool,
     noise: bool,
     shutter: bool,
+    style: EffectSet,
 }
 
 impl SceneFacts {
@@ -129,6 +130,7 @@ impl SceneFacts {
             lens: scene.camera.distortion.iter().any(|k| k.low() != 0.0 || k.high() != 0.0),
             noise: scene.camera.noise.high() > 0.0,
             shutter: scene.camera.shutter.high() > 0.0,
+            style: scene.look.style.effects(),
         }
     }
 
@@ -168,6 +170,13 @@ impl SceneFacts {
             ),
             self.decide_picture(self.noise, ["the camera has noise", "the camera has no noise"]),
             self.decide_picture(self.shutter, ["the camera has an exposure time", "the camera has no exposure time"]),
+            self.decide_style(Effect::SkinDetail),
+            self.decide_style(Effect::Textures),
+            self.decide_style(Effect::Clutter),
+            self.decide_style(Effect::Wearer),
+            self.decide_style(Effect::MoreLamps),
+            self.decide_style(Effect::OtherCamera),
+            self.decide_style(Effect::CameraProcessing),
         ]
     }
 
@@ -227,6 +236,12 @@ impl SceneFacts {
             (true, _) => (false, "contact forces tell where touch is"),
             _ => (false, "no contact is observed"),
         }
+    }
+
+    /// Decides an effect of the look's style.
+    fn decide_style(&self, effect: Effect) -> Decision {
+        let reasons = ["the style of the look has it", "the style of the look does without it"];
+        self.decide_picture(self.style.contains(effect), reasons)
     }
 
     /// Decides an effect of the camera: it is on if the camera has the property and pictures are observed.

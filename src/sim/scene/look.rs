@@ -4,12 +4,15 @@ use serde::Deserialize;
 
 use super::limits::within;
 use crate::error::{Error, Result};
+use crate::sim::effect::{Effect, EffectSet};
 use crate::sim::range::UniformRange;
 
 /// Look of a scene, from which each seed draws; the defaults are those of the shipped scenes.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LookSpec {
+    /// Effects that make pictures richer.
+    pub style: LookStyle,
     /// Covering of both hands.
     pub hands: HandLook,
     /// Patterns of the table, of which each seed takes one.
@@ -24,6 +27,63 @@ pub struct LookSpec {
     pub lamps: UniformRange,
     /// Height of the lamps above the table, m.
     pub lamp_height: UniformRange,
+}
+
+/// Set of effects that make pictures richer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LookStyle {
+    /// None of them: colours without texture.
+    #[default]
+    Plain,
+    /// Painted skin and gloves, textures, clutter, more lamps.
+    Varied,
+    /// All of them: also the wearer, other cameras, and the processing of a real camera.
+    Photo,
+}
+
+impl LookStyle {
+    /// Effects of the richest style.
+    const ALL: [Effect; 7] = [
+        Effect::SkinDetail,
+        Effect::Textures,
+        Effect::Clutter,
+        Effect::MoreLamps,
+        Effect::Wearer,
+        Effect::OtherCamera,
+        Effect::CameraProcessing,
+    ];
+    /// Number of them that the varied style has, from the first one.
+    const VARIED: usize = 4;
+
+    /// Returns the style of this name.
+    ///
+    /// # Errors
+    /// If the name is unknown.
+    pub fn from_name(name: &str) -> Result<Self> {
+        let all = [Self::Plain, Self::Varied, Self::Photo];
+        let found = all.into_iter().find(|style| style.name() == name);
+        found.ok_or_else(|| Error::unknown("look", name, all.map(Self::name)))
+    }
+
+    /// Returns the name, as in YAML.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Plain => "plain",
+            Self::Varied => "varied",
+            Self::Photo => "photo",
+        }
+    }
+
+    /// Returns the effects of this style.
+    pub fn effects(self) -> EffectSet {
+        let count = match self {
+            Self::Plain => 0,
+            Self::Varied => Self::VARIED,
+            Self::Photo => Self::ALL.len(),
+        };
+        Self::ALL[..count].iter().copied().collect()
+    }
 }
 
 /// Covering of the hands in the picture. Touch and collision are those of the bare hand in all cases.
@@ -66,6 +126,7 @@ impl TablePattern {
 impl Default for LookSpec {
     fn default() -> Self {
         Self {
+            style: LookStyle::Plain,
             hands: HandLook::Bare,
             table_patterns: vec![TablePattern::Flat, TablePattern::Checker, TablePattern::Gradient],
             table_saturation: UniformRange::new(0.05, 0.55),

@@ -13,7 +13,7 @@ use std::path::Path;
 
 pub use act::{ActSpec, Channels, ContactSpec, HandSite, PhaseSpec, WrapSpec};
 pub use effect_plan::EffectPlan;
-pub use look::{HandLook, LookSpec, TablePattern};
+pub use look::{HandLook, LookSpec, LookStyle, TablePattern};
 pub use object::{ObjectSpec, ShapeSpec};
 pub use shipped::SHIPPED;
 pub use spec::{CameraSpec, HandSpec, SceneSpec, SideSpec};
