@@ -213,20 +213,8 @@ pub fn resize(image: &RgbImage, side: usize, resize: Resize, filter: Filter) -> 
         Resize::Letterbox => (shrunk(width), shrunk(height)),
         Resize::Crop | Resize::Centre | Resize::Squash => (side, side),
     };
-    let algorithm = fir::ResizeAlg::Convolution(match filter {
-        Filter::Triangle => fir::FilterType::Bilinear,
-        Filter::Bicubic => fir::FilterType::CatmullRom,
-    });
-    let mut options = fir::ResizeOptions::new().resize_alg(algorithm);
-    if matches!(resize, Resize::Crop | Resize::Centre) {
-        options = options.crop(crop_x, crop_y, box_side, box_side);
-    }
-    let failed = |error: &dyn std::fmt::Display| Error::value("image", "an image that can be resized", error);
-    let source = fir::images::ImageRef::new(width, height, image.as_raw(), fir::PixelType::U8x3);
-    let mut out = fir::images::Image::new(out_width, out_height, fir::PixelType::U8x3);
-    fir::Resizer::new().resize(&source.map_err(|e| failed(&e))?, &mut out, &options).map_err(|e| failed(&e))?;
-    let out = RgbImage::from_raw(out_width, out_height, out.into_vec());
-    let out = out.ok_or_else(|| failed(&"a buffer of another size"))?;
+    let cropped = matches!(resize, Resize::Crop | Resize::Centre).then_some((crop_x, crop_y, box_side));
+    let out = convolved(image, (out_width, out_height), cropped, filter)?;
     if (out_width, out_height) == (side, side) {
         return Ok(out);
     }
@@ -234,6 +222,31 @@ pub fn resize(image: &RgbImage, side: usize, resize: Resize, filter: Filter) -> 
     let (left, top) = ((side - out_width) / 2, (side - out_height) / 2);
     ::image::imageops::replace(&mut square, &out, i64::from(left), i64::from(top));
     Ok(square)
+}
+
+/// Scales to width and height `size`, pixels.
+///
+/// # Errors
+/// If the image or `size` is empty.
+pub(crate) fn scaled(image: &RgbImage, size: (u32, u32)) -> Result<RgbImage> {
+    convolved(image, size, None, Filter::Triangle)
+}
+
+/// Scales an image, or the square of it at left, top and side `cropped`, to width and height `size`, pixels.
+fn convolved(image: &RgbImage, size: (u32, u32), cropped: Option<(f64, f64, f64)>, filter: Filter) -> Result<RgbImage> {
+    let algorithm = fir::ResizeAlg::Convolution(match filter {
+        Filter::Triangle => fir::FilterType::Bilinear,
+        Filter::Bicubic => fir::FilterType::CatmullRom,
+    });
+    let mut options = fir::ResizeOptions::new().resize_alg(algorithm);
+    if let Some((left, top, side)) = cropped {
+        options = options.crop(left, top, side, side);
+    }
+    let failed = |error: &dyn std::fmt::Display| Error::value("image", "an image that can be resized", error);
+    let source = fir::images::ImageRef::new(image.width(), image.height(), image.as_raw(), fir::PixelType::U8x3);
+    let mut out = fir::images::Image::new(size.0, size.1, fir::PixelType::U8x3);
+    fir::Resizer::new().resize(&source.map_err(|e| failed(&e))?, &mut out, &options).map_err(|e| failed(&e))?;
+    RgbImage::from_raw(size.0, size.1, out.into_vec()).ok_or_else(|| failed(&"a buffer of another size"))
 }
 
 /// Computes `(value / 255 - mean) / std` per channel. Returns `(3, H, W)`, row-major, channels red, green, blue.
@@ -250,6 +263,17 @@ pub fn normalise(image: &RgbImage, mean: [f32; 3], std: [f32; 3]) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn scaled_images_are_those_of_another_implementation() {
+        let picture = RgbImage::from_fn(300, 170, |x, y| ::image::Rgb([x as u8, (3 * y) as u8, (x * y / 97) as u8]));
+        for size in [(224, 127), (31, 170), (300, 20), (400, 200)] {
+            let theirs = ::image::imageops::resize(&picture, size.0, size.1, ::image::imageops::FilterType::Triangle);
+            let ours = scaled(&picture, size).unwrap();
+            let most = ours.iter().zip(theirs.iter()).map(|(a, b)| a.abs_diff(*b)).max();
+            assert!(ours.dimensions() == size && most <= Some(1), "{size:?}: {most:?}");
+        }
+    }
 
     #[test]
     fn profiles_and_texts_of_a_png_are_left_out_and_its_pixels_stay() {

@@ -141,8 +141,8 @@ impl ImportOutput {
         index: usize,
         info: &mut LabelInfo,
     ) -> (RgbImage, LabelFrame) {
-        let reason = match image.image.map(|image| image.decode()) {
-            Ok(Ok(image)) => return (fitted(image, size), label),
+        let reason = match image.image.map(|image| image.decode().and_then(|image| fitted(image, size))) {
+            Ok(Ok(image)) => return (image, label),
             Ok(Err(error)) => error.to_string(),
             Err(reason) => reason,
         };

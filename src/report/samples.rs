@@ -3,12 +3,12 @@
 use std::io::Cursor;
 
 use ::image::codecs::jpeg::JpegEncoder;
-use ::image::imageops::{FilterType, resize};
 use ::image::{ImageFormat, RgbImage};
 
 use crate::dataset::{ImageSource, Labelled};
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, Side};
+use crate::image::scaled;
 use crate::render::{View, force_colors, hand_picture};
 use crate::tactile::{CONTACT_FORCE_N, TactileSequence};
 
@@ -121,7 +121,7 @@ impl<'a> Images<'a> {
 fn jpeg(image: &RgbImage) -> Result<Vec<u8>> {
     let (width, height) = image.dimensions();
     let small = match height > HEIGHT {
-        true => &resize(image, (width * HEIGHT / height).max(1), HEIGHT, FilterType::Triangle),
+        true => &scaled(image, ((width * HEIGHT / height).max(1), HEIGHT))?,
         false => image,
     };
     let mut bytes = Vec::new();

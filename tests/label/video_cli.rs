@@ -93,6 +93,32 @@ fn videos_of_more_than_eight_bits_per_channel_give_the_same_images() {
 }
 
 #[test]
+fn a_damaged_video_gives_the_images_of_one_thread() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    images(&at("in"), 30);
+    video(&at("in"), &at("whole.mkv"), &["-c:v", "libx264", "-qp", "8"]);
+    let whole = fs::read(at("whole.mkv")).unwrap();
+    for seed in 1..5_u64 {
+        let (mut bytes, mut random) = (whole.clone(), seed);
+        for bit in 0..60 {
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let place = whole.len() / 4 + (random >> 33) as usize % (whole.len() * 3 / 4);
+            bytes[place] ^= 1 << (bit % 8);
+        }
+        fs::write(at("damaged.mkv"), bytes).unwrap();
+        let mut reference = Command::new("ffmpeg");
+        reference.args(["-v", "quiet", "-threads", "1", "-i"]).arg(at("damaged.mkv"));
+        reference.args(["-map", "0:v:0", "-fps_mode", "passthrough", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]);
+        let expected = reference.output().unwrap().stdout;
+        let frames = VideoFrames::open(&at("damaged.mkv"), None).unwrap();
+        let pixels: Vec<u8> = frames.flat_map(|frame| frame.unwrap().1.into_raw()).collect();
+        // Threads that decode frames side by side replace lost blocks by those of other frames, as they come upon them.
+        assert!(!pixels.is_empty() && pixels == expected, "seed {seed}: {} bytes of {}", pixels.len(), expected.len());
+    }
+}
+
+#[test]
 fn a_video_becomes_a_store_with_labels() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);

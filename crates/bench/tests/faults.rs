@@ -28,6 +28,19 @@ fn short(only: &[&str]) {
 }
 
 #[test]
+fn every_command_knows_its_arguments() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("out"), b"").unwrap();
+    for subject in Subject::all(&folder.path().join("inputs"), &[], 1).unwrap() {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_egotac-bench"));
+        command.args(subject.arguments(subject.input.as_deref())).current_dir(folder.path());
+        let output = command.output().unwrap();
+        // The output's folder is a file: an error, but not that of bad usage, which has status 2.
+        assert_eq!(output.status.code(), Some(1), "{}: {}", subject.name, String::from_utf8_lossy(&output.stderr));
+    }
+}
+
+#[test]
 fn import_survives_every_fault() {
     short(&["import"]);
 }

@@ -4,7 +4,6 @@ use std::path::Path;
 use std::sync::Arc;
 
 use ::image::RgbImage;
-use ::image::imageops::{FilterType, resize};
 
 use super::{Contact, ZarrWriter};
 use crate::dataset::copy::remove;
@@ -16,6 +15,7 @@ use crate::dataset::source::{ImageSource, SourceFrame};
 use crate::dataset::{Attributes, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
+use crate::image::scaled;
 use crate::tactile::{N_FIELD, TactileField, Validity};
 
 /// Writes images, times and labels into a new store.
@@ -46,7 +46,7 @@ impl LabelOutput for StoreOutput {
                 };
                 // A frame without a time takes that of the frame before it.
                 time = if image.stamp_secs.is_finite() { image.stamp_secs } else { time };
-                writer.push(frame(time, image, label, size, topology))?;
+                writer.push(frame(time, image, label, size, topology)?)?;
             }
             // A unit without images is no episode.
             if writer.n_frames() > before {
@@ -102,10 +102,13 @@ pub(crate) fn scaled((width, height): (u32, u32), side: Option<u32>) -> (u32, u3
 }
 
 /// Scales an image to the size of a store's images, if it has another.
-pub(crate) fn fitted(image: RgbImage, size: (u32, u32)) -> RgbImage {
+///
+/// # Errors
+/// If the image or the size is empty.
+pub(crate) fn fitted(image: RgbImage, size: (u32, u32)) -> Result<RgbImage> {
     match image.dimensions() == size {
-        true => image,
-        false => resize(&image, size.0, size.1, FilterType::Triangle),
+        true => Ok(image),
+        false => scaled(&image, size),
     }
 }
 
@@ -122,14 +125,20 @@ fn attributes(topology: Topology, info: &LabelInfo) -> Attributes {
     }
 }
 
-fn frame(timestamp: f64, source: SourceFrame, label: LabelFrame, size: (u32, u32), topology: Topology) -> Frame {
+fn frame(
+    timestamp: f64,
+    source: SourceFrame,
+    label: LabelFrame,
+    size: (u32, u32),
+    topology: Topology,
+) -> Result<Frame> {
     let image = source.image.ok().and_then(|image| image.decode().ok());
     // Unreadable images are black and have no label.
     let image = image.unwrap_or_else(|| RgbImage::new(size.0, size.1));
-    let camera_ego_rgb = fitted(image, size);
+    let camera_ego_rgb = fitted(image, size)?;
     let contact_valid = vec![u8::from(label.touch.is_ok()); N_FIELD];
     let (force, contact) = label.into_values();
-    Frame {
+    Ok(Frame {
         timestamp,
         camera_ego_rgb,
         force_valid: force.iter().map(|force| u8::from(!force.is_nan())).collect(),
@@ -138,5 +147,5 @@ fn frame(timestamp: f64, source: SourceFrame, label: LabelFrame, size: (u32, u32
         validity: Validity::Valid,
         left_hand_pose: None,
         right_hand_pose: None,
-    }
+    })
 }

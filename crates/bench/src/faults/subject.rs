@@ -148,11 +148,9 @@ impl Subject {
                 words(&format!("sim generate poke hover --episodes 3 --jobs 2 --seed 3 --size 32 --out {}", self.out))
             }
             Kind::Train => words("train --config train.yaml"),
-            Kind::Experiment => words(&format!(
-                "experiment sources --seeds 1 --episodes 1 --held-out 1 --encoder-steps 2 --steps 2 \
-                 --work {0}/work --out {0}/tables",
-                self.out
-            )),
+            Kind::Experiment => {
+                words(&format!("experiment sources --quick --work {0}/work --out {0}/tables", self.out))
+            }
         }
     }
 
