@@ -139,6 +139,7 @@ impl ImportOutput {
             counts.count(&label);
             info.summary.counts.labelled -= counts.labelled;
             info.summary.counts.touched -= counts.touched;
+            info.summary.counts.known -= counts.known;
             let bins = info.summary.counts.confidence.iter_mut().zip(counts.confidence);
             bins.for_each(|(sum, lost)| *sum -= lost);
             let unit = self.reader.recording().name.clone();

@@ -288,7 +288,8 @@ mod tests {
 
     #[test]
     fn the_feature_is_the_mean_of_the_patch_tokens_without_cls() {
-        let tokens: Vec<f32> = vec![9.0, 9.0, 1.0, 2.0, 3.0, 6.0, /* second frame */ 0.0, 0.0, -1.0, 1.0, 1.0, 1.0];
+        let tokens: Vec<f32> =
+            vec![9.0, 9.0, 1.0, 2.0, 3.0, 6.0, /* second frame */ 0.0, 0.0, -1.0, 1.0, 1.0, 1.0];
         assert_eq!(features(&tokens, 3, 2), [2.0, 4.0, 0.0, 1.0]);
     }
 }

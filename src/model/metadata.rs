@@ -6,8 +6,8 @@ use std::path::Path;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::unknown::DoubtThresholds;
 use super::Config;
+use super::unknown::DoubtThresholds;
 use crate::error::{Error, Result};
 use crate::hand::Topology;
 use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
@@ -102,10 +102,8 @@ impl Metadata {
             ("training".into(), self.training.clone()),
         ]);
         let (own, default) = (self.doubt, DoubtThresholds::default());
-        let optional = [
-            (FAMILIARITY, own.familiarity, default.familiarity),
-            (PRESENCE, own.presence, default.presence),
-        ];
+        let optional =
+            [(FAMILIARITY, own.familiarity, default.familiarity), (PRESENCE, own.presence, default.presence)];
         // Files of before these keys keep their bytes.
         for (key, value, _) in optional.into_iter().filter(|(_, value, default)| value != default) {
             map.insert(key.into(), json(&value));

@@ -131,7 +131,8 @@ mod tests {
 
     #[test]
     fn unknown_touch_is_nan_zero_or_the_guess_and_the_other_hand_stays() {
-        let field = TactileField { topology: Topology::default(), force: vec![0.5; N_FIELD], contact: vec![0.75; N_FIELD] };
+        let field =
+            TactileField { topology: Topology::default(), force: vec![0.5; N_FIELD], contact: vec![0.75; N_FIELD] };
         for unknown in Unknown::ALL {
             let mut certainty = DoubtThresholds::default().judge(Some(0.9), [Some(0.1), Some(0.9)]);
             let mut formed = field.clone();

@@ -48,6 +48,7 @@ pub(crate) fn point_cloud(header: Header, field: &TactileField, hands: &[PosedHa
             points += 1;
         }
     }
+    let is_dense = field.force.iter().chain(&field.contact).all(|value| !value.is_nan());
     let point_step = 4 * FIELDS.len() as u32;
     let field = |(index, name): (u32, &str)| PointField {
         name: name.to_owned(),
@@ -64,7 +65,8 @@ pub(crate) fn point_cloud(header: Header, field: &TactileField, hands: &[PosedHa
         point_step,
         row_step: point_step * points,
         data,
-        is_dense: true,
+        // Force and contact of a hand whose touch is unknown are NaN.
+        is_dense,
     }
 }
 

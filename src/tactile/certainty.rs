@@ -48,7 +48,10 @@ impl Certainty {
 
     /// Returns the mask of a frame, (1556): 1 where [`Certainty::counts`].
     pub fn mask(&self) -> Vec<u8> {
-        Side::BOTH.iter().flat_map(|side| std::iter::repeat_n(u8::from(self.counts(*side)), side.range().len())).collect()
+        Side::BOTH
+            .iter()
+            .flat_map(|side| std::iter::repeat_n(u8::from(self.counts(*side)), side.range().len()))
+            .collect()
     }
 
     /// True if the frame is unfamiliar.

@@ -35,9 +35,7 @@ pub fn measure(
 ) -> Result<Familiarity> {
     let mut features = |dataset, parts: &Parts| features(model, dataset, parts, device, progress);
     let (training, held_out) = match held_out {
-        Some(held_out) => {
-            (features(training, &training.episodes())?, features(held_out, &held_out.episodes())?)
-        }
+        Some(held_out) => (features(training, &training.episodes())?, features(held_out, &held_out.episodes())?),
         None => {
             let (kept, out) = split(training.episodes());
             (features(training, &kept)?, features(training, &out)?)
