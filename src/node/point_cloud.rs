@@ -91,6 +91,21 @@ mod tests {
     }
 
     #[test]
+    fn a_cloud_with_unknown_touch_is_not_dense_and_touches_nowhere_there() {
+        let mut field = TactileField::zeros(Topology::EgotacHand1);
+        let hand = || PosedHand { side: Side::Right, vertices: vec![Vec3::ZERO; N_VERTICES] };
+        assert!(point_cloud(Header::default(), &field, &[hand()], 0.5).is_dense);
+        for values in [&mut field.force, &mut field.contact] {
+            values[Side::Right.range()].fill(f32::NAN);
+        }
+        let cloud = point_cloud(Header::default(), &field, &[hand()], 0.5);
+        assert!(!cloud.is_dense);
+        let touching =
+            cloud.data.chunks_exact(24).map(|point| f32::from_le_bytes([point[20], point[21], point[22], point[23]]));
+        assert!(touching.into_iter().all(|touching| touching == 0.0));
+    }
+
+    #[test]
     fn hands_at_rest_do_not_overlap_and_point_up() {
         let hands = rest_hands(&Side::BOTH.map(HandModel::builtin));
         let xs = |hand: &PosedHand| {

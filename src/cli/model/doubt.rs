@@ -1,13 +1,16 @@
 //! Command `egotac model doubt`.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use anyhow::Context;
 use serde_json::json;
 
 use crate::cli::doubt::Doubt;
-use crate::dataset::CONTACT_THRESHOLD;
 use crate::dataset::format::open_images;
+use crate::dataset::image_folder::ImageFolder;
+use crate::dataset::video::VideoFile;
+use crate::dataset::{CONTACT_THRESHOLD, Format, ImageSource};
 use crate::hand::Side;
 use crate::image::procedural::Picture;
 use crate::model::predictor::{Options, Prediction};
@@ -114,7 +117,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn of_recording(predictor: &mut Predictor, path: &PathBuf, is_data: bool) -> anyhow::Result<Row> {
-    let source = open_images(path, None).with_context(|| format!("{}: holds no images", path.display()))?;
+    let source: Arc<dyn ImageSource> = match Format::of(path) {
+        Some(Format::Images) => Arc::new(ImageFolder::open(path, predictor.metadata().frame_dt)?),
+        Some(Format::Video) => Arc::new(VideoFile::open(path)?),
+        _ => open_images(path, None).with_context(|| format!("{}: holds no images", path.display()))?,
+    };
     let mut row = Row::new(path.display().to_string(), is_data);
     for unit in 0..source.units().len() {
         predictor.reset();
