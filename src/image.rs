@@ -1,6 +1,8 @@
 //! Preparation of images for the network: decode, resize, normalise.
 
 mod bayer;
+#[doc(hidden)]
+pub mod procedural;
 mod raw;
 pub mod rectify;
 

@@ -17,6 +17,7 @@ use crate::model::Precision;
 use crate::score::metrics::{self, Comparison, EvalOptions, Intervals, Metrics, VertexGroup};
 use crate::tactile::TactileSequence;
 
+use super::doubt::Doubt;
 use super::hands::Hands;
 use groups::Grouping;
 
@@ -98,6 +99,8 @@ pub struct Args {
     json: bool,
     #[command(flatten)]
     hands: Hands,
+    #[command(flatten)]
+    doubt: Doubt,
 }
 
 /// Definition of the scores.
@@ -118,8 +121,28 @@ struct Case {
     baselines: Vec<(&'static str, TactileSequence)>,
     /// Age of the truth that `persistence` repeats, s; None = one frame.
     lag: Option<f64>,
+    /// Share of the hands of all frames that the prediction leaves unknown and scores leave out; None if it says nothing.
+    unknown: Option<f64>,
     /// Store and scene of each episode; empty if they are not known.
     origins: Vec<groups::Origin>,
+}
+
+impl Case {
+    /// Masks the truth where the prediction's own masks say that it is unknown, and counts these entries.
+    fn leave_out_unknown(&mut self) {
+        let entries = self.pred.force.len().max(1);
+        let pairs = [
+            (&self.pred.mask_force, &mut self.target.mask_force),
+            (&self.pred.mask_contact, &mut self.target.mask_contact),
+        ];
+        for (known, mask) in pairs.into_iter().filter(|(known, _)| !known.is_empty()) {
+            mask.resize(entries, 1);
+            mask.iter_mut().zip(known).for_each(|(mask, known)| *mask &= known);
+        }
+        let known = &self.pred.mask_contact;
+        let unknown = known.iter().filter(|known| **known == 0).count();
+        self.unknown = (!known.is_empty()).then_some(unknown as f64 / entries as f64);
+    }
 }
 
 /// Results of the command.
@@ -128,6 +151,7 @@ struct Scored {
     intervals: Intervals,
     baselines: Vec<(&'static str, Metrics)>,
     lag: Option<f64>,
+    unknown: Option<f64>,
     groups: Vec<groups::Scored>,
     against: Option<Comparison>,
     options: EvalOptions,
@@ -141,6 +165,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         (None, None, Some(checkpoint)) => cases::of_checkpoint(&args, checkpoint)?,
         _ => bail!("give --pred and --target, or --checkpoint and --data"),
     };
+    case.leave_out_unknown();
     let TactileSequence { mask_force, mask_contact, .. } = &case.target;
     if [mask_force, mask_contact].iter().all(|mask| !mask.is_empty() && !mask.contains(&1)) {
         bail!("the truth has no supervised force or contact to score; `egotac data info` tells what a store holds");
@@ -192,5 +217,5 @@ fn score(args: &Args, groupings: &[Grouping], case: &mut Case) -> anyhow::Result
         None => None,
     };
     let options = case.options.clone();
-    Ok(Scored { metrics, intervals, baselines, lag: case.lag, groups: scored, against, options })
+    Ok(Scored { metrics, intervals, baselines, lag: case.lag, unknown: case.unknown, groups: scored, against, options })
 }

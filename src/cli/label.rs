@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use super::doubt::Doubt;
 use super::labelling::{Work, shard};
 use crate::dataset::Provenance;
 use crate::dataset::mcap::TOPIC;
@@ -73,13 +74,18 @@ pub struct Args {
     /// JSON file for the closing summary; `-` prints JSON instead of text.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
+    #[command(flatten)]
+    doubt: Doubt,
 }
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
     let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..Default::default() };
-    let mut predictor = Predictor::load(&path, options)?;
+    let mut predictor = Predictor::load(&path, args.doubt.apply(options))?;
+    if let Some(warning) = predictor.warning() {
+        eprintln!("warning: {warning}");
+    }
     let options = FormatOptions {
         to: args.to,
         fps: args.fps,

@@ -3,6 +3,7 @@
 mod data;
 mod demo;
 mod doctor;
+mod doubt;
 mod eval;
 mod external;
 mod hand;

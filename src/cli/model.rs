@@ -2,6 +2,7 @@
 
 mod attention;
 mod convert;
+mod doubt;
 mod familiarity;
 
 use std::collections::{BTreeMap, HashMap};
@@ -38,6 +39,8 @@ enum Command {
     Half(convert::Half),
     /// Measure the features of training images, so that a checkpoint tells images unlike them.
     Familiarity(familiarity::Args),
+    /// Show what a network knows and does not know of recordings, and of pictures that hold no hand.
+    Doubt(doubt::Args),
     /// Print geometry, parameter count, metadata and hash of a checkpoint.
     Info(Info),
 }
@@ -80,6 +83,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Grow(args) => convert::grow(&args)?,
         Command::Half(args) => convert::half(&args)?,
         Command::Familiarity(args) => familiarity::run(&args)?,
+        Command::Doubt(args) => doubt::run(&args)?,
         Command::Info(args) => info(&args)?,
     }
     Ok(ExitCode::SUCCESS)

@@ -8,11 +8,12 @@ use std::sync::Arc;
 use anyhow::{Context, bail};
 use indicatif::ProgressBar;
 
+use super::doubt::Doubt;
 use crate::dataset::image_folder::{ImageFolder, image_files, is_image};
 use crate::dataset::source::SourceChain;
 use crate::dataset::tensors::TensorOutput;
 use crate::dataset::zarr::{Store, StoreLocation};
-use crate::dataset::{ImageSource, Provenance, UnlabelledImage};
+use crate::dataset::{ImageSource, LabelSummary, Provenance, UnlabelledImage};
 use crate::label::{Job, LabelTiming, Outcome, Shard};
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
@@ -21,7 +22,8 @@ use crate::model::{Precision, Predictor, shipped};
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "The file holds force (T, 1556) in N, contact (T, 1556) as probability, timestamps (T) in s and \
-    episode_ends, ready for `egotac eval`. Vertices: left hand 0..777, right hand 778..1555; the metadata's `topology` \
+    episode_ends; of a network that judges its images also mask_force, mask_contact (T, 1556), familiarity (T) and presence \
+    (T, 2); ready for `egotac eval`. Vertices: left hand 0..777, right hand 778..1555; the metadata's `topology` \
     defines the meaning of an index. `egotac label --to tensors` writes the same arrays for every format."
 )]
 pub struct Args {
@@ -44,15 +46,20 @@ pub struct Args {
     /// Number format of the network: f32, bf16 or int8.
     #[arg(long, default_value = "f32")]
     precision: Precision,
+    #[command(flatten)]
+    doubt: Doubt,
 }
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let path = args.checkpoint.map_or_else(shipped::path, Ok)?;
     let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..stream() };
-    let mut predictor = Predictor::load(&path, options)?;
+    let mut predictor = Predictor::load(&path, args.doubt.apply(options))?;
+    if let Some(warning) = predictor.warning() {
+        eprintln!("warning: {warning}");
+    }
     let files = images(&args.data)?;
-    let frames = match files.is_empty() {
+    let summary = match files.is_empty() {
         true => predict_stores(&args.data, &mut predictor, args.precision, &args.out)?,
         false => {
             let step = args.fps.map_or(predictor.metadata().frame_dt, |fps| 1.0 / fps);
@@ -61,7 +68,10 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
             predict(source, name, &mut predictor, args.precision, &args.out)?
         }
     };
-    println!("{}: {frames} frames", args.out.display());
+    println!("{}: {} frames", args.out.display(), summary.counts.frames);
+    if let Some(warning) = summary.warning() {
+        eprintln!("warning: {warning}");
+    }
     Ok(ExitCode::SUCCESS)
 }
 
@@ -70,13 +80,13 @@ pub(super) fn stream() -> Options {
     Options { max_gap_secs: Some(f64::MAX), ..Options::default() }
 }
 
-/// Predicts touch for all stores that `paths` name, one behind the other. Returns the number of frames.
+/// Predicts touch for all stores that `paths` name, one behind the other. Returns the summary.
 pub(super) fn predict_stores(
     paths: &[PathBuf],
     predictor: &mut Predictor,
     precision: Precision,
     out: &Path,
-) -> anyhow::Result<u64> {
+) -> anyhow::Result<LabelSummary> {
     let mut sources: Vec<(String, Arc<dyn ImageSource>)> = Vec::new();
     for path in paths {
         for place in StoreLocation::find(path)? {
@@ -90,14 +100,14 @@ pub(super) fn predict_stores(
 
 /// Predicts touch for every image of `source` and writes the field file `out`, as `egotac label --to tensors` does, but
 /// replaces an existing file, resumes no earlier run, and fails at an image that can't be labelled, which `name` names.
-/// Returns the number of frames.
+/// Returns the summary.
 fn predict(
     source: Arc<dyn ImageSource>,
     name: impl Fn(&UnlabelledImage) -> String,
     predictor: &mut Predictor,
     precision: Precision,
     out: &Path,
-) -> anyhow::Result<u64> {
+) -> anyhow::Result<LabelSummary> {
     let out = out.canonicalize().unwrap_or_else(|_| out.to_path_buf());
     // A pipe or device, such as /dev/stdout, can't be replaced: copy the finished file to it.
     let device = out.metadata().is_ok_and(|there| !there.is_file() && !there.is_dir());
@@ -138,7 +148,7 @@ fn predict(
         }
         false => fs::rename(&job.out, &out).with_context(named)?,
     }
-    Ok(info.summary.counts.frames)
+    Ok(info.summary)
 }
 
 /// Returns the image files that `paths` name, the files of a folder in natural order; empty if the paths are stores.

@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::provenance::CONTACT_THRESHOLD;
-use crate::tactile::{N_FIELD, TactileField};
+use crate::hand::Side;
+use crate::tactile::{Certainty, Doubt, N_FIELD, TactileField};
 
 /// Number of bins of the confidence histogram: 0.5 to 0.6, ..., 0.9 to 1.
 const BINS: usize = 5;
@@ -17,6 +18,8 @@ pub struct LabelFrame {
     pub warming_up: bool,
     /// Force and contact, or the reason why there are none.
     pub touch: std::result::Result<TactileField, String>,
+    /// Certainty of the network about the image.
+    pub certainty: Certainty,
     /// Further numbers of a labelled image, such as distances; the same number of them in all images of a journal.
     pub further: Vec<f32>,
 }
@@ -24,7 +27,25 @@ pub struct LabelFrame {
 impl LabelFrame {
     /// Creates the label of an image that can't be labelled for `reason`.
     pub fn without(stamp_secs: f64, reason: String) -> Self {
-        Self { stamp_secs, warming_up: false, touch: Err(reason), further: Vec::new() }
+        let certainty = Certainty::default();
+        Self { stamp_secs, warming_up: false, touch: Err(reason), certainty, further: Vec::new() }
+    }
+
+    /// Returns familiarity, and presence of the left and the right hand; NaN = not estimated.
+    pub fn estimates(&self) -> [f32; 3] {
+        let Certainty { familiarity, presence: [left, right], .. } = self.certainty;
+        [familiarity, left, right].map(|estimate| estimate.unwrap_or(f32::NAN))
+    }
+
+    /// Returns the masks of force and contact, (1556) each: 0 where they are unknown.
+    pub fn masks(&self) -> [Vec<u8>; 2] {
+        match &self.touch {
+            Ok(field) => [&field.force, &field.contact].map(|values| {
+                let mask = self.certainty.mask();
+                mask.iter().zip(values).map(|(mask, value)| mask * u8::from(!value.is_nan())).collect()
+            }),
+            Err(_) => [vec![0; N_FIELD], vec![0; N_FIELD]],
+        }
     }
 
     /// Returns force and contact, (1556) each; NaN without a label.
@@ -45,11 +66,22 @@ pub struct LabelCounts {
     pub labelled: u64,
     /// Number of images whose window was not full yet.
     pub warming_up: u64,
-    /// Number of vertices of labelled images whose contact is known by confidence, the larger of the probabilities of touch and no touch: 0.5 to
-    /// 0.6, 0.6 to 0.7, and so on.
+    /// Number of touched vertices of labelled images by the probability of touch: 0.5 to 0.6, 0.6 to 0.7, and so on.
     pub confidence: [u64; BINS],
     /// Number of touched vertices of labelled images.
     pub touched: u64,
+    /// Number of vertices of labelled images whose contact is known.
+    #[serde(default)]
+    pub known: u64,
+    /// Number of labelled images whose familiarity is known.
+    #[serde(default)]
+    pub judged: u64,
+    /// Number of labelled images that are unlike those of the training.
+    #[serde(default)]
+    pub unfamiliar: u64,
+    /// Number of familiar images without the left and without the right hand.
+    #[serde(default)]
+    pub absent: [u64; 2],
 }
 
 impl LabelCounts {
@@ -59,11 +91,22 @@ impl LabelCounts {
         self.warming_up += u64::from(label.warming_up);
         let Ok(field) = &label.touch else { return };
         self.labelled += 1;
-        for contact in field.contact.iter().filter(|contact| !contact.is_nan()) {
-            let confidence = contact.max(1.0 - contact);
-            let bin = ((confidence - 0.5) * 2.0 * BINS as f32) as usize;
-            self.confidence[bin.min(BINS - 1)] += 1;
-            self.touched += u64::from(f64::from(*contact) > CONTACT_THRESHOLD);
+        let certainty = &label.certainty;
+        self.judged += u64::from(certainty.familiarity.is_some());
+        self.unfamiliar += u64::from(certainty.is_unfamiliar());
+        for side in Side::BOTH {
+            self.absent[side as usize] += u64::from(certainty.doubt[side as usize] == Some(Doubt::Absent));
+            if !certainty.counts(side) {
+                continue;
+            }
+            for contact in field.contact[side.range()].iter().filter(|contact| !contact.is_nan()) {
+                self.known += 1;
+                if f64::from(*contact) > CONTACT_THRESHOLD {
+                    self.touched += 1;
+                    let bin = ((contact - 0.5) * 2.0 * BINS as f32) as usize;
+                    self.confidence[bin.min(BINS - 1)] += 1;
+                }
+            }
         }
     }
 
@@ -73,6 +116,10 @@ impl LabelCounts {
         self.labelled += other.labelled;
         self.warming_up += other.warming_up;
         self.touched += other.touched;
+        self.known += other.known;
+        self.judged += other.judged;
+        self.unfamiliar += other.unfamiliar;
+        self.absent.iter_mut().zip(other.absent).for_each(|(sum, more)| *sum += more);
         self.confidence.iter_mut().zip(other.confidence).for_each(|(sum, more)| *sum += more);
     }
 }

@@ -12,6 +12,9 @@ const LISTED: usize = 1000;
 /// Largest number of unlabelled images, and of lost stretches, that the text shows.
 const SHOWN: usize = 20;
 
+/// Share of unfamiliar images above which the summary warns.
+const MANY_UNFAMILIAR: f64 = 0.1;
+
 /// Description of labels; every output holds one under [`super::PROVENANCE_KEY`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LabelInfo {
@@ -64,23 +67,55 @@ impl LabelSummary {
         self.counts.labelled == self.counts.frames && self.lost.is_empty()
     }
 
+    /// Returns a warning if more than a tenth of the images are unlike those of the training.
+    pub fn warning(&self) -> Option<String> {
+        let LabelCounts { judged, unfamiliar, .. } = self.counts;
+        let share = unfamiliar as f64 / judged.max(1) as f64;
+        (share > MANY_UNFAMILIAR).then(|| {
+            format!(
+                "{:.1} % of the images are unlike those that the network was trained on: it does not know touch in these, \
+                 and its labels of the others deserve a look",
+                100.0 * share
+            )
+        })
+    }
+
+    /// Returns the lines about unfamiliar images and absent hands; empty if the network judges no images.
+    fn certainty_text(&self) -> String {
+        let LabelCounts { judged, unfamiliar, absent, .. } = self.counts;
+        if judged == 0 && absent == [0, 0] {
+            return String::new();
+        }
+        let share = |part: u64, whole: u64| 100.0 * part as f64 / whole.max(1) as f64;
+        let mut text = format!("\nunfamiliar: {:.1} % of the images", share(unfamiliar, judged));
+        let familiar = self.counts.labelled - unfamiliar.min(self.counts.labelled);
+        if absent != [0, 0] {
+            let [left, right] = absent.map(|absent| share(absent, familiar));
+            text += &format!("; of the others, no left hand in {left:.1} %, no right hand in {right:.1} %");
+        }
+        if let Some(warning) = self.warning() {
+            text += &format!("\nwarning: {warning}");
+        }
+        text
+    }
+
     /// Returns the summary as text, one fact per line.
     pub fn text(&self) -> String {
         let share = |part: u64, whole: u64| 100.0 * part as f64 / whole.max(1) as f64;
-        let LabelCounts { frames, labelled, warming_up, confidence, touched } = &self.counts;
-        let entries = confidence.iter().sum();
+        let LabelCounts { frames, labelled, warming_up, confidence, touched, known, .. } = &self.counts;
         let mut text = format!(
             "{labelled} of {frames} images labelled ({:.1} %), {warming_up} of them before the window was full\n{:.3} % of the vertices touched",
             share(*labelled, *frames),
-            share(*touched, entries)
+            share(*touched, *known)
         );
-        if entries > 0 {
-            text += "; confidence";
+        if *touched > 0 {
+            text += "; probability of touch on these";
             for (bin, count) in confidence.iter().enumerate() {
                 let (low, high) = (0.5 + 0.1 * bin as f64, 0.6 + 0.1 * bin as f64);
-                text += &format!(" {low:.1}-{high:.1}: {:.2} %", share(*count, entries));
+                text += &format!(" {low:.1}-{high:.1}: {:.2} %", share(*count, *touched));
             }
         }
+        text += &self.certainty_text();
         for fault in self.faults.iter().take(SHOWN) {
             let line = format!("no label: {}, image {}: {}", fault.unit, fault.frame, fault.reason);
             text += &format!("\n{}", printable_name(&line));

@@ -42,7 +42,7 @@ pub use label_frame::LabelFrame;
 pub use label_info::{LabelInfo, LabelSummary, UnlabelledImage};
 pub use labelled::Labelled;
 pub use labels::{LabelOutput, SourceLabels};
-pub use provenance::{CONTACT_THRESHOLD, PROVENANCE_KEY, Provenance, Thresholds};
+pub use provenance::{CONTACT_THRESHOLD, DoubtRule, PROVENANCE_KEY, Provenance, Thresholds};
 pub use source::LostBytes;
 pub use source::{ImageSource, SourceFrame, SourceFrames, Unit};
 

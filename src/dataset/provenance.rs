@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::identity::InputIdentity;
 use crate::hand::Topology;
-use crate::model::{Precision, Predictor};
-use crate::tactile::CONTACT_FORCE_N;
+use crate::model::{DoubtThresholds, Precision, Predictor, Unknown};
+use crate::tactile::{CONTACT_FORCE_N, TactileField};
 use crate::text;
 
 /// Name under which outputs hold a [`super::LabelInfo`]: an attribute of a store, a metadata record of a bag, and so on.
@@ -38,6 +38,9 @@ pub struct Provenance {
     pub has_force: bool,
     /// Thresholds of contact.
     pub thresholds: Thresholds,
+    /// Rule for touch that is unknown; None = whoever made the labels judges no images.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub doubt: Option<DoubtRule>,
     /// The input's name, and the choices that decide which images are read and how.
     pub source: Vec<String>,
     /// Identity of the input; None in outputs of versions before this field.
@@ -52,6 +55,46 @@ pub struct Thresholds {
     pub contact: f64,
     /// True force above which a vertex is touched, N.
     pub contact_force: f64,
+}
+
+/// Rule for touch that is unknown.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct DoubtRule {
+    /// Familiarity of an image below which touch is unknown; None = not estimated.
+    pub familiarity: Option<f32>,
+    /// Presence of a hand below which its touch is unknown; None = not estimated.
+    pub presence: Option<f32>,
+    /// Form of touch that is unknown.
+    pub unknown: Unknown,
+}
+
+impl DoubtRule {
+    /// Returns the rule of a predictor; None if it judges no images.
+    pub fn of(predictor: &Predictor) -> Option<Self> {
+        let (doubt, unknown) = (predictor.metadata().doubt, predictor.unknown());
+        let familiarity = predictor.estimates_familiarity().then_some(doubt.familiarity);
+        let presence = predictor.estimates_presence().then_some(doubt.presence);
+        (familiarity.is_some() || presence.is_some()).then_some(Self { familiarity, presence, unknown })
+    }
+
+    /// True if familiarity and if presence are estimated, and so stand beside the labels.
+    pub(crate) fn estimates(rule: Option<&Self>) -> [bool; 2] {
+        rule.map_or([false; 2], |rule| [rule.familiarity.is_some(), rule.presence.is_some()])
+    }
+
+    /// Makes touch NaN where it is unknown but written in another form, given a frame's estimates (NaN = not estimated):
+    /// zeros, which formats without a mask can't tell from the absence of touch.
+    pub(crate) fn hide(&self, field: &mut TactileField, familiarity: f32, presence: [f32; 2]) {
+        if self.unknown != Unknown::Zero {
+            return;
+        }
+        let estimate = |value: f32| (!value.is_nan()).then_some(value);
+        let Self { familiarity: least_familiarity, presence: least_presence, .. } = *self;
+        let thresholds =
+            DoubtThresholds { familiarity: least_familiarity.unwrap_or(0.0), presence: least_presence.unwrap_or(0.0) };
+        let mut certainty = thresholds.judge(estimate(familiarity), presence.map(estimate));
+        Unknown::Nan.apply(field, &mut certainty);
+    }
 }
 
 impl Provenance {
@@ -78,6 +121,7 @@ impl Provenance {
                 // The shortest decimal: 0.05, not the f32 nearest to it.
                 contact_force: CONTACT_FORCE_N.to_string().parse().unwrap_or(f64::from(CONTACT_FORCE_N)),
             },
+            doubt: DoubtRule::of(predictor),
             source,
             input: None,
         }

@@ -5,6 +5,7 @@
 //! | `force` | (T, 1556) N | `mano_force` |
 //! | `contact` | (T, 1556) probability or truth | `mano_contact`, `mano_contact_score` |
 //! | `mask_force`, `mask_contact` | (T, 1556), optional | `mano_force_valid`, `mano_contact_valid` |
+//! | `familiarity`, `presence` | (T) and (T, 2), optional | |
 //! | `timestamps` | (T) s, optional | |
 //! | `episode_ends` | (E), optional | |
 //!
@@ -59,6 +60,11 @@ pub fn read(path: &Path) -> Result<TactileSequence> {
         let expected = if name == "timestamps" { n_frames } else { tensor.shape().iter().product() };
         numbers(name, &tensor, &[expected]).map_err(|e| Error::file(path, e))
     };
+    let estimates = |name: &str, row: &[usize]| -> Result<Vec<f32>> {
+        let Ok(tensor) = tensors.tensor(name) else { return Ok(Vec::new()) };
+        let values = numbers(name, &tensor, &[&[n_frames], row].concat()).map_err(|e| Error::file(path, e))?;
+        Ok(values.into_iter().map(|x| x as f32).collect())
+    };
     let fields = match (field(force)?.map(f32s), field(contact)?.map(f32s)) {
         (Some(force), Some(contact)) => TactileSequence { topology, force, contact, ..Default::default() },
         (Some(force), None) => TactileSequence::from_force(topology, force),
@@ -72,6 +78,8 @@ pub fn read(path: &Path) -> Result<TactileSequence> {
     Ok(TactileSequence {
         mask_force: mask(&["mask_force", "mano_force_valid"])?,
         mask_contact: mask(&["mask_contact", "mano_contact_valid"])?,
+        familiarity: estimates("familiarity", &[])?,
+        presence: estimates("presence", &[2])?,
         timestamps: row("timestamps")?,
         episode_ends: ends(row("episode_ends")?)?,
         ..fields
@@ -93,6 +101,13 @@ pub fn write(path: &Path, sequence: &TactileSequence, mut metadata: BTreeMap<Str
     for (name, mask) in [("mask_force", sequence.counted_force()), ("mask_contact", sequence.counted_contact())] {
         if !mask.is_empty() {
             tensors.push((name, Dtype::U8, field.to_vec(), mask.into_owned()));
+        }
+    }
+    let estimates =
+        [("familiarity", &sequence.familiarity, vec![n_frames]), ("presence", &sequence.presence, vec![n_frames, 2])];
+    for (name, values, shape) in estimates {
+        if !values.is_empty() {
+            tensors.push((name, Dtype::F32, shape, bytes(values)));
         }
     }
     if !sequence.timestamps.is_empty() {

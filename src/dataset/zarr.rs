@@ -61,6 +61,10 @@ pub const MANO_CONTACT: &str = "data/mano_contact";
 pub const MANO_CONTACT_SCORE: &str = "data/mano_contact_score";
 /// 1 where the force is supervised, (T, 1556) u8.
 pub const MANO_FORCE_VALID: &str = "data/mano_force_valid";
+/// Likeness of each image to the training's, (T).
+pub const FAMILIARITY: &str = "data/familiarity";
+/// Presence of left and right hand, (T, 2).
+pub const PRESENCE: &str = "data/presence";
 /// 1 where the contact is supervised, (T, 1556) u8.
 pub const MANO_CONTACT_VALID: &str = "data/mano_contact_valid";
 /// Contact by distance: 1 where the surface of an object is within 1 cm, (T, 1556) u8.

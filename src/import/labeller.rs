@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::geometry::PROXIMITY;
 use crate::hand::{Fit, Side, Topology};
 use crate::label::{InferenceTiming, Journal, Labeller};
-use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileField};
+use crate::tactile::{CONTACT_FORCE_N, Certainty, N_FIELD, TactileField};
 
 /// Number of labels in a journal block.
 const BLOCK: usize = 64;
@@ -208,7 +208,13 @@ impl Labeller for GeometryLabeller<'_> {
                 let (field, distances) = labelled(&moment, &posed, &forces, &shapes, self.rule, topology);
                 let known = Known::new(&moment, &posed, hands, recording, distances);
                 let further = Known { lost: lost(recording, &forces), ..known }.into_values();
-                Ok(LabelFrame { stamp_secs: moment.stamp_secs, warming_up: false, touch: Ok(field), further })
+                Ok(LabelFrame {
+                    stamp_secs: moment.stamp_secs,
+                    warming_up: false,
+                    touch: Ok(field),
+                    further,
+                    certainty: Certainty::default(),
+                })
             });
             if index < first {
                 continue;

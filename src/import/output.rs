@@ -151,6 +151,7 @@ impl ImportOutput {
             counts.count(&label);
             info.summary.counts.labelled -= counts.labelled;
             info.summary.counts.touched -= counts.touched;
+            info.summary.counts.known -= counts.known;
             let bins = info.summary.counts.confidence.iter_mut().zip(counts.confidence);
             bins.for_each(|(sum, lost)| *sum -= lost);
             let unit = self.reader.recording().name.clone();
@@ -175,8 +176,8 @@ impl ImportOutput {
 
     /// Reads an image of a further view. One that can't be read is black, and listed.
     fn further_image(&self, view: &'static str, size: (u32, u32), index: usize, info: &mut LabelInfo) -> RgbImage {
-        match self.reader.further_image(view, index) {
-            Ok(image) => fitted(image, size),
+        match self.reader.further_image(view, index).and_then(|image| fitted(image, size)) {
+            Ok(image) => image,
             Err(error) => {
                 let unit = self.reader.recording().name.clone();
                 let fault = UnlabelledImage { unit, frame: index as u64, reason: error.to_string() };

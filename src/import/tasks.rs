@@ -154,6 +154,7 @@ impl Settings {
                 contact: CONTACT_THRESHOLD,
                 contact_force: CONTACT_FORCE_N.to_string().parse().unwrap_or(f64::from(CONTACT_FORCE_N)),
             },
+            doubt: None,
             source,
             input: None,
         }

@@ -105,7 +105,8 @@ fn label_unit(
                 let prediction = prediction?;
                 recent.push(index, &prediction);
                 let warming_up = prediction.warming_up;
-                LabelFrame { stamp_secs, warming_up, touch: Ok(prediction.field), further: Vec::new() }
+                let certainty = prediction.certainty;
+                LabelFrame { stamp_secs, warming_up, touch: Ok(prediction.field), certainty, further: Vec::new() }
             }
             Err(reason) => LabelFrame::without(stamp_secs, reason),
         };

@@ -1,8 +1,8 @@
 //! Journal of one unit: an append-only file of labels that survives a killed process.
 //!
 //! A block holds, in this order: its length (u64), the CRC-32 of all that follows (u32), the length of its head (u32), the
-//! head in JSON, and the compressed labels (1556 forces, 1556 contacts and further numbers per labelled image, little-endian f32). A block
-//! that a killed process left incomplete fails the length or checksum test; it ends the journal, and the next process
+//! head in JSON, and the compressed labels (1556 forces, 1556 contacts, 4 numbers of certainty and further numbers per labelled image,
+//! little-endian f32). A block that a killed process left incomplete fails the length or checksum test; it ends the journal, and the next process
 //! truncates the file there. Heads hold everything but the fields: counts, faults and the source's notes, so that summaries
 //! and copies need no decompression.
 
@@ -17,12 +17,14 @@ use crate::error::{Error, Result};
 use crate::file::turn::turn;
 use crate::file::{self, input};
 use crate::hand::Topology;
-use crate::tactile::{N_FIELD, TactileField};
+use crate::tactile::{Certainty, N_FIELD, TactileField};
 
 /// Size of a block before its head, bytes.
 const PREFIX: usize = 16;
 /// Upper limit of a block's length, bytes: a larger one is damage, and must not be allocated.
 const LARGEST: u64 = 1 << 30;
+/// Number of values of an image before the further ones.
+const OWN_VALUES: usize = 2 * N_FIELD + Certainty::VALUES;
 /// Level of zstd: the fastest, since the network waits for it.
 const LEVEL: i32 = 1;
 
@@ -135,7 +137,8 @@ impl Journal {
             Ok(field) => {
                 debug_assert!(self.head.further == 0 || self.head.further == label.further.len());
                 self.head.further = label.further.len();
-                let values = field.force.iter().chain(&field.contact).chain(&label.further);
+                let certainty = label.certainty.to_values();
+                let values = field.force.iter().chain(&field.contact).chain(&certainty).chain(&label.further);
                 self.fields.extend(values.flat_map(|value| value.to_le_bytes()));
             }
             Err(reason) => self.head.faults.push((place, reason.clone())),
@@ -197,7 +200,7 @@ impl JournalLabels {
         let labelled = head.stamps.len() - head.faults.len().min(head.stamps.len());
         let damaged = || Error::file(&self.path, format!("{} further numbers per label", head.further));
         let frame =
-            head.further.checked_mul(4).and_then(|size| size.checked_add(2 * N_FIELD * 4)).ok_or_else(damaged)?;
+            head.further.checked_mul(4).and_then(|size| size.checked_add(OWN_VALUES * 4)).ok_or_else(damaged)?;
         if frame.checked_mul(labelled).is_none_or(|size| size as u64 > LARGEST) {
             return Err(damaged());
         }
@@ -213,8 +216,9 @@ impl JournalLabels {
             labels.push(match faults.next_if(|(at, _)| *at == place) {
                 Some((_, reason)) => LabelFrame { warming_up, ..LabelFrame::without(stamp_secs, reason) },
                 None => {
-                    let (field, further) = field(values.next().unwrap_or_default(), self.topology);
-                    LabelFrame { stamp_secs, warming_up, touch: Ok(field), further }
+                    let values = values.next().unwrap_or_default();
+                    let (field, certainty, further) = field(values, self.topology).ok_or_else(damaged)?;
+                    LabelFrame { stamp_secs, warming_up, touch: Ok(field), certainty, further }
                 }
             });
         }
@@ -266,12 +270,13 @@ impl Iterator for JournalHeads {
     }
 }
 
-/// Decodes the field of one image, and its further numbers.
-fn field(bytes: &[u8], topology: Topology) -> (TactileField, Vec<f32>) {
+/// Decodes the field of one image, its certainty and its further numbers; None if they are damaged.
+fn field(bytes: &[u8], topology: Topology) -> Option<(TactileField, Certainty, Vec<f32>)> {
     let mut force: Vec<f32> = bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
     let mut contact = force.split_off(N_FIELD.min(force.len()));
-    let further = contact.split_off(N_FIELD.min(contact.len()));
-    (TactileField { topology, force, contact }, further)
+    let mut certainty = contact.split_off(N_FIELD.min(contact.len()));
+    let further = certainty.split_off(Certainty::VALUES.min(certainty.len()));
+    Some((TactileField { topology, force, contact }, Certainty::from_values(&certainty)?, further))
 }
 
 /// Reads the next valid block: head, compressed fields, size in bytes. None at the end, or where damage begins.
@@ -323,7 +328,8 @@ mod tests {
         field.force[index] = 0.1 * index as f32;
         field.contact[N_FIELD - 1 - index] = 0.25;
         let further = vec![index as f32, -0.5];
-        LabelFrame { stamp_secs: 1.0 / 3.0 + index as f64, warming_up: index < 2, touch: Ok(field), further }
+        let certainty = Certainty { familiarity: Some(0.1 * index as f32), ..Certainty::default() };
+        LabelFrame { stamp_secs: 1.0 / 3.0 + index as f64, warming_up: index < 2, touch: Ok(field), certainty, further }
     }
 
     fn write(path: &Path, frames: std::ops::Range<usize>) {

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, Region, Side, Topology};
-use crate::tactile::{TactileField, Validity};
+use crate::tactile::{Certainty, TactileField, Validity};
 
 impl HandTactile {
     /// Creates the message of one hand of a field.
@@ -50,6 +50,17 @@ impl TactileFrame {
             familiarity: f32::NAN,
             reason: String::new(),
         })
+    }
+
+    /// Sets familiarity, presence of the hands and reason to those of a network's certainty.
+    #[must_use]
+    pub fn with_certainty(mut self, certainty: &Certainty) -> Self {
+        self.familiarity = certainty.familiarity.unwrap_or(f32::NAN);
+        for (hand, presence) in self.hands.iter_mut().zip(certainty.presence) {
+            hand.score = presence.unwrap_or(f32::NAN);
+        }
+        self.reason = certainty.reason();
+        self
     }
 
     /// Returns the field of both hands; a hand that is missing from the message is zero.

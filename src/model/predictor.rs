@@ -140,6 +140,11 @@ impl Predictor {
         self.checkpoint.familiarity.is_some()
     }
 
+    /// True if the checkpoint can tell absent hands.
+    pub fn estimates_presence(&self) -> bool {
+        false
+    }
+
     /// Returns a warning for people if the checkpoint lacks an estimate of what it does not know; None if it has all.
     pub fn warning(&self) -> Option<String> {
         let missing = (!self.estimates_familiarity()).then_some("how familiar an image is")?;

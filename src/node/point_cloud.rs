@@ -25,6 +25,7 @@ pub(crate) fn point_cloud(header: Header, field: &TactileField, hands: &[PlacedH
             points += 1;
         }
     }
+    let is_dense = field.force.iter().chain(&field.contact).all(|value| !value.is_nan());
     let point_step = 4 * FIELDS.len() as u32;
     let field = |(index, name): (u32, &str)| PointField {
         name: name.to_owned(),
@@ -41,7 +42,8 @@ pub(crate) fn point_cloud(header: Header, field: &TactileField, hands: &[PlacedH
         point_step,
         row_step: point_step * points,
         data,
-        is_dense: true,
+        // Force and contact of a hand whose touch is unknown are NaN.
+        is_dense,
     }
 }
 
@@ -65,5 +67,23 @@ mod tests {
             .map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
             .collect();
         assert_eq!(point, [2.0, 0.0, -1.0, 1.5, 0.75, 1.0]);
+    }
+
+    #[test]
+    fn a_cloud_with_unknown_touch_is_not_dense_and_touches_nowhere_there() {
+        let mut field = TactileField::zeros(Topology::EgotacHand1);
+        let hand = || {
+            let posed = HandModel::builtin(Side::Right).forward(&HandParams::default());
+            PlacedHand { side: Side::Right, posed }
+        };
+        assert!(point_cloud(Header::default(), &field, &[hand()], 0.5).is_dense);
+        for values in [&mut field.force, &mut field.contact] {
+            values[Side::Right.range()].fill(f32::NAN);
+        }
+        let cloud = point_cloud(Header::default(), &field, &[hand()], 0.5);
+        assert!(!cloud.is_dense);
+        let touching =
+            cloud.data.chunks_exact(24).map(|point| f32::from_le_bytes([point[20], point[21], point[22], point[23]]));
+        assert!(touching.into_iter().all(|touching| touching == 0.0));
     }
 }

@@ -21,7 +21,7 @@ td.number { text-align: right; font-variant-numeric: tabular-nums; }
 figure { display: inline-block; margin: 0 8px 14px 0; } figcaption { color: #555; font-size: 0.85em; }
 img { height: 200px; margin-right: 4px; } svg { width: 100%; max-width: 760px; font: 11px sans-serif; fill: #555; }
 .bar { display: inline-block; height: 10px; background: #c2410c; vertical-align: middle; } .left { color: #1b5fae; }
-.right { color: #c2410c; } pre { background: #f6f6f4; padding: 8px; white-space: pre-wrap; }";
+.right { color: #c2410c; } .warning { background: #fdecc8; border: 1px solid #d9a441; padding: 8px 12px; } pre { background: #f6f6f4; padding: 8px; white-space: pre-wrap; }";
 
 /// Assembles the page.
 pub fn page(
@@ -37,6 +37,7 @@ pub fn page(
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Touch in {name}</title><style>{STYLE}</style>\
          </head><body>\n<h1>Touch in {name}</h1>\n"
     );
+    html += &banner(labelled);
     html += &about(labelled);
     if !scores.is_empty() {
         let columns: Vec<(&str, &Metrics)> = scores.iter().map(|(name, metrics)| (*name, metrics)).collect();
@@ -47,6 +48,14 @@ pub fn page(
     html += &episodes(labelled, traces);
     html += &region_table(regions);
     html + "</body></html>\n"
+}
+
+/// Returns the warning about unfamiliar images, if there is one.
+fn banner(labelled: &Labelled) -> String {
+    match labelled.info.as_ref().and_then(|info| info.summary.warning()) {
+        Some(warning) => format!("<p id=\"warning\" class=\"warning\">{}</p>\n", escaped(&warning)),
+        None => String::new(),
+    }
 }
 
 /// Returns the table of sizes and provenance.

@@ -149,6 +149,24 @@ impl TactileField {
         highest
     }
 
+    /// True if neither force nor contact of any vertex of a hand is known.
+    pub fn is_unknown(&self, side: Side) -> bool {
+        let [force, contact] = [&self.force, &self.contact].map(|values| &values[side.range()]);
+        force.iter().chain(contact).all(|value| value.is_nan())
+    }
+
+    /// Returns the mask of the hands of which anything is known, (1556): 0 on a hand that is unknown; empty if none is.
+    pub fn known_hands(&self) -> Vec<u8> {
+        let unknown = Side::BOTH.map(|side| self.is_unknown(side));
+        match unknown.contains(&true) {
+            true => {
+                let mask = |side: &Side| vec![u8::from(!unknown[*side as usize]); side.range().len()];
+                Side::BOTH.iter().flat_map(mask).collect()
+            }
+            false => Vec::new(),
+        }
+    }
+
     /// Returns the total normal force on one hand, N; NaN if any force is unknown.
     pub fn total_force(&self, side: Side) -> f32 {
         self.force[side.range()].iter().map(|f| f64::from(*f)).sum::<f64>() as f32

@@ -48,6 +48,11 @@ pub struct TactileSequence {
     /// (T) code of [`Validity`](super::Validity), 0 = valid; empty = all valid. Codes rather than the enum, so that a frame
     /// that a newer version refused stays refused.
     pub validity: Vec<u8>,
+    /// (T) likeness of each image to those that the predicting network was trained on, 0 to 1; NaN = not estimated, empty =
+    /// nobody estimated it.
+    pub familiarity: Vec<f32>,
+    /// (T, 2) presence of left and right hand in the image, 0 to 1; NaN = not estimated, empty = nobody estimated it.
+    pub presence: Vec<f32>,
 }
 
 impl TactileSequence {
@@ -83,6 +88,11 @@ impl TactileSequence {
         }
         if !self.validity.is_empty() {
             self.validity.push(0);
+        }
+        for (values, width) in [(&mut self.familiarity, 1), (&mut self.presence, 2)] {
+            if !values.is_empty() {
+                values.resize(width * self.force.len() / N_FIELD, f32::NAN);
+            }
         }
         if let Some(end) = self.episode_ends.last_mut() {
             *end += 1;
@@ -172,6 +182,8 @@ impl TactileSequence {
             mask_force: gather(&self.mask_force, &frames, N_FIELD),
             mask_contact: gather(&self.mask_contact, &frames, N_FIELD),
             validity: gather(&self.validity, &frames, 1),
+            familiarity: gather(&self.familiarity, &frames, 1),
+            presence: gather(&self.presence, &frames, 2),
         }
     }
 
@@ -206,6 +218,8 @@ impl TactileSequence {
         join(&mut self.mask_force, &other.mask_force, rows_before, rows_after, 1);
         join(&mut self.mask_contact, &other.mask_contact, rows_before, rows_after, 1);
         join(&mut self.validity, &other.validity, before, before + added, 0);
+        join(&mut self.familiarity, &other.familiarity, before, before + added, f32::NAN);
+        join(&mut self.presence, &other.presence, 2 * before, 2 * (before + added), f32::NAN);
         Ok(())
     }
 
@@ -226,6 +240,11 @@ impl TactileSequence {
         for (name, length) in [("timestamps", self.timestamps.len()), ("validity", self.validity.len())] {
             if length != 0 && length != n_frames {
                 return Err(Error::shape(name, format!("({n_frames})"), [length]));
+            }
+        }
+        for (name, values, width) in [("familiarity", &self.familiarity, 1), ("presence", &self.presence, 2)] {
+            if !values.is_empty() && values.len() != width * n_frames {
+                return Err(Error::shape(name, format!("({n_frames}, {width})"), [values.len()]));
             }
         }
         let ends = &self.episode_ends;
@@ -280,7 +299,7 @@ fn gather<T: Copy>(values: &[T], frames: &[usize], width: usize) -> Vec<T> {
 }
 
 /// Appends an optional array to another one; where only one of them is given, `default` stands for the other's entries.
-fn join(values: &mut Vec<u8>, other: &[u8], before: usize, after: usize, default: u8) {
+fn join<T: Copy>(values: &mut Vec<T>, other: &[T], before: usize, after: usize, default: T) {
     if !values.is_empty() || !other.is_empty() {
         values.resize(before, default);
         values.extend_from_slice(other);
@@ -304,6 +323,8 @@ mod tests {
             mask_force: (0..entries).map(|i| u8::from(i % 3 > 0)).collect(),
             mask_contact: (0..entries).map(|i| u8::from(i % 5 > 0)).collect(),
             validity: vec![0, 7, 0, 0, 2],
+            familiarity: vec![0.1, 0.2, 0.3, 0.4, 0.5],
+            presence: (0..10).map(|i| i as f32 / 16.0).collect(),
         }
     }
 
@@ -352,6 +373,8 @@ mod tests {
         joined.check().unwrap();
         assert_eq!((joined.episode_ends.as_slice(), joined.timestamps.len()), (&[2, 5, 7][..], 0));
         assert_eq!(joined.validity, [0, 0, 0, 7, 0, 0, 2]);
+        assert!(joined.familiarity[..2].iter().chain(&joined.presence[..4]).all(|x| x.is_nan()));
+        assert_eq!((&joined.familiarity[2..], &joined.presence[4..]), (&whole.familiarity[..], &whole.presence[..]));
         assert!(joined.mask_force[..2 * N_FIELD].iter().all(|mask| *mask == 1));
         assert_eq!(joined.mask_force[2 * N_FIELD..], whole.mask_force);
         let mut other = whole.clone();
@@ -407,6 +430,8 @@ mod tests {
         refused(|s| s.mask_contact.truncate(1), "mask_contact");
         refused(|s| s.timestamps.truncate(4), "timestamps");
         refused(|s| s.validity.push(0), "validity");
+        refused(|s| s.familiarity.push(0.5), "familiarity");
+        refused(|s| s.presence.truncate(5), "presence");
         for ends in [vec![3, 4], vec![0, 5], vec![4, 3, 5], vec![3, 3, 5]] {
             let error = TactileSequence { episode_ends: ends, ..sequence() }.check().unwrap_err().to_string();
             assert!(error.contains("episode_ends"), "{error}");

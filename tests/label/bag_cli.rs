@@ -12,7 +12,7 @@ use crate::common::egotac;
 use egotac::label::Progress;
 use egotac::message::{CompressedImage, Header, Image, Message, TactileFrame, Time};
 use egotac::model::predictor::{Options, Predictor};
-use egotac::model::shipped;
+use egotac::model::{Unknown, shipped};
 use image::{ImageFormat, Rgb, RgbImage};
 use mcap::records::{MessageHeader, Record};
 use mcap::{Attachment, Compression, WriteOptions};
@@ -97,7 +97,7 @@ fn write_mcap(path: &Path, frames: u64, form: Form) {
 
 fn label(input: &Path, out: &Path, more: &[&str]) -> Output {
     let [input, out] = [input, out].map(|path| path.to_str().unwrap());
-    egotac(&[&["label", input, "--out", out, "--json", "-"], more].concat())
+    egotac(&[&["label", input, "--out", out, "--unknown", "guess", "--json", "-"], more].concat())
 }
 
 fn summary(output: &Output, status: i32) -> Value {
@@ -139,7 +139,8 @@ fn read(path: &Path) -> Read {
 
 /// Returns the network's output for images 0..n.
 fn expected(frames: u64) -> Vec<egotac::model::Prediction> {
-    let mut predictor = Predictor::load(&shipped::path().unwrap(), Options::default()).unwrap();
+    let mut predictor =
+        Predictor::load(&shipped::path().unwrap(), Options { unknown: Unknown::Guess, ..Options::default() }).unwrap();
     (0..frames).map(|index| predictor.push(&picture(index), stamp(index).secs()).unwrap()).collect()
 }
 
@@ -347,7 +348,7 @@ fn a_killed_run_resumes_to_the_same_bytes() {
     let mut done = 0;
     for _ in 0..2 {
         let mut child = Command::new(env!("CARGO_BIN_EXE_egotac"));
-        child.args(["label", input.to_str().unwrap(), "--out", killed.to_str().unwrap()]);
+        child.args(["label", input.to_str().unwrap(), "--out", killed.to_str().unwrap(), "--unknown", "guess"]);
         let mut child = child.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
         while labelled() <= done && child.try_wait().unwrap().is_none() {
             std::thread::sleep(Duration::from_millis(1));

@@ -19,7 +19,7 @@ use mcap::{MessageStream, WriteOptions};
 
 fn label(input: &Path, out: &Path, more: &[&str]) -> Output {
     let [input, out] = [input, out].map(|path| path.to_str().unwrap());
-    egotac(&[&["label", input, "--out", out], more].concat())
+    egotac(&[&["label", input, "--out", out, "--unknown", "guess"], more].concat())
 }
 
 fn succeeds(output: &Output) {

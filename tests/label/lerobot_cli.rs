@@ -15,7 +15,7 @@ use egotac::dataset::lerobot::reader;
 use egotac::dataset::video::VideoFrames;
 use egotac::hand::{HandModel, Side};
 use egotac::model::predictor::{Options, Predictor};
-use egotac::model::shipped;
+use egotac::model::{Unknown, shipped};
 use egotac::tactile::N_FIELD;
 use image::RgbImage;
 use parquet::arrow::ArrowWriter;
@@ -26,7 +26,7 @@ const LENGTHS: [usize; 2] = [7, 5];
 
 fn label(input: &Path, out: &Path, more: &[&str]) -> Output {
     let [input, out] = [input, out].map(|path| path.to_str().unwrap());
-    let args = [&["label", input, "--out", out, "--json", "-"], more].concat();
+    let args = [&["label", input, "--out", out, "--unknown", "guess", "--json", "-"], more].concat();
     Command::new(env!("CARGO_BIN_EXE_egotac")).args(args).output().unwrap()
 }
 
@@ -53,7 +53,8 @@ fn lists(rows: &RecordBatch, name: &str) -> Vec<Vec<f32>> {
 
 /// Returns the network's output for the images of both episodes.
 fn expected(images: Vec<RgbImage>) -> Vec<TactileField> {
-    let mut predictor = Predictor::load(&shipped::path().unwrap(), Options::default()).unwrap();
+    let mut predictor =
+        Predictor::load(&shipped::path().unwrap(), Options { unknown: Unknown::Guess, ..Options::default() }).unwrap();
     let mut images = images.into_iter();
     let mut fields = Vec::new();
     for length in LENGTHS {

@@ -8,4 +8,5 @@ mod bag_cli;
 mod identity;
 mod lerobot_cli;
 mod store_cli;
+mod unknown_cli;
 mod video_cli;

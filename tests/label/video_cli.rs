@@ -10,7 +10,7 @@ use egotac::dataset::tensors;
 use egotac::dataset::video::{VideoFrames, damage, probe};
 use egotac::dataset::zarr::ZarrReader;
 use egotac::model::predictor::{Options, Predictor};
-use egotac::model::shipped;
+use egotac::model::{Unknown, shipped};
 use image::{Rgb, RgbImage};
 use serde_json::Value;
 
@@ -41,7 +41,7 @@ fn video(images: &Path, out: &Path, more: &[&str]) {
 }
 
 fn predictions(stamped: impl IntoIterator<Item = (f64, RgbImage)>) -> Vec<egotac::TactileField> {
-    let options = Options { max_gap_secs: None, ..Options::default() };
+    let options = Options { max_gap_secs: None, unknown: Unknown::Guess, ..Options::default() };
     let mut predictor = Predictor::load(&shipped::path().unwrap(), options).unwrap();
     stamped.into_iter().map(|(stamp, image)| predictor.push(&image, stamp).unwrap().field).collect()
 }
@@ -125,7 +125,7 @@ fn a_video_becomes_a_store_with_labels() {
     images(&at("in"), 10);
     video(&at("in"), &at("clip.mkv"), &["-c:v", "ffv1", "-pix_fmt", "bgr0"]);
     let [clip, out] = ["clip.mkv", "clip.zarr"].map(|name| at(name).to_str().unwrap().to_string());
-    let done = json(&["label", &clip, "--out", &out, "--side", "24", "--json", "-"], 0);
+    let done = json(&["label", &clip, "--out", &out, "--side", "24", "--unknown", "guess", "--json", "-"], 0);
     assert_eq!(done["summary"]["labelled"], 10);
     let store = ZarrReader::open(Path::new(&out)).unwrap();
     assert_eq!((store.len(), store.image_size()), (10, (24, 32)));
@@ -147,7 +147,7 @@ fn a_truncated_video_is_labelled_up_to_its_end() {
     let bytes = fs::read(at("whole.mp4")).unwrap();
     fs::write(at("cut.mp4"), &bytes[..bytes.len() * 6 / 10]).unwrap();
     let [cut, out] = ["cut.mp4", "cut.zarr"].map(|name| at(name).to_str().unwrap().to_string());
-    let done = json(&["label", &cut, "--out", &out, "--json", "-"], 3);
+    let done = json(&["label", &cut, "--out", &out, "--unknown", "guess", "--json", "-"], 3);
     let labelled = done["summary"]["labelled"].as_u64().unwrap();
     assert!((10..40).contains(&labelled), "{done}");
     let lost = &done["summary"]["lost"][0];
@@ -163,7 +163,10 @@ fn labels_are_the_same_in_every_output_format() {
     fs::write(format!("{}/frame_7.png", at("in")), b"not an image").unwrap();
     let expected = predictions((0..12).filter(|i| *i != 7).map(|index| (f64::from(index) / 20.0, picture(index))));
     for (kind, out) in [("store", "a.zarr"), ("tensors", "b.safetensors"), ("bag", "c")] {
-        let done = json(&["label", &at("in"), "--out", &at(out), "--to", kind, "--fps", "20", "--json", "-"], 3);
+        let done = json(
+            &["label", &at("in"), "--out", &at(out), "--to", kind, "--fps", "20", "--unknown", "guess", "--json", "-"],
+            3,
+        );
         assert_eq!(done["summary"]["faults"][0]["frame"], 7);
         let info = json(&["data", "info", &at(out), "--json"], 0);
         let about = if kind == "store" { &info["attributes"]["egotac_labels"] } else { &info["labels"] };
@@ -180,7 +183,7 @@ fn labels_are_the_same_in_every_output_format() {
     }
     // With unequal numbers of frames, frames pair by time.
     fs::remove_file(format!("{}/frame_11.png", at("in"))).unwrap();
-    json(&["label", &at("in"), "--out", &at("d.zarr"), "--fps", "20", "--json", "-"], 3);
+    json(&["label", &at("in"), "--out", &at("d.zarr"), "--fps", "20", "--unknown", "guess", "--json", "-"], 3);
     let diff = json(&["data", "diff", &at("d.zarr"), &at("c"), "--json"], 0);
     assert_eq!((&diff["unmatched"]["b"], &diff["mae"]), (&1.into(), &0.0.into()));
     // The unlabelled frame and the one without a partner are gaps.
@@ -196,7 +199,7 @@ fn a_folder_is_predicted_in_the_order_of_its_numbers() {
     for index in 1..=12 {
         picture(index).save(format!("{}/frame_{index}.png", at("in"))).unwrap();
     }
-    let output = egotac(&["predict", "--data", &at("in"), "--fps", "25", "--out", &at("fields")]);
+    let output = egotac(&["predict", "--data", &at("in"), "--fps", "25", "--unknown", "guess", "--out", &at("fields")]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(String::from_utf8(output.stdout).unwrap(), format!("{}: 12 frames\n", at("fields")));
     let fields = tensors::read(Path::new(&at("fields"))).unwrap();
@@ -205,7 +208,23 @@ fn a_folder_is_predicted_in_the_order_of_its_numbers() {
         assert_eq!(fields.field(frame).unwrap(), *expected, "frame_{}", frame + 1);
     }
     // The same arrays as those of `label`; an image that can't be read is an error that names it.
-    json(&["label", &at("in"), "--out", &at("labels"), "--to", "tensors", "--fps", "25", "--json", "-"], 0);
+    json(
+        &[
+            "label",
+            &at("in"),
+            "--out",
+            &at("labels"),
+            "--to",
+            "tensors",
+            "--fps",
+            "25",
+            "--unknown",
+            "guess",
+            "--json",
+            "-",
+        ],
+        0,
+    );
     assert_eq!(tensors::read(Path::new(&at("labels"))).unwrap(), fields);
     fs::write(format!("{}/frame_7.png", at("in")), b"not an image").unwrap();
     let output = egotac(&["predict", "--data", &at("in"), "--out", &at("fields")]);
@@ -222,7 +241,7 @@ fn a_folder_of_recordings_is_labelled_one_by_one() {
     images(&at("all/wall"), 2);
     fs::copy("tests/data/oxt/many.zip", at("all/many.zip")).unwrap();
     let (input, out) = (at("all").to_str().unwrap().to_string(), at("out"));
-    let done = json(&["label", &input, "--out", out.to_str().unwrap(), "--json", "-"], 0);
+    let done = json(&["label", &input, "--out", out.to_str().unwrap(), "--unknown", "guess", "--json", "-"], 0);
     assert_eq!(done["summary"]["labelled"], 3 + 2 + 24);
     let manifest: Value = serde_json::from_str(&fs::read_to_string(out.join("manifest.json")).unwrap()).unwrap();
     assert_eq!((&manifest["summary"]["frames"], &manifest["missing"]), (&29.into(), &serde_json::json!([])));
@@ -244,7 +263,7 @@ fn an_unreadable_recording_does_not_stop_the_others() {
     fs::write(at("all/c_film.mp4"), b"not a film").unwrap();
     images(&at("all/table"), 3);
     let (input, out) = (at("all").to_str().unwrap().to_string(), at("out"));
-    let done = json(&["label", &input, "--out", out.to_str().unwrap(), "--json", "-"], 3);
+    let done = json(&["label", &input, "--out", out.to_str().unwrap(), "--unknown", "guess", "--json", "-"], 3);
     assert_eq!(done["summary"]["labelled"], 3);
     let manifest: Value = serde_json::from_str(&fs::read_to_string(out.join("manifest.json")).unwrap()).unwrap();
     let names = |list: &Value| -> Vec<String> {

@@ -28,8 +28,8 @@ fn frame() -> impl Strategy<Value = TactileFrame> {
         hand(1).prop_map(|right| vec![right]).boxed(),
         (hand(0), hand(1)).prop_map(|(left, right)| vec![left, right]).boxed(),
     ];
-    (header(), hands, any::<u64>(), 0.0..10f64, "[^\0]{0,40}", any::<bool>()).prop_map(
-        |(header, hands, sequence, inference_secs, model_id, warming_up)| TactileFrame {
+    (header(), hands, any::<u64>(), 0.0..10f64, "[^\0]{0,40}", any::<bool>(), 0.0..1f32, "[^\0]{0,40}").prop_map(
+        |(header, hands, sequence, inference_secs, model_id, warming_up, familiarity, reason)| TactileFrame {
             header,
             hands,
             sequence,
@@ -37,6 +37,8 @@ fn frame() -> impl Strategy<Value = TactileFrame> {
             model_id,
             topology: "egotac-hand-1".into(),
             warming_up,
+            familiarity,
+            reason,
         },
     )
 }

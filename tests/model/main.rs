@@ -7,6 +7,7 @@ mod budget;
 mod checkpoint;
 mod cli;
 mod engine;
+mod familiarity;
 mod grow;
 mod import;
 mod ops;

@@ -236,6 +236,27 @@ fn a_bad_force_is_reported_by_name() {
 }
 
 #[test]
+fn unknown_touch_is_no_touch_and_no_absence_of_touch() {
+    let pooling = TouchPooling::builtin(Side::Right).unwrap();
+    let unknown = vec![f32::NAN; N_VERTICES];
+    let mut touch = Touch::default();
+    pooling.pool_into(&unknown, &unknown, &mut touch).unwrap();
+    assert!(touch.segments.is_none() && touch.tip_contact.iter().all(|contact| contact.is_nan()));
+    // One known vertex is enough, and the others are ignored.
+    let mut force = unknown.clone();
+    force[0] = 0.5;
+    pooling.pool_into(&force, &unknown, &mut touch).unwrap();
+    let pressed: f64 = touch.segments.unwrap().iter().map(|segment| segment.pressed).sum();
+    assert_eq!(pressed, 0.5);
+    // The robot follows a hand of unknown touch as one without any.
+    let hand = Trajectory::generate(2, 0).unwrap().keypoints[0];
+    let robot = || Retargeter::new(Robot::load("four_finger", None).unwrap()).unwrap();
+    let with = robot().push(&Input { touch: Some(Touch::default()), ..Input::new(hand, 0.0) }).unwrap();
+    let without = robot().push(&Input::new(hand, 0.0)).unwrap();
+    assert_eq!(with.qpos, without.qpos);
+}
+
+#[test]
 fn vertices_pool_to_the_segments_they_lie_on() {
     for side in Side::BOTH {
         let model = HandModel::builtin(side);

@@ -19,7 +19,10 @@ use crate::tactile::TactileSequence;
 /// Runs a checkpoint on stores.
 pub fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
     let stream = predictor::Options { precision: args.precision, ..predict::stream() };
-    let mut predictor = Predictor::load(checkpoint, stream)?;
+    let mut predictor = Predictor::load(checkpoint, args.doubt.apply(stream))?;
+    if let Some(warning) = predictor.warning() {
+        eprintln!("warning: {warning}");
+    }
     if args.untrained_force {
         predictor = predictor.with_untrained_force();
     }
@@ -43,7 +46,7 @@ pub fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
     let lag = args.persistence.or(Some(predictor.metadata().frame_dt));
     let options = EvalOptions { calibration, fps: args.fps };
     let baselines = baselines(constants, &target, lag);
-    Ok(Case { pred, target, options, baselines, lag, origins })
+    Ok(Case { pred, target, options, baselines, lag, unknown: None, origins })
 }
 
 /// Reads predictions and truth from files.
@@ -70,7 +73,7 @@ pub fn of_files(args: &Args, pred_path: &Path, target_path: &Path) -> anyhow::Re
     let topology = target.topology.or(pred.topology).unwrap_or_default();
     let baselines = baselines(constants(&args.baselines_from, topology)?, &target, args.persistence);
     let options = EvalOptions { calibration, fps: args.fps };
-    Ok(Case { pred, target, options, baselines, lag: args.persistence, origins })
+    Ok(Case { pred, target, options, baselines, lag: args.persistence, unknown: None, origins })
 }
 
 /// Checks that another prediction has the case's frames and topology.

@@ -16,6 +16,9 @@ pub fn write(scored: &Scored, as_json: bool) -> anyhow::Result<()> {
     columns.extend(scored.baselines.iter().map(|(name, metrics)| (*name, metrics)));
     println!("{}", printable(&metrics::table_with_intervals(&columns, &scored.intervals)));
     println!("{}", about_persistence(scored.lag));
+    if let Some(unknown) = scored.unknown {
+        println!("unknown to the prediction, and left out of all scores: {:.2} % of the vertices", 100.0 * unknown);
+    }
     if let Some(calibration) = &scored.options.calibration {
         let (pred, target) = (calibration.pred(), calibration.target());
         println!(
@@ -67,6 +70,7 @@ fn to_json(scored: &Scored) -> anyhow::Result<Value> {
     value["intervals"] = serde_json::to_value(&scored.intervals)?;
     value["baselines"] = named(scored.baselines.iter().map(|(name, metrics)| (name.to_string(), metrics)))?;
     value["persistence_secs"] = json!(scored.lag);
+    value["unknown_share"] = json!(scored.unknown);
     value["calibration"] = json!(scored.options.calibration);
     if !scored.groups.is_empty() {
         let mut by = Map::new();

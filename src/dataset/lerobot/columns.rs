@@ -23,8 +23,9 @@ pub struct Column {
 }
 
 impl LeRobotDataset {
-    /// Returns the new columns: force and contact of each vertex, and the force of each region if the regions are known.
-    pub fn columns(&self, topology: Topology) -> Vec<Column> {
+    /// Returns the new columns: force and contact of each vertex, the force of each region if the regions are known, and of
+    /// images that are `judged` the certainty of the network.
+    pub fn columns(&self, topology: Topology, judged: bool) -> Vec<Column> {
         let field = |name: &str, value: fn(&crate::TactileField) -> &Vec<f32>| Column {
             name: format!("{}.{name}", self.prefix),
             names: None,
@@ -44,8 +45,24 @@ impl LeRobotDataset {
                 value: Box::new(region_force()),
             });
         }
+        if judged {
+            columns.push(Column {
+                name: format!("{}.certainty", self.prefix),
+                names: Some(CERTAINTY.map(String::from).to_vec()),
+                width: CERTAINTY.len(),
+                value: Box::new(certainty),
+            });
+        }
         columns
     }
+}
+
+/// Elements of the column of certainty: estimates, and 1 where touch of a hand is known.
+const CERTAINTY: [&str; 5] = ["familiarity", "left_presence", "right_presence", "left_known", "right_known"];
+
+fn certainty(label: &LabelFrame) -> Vec<f32> {
+    let known = Side::BOTH.map(|side| f32::from(u8::from(label.touch.is_ok() && label.certainty.counts(side))));
+    label.estimates().into_iter().chain(known).collect()
 }
 
 /// Adds the new columns to the Hugging Face types of a table. The entry copies that of another list, since the type's name

@@ -1,5 +1,6 @@
 //! Labels read from the columns of a LeRobot data set.
 
+use std::ops::Range;
 use std::path::Path;
 
 use arrow_array::cast::AsArray;
@@ -11,7 +12,11 @@ use super::labels::read_info;
 use super::{LeRobot, numbers, only, reader};
 use crate::dataset::Labelled;
 use crate::error::{Error, Result};
+use crate::hand::Side;
 use crate::tactile::{N_FIELD, TactileSequence};
+
+/// Number of values of a frame in the column of certainty.
+const CERTAINTY: usize = 5;
 
 /// Reads the columns `PREFIX.force` and `PREFIX.contact`.
 ///
@@ -27,17 +32,22 @@ pub(crate) fn read_labelled(path: &Path) -> Result<Labelled> {
     let Some((force, _)) = features.into_iter().flatten().find(is_force) else {
         return Err(Error::file(path, "holds no labels: no feature PREFIX.force of 1556 numbers"));
     };
-    let contact = format!("{}contact", force.trim_end_matches("force"));
+    let [contact, certainty] =
+        ["contact", "certainty"].map(|name| format!("{}{name}", force.trim_end_matches("force")));
+    let judged = features.is_some_and(|features| features.contains_key(&certainty));
     let topology = info.as_ref().map(|info| info.provenance.topology);
     let mut labels = TactileSequence { topology, ..Default::default() };
     for file in dataset.data_files()? {
         let builder = reader(&file)?;
-        let mask = only(&builder, |name| ["timestamp", force, &contact].contains(&name));
+        let mask = only(&builder, |name| ["timestamp", force, &contact, &certainty].contains(&name));
         for batch in builder.with_projection(mask).build().map_err(|e| Error::file(&file, e))? {
             let batch = batch.map_err(|e| Error::file(&file, e))?;
             labels.timestamps.extend(numbers(&batch, "timestamp", &file)?);
-            labels.force.extend(lists(&batch, force, &file)?);
-            labels.contact.extend(lists(&batch, &contact, &file)?);
+            labels.force.extend(lists(&batch, force, N_FIELD, &file)?);
+            labels.contact.extend(lists(&batch, &contact, N_FIELD, &file)?);
+            if judged {
+                add_certainty(&mut labels, &lists(&batch, &certainty, CERTAINTY, &file)?);
+            }
         }
     }
     let mut end = 0;
@@ -48,8 +58,24 @@ pub(crate) fn read_labelled(path: &Path) -> Result<Labelled> {
     Ok(Labelled { labels, truth: None, info })
 }
 
-/// Returns the numbers of a column of lists.
-fn lists(batch: &RecordBatch, name: &str, path: &Path) -> Result<Vec<f32>> {
+/// Adds familiarity and presence of the newest frames, and makes touch NaN where it is not known. `values`: five for each
+/// frame, as the column of certainty holds them.
+fn add_certainty(labels: &mut TactileSequence, values: &[f32]) {
+    let first = labels.n_frames() - values.len() / CERTAINTY;
+    for (frame, row) in (first..).zip(values.chunks_exact(CERTAINTY)) {
+        labels.familiarity.push(row[0]);
+        labels.presence.extend_from_slice(&row[1..3]);
+        for side in Side::BOTH.into_iter().filter(|side| row[3 + *side as usize] == 0.0) {
+            let Range { start, end } = side.range();
+            for field in [&mut labels.force, &mut labels.contact] {
+                field[frame * N_FIELD + start..frame * N_FIELD + end].fill(f32::NAN);
+            }
+        }
+    }
+}
+
+/// Returns the numbers of a column of lists of `width` each.
+fn lists(batch: &RecordBatch, name: &str, width: usize, path: &Path) -> Result<Vec<f32>> {
     let column = batch.column_by_name(name);
     let values = column.and_then(|column| match column.data_type() {
         DataType::FixedSizeList(..) => column.as_fixed_size_list_opt().map(|list| list.values().clone()),
@@ -58,7 +84,7 @@ fn lists(batch: &RecordBatch, name: &str, path: &Path) -> Result<Vec<f32>> {
     });
     let values = values.as_ref().and_then(|values| values.as_primitive_opt::<Float32Type>());
     match values {
-        Some(values) if values.len() == batch.num_rows() * N_FIELD => Ok(values.values().to_vec()),
-        _ => Err(Error::file(path, format!("{name}: expected lists of {N_FIELD} float32"))),
+        Some(values) if values.len() == batch.num_rows() * width => Ok(values.values().to_vec()),
+        _ => Err(Error::file(path, format!("{name}: expected lists of {width} float32"))),
     }
 }

@@ -242,9 +242,10 @@ pub(super) fn tactile_frame(header: Header, label: &LabelFrame, info: &LabelInfo
     let (model_id, topology) = (info.provenance.model_id(), info.provenance.topology.id().to_string());
     Ok(match &label.touch {
         Ok(field) => {
-            TactileFrame { model_id, warming_up: label.warming_up, ..TactileFrame::from_field(header, field)? }
+            let frame = TactileFrame::from_field(header, field)?.with_certainty(&label.certainty);
+            TactileFrame { model_id, warming_up: label.warming_up, ..frame }
         }
-        Err(_) => TactileFrame {
+        Err(reason) => TactileFrame {
             header,
             hands: Vec::new(),
             sequence: 0,
@@ -253,7 +254,7 @@ pub(super) fn tactile_frame(header: Header, label: &LabelFrame, info: &LabelInfo
             topology,
             warming_up: label.warming_up,
             familiarity: f32::NAN,
-            reason: String::new(),
+            reason: reason.clone(),
         },
     })
 }

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use super::labels::read_info;
 use super::messages::for_each_message;
-use crate::dataset::Labelled;
+use crate::dataset::{DoubtRule, Labelled};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
-use crate::message::{Message, TactileFrame, TactileTruth};
+use crate::message::{HandTactile, Message, TactileFrame, TactileTruth};
 use crate::tactile::{N_FIELD, TactileField, TactileSequence};
 
 /// Reads the labels of the first topic that has some. Each file with labels is one episode; truth pairs by equal stamps.
@@ -39,21 +39,37 @@ pub(crate) fn read_labelled(path: &Path) -> Result<Labelled> {
     };
     episode_ends.push(frames.len());
     let topology = Topology::from_id(&first.topology)?;
+    let info = read_info(path);
+    let rule: Option<DoubtRule> = info.as_ref().and_then(|info| info.provenance.doubt);
     let unknown = || TactileField { topology, force: vec![f32::NAN; N_FIELD], contact: vec![f32::NAN; N_FIELD] };
     let empty = || TactileSequence { topology: Some(topology), ..Default::default() };
     let (mut labels, mut truth) = (empty(), empty());
     for frame in &frames {
         let stamp = &frame.header.stamp;
         labels.timestamps.push(stamp.secs());
+        labels.familiarity.push(frame.familiarity);
+        let score = |side: u8| frame.hands.iter().find(|hand| hand.side == side).map_or(f32::NAN, |hand| hand.score);
+        let presence = [HandTactile::LEFT, HandTactile::RIGHT].map(score);
+        labels.presence.extend(presence);
         // A message without hands means that this image has no result.
-        labels.push(&if frame.hands.is_empty() { unknown() } else { frame.to_field()? })?;
+        let mut field = if frame.hands.is_empty() { unknown() } else { frame.to_field()? };
+        if let Some(rule) = &rule {
+            rule.hide(&mut field, frame.familiarity, presence);
+        }
+        labels.push(&field)?;
         truth.push(&match truths.get(stamp).filter(|truth| truth.validity == 0) {
             Some(truth) => truth.frame.to_field()?,
             None => unknown(),
         })?;
     }
+    // Messages of before these estimates, or of a network without them.
+    for estimates in [&mut labels.familiarity, &mut labels.presence] {
+        if estimates.iter().all(|estimate| estimate.is_nan()) {
+            estimates.clear();
+        }
+    }
     labels.episode_ends = episode_ends;
     truth.timestamps.clone_from(&labels.timestamps);
     truth.episode_ends.clone_from(&labels.episode_ends);
-    Ok(Labelled { labels, truth: (!truths.is_empty()).then_some(truth), info: read_info(path) })
+    Ok(Labelled { labels, truth: (!truths.is_empty()).then_some(truth), info })
 }

@@ -12,18 +12,74 @@ use crate::dataset::Labelled;
 use crate::dataset::label_frame::LabelFrame;
 use crate::dataset::label_info::LabelInfo;
 use crate::dataset::labels::{LabelOutput, SourceLabels};
-use crate::dataset::provenance::PROVENANCE_KEY;
+use crate::dataset::provenance::{DoubtRule, PROVENANCE_KEY};
 use crate::dataset::source::ImageSource;
 use crate::error::{Error, Result};
 use crate::file::input;
-use crate::tactile::N_FIELD;
+use crate::tactile::{N_FIELD, TactileSequence};
 
 /// Largest header that is read, bytes; the format's own limit.
 const LARGEST_HEADER: u64 = 100 << 20;
 /// Size of the write buffer, bytes.
 const BUFFER: usize = 1 << 20;
 
-/// Writes `force` and `contact` (T, 1556), `timestamps` (T) s and `episode_ends`; NaN for images without a label.
+/// An array with one row per frame.
+struct FrameArray {
+    name: &'static str,
+    dtype: &'static str,
+    /// Size of an element, bytes.
+    size: u64,
+    /// Shape of a row.
+    row: &'static [u64],
+    /// Bytes of the row of a label.
+    values: fn(&LabelFrame) -> Vec<u8>,
+}
+
+/// Arrays of every file.
+const BASE: [FrameArray; 3] = [
+    FrameArray {
+        name: "force",
+        dtype: "F32",
+        size: 4,
+        row: VERTICES,
+        values: |label| bytes_of(label.touch.as_ref().ok().map(|field| field.force.as_slice())),
+    },
+    FrameArray {
+        name: "contact",
+        dtype: "F32",
+        size: 4,
+        row: VERTICES,
+        values: |label| bytes_of(label.touch.as_ref().ok().map(|field| field.contact.as_slice())),
+    },
+    FrameArray {
+        name: "timestamps",
+        dtype: "F64",
+        size: 8,
+        row: &[],
+        values: |label| label.stamp_secs.to_le_bytes().to_vec(),
+    },
+];
+
+/// Returns the arrays of what the network estimates about its images, and the masks that follow.
+fn judged(info: &LabelInfo) -> Vec<FrameArray> {
+    let [familiarity, presence] = DoubtRule::estimates(info.provenance.doubt.as_ref());
+    let array = |name, row, values| FrameArray { name, dtype: "F32", size: 4, row, values };
+    let mask = |name, values| FrameArray { name, dtype: "U8", size: 1, row: VERTICES, values };
+    let mut arrays = Vec::new();
+    arrays.extend(familiarity.then(|| array("familiarity", &[], |label| f32_bytes(&label.estimates()[..1]))));
+    arrays.extend(presence.then(|| array("presence", &[2], |label| f32_bytes(&label.estimates()[1..]))));
+    if familiarity || presence {
+        arrays.push(mask("mask_force", |label| label.masks()[0].clone()));
+        arrays.push(mask("mask_contact", |label| label.masks()[1].clone()));
+    }
+    arrays
+}
+
+/// Row of an array with a value per vertex.
+const VERTICES: &[u64] = &[N_FIELD as u64];
+
+/// Writes `force` and `contact` (T, 1556), `timestamps` (T) s and `episode_ends`; NaN for images without a label. Of a
+/// network that judges its images, also `mask_force` and `mask_contact` (T, 1556), `familiarity` (T) and `presence` (T, 2).
 pub struct TensorOutput {
     /// Source of the labelled images.
     pub source: Arc<dyn ImageSource>,
@@ -45,24 +101,22 @@ impl LabelOutput for TensorOutput {
             }
         }
         let mut file = BufWriter::with_capacity(BUFFER, File::create(at).map_err(Error::io(at))?);
-        let mut write = |bytes: &[u8]| file.write_all(bytes).map_err(Error::io(at));
-        write(&header(frames, &ends, info, self.with_info)?)?;
+        let io = || Error::io(at);
+        file.write_all(&header(frames, &ends, info, self.with_info)?).map_err(io())?;
         // The file holds one array after the other: read the labels once per array, in constant memory.
-        let passes: [fn(&LabelFrame) -> Vec<u8>; 3] = [
-            |label| bytes_of(label.touch.as_ref().ok().map(|field| field.force.as_slice())),
-            |label| bytes_of(label.touch.as_ref().ok().map(|field| field.contact.as_slice())),
-            |label| label.stamp_secs.to_le_bytes().to_vec(),
-        ];
-        for pass in passes {
+        let write = |file: &mut BufWriter<File>, array: &FrameArray| -> Result<()> {
             for unit in 0..units {
                 for label in labels.labels(unit)? {
-                    write(&pass(&label?))?;
+                    file.write_all(&(array.values)(&label?)).map_err(io())?;
                 }
             }
-        }
+            Ok(())
+        };
+        BASE.iter().try_for_each(|array| write(&mut file, array))?;
         for end in ends {
-            write(&(end as i64).to_le_bytes())?;
+            file.write_all(&(end as i64).to_le_bytes()).map_err(io())?;
         }
+        judged(info).iter().try_for_each(|array| write(&mut file, array))?;
         file.flush().map_err(Error::io(at))
     }
 
@@ -91,13 +145,15 @@ fn header(frames: u64, ends: &[u64], info: &LabelInfo, with_info: bool) -> Resul
         start += bytes;
         json!({ "dtype": dtype, "shape": shape, "data_offsets": [start - bytes, start] })
     };
-    let n_field = N_FIELD as u64;
-    let mut entries = BTreeMap::new();
-    entries.insert("force", array("F32", &[frames, n_field], 4));
-    entries.insert("contact", array("F32", &[frames, n_field], 4));
-    entries.insert("timestamps", array("F64", &[frames], 8));
-    entries.insert("episode_ends", array("I64", &[ends.len() as u64], 8));
     let provenance = &info.provenance;
+    let mut entries = BTreeMap::new();
+    for FrameArray { name, dtype, size, row, .. } in &BASE {
+        entries.insert(*name, array(dtype, &[&[frames], *row].concat(), *size));
+    }
+    entries.insert("episode_ends", array("I64", &[ends.len() as u64], 8));
+    for FrameArray { name, dtype, size, row, .. } in judged(info) {
+        entries.insert(name, array(dtype, &[&[frames], row].concat(), size));
+    }
     let mut metadata = json!({
         "topology": provenance.topology,
         "model": provenance.model,
@@ -113,10 +169,22 @@ fn header(frames: u64, ends: &[u64], info: &LabelInfo, with_info: bool) -> Resul
     Ok([&(json.len() as u64).to_le_bytes()[..], &json].concat())
 }
 
+fn f32_bytes(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|value| value.to_le_bytes()).collect()
+}
+
 fn bytes_of(values: Option<&[f32]>) -> Vec<u8> {
     match values {
-        Some(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+        Some(values) => f32_bytes(values),
         None => f32::NAN.to_le_bytes().repeat(N_FIELD),
+    }
+}
+
+/// Makes touch NaN where the masks are 0.
+fn hide_masked(labels: &mut TactileSequence) {
+    let TactileSequence { force, contact, mask_force, mask_contact, .. } = labels;
+    for (values, mask) in [(force, mask_force), (contact, mask_contact)] {
+        values.iter_mut().zip(mask.iter()).filter(|(_, mask)| **mask == 0).for_each(|(value, _)| *value = f32::NAN);
     }
 }
 
@@ -126,6 +194,7 @@ fn bytes_of(values: Option<&[f32]>) -> Vec<u8> {
 /// If the file can't be read.
 pub(crate) fn read_labelled(path: &Path) -> Result<Labelled> {
     let mut labels = super::read(path)?;
+    hide_masked(&mut labels);
     if labels.episode_ends.is_empty() {
         labels.episode_ends = vec![labels.n_frames()];
     }

@@ -5,18 +5,18 @@ use std::sync::Arc;
 
 use ::image::RgbImage;
 
-use super::{Contact, ZarrWriter};
+use super::{ArraySpec, Contact, Dtype, FAMILIARITY, PRESENCE, Values, ZarrWriter};
 use crate::dataset::copy::remove;
 use crate::dataset::label_frame::LabelFrame;
 use crate::dataset::label_info::LabelInfo;
 use crate::dataset::labels::{LabelOutput, SourceLabels, next_label};
-use crate::dataset::provenance::PROVENANCE_KEY;
+use crate::dataset::provenance::{DoubtRule, PROVENANCE_KEY};
 use crate::dataset::source::{ImageSource, SourceFrame};
 use crate::dataset::{Attributes, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
-use crate::image::scaled;
-use crate::tactile::{N_FIELD, TactileField, Validity};
+use crate::image::scaled as resampled;
+use crate::tactile::{TactileField, Validity};
 
 /// Writes images, times and labels into a new store.
 pub struct StoreOutput {
@@ -30,7 +30,10 @@ impl LabelOutput for StoreOutput {
     fn assemble(&self, labels: &dyn SourceLabels, info: &mut LabelInfo, at: &Path, out: &Path) -> Result<()> {
         remove(at)?;
         let topology = labels.topology();
-        let mut writer = ZarrWriter::create(at, attributes(topology, info), Contact::Score, Vec::new())?;
+        let estimates = DoubtRule::estimates(info.provenance.doubt.as_ref());
+        let specs = [ArraySpec::new(FAMILIARITY, [], Dtype::F32), ArraySpec::new(PRESENCE, [2], Dtype::F32)];
+        let arrays = specs.into_iter().zip(estimates).filter(|(_, there)| *there).map(|(spec, _)| spec).collect();
+        let mut writer = ZarrWriter::create(at, attributes(topology, info), Contact::Score, arrays)?;
         writer.set_attribute(PROVENANCE_KEY, serde_json::to_value(&*info).unwrap_or_default());
         let mut size = None;
         for (index, unit) in self.source.units().iter().enumerate() {
@@ -46,7 +49,11 @@ impl LabelOutput for StoreOutput {
                 };
                 // A frame without a time takes that of the frame before it.
                 time = if image.stamp_secs.is_finite() { image.stamp_secs } else { time };
-                writer.push(frame(time, image, label, size, topology)?)?;
+                let [familiarity, presence @ ..] = label.estimates();
+                let values = [(FAMILIARITY, vec![familiarity]), (PRESENCE, presence.to_vec())];
+                let values = values.into_iter().zip(estimates).filter(|(_, there)| *there);
+                let further = values.map(|((name, values), _)| (name, Values::F32(values))).collect();
+                writer.push_with(frame(time, image, label, size, topology)?, further)?;
             }
             // A unit without images is no episode.
             if writer.n_frames() > before {
@@ -108,7 +115,7 @@ pub(crate) fn scaled((width, height): (u32, u32), side: Option<u32>) -> (u32, u3
 pub(crate) fn fitted(image: RgbImage, size: (u32, u32)) -> Result<RgbImage> {
     match image.dimensions() == size {
         true => Ok(image),
-        false => scaled(&image, size),
+        false => resampled(&image, size),
     }
 }
 
@@ -136,12 +143,12 @@ fn frame(
     // Unreadable images are black and have no label.
     let image = image.unwrap_or_else(|| RgbImage::new(size.0, size.1));
     let camera_ego_rgb = fitted(image, size)?;
-    let contact_valid = vec![u8::from(label.touch.is_ok()); N_FIELD];
+    let [force_valid, contact_valid] = label.masks();
     let (force, contact) = label.into_values();
     Ok(Frame {
         timestamp,
         camera_ego_rgb,
-        force_valid: force.iter().map(|force| u8::from(!force.is_nan())).collect(),
+        force_valid,
         contact_valid,
         field: TactileField { topology, force, contact },
         validity: Validity::Valid,

@@ -9,8 +9,8 @@ use serde_json::{Map, Value};
 use super::files::open_zip;
 use super::images::Store;
 use super::{
-    AddedArrays, ArraySpec, Dtype, FRAME_VALIDITY, MANO_CONTACT, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE,
-    MANO_FORCE_VALID, StoreLocation, Values, ZarrReader,
+    AddedArrays, ArraySpec, Dtype, FAMILIARITY, FRAME_VALIDITY, MANO_CONTACT, MANO_CONTACT_SCORE, MANO_CONTACT_VALID,
+    MANO_FORCE, MANO_FORCE_VALID, PRESENCE, StoreLocation, Values, ZarrReader,
 };
 use crate::dataset::EpisodeReader;
 use crate::dataset::copy::{copy_file, copy_folder};
@@ -18,7 +18,7 @@ use crate::dataset::label_frame::LabelFrame;
 use crate::dataset::label_info::LabelInfo;
 use crate::dataset::labels::{LabelOutput, SourceLabels};
 use crate::dataset::prefetch::prefetch;
-use crate::dataset::provenance::PROVENANCE_KEY;
+use crate::dataset::provenance::{DoubtRule, PROVENANCE_KEY};
 use crate::dataset::source::{LostBytes, Unit};
 use crate::error::{Error, Result};
 use crate::file::limits;
@@ -29,9 +29,9 @@ use crate::tactile::N_FIELD;
 pub const PREDICTED: &str = "predicted_";
 
 impl Store {
-    /// Returns the names of the labels' arrays: force, contact, and their validity.
-    fn label_names(&self) -> [String; 4] {
-        let names = [MANO_FORCE, MANO_CONTACT_SCORE, MANO_FORCE_VALID, MANO_CONTACT_VALID];
+    /// Returns the names of the labels' arrays: force, contact, their validity, familiarity and presence.
+    fn label_names(&self) -> [String; 6] {
+        let names = [MANO_FORCE, MANO_CONTACT_SCORE, MANO_FORCE_VALID, MANO_CONTACT_VALID, FAMILIARITY, PRESENCE];
         let taken = self.reader.arrays().iter().any(|array| array.name.starts_with("data/mano_"));
         names.map(|name| match taken {
             true => predicted(name),
@@ -57,20 +57,23 @@ pub(crate) fn predicted(name: &str) -> String {
 
 impl LabelOutput for Store {
     fn assemble(&self, labels: &dyn SourceLabels, info: &mut LabelInfo, at: &Path, _: &Path) -> Result<()> {
-        let [force, contact, force_valid, contact_valid] = self.label_names();
+        let [force, contact, force_valid, contact_valid, familiarity, presence] = self.label_names();
         // Remove arrays that a killed attempt left.
-        for name in [&force, &contact, &force_valid, &contact_valid] {
+        for name in [&force, &contact, &force_valid, &contact_valid, &familiarity, &presence] {
             let array = at.join(name);
             if array.exists() {
                 fs::remove_dir_all(&array).map_err(Error::io(&array))?;
             }
         }
-        let specs = vec![
+        let mut specs = vec![
             ArraySpec::new(force, [N_FIELD], Dtype::F32),
             ArraySpec::new(contact, [N_FIELD], Dtype::F32),
             ArraySpec::new(force_valid, [N_FIELD], Dtype::U8),
             ArraySpec::new(contact_valid, [N_FIELD], Dtype::U8),
         ];
+        let estimates = DoubtRule::estimates(info.provenance.doubt.as_ref());
+        specs.extend(estimates[0].then(|| ArraySpec::new(familiarity, [], Dtype::F32)));
+        specs.extend(estimates[1].then(|| ArraySpec::new(presence, [2], Dtype::F32)));
         fs::create_dir_all(at).map_err(Error::io(at))?;
         let mut arrays = AddedArrays::new(at, specs)?;
         // Copy and labels touch different files until `finish` writes the attributes, so they run at the same time.
@@ -78,7 +81,7 @@ impl LabelOutput for Store {
             let copying = scope.spawn(|| self.copy(at));
             let added = self.units.iter().enumerate().try_for_each(|(index, unit)| {
                 let labels = labels.labels(index)?;
-                prefetch(labels, |labels| add_labels(&mut arrays, unit, labels))
+                prefetch(labels, |labels| add_labels(&mut arrays, unit, labels, estimates))
             });
             (copying.join(), added)
         });
@@ -114,10 +117,11 @@ fn add_labels(
     arrays: &mut AddedArrays,
     unit: &Unit,
     labels: &mut dyn Iterator<Item = Result<LabelFrame>>,
+    estimates: [bool; 2],
 ) -> Result<()> {
     let mut count = 0;
     for label in labels {
-        arrays.push(values(label?))?;
+        arrays.push(values(label?, estimates))?;
         count += 1;
     }
     match Some(count) == unit.frames {
@@ -132,12 +136,16 @@ pub fn read_info(store: &Path) -> Option<LabelInfo> {
     serde_json::from_value(reader.raw_attributes().get(PROVENANCE_KEY)?.clone()).ok()
 }
 
-/// Returns the values of one frame: force, contact, and their validity.
-fn values(label: LabelFrame) -> Vec<Values> {
+/// Returns the values of one frame: force, contact, and their validity; also familiarity and presence if they are
+/// estimated.
+fn values(label: LabelFrame, estimates: [bool; 2]) -> Vec<Values> {
+    let masks = label.masks().map(Values::U8);
+    let [familiarity, presence @ ..] = label.estimates();
     let (force, contact) = label.into_values();
-    let known = |values: &[f32]| Values::U8(values.iter().map(|value| u8::from(!value.is_nan())).collect());
-    let masks = [known(&force), known(&contact)];
-    [Values::F32(force), Values::F32(contact)].into_iter().chain(masks).collect()
+    let mut values: Vec<Values> = [Values::F32(force), Values::F32(contact)].into_iter().chain(masks).collect();
+    values.extend(estimates[0].then(|| Values::F32(vec![familiarity])));
+    values.extend(estimates[1].then(|| Values::F32(presence.to_vec())));
+    values
 }
 
 /// True for the file of an array of truth or its validity.

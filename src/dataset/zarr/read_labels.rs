@@ -5,8 +5,8 @@ use std::path::Path;
 
 use super::labels::{predicted, read_info};
 use super::{
-    FRAME_VALIDITY, MANO_CONTACT, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID, MANO_PROXIMITY,
-    TIMESTAMPS, ZarrReader,
+    FAMILIARITY, FRAME_VALIDITY, MANO_CONTACT, MANO_CONTACT_SCORE, MANO_CONTACT_VALID, MANO_FORCE, MANO_FORCE_VALID,
+    MANO_PROXIMITY, PRESENCE, TIMESTAMPS, ZarrReader,
 };
 use crate::dataset::{EpisodeReader, Labelled};
 use crate::error::{Error, Result};
@@ -22,8 +22,10 @@ pub(crate) fn read_labelled(path: &Path) -> Result<Labelled> {
     let info = read_info(path);
     if store.has(&predicted(MANO_FORCE)) {
         let force = read_or_unknown(&store, &predicted(MANO_FORCE), frames.clone())?;
-        let contact = read_or_unknown(&store, &predicted(MANO_CONTACT_SCORE), frames)?;
-        let labels = with_time(TactileSequence { force, contact, ..Default::default() }, &store)?;
+        let contact = read_or_unknown(&store, &predicted(MANO_CONTACT_SCORE), frames.clone())?;
+        let mut labels = with_time(TactileSequence { force, contact, ..Default::default() }, &store)?;
+        hide_invalid(&store, predicted, &mut labels)?;
+        read_estimates(&store, predicted, &mut labels)?;
         // Without `mano_contact` the other arrays are labels of an earlier run, not truth.
         let truth = store.has(MANO_CONTACT).then(|| read_truth(&store)).transpose()?;
         return Ok(Labelled { labels, truth, info });
@@ -32,17 +34,36 @@ pub(crate) fn read_labelled(path: &Path) -> Result<Labelled> {
         return Err(Error::file(path, "holds no labels"));
     }
     let mut labels = with_time(read_fields(&store, frames.clone())?, &store)?;
+    hide_invalid(&store, str::to_string, &mut labels)?;
+    read_estimates(&store, str::to_string, &mut labels)?;
+    Ok(Labelled { labels, truth: None, info })
+}
+
+/// Makes force and contact unknown where their arrays of validity, under names of the given form, say so.
+fn hide_invalid(store: &ZarrReader, named: impl Fn(&str) -> String, labels: &mut TactileSequence) -> Result<()> {
     for (name, values) in [(MANO_FORCE_VALID, &mut labels.force), (MANO_CONTACT_VALID, &mut labels.contact)] {
-        if !store.has(name) {
+        let name = named(name);
+        if !store.has(&name) {
             continue;
         }
-        for (value, valid) in values.iter_mut().zip(store.read_u8(name, frames.clone())?) {
+        for (value, valid) in values.iter_mut().zip(store.read_u8(&name, 0..store.len())?) {
             if valid == 0 {
                 *value = f32::NAN;
             }
         }
     }
-    Ok(Labelled { labels, truth: None, info })
+    Ok(())
+}
+
+/// Reads familiarity and presence, under names of the given form, where the store has them.
+fn read_estimates(store: &ZarrReader, named: impl Fn(&str) -> String, labels: &mut TactileSequence) -> Result<()> {
+    for (name, values) in [(FAMILIARITY, &mut labels.familiarity), (PRESENCE, &mut labels.presence)] {
+        let name = named(name);
+        if store.has(&name) {
+            *values = store.read_f32(&name, 0..store.len())?;
+        }
+    }
+    Ok(())
 }
 
 /// Reads the labels of a whole store, with timestamps and episodes, masked as [`read_labels`] does.

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use ::image::RgbImage;
 
+use super::certainty::Certainties;
 use super::input::Input;
 use super::load_model::{LoadedModel, PendingModel};
 use super::views::Views;
@@ -54,6 +55,8 @@ pub(super) struct Inference {
     pub(super) info: Publisher<HandModelInfo>,
     /// Publishers of touch in other forms.
     pub(super) views: Views,
+    /// Certainty about the newest images.
+    pub(super) certainties: Certainties,
     /// Number of frames published.
     pub(super) sequence: u64,
     pub(super) parameters: Arc<Parameters>,
@@ -148,8 +151,9 @@ impl Inference {
             inference_secs: started.elapsed().as_secs_f64(),
             model_id: self.model_id.get().clone(),
             warming_up: prediction.warming_up,
-            ..TactileFrame::from_field(header.clone(), &prediction.field)?
+            ..TactileFrame::from_field(header.clone(), &prediction.field)?.with_certainty(&prediction.certainty)
         };
+        self.certainties.push(&prediction.certainty, &self.log);
         self.frames.publish(&frame)?;
         self.sequence += 1;
         self.input.tally.processed(self.clock.secs_since(header.stamp));

@@ -34,7 +34,16 @@ pub(super) fn load(parameters: &Parameters, log: &Log) -> anyhow::Result<LoadedN
         path => PathBuf::from(path),
     };
     let precision = parameters.get::<String>("precision").parse()?;
-    let options = Options { device: device::open(parameters)?, precision, ..Options::default() };
+    // Below 0: the checkpoint's own threshold.
+    let threshold = |name| Some(parameters.get::<f64>(name) as f32).filter(|threshold| *threshold >= 0.0);
+    let options = Options {
+        device: device::open(parameters)?,
+        precision,
+        unknown: parameters.get::<String>("unknown").parse()?,
+        familiarity_threshold: threshold("familiarity_threshold"),
+        presence_threshold: threshold("presence_threshold"),
+        ..Options::default()
+    };
     let budget_ms = parameters.get::<f64>("latency_budget_ms");
     if budget_ms > 0.0 {
         return load_within_budget(&path, budget_ms, options, log);

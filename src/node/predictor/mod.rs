@@ -1,5 +1,6 @@
 //! The node `predictor`: predicts touch on both hands from images.
 
+mod certainty;
 mod inference;
 mod input;
 mod load;
@@ -19,7 +20,8 @@ use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
 use super::{device, hand_confidence, program, qos};
-use crate::model::Precision;
+use crate::model::{Precision, Unknown};
+use certainty::Certainties;
 use inference::{Inference, ModelId};
 use input::Input;
 use load::LoadedNetwork;
@@ -53,6 +55,25 @@ fn parameters() -> Vec<Parameter> {
             Allowed::Doubles(0.0, 60_000.0),
             "Longest inference time per image, milliseconds: take the best checkpoint and number format that keep it on this \
              machine; 0 = take model and precision as given.",
+        ),
+        Parameter::fixed(
+            "unknown",
+            "nan",
+            Allowed::OneOf(&Unknown::NAMES),
+            "Form of touch that the network does not know (an image unlike the training's, a hand that is not in it): nan, \
+             zero, or guess = the network's output as it is.",
+        ),
+        Parameter::fixed(
+            "familiarity_threshold",
+            -1.0,
+            Allowed::Doubles(-1.0, 1.0),
+            "Familiarity of an image below which touch is unknown; below 0 = the checkpoint's threshold.",
+        ),
+        Parameter::fixed(
+            "presence_threshold",
+            -1.0,
+            Allowed::Doubles(-1.0, 1.0),
+            "Presence of a hand below which its touch is unknown; below 0 = the checkpoint's threshold.",
         ),
         ImageTransport::parameter(),
         reliability_parameter("best_effort"),
@@ -100,7 +121,7 @@ fn run(mut runtime: Runtime, network: LoadedNetwork, shutdown: &Shutdown) -> any
     let input = Input::new(&runtime);
     let (inference, loader) = prepare(&mut runtime, shutdown, network, input.clone())?;
     serve_set_enabled(&mut runtime)?;
-    publish_diagnostics(&mut runtime, input.clone(), inference.model_id.clone())?;
+    publish_diagnostics(&mut runtime, input.clone(), inference.model_id.clone(), inference.certainties.clone())?;
     input.subscribe(&mut runtime)?;
 
     let worker = WorkerThread::spawn("inference", shutdown, move |shutdown| {
@@ -123,6 +144,9 @@ fn prepare(
     let log = runtime.log().clone();
     log.info(format!("one image takes {:.0} ms", load::measure_inference(&mut predictor)? * 1e3));
     let model_info = load::model_info(&predictor, runtime.clock().now())?;
+    if let Some(warning) = predictor.warning() {
+        log.warn(warning);
+    }
     if model_info.vertex_region.is_empty() {
         log.warn("the regions of MANO's vertices need a MANO file: ~/model_info has no regions, and of the views of touch only ~/tactile is published");
     }
@@ -133,6 +157,7 @@ fn prepare(
     let topology = predictor.metadata().topology;
     let requirements = ModelRequirements { default_path: path, options, topology };
     let loader = load_model::serve(runtime, shutdown, pending.clone(), requirements, model_info.model_id.clone())?;
+    let certainties = Certainties::default();
     let inference = Inference {
         predictor,
         model_id: ModelId::new(model_info.model_id),
@@ -144,6 +169,7 @@ fn prepare(
         info,
         views: Views::create(runtime)?,
         sequence: 0,
+        certainties,
         parameters: Arc::clone(runtime.parameters()),
         clock: runtime.clock().clone(),
         log,
@@ -152,7 +178,12 @@ fn prepare(
 }
 
 /// Reports the counts of images on `/diagnostics`.
-fn publish_diagnostics(runtime: &mut Runtime, input: Input, model_id: ModelId) -> anyhow::Result<()> {
+fn publish_diagnostics(
+    runtime: &mut Runtime,
+    input: Input,
+    model_id: ModelId,
+    certainties: Certainties,
+) -> anyhow::Result<()> {
     let mut refused_before = 0;
     let hardware_id = move || model_id.get().clone();
     diagnostics::publish(runtime, hardware_id, move |runtime| {
@@ -168,9 +199,13 @@ fn publish_diagnostics(runtime: &mut Runtime, input: Input, model_id: ModelId) -
             (Level::Stale, format!("no images on {topic}"))
         } else if newly_refused {
             (Level::Warn, format!("images on {topic} could not be processed"))
+        } else if let Some(doubt) = certainties.doubt() {
+            (Level::Warn, format!("touch is unknown: {doubt}"))
         } else {
             (Level::Ok, format!("{:.1} of {:.1} images per second", rates.processed, rates.received))
         };
-        TaskReport { task: "images", level, message, values: counts.values(rates) }
+        let mut values = counts.values(rates);
+        values.extend(certainties.values());
+        TaskReport { task: "images", level, message, values }
     })
 }

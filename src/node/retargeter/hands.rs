@@ -78,13 +78,16 @@ impl HandModels {
         }
     }
 
-    /// Returns the touch of a frame; None if it does not contain this hand.
+    /// Returns the touch of a frame; None if it does not contain this hand, or nothing is known of it.
     pub fn touch(&self, frame: &TactileFrame) -> Result<Option<Touch>> {
         if !frame.hands.iter().any(|hand| hand.side == self.side as u8) {
             return Ok(None);
         }
         let (_, pooling) = self.of(Topology::from_id(&frame.topology)?)?;
         let field = frame.to_field()?;
+        if field.is_unknown(self.side) {
+            return Ok(None);
+        }
         let mut touch = Touch::default();
         pooling.pool_into(&field.force[self.side.range()], &field.contact[self.side.range()], &mut touch)?;
         Ok(Some(touch))

@@ -265,6 +265,7 @@ impl Verifier {
             "unmatched_predictions": unmatched_predictions,
             "unmatched_truths": unmatched_truths,
             "invalid_truths": self.scores.invalid,
+            "predictions_with_an_unknown_hand": self.scores.unknown,
             "malformed": counts.drops.get("malformed").copied().unwrap_or(0),
             "duration_secs": self.started.elapsed().as_secs_f64(),
             "rate_hz": self.scores.rate(),

@@ -29,6 +29,8 @@ pub(super) struct Scores {
     pub(super) pairs: u64,
     /// Pairs with invalid truth.
     pub(super) invalid: u64,
+    /// Pairs with valid truth and a hand that the predictor does not know; these hands leave all scores.
+    pub(super) unknown: u64,
     pub(super) touch: TouchScores,
     /// Scores of all pairs; a pair with invalid truth is a gap.
     running: metrics::RunningSummary,
@@ -52,6 +54,14 @@ pub(super) struct Scores {
 struct StampedScore {
     secs: f64,
     score: FrameScore,
+}
+
+/// Makes truth unknown where the mask is 0, so that it leaves all scores; an empty mask keeps it.
+fn without_unknown(mut truth: TactileField, known: &[u8]) -> TactileField {
+    for values in [&mut truth.force, &mut truth.contact] {
+        values.iter_mut().zip(known).filter(|(_, known)| **known == 0).for_each(|(value, _)| *value = f32::NAN);
+    }
+    truth
 }
 
 impl Scores {
@@ -88,8 +98,12 @@ impl Scores {
             self.window.clear();
             self.touch.end_episode();
         }
+        let known = predicted.known_hands();
+        self.unknown += u64::from(!known.is_empty());
+        let target = without_unknown(target, &known);
         let sums = self.touch.push(secs, &predicted, &target)?;
-        let score = FrameScore::new(&predicted.force, &predicted.contact, &target.force, &target.contact, &[], &[]);
+        let score =
+            FrameScore::new(&predicted.force, &predicted.contact, &target.force, &target.contact, &known, &known);
         self.count(secs, &score);
         self.window.push_back((StampedScore { secs, score }, sums));
         self.arrived = Some(Instant::now());

@@ -64,7 +64,8 @@ impl TouchPooling {
 
     /// Pools a field into `touch.segments`, and into each `touch.tip_contact` that is unknown.
     ///
-    /// `force`: (778) N, and `contact`: (778) probability; either may be empty. Unknown values (NaN) are ignored.
+    /// `force`: (778) N, and `contact`: (778) probability; either may be empty. Unknown values (NaN) are ignored, and a hand of which
+    /// nothing is known leaves `touch` as it is.
     ///
     /// # Errors
     /// If a field has another length, or a force is negative or infinite.
@@ -76,6 +77,10 @@ impl TouchPooling {
         }
         if let Some(bad) = force.iter().position(|f| f.is_infinite() || *f < 0.0) {
             return Err(Error::value(format!("force[{bad}]"), "a finite number >= 0, or NaN", force[bad]));
+        }
+        let mut values = force.iter().chain(contact).peekable();
+        if values.peek().is_some() && values.all(|value| value.is_nan()) {
+            return Ok(());
         }
         let mut segments = [SegmentTouch::default(); N_SEGMENTS];
         for (vertex, value) in force.iter().enumerate().filter(|(_, value)| **value > 0.0) {

@@ -75,7 +75,7 @@ pub fn score(path: &Path, topics: &Topics, hands: Option<&[HandModel; 2]>) -> Re
         let (field, target) = (prediction.to_field()?, truth.frame.to_field()?);
         target.topology.must_match(hand.topology)?;
         field.topology.must_match(target.topology)?;
-        let frame = TruthFrame::new(stamp.secs(), target.force, Vec::new(), hand.positions.clone(), None)?;
+        let frame = TruthFrame::new(stamp.secs(), target.force, field.known_hands(), hand.positions.clone(), None)?;
         scorer.push(&frame, None, Some(&field))?;
     }
     episodes.extend(open.map(|(_, name, scorer)| scorer.finish(name, None, Vec::new())));

@@ -112,7 +112,13 @@ fn episode(
                 positions[side.range()].copy_from_slice(vertices);
             }
         }
-        let mask = data.mask.get(rows.clone()).map(<[u8]>::to_vec).unwrap_or_default();
+        let mut mask = data.mask.get(rows.clone()).map(<[u8]>::to_vec).unwrap_or_default();
+        // Hands that the predictor does not know leave all scores.
+        let known = prediction.as_ref().map(TactileField::known_hands).unwrap_or_default();
+        match mask.is_empty() {
+            true => mask = known,
+            false => mask.iter_mut().zip(known).for_each(|(mask, known)| *mask &= known),
+        }
         let truth = TruthFrame::new(data.timestamps[at], data.force[rows].to_vec(), mask, positions, None)?;
         let distances = match &mut near {
             Some((touchables, names)) => {

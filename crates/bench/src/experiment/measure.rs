@@ -6,7 +6,7 @@ use egotac::dataset::EpisodeReader;
 use egotac::dataset::zarr::{TIMESTAMPS, ZarrReader};
 use egotac::error::{Error, Result};
 use egotac::file::{self, input, limits};
-use egotac::model::{Predictor, predictor};
+use egotac::model::{Predictor, Unknown, predictor};
 use egotac::tactile::{TactileSequence, episode_ranges};
 use image::RgbImage;
 
@@ -38,7 +38,9 @@ pub struct Place<'a> {
 /// If it can't be read, or is one of random weights.
 pub fn predictor(setup: &Setup) -> Result<Predictor> {
     let path = setup.network.path.as_deref().ok_or_else(|| Error::value("--init", "a checkpoint", "none"))?;
-    Predictor::load(path, predictor::Options { max_gap_secs: Some(f64::MAX), ..Default::default() })
+    // Experiments compare what networks say, also of pictures unlike those of their training.
+    let unknown = Unknown::Guess;
+    Predictor::load(path, predictor::Options { max_gap_secs: Some(f64::MAX), unknown, ..Default::default() })
 }
 
 /// Predicts touch on every frame of stores, as on a stream of pictures; `change` may alter each one.

@@ -4,7 +4,7 @@ use egotac::crates::image::RgbImage;
 use egotac::error::Result;
 use egotac::hand::{HandModel, Region, Side};
 use egotac::model::shipped;
-use egotac::model::{Predictor, predictor};
+use egotac::model::{Predictor, Unknown, predictor};
 use egotac::sim::SimFrame;
 
 use super::task::Trial;
@@ -46,7 +46,8 @@ impl Senser {
     /// # Errors
     /// If there is none, or it can't be read.
     pub fn new() -> Result<Self> {
-        let predictor = Predictor::load(&shipped::path()?, predictor::Options::default())?;
+        let predictor =
+            Predictor::load(&shipped::path()?, predictor::Options { unknown: Unknown::Guess, ..Default::default() })?;
         Ok(Self { predictor, regions: Side::BOTH.map(|side| HandModel::builtin(side).regions()) })
     }
 
