@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""Labels a folder of recordings, or one data set of many episodes, on a Ray cluster.
+"""Labels a folder of recordings, or one data set of many episodes, on a Ray cluster; or imports a data set of others.
 
     ray_label.py INPUT OUT [--shards N] [--address auto] [-- OPTIONS OF egotac label]
+    ray_label.py INPUT OUT --import KIND [--shards N] [--address auto] [-- OPTIONS OF egotac data import]
 
 INPUT and OUT lie on storage that all nodes can access. The episodes and files are distributed over N shards; each shard is a Ray
-task that runs `egotac label --shard I/N`. If a worker dies, Ray runs its task again on any node, and the task resumes where the
+task that runs `egotac label --shard I/N`, or `egotac data import KIND --shard I/N`. If a worker dies, Ray runs its task again on any node, and the task resumes where the
 worker stopped. The shard that finishes an output last assembles it. OUT/manifest.json lists the outputs of several inputs. Needs
 Ray (`pip install ray`), and egotac on each node's PATH or in EGOTAC.
 """
@@ -17,7 +18,7 @@ import sys
 
 import ray
 
-PARTLY = 3  # exit status of egotac label: everything readable is labelled, the rest is listed
+PARTLY = 3  # exit status: everything readable is labelled or imported, the rest is listed
 
 
 def die_with_parent():
@@ -39,14 +40,16 @@ def main():
     parser.add_argument("input")
     parser.add_argument("out")
     parser.add_argument("--shards", type=int, default=16, help="number of tasks; more than workers, so that no worker idles at the end")
+    parser.add_argument("--import", dest="kind", metavar="KIND", help="import a data set of this kind instead of labelling")
     parser.add_argument("--cpus", type=float, default=1, help="processors that Ray reserves per task")
     parser.add_argument("--address", help="address of the cluster, for instance auto; default: start a local cluster")
-    parser.add_argument("options", nargs="*", help="options of egotac label, after --")
+    parser.add_argument("options", nargs="*", help="options of the command, after --")
     args = parser.parse_args()
 
     ray.init(address=args.address)
     egotac = os.environ.get("EGOTAC", "egotac")
-    command = [egotac, "label", os.path.abspath(args.input), "--out", os.path.abspath(args.out), *args.options]
+    job = ["data", "import", args.kind] if args.kind else ["label"]
+    command = [egotac, *job, os.path.abspath(args.input), "--out", os.path.abspath(args.out), *args.options]
     task = label.options(num_cpus=args.cpus)
     waiting = [task.remote(command, f"{index}/{args.shards}") for index in range(args.shards)]
     partly, failed = False, []

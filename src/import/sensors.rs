@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 
+use crate::error::Result;
 use crate::hand::Side;
 
 /// Beginning of the names of arrays with raw readings, before the side of the hand.
@@ -56,5 +57,48 @@ impl Sensor {
             "shape": self.shape,
             "unused_cells": self.unused,
         })
+    }
+}
+
+/// Gives the readings of an instant to `map`, such as a taxel map: it takes those of the left and the right hand, row-major,
+/// `None` = unknown, and returns values at the (1556) vertices.
+///
+/// # Errors
+/// As `map`.
+pub fn at_vertices(
+    sensors: &[Sensor],
+    readings: &[Option<Vec<f32>>],
+    map: impl FnOnce([Option<&[f32]>; 2]) -> Result<Vec<f32>>,
+) -> Result<Vec<f32>> {
+    let mut hands = [None, None];
+    for (sensor, reading) in sensors.iter().zip(readings) {
+        hands[sensor.side as usize] = reading.as_deref();
+    }
+    map(hands)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn readings_come_to_a_map_by_hand() {
+        let sensor = |side: Side| Sensor {
+            side,
+            shape: vec![2, 3],
+            model: "glove",
+            unit: "counts",
+            falls: false,
+            rest: None,
+            unused: vec![5],
+        };
+        let sensors = [sensor(Side::Right), sensor(Side::Left)];
+        let readings = [Some(vec![1.0; 6]), None];
+        let sum = at_vertices(&sensors, &readings, |[left, right]| {
+            assert!(left.is_none());
+            Ok(vec![right.unwrap().iter().sum()])
+        });
+        assert_eq!(sum.unwrap(), [6.0]);
+        assert_eq!((sensors[0].array(), sensors[1].unknown().len()), ("data/tactile_right".into(), 6));
     }
 }

@@ -8,7 +8,7 @@ use glam::{DAffine3, Vec3};
 
 use crate::error::{Error, Result};
 use crate::file;
-use crate::geometry::{SPACING, SampledSurface, Surface};
+use crate::geometry::{PROXIMITY, SPACING, SampledSurface, Surface};
 
 /// Spacing of the points that stand for an object's vertices in the 1 cm rule, m. The paper's meshes are scans about this
 /// fine; a coarser spacing misses contact, a finer one costs memory.
@@ -34,12 +34,12 @@ pub struct Shape {
     surface: Surface,
 }
 
-/// Distances of vertices from all objects, m; infinity beyond [`FAR`].
+/// Distances of vertices from all objects, m.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Gaps {
-    /// Distance from the nearest point of a resampled surface.
+    /// Distance from the nearest point of a resampled surface; infinity beyond [`PROXIMITY`].
     pub points: Vec<f32>,
-    /// Distance from the nearest surface, negative inside of a closed one.
+    /// Distance from the nearest surface, negative inside of a closed one; infinity beyond [`FAR`].
     pub surface: Vec<f32>,
 }
 
@@ -101,16 +101,27 @@ impl Gaps {
     /// Adds an object at `reference_from_object` to the distances of `vertices`, m, in the reference frame.
     pub fn add(&mut self, vertices: &[Vec3], shape: &Shape, reference_from_object: DAffine3) {
         let object_from_reference = reference_from_object.inverse();
+        // Neighbours in the numbering are neighbours on the hand, mostly: one's distance bounds the next one's.
+        let mut beside: Option<(Vec3, f32)> = None;
         for (index, vertex) in vertices.iter().enumerate() {
             let point = object_from_reference.transform_point3(vertex.as_dvec3()).as_vec3();
-            // Nothing farther than the nearest object so far matters.
-            let surface = shape.surface.distance(point, FAR.min(self.surface[index].max(0.0)));
+            // Nothing farther than the nearest object so far matters; the rule of points asks within its own distance.
+            let cutoff = FAR.min(self.surface[index].max(PROXIMITY));
+            let surface = match beside {
+                Some(beside) => shape.surface.distance_beside(point, cutoff, beside),
+                None => shape.surface.distance(point, cutoff),
+            };
+            beside = surface.is_finite().then_some((point, surface));
             if surface < self.surface[index] {
                 self.surface[index] = surface;
             }
-            let points = shape.points.distance(point, FAR.min(self.points[index]));
-            if points < self.points[index] {
-                self.points[index] = points;
+            // Points lie on the surface, and the nearest of them within its spacing of the nearest place.
+            if surface.abs() <= PROXIMITY {
+                let most = PROXIMITY.min(self.points[index]).min(surface.abs() + shape.points.spacing());
+                let points = shape.points.distance(point, most);
+                if points < self.points[index] {
+                    self.points[index] = points;
+                }
             }
         }
     }

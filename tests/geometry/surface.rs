@@ -214,6 +214,34 @@ proptest! {
 }
 
 #[test]
+fn a_point_beside_another_has_the_same_distance_as_alone() {
+    let scattered = |k: usize| Vec3::new((k as f32 * 0.731).sin(), (k as f32 * 1.37).cos(), (k as f32 * 2.11).sin());
+    let two = joined([(ball(0.05, 12), Vec3::ZERO), (cuboid(Vec3::new(0.01, 0.04, 0.02)), Vec3::X * 0.08)]);
+    let open = (two.0.clone(), two.1[1..].to_vec());
+    for surface in [surface(two), surface(open)] {
+        let mut previous = Vec3::splat(0.03);
+        let mut inside = 0;
+        for k in 0..2000 {
+            // Steps of 0.1 mm to 0.2 m.
+            let point = match k % 3 {
+                0 => previous + 1e-4 * scattered(k),
+                1 => previous + 0.01 * scattered(k),
+                _ => 0.1 * scattered(k),
+            };
+            let known = surface.distance(previous, f32::MAX);
+            for cutoff in [0.01, 0.05, f32::MAX] {
+                let (alone, beside) =
+                    (surface.distance(point, cutoff), surface.distance_beside(point, cutoff, (previous, known)));
+                assert!(alone == beside, "{beside} m instead of {alone} m at {point} beside {previous} at {known} m");
+                inside += usize::from(alone < 0.0);
+            }
+            previous = point;
+        }
+        assert!(!surface.sides().is_known() || inside > 300, "{inside}");
+    }
+}
+
+#[test]
 fn rays_through_vertices_and_edges_give_the_right_side() {
     // Naive counting of crossings fails for rays through corners and along edges and faces.
     let mesh = ball(0.05, 12);

@@ -69,7 +69,7 @@ fn counts(frame: &TakeFrame, side: Side) -> Vec<f32> {
 }
 
 /// Writes a scene of OpenTouch with one clip: the last frame has no landmarks of the left hand.
-fn write_opentouch(path: &Path, take: &Take) {
+pub fn write_opentouch(path: &Path, take: &Take) {
     let n = FRAMES as u64;
     let landmarks = |side: Side| {
         let of_frame = move |(index, frame): (usize, &TakeFrame)| match (side, index + 1 == FRAMES) {
@@ -127,7 +127,7 @@ fn parts(frame: &TakeFrame, side: Side) -> Vec<f32> {
 }
 
 /// Writes a trajectory of TouchAnything: hands in the camera's frame, images in chunks of four frames.
-fn write_touchanything(path: &Path, take: &Take) {
+pub fn write_touchanything(path: &Path, take: &Take) {
     let n = FRAMES as u64;
     let images = |mirrored: bool| {
         let pixels = take.frames.iter().flat_map(|frame| match mirrored {
@@ -196,7 +196,7 @@ const FINGER: [&str; 4] = ["Knuckle", "IntermediateBase", "IntermediateTip", "Ti
 const FINGERS: [&str; 5] = ["Thumb", "IndexFinger", "MiddleFinger", "RingFinger", "LittleFinger"];
 
 /// Writes an episode of EgoDex: joints in the world; the tracker does not see the left hand in frame 2.
-fn write_egodex(root: &Path, take: &Take) {
+pub fn write_egodex(root: &Path, take: &Take) {
     let n = FRAMES as u64;
     let motions = |motion: &dyn Fn(&TakeFrame) -> DAffine3| {
         let rows = take.frames.iter().flat_map(|frame| DMat4::from(motion(frame)).transpose().to_cols_array());

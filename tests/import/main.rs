@@ -17,4 +17,5 @@ mod sensors;
 mod sets;
 mod take;
 mod third;
+mod trees;
 mod videos;

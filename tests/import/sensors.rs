@@ -89,7 +89,7 @@ fn frames(numbers: impl Iterator<Item = i64>) -> ArrayRef {
 }
 
 /// Writes EgoPressure: the right hand above a touchpad; the last frame is not annotated.
-fn write_egopressure(root: &Path, take: &Take) {
+pub fn write_egopressure(root: &Path, take: &Take) {
     let name = "p_001/p_001_press_palm_high_x5_right";
     let folder = root.join("data").join(name);
     let config = json!({

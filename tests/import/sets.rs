@@ -27,7 +27,7 @@ fn sequence(root: &Path) -> std::path::PathBuf {
 }
 
 /// Writes H2O: everything in the frame of the head camera, hands without a correction of the left `shapedirs`.
-fn write_h2o(root: &Path, take: &Take) {
+pub fn write_h2o(root: &Path, take: &Take) {
     let camera = sequence(root);
     write(&camera.join("cam_intrinsics.txt"), "636.6593 636.2520 635.2839 366.8740 1280 720");
     write(&root.join("object/spray/lotion_spray.obj"), obj(&take.box_mesh(), 1.0));
@@ -118,7 +118,7 @@ fn damaged_lines_of_h2o_are_named_and_an_unseen_hand_is_unknown() {
 }
 
 /// Writes FPHA: joints of the right hand and one object in millimetres, in a world beside the colour camera.
-fn write_fpha(root: &Path, take: &Take) {
+pub fn write_fpha(root: &Path, take: &Take) {
     const PLACES: [usize; 21] = [0, 1, 5, 9, 13, 17, 2, 3, 4, 6, 7, 8, 10, 11, 12, 14, 15, 16, 18, 19, 20];
     let name = "Subject_1/open_liquid_soap/2";
     write(&root.join("Object_models/liquid_soap_model/liquid_soap_model.ply"), ply(&take.box_mesh()));
@@ -147,6 +147,7 @@ fn fpha_fits_the_hand_to_its_joints() {
     let store = open(&out);
     let score = f1(&store, take, &[Side::Right]);
     // Joints do not tell the twist of straight fingers: a fitted hand can't be exact.
+    println!("F1 of a hand fitted to joints: {score}");
     assert!(score >= 0.94, "F1 {score}");
     check_stamps(&store, (0..FRAMES).map(|index| index as f64 / 30.0));
     check_poses(&store, "data/object_pose", |index| take.frames[index].object);
@@ -189,7 +190,7 @@ fn neither_training_nor_scoring_takes_a_store_without_a_label() {
 const OFFSET: usize = 3;
 
 /// Writes ARCTIC: the box is the top part, turned about the hinge; the bottom part lies elsewhere.
-fn write_arctic(root: &Path, take: &Take, mano: &ManoFiles) {
+pub fn write_arctic(root: &Path, take: &Take, mano: &ManoFiles) {
     let name = "s01/box_grab_01";
     let templates = root.join("meta/object_vtemplates/box");
     write(&templates.join("top.obj"), obj(&take.box_mesh(), 1000.0));
@@ -279,7 +280,7 @@ fn arctic_turns_the_top_part_and_skips_images_without_annotation() {
 }
 
 /// Writes OakInk2: quaternions, wrist positions, PyTorch tensors and numpy arrays by frame number.
-fn write_oakink2(root: &Path, take: &Take) {
+pub fn write_oakink2(root: &Path, take: &Take) {
     const SERIAL: &str = "914412060001";
     let name = "scene_01__A001++seq__2023-04-27-19-17-25";
     let frame_number = |index: usize| 500 + 4 * index as i64;

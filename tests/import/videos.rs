@@ -1,16 +1,17 @@
-//! Data sets of videos become stores: TACO, HOI4D.
+//! Data sets of videos become stores: TACO, HOI4D, EPIC-KITCHENS, Ego4D, EgoPAT3D.
 
 use std::path::Path;
 use std::sync::LazyLock;
 
 use crate::check::{check_hands, check_images, check_poses, check_stamps, f1, open, supervised};
+use crate::common::egotac;
 use crate::files::{ManoFiles, angles, npy_f64, obj, video, write};
 use crate::pickle::Py;
-use crate::run::{import, rows, succeeded, with_mano};
+use crate::run::{import, imported, rows, succeeded, with_mano};
 use crate::take::{FRAMES, Take, cuboid, moved};
 use egotac::dataset::zarr::CAMERA_POSE;
 use egotac::hand::Side;
-use glam::{DAffine3, DMat4, DVec3};
+use glam::{DAffine3, DVec3};
 use serde_json::json;
 
 static TAKE: LazyLock<Take> = LazyLock::new(Take::simulated);
@@ -18,7 +19,7 @@ static TAKE: LazyLock<Take> = LazyLock::new(Take::simulated);
 const SEQUENCE: &str = "(stir, spoon, bowl)/20231105_019";
 
 /// Writes TACO: hands in the world as tensors, with the position of the wrist; meshes in centimetres.
-fn write_taco(root: &Path, take: &Take) {
+pub fn write_taco(root: &Path, take: &Take) {
     write(&root.join("Object_Models/017_cm.obj"), obj(&take.box_mesh(), 100.0));
     write(&root.join("Object_Models/003_cm.obj"), obj(&cuboid(DVec3::splat(0.04)), 100.0));
     let at = |folder: &str, name: &str| root.join(folder).join(SEQUENCE).join(name);
@@ -101,7 +102,7 @@ fn taco_leaves_out_a_video_that_lost_frames_and_names_damaged_tensors() {
 }
 
 /// Writes HOI4D: the right hand and the object in the camera's frame, one file per frame.
-fn write_hoi4d(root: &Path, take: &Take) {
+pub fn write_hoi4d(root: &Path, take: &Take) {
     let name = "ZY20210800001/H1/C2/N12/S55/s02/T1";
     write(&root.join("HOI4D_CAD_Model_for_release/rigid/Mug/012.obj"), obj(&take.box_mesh(), 1.0));
     write(
@@ -163,4 +164,55 @@ fn hoi4d_has_the_simulators_contact_in_the_cameras_frame() {
     }
     let score = 2.0 * f64::from(hits as u32) / f64::from((2 * hits + wrong) as u32);
     assert!(score >= 0.99, "F1 {score}");
+}
+
+#[test]
+fn videos_to_be_labelled_keep_their_actions() {
+    let (folder, take) = (tempfile::tempdir().unwrap(), &*TAKE);
+    let images: Vec<_> = take.frames.iter().map(|frame| &frame.image).collect();
+    let epic = folder.path().join("epic");
+    video(&epic.join("P01/videos/P01_01.MP4"), &images);
+    write(
+        &epic.join("epic-kitchens-100-annotations/EPIC_100_train.csv"),
+        "narration_id,video_id,start_timestamp,stop_timestamp,narration,all_nouns\n\
+        P01_01_0,P01_01,00:00:00.10,00:00:01.25,\"open door, slowly\",\"['door', 'hand']\"\n\
+        P02_01_0,P02_01,00:00:05.00,00:00:06.00,wash cup,['cup']\n",
+    );
+    let ego4d = folder.path().join("ego4d");
+    video(&ego4d.join("full_scale/0a1b.mp4"), &images);
+    let pass =
+        json!({ "narrations": [{ "timestamp_sec": 0.2, "timestamp_frame": 6, "narration_text": "#C C opens" }] });
+    let narrations = json!({ "videos": { "0a1b": { "narration_pass_1": pass } } });
+    write(&ego4d.join("annotations/narration.json"), narrations.to_string());
+    let egopat3d = folder.path().join("egopat3d");
+    video(&egopat3d.join("3/bin_1/rgb_video.mp4"), &images);
+    write(&egopat3d.join("3/bin_1/hand_frames/clip_ranges.txt"), "0 3\n5 8\n");
+    let actions = [
+        ("epic", &epic, json!([{ "secs": [0.1, 1.25], "text": "open door, slowly" }])),
+        ("ego4d", &ego4d, json!([{ "secs": [0.2, 0.2], "text": "#C C opens" }])),
+        ("egopat3d", &egopat3d, serde_json::Value::Null),
+    ];
+    for (kind, root, actions) in actions {
+        let out = folder.path().join(format!("{kind}.zarr"));
+        let store = imported(kind, root, &out, &[]);
+        check_images(&store, take);
+        check_stamps(&store, (0..FRAMES).map(|index| index as f64 / 30.0));
+        assert_eq!(supervised(&store), [0, 0]);
+        assert_eq!(store.raw_attributes()["import"]["about"]["actions"], actions, "{kind}");
+    }
+    let store = open(&folder.path().join("egopat3d.zarr"));
+    assert_eq!(store.raw_attributes()["import"]["about"]["clips_frames"], json!([[0.0, 3.0], [5.0, 8.0]]));
+    // What is imported can be labelled.
+    let [out, labelled] = ["epic.zarr", "labelled.zarr"].map(|name| folder.path().join(name));
+    let output = egotac(&["label", out.to_str().unwrap(), "--out", labelled.to_str().unwrap()]);
+    succeeded(&output);
+    assert_eq!(open(&labelled).len(), FRAMES);
+    write(&egopat3d.join("3/bin_2/hand_frames/clip_ranges.txt"), "0 3 5\n");
+    video(&egopat3d.join("3/bin_2/rgb_video.mp4"), &images);
+    write(&egopat3d.join("3/bin_3/rgb_video.mp4"), "no video");
+    let output = import("egopat3d", &egopat3d, &folder.path().join("several"), &[]);
+    assert_eq!(output.status.code(), Some(3));
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(error.contains("clip_ranges.txt: expected pairs of frame numbers, got 3 numbers"), "{error}");
+    assert!(error.contains("bin_3/rgb_video.mp4: "), "{error}");
 }

@@ -5,6 +5,7 @@
 //! |---|---|
 //! | [`model`], [`train`] | time and memory of the network and of a training step, beside PyTorch and OpenVINO |
 //! | [`label`] | time that `egotac label` spends outside the network |
+//! | [`import`] | speed of imports: contact by distance, readers of data sets |
 //! | `sim`, `effects`, `guards` | accuracy, effects and guards of the simulation against their cost |
 //! | `retarget` | accuracy and time of retargeting, beside other programs |
 //! | [`hard_cases`] | inputs that go wrong, the guards that report them, and their remedies |
@@ -23,6 +24,7 @@ mod front;
 #[cfg(feature = "sim")]
 pub mod guards;
 pub mod hard_cases;
+pub mod import;
 pub mod label;
 pub mod model;
 #[cfg(all(feature = "ros", feature = "sim"))]

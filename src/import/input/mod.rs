@@ -1,6 +1,7 @@
 //! Contents of the files that data sets consist of, checked.
 
 pub mod arrays;
+pub mod csv;
 pub mod folders;
 pub mod hdf5;
 pub mod hdf5_images;

@@ -14,3 +14,4 @@ pub mod oakink2;
 pub mod opentouch;
 pub mod taco;
 pub mod touchanything;
+pub mod videos;

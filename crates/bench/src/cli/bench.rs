@@ -4,6 +4,7 @@ mod effects;
 mod faults;
 mod guards;
 mod hard_cases;
+mod import;
 mod label;
 mod model;
 #[cfg(all(feature = "ros", feature = "sim"))]
@@ -29,6 +30,8 @@ enum Subject {
     Train(train::Args),
     /// Measure what labelling adds to the network's time: reading, writing, geometry.
     Label(label::Args),
+    /// Measure imports: contact by distance, and readers of data sets against reading their bytes.
+    Import(import::Args),
     /// Measure accuracy against time in simulation: errors against fine references, times, a Pareto plot.
     Sim(sim::Args),
     /// Measure time and accuracy of retargeting, beside other programs.
@@ -53,6 +56,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::Model(args) => return status(model::run(&args)?),
         Subject::Train(args) => return train::run(&args).map(|()| ExitCode::SUCCESS),
         Subject::Label(args) => return status(label::run(&args)?),
+        Subject::Import(args) => return status(import::run(&args)?),
         Subject::Faults(args) => return status(faults::run(&args)?),
         Subject::Sim(_) => "bench sim",
         Subject::Retarget(_) => "bench retarget",
@@ -71,6 +75,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::Model(args) => model::run(&args)?,
         Subject::Train(args) => train::run(&args).map(|()| true)?,
         Subject::Label(args) => label::run(&args)?,
+        Subject::Import(args) => import::run(&args)?,
         Subject::Sim(args) => sim::run(&args).map(|()| true)?,
         Subject::Retarget(args) => retarget::run(&args).map(|()| true)?,
         Subject::Effects(args) => effects::run(&args).map(|()| true)?,

@@ -1,0 +1,44 @@
+//! `egotac bench import`.
+
+use std::path::PathBuf;
+
+use egotac::file;
+
+use crate::import::{ALLOWED_MS, markdown, run as measure};
+
+/// Arguments of `egotac bench import`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "The exit status is 1 if contact labels against the largest object take longer than 2 ms per frame and hand."
+)]
+pub struct Args {
+    /// Data set whose reader is measured: its kind and its folder.
+    #[arg(long, value_name = "KIND=FOLDER", value_parser = set)]
+    set: Vec<(String, PathBuf)>,
+    /// Folder for import.md and import.json; without it the table is only printed.
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+}
+
+/// Runs the subject; false if contact labels take longer than allowed.
+pub fn run(args: &Args) -> anyhow::Result<bool> {
+    let folder = tempfile::tempdir()?;
+    // Folders of data sets say nothing about the measurement.
+    let command = match args.set.is_empty() {
+        true => "egotac bench import --out docs/bench".to_string(),
+        false => "egotac bench import --set KIND=FOLDER ... --out docs/bench".to_string(),
+    };
+    let report = measure(&args.set, folder.path(), command)?;
+    let table = markdown(&report);
+    print!("{table}");
+    if let Some(folder) = &args.out {
+        file::write(&folder.join("import.md"), table.as_bytes())?;
+        file::write(&folder.join("import.json"), format!("{:#}\n", serde_json::to_value(&report)?).as_bytes())?;
+    }
+    Ok(report.contact.last().is_none_or(|row| row.label_ms <= ALLOWED_MS))
+}
+
+fn set(text: &str) -> Result<(String, PathBuf), String> {
+    let (kind, folder) = text.split_once('=').ok_or("expected KIND=FOLDER")?;
+    Ok((kind.into(), folder.into()))
+}
