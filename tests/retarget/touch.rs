@@ -174,7 +174,7 @@ fn fingertips_press_each_other_in_the_humans_direction() {
     // Seven coupled joints can turn fingertips less than sixteen free ones.
     for (robot, most, share) in [("four_finger", 8.0, 0.5), ("tendon_hand", 18.0, 0.85)] {
         let (facing, not) = (turned_pinches(robot, None), turned_pinches(robot, Some(0.0)));
-        eprintln!("{robot}: {facing} degrees, {not} without");
+        println!("{robot}: {facing} degrees, {not} without");
         assert!(facing < most && facing < share * not, "{robot}: {facing} degrees, {not} without");
     }
 }

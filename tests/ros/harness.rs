@@ -159,7 +159,7 @@ impl Drop for Running {
         let _ = self.child.kill();
         let _ = self.child.wait();
         if std::thread::panicking() {
-            eprintln!("--- {}\n{}", self.log.display(), self.output());
+            println!("--- {}\n{}", self.log.display(), self.output());
         }
     }
 }

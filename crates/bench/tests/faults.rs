@@ -163,6 +163,32 @@ fn planted_entries_are_told_apart() {
 }
 
 #[test]
+fn an_unreadable_image_is_no_mix_up_where_the_status_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    input::images(&at("in"), 1).unwrap();
+    input::checkpoint(&at("model.safetensors"), 1).unwrap();
+    let whole = label(folder.path(), "in", "whole.zarr");
+    let reference = Reference::read(&whole, &whole, &[""]).unwrap();
+    fs::write(at("in/frame_020.png"), b"no image").unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_egotac-bench"));
+    command
+        .args(["label", "--checkpoint"])
+        .arg(at("model.safetensors"))
+        .arg("--out")
+        .arg(at("partly.zarr"))
+        .arg(at("in"));
+    assert_eq!(command.output().unwrap().status.code(), Some(3));
+    let compare = |partly| {
+        let mut harm = Harm::default();
+        reference.compare(&at("partly.zarr"), partly, &mut harm);
+        harm
+    };
+    assert!(compare(true).is_none(), "{:?}", compare(true));
+    assert!(compare(false).lost && compare(false).mixed_up);
+}
+
+#[test]
 fn a_planted_doubling_is_found() {
     let folder = tempfile::tempdir().unwrap();
     let [first, second] = labelled(folder.path());
