@@ -136,7 +136,15 @@ fn a_decoder_that_dies_stops_the_recording_and_the_next_run_goes_on() {
         fs::set_permissions(at("bin/ffmpeg"), fs::Permissions::from_mode(0o755)).unwrap();
         let path = format!("{}:{}", at("bin").display(), std::env::var("PATH").unwrap());
         let mut command = Command::new(env!("CARGO_BIN_EXE_egotac"));
-        command.env("PATH", path).arg("label").arg(&clip).arg("--out").arg(at("out.zarr")).output().unwrap()
+        command
+            .env("PATH", path)
+            .arg("label")
+            .arg(&clip)
+            .arg("--out")
+            .arg(at("out.zarr"))
+            .args(["--unknown", "guess"])
+            .output()
+            .unwrap()
     };
     for (end, words) in [
         ("kill -9 $$", "ended by signal 9"),

@@ -15,7 +15,7 @@ root = pathlib.Path(__file__).resolve().parent.parent.parent
 with tempfile.TemporaryDirectory() as folder:
     folder = pathlib.Path(folder)
     subprocess.run(
-        [egotac, "label", root / "tests/data/lerobot/video", "--out", folder / "labelled"], check=True, stdout=subprocess.DEVNULL
+        [egotac, "label", root / "tests/data/lerobot/video", "--out", folder / "labelled", "--unknown", "guess"], check=True, stdout=subprocess.DEVNULL
     )
     command = [sys.executable, root / "examples" / "train_with_touch.py", folder / "labelled", "--batch", "4"]
     command += ["--camera", "observation.images.head", "--out"]
