@@ -16,6 +16,7 @@ use r2r::{
 
 use super::clock::RosClock;
 use super::input_topics::InputTopics;
+use super::lifecycle::Lifecycle;
 use super::log::Log;
 use super::parameter_services::Setter;
 use super::params::Parameters;
@@ -43,6 +44,7 @@ pub(crate) struct Runtime {
     inputs: InputTopics,
     qos_overrides: QosOverrides,
     setter: Option<Rc<Setter>>,
+    lifecycle: Option<Lifecycle>,
     timers: Vec<Timer>,
     clock: RosClock,
     log: Log,
@@ -92,6 +94,7 @@ impl Runtime {
             inputs: InputTopics::default(),
             qos_overrides,
             setter: None,
+            lifecycle: None,
             timers: Vec::new(),
             clock,
             log,
@@ -112,6 +115,11 @@ impl Runtime {
     /// Returns the setter of parameters that also publishes changes; None before the parameter services exist.
     pub(crate) fn parameter_setter(&self) -> Option<Rc<Setter>> {
         self.setter.clone()
+    }
+
+    /// Keeps the lifecycle, which learns from this node whether its configuration succeeded.
+    pub(crate) fn set_lifecycle(&mut self, lifecycle: Lifecycle) {
+        self.lifecycle = Some(lifecycle);
     }
 
     /// Log of the node.
@@ -320,8 +328,11 @@ impl Runtime {
         self.timers.push(Timer { period, next: Instant::now() + period, call: Box::new(call) });
     }
 
-    /// Serves ROS until `shutdown`.
+    /// Serves ROS until `shutdown`; the node's topics and services exist now.
     pub(crate) fn spin(&mut self, shutdown: &Shutdown) {
+        if let Some(lifecycle) = &self.lifecycle {
+            lifecycle.configured(&self.log);
+        }
         for name in self.qos_overrides.unused() {
             self.log.warn(format!("parameter {name} is ignored: the node has no such publisher or subscription"));
         }
@@ -381,5 +392,17 @@ impl Runtime {
             }
             is_wanted.get()
         }));
+    }
+}
+
+/// Time for a last response to leave.
+const FAREWELL: Duration = Duration::from_millis(100);
+
+impl Drop for Runtime {
+    /// Tells who asked for a configuration that failed.
+    fn drop(&mut self) {
+        if self.lifecycle.take().is_some_and(|lifecycle| lifecycle.failed(&self.log)) {
+            self.spin_for(FAREWELL);
+        }
     }
 }
