@@ -148,7 +148,7 @@ struct OpenBag {
 impl Recording {
     /// Records until `shutdown`; sends to `ready` once all topics are subscribed.
     fn run(self, shutdown: &Shutdown, ready: &Sender<()>) -> Result<()> {
-        let mut runtime = create("recorder", &[Parameter::use_sim_time()])?;
+        let mut runtime = create("recorder", &[Parameter::use_sim_time()], None)?;
         let file = Rc::new(RefCell::new(OpenBag { writer: self.create_bag()?, error: None }));
         for topic in &self.topics {
             self.subscribe(&mut runtime, topic, &file, shutdown)?;

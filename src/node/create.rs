@@ -15,16 +15,20 @@ use super::runtime::Runtime;
 use super::topic_names::TopicNames;
 use super::{log_level, parameter_services, qos, sim_time};
 
-/// Creates the node `name` (remappable) with parameter services for `table`, `/rosout` and `/parameter_events`.
+/// Creates the node `name` (remappable) with parameter services for `table`, `/rosout` and `/parameter_events`. `before`: parameters
+/// of an earlier node of this program, whose values it takes over.
 ///
 /// # Errors
 /// If ROS refuses its arguments, or a parameter given at start is not allowed; the error names it and its range.
-pub(crate) fn create(name: &str, table: &[Parameter]) -> anyhow::Result<Runtime> {
+pub(crate) fn create(name: &str, table: &[Parameter], before: Option<&Parameters>) -> anyhow::Result<Runtime> {
     let context = context()?;
     let mut node = r2r::Node::create(context, name, "").with_context(|| format!("cannot create node {name}"))?;
     let full_name = node.fully_qualified_name()?;
     let names = TopicNames::new(&node.namespace()?, &node.name()?, std::env::args().skip(1));
     let (parameters, unknown) = parameters(&node, table)?;
+    if let Some(before) = before {
+        parameters.take_over(before);
+    }
     let overrides = {
         let given = lock(&node.params);
         QosOverrides::new(given.iter().map(|(name, given)| (name.as_str(), &given.value)))?

@@ -6,6 +6,7 @@
 //! predictor's takes the newest image from a `mailbox`. Shutdown goes in the other direction: the flag is set, spinning
 //! ends, the worker is joined, then the ROS node is dropped.
 
+mod allowed_folder;
 #[cfg(feature = "sim")]
 mod approximate_sync;
 pub(crate) mod bag_recorder;
@@ -20,6 +21,7 @@ mod flatten;
 mod hand_confidence;
 mod images;
 mod input_topics;
+mod lifecycle;
 mod lock;
 mod log;
 mod log_level;

@@ -89,6 +89,11 @@ pub(crate) struct Setter {
 }
 
 impl Setter {
+    /// Parameters of the node.
+    pub(crate) fn parameters(&self) -> &Parameters {
+        &self.parameters
+    }
+
     /// Sets one parameter and publishes the change.
     ///
     /// # Errors

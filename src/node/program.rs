@@ -1,9 +1,15 @@
 //! `main` of the nodes' programs.
 
 use std::process::ExitCode;
+use std::rc::Rc;
+use std::sync::Arc;
+
+use anyhow::Context as _;
 
 use super::create::create;
-use super::params::{self, Parameter};
+use super::lifecycle::Lifecycle;
+use super::parameter_services::Setter;
+use super::params::{self, Parameter, Parameters};
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use crate::file::limits::check_environment;
@@ -18,6 +24,49 @@ pub(crate) fn run(
     table: &[Parameter],
     run: impl FnOnce(Runtime, &Shutdown) -> anyhow::Result<()>,
 ) -> ExitCode {
+    run_program(about, table, |shutdown| run(create(name, table, None)?, shutdown))
+}
+
+/// Runs a program as [`run`]; its node has the parameters `autostart` and `enabled`, and a lifecycle.
+pub(crate) fn run_managed(
+    name: &str,
+    about: &str,
+    table: &[Parameter],
+    run: impl Fn(Runtime, &Shutdown) -> anyhow::Result<()>,
+) -> ExitCode {
+    run_program(about, table, |shutdown| {
+        let lifecycle = Lifecycle::new(shutdown);
+        let mut parameters: Option<Arc<Parameters>> = None;
+        loop {
+            let mut runtime = create(name, table, parameters.as_deref())?;
+            let is_first = parameters.is_none();
+            parameters = Some(Arc::clone(runtime.parameters()));
+            let node = lifecycle.serve(&mut runtime)?;
+            runtime.set_follower(lifecycle.clone());
+            let log = runtime.log().clone();
+            let waits = !(is_first && runtime.parameters().get::<bool>("autostart"));
+            if waits {
+                log.info("unconfigured: waits for ~/change_state");
+                if !lifecycle.wait_for_configuration(&mut runtime, &node) {
+                    return Ok(());
+                }
+                let setter = runtime.extension::<Rc<Setter>>().context("the node has no parameter services")?;
+                setter.set_one("enabled", false).map_err(anyhow::Error::msg)?;
+            }
+            match run(runtime, &node) {
+                Ok(()) if !lifecycle.was_cleaned_up() => return Ok(()),
+                Ok(()) => {}
+                Err(error) if waits && !lifecycle.is_configured() => {
+                    eprintln!("the configuration failed: {}", crate::text::error_chain(error.as_ref()));
+                }
+                Err(error) => return Err(error),
+            }
+        }
+    })
+}
+
+/// Reads the program's own arguments; without any, runs `run` until it ends.
+fn run_program(about: &str, table: &[Parameter], run: impl FnOnce(&Shutdown) -> anyhow::Result<()>) -> ExitCode {
     // ROS checks the arguments after --ros-args.
     let mut own_arguments = std::env::args().skip(1).take_while(|argument| argument != "--ros-args");
     if let Some(argument) = own_arguments.next() {
@@ -40,7 +89,7 @@ pub(crate) fn run(
     let run = || {
         check_environment()?;
         shutdown.request_on_signals()?;
-        run(create(name, table)?, &shutdown)
+        run(&shutdown)
     };
     match run() {
         Ok(()) => ExitCode::SUCCESS,

@@ -41,10 +41,20 @@ pub(crate) struct Runtime {
     qos_overrides: QosOverrides,
     /// State of the modules that build on this one, one value of each type.
     extensions: HashMap<TypeId, Box<dyn Any>>,
+    follower: Option<Box<dyn Follower>>,
     timers: Vec<Timer>,
     clock: RosClock,
     log: Log,
     parameters: Arc<Parameters>,
+}
+
+/// Follower of a node's course.
+pub(crate) trait Follower {
+    /// Learns that all topics and services of the node exist.
+    fn configured(&self, log: &Log);
+
+    /// Learns that the node ends; returns true if a response must still leave.
+    fn ended(&self, log: &Log) -> bool;
 }
 
 /// Quality of service of a publisher on a topic.
@@ -89,6 +99,7 @@ impl Runtime {
             clients: HashMap::new(),
             qos_overrides,
             extensions: HashMap::new(),
+            follower: None,
             timers: Vec::new(),
             clock,
             log,
@@ -114,6 +125,11 @@ impl Runtime {
     /// Returns the value of a type that [`Self::set_extension`] kept, for changes; None if there is none.
     pub(crate) fn extension_mut<T: 'static>(&mut self) -> Option<&mut T> {
         self.extensions.get_mut(&TypeId::of::<T>())?.downcast_mut()
+    }
+
+    /// Keeps the follower of this node's course.
+    pub(crate) fn set_follower(&mut self, follower: impl Follower + 'static) {
+        self.follower = Some(Box::new(follower));
     }
 
     /// Log of the node.
@@ -317,8 +333,11 @@ impl Runtime {
         self.timers.push(Timer { period, next: Instant::now() + period, call: Box::new(call) });
     }
 
-    /// Serves ROS until `shutdown`.
+    /// Serves ROS until `shutdown`; the node's topics and services exist now.
     pub(crate) fn spin(&mut self, shutdown: &Shutdown) {
+        if let Some(follower) = &self.follower {
+            follower.configured(&self.log);
+        }
         for name in self.qos_overrides.unused() {
             self.log.warn(format!("parameter {name} is ignored: the node has no such publisher or subscription"));
         }
@@ -378,5 +397,17 @@ impl Runtime {
             }
             is_wanted.get()
         }));
+    }
+}
+
+/// Time for a last response to leave.
+const FAREWELL: Duration = Duration::from_millis(100);
+
+impl Drop for Runtime {
+    /// Tells who asked for a configuration that failed.
+    fn drop(&mut self) {
+        if self.follower.take().is_some_and(|follower| follower.ended(&self.log)) {
+            self.spin_for(FAREWELL);
+        }
     }
 }

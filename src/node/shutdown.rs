@@ -15,17 +15,27 @@ const SIGNAL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Shutdown flag; clones share it. A signal, a worker that ends, or a test sets it; nothing clears it.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Shutdown(Arc<AtomicBool>);
+pub(crate) struct Shutdown {
+    flag: Arc<AtomicBool>,
+    /// Flag that requests the same, if there is one.
+    parent: Option<Arc<AtomicBool>>,
+}
 
 impl Shutdown {
     /// Requests shutdown.
     pub(crate) fn request(&self) {
-        self.0.store(true, Ordering::SeqCst);
+        self.flag.store(true, Ordering::SeqCst);
     }
 
     /// Returns true if shutdown was requested.
     pub(crate) fn requested(&self) -> bool {
-        self.0.load(Ordering::SeqCst)
+        let is_set = |flag: &Arc<AtomicBool>| flag.load(Ordering::SeqCst);
+        is_set(&self.flag) || self.parent.as_ref().is_some_and(is_set)
+    }
+
+    /// Returns a flag for a part of the program: it is set with this one, and this one not with it.
+    pub(crate) fn child(&self) -> Self {
+        Self { flag: Arc::default(), parent: Some(Arc::clone(&self.flag)) }
     }
 
     /// Requests shutdown on SIGINT and SIGTERM. Further signals do not interrupt it, because a terminal and a launch program
@@ -37,7 +47,7 @@ impl Shutdown {
         let (arrived, must_exit) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
         for signal in [SIGINT, SIGTERM] {
             flag::register_conditional_shutdown(signal, 1, Arc::clone(&must_exit))
-                .and_then(|_| flag::register(signal, Arc::clone(&self.0)))
+                .and_then(|_| flag::register(signal, Arc::clone(&self.flag)))
                 .and_then(|_| flag::register(signal, Arc::clone(&arrived)))
                 .context("cannot handle SIGINT and SIGTERM")?;
         }

@@ -45,6 +45,49 @@ fn each_parameter_is_documented_with_its_default() {
     }
 }
 
+/// Returns the names of a node's topics, services and actions in its table, as full names in the root namespace.
+fn documented_names(text: &str, node: &str) -> Vec<String> {
+    let section = text.split("\n## ").find(|section| section.starts_with(node)).unwrap();
+    let (table, _) = section.split_once("| parameter | default |").unwrap();
+    let rows = table.lines().filter(|line| line.starts_with("| `"));
+    let quoted = rows.flat_map(|row| cell(row, 1).split('`').skip(1).step_by(2));
+    let full = |name: &str| match name.strip_prefix("~/") {
+        Some(own) => format!("/{node}/{own}"),
+        None => format!("/{}", name.trim_start_matches('/')),
+    };
+    quoted.map(|name| full(name).replace("SIDE_PART", "left_thumb")).collect()
+}
+
+#[test]
+fn security_policies_allow_each_documented_name() {
+    let (text, policies) = (document("docs/nodes.md"), document("launch/sros2/policies.xml"));
+    for node in ["predictor", "retargeter", "simulator", "trainer", "verifier"] {
+        let path = format!("<enclave path=\"/egotac/{node}\">");
+        let (_, enclave) = policies.split_once(&path).unwrap();
+        let enclave = enclave.split("</enclave>").next().unwrap();
+        let names = documented_names(&text, node);
+        assert!(names.len() > 2, "{node}: {names:?}");
+        for name in names.into_iter().chain([format!("/{node}/set_parameters"), "/rosout".into()]) {
+            assert!(enclave.contains(&format!(">{name}<")), "launch/sros2/policies.xml: {node} lacks {name}");
+        }
+    }
+}
+
+#[test]
+fn topics_of_the_foxglove_layout_are_documented() {
+    let text = document("docs/nodes.md");
+    let names: Vec<String> = ["predictor", "simulator"].iter().flat_map(|node| documented_names(&text, node)).collect();
+    let layout: Value = serde_json::from_str(&document("launch/foxglove.json")).unwrap();
+    let layout = layout.to_string();
+    let mut found = 0;
+    for quoted in layout.split('"').filter(|part| part.starts_with("/predictor/") || part.starts_with("/truth/")) {
+        let topic = quoted.split(['.', '[']).next().unwrap();
+        assert!(names.iter().any(|name| name == topic), "{topic}");
+        found += 1;
+    }
+    assert!(found > 5);
+}
+
 #[test]
 fn listener_of_the_readme_prints_the_touch_of_each_image_with_its_stamp() {
     let readme = document("README.md");

@@ -13,6 +13,7 @@ mod trajectory;
 mod docs;
 #[cfg(feature = "sim")]
 mod launch_files;
+mod lifecycle;
 mod observation;
 mod predictor;
 #[cfg(feature = "sim")]

@@ -211,6 +211,37 @@ def pairs_of_hands(case):
     robot.peer.wait(counted, "the count of hands of low confidence")
 
 
+def object_pose(frame, i):
+    (x, y, z), (a, b, c, d) = frame["object"]
+    pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=a, y=b, z=c, w=d))
+    return put_stamp(PoseStamped(pose=pose), i)
+
+
+def about(case):
+    """Joints with an object agree with the library; an object pose in another frame causes a warning, an old one is ignored."""
+    robot = Robot(case)
+    objects = robot.peer.connected(robot.peer.create_publisher(PoseStamped, "object", 100))
+    for i, frame in enumerate(case["frames"]):
+        objects.publish(object_pose(frame, i))
+        robot.peer.rest(0.3)
+        robot.keypoints.publish(points(frame, i))
+        robot.with_stamp(1000 * 10**9 + i * DT)
+        got = robot.settled()
+        assert np.abs(got - frame["qpos"]).max() < 2e-3, (i, got - frame["qpos"])
+    last = len(case["frames"]) - 1
+    # Ten frames later the object pose is too old: the same hand moves through the former place of the ball.
+    robot.keypoints.publish(points(case["frames"][last], last + 10))
+    robot.with_stamp(1000 * 10**9 + (last + 10) * DT)
+    assert np.abs(robot.settled() - case["frames"][last]["qpos"]).max() > 0.05
+    strange = object_pose(case["frames"][last], last + 11)
+    strange.header.frame_id = "elsewhere"
+    objects.publish(strange)
+    robot.peer.rest(0.3)
+    robot.keypoints.publish(points(case["frames"][last], last + 11))
+    robot.with_stamp(1000 * 10**9 + (last + 11) * DT)
+    robot.warned("elsewhere")
+
+
 def matrix(pose):
     """Returns the 4 x 4 matrix of a position and a quaternion."""
     (x, y, z), (a, b, c, d) = pose

@@ -25,11 +25,12 @@ fn the_level_of_the_log_is_honoured_and_can_be_changed() {
 }
 
 #[test]
-fn parameter_files_may_have_wildcards() {
+fn parameter_files_name_all_nodes_or_one_by_its_full_name() {
     let session = Session::new();
     let path = session.path("params.yaml");
-    let text = "/**:\n  ros__parameters:\n    print: false\n/*/verifier:\n  ros__parameters:\n    window_secs: 7.0\n";
-    std::fs::write(&path, text).unwrap();
+    let text = "/**:\n  ros__parameters:\n    print: false\nNAME:\n  ros__parameters:\n    window_secs: 7.0\n";
+    let name = format!("{}/verifier", session.namespace());
+    std::fs::write(&path, text.replace("NAME", &name)).unwrap();
     let mut node = session.node(PROGRAM, &["--params-file", path.to_str().unwrap()]);
     session.check("standard_peer.py", &["wildcards"]);
     node.ends_cleanly("INT");

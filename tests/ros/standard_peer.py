@@ -73,7 +73,7 @@ def levels():
 
 
 def wildcards():
-    """A parameter file with wildcards gives a value; the most specific entry counts, as in other client libraries."""
+    """A parameter file gives values to all nodes, and to one by its full name."""
     names = ["window_secs", "print"]
     response = Peer().call(GetParameters, "verifier/get_parameters", GetParameters.Request(names=names))
     assert response.values[0].double_value == 7.0 and response.values[1].bool_value is False, response

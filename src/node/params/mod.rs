@@ -73,6 +73,12 @@ impl Parameters {
         value
     }
 
+    /// Takes the values of another set of parameters with the same table.
+    pub(crate) fn take_over(&self, other: &Parameters) {
+        let values = lock(&other.values).clone();
+        *lock(&self.values) = values;
+    }
+
     /// Sets values on a running node, either all or none.
     ///
     /// # Errors

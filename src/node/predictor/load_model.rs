@@ -13,6 +13,7 @@ use super::load::{load_file, measure_inference, model_info};
 use crate::hand::Topology;
 use crate::message::HandModelInfo;
 use crate::model::predictor::{Options, Predictor};
+use crate::node::allowed_folder::AllowedFolder;
 use crate::node::clock::RosClock;
 use crate::node::lock::lock;
 use crate::node::log::Log;
@@ -58,6 +59,8 @@ pub(super) struct ModelRequirements {
     pub(super) options: Options,
     /// Vertex numbering; subscribers rely on it.
     pub(super) topology: Topology,
+    /// Folder in which files of requests must lie.
+    pub(super) allowed: AllowedFolder,
 }
 
 /// Offers `~/load_model`; `model_id` names the network in use. Returns the thread that loads networks, which ends at `shutdown`.
@@ -123,7 +126,10 @@ impl Loader {
 
     /// Loads and runs a checkpoint once, so that an unusable one is refused before it replaces the network in use.
     fn load(&self, path: &str) -> anyhow::Result<LoadedModel> {
-        let ModelRequirements { default_path, options, topology } = &self.requirements;
+        let ModelRequirements { default_path, options, topology, allowed } = &self.requirements;
+        if !path.is_empty() {
+            allowed.check("model", Path::new(path))?;
+        }
         let path = if path.is_empty() { default_path } else { Path::new(path) };
         let mut predictor = load_file(path, options.clone())?;
         let loaded = predictor.metadata().topology;

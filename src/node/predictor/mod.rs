@@ -10,6 +10,7 @@ mod views;
 use std::process::ExitCode;
 use std::sync::Arc;
 
+use super::allowed_folder::{self, AllowedFolder};
 use super::diagnostics::{self, Level, TaskReport};
 use super::enabled::serve_set_enabled;
 use super::images::ImageTransport;
@@ -19,7 +20,7 @@ use super::rectify::Rectification;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
-use super::{device, hand_confidence, program, qos};
+use super::{device, hand_confidence, lifecycle, program, qos};
 use crate::model::{Precision, Unknown};
 use certainty::Certainties;
 use inference::{Inference, ModelId};
@@ -30,7 +31,7 @@ use views::Views;
 
 /// Runs the program `egotac_predictor`.
 pub fn main() -> ExitCode {
-    program::run("predictor", "Predicts touch on both hands from images.", &parameters(), start)
+    program::run_managed("predictor", "Predicts touch on both hands from images.", &parameters(), start)
 }
 
 /// Parameters of the node.
@@ -99,6 +100,8 @@ fn parameters() -> Vec<Parameter> {
             "Start of the names of the frames of ~/wrench/*, so that those of several predictors differ.",
         ),
         Parameter::new("enabled", true, Allowed::Any, "Process images; ~/set_enabled sets it, too."),
+        allowed_folder::parameter(),
+        lifecycle::parameter(),
         Parameter::use_sim_time(),
     ]
 }
@@ -155,7 +158,8 @@ fn prepare(
 
     let pending = PendingModel::default();
     let topology = predictor.metadata().topology;
-    let requirements = ModelRequirements { default_path: path, options, topology };
+    let allowed = AllowedFolder::of(runtime.parameters())?;
+    let requirements = ModelRequirements { default_path: path, options, topology, allowed };
     let loader = load_model::serve(runtime, shutdown, pending.clone(), requirements, model_info.model_id.clone())?;
     let certainties = Certainties::default();
     let inference = Inference {

@@ -3,6 +3,7 @@
 use anyhow::Context as _;
 use glam::DVec3;
 
+use super::keypoint_layout::KeypointLayout;
 use super::path_of;
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, N_KEYPOINTS, Side, Topology};
@@ -15,7 +16,7 @@ use crate::retarget::{Touch, TouchPooling};
 pub enum HandMessage {
     /// MANO parameters.
     Pose(Box<HandPose>),
-    /// 21 keypoints of any hand tracker.
+    /// Positions of any hand tracker.
     Keypoints(Box<PoseArray>),
 }
 
@@ -32,6 +33,8 @@ impl HandMessage {
 /// Models of the hand that is followed, one for each topology.
 pub struct HandModels {
     side: Side,
+    /// Order of the positions of trackers.
+    layout: KeypointLayout,
     models: Vec<(HandModel, TouchPooling)>,
 }
 
@@ -50,7 +53,7 @@ impl HandModels {
             models.push(HandModel::load(&path, side).with_context(|| format!("parameter {name}"))?);
         }
         let pooled = models.into_iter().map(|model| TouchPooling::new(&model).map(|pooling| (model, pooling)));
-        Ok(Self { side, models: pooled.collect::<Result<_>>()? })
+        Ok(Self { side, layout: KeypointLayout::of(parameters), models: pooled.collect::<Result<_>>()? })
     }
 
     /// Returns the model of a topology.
@@ -73,7 +76,7 @@ impl HandModels {
                     .iter()
                     .map(|pose| DVec3::new(pose.position.x, pose.position.y, pose.position.z))
                     .collect();
-                points.try_into().map_err(|points: Vec<_>| Error::shape("poses", N_KEYPOINTS, [points.len()]))
+                self.layout.keypoints(&points)
             }
         }
     }

@@ -2,8 +2,10 @@
 
 use std::path::PathBuf;
 
+use super::keypoint_layout;
 use crate::node::hand_confidence;
 use crate::node::input_topics::reliability_parameter;
+use crate::node::lifecycle;
 use crate::node::params::{Allowed, Parameter, Parameters};
 use crate::retarget::LiveOptions;
 
@@ -11,6 +13,7 @@ use crate::retarget::LiveOptions;
 pub fn parameters() -> Vec<Parameter> {
     let mut parameters = of_the_hand();
     parameters.extend(of_the_motion());
+    parameters.push(lifecycle::parameter());
     parameters.push(Parameter::use_sim_time());
     parameters
 }
@@ -19,6 +22,7 @@ pub fn parameters() -> Vec<Parameter> {
 fn of_the_hand() -> Vec<Parameter> {
     vec![
         hand_confidence::parameter(),
+        keypoint_layout::parameter(),
         Parameter::fixed(
             "robot",
             "four_finger",

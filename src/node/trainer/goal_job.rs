@@ -6,6 +6,7 @@ use std::sync::Arc;
 use anyhow::{Context as _, ensure};
 use r2r::egotac_msgs::action::Train;
 
+use crate::node::allowed_folder::AllowedFolder;
 use crate::node::episode_recorder::SharedRing;
 use crate::node::lock::lock;
 use crate::node::params::Parameters;
@@ -23,6 +24,7 @@ pub(super) fn job(
     folder: &Path,
     ring: &SharedRing,
 ) -> anyhow::Result<Job> {
+    check_paths(goal, &AllowedFolder::of(parameters)?)?;
     let file = match goal.config.is_empty() {
         true => parameters.get::<String>("config"),
         false => goal.config.clone(),
@@ -39,6 +41,16 @@ pub(super) fn job(
     }
     let live = goal.live.then(|| live(parameters, ring));
     Ok(Job { config, resume: goal.resume, live })
+}
+
+/// Checks that the files that a goal names lie in the allowed folder.
+fn check_paths(goal: &Train::Goal, allowed: &AllowedFolder) -> anyhow::Result<()> {
+    let single = [("config", &goal.config), ("base_checkpoint", &goal.base_checkpoint), ("out", &goal.out)];
+    let stores = goal.data.iter().map(|store| ("data", store));
+    for (what, path) in single.into_iter().chain(stores).filter(|(_, path)| !path.is_empty()) {
+        allowed.check(what, Path::new(path))?;
+    }
+    Ok(())
 }
 
 /// Reads the configuration `file` and overwrites it with the fields of the goal that are set.

@@ -22,7 +22,7 @@ use super::params::{Allowed, Parameter};
 use super::rectify::Rectification;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
-use super::{device, program, qos};
+use super::{allowed_folder, device, program, qos};
 use crate::message::TactileTruth;
 use goal_server::GoalServer;
 
@@ -91,6 +91,7 @@ fn parameters() -> Vec<Parameter> {
             "Service (egotac_msgs/srv/LoadModel) called with each new checkpoint, for instance /predictor/load_model; empty = \
              none.",
         ),
+        allowed_folder::parameter(),
         Parameter::use_sim_time(),
     ]
 }
