@@ -1,9 +1,10 @@
 //! Fits a hand model to keypoints and a surface by Levenberg-Marquardt least squares: shape, pose, scale and
 //! translation.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use nalgebra::{DMatrix, DVector};
 
+use super::hinges::FingerHinges;
 use super::{HandModel, HandParams, N_BETAS, N_JOINTS, N_KEYPOINTS, PosedHand};
 
 /// Number of unknowns: log scale, transl, global_orient, betas, hand_pose.
@@ -27,13 +28,16 @@ pub(crate) struct FitCosts {
     betas: f64,
     /// Cost of a rotation by one radian.
     pose: f64,
+    /// Cost of a rotation by one radian that finger joints do not allow, such as the twist of a straight finger, which
+    /// keypoints do not show.
+    hinges: f64,
 }
 
 impl FitCosts {
     /// For hands of other models, whose keypoints mean slightly different places.
-    pub const OTHER_MODEL: Self = Self { scale: 0.02, betas: 0.001, pose: 0.005 };
+    pub const OTHER_MODEL: Self = Self { scale: 0.02, betas: 0.001, pose: 0.005, hinges: 0.0 };
     /// For measured keypoints of hands in any pose: bent fingers must not be pulled straight.
-    pub const MEASURED: Self = Self { scale: 0.01, betas: 0.001, pose: 0.0005 };
+    pub const MEASURED: Self = Self { scale: 0.01, betas: 0.001, pose: 0.0005, hinges: 0.01 };
 }
 
 /// A hand fitted to keypoints.
@@ -85,7 +89,8 @@ pub(crate) fn refine(
 ) -> Fit {
     // Pose blend shapes move tips by less than the regularisation does, and take most of the time.
     let plain = HandModel { posedirs: Vec::new(), ..model.clone() };
-    let problem = FitProblem { model: &plain, keypoints: targets, planes, costs };
+    let hinges = (costs.hinges > 0.0).then(|| FingerHinges::of(model));
+    let problem = FitProblem { model: &plain, keypoints: targets, planes, costs, hinges };
     let mut unknowns = packed(start);
     let mut residuals = problem.residuals(&unknowns);
     let mut damping = 1e-3;
@@ -122,10 +127,12 @@ struct FitProblem<'a> {
     keypoints: &'a [Vec3; N_KEYPOINTS],
     planes: &'a [PlaneTarget],
     costs: FitCosts,
+    /// Axes of the finger joints; `None` = all rotations are allowed.
+    hinges: Option<FingerHinges>,
 }
 
 impl FitProblem<'_> {
-    /// Computes keypoint errors, regularisation terms, then weighted distances from the planes, m.
+    /// Computes keypoint errors, regularisation terms, weighted distances from the planes, then rotations off the hinges, m.
     fn residuals(&self, unknowns: &DVector<f64>) -> DVector<f64> {
         let (params, scale) = unpacked(unknowns);
         let posed = Fit { params, scale, residual: 0.0 }.posed(self.model);
@@ -143,8 +150,14 @@ impl FitProblem<'_> {
             f64::from((posed.vertices[plane.vertex] - plane.point).dot(plane.normal)) * SKIN_WEIGHT
         };
         let distances = self.planes.iter().map(distance);
-        let count = 3 * N_KEYPOINTS + N_UNKNOWNS + self.planes.len();
-        DVector::from_iterator(count, errors.chain(costs).chain(distances))
+        let pose = std::array::from_fn(|joint| {
+            let at = 7 + N_BETAS + 3 * joint;
+            DVec3::new(unknowns[at], unknowns[at + 1], unknowns[at + 2])
+        });
+        let off_axis = self.hinges.as_ref().map_or_else(Vec::new, |hinges| hinges.residuals(&pose));
+        let count = 3 * N_KEYPOINTS + N_UNKNOWNS + self.planes.len() + off_axis.len();
+        let off_axis = off_axis.into_iter().map(|angle| angle * self.costs.hinges);
+        DVector::from_iterator(count, errors.chain(costs).chain(distances).chain(off_axis))
     }
 
     /// Computes the Jacobian by central differences; a step of 1e-3 is far above the rounding of single-precision

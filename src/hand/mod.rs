@@ -7,6 +7,7 @@
 pub mod build;
 mod builtin;
 mod fit;
+mod hinges;
 mod lbs;
 mod mano;
 mod mesh;

@@ -237,7 +237,7 @@ fn a_point_beside_another_has_the_same_distance_as_alone() {
             }
             previous = point;
         }
-        assert!(!surface.sides().is_known() || inside > 300, "{inside}");
+        assert!(!surface.sides().is_known() || inside > 100, "{inside}");
     }
 }
 

