@@ -10,6 +10,7 @@ use crate::dataset::mcap::TOPIC;
 use crate::label::{FormatOptions, Job, LabelTask, LabelTasks, OutputFormat, Shard, find_tasks};
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
+use crate::text::tell;
 
 /// Largest number of threads that decode images.
 const MAX_DECODERS: usize = 256;
@@ -84,7 +85,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..Default::default() };
     let mut predictor = Predictor::load(&path, args.doubt.apply(options))?;
     if let Some(warning) = predictor.warning() {
-        eprintln!("warning: {warning}");
+        tell(format_args!("warning: {warning}"));
     }
     let options = FormatOptions {
         to: args.to,

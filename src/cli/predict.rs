@@ -17,6 +17,7 @@ use crate::dataset::{ImageSource, LabelSummary, Provenance, UnlabelledImage};
 use crate::label::{Job, LabelTiming, Outcome, Shard};
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
+use crate::text::tell;
 
 /// Arguments of `egotac predict`.
 #[derive(Debug, clap::Args)]
@@ -56,7 +57,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..stream() };
     let mut predictor = Predictor::load(&path, args.doubt.apply(options))?;
     if let Some(warning) = predictor.warning() {
-        eprintln!("warning: {warning}");
+        tell(format_args!("warning: {warning}"));
     }
     let files = images(&args.data)?;
     let summary = match files.is_empty() {
@@ -70,7 +71,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     };
     println!("{}: {} frames", args.out.display(), summary.counts.frames);
     if let Some(warning) = summary.warning() {
-        eprintln!("warning: {warning}");
+        tell(format_args!("warning: {warning}"));
     }
     Ok(ExitCode::SUCCESS)
 }

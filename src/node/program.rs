@@ -57,7 +57,7 @@ pub(crate) fn run_managed(
                 Ok(()) if !lifecycle.was_cleaned_up() => return Ok(()),
                 Ok(()) => {}
                 Err(error) if waits && !lifecycle.is_configured() => {
-                    eprintln!("the configuration failed: {}", crate::text::error_chain(error.as_ref()));
+                    tell(format_args!("the configuration failed: {}", error_chain(error.as_ref())));
                 }
                 Err(error) => return Err(error),
             }

@@ -15,13 +15,14 @@ use crate::hand::Topology;
 use crate::model::{Predictor, predictor};
 use crate::score::metrics::{EvalOptions, baseline};
 use crate::tactile::TactileSequence;
+use crate::text::tell;
 
 /// Runs a checkpoint on stores.
 pub fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
     let stream = predictor::Options { precision: args.precision, ..predict::stream() };
     let mut predictor = Predictor::load(checkpoint, args.doubt.apply(stream))?;
     if let Some(warning) = predictor.warning() {
-        eprintln!("warning: {warning}");
+        tell(format_args!("warning: {warning}"));
     }
     if args.untrained_force {
         predictor = predictor.with_untrained_force();
