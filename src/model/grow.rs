@@ -15,6 +15,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::attention::Mlp;
 use super::checkpoint::{self, ENCODER};
 use super::config::Config;
+use super::shapes;
 use crate::error::{Error, Result};
 
 /// Unevenness of the shares of a weight: standard deviation of a copy's difference from an equal share, relative to that of
@@ -74,9 +75,10 @@ pub fn grow(
     let mut random = ChaCha8Rng::seed_from_u64(growth.seed);
     let copies = Copies::new(config, &grown, &mut random);
     let mut wide = BTreeMap::new();
+    // The features that optional tensors are about are those of the encoder, whose width stays.
+    let keeps = |name: &str| name.starts_with(ENCODER) || shapes::is_optional(name);
     for (name, tensor) in tensors {
-        let tensor =
-            if name.starts_with(ENCODER) { tensor.clone() } else { copies.widen(name, tensor, &mut random)? };
+        let tensor = if keeps(name) { tensor.clone() } else { copies.widen(name, tensor, &mut random)? };
         wide.insert(name.clone(), tensor);
     }
     let scales = |name: &str| name.contains(".layer_scale");

@@ -81,9 +81,9 @@ pub struct DoubtThresholds {
 }
 
 impl Default for DoubtThresholds {
-    /// One in 200 held-out frames of the training's kind is less familiar; presence is even odds.
+    /// One in 50 held-out frames of the training's kind is less familiar; presence is even odds.
     fn default() -> Self {
-        Self { familiarity: 0.005, presence: 0.5 }
+        Self { familiarity: 0.02, presence: 0.5 }
     }
 }
 

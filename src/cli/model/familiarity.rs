@@ -21,7 +21,7 @@ pub struct Args {
     /// Stores of held-out images of the same kind; by default every fifth episode is held out.
     #[arg(long, value_name = "STORE", num_args = 1..)]
     held_out: Vec<PathBuf>,
-    /// Share of images of the training's kind that may be called unfamiliar [default: 0.005].
+    /// Share of images of the training's kind that may be called unfamiliar [default: 0.02].
     #[arg(long, value_name = "SHARE")]
     threshold: Option<f32>,
     /// Checkpoint to write.
