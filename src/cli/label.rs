@@ -3,9 +3,11 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use super::hands::Hands;
 use super::labelling::{Work, shard};
 use crate::dataset::Provenance;
 use crate::dataset::mcap::TOPIC;
+use crate::hand::Topology;
 use crate::label::{FormatOptions, Job, LabelTask, LabelTasks, OutputFormat, Shard, find_tasks};
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
@@ -73,6 +75,9 @@ pub struct Args {
     /// JSON file for the closing summary; `-` prints JSON instead of text.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
+    /// MANO files: the fields are then on MANO's vertices.
+    #[command(flatten)]
+    hands: Hands,
 }
 
 /// Runs the command.
@@ -80,6 +85,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
     let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..Default::default() };
     let mut predictor = Predictor::load(&path, options)?;
+    if let Some(mano) = args.hands.map()? {
+        predictor = predictor.with_mano(mano);
+    }
     let options = FormatOptions {
         to: args.to,
         fps: args.fps,
@@ -90,6 +98,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         time_unit: args.time_unit,
         topic: args.topic.clone(),
         labels_topic: Some(args.labels_topic.clone()),
+        mano_regions: predictor.mano().map(|mano| mano.regions(Topology::Mano)),
     };
     let LabelTasks { tasks, unreadable } = find_tasks(&args.input, &args.out, &options)?;
     let jobs: Vec<Job> = tasks.iter().map(|task| job(task, &predictor, &args)).collect();

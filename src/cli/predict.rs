@@ -17,6 +17,8 @@ use crate::label::{Job, LabelTiming, Outcome, Shard};
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
 
+use super::hands::Hands;
+
 /// Arguments of `egotac predict`.
 #[derive(Debug, clap::Args)]
 #[command(
@@ -44,6 +46,9 @@ pub struct Args {
     /// Number format of the network: f32, bf16 or int8.
     #[arg(long, default_value = "f32")]
     precision: Precision,
+    /// MANO files: the fields are then on MANO's vertices.
+    #[command(flatten)]
+    hands: Hands,
 }
 
 /// Runs the command.
@@ -51,6 +56,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let path = args.checkpoint.map_or_else(shipped::path, Ok)?;
     let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..stream() };
     let mut predictor = Predictor::load(&path, options)?;
+    if let Some(mano) = args.hands.map()? {
+        predictor = predictor.with_mano(mano);
+    }
     let files = images(&args.data)?;
     let frames = match files.is_empty() {
         true => predict_stores(&args.data, &mut predictor, args.precision, &args.out)?,

@@ -22,7 +22,7 @@ use crate::dataset::{
 };
 use crate::error::{Error, Result};
 use crate::geometry::SIGMA;
-use crate::tactile::{N_FIELD, TactileField, Validity};
+use crate::tactile::{ForceKind, N_FIELD, TactileField, Validity};
 
 /// Array (T, 1556) f32: signed distance from the nearest object's surface, m, at most 0.05; negative inside of a closed
 /// surface, NaN = unknown.
@@ -108,6 +108,9 @@ impl LabelOutput for ImportOutput {
             ));
         }
         writer.end_episode()?;
+        if !recording.measures_force {
+            writer.set_attribute(ForceKind::ATTRIBUTE, Value::Null);
+        }
         writer.set_attribute(PROVENANCE_KEY, serde_json::to_value(&*info).unwrap_or_default());
         writer.set_attribute(IMPORT, self.description());
         writer.set_attribute("camera", recording.camera.clone());

@@ -12,9 +12,8 @@ use super::shapes::ShapeCache;
 use super::source::RecordingSource;
 use crate::dataset::{CONTACT_THRESHOLD, Provenance, Thresholds};
 use crate::error::{Error, Result};
-use crate::hand::Topology;
 use crate::label::{Job, LabelTask, is_within};
-use crate::tactile::CONTACT_FORCE_N;
+use crate::tactile::{CONTACT_FORCE_N, ForceKind};
 
 /// Choices of an import.
 #[derive(Debug)]
@@ -135,10 +134,6 @@ impl Settings {
 
     fn provenance(&self, source: Vec<String>, has_force: bool) -> Provenance {
         let topology = self.hands.topology();
-        let hand_model = match topology {
-            Topology::EgotacHand1 => "egotac built-in hand",
-            Topology::Mano => "MANO",
-        };
         Provenance {
             producer: "egotac data import".into(),
             version: crate::VERSION.into(),
@@ -146,9 +141,11 @@ impl Settings {
             model_sha256: self.hands.sha256().join(" "),
             precision: "f32".into(),
             topology,
-            hand_model: hand_model.into(),
+            hand_model: topology.hand_model().into(),
+            mano_sha256: Vec::new(),
             horizon: 1,
             frame_dt: 0.0,
+            force_kind: ForceKind::Spread,
             has_force,
             thresholds: Thresholds {
                 contact: CONTACT_THRESHOLD,

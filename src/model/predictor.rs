@@ -1,12 +1,14 @@
 //! Touch from a stream of images, one encoder pass per image.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use ::image::RgbImage;
 use candle_core::{Device, Tensor};
 
 use super::{Checkpoint, Config, EgoTac, Metadata, Precision, window};
 use crate::error::{Error, Result};
+use crate::hand::{FieldMap, Topology};
 use crate::tactile::TactileField;
 
 /// Frames kept per observation step, at most. Bounds the memory under a camera much faster than `frame_dt`.
@@ -69,6 +71,8 @@ pub struct Predictor {
     device: Device,
     max_gap_secs: f64,
     frames: Vec<CachedFrame>, // oldest first, stamps strictly increasing
+    /// MANO files whose vertices the fields are carried over to; None = the checkpoint's topology.
+    mano: Option<Arc<FieldMap>>,
 }
 
 #[derive(Debug, Clone)]
@@ -96,7 +100,7 @@ impl Predictor {
         if max_gap_secs.is_nan() || max_gap_secs <= 0.0 {
             return Err(Error::value("max_gap_secs", "seconds > 0", max_gap_secs));
         }
-        Ok(Self { checkpoint, device: options.device, max_gap_secs, frames: Vec::new() })
+        Ok(Self { checkpoint, device: options.device, max_gap_secs, frames: Vec::new(), mano: None })
     }
 
     /// Returns the predictor with the output of the force head as force, also where no force ever trained it; otherwise such
@@ -105,6 +109,24 @@ impl Predictor {
     pub fn with_untrained_force(mut self) -> Self {
         self.checkpoint.metadata.has_force = true;
         self
+    }
+
+    /// Returns the predictor with fields on the vertices of MANO files, whatever the checkpoint's topology: the total force of
+    /// each hand is kept, contact is taken from the nearest vertex.
+    #[must_use]
+    pub fn with_mano(mut self, mano: Arc<FieldMap>) -> Self {
+        self.mano = Some(mano);
+        self
+    }
+
+    /// MANO files of [`Predictor::with_mano`].
+    pub fn mano(&self) -> Option<&Arc<FieldMap>> {
+        self.mano.as_ref()
+    }
+
+    /// Vertex numbering of the predicted fields; that of the network is in the metadata.
+    pub fn topology(&self) -> Topology {
+        if self.mano.is_some() { Topology::Mano } else { self.metadata().topology }
     }
 
     /// Metadata of the checkpoint.
@@ -185,6 +207,10 @@ impl Predictor {
         let window: Vec<&Tensor> = places.iter().map(|place| &frames[*place].tokens).collect();
         let (force, contact) = self.model().head_outputs(&window)?.first_step(self.metadata())?;
         let field = TactileField { topology: self.metadata().topology, force, contact };
+        let field = match &self.mano {
+            Some(mano) => field.carried(mano, Topology::Mano)?,
+            None => field,
+        };
         let warming_up = window::is_warming_up(&stamps, horizon, frame_dt);
         self.frames = frames;
         Ok(Prediction { stamp_secs, field, warming_up, restarted })

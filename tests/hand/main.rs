@@ -4,6 +4,7 @@
 mod common;
 
 mod builtin;
+mod carry;
 mod cli;
 mod mano;
 mod map;

@@ -16,7 +16,7 @@ use crate::dataset::source::{ImageSource, SourceFrame};
 use crate::dataset::{Attributes, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
-use crate::tactile::{N_FIELD, TactileField, Validity};
+use crate::tactile::{ForceKind, N_FIELD, TactileField, Validity};
 
 /// Writes images, times and labels into a new store.
 pub struct StoreOutput {
@@ -31,6 +31,7 @@ impl LabelOutput for StoreOutput {
         remove(at)?;
         let topology = labels.topology();
         let mut writer = ZarrWriter::create(at, attributes(topology, info), Contact::Score, Vec::new())?;
+        writer.set_attribute(ForceKind::ATTRIBUTE, info.provenance.force_kind.id().into());
         writer.set_attribute(PROVENANCE_KEY, serde_json::to_value(&*info).unwrap_or_default());
         let mut size = None;
         for (index, unit) in self.source.units().iter().enumerate() {

@@ -23,7 +23,8 @@ pub(crate) fn read_labelled(path: &Path) -> Result<Labelled> {
     if store.has(&predicted(MANO_FORCE)) {
         let force = read_or_unknown(&store, &predicted(MANO_FORCE), frames.clone())?;
         let contact = read_or_unknown(&store, &predicted(MANO_CONTACT_SCORE), frames)?;
-        let labels = with_time(TactileSequence { force, contact, ..Default::default() }, &store)?;
+        let force_kind = info.as_ref().map(|info: &crate::dataset::LabelInfo| info.provenance.force_kind);
+        let labels = with_time(TactileSequence { force_kind, force, contact, ..Default::default() }, &store)?;
         // Without `mano_contact` the other arrays are labels of an earlier run, not truth.
         let truth = store.has(MANO_CONTACT).then(|| read_truth(&store)).transpose()?;
         return Ok(Labelled { labels, truth, info });
@@ -107,7 +108,8 @@ pub fn read_proximity(store: &ZarrReader, frames: Range<usize>) -> Result<Tactil
 pub fn read_fields(store: &ZarrReader, frames: Range<usize>) -> Result<TactileSequence> {
     let force = read_or_unknown(store, MANO_FORCE, frames.clone())?;
     let contact = store.read_contact(frames)?;
-    Ok(TactileSequence { topology: Some(store.attributes().topology), force, contact, ..Default::default() })
+    let (topology, force_kind) = (Some(store.attributes().topology), store.force_kind()?);
+    Ok(TactileSequence { topology, force_kind, force, contact, ..Default::default() })
 }
 
 fn read_or_unknown(store: &ZarrReader, name: &str, frames: Range<usize>) -> Result<Vec<f32>> {

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use crate::hand::{HandModel, Side, Topology};
+use crate::hand::HandModel;
 use crate::message::{HandPose, Header, PointCloud2};
 use crate::node::input_topics::{InputTopic, Need};
 use crate::node::lock::lock;
@@ -35,12 +35,11 @@ pub(super) struct Cloud {
 }
 
 impl Cloud {
-    /// Creates the publisher and subscribes to the hand poses.
+    /// Creates the publisher for `hands`, left first, and subscribes to their poses.
     ///
     /// # Errors
     /// If ROS refuses a topic.
-    pub(super) fn create(runtime: &mut Runtime) -> anyhow::Result<Self> {
-        let hands = Side::BOTH.map(HandModel::builtin);
+    pub(super) fn create(runtime: &mut Runtime, hands: [HandModel; 2]) -> anyhow::Result<Self> {
         let poses = Poses::default();
         subscribe_poses(runtime, Arc::clone(&poses))?;
         Ok(Self {
@@ -53,13 +52,13 @@ impl Cloud {
         })
     }
 
-    /// Publishes `field` if the topic has a subscriber and the built-in hand can show it.
+    /// Publishes `field` if the topic has a subscriber and the hands are of its topology.
     ///
     /// # Errors
     /// If the node is gone or the middleware refuses the message.
     pub(super) fn publish(&self, header: Header, field: &TactileField) -> anyhow::Result<()> {
         let wanted = self.parameters.get::<bool>("publish_points") && self.publisher.subscriber_count() > 0;
-        if !wanted || field.topology != Topology::EgotacHand1 {
+        if !wanted || field.topology != self.hands[0].topology {
             return Ok(());
         }
         let threshold = self.parameters.get::<f64>("contact_threshold") as f32;

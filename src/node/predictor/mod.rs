@@ -19,6 +19,7 @@ use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
 use super::{device, program, qos};
+use crate::hand::{HandModel, Side};
 use crate::model::Precision;
 use cloud::Cloud;
 use inference::{Inference, ModelId};
@@ -54,6 +55,13 @@ fn parameters() -> Vec<Parameter> {
             "Longest inference time per image, milliseconds: take the best checkpoint and number format that keep it on this \
              machine; 0 = take model and precision as given.",
         ),
+        Parameter::fixed(
+            "mano_left",
+            "",
+            Allowed::Any,
+            "Left MANO file: the results are then on MANO's vertices; needs mano_right.",
+        ),
+        Parameter::fixed("mano_right", "", Allowed::Any, "Right MANO file; needs mano_left."),
         ImageTransport::parameter(),
         reliability_parameter("best_effort"),
         Rectification::parameter(),
@@ -112,19 +120,23 @@ fn prepare(
     network: LoadedNetwork,
     input: Input,
 ) -> anyhow::Result<(Inference, WorkerThread)> {
-    let LoadedNetwork { mut predictor, path, options } = network;
+    let LoadedNetwork { mut predictor, path, options, mano } = network;
     let log = runtime.log().clone();
     log.info(format!("one image takes {:.0} ms", load::measure_inference(&mut predictor)? * 1e3));
     let model_info = load::model_info(&predictor, runtime.clock().now())?;
     if model_info.vertex_region.is_empty() {
-        log.warn("the regions of MANO's vertices need a MANO file: ~/model_info has no regions, ~/points is off");
+        log.warn("MANO's vertices need mano_left and mano_right: ~/model_info has no regions, ~/points is off");
     }
     let info = runtime.publisher("~/model_info", qos::latched())?;
     info.publish(&model_info)?;
 
     let pending = PendingModel::default();
-    let topology = predictor.metadata().topology;
-    let requirements = ModelRequirements { default_path: path, options, topology };
+    let topology = predictor.topology();
+    let hands = match &mano {
+        Some(mano) => mano.mano().clone(),
+        None => Side::BOTH.map(HandModel::builtin),
+    };
+    let requirements = ModelRequirements { default_path: path, options, topology, mano };
     let loader = load_model::serve(runtime, shutdown, pending.clone(), requirements, model_info.model_id.clone())?;
     let inference = Inference {
         predictor,
@@ -135,7 +147,7 @@ fn prepare(
         rectification: Rectification::subscribe(runtime)?,
         frames: runtime.publisher("~/tactile", qos::output())?,
         info,
-        cloud: Cloud::create(runtime)?,
+        cloud: Cloud::create(runtime, hands)?,
         sequence: 0,
         parameters: Arc::clone(runtime.parameters()),
         clock: runtime.clock().clone(),
