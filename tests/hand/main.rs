@@ -8,3 +8,4 @@ mod carry;
 mod cli;
 mod mano;
 mod map;
+mod sensor;
