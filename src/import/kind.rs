@@ -7,6 +7,7 @@ use std::sync::Arc;
 use super::readers;
 use super::recording::Reader;
 use crate::error::{Error, Result};
+use crate::tactile::ForceKind;
 
 /// A kind of data set.
 #[derive(Debug)]
@@ -41,6 +42,10 @@ pub enum Mano {
 pub struct Options {
     /// Folder of the objects' meshes; None = the data set's usual place.
     pub objects: Option<PathBuf>,
+    /// Taxel map of the gloves, a shipped one's name or a YAML file; None = that of the data set's glove.
+    pub sensor: Option<String>,
+    /// Meaning of the forces of gloves; None = readings, as the EgoTac paper has them.
+    pub force_kind: Option<ForceKind>,
 }
 
 /// Recordings of a data set.
@@ -53,7 +58,7 @@ pub struct Found {
 }
 
 /// All kinds, in the order of the table.
-pub static ALL: [Kind; 8] = [
+pub static ALL: [Kind; 9] = [
     readers::hot3d::KIND,
     readers::h2o::KIND,
     readers::taco::KIND,
@@ -62,6 +67,7 @@ pub static ALL: [Kind; 8] = [
     readers::arctic::KIND,
     readers::hoi4d::KIND,
     readers::oakink2::KIND,
+    readers::egotac_sc::KIND,
 ];
 
 impl Kind {

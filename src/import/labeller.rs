@@ -205,7 +205,11 @@ impl Labeller for GeometryLabeller<'_> {
                     return Ok(LabelFrame::without(moment.stamp_secs, String::new()));
                 }
                 let forces = forces_of(&moment, &hands, &sensed)?;
-                let (field, distances) = labelled(&moment, &hands, &forces, &shapes, self.rule, topology);
+                let (mut field, distances) = labelled(&moment, &hands, &forces, &shapes, self.rule, topology);
+                let models = Side::BOTH.map(|side| self.hands.model(side, recording.convention));
+                if let Some(touch) = self.reader.touch(index, models)? {
+                    field = touch;
+                }
                 let known = Known::new(&moment, &hands, self.hands, recording, distances);
                 let further = Known { lost: lost(recording, &forces), ..known }.into_values();
                 Ok(LabelFrame { stamp_secs: moment.stamp_secs, warming_up: false, touch: Ok(field), further })

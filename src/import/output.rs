@@ -108,9 +108,9 @@ impl LabelOutput for ImportOutput {
             ));
         }
         writer.end_episode()?;
-        if !recording.measures_force {
-            writer.set_attribute(ForceKind::ATTRIBUTE, Value::Null);
-        }
+        let spread = recording.measures_force.then_some(ForceKind::Spread);
+        let kind = self.reader.force_kind().or(spread);
+        writer.set_attribute(ForceKind::ATTRIBUTE, kind.map_or(Value::Null, |kind| kind.id().into()));
         writer.set_attribute(PROVENANCE_KEY, serde_json::to_value(&*info).unwrap_or_default());
         writer.set_attribute(IMPORT, self.description());
         writer.set_attribute("camera", recording.camera.clone());
@@ -180,9 +180,9 @@ impl ImportOutput {
             "recording": recording.name,
             "data_set": self.kind.origin,
             "licence": self.kind.licence,
-            "contact_rule": if recording.measures_force { FORCE_RULE.into() } else { self.rule.text() },
-            "force": if recording.measures_force { "measured" } else { "unknown" },
-            "force_kind": recording.measures_force.then_some("spread"),
+            "contact_rule": if recording.measures_force || self.reader.force_kind().is_some() { FORCE_RULE.into() } else { self.rule.text() },
+            "force": if recording.measures_force || self.reader.force_kind().is_some() { "measured" } else { "unknown" },
+            "force_kind": self.reader.force_kind().map(ForceKind::id).or(recording.measures_force.then_some("spread")),
             "hand": hand,
             "translation": recording.convention.translation.name(),
             "mean_pose_added": recording.convention.adds_mean,

@@ -8,7 +8,8 @@ use serde_json::Value;
 use super::shapes::MeshFile;
 use crate::dataset::source::SourceFrames;
 use crate::error::Result;
-use crate::hand::{N_BETAS, N_JOINTS, N_KEYPOINTS};
+use crate::hand::{HandModel, N_BETAS, N_JOINTS, N_KEYPOINTS};
+use crate::tactile::{ForceKind, TactileField};
 
 /// The parts of a recording that do not change with time.
 #[derive(Debug, Clone)]
@@ -162,6 +163,21 @@ pub trait Reader: Send + Sync {
     /// # Errors
     /// If an annotation is damaged; the error names file and field, and other instants may still be read.
     fn moment(&self, index: usize) -> Result<Moment>;
+
+    /// Returns force and contact at the instant of image `index` on the vertices of `hands`, left first, of a recording whose
+    /// gloves measure them; `None` = labels follow from geometry.
+    ///
+    /// # Errors
+    /// As [`Reader::moment`].
+    fn touch(&self, index: usize, hands: [&HandModel; 2]) -> Result<Option<TactileField>> {
+        let _ = (index, hands);
+        Ok(None)
+    }
+
+    /// Returns the meaning of the forces of [`Reader::touch`].
+    fn force_kind(&self) -> Option<ForceKind> {
+        None
+    }
 
     /// Frees what was read for moments: many recordings are open at the same time.
     fn release(&self) {}

@@ -95,7 +95,7 @@ impl ImportTasks {
                 source,
                 output,
                 out,
-                description: settings.description(&recording.name),
+                description: settings.description(reader.as_ref()),
             }
         };
         let tasks: Vec<LabelTask> = readers.iter().map(task).collect();
@@ -112,7 +112,9 @@ impl ImportTasks {
     pub fn jobs(&self) -> Vec<Job<'_>> {
         let job = |task| {
             let LabelTask { source, output, out, description, .. }: &LabelTask = task;
-            let provenance = self.settings.provenance(description.clone(), self.measures_force);
+            let kind = self.readers.iter().find_map(|reader| reader.force_kind());
+            let has_force = self.measures_force || kind.is_some();
+            let provenance = self.settings.provenance(description.clone(), has_force, kind.unwrap_or_default());
             Job { source: source.as_ref(), output: output.as_ref(), out: out.clone(), provenance, decoders: 1 }
         };
         self.tasks.iter().map(job).collect()
@@ -127,12 +129,19 @@ impl ImportTasks {
 
 impl Settings {
     /// Describes the choices that decide about a store's content.
-    fn description(&self, recording: &str) -> Vec<String> {
+    fn description(&self, reader: &dyn Reader) -> Vec<String> {
+        let recording = &reader.recording().name;
         let side = self.side.map_or("original size".into(), |side| format!("shorter side at most {side} pixels"));
-        vec![format!("{} recording {recording}", self.kind.name), format!("contact: {}", self.rule.text()), side]
+        let mut all =
+            vec![format!("{} recording {recording}", self.kind.name), format!("contact: {}", self.rule.text()), side];
+        if let Some(kind) = reader.force_kind() {
+            let sensor = self.options.sensor.as_deref().unwrap_or("the data set's glove");
+            all.push(format!("forces: {}, taxel map: {sensor}", kind.id()));
+        }
+        all
     }
 
-    fn provenance(&self, source: Vec<String>, has_force: bool) -> Provenance {
+    fn provenance(&self, source: Vec<String>, has_force: bool, force_kind: ForceKind) -> Provenance {
         let topology = self.hands.topology();
         Provenance {
             producer: "egotac data import".into(),
@@ -145,7 +154,7 @@ impl Settings {
             mano_sha256: Vec::new(),
             horizon: 1,
             frame_dt: 0.0,
-            force_kind: ForceKind::Spread,
+            force_kind,
             has_force,
             thresholds: Thresholds {
                 contact: CONTACT_THRESHOLD,

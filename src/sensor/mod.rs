@@ -18,8 +18,11 @@ mod layout;
 mod map;
 mod shares;
 mod shipped;
+pub mod simulated;
+pub mod streams;
 
 pub use convert::convert;
 pub use layout::{KEYPOINT_NAMES, Layout, Pad, Placement};
 pub use map::{HandTaxels, TaxelMap};
 pub use shipped::{names as shipped_names, open, path as map_path};
+pub use simulated::{GloveSpec, SimulatedGlove};

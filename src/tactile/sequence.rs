@@ -314,6 +314,7 @@ mod tests {
         let entries = 5 * N_FIELD;
         TactileSequence {
             topology: Some(Topology::EgotacHand1),
+            force_kind: Some(ForceKind::Reading),
             timestamps: vec![0.0, 0.04, 0.08, 0.0, 0.05],
             episode_ends: vec![3, 5],
             force: (0..entries).map(|i| i as f32).collect(),

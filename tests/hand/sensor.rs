@@ -9,7 +9,7 @@ use egotac::dataset::EpisodeReader;
 use egotac::dataset::tensors;
 use egotac::dataset::zarr::{ZarrReader, read_truth};
 use egotac::hand::{HandModel, HandParams, N_VERTICES, Side, Topology};
-use egotac::sensor::{self, Layout, TaxelMap};
+use egotac::sensor::{self, GloveSpec, Layout, SimulatedGlove, TaxelMap};
 use egotac::tactile::{ForceKind, N_FIELD, TactileSequence};
 use proptest::prelude::*;
 
@@ -263,4 +263,102 @@ fn forces_of_two_kinds_are_never_scored_or_trained_on_together() {
     let checkpoint = text("run/checkpoint.safetensors");
     refused(&["eval", "--checkpoint", &checkpoint, "--data", &text("spread.zarr")], "force_kind");
     assert!(egotac(&["eval", "--checkpoint", &checkpoint, "--data", &text("reading.zarr")]).status.success());
+}
+
+/// Returns gloves, and forces on the vertices that their taxels feel.
+fn gloves(spec: GloveSpec) -> (SimulatedGlove, Vec<f32>) {
+    let map = sensor::open("aether_132").unwrap();
+    let force = map.hands.iter().flat_map(|hand| hand.covered()).enumerate();
+    let force =
+        force.map(|(vertex, covered)| if covered && vertex % 3 == 0 { 0.01 * (vertex % 17) as f32 } else { 0.0 });
+    let force = force.collect();
+    (SimulatedGlove::new(map.into(), spec, 4).unwrap(), force)
+}
+
+fn sum(values: &[f32]) -> f64 {
+    values.iter().map(|value| f64::from(*value)).sum()
+}
+
+#[test]
+fn an_ideal_glove_reads_the_force_on_its_taxels() {
+    let (mut glove, force) = gloves(GloveSpec::ideal("aether_132"));
+    let read = glove.read(0.0, &force).unwrap();
+    for (side, taxels) in Side::BOTH.into_iter().zip(&read) {
+        let wanted = sum(&force[side.range()]);
+        assert!((sum(taxels) - wanted).abs() < 1e-5 * wanted);
+        // A single loaded vertex loads the taxels around it, in the ratio of its weights.
+        let mut one = vec![0.0; N_FIELD];
+        let hand = &glove.map().hands[side as usize];
+        let vertex = (0..N_VERTICES).find(|vertex| hand.reading[*vertex].len() == 4).unwrap();
+        one[side.range().start + vertex] = 2.0;
+        let loads = sensor::simulated::loads(hand, &one[side.range()]);
+        assert!(
+            hand.reading[vertex].iter().all(|&(taxel, weight)| (loads[taxel as usize] - 2.0 * weight).abs() < 1e-6)
+        );
+    }
+    assert!(glove.read(0.1, &force[1..]).is_err());
+}
+
+#[test]
+fn each_imperfection_of_a_glove_does_what_it_says() {
+    let with = |change: &dyn Fn(&mut GloveSpec)| {
+        let mut spec = GloveSpec::ideal("aether_132");
+        change(&mut spec);
+        gloves(spec)
+    };
+    let (mut ideal, force) = with(&|_| ());
+    let plain = ideal.read(0.0, &force).unwrap()[1].clone();
+    // A floor cuts off what is below it and leaves the rest.
+    let (mut glove, _) = with(&|spec| spec.floor = 0.1);
+    let read = glove.read(0.0, &force).unwrap()[1].clone();
+    assert!(plain.iter().zip(&read).all(|(plain, read)| *read == if *plain < 0.1 { 0.0 } else { *plain }));
+    assert!(read.iter().any(|newtons| *newtons > 0.0) && plain.iter().any(|newtons| (0.001..0.1).contains(newtons)));
+    // Crosstalk moves force between taxels and keeps its sum.
+    let (mut glove, _) = with(&|spec| spec.crosstalk = 0.2);
+    let read = glove.read(0.0, &force).unwrap()[1].clone();
+    assert!(read != plain && (sum(&read) - sum(&plain)).abs() < 1e-4 * sum(&plain));
+    // Gains differ from taxel to taxel and stay the same over time.
+    let (mut glove, _) = with(&|spec| spec.gain = 0.1);
+    let (first, later) = (glove.read(0.0, &force).unwrap(), glove.read(1.0, &force).unwrap());
+    let ratios: Vec<f32> =
+        first[1].iter().zip(&plain).filter(|(_, plain)| **plain > 0.01).map(|(a, b)| a / b).collect();
+    let mean = sum(&ratios) / ratios.len() as f64;
+    let spread = (ratios.iter().map(|r| (f64::from(*r) - mean).powi(2)).sum::<f64>() / ratios.len() as f64).sqrt();
+    assert!(first == later && (mean - 1.0).abs() < 0.05 && (0.06..0.14).contains(&spread), "{mean} {spread}");
+    // Noise has its standard deviation, and drift grows with the square root of time.
+    let steady = vec![5.0; N_FIELD];
+    let deviation = |values: &[f32], from: &[f32]| {
+        let square = values.iter().zip(from).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+        (square / values.len() as f64).sqrt()
+    };
+    let still = ideal.read(1.0, &steady).unwrap()[1].clone();
+    let (mut glove, _) = with(&|spec| spec.noise = 0.05);
+    let noise = deviation(&glove.read(0.0, &steady).unwrap()[1], &still);
+    assert!((0.04..0.06).contains(&noise), "{noise}");
+    let (mut glove, _) = with(&|spec| spec.drift = 0.1);
+    let zero = deviation(&glove.read(0.0, &steady).unwrap()[1], &still);
+    let one = deviation(&glove.read(1.0, &steady).unwrap()[1], &still);
+    let nine = deviation(&glove.read(9.0, &steady).unwrap()[1], &still);
+    assert!(zero == 0.0 && (0.08..0.12).contains(&one) && (2.0..4.0).contains(&(nine / one)), "{zero} {one} {nine}");
+}
+
+#[test]
+fn samples_come_at_their_rate_and_after_their_delay() {
+    let spec = GloveSpec { rate: 10.0, delay: 0.25, ..GloveSpec::ideal("aether_132") };
+    let (mut glove, force) = gloves(spec);
+    let mut seen = Vec::new();
+    for frame in 0..50 {
+        let scale = frame as f32;
+        let force: Vec<f32> = force.iter().map(|newtons| newtons * scale).collect();
+        seen.push(sum(&glove.read(0.02 * f64::from(frame), &force).unwrap()[1]));
+    }
+    let (mut ideal, force) = gloves(GloveSpec::ideal("aether_132"));
+    let unit = sum(&ideal.read(0.0, &force).unwrap()[1]);
+    // At 0.02 s per frame, samples are those of frames 0, 5, 10, ... and come out 12.5 frames later.
+    for (frame, got) in seen.iter().enumerate() {
+        let sample = if frame < 13 { 0 } else { (2 * frame - 25) / 10 * 5 };
+        assert!((got - unit * sample as f64).abs() < 1e-3 * unit.max(*got), "frame {frame}: {}", got / unit);
+    }
+    let wrong = GloveSpec { crosstalk: 1.5, ..GloveSpec::ideal("aether_132") };
+    assert!(wrong.check().unwrap_err().to_string().contains("glove.crosstalk"));
 }

@@ -2,6 +2,7 @@
 
 pub mod arctic;
 pub mod egopressure;
+pub mod egotac_sc;
 pub mod fpha;
 pub mod h2o;
 pub mod hoi4d;
