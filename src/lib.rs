@@ -39,6 +39,7 @@
 //! | `message` | the ROS messages and their CDR bytes, without ROS |
 //! | `render` | pictures of hands |
 //! | [`dataset`] | Zarr stores, LeRobot data sets, MCAP bags, videos, tensor files |
+//! | `sensor` | gloves: where taxels lie on a hand, their readings on its vertices |
 //! | [`score`] | the paper's metrics, agreement of labels, gates |
 //! | `mujoco`, `sim` | physics; scenes whose touch is known (feature `sim`) |
 //! | `retarget` | hand pose and touch carried over to robot hands (feature `sim`) |
@@ -89,6 +90,8 @@ pub mod report;
 #[cfg(feature = "sim")]
 pub mod retarget;
 pub mod score;
+#[doc(hidden)]
+pub mod sensor;
 #[cfg(feature = "sim")]
 pub mod sim;
 #[doc(hidden)]

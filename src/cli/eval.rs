@@ -11,7 +11,6 @@ use std::process::ExitCode;
 
 use anyhow::bail;
 
-use crate::dataset::tensors;
 use crate::hand::Side;
 use crate::model::Precision;
 use crate::score::metrics::{self, Comparison, EvalOptions, Intervals, Metrics, VertexGroup};
@@ -77,7 +76,7 @@ pub struct Args {
     #[arg(long)]
     right_hand_only: bool,
     /// Also score groups separately, each with intervals: scene, source (store), side (hand), region; regions of MANO fields
-    /// need the MANO files.
+    /// need the MANO files, with which all fields are scored on MANO's vertices.
     #[arg(long, value_name = "GROUP,..", value_delimiter = ',')]
     by: Vec<Grouping>,
     /// Short for `--by scene`.
@@ -210,7 +209,7 @@ fn score(args: &Args, groupings: &[Grouping], case: &mut Case) -> anyhow::Result
     }
     let against = match &args.against {
         Some(path) => {
-            let other = tensors::read(path)?;
+            let other = truth::read(args, path)?;
             cases::must_fit(path, &other, case)?;
             Some(metrics::compare(&case.pred, &other, &case.target, &case.options, args.seed)?)
         }

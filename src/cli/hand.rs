@@ -1,5 +1,7 @@
 //! `egotac hand`: pose a hand, draw it, transfer fields between the built-in hand and MANO, rebuild the built-in hand.
 
+mod map;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -11,11 +13,9 @@ use clap::ValueEnum;
 use glam::Vec3;
 use safetensors::tensor::{Dtype, TensorView};
 
-use crate::dataset::tensors;
 use crate::file::{self, input, limits};
-use crate::hand::{self, HandMap, HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, Region, Side, Topology};
+use crate::hand::{self, HandModel, HandParams, N_BETAS, N_JOINTS, N_VERTICES, Region, Side};
 use crate::render::{View, color, font, hand_picture, region_colors};
-use crate::tactile::{N_FIELD, TactileSequence};
 
 /// Arguments of `egotac hand`.
 #[derive(Debug, clap::Args)]
@@ -30,8 +30,8 @@ enum Command {
     Forward(Forward),
     /// Draw a hand and its regions, palmar and dorsal.
     Show(Show),
-    /// Register the built-in hand on a MANO file, and transfer a field.
-    Map(Map),
+    /// Register the built-in hand on MANO files, and carry over a field file, a store or a data set.
+    Map(map::Args),
     /// Regenerate the built-in hand from its anatomy (for developers; vertex indices may change).
     Build(Build),
 }
@@ -62,25 +62,6 @@ struct Show {
 }
 
 #[derive(Debug, clap::Args)]
-struct Map {
-    /// MANO file (the published pickle or an .npz) of one hand; the map of the other hand is the mirror image.
-    #[arg(long, value_name = "FILE")]
-    mano: PathBuf,
-    /// Side of the hand in the file.
-    #[arg(long, value_enum, default_value = "right")]
-    side: SideArg,
-    /// Safetensors with `force` and/or `contact` (T, 1556) to transfer; needs --to.
-    #[arg(long, value_name = "FILE", requires = "to")]
-    field: Option<PathBuf>,
-    /// Target hand of the transfer.
-    #[arg(long, value_enum, requires = "field")]
-    to: Option<To>,
-    /// Safetensors to write: the transferred field, or without --field the sparse weights of the map.
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-}
-
-#[derive(Debug, clap::Args)]
 struct Build {
     /// Safetensors to write (the committed one is src/hand/builtin.safetensors).
     #[arg(long, value_name = "FILE")]
@@ -106,18 +87,12 @@ enum SideArg {
     Right,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum To {
-    Mano,
-    Builtin,
-}
-
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     match args.command {
         Command::Forward(args) => forward(&args)?,
         Command::Show(args) => show(&args)?,
-        Command::Map(args) => map(&args)?,
+        Command::Map(args) => map::run(&args)?,
         Command::Build(args) => build(&args)?,
     }
     Ok(ExitCode::SUCCESS)
@@ -190,88 +165,6 @@ fn sheet(model: &HandModel, params: &HandParams) -> RgbImage {
     sheet
 }
 
-fn map(args: &Map) -> anyhow::Result<()> {
-    let mano = HandModel::load(&args.mano, args.side.into())?;
-    let map = HandMap::new(&mano);
-    println!(
-        "built-in hand on {}: keypoints {:.2} mm, surface {:.2} mm mean, {:.2} mm max, scale {:.3}",
-        args.mano.display(),
-        1e3 * map.fit.residual,
-        1e3 * map.mean_distance,
-        1e3 * map.max_distance,
-        map.fit.scale
-    );
-    match (&args.field, args.to) {
-        (Some(field), Some(to)) => {
-            let transferred = transfer(&map, field, to.into())?;
-            tensors::write(&args.out, &transferred, BTreeMap::new())?;
-            println!("field transferred to {}, written to {}", Topology::from(to).id(), args.out.display());
-        }
-        _ => {
-            write_map(&args.out, &map, &mano)?;
-            println!("weights written to {}", args.out.display());
-        }
-    }
-    Ok(())
-}
-
-/// Reads a field file and transfers it to the other hand.
-fn transfer(map: &HandMap, path: &Path, to: Topology) -> anyhow::Result<TactileSequence> {
-    let mut sequence = tensors::read(path)?;
-    let from = match to {
-        Topology::Mano => Topology::EgotacHand1,
-        Topology::EgotacHand1 => Topology::Mano,
-    };
-    if let Some(topology) = sequence.topology {
-        let (got, wanted) = (topology.id(), from.id());
-        ensure!(
-            topology == from,
-            "{}: topology: expected {wanted} (to transfer to {}), got {got}",
-            path.display(),
-            to.id()
-        );
-    }
-    let transfer = map.towards(to);
-    let frames = |values: &[f32], map: &dyn Fn(&[f32]) -> crate::Result<Vec<f32>>| -> crate::Result<Vec<f32>> {
-        Ok(values.chunks_exact(N_FIELD).map(map).collect::<crate::Result<Vec<_>>>()?.concat())
-    };
-    let masks = |values: &[u8]| -> crate::Result<Vec<u8>> {
-        let frames = values.chunks_exact(N_FIELD).map(|mask| transfer.mask(mask));
-        Ok(frames.collect::<crate::Result<Vec<_>>>()?.concat())
-    };
-    sequence.force = frames(&sequence.force, &|force| transfer.force(force))?;
-    sequence.contact = frames(&sequence.contact, &|contact| transfer.contact(contact))?;
-    sequence.mask_force = masks(&sequence.mask_force)?;
-    sequence.mask_contact = masks(&sequence.mask_contact)?;
-    sequence.topology = Some(to);
-    Ok(sequence)
-}
-
-/// Writes the weights as sparse triplets: `{to_mano,to_builtin}.{contact,force}.{target,source}` u32 and `.weight` f32.
-fn write_map(path: &Path, map: &HandMap, mano: &HandModel) -> anyhow::Result<()> {
-    let mut tensors = Vec::new();
-    for (name, transfer) in [("to_mano", &map.to_mano), ("to_builtin", &map.to_builtin)] {
-        let contact = transfer.contact.iter().enumerate();
-        let contact = contact.flat_map(|(target, row)| row.iter().map(move |&(source, w)| (target as u32, source, w)));
-        let force = transfer.force.iter().enumerate();
-        let force = force.flat_map(|(source, row)| row.iter().map(move |&(target, w)| (target, source as u32, w)));
-        for (kind, triplets) in [("contact", contact.collect::<Vec<_>>()), ("force", force.collect())] {
-            let words = |get: fn(&(u32, u32, f32)) -> [u8; 4]| triplets.iter().flat_map(get).collect::<Vec<u8>>();
-            let shape = vec![triplets.len()];
-            let name = |part: &str| format!("{name}.{kind}.{part}");
-            tensors.push((name("target"), Dtype::U32, shape.clone(), words(|t| t.0.to_le_bytes())));
-            tensors.push((name("source"), Dtype::U32, shape.clone(), words(|t| t.1.to_le_bytes())));
-            tensors.push((name("weight"), Dtype::F32, shape, words(|t| t.2.to_le_bytes())));
-        }
-    }
-    let metadata = BTreeMap::from([
-        ("side".to_string(), mano.side.name().to_string()),
-        ("builtin".into(), Topology::EgotacHand1.id().into()),
-        ("mano".into(), Topology::Mano.id().into()),
-    ]);
-    write_tensors(path, &tensors, metadata)
-}
-
 fn build(args: &Build) -> anyhow::Result<()> {
     let model = hand::build::build();
     file::write(&args.out, &hand::builtin_bytes(&model)?)?;
@@ -302,15 +195,6 @@ impl From<SideArg> for Side {
         match side {
             SideArg::Left => Self::Left,
             SideArg::Right => Self::Right,
-        }
-    }
-}
-
-impl From<To> for Topology {
-    fn from(to: To) -> Self {
-        match to {
-            To::Mano => Self::Mano,
-            To::Builtin => Self::EgotacHand1,
         }
     }
 }

@@ -1,8 +1,9 @@
 //! Arguments that several commands share: hand models, and the width of the force kernel.
 
 use std::path::PathBuf;
+use std::sync::{Arc, OnceLock};
 
-use crate::hand::{HandModel, Side};
+use crate::hand::{FieldMap, HandModel, Side};
 
 /// Arguments that name hand models.
 #[derive(Debug, Default, clap::Args)]
@@ -13,6 +14,9 @@ pub struct Hands {
     /// Right MANO file in place of the built-in hand; needs --mano-left.
     #[arg(long, requires = "mano_left")]
     pub mano_right: Option<PathBuf>,
+    /// Registration of the files, made once.
+    #[arg(skip)]
+    registered: OnceLock<Arc<FieldMap>>,
 }
 
 impl Hands {
@@ -24,6 +28,23 @@ impl Hands {
         match (&self.mano_left, &self.mano_right) {
             (Some(left), Some(right)) => {
                 Ok(Some([HandModel::load(left, Side::Left)?, HandModel::load(right, Side::Right)?]))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// Loads the MANO files and registers the built-in hands on them; `None` without files.
+    ///
+    /// # Errors
+    /// If a file can't be read.
+    pub fn map(&self) -> crate::Result<Option<Arc<FieldMap>>> {
+        match (&self.mano_left, &self.mano_right) {
+            (Some(left), Some(right)) => {
+                if let Some(map) = self.registered.get() {
+                    return Ok(Some(Arc::clone(map)));
+                }
+                let map = Arc::new(FieldMap::load(left, right)?);
+                Ok(Some(Arc::clone(self.registered.get_or_init(|| map))))
             }
             _ => Ok(None),
         }

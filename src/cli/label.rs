@@ -4,9 +4,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use super::doubt::Doubt;
+use super::hands::Hands;
 use super::labelling::{Work, shard};
 use crate::dataset::Provenance;
 use crate::dataset::mcap::TOPIC;
+use crate::hand::Topology;
 use crate::label::{FormatOptions, Job, LabelTask, LabelTasks, OutputFormat, Shard, find_tasks};
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
@@ -77,6 +79,9 @@ pub struct Args {
     json: Option<PathBuf>,
     #[command(flatten)]
     doubt: Doubt,
+    /// MANO files: the fields are then on MANO's vertices.
+    #[command(flatten)]
+    hands: Hands,
 }
 
 /// Runs the command.
@@ -86,6 +91,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let mut predictor = Predictor::load(&path, args.doubt.apply(options))?;
     if let Some(warning) = predictor.warning() {
         tell(format_args!("warning: {warning}"));
+    }
+    if let Some(mano) = args.hands.map()? {
+        predictor = predictor.with_mano(mano);
     }
     let options = FormatOptions {
         to: args.to,
@@ -97,6 +105,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         time_unit: args.time_unit,
         topic: args.topic.clone(),
         labels_topic: Some(args.labels_topic.clone()),
+        mano_regions: predictor.mano().map(|mano| mano.regions(Topology::Mano)),
     };
     let LabelTasks { tasks, unreadable } = find_tasks(&args.input, &args.out, &options)?;
     let jobs: Vec<Job> = tasks.iter().map(|task| job(task, &predictor, &args)).collect();

@@ -17,6 +17,7 @@ mod predict;
 pub mod progress;
 mod report;
 mod retarget;
+mod sensor;
 #[cfg(any(feature = "ros", feature = "sim"))]
 mod sheet;
 mod sim;
@@ -69,9 +70,11 @@ enum Command {
     Verify(verify::Args),
     /// Transfer a hand's pose and touch to a robot hand: run, inspect, new, list, demo.
     Retarget(retarget::Args),
+    /// Tactile gloves: list, show, new, convert.
+    Sensor(sensor::Args),
     /// Network: forward, attention, import, start, info.
     Model(model::Args),
-    /// Benchmarks of the documentation: model, train, label, retarget, sim, effects, hard-cases, guards, faults.
+    /// Benchmarks of the documentation: model, train, label, retarget, sim, effects, glove, hard-cases, guards, faults.
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Bench(external::Args),
     /// Recordings and labels: info, diff, import.
@@ -100,6 +103,7 @@ pub fn main() -> ExitCode {
         Command::Experiment(args) => external::run("experiment", args),
         Command::Verify(args) => verify::run(args),
         Command::Retarget(args) => retarget::run(args),
+        Command::Sensor(args) => sensor::run(args),
         Command::Model(args) => model::run(args),
         Command::Bench(args) => external::run("bench", args),
         Command::Data(args) => data::run(args),

@@ -19,6 +19,8 @@ use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
 use crate::text::tell;
 
+use super::hands::Hands;
+
 /// Arguments of `egotac predict`.
 #[derive(Debug, clap::Args)]
 #[command(
@@ -49,6 +51,9 @@ pub struct Args {
     precision: Precision,
     #[command(flatten)]
     doubt: Doubt,
+    /// MANO files: the fields are then on MANO's vertices.
+    #[command(flatten)]
+    hands: Hands,
 }
 
 /// Runs the command.
@@ -58,6 +63,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let mut predictor = Predictor::load(&path, args.doubt.apply(options))?;
     if let Some(warning) = predictor.warning() {
         tell(format_args!("warning: {warning}"));
+    }
+    if let Some(mano) = args.hands.map()? {
+        predictor = predictor.with_mano(mano);
     }
     let files = images(&args.data)?;
     let summary = match files.is_empty() {

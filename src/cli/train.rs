@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::hands::Hands;
 use crate::train::{self, Config, Control, Event, Outcome, Started, Step};
 
 /// Arguments of `egotac train`.
@@ -24,11 +25,17 @@ pub struct Args {
     /// Index of the CUDA device to train on; by default the CPU.
     #[arg(long, value_name = "INDEX")]
     cuda: Option<usize>,
+    /// MANO files in place of the configuration's: labels and checkpoint are then on MANO's vertices.
+    #[command(flatten)]
+    hands: Hands,
 }
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let config = Config::read(&args.config)?;
+    let mut config = Config::read(&args.config)?;
+    let Hands { mano_left, mano_right, .. } = args.hands;
+    config.mano_left = mano_left.or(config.mano_left);
+    config.mano_right = mano_right.or(config.mano_right);
     let device = super::device(args.cuda)?;
     let bar = ProgressBar::new(config.steps as u64);
     bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed}<{eta} {msg}")?);

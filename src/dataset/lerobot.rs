@@ -1,5 +1,6 @@
 //! LeRobot data sets of version 3: rows in Parquet, images in videos or in the rows.
 
+mod carry;
 mod columns;
 mod finished;
 mod images;
@@ -25,6 +26,7 @@ use crate::error::{Error, Result};
 use crate::file::input::{self, InputFolder};
 use crate::file::limits;
 
+pub(crate) use carry::carry;
 pub(crate) use images::{LeRobotDataset, PREFIX};
 pub(crate) use labels::read_info;
 pub(crate) use read_labels::read_labelled;

@@ -11,6 +11,7 @@
 //!
 //! `source` and `labels` hold the traits that all formats implement; [`Format`] finds the format of a path.
 
+mod carry;
 pub(crate) mod copy;
 pub(crate) mod format;
 pub(crate) mod identity;
@@ -34,6 +35,8 @@ use std::path::Path;
 
 use ::image::RgbImage;
 
+#[doc(hidden)]
+pub use carry::carry;
 pub use copy::copy_folder;
 pub use format::Format;
 pub use identity::{InputFiles, InputIdentity, InputState};

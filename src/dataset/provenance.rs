@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::identity::InputIdentity;
 use crate::hand::Topology;
 use crate::model::{DoubtThresholds, Precision, Predictor, Unknown};
-use crate::tactile::{CONTACT_FORCE_N, TactileField};
+use crate::tactile::{CONTACT_FORCE_N, ForceKind, TactileField};
 use crate::text;
 
 /// Name under which outputs hold a [`super::LabelInfo`]: an attribute of a store, a metadata record of a bag, and so on.
@@ -30,10 +30,16 @@ pub struct Provenance {
     pub topology: Topology,
     /// Name of the hand model, for people.
     pub hand_model: String,
+    /// SHA-256 of the MANO files that the network's fields were carried over to, left first; empty = none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub mano_sha256: Vec<String>,
     /// Number of images in the observation window.
     pub horizon: usize,
     /// Time between two images of the window, s.
     pub frame_dt: f64,
+    /// Meaning of the forces.
+    #[serde(default)]
+    pub force_kind: ForceKind,
     /// True if forces are known; otherwise they are NaN.
     pub has_force: bool,
     /// Thresholds of contact.
@@ -101,20 +107,18 @@ impl Provenance {
     /// Creates the provenance of labels by `predictor`; a [`crate::label::Job`] adds the identity of its input.
     pub fn of(predictor: &Predictor, precision: Precision, source: Vec<String>) -> Self {
         let metadata = predictor.metadata();
-        let hand_model = match metadata.topology {
-            Topology::EgotacHand1 => "egotac built-in hand",
-            Topology::Mano => "MANO",
-        };
         Self {
             producer: "egotac label".into(),
             version: env!("CARGO_PKG_VERSION").into(),
             model: metadata.name.clone(),
             model_sha256: predictor.sha256().to_string(),
             precision: precision.to_string(),
-            topology: metadata.topology,
-            hand_model: hand_model.into(),
+            topology: predictor.topology(),
+            hand_model: predictor.topology().hand_model().into(),
+            mano_sha256: predictor.mano().map(|mano| mano.sha256().to_vec()).unwrap_or_default(),
             horizon: predictor.config().horizon,
             frame_dt: metadata.frame_dt,
+            force_kind: metadata.force_kind,
             has_force: metadata.has_force,
             thresholds: Thresholds {
                 contact: CONTACT_THRESHOLD,

@@ -9,7 +9,7 @@
 //! | `timestamps` | (T) s, optional | |
 //! | `episode_ends` | (E), optional | |
 //!
-//! Floats may be f16, bf16, f32 or f64, the rest any integer or bool. The metadata carries `topology`.
+//! Floats may be f16, bf16, f32 or f64, the rest any integer or bool. The metadata carries `topology` and `force_kind`.
 
 mod labels;
 
@@ -21,7 +21,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use crate::error::{Error, Result};
 use crate::file::{self, input, limits};
 use crate::hand::Topology;
-use crate::tactile::{N_FIELD, TactileSequence};
+use crate::tactile::{ForceKind, N_FIELD, TactileSequence};
 
 pub(crate) use labels::{TensorOutput, read_info, read_labelled};
 
@@ -37,6 +37,10 @@ pub fn read(path: &Path) -> Result<TactileSequence> {
     let (_, metadata) = SafeTensors::read_metadata(&bytes).map_err(|e| Error::file(path, e))?;
     let topology = match metadata.metadata().as_ref().and_then(|map| map.get("topology")) {
         Some(id) => Some(Topology::from_id(id).map_err(|e| Error::file(path, e))?),
+        None => None,
+    };
+    let force_kind = match metadata.metadata().as_ref().and_then(|map| map.get(ForceKind::ATTRIBUTE)) {
+        Some(id) => Some(ForceKind::from_id(id).map_err(|e| Error::file(path, e))?),
         None => None,
     };
     let get = |names: &[&str]| names.iter().find_map(|name| Some((name.to_string(), tensors.tensor(name).ok()?)));
@@ -82,6 +86,7 @@ pub fn read(path: &Path) -> Result<TactileSequence> {
         presence: estimates("presence", &[2])?,
         timestamps: row("timestamps")?,
         episode_ends: ends(row("episode_ends")?)?,
+        force_kind,
         ..fields
     })
 }
@@ -120,6 +125,9 @@ pub fn write(path: &Path, sequence: &TactileSequence, mut metadata: BTreeMap<Str
     }
     if let Some(topology) = sequence.topology {
         metadata.insert("topology".into(), topology.id().into());
+    }
+    if let Some(kind) = sequence.force_kind {
+        metadata.insert(ForceKind::ATTRIBUTE.into(), kind.id().into());
     }
     let mut views = Vec::new();
     for (name, dtype, shape, data) in &tensors {

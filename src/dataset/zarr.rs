@@ -18,6 +18,7 @@
 
 mod added;
 mod bounded;
+mod carry;
 mod column;
 mod concatenate;
 mod convert;
@@ -28,6 +29,7 @@ mod labels;
 mod place;
 mod read_labels;
 mod reader;
+mod rewrite;
 mod stored;
 mod writer;
 
@@ -36,6 +38,7 @@ use std::fmt;
 use serde_json::{Value, json};
 
 pub use added::AddedArrays;
+pub(crate) use carry::carry;
 pub use concatenate::concatenate;
 pub(crate) use convert::{StoreOutput, fitted, image_size, scaled};
 pub(crate) use images::Store;
@@ -44,6 +47,7 @@ pub use place::StoreLocation;
 pub(crate) use read_labels::read_labelled;
 pub use read_labels::{read_fields, read_labels, read_proximity, read_truth};
 pub use reader::{ZarrReader, open_all};
+pub(crate) use rewrite::{Block, rewrite};
 pub use stored::ArrayInfo;
 pub use writer::{Contact, ZarrWriter};
 

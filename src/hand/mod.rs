@@ -6,6 +6,7 @@
 #[doc(hidden)]
 pub mod build;
 mod builtin;
+mod field_map;
 mod fit;
 mod hinges;
 mod lbs;
@@ -24,6 +25,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::Result;
 
 pub(crate) use builtin::to_bytes as builtin_bytes;
+pub use field_map::FieldMap;
 pub use fit::Fit;
 pub(crate) use fit::{FitCosts, refine};
 pub use mesh::{edges, vertex_areas, vertex_normals};

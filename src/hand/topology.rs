@@ -25,6 +25,22 @@ impl Topology {
         }
     }
 
+    /// Returns the name of the hand model, for people.
+    pub fn hand_model(self) -> &'static str {
+        match self {
+            Topology::EgotacHand1 => "egotac built-in hand",
+            Topology::Mano => "MANO",
+        }
+    }
+
+    /// Returns the other numbering.
+    pub fn other(self) -> Self {
+        match self {
+            Topology::EgotacHand1 => Topology::Mano,
+            Topology::Mano => Topology::EgotacHand1,
+        }
+    }
+
     /// Parses an id.
     ///
     /// # Errors

@@ -150,16 +150,35 @@ impl Transfer {
     /// If `force` does not have 1556 entries.
     pub fn force(&self, force: &[f32]) -> Result<Vec<f32>> {
         check_length("force", force)?;
-        let scatter = |hand: &[f32]| -> Vec<f32> {
-            let mut carried = vec![0f64; N_VERTICES];
-            for (shares, &force) in self.force.iter().zip(hand) {
-                for &(vertex, share) in shares.iter().filter(|_| force != 0.0) {
-                    carried[vertex as usize] += f64::from(force) * f64::from(share);
-                }
+        Ok(force.chunks_exact(N_VERTICES).flat_map(|hand| self.force_of_hand(hand)).collect())
+    }
+
+    /// Transfers the forces of one hand, (778), N.
+    pub(super) fn force_of_hand(&self, hand: &[f32]) -> Vec<f32> {
+        let mut carried = vec![0f64; N_VERTICES];
+        for (shares, &force) in self.force.iter().zip(hand).filter(|(_, force)| **force != 0.0) {
+            // Shares are rounded to f32; dividing by their sum keeps the total to the rounding of the result.
+            let sum: f64 = shares.iter().map(|(_, share)| f64::from(*share)).sum();
+            for &(vertex, share) in shares {
+                carried[vertex as usize] += f64::from(force) * f64::from(share) / sum;
             }
-            carried.into_iter().map(|force| force as f32).collect()
-        };
-        Ok(force.chunks_exact(N_VERTICES).flat_map(scatter).collect())
+        }
+        carried.into_iter().map(|force| force as f32).collect()
+    }
+
+    /// Transfers a 0/1 mask of the forces of one hand, (778): 1 if all vertices that give force are 1.
+    pub(super) fn force_mask_of_hand(&self, hand: &[u8]) -> Vec<u8> {
+        let mut carried = vec![1; N_VERTICES];
+        for shares in self.force.iter().zip(hand).filter(|(_, mask)| **mask == 0).map(|(shares, _)| shares) {
+            shares.iter().for_each(|&(vertex, _)| carried[vertex as usize] = 0);
+        }
+        carried
+    }
+
+    /// Takes the values of one hand, (778), from the vertex with the largest weight of each interpolation.
+    pub(super) fn nearest_of_hand<T: Copy>(&self, hand: &[T]) -> Vec<T> {
+        let nearest = |corners: &Vec<(u32, f32)>| corners.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |c| c.0);
+        self.contact.iter().map(|corners| hand[nearest(corners) as usize]).collect()
     }
 
     /// Transfers a 0/1 mask of both hands, (1556): 1 if all source vertices of the value are 1.
@@ -209,7 +228,8 @@ impl SkinSurface {
     /// Returns for each vertex the corresponding point on `other`.
     fn nearest_on(&self, other: &SkinSurface) -> Vec<SurfacePoint> {
         let triangles: Vec<Triangle> = other.faces.iter().map(|face| triangle(&other.vertices, face)).collect();
-        (0..self.vertices.len()).map(|vertex| self.nearest(vertex, other, &triangles)).collect()
+        let spheres: Vec<(Vec3, f32)> = other.faces.iter().map(|face| sphere(&other.vertices, face)).collect();
+        (0..self.vertices.len()).map(|vertex| self.nearest(vertex, other, &triangles, &spheres)).collect()
     }
 
     /// Returns the tangent planes of `other` at the points that correspond to vertices of this surface.
@@ -225,10 +245,23 @@ impl SkinSurface {
     }
 
     /// Returns the point on `other` with the least sum of distance, normal cost and finger cost.
-    fn nearest(&self, vertex: usize, other: &SkinSurface, triangles: &[Triangle]) -> SurfacePoint {
+    fn nearest(
+        &self,
+        vertex: usize,
+        other: &SkinSurface,
+        triangles: &[Triangle],
+        spheres: &[(Vec3, f32)],
+    ) -> SurfacePoint {
+        /// Rounding of a distance, m.
+        const ROUNDING: f32 = 1e-6;
         let [x, y, z] = self.vertices[vertex].to_array();
         let mut best = (f32::INFINITY, SurfacePoint { face: 0, weights: [1.0, 0.0, 0.0], distance: f32::INFINITY });
         for (face, (corners, triangle)) in other.faces.iter().zip(triangles).enumerate() {
+            // The cost is at least the distance, and that at least the distance to the sphere around the triangle.
+            let (centre, radius) = spheres[face];
+            if centre.distance(self.vertices[vertex]) - radius - ROUNDING > best.0 {
+                continue;
+            }
             let (place, location) = triangle.project_local_point_and_get_location(Vector::new(x, y, z), false);
             let Some(weights) = location.barycentric_coordinates() else { continue };
             let place = Vec3::new(place.point.x, place.point.y, place.point.z);
@@ -262,6 +295,13 @@ fn strongest(weights: [f32; 3]) -> usize {
 fn triangle(vertices: &[Vec3], face: &[u32; 3]) -> Triangle {
     let [a, b, c] = face.map(|vertex| vertices[vertex as usize]).map(|v| Vector::new(v.x, v.y, v.z));
     Triangle::new(a, b, c)
+}
+
+/// Returns a sphere around a triangle.
+fn sphere(vertices: &[Vec3], face: &[u32; 3]) -> (Vec3, f32) {
+    let corners = face.map(|vertex| vertices[vertex as usize]);
+    let centre = (corners[0] + corners[1] + corners[2]) / 3.0;
+    (centre, corners.iter().map(|corner| corner.distance(centre)).fold(0.0, f32::max))
 }
 
 fn check_length<T>(name: &str, values: &[T]) -> Result<()> {

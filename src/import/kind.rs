@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::recording::Reader;
 use crate::error::{Error, Result};
+use crate::tactile::ForceKind;
 
 /// A kind of data set.
 #[derive(Debug)]
@@ -39,6 +40,10 @@ pub enum Mano {
 pub struct Options {
     /// Folder of the objects' meshes; None = the data set's usual place.
     pub objects: Option<PathBuf>,
+    /// Taxel map of the gloves, a shipped one's name or a YAML file; None = that of the data set's glove.
+    pub sensor: Option<String>,
+    /// Meaning of the forces of gloves; None = readings, as the EgoTac paper has them.
+    pub force_kind: Option<ForceKind>,
 }
 
 /// Recordings of a data set.

@@ -7,7 +7,7 @@ use super::readers;
 use crate::error::{Error, Result};
 
 /// All kinds, in the order of the table.
-pub static ALL: [Kind; 17] = [
+pub static ALL: [Kind; 18] = [
     readers::hot3d::KIND,
     readers::h2o::KIND,
     readers::taco::KIND,
@@ -22,6 +22,7 @@ pub static ALL: [Kind; 17] = [
     readers::dexycb::KIND,
     readers::grab::KIND,
     readers::contactpose::KIND,
+    readers::egotac_sc::KIND,
     readers::videos::EPIC,
     readers::videos::EGO4D,
     readers::videos::EGOPAT3D,

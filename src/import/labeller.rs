@@ -205,7 +205,11 @@ impl Labeller for GeometryLabeller<'_> {
                     return Ok(LabelFrame::without(moment.stamp_secs, String::new()));
                 }
                 let forces = forces_of(&moment, &posed, &sensed)?;
-                let (field, distances) = labelled(&moment, &posed, &forces, &shapes, self.rule, topology);
+                let (mut field, distances) = labelled(&moment, &posed, &forces, &shapes, self.rule, topology);
+                let models = Side::BOTH.map(|side| hands.model(side, recording.convention));
+                if let Some(touch) = self.reader.touch(index, models)? {
+                    field = touch;
+                }
                 let known = Known::new(&moment, &posed, hands, recording, distances);
                 let further = Known { lost: lost(recording, &forces), ..known }.into_values();
                 Ok(LabelFrame {

@@ -23,7 +23,7 @@ use crate::dataset::{
 };
 use crate::error::{Error, Result};
 use crate::geometry::SIGMA;
-use crate::tactile::{N_FIELD, TactileField, Validity};
+use crate::tactile::{ForceKind, N_FIELD, TactileField, Validity};
 
 /// Array (T, 1556) f32: signed distance from the nearest object's surface, m, at most 0.05; negative inside of a closed
 /// surface, NaN = unknown.
@@ -120,6 +120,9 @@ impl LabelOutput for ImportOutput {
             ));
         }
         writer.end_episode()?;
+        let spread = recording.measures_force.then_some(ForceKind::Spread);
+        let kind = self.reader.force_kind().or(spread);
+        writer.set_attribute(ForceKind::ATTRIBUTE, kind.map_or(Value::Null, |kind| kind.id().into()));
         writer.set_attribute(PROVENANCE_KEY, serde_json::to_value(&*info).unwrap_or_default());
         writer.set_attribute(IMPORT, self.description());
         writer.set_attribute("camera", recording.camera.clone());
@@ -216,9 +219,9 @@ impl ImportOutput {
             "recording": recording.name,
             "data_set": self.kind.origin,
             "licence": self.kind.licence,
-            "contact_rule": if recording.measures_force { FORCE_RULE.into() } else { self.rule.text() },
-            "force": if recording.measures_force { "measured" } else { "unknown" },
-            "force_kind": recording.measures_force.then_some("spread"),
+            "contact_rule": if recording.measures_force || self.reader.force_kind().is_some() { FORCE_RULE.into() } else { self.rule.text() },
+            "force": if recording.measures_force || self.reader.force_kind().is_some() { "measured" } else { "unknown" },
+            "force_kind": self.reader.force_kind().map(ForceKind::id).or(recording.measures_force.then_some("spread")),
             "hand": hand,
             "scanned_hands": recording.templates.iter().any(Option::is_some),
             "translation": recording.convention.translation.name(),

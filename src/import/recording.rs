@@ -11,7 +11,8 @@ use super::sensors::Sensor;
 use super::shapes::MeshFile;
 use crate::dataset::source::SourceFrames;
 use crate::error::{Error, Result};
-use crate::hand::{N_BETAS, N_JOINTS, N_KEYPOINTS};
+use crate::hand::{HandModel, N_BETAS, N_JOINTS, N_KEYPOINTS};
+use crate::tactile::{ForceKind, TactileField};
 
 /// The parts of a recording that do not change with time.
 #[derive(Debug, Clone)]
@@ -227,6 +228,21 @@ pub trait Reader: Send + Sync {
     /// If it is damaged, or the recording has no such view.
     fn further_image(&self, view: &'static str, index: usize) -> Result<RgbImage> {
         Err(Error::value(view, "a view of the recording", format!("image {index} of {}", self.recording().name)))
+    }
+
+    /// Returns force and contact at the instant of image `index` on the vertices of `hands`, left first, of a recording whose
+    /// gloves measure them; `None` = labels follow from geometry.
+    ///
+    /// # Errors
+    /// As [`Reader::moment`].
+    fn touch(&self, index: usize, hands: [&HandModel; 2]) -> Result<Option<TactileField>> {
+        let _ = (index, hands);
+        Ok(None)
+    }
+
+    /// Returns the meaning of the forces of [`Reader::touch`].
+    fn force_kind(&self) -> Option<ForceKind> {
+        None
     }
 
     /// Frees what was read for moments: many recordings are open at the same time.

@@ -12,9 +12,8 @@ use super::shapes::ShapeCache;
 use super::source::RecordingSource;
 use crate::dataset::{CONTACT_THRESHOLD, Provenance, Thresholds};
 use crate::error::{Error, Result};
-use crate::hand::Topology;
 use crate::label::{Job, LabelTask, is_within};
-use crate::tactile::CONTACT_FORCE_N;
+use crate::tactile::{CONTACT_FORCE_N, ForceKind};
 
 /// Choices of an import.
 #[derive(Debug)]
@@ -96,7 +95,7 @@ impl ImportTasks {
                 source,
                 output,
                 out,
-                description: settings.description(&recording.name),
+                description: settings.description(reader.as_ref()),
             }
         };
         let tasks: Vec<LabelTask> = readers.iter().map(task).collect();
@@ -113,7 +112,9 @@ impl ImportTasks {
     pub fn jobs(&self) -> Vec<Job<'_>> {
         let job = |task| {
             let LabelTask { source, output, out, description, .. }: &LabelTask = task;
-            let provenance = self.settings.provenance(description.clone(), self.measures_force);
+            let kind = self.readers.iter().find_map(|reader| reader.force_kind());
+            let has_force = self.measures_force || kind.is_some();
+            let provenance = self.settings.provenance(description.clone(), has_force, kind.unwrap_or_default());
             Job { source: source.as_ref(), output: output.as_ref(), out: out.clone(), provenance, decoders: 1 }
         };
         self.tasks.iter().map(job).collect()
@@ -128,17 +129,20 @@ impl ImportTasks {
 
 impl Settings {
     /// Describes the choices that decide about a store's content.
-    fn description(&self, recording: &str) -> Vec<String> {
+    fn description(&self, reader: &dyn Reader) -> Vec<String> {
+        let recording = &reader.recording().name;
         let side = self.side.map_or("original size".into(), |side| format!("shorter side at most {side} pixels"));
-        vec![format!("{} recording {recording}", self.kind.name), format!("contact: {}", self.rule.text()), side]
+        let mut all =
+            vec![format!("{} recording {recording}", self.kind.name), format!("contact: {}", self.rule.text()), side];
+        if let Some(kind) = reader.force_kind() {
+            let sensor = self.options.sensor.as_deref().unwrap_or("the data set's glove");
+            all.push(format!("forces: {}, taxel map: {sensor}", kind.id()));
+        }
+        all
     }
 
-    fn provenance(&self, source: Vec<String>, has_force: bool) -> Provenance {
+    fn provenance(&self, source: Vec<String>, has_force: bool, force_kind: ForceKind) -> Provenance {
         let topology = self.hands.topology();
-        let hand_model = match topology {
-            Topology::EgotacHand1 => "egotac built-in hand",
-            Topology::Mano => "MANO",
-        };
         Provenance {
             producer: "egotac data import".into(),
             version: crate::VERSION.into(),
@@ -146,9 +150,11 @@ impl Settings {
             model_sha256: self.hands.sha256().join(" "),
             precision: "f32".into(),
             topology,
-            hand_model: hand_model.into(),
+            hand_model: topology.hand_model().into(),
+            mano_sha256: Vec::new(),
             horizon: 1,
             frame_dt: 0.0,
+            force_kind,
             has_force,
             thresholds: Thresholds {
                 contact: CONTACT_THRESHOLD,

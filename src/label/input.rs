@@ -13,6 +13,7 @@ use crate::dataset::video::VideoFile;
 use crate::dataset::zarr::{Store, StoreLocation, StoreOutput};
 use crate::dataset::{Format, ImageSource, LabelOutput, base_name};
 use crate::error::{Error, Result};
+use crate::hand::Region;
 
 /// Format of the output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
@@ -49,6 +50,8 @@ pub struct FormatOptions {
     pub topic: Option<String>,
     /// Topic of a bag's labels.
     pub labels_topic: Option<String>,
+    /// Regions of MANO's vertices, left hand first, for the region forces of a LeRobot data set; None = unknown.
+    pub mano_regions: Option<[Vec<Region>; 2]>,
 }
 
 /// One recording to label, and its output.
@@ -230,7 +233,8 @@ fn open_bag(path: &Path, out: &Path, options: &FormatOptions) -> Result<LabelTas
 
 fn open_lerobot(path: &Path, out: &Path, options: &FormatOptions) -> Result<LabelTask> {
     let prefix = options.prefix.as_deref().unwrap_or(lerobot::PREFIX);
-    let dataset = Arc::new(LeRobotDataset::open(path, options.camera.as_deref(), prefix)?);
+    let dataset = LeRobotDataset::open(path, options.camera.as_deref(), prefix)?;
+    let dataset = Arc::new(dataset.with_mano_regions(options.mano_regions.clone()));
     let name = base_name(path);
     let description = vec![
         format!("LeRobot data set {name}"),

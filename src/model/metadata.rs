@@ -11,6 +11,7 @@ use super::unknown::DoubtThresholds;
 use crate::error::{Error, Result};
 use crate::hand::Topology;
 use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
+use crate::tactile::ForceKind;
 
 /// Key of the threshold of familiarity; absent = the default.
 const FAMILIARITY: &str = "familiarity_threshold";
@@ -26,6 +27,8 @@ pub struct Metadata {
     pub topology: Topology,
     /// Newtons per unit of the force head's output: 99th percentile of the active training force.
     pub force_scale: f32,
+    /// Meaning of the forces, that of the training data.
+    pub force_kind: ForceKind,
     /// True if the force head was trained; otherwise forces are unknown (NaN).
     pub has_force: bool,
     /// Seconds between observation steps.
@@ -51,6 +54,7 @@ impl Metadata {
             name: name.into(),
             topology: Topology::default(),
             force_scale,
+            force_kind: ForceKind::default(),
             has_force: true,
             frame_dt,
             resize: Resize::default(),
@@ -94,6 +98,7 @@ impl Metadata {
             ("topology".into(), self.topology.id().into()),
             ("force_scale".into(), json(&self.force_scale)),
             ("has_force".into(), json(&self.has_force)),
+            (ForceKind::ATTRIBUTE.into(), self.force_kind.id().into()),
             ("frame_dt".into(), json(&self.frame_dt)),
             ("resize".into(), enum_name(json(&self.resize))),
             ("filter".into(), enum_name(json(&self.filter))),
@@ -137,6 +142,8 @@ impl Metadata {
             name: text("name")?,
             topology: Topology::from_id(&text("topology")?)?,
             force_scale: parse(path, "force_scale", &text("force_scale")?, "a number, newtons")?,
+            // Checkpoints of earlier versions predict spread forces.
+            force_kind: map.get(ForceKind::ATTRIBUTE).map_or(Ok(ForceKind::default()), |id| ForceKind::from_id(id))?,
             has_force: parse(path, "has_force", &text("has_force")?, "true or false")?,
             frame_dt: parse(path, "frame_dt", &text("frame_dt")?, "a number, seconds")?,
             resize: parse(path, "resize", &quoted("resize")?, "crop, centre, letterbox or squash")?,

@@ -1,6 +1,7 @@
 //! Touch from a stream of images, one encoder pass per image.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use ::image::RgbImage;
 use candle_core::{Device, Tensor};
@@ -8,6 +9,7 @@ use candle_core::{Device, Tensor};
 use super::unknown::Unknown;
 use super::{Checkpoint, Config, EgoTac, Metadata, Precision, familiarity, window};
 use crate::error::{Error, Result};
+use crate::hand::{FieldMap, Topology};
 use crate::tactile::{Certainty, TactileField};
 
 /// Frames kept per observation step, at most. Bounds the memory under a camera much faster than `frame_dt`.
@@ -87,6 +89,8 @@ pub struct Predictor {
     max_gap_secs: f64,
     unknown: Unknown,
     frames: Vec<CachedFrame>, // oldest first, stamps strictly increasing
+    /// MANO files whose vertices the fields are carried over to; None = the checkpoint's topology.
+    mano: Option<Arc<FieldMap>>,
 }
 
 #[derive(Debug, Clone)]
@@ -119,7 +123,7 @@ impl Predictor {
         doubt.presence = options.presence_threshold.unwrap_or(doubt.presence);
         doubt.check()?;
         let Options { device, unknown, .. } = options;
-        Ok(Self { checkpoint, device, max_gap_secs, unknown, frames: Vec::new() })
+        Ok(Self { checkpoint, device, max_gap_secs, unknown, frames: Vec::new(), mano: None })
     }
 
     /// Returns the predictor with the output of the force head as force, also where no force ever trained it; otherwise such
@@ -153,6 +157,24 @@ impl Predictor {
             "network {name} does not tell {missing}: touch is reported for every image, whatever it shows; `egotac model \
              familiarity` adds that to a checkpoint"
         ))
+    }
+
+    /// Returns the predictor with fields on the vertices of MANO files, whatever the checkpoint's topology: the total force of
+    /// each hand is kept, contact is taken from the nearest vertex.
+    #[must_use]
+    pub fn with_mano(mut self, mano: Arc<FieldMap>) -> Self {
+        self.mano = Some(mano);
+        self
+    }
+
+    /// MANO files of [`Predictor::with_mano`].
+    pub fn mano(&self) -> Option<&Arc<FieldMap>> {
+        self.mano.as_ref()
+    }
+
+    /// Vertex numbering of the predicted fields; that of the network is in the metadata.
+    pub fn topology(&self) -> Topology {
+        if self.mano.is_some() { Topology::Mano } else { self.metadata().topology }
     }
 
     /// Metadata of the checkpoint.
@@ -236,6 +258,10 @@ impl Predictor {
         let (force, contact) = self.model().head_outputs(&window)?.first_step(self.metadata())?;
         let mut field = TactileField { topology: self.metadata().topology, force, contact };
         self.unknown.apply(&mut field, &mut certainty);
+        let field = match &self.mano {
+            Some(mano) => field.carried(mano, Topology::Mano)?,
+            None => field,
+        };
         let warming_up = window::is_warming_up(&stamps, horizon, frame_dt);
         self.frames = frames;
         Ok(Prediction { stamp_secs, field, certainty, warming_up, restarted })

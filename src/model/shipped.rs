@@ -20,7 +20,8 @@ pub fn path() -> Result<PathBuf> {
     })
 }
 
-fn folders() -> Vec<PathBuf> {
+/// Returns the folders that may hold shipped files: of the installation, and the source tree.
+pub(crate) fn folders() -> Vec<PathBuf> {
     // <prefix>/lib/egotac/<program> has its files in <prefix>/share/egotac.
     let program = std::env::current_exe().ok();
     let installed = program.as_deref().and_then(|program| program.ancestors().nth(3)).map(|p| p.join("share/egotac"));

@@ -38,6 +38,12 @@ pub fn hand_picture(
     raster::draw(&mesh, &camera(model, posed, view, size), PAPER, size)
 }
 
+/// Returns the pixels of points in [`hand_picture`].
+pub fn pixels(model: &HandModel, posed: &PosedHand, points: &[Vec3], view: View, size: (u32, u32)) -> Vec<(f32, f32)> {
+    let camera = camera(model, posed, view, size);
+    points.iter().map(|point| camera.pixel(*point, size)).collect()
+}
+
 fn camera(model: &HandModel, posed: &PosedHand, view: View, size: (u32, u32)) -> Camera {
     let fingers = match model.side {
         Side::Left => Vec3::X,

@@ -23,4 +23,4 @@ mod raster;
 mod smooth;
 
 pub use color::{color_bar, force_color, force_colors, region_colors};
-pub use hand::{View, hand_picture};
+pub use hand::{View, hand_picture, pixels};

@@ -49,6 +49,12 @@ impl Camera {
         let right = up.cross(toward);
         Self { target, view_from_world: Mat3::from_cols(right, up, toward).transpose(), height }
     }
+
+    /// Returns the pixel of a point in a picture of this size: right and down.
+    pub fn pixel(&self, point: Vec3, (width, height): (u32, u32)) -> (f32, f32) {
+        let (view, scale) = (self.view_from_world * (point - self.target), height as f32 / self.height);
+        (0.5 * width as f32 + view.x * scale, 0.5 * height as f32 - view.y * scale)
+    }
 }
 
 /// Draws a mesh on `background`, lit from the upper left of the viewer.

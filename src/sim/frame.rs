@@ -23,6 +23,8 @@ pub struct SimFrame {
     pub objects: Vec<ObjectPose>,
     /// Pose of the camera.
     pub camera: CameraPose,
+    /// Readings of the taxels of the left and the right glove, (N) N each; `None` if the hands wear none.
+    pub taxels: Option<[Vec<f32>; 2]>,
 }
 
 /// Named pose `world_from_object`.

@@ -16,6 +16,7 @@ use crate::dataset::zarr::{
 use crate::dataset::{Attributes, EpisodeWriter};
 use crate::error::Result;
 use crate::hand::Side;
+use crate::sensor;
 use crate::tactile::{CONTACT_FORCE_N, N_FIELD, Validity};
 
 /// Array (T, 2, 2) f32, left hand first: relative residual of the force sum, and moment that spreading adds, N m; zero
@@ -26,6 +27,9 @@ pub const FORCE_RESIDUAL: &str = "data/force_residual";
 pub const SLIP: &str = "data/mano_slip";
 /// Array (T, H, W) f32: distance from the camera plane, m; only if the scene observes depth.
 pub const DEPTH: &str = "data/camera_ego_depth";
+
+/// Arrays (T, N) f32: readings of the taxels of the left and the right glove, N; only if the hands wear gloves.
+pub const TAXELS: [&str; 2] = ["data/left_taxels", "data/right_taxels"];
 
 /// Name of the attribute that describes the episodes.
 pub(super) const EPISODES: &str = "episodes";
@@ -123,12 +127,20 @@ pub(super) fn attributes(scenes: &[Scene], seed: u64, options: &RolloutOptions) 
     }
 }
 
+/// Returns the number of channels of a scene's gloves; 0 without gloves, and where the map can't be read, which the rollout
+/// reports.
+fn channels(scene: &Scene) -> usize {
+    let map = scene.spec.glove.as_ref().and_then(|glove| sensor::open(&glove.sensor).ok());
+    map.map_or(0, |map| map.layout.channels)
+}
+
 fn episode_entry(scene: &Scene, seed: u64, rollout: &Rollout) -> Value {
     let mut entry = json!({
         "scene": scene.name,
         "seed": seed,
         "objects": rollout.objects().iter().filter(|o| o.body().is_some()).map(|o| o.name.as_str()).collect::<Vec<_>>(),
         "intrinsics": rollout.intrinsics(),
+        "glove": scene.spec.glove,
     });
     let of_look: EffectSet =
         LookStyle::Photo.effects().iter().filter(|effect| rollout.effects().contains(*effect)).collect();
@@ -144,6 +156,8 @@ struct ExtraArrays {
     slip: bool,
     /// Width and height of the picture, pixels.
     depth: Option<(u32, u32)>,
+    /// Largest number of channels of a glove; 0 = none.
+    channels: usize,
 }
 
 impl ExtraArrays {
@@ -155,6 +169,7 @@ impl ExtraArrays {
             n_objects: scenes.iter().map(most).max().unwrap_or(0),
             slip: observed(Observation::Slip),
             depth: options.picture.filter(|_| observed(Observation::Depth)),
+            channels: scenes.iter().map(channels).max().unwrap_or(0),
         }
     }
 
@@ -174,6 +189,9 @@ impl ExtraArrays {
         if let Some((width, height)) = self.depth {
             arrays.push(ArraySpec::new(DEPTH, [height as usize, width as usize], Dtype::F32));
         }
+        if self.channels > 0 {
+            arrays.extend(TAXELS.map(|name| ArraySpec::new(name, [self.channels], Dtype::F32)));
+        }
         arrays
     }
 
@@ -182,7 +200,8 @@ impl ExtraArrays {
         let depth = self.depth.map(|(width, height)| (DEPTH, width as usize * height as usize));
         let poses = Some((OBJECT_POSE, 7 * self.n_objects)).filter(|_| self.n_objects > 0);
         let slip = Some((SLIP, N_FIELD)).filter(|_| self.slip);
-        [poses, slip, depth].into_iter().flatten().collect()
+        let taxels = TAXELS.map(|name| Some((name, self.channels)).filter(|_| self.channels > 0));
+        [poses, slip, depth].into_iter().chain(taxels).flatten().collect()
     }
 
     /// Returns the values of a frame; NaN fills what the scene lacks.
@@ -205,6 +224,10 @@ impl ExtraArrays {
                     frame.objects.iter().flat_map(|object| pose(object.position, object.orientation)).collect()
                 }
                 SLIP => frame.slip.clone().unwrap_or_default(),
+                name if TAXELS.contains(&name) => {
+                    let hand = usize::from(name == TAXELS[1]);
+                    frame.taxels.as_ref().map(|taxels| taxels[hand].clone()).unwrap_or_default()
+                }
                 _ => frame.depth.clone().unwrap_or_default(),
             };
             array.resize(length, f32::NAN);

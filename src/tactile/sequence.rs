@@ -7,7 +7,7 @@
 use std::borrow::Cow;
 use std::ops::Range;
 
-use super::{CONTACT_FORCE_N, N_FIELD, TactileField};
+use super::{CONTACT_FORCE_N, ForceKind, N_FIELD, TactileField};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
 
@@ -33,6 +33,8 @@ use crate::hand::Topology;
 pub struct TactileSequence {
     /// Meaning of the vertex indices; None = the source does not say.
     pub topology: Option<Topology>,
+    /// Meaning of the forces; None = the source does not say.
+    pub force_kind: Option<ForceKind>,
     /// (T) s; empty = not given.
     pub timestamps: Vec<f64>,
     /// Exclusive cumulative ends of the episodes; empty = one episode.
@@ -60,6 +62,18 @@ impl TactileSequence {
     pub fn from_force(topology: Option<Topology>, force: Vec<f32>) -> Self {
         let contact = force.iter().map(|f| if f.is_nan() { f32::NAN } else { f32::from(*f > CONTACT_FORCE_N) });
         Self { topology, contact: contact.collect(), force, ..Self::default() }
+    }
+
+    /// Checks that the forces of two sequences mean the same, as far as both say so and know any.
+    ///
+    /// # Errors
+    /// If they are of different kinds.
+    pub fn same_force_kind(&self, other: &Self) -> Result<()> {
+        let known = |sequence: &Self| sequence.force.iter().any(|force| !force.is_nan());
+        match (self.force_kind, other.force_kind) {
+            (Some(one), Some(two)) if one != two && known(self) && known(other) => one.must_match(two),
+            _ => Ok(()),
+        }
     }
 
     /// Number of frames.
@@ -175,6 +189,7 @@ impl TactileSequence {
         }
         Self {
             topology: self.topology,
+            force_kind: self.force_kind,
             timestamps: gather(&self.timestamps, &frames, 1),
             episode_ends,
             force: gather(&self.force, &frames, N_FIELD),
@@ -191,12 +206,14 @@ impl TactileSequence {
     /// "valid"; time stamps stay only where both have them.
     ///
     /// # Errors
-    /// If the two sequences are on different topologies.
+    /// If the two sequences are on different topologies, or have known forces of different kinds.
     pub fn append(&mut self, other: &Self) -> Result<()> {
         if let (Some(before), Some(this)) = (self.topology, other.topology) {
             before.must_match(this)?;
         }
+        self.same_force_kind(other)?;
         self.topology = self.topology.or(other.topology);
+        self.force_kind = self.force_kind.or(other.force_kind);
         let (before, added) = (self.n_frames(), other.n_frames());
         if added == 0 {
             return Ok(());
@@ -316,6 +333,7 @@ mod tests {
         let entries = 5 * N_FIELD;
         TactileSequence {
             topology: Some(Topology::EgotacHand1),
+            force_kind: Some(ForceKind::Reading),
             timestamps: vec![0.0, 0.04, 0.08, 0.0, 0.05],
             episode_ends: vec![3, 5],
             force: (0..entries).map(|i| i as f32).collect(),

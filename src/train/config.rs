@@ -35,6 +35,13 @@ pub struct Config {
     /// Held-out stores for validation; may be empty.
     #[serde(default)]
     pub validation: Vec<PathBuf>,
+    /// Left MANO file: labels of all stores are carried over to MANO's vertices, and the checkpoint is of that topology. Not
+    /// without `mano_right`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mano_left: Option<PathBuf>,
+    /// Right MANO file; not without `mano_left`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mano_right: Option<PathBuf>,
     /// Folder for `checkpoint.safetensors`, `state.safetensors`, `config.yaml`, `log.csv` and `curves.png`.
     pub out: PathBuf,
     /// Geometry of the network: the name of a preset, all keys, or `init` for the geometry of the initial checkpoint.
@@ -280,9 +287,18 @@ impl Config {
         if self.init.is_some() && self.encoder.is_some() {
             return Err(Error::value("encoder", "none beside init, which has one", "both"));
         }
+        if self.mano_left.is_some() != self.mano_right.is_some() {
+            return Err(Error::value("mano_left and mano_right", "both files or neither", "one of them"));
+        }
         self.geometry()?;
         let stores = self.data.iter().flat_map(|source| &source.stores);
-        for path in stores.chain(&self.validation).chain(&self.init).chain(&self.encoder) {
+        for path in stores
+            .chain(&self.validation)
+            .chain(&self.init)
+            .chain(&self.encoder)
+            .chain(&self.mano_left)
+            .chain(&self.mano_right)
+        {
             path.metadata().map_err(Error::io(path))?;
         }
         Ok(())
@@ -444,6 +460,8 @@ mod tests {
             ("validation: [no/such/store]", "no/such/store"),
             ("encoder: no/such/checkpoint", "no/such/checkpoint"),
             ("encoder: ., init: .", "encoder"),
+            ("mano_left: .", "mano_left and mano_right"),
+            ("mano_left: ., mano_right: no/such/file", "no/such/file"),
             ("loss: {force: 0, contact: 0, active: 0, keypoints: 0}", "loss"),
         ] {
             let error = parsed(&MINIMAL.replace('}', &format!(", {added}}}"))).unwrap_err();

@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -12,9 +13,9 @@ use super::source::{Supervision, TrainingSource};
 use crate::dataset::EpisodeReader;
 use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader, read_labels, read_proximity};
 use crate::error::{Error, Result};
-use crate::hand::Topology;
+use crate::hand::{FieldMap, Topology};
 use crate::image::{Preparation, resize};
-use crate::tactile::{CONTACT_FORCE_N, N_FIELD, TactileSequence, episode_ranges};
+use crate::tactile::{CONTACT_FORCE_N, ForceKind, N_FIELD, TactileSequence, episode_ranges};
 
 /// Frames read at once while a store is scanned.
 const BLOCK: usize = 128;
@@ -26,6 +27,8 @@ const PIECE_BYTES: usize = 128 << 20;
 pub struct Dataset {
     stores: Vec<Store>,
     preparation: Preparation,
+    /// MANO files whose vertices all labels are carried over to; None = the stores' topology.
+    mano: Option<Arc<FieldMap>>,
 }
 
 #[derive(Debug)]
@@ -68,7 +71,7 @@ impl Dataset {
     /// If there is no store, or one can't be read.
     pub fn new(readers: Vec<ZarrReader>, preparation: Preparation, in_memory: bool) -> Result<Self> {
         let from_one_source = |reader| (0, TrainingSource::of([]), reader);
-        Self::from_readers(readers.into_iter().map(from_one_source).collect(), preparation, in_memory)
+        Self::from_readers(readers.into_iter().map(from_one_source).collect(), preparation, in_memory, None)
     }
 
     /// Opens the stores of several sources; `in_memory` reads them completely at once.
@@ -76,10 +79,23 @@ impl Dataset {
     /// # Errors
     /// If one can't be opened or read, or two differ in topology.
     pub fn open(sources: &[TrainingSource], preparation: Preparation, in_memory: bool) -> Result<Self> {
+        Self::open_on(None, sources, preparation, in_memory)
+    }
+
+    /// As [`Dataset::open`]; with MANO files, labels of stores of either topology, on MANO's vertices.
+    ///
+    /// # Errors
+    /// If a store can't be opened or read, or two differ in topology and there are no MANO files.
+    pub fn open_on(
+        mano: Option<Arc<FieldMap>>,
+        sources: &[TrainingSource],
+        preparation: Preparation,
+        in_memory: bool,
+    ) -> Result<Self> {
         let mut readers: Vec<(usize, TrainingSource, ZarrReader)> = Vec::new();
         for (index, source) in sources.iter().enumerate() {
             for reader in zarr::open_all(&source.stores)? {
-                if let Some((_, _, first)) = readers.first() {
+                if let (Some((_, _, first)), None) = (readers.first(), &mano) {
                     let topology = reader.attributes().topology;
                     let fits = first.attributes().topology.must_match(topology);
                     fits.map_err(|error| Error::file(reader.path(), error))?;
@@ -87,7 +103,7 @@ impl Dataset {
                 readers.push((index, source.clone(), reader));
             }
         }
-        Self::from_readers(readers, preparation, in_memory)
+        Self::from_readers(readers, preparation, in_memory, mano)
     }
 
     /// Creates a dataset from stores with the index and properties of their sources.
@@ -95,11 +111,12 @@ impl Dataset {
         readers: Vec<(usize, TrainingSource, ZarrReader)>,
         preparation: Preparation,
         in_memory: bool,
+        mano: Option<Arc<FieldMap>>,
     ) -> Result<Self> {
         if readers.is_empty() {
             return Err(Error::value("data", "at least one store", "none"));
         }
-        let mut dataset = Self { stores: Vec::new(), preparation };
+        let mut dataset = Self { stores: Vec::new(), preparation, mano };
         for (source, TrainingSource { mirror: mirrorable, labels: supervision, .. }, reader) in readers {
             let timestamps = reader.read(TIMESTAMPS, 0..reader.len())?.into_f64();
             check_timestamps(&reader, &timestamps)?;
@@ -116,8 +133,8 @@ impl Dataset {
         if in_memory {
             for index in 0..dataset.stores.len() {
                 let images = dataset.read(index, 0..dataset.stores[index].reader.len(), false)?.images;
-                let store = &mut dataset.stores[index];
-                store.memory = Some(Block { images, labels: store.all_labels()? });
+                let labels = dataset.all_labels(&dataset.stores[index])?;
+                dataset.stores[index].memory = Some(Block { images, labels });
             }
         }
         Ok(dataset)
@@ -143,9 +160,29 @@ impl Dataset {
         }
     }
 
-    /// Returns the meaning of the vertex indices of every store.
+    /// Returns the meaning of the vertex indices of all labels.
     pub fn topology(&self) -> Topology {
+        if self.mano.is_some() {
+            return Topology::Mano;
+        }
         self.stores.first().map(|store| store.reader.attributes().topology).unwrap_or_default()
+    }
+
+    /// Returns the meaning of the forces of all stores whose force is supervised; spread without one.
+    ///
+    /// # Errors
+    /// If two differ, or a store's attribute is unknown.
+    pub fn force_kind(&self) -> Result<ForceKind> {
+        let mut found: Option<ForceKind> = None;
+        for store in self.stores.iter().filter(|store| store.supervision == Supervision::Both) {
+            // A store without known force has no meaning of it.
+            let Some(kind) = store.reader.force_kind()?.filter(|_| store.reader.has(zarr::MANO_FORCE)) else {
+                continue;
+            };
+            let fits = found.get_or_insert(kind).must_match(kind);
+            fits.map_err(|error| Error::file(store.reader.path(), error))?;
+        }
+        Ok(found.unwrap_or_default())
     }
 
     /// Returns the number of frames of all stores.
@@ -200,7 +237,7 @@ impl Dataset {
         }
         let mut block = Block::default();
         if labels {
-            block.labels = self.stores[store].labels(frames.clone())?;
+            block.labels = self.labels_of(&self.stores[store], frames.clone())?;
         }
         let (height, width) = reader.image_size();
         // In pieces, because the stored images may be much larger than the resized ones.
@@ -238,7 +275,7 @@ impl Dataset {
                 let labels = match &store.memory {
                     Some(memory) if start == 0 => &memory.labels,
                     Some(_) => break,
-                    None => &store.labels(start..(start + BLOCK).min(frames))?,
+                    None => &self.labels_of(store, start..(start + BLOCK).min(frames))?,
                 };
                 *any |= labels.mask_force.contains(&1) || labels.mask_contact.contains(&1);
                 for (entry, (force, mask)) in labels.force.iter().zip(&labels.mask_force).enumerate() {
@@ -280,19 +317,28 @@ impl Dataset {
         for store in &self.stores {
             match &store.memory {
                 Some(memory) => all.append(&memory.labels)?,
-                None => all.append(&store.all_labels()?)?,
+                None => all.append(&self.all_labels(store)?)?,
             }
         }
         Ok(all)
     }
+
+    /// Reads the labels of all frames of a store that training uses, with time stamps and episodes.
+    fn all_labels(&self, store: &Store) -> Result<TactileSequence> {
+        Ok(with_time(self.labels_of(store, 0..store.reader.len())?, &store.reader, store.timestamps.clone()))
+    }
+
+    /// Reads supervised labels of a store, on the dataset's topology.
+    fn labels_of(&self, store: &Store, frames: Range<usize>) -> Result<TactileSequence> {
+        let labels = store.labels(frames)?;
+        match &self.mano {
+            Some(mano) => labels.carried(mano, Topology::Mano),
+            None => Ok(labels),
+        }
+    }
 }
 
 impl Store {
-    /// Reads the labels of all frames that training uses, with time stamps and episodes.
-    fn all_labels(&self) -> Result<TactileSequence> {
-        Ok(with_time(self.labels(0..self.reader.len())?, &self.reader, self.timestamps.clone()))
-    }
-
     /// Reads the labels that the source supervises.
     fn labels(&self, frames: Range<usize>) -> Result<TactileSequence> {
         match self.supervision {

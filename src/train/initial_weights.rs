@@ -8,7 +8,9 @@ use candle_nn::VarMap;
 
 use super::data::Statistics;
 use crate::error::{Error, Result};
+use crate::hand::{FieldMap, Topology};
 use crate::model::Config;
+use crate::tactile::N_FIELD;
 
 /// Least distance of a contact rate from 0 and 1: keeps the initial logits where the sigmoid still has a gradient.
 const MIN_RATE: f32 = 1e-4;
@@ -49,6 +51,29 @@ pub fn rescale_force(varmap: &VarMap, factor: f32) -> Result<()> {
     for name in ["force_head.weight", "force_head.bias"] {
         let var = variable(varmap, name)?;
         var.set(&(var.as_tensor() * f64::from(factor))?)?;
+    }
+    Ok(())
+}
+
+/// Carries the rows of both heads over to the vertices of `to`: contact from the nearest vertex, force by the shares of the
+/// forces, so that what the heads predict moves with them.
+///
+/// # Errors
+/// If a head is missing.
+pub fn carry_heads(varmap: &VarMap, map: &FieldMap, to: Topology) -> Result<()> {
+    for head in ["force_head", "contact_head"] {
+        for part in ["weight", "bias"] {
+            let var = variable(varmap, &format!("{head}.{part}"))?;
+            // (1556, d) or (1556): with the vertices last, each channel is a field.
+            let shape = var.shape().clone();
+            let fields = var.reshape((N_FIELD, ()))?.t()?.flatten_all()?.to_vec1::<f32>()?;
+            let carried = match head {
+                "force_head" => map.force(to, &fields)?,
+                _ => map.nearest(to, &fields)?,
+            };
+            let carried = Tensor::from_vec(carried, (fields.len() / N_FIELD, N_FIELD), var.device())?;
+            var.set(&carried.t()?.contiguous()?.reshape(shape)?)?;
+        }
     }
     Ok(())
 }

@@ -30,7 +30,8 @@ pub fn predict(
 ) -> Result<TactileSequence> {
     let preparation = metadata.preparation(model.config());
     let horizon = model.config().horizon;
-    let mut fields = TactileSequence { topology: Some(metadata.topology), ..Default::default() };
+    let (topology, force_kind) = (Some(metadata.topology), Some(metadata.force_kind));
+    let mut fields = TactileSequence { topology, force_kind, ..Default::default() };
     for (store, episode) in dataset.episodes() {
         let times = dataset.timestamps(store);
         let mut projected: BTreeMap<usize, Tensor> = BTreeMap::new(); // (P, d) by frame

@@ -1,14 +1,17 @@
 //! Data and network of a run, before its first step.
 
+use std::sync::Arc;
+
 use candle_core::Device;
 use candle_nn::VarMap;
 
 use super::batch::Collate;
 use super::config::Config;
 use super::data::{Dataset, Statistics};
+use super::source::TrainingSource;
 use super::{Started, initial_weights, keypoints};
-use crate::dataset::zarr;
 use crate::error::{Error, Result};
+use crate::hand::FieldMap;
 use crate::model::{self, EgoTac, Metadata};
 use crate::tactile::TactileSequence;
 
@@ -21,6 +24,8 @@ pub struct Data {
     /// Metadata of the checkpoint, with topology and force scale of the training stores.
     pub metadata: Metadata,
     statistics: Statistics,
+    /// MANO files whose vertices all labels are on; None = the stores' topology.
+    mano: Option<Arc<FieldMap>>,
 }
 
 impl Data {
@@ -31,11 +36,16 @@ impl Data {
     pub fn open(config: &Config, geometry: &model::Config) -> Result<Self> {
         let mut metadata = Metadata::new(&config.name, 1.0, config.frame_dt);
         let preparation = metadata.preparation(geometry);
-        let mut training = Dataset::open(&config.data, preparation.clone(), config.in_memory)?;
+        let mano = match (&config.mano_left, &config.mano_right) {
+            (Some(left), Some(right)) => Some(Arc::new(FieldMap::load(left, right)?)),
+            _ => None,
+        };
+        let mut training = Dataset::open_on(mano.clone(), &config.data, preparation.clone(), config.in_memory)?;
         let validation = match config.validation.is_empty() {
             true => None,
             false => {
-                let held_out = Dataset::new(zarr::open_all(&config.validation)?, preparation, config.in_memory)?;
+                let held_out = [TrainingSource::of(config.validation.iter().cloned())];
+                let held_out = Dataset::open_on(mano.clone(), &held_out, preparation, config.in_memory)?;
                 training.topology().must_match(held_out.topology())?;
                 let truth = held_out.labels()?;
                 Some((held_out, truth))
@@ -45,12 +55,16 @@ impl Data {
             training.find_keypoints()?;
         }
         metadata.topology = training.topology();
+        metadata.force_kind = training.force_kind()?;
+        if let Some((held_out, _)) = &validation {
+            metadata.force_kind.must_match(held_out.force_kind()?)?;
+        }
         let statistics = training.statistics()?;
         match statistics.force_scale {
             Some(force_scale) => metadata.force_scale = force_scale,
             None => metadata.has_force = false,
         }
-        Ok(Self { training, validation, metadata, statistics })
+        Ok(Self { training, validation, metadata, statistics, mano })
     }
 
     /// Returns the settings that turn clips of the training stores into batches.
@@ -100,7 +114,12 @@ impl Network {
         match &config.init {
             Some(path) => {
                 if let Some(before) = model::checkpoint::load_variables(path, &varmap)? {
-                    before.topology.must_match(metadata.topology).map_err(|error| Error::file(path, error))?;
+                    match (&data.mano, before.topology == metadata.topology) {
+                        (Some(mano), false) => initial_weights::carry_heads(&varmap, mano, metadata.topology)?,
+                        _ => {
+                            before.topology.must_match(metadata.topology).map_err(|error| Error::file(path, error))?;
+                        }
+                    }
                     // Keeps the predicted newtons although the unit of the network's output changes.
                     initial_weights::rescale_force(&varmap, before.force_scale / metadata.force_scale)?;
                 }

@@ -4,6 +4,8 @@
 mod common;
 
 mod builtin;
+mod carry;
 mod cli;
 mod mano;
 mod map;
+mod sensor;

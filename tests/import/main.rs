@@ -7,6 +7,7 @@
 mod check;
 #[path = "../common/mod.rs"]
 mod common;
+mod egotac_sc;
 mod files;
 mod gloves;
 mod h5;

@@ -6,6 +6,7 @@
 //! | [`model`], [`train`] | time and memory of the network and of a training step, beside PyTorch and OpenVINO |
 //! | [`label`] | time that `egotac label` spends outside the network |
 //! | [`import`] | speed of imports: contact by distance, readers of data sets |
+//! | `glove` | force on vertices from simulated taxels, beside the simulator's own |
 //! | `sim`, `effects`, `guards` | accuracy, effects and guards of the simulation against their cost |
 //! | `retarget` | accuracy and time of retargeting, beside other programs |
 //! | [`hard_cases`] | inputs that go wrong, the guards that report them, and their remedies |
@@ -21,6 +22,8 @@ pub mod effects;
 pub mod experiment;
 pub mod faults;
 mod front;
+#[cfg(feature = "sim")]
+pub mod glove;
 #[cfg(feature = "sim")]
 pub mod guards;
 pub mod hard_cases;

@@ -8,6 +8,7 @@ use anyhow::Context;
 use crate::cli::labelling::{Work, shard};
 use crate::import::{ContactRule, HandModels, ImportTasks, Options, Settings, kind, table};
 use crate::label::Shard;
+use crate::tactile::ForceKind;
 
 /// Arguments of `egotac data import`.
 #[derive(Debug, clap::Args)]
@@ -38,6 +39,14 @@ pub struct Args {
     /// Folder of the objects' meshes; by default where the data set has it.
     #[arg(long, value_name = "FOLDER")]
     objects: Option<PathBuf>,
+    /// Taxel map of the gloves, of kinds with gloves: a name of `egotac sensor list`, or a YAML file of `egotac sensor new`; by
+    /// default that of the data set's glove.
+    #[arg(long, value_name = "NAME|FILE")]
+    sensor: Option<String>,
+    /// Meaning of the forces of gloves: `reading` (the value at the vertex, as the EgoTac paper has it) or `spread` (sums to the
+    /// force on the hand, as simulated stores have it).
+    #[arg(long, value_name = "KIND", value_parser = force_kind, default_value = "reading")]
+    force_kind: ForceKind,
     /// Vertices touch an object whose surface is at most so far, mm, negative inside; by default vertices touch an object
     /// that has a point within 1 cm, the paper's rule.
     #[arg(long, value_name = "MM", value_parser = millimetres, allow_negative_numbers = true)]
@@ -70,7 +79,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         hands: HandModels::load(args.mano_left.as_deref(), args.mano_right.as_deref())?,
         rule: args.contact_distance.map_or(ContactRule::Proximity, |mm| ContactRule::SignedDistance(mm * 1e-3)),
         side: (args.side > 0).then_some(args.side),
-        options: Options { objects: args.objects },
+        options: Options { objects: args.objects, sensor: args.sensor, force_kind: Some(args.force_kind) },
     };
     let import = ImportTasks::find(&source, &out, settings)?;
     let jobs = import.jobs();
@@ -78,6 +87,10 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     work.run(args.json.as_deref(), |index, number, timing, progress| {
         jobs[index].run_with(&mut import.labeller(index), args.shard, number, timing, progress)
     })
+}
+
+fn force_kind(text: &str) -> Result<ForceKind, String> {
+    ForceKind::from_id(text).map_err(|error| error.to_string())
 }
 
 /// Largest distance of contact, mm: distances are known up to 5 cm.

@@ -28,7 +28,7 @@ pub fn read(args: &Args) -> anyhow::Result<Option<Calibration>> {
 pub fn truth(args: &Args) -> anyhow::Result<Option<TactileSequence>> {
     match args.calibration_from.as_slice() {
         [] => Ok(None),
-        stores => Ok(Some(truth::truth(stores)?.0)),
+        stores => Ok(Some(truth::truth(args, stores)?.0)),
     }
 }
 

@@ -5,12 +5,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 
 use super::calibration;
-use super::truth::truth;
+use super::truth::{read, truth};
 use super::{Args, Case};
 use crate::cli::predict;
-use crate::dataset::EpisodeReader;
 use crate::dataset::tensors;
-use crate::dataset::zarr::{self, ZarrReader};
 use crate::hand::Topology;
 use crate::model::{Predictor, predictor};
 use crate::score::metrics::{EvalOptions, baseline};
@@ -27,11 +25,14 @@ pub fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
     if args.untrained_force {
         predictor = predictor.with_untrained_force();
     }
-    let topology = predictor.metadata().topology;
-    let (target, origins) = truth(&args.data)?;
+    if let Some(mano) = args.hands.map()? {
+        predictor = predictor.with_mano(mano);
+    }
+    let topology = predictor.topology();
+    let (target, origins) = truth(args, &args.data)?;
     target.topology.unwrap_or_default().must_match(topology)?;
     // Checks all other inputs first: predicting may take hours.
-    let constants = constants(&args.baselines_from, topology)?;
+    let constants = constants(args, topology)?;
     let split = calibration::truth(args)?;
     if let Some(split) = &split {
         split.topology.unwrap_or_default().must_match(topology)?;
@@ -52,11 +53,11 @@ pub fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
 
 /// Reads predictions and truth from files.
 pub fn of_files(args: &Args, pred_path: &Path, target_path: &Path) -> anyhow::Result<Case> {
-    let pred = tensors::read(pred_path)?;
+    let pred = read(args, pred_path)?;
     // Frames of a store that a guard refused are masked out.
     let (target, origins) = match target_path.is_dir() {
-        true => truth(&[target_path.to_path_buf()])?,
-        false => (tensors::read(target_path)?, Vec::new()),
+        true => truth(args, &[target_path.to_path_buf()])?,
+        false => (read(args, target_path)?, Vec::new()),
     };
     if let (Some(pred), Some(target)) = (pred.topology, target.topology) {
         pred.must_match(target)?;
@@ -64,7 +65,7 @@ pub fn of_files(args: &Args, pred_path: &Path, target_path: &Path) -> anyhow::Re
     same_length(pred_path, &pred, target.n_frames()).with_context(|| format!("beside {}", target_path.display()))?;
     let calibration = match (calibration::truth(args)?, &args.calibration_pred) {
         (Some(split), Some(path)) => {
-            let pred = tensors::read(path)?;
+            let pred = read(args, path)?;
             same_length(path, &pred, split.n_frames())?;
             Some(calibration::measure(args, &pred, &split)?)
         }
@@ -72,7 +73,7 @@ pub fn of_files(args: &Args, pred_path: &Path, target_path: &Path) -> anyhow::Re
         (None, _) => calibration::read(args)?,
     };
     let topology = target.topology.or(pred.topology).unwrap_or_default();
-    let baselines = baselines(constants(&args.baselines_from, topology)?, &target, args.persistence);
+    let baselines = baselines(constants(args, topology)?, &target, args.persistence);
     let options = EvalOptions { calibration, fps: args.fps };
     Ok(Case { pred, target, options, baselines, lag: args.persistence, unknown: None, origins })
 }
@@ -94,13 +95,14 @@ fn predicted(args: &Args, paths: &[PathBuf], predictor: &mut Predictor) -> anyho
 }
 
 /// Returns the constant predictions: zero, and mean and median where training stores are given.
-fn constants(training: &[PathBuf], topology: Topology) -> anyhow::Result<Vec<baseline::Constant>> {
+fn constants(args: &Args, topology: Topology) -> anyhow::Result<Vec<baseline::Constant>> {
+    let training = &args.baselines_from;
     if training.is_empty() {
         return Ok(vec![baseline::zero()]);
     }
-    let stores: Vec<ZarrReader> = zarr::open_all(training)?;
-    stores.iter().try_for_each(|store| store.attributes().topology.must_match(topology))?;
-    Ok(baseline::constants(&truth(training)?.0).into())
+    let truth = truth(args, training)?.0;
+    truth.topology.unwrap_or_default().must_match(topology)?;
+    Ok(baseline::constants(&truth).into())
 }
 
 /// Returns the constants and persistence, as long as the truth.

@@ -36,13 +36,17 @@ impl LeRobotDataset {
             }),
         };
         let mut columns = vec![field("force", |field| &field.force), field("contact", |field| &field.contact)];
-        // The regions of MANO would need its model file.
-        if topology == Topology::EgotacHand1 {
+        // The regions of MANO's vertices are known with MANO's files alone.
+        let regions = match topology {
+            Topology::EgotacHand1 => Some(Side::BOTH.map(|side| HandModel::builtin(side).regions())),
+            Topology::Mano => self.mano_regions.clone(),
+        };
+        if let Some(regions) = regions {
             columns.push(Column {
                 name: format!("{}.region_force", self.prefix),
                 names: Some(Region::names_of_both_hands()),
                 width: 2 * Region::ALL.len(),
-                value: Box::new(region_force()),
+                value: Box::new(region_force(regions)),
             });
         }
         if judged {
@@ -82,8 +86,7 @@ pub fn with_types(text: &str, columns: &[Column]) -> Option<String> {
 }
 
 /// Sums the forces of each region, left hand first; NaN if one of them is unknown.
-fn region_force() -> impl Fn(&LabelFrame) -> Vec<f32> {
-    let regions = Side::BOTH.map(|side| HandModel::builtin(side).regions());
+fn region_force(regions: [Vec<Region>; 2]) -> impl Fn(&LabelFrame) -> Vec<f32> {
     move |label| match &label.touch {
         Ok(field) => field.region_forces(&regions),
         Err(_) => vec![f32::NAN; 2 * Region::ALL.len()],

@@ -2,11 +2,13 @@
 
 use std::path::Path;
 
+use super::read_labels::prefix;
 use super::{Camera, Episode, LeRobot, Row};
 use crate::dataset::identity::InputFiles;
 use crate::dataset::source::{EncodedImage, ImageSource, SourceFrame, SourceFrames, Unit};
 use crate::dataset::video::VideoFrames;
 use crate::error::{Error, Result};
+use crate::hand::Region;
 
 /// Default prefix of the new columns. Policies ignore names that begin neither with `observation` nor with `action`.
 pub const PREFIX: &str = "tactile";
@@ -18,6 +20,10 @@ pub struct LeRobotDataset {
     camera: String,
     kind: Camera,
     pub(super) prefix: String,
+    /// Regions of MANO's vertices, left hand first; None = unknown.
+    pub(super) mano_regions: Option<[Vec<Region>; 2]>,
+    /// True if the data set has the columns already, and they are replaced.
+    pub(super) replaces: bool,
     units: Vec<Unit>,
 }
 
@@ -55,7 +61,41 @@ impl LeRobotDataset {
         let unit =
             |episode: &Episode| Unit { name: format!("episode {}", episode.index), frames: Some(episode.length) };
         let units = dataset.episodes.iter().map(unit).collect();
-        Ok(Self { camera: camera.clone(), kind: *kind, prefix: prefix.to_string(), units, dataset })
+        Ok(Self {
+            camera: camera.clone(),
+            kind: *kind,
+            prefix: prefix.to_string(),
+            mano_regions: None,
+            replaces: false,
+            units,
+            dataset,
+        })
+    }
+
+    /// Opens a labelled data set whose columns of labels are to be replaced.
+    ///
+    /// # Errors
+    /// If it can't be read, or has no labels.
+    pub fn labelled(root: &Path) -> Result<Self> {
+        let dataset = LeRobot::open(root)?;
+        let prefix = prefix(&dataset)?.to_string();
+        let (camera, units) = (String::new(), Vec::new());
+        Ok(Self { camera, kind: Camera::Rows, prefix, mano_regions: None, replaces: true, units, dataset })
+    }
+
+    /// True for a column, or a statistic of one, that is replaced.
+    pub(super) fn is_replaced(&self, name: &str) -> bool {
+        let name = name.strip_prefix("stats/").unwrap_or(name);
+        let own = ["force", "contact", "region_force"];
+        let rest = name.strip_prefix(&self.prefix).and_then(|rest| rest.strip_prefix('.'));
+        let rest = rest.map(|rest| rest.split_once('/').map_or(rest, |(column, _)| column));
+        self.replaces && rest.is_some_and(|column| own.contains(&column))
+    }
+
+    /// Returns the data set with the regions of MANO's vertices, for the forces of regions on that topology.
+    #[must_use]
+    pub fn with_mano_regions(self, mano_regions: Option<[Vec<Region>; 2]>) -> Self {
+        Self { mano_regions, ..self }
     }
 
     /// Returns the camera's key.

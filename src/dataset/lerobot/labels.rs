@@ -18,7 +18,7 @@ use super::columns::{Column, with_types};
 use super::finished::FinishedEpisodes;
 use super::images::LeRobotDataset;
 use super::statistics::{EpisodeStatistics, Statistics};
-use super::{LeRobot, numbers, reader, reader_and_page};
+use super::{LeRobot, numbers, only, reader, reader_and_page};
 use crate::dataset::copy::{copy_folder, copy_regular};
 use crate::dataset::label_info::LabelInfo;
 use crate::dataset::labels::{LabelFrames, LabelOutput, SourceLabels};
@@ -44,7 +44,10 @@ impl LeRobotDataset {
         // Fewer rows at a time where a cell may be large.
         let batch = (limits::PAGE.value() / page.max(1)).clamp(1, BATCH as u64) as usize;
         let key_values = builder.metadata().file_metadata().key_value_metadata().cloned().unwrap_or_default();
-        let (schema, key_values) = extended_schema(builder.schema(), key_values, columns);
+        let mask = only(&builder, |name| !self.is_replaced(name));
+        let kept = builder.schema().fields().iter().filter(|field| !self.is_replaced(field.name())).cloned();
+        let old = Schema::new_with_metadata(kept.collect::<Vec<_>>(), builder.schema().metadata().clone());
+        let (schema, key_values) = extended_schema(&old, key_values, columns);
         let properties = WriterProperties::builder()
             .set_compression(Compression::SNAPPY)
             .set_key_value_metadata(Some(key_values))
@@ -53,7 +56,7 @@ impl LeRobotDataset {
         let file = File::create(to).map_err(Error::io(to))?;
         let mut writer = ArrowWriter::try_new(file, schema.clone(), Some(properties)).map_err(not_written)?;
         let mut place = 0;
-        for batch in builder.with_batch_size(batch).build().map_err(fail)? {
+        for batch in builder.with_projection(mask).with_batch_size(batch).build().map_err(fail)? {
             let batch = batch.map_err(|e| Error::library(from, e))?;
             let mut values: Vec<Vec<f32>> = columns.iter().map(|_| Vec::new()).collect();
             for episode in numbers(&batch, "episode_index", from)? {
@@ -82,7 +85,10 @@ impl LeRobotDataset {
         let fail = |error: parquet::errors::ParquetError| Error::library(from, error);
         let not_written = |error: parquet::errors::ParquetError| Error::library(to, error);
         let builder = reader(from)?.with_batch_size(BATCH);
-        let old = builder.schema().clone();
+        let kept = builder.schema().fields().iter().filter(|field| !self.is_replaced(field.name())).cloned();
+        let old = Schema::new_with_metadata(kept.collect::<Vec<_>>(), builder.schema().metadata().clone());
+        let mask = only(&builder, |name| !self.is_replaced(name));
+        let builder = builder.with_projection(mask);
         let mut metadata = old.metadata().clone();
         // The entry lists types of the old columns alone; without it, readers take the types of the columns themselves.
         metadata.remove(HUGGINGFACE);

@@ -25,25 +25,18 @@ const CERTAINTY: usize = 5;
 pub(crate) fn read_labelled(path: &Path) -> Result<Labelled> {
     let dataset = LeRobot::open(path)?;
     let info = read_info(path);
-    let features = dataset.info["features"].as_object();
-    let is_force = |(name, feature): &(&String, &serde_json::Value)| {
-        name.ends_with(".force") && feature["shape"][0].as_u64() == Some(N_FIELD as u64)
-    };
-    let Some((force, _)) = features.into_iter().flatten().find(is_force) else {
-        return Err(Error::file(path, "holds no labels: no feature PREFIX.force of 1556 numbers"));
-    };
-    let [contact, certainty] =
-        ["contact", "certainty"].map(|name| format!("{}{name}", force.trim_end_matches("force")));
-    let judged = features.is_some_and(|features| features.contains_key(&certainty));
+    let prefix = prefix(&dataset)?;
+    let [force, contact, certainty] = ["force", "contact", "certainty"].map(|name| format!("{prefix}.{name}"));
+    let judged = dataset.info["features"].as_object().is_some_and(|features| features.contains_key(&certainty));
     let topology = info.as_ref().map(|info| info.provenance.topology);
     let mut labels = TactileSequence { topology, ..Default::default() };
     for file in dataset.data_files()? {
         let builder = reader(&file)?;
-        let mask = only(&builder, |name| ["timestamp", force, &contact, &certainty].contains(&name));
+        let mask = only(&builder, |name| ["timestamp", &force, &contact, &certainty].contains(&name));
         for batch in builder.with_projection(mask).build().map_err(|e| Error::file(&file, e))? {
             let batch = batch.map_err(|e| Error::file(&file, e))?;
             labels.timestamps.extend(numbers(&batch, "timestamp", &file)?);
-            labels.force.extend(lists(&batch, force, N_FIELD, &file)?);
+            labels.force.extend(lists(&batch, &force, N_FIELD, &file)?);
             labels.contact.extend(lists(&batch, &contact, N_FIELD, &file)?);
             if judged {
                 add_certainty(&mut labels, &lists(&batch, &certainty, CERTAINTY, &file)?);
@@ -74,8 +67,22 @@ fn add_certainty(labels: &mut TactileSequence, values: &[f32]) {
     }
 }
 
+/// Returns the prefix of the columns of labels.
+///
+/// # Errors
+/// If there are none.
+pub(super) fn prefix(dataset: &LeRobot) -> Result<&str> {
+    let is_force = |(name, feature): (&'_ String, &serde_json::Value)| {
+        let prefix = name.strip_suffix(".force");
+        prefix.filter(|_| feature["shape"][0].as_u64() == Some(N_FIELD as u64)).map(str::len)
+    };
+    let features = dataset.info["features"].as_object().into_iter().flatten();
+    let found = features.filter_map(|(name, feature)| Some(&name[..is_force((name, feature))?])).next();
+    found.ok_or_else(|| Error::file(&dataset.root, "holds no labels: no feature PREFIX.force of 1556 numbers"))
+}
+
 /// Returns the numbers of a column of lists of `width` each.
-fn lists(batch: &RecordBatch, name: &str, width: usize, path: &Path) -> Result<Vec<f32>> {
+pub(super) fn lists(batch: &RecordBatch, name: &str, width: usize, path: &Path) -> Result<Vec<f32>> {
     let column = batch.column_by_name(name);
     let values = column.and_then(|column| match column.data_type() {
         DataType::FixedSizeList(..) => column.as_fixed_size_list_opt().map(|list| list.values().clone()),

@@ -156,6 +156,7 @@ fn header(frames: u64, ends: &[u64], info: &LabelInfo, with_info: bool) -> Resul
     }
     let mut metadata = json!({
         "topology": provenance.topology,
+        "force_kind": provenance.force_kind,
         "model": provenance.model,
         "checkpoint_sha256": provenance.model_sha256,
     });

@@ -15,6 +15,7 @@ use super::folder::{StoreFolder, create_array, write_metadata};
 use super::{ArraySpec, Compression, StoreLocation, ZarrReader};
 use crate::dataset::{Attributes, EpisodeReader};
 use crate::error::{Error, Result};
+use crate::tactile::ForceKind;
 
 /// Writes the frames of `parts`, one after another, into one store at `out`, with `threads` threads. Calls `progress` with
 /// (done, all) after each chunk.
@@ -28,11 +29,13 @@ pub fn concatenate(
     parts: &[PathBuf],
     out: &Path,
     attributes: &Attributes,
-    more_attributes: Map<String, Value>,
+    mut more_attributes: Map<String, Value>,
     threads: usize,
     progress: impl Fn(usize, usize) + Sync,
 ) -> Result<()> {
     let (sources, specs, episode_ends) = survey(parts, attributes)?;
+    let kind = force_kind(parts)?.map_or(Value::Null, |kind| kind.id().into());
+    more_attributes.entry(ForceKind::ATTRIBUTE).or_insert(kind);
     let n_frames = sources.last().map_or(0, |source| source.frames.end);
     let folder = StoreFolder::create(out)?;
     let mut outputs = Vec::new();
@@ -64,6 +67,17 @@ struct StorePart {
     path: PathBuf,
     store: Arc<StoreFiles>,
     frames: Range<usize>,
+}
+
+/// Returns the meaning of the forces of the parts that know some.
+fn force_kind(parts: &[PathBuf]) -> Result<Option<ForceKind>> {
+    let mut found: Option<ForceKind> = None;
+    for path in parts {
+        if let Some(kind) = ZarrReader::open(path)?.force_kind()? {
+            found.get_or_insert(kind).must_match(kind).map_err(|error| Error::file(path, error))?;
+        }
+    }
+    Ok(found)
 }
 
 /// Returns the parts, the arrays that they have in common, and the ends of all episodes.

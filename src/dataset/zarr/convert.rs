@@ -16,7 +16,7 @@ use crate::dataset::{Attributes, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
 use crate::hand::Topology;
 use crate::image::scaled as resampled;
-use crate::tactile::{TactileField, Validity};
+use crate::tactile::{ForceKind, TactileField, Validity};
 
 /// Writes images, times and labels into a new store.
 pub struct StoreOutput {
@@ -34,6 +34,7 @@ impl LabelOutput for StoreOutput {
         let specs = [ArraySpec::new(FAMILIARITY, [], Dtype::F32), ArraySpec::new(PRESENCE, [2], Dtype::F32)];
         let arrays = specs.into_iter().zip(estimates).filter(|(_, there)| *there).map(|(spec, _)| spec).collect();
         let mut writer = ZarrWriter::create(at, attributes(topology, info), Contact::Score, arrays)?;
+        writer.set_attribute(ForceKind::ATTRIBUTE, info.provenance.force_kind.id().into());
         writer.set_attribute(PROVENANCE_KEY, serde_json::to_value(&*info).unwrap_or_default());
         let mut size = None;
         for (index, unit) in self.source.units().iter().enumerate() {

@@ -23,7 +23,8 @@ pub(crate) fn read_labelled(path: &Path) -> Result<Labelled> {
     if store.has(&predicted(MANO_FORCE)) {
         let force = read_or_unknown(&store, &predicted(MANO_FORCE), frames.clone())?;
         let contact = read_or_unknown(&store, &predicted(MANO_CONTACT_SCORE), frames.clone())?;
-        let mut labels = with_time(TactileSequence { force, contact, ..Default::default() }, &store)?;
+        let force_kind = info.as_ref().map(|info: &crate::dataset::LabelInfo| info.provenance.force_kind);
+        let mut labels = with_time(TactileSequence { force_kind, force, contact, ..Default::default() }, &store)?;
         hide_invalid(&store, predicted, &mut labels)?;
         read_estimates(&store, predicted, &mut labels)?;
         // Without `mano_contact` the other arrays are labels of an earlier run, not truth.
@@ -128,7 +129,8 @@ pub fn read_proximity(store: &ZarrReader, frames: Range<usize>) -> Result<Tactil
 pub fn read_fields(store: &ZarrReader, frames: Range<usize>) -> Result<TactileSequence> {
     let force = read_or_unknown(store, MANO_FORCE, frames.clone())?;
     let contact = store.read_contact(frames)?;
-    Ok(TactileSequence { topology: Some(store.attributes().topology), force, contact, ..Default::default() })
+    let (topology, force_kind) = (Some(store.attributes().topology), store.force_kind()?);
+    Ok(TactileSequence { topology, force_kind, force, contact, ..Default::default() })
 }
 
 fn read_or_unknown(store: &ZarrReader, name: &str, frames: Range<usize>) -> Result<Vec<f32>> {

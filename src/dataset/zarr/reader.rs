@@ -20,7 +20,7 @@ use crate::error::{Error, Result};
 use crate::file::limits;
 use crate::hand::{HandParams, Topology};
 use crate::image::check_size;
-use crate::tactile::{N_FIELD, TactileField, Validity};
+use crate::tactile::{ForceKind, N_FIELD, TactileField, Validity};
 
 /// Number of frames up to which a store may leave out all chunks of its images, as if they were black.
 const UNCHECKED: usize = 1024;
@@ -214,6 +214,22 @@ impl ZarrReader {
     /// True if the store has an array of this name.
     pub fn has(&self, name: &str) -> bool {
         self.arrays.contains_key(name)
+    }
+
+    /// Returns the meaning of the forces; `None` = the store says that it knows no force. Stores that do not say anything hold
+    /// spread forces.
+    ///
+    /// # Errors
+    /// If the attribute is unknown.
+    pub fn force_kind(&self) -> Result<Option<ForceKind>> {
+        match self.raw_attributes().get(ForceKind::ATTRIBUTE) {
+            None => Ok(Some(ForceKind::default())),
+            Some(serde_json::Value::Null) => Ok(None),
+            Some(id) => {
+                let kind = ForceKind::from_id(id.as_str().unwrap_or_default());
+                kind.map(Some).map_err(|error| self.named(error))
+            }
+        }
     }
 
     /// Returns all arrays of the store, by name.

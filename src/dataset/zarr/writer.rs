@@ -11,7 +11,7 @@ use super::*;
 use crate::dataset::{Attributes, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
 use crate::hand::HandParams;
-use crate::tactile::N_FIELD;
+use crate::tactile::{ForceKind, N_FIELD};
 
 /// Meaning of the frames' contact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -69,7 +69,7 @@ impl ZarrWriter {
         self
     }
 
-    /// Sets an attribute beside the fixed ones, such as the camera's intrinsics.
+    /// Sets an attribute beside the fixed ones, such as the camera's intrinsics, or `force_kind`, which is `spread` otherwise.
     pub fn set_attribute(&mut self, name: &str, value: Value) {
         self.more_attributes.insert(name.to_string(), value);
     }
@@ -135,6 +135,8 @@ impl ZarrWriter {
         for column in &mut self.columns {
             column.wait(self.folder.path())?;
         }
+        let kind = self.more_attributes.entry(ForceKind::ATTRIBUTE);
+        kind.or_insert_with(|| ForceKind::default().id().into());
         self.folder.finish(&self.attributes, self.more_attributes, &self.episode_ends)
     }
 

@@ -5,6 +5,7 @@ pub mod contactpose;
 pub mod dexycb;
 pub mod egodex;
 pub mod egopressure;
+pub mod egotac_sc;
 pub mod fpha;
 pub mod grab;
 pub mod h2o;

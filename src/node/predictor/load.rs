@@ -1,12 +1,13 @@
 //! Loading and description of the node's network.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use ::image::RgbImage;
 use anyhow::{Context as _, bail};
 
-use crate::hand::{HandModel, N_VERTICES, Region, Side, Topology};
+use crate::hand::{FieldMap, HandModel, N_VERTICES, Region, Side, Topology};
 use crate::message::{HandModelInfo, Header, Time};
 use crate::model::budget::{self, Tried};
 use crate::model::predictor::{Options, Predictor};
@@ -20,6 +21,8 @@ pub(crate) struct LoadedNetwork {
     pub(crate) predictor: Predictor,
     pub(crate) path: PathBuf,
     pub(crate) options: Options,
+    /// MANO files whose vertices the fields are on; None = the checkpoint's topology.
+    pub(crate) mano: Option<Arc<FieldMap>>,
 }
 
 /// Loads the network that the parameters name.
@@ -44,13 +47,36 @@ pub(super) fn load(parameters: &Parameters, log: &Log) -> anyhow::Result<LoadedN
         presence_threshold: threshold("presence_threshold"),
         ..Options::default()
     };
+    let mano = load_mano(parameters)?;
     let budget_ms = parameters.get::<f64>("latency_budget_ms");
-    if budget_ms > 0.0 {
-        return load_within_budget(&path, budget_ms, options, log);
+    let network = match budget_ms > 0.0 {
+        true => load_within_budget(&path, budget_ms, options, log)?,
+        false => {
+            let predictor = load_file(&path, options.clone())?;
+            log.info(format!("model {} in {precision}", path.display()));
+            LoadedNetwork { predictor, path, options, mano: None }
+        }
+    };
+    let predictor = on_mano(network.predictor, mano.as_ref());
+    Ok(LoadedNetwork { predictor, mano, ..network })
+}
+
+/// Loads and registers the MANO files that the parameters name; None without files.
+fn load_mano(parameters: &Parameters) -> anyhow::Result<Option<Arc<FieldMap>>> {
+    let [left, right] = ["mano_left", "mano_right"].map(|name| parameters.get::<String>(name));
+    match (left.as_str(), right.as_str()) {
+        ("", "") => Ok(None),
+        ("", _) | (_, "") => bail!("parameters mano_left and mano_right: expected both files or neither, got one"),
+        (left, right) => Ok(Some(Arc::new(FieldMap::load(Path::new(left), Path::new(right))?))),
     }
-    let predictor = load_file(&path, options.clone())?;
-    log.info(format!("model {} in {precision}", path.display()));
-    Ok(LoadedNetwork { predictor, path, options })
+}
+
+/// Returns the predictor with fields on MANO's vertices if there are MANO files.
+pub(super) fn on_mano(predictor: Predictor, mano: Option<&Arc<FieldMap>>) -> Predictor {
+    match mano {
+        Some(mano) => predictor.with_mano(Arc::clone(mano)),
+        None => predictor,
+    }
 }
 
 /// Loads the best network of the file or folder `path` that takes at most `budget_ms` per image on this machine.
@@ -61,7 +87,7 @@ fn load_within_budget(path: &Path, budget_ms: f64, options: Options, log: &Log) 
         false => log.warn(format!("model: {choice}")),
     }
     let Tried { path, precision, .. } = choice.chosen;
-    Ok(LoadedNetwork { predictor, path, options: Options { precision, ..options } })
+    Ok(LoadedNetwork { predictor, path, options: Options { precision, ..options }, mano: None })
 }
 
 /// Loads a checkpoint file.
@@ -95,14 +121,14 @@ pub(super) fn measure_inference(predictor: &mut Predictor) -> anyhow::Result<f64
 pub(super) fn model_info(predictor: &Predictor, now: Time) -> anyhow::Result<HandModelInfo> {
     let (metadata, config) = (predictor.metadata(), predictor.config());
     let hash = predictor.sha256();
-    // Both built-in hands have the same regions. MANO's regions need a MANO file, which the predictor does not read.
-    let (hand_model, vertex_region): (_, Vec<String>) = match metadata.topology {
-        Topology::EgotacHand1 => {
-            let regions = HandModel::builtin(Side::Right).regions();
-            ("egotac built-in hand", regions.into_iter().map(|region| region.name().to_owned()).collect())
-        }
-        Topology::Mano => ("MANO", Vec::new()),
+    let topology = predictor.topology();
+    // The right hand's regions stand for both hands. MANO's need a MANO file.
+    let regions = match (predictor.mano(), topology) {
+        (Some(mano), _) => mano.mano()[Side::Right as usize].regions(),
+        (None, Topology::EgotacHand1) => HandModel::builtin(Side::Right).regions(),
+        (None, Topology::Mano) => Vec::new(),
     };
+    let vertex_region: Vec<String> = regions.into_iter().map(|region| region.name().to_owned()).collect();
     let region_names = match vertex_region.is_empty() {
         true => Vec::new(),
         false => Region::names_of_both_hands(),
@@ -113,8 +139,8 @@ pub(super) fn model_info(predictor: &Predictor, now: Time) -> anyhow::Result<Han
         model_id: format!("{}/{}", metadata.name, hash.get(..12).unwrap_or(hash)),
         model_name: metadata.name.clone(),
         weights_sha256: hash.to_owned(),
-        hand_model: hand_model.to_owned(),
-        topology: metadata.topology.id().to_owned(),
+        hand_model: topology.hand_model().to_owned(),
+        topology: topology.id().to_owned(),
         vertex_count: N_VERTICES as u32,
         vertex_region,
         region_names,

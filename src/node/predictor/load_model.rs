@@ -9,8 +9,8 @@ use anyhow::{Context as _, bail};
 use r2r::ServiceRequest;
 use r2r::egotac_msgs::srv::LoadModel;
 
-use super::load::{load_file, measure_inference, model_info};
-use crate::hand::Topology;
+use super::load::{load_file, measure_inference, model_info, on_mano};
+use crate::hand::{FieldMap, Topology};
 use crate::message::HandModelInfo;
 use crate::model::predictor::{Options, Predictor};
 use crate::node::allowed_folder::AllowedFolder;
@@ -61,6 +61,8 @@ pub(super) struct ModelRequirements {
     pub(super) topology: Topology,
     /// Folder in which files of requests must lie.
     pub(super) allowed: AllowedFolder,
+    /// MANO files whose vertices the fields are on.
+    pub(super) mano: Option<Arc<FieldMap>>,
 }
 
 /// Offers `~/load_model`; `model_id` names the network in use. Returns the thread that loads networks, which ends at `shutdown`.
@@ -126,13 +128,13 @@ impl Loader {
 
     /// Loads and runs a checkpoint once, so that an unusable one is refused before it replaces the network in use.
     fn load(&self, path: &str) -> anyhow::Result<LoadedModel> {
-        let ModelRequirements { default_path, options, topology, allowed } = &self.requirements;
+        let ModelRequirements { default_path, options, topology, allowed, mano } = &self.requirements;
         if !path.is_empty() {
             allowed.check("model", Path::new(path))?;
         }
         let path = if path.is_empty() { default_path } else { Path::new(path) };
-        let mut predictor = load_file(path, options.clone())?;
-        let loaded = predictor.metadata().topology;
+        let mut predictor = on_mano(load_file(path, options.clone())?, mano.as_ref());
+        let loaded = predictor.topology();
         if loaded != *topology {
             bail!("{}: expected topology {}, got {}", path.display(), topology.id(), loaded.id());
         }

@@ -21,6 +21,7 @@ use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
 use super::{device, hand_confidence, lifecycle, program, qos};
+use crate::hand::{HandModel, Side};
 use crate::model::{Precision, Unknown};
 use certainty::Certainties;
 use inference::{Inference, ModelId};
@@ -76,6 +77,13 @@ fn parameters() -> Vec<Parameter> {
             Allowed::Doubles(-1.0, 1.0),
             "Presence of a hand below which its touch is unknown; below 0 = the checkpoint's threshold.",
         ),
+        Parameter::fixed(
+            "mano_left",
+            "",
+            Allowed::Any,
+            "Left MANO file: the results are then on MANO's vertices; needs mano_right.",
+        ),
+        Parameter::fixed("mano_right", "", Allowed::Any, "Right MANO file; needs mano_left."),
         ImageTransport::parameter(),
         reliability_parameter("best_effort"),
         Rectification::parameter(),
@@ -143,7 +151,7 @@ fn prepare(
     network: LoadedNetwork,
     input: Input,
 ) -> anyhow::Result<(Inference, WorkerThread)> {
-    let LoadedNetwork { mut predictor, path, options } = network;
+    let LoadedNetwork { mut predictor, path, options, mano } = network;
     let log = runtime.log().clone();
     log.info(format!("one image takes {:.0} ms", load::measure_inference(&mut predictor)? * 1e3));
     let model_info = load::model_info(&predictor, runtime.clock().now())?;
@@ -151,15 +159,22 @@ fn prepare(
         log.warn(warning);
     }
     if model_info.vertex_region.is_empty() {
-        log.warn("the regions of MANO's vertices need a MANO file: ~/model_info has no regions, and of the views of touch only ~/tactile is published");
+        log.warn(
+            "MANO's vertices need mano_left and mano_right: ~/model_info has no regions, and of the views of touch only ~/tactile \
+             is published",
+        );
     }
     let info = runtime.publisher("~/model_info", qos::latched())?;
     info.publish(&model_info)?;
 
     let pending = PendingModel::default();
-    let topology = predictor.metadata().topology;
+    let topology = predictor.topology();
+    let hands = match &mano {
+        Some(mano) => mano.mano().clone(),
+        None => Side::BOTH.map(HandModel::builtin),
+    };
     let allowed = AllowedFolder::of(runtime.parameters())?;
-    let requirements = ModelRequirements { default_path: path, options, topology, allowed };
+    let requirements = ModelRequirements { default_path: path, options, topology, allowed, mano };
     let loader = load_model::serve(runtime, shutdown, pending.clone(), requirements, model_info.model_id.clone())?;
     let certainties = Certainties::default();
     let inference = Inference {
@@ -171,7 +186,7 @@ fn prepare(
         rectification: Rectification::subscribe(runtime)?,
         frames: runtime.publisher("~/tactile", qos::output())?,
         info,
-        views: Views::create(runtime)?,
+        views: Views::create(runtime, hands)?,
         sequence: 0,
         certainties,
         parameters: Arc::clone(runtime.parameters()),

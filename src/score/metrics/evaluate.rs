@@ -85,12 +85,13 @@ pub fn calibrate(pred: &TactileSequence, target: &TactileSequence) -> Result<Cal
     Ok(calibration)
 }
 
-/// Checks that both sequences have the same frames and topology.
+/// Checks that both sequences have the same frames, topology and meaning of forces.
 pub(super) fn check(pred: &TactileSequence, target: &TactileSequence) -> Result<()> {
     target.check()?;
     for (name, values) in [("pred force", &pred.force), ("pred contact", &pred.contact)] {
         check_rows(name, values.len(), target.n_frames())?;
     }
+    pred.same_force_kind(target)?;
     match (pred.topology, target.topology) {
         (Some(pred), Some(target)) => pred.must_match(target),
         _ => Ok(()),

@@ -9,6 +9,8 @@ mod options;
 
 pub use options::RolloutOptions;
 
+use std::sync::Arc;
+
 use super::driver::TargetObject;
 use super::effect::{Effect, EffectSet};
 use super::frame::{ObjectPose, SimFrame};
@@ -21,9 +23,10 @@ use super::timeline::ChannelValues;
 use crate::camera::Intrinsics;
 use crate::dataset::Frame;
 use crate::error::Result;
-use crate::hand::{HandParams, Side, Topology};
+use crate::hand::{HandModel, HandParams, Side, Topology};
 use crate::mujoco::World;
 use crate::mujoco::audit::{Expectation, audit, refuse_errors};
+use crate::sensor::{self, GloveSpec, SimulatedGlove, TaxelMap};
 use crate::tactile::{N_FIELD, Validity};
 use clock::Clock;
 use guards::RolloutGuards;
@@ -65,6 +68,7 @@ pub struct Rollout {
     clock: Clock,
     effects: EffectSet,
     episode: EpisodeDraw,
+    glove: Option<SimulatedGlove>,
 }
 
 impl Rollout {
@@ -74,6 +78,7 @@ impl Rollout {
     /// If the scene cannot be built with these hands, or pictures are needed and there is no OpenGL.
     pub fn new(scene: &Scene, seed: u64, options: &RolloutOptions) -> Result<Self> {
         let (rigs, spreaders) = (options.rigs()?, options.spreaders()?);
+        let glove = scene.spec.glove.as_ref().map(|spec| glove(spec, &options.hands, seed)).transpose()?;
         let episode = EpisodeDraw::sample(scene, seed, &rigs)?;
         let (effects, physics) = options.effects_and_physics(&scene.spec)?;
         let optics = Optics::new(&episode, options.picture, effects)?;
@@ -94,7 +99,7 @@ impl Rollout {
         let observed = &scene.spec.observe;
         let camera = HeadCamera::new(&world, optics, observed, effects, steps_per_frame, seed)?;
         let labeller = Labeller::new(spreaders, observed, effects);
-        Ok(Self { world, hands, objects, camera, labeller, guards, clock, effects, episode })
+        Ok(Self { world, hands, objects, camera, labeller, guards, clock, effects, episode, glove })
     }
 
     /// Simulates the next frame; `None` at the end of the episode, or after a frame whose state was lost.
@@ -264,6 +269,8 @@ impl Rollout {
             true => (self.camera.blank(), None),
             false => self.camera.shoot(&mut self.world, &self.hands)?,
         };
+        let time = self.world.time();
+        let taxels = self.glove.as_mut().map(|glove| glove.read(time, &labels.field.force)).transpose()?;
         // Vertices of an absent hand are supervised, too: nothing touches them.
         let valid = validity == Validity::Valid;
         let [left_hand_pose, right_hand_pose] = labels.poses;
@@ -285,8 +292,19 @@ impl Rollout {
             hands: labels.forces,
             objects: object_poses(&self.objects),
             camera: self.camera.pose(&self.world),
+            taxels,
         })
     }
+}
+
+/// Puts gloves on hands; their map is built anew for hands of another topology than its own.
+fn glove(spec: &GloveSpec, hands: &[HandModel; 2], seed: u64) -> Result<SimulatedGlove> {
+    let map = sensor::open(&spec.sensor)?;
+    let map = match map.topology == hands[0].topology {
+        true => map,
+        false => TaxelMap::build(&map.layout, hands)?,
+    };
+    SimulatedGlove::new(Arc::new(map), spec.clone(), seed)
 }
 
 fn target<'a>(object: &SceneObject, draw: &'a ObjectDraw) -> TargetObject<'a> {

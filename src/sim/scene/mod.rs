@@ -19,6 +19,7 @@ pub use shipped::SHIPPED;
 pub use spec::{CameraSpec, HandSpec, SceneSpec, SideSpec};
 pub use split::Split;
 
+use super::effect::Observation;
 use super::range::UniformRange;
 use crate::error::{Error, Result};
 use crate::file::{self, input};
@@ -113,7 +114,21 @@ fn check(spec: &SceneSpec) -> Result<()> {
     within("distractors", spec.distractors, 0.0, MAX_DISTRACTORS)?;
     check_camera(&spec.camera, spec.rate)?;
     spec.look.check()?;
+    check_glove(spec)?;
     EffectPlan::of(spec).map(drop)
+}
+
+fn check_glove(spec: &SceneSpec) -> Result<()> {
+    let Some(glove) = &spec.glove else { return Ok(()) };
+    if !spec.observe.contains(&Observation::Force) {
+        let expected = "`observe` with force, which the taxels read";
+        return Err(Error::value(
+            "glove",
+            expected,
+            spec.observe.iter().map(|o| o.name()).collect::<Vec<_>>().join(", "),
+        ));
+    }
+    glove.check()
 }
 
 fn check_objects(spec: &SceneSpec) -> Result<()> {

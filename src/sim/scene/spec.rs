@@ -7,6 +7,7 @@ use super::limits::zero;
 use super::look::LookSpec;
 use super::object::ObjectSpec;
 use crate::mujoco::PhysicsOptions;
+use crate::sensor::GloveSpec;
 use crate::sim::effect::{EffectsSpec, Observation};
 use crate::sim::range::UniformRange;
 
@@ -41,6 +42,9 @@ pub struct SceneSpec {
     /// Colours, lights, covering of the hands.
     #[serde(default)]
     pub look: LookSpec,
+    /// Tactile gloves on both hands, whose taxels are recorded; none by default.
+    #[serde(default)]
+    pub glove: Option<GloveSpec>,
 }
 
 /// A hand and its act.

@@ -50,7 +50,7 @@ fn run(
     let groups = VertexGroups::links(&options.hands);
     let mut rollout = Rollout::new(scene, seed, options)?;
     if let Some(predictor) = &mut predictor {
-        predictor.metadata().topology.must_match(rollout.topology())?;
+        predictor.topology().must_match(rollout.topology())?;
         if options.picture.is_none() {
             return Err(Error::value("picture", "a size, for a predictor needs pictures", "none"));
         }

@@ -49,7 +49,7 @@ pub fn score(
     let topology = store.attributes().topology;
     hands.iter().try_for_each(|hand| topology.must_match(hand.topology))?;
     if let EstimateSource::Predictor(predictor) = &source {
-        topology.must_match(predictor.metadata().topology)?;
+        topology.must_match(predictor.topology())?;
     }
     // Files that do not name their topology are taken to be on the store's.
     if let EstimateSource::Predictions(TactileSequence { topology: Some(predicted), .. }, _) = &source {

@@ -2,6 +2,7 @@
 
 mod effects;
 mod faults;
+mod glove;
 mod guards;
 mod hard_cases;
 mod import;
@@ -42,6 +43,8 @@ enum Subject {
     HardCases(hard_cases::Args),
     /// Measure the guards: a step with and without them.
     Guards(guards::Args),
+    /// Measure what a glove costs: force on vertices from simulated taxels, by resolution and floor.
+    Glove(glove::Args),
     /// Disturb commands while they write their outputs: kills, full disks, two runs at once.
     Faults(faults::Args),
     /// Load and disturb the ROS 2 nodes: latency, overload, memory over time, faults, kills.
@@ -63,6 +66,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::Effects(_) => "bench effects",
         Subject::HardCases(_) => "bench hard-cases",
         Subject::Guards(_) => "bench guards",
+        Subject::Glove(_) => "bench glove",
     };
     Err(super::feature_off(name))
 }
@@ -81,6 +85,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::Effects(args) => effects::run(&args).map(|()| true)?,
         Subject::HardCases(args) => hard_cases::run(&args)?,
         Subject::Guards(args) => guards::run(&args)?,
+        Subject::Glove(args) => glove::run(&args).map(|()| true)?,
         Subject::Faults(args) => faults::run(&args)?,
         #[cfg(feature = "ros")]
         Subject::Node(args) => node::run(&args)?,

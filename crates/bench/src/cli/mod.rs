@@ -21,7 +21,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Measurements that the documentation holds: model, train, label, retarget, sim, effects, hard-cases, guards, faults.
+    /// Measurements that the documentation holds: model, train, label, retarget, sim, effects, glove, hard-cases, guards, faults.
     Bench(bench::Args),
     /// Test the paper's claims on rendered data: train, measure, compare.
     Experiment(Experiments),

@@ -183,6 +183,8 @@ fn usual(seed: u64, stores: &Stores, size: &Size, network: &Network) -> Result<C
         save_every: 200,
         validate_every: size.steps,
         threads: 1,
+        mano_left: None,
+        mano_right: None,
         in_memory: true,
     })
 }

@@ -106,7 +106,7 @@ fn record(args: &Demo) -> anyhow::Result<Vec<Recorded>> {
         "predicted" => {
             let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
             let predictor = Predictor::load(&path, predictor::Options::default())?;
-            predictor.metadata().topology.must_match(rollout.topology())?;
+            predictor.topology().must_match(rollout.topology())?;
             Some(predictor)
         }
         _ => None,

@@ -33,12 +33,11 @@ pub(super) struct Hands {
 }
 
 impl Hands {
-    /// Subscribes to the poses of the hands.
+    /// Subscribes to the poses of the hands `models`, left first.
     ///
     /// # Errors
     /// If ROS refuses a topic.
-    pub(super) fn subscribe(runtime: &mut Runtime) -> anyhow::Result<Self> {
-        let models = Side::BOTH.map(HandModel::builtin);
+    pub(super) fn subscribe(runtime: &mut Runtime, models: [HandModel; 2]) -> anyhow::Result<Self> {
         let poses = Poses::default();
         subscribe_poses(runtime, &poses)?;
         Ok(Self { rest: placed_hand::rest_hands(&models), models, poses, log: runtime.log().clone() })

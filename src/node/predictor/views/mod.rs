@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use ::image::RgbImage;
 
-use crate::hand::Topology;
+use crate::hand::HandModel;
 use crate::message::TactileFrame;
 use crate::node::params::Parameters;
 use crate::node::runtime::Runtime;
@@ -38,24 +38,25 @@ pub(super) struct Views {
 }
 
 impl Views {
-    /// Creates the publishers and subscribes to the hand poses.
+    /// Creates the publishers of touch on `models`, left first, and subscribes to the hand poses.
     ///
     /// # Errors
     /// If ROS refuses a topic.
-    pub(super) fn create(runtime: &mut Runtime) -> anyhow::Result<Self> {
-        let hands = Hands::subscribe(runtime)?;
+    pub(super) fn create(runtime: &mut Runtime, models: [HandModel; 2]) -> anyhow::Result<Self> {
+        let hands = Hands::subscribe(runtime, models)?;
         Ok(Self {
             regions: Regions::create(runtime, &hands.models)?,
             cloud: Cloud::create(runtime)?,
             markers: Markers::create(runtime)?,
             wrenches: Wrenches::create(runtime, &hands.models)?,
-            overlay: Overlay::create(runtime)?,
+            overlay: Overlay::create(runtime, &hands.models)?,
             parameters: Arc::clone(runtime.parameters()),
             hands,
         })
     }
 
-    /// Publishes each view of the touch in `image` that has a subscriber. The built-in hand can't show touch of another topology.
+    /// Publishes each view of the touch in `image` that has a subscriber. Touch of another topology than the hands' is
+    /// not shown.
     ///
     /// # Errors
     /// If the node is gone or the middleware refuses a message.
@@ -65,7 +66,7 @@ impl Views {
         field: &TactileField,
         image: &RgbImage,
     ) -> anyhow::Result<()> {
-        if field.topology != Topology::EgotacHand1 {
+        if field.topology != self.hands.models[0].topology {
             return Ok(());
         }
         self.regions.publish(frame)?;

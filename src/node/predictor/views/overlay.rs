@@ -3,7 +3,7 @@
 use ::image::imageops::{FilterType, overlay, resize};
 use ::image::{Rgb, RgbImage};
 
-use crate::hand::{HandModel, HandParams, PosedHand, Side};
+use crate::hand::{HandModel, HandParams, PosedHand};
 use crate::message::{CompressedImage, Header};
 use crate::node::images::jpeg;
 use crate::node::publisher::Publisher;
@@ -33,12 +33,12 @@ pub(super) struct Overlay {
 }
 
 impl Overlay {
-    /// Creates the publisher.
+    /// Creates the publisher of pictures of `models`, left first.
     ///
     /// # Errors
     /// If ROS refuses the topic.
-    pub(super) fn create(runtime: &mut Runtime) -> anyhow::Result<Self> {
-        let posed = Side::BOTH.map(|side| HandModel::builtin(side).forward(&HandParams::default()));
+    pub(super) fn create(runtime: &mut Runtime, models: &[HandModel; 2]) -> anyhow::Result<Self> {
+        let posed = models.each_ref().map(|model| model.forward(&HandParams::default()));
         Ok(Self { publisher: runtime.publisher("~/overlay/compressed", qos::output())?, posed })
     }
 

@@ -1,0 +1,47 @@
+//! Shares of the taxels' forces that vertices take, from the weights of the readings.
+
+/// Largest number of rounds of the iteration.
+const ROUNDS: usize = 4000;
+/// Error of the sums at which the iteration ends.
+const ENOUGH: f64 = 1e-7;
+
+/// Factors per vertex that turn readings into shares of force.
+pub struct Factors {
+    /// (778) factor of each vertex; 0 where no taxel is.
+    pub factor: Vec<f64>,
+    /// (N) sum of factor times weight of each taxel: 1 where the factors keep its force; 0 = no vertex.
+    pub sums: Vec<f64>,
+}
+
+/// Finds factors c with Σ_v c_v w_vk = 1 for every taxel k, nearest to the start, the vertices' areas (multiplicative algebraic
+/// reconstruction): then Σ_v c_v reading_v is the sum of the taxels, whatever they read. Where more taxels than vertices are,
+/// no such factors may exist; `sums` tells.
+///
+/// `weights`: (778) lists of (taxel, weight), that sum to 1 or are empty. `areas`: (778) m².
+pub fn factors(weights: &[Vec<(u32, f32)>], areas: &[f32], n_taxels: usize) -> Factors {
+    let mut factor: Vec<f64> = weights
+        .iter()
+        .zip(areas)
+        .map(|(list, area)| if list.is_empty() { 0.0 } else { f64::from(area.max(1e-8)) })
+        .collect();
+    let sums = |factor: &[f64]| {
+        let mut sums = vec![0.0; n_taxels];
+        for (list, factor) in weights.iter().zip(factor) {
+            list.iter().for_each(|&(taxel, weight)| sums[taxel as usize] += factor * f64::from(weight));
+        }
+        sums
+    };
+    let mut now = sums(&factor);
+    for _ in 0..ROUNDS {
+        let far = now.iter().filter(|sum| **sum > 0.0).map(|sum| (sum - 1.0).abs()).fold(0.0, f64::max);
+        if far < ENOUGH {
+            break;
+        }
+        for (list, factor) in weights.iter().zip(&mut factor) {
+            let step: f64 = list.iter().map(|&(taxel, weight)| -f64::from(weight) * now[taxel as usize].ln()).sum();
+            *factor *= step.exp();
+        }
+        now = sums(&factor);
+    }
+    Factors { factor, sums: now }
+}
