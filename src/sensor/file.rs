@@ -162,7 +162,7 @@ fn read_hand(bytes: &[u8], side: Side, channels: usize) -> Result<HandTaxels> {
                     return Err(Error::value(name, format!("indices below {most}"), value));
                 }
             }
-            if !(weight > 0.0 && weight <= 1.0 + 1e-5) {
+            if !(0.0..=1.0 + 1e-5).contains(&weight) {
                 return Err(Error::value(format!("{kind}.weight"), "weights from 0 to 1", weight));
             }
             found[row as usize].push((column as u32, weight));
