@@ -6,6 +6,7 @@ mod finished;
 mod images;
 mod labels;
 mod pages;
+mod prefix;
 mod read_labels;
 mod rows;
 mod statistics;

@@ -20,7 +20,6 @@ use std::path::Path;
 use candle_core::{Device, Tensor};
 use nalgebra::{DMatrix, DVector};
 
-use super::shapes::Shapes;
 use crate::error::{Error, Result};
 use crate::statistics::percentile;
 
@@ -143,7 +142,7 @@ impl Familiarity {
     }
 
     /// Returns names and shapes of the tensors for features of `width` numbers.
-    pub(super) fn shapes(width: usize) -> Shapes {
+    pub(super) fn shapes(width: usize) -> BTreeMap<String, Vec<usize>> {
         let named = [("mean", vec![width]), ("factor", vec![width, width]), ("quantiles", vec![QUANTILES])];
         named.into_iter().map(|(name, shape)| (format!("{PREFIX}{name}"), shape)).collect()
     }

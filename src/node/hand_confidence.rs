@@ -14,6 +14,5 @@ pub(crate) fn parameter() -> Parameter {
 
 /// Returns true if a pose of this confidence is used.
 pub(crate) fn is_enough(parameters: &Parameters, confidence: f32) -> bool {
-    // A comparison with NaN is false.
-    !(f64::from(confidence) < parameters.get::<f64>("min_confidence"))
+    confidence.is_nan() || f64::from(confidence) >= parameters.get::<f64>("min_confidence")
 }

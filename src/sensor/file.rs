@@ -15,6 +15,9 @@ use crate::file::{self, input, limits};
 use crate::hand::{N_VERTICES, Side, Topology};
 use crate::text::parse_yaml;
 
+/// Entry of a sparse matrix: row, column and weight.
+type Entry = (u32, (u32, f32));
+
 /// Number of values per place.
 const PLACE: usize = 3;
 
@@ -97,7 +100,7 @@ impl TaxelMap {
                 let entries =
                     || lists.iter().enumerate().flat_map(|(row, list)| list.iter().map(move |e| (row as u32, *e)));
                 let count = vec![entries().count()];
-                let words = |get: fn((u32, (u32, f32))) -> [u8; 4]| entries().flat_map(get).collect::<Vec<u8>>();
+                let words = |get: fn(Entry) -> [u8; 4]| entries().flat_map(get).collect::<Vec<u8>>();
                 let [rows, columns] = if kind == "reading" { ["vertex", "taxel"] } else { ["taxel", "vertex"] };
                 let full = |part: &str| name(&format!("{kind}.{part}"));
                 tensors.push((full(rows), Dtype::U32, count.clone(), words(|e| e.0.to_le_bytes())));

@@ -35,10 +35,10 @@ pub fn path(name: &str) -> Result<PathBuf> {
     if Path::new(name).is_file() {
         return Ok(name.into());
     }
-    if names().iter().any(|known| known == name) {
-        if let Some(folder) = folder() {
-            return Ok(folder.join(format!("{name}.yaml")));
-        }
+    if names().iter().any(|known| known == name)
+        && let Some(folder) = folder()
+    {
+        return Ok(folder.join(format!("{name}.yaml")));
     }
     Err(Error::unknown("taxel map (name or YAML file)", name, names().iter().map(String::as_str)))
 }

@@ -5,7 +5,6 @@ use std::path::Path;
 
 use crate::common::store::write_bright_store;
 use crate::common::{egotac, refused};
-use egotac::dataset::EpisodeReader;
 use egotac::dataset::tensors;
 use egotac::dataset::zarr::{ZarrReader, read_truth};
 use egotac::hand::{HandModel, HandParams, N_VERTICES, Side, Topology};

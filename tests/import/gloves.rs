@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 
 use egotac::dataset::zarr::{CAMERA_POSE, LEFT_HAND_POSE, RIGHT_HAND_POSE, ZarrReader};
 use egotac::hand::{HandModel, HandParams, N_VERTICES, Side};
-use glam::{DAffine3, DMat4, DVec3, Vec3};
+use glam::{DAffine3, DMat4, Vec3};
 use serde_json::json;
 
 use crate::check::{check_images, check_poses, check_stamps, open, supervised};
@@ -206,7 +206,7 @@ pub fn write_egodex(root: &Path, take: &Take) {
     let mut confidences = Vec::new();
     for side in Side::BOTH {
         let mut joint = |name: String, keypoint: usize| {
-            let at = move |frame: &TakeFrame| DVec3::from(frame.hand(side).keypoints[keypoint].as_dvec3());
+            let at = move |frame: &TakeFrame| frame.hand(side).keypoints[keypoint].as_dvec3();
             transforms
                 .push((format!("{}{name}", side.name()), motions(&|frame| DAffine3::from_translation(at(frame)))));
         };

@@ -1,6 +1,6 @@
 //! Command `egotac model doubt`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
@@ -116,7 +116,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     print(&rows, args.json)
 }
 
-fn of_recording(predictor: &mut Predictor, path: &PathBuf, is_data: bool) -> anyhow::Result<Row> {
+fn of_recording(predictor: &mut Predictor, path: &Path, is_data: bool) -> anyhow::Result<Row> {
     let source: Arc<dyn ImageSource> = match Format::of(path) {
         Some(Format::Images) => Arc::new(ImageFolder::open(path, predictor.metadata().frame_dt)?),
         Some(Format::Video) => Arc::new(VideoFile::open(path)?),

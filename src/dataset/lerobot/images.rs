@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::read_labels::prefix;
+use super::prefix::prefix;
 use super::{Camera, Episode, LeRobot, Row};
 use crate::dataset::identity::InputFiles;
 use crate::dataset::source::{EncodedImage, ImageSource, SourceFrame, SourceFrames, Unit};

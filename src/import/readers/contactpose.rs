@@ -126,12 +126,11 @@ impl Grasp {
         };
         let frame = |frame: &Json| {
             let mut joints = [DAffine3::IDENTITY; 2];
-            for hand in 0..2 {
+            for (hand, joint) in joints.iter_mut().enumerate() {
                 if is(hand, "valid") && is(hand, "moving") {
                     let poses = frame.get("hTo");
                     let pose = poses.items().into_iter().nth(hand);
-                    joints[hand] =
-                        motion(&pose.ok_or_else(|| poses.expected("the object's pose in both hands"))?)?.inverse();
+                    *joint = motion(&pose.ok_or_else(|| poses.expected("the object's pose in both hands"))?)?.inverse();
                 }
             }
             Ok(Frame { object_from_world: motion(&frame.get("oTw"))?, hands: joints })

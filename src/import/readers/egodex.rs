@@ -132,7 +132,7 @@ impl Episode {
         let side = side.name();
         if let Some(confidence) = file.array(&format!("confidences/{side}Hand"))? {
             let confidence = confidence.expect(&[self.recording.frames])?.numbers(index..index + 1)?;
-            if confidence.first().is_none_or(|confidence| !(*confidence >= CONFIDENT)) {
+            if confidence.first().is_none_or(|confidence| confidence.is_nan() || *confidence < CONFIDENT) {
                 return Ok(None);
             }
         }

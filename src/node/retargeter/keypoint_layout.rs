@@ -77,7 +77,7 @@ impl KeypointLayout {
     /// Returns the index of a keypoint among the positions.
     fn index_of(self, keypoint: usize) -> usize {
         // The metacarpals before this keypoint: one for each finger from the index finger (keypoints 5 to 8) on.
-        let metacarpals = (keypoint + 3) / 4 - usize::from(keypoint > 0);
+        let metacarpals = keypoint.div_ceil(4) - usize::from(keypoint > 0);
         match self {
             Self::Auto | Self::Keypoints21 => keypoint,
             Self::WebXr25 => keypoint + metacarpals,

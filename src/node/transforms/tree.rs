@@ -162,7 +162,7 @@ fn motion_of(transform: &TransformStamped) -> Result<Motion> {
         return Err(Error::value("transform.translation", "finite metres", translation));
     }
     let length = rotation.length();
-    if !((length - 1.0).abs() <= MAX_LENGTH_ERROR) {
+    if length.is_nan() || (length - 1.0).abs() > MAX_LENGTH_ERROR {
         return Err(Error::value("transform.rotation", "a unit quaternion", format!("length {length}")));
     }
     Ok(Motion { translation, rotation: rotation.normalize() })

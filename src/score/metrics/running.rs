@@ -206,7 +206,7 @@ mod tests {
             running.end_episode();
         }
         running.end_episode(); // an empty one
-        let mean = frames.chunks(20).map(|episode| pearson(episode)).sum::<f64>() / 3.0;
+        let mean = frames.chunks(20).map(pearson).sum::<f64>() / 3.0;
         assert!((running.metrics().temporal_pearson.unwrap() - mean).abs() < 1e-9);
         assert_eq!(running.metrics().counts.episodes, 3);
         assert_eq!(RunningSummary::default().metrics().temporal_pearson, None);

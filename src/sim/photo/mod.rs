@@ -14,7 +14,7 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
 use super::appearance::{Rgb, colour};
-use super::randomize::CameraDraw;
+use super::randomize::camera::CameraDraw;
 use crate::camera::Distortion;
 
 pub use cover::Cover;

@@ -1,6 +1,6 @@
 //! Episodes of a scene: all values that the scene leaves open, drawn from a seed.
 
-mod camera;
+pub(crate) mod camera;
 
 use std::f64::consts::PI;
 

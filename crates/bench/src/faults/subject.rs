@@ -49,8 +49,11 @@ type Writer = fn(&Path, u16) -> Result<()>;
 /// Name of the labelling of a LeRobot data set.
 const LEROBOT: &str = "label, LeRobot";
 
-/// Commands with an input: name, purpose, file name, output, data sets in it, writer.
-const WITH_INPUT: [(&str, Kind, &str, &str, &[&str], Writer); 8] = [
+/// Command with an input: name, purpose, file name, output, data sets in it, writer.
+type WithInput = (&'static str, Kind, &'static str, &'static str, &'static [&'static str], Writer);
+
+/// Commands with an input.
+const WITH_INPUT: [WithInput; 8] = [
     ("label, store", Kind::Label, "table.zarr", "out/table.zarr", &[""], input::store),
     ("label, zip", Kind::Label, "table.zarr.zip", "out/table.zarr", &[""], input::zipped),
     ("label, bag", Kind::Label, "table", "out/table", &[""], input::bag),
