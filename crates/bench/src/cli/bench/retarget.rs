@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use egotac::text::tell;
 
 #[cfg(feature = "sim")]
 use crate::retarget::{Plan, plot, run as measure, table};
@@ -48,7 +47,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         egotac::file::write(&folder.join("retarget.md"), table.as_bytes())?;
         egotac::file::write(&folder.join("retarget.json"), json.as_bytes())?;
         plot::write(folder, &report)?;
-        tell(format_args!("wrote {0}/retarget.md and {0}/retarget.json", folder.display()));
+        egotac::text::tell(format_args!("wrote {0}/retarget.md and {0}/retarget.json", folder.display()));
     }
     Ok(())
 }
