@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-
 #[cfg(feature = "sim")]
 use crate::retarget::{Plan, plot, run as measure, table};
 
