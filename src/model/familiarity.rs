@@ -69,7 +69,9 @@ impl Familiarity {
         }
         let ridge = RIDGE * covariance.trace() / width as f64;
         (0..width).for_each(|i| covariance[(i, i)] += ridge);
-        let inverse = covariance.cholesky().filter(|_| ridge > 0.0).and_then(|cholesky| {
+        // Rounding alone leaves a tiny variance in equal features.
+        let least = f64::EPSILON * (mean.norm_squared() / width as f64);
+        let inverse = covariance.cholesky().filter(|_| ridge > least).and_then(|cholesky| {
             let mut inverse = DMatrix::<f64>::identity(width, width);
             cholesky.l().solve_lower_triangular_mut(&mut inverse).then_some(inverse)
         });

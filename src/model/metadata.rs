@@ -98,7 +98,6 @@ impl Metadata {
             ("topology".into(), self.topology.id().into()),
             ("force_scale".into(), json(&self.force_scale)),
             ("has_force".into(), json(&self.has_force)),
-            (ForceKind::ATTRIBUTE.into(), self.force_kind.id().into()),
             ("frame_dt".into(), json(&self.frame_dt)),
             ("resize".into(), enum_name(json(&self.resize))),
             ("filter".into(), enum_name(json(&self.filter))),
@@ -112,6 +111,9 @@ impl Metadata {
         // Files of before these keys keep their bytes.
         for (key, value, _) in optional.into_iter().filter(|(_, value, default)| value != default) {
             map.insert(key.into(), json(&value));
+        }
+        if self.force_kind != ForceKind::default() {
+            map.insert(ForceKind::ATTRIBUTE.into(), self.force_kind.id().into());
         }
         map
     }

@@ -265,7 +265,8 @@ impl Dataset {
         // By source, the first store, and true if any of its stores has a supervised entry.
         let mut supervised: BTreeMap<usize, (&Path, bool)> = BTreeMap::new();
         for store in &self.stores {
-            if store.reader.raw_attributes()["import"]["view"] == "none" {
+            let import = store.reader.raw_attributes().get("import");
+            if import.is_some_and(|import| import["view"] == "none") {
                 let path = store.reader.path();
                 return Err(Error::file(path, "expected images to learn from, got a recording without a camera"));
             }

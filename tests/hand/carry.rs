@@ -193,10 +193,10 @@ fn a_labelled_lerobot_data_set_is_carried_over_with_its_regions() {
     let files = Files::new();
     let [labelled, there, direct] = ["labelled", "there", "direct"].map(|name| files.path(name));
     let input = "tests/data/lerobot/video";
-    let output = egotac(&["label", input, "--out", labelled.to_str().unwrap()]);
+    let output = egotac(&["label", input, "--unknown", "guess", "--out", labelled.to_str().unwrap()]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     files.run(&[p("hand"), p("map"), p("--field"), &labelled, p("--to"), p("mano"), p("--out"), &there]);
-    files.run(&[p("label"), p(input), p("--out"), &direct]);
+    files.run(&[p("label"), p(input), p("--unknown"), p("guess"), p("--out"), &direct]);
     let [before, after, direct_labels] = [&labelled, &there, &direct].map(|path| Labelled::read(path).unwrap());
     assert_totals_kept(&before.labels.force, &after.labels.force);
     assert_eq!(after.labels.topology, Some(Topology::Mano));
@@ -221,9 +221,10 @@ fn predictions_and_scores_are_on_mano_whatever_the_checkpoint() {
     let files = Files::new();
     let [store, plain, mano] = ["a.zarr", "plain.safetensors", "mano.safetensors"].map(|name| files.path(name));
     touching_store(&store);
-    let output = egotac(&["predict", "--data", store.to_str().unwrap(), "--out", plain.to_str().unwrap()]);
+    let output =
+        egotac(&["predict", "--unknown", "guess", "--data", store.to_str().unwrap(), "--out", plain.to_str().unwrap()]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    files.run(&[p("predict"), p("--data"), &store, p("--out"), &mano]);
+    files.run(&[p("predict"), p("--unknown"), p("guess"), p("--data"), &store, p("--out"), &mano]);
     let [before, after] = [&plain, &mano].map(|path| tensors::read(path).unwrap());
     assert_eq!(after.topology, Some(Topology::Mano));
     assert_eq!(before.clone().carried(&files.map(), Topology::Mano).unwrap(), after);

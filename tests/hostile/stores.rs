@@ -120,7 +120,8 @@ fn damaged_truth_is_named_and_never_read_as_zeros() {
     fs::create_dir(folder_as_chunk.join(chunk)).unwrap();
     for input in [&path, &zip, &folder_as_chunk] {
         let out = folder.path().join("out.zarr");
-        let Ran { status, text, .. } = measured(&["label", input.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+        let Ran { status, text, .. } =
+            measured(&["label", input.to_str().unwrap(), "--unknown", "guess", "--out", out.to_str().unwrap()]);
         assert_eq!(status, Some(3), "{text}");
         let lost: Vec<&str> = text.lines().filter(|line| line.starts_with("lost: ")).collect();
         assert!(lost.len() == 1 && lost[0].contains(chunk), "{text}");

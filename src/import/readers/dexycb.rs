@@ -217,7 +217,7 @@ fn label(image: &Path) -> Option<PathBuf> {
 
 fn yaml<T: DeserializeOwned>(path: &Path) -> Result<T> {
     let text = input::read_text(path, limits::TEXT)?;
-    serde_yaml::from_str(&text).map_err(|error| Error::file(path, error))
+    crate::text::parse_yaml(&text).map_err(|error| Error::file(path, error))
 }
 
 /// Creates a rigid motion from the rows of a 3 x 4 matrix.
