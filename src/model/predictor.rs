@@ -77,7 +77,9 @@ pub struct Prediction {
 /// for frame in 0..3 {
 ///     let image = egotac::crates::image::RgbImage::new(640, 480);
 ///     let prediction = predictor.push(&image, 0.04 * f64::from(frame))?; // image and its stamp, s
-///     assert!(prediction.field.total_force(Side::Left) >= 0.0); // N
+///     // A black image is unlike all that the network was trained on: touch is unknown.
+///     assert!(prediction.certainty.is_unfamiliar());
+///     assert!(prediction.field.total_force(Side::Left).is_nan()); // N
 /// }
 /// # Ok(())
 /// # }
