@@ -22,10 +22,10 @@ pub static ALL: [Kind; 18] = [
     readers::dexycb::KIND,
     readers::grab::KIND,
     readers::contactpose::KIND,
-    readers::egotac_sc::KIND,
     readers::videos::EPIC,
     readers::videos::EGO4D,
     readers::videos::EGOPAT3D,
+    readers::egotac_sc::KIND,
 ];
 
 /// Returns the kind of a name.

@@ -152,7 +152,9 @@ fn live_training_improves_the_predictor() {
     let text = std::fs::read_to_string(&config).unwrap().replace("steps: 150", "steps: 600");
     std::fs::write(&config, text).unwrap();
     let model = format!("model:={}", first.display());
-    let mut predictor = session.node(PREDICTOR, &["-p", &model, "-p", "reliability:=reliable"]);
+    // The images of a recording so short do not tell which others are familiar.
+    let options = ["-p", &model, "-p", "reliability:=reliable", "-p", "unknown:=guess"];
+    let mut predictor = session.node(PREDICTOR, &options);
     let live = ["-p", "min_live_frames:=250", "-p", "round_steps:=300", "-p", "episode_secs:=2.0"];
     let notify = ["-p", "notify:=predictor/load_model"];
     let mut node = trainer(&session, &[&live[..], &notify].concat());

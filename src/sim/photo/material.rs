@@ -87,7 +87,9 @@ impl Material {
                 // Few surfaces of rooms have strong colours.
                 let strong = rng.random::<f64>().powi(2) * 0.75;
                 let base = colour(rng, 0.0..strong + 0.05, 0.15..0.95);
-                (base, base.map(|c| (c * rng.random_range(0.5..1.4)).clamp(0.0, 1.0)))
+                // Darker or lighter, never the same.
+                let factor = if rng.random::<bool>() { 0.5..0.85 } else { 1.15..1.4 };
+                (base, base.map(|c| (c * rng.random_range(factor.clone())).clamp(0.0, 1.0)))
             }
         };
         Self { surface, base, other, repeat: 1.0, seed: rng.random(), gloss: rng.random_range(0.0..0.5) }
@@ -224,7 +226,11 @@ mod tests {
     fn steps(picture: &RgbImage) -> (f64, f64) {
         let step = |a: u32, b: u32| {
             let rows = 0..picture.height();
-            rows.map(|y| f64::from(picture.get_pixel(a, y).0[0].abs_diff(picture.get_pixel(b, y).0[0]))).sum::<f64>()
+            let differences = rows.flat_map(|y| {
+                let [a, b] = [a, b].map(|x| picture.get_pixel(x, y).0);
+                (0..3).map(move |channel| f64::from(a[channel].abs_diff(b[channel])))
+            });
+            differences.sum::<f64>()
         };
         let inner = (0..picture.width() - 1).map(|x| step(x, x + 1)).fold(0.0, f64::max);
         (inner, step(picture.width() - 1, 0))
