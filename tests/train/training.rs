@@ -371,7 +371,9 @@ fn train_predict_and_eval_commands_agree() {
     ] {
         let output = egotac(folder.path(), &args);
         let error = String::from_utf8(output.stderr).unwrap();
-        assert!(!output.status.success() && error.contains(word) && error.lines().count() == 1, "{args:?}: {error}");
+        // The checkpoint of so few frames tells no familiarity, which is a warning.
+        let errors = error.lines().filter(|line| !line.starts_with("warning: ")).count();
+        assert!(!output.status.success() && error.contains(word) && errors == 1, "{args:?}: {error}");
     }
 }
 
