@@ -4,6 +4,7 @@ mod report;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use egotac::error::{Error, Result};
 use egotac::machine::Machine;
@@ -93,8 +94,7 @@ fn run(options: &Options, name: &str, toy: &Path) -> Result<Value> {
         .arg(options.folder.join("measure.py"))
         .arg(name)
         .arg(&file)
-        // The ports of domains 1 to 101 lie below the system's ephemeral ports.
-        .env("ROS_DOMAIN_ID", (std::process::id() % 101 + 1).to_string())
+        .env("ROS_DOMAIN_ID", domain().to_string())
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         .env("ROS_LOG_DIR", &logs)
         .env("PYTHONDONTWRITEBYTECODE", "1")
@@ -109,6 +109,14 @@ fn run(options: &Options, name: &str, toy: &Path) -> Result<Value> {
         let end: Vec<&str> = end.into_iter().rev().collect();
         Error::value(format!("measurement {name}"), "a result", format!("{}: {}", output.status, end.join(" | ")))
     })
+}
+
+/// Returns a ROS domain that no other measurement of this process has had lately: several may run at the same time.
+fn domain() -> u32 {
+    static MEASUREMENTS_BEFORE: AtomicU32 = AtomicU32::new(0);
+    let index = MEASUREMENTS_BEFORE.fetch_add(1, Ordering::Relaxed);
+    // The ports of domains 1 to 101 lie below the system's ephemeral ports.
+    (std::process::id().wrapping_add(index.wrapping_mul(37))) % 101 + 1
 }
 
 /// Replaces the names of recorded episodes by the number of frames that can be read from them.
