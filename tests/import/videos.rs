@@ -202,7 +202,7 @@ fn videos_to_be_labelled_keep_their_actions() {
     }
     let store = open(&folder.path().join("egopat3d.zarr"));
     assert_eq!(store.raw_attributes()["import"]["about"]["clips_frames"], json!([[0.0, 3.0], [5.0, 8.0]]));
-    // What is imported can be labelled.
+    // An imported store can be labelled.
     let [out, labelled] = ["epic.zarr", "labelled.zarr"].map(|name| folder.path().join(name));
     let output = egotac(&["label", out.to_str().unwrap(), "--out", labelled.to_str().unwrap()]);
     succeeded(&output);

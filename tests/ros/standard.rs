@@ -1,4 +1,4 @@
-//! What every ROS 2 node offers, tested on `egotac_verifier` by the rclpy peer `tests/ros/standard_peer.py`.
+//! Services and topics of every ROS 2 node, tested on `egotac_verifier` by the rclpy peer `tests/ros/standard_peer.py`.
 
 use crate::harness::Session;
 

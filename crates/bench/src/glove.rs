@@ -1,4 +1,4 @@
-//! What a glove costs: force on the vertices from simulated taxels, beside the simulator's own force.
+//! Cost of a glove: force on the vertices from simulated taxels, beside the simulator's own force.
 
 use std::fmt::Write as _;
 use std::path::Path;
