@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use super::images::LeRobotDataset;
-use super::read_labels::lists;
+use super::read_labels::{CERTAINTY, lists};
 use super::{Episode, LeRobot, numbers, only, reader};
 use crate::dataset::labels::{LabelFrames, LabelOutput, Notes, SourceLabels};
 use crate::dataset::{LabelFrame, LabelInfo};
 use crate::error::{Error, Result};
 use crate::hand::{FieldMap, Topology};
-use crate::tactile::{Certainty, N_FIELD, TactileField};
+use crate::tactile::{Certainty, Doubt, N_FIELD, TactileField};
 
 /// Writes a copy of the data set at `path` into the folder `at`, with force, contact and the forces of regions on the
 /// vertices of `to`, and their statistics.
@@ -51,7 +51,11 @@ impl CarriedLabels<'_> {
         let file = self.dataset.data_file(episode.data)?;
         let builder = reader(&file)?;
         let names = ["force", "contact"].map(|name| format!("{}.{name}", self.prefix));
-        let mask = only(&builder, |name| name == "timestamp" || names.iter().any(|wanted| wanted == name));
+        let certainty = format!("{}.certainty", self.prefix);
+        let judged = self.dataset.info["features"].get(&certainty).is_some();
+        let is_read =
+            |name: &str| name == "timestamp" || name == certainty || names.iter().any(|wanted| wanted == name);
+        let mask = only(&builder, is_read);
         let builder = builder.with_projection(mask).with_batch_size(16);
         let builder = builder.with_offset(self.dataset.start_in_file(episode)).with_limit(episode.length);
         let batches = builder.build().map_err(|e| Error::library(&file, e))?;
@@ -60,9 +64,12 @@ impl CarriedLabels<'_> {
                 let stamps = numbers(&batch, "timestamp", &file)?;
                 let [force, contact] = names.each_ref().map(|name| lists(&batch, name, N_FIELD, &file));
                 let (force, contact) = (force?, contact?);
+                let certainty = if judged { lists(&batch, &certainty, CERTAINTY, &file)? } else { Vec::new() };
+                let mut certainty = certainty.chunks_exact(CERTAINTY).map(certainty_of);
                 let fields = force.chunks_exact(N_FIELD).zip(contact.chunks_exact(N_FIELD)).zip(stamps);
-                let label =
-                    |((force, contact), stamp_secs): ((&[f32], &[f32]), f64)| self.label(force, contact, stamp_secs);
+                let label = |((force, contact), stamp_secs): ((&[f32], &[f32]), f64)| {
+                    self.label(force, contact, certainty.next().unwrap_or_default(), stamp_secs)
+                };
                 fields.map(label).collect::<Result<Vec<_>>>()
             });
             match labels {
@@ -72,11 +79,23 @@ impl CarriedLabels<'_> {
         }))
     }
 
-    fn label(&self, force: &[f32], contact: &[f32], stamp_secs: f64) -> Result<LabelFrame> {
+    fn label(&self, force: &[f32], contact: &[f32], certainty: Certainty, stamp_secs: f64) -> Result<LabelFrame> {
         let field = TactileField { topology: self.to.other(), force: force.to_vec(), contact: contact.to_vec() };
         let touch = Ok(field.carried(self.map, self.to)?);
-        let certainty = Certainty::default();
         Ok(LabelFrame { stamp_secs, warming_up: false, touch, certainty, further: Vec::new() })
+    }
+}
+
+/// Returns the certainty of a row of the column. The column does not tell why touch is unknown, and nothing that is written
+/// depends on it.
+fn certainty_of(row: &[f32]) -> Certainty {
+    let estimate = |value: f32| Some(value).filter(|value| !value.is_nan());
+    let doubt = |known: f32| (known == 0.0).then_some(Doubt::Unfamiliar);
+    Certainty {
+        familiarity: estimate(row[0]),
+        presence: [estimate(row[1]), estimate(row[2])],
+        doubt: [doubt(row[3]), doubt(row[4])],
+        masked: true,
     }
 }
 

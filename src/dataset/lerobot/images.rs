@@ -86,7 +86,7 @@ impl LeRobotDataset {
     /// True for a column, or a statistic of one, that is replaced.
     pub(super) fn is_replaced(&self, name: &str) -> bool {
         let name = name.strip_prefix("stats/").unwrap_or(name);
-        let own = ["force", "contact", "region_force"];
+        let own = ["force", "contact", "region_force", "certainty"];
         let rest = name.strip_prefix(&self.prefix).and_then(|rest| rest.strip_prefix('.'));
         let rest = rest.map(|rest| rest.split_once('/').map_or(rest, |(column, _)| column));
         self.replaces && rest.is_some_and(|column| own.contains(&column))

@@ -17,7 +17,7 @@ use crate::hand::Side;
 use crate::tactile::{N_FIELD, TactileSequence};
 
 /// Number of values of a frame in the column of certainty.
-const CERTAINTY: usize = 5;
+pub(super) const CERTAINTY: usize = 5;
 
 /// Reads the columns `PREFIX.force` and `PREFIX.contact`.
 ///
