@@ -177,7 +177,7 @@ fn eval_also_scores_hands_regions_and_another_estimator() {
     assert!(error.contains("--mano-left"), "{error}");
     let error = refused(&["eval", "--pred", &pred, "--target", &truth, "--by-scene"]);
     assert!(error.contains("--by scene: expected truth from stores"), "{error}");
-    // What sees no image stands beside the prediction: no touch at all, and the truth of the frame before.
+    // Two predictions that see no image stand beside it: no touch at all, and the truth of the frame before.
     let baselines = &all["baselines"];
     assert_eq!(
         (&baselines["zero"]["frame_mean"]["f1"], &baselines["zero"]["temporal_pearson"]),

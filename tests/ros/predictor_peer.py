@@ -272,7 +272,7 @@ def enabled():
     events = peer.listen(ParameterEvent, "/parameter_events")
     camera.frame_of(message(photo(20, 20), "rgb8", sec=10))
     assert peer.call(SetBool, "predictor/set_enabled", SetBool.Request(data=False)).success
-    # Whoever watches parameters learns of it, too.
+    # The change is published on /parameter_events, too.
     changes = lambda: [(p.name, p.value.bool_value) for e in events for p in e.changed_parameters if e.node.endswith("/predictor")]
     peer.wait(lambda: ("enabled", False) in changes(), "the event of the parameter")
     for i in range(5):

@@ -141,7 +141,7 @@ fn a_calibration_split_gives_the_ranges_of_both_sides() {
     let calibration = calibrate(&pred, &target).unwrap();
     let [pred_range, target_range] = [Range { min: 2.0, max: 10.0 }, Range { min: 1.0, max: 5.0 }];
     assert_eq!((calibration.pred(), calibration.target()), (pred_range, target_range));
-    // What is written is read as the same.
+    // A written calibration reads back equal.
     let text = serde_json::to_string(&calibration).unwrap();
     assert_eq!(serde_json::from_str::<Calibration>(&text).unwrap(), calibration);
     let error = calibrate(&constant(4, 0.1), &target).unwrap_err().to_string();

@@ -227,7 +227,7 @@ fn predictions_are_scored_and_the_gate_sets_the_exit_status() {
         assert_eq!(score(&report, "prediction", "cop_distance_mm"), 0.0);
     }
     let report = verify(&[&store, "--predictions", &half]);
-    // What sees no image stands beside it: no touch at all, and the truth of the frame before.
+    // Two predictions that see no image stand beside it: no touch at all, and the truth of the frame before.
     assert_eq!((score(&report, "zero", "frame_mean.f1"), score(&report, "zero", "missed_force")), (0.0, 1.0));
     let held = ["frame_mean.f1", "mae"].map(|name| score(&report, "persistence", name));
     assert!(held[0] > 0.5 && held[0] < 1.0 && held[1] > 0.0, "{held:?}");
