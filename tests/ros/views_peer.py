@@ -107,7 +107,6 @@ def wrenches():
     peer.wait(lambda: infos, "model_info")
     poses = peer.connected(peer.create_publisher(HandPoses, "hand_poses", RELIABLE))
     hands = HandPoses()
-    stamp(hands, 40)
     hands.header.frame_id = "table"
     for side, x in ((HandPose.LEFT, -0.3), (HandPose.RIGHT, 0.3)):
         # The headers of the entries are not set: that of the array counts.
@@ -116,13 +115,25 @@ def wrenches():
         pose.wrist.position.x, pose.wrist.position.z = x, 0.5
         pose.wrist.orientation.x, pose.wrist.orientation.w = math.sin(0.4), math.cos(0.4)
         hands.poses.append(pose)
-    poses.publish(hands)
-    peer.rest(1.0)
-    image = message(photo(48, 64, seed=3), "rgb8", sec=40)
-    camera.publish(image)
-    is_there = lambda messages: any(stamp_of(m) == image.header.stamp for m in messages)
     everything = [*wrenches_.values(), markers, clouds, transforms]
-    peer.wait(lambda: all(map(is_there, everything)), "all views of the hands")
+
+    def at(stamp):
+        """The messages of one stamp, in the order of `everything` (none where a listener is not connected yet)."""
+        return [[m for m in messages if stamp_of(m) == stamp] for messages in everything]
+
+    # A subscriber that has just been found may miss the first message: poses and images are sent until all views show them.
+    for sec in range(40, 60):
+        stamp(hands, sec)
+        hands.header.frame_id = "table"
+        poses.publish(hands)
+        peer.rest(0.5)
+        image = message(photo(48, 64, seed=3), "rgb8", sec=sec)
+        camera.publish(image)
+        peer.wait(lambda: any(stamp_of(m) == image.header.stamp for m in frames), "the frame of the image")
+        peer.rest(0.5)
+        views = at(image.header.stamp)
+        if all(views) and views[-1][0].transforms[0].header.frame_id == "table":
+            break
     newest = lambda messages: [m for m in messages if stamp_of(m) == image.header.stamp][0]
     tf = {t.child_frame_id: t for t in newest(transforms).transforms}
     assert sorted(tf) == sorted(parts) and {t.header.frame_id for t in tf.values()} == {"table"}
