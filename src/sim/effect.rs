@@ -45,19 +45,23 @@ pub enum Effect {
     Textures,
     /// Objects in the background, which nothing touches.
     Clutter,
+    /// Less light in creases and where one surface lies close to another.
+    AmbientOcclusion,
     /// The camera's wearer: trunk, legs, trackers and wires.
     Wearer,
     /// Further lamps of warm and cold colours.
     MoreLamps,
     /// Other head cameras: their place, and the width of their view.
     OtherCamera,
+    /// Rows of a picture that are read one after the other.
+    RollingShutter,
     /// Exposure, white balance, tone curve, vignetting and JPEG.
     CameraProcessing,
 }
 
 impl Effect {
     /// All effects, in the order of tables.
-    pub const ALL: [Effect; 21] = [
+    pub const ALL: [Effect; 23] = [
         Self::Dynamics,
         Self::RigidContact,
         Self::Friction,
@@ -75,9 +79,11 @@ impl Effect {
         Self::SkinDetail,
         Self::Textures,
         Self::Clutter,
+        Self::AmbientOcclusion,
         Self::Wearer,
         Self::MoreLamps,
         Self::OtherCamera,
+        Self::RollingShutter,
         Self::CameraProcessing,
     ];
 
@@ -101,9 +107,11 @@ impl Effect {
             Self::SkinDetail => "skin_detail",
             Self::Textures => "textures",
             Self::Clutter => "clutter",
+            Self::AmbientOcclusion => "ambient_occlusion",
             Self::Wearer => "wearer",
             Self::MoreLamps => "more_lamps",
             Self::OtherCamera => "other_camera",
+            Self::RollingShutter => "rolling_shutter",
             Self::CameraProcessing => "camera_processing",
         }
     }
@@ -119,7 +127,8 @@ impl Effect {
             Self::NearContact => &[Self::RigidContact],
             Self::Shadows | Self::LensDistortion | Self::SensorNoise | Self::MotionBlur => &[Self::Rendering],
             Self::SkinDetail | Self::Textures | Self::Clutter | Self::Wearer => &[Self::Rendering],
-            Self::MoreLamps | Self::OtherCamera | Self::CameraProcessing => &[Self::Rendering],
+            Self::AmbientOcclusion | Self::MoreLamps => &[Self::Rendering],
+            Self::OtherCamera | Self::RollingShutter | Self::CameraProcessing => &[Self::Rendering],
         }
     }
 }

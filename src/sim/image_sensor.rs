@@ -1,4 +1,4 @@
-//! Image sensor of a rollout's camera: pictures with lens distortion, motion blur and noise, and depth.
+//! Image sensor of a rollout's camera: pictures with lens distortion, motion blur, rolling shutter and noise, and depth.
 
 use ::image::RgbImage;
 use rand::SeedableRng;
@@ -7,7 +7,7 @@ use rand_distr::{Distribution, Normal};
 
 use super::effect::{Effect, EffectSet};
 use super::lens::Lens;
-use super::photo::Processing;
+use super::photo::{Processing, mix_rows, shade};
 use super::randomize::CameraDraw;
 use crate::error::Result;
 use crate::mujoco::{Renderer, World};
@@ -22,14 +22,27 @@ pub struct ImageSensor {
     lens: Option<Lens>,
     /// Numbers of steps before a frame's instant at which exposures are taken, largest first.
     exposure_steps: Vec<usize>,
-    /// Sum of the exposures of the next picture, per pixel and channel.
+    /// Sum of the exposures of the next picture, per pixel and channel; without a rolling shutter.
     exposure_sums: Vec<u32>,
     n_exposures: u32,
+    /// Reading of rows one after the other.
+    rolling: Option<Rolling>,
+    /// Focal length, pixels, if creases get less light.
+    shaded: Option<f64>,
     noise: Option<Normal<f64>>,
     processing: Option<Processing>,
     rng: ChaCha8Rng,
     size: (u32, u32),
     renders: usize,
+}
+
+/// Rolling shutter: exposures of the next picture, and how long rows are read and open, s.
+#[derive(Debug)]
+struct Rolling {
+    exposures: Vec<Vec<u8>>,
+    readout: f64,
+    open: f64,
+    timestep: f64,
 }
 
 /// Options of an image sensor.
@@ -49,6 +62,8 @@ pub struct SensorOptions {
     pub steps_per_frame: usize,
     /// Processing of the pictures.
     pub processing: Option<Processing>,
+    /// Time from the reading of the first row to that of the last, s; 0 = all at once.
+    pub readout: f64,
     /// Seed of the noise.
     pub seed: u64,
 }
@@ -59,13 +74,13 @@ impl ImageSensor {
     /// # Errors
     /// If there is no OpenGL.
     pub fn new(world: &World, draw: &CameraDraw, options: SensorOptions) -> Result<Self> {
-        let SensorOptions { camera, size, lens, depth, effects, steps_per_frame, processing, seed } = options;
+        let SensorOptions { camera, size, lens, depth, effects, steps_per_frame, processing, readout, seed } = options;
         let (width, height) = lens.as_ref().map_or(size, Lens::source_size);
-        let renderer = Renderer::new(world, camera, width, height, depth)?;
-        let exposure_steps = match effects.contains(Effect::MotionBlur) {
-            true => exposure_steps((draw.shutter / world.options().timestep).round() as usize, steps_per_frame),
-            false => Vec::new(),
-        };
+        let shaded = effects.contains(Effect::AmbientOcclusion);
+        let renderer = Renderer::new(world, camera, width, height, depth || shaded)?;
+        let timestep = world.options().timestep;
+        let open = if effects.contains(Effect::MotionBlur) { draw.shutter } else { 0.0 };
+        let exposure_steps = exposure_steps(((open + readout) / timestep).round() as usize, steps_per_frame);
         let noise = Some(draw.noise).filter(|sigma| *sigma > 0.0 && effects.contains(Effect::SensorNoise));
         // The scene's check guarantees a finite noise that is not negative.
         let noise = noise.and_then(|sigma| Normal::new(0.0, sigma).ok());
@@ -77,6 +92,8 @@ impl ImageSensor {
             exposure_steps,
             exposure_sums: Vec::new(),
             n_exposures: 0,
+            rolling: (readout > 0.0).then(|| Rolling { exposures: Vec::new(), readout, open, timestep }),
+            shaded: shaded.then(|| 0.5 * f64::from(size.1) / (0.5 * draw.fovy).tan()),
             noise,
             processing,
             rng,
@@ -106,6 +123,10 @@ impl ImageSensor {
             Some(lens) => lens.distort(&picture),
             None => picture.into_raw(),
         };
+        if let Some(rolling) = &mut self.rolling {
+            rolling.exposures.push(pixels);
+            return Ok(());
+        }
         self.exposure_sums.resize(pixels.len(), 0);
         self.exposure_sums.iter_mut().zip(&pixels).for_each(|(sum, value)| *sum += u32::from(*value));
         self.n_exposures += 1;
@@ -118,9 +139,14 @@ impl ImageSensor {
     /// If OpenGL fails.
     pub fn shoot(&mut self, world: &mut World) -> Result<(RgbImage, Vec<f32>)> {
         self.expose(world)?;
-        let (count, sums) = (std::mem::take(&mut self.n_exposures), std::mem::take(&mut self.exposure_sums));
-        let mean = sums.into_iter().map(|sum| f64::from(sum) / f64::from(count));
-        let pixels = mean.map(|value| {
+        let depth = self.renderer.depth();
+        let distorted = self.lens.as_ref().filter(|_| !depth.is_empty()).map(|lens| lens.distort_depth(&depth));
+        let depth = distorted.unwrap_or(depth);
+        let mut light = self.develop();
+        if let Some(focal) = self.shaded {
+            shade(&mut light, self.size, &depth, focal);
+        }
+        let pixels = light.into_iter().map(|value| {
             let noise = self.noise.map_or(0.0, |noise| noise.sample(&mut self.rng));
             (value + noise).round().clamp(0.0, 255.0) as u8
         });
@@ -131,9 +157,22 @@ impl ImageSensor {
             Some(processing) => processing.apply(picture),
             None => picture,
         };
-        let depth = self.renderer.depth();
-        let distorted = self.lens.as_ref().filter(|_| !depth.is_empty()).map(|lens| lens.distort_depth(&depth));
-        Ok((picture, distorted.unwrap_or(depth)))
+        Ok((picture, depth))
+    }
+
+    /// Returns the light of the exposures so far per pixel and channel, 0 to 255, and begins the next picture.
+    fn develop(&mut self) -> Vec<f64> {
+        let row_length = 3 * self.size.0 as usize;
+        if let Some(Rolling { exposures, readout, open, timestep }) = &mut self.rolling {
+            let exposures = std::mem::take(exposures);
+            // The first frame of an episode has no motion before it, hence only the exposure at its instant.
+            let earlier = exposures.len().saturating_sub(1).min(self.exposure_steps.len());
+            let steps = &self.exposure_steps[self.exposure_steps.len() - earlier..];
+            let ages: Vec<f64> = steps.iter().map(|steps| *steps as f64 * *timestep).chain([0.0]).collect();
+            return mix_rows(&exposures, &ages, *readout, *open, row_length);
+        }
+        let (count, sums) = (std::mem::take(&mut self.n_exposures), std::mem::take(&mut self.exposure_sums));
+        sums.into_iter().map(|sum| f64::from(sum) / f64::from(count)).collect()
     }
 }
 

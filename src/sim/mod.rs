@@ -59,6 +59,7 @@ pub use generate::{DatasetPlan, GenerateProgress, generate};
 pub use object::mesh_faults;
 #[doc(hidden)]
 pub use object::try_mesh;
+pub use photo::{Backgrounds, PropMeshes};
 pub use range::UniformRange;
 pub use record::{RecordSummary, record};
 pub use rollout::{Rollout, RolloutOptions};

@@ -160,9 +160,17 @@ struct RolloutArgs {
     #[arg(long)]
     shadows: bool,
     /// Effects that make pictures richer, in place of the scene's: plain (none), varied (painted skin and gloves, textures,
-    /// clutter, lamps), photo (also the wearer, other cameras, and the processing of a real camera).
+    /// clutter, lamps, shade in creases), photo (also the wearer, other cameras with their rolling shutter, and the processing of
+    /// a real camera).
     #[arg(long, value_name = "STYLE", value_parser = ["plain", "varied", "photo"])]
     look: Option<String>,
+    /// Folder of PNG and JPEG photographs: each episode shows one on the walls and, every other time, on floor and table; needs
+    /// the look varied or photo.
+    #[arg(long, value_name = "FOLDER")]
+    backgrounds: Option<PathBuf>,
+    /// Folder of OBJ and STL meshes that take the place of the drawn clutter; needs the look varied or photo.
+    #[arg(long, value_name = "FOLDER")]
+    objects: Option<PathBuf>,
     #[command(flatten)]
     kernel: Kernel,
     #[command(flatten)]

@@ -66,7 +66,7 @@ fn scene_names(args: &Generate) -> anyhow::Result<Vec<String>> {
 /// Returns the command that starts this program as a worker with the same scenes and options.
 fn workers(args: &Generate, scenes: &[String], factor: Option<f64>) -> anyhow::Result<WorkerCommand> {
     let mut arguments: Vec<OsString> = vec!["--size".into(), args.size.to_string().into()];
-    let RolloutArgs { shadows, look, kernel, hands } = &args.rollout;
+    let RolloutArgs { shadows, look, backgrounds, objects, kernel, hands } = &args.rollout;
     arguments.extend(["--sigma".into(), kernel.sigma.to_string().into()]);
     if *shadows {
         arguments.push("--shadows".into());
@@ -83,7 +83,10 @@ fn workers(args: &Generate, scenes: &[String], factor: Option<f64>) -> anyhow::R
     for (flag, value) in [preset, budget, error, factor].into_iter().flatten() {
         arguments.extend([flag.into(), value.into()]);
     }
-    for (flag, path) in [("--mano-left", &hands.mano_left), ("--mano-right", &hands.mano_right)] {
+    let folders = [("--backgrounds", backgrounds), ("--objects", objects)];
+    for (flag, path) in
+        folders.into_iter().chain([("--mano-left", &hands.mano_left), ("--mano-right", &hands.mano_right)])
+    {
         arguments.extend(path.iter().flat_map(|path| [flag.into(), path.clone().into_os_string()]));
     }
     arguments.push("--".into());

@@ -1,10 +1,12 @@
 //! Loading of scenes and options, shared by the commands of `egotac sim`.
 
+use std::sync::Arc;
+
 use anyhow::ensure;
 
 use super::RolloutArgs;
 use crate::sim::scene::LookStyle;
-use crate::sim::{RolloutOptions, Scene, mesh_faults, mjcf};
+use crate::sim::{Backgrounds, PropMeshes, RolloutOptions, Scene, mesh_faults, mjcf};
 use crate::text::tell;
 
 /// Loads a scene; prints faults of its mesh files to standard error.
@@ -30,6 +32,8 @@ pub fn options(rollout: &RolloutArgs, size: u32) -> anyhow::Result<RolloutOption
         picture: picture(size)?,
         shadows: rollout.shadows,
         style: rollout.look.as_deref().map(LookStyle::from_name).transpose()?,
+        backgrounds: rollout.backgrounds.as_deref().map(Backgrounds::open).transpose()?.map(Arc::new),
+        prop_meshes: rollout.objects.as_deref().map(PropMeshes::open).transpose()?.map(Arc::new),
         sigma: rollout.kernel.metres(),
         ..RolloutOptions::default()
     })

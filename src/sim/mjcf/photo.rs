@@ -4,8 +4,9 @@ use ::image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use ::image::{ImageEncoder, RgbImage};
 use glam::DVec3;
 
-use super::{TABLE_CENTRE, TABLE_HALF, quat, rgb, vec3};
+use super::{TABLE_CENTRE, TABLE_HALF, join, quat, rgb, vec3};
 use crate::error::{Error, Result};
+use crate::sim::object::TriangleMesh;
 use crate::sim::photo::{Material, PhotoDraw, PropShape, Tracker, Wearer};
 use crate::sim::rig::HandRig;
 use crate::text::put;
@@ -21,12 +22,18 @@ const WIRE_PIECES: usize = 6;
 /// Files that a model names, in memory: name and content.
 pub(crate) type Files = Vec<(String, Vec<u8>)>;
 
-/// Writes a material with a painted texture, and its file.
+/// Writes a material with a picture, and its file.
 ///
 /// # Errors
 /// If the picture can't be encoded.
-pub(super) fn material(name: &str, material: &Material, assets: &mut String, files: &mut Files) -> Result<()> {
-    painted(name, "2d", &material.paint(), material.repeat, material.gloss, assets, files)
+pub(super) fn material(
+    name: &str,
+    material: &Material,
+    picture: &RgbImage,
+    assets: &mut String,
+    files: &mut Files,
+) -> Result<()> {
+    painted(name, "2d", picture, material.repeat, material.gloss, assets, files)
 }
 
 /// Writes a material whose texture wraps around the geom, and its file.
@@ -63,9 +70,9 @@ pub(super) fn painted(
 /// # Errors
 /// If a picture can't be encoded.
 pub(super) fn surfaces(photo: &PhotoDraw, assets: &mut String, world: &mut String, files: &mut Files) -> Result<()> {
-    material("table", &photo.table, assets, files)?;
-    material("floor", &photo.floor, assets, files)?;
-    material("wall", &photo.wall, assets, files)?;
+    material("table", &photo.table, &photo.table_picture(), assets, files)?;
+    material("floor", &photo.floor, &photo.floor_picture(), assets, files)?;
+    material("wall", &photo.wall, &photo.wall_picture(), assets, files)?;
     put(assets, format_args!(r#"<texture name="sky" type="skybox" file="wall.png"/>"#));
     let height = 0.5 * (ROOM - FLOOR);
     for (index, (x, y)) in [(ROOM, 0.0), (-ROOM, 0.0), (0.0, ROOM)].into_iter().enumerate() {
@@ -111,17 +118,29 @@ pub(super) fn clutter(
             PropShape::Box => ("box", vec3(half)),
             PropShape::Cylinder => ("cylinder", format!("{} {}", half.x, half.z)),
             PropShape::Ellipsoid => ("ellipsoid", vec3(half)),
+            PropShape::Mesh(index) => ("mesh", prop_mesh(&name, &photo.meshes[index], half, assets)),
         };
+        let size_or_mesh = if kind == "mesh" { format!(r#"mesh="{size}""#) } else { format!(r#"size="{size}""#) };
         put(
             world,
             format_args!(
-                r#"<geom name="{name}" type="{kind}" size="{size}" pos="{}" quat="{}" material="{name}" {SEEN_ONLY}/>"#,
+                r#"<geom name="{name}" type="{kind}" {size_or_mesh} pos="{}" quat="{}" material="{name}" {SEEN_ONLY}/>"#,
                 vec3(prop.position),
                 quat(prop.orientation)
             ),
         );
     }
     Ok(())
+}
+
+/// Writes a mesh of the user, scaled so that its bounding box has the half size `half`, m; returns its name.
+fn prop_mesh(name: &str, (vertices, triangles): &TriangleMesh, half: DVec3, assets: &mut String) -> String {
+    let reach = vertices.iter().fold(DVec3::ZERO, |reach, vertex| reach.max(vertex.abs()));
+    let scale = half.max_element() / reach.max_element();
+    let vertices = join(vertices.iter().map(|vertex| vec3(scale * *vertex)));
+    let faces = join(triangles.iter().map(|[a, b, c]| format!("{a} {b} {c}")));
+    put(assets, format_args!(r#"<mesh name="{name}/mesh" vertex="{vertices}" face="{faces}" inertia="shell"/>"#));
+    format!("{name}/mesh")
 }
 
 /// Writes further lamps.

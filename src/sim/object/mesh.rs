@@ -77,7 +77,7 @@ pub fn mesh_faults(scene: &Scene) -> Result<Vec<String>> {
 ///
 /// # Errors
 /// If the file has another extension, cannot be read, holds no triangles, or holds a number that is not finite.
-fn load(path: &Path) -> Result<TriangleMesh> {
+pub(crate) fn load(path: &Path) -> Result<TriangleMesh> {
     let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let text = || input::read(path, limits::TEXT);
     let (vertices, triangles): TriangleMesh = match ending.as_str() {

@@ -10,6 +10,7 @@ use glam::{DQuat, DVec3};
 use rand::Rng;
 
 pub use assembly::{JointMount, Mount, Object, TriangleMesh};
+pub(crate) use mesh::load as load_mesh;
 pub use mesh::{mesh_faults, try_mesh};
 pub use piece::{Piece, PieceShape};
 

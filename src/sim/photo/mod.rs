@@ -1,4 +1,5 @@
-//! Looks beyond plain colours: textures, clutter, the wearer, more lamps, other cameras, picture processing.
+//! Looks beyond plain colours: textures, clutter, the wearer, more lamps, shade in creases, other cameras, picture processing,
+//! and a user's own photographs and meshes.
 //!
 //! An episode draws all of it from its seed, in random streams of its own, whether it is shown or not; so an effect that is
 //! switched on changes nothing else. Touch and motion are the same in all looks.
@@ -6,25 +7,36 @@
 mod cover;
 mod material;
 mod noise;
+mod own;
 mod processing;
+mod shade;
+mod shutter;
 mod wearer;
+
+use std::sync::Arc;
 
 use glam::{DQuat, DVec3};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
 use super::appearance::{Rgb, colour};
+use super::object::TriangleMesh;
 use super::randomize::camera::CameraDraw;
 use crate::camera::Distortion;
 
 pub use cover::Cover;
 pub(crate) use cover::Flat;
 pub use material::Material;
+pub use own::{Backgrounds, OwnPictures, PropMeshes};
 pub use processing::Processing;
+pub(crate) use shade::shade;
+pub(crate) use shutter::mix_rows;
 pub use wearer::{Tracker, Wearer};
 
 /// Largest number of objects in the background.
 const MAX_PROPS: usize = 14;
+/// Range of the time in which the rows of a picture are read, s.
+const READOUT: std::ops::Range<f64> = 0.008..0.03;
 /// Part of the table, in metres from its middle, that clutter leaves free: hands and objects act there.
 const FREE: DVec3 = DVec3::new(0.36, 0.3, 0.0);
 
@@ -53,6 +65,12 @@ pub struct PhotoDraw {
     pub camera: CameraDraw,
     /// Processing of the pictures.
     pub processing: Processing,
+    /// Time from the reading of the first row of a picture to that of the last, s.
+    pub readout: f64,
+    /// Photographs of the user on walls, floor and table.
+    pub own: OwnPictures,
+    /// Meshes of the user, which objects in the background refer to.
+    pub meshes: Vec<Arc<TriangleMesh>>,
 }
 
 /// Object in the background.
@@ -79,6 +97,8 @@ pub enum PropShape {
     Cylinder,
     /// Ellipsoid: fruit, cushions.
     Ellipsoid,
+    /// The mesh of this index in [`PhotoDraw::meshes`], as large as the half sizes say.
+    Mesh(usize),
 }
 
 impl PhotoDraw {
@@ -98,6 +118,9 @@ impl PhotoDraw {
             lamps: (0..light.random_range(1..4)).map(|_| lamp(&mut light)).collect(),
             camera: other_camera(camera, &mut optics),
             processing: Processing::sample(&mut optics),
+            readout: optics.random_range(READOUT),
+            own: OwnPictures::default(),
+            meshes: Vec::new(),
         }
     }
 

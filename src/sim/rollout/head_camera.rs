@@ -19,6 +19,8 @@ use crate::sim::randomize::{CameraDraw, EpisodeDraw};
 pub(super) struct Optics {
     draw: CameraDraw,
     processing: Option<Processing>,
+    /// Time from the first row of a picture to the last, s; 0 = all at once.
+    readout: f64,
     /// Width and height of the picture, pixels; `None` = no pictures.
     size: Option<(u32, u32)>,
     lens: Option<Lens>,
@@ -32,12 +34,13 @@ impl Optics {
     pub fn new(episode: &EpisodeDraw, size: Option<(u32, u32)>, effects: EffectSet) -> Result<Self> {
         let draw = *episode.camera(effects);
         let processing = effects.contains(Effect::CameraProcessing).then_some(episode.photo.processing);
+        let readout = if effects.contains(Effect::RollingShutter) { episode.photo.readout } else { 0.0 };
         let size = size.filter(|_| effects.contains(Effect::Rendering));
         let lens = match size.filter(|_| effects.contains(Effect::LensDistortion)) {
             Some(size) => Some(Lens::new(&draw, size)?),
             None => None,
         };
-        Ok(Self { draw, processing, size, lens })
+        Ok(Self { draw, processing, readout, size, lens })
     }
 
     /// Returns the vertical field of view that the engine renders, rad.
@@ -82,7 +85,7 @@ impl HeadCamera {
     ) -> Result<Self> {
         let (head, camera) = (world.mocap(HEAD)?, world.camera(HEAD)?);
         let (intrinsics, observes_depth) = (optics.intrinsics(), observed.contains(&Observation::Depth));
-        let Optics { draw, processing, size, lens } = optics;
+        let Optics { draw, processing, readout, size, lens } = optics;
         let sensor = match size {
             Some(size) => {
                 let options = SensorOptions {
@@ -93,6 +96,7 @@ impl HeadCamera {
                     effects,
                     steps_per_frame,
                     processing,
+                    readout,
                     seed,
                 };
                 Some(ImageSensor::new(world, &draw, options)?)

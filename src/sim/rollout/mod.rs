@@ -79,8 +79,9 @@ impl Rollout {
     pub fn new(scene: &Scene, seed: u64, options: &RolloutOptions) -> Result<Self> {
         let (rigs, spreaders) = (options.rigs()?, options.spreaders()?);
         let glove = scene.spec.glove.as_ref().map(|spec| glove(spec, &options.hands, seed)).transpose()?;
-        let episode = EpisodeDraw::sample(scene, seed, &rigs)?;
+        let mut episode = EpisodeDraw::sample(scene, seed, &rigs)?;
         let (effects, physics) = options.effects_and_physics(&scene.spec)?;
+        episode.photo.furnish(options.backgrounds.as_deref(), options.prop_meshes.as_deref())?;
         let optics = Optics::new(&episode, options.picture, effects)?;
         let (model, files) = mjcf::write(&episode, &rigs, effects, optics.fovy())?;
         let mut world = World::from_mjcf_with_files(&model, &files, &physics)?;

@@ -1,10 +1,13 @@
 //! Options of a rollout beside the scene itself.
 
+use std::sync::Arc;
+
 use crate::error::{Error, Result};
 use crate::geometry::{ForceSpreader, SIGMA};
 use crate::hand::{HandModel, N_BETAS, Side};
 use crate::mujoco::PhysicsOptions;
 use crate::sim::effect::{Effect, EffectSet};
+use crate::sim::photo::{Backgrounds, PropMeshes};
 use crate::sim::rig::HandRig;
 use crate::sim::scene::{EffectPlan, LookStyle, SceneSpec};
 
@@ -21,6 +24,10 @@ pub struct RolloutOptions {
     pub shadows: bool,
     /// Style of the look instead of the scene's.
     pub style: Option<LookStyle>,
+    /// Photographs for walls, floor and table; they need [`Effect::Textures`].
+    pub backgrounds: Option<Arc<Backgrounds>>,
+    /// Meshes for the clutter; they need [`Effect::Clutter`].
+    pub prop_meshes: Option<Arc<PropMeshes>>,
     /// Effects instead of those of the scene; for measuring the cost of an effect.
     pub effects: Option<EffectSet>,
     /// Standard deviation of the kernel that spreads contact forces, m.
@@ -41,6 +48,8 @@ impl Default for RolloutOptions {
             picture: Some((224, 224)),
             shadows: false,
             style: None,
+            backgrounds: None,
+            prop_meshes: None,
             effects: None,
             sigma: SIGMA,
             physics: None,
@@ -108,6 +117,13 @@ impl RolloutOptions {
             effects = pictures.fold(effects, EffectSet::without);
         }
         effects.check()?;
+        let own = [
+            ("backgrounds", self.backgrounds.is_some(), Effect::Textures),
+            ("objects of the background", self.prop_meshes.is_some(), Effect::Clutter),
+        ];
+        if let Some((what, _, effect)) = own.iter().find(|(_, given, effect)| *given && !effects.contains(*effect)) {
+            return Err(Error::value(*what, format!("a look with {effect}: varied or photo"), "a look without it"));
+        }
         Ok(effects)
     }
 }

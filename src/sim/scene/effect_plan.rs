@@ -173,9 +173,11 @@ impl SceneFacts {
             self.decide_style(Effect::SkinDetail),
             self.decide_style(Effect::Textures),
             self.decide_style(Effect::Clutter),
+            self.decide_style(Effect::AmbientOcclusion),
             self.decide_style(Effect::Wearer),
             self.decide_style(Effect::MoreLamps),
             self.decide_style(Effect::OtherCamera),
+            self.decide_style(Effect::RollingShutter),
             self.decide_style(Effect::CameraProcessing),
         ]
     }

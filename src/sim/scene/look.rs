@@ -36,25 +36,27 @@ pub enum LookStyle {
     /// None of them: colours without texture.
     #[default]
     Plain,
-    /// Painted skin and gloves, textures, clutter, more lamps.
+    /// Painted skin and gloves, textures, clutter, more lamps, shade in creases.
     Varied,
-    /// All of them: also the wearer, other cameras, and the processing of a real camera.
+    /// All of them: also the wearer, other cameras, their rolling shutter, and the processing of a real camera.
     Photo,
 }
 
 impl LookStyle {
     /// Effects of the richest style.
-    const ALL: [Effect; 7] = [
+    const ALL: [Effect; 9] = [
         Effect::SkinDetail,
         Effect::Textures,
         Effect::Clutter,
         Effect::MoreLamps,
+        Effect::AmbientOcclusion,
         Effect::Wearer,
         Effect::OtherCamera,
+        Effect::RollingShutter,
         Effect::CameraProcessing,
     ];
     /// Number of them that the varied style has, from the first one.
-    const VARIED: usize = 4;
+    const VARIED: usize = 5;
 
     /// Returns the style of this name.
     ///
