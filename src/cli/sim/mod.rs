@@ -163,6 +163,10 @@ struct RolloutArgs {
     /// clutter, lamps), photo (also the wearer, other cameras, and the processing of a real camera).
     #[arg(long, value_name = "STYLE", value_parser = ["plain", "varied", "photo"])]
     look: Option<String>,
+    /// Hands in the scene, in place of its own: none (the objects alone), left or right (the acting hand alone, on this side),
+    /// both (also the hand that is there sometimes).
+    #[arg(long = "hands", value_name = "HANDS", value_parser = ["none", "left", "right", "both"])]
+    present: Option<String>,
     #[command(flatten)]
     kernel: Kernel,
     #[command(flatten)]
