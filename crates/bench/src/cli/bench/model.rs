@@ -147,8 +147,7 @@ fn grow(args: &Args, frames: usize) -> anyhow::Result<bool> {
     let setup = setup(args)?;
     let model = EgoTac::new(&setup.config, init::var_builder(&VarMap::new(), 0, &setup.device))?;
     let metadata = Metadata::new(&setup.name, 1.0, 0.04);
-    let checkpoint =
-        Checkpoint { model: model.compile(setup.precision)?, metadata, familiarity: None, sha256: String::new() };
+    let checkpoint = Checkpoint::new(model.compile(setup.precision)?, metadata);
     let mut predictor = Predictor::new(checkpoint, Options { device: setup.device, ..Options::default() })?;
     let growth = growth::measure(&mut predictor, &setup.name, frames)?;
     if let Some(out) = &args.out {
