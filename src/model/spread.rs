@@ -24,9 +24,10 @@ pub const LEVEL: f64 = 0.9;
 pub const LEAST_N: f32 = 0.01;
 /// Number of bins of a table.
 const BINS: usize = 24;
-/// Predictions of at least [`LEAST_N`] that a table is fitted to, at least: thirty for each bin, so that a bin's 5 % quantile
-/// has a neighbour on both sides.
-pub const MIN_PREDICTIONS: usize = 30 * (BINS - 1);
+/// Predictions of a bin, at least, so that its 5 % quantile has a neighbour on both sides.
+const MIN_OF_BIN: usize = 30;
+/// Predictions of at least [`LEAST_N`] that a table is fitted to, at least: three bins.
+pub const MIN_PREDICTIONS: usize = 3 * MIN_OF_BIN;
 
 /// Intervals of the force of a vertex and of the total force of a hand, given the prediction.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,7 +53,7 @@ impl Intervals {
     /// Fits the table to pairs of predicted and true force, N.
     ///
     /// # Errors
-    /// If fewer than 690 predictions are at least 0.01 N.
+    /// If fewer than 90 predictions are at least 0.01 N.
     pub fn fit(name: &str, mut pairs: Vec<[f32; 2]>) -> Result<Self> {
         pairs.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let (near_zero, above) = pairs.split_at(pairs.partition_point(|pair| pair[0] < LEAST_N));
@@ -60,26 +61,27 @@ impl Intervals {
             let expected = format!("at least {MIN_PREDICTIONS} predictions of {LEAST_N} N or more");
             return Err(Error::value(format!("{name}, to measure the spread"), expected, above.len()));
         }
-        let mut fitted = Self { predicted: Vec::new(), low: Vec::new(), high: Vec::new() };
-        let bounds = (0..BINS).map(|i| i * above.len() / (BINS - 1));
-        let bins = bounds.clone().zip(bounds.skip(1)).map(|(start, end)| &above[start..end]);
-        for bin in std::iter::once(near_zero).chain(bins) {
+        let row = |bin: &[[f32; 2]]| -> [f32; 3] {
             let quantile =
                 |column: usize, share| percentile(bin.iter().map(|pair| f64::from(pair[column])), share) as f32;
             let half = 0.5 * (1.0 - LEVEL);
-            let (low, high) = match bin.is_empty() {
-                true => (0.0, 0.0),
-                false => (quantile(1, half), quantile(1, 1.0 - half)),
-            };
-            fitted.predicted.push(if fitted.predicted.is_empty() { 0.0 } else { quantile(0, 0.5) });
-            fitted.low.push(low);
-            fitted.high.push(high);
-        }
+            [quantile(0, 0.5), quantile(1, half), quantile(1, 1.0 - half)]
+        };
+        let bins = (above.len() / MIN_OF_BIN).min(BINS - 1);
+        let bounds = (0..=bins).map(|i| i * above.len() / bins);
+        let mut rows: Vec<[f32; 3]> =
+            bounds.clone().zip(bounds.skip(1)).map(|(start, end)| row(&above[start..end])).collect();
         // Equal predictions in two bins would leave no place to interpolate at.
-        for i in 1..BINS {
-            fitted.predicted[i] = fitted.predicted[i].max(fitted.predicted[i - 1] + 1e-6);
+        for i in 1..bins {
+            rows[i][0] = rows[i][0].max(rows[i - 1][0] * (1.0 + 1e-5));
         }
-        Ok(fitted)
+        let first = match near_zero {
+            [] => [0.0; 3],
+            bin => [0.0, row(bin)[1], row(bin)[2]],
+        };
+        let all: Vec<[f32; 3]> = std::iter::once(first).chain(refined(&rows)).collect();
+        let [predicted, low, high] = [0, 1, 2].map(|column| all.iter().map(|row| row[column]).collect());
+        Ok(Self { predicted, low, high })
     }
 
     /// Returns the lower and upper bound at a predicted force, N; NaN where it is unknown.
@@ -122,6 +124,20 @@ impl Intervals {
             }
         }
     }
+}
+
+/// Returns 23 rows of centre, low and high: those given, or as many between the first and the last of fewer.
+fn refined(rows: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let last = rows.len() - 1;
+    let at = |i: usize| {
+        let place = i as f32 / (BINS - 2) as f32 * last as f32;
+        let before = (place as usize).min(last.saturating_sub(1));
+        let share = place - before as f32;
+        std::array::from_fn(|column| {
+            rows[before][column] + share * (rows[(before + 1).min(last)][column] - rows[before][column])
+        })
+    };
+    if rows.len() == BINS - 1 { rows.to_vec() } else { (0..BINS - 1).map(at).collect() }
 }
 
 impl Spread {
