@@ -100,6 +100,18 @@ impl Preparation {
             Resize::Squash => pixel[axis] / sides[axis],
         })
     }
+
+    /// Returns the pixel of an image of this size at a position in the input; the inverse of [`Preparation::place`].
+    pub fn pixel(&self, place: [f64; 2], width: usize, height: usize) -> [f64; 2] {
+        let sides = [width as f64, height as f64];
+        let (short, long) = (sides[0].min(sides[1]), sides[0].max(sides[1]));
+        std::array::from_fn(|axis| match self.resize {
+            Resize::Centre => 0.5 * sides[axis] + CENTRE * short * (place[axis] - 0.5),
+            Resize::Crop => 0.5 * sides[axis] + short * (place[axis] - 0.5),
+            Resize::Letterbox => 0.5 * sides[axis] + long * (place[axis] - 0.5),
+            Resize::Squash => place[axis] * sides[axis],
+        })
+    }
 }
 
 /// Decodes a PNG or JPEG file to RGB with 8 bits; grey is repeated, transparency is dropped.

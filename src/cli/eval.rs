@@ -12,8 +12,8 @@ use std::process::ExitCode;
 use anyhow::bail;
 
 use crate::hand::Side;
-use crate::model::Precision;
-use crate::score::metrics::{self, Comparison, EvalOptions, Intervals, Metrics, VertexGroup};
+use crate::model::{Precision, Spread};
+use crate::score::metrics::{self, Comparison, Coverage, EvalOptions, Intervals, Metrics, Reliability, VertexGroup};
 use crate::tactile::TactileSequence;
 
 use super::doubt::Doubt;
@@ -124,6 +124,8 @@ struct Case {
     unknown: Option<f64>,
     /// Store and scene of each episode; empty if they are not known.
     origins: Vec<groups::Origin>,
+    /// Intervals of the forces, of a checkpoint that has them.
+    spread: Option<Spread>,
 }
 
 impl Case {
@@ -151,6 +153,8 @@ struct Scored {
     baselines: Vec<(&'static str, Metrics)>,
     lag: Option<f64>,
     unknown: Option<f64>,
+    reliability: Reliability,
+    coverage: Option<Coverage>,
     groups: Vec<groups::Scored>,
     against: Option<Comparison>,
     options: EvalOptions,
@@ -215,6 +219,19 @@ fn score(args: &Args, groupings: &[Grouping], case: &mut Case) -> anyhow::Result
         }
         None => None,
     };
-    let options = case.options.clone();
-    Ok(Scored { metrics, intervals, baselines, lag: case.lag, unknown: case.unknown, groups: scored, against, options })
+    let reliability = metrics::reliability(&case.pred, &case.target);
+    let coverage =
+        case.spread.as_ref().map(|spread| metrics::coverage(&case.pred, &case.target, spread)).transpose()?;
+    Ok(Scored {
+        metrics,
+        intervals,
+        baselines,
+        lag: case.lag,
+        unknown: case.unknown,
+        reliability,
+        coverage,
+        groups: scored,
+        against,
+        options: case.options.clone(),
+    })
 }

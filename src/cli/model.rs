@@ -1,9 +1,11 @@
 //! Command `egotac model`.
 
 mod attention;
+mod calibrate;
 mod convert;
 mod doubt;
 mod familiarity;
+mod presence;
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -39,6 +41,10 @@ enum Command {
     Half(convert::Half),
     /// Measure the features of training images, so that a checkpoint tells images unlike them.
     Familiarity(familiarity::Args),
+    /// Fit the estimate of presence and keypoints of the hands, so that a checkpoint tells images without hands.
+    Presence(presence::Args),
+    /// Fit the temperature of contact probabilities and the intervals of forces on frames with truth.
+    Calibrate(calibrate::Args),
     /// Show what a network knows and does not know of recordings, and of pictures that hold no hand.
     Doubt(doubt::Args),
     /// Print geometry, parameter count, metadata and hash of a checkpoint.
@@ -83,6 +89,8 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Grow(args) => convert::grow(&args)?,
         Command::Half(args) => convert::half(&args)?,
         Command::Familiarity(args) => familiarity::run(&args)?,
+        Command::Presence(args) => presence::run(&args)?,
+        Command::Calibrate(args) => calibrate::run(&args)?,
         Command::Doubt(args) => doubt::run(&args)?,
         Command::Info(args) => info(&args)?,
     }
@@ -129,13 +137,15 @@ fn images(path: &Path, device: &Device) -> anyhow::Result<Tensor> {
 }
 
 fn info(args: &Info) -> anyhow::Result<()> {
-    let Checkpoint { model, metadata, familiarity, sha256 } = Checkpoint::load(&args.weights, &Device::Cpu)?;
+    let Checkpoint { model, metadata, familiarity, presence, spread, sha256 } =
+        Checkpoint::load(&args.weights, &Device::Cpu)?;
     let config = model.config();
     let parameters = checkpoint::parameter_count(config)?;
     if args.json {
         let text = serde_json::json!({
             "file": args.weights, "sha256": sha256, "parameters": parameters, "config": config,
-            "metadata": metadata.to_map(), "familiarity": familiarity.is_some(),
+            "metadata": metadata.to_map(), "familiarity": familiarity.is_some(), "presence": presence.is_some(),
+            "spread": spread.is_some(),
         });
         println!("{}", serde_json::to_string_pretty(&text)?);
         return Ok(());
@@ -157,6 +167,14 @@ fn info(args: &Info) -> anyhow::Result<()> {
     match familiarity {
         Some(_) => println!("  familiarity  estimated; touch is unknown below {}", metadata.doubt.familiarity),
         None => println!("  familiarity  not estimated: `egotac model familiarity` adds it"),
+    }
+    match presence {
+        Some(_) => println!("  presence    estimated; touch of a hand is unknown below {}", metadata.doubt.presence),
+        None => println!("  presence    not estimated: `egotac model presence` adds it"),
+    }
+    match spread {
+        Some(_) => println!("  spread      {:.0} % intervals of forces", 100.0 * crate::model::spread::LEVEL),
+        None => println!("  spread      not measured: `egotac model calibrate` adds it"),
     }
     for (key, value) in metadata.to_map() {
         if !["name", "frame_dt"].contains(&key.as_str()) {

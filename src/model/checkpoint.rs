@@ -10,7 +10,9 @@ use safetensors::{Dtype, tensor::TensorView};
 use super::familiarity::Familiarity;
 use super::finite::check_finite_in;
 use super::metadata::Metadata;
+use super::presence::Presence;
 use super::shapes::{self, Shapes};
+use super::spread::Spread;
 use super::weights::{self, WeightsFile};
 use super::{Config, EgoTac, Precision};
 use crate::error::{Error, Result};
@@ -39,11 +41,20 @@ pub struct Checkpoint {
     pub metadata: Metadata,
     /// Statistics of the encoder's features; None in a checkpoint that has none.
     pub familiarity: Option<Familiarity>,
+    /// Weights that estimate presence and keypoints of the hands; None in a checkpoint that has none.
+    pub presence: Option<Presence>,
+    /// Intervals of the forces; None in a checkpoint that has none.
+    pub spread: Option<Spread>,
     /// SHA-256 of the file, lower-case hexadecimal, as `sha256sum` prints it.
     pub sha256: String,
 }
 
 impl Checkpoint {
+    /// Creates a checkpoint without optional parts that no file holds.
+    pub fn new(model: EgoTac, metadata: Metadata) -> Self {
+        Self { model, metadata, familiarity: None, presence: None, spread: None, sha256: String::new() }
+    }
+
     /// Loads a checkpoint for inference in f32.
     ///
     /// # Errors
@@ -62,12 +73,15 @@ impl Checkpoint {
         let file = WeightsFile::parse(path, &bytes)?;
         let metadata = Metadata::from_map(path, file.metadata())?;
         let model = file.model(&file.config()?, device, precision)?;
-        let familiarity = Familiarity::from_tensors(path, &file.optional_tensors()?)?;
+        let optional = file.optional_tensors()?;
+        let familiarity = Familiarity::from_tensors(path, &optional)?;
+        let presence = Presence::from_tensors(&optional)?;
+        let spread = Spread::from_tensors(path, &optional)?;
         drop(file);
         let sha256 = file::sha256(&bytes);
         // Compiling lays the weights out anew: the bytes of the file need not lie in memory too.
         drop(bytes);
-        Ok(Self { model: model.compile(precision)?, metadata, familiarity, sha256 })
+        Ok(Self { model: model.compile(precision)?, metadata, familiarity, presence, spread, sha256 })
     }
 
     /// Saves the variables of a network in training in an atomic write. Returns the SHA-256 of the file.

@@ -4,8 +4,10 @@
 //!
 //! ```text
 //! force   = max(0, force_scale · f)     newtons; NaN if the force head was never trained
-//! contact = σ(l) = 1 / (1 + e^-l)       probability
+//! contact = σ(l / T)                    probability; σ(x) = 1 / (1 + e^-x), T the checkpoint's temperature
 //! ```
+//!
+//! T is positive, so that a contact above 0.5 is one whose logit is positive, whatever T is.
 //!
 //! Stream ([`super::Predictor`]) and batch (evaluation) use these functions.
 
@@ -44,7 +46,7 @@ impl HeadOutputs {
         if metadata.has_force {
             check_finite("force_head in newtons", &force)?;
         }
-        contact.iter_mut().for_each(|value| *value = probability(*value));
+        contact.iter_mut().for_each(|value| *value = probability(*value / metadata.contact_temperature));
         Ok((force, contact))
     }
 }
@@ -96,6 +98,17 @@ mod tests {
         let contact_only = Metadata { has_force: false, ..metadata };
         let (force, _) = outputs(2.0, 0.0, 1).first_step(&contact_only).unwrap();
         assert!(force.len() == 2 * N_FIELD && force.iter().all(|newtons| newtons.is_nan()));
+    }
+
+    #[test]
+    fn a_temperature_moves_probabilities_and_never_across_one_half() {
+        let calibrated = Metadata { contact_temperature: 2.0, ..Metadata::new("a", 1.0, 0.04) };
+        for logit in [-7.0f32, -0.3, 0.0, 0.3, 7.0] {
+            let (_, contact) = outputs(0.0, logit, 1).first_step(&calibrated).unwrap();
+            let expected = 1.0 / (1.0 + (-logit / 2.0).exp());
+            assert!((contact[0] - expected).abs() < 1e-6, "{logit}: {}, expected {expected}", contact[0]);
+            assert_eq!(contact[0] > 0.5, probability(logit) > 0.5);
+        }
     }
 
     #[test]

@@ -17,6 +17,8 @@ use crate::tactile::ForceKind;
 const FAMILIARITY: &str = "familiarity_threshold";
 /// Key of the threshold of presence; absent = the default.
 const PRESENCE: &str = "presence_threshold";
+/// Key of the temperature of the contact logits; absent = 1.
+const TEMPERATURE: &str = "contact_temperature";
 
 /// Metadata of a checkpoint; one key of the file's metadata per field.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,6 +45,8 @@ pub struct Metadata {
     pub std: [f32; 3],
     /// Thresholds below which touch is unknown.
     pub doubt: DoubtThresholds,
+    /// Temperature T that contact logits are divided by, so that probabilities agree with frequencies; 1 = not calibrated.
+    pub contact_temperature: f32,
     /// Data, command, seed and metrics of the training: free text, JSON if egotac trained the network.
     pub training: String,
 }
@@ -62,6 +66,7 @@ impl Metadata {
             mean: IMAGENET_MEAN,
             std: IMAGENET_STD,
             doubt: DoubtThresholds::default(),
+            contact_temperature: 1.0,
             training: String::new(),
         }
     }
@@ -82,6 +87,7 @@ impl Metadata {
         };
         positive("force_scale", f64::from(self.force_scale))?;
         positive("frame_dt", self.frame_dt)?;
+        positive(TEMPERATURE, f64::from(self.contact_temperature))?;
         self.doubt.check()?;
         self.std.iter().try_for_each(|std| positive("std", f64::from(*std)))?;
         match self.mean.iter().find(|mean| !mean.is_finite()) {
@@ -106,8 +112,11 @@ impl Metadata {
             ("training".into(), self.training.clone()),
         ]);
         let (own, default) = (self.doubt, DoubtThresholds::default());
-        let optional =
-            [(FAMILIARITY, own.familiarity, default.familiarity), (PRESENCE, own.presence, default.presence)];
+        let optional = [
+            (FAMILIARITY, own.familiarity, default.familiarity),
+            (PRESENCE, own.presence, default.presence),
+            (TEMPERATURE, self.contact_temperature, 1.0),
+        ];
         // Files of before these keys keep their bytes.
         for (key, value, _) in optional.into_iter().filter(|(_, value, default)| value != default) {
             map.insert(key.into(), json(&value));
@@ -134,10 +143,11 @@ impl Metadata {
             serde_json::from_str(json)
                 .map_err(|_| Error::file(path, format!("metadata {key:?}: expected {expected}, got {json:?}")))
         }
-        let threshold = |key: &str, default: f32| match map.get(key) {
-            Some(json) => parse(path, key, json, "a number from 0 to 1"),
+        let optional = |key: &str, default: f32, expected: &str| match map.get(key) {
+            Some(json) => parse(path, key, json, expected),
             None => Ok(default),
         };
+        let threshold = |key: &str, default: f32| optional(key, default, "a number from 0 to 1");
         let default = DoubtThresholds::default();
         let quoted = |key: &str| Ok::<_, Error>(json(&text(key)?));
         let metadata = Self {
@@ -156,6 +166,7 @@ impl Metadata {
                 familiarity: threshold(FAMILIARITY, default.familiarity)?,
                 presence: threshold(PRESENCE, default.presence)?,
             },
+            contact_temperature: optional(TEMPERATURE, 1.0, "a finite number > 0")?,
             training: text("training")?,
         };
         metadata.check().map_err(|error| Error::file(path, error))?;

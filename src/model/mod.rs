@@ -6,8 +6,9 @@
 //! [`EgoTac::new`] on an [`init::var_builder`] creates a network to train; [`Checkpoint::load`] loads one to run, and
 //! [`predictor::Predictor`] runs it on a stream of images. Two rules hold for streams and batches alike: [`window`]
 //! chooses the frames of an observation window, `heads` converts the outputs of the network to newtons and probabilities:
-//! force = max(0, `force_scale` · f), contact = 1 / (1 + e^-l).
-//! A third one, [`unknown`], says which touch a network does not know, by the [`familiarity`] of the image.
+//! force = max(0, `force_scale` · f), contact = 1 / (1 + e^(-l/T)) with the temperature T of the checkpoint.
+//! A third one, [`unknown`], says which touch a network does not know, by the [`familiarity`] of the image
+//! and the [`presence`] of each hand.
 
 mod attention;
 #[doc(hidden)]
@@ -30,11 +31,13 @@ pub mod init;
 pub mod metadata;
 pub mod precision;
 pub mod predictor;
+pub mod presence;
 #[doc(hidden)]
 pub mod pretrained;
 mod pytorch;
 mod shapes;
 pub mod shipped;
+pub mod spread;
 mod stages;
 mod temporal;
 pub mod unknown;
@@ -55,6 +58,8 @@ pub use familiarity::Familiarity;
 pub use metadata::Metadata;
 pub use precision::Precision;
 pub use predictor::{Prediction, Predictor};
+pub use presence::{HandEstimate, Keypoint, Presence};
+pub use spread::Spread;
 pub use stages::Stages;
 pub use unknown::{DoubtThresholds, Unknown};
 

@@ -7,7 +7,7 @@ use ::image::RgbImage;
 use candle_core::{Device, Tensor};
 
 use super::unknown::Unknown;
-use super::{Checkpoint, Config, EgoTac, Metadata, Precision, familiarity, window};
+use super::{Checkpoint, Config, EgoTac, HandEstimate, Metadata, Precision, Spread, familiarity, window};
 use crate::error::{Error, Result};
 use crate::hand::{FieldMap, Topology};
 use crate::tactile::{Certainty, TactileField};
@@ -57,6 +57,8 @@ pub struct Prediction {
     pub field: TactileField,
     /// Estimates about the image, and the hands whose touch is unknown.
     pub certainty: Certainty,
+    /// Presence and keypoints of the left and the right hand in this image; None if the checkpoint does not estimate them.
+    pub hands: Option<[HandEstimate; 2]>,
     /// True if the stream does not reach back to the start of the window, so that the oldest frame is repeated.
     pub warming_up: bool,
     /// True if this image started a new stream: the first one, a jump back in time, or an interval that is too long.
@@ -148,16 +150,25 @@ impl Predictor {
 
     /// True if the checkpoint can tell absent hands.
     pub fn estimates_presence(&self) -> bool {
-        false
+        self.checkpoint.presence.is_some()
+    }
+
+    /// Intervals of predicted forces; None if the checkpoint has none.
+    pub fn spread(&self) -> Option<&Spread> {
+        self.checkpoint.spread.as_ref()
     }
 
     /// Returns a warning for people if the checkpoint lacks an estimate of what it does not know; None if it has all.
     pub fn warning(&self) -> Option<String> {
-        let missing = (!self.estimates_familiarity()).then_some("how familiar an image is")?;
         let name = &self.metadata().name;
+        let (missing, whose, command) = match (self.estimates_familiarity(), self.estimates_presence()) {
+            (true, true) => return None,
+            (false, _) => ("how familiar an image is", "every image, whatever it shows", "familiarity"),
+            (true, false) => ("which hands are in the image", "hands that are not in it too", "presence"),
+        };
         Some(format!(
-            "network {name} does not tell {missing}: touch is reported for every image, whatever it shows; `egotac model \
-             familiarity` adds that to a checkpoint"
+            "network {name} does not tell {missing}: touch is reported for {whose}; `egotac model {command}` adds that to a \
+             checkpoint"
         ))
     }
 
@@ -242,7 +253,7 @@ impl Predictor {
         }
         let input = Tensor::from_vec(input, (1, 3, side, side), &self.device)?;
         let encoded = self.model().frame_tokens(&input)?;
-        let mut certainty = self.judge(&encoded.encoded);
+        let (mut certainty, hands) = self.judge(&encoded.encoded);
         let tokens = encoded.projected;
 
         // A copy of the list (the tokens are shared) that replaces it only on success.
@@ -266,14 +277,16 @@ impl Predictor {
         };
         let warming_up = window::is_warming_up(&stamps, horizon, frame_dt);
         self.frames = frames;
-        Ok(Prediction { stamp_secs, field, certainty, warming_up, restarted })
+        Ok(Prediction { stamp_secs, field, certainty, hands, warming_up, restarted })
     }
 
     /// Judges a frame by its tokens, `(P, dv)`.
-    fn judge(&self, tokens: &[f32]) -> Certainty {
+    fn judge(&self, tokens: &[f32]) -> (Certainty, Option<[HandEstimate; 2]>) {
         let feature = familiarity::features(tokens, self.config().tokens(), self.config().vision_width);
         let familiarity = self.checkpoint.familiarity.as_ref().map(|statistics| statistics.of(&feature));
-        self.metadata().doubt.judge(familiarity, [None; 2])
+        let hands = self.checkpoint.presence.as_ref().map(|weights| weights.of(tokens));
+        let presence = hands.map_or([None; 2], |hands| hands.map(|hand| Some(hand.presence)));
+        (self.metadata().doubt.judge(familiarity, presence), hands)
     }
 
     /// True if an image with this stamp starts a new stream.

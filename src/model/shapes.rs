@@ -8,6 +8,8 @@ use candle_core::Tensor;
 use super::attention::Mlp;
 use super::config::Config;
 use super::familiarity::{self, Familiarity};
+use super::presence::{self, Presence};
+use super::spread::{self, Spread};
 use crate::error::{Error, Result};
 use crate::tactile::N_FIELD;
 
@@ -28,15 +30,22 @@ pub fn of_network(config: &Config) -> Shapes {
 
 /// True for the name of a tensor that a checkpoint may lack, and that the network itself does not use.
 pub fn is_optional(name: &str) -> bool {
-    name.starts_with(familiarity::PREFIX)
+    [familiarity::PREFIX, presence::PREFIX, spread::PREFIX].iter().any(|prefix| name.starts_with(prefix))
 }
 
 /// Returns the tensors of a checkpoint that has `found`: those of the network, and each group of optional tensors of which
 /// one is there.
 pub fn of_checkpoint(config: &Config, found: &Shapes) -> Shapes {
     let mut expected = of_network(config);
-    if found.keys().any(|name| name.starts_with(familiarity::PREFIX)) {
-        expected.extend(Familiarity::shapes(config.vision_width));
+    let groups = [
+        (familiarity::PREFIX, Familiarity::shapes(config.vision_width)),
+        (presence::PREFIX, Presence::shapes(config.vision_width)),
+        (spread::PREFIX, Spread::shapes()),
+    ];
+    for (prefix, shapes) in groups {
+        if found.keys().any(|name| name.starts_with(prefix)) {
+            expected.extend(shapes);
+        }
     }
     expected
 }

@@ -27,7 +27,9 @@ pub fn region_rows(labelled: &Labelled, hands: &[HandModel; 2]) -> Vec<RegionRow
             let (mut known, mut touched, mut force) = (0u64, 0u64, 0.0);
             let labels = &labelled.labels;
             let frames = (0..labels.n_frames()).map(|frame| (labels.force_at(frame), labels.contact_at(frame)));
-            for (forces, contacts) in frames.filter(|(_, contacts)| !contacts[0].is_nan()) {
+            // Touch is unknown on a whole hand, or known on it.
+            let first = side.range().start;
+            for (forces, contacts) in frames.filter(|(_, contacts)| !contacts[first].is_nan()) {
                 known += 1;
                 if vertices.iter().any(|vertex| f64::from(contacts[*vertex]) > CONTACT_THRESHOLD) {
                     touched += 1;

@@ -148,7 +148,7 @@ impl Dataset {
         let mut known = false;
         for store in &mut self.stores {
             let points = keypoints::read(&store.reader, 0..store.reader.len(), &self.preparation)?;
-            known |= points.iter().flatten().any(|place| !place[0].is_nan());
+            known |= keypoints::has_poses(&store.reader);
             store.keypoints = Some(points);
         }
         match known {
@@ -216,6 +216,11 @@ impl Dataset {
     /// Returns the keypoints of every frame of a store, after [`find_keypoints`](Self::find_keypoints).
     pub(super) fn keypoints(&self, store: usize) -> Option<&[Points]> {
         self.stores[store].keypoints.as_deref()
+    }
+
+    /// True if the keypoints of a store's frames are known, or known not to be in the image.
+    pub(super) fn knows_hands(&self, store: usize) -> bool {
+        self.stores[store].keypoints.is_some() && keypoints::has_poses(&self.stores[store].reader)
     }
 
     /// Returns the time stamps of a store, s.

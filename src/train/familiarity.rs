@@ -19,7 +19,7 @@ const BLOCK: usize = 32;
 const HELD_OUT: usize = 5;
 
 /// Parts of a dataset's episodes: store and frames of each.
-type Parts = Vec<(usize, Range<usize>)>;
+pub(super) type Parts = Vec<(usize, Range<usize>)>;
 
 /// Measures the features of training frames and their distances on held-out frames, evenly spread over both. Without
 /// held-out stores, every fifth training episode is held out, or the last fifth of a single one.
@@ -65,7 +65,7 @@ pub fn measure_if_enough(
 }
 
 /// Splits episodes into those to fit and those held out.
-fn split(episodes: Parts) -> (Parts, Parts) {
+pub(super) fn split(episodes: Parts) -> (Parts, Parts) {
     if let [(store, only)] = episodes.as_slice() {
         let border = only.end - only.len() / HELD_OUT;
         return (vec![(*store, only.start..border)], vec![(*store, border..only.end)]);

@@ -3,11 +3,12 @@
 //! Touch alone is a weak signal for an encoder: 1556 numbers that are mostly zero. With random initial weights, a network
 //! learns to see the hands sooner if it must also locate their keypoints. The patch tokens predict which patch contains each
 //! keypoint (one softmax over the patches per keypoint, with cross-entropy); the CLS token and the scene vector predict the
-//! keypoints' coordinates (mean absolute error). The three linear heads are not part of the network and are not saved.
+//! keypoints' coordinates (mean absolute error). The three linear heads are not part of the network. At the end of a run the
+//! patch head is the start of the estimate of presence and keypoints that the checkpoint gets ([`super::presence`]).
 
 use std::ops::Range;
 
-use candle_core::{D, Tensor};
+use candle_core::{D, Device, Tensor};
 use candle_nn::{Init, VarBuilder};
 use egotac_kernels::ops;
 use glam::{DQuat, DVec3};
@@ -31,8 +32,18 @@ pub const N_POINTS: usize = 2 * N_KEYPOINTS + 1;
 /// Weight of the coordinate errors (shares of the image's side) relative to the cross-entropy of the patches (nats).
 const COORDINATE_WEIGHT: f64 = 10.0;
 
-/// Positions of the points of one frame, as shares of the input's sides, x to the right, y down; NaN = unknown.
+/// Positions of the points of one frame, as shares of the input's sides, x to the right, y down; NaN = unknown, infinite = known
+/// not to be in the image.
 pub type Points = [[f32; 2]; N_POINTS];
+
+/// Arrays that the points are computed from.
+const NEEDED: [&str; 3] = [CAMERA_POSE, LEFT_HAND_POSE, RIGHT_HAND_POSE];
+
+/// True if a store says where the keypoints of the hands are, or that a hand is absent: it is of the built-in hand, and has
+/// poses of camera and hands.
+pub fn has_poses(reader: &ZarrReader) -> bool {
+    reader.attributes().topology == Topology::EgotacHand1 && NEEDED.iter().all(|name| reader.has(name))
+}
 
 /// Projects the points of a range of frames. All are NaN in a store without camera and hand poses, or of another hand than
 /// the built-in one.
@@ -41,8 +52,7 @@ pub type Points = [[f32; 2]; N_POINTS];
 /// If an array can't be read.
 pub fn read(reader: &ZarrReader, frames: Range<usize>, preparation: &Preparation) -> Result<Vec<Points>> {
     let unknown = [[f32::NAN; 2]; N_POINTS];
-    let needed = [CAMERA_POSE, LEFT_HAND_POSE, RIGHT_HAND_POSE];
-    if reader.attributes().topology != Topology::EgotacHand1 || needed.iter().any(|name| !reader.has(name)) {
+    if !has_poses(reader) {
         return Ok(vec![unknown; frames.len()]);
     }
     for array in reader.arrays().iter().filter(|array| array.name == CAMERA_POSE) {
@@ -50,7 +60,7 @@ pub fn read(reader: &ZarrReader, frames: Range<usize>, preparation: &Preparation
             return Err(Error::file(reader.path(), Error::shape(CAMERA_POSE, "(T, 7)", &array.shape)));
         }
     }
-    let [cameras, left, right] = needed.map(|name| reader.read_f32(name, frames.clone()));
+    let [cameras, left, right] = NEEDED.map(|name| reader.read_f32(name, frames.clone()));
     let (cameras, hands) = (cameras?, [left?, right?]);
     let objects = if reader.has(OBJECT_POSE) { reader.read_f32(OBJECT_POSE, frames.clone())? } else { Vec::new() };
     let models = Side::BOTH.map(HandModel::builtin);
@@ -59,22 +69,24 @@ pub fn read(reader: &ZarrReader, frames: Range<usize>, preparation: &Preparation
         let mut points = unknown;
         let episode = reader.episode_ends().partition_point(|end| *end <= frame);
         let Some(camera) = Camera::read(reader, episode, &cameras[7 * row..7 * row + 7]) else { return points };
-        let mut put = |index: usize, world: DVec3| {
-            if let Some(pixel) = camera.project(world) {
-                points[index] = preparation.place(pixel, width, height).map(|share| share as f32);
-            }
+        let place = |world: DVec3| match camera.project(world) {
+            Some(pixel) => preparation.place(pixel, width, height).map(|share| share as f32),
+            None if world.is_nan() || camera.position.is_nan() => [f32::NAN; 2],
+            None => [f32::INFINITY; 2],
         };
         for (hand, (poses, model)) in hands.iter().zip(&models).enumerate() {
             let pose: [f32; 61] = std::array::from_fn(|i| poses[61 * row + i]);
             if pose.iter().any(|x| *x != 0.0) {
                 let posed = model.forward(&HandParams::from_array(&pose));
                 for (k, point) in model.keypoints(&posed).iter().enumerate() {
-                    put(hand * N_KEYPOINTS + k, point.as_dvec3());
+                    points[hand * N_KEYPOINTS + k] = place(point.as_dvec3());
                 }
+            } else {
+                points[hand * N_KEYPOINTS..(hand + 1) * N_KEYPOINTS].fill([f32::INFINITY; 2]);
             }
         }
         if let Some([x, y, z, ..]) = objects.get(row * objects.len() / frames.len()..) {
-            put(2 * N_KEYPOINTS, DVec3::new(f64::from(*x), f64::from(*y), f64::from(*z)));
+            points[2 * N_KEYPOINTS] = place(DVec3::new(f64::from(*x), f64::from(*y), f64::from(*z)));
         }
         points
     };
@@ -160,6 +172,15 @@ impl Heads {
             cls: linear("cls", 2 * N_POINTS, config.vision_width)?,
             scene: linear("scene", 2 * N_POINTS, config.width)?,
         })
+    }
+
+    /// Returns weight and bias of the patch logits of the hands' keypoints, (42, dv) and (42), detached, on the CPU.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn hand_logits(&self) -> Result<(Tensor, Tensor)> {
+        let of = |tensor: &Tensor| tensor.narrow(0, 0, 2 * N_KEYPOINTS)?.detach().to_device(&Device::Cpu)?.copy();
+        Ok((of(&self.patch.0)?, of(&self.patch.1)?))
     }
 
     /// Computes the losses; 0 if no point is known.

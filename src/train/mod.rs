@@ -5,6 +5,7 @@
 
 mod augment;
 pub mod batch;
+pub mod calibration;
 mod checkpoint;
 pub mod config;
 mod curves;
@@ -20,6 +21,7 @@ mod mixture;
 pub mod optimizer;
 pub mod pass;
 mod predict;
+pub mod presence;
 mod run;
 pub mod sampler;
 mod setup;

@@ -3,13 +3,13 @@
 use std::fs::{self, File, OpenOptions};
 use std::path::{Path, PathBuf};
 
-use candle_core::Device;
+use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
 
 use super::config::Config;
 use super::optimizer::AdamW;
 use super::setup::Data;
-use super::{Started, checkpoint, familiarity, predict};
+use super::{Started, checkpoint, familiarity, keypoints, predict, presence};
 use crate::error::{Error, Result};
 use crate::file::{self, input, limits};
 use crate::model::{self, Checkpoint, EgoTac, Metadata};
@@ -116,8 +116,8 @@ impl Run<'_> {
         Checkpoint::save(&self.files.checkpoint, self.geometry, &metadata, &self.averaged(optimizer)?)
     }
 
-    /// As [`Run::save`], at the end of a run: with `measured`, the checkpoint also gets the statistics of its features, if
-    /// the stores hold enough frames. A run that is told to end at once has no time for them.
+    /// As [`Run::save`], at the end of a run: with `measured`, the checkpoint also gets the statistics of its features, and in a
+    /// run with the keypoint task the estimate of presence and keypoints, if the stores hold enough frames. A run that is told to end at once has no time for them.
     ///
     /// # Errors
     /// If a file can't be written, a store can't be read, or the network gives a number that is not finite.
@@ -140,6 +140,11 @@ impl Run<'_> {
         if let Some(statistics) = statistics {
             tensors.extend(statistics.tensors()?);
         }
+        if let Some(layer) = self.keypoint_layer(optimizer)? {
+            // The stores say where the hands are: what the network has learned of keypoints is kept.
+            let fitted = presence::fit_if_enough(&network, &self.data.training, self.config.seed, Some(layer))?;
+            tensors.extend(fitted.into_iter().flat_map(|fitted| fitted.tensors));
+        }
         let metadata = self.metadata(step, validated);
         Checkpoint::save_tensors(&self.files.checkpoint, self.geometry, &metadata, &tensors)
     }
@@ -147,6 +152,18 @@ impl Run<'_> {
     /// Returns a network that infers with the averaged weights.
     fn network(&self, averaged: &VarMap) -> Result<EgoTac> {
         EgoTac::new(self.geometry, model::init::var_builder(averaged, self.config.seed, self.device))?.freeze()
+    }
+
+    /// Returns weight and bias of the trained keypoint logits of both hands, on the CPU; None in a run without the keypoint task.
+    fn keypoint_layer(&self, optimizer: &AdamW) -> Result<Option<(Tensor, Tensor)>> {
+        if self.config.loss.keypoints <= 0.0 {
+            return Ok(None);
+        }
+        let mut varmap = VarMap::new();
+        let vb = model::init::var_builder(&varmap, self.config.seed, self.device).pp("keypoints");
+        let heads = keypoints::Heads::new(self.geometry, vb)?;
+        optimizer.write_average(&mut varmap)?;
+        heads.hand_logits().map(Some)
     }
 
     /// Returns the checkpoint's metadata after `step` steps.

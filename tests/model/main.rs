@@ -13,6 +13,7 @@ mod import;
 mod ops;
 mod parity;
 mod predictor;
+mod presence;
 mod pretrained;
 mod shipped;
 mod stable;

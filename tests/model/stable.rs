@@ -87,8 +87,7 @@ fn pictures_of_one_colour_give_a_field() {
     let config = Config::toy();
     for precision in Precision::ALL {
         let model = build(&config, &tensors(&config, 2)).compile(precision).unwrap();
-        let checkpoint =
-            Checkpoint { model, metadata: Metadata::new("toy", 1.0, 0.04), familiarity: None, sha256: String::new() };
+        let checkpoint = Checkpoint::new(model, Metadata::new("toy", 1.0, 0.04));
         let mut predictor = Predictor::new(checkpoint, Options::default()).unwrap();
         for (i, color) in [[0; 3], [255; 3], [255, 0, 0], [127; 3]].into_iter().enumerate() {
             let field = predictor.push(&RgbImage::from_pixel(90, 70, Rgb(color)), i as f64 * 0.04).unwrap().field;
@@ -175,12 +174,7 @@ fn an_image_whose_numbers_overflow_leaves_no_trace_in_the_stream() {
         let broken = Tensor::full(f32::INFINITY, tensors[weight].shape(), &Device::Cpu).unwrap();
         tensors.insert(weight.into(), broken);
         for (form, model) in forms(&config, &tensors) {
-            let checkpoint = Checkpoint {
-                model,
-                metadata: Metadata::new("toy", 1.0, 0.04),
-                familiarity: None,
-                sha256: String::new(),
-            };
+            let checkpoint = Checkpoint::new(model, Metadata::new("toy", 1.0, 0.04));
             let mut predictor = Predictor::new(checkpoint, Options::default()).unwrap();
             let error = predictor.push(&RgbImage::new(90, 70), 0.0).unwrap_err();
             assert!(error.is_recoverable(), "{weight} {form}: {error}");

@@ -58,7 +58,7 @@ fn batch(model: &EgoTac, windows: &[Vec<usize>]) -> Vec<Vec<f32>> {
 
 fn stream(model: &EgoTac, stamps: &[f64], frame_dt: f64) -> Vec<Vec<f32>> {
     let metadata = Metadata::new("toy", 1.0, frame_dt);
-    let checkpoint = Checkpoint { model: model.clone(), metadata, familiarity: None, sha256: String::new() };
+    let checkpoint = Checkpoint::new(model.clone(), metadata);
     let mut predictor = Predictor::new(checkpoint, Options::default()).unwrap();
     let contact = |(i, stamp): (usize, &f64)| predictor.push_prepared(pixels(i), *stamp).unwrap().field.contact;
     stamps.iter().enumerate().map(contact).collect()

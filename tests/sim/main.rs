@@ -10,6 +10,7 @@ mod environment;
 mod hostile;
 mod isolate;
 mod looks;
+mod present;
 mod rollout;
 mod scene_file;
 mod scenes;

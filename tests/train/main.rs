@@ -6,6 +6,7 @@ mod common;
 mod batch;
 mod folder;
 mod initial_weights;
+mod presence;
 mod proximity;
 mod recipes;
 mod training;

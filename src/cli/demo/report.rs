@@ -142,7 +142,11 @@ fn draw(path: &Path, run: &MessagesByStamp) -> Result<()> {
         "no image has both a prediction and a truth: see the logs of the nodes in {}",
         path.with_file_name("").display()
     );
-    let total = |field: &TactileField| f64::from(field.total_force(Side::Left) + field.total_force(Side::Right));
+    // Of the hands whose touch is known: an absent one adds nothing.
+    let total = |field: &TactileField| {
+        let known = Side::BOTH.into_iter().filter(|side| !field.is_unknown(*side));
+        known.map(|side| f64::from(field.total_force(side))).reduce(|sum, force| sum + force).unwrap_or(f64::NAN)
+    };
     let trace: Vec<TracePoint> = moments
         .iter()
         .map(|m| TracePoint { seconds: m.seconds, predicted: total(&m.predicted), truth: total(&m.truth) })

@@ -48,7 +48,9 @@ pub fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
     let lag = args.persistence.or(Some(predictor.metadata().frame_dt));
     let options = EvalOptions { calibration, fps: args.fps };
     let baselines = baselines(constants, &target, lag);
-    Ok(Case { pred, target, options, baselines, lag, unknown: None, origins })
+    // The intervals are those of vertices of the checkpoint's topology.
+    let spread = predictor.spread().filter(|_| predictor.mano().is_none()).cloned();
+    Ok(Case { pred, target, options, baselines, lag, unknown: None, origins, spread })
 }
 
 /// Reads predictions and truth from files.
@@ -75,7 +77,8 @@ pub fn of_files(args: &Args, pred_path: &Path, target_path: &Path) -> anyhow::Re
     let topology = target.topology.or(pred.topology).unwrap_or_default();
     let baselines = baselines(constants(args, topology)?, &target, args.persistence);
     let options = EvalOptions { calibration, fps: args.fps };
-    Ok(Case { pred, target, options, baselines, lag: args.persistence, unknown: None, origins })
+    let lag = args.persistence;
+    Ok(Case { pred, target, options, baselines, lag, unknown: None, origins, spread: None })
 }
 
 /// Checks that another prediction has the case's frames and topology.

@@ -3,7 +3,9 @@
 use serde_json::{Map, Value, json};
 
 use super::{Case, Scored};
-use crate::score::metrics::{self, EgophiScores, Metrics, egophi::egophi_table, evaluate_egophi};
+use crate::score::metrics::{
+    self, Coverage, EgophiScores, Metrics, Reliability, egophi::egophi_table, evaluate_egophi,
+};
 use crate::text::printable;
 
 /// Prints the scores.
@@ -18,6 +20,10 @@ pub fn write(scored: &Scored, as_json: bool) -> anyhow::Result<()> {
     println!("{}", about_persistence(scored.lag));
     if let Some(unknown) = scored.unknown {
         println!("unknown to the prediction, and left out of all scores: {:.2} % of the vertices", 100.0 * unknown);
+    }
+    println!("{}", about_reliability(&scored.reliability));
+    if let Some(coverage) = &scored.coverage {
+        println!("{}", about_coverage(coverage));
     }
     if let Some(calibration) = &scored.options.calibration {
         let (pred, target) = (calibration.pred(), calibration.target());
@@ -64,6 +70,43 @@ fn about_persistence(lag: Option<f64>) -> String {
     }
 }
 
+/// Describes the reliability diagram: a line for each bin, with a bar for the share of true contacts.
+fn about_reliability(reliability: &Reliability) -> String {
+    let shown = |error: Option<f64>| error.map_or("undefined".to_owned(), |error| format!("{error:.4}"));
+    let mut text = format!(
+        "expected calibration error of contact {}; of vertices with a probability of at least 0.05: {}",
+        shown(reliability.expected_calibration_error),
+        shown(reliability.expected_calibration_error_in_question)
+    );
+    for bin in &reliability.bins {
+        let bar = "#".repeat((40.0 * bin.frequency).round() as usize);
+        text += &format!(
+            "\n  probability {:.3}: {:5.1} % in contact, {:>9} vertices {bar}",
+            bin.probability,
+            100.0 * bin.frequency,
+            bin.entries
+        );
+    }
+    text
+}
+
+fn about_coverage(coverage: &Coverage) -> String {
+    let percent = |share: Option<f64>| share.map_or("undefined".to_owned(), |share| format!("{:.1} %", 100.0 * share));
+    let width = |width: Option<f64>| width.map_or("undefined".to_owned(), |width| format!("{width:.3} N"));
+    format!(
+        "{:.0} % intervals of the force hold the truth of {} of the vertices with a predicted contact (mean width {}), {} of \
+         those with at least 0.01 N, {} of all vertices, and of {} of the hands with a predicted contact (total force, mean \
+         width {})",
+        100.0 * coverage.level,
+        percent(coverage.touched),
+        width(coverage.touched_width),
+        percent(coverage.pressed),
+        percent(coverage.all),
+        percent(coverage.total),
+        width(coverage.total_width)
+    )
+}
+
 /// Returns the prediction's scores at the top level, with the baselines, groups and the comparison under names of their own.
 fn to_json(scored: &Scored) -> anyhow::Result<Value> {
     let mut value = serde_json::to_value(&scored.metrics)?;
@@ -71,6 +114,8 @@ fn to_json(scored: &Scored) -> anyhow::Result<Value> {
     value["baselines"] = named(scored.baselines.iter().map(|(name, metrics)| (name.to_string(), metrics)))?;
     value["persistence_secs"] = json!(scored.lag);
     value["unknown_share"] = json!(scored.unknown);
+    value["reliability"] = serde_json::to_value(&scored.reliability)?;
+    value["coverage"] = serde_json::to_value(&scored.coverage)?;
     value["calibration"] = json!(scored.options.calibration);
     if !scored.groups.is_empty() {
         let mut by = Map::new();

@@ -171,6 +171,10 @@ struct RolloutArgs {
     /// Folder of OBJ and STL meshes that take the place of the drawn clutter; needs the look varied or photo.
     #[arg(long, value_name = "FOLDER")]
     objects: Option<PathBuf>,
+    /// Hands in the scene, in place of its own: none (the objects alone), left or right (the acting hand alone, on this side),
+    /// both (also the hand that is there sometimes).
+    #[arg(long = "hands", value_name = "HANDS", value_parser = ["none", "left", "right", "both"])]
+    present: Option<String>,
     #[command(flatten)]
     kernel: Kernel,
     #[command(flatten)]

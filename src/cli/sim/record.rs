@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use super::shared::{load, options};
+use super::shared::{load, options, with_hands};
 use super::{Accuracy, Generate, RolloutArgs, Run, Worker};
 use crate::cli::progress;
 use crate::mujoco::{PhysicsOptions, Preset};
@@ -16,7 +16,8 @@ use crate::trial;
 
 pub fn run(args: &Run) -> anyhow::Result<()> {
     let factor = factor(&args.accuracy)?;
-    let scene = with_printed_accuracy(load(&args.scene)?, &args.accuracy, factor)?;
+    let scene = with_hands(load(&args.scene)?, &args.rollout)?;
+    let scene = with_printed_accuracy(scene, &args.accuracy, factor)?;
     let bar = progress::bar("frames");
     let options = options(&args.rollout, args.size)?;
     let summary = sim::record(&scene, args.seed, &options, &args.out, |done, all| progress::step(&bar, done, all))?;
@@ -28,7 +29,8 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
 pub fn generate(args: &Generate) -> anyhow::Result<()> {
     let factor = factor(&args.accuracy)?;
     let names = scene_names(args)?;
-    let scenes = names.iter().map(|name| with_printed_accuracy(load(name)?, &args.accuracy, factor));
+    let scenes =
+        names.iter().map(|name| with_printed_accuracy(with_hands(load(name)?, &args.rollout)?, &args.accuracy, factor));
     let plan = sim::DatasetPlan {
         scenes: scenes.collect::<anyhow::Result<_>>()?,
         episodes: args.episodes,
@@ -66,13 +68,16 @@ fn scene_names(args: &Generate) -> anyhow::Result<Vec<String>> {
 /// Returns the command that starts this program as a worker with the same scenes and options.
 fn workers(args: &Generate, scenes: &[String], factor: Option<f64>) -> anyhow::Result<WorkerCommand> {
     let mut arguments: Vec<OsString> = vec!["--size".into(), args.size.to_string().into()];
-    let RolloutArgs { shadows, look, backgrounds, objects, kernel, hands } = &args.rollout;
+    let RolloutArgs { shadows, look, backgrounds, objects, present, kernel, hands } = &args.rollout;
     arguments.extend(["--sigma".into(), kernel.sigma.to_string().into()]);
     if *shadows {
         arguments.push("--shadows".into());
     }
     if let Some(look) = look {
         arguments.extend(["--look".into(), look.into()]);
+    }
+    if let Some(present) = present {
+        arguments.extend(["--hands".into(), present.into()]);
     }
     let Accuracy { preset, budget, error } = &args.accuracy;
     let preset = preset.clone().map(|name| ("--preset", name));
@@ -98,7 +103,10 @@ pub fn work(args: &Worker) -> anyhow::Result<()> {
     trial::end_with_parent(args.parent)?;
     trial::trust_parent();
     let factor = args.budget_factor.map_or_else(|| factor(&args.accuracy), |factor| Ok(Some(factor)))?;
-    let scenes = args.scenes.iter().map(|name| Ok(with_accuracy(Scene::load(name)?, &args.accuracy, factor)?.0));
+    let scenes = args.scenes.iter().map(|name| {
+        let scene = with_hands(Scene::load(name)?, &args.rollout)?;
+        Ok(with_accuracy(scene, &args.accuracy, factor)?.0)
+    });
     let scenes = scenes.collect::<anyhow::Result<Vec<_>>>()?;
     let options = options(&args.rollout, args.size)?;
     sim::worker_process::serve(&scenes, &options, std::io::stdin().lock(), std::io::stdout().lock())?;

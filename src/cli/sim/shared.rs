@@ -5,7 +5,7 @@ use std::sync::Arc;
 use anyhow::ensure;
 
 use super::RolloutArgs;
-use crate::sim::scene::LookStyle;
+use crate::sim::scene::{LookStyle, PresentHands};
 use crate::sim::{Backgrounds, PropMeshes, RolloutOptions, Scene, mesh_faults, mjcf};
 use crate::text::tell;
 
@@ -14,6 +14,14 @@ pub fn load(name_or_path: &str) -> anyhow::Result<Scene> {
     let scene = Scene::load(name_or_path)?;
     for line in mesh_faults(&scene)? {
         tell(format_args!("egotac: warning: {line}"));
+    }
+    Ok(scene)
+}
+
+/// Gives a scene the hands of `--hands`.
+pub fn with_hands(mut scene: Scene, rollout: &RolloutArgs) -> anyhow::Result<Scene> {
+    if let Some(name) = &rollout.present {
+        PresentHands::from_name(name)?.apply(&mut scene.spec);
     }
     Ok(scene)
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use ::image::{GenericImage, Rgb, RgbImage};
 use anyhow::{Context, ensure};
 
-use super::shared::options;
+use super::shared::{options, with_hands};
 use super::{List, Show};
 use crate::file;
 use crate::hand::Side;
@@ -25,7 +25,11 @@ pub fn list(args: &List) -> anyhow::Result<()> {
 }
 
 pub fn show(args: &Show) -> anyhow::Result<()> {
-    let mut rollout = Rollout::new(&Scene::load(&args.scene)?, args.seed, &options(&args.rollout, args.size)?)?;
+    let mut rollout = Rollout::new(
+        &with_hands(Scene::load(&args.scene)?, &args.rollout)?,
+        args.seed,
+        &options(&args.rollout, args.size)?,
+    )?;
     let instants = instants(args, &rollout)?;
     let columns = (instants.len() as f64).sqrt().ceil() as u32;
     let rows = (instants.len() as u32).div_ceil(columns);

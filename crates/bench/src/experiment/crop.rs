@@ -144,7 +144,7 @@ fn parts(reader: &ZarrReader) -> Result<Vec<Part>> {
 fn squares(points: &[Points], side: Side) -> Option<Vec<[f32; 3]>> {
     let first = side as usize * N_KEYPOINTS;
     let of = |points: &Points| -> Option<[f32; 3]> {
-        let seen = points[first..first + N_KEYPOINTS].iter().filter(|place| !place[0].is_nan());
+        let seen = points[first..first + N_KEYPOINTS].iter().filter(|place| place[0].is_finite());
         let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
         seen.for_each(|place| {
             (0..2).for_each(|axis| {

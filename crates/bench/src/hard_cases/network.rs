@@ -135,7 +135,7 @@ fn input_1e30() -> Result<Outcome> {
 fn predictor() -> Result<Predictor> {
     let model = layers(&tensors()?)?.compile(Precision::F32)?;
     let metadata = Metadata::new("toy", 1.0, 0.1);
-    Predictor::new(Checkpoint { model, metadata, familiarity: None, sha256: String::new() }, Options::default())
+    Predictor::new(Checkpoint::new(model, metadata), Options::default())
 }
 
 fn colour(colour: [u8; 3]) -> RgbImage {

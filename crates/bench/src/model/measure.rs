@@ -121,8 +121,7 @@ pub fn random(setup: &Setup) -> Result<Row> {
         let vars = VarMap::new();
         EgoTac::new(&setup.config, init::var_builder(&vars, 0, &setup.device))?
     };
-    let checkpoint =
-        Checkpoint { model: model.compile(setup.precision)?, metadata, familiarity: None, sha256: String::new() };
+    let checkpoint = Checkpoint::new(model.compile(setup.precision)?, metadata);
     run(setup, checkpoint, None)
 }
 

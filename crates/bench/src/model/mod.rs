@@ -1,5 +1,6 @@
 //! Latency and memory of the network by geometry, precision and threads, beside accuracy.
 
+pub mod estimates;
 pub mod growth;
 mod image;
 pub mod measure;

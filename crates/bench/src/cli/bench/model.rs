@@ -11,10 +11,13 @@ use egotac::machine::Machine;
 use egotac::model::predictor::Options;
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, Predictor, init, shipped};
 
-use crate::model::{Plan, Setup, growth, measure, pareto, sweep, table};
+use crate::model::{Plan, Setup, estimates, growth, measure, pareto, sweep, table};
 
 /// Largest allowed growth of a stream's memory, MB.
 const GROWTH_MB: f64 = 8.0;
+
+/// Largest share of an image's time that the estimates may cost.
+const MAX_SHARE: f64 = 0.03;
 
 /// Arguments of `egotac bench model`.
 #[derive(Debug, clap::Args)]
@@ -65,6 +68,10 @@ pub struct Args {
     /// With --out the result is written as growth-PRESET.json.
     #[arg(long, value_name = "FRAMES", conflicts_with_all = ["checkpoint", "vary", "peer", "draw"])]
     growth: Option<u64>,
+    /// Time a checkpoint with and without its estimates of familiarity, presence and keypoints, image by image in turn; exit
+    /// status 1 if they cost more than 3 % of an image.
+    #[arg(long, value_name = "IMAGES", requires = "checkpoint", conflicts_with_all = ["growth", "out", "data"])]
+    estimates: Option<usize>,
     /// CUDA device, by index; the CPU without it.
     #[arg(long, value_name = "INDEX", conflicts_with = "out")]
     cuda: Option<usize>,
@@ -84,6 +91,9 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     ensure!(args.threads.iter().all(|threads| (1..=1024).contains(threads)), "--threads: expected 1 to 1024");
     for preset in args.preset.iter().chain(&args.vary) {
         Config::preset(preset)?;
+    }
+    if let Some(images) = args.estimates {
+        return cost_of_estimates(args, images);
     }
     match (&args.out, args.growth, &args.draw) {
         (_, Some(frames), _) => grow(args, frames as usize),
@@ -143,12 +153,29 @@ fn setup(args: &Args) -> anyhow::Result<Setup> {
     })
 }
 
+fn cost_of_estimates(args: &Args, images: usize) -> anyhow::Result<bool> {
+    let setup = setup(args)?;
+    let [path] = args.checkpoint.as_slice() else { bail!("--checkpoint: --estimates needs one") };
+    let path = if path.as_os_str() == "shipped" { shipped::path()? } else { path.clone() };
+    let cost = estimates::measure(&path, setup.precision, images)?;
+    match args.json {
+        true => println!("{}", serde_json::to_string(&cost)?),
+        false => println!(
+            "{} images: {:.3} ms without estimates, {:.3} ms with them; {:.2} % more, median of pairs",
+            cost.images,
+            cost.without_ms,
+            cost.with_ms,
+            100.0 * cost.share
+        ),
+    }
+    Ok(cost.share <= MAX_SHARE)
+}
+
 fn grow(args: &Args, frames: usize) -> anyhow::Result<bool> {
     let setup = setup(args)?;
     let model = EgoTac::new(&setup.config, init::var_builder(&VarMap::new(), 0, &setup.device))?;
     let metadata = Metadata::new(&setup.name, 1.0, 0.04);
-    let checkpoint =
-        Checkpoint { model: model.compile(setup.precision)?, metadata, familiarity: None, sha256: String::new() };
+    let checkpoint = Checkpoint::new(model.compile(setup.precision)?, metadata);
     let mut predictor = Predictor::new(checkpoint, Options { device: setup.device, ..Options::default() })?;
     let growth = growth::measure(&mut predictor, &setup.name, frames)?;
     if let Some(out) = &args.out {
