@@ -17,9 +17,9 @@ prepend() {
         "$1" "$(quoted "$2")" "$1" "$(quoted "$2")" "$1" "$1"
 }
 
-# Uses root, cache, venv, msgs, tf2_msgs (wheels only), robots, ros (wheels or sourced), mujoco, and for a sourced ROS its variables.
+# Uses root, cache, venv, msgs, more_msgs (wheels only), robots, ros (wheels or sourced), mujoco, and for a sourced ROS its variables.
 env_file() {
-    local site packages=() rpath
+    local site package packages=() rpath
     site=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
 
     printf '%s\n' "# Made by scripts/setup, which makes it anew when something changed. Source it: . ./env.sh"
@@ -32,10 +32,12 @@ env_file() {
         assign ROS_DISTRO jazzy
         assign ROS_VERSION 2
         assign RMW_IMPLEMENTATION rmw_fastrtps_cpp
-        assign AMENT_PREFIX_PATH "$msgs:$tf2_msgs:$venv"
-        assign CMAKE_PREFIX_PATH "$msgs:$tf2_msgs:$venv"
-        prepend PYTHONPATH "$(dirname "$(find "$tf2_msgs" -type d -path '*-packages/tf2_msgs' | head -n 1)")"
-        rpath=$(join_path "$msgs/lib" "$tf2_msgs/lib" "$venv/lib" "$site"/ros_*.libs "$mujoco")
+        assign AMENT_PREFIX_PATH "$(join_path "$msgs" "${more_msgs[@]}" "$venv")"
+        assign CMAKE_PREFIX_PATH "$(join_path "$msgs" "${more_msgs[@]}" "$venv")"
+        for package in "${more_msgs[@]}"; do
+            prepend PYTHONPATH "$(dirname "$(find "$package" -type d -path '*-packages/*_msgs' | head -n 1)")"
+        done
+        rpath=$(join_path "$msgs/lib" "${more_msgs[@]/%//lib}" "$venv/lib" "$site"/ros_*.libs "$mujoco")
     else
         assign ROS_DISTRO "$ROS_DISTRO"
         assign ROS_VERSION 2

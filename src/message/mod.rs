@@ -18,9 +18,9 @@ pub use own::{
 pub use standard::{
     Bool, CameraInfo, Clock, ColorRGBA, CompressedImage, DiagnosticArray, DiagnosticStatus, Duration,
     Float64MultiArray, Header, Image, JointState, JointTrajectory, JointTrajectoryPoint, KeyValue, Log, Marker,
-    MarkerArray, MeshFile, MultiArrayDimension, MultiArrayLayout, Point, PointCloud2, PointField, Pose, PoseArray,
-    PoseStamped, Quaternion, RegionOfInterest, TFMessage, Time, Transform, TransformStamped, UVCoordinate, Vector3,
-    Wrench, WrenchStamped,
+    MarkerArray, MeshFile, MetricsMessage, MultiArrayDimension, MultiArrayLayout, Point, PointCloud2, PointField, Pose,
+    PoseArray, PoseStamped, Quaternion, RegionOfInterest, StatisticDataPoint, TFMessage, Time, Transform,
+    TransformStamped, UVCoordinate, Vector3, Wrench, WrenchStamped,
 };
 
 /// A message of topics and recordings.

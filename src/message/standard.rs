@@ -370,6 +370,31 @@ message! {
         clock: Time,
     }
 
+    /// One statistic: 1 average, 2 minimum, 3 maximum, 4 standard deviation, 5 number of samples.
+    #[derive(Copy)]
+    StatisticDataPoint = "statistics_msgs/msg/StatisticDataPoint" {
+        /// Code of the statistic.
+        data_type: u8,
+        /// Its value, in the unit of the message.
+        data: f64,
+    }
+
+    /// Statistics of one quantity over one window of time.
+    MetricsMessage = "statistics_msgs/msg/MetricsMessage" {
+        /// What was measured, for instance a node and a topic.
+        measurement_source_name: String,
+        /// Name of the quantity, for instance `message_age`.
+        metrics_source: String,
+        /// Unit of the values.
+        unit: String,
+        /// Start of the window.
+        window_start: Time,
+        /// End of the window.
+        window_stop: Time,
+        /// The statistics.
+        statistics: Vec<StatisticDataPoint>,
+    }
+
     /// A name with a value.
     KeyValue = "diagnostic_msgs/msg/KeyValue" {
         /// Name.

@@ -1,11 +1,14 @@
 //! Touch from a stream of images, one encoder pass per image.
 
+mod batch;
+
 use std::path::Path;
 use std::sync::Arc;
 
 use ::image::RgbImage;
 use candle_core::{Device, Tensor};
 
+use super::stages::FrameTokens;
 use super::unknown::Unknown;
 use super::{Checkpoint, Config, EgoTac, HandEstimate, Metadata, Precision, Spread, familiarity, window};
 use crate::error::{Error, Result};
@@ -244,6 +247,15 @@ impl Predictor {
     /// # Errors
     /// As [`Predictor::push`], and if the input has another size.
     pub fn push_prepared(&mut self, input: Vec<f32>, stamp_secs: f64) -> Result<Prediction> {
+        self.check(&input, stamp_secs)?;
+        let side = self.config().image;
+        let input = Tensor::from_vec(input, (1, 3, side, side), &self.device)?;
+        let encoded = self.model().frame_tokens(&input)?;
+        self.push_encoded(encoded, stamp_secs)
+    }
+
+    /// Checks a prepared image, `(3, side, side)`, and its stamp.
+    fn check(&self, input: &[f32], stamp_secs: f64) -> Result<()> {
         if !stamp_secs.is_finite() {
             return Err(Error::value("image stamp", "finite seconds", stamp_secs));
         }
@@ -251,8 +263,11 @@ impl Predictor {
         if input.len() != 3 * side * side {
             return Err(Error::shape("input", format!("[3, {side}, {side}]"), [input.len()]));
         }
-        let input = Tensor::from_vec(input, (1, 3, side, side), &self.device)?;
-        let encoded = self.model().frame_tokens(&input)?;
+        Ok(())
+    }
+
+    /// Predicts touch at the instant of an encoded image; the end of [`Predictor::push_prepared`].
+    fn push_encoded(&mut self, encoded: FrameTokens, stamp_secs: f64) -> Result<Prediction> {
         let (mut certainty, hands) = self.judge(&encoded.encoded);
         let tokens = encoded.projected;
 

@@ -13,7 +13,7 @@ use super::publisher::Publisher;
 use super::qos_overrides::{self, QosOverrides};
 use super::runtime::Runtime;
 use super::topic_names::TopicNames;
-use super::{log_level, parameter_services, qos, sim_time};
+use super::{log_level, parameter_files, parameter_services, qos, sim_time};
 
 /// Creates the node `name` (remappable) with parameter services for `table`, `/rosout` and `/parameter_events`. `before`: parameters
 /// of an earlier node of this program, whose values it takes over.
@@ -25,14 +25,13 @@ pub(crate) fn create(name: &str, table: &[Parameter], before: Option<&Parameters
     let mut node = r2r::Node::create(context, name, "").with_context(|| format!("cannot create node {name}"))?;
     let full_name = node.fully_qualified_name()?;
     let names = TopicNames::new(&node.namespace()?, &node.name()?, std::env::args().skip(1));
-    let (parameters, unknown) = parameters(&node, table)?;
+    let given = given(&node, &full_name)?;
+    let given = || given.iter().map(|(name, value)| (name.as_str(), value));
+    let (parameters, unknown) = Parameters::new(table, given())?;
     if let Some(before) = before {
         parameters.take_over(before);
     }
-    let overrides = {
-        let given = lock(&node.params);
-        QosOverrides::new(given.iter().map(|(name, given)| (name.as_str(), &given.value)))?
-    };
+    let overrides = QosOverrides::new(given())?;
     if parameters.get::<bool>("use_sim_time") {
         let time_source = node.get_time_source();
         time_source.enable_sim_time(&mut node)?;
@@ -52,10 +51,10 @@ pub(crate) fn create(name: &str, table: &[Parameter], before: Option<&Parameters
     Ok(runtime)
 }
 
-/// Returns the values given on the command line, else the defaults; and the given names that `table` lacks.
-fn parameters(node: &r2r::Node, table: &[Parameter]) -> anyhow::Result<(Parameters, Vec<String>)> {
-    let given = lock(&node.params);
-    Parameters::new(table, given.iter().map(|(name, given)| (name.as_str(), &given.value)))
+/// Returns the parameters given at start, on the command line and in files.
+fn given(node: &r2r::Node, full_name: &str) -> anyhow::Result<Vec<(String, r2r::ParameterValue)>> {
+    let passed_on = lock(&node.params).iter().map(|(name, given)| (name.clone(), given.value.clone())).collect();
+    parameter_files::given(passed_on, full_name, std::env::args().skip(1))
 }
 
 /// Creates the ROS context of the process. r2r panics on arguments that ROS refuses; the panic becomes an error.

@@ -33,7 +33,7 @@ pub(crate) enum Level {
 #[derive(Debug)]
 pub(crate) struct TaskReport {
     /// Name of the task.
-    pub(crate) task: &'static str,
+    pub(crate) task: String,
     /// State of the task.
     pub(crate) level: Level,
     /// State in words.
@@ -42,33 +42,35 @@ pub(crate) struct TaskReport {
     pub(crate) values: Vec<(String, String)>,
 }
 
-/// Publishes the result of `report` once a second as `<full name of the node>: <task>`, with `hardware_id` in the field of this
-/// name. An input that a publisher can't reach makes it an error.
+/// Publishes the results of `report` once a second as `<full name of the node>: <task>`, with `hardware_id` in the field of this
+/// name. An input that a publisher can't reach makes them errors.
 ///
 /// # Errors
 /// If ROS refuses the topic.
 pub(crate) fn publish(
     runtime: &mut Runtime,
     hardware_id: impl Fn() -> String + 'static,
-    mut report: impl FnMut(&mut Runtime) -> TaskReport + 'static,
+    mut report: impl FnMut(&mut Runtime) -> Vec<TaskReport> + 'static,
 ) -> anyhow::Result<()> {
     let publisher = runtime.publisher("/diagnostics", qos::output())?;
     let node = runtime.full_name()?;
     runtime.every(REPORT_PERIOD, move |runtime| {
-        let TaskReport { task, level, message, values } = report(runtime);
-        let (level, message) = match runtime.input_fault() {
-            Some(fault) => (Level::Error, fault),
-            None => (level, message),
-        };
-        let status = DiagnosticStatus {
-            level: level as u8,
-            name: format!("{node}: {task}"),
-            message,
-            hardware_id: hardware_id(),
-            values: values.into_iter().map(|(key, value)| KeyValue { key, value }).collect(),
-        };
+        let status = report(runtime).into_iter().map(|TaskReport { task, level, message, values }| {
+            let (level, message) = match runtime.input_fault() {
+                Some(fault) => (Level::Error, fault),
+                None => (level, message),
+            };
+            DiagnosticStatus {
+                level: level as u8,
+                name: format!("{node}: {task}"),
+                message,
+                hardware_id: hardware_id(),
+                values: values.into_iter().map(|(key, value)| KeyValue { key, value }).collect(),
+            }
+        });
+        let status = status.collect();
         let header = Header { stamp: runtime.clock().now(), frame_id: String::new() };
-        if let Err(error) = publisher.publish(&DiagnosticArray { header, status: vec![status] }) {
+        if let Err(error) = publisher.publish(&DiagnosticArray { header, status }) {
             runtime.log().warn_throttled("diagnostics", format!("/diagnostics: {error:#}"));
         }
     });

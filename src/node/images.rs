@@ -43,16 +43,16 @@ impl ImageTransport {
         }
     }
 
-    /// Returns the resolved image topic.
-    pub(crate) fn topic(self, runtime: &Runtime) -> String {
-        let image = runtime.resolve("image");
+    /// Returns the full name of the topic that images on `name` (relative, private or absolute; remappable) come on.
+    pub(crate) fn topic(self, runtime: &Runtime, name: &str) -> String {
+        let image = runtime.resolve(name);
         match self {
             Self::Raw => image,
             Self::Compressed => runtime.resolve(&format!("{image}/compressed")),
         }
     }
 
-    /// Subscribes to the image topic, with the rest of `input`, and calls `call` with the bytes of each message, for
+    /// Subscribes to the images of the topic that `input` names, and calls `call` with the bytes of each message, for
     /// [`Self::decode`].
     ///
     /// # Errors
@@ -64,9 +64,9 @@ impl ImageTransport {
         call: impl FnMut(Vec<u8>) + 'static,
     ) -> anyhow::Result<()> {
         match self {
-            Self::Raw => runtime.input_bytes::<Image>(InputTopic { name: "image".into(), ..input }, call),
+            Self::Raw => runtime.input_bytes::<Image>(input, call),
             Self::Compressed => {
-                let name = self.topic(runtime);
+                let name = self.topic(runtime, &input.name);
                 runtime.input_bytes::<CompressedImage>(InputTopic { name, ..input }, call)
             }
         }

@@ -12,6 +12,7 @@ use r2r::qos::{DurabilityPolicy, ReliabilityPolicy};
 
 use super::params::{Allowed, Parameter};
 use super::runtime::{PublisherQos, Runtime, Subscription};
+use super::topic_statistics::TopicStatistics;
 use crate::error::Result;
 use crate::message::Message;
 
@@ -109,9 +110,16 @@ impl Runtime {
     pub(crate) fn input_bytes<M: Message>(
         &mut self,
         topic: InputTopic,
-        call: impl FnMut(Vec<u8>) + 'static,
+        mut call: impl FnMut(Vec<u8>) + 'static,
     ) -> anyhow::Result<()> {
         let full_name = self.resolve(&topic.name);
+        let statistics = TopicStatistics::start::<M>(self, &full_name)?;
+        let call = move |payload: Vec<u8>| {
+            if let Some(statistics) = &statistics {
+                statistics.received(&payload);
+            }
+            call(payload);
+        };
         let qos = self.subscription_qos(&full_name, topic.qos.clone());
         let matches = topic.matches && !self.overrides_reliability(&full_name);
         let mut input = Input {

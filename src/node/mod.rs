@@ -28,6 +28,7 @@ mod log_level;
 mod mailbox;
 #[cfg(feature = "sim")]
 mod object_pose;
+mod parameter_files;
 mod parameter_services;
 mod params;
 mod placed_hand;
@@ -45,8 +46,10 @@ mod shutdown;
 mod sim_time;
 #[cfg(feature = "sim")]
 pub mod simulator;
+mod threads;
 mod time_jump;
 mod topic_names;
+mod topic_statistics;
 pub mod trainer;
 #[cfg(feature = "sim")]
 mod transforms;

@@ -7,38 +7,33 @@ use std::sync::Arc;
 use anyhow::Context as _;
 
 use super::create::create;
-use super::lifecycle::Lifecycle;
+use super::lifecycle::{self, Lifecycle};
 use super::parameter_services::Setter;
 use super::params::{self, Parameter, Parameters};
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
+use super::topic_statistics;
 use crate::file::limits::check_environment;
 use crate::text::{error_chain, tell};
 
-/// Runs the program of the node `name`: `--help` and `--describe-parameters` print without starting ROS; otherwise `run`
-/// gets the node and runs until SIGINT or SIGTERM. The exit status is 0 after a clean shutdown, 1 after an error, which is
-/// printed in one line, and 2 for an unknown argument.
+/// Runs the program of the node `name`: `--help` and `--describe-parameters` print without starting ROS; otherwise `run` gets a
+/// node that is to be configured, and runs until SIGINT, SIGTERM or a transition ends it. A clean-up creates the node anew and runs `run` again.
+/// The exit status is 0 after a clean shutdown, 1 after an error, which is printed in one line, and 2 for an unknown
+/// argument.
+///
+/// The node has `table`, which holds the parameter `enabled`, and the parameters that all nodes have.
 pub(crate) fn run(
     name: &str,
     about: &str,
-    table: &[Parameter],
-    run: impl FnOnce(Runtime, &Shutdown) -> anyhow::Result<()>,
-) -> ExitCode {
-    run_program(about, table, |shutdown| run(create(name, table, None)?, shutdown))
-}
-
-/// Runs a program as [`run`]; its node has the parameters `autostart` and `enabled`, and a lifecycle.
-pub(crate) fn run_managed(
-    name: &str,
-    about: &str,
-    table: &[Parameter],
+    mut table: Vec<Parameter>,
     run: impl Fn(Runtime, &Shutdown) -> anyhow::Result<()>,
 ) -> ExitCode {
-    run_program(about, table, |shutdown| {
+    table.extend([lifecycle::parameter(), topic_statistics::parameter()]);
+    run_program(about, &table, |shutdown| {
         let lifecycle = Lifecycle::new(shutdown);
         let mut parameters: Option<Arc<Parameters>> = None;
         loop {
-            let mut runtime = create(name, table, parameters.as_deref())?;
+            let mut runtime = create(name, &table, parameters.as_deref())?;
             let is_first = parameters.is_none();
             parameters = Some(Arc::clone(runtime.parameters()));
             let node = lifecycle.serve(&mut runtime)?;

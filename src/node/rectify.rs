@@ -37,17 +37,17 @@ impl Rectification {
         )
     }
 
-    /// Subscribes to `camera_info` if the parameter `rectify` is set; otherwise returns None.
+    /// Subscribes to the calibrations on `topic` if the parameter `rectify` is set; otherwise returns None.
     ///
     /// # Errors
     /// If ROS refuses the topic.
-    pub(crate) fn subscribe(runtime: &mut Runtime) -> anyhow::Result<Option<Self>> {
+    pub(crate) fn subscribe(runtime: &mut Runtime, topic: &str) -> anyhow::Result<Option<Self>> {
         if !runtime.parameters().get::<bool>("rectify") {
             return Ok(None);
         }
         let rectification = Self::default();
         let (newest, log) = (rectification.clone(), runtime.log().clone());
-        let input = InputTopic::new(runtime, "camera_info", "calibrations", qos::newest_input(), Need::Required);
+        let input = InputTopic::new(runtime, topic, "calibrations", qos::newest_input(), Need::Required);
         runtime.input::<CameraInfo>(input, move |info| match info {
             Ok(info) => newest.update(info),
             Err(error) => log.warn_throttled("camera_info", format!("camera_info: message left out: {error}")),

@@ -337,6 +337,16 @@ fn display_messages_have_the_bytes_of_ros() {
         child_frame_id: "camera".into(),
         transform: Transform { translation: vector(0.25, -0.5, 0.75), rotation: pose.orientation },
     };
+    let statistics = (1..=5).map(|data_type| StatisticDataPoint { data_type, data: 0.5 * f64::from(data_type) });
+    let metrics = MetricsMessage {
+        measurement_source_name: "/predictor:/image".into(),
+        metrics_source: "message_age".into(),
+        unit: "ms".into(),
+        window_start: Time { sec: 1_700_000_000, nanosec: 5 },
+        window_stop: Time { sec: 1_700_000_001, nanosec: 6 },
+        statistics: statistics.collect(),
+    };
+    agrees("metrics_message", &metrics);
     agrees("tf_message", &TFMessage { transforms: vec![transform.clone(), transform] });
     let marker = Marker {
         header: header("world"),

@@ -3,7 +3,7 @@
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
 use egotac::model::predictor::{Options, Predictor};
-use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
+use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, init};
 use egotac::tactile::N_FIELD;
 use image::{Rgb, RgbImage};
 
@@ -162,4 +162,56 @@ fn invalid_stamps_and_images_are_errors_and_leave_the_stream_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let error = Predictor::load(&folder.path().join("absent.safetensors"), options).unwrap_err().to_string();
     assert!(error.contains("absent.safetensors"), "{error}");
+}
+
+/// Prepared image number `i` of a predictor.
+fn prepared(predictor: &Predictor, i: usize) -> Vec<f32> {
+    predictor.metadata().preparation(predictor.config()).apply(&frame(i)).unwrap()
+}
+
+#[test]
+fn streams_in_a_batch_are_bit_equal_to_single_streams_in_every_precision() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("pocket.safetensors");
+    let vars = VarMap::new();
+    let config = Config::pocket();
+    EgoTac::new(&config, init::var_builder(&vars, 5, &Device::Cpu)).unwrap();
+    Checkpoint::save(&path, &config, &Metadata::new("pocket", 0.7, DT), &vars).unwrap();
+    for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
+        let network = Predictor::load(&path, Options { precision, ..Options::default() }).unwrap();
+        let mut together = [0, 1, 2].map(|_| network.another_stream());
+        let mut single = [0, 1, 2].map(|_| network.another_stream());
+        for round in 0..3 {
+            // The second camera misses a round, and has other stamps than the first.
+            let cameras: Vec<usize> = [0, 1, 2].into_iter().filter(|camera| (round, *camera) != (1, 1)).collect();
+            let stamp = |camera: usize| DT * round as f64 + 0.3 * camera as f64;
+            let images = together.iter_mut().enumerate().filter(|(camera, _)| cameras.contains(camera));
+            let images = images.map(|(camera, stream)| {
+                let input = prepared(stream, 3 * round + camera);
+                (stream, input, stamp(camera))
+            });
+            let got = Predictor::push_together(images.collect());
+            for (camera, got) in cameras.into_iter().zip(got) {
+                let want = single[camera].push(&frame(3 * round + camera), stamp(camera)).unwrap();
+                assert_eq!(got.unwrap(), want, "{precision}, round {round}, camera {camera}");
+            }
+        }
+    }
+}
+
+#[test]
+fn an_image_that_fails_leaves_the_other_streams_of_its_batch_untouched() {
+    let network = predictor(true, &Config::toy());
+    let mut streams = [0, 1, 2].map(|_| network.another_stream());
+    let want = network.another_stream().push(&frame(2), 0.0).unwrap();
+    let mut inputs = [0, 1, 2].map(|i| prepared(&network, i));
+    inputs[0][7] = f32::NAN;
+    let stamps = [0.0, f64::NAN, 0.0];
+    let images = streams.iter_mut().zip(inputs).zip(stamps).map(|((stream, input), stamp)| (stream, input, stamp));
+    let results = Predictor::push_together(images.collect());
+    assert!(results[0].as_ref().unwrap_err().to_string().contains("images"), "{:?}", results[0]);
+    assert!(results[1].as_ref().unwrap_err().to_string().contains("image stamp"), "{:?}", results[1]);
+    assert_eq!(results[2].as_ref().unwrap(), &want);
+    assert_eq!(streams.map(|stream| stream.cached_frames()), [0, 0, 1]);
+    assert_eq!(Predictor::push_together(Vec::new()).len(), 0);
 }

@@ -49,35 +49,53 @@ use mailbox::Mailbox;
 /// Longer than any number of ticks.
 const LONG: Duration = Duration::from_secs(60);
 
-/// Puts 1 to `last` on `producers` threads each, and takes `takes` values as soon as they come; returns them and the
-/// mailbox once all threads have ended.
-fn interleave(producers: usize, last: u32, check: impl Fn(Vec<u32>, u64) + Sync + Send + 'static) {
+/// Puts 1 to `last` on `producers` threads each, in turn for `sources` sources, and takes values as soon as they come. `check` gets
+/// them and the number of displaced values of each source once all threads have ended.
+fn interleave(
+    (producers, sources): (usize, usize),
+    last: u32,
+    check: impl Fn(Vec<(usize, u32)>, Vec<u64>) + Sync + Send + 'static,
+) {
     loom::model(move || {
-        let mailbox = Arc::new(Mailbox::default());
-        let put = |mailbox: Arc<Mailbox<u32>>| move || (1..=last).for_each(|value| mailbox.put(value));
-        let threads: Vec<_> = (0..producers).map(|_| loom::thread::spawn(put(Arc::clone(&mailbox)))).collect();
+        let mailbox = Arc::new(Mailbox::new(sources));
+        let put = |producer: usize, mailbox: Arc<Mailbox<u32>>| {
+            move || (1..=last).for_each(|value| mailbox.put(producer % sources, value))
+        };
+        let threads: Vec<_> = (0..producers).map(|p| loom::thread::spawn(put(p, Arc::clone(&mailbox)))).collect();
         // The first value is waited for; a wait for the others might be for ever, if they were displaced.
-        let mut taken = vec![mailbox.take(LONG).expect("a value comes")];
+        let mut taken = mailbox.take(LONG);
+        assert!(!taken.is_empty(), "a value comes");
         taken.extend(mailbox.take(Duration::ZERO));
         threads.into_iter().for_each(|thread| thread.join().expect("a producer returns"));
         taken.extend(mailbox.take(Duration::ZERO));
-        assert_eq!(mailbox.take(Duration::ZERO), None);
-        check(taken, mailbox.superseded());
+        assert_eq!(mailbox.take(Duration::ZERO), []);
+        check(taken, (0..sources).map(|source| mailbox.superseded(source)).collect());
     });
 }
 
 #[test]
 fn in_every_interleaving_the_last_value_is_taken_and_each_other_one_taken_or_counted() {
-    interleave(1, 3, |taken, superseded| {
+    interleave((1, 1), 3, |taken, superseded| {
         assert!(taken.is_sorted_by(|a, b| a < b), "{taken:?}");
-        assert_eq!(taken.last(), Some(&3));
-        assert_eq!(taken.len() as u64 + superseded, 3, "{taken:?}");
+        assert_eq!(taken.last(), Some(&(0, 3)));
+        assert_eq!(taken.len() as u64 + superseded[0], 3, "{taken:?}");
     });
 }
 
 #[test]
 fn in_every_interleaving_of_two_producers_each_value_is_taken_or_counted() {
-    interleave(2, 1, |taken, superseded| {
-        assert_eq!(taken.len() as u64 + superseded, 2, "{taken:?}");
+    interleave((2, 1), 1, |taken, superseded| {
+        assert_eq!(taken.len() as u64 + superseded[0], 2, "{taken:?}");
+    });
+}
+
+#[test]
+fn in_every_interleaving_of_two_sources_the_last_value_of_each_is_taken() {
+    interleave((2, 2), 2, |taken, superseded| {
+        for (source, displaced) in superseded.into_iter().enumerate() {
+            let of_source: Vec<u32> = taken.iter().filter(|(of, _)| *of == source).map(|(_, value)| *value).collect();
+            assert_eq!(of_source.last(), Some(&2), "{taken:?}");
+            assert_eq!(of_source.len() as u64 + displaced, 2, "{taken:?}");
+        }
     });
 }

@@ -215,3 +215,59 @@ fn links_stay_out_of_an_object_which_needs_poses_and_shape() {
     assert!(moved(0..4) > 0.1, "the index finger stays out: {}", moved(0..4));
     assert!(moved(0..4) > 3.0 * moved(8..12), "the ring finger is far: {}", moved(8..12));
 }
+
+/// Output of `egotac retarget list` where models are looked for below `folder` only.
+fn listed(folder: &Path, arguments: &[&str]) -> std::process::Output {
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_egotac"));
+    command.arg("retarget").args(arguments).env("EGOTAC_ROBOTS", folder);
+    command.env_remove("MENAGERIE_ROOT").env_remove("EGOTAC_PYTHON").output().unwrap()
+}
+
+#[test]
+fn list_says_which_models_are_found_and_where_to_get_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = listed(folder.path(), &["list"]);
+    let text = String::from_utf8(output.stdout).unwrap();
+    let line = |text: &str, name: &str| text.lines().find(|line| line.starts_with(&format!("{name} "))).unwrap().to_owned();
+    assert!(line(&text, "four_finger").contains("usable    part of the program"), "{text}");
+    let missing = line(&text, "allegro_right");
+    assert!(missing.contains("no model") && missing.contains("wonik_allegro/right_hand.xml"), "{missing}");
+    assert!(missing.contains("MENAGERIE_ROOT"), "{missing}");
+    assert!(line(&text, "inspire_left").contains("dexi-rs"), "{text}");
+
+    let model = folder.path().join("wonik_allegro/right_hand.xml");
+    std::fs::create_dir_all(model.parent().unwrap()).unwrap();
+    std::fs::write(&model, "<mujoco/>").unwrap();
+    let output = listed(folder.path(), &["list", "--json"]);
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let robots = json.as_array().unwrap();
+    let found = |name: &str| &robots.iter().find(|robot| robot["name"] == name).unwrap()["found"];
+    assert_eq!(found("allegro_right"), model.to_str().unwrap());
+    assert!(found("allegro_left").is_null());
+    assert_eq!(robots.len(), text.lines().count());
+}
+
+#[test]
+fn the_start_of_a_name_stands_for_the_one_robot_that_fits_or_lists_the_candidates() {
+    let folder = tempfile::tempdir().unwrap();
+    let inspected = listed(folder.path(), &["inspect", "tendon", "--json"]);
+    assert!(inspected.status.success(), "{}", String::from_utf8_lossy(&inspected.stderr));
+    let facts: serde_json::Value = serde_json::from_slice(&inspected.stdout).unwrap();
+    assert_eq!(facts["robot"], "tendon_hand");
+
+    let refused = listed(folder.path(), &["inspect", "allegro"]);
+    let text = String::from_utf8_lossy(&refused.stderr);
+    assert!(!refused.status.success());
+    for name in ["allegro_right", "allegro_left", "allegro_urdf_right", "allegro_urdf_left", "not found here"] {
+        assert!(text.contains(name), "{text}");
+    }
+    assert!(!text.contains("shadow"), "{text}");
+
+    // Of several robots, the only one whose model is found is meant: here one whose model is broken, which the error names.
+    let model = folder.path().join("wonik_allegro/right_hand.xml");
+    std::fs::create_dir_all(model.parent().unwrap()).unwrap();
+    std::fs::write(&model, "<broken").unwrap();
+    let broken = listed(folder.path(), &["inspect", "allegro"]);
+    let text = String::from_utf8_lossy(&broken.stderr);
+    assert!(!broken.status.success() && text.contains("right_hand.xml") && !text.contains("allegro_left"), "{text}");
+}

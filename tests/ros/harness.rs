@@ -114,6 +114,11 @@ impl Running {
         assert!(status.unwrap().success());
     }
 
+    /// Returns the id of the process.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Waits for the end of the program.
     pub fn wait(&mut self) -> ExitStatus {
         let started = Instant::now();

@@ -163,6 +163,46 @@ fn retarget_demo_connects_the_retargeter_to_simulator_and_predictor() {
 }
 
 #[test]
+fn the_allegro_launch_connects_camera_tracker_predictor_retargeter_and_controllers() {
+    let file = "realsense_allegro.launch.py";
+    let description = describe(file, &["tracker_python:=/env/bin/python", "forward_controller:=forward"]);
+    let nodes: Vec<&Value> = description["nodes"].as_array().unwrap().iter().collect();
+    let node = |name: &str| *nodes.iter().find(|node| node["name"] == name).unwrap();
+    assert_eq!(nodes.len(), 3);
+    let camera = node("camera");
+    assert_eq!(camera["package"], "realsense2_camera");
+    let tracker = node("hand_tracker");
+    assert_eq!(tracker["prefix"], "/env/bin/python");
+    let script = root().join("examples").join(tracker["executable"].as_str().unwrap());
+    assert!(script.is_file(), "{}", script.display());
+    let cmake = std::fs::read_to_string(root().join("launch/CMakeLists.txt")).unwrap();
+    assert!(cmake.contains("examples/hand_tracker.py"), "the tracker is not installed");
+    let image = &tracker["remappings"]["image"];
+    assert_eq!(&camera["remappings"]["~/color/image_raw"], image);
+    assert_eq!(camera["remappings"]["~/color/camera_info"], tracker["remappings"]["camera_info"]);
+    let include = &description["includes"][0];
+    assert!(include["file"].as_str().unwrap().ends_with("egotac.launch.py"));
+    assert_eq!(&include["arguments"]["image_topic"], image);
+
+    let retargeter = node("retargeter");
+    for (name, value) in retargeter["parameters"].as_object().unwrap() {
+        check_parameter("retargeter", name, value);
+    }
+    assert_eq!(retargeter["parameters"]["robot"], "allegro_right");
+    assert_eq!(retargeter["parameters"]["publish_positions"], true);
+    let topics = &retargeter["remappings"];
+    assert_eq!(topics["keypoints"], "hand_tracker/right/keypoints");
+    assert_eq!(topics["~/joint_trajectory"], "/allegro_hand_controller/joint_trajectory");
+    assert_eq!(topics["~/position_commands"], "/forward/commands");
+
+    let left = describe(file, &["hand:=left", "robot:=allegro_left", "camera:=false", "namespace:=a"]);
+    let left = left["nodes"].as_array().unwrap();
+    assert_eq!(left.len(), 2, "no camera");
+    assert_eq!(left[1]["remappings"]["keypoints"], "hand_tracker/left/keypoints");
+    assert_eq!((&left[1]["parameters"]["publish_positions"], &left[1]["namespace"]), (&false.into(), &"a".into()));
+}
+
+#[test]
 fn a_launched_trainer_has_a_minute_to_save_its_work() {
     let description = describe("trainer.launch.py", &[]);
     assert_eq!(nodes_of(&description)[0]["timeouts"], serde_json::json!([60.0, 60.0]));
@@ -183,7 +223,14 @@ fn installed_launch_files_find_the_module_that_they_share() {
             std::fs::copy(root().join("launch").join(&name), folder.path().join(&name)).unwrap();
         }
     }
-    for file in ["egotac.launch.py", "demo.launch.py", "images.launch.py", "retarget.launch.py", "trainer.launch.py"] {
+    for file in [
+        "egotac.launch.py",
+        "demo.launch.py",
+        "images.launch.py",
+        "realsense_allegro.launch.py",
+        "retarget.launch.py",
+        "trainer.launch.py",
+    ] {
         assert_eq!(describe_in(folder.path(), file, &[]), describe(file, &[]), "{file}");
     }
     for file in ["params.yaml", "fastdds.xml", "egotac.rviz"] {
@@ -217,7 +264,9 @@ fn each_argument_has_a_description() {
     for name in expected {
         assert!(description["arguments"].get(name).is_some(), "egotac.launch.py has no argument {name}");
     }
-    for file in ["egotac.launch.py", "demo.launch.py", "retarget.launch.py", "trainer.launch.py"] {
+    for file in
+        ["egotac.launch.py", "demo.launch.py", "realsense_allegro.launch.py", "retarget.launch.py", "trainer.launch.py"]
+    {
         for (name, argument) in describe(file, &[])["arguments"].as_object().unwrap() {
             assert!(argument["description"].as_str().is_some_and(|text| text.len() > 10), "{file}: {name}");
         }

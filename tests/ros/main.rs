@@ -9,18 +9,22 @@ mod harness;
 #[allow(dead_code)] // used in part
 mod trajectory;
 
+mod cameras;
 #[cfg(feature = "sim")]
 mod docs;
+mod hand_tracker;
 #[cfg(feature = "sim")]
 mod launch_files;
 mod lifecycle;
 mod observation;
+mod parameter_files;
 mod predictor;
 #[cfg(feature = "sim")]
 mod retargeter;
 #[cfg(feature = "sim")]
 mod simulator;
 mod standard;
+mod topic_statistics;
 mod trainer;
 mod verifier;
 mod views;

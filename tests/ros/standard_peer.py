@@ -79,5 +79,11 @@ def wildcards():
     assert response.values[0].double_value == 7.0 and response.values[1].bool_value is False, response
 
 
+def double_parameter(node, name, expected):
+    """A parameter of a node has this value."""
+    response = Peer().call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name]))
+    assert response.values[0].double_value == float(expected), response
+
+
 if __name__ == "__main__":
     globals()[sys.argv[1]](*sys.argv[2:])

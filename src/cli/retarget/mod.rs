@@ -5,6 +5,8 @@ mod demo;
 #[cfg(feature = "sim")]
 mod inspect;
 #[cfg(feature = "sim")]
+mod list;
+#[cfg(feature = "sim")]
 mod run;
 
 use std::path::PathBuf;
@@ -25,8 +27,8 @@ enum Command {
     Inspect(Inspect),
     /// Write a starting YAML file for a model.
     New(New),
-    /// List the robots that are part of the program.
-    List,
+    /// List the robots that are part of the program, with their models here or where to get them.
+    List(List),
     /// Simulate a grasping hand, follow it with a robot, and draw both with their forces.
     Demo(Demo),
 }
@@ -41,7 +43,7 @@ enum Command {
     A frame that is not a hand is reported on standard error; the last good pose is held (status 4)."
 )]
 struct Run {
-    /// Robot: a name of `egotac retarget list`, a YAML file, or a model (MJCF or URDF).
+    /// Robot: a name of `egotac retarget list` or its start, a YAML file, or a model (MJCF or URDF).
     #[arg(long, value_name = "NAME|YAML|MODEL")]
     robot: String,
     /// Model file in place of the one that the robot's YAML file names.
@@ -72,7 +74,7 @@ struct Run {
 
 #[derive(Debug, clap::Args)]
 struct Inspect {
-    /// Robot: a name of `egotac retarget list`, a YAML file, or a model (MJCF or URDF).
+    /// Robot: a name of `egotac retarget list` or its start, a YAML file, or a model (MJCF or URDF).
     #[arg(value_name = "NAME|YAML|MODEL")]
     robot: String,
     /// Model file in place of the one that the robot's YAML file names.
@@ -97,8 +99,15 @@ struct New {
 }
 
 #[derive(Debug, clap::Args)]
+struct List {
+    /// Print JSON instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, clap::Args)]
 struct Demo {
-    /// Robot: a name of `egotac retarget list`, a YAML file, or a model (MJCF or URDF).
+    /// Robot: a name of `egotac retarget list` or its start, a YAML file, or a model (MJCF or URDF).
     #[arg(long, value_name = "NAME|YAML|MODEL", default_value = "four_finger")]
     robot: String,
     /// Model file in place of the one that the robot's YAML file names.
@@ -131,7 +140,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Run(_) => "retarget run",
         Command::Inspect(_) => "retarget inspect",
         Command::New(_) => "retarget new",
-        Command::List => "retarget list",
+        Command::List(_) => "retarget list",
         Command::Demo(_) => "retarget demo",
     };
     Err(super::feature_off(name, "sim"))
@@ -147,7 +156,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Run(args) => return run::run(&args),
         Command::Inspect(args) => inspect::inspect(&args)?,
         Command::New(args) => inspect::new(&args)?,
-        Command::List => crate::retarget::robot::source::names().for_each(|name| println!("{name}")),
+        Command::List(args) => list::list(&args)?,
         Command::Demo(args) => demo::demo(&args)?,
     }
     Ok(ExitCode::SUCCESS)

@@ -19,6 +19,7 @@ use crate::node::lock::lock;
 use crate::node::log::Log;
 use crate::node::runtime::Runtime;
 use crate::node::shutdown::Shutdown;
+use crate::node::threads::Threads;
 use crate::node::worker_thread::WorkerThread;
 use crate::text::error_chain;
 
@@ -63,6 +64,8 @@ pub(super) struct ModelRequirements {
     pub(super) allowed: AllowedFolder,
     /// MANO files whose vertices the fields are on.
     pub(super) mano: Option<Arc<FieldMap>>,
+    /// Threads that compute.
+    pub(super) threads: Threads,
 }
 
 /// Offers `~/load_model`; `model_id` names the network in use. Returns the thread that loads networks, which ends at `shutdown`.
@@ -128,7 +131,7 @@ impl Loader {
 
     /// Loads and runs a checkpoint once, so that an unusable one is refused before it replaces the network in use.
     fn load(&self, path: &str) -> anyhow::Result<LoadedModel> {
-        let ModelRequirements { default_path, options, topology, allowed, mano } = &self.requirements;
+        let ModelRequirements { default_path, options, topology, allowed, mano, threads } = &self.requirements;
         if !path.is_empty() {
             allowed.check("model", Path::new(path))?;
         }
@@ -138,7 +141,7 @@ impl Loader {
         if loaded != *topology {
             bail!("{}: expected topology {}, got {}", path.display(), topology.id(), loaded.id());
         }
-        measure_inference(&mut predictor).with_context(|| path.display().to_string())?;
+        threads.run(|| measure_inference(&mut predictor)).with_context(|| path.display().to_string())?;
         let info = model_info(&predictor, self.clock.now())?;
         Ok(LoadedModel { predictor, info })
     }

@@ -1,42 +1,51 @@
 //! The node `predictor`: predicts touch on both hands from images.
 
+mod camera;
 mod certainty;
+mod fusion;
 mod inference;
 mod input;
 mod load;
 mod load_model;
+mod model_id;
+mod reports;
+mod stream;
 mod views;
 
 use std::process::ExitCode;
 use std::sync::Arc;
 
 use super::allowed_folder::{self, AllowedFolder};
-use super::diagnostics::{self, Level, TaskReport};
 use super::enabled::serve_set_enabled;
 use super::images::ImageTransport;
 use super::input_topics::reliability_parameter;
+use super::mailbox::Mailbox;
 use super::params::{Allowed, Parameter};
 use super::rectify::Rectification;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
+use super::threads::Threads;
 use super::worker_thread::WorkerThread;
-use super::{device, hand_confidence, lifecycle, program, qos};
+use super::{device, hand_confidence, program, qos};
 use crate::hand::{HandModel, Side};
 use crate::model::{Precision, Unknown};
-use certainty::Certainties;
-use inference::{Inference, ModelId};
+use camera::Camera;
+use fusion::Fusion;
+use inference::Inference;
 use input::Input;
 use load::LoadedNetwork;
 use load_model::{ModelRequirements, PendingModel};
-use views::Views;
+use model_id::ModelId;
+use stream::CameraStream;
 
 /// Runs the program `egotac_predictor`.
 pub fn main() -> ExitCode {
-    program::run_managed("predictor", "Predicts touch on both hands from images.", &parameters(), start)
+    program::run("predictor", "Predicts touch on both hands from images.", parameters(), start)
 }
 
 /// Parameters of the node.
 fn parameters() -> Vec<Parameter> {
+    let [threads, pin_cores] = Threads::parameters();
     vec![
         Parameter::fixed(
             "model",
@@ -84,6 +93,10 @@ fn parameters() -> Vec<Parameter> {
             "Left MANO file: the results are then on MANO's vertices; needs mano_right.",
         ),
         Parameter::fixed("mano_right", "", Allowed::Any, "Right MANO file; needs mano_left."),
+        Camera::parameter(),
+        Fusion::parameter(),
+        threads,
+        pin_cores,
         ImageTransport::parameter(),
         reliability_parameter("best_effort"),
         Rectification::parameter(),
@@ -109,7 +122,6 @@ fn parameters() -> Vec<Parameter> {
         ),
         Parameter::new("enabled", true, Allowed::Any, "Process images; ~/set_enabled sets it, too."),
         allowed_folder::parameter(),
-        lifecycle::parameter(),
         Parameter::use_sim_time(),
     ]
 }
@@ -119,8 +131,10 @@ fn parameters() -> Vec<Parameter> {
 /// # Errors
 /// If there is no usable checkpoint; otherwise as [`run`].
 fn start(runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
-    let network = load::load(runtime.parameters(), runtime.log())?;
-    run(runtime, network, shutdown)
+    let threads = Threads::of(runtime.parameters(), runtime.log())?;
+    let (parameters, log) = (runtime.parameters(), runtime.log());
+    let network = threads.run(|| load::load(parameters, log))?;
+    run(runtime, network, threads, shutdown)
 }
 
 /// Runs the node with a loaded network until `shutdown`. `~/load_model` loads the file of this network if a request names
@@ -128,15 +142,16 @@ fn start(runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If ROS refuses a topic or service, or the network cannot process an image.
-fn run(mut runtime: Runtime, network: LoadedNetwork, shutdown: &Shutdown) -> anyhow::Result<()> {
-    let input = Input::new(&runtime);
-    let (inference, loader) = prepare(&mut runtime, shutdown, network, input.clone())?;
+fn run(mut runtime: Runtime, network: LoadedNetwork, threads: Threads, shutdown: &Shutdown) -> anyhow::Result<()> {
+    let cameras = Camera::all(runtime.parameters())?;
+    let (inference, loader) = prepare(&mut runtime, shutdown, network, &threads, cameras)?;
     serve_set_enabled(&mut runtime)?;
-    publish_diagnostics(&mut runtime, input.clone(), inference.model_id.clone(), inference.certainties.clone())?;
-    input.subscribe(&mut runtime)?;
-
+    reports::publish(&mut runtime, &inference)?;
+    for stream in &inference.streams {
+        stream.input.subscribe(&mut runtime)?;
+    }
     let worker = WorkerThread::spawn("inference", shutdown, move |shutdown| {
-        inference.run(shutdown);
+        threads.run(|| inference.run(shutdown));
         Ok(())
     })?;
     runtime.spin(shutdown);
@@ -144,16 +159,17 @@ fn run(mut runtime: Runtime, network: LoadedNetwork, shutdown: &Shutdown) -> any
     runtime.finish(worker).and(loaded)
 }
 
-/// Publishes `~/model_info`, offers `~/load_model` with its thread, and creates the inference loop.
+/// Publishes `~/model_info`, offers `~/load_model` with its thread, and creates the inference loop of all cameras.
 fn prepare(
     runtime: &mut Runtime,
     shutdown: &Shutdown,
     network: LoadedNetwork,
-    input: Input,
+    threads: &Threads,
+    cameras: Vec<Camera>,
 ) -> anyhow::Result<(Inference, WorkerThread)> {
     let LoadedNetwork { mut predictor, path, options, mano } = network;
     let log = runtime.log().clone();
-    log.info(format!("one image takes {:.0} ms", load::measure_inference(&mut predictor)? * 1e3));
+    log.info(format!("one image takes {:.0} ms", threads.run(|| load::measure_inference(&mut predictor))? * 1e3));
     let model_info = load::model_info(&predictor, runtime.clock().now())?;
     if let Some(warning) = predictor.warning() {
         log.warn(warning);
@@ -174,57 +190,26 @@ fn prepare(
         None => Side::BOTH.map(HandModel::builtin),
     };
     let allowed = AllowedFolder::of(runtime.parameters())?;
-    let requirements = ModelRequirements { default_path: path, options, topology, allowed, mano };
+    let requirements =
+        ModelRequirements { default_path: path, options, topology, allowed, mano, threads: threads.clone() };
     let loader = load_model::serve(runtime, shutdown, pending.clone(), requirements, model_info.model_id.clone())?;
-    let certainties = Certainties::default();
-    let inference = Inference {
-        predictor,
-        model_id: ModelId::new(model_info.model_id),
-        pending,
-        replaced: false,
-        input,
-        rectification: Rectification::subscribe(runtime)?,
-        frames: runtime.publisher("~/tactile", qos::output())?,
-        info,
-        views: Views::create(runtime, hands)?,
-        sequence: 0,
-        certainties,
-        parameters: Arc::clone(runtime.parameters()),
-        clock: runtime.clock().clone(),
-        log,
-    };
-    Ok((inference, loader))
-}
 
-/// Reports the counts of images on `/diagnostics`.
-fn publish_diagnostics(
-    runtime: &mut Runtime,
-    input: Input,
-    model_id: ModelId,
-    certainties: Certainties,
-) -> anyhow::Result<()> {
-    let mut refused_before = 0;
-    let hardware_id = move || model_id.get().clone();
-    diagnostics::publish(runtime, hardware_id, move |runtime| {
-        input.tally.set_dropped("superseded", input.newest.superseded());
-        let mut counts = input.tally.counts();
-        let rates = counts.rates();
-        let refused = ["malformed", "failed"].iter().filter_map(|cause| counts.drops.get(cause)).sum();
-        let newly_refused = refused > std::mem::replace(&mut refused_before, refused);
-        let topic = &input.topic;
-        let (level, message) = if !runtime.parameters().get::<bool>("enabled") {
-            (Level::Ok, "disabled".to_owned())
-        } else if rates.received == 0.0 {
-            (Level::Stale, format!("no images on {topic}"))
-        } else if newly_refused {
-            (Level::Warn, format!("images on {topic} could not be processed"))
-        } else if let Some(doubt) = certainties.doubt() {
-            (Level::Warn, format!("touch is unknown: {doubt}"))
-        } else {
-            (Level::Ok, format!("{:.1} of {:.1} images per second", rates.processed, rates.received))
-        };
-        let mut values = counts.values(rates);
-        values.extend(certainties.values());
-        TaskReport { task: "images", level, message, values }
-    })
+    let model_id = ModelId::new(model_info.model_id);
+    let newest = Arc::new(Mailbox::new(cameras.len()));
+    let fusion = match cameras.iter().any(Camera::is_named) {
+        true => Some(Fusion::create(runtime, &cameras, (topology == hands[0].topology).then_some(&hands))?),
+        false => None,
+    };
+    let mut streams = Vec::new();
+    for (source, camera) in cameras.into_iter().enumerate() {
+        let input = Input::create(runtime, camera, source, &newest)?;
+        streams.push(CameraStream::create(
+            runtime,
+            input,
+            predictor.another_stream(),
+            model_id.clone(),
+            hands.clone(),
+        )?);
+    }
+    Ok((Inference { streams, newest, fusion, model_id, pending, info, log }, loader))
 }

@@ -41,7 +41,7 @@ use statistics::Statistics;
 
 /// Runs the program `egotac_retargeter`.
 pub fn main() -> ExitCode {
-    program::run_managed("retargeter", "Follows a hand and its touch with a robot hand.", &parameters(), start)
+    program::run("retargeter", "Follows a hand and its touch with a robot hand.", parameters(), start)
 }
 
 /// Creates the node, loads its robot, and runs until `shutdown`.

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use super::keypoint_layout;
 use crate::node::hand_confidence;
 use crate::node::input_topics::reliability_parameter;
-use crate::node::lifecycle;
 use crate::node::params::{Allowed, Parameter, Parameters};
 use crate::retarget::LiveOptions;
 
@@ -13,7 +12,6 @@ use crate::retarget::LiveOptions;
 pub fn parameters() -> Vec<Parameter> {
     let mut parameters = of_the_hand();
     parameters.extend(of_the_motion());
-    parameters.push(lifecycle::parameter());
     parameters.push(Parameter::use_sim_time());
     parameters
 }
@@ -27,7 +25,7 @@ fn of_the_hand() -> Vec<Parameter> {
             "robot",
             "four_finger",
             Allowed::Any,
-            "Robot hand: a name of `egotac retarget list`, a YAML file, or a model (MJCF or URDF).",
+            "Robot hand: a name of `egotac retarget list` or its start, a YAML file, or a model (MJCF or URDF).",
         ),
         Parameter::fixed(
             "model",

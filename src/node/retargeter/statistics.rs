@@ -124,7 +124,7 @@ pub fn report(runtime: &mut Runtime, inputs: Inputs, statistics: Statistics, rob
                 let secs = percentile(counts.solve_secs.make_contiguous().iter().copied(), q);
                 values.push((format!("solve_{name}_us"), format!("{:.0}", 1e6 * secs)));
             }
-            TaskReport { task: "hands", level, message, values }
+            vec![TaskReport { task: "hands".into(), level, message, values }]
         },
     )
 }

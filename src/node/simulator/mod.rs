@@ -7,6 +7,7 @@ mod player;
 use std::process::ExitCode;
 
 use super::diagnostics::{self, Level, Tally, TaskReport};
+use super::enabled::serve_set_enabled;
 use super::params::{Allowed, Parameter};
 use super::program;
 use super::runtime::Runtime;
@@ -18,7 +19,7 @@ use player::Player;
 
 /// Runs the program `egotac_simulator`.
 pub fn main() -> ExitCode {
-    program::run("simulator", "Plays simulated scenes as a camera topic, with the true touch.", &parameters(), run)
+    program::run("simulator", "Plays simulated scenes as a camera topic, with the true touch.", parameters(), run)
 }
 
 /// Parameters of the node.
@@ -79,6 +80,7 @@ fn parameters() -> Vec<Parameter> {
             Allowed::Integers(1, 1000),
             "Number of image subscribers that end the wait of `wait_secs` early.",
         ),
+        Parameter::new("enabled", true, Allowed::Any, "Play; false: pause. ~/set_enabled sets it, too."),
         // The pace is chosen at start.
         Parameter { read_only: true, ..Parameter::use_sim_time() },
     ]
@@ -94,16 +96,22 @@ fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     anyhow::ensure!(!scenes.is_empty(), "parameter scenes: expected at least one scene, got none");
     let tally = Tally::default();
     let player = Player::new(&mut runtime, scenes, tally.clone())?;
-    diagnostics::publish(&mut runtime, String::new, move |_| task_report(&tally))?;
+    serve_set_enabled(&mut runtime)?;
+    diagnostics::publish(&mut runtime, String::new, move |runtime| {
+        vec![task_report(&tally, runtime.parameters().get::<bool>("enabled"))]
+    })?;
     let worker = WorkerThread::spawn("rollout", shutdown, move |shutdown| player.play(shutdown))?;
     runtime.spin(shutdown);
     runtime.finish(worker)
 }
 
-fn task_report(tally: &Tally) -> TaskReport {
+fn task_report(tally: &Tally, enabled: bool) -> TaskReport {
     let mut counts = tally.counts();
     let rates = counts.rates();
-    let level = if rates.processed > 0.0 { Level::Ok } else { Level::Stale };
-    let message = format!("{:.1} frames per second", rates.processed);
-    TaskReport { task: "frames", level, message, values: counts.values(rates) }
+    let level = if rates.processed > 0.0 || !enabled { Level::Ok } else { Level::Stale };
+    let message = match enabled {
+        true => format!("{:.1} frames per second", rates.processed),
+        false => "disabled".to_owned(),
+    };
+    TaskReport { task: "frames".into(), level, message, values: counts.values(rates) }
 }

@@ -65,6 +65,15 @@ impl Pace {
         }
     }
 
+    /// Continues after a pause of the player.
+    pub(super) fn resume(&mut self, pause: Duration) {
+        match self {
+            Self::Wall { schedule, .. } => schedule.start = schedule.start.map(|start| start + pause),
+            Self::ExternalClock(follower) => follower.start = None,
+            Self::Fast => {}
+        }
+    }
+
     /// Returns the number of frames that came too late for their time on the wall clock.
     pub(super) fn late_frames(&self) -> u64 {
         match self {

@@ -1,5 +1,6 @@
 //! Playback of simulated episodes.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -19,6 +20,8 @@ const EXIT_DELAY: Duration = Duration::from_millis(500);
 const DISCOVERY_SETTLED_AFTER: Duration = Duration::from_millis(1500);
 /// Time between two looks at the number of subscribers.
 const DISCOVERY_POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// Time between two looks at the parameter `enabled` while it is false.
+const PAUSE_POLL_INTERVAL: Duration = Duration::from_millis(10);
 
 /// Plays episodes and publishes their frames. It runs on one worker thread, which owns the OpenGL context.
 pub(super) struct Player {
@@ -37,6 +40,7 @@ pub(super) struct Player {
     outputs: Outputs,
     pace: Pace,
     tally: Tally,
+    parameters: Arc<Parameters>,
     log: Log,
 }
 
@@ -70,6 +74,7 @@ impl Player {
                 ..RolloutOptions::default()
             },
             tally,
+            parameters: Arc::clone(runtime.parameters()),
             log: runtime.log().clone(),
         })
     }
@@ -112,6 +117,7 @@ impl Player {
             if shutdown.requested() || (self.duration > 0.0 && simulated >= self.duration - TIME_TOLERANCE_SECS) {
                 return Ok(Episode::Stopped);
             }
+            self.wait_while_disabled(shutdown);
             self.tally.received();
             let stamp = self.pace.wait(simulated, shutdown);
             self.outputs.publish(&frame, &name, rollout.intrinsics(), stamp)?;
@@ -120,6 +126,19 @@ impl Player {
             last = frame.frame.timestamp;
         }
         Ok(Episode::Complete(last + rollout.interval()))
+    }
+
+    /// Pauses while the parameter `enabled` is false; the frames that follow are paced from then on.
+    fn wait_while_disabled(&mut self, shutdown: &Shutdown) {
+        let paused = Instant::now();
+        let mut has_waited = false;
+        while !self.parameters.get::<bool>("enabled") && !shutdown.requested() {
+            has_waited = true;
+            std::thread::sleep(PAUSE_POLL_INTERVAL);
+        }
+        if has_waited {
+            self.pace.resume(paused.elapsed());
+        }
     }
 
     /// Waits until enough nodes subscribe to the images, then until no further node has joined for a moment, so that all

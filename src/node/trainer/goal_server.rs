@@ -84,6 +84,7 @@ impl GoalServer {
     pub(super) fn take(&mut self, request: ActionServerGoalRequest<Train::Action>) {
         let job = match &self.active {
             Some(_) => Err(anyhow::anyhow!("another goal is active")),
+            None if !self.parameters.get::<bool>("enabled") => Err(anyhow::anyhow!("the node is disabled")),
             None => goal_job::job(&request.goal, &self.parameters, &self.folder, &self.ring),
         };
         let job = match job {
@@ -234,7 +235,7 @@ impl GoalServer {
         let progress = lock(&self.progress);
         let level = if progress.state == TrainerStatus::FAILED { Level::Error } else { Level::Ok };
         let message = format!("{}, step {} of {}", progress.state, progress.step, progress.steps);
-        TaskReport { task: "training", level, message, values: counts.values(rates) }
+        TaskReport { task: "training".into(), level, message, values: counts.values(rates) }
     }
 
     fn update(&self, change: impl FnOnce(&mut Progress)) {

@@ -15,10 +15,11 @@ use r2r::egotac_msgs::action::Train;
 use r2r::egotac_msgs::srv::LoadModel;
 
 use super::diagnostics::{self, Tally};
+use super::enabled::serve_set_enabled;
 use super::episode_recorder::{EpisodeRecorder, ImageSource, Limits};
 use super::images::ImageTransport;
 use super::input_topics::{InputTopic, Need, reliability_parameter};
-use super::params::{Allowed, Parameter};
+use super::params::{Allowed, Parameter, Parameters};
 use super::rectify::Rectification;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
@@ -35,7 +36,7 @@ const NOTIFY_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Runs the program `egotac_trainer`.
 pub fn main() -> ExitCode {
-    program::run("trainer", "Trains networks on stores and on live topics.", &parameters(), run)
+    program::run("trainer", "Trains networks on stores and on live topics.", parameters(), run)
 }
 
 /// Parameters of the node.
@@ -53,6 +54,12 @@ fn parameters() -> Vec<Parameter> {
         reliability_parameter("match"),
         Rectification::parameter(),
         Parameter::new("record", true, Allowed::Any, "Record each image that has a truth of equal stamp."),
+        Parameter::new(
+            "enabled",
+            true,
+            Allowed::Any,
+            "Record and take goals; an active goal goes on without. ~/set_enabled sets it, too.",
+        ),
         Parameter::fixed(
             "max_recorded_mb",
             2000.0,
@@ -111,16 +118,20 @@ fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     };
     let tally = Tally::default();
     let transport = ImageTransport::of(&parameters);
-    let images =
-        ImageSource { transport, rectification: Rectification::subscribe(&mut runtime)?, tally: tally.clone() };
+    let images = ImageSource {
+        transport,
+        rectification: Rectification::subscribe(&mut runtime, "camera_info")?,
+        tally: tally.clone(),
+    };
     let (recorder, ring, writer) =
         EpisodeRecorder::open(&folder.join("live"), limits, images, runtime.log(), shutdown)?;
     subscribe(&mut runtime, recorder, &tally)?;
     let server = GoalServer::new(ring, folder, device, parameters, runtime.log().clone());
     let server = Rc::new(RefCell::new(server));
     serve_goals(&mut runtime, &server)?;
+    serve_set_enabled(&mut runtime)?;
     let states = Rc::clone(&server);
-    diagnostics::publish(&mut runtime, String::new, move |_| states.borrow().task_report(&tally))?;
+    diagnostics::publish(&mut runtime, String::new, move |_| vec![states.borrow().task_report(&tally)])?;
 
     runtime.spin(shutdown);
     if server.borrow_mut().stop() {
@@ -144,7 +155,7 @@ fn serve_goals(runtime: &mut Runtime, server: &Rc<RefCell<GoalServer>>) -> anyho
     Ok(())
 }
 
-/// Passes images and truths to the recorder while the parameter `record` is set.
+/// Passes images and truths to the recorder while the parameters `record` and `enabled` are set.
 fn subscribe(runtime: &mut Runtime, recorder: EpisodeRecorder, tally: &Tally) -> anyhow::Result<()> {
     let recorder = Rc::new(RefCell::new(recorder));
     let transport = ImageTransport::of(runtime.parameters());
@@ -153,7 +164,7 @@ fn subscribe(runtime: &mut Runtime, recorder: EpisodeRecorder, tally: &Tally) ->
     let input = InputTopic::new(runtime, "image", "images", qos::every_input(), Need::Optional);
     transport.subscribe(runtime, input, move |payload| {
         tally.received();
-        match parameters.get("record") {
+        match records(&parameters) {
             true => images.borrow_mut().push_image(payload),
             false => tally.dropped("disabled"),
         }
@@ -161,10 +172,15 @@ fn subscribe(runtime: &mut Runtime, recorder: EpisodeRecorder, tally: &Tally) ->
     let (parameters, log) = (Arc::clone(runtime.parameters()), runtime.log().clone());
     let input = InputTopic::new(runtime, "truth", "truth", qos::every_input(), Need::Optional);
     runtime.input::<TactileTruth>(input, move |truth| match truth {
-        Ok(truth) if parameters.get("record") => recorder.borrow_mut().push_truth(truth),
+        Ok(truth) if records(&parameters) => recorder.borrow_mut().push_truth(truth),
         Ok(_) => {}
         Err(error) => log.warn_throttled("truth", format!("truth: message dropped: {error}")),
     })
+}
+
+/// True while images and truths are recorded.
+fn records(parameters: &Parameters) -> bool {
+    parameters.get("record") && parameters.get("enabled")
 }
 
 /// Calls the service that the parameter `notify` names with a new checkpoint.

@@ -8,6 +8,7 @@ use std::io::Write as _;
 use std::path::Path;
 use std::process::ExitCode;
 use std::rc::Rc;
+use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context as _;
@@ -15,6 +16,7 @@ use serde_json::{Value, json};
 
 use super::clock::RosClock;
 use super::diagnostics::{Level, Rates, Tally, TaskReport};
+use super::enabled::serve_set_enabled;
 use super::exact_sync::ExactSync;
 use super::input_topics::{InputTopic, Need, reliability_parameter};
 use super::log::Log;
@@ -37,7 +39,7 @@ const UNMATCHED_AFTER_SECS: f64 = 2.0;
 
 /// Runs the program `egotac_verifier`.
 pub fn main() -> ExitCode {
-    program::run("verifier", "Compares predicted touch with the truth while both are published.", &parameters(), run)
+    program::run("verifier", "Compares predicted touch with the truth while both are published.", parameters(), run)
 }
 
 /// Parameters of the node.
@@ -63,6 +65,7 @@ fn parameters() -> Vec<Parameter> {
              frames with touch, pooled_f1 that over all vertices). A missed one is logged at shutdown and sets the exit status to 1.",
         ),
         reliability_parameter("match"),
+        Parameter::new("enabled", true, Allowed::Any, "Score pairs; ~/set_enabled sets it, too."),
         Parameter::new("print", true, Allowed::Any, "Print one line of scores per second on the terminal."),
         Parameter::use_sim_time(),
     ]
@@ -79,10 +82,12 @@ fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
         splitter: EpisodeSplitter::default(),
         scores: Scores::default(),
         tally: Tally::default(),
+        parameters: Arc::clone(runtime.parameters()),
         clock: runtime.clock().clone(),
         log: runtime.log().clone(),
         started: Instant::now(),
     }));
+    serve_set_enabled(&mut runtime)?;
     subscribe(&mut runtime, &verifier)?;
     publish_metrics(&mut runtime, &verifier)?;
     let report = runtime.parameters().get::<String>("report");
@@ -131,7 +136,7 @@ fn publish_metrics(runtime: &mut Runtime, verifier: &Rc<RefCell<Verifier>>) -> a
         let mut verifier = verifier.borrow_mut();
         let rates = verifier.tally.counts().rates();
         verifier.publish_window(rates.processed, &publisher, &parameters);
-        verifier.task_report(rates, &tactile, &truth)
+        vec![verifier.task_report(rates, &tactile, &truth)]
     })
 }
 
@@ -140,6 +145,7 @@ struct Verifier {
     splitter: EpisodeSplitter,
     scores: Scores,
     tally: Tally,
+    parameters: Arc<Parameters>,
     clock: RosClock,
     log: Log,
     started: Instant,
@@ -149,6 +155,7 @@ impl Verifier {
     fn take_prediction(&mut self, frame: crate::Result<TactileFrame>) {
         self.tally.received();
         match frame {
+            Ok(_) if self.is_disabled() => self.tally.dropped("disabled"),
             Ok(frame) => {
                 self.tally.processed(self.clock.secs_since(frame.header.stamp));
                 let pair = self.sync.push_left(frame.header.stamp, frame);
@@ -160,6 +167,7 @@ impl Verifier {
 
     fn take_truth(&mut self, truth: crate::Result<TactileTruth>) {
         match truth {
+            Ok(_) if self.is_disabled() => {}
             Ok(truth) => {
                 let episode = self.splitter.episode_number(&truth);
                 let pair = self.sync.push_right(truth.frame.header.stamp, (episode, truth));
@@ -167,6 +175,11 @@ impl Verifier {
             }
             Err(error) => self.refuse("truth", &error),
         }
+    }
+
+    /// True while pairs are not scored.
+    fn is_disabled(&self) -> bool {
+        !self.parameters.get::<bool>("enabled")
     }
 
     fn score(&mut self, pair: Option<(TactileFrame, (u64, TactileTruth))>) {
@@ -196,6 +209,7 @@ impl Verifier {
 
     fn task_report(&self, rates: Rates, tactile: &str, truth: &str) -> TaskReport {
         let (level, message) = match (rates.processed > 0.0, self.scores.window_len() == 0) {
+            _ if self.is_disabled() => (Level::Ok, "disabled".to_owned()),
             (false, _) => (Level::Stale, format!("no predictions on {tactile}")),
             (true, true) if self.scores.invalid > 0 => {
                 (Level::Warn, format!("no valid pair; {} frames of {truth} were invalid", self.scores.invalid))
@@ -203,7 +217,7 @@ impl Verifier {
             (true, true) => (Level::Warn, format!("no message on {truth} has the stamp of a prediction")),
             (true, false) => (Level::Ok, format!("{} pairs", self.scores.pairs)),
         };
-        TaskReport { task: "pairs", level, message, values: self.tally.counts().values(rates) }
+        TaskReport { task: "pairs".into(), level, message, values: self.tally.counts().values(rates) }
     }
 
     /// Returns names and values of the rolling metrics; NaN = undefined.

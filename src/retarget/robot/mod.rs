@@ -1,5 +1,6 @@
 //! Robot hands: a model and the facts derived from it, which a YAML file overrides.
 
+pub mod catalogue;
 mod collision_pairs;
 pub mod commands;
 pub mod coupling;
@@ -84,8 +85,8 @@ pub struct ObjectBody {
 const AWAY: DVec3 = DVec3::new(0.0, 0.0, 1e3);
 
 impl Robot {
-    /// Loads a robot: a name of `egotac retarget list`, a YAML file, or a model (MJCF or URDF) without one. `model` replaces
-    /// the model that the YAML file names.
+    /// Loads a robot: a name of `egotac retarget list` or its start, a YAML file, or a model (MJCF or URDF) without one. `model`
+    /// replaces the model that the YAML file names.
     ///
     /// # Errors
     /// If it can't be found or read, the YAML file names something that the model lacks (the error lists the known names),
@@ -99,6 +100,7 @@ impl Robot {
     /// # Errors
     /// As [`Self::load`].
     pub fn load_with_object(robot: &str, model: Option<&Path>, object: Option<&Shapes>) -> Result<Self> {
+        let robot = &catalogue::complete(robot)?;
         if model.is_some() || !source::has_own_model(robot) {
             Trial::Robot { robot: robot.to_owned(), model: model.map(Path::to_path_buf) }.run()?;
         }

@@ -79,6 +79,50 @@ pub fn has_own_model(name: &str) -> bool {
     SHIPPED.iter().any(|(shipped, _, model)| *shipped == name && model.is_some())
 }
 
+/// Returns the file of a robot that is part of the program.
+fn shipped_spec(name: &str) -> Result<RobotSpec> {
+    let shipped = SHIPPED.iter().find(|(shipped, ..)| *shipped == name);
+    let Some((_, yaml, _)) = shipped else { return Err(Error::unknown("robot", name, names())) };
+    RobotSpec::parse(yaml)
+}
+
+/// Returns the origin of the model of a robot that is part of the program: "part of the program" or a file; None if there is
+/// no such file on this machine.
+///
+/// # Errors
+/// If there is no such robot.
+pub fn find_model(name: &str) -> Result<Option<String>> {
+    if has_own_model(name) {
+        return Ok(Some("part of the program".to_owned()));
+    }
+    let spec = shipped_spec(name)?;
+    Ok(locate(&spec, None).ok().map(|path| path.display().to_string()))
+}
+
+/// Describes where the model of a robot that is part of the program is to be had.
+///
+/// # Errors
+/// If there is no such robot.
+pub fn describe(name: &str) -> Result<String> {
+    if has_own_model(name) {
+        return Ok("part of the program".to_owned());
+    }
+    let spec = shipped_spec(name)?;
+    Ok(match (spec.model.mjcf, spec.model.urdf) {
+        (Some(model), _) => format!(
+            "{} of MuJoCo Menagerie (github.com/google-deepmind/mujoco_menagerie); name its folder in MENAGERIE_ROOT",
+            model.display()
+        ),
+        (None, Some(model)) => {
+            format!(
+                "{} of dex-urdf (PyPI package dexi-rs); name the folder that holds it in EGOTAC_ROBOTS",
+                model.display()
+            )
+        }
+        (None, None) => "no model".to_owned(),
+    })
+}
+
 /// Reads a robot: a name of [`names`], a YAML file, or a model (MJCF or URDF) without one. `model` replaces the model that
 /// the YAML file names; `object` is added to the model.
 ///

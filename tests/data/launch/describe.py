@@ -123,11 +123,12 @@ class IncludeLaunchDescription(Action):
 class Node(Action):
     def __init__(
         self, *, package, executable, name=None, namespace=None, parameters=(), remappings=(), arguments=(),
-        output=None, sigterm_timeout="5", sigkill_timeout="5", **options,
+        output=None, prefix=None, sigterm_timeout="5", sigkill_timeout="5", **options,
     ):
         super().__init__(**options)
         self.package, self.executable, self.name, self.namespace = package, executable, name, namespace
         self.parameters, self.remappings, self.arguments, self.output = parameters, remappings, arguments, output
+        self.prefix = prefix
         self.timeouts = [sigterm_timeout, sigkill_timeout]
 
     def execute(self, context):
@@ -140,6 +141,7 @@ class Node(Action):
                 "parameter_files": [text(p, context) for p in self.parameters if not isinstance(p, dict)],
                 "parameters": {k: v for p in self.parameters if isinstance(p, dict) for k, v in p.items()},
                 "remappings": {text(a, context): text(b, context) for a, b in self.remappings},
+                "prefix": text(self.prefix or "", context),
                 "arguments": [text(argument, context) for argument in self.arguments],
                 "timeouts": [float(text(timeout, context)) for timeout in self.timeouts],
             }

@@ -31,6 +31,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState, PointCloud2, PointField, RegionOfInterest
 from std_msgs.msg import Bool, ColorRGBA, Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from statistics_msgs.msg import MetricsMessage, StatisticDataPoint
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray, MeshFile, UVCoordinate
@@ -231,6 +232,14 @@ MESSAGES = {
     "wrench_stamped": WrenchStamped(
         header=header("left_thumb"),
         wrench=Wrench(force=Vector3(x=1.0, y=-2.0, z=3.0), torque=Vector3(x=0.5, y=0.25, z=-0.125)),
+    ),
+    "metrics_message": MetricsMessage(
+        measurement_source_name="/predictor:/image",
+        metrics_source="message_age",
+        unit="ms",
+        window_start=Time(sec=1_700_000_000, nanosec=5),
+        window_stop=Time(sec=1_700_000_001, nanosec=6),
+        statistics=[StatisticDataPoint(data_type=kind, data=0.5 * kind) for kind in range(1, 6)],
     ),
     "tf_message": TFMessage(transforms=[transform(), transform()]),
     "marker_array": MarkerArray(

@@ -55,13 +55,21 @@ pub fn picture(recording: u16, index: usize) -> RgbImage {
     })
 }
 
-/// Writes a checkpoint of random weights, whose labels differ from image to image.
+/// Writes a checkpoint of the preset `toy` with random weights, whose labels differ from image to image.
 ///
 /// # Errors
 /// If it can't be written.
 pub fn checkpoint(path: &Path, seed: u64) -> Result<()> {
-    let (config, vars) = (Config::preset("toy")?, VarMap::new());
-    EgoTac::new(&config, init::var_builder(&vars, seed, &Device::Cpu))?;
+    checkpoint_of(path, &Config::preset("toy")?, seed)
+}
+
+/// As [`checkpoint`], of a network of any size.
+///
+/// # Errors
+/// If it can't be written.
+pub fn checkpoint_of(path: &Path, config: &Config, seed: u64) -> Result<()> {
+    let vars = VarMap::new();
+    EgoTac::new(config, init::var_builder(&vars, seed, &Device::Cpu))?;
     // Initial weights have gates that are zero: such a network does not look at the image.
     let named = vars.data().lock().map_err(|_| Error::file(path, "a thread panicked while it held the weights"))?;
     let mut sorted: Vec<_> = named.iter().collect();
@@ -72,7 +80,7 @@ pub fn checkpoint(path: &Path, seed: u64) -> Result<()> {
         var.set(&(var.as_tensor() + Tensor::from_vec(noise, var.shape(), &Device::Cpu)?)?)?;
     }
     drop(named);
-    Checkpoint::save(path, &config, &Metadata::new("faults", 1.0, STEP_SECS), &vars).map(drop)
+    Checkpoint::save(path, config, &Metadata::new("faults", 1.0, STEP_SECS), &vars).map(drop)
 }
 
 /// Writes a store of two episodes, with a force that follows the image's number.

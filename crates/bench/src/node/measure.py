@@ -13,8 +13,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from egotac_msgs.msg import HandPose, TactileMetrics, TactileRegions, TactileTruth, TrainerStatus
+from egotac_msgs.msg import HandPose, TactileFrame, TactileMetrics, TactileRegions, TactileTruth, TrainerStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image, JointState, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
@@ -85,29 +86,83 @@ def dropped(before, after):
     return {key[8:]: after[key] - before.get(key, 0) for key in keys if after[key] != before.get(key, 0)}
 
 
+CAMERAS = ("head", "chest", "left", "right")
+"""Cameras of the overload."""
+
+
+class Camera:
+    """One of several cameras of a predictor: its images, and its results by stamp."""
+
+    def __init__(self, peer, name):
+        self.peer, self.name, self.results, self.sent = peer, name, {}, []
+        self.images = peer.create_publisher(Image, f"{name}/image", RELIABLE)
+        peer.create_subscription(TactileFrame, f"predictor/{name}/tactile", self.take, 100, raw=True)
+
+    def take(self, payload):
+        arrival = time.time_ns()
+        self.results[nanos(deserialize_message(payload, TactileFrame).header.stamp)] = arrival
+
+    def send(self, image):
+        stamp = time.time_ns()
+        self.images.publish(put_stamp(image, stamp))
+        self.sent.append(stamp)
+
+    def counts(self):
+        return self.peer.counts(f"predictor: images {self.name}")
+
+
 def overload(settings):
-    """More images than the network can process: the newest wins, all others are counted, and the latency stays flat."""
-    predictor(settings, "model")
+    """Four cameras with more images than the network can process: the newest of each wins, all others are counted, and the
+    latency stays flat."""
+    predictor(settings, "slow_model", cameras=f"[{', '.join(CAMERAS)}]")
     peer = Peer()
-    peer.take_results()
-    peer.ready()
-    before = peer.counts()
+    cameras = [Camera(peer, name) for name in CAMERAS]
     image = picture(640, 480)
-    sent = peer.stream(image, 4 * 30, settings["secs"])
-    peer.rest(2.5)
-    after = peer.counts()
-    stamps = sorted(stamp for stamp in sent if stamp in peer.results)
-    half = (min(sent) + max(sent)) // 2
-    early, late = ([peer.results[s][0] - s for s in stamps if (s < half) == first] for first in (True, False))
-    arrivals = [peer.results[stamp][0] for stamp in stamps]
-    drops = dropped(before, after)
+
+    def answered():
+        for camera in cameras:
+            camera.send(image)
+        peer.rest(0.1)
+        return all(camera.results for camera in cameras)
+
+    assert peer.wait(answered, 120.0) is not None, "a camera gets no result"
+    peer.rest(3.0)
+    before = [camera.counts() for camera in cameras]
+    for camera in cameras:
+        camera.sent.clear()
+    next_, end = time.monotonic(), time.monotonic() + settings["secs"]
+    while next_ < end:
+        for camera in cameras:  # one after another, so that their images do not come at one instant
+            peer.until(next_)
+            next_ += 1 / 120
+            camera.send(image)
+    peer.rest(3.5)
+    rows, early, late = [], [], []
+    for camera, first in zip(cameras, before):
+        after = camera.counts()
+        stamps = sorted(stamp for stamp in camera.sent if stamp in camera.results)
+        half = (camera.sent[0] + camera.sent[-1]) // 2
+        early += [camera.results[stamp] - stamp for stamp in stamps if stamp < half]
+        late += [camera.results[stamp] - stamp for stamp in stamps if stamp >= half]
+        arrivals = [camera.results[stamp] for stamp in stamps]
+        drops = dropped(first, after)
+        received = after["received"] - first["received"]
+        rows.append(
+            {
+                "camera": camera.name,
+                "sent": len(camera.sent),
+                "received": received,
+                "results": len(stamps),
+                "dropped": drops,
+                "uncounted": received - len(stamps) - sum(drops.values()),
+                "in_order": arrivals == sorted(arrivals),
+            }
+        )
     return {
-        "sent": len(sent),
-        "received": after["received"] - before["received"],
-        "results": len(stamps),
-        "dropped": drops,
-        "uncounted": after["received"] - before["received"] - len(stamps) - sum(drops.values()),
-        "in_order": arrivals == sorted(arrivals),
+        "cameras": rows,
+        "superseded": sum(row["dropped"].get("superseded", 0) for row in rows),
+        "uncounted": sum(abs(row["uncounted"]) for row in rows),
+        "in_order": all(row["in_order"] for row in rows),
         "first_half": percentiles(early),
         "second_half": percentiles(late),
     }
@@ -121,12 +176,19 @@ def soak(settings):
     )
     add("verifier", {"print": "false"}, {"tactile": "predictor/tactile"})
     add("retargeter", {"start": "rest"}, {"tactile": "predictor/tactile"})
+    # A camera of its own: its truth is no truth about the images of this peer.
+    scene = {"scenes": "[pinch_cube]", "width": 64, "height": 64}
+    own = {name: f"simulated/{name}" for name in ("image_raw", "camera_info", "truth/tactile", "truth/hand_pose", "truth/hand_poses")}
+    add("simulator", scene, own)
+    recorded = {"folder": Path(settings["logs"]) / "recorded", "max_recorded_mb": 20.0, "episode_secs": 5.0}
+    add("trainer", recorded, {"image": own["image_raw"], "truth": own["truth/tactile"]})
     peer = Peer()
     peer.take_results()
     truths = peer.create_publisher(TactileTruth, "truth", 100)
     poses = peer.create_publisher(HandPose, "hand_pose", 100)
-    metrics, joints = [], [0]
-    peer.create_subscription(TactileMetrics, "verifier/metrics", metrics.append, 10)
+    metrics, status, joints = [], [], [0]
+    peer.create_subscription(TactileMetrics, "verifier/metrics", newest(metrics), 10)
+    peer.create_subscription(TrainerStatus, "trainer/status", newest(status), 10)
     peer.create_subscription(JointState, "retargeter/joint_states", lambda _: joints.__setitem__(0, joints[0] + 1), 10)
     peer.ready()
     (_, frame) = next(iter(peer.results.values()))
@@ -168,17 +230,33 @@ def soak(settings):
         "uncounted": counts["received"] - counts_before["received"] - (counts["processed"] - counts_before["processed"]) - sum(drops.values()),
         "scored_pairs": metrics[-1].pairs if metrics else 0,
         "joint_states": joints[0],
+        "recorded_frames": status[-1].recorded_frames if status else 0,
         "alive": alive,
+        "warm_up_secs": WARM_UP_SECS,
         "growth_bytes": {name: growth(samples) for name, samples in memory.items()},
         "resident_bytes": {name: samples[-1][1] for name, samples in memory.items()},
     }
 
 
+def newest(messages):
+    """Returns a callback that keeps only the newest message in a list."""
+    return lambda message: messages.__setitem__(slice(None), [message])
+
+
+WARM_UP_SECS = 120.0
+"""Time after which the buffers of the nodes have filled: the verifier keeps the fields of its first 2000 pairs, which come in 80 s
+where 25 are sent per second, and the trainer opens and closes episodes up to the size that it may record."""
+
+
 def growth(samples):
-    """Returns the growth of memory from the second fifth of a run to the last: medians, after the buffers have filled."""
-    part = lambda first, last: [b for t, b in samples if first <= t / samples[-1][0] <= last]
-    early, late = part(0.2, 0.4), part(0.8, 1.0)
-    return float(np.median(late) - np.median(early)) if early and late else None
+    """Returns the growth of memory after the warm-up, bytes: from the median of the first fifth of this time to that of the last.
+    None if it is shorter than the warm-up itself."""
+    warm = [(t, b) for t, b in samples if t >= WARM_UP_SECS]
+    if not warm or samples[-1][0] < 2 * WARM_UP_SECS:
+        return None
+    start, end = warm[0][0], warm[-1][0]
+    part = lambda first, last: [b for t, b in warm if first <= (t - start) / (end - start) <= last]
+    return float(np.median(part(0.8, 1.0)) - np.median(part(0.0, 0.2)))
 
 
 def faults(settings):

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use egotac::error::{Error, Result};
 use egotac::machine::Machine;
-use egotac::model::shipped;
+use egotac::model::Config;
 use serde_json::{Value, json};
 
 use crate::faults::input;
@@ -16,6 +16,9 @@ pub use report::{Goal, NodeReport};
 
 /// Files of the peer.
 const SCRIPTS: [(&str, &str); 2] = [("graph.py", include_str!("graph.py")), ("measure.py", include_str!("measure.py"))];
+
+/// File of a network that four cameras are too many for, on any machine.
+const SLOW_MODEL: &str = "slow.safetensors";
 
 /// Names of the measurements.
 pub const MEASUREMENTS: [&str; 5] = ["overhead", "overload", "soak", "faults", "kills"];
@@ -54,6 +57,8 @@ pub fn measure(options: &Options, command: String, mut tell: impl FnMut(&str)) -
     }
     let toy = options.folder.join("toy.safetensors");
     input::checkpoint(&toy, 1)?;
+    let slow = Config { vision_width: 384, vision_depth: 12, image: 224, ..Config::toy() };
+    input::checkpoint_of(&options.folder.join(SLOW_MODEL), &slow, 1)?;
     for (name, text) in SCRIPTS {
         egotac::file::write(&options.folder.join(name), text.as_bytes())?;
     }
@@ -86,7 +91,7 @@ fn run(options: &Options, name: &str, toy: &Path) -> Result<Value> {
     std::fs::create_dir_all(&logs).map_err(Error::io(&logs))?;
     let secs = if name == "soak" { options.soak_secs } else { options.secs };
     let settings = json!({
-        "programs": options.programs, "logs": logs, "toy_model": toy, "model": shipped::path()?, "secs": secs,
+        "programs": options.programs, "logs": logs, "toy_model": toy, "slow_model": options.folder.join(SLOW_MODEL), "secs": secs,
     });
     let file = options.folder.join(format!("{name}.json"));
     egotac::file::write(&file, settings.to_string().as_bytes())?;

@@ -110,7 +110,9 @@ pub(super) fn goals(measurements: &Map<String, Value>) -> Vec<Goal> {
         overhead_goals(rows, &mut goals);
     }
     if let Some(overload) = at("overload") {
-        count(&mut goals, "images beyond capacity that nobody counted", 0.0, &overload["uncounted"]);
+        count(&mut goals, "images of four cameras beyond capacity that nobody counted", 0.0, &overload["uncounted"]);
+        let superseded = overload["superseded"].as_f64().is_some_and(|count| count > 0.0);
+        holds(&mut goals, "the images of four cameras are more than the network can process", &superseded.into());
         holds(&mut goals, "results beyond capacity come in order", &overload["in_order"]);
         let [first, second] = ["first_half", "second_half"].map(|half| number(&overload[half]["p50_ms"]));
         time(&mut goals, "latency beyond capacity, p50 of the second half beside the first", 1.25 * first, second);
@@ -118,9 +120,12 @@ pub(super) fn goals(measurements: &Map<String, Value>) -> Vec<Goal> {
     if let Some(soak) = at("soak") {
         let secs = number(&soak["secs"]);
         count(&mut goals, &format!("images of {secs:.0} s that nobody counted"), 0.0, &soak["uncounted"]);
+        let warm_up = number(&soak["warm_up_secs"]);
         for (name, bytes) in soak["growth_bytes"].as_object().into_iter().flatten() {
-            let got = number(bytes) / 1e6;
-            let what = format!("growth of memory of the {name} in {secs:.0} s");
+            // Null: the soak was too short to tell.
+            let Some(bytes) = bytes.as_f64() else { continue };
+            let got = bytes / 1e6;
+            let what = format!("growth of memory of the {name} in {secs:.0} s, after a warm-up of {warm_up:.0} s");
             goals.push(Goal {
                 what,
                 goal: "< 1 MB".into(),
@@ -131,6 +136,14 @@ pub(super) fn goals(measurements: &Map<String, Value>) -> Vec<Goal> {
         }
         let all = soak["alive"].as_object().is_some_and(|alive| alive.values().all(|value| value == true));
         holds(&mut goals, "all nodes live after the soak", &all.into());
+        for (name, key) in [
+            ("verifier scores", "scored_pairs"),
+            ("retargeter moves", "joint_states"),
+            ("trainer records", "recorded_frames"),
+        ] {
+            let works = soak[key].as_f64().is_some_and(|count| count > 0.0);
+            holds(&mut goals, &format!("the {name} in the soak"), &works.into());
+        }
     }
     if let Some(rows) = at("faults").and_then(|value| value["rows"].as_array()) {
         for row in rows {
@@ -248,7 +261,12 @@ mod tests {
 
     #[test]
     fn uncounted_images_growth_and_lost_recordings_fail() {
-        let soak = |uncounted: i32, growth: f64| json!({ "soak": { "secs": 60.0, "uncounted": uncounted, "growth_bytes": { "predictor": growth }, "alive": { "predictor": true } } });
+        let soak = |uncounted: i32, growth: f64| {
+            json!({ "soak": {
+                "secs": 600.0, "warm_up_secs": 120.0, "uncounted": uncounted, "growth_bytes": { "predictor": growth, "verifier": null },
+                "alive": { "predictor": true }, "scored_pairs": 9, "joint_states": 9, "recorded_frames": 9,
+            } })
+        };
         assert!(report(soak(0, 0.9e6), false).is_good());
         assert!(!report(soak(1, 0.0), false).is_good() && !report(soak(0, 1.1e6), false).is_good());
         let kill = |read: i32| {

@@ -12,12 +12,12 @@ use crate::tactile::TactileField;
 pub(super) struct Cloud(Publisher<PointCloud2>);
 
 impl Cloud {
-    /// Creates the publisher.
+    /// Creates the publisher on `topic`.
     ///
     /// # Errors
     /// If ROS refuses the topic.
-    pub(super) fn create(runtime: &mut Runtime) -> anyhow::Result<Self> {
-        Ok(Self(runtime.publisher("~/points", qos::output())?))
+    pub(super) fn create(runtime: &mut Runtime, topic: &str) -> anyhow::Result<Self> {
+        Ok(Self(runtime.publisher(topic, qos::output())?))
     }
 
     /// Returns true if the topic has a subscriber.

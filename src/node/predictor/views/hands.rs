@@ -10,6 +10,7 @@ use crate::node::lock::lock;
 use crate::node::log::Log;
 use crate::node::params::Parameters;
 use crate::node::placed_hand::{self, PlacedHand};
+use crate::node::predictor::camera::Camera;
 use crate::node::qos;
 use crate::node::runtime::Runtime;
 
@@ -33,13 +34,13 @@ pub(super) struct Hands {
 }
 
 impl Hands {
-    /// Subscribes to the poses of the hands `models`, left first.
+    /// Subscribes to the poses of the hands `models`, left first, in the view of a camera.
     ///
     /// # Errors
     /// If ROS refuses a topic.
-    pub(super) fn subscribe(runtime: &mut Runtime, models: [HandModel; 2]) -> anyhow::Result<Self> {
+    pub(super) fn subscribe(runtime: &mut Runtime, camera: &Camera, models: [HandModel; 2]) -> anyhow::Result<Self> {
         let poses = Poses::default();
-        subscribe_poses(runtime, &poses)?;
+        subscribe_poses(runtime, camera, &poses)?;
         Ok(Self { rest: placed_hand::rest_hands(&models), models, poses, log: runtime.log().clone() })
     }
 
@@ -74,15 +75,15 @@ impl Hands {
 }
 
 /// Subscribes to poses of one hand per message, and of both.
-fn subscribe_poses(runtime: &mut Runtime, poses: &Poses) -> anyhow::Result<()> {
+fn subscribe_poses(runtime: &mut Runtime, camera: &Camera, poses: &Poses) -> anyhow::Result<()> {
     let input = InputTopic {
-        name: "hand_pose".into(),
+        name: camera.input("hand_pose"),
         content: "poses of the hands",
         qos: qos::newest_input().keep_last(4),
         matches: false,
         need: Need::Optional,
     };
-    let both = InputTopic { name: "hand_poses".into(), ..input.clone() };
+    let both = InputTopic { name: camera.input("hand_poses"), ..input.clone() };
     let (single, log) = (keeper(runtime, poses), runtime.log().clone());
     runtime.input::<HandPose>(input, move |pose| match pose.and_then(|pose| Ok((pose.side()?, pose))) {
         Ok((side, pose)) => single(side, pose),

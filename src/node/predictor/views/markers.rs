@@ -22,12 +22,12 @@ const LIFETIME: Duration = Duration { sec: 1, nanosec: 0 };
 pub(super) struct Markers(Publisher<MarkerArray>);
 
 impl Markers {
-    /// Creates the publisher.
+    /// Creates the publisher on `topic`.
     ///
     /// # Errors
     /// If ROS refuses the topic.
-    pub(super) fn create(runtime: &mut Runtime) -> anyhow::Result<Self> {
-        Ok(Self(runtime.publisher("~/markers", qos::output())?))
+    pub(super) fn create(runtime: &mut Runtime, topic: &str) -> anyhow::Result<Self> {
+        Ok(Self(runtime.publisher(topic, qos::output())?))
     }
 
     /// Returns true if the topic has a subscriber.

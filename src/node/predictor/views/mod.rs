@@ -4,13 +4,14 @@ mod cloud;
 mod hands;
 mod markers;
 mod overlay;
-mod regions;
+pub(super) mod regions;
 mod wrenches;
 
 use std::sync::Arc;
 
 use ::image::RgbImage;
 
+use super::camera::Camera;
 use crate::hand::HandModel;
 use crate::message::TactileFrame;
 use crate::node::params::Parameters;
@@ -38,18 +39,18 @@ pub(super) struct Views {
 }
 
 impl Views {
-    /// Creates the publishers of touch on `models`, left first, and subscribes to the hand poses.
+    /// Creates the publishers of touch that `camera` sees on `models`, left first, and subscribes to the hand poses.
     ///
     /// # Errors
     /// If ROS refuses a topic.
-    pub(super) fn create(runtime: &mut Runtime, models: [HandModel; 2]) -> anyhow::Result<Self> {
-        let hands = Hands::subscribe(runtime, models)?;
+    pub(super) fn create(runtime: &mut Runtime, camera: &Camera, models: [HandModel; 2]) -> anyhow::Result<Self> {
+        let hands = Hands::subscribe(runtime, camera, models)?;
         Ok(Self {
-            regions: Regions::create(runtime, &hands.models)?,
-            cloud: Cloud::create(runtime)?,
-            markers: Markers::create(runtime)?,
-            wrenches: Wrenches::create(runtime, &hands.models)?,
-            overlay: Overlay::create(runtime, &hands.models)?,
+            regions: Regions::create(runtime, &camera.output("regions"), &hands.models)?,
+            cloud: Cloud::create(runtime, &camera.output("points"))?,
+            markers: Markers::create(runtime, &camera.output("markers"))?,
+            wrenches: Wrenches::create(runtime, camera, &hands.models)?,
+            overlay: Overlay::create(runtime, &camera.output("overlay/compressed"), &hands.models)?,
             parameters: Arc::clone(runtime.parameters()),
             hands,
         })

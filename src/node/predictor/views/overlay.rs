@@ -33,13 +33,13 @@ pub(super) struct Overlay {
 }
 
 impl Overlay {
-    /// Creates the publisher of pictures of `models`, left first.
+    /// Creates the publisher of pictures of `models`, left first, on `topic`.
     ///
     /// # Errors
     /// If ROS refuses the topic.
-    pub(super) fn create(runtime: &mut Runtime, models: &[HandModel; 2]) -> anyhow::Result<Self> {
+    pub(super) fn create(runtime: &mut Runtime, topic: &str, models: &[HandModel; 2]) -> anyhow::Result<Self> {
         let posed = models.each_ref().map(|model| model.forward(&HandParams::default()));
-        Ok(Self { publisher: runtime.publisher("~/overlay/compressed", qos::output())?, posed })
+        Ok(Self { publisher: runtime.publisher(topic, qos::output())?, posed })
     }
 
     /// Publishes the picture of `image` and its touch if the topic has a subscriber.

@@ -7,19 +7,23 @@ use crate::node::qos;
 use crate::node::runtime::Runtime;
 
 /// Publishes the touch on regions.
-pub(super) struct Regions {
+pub(in super::super) struct Regions {
     publisher: Publisher<TactileRegions>,
     /// Region of each vertex of the left and the right hand.
     regions: [Vec<Region>; 2],
 }
 
 impl Regions {
-    /// Creates the publisher.
+    /// Creates the publisher on `topic`.
     ///
     /// # Errors
     /// If ROS refuses the topic.
-    pub(super) fn create(runtime: &mut Runtime, models: &[HandModel; 2]) -> anyhow::Result<Self> {
-        let publisher = runtime.publisher("~/regions", qos::output())?;
+    pub(in super::super) fn create(
+        runtime: &mut Runtime,
+        topic: &str,
+        models: &[HandModel; 2],
+    ) -> anyhow::Result<Self> {
+        let publisher = runtime.publisher(topic, qos::output())?;
         Ok(Self { publisher, regions: [0, 1].map(|side: usize| models[side].regions()) })
     }
 
@@ -27,7 +31,7 @@ impl Regions {
     ///
     /// # Errors
     /// If the node is gone or the middleware refuses the message.
-    pub(super) fn publish(&self, frame: &TactileFrame) -> anyhow::Result<()> {
+    pub(in super::super) fn publish(&self, frame: &TactileFrame) -> anyhow::Result<()> {
         match self.publisher.subscriber_count() {
             0 => Ok(()),
             _ => self.publisher.publish(&TactileRegions::from_frame(frame, &self.regions)?),

@@ -5,6 +5,7 @@ use glam::{DMat3, DQuat, DVec3};
 use crate::hand::{HandModel, N_JOINTS, Region, vertex_normals};
 use crate::message::{Header, Quaternion, TFMessage, Transform, TransformStamped, Vector3, Wrench, WrenchStamped};
 use crate::node::placed_hand::PlacedHand;
+use crate::node::predictor::camera::Camera;
 use crate::node::publisher::Publisher;
 use crate::node::qos;
 use crate::node::runtime::Runtime;
@@ -28,18 +29,18 @@ pub(super) struct Wrenches {
 }
 
 impl Wrenches {
-    /// Creates the publishers.
+    /// Creates the publishers of a camera.
     ///
     /// # Errors
     /// If ROS refuses a topic.
-    pub(super) fn create(runtime: &mut Runtime, models: &[HandModel; 2]) -> anyhow::Result<Self> {
+    pub(super) fn create(runtime: &mut Runtime, camera: &Camera, models: &[HandModel; 2]) -> anyhow::Result<Self> {
         let prefix: String = runtime.parameters().get("frame_prefix");
         let (mut publishers, mut frames) = (Vec::new(), Vec::new());
         for model in models {
             for (part, _) in PARTS {
                 let name = format!("{}_{part}", model.side.name());
-                publishers.push(runtime.publisher(&format!("~/wrench/{name}"), qos::output())?);
-                frames.push(format!("{prefix}{name}"));
+                publishers.push(runtime.publisher(&camera.output(&format!("wrench/{name}")), qos::output())?);
+                frames.push(camera.frame(&prefix, &name));
             }
         }
         let parts = [0, 1].map(|side: usize| models[side].regions().into_iter().map(part_of).collect());
