@@ -108,6 +108,24 @@ impl Body {
         Self { name: name.into(), solid: Some(solid), samples, mass: None, friction: 0.8, held: None }
     }
 
+    /// Creates a free ball of unknown mass around the origin of its frame; `radius` in m.
+    ///
+    /// # Errors
+    /// If the radius is not a positive length.
+    pub fn ball(name: &str, radius: f64) -> Result<Self> {
+        /// Number of points of the surface, and the golden angle between them along a spiral from pole to pole.
+        const POINTS: u32 = 1200;
+        const TURN: f64 = 2.399_963_229_728_653;
+        let mut solid = Solid::default();
+        solid.add_ball(radius as f32, parry3d::math::Pose::IDENTITY)?;
+        let point = |k: u32| {
+            let z = 1.0 - 2.0 * (f64::from(k) + 0.5) / f64::from(POINTS);
+            let (angle, around) = (TURN * f64::from(k), (1.0 - z * z).sqrt());
+            (DVec3::new(around * angle.cos(), around * angle.sin(), z) * radius).as_vec3()
+        };
+        Ok(Self::from_solid(name, solid, (0..POINTS).map(point).collect()))
+    }
+
     /// Computes volume, centre and second moments of the shape, of cells that it fills; `None` if the shape is unknown or
     /// has no inside.
     pub fn volume(&self) -> Option<Volume> {
@@ -141,7 +159,11 @@ impl Body {
         let own = edge.as_dvec3() * edge.as_dvec3() / 12.0;
         let spread = spread + DMat3::from_diagonal(own);
         let trace = spread.x_axis.x + spread.y_axis.y + spread.z_axis.z;
-        Some(Volume { cubic_metres: count * cell, centre, gyration: DMat3::from_diagonal(DVec3::splat(trace)) - spread })
+        Some(Volume {
+            cubic_metres: count * cell,
+            centre,
+            gyration: DMat3::from_diagonal(DVec3::splat(trace)) - spread,
+        })
     }
 
     /// Sets the mass, kg, and the standard deviation of its logarithm; centre and inertia follow from the shape, or from its

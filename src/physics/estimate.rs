@@ -127,7 +127,12 @@ pub fn whole(take: &Take, settings: &Settings) -> Estimate {
 
 /// Estimates the forces at frame `lagged` of a take that holds the last frames of a stream, as far as `memories` of the frames
 /// before it and the frames up to the newest tell. `memories` are updated; they start empty.
-pub fn lagged(take: &Take, lagged: usize, memories: &mut Vec<Option<(Memory, f64)>>, settings: &Settings) -> FrameEstimate {
+pub fn lagged(
+    take: &Take,
+    lagged: usize,
+    memories: &mut Vec<Option<(Memory, f64)>>,
+    settings: &Settings,
+) -> FrameEstimate {
     let prepared = Prepared::new(take, settings);
     memories.resize(take.bodies.len(), None);
     // Only gaps about the lagged frame take part in its averages.

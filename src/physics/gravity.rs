@@ -6,7 +6,6 @@ use super::body::Body;
 use super::pose::{Pose, PoseNoise};
 use super::take::{Fixed, Take};
 use crate::error::Result;
-use crate::geometry::Solid;
 use crate::hand::Side;
 
 /// Acceleration of free fall, m/s².
@@ -79,11 +78,9 @@ impl Support {
     /// # Errors
     /// None in practice: the slab has fixed positive sizes.
     pub fn slab(&self) -> Result<Fixed> {
-        let mut solid = Solid::default();
-        solid.add_cuboid(SLAB, parry3d::math::Pose::IDENTITY)?;
         let orientation = glam::DQuat::from_rotation_arc(DVec3::Z, self.up);
         let position = self.up * (self.height - f64::from(SLAB.z));
-        Ok(Fixed { name: "support plane".into(), solid, pose: Pose { position, orientation } })
+        Fixed::block("support plane", SLAB, Pose { position, orientation })
     }
 }
 
@@ -104,7 +101,8 @@ fn resting<'a>(take: &'a Take) -> Vec<(&'a Body, Pose, f64)> {
             let mut window = (frame..poses.len()).take_while(|other| take.times[*other] - time <= REST_SECS);
             let at_rest = window.all(|other| {
                 poses[other].is_some_and(|p| {
-                    p.position.distance(pose.position) < REST + 6.0 * sd && p.orientation.dot(pose.orientation).abs() > 0.9995
+                    p.position.distance(pose.position) < REST + 6.0 * sd
+                        && p.orientation.dot(pose.orientation).abs() > 0.9995
                 })
             });
             let full = take.times.last().is_some_and(|end| end - time >= REST_SECS);

@@ -111,7 +111,8 @@ impl Motion {
             (JUMP_SIGMAS * self.noise.position).max(JUMP[0] * square),
             (JUMP_SIGMAS * self.noise.rotation).max(JUMP[1] * square).min(1.5),
         ];
-        let step = |a: Pose, b: Pose| [b.position - a.position, (b.orientation * a.orientation.inverse()).to_scaled_axis()];
+        let step =
+            |a: Pose, b: Pose| [b.position - a.position, (b.orientation * a.orientation.inverse()).to_scaled_axis()];
         let is_more = |v: [DVec3; 2]| v[0].length() > most[0] || v[1].length() > most[1];
         let at = |index: usize| poses.get(index).copied().flatten();
         let mut index = 1;
@@ -132,10 +133,11 @@ impl Motion {
                 _ => [DVec3::ZERO; 2],
             };
             let off = is_more([moved[0] - usual[0], moved[1] - usual[1]]);
-            let returns = off && at(index + 1).is_some_and(|later| {
-                let over = step(before, later);
-                !is_more([over[0] - usual[0] * 2.0, over[1] - usual[1] * 2.0])
-            });
+            let returns = off
+                && at(index + 1).is_some_and(|later| {
+                    let over = step(before, later);
+                    !is_more([over[0] - usual[0] * 2.0, over[1] - usual[1] * 2.0])
+                });
             if returns {
                 weights[index] = 0.0;
                 self.faults[index] = Some(MotionFault::Jump);

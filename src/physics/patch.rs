@@ -72,14 +72,7 @@ pub fn hand_patches(
 }
 
 /// Finds the patch of a body on a fixed thing or another body; gaps up to `reach`, m, count.
-pub fn support_patch(
-    body: &Body,
-    pose: &Pose,
-    pusher: Pusher,
-    solid: &Solid,
-    at: &Pose,
-    reach: f64,
-) -> Option<Patch> {
+pub fn support_patch(body: &Body, pose: &Pose, pusher: Pusher, solid: &Solid, at: &Pose, reach: f64) -> Option<Patch> {
     let near: Vec<(DVec3, f32)> = body
         .samples
         .iter()
@@ -119,9 +112,11 @@ pub fn blocked_links(
         // Vertices are up to 8 mm apart: half of that is between a vertex and the other surface.
         let near = cutoff + 0.004;
         let (low, high) = other.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
-        for (vertex, link) in vertices.iter().zip(link_of).filter(|(vertex, _)| {
-            vertex.cmpge(low - near).all() && vertex.cmple(high + near).all()
-        }) {
+        for (vertex, link) in vertices
+            .iter()
+            .zip(link_of)
+            .filter(|(vertex, _)| vertex.cmpge(low - near).all() && vertex.cmple(high + near).all())
+        {
             blocked[*link] |= other.iter().any(|v| v.distance_squared(*vertex) <= near * near);
         }
     }

@@ -4,6 +4,7 @@ use glam::{DVec3, Vec3};
 
 use super::body::Body;
 use super::pose::Pose;
+use crate::error::Result;
 use crate::geometry::Solid;
 use crate::hand::{HandModel, HandParams, Side};
 
@@ -46,6 +47,18 @@ pub struct Fixed {
     pub solid: Solid,
     /// Pose.
     pub pose: Pose,
+}
+
+impl Fixed {
+    /// Creates a block with half edges `half`, m, around the origin of its pose.
+    ///
+    /// # Errors
+    /// If an edge is not a positive length.
+    pub fn block(name: &str, half: Vec3, pose: Pose) -> Result<Self> {
+        let mut solid = Solid::default();
+        solid.add_cuboid(half, parry3d::math::Pose::IDENTITY)?;
+        Ok(Self { name: name.into(), solid, pose })
+    }
 }
 
 impl Take<'_> {

@@ -1,0 +1,5 @@
+//! Forces from motion.
+
+mod balance;
+mod motion;
+mod optimum;
