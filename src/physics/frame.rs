@@ -22,6 +22,8 @@ const SUPPORT_LIMIT: f64 = 1e4;
 const WRENCH_SD: (f64, f64) = (0.005, 0.01);
 /// Lever by which this acts as a moment, m.
 const WRENCH_LEVER: f64 = 0.005;
+/// Radius of the pad that stands for a single point of a link, m.
+const PAD_RADIUS: f64 = 0.003;
 /// Standard deviations of forces in the search for the least ones, relative to the load: of a hand's link and of a support,
 /// which costs people nothing.
 const LEAST: [f64; 2] = [20.0, 80.0];
@@ -98,11 +100,15 @@ pub fn estimate(
     memory: Option<(&Memory, f64)>,
     settings: &Settings,
 ) -> BodyEstimate {
-    let (wrench, covariance) = wrench(mass, state, gravity);
+    let (wrench, mut covariance) = wrench(mass, state, gravity);
+    let load = (mass.kilograms * gravity.length()).max(wrench.fixed_rows::<3>(0).norm()).max(1e-3);
+    // Contacts are a little off their true places: moments are off by the load times that.
+    for axis in 3..6 {
+        covariance[(axis, axis)] += (settings.place_sd * load).powi(2);
+    }
     let root = covariance.cholesky().map(|factor| factor.l()).unwrap_or_else(Matrix6::zeros);
     let centre = state.pose.point(mass.centre);
-    let contacts: Vec<&Contact> = contacts.iter().filter(|c| c.probability >= LEAST_PROBABILITY).collect();
-    let load = (mass.kilograms * gravity.length()).max(wrench.fixed_rows::<3>(0).norm()).max(1e-3);
+    let contacts: Vec<Contact> = contacts.iter().filter(|c| c.probability >= LEAST_PROBABILITY).map(as_pad).collect();
     let problem = Problem { body, centre, contacts: &contacts, load, settings };
     let n = settings.samples.max(2);
     let mut links: Vec<LinkEstimate> = contacts
@@ -128,7 +134,7 @@ pub fn estimate(
         misfit.push(mahalanobis(&solved.residual, &covariance));
         links.iter_mut().for_each(|link| link.samples.push(0.0));
         for ((point, (owner, place)), force) in expected.iter().zip(&owners).zip(&solved.forces) {
-            let contact = contacts[*owner];
+            let contact = &contacts[*owner];
             let Some(link) = links.iter_mut().find(|link| link.pusher == contact.patch.pusher) else { continue };
             *link.samples.last_mut().unwrap_or(&mut 0.0) += force.x;
             link.points[*place].2 += force.x / n as f64;
@@ -149,6 +155,21 @@ pub fn estimate(
 
 fn mahalanobis(residual: &Vector6<f64>, covariance: &Matrix6<f64>) -> f64 {
     covariance.cholesky().map_or(0.0, |factor| residual.dot(&factor.solve(residual)))
+}
+
+/// Returns a contact with more than one point: a fingertip's pad resists a turn about its normal.
+fn as_pad(contact: &Contact) -> Contact {
+    let mut contact = contact.clone();
+    if let ([(place, normal)], Pusher::Link(..)) = (contact.patch.points.as_slice(), contact.patch.pusher) {
+        let (place, normal) = (*place, *normal);
+        let (t1, t2) = normal.any_orthonormal_pair();
+        let corner = |k: u32| {
+            let angle = f64::from(k) * std::f64::consts::TAU / 3.0;
+            (place + PAD_RADIUS * (t1 * angle.cos() + t2 * angle.sin()), normal)
+        };
+        contact.patch.points = (0..3).map(corner).collect();
+    }
+    contact
 }
 
 /// One sample of the unknowns; samples come in pairs of opposite signs.
@@ -173,7 +194,7 @@ impl Sample {
 struct Problem<'a> {
     body: &'a Body,
     centre: DVec3,
-    contacts: &'a [&'a Contact],
+    contacts: &'a [Contact],
     load: f64,
     settings: &'a Settings,
 }
@@ -237,7 +258,7 @@ impl Problem<'_> {
         let links = self.contacts.iter().filter(|c| matches!(c.patch.pusher, Pusher::Link(..)) && c.probability > 0.5);
         let links = (links.count() as f64).max(1.0);
         for ((point, (owner, _)), least) in points.iter_mut().zip(owners).zip(least) {
-            let contact = self.contacts[*owner];
+            let contact = &self.contacts[*owner];
             let n = contact.patch.points.len() as f64;
             if !matches!(contact.patch.pusher, Pusher::Link(..)) {
                 point.expected = *least;

@@ -127,7 +127,9 @@ impl Motion {
                 continue;
             };
             let moved = step(before, here);
-            let usual = match (index.checked_sub(2).and_then(at), at(index + 1)) {
+            // A pose that jumped tells nothing of the usual step.
+            let earlier = index.checked_sub(2).filter(|earlier| self.faults[*earlier].is_none());
+            let usual = match (earlier.and_then(at), at(index + 1)) {
                 (Some(earlier), _) => step(earlier, before),
                 (None, Some(later)) => step(here, later),
                 _ => [DVec3::ZERO; 2],

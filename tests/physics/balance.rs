@@ -153,7 +153,9 @@ fn take<'a>(models: &'a [HandModel; 2], body: Body, poses: Vec<Option<Pose>>, or
 }
 
 fn total(estimate: &Estimate, frame: usize) -> f64 {
-    estimate.frames[frame].hands[1].links.iter().map(|link| link.unwrap().force).sum()
+    let hand = &estimate.frames[frame].hands[1];
+    assert_eq!(hand.validity, ForceValidity::Valid, "{}", hand.validity.reason());
+    hand.links.iter().map(|link| link.unwrap().force).sum()
 }
 
 #[test]
@@ -219,7 +221,7 @@ fn what_is_not_known_is_named_and_never_zero() {
     let mut deep = known.clone();
     deep.poses[0].iter_mut().flatten().for_each(|pose| pose.position.z -= 0.03);
     for (take, reason) in [
-        (&no_mass, ForceValidity::NotFree),
+        (&no_mass, ForceValidity::MassUnknown),
         (&no_gravity, ForceValidity::GravityUnknown),
         (&gap, ForceValidity::PoseGap),
         (&unseen, ForceValidity::HandUnknown),

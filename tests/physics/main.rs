@@ -3,3 +3,5 @@
 mod balance;
 mod motion;
 mod optimum;
+#[cfg(feature = "sim")]
+mod store;

@@ -1,6 +1,7 @@
 //! Forces from motion against the simulator's contacts: all scenes, under noise, at two frame rates, with masses known,
 //! guessed and wrong.
 
+mod determined;
 mod plot;
 mod record;
 mod report;

@@ -2,6 +2,7 @@
 
 use egotac::error::Result;
 use egotac::hand::{HandModel, N_JOINTS, Side};
+use egotac::mujoco::options::Unchecked;
 use egotac::mujoco::world::Contact;
 use egotac::physics::cone::Cone;
 use egotac::physics::solve::{Point, remaining_variance};
@@ -87,7 +88,9 @@ impl Recorded {
         let mut scene = scene.clone();
         scene.spec.rate = RATE;
         let fine = (scene.spec.physics.timestep / TIMESTEP).min(1.0);
-        scene.spec.physics.timestep = TIMESTEP / (1.0 / fine).round().max(1.0);
+        let mut physics = Unchecked::from(scene.spec.physics.clone());
+        physics.timestep = TIMESTEP / (1.0 / fine).round().max(1.0);
+        scene.spec.physics = physics.try_into()?;
         let options = RolloutOptions { picture: None, ..RolloutOptions::default() };
         let mut rollout = Rollout::new(&scene, seed, &options)?;
         let (bodies, fixed) = physical::bodies(rollout.episode())?;
@@ -163,7 +166,8 @@ impl Recorded {
                 let rig = &rollout.rigs()[side as usize];
                 for link in 0..N_JOINTS {
                     let Ok(of_link) = world.body(&rig.name(egotac::sim::rig::JOINT_NAMES[link])) else { continue };
-                    let weight = |owner| if *owner == of_link { DVec3::X } else { DVec3::ZERO };
+                    let weight =
+                        |owner: &egotac::mujoco::world::Body| if *owner == of_link { DVec3::X } else { DVec3::ZERO };
                     let weights: Vec<DVec3> = owners.iter().map(weight).collect();
                     if weights.iter().any(|weight| weight.x > 0.0) {
                         let noise = Matrix6::from_diagonal(&Vector6::new(1e-2, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4));

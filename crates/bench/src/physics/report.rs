@@ -5,6 +5,7 @@ use std::path::Path;
 use egotac::render::figure;
 use egotac::text::put;
 
+use super::determined::Determined;
 use super::record::{Disturbance, MassKnowledge};
 use super::{Report, Score};
 
@@ -34,6 +35,7 @@ impl Report {
         let json = format!("{}\n", serde_json::to_string_pretty(self)?);
         egotac::file::write(&folder.join("physics.json"), json.as_bytes())?;
         figure::write(folder, "physics", self)?;
+        figure::write(folder, "physics-determined", &Determined::new()?)?;
         Ok(())
     }
 
