@@ -19,6 +19,8 @@ const REST: f64 = 0.002;
 const REST_SECS: f64 = 0.4;
 /// Share of the best direction's score that the second best must stay below.
 const CLEAR: f64 = 0.6;
+/// Factor on the score of a direction whose plane bodies or hands pass through.
+const PIERCED: f64 = 0.2;
 /// Half size of the slab that stands for the support, m.
 const SLAB: Vec3 = Vec3::new(2.0, 2.0, 0.05);
 
@@ -51,12 +53,36 @@ impl Support {
                 let height = crate::statistics::median(heights.iter().copied());
                 // Resting bodies share one plane: a direction under which they hang at different heights is wrong.
                 let together = heights.iter().filter(|h| (**h - height).abs() < 0.01).count() as f64;
-                (score * together / heights.len().max(1) as f64, Self { up, height })
+                let support = Self { up, height };
+                if support.is_pierced(take) {
+                    score *= PIERCED;
+                }
+                (score * together / heights.len().max(1) as f64, support)
             })
             .collect();
         scores.sort_by(|a, b| b.0.total_cmp(&a.0));
         let (best, second) = (scores.first()?.0, scores.get(1)?.0);
         (best > 0.0 && second <= CLEAR * best).then(|| scores.swap_remove(0).1)
+    }
+
+    /// True if bodies or wrists are below the plane in more than a few frames, which a support does not allow.
+    fn is_pierced(&self, take: &Take) -> bool {
+        let (mut below, mut all) = (0usize, 0usize);
+        let mut count = |lowest: f64, sd: f64| {
+            below += usize::from(lowest < self.height - BAND - 0.005 - 4.0 * sd);
+            all += 1;
+        };
+        for (body, poses) in take.bodies.iter().zip(&take.poses) {
+            let sd = PoseNoise::estimate(poses).position;
+            for pose in poses.iter().flatten() {
+                let along = body.samples.iter().map(|p| self.up.dot(pose.point(p.as_dvec3())));
+                count(along.fold(f64::INFINITY, f64::min), sd);
+            }
+        }
+        for wrist in Side::BOTH.into_iter().flat_map(|side| take.wrists(side)).flatten() {
+            count(self.up.dot(wrist.position), 0.01);
+        }
+        below as f64 > 0.03 * all as f64
     }
 
     /// Finds the height of the support under bodies at rest for a known direction `up`; `None` if nothing rests.

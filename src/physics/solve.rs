@@ -16,7 +16,7 @@ use super::cone::Cone;
 /// Largest number of Newton steps; 5 to 15 are usual.
 const MAX_STEPS: usize = 60;
 /// Decrement at which the dual objective has converged, relative to its size.
-const TOLERANCE: f64 = 1e-14;
+const TOLERANCE: f64 = 1e-12;
 
 /// Contact point on a body, as the problem sees it.
 #[derive(Debug, Clone, Copy)]

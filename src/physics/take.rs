@@ -74,7 +74,7 @@ impl Take<'_> {
     pub fn wrists(&self, side: Side) -> Vec<Option<Pose>> {
         let wrist = |tracked: &Tracked| match tracked {
             Tracked::Present(params) => Some(Pose {
-                position: params.transl.as_dvec3(),
+                position: self.models[side as usize].joints(params)[0].as_dvec3(),
                 orientation: glam::DQuat::from_scaled_axis(params.global_orient.as_dvec3()),
             }),
             Tracked::Absent | Tracked::Unknown => None,

@@ -6,7 +6,7 @@ use egotac::physics::contacts::Contact;
 use egotac::physics::frame::{BodyEstimate, estimate};
 use egotac::physics::motion::Kinematics;
 use egotac::physics::patch::{Patch, Pusher};
-use egotac::physics::{Body, Estimate, ForceValidity, Mass, Pose, PoseNoise, Settings, Take, Tracked, whole};
+use egotac::physics::{Body, Estimate, ForceValidity, Mass, Pose, PoseNoise, Settings, Take, Tracked, lagged, whole};
 use glam::{DMat3, DQuat, DVec3, Vec3};
 
 const G: DVec3 = DVec3::new(0.0, 0.0, -9.81);
@@ -219,7 +219,8 @@ fn what_is_not_known_is_named_and_never_zero() {
     let mut unseen = known.clone();
     unseen.hands[1][10] = Tracked::Unknown;
     let mut deep = known.clone();
-    deep.poses[0].iter_mut().flatten().for_each(|pose| pose.position.z -= 0.03);
+    deep.bodies[0] = cuboid("block", Vec3::new(0.3, 0.3, 0.05), 0.6);
+    // Its middle was 9.5 mm above the highest skin: the hand is 40 mm inside.
     for (take, reason) in [
         (&no_mass, ForceValidity::MassUnknown),
         (&no_gravity, ForceValidity::GravityUnknown),
@@ -261,4 +262,30 @@ fn intervals_cover_forces_that_are_drawn_as_people_grip() {
     }
     let share = inside as f64 / all as f64;
     assert!((0.8..=0.99).contains(&share), "{share}");
+}
+
+#[test]
+fn a_stream_with_a_fixed_lag_gives_the_weight_too() {
+    let models = Side::BOTH.map(HandModel::builtin);
+    let vertices = models[1].forward(&HandParams::default()).vertices;
+    let top = vertices.iter().map(|v| v.z).fold(f32::MIN, f32::max);
+    let near: Vec<Vec3> = vertices.into_iter().filter(|v| v.z > top - 0.0015).collect();
+    let centre = (near.iter().sum::<Vec3>() / near.len() as f32).as_dvec3();
+    let pose = Pose { position: centre.with_z(f64::from(top) + 0.0095), orientation: DQuat::IDENTITY };
+    let all = take(&models, cuboid("plate", Vec3::new(0.15, 0.15, 0.01), 0.6), vec![Some(pose); 16], Vec3::ZERO);
+    let mut memories = Vec::new();
+    // A window of twelve frames, of which the eighth is estimated: four frames late.
+    for end in 12..16 {
+        let frames = end - 12..end;
+        let mut window = all.clone();
+        window.times = all.times[frames.clone()].to_vec();
+        window.hands = all.hands.each_ref().map(|hand| hand[frames.clone()].to_vec());
+        window.poses[0] = all.poses[0][frames].to_vec();
+        let found = lagged(&window, 7, &mut memories, &Settings::default());
+        let hand = &found.hands[1];
+        assert_eq!(hand.validity, ForceValidity::Valid, "{}", hand.validity.reason());
+        let force: f64 = hand.links.iter().map(|link| link.unwrap().force).sum();
+        assert!((force - 0.6 * 9.81).abs() < 0.02 * 0.6 * 9.81 + 0.05, "{force}");
+        assert!(memories[0].is_some());
+    }
 }
