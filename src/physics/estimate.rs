@@ -353,7 +353,7 @@ fn spread(samples: Vec<f64>) -> (f64, f64) {
 fn summary(mut samples: Vec<f64>, inflation: f64) -> LinkForce {
     samples.sort_by(f64::total_cmp);
     let quantile = |q: f64| crate::statistics::percentile(samples.iter().copied(), q);
-    let (low, high) = (quantile(5.0), quantile(95.0));
+    let (low, high) = (quantile(0.05), quantile(0.95));
     let (force, sd) = spread(samples.clone());
     // Few samples miss the ends of their distribution: the wider of quantiles and normal interval.
     let (below, above) = ((force - low).max(Z95 * sd), (high - force).max(Z95 * sd));

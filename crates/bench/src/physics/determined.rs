@@ -105,7 +105,7 @@ fn grip(title: &'static str, table: bool, contacts: &[Contact]) -> Result<Grip> 
             Arrow {
                 place: (place.x, place.z),
                 direction: (inward.x, inward.z),
-                force: [mean, quantile(5.0), quantile(95.0)],
+                force: [mean, quantile(0.05), quantile(0.95)],
                 determined: link.remaining < 0.1,
             }
         })

@@ -60,8 +60,7 @@ impl Report {
             "Noise is independent in each frame, of each object and wrist, per axis. *Net* compares the wrench that the motion asks for with the sum of the engine's contacts \
              at the same instant: median and 95th percentile. A link is *determined* if the true contact points and the motion leave less than a tenth of \
              the variance that a hand without motion would have; of these, links that are not flagged count in the column. *All links* are links with a true force above \
-             0.05 N. *Inside* counts links with a true or estimated force above 0.05 N. *Flagged*: determined links that are flagged as undetermined. *Unknown*: touching hands with a reason why their forces are not stated, such as \
-             a hand on the table. *ms* is per frame and hand. The first and the last three frames of an episode do not count.\n",
+             0.05 N. *Inside* counts links with a true or estimated force above 0.05 N. *Flagged*: determined links that are flagged as undetermined. *Unknown*: touched links whose force is not stated; `physics.json` has the reasons, such as a hand on the table. *ms* is per frame and hand. The first and the last three frames of an episode do not count.\n",
         );
         text.push_str("\n## Conditions\n\n");
         table(&mut text, "poses | rate | mass", self.conditions.iter().map(|score| (name(&score.condition), score)));
@@ -95,7 +94,7 @@ fn table<'a>(text: &mut String, first: &str, rows: impl Iterator<Item = (String,
                 "| {name} | {} | {median:.3}, {tail:.3} | {moment:.1}, {moment_tail:.1} | {relative} | {error:.3} of {mean:.2} | {all}, {determined}, {other} | {} | {} | {:.2} |",
                 percent(score.net_within),
                 percent(score.wrongly_flagged),
-                percent(score.unknown),
+                percent(score.unknown.values().sum()),
                 score.milliseconds
             ),
         );

@@ -1,6 +1,8 @@
 //! Scores of forces from motion against the simulator's.
 
-use egotac::physics::{Estimate, ForceValidity, Take};
+use std::collections::BTreeMap;
+
+use egotac::physics::{Estimate, Take};
 use egotac::statistics::percentile;
 use serde::Serialize;
 
@@ -19,9 +21,9 @@ pub struct Sums {
     /// Links that are touched or estimated to be: truth, estimate, distance to the interval's centre by its half width, and
     /// if the true contacts determine the force.
     links: Vec<Link>,
-    /// Hands, and those whose forces are unknown though they touch a free body alone.
-    hands: usize,
-    unknown: usize,
+    /// Touched links, and those whose force is unknown, by reason.
+    touched: usize,
+    unknown: BTreeMap<&'static str, usize>,
     determined: usize,
     wrongly_flagged: usize,
     seconds: f64,
@@ -62,8 +64,10 @@ pub struct Score {
     pub wanted_inflation: f64,
     /// Share of determined links that are flagged as undetermined.
     pub wrongly_flagged: f64,
-    /// Share of hands with touch whose forces are unknown.
-    pub unknown: f64,
+    /// Mean of estimate less truth over all touched links, N.
+    pub bias: f64,
+    /// Share of touched links whose force is unknown, by reason.
+    pub unknown: BTreeMap<&'static str, f64>,
     /// Time per frame and hand, ms.
     pub milliseconds: f64,
 }
@@ -89,12 +93,15 @@ impl Sums {
                 }
             }
             for (side, hand) in found.hands.iter().enumerate() {
-                let touches = truth.links[side].iter().any(|force| *force > TOUCHED);
-                self.hands += usize::from(touches);
-                self.unknown += usize::from(touches && hand.validity != ForceValidity::Valid);
                 for (link, estimate) in hand.links.iter().enumerate() {
-                    let Some(estimate) = estimate else { continue };
                     let (force, determined) = (truth.links[side][link], truth.determined[side][link]);
+                    self.touched += usize::from(force > TOUCHED);
+                    let Some(estimate) = estimate else {
+                        if force > TOUCHED {
+                            *self.unknown.entry(hand.validity.reason()).or_default() += 1;
+                        }
+                        continue;
+                    };
                     if force <= TOUCHED && estimate.force <= TOUCHED {
                         continue;
                     }
@@ -128,7 +135,7 @@ impl Sums {
         let share = |count: usize, all: usize| if all == 0 { f64::NAN } else { count as f64 / all as f64 };
         let both = |values: Vec<f64>| match values.is_empty() {
             true => [f64::NAN; 2],
-            false => [50.0, 95.0].map(|q| percentile(values.iter().copied(), q)),
+            false => [0.5, 0.95].map(|q| percentile(values.iter().copied(), q)),
         };
         let within = self.net.iter().filter(|(error, force)| *error <= 0.02 * force + 0.05).count();
         let touched: Vec<&Link> = self.links.iter().filter(|link| link.truth > TOUCHED).collect();
@@ -150,9 +157,10 @@ impl Sums {
             determined_error: [both(relative)[0], share(near, told.len())],
             link_error: [mean(&|l| (l.force - l.truth).abs()), mean(&|l| l.truth)],
             coverage: [coverage(&|_| true), coverage(&|l| l.determined), coverage(&|l| !l.determined)],
-            wanted_inflation: percentile(self.links.iter().map(|link| link.ratio), 90.0),
+            wanted_inflation: percentile(self.links.iter().map(|link| link.ratio), 0.9),
             wrongly_flagged: share(self.wrongly_flagged, self.determined),
-            unknown: share(self.unknown, self.hands),
+            bias: mean(&|l| l.force - l.truth),
+            unknown: self.unknown.iter().map(|(reason, links)| (*reason, share(*links, self.touched))).collect(),
             milliseconds: 1e3 * self.seconds / (2 * self.frames.max(1)) as f64,
         }
     }
