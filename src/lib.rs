@@ -36,6 +36,7 @@
 //! | [`image`](mod@image) | preparation of any image for the network |
 //! | [`model`] | the network, its checkpoints, the streaming predictor |
 //! | `geometry` | meshes, distances, solids, spread of forces over vertices |
+//! | `physics` | contact forces from the motion of a body |
 //! | `message` | the ROS messages and their CDR bytes, without ROS |
 //! | `render` | pictures of hands |
 //! | [`dataset`] | Zarr stores, LeRobot data sets, MCAP bags, videos, tensor files |
@@ -83,6 +84,8 @@ pub mod mujoco;
 #[doc(hidden)]
 pub mod node;
 mod numpy;
+#[doc(hidden)]
+pub mod physics;
 #[doc(hidden)]
 pub mod render;
 #[doc(hidden)]

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use super::doubt::Doubt;
 use super::hands::Hands;
+use super::label_physics::Physics;
 use super::labelling::{Work, shard};
 use crate::dataset::Provenance;
 use crate::dataset::mcap::TOPIC;
@@ -78,6 +79,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
     #[command(flatten)]
+    physics: Physics,
+    #[command(flatten)]
     doubt: Doubt,
     /// MANO files: the fields are then on MANO's vertices.
     #[command(flatten)]
@@ -86,6 +89,9 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    if args.physics.physics {
+        return args.physics.run(&args.input, &args.out, &args.hands, args.json.as_deref());
+    }
     let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
     let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..Default::default() };
     let mut predictor = Predictor::load(&path, args.doubt.apply(options))?;

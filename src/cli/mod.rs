@@ -9,6 +9,7 @@ mod external;
 mod hand;
 mod hands;
 mod label;
+mod label_physics;
 mod labelling;
 mod limits;
 mod model;
@@ -74,7 +75,7 @@ enum Command {
     Sensor(sensor::Args),
     /// Network: forward, attention, import, start, info.
     Model(model::Args),
-    /// Benchmarks of the documentation: model, train, label, retarget, sim, effects, glove, hard-cases, guards, faults.
+    /// Benchmarks of the documentation: model, train, label, retarget, sim, physics, effects, glove, hard-cases, guards, faults.
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Bench(external::Args),
     /// Recordings and labels: info, diff, import.

@@ -42,7 +42,7 @@ pub(crate) use carry::carry;
 pub use concatenate::concatenate;
 pub(crate) use convert::{StoreOutput, fitted, image_size, scaled};
 pub(crate) use images::Store;
-pub(crate) use labels::read_info;
+pub(crate) use labels::{copy as copy_store, predicted, read_info};
 pub use place::StoreLocation;
 pub(crate) use read_labels::read_labelled;
 pub use read_labels::{read_fields, read_labels, read_proximity, read_truth};

@@ -51,7 +51,7 @@ pub const N_BETAS: usize = 10;
 pub const N_KEYPOINTS: usize = 21;
 
 /// Side of a hand.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, PartialOrd, Ord)]
 #[serde(rename_all = "lowercase")]
 pub enum Side {
     /// The left hand: vertices 0..777 of a field.

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::kind::Kind;
 use super::known::{Known, POSE};
 use super::labeller::{ContactRule, FORCE_RULE};
-use super::recording::Reader;
+use super::recording::{Reader, RecordedObject};
 use super::sensors::Sensor;
 use super::source::RecordingSource;
 use crate::dataset::copy::remove;
@@ -228,11 +228,20 @@ impl ImportOutput {
             "mean_pose_added": recording.convention.adds_mean,
             "left_shapedirs_fixed": recording.convention.fixes_left_shapedirs,
             "objects": recording.objects.iter().map(|object| object.name.as_str()).collect::<Vec<_>>(),
+            "object_meshes": recording.objects.iter().map(mesh).collect::<Vec<_>>(),
             "view": recording.view.name(),
             "sensors": recording.sensors.iter().map(Sensor::description).collect::<Vec<_>>(),
             "about": recording.about,
         })
     }
+}
+
+/// Describes the file of an object's mesh, from which forces follow later; null without one.
+fn mesh(object: &RecordedObject) -> Value {
+    object.mesh.as_ref().map_or(Value::Null, |mesh| {
+        let path = std::path::absolute(&mesh.path).unwrap_or_else(|_| mesh.path.clone());
+        json!({ "file": path, "to_metres": mesh.to_metres })
+    })
 }
 
 fn unknown(info: &LabelInfo) -> TactileField {

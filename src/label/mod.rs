@@ -24,6 +24,7 @@ mod job;
 mod journal;
 mod labeller;
 mod manifest;
+pub mod physics;
 mod workspace;
 
 pub use input::{FormatOptions, LabelTask, LabelTasks, OutputFormat, find_tasks};

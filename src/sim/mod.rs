@@ -37,6 +37,8 @@ pub mod object;
 pub(crate) mod parts;
 pub(crate) mod photo;
 #[doc(hidden)]
+pub mod physical;
+#[doc(hidden)]
 pub mod randomize;
 pub(crate) mod range;
 pub(crate) mod record;

@@ -8,6 +8,7 @@
 //! | [`import`] | speed of imports: contact by distance, readers of data sets |
 //! | `glove` | force on vertices from simulated taxels, beside the simulator's own |
 //! | `sim`, `effects`, `guards` | accuracy, effects and guards of the simulation against their cost |
+//! | `physics` | forces from motion against the simulator's contacts |
 //! | `retarget` | accuracy and time of retargeting, beside other programs |
 //! | [`hard_cases`] | inputs that go wrong, the guards that report them, and their remedies |
 //! | [`faults`] | kills, errors of the disk and changing inputs while commands write their outputs |
@@ -33,6 +34,8 @@ pub mod model;
 #[cfg(all(feature = "ros", feature = "sim"))]
 pub mod node;
 pub mod peer;
+#[cfg(feature = "sim")]
+pub mod physics;
 #[cfg(feature = "sim")]
 pub mod policy;
 #[cfg(feature = "sim")]

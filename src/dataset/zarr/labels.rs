@@ -156,7 +156,7 @@ fn is_truth(file: &str) -> bool {
 
 /// Copies a store into the folder `to`, skipping files that an earlier attempt copied. Returns the files of a zip archive
 /// that can't be read and are left out.
-pub(super) fn copy(place: &StoreLocation, to: &Path) -> Result<Vec<LostBytes>> {
+pub(crate) fn copy(place: &StoreLocation, to: &Path) -> Result<Vec<LostBytes>> {
     let mut lost = Vec::new();
     let Some(inside) = &place.inside else {
         copy_folder(&place.path, to, true)?;

@@ -10,6 +10,7 @@ mod label;
 mod model;
 #[cfg(all(feature = "ros", feature = "sim"))]
 mod node;
+mod physics;
 mod retarget;
 mod sim;
 mod train;
@@ -45,6 +46,8 @@ enum Subject {
     Guards(guards::Args),
     /// Measure what a glove costs: force on vertices from simulated taxels, by resolution and floor.
     Glove(glove::Args),
+    /// Measure forces from motion against the simulator's contacts: noise, frame rates, masses.
+    Physics(physics::Args),
     /// Disturb commands while they write their outputs: kills, full disks, two runs at once.
     Faults(faults::Args),
     /// Load and disturb the ROS 2 nodes: latency, overload, memory over time, faults, kills.
@@ -67,6 +70,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::HardCases(_) => "bench hard-cases",
         Subject::Guards(_) => "bench guards",
         Subject::Glove(_) => "bench glove",
+        Subject::Physics(_) => "bench physics",
     };
     Err(super::feature_off(name))
 }
@@ -86,6 +90,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::HardCases(args) => hard_cases::run(&args)?,
         Subject::Guards(args) => guards::run(&args)?,
         Subject::Glove(args) => glove::run(&args).map(|()| true)?,
+        Subject::Physics(args) => physics::run(&args).map(|()| true)?,
         Subject::Faults(args) => faults::run(&args)?,
         #[cfg(feature = "ros")]
         Subject::Node(args) => node::run(&args)?,

@@ -6,6 +6,7 @@
 mod entrances;
 mod hand;
 mod label;
+mod motion;
 mod network;
 pub mod report;
 mod rotation;
@@ -62,6 +63,8 @@ pub enum Family {
     Hand,
     /// Labels on vertices.
     Label,
+    /// Forces from motion.
+    Motion,
     /// NaN and infinity at public functions.
     Entrance,
     /// The network and its stream of images.
@@ -191,7 +194,9 @@ pub fn registry() -> Vec<HardCase> {
     ] {
         cases.extend_from_slice(family);
     }
-    for family in [rotation::CASES, hand::CASES, label::CASES, entrances::CASES, network::CASES, trainer::CASES] {
+    for family in
+        [rotation::CASES, hand::CASES, label::CASES, motion::CASES, entrances::CASES, network::CASES, trainer::CASES]
+    {
         cases.extend_from_slice(family);
     }
     #[cfg(feature = "sim")]

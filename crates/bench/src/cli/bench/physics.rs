@@ -1,0 +1,56 @@
+//! `egotac bench physics`.
+
+use std::path::PathBuf;
+
+/// Arguments of `egotac bench physics`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Scenes to measure in; by default all.
+    scenes: Vec<String>,
+    /// Number of episodes of each scene.
+    #[arg(long, default_value_t = 1)]
+    seeds: u64,
+    /// Seed of the first episode.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Median of the ratio between the force of a grip and the least one that holds; by default that of `label --physics`.
+    #[arg(long)]
+    grip: Option<f64>,
+    /// Standard deviation of the logarithm of this ratio's excess over 1.
+    #[arg(long)]
+    grip_spread: Option<f64>,
+    /// Force at which a hand takes hold of what something else carries, relative to the force that would hold it.
+    #[arg(long)]
+    early_grip: Option<f64>,
+    /// Factor on the widths of intervals.
+    #[arg(long)]
+    inflation: Option<f64>,
+    /// Folder for physics.md, physics.json, physics.png and physics.svg.
+    #[arg(long, value_name = "FOLDER", default_value = ".")]
+    out: PathBuf,
+}
+
+/// Runs the subject.
+#[cfg(feature = "sim")]
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    use egotac::text::tell;
+
+    anyhow::ensure!(args.seeds > 0, "--seeds: expected at least 1, got 0");
+    let scenes = super::load_scenes(&args.scenes)?;
+    let names: String = args.scenes.iter().map(|scene| format!("{scene} ")).collect();
+    let command = format!("egotac bench physics {names}--seeds {} --seed {} --out docs/bench", args.seeds, args.seed);
+    let seeds = args.seed..args.seed + args.seeds;
+    let usual = egotac::physics::Settings::default();
+    let settings = egotac::physics::Settings {
+        grip: args.grip.unwrap_or(usual.grip),
+        grip_spread: args.grip_spread.unwrap_or(usual.grip_spread),
+        early_grip: args.early_grip.unwrap_or(usual.early_grip),
+        inflation: args.inflation.unwrap_or(usual.inflation),
+        ..usual
+    };
+    let report = crate::physics::measure(command, &scenes, seeds, settings, &|what| tell(format_args!("{what}")))?;
+    std::fs::create_dir_all(&args.out)?;
+    report.write(&args.out)?;
+    println!("wrote {}", args.out.join("physics.md").display());
+    Ok(())
+}

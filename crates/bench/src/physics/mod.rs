@@ -1,0 +1,140 @@
+//! Forces from motion against the simulator's contacts: all scenes, under noise, at two frame rates, with masses known,
+//! guessed and wrong.
+
+mod determined;
+mod plot;
+mod record;
+mod report;
+mod score;
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use egotac::error::Result;
+use egotac::machine::Machine;
+use egotac::physics::{Settings, whole};
+use egotac::sim::Scene;
+use rayon::prelude::*;
+use serde::Serialize;
+
+pub use record::{Disturbance, MassKnowledge, Recorded};
+pub use score::{Score, Sums};
+
+/// Noise of poses: mm, degrees.
+const NOISES: [(f64, f64); 5] = [(0.0, 0.0), (1.0, 1.0), (3.0, 1.0), (3.0, 3.0), (5.0, 3.0)];
+/// Frame rates, 1/s.
+const RATES: [f64; 2] = [30.0, 60.0];
+
+/// Report of the bench.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// Command that measures the same again.
+    pub command: String,
+    /// Version of the program.
+    pub version: &'static str,
+    /// Machine that it was measured on.
+    pub machine: Machine,
+    /// Processes that wanted to run beside it, mean over a minute.
+    pub load: f64,
+    /// Seeds of each scene.
+    pub seeds: [u64; 2],
+    /// Scenes without a body that moves freely: nothing follows from motion there.
+    pub left_out: Vec<String>,
+    /// Settings of the estimation.
+    pub settings: Settings,
+    /// Scores by condition.
+    pub conditions: Vec<Score>,
+    /// Scores by scene, with exact poses at 60 Hz and known masses.
+    pub scenes: BTreeMap<String, Score>,
+    /// Scores by split of the scenes, in the same condition and with noise of 3 mm and 1 degree at 30 Hz: `train` scenes chose
+    /// the settings, `ood` scenes did not.
+    pub splits: Vec<(String, Score)>,
+}
+
+/// Returns the conditions: all noises and rates with known masses, and two noises with the others.
+pub fn conditions() -> Vec<Disturbance> {
+    let mut conditions = Vec::new();
+    for rate in RATES {
+        for (millimetres, degrees) in NOISES {
+            conditions.push(Disturbance { rate, millimetres, degrees, mass: MassKnowledge::Known });
+        }
+    }
+    for mass in [MassKnowledge::Density, MassKnowledge::Wrong] {
+        for (millimetres, degrees) in [NOISES[0], NOISES[2]] {
+            conditions.push(Disturbance { rate: RATES[0], millimetres, degrees, mass });
+        }
+    }
+    conditions
+}
+
+/// Measures on `seeds` episodes of each scene, from `seed` on.
+///
+/// # Errors
+/// If a rollout fails.
+pub fn measure(
+    command: String,
+    scenes: &[Scene],
+    seeds: std::ops::Range<u64>,
+    settings: Settings,
+    progress: &(dyn Fn(&str) + Sync),
+) -> Result<Report> {
+    let episodes: Vec<(u64, &Scene)> = seeds.clone().flat_map(|seed| scenes.iter().map(move |s| (seed, s))).collect();
+    let recorded: Vec<(u64, Recorded)> = episodes
+        .par_iter()
+        .map(|(seed, scene)| {
+            progress(&format!("{} {seed}", scene.name));
+            Ok((*seed, Recorded::new(scene, *seed)?))
+        })
+        .collect::<Result<_>>()?;
+    let (free, held): (Vec<_>, Vec<_>) = recorded.into_iter().partition(|(_, recorded)| recorded.is_free());
+    let mut left_out: Vec<String> = held.into_iter().map(|(_, recorded)| recorded.scene).collect();
+    left_out.dedup();
+    let score = |of: &dyn Fn(&str) -> bool, condition: Disturbance| {
+        let mut sums = Sums::default();
+        for (index, (seed, recorded)) in free.iter().enumerate().filter(|(_, (_, recorded))| of(&recorded.scene)) {
+            let (take, frames) = recorded.disturbed(&condition, 1000 * seed + index as u64);
+            let started = Instant::now();
+            let estimate = whole(&take, &settings);
+            sums.add(recorded, &take, &frames, &estimate, started.elapsed().as_secs_f64());
+        }
+        sums.score(condition)
+    };
+    let mut scores = Vec::new();
+    for condition in conditions() {
+        progress(&report::name(&condition));
+        scores.push(score(&|_| true, condition));
+    }
+    let exact = Disturbance { rate: RATES[1], millimetres: 0.0, degrees: 0.0, mass: MassKnowledge::Known };
+    let noisy = Disturbance { rate: RATES[0], millimetres: 3.0, degrees: 1.0, mass: MassKnowledge::Known };
+    let mut by_scene = BTreeMap::new();
+    for scene in scenes.iter().filter(|scene| !left_out.contains(&scene.name)) {
+        progress(&scene.name);
+        by_scene.insert(scene.name.clone(), score(&|name| name == scene.name, exact));
+    }
+    let held_out = egotac::sim::scene::Split::named("ood")?.scenes;
+    let mut splits = Vec::new();
+    for condition in [exact, noisy] {
+        for (name, is_held_out) in [("train", false), ("ood", true)] {
+            let of = |scene: &str| held_out.iter().any(|held| held == scene) == is_held_out;
+            splits.push((name.to_string(), score(&of, condition)));
+        }
+    }
+    Ok(Report {
+        command,
+        version: egotac::VERSION,
+        machine: Machine::this(),
+        load: load(),
+        seeds: [seeds.start, seeds.end],
+        left_out,
+        settings,
+        conditions: scores,
+        scenes: by_scene,
+        splits,
+    })
+}
+
+/// Returns the number of processes that want to run, mean over a minute; NaN where the system does not tell.
+fn load() -> f64 {
+    let text = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    text.split(' ').next().and_then(|first| first.parse().ok()).unwrap_or(f64::NAN)
+}

@@ -1,0 +1,122 @@
+//! `egotac label --physics`: forces from motion in place of a network.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::bail;
+use glam::DVec3;
+use indicatif::ProgressBar;
+
+use super::hands::Hands;
+use crate::dataset::EpisodeReader;
+use crate::dataset::zarr::ZarrReader;
+use crate::file;
+use crate::hand::{HandModel, Side, Topology};
+use crate::label::physics::{BodyOptions, Counts, Label, label};
+use crate::physics::body::DENSITY_CLASSES;
+use crate::physics::{DensityClass, Settings};
+
+/// Arguments of forces from motion.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Forces from motion")]
+pub struct Physics {
+    /// Estimate forces from the motion of objects, in a store with poses of hands and objects; no network runs, and no image
+    /// is read.
+    #[arg(long)]
+    pub physics: bool,
+    /// Mass of an object, kg; once per object.
+    #[arg(long, value_name = "OBJECT=KG", value_parser = mass, requires = "physics")]
+    mass: Vec<(String, f64)>,
+    /// Class of the density of objects without --mass: household, filled, wood, plastic, ceramic, glass or metal. By default
+    /// the masses of the simulator, and household for recordings.
+    #[arg(long, value_name = "CLASS", value_parser = density, requires = "physics")]
+    density: Option<DensityClass>,
+    /// Coefficient of friction between hands and objects; by default the simulator's, and 0.8 for recordings.
+    #[arg(long, value_name = "F", value_parser = super::positive, requires = "physics")]
+    friction: Option<f64>,
+    /// Folder with a mesh OBJECT.obj, .ply, .glb or .stl of each object, in place of the files that the import read.
+    #[arg(long, value_name = "FOLDER", requires = "physics")]
+    meshes: Option<PathBuf>,
+    /// Direction of gravity in the store's world frame, such as 0,0,-1; by default found from objects at rest.
+    #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true, requires = "physics")]
+    gravity: Option<DVec3>,
+    /// Bandwidth of the smoothed motion, 1/s; by default the largest at which noise of the poses stays small.
+    #[arg(long, value_name = "HZ", value_parser = super::positive, requires = "physics")]
+    bandwidth: Option<f64>,
+    /// Move hands, within the noise of their poses, to where contact is possible.
+    #[arg(long, requires = "physics")]
+    refine: bool,
+}
+
+impl Physics {
+    /// Writes a copy of the store `input` with forces to `out`.
+    pub fn run(&self, input: &Path, out: &Path, hands: &Hands, json: Option<&Path>) -> anyhow::Result<ExitCode> {
+        let store = ZarrReader::open(input)?;
+        let mut models = match (store.attributes().topology, hands.files()?) {
+            (Topology::Mano, Some(models)) => models,
+            (Topology::Mano, None) => bail!(
+                "{}: is on MANO's vertices; expected --mano-left FILE and --mano-right FILE to pose them",
+                input.display()
+            ),
+            (Topology::EgotacHand1, None) => Side::BOTH.map(HandModel::builtin),
+            (Topology::EgotacHand1, Some(_)) => bail!(
+                "{}: is on the built-in hand's vertices; expected no MANO files, or a store that was imported with them",
+                input.display()
+            ),
+        };
+        let import = store.raw_attributes().get("import");
+        if import.and_then(|import| import.get("left_shapedirs_fixed")).is_some_and(|fixed| fixed == true) {
+            models[0].fix_left_shapedirs();
+        }
+        let bodies = BodyOptions {
+            masses: self.mass.iter().cloned().collect(),
+            density: self.density,
+            friction: self.friction,
+            meshes: self.meshes.clone(),
+            gravity: self.gravity,
+        };
+        let settings = Settings { bandwidth: self.bandwidth, refine: self.refine, ..Settings::default() };
+        let bar = ProgressBar::new(store.len() as u64);
+        let run = Label { models: &models, bodies, settings };
+        let counts = label(input, out, &run, |done, _| bar.set_position(done as u64))?;
+        bar.finish_and_clear();
+        match json {
+            Some(path) if path != Path::new("-") => {
+                file::write(path, serde_json::to_string_pretty(&counts)?.as_bytes())?;
+                print!("{}", summary(&counts, out));
+            }
+            Some(_) => println!("{}", serde_json::to_string_pretty(&counts)?),
+            None => print!("{}", summary(&counts, out)),
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+fn summary(counts: &Counts, out: &Path) -> String {
+    let Counts { frames, touching, undetermined, unknown } = counts;
+    let mut text = format!(
+        "{}: {frames} frames; {touching} hands touch, {undetermined} of them with a squeeze that motion does not tell\n",
+        out.display()
+    );
+    for (reason, hands) in unknown {
+        text += &format!("  {hands} hands unknown: {reason}\n");
+    }
+    text
+}
+
+fn mass(text: &str) -> Result<(String, f64), String> {
+    let (name, kilograms) = text.split_once('=').ok_or("expected OBJECT=KG, such as mug=0.3")?;
+    Ok((name.to_string(), super::positive(kilograms)?))
+}
+
+fn density(text: &str) -> Result<DensityClass, String> {
+    let known = || DENSITY_CLASSES.map(|class| class.name).join(", ");
+    DensityClass::by_name(text).map_err(|_| format!("expected one of {}", known()))
+}
+
+fn direction(text: &str) -> Result<DVec3, String> {
+    let parts: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+    let vector = parts.and_then(|parts| <[f64; 3]>::try_from(parts).ok()).map(DVec3::from_array);
+    let vector = vector.filter(|v| v.is_finite() && v.length() > 1e-6);
+    vector.ok_or_else(|| "expected three numbers, such as 0,0,-1".into())
+}

@@ -1,0 +1,56 @@
+//! Settings of the estimation: how people grip, and how far geometry is trusted.
+
+use crate::hand::N_JOINTS;
+
+/// Settings of the estimation.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Settings {
+    /// Bandwidth of the motion, 1/s; `None` = the largest at which noise stays small.
+    pub bandwidth: Option<f64>,
+    /// Median of the ratio between the force of a grip and the least one that holds.
+    pub grip: f64,
+    /// Standard deviation of the logarithm of this ratio's excess over 1.
+    pub grip_spread: f64,
+    /// Force at which a hand takes hold of what something else still carries, relative to the force that would hold it.
+    pub early_grip: f64,
+    /// Standard deviation of the friction coefficient's logarithm.
+    pub friction_spread: f64,
+    /// Gap up to which a link of a hand with an exact pose is in contact, m: vertices are up to 8 mm apart on round fingers.
+    pub contact_gap: f64,
+    /// Standard deviation of a contact's place on the surface, m.
+    pub place_sd: f64,
+    /// Time over which grip forces hold on to their values, s.
+    pub memory: f64,
+    /// Number of samples of the unknowns.
+    pub samples: usize,
+    /// Factor on the widths of intervals, from the calibration on simulated scenes.
+    pub inflation: f64,
+    /// True to move hands within their noise to where contact is possible.
+    pub refine: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            bandwidth: None,
+            grip: 1.8,
+            grip_spread: 0.6,
+            early_grip: 0.7,
+            friction_spread: 0.15,
+            contact_gap: 0.001,
+            place_sd: 0.0015,
+            memory: 0.15,
+            samples: 32,
+            inflation: 1.0,
+            refine: false,
+        }
+    }
+}
+
+/// Returns the largest normal force that a link of a human hand bears, N: a strong pinch is 70 to 100 N.
+pub fn link_limit(link: usize) -> f64 {
+    const FINGER: f64 = 80.0;
+    const PALM: f64 = 250.0;
+    debug_assert!(link < N_JOINTS);
+    if link == 0 { PALM } else { FINGER }
+}
