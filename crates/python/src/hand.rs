@@ -33,8 +33,8 @@ pub fn side(name: &str) -> PyResult<Side> {
 /// >>> posed = hand.forward(hand_pose=pose)
 /// >>> posed.vertices.shape, posed.keypoints.shape
 /// ((778, 3), (21, 3))
-/// >>> egotac.REGIONS[hand.regions[320]]
-/// 'index_tip'
+/// >>> sorted({egotac.REGIONS[region] for region in hand.regions})[:2]
+/// ['dorsal', 'index_middle']
 #[pyclass(frozen, module = "egotac")]
 pub struct Hand {
     model: HandModel,

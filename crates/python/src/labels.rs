@@ -145,7 +145,7 @@ pub fn read(py: Python<'_>, path: PathBuf) -> PyResult<Labels> {
 /// >>> import pathlib, tempfile
 /// >>> path = pathlib.Path(tempfile.mkdtemp()) / "fields.safetensors"
 /// >>> egotac.write(path, egotac.Labels(numpy.ones((2, 1556), numpy.float32)))
-/// >>> egotac.read(path).force.sum()
+/// >>> float(egotac.read(path).force.sum())
 /// 3112.0
 #[pyfunction]
 #[pyo3(signature = (path, labels, images=None))]

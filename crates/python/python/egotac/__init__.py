@@ -5,7 +5,7 @@
 >>> touch = predictor.push(numpy.zeros((480, 640, 3), numpy.uint8), 0.0)  # RGB image and its stamp, s
 >>> touch.force.shape, touch.contact.shape  # left hand first: newtons, probabilities
 ((1556,), (1556,))
->>> touch.mask.any()  # a black image is unlike all that the network was trained on: touch is unknown, NaN
+>>> bool(touch.mask.any())  # a black image is unlike all that the network was trained on: touch is unknown, NaN
 False
 
 All quantities are SI. Vertex fields have 1556 entries: left hand 0..777, right hand 778..1555. Unknown is NaN, with False in
