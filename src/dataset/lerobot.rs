@@ -32,7 +32,7 @@ use crate::file::limits;
 pub(crate) use carry::carry;
 pub(crate) use images::{LeRobotDataset, PREFIX};
 pub(crate) use labels::read_info;
-pub use policy_input::{ColumnRole, LabelColumn, policy_input, policy_input_width};
+pub use policy_input::{ColumnRole, LabelColumn, policy_input, policy_input_names, policy_input_width};
 pub(crate) use read_labels::read_labelled;
 pub(crate) use rows::Row;
 use rows::Rows;

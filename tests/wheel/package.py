@@ -223,7 +223,7 @@ def examples_of_docstrings_run():
     attempted = 0
     finder, runner = doctest.DocTestFinder(), doctest.DocTestRunner()
     classes = [egotac.Predictor, egotac.Hand, egotac.Labels, egotac.Touch]
-    for thing in (egotac, egotac.label, egotac.metrics, egotac.write, *classes):
+    for thing in (egotac, egotac.label, egotac.metrics, egotac.policy_input_names, egotac.write, *classes):
         name = getattr(thing, "__name__")
         doc = thing.__doc__ or ""
         test = doctest.DocTestParser().get_doctest(doc, dict(globals_), name, None, 0)

@@ -31,7 +31,7 @@ mod _egotac {
     #[pymodule_export]
     use super::labels::{Labels, metrics, read, write};
     #[pymodule_export]
-    use super::predictor::{Predictor, Touch, TouchBatch};
+    use super::predictor::{Predictor, Touch, TouchBatch, policy_input_names};
     #[cfg(feature = "sim")]
     #[pymodule_export]
     use super::retargeter::{Retargeter, RobotPose};

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use egotac::dataset::lerobot::{LabelColumn, policy_input, policy_input_names as names_of_input};
 use egotac::hand::{HandModel, N_FIELD, N_VERTICES, Region, Side, Topology};
 use egotac::model::{Prediction, predictor, shipped};
 use egotac::{TactileField, tactile::Certainty};
@@ -158,19 +159,32 @@ fn sides(images: &PyReadonlyArrayDyn<'_, u8>, first: usize) -> PyResult<(u32, u3
 /// touch is known. `familiarity` of the image and `presence` of both hands: 0 to 1, NaN = not estimated. `warming_up`: the window is
 /// not full. `restarted`: a new stream began. `total_force`: N on the left and the right hand. `region_force`: (2, 17) N, by `REGIONS`.
 /// `reason`: why touch is unknown; empty = it is known.
-#[pyclass(frozen, get_all, module = "egotac")]
+#[pyclass(frozen, module = "egotac")]
 pub struct Touch {
+    #[pyo3(get)]
     stamp: f64,
+    #[pyo3(get)]
     force: Py<PyArrayDyn<f32>>,
+    #[pyo3(get)]
     contact: Py<PyArrayDyn<f32>>,
+    #[pyo3(get)]
     mask: Py<PyArrayDyn<bool>>,
+    #[pyo3(get)]
     familiarity: f32,
+    #[pyo3(get)]
     presence: (f32, f32),
+    #[pyo3(get)]
     warming_up: bool,
+    #[pyo3(get)]
     restarted: bool,
+    #[pyo3(get)]
     total_force: (f32, f32),
+    #[pyo3(get)]
     region_force: Py<PyArrayDyn<f32>>,
+    #[pyo3(get)]
     reason: String,
+    field: TactileField,
+    certainty: Certainty,
 }
 
 impl Touch {
@@ -183,8 +197,8 @@ impl Touch {
         Ok(Self {
             stamp: stamp_secs,
             mask: give(py, "mask", known, [N_FIELD])?,
-            force: give(py, "force", field.force, [N_FIELD])?,
-            contact: give(py, "contact", field.contact, [N_FIELD])?,
+            force: give(py, "force", field.force.clone(), [N_FIELD])?,
+            contact: give(py, "contact", field.contact.clone(), [N_FIELD])?,
             familiarity: number(certainty.familiarity),
             presence: (number(certainty.presence[0]), number(certainty.presence[1])),
             warming_up,
@@ -192,17 +206,45 @@ impl Touch {
             total_force: (left, right),
             region_force: give(py, "region_force", regions, [2, Region::ALL.len()])?,
             reason: certainty.reason(),
+            field,
+            certainty,
         })
     }
 }
 
 #[pymethods]
 impl Touch {
+    /// Returns columns as an input of policies, (n,) float32: the values that `egotac label --as environment_state` writes.
+    ///
+    /// `columns`: "region_force" (34, N), "force" (1556, N), "contact" (1556), "total" (2, N), one behind the other. What is unknown is
+    /// 0; the last two elements are 1 where touch of the left and of the right hand is known.
+    #[pyo3(signature = (columns=vec!["region_force".into()]))]
+    fn policy_input(&self, py: Python<'_>, columns: Vec<String>) -> PyResult<Py<PyArrayDyn<f32>>> {
+        let (columns, regions) = (parse(&columns)?, regions(self.field.topology)?);
+        let values = policy_input(&columns, Some((&self.field, &self.certainty)), &regions);
+        let length = values.len();
+        give(py, "policy input", values, [length])
+    }
+
     fn __repr__(&self) -> String {
         let (left, right) = self.total_force;
         let unknown = if self.reason.is_empty() { String::new() } else { format!(", {}", self.reason) };
         format!("Touch({:.3} s, left {left:.2} N, right {right:.2} N{unknown})", self.stamp)
     }
+}
+
+/// Names of the elements of `Touch.policy_input`, in order.
+///
+/// >>> egotac.policy_input_names(["total"])
+/// ['left_total', 'right_total', 'left_known', 'right_known']
+#[pyfunction]
+#[pyo3(signature = (columns=vec!["region_force".into()]))]
+pub fn policy_input_names(columns: Vec<String>) -> PyResult<Vec<String>> {
+    Ok(names_of_input(&parse(&columns)?))
+}
+
+fn parse(columns: &[String]) -> PyResult<Vec<LabelColumn>> {
+    columns.iter().map(|name| LabelColumn::from_name(name)).collect::<egotac::Result<_>>().map_err(raise)
 }
 
 /// Touch on both hands at the instants of T images, one row each: `stamps` (T,) s, `force` (T, 1556) N, `contact` (T, 1556), `mask`

@@ -1,6 +1,7 @@
 //! Labels as an input of policies, and the choice of columns.
 
 use crate::dataset::label_frame::LabelFrame;
+use crate::error::{Error, Result};
 use crate::hand::{N_VERTICES, Region, Side};
 use crate::tactile::{Certainty, N_FIELD, TactileField};
 
@@ -48,6 +49,16 @@ impl ColumnRole {
 impl LabelColumn {
     /// Columns that are written where none are named.
     pub const DEFAULT: [Self; 3] = [Self::Force, Self::Contact, Self::RegionForce];
+
+    /// Parses a name.
+    ///
+    /// # Errors
+    /// If it is unknown; the error lists the valid ones.
+    pub fn from_name(name: &str) -> Result<Self> {
+        let all = [Self::RegionForce, Self::Force, Self::Contact, Self::Total];
+        let found = all.into_iter().find(|column| column.name() == name);
+        found.ok_or_else(|| Error::unknown("column", name, all.map(Self::name)))
+    }
 
     /// Returns the name behind the prefix.
     pub fn name(self) -> &'static str {
@@ -123,7 +134,7 @@ pub fn policy_input(
 }
 
 /// Returns the names of the elements of an input of policies.
-pub(super) fn policy_input_names(columns: &[LabelColumn]) -> Vec<String> {
+pub fn policy_input_names(columns: &[LabelColumn]) -> Vec<String> {
     let of_vertices = |column: LabelColumn| {
         let vertex = move |index: usize| {
             let side = Side::BOTH[index / N_VERTICES].name();

@@ -37,6 +37,7 @@ from ._egotac import (  # noqa: E402
     Touch,
     TouchBatch,
     __version__,
+    policy_input_names,
     read,
     write,
 )
@@ -58,6 +59,7 @@ __all__ = [
     "__version__",
     "label",
     "metrics",
+    "policy_input_names",
     "read",
     "write",
 ]
