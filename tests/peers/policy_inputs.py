@@ -77,6 +77,45 @@ def policies_take_touch_in(folder):
     print("a diffusion policy takes touch in: ok", flush=True)
 
 
+def a_vision_language_action_policy_takes_touch_in(folder):
+    """X-VLA, built from a configuration: its state is padded to 32 numbers, into which joints and total forces fit."""
+    from lerobot.policies.xvla.configuration_xvla import XVLAConfig
+
+    meta = label("video", folder / "vla", "--as", "state", "--columns", "total")
+    ones, sizes = [1, 1, 1, 1], [32, 32, 32, 32]
+    vision = {
+        "dim_embed": sizes, "num_heads": ones, "num_groups": ones, "depths": ones, "window_size": 4, "projection_dim": 32,
+        "patch_size": [7, 3, 3, 3], "patch_stride": [4, 2, 2, 2], "patch_padding": [3, 1, 1, 1], "patch_prenorm": [False, True, True, True],
+        "visual_temporal_embedding": {"type": "COSINE", "max_temporal_embeddings": 4},
+        "image_pos_embed": {"type": "learned_abs_2d", "max_pos_embeddings": 50}, "image_feature_source": ["spatial_avg_pool"],
+    }
+    text = {name: 1 for name in ("encoder_layers", "decoder_layers", "encoder_attention_heads", "decoder_attention_heads")}
+    text |= {"vocab_size": 200, "d_model": 32, "encoder_ffn_dim": 32, "decoder_ffn_dim": 32}
+    florence = {"vision_config": vision, "text_config": text, "projection_dim": 32, "vocab_size": 200}
+    config = XVLAConfig(florence_config=florence, hidden_size=32, depth=1, num_heads=2, device="cpu", push_to_hub=False, action_mode="auto")
+    policy = make_policy(config, ds_meta=meta)
+    assert config.input_features["observation.state"].shape == (7,)  # three joints, two forces, and whether each is known
+    row = LeRobotDataset("egotac/labelled", root=folder / "vla", video_backend="pyav")[3]
+    batch = torch.utils.data.default_collate([row])
+    with torch.no_grad():
+        state = policy._prepare_state(batch, 1, "cpu")
+        assert torch.equal(state[0, :7], row["observation.state"]) and (state[0, 7:] == 0).all() and state[0, 5:7].tolist() == [1, 1]
+        # The input layer mixes action, state and time: it has weights for touch.
+        layer = policy.model.transformer.action_encoder
+        inputs = layer.fc.embedding_dim // config.hidden_size
+
+        def encoded(state):
+            actions = torch.zeros(1, config.chunk_size, policy.model.dim_action)
+            time = torch.zeros(1, config.chunk_size, inputs - state.shape[-1] - actions.shape[-1])
+            tokens = torch.cat([actions, state[:, None].expand(-1, config.chunk_size, -1), time], dim=-1)
+            return layer(tokens, torch.zeros(1, dtype=torch.long))
+
+        other = state.clone()
+        other[0, 3] += 1.0  # N, on the left hand
+        assert (encoded(other) - encoded(state)).abs().max() > 1e-6
+    print("a vision-language-action policy takes touch in: ok", flush=True)
+
+
 def live_touch_is_that_of_the_columns(folder):
     register_third_party_plugins()
     step_class = ProcessorStepRegistry.get("egotac_touch_processor")
@@ -147,5 +186,6 @@ def version_2_1_is_labelled_and_converted_by_lerobot(folder):
 with tempfile.TemporaryDirectory() as temp:
     temp = pathlib.Path(temp)
     policies_take_touch_in(temp)
+    a_vision_language_action_policy_takes_touch_in(temp)
     live_touch_is_that_of_the_columns(temp)
     version_2_1_is_labelled_and_converted_by_lerobot(temp)

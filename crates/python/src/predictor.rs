@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 use egotac::dataset::lerobot::{LabelColumn, policy_input, policy_input_names as names_of_input};
 use egotac::hand::{HandModel, N_FIELD, N_VERTICES, Region, Side, Topology};
@@ -74,10 +75,13 @@ impl Predictor {
         let pixels = take("image", &image, &[0, 0, 3])?;
         let predict = || {
             let mut predictor = self.lock();
+            let started = Instant::now();
             let preparation = predictor.metadata().preparation(predictor.config());
-            predictor.push_prepared(preparation.apply_pixels(&pixels, width, height)?, stamp)
+            let prediction = predictor.push_prepared(preparation.apply_pixels(&pixels, width, height)?, stamp)?;
+            Ok((prediction, started.elapsed().as_secs_f64()))
         };
-        Touch::new(py, py.detach(predict).map_err(raise)?)
+        let (prediction, seconds) = py.detach(predict).map_err(raise)?;
+        Touch::new(py, prediction, seconds)
     }
 
     /// Predicts touch for images one behind the other, and returns a `TouchBatch`: the same numbers as `push` gives, with images
@@ -158,7 +162,7 @@ fn sides(images: &PyReadonlyArrayDyn<'_, u8>, first: usize) -> PyResult<(u32, u3
 /// `stamp`: s. `force`: (1556,) N, `contact`: (1556,) probability; left hand first, NaN = unknown. `mask`: (1556,) True where
 /// touch is known. `familiarity` of the image and `presence` of both hands: 0 to 1, NaN = not estimated. `warming_up`: the window is
 /// not full. `restarted`: a new stream began. `total_force`: N on the left and the right hand. `region_force`: (2, 17) N, by `REGIONS`.
-/// `reason`: why touch is unknown; empty = it is known.
+/// `reason`: why touch is unknown; empty = it is known. `seconds`: time that the image's preparation and the network took, s.
 #[pyclass(frozen, module = "egotac")]
 pub struct Touch {
     #[pyo3(get)]
@@ -183,12 +187,14 @@ pub struct Touch {
     region_force: Py<PyArrayDyn<f32>>,
     #[pyo3(get)]
     reason: String,
+    #[pyo3(get)]
+    seconds: f64,
     field: TactileField,
     certainty: Certainty,
 }
 
 impl Touch {
-    fn new(py: Python<'_>, prediction: Prediction) -> PyResult<Self> {
+    fn new(py: Python<'_>, prediction: Prediction, seconds: f64) -> PyResult<Self> {
         let Prediction { stamp_secs, field, certainty, warming_up, restarted } = prediction;
         let known = mask(&field, &certainty);
         let regions = field.region_forces(&regions(field.topology)?);
@@ -206,6 +212,7 @@ impl Touch {
             total_force: (left, right),
             region_force: give(py, "region_force", regions, [2, Region::ALL.len()])?,
             reason: certainty.reason(),
+            seconds,
             field,
             certainty,
         })

@@ -58,6 +58,7 @@ class Touch:
     total_force: tuple[float, float]
     region_force: _Floats
     reason: str
+    seconds: float
     def policy_input(self, columns: list[str] = ["region_force"]) -> _Floats: ...
 
 class TouchBatch:
