@@ -1,12 +1,13 @@
 # Thin names for scripts/ and cargo.
 
-.PHONY: help setup demo demo-retarget test doctor lint miri bench fuzz build-times check-cuda
+.PHONY: help setup demo demo-retarget test doctor lint miri bench fuzz build-times check-cuda wheel
 
 help:
 	@echo 'make setup       what this machine lacks: Python environment, ROS 2, messages, MuJoCo; writes env.sh'
 	@echo 'make demo        the main job for 15 seconds: simulator, predictor, verifier; results in out/demo/'
 	@echo 'make demo-retarget  a simulated hand grasps a mug, a robot hand follows; picture in out/demo-retarget/'
 	@echo 'make test        everything that CI runs'
+	@echo 'make wheel       the Python package, in target/wheels/ (pip install it anywhere; needs no ROS)'
 	@echo 'make doctor      what is missing on this machine, and how to fix it'
 	@echo 'make lint        formatting, clippy for each feature set, docs, shell scripts, licences of crates, unsafe code'
 	@echo 'make miri        the unsafe code of the kernels, interpreted (fetches a nightly toolchain)'
@@ -47,3 +48,6 @@ build-times:
 
 check-cuda:
 	@scripts/check-cuda
+
+wheel:
+	@scripts/wheel

@@ -1,100 +1,97 @@
 #!/usr/bin/env python3
-"""Trains a small LeRobot policy (ACT) twice on a data set that `egotac label` labelled, without and with touch, and prints both
+"""Trains a LeRobot policy twice on a data set with touch, without and with it, by LeRobot's own training program, and prints both
 losses on held-out episodes.
 
-    train_with_touch.py DATASET [--steps 500] [--seed 0] [--camera observation.images.head] [--out FOLDER]
+    egotac label RECORDING --out DATASET --as environment_state
+    train_with_touch.py DATASET --out FOLDER [--policy act] [--steps 5000] [--batch 8] [--seed 0] [--device cuda] [--small]
 
-The touch input is the sum of force on each of the 17 regions of both hands (the column PREFIX.region_force). It takes the name of
-LeRobot's environment state, for which ACT has a separate token. Both networks start from the same seed and train on the same
-batches. Needs lerobot 0.4; a CPU is enough.
+`--as environment_state` makes touch the feature `observation.environment_state`, for which ACT and diffusion policies have an input
+layer of their own; the run without touch leaves that feature out. Both start from the same seed. FOLDER/without_touch and
+FOLDER/with_touch hold what `lerobot-train` writes; FOLDER/losses.json the losses. Needs lerobot 0.4.
 """
 import argparse
 import json
 import pathlib
 
-import numpy as np
 import torch
-from lerobot.configs.types import FeatureType, PolicyFeature
-from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.configs.default import DatasetConfig
+from lerobot.configs.train import TrainPipelineConfig
+from lerobot.configs.types import FeatureType
+from lerobot.datasets.factory import resolve_delta_timestamps
+from lerobot.datasets.lerobot_dataset import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.datasets.utils import dataset_to_policy_features
 from lerobot.policies.act.configuration_act import ACTConfig
-from lerobot.policies.act.modeling_act import ACTPolicy
+from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
+from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+from lerobot.scripts.lerobot_train import train
 
-CHUNK = 4  # actions per prediction
-STATE, TOUCH, ACTION = "observation.state", "observation.environment_state", "action"
-
-
-def policy(dataset, camera, column, with_touch):
-    """Creates an ACT policy; returns it with mean and standard deviation of each input."""
-    features, stats = dataset.meta.features, dataset.meta.stats
-    inputs = {STATE: PolicyFeature(FeatureType.STATE, tuple(features[STATE]["shape"]))}
-    if camera:
-        height, width, channels = features[camera]["shape"]
-        inputs[camera] = PolicyFeature(FeatureType.VISUAL, (channels, height, width))
-    if with_touch:
-        inputs[TOUCH] = PolicyFeature(FeatureType.ENV, tuple(features[column]["shape"]))
-    outputs = {ACTION: PolicyFeature(FeatureType.ACTION, tuple(features[ACTION]["shape"]))}
-    config = ACTConfig(
-        input_features=inputs, output_features=outputs, chunk_size=CHUNK, n_action_steps=CHUNK, use_vae=False, dim_model=64,
-        n_heads=4, dim_feedforward=128, n_encoder_layers=2, n_decoder_layers=1, pretrained_backbone_weights=None, device="cpu",
-    )
-    scales = {name: stats[column if name == TOUCH else name] for name in [*inputs, ACTION] if name != camera}
-    scales = {name: [torch.as_tensor(stat[key], dtype=torch.float32) for key in ("mean", "std")] for name, stat in scales.items()}
-    return ACTPolicy(config), scales
+TOUCH = "observation.environment_state"
+REPOSITORY = "local/labelled"  # a name that LeRobot asks for; nothing is downloaded
+SMALL = {
+    "act": {"dim_model": 64, "n_heads": 4, "dim_feedforward": 128, "n_encoder_layers": 2, "chunk_size": 4, "n_action_steps": 4},
+    "diffusion": {"down_dims": (32, 64), "horizon": 8, "n_action_steps": 4, "crop_shape": None},
+}
 
 
-def prepared(batch, column, scales, camera):
-    """Returns the batch under the policy's names, normalised by the data set's statistics; unknown touch becomes the mean."""
-    batch = {**batch, TOUCH: batch[column]}
-    taken = {camera: batch[camera]} if camera else {}
-    for name, (mean, std) in scales.items():
-        taken[name] = torch.nan_to_num((batch[name] - mean) / (std + 1e-6))
-    return taken | {"action_is_pad": batch["action_is_pad"]}
+def policy_config(args, meta, with_touch):
+    """Configuration of a policy that takes every observation of the data set, or all but touch."""
+    kind = {"act": ACTConfig, "diffusion": DiffusionConfig}[args.policy]
+    features = dataset_to_policy_features(meta.features)
+    inputs = {name: feature for name, feature in features.items() if feature.type is not FeatureType.ACTION}
+    if not with_touch:
+        del inputs[TOUCH]
+    options = {**SMALL[args.policy], "pretrained_backbone_weights": None} if args.small else {}
+    return kind(input_features=inputs, device=args.device, push_to_hub=False, **options)
+
+
+def loss_on(episodes, args, folder):
+    """Mean loss of a trained policy on episodes."""
+    network = get_policy_class(args.policy).from_pretrained(folder)
+    preprocessor, _ = make_pre_post_processors(network.config, pretrained_path=str(folder))
+    meta = LeRobotDatasetMetadata(REPOSITORY, root=args.dataset)
+    times = resolve_delta_timestamps(network.config, meta)
+    dataset = LeRobotDataset(REPOSITORY, root=args.dataset, episodes=episodes, delta_timestamps=times, video_backend="pyav")
+    torch.manual_seed(args.seed)  # a diffusion policy draws noise
+    network.eval()
+    losses = []
+    with torch.no_grad():
+        for batch in torch.utils.data.DataLoader(dataset, batch_size=args.batch):
+            loss, _ = network.forward(preprocessor(batch))
+            losses.append((loss.item(), len(batch["index"])))
+    return sum(loss * count for loss, count in losses) / sum(count for _, count in losses)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dataset", type=pathlib.Path)
-    parser.add_argument("--steps", type=int, default=500)
+    parser.add_argument("--out", type=pathlib.Path, required=True, help="folder of both policies and losses.json")
+    parser.add_argument("--policy", choices=["act", "diffusion"], default="act")
+    parser.add_argument("--steps", type=int, default=5000)
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--camera", help="key of a camera; default: the policy sees no image")
-    parser.add_argument("--prefix", default="tactile")
-    parser.add_argument("--out", type=pathlib.Path, help="folder of both policies and losses.json")
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    parser.add_argument("--small", action="store_true", help="a network for trying, without pretrained weights")
     args = parser.parse_args()
 
-    column = f"{args.prefix}.region_force"
-    info = json.loads((args.dataset / "meta" / "info.json").read_text())
-    times = [step / info["fps"] for step in range(CHUNK)]
-    episodes = list(range(info["total_episodes"]))
-    held_out = episodes[len(episodes) * 4 // 5 :] if len(episodes) > 1 else episodes
-    open_set = lambda chosen: LeRobotDataset(  # noqa: E731
-        "local/labelled", root=args.dataset, episodes=chosen, delta_timestamps={ACTION: times}, video_backend="pyav"
-    )
-    train, test = open_set([e for e in episodes if e not in held_out] or episodes), open_set(held_out)
+    meta = LeRobotDatasetMetadata(REPOSITORY, root=args.dataset)
+    if TOUCH not in meta.features:
+        parser.error(f"{args.dataset} has no feature {TOUCH}: label it with `egotac label --as environment_state`")
+    episodes = list(range(meta.total_episodes))
+    split = max(1, len(episodes) * 4 // 5)
+    training, held_out = episodes[:split], episodes[split:] or episodes
     losses = {}
     for with_touch in (False, True):
-        torch.manual_seed(args.seed)
-        network, scales = policy(train, args.camera, column, with_touch)
-        optimizer = torch.optim.AdamW(network.parameters(), lr=3e-4)
-        order = np.random.default_rng(args.seed)
-        for _ in range(args.steps):
-            rows = [train[int(index)] for index in order.integers(len(train), size=args.batch)]
-            batch = prepared(torch.utils.data.default_collate(rows), column, scales, args.camera)
-            loss, _ = network.forward(batch)
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-        network.eval()
-        with torch.no_grad():
-            each = torch.utils.data.DataLoader(test, batch_size=args.batch)
-            held = [network.forward(prepared(batch, column, scales, args.camera))[0].item() for batch in each]
-        name = "with touch" if with_touch else "without touch"
-        losses[name] = {"train": loss.item(), "held_out": float(np.mean(held))}
-        print(f"{name}: loss {loss.item():.4f} on the last batch, {np.mean(held):.4f} on held-out episodes", flush=True)
-        if args.out:
-            network.save_pretrained(args.out / name.replace(" ", "_"))
-    if args.out:
-        (args.out / "losses.json").write_text(json.dumps(losses, indent=2) + "\n")
+        name = "with_touch" if with_touch else "without_touch"
+        dataset = DatasetConfig(REPOSITORY, root=str(args.dataset), episodes=training, video_backend="pyav")
+        config = TrainPipelineConfig(
+            dataset=dataset, policy=policy_config(args, meta, with_touch), output_dir=args.out / name, seed=args.seed, num_workers=0,
+            batch_size=args.batch, steps=args.steps, save_freq=args.steps, eval_freq=0, log_freq=max(1, args.steps // 20),
+        )
+        train(config)
+        folder = args.out / name / "checkpoints" / "last" / "pretrained_model"
+        losses[name] = {"training": loss_on(training, args, folder), "held_out": loss_on(held_out, args, folder)}
+        print(f"{name}: loss {losses[name]['training']:.4f} on the training episodes, {losses[name]['held_out']:.4f} on held-out ones", flush=True)
+    (args.out / "losses.json").write_text(json.dumps(losses, indent=2) + "\n")
 
 
 if __name__ == "__main__":

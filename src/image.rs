@@ -9,7 +9,7 @@ pub mod rectify;
 use std::borrow::Cow;
 use std::io::Cursor;
 
-use ::image::{DynamicImage, ImageDecoder, ImageReader, Limits, RgbImage};
+use ::image::{DynamicImage, ImageBuffer, ImageDecoder, ImageReader, Limits, Rgb, RgbImage};
 use fast_image_resize as fir;
 use serde::{Deserialize, Serialize};
 
@@ -78,13 +78,25 @@ impl Preparation {
     /// # Errors
     /// If the image is empty, or mean or deviation would give values that are not finite.
     pub fn apply(&self, image: &RgbImage) -> Result<Vec<f32>> {
+        self.apply_view(&image_view(image)?)
+    }
+
+    /// As [`Preparation::apply`], for pixels of another owner: `(height, width, 3)` bytes, row by row, channels red, green, blue.
+    ///
+    /// # Errors
+    /// As [`Preparation::apply`], and if the number of bytes is another one.
+    pub fn apply_pixels(&self, pixels: &[u8], width: u32, height: u32) -> Result<Vec<f32>> {
+        self.apply_view(&view(pixels, width, height)?)
+    }
+
+    fn apply_view(&self, image: &View) -> Result<Vec<f32>> {
         if let Some(mean) = self.mean.iter().find(|mean| !mean.is_finite()) {
             return Err(Error::value("mean", "finite numbers", mean));
         }
         if let Some(std) = self.std.iter().find(|std| !(std.is_normal() && **std > 0.0)) {
             return Err(Error::value("std", "positive numbers", std));
         }
-        let square = resize(image, self.side, self.resize, self.filter)?;
+        let square = resize_view(image, self.side, self.resize, self.filter)?;
         Ok(normalise(&square, self.mean, self.std))
     }
 
@@ -212,6 +224,10 @@ pub(crate) fn check_size(width: u64, height: u64) -> Result<()> {
 /// # Errors
 /// If the image is empty.
 pub fn resize(image: &RgbImage, side: usize, resize: Resize, filter: Filter) -> Result<RgbImage> {
+    resize_view(&image_view(image)?, side, resize, filter)
+}
+
+fn resize_view(image: &View, side: usize, resize: Resize, filter: Filter) -> Result<RgbImage> {
     let (width, height) = image.dimensions();
     if width == 0 || height == 0 || side == 0 || side > MAX_SIDE as usize {
         let expected = format!("at least one pixel, and an input side of 1 to {MAX_SIDE}");
@@ -243,11 +259,25 @@ pub fn resize(image: &RgbImage, side: usize, resize: Resize, filter: Filter) -> 
 /// # Errors
 /// If the image or `size` is empty.
 pub(crate) fn scaled(image: &RgbImage, size: (u32, u32)) -> Result<RgbImage> {
-    convolved(image, size, None, Filter::Triangle)
+    convolved(&image_view(image)?, size, None, Filter::Triangle)
+}
+
+/// Pixels of an image that somebody else owns.
+type View<'a> = ImageBuffer<Rgb<u8>, &'a [u8]>;
+
+fn image_view(image: &RgbImage) -> Result<View<'_>> {
+    view(image.as_raw(), image.width(), image.height())
+}
+
+fn view(pixels: &[u8], width: u32, height: u32) -> Result<View<'_>> {
+    let bytes = 3 * width as usize * height as usize;
+    let wrong = || Error::shape("image", format!("({height}, {width}, 3), {bytes} bytes"), [pixels.len()]);
+    let image = Some(pixels).filter(|pixels| pixels.len() == bytes);
+    image.and_then(|pixels| ImageBuffer::from_raw(width, height, pixels)).ok_or_else(wrong)
 }
 
 /// Scales an image, or the square of it at left, top and side `cropped`, to width and height `size`, pixels.
-fn convolved(image: &RgbImage, size: (u32, u32), cropped: Option<(f64, f64, f64)>, filter: Filter) -> Result<RgbImage> {
+fn convolved(image: &View, size: (u32, u32), cropped: Option<(f64, f64, f64)>, filter: Filter) -> Result<RgbImage> {
     let algorithm = fir::ResizeAlg::Convolution(match filter {
         Filter::Triangle => fir::FilterType::Bilinear,
         Filter::Bicubic => fir::FilterType::CatmullRom,

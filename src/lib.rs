@@ -29,7 +29,7 @@
 //!
 //! | module | contents |
 //! |---|---|
-//! | [`error`], `file`, `text` | the one error type; atomic file writes; numbers for people |
+//! | [`error`], `file`, `text`, `host` | the one error type; atomic file writes; numbers for people; places of shipped files |
 //! | [`hand`] | MANO's parameters, vertices, joints, regions, vertex numbering; the built-in hand |
 //! | [`camera`] | projection between points and pixels |
 //! | [`tactile`] | force and contact on both hands, at one instant and over time; validity |
@@ -67,6 +67,8 @@ pub mod file;
 #[doc(hidden)]
 pub mod geometry;
 pub mod hand;
+#[doc(hidden)]
+pub mod host;
 pub mod image;
 #[doc(hidden)]
 pub mod import;

@@ -20,6 +20,7 @@ pub use self::child::{end_with_parent, serve};
 use crate::error::{Error, Result};
 use crate::file;
 use crate::file::limits::{self, Limit};
+use crate::host;
 
 /// Name of the program that serves trials.
 const PROGRAM: &str = "egotac";
@@ -159,6 +160,9 @@ fn is_about_memory(text: &str) -> bool {
 fn program() -> Option<PathBuf> {
     if let Some(own) = THIS_PROGRAM.get() {
         return Some(own.clone());
+    }
+    if let Some(program) = host::set_program() {
+        return program;
     }
     let own = std::env::current_exe().ok()?;
     if own.file_name()? == PROGRAM {

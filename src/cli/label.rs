@@ -1,16 +1,22 @@
 //! `egotac label`.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
+
+use clap::Parser;
+use serde_json::Value;
 
 use super::doubt::Doubt;
 use super::hands::Hands;
 use super::label_physics::Physics;
 use super::labelling::{Work, shard};
 use crate::dataset::Provenance;
+use crate::dataset::lerobot::{ColumnRole, LabelColumn};
 use crate::dataset::mcap::TOPIC;
+use crate::error::Result;
 use crate::hand::Topology;
-use crate::label::{FormatOptions, Job, LabelTask, LabelTasks, OutputFormat, Shard, find_tasks};
+use crate::label::{FormatOptions, Job, LabelTask, LabelTasks, LabelTiming, Outcome, OutputFormat, Shard, find_tasks};
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
 use crate::text::tell;
@@ -26,7 +32,7 @@ const MAX_DECODERS: usize = 256;
     Exit status: 0 = every image is labelled, 3 = every readable image is labelled and the others are listed, 1 = error."
 )]
 pub struct Args {
-    /// A Zarr store (folder or zip file), a bag (folder) or an .mcap file, a LeRobot v3 data set, a video, a
+    /// A Zarr store (folder or zip file), a bag (folder) or an .mcap file, a LeRobot data set, a video, a
     /// folder of images; or a folder of these.
     input: PathBuf,
     /// The labelled data set; of several inputs, a folder for them and a manifest.json.
@@ -58,10 +64,19 @@ pub struct Args {
     #[arg(long, value_name = "TOPIC", default_value = TOPIC)]
     labels_topic: String,
     /// Prefix of a LeRobot data set's new columns; policies ignore it.
-    #[arg(long, default_value = "tactile")]
+    #[arg(long, default_value = "tactile", value_parser = prefix)]
     prefix: String,
-    /// Make the new columns observations of policies: the prefix becomes observation.PREFIX.
-    #[arg(long)]
+    /// New columns of a LeRobot data set: region_force (34, N), force (1556, N), contact (1556), total (2, N) [default: force,
+    /// contact and region_force; region_force alone as an input of policies].
+    #[arg(long, value_name = "NAME,..", value_delimiter = ',', hide_possible_values = true)]
+    columns: Vec<LabelColumn>,
+    /// Role of a LeRobot data set's new columns: ignored by policies, appended to observation.state, or as
+    /// observation.environment_state. An input of policies has 0 where touch is unknown, and ends with two elements: 1 where
+    /// touch of the left and of the right hand is known.
+    #[arg(long = "as", value_name = "ROLE", default_value = "inert")]
+    role: ColumnRole,
+    /// Refused: `--as` makes columns an input of policies.
+    #[arg(long, hide = true)]
     observation: bool,
     /// Frame rate of a folder of images, 1/s; by default one image per observation step of the network.
     #[arg(long, value_name = "F", value_parser = super::positive)]
@@ -92,6 +107,38 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     if args.physics.physics {
         return args.physics.run(&args.input, &args.out, &args.hands, args.json.as_deref());
     }
+    label(&args, |work, run| work.run(args.json.as_deref(), run))
+}
+
+/// Runs the command with the arguments behind `egotac label`, prints nothing but warnings, and returns the content of the
+/// JSON file of `--json`.
+///
+/// # Errors
+/// If an argument is wrong, the only recording can't be labelled, or none of several.
+pub fn summary(arguments: impl IntoIterator<Item = OsString>) -> anyhow::Result<Value> {
+    let command = OsString::from("label");
+    let Parsed { args } = Parsed::try_parse_from(std::iter::once(command).chain(arguments))?;
+    anyhow::ensure!(!args.physics.physics, "--physics: expected a prediction of a network here, got forces from motion: run the command `egotac label`");
+    label(&args, |work, run| work.summary(run))
+}
+
+/// The arguments as a command of its own.
+#[derive(clap::Parser)]
+#[command(name = "label")]
+struct Parsed {
+    #[command(flatten)]
+    args: Args,
+}
+
+/// Runs a job with the number of its first unit, the times to add to, and a function to call after each image.
+type RunJob<'a> = &'a mut dyn FnMut(usize, usize, &mut LabelTiming, &mut dyn FnMut()) -> Result<Outcome>;
+
+/// Finds the recordings and hands their jobs to `finish`.
+fn label<T>(args: &Args, finish: impl FnOnce(&Work, RunJob) -> anyhow::Result<T>) -> anyhow::Result<T> {
+    if args.observation {
+        let instead = "an observation of that name, which policies do not take in, is gone: use --as environment_state or --as state";
+        anyhow::bail!("--observation: {instead}");
+    }
     let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
     let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..Default::default() };
     let mut predictor = Predictor::load(&path, args.doubt.apply(options))?;
@@ -106,7 +153,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         fps: args.fps,
         frame_dt: predictor.metadata().frame_dt,
         side: (args.side > 0).then_some(args.side),
-        prefix: Some(if args.observation { format!("observation.{}", args.prefix) } else { args.prefix.clone() }),
+        prefix: Some(args.prefix.clone()),
+        columns: args.columns.clone(),
+        role: args.role,
         camera: args.camera.clone(),
         time_unit: args.time_unit,
         topic: args.topic.clone(),
@@ -114,9 +163,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         mano_regions: predictor.mano().map(|mano| mano.regions(Topology::Mano)),
     };
     let LabelTasks { tasks, unreadable } = find_tasks(&args.input, &args.out, &options)?;
-    let jobs: Vec<Job> = tasks.iter().map(|task| job(task, &predictor, &args)).collect();
+    let jobs: Vec<Job> = tasks.iter().map(|task| job(task, &predictor, args)).collect();
     let work = Work { input: &args.input, out: &args.out, tasks: &tasks, jobs: &jobs, unreadable: &unreadable };
-    work.run(args.json.as_deref(), |index, number, timing, progress| {
+    finish(&work, &mut |index, number, timing, progress| {
         jobs[index].run(&mut predictor, args.shard, number, timing, progress)
     })
 }
@@ -131,7 +180,17 @@ fn job<'a>(task: &'a LabelTask, predictor: &Predictor, args: &Args) -> Job<'a> {
     }
 }
 
-fn time_unit(text: &str) -> Result<f64, String> {
+/// Parses a prefix that policies ignore.
+fn prefix(text: &str) -> std::result::Result<String, String> {
+    match ["observation", "action"].iter().find(|word| text.starts_with(*word)) {
+        Some(word) => Err(format!(
+            "policies take or refuse names that begin with {word:?}: choose another, and --as for an input"
+        )),
+        None => Ok(text.to_string()),
+    }
+}
+
+fn time_unit(text: &str) -> std::result::Result<f64, String> {
     match text {
         "s" => Ok(1.0),
         "ms" => Ok(1e-3),
@@ -141,7 +200,7 @@ fn time_unit(text: &str) -> Result<f64, String> {
     }
 }
 
-fn decoders(text: &str) -> Result<usize, String> {
+fn decoders(text: &str) -> std::result::Result<usize, String> {
     match text.parse() {
         Ok(number) if (1..=MAX_DECODERS).contains(&number) => Ok(number),
         _ => Err(format!("expected 1 to {MAX_DECODERS}")),

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, bail};
 use indicatif::ProgressBar;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::dataset::LabelSummary;
 use crate::error::{Error, Result};
@@ -36,16 +36,52 @@ impl Work<'_> {
     pub fn run(
         &self,
         json: Option<&Path>,
-        mut run: impl FnMut(usize, usize, &mut LabelTiming, &mut dyn FnMut()) -> Result<Outcome>,
+        run: impl FnMut(usize, usize, &mut LabelTiming, &mut dyn FnMut()) -> Result<Outcome>,
     ) -> anyhow::Result<ExitCode> {
-        let Self { input, out, tasks, jobs, unreadable } = self;
-        let several = tasks.len() + unreadable.len() > 1;
+        let Self { input, tasks, jobs, .. } = self;
         let bar = bar(tasks, jobs)?;
+        let (ends, timing) = self.results(run, || bar.inc(1))?;
+        bar.finish_and_clear();
+        report(json, &ends, &timing)?;
+        for (name, reason) in &ends.failed {
+            tell(format_args!("{}", printable_name(&format!("{name}: {reason}"))));
+        }
+        if ends.done.is_empty() && ends.waiting.is_empty() {
+            bail!("{}: none of {} recordings could be labelled", input.display(), ends.failed.len());
+        }
+        let whole = ends.failed.is_empty() && ends.done.iter().all(|(_, summary, _)| summary.is_whole());
+        Ok(if whole { ExitCode::SUCCESS } else { ExitCode::from(PARTLY) })
+    }
+
+    /// Runs all jobs as [`Work::run`] and returns the content of its JSON file; prints nothing.
+    ///
+    /// # Errors
+    /// If the only recording can't be labelled, or none of several.
+    pub fn summary(
+        &self,
+        run: impl FnMut(usize, usize, &mut LabelTiming, &mut dyn FnMut()) -> Result<Outcome>,
+    ) -> anyhow::Result<Value> {
+        let (ends, timing) = self.results(run, || ())?;
+        if ends.done.is_empty() && ends.waiting.is_empty() {
+            let reasons: Vec<String> = ends.failed.iter().map(|(name, reason)| format!("{name}: {reason}")).collect();
+            bail!("{}: no recording could be labelled: {}", self.input.display(), reasons.join("; "));
+        }
+        Ok(summary(&ends, &timing))
+    }
+
+    /// Runs all jobs; calls `progress` after each image.
+    fn results(
+        &self,
+        mut run: impl FnMut(usize, usize, &mut LabelTiming, &mut dyn FnMut()) -> Result<Outcome>,
+        mut progress: impl FnMut(),
+    ) -> anyhow::Result<(Ends<'_>, LabelTiming)> {
+        let Self { out, tasks, unreadable, .. } = self;
+        let several = tasks.len() + unreadable.len() > 1;
         let (mut timing, mut ends) = (LabelTiming::default(), Ends::default());
         ends.failed.extend(unreadable.iter().map(|(name, error)| (name.clone(), error.to_string())));
         let mut number = 0;
         for (index, task) in tasks.iter().enumerate() {
-            let outcome = run(index, number, &mut timing, &mut || bar.inc(1));
+            let outcome = run(index, number, &mut timing, &mut progress);
             number += task.source.units().len();
             match outcome {
                 Ok(Outcome::Done(info)) => ends.done.push((task, info.summary, false)),
@@ -56,20 +92,11 @@ impl Work<'_> {
                 Err(error) => return Err(error).with_context(|| task.name.clone()),
             }
         }
-        bar.finish_and_clear();
         ends.forget_moved();
         if several && out.is_dir() {
             write_manifest(out, tasks, unreadable)?;
         }
-        report(json, &ends, &timing)?;
-        for (name, reason) in &ends.failed {
-            tell(format_args!("{}", printable_name(&format!("{name}: {reason}"))));
-        }
-        if ends.done.is_empty() && ends.waiting.is_empty() {
-            bail!("{}: none of {} recordings could be labelled", input.display(), ends.failed.len());
-        }
-        let whole = ends.failed.is_empty() && ends.done.iter().all(|(_, summary, _)| summary.is_whole());
-        Ok(if whole { ExitCode::SUCCESS } else { ExitCode::from(PARTLY) })
+        Ok((ends, timing))
     }
 }
 
@@ -108,18 +135,29 @@ fn bar(tasks: &[LabelTask], jobs: &[Job]) -> anyhow::Result<ProgressBar> {
     Ok(bar)
 }
 
-fn report(json_path: Option<&Path>, Ends { done, waiting, failed }: &Ends, timing: &LabelTiming) -> anyhow::Result<()> {
+/// Returns the sum of the summaries.
+fn total(ends: &Ends) -> LabelSummary {
     let mut total = LabelSummary::default();
-    done.iter().for_each(|(_, summary, _)| total.add(summary));
-    let fps = timing.frames as f64 / timing.inference_secs.max(f64::MIN_POSITIVE);
+    ends.done.iter().for_each(|(_, summary, _)| total.add(summary));
+    total
+}
+
+/// Returns the images labelled per second.
+fn fps(timing: &LabelTiming) -> f64 {
+    timing.frames as f64 / timing.inference_secs.max(f64::MIN_POSITIVE)
+}
+
+/// Returns the content of the JSON file.
+fn summary(ends: &Ends, timing: &LabelTiming) -> Value {
+    let Ends { done, waiting, failed } = ends;
     let outputs: Vec<_> = done.iter().map(|(task, ..)| task.out.display().to_string()).collect();
-    let json = json!({
+    json!({
         "outputs": outputs,
         "waiting_for_other_shards": waiting.iter().map(|task| task.out.display().to_string()).collect::<Vec<_>>(),
         "failed": failed.iter().map(|(name, reason)| json!({ "input": name, "reason": reason })).collect::<Vec<_>>(),
-        "summary": total,
+        "summary": total(ends),
         "images_labelled_now": timing.frames,
-        "images_per_sec": (timing.frames > 0).then_some(fps),
+        "images_per_sec": (timing.frames > 0).then_some(fps(timing)),
         "seconds": {
             "pass": timing.inference_secs,
             "network": timing.inference.network_secs,
@@ -127,7 +165,12 @@ fn report(json_path: Option<&Path>, Ends { done, waiting, failed }: &Ends, timin
             "journal": timing.inference.journal_secs,
             "assembly": timing.assembly_secs,
         },
-    });
+    })
+}
+
+fn report(json_path: Option<&Path>, ends: &Ends, timing: &LabelTiming) -> anyhow::Result<()> {
+    let json = summary(ends, timing);
+    let Ends { done, waiting, .. } = ends;
     if json_path.is_some_and(|path| path.as_os_str() == "-") {
         println!("{}", printable(&format!("{json:#}")));
         return Ok(());
@@ -136,10 +179,10 @@ fn report(json_path: Option<&Path>, Ends { done, waiting, failed }: &Ends, timin
         println!("{}{}", printable_name(&task.out.to_string_lossy()), if *before { ": done before" } else { "" });
     }
     if !done.is_empty() {
-        println!("{}", printable(&total.text()));
+        println!("{}", printable(&total(ends).text()));
     }
     if timing.frames > 0 {
-        println!("{} images in {:.1} s, {fps:.1} per second", timing.frames, timing.inference_secs);
+        println!("{} images in {:.1} s, {:.1} per second", timing.frames, timing.inference_secs, fps(timing));
     }
     for task in waiting {
         let out = task.out.to_string_lossy();

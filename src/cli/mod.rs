@@ -8,7 +8,8 @@ mod eval;
 mod external;
 mod hand;
 mod hands;
-mod label;
+#[doc(hidden)]
+pub mod label;
 mod label_physics;
 mod labelling;
 mod limits;
@@ -25,6 +26,7 @@ mod sim;
 mod train;
 mod verify;
 
+use std::ffi::OsString;
 use std::io::Write;
 use std::process::ExitCode;
 
@@ -88,7 +90,15 @@ enum Command {
 
 /// Runs the command line; the exit status is 0 for success, 1 for a failed check or an error, 2 for bad usage.
 pub fn main() -> ExitCode {
-    let Cli { follow_links, command } = Cli::parse();
+    run(Cli::parse())
+}
+
+/// Runs the command line `arguments`, whose first one is the program's name, as [`main`]. Bad usage ends the process.
+pub fn main_with(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+    run(Cli::parse_from(arguments))
+}
+
+fn run(Cli { follow_links, command }: Cli) -> ExitCode {
     if follow_links {
         input::follow_links();
     }

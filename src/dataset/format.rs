@@ -18,7 +18,7 @@ pub enum Format {
     Store,
     /// The folder of a bag, or an MCAP file.
     Bag,
-    /// A LeRobot data set of version 3.
+    /// A LeRobot data set.
     LeRobot,
     /// A video file.
     Video,

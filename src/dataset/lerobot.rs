@@ -1,4 +1,4 @@
-//! LeRobot data sets of version 3: rows in Parquet, images in videos or in the rows.
+//! LeRobot data sets of versions 2.0, 2.1 and 3: rows in Parquet, images in videos or in the rows.
 
 mod carry;
 mod columns;
@@ -6,10 +6,12 @@ mod finished;
 mod images;
 mod labels;
 mod pages;
+mod policy_input;
 mod prefix;
 mod read_labels;
 mod rows;
 mod statistics;
+mod v2;
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -30,6 +32,7 @@ use crate::file::limits;
 pub(crate) use carry::carry;
 pub(crate) use images::{LeRobotDataset, PREFIX};
 pub(crate) use labels::read_info;
+pub use policy_input::{ColumnRole, LabelColumn, policy_input, policy_input_names, policy_input_width};
 pub(crate) use read_labels::read_labelled;
 pub(crate) use rows::Row;
 use rows::Rows;
@@ -47,6 +50,8 @@ pub(crate) struct LeRobot {
     pub info: Value,
     /// Frame rate, 1/s.
     pub fps: f64,
+    /// True for versions 2.0 and 2.1: one file of rows per episode, which `meta/episodes.jsonl` lists.
+    is_v2: bool,
     /// Episodes in order.
     pub episodes: Vec<Episode>,
     /// `index` of the first frame of each file of rows, by chunk and file.
@@ -88,14 +93,21 @@ impl LeRobot {
         let text = input::read_text(&path, limits::TEXT)?;
         let info: Value = serde_json::from_str(&text).map_err(|e| Error::file(&path, e))?;
         let version = info["codebase_version"].as_str().unwrap_or_default();
-        if !version.starts_with("v3.") {
-            let advice = "convert it with lerobot's convert_dataset_v21_to_v30";
-            return Err(Error::file(&path, format!("expected codebase_version v3, got {version:?}; {advice}")));
+        let is_v2 = ["v2.0", "v2.1"].contains(&version);
+        if !is_v2 && !version.starts_with("v3.") {
+            let expected = "expected codebase_version v2.0, v2.1 or v3";
+            return Err(Error::file(
+                &path,
+                format!("{expected}, got {version:?}; convert it with the package lerobot"),
+            ));
         }
         let fps = info["fps"].as_f64().filter(|fps| *fps > 0.0);
         let fps = fps.ok_or_else(|| Error::file(&path, format!("expected fps above 0, got {}", info["fps"])))?;
         let (episodes, first) = (Vec::new(), BTreeMap::new());
-        let mut dataset = Self { root: root.to_path_buf(), folder, info, fps, episodes, first };
+        let mut dataset = Self { root: root.to_path_buf(), folder, info, fps, is_v2, episodes, first };
+        if is_v2 {
+            dataset.episodes = v2::read_episodes(&dataset)?;
+        }
         for file in dataset.episode_files()? {
             dataset.read_episodes(&file)?;
         }
@@ -127,11 +139,14 @@ impl LeRobot {
         features.filter_map(camera).collect()
     }
 
-    /// Returns the Parquet files of `meta/episodes` in order.
+    /// Returns the Parquet files of `meta/episodes` in order; none of versions 2.0 and 2.1.
     ///
     /// # Errors
     /// If the folder can't be read.
     pub fn episode_files(&self) -> Result<Vec<PathBuf>> {
+        if self.is_v2 {
+            return Ok(Vec::new());
+        }
         parquet_files(&self.folder, "meta/episodes")
     }
 
@@ -146,7 +161,11 @@ impl LeRobot {
     /// Returns the file of rows with this chunk and number.
     fn data_file(&self, (chunk, file): (i64, i64)) -> Result<PathBuf> {
         let pattern = self.info["data_path"].as_str();
-        let pattern = pattern.unwrap_or("data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet");
+        let default = match self.is_v2 {
+            true => v2::DATA_PATH,
+            false => "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        };
+        let pattern = pattern.unwrap_or(default);
         self.folder.join(filled(pattern, chunk, file))
     }
 
@@ -157,7 +176,11 @@ impl LeRobot {
     pub fn video_file(&self, camera: &str, episode: &Episode) -> Result<Option<(PathBuf, f64)>> {
         let Some((chunk, file, start)) = episode.videos.get(camera) else { return Ok(None) };
         let pattern = self.info["video_path"].as_str();
-        let pattern = pattern.unwrap_or("videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4");
+        let default = match self.is_v2 {
+            true => v2::VIDEO_PATH,
+            false => "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
+        };
+        let pattern = pattern.unwrap_or(default);
         let path = self.folder.join(filled(&pattern.replace("{video_key}", camera), *chunk, *file))?;
         Ok(Some((path, *start)))
     }
@@ -291,7 +314,8 @@ fn parquet_files(folder: &InputFolder, name: &str) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Fills a pattern of `info.json`: `{chunk_index:03d}` and `{file_index:03d}`.
+/// Fills a pattern of `info.json`: `{chunk_index:03d}` and `{file_index:03d}`, of versions 2.0 and 2.1 `{episode_chunk:03d}` and
+/// `{episode_index:06d}`.
 fn filled(pattern: &str, chunk: i64, file: i64) -> String {
     let put = |text: String, name: &str, number: i64| {
         let Some((before, rest)) = text.split_once(&format!("{{{name}")) else { return text };
@@ -300,7 +324,8 @@ fn filled(pattern: &str, chunk: i64, file: i64) -> String {
         let width = width.min(MOST_DIGITS);
         format!("{before}{number:0width$}{after}")
     };
-    put(put(pattern.to_string(), "chunk_index", chunk), "file_index", file)
+    let filled = put(put(pattern.to_string(), "chunk_index", chunk), "file_index", file);
+    put(put(filled, "episode_chunk", chunk), "episode_index", file)
 }
 
 #[cfg(test)]
@@ -313,6 +338,7 @@ mod tests {
         assert_eq!(filled(pattern, 0, 12), "data/chunk-000/file-012.parquet");
         assert_eq!(filled(pattern, 1234, 5), "data/chunk-1234/file-005.parquet");
         assert_eq!(filled("{chunk_index}/{file_index:06d}", 7, 8), "7/000008");
+        assert_eq!(filled(v2::DATA_PATH, 2, 2001), "data/chunk-002/episode_002001.parquet");
         for width in ["70000", "9223372036854775808", "99999999999999999999"] {
             assert!(filled(&format!("{{chunk_index:0{width}d}}"), 1, 2).len() <= MOST_DIGITS);
         }

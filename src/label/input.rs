@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::job::is_within;
 use crate::dataset::image_folder::ImageFolder;
-use crate::dataset::lerobot::{self, LeRobotDataset};
+use crate::dataset::lerobot::{self, ColumnRole, LabelColumn, LeRobotDataset};
 use crate::dataset::mcap::{Bag, BagOutput, TOPIC};
 use crate::dataset::tensors::TensorOutput;
 use crate::dataset::video::VideoFile;
@@ -42,6 +42,10 @@ pub struct FormatOptions {
     pub side: Option<u32>,
     /// Prefix of the new columns of a LeRobot data set.
     pub prefix: Option<String>,
+    /// New columns of a LeRobot data set; empty = those that are usual for their role.
+    pub columns: Vec<LabelColumn>,
+    /// Role of the new columns for policies.
+    pub role: ColumnRole,
     /// Array of a store's images, or key of a LeRobot camera.
     pub camera: Option<String>,
     /// Unit of a store's timestamps, s.
@@ -234,12 +238,13 @@ fn open_bag(path: &Path, out: &Path, options: &FormatOptions) -> Result<LabelTas
 fn open_lerobot(path: &Path, out: &Path, options: &FormatOptions) -> Result<LabelTask> {
     let prefix = options.prefix.as_deref().unwrap_or(lerobot::PREFIX);
     let dataset = LeRobotDataset::open(path, options.camera.as_deref(), prefix)?;
+    let dataset = dataset.with_columns(&options.columns, options.role)?;
     let dataset = Arc::new(dataset.with_mano_regions(options.mano_regions.clone()));
     let name = base_name(path);
     let description = vec![
         format!("LeRobot data set {name}"),
         format!("images {}", dataset.camera()),
-        format!("columns {}", dataset.prefix()),
+        format!("columns {}", dataset.columns_text()),
     ];
     let source: Arc<dyn ImageSource> = dataset.clone();
     let output = converted(&source, options).unwrap_or(dataset);

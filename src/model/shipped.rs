@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
+use crate::host;
 
 /// Path below the root of the source tree, and below `share/egotac` of an installation.
 const NAME: &str = "models/egotac.safetensors";
@@ -20,10 +21,15 @@ pub fn path() -> Result<PathBuf> {
     })
 }
 
-/// Returns the folders that may hold shipped files: of the installation, and the source tree.
+/// Returns the folders that may hold shipped files: of a host program, of the installation, and the source tree.
 pub(crate) fn folders() -> Vec<PathBuf> {
     // <prefix>/lib/egotac/<program> has its files in <prefix>/share/egotac.
     let program = std::env::current_exe().ok();
     let installed = program.as_deref().and_then(|program| program.ancestors().nth(3)).map(|p| p.join("share/egotac"));
-    installed.into_iter().chain([Path::new(env!("CARGO_MANIFEST_DIR")).to_path_buf()]).collect()
+    host::share()
+        .map(Path::to_path_buf)
+        .into_iter()
+        .chain(installed)
+        .chain([Path::new(env!("CARGO_MANIFEST_DIR")).to_path_buf()])
+        .collect()
 }

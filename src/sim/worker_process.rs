@@ -15,6 +15,7 @@ use super::record::{RecordSummary, record_part};
 use super::rollout::RolloutOptions;
 use super::scene::Scene;
 use crate::error::{Error, Result};
+use crate::host;
 
 /// Environment variable of Mesa's llvmpipe: number of render threads beside the caller's.
 const RENDER_THREADS: &str = "LP_NUM_THREADS";
@@ -37,7 +38,7 @@ impl WorkerCommand {
     /// # Errors
     /// If the path of this program is unknown.
     pub fn of_this_program(arguments: impl IntoIterator<Item = OsString>) -> Result<Self> {
-        let program = std::env::current_exe().map_err(Error::io("/proc/self/exe"))?;
+        let program = host::program().map_err(Error::io("/proc/self/exe"))?;
         let parent = std::process::id().to_string();
         let first = ["sim", "worker", "--parent", &parent].map(OsString::from);
         Ok(Self { program, arguments: first.into_iter().chain(arguments).collect() })

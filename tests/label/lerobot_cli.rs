@@ -163,7 +163,7 @@ fn images_in_videos_are_found_by_their_times() {
 }
 
 #[test]
-fn images_in_rows_need_a_camera_and_columns_may_be_observations() {
+fn images_in_rows_need_a_camera_and_columns_may_have_another_prefix() {
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (Path::new(DATA).join("image"), folder.path().join("out"));
     let refused = label(&input, &out, &[]);
@@ -172,19 +172,20 @@ fn images_in_rows_need_a_camera_and_columns_may_be_observations() {
         refused.status.code() == Some(1) && error.contains("observation.images.wrist") && error.contains("--camera"),
         "{error}"
     );
-    summary(&label(&input, &out, &["--camera", "observation.images.wrist", "--observation"]), 0);
+    summary(&label(&input, &out, &["--camera", "observation.images.wrist", "--prefix", "touch"]), 0);
     let rows = table(&input, ROWS);
     let files =
         rows.column_by_name("observation.images.wrist").unwrap().as_struct().column_by_name("bytes").unwrap().clone();
     let images = (0..12).map(|row| egotac::image::decode(files.as_binary::<i32>().value(row)).unwrap()).collect();
-    check(&input, &out, &expected(images), "observation.tactile");
+    check(&input, &out, &expected(images), "touch");
     // The Hugging Face types list the new columns beside the old ones.
     let metadata = reader(&out.join(ROWS)).unwrap().schema().metadata().get("huggingface").unwrap().to_string();
     let types: Value = serde_json::from_str(&metadata).unwrap();
-    assert_eq!(types["info"]["features"]["observation.tactile.force"]["length"], N_FIELD);
+    assert_eq!(types["info"]["features"]["touch.force"]["length"], N_FIELD);
     assert_eq!(types["info"]["features"]["observation.images.wrist"]["_type"], "Image");
     // A second run needs another prefix.
-    let again = label(&out, &folder.path().join("again"), &["--camera", "observation.images.head", "--observation"]);
+    let again =
+        label(&out, &folder.path().join("again"), &["--camera", "observation.images.head", "--prefix", "touch"]);
     assert!(String::from_utf8_lossy(&again.stderr).contains("--prefix"));
 }
 
@@ -215,10 +216,10 @@ fn other_versions_are_refused_with_advice() {
     let input = folder.path().join("in");
     copy(&Path::new(DATA).join("video"), &input);
     let info = fs::read_to_string(input.join("meta/info.json")).unwrap();
-    fs::write(input.join("meta/info.json"), info.replace("v3.0", "v2.1")).unwrap();
+    fs::write(input.join("meta/info.json"), info.replace("v3.0", "v1.6")).unwrap();
     let output = label(&input, &folder.path().join("out"), &[]);
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.code() == Some(1) && error.contains("convert_dataset_v21_to_v30"), "{error}");
+    assert!(output.status.code() == Some(1) && error.contains("v1.6") && error.contains("v2.0, v2.1 or v3"), "{error}");
 }
 
 /// Writes the table again with other numbers in a column.

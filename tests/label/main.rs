@@ -7,6 +7,7 @@ mod agreement;
 mod bag_cli;
 mod identity;
 mod lerobot_cli;
+mod lerobot_policy;
 mod store_cli;
 mod unknown_cli;
 mod video_cli;

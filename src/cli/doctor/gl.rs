@@ -10,7 +10,7 @@ pub fn renderer() -> anyhow::Result<String> {
     use std::time::{Duration, Instant};
 
     const TIMEOUT: Duration = Duration::from_secs(30);
-    let mut child = Command::new(std::env::current_exe()?)
+    let mut child = Command::new(crate::host::program()?)
         .args(["doctor", "--probe-gl"])
         .stdin(Stdio::null())
         .stdout(Stdio::piped())

@@ -1,11 +1,13 @@
 //! Columns of a LeRobot data set that hold labels.
 
+use std::sync::Arc;
+
 use serde_json::Value;
 
-use super::images::LeRobotDataset;
+use super::images::{LeRobotDataset, PolicyInput};
+use super::policy_input::{LabelColumn, policy_input, policy_input_names, policy_input_width};
 use crate::dataset::label_frame::LabelFrame;
-use crate::hand::{HandModel, Region, Side, Topology};
-use crate::tactile::N_FIELD;
+use crate::hand::{HandModel, Side, Topology};
 
 /// Returns the values of a column for a label.
 type Values = dyn Fn(&LabelFrame) -> Vec<f32>;
@@ -16,45 +18,59 @@ pub struct Column {
     pub name: String,
     /// Names of the elements, if they have some.
     pub names: Option<Vec<String>>,
+    /// Number of first elements that are those of the data set's column of this name.
+    pub base: usize,
     /// Number of elements.
     pub width: usize,
-    /// Returns the values of the elements for a label.
+    /// Returns the values of the elements behind the first `base` for a label.
     pub value: Box<Values>,
 }
 
 impl LeRobotDataset {
-    /// Returns the new columns: force and contact of each vertex, the force of each region if the regions are known, and of
-    /// images that are `judged` the certainty of the network.
-    pub fn columns(&self, topology: Topology, judged: bool) -> Vec<Column> {
-        let field = |name: &str, value: fn(&crate::TactileField) -> &Vec<f32>| Column {
-            name: format!("{}.{name}", self.prefix),
-            names: None,
-            width: N_FIELD,
-            value: Box::new(move |label| match &label.touch {
-                Ok(field) => value(field).clone(),
-                Err(_) => vec![f32::NAN; N_FIELD],
-            }),
-        };
-        let mut columns = vec![field("force", |field| &field.force), field("contact", |field| &field.contact)];
+    /// Returns the new columns: those that were chosen, each for itself or as an input of policies, and of images that are
+    /// `judged` the certainty of the network.
+    pub(super) fn columns(&self, topology: Topology, judged: bool) -> Vec<Column> {
         // The regions of MANO's vertices are known with MANO's files alone.
         let regions = match topology {
             Topology::EgotacHand1 => Some(Side::BOTH.map(|side| HandModel::builtin(side).regions())),
             Topology::Mano => self.mano_regions.clone(),
         };
-        if let Some(regions) = regions {
-            columns.push(Column {
-                name: format!("{}.region_force", self.prefix),
-                names: Some(Region::names_of_both_hands()),
-                width: 2 * Region::ALL.len(),
-                value: Box::new(region_force(regions)),
-            });
-        }
+        let known = |column: &LabelColumn| *column != LabelColumn::RegionForce || regions.is_some();
+        let regions = Arc::new(regions.clone().unwrap_or_default());
+        let inert = match self.input {
+            Some(_) => LabelColumn::DEFAULT.to_vec(),
+            None => self.chosen.clone(),
+        };
+        let mut columns: Vec<Column> = inert
+            .into_iter()
+            .filter(known)
+            .map(|column| {
+                let regions = Arc::clone(&regions);
+                let name = format!("{}.{}", self.prefix, column.name());
+                let value = Box::new(move |label: &LabelFrame| column.of_label(label, &regions));
+                Column { name, names: column.names(), base: 0, width: column.width(), value }
+            })
+            .collect();
         if judged {
             columns.push(Column {
                 name: format!("{}.certainty", self.prefix),
                 names: Some(CERTAINTY.map(String::from).to_vec()),
+                base: 0,
                 width: CERTAINTY.len(),
                 value: Box::new(certainty),
+            });
+        }
+        if let Some(PolicyInput { name, base, names }) = &self.input {
+            let chosen = self.chosen.clone();
+            columns.push(Column {
+                name: (*name).to_string(),
+                names: Some(names.iter().cloned().chain(policy_input_names(&chosen)).collect()),
+                base: *base,
+                width: base + policy_input_width(&chosen),
+                value: Box::new(move |label| {
+                    let touch = label.touch.as_ref().ok().map(|field| (field, &label.certainty));
+                    policy_input(&chosen, touch, &regions)
+                }),
             });
         }
         columns
@@ -79,18 +95,11 @@ pub fn with_types(text: &str, columns: &[Column]) -> Option<String> {
     let mut list = features.values().find(is_list)?.clone();
     *list.pointer_mut("/feature/dtype")? = "float32".into();
     for column in columns {
+        features.remove(&column.name);
         *list.pointer_mut("/length")? = column.width.into();
         features.insert(column.name.clone(), list.clone());
     }
     Some(types.to_string())
-}
-
-/// Sums the forces of each region, left hand first; NaN if one of them is unknown.
-fn region_force(regions: [Vec<Region>; 2]) -> impl Fn(&LabelFrame) -> Vec<f32> {
-    move |label| match &label.touch {
-        Ok(field) => field.region_forces(&regions),
-        Err(_) => vec![f32::NAN; 2 * Region::ALL.len()],
-    }
 }
 
 #[cfg(test)]
@@ -99,7 +108,7 @@ mod tests {
 
     #[test]
     fn types_of_another_form_are_dropped() {
-        let column = Column { name: "a".into(), names: None, width: 2, value: Box::new(|_| vec![]) };
+        let column = Column { name: "a".into(), names: None, base: 0, width: 2, value: Box::new(|_| vec![]) };
         let list = r#"{"length": 3, "feature": {"_type": "Value", "dtype": "int8"}, "_type": "List"}"#;
         let types = format!(r#"{{"info": {{"features": {{"b": {list}}}}}}}"#);
         let added = with_types(&types, std::slice::from_ref(&column)).unwrap();

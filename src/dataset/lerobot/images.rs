@@ -2,6 +2,9 @@
 
 use std::path::Path;
 
+use serde_json::Value;
+
+use super::policy_input::{ColumnRole, KNOWN, LabelColumn};
 use super::prefix::prefix;
 use super::{Camera, Episode, LeRobot, Row};
 use crate::dataset::identity::InputFiles;
@@ -13,6 +16,17 @@ use crate::hand::Region;
 /// Default prefix of the new columns. Policies ignore names that begin neither with `observation` nor with `action`.
 pub const PREFIX: &str = "tactile";
 
+/// Input of policies that labels become.
+#[derive(Debug)]
+pub(super) struct PolicyInput {
+    /// Feature.
+    pub name: &'static str,
+    /// Number of elements that the data set has in it.
+    pub base: usize,
+    /// Names of these elements.
+    pub names: Vec<String>,
+}
+
 /// A data set whose images are labelled.
 #[derive(Debug)]
 pub struct LeRobotDataset {
@@ -20,6 +34,10 @@ pub struct LeRobotDataset {
     camera: String,
     kind: Camera,
     pub(super) prefix: String,
+    /// Columns of labels that are written, or that make up the input of policies.
+    pub(super) chosen: Vec<LabelColumn>,
+    /// Input of policies that the labels become; None = they are columns that policies ignore.
+    pub(super) input: Option<PolicyInput>,
     /// Regions of MANO's vertices, left hand first; None = unknown.
     pub(super) mano_regions: Option<[Vec<Region>; 2]>,
     /// True if the data set has the columns already, and they are replaced.
@@ -65,6 +83,8 @@ impl LeRobotDataset {
             camera: camera.clone(),
             kind: *kind,
             prefix: prefix.to_string(),
+            chosen: LabelColumn::DEFAULT.to_vec(),
+            input: None,
             mano_regions: None,
             replaces: false,
             units,
@@ -79,17 +99,81 @@ impl LeRobotDataset {
     pub fn labelled(root: &Path) -> Result<Self> {
         let dataset = LeRobot::open(root)?;
         let prefix = prefix(&dataset)?.to_string();
-        let (camera, units) = (String::new(), Vec::new());
-        Ok(Self { camera, kind: Camera::Rows, prefix, mano_regions: None, replaces: true, units, dataset })
+        if let Some(name) = input_with_labels(&dataset) {
+            let problem = format!("labels are a part of {name}, which can't be carried over");
+            return Err(Error::file(
+                root,
+                format!("{problem}: label the recording anew with --mano-left and --mano-right"),
+            ));
+        }
+        let (camera, units, chosen) = (String::new(), Vec::new(), LabelColumn::DEFAULT.to_vec());
+        let (kind, input, mano_regions) = (Camera::Rows, None, None);
+        Ok(Self { camera, kind, prefix, chosen, input, mano_regions, replaces: true, units, dataset })
     }
 
     /// True for a column, or a statistic of one, that is replaced.
     pub(super) fn is_replaced(&self, name: &str) -> bool {
         let name = name.strip_prefix("stats/").unwrap_or(name);
-        let own = ["force", "contact", "region_force", "certainty"];
+        let name = name.split_once('/').map_or(name, |(column, _)| column);
+        if self.is_extended(name) {
+            return true;
+        }
+        let own = ["force", "contact", "region_force", "total", "certainty"];
         let rest = name.strip_prefix(&self.prefix).and_then(|rest| rest.strip_prefix('.'));
-        let rest = rest.map(|rest| rest.split_once('/').map_or(rest, |(column, _)| column));
         self.replaces && rest.is_some_and(|column| own.contains(&column))
+    }
+
+    /// True for a column to whose values labels are appended.
+    pub(super) fn is_extended(&self, name: &str) -> bool {
+        self.input.as_ref().is_some_and(|input| input.base > 0 && input.name == name)
+    }
+
+    /// Returns the data set with a choice of columns, and their role for policies.
+    ///
+    /// # Errors
+    /// If the data set has no state that they could be appended to, has an environment state already, or is labelled.
+    pub fn with_columns(mut self, columns: &[LabelColumn], role: ColumnRole) -> Result<Self> {
+        let root = &self.dataset.root;
+        if !columns.is_empty() {
+            self.chosen = columns.to_vec();
+        }
+        if let Some(twice) = (1..self.chosen.len()).find(|at| self.chosen[..*at].contains(&self.chosen[*at])) {
+            return Err(Error::value("columns", "each column once", format!("{} twice", self.chosen[twice].name())));
+        }
+        let Some(name) = role.feature() else { return Ok(self) };
+        if columns.is_empty() {
+            self.chosen = vec![LabelColumn::RegionForce];
+        }
+        if let Some(taken) = input_with_labels(&self.dataset) {
+            return Err(Error::file(
+                root,
+                format!("feature {taken} holds labels already; label the original data set"),
+            ));
+        }
+        let feature = self.dataset.info["features"].get(name);
+        self.input = Some(match (role, feature) {
+            (ColumnRole::EnvironmentState, None) => PolicyInput { name, base: 0, names: Vec::new() },
+            (ColumnRole::EnvironmentState, Some(_)) => {
+                return Err(Error::file(root, format!("has a feature {name} already; take --as state")));
+            }
+            (_, Some(feature)) => {
+                let numbers = ["float32", "float64"].iter().any(|dtype| feature["dtype"] == *dtype);
+                let shape = feature["shape"].as_array().filter(|shape| numbers && shape.len() == 1);
+                let base = shape.and_then(|shape| shape[0].as_u64()).filter(|base| (1..1 << 16).contains(base));
+                let Some(base) = base.map(|base| base as usize) else {
+                    let expected = "expected floats of shape [N], to append labels to";
+                    return Err(Error::file(root, format!("feature {name}: {expected}, got {feature}")));
+                };
+                PolicyInput { name, base, names: names_of(feature, name, base) }
+            }
+            (_, None) => {
+                return Err(Error::file(
+                    root,
+                    format!("has no feature {name} to append labels to; take --as environment_state"),
+                ));
+            }
+        });
+        Ok(self)
     }
 
     /// Returns the data set with the regions of MANO's vertices, for the forces of regions on that topology.
@@ -101,6 +185,16 @@ impl LeRobotDataset {
     /// Returns the camera's key.
     pub fn camera(&self) -> &str {
         &self.camera
+    }
+
+    /// Describes the new columns: their prefix, and what differs from the usual ones.
+    pub fn columns_text(&self) -> String {
+        let chosen: Vec<&str> = self.chosen.iter().map(|column| column.name()).collect();
+        match &self.input {
+            Some(input) => format!("{}; {} in {}", self.prefix, chosen.join(", "), input.name),
+            None if self.chosen == LabelColumn::DEFAULT => self.prefix.clone(),
+            None => format!("{}: {}", self.prefix, chosen.join(", ")),
+        }
     }
 
     /// Returns the prefix of the new columns.
@@ -142,6 +236,26 @@ impl LeRobotDataset {
         };
         Ok(Box::new(rows.map(frame)))
     }
+}
+
+/// Names of the elements of a feature, also where a data set nests them in a map of one list, or has none.
+fn names_of(feature: &Value, name: &str, width: usize) -> Vec<String> {
+    let names = &feature["names"];
+    let nested = names.as_object().and_then(|map| map.values().next()).unwrap_or(names);
+    let listed: Option<Vec<String>> =
+        nested.as_array().and_then(|list| list.iter().map(|name| name.as_str().map(str::to_string)).collect());
+    listed
+        .filter(|list| list.len() == width)
+        .unwrap_or_else(|| (0..width).map(|index| format!("{name}.{index}")).collect())
+}
+
+/// Returns the input of policies that labels are a part of; None if there is none.
+fn input_with_labels(dataset: &LeRobot) -> Option<&'static str> {
+    let names = [ColumnRole::State, ColumnRole::EnvironmentState].into_iter().filter_map(ColumnRole::feature);
+    names.into_iter().find(|name| {
+        let names = dataset.info["features"][name]["names"].as_array();
+        names.is_some_and(|names| names.ends_with(&KNOWN.map(Value::from)))
+    })
 }
 
 impl ImageSource for LeRobotDataset {

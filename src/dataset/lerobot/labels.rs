@@ -17,14 +17,17 @@ use serde_json::{Map, Value, json};
 use super::columns::{Column, with_types};
 use super::finished::FinishedEpisodes;
 use super::images::LeRobotDataset;
+use super::policy_input::LabelColumn;
+use super::read_labels::lists;
 use super::statistics::{EpisodeStatistics, Statistics};
-use super::{LeRobot, numbers, only, reader, reader_and_page};
+use super::{LeRobot, numbers, only, reader, reader_and_page, v2};
 use crate::dataset::copy::{copy_folder, copy_regular};
 use crate::dataset::label_info::LabelInfo;
 use crate::dataset::labels::{LabelFrames, LabelOutput, SourceLabels};
 use crate::dataset::provenance::PROVENANCE_KEY;
 use crate::error::{Error, Result};
 use crate::file::{input, limits};
+use crate::hand::Topology;
 
 /// Largest number of rows rewritten at a time.
 const BATCH: usize = 64;
@@ -44,7 +47,7 @@ impl LeRobotDataset {
         // Fewer rows at a time where a cell may be large.
         let batch = (limits::PAGE.value() / page.max(1)).clamp(1, BATCH as u64) as usize;
         let key_values = builder.metadata().file_metadata().key_value_metadata().cloned().unwrap_or_default();
-        let mask = only(&builder, |name| !self.is_replaced(name));
+        let mask = only(&builder, |name| !self.is_replaced(name) || self.is_extended(name));
         let kept = builder.schema().fields().iter().filter(|field| !self.is_replaced(field.name())).cloned();
         let old = Schema::new_with_metadata(kept.collect::<Vec<_>>(), builder.schema().metadata().clone());
         let (schema, key_values) = extended_schema(&old, key_values, columns);
@@ -59,12 +62,17 @@ impl LeRobotDataset {
         for batch in builder.with_projection(mask).with_batch_size(batch).build().map_err(fail)? {
             let batch = batch.map_err(|e| Error::library(from, e))?;
             let mut values: Vec<Vec<f32>> = columns.iter().map(|_| Vec::new()).collect();
-            for episode in numbers(&batch, "episode_index", from)? {
-                let row = labelling.next(episode as i64, (from, place), columns)?;
+            let extended = columns.iter().filter(|column| column.base > 0);
+            let before = extended.map(|column| lists(&batch, &column.name, column.base, from));
+            let before = before.collect::<Result<Vec<_>>>()?;
+            for (row, episode) in numbers(&batch, "episode_index", from)?.into_iter().enumerate() {
+                let row = labelling.next(episode as i64, (from, place), columns, &Before { columns: &before, row })?;
                 place += 1;
                 values.iter_mut().zip(row).for_each(|(column, value)| column.extend(value));
             }
-            let mut arrays: Vec<ArrayRef> = batch.columns().to_vec();
+            let kept = batch.schema().fields().iter().map(|field| !self.is_replaced(field.name())).collect::<Vec<_>>();
+            let kept = batch.columns().iter().zip(kept).filter(|(_, kept)| *kept).map(|(array, _)| array.clone());
+            let mut arrays: Vec<ArrayRef> = kept.collect();
             for (column, values) in columns.iter().zip(values) {
                 let values = Arc::new(Float32Array::from(values));
                 let list = FixedSizeListArray::try_new(element(), column.width as i32, values, None);
@@ -145,17 +153,14 @@ impl LeRobotDataset {
     /// Returns the content of `meta/stats.json` with statistics of the new columns over all episodes.
     fn extended_stats(&self, columns: &[Column], done: &FinishedEpisodes) -> Result<Value> {
         let path = self.dataset.folder.join("meta/stats.json")?;
-        let mut stats: Map<String, Value> = match path.exists() {
+        let stats: Map<String, Value> = match path.exists() {
             true => {
                 let text = input::read_text(&path, limits::TEXT)?;
                 serde_json::from_str(&text).map_err(|e| Error::file(&path, e))?
             }
             false => Map::new(),
         };
-        for (at, column) in columns.iter().enumerate() {
-            stats.insert(column.name.clone(), done.total(at).json());
-        }
-        Ok(Value::Object(stats))
+        Ok(v2::extended(stats, columns, done))
     }
 }
 
@@ -212,6 +217,14 @@ struct Labelling<'a> {
     done: FinishedEpisodes,
 }
 
+/// Values that the extended columns have had so far.
+struct Before<'a> {
+    /// By extended column: the rows of a batch, one behind the other.
+    columns: &'a [Vec<f32>],
+    /// The present row.
+    row: usize,
+}
+
 struct OpenEpisode<'a> {
     index: i64,
     /// Number of its rows that have no label yet.
@@ -225,7 +238,7 @@ impl Labelling<'_> {
     ///
     /// # Errors
     /// If the row is not the one whose image was labelled: rows must lie where `meta/episodes` says.
-    fn next(&mut self, index: i64, row: (&Path, usize), columns: &[Column]) -> Result<Vec<Vec<f32>>> {
+    fn next(&mut self, index: i64, row: (&Path, usize), columns: &[Column], before: &Before) -> Result<Vec<Vec<f32>>> {
         if self.open.as_ref().is_none_or(|open| open.index != index) {
             self.close()?;
             self.open(index, row, columns)?;
@@ -234,7 +247,15 @@ impl Labelling<'_> {
         let Some(open) = self.open.as_mut().filter(|open| open.left > 0) else { return Err(more) };
         open.left -= 1;
         let label = open.labels.next().ok_or(more)??;
-        let values: Vec<Vec<f32>> = columns.iter().map(|column| (column.value)(&label)).collect();
+        let mut before = before.columns.iter().map(|values| (values, before.row));
+        let value = |column: &Column| match column.base {
+            0 => (column.value)(&label),
+            base => {
+                let first = before.next().map(|(values, row)| values[row * base..(row + 1) * base].to_vec());
+                [first.unwrap_or_default(), (column.value)(&label)].concat()
+            }
+        };
+        let values: Vec<Vec<f32>> = columns.iter().map(value).collect();
         open.statistics.iter_mut().zip(&values).for_each(|(statistics, values)| statistics.push(values));
         Ok(values)
     }
@@ -289,10 +310,25 @@ impl LabelOutput for LeRobotDataset {
             self.rewrite_episodes(&file, &to, &columns, &labelling.done)?;
         }
         write_json(&at.join("meta/info.json"), &self.extended_info(&columns)?)?;
-        write_json(&at.join("meta/stats.json"), &self.extended_stats(&columns, &labelling.done)?)?;
+        match v2::episodes_stats(&self.dataset)? {
+            Some(file) => v2::write_episodes_stats(&file, at, &columns, &labelling.done)?,
+            None => write_json(&at.join("meta/stats.json"), &self.extended_stats(&columns, &labelling.done)?)?,
+        }
         write_json(&info_file(at), &json!(info))?;
         // Copy videos, tasks and everything else; existing files were written above.
         copy_folder(root, at, false)
+    }
+
+    fn check(&self, topology: Topology) -> Result<()> {
+        let wanted = self.input.is_some() && self.chosen.contains(&LabelColumn::RegionForce);
+        match wanted && topology == Topology::Mano && self.mano_regions.is_none() {
+            true => Err(Error::value(
+                "--columns region_force",
+                "--mano-left and --mano-right, whose regions are known",
+                "neither",
+            )),
+            false => Ok(()),
+        }
     }
 
     fn info(&self, out: &Path) -> Option<LabelInfo> {

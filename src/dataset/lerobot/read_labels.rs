@@ -4,8 +4,8 @@ use std::ops::Range;
 use std::path::Path;
 
 use arrow_array::cast::AsArray;
-use arrow_array::types::Float32Type;
-use arrow_array::{Array, RecordBatch};
+use arrow_array::types::{Float32Type, Float64Type};
+use arrow_array::{Array, ArrayRef, RecordBatch};
 use arrow_schema::DataType;
 
 use super::labels::read_info;
@@ -76,9 +76,13 @@ pub(super) fn lists(batch: &RecordBatch, name: &str, width: usize, path: &Path) 
         DataType::List(_) => column.as_list_opt::<i32>().map(|list| list.values().clone()),
         _ => None,
     });
-    let values = values.as_ref().and_then(|values| values.as_primitive_opt::<Float32Type>());
-    match values {
-        Some(values) if values.len() == batch.num_rows() * width => Ok(values.values().to_vec()),
-        _ => Err(Error::file(path, format!("{name}: expected lists of {width} float32"))),
-    }
+    let wide = |values: &ArrayRef| {
+        let values = values.as_primitive_opt::<Float64Type>()?;
+        Some(values.values().iter().map(|value| *value as f32).collect())
+    };
+    let narrow = |values: &ArrayRef| values.as_primitive_opt::<Float32Type>().map(|values| values.values().to_vec());
+    let values = values.filter(|values| values.null_count() == 0);
+    let values = values.and_then(|values| narrow(&values).or_else(|| wide(&values)));
+    let values = values.filter(|values| values.len() == batch.num_rows() * width);
+    values.ok_or_else(|| Error::file(path, format!("{name}: expected lists of {width} float32 or float64")))
 }
