@@ -2,13 +2,13 @@
 
 use std::io::Cursor;
 
-use ::image::codecs::jpeg::JpegEncoder;
 use ::image::{ImageFormat, RgbImage};
 
+use crate::dataset::random_images::RandomImages;
 use crate::dataset::{ImageSource, Labelled};
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, Side};
-use crate::image::scaled;
+use crate::image::{self, scaled};
 use crate::render::{View, force_colors, hand_picture};
 use crate::tactile::{CONTACT_FORCE_N, TactileSequence};
 
@@ -52,11 +52,11 @@ pub fn samples(
     let frames = chosen(labels, n);
     let scale = scale(labels);
     let mut samples = Vec::new();
-    let mut images = images.map(Images::new);
+    let mut images = images.map(RandomImages::new);
     for frame in frames {
         let episode = labels.episode_ends.partition_point(|end| *end <= frame);
         let force = labels.force_at(frame);
-        let image = images.as_mut().and_then(|images| images.get(frame));
+        let image = images.as_mut().and_then(|images| images.get(frame).ok()??.image.ok()?.decode().ok());
         let mut pictures = Vec::new();
         for hand in hands.into_iter().flatten() {
             let posed = hand.forward(&HandParams::default());
@@ -86,36 +86,10 @@ fn chosen(labels: &TactileSequence, n: usize) -> Vec<usize> {
 }
 
 /// Returns the 99.9th percentile of the forces above 0.05 N, N.
-fn scale(labels: &TactileSequence) -> f32 {
+pub(crate) fn scale(labels: &TactileSequence) -> f32 {
     let mut forces: Vec<f32> = labels.force.iter().copied().filter(|force| *force > CONTACT_FORCE_N).collect();
     forces.sort_by(f32::total_cmp);
     forces.get(forces.len() * 999 / 1000).copied().unwrap_or(1.0)
-}
-
-/// Random access to images by their index in the data set; indices must grow.
-struct Images<'a> {
-    source: &'a dyn ImageSource,
-    /// Current unit of the source, and the index of its first image.
-    unit: usize,
-    start: usize,
-}
-
-impl<'a> Images<'a> {
-    fn new(source: &'a dyn ImageSource) -> Self {
-        Self { source, unit: 0, start: 0 }
-    }
-
-    fn get(&mut self, frame: usize) -> Option<RgbImage> {
-        loop {
-            let length = self.source.units().get(self.unit)?.frames?;
-            if frame < self.start + length {
-                break;
-            }
-            (self.unit, self.start) = (self.unit + 1, self.start + length);
-        }
-        let frame = self.source.frames(self.unit, frame - self.start).ok()?.next()?.ok()?;
-        frame.image.ok()?.decode().ok()
-    }
 }
 
 fn jpeg(image: &RgbImage) -> Result<Vec<u8>> {
@@ -124,10 +98,7 @@ fn jpeg(image: &RgbImage) -> Result<Vec<u8>> {
         true => &scaled(image, ((width * HEIGHT / height).max(1), HEIGHT))?,
         false => image,
     };
-    let mut bytes = Vec::new();
-    let encoded = JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).encode_image(small);
-    encoded.map_err(|error| Error::value("picture", "one that can be encoded", error))?;
-    Ok(bytes)
+    image::jpeg(small, JPEG_QUALITY)
 }
 
 fn png(image: &RgbImage) -> Result<Vec<u8>> {

@@ -50,7 +50,7 @@ pub fn traces(labelled: &Labelled, episodes: usize) -> Vec<Trace> {
 }
 
 /// Returns the total force of one hand in each frame, N.
-fn totals(force: &[f32], side: Side) -> Vec<f64> {
+pub(crate) fn totals(force: &[f32], side: Side) -> Vec<f64> {
     force.chunks_exact(N_FIELD).map(|frame| frame[side.range()].iter().map(|f| f64::from(*f)).sum()).collect()
 }
 
