@@ -1,5 +1,6 @@
 //! Report on a labelled data set, one self-contained HTML page: `egotac report`.
 
+mod frames;
 mod page;
 mod regions;
 mod samples;

@@ -32,8 +32,16 @@ pub struct Sample {
     pub image: Option<Vec<u8>>,
     /// Palmar views of left and right hand as PNG; empty without a hand model.
     pub hands: Vec<Vec<u8>>,
-    /// Total force of left and right hand, N.
+    /// The same views of the truth; empty without truth.
+    pub truth_hands: Vec<Vec<u8>>,
+    /// Total force of left and right hand, N; NaN = unknown.
     pub force: [f32; 2],
+    /// True total force of left and right hand, N; None = the data set has no truth.
+    pub truth: Option<[f32; 2]>,
+    /// Likeness of the image to those of the network's training, 0 to 1; NaN = not estimated.
+    pub familiarity: f32,
+    /// Presence of left and right hand, 0 to 1; NaN = not estimated.
+    pub presence: [f32; 2],
     /// Force at the upper end of the colour scale, N.
     pub scale: f32,
 }
@@ -57,23 +65,34 @@ pub fn samples(
         let episode = labels.episode_ends.partition_point(|end| *end <= frame);
         let force = labels.force_at(frame);
         let image = images.as_mut().and_then(|images| images.get(frame).ok()??.image.ok()?.decode().ok());
-        let mut pictures = Vec::new();
-        for hand in hands.into_iter().flatten() {
-            let posed = hand.forward(&HandParams::default());
-            let colors = force_colors(&force[hand.side.range()], scale);
-            pictures.push(png(&hand_picture(hand, &posed, &colors, View::Palmar, (HAND_WIDTH, HEIGHT)))?);
-        }
+        let truth = labelled.truth.as_ref().map(|truth| truth.force_at(frame));
+        let totals = |force: &[f32]| Side::BOTH.map(|side| force[side.range()].iter().sum());
+        let estimate = |values: &[f32], at: usize| values.get(at).copied().unwrap_or(f32::NAN);
         samples.push(Sample {
             frame,
             episode,
             stamp_secs: labels.stamp_or_index(frame),
             image: image.map(|image| jpeg(&image)).transpose()?,
-            hands: pictures,
-            force: Side::BOTH.map(|side| force[side.range()].iter().sum()),
+            hands: palms(hands, force, scale)?,
+            truth_hands: truth.map_or(Ok(Vec::new()), |truth| palms(hands, truth, scale))?,
+            force: totals(force),
+            truth: truth.map(totals),
+            familiarity: estimate(&labels.familiarity, frame),
+            presence: [0, 1].map(|side| estimate(&labels.presence, 2 * frame + side)),
             scale,
         });
     }
     Ok(samples)
+}
+
+/// Draws the palms of both hands, coloured by `force`, (1556) N; nothing without hands.
+fn palms(hands: Option<&[HandModel; 2]>, force: &[f32], scale: f32) -> Result<Vec<Vec<u8>>> {
+    let draw = |hand: &HandModel| {
+        let posed = hand.forward(&HandParams::default());
+        let colors = force_colors(&force[hand.side.range()], scale);
+        png(&hand_picture(hand, &posed, &colors, View::Palmar, (HAND_WIDTH, HEIGHT)))
+    };
+    hands.into_iter().flatten().map(draw).collect()
 }
 
 /// Returns the index of the frame with the largest total force in each of `n` equal parts.
@@ -101,7 +120,7 @@ fn jpeg(image: &RgbImage) -> Result<Vec<u8>> {
     image::jpeg(small, JPEG_QUALITY)
 }
 
-fn png(image: &RgbImage) -> Result<Vec<u8>> {
+pub(super) fn png(image: &RgbImage) -> Result<Vec<u8>> {
     let mut bytes = Cursor::new(Vec::new());
     image
         .write_to(&mut bytes, ImageFormat::Png)
