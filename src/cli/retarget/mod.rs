@@ -5,6 +5,8 @@ mod demo;
 #[cfg(feature = "sim")]
 mod inspect;
 #[cfg(feature = "sim")]
+mod portrait;
+#[cfg(feature = "sim")]
 mod run;
 
 use std::path::PathBuf;
