@@ -11,10 +11,8 @@ use crate::file;
 
 /// Arguments of `egotac completions`.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Examples: `egotac completions bash > ~/.local/share/bash-completion/completions/egotac`; \
-    `egotac completions zsh > ~/.zfunc/_egotac`; `egotac completions fish > ~/.config/fish/completions/egotac.fish`"
-)]
+#[command(after_help = "Examples: `egotac completions bash > ~/.local/share/bash-completion/completions/egotac`; \
+    `egotac completions zsh > ~/.zfunc/_egotac`; `egotac completions fish > ~/.config/fish/completions/egotac.fish`")]
 pub struct Completions {
     /// Shell whose completions are printed.
     shell: Shell,
@@ -51,7 +49,7 @@ pub fn man(args: &Man, command: Command) -> anyhow::Result<ExitCode> {
 
 /// Writes the pages of `command`, whose page is called `name`, and of those below it; returns their number.
 fn write_pages(command: &Command, name: &str, args: &Man) -> anyhow::Result<usize> {
-    let page = clap_mangen::Man::new(command.clone().name(name.to_owned()).bin_name(name.replace('-', " ")));
+    let page = clap_mangen::Man::new(command.clone()).title(name);
     let mut text = Vec::new();
     page.render(&mut text)?;
     file::write(&args.folder.join(format!("{name}.1")), &text)?;

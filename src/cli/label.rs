@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use super::doubt::Doubt;
 use super::hands::Hands;
 use super::labelling::{Work, shard};
+use super::overlay_video;
 use crate::dataset::Provenance;
 use crate::dataset::mcap::TOPIC;
 use crate::hand::Topology;
@@ -77,6 +78,9 @@ pub struct Args {
     /// JSON file for the closing summary; `-` prints JSON instead of text.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
+    /// Video of the images with both hands beside them, coloured by force; of several inputs, a folder for them.
+    #[arg(long, value_name = "FILE")]
+    video: Option<PathBuf>,
     #[command(flatten)]
     doubt: Doubt,
     /// MANO files: the fields are then on MANO's vertices.
@@ -108,11 +112,16 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         mano_regions: predictor.mano().map(|mano| mano.regions(Topology::Mano)),
     };
     let LabelTasks { tasks, unreadable } = find_tasks(&args.input, &args.out, &options)?;
+    let videos = args.video.as_ref().map(|video| overlay_video::paths(video, &tasks)).transpose()?;
     let jobs: Vec<Job> = tasks.iter().map(|task| job(task, &predictor, &args)).collect();
     let work = Work { input: &args.input, out: &args.out, tasks: &tasks, jobs: &jobs, unreadable: &unreadable };
-    work.run(args.json.as_deref(), |index, number, timing, progress| {
+    let code = work.run(args.json.as_deref(), |index, number, timing, progress| {
         jobs[index].run(&mut predictor, args.shard, number, timing, progress)
-    })
+    })?;
+    if let Some(videos) = videos {
+        overlay_video::write(&videos, &tasks, &args.hands)?;
+    }
+    Ok(code)
 }
 
 fn job<'a>(task: &'a LabelTask, predictor: &Predictor, args: &Args) -> Job<'a> {

@@ -13,6 +13,7 @@ mod label;
 mod labelling;
 mod limits;
 mod model;
+mod overlay_video;
 mod predict;
 #[doc(hidden)]
 pub mod progress;

@@ -95,23 +95,27 @@ export class Chart {
   gaps(points, x, height) {
     const g = this.context;
     const [top, bottom] = [MARGIN.top + STRIP, height - MARGIN.bottom];
-    const step = points.length > 1 ? (x(points[points.length - 1].stamp) - x(points[0].stamp)) / (points.length - 1) : 1;
     g.fillStyle = "#e2e4e8";
-    for (const point of points) {
+    points.forEach((point, index) => {
       for (const side of [0, 1].filter(side => point.force[side] === null)) {
         const half = (bottom - top) / 2;
-        g.fillRect(x(point.stamp) - step / 2, top + side * half, step + 1, half);
+        g.fillRect(x(point.stamp), top + side * half, this.length(points, index, x), half);
       }
-    }
+    });
   }
 
   strip(points, x, threshold) {
     const g = this.context;
-    const known = points.filter(point => point.familiarity !== null && point.familiarity !== undefined);
-    const step = points.length > 1 ? (x(points[points.length - 1].stamp) - x(points[0].stamp)) / (points.length - 1) : 1;
-    for (const point of known) {
+    points.forEach((point, index) => {
+      if (point.familiarity === null || point.familiarity === undefined) return;
       g.fillStyle = threshold !== null && point.familiarity < threshold ? "#c0392b" : "#7fb98b";
-      g.fillRect(x(point.stamp) - step / 2, MARGIN.top - 4, step + 1, STRIP - 2);
-    }
+      g.fillRect(x(point.stamp), MARGIN.top - 4, this.length(points, index, x), STRIP - 2);
+    });
+  }
+
+  /** Returns the width of a point's time: up to the next point, or as long as the one before. */
+  length(points, index, x) {
+    const from = Math.max(0, Math.min(index, points.length - 2));
+    return points.length > 1 ? x(points[from + 1].stamp) - x(points[from].stamp) : 2;
   }
 }

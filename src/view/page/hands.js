@@ -26,10 +26,12 @@ void main() {
   gl_FragColor = vec4(pow(shaded, vec3(1.0 / 2.2)), 1.0) * opacity;
 }`;
 
-/** Height of a panel, m: a hand with its fingers stretched. */
-const HEIGHT = 0.235;
+/** Height and width of a hand with its fingers stretched, m, with a margin. */
+const [HEIGHT, WIDTH] = [0.235, 0.2];
 /** Middle of a panel, m: between wrist and fingertips. */
-const MIDDLE = [0, 0.082, 0];
+const MIDDLE = [0, 0.075, 0];
+/** Height of a row of panels, pixels. */
+const ROW = 340;
 
 function program(gl) {
   const made = gl.createProgram();
@@ -117,7 +119,8 @@ export class HandPanels extends Canvas {
   /** Draws rows of panels; a panel is { mesh, positions, colors }. */
   draw(rows) {
     const { gl, canvas } = this;
-    gl.disable(gl.SCISSOR_TEST);
+    if (canvas.height !== ROW * rows.length) canvas.height = ROW * rows.length;
+    gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(1, 1, 1, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     const [yaw, pitch] = this.angles;
@@ -128,7 +131,8 @@ export class HandPanels extends Canvas {
     gl.uniform1i(this.uniform("flat_"), 0);
     const [width, height] = [canvas.width / 2, canvas.height / rows.length];
     // Depth grows away from the viewer; the panel's frame has z towards the viewer.
-    gl.uniform3f(this.uniform("scale"), 2 / HEIGHT * height / width, 2 / HEIGHT, -2);
+    const pixels = Math.min(height / HEIGHT, width / WIDTH);
+    gl.uniform3f(this.uniform("scale"), 2 * pixels / width, 2 * pixels / height, -2);
     rows.forEach((row, r) => row.forEach((panel, column) => {
       gl.viewport(column * width, (rows.length - 1 - r) * height, width, height);
       this.mesh("position", panel.positions);
