@@ -4,6 +4,7 @@ mod attention;
 mod convert;
 mod doubt;
 mod familiarity;
+mod get;
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -30,6 +31,8 @@ enum Command {
     Attention(attention::Args),
     /// Convert another program's checkpoint, by a table of tensor names.
     Import(convert::Import),
+    /// Get a published network, from its name, an address or a file; without one, list them with their licences.
+    Get(get::Args),
     /// Create a network to train from a published DINOv2 encoder.
     #[command(alias = "start")]
     Init(convert::Init),
@@ -79,6 +82,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Forward(args) => forward(&args)?,
         Command::Attention(args) => attention::run(&args)?,
         Command::Import(args) => convert::import(&args)?,
+        Command::Get(args) => get::run(&args)?,
         Command::Init(args) => convert::init(&args)?,
         Command::Grow(args) => convert::grow(&args)?,
         Command::Half(args) => convert::half(&args)?,

@@ -32,6 +32,8 @@ pub mod precision;
 pub mod predictor;
 #[doc(hidden)]
 pub mod pretrained;
+#[doc(hidden)]
+pub mod published;
 mod pytorch;
 mod shapes;
 pub mod shipped;
