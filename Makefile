@@ -1,6 +1,6 @@
 # Thin names for scripts/ and cargo.
 
-.PHONY: help setup demo demo-retarget test doctor lint miri bench fuzz build-times check-cuda wheel
+.PHONY: help setup demo demo-retarget test doctor lint miri bench fuzz build-times check-cuda wheel dist
 
 help:
 	@echo 'make setup       what this machine lacks: Python environment, ROS 2, messages, MuJoCo; writes env.sh'
@@ -11,6 +11,7 @@ help:
 	@echo 'make doctor      what is missing on this machine, and how to fix it'
 	@echo 'make lint        formatting, clippy for each feature set, docs, shell scripts, licences of crates, unsafe code'
 	@echo 'make miri        the unsafe code of the kernels, interpreted (fetches a nightly toolchain)'
+	@echo 'make dist        an archive of programs, messages and models that runs elsewhere (out/dist/)'
 	@echo 'make bench       what accuracy costs in simulation (results in out/bench/), criterion benchmarks'
 	@echo 'make fuzz        crafted hostile files for every reader, an hour each (inputs that fail in out/fuzz/)'
 	@echo 'make build-times the crates that a first build spends its time on'
@@ -45,6 +46,9 @@ fuzz:
 
 build-times:
 	@scripts/build-times
+
+dist:
+	@scripts/dist
 
 check-cuda:
 	@scripts/check-cuda

@@ -9,6 +9,7 @@ pub mod rectify;
 use std::borrow::Cow;
 use std::io::Cursor;
 
+use ::image::codecs::jpeg::JpegEncoder;
 use ::image::{DynamicImage, ImageBuffer, ImageDecoder, ImageReader, Limits, Rgb, RgbImage};
 use fast_image_resize as fir;
 use serde::{Deserialize, Serialize};
@@ -203,6 +204,17 @@ pub(crate) fn dimensions(bytes: &[u8]) -> Option<(u32, u32)> {
         return side(16).zip(side(20));
     }
     ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok()?.into_dimensions().ok()
+}
+
+/// Compresses an image as JPEG; `quality` is 1 to 100.
+///
+/// # Errors
+/// If the image has no pixels or is too large for JPEG.
+pub(crate) fn jpeg(image: &RgbImage, quality: u8) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let encoded = JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(image);
+    encoded.map_err(|error| Error::value("image", "one that JPEG can hold", error))?;
+    Ok(bytes)
 }
 
 /// Checks width and height, pixels, before an image of this size is allocated.

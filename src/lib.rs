@@ -48,6 +48,7 @@
 //! | `label` | the engine behind `egotac label` |
 //! | `import` | data sets of others, read into stores with labels from geometry |
 //! | `report` | an HTML page about labels |
+//! | `view` | a local page and videos that show images with their touch |
 //! | `node` | the ROS 2 nodes (feature `ros`) |
 //! | `cli` | the commands |
 //!
@@ -109,6 +110,8 @@ pub mod train;
 #[cfg(feature = "sim")]
 #[doc(hidden)]
 pub mod trial;
+#[doc(hidden)]
+pub mod view;
 
 pub use error::{Error, Result};
 pub use hand::{HandModel, HandParams, Side, Topology};

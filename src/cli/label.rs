@@ -11,6 +11,7 @@ use super::doubt::Doubt;
 use super::hands::Hands;
 use super::label_physics::Physics;
 use super::labelling::{Work, shard};
+use super::overlay_video;
 use crate::dataset::Provenance;
 use crate::dataset::lerobot::{ColumnRole, LabelColumn};
 use crate::dataset::mcap::TOPIC;
@@ -93,6 +94,9 @@ pub struct Args {
     /// JSON file for the closing summary; `-` prints JSON instead of text.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
+    /// Video of the images with both hands beside them, coloured by force; of several inputs, a folder for them.
+    #[arg(long, value_name = "FILE")]
+    video: Option<PathBuf>,
     #[command(flatten)]
     physics: Physics,
     #[command(flatten)]
@@ -163,11 +167,16 @@ fn label<T>(args: &Args, finish: impl FnOnce(&Work, RunJob) -> anyhow::Result<T>
         mano_regions: predictor.mano().map(|mano| mano.regions(Topology::Mano)),
     };
     let LabelTasks { tasks, unreadable } = find_tasks(&args.input, &args.out, &options)?;
+    let videos = args.video.as_ref().map(|video| overlay_video::paths(video, &tasks)).transpose()?;
     let jobs: Vec<Job> = tasks.iter().map(|task| job(task, &predictor, args)).collect();
     let work = Work { input: &args.input, out: &args.out, tasks: &tasks, jobs: &jobs, unreadable: &unreadable };
-    finish(&work, &mut |index, number, timing, progress| {
+    let done = finish(&work, &mut |index, number, timing, progress| {
         jobs[index].run(&mut predictor, args.shard, number, timing, progress)
-    })
+    })?;
+    if let Some(videos) = videos {
+        overlay_video::write(&videos, &tasks, &args.hands)?;
+    }
+    Ok(done)
 }
 
 fn job<'a>(task: &'a LabelTask, predictor: &Predictor, args: &Args) -> Job<'a> {

@@ -1,5 +1,6 @@
 //! The command line: one file per command.
 
+mod completions;
 mod data;
 mod demo;
 mod doctor;
@@ -14,6 +15,7 @@ mod label_physics;
 mod labelling;
 mod limits;
 mod model;
+mod overlay_video;
 mod predict;
 #[doc(hidden)]
 pub mod progress;
@@ -25,13 +27,14 @@ mod sheet;
 mod sim;
 mod train;
 mod verify;
+mod view;
 
 use std::ffi::OsString;
 use std::io::Write;
 use std::process::ExitCode;
 
 use anyhow::Context;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::file::input;
 use crate::file::limits::check_environment;
@@ -62,6 +65,8 @@ enum Command {
     Label(label::Args),
     /// Write an HTML page about labels: frames, forces over time, contact by region.
     Report(report::Args),
+    /// Show images and touch on a local page: recordings, cameras, ROS topics.
+    View(view::Args),
     /// Predict touch for images or a store.
     Predict(predict::Args),
     /// Score predictions against truth.
@@ -86,6 +91,10 @@ enum Command {
     Demo(demo::Args),
     /// Print the limits on files and messages from outside, and the variables that raise them.
     Limits,
+    /// Print completions for a shell: bash, zsh, fish, elvish, powershell.
+    Completions(completions::Completions),
+    /// Write manual pages into a folder.
+    Man(completions::Man),
 }
 
 /// Runs the command line; the exit status is 0 for success, 1 for a failed check or an error, 2 for bad usage.
@@ -109,6 +118,7 @@ fn run(Cli { follow_links, command }: Cli) -> ExitCode {
         Command::Train(args) => train::run(args),
         Command::Label(args) => label::run(args),
         Command::Report(args) => report::run(args),
+        Command::View(args) => view::run(args),
         Command::Predict(args) => predict::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Experiment(args) => external::run("experiment", args),
@@ -120,6 +130,8 @@ fn run(Cli { follow_links, command }: Cli) -> ExitCode {
         Command::Data(args) => data::run(args),
         Command::Demo(args) => demo::run(args),
         Command::Limits => limits::run(),
+        Command::Completions(args) => completions::completions(&args, Cli::command()),
+        Command::Man(args) => completions::man(&args, Cli::command()),
     })
 }
 

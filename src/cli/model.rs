@@ -5,6 +5,7 @@ mod calibrate;
 mod convert;
 mod doubt;
 mod familiarity;
+mod get;
 mod presence;
 
 use std::collections::{BTreeMap, HashMap};
@@ -32,6 +33,8 @@ enum Command {
     Attention(attention::Args),
     /// Convert another program's checkpoint, by a table of tensor names.
     Import(convert::Import),
+    /// Get a published network, from its name, an address or a file; without one, list them with their licences.
+    Get(get::Args),
     /// Create a network to train from a published DINOv2 encoder.
     #[command(alias = "start")]
     Init(convert::Init),
@@ -85,6 +88,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Forward(args) => forward(&args)?,
         Command::Attention(args) => attention::run(&args)?,
         Command::Import(args) => convert::import(&args)?,
+        Command::Get(args) => get::run(&args)?,
         Command::Init(args) => convert::init(&args)?,
         Command::Grow(args) => convert::grow(&args)?,
         Command::Half(args) => convert::half(&args)?,

@@ -24,6 +24,7 @@ pub mod lerobot;
 pub mod mcap;
 mod prefetch;
 mod provenance;
+pub(crate) mod random_images;
 #[doc(hidden)]
 pub mod ring;
 pub(crate) mod source;

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::identity::InputIdentity;
 use crate::hand::Topology;
 use crate::model::{DoubtThresholds, Precision, Predictor, Unknown};
-use crate::tactile::{CONTACT_FORCE_N, ForceKind, TactileField};
+use crate::tactile::{CONTACT_FORCE_N, Certainty, ForceKind, TactileField};
 use crate::text;
 
 /// Name under which outputs hold a [`super::LabelInfo`]: an attribute of a store, a metadata record of a bag, and so on.
@@ -91,15 +91,18 @@ impl DoubtRule {
     /// Makes touch NaN where it is unknown but written in another form, given a frame's estimates (NaN = not estimated):
     /// zeros, which formats without a mask can't tell from the absence of touch.
     pub(crate) fn hide(&self, field: &mut TactileField, familiarity: f32, presence: [f32; 2]) {
-        if self.unknown != Unknown::Zero {
-            return;
+        if self.unknown == Unknown::Zero {
+            Unknown::Nan.apply(field, &mut self.judge(familiarity, presence));
         }
+    }
+
+    /// Returns the certainty that follows from a frame's estimates; NaN = not estimated.
+    pub(crate) fn judge(&self, familiarity: f32, presence: [f32; 2]) -> Certainty {
         let estimate = |value: f32| (!value.is_nan()).then_some(value);
         let Self { familiarity: least_familiarity, presence: least_presence, .. } = *self;
         let thresholds =
             DoubtThresholds { familiarity: least_familiarity.unwrap_or(0.0), presence: least_presence.unwrap_or(0.0) };
-        let mut certainty = thresholds.judge(estimate(familiarity), presence.map(estimate));
-        Unknown::Nan.apply(field, &mut certainty);
+        thresholds.judge(estimate(familiarity), presence.map(estimate))
     }
 }
 

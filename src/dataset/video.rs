@@ -1,5 +1,6 @@
 //! Frames of video files, decoded by the program ffmpeg.
 
+mod camera;
 mod demuxer;
 mod images;
 
@@ -19,6 +20,7 @@ use crate::file::input;
 use crate::file::limits;
 use crate::image::check_size;
 
+pub use camera::CameraFrames;
 pub(crate) use images::VideoFile;
 
 /// Extensions of video files.

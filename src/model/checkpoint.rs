@@ -70,6 +70,7 @@ impl Checkpoint {
     /// As [`Checkpoint::load`], and if the device does not support the precision (int8 needs the CPU).
     pub fn load_as(path: &Path, device: &Device, precision: Precision) -> Result<Self> {
         let bytes = weights::read(path)?;
+        weights::refuse_pytorch(path, &bytes)?;
         let file = WeightsFile::parse(path, &bytes)?;
         let metadata = Metadata::from_map(path, file.metadata())?;
         let model = file.model(&file.config()?, device, precision)?;

@@ -34,6 +34,8 @@ pub mod predictor;
 pub mod presence;
 #[doc(hidden)]
 pub mod pretrained;
+#[doc(hidden)]
+pub mod published;
 mod pytorch;
 mod shapes;
 pub mod shipped;

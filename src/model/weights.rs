@@ -41,6 +41,25 @@ pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>> {
     }
 }
 
+/// Refuses a PyTorch file where a checkpoint of egotac is expected.
+///
+/// # Errors
+/// If the bytes are a PyTorch file's; says how to import it.
+pub(super) fn refuse_pytorch(path: &Path, bytes: &[u8]) -> Result<()> {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    // Zip archives, and the bare pickles of before PyTorch 1.6.
+    let is_pickle = bytes.starts_with(b"\x80") && ["pth", "pt", "ckpt", "bin"].contains(&extension.as_str());
+    if !bytes.starts_with(b"PK\x03\x04") && !is_pickle {
+        return Ok(());
+    }
+    let message = format!(
+        "is a PyTorch file, expected a checkpoint of egotac (safetensors); import it with `egotac model import --weights {} \
+         --mapping TABLE.yaml --out NAME.safetensors`",
+        path.display()
+    );
+    Err(Error::file(path, message))
+}
+
 /// A parsed safetensors file. Its tensors lie in the bytes until [`WeightsFile::tensors`] converts them.
 pub(super) struct WeightsFile<'a> {
     path: &'a Path,

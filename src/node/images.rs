@@ -1,7 +1,6 @@
 //! Image subscription of a node, raw or compressed.
 
 use ::image::RgbImage;
-use ::image::codecs::jpeg::JpegEncoder;
 use anyhow::Context as _;
 
 use super::input_topics::InputTopic;
@@ -111,8 +110,7 @@ impl ImageTransport {
 ///
 /// # Errors
 /// If the image has no pixels or is too large for JPEG.
-pub(crate) fn jpeg(header: Header, image: &RgbImage) -> anyhow::Result<CompressedImage> {
-    let mut data = Vec::new();
-    JpegEncoder::new_with_quality(&mut data, JPEG_QUALITY).encode_image(image).context("cannot compress the image")?;
+pub(crate) fn jpeg(header: Header, picture: &RgbImage) -> anyhow::Result<CompressedImage> {
+    let data = image::jpeg(picture, JPEG_QUALITY).context("cannot compress the image")?;
     Ok(CompressedImage { header, format: "rgb8; jpeg compressed bgr8".to_owned(), data })
 }

@@ -54,4 +54,5 @@ pub mod trainer;
 #[cfg(feature = "sim")]
 mod transforms;
 pub mod verifier;
+pub(crate) mod viewer;
 mod worker_thread;

@@ -15,6 +15,10 @@ pub const SKIN: Rgb<u8> = Rgb([224, 172, 140]);
 /// Colour of an unknown value (NaN).
 pub const UNKNOWN: Rgb<u8> = Rgb([150, 158, 168]);
 
+/// Force at the dark end of the colours where the largest force is not known before, N: that of a light grip on one vertex, and
+/// that of the shipped RViz configuration.
+pub const MAX_COLOR_FORCE: f32 = 0.5;
+
 /// Returns the colour of a force on a scale from 0 to `max`, N: pale sand, orange, red, deep violet.
 ///
 /// Perceived lightness (OKLab L) decreases linearly with the force, so equal steps look equal, also in greyscale.

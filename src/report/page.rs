@@ -3,9 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
-
+use super::frames::frames;
 use super::regions::RegionRow;
 use super::samples::Sample;
 use super::trace::Trace;
@@ -14,12 +12,19 @@ use crate::hand::{Region, Side};
 use crate::score::metrics::{Metrics, table};
 
 const STYLE: &str = "
-body { font: 15px/1.45 system-ui, sans-serif; color: #1e1e24; max-width: 1060px; margin: 2em auto; padding: 0 1em; }
+body { font: 15px/1.45 system-ui, sans-serif; color: #1e1e24; max-width: 1240px; margin: 2em auto; padding: 0 1em; }
 h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #ddd; }
 table { border-collapse: collapse; } th, td { padding: 2px 12px 2px 0; text-align: left; vertical-align: top; }
 td.number { text-align: right; font-variant-numeric: tabular-nums; }
-figure { display: inline-block; margin: 0 8px 14px 0; } figcaption { color: #555; font-size: 0.85em; }
-img { height: 200px; margin-right: 4px; } svg { width: 100%; max-width: 760px; font: 11px sans-serif; fill: #555; }
+#samples { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 16px; } #samples.single { display: block; }
+@media (max-width: 800px) { #samples { grid-template-columns: minmax(0, 1fr); } }
+#samples.single figure { display: none; } #samples.single figure.shown { display: flex; }
+figure { display: flex; flex-wrap: wrap; gap: 8px; margin: 0; padding: 10px; border: 1px solid #e2e2e0; border-radius: 6px; align-items: flex-start; }
+figcaption { flex-basis: 100%; color: #555; font-size: 0.85em; } figure > img, .none { flex: 1 1 0; min-width: 0; max-width: 300px; object-fit: contain; }
+.none { align-self: stretch; background: #eee; color: #666; padding: 1em; } .palms { display: grid; grid-template-columns: 1fr 1fr; flex: 1 1 0; gap: 6px; }
+.palms div { text-align: center; font-size: 0.85em; } .palms img { display: block; max-width: 100%; margin: auto; } .scrub input { width: 24em; vertical-align: middle; }
+#plots { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 10px 16px; } #plots:has(> :only-child) { grid-template-columns: minmax(0, 760px); }
+svg { width: 100%; max-width: 760px; font: 11px sans-serif; fill: #555; }
 .bar { display: inline-block; height: 10px; background: #c2410c; vertical-align: middle; } .left { color: #1b5fae; }
 .right { color: #c2410c; } .warning { background: #fdecc8; border: 1px solid #d9a441; padding: 8px 12px; } pre { background: #f6f6f4; padding: 8px; white-space: pre-wrap; }";
 
@@ -82,35 +87,6 @@ fn about(labelled: &Labelled) -> String {
     format!("<table id=\"about\">{rows}</table>\n{text}")
 }
 
-/// Returns the sample frames.
-fn frames(samples: &[Sample]) -> String {
-    let Some(first) = samples.first() else { return String::new() };
-    let mut html = format!(
-        "<h2 id=\"frames\">Frames</h2>\n<p>The frame with the most force out of each of {} equal stretches; then left and right palm, \
-         from pale (no force) to violet ({:.2} N and more on a vertex).</p>\n",
-        samples.len(),
-        first.scale
-    );
-    for sample in samples {
-        html += "<figure>";
-        if let Some(image) = &sample.image {
-            html += &format!("<img alt=\"camera\" src=\"data:image/jpeg;base64,{}\">", STANDARD.encode(image));
-        }
-        for (hand, side) in sample.hands.iter().zip(Side::BOTH) {
-            html +=
-                &format!("<img alt=\"{} palm\" src=\"data:image/png;base64,{}\">", side.name(), STANDARD.encode(hand));
-        }
-        let [left, right] =
-            sample.force.map(|force| if force.is_nan() { "unknown".into() } else { format!("{force:.2} N") });
-        html += &format!(
-            "<figcaption>frame {}, episode {}, {:.2} s: <span class=\"left\">left {left}</span>, <span class=\"right\">right \
-             {right}</span></figcaption></figure>\n",
-            sample.frame, sample.episode, sample.stamp_secs
-        );
-    }
-    html
-}
-
 /// Returns the plots of total force.
 fn episodes(labelled: &Labelled, traces: &[Trace]) -> String {
     let max_force = traces.iter().map(Trace::max_force).fold(0.0, f64::max);
@@ -118,10 +94,12 @@ fn episodes(labelled: &Labelled, traces: &[Trace]) -> String {
     let mut html = format!(
         "<h2 id=\"episodes\">Total force</h2>\n<p><span class=\"left\">left</span> and <span class=\"right\">right</span> hand{truth}.</p>\n"
     );
+    html += "<div id=\"plots\">\n";
     for trace in traces {
         // Writing to a String cannot fail.
-        let _ = writeln!(html, "<div>episode {}</div>{}", trace.episode, trace.svg(max_force));
+        let _ = writeln!(html, "<div>episode {}{}</div>", trace.episode, trace.svg(max_force));
     }
+    html += "</div>\n";
     if labelled.labels.episode_ends.len() > traces.len() {
         let _ = writeln!(html, "<p>The first {} of {} episodes.</p>", traces.len(), labelled.labels.episode_ends.len());
     }

@@ -2,13 +2,13 @@
 
 use std::io::Cursor;
 
-use ::image::codecs::jpeg::JpegEncoder;
 use ::image::{ImageFormat, RgbImage};
 
+use crate::dataset::random_images::RandomImages;
 use crate::dataset::{ImageSource, Labelled};
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, Side};
-use crate::image::scaled;
+use crate::image::{self, scaled};
 use crate::render::{View, force_colors, hand_picture};
 use crate::tactile::{CONTACT_FORCE_N, TactileSequence};
 
@@ -32,8 +32,16 @@ pub struct Sample {
     pub image: Option<Vec<u8>>,
     /// Palmar views of left and right hand as PNG; empty without a hand model.
     pub hands: Vec<Vec<u8>>,
-    /// Total force of left and right hand, N.
+    /// The same views of the truth; empty without truth.
+    pub truth_hands: Vec<Vec<u8>>,
+    /// Total force of left and right hand, N; NaN = unknown.
     pub force: [f32; 2],
+    /// True total force of left and right hand, N; None = the data set has no truth.
+    pub truth: Option<[f32; 2]>,
+    /// Likeness of the image to those of the network's training, 0 to 1; NaN = not estimated.
+    pub familiarity: f32,
+    /// Presence of left and right hand, 0 to 1; NaN = not estimated.
+    pub presence: [f32; 2],
     /// Force at the upper end of the colour scale, N.
     pub scale: f32,
 }
@@ -52,28 +60,39 @@ pub fn samples(
     let frames = chosen(labels, n);
     let scale = scale(labels);
     let mut samples = Vec::new();
-    let mut images = images.map(Images::new);
+    let mut images = images.map(RandomImages::new);
     for frame in frames {
         let episode = labels.episode_ends.partition_point(|end| *end <= frame);
         let force = labels.force_at(frame);
-        let image = images.as_mut().and_then(|images| images.get(frame));
-        let mut pictures = Vec::new();
-        for hand in hands.into_iter().flatten() {
-            let posed = hand.forward(&HandParams::default());
-            let colors = force_colors(&force[hand.side.range()], scale);
-            pictures.push(png(&hand_picture(hand, &posed, &colors, View::Palmar, (HAND_WIDTH, HEIGHT)))?);
-        }
+        let image = images.as_mut().and_then(|images| images.get(frame).ok()??.image.ok()?.decode().ok());
+        let truth = labelled.truth.as_ref().map(|truth| truth.force_at(frame));
+        let totals = |force: &[f32]| Side::BOTH.map(|side| force[side.range()].iter().sum());
+        let estimate = |values: &[f32], at: usize| values.get(at).copied().unwrap_or(f32::NAN);
         samples.push(Sample {
             frame,
             episode,
             stamp_secs: labels.stamp_or_index(frame),
             image: image.map(|image| jpeg(&image)).transpose()?,
-            hands: pictures,
-            force: Side::BOTH.map(|side| force[side.range()].iter().sum()),
+            hands: palms(hands, force, scale)?,
+            truth_hands: truth.map_or(Ok(Vec::new()), |truth| palms(hands, truth, scale))?,
+            force: totals(force),
+            truth: truth.map(totals),
+            familiarity: estimate(&labels.familiarity, frame),
+            presence: [0, 1].map(|side| estimate(&labels.presence, 2 * frame + side)),
             scale,
         });
     }
     Ok(samples)
+}
+
+/// Draws the palms of both hands, coloured by `force`, (1556) N; nothing without hands.
+fn palms(hands: Option<&[HandModel; 2]>, force: &[f32], scale: f32) -> Result<Vec<Vec<u8>>> {
+    let draw = |hand: &HandModel| {
+        let posed = hand.forward(&HandParams::default());
+        let colors = force_colors(&force[hand.side.range()], scale);
+        png(&hand_picture(hand, &posed, &colors, View::Palmar, (HAND_WIDTH, HEIGHT)))
+    };
+    hands.into_iter().flatten().map(draw).collect()
 }
 
 /// Returns the index of the frame with the largest total force in each of `n` equal parts.
@@ -86,36 +105,10 @@ fn chosen(labels: &TactileSequence, n: usize) -> Vec<usize> {
 }
 
 /// Returns the 99.9th percentile of the forces above 0.05 N, N.
-fn scale(labels: &TactileSequence) -> f32 {
+pub(crate) fn scale(labels: &TactileSequence) -> f32 {
     let mut forces: Vec<f32> = labels.force.iter().copied().filter(|force| *force > CONTACT_FORCE_N).collect();
     forces.sort_by(f32::total_cmp);
     forces.get(forces.len() * 999 / 1000).copied().unwrap_or(1.0)
-}
-
-/// Random access to images by their index in the data set; indices must grow.
-struct Images<'a> {
-    source: &'a dyn ImageSource,
-    /// Current unit of the source, and the index of its first image.
-    unit: usize,
-    start: usize,
-}
-
-impl<'a> Images<'a> {
-    fn new(source: &'a dyn ImageSource) -> Self {
-        Self { source, unit: 0, start: 0 }
-    }
-
-    fn get(&mut self, frame: usize) -> Option<RgbImage> {
-        loop {
-            let length = self.source.units().get(self.unit)?.frames?;
-            if frame < self.start + length {
-                break;
-            }
-            (self.unit, self.start) = (self.unit + 1, self.start + length);
-        }
-        let frame = self.source.frames(self.unit, frame - self.start).ok()?.next()?.ok()?;
-        frame.image.ok()?.decode().ok()
-    }
 }
 
 fn jpeg(image: &RgbImage) -> Result<Vec<u8>> {
@@ -124,13 +117,10 @@ fn jpeg(image: &RgbImage) -> Result<Vec<u8>> {
         true => &scaled(image, ((width * HEIGHT / height).max(1), HEIGHT))?,
         false => image,
     };
-    let mut bytes = Vec::new();
-    let encoded = JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).encode_image(small);
-    encoded.map_err(|error| Error::value("picture", "one that can be encoded", error))?;
-    Ok(bytes)
+    image::jpeg(small, JPEG_QUALITY)
 }
 
-fn png(image: &RgbImage) -> Result<Vec<u8>> {
+pub(super) fn png(image: &RgbImage) -> Result<Vec<u8>> {
     let mut bytes = Cursor::new(Vec::new());
     image
         .write_to(&mut bytes, ImageFormat::Png)

@@ -6,6 +6,7 @@ use std::ops::Range;
 use crate::dataset::Labelled;
 use crate::hand::Side;
 use crate::tactile::N_FIELD;
+use crate::text::significant;
 
 /// Largest number of points of a curve; in longer episodes each point is the maximum of several frames.
 const MAX_POINTS: usize = 600;
@@ -13,6 +14,8 @@ const MAX_POINTS: usize = 600;
 const SIZE: (f64, f64) = (760.0, 150.0);
 /// Margins of a plot: left, top, right, bottom, pixels.
 const MARGIN: (f64, f64, f64, f64) = (46.0, 10.0, 10.0, 24.0);
+/// Least force at the upper end of an axis, N: that of a light touch, so that noise of a few millinewtons stays flat.
+const LEAST_TOP: f64 = 0.5;
 /// Colours of left and right hand.
 const COLORS: [&str; 2] = ["#1b5fae", "#c2410c"];
 
@@ -50,7 +53,7 @@ pub fn traces(labelled: &Labelled, episodes: usize) -> Vec<Trace> {
 }
 
 /// Returns the total force of one hand in each frame, N.
-fn totals(force: &[f32], side: Side) -> Vec<f64> {
+pub(crate) fn totals(force: &[f32], side: Side) -> Vec<f64> {
     force.chunks_exact(N_FIELD).map(|frame| frame[side.range()].iter().map(|f| f64::from(*f)).sum()).collect()
 }
 
@@ -67,19 +70,21 @@ impl Trace {
     pub fn svg(&self, max_force: f64) -> String {
         let (left, top, right, bottom) = MARGIN;
         let (width, height) = (SIZE.0 - left - right, SIZE.1 - top - bottom);
-        let max_force = if max_force > 0.0 { max_force } else { 1.0 };
-        let mut svg =
-            format!(r#"<svg viewBox="0 0 {} {}" role="img" aria-label="Total force over time">"#, SIZE.0, SIZE.1);
+        let max_force = rounded_up(max_force.max(LEAST_TOP));
+        let mut svg = format!(
+            r#"<svg viewBox="0 0 {} {}" role="img" aria-label="Total force over time" data-episode="{}" data-start="{}" data-seconds="{}">"#,
+            SIZE.0, SIZE.1, self.episode, self.start, self.seconds
+        );
         for share in [0.0, 0.5, 1.0] {
             let y = top + height * (1.0 - share);
             // Writing to a String cannot fail.
             let _ = write!(
                 svg,
-                r##"<line x1="{left}" x2="{}" y1="{y}" y2="{y}" stroke="#ddd"/><text x="{}" y="{}" text-anchor="end">{:.1} N</text>"##,
+                r##"<line x1="{left}" x2="{}" y1="{y}" y2="{y}" stroke="#ddd"/><text x="{}" y="{}" text-anchor="end">{} N</text>"##,
                 left + width,
                 left - 5.0,
                 y + 4.0,
-                share * max_force
+                significant(share * max_force)
             );
             let x = left + width * share;
             let anchor = if share == 0.0 {
@@ -117,6 +122,12 @@ impl Trace {
             }
             curve(&self.force[side as usize], COLORS[side as usize], r#"stroke-width="1.8""#);
         }
+        let (low, high) = (top + height, top);
+        // The page moves this line to the frame that it shows.
+        let _ = write!(
+            svg,
+            r##"<line class="now" x1="{left}" x2="{left}" y1="{low}" y2="{high}" stroke="#1e1e24" visibility="hidden"/>"##
+        );
         svg + "</svg>"
     }
 
@@ -125,6 +136,12 @@ impl Trace {
         let truth = self.truth.iter().flatten();
         self.force.iter().chain(truth).flatten().copied().fold(0.0, f64::max)
     }
+}
+
+/// Returns the next of the numbers 1, 2, 2.5, 5 and 10, times a power of ten, at or above `value`, which is above 0.
+fn rounded_up(value: f64) -> f64 {
+    let power = 10f64.powf(value.log10().floor());
+    [1.0, 2.0, 2.5, 5.0, 10.0].map(|step| step * power).into_iter().find(|top| *top >= value).unwrap_or(value)
 }
 
 #[cfg(test)]
@@ -142,5 +159,13 @@ mod tests {
         let svg = trace.svg(2.0);
         assert!(svg.contains(r#"d="M46.0 126.0M750.0 10.0""#), "{svg}");
         assert_eq!(trace.max_force(), 2.0);
+    }
+
+    #[test]
+    fn an_axis_ends_at_a_round_number_and_does_not_inflate_millinewtons() {
+        assert_eq!([0.5, 0.51, 2.0, 2.1, 7.0, 43.0].map(rounded_up), [0.5, 1.0, 2.0, 2.5, 10.0, 50.0]);
+        let trace = Trace { episode: 0, start: 0.0, seconds: 1.0, force: [vec![0.0, 0.009], vec![]], truth: None };
+        // 0.009 of 0.5 N over 116 pixels is two pixels.
+        assert!(trace.svg(0.009).contains(r#"d="M46.0 126.0L750.0 123.9""#), "{}", trace.svg(0.009));
     }
 }

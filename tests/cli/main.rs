@@ -3,6 +3,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod completions;
 mod doctor;
 mod eval;
 mod examples;

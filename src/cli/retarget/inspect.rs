@@ -3,21 +3,17 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use ::image::{GenericImage, RgbImage};
 use glam::DVec3;
 use serde_json::{Value, json};
 
+use super::portrait::picture;
 use super::{Inspect, New};
 use crate::file;
-use crate::mujoco::{FreeCamera, Renderer};
 use crate::retarget::Robot;
 use crate::retarget::robot::coupling::JointDrive;
 use crate::retarget::robot::fingers::Finger;
 use crate::retarget::robot::spec::{FINGERS, FingerSpec, ModelSpec, RobotSpec, TipSpec};
 use crate::text::tell;
-
-/// Width and height of one view, px.
-const VIEW: u32 = 480;
 
 /// Prints what was derived from a robot's model, and draws the robot.
 ///
@@ -221,34 +217,4 @@ fn text(robot: &Robot) -> String {
         put(&mut text, format!("meshes missing or of an unknown format: {}", robot.missing_meshes.join(", ")));
     }
     text
-}
-
-/// Draws the robot at rest and half closed, seen from the palm and the thumb's side.
-fn picture(robot: &mut Robot) -> anyhow::Result<RgbImage> {
-    let axes = robot.wrist.world_axes(&robot.world);
-    let tips: Vec<DVec3> = robot.fingers.iter().map(|finger| finger.tip_position(&robot.world)).collect();
-    let (wrist, _) = robot.world.body_pose(robot.wrist.body);
-    let middle = (tips.iter().sum::<DVec3>() / tips.len() as f64 + wrist) / 2.0;
-    let reach = tips.iter().map(|tip| tip.distance(middle)).fold(0.05, f64::max);
-    let mut sheet = RgbImage::new(2 * VIEW, VIEW);
-    for (column, share) in [0.0, 0.5].into_iter().enumerate() {
-        let coupling = robot.coupling.clone();
-        let u: Vec<f64> = (0..coupling.len())
-            .map(|k| {
-                let far = if coupling.high[k] - robot.rest[k] > robot.rest[k] - coupling.low[k] {
-                    coupling.high[k]
-                } else {
-                    coupling.low[k]
-                };
-                robot.rest[k] + share * (far - robot.rest[k])
-            })
-            .collect();
-        coupling.expand(&robot.parts, &u, robot.world.qpos_mut());
-        robot.world.forward();
-        let toward = 0.8 * axes.x_axis + 0.6 * axes.y_axis;
-        let view = FreeCamera { point: middle, toward, distance: 4.5 * reach };
-        let mut renderer = Renderer::free(&robot.world, &view, (VIEW, VIEW), false)?;
-        sheet.copy_from(&renderer.render(&mut robot.world)?, column as u32 * VIEW, 0)?;
-    }
-    Ok(sheet)
 }

@@ -7,6 +7,8 @@ mod inspect;
 #[cfg(feature = "sim")]
 mod list;
 #[cfg(feature = "sim")]
+mod portrait;
+#[cfg(feature = "sim")]
 mod run;
 
 use std::path::PathBuf;

@@ -9,7 +9,7 @@ use crate::node::runtime::Runtime;
 use crate::render::force_colors;
 use crate::tactile::TactileField;
 
-use super::MAX_COLOR_FORCE;
+use crate::render::color::MAX_COLOR_FORCE;
 
 /// Code `TRIANGLE_LIST` of `visualization_msgs/msg/Marker`.
 const TRIANGLE_LIST: i32 = 11;

@@ -24,9 +24,6 @@ use overlay::Overlay;
 use regions::Regions;
 use wrenches::Wrenches;
 
-/// Force at the dark end of the colours, N: that of a light grip on one vertex, and that of the shipped RViz configuration.
-const MAX_COLOR_FORCE: f32 = 0.5;
-
 /// Publishers of all views.
 pub(super) struct Views {
     hands: Hands,

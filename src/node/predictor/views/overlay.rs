@@ -14,7 +14,7 @@ use crate::render::font::{self, Align};
 use crate::render::{View, color_bar, force_colors, hand_picture};
 use crate::tactile::TactileField;
 
-use super::MAX_COLOR_FORCE;
+use crate::render::color::MAX_COLOR_FORCE;
 
 /// Height of the picture, pixels.
 const HEIGHT: u32 = 360;

@@ -1,0 +1,38 @@
+//! Images with their touch, shown on a local page (`egotac view`) and in videos (`egotac label --video`).
+//!
+//! ```text
+//! recording ──> Clip ──> Moment ─┬─> packet ──> Feed ──> server ──> page
+//! camera, topic ─────────────────┘                └────> picture ──> video
+//! ```
+//!
+//! A [`Moment`] is all that is shown of one image. A [`Clip`] gives the moments of a recording in any order; a [`Feed`] encodes
+//! the moments of one source for any number of pages. The page asks for each moment, so a slow page gets fewer of them and
+//! nothing waits in the server.
+
+mod about;
+mod cache;
+mod camera;
+mod clip;
+mod feed;
+mod guard;
+mod live;
+mod moment;
+mod packet;
+mod page;
+mod picture;
+mod place;
+mod projection;
+mod server;
+mod store_poses;
+mod trace;
+mod video;
+
+pub use about::{About, Kind};
+pub use camera::{is_camera, run as run_camera};
+pub use clip::{Clip, ClipOptions, Player, open_clips};
+pub use feed::Feed;
+pub use live::{LiveFeed, LiveInput};
+pub use moment::Moment;
+pub use picture::Picture;
+pub use server::{Server, Settings};
+pub use video::write_video;
