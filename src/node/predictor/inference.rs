@@ -62,7 +62,7 @@ impl Inference {
         let started = Instant::now();
         let mut seen = self.decode(images);
         let mut waiting = seen.iter_mut().peekable();
-        let mut batch = Vec::with_capacity(seen.len());
+        let mut batch = Vec::with_capacity(images.len());
         for (camera, stream) in self.streams.iter_mut().enumerate() {
             if let Some((_, seen)) = waiting.next_if(|next| next.0 == camera) {
                 batch.push((&mut stream.predictor, std::mem::take(&mut seen.prepared), seen.stamp_secs));
