@@ -14,7 +14,7 @@ from launch_ros.actions import Node
 
 sys.path.insert(0, str(Path(__file__).parent))
 from egotac_launch import (  # noqa: E402
-    argument, fastdds_profile, given, include, installed, node, node_arguments, pass_on, rviz, use_sim_time,
+    argument, fastdds_profile, given, include, installed, node, node_arguments, node_name, pass_on, rviz, use_sim_time,
 )
 
 ARGUMENTS = [
@@ -31,6 +31,7 @@ ARGUMENTS = [
     ),
     argument("device", "cpu or cuda. Empty: as in the parameter file, by default cpu."),
     argument("fixed_frame", "For RViz: the frame_id of the camera's images, or hand_rest if nobody publishes hand poses.", default="camera_optical"),
+    node_name("predictor"),
     *node_arguments(),
     use_sim_time(),
     rviz(),
@@ -42,7 +43,7 @@ def predictor(context):
     """Returns the predictor."""
     parameters = given(context, "image_transport", "use_sim_time", "model", "device")
     remappings = [(topic, LaunchConfiguration(f"{topic}_topic")) for topic in ("image", "hand_pose")]
-    return [node("predictor", parameters, remappings)]
+    return [node("predictor", parameters, remappings, name=LaunchConfiguration("name"))]
 
 
 def generate_launch_description():

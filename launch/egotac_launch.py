@@ -72,16 +72,22 @@ def given(context, *names):
     return {name: PARAMETER_TYPES.get(name, str)(value) for name, value in values.items() if value}
 
 
-def node(name, parameters, remappings=(), condition=None, patience=None):
-    """Returns one of egotac's nodes; needs the arguments of `node_arguments`.
+def node_name(default, name="name"):
+    """Declares the argument for the name of a node. Arguments of an included file are seen by the one that includes it: a file
+    that includes another one calls its own argument otherwise."""
+    return argument(name, "Name of the node; keys of the parameter file are names of nodes.", default=default)
+
+
+def node(kind, parameters, remappings=(), condition=None, patience=None, name=None):
+    """Returns one of egotac's nodes; needs the arguments of `node_arguments`. Its name is its kind unless `name` is given.
 
     `patience`: seconds that the node may take to save its work after a first signal, and again after a second one.
     """
     timeouts = {} if patience is None else {"sigterm_timeout": str(patience), "sigkill_timeout": str(patience)}
     return Node(
         package="egotac",
-        executable=f"egotac_{name}",
-        name=name,
+        executable=f"egotac_{kind}",
+        name=name or kind,
         namespace=LaunchConfiguration("namespace"),
         parameters=[LaunchConfiguration("params_file"), *([parameters] if parameters else [])],
         remappings=list(remappings),

@@ -12,7 +12,7 @@ from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 
 sys.path.insert(0, str(Path(__file__).parent))
-from egotac_launch import argument, given, include, node, node_arguments, pass_on, use_sim_time  # noqa: E402
+from egotac_launch import argument, given, include, node, node_arguments, node_name, pass_on, use_sim_time  # noqa: E402
 
 ARGUMENTS = [
     argument(
@@ -33,6 +33,7 @@ ARGUMENTS = [
     argument("deadman_topic", "Deadman switch (Bool).", default="deadman"),
     argument("demo", "true: start the simulator and the predictor, too.", default="false"),
     argument("scenes", "For the demo: scenes to play in turn, separated by commas.", default="lift_mug"),
+    node_name("retargeter", "retargeter_name"),
     *node_arguments(),
     use_sim_time(),
 ]
@@ -46,7 +47,12 @@ def nodes(context):
         parameters.setdefault("start", "rest")
     topics = ("hand_pose", "keypoints", "tactile", "object", "joint_states", "deadman")
     return [
-        node("retargeter", parameters, [(topic, LaunchConfiguration(f"{topic}_topic")) for topic in topics]),
+        node(
+            "retargeter",
+            parameters,
+            [(topic, LaunchConfiguration(f"{topic}_topic")) for topic in topics],
+            name=LaunchConfiguration("retargeter_name"),
+        ),
         node("simulator", given(context, "scenes"), condition=IfCondition(LaunchConfiguration("demo"))),
     ]
 

@@ -12,7 +12,7 @@ from launch.substitutions import LaunchConfiguration
 
 sys.path.insert(0, str(Path(__file__).parent))
 from egotac_launch import (  # noqa: E402
-    argument, fastdds_profile, given, include, node, node_arguments, pass_on, use_sim_time,
+    argument, fastdds_profile, given, include, node, node_arguments, node_name, pass_on, use_sim_time,
 )
 
 PATIENCE = 60
@@ -28,6 +28,7 @@ ARGUMENTS = [
         "Service called with each new checkpoint. Empty: as in the parameter file.",
         default="predictor/load_model",
     ),
+    node_name("trainer"),
     *node_arguments(),
     use_sim_time(),
     fastdds_profile(),
@@ -38,7 +39,7 @@ def trainer(context):
     """Returns the trainer."""
     parameters = given(context, "config", "folder", "notify", "use_sim_time")
     remappings = [(topic, LaunchConfiguration(f"{topic}_topic")) for topic in ("image", "truth")]
-    return [node("trainer", parameters, remappings, patience=PATIENCE)]
+    return [node("trainer", parameters, remappings, patience=PATIENCE, name=LaunchConfiguration("name"))]
 
 
 def generate_launch_description():

@@ -228,7 +228,8 @@ fn list_says_which_models_are_found_and_where_to_get_the_others() {
     let folder = tempfile::tempdir().unwrap();
     let output = listed(folder.path(), &["list"]);
     let text = String::from_utf8(output.stdout).unwrap();
-    let line = |text: &str, name: &str| text.lines().find(|line| line.starts_with(&format!("{name} "))).unwrap().to_owned();
+    let line =
+        |text: &str, name: &str| text.lines().find(|line| line.starts_with(&format!("{name} "))).unwrap().to_owned();
     assert!(line(&text, "four_finger").contains("usable    part of the program"), "{text}");
     let missing = line(&text, "allegro_right");
     assert!(missing.contains("no model") && missing.contains("wonik_allegro/right_hand.xml"), "{missing}");

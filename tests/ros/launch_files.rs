@@ -203,6 +203,19 @@ fn the_allegro_launch_connects_camera_tracker_predictor_retargeter_and_controlle
 }
 
 #[test]
+fn a_launched_node_can_have_another_name() {
+    for (file, argument, executable) in [
+        ("egotac.launch.py", "name:=eyes", "egotac_predictor"),
+        ("retarget.launch.py", "retargeter_name:=eyes", "egotac_retargeter"),
+        ("trainer.launch.py", "name:=eyes", "egotac_trainer"),
+    ] {
+        let description = describe(file, &[argument]);
+        let node = nodes_of(&description)[0];
+        assert_eq!((&node["name"], &node["executable"]), (&"eyes".into(), &executable.into()), "{file}");
+    }
+}
+
+#[test]
 fn a_launched_trainer_has_a_minute_to_save_its_work() {
     let description = describe("trainer.launch.py", &[]);
     assert_eq!(nodes_of(&description)[0]["timeouts"], serde_json::json!([60.0, 60.0]));

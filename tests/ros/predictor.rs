@@ -148,6 +148,11 @@ fn points_carry_the_frames_forces_on_the_hand_pose() {
 }
 
 #[test]
+fn old_images_are_dropped_and_counted() {
+    holds("stale", &["-p", "max_age_ms:=5000"]);
+}
+
+#[test]
 fn reliability_match_adapts_to_a_later_publisher() {
     holds("match", &["-p", "reliability:=match"]);
 }

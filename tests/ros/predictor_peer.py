@@ -375,6 +375,29 @@ def points():
     assert np.linalg.norm(points_[:, :3] - [3.0, 0.0, 7.0], axis=1).max() < 0.25
 
 
+def stale():
+    """An image that is older than max_age_ms is dropped and counted; one without stamp or of now is processed."""
+    peer = Peer()
+    states = peer.listen(DiagnosticArray, "/diagnostics")
+    camera = Camera(peer)
+    now = peer.get_clock().now().to_msg()
+    fresh = message(photo(20, 30), "rgb8", sec=now.sec)
+    fresh.header.stamp = now
+    camera.frame_of(fresh)
+    old = message(photo(20, 30), "rgb8", sec=now.sec - 60)
+    camera.publisher.publish(old)
+
+    def counted():
+        values = [{v.key: v.value for v in s.status[0].values} for s in states if "predictor: " in s.status[0].name]
+        return values and values[-1].get("dropped_stale") == "1"
+
+    peer.wait(counted, "the count of old images")
+    unstamped = message(photo(20, 30), "rgb8", sec=0)
+    stamp(unstamped, 0, 0)
+    camera.frame_of(unstamped)
+    assert not [frame for frame in camera.frames if frame.header == old.header]
+
+
 def match():
     """Reliability `match` connects to a publisher that starts later."""
     Camera(Peer(), qos=BEST_EFFORT).frame_of(message(photo(20, 20), "rgb8", sec=10))

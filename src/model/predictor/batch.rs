@@ -23,13 +23,14 @@ impl Predictor {
     ///
     /// Returns one result per image. An image that fails leaves the other streams untouched.
     pub fn push_together(images: Vec<StreamImage>) -> Vec<Result<Prediction>> {
-        match encode(&images) {
-            Ok(encoded) => {
+        let encoded = if images.len() > 1 { encode(&images).ok() } else { None };
+        match encoded {
+            Some(encoded) => {
                 let each = images.into_iter().zip(encoded);
                 each.map(|((stream, _, stamp_secs), encoded)| stream.push_encoded(encoded, stamp_secs)).collect()
             }
             // One by one, so that an error is that of its own image.
-            Err(_) => images.into_iter().map(|(stream, input, secs)| stream.push_prepared(input, secs)).collect(),
+            None => images.into_iter().map(|(stream, input, secs)| stream.push_prepared(input, secs)).collect(),
         }
     }
 }

@@ -60,12 +60,12 @@ impl Inference {
     /// Processes at most one image of each camera, in the order of the cameras.
     fn process(&mut self, images: &[(usize, Vec<u8>)]) {
         let started = Instant::now();
-        let seen = self.decode(images);
-        let mut waiting = seen.iter().peekable();
-        let mut batch = Vec::with_capacity(seen.len());
+        let mut seen = self.decode(images);
+        let mut waiting = seen.iter_mut().peekable();
+        let mut batch = Vec::with_capacity(images.len());
         for (camera, stream) in self.streams.iter_mut().enumerate() {
-            if let Some((_, seen)) = waiting.next_if(|(of, _)| *of == camera) {
-                batch.push((&mut stream.predictor, seen.prepared.clone(), seen.stamp_secs));
+            if let Some((_, seen)) = waiting.next_if(|next| next.0 == camera) {
+                batch.push((&mut stream.predictor, std::mem::take(&mut seen.prepared), seen.stamp_secs));
             }
         }
         let results = Predictor::push_together(batch);

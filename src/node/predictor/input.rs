@@ -48,7 +48,7 @@ pub(super) struct Seen {
     pub(super) image: RgbImage,
     /// Time of the image for the network, s.
     pub(super) stamp_secs: f64,
-    /// Image as the network takes it, `(3, side, side)`.
+    /// Image as the network takes it, `(3, side, side)`; taken out for the network.
     pub(super) prepared: Vec<f32>,
 }
 

@@ -110,6 +110,22 @@ class Camera:
     def counts(self):
         return self.peer.counts(f"predictor: images {self.name}")
 
+    def account(self, before):
+        """Returns the course of each image that was sent since the counts `before`."""
+        after = self.counts()
+        arrivals = [self.results[stamp] for stamp in self.sent if stamp in self.results]
+        drops = dropped(before, after)
+        received = after["received"] - before["received"]
+        return {
+            "camera": self.name,
+            "sent": len(self.sent),
+            "received": received,
+            "results": len(arrivals),
+            "dropped": drops,
+            "uncounted": received - len(arrivals) - sum(drops.values()),
+            "in_order": arrivals == sorted(arrivals),
+        }
+
 
 def overload(settings):
     """Four cameras with more images than the network can process: the newest of each wins, all others are counted, and the
@@ -136,28 +152,16 @@ def overload(settings):
             peer.until(next_)
             next_ += 1 / 120
             camera.send(image)
-    peer.rest(3.5)
-    rows, early, late = [], [], []
-    for camera, first in zip(cameras, before):
-        after = camera.counts()
+    # The last images are still under way, and diagnostics come once a second.
+    peer.rest(2.5)
+    peer.wait(lambda: not any(camera.account(first)["uncounted"] for camera, first in zip(cameras, before)), 30.0)
+    rows = [camera.account(first) for camera, first in zip(cameras, before)]
+    early, late = [], []
+    for camera in cameras:
         stamps = sorted(stamp for stamp in camera.sent if stamp in camera.results)
         half = (camera.sent[0] + camera.sent[-1]) // 2
         early += [camera.results[stamp] - stamp for stamp in stamps if stamp < half]
         late += [camera.results[stamp] - stamp for stamp in stamps if stamp >= half]
-        arrivals = [camera.results[stamp] for stamp in stamps]
-        drops = dropped(first, after)
-        received = after["received"] - first["received"]
-        rows.append(
-            {
-                "camera": camera.name,
-                "sent": len(camera.sent),
-                "received": received,
-                "results": len(stamps),
-                "dropped": drops,
-                "uncounted": received - len(stamps) - sum(drops.values()),
-                "in_order": arrivals == sorted(arrivals),
-            }
-        )
     return {
         "cameras": rows,
         "superseded": sum(row["dropped"].get("superseded", 0) for row in rows),
