@@ -102,8 +102,11 @@ impl Body {
     /// Creates a free body of unknown mass from a solid and points of its surface, m.
     pub fn from_solid(name: &str, solid: Solid, mut samples: Vec<Vec3>) -> Self {
         if samples.len() > MOST_SAMPLES {
-            let every = samples.len().div_ceil(MOST_SAMPLES);
-            samples = samples.into_iter().step_by(every).collect();
+            // Multiples of the golden ratio: a fixed stride through sorted points could take one face of a box and never the other.
+            const GOLDEN: f64 = 0.618_033_988_749_895;
+            let share = MOST_SAMPLES as f64 / samples.len() as f64;
+            let kept = samples.into_iter().enumerate().filter(|(index, _)| (GOLDEN * *index as f64).fract() < share);
+            samples = kept.map(|(_, point)| point).collect();
         }
         Self { name: name.into(), solid: Some(solid), samples, mass: None, friction: 0.8, held: None }
     }

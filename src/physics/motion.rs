@@ -191,8 +191,7 @@ impl Motion {
         });
         let (Some(fine), Some(coarse)) = (fine, coarse) else { return };
         self.bandwidth = if self.bandwidth > 0.0 { self.bandwidth.min(chosen) } else { chosen };
-        for index in keep_from..times.len() {
-            let time = times[index];
+        for (index, time) in times.iter().copied().enumerate().skip(keep_from) {
             let (state, smoother) = (fine.at(time, centre), coarse.at(time, centre));
             let gain = fine.smoother.noise_gain(time);
             let lost = 0.5 * (state.acceleration - smoother.acceleration).abs();

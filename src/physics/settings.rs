@@ -33,9 +33,9 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             bandwidth: None,
-            grip: 1.8,
-            grip_spread: 0.6,
-            early_grip: 0.7,
+            grip: 2.2,
+            grip_spread: 0.7,
+            early_grip: 1.2,
             friction_spread: 0.15,
             contact_gap: 0.001,
             place_sd: 0.0015,

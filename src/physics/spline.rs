@@ -54,9 +54,9 @@ impl Smoother {
         for index in 0..smoother.samples.len() {
             let (time, weight) = smoother.samples[index];
             let (first, [values, ..]) = smoother.basis(time);
-            for i in 0..ORDER {
-                for j in 0..=i {
-                    smoother.factor[first + i][i - j] += weight * values[i] * values[j];
+            for (i, a) in values.iter().enumerate() {
+                for (j, b) in values.iter().enumerate().take(i + 1) {
+                    smoother.factor[first + i][i - j] += weight * a * b;
                 }
             }
         }
@@ -102,22 +102,18 @@ impl Smoother {
         let first = (place.floor() as usize).min(spans - 1);
         let u = place - first as f64;
         let raise = |lower: &[f64; ORDER], degree: usize| {
-            let mut raised = [0.0; ORDER];
-            for k in 0..=degree {
-                let left = if k > 0 { (u + (degree - k) as f64) * lower[k - 1] } else { 0.0 };
+            std::array::from_fn::<f64, ORDER, _>(|k| {
+                let left = if (1..=degree).contains(&k) { (u + (degree - k) as f64) * lower[k - 1] } else { 0.0 };
                 let right = if k < degree { (1.0 + k as f64 - u) * lower[k] } else { 0.0 };
-                raised[k] = (left + right) / degree as f64;
-            }
-            raised
+                (left + right) / degree as f64
+            })
         };
         let differ = |lower: &[f64; ORDER], degree: usize| {
-            let mut derived = [0.0; ORDER];
-            for k in 0..=degree {
-                let before = if k > 0 { lower[k - 1] } else { 0.0 };
+            std::array::from_fn::<f64, ORDER, _>(|k| {
+                let before = if (1..=degree).contains(&k) { lower[k - 1] } else { 0.0 };
                 let after = if k < degree { lower[k] } else { 0.0 };
-                derived[k] = (before - after) / self.interval;
-            }
-            derived
+                (before - after) / self.interval
+            })
         };
         let mut of_degree = [[0.0; ORDER]; ORDER];
         of_degree[0][0] = 1.0;

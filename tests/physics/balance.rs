@@ -97,7 +97,7 @@ fn two_fingers_carry_the_weight_but_their_squeeze_is_not_determined() {
         let force = mean(&link.samples);
         assert!(link.remaining > 0.3, "{}", link.remaining);
         // At least what friction needs, about twice that as people grip, and with a wide interval.
-        assert!(force > weight / (2.0 * 0.8) && force < 4.0 * weight / (2.0 * 0.8), "{force}");
+        assert!(force > weight / (2.0 * 0.8) && force < 5.0 * weight / (2.0 * 0.8), "{force}");
         assert!(sd(&link.samples) > 0.15 * force);
     }
     let difference: Vec<f64> = found.links[0].samples.iter().zip(&found.links[1].samples).map(|(a, b)| a - b).collect();
@@ -250,7 +250,7 @@ fn intervals_cover_forces_that_are_drawn_as_people_grip() {
         ];
         let least = 0.2 * 9.81 / (2.0 * 0.8);
         let z: f64 = rand_distr::Distribution::sample(&rand_distr::StandardNormal, &mut rng);
-        let truth = least * (1.0 + 0.8 * (0.6 * z).exp());
+        let truth = least * (1.0 + 1.2 * (0.7 * z).exp());
         let found = forces(&body, DVec3::ZERO, &contacts);
         for link in &found.links {
             let mut sorted = link.samples.clone();

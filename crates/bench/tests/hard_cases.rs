@@ -120,6 +120,11 @@ fn impossible_hand_poses() {
 }
 
 #[test]
+fn forces_from_motion_that_misleads() {
+    family(Family::Motion);
+}
+
+#[test]
 fn labels_on_faulty_meshes() {
     family(Family::Label);
 }

@@ -164,8 +164,8 @@ impl Recorded {
             }
             for side in Side::BOTH {
                 let rig = &rollout.rigs()[side as usize];
-                for link in 0..N_JOINTS {
-                    let Ok(of_link) = world.body(&rig.name(egotac::sim::rig::JOINT_NAMES[link])) else { continue };
+                for (link, name) in egotac::sim::rig::JOINT_NAMES.into_iter().enumerate() {
+                    let Ok(of_link) = world.body(&rig.name(name)) else { continue };
                     let weight =
                         |owner: &egotac::mujoco::world::Body| if *owner == of_link { DVec3::X } else { DVec3::ZERO };
                     let weights: Vec<DVec3> = owners.iter().map(weight).collect();
