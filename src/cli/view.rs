@@ -136,11 +136,13 @@ impl Args {
             let (path, size) = (path.to_path_buf(), self.size);
             return in_thread("camera", move || Ok(run_camera(&path, size, input)?));
         }
-        if !path.exists() && source.starts_with('/') {
-            return self.open_topic(source, predictor, feeds);
+        if let Some(topic) = topic(source) {
+            return self.open_topic(topic, predictor, feeds);
         }
         if !path.exists() {
-            bail!("there is no such file, and the name of a ROS topic begins with a slash");
+            bail!(
+                "there is no such file; a ROS topic is named by its full name, such as /camera/image_raw, or topic:NAME"
+            );
         }
         let options = ClipOptions {
             predictor: predictor.cloned(),
@@ -201,7 +203,7 @@ impl Args {
 
     #[cfg(not(feature = "ros"))]
     fn open_topic(&self, source: &str, _: Option<&Predictor>, _: &mut Vec<Feed>) -> anyhow::Result<()> {
-        bail!("there is no file {source}; a ROS topic {}", super::feature_off("view TOPIC", "ros"))
+        bail!("there is no file {source}, and {}", super::feature_off("view TOPIC", "ros"))
     }
 }
 
@@ -214,6 +216,17 @@ fn in_thread(name: &str, run: impl FnOnce() -> anyhow::Result<()> + Send + 'stat
         }
     })?;
     Ok(())
+}
+
+/// Returns the ROS topic that `source` names: `topic:NAME`, or a full name that is no file in an existing folder.
+fn topic(source: &str) -> Option<&str> {
+    if let Some(topic) = source.strip_prefix("topic:") {
+        return Some(topic);
+    }
+    let path = Path::new(source);
+    let is_name = source.starts_with('/') && source.chars().all(|c| c.is_ascii_alphanumeric() || "_/".contains(c));
+    let in_folder = path.parent().is_some_and(|folder| folder != Path::new("/") && folder.is_dir());
+    (is_name && !path.exists() && !in_folder).then_some(source)
 }
 
 fn size(text: &str) -> Result<(u32, u32), String> {

@@ -104,3 +104,53 @@ pub fn dot_key(color: RGBColor, radius: i32) -> impl Fn((i32, i32)) -> Circle<(i
 pub fn front_line() -> ShapeStyle {
     BLACK.mix(0.25).stroke_width(2)
 }
+
+/// Returns where each name is written, as pixels from its point to the text's upper left corner, so that no name covers another one
+/// or a dot: above its point if there is room, else further up or below.
+///
+/// `names`: texts and the pixels of their points; `dots`: pixels of all points; `size`: height of the texts, pixels.
+pub fn name_offsets(names: &[(&str, (i32, i32))], dots: &[(i32, i32)], size: u32) -> Vec<(i32, i32)> {
+    /// Half the side of the square that a dot takes, pixels.
+    const DOT: i32 = 7;
+    let mut taken: Vec<[i32; 4]> = dots.iter().map(|(x, y)| [x - DOT, y - DOT, x + DOT, y + DOT]).collect();
+    let line = size as i32 + 3;
+    let mut place = |(name, (x, y)): &(&str, (i32, i32))| {
+        let width = super::font::width(name, f64::from(size)) as i32;
+        let corners = (1..8).flat_map(|step| [-(9 + step * line), 9 + (step - 1) * line]);
+        let boxed = |dy: i32| (dy, [x - 4, y + dy, x - 4 + width, y + dy + size as i32]);
+        let is_free = |spot: &[i32; 4]| {
+            taken
+                .iter()
+                .all(|other| spot[2] < other[0] || other[2] < spot[0] || spot[3] < other[1] || other[3] < spot[1])
+        };
+        let (dy, spot) = corners.map(boxed).find(|(_, spot)| is_free(spot)).unwrap_or_else(|| boxed(-(9 + line)));
+        taken.push(spot);
+        (-4, dy)
+    };
+    names.iter().map(&mut place).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_near_points_cover_neither_each_other_nor_a_dot() {
+        let points = [(100, 200), (110, 203), (120, 198), (128, 201)];
+        let names: Vec<(&str, (i32, i32))> = points.iter().map(|at| ("egotac-pocket-8", *at)).collect();
+        let offsets = name_offsets(&names, &points, 15);
+        let spots: Vec<[i32; 4]> = names
+            .iter()
+            .zip(&offsets)
+            .map(|((name, (x, y)), (dx, dy))| {
+                let width = super::super::font::width(name, 15.0) as i32;
+                [x + dx, y + dy, x + dx + width, y + dy + 15]
+            })
+            .collect();
+        let apart = |a: &[i32; 4], b: &[i32; 4]| a[2] < b[0] || b[2] < a[0] || a[3] < b[1] || b[3] < a[1];
+        for (index, spot) in spots.iter().enumerate() {
+            assert!(spots[..index].iter().all(|other| apart(spot, other)), "{spots:?}");
+            assert!(points.iter().all(|(x, y)| apart(spot, &[*x, *y, *x, *y])), "{spots:?}");
+        }
+    }
+}

@@ -9,8 +9,8 @@ use crate::render::font::{self, Align};
 use crate::retarget::Robot;
 use crate::retarget::robot::spec::FINGERS;
 
-/// Width and height of one view, pixels.
-const VIEW: u32 = 560;
+/// Width and height of one view, pixels: the most that a model allows which does not ask for more.
+const VIEW: u32 = 480;
 /// Colour behind the robot.
 const GROUND: Rgb<u8> = Rgb([240, 240, 236]);
 /// Colour of tips and their names.

@@ -116,6 +116,6 @@ export class Chart {
   /** Returns the width of a point's time: up to the next point, or as long as the one before. */
   length(points, index, x) {
     const from = Math.max(0, Math.min(index, points.length - 2));
-    return points.length > 1 ? x(points[from + 1].stamp) - x(points[from].stamp) : 2;
+    return points.length > 1 ? Math.ceil(x(points[from + 1].stamp) - x(points[from].stamp)) + 0.5 : 2;
   }
 }

@@ -26,10 +26,10 @@ void main() {
   gl_FragColor = vec4(pow(shaded, vec3(1.0 / 2.2)), 1.0) * opacity;
 }`;
 
-/** Height and width of a hand with its fingers stretched, m, with a margin. */
-const [HEIGHT, WIDTH] = [0.235, 0.2];
+/** Height and width of a hand with its fingers stretched, m, with a margin, and above it room for a line of text. */
+const [HEIGHT, WIDTH] = [0.262, 0.2];
 /** Middle of a panel, m: between wrist and fingertips. */
-const MIDDLE = [0, 0.075, 0];
+const MIDDLE = [0, 0.088, 0];
 /** Height of a row of panels, pixels. */
 const ROW = 340;
 

@@ -14,6 +14,9 @@ use super::measure::Row;
 use super::sweep::ModelReport;
 use crate::front::front;
 
+/// Height of the networks' names, pixels.
+const NAME: u32 = 15;
+
 /// A configuration in the plot.
 struct Point {
     label: String,
@@ -127,9 +130,17 @@ where
     }
     // All precisions of a network share one name, drawn at the fastest.
     let fastest = |point: &&Point| points.iter().all(|other| other.label != point.label || other.at.0 >= point.at.0);
-    chart.draw_series(points.iter().filter(fastest).map(|point| {
-        let style = TextStyle::from((FAMILY, 15)).color(&BLACK);
-        EmptyElement::at((point.at.0, height(point.at.1))) + Text::new(point.label.clone(), (-4, -24), style)
+    let named: Vec<&Point> = points.iter().filter(fastest).collect();
+    let pixels: Vec<(i32, i32)> =
+        points.iter().map(|point| chart.backend_coord(&(point.at.0, height(point.at.1)))).collect();
+    let names: Vec<(&str, (i32, i32))> = named
+        .iter()
+        .map(|point| (point.label.as_str(), chart.backend_coord(&(point.at.0, height(point.at.1)))))
+        .collect();
+    let offsets = plot::name_offsets(&names, &pixels, NAME);
+    chart.draw_series(named.iter().zip(offsets).map(|(point, offset)| {
+        let style = TextStyle::from((FAMILY, NAME)).color(&BLACK);
+        EmptyElement::at((point.at.0, height(point.at.1))) + Text::new(point.label.clone(), offset, style)
     }))?;
     if !points.is_empty() {
         plot::legend(&mut chart, SeriesLabelPosition::LowerRight)?;
