@@ -2,6 +2,9 @@
 //!
 //! Each file holds the classes of one part; `python/egotac/__init__.pyi` has their types. All take and give SI units; vertex
 //! fields hold the left hand first, 778 values each.
+//!
+//! The allocator is the system's: mimalloc, which the programs use, needs static thread-local memory, of which none is left in a
+//! process that has loaded PyTorch.
 
 mod arrays;
 mod command;
@@ -15,9 +18,6 @@ mod retargeter;
 mod sim;
 
 use pyo3::prelude::*;
-
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// Egotac's library.
 #[pymodule]

@@ -1,7 +1,7 @@
 //! Touch from images, streaming and batched.
 
 use std::path::PathBuf;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use egotac::dataset::lerobot::{LabelColumn, policy_input, policy_input_names as names_of_input};
@@ -197,7 +197,7 @@ impl Touch {
     fn new(py: Python<'_>, prediction: Prediction, seconds: f64) -> PyResult<Self> {
         let Prediction { stamp_secs, field, certainty, warming_up, restarted } = prediction;
         let known = mask(&field, &certainty);
-        let regions = field.region_forces(&regions(field.topology)?);
+        let regions = region_forces(&field);
         let [left, right] = Side::BOTH.map(|side| field.total_force(side));
         let number = |estimate: Option<f32>| estimate.unwrap_or(f32::NAN);
         Ok(Self {
@@ -227,8 +227,9 @@ impl Touch {
     /// 0; the last two elements are 1 where touch of the left and of the right hand is known.
     #[pyo3(signature = (columns=vec!["region_force".into()]))]
     fn policy_input(&self, py: Python<'_>, columns: Vec<String>) -> PyResult<Py<PyArrayDyn<f32>>> {
-        let (columns, regions) = (parse(&columns)?, regions(self.field.topology)?);
-        let values = policy_input(&columns, Some((&self.field, &self.certainty)), &regions);
+        let columns = parse(&columns)?;
+        self.field.topology.must_match(Topology::EgotacHand1).map_err(raise)?;
+        let values = policy_input(&columns, Some((&self.field, &self.certainty)), &REGIONS);
         let length = values.len();
         give(py, "policy input", values, [length])
     }
@@ -273,10 +274,9 @@ impl TouchBatch {
         let n = predictions.len();
         let number = |estimate: Option<f32>| estimate.unwrap_or(f32::NAN);
         let (mut force, mut contact, mut known, mut region) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        let parts = predictions.first().map(|first| regions(first.field.topology)).transpose()?;
         for Prediction { field, certainty, .. } in &predictions {
             known.extend(mask(field, certainty));
-            region.extend(parts.as_ref().map(|parts| field.region_forces(parts)).unwrap_or_default());
+            region.extend(region_forces(field));
             force.extend_from_slice(&field.force);
             contact.extend_from_slice(&field.contact);
         }
@@ -302,8 +302,14 @@ fn mask(field: &TactileField, certainty: &Certainty) -> Vec<bool> {
     counts.zip(known).map(|(counts, known)| counts && known).collect()
 }
 
-/// Regions of the vertices of both hands.
-fn regions(topology: Topology) -> PyResult<[Vec<Region>; 2]> {
-    topology.must_match(Topology::EgotacHand1).map_err(raise)?;
-    Ok(Side::BOTH.map(|side| HandModel::builtin(side).regions()))
+/// Regions of the vertices of both built-in hands; computed once, since a frame must not wait for it.
+static REGIONS: LazyLock<[Vec<Region>; 2]> =
+    LazyLock::new(|| Side::BOTH.map(|side| HandModel::builtin(side).regions()));
+
+/// Forces of the regions of both hands, (34) N; NaN on MANO's vertices, whose regions only MANO's files tell.
+fn region_forces(field: &TactileField) -> Vec<f32> {
+    match field.topology {
+        Topology::EgotacHand1 => field.region_forces(&REGIONS),
+        Topology::Mano => vec![f32::NAN; 2 * Region::ALL.len()],
+    }
 }
