@@ -16,4 +16,5 @@ mod sensors;
 mod sets;
 mod third;
 mod videos;
+#[allow(dead_code)] // The bench of imports uses all of it.
 mod writers;

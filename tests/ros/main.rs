@@ -11,6 +11,7 @@ mod trajectory;
 
 #[cfg(feature = "sim")]
 mod docs;
+mod glove;
 #[cfg(feature = "sim")]
 mod launch_files;
 mod lifecycle;
