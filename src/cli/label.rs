@@ -122,7 +122,10 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 pub fn summary(arguments: impl IntoIterator<Item = OsString>) -> anyhow::Result<Value> {
     let command = OsString::from("label");
     let Parsed { args } = Parsed::try_parse_from(std::iter::once(command).chain(arguments))?;
-    anyhow::ensure!(!args.physics.physics, "--physics: expected a prediction of a network here, got forces from motion: run the command `egotac label`");
+    anyhow::ensure!(
+        !args.physics.physics,
+        "--physics: expected a prediction of a network here, got forces from motion: run the command `egotac label`"
+    );
     label(&args, |work, run| work.summary(run))
 }
 

@@ -4,11 +4,9 @@
 //! nothing), so the surface is resampled first, with an explicit spacing.
 
 use glam::Vec3;
-use parry3d::bounding_volume::Aabb;
-use parry3d::partitioning::{Bvh, BvhBuildStrategy};
 
 use super::mesh;
-use super::surface::{gap_squared, vector};
+use super::tree::{Tree, gap_squared};
 use crate::error::{Error, Result};
 
 /// Distance below which the paper labels a vertex as in contact, m.
@@ -24,7 +22,7 @@ const MAX_POINTS: usize = 4_000_000;
 #[derive(Debug, Clone)]
 pub struct SampledSurface {
     points: Vec<Vec3>,
-    bvh: Bvh,
+    tree: Tree,
     spacing: f32,
 }
 
@@ -43,8 +41,8 @@ impl SampledSurface {
     /// If a point is not finite.
     pub fn from_points(points: Vec<Vec3>, spacing: f32) -> Result<Self> {
         check_points(&points)?;
-        let bvh = Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes(&points).collect::<Vec<_>>());
-        Ok(Self { points, bvh, spacing })
+        let tree = Tree::new(&points.iter().map(|point| [*point; 2]).collect::<Vec<_>>());
+        Ok(Self { points, tree, spacing })
     }
 
     /// Moves the points of a surface that bends; number and order stay.
@@ -57,10 +55,7 @@ impl SampledSurface {
         }
         check_points(points)?;
         self.points.copy_from_slice(points);
-        for (leaf, around) in boxes(points).enumerate() {
-            self.bvh.insert_or_update_partially(around, leaf as u32, 0.0);
-        }
-        self.bvh.refit_without_opt();
+        self.tree.refit(|point| [points[point as usize]; 2]);
         Ok(())
     }
 
@@ -79,24 +74,17 @@ impl SampledSurface {
         if !query.is_finite() {
             return f32::NAN;
         }
-        let nearest = self.bvh.find_best(
-            (cutoff * cutoff).next_up(),
-            |node, _| gap_squared(node, query),
-            |leaf, _| Some(self.points[leaf as usize].distance_squared(query)),
-        );
-        nearest.map_or(f32::INFINITY, |(_, square)| square.sqrt())
+        let square = |point: u32, _| f64::from(self.points[point as usize].distance_squared(query));
+        let nearest = self.tree.nearest(query, f64::from((cutoff * cutoff).next_up()), |_| 0.0, square);
+        nearest.map_or(f32::INFINITY, |(_, square)| (square as f32).sqrt())
     }
 
     /// Returns true if a point of the surface lies within `distance` of `query` (object frame).
     pub fn is_within(&self, query: Vec3, distance: f32) -> bool {
         let square = distance * distance;
-        let mut near = self.bvh.leaves(|node| gap_squared(node, query) <= square);
-        near.any(|leaf| self.points[leaf as usize].distance_squared(query) <= square)
+        let meets = |low, high| gap_squared(low, high, query) <= square;
+        self.tree.any(meets, |point| self.points[point as usize].distance_squared(query) <= square)
     }
-}
-
-fn boxes(points: &[Vec3]) -> impl Iterator<Item = Aabb> + '_ {
-    points.iter().map(|point| Aabb::new(vector(*point), vector(*point)))
 }
 
 fn check_points(points: &[Vec3]) -> Result<()> {

@@ -1,12 +1,12 @@
 //! A rigid object as a union of shapes, for label (b).
 
 use glam::Vec3;
-use parry3d::math::Pose;
+use parry3d::math::{Pose, Vector};
 use parry3d::query::PointQuery;
 use parry3d::shape::{Ball, Capsule, Cuboid};
 
 use super::mesh::Sides;
-use super::surface::{Surface, box_gap, vector};
+use super::surface::{Surface, box_gap};
 use crate::error::{Error, Result};
 
 /// Union of shapes that may overlap; a point inside of one shape is inside of the solid.
@@ -150,4 +150,9 @@ fn check<const N: usize>(name: &str, lengths: [f32; N]) -> Result<()> {
         Some(bad) => Err(Error::value(name, "a positive number of metres", bad)),
         None => Ok(()),
     }
+}
+
+/// Converts a vector to parry's type.
+fn vector(v: Vec3) -> Vector {
+    Vector::new(v.x, v.y, v.z)
 }

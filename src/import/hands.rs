@@ -101,6 +101,10 @@ impl HandModels {
     ) -> Result<PosedRecord> {
         let model = self.model(side, convention);
         let posed = match hand {
+            RecordedHand::Either(params, _) if self.are_mano() => {
+                let params = self.params(side, params, convention)?;
+                PosedRecord { vertices: model.forward(&params).vertices, params }
+            }
             RecordedHand::Mano(params) => {
                 let params = self.params(side, params, convention)?;
                 PosedRecord { vertices: model.forward(&params).vertices, params }
@@ -113,7 +117,7 @@ impl HandModels {
             RecordedHand::Vertices(params, vertices) => {
                 PosedRecord { params: self.params(side, params, convention)?, vertices: vertices.clone() }
             }
-            RecordedHand::Keypoints(keypoints) => {
+            RecordedHand::Keypoints(keypoints) | RecordedHand::Either(_, keypoints) => {
                 let fit = fitted(model, keypoints, before.take());
                 let record = PosedRecord { vertices: fit.posed(model).vertices, params: fit.params.clone() };
                 *before = Some(fit);

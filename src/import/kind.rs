@@ -42,6 +42,8 @@ pub struct Options {
     pub objects: Option<PathBuf>,
     /// Taxel map of the gloves, a shipped one's name or a YAML file; None = that of the data set's glove.
     pub sensor: Option<String>,
+    /// Share of the range of an uncalibrated glove above which a reading means contact; None = a tenth.
+    pub contact_share: Option<f32>,
     /// Meaning of the forces of gloves; None = readings, as the EgoTac paper has them.
     pub force_kind: Option<ForceKind>,
 }

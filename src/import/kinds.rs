@@ -7,7 +7,7 @@ use super::readers;
 use crate::error::{Error, Result};
 
 /// All kinds, in the order of the table.
-pub static ALL: [Kind; 18] = [
+pub static ALL: [Kind; 19] = [
     readers::hot3d::KIND,
     readers::h2o::KIND,
     readers::taco::KIND,
@@ -26,6 +26,20 @@ pub static ALL: [Kind; 18] = [
     readers::videos::EGO4D,
     readers::videos::EGOPAT3D,
     readers::egotac_sc::KIND,
+    readers::egotac_sc_raw::KIND,
+];
+
+/// Data sets that can't be imported, and the reasons.
+const NOT_READ: [(&str, &str); 2] = [
+    (
+        "epic-contact",
+        "EPIC-Contact: meshes of hands and objects and their correspondences; the layout of its files is described inside of the \
+         data set alone and was not seen. Its videos are those of `epic`.",
+    ),
+    (
+        "svo2, vrs",
+        "recordings of ZED and Aria cameras: extract images with their makers' tools first (docs/import.md).",
+    ),
 ];
 
 /// Returns the kind of a name.
@@ -49,6 +63,10 @@ pub fn table() -> String {
         let Kind { name, gives, origin, licence, .. } = kind;
         // Writing to a String cannot fail.
         let _ = writeln!(text, "| {name} | {gives} | {mano} | {origin} | {licence} |");
+    }
+    text.push_str("\nNot read:\n\n");
+    for (name, why) in NOT_READ {
+        let _ = writeln!(text, "- {name}: {why}");
     }
     text
 }

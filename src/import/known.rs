@@ -28,6 +28,8 @@ pub struct Known {
     pub lost: Vec<f32>,
     /// Reading of each sensor of the recording.
     pub readings: Vec<Vec<f32>>,
+    /// (1556) relative reading at each vertex, 0 to 1; empty if the recording has no glove without a calibration.
+    pub relative: Vec<f32>,
 }
 
 impl Known {
@@ -57,6 +59,7 @@ impl Known {
                 .enumerate()
                 .map(|(index, sensor)| reading(moment, index, sensor))
                 .collect(),
+            relative: Vec::new(),
         }
     }
 
@@ -71,16 +74,20 @@ impl Known {
             .chain(self.objects)
             .chain(self.lost)
             .chain(self.readings.into_iter().flatten())
+            .chain(self.relative)
             .collect()
     }
 
     /// Reads the numbers of [`Known::into_values`] of a recording. An empty row, that of a moment without a label, is unknown.
     pub fn from_values(values: &[f32], recording: &Recording) -> Self {
         let sensors: Vec<usize> = recording.sensors.iter().map(Sensor::values).collect();
-        Self::split(values, recording.objects.len(), if recording.measures_force { 2 } else { 0 }, &sensors)
+        let n_lost = if recording.measures_force { 2 } else { 0 };
+        let n_relative = if recording.glove.is_some() { N_FIELD } else { 0 };
+        Self::split(values, [recording.objects.len(), n_lost, n_relative], &sensors)
     }
 
-    fn split(values: &[f32], n_objects: usize, n_lost: usize, sensors: &[usize]) -> Self {
+    /// Splits a row by the numbers of objects, of lost forces and of relative readings, and the values of each sensor.
+    fn split(values: &[f32], [n_objects, n_lost, n_relative]: [usize; 3], sensors: &[usize]) -> Self {
         let mut rest = values;
         let mut take = |n: usize| {
             let (taken, tail) = rest.split_at_checked(n).unwrap_or((&[], &[]));
@@ -93,7 +100,8 @@ impl Known {
             (!values[0].is_nan()).then(|| HandParams::from_array(&values))
         });
         let (camera, objects, lost) = (take(POSE), take(POSE * n_objects), take(n_lost));
-        Self { distances, hands, camera, objects, lost, readings: sensors.iter().map(|n| take(*n)).collect() }
+        let readings = sensors.iter().map(|n| take(*n)).collect();
+        Self { distances, hands, camera, objects, lost, readings, relative: take(n_relative) }
     }
 }
 
@@ -124,9 +132,10 @@ mod tests {
         let lost = vec![0.25, 0.5];
         let readings = vec![vec![1.0; 6], vec![2.0; 3]];
         let distances = vec![0.5; N_FIELD];
-        let known = Known { distances, hands: [None, Some(right)], camera, objects, lost, readings };
-        assert_eq!(Known::split(&known.clone().into_values(), 2, 2, &[6, 3]), known);
-        let unknown = Known::split(&[], 2, 0, &[4]);
+        let relative = vec![0.25; N_FIELD];
+        let known = Known { distances, hands: [None, Some(right)], camera, objects, lost, readings, relative };
+        assert_eq!(Known::split(&known.clone().into_values(), [2, 2, N_FIELD], &[6, 3]), known);
+        let unknown = Known::split(&[], [2, 0, 0], &[4]);
         assert!(unknown.readings[0].len() == 4 && unknown.readings[0][0].is_nan());
         assert!(unknown.hands == [None, None] && unknown.objects.len() == 14);
         assert!(unknown.distances.iter().chain(&unknown.camera).chain(&unknown.objects).all(|value| value.is_nan()));

@@ -210,8 +210,14 @@ impl Labeller for GeometryLabeller<'_> {
                 if let Some(touch) = self.reader.touch(index, models)? {
                     field = touch;
                 }
-                let known = Known::new(&moment, &posed, hands, recording, distances);
-                let further = Known { lost: lost(recording, &forces), ..known }.into_values();
+                let mut known = Known::new(&moment, &posed, hands, recording, distances);
+                known.lost = lost(recording, &forces);
+                if let Some(glove) = &recording.glove {
+                    let readings = &moment.readings;
+                    [known.relative, field.contact] =
+                        glove.relative(&recording.sensors, readings, models, &recording.path)?;
+                }
+                let further = known.into_values();
                 Ok(LabelFrame {
                     stamp_secs: moment.stamp_secs,
                     warming_up: false,

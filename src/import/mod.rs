@@ -10,6 +10,7 @@
 //! values are NaN with mask 0.
 
 mod forces;
+pub mod glove;
 pub mod hands;
 mod input;
 pub mod kind;
@@ -23,6 +24,7 @@ pub mod sensors;
 pub mod shapes;
 mod source;
 mod tasks;
+mod umetrack;
 
 pub use hands::HandModels;
 pub use kind::{Kind, Mano, Options};

@@ -30,6 +30,9 @@ use crate::tactile::{ForceKind, N_FIELD, TactileField, Validity};
 pub const DISTANCE: &str = "data/mano_distance";
 /// Array (T, 2) f32, left hand first: measured force that is on no vertex, N; only of recordings that measure force.
 pub const FORCE_LOST: &str = "data/force_lost";
+/// Array (T, 1556) f32: reading of a glove without a calibration at each vertex, as a share of its range, 0 to 1; NaN = no taxel, or
+/// unknown. No newtons.
+pub const READING: &str = "data/mano_reading";
 /// Attribute that describes the origin of an imported store.
 pub const IMPORT: &str = "import";
 
@@ -62,6 +65,9 @@ impl LabelOutput for ImportOutput {
         if recording.measures_force {
             extra.push(ArraySpec::new(FORCE_LOST, [2], Dtype::F32));
         }
+        if recording.glove.is_some() {
+            extra.push(ArraySpec::new(READING, [N_FIELD], Dtype::F32));
+        }
         extra.extend(
             recording.sensors.iter().map(|sensor| ArraySpec::new(sensor.array(), sensor.shape.as_slice(), Dtype::F32)),
         );
@@ -89,6 +95,7 @@ impl LabelOutput for ImportOutput {
                 (CAMERA_POSE, known.camera),
                 (OBJECT_POSE, known.objects),
                 (FORCE_LOST, known.lost),
+                (READING, known.relative),
             ];
             let sensors = recording.sensors.iter().map(Sensor::array).collect::<Vec<_>>();
             let readings = sensors.iter().map(String::as_str).zip(known.readings);
@@ -203,6 +210,16 @@ impl ImportOutput {
         }
     }
 
+    /// Describes the rule of contact.
+    fn contact_rule(&self) -> String {
+        let recording = self.reader.recording();
+        match &recording.glove {
+            Some(glove) => glove.rule(),
+            None if recording.measures_force || self.reader.force_kind().is_some() => FORCE_RULE.into(),
+            None => self.rule.text(),
+        }
+    }
+
     /// Describes origin and meaning of the store's content.
     fn description(&self) -> Value {
         let recording = self.reader.recording();
@@ -219,7 +236,11 @@ impl ImportOutput {
             "recording": recording.name,
             "data_set": self.kind.origin,
             "licence": self.kind.licence,
-            "contact_rule": if recording.measures_force || self.reader.force_kind().is_some() { FORCE_RULE.into() } else { self.rule.text() },
+            "contact_rule": self.contact_rule(),
+            "reading": recording.glove.as_ref().map(|glove| json!({
+                "array": READING, "kind": "relative", "unit": "share of the glove's range, 0 to 1; no newtons",
+                "taxel_map": glove.layout().name, "taxel_places": glove.layout().placement.name(),
+            })),
             "force": if recording.measures_force || self.reader.force_kind().is_some() { "measured" } else { "unknown" },
             "force_kind": self.reader.force_kind().map(ForceKind::id).or(recording.measures_force.then_some("spread")),
             "hand": hand,

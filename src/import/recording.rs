@@ -7,6 +7,7 @@ use ::image::RgbImage;
 use glam::{DAffine3, DVec3, Vec3};
 use serde_json::Value;
 
+use super::glove::GloveMap;
 use super::sensors::Sensor;
 use super::shapes::MeshFile;
 use crate::dataset::source::SourceFrames;
@@ -31,6 +32,8 @@ pub struct Recording {
     pub measures_force: bool,
     /// Tactile sensors whose readings are kept, at most one per hand.
     pub sensors: Vec<Sensor>,
+    /// Taxel map of these sensors, if they are gloves without a calibration: their readings become relative readings and contact.
+    pub glove: Option<Arc<GloveMap>>,
     /// Place of the camera.
     pub view: View,
     /// Names of the arrays of further cameras' images, such as `data/left_wrist_camera_rgb`.
@@ -55,6 +58,7 @@ impl Default for Recording {
             convention: Convention::PLAIN,
             measures_force: false,
             sensors: Vec::new(),
+            glove: None,
             view: View::Ego,
             further_views: Vec::new(),
             templates: [None, None],
@@ -179,6 +183,8 @@ pub enum RecordedHand {
     Placed(ManoParams, DAffine3),
     /// 21 keypoints, m: wrist, then thumb to little finger, each from base to tip.
     Keypoints([Vec3; N_KEYPOINTS]),
+    /// MANO parameters for MANO's files, and 21 keypoints for the built-in hand.
+    Either(ManoParams, [Vec3; N_KEYPOINTS]),
     /// 778 vertices in MANO's order, m, and the parameters nearest to them.
     Vertices(ManoParams, Vec<Vec3>),
 }

@@ -23,6 +23,8 @@ pub struct Sensor {
     pub falls: bool,
     /// Reading without touch, where the data set states one.
     pub rest: Option<f32>,
+    /// Reading at the end of the sensor's range.
+    pub full: f32,
     /// Indices of cells of the reading that no taxel belongs to; their values mean nothing.
     pub unused: Vec<usize>,
 }
@@ -43,6 +45,17 @@ impl Sensor {
         vec![f32::NAN; self.values()]
     }
 
+    /// Returns the share of the sensor's range of each value of a reading, 0 to 1; cells without a taxel are NaN.
+    pub fn relative(&self, reading: &[f32]) -> Vec<f32> {
+        let rest = self.rest.unwrap_or(0.0);
+        let mut relative: Vec<f32> =
+            reading.iter().map(|value| ((value - rest) / (self.full - rest)).clamp(0.0, 1.0)).collect();
+        for cell in &self.unused {
+            relative[*cell] = f32::NAN;
+        }
+        relative
+    }
+
     /// Describes the sensor for the store's attributes.
     pub fn description(&self) -> Value {
         json!({
@@ -54,6 +67,7 @@ impl Sensor {
             "calibration": null,
             "falls_with_pressure": self.falls,
             "reading_without_touch": self.rest,
+            "reading_at_the_end_of_the_range": self.full,
             "shape": self.shape,
             "unused_cells": self.unused,
         })
@@ -90,6 +104,7 @@ mod tests {
             unit: "counts",
             falls: false,
             rest: None,
+            full: 4.0,
             unused: vec![5],
         };
         let sensors = [sensor(Side::Right), sensor(Side::Left)];
@@ -99,6 +114,11 @@ mod tests {
             Ok(vec![right.unwrap().iter().sum()])
         });
         assert_eq!(sum.unwrap(), [6.0]);
+        let relative = sensors[0].relative(&[-1.0, 0.0, 1.0, 4.0, 9.0, 2.0]);
+        assert_eq!(relative[..5], [0.0, 0.0, 0.25, 1.0, 1.0]);
+        assert!(relative[5].is_nan());
+        let falling = Sensor { falls: true, rest: Some(3072.0), full: 0.0, ..sensor(Side::Left) };
+        assert_eq!(falling.relative(&[3072.0, 3100.0, 1536.0, 0.0, 1.0, 1.0])[..4], [0.0, 0.0, 0.5, 1.0]);
         assert_eq!((sensors[0].array(), sensors[1].unknown().len()), ("data/tactile_right".into(), 6));
     }
 }

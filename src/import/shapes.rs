@@ -102,16 +102,12 @@ impl Gaps {
     pub fn add(&mut self, vertices: &[Vec3], shape: &Shape, reference_from_object: DAffine3) {
         let object_from_reference = reference_from_object.inverse();
         // Neighbours in the numbering are neighbours on the hand, mostly: one's distance bounds the next one's.
-        let mut beside: Option<(Vec3, f32)> = None;
+        let mut beside = None;
         for (index, vertex) in vertices.iter().enumerate() {
             let point = object_from_reference.transform_point3(vertex.as_dvec3()).as_vec3();
             // Nothing farther than the nearest object so far matters; the rule of points asks within its own distance.
             let cutoff = FAR.min(self.surface[index].max(PROXIMITY));
-            let surface = match beside {
-                Some(beside) => shape.surface.distance_beside(point, cutoff, beside),
-                None => shape.surface.distance(point, cutoff),
-            };
-            beside = surface.is_finite().then_some((point, surface));
+            let surface = shape.surface.distance_beside(point, cutoff, &mut beside);
             if surface < self.surface[index] {
                 self.surface[index] = surface;
             }

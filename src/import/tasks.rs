@@ -134,6 +134,9 @@ impl Settings {
         let side = self.side.map_or("original size".into(), |side| format!("shorter side at most {side} pixels"));
         let mut all =
             vec![format!("{} recording {recording}", self.kind.name), format!("contact: {}", self.rule.text()), side];
+        if let Some(glove) = &reader.recording().glove {
+            all.push(format!("contact: {}, taxel map: {}", glove.rule(), glove.layout().name));
+        }
         if let Some(kind) = reader.force_kind() {
             let sensor = self.options.sensor.as_deref().unwrap_or("the data set's glove");
             all.push(format!("forces: {}, taxel map: {sensor}", kind.id()));

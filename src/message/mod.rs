@@ -12,15 +12,15 @@ use crate::error::Result;
 
 pub use cdr::{Reader, Wire, Writer};
 pub use own::{
-    HandModelInfo, HandPose, HandPoses, HandTactile, LinkTouch, RobotTouch, TactileFrame, TactileMetrics,
+    GloveReading, HandModelInfo, HandPose, HandPoses, HandTactile, LinkTouch, RobotTouch, TactileFrame, TactileMetrics,
     TactileRegions, TactileTruth, TrainerStatus,
 };
 pub use standard::{
     Bool, CameraInfo, Clock, ColorRGBA, CompressedImage, DiagnosticArray, DiagnosticStatus, Duration,
-    Float64MultiArray, Header, Image, JointState, JointTrajectory, JointTrajectoryPoint, KeyValue, Log, Marker,
-    MarkerArray, MeshFile, MetricsMessage, MultiArrayDimension, MultiArrayLayout, Point, PointCloud2, PointField, Pose,
-    PoseArray, PoseStamped, Quaternion, RegionOfInterest, StatisticDataPoint, TFMessage, Time, Transform,
-    TransformStamped, UVCoordinate, Vector3, Wrench, WrenchStamped,
+    Float32MultiArray, Float64MultiArray, Header, Image, JointState, JointTrajectory, JointTrajectoryPoint, KeyValue,
+    Log, Marker, MarkerArray, MeshFile, MetricsMessage, MultiArrayDimension, MultiArrayLayout, Point, PointCloud2,
+    PointField, Pose, PoseArray, PoseStamped, Quaternion, RegionOfInterest, StatisticDataPoint, TFMessage, Time,
+    Transform, TransformStamped, UVCoordinate, Vector3, Wrench, WrenchStamped,
 };
 
 /// A message of topics and recordings.

@@ -123,6 +123,22 @@ message! {
         reason: String,
     }
 
+    /// Reading of one tactile glove, with its calibration.
+    GloveReading = "egotac_msgs/msg/GloveReading" from "../../msg/GloveReading.msg" {
+        /// Time of the measurement; zero = unknown.
+        header: Header,
+        /// [`HandTactile::LEFT`] or [`HandTactile::RIGHT`].
+        side: u8,
+        /// Reading of each channel; NaN = unknown.
+        values: Vec<f32>,
+        /// Reading without touch, per channel or one for all; empty = 0.
+        rest: Vec<f32>,
+        /// Newtons per unit above `rest`, per channel or one for all; empty = no calibration.
+        newtons_per_unit: Vec<f32>,
+        /// Reading at the end of the range, per channel or one for all; empty = 1.
+        full: Vec<f32>,
+    }
+
     /// State of a trainer.
     TrainerStatus = "egotac_msgs/msg/TrainerStatus" from "../../msg/TrainerStatus.msg" {
         /// Time of the status.

@@ -61,6 +61,15 @@ message! {
 
     /// An array of numbers.
     #[derive(Default)]
+    Float32MultiArray = "std_msgs/msg/Float32MultiArray" {
+        /// Layout of the numbers.
+        layout: MultiArrayLayout,
+        /// The numbers.
+        data: Vec<f32>,
+    }
+
+    /// Numbers in an array.
+    #[derive(Default)]
     Float64MultiArray = "std_msgs/msg/Float64MultiArray" {
         /// Layout of the numbers.
         layout: MultiArrayLayout,

@@ -18,6 +18,7 @@ mod enabled;
 mod episode_recorder;
 mod exact_sync;
 mod flatten;
+pub mod glove;
 mod hand_confidence;
 mod images;
 mod input_topics;

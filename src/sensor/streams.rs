@@ -27,6 +27,13 @@ struct Bracket<'a, T> {
     share: f64,
 }
 
+impl<T> Default for Stream<T> {
+    /// Returns a stream without values.
+    fn default() -> Self {
+        Self { stamps: Vec::new(), values: Vec::new() }
+    }
+}
+
 impl<T> Stream<T> {
     /// Creates a stream.
     ///

@@ -228,11 +228,12 @@ fn a_point_beside_another_has_the_same_distance_as_alone() {
                 1 => previous + 0.01 * scattered(k),
                 _ => 0.1 * scattered(k),
             };
-            let known = surface.distance(previous, f32::MAX);
+            let mut known = None;
+            surface.distance_beside(previous, f32::MAX, &mut known);
             for cutoff in [0.01, 0.05, f32::MAX] {
                 let (alone, beside) =
-                    (surface.distance(point, cutoff), surface.distance_beside(point, cutoff, (previous, known)));
-                assert!(alone == beside, "{beside} m instead of {alone} m at {point} beside {previous} at {known} m");
+                    (surface.distance(point, cutoff), surface.distance_beside(point, cutoff, &mut { known }));
+                assert!(alone == beside, "{beside} m instead of {alone} m at {point} beside {previous}: {known:?}");
                 inside += usize::from(alone < 0.0);
             }
             previous = point;

@@ -8,7 +8,7 @@ use egotac::dataset::zarr::{
 use egotac::hand::{HandModel, HandParams, N_VERTICES, Side};
 use glam::{DAffine3, DQuat, DVec3};
 
-use crate::take::Take;
+use crate::writers::take::Take;
 
 /// Opens an imported store.
 pub fn open(store: &Path) -> ZarrReader {

@@ -1,34 +1,21 @@
 //! Data sets in HDF5 become stores: OpenTouch, TouchAnything, EgoDex.
 
-use std::path::Path;
 use std::sync::LazyLock;
 
 use egotac::dataset::zarr::{CAMERA_POSE, LEFT_HAND_POSE, RIGHT_HAND_POSE, ZarrReader};
 use egotac::hand::{HandModel, HandParams, N_VERTICES, Side};
-use glam::{DAffine3, DMat4, Vec3};
+use egotac::sensor;
+use glam::DAffine3;
 use serde_json::json;
 
 use crate::check::{check_images, check_poses, check_stamps, open, supervised};
 use crate::common::egotac_bounded;
-use crate::files::{jpeg, video, write};
-use crate::h5::Node;
 use crate::run::{import, imported};
-use crate::take::{FRAMES, Take, TakeFrame};
+use crate::writers::files::write;
+use crate::writers::gloves::{counts, parts, write_egodex, write_opentouch, write_touchanything};
+use crate::writers::take::{FRAMES, Take, TakeFrame};
 
 static TAKE: LazyLock<Take> = LazyLock::new(Take::of_mean_shape);
-
-/// Returns the newtons on each cell of a grid of `n` cells: vertex k lies on cell k modulo n.
-fn cells(frame: &TakeFrame, side: Side, n: usize) -> Vec<f32> {
-    let mut cells = vec![0.0; n];
-    frame.hand(side).forces.iter().enumerate().for_each(|(vertex, force)| cells[vertex % n] += force);
-    cells
-}
-
-/// Returns the 63 numbers of a hand's keypoints in another frame, m.
-fn keypoints(frame: &TakeFrame, side: Side, to_world: DAffine3) -> Vec<f32> {
-    let moved = |point: &Vec3| to_world.transform_point3(point.as_dvec3()).as_vec3().to_array();
-    frame.hand(side).keypoints.iter().flat_map(moved).collect()
-}
 
 /// Checks that the keypoints of the stored hands are those of the take, moved by `to_from`.
 fn check_keypoints(store: &ZarrReader, take: &Take, to_from: impl Fn(usize) -> DAffine3, skip: &[(usize, Side)]) {
@@ -50,7 +37,7 @@ fn check_keypoints(store: &ZarrReader, take: &Take, to_from: impl Fn(usize) -> D
     }
 }
 
-/// Checks that the readings of a sensor are those that were written, and that nothing is known of force and contact.
+/// Checks that the readings of a sensor are those that were written, and that nothing is known of force.
 fn check_readings(store: &ZarrReader, side: Side, want: impl Fn(usize) -> Vec<f32>) {
     let got = store.read_f32(&format!("data/tactile_{}", side.name()), 0..store.len()).unwrap();
     let want: Vec<f32> = (0..FRAMES).flat_map(want).collect();
@@ -58,40 +45,57 @@ fn check_readings(store: &ZarrReader, side: Side, want: impl Fn(usize) -> Vec<f3
     for (got, want) in got.iter().zip(&want) {
         assert!(got == want || got.is_nan() && want.is_nan(), "{got} for {want}");
     }
-    assert_eq!(supervised(store), [0, 0]);
+    assert_eq!(supervised(store)[0], 0);
     let force = store.read_f32("data/mano_force", 0..store.len()).unwrap();
     assert!(force.len() == FRAMES * 2 * N_VERTICES && force.iter().all(|force| force.is_nan()));
 }
 
-/// Counts of the OpenTouch glove: fewer counts for more force.
-fn counts(frame: &TakeFrame, side: Side) -> Vec<f32> {
-    cells(frame, side, 256).into_iter().map(|newtons| (3072.0 - 500.0 * newtons).max(0.0).round()).collect()
+/// Tells of a cell of the OpenTouch grid whether its authors erased it.
+fn unused(cell: usize) -> bool {
+    let (row, column) = (cell / 16, cell % 16);
+    row < 12 && column >= 11 || row < 9 && [2, 5, 8].contains(&column)
 }
 
-/// Writes a scene of OpenTouch with one clip: the last frame has no landmarks of the left hand.
-pub fn write_opentouch(path: &Path, take: &Take) {
-    let n = FRAMES as u64;
-    let landmarks = |side: Side| {
-        let of_frame = move |(index, frame): (usize, &TakeFrame)| match (side, index + 1 == FRAMES) {
-            (Side::Left, true) => vec![f32::NAN; 63],
-            _ => keypoints(frame, side, DAffine3::IDENTITY),
-        };
-        Node::f32s(&[n, 21, 3], take.frames.iter().enumerate().flat_map(of_frame))
-    };
-    let pressure =
-        |side: Side| Node::f32s(&[n, 16, 16], take.frames.iter().flat_map(move |frame| counts(frame, side))).chunked(4);
-    let clip = Node::group([
-        ("rgb_images_jpeg", Node::Lists(take.frames.iter().map(|frame| jpeg(&frame.image)).collect())),
-        ("timestamps", Node::i64s((0..FRAMES as i64).map(|index| 1_700_000_000_123_456_789 + 33_333_333 * index))),
-        ("left_pressure", pressure(Side::Left)),
-        ("right_pressure", pressure(Side::Right)),
-        ("left_hand_landmarks", landmarks(Side::Left)),
-        ("right_hand_landmarks", landmarks(Side::Right)),
-    ]);
-    let camera = Node::group([("T_device_camera", Node::f64s(&[4, 4], DMat4::IDENTITY.to_cols_array()))]);
-    let file =
-        Node::group([("data", Node::group([("demo_00", clip)])), ("calibration", Node::group([("rgb", camera)]))]);
-    write(path, file.file());
+/// Checks relative readings and contact at the vertices: those of the map, and near the simulator's forces. `share`: part of the
+/// range that each taxel reads.
+fn check_relative(store: &ZarrReader, take: &Take, map: &str, share: impl Fn(&TakeFrame, Side) -> Vec<f32>) {
+    let map = sensor::open(map).unwrap();
+    let n = store.len();
+    let [reading, contact] = [store.read_f32("data/mano_reading", 0..n).unwrap(), store.read_contact(0..n).unwrap()];
+    let known = store.read_u8("data/mano_contact_valid", 0..n).unwrap();
+    let (mut touched, mut strongest) = (0, 0);
+    for (index, frame) in take.frames.iter().enumerate() {
+        for side in Side::BOTH {
+            let at = 1556 * index + side.range().start;
+            let (vertices, forces) = (&frame.hand(side).vertices, &frame.hand(side).forces);
+            let want = map.hands[side as usize].reading(&share(frame, side));
+            for (vertex, want) in want.iter().enumerate() {
+                let got = reading[at + vertex];
+                assert!(got.is_nan() && want.is_nan() || (got - want).abs() < 1e-6, "{got} for {want}");
+                assert_eq!(known[at + vertex] == 1, !want.is_nan());
+                if want.is_nan() || contact[at + vertex] != 1.0 {
+                    assert!(want.is_nan() || *want <= 0.1, "{want} is contact");
+                    continue;
+                }
+                let near = (0..778).filter(|v| forces[*v] > 0.02).map(|v| vertices[v].distance(vertices[vertex]));
+                let near = near.fold(f32::INFINITY, f32::min);
+                assert!(near < 0.02, "frame {index}: vertex {vertex} is {near} m from all force");
+                touched += 1;
+            }
+            let covered = (0..778).filter(|v| !want[*v].is_nan());
+            let hardest = covered.max_by(|a, b| forces[*a].total_cmp(&forces[*b])).unwrap();
+            let near = |v: &usize| vertices[*v].distance(vertices[hardest]) < 0.012;
+            if forces[hardest] > 0.3 {
+                assert!(
+                    (0..778).filter(near).any(|v| contact[at + v] == 1.0),
+                    "frame {index}: {} N unseen",
+                    forces[hardest]
+                );
+                strongest += 1;
+            }
+        }
+    }
+    assert!(touched > 50 && strongest > 3, "{touched} vertices, {strongest} strong touches");
 }
 
 #[test]
@@ -112,61 +116,22 @@ fn opentouch_keeps_counts_and_stamps_and_leaves_force_unknown() {
     for side in Side::BOTH {
         check_readings(&store, side, |index| counts(&take.frames[index], side));
     }
+    let unused: Vec<bool> = (0..256).map(|cell| unused(cell)).collect();
+    check_relative(&store, take, "opentouch_169", |frame, side| {
+        let share = |(count, unused): (f32, &bool)| if *unused { f32::NAN } else { (3072.0 - count) / 3072.0 };
+        counts(frame, side).into_iter().zip(&unused).map(share).collect()
+    });
     let about = &store.raw_attributes()["import"];
+    assert_eq!((&about["force"], &about["force_kind"]), (&json!("unknown"), &json!(null)));
+    assert_eq!(
+        (&about["reading"]["kind"], &about["reading"]["taxel_map"]),
+        (&json!("relative"), &json!("opentouch_169"))
+    );
+    assert_eq!(about["contact_rule"], "reading above 0.1 of the range of an uncalibrated glove");
     let glove = &about["sensors"][1];
     assert_eq!((&glove["unit"], &glove["falls_with_pressure"]), (&json!("ADC counts"), &json!(true)));
     assert_eq!(glove["unused_cells"].as_array().unwrap().len(), 87);
     assert_eq!(store.raw_attributes()["camera"]["T_device_camera"]["shape"], json!([4, 4]));
-}
-
-/// Readings of the TouchAnything glove: parts of 20 N, and no taxel in the first corner.
-fn parts(frame: &TakeFrame, side: Side) -> Vec<f32> {
-    let mut parts: Vec<f32> = cells(frame, side, 441).into_iter().map(|newtons| (newtons / 20.0).min(1.0)).collect();
-    parts[0] = f32::NAN;
-    parts
-}
-
-/// Writes a trajectory of TouchAnything: hands in the camera's frame, images in chunks of four frames.
-pub fn write_touchanything(path: &Path, take: &Take) {
-    let n = FRAMES as u64;
-    let images = |mirrored: bool| {
-        let pixels = take.frames.iter().flat_map(|frame| match mirrored {
-            true => image::imageops::flip_horizontal(&frame.image).into_raw(),
-            false => frame.image.as_raw().clone(),
-        });
-        Node::u8s(&[n, 48, 64, 3], pixels.collect()).chunked(4)
-    };
-    let joints = |side: Side| {
-        let of_frame = move |frame: &TakeFrame| keypoints(frame, side, frame.camera.inverse());
-        Node::f32s(&[n, 21, 3], take.frames.iter().flat_map(of_frame))
-    };
-    // The estimator does not find the right hand in frame 3.
-    let valid =
-        |side: Side| Node::u8s(&[n], (0..FRAMES).map(|index| u8::from(side == Side::Left || index != 3)).collect());
-    let grid =
-        |side: Side| Node::f32s(&[n, 21, 21], take.frames.iter().flat_map(move |frame| parts(frame, side))).chunked(5);
-    let file = Node::group([
-        ("metadata", Node::Group(Vec::new(), vec![("task_name", "pour_water".into())])),
-        ("timestamps", Node::i64s((0..FRAMES as i64).map(|index| 33_333 * index))),
-        (
-            "images",
-            Node::group([("chest_color", images(false)), ("left_color", images(true)), ("right_color", images(false))]),
-        ),
-        (
-            "hands",
-            Node::group([
-                ("wilor_left_joint_xyz", joints(Side::Left)),
-                ("wilor_right_joint_xyz", joints(Side::Right)),
-                ("wilor_left_valid", valid(Side::Left)),
-                ("wilor_right_valid", valid(Side::Right)),
-            ]),
-        ),
-        (
-            "pressure",
-            Node::group([("left_pressure_grid", grid(Side::Left)), ("right_pressure_grid", grid(Side::Right))]),
-        ),
-    ]);
-    write(path, file.file());
 }
 
 #[test]
@@ -181,6 +146,11 @@ fn touchanything_keeps_grids_and_the_images_of_three_cameras() {
     for side in Side::BOTH {
         check_readings(&store, side, |index| parts(&take.frames[index], side));
     }
+    check_relative(&store, take, "touchanything_21x21", parts);
+    // Another share of the range is another store.
+    let harder = imported("touchanything", &root, &folder.path().join("harder.zarr"), &["--contact-reading", "0.5"]);
+    let count = |store: &ZarrReader| store.read_contact(0..FRAMES).unwrap().iter().filter(|c| **c == 1.0).count();
+    assert!(count(&harder) < count(&store) && supervised(&harder) == supervised(&store));
     for (name, mirrored) in [("data/left_wrist_camera_rgb", true), ("data/right_wrist_camera_rgb", false)] {
         let got = store.read_u8(name, 0..FRAMES).unwrap();
         for (got, frame) in got.chunks_exact(48 * 64 * 3).zip(&take.frames) {
@@ -189,48 +159,6 @@ fn touchanything_keeps_grids_and_the_images_of_three_cameras() {
         }
     }
     assert_eq!(store.raw_attributes()["import"]["about"]["task"], "pour_water");
-}
-
-/// Names of the joints of a finger in EgoDex, from the palm to the tip.
-const FINGER: [&str; 4] = ["Knuckle", "IntermediateBase", "IntermediateTip", "Tip"];
-const FINGERS: [&str; 5] = ["Thumb", "IndexFinger", "MiddleFinger", "RingFinger", "LittleFinger"];
-
-/// Writes an episode of EgoDex: joints in the world; the tracker does not see the left hand in frame 2.
-pub fn write_egodex(root: &Path, take: &Take) {
-    let n = FRAMES as u64;
-    let motions = |motion: &dyn Fn(&TakeFrame) -> DAffine3| {
-        let rows = take.frames.iter().flat_map(|frame| DMat4::from(motion(frame)).transpose().to_cols_array());
-        Node::f32s(&[n, 4, 4], rows.map(|value| value as f32).collect::<Vec<_>>())
-    };
-    let mut transforms = vec![("camera".to_string(), motions(&|frame| frame.camera))];
-    let mut confidences = Vec::new();
-    for side in Side::BOTH {
-        let mut joint = |name: String, keypoint: usize| {
-            let at = move |frame: &TakeFrame| frame.hand(side).keypoints[keypoint].as_dvec3();
-            transforms
-                .push((format!("{}{name}", side.name()), motions(&|frame| DAffine3::from_translation(at(frame)))));
-        };
-        joint("Hand".into(), 0);
-        for (finger, name) in FINGERS.iter().enumerate() {
-            FINGER.iter().enumerate().for_each(|(k, part)| joint(format!("{name}{part}"), 1 + 4 * finger + k));
-        }
-        let seen = (0..FRAMES).map(|index| if (side, index) == (Side::Left, 2) { 0.1 } else { 0.9 });
-        confidences.push((format!("{}Hand", side.name()), Node::f32s(&[n], seen)));
-    }
-    let intrinsic = [736.6, 0.0, 960.0, 0.0, 736.5, 540.0, 0.0, 0.0, 1.0];
-    let attributes = vec![
-        ("llm_description", "stack the cups".to_string()),
-        ("llm_description2", "unstack the cups".to_string()),
-        ("which_llm_description", "2".to_string()),
-    ];
-    let members = vec![
-        ("transforms".to_string(), Node::Group(transforms, Vec::new())),
-        ("confidences".to_string(), Node::Group(confidences, Vec::new())),
-        ("camera".to_string(), Node::group([("intrinsic", Node::f32s(&[3, 3], intrinsic))])),
-    ];
-    write(&root.join("test/stack_cups/0.hdf5"), Node::Group(members, attributes).file());
-    let images: Vec<_> = take.frames.iter().map(|frame| &frame.image).collect();
-    video(&root.join("test/stack_cups/0.mp4"), &images);
 }
 
 #[test]

@@ -6,65 +6,20 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::check::{check_hands, check_poses, check_stamps, f1, open, supervised};
 use crate::common::{self, egotac};
-use crate::files::{ManoFiles, angles, glb, jpeg, tar, write};
-use crate::take::{FRAMES, Take, cuboid};
+use crate::writers::files::{ManoFiles, glb, jpeg, tar, write};
+use crate::writers::hot3d::{clip, motion, nanoseconds};
+use crate::writers::take::{FRAMES, Take, cuboid};
 use egotac::dataset::SourceFrames;
 use egotac::dataset::zarr::{CAMERA_POSE, ZarrReader};
 use egotac::error::{Error, Result};
 use egotac::hand::Side;
 use egotac::import::{ContactRule, HandModels, ImportTasks, Moment, Options, Reader, Recording, Settings, kind};
 use egotac::label::{LabelTiming, Outcome, Shard};
-use glam::{DAffine3, DMat3, DQuat, DVec3};
-use image::RgbImage;
+use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3};
 use image::imageops::rotate90;
 use serde_json::{Value, json};
 
 static TAKE: LazyLock<Take> = LazyLock::new(Take::simulated);
-
-/// Stamp of a frame, ns: those of the device's clock, which starts at boot.
-fn nanoseconds(index: usize) -> u64 {
-    54_971_174_871_117 + 33_327_462 * index as u64
-}
-
-fn motion(pose: DAffine3) -> Value {
-    let (q, p) = (DQuat::from_affine3(&pose), pose.translation);
-    json!({ "quaternion_wxyz": [q.w, q.x, q.y, q.z], "translation_xyz": [p.x, p.y, p.z] })
-}
-
-/// Returns the members of a clip, by name.
-fn clip(take: &Take, mano: &ManoFiles) -> Vec<(String, Vec<u8>)> {
-    let mut members = Vec::new();
-    let betas = &take.frames[0].hands[0].params.betas;
-    for (index, frame) in take.frames.iter().enumerate() {
-        let mut add = |name: &str, content: Vec<u8>| members.push((format!("{index:06}.{name}"), content));
-        let hand = |side: Side| {
-            let params = &frame.hand(side).params;
-            let wrist = [params.global_orient.to_array(), params.transl.to_array()].concat();
-            let thetas = mano.coefficients(side, &angles(&params.hand_pose));
-            json!({ "mano_pose": { "thetas": thetas, "wrist_xform": wrist }, "boxes_amodal": {} })
-        };
-        let elsewhere = DAffine3::from_translation(DVec3::new(3.0, 0.0, 0.0));
-        let object =
-            |id: i64, pose: DAffine3| json!([{ "object_bop_id": id.to_string(), "T_world_from_object": motion(pose) }]);
-        add("cameras.json", json!({ "214-1": {
-            "calibration": { "projection_model_type": "CameraModelType.FISHEYE624", "projection_params": [611.1, 715.2] },
-            "T_world_from_camera": motion(frame.camera),
-        } }).to_string().into());
-        add("hands.json", json!({ "left": hand(Side::Left), "right": hand(Side::Right) }).to_string().into());
-        add("image_1201-1.jpg", jpeg(&RgbImage::new(8, 8)));
-        add("image_214-1.jpg", jpeg(&frame.image));
-        let times = json!({ "214-1": nanoseconds(index), "1201-1": nanoseconds(index) + 96_500 });
-        add(
-            "info.json",
-            json!({ "sequence_id": "P0001_23fa0ee8", "device": "Aria", "image_timestamps_ns": times })
-                .to_string()
-                .into(),
-        );
-        add("objects.json", json!({ "7": object(7, frame.object), "12": object(12, elsewhere) }).to_string().into());
-    }
-    members.push(("__hand_shapes.json__".into(), json!({ "mano": betas, "umetrack": {} }).to_string().into()));
-    members
-}
 
 /// Writes a data set with one clip, changed by `change`; returns the folder and the MANO files.
 fn data_set(folder: &Path, change: impl FnOnce(&mut Vec<(String, Vec<u8>)>)) -> (PathBuf, ManoFiles) {
@@ -205,11 +160,124 @@ fn damaged_members_and_meshes_are_named_and_the_rest_is_imported() {
 fn hands_of_a_basis_need_mano_files() {
     let folder = tempfile::tempdir().unwrap();
     let (root, _) = data_set(folder.path(), |_| ());
-    let error = common::refused(
-        &["data", "import", "hot3d", root.to_str().unwrap(), "--out", folder.path().join("a").to_str().unwrap()],
-        "--mano-left and --mano-right",
+    let [root, out] = [root, folder.path().join("a")].map(|path| path.to_str().unwrap().to_string());
+    let error = common::refused(&["data", "import", "arctic", &root, "--out", &out], "--mano-left and --mano-right");
+    assert!(error.contains("arctic"), "{error}");
+    // A clip without UmeTrack's profile has poses of MANO's basis alone.
+    let output = egotac(&["data", "import", "hot3d", &root, "--out", &out]);
+    assert_eq!(output.status.code(), Some(3));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("expected MANO's pose basis"));
+}
+
+/// Writes a clip of the grasp of frame 0, carried along with the object, whose right hand is given in UmeTrack alone.
+#[test]
+fn without_mano_files_hands_are_fitted_to_the_joints_of_umetrack() {
+    let folder = tempfile::tempdir().unwrap();
+    let take = Take::of_mean_shape();
+    let hand = take.frames[0].hand(Side::Right);
+    let wrist =
+        DAffine3::from_rotation_translation(DQuat::from_rotation_y(0.8), hand.wrist + DVec3::new(0.01, 0.0, 0.02));
+    let angles: Vec<f64> = (0..22).map(|joint| 0.4 * (1.7 * joint as f64).sin()).collect();
+    let carried = |index: usize| take.frames[index].object * take.frames[0].object.inverse();
+    let profile = umetrack_profile(&hand.keypoints, wrist, &angles);
+    let (root, _) = data_set(folder.path(), |members| {
+        *members = clip(&take, &ManoFiles::write(&folder.path().join("other"), &take, true));
+        for (name, content) in members.iter_mut() {
+            if let Some(index) = name.strip_suffix(".hands.json") {
+                let pose = carried(index.parse().unwrap()) * wrist;
+                *content = json!({ "right": { "umetrack_pose": {
+                    "joint_angles": angles, "T_world_from_wrist": motion(pose),
+                } } })
+                .to_string()
+                .into();
+            } else if name == "__hand_shapes.json__" {
+                *content = json!({ "mano": vec![0.0; 10], "umetrack": profile }).to_string().into();
+            }
+        }
+    });
+    write(&root.join("object_models/obj_000007.glb"), glb(&take.box_mesh()));
+    let out = folder.path().join("clip.zarr");
+    let [source, store] = [&root, &out].map(|path| path.to_str().unwrap());
+    let output = egotac(&["data", "import", "hot3d", source, "--out", store, "--side", "0"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&[output.stdout, output.stderr].concat()));
+    let store = open(&out);
+    assert_eq!(supervised(&store), [0, FRAMES * 778]);
+    let contact = store.read_contact(0..FRAMES).unwrap();
+    let want = take.frames[0].touched(&take, Side::Right);
+    let (mut hits, mut wrong) = (0, 0);
+    for index in 0..FRAMES {
+        for (got, want) in contact[1556 * index..][Side::Right.range()].iter().zip(&want) {
+            hits += usize::from(*got == 1.0 && *want);
+            wrong += usize::from((*got == 1.0) != *want);
+        }
+    }
+    let score = 2.0 * hits as f64 / (2 * hits + wrong) as f64;
+    assert!(hits > 100 && score >= 0.98, "F1 {score}");
+    // A damaged profile is named.
+    let mut broken = profile.clone();
+    broken["landmark_rest_bone_indices"][3] = json!([17, 0, 0]);
+    let member = json!({ "mano": vec![0.0; 10], "umetrack": broken }).to_string().into_bytes();
+    let mut members = clip(&take, &ManoFiles::write(&folder.path().join("other"), &take, true));
+    members
+        .iter_mut()
+        .filter(|(name, _)| name == "__hand_shapes.json__")
+        .for_each(|(_, content)| *content = member.clone());
+    write(&root.join("train_aria/clip-001849.tar"), tar(&members));
+    let output = egotac(&["data", "import", "hot3d", source, "--out", folder.path().join("b").to_str().unwrap()]);
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        error.contains("umetrack.landmark_rest_bone_indices[3][0]: expected a frame from 0 to 16, got 17"),
+        "{error}"
     );
-    assert!(error.contains("hot3d"), "{error}");
+}
+
+/// Returns a profile of UmeTrack, a left hand in millimetres, whose landmarks lie at these keypoints of a right hand if its joints
+/// are bent by `angles` and its wrist is at `wrist`. Joints lie at the keypoints as far as they bend fingers.
+fn umetrack_profile(keypoints: &[glam::Vec3; 21], wrist: DAffine3, angles: &[f64]) -> Value {
+    // Matrices by Rodrigues' formula, mirrored in x.
+    let mirrored = DMat4::from(wrist) * DMat4::from_diagonal(glam::DVec4::new(-1.0, 1.0, 1.0, 1.0));
+    let local = |keypoint: usize| mirrored.inverse().transform_point3(keypoints[keypoint].as_dvec3());
+    let axis = |joint: usize| DVec3::new(0.3 * joint as f64 - 2.0, 1.0, 0.5 * (joint % 3) as f64).normalize();
+    let turn = |joint: usize, place: DVec3| {
+        let (k, angle) = (axis(joint), angles[joint]);
+        let cross =
+            DMat3::from_cols(DVec3::new(0.0, k.z, -k.y), DVec3::new(-k.z, 0.0, k.x), DVec3::new(k.y, -k.x, 0.0));
+        let rotation = DMat3::IDENTITY + cross * angle.sin() + cross * cross * (1.0 - angle.cos());
+        DMat4::from_mat3_translation(rotation, place - rotation * place)
+    };
+    let mut rest = vec![DVec3::ZERO; 22];
+    let mut landmarks = vec![(DVec3::ZERO, 0); 20];
+    landmarks[5] = (local(0), 1);
+    for finger in 0..5 {
+        let base = 1 + 4 * finger;
+        // Both joints of a finger's base lie there, and turn nothing but what follows.
+        rest[4 * finger] = local(base);
+        let mut bent = turn(4 * finger, rest[4 * finger]);
+        rest[4 * finger + 1] = rest[4 * finger];
+        bent *= turn(4 * finger + 1, rest[4 * finger + 1]);
+        let mut put = |landmark: usize, keypoint: usize, bent: &DMat4, frame: usize| {
+            landmarks[landmark] = (bent.inverse().transform_point3(local(keypoint)), 2 + 3 * finger + frame);
+        };
+        let joints =
+            if finger == 0 { [None, Some(6), Some(7)] } else { [5, 6, 7].map(|first| Some(first + 3 * finger)) };
+        if let Some(landmark) = joints[0] {
+            put(landmark, base, &bent, 0);
+        }
+        for joint in 2..4 {
+            rest[4 * finger + joint] = bent.inverse().transform_point3(local(base + joint - 1));
+            bent *= turn(4 * finger + joint, rest[4 * finger + joint]);
+            put(joints[joint - 1].unwrap(), base + joint - 1, &bent, joint - 1);
+        }
+        put(finger, base + 3, &bent, 2);
+    }
+    let millimetres = |point: DVec3| (point * 1000.0).to_array();
+    json!({
+        "joint_rotation_axes": (0..22).map(|joint| axis(joint).to_array()).collect::<Vec<_>>(),
+        "joint_rest_positions": rest.into_iter().map(millimetres).collect::<Vec<_>>(),
+        "landmark_rest_positions": landmarks.iter().map(|(point, _)| millimetres(*point)).collect::<Vec<_>>(),
+        "landmark_rest_bone_indices": landmarks.iter().map(|(_, frame)| [*frame, 0, 0]).collect::<Vec<_>>(),
+        "landmark_rest_bone_weights": landmarks.iter().map(|_| [1.0, 0.0, 0.0]).collect::<Vec<_>>(),
+    })
 }
 
 #[test]

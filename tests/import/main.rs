@@ -8,15 +8,13 @@ mod check;
 #[path = "../common/mod.rs"]
 mod common;
 mod egotac_sc;
-mod files;
 mod gloves;
-mod h5;
 mod hot3d;
-mod pickle;
+mod raw_glove;
 mod run;
 mod sensors;
 mod sets;
-mod take;
 mod third;
-mod trees;
 mod videos;
+#[allow(dead_code)] // The bench of imports uses all of it.
+mod writers;

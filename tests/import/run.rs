@@ -1,14 +1,13 @@
-//! Runs of the importer, and what writers of data sets share.
+//! Runs of the importer.
 
 use std::path::Path;
 use std::process::Output;
 
 use egotac::dataset::zarr::ZarrReader;
-use glam::{DAffine3, DMat4};
 
 use crate::check::open;
 use crate::common::egotac;
-use crate::files::ManoFiles;
+use crate::writers::files::ManoFiles;
 
 /// Imports a data set with images of their original size, and further options.
 pub fn import(kind: &str, root: &Path, out: &Path, more: &[&str]) -> Output {
@@ -31,9 +30,4 @@ pub fn succeeded(output: &Output) {
 pub fn imported(kind: &str, root: &Path, out: &Path, more: &[&str]) -> ZarrReader {
     succeeded(&import(kind, root, out, more));
     open(out)
-}
-
-/// Returns the rows of a rigid motion's 4 x 4 matrix.
-pub fn rows(pose: DAffine3) -> [f64; 16] {
-    DMat4::from(pose).transpose().to_cols_array()
 }

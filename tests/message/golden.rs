@@ -132,6 +132,17 @@ fn own_messages_have_the_bytes_of_ros() {
     let left = HandPose { side: 0, confidence: f32::NAN, ..right.clone() };
     agrees("hand_poses", &HandPoses { header: header("world"), poses: vec![left, right] });
     agrees(
+        "glove_reading",
+        &GloveReading {
+            header: header("glove"),
+            side: HandTactile::RIGHT,
+            values: vec![0.5, f32::NAN, 3.0],
+            rest: vec![0.25],
+            newtons_per_unit: vec![-2.0],
+            full: vec![8.0],
+        },
+    );
+    agrees(
         "trainer_status",
         &TrainerStatus {
             header: header(""),
@@ -228,6 +239,9 @@ fn robot_messages_have_the_bytes_of_ros() {
     let dim = vec![MultiArrayDimension { label: "joint".into(), size: 2, stride: 2 }];
     let layout = MultiArrayLayout { dim, data_offset: 1 };
     agrees("float64_multi_array", &Float64MultiArray { layout, data: vec![0.5, -0.25, 3.0] });
+    let dim = vec![MultiArrayDimension { label: "taxel".into(), size: 3, stride: 3 }];
+    let layout = MultiArrayLayout { dim, data_offset: 0 };
+    agrees("float32_multi_array", &Float32MultiArray { layout, data: vec![0.5, -0.25, 3.0] });
     agrees("joint_trajectory", &JointTrajectory { header: Header::default(), joint_names: names, points: vec![point] });
 }
 
@@ -393,6 +407,7 @@ fn structs_have_the_fields_of_their_msg_files() {
     check(TactileRegions::definition(), TactileRegions::fields());
     check(TactileTruth::definition(), TactileTruth::fields());
     check(TactileMetrics::definition(), TactileMetrics::fields());
+    check(GloveReading::definition(), GloveReading::fields());
     check(TrainerStatus::definition(), TrainerStatus::fields());
     check(LinkTouch::definition(), LinkTouch::fields());
     check(RobotTouch::definition(), RobotTouch::fields());

@@ -18,6 +18,7 @@ fn cell(row: &str, index: usize) -> &str {
 fn each_parameter_is_documented_with_its_default() {
     let text = document("docs/nodes.md");
     let programs = [
+        ("glove", env!("CARGO_BIN_EXE_egotac_glove")),
         ("predictor", env!("CARGO_BIN_EXE_egotac_predictor")),
         ("retargeter", env!("CARGO_BIN_EXE_egotac_retargeter")),
         ("simulator", env!("CARGO_BIN_EXE_egotac_simulator")),
@@ -61,7 +62,7 @@ fn documented_names(text: &str, node: &str) -> Vec<String> {
 #[test]
 fn security_policies_allow_each_documented_name() {
     let (text, policies) = (document("docs/nodes.md"), document("launch/sros2/policies.xml"));
-    for node in ["predictor", "retargeter", "simulator", "trainer", "verifier"] {
+    for node in ["glove", "predictor", "retargeter", "simulator", "trainer", "verifier"] {
         let path = format!("<enclave path=\"/egotac/{node}\">");
         let (_, enclave) = policies.split_once(&path).unwrap();
         let enclave = enclave.split("</enclave>").next().unwrap();

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-const NODES: [&str; 5] = ["predictor", "retargeter", "simulator", "trainer", "verifier"];
+const NODES: [&str; 6] = ["glove", "predictor", "retargeter", "simulator", "trainer", "verifier"];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -85,12 +85,14 @@ fn launch_files_start_our_programs_with_valid_parameters() {
         ["use_sim_time:=true", "image_transport:=compressed", "model:=/m.safetensors", "device:=cpu", "rviz:=true"];
     let demo_given = ["scenes:=pinch_cube,lift_mug", "seed:=3", "rviz:=true"];
     let training = ["config:=/run.yaml", "folder:=/data", "notify:=/other/load_model", "use_sim_time:=true"];
+    let gloves = ["image_topic:=/camera", "sensor:=opentouch_169", "image_transport:=compressed", "use_sim_time:=true"];
     let retargeting =
         ["robot:=gripper", "side:=left", "rate_hz:=100", "use_sim_time:=1", "demo:=true", "scenes:=lift_mug,hover"];
     let files = [
         ("egotac.launch.py", &given[..]),
         ("demo.launch.py", &demo_given[..]),
         ("retarget.launch.py", &retargeting[..]),
+        ("glove.launch.py", &gloves[..]),
         ("trainer.launch.py", &training[..]),
     ];
     for (file, given) in files {
@@ -239,6 +241,7 @@ fn installed_launch_files_find_the_module_that_they_share() {
     for file in [
         "egotac.launch.py",
         "demo.launch.py",
+        "glove.launch.py",
         "images.launch.py",
         "realsense_allegro.launch.py",
         "retarget.launch.py",
@@ -277,9 +280,14 @@ fn each_argument_has_a_description() {
     for name in expected {
         assert!(description["arguments"].get(name).is_some(), "egotac.launch.py has no argument {name}");
     }
-    for file in
-        ["egotac.launch.py", "demo.launch.py", "realsense_allegro.launch.py", "retarget.launch.py", "trainer.launch.py"]
-    {
+    for file in [
+        "egotac.launch.py",
+        "demo.launch.py",
+        "glove.launch.py",
+        "realsense_allegro.launch.py",
+        "retarget.launch.py",
+        "trainer.launch.py",
+    ] {
         for (name, argument) in describe(file, &[])["arguments"].as_object().unwrap() {
             assert!(argument["description"].as_str().is_some_and(|text| text.len() > 10), "{file}: {name}");
         }

@@ -12,6 +12,7 @@ mod trajectory;
 mod cameras;
 #[cfg(feature = "sim")]
 mod docs;
+mod glove;
 mod hand_tracker;
 #[cfg(feature = "sim")]
 mod launch_files;

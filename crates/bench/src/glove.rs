@@ -1,4 +1,4 @@
-//! Cost of a glove: force on the vertices from simulated taxels, beside the simulator's own force.
+//! Error of gloves: force on the vertices from simulated taxels, beside the simulator's own force.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -236,7 +236,7 @@ impl Report {
     }
 
     fn markdown(&self) -> String {
-        let mut text = String::from("# What a glove costs\n\n");
+        let mut text = String::from("# Error of force against the number of taxels\n\n");
         let _ = writeln!(
             text,
             "Written by `{}`: egotac {}, {}. Forces of the simulator's contacts load the taxels of a glove; the glove's readings, spread \
@@ -293,7 +293,7 @@ impl Figure for Report {
         root.fill(&WHITE)?;
         let most = self.resolution.iter().map(|score| score.field_error.max(score.f1)).fold(0.0, f64::max).max(0.1);
         let (low, high) = (4.0, 1200.0);
-        let mut builder = plot::chart(root, "Force on vertices from taxels, beside the simulator's", [56, 76]);
+        let mut builder = plot::chart(root, "Error of force against the number of taxels", [56, 76]);
         let mut chart = builder.build_cartesian_2d((low..high).log_scale(), 0.0..1.05 * most)?;
         let whole = |value: &f64| format!("{value:.0}");
         let tenths = |value: &f64| format!("{value:.1}");
@@ -310,7 +310,7 @@ impl Figure for Report {
                 .legend(plot::line_key(color));
             chart.draw_series(points.into_iter().map(|point| Circle::new(point, 4, color.filled())))?;
         }
-        plot::legend(&mut chart, SeriesLabelPosition::MiddleRight)?;
+        plot::legend(&mut chart, SeriesLabelPosition::UpperRight)?;
         root.present()?;
         Ok(())
     }

@@ -19,6 +19,8 @@ const TRIANGLES: [usize; 3] = [1_000, 10_000, 100_000];
 const RADIUS: f64 = 0.05;
 /// Shortest time of one measurement, s.
 const AT_LEAST: f64 = 0.5;
+/// Width and height of the images of the data sets that the command writes, pixels.
+const IMAGE: (u32, u32) = (640, 480);
 /// Repetitions of a measurement; the best counts.
 const REPETITIONS: usize = 3;
 
@@ -65,14 +67,40 @@ pub struct ReaderRow {
     pub bytes_fps: f64,
 }
 
-/// Measures contact labels against objects in `folder`, and the readers of `sets`, kinds with the folders of data sets.
+/// Measures contact labels against objects in `folder`, and the readers of `sets`, kinds with the folders of data sets; without
+/// sets, those of data sets that it writes into `folder`.
 ///
 /// # Errors
 /// If a kind is unknown, or a data set can't be read.
 pub fn run(sets: &[(String, PathBuf)], folder: &Path, command: String) -> Result<ImportReport> {
     let contact = TRIANGLES.iter().map(|triangles| contact(*triangles, folder)).collect::<Result<_>>()?;
-    let readers = sets.iter().map(|(name, path)| reader(name, path)).collect::<Result<_>>()?;
+    let written = if sets.is_empty() { written(folder)? } else { Vec::new() };
+    let sets =
+        sets.iter().map(|(name, path)| (name.as_str(), path)).chain(written.iter().map(|(name, path)| (*name, path)));
+    let readers = sets.map(|(name, path)| reader(name, path)).collect::<Result<_>>()?;
     Ok(ImportReport { command, version: egotac::VERSION, machine: Machine::this(), contact, readers })
+}
+
+/// Writes a simulated take in the layout of each data set; returns kinds and folders.
+#[cfg(feature = "sim")]
+fn written(folder: &Path) -> Result<Vec<(&'static str, PathBuf)>> {
+    let mut take = crate::writers::take::Take::simulated();
+    for (index, frame) in take.frames.iter_mut().enumerate() {
+        frame.image = image::RgbImage::from_fn(IMAGE.0, IMAGE.1, |x, y| {
+            // Smooth areas with edges, which JPEG and PNG compress about as much as photographs.
+            let (u, v) = (x as f32 / 60.0 + index as f32, y as f32 / 45.0);
+            let (wave, grain) = (60.0 * (u.sin() * v.cos()), ((x * 7919 + y * 104_729) % 13) as f32);
+            let edge = if (x / 80 + y / 60) % 2 == 0 { 40.0 } else { 0.0 };
+            [110.0 + wave + edge + grain, 120.0 - wave + grain, 90.0 + edge].map(|value| value as u8).into()
+        });
+    }
+    Ok(crate::writers::write_all(folder, &take))
+}
+
+/// Without the simulator there is no take to write.
+#[cfg(not(feature = "sim"))]
+fn written(_: &Path) -> Result<Vec<(&'static str, PathBuf)>> {
+    Ok(Vec::new())
 }
 
 /// Measures contact labels of a hand on an uneven ball.
@@ -186,7 +214,7 @@ fn seconds(mut work: impl FnMut() -> Result<usize>) -> Result<f64> {
 pub fn markdown(report: &ImportReport) -> String {
     let ImportReport { command, version, machine, contact, readers } = report;
     let mut text = format!(
-        "# What an import costs\n\nWritten by `{command}`: egotac {version},\n{machine}. Numbers: `import.json`.\n\n\
+        "# Speed of imports\n\nWritten by `{command}`: egotac {version},\n{machine}. Numbers: `import.json`.\n\n\
          ## Contact labels\n\nOne hand on an uneven ball: signed distance and 1 cm rule of 778 vertices. At most {ALLOWED_MS} ms are allowed \
          at {} triangles.\n\n\
          | triangles | vertices within 5 cm | preparing the mesh, ms | label of a frame and hand, ms |\n|---|---|---|---|\n",

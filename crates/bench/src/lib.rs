@@ -43,3 +43,7 @@ pub mod retarget;
 #[cfg(feature = "sim")]
 pub mod sim;
 pub mod train;
+#[cfg(feature = "sim")]
+#[allow(dead_code)]
+#[path = "../../../tests/import/writers/mod.rs"]
+mod writers;

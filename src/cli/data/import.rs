@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 
 use crate::cli::labelling::{Work, shard};
+use crate::import::glove::CONTACT_SHARE;
 use crate::import::{ContactRule, HandModels, ImportTasks, Options, Settings, kind, table};
 use crate::label::Shard;
 use crate::tactile::ForceKind;
@@ -43,6 +44,9 @@ pub struct Args {
     /// default that of the data set's glove.
     #[arg(long, value_name = "NAME|FILE")]
     sensor: Option<String>,
+    /// Share of the range of a glove without a calibration above which a vertex counts as touched.
+    #[arg(long, value_name = "SHARE", value_parser = share, default_value_t = CONTACT_SHARE)]
+    contact_reading: f32,
     /// Meaning of the forces of gloves: `reading` (the value at the vertex, as the EgoTac paper has it) or `spread` (sums to the
     /// force on the hand, as simulated stores have it).
     #[arg(long, value_name = "KIND", value_parser = force_kind, default_value = "reading")]
@@ -79,7 +83,12 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         hands: HandModels::load(args.mano_left.as_deref(), args.mano_right.as_deref())?,
         rule: args.contact_distance.map_or(ContactRule::Proximity, |mm| ContactRule::SignedDistance(mm * 1e-3)),
         side: (args.side > 0).then_some(args.side),
-        options: Options { objects: args.objects, sensor: args.sensor, force_kind: Some(args.force_kind) },
+        options: Options {
+            objects: args.objects,
+            sensor: args.sensor,
+            contact_share: Some(args.contact_reading),
+            force_kind: Some(args.force_kind),
+        },
     };
     let import = ImportTasks::find(&source, &out, settings)?;
     let jobs = import.jobs();
@@ -91,6 +100,13 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 
 fn force_kind(text: &str) -> Result<ForceKind, String> {
     ForceKind::from_id(text).map_err(|error| error.to_string())
+}
+
+fn share(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(value) if (0.0..1.0).contains(&value) => Ok(value),
+        _ => Err("expected a number from 0 to below 1".into()),
+    }
 }
 
 /// Largest distance of contact, mm: distances are known up to 5 cm.

@@ -10,13 +10,12 @@ use crate::dataset::source::SourceFrames;
 use crate::dataset::zarr::{Store, StoreLocation, TIMESTAMPS, ZarrReader};
 use crate::dataset::{EpisodeReader, ImageSource};
 use crate::error::{Error, Result};
-use crate::hand::{HandModel, N_VERTICES, Side};
+use crate::hand::{HandModel, Side};
+use crate::import::glove::GloveMap;
 use crate::import::input::folders;
-use crate::import::input::lazy::Lazy;
 use crate::import::kind::{Found, Kind, Mano, Options};
 use crate::import::recording::{Convention, Moment, Reader, Recording};
-use crate::sensor::{self, TaxelMap};
-use crate::tactile::{CONTACT_FORCE_N, ForceKind, N_FIELD, TactileField};
+use crate::tactile::{ForceKind, TactileField};
 
 /// EgoTac-SC.
 pub const KIND: Kind = Kind {
@@ -41,11 +40,7 @@ const PADDING: usize = 3;
 const CAMERA: &str = "data/camera_ego_pose";
 
 fn find(source: &Path, options: &Options) -> Result<Found> {
-    let map = Arc::new(sensor::open(options.sensor.as_deref().unwrap_or(SENSOR))?);
-    if map.layout.channels != CHANNELS {
-        let got = format!("{} with {}", map.layout.name, map.layout.channels);
-        return Err(Error::value("--sensor", format!("a map of {CHANNELS} channels"), got));
-    }
+    let map = GloveMap::open(options.sensor.as_deref().unwrap_or(SENSOR), CHANNELS, None)?;
     let mut found = Found::default();
     for place in places(source)? {
         // A bundle holds stores of the same names as others: the bundle's name keeps them apart.
@@ -87,9 +82,7 @@ struct Trajectory {
     unit: usize,
     /// First frame in the store.
     start: usize,
-    map: Arc<TaxelMap>,
-    /// Map on other hands than those of `map`.
-    rebuilt: Lazy<TaxelMap>,
+    glove: Arc<GloveMap>,
     kind: ForceKind,
 }
 
@@ -98,7 +91,7 @@ impl Trajectory {
     fn of_store(
         place: &StoreLocation,
         name: &str,
-        map: &Arc<TaxelMap>,
+        glove: &Arc<GloveMap>,
         options: &Options,
     ) -> Result<Vec<(String, Self)>> {
         let store = Arc::new(Store::open(place, None, None)?);
@@ -119,8 +112,8 @@ impl Trajectory {
                 camera: Value::Null,
                 about: json!({
                     "glove": "AetherGloveV1",
-                    "taxel_map": map.layout.name,
-                    "taxel_places": map.layout.placement.name(),
+                    "taxel_map": glove.layout().name,
+                    "taxel_places": glove.layout().placement.name(),
                     "hand": "unknown: the release has joint angles that do not invert to MANO's",
                     "episode": unit,
                 }),
@@ -135,8 +128,7 @@ impl Trajectory {
                     place: place.clone(),
                     unit,
                     start,
-                    map: map.clone(),
-                    rebuilt: Lazy::default(),
+                    glove: glove.clone(),
                     kind: options.force_kind.unwrap_or(ForceKind::Reading),
                 },
             ));
@@ -252,27 +244,9 @@ impl Reader for Trajectory {
     }
 
     fn touch(&self, index: usize, hands: [&HandModel; 2]) -> Result<Option<TactileField>> {
-        let topology = hands[0].topology;
-        let map = match self.map.topology == topology {
-            true => self.map.clone(),
-            false => self
-                .rebuilt
-                .get(&self.recording.path, || TaxelMap::build(&self.map.layout, &hands.map(Clone::clone)))?,
-        };
         let taxels = [self.taxels(Side::Left, index)?, self.taxels(Side::Right, index)?];
         let taxels = taxels.each_ref().map(|taxels| taxels.as_deref());
-        let reading = map.reading(taxels)?;
-        let contact = reading.iter().map(|newtons| match newtons.is_nan() {
-            true => f32::NAN,
-            false => f32::from(*newtons > CONTACT_FORCE_N),
-        });
-        let contact: Vec<f32> = contact.collect();
-        debug_assert_eq!((contact.len(), N_FIELD), (N_FIELD, 2 * N_VERTICES));
-        let force = match self.kind {
-            ForceKind::Reading => reading,
-            ForceKind::Spread => map.spread(taxels)?,
-        };
-        Ok(Some(TactileField { topology, force, contact }))
+        self.glove.touch(taxels, self.kind, hands, &self.recording.path).map(Some)
     }
 
     fn force_kind(&self) -> Option<ForceKind> {

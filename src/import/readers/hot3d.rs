@@ -22,12 +22,13 @@ use crate::import::recording::{
     Convention, ManoParams, Moment, PoseParams, Reader, RecordedHand, RecordedObject, Recording, Translation,
 };
 use crate::import::shapes::MeshFile;
+use crate::import::umetrack::UmeTrack;
 
 /// HOT3D clips.
 pub const KIND: Kind = Kind {
     name: "hot3d",
-    gives: "images of the head camera, both hands, objects, camera pose",
-    mano: Mano::Required,
+    gives: "images of the head camera, both hands (by MANO's files; without them, fitted to the joints of UmeTrack), objects, camera pose",
+    mano: Mano::Optional,
     origin: "HOT3D clips: clip-*.tar and object_models",
     licence: "HOT3D licence: images CC BY-SA, hands CC BY-NC-SA, objects CC BY-SA and not to be sold; MANO's for the hands",
     find,
@@ -74,6 +75,8 @@ struct Clip {
     /// Indices of the objects by id; several objects of one id follow each other.
     ids: BTreeMap<i64, Vec<usize>>,
     betas: Option<[f32; 10]>,
+    /// The person's hand in UmeTrack.
+    umetrack: Option<UmeTrack>,
     fault: Option<String>,
 }
 
@@ -105,11 +108,13 @@ impl Clip {
             keys,
             ids: BTreeMap::new(),
             betas: None,
+            umetrack: None,
             fault: tar.fault().map(|fault| format!("archive: {fault}")),
         };
         clip.find_objects(&tar, objects);
         if let Some(shapes) = clip.json(&tar, SHAPES)? {
             clip.betas = Some(shapes.get("mano").exactly::<10>()?.map(|beta| beta as f32));
+            clip.umetrack = UmeTrack::parse(&shapes.get("umetrack"))?;
         }
         (clip.recording.camera, clip.recording.about) = clip.description(&tar);
         Ok(clip)
@@ -185,10 +190,18 @@ impl Clip {
     }
 
     fn hand(&self, hands: &Json, side: Side) -> Result<Option<RecordedHand>> {
-        let pose = hands.get(side.name()).get("mano_pose");
+        let hand = hands.get(side.name());
+        let (pose, tracked) = (hand.get("mano_pose"), hand.get("umetrack_pose"));
+        let keypoints = match &self.umetrack {
+            Some(profile) if !tracked.is_null() => {
+                let wrist = tracked.get("T_world_from_wrist").motion()?;
+                Some(profile.keypoints(side, &tracked.get("joint_angles"), wrist)?)
+            }
+            _ => None,
+        };
         // The registration of MANO failed in some frames.
         if pose.is_null() {
-            return Ok(None);
+            return Ok(keypoints.map(RecordedHand::Keypoints));
         }
         let Some(betas) = self.betas else {
             return Err(Error::file(self.recording.path.join(SHAPES), "expected the hands' shape, got none"));
@@ -196,12 +209,16 @@ impl Clip {
         let thetas: [f64; COEFFICIENTS] = pose.get("thetas").exactly()?;
         let wrist: [f64; 6] = pose.get("wrist_xform").exactly()?;
         let wrist = wrist.map(|value| value as f32);
-        Ok(Some(RecordedHand::Mano(ManoParams {
+        let params = ManoParams {
             betas,
             global_orient: Vec3::from_slice(&wrist[..3]),
             hand_pose: PoseParams::Coefficients(thetas.iter().map(|theta| *theta as f32).collect()),
             transl: Vec3::from_slice(&wrist[3..]),
-        })))
+        };
+        Ok(Some(match keypoints {
+            Some(keypoints) => RecordedHand::Either(params, keypoints),
+            None => RecordedHand::Mano(params),
+        }))
     }
 
     fn stamp(&self, tar: &TarFile, index: usize) -> Result<f64> {

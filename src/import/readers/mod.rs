@@ -6,6 +6,7 @@ pub mod dexycb;
 pub mod egodex;
 pub mod egopressure;
 pub mod egotac_sc;
+pub mod egotac_sc_raw;
 pub mod fpha;
 pub mod grab;
 pub mod h2o;

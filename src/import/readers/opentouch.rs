@@ -10,6 +10,7 @@ use crate::dataset::base_name;
 use crate::dataset::source::{EncodedImage, SourceFrames};
 use crate::error::{Error, Result};
 use crate::hand::{N_KEYPOINTS, Side};
+use crate::import::glove::GloveMap;
 use crate::import::input::folders;
 use crate::import::input::hdf5::{H5Array, Hdf5};
 use crate::import::input::hdf5_images;
@@ -22,7 +23,7 @@ use crate::import::sensors::Sensor;
 /// OpenTouch.
 pub const KIND: Kind = Kind {
     name: "opentouch",
-    gives: "images of the head camera, both hands fitted to 21 landmarks, raw readings of the gloves (16 x 16)",
+    gives: "images of the head camera, both hands fitted to 21 landmarks, readings of the gloves (16 x 16): contact and a relative reading at the vertices, no newtons",
     mano: Mano::Fitted,
     origin: "OpenTouch: data/*.hdf5",
     licence: "MIT, as its code states",
@@ -37,7 +38,12 @@ const NANOSECONDS: i64 = 1_000_000_000;
 /// Largest number of values of a calibration array that is kept.
 const CALIBRATION: usize = 64;
 
-fn find(source: &Path, _: &Options) -> Result<Found> {
+/// Map of the glove.
+const SENSOR: &str = "opentouch_169";
+
+fn find(source: &Path, options: &Options) -> Result<Found> {
+    let map = options.sensor.as_deref().unwrap_or(SENSOR);
+    let map = GloveMap::open(map, CELLS[0] * CELLS[1], options.contact_share)?;
     let mut found = Found::default();
     let files = match source.is_file() {
         true => vec![source.to_path_buf()],
@@ -49,7 +55,7 @@ fn find(source: &Path, _: &Options) -> Result<Found> {
             Ok((clips, file)) => {
                 for clip in clips {
                     let name = format!("{scene}/{clip}");
-                    found.add(name.clone(), Clip::open(&path, &file, &clip, name));
+                    found.add(name.clone(), Clip::open(&path, &file, &clip, name, &map));
                 }
             }
             Err(error) => found.unreadable.push((scene, error)),
@@ -69,7 +75,7 @@ struct Clip {
 }
 
 impl Clip {
-    fn open(path: &Path, file: &Hdf5, clip: &str, name: String) -> Result<Self> {
+    fn open(path: &Path, file: &Hdf5, clip: &str, name: String, map: &Arc<GloveMap>) -> Result<Self> {
         let group = format!("data/{clip}");
         let frames = file.required(&format!("{group}/rgb_images_jpeg"))?.rows()?;
         let stamps = stamps(file, &format!("{group}/timestamps"), frames)?;
@@ -85,6 +91,7 @@ impl Clip {
                 name,
                 path: path.to_path_buf(),
                 frames,
+                glove: (!sensors.is_empty()).then(|| Arc::clone(map)),
                 sensors,
                 camera: calibration(file)?,
                 about: json!({ "clip": clip, "hand": "fitted to 21 landmarks, in the file's frame, which is not documented" }),
@@ -115,6 +122,7 @@ fn glove(side: Side) -> Sensor {
         unit: "ADC counts",
         falls: true,
         rest: Some(REST),
+        full: 0.0,
         unused: unused(),
     }
 }

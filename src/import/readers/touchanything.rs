@@ -1,6 +1,7 @@
 //! TouchAnything (EgoTouch): one HDF5 file per trajectory, with a chest camera, wrist cameras and pressure grids.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use glam::DAffine3;
 use serde_json::json;
@@ -8,6 +9,7 @@ use serde_json::json;
 use crate::dataset::source::{EncodedImage, SourceFrames};
 use crate::error::{Error, Result};
 use crate::hand::{N_KEYPOINTS, Side};
+use crate::import::glove::GloveMap;
 use crate::import::input::folders;
 use crate::import::input::hdf5::Hdf5;
 use crate::import::input::hdf5_images::{self, H5Images};
@@ -21,7 +23,7 @@ use ::image::RgbImage;
 /// TouchAnything.
 pub const KIND: Kind = Kind {
     name: "touchanything",
-    gives: "images of the chest camera and both wrist cameras, both hands fitted to 21 joints, raw readings of the gloves (21 x 21)",
+    gives: "images of the chest camera and both wrist cameras, both hands fitted to 21 joints, readings of the gloves (21 x 21): contact and a relative reading at the vertices, no newtons",
     mano: Mano::Fitted,
     origin: "TouchAnything (EgoTouch): TASK/TRAJECTORY.hdf5",
     licence: "its authors' terms of use",
@@ -41,16 +43,21 @@ const MAX_DEPTH: usize = 4;
 /// Distance from a hand's own middle, m, beyond which an estimated joint is an outlier of the estimator.
 const OUTLIER: f32 = 0.5;
 
-fn find(source: &Path, _: &Options) -> Result<Found> {
+/// Map of the glove.
+const SENSOR: &str = "touchanything_21x21";
+
+fn find(source: &Path, options: &Options) -> Result<Found> {
+    let map = options.sensor.as_deref().unwrap_or(SENSOR);
+    let map = GloveMap::open(map, GRID[0] * GRID[1], options.contact_share)?;
     let mut found = Found::default();
     let mut folders = vec![source.to_path_buf()];
     if source.is_file() {
-        add(&mut found, source.parent().unwrap_or(source), source);
+        add(&mut found, source.parent().unwrap_or(source), source, &map);
     }
     for _ in 0..MAX_DEPTH {
         for folder in &folders {
             for path in [folders::files(folder, ".hdf5")?, folders::files(folder, ".h5")?].concat() {
-                add(&mut found, source, &path);
+                add(&mut found, source, &path, &map);
             }
         }
         folders = folders.iter().map(|folder| folders::folders(folder)).collect::<Result<Vec<_>>>()?.concat();
@@ -58,9 +65,9 @@ fn find(source: &Path, _: &Options) -> Result<Found> {
     Ok(found)
 }
 
-fn add(found: &mut Found, root: &Path, path: &Path) {
+fn add(found: &mut Found, root: &Path, path: &Path, map: &Arc<GloveMap>) {
     let name = path.strip_prefix(root).unwrap_or(path).with_extension("").display().to_string();
-    found.add(name.clone(), Trajectory::open(path, name));
+    found.add(name.clone(), Trajectory::open(path, name, map));
 }
 
 /// One trajectory.
@@ -73,7 +80,7 @@ struct Trajectory {
 }
 
 impl Trajectory {
-    fn open(path: &Path, name: String) -> Result<Self> {
+    fn open(path: &Path, name: String, map: &Arc<GloveMap>) -> Result<Self> {
         let file = Hdf5::open(path)?;
         let frames = H5Images::open(&file, IMAGES)?.len();
         let stamps = file.required("timestamps")?.expect(&[frames])?.whole(0..frames)?;
@@ -88,6 +95,7 @@ impl Trajectory {
                     unit: "part of the largest reading, 0 to 1; NaN where the grid has no taxel",
                     falls: false,
                     rest: Some(0.0),
+                    full: 1.0,
                     unused: Vec::new(),
                 });
             }
@@ -107,6 +115,7 @@ impl Trajectory {
                 name,
                 path: path.to_path_buf(),
                 frames,
+                glove: (!sensors.is_empty()).then(|| Arc::clone(map)),
                 sensors,
                 further_views: views,
                 about,

@@ -19,7 +19,7 @@ if os.environ.get("GLIBC_TUNABLES") != TUNABLES:
 
 from builtin_interfaces.msg import Duration, Time
 from egotac_msgs.msg import (
-    HandModelInfo, HandPose, HandPoses, HandTactile, LinkTouch, RobotTouch, TactileFrame, TactileMetrics, TactileRegions,
+    GloveReading, HandModelInfo, HandPose, HandPoses, HandTactile, LinkTouch, RobotTouch, TactileFrame, TactileMetrics, TactileRegions,
     TactileTruth, TrainerStatus,
 )
 from geometry_msgs.msg import (
@@ -29,7 +29,7 @@ from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState, PointCloud2, PointField, RegionOfInterest
-from std_msgs.msg import Bool, ColorRGBA, Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
+from std_msgs.msg import Bool, ColorRGBA, Float32MultiArray, Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from statistics_msgs.msg import MetricsMessage, StatisticDataPoint
 from tf2_msgs.msg import TFMessage
@@ -129,6 +129,9 @@ MESSAGES = {
     "hand_poses": HandPoses(
         header=header("world"), poses=[hand_pose(HandPose.LEFT, NAN), hand_pose(HandPose.RIGHT, 0.875)]
     ),
+    "glove_reading": GloveReading(
+        header=header("glove"), side=GloveReading.RIGHT, values=[0.5, NAN, 3.0], rest=[0.25], newtons_per_unit=[-2.0], full=[8.0],
+    ),
     "trainer_status": TrainerStatus(
         header=header(""),
         state=TrainerStatus.TRAINING,
@@ -197,6 +200,10 @@ MESSAGES = {
         ],
     ),
     "bool": Bool(data=True),
+    "float32_multi_array": Float32MultiArray(
+        layout=MultiArrayLayout(dim=[MultiArrayDimension(label="taxel", size=3, stride=3)], data_offset=0),
+        data=[0.5, -0.25, 3.0],
+    ),
     "float64_multi_array": Float64MultiArray(
         layout=MultiArrayLayout(dim=[MultiArrayDimension(label="joint", size=2, stride=2)], data_offset=1),
         data=[0.5, -0.25, 3.0],

@@ -44,6 +44,8 @@ pub fn read(path: &Path, _scratch: &Path) -> Result<()> {
         TactileMetrics::from_cdr(payload).map(drop),
         RobotTouch::from_cdr(payload).map(drop),
         TrainerStatus::from_cdr(payload).map(drop),
+        GloveReading::from_cdr(payload).map(drop),
+        Float32MultiArray::from_cdr(payload).map(drop),
         PoseArray::from_cdr(payload).map(drop),
         PoseStamped::from_cdr(payload).map(drop),
         JointState::from_cdr(payload).map(drop),

@@ -12,7 +12,7 @@ use crate::import::{ALLOWED_MS, markdown, run as measure};
     after_help = "The exit status is 1 if contact labels against the largest object take longer than 2 ms per frame and hand."
 )]
 pub struct Args {
-    /// Data set whose reader is measured: its kind and its folder.
+    /// Data set whose reader is measured: its kind and its folder; without it, small data sets that the command writes.
     #[arg(long, value_name = "KIND=FOLDER", value_parser = set)]
     set: Vec<(String, PathBuf)>,
     /// Folder for import.md and import.json; without it the table is only printed.

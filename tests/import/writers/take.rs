@@ -3,7 +3,7 @@
 use egotac::hand::{HandModel, HandParams, N_BETAS, Side};
 use egotac::sim::object::PieceShape;
 use egotac::sim::{Rollout, RolloutOptions, Scene};
-use glam::{DAffine3, DQuat, DVec3, Vec3};
+use glam::{DAffine3, DMat4, DQuat, DVec3, Vec3};
 use image::{Rgb, RgbImage};
 
 /// Number of frames of a take.
@@ -138,4 +138,9 @@ pub fn moved(hand: &TakeHand, to_from: DAffine3) -> HandParams {
         transl: (to_from.transform_point3(hand.wrist) - rest).as_vec3(),
         ..hand.params.clone()
     }
+}
+
+/// Returns the rows of a rigid motion's 4 x 4 matrix.
+pub fn rows(pose: DAffine3) -> [f64; 16] {
+    DMat4::from(pose).transpose().to_cols_array()
 }

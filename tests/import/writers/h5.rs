@@ -7,7 +7,7 @@ use flate2::write::ZlibEncoder;
 
 const UNDEFINED: u64 = u64::MAX;
 /// Half the number of entries in a leaf of a group's tree: a group may have twice as many members.
-const LEAF_K: u16 = 64;
+const LEAF_K: u16 = 128;
 
 /// Element type of an array.
 #[derive(Clone, Copy)]
