@@ -1,7 +1,7 @@
 //! Predicted spread of forces: the interval that holds nine of ten true forces, given the predicted one.
 //!
 //! On frames with truth, predictions are sorted by size and cut into bins of equal count. A bin's centre is its median
-//! prediction, its interval reaches from the 5 % to the 95 % quantile of the truths. Between centres the bounds are
+//! prediction, its interval is the shortest one that holds nine of ten truths. Between centres the bounds are
 //! interpolated linearly; beyond the last one they grow in proportion to the prediction. One table is for the force of a
 //! vertex, one for the total force of a hand. They are optional tensors of a checkpoint (`spread.*`).
 //!
@@ -24,7 +24,7 @@ pub const LEVEL: f64 = 0.9;
 pub const LEAST_N: f32 = 0.01;
 /// Number of bins of a table.
 const BINS: usize = 24;
-/// Predictions of a bin, at least, so that its 5 % quantile has a neighbour on both sides.
+/// Predictions of a bin, at least, so that three of them lie beyond its interval.
 const MIN_OF_BIN: usize = 30;
 /// Predictions of at least [`LEAST_N`] that a table is fitted to, at least: three bins.
 pub const MIN_PREDICTIONS: usize = 3 * MIN_OF_BIN;
@@ -43,9 +43,9 @@ pub struct Spread {
 pub struct Intervals {
     /// (24) centres of the bins, N, ascending.
     predicted: Vec<f32>,
-    /// (24) 5 % quantile of the truths, N.
+    /// (24) lower bounds of the truths, N.
     low: Vec<f32>,
-    /// (24) 95 % quantile of the truths, N.
+    /// (24) upper bounds of the truths, N.
     high: Vec<f32>,
 }
 
@@ -62,10 +62,8 @@ impl Intervals {
             return Err(Error::value(format!("{name}, to measure the spread"), expected, above.len()));
         }
         let row = |bin: &[[f32; 2]]| -> [f32; 3] {
-            let quantile =
-                |column: usize, share| percentile(bin.iter().map(|pair| f64::from(pair[column])), share) as f32;
-            let half = 0.5 * (1.0 - LEVEL);
-            [quantile(0, 0.5), quantile(1, half), quantile(1, 1.0 - half)]
+            let [low, high] = shortest(bin.iter().map(|pair| pair[1]).collect());
+            [percentile(bin.iter().map(|pair| f64::from(pair[0])), 0.5) as f32, low, high]
         };
         let bins = (above.len() / MIN_OF_BIN).min(BINS - 1);
         let bounds = (0..=bins).map(|i| i * above.len() / bins);
@@ -124,6 +122,17 @@ impl Intervals {
             }
         }
     }
+}
+
+/// Returns the shortest interval that holds nine of ten of these values and of one more: where more than a tenth are 0, it begins
+/// at 0.
+fn shortest(mut values: Vec<f32>) -> [f32; 2] {
+    values.sort_by(f32::total_cmp);
+    let n = values.len();
+    let held = ((LEVEL * (n + 1) as f64).ceil() as usize).clamp(1, n);
+    let width = |start: &usize| values[start + held - 1] - values[*start];
+    let start = (0..=n - held).min_by(|a, b| width(a).total_cmp(&width(b))).unwrap_or(0);
+    [values[start], values[start + held - 1]]
 }
 
 /// Returns 23 rows of centre, low and high: those given, or as many between the first and the last of fewer.

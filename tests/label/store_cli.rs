@@ -201,7 +201,7 @@ for name in before["data"].array_keys():
     a, b = before["data"][name], after["data"][name]
     assert a.dtype == b.dtype and np.array_equal(a[:], b[:]), name
 new = sorted(set(after["data"].array_keys()) - set(before["data"].array_keys()))
-assert new == ["familiarity", "mano_contact_score", "mano_contact_valid", "mano_force", "mano_force_valid"], new
+assert new == ["familiarity", "mano_contact_score", "mano_contact_valid", "mano_force", "mano_force_valid", "presence"], new
 force, contact = after["data"]["mano_force"][:], after["data"]["mano_contact_score"][:]
 assert force.shape == contact.shape == (12, 1556) and force.dtype == contact.dtype == np.float32
 assert (force >= 0).all() and (contact >= 0).all() and (contact <= 1).all()

@@ -179,8 +179,9 @@ fn unknown_touch_is_zero_or_the_guess_on_request() {
         let clip = Tensor::stack(&vec![frame; guessing.config().horizon], 1).unwrap();
         guessing.model().forward(&clip).unwrap().1.flatten_all().unwrap().to_vec1::<f32>().unwrap()
     };
+    let temperature = guessing.metadata().contact_temperature;
     for (contact, logit) in guess.field.contact.iter().zip(tensors(image)) {
-        assert!((contact - 1.0 / (1.0 + (-logit).exp())).abs() < 1e-5);
+        assert!((contact - 1.0 / (1.0 + (-logit / temperature).exp())).abs() < 1e-5);
     }
     let zero = run(&mut shipped_with(Unknown::Zero, Precision::F32), image);
     assert_eq!((zero.field.force, zero.field.contact), (vec![0.0; N_FIELD], vec![0.0; N_FIELD]));

@@ -57,7 +57,7 @@ fn write_store(path: &Path, episodes: usize, seed: u64) {
                         image.put_pixel(pixel[0] as u32, pixel[1] as u32, Rgb([240, 190, 160]));
                     }
                 }
-                force[..200].fill(0.5);
+                force[..200].fill_with(|| rng.random_range(0.2..1.2));
             }
             let frame = Frame {
                 timestamp: 0.04 * f64::from(t),

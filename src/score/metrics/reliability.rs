@@ -246,11 +246,14 @@ mod tests {
             assert!((0.87..0.93).contains(&share.unwrap()), "{coverage:?}");
         }
         assert!(coverage.all.unwrap() > 0.97, "untouched vertices lie in the interval 0: {coverage:?}");
-        // 5 % to 95 % of a uniform factor from 0.5 to 1.5.
+        // Nine tenths of a uniform factor from 0.5 to 1.5.
         let [low, high] = spread.vertex.at(1.0);
-        assert!((low - 0.55).abs() < 0.03 && (high - 1.45).abs() < 0.03, "{low} {high}");
+        assert!((0.45..0.65).contains(&low) && (high - low - 0.9).abs() < 0.06, "{low} {high}");
         let [low, high] = spread.vertex.at(4.0);
-        assert!((low / 4.0 - 0.55).abs() < 0.05 && (high / 4.0 - 1.45).abs() < 0.05, "beyond the table: {low} {high}");
+        assert!(
+            (0.4..0.7).contains(&(low / 4.0)) && ((high - low) / 4.0 - 0.9).abs() < 0.08,
+            "beyond the table: {low} {high}"
+        );
         assert_eq!(spread.vertex.at(0.0), [0.0, 0.0]);
     }
 

@@ -26,7 +26,7 @@ use crate::image::normalise;
 use crate::model::familiarity::MIN_FRAMES;
 use crate::model::{EgoTac, Presence};
 use head::Head;
-use samples::Truth;
+use samples::{Samples, Truth};
 pub use score::Score;
 
 /// Frames read and encoded at once.
@@ -67,16 +67,6 @@ pub struct Fitted {
     pub tensors: std::collections::BTreeMap<String, Tensor>,
     /// Score on held-out frames and pictures.
     pub score: Score,
-}
-
-/// Images with their tokens and their truth.
-#[derive(Debug, Default)]
-struct Samples {
-    /// (N, P, dv)
-    tokens: Vec<f16>,
-    truths: Vec<Truth>,
-    /// True for a frame as it is, false for a changed one or a picture.
-    unchanged: Vec<bool>,
 }
 
 /// Fits presence and keypoints, and scores them on held-out frames; without held-out stores, every fifth training episode is

@@ -1,6 +1,7 @@
 //! Images to learn presence from: frames as they are, frames whose hands are cut off or covered, and pictures without hands.
 
 use ::image::RgbImage;
+use half::f16;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -51,6 +52,17 @@ impl Truth {
             }
         })
     }
+}
+
+/// Images with their tokens and their truth.
+#[derive(Debug, Default)]
+pub struct Samples {
+    /// (N, P, dv) tokens of all images.
+    pub tokens: Vec<f16>,
+    /// (N) true content.
+    pub truths: Vec<Truth>,
+    /// True for a frame as it is, false for a changed one or a picture.
+    pub unchanged: Vec<bool>,
 }
 
 /// Returns the changes that views of training frames get: crops that cut hands off, other scales and colours.

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::Samples;
+use super::samples::Samples;
 use crate::hand::N_KEYPOINTS;
 use crate::model::Presence;
 use crate::score::metrics::contact::auroc;
