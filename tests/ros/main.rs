@@ -23,4 +23,10 @@ mod simulator;
 mod standard;
 mod trainer;
 mod verifier;
+#[cfg(feature = "sim")]
+#[path = "../view/client.rs"]
+#[allow(dead_code)] // used in part
+mod view_client;
+#[cfg(feature = "sim")]
+mod viewer;
 mod views;
