@@ -63,14 +63,22 @@ impl<T: Clone> Recent<T> {
     fn get(&self, stamp: &Time) -> Option<T> {
         lock(&self.0).get(stamp).cloned()
     }
+
+    /// Returns the value whose stamp is the nearest, if it is at most `most` seconds away.
+    fn nearest(&self, stamp: &Time, most: f64) -> Option<T> {
+        let distance = |other: &Time| (other.secs() - stamp.secs()).abs();
+        let values = lock(&self.0);
+        let nearest = values.iter().min_by(|a, b| distance(a.0).total_cmp(&distance(b.0)));
+        nearest.filter(|(other, _)| distance(other) <= most).map(|(_, value)| value.clone())
+    }
 }
 
 /// Messages that are shown beside an image.
 #[derive(Debug, Default)]
 struct Beside {
     truth: Recent<TactileTruth>,
-    /// Newest pose of each hand, left first.
-    poses: Mutex<[Option<HandPose>; 2]>,
+    /// Poses of each hand, left first.
+    poses: [Recent<HandPose>; 2],
 }
 
 /// Bytes of an image, and the touch in it if another node predicted it.
@@ -169,7 +177,7 @@ fn subscribe_others(runtime: &mut Runtime, topics: &ViewTopics, beside: &Arc<Bes
         let (beside, log) = (Arc::clone(beside), runtime.log().clone());
         let input = topic(runtime, name, "poses of the hands", Need::Optional);
         runtime.input::<HandPose>(input, move |pose| match pose.and_then(|pose| Ok((pose.side()?, pose))) {
-            Ok((side, pose)) => lock(&beside.poses)[side as usize] = Some(pose),
+            Ok((side, pose)) => beside.poses[side as usize].put(pose.header.stamp, pose),
             Err(error) => log.warn_throttled("hand_pose", format!("hand pose: {error}")),
         })?;
     }
@@ -177,7 +185,9 @@ fn subscribe_others(runtime: &mut Runtime, topics: &ViewTopics, beside: &Arc<Bes
         let (beside, log) = (Arc::clone(beside), runtime.log().clone());
         let input = topic(runtime, name, "poses of the hands", Need::Optional);
         runtime.input::<HandPoses>(input, move |poses| match poses.and_then(HandPoses::into_poses) {
-            Ok(poses) => poses.into_iter().for_each(|(side, pose)| lock(&beside.poses)[side as usize] = Some(pose)),
+            Ok(poses) => {
+                poses.into_iter().for_each(|(side, pose)| beside.poses[side as usize].put(pose.header.stamp, pose))
+            }
             Err(error) => log.warn_throttled("hand_poses", format!("hand poses: {error}")),
         })?;
     }
@@ -213,10 +223,9 @@ impl Shown {
         if let Some(truth) = self.beside.truth.get(&header.stamp).filter(|truth| truth.validity == 0) {
             moment.truth = truth.frame.to_field().ok().filter(|field| field.topology == self.input.topology());
         }
-        let poses = lock(&self.beside.poses).clone();
-        for ((pose, model), params) in poses.into_iter().zip(&self.models).zip(&mut moment.hands) {
-            let near = |pose: &HandPose| (pose.header.stamp.secs() - stamp_secs).abs() <= MAX_POSE_AGE_SECS;
-            *params = pose.filter(near).and_then(|pose| pose.to_params(model).ok());
+        for ((poses, model), params) in self.beside.poses.iter().zip(&self.models).zip(&mut moment.hands) {
+            let pose = poses.nearest(&header.stamp, MAX_POSE_AGE_SECS);
+            *params = pose.and_then(|pose| pose.to_params(model).ok());
         }
         Ok(self.input.show(moment)?)
     }

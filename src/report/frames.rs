@@ -71,7 +71,7 @@ fn figure(sample: &Sample) -> String {
         html += &palms(&sample.truth_hands, truth, "truth, ");
     }
     let certainty =
-        |name: &str, value: f32| (!value.is_nan()).then(|| format!(", {name} {value:.2}")).unwrap_or_default();
+        |name: &str, value: f32| if value.is_nan() { String::new() } else { format!(", {name} {value:.2}") };
     let [left, right] = sample.presence;
     html + &format!(
         "</div><figcaption>frame {frame}, episode {episode}, {stamp_secs:.2} s{}{}{}</figcaption></figure>\n",

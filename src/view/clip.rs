@@ -52,7 +52,7 @@ pub struct Clip {
 /// Origin of the touch.
 enum Touch {
     /// Labels of the recording.
-    Labels(TactileSequence, Option<DoubtRule>),
+    Labels(Box<TactileSequence>, Option<DoubtRule>),
     /// A network, and the number of images that its window reaches back.
     Network(Box<Predictor>, usize),
 }
@@ -141,7 +141,7 @@ impl Clip {
             presence_threshold: rule.and_then(|rule| rule.presence),
             course: Some(Course::of(&labelled, truth.as_ref())),
         };
-        let touch = Touch::Labels(labelled.labels, rule);
+        let touch = Touch::Labels(Box::new(labelled.labels), rule);
         Ok(Self { about, source, touch, truth, poses, hands })
     }
 

@@ -28,4 +28,10 @@ mod standard;
 mod topic_statistics;
 mod trainer;
 mod verifier;
+#[cfg(feature = "sim")]
+#[path = "../view/client.rs"]
+#[allow(dead_code)] // used in part
+mod view_client;
+#[cfg(feature = "sim")]
+mod viewer;
 mod views;

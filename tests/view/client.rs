@@ -53,17 +53,7 @@ impl View {
 
     /// Opens a page's connection; `origin` is the page that asks.
     pub fn page(&self, origin: Option<&str>) -> Result<Page, tungstenite::Error> {
-        let mut request = format!("ws://{}/moments", self.address).into_client_request()?;
-        if let Some(origin) = origin {
-            request.headers_mut().insert("Origin", origin.parse().unwrap());
-        }
-        let stream = TcpStream::connect(&self.address).unwrap();
-        stream.set_read_timeout(Some(HUNG)).unwrap();
-        match tungstenite::client(request, stream) {
-            Ok((socket, _)) => Ok(Page(socket)),
-            Err(tungstenite::HandshakeError::Failure(error)) => Err(error),
-            Err(tungstenite::HandshakeError::Interrupted(_)) => panic!("the handshake was interrupted"),
-        }
+        Page::open(&self.address, origin)
     }
 
     /// Largest memory of the program so far, kB.
@@ -85,6 +75,21 @@ impl Drop for View {
 pub struct Page(WebSocket<TcpStream>);
 
 impl Page {
+    /// Opens a connection to the server at `address`; `origin` is the page that asks.
+    pub fn open(address: &str, origin: Option<&str>) -> Result<Self, tungstenite::Error> {
+        let mut request = format!("ws://{address}/moments").into_client_request()?;
+        if let Some(origin) = origin {
+            request.headers_mut().insert("Origin", origin.parse().unwrap());
+        }
+        let stream = TcpStream::connect(address).unwrap();
+        stream.set_read_timeout(Some(HUNG)).unwrap();
+        match tungstenite::client(request, stream) {
+            Ok((socket, _)) => Ok(Self(socket)),
+            Err(tungstenite::HandshakeError::Failure(error)) => Err(error),
+            Err(tungstenite::HandshakeError::Interrupted(_)) => panic!("the handshake was interrupted"),
+        }
+    }
+
     pub fn send(&mut self, request: &str) {
         self.0.send(Message::text(request)).unwrap();
     }

@@ -137,6 +137,7 @@ async function show(moment) {
   }
   at("reason").textContent = moment.fault ?? (moment.reason ? `Touch is unknown: ${moment.reason}` : "");
   at("reason").hidden = !at("reason").textContent;
+  at("truth-legend").hidden = !moment.truth_total;
   remember(moment);
   drawHands();
   drawRegions();
@@ -266,7 +267,6 @@ async function choose(index) {
     }));
   }
   at("touch").textContent = source().touch;
-  at("truth-legend").hidden = !source().truth;
   at("familiarity-legend").hidden = source().familiarity_threshold === null;
   at("controls").style.display = isLive() ? "none" : "";
   at("ticks").replaceChildren(...[0, 0.5, 1].map(share => {
