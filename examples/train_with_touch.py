@@ -51,8 +51,10 @@ def loss_on(episodes, args, folder):
     meta = LeRobotDatasetMetadata(REPOSITORY, root=args.dataset)
     times = resolve_delta_timestamps(network.config, meta)
     dataset = LeRobotDataset(REPOSITORY, root=args.dataset, episodes=episodes, delta_timestamps=times, video_backend="pyav")
-    torch.manual_seed(args.seed)  # a diffusion policy draws noise
+    torch.manual_seed(args.seed)  # both kinds of policy draw noise
     network.eval()
+    if args.policy == "act":
+        network.model.training = True  # this module alone: ACT's loss has a part that it computes only so; dropout stays off
     losses = []
     with torch.no_grad():
         for batch in torch.utils.data.DataLoader(dataset, batch_size=args.batch):
