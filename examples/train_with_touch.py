@@ -29,7 +29,8 @@ TOUCH = "observation.environment_state"
 REPOSITORY = "local/labelled"  # a name that LeRobot asks for; nothing is downloaded
 SMALL = {
     "act": {"dim_model": 64, "n_heads": 4, "dim_feedforward": 128, "n_encoder_layers": 2, "chunk_size": 4, "n_action_steps": 4},
-    "diffusion": {"down_dims": (32, 64), "horizon": 8, "n_action_steps": 4, "crop_shape": None},
+    # LeRobot leaves out the last frames of an episode, 7 by default, and waits for ever where none is left.
+    "diffusion": {"down_dims": (32, 64), "horizon": 8, "n_action_steps": 4, "drop_n_last_frames": 3, "crop_shape": None},
 }
 
 
