@@ -29,7 +29,8 @@ TOUCH = "observation.environment_state"
 REPOSITORY = "local/labelled"  # a name that LeRobot asks for; nothing is downloaded
 SMALL = {
     "act": {"dim_model": 64, "n_heads": 4, "dim_feedforward": 128, "n_encoder_layers": 2, "chunk_size": 4, "n_action_steps": 4},
-    "diffusion": {"down_dims": (32, 64), "horizon": 8, "n_action_steps": 4, "crop_shape": None},
+    # LeRobot leaves out the last frames of an episode, 7 by default, and waits for ever where none is left.
+    "diffusion": {"down_dims": (32, 64), "horizon": 8, "n_action_steps": 4, "drop_n_last_frames": 3, "crop_shape": None},
 }
 
 
@@ -51,8 +52,10 @@ def loss_on(episodes, args, folder):
     meta = LeRobotDatasetMetadata(REPOSITORY, root=args.dataset)
     times = resolve_delta_timestamps(network.config, meta)
     dataset = LeRobotDataset(REPOSITORY, root=args.dataset, episodes=episodes, delta_timestamps=times, video_backend="pyav")
-    torch.manual_seed(args.seed)  # a diffusion policy draws noise
+    torch.manual_seed(args.seed)  # both kinds of policy draw noise
     network.eval()
+    if args.policy == "act":
+        network.model.training = True  # this module alone: ACT's loss has a part that it computes only so; dropout stays off
     losses = []
     with torch.no_grad():
         for batch in torch.utils.data.DataLoader(dataset, batch_size=args.batch):

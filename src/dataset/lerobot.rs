@@ -5,6 +5,7 @@ mod columns;
 mod finished;
 mod images;
 mod labels;
+mod lists;
 mod pages;
 mod policy_input;
 mod prefix;

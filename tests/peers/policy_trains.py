@@ -29,7 +29,7 @@ with tempfile.TemporaryDirectory() as folder:
         return out, json.loads((out / "losses.json").read_text())
 
     for policy in ("act", "diffusion"):
-        (_, few), (out, more) = trained(policy, 1), trained(policy, 20)
+        (_, few), (out, more) = trained(policy, 1), trained(policy, 10)
         for kind in ("without_touch", "with_touch"):
             assert all(math.isfinite(loss) for loss in more[kind].values()), more
             assert more[kind]["training"] < few[kind]["training"], (policy, kind, few, more)

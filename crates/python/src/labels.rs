@@ -1,7 +1,7 @@
 //! Touch over time: read from and written to recordings, and scored.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use egotac::dataset::zarr::{Contact, ZarrWriter};
 use egotac::dataset::{Attributes, EpisodeWriter, Frame, Labelled, tensors};
@@ -172,7 +172,7 @@ pub fn write(
 }
 
 /// Writes a store of predictions. `pixels`: (T, H, W, 3) of width and height `size`.
-fn write_store(path: &PathBuf, sequence: &TactileSequence, pixels: &[u8], size: (u32, u32)) -> egotac::Result<()> {
+fn write_store(path: &Path, sequence: &TactileSequence, pixels: &[u8], size: (u32, u32)) -> egotac::Result<()> {
     let topology = sequence.topology.unwrap_or_default();
     let attributes = Attributes {
         topology,

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use super::images::LeRobotDataset;
-use super::read_labels::{CERTAINTY, lists};
+use super::lists::lists;
+use super::read_labels::CERTAINTY;
 use super::{Episode, LeRobot, numbers, only, reader};
 use crate::dataset::labels::{LabelFrames, LabelOutput, Notes, SourceLabels};
 use crate::dataset::{LabelFrame, LabelInfo};
