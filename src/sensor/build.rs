@@ -4,7 +4,7 @@ use glam::{Vec2, Vec3};
 
 use super::layout::{self, Layout, Pad};
 use super::map::{HandTaxels, TaxelMap};
-use super::shares::{Factors, factors};
+use super::shares::{LEAST_AREA, factors};
 use crate::error::{Error, Result};
 use crate::hand::{HandModel, HandParams, N_VERTICES, Side, vertex_areas, vertex_normals};
 
@@ -102,11 +102,18 @@ impl Surface {
 
     /// Adds the shares of force to the weights of the readings.
     fn finished(&self, reading: Vec<Vec<(u32, f32)>>, places: Vec<Vec<(u32, f32)>>) -> HandTaxels {
-        let Factors { factor, sums } = factors(&reading, &self.areas, places.len());
+        let factor = factors(&reading, &self.areas, places.len());
+        // A taxel loads the vertices around it by their areas. The factors of the conversion would keep its sum as well, but where
+        // taxels are finer than the mesh they are far from the areas, and move force to other vertices.
+        let area = |vertex: usize, weight: f32| f64::from(self.areas[vertex].max(LEAST_AREA)) * f64::from(weight);
+        let mut sums = vec![0.0; places.len()];
+        for (vertex, list) in reading.iter().enumerate() {
+            list.iter().for_each(|&(taxel, weight)| sums[taxel as usize] += area(vertex, weight));
+        }
         let mut spread: Vec<Vec<(u32, f32)>> = vec![Vec::new(); places.len()];
-        for (vertex, (list, factor)) in reading.iter().zip(&factor).enumerate() {
+        for (vertex, list) in reading.iter().enumerate() {
             for &(taxel, weight) in list {
-                let share = factor * f64::from(weight) / sums[taxel as usize];
+                let share = area(vertex, weight) / sums[taxel as usize];
                 spread[taxel as usize].push((vertex as u32, share as f32));
             }
         }

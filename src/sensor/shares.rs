@@ -7,24 +7,19 @@ const LEAST: f64 = 0.05;
 /// Error of the sums at which the iteration ends.
 const ENOUGH: f64 = 1e-7;
 
-/// Factors per vertex that turn readings into shares of force.
-pub struct Factors {
-    /// (778) factor of each vertex; 0 where no taxel is.
-    pub factor: Vec<f64>,
-    /// (N) sum of factor times weight of each taxel: 1 where the factors keep its force; 0 = no vertex.
-    pub sums: Vec<f64>,
-}
+/// Least area of a vertex, m²: one without an area takes part as well.
+pub const LEAST_AREA: f32 = 1e-8;
 
-/// Finds factors c with Σ_v c_v w_vk = 1 for every taxel k, nearest to the start, the vertices' areas (multiplicative algebraic
+/// Finds factors (778), 0 where no taxel is, that turn readings into shares of force: c with Σ_v c_v w_vk = 1 for every taxel k, nearest to the start, the vertices' areas (multiplicative algebraic
 /// reconstruction): then Σ_v c_v reading_v is the sum of the taxels, whatever they read. Where taxels are
-/// finer than the vertices, or lie between them, no such factors may exist; `sums` tells.
+/// finer than the vertices, or lie between them, no such factors may exist.
 ///
 /// `weights`: (778) lists of (taxel, weight), that sum to 1 or are empty. `areas`: (778) m².
-pub fn factors(weights: &[Vec<(u32, f32)>], areas: &[f32], n_taxels: usize) -> Factors {
+pub fn factors(weights: &[Vec<(u32, f32)>], areas: &[f32], n_taxels: usize) -> Vec<f64> {
     let mut factor: Vec<f64> = weights
         .iter()
         .zip(areas)
-        .map(|(list, area)| if list.is_empty() { 0.0 } else { f64::from(area.max(1e-8)) })
+        .map(|(list, area)| if list.is_empty() { 0.0 } else { f64::from(area.max(LEAST_AREA)) })
         .collect();
     let sums = |factor: &[f64]| {
         let mut sums = vec![0.0; n_taxels];
@@ -49,5 +44,5 @@ pub fn factors(weights: &[Vec<(u32, f32)>], areas: &[f32], n_taxels: usize) -> F
         }
         now = sums(&factor);
     }
-    Factors { factor, sums: now }
+    factor
 }

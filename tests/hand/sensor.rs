@@ -362,3 +362,44 @@ fn samples_come_at_their_rate_and_after_their_delay() {
     let wrong = GloveSpec { crosstalk: 1.5, ..GloveSpec::ideal("aether_132") };
     assert!(wrong.check().unwrap_err().to_string().contains("glove.crosstalk"));
 }
+
+/// Returns the outlines of the Aether glove with these grids on fingers and palm.
+fn with_grids(finger: [usize; 2], palm: [usize; 2]) -> TaxelMap {
+    let mut layout = sensor::open("aether_132").unwrap().layout;
+    let mut first = 0;
+    for pad in &mut layout.pads {
+        pad.grid = if pad.name == "palm" { palm } else { finger };
+        (pad.first, pad.channels, pad.left_channels) = (Some(first), None, None);
+        first += pad.grid[0] * pad.grid[1];
+    }
+    layout.channels = first;
+    TaxelMap::build(&layout, &builtin()).unwrap()
+}
+
+#[test]
+fn finer_taxels_bring_a_force_nearer_to_where_it_acts_also_beyond_the_mesh() {
+    let hand = &builtin()[1];
+    let (vertices, links) = (&hand.v_template, hand.strongest_joints());
+    let normals = egotac::hand::vertex_normals(vertices, &hand.faces);
+    // From 216 taxels on, many have no vertex of their own.
+    let grids = [([4, 3], [5, 9]), ([6, 4], [8, 12]), ([8, 6], [12, 16]), ([12, 8], [20, 20])];
+    let errors = grids.map(|(finger, palm)| {
+        let map = with_grids(finger, palm);
+        let taxels = &map.hands[1];
+        let covered = taxels.covered();
+        let (mut error, mut total) = (0.0, 0.0);
+        for at in (0..778).filter(|vertex| covered[*vertex]).step_by(3) {
+            // A contact as the simulator spreads it.
+            let beside = |v: usize| links[v] == links[at] && normals[v].dot(normals[at]) > 0.0;
+            let weight = |v: usize| (-vertices[v].distance_squared(vertices[at]) / (2.0 * 0.004f32.powi(2))).exp();
+            let truth: Vec<f32> = (0..778).map(|v| if beside(v) { weight(v) } else { 0.0 }).collect();
+            let felt = taxels.spread(&egotac::sensor::simulated::loads(taxels, &truth));
+            for vertex in (0..778).filter(|vertex| covered[*vertex]) {
+                error += f64::from((felt[vertex] - truth[vertex]).abs());
+                total += f64::from(truth[vertex]);
+            }
+        }
+        error / total
+    });
+    assert!(errors.windows(2).all(|pair| pair[1] < 0.85 * pair[0]) && errors[3] < 0.3, "{errors:?}");
+}
