@@ -105,14 +105,14 @@ pub(crate) fn run(
         true => ImageTransport::Compressed,
         false => ImageTransport::Raw,
     };
-    let (newest, beside) = (Arc::new(Mailbox::<Seen>::default()), Arc::new(Beside::default()));
+    let (newest, beside) = (Arc::new(Mailbox::<Seen>::new(1)), Arc::new(Beside::default()));
     subscribe_images(&mut runtime, topics, transport, &newest)?;
     subscribe_others(&mut runtime, topics, &beside)?;
     let log = runtime.log().clone();
     let worker = WorkerThread::spawn("view", shutdown, move |shutdown| {
         let mut shown = Shown { transport, models, beside, input, log };
         while !shutdown.requested() && !shown.input.has_ended() {
-            if let Some(seen) = newest.take(PAUSE) {
+            for (_, seen) in newest.take(PAUSE) {
                 shown.show(seen)?;
             }
         }
@@ -141,7 +141,7 @@ fn subscribe_images(
     let call = {
         let (newest, waiting, pairs) = (Arc::clone(newest), Arc::clone(&waiting), topics.tactile.is_some());
         move |payload: Vec<u8>| match (pairs, transport.header(&payload)) {
-            (false, _) => newest.put((payload, None)),
+            (false, _) => newest.put(0, (payload, None)),
             (true, Ok(header)) => waiting.put(header.stamp, payload),
             (true, Err(error)) => log.warn_throttled("image", format!("image: {error}")),
         }
@@ -156,7 +156,7 @@ fn subscribe_images(
     let input = topic(runtime, tactile, "touch", Need::Required);
     runtime.input::<TactileFrame>(input, move |frame| match frame {
         Ok(frame) => match waiting.get(&frame.header.stamp) {
-            Some(payload) => newest.put((payload, Some(frame))),
+            Some(payload) => newest.put(0, (payload, Some(frame))),
             None => log.warn_throttled("pair", "touch without an image of its stamp is not shown"),
         },
         Err(error) => log.warn_throttled("tactile", format!("touch: {error}")),

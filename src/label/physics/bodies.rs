@@ -101,7 +101,7 @@ impl BodyOptions {
     fn in_folder(&self, name: &str) -> Option<PathBuf> {
         let folder = self.meshes.as_ref()?;
         let file = |ending: &&str| folder.join(format!("{name}.{ending}"));
-        ["obj", "ply", "glb", "stl"].iter().map(|ending| file(ending)).find(|path| path.is_file())
+        ["obj", "ply", "glb", "stl"].iter().map(file).find(|path| path.is_file())
     }
 }
 

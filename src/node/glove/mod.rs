@@ -13,6 +13,7 @@ use anyhow::Context as _;
 
 use super::clock::RosClock;
 use super::diagnostics::{self, Level, Tally, TaskReport};
+use super::enabled::serve_set_enabled;
 use super::images::ImageTransport;
 use super::input_topics::{InputTopic, Need, reliability_parameter};
 use super::log::Log;
@@ -34,7 +35,7 @@ const LOOK_PERIOD: Duration = Duration::from_millis(5);
 
 /// Runs the program `egotac_glove`.
 pub fn main() -> ExitCode {
-    program::run("glove", "Publishes the touch that tactile gloves measure, for a camera's images.", &parameters(), run)
+    program::run("glove", "Publishes the touch that tactile gloves measure, for a camera's images.", parameters(), run)
 }
 
 /// Parameters of the node.
@@ -87,6 +88,7 @@ fn parameters() -> Vec<Parameter> {
         ),
         ImageTransport::parameter(),
         reliability_parameter("match"),
+        Parameter::new("enabled", true, Allowed::Any, "Publish touch; ~/set_enabled sets it, too."),
         Parameter::use_sim_time(),
     ]
 }
@@ -110,9 +112,10 @@ fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     }));
     subscribe(&mut runtime, &glove)?;
     let publisher = runtime.publisher("~/truth", qos::output())?;
+    serve_set_enabled(&mut runtime)?;
     let gloves = Rc::clone(&glove);
     runtime.every(LOOK_PERIOD, move |_| gloves.borrow_mut().publish(&publisher));
-    diagnostics::publish(&mut runtime, String::new, move |_| glove.borrow().task_report())?;
+    diagnostics::publish(&mut runtime, String::new, move |_| vec![glove.borrow().task_report()])?;
     runtime.spin(shutdown);
     Ok(())
 }
@@ -219,6 +222,10 @@ impl Gloves {
                 self.tally.dropped("no_reading");
                 continue;
             }
+            if !self.parameters.get::<bool>("enabled") {
+                self.tally.dropped("disabled");
+                continue;
+            }
             let stamp = paired.header.stamp;
             match self.truth(paired).map_err(anyhow::Error::from).and_then(|truth| publisher.publish(&truth)) {
                 Ok(()) => {
@@ -280,6 +287,6 @@ impl Gloves {
         };
         let mut values = counts.values(rates);
         values.push(("waiting_images_dropped".to_owned(), self.sync.dropped.to_string()));
-        TaskReport { task: "truth", level, message, values }
+        TaskReport { task: "truth".into(), level, message, values }
     }
 }

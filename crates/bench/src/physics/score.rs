@@ -146,8 +146,7 @@ impl Sums {
             let links = self.links.iter().filter(|link| of(link));
             share(links.clone().filter(|link| link.inside).count(), links.count())
         };
-        let mean =
-            |value: &dyn Fn(&&Link) -> f64| touched.iter().map(|l| value(l)).sum::<f64>() / touched.len().max(1) as f64;
+        let mean = |value: &dyn Fn(&&Link) -> f64| touched.iter().map(value).sum::<f64>() / touched.len().max(1) as f64;
         Score {
             condition,
             net_within: share(within, self.net.len()),
