@@ -11,10 +11,10 @@ use super::lock::lock;
 use super::log::Log;
 use super::mailbox::Mailbox;
 use super::params::Parameter;
-use super::qos;
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::worker_thread::WorkerThread;
+use super::{qos, topic_statistics};
 use crate::hand::HandModel;
 use crate::message::{CompressedImage, HandPose, HandPoses, HandTactile, Image, TactileFrame, TactileTruth, Time};
 use crate::view::{LiveInput, Moment};
@@ -99,7 +99,7 @@ pub(crate) fn run(
     input: LiveInput,
     shutdown: &Shutdown,
 ) -> anyhow::Result<()> {
-    let table = [reliability_parameter("match"), Parameter::use_sim_time()];
+    let table = [reliability_parameter("match"), topic_statistics::parameter(), Parameter::use_sim_time()];
     let mut runtime = create("egotac_view", &table, None)?;
     let transport = match topics.image.ends_with("/compressed") {
         true => ImageTransport::Compressed,

@@ -38,7 +38,10 @@ fn totals(store: &ZarrReader, name: &str) -> Vec<f64> {
 
 /// Writes what a data set of poses would hold of a rollout: images, poses, the object's mesh, and no force.
 fn poses_alone(scene: &str, folder: &Path) -> (std::path::PathBuf, Vec<f64>, f64) {
-    let mut rollout = Rollout::new(&Scene::load(scene).unwrap(), 3, &options()).unwrap();
+    // An episode with one hand: the pose of the other is not known.
+    let scene = Scene::load(scene).unwrap();
+    let mut rollouts = (3..).map(|seed| Rollout::new(&scene, seed, &options()).unwrap());
+    let mut rollout = rollouts.find(|rollout| rollout.episode().hands.len() == 1).unwrap();
     let (bodies, _) = physical::bodies(rollout.episode()).unwrap();
     let mass = bodies[0].mass.unwrap().kilograms;
     let half = bodies[0].samples.iter().fold(glam::Vec3::ZERO, |most, p| most.max(p.abs()));
