@@ -28,6 +28,7 @@ pub(crate) fn share() -> Option<&'static Path> {
 ///
 /// # Errors
 /// If there is none.
+#[cfg(feature = "sim")]
 pub(crate) fn program() -> std::io::Result<PathBuf> {
     let Some(host) = HOST.get() else { return std::env::current_exe() };
     let missing = || std::io::Error::new(std::io::ErrorKind::NotFound, "the command `egotac` is not installed");

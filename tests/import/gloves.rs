@@ -116,7 +116,7 @@ fn opentouch_keeps_counts_and_stamps_and_leaves_force_unknown() {
     for side in Side::BOTH {
         check_readings(&store, side, |index| counts(&take.frames[index], side));
     }
-    let unused: Vec<bool> = (0..256).map(|cell| unused(cell)).collect();
+    let unused: Vec<bool> = (0..256).map(unused).collect();
     check_relative(&store, take, "opentouch_169", |frame, side| {
         let share = |(count, unused): (f32, &bool)| if *unused { f32::NAN } else { (3072.0 - count) / 3072.0 };
         counts(frame, side).into_iter().zip(&unused).map(share).collect()

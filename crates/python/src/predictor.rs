@@ -5,8 +5,8 @@ use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use egotac::dataset::lerobot::{LabelColumn, policy_input, policy_input_names as names_of_input};
-use egotac::hand::{HandModel, N_FIELD, N_VERTICES, Region, Side, Topology};
-use egotac::model::{Prediction, predictor, shipped};
+use egotac::hand::{HandModel, N_FIELD, N_KEYPOINTS, N_VERTICES, Region, Side, Topology};
+use egotac::model::{HandEstimate, Keypoint, Prediction, predictor, shipped};
 use egotac::{TactileField, tactile::Certainty};
 use numpy::{PyArrayDyn, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -160,8 +160,8 @@ fn sides(images: &PyReadonlyArrayDyn<'_, u8>, first: usize) -> PyResult<(u32, u3
 /// Touch on both hands at the instant of one image.
 ///
 /// `stamp`: s. `force`: (1556,) N, `contact`: (1556,) probability; left hand first, NaN = unknown. `mask`: (1556,) True where
-/// touch is known. `familiarity` of the image and `presence` of both hands: 0 to 1, NaN = not estimated. `warming_up`: the window is
-/// not full. `restarted`: a new stream began. `total_force`: N on the left and the right hand. `region_force`: (2, 17) N, by `REGIONS`.
+/// touch is known. `familiarity` of the image and `presence` of both hands: 0 to 1, NaN = not estimated. `keypoints`: (2, 21, 3)
+/// x and y as shares of the sides of the network's square input, and confidence, NaN = not estimated. `warming_up`: the window is not full. `restarted`: a new stream began. `total_force`: N on the left and the right hand. `region_force`: (2, 17) N, by `REGIONS`.
 /// `reason`: why touch is unknown; empty = it is known. `seconds`: time that the image's preparation and the network took, s.
 #[pyclass(frozen, module = "egotac")]
 pub struct Touch {
@@ -177,6 +177,8 @@ pub struct Touch {
     familiarity: f32,
     #[pyo3(get)]
     presence: (f32, f32),
+    #[pyo3(get)]
+    keypoints: Py<PyArrayDyn<f32>>,
     #[pyo3(get)]
     warming_up: bool,
     #[pyo3(get)]
@@ -195,7 +197,8 @@ pub struct Touch {
 
 impl Touch {
     fn new(py: Python<'_>, prediction: Prediction, seconds: f64) -> PyResult<Self> {
-        let Prediction { stamp_secs, field, certainty, warming_up, restarted } = prediction;
+        let Prediction { stamp_secs, field, certainty, hands, warming_up, restarted } = prediction;
+        let keypoints = keypoints(hands.as_ref());
         let known = mask(&field, &certainty);
         let regions = region_forces(&field);
         let [left, right] = Side::BOTH.map(|side| field.total_force(side));
@@ -207,6 +210,7 @@ impl Touch {
             contact: give(py, "contact", field.contact.clone(), [N_FIELD])?,
             familiarity: number(certainty.familiarity),
             presence: (number(certainty.presence[0]), number(certainty.presence[1])),
+            keypoints: give(py, "keypoints", keypoints, [2, N_KEYPOINTS, 3])?,
             warming_up,
             restarted,
             total_force: (left, right),
@@ -217,6 +221,13 @@ impl Touch {
             certainty,
         })
     }
+}
+
+/// Returns x, y and confidence of the keypoints of both hands, (2, 21, 3); NaN = not estimated.
+fn keypoints(hands: Option<&[HandEstimate; 2]>) -> Vec<f32> {
+    let Some(hands) = hands else { return vec![f32::NAN; 2 * N_KEYPOINTS * 3] };
+    let of = |keypoint: &Keypoint| [keypoint.place[0], keypoint.place[1], keypoint.confidence];
+    hands.iter().flat_map(|hand| hand.keypoints.iter().flat_map(of)).collect()
 }
 
 #[pymethods]

@@ -14,6 +14,7 @@ use egotac::error::Result;
 use egotac::machine::Machine;
 use egotac::physics::{Settings, whole};
 use egotac::sim::Scene;
+use egotac::sim::scene::ShapeSpec;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -78,7 +79,12 @@ pub fn measure(
     settings: Settings,
     progress: &(dyn Fn(&str) + Sync),
 ) -> Result<Report> {
-    let episodes: Vec<(u64, &Scene)> = seeds.clone().flat_map(|seed| scenes.iter().map(move |s| (seed, s))).collect();
+    // Soft objects have no single pose, so that no motion is estimated for them.
+    let is_soft =
+        |scene: &&Scene| scene.spec.objects.iter().any(|object| matches!(object.shape, ShapeSpec::Soft { .. }));
+    let (soft, rigid): (Vec<&Scene>, Vec<&Scene>) = scenes.iter().partition(is_soft);
+    let episodes: Vec<(u64, &Scene)> =
+        seeds.clone().flat_map(|seed| rigid.iter().map(move |scene| (seed, *scene))).collect();
     let recorded: Vec<(u64, Recorded)> = episodes
         .par_iter()
         .map(|(seed, scene)| {
@@ -89,6 +95,7 @@ pub fn measure(
     let (free, held): (Vec<_>, Vec<_>) = recorded.into_iter().partition(|(_, recorded)| recorded.is_free());
     let mut left_out: Vec<String> = held.into_iter().map(|(_, recorded)| recorded.scene).collect();
     left_out.dedup();
+    left_out.extend(soft.into_iter().map(|scene| scene.name.clone()));
     let score = |of: &dyn Fn(&str) -> bool, condition: Disturbance| {
         let mut sums = Sums::default();
         for (index, (seed, recorded)) in free.iter().enumerate().filter(|(_, (_, recorded))| of(&recorded.scene)) {

@@ -53,6 +53,7 @@ class Touch:
     mask: NDArray[np.bool_]
     familiarity: float
     presence: tuple[float, float]
+    keypoints: _Floats
     warming_up: bool
     restarted: bool
     total_force: tuple[float, float]
