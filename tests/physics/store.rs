@@ -6,7 +6,7 @@ use egotac::crates::image::RgbImage;
 use egotac::dataset::zarr::{
     ArraySpec, Contact, Dtype, MANO_FORCE, MANO_FORCE_VALID, OBJECT_POSE, Values, ZarrReader, ZarrWriter,
 };
-use egotac::dataset::{Attributes, EpisodeReader, EpisodeWriter, Frame};
+use egotac::dataset::{Attributes, EpisodeWriter, Frame};
 use egotac::hand::{HandModel, N_FIELD, Side, Topology};
 use egotac::label::physics::{BodyOptions, Counts, Label, label};
 use egotac::physics::{ForceValidity, Settings};

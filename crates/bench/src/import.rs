@@ -20,6 +20,7 @@ const RADIUS: f64 = 0.05;
 /// Shortest time of one measurement, s.
 const AT_LEAST: f64 = 0.5;
 /// Width and height of the images of the data sets that the command writes, pixels.
+#[cfg(feature = "sim")]
 const IMAGE: (u32, u32) = (640, 480);
 /// Repetitions of a measurement; the best counts.
 const REPETITIONS: usize = 3;
