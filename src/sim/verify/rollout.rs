@@ -10,7 +10,7 @@ use crate::score::verify::candidate::{Candidate, SweepSettings};
 use crate::score::verify::episode::{Episode, EpisodeScorer, VertexDistances};
 use crate::sim::effect::Observation;
 use crate::sim::{Rollout, RolloutOptions, Scene, SimFrame, Touchables};
-use crate::tactile::{N_FIELD, Validity};
+use crate::tactile::{N_FIELD, TactileField, Validity};
 
 /// Runs an episode of `scene` and scores it: the predictions for the rendered images if there is a predictor, else the sweep
 /// of labels (a) and (b).
@@ -73,7 +73,9 @@ fn run(
             continue;
         }
         let vertices = vertices(&rollout, &sim);
-        let truth = truth(&sim, &vertices)?;
+        // Hands that the predictor does not know leave all scores.
+        let known = prediction.as_ref().map(TactileField::known_hands).unwrap_or_default();
+        let truth = truth(&sim, &vertices, known)?;
         let distances = match &mut near {
             Some(touchables) => {
                 let hands = vertices.each_ref().map(|hand| hand.as_deref());
@@ -97,7 +99,8 @@ fn vertices(rollout: &Rollout, sim: &SimFrame) -> [Option<Vec<Vec3>>; 2] {
     })
 }
 
-fn truth(sim: &SimFrame, vertices: &[Option<Vec<Vec3>>; 2]) -> Result<TruthFrame> {
+/// Creates the truth of a frame; `known`: mask of the vertices to score, empty = all.
+fn truth(sim: &SimFrame, vertices: &[Option<Vec<Vec3>>; 2], known: Vec<u8>) -> Result<TruthFrame> {
     let mut positions = vec![Vec3::ZERO; N_FIELD];
     let mut contacts: [Vec<DVec3>; 2] = Default::default();
     for side in Side::BOTH {
@@ -108,5 +111,5 @@ fn truth(sim: &SimFrame, vertices: &[Option<Vec<Vec3>>; 2]) -> Result<TruthFrame
             contacts[side as usize].clone_from(&hand.places);
         }
     }
-    TruthFrame::new(sim.frame.timestamp, sim.frame.field.force.clone(), Vec::new(), positions, Some(&contacts))
+    TruthFrame::new(sim.frame.timestamp, sim.frame.field.force.clone(), known, positions, Some(&contacts))
 }
