@@ -39,7 +39,7 @@ rows = [("`Predictor.push`, whole", whole), ("the Rust call inside", inside), ("
 cpu = next((line.split(":")[1].strip() for line in open("/proc/cpuinfo") if line.startswith("model name")), platform.machine())
 load = os.getloadavg()[0]
 lines = [
-    "# What Python costs per image",
+    "# Cost of Python per image",
     "",
     f"`Predictor.push` on {args.frames} images of 640 x 480, the shipped network in f32, milliseconds:",
     "",
