@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::{DAffine3, Vec3};
+use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::file;
@@ -15,6 +16,8 @@ use crate::geometry::{PROXIMITY, SPACING, SampledSurface, Surface};
 pub const POINT_SPACING: f32 = 0.002;
 /// Largest distance from an object that is computed, m; vertices farther away have this distance.
 pub const FAR: f32 = 0.05;
+/// Number of vertices that one thread takes at a time: few parts, because the first vertex of each lacks a neighbour's bound.
+const PART: usize = 130;
 /// Number of shapes that stay in memory between recordings.
 const KEPT: usize = 64;
 
@@ -98,27 +101,29 @@ impl Gaps {
         Self { points: vec![f32::INFINITY; n], surface: vec![f32::INFINITY; n] }
     }
 
-    /// Adds an object at `reference_from_object` to the distances of `vertices`, m, in the reference frame.
+    /// Adds an object at `reference_from_object` to the distances of `vertices`, m, in the reference frame. Runs on all threads.
     pub fn add(&mut self, vertices: &[Vec3], shape: &Shape, reference_from_object: DAffine3) {
         let object_from_reference = reference_from_object.inverse();
-        // Neighbours in the numbering are neighbours on the hand, mostly: one's distance bounds the next one's.
-        let mut beside = None;
-        for (index, vertex) in vertices.iter().enumerate() {
-            let point = object_from_reference.transform_point3(vertex.as_dvec3()).as_vec3();
-            // Nothing farther than the nearest object so far matters; the rule of points asks within its own distance.
-            let cutoff = FAR.min(self.surface[index].max(PROXIMITY));
-            let surface = shape.surface.distance_beside(point, cutoff, &mut beside);
-            if surface < self.surface[index] {
-                self.surface[index] = surface;
-            }
-            // Points lie on the surface, and the nearest of them within its spacing of the nearest place.
-            if surface.abs() <= PROXIMITY {
-                let most = PROXIMITY.min(self.points[index]).min(surface.abs() + shape.points.spacing());
-                let points = shape.points.distance(point, most);
-                if points < self.points[index] {
-                    self.points[index] = points;
+        let parts = self.surface.par_chunks_mut(PART).zip(self.points.par_chunks_mut(PART));
+        parts.zip(vertices.par_chunks(PART)).for_each(|((surface, points), vertices)| {
+            // Neighbours in the numbering are neighbours on the hand, mostly: one's distance bounds the next one's.
+            let mut beside = None;
+            for ((surface, points), vertex) in surface.iter_mut().zip(points).zip(vertices) {
+                let point = object_from_reference.transform_point3(vertex.as_dvec3()).as_vec3();
+                // Nothing farther than the nearest object so far matters; the rule of points asks within its own distance.
+                let distance = shape.surface.distance_beside(point, FAR.min(surface.max(PROXIMITY)), &mut beside);
+                if distance < *surface {
+                    *surface = distance;
+                }
+                // Points lie on the surface, and the nearest of them within its spacing of the nearest place.
+                if distance.abs() <= PROXIMITY {
+                    let most = PROXIMITY.min(*points).min(distance.abs() + shape.points.spacing());
+                    let nearest = shape.points.distance(point, most);
+                    if nearest < *points {
+                        *points = nearest;
+                    }
                 }
             }
-        }
+        });
     }
 }

@@ -1,6 +1,7 @@
 //! Helpers shared by several test files; each file uses a part of them.
 #![allow(dead_code)]
 
+pub mod network;
 pub mod store;
 
 use std::fs::{self, File};

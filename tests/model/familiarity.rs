@@ -13,6 +13,8 @@ use egotac::model::{Checkpoint, Config, EgoTac, Familiarity, Metadata, Precision
 use egotac::tactile::Doubt;
 use image::{Rgb, RgbImage};
 
+use crate::common::network;
+
 /// Statistics by made-up features of the toy network's width.
 fn statistics(config: &Config) -> Familiarity {
     let width = config.vision_width;
@@ -24,15 +26,7 @@ fn statistics(config: &Config) -> Familiarity {
 
 /// Saves a toy network with statistics; returns its tensors.
 fn save(path: &Path, config: &Config) -> BTreeMap<String, Tensor> {
-    let vars = VarMap::new();
-    EgoTac::new(config, init::var_builder(&vars, 3, &Device::Cpu)).unwrap();
-    let bare = path.with_extension("bare");
-    let metadata = Metadata::new("toy", 1.0, 0.04);
-    Checkpoint::save(&bare, config, &metadata, &vars).unwrap();
-    let (_, _, mut tensors) = checkpoint::load_tensors(&bare).unwrap();
-    tensors.extend(statistics(config).tensors().unwrap());
-    Checkpoint::save_tensors(path, config, &metadata, &tensors).unwrap();
-    tensors
+    network::save(path, config, statistics(config).tensors().unwrap().into_iter().collect())
 }
 
 fn shipped_with(unknown: Unknown, precision: Precision) -> Predictor {

@@ -17,6 +17,8 @@ use image::{Rgb, RgbImage};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::common::network::save;
+
 /// Random weights; `hand_bias`: bias of the presence of the left and the right hand.
 fn weights(config: &Config, hand_bias: [f32; 2]) -> BTreeMap<String, Tensor> {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
@@ -31,18 +33,6 @@ fn weights(config: &Config, hand_bias: [f32; 2]) -> BTreeMap<String, Tensor> {
     Presence::shapes(config.vision_width).into_iter().map(&mut tensor).collect()
 }
 
-/// Saves a toy network with these further tensors; without them at `path` with the extension `bare`.
-fn save(path: &Path, config: &Config, further: &BTreeMap<String, Tensor>) {
-    let vars = VarMap::new();
-    EgoTac::new(config, init::var_builder(&vars, 3, &Device::Cpu)).unwrap();
-    let bare = path.with_extension("bare");
-    let metadata = Metadata::new("toy", 1.0, 0.04);
-    Checkpoint::save(&bare, config, &metadata, &vars).unwrap();
-    let (_, _, mut tensors) = checkpoint::load_tensors(&bare).unwrap();
-    tensors.extend(further.clone());
-    Checkpoint::save_tensors(path, config, &metadata, &tensors).unwrap();
-}
-
 fn picture() -> RgbImage {
     RgbImage::from_fn(90, 70, |x, y| Rgb([(x * 2) as u8, (y * 3) as u8, ((x * y) % 251) as u8]))
 }
@@ -53,7 +43,7 @@ fn presence_and_keypoints_are_those_of_the_formula() {
     let path = folder.path().join("a");
     let config = Config::toy();
     let weights = weights(&config, [0.3, -0.2]);
-    save(&path, &config, &weights);
+    save(&path, &config, weights.clone());
     let mut predictor = Predictor::load(&path, Options::default()).unwrap();
     assert!(predictor.estimates_presence());
     let hands = predictor.push(&picture(), 0.0).unwrap().hands.unwrap();
@@ -102,7 +92,7 @@ fn touch_of_an_absent_hand_is_unknown_and_that_of_the_other_is_not() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a");
     let config = Config::toy();
-    save(&path, &config, &weights(&config, [-100.0, 100.0]));
+    save(&path, &config, weights(&config, [-100.0, 100.0]));
     let mut predictor = Predictor::load(&path, Options::default()).unwrap();
     let prediction = predictor.push(&picture(), 0.0).unwrap();
     assert_eq!(prediction.certainty.doubt, [Some(Doubt::Absent), None]);
@@ -126,7 +116,7 @@ fn weights_survive_saving_halving_and_growing_and_training_starts_without_them()
     let path = |name: &str| folder.path().join(name);
     let config = Config::toy();
     let weights = weights(&config, [0.5, 0.5]);
-    save(&path("a"), &config, &weights);
+    save(&path("a"), &config, weights.clone());
     let (_, metadata, read) = checkpoint::load_tensors(&path("a")).unwrap();
     Checkpoint::save_as(&path("half"), &config, &metadata, &read, Stored::F16).unwrap();
     let growth = Growth { width: 2 * config.width, vision_depth: config.vision_depth, depth: config.depth, seed: 1 };
@@ -152,7 +142,7 @@ fn weights_that_lack_a_tensor_or_do_not_fit_the_network_are_refused() {
     let path = folder.path().join("a");
     let config = Config::toy();
     let weights = weights(&config, [0.0; 2]);
-    save(&path, &config, &weights);
+    save(&path, &config, weights.clone());
     let (_, metadata, tensors) = checkpoint::load_tensors(&path).unwrap();
     let zeros = |shape: &[usize]| Tensor::zeros(shape, candle_core::DType::F32, &Device::Cpu).unwrap();
     let name = format!("{PREFIX}offset.weight");

@@ -1,5 +1,6 @@
 //! Presence and keypoints are learned with all other weights frozen, by the library, by commands and at the end of a training.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use candle_core::Device;
@@ -18,7 +19,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 
-use crate::common::egotac;
+use crate::common::{egotac, network};
 
 const SIDE: u32 = 56;
 const FOCAL: f32 = 60.0;
@@ -78,9 +79,7 @@ fn write_store(path: &Path, episodes: usize, seed: u64) {
 
 /// Saves a toy network with random weights.
 fn save_toy(path: &Path) {
-    let vars = VarMap::new();
-    EgoTac::new(&Config::toy(), init::var_builder(&vars, 5, &Device::Cpu)).unwrap();
-    Checkpoint::save(path, &Config::toy(), &Metadata::new("toy", 1.0, 0.04), &vars).unwrap();
+    network::save(path, &Config::toy(), BTreeMap::new());
 }
 
 fn run(arguments: &[&str]) -> String {
