@@ -10,6 +10,7 @@ mod idl_hash;
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-changed=src/cli/doctor/idl_hash.rs");
+    println!("cargo::rustc-check-cfg=cfg(logger_levels)");
     for name in ["EGOTAC_RPATH", "AMENT_PREFIX_PATH", "IDL_PACKAGE_FILTER", "ROS_DISTRO", "MUJOCO_DYNAMIC_LINK_DIR"] {
         println!("cargo::rerun-if-env-changed={name}");
     }
@@ -70,6 +71,11 @@ fn check_messages(facts: &mut Facts) {
     };
     for file in files {
         println!("cargo::rerun-if-changed={}", file.display());
+    }
+    // ROS 2 Humble has no services for the levels of loggers.
+    let has_logger_levels = |prefix: &PathBuf| prefix.join("share/rcl_interfaces/srv/GetLoggerLevels.srv").exists();
+    if prefixes.iter().any(has_logger_levels) {
+        println!("cargo::rustc-cfg=logger_levels");
     }
     let filter = env::var("IDL_PACKAGE_FILTER").unwrap_or_default();
     match filter.split(';').find_map(|name| name.trim().strip_prefix("egotac_idl_")) {

@@ -39,30 +39,32 @@ ARGUMENTS = [
 ]
 
 
-def nodes(context):
-    """Returns the retargeter and, for the demo, the simulator."""
+def retargeter(context):
+    """Returns the retargeter."""
     parameters = given(context, "robot", "model", "side", "object", "rate_hz", "start", "deadman", "use_sim_time")
     if IfCondition(LaunchConfiguration("demo")).evaluate(context):
         # Nobody measures the joints of a robot that does not exist.
         parameters.setdefault("start", "rest")
     topics = ("hand_pose", "keypoints", "tactile", "object", "joint_states", "deadman")
-    return [
-        node(
-            "retargeter",
-            parameters,
-            [(topic, LaunchConfiguration(f"{topic}_topic")) for topic in topics],
-            name=LaunchConfiguration("retargeter_name"),
-        ),
-        node("simulator", given(context, "scenes"), condition=IfCondition(LaunchConfiguration("demo"))),
-    ]
+    remappings = [(topic, LaunchConfiguration(f"{topic}_topic")) for topic in topics]
+    return [node("retargeter", parameters, remappings, name=LaunchConfiguration("retargeter_name"))]
+
+
+def simulator(context):
+    """Returns the simulator of the demo."""
+    return [node("simulator", given(context, "scenes"), condition=IfCondition(LaunchConfiguration("demo")))]
 
 
 def generate_launch_description():
     """Entry point of `ros2 launch`."""
-    topics = {"image_topic": "image_raw", "hand_pose_topic": "truth/hand_pose", "image_transport": "raw"}
+    # An included file sees the arguments of this one: `model` is the robot's here, and a checkpoint there.
+    others = {"image_topic": "image_raw", "hand_pose_topic": "truth/hand_pose", "image_transport": "raw", "model": ""}
     predictor = include(
         "egotac.launch.py",
-        topics | pass_on("params_file", "namespace", "log_level"),
+        others | pass_on("params_file", "namespace", "log_level", "use_sim_time"),
         condition=IfCondition(LaunchConfiguration("demo")),
     )
-    return LaunchDescription([*ARGUMENTS, predictor, OpaqueFunction(function=nodes)])
+    # The arguments of the include stay set behind it, and so does the Fast DDS profile, which the simulator needs.
+    return LaunchDescription(
+        [*ARGUMENTS, OpaqueFunction(function=retargeter), predictor, OpaqueFunction(function=simulator)]
+    )

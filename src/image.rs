@@ -31,6 +31,9 @@ const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 /// Part of the shorter side that [`Resize::Centre`] keeps: 224 of 256 pixels.
 const CENTRE: f64 = 7.0 / 8.0;
 
+/// Share of a picture outside of the network's view above which people are warned.
+const HIDDEN_SHARE: f64 = 0.1;
+
 /// Conversion of an image of any size to the square input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -45,6 +48,18 @@ pub enum Resize {
     Letterbox,
     /// Scales both sides to the input size.
     Squash,
+}
+
+impl Resize {
+    /// Name, as in metadata.
+    pub fn name(self) -> &'static str {
+        match self {
+            Resize::Crop => "crop",
+            Resize::Centre => "centre",
+            Resize::Letterbox => "letterbox",
+            Resize::Squash => "squash",
+        }
+    }
 }
 
 /// Resampling filter; its support grows with the scale when shrinking (antialiasing).
@@ -99,6 +114,26 @@ impl Preparation {
         }
         let square = resize_view(image, self.side, self.resize, self.filter)?;
         Ok(normalise(&square, self.mean, self.std))
+    }
+
+    /// Returns the share of a picture of this size that lies outside of the input, 0 to 1.
+    pub fn hidden_share(&self, width: usize, height: usize) -> f64 {
+        let (from, to) = (self.pixel([0.0; 2], width, height), self.pixel([1.0; 2], width, height));
+        let seen = |axis: usize, side: usize| (to[axis].min(side as f64) - from[axis].max(0.0)) / side as f64;
+        1.0 - seen(0, width) * seen(1, height)
+    }
+
+    /// Returns a warning for people if more than a tenth of a picture of this size lies outside of the input.
+    pub fn warning(&self, width: usize, height: usize) -> Option<String> {
+        let hidden = self.hidden_share(width, height);
+        (hidden > HIDDEN_SHARE).then(|| {
+            format!(
+                "{:.0} % of the picture ({width} x {height}) lies outside of the network's view ({}), and hands there are not \
+                 seen; the view letterbox takes in the whole picture",
+                100.0 * hidden,
+                self.resize.name()
+            )
+        })
     }
 
     /// Returns the position in the input of `pixel` of an image of this size, as a fraction of the input's side, x to the
@@ -319,6 +354,25 @@ pub fn normalise(image: &RgbImage, mean: [f32; 3], std: [f32; 3]) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_crop_that_hides_more_than_a_tenth_of_the_picture_is_told() {
+        let of = |resize| {
+            let (mean, std) = (IMAGENET_MEAN, IMAGENET_STD);
+            Preparation { side: 8, resize, filter: Filter::Triangle, mean, std }
+        };
+        let share = |resize, width, height| of(resize).hidden_share(width, height);
+        // The centre of 16:9 is 9 of 16 columns; of a square, 224 of 256 pixels in both directions.
+        assert!((share(Resize::Crop, 1920, 1080) - 7.0 / 16.0).abs() < 1e-9);
+        assert!((share(Resize::Crop, 1080, 1920) - 7.0 / 16.0).abs() < 1e-9);
+        assert!((share(Resize::Centre, 512, 512) - (1.0 - 0.875 * 0.875)).abs() < 1e-9);
+        for resize in [Resize::Letterbox, Resize::Squash] {
+            assert!(share(resize, 1920, 1080).abs() < 1e-9 && of(resize).warning(1920, 1080).is_none());
+        }
+        let warning = of(Resize::Crop).warning(1920, 1080).unwrap();
+        assert!(warning.starts_with("44 % of the picture (1920 x 1080) ") && warning.contains("(crop)"), "{warning}");
+        assert_eq!(of(Resize::Crop).warning(110, 100), None);
+    }
 
     #[test]
     fn scaled_images_are_those_of_another_implementation() {

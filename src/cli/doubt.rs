@@ -1,11 +1,15 @@
-//! Options of commands that run a network: touch that it does not know.
+//! Options of commands that run a network: its view of pictures, and touch that it does not know.
 
-use crate::model::Unknown;
 use crate::model::predictor::Options;
+use crate::model::{Unknown, View};
 
-/// Rule for touch that is unknown.
+/// View of pictures, and rule for touch that is unknown.
 #[derive(Debug, clap::Args)]
 pub struct Doubt {
+    /// View of pictures: crop (the centre), letterbox (all of it, hands smaller), squash (all of it, squeezed), or checkpoint (as
+    /// the network was trained).
+    #[arg(long, value_name = "VIEW", default_value = "checkpoint")]
+    view: View,
     /// Form of touch that the network does not know, because the image is unlike those of its training or the hand is not in
     /// it: nan (mask 0), zero (mask 0), or guess (the network's output as it is, mask 1).
     #[arg(long, value_name = "FORM", default_value = "nan")]
@@ -19,9 +23,10 @@ pub struct Doubt {
 }
 
 impl Doubt {
-    /// Returns predictor options with this rule.
+    /// Returns predictor options with this view and this rule.
     pub fn apply(&self, options: Options) -> Options {
         Options {
+            view: self.view,
             unknown: self.unknown,
             familiarity_threshold: self.familiarity_threshold,
             presence_threshold: self.presence_threshold,

@@ -91,6 +91,10 @@ pub struct Args {
     /// Number of threads that decode images beside the network.
     #[arg(long, default_value_t = 1, value_parser = decoders)]
     decoders: usize,
+    /// Adds the keypoints of the hands in the images, predicted_keypoints (T, 2, 21, 3): x and y in pixels of the image, and confidence
+    /// from 0 to 1; NaN where a hand's touch is unknown. Not for bags.
+    #[arg(long)]
+    keypoints: bool,
     /// JSON file for the closing summary; `-` prints JSON instead of text.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -152,6 +156,12 @@ fn label<T>(args: &Args, finish: impl FnOnce(&Work, RunJob) -> anyhow::Result<T>
     if let Some(warning) = predictor.warning() {
         tell(format_args!("warning: {warning}"));
     }
+    if args.keypoints && !predictor.estimates_presence() {
+        anyhow::bail!(
+            "--keypoints: expected a network that estimates keypoints, got {}; `egotac model presence` adds that to a checkpoint",
+            path.display()
+        );
+    }
     if let Some(mano) = args.hands.map()? {
         predictor = predictor.with_mano(mano);
     }
@@ -187,7 +197,10 @@ fn job<'a>(task: &'a LabelTask, predictor: &Predictor, args: &Args) -> Job<'a> {
         source: task.source.as_ref(),
         output: task.output.as_ref(),
         out: task.out.clone(),
-        provenance: Provenance::of(predictor, args.precision, task.description.clone()),
+        provenance: Provenance {
+            keypoints: args.keypoints,
+            ..Provenance::of(predictor, args.precision, task.description.clone())
+        },
         decoders: args.decoders,
     }
 }

@@ -3,11 +3,14 @@
 use serde::{Deserialize, Serialize};
 
 use super::provenance::CONTACT_THRESHOLD;
-use crate::hand::Side;
+use crate::hand::{N_KEYPOINTS, Side};
 use crate::tactile::{Certainty, Doubt, N_FIELD, TactileField};
 
 /// Number of bins of the confidence histogram: 0.5 to 0.6, ..., 0.9 to 1.
 const BINS: usize = 5;
+
+/// Number of values of the keypoints of both hands.
+pub(crate) const KEYPOINT_VALUES: usize = 2 * N_KEYPOINTS * 3;
 
 /// The label of one image.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,7 +23,7 @@ pub struct LabelFrame {
     pub touch: std::result::Result<TactileField, String>,
     /// Certainty of the network about the image.
     pub certainty: Certainty,
-    /// Further numbers of a labelled image, such as distances; the same number of them in all images of a journal.
+    /// Further numbers of a labelled image, such as distances or keypoints; the same number of them in all images of a journal.
     pub further: Vec<f32>,
 }
 
@@ -35,6 +38,14 @@ impl LabelFrame {
     pub fn estimates(&self) -> [f32; 3] {
         let Certainty { familiarity, presence: [left, right], .. } = self.certainty;
         [familiarity, left, right].map(|estimate| estimate.unwrap_or(f32::NAN))
+    }
+
+    /// Returns the keypoints of both hands, (2, 21, 3): x and y in pixels of the image, confidence; NaN = unknown.
+    pub fn keypoints(&self) -> Vec<f32> {
+        match self.further.len() {
+            KEYPOINT_VALUES => self.further.clone(),
+            _ => vec![f32::NAN; KEYPOINT_VALUES],
+        }
     }
 
     /// Returns the masks of force and contact, (1556) each: 0 where they are unknown.

@@ -59,6 +59,11 @@ pub trait LabelOutput: Send + Sync {
         Ok(())
     }
 
+    /// True if the output can hold keypoints of the hands.
+    fn holds_keypoints(&self) -> bool {
+        true
+    }
+
     /// Reads the description of the labels in the data set at `out`; None without one.
     fn info(&self, out: &Path) -> Option<LabelInfo>;
 }

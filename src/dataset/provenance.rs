@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::identity::InputIdentity;
 use crate::hand::Topology;
+use crate::image::Resize;
 use crate::model::{DoubtThresholds, Precision, Predictor, Unknown};
 use crate::tactile::{CONTACT_FORCE_N, Certainty, ForceKind, TactileField};
 use crate::text;
@@ -47,6 +48,12 @@ pub struct Provenance {
     /// Rule for touch that is unknown; None = whoever made the labels judges no images.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub doubt: Option<DoubtRule>,
+    /// Conversion of pictures that replaces the checkpoint's; None = that of the checkpoint.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub view: Option<Resize>,
+    /// True if the labels hold keypoints of the hands.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub keypoints: bool,
     /// The input's name, and the choices that decide which images are read and how.
     pub source: Vec<String>,
     /// Identity of the input; None in outputs of versions before this field.
@@ -129,6 +136,8 @@ impl Provenance {
                 contact_force: CONTACT_FORCE_N.to_string().parse().unwrap_or(f64::from(CONTACT_FORCE_N)),
             },
             doubt: DoubtRule::of(predictor),
+            view: predictor.other_view(),
+            keypoints: false,
             source,
             input: None,
         }

@@ -69,6 +69,8 @@ pub const MANO_FORCE_VALID: &str = "data/mano_force_valid";
 pub const FAMILIARITY: &str = "data/familiarity";
 /// Presence of left and right hand, (T, 2).
 pub const PRESENCE: &str = "data/presence";
+/// Predicted keypoints of both hands, (T, 2, 21, 3) f32: x and y in pixels of the image, confidence; NaN = unknown.
+pub const PREDICTED_KEYPOINTS: &str = "data/predicted_keypoints";
 /// 1 where the contact is supervised, (T, 1556) u8.
 pub const MANO_CONTACT_VALID: &str = "data/mano_contact_valid";
 /// Contact by distance: 1 where the surface of an object is within 1 cm, (T, 1556) u8.

@@ -164,6 +164,8 @@ impl Settings {
                 contact_force: CONTACT_FORCE_N.to_string().parse().unwrap_or(f64::from(CONTACT_FORCE_N)),
             },
             doubt: None,
+            view: None,
+            keypoints: false,
             source,
             input: None,
         }

@@ -14,7 +14,7 @@ use crate::error::{Error, Result};
 use crate::image::Preparation;
 use crate::model::Predictor;
 use crate::model::predictor::Prediction;
-use crate::text::shortened;
+use crate::text::{printable_name, shortened, tell};
 
 /// Number of labels in a journal block.
 const BLOCK: usize = 64;
@@ -32,7 +32,10 @@ type Batch = (usize, Vec<(usize, SourceFrame, Share)>);
 struct PreparedImage {
     index: usize,
     stamp_secs: f64,
+    /// Input of the network, (3, side, side).
     input: std::result::Result<Vec<f32>, String>,
+    /// Width and height of the image, pixels; 0 if it can't be decoded.
+    size: (u32, u32),
     note: Option<String>,
 }
 
@@ -42,6 +45,10 @@ pub(super) struct NetworkLabeller<'a> {
     pub predictor: &'a mut Predictor,
     /// Number of threads that decode images beside the network.
     pub decoders: usize,
+    /// True to keep the keypoints of the hands.
+    pub keypoints: bool,
+    /// True once people know that the network does not see the whole picture.
+    pub view_told: bool,
 }
 
 impl Labeller for NetworkLabeller<'_> {
@@ -52,7 +59,7 @@ impl Labeller for NetworkLabeller<'_> {
         journal: &mut Journal,
         progress: &mut dyn FnMut(),
     ) -> Result<InferenceTiming> {
-        label_unit(source, unit, self.predictor, journal, self.decoders, progress)
+        label_unit(source, unit, self, journal, progress)
     }
 }
 
@@ -65,11 +72,11 @@ impl Labeller for NetworkLabeller<'_> {
 fn label_unit(
     source: &dyn ImageSource,
     unit: usize,
-    predictor: &mut Predictor,
+    labeller: &mut NetworkLabeller,
     journal: &mut Journal,
-    decoders: usize,
     mut progress: impl FnMut(),
 ) -> Result<InferenceTiming> {
+    let NetworkLabeller { predictor, decoders, keypoints, view_told } = labeller;
     let mut timing = InferenceTiming::default();
     if journal.progress().complete {
         return Ok(timing);
@@ -83,15 +90,23 @@ fn label_unit(
     predictor.reset();
     let mut recent = Recent::default();
     let mut written = Instant::now();
-    let end = prepare_images(frames, from, &wanted, &preparation, decoders, |ready, waited| {
+    let end = prepare_images(frames, from, &wanted, &preparation, *decoders, |ready, waited| {
         timing.waiting_secs += waited;
-        let PreparedImage { index, stamp_secs, input, note } = ready;
+        let PreparedImage { index, stamp_secs, input, size: (width, height), note } = ready;
         if index < done.frames {
             if let Ok(input) = input {
                 let prediction = predictor.push_prepared(input, stamp_secs)?;
                 recent.push(index, &prediction);
             }
             return Ok(());
+        }
+        if input.is_ok()
+            && !*view_told
+            && let Some(warning) = preparation.warning(width as usize, height as usize)
+        {
+            *view_told = true;
+            let name = &source.units()[unit].name;
+            tell(format_args!("warning: {}: {warning} (--view)", printable_name(name)));
         }
         let started = Instant::now();
         let touch = input.and_then(|input| match predictor.push_prepared(input, stamp_secs) {
@@ -106,7 +121,9 @@ fn label_unit(
                 recent.push(index, &prediction);
                 let warming_up = prediction.warming_up;
                 let certainty = prediction.certainty;
-                LabelFrame { stamp_secs, warming_up, touch: Ok(prediction.field), certainty, further: Vec::new() }
+                let found = keypoints.then(|| prediction.keypoints(&preparation, width, height)).flatten();
+                let further = found.map_or_else(Vec::new, |keypoints| keypoints.as_flattened().to_vec());
+                LabelFrame { stamp_secs, warming_up, touch: Ok(prediction.field), certainty, further }
             }
             Err(reason) => LabelFrame::without(stamp_secs, reason),
         };
@@ -234,15 +251,17 @@ fn decode(
         let Ok((number, frames)) = batch else { return };
         let prepare = |(index, frame, _share): (usize, SourceFrame, Share)| {
             let SourceFrame { stamp_secs, offset, image, note } = frame;
+            let mut size = (0, 0);
             let input = image.and_then(|image| {
                 let image = image.decode().map_err(|error| error.to_string())?;
+                size = image.dimensions();
                 preparation.apply(&image).map_err(|error| error.to_string())
             });
             let placed = |reason: String| match (shortened(&reason, REASON), offset) {
                 (reason, Some(offset)) => format!("at byte {offset}: {reason}"),
                 (reason, None) => reason.into_owned(),
             };
-            PreparedImage { index, stamp_secs, input: input.map_err(placed), note }
+            PreparedImage { index, stamp_secs, input: input.map_err(placed), size, note }
         };
         if to_label.send((number, frames.into_iter().map(prepare).collect())).is_err() {
             return;

@@ -91,7 +91,12 @@ impl Job<'_> {
         timing: &mut LabelTiming,
         progress: &mut dyn FnMut(),
     ) -> Result<Outcome> {
-        let mut labeller = NetworkLabeller { predictor, decoders: self.decoders };
+        let mut labeller = NetworkLabeller {
+            predictor,
+            decoders: self.decoders,
+            keypoints: self.provenance.keypoints,
+            view_told: false,
+        };
         self.run_with(&mut labeller, shard, first_number, timing, progress)
     }
 
@@ -135,6 +140,12 @@ impl Job<'_> {
         progress: &mut dyn FnMut(),
     ) -> Result<Outcome> {
         self.output.check(self.provenance.topology)?;
+        if self.provenance.keypoints && !self.output.holds_keypoints() {
+            return Err(Error::file(
+                &self.out,
+                "keypoints: expected a format that holds them, got a bag; use --to store",
+            ));
+        }
         if let Some(parent) = self.out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
             fs::create_dir_all(parent).map_err(Error::io(parent))?;
         }

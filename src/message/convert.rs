@@ -4,11 +4,13 @@ use ::image::RgbImage;
 use glam::{DQuat, DVec3, Vec3};
 
 use super::{
-    HandPose, HandPoses, HandTactile, Header, Image, Point, Pose, Quaternion, TactileFrame, TactileRegions,
-    TactileTruth,
+    HandKeypoints, HandPose, HandPoses, HandTactile, Header, Image, Point, Pose, Quaternion, TactileFrame,
+    TactileRegions, TactileTruth,
 };
 use crate::error::{Error, Result};
-use crate::hand::{HandModel, HandParams, Region, Side, Topology};
+use crate::hand::{HandModel, HandParams, N_KEYPOINTS, Region, Side, Topology};
+use crate::image::Preparation;
+use crate::model::Prediction;
 use crate::tactile::{Certainty, TactileField, Validity};
 
 impl HandTactile {
@@ -229,6 +231,32 @@ impl TactileRegions {
             contact: array("contact", contact)?,
             presence,
         })
+    }
+}
+
+impl HandKeypoints {
+    /// Creates the message of an image of width and height `size`, pixels, that was prepared by `preparation`; None if the network
+    /// does not estimate keypoints.
+    pub fn from_prediction(
+        header: Header,
+        prediction: &Prediction,
+        preparation: &Preparation,
+        (width, height): (u32, u32),
+    ) -> Option<Self> {
+        let keypoints = prediction.keypoints(preparation, width, height)?;
+        let presence = prediction.certainty.presence.map(|presence| presence.unwrap_or(f32::NAN));
+        Some(Self::from_values(header, (width, height), presence, &keypoints))
+    }
+
+    /// Creates the message from the keypoints of both hands, (42) of x, y and confidence.
+    pub fn from_values(
+        header: Header,
+        (width, height): (u32, u32),
+        presence: [f32; 2],
+        keypoints: &[[f32; 3]; 2 * N_KEYPOINTS],
+    ) -> Self {
+        let [x, y, confidence] = [0, 1, 2].map(|axis: usize| keypoints.map(|keypoint| keypoint[axis]));
+        Self { header, width, height, presence, x, y, confidence }
     }
 }
 

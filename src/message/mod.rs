@@ -12,8 +12,8 @@ use crate::error::Result;
 
 pub use cdr::{Reader, Wire, Writer};
 pub use own::{
-    GloveReading, HandModelInfo, HandPose, HandPoses, HandTactile, LinkTouch, RobotTouch, TactileFrame, TactileMetrics,
-    TactileRegions, TactileTruth, TrainerStatus,
+    GloveReading, HandKeypoints, HandModelInfo, HandPose, HandPoses, HandTactile, LinkTouch, RobotTouch,
+    TactileContact, TactileContacts, TactileFrame, TactileMetrics, TactileRegions, TactileTruth, TrainerStatus,
 };
 pub use standard::{
     Bool, CameraInfo, Clock, ColorRGBA, CompressedImage, DiagnosticArray, DiagnosticStatus, Duration,

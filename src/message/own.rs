@@ -2,7 +2,7 @@
 
 use super::message;
 use super::standard::{Header, Point, Pose, Time, Vector3, Wrench};
-use crate::hand::{N_BETAS, N_VERTICES};
+use crate::hand::{N_BETAS, N_KEYPOINTS, N_VERTICES};
 
 message! {
     /// Touch on one hand.
@@ -167,6 +167,48 @@ message! {
         windows_per_s: f64,
         /// Time until the last step, s; NaN = not yet known.
         remaining_secs: f64,
+    }
+
+    /// Net effect of the touch on one region of a hand.
+    TactileContact = "egotac_msgs/msg/TactileContact" from "../../msg/TactileContact.msg" {
+        /// Stamp of the image, and frame of the vectors.
+        header: Header,
+        /// Name of the region with its hand, for instance `right_index_tip`.
+        name: String,
+        /// Centre of the contact, m.
+        position: Point,
+        /// Unit normal of the skin, out of the hand.
+        normal: Vector3,
+        /// Force on the skin, N, and torque about the frame's origin, N m; NaN = unknown.
+        wrench: Wrench,
+    }
+
+    /// Contacts on both hands, as seen in one image.
+    TactileContacts = "egotac_msgs/msg/TactileContacts" from "../../msg/TactileContacts.msg" {
+        /// Stamp of the image, and frame of the contacts.
+        header: Header,
+        /// True if touch and place of the left and of the right hand are known.
+        known: [bool; 2],
+        /// Regions in contact, those of the left hand first.
+        contacts: Vec<TactileContact>,
+    }
+
+    /// Keypoints of both hands in an image, as a network estimates them.
+    HandKeypoints = "egotac_msgs/msg/HandKeypoints" from "../../msg/HandKeypoints.msg" {
+        /// Header of the image.
+        header: Header,
+        /// Width of the image, pixels.
+        width: u32,
+        /// Height of the image, pixels.
+        height: u32,
+        /// Probability that the left and the right hand are in the image, 0 to 1.
+        presence: [f32; 2],
+        /// Position of each keypoint to the right, pixels, left hand first; NaN = unknown.
+        x: [f32; 2 * N_KEYPOINTS],
+        /// Position of each keypoint downwards, pixels; NaN = unknown.
+        y: [f32; 2 * N_KEYPOINTS],
+        /// Confidence of each keypoint, 0 to 1; NaN = unknown.
+        confidence: [f32; 2 * N_KEYPOINTS],
     }
 
     /// Agreement of predictions and truth over the newest pairs.

@@ -43,6 +43,7 @@ pub mod spread;
 mod stages;
 mod temporal;
 pub mod unknown;
+mod view;
 mod weights;
 #[doc(hidden)]
 pub mod window;
@@ -64,6 +65,7 @@ pub use presence::{HandEstimate, Keypoint, Presence};
 pub use spread::Spread;
 pub use stages::Stages;
 pub use unknown::{DoubtThresholds, Unknown};
+pub use view::View;
 
 /// The whole network (EgoTac): vision encoder, temporal fusion, tactile decoder.
 #[derive(Debug, Clone)]

@@ -8,11 +8,13 @@ use std::sync::Arc;
 use ::image::RgbImage;
 use candle_core::{Device, Tensor};
 
+use super::presence::N_POINTS;
 use super::stages::FrameTokens;
 use super::unknown::Unknown;
-use super::{Checkpoint, Config, EgoTac, HandEstimate, Metadata, Precision, Spread, familiarity, window};
+use super::{Checkpoint, Config, EgoTac, HandEstimate, Metadata, Precision, Spread, View, familiarity, window};
 use crate::error::{Error, Result};
-use crate::hand::{FieldMap, Topology};
+use crate::hand::{FieldMap, N_KEYPOINTS, Side, Topology};
+use crate::image::{Preparation, Resize};
 use crate::tactile::{Certainty, TactileField};
 
 /// Frames kept per observation step, at most. Bounds the memory under a camera much faster than `frame_dt`.
@@ -28,6 +30,8 @@ pub struct Options {
     /// Longest interval between two images of a stream, s; a longer one starts a new stream. None = twice the length of
     /// the window, at least 1 s.
     pub max_gap_secs: Option<f64>,
+    /// Conversion of pictures to the network's input.
+    pub view: View,
     /// Form of touch that is unknown.
     pub unknown: Unknown,
     /// Familiarity below which touch is unknown, 0 to 1. None = the checkpoint's threshold.
@@ -37,12 +41,13 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// Runs on the CPU in f32, with the default interval; unknown touch is NaN.
+    /// Runs on the CPU in f32, with the default interval and the checkpoint's view; unknown touch is NaN.
     fn default() -> Self {
         Self {
             device: Device::Cpu,
             precision: Precision::F32,
             max_gap_secs: None,
+            view: View::default(),
             unknown: Unknown::default(),
             familiarity_threshold: None,
             presence_threshold: None,
@@ -66,6 +71,24 @@ pub struct Prediction {
     pub warming_up: bool,
     /// True if this image started a new stream: the first one, a jump back in time, or an interval that is too long.
     pub restarted: bool,
+}
+
+impl Prediction {
+    /// Returns the keypoints of both hands in the image, which was prepared by `preparation` and has this width and height,
+    /// pixels: (42) of x, y, pixels from its left and upper edge, and confidence, 0 to 1; left hand first, each in the order of
+    /// [`HandEstimate::keypoints`]. NaN for a hand whose touch is not known. None if the checkpoint does not estimate them.
+    pub fn keypoints(&self, preparation: &Preparation, width: u32, height: u32) -> Option<[[f32; 3]; N_POINTS]> {
+        let hands = self.hands?;
+        Some(std::array::from_fn(|point| {
+            let side = Side::BOTH[point / N_KEYPOINTS];
+            if !self.certainty.counts(side) {
+                return [f32::NAN; 3];
+            }
+            let keypoint = hands[side as usize].keypoints[point % N_KEYPOINTS];
+            let [x, y] = keypoint.pixel(preparation, width as usize, height as usize);
+            [x as f32, y as f32, keypoint.confidence]
+        }))
+    }
 }
 
 /// Runs a checkpoint on a stream of images.
@@ -95,6 +118,8 @@ pub struct Predictor {
     device: Device,
     max_gap_secs: f64,
     unknown: Unknown,
+    /// Conversion of pictures that replaces the checkpoint's.
+    other_view: Option<Resize>,
     frames: Vec<CachedFrame>, // oldest first, stamps strictly increasing
     /// MANO files whose vertices the fields are carried over to; None = the checkpoint's topology.
     mano: Option<Arc<FieldMap>>,
@@ -129,8 +154,11 @@ impl Predictor {
         doubt.familiarity = options.familiarity_threshold.unwrap_or(doubt.familiarity);
         doubt.presence = options.presence_threshold.unwrap_or(doubt.presence);
         doubt.check()?;
-        let Options { device, unknown, .. } = options;
-        Ok(Self { checkpoint, device, max_gap_secs, unknown, frames: Vec::new(), mano: None })
+        let Options { device, unknown, view, .. } = options;
+        let own = checkpoint.metadata.resize;
+        let other_view = view.resize().filter(|resize| *resize != own);
+        checkpoint.metadata.resize = other_view.unwrap_or(own);
+        Ok(Self { checkpoint, device, max_gap_secs, unknown, other_view, frames: Vec::new(), mano: None })
     }
 
     /// Returns the predictor with the output of the force head as force, also where no force ever trained it; otherwise such
@@ -144,6 +172,11 @@ impl Predictor {
     /// Form of touch that is unknown.
     pub fn unknown(&self) -> Unknown {
         self.unknown
+    }
+
+    /// Conversion of pictures by [`Options::view`], if the checkpoint has another; None = that of the checkpoint.
+    pub fn other_view(&self) -> Option<Resize> {
+        self.other_view
     }
 
     /// True if the checkpoint can tell unfamiliar images.

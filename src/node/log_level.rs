@@ -1,7 +1,9 @@
 //! Level of a node's log: argument `--log-level`, and the services that other client libraries offer for it.
 
+#[cfg(logger_levels)]
 use r2r::rcl_interfaces::{msg, srv};
 
+use super::ros_arguments::{RosArgument, ros_arguments};
 use super::runtime::Runtime;
 
 /// Levels of `rcl_interfaces/msg/Log` by the names that `--log-level` takes.
@@ -9,18 +11,15 @@ const LEVELS: [(&str, u8); 5] = [("debug", 10), ("info", 20), ("warn", 30), ("er
 /// Level without an argument.
 const DEFAULT: u8 = 20;
 /// Level of a logger that has none of its own.
+#[cfg(logger_levels)]
 const UNSET: u8 = 0;
 
 /// Returns the level that the program's arguments give to the logger `name`: `--log-level LEVEL` for all loggers, or
 /// `--log-level LOGGER:=LEVEL` for one and those below it; the longest name counts. ROS has already checked the levels.
 pub(super) fn from_arguments(arguments: impl IntoIterator<Item = String>, name: &str) -> u8 {
     let mut level = (0, DEFAULT);
-    let mut arguments = arguments.into_iter().skip_while(|argument| argument != "--ros-args");
-    while let Some(argument) = arguments.next() {
-        if argument != "--log-level" {
-            continue;
-        }
-        let rule = arguments.next().unwrap_or_default();
+    for argument in ros_arguments(arguments) {
+        let RosArgument::LogLevel(rule) = argument else { continue };
         let (logger, word) = rule.split_once(":=").unwrap_or(("", &rule));
         let is_ours = logger.is_empty() || name == logger || name.starts_with(&format!("{logger}."));
         let found = LEVELS.iter().find(|(known, _)| known.eq_ignore_ascii_case(word));
@@ -31,10 +30,20 @@ pub(super) fn from_arguments(arguments: impl IntoIterator<Item = String>, name: 
     level.1
 }
 
+/// Offers `~/get_logger_levels` and `~/set_logger_levels` for the node's own logger. ROS 2 Humble has no such services.
+///
+/// # Errors
+/// If ROS refuses a service name.
+#[cfg(not(logger_levels))]
+pub(super) fn serve(_: &mut Runtime) -> anyhow::Result<()> {
+    Ok(())
+}
+
 /// Offers `~/get_logger_levels` and `~/set_logger_levels` for the node's own logger.
 ///
 /// # Errors
 /// If ROS refuses a service name.
+#[cfg(logger_levels)]
 pub(super) fn serve(runtime: &mut Runtime) -> anyhow::Result<()> {
     let log = runtime.log().clone();
     runtime.service::<srv::GetLoggerLevels::Service>("~/get_logger_levels", move |request| {

@@ -42,6 +42,7 @@ mod qos_overrides;
 mod rectify;
 #[cfg(feature = "sim")]
 pub mod retargeter;
+mod ros_arguments;
 mod runtime;
 mod shutdown;
 mod sim_time;

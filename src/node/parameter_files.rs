@@ -8,6 +8,7 @@ use anyhow::{Context as _, bail};
 use r2r::ParameterValue;
 use serde_yaml::Value;
 
+use super::ros_arguments::{RosArgument, ros_arguments};
 use crate::file::{input, limits};
 use crate::text::parse_yaml;
 
@@ -74,20 +75,14 @@ fn matches(pattern: &str, full_name: &str) -> bool {
 /// Returns the entries of the parameter files and rules on the command line.
 fn entries(arguments: impl IntoIterator<Item = String>) -> anyhow::Result<Vec<Entry>> {
     let mut entries = Vec::new();
-    let mut for_ros = false;
-    let mut arguments = arguments.into_iter();
-    while let Some(argument) = arguments.next() {
-        match argument.as_str() {
-            "--ros-args" => for_ros = true,
-            "--" => for_ros = false,
-            "--params-file" if for_ros => {
-                let Some(path) = arguments.next() else { continue };
+    for argument in ros_arguments(arguments) {
+        match argument {
+            RosArgument::ParameterFile(path) => {
                 let text = input::read_text(Path::new(&path), limits::TEXT)?;
                 let file: Value = parse_yaml(&text).with_context(|| format!("parameter file {path}"))?;
                 read_nodes("", &file, &mut entries).with_context(|| format!("parameter file {path}"))?;
             }
-            "-p" | "--param" if for_ros => {
-                let Some(rule) = arguments.next() else { continue };
+            RosArgument::Parameter(rule) => {
                 let Some((left, value)) = rule.split_once(":=") else { continue };
                 let (node, name) = left.split_once(':').unwrap_or((ALL, left));
                 let value: Value = parse_yaml(value).unwrap_or_else(|_| Value::String(value.to_owned()));
@@ -95,7 +90,7 @@ fn entries(arguments: impl IntoIterator<Item = String>) -> anyhow::Result<Vec<En
                 let value = to_ros(&value).unwrap_or(ParameterValue::NotSet);
                 add(&mut entries, node, vec![(name.to_owned(), value)]);
             }
-            _ => {}
+            RosArgument::Remap(_) | RosArgument::LogLevel(_) => {}
         }
     }
     Ok(entries)

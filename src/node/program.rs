@@ -9,7 +9,7 @@ use anyhow::Context as _;
 use super::create::create;
 use super::lifecycle::{self, Lifecycle};
 use super::parameter_services::Setter;
-use super::params::{self, Parameter, Parameters};
+use super::params::{self, Parameter, Parameters, USE_SIM_TIME};
 use super::runtime::Runtime;
 use super::shutdown::Shutdown;
 use super::topic_statistics;
@@ -29,6 +29,10 @@ pub(crate) fn run(
     run: impl Fn(Runtime, &Shutdown) -> anyhow::Result<()>,
 ) -> ExitCode {
     table.extend([lifecycle::parameter(), topic_statistics::parameter()]);
+    // The simulator declares its own.
+    if table.iter().all(|parameter| parameter.name != USE_SIM_TIME) {
+        table.push(Parameter::use_sim_time());
+    }
     run_program(about, &table, |shutdown| {
         let lifecycle = Lifecycle::new(shutdown);
         let mut parameters: Option<Arc<Parameters>> = None;

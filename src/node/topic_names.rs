@@ -3,6 +3,8 @@
 //! r2r does not offer this resolution, and the compressed image topic needs it: its name is the resolved image topic
 //! followed by `/compressed`.
 
+use super::ros_arguments::{RosArgument, ros_arguments};
+
 /// Name, namespace and remapping rules of one node.
 pub(crate) struct TopicNames {
     namespace: String,
@@ -20,7 +22,11 @@ struct RemapRule {
 impl TopicNames {
     /// Collects the rules of the node `node` in `namespace` (`/` or `/a/b`) from the command line `arguments`.
     pub(crate) fn new(namespace: &str, node: &str, arguments: impl IntoIterator<Item = String>) -> Self {
-        Self { namespace: namespace.to_owned(), node: node.to_owned(), rules: remap_rules(arguments) }
+        let rules = ros_arguments(arguments).filter_map(|argument| match argument {
+            RosArgument::Remap(rule) => remap_rule(&rule),
+            _ => None,
+        });
+        Self { namespace: namespace.to_owned(), node: node.to_owned(), rules: rules.collect() }
     }
 
     /// Returns the full name of `topic` after remapping.
@@ -46,22 +52,6 @@ impl TopicNames {
             format!("{namespace}/{name}")
         }
     }
-}
-
-/// Returns the rules `[node:]from:=to` given after `-r` or `--remap`, between `--ros-args` and `--`.
-fn remap_rules(arguments: impl IntoIterator<Item = String>) -> Vec<RemapRule> {
-    let mut rules = Vec::new();
-    let mut for_ros = false;
-    let mut arguments = arguments.into_iter();
-    while let Some(argument) = arguments.next() {
-        match argument.as_str() {
-            "--ros-args" => for_ros = true,
-            "--" => for_ros = false,
-            "-r" | "--remap" if for_ros => rules.extend(arguments.next().as_deref().and_then(remap_rule)),
-            _ => {}
-        }
-    }
-    rules
 }
 
 /// Parses `[node:]from:=to`; None if `text` is no topic remapping rule.

@@ -9,8 +9,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use candle_core::Tensor;
+use candle_core::{DType, Device, Tensor};
+use candle_nn::VarMap;
 use egotac::hand::Topology;
+use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Presence, checkpoint, init};
 use egotac::tactile::TactileField;
 use image::{Rgb, RgbImage};
 
@@ -36,6 +38,28 @@ pub fn refused(arguments: &[&str], word: &str) -> String {
     assert!(error.contains(word) && error.lines().count() == 1, "{arguments:?}: {word:?} is not in: {error}");
     assert!(error.len() < 4000, "{arguments:?}: a message of {} bytes", error.len());
     error
+}
+
+/// Saves a toy network at `path` whose presence is 1 for each hand that `present` names, and 0 for the other, whatever the image.
+/// Positions of keypoints depend on the image; touch does not, because the heads of a new network are zero.
+pub fn save_network_with_presence(path: &Path, present: [bool; 2]) {
+    let config = Config::toy();
+    let vars = VarMap::new();
+    EgoTac::new(&config, init::var_builder(&vars, 3, &Device::Cpu)).unwrap();
+    let metadata = Metadata::new("toy", 1.0, 0.04);
+    Checkpoint::save(path, &config, &metadata, &vars).unwrap();
+    let (_, _, mut tensors) = checkpoint::load_tensors(path).unwrap();
+    for (name, shape) in Presence::shapes(config.vision_width) {
+        let tensor = match name.as_str() {
+            "presence.hand.bias" => {
+                Tensor::new(&present.map(|present| if present { 100f32 } else { -100.0 }), &Device::Cpu)
+            }
+            "presence.hand.weight" => Tensor::zeros(shape, DType::F32, &Device::Cpu),
+            _ => Tensor::randn(0f32, 0.2, shape, &Device::Cpu),
+        };
+        tensors.insert(name, tensor.unwrap());
+    }
+    Checkpoint::save_tensors(path, &config, &metadata, &tensors).unwrap();
 }
 
 /// Returns the path of a file of `tests/data/hand`.

@@ -11,3 +11,4 @@ mod lerobot_policy;
 mod store_cli;
 mod unknown_cli;
 mod video_cli;
+mod view_cli;

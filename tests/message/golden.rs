@@ -142,6 +142,37 @@ fn own_messages_have_the_bytes_of_ros() {
             full: vec![8.0],
         },
     );
+    let contact = TactileContact {
+        header: header("world"),
+        name: "left_index_tip".into(),
+        position: Point { x: 0.25, y: -0.5, z: 0.75 },
+        normal: Vector3 { x: 0.0, y: 0.0, z: -1.0 },
+        wrench: Wrench { force: Vector3 { x: 0.0, y: 0.0, z: 2.0 }, torque: Vector3 { x: -1.0, y: -0.5, z: 0.0 } },
+    };
+    let unknown = Vector3 { x: f64::NAN, y: f64::NAN, z: f64::NAN };
+    let other = TactileContact {
+        header: header("world"),
+        name: "left_palm".into(),
+        position: Point::default(),
+        normal: Vector3::default(),
+        wrench: Wrench { force: unknown, torque: Vector3::default() },
+    };
+    agrees(
+        "tactile_contacts",
+        &TactileContacts { header: header("world"), known: [true, false], contacts: vec![contact, other] },
+    );
+    agrees(
+        "hand_keypoints",
+        &HandKeypoints {
+            header: header("camera_optical"),
+            width: 640,
+            height: 480,
+            presence: [0.875, 0.5],
+            x: std::array::from_fn(|i| i as f32 / 4.0),
+            y: std::array::from_fn(|i| i as f32 / 8.0),
+            confidence: std::array::from_fn(|i| if i < 21 { f32::NAN } else { i as f32 / 64.0 }),
+        },
+    );
     agrees(
         "trainer_status",
         &TrainerStatus {
@@ -409,6 +440,9 @@ fn structs_have_the_fields_of_their_msg_files() {
     check(TactileMetrics::definition(), TactileMetrics::fields());
     check(GloveReading::definition(), GloveReading::fields());
     check(TrainerStatus::definition(), TrainerStatus::fields());
+    check(TactileContact::definition(), TactileContact::fields());
+    check(TactileContacts::definition(), TactileContacts::fields());
+    check(HandKeypoints::definition(), HandKeypoints::fields());
     check(LinkTouch::definition(), LinkTouch::fields());
     check(RobotTouch::definition(), RobotTouch::fields());
 }

@@ -165,6 +165,33 @@ fn retarget_demo_connects_the_retargeter_to_simulator_and_predictor() {
 }
 
 #[test]
+fn an_argument_of_a_launch_file_does_not_reach_an_included_one_by_its_name_alone() {
+    let description = describe("retarget.launch.py", &["demo:=true", "model:=/hand.xml", "hand_pose_topic:=/mine"]);
+    let retargeter = nodes_of(&description)[0];
+    assert_eq!(retargeter["parameters"]["model"], "/hand.xml");
+    assert_eq!(retargeter["remappings"]["hand_pose"], "/mine");
+    assert_eq!(description["includes"][0]["arguments"]["model"], "", "the predictor takes its own checkpoint");
+    // Launch shows an included file all arguments of the one that includes it, so those that both have must be given.
+    for (file, arguments) in [
+        ("demo.launch.py", &[][..]),
+        ("egotac.launch.py", &[]),
+        ("realsense_allegro.launch.py", &[]),
+        ("retarget.launch.py", &["demo:=true"]),
+        ("trainer.launch.py", &[]),
+    ] {
+        let description = describe(file, arguments);
+        for include in description["includes"].as_array().unwrap() {
+            let included = in_source(include["file"].as_str().unwrap());
+            let included = describe(included.file_name().unwrap().to_str().unwrap(), &[]);
+            let of_both = |name: &&String| included["arguments"].get(name.as_str()).is_some();
+            for name in description["arguments"].as_object().unwrap().keys().filter(of_both) {
+                assert!(include["arguments"].get(name).is_some(), "{file}: {name} leaks into {}", include["file"]);
+            }
+        }
+    }
+}
+
+#[test]
 fn the_allegro_launch_connects_camera_tracker_predictor_retargeter_and_controllers() {
     let file = "realsense_allegro.launch.py";
     let description = describe(file, &["tracker_python:=/env/bin/python", "forward_controller:=forward"]);
@@ -261,6 +288,17 @@ fn arguments_that_are_not_given_do_not_override_the_parameter_file() {
     assert_eq!(nodes[0]["parameters"], serde_json::json!({}));
     assert_eq!(nodes[0]["remappings"]["image"], "/camera/image");
     assert_eq!(description["nodes"].as_array().unwrap().len(), 1, "RViz starts only when asked for");
+}
+
+#[test]
+fn the_package_depends_on_all_packages_whose_messages_are_bound() {
+    let read = |name: &str| std::fs::read_to_string(root().join(name)).unwrap();
+    let (package, bound) = (read("launch/package.xml"), read("scripts/idl_packages.txt"));
+    for name in bound.lines() {
+        let is_named =
+            package.lines().any(|line| line.contains("<depend") && line.contains(&format!(">{name}</depend>")));
+        assert!(is_named, "launch/package.xml lacks <depend>{name}</depend>");
+    }
 }
 
 #[test]

@@ -1,17 +1,41 @@
 //! Topics of `egotac_predictor` that show touch in other forms, tested by the rclpy peer `tests/ros/views_peer.py`.
 
+use std::path::Path;
+
+use crate::common::save_network_with_presence;
 use crate::harness::Session;
 use egotac::hand::{HandModel, Side};
 use egotac::message::{Header, TactileFrame, TactileRegions};
 use egotac::model::Config;
 use egotac::{TactileField, Topology};
 
-fn holds(fact: &str, ros_args: &[&str]) {
+/// Runs a check of the peer beside a predictor; returns what the predictor printed.
+fn holds(fact: &str, ros_args: &[&str]) -> String {
     let session = Session::new();
-    let model = format!("model:={}", session.checkpoint(&Config::toy()).display());
+    let model = session.checkpoint(&Config::toy());
+    holds_with(&session, &model, fact, ros_args)
+}
+
+fn holds_with(session: &Session, model: &Path, fact: &str, ros_args: &[&str]) -> String {
+    let model = format!("model:={}", model.display());
     let mut node = session.node(env!("CARGO_BIN_EXE_egotac_predictor"), &[&["-p", &model], ros_args].concat());
     session.check("views_peer.py", &[fact]);
     node.ends_cleanly("INT");
+    node.output()
+}
+
+#[test]
+fn contacts_are_the_regions_in_contact_with_their_centres_of_force() {
+    holds("contacts", &[]);
+}
+
+#[test]
+fn keypoints_come_on_demand_and_are_unknown_for_an_absent_hand() {
+    let session = Session::new();
+    let model = session.path("presence.safetensors");
+    save_network_with_presence(&model, [false, true]);
+    let output = holds_with(&session, &model, "keypoints", &["-p", "view:=letterbox"]);
+    assert!(!output.contains("of the picture"), "{output}");
 }
 
 #[test]
@@ -31,7 +55,10 @@ fn hands_of_unknown_pose_or_low_confidence_are_shown_at_rest() {
 
 #[test]
 fn the_overlay_is_a_jpeg_of_the_image_and_both_hands() {
-    holds("overlay", &[]);
+    let output = holds("overlay", &[]);
+    // The network of this test crops a picture of 4:3 to a square, which is told once.
+    let warning = "25 % of the picture (640 x 480) lies outside of the network's view (crop)";
+    assert_eq!(output.matches(warning).count(), 1, "{output}");
 }
 
 #[test]

@@ -7,7 +7,9 @@ import math
 import sys
 
 import numpy as np
-from egotac_msgs.msg import HandModelInfo, HandPose, HandPoses, TactileFrame, TactileRegions
+from egotac_msgs.msg import (
+    HandKeypoints, HandModelInfo, HandPose, HandPoses, TactileContacts, TactileFrame, TactileRegions,
+)
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 from tf2_msgs.msg import TFMessage
@@ -194,6 +196,53 @@ def at_rest():
         # The hand that is not known disappears.
         left, right = got["markers"].markers
         assert (left.action, right.action) == (Marker.DELETE, Marker.ADD)
+
+
+def contacts():
+    """Contacts are the regions with a touched vertex, at the centre of their forces."""
+    view = View(contacts=TactileContacts, points=PointCloud2)
+    infos = view.peer.listen(HandModelInfo, "predictor/model_info", LATCHED)
+    view.peer.wait(lambda: infos, "model_info")
+    vertex_region = np.array(infos[0].vertex_region)
+    listed = 0
+    for sec in (10, 30):
+        frame, got = view.at(sec)
+        message_ = got["contacts"]
+        assert message_.header.frame_id == "hand_rest" and list(message_.known) == [True, True]
+        by_name = {contact.name: contact for contact in message_.contacts}
+        assert list(by_name) == [name for name in infos[0].region_names if name in by_name], "the order of the regions"
+        points = np.frombuffer(bytes(got["points"].data), "<f4").reshape(2, 778, 6).astype("f8")
+        for side, cloud, hand in zip(SIDES, points, frame.hands):
+            force, touched = np.asarray(hand.force, "f8"), np.asarray(hand.contact) > 0.5
+            for name in set(vertex_region):
+                inside = vertex_region == name
+                contact = by_name.get(f"{side}_{name}")
+                assert (contact is not None) == touched[inside].any(), (side, name)
+                if contact is None:
+                    continue
+                listed += 1
+                assert contact.header == message_.header
+                assert math.isclose(np.linalg.norm(vector(contact.normal)), 1.0, rel_tol=1e-6)
+                total = force[inside].sum()
+                assert np.linalg.norm(vector(contact.wrench.force)) <= total * (1 + 1e-5)
+                if total > 0:
+                    centre = (cloud[inside, :3] * force[inside, None]).sum(0) / total
+                    assert np.abs(vector(contact.position) - centre).max() < 1e-5, (side, name)
+    assert listed, "a random network touches somewhere"
+
+
+def keypoints():
+    """Keypoints of the hand that is there are pixels of the image; those of the other are unknown."""
+    view = View(keypoints=HandKeypoints)
+    frame, got = view.at(10, height=90, width=160)
+    keypoints_ = got["keypoints"]
+    assert keypoints_.header == frame.header and (keypoints_.width, keypoints_.height) == (160, 90)
+    assert list(keypoints_.presence) == [hand.score for hand in frame.hands]
+    assert keypoints_.presence[0] < 1e-6 and keypoints_.presence[1] > 1 - 1e-6
+    for values in (keypoints_.x, keypoints_.y, keypoints_.confidence):
+        values = np.asarray(values)
+        assert values.shape == (42,) and np.isnan(values[:21]).all() and np.isfinite(values[21:]).all()
+    assert np.ptp(keypoints_.x[21:]) > 0 and (np.asarray(keypoints_.confidence[21:]) <= 1).all()
 
 
 def overlay():

@@ -6,3 +6,5 @@ mod common;
 mod metrics;
 #[cfg(feature = "sim")]
 mod verify_cli;
+#[cfg(feature = "sim")]
+mod verify_unknown;

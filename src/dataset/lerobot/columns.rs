@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::images::{LeRobotDataset, PolicyInput};
 use super::policy_input::{LabelColumn, policy_input, policy_input_names, policy_input_width};
-use crate::dataset::label_frame::LabelFrame;
+use crate::dataset::label_frame::{KEYPOINT_VALUES, LabelFrame};
 use crate::hand::{HandModel, Side, Topology};
 
 /// Returns the values of a column for a label.
@@ -28,8 +28,8 @@ pub struct Column {
 
 impl LeRobotDataset {
     /// Returns the new columns: those that were chosen, each for itself or as an input of policies, and of images that are
-    /// `judged` the certainty of the network.
-    pub(super) fn columns(&self, topology: Topology, judged: bool) -> Vec<Column> {
+    /// `judged` the certainty of the network, and the `keypoints` of the hands.
+    pub(super) fn columns(&self, topology: Topology, judged: bool, keypoints: bool) -> Vec<Column> {
         // The regions of MANO's vertices are known with MANO's files alone.
         let regions = match topology {
             Topology::EgotacHand1 => Some(Side::BOTH.map(|side| HandModel::builtin(side).regions())),
@@ -58,6 +58,15 @@ impl LeRobotDataset {
                 base: 0,
                 width: CERTAINTY.len(),
                 value: Box::new(certainty),
+            });
+        }
+        if keypoints {
+            columns.push(Column {
+                name: format!("{}.predicted_keypoints", self.prefix),
+                names: None,
+                base: 0,
+                width: KEYPOINT_VALUES,
+                value: Box::new(LabelFrame::keypoints),
             });
         }
         if let Some(PolicyInput { name, base, names }) = &self.input {

@@ -293,7 +293,7 @@ impl Labelling<'_> {
 impl LabelOutput for LeRobotDataset {
     fn assemble(&self, labels: &dyn SourceLabels, info: &mut LabelInfo, at: &Path, _: &Path) -> Result<()> {
         let root = &self.dataset.root;
-        let columns = self.columns(labels.topology(), info.provenance.doubt.is_some());
+        let columns = self.columns(labels.topology(), info.provenance.doubt.is_some(), info.provenance.keypoints);
         fs::create_dir_all(at).map_err(Error::io(at))?;
         let done = FinishedEpisodes::new(at)?;
         let mut labelling = Labelling { dataset: &self.dataset, labels, open: None, done };

@@ -59,6 +59,10 @@ impl LabelOutput for BagOutput {
         bag.finish()
     }
 
+    fn holds_keypoints(&self) -> bool {
+        false
+    }
+
     fn info(&self, out: &Path) -> Option<LabelInfo> {
         read_info(out)
     }

@@ -61,6 +61,10 @@ impl LabelOutput for Bag {
         self.copy_others(at)
     }
 
+    fn holds_keypoints(&self) -> bool {
+        false
+    }
+
     fn info(&self, out: &Path) -> Option<LabelInfo> {
         read_info(out)
     }

@@ -16,6 +16,7 @@ use crate::dataset::provenance::{DoubtRule, PROVENANCE_KEY};
 use crate::dataset::source::ImageSource;
 use crate::error::{Error, Result};
 use crate::file::input;
+use crate::hand::N_KEYPOINTS;
 use crate::tactile::{N_FIELD, TactileSequence};
 
 /// Largest header that is read, bytes; the format's own limit.
@@ -60,7 +61,7 @@ const BASE: [FrameArray; 3] = [
     },
 ];
 
-/// Returns the arrays of what the network estimates about its images, and the masks that follow.
+/// Returns the arrays of what the network estimates about its images, the masks that follow, and the keypoints.
 fn judged(info: &LabelInfo) -> Vec<FrameArray> {
     let [familiarity, presence] = DoubtRule::estimates(info.provenance.doubt.as_ref());
     let array = |name, row, values| FrameArray { name, dtype: "F32", size: 4, row, values };
@@ -72,14 +73,19 @@ fn judged(info: &LabelInfo) -> Vec<FrameArray> {
         arrays.push(mask("mask_force", |label| label.masks()[0].clone()));
         arrays.push(mask("mask_contact", |label| label.masks()[1].clone()));
     }
+    let keypoints = info.provenance.keypoints;
+    arrays.extend(keypoints.then(|| array("predicted_keypoints", KEYPOINTS, |label| f32_bytes(&label.keypoints()))));
     arrays
 }
 
+/// Row of the keypoints of both hands.
+const KEYPOINTS: &[u64] = &[2, N_KEYPOINTS as u64, 3];
 /// Row of an array with a value per vertex.
 const VERTICES: &[u64] = &[N_FIELD as u64];
 
 /// Writes `force` and `contact` (T, 1556), `timestamps` (T) s and `episode_ends`; NaN for images without a label. Of a
-/// network that judges its images, also `mask_force` and `mask_contact` (T, 1556), `familiarity` (T) and `presence` (T, 2).
+/// network that judges its images, also `mask_force` and `mask_contact` (T, 1556), `familiarity` (T) and `presence` (T, 2); with
+/// keypoints, `predicted_keypoints` (T, 2, 21, 3): x and y in pixels of the image, and confidence.
 pub struct TensorOutput {
     /// Source of the labelled images.
     pub source: Arc<dyn ImageSource>,

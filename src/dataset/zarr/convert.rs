@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use ::image::RgbImage;
 
-use super::{ArraySpec, Contact, Dtype, FAMILIARITY, PRESENCE, Values, ZarrWriter};
+use super::{ArraySpec, Contact, Dtype, FAMILIARITY, PREDICTED_KEYPOINTS, PRESENCE, Values, ZarrWriter};
 use crate::dataset::copy::remove;
 use crate::dataset::label_frame::LabelFrame;
 use crate::dataset::label_info::LabelInfo;
@@ -14,7 +14,7 @@ use crate::dataset::provenance::{DoubtRule, PROVENANCE_KEY};
 use crate::dataset::source::{ImageSource, SourceFrame};
 use crate::dataset::{Attributes, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
-use crate::hand::Topology;
+use crate::hand::{N_KEYPOINTS, Topology};
 use crate::image::scaled as resampled;
 use crate::tactile::{ForceKind, TactileField, Validity};
 
@@ -31,8 +31,14 @@ impl LabelOutput for StoreOutput {
         remove(at)?;
         let topology = labels.topology();
         let estimates = DoubtRule::estimates(info.provenance.doubt.as_ref());
-        let specs = [ArraySpec::new(FAMILIARITY, [], Dtype::F32), ArraySpec::new(PRESENCE, [2], Dtype::F32)];
-        let arrays = specs.into_iter().zip(estimates).filter(|(_, there)| *there).map(|(spec, _)| spec).collect();
+        let [familiarity, presence] = estimates;
+        let there = [familiarity, presence, info.provenance.keypoints];
+        let specs = [
+            ArraySpec::new(FAMILIARITY, [], Dtype::F32),
+            ArraySpec::new(PRESENCE, [2], Dtype::F32),
+            ArraySpec::new(PREDICTED_KEYPOINTS, [2, N_KEYPOINTS, 3], Dtype::F32),
+        ];
+        let arrays = specs.into_iter().zip(there).filter(|(_, there)| *there).map(|(spec, _)| spec).collect();
         let mut writer = ZarrWriter::create(at, attributes(topology, info), Contact::Score, arrays)?;
         writer.set_attribute(ForceKind::ATTRIBUTE, info.provenance.force_kind.id().into());
         writer.set_attribute(PROVENANCE_KEY, serde_json::to_value(&*info).unwrap_or_default());
@@ -51,10 +57,16 @@ impl LabelOutput for StoreOutput {
                 // A frame without a time takes that of the frame before it.
                 time = if image.stamp_secs.is_finite() { image.stamp_secs } else { time };
                 let [familiarity, presence @ ..] = label.estimates();
-                let values = [(FAMILIARITY, vec![familiarity]), (PRESENCE, presence.to_vec())];
-                let values = values.into_iter().zip(estimates).filter(|(_, there)| *there);
+                let keypoints = label.keypoints();
+                let (frame, scale) = frame(time, image, label, size, topology)?;
+                let values = [
+                    (FAMILIARITY, vec![familiarity]),
+                    (PRESENCE, presence.to_vec()),
+                    (PREDICTED_KEYPOINTS, scaled_keypoints(keypoints, scale)),
+                ];
+                let values = values.into_iter().zip(there).filter(|(_, there)| *there);
                 let further = values.map(|((name, values), _)| (name, Values::F32(values))).collect();
-                writer.push_with(frame(time, image, label, size, topology)?, further)?;
+                writer.push_with(frame, further)?;
             }
             // A unit without images is no episode.
             if writer.n_frames() > before {
@@ -133,20 +145,30 @@ fn attributes(topology: Topology, info: &LabelInfo) -> Attributes {
     }
 }
 
+/// Scales the positions of keypoints, (2, 21, 3), like their image.
+fn scaled_keypoints(mut keypoints: Vec<f32>, scale: [f32; 2]) -> Vec<f32> {
+    for [x, y, _] in keypoints.as_chunks_mut::<3>().0 {
+        (*x, *y) = (*x * scale[0], *y * scale[1]);
+    }
+    keypoints
+}
+
+/// Returns the frame with an image of this size, and by how much its width and height were scaled.
 fn frame(
     timestamp: f64,
     source: SourceFrame,
     label: LabelFrame,
     size: (u32, u32),
     topology: Topology,
-) -> Result<Frame> {
+) -> Result<(Frame, [f32; 2])> {
     let image = source.image.ok().and_then(|image| image.decode().ok());
     // Unreadable images are black and have no label.
     let image = image.unwrap_or_else(|| RgbImage::new(size.0, size.1));
+    let scale = [size.0 as f32 / image.width() as f32, size.1 as f32 / image.height() as f32];
     let camera_ego_rgb = fitted(image, size)?;
     let [force_valid, contact_valid] = label.masks();
     let (force, contact) = label.into_values();
-    Ok(Frame {
+    let frame = Frame {
         timestamp,
         camera_ego_rgb,
         force_valid,
@@ -155,5 +177,6 @@ fn frame(
         validity: Validity::Valid,
         left_hand_pose: None,
         right_hand_pose: None,
-    })
+    };
+    Ok((frame, scale))
 }

@@ -10,7 +10,7 @@ use super::files::open_zip;
 use super::images::Store;
 use super::{
     AddedArrays, ArraySpec, Dtype, FAMILIARITY, FRAME_VALIDITY, MANO_CONTACT, MANO_CONTACT_SCORE, MANO_CONTACT_VALID,
-    MANO_FORCE, MANO_FORCE_VALID, PRESENCE, StoreLocation, Values, ZarrReader,
+    MANO_FORCE, MANO_FORCE_VALID, PREDICTED_KEYPOINTS, PRESENCE, StoreLocation, Values, ZarrReader,
 };
 use crate::dataset::EpisodeReader;
 use crate::dataset::copy::{copy_file, copy_folder};
@@ -22,7 +22,7 @@ use crate::dataset::provenance::{DoubtRule, PROVENANCE_KEY};
 use crate::dataset::source::{LostBytes, Unit};
 use crate::error::{Error, Result};
 use crate::file::limits;
-use crate::hand::Topology;
+use crate::hand::{N_KEYPOINTS, Topology};
 use crate::tactile::N_FIELD;
 
 /// Prefix of the labels' arrays in stores that hold arrays of these names already, such as truth.
@@ -59,7 +59,8 @@ impl LabelOutput for Store {
     fn assemble(&self, labels: &dyn SourceLabels, info: &mut LabelInfo, at: &Path, _: &Path) -> Result<()> {
         let [force, contact, force_valid, contact_valid, familiarity, presence] = self.label_names();
         // Remove arrays that a killed attempt left.
-        for name in [&force, &contact, &force_valid, &contact_valid, &familiarity, &presence] {
+        let names = [&force, &contact, &force_valid, &contact_valid, &familiarity, &presence];
+        for name in names.into_iter().map(String::as_str).chain([PREDICTED_KEYPOINTS]) {
             let array = at.join(name);
             if array.exists() {
                 fs::remove_dir_all(&array).map_err(Error::io(&array))?;
@@ -74,6 +75,8 @@ impl LabelOutput for Store {
         let estimates = DoubtRule::estimates(info.provenance.doubt.as_ref());
         specs.extend(estimates[0].then(|| ArraySpec::new(familiarity, [], Dtype::F32)));
         specs.extend(estimates[1].then(|| ArraySpec::new(presence, [2], Dtype::F32)));
+        let keypoints = info.provenance.keypoints;
+        specs.extend(keypoints.then(|| ArraySpec::new(PREDICTED_KEYPOINTS, [2, N_KEYPOINTS, 3], Dtype::F32)));
         fs::create_dir_all(at).map_err(Error::io(at))?;
         let mut arrays = AddedArrays::new(at, specs)?;
         // Copy and labels touch different files until `finish` writes the attributes, so they run at the same time.
@@ -81,7 +84,7 @@ impl LabelOutput for Store {
             let copying = scope.spawn(|| self.copy(at));
             let added = self.units.iter().enumerate().try_for_each(|(index, unit)| {
                 let labels = labels.labels(index)?;
-                prefetch(labels, |labels| add_labels(&mut arrays, unit, labels, estimates))
+                prefetch(labels, |labels| add_labels(&mut arrays, unit, labels, estimates, keypoints))
             });
             (copying.join(), added)
         });
@@ -118,10 +121,11 @@ fn add_labels(
     unit: &Unit,
     labels: &mut dyn Iterator<Item = Result<LabelFrame>>,
     estimates: [bool; 2],
+    keypoints: bool,
 ) -> Result<()> {
     let mut count = 0;
     for label in labels {
-        arrays.push(values(label?, estimates))?;
+        arrays.push(values(label?, estimates, keypoints))?;
         count += 1;
     }
     match Some(count) == unit.frames {
@@ -137,14 +141,16 @@ pub fn read_info(store: &Path) -> Option<LabelInfo> {
 }
 
 /// Returns the values of one frame: force, contact, and their validity; also familiarity and presence if they are
-/// estimated.
-fn values(label: LabelFrame, estimates: [bool; 2]) -> Vec<Values> {
+/// estimated, and the keypoints if they are wanted.
+fn values(label: LabelFrame, estimates: [bool; 2], keypoints: bool) -> Vec<Values> {
     let masks = label.masks().map(Values::U8);
     let [familiarity, presence @ ..] = label.estimates();
+    let keypoints = keypoints.then(|| Values::F32(label.keypoints()));
     let (force, contact) = label.into_values();
     let mut values: Vec<Values> = [Values::F32(force), Values::F32(contact)].into_iter().chain(masks).collect();
     values.extend(estimates[0].then(|| Values::F32(vec![familiarity])));
     values.extend(estimates[1].then(|| Values::F32(presence.to_vec())));
+    values.extend(keypoints);
     values
 }
 

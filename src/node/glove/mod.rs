@@ -89,7 +89,6 @@ fn parameters() -> Vec<Parameter> {
         ImageTransport::parameter(),
         reliability_parameter("match"),
         Parameter::new("enabled", true, Allowed::Any, "Publish touch; ~/set_enabled sets it, too."),
-        Parameter::use_sim_time(),
     ]
 }
 

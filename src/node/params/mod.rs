@@ -11,7 +11,7 @@ use anyhow::bail;
 use super::lock::lock;
 
 pub(crate) use describe::{describe, help};
-pub(crate) use parameter::{Allowed, Parameter};
+pub(crate) use parameter::{Allowed, Parameter, USE_SIM_TIME};
 pub(crate) use value::{Typed, Value};
 
 /// Parameters of a running node.

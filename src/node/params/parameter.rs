@@ -2,6 +2,9 @@
 
 use super::value::Value;
 
+/// Name of the parameter that takes the time from `/clock`.
+pub(crate) const USE_SIM_TIME: &str = "use_sim_time";
+
 /// Declaration of a parameter.
 #[derive(Debug, Clone)]
 pub(crate) struct Parameter {
@@ -53,7 +56,7 @@ impl Parameter {
 
     /// Declares `use_sim_time`, which every node has.
     pub(crate) fn use_sim_time() -> Self {
-        Self::new("use_sim_time", false, Allowed::Any, "Take the time from /clock instead of the wall clock.")
+        Self::new(USE_SIM_TIME, false, Allowed::Any, "Take the time from /clock instead of the wall clock.")
     }
 
     /// Converts `value` to the type of this parameter and checks its range.

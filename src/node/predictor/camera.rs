@@ -7,8 +7,18 @@ use crate::node::params::{Allowed, Parameter, Parameters};
 /// Most cameras of one node; bounds the number of its topics.
 const MAX_CAMERAS: usize = 16;
 /// Names of the node's own topics and services, below which those of a camera would lie.
-const TAKEN: [&str; 8] =
-    ["tactile", "regions", "wrench", "markers", "overlay", "points", "model_info", "transition_event"];
+const TAKEN: [&str; 10] = [
+    "tactile",
+    "regions",
+    "contacts",
+    "keypoints",
+    "wrench",
+    "markers",
+    "overlay",
+    "points",
+    "model_info",
+    "transition_event",
+];
 
 /// A camera of the node: the only one, or one of several.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,10 +1,12 @@
 //! Image subscription of one camera, and decoding of its images.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use ::image::RgbImage;
 
 use super::camera::Camera;
+use crate::image::Preparation;
 use crate::message::Header;
 use crate::model::Predictor;
 use crate::node::clock::RosClock;
@@ -38,6 +40,8 @@ pub(super) struct Input {
     /// Rectification of the images, if it is wanted.
     rectification: Option<Rectification>,
     parameters: Arc<Parameters>,
+    /// True once the log has told that the network does not see the whole picture.
+    view_told: Arc<AtomicBool>,
     clock: RosClock,
     log: Log,
 }
@@ -73,6 +77,7 @@ impl Input {
             transport,
             rectification: Rectification::subscribe(runtime, &camera.input("camera_info"))?,
             parameters: Arc::clone(runtime.parameters()),
+            view_told: Arc::default(),
             clock: runtime.clock().clone(),
             log: runtime.log().clone(),
             camera,
@@ -125,7 +130,9 @@ impl Input {
                 return None;
             }
         };
-        let prepared = match predictor.metadata().preparation(predictor.config()).apply(&image) {
+        let preparation = predictor.metadata().preparation(predictor.config());
+        self.tell_view(&preparation, &image);
+        let prepared = match preparation.apply(&image) {
             Ok(prepared) => prepared,
             Err(error) => {
                 self.drop_image("failed", "failed", &error);
@@ -135,6 +142,14 @@ impl Input {
         // Images without a stamp are ordered by their arrival.
         let stamp = if header.stamp.is_zero() { self.clock.now() } else { header.stamp };
         Some(Seen { stamp_secs: stamp.secs(), header, image, prepared })
+    }
+
+    /// Warns once if more than a tenth of the camera's pictures lies outside of the network's view.
+    fn tell_view(&self, preparation: &Preparation, image: &RgbImage) {
+        let Some(warning) = preparation.warning(image.width() as usize, image.height() as usize) else { return };
+        if !self.view_told.swap(true, Ordering::Relaxed) {
+            self.log.warn(format!("{}: {warning} (parameter view)", self.topic));
+        }
     }
 
     /// Counts an image that was dropped, and logs it; warnings of one kind are throttled together.

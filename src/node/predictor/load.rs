@@ -42,6 +42,7 @@ pub(super) fn load(parameters: &Parameters, log: &Log) -> anyhow::Result<LoadedN
     let options = Options {
         device: device::open(parameters)?,
         precision,
+        view: parameters.get::<String>("view").parse()?,
         unknown: parameters.get::<String>("unknown").parse()?,
         familiarity_threshold: threshold("familiarity_threshold"),
         presence_threshold: threshold("presence_threshold"),

@@ -28,7 +28,7 @@ use super::threads::Threads;
 use super::worker_thread::WorkerThread;
 use super::{device, hand_confidence, program, qos};
 use crate::hand::{HandModel, Side};
-use crate::model::{Precision, Unknown};
+use crate::model::{Precision, Unknown, View};
 use camera::Camera;
 use fusion::Fusion;
 use inference::Inference;
@@ -66,6 +66,13 @@ fn parameters() -> Vec<Parameter> {
             Allowed::Doubles(0.0, 60_000.0),
             "Longest inference time per image, milliseconds: take the best checkpoint and number format that keep it on this \
              machine; 0 = take model and precision as given.",
+        ),
+        Parameter::fixed(
+            "view",
+            "checkpoint",
+            Allowed::OneOf(&View::NAMES),
+            "View of pictures: crop (the centre), letterbox (all of it, hands smaller), squash (all of it, squeezed), or checkpoint = \
+             as the network was trained.",
         ),
         Parameter::fixed(
             "unknown",
@@ -110,9 +117,10 @@ fn parameters() -> Vec<Parameter> {
             "contact_threshold",
             0.5,
             Allowed::Doubles(0.0, 1.0),
-            "Contact probability above which ~/points marks a vertex as touching.",
+            "Contact probability above which ~/points marks a vertex as touching, and ~/contacts lists its region.",
         ),
         Parameter::new("publish_points", true, Allowed::Any, "Publish ~/points while it has a subscriber."),
+        Parameter::new("publish_contacts", true, Allowed::Any, "Publish ~/contacts while it has a subscriber."),
         hand_confidence::parameter(),
         Parameter::fixed(
             "frame_prefix",
@@ -122,7 +130,6 @@ fn parameters() -> Vec<Parameter> {
         ),
         Parameter::new("enabled", true, Allowed::Any, "Process images; ~/set_enabled sets it, too."),
         allowed_folder::parameter(),
-        Parameter::use_sim_time(),
     ]
 }
 

@@ -101,7 +101,8 @@ impl CameraStream {
         self.frames.publish(&frame)?;
         self.sequence += 1;
         self.input.tally.processed(self.clock.secs_since(frame.header.stamp));
-        self.views.publish(&frame, &prediction.field, &seen.image)?;
+        let preparation = self.predictor.metadata().preparation(self.predictor.config());
+        self.views.publish(&frame, prediction, &seen.image, &preparation)?;
         Ok(frame)
     }
 }

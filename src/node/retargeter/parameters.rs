@@ -12,7 +12,6 @@ use crate::retarget::LiveOptions;
 pub fn parameters() -> Vec<Parameter> {
     let mut parameters = of_the_hand();
     parameters.extend(of_the_motion());
-    parameters.push(Parameter::use_sim_time());
     parameters
 }
 

@@ -99,7 +99,6 @@ fn parameters() -> Vec<Parameter> {
              none.",
         ),
         allowed_folder::parameter(),
-        Parameter::use_sim_time(),
     ]
 }
 

@@ -67,7 +67,6 @@ fn parameters() -> Vec<Parameter> {
         reliability_parameter("match"),
         Parameter::new("enabled", true, Allowed::Any, "Score pairs; ~/set_enabled sets it, too."),
         Parameter::new("print", true, Allowed::Any, "Print one line of scores per second on the terminal."),
-        Parameter::use_sim_time(),
     ]
 }
 

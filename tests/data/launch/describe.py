@@ -118,6 +118,8 @@ class IncludeLaunchDescription(Action):
     def execute(self, context):
         arguments = {text(name, context): text(value, context) for name, value in self.arguments}
         result["includes"].append({"file": text(self.source.location, context), "arguments": arguments})
+        # As in launch, the arguments of an include stay set for the actions behind it.
+        given.update(arguments)
 
 
 class Node(Action):
@@ -174,10 +176,11 @@ def main():
     stand_in("launch_ros.substitutions", FindPackageShare=FindPackageShare)
 
     given.update(argument.split(":=", 1) for argument in sys.argv[2:])
+    asked = set(given)
     description = runpy.run_path(sys.argv[1])["generate_launch_description"]()
     for action in description.actions:
         action.visit(Context())
-    unknown = given.keys() - declared.keys()
+    unknown = asked - declared.keys()
     if unknown:
         sys.exit(f"no such argument: {', '.join(sorted(unknown))}")
     json.dump(result, sys.stdout, indent=1)

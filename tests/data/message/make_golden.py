@@ -19,8 +19,8 @@ if os.environ.get("GLIBC_TUNABLES") != TUNABLES:
 
 from builtin_interfaces.msg import Duration, Time
 from egotac_msgs.msg import (
-    GloveReading, HandModelInfo, HandPose, HandPoses, HandTactile, LinkTouch, RobotTouch, TactileFrame, TactileMetrics, TactileRegions,
-    TactileTruth, TrainerStatus,
+    GloveReading, HandKeypoints, HandModelInfo, HandPose, HandPoses, HandTactile, LinkTouch, RobotTouch, TactileContact,
+    TactileContacts, TactileFrame, TactileMetrics, TactileRegions, TactileTruth, TrainerStatus,
 )
 from geometry_msgs.msg import (
     Point, Pose, PoseArray, PoseStamped, Quaternion, Transform, TransformStamped, Vector3, Wrench, WrenchStamped,
@@ -131,6 +131,20 @@ MESSAGES = {
     ),
     "glove_reading": GloveReading(
         header=header("glove"), side=GloveReading.RIGHT, values=[0.5, NAN, 3.0], rest=[0.25], newtons_per_unit=[-2.0], full=[8.0],
+    ),
+    "tactile_contacts": TactileContacts(
+        header=header("world"), known=[True, False], contacts=[
+            TactileContact(
+                header=header("world"), name="left_index_tip", position=Point(x=0.25, y=-0.5, z=0.75),
+                normal=Vector3(x=0.0, y=0.0, z=-1.0),
+                wrench=Wrench(force=Vector3(x=0.0, y=0.0, z=2.0), torque=Vector3(x=-1.0, y=-0.5, z=0.0)),
+            ),
+            TactileContact(header=header("world"), name="left_palm", wrench=Wrench(force=Vector3(x=NAN, y=NAN, z=NAN))),
+        ],
+    ),
+    "hand_keypoints": HandKeypoints(
+        header=header(), width=640, height=480, presence=[0.875, 0.5], x=[i / 4 for i in range(42)], y=[i / 8 for i in range(42)],
+        confidence=[NAN if i < 21 else i / 64 for i in range(42)],
     ),
     "trainer_status": TrainerStatus(
         header=header(""),
