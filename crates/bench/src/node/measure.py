@@ -239,6 +239,8 @@ def soak(settings):
         "warm_up_secs": WARM_UP_SECS,
         "growth_bytes": {name: growth(samples) for name, samples in memory.items()},
         "resident_bytes": {name: samples[-1][1] for name, samples in memory.items()},
+        # About once a minute: steps are buffers or caches, a slope is a leak.
+        "resident_over_time": {name: [[round(t), b] for t, b in samples[::12]] for name, samples in memory.items()},
     }
 
 
