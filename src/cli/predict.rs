@@ -6,7 +6,6 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
-use indicatif::ProgressBar;
 
 use super::doubt::Doubt;
 use crate::dataset::image_folder::{ImageFolder, image_files, is_image};
@@ -31,7 +30,7 @@ use super::hands::Hands;
 )]
 pub struct Args {
     /// Checkpoint to run; by default the one shipped with egotac.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE|shipped", value_parser = super::options::checkpoint())]
     checkpoint: Option<PathBuf>,
     /// Zarr stores or folders of them; or PNG and JPEG files or folders of them, which form one sequence. Files of a
     /// folder are taken in natural order: frame_2 before frame_10.
@@ -132,7 +131,8 @@ fn predict(
         }
     };
     let frames: Option<usize> = source.units().iter().map(|unit| unit.frames).sum();
-    let bar = ProgressBar::new(frames.unwrap_or(0) as u64);
+    let bar = super::progress::bar("images");
+    bar.set_length(frames.unwrap_or(0) as u64);
     let job = Job {
         source: source.as_ref(),
         output: &TensorOutput { source: source.clone(), with_info: false },

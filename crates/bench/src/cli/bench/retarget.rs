@@ -23,9 +23,8 @@ pub struct Args {
     /// Other load of the machine, in words, for the table.
     #[arg(long, value_name = "TEXT")]
     load: Option<String>,
-    /// Print JSON instead of the tables.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
     /// Folder for retarget.md, retarget.json, retarget.png and retarget.svg.
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
@@ -34,17 +33,14 @@ pub struct Args {
 /// Runs the subject.
 #[cfg(feature = "sim")]
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bar = egotac::cli::progress::told_bar();
+    let bar = egotac::cli::progress::spinner("measuring");
     let report = measure(&plan(args), |what| bar.set_message(what.to_owned()))?;
     bar.finish_and_clear();
-    let (table, json) = (table::markdown(&report), serde_json::to_string_pretty(&report)?);
-    match args.json {
-        true => println!("{json}"),
-        false => print!("{table}"),
-    }
+    let (table, json) = (table::markdown(&report), serde_json::to_value(&report)?);
+    args.json.show(&json, || table.clone())?;
     if let Some(folder) = &args.out {
         egotac::file::write(&folder.join("retarget.md"), table.as_bytes())?;
-        egotac::file::write(&folder.join("retarget.json"), json.as_bytes())?;
+        egotac::file::write(&folder.join("retarget.json"), format!("{json:#}\n").as_bytes())?;
         plot::write(folder, &report)?;
         egotac::text::tell(format_args!("wrote {0}/retarget.md and {0}/retarget.json", folder.display()));
     }
@@ -53,7 +49,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 #[cfg(feature = "sim")]
 fn plan(args: &Args) -> Plan {
-    use egotac::retarget::robot::source;
+    use egotac::cli::options::Json;
+use egotac::retarget::robot::source;
     let robots = match args.robots.is_empty() {
         true => source::names().filter(|name| source::has_own_model(name)).map(str::to_owned).collect(),
         false => args.robots.clone(),
