@@ -146,6 +146,7 @@ fn label<T>(args: &Args, finish: impl FnOnce(&Work, RunJob) -> anyhow::Result<T>
     let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
     let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..Default::default() };
     let mut predictor = Predictor::load(&path, args.doubt.apply(options))?;
+    super::progress::tell_network(&path, &predictor);
     if let Some(warning) = predictor.warning() {
         tell(format_args!("warning: {warning}"));
     }

@@ -1,11 +1,13 @@
 //! Progress bars and details on standard error, and how much of both is shown.
 
 use std::fmt::Arguments;
+use std::path::Path;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::model::Predictor;
 use crate::text::tell;
 
 /// How much a command says beside its results, warnings and errors.
@@ -32,6 +34,11 @@ pub fn detail(line: Arguments<'_>) {
     if VERBOSITY.load(Ordering::Relaxed) >= Verbosity::Verbose as u8 {
         tell(format_args!("egotac: {}", crate::text::printable_name(&line.to_string())));
     }
+}
+
+/// Tells which network was loaded from `path`.
+pub fn tell_network(path: &Path, predictor: &Predictor) {
+    detail(format_args!("checkpoint {}: {}", path.display(), predictor.metadata().name));
 }
 
 /// Creates a bar that counts `unit`s and shows rate and remaining time. It is hidden where standard error is no terminal.

@@ -249,7 +249,9 @@ mod with_sim {
 
     fn open_predictor(args: &Args) -> anyhow::Result<Option<Predictor>> {
         let Some(path) = &args.checkpoint else { return Ok(None) };
-        Ok(Some(Predictor::load(path, predictor::Options::default())?))
+        let predictor = Predictor::load(path, predictor::Options::default())?;
+        crate::cli::progress::tell_network(path, &predictor);
+        Ok(Some(predictor))
     }
 
     fn score_stores(

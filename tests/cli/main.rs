@@ -3,9 +3,11 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod command_line;
 mod completions;
 mod doctor;
 mod eval;
 mod examples;
 mod external;
 mod limits;
+mod reference;

@@ -19,6 +19,7 @@ use crate::text::tell;
 pub fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
     let stream = predictor::Options { precision: args.precision, ..predict::stream() };
     let mut predictor = Predictor::load(checkpoint, args.doubt.apply(stream))?;
+    crate::cli::progress::tell_network(checkpoint, &predictor);
     if let Some(warning) = predictor.warning() {
         tell(format_args!("warning: {warning}"));
     }
