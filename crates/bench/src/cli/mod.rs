@@ -142,3 +142,43 @@ fn feature_off(command: &str) -> anyhow::Error {
          `cargo build --release --features ros,sim -p egotac-bench`"
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_example_parses_and_each_command_has_one() {
+        for example in EXAMPLES {
+            // A subject or experiment whose feature is not compiled in has other arguments.
+            if cfg!(all(feature = "ros", feature = "sim")) {
+                let words = std::iter::once("egotac").chain(example.split(' '));
+                Cli::command().try_get_matches_from(words).unwrap_or_else(|error| panic!("{example}: {error}"));
+            }
+        }
+        let mut command = Cli::command();
+        let bench = command.find_subcommand_mut("bench").unwrap();
+        for subject in bench.get_subcommands() {
+            let begin = format!("bench {} ", subject.get_name());
+            assert!(EXAMPLES.iter().any(|example| example.starts_with(&begin)), "no example of {begin}");
+        }
+    }
+
+    #[test]
+    #[cfg(all(feature = "ros", feature = "sim"))]
+    fn the_reference_in_the_docs_is_up_to_date() {
+        let command = egotac::cli::help::arrange(Cli::command(), "egotac", &EXAMPLES);
+        let page = egotac::cli::reference::commands_page("Benchmarks and experiments", command);
+        assert!(page == include_str!("../../../../docs/reference/bench.md"), "run scripts/reference");
+    }
+
+    #[test]
+    fn old_spellings_name_the_new_ones() {
+        for line in ["experiment transfer --image 56", "experiment transfer --init a", "bench model --image 56"] {
+            let words: Vec<OsString> = std::iter::once("egotac").chain(line.split(' ')).map(OsString::from).collect();
+            let error = Cli::command().try_get_matches_from(&words).unwrap_err();
+            let told = egotac::cli::renamed::explain(error, &words).to_string();
+            assert!(told.contains("is now --size") || told.contains("is now --checkpoint"), "{line}: {told}");
+        }
+    }
+}
