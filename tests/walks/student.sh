@@ -1,6 +1,7 @@
 # shellcheck shell=bash
 # The student brings the Python of LeRobot, which has pyarrow.
 
+# shellcheck disable=SC2154 # root, lib and cache are variables of scripts/test-walks
 prepare() {
     find_cache
     local base key
