@@ -17,8 +17,8 @@ use crate::score::metrics::{self, Comparison, Coverage, EvalOptions, Intervals, 
 use crate::tactile::TactileSequence;
 
 use super::doubt::Doubt;
-use super::options::{Json, Time};
 use super::hands::Hands;
+use super::options::{Json, Time};
 use groups::Grouping;
 
 /// Arguments of `egotac eval`.

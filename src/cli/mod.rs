@@ -7,10 +7,10 @@ mod doctor;
 mod doubt;
 mod eval;
 mod external;
-#[doc(hidden)]
-pub mod help;
 mod hand;
 mod hands;
+#[doc(hidden)]
+pub mod help;
 #[doc(hidden)]
 pub mod label;
 mod label_physics;
@@ -22,9 +22,9 @@ pub mod options;
 mod overlay_video;
 mod predict;
 #[doc(hidden)]
-pub mod reference;
-#[doc(hidden)]
 pub mod progress;
+#[doc(hidden)]
+pub mod reference;
 #[doc(hidden)]
 pub mod renamed;
 mod report;

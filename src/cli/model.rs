@@ -147,10 +147,10 @@ fn info(args: &Info) -> anyhow::Result<()> {
     let config = model.config();
     let parameters = checkpoint::parameter_count(config)?;
     let facts = serde_json::json!({
-            "file": args.weights, "sha256": sha256, "parameters": parameters, "config": config,
-            "metadata": metadata.to_map(), "familiarity": familiarity.is_some(), "presence": presence.is_some(),
-            "spread": spread.is_some(),
-        });
+        "file": args.weights, "sha256": sha256, "parameters": parameters, "config": config,
+        "metadata": metadata.to_map(), "familiarity": familiarity.is_some(), "presence": presence.is_some(),
+        "spread": spread.is_some(),
+    });
     if args.json.take(&facts)? {
         return Ok(());
     }

@@ -144,7 +144,9 @@ mod tests {
         for text in ["4", "mm", "", "4km", "infmm", "nanm", "4mmm"] {
             assert!(text.parse::<Length>().unwrap_err().contains("4mm"), "{text}");
         }
-        for (text, secs) in [("20ms", 0.02), ("1.5s", 1.5), ("2", 2.0), ("10min", 600.0), ("10m", 600.0), ("8h", 28800.0)] {
+        for (text, secs) in
+            [("20ms", 0.02), ("1.5s", 1.5), ("2", 2.0), ("10min", 600.0), ("10m", 600.0), ("8h", 28800.0)]
+        {
             assert!((text.parse::<Time>().unwrap().0 - secs).abs() < 1e-9, "{text}");
         }
         for text in ["s", "", "1d", "nan", "infs"] {

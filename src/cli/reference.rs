@@ -206,7 +206,11 @@ mod tests {
             let key = key.unwrap_or_else(|| panic!("{name:?}"));
             assert!(!key.text.is_empty(), "{}", key.name);
             for (name, _) in value.as_mapping().into_iter().flatten() {
-                assert!(key.below.iter().any(|below| Some(below.name.as_str()) == name.as_str()), "{}.{name:?}", key.name);
+                assert!(
+                    key.below.iter().any(|below| Some(below.name.as_str()) == name.as_str()),
+                    "{}.{name:?}",
+                    key.name
+                );
             }
         }
     }

@@ -540,7 +540,8 @@ mod tests {
             let values: Vec<_> = values.iter().map(|(key, value)| (key.to_string(), value.to_string())).collect();
             Config::read_with(&path, &values).map_err(|error| error.to_string())
         };
-        let config = read(&[("steps", "7"), ("loss.keypoints", "0.3"), ("data.0", "b.zarr"), ("validation", "[c]")]).unwrap();
+        let config =
+            read(&[("steps", "7"), ("loss.keypoints", "0.3"), ("data.0", "b.zarr"), ("validation", "[c]")]).unwrap();
         assert_eq!((config.steps, config.loss.keypoints), (7, 0.3));
         assert_eq!((&config.data[0].stores[0], &config.validation[0]), (&"b.zarr".into(), &"c".into()));
         assert_eq!(config.loss.force, LossWeights::default().force);

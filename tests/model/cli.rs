@@ -75,8 +75,16 @@ fn import_and_init_write_checkpoints_that_load() {
     let info: Value =
         serde_json::from_str(&good(&["model", "info", "init.safetensors", "--json"], folder.path())).unwrap();
     assert_eq!((&info["config"]["registers"], &info["metadata"]["resize"]), (&4.into(), &"centre".into()));
-    let import =
-        ["model", "import", "--checkpoint", "init.safetensors", "--mapping", "table.yaml", "--out", "again.safetensors"];
+    let import = [
+        "model",
+        "import",
+        "--checkpoint",
+        "init.safetensors",
+        "--mapping",
+        "table.yaml",
+        "--out",
+        "again.safetensors",
+    ];
     let table = format!("config: {}\nsidecar: {{ name: n, topology: mano, fps: 25 }}\nsame: true\n", info["config"]);
     std::fs::write(folder.path().join("table.yaml"), table).unwrap();
     good(&import, folder.path());

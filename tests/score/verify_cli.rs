@@ -106,7 +106,8 @@ fn the_sweep_over_labels_is_deterministic() {
 #[test]
 fn finer_sampling_increases_the_recall_of_label_a() {
     let recall = |spacing: &str| {
-        let report = verify(&["pinch_cube", "--seeds", "1", "--seed", "5", "--thresholds", "10mm", "--spacing", spacing]);
+        let report =
+            verify(&["pinch_cube", "--seeds", "1", "--seed", "5", "--thresholds", "10mm", "--spacing", spacing]);
         score(&report, "a_10mm", "pooled.recall")
     };
     let (coarse, fine) = (recall("100mm"), recall("3mm"));

@@ -81,7 +81,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let settings = Settings {
         kind: kind(&name)?,
         hands: HandModels::load(args.mano_left.as_deref(), args.mano_right.as_deref())?,
-        rule: args.contact_distance.map_or(ContactRule::Proximity, |distance| ContactRule::SignedDistance(distance.0 as f32)),
+        rule: args
+            .contact_distance
+            .map_or(ContactRule::Proximity, |distance| ContactRule::SignedDistance(distance.0 as f32)),
         side: (args.size > 0).then_some(args.size),
         options: Options {
             objects: args.objects,

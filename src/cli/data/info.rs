@@ -22,8 +22,12 @@ pub fn run(paths: &[PathBuf], json_option: &Json) -> anyhow::Result<ExitCode> {
     }
     let lines: Vec<String> = infos.iter().map(text).collect();
     let value = if infos.len() == 1 { infos.remove(0) } else { Value::Array(infos) };
-    json_option.show(&value, || lines.join("
-"))?;
+    json_option.show(&value, || {
+        lines.join(
+            "
+",
+        )
+    })?;
     Ok(ExitCode::SUCCESS)
 }
 

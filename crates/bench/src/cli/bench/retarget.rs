@@ -50,7 +50,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 #[cfg(feature = "sim")]
 fn plan(args: &Args) -> Plan {
     use egotac::cli::options::Json;
-use egotac::retarget::robot::source;
+    use egotac::retarget::robot::source;
     let robots = match args.robots.is_empty() {
         true => source::names().filter(|name| source::has_own_model(name)).map(str::to_owned).collect(),
         false => args.robots.clone(),
