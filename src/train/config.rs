@@ -543,7 +543,8 @@ mod tests {
         let config =
             read(&[("steps", "7"), ("loss.keypoints", "0.3"), ("data.0", "b.zarr"), ("validation", "[c]")]).unwrap();
         assert_eq!((config.steps, config.loss.keypoints), (7, 0.3));
-        assert_eq!((&config.data[0].stores[0], &config.validation[0]), (&"b.zarr".into(), &"c".into()));
+        assert_eq!(config.data[0].stores, [PathBuf::from("b.zarr")]);
+        assert_eq!(config.validation, [PathBuf::from("c")]);
         assert_eq!(config.loss.force, LossWeights::default().force);
         for (key, value, names) in [
             ("stepz", "7", "stepz"),

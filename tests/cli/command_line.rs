@@ -22,7 +22,7 @@ fn an_old_spelling_ends_with_the_new_one() {
         let output = egotac(&arguments);
         let (_, error) = texts(&output);
         assert_eq!(output.status.code(), Some(2), "{command} {old}: {error}");
-        assert_eq!(error, format!("error: `egotac {command} {old}` is now {new}\n"));
+        assert_eq!(error.trim_end(), format!("error: `egotac {command} {old}` is now {new}"));
     }
     // An option that never existed is reported as before.
     let (_, error) = texts(&egotac(&["verify", "--predictors", "x"]));
