@@ -10,4 +10,3 @@ mod eval;
 mod examples;
 mod external;
 mod limits;
-mod reference;
