@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use egotac::cli::options::Json;
+
 #[cfg(feature = "sim")]
 use crate::retarget::{Plan, plot, run as measure, table};
 
@@ -49,7 +51,6 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 #[cfg(feature = "sim")]
 fn plan(args: &Args) -> Plan {
-    use egotac::cli::options::Json;
     use egotac::retarget::robot::source;
     let robots = match args.robots.is_empty() {
         true => source::names().filter(|name| source::has_own_model(name)).map(str::to_owned).collect(),
