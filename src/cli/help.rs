@@ -17,10 +17,11 @@ const GROUPS: [(&str, &[&str]); 7] = [
 
 /// Example of each command, without the program's name.
 #[doc(hidden)]
-pub const EXAMPLES: [&str; 44] = [
+pub const EXAMPLES: [&str; 45] = [
     "doctor",
     "hand forward --params pose.safetensors --out hand.safetensors",
     "hand show --side left --out hand.png",
+    "hand build --out hand.safetensors",
     "hand map --mano MANO_RIGHT.pkl --out map.safetensors",
     "sim list",
     "sim show lift_mug --touch --out mug.png",
