@@ -1,6 +1,6 @@
 # Thin names for scripts/ and cargo.
 
-.PHONY: help setup demo demo-retarget test doctor lint miri bench fuzz build-times check-cuda wheel dist
+.PHONY: help setup demo demo-retarget test doctor lint miri bench fuzz build-times check-cuda wheel dist docs
 
 help:
 	@echo 'make setup       what this machine lacks: Python environment, ROS 2, messages, MuJoCo; writes env.sh'
@@ -8,6 +8,7 @@ help:
 	@echo 'make demo-retarget  a simulated hand grasps a mug, a robot hand follows; picture in out/demo-retarget/'
 	@echo 'make test        everything that CI runs'
 	@echo 'make wheel       the Python package, in target/wheels/ (pip install it anywhere; needs no ROS)'
+	@echo 'make docs        the documentation as a book, in out/book/ (fetches mdBook)'
 	@echo 'make doctor      what is missing on this machine, and how to fix it'
 	@echo 'make lint        formatting, clippy for each feature set, docs, shell scripts, licences of crates, unsafe code'
 	@echo 'make miri        the unsafe code of the kernels, interpreted (fetches a nightly toolchain)'
@@ -55,3 +56,6 @@ check-cuda:
 
 wheel:
 	@scripts/wheel
+
+docs:
+	@scripts/docs

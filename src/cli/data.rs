@@ -8,6 +8,8 @@ mod store_info;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use super::options::Json;
+
 /// Arguments of `egotac data`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -23,9 +25,8 @@ enum Command {
         /// Recordings; a folder of stores stands for its stores.
         #[arg(required = true, value_name = "PATH")]
         paths: Vec<PathBuf>,
-        /// Print JSON instead of text.
-        #[arg(long)]
-        json: bool,
+        #[command(flatten)]
+        json: Json,
     },
     /// Compare two labelled data sets, frame by frame, under the scores of `egotac eval`.
     Diff(diff::Args),
@@ -36,7 +37,7 @@ enum Command {
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     match args.command {
-        Command::Info { paths, json } => info::run(&paths, json),
+        Command::Info { paths, json } => info::run(&paths, &json),
         Command::Diff(args) => diff::run(args),
         Command::Import(args) => import::run(args),
     }

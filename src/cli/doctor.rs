@@ -9,15 +9,16 @@ use std::process::ExitCode;
 
 use serde::Serialize;
 
+use super::options::Json;
+
 /// Arguments of `egotac doctor`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Hand to check: `builtin`, or a MANO file (.pkl or .npz) of the right hand.
     #[arg(long, value_name = "builtin|PATH", default_value = "builtin")]
     hand: String,
-    /// Print JSON instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
     /// Print the name of the OpenGL renderer. The table runs this in a child process, because a broken OpenGL can end
     /// the process that opens it.
     #[arg(long, hide = true)]
@@ -71,11 +72,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let rows = checks::all(&args.hand);
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&rows)?);
-    } else {
-        print!("{}", table(&rows));
-    }
+    args.json.show(&serde_json::to_value(&rows)?, || table(&rows))?;
     let complete = rows.iter().all(|row| row.state != State::Missing);
     Ok(if complete { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

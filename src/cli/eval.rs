@@ -18,6 +18,7 @@ use crate::tactile::TactileSequence;
 
 use super::doubt::Doubt;
 use super::hands::Hands;
+use super::options::{Json, Time};
 use groups::Grouping;
 
 /// Arguments of `egotac eval`.
@@ -38,7 +39,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE|STORE", requires = "pred")]
     target: Option<PathBuf>,
     /// Checkpoint to run on `--data`, instead of `--pred` and `--target`.
-    #[arg(long, value_name = "FILE", requires = "data", conflicts_with = "pred")]
+    #[arg(long, value_name = "FILE|shipped", value_parser = super::options::checkpoint(), requires = "data", conflicts_with = "pred")]
     checkpoint: Option<PathBuf>,
     /// Number format that the checkpoint runs in: f32, bf16 or int8.
     #[arg(long, requires = "checkpoint", default_value = "f32")]
@@ -52,10 +53,10 @@ pub struct Args {
     /// Training stores; also scores two constant predictions from them: the mean and the median of each vertex.
     #[arg(long, value_name = "STORE", num_args = 1..)]
     baselines_from: Vec<PathBuf>,
-    /// Age of the truth that `persistence` repeats, s; by default one observation step of the checkpoint, one frame for
+    /// Age of the truth that `persistence` repeats, such as 120ms; by default one observation step of the checkpoint, one frame for
     /// `--pred`.
-    #[arg(long, value_name = "SECS", value_parser = super::positive)]
-    persistence: Option<f64>,
+    #[arg(long, value_name = "TIME", value_parser = super::options::positive_time)]
+    persistence: Option<Time>,
     /// Frames per second, for the dominant frequency; by default from the target's timestamps.
     #[arg(long, value_name = "F", value_parser = super::positive)]
     fps: Option<f64>,
@@ -93,13 +94,19 @@ pub struct Args {
     /// Seed of the bootstrap.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Print JSON instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
     #[command(flatten)]
     hands: Hands,
     #[command(flatten)]
     doubt: Doubt,
+}
+
+impl Args {
+    /// Returns the age of the truth that `persistence` repeats, s.
+    fn lag(&self) -> Option<f64> {
+        self.persistence.map(|Time(secs)| secs)
+    }
 }
 
 /// Definition of the scores.
@@ -177,8 +184,8 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         VertexGroup::hand(Side::Right).restrict(&mut case.target);
     }
     match args.protocol {
-        Protocol::Paper => output::write(&score(&args, &groupings, &mut case)?, args.json)?,
-        Protocol::Egophi => output::write_egophi(&case, args.seed, args.json)?,
+        Protocol::Paper => output::write(&score(&args, &groupings, &mut case)?, &args.json)?,
+        Protocol::Egophi => output::write_egophi(&case, args.seed, &args.json)?,
     }
     Ok(ExitCode::SUCCESS)
 }

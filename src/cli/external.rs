@@ -20,14 +20,14 @@ pub struct Args {
 }
 
 /// Replaces this process by `egotac-bench`, so that its exit status and signals are ours. The program beside this one
-/// comes first, so that both are of one build; then those in PATH.
+/// comes first, so that both are of one build; then those in PATH. `option` stands before the command.
 ///
 /// # Errors
 /// If there is no such program, or it cannot be started.
-pub fn run(command: &str, args: Args) -> anyhow::Result<ExitCode> {
+pub fn run(command: &str, option: Option<&str>, args: Args) -> anyhow::Result<ExitCode> {
     let beside = std::env::current_exe().ok().map(|own| own.with_file_name(PROGRAM)).filter(|path| path.is_file());
     let program = beside.unwrap_or_else(|| PathBuf::from(PROGRAM));
-    let error = Command::new(&program).arg(command).args(args.arguments).exec();
+    let error = Command::new(&program).args(option).arg(command).args(args.arguments).exec();
     if error.kind() == ErrorKind::NotFound {
         bail!(
             "`egotac {command}` needs the program {PROGRAM}, which is neither beside this program nor in PATH: \

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
+use super::options::Length;
 use crate::hand::{FieldMap, HandModel, Side};
 
 /// Arguments that name hand models.
@@ -63,20 +64,23 @@ impl Hands {
 /// Width of the kernel that distributes a contact's force over vertices.
 #[derive(Debug, clap::Args)]
 pub struct Kernel {
-    /// Standard deviation of the Gaussian that distributes a contact's force over vertices (label c), millimetres.
-    #[arg(long, value_name = "MM", default_value_t = 4.0, value_parser = parse_sigma)]
-    pub sigma: f64,
+    /// Standard deviation of the Gaussian that distributes a contact's force over vertices (label c).
+    #[arg(long, value_name = "LENGTH", default_value = "4mm", value_parser = parse_sigma)]
+    pub sigma: Length,
 }
 
 impl Kernel {
     /// Returns the standard deviation, m.
     #[cfg_attr(not(feature = "sim"), allow(dead_code))]
     pub fn metres(&self) -> f64 {
-        1e-3 * self.sigma
+        self.sigma.0
     }
 }
 
-fn parse_sigma(text: &str) -> Result<f64, String> {
-    let sigma = text.parse::<f64>().ok().filter(|sigma| (0.1..=50.0).contains(sigma));
-    sigma.ok_or_else(|| "expected 0.1 to 50 millimetres".into())
+fn parse_sigma(text: &str) -> Result<Length, String> {
+    let sigma: Length = text.parse()?;
+    match (1e-4..=0.05).contains(&sigma.0) {
+        true => Ok(sigma),
+        false => Err("expected 0.1mm to 50mm".into()),
+    }
 }

@@ -11,7 +11,9 @@ use super::doubt::Doubt;
 use super::hands::Hands;
 use super::label_physics::Physics;
 use super::labelling::{Work, shard};
+use super::options::Json;
 use super::overlay_video;
+use super::renamed;
 use crate::dataset::Provenance;
 use crate::dataset::lerobot::{ColumnRole, LabelColumn};
 use crate::dataset::mcap::TOPIC;
@@ -43,7 +45,7 @@ pub struct Args {
     #[arg(long, value_name = "KIND", default_value = "same")]
     to: OutputFormat,
     /// Checkpoint to run; by default the one shipped with egotac.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE|shipped", value_parser = super::options::checkpoint())]
     checkpoint: Option<PathBuf>,
     /// Number format of the network: f32, bf16 or int8.
     #[arg(long, default_value = "f32")]
@@ -76,15 +78,12 @@ pub struct Args {
     /// touch of the left and of the right hand is known.
     #[arg(long = "as", value_name = "ROLE", default_value = "inert")]
     role: ColumnRole,
-    /// Refused: `--as` makes columns an input of policies.
-    #[arg(long, hide = true)]
-    observation: bool,
     /// Frame rate of a folder of images, 1/s; by default one image per observation step of the network.
     #[arg(long, value_name = "F", value_parser = super::positive)]
     fps: Option<f64>,
     /// Upper limit of the shorter side of images in a store made from another format, pixels; 0 = original size.
     #[arg(long, value_name = "PIXELS", default_value_t = 224)]
-    side: u32,
+    size: u32,
     /// Shard: label only every N-th episode or file from the I-th (from 0) on. The last shard assembles the output.
     #[arg(long, value_name = "I/N", value_parser = shard, default_value = "0/1")]
     shard: Shard,
@@ -95,9 +94,8 @@ pub struct Args {
     /// from 0 to 1; NaN where a hand's touch is unknown. Not for bags.
     #[arg(long)]
     keypoints: bool,
-    /// JSON file for the closing summary; `-` prints JSON instead of text.
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
+    #[command(flatten)]
+    json: Json,
     /// Video of the images with both hands beside them, coloured by force; of several inputs, a folder for them.
     #[arg(long, value_name = "FILE")]
     video: Option<PathBuf>,
@@ -113,9 +111,9 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     if args.physics.physics {
-        return args.physics.run(&args.input, &args.out, &args.hands, args.json.as_deref());
+        return args.physics.run(&args.input, &args.out, &args.hands, &args.json);
     }
-    label(&args, |work, run| work.run(args.json.as_deref(), run))
+    label(&args, |work, run| work.run(&args.json, run))
 }
 
 /// Runs the command with the arguments behind `egotac label`, prints nothing but warnings, and returns the content of the
@@ -125,7 +123,10 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 /// If an argument is wrong, the only recording can't be labelled, or none of several.
 pub fn summary(arguments: impl IntoIterator<Item = OsString>) -> anyhow::Result<Value> {
     let command = OsString::from("label");
-    let Parsed { args } = Parsed::try_parse_from(std::iter::once(command).chain(arguments))?;
+    let arguments: Vec<OsString> = std::iter::once(command).chain(arguments).collect();
+    // Of the command line `egotac label`, whose names errors tell.
+    let line = std::iter::once(OsString::from("egotac")).chain(arguments.iter().cloned()).collect::<Vec<_>>();
+    let Parsed { args } = Parsed::try_parse_from(&arguments).map_err(|error| renamed::explain(error, &line))?;
     anyhow::ensure!(
         !args.physics.physics,
         "--physics: expected a prediction of a network here, got forces from motion: run the command `egotac label`"
@@ -146,13 +147,10 @@ type RunJob<'a> = &'a mut dyn FnMut(usize, usize, &mut LabelTiming, &mut dyn FnM
 
 /// Finds the recordings and hands their jobs to `finish`.
 fn label<T>(args: &Args, finish: impl FnOnce(&Work, RunJob) -> anyhow::Result<T>) -> anyhow::Result<T> {
-    if args.observation {
-        let instead = "an observation of that name, which policies do not take in, is gone: use --as environment_state or --as state";
-        anyhow::bail!("--observation: {instead}");
-    }
     let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
     let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..Default::default() };
     let mut predictor = Predictor::load(&path, args.doubt.apply(options))?;
+    super::progress::tell_network(&path, &predictor);
     if let Some(warning) = predictor.warning() {
         tell(format_args!("warning: {warning}"));
     }
@@ -169,7 +167,7 @@ fn label<T>(args: &Args, finish: impl FnOnce(&Work, RunJob) -> anyhow::Result<T>
         to: args.to,
         fps: args.fps,
         frame_dt: predictor.metadata().frame_dt,
-        side: (args.side > 0).then_some(args.side),
+        side: (args.size > 0).then_some(args.size),
         prefix: Some(args.prefix.clone()),
         columns: args.columns.clone(),
         role: args.role,

@@ -5,12 +5,11 @@ use std::process::ExitCode;
 
 use anyhow::bail;
 use glam::DVec3;
-use indicatif::ProgressBar;
 
 use super::hands::Hands;
+use super::options::Json;
 use crate::dataset::EpisodeReader;
 use crate::dataset::zarr::ZarrReader;
-use crate::file;
 use crate::hand::{HandModel, Side, Topology};
 use crate::label::physics::{BodyOptions, Counts, Label, label};
 use crate::physics::body::DENSITY_CLASSES;
@@ -50,7 +49,7 @@ pub struct Physics {
 
 impl Physics {
     /// Writes a copy of the store `input` with forces to `out`.
-    pub fn run(&self, input: &Path, out: &Path, hands: &Hands, json: Option<&Path>) -> anyhow::Result<ExitCode> {
+    pub fn run(&self, input: &Path, out: &Path, hands: &Hands, json: &Json) -> anyhow::Result<ExitCode> {
         let store = ZarrReader::open(input)?;
         let mut models = match (store.attributes().topology, hands.files()?) {
             (Topology::Mano, Some(models)) => models,
@@ -76,18 +75,12 @@ impl Physics {
             gravity: self.gravity,
         };
         let settings = Settings { bandwidth: self.bandwidth, refine: self.refine, ..Settings::default() };
-        let bar = ProgressBar::new(store.len() as u64);
+        let bar = super::progress::bar("images");
+        bar.set_length(store.len() as u64);
         let run = Label { models: &models, bodies, settings };
         let counts = label(input, out, &run, |done, _| bar.set_position(done as u64))?;
         bar.finish_and_clear();
-        match json {
-            Some(path) if path != Path::new("-") => {
-                file::write(path, serde_json::to_string_pretty(&counts)?.as_bytes())?;
-                print!("{}", summary(&counts, out));
-            }
-            Some(_) => println!("{}", serde_json::to_string_pretty(&counts)?),
-            None => print!("{}", summary(&counts, out)),
-        }
+        json.show(&serde_json::to_value(&counts)?, || summary(&counts, out))?;
         Ok(ExitCode::SUCCESS)
     }
 }

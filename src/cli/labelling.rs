@@ -7,6 +7,7 @@ use anyhow::{Context, bail};
 use indicatif::ProgressBar;
 use serde_json::{Value, json};
 
+use super::options::Json;
 use crate::dataset::LabelSummary;
 use crate::error::{Error, Result};
 use crate::file;
@@ -35,7 +36,7 @@ impl Work<'_> {
     /// function to call after each image; reports the results and returns the exit status.
     pub fn run(
         &self,
-        json: Option<&Path>,
+        json: &Json,
         run: impl FnMut(usize, usize, &mut LabelTiming, &mut dyn FnMut()) -> Result<Outcome>,
     ) -> anyhow::Result<ExitCode> {
         let Self { input, tasks, jobs, .. } = self;
@@ -168,11 +169,10 @@ fn summary(ends: &Ends, timing: &LabelTiming) -> Value {
     })
 }
 
-fn report(json_path: Option<&Path>, ends: &Ends, timing: &LabelTiming) -> anyhow::Result<()> {
-    let json = summary(ends, timing);
+fn report(json: &Json, ends: &Ends, timing: &LabelTiming) -> anyhow::Result<()> {
     let Ends { done, waiting, .. } = ends;
-    if json_path.is_some_and(|path| path.as_os_str() == "-") {
-        println!("{}", printable(&format!("{json:#}")));
+    if json.is_printed() {
+        println!("{}", printable(&format!("{:#}", summary(ends, timing))));
         return Ok(());
     }
     for (task, _, before) in done {
@@ -188,8 +188,8 @@ fn report(json_path: Option<&Path>, ends: &Ends, timing: &LabelTiming) -> anyhow
         let out = task.out.to_string_lossy();
         println!("{}: this shard's part is done; other shards are not", printable_name(&out));
     }
-    if let Some(path) = json_path {
-        file::write(path, format!("{json:#}\n").as_bytes())?;
+    if let Some(path) = json.file() {
+        file::write(path, format!("{:#}\n", summary(ends, timing)).as_bytes())?;
     }
     Ok(())
 }

@@ -10,15 +10,23 @@ mod external;
 mod hand;
 mod hands;
 #[doc(hidden)]
+pub mod help;
+#[doc(hidden)]
 pub mod label;
 mod label_physics;
 mod labelling;
 mod limits;
 mod model;
+#[doc(hidden)]
+pub mod options;
 mod overlay_video;
 mod predict;
 #[doc(hidden)]
 pub mod progress;
+#[doc(hidden)]
+pub mod reference;
+#[doc(hidden)]
+pub mod renamed;
 mod report;
 mod retarget;
 mod sensor;
@@ -32,9 +40,10 @@ mod view;
 use std::ffi::OsString;
 use std::io::Write;
 use std::process::ExitCode;
+use std::time::Instant;
 
 use anyhow::Context;
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::file::input;
 use crate::file::limits::check_environment;
@@ -47,8 +56,42 @@ struct Cli {
     /// Permit symbolic links inside data sets that lead out of them.
     #[arg(long, global = true)]
     follow_links: bool,
+    #[command(flatten)]
+    say: Say,
     #[command(subcommand)]
     command: Command,
+}
+
+/// How much the program says on standard error.
+#[doc(hidden)]
+#[derive(Debug, clap::Args)]
+pub struct Say {
+    /// Show no progress; results, warnings and errors stay.
+    #[arg(long, short, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+    /// Also tell what is loaded, and the time taken.
+    #[arg(long, short, global = true)]
+    verbose: bool,
+}
+
+impl Say {
+    /// Sets the verbosity of this process.
+    pub fn apply(&self) {
+        progress::set_verbosity(match (self.quiet, self.verbose) {
+            (true, _) => progress::Verbosity::Quiet,
+            (_, true) => progress::Verbosity::Verbose,
+            _ => progress::Verbosity::Normal,
+        });
+    }
+
+    /// Returns the options that set the same verbosity in another process.
+    fn options(&self) -> Option<&'static str> {
+        match (self.quiet, self.verbose) {
+            (true, _) => Some("--quiet"),
+            (_, true) => Some("--verbose"),
+            _ => None,
+        }
+    }
 }
 
 #[derive(Debug, Subcommand)]
@@ -95,19 +138,42 @@ enum Command {
     Completions(completions::Completions),
     /// Write manual pages into a folder.
     Man(completions::Man),
+    /// Write the pages of docs/reference; scripts/reference runs this command.
+    #[command(hide = true)]
+    Reference(reference::Args),
 }
 
-/// Runs the command line; the exit status is 0 for success, 1 for a failed check or an error, 2 for bad usage.
+/// Runs the command line; docs/reference/exit-status.md lists the exit statuses.
 pub fn main() -> ExitCode {
-    run(Cli::parse())
+    main_with(std::env::args_os())
 }
 
 /// Runs the command line `arguments`, whose first one is the program's name, as [`main`]. Bad usage ends the process.
 pub fn main_with(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
-    run(Cli::parse_from(arguments))
+    run(parse(help::group(Cli::command()), "egotac", &help::EXAMPLES, arguments))
 }
 
-fn run(Cli { follow_links, command }: Cli) -> ExitCode {
+/// Returns the command line with its examples.
+fn own_command() -> clap::Command {
+    help::arrange(help::group(Cli::command()), "egotac", &help::EXAMPLES)
+}
+
+/// Parses a command line; ends the process with help, version or an error that names the new spelling of an old option.
+#[doc(hidden)]
+pub fn parse<T: FromArgMatches>(
+    command: clap::Command,
+    program: &str,
+    examples: &[&str],
+    arguments: impl IntoIterator<Item = OsString>,
+) -> T {
+    let arguments: Vec<OsString> = arguments.into_iter().collect();
+    let mut command = help::arrange(command, program, examples);
+    let parsed = command.try_get_matches_from_mut(&arguments).and_then(|matches| T::from_arg_matches(&matches));
+    parsed.unwrap_or_else(|error| renamed::explain(error.format(&mut command), &arguments).exit())
+}
+
+fn run(Cli { follow_links, say, command }: Cli) -> ExitCode {
+    say.apply();
     if follow_links {
         input::follow_links();
     }
@@ -121,17 +187,18 @@ fn run(Cli { follow_links, command }: Cli) -> ExitCode {
         Command::View(args) => view::run(args),
         Command::Predict(args) => predict::run(args),
         Command::Eval(args) => eval::run(args),
-        Command::Experiment(args) => external::run("experiment", args),
+        Command::Experiment(args) => external::run("experiment", say.options(), args),
         Command::Verify(args) => verify::run(args),
         Command::Retarget(args) => retarget::run(args),
         Command::Sensor(args) => sensor::run(args),
         Command::Model(args) => model::run(args),
-        Command::Bench(args) => external::run("bench", args),
+        Command::Bench(args) => external::run("bench", say.options(), args),
         Command::Data(args) => data::run(args),
         Command::Demo(args) => demo::run(args),
         Command::Limits => limits::run(),
-        Command::Completions(args) => completions::completions(&args, Cli::command()),
-        Command::Man(args) => completions::man(&args, Cli::command()),
+        Command::Completions(args) => completions::completions(&args, own_command()),
+        Command::Reference(args) => reference::run(&args, own_command()),
+        Command::Man(args) => completions::man(&args, own_command()),
     })
 }
 
@@ -139,8 +206,10 @@ fn run(Cli { follow_links, command }: Cli) -> ExitCode {
 #[doc(hidden)]
 pub fn execute(command: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitCode {
     exit_where_printing_fails();
+    let started = Instant::now();
     let done = check_environment().map_err(Into::into).and_then(|()| command()).and_then(|code| {
         std::io::stdout().flush().context("standard output")?;
+        progress::detail(format_args!("done in {:.1} s", started.elapsed().as_secs_f64()));
         Ok(code)
     });
     match done {

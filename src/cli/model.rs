@@ -15,6 +15,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 use candle_core::{DType, Device, Tensor};
 
+use super::options::Json;
 use crate::file::{input, limits};
 use crate::model::{Checkpoint, Config, Precision, checkpoint};
 
@@ -56,9 +57,9 @@ enum Command {
 
 #[derive(Debug, clap::Args)]
 struct Forward {
-    /// Weights (safetensors).
-    #[arg(long, value_name = "FILE")]
-    weights: PathBuf,
+    /// Checkpoint to run.
+    #[arg(long, value_name = "FILE|shipped", value_parser = super::options::checkpoint())]
+    checkpoint: PathBuf,
     /// Safetensors with key `images`: (B, T, 3, H, W) f32, ImageNet-normalised, oldest frame first.
     #[arg(long, value_name = "FILE")]
     input: PathBuf,
@@ -76,10 +77,10 @@ struct Forward {
 #[derive(Debug, clap::Args)]
 struct Info {
     /// Checkpoint (safetensors).
+    #[arg(value_name = "CHECKPOINT|shipped", value_parser = super::options::checkpoint())]
     weights: PathBuf,
-    /// Print JSON.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Runs the command.
@@ -110,7 +111,7 @@ fn forward(args: &Forward) -> anyhow::Result<()> {
         None => None,
     };
     let device = Device::Cpu;
-    let model = checkpoint::load_model(&args.weights, config.as_ref(), &device)?.compile(args.precision)?;
+    let model = checkpoint::load_model(&args.checkpoint, config.as_ref(), &device)?.compile(args.precision)?;
     let images = images(&args.input, &device)?;
     let stages = model.stages(&images).with_context(|| args.input.display().to_string())?;
     let stages = BTreeMap::from([
@@ -145,13 +146,12 @@ fn info(args: &Info) -> anyhow::Result<()> {
         Checkpoint::load(&args.weights, &Device::Cpu)?;
     let config = model.config();
     let parameters = checkpoint::parameter_count(config)?;
-    if args.json {
-        let text = serde_json::json!({
-            "file": args.weights, "sha256": sha256, "parameters": parameters, "config": config,
-            "metadata": metadata.to_map(), "familiarity": familiarity.is_some(), "presence": presence.is_some(),
-            "spread": spread.is_some(),
-        });
-        println!("{}", serde_json::to_string_pretty(&text)?);
+    let facts = serde_json::json!({
+        "file": args.weights, "sha256": sha256, "parameters": parameters, "config": config,
+        "metadata": metadata.to_map(), "familiarity": familiarity.is_some(), "presence": presence.is_some(),
+        "spread": spread.is_some(),
+    });
+    if args.json.take(&facts)? {
         return Ok(());
     }
     println!("{}", metadata.name);

@@ -6,7 +6,6 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
-use indicatif::ProgressBar;
 
 use super::doubt::Doubt;
 use crate::dataset::image_folder::{ImageFolder, image_files, is_image};
@@ -14,7 +13,7 @@ use crate::dataset::source::SourceChain;
 use crate::dataset::tensors::TensorOutput;
 use crate::dataset::zarr::{Store, StoreLocation};
 use crate::dataset::{ImageSource, LabelSummary, Provenance, UnlabelledImage};
-use crate::label::{Job, LabelTiming, Outcome, Shard};
+use crate::label::{FormatOptions, Job, LabelTasks, LabelTiming, Outcome, OutputFormat, Shard, find_tasks};
 use crate::model::predictor::Options;
 use crate::model::{Precision, Predictor, shipped};
 use crate::text::tell;
@@ -31,15 +30,21 @@ use super::hands::Hands;
 )]
 pub struct Args {
     /// Checkpoint to run; by default the one shipped with egotac.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE|shipped", value_parser = super::options::checkpoint())]
     checkpoint: Option<PathBuf>,
-    /// Zarr stores or folders of them; or PNG and JPEG files or folders of them, which form one sequence. Files of a
-    /// folder are taken in natural order: frame_2 before frame_10.
+    /// Zarr stores, bags, LeRobot data sets, videos, or folders of these, one behind the other; or PNG and JPEG files or
+    /// folders of them, which form one sequence. Files of a folder are taken in natural order: frame_2 before frame_10.
     #[arg(long, value_name = "PATH", num_args = 1.., required = true)]
     data: Vec<PathBuf>,
     /// Frame rate of an image sequence, 1/s; by default one image per observation step of the checkpoint.
     #[arg(long, value_name = "F", value_parser = super::positive)]
     fps: Option<f64>,
+    /// Array of a store's images, or key of a LeRobot camera.
+    #[arg(long, value_name = "NAME")]
+    camera: Option<String>,
+    /// Topic of a bag's images; by default the only one.
+    #[arg(long)]
+    topic: Option<String>,
     /// Field file to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -61,6 +66,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let path = args.checkpoint.map_or_else(shipped::path, Ok)?;
     let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..stream() };
     let mut predictor = Predictor::load(&path, args.doubt.apply(options))?;
+    super::progress::tell_network(&path, &predictor);
     if let Some(warning) = predictor.warning() {
         tell(format_args!("warning: {warning}"));
     }
@@ -69,7 +75,16 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     }
     let files = images(&args.data)?;
     let summary = match files.is_empty() {
-        true => predict_stores(&args.data, &mut predictor, args.precision, &args.out)?,
+        true => {
+            let options = FormatOptions {
+                to: OutputFormat::Tensors,
+                frame_dt: predictor.metadata().frame_dt,
+                camera: args.camera.clone(),
+                topic: args.topic.clone(),
+                ..FormatOptions::default()
+            };
+            predict_recordings(&args.data, &options, &mut predictor, args.precision, &args.out)?
+        }
         false => {
             let step = args.fps.map_or(predictor.metadata().frame_dt, |fps| 1.0 / fps);
             let source = Arc::new(ImageFolder::from_files("images".into(), files.clone(), step));
@@ -96,13 +111,53 @@ pub(super) fn predict_stores(
     precision: Precision,
     out: &Path,
 ) -> anyhow::Result<LabelSummary> {
-    let mut sources: Vec<(String, Arc<dyn ImageSource>)> = Vec::new();
+    let mut sources = Vec::new();
     for path in paths {
-        for place in StoreLocation::find(path)? {
-            // Like training and `egotac eval`, the command takes timestamps as seconds.
-            sources.push((place.name(), Arc::new(Store::open(&place, None, Some(1.0))?)));
-        }
+        sources.extend(stores(StoreLocation::find(path)?, None)?);
     }
+    predict_sources(sources, predictor, precision, out)
+}
+
+/// Predicts touch for all recordings that `paths` name, one behind the other. Returns the summary.
+fn predict_recordings(
+    paths: &[PathBuf],
+    options: &FormatOptions,
+    predictor: &mut Predictor,
+    precision: Precision,
+    out: &Path,
+) -> anyhow::Result<LabelSummary> {
+    let mut sources = Vec::new();
+    for path in paths {
+        if let Ok(places) = StoreLocation::find(path) {
+            sources.extend(stores(places, options.camera.as_deref())?);
+            continue;
+        }
+        let LabelTasks { tasks, unreadable } = find_tasks(path, out, options)?;
+        if let Some((name, error)) = unreadable.into_iter().next() {
+            return Err(error).with_context(|| name);
+        }
+        sources.extend(tasks.into_iter().map(|task| (task.name, task.source)));
+    }
+    predict_sources(sources, predictor, precision, out)
+}
+
+/// Source of images with its name.
+type Named = (String, Arc<dyn ImageSource>);
+
+/// Opens stores. Like training and `egotac eval`, their timestamps are taken as seconds.
+fn stores(places: Vec<StoreLocation>, camera: Option<&str>) -> anyhow::Result<Vec<Named>> {
+    let open = |place: StoreLocation| -> anyhow::Result<Named> {
+        Ok((place.name(), Arc::new(Store::open(&place, camera, Some(1.0))?)))
+    };
+    places.into_iter().map(open).collect()
+}
+
+fn predict_sources(
+    sources: Vec<Named>,
+    predictor: &mut Predictor,
+    precision: Precision,
+    out: &Path,
+) -> anyhow::Result<LabelSummary> {
     let name = |fault: &UnlabelledImage| format!("{}, image {}", fault.unit, fault.frame);
     predict(Arc::new(SourceChain::new(sources)), name, predictor, precision, out)
 }
@@ -132,7 +187,8 @@ fn predict(
         }
     };
     let frames: Option<usize> = source.units().iter().map(|unit| unit.frames).sum();
-    let bar = ProgressBar::new(frames.unwrap_or(0) as u64);
+    let bar = super::progress::bar("images");
+    bar.set_length(frames.unwrap_or(0) as u64);
     let job = Job {
         source: source.as_ref(),
         output: &TensorOutput { source: source.clone(), with_info: false },

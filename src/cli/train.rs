@@ -1,11 +1,14 @@
 //! `egotac train`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use anyhow::Context;
 
 use super::hands::Hands;
+use super::reference;
+use crate::error::Error;
+use crate::file;
 use crate::train::{self, Config, Control, Event, Outcome, Started, Step};
 
 /// Arguments of `egotac train`.
@@ -17,8 +20,14 @@ use crate::train::{self, Config, Control, Event, Outcome, Started, Step};
 )]
 pub struct Args {
     /// Configuration of the run.
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "init_config")]
+    config: Option<PathBuf>,
+    /// Write a configuration with every key at its default, to edit, and train nothing.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["config", "resume"])]
+    init_config: Option<PathBuf>,
+    /// Value in place of that of the configuration: a key, dotted as in optimizer.learning_rate, and YAML; repeatable.
+    #[arg(long, value_name = "KEY=VALUE", value_parser = setting, requires = "config")]
+    set: Vec<(String, String)>,
     /// Resume from the state in the run's folder.
     #[arg(long)]
     resume: bool,
@@ -32,13 +41,17 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let mut config = Config::read(&args.config)?;
+    let Some(path) = &args.config else {
+        return write_config(args.init_config.as_deref().context("expected --config or --init-config")?);
+    };
+    let mut config = Config::read_with(path, &args.set)?;
+    config.check().map_err(|error| Error::file(path, error))?;
     let Hands { mano_left, mano_right, .. } = args.hands;
     config.mano_left = mano_left.or(config.mano_left);
     config.mano_right = mano_right.or(config.mano_right);
     let device = super::device(args.cuda)?;
-    let bar = ProgressBar::new(config.steps as u64);
-    bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed}<{eta} {msg}")?);
+    let bar = super::progress::told_bar("steps");
+    bar.set_length(config.steps as u64);
     let mut pace = Pace::default();
     let outcome = train::train(&config, args.resume, &device, &mut |event| {
         match event {
@@ -71,6 +84,21 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     })?;
     bar.finish_and_clear();
     println!("{}", describe_end(&outcome));
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Parses KEY=VALUE.
+fn setting(text: &str) -> Result<(String, String), String> {
+    let pair = text.split_once('=').filter(|(key, _)| !key.is_empty());
+    pair.map(|(key, value)| (key.to_owned(), value.to_owned()))
+        .ok_or_else(|| "expected KEY=VALUE, such as steps=200".into())
+}
+
+/// Writes a configuration to start from; refuses to replace a file.
+fn write_config(path: &Path) -> anyhow::Result<ExitCode> {
+    anyhow::ensure!(!path.exists(), "{}: exists already; expected the name of a new file", path.display());
+    file::write(path, reference::training_config()?.as_bytes())?;
+    println!("{}: fill in data, validation and out, then `egotac train --config {0}`", path.display());
     Ok(ExitCode::SUCCESS)
 }
 

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use anyhow::{bail, ensure};
 
 use super::hands::{Hands, Kernel};
+use super::options::{Json, Length};
 use crate::file;
 use crate::score::verify::recording::{self, Topics};
 use crate::score::verify::report::{self, Unmatched};
@@ -34,18 +35,18 @@ pub struct Args {
     /// Seed of each scene's first rollout (each next rollout has the next seed) and of the bootstrap.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Distances of labels a and b, millimetres.
-    #[arg(long, value_name = "MM,..", value_delimiter = ',', default_values_t = [0.0, 1.0, 2.0, 5.0, 10.0])]
-    thresholds: Vec<f32>,
-    /// Spacing of the points of label a, millimetres.
-    #[arg(long, value_name = "MM", default_value_t = 6.0)]
-    spacing: f32,
+    /// Distances of labels a and b.
+    #[arg(long, value_name = "LENGTH,..", value_delimiter = ',', default_value = "0mm,1mm,2mm,5mm,10mm")]
+    thresholds: Vec<Length>,
+    /// Spacing of the points of label a.
+    #[arg(long, value_name = "LENGTH", default_value = "6mm")]
+    spacing: Length,
     /// YAML files of scenes that the program does not ship and that the stores were made from.
     #[arg(long, value_name = "FILE", num_args = 1..)]
     scene: Vec<PathBuf>,
-    /// Checkpoint to score instead of the labels, on rendered images; `shipped` is the one that comes with egotac.
-    #[arg(long, value_name = "CHECKPOINT", conflicts_with_all = ["predictions", "recording"])]
-    predictor: Option<PathBuf>,
+    /// Checkpoint to score instead of the labels, on rendered images.
+    #[arg(long, value_name = "FILE|shipped", value_parser = super::options::checkpoint(), conflicts_with_all = ["predictions", "recording"])]
+    checkpoint: Option<PathBuf>,
     /// Predictions to score instead of the labels: tensor files or stores with the same frames as the given stores.
     #[arg(long, value_name = "STORE|FILE", num_args = 1.., conflicts_with = "recording")]
     predictions: Vec<PathBuf>,
@@ -61,9 +62,8 @@ pub struct Args {
     /// Scores to reach, such as `f1=0.7,missed_force=0.2`.
     #[arg(long, value_name = "NAME=NUMBER,..")]
     require: Option<String>,
-    /// JSON file to write; `-` prints JSON instead of the table.
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
+    #[command(flatten)]
+    json: Json,
     /// PNG file to draw.
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
@@ -87,7 +87,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     // Validates all arguments first: scoring may take hours.
     let requirements = Requirement::parse_all(args.require.as_deref().unwrap_or_default())?;
     let settings = settings(&args)?;
-    let candidates = match args.recording.is_some() || args.predictor.is_some() || !args.predictions.is_empty() {
+    let candidates = match args.recording.is_some() || args.checkpoint.is_some() || !args.predictions.is_empty() {
         true => Candidate::PREDICTIONS.to_vec(),
         false => settings.sweep(),
     };
@@ -102,17 +102,12 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 
 /// Writes the requested files; prints the table unless JSON goes to standard output.
 fn write(args: &Args, report: &VerifyReport) -> anyhow::Result<()> {
-    let json = format!("{:#}\n", serde_json::to_value(report)?);
+    let json = serde_json::to_value(report)?;
     let table = report::table(report);
-    if args.json.as_deref() == Some(Path::new("-")) {
-        print!("{}", printable(&json));
-    } else {
-        println!("{}", printable(&table));
-    }
+    args.json.show(&json, || table.clone())?;
     let in_folder = |name: &str| args.out.as_ref().map(|folder| folder.join(name));
-    let given = |path: &Option<PathBuf>| path.clone().filter(|path| path != Path::new("-"));
-    if let Some(path) = given(&args.json).or(in_folder("verify.json")) {
-        file::write(&path, json.as_bytes())?;
+    if let Some(path) = in_folder("verify.json") {
+        file::write(&path, format!("{json:#}\n").as_bytes())?;
     }
     if let Some(path) = args.picture.clone().or(in_folder("verify.png")) {
         file::write_png(&path, &picture::draw(report)?)?;
@@ -131,9 +126,8 @@ fn write(args: &Args, report: &VerifyReport) -> anyhow::Result<()> {
 }
 
 fn settings(args: &Args) -> anyhow::Result<SweepSettings> {
-    let metres = |millimetres: &f32| (f64::from(*millimetres) * 1e-3) as f32;
-    let thresholds = args.thresholds.iter().map(metres).collect();
-    let settings = SweepSettings { thresholds, spacing: metres(&args.spacing) };
+    let thresholds = args.thresholds.iter().map(|length| length.0 as f32).collect();
+    let settings = SweepSettings { thresholds, spacing: args.spacing.0 as f32 };
     settings.check()?;
     ensure!(args.seeds > 0, "--seeds: expected at least 1");
     ensure!(args.jobs > 0, "--jobs: expected at least 1");
@@ -195,13 +189,12 @@ mod with_sim {
     use std::path::{Path, PathBuf};
 
     use anyhow::ensure;
-    use indicatif::ProgressBar;
     use rayon::prelude::*;
 
     use super::Args;
     use crate::cli::sim::{load, picture};
     use crate::dataset::zarr::{self, ZarrReader};
-    use crate::model::{Predictor, predictor, shipped};
+    use crate::model::{Predictor, predictor};
     use crate::score::agreement::VertexGroups;
     use crate::score::verify::{Candidate, Episode, SweepSettings, VerifyReport, predictions};
     use crate::sim::verify::store::EstimateSource;
@@ -230,7 +223,8 @@ mod with_sim {
             RolloutOptions { hands: hands.clone(), picture, sigma: args.kernel.metres(), ..RolloutOptions::default() };
         let plan: Vec<(&Scene, u64)> =
             scenes.iter().flat_map(|scene| (0..args.seeds).map(move |i| (scene, args.seed + i))).collect();
-        let bar = ProgressBar::new(plan.len() as u64);
+        let bar = crate::cli::progress::bar("rollouts");
+        bar.set_length(plan.len() as u64);
         let done = |result| {
             bar.inc(1);
             result
@@ -254,12 +248,10 @@ mod with_sim {
     }
 
     fn open_predictor(args: &Args) -> anyhow::Result<Option<Predictor>> {
-        let path = match args.predictor.as_deref() {
-            None => return Ok(None),
-            Some(path) if path == Path::new("shipped") && !path.exists() => shipped::path()?,
-            Some(path) => path.to_path_buf(),
-        };
-        Ok(Some(Predictor::load(&path, predictor::Options::default())?))
+        let Some(path) = &args.checkpoint else { return Ok(None) };
+        let predictor = Predictor::load(path, predictor::Options::default())?;
+        crate::cli::progress::tell_network(path, &predictor);
+        Ok(Some(predictor))
     }
 
     fn score_stores(

@@ -33,7 +33,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME")]
     host: Vec<String>,
     /// Checkpoint to predict touch with; by default the one shipped with egotac.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE|shipped", value_parser = super::options::checkpoint())]
     checkpoint: Option<PathBuf>,
     /// Show labels and truth of the sources alone; load no network.
     #[arg(long, conflicts_with_all = ["checkpoint", "predict"])]

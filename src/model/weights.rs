@@ -53,7 +53,7 @@ pub(super) fn refuse_pytorch(path: &Path, bytes: &[u8]) -> Result<()> {
         return Ok(());
     }
     let message = format!(
-        "is a PyTorch file, expected a checkpoint of egotac (safetensors); import it with `egotac model import --weights {} \
+        "is a PyTorch file, expected a checkpoint of egotac (safetensors); import it with `egotac model import --checkpoint {} \
          --mapping TABLE.yaml --out NAME.safetensors`",
         path.display()
     );

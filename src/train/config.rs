@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use serde_yaml::Value;
 
 use super::source::TrainingSource;
 use crate::error::{Error, Result};
@@ -46,7 +47,7 @@ pub struct Config {
     pub out: PathBuf,
     /// Geometry of the network: the name of a preset, all keys, or `init` for the geometry of the initial checkpoint.
     pub model: ModelChoice,
-    /// Checkpoint with the initial weights; without it they are random.
+    /// Checkpoint with the initial weights, or `shipped` for the one shipped with egotac; without it they are random.
     #[serde(default)]
     pub init: Option<PathBuf>,
     /// Checkpoint with the initial weights of the encoder alone; not together with `init`.
@@ -106,6 +107,27 @@ impl Default for SamplingConfig {
     fn default() -> Self {
         Self { temperature: 0.5, epoch: None }
     }
+}
+
+/// Returns the place of a dotted key in a YAML document; keys that are missing are added.
+fn place<'a>(document: &'a mut Value, key: &str) -> Result<&'a mut Value> {
+    let mut at = document;
+    for part in key.split('.') {
+        if at.is_null() {
+            *at = Value::Mapping(Default::default());
+        }
+        at = match at {
+            Value::Mapping(map) => map.entry(part.into()).or_insert(Value::Null),
+            Value::Sequence(list) => {
+                let index = part.parse::<usize>().ok().filter(|index| *index < list.len());
+                let expected = || Error::value(key, format!("an index below {}", list.len()), part);
+                let index = index.ok_or_else(expected)?;
+                &mut list[index]
+            }
+            _ => return Err(Error::value(key, "a key that holds others before the dot", part)),
+        };
+    }
+    Ok(at)
 }
 
 /// Value of [`Config::model`] that takes the geometry of the initial checkpoint.
@@ -265,8 +287,33 @@ impl Config {
     /// # Errors
     /// If it can't be read, is not YAML, or a key is unknown, missing or of another type.
     pub fn read_unchecked(path: &Path) -> Result<Self> {
+        Self::read_with(path, &[])
+    }
+
+    /// As [`Config::read_unchecked`], with `values` in place of those of the file: pairs of a key, dotted as in
+    /// `optimizer.learning_rate` or `data.0.quota`, and its value in YAML.
+    ///
+    /// # Errors
+    /// As [`Config::read_unchecked`], or if a key leads into a value that has no keys, or a value is not YAML.
+    pub fn read_with(path: &Path, values: &[(String, String)]) -> Result<Self> {
         let text = input::read_text(path, limits::TEXT)?;
-        parse_yaml(&text).map_err(|e| Error::file(path, e))
+        let mut config: Self = match values {
+            [] => parse_yaml(&text).map_err(|e| Error::file(path, e))?,
+            values => {
+                let mut whole: Value = parse_yaml(&text).map_err(|e| Error::file(path, e))?;
+                for (key, value) in values {
+                    let value = parse_yaml(value).map_err(|e| Error::value(key, "a value in YAML", e))?;
+                    *place(&mut whole, key)? = value;
+                }
+                let names: Vec<&str> = values.iter().map(|(key, _)| key.as_str()).collect();
+                let with = |e| Error::file(path, format!("with other values of {}: {e}", names.join(", ")));
+                serde_yaml::from_value(whole).map_err(with)?
+            }
+        };
+        if config.init.as_deref() == Some(Path::new("shipped")) {
+            config.init = Some(model::shipped::path()?);
+        }
+        Ok(config)
     }
 
     /// Checks that all values are in range and that the input files exist.
@@ -482,6 +529,35 @@ mod tests {
         assert!(parsed(&MINIMAL.replace("toy", "init")).unwrap_err().contains("no init names a checkpoint"));
         let absent = MINIMAL.replace("toy", "init, init: no/such/checkpoint");
         assert!(parsed(&absent).unwrap_err().contains("no/such/checkpoint"));
+    }
+
+    #[test]
+    fn dotted_keys_replace_values_of_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.yaml");
+        std::fs::write(&path, MINIMAL).unwrap();
+        let read = |values: &[(&str, &str)]| {
+            let values: Vec<_> = values.iter().map(|(key, value)| (key.to_string(), value.to_string())).collect();
+            Config::read_with(&path, &values).map_err(|error| error.to_string())
+        };
+        let config =
+            read(&[("steps", "7"), ("loss.keypoints", "0.3"), ("data.0", "b.zarr"), ("validation", "[c]")]).unwrap();
+        assert_eq!((config.steps, config.loss.keypoints), (7, 0.3));
+        assert_eq!(config.data[0].stores, [PathBuf::from("b.zarr")]);
+        assert_eq!(config.validation, [PathBuf::from("c")]);
+        assert_eq!(config.loss.force, LossWeights::default().force);
+        for (key, value, names) in [
+            ("stepz", "7", "stepz"),
+            ("loss.keypoint", "1", "keypoint"),
+            ("steps", "many", "steps"),
+            ("steps.a", "1", "steps.a"),
+            ("data.3", "b", "data.3"),
+            ("name", "[", "name"),
+        ] {
+            let error = read(&[(key, value)]).unwrap_err();
+            assert!(error.contains(names), "{key}: {error}");
+        }
+        assert!(read(&[("init", "shipped")]).unwrap().init.unwrap().is_file());
     }
 
     #[test]

@@ -3,6 +3,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod command_line;
 mod completions;
 mod doctor;
 mod eval;

@@ -151,7 +151,7 @@ fn hostile_archives_are_refused() {
     let import = |path: &Path, word: &str| {
         let out = files.0.path().join("out.safetensors");
         let [weights, mapping, out] = [path, &table, &out].map(|path| path.to_str().unwrap());
-        refused(&["model", "import", "--weights", weights, "--mapping", mapping, "--out", out], word);
+        refused(&["model", "import", "--checkpoint", weights, "--mapping", mapping, "--out", out], word);
     };
     let huge = 1i64 << 40;
     let one = |length, start, size: &[i64], stride: &[i64]| {

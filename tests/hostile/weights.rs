@@ -113,7 +113,7 @@ fn tables_and_growth_beyond_any_network_are_refused() {
     for (width, depth, word) in [(8192, 96, "EGOTAC_LIMIT_PARAMETERS"), (4096, 4, "do not fit")] {
         let path = files.write("table.yaml", table(width, depth).as_bytes());
         refused(
-            &["model", "import", "--weights", text(&weights), "--mapping", text(&path), "--out", &files.out()],
+            &["model", "import", "--checkpoint", text(&weights), "--mapping", text(&path), "--out", &files.out()],
             word,
         );
     }

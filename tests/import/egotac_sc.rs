@@ -85,7 +85,7 @@ fn release(path: &Path, sides: &[Side]) {
 
 fn import(source: &Path, out: &Path, more: &[&str]) -> std::process::Output {
     let [source, out] = [source, out].map(|path| path.to_str().unwrap());
-    egotac(&[&["data", "import", "egotac-sc", source, "--out", out, "--side", "0"], more].concat())
+    egotac(&[&["data", "import", "egotac-sc", source, "--out", out, "--size", "0"], more].concat())
 }
 
 fn imported(folder: &Path, sides: &[Side], more: &[&str]) -> ZarrReader {

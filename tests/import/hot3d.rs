@@ -46,7 +46,7 @@ fn a_clip_has_the_simulators_contact_stamps_poses_and_upright_images() {
     let folder = tempfile::tempdir().unwrap();
     let (root, mano) = data_set(folder.path(), |_| ());
     let out = folder.path().join("clip.zarr");
-    let output = import(&root, &mano, &out, &["--side", "0"]);
+    let output = import(&root, &mano, &out, &["--size", "0"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let (store, take) = (open(&out), &*TAKE);
     let score = f1(&store, take, &Side::BOTH);
@@ -70,9 +70,9 @@ fn a_clip_has_the_simulators_contact_stamps_poses_and_upright_images() {
     let moved = folder.path().join("moved");
     std::fs::rename(&root, &moved).unwrap();
     let root = moved;
-    let again = import(&root, &mano, &out, &["--side", "0"]);
+    let again = import(&root, &mano, &out, &["--size", "0"]);
     assert!(String::from_utf8_lossy(&again.stdout).contains("done before"));
-    assert_eq!(import(&root, &mano, &out, &["--contact-distance", "3"]).status.code(), Some(1));
+    assert_eq!(import(&root, &mano, &out, &["--contact-distance", "3mm"]).status.code(), Some(1));
 }
 
 #[test]
@@ -80,7 +80,7 @@ fn contact_by_signed_distance_is_narrower_and_distances_are_those_of_the_box() {
     let folder = tempfile::tempdir().unwrap();
     let (root, mano) = data_set(folder.path(), |_| ());
     let out = folder.path().join("clip.zarr");
-    assert!(import(&root, &mano, &out, &["--contact-distance", "2"]).status.success());
+    assert!(import(&root, &mano, &out, &["--contact-distance", "2mm"]).status.success());
     let store = open(&out);
     let contact = store.read_contact(0..FRAMES).unwrap();
     let distance = store.read_f32("data/mano_distance", 0..FRAMES).unwrap();
@@ -198,7 +198,7 @@ fn without_mano_files_hands_are_fitted_to_the_joints_of_umetrack() {
     write(&root.join("object_models/obj_000007.glb"), glb(&take.box_mesh()));
     let out = folder.path().join("clip.zarr");
     let [source, store] = [&root, &out].map(|path| path.to_str().unwrap());
-    let output = egotac(&["data", "import", "hot3d", source, "--out", store, "--side", "0"]);
+    let output = egotac(&["data", "import", "hot3d", source, "--out", store, "--size", "0"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&[output.stdout, output.stderr].concat()));
     let store = open(&out);
     assert_eq!(supervised(&store), [0, FRAMES * 778]);

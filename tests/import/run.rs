@@ -12,7 +12,7 @@ use crate::writers::files::ManoFiles;
 /// Imports a data set with images of their original size, and further options.
 pub fn import(kind: &str, root: &Path, out: &Path, more: &[&str]) -> Output {
     let [root, out] = [root, out].map(|path| path.to_str().unwrap());
-    egotac(&[&["data", "import", kind, root, "--out", out, "--side", "0"][..], more].concat())
+    egotac(&[&["data", "import", kind, root, "--out", out, "--size", "0"][..], more].concat())
 }
 
 /// Returns the options for MANO files.

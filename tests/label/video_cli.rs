@@ -125,7 +125,7 @@ fn a_video_becomes_a_store_with_labels() {
     images(&at("in"), 10);
     video(&at("in"), &at("clip.mkv"), &["-c:v", "ffv1", "-pix_fmt", "bgr0"]);
     let [clip, out] = ["clip.mkv", "clip.zarr"].map(|name| at(name).to_str().unwrap().to_string());
-    let done = json(&["label", &clip, "--out", &out, "--side", "24", "--unknown", "guess", "--json", "-"], 0);
+    let done = json(&["label", &clip, "--out", &out, "--size", "24", "--unknown", "guess", "--json", "-"], 0);
     assert_eq!(done["summary"]["labelled"], 10);
     let store = ZarrReader::open(Path::new(&out)).unwrap();
     assert_eq!((store.len(), store.image_size()), (10, (24, 32)));

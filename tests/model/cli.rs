@@ -62,7 +62,7 @@ fn import_and_init_write_checkpoints_that_load() {
         "init",
         "--encoder",
         published.to_str().unwrap(),
-        "--image",
+        "--size",
         "56",
         "--depth",
         "1",
@@ -75,8 +75,16 @@ fn import_and_init_write_checkpoints_that_load() {
     let info: Value =
         serde_json::from_str(&good(&["model", "info", "init.safetensors", "--json"], folder.path())).unwrap();
     assert_eq!((&info["config"]["registers"], &info["metadata"]["resize"]), (&4.into(), &"centre".into()));
-    let import =
-        ["model", "import", "--weights", "init.safetensors", "--mapping", "table.yaml", "--out", "again.safetensors"];
+    let import = [
+        "model",
+        "import",
+        "--checkpoint",
+        "init.safetensors",
+        "--mapping",
+        "table.yaml",
+        "--out",
+        "again.safetensors",
+    ];
     let table = format!("config: {}\nsidecar: {{ name: n, topology: mano, fps: 25 }}\nsame: true\n", info["config"]);
     std::fs::write(folder.path().join("table.yaml"), table).unwrap();
     good(&import, folder.path());
@@ -96,7 +104,7 @@ fn forward_takes_a_precision() {
             &[
                 "model",
                 "forward",
-                "--weights",
+                "--checkpoint",
                 weights.to_str().unwrap(),
                 "--input",
                 input.to_str().unwrap(),

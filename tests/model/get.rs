@@ -23,7 +23,7 @@ fn a_file_is_checked_and_copied_without_a_network() {
 fn a_pytorch_file_in_place_of_a_checkpoint_names_the_command_that_imports_it() {
     let foreign = model_data("foreign.pth");
     let foreign = foreign.to_str().unwrap();
-    let hint = format!("egotac model import --weights {foreign} --mapping TABLE.yaml");
+    let hint = format!("egotac model import --checkpoint {foreign} --mapping TABLE.yaml");
     refused(&["predict", "--checkpoint", foreign, "--data", "x", "--out", "y"], &hint);
     refused(&["model", "get", foreign], "--mapping imports one of another program");
 }

@@ -61,7 +61,7 @@ fn model_forward_repeats_the_golden_activations_from_the_command_line() {
     for case in ["toy_1", "other_0"] {
         let out = folder.path().join(format!("{case}.safetensors"));
         let output = Command::new(env!("CARGO_BIN_EXE_egotac"))
-            .args(["model", "forward", "--weights"])
+            .args(["model", "forward", "--checkpoint"])
             .arg(model_data(format!("{case}_weights.safetensors")))
             .arg("--input")
             .arg(model_data(format!("{case}_activations.safetensors")))
@@ -83,7 +83,7 @@ fn model_forward_says_in_one_line_what_is_wrong() {
     let out = folder.path().join("out.safetensors");
     let forward = |weights: &str, input: &str| {
         let output = Command::new(env!("CARGO_BIN_EXE_egotac"))
-            .args(["model", "forward", "--weights"])
+            .args(["model", "forward", "--checkpoint"])
             .arg(model_data(weights))
             .arg("--input")
             .arg(model_data(input))

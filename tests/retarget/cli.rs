@@ -58,7 +58,7 @@ fn run_writes_a_trajectory_and_reports_bad_frames() {
         input.to_str().unwrap(),
         "--out",
         out.to_str().unwrap(),
-        "--rate",
+        "--fps",
         "30",
     ]);
     let said = String::from_utf8(run.stderr).unwrap();

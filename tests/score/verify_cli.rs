@@ -106,10 +106,11 @@ fn the_sweep_over_labels_is_deterministic() {
 #[test]
 fn finer_sampling_increases_the_recall_of_label_a() {
     let recall = |spacing: &str| {
-        let report = verify(&["pinch_cube", "--seeds", "1", "--seed", "5", "--thresholds", "10", "--spacing", spacing]);
+        let report =
+            verify(&["pinch_cube", "--seeds", "1", "--seed", "5", "--thresholds", "10mm", "--spacing", spacing]);
         score(&report, "a_10mm", "pooled.recall")
     };
-    let (coarse, fine) = (recall("100"), recall("3"));
+    let (coarse, fine) = (recall("100mm"), recall("3mm"));
     assert!(coarse < 0.5 && fine > 0.9, "{coarse} {fine}");
 }
 
@@ -252,7 +253,7 @@ fn predictions_are_scored_and_the_gate_sets_the_exit_status() {
     assert!(refusal(&["pinch_cube", "--predictions", &right]).contains("expected the stores"));
     assert!(refusal(&["pinch_cube", "--require", "f1=0.7"]).contains("of which label?"));
     assert!(refusal(&["pinch_cube", "--require", "b_7mm:f1=0.7"]).contains("b_5mm"));
-    assert!(refusal(&["pinch_cube", "--thresholds", "5,1"]).contains("growing"));
+    assert!(refusal(&["pinch_cube", "--thresholds", "5mm,1mm"]).contains("growing"));
 }
 
 #[test]
@@ -266,14 +267,14 @@ fn a_network_is_scored_on_rendered_images() {
     }
     Checkpoint::save(&path, &config, &Metadata::new("random", 2.0, 0.04), &vars).unwrap();
     let model = path.to_str().unwrap();
-    let arguments = ["pinch_cube", "--seeds", "1", "--seed", "5", "--size", "16", "--predictor", model];
+    let arguments = ["pinch_cube", "--seeds", "1", "--seed", "5", "--size", "16", "--checkpoint", model];
     let report = verify(&arguments);
     let rate = score(&report, "prediction", "labelled_ratio");
     assert!(rate > 0.0 && rate < 1.0, "{rate}");
     let missed = refusal(&[&arguments[..], &["--require", "f1=0.99"]].concat());
     assert!(missed.contains("prediction: frame_mean.f1: at least 0.99 is required"), "{missed}");
     // The images of a store give the same scores.
-    let stored = verify(&[&folder.store("pinch_cube", "5"), "--predictor", model]);
+    let stored = verify(&[&folder.store("pinch_cube", "5"), "--checkpoint", model]);
     for name in ["pooled.f1", "mae", "missed_force"] {
         assert!((score(&stored, "prediction", name) - score(&report, "prediction", name)).abs() < 1e-9, "{name}");
     }

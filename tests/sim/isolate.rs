@@ -129,7 +129,7 @@ fn workers_use_the_sigma_of_the_command() {
         let force = reader.read_f32(MANO_FORCE, 0..reader.len()).unwrap();
         (reader.attributes().sigma, force)
     };
-    let ((narrow_sigma, narrow), (wide_sigma, wide)) = (store("2"), store("8"));
+    let ((narrow_sigma, narrow), (wide_sigma, wide)) = (store("2mm"), store("8mm"));
     assert!((narrow_sigma - 0.002).abs() < 1e-12 && (wide_sigma - 0.008).abs() < 1e-12);
     let sum = |force: &[f32]| force.iter().map(|f| f64::from(*f)).sum::<f64>();
     assert!(
@@ -138,6 +138,6 @@ fn workers_use_the_sigma_of_the_command() {
     );
     let peak = |force: &[f32]| force.iter().copied().fold(0.0, f32::max);
     assert!(peak(&narrow) > 2.0 * peak(&wide), "{} N, {} N", peak(&narrow), peak(&wide));
-    let refused = egotac(&folder.path().join("none"), &["--sigma", "0"]).output().unwrap();
-    assert!(String::from_utf8_lossy(&refused.stderr).contains("0.1 to 50 millimetres"));
+    let refused = egotac(&folder.path().join("none"), &["--sigma", "0mm"]).output().unwrap();
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("0.1mm to 50mm"));
 }

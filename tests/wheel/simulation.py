@@ -65,7 +65,7 @@ with tempfile.TemporaryDirectory() as temp:
     content = hand.tobytes()
     header = json.dumps({"keypoints": {"dtype": "F64", "shape": hand.shape, "data_offsets": [0, len(content)]}}).encode()
     (temp / "hand").write_bytes(len(header).to_bytes(8, "little") + header + content)
-    run(program, "retarget", "run", "--robot", "four_finger", "--input", temp / "hand", "--out", temp / "robot", "--rate", "30")
+    run(program, "retarget", "run", "--robot", "four_finger", "--input", temp / "hand", "--out", temp / "robot", "--fps", "30")
     theirs = tensors(temp / "robot")
     poses = [retargeter.push(keypoints, index / 30) for index, keypoints in enumerate(hand)]
     qpos = np.stack([pose.qpos for pose in poses])

@@ -99,6 +99,6 @@ fn wrong_arguments_are_refused_with_the_valid_ones() {
     assert!(bench(&["--preset", "huge"]).contains("known: toy, pocket, tiny, small, base"));
     assert!(bench(&["--precision", "int4"]).contains("f32, bf16, int8"));
     assert!(bench(&["--preset", "toy,tiny"]).contains("several values need --out"));
-    assert!(bench(&["--preset", "toy", "--image", "57"]).contains("config.image"));
+    assert!(bench(&["--preset", "toy", "--size", "57"]).contains("config.image"));
     assert!(bench(&["--preset", "toy", "--threads", "0"]).contains("1 to 1024"));
 }

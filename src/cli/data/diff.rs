@@ -7,10 +7,10 @@ use std::process::ExitCode;
 use anyhow::{Context, ensure};
 use serde_json::json;
 
+use crate::cli::options::Json;
 use crate::dataset::Labelled;
 use crate::score::metrics::{self, EvalOptions};
 use crate::tactile::{N_FIELD, TactileSequence};
-use crate::text::printable;
 
 /// Arguments of `egotac data diff`.
 #[derive(Debug, clap::Args)]
@@ -24,9 +24,8 @@ pub struct Args {
     a: PathBuf,
     /// The labels to compare them with.
     b: PathBuf,
-    /// Print JSON instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Runs the command.
@@ -45,16 +44,15 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     }
     let report = metrics::evaluate(&pred, &target, &EvalOptions::default())?;
     let (only_a, only_b) = (a.n_frames() - pairs.len(), b.n_frames() - pairs.len());
-    if args.json {
-        let mut value = serde_json::to_value(&report)?;
-        value["unmatched"] = json!({ "a": only_a, "b": only_b });
-        println!("{value:#}");
-        return Ok(ExitCode::SUCCESS);
-    }
-    println!("{}", printable(&metrics::table(&[("A against B", &report)])));
-    if only_a + only_b > 0 {
-        println!("{only_a} frames of A and {only_b} of B without a partner of equal time");
-    }
+    let mut value = serde_json::to_value(&report)?;
+    value["unmatched"] = json!({ "a": only_a, "b": only_b });
+    args.json.show(&value, || {
+        let mut text = metrics::table(&[("A against B", &report)]);
+        if only_a + only_b > 0 {
+            text += &format!("\n{only_a} frames of A and {only_b} of B without a partner of equal time");
+        }
+        text
+    })?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 
 use crate::cli::labelling::{Work, shard};
+use crate::cli::options::{Json, Length};
 use crate::import::glove::CONTACT_SHARE;
 use crate::import::{ContactRule, HandModels, ImportTasks, Options, Settings, kind, table};
 use crate::label::Shard;
@@ -51,19 +52,18 @@ pub struct Args {
     /// force on the hand, as simulated stores have it).
     #[arg(long, value_name = "KIND", value_parser = force_kind, default_value = "reading")]
     force_kind: ForceKind,
-    /// Vertices touch an object whose surface is at most so far, mm, negative inside; by default vertices touch an object
+    /// Vertices touch an object whose surface is at most so far, such as 2mm, negative inside; by default vertices touch an object
     /// that has a point within 1 cm, the paper's rule.
-    #[arg(long, value_name = "MM", value_parser = millimetres, allow_negative_numbers = true)]
-    contact_distance: Option<f32>,
+    #[arg(long, value_name = "LENGTH", value_parser = contact_distance, allow_negative_numbers = true)]
+    contact_distance: Option<Length>,
     /// Upper limit of the images' shorter side, pixels; 0 = original size.
     #[arg(long, value_name = "PIXELS", default_value_t = 224)]
-    side: u32,
+    size: u32,
     /// Shard: import only every N-th recording from the I-th (from 0) on.
     #[arg(long, value_name = "I/N", value_parser = shard, default_value = "0/1")]
     shard: Shard,
-    /// JSON file for the closing summary; `-` prints JSON instead of text.
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Runs the command.
@@ -81,8 +81,10 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let settings = Settings {
         kind: kind(&name)?,
         hands: HandModels::load(args.mano_left.as_deref(), args.mano_right.as_deref())?,
-        rule: args.contact_distance.map_or(ContactRule::Proximity, |mm| ContactRule::SignedDistance(mm * 1e-3)),
-        side: (args.side > 0).then_some(args.side),
+        rule: args
+            .contact_distance
+            .map_or(ContactRule::Proximity, |distance| ContactRule::SignedDistance(distance.0 as f32)),
+        side: (args.size > 0).then_some(args.size),
         options: Options {
             objects: args.objects,
             sensor: args.sensor,
@@ -93,7 +95,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let import = ImportTasks::find(&source, &out, settings)?;
     let jobs = import.jobs();
     let work = Work { input: &source, out: &out, tasks: &import.tasks, jobs: &jobs, unreadable: &import.unreadable };
-    work.run(args.json.as_deref(), |index, number, timing, progress| {
+    work.run(&args.json, |index, number, timing, progress| {
         jobs[index].run_with(&mut import.labeller(index), args.shard, number, timing, progress)
     })
 }
@@ -109,12 +111,13 @@ fn share(text: &str) -> Result<f32, String> {
     }
 }
 
-/// Largest distance of contact, mm: distances are known up to 5 cm.
-const MOST: f32 = 50.0;
+/// Largest distance of contact, m: distances are known up to 5 cm.
+const MOST: f64 = 0.05;
 
-fn millimetres(text: &str) -> Result<f32, String> {
-    match text.parse::<f32>() {
-        Ok(value) if value.is_finite() && value.abs() < MOST => Ok(value),
-        _ => Err(format!("expected millimetres between -{MOST} and {MOST}")),
+fn contact_distance(text: &str) -> Result<Length, String> {
+    let distance: Length = text.parse()?;
+    match distance.0.abs() < MOST {
+        true => Ok(distance),
+        false => Err(format!("expected a length between -{0} and {0}", Length(MOST))),
     }
 }

@@ -6,24 +6,28 @@ use std::process::ExitCode;
 use serde_json::{Map, Value, json};
 
 use super::store_info;
+use crate::cli::options::Json;
 use crate::dataset::image_folder::image_files;
 use crate::dataset::lerobot::LeRobot;
 use crate::dataset::mcap::{bag_files, survey};
 use crate::dataset::{Format, LabelInfo, Labelled, video, zarr};
 use crate::error::{Error, Result};
-use crate::text::{printable, printable_name, shortened};
+use crate::text::{printable_name, shortened};
 
 /// Runs the command.
-pub fn run(paths: &[PathBuf], json: bool) -> anyhow::Result<ExitCode> {
+pub fn run(paths: &[PathBuf], json_option: &Json) -> anyhow::Result<ExitCode> {
     let mut infos = Vec::new();
     for path in paths {
         infos.extend(of(path)?);
     }
-    match (json, infos.as_slice()) {
-        (true, [one]) => println!("{}", printable(&format!("{one:#}"))),
-        (true, _) => println!("{}", printable(&format!("{:#}", Value::Array(infos)))),
-        (false, _) => infos.iter().for_each(|info| println!("{}", printable(&text(info)))),
-    }
+    let lines: Vec<String> = infos.iter().map(text).collect();
+    let value = if infos.len() == 1 { infos.remove(0) } else { Value::Array(infos) };
+    json_option.show(&value, || {
+        lines.join(
+            "
+",
+        )
+    })?;
     Ok(ExitCode::SUCCESS)
 }
 

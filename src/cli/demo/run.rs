@@ -5,7 +5,6 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
-use indicatif::{ProgressBar, ProgressStyle};
 use tokio::signal::unix::{SignalKind, signal};
 
 use super::children::NodeProcess;
@@ -27,7 +26,7 @@ const RESULT_DELAY: Duration = Duration::from_millis(1500);
 /// # Errors
 /// If a node can't be started or fails, or the report can't be written.
 pub fn run(args: &Args) -> Result<ExitCode> {
-    if !(args.duration.is_finite() && args.duration >= 1.0) {
+    if args.duration.0 < 1.0 {
         bail!("--duration: expected at least 1 second, got {}", args.duration);
     }
     let out = fresh_folder(&args.out)?;
@@ -112,7 +111,7 @@ async fn simulate(args: &Args, out: &Path, recorder: &BagRecorder, verifier_repo
         end = simulator.ended() => end?,
         end = predictor.ended() => end.and_then(|()| bail!("the predictor ended during the simulation"))?,
         end = verifier.ended() => end.and_then(|()| bail!("the verifier ended during the simulation"))?,
-        () = show_progress(recorder, (args.duration * FPS).round() as u64) => bail!("the recording failed"),
+        () = show_progress(recorder, (args.duration.0 * FPS).round() as u64) => bail!("the recording failed"),
     }
     tokio::time::sleep(RESULT_DELAY).await;
     println!();
@@ -122,7 +121,7 @@ async fn simulate(args: &Args, out: &Path, recorder: &BagRecorder, verifier_repo
 
 /// Waits until the predictor has published its model info.
 async fn network_is_ready(recorder: &BagRecorder) -> Result<()> {
-    let waiting = ProgressBar::new_spinner().with_message("loading the network");
+    let waiting = crate::cli::progress::spinner("loading the network");
     let deadline = Instant::now() + NODE_TIMEOUT;
     while recorder.count(topics::MODEL_INFO) == 0 {
         ensure!(Instant::now() < deadline, "no message on {} within {NODE_TIMEOUT:?}", topics::MODEL_INFO);
@@ -135,8 +134,8 @@ async fn network_is_ready(recorder: &BagRecorder) -> Result<()> {
 
 /// Shows the progress of the run; returns only if the recording fails.
 async fn show_progress(recorder: &BagRecorder, images: u64) {
-    let style = ProgressStyle::with_template("simulating {bar:32} {pos}/{len} images, {msg}, {elapsed}");
-    let progress = ProgressBar::new(images).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    let progress = crate::cli::progress::told_bar("images");
+    progress.set_length(images);
     while !recorder.has_failed() {
         progress.set_position(recorder.count(topics::TRUTH));
         progress.set_message(format!("{} predictions", recorder.count(topics::TACTILE)));
@@ -146,8 +145,8 @@ async fn show_progress(recorder: &BagRecorder, images: u64) {
 
 fn predictor_arguments(args: &Args) -> Vec<String> {
     let mut parameters = vec![];
-    if let Some(model) = &args.model {
-        parameters.push(format!("model:={}", model.display()));
+    if let Some(checkpoint) = &args.checkpoint {
+        parameters.push(format!("model:={}", checkpoint.display()));
     }
     ros_arguments(&[("image", topics::IMAGE), ("hand_pose", topics::HAND_POSE)], &parameters)
 }
@@ -161,7 +160,7 @@ fn simulator_arguments(args: &Args) -> Vec<String> {
     let parameters = [
         format!("scenes:=[{scenes}]"),
         format!("seed:={}", args.seed),
-        format!("duration:={:?}", args.duration),
+        format!("duration:={:?}", args.duration.0),
         format!("wait_secs:={:?}", NODE_TIMEOUT.as_secs_f64()),
         // The predictor and the recorder subscribe to the images.
         "wait_listeners:=2".to_owned(),

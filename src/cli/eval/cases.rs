@@ -19,6 +19,7 @@ use crate::text::tell;
 pub fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
     let stream = predictor::Options { precision: args.precision, ..predict::stream() };
     let mut predictor = Predictor::load(checkpoint, args.doubt.apply(stream))?;
+    crate::cli::progress::tell_network(checkpoint, &predictor);
     if let Some(warning) = predictor.warning() {
         tell(format_args!("warning: {warning}"));
     }
@@ -45,7 +46,7 @@ pub fn of_checkpoint(args: &Args, checkpoint: &Path) -> anyhow::Result<Case> {
         }
         None => calibration::read(args)?,
     };
-    let lag = args.persistence.or(Some(predictor.metadata().frame_dt));
+    let lag = args.lag().or(Some(predictor.metadata().frame_dt));
     let options = EvalOptions { calibration, fps: args.fps };
     let baselines = baselines(constants, &target, lag);
     // The intervals are those of vertices of the checkpoint's topology.
@@ -75,9 +76,9 @@ pub fn of_files(args: &Args, pred_path: &Path, target_path: &Path) -> anyhow::Re
         (None, _) => calibration::read(args)?,
     };
     let topology = target.topology.or(pred.topology).unwrap_or_default();
-    let baselines = baselines(constants(args, topology)?, &target, args.persistence);
+    let baselines = baselines(constants(args, topology)?, &target, args.lag());
     let options = EvalOptions { calibration, fps: args.fps };
-    let lag = args.persistence;
+    let lag = args.lag();
     Ok(Case { pred, target, options, baselines, lag, unknown: None, origins, spread: None })
 }
 

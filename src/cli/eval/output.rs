@@ -3,15 +3,15 @@
 use serde_json::{Map, Value, json};
 
 use super::{Case, Scored};
+use crate::cli::options::Json;
 use crate::score::metrics::{
     self, Coverage, EgophiScores, Metrics, Reliability, egophi::egophi_table, evaluate_egophi,
 };
 use crate::text::printable;
 
 /// Prints the scores.
-pub fn write(scored: &Scored, as_json: bool) -> anyhow::Result<()> {
-    if as_json {
-        println!("{}", printable(&format!("{:#}", to_json(scored)?)));
+pub fn write(scored: &Scored, json_option: &Json) -> anyhow::Result<()> {
+    if json_option.take(&to_json(scored)?)? {
         return Ok(());
     }
     let mut columns: Vec<(&str, &Metrics)> = vec![("prediction", &scored.metrics)];
@@ -42,18 +42,17 @@ pub fn write(scored: &Scored, as_json: bool) -> anyhow::Result<()> {
 }
 
 /// Prints the scores of EgoPHI's protocol.
-pub fn write_egophi(case: &Case, seed: u64, as_json: bool) -> anyhow::Result<()> {
+pub fn write_egophi(case: &Case, seed: u64, json_option: &Json) -> anyhow::Result<()> {
     let own = evaluate_egophi(&case.pred, &case.target, seed)?;
     let mut baselines: Vec<(&str, EgophiScores)> = Vec::new();
     for (name, fields) in &case.baselines {
         baselines.push((*name, evaluate_egophi(fields, &case.target, seed)?));
     }
-    if as_json {
-        let mut value = serde_json::to_value(&own)?;
-        value["protocol"] = "egophi".into();
-        value["baselines"] = named(baselines.iter().map(|(name, scores)| (name.to_string(), scores)))?;
-        value["persistence_secs"] = json!(case.lag);
-        println!("{}", printable(&format!("{value:#}")));
+    let mut value = serde_json::to_value(&own)?;
+    value["protocol"] = "egophi".into();
+    value["baselines"] = named(baselines.iter().map(|(name, scores)| (name.to_string(), scores)))?;
+    value["persistence_secs"] = json!(case.lag);
+    if json_option.take(&value)? {
         return Ok(());
     }
     let mut columns = vec![("prediction", &own)];

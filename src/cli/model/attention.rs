@@ -21,7 +21,7 @@ pub struct Args {
     #[arg(required = true, value_name = "IMAGE")]
     images: Vec<PathBuf>,
     /// Checkpoint [default: the one shipped with egotac].
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE|shipped", value_parser = crate::cli::options::checkpoint())]
     checkpoint: Option<PathBuf>,
     /// Layer of the vision encoder, from 0, whose CLS token's attention is drawn [default: the temporal token of the fusion].
     #[arg(long)]

@@ -22,6 +22,7 @@ use crate::train::calibration;
 )]
 pub struct Args {
     /// Checkpoint (safetensors). The weights stay as they are.
+    #[arg(value_name = "CHECKPOINT|shipped", value_parser = crate::cli::options::checkpoint())]
     weights: PathBuf,
     /// Zarr stores with truth that training has not seen, or folders of them.
     #[arg(required = true, value_name = "STORE")]

@@ -16,7 +16,7 @@ use crate::model::{Checkpoint, Config, Metadata};
 pub struct Import {
     /// Checkpoint of another program: safetensors or a PyTorch file. Code in it is never executed.
     #[arg(long, value_name = "FILE")]
-    weights: PathBuf,
+    checkpoint: PathBuf,
     /// Table (YAML) of geometry, force scale, hand order, image statistics, frame stride and tensor names.
     #[arg(long, value_name = "FILE")]
     mapping: PathBuf,
@@ -32,8 +32,8 @@ pub struct Init {
     #[arg(long, value_name = "FILE")]
     encoder: PathBuf,
     /// Side of the input image, pixels.
-    #[arg(long, default_value_t = 224)]
-    image: usize,
+    #[arg(long, value_name = "PIXELS", default_value_t = 224)]
+    size: usize,
     /// Frames in the observation window.
     #[arg(long, default_value_t = 4)]
     horizon: usize,
@@ -55,6 +55,7 @@ pub struct Init {
 #[derive(Debug, clap::Args)]
 pub struct Grow {
     /// Checkpoint (safetensors).
+    #[arg(value_name = "CHECKPOINT|shipped", value_parser = crate::cli::options::checkpoint())]
     weights: PathBuf,
     /// Width of fusion and decoder; a multiple of the present width keeps the function exactly [default: the present width].
     #[arg(long)]
@@ -77,6 +78,7 @@ pub struct Grow {
 #[derive(Debug, clap::Args)]
 pub struct Half {
     /// Checkpoint (safetensors).
+    #[arg(value_name = "CHECKPOINT|shipped", value_parser = crate::cli::options::checkpoint())]
     weights: PathBuf,
     /// Checkpoint to write.
     #[arg(long, value_name = "FILE")]
@@ -85,12 +87,12 @@ pub struct Half {
 
 /// Runs `egotac model import`.
 pub fn import(args: &Import) -> anyhow::Result<()> {
-    save(&args.out, Mapping::read(&args.mapping)?.apply(&args.weights)?)
+    save(&args.out, Mapping::read(&args.mapping)?.apply(&args.checkpoint)?)
 }
 
 /// Runs `egotac model init`.
 pub fn init(args: &Init) -> anyhow::Result<()> {
-    let Init { image, horizon, predict, depth, seed, .. } = *args;
+    let Init { size: image, horizon, predict, depth, seed, .. } = *args;
     save(&args.out, pretrained::init(&args.encoder, &InitOptions { image, horizon, predict, depth, seed })?)
 }
 

@@ -7,6 +7,7 @@ use anyhow::Context;
 use serde_json::json;
 
 use crate::cli::doubt::Doubt;
+use crate::cli::options::Json;
 use crate::dataset::format::open_images;
 use crate::dataset::image_folder::ImageFolder;
 use crate::dataset::video::VideoFile;
@@ -31,7 +32,7 @@ const SIZE: (u32, u32) = (320, 240);
 )]
 pub struct Args {
     /// Checkpoint [default: the one shipped with egotac].
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE|shipped", value_parser = crate::cli::options::checkpoint())]
     checkpoint: Option<PathBuf>,
     /// Recordings of the training's kind that it was not trained on: stores, bags, data sets, videos, folders of images.
     #[arg(long, value_name = "PATH", num_args = 1.., required = true)]
@@ -48,9 +49,8 @@ pub struct Args {
     /// Number format of the network: f32, bf16 or int8.
     #[arg(long, default_value = "f32")]
     precision: Precision,
-    /// Print JSON.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
     #[command(flatten)]
     doubt: Doubt,
 }
@@ -113,7 +113,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
         rows.push(row);
     }
-    print(&rows, args.json)
+    print(&rows, &args.json)
 }
 
 fn of_recording(predictor: &mut Predictor, path: &Path, is_data: bool) -> anyhow::Result<Row> {
@@ -135,7 +135,7 @@ fn of_recording(predictor: &mut Predictor, path: &Path, is_data: bool) -> anyhow
     Ok(row)
 }
 
-fn print(rows: &[Row], as_json: bool) -> anyhow::Result<()> {
+fn print(rows: &[Row], option: &Json) -> anyhow::Result<()> {
     let familiar: Vec<(f32, bool)> =
         rows.iter().filter(|row| row.is_data).flat_map(|row| &row.familiarity).map(|f| (*f, true)).collect();
     let area = |row: &Row| {
@@ -143,16 +143,15 @@ fn print(rows: &[Row], as_json: bool) -> anyhow::Result<()> {
         (!row.is_data).then(|| auroc(familiar.iter().copied().chain(others).collect())).flatten()
     };
     let middle = |row: &Row| median(row.familiarity.iter().map(|f| f64::from(*f)));
-    if as_json {
-        let of = |row: &Row| {
-            json!({
-                "name": row.name, "in_domain": row.is_data, "images": row.familiarity.len(),
-                "touch_guessed": row.share(row.guessed), "touch_known": row.share(row.known),
-                "unfamiliar": row.share(row.unfamiliar), "absent": row.absent.map(|n| row.share(n)),
-                "median_familiarity": middle(row), "auroc": area(row),
-            })
-        };
-        println!("{:#}", serde_json::Value::Array(rows.iter().map(of).collect()));
+    let of = |row: &Row| {
+        json!({
+            "name": row.name, "in_domain": row.is_data, "images": row.familiarity.len(),
+            "touch_guessed": row.share(row.guessed), "touch_known": row.share(row.known),
+            "unfamiliar": row.share(row.unfamiliar), "absent": row.absent.map(|n| row.share(n)),
+            "median_familiarity": middle(row), "auroc": area(row),
+        })
+    };
+    if option.take(&serde_json::Value::Array(rows.iter().map(of).collect()))? {
         return Ok(());
     }
     println!(

@@ -14,6 +14,7 @@ use crate::train::familiarity;
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Checkpoint (safetensors). The weights stay as they are.
+    #[arg(value_name = "CHECKPOINT|shipped", value_parser = crate::cli::options::checkpoint())]
     weights: PathBuf,
     /// Zarr stores of training images, or folders of them.
     #[arg(required = true, value_name = "STORE")]

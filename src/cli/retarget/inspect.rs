@@ -21,10 +21,7 @@ use crate::text::tell;
 /// If the robot can't be loaded or drawn, or the picture can't be written.
 pub fn inspect(args: &Inspect) -> anyhow::Result<()> {
     let mut robot = Robot::load(&args.robot, args.model.as_deref())?;
-    match args.json {
-        true => println!("{:#}", facts(&robot)),
-        false => print!("{}", text(&robot)),
-    }
+    args.json.show(&facts(&robot), || text(&robot))?;
     if let Some(out) = &args.out {
         file::write_png(out, &picture(&mut robot)?)?;
         tell(format_args!("wrote {}", out.display()));

@@ -9,11 +9,7 @@ use crate::retarget::robot::catalogue::{self, Listed};
 /// If a robot's file can't be read.
 pub fn list(args: &List) -> anyhow::Result<()> {
     let robots = catalogue::list()?;
-    match args.json {
-        true => println!("{:#}", serde_json::to_value(&robots)?),
-        false => print!("{}", table(&robots)),
-    }
-    Ok(())
+    Ok(args.json.show(&serde_json::to_value(&robots)?, || table(&robots))?)
 }
 
 /// Returns one line per robot: name, whether its model is found, and the model or its source.

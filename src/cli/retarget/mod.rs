@@ -14,6 +14,8 @@ mod run;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use super::options::{Json, Time};
+
 /// Arguments of `egotac retarget`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -61,15 +63,15 @@ struct Run {
     /// File to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Frame rate of an input without timestamps, Hz [default: 30].
+    /// Frame rate of an input without timestamps, 1/s [default: 30].
     #[arg(long, value_name = "F", value_parser = super::positive)]
-    rate: Option<f64>,
+    fps: Option<f64>,
     /// Side of the recorded hand [default: that of the input's metadata, or else the robot's].
     #[arg(long, value_parser = ["left", "right"])]
     side: Option<String>,
-    /// Smoothing delay in place of that of the robot's file, s; 0 = no smoothing.
-    #[arg(long, value_name = "S")]
-    smooth: Option<f64>,
+    /// Smoothing delay in place of that of the robot's file, such as 50ms; 0 = no smoothing.
+    #[arg(long, value_name = "TIME")]
+    smooth: Option<Time>,
     #[command(flatten)]
     hands: super::hands::Hands,
 }
@@ -85,9 +87,8 @@ struct Inspect {
     /// PNG file to draw: the robot at rest and half closed.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Print JSON instead of text.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 #[derive(Debug, clap::Args)]
@@ -102,9 +103,8 @@ struct New {
 
 #[derive(Debug, clap::Args)]
 struct List {
-    /// Print JSON instead of text.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 #[derive(Debug, clap::Args)]
@@ -125,7 +125,7 @@ struct Demo {
     #[arg(long, default_value = "truth", value_parser = ["truth", "predicted"])]
     touch: String,
     /// Checkpoint for predicted touch [default: the shipped one].
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE|shipped", value_parser = super::options::checkpoint())]
     checkpoint: Option<PathBuf>,
     /// Folder for the picture (retarget.png) and the report (retarget.json).
     #[arg(long, value_name = "FOLDER", default_value = "out/demo-retarget")]

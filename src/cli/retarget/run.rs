@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use anyhow::{Context, bail, ensure};
 
 use super::Run;
+use crate::cli::options::Time;
 use crate::hand::{HandModel, Side, Topology};
 use crate::mujoco::object::Shapes;
 use crate::retarget::file::{HandRecording, RobotTrajectory};
@@ -27,7 +28,7 @@ const MAX_SMOOTH_SECS: f64 = 2.0;
 pub fn run(args: &Run) -> anyhow::Result<ExitCode> {
     let object = args.object.as_deref().map(Shapes::read).transpose()?;
     let mut robot = Robot::load_with_object(&args.robot, args.model.as_deref(), object.as_ref())?;
-    if let Some(delay) = args.smooth {
+    if let Some(Time(delay)) = args.smooth {
         ensure!(delay <= MAX_SMOOTH_SECS, "--smooth: expected at most {MAX_SMOOTH_SECS} s, got {delay}");
         robot.spec.filter.time_constant = delay;
     }
@@ -77,7 +78,7 @@ fn follow(
     retargeter: &mut Retargeter,
 ) -> anyhow::Result<RobotTrajectory> {
     let sign = if hands.forces_point_out(side) { -1.0 } else { 1.0 };
-    let dt = 1.0 / args.rate.unwrap_or(DEFAULT_RATE);
+    let dt = 1.0 / args.fps.unwrap_or(DEFAULT_RATE);
     let mut trajectory = RobotTrajectory::of(retargeter);
     let mut held = 0;
     for frame in 0..hands.len() {

@@ -17,8 +17,7 @@ pub fn explain(args: &Explain) -> anyhow::Result<()> {
         }
         bar.finish_and_clear();
     }
-    println!("{}", if args.json { serde_json::to_string_pretty(&effects)? } else { as_table(&effects) });
-    Ok(())
+    Ok(args.json.show(&serde_json::to_value(&effects)?, || as_table(&effects))?)
 }
 
 /// Formats a table; the cost of an effect that is off stands in brackets.

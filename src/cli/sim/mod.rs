@@ -15,6 +15,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use super::hands::{Hands, Kernel};
+use super::options::{Json, Time};
 #[cfg(feature = "sim")]
 pub(super) use shared::{load, picture};
 
@@ -59,9 +60,9 @@ struct Show {
     /// Seed of all values that the scene leaves open.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Simulated time to show, s [default: the middle of the episode].
-    #[arg(long, conflicts_with = "sheet")]
-    time: Option<f64>,
+    /// Simulated time to show [default: the middle of the episode].
+    #[arg(long, value_name = "TIME", conflicts_with = "sheet")]
+    time: Option<Time>,
     /// Show this many instants side by side, evenly spread over the episode.
     #[arg(long)]
     sheet: Option<usize>,
@@ -94,9 +95,8 @@ struct Explain {
     /// Do not measure costs.
     #[arg(long)]
     no_cost: bool,
-    /// Print JSON instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 #[derive(Debug, clap::Args)]
@@ -226,15 +226,11 @@ struct Worker {
     rollout: RolloutArgs,
 }
 
-/// Parses seconds with their unit: `20ms`, `0.5s`.
+/// Parses a time above 0 with its unit, s: `20ms`, `0.5s`.
 fn parse_budget(text: &str) -> Result<f64, String> {
-    let number = |text: &str| text.trim().parse::<f64>().ok();
-    let seconds = match text.strip_suffix("ms") {
-        Some(text) => number(text).map(|ms| 1e-3 * ms),
-        None => text.strip_suffix('s').and_then(number),
-    };
-    let expected = "expected a time above 0 with its unit, such as 20ms or 0.5s";
-    seconds.filter(|s| s.is_finite() && *s > 0.0).ok_or_else(|| expected.into())
+    let has_unit = text.ends_with(char::is_alphabetic);
+    let time = text.parse::<Time>().ok().filter(|time| has_unit && time.0 > 0.0);
+    time.map(|time| time.0).ok_or_else(|| "expected a time above 0 with its unit, such as 20ms or 0.5s".into())
 }
 
 /// Parses a share in percent: `1%`.

@@ -67,7 +67,7 @@ pub fn show(args: &Show) -> anyhow::Result<()> {
 /// Selects the frames to show: by time, evenly spread, or the middle one.
 fn instants(args: &Show, rollout: &Rollout) -> anyhow::Result<Vec<usize>> {
     let frames = rollout.frame_count();
-    Ok(match (args.time, args.sheet) {
+    Ok(match (args.time.map(|time| time.0), args.sheet) {
         (Some(time), _) => {
             let last = (frames - 1) as f64 * rollout.interval();
             ensure!((0.0..=last + 1e-9).contains(&time), "--time: expected 0 to {last:.2} s, got {time}");

@@ -48,18 +48,18 @@ pub struct Args {
     /// Held-out episodes of each scene [default: 6, or 3 where nothing is trained].
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..=900))]
     held_out: Option<u64>,
-    /// Side of the pictures, pixels, a multiple of the network's patch [default: 112, or 176 where nothing is trained].
-    #[arg(long, value_parser = clap::value_parser!(u32).range(28..=1024))]
-    image: Option<u32>,
+    /// Width and height of the pictures, pixels, a multiple of the network's patch [default: 112, or 176 where nothing is trained].
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(28..=1024))]
+    size: Option<u32>,
     /// Use only this many scenes of each world.
     #[arg(long, default_value_t = 19, value_parser = clap::value_parser!(u64).range(1..=19))]
     scenes: u64,
     /// Checkpoint whose encoder all arms start from, or which is measured [default: the one shipped with egotac].
-    #[arg(long, value_name = "FILE")]
-    init: Option<PathBuf>,
+    #[arg(long, value_name = "FILE|shipped", value_parser = egotac::cli::options::checkpoint())]
+    checkpoint: Option<PathBuf>,
     /// Try the command in seconds: one scene, one or two episodes, two steps and, where it trains, a tiny network with random
     /// weights. The numbers mean nothing.
-    #[arg(long, conflicts_with_all = ["seeds", "steps", "episodes", "held_out", "image", "scenes", "init"])]
+    #[arg(long, conflicts_with_all = ["seeds", "steps", "episodes", "held_out", "size", "scenes", "checkpoint"])]
     quick: bool,
     /// Index of the CUDA device that trains; by default the CPU.
     #[arg(long, value_name = "INDEX")]
@@ -68,7 +68,7 @@ pub struct Args {
     #[arg(long, value_name = "FOLDER", default_value = "out/experiments")]
     work: PathBuf,
     /// Folder for NAME.md, NAME.json, NAME.png and NAME.svg.
-    #[arg(long, value_name = "FOLDER", default_value = "docs/results")]
+    #[arg(long, value_name = "FOLDER", default_value = "out/results")]
     out: PathBuf,
 }
 
@@ -84,7 +84,7 @@ pub use enabled::run;
 #[cfg(feature = "sim")]
 mod enabled {
     use egotac::file;
-    use indicatif::{ProgressBar, ProgressStyle};
+    use indicatif::ProgressBar;
     use serde::Serialize;
 
     use super::*;
@@ -102,8 +102,7 @@ mod enabled {
         }
         let setup = setup(&args)?;
         let command = command(&args, &setup.size);
-        let bar = ProgressBar::new(0);
-        bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed}<{eta} {msg}")?);
+        let bar = egotac::cli::progress::told_bar("parts");
         let mut show = |progress: Progress| show(&bar, progress);
         let markdown = match args.name.as_str() {
             "attention" => {
@@ -149,17 +148,17 @@ mod enabled {
                 held_out: args.held_out.unwrap_or(if measures { 3 } else { 6 }) as usize,
                 steps: if measures { 0 } else { args.steps as usize },
                 seeds: if measures { 1 } else { args.seeds },
-                image: args.image.unwrap_or(if measures { 176 } else { 112 }),
+                image: args.size.unwrap_or(if measures { 176 } else { 112 }),
                 scenes: args.scenes as usize,
             },
         };
-        let network = if args.quick && !measures { Network::toy() } else { Network::load(args.init.as_deref())? };
+        let network = if args.quick && !measures { Network::toy() } else { Network::load(args.checkpoint.as_deref())? };
         Ok(Setup { size, network, work: args.work.clone(), quick: args.quick })
     }
 
     /// Returns the command line that measures the same again.
     fn command(args: &Args, size: &Size) -> String {
-        let init = args.init.as_ref().map(|path| format!(" --init {}", path.display())).unwrap_or_default();
+        let init = args.checkpoint.as_ref().map(|path| format!(" --checkpoint {}", path.display())).unwrap_or_default();
         let Size { episodes, held_out, steps, seeds, image, .. } = size;
         if args.quick {
             return format!("egotac experiment {} --quick", args.name);
@@ -169,7 +168,7 @@ mod enabled {
             steps => format!(" --seeds {seeds} --steps {steps} --episodes {episodes}"),
         };
         let scenes = if args.scenes < 19 { format!(" --scenes {}", args.scenes) } else { String::new() };
-        format!("egotac experiment {}{training} --held-out {held_out} --image {image}{scenes}{init}", args.name)
+        format!("egotac experiment {}{training} --held-out {held_out} --size {image}{scenes}{init}", args.name)
     }
 
     /// Writes the report as JSON and Markdown; returns the latter.

@@ -6,15 +6,37 @@ mod experiment;
 mod policy;
 
 use std::ffi::OsString;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
+
+/// Example of each command, without the program's name.
+const EXAMPLES: [&str; 15] = [
+    "bench model --preset toy --threads 2",
+    "bench train --preset tiny",
+    "bench label --frames 100",
+    "bench import --out out/import",
+    "bench sim --out out/bench",
+    "bench retarget --frames 1000",
+    "bench effects --out out/effects",
+    "bench hard-cases --out out/hard-cases",
+    "bench guards --rounds 500",
+    "bench glove poke --out out/glove",
+    "bench physics --out out/physics",
+    "bench faults --short",
+    "bench node --short",
+    "experiment policy --quick",
+    "experiment transfer --quick",
+];
 
 /// Benchmarks and experiments of egotac.
 // Its users type `egotac bench`, so help and errors name it so.
 #[derive(Debug, Parser)]
 #[command(name = "egotac", version = egotac::VERSION, propagate_version = true)]
 struct Cli {
+    #[command(flatten)]
+    say: egotac::cli::Say,
     #[command(subcommand)]
     command: Command,
 }
@@ -25,6 +47,12 @@ enum Command {
     Bench(bench::Args),
     /// Test the paper's claims on rendered data: train, measure, compare.
     Experiment(Experiments),
+    /// Write the page of docs/reference; scripts/reference runs this command.
+    #[command(hide = true)]
+    Reference {
+        /// Folder for the page.
+        folder: PathBuf,
+    },
     /// Serve as a worker process of a simulation that this program started.
     #[command(hide = true, disable_help_flag = true, disable_version_flag = true)]
     Sim(Passed),
@@ -67,7 +95,9 @@ struct Passed {
 
 /// Runs the command line; the exit status is 0 for success, 1 for a failed check or an error, 2 for bad usage.
 pub fn main() -> ExitCode {
-    let command = Cli::parse().command;
+    let arguments: Vec<OsString> = std::env::args_os().collect();
+    let Cli { say, command } = egotac::cli::parse(Cli::command(), "egotac", &EXAMPLES, arguments);
+    say.apply();
     if let Command::Sim(_) | Command::Label(_) | Command::Train(_) | Command::Data(_) = command {
         // Workers, and commands that `bench faults` disturbs, are started as this same program (`sim_workers`), so both ends are of one build.
         return egotac::cli::main();
@@ -75,6 +105,12 @@ pub fn main() -> ExitCode {
     egotac::cli::execute(|| match command {
         Command::Bench(args) => bench::run(args),
         Command::Experiment(args) => run_experiment(args),
+        Command::Reference { folder } => {
+            let command = egotac::cli::help::arrange(Cli::command(), "egotac", &EXAMPLES);
+            let page = egotac::cli::reference::commands_page("Benchmarks and experiments", command);
+            egotac::file::write(&folder.join("bench.md"), page.as_bytes())?;
+            Ok(ExitCode::SUCCESS)
+        }
         Command::Sim(_) | Command::Label(_) | Command::Train(_) | Command::Data(_) => Ok(ExitCode::SUCCESS),
     })
 }
@@ -105,4 +141,36 @@ fn feature_off(command: &str) -> anyhow::Error {
         "`egotac {command}` needs the feature `sim`: `make setup`, `. ./env.sh`, \
          `cargo build --release --features ros,sim -p egotac-bench`"
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_example_parses_and_each_command_has_one() {
+        for example in EXAMPLES {
+            // A subject or experiment whose feature is not compiled in has other arguments.
+            if cfg!(all(feature = "ros", feature = "sim")) {
+                let words = std::iter::once("egotac").chain(example.split(' '));
+                Cli::command().try_get_matches_from(words).unwrap_or_else(|error| panic!("{example}: {error}"));
+            }
+        }
+        let mut command = Cli::command();
+        let bench = command.find_subcommand_mut("bench").unwrap();
+        for subject in bench.get_subcommands() {
+            let begin = format!("bench {} ", subject.get_name());
+            assert!(EXAMPLES.iter().any(|example| example.starts_with(&begin)), "no example of {begin}");
+        }
+    }
+
+    #[test]
+    fn old_spellings_name_the_new_ones() {
+        for line in ["experiment transfer --image 56", "experiment transfer --init a", "bench model --image 56"] {
+            let words: Vec<OsString> = std::iter::once("egotac").chain(line.split(' ')).map(OsString::from).collect();
+            let error = Cli::command().try_get_matches_from(&words).unwrap_err();
+            let told = egotac::cli::renamed::explain(error, &words).to_string();
+            assert!(told.contains("is now --size") || told.contains("is now --checkpoint"), "{line}: {told}");
+        }
+    }
 }

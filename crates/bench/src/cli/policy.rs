@@ -4,7 +4,6 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use egotac::file;
-use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::policy::{self, Size, plot};
 
@@ -30,7 +29,7 @@ pub struct Args {
     #[arg(long, value_name = "FOLDER", default_value = "out/experiments")]
     work: PathBuf,
     /// Folder for policy.md, policy.json, policy.png and policy.svg.
-    #[arg(long, value_name = "FOLDER", default_value = "docs/results")]
+    #[arg(long, value_name = "FOLDER", default_value = "out/results")]
     out: PathBuf,
 }
 
@@ -49,8 +48,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let command = format!(
         "egotac experiment policy --seeds {seeds} --demonstrations {demonstrations} --steps {steps} --trials {trials}"
     );
-    let bar = ProgressBar::new(0);
-    bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} {msg}")?);
+    let bar = egotac::cli::progress::told_bar("parts");
     let report = policy::run(&size, &args.work, command, &mut |what, done, all| {
         bar.set_length(all as u64);
         bar.set_position(done as u64);

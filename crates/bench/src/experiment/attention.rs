@@ -110,7 +110,7 @@ struct Example {
 /// # Errors
 /// If a scene can't be simulated, the network can't be read, or the figure can't be written.
 pub fn run(setup: &Setup, command: String, out: &Path, progress: &mut dyn FnMut(Progress)) -> Result<AttentionReport> {
-    let path = setup.network.path.as_deref().ok_or_else(|| Error::value("--init", "a checkpoint", "none"))?;
+    let path = setup.network.path.as_deref().ok_or_else(|| Error::value("--checkpoint", "a checkpoint", "none"))?;
     let (model, metadata) = checkpoint::load_uncompiled(path)?;
     let known: Vec<String> = SHIPPED.iter().map(|(name, _)| (*name).into()).collect();
     let sets = [("known", known), (OOD, Split::named(OOD)?.scene_names(OOD))];

@@ -37,7 +37,7 @@ pub struct Place<'a> {
 /// # Errors
 /// If it can't be read, or is one of random weights.
 pub fn predictor(setup: &Setup) -> Result<Predictor> {
-    let path = setup.network.path.as_deref().ok_or_else(|| Error::value("--init", "a checkpoint", "none"))?;
+    let path = setup.network.path.as_deref().ok_or_else(|| Error::value("--checkpoint", "a checkpoint", "none"))?;
     // Experiments compare what networks say, also of pictures unlike those of their training.
     let unknown = Unknown::Guess;
     Predictor::load(path, predictor::Options { max_gap_secs: Some(f64::MAX), unknown, ..Default::default() })

@@ -121,7 +121,7 @@ fn arguments(preset: &str, threads: usize, precision: Precision, runs: usize) ->
 
 /// Parameters that are varied one at a time: option and values.
 const VARIED: [(&str, &[usize]); 3] =
-    [("--horizon", &[1, 2, 4, 8]), ("--image", &[112, 168, 224, 336]), ("--threads", &[1, 2, 4, 8, 16])];
+    [("--horizon", &[1, 2, 4, 8]), ("--size", &[112, 168, 224, 336]), ("--threads", &[1, 2, 4, 8, 16])];
 
 /// Returns the arguments of each process that varies one parameter.
 fn varied(plan: &Plan, preset: &str) -> Vec<Vec<String>> {
@@ -154,7 +154,7 @@ fn commands(plan: &Plan) -> Vec<Vec<String>> {
                 for horizon in own(&plan.horizons) {
                     for image in own(&plan.images) {
                         let mut words = arguments(preset, *threads, *precision, plan.runs);
-                        for (name, value) in [("--horizon", horizon), ("--image", image)] {
+                        for (name, value) in [("--horizon", horizon), ("--size", image)] {
                             words.extend(value.into_iter().flat_map(|value| [name.to_owned(), value.to_string()]));
                         }
                         commands.push(words);

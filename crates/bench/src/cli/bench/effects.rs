@@ -29,7 +29,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut words = vec!["egotac bench effects".to_owned()];
     words.extend(args.scenes.iter().cloned());
     words.push(format!("--seed {} --size {} --out {}", args.seed, args.size, args.out.display()));
-    let bar = egotac::cli::progress::told_bar();
+    let bar = egotac::cli::progress::told_bar("measurements");
     let scenes = load_scenes(&args.scenes)?;
     let report = effects::measure(words.join(" "), &scenes, args.seed, args.size, |what, done, all| {
         show(&bar, what, done, all);

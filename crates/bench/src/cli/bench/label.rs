@@ -16,8 +16,8 @@ use crate::label::{ALLOWED, markdown, run as measure};
     after_help = "The exit status is 1 if the stages beside the network take more than 10 % of a preset's time in one of the formats."
 )]
 pub struct Args {
-    /// Checkpoint to run; the one that comes with egotac if absent.
-    #[arg(long, value_name = "FILE")]
+    /// Checkpoint to run; by default the one shipped with egotac.
+    #[arg(long, value_name = "FILE|shipped", value_parser = egotac::cli::options::checkpoint())]
     checkpoint: Option<PathBuf>,
     /// Presets to run beside it, with random weights.
     #[arg(long, value_name = "NAME", value_delimiter = ',', default_value = "tiny")]

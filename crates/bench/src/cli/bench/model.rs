@@ -4,12 +4,13 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, bail, ensure};
 use candle_nn::VarMap;
+use egotac::cli::options::Json;
 use egotac::cli::progress;
 use egotac::dataset::zarr;
 use egotac::file;
 use egotac::machine::Machine;
 use egotac::model::predictor::Options;
-use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, Predictor, init, shipped};
+use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, Predictor, init};
 
 use crate::model::{Plan, Setup, estimates, growth, measure, pareto, sweep, table};
 
@@ -37,8 +38,8 @@ pub struct Args {
     #[arg(long, value_delimiter = ',')]
     horizon: Vec<usize>,
     /// Sides of the input image in pixels, comma separated; the preset's own without it.
-    #[arg(long, value_delimiter = ',')]
-    image: Vec<usize>,
+    #[arg(long, value_name = "PIXELS,..", value_delimiter = ',')]
+    size: Vec<usize>,
     /// Number formats, comma separated: f32, bf16, int8.
     #[arg(long, value_delimiter = ',', default_value = "f32")]
     precision: Vec<Precision>,
@@ -52,7 +53,7 @@ pub struct Args {
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=4096))]
     batch: u64,
     /// Checkpoint with trained weights; `shipped` is the one that comes with egotac. Takes its own geometry.
-    #[arg(long, value_name = "FILE", num_args = 1..)]
+    #[arg(long, value_name = "FILE|shipped", value_parser = egotac::cli::options::checkpoint(), num_args = 1..)]
     checkpoint: Vec<PathBuf>,
     /// Held-out stores that checkpoints are scored on.
     #[arg(long, value_name = "STORE", num_args = 1.., requires = "checkpoint")]
@@ -75,9 +76,8 @@ pub struct Args {
     /// CUDA device, by index; the CPU without it.
     #[arg(long, value_name = "INDEX", conflicts_with = "out")]
     cuda: Option<usize>,
-    /// Print JSON instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
     /// Folder for model.md, model.json, model.png and model.svg.
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
@@ -111,17 +111,14 @@ fn one(args: &Args) -> anyhow::Result<bool> {
     let row = match args.checkpoint.as_slice() {
         [] => measure::random(&setup)?,
         [path] => {
-            let path = if path.as_os_str() == "shipped" { shipped::path()? } else { path.clone() };
+            let path = path.clone();
             let name = Checkpoint::load(&path, &candle_core::Device::Cpu)?.metadata.name;
             let stores = if args.data.is_empty() { vec![] } else { zarr::open_all(&args.data)? };
             measure::trained(&Setup { name, ..setup }, &path, stores)?
         }
         _ => bail!("--checkpoint: several need --out"),
     };
-    match args.json {
-        true => println!("{}", serde_json::to_string(&row)?),
-        false => println!("{}", table::rows(&[row])),
-    }
+    args.json.show(&serde_json::to_value(&row)?, || table::rows(&[row]))?;
     Ok(true)
 }
 
@@ -136,7 +133,7 @@ fn setup(args: &Args) -> anyhow::Result<Setup> {
     if let Some(horizon) = single("--horizon", &args.horizon)? {
         config.horizon = horizon;
     }
-    if let Some(image) = single("--image", &args.image)? {
+    if let Some(image) = single("--size", &args.size)? {
         config.image = image;
     }
     config.check()?;
@@ -156,18 +153,16 @@ fn setup(args: &Args) -> anyhow::Result<Setup> {
 fn cost_of_estimates(args: &Args, images: usize) -> anyhow::Result<bool> {
     let setup = setup(args)?;
     let [path] = args.checkpoint.as_slice() else { bail!("--checkpoint: --estimates needs one") };
-    let path = if path.as_os_str() == "shipped" { shipped::path()? } else { path.clone() };
-    let cost = estimates::measure(&path, setup.precision, images)?;
-    match args.json {
-        true => println!("{}", serde_json::to_string(&cost)?),
-        false => println!(
+    let cost = estimates::measure(path, setup.precision, images)?;
+    args.json.show(&serde_json::to_value(&cost)?, || {
+        format!(
             "{} images: {:.3} ms without estimates, {:.3} ms with them; {:.2} % more, median of pairs",
             cost.images,
             cost.without_ms,
             cost.with_ms,
             100.0 * cost.share
-        ),
-    }
+        )
+    })?;
     Ok(cost.share <= MAX_SHARE)
 }
 
@@ -184,13 +179,12 @@ fn grow(args: &Args, frames: usize) -> anyhow::Result<bool> {
         json["machine"] = serde_json::to_value(Machine::this())?;
         file::write(&out.join(format!("growth-{}.json", growth.preset)), format!("{json:#}\n").as_bytes())?;
     }
-    match args.json {
-        true => println!("{}", serde_json::to_string(&growth)?),
-        false => println!(
+    args.json.show(&serde_json::to_value(&growth)?, || {
+        format!(
             "{}: {frames} frames in {:.0} s; {:.1} MB after the first tenth, {:.1} MB at the end",
             growth.preset, growth.seconds, growth.warm_mb, growth.end_mb
-        ),
-    }
+        )
+    })?;
     Ok(growth.mb() <= GROWTH_MB)
 }
 
@@ -200,7 +194,7 @@ fn sweep(args: &Args, out: &std::path::Path) -> anyhow::Result<sweep::ModelRepor
         presets: args.preset.clone(),
         vary: args.vary.clone(),
         horizons: args.horizon.clone(),
-        images: args.image.clone(),
+        images: args.size.clone(),
         precisions: args.precision.clone(),
         threads: args.threads.clone(),
         runs: args.runs as usize,
@@ -208,7 +202,7 @@ fn sweep(args: &Args, out: &std::path::Path) -> anyhow::Result<sweep::ModelRepor
         data: args.data.clone(),
         peer: args.peer.clone().map(|command| (command, args.rounds)),
     };
-    let bar = progress::told_bar();
+    let bar = progress::told_bar("measurements");
     let report = sweep::run(&plan, |what, done, all| {
         progress::step(&bar, done, all);
         bar.set_message(what.to_owned());
@@ -234,7 +228,7 @@ fn command(args: &Args, out: &std::path::Path) -> String {
     }
     for (name, values) in [
         ("--horizon", list(&args.horizon)),
-        ("--image", list(&args.image)),
+        ("--size", list(&args.size)),
         ("--precision", list(&args.precision)),
         ("--threads", list(&args.threads)),
     ] {

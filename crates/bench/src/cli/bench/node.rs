@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
+use egotac::cli::options::Time;
 use egotac::file;
 
 use crate::node::{self, MEASUREMENTS, Options};
@@ -20,10 +21,10 @@ pub struct Args {
     /// Only these measurements, comma separated: overhead, overload, soak, faults, kills.
     #[arg(long, value_name = "NAME", value_delimiter = ',')]
     only: Vec<String>,
-    /// Length of the soak: a number of seconds, or with a unit, 90s, 10m or 1h [default: 10m]. Growth of memory is judged after a
+    /// Length of the soak, such as 90s, 10min or 1h [default: 10min]. Growth of memory is judged after a
     /// warm-up of two minutes, in soaks of four minutes and longer.
     #[arg(long, value_name = "TIME", value_parser = duration)]
-    soak: Option<f64>,
+    soak: Option<Time>,
     /// Folder for node.md and node.json; without it the report is only printed.
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
@@ -36,7 +37,7 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     let python = std::env::var_os("EGOTAC_PYTHON").context("EGOTAC_PYTHON is not set: source env.sh first")?;
     let folder = tempfile::tempdir()?;
     let program = std::env::current_exe().context("path of this program")?;
-    let soak_secs = args.soak.unwrap_or(if args.short { 20.0 } else { 600.0 });
+    let soak_secs = args.soak.map_or(if args.short { 20.0 } else { 600.0 }, |time| time.0);
     let options = Options {
         programs: program.parent().map(PathBuf::from).unwrap_or_default(),
         python: python.into(),
@@ -58,16 +59,10 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     Ok(report.is_good())
 }
 
-/// Parses a length of time, s: a number with the unit s, m or h, or without one, which is seconds.
-fn duration(text: &str) -> Result<f64, String> {
-    let (number, unit) = match text.chars().last() {
-        Some('s') => (&text[..text.len() - 1], 1.0),
-        Some('m') => (&text[..text.len() - 1], 60.0),
-        Some('h') => (&text[..text.len() - 1], 3600.0),
-        _ => (text, 1.0),
-    };
-    let secs = number.parse::<f64>().ok().map(|number| number * unit).filter(|secs| (10.0..=1e6).contains(secs));
-    secs.ok_or_else(|| format!("expected a time of 10 seconds or more such as 90s, 10m or 1h, got {text:?}"))
+/// Parses the length of the soak.
+fn duration(text: &str) -> Result<Time, String> {
+    let time = text.parse::<Time>().ok().filter(|time| (10.0..=1e6).contains(&time.0));
+    time.ok_or_else(|| format!("expected a time of 10 seconds or more such as 90s, 10min or 1h, got {text:?}"))
 }
 
 #[cfg(test)]
@@ -76,7 +71,7 @@ mod tests {
 
     #[test]
     fn times_are_read_with_their_units() {
-        let secs = ["600", "90s", "10m", "1h", "1.5h"].map(|text| duration(text).unwrap());
+        let secs = ["600", "90s", "10min", "1h", "1.5h"].map(|text| duration(text).unwrap().0);
         assert_eq!(secs, [600.0, 90.0, 600.0, 3600.0, 5400.0]);
         for wrong in ["", "m", "5s", "-1h", "1d", "nan", "1e9"] {
             assert!(duration(wrong).unwrap_err().contains(&format!("{wrong:?}")), "{wrong}");

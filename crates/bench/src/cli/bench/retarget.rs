@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use egotac::cli::options::Json;
+
 #[cfg(feature = "sim")]
 use crate::retarget::{Plan, plot, run as measure, table};
 
@@ -23,9 +25,8 @@ pub struct Args {
     /// Other load of the machine, in words, for the table.
     #[arg(long, value_name = "TEXT")]
     load: Option<String>,
-    /// Print JSON instead of the tables.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
     /// Folder for retarget.md, retarget.json, retarget.png and retarget.svg.
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
@@ -34,17 +35,14 @@ pub struct Args {
 /// Runs the subject.
 #[cfg(feature = "sim")]
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bar = egotac::cli::progress::told_bar();
+    let bar = egotac::cli::progress::spinner("measuring");
     let report = measure(&plan(args), |what| bar.set_message(what.to_owned()))?;
     bar.finish_and_clear();
-    let (table, json) = (table::markdown(&report), serde_json::to_string_pretty(&report)?);
-    match args.json {
-        true => println!("{json}"),
-        false => print!("{table}"),
-    }
+    let (table, json) = (table::markdown(&report), serde_json::to_value(&report)?);
+    args.json.show(&json, || table.clone())?;
     if let Some(folder) = &args.out {
         egotac::file::write(&folder.join("retarget.md"), table.as_bytes())?;
-        egotac::file::write(&folder.join("retarget.json"), json.as_bytes())?;
+        egotac::file::write(&folder.join("retarget.json"), format!("{json:#}\n").as_bytes())?;
         plot::write(folder, &report)?;
         egotac::text::tell(format_args!("wrote {0}/retarget.md and {0}/retarget.json", folder.display()));
     }

@@ -38,7 +38,7 @@ pub struct Args {
 #[cfg(feature = "sim")]
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let plan = plan(args)?;
-    let bar = egotac::cli::progress::told_bar();
+    let bar = egotac::cli::progress::told_bar("measurements");
     let report = sim::run(&plan, |what, done, all| show(&bar, what, done, all))?;
     bar.finish_and_clear();
     let table = markdown::render(&report);

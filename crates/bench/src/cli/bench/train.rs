@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::ensure;
+use egotac::cli::options::Json;
 use egotac::cli::progress;
 use egotac::file;
 use egotac::model::Config;
@@ -28,9 +29,8 @@ pub struct Args {
     /// Rounds beside the peer.
     #[arg(long, default_value_t = 3)]
     rounds: usize,
-    /// Print JSON instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
     /// Folder for train.md and train.json.
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
@@ -52,18 +52,17 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(out) = &args.out {
         command += &format!(" --out {}", out.display());
     }
-    let bar = progress::told_bar();
+    let bar = progress::told_bar("measurements");
     let peer = args.peer.as_deref().map(|peer| (peer, args.rounds));
     let report = train::measure(command, &args.preset, args.threads as usize, args.runs as usize, peer, |preset| {
         bar.set_message(preset.to_owned());
         bar.inc(1);
     })?;
     bar.finish_and_clear();
-    let json = format!("{:#}\n", serde_json::to_value(&report)?);
+    let json = serde_json::to_value(&report)?;
     if let Some(out) = &args.out {
         file::write(&out.join("train.md"), report.markdown().as_bytes())?;
-        file::write(&out.join("train.json"), json.as_bytes())?;
+        file::write(&out.join("train.json"), format!("{json:#}\n").as_bytes())?;
     }
-    print!("{}", if args.json { json } else { report.markdown() });
-    Ok(())
+    Ok(args.json.show(&json, || report.markdown())?)
 }

@@ -1,0 +1,217 @@
+//! Reference texts generated from the command line and from the types: pages of docs/reference, and a first configuration.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Context;
+use clap::Command;
+use serde_yaml::Value;
+
+use crate::file;
+use crate::text::{parse_yaml, put};
+use crate::train::Config;
+
+/// Source of the types of a training configuration; their doc comments describe the keys.
+const CONFIG_SOURCE: &str = include_str!("../train/config.rs");
+/// Keys that a configuration must have, with values to start from. All others have defaults.
+const REQUIRED: &str = "{name: first, data: [train.zarr], out: run, model: pocket, seed: 1, steps: 1000}";
+
+/// Arguments of `egotac reference`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Folder for the pages.
+    folder: PathBuf,
+}
+
+/// Writes the pages about `command` and about the keys of a training configuration.
+///
+/// # Errors
+/// If a page can't be written.
+pub fn run(args: &Args, command: Command) -> anyhow::Result<ExitCode> {
+    file::write(&args.folder.join("cli.md"), commands_page("Commands of egotac", command).as_bytes())?;
+    file::write(&args.folder.join("training-keys.md"), training_page()?.as_bytes())?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Returns the page about all commands below `command`.
+pub fn commands_page(title: &str, command: Command) -> String {
+    let mut command = command.disable_help_subcommand(true).term_width(100);
+    command.build();
+    let mut page = format!("# {title}\n\nWritten by `scripts/reference`.\n");
+    describe_below(&command, "egotac", &mut page);
+    page
+}
+
+fn describe_below(command: &Command, path: &str, page: &mut String) {
+    for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
+        let path = format!("{path} {}", below.get_name());
+        match below.has_subcommands() && !below.is_args_conflicts_with_subcommands_set() {
+            true => describe_below(below, &path, page),
+            false => {
+                let help = below.clone().render_long_help().to_string();
+                let lines: Vec<&str> = help.lines().map(str::trim_end).collect();
+                put(page, format_args!("\n## {path}\n\n```text\n{}\n```", lines.join("\n").trim_end()));
+                describe_below(below, &path, page);
+            }
+        }
+    }
+}
+
+/// Key of a configuration: its name, its description, and its keys if it holds others.
+struct Key {
+    name: String,
+    text: String,
+    below: Vec<Key>,
+}
+
+/// Returns the keys of the struct `name`, in the order of the source.
+fn keys(structs: &BTreeMap<&str, Vec<Field>>, name: &str) -> Vec<Key> {
+    let key = |field: &Field| Key {
+        name: field.name.to_owned(),
+        text: field.text.clone(),
+        below: if structs.contains_key(field.kind) { keys(structs, field.kind) } else { Vec::new() },
+    };
+    structs.get(name).map(|fields| fields.iter().map(key).collect()).unwrap_or_default()
+}
+
+/// Field of a struct in Rust source: name, type, and doc comment.
+struct Field<'a> {
+    name: &'a str,
+    kind: &'a str,
+    text: String,
+}
+
+/// Returns the structs in Rust source as rustfmt writes it, with their public fields.
+fn structs(source: &str) -> BTreeMap<&str, Vec<Field<'_>>> {
+    let mut found = BTreeMap::new();
+    let mut current: Option<(&str, Vec<Field>)> = None;
+    let mut text = Vec::new();
+    for line in source.lines() {
+        if let Some(name) = line.strip_prefix("pub struct ").and_then(|rest| rest.strip_suffix(" {")) {
+            current = Some((name, Vec::new()));
+            text.clear();
+        } else if line == "}" {
+            found.extend(current.take());
+        } else if let Some((_, fields)) = &mut current {
+            if let Some(doc) = line.strip_prefix("    /// ") {
+                text.push(doc);
+            } else if let Some((name, kind)) = line.strip_prefix("    pub ").and_then(|rest| rest.split_once(": ")) {
+                // Links of rustdoc are plain code elsewhere.
+                let doc = text.join(" ").replace("[`", "`").replace("`]", "`");
+                fields.push(Field { name, kind: kind.trim_end_matches(','), text: doc });
+                text.clear();
+            }
+        }
+    }
+    found
+}
+
+/// Returns the keys of a training configuration.
+fn training_keys() -> Vec<Key> {
+    keys(&structs(CONFIG_SOURCE), "Config")
+}
+
+/// Returns the configuration with all defaults.
+fn defaults() -> anyhow::Result<Value> {
+    let config: Config = parse_yaml(REQUIRED).context("defaults")?;
+    Ok(serde_yaml::to_value(config)?)
+}
+
+/// Returns a configuration with each key at its default under its description.
+///
+/// # Errors
+/// If a default can't be written as YAML.
+pub fn training_config() -> anyhow::Result<String> {
+    let defaults = defaults()?;
+    let mut text = String::from("# Configuration of `egotac train`.\n");
+    write_keys(&training_keys(), &defaults, "", &mut text)?;
+    Ok(text)
+}
+
+fn write_keys(keys: &[Key], values: &Value, indent: &str, text: &mut String) -> anyhow::Result<()> {
+    for key in keys {
+        for line in wrapped(&key.text, 100) {
+            put(text, format_args!("{indent}# {line}"));
+        }
+        let value = values.get(key.name.as_str()).unwrap_or(&Value::Null);
+        match (value, key.below.is_empty()) {
+            (Value::Null, _) => put(text, format_args!("{indent}# {}:", key.name)),
+            (value, true) => put(text, format_args!("{indent}{}: {}", key.name, serde_json::to_string(value)?)),
+            (value, false) => {
+                put(text, format_args!("{indent}{}:", key.name));
+                write_keys(&key.below, value, &format!("{indent}  "), text)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Returns the page about the keys of a training configuration.
+fn training_page() -> anyhow::Result<String> {
+    let (defaults, needed) = (defaults()?, parse_yaml::<Value>(REQUIRED)?);
+    let mut page = String::from(
+        "# Keys of a training configuration\n\nWritten by `scripts/reference` from the types. `egotac train --init-config FILE` writes a \
+         file with all keys; `--set KEY=VALUE` replaces one, dotted as below.\n\n| key | default | meaning |\n|---|---|---|\n",
+    );
+    write_rows(&training_keys(), &defaults, &needed, "", &mut page)?;
+    Ok(page)
+}
+
+fn write_rows(keys: &[Key], values: &Value, needed: &Value, before: &str, page: &mut String) -> anyhow::Result<()> {
+    for key in keys {
+        let name = format!("{before}{}", key.name);
+        let value = values.get(key.name.as_str()).unwrap_or(&Value::Null);
+        if !key.below.is_empty() {
+            write_rows(&key.below, value, &Value::Null, &format!("{name}."), page)?;
+            continue;
+        }
+        let default = match (needed.get(key.name.as_str()), value) {
+            (Some(_), _) => "required".to_owned(),
+            (None, Value::Null) => "none".to_owned(),
+            (None, value) => format!("`{}`", serde_json::to_string(value)?),
+        };
+        put(page, format_args!("| `{name}` | {default} | {} |", key.text.replace('|', "\\|")));
+    }
+    Ok(())
+}
+
+/// Breaks a text into lines of at most `width` characters, between words.
+fn wrapped(text: &str, width: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split(' ').filter(|word| !word.is_empty()) {
+        match lines.last_mut() {
+            Some(line) if line.len() + word.len() < width => *line += &format!(" {word}"),
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_written_configuration_reads_back_as_the_defaults() {
+        let written: Config = parse_yaml(&training_config().unwrap()).unwrap();
+        assert_eq!(written, parse_yaml::<Config>(REQUIRED).unwrap());
+    }
+
+    #[test]
+    fn each_key_of_the_type_is_described() {
+        let described = training_keys();
+        for (name, value) in defaults().unwrap().as_mapping().unwrap() {
+            let key = described.iter().find(|key| Some(key.name.as_str()) == name.as_str());
+            let key = key.unwrap_or_else(|| panic!("{name:?}"));
+            assert!(!key.text.is_empty(), "{}", key.name);
+            for (name, _) in value.as_mapping().into_iter().flatten() {
+                assert!(
+                    key.below.iter().any(|below| Some(below.name.as_str()) == name.as_str()),
+                    "{}.{name:?}",
+                    key.name
+                );
+            }
+        }
+    }
+}
