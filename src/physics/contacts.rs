@@ -18,6 +18,9 @@ const HAND_LEVER: f64 = 0.12;
 const EXACT_SD: f64 = 0.0005;
 /// Reach of patches beyond the gap that means contact, m and standard deviations.
 const REACH: (f64, f64) = (0.0015, 2.0);
+/// Gap up to which a link counts as near, m, beside the deviations of [`REACH`]: vertices are up to 8 mm apart, and hulls of
+/// links protrude from the skin by up to 4 mm, so that contact with such a link is possible where no vertex touches.
+const NEAR: f64 = 0.004;
 /// Depth that no contact reaches, m, beside three standard deviations of the gap.
 const DEEP: f64 = 0.012;
 /// Longest window over which gaps are averaged to either side, s: the time in which contact begins or ends.
@@ -85,7 +88,7 @@ impl ContactFinder {
             for side in Side::BOTH {
                 let Some(vertices) = &vertices[side as usize] else { continue };
                 let sd = self.gap_sd(Some(side), noises[index]);
-                let reach = self.settings.contact_gap + REACH.0 + REACH.1 * sd;
+                let reach = (self.settings.contact_gap + REACH.0).max(NEAR) + REACH.1 * sd;
                 let patches = hand_patches(vertices, &self.link_of[side as usize], side, body, &pose, reach);
                 found.bodies[index].extend(patches.into_iter().map(|patch| self.contact(patch, sd)));
             }
@@ -147,7 +150,8 @@ impl ContactFinder {
                     let near = |other: &usize| (times[*other] - times[*frame]).abs() <= GAP_WINDOW;
                     let low = (0..*frame).rev().take_while(near).last().unwrap_or(*frame);
                     let high = (*frame..frames.len()).take_while(near).last().unwrap_or(*frame);
-                    let known: Vec<f64> = gaps.iter().filter(|g| (low..=high).contains(&g.0)).map(|g| g.1).collect();
+                    let known: Vec<f64> =
+                        gaps.iter().filter(|g| (low..=high).contains(&g.0)).map(|g| g.1.min(reach)).collect();
                     let all = (high - low + 1) as f64;
                     let mean = (known.iter().sum::<f64>() + (all - known.len() as f64) * reach) / all;
                     let probability = self.probability(pusher, mean, sd, all);

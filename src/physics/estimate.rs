@@ -231,6 +231,7 @@ impl<'a> Prepared<'a> {
             Tracked::Present(_) => {}
         }
         let mut samples = [const { Vec::<f64>::new() }; N_JOINTS];
+        let mut unseen = [0.0f64; N_JOINTS];
         for (index, body) in self.take.bodies.iter().enumerate() {
             let near = contacts.bodies.get(index).map(Vec::as_slice).unwrap_or_default();
             let of_side = |pusher: Pusher| matches!(pusher, Pusher::Link(s, _) if s == side);
@@ -250,6 +251,24 @@ impl<'a> Prepared<'a> {
             };
             if estimate.unexplained {
                 hand.lose(ForceValidity::Unexplained);
+            }
+            let hold = estimate.load / (2.0 * body.friction);
+            let [force, grip] = self.settings.unseen;
+            for contact in near.iter().filter(|contact| of_side(contact.patch.pusher)) {
+                let Pusher::Link(_, joint) = contact.patch.pusher else { continue };
+                // The motion says nothing of a link that is near, but hardly touches.
+                let link = estimate.links.iter().find(|link| link.pusher == contact.patch.pusher);
+                let remaining = link.map_or(1.0, |link| link.remaining);
+                unseen[joint] = unseen[joint].hypot(remaining.sqrt() * (force + grip * hold));
+                if link.is_none() {
+                    let place = |(position, normal): &(DVec3, DVec3)| PointForce {
+                        link: joint,
+                        position: *position,
+                        normal: *normal,
+                        force: 0.0,
+                    };
+                    hand.points.extend(contact.patch.points.iter().map(place));
+                }
             }
             for link in &estimate.links {
                 let Pusher::Link(of, joint) = link.pusher else { continue };
@@ -274,10 +293,12 @@ impl<'a> Prepared<'a> {
         }
         let n = samples.iter().map(Vec::len).max().unwrap_or(0);
         let total = |k: usize| samples.iter().filter_map(|link| link.get(k)).sum::<f64>();
-        hand.squeeze_sd = spread((0..n).map(total).collect()).1 * self.settings.inflation;
-        for (link, samples) in hand.links.iter_mut().zip(samples) {
-            if let Some(link) = link.as_mut().filter(|_| !samples.is_empty()) {
-                *link = LinkForce { undetermined: link.undetermined, ..summary(samples, self.settings.inflation) };
+        let squeeze_sd = spread((0..n).map(total).collect()).1 * self.settings.inflation;
+        hand.squeeze_sd = unseen.iter().fold(squeeze_sd, |sd, unseen| sd.hypot(unseen / Z95));
+        for ((link, samples), unseen) in hand.links.iter_mut().zip(samples).zip(unseen) {
+            if let Some(link) = link.as_mut().filter(|_| !samples.is_empty() || unseen > 0.0) {
+                let found = summary(samples, self.settings.inflation, unseen);
+                *link = LinkForce { undetermined: link.undetermined, ..found };
             }
         }
         if contacts.blocked[side as usize].iter().any(|blocked| *blocked) && hand.validity == ForceValidity::Valid {
@@ -349,15 +370,19 @@ fn spread(samples: Vec<f64>) -> (f64, f64) {
     (mean, (samples.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt())
 }
 
-/// Summarises the samples of a link's force; `inflation` widens the interval.
-fn summary(mut samples: Vec<f64>, inflation: f64) -> LinkForce {
+/// Summarises the samples of a link's force; `inflation` widens the interval that they span, and `unseen`, N, is the half width
+/// of what the motion does not see.
+fn summary(mut samples: Vec<f64>, inflation: f64, unseen: f64) -> LinkForce {
+    if samples.is_empty() {
+        samples.push(0.0);
+    }
     samples.sort_by(f64::total_cmp);
     let quantile = |q: f64| crate::statistics::percentile(samples.iter().copied(), q);
     let (low, high) = (quantile(0.05), quantile(0.95));
     let (force, sd) = spread(samples.clone());
     // Few samples miss the ends of their distribution: the wider of quantiles and normal interval.
     let (below, above) = ((force - low).max(Z95 * sd), (high - force).max(Z95 * sd));
-    let [below, above] = [below, above].map(|width| inflation * width + LEAST_WIDTH);
-    let sd = inflation * sd + LEAST_WIDTH / Z95;
+    let [below, above] = [below, above].map(|width| (inflation * width + LEAST_WIDTH).hypot(unseen));
+    let sd = (inflation * sd + LEAST_WIDTH / Z95).hypot(unseen / Z95);
     LinkForce { force, sd, interval: [(force - below).max(0.0), force + above], undetermined: false }
 }

@@ -16,6 +16,8 @@ use super::solve::{Point, remaining_variance, solve};
 
 /// Probability below which a contact is left out.
 const LEAST_PROBABILITY: f64 = 0.03;
+/// Number of samples for a body that no hand touches.
+const SAMPLES_WITHOUT_HAND: usize = 4;
 /// Largest force of a support at one point, N.
 const SUPPORT_LIMIT: f64 = 1e4;
 /// Standard deviation of the wrench from what no other term holds, relative and N.
@@ -50,6 +52,8 @@ pub struct BodyEstimate {
     pub wrench: Vector6<f64>,
     /// Standard deviation of each part of the wrench.
     pub wrench_sd: Vector6<f64>,
+    /// Larger of the body's weight and of the force that the motion asks for, N.
+    pub load: f64,
     /// Part of the wrench that no contact explains, mean over the samples.
     pub residual: Vector6<f64>,
     /// True if the residual is beyond noise.
@@ -110,7 +114,9 @@ pub fn estimate(
     let centre = state.pose.point(mass.centre);
     let contacts: Vec<Contact> = contacts.iter().filter(|c| c.probability >= LEAST_PROBABILITY).map(as_pad).collect();
     let problem = Problem { body, centre, contacts: &contacts, load, settings };
-    let n = settings.samples.max(2);
+    // Without a hand, only the residual is asked for: idle things that lie about cost little.
+    let is_held = contacts.iter().any(|contact| matches!(contact.patch.pusher, Pusher::Link(..)));
+    let n = if is_held { settings.samples.max(2) } else { SAMPLES_WITHOUT_HAND };
     let mut links: Vec<LinkEstimate> = contacts
         .iter()
         .filter(|contact| matches!(contact.patch.pusher, Pusher::Link(..)))
@@ -150,7 +156,7 @@ pub fn estimate(
     let memory = links.iter().map(|link| (link.pusher, link.samples.clone())).collect();
     let wrench_sd = covariance.diagonal().map(f64::sqrt);
     let wrench_sd = wrench_sd.zip_map(&wrench, |sd, part| sd.hypot(part * mass.relative_sd));
-    BodyEstimate { wrench, wrench_sd, residual, unexplained, links, hand_force, memory }
+    BodyEstimate { wrench, wrench_sd, load, residual, unexplained, links, hand_force, memory }
 }
 
 fn mahalanobis(residual: &Vector6<f64>, covariance: &Matrix6<f64>) -> f64 {

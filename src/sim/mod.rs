@@ -42,6 +42,7 @@ pub mod physical;
 pub mod randomize;
 pub(crate) mod range;
 pub(crate) mod record;
+pub mod replay;
 #[doc(hidden)]
 pub mod rig;
 pub(crate) mod rollout;

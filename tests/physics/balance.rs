@@ -177,19 +177,21 @@ fn a_ball_in_free_fall_feels_no_hand() {
     }
 }
 
+/// Returns the place of a plate of 2 cm that is pressed 0.5 mm into the skin, its centre of mass over the highest skin.
+fn on_top(vertices: &[Vec3]) -> DVec3 {
+    let top = vertices.iter().map(|v| v.z).fold(f32::MIN, f32::max);
+    let near: Vec<Vec3> = vertices.iter().copied().filter(|v| v.z > top - 0.0015).collect();
+    let centre = near.iter().sum::<Vec3>() / near.len() as f32;
+    DVec3::new(centre.x.into(), centre.y.into(), f64::from(top) + 0.01 - 0.0005)
+}
+
 #[test]
 fn a_plate_on_a_whole_hand_presses_with_its_weight_on_all_links_together() {
     let models = Side::BOTH.map(HandModel::builtin);
     for orient in [Vec3::ZERO, Vec3::X * std::f32::consts::PI, Vec3::X * 0.5 * std::f32::consts::PI] {
         let params = HandParams { global_orient: orient, ..HandParams::default() };
         let vertices = models[1].forward(&params).vertices;
-        let top = vertices.iter().map(|v| v.z).fold(f32::MIN, f32::max);
-        let centre: Vec3 = {
-            let near: Vec<Vec3> = vertices.iter().copied().filter(|v| v.z > top - 0.0015).collect();
-            near.iter().sum::<Vec3>() / near.len() as f32
-        };
-        // The plate is pressed 0.5 mm into the skin, its centre of mass over the highest skin.
-        let place = DVec3::new(centre.x.into(), centre.y.into(), f64::from(top) + 0.01 - 0.0005);
+        let place = on_top(&vertices);
         let body = cuboid("plate", Vec3::new(0.15, 0.15, 0.01), 0.6);
         let rest = vec![Some(Pose { position: place, orientation: DQuat::IDENTITY }); 20];
         let found = whole(&take(&models, body, rest, orient), &Settings::default());
@@ -198,6 +200,29 @@ fn a_plate_on_a_whole_hand_presses_with_its_weight_on_all_links_together() {
         assert_eq!(hand.validity, ForceValidity::Valid);
         assert!((force - weight).abs() < 0.02 * weight + 0.05, "{force} N for {weight} N, {orient}");
     }
+}
+
+#[test]
+fn a_force_that_motion_determines_keeps_a_narrow_interval() {
+    let models = Side::BOTH.map(HandModel::builtin);
+    let vertices = models[1].forward(&HandParams::default()).vertices;
+    let body = cuboid("plate", Vec3::new(0.15, 0.15, 0.01), 0.6);
+    let hold = 0.6 * 9.81 / (2.0 * body.friction);
+    // The palm alone carries the plate.
+    let rest = Some(Pose { position: on_top(&vertices), orientation: DQuat::IDENTITY });
+    let take = take(&models, body, vec![rest; 20], Vec3::ZERO);
+    let of = |unseen: [f64; 2]| whole(&take, &Settings { unseen, ..Settings::default() }).frames.swap_remove(10);
+    let (narrow, wide) = (of([0.0, 0.0]), of([2.0, 1.0]));
+    let mut far = 0;
+    for (narrow, wide) in narrow.hands[1].links.iter().zip(&wide.hands[1].links) {
+        let (narrow, wide) = (narrow.unwrap(), wide.unwrap());
+        assert_eq!(narrow.force, wide.force);
+        let [a, b] = [narrow, wide].map(|link| link.interval[1] - link.force);
+        assert!(b >= a && b - a < 0.1 * (2.0 + hold), "{a} and {b}: the weight is known, whatever hands do");
+        far += usize::from(wide.interval == [0.0, 0.0]);
+    }
+    // Links away from the plate feel nothing, for certain.
+    assert!(far >= 10, "{far} far");
 }
 
 #[test]

@@ -11,6 +11,7 @@ mod hostile;
 mod isolate;
 mod looks;
 mod present;
+mod replay;
 mod rollout;
 mod scene_file;
 mod scenes;

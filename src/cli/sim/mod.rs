@@ -5,6 +5,8 @@ mod explain;
 #[cfg(feature = "sim")]
 mod record;
 #[cfg(feature = "sim")]
+mod replay;
+#[cfg(feature = "sim")]
 mod shared;
 #[cfg(feature = "sim")]
 mod show;
@@ -38,6 +40,8 @@ enum Command {
     Run(Run),
     /// Simulate many episodes and write them as one Zarr store; the same command resumes an interrupted run.
     Generate(Generate),
+    /// Compute the engine's contact forces along the poses of a store, and compare them with the store's forces.
+    Replay(Replay),
     /// Record the episodes requested on standard input; `generate` starts this command.
     #[command(hide = true)]
     Worker(Worker),
@@ -153,6 +157,15 @@ struct Generate {
     rollout: RolloutArgs,
 }
 
+#[derive(Debug, clap::Args)]
+struct Replay {
+    /// Store of the simulator, with poses of hands and objects; also one that `egotac label --physics` made of it.
+    store: PathBuf,
+    /// Print JSON instead of a table.
+    #[arg(long)]
+    json: bool,
+}
+
 /// Options for pictures, labels and hands of an episode.
 #[derive(Debug, clap::Args)]
 struct RolloutArgs {
@@ -248,6 +261,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Explain(_) => "sim explain",
         Command::Run(_) => "sim run",
         Command::Generate(_) => "sim generate",
+        Command::Replay(_) => "sim replay",
         Command::Worker(_) => "sim worker",
         Command::Trial(_) => "sim trial",
     };
@@ -263,6 +277,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Explain(args) => explain::explain(&args)?,
         Command::Run(args) => record::run(&args)?,
         Command::Generate(args) => record::generate(&args)?,
+        Command::Replay(args) => replay::run(&args)?,
         Command::Worker(args) => record::work(&args)?,
         Command::Trial(args) => trial::serve(&args)?,
     }

@@ -4,6 +4,7 @@ mod contacts;
 mod energy;
 mod facts;
 mod flex;
+mod motion;
 mod names;
 mod pose;
 mod state;

@@ -8,6 +8,7 @@ mod report;
 mod score;
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::time::Instant;
 
 use egotac::error::Result;
@@ -47,8 +48,8 @@ pub struct Report {
     pub conditions: Vec<Score>,
     /// Scores by scene, with exact poses at 60 Hz and known masses.
     pub scenes: BTreeMap<String, Score>,
-    /// Scores by split of the scenes, in the same condition and with noise of 3 mm and 1 degree at 30 Hz: `train` scenes chose
-    /// the settings, `ood` scenes did not.
+    /// Scores by condition and split of the scenes: the settings were chosen on other episodes of `train` scenes, and on no
+    /// episode of `ood` scenes.
     pub splits: Vec<(String, Score)>,
 }
 
@@ -77,6 +78,7 @@ pub fn measure(
     scenes: &[Scene],
     seeds: std::ops::Range<u64>,
     settings: Settings,
+    rows: Option<&Path>,
     progress: &(dyn Fn(&str) + Sync),
 ) -> Result<Report> {
     // Soft objects have no single pose, so that no motion is estimated for them.
@@ -96,34 +98,41 @@ pub fn measure(
     let mut left_out: Vec<String> = held.into_iter().map(|(_, recorded)| recorded.scene).collect();
     left_out.dedup();
     left_out.extend(soft.into_iter().map(|scene| scene.name.clone()));
-    let score = |of: &dyn Fn(&str) -> bool, condition: Disturbance| {
-        let mut sums = Sums::default();
-        for (index, (seed, recorded)) in free.iter().enumerate().filter(|(_, (_, recorded))| of(&recorded.scene)) {
+    let measure = |condition: Disturbance| -> Vec<(String, Sums)> {
+        let episode = |(index, (seed, recorded)): (usize, &(u64, Recorded))| {
             let (take, frames) = recorded.disturbed(&condition, 1000 * seed + index as u64);
             let started = Instant::now();
             let estimate = whole(&take, &settings);
+            let mut sums = Sums::default();
             sums.add(recorded, &take, &frames, &estimate, started.elapsed().as_secs_f64());
-        }
-        sums.score(condition)
+            (recorded.scene.clone(), sums)
+        };
+        free.par_iter().enumerate().map(episode).collect()
     };
-    let mut scores = Vec::new();
+    let exact = Disturbance { rate: RATES[1], millimetres: 0.0, degrees: 0.0, mass: MassKnowledge::Known };
+    let held_out = egotac::sim::scene::Split::named("ood")?.scenes;
+    let (mut scores, mut by_scene, mut splits) = (Vec::new(), BTreeMap::new(), Vec::new());
     for condition in conditions() {
         progress(&report::name(&condition));
-        scores.push(score(&|_| true, condition));
-    }
-    let exact = Disturbance { rate: RATES[1], millimetres: 0.0, degrees: 0.0, mass: MassKnowledge::Known };
-    let noisy = Disturbance { rate: RATES[0], millimetres: 3.0, degrees: 1.0, mass: MassKnowledge::Known };
-    let mut by_scene = BTreeMap::new();
-    for scene in scenes.iter().filter(|scene| !left_out.contains(&scene.name)) {
-        progress(&scene.name);
-        by_scene.insert(scene.name.clone(), score(&|name| name == scene.name, exact));
-    }
-    let held_out = egotac::sim::scene::Split::named("ood")?.scenes;
-    let mut splits = Vec::new();
-    for condition in [exact, noisy] {
+        let episodes = measure(condition);
+        let part = |of: &dyn Fn(&str) -> bool| {
+            let mut sums = Sums::default();
+            episodes.iter().filter(|(scene, _)| of(scene)).for_each(|(_, episode)| sums.append(episode));
+            sums
+        };
+        let all = part(&|_| true);
+        if let Some(folder) = rows {
+            all.write(folder, &report::name(&condition).replace(" | ", "_").replace([' ', ',', '°', '%'], ""))?;
+        }
+        scores.push(all.score(condition));
+        if condition == exact {
+            for scene in scenes.iter().filter(|scene| !left_out.contains(&scene.name)) {
+                by_scene.insert(scene.name.clone(), part(&|name| name == scene.name).score(exact));
+            }
+        }
         for (name, is_held_out) in [("train", false), ("ood", true)] {
             let of = |scene: &str| held_out.iter().any(|held| held == scene) == is_held_out;
-            splits.push((name.to_string(), score(&of, condition)));
+            splits.push((name.to_string(), part(&of).score(condition)));
         }
     }
     Ok(Report {

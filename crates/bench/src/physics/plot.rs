@@ -42,9 +42,9 @@ where
     let most = known().map(of).filter(|value| value.is_finite()).fold(0.05, f64::max);
     let mut builder = plot::chart(area, title, [44, 64]);
     let mut chart = builder.build_cartesian_2d(-0.2..5.4, 0.0..1.1 * most)?;
-    let whole = |value: &f64| format!("{value:.0}");
+    let millimetres = |value: &f64| format!("{value:.1}");
     let fine = |value: &f64| format!("{value:.2}");
-    plot::axes(&mut chart, ("noise of positions (mm)", &whole), (unit, &fine))?;
+    plot::axes(&mut chart, ("noise of positions (mm)", &millimetres), (unit, &fine))?;
     for (rate, color) in [30.0, 60.0].into_iter().zip(PALETTE) {
         let of_rate = || known().filter(move |score| score.condition.rate == rate);
         let points = of_rate().filter(|score| score.condition.degrees != 3.0 || score.condition.millimetres == 5.0);

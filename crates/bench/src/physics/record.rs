@@ -2,12 +2,15 @@
 
 use egotac::error::Result;
 use egotac::hand::{HandModel, N_JOINTS, Side};
+use egotac::mujoco::World;
 use egotac::mujoco::options::Unchecked;
-use egotac::mujoco::world::Contact;
+use egotac::mujoco::world::{Body as EngineBody, Contact};
 use egotac::physics::cone::Cone;
 use egotac::physics::solve::{Point, remaining_variance};
+use egotac::physics::spline::Smoother;
 use egotac::physics::{Body, Fixed, Pose, Take, Tracked};
-use egotac::sim::{Rollout, RolloutOptions, Scene, physical};
+use egotac::sim::scene::EffectPlan;
+use egotac::sim::{Effect, Rollout, RolloutOptions, Scene, physical};
 use egotac::tactile::Validity;
 use glam::{DQuat, DVec3};
 use nalgebra::{Matrix6, Vector6};
@@ -33,6 +36,19 @@ pub struct Truth {
     pub determined: [[bool; N_JOINTS]; 2],
     /// Wrench of all contacts on each body about its centre of mass: force, N, and moment, N m.
     pub wrenches: Vec<Vector6<f64>>,
+    /// Kinds of things that touch each body.
+    pub touches: Vec<Touches>,
+}
+
+/// Kinds of things that touch a body with a force.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Touches {
+    /// A link of a hand.
+    pub hand: bool,
+    /// Another body that moves freely.
+    pub body: bool,
+    /// A fixed thing.
+    pub fixed: bool,
 }
 
 /// One simulated episode.
@@ -46,6 +62,8 @@ pub struct Recorded {
     bodies: Vec<Body>,
     fixed: Vec<Fixed>,
     poses: Vec<Vec<Option<Pose>>>,
+    /// Times of the simulation's steps, s, and the net force of all contacts on each body at each of them, N.
+    steps: (Vec<f64>, Vec<Vec<DVec3>>),
     /// Truth of each frame.
     pub truth: Vec<Truth>,
 }
@@ -91,7 +109,10 @@ impl Recorded {
         let mut physics = Unchecked::from(scene.spec.physics.clone());
         physics.timestep = TIMESTEP / (1.0 / fine).round().max(1.0);
         scene.spec.physics = physics.try_into()?;
-        let options = RolloutOptions { picture: None, ..RolloutOptions::default() };
+        // The engine does not list the contacts of sleeping bodies: the truth of a body at rest would be no force at all.
+        let plan = EffectPlan::of(&scene.spec)?.effects();
+        let effects = Some(plan.without(Effect::Sleep));
+        let options = RolloutOptions { picture: None, effects, ..RolloutOptions::default() };
         let mut rollout = Rollout::new(&scene, seed, &options)?;
         let (bodies, fixed) = physical::bodies(rollout.episode())?;
         let mut recorded = Self {
@@ -100,12 +121,24 @@ impl Recorded {
             times: Vec::new(),
             tracked: Default::default(),
             poses: vec![Vec::new(); bodies.len()],
+            steps: (Vec::new(), vec![Vec::new(); bodies.len()]),
             bodies,
             fixed,
             truth: Vec::new(),
         };
+        let in_engine: Vec<EngineBody> = rollout.objects().iter().filter_map(|object| object.body()).collect();
+        let timestep = scene.spec.physics.timestep;
+        let (mut step_times, mut step_forces) = (Vec::new(), vec![Vec::new(); in_engine.len()]);
         let link_of = options.hands.each_ref().map(HandModel::strongest_joints);
-        while let Some(frame) = rollout.next_frame()? {
+        loop {
+            let watched = rollout.next_frame_watched(|world| {
+                // After a step, the world holds the forces of the instant before it.
+                step_times.push(world.time() - timestep);
+                for (forces, body) in step_forces.iter_mut().zip(&in_engine) {
+                    forces.push(net_force(world, *body));
+                }
+            });
+            let Some(frame) = watched? else { break };
             let params = [&frame.frame.left_hand_pose, &frame.frame.right_hand_pose];
             for (tracked, params) in recorded.tracked.iter_mut().zip(params) {
                 tracked.push(match params {
@@ -123,18 +156,42 @@ impl Recorded {
                     links[side as usize][*link] += f64::from(*force);
                 }
             }
-            let (wrenches, determined) = recorded.contacts(&rollout);
+            let (wrenches, touches, determined) = recorded.contacts(&rollout);
             recorded.times.push(frame.frame.timestamp);
             let valid = frame.frame.validity == Validity::Valid;
-            recorded.truth.push(Truth { valid, links, determined, wrenches });
+            recorded.truth.push(Truth { valid, links, determined, wrenches, touches });
         }
+        recorded.steps = (step_times, step_forces);
         Ok(recorded)
     }
 
-    /// Returns the wrenches of the engine's contacts on the bodies, and the links whose force they determine.
-    fn contacts(&self, rollout: &Rollout) -> (Vec<Vector6<f64>>, [[bool; N_JOINTS]; 2]) {
+    /// Returns the net force on a body at the times of `frames` as poses of this bandwidth, 1/s, can show it: the simulator's
+    /// net force of all steps through the smoother of the estimation. `None` without two steps.
+    pub fn shown(&self, body: usize, frames: &[usize], bandwidth: f64) -> Option<Vec<DVec3>> {
+        let (times, forces) = (&self.steps.0, self.steps.1.get(body)?);
+        let interval = times.get(1)? - times[0];
+        let smoother = Smoother::new(times, &vec![1.0; times.len()], interval, bandwidth)?;
+        let axes = [|f: &DVec3| f.x, |f: &DVec3| f.y, |f: &DVec3| f.z];
+        let fits = axes.map(|axis| smoother.fit(&forces.iter().map(axis).collect::<Vec<f64>>()));
+        let at = |frame: &usize| fits.each_ref().map(|fit| smoother.at(fit, self.times[*frame])[0]).into();
+        Some(frames.iter().map(at).collect())
+    }
+
+    /// Returns the wrenches of the engine's contacts on the bodies, the things that touch them, and the links whose force
+    /// the contacts determine.
+    fn contacts(&self, rollout: &Rollout) -> (Vec<Vector6<f64>>, Vec<Touches>, [[bool; N_JOINTS]; 2]) {
         let world = rollout.world();
         let contacts: Vec<Contact> = world.contacts().collect();
+        let mut touches = Vec::new();
+        let in_engine: Vec<EngineBody> = rollout.objects().iter().filter_map(|object| object.body()).collect();
+        let is_free = |of: &EngineBody| {
+            let index = in_engine.iter().position(|body| body == of);
+            index.and_then(|index| self.bodies.get(index)).is_some_and(|body| body.held.is_none())
+        };
+        let is_hand = |of: &EngineBody| {
+            let name = world.body_name(*of);
+            Side::BOTH.into_iter().any(|side| name.starts_with(&format!("{}/", side.name())))
+        };
         let mut determined = [[false; N_JOINTS]; 2];
         let mut wrenches = Vec::new();
         let solid = rollout.objects().iter().filter_map(|object| Some((object, object.body()?)));
@@ -144,12 +201,18 @@ impl Recorded {
             let centre = position + orientation * mass.centre;
             let (mut force, mut moment) = (DVec3::ZERO, DVec3::ZERO);
             let (mut points, mut owners) = (Vec::new(), Vec::new());
+            let mut touched = Touches::default();
             for contact in contacts.iter().filter(|contact| contact.bodies.contains(&body)) {
                 let sign = if contact.bodies[1] == body { 1.0 } else { -1.0 };
                 let other = contact.bodies[usize::from(contact.bodies[0] == body)];
                 force += contact.force * sign;
                 moment += (contact.position - centre).cross(contact.force * sign);
                 if contact.normal_force > 0.0 {
+                    match () {
+                        () if is_hand(&other) => touched.hand = true,
+                        () if is_free(&other) => touched.body = true,
+                        () => touched.fixed = true,
+                    }
                     let inward = contact.normal * sign;
                     let (t1, t2) = inward.any_orthonormal_pair();
                     let cone = Cone { friction: 1.0, limit: 1e3 };
@@ -158,6 +221,7 @@ impl Recorded {
                     owners.push(other);
                 }
             }
+            touches.push(touched);
             wrenches.push(Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z));
             if known.held.is_some() {
                 continue;
@@ -177,7 +241,7 @@ impl Recorded {
                 }
             }
         }
-        (wrenches, determined)
+        (wrenches, touches, determined)
     }
 
     /// Returns the episode under a disturbance, and the index of each of its frames in [`Recorded::truth`].
@@ -235,4 +299,10 @@ impl Recorded {
     pub fn is_free(&self) -> bool {
         self.bodies.iter().any(|body| body.held.is_none())
     }
+}
+
+/// Returns the net force of all contacts on a body, N.
+fn net_force(world: &World, body: EngineBody) -> DVec3 {
+    let of_body = world.contacts().filter(|contact| contact.bodies.contains(&body));
+    of_body.map(|contact| if contact.bodies[1] == body { contact.force } else { -contact.force }).sum()
 }

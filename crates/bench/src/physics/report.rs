@@ -23,7 +23,7 @@ pub(super) fn name(condition: &Disturbance) -> String {
     format!("{noise} | {:.0} Hz | {mass}", condition.rate)
 }
 
-const HEAD: &str = " | net force within 2 % + 0.05 N | net force error (N) | net moment error (mN m) | determined links: within 10 % + 0.05 N (median) | all links: error of mean force (N) | inside the 90 % interval: all, determined, other | determined, but flagged | unknown | ms |\n";
+const HEAD: &str = " | net force within 2 % + 0.05 N | touched: within, faster than poses show, other misses | touched: within of what poses show | net force error (N) | net moment error (mN m) | determined links: within 10 % + 0.05 N (median) | all links: error of mean force (N) | inside the 90 % interval: all, determined, other | determined, but flagged | unknown | ms |\n";
 
 impl Report {
     /// Writes `physics.md`, `physics.json`, `physics.png` and `physics.svg` into a folder.
@@ -58,7 +58,8 @@ impl Report {
         );
         text.push_str(
             "Noise is independent in each frame, of each object and wrist, per axis. *Net* compares the wrench that the motion asks for with the sum of the engine's contacts \
-             at the same instant: median and 95th percentile. A link is *determined* if the true contact points and the motion leave less than a tenth of \
+             at the same instant: median and 95th percentile. *Touched* counts bodies that a hand touches. A force is *faster than poses show* if the engine's own net force of all steps, through the \
+             estimation's smoother, is outside of the tolerance of the instant's force: no poses of that rate tell it. *Within of what poses show* compares with that smoothed truth. Bodies do not sleep, since the engine lists no contacts of sleeping ones. A link is *determined* if the true contact points and the motion leave less than a tenth of \
              the variance that a hand without motion would have; of these, links that are not flagged count in the column. *All links* are links with a true force above \
              0.05 N. *Inside* counts links with a true or estimated force above 0.05 N. *Flagged*: determined links that are flagged as undetermined. *Unknown*: touched links whose force is not stated; `physics.json` has the reasons, such as a hand on the table. *ms* is per frame and hand. The first and the last three frames of an episode do not count.\n",
         );
@@ -78,6 +79,7 @@ fn table<'a>(text: &mut String, first: &str, rows: impl Iterator<Item = (String,
     text.push_str(&format!("| {first}{HEAD}{}|\n", "|---".repeat(columns)));
     for (name, score) in rows {
         let percent = |share: f64| if share.is_nan() { "–".to_string() } else { format!("{:.1} %", 100.0 * share) };
+        let [in_time, fast, missed] = score.net_touched.map(percent);
         let [median, tail] = score.net_error;
         let [moment, moment_tail] = score.moment_error.map(|error| 1e3 * error);
         let [error, mean] = score.link_error;
@@ -91,8 +93,9 @@ fn table<'a>(text: &mut String, first: &str, rows: impl Iterator<Item = (String,
         put(
             text,
             format_args!(
-                "| {name} | {} | {median:.3}, {tail:.3} | {moment:.1}, {moment_tail:.1} | {relative} | {error:.3} of {mean:.2} | {all}, {determined}, {other} | {} | {} | {:.2} |",
+                "| {name} | {} | {in_time}, {fast}, {missed} | {} | {median:.3}, {tail:.3} | {moment:.1}, {moment_tail:.1} | {relative} | {error:.3} of {mean:.2} | {all}, {determined}, {other} | {} | {} | {:.2} |",
                 percent(score.net_within),
+                percent(score.net_shown),
                 percent(score.wrongly_flagged),
                 percent(score.unknown.values().sum()),
                 score.milliseconds

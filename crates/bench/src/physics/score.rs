@@ -1,9 +1,15 @@
 //! Scores of forces from motion against the simulator's.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
+use egotac::error::Result;
+use egotac::physics::frame::{BodyEstimate, LinkEstimate};
+use egotac::physics::patch::Pusher;
 use egotac::physics::{Estimate, Take};
 use egotac::statistics::percentile;
+use glam::DVec3;
+use nalgebra::Vector6;
 use serde::Serialize;
 
 use super::record::{Disturbance, Recorded};
@@ -14,13 +20,11 @@ const TOUCHED: f64 = 0.05;
 /// Sums over episodes of one condition.
 #[derive(Debug, Clone, Default)]
 pub struct Sums {
-    /// Errors of the net force on a body, N, and the true force, N.
-    net: Vec<(f64, f64)>,
-    /// Errors of the net moment on a body, N m.
-    moments: Vec<f64>,
+    /// Bodies of all frames.
+    pub nets: Vec<Net>,
     /// Links that are touched or estimated to be: truth, estimate, distance to the interval's centre by its half width, and
     /// if the true contacts determine the force.
-    links: Vec<Link>,
+    pub links: Vec<Link>,
     /// Touched links, and those whose force is unknown, by reason.
     touched: usize,
     unknown: BTreeMap<&'static str, usize>,
@@ -30,15 +34,104 @@ pub struct Sums {
     frames: usize,
 }
 
-#[derive(Debug, Clone, Copy)]
-struct Link {
-    truth: f64,
-    force: f64,
-    inside: bool,
-    /// Error over the half width on its side.
-    ratio: f64,
-    determined: bool,
-    flagged: bool,
+/// Net force on one body at one frame.
+#[derive(Debug, Clone, Serialize)]
+pub struct Net {
+    /// Scene and frame.
+    pub scene: String,
+    /// Index of the frame in its truth.
+    pub frame: usize,
+    /// Index of the body.
+    pub body: usize,
+    /// Size of the true net force, N.
+    pub truth: f64,
+    /// Error of the net force, N, and of the moment, N m.
+    pub error: f64,
+    /// Error of the net moment, N m.
+    pub moment_error: f64,
+    /// Difference between the true net force and what poses of this bandwidth show of it, N.
+    pub hidden: f64,
+    /// Difference between the estimate and what poses of this bandwidth show of the true net force, N.
+    pub shown_error: f64,
+    /// Standard deviation that the estimate states, N.
+    pub sd: f64,
+    /// Part that no contact explains, N.
+    pub residual: f64,
+    /// True if a hand, another body, a fixed thing touches the body.
+    pub hand: bool,
+    /// See `hand`.
+    pub other: bool,
+    /// See `hand`.
+    pub fixed: bool,
+}
+
+/// Normal force on one link at one frame.
+#[derive(Debug, Clone, Serialize)]
+pub struct Link {
+    /// Scene and frame.
+    pub scene: String,
+    /// Index of the frame in its truth.
+    pub frame: usize,
+    /// Hand, 0 = left, and link.
+    pub side: usize,
+    /// Link.
+    pub link: usize,
+    /// True force, N.
+    pub truth: f64,
+    /// Estimate, N.
+    pub force: f64,
+    /// Standard deviation that the estimate states, N.
+    pub sd: f64,
+    /// Ends of the stated 90 % interval, N.
+    pub low: f64,
+    /// See `low`.
+    pub high: f64,
+    /// True if the true contacts determine the force.
+    pub determined: bool,
+    /// True if the estimate is flagged as undetermined.
+    pub flagged: bool,
+    /// Share of the prior variance that the motion leaves, largest over the bodies that the link touches.
+    pub remaining: f64,
+    /// Weight and inertial force of these bodies, N.
+    pub load: f64,
+    /// Coefficient of friction.
+    pub friction: f64,
+    /// Standard deviation of gaps, m.
+    pub gap_sd: f64,
+    /// Number of links that touch the same bodies.
+    pub links: usize,
+}
+
+impl Net {
+    /// Returns the error that the goal admits, N.
+    fn tolerance(&self) -> f64 {
+        0.02 * self.truth + 0.05
+    }
+
+    fn is_within(&self) -> bool {
+        self.error <= self.tolerance()
+    }
+
+    /// True if the force changes faster than poses of this bandwidth show.
+    fn is_fast(&self) -> bool {
+        self.hidden > self.tolerance()
+    }
+}
+
+impl Link {
+    fn inside(&self) -> bool {
+        self.low <= self.truth && self.truth <= self.high
+    }
+
+    /// Returns the error over the half width of the interval on its side.
+    fn ratio(&self) -> f64 {
+        // The lower end stops at 0, where no force is: nothing lies below it.
+        if self.low <= 0.0 && self.truth < self.force {
+            return 0.0;
+        }
+        let width = if self.truth > self.force { self.high - self.force } else { self.force - self.low };
+        (self.truth - self.force).abs() / width.max(1e-9)
+    }
 }
 
 /// Scores of one condition.
@@ -48,6 +141,11 @@ pub struct Score {
     pub condition: Disturbance,
     /// Share of bodies' frames whose net force is within 2 % + 0.05 N of the simulator's contacts.
     pub net_within: f64,
+    /// The same of bodies that a hand touches, against the net force as poses of this rate and bandwidth can show it.
+    pub net_shown: f64,
+    /// Share of touched bodies' frames within the same tolerance of the instant's force; share in which the true force changes
+    /// faster than such poses show, so that what they show is itself off by more; and the share that misses for another reason.
+    pub net_touched: [f64; 3],
     /// Median and 95th percentile of the error of the net force, N.
     pub net_error: [f64; 2],
     /// The same of the net moment, N m.
@@ -74,9 +172,12 @@ pub struct Score {
 
 impl Sums {
     /// Adds an episode; `frames`: index of each frame in its truth.
-    pub fn add(&mut self, recorded: &Recorded, take: &Take, frames: &[usize], estimate: &Estimate, seconds: f64) {
+    pub fn add(&mut self, recorded: &Recorded, take: &Take, frames: &[usize], estimate_of: &Estimate, seconds: f64) {
         self.seconds += seconds;
         self.frames += frames.len();
+        let bandwidth = estimate_of.bandwidth.iter().enumerate();
+        let shown: Vec<Option<Vec<DVec3>>> =
+            bandwidth.map(|(body, bandwidth)| recorded.shown(body, frames, (*bandwidth)?)).collect();
         for (index, frame) in frames.iter().enumerate() {
             let truth = &recorded.truth[*frame];
             // At the ends of an episode a spline has samples on one side only: no file can be judged by its first frames.
@@ -84,13 +185,28 @@ impl Sums {
             if !truth.valid || edge {
                 continue;
             }
-            let found = &estimate.frames[index];
-            for (body, wrench) in found.bodies.iter().zip(&truth.wrenches) {
-                if let Some(body) = body {
-                    let (force, moment) = (wrench.fixed_rows::<3>(0), wrench.fixed_rows::<3>(3));
-                    self.net.push(((body.wrench.fixed_rows::<3>(0) - force).norm(), force.norm()));
-                    self.moments.push((body.wrench.fixed_rows::<3>(3) - moment).norm());
-                }
+            let found = &estimate_of.frames[index];
+            for (index_of_body, (body, wrench)) in found.bodies.iter().zip(&truth.wrenches).enumerate() {
+                let Some(body) = body else { continue };
+                let part = |of: &Vector6<f64>, row: usize| DVec3::new(of[row], of[row + 1], of[row + 2]);
+                let [force, true_force] = [part(&body.wrench, 0), part(wrench, 0)];
+                let seen = shown[index_of_body].as_ref().map(|shown| shown[index]);
+                let touches = truth.touches[index_of_body];
+                self.nets.push(Net {
+                    scene: recorded.scene.clone(),
+                    frame: *frame,
+                    body: index_of_body,
+                    truth: true_force.length(),
+                    error: force.distance(true_force),
+                    moment_error: part(&body.wrench, 3).distance(part(wrench, 3)),
+                    hidden: seen.map_or(f64::NAN, |seen| seen.distance(true_force)),
+                    shown_error: seen.map_or(f64::NAN, |seen| seen.distance(force)),
+                    sd: part(&body.wrench_sd, 0).length(),
+                    residual: part(&body.residual, 0).length(),
+                    hand: touches.hand,
+                    other: touches.body,
+                    fixed: touches.fixed,
+                });
             }
             for (side, hand) in found.hands.iter().enumerate() {
                 for (link, estimate) in hand.links.iter().enumerate() {
@@ -110,24 +226,62 @@ impl Sums {
                         self.wrongly_flagged += usize::from(estimate.undetermined);
                     }
                     let [low, high] = estimate.interval;
-                    let width = if force > estimate.force { high - estimate.force } else { estimate.force - low };
+                    let touching: Vec<(usize, &BodyEstimate, f64)> = found
+                        .bodies
+                        .iter()
+                        .enumerate()
+                        .filter_map(|(index, body)| {
+                            let of_link = |l: &&LinkEstimate| matches!(l.pusher, Pusher::Link(s, j) if s as usize == side && j == link);
+                            let body = body.as_ref()?;
+                            Some((index, body, body.links.iter().find(of_link)?.remaining))
+                        })
+                        .collect();
+                    let noise = estimate_of.hand_noise[side];
                     self.links.push(Link {
+                        scene: recorded.scene.clone(),
+                        frame: *frame,
+                        side,
+                        link,
                         truth: force,
                         force: estimate.force,
-                        inside: low <= force && force <= high,
-                        // The lower end stops at 0, where no force is: nothing lies below it.
-                        ratio: if low <= 0.0 && force < estimate.force {
-                            0.0
-                        } else {
-                            (force - estimate.force).abs() / width.max(1e-9)
-                        },
+                        sd: estimate.sd,
+                        low,
+                        high,
                         determined,
                         flagged: estimate.undetermined,
+                        remaining: touching.iter().map(|(.., remaining)| *remaining).fold(0.0, f64::max),
+                        load: touching.iter().map(|(_, body, _)| body.load).sum(),
+                        friction: touching.first().map_or(f64::NAN, |(index, ..)| take.bodies[*index].friction),
+                        gap_sd: noise.position.hypot(0.12 * noise.rotation),
+                        links: touching.iter().map(|(_, body, _)| body.links.len()).sum(),
                     });
                 }
             }
         }
         debug_assert_eq!(take.times.len(), frames.len());
+    }
+
+    /// Adds the episodes of other sums.
+    pub fn append(&mut self, other: &Self) {
+        self.nets.extend(other.nets.iter().cloned());
+        self.links.extend(other.links.iter().cloned());
+        self.touched += other.touched;
+        for (reason, links) in &other.unknown {
+            *self.unknown.entry(reason).or_default() += links;
+        }
+        self.determined += other.determined;
+        self.wrongly_flagged += other.wrongly_flagged;
+        self.seconds += other.seconds;
+        self.frames += other.frames;
+    }
+
+    /// Writes the bodies and the links behind the scores as CSV files of this name.
+    ///
+    /// # Errors
+    /// If a file can't be written.
+    pub fn write(&self, folder: &Path, name: &str) -> Result<()> {
+        table(&folder.join(format!("bodies_{name}.csv")), &self.nets)?;
+        table(&folder.join(format!("links_{name}.csv")), &self.links)
     }
 
     /// Computes the scores.
@@ -137,30 +291,50 @@ impl Sums {
             true => [f64::NAN; 2],
             false => [0.5, 0.95].map(|q| percentile(values.iter().copied(), q)),
         };
-        let within = self.net.iter().filter(|(error, force)| *error <= 0.02 * force + 0.05).count();
+        let within = self.nets.iter().filter(|net| net.is_within()).count();
+        let held: Vec<&Net> = self.nets.iter().filter(|net| net.hand).collect();
         let touched: Vec<&Link> = self.links.iter().filter(|link| link.truth > TOUCHED).collect();
         let told: Vec<&&Link> = touched.iter().filter(|link| link.determined && !link.flagged).collect();
         let relative: Vec<f64> = told.iter().map(|link| (link.force - link.truth).abs() / link.truth).collect();
         let near = told.iter().filter(|link| (link.force - link.truth).abs() <= 0.1 * link.truth + 0.05).count();
         let coverage = |of: &dyn Fn(&Link) -> bool| {
             let links = self.links.iter().filter(|link| of(link));
-            share(links.clone().filter(|link| link.inside).count(), links.count())
+            share(links.clone().filter(|link| link.inside()).count(), links.count())
         };
         let mean = |value: &dyn Fn(&&Link) -> f64| touched.iter().map(value).sum::<f64>() / touched.len().max(1) as f64;
         Score {
             condition,
-            net_within: share(within, self.net.len()),
-            net_error: both(self.net.iter().map(|(error, _)| *error).collect()),
-            moment_error: both(self.moments.clone()),
+            net_within: share(within, self.nets.len()),
+            net_shown: share(held.iter().filter(|net| net.shown_error <= net.tolerance()).count(), held.len()),
+            net_touched: [
+                share(held.iter().filter(|net| net.is_within()).count(), held.len()),
+                share(held.iter().filter(|net| !net.is_within() && net.is_fast()).count(), held.len()),
+                share(held.iter().filter(|net| !net.is_within() && !net.is_fast()).count(), held.len()),
+            ],
+            net_error: both(self.nets.iter().map(|net| net.error).collect()),
+            moment_error: both(self.nets.iter().map(|net| net.moment_error).collect()),
             determined: told.len(),
             determined_error: [both(relative)[0], share(near, told.len())],
             link_error: [mean(&|l| (l.force - l.truth).abs()), mean(&|l| l.truth)],
             coverage: [coverage(&|_| true), coverage(&|l| l.determined), coverage(&|l| !l.determined)],
-            wanted_inflation: percentile(self.links.iter().map(|link| link.ratio), 0.9),
+            wanted_inflation: percentile(self.links.iter().map(|link| link.ratio()), 0.9),
             wrongly_flagged: share(self.wrongly_flagged, self.determined),
             bias: mean(&|l| l.force - l.truth),
             unknown: self.unknown.iter().map(|(reason, links)| (*reason, share(*links, self.touched))).collect(),
             milliseconds: 1e3 * self.seconds / (2 * self.frames.max(1)) as f64,
         }
     }
+}
+
+fn table<T: Serialize>(path: &Path, rows: &[T]) -> Result<()> {
+    let mut text = String::new();
+    for row in rows {
+        let Ok(serde_json::Value::Object(row)) = serde_json::to_value(row) else { continue };
+        if text.is_empty() {
+            text = row.keys().cloned().collect::<Vec<_>>().join(",") + "\n";
+        }
+        let cell = |value: &serde_json::Value| value.as_str().map_or_else(|| value.to_string(), str::to_string);
+        text += &(row.values().map(cell).collect::<Vec<_>>().join(",") + "\n");
+    }
+    egotac::file::write(path, text.as_bytes())
 }

@@ -25,6 +25,9 @@ pub struct Args {
     /// Factor on the widths of intervals.
     #[arg(long)]
     inflation: Option<f64>,
+    /// Folder for the bodies and links behind the tables, as CSV files.
+    #[arg(long, value_name = "FOLDER")]
+    rows: Option<PathBuf>,
     /// Folder for physics.md, physics.json, physics.png and physics.svg.
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     out: PathBuf,
@@ -48,7 +51,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         inflation: args.inflation.unwrap_or(usual.inflation),
         ..usual
     };
-    let report = crate::physics::measure(command, &scenes, seeds, settings, &|what| tell(format_args!("{what}")))?;
+    if let Some(folder) = &args.rows {
+        std::fs::create_dir_all(folder)?;
+    }
+    let told = |what: &str| tell(format_args!("{what}"));
+    let report = crate::physics::measure(command, &scenes, seeds, settings, args.rows.as_deref(), &told)?;
     std::fs::create_dir_all(&args.out)?;
     report.write(&args.out)?;
     println!("wrote {}", args.out.join("physics.md").display());

@@ -1,0 +1,29 @@
+//! `egotac sim replay`: contact forces along recorded poses, beside those that the store holds.
+
+use super::Replay;
+use crate::sim::replay::{Agreement, ReplayReport};
+
+/// Replays a store, and prints the agreement.
+pub fn run(args: &Replay) -> anyhow::Result<()> {
+    let report = ReplayReport::of(&args.store)?;
+    match args.json {
+        true => println!("{}", serde_json::to_string_pretty(&report)?),
+        false => print!("{}", table(&report)),
+    }
+    Ok(())
+}
+
+fn table(report: &ReplayReport) -> String {
+    let row =
+        |quantity: &str, [a, b, c, d, e]: [&str; 5]| format!("{quantity:56} {a:>8} {b:>11} {c:>10} {d:>10} {e:>10}\n");
+    let mut text = row("quantity", ["entries", "correlation", "rel. error", "replay (N)", "store (N)"]);
+    for Agreement { quantity, entries, correlation, relative_error, replay, other } in &report.agreements {
+        let numbers = [correlation, relative_error, replay, other].map(|value| format!("{value:.3}"));
+        let [correlation, relative, replay, other] = numbers.each_ref().map(String::as_str);
+        text += &row(quantity, [&entries.to_string(), correlation, relative, replay, other]);
+    }
+    if report.agreements.is_empty() {
+        text += "the store holds no forces to compare with\n";
+    }
+    text
+}
