@@ -1,7 +1,6 @@
 //! A checkpoint with weights for presence tells absent hands and places keypoints; one without says nothing of them.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
@@ -11,7 +10,7 @@ use egotac::model::checkpoint::{self, Stored};
 use egotac::model::grow::{self, Growth};
 use egotac::model::predictor::{Options, Predictor};
 use egotac::model::presence::{FEATURES, N_POINTS, PREFIX};
-use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Presence, init};
+use egotac::model::{Checkpoint, Config, EgoTac, Presence, init};
 use egotac::tactile::Doubt;
 use image::{Rgb, RgbImage};
 use rand::{Rng, SeedableRng};

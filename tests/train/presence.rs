@@ -4,12 +4,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use candle_core::Device;
-use candle_nn::VarMap;
 use egotac::dataset::zarr::{ArraySpec, CAMERA_POSE, Contact, Dtype, Values, ZarrReader, ZarrWriter};
 use egotac::dataset::{Attributes, EpisodeWriter, Frame};
 use egotac::hand::{HandModel, HandParams, Side, Topology};
 use egotac::model::predictor::{Options, Predictor};
-use egotac::model::{Checkpoint, Config, EgoTac, Metadata, checkpoint, init};
+use egotac::model::{Checkpoint, Config, checkpoint};
 use egotac::tactile::{N_FIELD, TactileField, Validity};
 use egotac::train::data::Dataset;
 use egotac::train::presence::{self, Settings};
