@@ -12,10 +12,10 @@ mod hands;
 #[doc(hidden)]
 pub mod label;
 mod label_physics;
+mod label_views;
 mod labelling;
 mod limits;
 mod model;
-mod overlay_video;
 mod predict;
 #[doc(hidden)]
 pub mod progress;
