@@ -10,9 +10,9 @@ use serde_json::Value;
 use super::doubt::Doubt;
 use super::hands::Hands;
 use super::label_physics::Physics;
+use super::label_views::Kind;
 use super::labelling::{Work, shard};
 use super::options::Json;
-use super::overlay_video;
 use super::renamed;
 use crate::dataset::Provenance;
 use crate::dataset::lerobot::{ColumnRole, LabelColumn};
@@ -99,6 +99,10 @@ pub struct Args {
     /// Video of the images with both hands beside them, coloured by force; of several inputs, a folder for them.
     #[arg(long, value_name = "FILE")]
     video: Option<PathBuf>,
+    /// MCAP file that Foxglove shows with the layout launch/foxglove.json: pictures, coloured hands, forces over time; of several
+    /// inputs, a folder for them.
+    #[arg(long, value_name = "FILE")]
+    foxglove: Option<PathBuf>,
     #[command(flatten)]
     physics: Physics,
     #[command(flatten)]
@@ -178,15 +182,15 @@ fn label<T>(args: &Args, finish: impl FnOnce(&Work, RunJob) -> anyhow::Result<T>
         mano_regions: predictor.mano().map(|mano| mano.regions(Topology::Mano)),
     };
     let LabelTasks { tasks, unreadable } = find_tasks(&args.input, &args.out, &options)?;
-    let videos = args.video.as_ref().map(|video| overlay_video::paths(video, &tasks)).transpose()?;
+    let views = [(Kind::Video, &args.video), (Kind::Foxglove, &args.foxglove)];
+    let views = views.into_iter().filter_map(|(kind, path)| Some((kind, kind.paths(path.as_ref()?, &tasks))));
+    let views = views.map(|(kind, paths)| Ok((kind, paths?))).collect::<anyhow::Result<Vec<_>>>()?;
     let jobs: Vec<Job> = tasks.iter().map(|task| job(task, &predictor, args)).collect();
     let work = Work { input: &args.input, out: &args.out, tasks: &tasks, jobs: &jobs, unreadable: &unreadable };
     let done = finish(&work, &mut |index, number, timing, progress| {
         jobs[index].run(&mut predictor, args.shard, number, timing, progress)
     })?;
-    if let Some(videos) = videos {
-        overlay_video::write(&videos, &tasks, &args.hands)?;
-    }
+    views.into_iter().try_for_each(|(kind, paths)| kind.write_all(&paths, &tasks, &args.hands))?;
     Ok(done)
 }
 

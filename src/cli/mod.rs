@@ -14,12 +14,12 @@ pub mod help;
 #[doc(hidden)]
 pub mod label;
 mod label_physics;
+mod label_views;
 mod labelling;
 mod limits;
 mod model;
 #[doc(hidden)]
 pub mod options;
-mod overlay_video;
 mod predict;
 #[doc(hidden)]
 pub mod progress;

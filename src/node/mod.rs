@@ -32,7 +32,7 @@ mod object_pose;
 mod parameter_files;
 mod parameter_services;
 mod params;
-mod placed_hand;
+pub(crate) mod placed_hand;
 mod point_cloud;
 pub mod predictor;
 mod program;

@@ -1,8 +1,10 @@
-//! Images with their touch, shown on a local page (`egotac view`) and in videos (`egotac label --video`).
+//! Images with their touch, shown on a local page (`egotac view`), in videos (`egotac label --video`) and in Foxglove
+//! (`egotac label --foxglove`).
 //!
 //! ```text
 //! recording ──> Clip ──> Moment ─┬─> packet ──> Feed ──> server ──> page
-//! camera, topic ─────────────────┘                └────> picture ──> video
+//! camera, topic ─────────────────┘ ├──────────> picture ──> video
+//!                                  └──────────> scene (MCAP)
 //! ```
 //!
 //! A [`Moment`] is all that is shown of one image. A [`Clip`] gives the moments of a recording in any order; a [`Feed`] encodes
@@ -16,12 +18,14 @@ mod clip;
 mod feed;
 mod guard;
 mod live;
+mod markers;
 mod moment;
 mod packet;
 mod page;
 mod picture;
 mod place;
 mod projection;
+mod scene;
 mod server;
 mod store_poses;
 mod trace;
@@ -32,7 +36,10 @@ pub use camera::{is_camera, run as run_camera};
 pub use clip::{Clip, ClipOptions, Player, open_clips};
 pub use feed::Feed;
 pub use live::{LiveFeed, LiveInput};
+#[cfg(feature = "ros")]
+pub(crate) use markers::{removed, surface};
 pub use moment::Moment;
 pub use picture::Picture;
+pub use scene::{SCENE_EXTENSION, write_scene};
 pub use server::{Server, Settings};
 pub use video::write_video;

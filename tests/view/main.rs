@@ -7,4 +7,5 @@ mod client;
 mod live;
 mod pages;
 mod recording;
+mod scene;
 mod video;

@@ -9,7 +9,6 @@ import doctest
 import json
 import os
 import pathlib
-import subprocess
 import sys
 import tempfile
 import threading
@@ -18,26 +17,11 @@ import time
 import numpy as np
 
 import egotac
+from programs import run, tensors
 
 program = sys.argv[1]
 data = pathlib.Path(__file__).resolve().parent.parent / "data"
 command = pathlib.Path(sys.executable).with_name("egotac")  # the console script
-
-
-def run(program, *arguments, status=0):
-    done = subprocess.run([program, *map(str, arguments)], capture_output=True, text=True)
-    assert done.returncode == status, (arguments, done.returncode, done.stderr)
-    return done.stderr if status else done.stdout
-
-
-def tensors(path):
-    """Reads a safetensors file with numpy alone."""
-    content = path.read_bytes()
-    length = int.from_bytes(content[:8], "little")
-    kinds = {"F32": "<f4", "F64": "<f8", "U8": "u1", "I64": "<i8"}
-    table = {name: entry for name, entry in json.loads(content[8 : 8 + length]).items() if name != "__metadata__"}
-    of = lambda e: np.frombuffer(content[8 + length :][slice(*e["data_offsets"])], kinds[e["dtype"]]).reshape(e["shape"])
-    return {name: of(entry) for name, entry in table.items()}
 
 
 def write_tensors(path, arrays):
@@ -250,7 +234,7 @@ with tempfile.TemporaryDirectory() as temp:
     temp = pathlib.Path(temp)
     os.chdir(temp)
     tests = [f for name, f in list(globals().items()) if callable(f) and getattr(f, "__module__", "") == "__main__"]
-    helpers = {"run", "tensors", "write_tensors", "same", "pictures"}
+    helpers = {"write_tensors", "same", "pictures"}
     for test in (test for test in tests if test.__name__ not in helpers):
         test(*([temp] if test.__code__.co_argcount else []))
         print(f"{test.__name__.replace('_', ' ')}: ok", flush=True)

@@ -5,29 +5,16 @@ simulation.py EGOTAC
 """
 import json
 import pathlib
-import subprocess
 import sys
 import tempfile
 
 import numpy as np
 
 import egotac
+from programs import run, tensors
 
 program = sys.argv[1]
 command = pathlib.Path(sys.executable).with_name("egotac")
-
-
-def run(program, *arguments):
-    return subprocess.run([program, *map(str, arguments)], check=True, capture_output=True, text=True).stdout
-
-
-def tensors(path):
-    content = path.read_bytes()
-    length = int.from_bytes(content[:8], "little")
-    kinds = {"F32": "<f4", "F64": "<f8", "U8": "u1", "I64": "<i8"}
-    table = {name: entry for name, entry in json.loads(content[8 : 8 + length]).items() if name != "__metadata__"}
-    of = lambda e: np.frombuffer(content[8 + length :][slice(*e["data_offsets"])], kinds[e["dtype"]]).reshape(e["shape"])
-    return {name: of(entry) for name, entry in table.items()}
 
 
 with tempfile.TemporaryDirectory() as temp:

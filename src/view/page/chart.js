@@ -11,10 +11,14 @@ function round(value) {
 }
 
 export class Chart {
-  constructor(canvas, onPick) {
+  /** `cursor` is the line of the present, an element above the canvas. */
+  constructor(canvas, cursor, onPick) {
     this.canvas = canvas;
-    this.context = canvas.getContext("2d");
+    this.cursor = cursor;
+    // Many thin lines: without a GPU, the browser draws them much faster into memory.
+    this.context = canvas.getContext("2d", { willReadFrequently: true });
     this.range = [0, 1];
+    this.drawn = null;
     const pick = event => {
       const box = canvas.getBoundingClientRect();
       const x = (event.clientX - box.left) / box.width * canvas.width;
@@ -27,9 +31,18 @@ export class Chart {
 
   /**
    * Draws points { stamp, force: [l, r], truth: [l, r] or null, familiarity }, null = unknown, in order of time; `now` is the
-   * stamp of the image that is shown.
+   * stamp of the image that is shown. Points of the same `version` are not drawn again.
    */
-  draw(points, now, threshold) {
+  draw(points, now, threshold, version) {
+    if (this.drawn !== version) this.curves(points, threshold);
+    this.drawn = version;
+    const { canvas: { width }, range: [first, last] } = this;
+    this.cursor.hidden = points.length === 0;
+    const x = MARGIN.left + (now - first) / (last - first) * (width - MARGIN.left - MARGIN.right);
+    this.cursor.style.left = `${100 * x / width}%`;
+  }
+
+  curves(points, threshold) {
     const { context: g, canvas: { width, height } } = this;
     g.clearRect(0, 0, width, height);
     if (points.length === 0) return;
@@ -63,13 +76,6 @@ export class Chart {
       this.curve(points, point => point.force[side], x, y, COLORS[side], 2, []);
     }
     this.strip(points, x, threshold);
-    g.setLineDash([]);
-    g.strokeStyle = "#1e1e24";
-    g.lineWidth = 1;
-    g.beginPath();
-    g.moveTo(x(now), MARGIN.top);
-    g.lineTo(x(now), height - MARGIN.bottom);
-    g.stroke();
   }
 
   curve(points, value, x, y, color, lineWidth, dash) {

@@ -67,18 +67,20 @@ function normals(positions, faces) {
 class Canvas {
   constructor(canvas, alpha) {
     this.canvas = canvas;
-    const gl = canvas.getContext("webgl", { alpha, antialias: true, premultipliedAlpha: true, preserveDrawingBuffer: true });
+    const gl = canvas.getContext("webgl", { alpha, antialias: true, premultipliedAlpha: true });
     if (!gl) throw new Error("This browser has no WebGL: hands can't be drawn.");
     this.gl = gl;
     this.program = program(gl);
     this.buffers = Object.fromEntries(["position", "normal", "color"].map(name => [name, gl.createBuffer()]));
+    this.places = Object.fromEntries(Object.keys(this.buffers).map(name => [name, gl.getAttribLocation(this.program, name)]));
+    this.uniforms = {};
     this.faces = gl.createBuffer();
     gl.enable(gl.DEPTH_TEST);
   }
 
   mesh(name, values) {
     const { gl } = this;
-    const place = gl.getAttribLocation(this.program, name);
+    const place = this.places[name];
     gl.bindBuffer(gl.ARRAY_BUFFER, this.buffers[name]);
     gl.bufferData(gl.ARRAY_BUFFER, values, gl.DYNAMIC_DRAW);
     if (place < 0) return;
@@ -94,7 +96,7 @@ class Canvas {
   }
 
   uniform(name) {
-    return this.gl.getUniformLocation(this.program, name);
+    return this.uniforms[name] ??= this.gl.getUniformLocation(this.program, name);
   }
 }
 
@@ -152,6 +154,9 @@ export class SeenHands extends Canvas {
   /** Draws hands as { mesh, seen, colors }: seen is x, y from -1 to 1 and the distance, m, of each vertex. */
   draw(hands) {
     const { gl, canvas } = this;
+    // An empty layer above the image costs the browser as much as a full one.
+    canvas.hidden = hands.length === 0;
+    if (canvas.hidden) return;
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
@@ -160,9 +165,10 @@ export class SeenHands extends Canvas {
     for (const { mesh, seen, colors } of hands) {
       const positions = new Float32Array(seen);
       for (let at = 2; at < positions.length; at += 3) positions[at] = positions[at] / 2 - 0.5;
-      const visible = mesh.faces.filter((_, index) => {
+      const known = vertex => Number.isFinite(seen[3 * vertex]);
+      const visible = mesh.faces.every(known) ? mesh.faces : mesh.faces.filter((_, index) => {
         const first = index - index % 3;
-        return [0, 1, 2].every(corner => Number.isFinite(seen[3 * mesh.faces[first + corner]]));
+        return [0, 1, 2].every(corner => known(mesh.faces[first + corner]));
       });
       this.mesh("position", positions);
       this.mesh("normal", positions);

@@ -18,7 +18,13 @@ const toLinear = byte => (byte / 255) ** 2.2;
 const ramp = about.ramp.map(color => color.map(toLinear));
 const unknown = about.unknown.map(toLinear);
 
-const state = { source: 0, playing: false, speed: 1, moment: null, meshes: [], points: [], base: null, busy: false, pending: null };
+const state = {
+  source: 0, playing: false, speed: 1, moment: null, meshes: [], base: null, busy: false, pending: null,
+  points: [], version: 0,  // points of the curve, and a number that changes with them
+  sequence: 0,  // number of the newest moment of a live source that came
+  run: 0, ahead: null,  // number that changes when playing is interrupted, and that of the request under way if it was made ahead
+  drawn: Promise.resolve(),  // until the moment before is drawn
+};
 const shown = { updates: 0, skipped: 0, times: [] };
 const source = () => about.sources[state.source];
 const isLive = () => source().kind === "live";
@@ -30,7 +36,7 @@ try {
 } catch (error) {
   notice(error.message);
 }
-const chart = new Chart(at("chart"), stamp => !isLive() && seek(frameAt(stamp)));
+const chart = new Chart(at("chart"), at("now"), stamp => !isLive() && seek(frameAt(stamp)));
 const link = new Link(answered, text => notice(text));
 
 function notice(text) {
@@ -54,17 +60,23 @@ const newtons = force => force === null ? "unknown" : `${force.toFixed(2)} N`;
 
 // ---- asking
 
-/** Asks for a frame of a recording, or for the next moment of a live source. */
-function ask(frame) {
+/**
+ * Asks for a frame of a recording, or for the next moment of a live source. A frame that is asked for ahead is shown when it is
+ * due, unless playing was interrupted meanwhile.
+ */
+function ask(frame, ahead = false) {
   if (state.busy && !isLive()) {
     state.pending = frame;
     return;
   }
   state.busy = true;
-  link.ask(isLive() ? { source: state.source, after: state.moment?.sequence ?? 0 } : { source: state.source, frame });
+  state.ahead = ahead ? state.run : null;
+  link.ask(isLive() ? { source: state.source, after: state.sequence } : { source: state.source, frame });
 }
 
 async function answered(answer, wanted) {
+  const { ahead } = state;
+  const interrupted = () => ahead !== null && ahead !== state.run;
   state.busy = false;
   // The source was changed meanwhile.
   if (wanted && wanted.source !== state.source) return ask(state.pending ?? 0);
@@ -72,32 +84,57 @@ async function answered(answer, wanted) {
     notice(answer.failed);
     return pause();
   }
-  if (answer.end !== undefined) {
-    if (source().frames === null) source().frames = answer.end;
-    pause();
-  } else await show(answer);
-  const pending = state.pending;
+  // Images are decoded while the one before is drawn, and the next one comes while this one is drawn; they are shown in order.
+  const picture = answer.image ? createImageBitmap(answer.image) : null;
+  const before = state.drawn;
+  let done;
+  state.drawn = new Promise(resolve => { done = resolve; });
+  try {
+    await before;
+    if (answer.end !== undefined) {
+      if (source().frames === null) source().frames = answer.end;
+      pause();
+      return follow();
+    }
+    if (interrupted()) return follow();
+    state.sequence = answer.sequence;
+    follow(answer.frame);
+    if (ahead !== null) await due(answer.frame);
+    if (interrupted()) return;
+    show(answer, await picture);
+    if (state.playing && answer.frame + 1 >= (source().frames ?? Infinity)) pause();
+  } finally {
+    done();
+    (await picture)?.close();
+  }
+}
+
+/** Asks for what comes next, behind the image `frame`, or behind the one that is shown. */
+function follow(frame = state.moment?.frame ?? 0) {
+  const { pending } = state;
   state.pending = null;
   if (isLive()) ask();
   else if (pending !== null) ask(pending);
-  else if (state.playing) later();
+  else if (state.playing && !state.busy) next(frame);
 }
 
-/** Asks for the image that is due, when it is due. */
-function later() {
-  const { frame } = state.moment;
+/** Asks for the image behind `frame`; images whose time is over are left out. */
+function next(frame) {
+  const last = (source().frames ?? Infinity) - 1;
+  if (frame >= last) return;
   const fps = source().fps ?? 25;
   const due = state.base.frame + Math.floor((performance.now() - state.base.time) / 1000 * fps * state.speed);
-  if (source().frames !== null && frame + 1 >= source().frames) return pause();
-  if (due > frame) {
-    // A network or browser that can't keep up plays more slowly, and does not leave out more and more.
-    const next = Math.min(due, frame + MAX_LAG, (source().frames ?? Infinity) - 1);
-    if (due > next) state.base = { frame: next, time: performance.now() };
-    shown.skipped += next - frame - 1;
-    return ask(next);
-  }
-  const wait = (frame + 1 - state.base.frame) / (fps * state.speed) * 1000 - (performance.now() - state.base.time);
-  setTimeout(() => state.playing && !state.busy && later(), Math.max(1, wait));
+  // A network or browser that can't keep up plays more slowly, and does not leave out more and more.
+  const following = Math.max(frame + 1, Math.min(due, frame + MAX_LAG, last));
+  if (due > following) state.base = { frame: following, time: performance.now() };
+  shown.skipped += following - frame - 1;
+  ask(following, true);
+}
+
+/** Waits until an image is due. */
+function due(frame) {
+  const wait = (frame - state.base.frame) / ((source().fps ?? 25) * state.speed) * 1000 - (performance.now() - state.base.time);
+  return wait > 1 ? new Promise(resolve => { setTimeout(resolve, wait); }) : null;
 }
 
 function play() {
@@ -107,15 +144,17 @@ function play() {
   state.base = { frame: ended ? 0 : frame, time: performance.now() };
   at("play").textContent = "Pause";
   if (ended) ask(0);
-  else if (!state.busy) later();
+  else if (!state.busy) next(frame);
 }
 
 function pause() {
   state.playing = false;
+  state.run += 1;
   at("play").textContent = "Play";
 }
 
 function seek(frame) {
+  state.run += 1;
   state.base = { frame, time: performance.now() };
   ask(frame);
 }
@@ -128,9 +167,9 @@ function frameAt(stamp) {
 
 // ---- showing
 
-async function show(moment) {
+function show(moment, picture) {
   state.moment = moment;
-  if (moment.image) await drawImage(moment);
+  if (picture) drawImage(picture, moment.size);
   else {
     const g = at("image").getContext("2d");
     g.clearRect(0, 0, at("image").width, at("image").height);
@@ -141,18 +180,16 @@ async function show(moment) {
   remember(moment);
   drawHands();
   drawRegions();
-  chart.draw(state.points, time(moment), source().familiarity_threshold);
+  chart.draw(state.points, time(moment), source().familiarity_threshold, state.version);
   badges(moment);
   count(moment);
 }
 
-async function drawImage({ image, size: [width, height] }) {
-  const picture = await createImageBitmap(image);
+function drawImage(picture, [width, height]) {
   for (const canvas of [at("image"), at("overlay")]) {
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
   }
   at("image").getContext("2d").drawImage(picture, 0, 0);
-  picture.close();
 }
 
 function drawHands() {
@@ -190,6 +227,7 @@ function time({ frame, stamp }) {
 /** Keeps the forces of a moment for the curve, unless the recording's whole course is known. */
 function remember(moment) {
   if (source().course) return;
+  state.version += 1;
   const point = { frame: moment.frame, stamp: time(moment), force: moment.total, truth: moment.truth_total, familiarity: moment.familiarity };
   const { points } = state;
   if (isLive()) {
@@ -255,7 +293,8 @@ function count(moment) {
 async function choose(index) {
   pause();
   const meshes = await (await fetch(`/hands/${index}`)).json();
-  Object.assign(state, { source: index, moment: null, points: [], names: meshes.region_names, pending: null });
+  Object.assign(state, { source: index, moment: null, points: [], names: meshes.region_names, pending: null, sequence: 0 });
+  state.version += 1;
   Object.assign(shown, { skipped: 0, times: [] });
   state.meshes = meshes.hands.map(hand => ({ ...hand, faces: new Uint16Array(hand.faces), rest: new Float32Array(hand.rest) }));
   const { course } = source();
@@ -303,6 +342,7 @@ at("source").addEventListener("change", () => choose(Number(at("source").value))
 at("play").addEventListener("click", () => state.playing ? pause() : play());
 at("speed").addEventListener("change", () => {
   state.speed = Number(at("speed").value);
+  state.run += 1;
   state.base = { frame: state.moment?.frame ?? 0, time: performance.now() };
 });
 at("frame").addEventListener("input", () => seek(Number(at("frame").value)));

@@ -1,22 +1,14 @@
 //! Topic `~/markers`: the surfaces of the hands, coloured by force.
 
 use crate::hand::HandModel;
-use crate::message::{ColorRGBA, Duration, Header, Marker, MarkerArray, Point, Vector3};
+use crate::message::{Header, MarkerArray};
 use crate::node::placed_hand::PlacedHand;
 use crate::node::publisher::Publisher;
 use crate::node::qos;
 use crate::node::runtime::Runtime;
-use crate::render::force_colors;
-use crate::tactile::TactileField;
-
 use crate::render::color::MAX_COLOR_FORCE;
-
-/// Code `TRIANGLE_LIST` of `visualization_msgs/msg/Marker`.
-const TRIANGLE_LIST: i32 = 11;
-/// Code `DELETE` of an action.
-const DELETE: i32 = 2;
-/// Time after which a hand disappears if no image follows.
-const LIFETIME: Duration = Duration { sec: 1, nanosec: 0 };
+use crate::tactile::TactileField;
+use crate::view::{removed, surface};
 
 /// Publishes the surfaces.
 pub(super) struct Markers(Publisher<MarkerArray>);
@@ -50,39 +42,9 @@ impl Markers {
             return Ok(());
         }
         let markers = models.iter().map(|model| match hands.iter().find(|hand| hand.side == model.side) {
-            Some(hand) => surface(header.clone(), field, hand, model),
-            None => Marker { action: DELETE, ..empty(header.clone(), model) },
+            Some(hand) => surface(header.clone(), field, &hand.posed.vertices, model, MAX_COLOR_FORCE),
+            None => removed(header.clone(), model),
         });
         self.0.publish(&MarkerArray { markers: markers.collect() })
     }
-}
-
-/// Returns a marker of the hand of `model`, without points.
-fn empty(header: Header, model: &HandModel) -> Marker {
-    let one = Vector3 { x: 1.0, y: 1.0, z: 1.0 };
-    let opaque = ColorRGBA { r: 1.0, g: 1.0, b: 1.0, a: 1.0 };
-    Marker {
-        header,
-        ns: model.side.name().to_owned(),
-        kind: TRIANGLE_LIST,
-        scale: one,
-        color: opaque,
-        lifetime: LIFETIME,
-        ..Marker::default()
-    }
-}
-
-/// Returns the triangles of a hand; each corner has the colour of the force on its vertex.
-fn surface(header: Header, field: &TactileField, hand: &PlacedHand, model: &HandModel) -> Marker {
-    let colors = force_colors(&field.force[hand.side.range()], MAX_COLOR_FORCE);
-    let corners = || model.faces.iter().flatten().map(|vertex| *vertex as usize);
-    let point = |vertex: usize| {
-        let [x, y, z] = hand.posed.vertices[vertex].as_dvec3().to_array();
-        Point { x, y, z }
-    };
-    let color = |vertex: usize| {
-        let [r, g, b] = colors[vertex].0.map(|byte| f32::from(byte) / 255.0);
-        ColorRGBA { r, g, b, a: 1.0 }
-    };
-    Marker { points: corners().map(point).collect(), colors: corners().map(color).collect(), ..empty(header, model) }
 }
