@@ -13,7 +13,6 @@ rerun-sdk and zarr (version 2 of its format).
 | left, right | hand at rest, coloured by force; grey where touch is unknown |
 | force/left, force/right | total force, N |
 | regions/SIDE/REGION | force on a region, N |
-| truth/left, truth/right | the true total force, N, where there is one |
 
 Unknown force leaves a gap in a curve.
 """

@@ -17,7 +17,7 @@ const GROUPS: [(&str, &[&str]); 7] = [
 
 /// Example of each command, without the program's name.
 #[doc(hidden)]
-pub const EXAMPLES: [&str; 45] = [
+pub const EXAMPLES: [&str; 46] = [
     "doctor",
     "hand forward --params pose.safetensors --out hand.safetensors",
     "hand show --side left --out hand.png",
@@ -27,6 +27,7 @@ pub const EXAMPLES: [&str; 45] = [
     "sim show lift_mug --touch --out mug.png",
     "sim explain lift_mug --no-cost",
     "sim run lift_mug --seed 3 --out mug.zarr",
+    "sim replay mug.zarr",
     "sim generate pinch_cube lift_mug --episodes 20 --out train.zarr",
     "train --config train.yaml --set steps=200",
     "label mug_dataset --out mug_labelled",

@@ -279,8 +279,8 @@ fn names_from_a_file_cannot_act_on_the_terminal() {
     let folder = tempfile::tempdir().unwrap();
     let input = folder.path().join("in.mcap");
     bag(&input, 1, "/camera\u{1b}[2J\u{9b}31m\n/forged: 7 messages of nothing");
-    for args in [&["data", "info"][..], &["data", "info", "--json"]] {
-        let output = egotac(&[args, &[input.to_str().unwrap()]].concat());
+    for form in [&[][..], &["--json"]] {
+        let output = egotac(&[&["data", "info", input.to_str().unwrap()], form].concat());
         succeeds(&output);
         let text = String::from_utf8_lossy(&output.stdout);
         assert!(!text.contains(['\u{1b}', '\u{9b}']) && text.contains("/camera\\u001b[2J\\u009b31m"), "{text}");

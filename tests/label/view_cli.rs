@@ -85,7 +85,7 @@ fn keypoints_of_labels_are_those_of_the_predictor_in_pixels_and_unknown_for_an_a
     write(folder);
     let label = "label @/in --checkpoint @/model --fps 25 --keypoints --view letterbox";
     said(folder, &format!("{label} --to store --out @/a.zarr"));
-    said(folder, &format!("{label} --to store --side 90 --out @/half.zarr"));
+    said(folder, &format!("{label} --to store --size 90 --out @/half.zarr"));
     said(folder, &format!("{label} --to tensors --out @/b.safetensors"));
 
     let options = Options { view: View::Letterbox, ..Options::default() };

@@ -161,9 +161,8 @@ struct Generate {
 struct Replay {
     /// Store of the simulator, with poses of hands and objects; also one that `egotac label --physics` made of it.
     store: PathBuf,
-    /// Print JSON instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Options for pictures, labels and hands of an episode.

@@ -6,11 +6,7 @@ use crate::sim::replay::{Agreement, ReplayReport};
 /// Replays a store, and prints the agreement.
 pub fn run(args: &Replay) -> anyhow::Result<()> {
     let report = ReplayReport::of(&args.store)?;
-    match args.json {
-        true => println!("{}", serde_json::to_string_pretty(&report)?),
-        false => print!("{}", table(&report)),
-    }
-    Ok(())
+    Ok(args.json.show(&serde_json::to_value(&report)?, || table(&report))?)
 }
 
 fn table(report: &ReplayReport) -> String {
