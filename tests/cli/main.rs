@@ -10,3 +10,4 @@ mod eval;
 mod examples;
 mod external;
 mod limits;
+mod reference;

@@ -165,6 +165,14 @@ mod tests {
     }
 
     #[test]
+    #[cfg(all(feature = "ros", feature = "sim"))]
+    fn the_reference_in_the_docs_is_up_to_date() {
+        let command = egotac::cli::help::arrange(Cli::command(), "egotac", &EXAMPLES);
+        let page = egotac::cli::reference::commands_page("Benchmarks and experiments", command);
+        assert!(page == include_str!("../../../../docs/reference/bench.md"), "run scripts/reference");
+    }
+
+    #[test]
     fn old_spellings_name_the_new_ones() {
         for line in ["experiment transfer --image 56", "experiment transfer --init a", "bench model --image 56"] {
             let words: Vec<OsString> = std::iter::once("egotac").chain(line.split(' ')).map(OsString::from).collect();
