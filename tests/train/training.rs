@@ -364,7 +364,7 @@ fn train_predict_and_eval_commands_agree() {
         (vec!["train", "--config", "train.yaml"], "resume"),
         (vec!["train", "--config", "absent.yaml"], "absent.yaml"),
         (vec!["predict", "--checkpoint", "train.yaml", "--data", "test.zarr", "--out", "x"], "train.yaml"),
-        (vec!["predict", "--checkpoint", checkpoint, "--data", "nothing", "--out", "x"], "neither a Zarr store"),
+        (vec!["predict", "--checkpoint", checkpoint, "--data", "nothing", "--out", "x"], "no Zarr store"),
         (vec!["eval", "--pred", "fields.safetensors", "--target", "train.zarr"], "30 frames"),
         (vec!["data", "info", "nothing"], "nothing"),
         (vec!["data", "info", "train.yaml"], "train.yaml: is none of these"),
