@@ -68,7 +68,7 @@ fn json_goes_to_standard_output_or_beside_the_text() {
     let (beside, _) = texts(&egotac(&["model", "info", "shipped", "--json", file.to_str().unwrap()]));
     assert_eq!((beside, fs::read_to_string(&file).unwrap()), (text, json.clone()));
     assert!(serde_json::from_str::<serde_json::Value>(&json).unwrap()["sha256"].is_string());
-    // Whoever writes the option before a recording does not lose the recording.
+    // An option written before a recording must not overwrite the recording.
     let recording = folder.path().join("a.mcap");
     fs::write(&recording, b"precious").unwrap();
     let output = egotac(&["data", "info", "--json", recording.to_str().unwrap(), "b.zarr"]);

@@ -35,7 +35,7 @@ fn a_hand_out_of_view_is_left_out_of_the_scores_of_a_rollout() {
         assert!(hand.force > 0.5, "each hand is touched: {} N", hand.force);
         assert!(hand.missed_force <= hand.force);
     }
-    // What is left out of one is all that counts in the other.
+    // Each run leaves out the hand that is the only one scored in the other run.
     assert!((left.force + right.force - both.force).abs() < 1e-6 * both.force, "{} {}", left.force, right.force);
     let missed = left.missed_force + right.missed_force;
     assert!((missed - both.missed_force).abs() < 1e-6 * both.force, "{missed} {}", both.missed_force);
