@@ -13,7 +13,8 @@ use crate::text::{parse_yaml, put};
 use crate::train::Config;
 
 /// Source of the types of a training configuration; their doc comments describe the keys.
-const CONFIG_SOURCE: &str = include_str!("../train/config.rs");
+const CONFIG_SOURCE: &str =
+    concat!(include_str!("../train/config/mod.rs"), include_str!("../train/config/sections.rs"));
 /// Keys that a configuration must have, with values to start from. All others have defaults.
 const REQUIRED: &str = "{name: first, data: [train.zarr], out: run, model: pocket, seed: 1, steps: 1000}";
 

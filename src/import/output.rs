@@ -56,24 +56,8 @@ impl LabelOutput for ImportOutput {
     fn assemble(&self, labels: &dyn SourceLabels, info: &mut LabelInfo, at: &Path, out: &Path) -> Result<()> {
         remove(at)?;
         let recording = self.reader.recording();
-        let n_objects = recording.objects.len();
-        let mut extra =
-            vec![ArraySpec::new(DISTANCE, [N_FIELD], Dtype::F32), ArraySpec::new(CAMERA_POSE, [POSE], Dtype::F32)];
-        if n_objects > 0 {
-            extra.push(ArraySpec::new(OBJECT_POSE, [n_objects, POSE], Dtype::F32));
-        }
-        if recording.measures_force {
-            extra.push(ArraySpec::new(FORCE_LOST, [2], Dtype::F32));
-        }
-        if recording.glove.is_some() {
-            extra.push(ArraySpec::new(READING, [N_FIELD], Dtype::F32));
-        }
-        extra.extend(
-            recording.sensors.iter().map(|sensor| ArraySpec::new(sensor.array(), sensor.shape.as_slice(), Dtype::F32)),
-        );
         let views = self.views()?;
-        extra
-            .extend(views.iter().map(|(name, (w, h))| ArraySpec::new(*name, [*h as usize, *w as usize, 3], Dtype::U8)));
+        let extra = self.extra_arrays(&views);
         let mut writer = ZarrWriter::create(at, self.attributes(info), Contact::Truth, extra)?;
         let mut labels = labels.labels(0)?;
         let (mut size, mut time) = (None, 0.0);
@@ -88,22 +72,10 @@ impl LabelOutput for ImportOutput {
             };
             let stamps = [label.stamp_secs, image.stamp_secs, time];
             time = stamps.into_iter().find(|stamp| stamp.is_finite()).unwrap_or(0.0);
-            let known = Known::from_values(&label.further, recording);
+            let mut known = Known::from_values(&label.further, recording);
             let (image, label) = self.decoded(image, label, size, writer.n_frames(), info);
-            let values = [
-                (DISTANCE, known.distances),
-                (CAMERA_POSE, known.camera),
-                (OBJECT_POSE, known.objects),
-                (FORCE_LOST, known.lost),
-                (READING, known.relative),
-            ];
-            let sensors = recording.sensors.iter().map(Sensor::array).collect::<Vec<_>>();
-            let readings = sensors.iter().map(String::as_str).zip(known.readings);
-            let values = values.into_iter().chain(readings).filter(|(_, values)| !values.is_empty());
-            let mut values: Vec<(&str, Values)> = values.map(|(name, values)| (name, Values::F32(values))).collect();
-            for (view, size) in &views {
-                values.push((view, Values::U8(self.further_image(view, *size, writer.n_frames(), info).into_raw())));
-            }
+            let extra = self.extra_values(&mut known, &views, writer.n_frames(), info);
+            let (names, values): (Vec<String>, Vec<Values>) = extra.into_iter().unzip();
             let [left_hand_pose, right_hand_pose] = known.hands;
             let field = label.touch.unwrap_or_else(|_| unknown(info));
             let valid = |values: &[f32]| values.iter().map(|value| u8::from(!value.is_nan())).collect();
@@ -117,7 +89,7 @@ impl LabelOutput for ImportOutput {
                 left_hand_pose,
                 right_hand_pose,
             };
-            writer.push_with(frame, values)?;
+            writer.push_with(frame, names.iter().map(String::as_str).zip(values).collect())?;
         }
         if writer.n_frames() != recording.frames {
             let (wanted, got) = (recording.frames, writer.n_frames());
@@ -169,6 +141,54 @@ impl ImportOutput {
             info.summary.add_images(&LabelCounts::default(), [fault]);
         }
         (RgbImage::new(size.0, size.1), LabelFrame::without(label.stamp_secs, reason))
+    }
+
+    /// Returns the arrays that the recording has beyond those of every store; `views`: names and sizes of its further views.
+    fn extra_arrays(&self, views: &[(&str, (u32, u32))]) -> Vec<ArraySpec> {
+        let recording = self.reader.recording();
+        let n_objects = recording.objects.len();
+        let f32s = |name: &str, shape: &[usize]| ArraySpec::new(name, shape, Dtype::F32);
+        let mut arrays = vec![f32s(DISTANCE, &[N_FIELD]), f32s(CAMERA_POSE, &[POSE])];
+        if n_objects > 0 {
+            arrays.push(f32s(OBJECT_POSE, &[n_objects, POSE]));
+        }
+        if recording.measures_force {
+            arrays.push(f32s(FORCE_LOST, &[2]));
+        }
+        if recording.glove.is_some() {
+            arrays.push(f32s(READING, &[N_FIELD]));
+        }
+        arrays.extend(recording.sensors.iter().map(|sensor| f32s(&sensor.array(), &sensor.shape)));
+        let pictures =
+            views.iter().map(|(name, (w, h))| ArraySpec::new(*name, [*h as usize, *w as usize, 3], Dtype::U8));
+        arrays.extend(pictures);
+        arrays
+    }
+
+    /// Returns the values of [`Self::extra_arrays`] at frame `index`; takes them out of `known`.
+    fn extra_values(
+        &self,
+        known: &mut Known,
+        views: &[(&'static str, (u32, u32))],
+        index: usize,
+        info: &mut LabelInfo,
+    ) -> Vec<(String, Values)> {
+        let sensors = self.reader.recording().sensors.iter().map(Sensor::array);
+        let readings = std::mem::take(&mut known.readings);
+        let values = [
+            (DISTANCE, &mut known.distances),
+            (CAMERA_POSE, &mut known.camera),
+            (OBJECT_POSE, &mut known.objects),
+            (FORCE_LOST, &mut known.lost),
+            (READING, &mut known.relative),
+        ];
+        let values = values.map(|(name, values)| (name.to_owned(), std::mem::take(values)));
+        let values = values.into_iter().chain(sensors.zip(readings)).filter(|(_, values)| !values.is_empty());
+        let mut values: Vec<_> = values.map(|(name, values)| (name, Values::F32(values))).collect();
+        for (view, size) in views {
+            values.push(((*view).to_owned(), Values::U8(self.further_image(view, *size, index, info).into_raw())));
+        }
+        values
     }
 
     /// Returns names and sizes of the further views.

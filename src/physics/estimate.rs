@@ -1,78 +1,20 @@
 //! Forces on both hands over a take: the whole episode at once, or with a fixed lag.
 
-use glam::DVec3;
-
 use super::contacts::{ContactFinder, FrameContacts};
 use super::frame::{BodyEstimate, Memory, estimate};
+use super::hand_forces::{HandForces, HandSum};
 use super::motion::{Motion, MotionFault};
-use super::patch::Pusher;
 use super::pose::{Pose, PoseNoise};
 use super::settings::Settings;
 use super::take::{Take, Tracked};
 use super::validity::ForceValidity;
-use crate::hand::{N_JOINTS, Side};
-
-/// Share of the prior variance above which a link's force is undetermined.
-const UNDETERMINED: f64 = 0.1;
-/// Probability above which a link counts as touching.
-const TOUCHES: f64 = 0.2;
-/// Least half width of an interval, N.
-const LEAST_WIDTH: f64 = 0.02;
-/// Quantile of the standard normal distribution at 95 %.
-const Z95: f64 = 1.645;
-
-/// Normal force on one link of a hand.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LinkForce {
-    /// Mean, N.
-    pub force: f64,
-    /// Standard deviation, N.
-    pub sd: f64,
-    /// Ends of the 90 % interval, N.
-    pub interval: [f64; 2],
-    /// True if the motion alone does not determine the force: what is stated follows from how people grip.
-    pub undetermined: bool,
-}
-
-impl LinkForce {
-    const ZERO: Self = Self { force: 0.0, sd: 0.0, interval: [0.0; 2], undetermined: false };
-}
-
-/// Normal force at a point of a link.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PointForce {
-    /// Link.
-    pub link: usize,
-    /// Place, m, world frame.
-    pub position: DVec3,
-    /// Unit normal into the hand.
-    pub normal: DVec3,
-    /// Mean force, N.
-    pub force: f64,
-}
-
-/// Forces on one hand at one frame.
-#[derive(Debug, Clone)]
-pub struct HandEstimate {
-    /// Validity; unless valid, links that touch something are unknown.
-    pub validity: ForceValidity,
-    /// Force on each link; `None` = unknown.
-    pub links: [Option<LinkForce>; N_JOINTS],
-    /// Forces at points of links.
-    pub points: Vec<PointForce>,
-    /// True if a touching link's force is undetermined.
-    pub undetermined: bool,
-    /// Standard deviation of the sum of all links' forces, N: the width of what the motion does not tell.
-    pub squeeze_sd: f64,
-    /// Distance by which the hand was moved, m; 0 without `refine`.
-    pub moved: f64,
-}
+use crate::hand::Side;
 
 /// Forces at one frame.
 #[derive(Debug, Clone)]
 pub struct FrameEstimate {
     /// Left and right hand.
-    pub hands: [HandEstimate; 2],
+    pub hands: [HandForces; 2],
     /// Estimate of each body; `None` = the body is held or unknown here.
     pub bodies: Vec<Option<BodyEstimate>>,
 }
@@ -207,109 +149,24 @@ impl<'a> Prepared<'a> {
         FrameEstimate { hands, bodies }
     }
 
-    fn hand(
-        &self,
-        side: Side,
-        frame: usize,
-        contacts: &FrameContacts,
-        bodies: &[Option<BodyEstimate>],
-    ) -> HandEstimate {
-        let mut hand = HandEstimate {
-            validity: ForceValidity::Valid,
-            links: [Some(LinkForce::ZERO); N_JOINTS],
-            points: Vec::new(),
-            undetermined: false,
-            squeeze_sd: 0.0,
-            moved: contacts.moved[side as usize],
-        };
+    fn hand(&self, side: Side, frame: usize, contacts: &FrameContacts, bodies: &[Option<BodyEstimate>]) -> HandForces {
+        let mut sum = HandSum::new(side, contacts.moved[side as usize]);
         match &self.take.hands[side as usize][frame] {
-            Tracked::Absent => return hand,
+            Tracked::Absent => return sum.hand,
             Tracked::Unknown => {
-                hand.lose(ForceValidity::HandUnknown);
-                return hand;
+                sum.hand.lose(ForceValidity::HandUnknown);
+                return sum.hand;
             }
             Tracked::Present(_) => {}
         }
-        let mut samples = [const { Vec::<f64>::new() }; N_JOINTS];
-        let mut unseen = [0.0f64; N_JOINTS];
         for (index, body) in self.take.bodies.iter().enumerate() {
             let near = contacts.bodies.get(index).map(Vec::as_slice).unwrap_or_default();
-            let of_side = |pusher: Pusher| matches!(pusher, Pusher::Link(s, _) if s == side);
-            let touching = near.iter().filter(|c| of_side(c.patch.pusher) && c.probability > TOUCHES);
-            let touches = touching.clone().next().is_some();
-            if touching.clone().any(|contact| contact.deep) {
-                hand.lose(ForceValidity::Deep);
-            }
-            let Some(estimate) = &bodies[index] else {
-                if let Some(reason) = self.unknown(body, index, frame).filter(|reason| {
-                    // Without a pose, nobody knows what is touched.
-                    touches || matches!(reason, ForceValidity::PoseGap | ForceValidity::PoseJump)
-                }) {
-                    hand.lose(reason);
-                }
-                continue;
-            };
-            if estimate.unexplained {
-                hand.lose(ForceValidity::Unexplained);
-            }
-            let hold = estimate.load / (2.0 * body.friction);
-            let [force, grip] = self.settings.unseen;
-            for contact in near.iter().filter(|contact| of_side(contact.patch.pusher)) {
-                let Pusher::Link(_, joint) = contact.patch.pusher else { continue };
-                // The motion says nothing of a link that is near, but hardly touches.
-                let link = estimate.links.iter().find(|link| link.pusher == contact.patch.pusher);
-                let remaining = link.map_or(1.0, |link| link.remaining);
-                unseen[joint] = unseen[joint].hypot(remaining.sqrt() * (force + grip * hold));
-                if link.is_none() {
-                    let place = |(position, normal): &(DVec3, DVec3)| PointForce {
-                        link: joint,
-                        position: *position,
-                        normal: *normal,
-                        force: 0.0,
-                    };
-                    hand.points.extend(contact.patch.points.iter().map(place));
-                }
-            }
-            for link in &estimate.links {
-                let Pusher::Link(of, joint) = link.pusher else { continue };
-                if of != side {
-                    continue;
-                }
-                let probable = touching.clone().any(|contact| contact.patch.pusher == link.pusher);
-                let sum = &mut samples[joint];
-                sum.resize(link.samples.len(), 0.0);
-                sum.iter_mut().zip(&link.samples).for_each(|(sum, force)| *sum += force);
-                if let Some(force) = &mut hand.links[joint] {
-                    force.undetermined |= probable && link.remaining > UNDETERMINED;
-                    hand.undetermined |= force.undetermined;
-                }
-                hand.points.extend(link.points.iter().map(|(position, normal, force)| PointForce {
-                    link: joint,
-                    position: *position,
-                    normal: *normal,
-                    force: *force,
-                }));
+            match &bodies[index] {
+                Some(estimate) => sum.add(body, near, estimate, self.settings),
+                None => sum.add_unknown(near, self.unknown(body, index, frame)),
             }
         }
-        let n = samples.iter().map(Vec::len).max().unwrap_or(0);
-        let total = |k: usize| samples.iter().filter_map(|link| link.get(k)).sum::<f64>();
-        let squeeze_sd = spread((0..n).map(total).collect()).1 * self.settings.inflation;
-        hand.squeeze_sd = unseen.iter().fold(squeeze_sd, |sd, unseen| sd.hypot(unseen / Z95));
-        for ((link, samples), unseen) in hand.links.iter_mut().zip(samples).zip(unseen) {
-            if let Some(link) = link.as_mut().filter(|_| !samples.is_empty() || unseen > 0.0) {
-                let found = summary(samples, self.settings.inflation, unseen);
-                *link = LinkForce { undetermined: link.undetermined, ..found };
-            }
-        }
-        if contacts.blocked[side as usize].iter().any(|blocked| *blocked) && hand.validity == ForceValidity::Valid {
-            hand.validity = ForceValidity::NotFree;
-        }
-        for (joint, blocked) in contacts.blocked[side as usize].iter().enumerate() {
-            if *blocked {
-                hand.links[joint] = None;
-            }
-        }
-        hand
+        sum.finish(&contacts.blocked[side as usize], self.settings.inflation)
     }
 
     /// Returns the reason why a body has no estimate; `None` where it touches nobody by being held.
@@ -332,16 +189,6 @@ impl<'a> Prepared<'a> {
     }
 }
 
-impl HandEstimate {
-    /// Makes all links unknown; the first reason stays.
-    fn lose(&mut self, reason: ForceValidity) {
-        if self.validity == ForceValidity::Valid {
-            self.validity = reason;
-        }
-        self.links = [None; N_JOINTS];
-    }
-}
-
 impl BodyEstimate {
     /// Returns the mean of two estimates of the same body and frame.
     fn mean(self, other: Self) -> Self {
@@ -358,31 +205,4 @@ impl BodyEstimate {
             ..self
         }
     }
-}
-
-/// Returns mean and standard deviation.
-fn spread(samples: Vec<f64>) -> (f64, f64) {
-    let n = samples.len() as f64;
-    if n < 2.0 {
-        return (samples.first().copied().unwrap_or(0.0), 0.0);
-    }
-    let mean = samples.iter().sum::<f64>() / n;
-    (mean, (samples.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt())
-}
-
-/// Summarises the samples of a link's force; `inflation` widens the interval that they span, and `unseen`, N, is the half width
-/// of what the motion does not see.
-fn summary(mut samples: Vec<f64>, inflation: f64, unseen: f64) -> LinkForce {
-    if samples.is_empty() {
-        samples.push(0.0);
-    }
-    samples.sort_by(f64::total_cmp);
-    let quantile = |q: f64| crate::statistics::percentile(samples.iter().copied(), q);
-    let (low, high) = (quantile(0.05), quantile(0.95));
-    let (force, sd) = spread(samples.clone());
-    // Few samples miss the ends of their distribution: the wider of quantiles and normal interval.
-    let (below, above) = ((force - low).max(Z95 * sd), (high - force).max(Z95 * sd));
-    let [below, above] = [below, above].map(|width| (inflation * width + LEAST_WIDTH).hypot(unseen));
-    let sd = (inflation * sd + LEAST_WIDTH / Z95).hypot(unseen / Z95);
-    LinkForce { force, sd, interval: [(force - below).max(0.0), force + above], undetermined: false }
 }

@@ -15,6 +15,7 @@ mod draw;
 pub mod estimate;
 pub mod frame;
 pub mod gravity;
+pub mod hand_forces;
 pub mod motion;
 pub mod patch;
 pub mod pose;
@@ -25,7 +26,8 @@ pub mod take;
 pub mod validity;
 
 pub use body::{Body, DensityClass, Mass};
-pub use estimate::{Estimate, FrameEstimate, HandEstimate, LinkForce, lagged, whole};
+pub use estimate::{Estimate, FrameEstimate, lagged, whole};
+pub use hand_forces::{HandForces, LinkForce};
 pub use motion::Motion;
 pub use pose::{Pose, PoseNoise};
 pub use settings::Settings;

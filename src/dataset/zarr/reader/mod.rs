@@ -1,5 +1,8 @@
 //! Reader of stores: single frames, or ranges of one array.
 
+mod check;
+mod frame;
+
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -15,15 +18,10 @@ use super::place::StoreLocation;
 use super::stored::{ArrayInfo, StoredArray};
 use super::*;
 use crate::dataset::source::LostBytes;
-use crate::dataset::{Attributes, EpisodeReader, Frame};
+use crate::dataset::Attributes;
 use crate::error::{Error, Result};
-use crate::file::limits;
-use crate::hand::{HandParams, Topology};
-use crate::image::check_size;
-use crate::tactile::{ForceKind, N_FIELD, TactileField, Validity};
-
-/// Number of frames up to which a store may leave out all chunks of its images, as if they were black.
-const UNCHECKED: usize = 1024;
+use crate::tactile::{ForceKind, N_FIELD};
+use check::{array_names, attributes};
 
 /// An open store. Reads Zarr v2 as written here or by zarr-python (any of its Blosc, zlib, gzip, zstd or no
 /// compression), and v3.
@@ -192,7 +190,7 @@ impl ZarrReader {
     ///
     /// # Errors
     /// If the medium fails.
-    pub(super) fn damaged_chunks(&self, except: &str) -> Result<Vec<LostBytes>> {
+    pub(in crate::dataset::zarr) fn damaged_chunks(&self, except: &str) -> Result<Vec<LostBytes>> {
         let mut damaged = Vec::new();
         for array in self.arrays.values().filter(|array| array.name != except) {
             for (name, bytes) in self.files.entries_in(&array.name)? {
@@ -318,141 +316,8 @@ impl ZarrReader {
         }
     }
 
-    fn read_episode_ends(&self) -> Result<Vec<usize>> {
-        let column = self.column(EPISODE_ENDS)?;
-        let [_] = column.info().shape[..] else {
-            return Err(self.named(Error::shape(EPISODE_ENDS, "(E)", column.info().shape)));
-        };
-        let fail = |message: String| Error::file(&self.path, format!("{EPISODE_ENDS}: {message}"));
-        let episodes = column.info().shape.first().copied().unwrap_or(0);
-        limits::EPISODES.check(&self.path, EPISODE_ENDS, episodes as u64)?;
-        let values = self.read(EPISODE_ENDS, 0..episodes)?;
-        let Values::I64(ends) = values else {
-            return Err(fail(format!("expected integers, got {}", values.dtype())));
-        };
-        let mut before = 0;
-        for end in &ends {
-            if *end <= before {
-                return Err(fail(format!("expected ends that grow from above 0, got {end} after {before}")));
-            }
-            before = *end;
-        }
-        if ends.is_empty() {
-            return Err(fail("the store has no episode".into()));
-        }
-        limits::FRAMES.check(&self.path, EPISODE_ENDS, before as u64)?;
-        Ok(ends.into_iter().map(|end| end as usize).collect())
-    }
-
-    /// Checks the number of frames of all arrays, and the shapes of known arrays.
-    fn check_shapes(&self) -> Result<()> {
-        let n_frames = self.len();
-        for column in self.arrays.values().filter(|column| column.name.starts_with("data/")) {
-            let shape = column.info().shape;
-            if shape.first() != Some(&n_frames) {
-                let expected = format!("({n_frames}, ..), the last of {EPISODE_ENDS}");
-                return Err(self.named(Error::shape(&column.name, expected, shape)));
-            }
-        }
-        let fields = [MANO_FORCE, MANO_CONTACT, MANO_CONTACT_SCORE, MANO_FORCE_VALID, MANO_CONTACT_VALID];
-        let known = fields.into_iter().map(|name| (name, vec![n_frames, N_FIELD])).chain([
-            (FRAME_VALIDITY, vec![n_frames]),
-            (TIMESTAMPS, vec![n_frames]),
-            (LEFT_HAND_POSE, vec![n_frames, 61]),
-            (RIGHT_HAND_POSE, vec![n_frames, 61]),
-        ]);
-        for (name, expected) in known {
-            if let Some(column) = self.arrays.get(name)
-                && column.info().shape != expected
-            {
-                return Err(self.named(Error::shape(name, format!("{expected:?}"), column.info().shape)));
-            }
-        }
-        self.column(TIMESTAMPS)?;
-        Ok(())
-    }
-
-    fn find_camera(&self, name: &str) -> Result<Camera> {
-        let info = self.column(name)?.info();
-        let (height, width, planar) = match info.shape[..] {
-            [_, height, width, 3] => (height, width, false),
-            [_, 3, height, width] => (height, width, true),
-            _ => (0, 0, false),
-        };
-        if height == 0 || width == 0 {
-            return Err(self.named(Error::shape(name, "(T, H, W, 3)", info.shape)));
-        }
-        check_size(width as u64, height as u64).map_err(|error| self.named(error))?;
-        // An intact image takes at least a byte; a shape by itself is no recording.
-        let frames = self.len();
-        if frames > UNCHECKED && self.files.bytes_below(name, frames as u64)? < frames as u64 {
-            let message =
-                format!("{name}: expected {frames} images, as {EPISODE_ENDS} states, got fewer bytes than that");
-            return Err(Error::file(&self.path, message));
-        }
-        Ok(Camera { name: name.to_string(), size: (height, width), planar })
-    }
-
     fn named(&self, error: Error) -> Error {
         Error::file(&self.path, error)
-    }
-
-    fn hand_pose(&self, name: &str, index: usize) -> Result<Option<HandParams>> {
-        let Some(column) = self.arrays.get(name) else { return Ok(None) };
-        let row = column.read_frame(index, &self.path)?.into_f32();
-        let array: [f32; 61] = row.try_into().map_err(|row: Vec<f32>| Error::shape(name, "[61]", [row.len()]))?;
-        Ok(array.iter().any(|x| *x != 0.0).then(|| HandParams::from_array(&array)))
-    }
-
-    /// Reads one frame of a (T, 1556) array; `missing` everywhere without such an array.
-    fn field(&self, name: Option<&str>, index: usize, missing: f32) -> Result<Vec<f32>> {
-        match name.and_then(|name| self.arrays.get(name)) {
-            Some(column) => Ok(column.read_frame(index, &self.path)?.into_f32()),
-            None => Ok(vec![missing; N_FIELD]),
-        }
-    }
-
-    fn mask(&self, name: &str, label: Option<&str>, index: usize) -> Result<Vec<u8>> {
-        match self.arrays.get(name) {
-            Some(column) => self.bytes(name, column.read_frame(index, &self.path)?),
-            None => Ok(vec![u8::from(label.is_some_and(|label| self.has(label))); N_FIELD]),
-        }
-    }
-}
-
-impl EpisodeReader for ZarrReader {
-    fn attributes(&self) -> &Attributes {
-        &self.attributes
-    }
-
-    fn episode_ends(&self) -> &[usize] {
-        &self.episode_ends
-    }
-
-    fn frame(&self, index: usize) -> Result<Frame> {
-        let one = |name: &str| self.column(name)?.read_frame(index, &self.path);
-        let code = match self.has(FRAME_VALIDITY) {
-            true => self.bytes(FRAME_VALIDITY, one(FRAME_VALIDITY)?)?.first().copied().unwrap_or(0),
-            false => 0,
-        };
-        let validity = Validity::ALL.get(usize::from(code)).copied().ok_or_else(|| {
-            let known = format!("a code below {}", Validity::ALL.len());
-            self.named(Error::value(format!("{FRAME_VALIDITY}[{index}]"), known, code))
-        })?;
-        Ok(Frame {
-            timestamp: one(TIMESTAMPS)?.into_f64().first().copied().unwrap_or(f64::NAN),
-            camera_ego_rgb: self.image(index)?,
-            field: TactileField {
-                topology: self.attributes.topology,
-                force: self.field(Some(MANO_FORCE), index, f32::NAN)?,
-                contact: self.field(self.contact_name(), index, f32::NAN)?,
-            },
-            force_valid: self.mask(MANO_FORCE_VALID, Some(MANO_FORCE), index)?,
-            contact_valid: self.mask(MANO_CONTACT_VALID, self.contact_name(), index)?,
-            validity,
-            left_hand_pose: self.hand_pose(LEFT_HAND_POSE, index)?,
-            right_hand_pose: self.hand_pose(RIGHT_HAND_POSE, index)?,
-        })
     }
 }
 
@@ -460,49 +325,4 @@ impl std::fmt::Debug for ZarrReader {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "ZarrReader({}, {} frames)", self.path.display(), self.len())
     }
-}
-
-/// Returns the names of the arrays in `data/` and `meta/`.
-fn array_names(files: &StoreFiles) -> Result<Vec<String>> {
-    let mut names = Vec::new();
-    for group in ["data/", "meta/"] {
-        for array in files.folders_in(group)? {
-            let name = format!("{group}{array}");
-            let has = |file: &str| files.has(&format!("{name}/{file}"));
-            if has(".zarray")? || (has("zarr.json")? && !has(".zgroup")?) {
-                names.push(name);
-            }
-        }
-    }
-    Ok(names)
-}
-
-/// Returns the fixed attributes; a store without labels needs none of them.
-fn attributes(
-    path: &Path,
-    raw: &serde_json::Map<String, serde_json::Value>,
-    arrays: &BTreeMap<String, StoredArray>,
-) -> Result<Attributes> {
-    let mut map = raw.clone();
-    // Stores by other programs may hold values of other types under these descriptive names: ignore them.
-    map.retain(|name, value| match name.as_str() {
-        "scene" | "producer" | "version" => value.is_string(),
-        "seed" => value.is_u64(),
-        "sigma" => value.is_number(),
-        "thresholds" => value.get("contact_force").is_none_or(serde_json::Value::is_number) && value.is_object(),
-        _ => true,
-    });
-    if !map.contains_key("topology") {
-        let labels: Vec<&str> =
-            arrays.keys().filter(|name| name.starts_with("data/mano_")).map(String::as_str).collect();
-        if !labels.is_empty() {
-            let labels = labels.join(", ");
-            return Err(Error::file(
-                path,
-                format!("attribute topology is missing: it states the vertex numbering of {labels}"),
-            ));
-        }
-        map.insert("topology".into(), Topology::default().id().into());
-    }
-    serde_json::from_value(map.into()).map_err(|e| Error::file(path, format!("attributes: {e}")))
 }

@@ -1,5 +1,8 @@
 //! Configuration of a training run, one YAML file.
 
+mod check;
+mod sections;
+
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -11,14 +14,7 @@ use crate::file::{input, limits};
 use crate::model::{self, Precision};
 use crate::text::parse_yaml;
 
-/// Largest number of steps; some counters are 32 bits wide.
-const MAX_STEPS: usize = 1 << 30;
-/// Largest number of clips, windows per clip or batches of a step.
-const MAX_BATCH: usize = 1 << 16;
-/// Largest number of windows of an epoch, all of which each loading thread holds: 130 MB.
-const MAX_EPOCH: usize = 1 << 24;
-/// Largest number of loading threads.
-const MAX_THREADS: usize = 256;
+pub use sections::{AugmentConfig, BatchConfig, LossWeights, OptimizerConfig, SamplingConfig};
 
 /// Configuration of a run as written in YAML; unknown keys are refused. Paths are relative to the current folder.
 ///
@@ -93,43 +89,6 @@ pub struct Config {
     pub in_memory: bool,
 }
 
-/// Sampling of the sources: p ~ n^temperature for a source of n windows (paper, Dataset sampling).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SamplingConfig {
-    /// 1 = in proportion to the size of the sources, 0 = all equal.
-    pub temperature: f64,
-    /// Windows of an epoch; by default the number of frames.
-    pub epoch: Option<usize>,
-}
-
-impl Default for SamplingConfig {
-    fn default() -> Self {
-        Self { temperature: 0.5, epoch: None }
-    }
-}
-
-/// Returns the place of a dotted key in a YAML document; keys that are missing are added.
-fn place<'a>(document: &'a mut Value, key: &str) -> Result<&'a mut Value> {
-    let mut at = document;
-    for part in key.split('.') {
-        if at.is_null() {
-            *at = Value::Mapping(Default::default());
-        }
-        at = match at {
-            Value::Mapping(map) => map.entry(part.into()).or_insert(Value::Null),
-            Value::Sequence(list) => {
-                let index = part.parse::<usize>().ok().filter(|index| *index < list.len());
-                let expected = || Error::value(key, format!("an index below {}", list.len()), part);
-                let index = index.ok_or_else(expected)?;
-                &mut list[index]
-            }
-            _ => return Err(Error::value(key, "a key that holds others before the dot", part)),
-        };
-    }
-    Ok(at)
-}
-
 /// Value of [`Config::model`] that takes the geometry of the initial checkpoint.
 const AS_INIT: &str = "init";
 
@@ -141,134 +100,6 @@ pub enum ModelChoice {
     Preset(String),
     /// All keys of the network's configuration.
     Explicit(model::Config),
-}
-
-/// Size of a step: `clips` pieces of episodes with up to `windows` windows each. Each frame of a clip is encoded once,
-/// although several windows contain it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct BatchConfig {
-    /// Clips per step.
-    pub clips: usize,
-    /// Windows per clip.
-    pub windows: usize,
-    /// Batches per step, whose mean gradient is used; allows steps that do not fit into memory at once.
-    pub accumulate: usize,
-}
-
-impl Default for BatchConfig {
-    fn default() -> Self {
-        Self { clips: 4, windows: 12, accumulate: 1 }
-    }
-}
-
-/// AdamW with linear warm-up and cosine decay.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct OptimizerConfig {
-    /// Peak learning rate.
-    pub learning_rate: f64,
-    /// Learning rate of the last step.
-    pub final_learning_rate: f64,
-    /// Factor on the encoder's learning rate; by default 0.1 with trained initial weights (`init`, `encoder`), else 1.
-    pub encoder_factor: Option<f64>,
-    /// Share of the steps in which the learning rate grows to its peak.
-    pub warmup: f64,
-    /// Decoupled weight decay, applied to matrices only.
-    pub weight_decay: f64,
-    /// Norm that larger gradients are scaled down to.
-    pub max_grad_norm: f64,
-}
-
-impl Default for OptimizerConfig {
-    fn default() -> Self {
-        Self {
-            learning_rate: 1e-4,
-            final_learning_rate: 1e-5,
-            encoder_factor: None,
-            warmup: 0.05,
-            weight_decay: 1e-5,
-            max_grad_norm: 5.0,
-        }
-    }
-}
-
-/// Weights of the objective (paper, Training objective).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LossWeights {
-    /// Weight of the squared error of the normalised force.
-    pub force: f64,
-    /// Weight of the cross-entropy of contact.
-    pub contact: f64,
-    /// Weight of the Smooth-L1 error of the normalised force where the true force is above 0.05 N.
-    pub active: f64,
-    /// Weight of the disagreement between force and contact.
-    pub consistency: f64,
-    /// Weight of the auxiliary keypoint task, which helps a network with random initial weights; needs stores of the
-    /// built-in hand with camera and hand poses. Its heads are not saved.
-    pub keypoints: f64,
-    /// Weight of a vertex in contact relative to one without contact, in the cross-entropy.
-    pub positive_weight: f64,
-}
-
-impl Default for LossWeights {
-    fn default() -> Self {
-        Self { force: 1.0, contact: 1.0, active: 0.2, consistency: 0.05, keypoints: 0.0, positive_weight: 2.0 }
-    }
-}
-
-/// Image augmentation, drawn once per clip: the same for all frames of a window.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct AugmentConfig {
-    /// Brightness factor within 1 ± this.
-    pub brightness: f64,
-    /// Contrast factor within 1 ± this.
-    pub contrast: f64,
-    /// Saturation factor within 1 ± this.
-    pub saturation: f64,
-    /// Largest rotation of the hue in either direction, rad.
-    pub hue: f64,
-    /// Side of the crop as a share of the image, from 1 - this to 1, at a random place.
-    pub crop: f64,
-    /// View scale within 1 ± this.
-    pub view_scale: f64,
-    /// Probability that the view is scaled.
-    pub view_scale_probability: f64,
-    /// Probability that a clip is mirrored, if its source allows it.
-    pub mirror: f64,
-}
-
-impl Default for AugmentConfig {
-    fn default() -> Self {
-        Self {
-            brightness: 0.2,
-            contrast: 0.2,
-            saturation: 0.2,
-            hue: 0.1,
-            crop: 0.1,
-            view_scale: 0.1,
-            view_scale_probability: 0.8,
-            mirror: 0.5,
-        }
-    }
-}
-
-impl AugmentConfig {
-    /// Returns settings that change nothing.
-    pub fn none() -> Self {
-        Self {
-            brightness: 0.0,
-            contrast: 0.0,
-            saturation: 0.0,
-            hue: 0.0,
-            crop: 0.0,
-            view_scale: 0.0,
-            view_scale_probability: 0.0,
-            mirror: 0.0,
-        }
-    }
 }
 
 impl Config {
@@ -316,109 +147,6 @@ impl Config {
         Ok(config)
     }
 
-    /// Checks that all values are in range and that the input files exist.
-    ///
-    /// # Errors
-    /// If a value does not fit; the error names the first such key and the allowed values.
-    pub fn check(&self) -> Result<()> {
-        self.check_counts()?;
-        self.check_ranges()?;
-        self.check_quotas()?;
-        let LossWeights { force, contact, active, keypoints, .. } = self.loss;
-        if force + contact + active + keypoints == 0.0 {
-            return Err(Error::value("loss", "a weight above 0", "force, contact, active and keypoints all 0"));
-        }
-        if self.precision == Precision::Int8 {
-            return Err(Error::value("precision", "f32 or bf16", self.precision));
-        }
-        if self.init.is_some() && self.encoder.is_some() {
-            return Err(Error::value("encoder", "none beside init, which has one", "both"));
-        }
-        if self.mano_left.is_some() != self.mano_right.is_some() {
-            return Err(Error::value("mano_left and mano_right", "both files or neither", "one of them"));
-        }
-        self.geometry()?;
-        let stores = self.data.iter().flat_map(|source| &source.stores);
-        for path in stores
-            .chain(&self.validation)
-            .chain(&self.init)
-            .chain(&self.encoder)
-            .chain(&self.mano_left)
-            .chain(&self.mano_right)
-        {
-            path.metadata().map_err(Error::io(path))?;
-        }
-        Ok(())
-    }
-
-    fn check_counts(&self) -> Result<()> {
-        let least_stores = self.data.iter().map(|source| source.stores.len()).min().unwrap_or(0);
-        let ranges = [
-            ("steps", self.steps, MAX_STEPS),
-            ("batch.clips", self.batch.clips, MAX_BATCH),
-            ("batch.windows", self.batch.windows, MAX_BATCH),
-            ("batch.accumulate", self.batch.accumulate, MAX_BATCH),
-            ("save_every", self.save_every, usize::MAX),
-            ("validate_every", self.validate_every, usize::MAX),
-            ("threads", self.threads, MAX_THREADS),
-            ("data", self.data.len(), usize::MAX),
-            ("data.stores", least_stores, usize::MAX),
-            ("sampling.epoch", self.sampling.epoch.unwrap_or(1), MAX_EPOCH),
-        ];
-        match ranges.iter().find(|(_, value, most)| !(1..=*most).contains(value)) {
-            Some((key, value, usize::MAX)) => Err(Error::value(key, "at least 1", value)),
-            Some((key, value, most)) => Err(Error::value(key, format!("1 to {most}"), value)),
-            None => Ok(()),
-        }
-    }
-
-    fn check_ranges(&self) -> Result<()> {
-        let (o, l, a) = (&self.optimizer, &self.loss, &self.augment);
-        let ranges = [
-            ("frame_dt", self.frame_dt, 1e-3, 10.0),
-            ("ema", self.ema, 0.0, 0.999_999),
-            ("optimizer.learning_rate", o.learning_rate, 1e-9, 1.0),
-            ("optimizer.final_learning_rate", o.final_learning_rate, 0.0, o.learning_rate),
-            ("optimizer.encoder_factor", self.encoder_factor(), 0.0, 10.0),
-            ("optimizer.warmup", o.warmup, 0.0, 1.0),
-            ("optimizer.weight_decay", o.weight_decay, 0.0, 1.0),
-            ("optimizer.max_grad_norm", o.max_grad_norm, 1e-6, 1e6),
-            ("loss.force", l.force, 0.0, 1e3),
-            ("loss.contact", l.contact, 0.0, 1e3),
-            ("loss.active", l.active, 0.0, 1e3),
-            ("loss.consistency", l.consistency, 0.0, 1e3),
-            ("loss.keypoints", l.keypoints, 0.0, 1e3),
-            ("loss.positive_weight", l.positive_weight, 1e-3, 1e3),
-            ("augment.brightness", a.brightness, 0.0, 0.9),
-            ("augment.contrast", a.contrast, 0.0, 0.9),
-            ("augment.saturation", a.saturation, 0.0, 1.0),
-            ("augment.hue", a.hue, 0.0, std::f64::consts::PI),
-            ("augment.crop", a.crop, 0.0, 0.9),
-            ("augment.view_scale", a.view_scale, 0.0, 0.9),
-            ("augment.view_scale_probability", a.view_scale_probability, 0.0, 1.0),
-            ("augment.mirror", a.mirror, 0.0, 1.0),
-            ("sampling.temperature", self.sampling.temperature, 0.0, 10.0),
-        ];
-        // Negated, so that NaN is out of range.
-        match ranges.iter().find(|(_, value, low, high)| !(value >= low && value <= high)) {
-            Some((key, value, low, high)) => Err(Error::value(key, format!("a number from {low} to {high}"), value)),
-            None => Ok(()),
-        }
-    }
-
-    fn check_quotas(&self) -> Result<()> {
-        for (i, source) in self.data.iter().enumerate() {
-            if !(0.0..=1.0).contains(&source.quota) {
-                return Err(Error::value(format!("data[{i}].quota"), "a share from 0 to 1", source.quota));
-            }
-        }
-        let quotas: f64 = self.data.iter().map(|source| source.quota).sum();
-        match quotas > 1.0 + 1e-9 {
-            true => Err(Error::value("data, sum of quotas", "at most 1", quotas)),
-            false => Ok(()),
-        }
-    }
-
     /// Returns the network's geometry.
     ///
     /// # Errors
@@ -452,6 +180,27 @@ impl Config {
         let cosine = 0.5 * (1.0 + (std::f64::consts::PI * progress.min(1.0)).cos());
         final_learning_rate + (learning_rate - final_learning_rate) * cosine
     }
+}
+
+/// Returns the place of a dotted key in a YAML document; keys that are missing are added.
+fn place<'a>(document: &'a mut Value, key: &str) -> Result<&'a mut Value> {
+    let mut at = document;
+    for part in key.split('.') {
+        if at.is_null() {
+            *at = Value::Mapping(Default::default());
+        }
+        at = match at {
+            Value::Mapping(map) => map.entry(part.into()).or_insert(Value::Null),
+            Value::Sequence(list) => {
+                let index = part.parse::<usize>().ok().filter(|index| *index < list.len());
+                let expected = || Error::value(key, format!("an index below {}", list.len()), part);
+                let index = index.ok_or_else(expected)?;
+                &mut list[index]
+            }
+            _ => return Err(Error::value(key, "a key that holds others before the dot", part)),
+        };
+    }
+    Ok(at)
 }
 
 fn default_frame_dt() -> f64 {
