@@ -7,9 +7,10 @@ use std::sync::{Mutex, PoisonError};
 use serde_json::{Value, json};
 
 use super::parts::PartsFolder;
-use super::record::{EPISODES, RecordSummary, SUMMARY, attributes, record_part};
+use super::record::{RecordSummary, SUMMARY, attributes, record_part};
 use super::rollout::RolloutOptions;
 use super::scene::Scene;
+use super::stored_scene::{self, EPISODES, SCENES};
 use crate::dataset::zarr::{ZarrReader, concatenate};
 use crate::error::{Error, Result};
 
@@ -203,7 +204,11 @@ fn merge(
     let parts = parts(plan, folder);
     let (total, entries) = survey(&parts)?;
     let attributes = attributes(&plan.scenes, plan.seed, &plan.options);
-    let more = [(EPISODES.to_string(), Value::Array(entries)), (SUMMARY.to_string(), json!(total))];
+    let more = [
+        (EPISODES.to_string(), Value::Array(entries)),
+        (SCENES.to_string(), stored_scene::attribute(&plan.scenes)?),
+        (SUMMARY.to_string(), json!(total)),
+    ];
     let chunks = |done, all| progress(GenerateProgress::Chunks(done, all));
     concatenate(&parts, &folder.unfinished_whole(), &attributes, more.into_iter().collect(), plan.jobs, chunks)?;
     Ok(total)

@@ -49,6 +49,7 @@ pub(crate) mod rollout;
 pub mod scene;
 #[doc(hidden)]
 pub mod scene_object;
+pub(crate) mod stored_scene;
 pub(crate) mod timeline;
 pub(crate) mod touchable;
 #[doc(hidden)]

@@ -10,6 +10,7 @@ use super::effect::{Effect, EffectSet, Observation};
 use super::frame::SimFrame;
 use super::rollout::{Rollout, RolloutOptions};
 use super::scene::{LookStyle, Scene};
+use super::stored_scene::{self, EPISODES, SCENES};
 use crate::dataset::zarr::{
     ArraySpec, CAMERA_POSE, Compression, Contact, Dtype, MANO_PROXIMITY, OBJECT_POSE, Values, ZarrWriter,
 };
@@ -31,8 +32,6 @@ pub const DEPTH: &str = "data/camera_ego_depth";
 /// Arrays (T, N) f32: readings of the taxels of the left and the right glove, N; only if the hands wear gloves.
 pub const TAXELS: [&str; 2] = ["data/left_taxels", "data/right_taxels"];
 
-/// Name of the attribute that describes the episodes.
-pub(super) const EPISODES: &str = "episodes";
 /// Name of the attribute with the [`RecordSummary`].
 pub(super) const SUMMARY: &str = "summary";
 
@@ -87,6 +86,7 @@ fn record_one(
     let writer = ZarrWriter::create(out, attributes, Contact::Truth, extras.arrays())?;
     let mut writer = writer.with_compression(compression);
     writer.set_attribute(EPISODES, json!([episode_entry(scene, seed, &rollout)]));
+    writer.set_attribute(SCENES, stored_scene::attribute(std::slice::from_ref(scene))?);
     let mut summary = RecordSummary::default();
     while let Some(frame) = rollout.next_frame()? {
         summary.count(&frame);

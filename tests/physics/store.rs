@@ -90,6 +90,18 @@ fn poses_alone(scene: &str, folder: &Path) -> (std::path::PathBuf, Vec<f64>, f64
 }
 
 #[test]
+fn a_store_of_an_own_scene_needs_no_scene_file_any_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let (store, out) = (folder.path().join("a.zarr"), folder.path().join("b.zarr"));
+    let file = folder.path().join("fast_cube.yaml");
+    let shipped = std::fs::read_to_string("sim/scenes/pinch_cube.yaml").unwrap();
+    std::fs::write(&file, format!("rate: 50\n{shipped}")).unwrap();
+    record(&Scene::load(&file.to_string_lossy()).unwrap(), 3, &options(), &store, |_, _| ()).unwrap();
+    std::fs::remove_file(&file).unwrap();
+    assert!(run(&store, &out, nothing_given()).unwrap().touching > 10);
+}
+
+#[test]
 fn a_simulated_store_keeps_its_truth_and_gets_the_estimate_beside_it() {
     let folder = tempfile::tempdir().unwrap();
     let (store, out) = (folder.path().join("a.zarr"), folder.path().join("b.zarr"));

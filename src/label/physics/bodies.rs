@@ -12,7 +12,7 @@ use crate::file;
 use crate::physics::{Body, DensityClass, Fixed, Pose};
 
 /// Knowledge of bodies that a store does not hold.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct BodyOptions {
     /// Masses by name of the object, kg.
     pub masses: BTreeMap<String, f64>,
@@ -116,16 +116,13 @@ fn simulated(store: &ZarrReader, index: usize, at: &[Option<Pose>]) -> Result<Su
     use crate::hand::{HandModel, Side};
     use crate::sim::randomize::EpisodeDraw;
     use crate::sim::rig::HandRig;
-    use crate::sim::{Scene, physical};
+    use crate::sim::{physical, stored_scene};
 
     /// Largest distance of a stored pose from the one that the seed gives, m.
     const TOLERANCE: f64 = 2e-3;
-    let entry = store.raw_attributes().get("episodes").and_then(|episodes| episodes.get(index));
-    let name = entry.and_then(|entry| entry.get("scene")).and_then(Value::as_str);
-    let seed = entry.and_then(|entry| entry.get("seed")).and_then(Value::as_u64);
-    let (Some(name), Some(seed)) = (name, seed) else { return Err(nameless(store)) };
+    let (Some(name), Some(seed)) = stored_scene::origin(store, index) else { return Err(nameless(store)) };
     let [left, right] = Side::BOTH.map(|side| HandRig::new(HandModel::builtin(side), [0.0; crate::hand::N_BETAS]));
-    let drawn = EpisodeDraw::sample(&Scene::load(name)?, seed, &[left?, right?])?;
+    let drawn = EpisodeDraw::sample(&stored_scene::scene(store, name)?, seed, &[left?, right?])?;
     for (object, pose) in drawn.objects.iter().filter(|object| object.solid).zip(at) {
         let off = pose.map_or(0.0, |pose| pose.position.distance(object.position));
         if off > TOLERANCE {

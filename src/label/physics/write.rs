@@ -11,7 +11,7 @@ use super::read::read;
 use crate::dataset::EpisodeReader;
 use crate::dataset::copy::remove;
 use crate::dataset::zarr::{
-    AddedArrays, ArraySpec, Dtype, MANO_FORCE, MANO_FORCE_VALID, StoreLocation, Values, ZarrReader,
+    AddedArrays, ArraySpec, Dtype, MANO_FORCE, MANO_FORCE_STD, MANO_FORCE_VALID, StoreLocation, Values, ZarrReader,
 };
 use crate::error::{Error, Result};
 use crate::file;
@@ -24,7 +24,7 @@ use crate::tactile::{ForceKind, N_FIELD, episode_ranges};
 /// the motion does not determine, deviation of a hand's total, validity, and per object the wrench that the motion asks for
 /// (force, N, moment about the centre of mass, N m, world frame), its deviation and the part that no contact explains.
 const ARRAYS: [&str; 9] = [
-    "data/mano_force_std",
+    MANO_FORCE_STD,
     "data/link_force",
     "data/link_force_interval",
     "data/link_force_undetermined",

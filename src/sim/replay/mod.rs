@@ -14,7 +14,6 @@ mod angles;
 use std::path::Path;
 
 use glam::DVec3;
-use serde_json::Value;
 
 pub use agreement::{Agreement, ReplayReport};
 use angles::HandAngles;
@@ -22,7 +21,7 @@ use angles::HandAngles;
 use super::effect::Effect;
 use super::rig::JOINT_NAMES;
 use super::scene::EffectPlan;
-use super::{Rollout, RolloutOptions, Scene};
+use super::{Rollout, RolloutOptions, stored_scene};
 use crate::dataset::EpisodeReader;
 use crate::dataset::zarr::{LEFT_HAND_POSE, OBJECT_POSE, RIGHT_HAND_POSE, TIMESTAMPS, ZarrReader};
 use crate::error::{Error, Result};
@@ -100,14 +99,11 @@ struct ObjectState {
 impl Stage {
     /// Builds the world that episode `index` of a store was simulated in.
     fn new(store: &ZarrReader, index: usize) -> Result<Self> {
-        let entry = store.raw_attributes().get("episodes").and_then(|episodes| episodes.get(index));
-        let name = entry.and_then(|entry| entry.get("scene")).and_then(Value::as_str);
-        let seed = entry.and_then(|entry| entry.get("seed")).and_then(Value::as_u64);
-        let (Some(name), Some(seed)) = (name, seed) else {
+        let (Some(name), Some(seed)) = stored_scene::origin(store, index) else {
             let expected = "attribute `episodes` with scene and seed, as `egotac sim run` writes it";
             return Err(Error::value("store", expected, "none: only stores of the simulator can be replayed"));
         };
-        let scene = Scene::load(name)?;
+        let scene = stored_scene::scene(store, name)?;
         // Contacts of sleeping bodies are not listed.
         let effects = Some(EffectPlan::of(&scene.spec)?.effects().without(Effect::Sleep));
         let options = RolloutOptions { picture: None, effects, ..RolloutOptions::default() };

@@ -102,7 +102,15 @@ impl Scene {
         let mut spec: SceneSpec = parse_yaml(text).map_err(|e| Error::file(path, e))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         spec.objects.iter_mut().for_each(|object| object.shape.resolve(folder));
-        check(&spec).map_err(|e| Error::file(path, e))?;
+        Self::checked(name, spec).map_err(|e| Error::file(path, e))
+    }
+
+    /// Creates a scene after checking all its values.
+    ///
+    /// # Errors
+    /// If a value is out of its range; the error names the key.
+    pub fn checked(name: &str, spec: SceneSpec) -> Result<Self> {
+        check(&spec)?;
         Ok(Self { name: name.to_owned(), spec })
     }
 }

@@ -3,7 +3,6 @@
 use std::ops::Range;
 
 use glam::{DQuat, DVec3, Vec3};
-use serde_json::Value;
 
 use crate::dataset::EpisodeReader;
 use crate::dataset::zarr::{
@@ -17,7 +16,7 @@ use crate::score::verify::candidate::{Candidate, SweepSettings};
 use crate::score::verify::episode::{Episode, EpisodeScorer, VertexDistances};
 use crate::sim::ObjectPose;
 use crate::sim::rig::HandRig;
-use crate::sim::{Scene, Touchables, randomize};
+use crate::sim::{Scene, Touchables, randomize, stored_scene};
 use crate::tactile::{N_FIELD, TactileField, TactileSequence, Validity, episode_ranges};
 
 /// Largest distance of an object's first stored position from the one that its seed gives, m. The store rounds to single
@@ -27,7 +26,7 @@ const START_TOLERANCE: f64 = 2e-3;
 /// Source of the labels or predictions that are scored against the store's forces.
 #[derive(Debug)]
 pub enum EstimateSource<'a> {
-    /// Labels (a) and (b), from the distances to the objects of the scene; given scenes come before the shipped ones.
+    /// Labels (a) and (b), from the distances to the objects of the scene; given scenes come before those of the store.
     Labels(&'a [Scene]),
     /// A network, on the store's images.
     Predictor(&'a mut Predictor),
@@ -72,12 +71,12 @@ fn episode(
     source: &mut EstimateSource,
 ) -> Result<Episode> {
     let data = Data::read(store, range.clone())?;
-    let (name, seed) = origin(store, index);
+    let (name, seed) = stored_scene::origin(store, index);
     let mut near = match source {
         EstimateSource::Labels(scenes) => {
-            let name = name.as_deref().ok_or_else(|| missing(store, "episodes[..].scene"))?;
+            let name = name.ok_or_else(|| missing(store, "episodes[..].scene"))?;
             let seed = seed.ok_or_else(|| missing(store, "episodes[..].seed"))?;
-            Some(touchables(&find_scene(name, scenes)?, seed, hands, settings, &data)?)
+            Some(touchables(&find_scene(store, name, scenes)?, seed, hands, settings, &data)?)
         }
         _ => None,
     };
@@ -131,14 +130,7 @@ fn episode(
         scorer.push(&truth, near, prediction.as_ref())?;
     }
     let samplings = near.map(|(touchables, _)| touchables.samplings()).unwrap_or_default();
-    Ok(scorer.finish(name.unwrap_or_else(|| store.path().display().to_string()), seed, samplings))
-}
-
-/// Returns scene and seed of an episode from the store's attribute `episodes`.
-fn origin(store: &ZarrReader, index: usize) -> (Option<String>, Option<u64>) {
-    let entry = store.raw_attributes().get("episodes").and_then(|episodes| episodes.get(index));
-    let scene = entry.and_then(|entry| entry.get("scene")).and_then(Value::as_str).map(str::to_owned);
-    (scene, entry.and_then(|entry| entry.get("seed")).and_then(Value::as_u64))
+    Ok(scorer.finish(name.map_or_else(|| store.path().display().to_string(), str::to_owned), seed, samplings))
 }
 
 fn missing(store: &ZarrReader, name: &str) -> Error {
@@ -147,11 +139,11 @@ fn missing(store: &ZarrReader, name: &str) -> Error {
     Error::Missing { name: format!("attribute {name}"), place, present }
 }
 
-fn find_scene(name: &str, given: &[Scene]) -> Result<Scene> {
+fn find_scene(store: &ZarrReader, name: &str, given: &[Scene]) -> Result<Scene> {
     if let Some(scene) = given.iter().find(|scene| scene.name == name) {
         return Ok(scene.clone());
     }
-    Scene::load(name).map_err(|error| {
+    stored_scene::scene(store, name).map_err(|error| {
         Error::value(
             "scene",
             "one that the program ships, or its YAML file with --scene FILE",
