@@ -65,6 +65,8 @@ pub const MANO_CONTACT: &str = "data/mano_contact";
 pub const MANO_CONTACT_SCORE: &str = "data/mano_contact_score";
 /// 1 where the force is supervised, (T, 1556) u8.
 pub const MANO_FORCE_VALID: &str = "data/mano_force_valid";
+/// Standard deviation of the force, N, (T, 1556) f32; of forces estimated from motion.
+pub const MANO_FORCE_STD: &str = "data/mano_force_std";
 /// Likeness of each image to the training's, (T).
 pub const FAMILIARITY: &str = "data/familiarity";
 /// Presence of left and right hand, (T, 2).

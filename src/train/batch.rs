@@ -8,14 +8,14 @@ use rand_chacha::ChaCha8Rng;
 
 use super::augment::Augmentation;
 use super::config::AugmentConfig;
-use super::data::Dataset;
+use super::data::{Block, Dataset};
 use super::keypoints::{self, Points};
 use super::loss::Targets;
 use super::sampler::{self, Clip};
 use crate::error::Result;
 use crate::hand::N_VERTICES;
 use crate::image::Preparation;
-use crate::tactile::{N_FIELD, TactileSequence};
+use crate::tactile::N_FIELD;
 
 /// Input and targets of one step, in host memory.
 #[derive(Debug, Clone)]
@@ -28,7 +28,7 @@ pub struct Batch {
     pub force: Vec<f32>,
     /// (B, K, 1556) true contact, 0 or 1.
     pub contact: Vec<f32>,
-    /// (B, K, 1556) 1 = the force is supervised.
+    /// (B, K, 1556) weight of a supervised force, above 0 to 1; 0 = not supervised.
     pub mask_force: Vec<f32>,
     /// (B, K, 1556) 1 = the contact is supervised.
     pub mask_contact: Vec<f32>,
@@ -114,7 +114,7 @@ impl Dataset {
             for target in targets {
                 let Some(row) = rows.next() else { break };
                 if let Some(target) = target {
-                    batch.supervise(row, &block.labels, target - first, augmentation.mirrored, collate.force_scale);
+                    batch.supervise(row, &block, target - first, augmentation.mirrored, collate.force_scale);
                 }
             }
         }
@@ -124,21 +124,15 @@ impl Dataset {
 
 impl Batch {
     /// Fills one step of one window with the labels of a frame.
-    fn supervise(
-        &mut self,
-        row: Range<usize>,
-        labels: &TactileSequence,
-        frame: usize,
-        mirrored: bool,
-        force_scale: f32,
-    ) {
+    fn supervise(&mut self, row: Range<usize>, block: &Block, frame: usize, mirrored: bool, force_scale: f32) {
+        let labels = &block.labels;
         for (v, entry) in row.enumerate() {
             // In a mirrored image the left hand becomes the right one; both hands share one numbering.
             let v = if mirrored { (v + N_VERTICES) % N_FIELD } else { v };
             let at = frame * N_FIELD + v;
             // Skips masked labels instead of multiplying by 0: they may be NaN, and NaN times 0 is NaN.
             if labels.mask_force[at] == 1 {
-                self.mask_force[entry] = 1.0;
+                self.mask_force[entry] = block.force_weights.get(at).copied().unwrap_or(1.0);
                 self.force[entry] = labels.force[at] / force_scale;
             }
             if labels.mask_contact[at] == 1 {

@@ -9,9 +9,9 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::keypoints::{self, Points};
-use super::source::{Supervision, TrainingSource};
+use super::source::{Supervision, TrainingSource, force_weight};
 use crate::dataset::EpisodeReader;
-use crate::dataset::zarr::{self, TIMESTAMPS, ZarrReader, read_labels, read_proximity};
+use crate::dataset::zarr::{self, MANO_FORCE_STD, TIMESTAMPS, ZarrReader, read_labels, read_proximity};
 use crate::error::{Error, Result};
 use crate::hand::{FieldMap, Topology};
 use crate::image::{Preparation, resize};
@@ -38,6 +38,8 @@ struct Store {
     /// True if the images may be mirrored.
     mirrorable: bool,
     supervision: Supervision,
+    /// True if forces weigh by their standard deviation.
+    weigh_by_std: bool,
     reader: ZarrReader,
     timestamps: Vec<f64>,
     memory: Option<Block>,
@@ -51,6 +53,8 @@ pub struct Block {
     pub images: Vec<u8>,
     /// Labels of these frames; the masks are given, and 1 where a label is supervised, known and in a valid frame.
     pub labels: TactileSequence,
+    /// (n, 1556) weight of each supervised force, 0 to 1; empty = 1 everywhere.
+    pub force_weights: Vec<f32>,
 }
 
 /// Statistics of the supervised labels of a dataset.
@@ -117,13 +121,21 @@ impl Dataset {
             return Err(Error::value("data", "at least one store", "none"));
         }
         let mut dataset = Self { stores: Vec::new(), preparation, mano };
-        for (source, TrainingSource { mirror: mirrorable, labels: supervision, .. }, reader) in readers {
+        for (source, TrainingSource { mirror: mirrorable, labels: supervision, weigh_by_std, .. }, reader) in readers {
+            if weigh_by_std && dataset.mano.is_some() {
+                let expected = "no MANO files: standard deviations are not carried over to other vertices";
+                return Err(Error::file(
+                    reader.path(),
+                    Error::value("weigh_by_std", expected, "mano_left and mano_right"),
+                ));
+            }
             let timestamps = reader.read(TIMESTAMPS, 0..reader.len())?.into_f64();
             check_timestamps(&reader, &timestamps)?;
             dataset.stores.push(Store {
                 source,
                 mirrorable,
                 supervision,
+                weigh_by_std,
                 reader,
                 timestamps,
                 memory: None,
@@ -133,8 +145,9 @@ impl Dataset {
         if in_memory {
             for index in 0..dataset.stores.len() {
                 let images = dataset.read(index, 0..dataset.stores[index].reader.len(), false)?.images;
-                let labels = dataset.all_labels(&dataset.stores[index])?;
-                dataset.stores[index].memory = Some(Block { images, labels });
+                let store = &dataset.stores[index];
+                let (labels, force_weights) = (dataset.all_labels(store)?, store.force_weights(0..store.reader.len())?);
+                dataset.stores[index].memory = Some(Block { images, labels, force_weights });
             }
         }
         Ok(dataset)
@@ -238,11 +251,14 @@ impl Dataset {
         if let Some(memory) = memory {
             let pixels = side * side * 3;
             let images = memory.images[frames.start * pixels..frames.end * pixels].to_vec();
-            return Ok(Block { images, labels: memory.labels.select(frames) });
+            let weights = memory.force_weights.get(frames.start * N_FIELD..frames.end * N_FIELD);
+            let force_weights = weights.unwrap_or_default().to_vec();
+            return Ok(Block { images, labels: memory.labels.select(frames), force_weights });
         }
         let mut block = Block::default();
         if labels {
             block.labels = self.labels_of(&self.stores[store], frames.clone())?;
+            block.force_weights = self.stores[store].force_weights(frames.clone())?;
         }
         let (height, width) = reader.image_size();
         // In pieces, because the stored images may be much larger than the resized ones.
@@ -357,6 +373,19 @@ impl Store {
             }
             Supervision::Proximity => read_proximity(&self.reader, frames),
         }
+    }
+
+    /// Reads the weights of the forces, (n, 1556); empty if all weigh 1.
+    fn force_weights(&self, frames: Range<usize>) -> Result<Vec<f32>> {
+        if !self.weigh_by_std {
+            return Ok(Vec::new());
+        }
+        let deviations = self.reader.read_f32(MANO_FORCE_STD, frames.clone())?;
+        if deviations.len() != frames.len() * N_FIELD {
+            let got = [deviations.len() / frames.len().max(1)];
+            return Err(Error::file(self.reader.path(), Error::shape(MANO_FORCE_STD, format!("(T, {N_FIELD})"), got)));
+        }
+        Ok(deviations.into_iter().map(force_weight).collect())
     }
 }
 

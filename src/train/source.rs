@@ -6,7 +6,9 @@ use std::path::PathBuf;
 use serde::de::{self, MapAccess, Visitor, value::MapAccessDeserializer};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Stores of the same kind of images and labels; in YAML a path, or `{ stores: [..], quota: .., mirror: .., labels: .. }`.
+use crate::tactile::CONTACT_FORCE_N;
+
+/// Stores of the same kind of images and labels; in YAML a path, or `{ stores: [..], quota: .., mirror: .., labels: .., weigh_by_std: .. }`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainingSource {
     /// Stores, or folders of `*.zarr`.
@@ -17,6 +19,19 @@ pub struct TrainingSource {
     pub mirror: bool,
     /// Labels that are supervised.
     pub labels: Supervision,
+    /// True if forces weigh by their standard deviation, `data/mano_force_std`: see [`force_weight`].
+    pub weigh_by_std: bool,
+}
+
+/// Standard deviation of a force that halves its weight, N: the force above which a vertex counts as touched.
+const HALF_WEIGHT_STD: f32 = CONTACT_FORCE_N;
+
+/// Returns the weight of a force label in the loss, 0 to 1, by its standard deviation, N: 1 / (1 + (std / 0.05 N)²), the weight
+/// of inverse variance beside an error of the network of 0.05 N. A deviation that is unknown (NaN) gives 0.
+pub fn force_weight(std: f32) -> f32 {
+    let ratio = std / HALF_WEIGHT_STD;
+    let weight = 1.0 / (1.0 + ratio * ratio);
+    if weight.is_nan() { 0.0 } else { weight }
 }
 
 /// Labels of a source that are supervised. The first two supervise what the store has; the third needs its array.
@@ -44,6 +59,8 @@ struct Written {
     mirror: bool,
     #[serde(default)]
     labels: Supervision,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    weigh_by_std: bool,
 }
 
 impl TrainingSource {
@@ -55,7 +72,7 @@ impl TrainingSource {
     /// Creates a source of several paths, with default sampling and supervision.
     pub fn of(stores: impl IntoIterator<Item = PathBuf>) -> Self {
         let stores = stores.into_iter().collect();
-        Self { stores, quota: 0.0, mirror: false, labels: Supervision::Both }
+        Self { stores, quota: 0.0, mirror: false, labels: Supervision::Both, weigh_by_std: false }
     }
 }
 
@@ -74,8 +91,9 @@ impl<'de> Deserialize<'de> for TrainingSource {
             }
 
             fn visit_map<M: MapAccess<'de>>(self, map: M) -> Result<TrainingSource, M::Error> {
-                let Written { stores, quota, mirror, labels } = Written::deserialize(MapAccessDeserializer::new(map))?;
-                Ok(TrainingSource { stores, quota, mirror, labels })
+                let Written { stores, quota, mirror, labels, weigh_by_std } =
+                    Written::deserialize(MapAccessDeserializer::new(map))?;
+                Ok(TrainingSource { stores, quota, mirror, labels, weigh_by_std })
             }
         }
         deserializer.deserialize_any(PathOrMap)
@@ -88,10 +106,14 @@ impl Serialize for TrainingSource {
             Self { stores, .. } if stores.len() == 1 && *self == Self::path(&stores[0]) => {
                 stores[0].serialize(serializer)
             }
-            Self { stores, quota, mirror, labels } => {
-                Written { stores: stores.clone(), quota: *quota, mirror: *mirror, labels: *labels }
-                    .serialize(serializer)
+            Self { stores, quota, mirror, labels, weigh_by_std } => Written {
+                stores: stores.clone(),
+                quota: *quota,
+                mirror: *mirror,
+                labels: *labels,
+                weigh_by_std: *weigh_by_std,
             }
+            .serialize(serializer),
         }
     }
 }
@@ -111,8 +133,18 @@ mod tests {
         assert_eq!(serde_yaml::to_string(&sources).unwrap(), text);
         let near: TrainingSource = serde_yaml::from_str("{stores: [a.zarr], labels: proximity}").unwrap();
         assert_eq!(near.labels, Supervision::Proximity);
+        let weighed: TrainingSource = serde_yaml::from_str("{stores: [a.zarr], weigh_by_std: true}").unwrap();
+        assert!(weighed.weigh_by_std && serde_yaml::to_string(&weighed).unwrap().contains("weigh_by_std: true"));
         let error = |text: &str| serde_yaml::from_str::<TrainingSource>(text).unwrap_err().to_string();
         assert!(error("{stores: [a], quotum: 3}").contains("quotum"));
         assert!(error("3").contains("a path, or a map of stores"));
+    }
+
+    #[test]
+    fn a_force_known_exactly_weighs_one_and_one_that_nobody_knows_nothing() {
+        assert_eq!(force_weight(0.0), 1.0);
+        assert!((force_weight(0.05) - 0.5).abs() < 1e-6);
+        assert_eq!(force_weight(f32::NAN), 0.0);
+        assert_eq!(force_weight(f32::INFINITY), 0.0);
     }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::common::{egotac, refused};
 use candle_core::Device;
-use egotac::dataset::zarr::{ArraySpec, Contact, Dtype, MANO_PROXIMITY, Values, ZarrWriter};
+use egotac::dataset::zarr::{ArraySpec, Contact, Dtype, MANO_FORCE_STD, MANO_PROXIMITY, Values, ZarrWriter};
 use egotac::dataset::{Attributes, EpisodeWriter, Frame};
 use egotac::hand::Topology;
 use egotac::model::Metadata;
@@ -23,6 +23,19 @@ const NEAR: std::ops::Range<usize> = 90..130;
 
 /// Writes a store of [`FRAMES`] frames; frame 3 is refused by a guard.
 fn write_store(path: &Path, proximity: bool) {
+    let near = || Values::U8((0..N_FIELD).map(|v| u8::from(NEAR.contains(&v))).collect());
+    match proximity {
+        true => write_store_with(path, MANO_PROXIMITY, Dtype::U8, near),
+        false => write(path, vec![], Vec::new),
+    }
+}
+
+/// As [`write_store`], with an array (T, 1556) whose frames are all `values`.
+fn write_store_with(path: &Path, name: &str, dtype: Dtype, values: impl Fn() -> Values) {
+    write(path, vec![ArraySpec::new(name, [N_FIELD], dtype)], || vec![(name, values())]);
+}
+
+fn write<'a>(path: &Path, extra: Vec<ArraySpec>, values: impl Fn() -> Vec<(&'a str, Values)>) {
     let attributes = Attributes {
         topology: Topology::EgotacHand1,
         sigma: 0.0,
@@ -32,9 +45,7 @@ fn write_store(path: &Path, proximity: bool) {
         scene: "formula".into(),
         seed: 0,
     };
-    let extra = if proximity { vec![ArraySpec::new(MANO_PROXIMITY, [N_FIELD], Dtype::U8)] } else { vec![] };
     let mut writer = ZarrWriter::create(path, attributes, Contact::Truth, extra).unwrap();
-    let near = || Values::U8((0..N_FIELD).map(|v| u8::from(NEAR.contains(&v))).collect());
     for t in 0..FRAMES {
         let force = (0..N_FIELD).map(|v| if PRESSED.contains(&v) { 2.0 } else { 0.0 }).collect();
         let frame = Frame {
@@ -47,7 +58,7 @@ fn write_store(path: &Path, proximity: bool) {
             left_hand_pose: None,
             right_hand_pose: None,
         };
-        writer.push_with(frame, if proximity { vec![(MANO_PROXIMITY, near())] } else { vec![] }).unwrap();
+        writer.push_with(frame, values()).unwrap();
     }
     writer.end_episode().unwrap();
     writer.finish().unwrap();
@@ -132,4 +143,26 @@ fn a_force_head_that_no_force_trained_is_unknown_unless_it_is_scored_as_it_is() 
     let error = as_it_is["active_mae"].as_f64().unwrap();
     assert!((1.5..=2.0).contains(&error), "{error}");
     assert_eq!(unknown["pooled"]["auroc"], as_it_is["pooled"]["auroc"]);
+}
+
+#[test]
+fn forces_weigh_by_their_deviation_and_a_store_without_deviations_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let [with, without] = ["with.zarr", "without.zarr"].map(|name| folder.path().join(name));
+    write_store(&without, false);
+    write_store_with(&with, MANO_FORCE_STD, Dtype::F32, || {
+        Values::F32((0..N_FIELD).map(|v| [0.0, 0.05, f32::NAN][v % 3]).collect())
+    });
+    for in_memory in [false, true] {
+        let source = |path: &Path| TrainingSource { weigh_by_std: true, ..TrainingSource::path(path) };
+        let geometry = Geometry::preset("toy").unwrap();
+        let preparation = Metadata::new("test", 1.0, 0.1).preparation(&geometry);
+        let data = Dataset::open(&[source(&with)], preparation.clone(), in_memory).unwrap();
+        let block = data.read(0, 2..4, true).unwrap();
+        let expected: Vec<f32> = (0..N_FIELD).map(|v| [1.0, 0.5, 0.0][v % 3]).collect();
+        assert_eq!(block.force_weights, [expected.clone(), expected].concat());
+        let refused = Dataset::open(&[source(&without)], preparation, in_memory);
+        let error = refused.and_then(|data| data.read(0, 0..1, true).map(|_| ())).unwrap_err().to_string();
+        assert!(error.contains("data/mano_force_std") && error.contains("without.zarr"), "{error}");
+    }
 }

@@ -66,12 +66,32 @@ fn an_experiment_writes_its_tables_and_repeats_no_run() {
     assert_eq!(arm(&history, "mixed")["tests"]["force"]["seeds"], arm(&report, "plus_3")["tests"]["force"]["seeds"]);
 
     check_the_per_frame_baseline(&work, &second);
+    check_forces_from_motion(&work, &second);
 
     let output = experiment("results", &work, &first);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let page = fs::read_to_string(first.join("README.md")).unwrap();
     assert!(page.contains("[sources](sources.md)") && page.contains("`plus_3`: F1, frame mean"), "{page}");
     assert!(page.contains("| `egotac experiment glove` |"), "{page}");
+}
+
+/// Checks that forces from motion are learned from stores of their own, with the frames of the true ones.
+fn check_forces_from_motion(work: &Path, out: &Path) {
+    let (text, report) = done("motion", work, out);
+    assert!(text.contains("recovers"), "{text}");
+    let frames = |name: &str| arm(&report, name)["training_frames"].as_u64().unwrap();
+    assert_eq!(frames("from_motion"), frames("true_force"));
+    let estimated = fs::read_dir(work.join("data")).unwrap().map(|entry| entry.unwrap().path());
+    let estimated: Vec<_> = estimated.filter(|path| path.to_string_lossy().ends_with(".motion.zarr")).collect();
+    let store = egotac::dataset::zarr::ZarrReader::open(&estimated[0]).unwrap();
+    let force = store.read_f32("data/mano_force", 0..store.len()).unwrap();
+    let truth = estimated[0].to_string_lossy().replace(".motion.zarr", ".zarr");
+    let truth = egotac::dataset::zarr::ZarrReader::open(Path::new(&truth)).unwrap();
+    let truth = truth.read_f32("data/mano_force", 0..truth.len()).unwrap();
+    let sum = |values: &[f32]| values.iter().filter(|value| value.is_finite()).sum::<f32>();
+    // A held object pushes about as hard as it is estimated to, and not exactly so.
+    let ratio = sum(&force) / sum(&truth);
+    assert!(force != truth && (0.2..5.0).contains(&ratio), "{ratio}");
 }
 
 /// Checks that the baseline sees one hand at a time, on the same vertices as the network, and says nothing of force.

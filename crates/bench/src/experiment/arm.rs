@@ -19,6 +19,8 @@ pub struct Arm {
     pub change: fn(&mut Config, &Stores) -> Result<()>,
     /// Input and task of the network.
     pub view: View,
+    /// Origin of the forces that it learns.
+    pub forces: Forces,
     /// True to score the force head as it is, although no force trains it.
     pub untrained_force: bool,
 }
@@ -30,6 +32,15 @@ pub enum View {
     Scene,
     /// One frame, cut out around one hand; contact of this hand.
     Crop,
+}
+
+/// Origin of the forces of an arm's training data.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Forces {
+    /// The simulator.
+    True,
+    /// Estimated from noisy poses, as `egotac label --physics` does.
+    FromMotion,
 }
 
 /// Held-out frames with truth of one kind.
@@ -75,7 +86,7 @@ const fn test(name: &'static str, title: &'static str, worlds: &'static [&'stati
 }
 
 const fn arm(name: &'static str, about: &'static str, change: fn(&mut Config, &Stores) -> Result<()>) -> Arm {
-    Arm { name, about, change, view: View::Scene, untrained_force: false }
+    Arm { name, about, change, view: View::Scene, forces: Forces::True, untrained_force: false }
 }
 
 /// The paper's main network: force of one source, contact by distance of three.
@@ -98,8 +109,18 @@ impl Test {
 
 impl Experiment {
     /// Names of all experiments that train.
-    pub const NAMES: [&'static str; 9] =
-        ["sources", "consistency", "sampling", "glove", "history", "separation", "scaling", "ablations", "limits"];
+    pub const NAMES: [&'static str; 10] = [
+        "sources",
+        "consistency",
+        "sampling",
+        "glove",
+        "history",
+        "separation",
+        "scaling",
+        "ablations",
+        "limits",
+        "motion",
+    ];
 
     /// Returns the experiment of this name.
     ///
@@ -118,6 +139,7 @@ impl Experiment {
             "scaling" => Ok(scaling()),
             "ablations" => Ok(ablations()),
             "limits" => Ok(limits()),
+            "motion" => Ok(motion()),
             _ => Err(Error::unknown("experiment", name, Self::NAMES)),
         }
     }
@@ -310,6 +332,42 @@ fn limits() -> Experiment {
         }),
     ];
     mixed("limits", "What limits the scores: time, resolution or capacity?", others)
+}
+
+/// Returns the experiment on forces from motion: without force, with the true one, and with the estimated one.
+fn motion() -> Experiment {
+    let known = Test { title: "In the domain, truth by force", worlds: &["motion"], ..FORCE };
+    let estimated = Arm {
+        forces: Forces::FromMotion,
+        ..arm("from_motion", "forces estimated from noisy poses, weighted by their deviation", |config, stores| {
+            config.data = vec![stores.source("motion", Supervision::Both)?];
+            config.data[0].weigh_by_std = true;
+            Ok(())
+        })
+    };
+    let arms = vec![
+        arm("true_force", "the simulator's forces: the bound", |config, stores| {
+            config.data = vec![stores.source("motion", Supervision::Both)?];
+            Ok(())
+        }),
+        estimated,
+        Arm {
+            forces: Forces::FromMotion,
+            ..arm("unweighted", "the same, all forces with equal weight", |config, stores| {
+                config.data = vec![stores.source("motion", Supervision::Both)?];
+                Ok(())
+            })
+        },
+        Arm {
+            untrained_force: true,
+            ..arm("contact_only", "contact alone; the force head as the consistency loss left it", |config, stores| {
+                config.data = vec![stores.source("motion", Supervision::Contact)?];
+                Ok(())
+            })
+        },
+    ];
+    let question = "How much of what true forces teach do forces estimated from motion teach?";
+    Experiment { name: "motion", question, arms, tests: vec![OOD_FORCE, known] }
 }
 
 fn geometry(config: &mut Config, change: impl FnOnce(&mut model::Config)) {

@@ -11,6 +11,7 @@
 //! | `scaling` | benefit of more data and more sources |
 //! | `ablations` | contribution of each part of the method |
 //! | `limits` | limit of the scores: time, resolution or capacity |
+//! | `motion` | benefit of forces estimated from motion |
 //! | `transfer` | dynamics of force against sensors with another layout, gain and spread; no training |
 //! | `decline` | accuracy against occlusion, blur, noise, exposure, resolution and frame rate; no training |
 //! | `attention` | share of the attention on hands and objects; no training |
@@ -28,6 +29,7 @@ pub mod decline;
 mod degrade;
 mod mask;
 mod measure;
+mod motion;
 mod network;
 pub mod plot;
 mod render;

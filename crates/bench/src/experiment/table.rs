@@ -72,6 +72,13 @@ impl Report {
         for test in &self.tests {
             put(&mut text, format_args!("\n## {} ({} frames, {} episodes)\n", test.title, test.frames, test.episodes));
             self.table(test, &mut text);
+            let recovered = recovered(&self.arms, &test.name);
+            if !recovered.is_empty() {
+                put(
+                    &mut text,
+                    format_args!("\nOf the difference between `{WITHOUT}` and `{BOUND}`: {}.", recovered.join("; ")),
+                );
+            }
         }
         text
     }
@@ -132,6 +139,31 @@ impl Report {
     }
 }
 
+/// Arms without force and with the best forces there are; others that learn force are between them.
+const WITHOUT: &str = "contact_only";
+const BOUND: &str = "true_force";
+
+/// Says for each arm which share of what separates [`WITHOUT`] from [`BOUND`] it recovers, means over seeds; empty if the
+/// experiment has not both arms, or they do not differ.
+fn recovered(arms: &[ArmReport], test: &str) -> Vec<String> {
+    let mean = |arm: &ArmReport, score: &str| {
+        let values = arm.tests.get(test)?.score(score).into_iter().collect::<Option<Vec<f64>>>()?;
+        (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+    };
+    let named = |name: &str| arms.iter().find(|arm| arm.name == name);
+    let (Some(without), Some(bound)) = (named(WITHOUT), named(BOUND)) else { return Vec::new() };
+    let between = arms.iter().filter(|arm| !arm.constant && arm.name != WITHOUT && arm.name != BOUND);
+    let share = |arm: &ArmReport, score: &str| {
+        let (low, high) = (mean(without, score)?, mean(bound, score)?);
+        (low != high).then(|| Some(100.0 * (mean(arm, score)? - low) / (high - low)))?
+    };
+    let says = |arm: &ArmReport| {
+        let (active, pearson) = (share(arm, "active_mae")?, share(arm, "temporal_pearson")?);
+        Some(format!("`{}` recovers {active:.0} % in active MAE and {pearson:.0} % in temporal Pearson", arm.name))
+    };
+    between.filter_map(says).collect()
+}
+
 fn frames(arm: &ArmReport) -> String {
     arm.training_frames.map_or_else(|| "—".into(), |frames| frames.to_string())
 }
@@ -163,5 +195,20 @@ mod tests {
         assert_eq!(spread(&[Some(0.5), Some(0.25)]), "0.375 (0.250..0.500)");
         assert_eq!(spread(&[Some(0.5)]), "0.500");
         assert_eq!((spread(&[Some(0.5), None]), spread(&[])), ("—".into(), "—".into()));
+    }
+
+    #[test]
+    fn an_arm_half_way_between_no_force_and_true_force_recovers_half() {
+        let arm = |name: &str, mae: f64, pearson: f64| {
+            let seeds = vec![serde_json::json!({"active_mae": mae, "temporal_pearson": pearson})];
+            let scores = Scores { seeds, differences: Vec::new() };
+            let tests = [("ood".to_string(), scores)].into();
+            let (about, minutes) = (String::new(), Vec::new());
+            ArmReport { name: name.into(), about, constant: false, training_frames: None, minutes, tests }
+        };
+        let arms = [arm(BOUND, 0.1, 0.8), arm("from_motion", 0.2, 0.5), arm(WITHOUT, 0.3, 0.0)];
+        let expected = "`from_motion` recovers 50 % in active MAE and 62 % in temporal Pearson";
+        assert_eq!(recovered(&arms, "ood"), [expected]);
+        assert!(recovered(&arms[..2], "ood").is_empty());
     }
 }

@@ -13,9 +13,10 @@ use egotac::train::data::Dataset;
 use egotac::train::source::TrainingSource;
 use egotac::train::{self, Config, Control, Event, predict};
 
-use super::arm::{Arm, View};
+use super::arm::{Arm, Forces, View};
 use super::crop;
 use super::data::{RATE, Recipe, Stores};
+use super::motion;
 use super::network::Network;
 use super::{Setup, Size};
 
@@ -50,13 +51,16 @@ impl<'a> Run<'a> {
                 source.stores.iter_mut().for_each(|store| *store = cropped(store, setup.size.image));
             });
         }
+        if arm.forces == Forces::FromMotion {
+            config.data.iter_mut().flat_map(|source| &mut source.stores).for_each(|store| *store = from_motion(store));
+        }
         config.out = folder(&setup.work, &config, &setup.network)?;
         Ok(Self { arm, seed, config })
     }
 
     /// Returns the recipes of the stores that the run learns from.
     pub fn recipes(&self, stores: &Stores) -> Vec<Recipe> {
-        self.paths().iter().filter_map(|path| stores.recipe(&uncropped(path))).cloned().collect()
+        self.paths().iter().filter_map(|path| stores.recipe(&origin(path))).cloned().collect()
     }
 
     fn paths(&self) -> Vec<PathBuf> {
@@ -72,9 +76,11 @@ impl<'a> Run<'a> {
         if self.is_trained() {
             return Ok(());
         }
-        if self.arm.view == View::Crop {
-            for path in self.paths().iter().filter(|path| !path.exists()) {
-                crop::write(&uncropped(path), path, side_of(config)?)?;
+        for path in self.paths().iter().filter(|path| !path.exists()) {
+            match (self.arm.view, self.arm.forces) {
+                (View::Crop, _) => crop::write(&origin(path), path, side_of(config)?)?,
+                (View::Scene, Forces::FromMotion) => motion::write(&origin(path), path)?,
+                (View::Scene, Forces::True) => {}
             }
         }
         let resume = config.out.join("state.safetensors").exists();
@@ -215,10 +221,19 @@ fn cropped(path: &Path, side: u32) -> PathBuf {
     path.with_file_name(format!("{name}{CROPS}{side}.zarr"))
 }
 
-/// Returns the path of the store that crops are from; other paths as they are.
-fn uncropped(path: &Path) -> PathBuf {
+/// Extension of a store of forces from motion.
+const FROM_MOTION: &str = ".motion.zarr";
+
+/// Returns the path of the store with forces from motion in place of the true ones.
+fn from_motion(path: &Path) -> PathBuf {
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
-    match name.split_once(CROPS) {
+    path.with_file_name(format!("{name}{FROM_MOTION}"))
+}
+
+/// Returns the path of the rendered store that crops or forces from motion are made of; other paths as they are.
+fn origin(path: &Path) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    match name.split_once(CROPS).or_else(|| name.split_once(FROM_MOTION)) {
         Some((own, _)) => path.with_file_name(format!("{own}.zarr")),
         None => path.to_path_buf(),
     }
@@ -250,10 +265,15 @@ mod tests {
     }
 
     #[test]
-    fn the_path_of_crops_leads_back_to_their_store() {
+    fn paths_of_derived_stores_lead_back_to_their_store() {
         let store = Path::new("data/force_poke_train0_3_abcd.zarr");
         let crops = cropped(store, 56);
         assert_eq!(crops, Path::new("data/force_poke_train0_3_abcd.crops56.zarr"));
-        assert_eq!((uncropped(&crops), uncropped(store)), (store.to_path_buf(), store.to_path_buf()));
+        assert_eq!((origin(&crops), origin(store)), (store.to_path_buf(), store.to_path_buf()));
+        let moved = from_motion(store);
+        assert_eq!(
+            (moved.as_path(), origin(&moved).as_path()),
+            (Path::new("data/force_poke_train0_3_abcd.motion.zarr"), store)
+        );
     }
 }

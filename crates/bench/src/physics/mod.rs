@@ -3,9 +3,10 @@
 
 mod determined;
 mod plot;
-mod record;
+pub(crate) mod record;
 mod report;
 mod score;
+mod solver;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -21,6 +22,7 @@ use serde::Serialize;
 
 pub use record::{Disturbance, MassKnowledge, Recorded};
 pub use score::{Score, Sums};
+pub use solver::SolverRow;
 
 /// Noise of poses: mm, degrees.
 const NOISES: [(f64, f64); 5] = [(0.0, 0.0), (1.0, 1.0), (3.0, 1.0), (3.0, 3.0), (5.0, 3.0)];
@@ -51,6 +53,8 @@ pub struct Report {
     /// Scores by condition and split of the scenes: the settings were chosen on other episodes of `train` scenes, and on no
     /// episode of `ood` scenes.
     pub splits: Vec<(String, Score)>,
+    /// The solver beside a general one; empty without a peer.
+    pub solvers: Vec<SolverRow>,
 }
 
 /// Returns the conditions: all noises and rates with known masses, and two noises with the others.
@@ -69,7 +73,7 @@ pub fn conditions() -> Vec<Disturbance> {
     conditions
 }
 
-/// Measures on `seeds` episodes of each scene, from `seed` on.
+/// Measures on `seeds` episodes of each scene, from `seed` on; `peer`: command of a solver to compare with.
 ///
 /// # Errors
 /// If a rollout fails.
@@ -79,6 +83,7 @@ pub fn measure(
     seeds: std::ops::Range<u64>,
     settings: Settings,
     rows: Option<&Path>,
+    peer: Option<&str>,
     progress: &(dyn Fn(&str) + Sync),
 ) -> Result<Report> {
     // Soft objects have no single pose, so that no motion is estimated for them.
@@ -146,6 +151,7 @@ pub fn measure(
         conditions: scores,
         scenes: by_scene,
         splits,
+        solvers: peer.map(solver::compare).transpose()?.unwrap_or_default(),
     })
 }
 

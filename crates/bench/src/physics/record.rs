@@ -249,36 +249,17 @@ impl Recorded {
         let every = (RATE / disturbance.rate).round().max(1.0) as usize;
         let frames: Vec<usize> = (0..self.times.len()).step_by(every).collect();
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let (position, rotation) = (1e-3 * disturbance.millimetres, disturbance.degrees.to_radians());
-        let mut vector = |sd: f64| sd * DVec3::from_array(std::array::from_fn(|_| StandardNormal.sample(&mut rng)));
-        let mut tracked: [Vec<Tracked>; 2] = Default::default();
-        for (tracked, of_hand) in tracked.iter_mut().zip(&self.tracked) {
-            for frame in &frames {
-                let mut hand = of_hand[*frame].clone();
-                let (shift, turn) = (vector(position), DQuat::from_scaled_axis(vector(rotation)));
-                if let Tracked::Present(params) = &mut hand {
-                    params.transl += shift.as_vec3();
-                    let orient = turn * DQuat::from_scaled_axis(params.global_orient.as_dvec3());
-                    params.global_orient = orient.to_scaled_axis().as_vec3();
-                }
-                tracked.push(hand);
-            }
-        }
-        let mut poses = Vec::new();
-        for of_body in &self.poses {
-            let moved = frames.iter().map(|frame| {
-                let (shift, turn) = (vector(position), DQuat::from_scaled_axis(vector(rotation)));
-                let pose = of_body[*frame]?;
-                Some(Pose { position: pose.position + shift, orientation: turn * pose.orientation })
-            });
-            poses.push(moved.collect());
-        }
+        let of_hand = |hand: &Vec<Tracked>| frames.iter().map(|frame| hand[*frame].clone()).collect();
+        let mut hands: [Vec<Tracked>; 2] = self.tracked.each_ref().map(of_hand);
+        let of_body = |body: &Vec<Option<Pose>>| frames.iter().map(|frame| body[*frame]).collect();
+        let mut poses: Vec<Vec<Option<Pose>>> = self.poses.iter().map(of_body).collect();
+        add_pose_noise(&mut hands, &mut poses, disturbance.millimetres, disturbance.degrees, &mut rng);
         let mut bodies = self.bodies.clone();
         for body in &mut bodies {
             let Some(mass) = &mut body.mass else { continue };
             let (factor, sd) = match disturbance.mass {
                 MassKnowledge::Known => (1.0, 0.0),
-                MassKnowledge::Density => (vector(DENSITY_SD).x.exp(), DENSITY_SD),
+                MassKnowledge::Density => (normal(DENSITY_SD, &mut rng).x.exp(), DENSITY_SD),
                 MassKnowledge::Wrong => (1.5, WRONG_SD),
             };
             (mass.kilograms, mass.inertia, mass.relative_sd) = (mass.kilograms * factor, mass.inertia * factor, sd);
@@ -286,7 +267,7 @@ impl Recorded {
         let take = Take {
             times: frames.iter().map(|frame| self.times[*frame]).collect(),
             models: [&self.hands[0], &self.hands[1]],
-            hands: tracked,
+            hands,
             bodies,
             poses,
             fixed: self.fixed.clone(),
@@ -299,6 +280,38 @@ impl Recorded {
     pub fn is_free(&self) -> bool {
         self.bodies.iter().any(|body| body.held.is_none())
     }
+}
+
+/// Adds independent normal noise to the poses of wrists and bodies in every frame, as a tracker has it: standard deviations of
+/// position, mm per axis, and of rotation, degrees per axis.
+pub fn add_pose_noise(
+    hands: &mut [Vec<Tracked>; 2],
+    poses: &mut [Vec<Option<Pose>>],
+    millimetres: f64,
+    degrees: f64,
+    rng: &mut ChaCha8Rng,
+) {
+    let (position, rotation) = (1e-3 * millimetres, degrees.to_radians());
+    let mut drawn = || (normal(position, rng), DQuat::from_scaled_axis(normal(rotation, rng)));
+    for hand in hands.iter_mut().flatten() {
+        let (shift, turn) = drawn();
+        if let Tracked::Present(params) = hand {
+            params.transl += shift.as_vec3();
+            let orient = turn * DQuat::from_scaled_axis(params.global_orient.as_dvec3());
+            params.global_orient = orient.to_scaled_axis().as_vec3();
+        }
+    }
+    for pose in poses.iter_mut().flatten() {
+        let (shift, turn) = drawn();
+        if let Some(pose) = pose {
+            *pose = Pose { position: pose.position + shift, orientation: turn * pose.orientation };
+        }
+    }
+}
+
+/// Draws a vector of independent normal numbers with this standard deviation.
+fn normal(sd: f64, rng: &mut ChaCha8Rng) -> DVec3 {
+    sd * DVec3::from_array(std::array::from_fn(|_| StandardNormal.sample(rng)))
 }
 
 /// Returns the net force of all contacts on a body, N.

@@ -6,7 +6,7 @@ use std::path::Path;
 use egotac::error::Result;
 use egotac::physics::frame::{BodyEstimate, LinkEstimate};
 use egotac::physics::patch::Pusher;
-use egotac::physics::{Estimate, Take};
+use egotac::physics::{Estimate, FrameEstimate, PoseNoise, Take};
 use egotac::statistics::percentile;
 use glam::DVec3;
 use nalgebra::Vector6;
@@ -179,86 +179,105 @@ impl Sums {
         let shown: Vec<Option<Vec<DVec3>>> =
             bandwidth.map(|(body, bandwidth)| recorded.shown(body, frames, (*bandwidth)?)).collect();
         for (index, frame) in frames.iter().enumerate() {
-            let truth = &recorded.truth[*frame];
             // At the ends of an episode a spline has samples on one side only: no file can be judged by its first frames.
             let edge = index < 3 || index + 3 >= frames.len();
-            if !truth.valid || edge {
+            if edge || !recorded.truth[*frame].valid {
                 continue;
             }
             let found = &estimate_of.frames[index];
-            for (index_of_body, (body, wrench)) in found.bodies.iter().zip(&truth.wrenches).enumerate() {
-                let Some(body) = body else { continue };
-                let part = |of: &Vector6<f64>, row: usize| DVec3::new(of[row], of[row + 1], of[row + 2]);
-                let [force, true_force] = [part(&body.wrench, 0), part(wrench, 0)];
-                let seen = shown[index_of_body].as_ref().map(|shown| shown[index]);
-                let touches = truth.touches[index_of_body];
-                self.nets.push(Net {
-                    scene: recorded.scene.clone(),
-                    frame: *frame,
-                    body: index_of_body,
-                    truth: true_force.length(),
-                    error: force.distance(true_force),
-                    moment_error: part(&body.wrench, 3).distance(part(wrench, 3)),
-                    hidden: seen.map_or(f64::NAN, |seen| seen.distance(true_force)),
-                    shown_error: seen.map_or(f64::NAN, |seen| seen.distance(force)),
-                    sd: part(&body.wrench_sd, 0).length(),
-                    residual: part(&body.residual, 0).length(),
-                    hand: touches.hand,
-                    other: touches.body,
-                    fixed: touches.fixed,
-                });
+            for body in 0..found.bodies.len() {
+                self.add_net(recorded, *frame, body, found, shown[body].as_ref().map(|shown| shown[index]));
             }
-            for (side, hand) in found.hands.iter().enumerate() {
-                for (link, estimate) in hand.links.iter().enumerate() {
-                    let (force, determined) = (truth.links[side][link], truth.determined[side][link]);
-                    self.touched += usize::from(force > TOUCHED);
-                    let Some(estimate) = estimate else {
-                        if force > TOUCHED {
-                            *self.unknown.entry(hand.validity.reason()).or_default() += 1;
-                        }
-                        continue;
-                    };
-                    if force <= TOUCHED && estimate.force <= TOUCHED {
-                        continue;
-                    }
-                    if determined && force > TOUCHED {
-                        self.determined += 1;
-                        self.wrongly_flagged += usize::from(estimate.undetermined);
-                    }
-                    let [low, high] = estimate.interval;
-                    let touching: Vec<(usize, &BodyEstimate, f64)> = found
-                        .bodies
-                        .iter()
-                        .enumerate()
-                        .filter_map(|(index, body)| {
-                            let of_link = |l: &&LinkEstimate| matches!(l.pusher, Pusher::Link(s, j) if s as usize == side && j == link);
-                            let body = body.as_ref()?;
-                            Some((index, body, body.links.iter().find(of_link)?.remaining))
-                        })
-                        .collect();
-                    let noise = estimate_of.hand_noise[side];
-                    self.links.push(Link {
-                        scene: recorded.scene.clone(),
-                        frame: *frame,
-                        side,
-                        link,
-                        truth: force,
-                        force: estimate.force,
-                        sd: estimate.sd,
-                        low,
-                        high,
-                        determined,
-                        flagged: estimate.undetermined,
-                        remaining: touching.iter().map(|(.., remaining)| *remaining).fold(0.0, f64::max),
-                        load: touching.iter().map(|(_, body, _)| body.load).sum(),
-                        friction: touching.first().map_or(f64::NAN, |(index, ..)| take.bodies[*index].friction),
-                        gap_sd: noise.position.hypot(0.12 * noise.rotation),
-                        links: touching.iter().map(|(_, body, _)| body.links.len()).sum(),
-                    });
+            for side in 0..2 {
+                for link in 0..found.hands[side].links.len() {
+                    self.add_link(recorded, *frame, (side, link), found, take, estimate_of.hand_noise[side]);
                 }
             }
         }
         debug_assert_eq!(take.times.len(), frames.len());
+    }
+
+    /// Adds the net force on `body`; `shown`: the force that its recorded poses show, N.
+    fn add_net(&mut self, recorded: &Recorded, frame: usize, body: usize, found: &FrameEstimate, shown: Option<DVec3>) {
+        let truth = &recorded.truth[frame];
+        let (Some(estimate), wrench, touches) = (&found.bodies[body], &truth.wrenches[body], truth.touches[body])
+        else {
+            return;
+        };
+        let part = |of: &Vector6<f64>, row: usize| DVec3::new(of[row], of[row + 1], of[row + 2]);
+        let [force, true_force] = [part(&estimate.wrench, 0), part(wrench, 0)];
+        self.nets.push(Net {
+            scene: recorded.scene.clone(),
+            frame,
+            body,
+            truth: true_force.length(),
+            error: force.distance(true_force),
+            moment_error: part(&estimate.wrench, 3).distance(part(wrench, 3)),
+            hidden: shown.map_or(f64::NAN, |shown| shown.distance(true_force)),
+            shown_error: shown.map_or(f64::NAN, |shown| shown.distance(force)),
+            sd: part(&estimate.wrench_sd, 0).length(),
+            residual: part(&estimate.residual, 0).length(),
+            hand: touches.hand,
+            other: touches.body,
+            fixed: touches.fixed,
+        });
+    }
+
+    /// Adds the force on one link of one hand.
+    fn add_link(
+        &mut self,
+        recorded: &Recorded,
+        frame: usize,
+        (side, link): (usize, usize),
+        found: &FrameEstimate,
+        take: &Take,
+        noise: PoseNoise,
+    ) {
+        let (hand, truth) = (&found.hands[side], &recorded.truth[frame]);
+        let (force, determined) = (truth.links[side][link], truth.determined[side][link]);
+        self.touched += usize::from(force > TOUCHED);
+        let Some(estimate) = &hand.links[link] else {
+            if force > TOUCHED {
+                *self.unknown.entry(hand.validity.reason()).or_default() += 1;
+            }
+            return;
+        };
+        if force <= TOUCHED && estimate.force <= TOUCHED {
+            return;
+        }
+        if determined && force > TOUCHED {
+            self.determined += 1;
+            self.wrongly_flagged += usize::from(estimate.undetermined);
+        }
+        let [low, high] = estimate.interval;
+        let of_link = |l: &&LinkEstimate| matches!(l.pusher, Pusher::Link(s, j) if s as usize == side && j == link);
+        let touching: Vec<(usize, &BodyEstimate, f64)> = found
+            .bodies
+            .iter()
+            .enumerate()
+            .filter_map(|(index, body)| {
+                let body = body.as_ref()?;
+                Some((index, body, body.links.iter().find(of_link)?.remaining))
+            })
+            .collect();
+        self.links.push(Link {
+            scene: recorded.scene.clone(),
+            frame,
+            side,
+            link,
+            truth: force,
+            force: estimate.force,
+            sd: estimate.sd,
+            low,
+            high,
+            determined,
+            flagged: estimate.undetermined,
+            remaining: touching.iter().map(|(.., remaining)| *remaining).fold(0.0, f64::max),
+            load: touching.iter().map(|(_, body, _)| body.load).sum(),
+            friction: touching.first().map_or(f64::NAN, |(index, ..)| take.bodies[*index].friction),
+            gap_sd: noise.position.hypot(0.12 * noise.rotation),
+            links: touching.iter().map(|(_, body, _)| body.links.len()).sum(),
+        });
     }
 
     /// Adds the episodes of other sums.

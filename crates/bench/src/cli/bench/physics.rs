@@ -28,6 +28,9 @@ pub struct Args {
     /// Folder for the bodies and links behind the tables, as CSV files.
     #[arg(long, value_name = "FOLDER")]
     rows: Option<PathBuf>,
+    /// Command that solves the same problems with another solver, such as `python crates/bench/benches/solver_peer.py`.
+    #[arg(long, value_name = "COMMAND")]
+    solver_peer: Option<String>,
     /// Folder for physics.md, physics.json, physics.png and physics.svg.
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     out: PathBuf,
@@ -41,7 +44,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     anyhow::ensure!(args.seeds > 0, "--seeds: expected at least 1, got 0");
     let scenes = super::load_scenes(&args.scenes)?;
     let names: String = args.scenes.iter().map(|scene| format!("{scene} ")).collect();
-    let command = format!("egotac bench physics {names}--seeds {} --seed {} --out docs/bench", args.seeds, args.seed);
+    let peer = args.solver_peer.as_ref().map(|peer| format!(" --solver-peer {peer:?}")).unwrap_or_default();
+    let command =
+        format!("egotac bench physics {names}--seeds {} --seed {}{peer} --out docs/bench", args.seeds, args.seed);
     let seeds = args.seed..args.seed + args.seeds;
     let usual = egotac::physics::Settings::default();
     let settings = egotac::physics::Settings {
@@ -55,7 +60,15 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         std::fs::create_dir_all(folder)?;
     }
     let told = |what: &str| tell(format_args!("{what}"));
-    let report = crate::physics::measure(command, &scenes, seeds, settings, args.rows.as_deref(), &told)?;
+    let report = crate::physics::measure(
+        command,
+        &scenes,
+        seeds,
+        settings,
+        args.rows.as_deref(),
+        args.solver_peer.as_deref(),
+        &told,
+    )?;
     std::fs::create_dir_all(&args.out)?;
     report.write(&args.out)?;
     println!("wrote {}", args.out.join("physics.md").display());
