@@ -14,7 +14,7 @@ use crate::text::parse_yaml;
 /// Largest number of steps; some counters are 32 bits wide.
 const MAX_STEPS: usize = 1 << 30;
 /// Largest number of clips, windows per clip or batches of a step.
-const MAX_BATCH: usize = 1 << 16;
+pub(super) const MAX_BATCH: usize = 1 << 16;
 /// Largest number of windows of an epoch, all of which each loading thread holds: 130 MB.
 const MAX_EPOCH: usize = 1 << 24;
 /// Largest number of loading threads.
@@ -148,7 +148,7 @@ pub enum ModelChoice {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BatchConfig {
-    /// Clips per step.
+    /// Clips per step, of each rank that the run begins with (one without a launcher such as `mpirun`).
     pub clips: usize,
     /// Windows per clip.
     pub windows: usize,
@@ -431,6 +431,18 @@ impl Config {
             },
             ModelChoice::Preset(name) => model::Config::preset(name),
             ModelChoice::Explicit(config) => config.check().map(|()| config.clone()),
+        }
+    }
+
+    /// Returns the configuration of the one process whose batches are those of `ranks` ranks.
+    ///
+    /// # Errors
+    /// If that are too many clips.
+    pub(super) fn of_ranks(&self, ranks: usize) -> Result<Self> {
+        let clips = self.batch.clips.saturating_mul(ranks);
+        match clips <= MAX_BATCH {
+            true => Ok(Self { batch: BatchConfig { clips, ..self.batch }, ..self.clone() }),
+            false => Err(Error::value("batch.clips", format!("{MAX_BATCH} or fewer clips of all {ranks} ranks"), clips)),
         }
     }
 
