@@ -15,7 +15,7 @@ use crate::file::{self, input, limits};
 /// Tensors of a variable's state; each is named KIND.VARIABLE in the file.
 const STATE_KINDS: [&str; 4] = ["weight", "moment1", "moment2", "average"];
 
-/// Steps that a run has taken, and the number of ranks that it began with: its batches are those of so many ranks for ever.
+/// Steps that a run has taken, and the number of ranks that it began with, which determines the size of its batches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Progress {
     /// Steps taken.

@@ -437,12 +437,14 @@ impl Config {
     /// Returns the configuration of the one process whose batches are those of `ranks` ranks.
     ///
     /// # Errors
-    /// If that are too many clips.
+    /// If their clips are more than a step may have.
     pub(super) fn of_ranks(&self, ranks: usize) -> Result<Self> {
         let clips = self.batch.clips.saturating_mul(ranks);
         match clips <= MAX_BATCH {
             true => Ok(Self { batch: BatchConfig { clips, ..self.batch }, ..self.clone() }),
-            false => Err(Error::value("batch.clips", format!("{MAX_BATCH} or fewer clips of all {ranks} ranks"), clips)),
+            false => {
+                Err(Error::value("batch.clips", format!("{MAX_BATCH} or fewer clips of all {ranks} ranks"), clips))
+            }
         }
     }
 

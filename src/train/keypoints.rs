@@ -208,12 +208,7 @@ impl Heads {
 }
 
 /// Computes the cross-entropy of the patch that contains each point. `tokens`: `(F, P, dv)`.
-fn patch_loss(
-    tokens: &Tensor,
-    points: &[Points],
-    (weight, bias): &(Tensor, Tensor),
-    count: f64,
-) -> Result<Tensor> {
+fn patch_loss(tokens: &Tensor, points: &[Points], (weight, bias): &(Tensor, Tensor), count: f64) -> Result<Tensor> {
     let (frames, tokens_per_frame, _) = tokens.dims3()?;
     check_count(points, frames)?;
     let n_patches = tokens_per_frame - 1;
@@ -231,12 +226,7 @@ fn patch_loss(
 }
 
 /// Computes the mean absolute error of the coordinates of all points in the image. `x`: `(B, k)`.
-fn coordinate_loss(
-    x: &Tensor,
-    points: &[Points],
-    (weight, bias): &(Tensor, Tensor),
-    count: f64,
-) -> Result<Tensor> {
+fn coordinate_loss(x: &Tensor, points: &[Points], (weight, bias): &(Tensor, Tensor), count: f64) -> Result<Tensor> {
     let b = x.dim(0)?;
     check_count(points, b)?;
     let coordinates = ops::linear(x, weight, bias)?; // (B, 86)

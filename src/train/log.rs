@@ -50,7 +50,18 @@ impl Log {
     /// # Errors
     /// If the file can't be written.
     pub fn push(&mut self, s: &Step) -> Result<()> {
-        let Step { step, losses, learning_rate, grad_norm, windows, frames, secs, wait_secs, exchange_secs, exchange_bytes } = s;
+        let Step {
+            step,
+            losses,
+            learning_rate,
+            grad_norm,
+            windows,
+            frames,
+            secs,
+            wait_secs,
+            exchange_secs,
+            exchange_bytes,
+        } = s;
         let losses: Vec<String> = losses.values().iter().map(|value| format!("{value:.6}")).collect();
         let line = format!(
             "{step},{},{learning_rate:.3e},{grad_norm:.4},{windows},{frames},{secs:.4},{wait_secs:.4},{exchange_secs:.4},{exchange_bytes}\n",

@@ -124,13 +124,7 @@ pub fn objective_of_share(
 
 /// Computes the disagreement of force and contact where contact is supervised. The contact probability is a constant target:
 /// no gradient flows into it.
-fn consistency(
-    force: &Tensor,
-    contact_logits: &Tensor,
-    mask: &Tensor,
-    force_scale: f32,
-    count: f64,
-) -> Result<Tensor> {
+fn consistency(force: &Tensor, contact_logits: &Tensor, mask: &Tensor, force_scale: f32, count: f64) -> Result<Tensor> {
     let (scale, shift) = (force_scale / CONSISTENCY_SCALE_N, CONTACT_FORCE_N / CONSISTENCY_SCALE_N);
     let logit = force.affine(scale.into(), -f64::from(shift))?;
     // The sigmoid as (1 + tanh(x/2)) / 2, which overflows for no x.

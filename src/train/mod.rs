@@ -39,8 +39,8 @@ use candle_core::Device;
 use crate::error::{Error, Result};
 use crate::score::metrics::Metrics;
 
-pub use config::Config;
 use checkpoint::Progress;
+pub use config::Config;
 use gradients::Gradients;
 use loader::Loader;
 use optimizer::AdamW;

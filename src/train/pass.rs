@@ -203,8 +203,7 @@ impl Pass<'_> {
         let clips = projected.index_select(&windows, 0)?.reshape(((), geometry.horizon, p, d))?;
         let z = network.fuse(&clips)?;
         let (force, contact_logits) = network.heads(&z)?;
-        let objective =
-            objective_of_share(&force, &contact_logits, &truth, self.force_scale, self.weights, counts)?;
+        let objective = objective_of_share(&force, &contact_logits, &truth, self.force_scale, self.weights, counts)?;
         let keypoints = match self.keypoint_heads {
             // The keypoint heads are f32 even where the network is bf16.
             Some(heads) => {

@@ -113,7 +113,10 @@ fn a_killed_rank_ends_all_and_the_run_resumes_on_other_ranks() {
         }
         let output = launcher.wait_with_output().unwrap();
         let said = told(&output);
-        assert!(!output.status.success() && said.contains(&format!("rank {rank}")) && said.contains("signal 9"), "{said}");
+        assert!(
+            !output.status.success() && said.contains(&format!("rank {rank}")) && said.contains("signal 9"),
+            "{said}"
+        );
         for pid in ranks.values() {
             assert!(!is_running(*pid), "process {pid} runs on");
         }

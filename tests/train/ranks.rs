@@ -166,14 +166,18 @@ fn the_parts_of_a_batch_look_as_they_do_in_the_whole() {
     for ranks in [1, 2, 3, 7] {
         for rank in 0..ranks {
             let part = data.batch_of(Share { rank, ranks }, &collate, 3, &clips).unwrap();
-            let joined: Vec<f32> = (rank..clips.len()).step_by(ranks).flat_map(|at| single[at].frames.clone()).collect();
+            let joined: Vec<f32> =
+                (rank..clips.len()).step_by(ranks).flat_map(|at| single[at].frames.clone()).collect();
             assert_eq!(part.frames, joined, "rank {rank} of {ranks}");
             let masks: Vec<f32> =
                 (rank..clips.len()).step_by(ranks).flat_map(|at| single[at].mask_force.clone()).collect();
             assert_eq!(part.mask_force, masks);
         }
     }
-    assert_eq!(data.batch(&collate, 3, &clips).unwrap().frames, single.iter().flat_map(|b| b.frames.clone()).collect::<Vec<_>>());
+    assert_eq!(
+        data.batch(&collate, 3, &clips).unwrap().frames,
+        single.iter().flat_map(|b| b.frames.clone()).collect::<Vec<_>>()
+    );
     // The augmentation depends on the place of the clip.
     let alone = data.batch(&collate, 3, &clips[1..2]).unwrap();
     assert_ne!(alone.frames, single[1].frames);
@@ -258,7 +262,8 @@ proptest! {
 fn the_keypoint_losses_of_the_parts_add_up_to_that_of_the_whole() {
     let geometry = model::Config::toy();
     let heads = Heads::new(&geometry, init::var_builder(&VarMap::new(), 1, &Device::Cpu)).unwrap();
-    let random = |shape: &[usize]| Tensor::randn(0f32, 1f32, shape, &Device::Cpu).unwrap().to_dtype(DType::F32).unwrap();
+    let random =
+        |shape: &[usize]| Tensor::randn(0f32, 1f32, shape, &Device::Cpu).unwrap().to_dtype(DType::F32).unwrap();
     let (tokens, z) = (random(&[5, geometry.tokens(), geometry.vision_width]), random(&[5, geometry.width]));
     // Frame i knows 9 i points.
     let frame = |i: usize| -> Points {
@@ -266,11 +271,8 @@ fn the_keypoint_losses_of_the_parts_add_up_to_that_of_the_whole() {
     };
     let points: Vec<Points> = (0..5).map(frame).collect();
     assert!(9 * 4 <= N_POINTS);
-    let counts = Counts {
-        points: in_image(&points) as f64,
-        newest_points: in_image(&points) as f64,
-        ..Counts::default()
-    };
+    let counts =
+        Counts { points: in_image(&points) as f64, newest_points: in_image(&points) as f64, ..Counts::default() };
     let loss = |range: std::ops::Range<usize>| {
         let cut = |t: &Tensor| t.narrow(0, range.start, range.len()).unwrap();
         let points = &points[range.clone()];

@@ -48,7 +48,8 @@ fn write_store(path: &Path, seed: u64, episodes: usize, frames: usize) {
             let start = 200 * (usize::from(x > 32.0) + 2 * usize::from(y > 32.0));
             let force = (0..N_FIELD).map(|v| if (start..start + 60).contains(&v) { 0.8 * press as f32 } else { 0.0 });
             // Shares of known vertices from none to all, so that the ranks' counts differ much.
-            let known = |offset: usize| (0..N_FIELD).map(|v| u8::from((v + offset) % 7 < (3 * t + offset) % 8)).collect();
+            let known =
+                |offset: usize| (0..N_FIELD).map(|v| u8::from((v + offset) % 7 < (3 * t + offset) % 8)).collect();
             writer
                 .push(Frame {
                     timestamp: 0.04 * t as f64,

@@ -5,8 +5,9 @@ use super::{Communicator, Single};
 use crate::error::Error;
 use crate::error::Result;
 
-/// Number of processes, as Open MPI, launchers of MPICH, and `srun --mpi=pmix` (second with the first) tell each of them.
+/// Variables in which Open MPI and the launchers of MPICH give the number of processes to each of them.
 const SIZES: [&str; 2] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"];
+/// Variables of `srun --mpi=pmix`: rank, which only processes of a step have, and number of processes.
 const PMIX: [&str; 2] = ["PMIX_RANK", "SLURM_STEP_NUM_TASKS"];
 
 /// Returns the communicator of the processes that a launcher has started together with this one; [`Single`] if none has.
@@ -30,7 +31,8 @@ fn communicator(_: usize) -> Result<Box<dyn Communicator>> {
 
 #[cfg(not(feature = "mpi"))]
 fn communicator(ranks: usize) -> Result<Box<dyn Communicator>> {
-    let expected = "one process, since this program is built without the feature `mpi` (`cargo build --release --features mpi`)";
+    let expected =
+        "one process, since this program is built without the feature `mpi` (`cargo build --release --features mpi`)";
     Err(Error::value("launcher", expected, format!("{ranks} processes")))
 }
 

@@ -188,7 +188,8 @@ mod tests {
 
     #[test]
     fn the_speed_is_that_of_the_steps_after_the_first() {
-        let text = "step,loss,windows,secs,exchange_secs,exchange_bytes\n1,9,8,100,1,40\n2,9,8,2,0.5,40\n3,9,4,1,0.25,40\n";
+        let text =
+            "step,loss,windows,secs,exchange_secs,exchange_bytes\n1,9,8,100,1,40\n2,9,8,2,0.5,40\n3,9,4,1,0.25,40\n";
         let run = read_log(text).unwrap();
         assert_eq!((run.windows_per_s, run.exchange_share, run.exchange_bytes), (4.0, 0.25, 40.0));
         assert_eq!(run.step_secs, 1.5);

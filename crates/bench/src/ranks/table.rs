@@ -48,7 +48,14 @@ impl RanksReport {
                  sixteenth of it (a rank with many cores). A ring sum sends 2 (R - 1) / R\ntimes the bytes of a step. Latency, uneven \
                  ranks and reading of data are left out. Larger batches per rank raise all numbers.\n\n";
         let columns: Vec<String> = GBITS.iter().map(|gbit| format!("{gbit:.0} Gbit/s")).collect();
-        put(&mut text, format_args!("| preset | speed of a rank | ranks | {} |\n|---|---|---|{}", columns.join(" | "), "---|".repeat(GBITS.len())));
+        put(
+            &mut text,
+            format_args!(
+                "| preset | speed of a rank | ranks | {} |\n|---|---|---|{}",
+                columns.join(" | "),
+                "---|".repeat(GBITS.len())
+            ),
+        );
         for row in &self.rows {
             for speed in SPEEDS {
                 for ranks in RANKS {
