@@ -1,6 +1,6 @@
 # Thin names for scripts/ and cargo.
 
-.PHONY: help setup demo demo-retarget test doctor lint miri bench fuzz build-times check-cuda wheel dist docs
+.PHONY: help setup demo demo-retarget test doctor lint miri bench fuzz build-times check-cuda check-mpi wheel dist docs
 
 help:
 	@echo 'make setup       what this machine lacks: Python environment, ROS 2, messages, MuJoCo; writes env.sh'
@@ -17,6 +17,7 @@ help:
 	@echo 'make fuzz        crafted hostile files for every reader, an hour each (inputs that fail in out/fuzz/)'
 	@echo 'make build-times the crates that a first build spends its time on'
 	@echo 'make check-cuda  clippy and a build of the feature cuda, with a toolkit from Python wheels'
+	@echo 'make check-mpi   clippy, a build and tests of the feature mpi: training on several processes (installs Open MPI as root)'
 
 setup:
 	@scripts/setup
@@ -53,6 +54,9 @@ dist:
 
 check-cuda:
 	@scripts/check-cuda
+
+check-mpi:
+	@scripts/check-mpi
 
 wheel:
 	@scripts/wheel

@@ -9,6 +9,8 @@ use super::hands::Hands;
 use super::reference;
 use crate::error::Error;
 use crate::file;
+use crate::text;
+use crate::train::ranks::{self, Communicator};
 use crate::train::{self, Config, Control, Event, Outcome, Started, Step};
 
 /// Arguments of `egotac train`.
@@ -44,16 +46,29 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let Some(path) = &args.config else {
         return write_config(args.init_config.as_deref().context("expected --config or --init-config")?);
     };
+    let ranks = ranks::launched()?;
+    let trained = train_on(&*ranks, path, &args);
+    if let (Err(error), true) = (&trained, ranks.size() > 1) {
+        // Ends the other ranks, which would wait for this one, and this one with them.
+        ranks.abort(&text::error_chain(error.as_ref()));
+    }
+    trained.map(|()| ExitCode::SUCCESS)
+}
+
+fn train_on(ranks: &dyn Communicator, path: &Path, args: &Args) -> anyhow::Result<()> {
     let mut config = Config::read_with(path, &args.set)?;
     config.check().map_err(|error| Error::file(path, error))?;
-    let Hands { mano_left, mano_right, .. } = args.hands;
-    config.mano_left = mano_left.or(config.mano_left);
-    config.mano_right = mano_right.or(config.mano_right);
+    let Hands { mano_left, mano_right, .. } = &args.hands;
+    config.mano_left = mano_left.clone().or(config.mano_left);
+    config.mano_right = mano_right.clone().or(config.mano_right);
     let device = super::device(args.cuda)?;
+    if !ranks.is_root() {
+        return Ok(train::train_on(ranks, &config, args.resume, &device, &mut |_| Control::Continue).map(drop)?);
+    }
     let bar = super::progress::told_bar("steps");
     bar.set_length(config.steps as u64);
     let mut pace = Pace::default();
-    let outcome = train::train(&config, args.resume, &device, &mut |event| {
+    let outcome = train::train_on(ranks, &config, args.resume, &device, &mut |event| {
         match event {
             Event::Started(started) => {
                 bar.set_position(started.step as u64);
@@ -83,8 +98,10 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Control::Continue
     })?;
     bar.finish_and_clear();
-    println!("{}", describe_end(&outcome));
-    Ok(ExitCode::SUCCESS)
+    if let Some(outcome) = &outcome {
+        println!("{}", describe_end(outcome));
+    }
+    Ok(())
 }
 
 /// Parses KEY=VALUE.
@@ -103,8 +120,9 @@ fn write_config(path: &Path) -> anyhow::Result<ExitCode> {
 }
 
 fn describe_start(started: &Started) -> String {
+    let ranks = if started.ranks > 1 { format!("; {} ranks", started.ranks) } else { String::new() };
     format!(
-        "{} parameters; {} training frames, {} held out; one unit of force is {:.4} N; steps {} to {}",
+        "{} parameters; {} training frames, {} held out; one unit of force is {:.4} N; steps {} to {}{ranks}",
         started.parameters, started.frames, started.validation_frames, started.force_scale, started.step, started.steps
     )
 }
@@ -124,6 +142,7 @@ struct Pace {
     windows: f64,
     secs: f64,
     wait_secs: f64,
+    exchange_secs: f64,
 }
 
 impl Pace {
@@ -136,14 +155,20 @@ impl Pace {
         self.windows = KEEP * self.windows + step.windows as f64;
         self.secs = KEEP * self.secs + step.secs;
         self.wait_secs = KEEP * self.wait_secs + step.wait_secs;
+        self.exchange_secs = KEEP * self.exchange_secs + step.exchange_secs;
+        let percent = |secs: f64| 100.0 * secs / self.secs.max(1e-9);
+        let exchanging = match step.exchange_bytes {
+            0 => String::new(),
+            _ => format!(", {:.0} % exchanging gradients", percent(self.exchange_secs)),
+        };
         format!(
-            "loss {:.4} (force {:.4}, contact {:.4}, active {:.4}), {:.0} windows/s, {:.0} % waiting for data",
+            "loss {:.4} (force {:.4}, contact {:.4}, active {:.4}), {:.0} windows/s, {:.0} % waiting for data{exchanging}",
             self.loss.unwrap_or_default(),
             step.losses.force,
             step.losses.contact,
             step.losses.active,
             self.windows / self.secs.max(1e-9),
-            100.0 * self.wait_secs / self.secs.max(1e-9)
+            percent(self.wait_secs)
         )
     }
 }

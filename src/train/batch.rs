@@ -11,7 +11,7 @@ use super::config::AugmentConfig;
 use super::data::{Block, Dataset};
 use super::keypoints::{self, Points};
 use super::loss::Targets;
-use super::sampler::{self, Clip};
+use super::sampler::{self, Clip, Share};
 use crate::error::Result;
 use crate::hand::N_VERTICES;
 use crate::image::Preparation;
@@ -59,9 +59,17 @@ impl Dataset {
     /// # Errors
     /// If a store can't be read.
     pub fn batch(&self, collate: &Collate, index: usize, clips: &[Clip]) -> Result<Batch> {
+        self.batch_of(Share::WHOLE, collate, index, clips)
+    }
+
+    /// As [`Dataset::batch`], with the clips of one rank only: they look the same whatever the number of ranks.
+    ///
+    /// # Errors
+    /// If a store can't be read.
+    pub fn batch_of(&self, share: Share, collate: &Collate, index: usize, clips: &[Clip]) -> Result<Batch> {
         let Preparation { side, mean, std, .. } = *self.preparation();
         let (pixels, item) = (3 * side * side, collate.predict * N_FIELD);
-        let n_windows: usize = clips.iter().map(|clip| clip.newest.len()).sum();
+        let n_windows: usize = share.of(clips).map(|(_, clip)| clip.newest.len()).sum();
         let mut batch = Batch {
             frames: Vec::new(),
             windows: Vec::with_capacity(n_windows * collate.horizon),
@@ -72,7 +80,7 @@ impl Dataset {
             points: Vec::new(),
         };
         let mut rows = (0..).step_by(N_FIELD).map(|start| start..start + N_FIELD);
-        for (place, clip) in clips.iter().enumerate() {
+        for (place, clip) in share.of(clips) {
             let times = self.timestamps(clip.store);
             let windows: Vec<Vec<usize>> = clip
                 .newest
@@ -97,7 +105,7 @@ impl Dataset {
             let place_of = |frame: &usize| before + needed.partition_point(|other| other < frame) as u32;
             batch.windows.extend(windows.iter().flatten().map(place_of));
 
-            // One generator per clip of each step, so that the result does not depend on the loading order.
+            // One generator per clip of each step, so that the result depends neither on the loading order nor on the ranks.
             let mut rng = ChaCha8Rng::seed_from_u64(collate.seed ^ 0x6175_676d_656e_7400);
             rng.set_stream(((index as u64) << 16) | place as u64);
             let augmentation = Augmentation::draw(&collate.augment, self.mirrorable(clip.store), &mut rng);

@@ -7,6 +7,7 @@ use candle_core::Tensor;
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 
+use super::config::MAX_BATCH;
 use super::optimizer::{AdamW, Param};
 use crate::error::{Error, Result};
 use crate::file::{self, input, limits};
@@ -14,11 +15,20 @@ use crate::file::{self, input, limits};
 /// Tensors of a variable's state; each is named KIND.VARIABLE in the file.
 const STATE_KINDS: [&str; 4] = ["weight", "moment1", "moment2", "average"];
 
+/// Steps that a run has taken, and the number of ranks that it began with, which determines the size of its batches.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Progress {
+    /// Steps taken.
+    pub step: usize,
+    /// Ranks at the first step.
+    pub ranks: usize,
+}
+
 /// Saves the state of a run atomically; equal states give equal bytes. `config` identifies the run: [`load`] refuses the state of another one.
 ///
 /// # Errors
 /// If the file can't be written.
-pub fn save(path: &Path, optimizer: &AdamW, step: usize, config: &str) -> Result<()> {
+pub fn save(path: &Path, optimizer: &AdamW, progress: Progress, config: &str) -> Result<()> {
     let bytes = |values: &[f32]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
     let mut tensors = Vec::new();
     for Param { name, var, moment1, moment2, average } in optimizer.params() {
@@ -33,19 +43,20 @@ pub fn save(path: &Path, optimizer: &AdamW, step: usize, config: &str) -> Result
         views.push((name.as_str(), view.map_err(|e| Error::file(path, format!("{name}: {e}")))?));
     }
     let metadata = BTreeMap::from([
-        ("step".to_string(), step.to_string()),
+        ("step".to_string(), progress.step.to_string()),
+        ("ranks".to_string(), progress.ranks.to_string()),
         ("optimizer_steps".to_string(), optimizer.steps().to_string()),
         ("config".to_string(), config.to_string()),
     ]);
     file::write(path, &file::tensors::to_bytes(path, views, &metadata)?)
 }
 
-/// Restores a saved state into variables and optimiser. Returns the number of steps taken.
+/// Restores a saved state into variables and optimiser. A state without a number of ranks is that of one.
 ///
 /// # Errors
 /// If the file is not a state, belongs to another configuration, has taken more steps than it asks for, or its variables are
 /// not the network's.
-pub fn load(path: &Path, optimizer: &mut AdamW, config: &str, steps: usize) -> Result<usize> {
+pub fn load(path: &Path, optimizer: &mut AdamW, config: &str, steps: usize) -> Result<Progress> {
     let bytes = input::read(path, limits::WEIGHTS)?;
     let invalid = |error: &dyn std::fmt::Display| Error::file(path, format!("is not a training state: {error}"));
     let tensors = SafeTensors::deserialize(&bytes).map_err(|e| invalid(&e))?;
@@ -55,8 +66,11 @@ pub fn load(path: &Path, optimizer: &mut AdamW, config: &str, steps: usize) -> R
         metadata.get(key).and_then(|text| text.parse::<usize>().ok()).ok_or_else(|| invalid(&format!("no {key} in it")))
     };
     let (step, optimizer_steps) = (number("step")?, number("optimizer_steps")?);
+    let ranks = if metadata.contains_key("ranks") { number("ranks")? } else { 1 };
     check_config(path, metadata.get("config").map_or("", String::as_str), config)?;
-    for (name, value, most) in [("step", step, steps), ("optimizer_steps", optimizer_steps, step)] {
+    for (name, value, most) in
+        [("step", step, steps), ("optimizer_steps", optimizer_steps, step), ("ranks", ranks, MAX_BATCH)]
+    {
         if value > most {
             return Err(Error::file(path, Error::value(name, format!("at most {most}"), value)));
         }
@@ -76,7 +90,7 @@ pub fn load(path: &Path, optimizer: &mut AdamW, config: &str, steps: usize) -> R
         (param.moment1, param.moment2, param.average) = (moment1?, moment2?, average?);
         Ok(())
     })?;
-    Ok(step)
+    Ok(Progress { step, ranks: ranks.max(1) })
 }
 
 /// Checks that the configuration in a run's file is that of this run.

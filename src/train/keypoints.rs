@@ -24,7 +24,7 @@ use crate::model::Config;
 use crate::model::init::STD;
 
 use super::augment::Augmentation;
-use super::loss::masked_mean;
+use super::loss::{Counts, masked_mean};
 
 /// Points per frame: the keypoints of the left hand, of the right hand, and the first object's origin.
 pub const N_POINTS: usize = 2 * N_KEYPOINTS + 1;
@@ -186,21 +186,29 @@ impl Heads {
     /// Computes the losses; 0 if no point is known.
     ///
     /// `tokens`: `(F, P, dv)`, CLS first, and `points` of the F frames. `z`: `(B, d)`, and `newest`: points of the newest
-    /// frames of the B windows.
+    /// frames of the B windows. `counts`: points in the image, of all ranks.
     ///
     /// # Errors
     /// If shapes don't fit.
-    pub fn loss(&self, tokens: &Tensor, points: &[Points], z: &Tensor, newest: &[Points]) -> Result<KeypointLoss> {
-        let patch = patch_loss(tokens, points, &self.patch)?;
-        let cls = coordinate_loss(&tokens.narrow(1, 0, 1)?.squeeze(1)?.contiguous()?, points, &self.cls)?;
-        let scene = coordinate_loss(z, newest, &self.scene)?;
+    pub fn loss(
+        &self,
+        tokens: &Tensor,
+        points: &[Points],
+        z: &Tensor,
+        newest: &[Points],
+        counts: &Counts,
+    ) -> Result<KeypointLoss> {
+        let cls_tokens = tokens.narrow(1, 0, 1)?.squeeze(1)?.contiguous()?;
+        let patch = patch_loss(tokens, points, &self.patch, counts.points)?;
+        let cls = coordinate_loss(&cls_tokens, points, &self.cls, counts.points)?;
+        let scene = coordinate_loss(z, newest, &self.scene, counts.newest_points)?;
         let total = ((&patch + (&cls * COORDINATE_WEIGHT)?)? + (&scene * COORDINATE_WEIGHT)?)?;
         Ok(KeypointLoss { total, patch, cls, scene })
     }
 }
 
 /// Computes the cross-entropy of the patch that contains each point. `tokens`: `(F, P, dv)`.
-fn patch_loss(tokens: &Tensor, points: &[Points], (weight, bias): &(Tensor, Tensor)) -> Result<Tensor> {
+fn patch_loss(tokens: &Tensor, points: &[Points], (weight, bias): &(Tensor, Tensor), count: f64) -> Result<Tensor> {
     let (frames, tokens_per_frame, _) = tokens.dims3()?;
     check_count(points, frames)?;
     let n_patches = tokens_per_frame - 1;
@@ -208,19 +216,17 @@ fn patch_loss(tokens: &Tensor, points: &[Points], (weight, bias): &(Tensor, Tens
     let log_shares = candle_nn::ops::log_softmax(&logits.transpose(1, 2)?.contiguous()?, D::Minus1)?;
     let grid = n_patches.isqrt();
     let mut right = vec![0f32; frames * N_POINTS * n_patches];
-    let mut count = 0;
     for (row, place) in right.chunks_exact_mut(n_patches).zip(points.iter().flatten()) {
         if let Some(patch) = patch(*place, grid) {
             row[patch] = -1.0;
-            count += 1;
         }
     }
     let right = Tensor::from_vec(right, (frames, N_POINTS, n_patches), tokens.device())?;
-    Ok(((log_shares * right)?.sum_all()? / f64::from(count.max(1)))?)
+    Ok(((log_shares * right)?.sum_all()? / count.max(1.0))?)
 }
 
 /// Computes the mean absolute error of the coordinates of all points in the image. `x`: `(B, k)`.
-fn coordinate_loss(x: &Tensor, points: &[Points], (weight, bias): &(Tensor, Tensor)) -> Result<Tensor> {
+fn coordinate_loss(x: &Tensor, points: &[Points], (weight, bias): &(Tensor, Tensor), count: f64) -> Result<Tensor> {
     let b = x.dim(0)?;
     check_count(points, b)?;
     let coordinates = ops::linear(x, weight, bias)?; // (B, 86)
@@ -229,7 +235,12 @@ fn coordinate_loss(x: &Tensor, points: &[Points], (weight, bias): &(Tensor, Tens
     let mask: Vec<f32> = places().flat_map(|place| [f32::from(u8::from(known(place))); 2]).collect();
     let truth: Vec<f32> = places().flat_map(|place| if known(place) { *place } else { [0.0; 2] }).collect();
     let [mask, truth] = [mask, truth].map(|values| Tensor::from_vec(values, (b, 2 * N_POINTS), x.device()));
-    masked_mean(&(coordinates - truth?)?.abs()?, &mask?)
+    masked_mean(&(coordinates - truth?)?.abs()?, &mask?, 2.0 * count)
+}
+
+/// Returns the number of points that are in the image.
+pub fn in_image(points: &[Points]) -> usize {
+    points.iter().flatten().filter(|place| patch(**place, 1).is_some()).count()
 }
 
 fn check_count(points: &[Points], expected: usize) -> Result<()> {

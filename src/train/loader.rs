@@ -7,7 +7,7 @@ use super::batch::{Batch, Collate};
 use super::config::Config;
 use super::data::Dataset;
 use super::mixture;
-use super::sampler::{self, Pool, Sampler};
+use super::sampler::{self, Pool, Sampler, Share};
 use crate::error::{Error, Result};
 
 /// Batches that each thread prepares ahead of the step that needs them.
@@ -20,7 +20,7 @@ pub struct Loader {
 }
 
 impl Loader {
-    /// Starts the threads of `config`; batch `first` of the run comes first.
+    /// Starts the threads of `config`, which make the rank's `share` of each batch; batch `first` of the run comes first.
     ///
     /// # Errors
     /// If the sources can't be mixed as the configuration asks, or a thread can't be started.
@@ -30,6 +30,7 @@ impl Loader {
         collate: &'scope Collate,
         config: &Config,
         first: usize,
+        share: Share,
     ) -> Result<Self> {
         let sampler = Sampler::new(pools(data, config)?, config.batch.windows, config.batch.clips, config.seed);
         let receivers = (0..config.threads)
@@ -39,7 +40,7 @@ impl Loader {
                 let work = move || {
                     for (index, clips) in batches {
                         // The receiver is dropped when the run ends.
-                        if sender.send(data.batch(collate, index, &clips)).is_err() {
+                        if sender.send(data.batch_of(share, collate, index, &clips)).is_err() {
                             break;
                         }
                     }

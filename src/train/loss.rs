@@ -19,6 +19,48 @@ pub struct Targets {
     pub mask_contact: Tensor,
 }
 
+/// Numbers of supervised entries, which the terms of the objective are divided by. Those of several ranks add up: each rank
+/// divides its sums by the counts of all, and the sum of the ranks' terms is the term of the whole batch.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Counts {
+    /// Entries whose force is supervised.
+    pub force: f64,
+    /// Entries whose contact is supervised.
+    pub contact: f64,
+    /// Entries whose force is supervised and above 0.05 N.
+    pub active: f64,
+    /// Keypoints in the image, over all frames.
+    pub points: f64,
+    /// Keypoints in the image, over the newest frame of each window.
+    pub newest_points: f64,
+}
+
+impl Counts {
+    /// Counts the supervised entries of a batch's labels: `force` in normalised units, and masks.
+    pub fn of(force: &[f32], mask_force: &[f32], mask_contact: &[f32], force_scale: f32) -> Self {
+        let threshold = CONTACT_FORCE_N / force_scale;
+        let supervised = |mask: &[f32]| mask.iter().filter(|mask| **mask == 1.0).count() as f64;
+        let active = force.iter().zip(mask_force).filter(|(force, mask)| **mask == 1.0 && **force > threshold).count();
+        Self {
+            force: supervised(mask_force),
+            contact: supervised(mask_contact),
+            active: active as f64,
+            ..Self::default()
+        }
+    }
+
+    /// Returns the counts as an array.
+    pub fn values(&self) -> [f64; 5] {
+        let Self { force, contact, active, points, newest_points } = *self;
+        [force, contact, active, points, newest_points]
+    }
+
+    /// Creates counts from the array of [`Counts::values`].
+    pub fn from_values([force, contact, active, points, newest_points]: [f64; 5]) -> Self {
+        Self { force, contact, active, points, newest_points }
+    }
+}
+
 /// The objective and its terms.
 #[derive(Debug, Clone)]
 pub struct Objective {
@@ -48,14 +90,32 @@ pub fn objective(
     force_scale: f32,
     weights: &LossWeights,
 ) -> Result<Objective> {
+    let [values, mask_force, mask_contact] =
+        [&truth.force, &truth.mask_force, &truth.mask_contact].map(|tensor| tensor.flatten_all()?.to_vec1::<f32>());
+    let counts = Counts::of(&values?, &mask_force?, &mask_contact?, force_scale);
+    objective_of_share(force, contact_logits, truth, force_scale, weights, &counts)
+}
+
+/// As [`objective`], of a part of a batch whose supervised entries are `counts`.
+///
+/// # Errors
+/// If shapes differ.
+pub fn objective_of_share(
+    force: &Tensor,
+    contact_logits: &Tensor,
+    truth: &Targets,
+    force_scale: f32,
+    weights: &LossWeights,
+    counts: &Counts,
+) -> Result<Objective> {
     let error = (force - &truth.force)?;
-    let l_force = masked_mean(&error.sqr()?, &truth.mask_force)?;
+    let l_force = masked_mean(&error.sqr()?, &truth.mask_force, counts.force)?;
     let threshold = f64::from(CONTACT_FORCE_N / force_scale);
     let mask_active = (truth.force.gt(threshold)?.to_dtype(DType::F32)? * &truth.mask_force)?;
-    let l_active = masked_mean(&smooth_l1(&error)?, &mask_active)?;
+    let l_active = masked_mean(&smooth_l1(&error)?, &mask_active, counts.active)?;
     let cross_entropy = bce_with_logits(contact_logits, &truth.contact, weights.positive_weight)?;
-    let l_contact = masked_mean(&cross_entropy, &truth.mask_contact)?;
-    let l_consistency = consistency(force, contact_logits, &truth.mask_contact, force_scale)?;
+    let l_contact = masked_mean(&cross_entropy, &truth.mask_contact, counts.contact)?;
+    let l_consistency = consistency(force, contact_logits, &truth.mask_contact, force_scale, counts.contact)?;
     let total = ((&l_force * weights.force)? + (&l_contact * weights.contact)?)?;
     let total = (total + (&l_active * weights.active)?)?;
     let total = (total + (&l_consistency * weights.consistency)?)?;
@@ -64,17 +124,18 @@ pub fn objective(
 
 /// Computes the disagreement of force and contact where contact is supervised. The contact probability is a constant target:
 /// no gradient flows into it.
-fn consistency(force: &Tensor, contact_logits: &Tensor, mask: &Tensor, force_scale: f32) -> Result<Tensor> {
+fn consistency(force: &Tensor, contact_logits: &Tensor, mask: &Tensor, force_scale: f32, count: f64) -> Result<Tensor> {
     let (scale, shift) = (force_scale / CONSISTENCY_SCALE_N, CONTACT_FORCE_N / CONSISTENCY_SCALE_N);
     let logit = force.affine(scale.into(), -f64::from(shift))?;
     // The sigmoid as (1 + tanh(x/2)) / 2, which overflows for no x.
     let probability = (contact_logits.detach() * 0.5)?.tanh()?.affine(0.5, 0.5)?;
-    masked_mean(&bce_with_logits(&logit, &probability, 1.0)?, mask)
+    masked_mean(&bce_with_logits(&logit, &probability, 1.0)?, mask, count)
 }
 
-/// Returns the mean of `values` where `mask` is 1; 0 if the mask is 0 everywhere (epsilon of the paper in the denominator).
-pub fn masked_mean(values: &Tensor, mask: &Tensor) -> Result<Tensor> {
-    let count = (mask.sum_all()? + 1e-6)?;
+/// Returns the sum of `values` where `mask` is 1, divided by `count`: the mean if the mask has that many ones; 0 if the mask is 0 everywhere
+/// (epsilon of the paper in the denominator).
+pub fn masked_mean(values: &Tensor, mask: &Tensor, count: f64) -> Result<Tensor> {
+    let count = Tensor::new((count + 1e-6) as f32, values.device())?;
     Ok((values * mask)?.sum_all()?.div(&count)?)
 }
 

@@ -1,7 +1,7 @@
 //! Training: stores in, checkpoint out.
 //!
 //! [`train()`] is the whole loop. The weights of a run depend only on its [`Config`] and data: a repeated run gives the same
-//! weights, and so does a run that was stopped and resumed.
+//! weights, and so does a run that was stopped and resumed. [`train_on`] is the same loop on several [`ranks`].
 
 mod augment;
 pub mod batch;
@@ -11,6 +11,7 @@ pub mod config;
 mod curves;
 pub mod data;
 pub mod familiarity;
+mod gradients;
 pub mod initial_weights;
 pub mod job;
 pub mod keypoints;
@@ -22,10 +23,13 @@ pub mod optimizer;
 pub mod pass;
 mod predict;
 pub mod presence;
+pub mod ranks;
+mod root;
 mod run;
 pub mod sampler;
 mod setup;
 pub mod source;
+mod together;
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -35,13 +39,17 @@ use candle_core::Device;
 use crate::error::{Error, Result};
 use crate::score::metrics::Metrics;
 
+use checkpoint::Progress;
 pub use config::Config;
+use gradients::Gradients;
 use loader::Loader;
-use log::Log;
 use optimizer::AdamW;
-use pass::{Losses, Pass};
+use pass::{Accumulated, Losses, Pass};
 pub use predict::predict;
+use ranks::{Communicator, Single};
+use root::Root;
 use run::{Files, Run};
+use sampler::Share;
 use setup::{Data, Network};
 
 /// Consecutive steps whose gradient may be not finite before the run fails: a single one happens, ten mean divergence.
@@ -86,6 +94,8 @@ pub struct Started {
     pub step: usize,
     /// Steps of the whole run.
     pub steps: usize,
+    /// Ranks that train together.
+    pub ranks: usize,
 }
 
 /// One optimisation step.
@@ -99,14 +109,18 @@ pub struct Step {
     pub learning_rate: f64,
     /// Norm of the gradient before clipping; a step whose norm is not finite changes nothing.
     pub grad_norm: f64,
-    /// Observation windows in the step.
+    /// Observation windows in the step, of all ranks.
     pub windows: usize,
-    /// Frames encoded for the windows.
+    /// Frames encoded for the windows, of all ranks.
     pub frames: usize,
     /// Wall-clock time of the step, s.
     pub secs: f64,
     /// Part of `secs` spent waiting for data, s.
     pub wait_secs: f64,
+    /// Part of `secs` spent in messages to the other ranks, or waiting for them, s.
+    pub exchange_secs: f64,
+    /// Bytes that this rank gives to the sum of the gradients; 0 with one rank.
+    pub exchange_bytes: usize,
 }
 
 /// Result of a run.
@@ -136,23 +150,63 @@ pub fn train(
     device: &Device,
     observe: &mut dyn FnMut(Event) -> Control,
 ) -> Result<Outcome> {
+    let outcome = train_on(&Single, config, resume, device, observe)?;
+    outcome.ok_or_else(|| Error::value("ranks", "a rank 0", "none"))
+}
+
+/// Trains on several ranks, which all call this: the result is that of one process whose batches have `batch.clips` clips for each
+/// rank. A resumed run keeps the batches of the ranks that it began with, and its present ranks share them.
+///
+/// Rank 0 alone writes files and scores the held-out stores; the others return None. The observer of every rank is told of start and steps,
+/// that of rank 0 of the rest; if one answers with a stop, all ranks stop.
+///
+/// # Errors
+/// As [`train()`], or if a rank has failed: an error on one ends all.
+pub fn train_on(
+    ranks: &dyn Communicator,
+    config: &Config,
+    resume: bool,
+    device: &Device,
+    observe: &mut dyn FnMut(Event) -> Control,
+) -> Result<Option<Outcome>> {
+    let outcome = run_steps(ranks, config, resume, device, observe);
+    if let Err(error) = &outcome {
+        ranks.abort(error);
+    }
+    outcome
+}
+
+fn run_steps(
+    ranks: &dyn Communicator,
+    config: &Config,
+    resume: bool,
+    device: &Device,
+    observe: &mut dyn FnMut(Event) -> Control,
+) -> Result<Option<Outcome>> {
     config.check()?;
     let geometry = config.geometry()?;
-    let files = Files::new(config, resume)?;
+    let files = if ranks.is_root() { Some(Files::new(config, resume)?) } else { None };
     let data = Data::open(config, &geometry)?;
     let network = Network::build(config, &geometry, &data, device)?;
     let mut optimizer = AdamW::new(&network.varmap, config)?;
-    let first = if resume { files.resume(&mut optimizer, config.steps)? } else { 0 };
-    files.write_config()?;
-    let mut log = Log::open(&files.log, first)?;
-    let started = data.started(config, &network, first);
-    let run = Run { config, geometry: &geometry, data: &data, files: &files, started: &started, device };
+    together::same_run(ranks, config, &data)?;
+    let progress = match &files {
+        Some(files) if resume => files.resume(&mut optimizer, config.steps, ranks.size())?,
+        _ => Progress { step: 0, ranks: ranks.size() },
+    };
+    let Progress { step: first, ranks: began } = together::share_state(ranks, &mut optimizer, progress)?;
+    let whole = config.of_ranks(began)?;
+    let started = Started { ranks: ranks.size(), ..data.started(config, &network, first) };
+    let run = |files| Run { config, geometry: &geometry, data: &data, files, started: &started, device, began };
+    let mut root = files.as_ref().map(|files| Root::new(run(files))).transpose()?;
     let collate = data.collate(config, &geometry);
-    let control = observe(Event::Started(&started));
+    let control = together::agree(ranks, observe(Event::Started(&started)))?;
     let (mut stop, mut may_validate) = (control != Control::Continue, control != Control::StopUnvalidated);
 
     std::thread::scope(|scope| {
-        let mut loader = Loader::start(scope, &data.training, &collate, config, first * config.batch.accumulate)?;
+        let share = Share { rank: ranks.rank(), ranks: ranks.size() };
+        let batches = first * config.batch.accumulate;
+        let mut loader = Loader::start(scope, &data.training, &collate, &whole, batches, share)?;
         let pass = Pass {
             network: &network.model,
             keypoint_heads: network.keypoint_heads.as_ref(),
@@ -162,13 +216,13 @@ pub fn train(
             device,
         };
         let (mut step, mut skipped, mut skipped_in_a_row) = (first, 0, 0);
-        let (mut validated, mut scores) = (None, Vec::new());
         let mut began = Instant::now();
         while step < config.steps && !stop {
-            let sum = pass.accumulate(&mut loader, &optimizer, config, &network.varmap)?;
-            let Some(gradients) = sum.gradients else { break };
+            let mut sum = pass.accumulate(ranks, &mut loader, &optimizer, config, &network.varmap)?;
+            let mut gradients = Gradients::new(optimizer.params(), sum.gradients.take().as_ref())?;
+            let exchange_bytes = sum.add_over(ranks, &mut gradients)?;
             let learning_rate = config.learning_rate(step);
-            let grad_norm = optimizer.step(&gradients, learning_rate)?;
+            let grad_norm = optimizer.apply(&gradients, learning_rate)?;
             step += 1;
 
             skipped_in_a_row = if grad_norm.is_finite() { 0 } else { skipped_in_a_row + 1 };
@@ -177,42 +231,45 @@ pub fn train(
                 let expected = "a finite number; a lower learning rate may help";
                 return Err(Error::value(format!("gradient at step {step}"), expected, grad_norm));
             }
-            let pass::Accumulated { losses, windows, frames, wait_secs, .. } = sum;
+            let Accumulated { losses, windows, frames, wait_secs, exchange_secs, .. } = sum;
             let secs = began.elapsed().as_secs_f64();
-            let taken = Step { step, losses, learning_rate, grad_norm, windows, frames, secs, wait_secs };
+            let taken = Step {
+                step,
+                losses,
+                learning_rate,
+                grad_norm,
+                windows,
+                frames,
+                secs,
+                wait_secs,
+                exchange_secs,
+                exchange_bytes,
+            };
             began = Instant::now();
-            log.push(&taken)?;
-            let control = observe(Event::Stepped(&taken));
+            root.as_mut().map_or(Ok(()), |root| root.log(&taken))?;
+            let control = together::agree(ranks, observe(Event::Stepped(&taken)))?;
             stop = control != Control::Continue;
             may_validate = control != Control::StopUnvalidated;
             if control == Control::Stop {
                 // Validation may take minutes. A program that is told to end may be killed before that.
-                log.sync()?;
-                run.save(&optimizer, step, validated.as_ref())?;
+                root.as_ref().map_or(Ok(()), |root| root.save(&optimizer, step))?;
             }
 
             let last = stop || step == config.steps;
             if may_validate && (last || step.is_multiple_of(config.validate_every)) {
-                validated = run.validate(&optimizer)?.map(|metrics| (step, metrics));
-                if let Some((_, metrics)) = &validated {
-                    scores.push((step, metrics.clone()));
-                    stop |= observe(Event::Validated(step, metrics)) != Control::Continue;
-                }
+                let control = root.as_mut().map(|root| root.validate(&optimizer, step, observe)).transpose()?;
+                stop |= together::agree(ranks, control.unwrap_or(Control::Continue))? != Control::Continue;
             }
             if last || step.is_multiple_of(config.save_every) {
-                log.sync()?;
-                run.save(&optimizer, step, validated.as_ref())?;
-                stop |= observe(Event::Saved(step)) != Control::Continue;
+                together::same_weights(ranks, &optimizer)?;
+                root.as_ref().map_or(Ok(()), |root| root.save(&optimizer, step))?;
+                let control = if ranks.is_root() { observe(Event::Saved(step)) } else { Control::Continue };
+                stop |= together::agree(ranks, control)? != Control::Continue;
             }
         }
-        // The observer may have stopped the run after a step without validation.
-        if may_validate && validated.as_ref().is_none_or(|(at, _)| *at != step) {
-            validated = run.validate(&optimizer)?.map(|metrics| (step, metrics));
-        }
-        log.sync()?;
-        let sha256 = run.finish(&optimizer, step, validated.as_ref(), may_validate)?;
-        curves::write(&files.log, &scores)?;
-        let validation = validated.map(|(_, metrics)| metrics);
-        Ok(Outcome { checkpoint: files.checkpoint.clone(), sha256, steps: step, validation, skipped_steps: skipped })
+        let outcome = root.map(|root| root.finish(&optimizer, step, may_validate, skipped)).transpose()?;
+        // A rank that ended sooner could not be told of an error.
+        ranks.barrier()?;
+        Ok(outcome)
     })
 }

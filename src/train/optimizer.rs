@@ -8,6 +8,7 @@ use candle_nn::VarMap;
 use rayon::prelude::*;
 
 use super::config::{Config, OptimizerConfig};
+use super::gradients::Gradients;
 use crate::error::{Error, Result};
 use crate::model::checkpoint::ENCODER;
 
@@ -117,13 +118,15 @@ impl AdamW {
     /// # Errors
     /// If a variable can't be read or set.
     pub fn step(&mut self, grads: &GradStore, learning_rate: f64) -> Result<f64> {
-        let mut gradients = Vec::with_capacity(self.params.len());
-        for param in &self.params {
-            gradients.push(match grads.get(&param.var) {
-                Some(grad) => Some(host(grad)?),
-                None => None,
-            });
-        }
+        self.apply(&Gradients::new(&self.params, Some(grads))?, learning_rate)
+    }
+
+    /// As [`AdamW::step`], with gradients in host memory.
+    ///
+    /// # Errors
+    /// If a variable can't be read or set.
+    pub fn apply(&mut self, gradients: &Gradients, learning_rate: f64) -> Result<f64> {
+        let gradients = gradients.by_variable();
         let squares =
             gradients.par_iter().flatten().map(|grad| grad.iter().map(|g| f64::from(*g).powi(2)).sum::<f64>());
         // Collects first: a parallel sum would add in another order each time, and the bits would vary.
@@ -143,10 +146,10 @@ impl AdamW {
             let rate = (learning_rate * if encoder { *encoder_factor } else { 1.0 }) as f32;
             let decays = param.var.rank() >= 2;
             let shrink = 1.0 - if decays { rate * config.weight_decay as f32 } else { 0.0 };
-            let mut weights = host(param.var.as_tensor())?;
+            let mut weights = with_host(param.var.as_tensor(), <[f32]>::to_vec)?;
             if let Some(grad) = grad {
                 let state = param.moment1.iter_mut().zip(&mut param.moment2);
-                for ((weight, grad), (m, v)) in weights.iter_mut().zip(grad).zip(state) {
+                for ((weight, grad), (m, v)) in weights.iter_mut().zip(*grad).zip(state) {
                     let grad = grad * scale;
                     *m += (1.0 - BETA1) * (grad - *m);
                     *v += (1.0 - BETA2) * (grad * grad - *v);
@@ -183,14 +186,17 @@ impl AdamW {
     }
 }
 
-/// Copies the values of a tensor to host memory.
-fn host(tensor: &Tensor) -> Result<Vec<f32>> {
+/// Calls `use_values` with the values of a tensor, which are copied only if they don't lie in host memory one behind the other.
+///
+/// # Errors
+/// If the tensor is not f32, or can't be copied.
+pub(super) fn with_host<T>(tensor: &Tensor, use_values: impl FnOnce(&[f32]) -> T) -> Result<T> {
     if let (Storage::Cpu(CpuStorage::F32(values)), layout) = (&*tensor.storage_and_layout().0, tensor.layout())
         && let Some((start, end)) = layout.contiguous_offsets()
     {
-        return Ok(values[start..end].to_vec());
+        return Ok(use_values(&values[start..end]));
     }
-    Ok(tensor.flatten_all()?.to_vec1()?)
+    Ok(use_values(&tensor.flatten_all()?.to_vec1::<f32>()?))
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Forward and backward pass of one batch, and the mean gradient of a step's batches.
+//! Forward and backward pass of one batch, and the mean gradient of a step's batches, on one rank.
 
 use std::time::Instant;
 
@@ -8,10 +8,12 @@ use candle_nn::VarMap;
 
 use super::batch::Batch;
 use super::config::{Config, LossWeights};
-use super::keypoints::{Heads, Points};
+use super::gradients::Gradients;
+use super::keypoints::{self, Heads, Points};
 use super::loader::Loader;
-use super::loss::objective;
+use super::loss::{Counts, objective_of_share};
 use super::optimizer::AdamW;
+use super::ranks::Communicator;
 use crate::error::Result;
 use crate::model::{self, EgoTac, Precision};
 
@@ -41,10 +43,10 @@ pub struct PassOutput {
     pub gradients: GradStore,
 }
 
-/// Mean over the batches of one step.
+/// This rank's share of the mean over the batches of one step; the shares of all ranks add up to the mean.
 #[derive(Debug, Default)]
 pub struct Accumulated {
-    /// Mean gradient; None without a batch.
+    /// Mean gradient; None if the rank has no clip in any of the batches.
     pub gradients: Option<GradStore>,
     /// Mean of the objective and its terms.
     pub losses: Losses,
@@ -54,6 +56,8 @@ pub struct Accumulated {
     pub frames: usize,
     /// Time spent waiting for batches, s.
     pub wait_secs: f64,
+    /// Time spent in messages to the other ranks, or waiting for them, s.
+    pub exchange_secs: f64,
 }
 
 /// The objective and its terms.
@@ -88,6 +92,12 @@ impl Losses {
         [total, force, contact, active, consistency, keypoint_patch, keypoint_cls, keypoint_scene]
     }
 
+    /// Creates losses from the terms in the order of [`Self::NAMES`].
+    pub fn from_values(values: [f32; 8]) -> Self {
+        let [total, force, contact, active, consistency, keypoint_patch, keypoint_cls, keypoint_scene] = values;
+        Self { total, force, contact, active, consistency, keypoint_patch, keypoint_cls, keypoint_scene }
+    }
+
     /// Adds `share` times each term of `other`.
     pub fn add(&mut self, other: &Self, share: f32) {
         let Self { total, force, contact, active, consistency, keypoint_patch, keypoint_cls, keypoint_scene } = self;
@@ -96,13 +106,31 @@ impl Losses {
     }
 }
 
-impl Pass<'_> {
-    /// Takes the batches of one step from `loader` and returns their mean gradient.
+impl Accumulated {
+    /// Replaces this rank's shares, and its `gradients`, by the sums over all ranks; times stay its own. Returns the bytes given.
     ///
     /// # Errors
-    /// If a batch can't be made, or the device is out of memory.
+    /// If another rank has failed.
+    pub fn add_over(&mut self, ranks: &dyn Communicator, gradients: &mut Gradients) -> Result<usize> {
+        let exchanging = Instant::now();
+        let mut scalars: Vec<f64> = self.losses.values().iter().map(|loss| f64::from(*loss)).collect();
+        scalars.extend([self.windows as f64, self.frames as f64]);
+        let bytes = gradients.sum(ranks, &mut scalars)?;
+        self.losses = Losses::from_values(std::array::from_fn(|i| scalars[i] as f32));
+        [self.windows, self.frames] = [8, 9].map(|i| scalars[i] as usize);
+        self.exchange_secs += exchanging.elapsed().as_secs_f64();
+        Ok(bytes)
+    }
+}
+
+impl Pass<'_> {
+    /// Takes the batches of one step from `loader` and returns this rank's share of their mean gradient.
+    ///
+    /// # Errors
+    /// If a batch can't be made, the device is out of memory, or another rank has failed.
     pub fn accumulate(
         &self,
+        ranks: &dyn Communicator,
         loader: &mut Loader,
         optimizer: &AdamW,
         config: &Config,
@@ -116,14 +144,22 @@ impl Pass<'_> {
             sum.wait_secs += waiting.elapsed().as_secs_f64();
             sum.frames += batch.n_frames(self.geometry.image);
             sum.windows += batch.windows.len() / self.geometry.horizon;
+            let exchanging = Instant::now();
+            let mut counts = self.counts(&batch).values();
+            ranks.sum_f64(&mut counts)?;
+            let counts = Counts::from_values(counts);
+            sum.exchange_secs += exchanging.elapsed().as_secs_f64();
+            if batch.windows.is_empty() {
+                continue;
+            }
             let PassOutput { losses, gradients } = match config.precision {
                 Precision::Bf16 => {
                     // A new cast for each batch, because a step changes the f32 weights.
                     let vb = model::init::cast_builder(varmap, DType::BF16, self.device);
                     let network = EgoTac::new(self.geometry, vb)?;
-                    Pass { network: &network, ..*self }.run(batch, share)?
+                    Pass { network: &network, ..*self }.run_share(batch, &counts, share)?
                 }
-                _ => self.run(batch, share)?,
+                _ => self.run_share(batch, &counts, share)?,
             };
             sum.losses.add(&losses, share as f32);
             optimizer.gather(&mut sum.gradients, gradients)?;
@@ -138,11 +174,25 @@ impl Pass<'_> {
     /// # Errors
     /// If the device is out of memory.
     pub fn run(&self, batch: Batch, share: f64) -> Result<PassOutput> {
-        // On a thread of the rayon pool: from another thread, each of some thousand operations would wake the pool.
-        rayon::scope(|_| self.run_here(batch, share))
+        let counts = self.counts(&batch);
+        self.run_share(batch, &counts, share)
     }
 
-    fn run_here(&self, mut batch: Batch, share: f64) -> Result<PassOutput> {
+    /// Counts the supervised entries of a batch.
+    fn counts(&self, batch: &Batch) -> Counts {
+        let Batch { force, mask_force, mask_contact, points, .. } = batch;
+        let newest = newest_points(batch, points, self.geometry.horizon);
+        let [points, newest_points] = [points, &newest].map(|points| keypoints::in_image(points) as f64);
+        Counts { points, newest_points, ..Counts::of(force, mask_force, mask_contact, self.force_scale) }
+    }
+
+    /// As [`Pass::run`], on a part of a batch that has `counts` in all.
+    fn run_share(&self, batch: Batch, counts: &Counts, share: f64) -> Result<PassOutput> {
+        // On a thread of the rayon pool: from another thread, each of some thousand operations would wake the pool.
+        rayon::scope(|_| self.run_here(batch, counts, share))
+    }
+
+    fn run_here(&self, mut batch: Batch, counts: &Counts, share: f64) -> Result<PassOutput> {
         let Self { network, geometry, .. } = self;
         let points = std::mem::take(&mut batch.points);
         let newest = newest_points(&batch, &points, geometry.horizon);
@@ -153,11 +203,12 @@ impl Pass<'_> {
         let clips = projected.index_select(&windows, 0)?.reshape(((), geometry.horizon, p, d))?;
         let z = network.fuse(&clips)?;
         let (force, contact_logits) = network.heads(&z)?;
-        let objective = objective(&force, &contact_logits, &truth, self.force_scale, self.weights)?;
+        let objective = objective_of_share(&force, &contact_logits, &truth, self.force_scale, self.weights, counts)?;
         let keypoints = match self.keypoint_heads {
             // The keypoint heads are f32 even where the network is bf16.
             Some(heads) => {
-                Some(heads.loss(&tokens.to_dtype(DType::F32)?, &points, &z.to_dtype(DType::F32)?, &newest)?)
+                let (tokens, z) = (tokens.to_dtype(DType::F32)?, z.to_dtype(DType::F32)?);
+                Some(heads.loss(&tokens, &points, &z, &newest, counts)?)
             }
             None => None,
         };

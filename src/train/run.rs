@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
 
+use super::checkpoint::Progress;
 use super::config::Config;
 use super::optimizer::AdamW;
 use super::setup::Data;
@@ -60,19 +61,19 @@ impl Files {
         }
     }
 
-    /// Restores the state that the run of `steps` steps saved last. Returns the number of steps taken: 0, and the beginning is left as it is,
-    /// if the run was stopped before its first save.
+    /// Restores the state that the run of `steps` steps saved last. Returns its progress: no steps and `ranks`, with the beginning left as it
+    /// is, if the run was stopped before its first save.
     ///
     /// # Errors
     /// If the state can't be read, or the folder is that of a run with another configuration.
-    pub fn resume(&self, optimizer: &mut AdamW, steps: usize) -> Result<usize> {
+    pub fn resume(&self, optimizer: &mut AdamW, steps: usize, ranks: usize) -> Result<Progress> {
         if self.state.exists() {
             return checkpoint::load(&self.state, optimizer, &self.yaml, steps);
         }
         if self.config.exists() {
             checkpoint::check_config(&self.config, &input::read_text(&self.config, limits::TEXT)?, &self.yaml)?;
         }
-        Ok(0)
+        Ok(Progress { step: 0, ranks })
     }
 
     /// Writes the configuration beside the weights.
@@ -92,6 +93,8 @@ pub struct Run<'a> {
     pub files: &'a Files,
     pub started: &'a Started,
     pub device: &'a Device,
+    /// Ranks that the run began with.
+    pub began: usize,
 }
 
 impl Run<'_> {
@@ -111,7 +114,7 @@ impl Run<'_> {
     /// # Errors
     /// If a file can't be written.
     pub fn save(&self, optimizer: &AdamW, step: usize, validated: Option<&(usize, Metrics)>) -> Result<String> {
-        checkpoint::save(&self.files.state, optimizer, step, &self.files.yaml)?;
+        checkpoint::save(&self.files.state, optimizer, Progress { step, ranks: self.began }, &self.files.yaml)?;
         let metadata = self.metadata(step, validated);
         Checkpoint::save(&self.files.checkpoint, self.geometry, &metadata, &self.averaged(optimizer)?)
     }
@@ -131,7 +134,7 @@ impl Run<'_> {
         if !measured {
             return self.save(optimizer, step, validated);
         }
-        checkpoint::save(&self.files.state, optimizer, step, &self.files.yaml)?;
+        checkpoint::save(&self.files.state, optimizer, Progress { step, ranks: self.began }, &self.files.yaml)?;
         let averaged = self.averaged(optimizer)?;
         let held_out = self.data.validation.as_ref().map(|(held_out, _)| held_out);
         let network = self.network(&averaged)?;
@@ -188,6 +191,7 @@ impl Run<'_> {
     fn record(&self, step: usize, validation: Option<&Metrics>) -> String {
         serde_json::json!({
             "config": self.config,
+            "ranks": self.began,
             "steps": step,
             "frames": self.started.frames,
             "validation_frames": self.started.validation_frames,

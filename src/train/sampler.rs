@@ -20,6 +20,26 @@ pub struct Clip {
     pub newest: Vec<usize>,
 }
 
+/// Part of every batch that one rank takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Share {
+    /// Number of the rank, from 0.
+    pub rank: usize,
+    /// Number of ranks.
+    pub ranks: usize,
+}
+
+impl Share {
+    /// All clips of every batch.
+    pub const WHOLE: Self = Self { rank: 0, ranks: 1 };
+
+    /// Returns the clips of a batch that the rank takes, each with its place in the batch. Ranks take turns, so that their numbers of
+    /// clips differ by one at most; in a small batch some ranks take none.
+    pub fn of<'a>(&self, batch: &'a [Clip]) -> impl Iterator<Item = (usize, &'a Clip)> + use<'a> {
+        batch.iter().enumerate().skip(self.rank).step_by(self.ranks.max(1))
+    }
+}
+
 /// Returns the frames of the window whose newest frame is `newest`, oldest first; see [`model::window`](crate::model::window).
 ///
 /// `timestamps`: seconds of every frame of the store, increasing within the episode that starts at `start`.

@@ -88,6 +88,7 @@ impl Data {
             force_scale: self.metadata.force_scale,
             step,
             steps: config.steps,
+            ranks: 1,
         }
     }
 }

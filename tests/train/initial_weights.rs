@@ -14,7 +14,7 @@ use egotac::train::config::LossWeights;
 use egotac::train::data::{Dataset, Statistics};
 use egotac::train::initial_weights;
 use egotac::train::keypoints::{self, Heads, N_POINTS, Points};
-use egotac::train::loss::{Targets, objective};
+use egotac::train::loss::{Counts, Targets, objective};
 use glam::Vec3;
 use image::RgbImage;
 use serde_json::json;
@@ -158,8 +158,12 @@ fn untrained_keypoint_heads_have_the_loss_of_guessing() {
     let zeros = |shape: &[usize]| Tensor::zeros(shape, DType::F32, &Device::Cpu).unwrap();
     let (tokens, z) = (zeros(&[2, geometry.tokens(), geometry.vision_width]), zeros(&[1, geometry.width]));
     let unknown = [[f32::NAN; 2]; N_POINTS];
+    let counts = |points: &[Points], newest: &[Points]| {
+        let [points, newest_points] = [points, newest].map(|points| keypoints::in_image(points) as f64);
+        Counts { points, newest_points, ..Counts::default() }
+    };
     let costs = |points: &[Points; 2]| {
-        let loss = heads.loss(&tokens, points, &z, &points[1..]).unwrap();
+        let loss = heads.loss(&tokens, points, &z, &points[1..], &counts(points, &points[1..])).unwrap();
         [loss.patch, loss.cls, loss.scene].map(|tensor| tensor.to_scalar::<f32>().unwrap())
     };
     assert_eq!(costs(&[unknown; 2]), [0.0; 3]);
@@ -171,5 +175,5 @@ fn untrained_keypoint_heads_have_the_loss_of_guessing() {
     for (cost, expected) in costs(&points).into_iter().zip([n_patches.ln(), 0.25, 0.2]) {
         assert!((cost - expected).abs() < 1e-5, "{cost} instead of {expected}");
     }
-    assert!(heads.loss(&tokens, &points[1..], &z, &points[1..]).is_err());
+    assert!(heads.loss(&tokens, &points[1..], &z, &points[1..], &Counts::default()).is_err());
 }

@@ -8,5 +8,7 @@ mod folder;
 mod initial_weights;
 mod presence;
 mod proximity;
+mod ranks;
 mod recipes;
+mod stores;
 mod training;

@@ -4,6 +4,7 @@
 //! | module | measures |
 //! |---|---|
 //! | [`model`], [`train`] | time and memory of the network and of a training step, beside PyTorch and OpenVINO |
+//! | [`ranks`] | training on several processes |
 //! | [`label`] | time that `egotac label` spends outside the network |
 //! | [`import`] | speed of imports: contact by distance, readers of data sets |
 //! | `glove` | force on vertices from simulated taxels, beside the simulator's own |
@@ -41,6 +42,7 @@ pub mod peer;
 pub mod physics;
 #[cfg(feature = "sim")]
 pub mod policy;
+pub mod ranks;
 #[cfg(feature = "sim")]
 pub mod retarget;
 #[cfg(feature = "sim")]

@@ -7,7 +7,7 @@ use crate::model::Precision;
 /// Largest number of steps; some counters are 32 bits wide.
 const MAX_STEPS: usize = 1 << 30;
 /// Largest number of clips, windows per clip or batches of a step.
-const MAX_BATCH: usize = 1 << 16;
+pub(in crate::train) const MAX_BATCH: usize = 1 << 16;
 /// Largest number of windows of an epoch, all of which each loading thread holds: 130 MB.
 const MAX_EPOCH: usize = 1 << 24;
 /// Largest number of loading threads.

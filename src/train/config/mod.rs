@@ -14,6 +14,7 @@ use crate::file::{input, limits};
 use crate::model::{self, Precision};
 use crate::text::parse_yaml;
 
+pub(super) use check::MAX_BATCH;
 pub use sections::{AugmentConfig, BatchConfig, LossWeights, OptimizerConfig, SamplingConfig};
 
 /// Configuration of a run as written in YAML; unknown keys are refused. Paths are relative to the current folder.
@@ -159,6 +160,20 @@ impl Config {
             },
             ModelChoice::Preset(name) => model::Config::preset(name),
             ModelChoice::Explicit(config) => config.check().map(|()| config.clone()),
+        }
+    }
+
+    /// Returns the configuration of the one process whose batches are those of `ranks` ranks.
+    ///
+    /// # Errors
+    /// If their clips are more than a step may have.
+    pub(super) fn of_ranks(&self, ranks: usize) -> Result<Self> {
+        let clips = self.batch.clips.saturating_mul(ranks);
+        match clips <= MAX_BATCH {
+            true => Ok(Self { batch: BatchConfig { clips, ..self.batch }, ..self.clone() }),
+            false => {
+                Err(Error::value("batch.clips", format!("{MAX_BATCH} or fewer clips of all {ranks} ranks"), clips))
+            }
         }
     }
 

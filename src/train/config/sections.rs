@@ -23,7 +23,7 @@ impl Default for SamplingConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BatchConfig {
-    /// Clips per step.
+    /// Clips per step, of each rank that the run begins with (one without a launcher such as `mpirun`).
     pub clips: usize,
     /// Windows per clip.
     pub windows: usize,

@@ -12,6 +12,7 @@ mod model;
 #[cfg(all(feature = "ros", feature = "sim"))]
 mod node;
 mod physics;
+mod ranks;
 mod retarget;
 mod sim;
 mod train;
@@ -31,6 +32,8 @@ enum Subject {
     Model(Box<model::Args>),
     /// Measure a training step, beside another program's.
     Train(train::Args),
+    /// Measure training on several processes, and compute it for more machines.
+    Ranks(ranks::Args),
     /// Measure what labelling adds to the network's time: reading, writing, geometry.
     Label(label::Args),
     /// Measure imports: contact by distance, and readers of data sets against reading their bytes.
@@ -64,6 +67,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let name = match args.subject {
         Subject::Model(args) => return status(model::run(&args)?),
         Subject::Train(args) => return train::run(&args).map(|()| ExitCode::SUCCESS),
+        Subject::Ranks(args) => return ranks::run(&args).map(|()| ExitCode::SUCCESS),
         Subject::Label(args) => return status(label::run(&args)?),
         Subject::Import(args) => return status(import::run(&args)?),
         Subject::Faults(args) => return status(faults::run(&args)?),
@@ -86,6 +90,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     status(match args.subject {
         Subject::Model(args) => model::run(&args)?,
         Subject::Train(args) => train::run(&args).map(|()| true)?,
+        Subject::Ranks(args) => ranks::run(&args).map(|()| true)?,
         Subject::Label(args) => label::run(&args)?,
         Subject::Import(args) => import::run(&args)?,
         Subject::Sim(args) => sim::run(&args).map(|()| true)?,

@@ -15,6 +15,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 const EXAMPLES: [&str; 16] = [
     "bench model --preset toy --threads 2",
     "bench train --preset tiny",
+    "bench ranks --preset tiny --steps 2",
     "bench label --frames 100",
     "bench import --out out/import",
     "bench sim --out out/bench",
@@ -44,7 +45,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Measurements that the documentation holds: model, train, label, retarget, sim, effects, glove, hard-cases, guards, faults.
+    /// Measurements that the documentation holds: model, train, ranks, label, retarget, sim, effects, glove, hard-cases, guards, faults.
     Bench(bench::Args),
     /// Test the paper's claims on rendered data: train, measure, compare.
     Experiment(Experiments),

@@ -1,0 +1,93 @@
+//! Ranks that are processes of an MPI launcher.
+
+use std::fmt::Display;
+
+use mpi::Threading;
+use mpi::collective::SystemOperation;
+use mpi::environment::Universe;
+use mpi::topology::SimpleCommunicator;
+use mpi::traits::{Communicator as _, CommunicatorCollectives, Equivalence, Root};
+
+use super::Communicator;
+use crate::error::{Error, Result};
+use crate::text::tell;
+
+/// Largest number of values of one message: MPI counts in 32 bits, and the copy of a message stays small.
+const MOST_VALUES: usize = 1 << 24;
+
+/// All processes of an MPI launcher.
+pub struct Mpi {
+    world: SimpleCommunicator,
+    /// Finalises MPI when it is dropped.
+    _universe: Universe,
+}
+
+impl Mpi {
+    /// Initialises MPI; only the calling thread may use the result.
+    ///
+    /// # Errors
+    /// If MPI is initialised already, or allows no threads beside the calling one.
+    pub fn new() -> Result<Self> {
+        let (universe, threading) = mpi::initialize_with_threading(Threading::Funneled)
+            .ok_or_else(|| Error::value("MPI", "one initialisation per process", "a second one"))?;
+        match threading >= Threading::Funneled {
+            true => Ok(Self { world: universe.world(), _universe: universe }),
+            false => Err(Error::value("MPI", "threads beside the one that calls it (MPI_THREAD_FUNNELED)", "none")),
+        }
+    }
+
+    fn sum<T: Equivalence + Copy>(&self, values: &mut [T]) {
+        let mut sums = values[..values.len().min(MOST_VALUES)].to_vec();
+        for part in values.chunks_mut(MOST_VALUES) {
+            let sums = &mut sums[..part.len()];
+            self.world.all_reduce_into(&*part, sums, SystemOperation::sum());
+            part.copy_from_slice(sums);
+        }
+    }
+}
+
+impl Communicator for Mpi {
+    fn rank(&self) -> usize {
+        self.world.rank() as usize
+    }
+
+    fn size(&self) -> usize {
+        self.world.size() as usize
+    }
+
+    // An MPI call that fails ends all processes (MPI_ERRORS_ARE_FATAL, the default), so none of these returns an error.
+    fn sum_f32(&self, values: &mut [f32]) -> Result<()> {
+        self.sum(values);
+        Ok(())
+    }
+
+    fn sum_f64(&self, values: &mut [f64]) -> Result<()> {
+        self.sum(values);
+        Ok(())
+    }
+
+    fn broadcast(&self, values: &mut [f32]) -> Result<()> {
+        let root = self.world.process_at_rank(0);
+        values.chunks_mut(MOST_VALUES).for_each(|part| root.broadcast_into(part));
+        Ok(())
+    }
+
+    fn barrier(&self) -> Result<()> {
+        self.world.barrier();
+        Ok(())
+    }
+
+    fn abort(&self, error: &dyn Display) {
+        tell(format_args!("egotac: rank {} of {}: {error}", self.rank(), self.size()));
+        self.world.abort(1);
+    }
+}
+
+impl Drop for Mpi {
+    fn drop(&mut self) {
+        // The other ranks would wait for this one forever.
+        if std::thread::panicking() {
+            self.world.abort(101);
+        }
+    }
+}
