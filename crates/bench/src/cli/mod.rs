@@ -12,7 +12,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 /// Example of each command, without the program's name.
-const EXAMPLES: [&str; 16] = [
+const EXAMPLES: [&str; 17] = [
     "bench model --preset toy --threads 2",
     "bench train --preset tiny",
     "bench ranks --preset tiny --steps 2",

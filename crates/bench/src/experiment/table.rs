@@ -142,9 +142,11 @@ impl Report {
 /// Arms without force and with the best forces there are; others that learn force are between them.
 const WITHOUT: &str = "contact_only";
 const BOUND: &str = "true_force";
+/// Scores of which shares are told.
+const RECOVERED: [&str; 2] = ["active_mae", "temporal_pearson"];
 
-/// Says for each arm which share of what separates [`WITHOUT`] from [`BOUND`] it recovers, means over seeds; empty if the
-/// experiment has not both arms, or they do not differ.
+/// Says for each arm which share of what separates [`WITHOUT`] from [`BOUND`] it recovers, means over seeds, in the scores in
+/// which the bound is better; empty if the experiment has not both arms.
 fn recovered(arms: &[ArmReport], test: &str) -> Vec<String> {
     let mean = |arm: &ArmReport, score: &str| {
         let values = arm.tests.get(test)?.score(score).into_iter().collect::<Option<Vec<f64>>>()?;
@@ -153,15 +155,20 @@ fn recovered(arms: &[ArmReport], test: &str) -> Vec<String> {
     let named = |name: &str| arms.iter().find(|arm| arm.name == name);
     let (Some(without), Some(bound)) = (named(WITHOUT), named(BOUND)) else { return Vec::new() };
     let between = arms.iter().filter(|arm| !arm.constant && arm.name != WITHOUT && arm.name != BOUND);
-    let share = |arm: &ArmReport, score: &str| {
-        let (low, high) = (mean(without, score)?, mean(bound, score)?);
-        (low != high).then(|| Some(100.0 * (mean(arm, score)? - low) / (high - low)))?
+    let share = |arm: &ArmReport, column: &Column| {
+        let (low, high) = (mean(without, column.name)?, mean(bound, column.name)?);
+        let gain = if column.more { high - low } else { low - high };
+        (gain > 0.0).then(|| Some(100.0 * (mean(arm, column.name)? - low) / (high - low)))?
     };
     let says = |arm: &ArmReport| {
-        let (active, pearson) = (share(arm, "active_mae")?, share(arm, "temporal_pearson")?);
-        Some(format!("`{}` recovers {active:.0} % in active MAE and {pearson:.0} % in temporal Pearson", arm.name))
+        let scores =
+            FORCE.iter().filter(|column| RECOVERED.contains(&column.name)).map(|column| match share(arm, column) {
+                Some(share) => format!("{share:.0} % in {}", column.title),
+                None => format!("nothing in {}, where true forces teach no more than none", column.title),
+            });
+        format!("`{}` recovers {}", arm.name, scores.collect::<Vec<_>>().join(" and "))
     };
-    between.filter_map(says).collect()
+    between.map(says).collect()
 }
 
 fn frames(arm: &ArmReport) -> String {
@@ -207,8 +214,10 @@ mod tests {
             ArmReport { name: name.into(), about, constant: false, training_frames: None, minutes, tests }
         };
         let arms = [arm(BOUND, 0.1, 0.8), arm("from_motion", 0.2, 0.5), arm(WITHOUT, 0.3, 0.0)];
-        let expected = "`from_motion` recovers 50 % in active MAE and 62 % in temporal Pearson";
+        let expected = "`from_motion` recovers 50 % in active MAE (N) and 62 % in temporal Pearson";
         assert_eq!(recovered(&arms, "ood"), [expected]);
         assert!(recovered(&arms[..2], "ood").is_empty());
+        let worse = [arm(BOUND, 0.3, 0.8), arm("from_motion", 0.2, 0.4), arm(WITHOUT, 0.3, 0.0)];
+        assert!(recovered(&worse, "ood")[0].contains("recovers nothing in active MAE (N), where"));
     }
 }
