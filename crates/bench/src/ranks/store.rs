@@ -35,8 +35,8 @@ pub fn write(path: &Path, side: u32) -> Result<()> {
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let mut writer = ZarrWriter::create(path, attributes, Contact::Truth, Vec::new())?;
     for index in 0..FRAMES {
-        let force = (0..N_FIELD).map(|_| if rng.random_bool(ACTIVE) { rng.random_range(0.1..1.0) } else { 0.0 });
         let color: [u8; 3] = rng.random();
+        let force = (0..N_FIELD).map(|_| if rng.random_bool(ACTIVE) { rng.random_range(0.1..1.0) } else { 0.0 });
         writer.push(Frame {
             timestamp: FRAME_SECS * index as f64,
             camera_ego_rgb: RgbImage::from_fn(side, side, |x, y| Rgb([color[0], (x % 256) as u8, (y % 256) as u8])),
