@@ -44,6 +44,9 @@ fn run(ranks: usize, of: impl Fn(usize) -> Config + Sync, resume: bool, stopping
     })
 }
 
+/// Quarters of the vertices whose force and contact are known, true force, predicted force.
+type Row = (u8, u8, f32, f32);
+
 const NEVER: (usize, usize) = (0, usize::MAX);
 
 fn config(folder: &Path, out: &str, clips: usize, steps: usize) -> Config {
@@ -213,7 +216,7 @@ proptest! {
     ) {
         // Each row knows the vertices below a quarter of its numbers.
         let n = rows.len();
-        let tensor = |of: &dyn Fn(&(u8, u8, f32, f32), usize) -> f32| {
+        let tensor = |of: &dyn Fn(&Row, usize) -> f32| {
             let values: Vec<f32> = rows.iter().flat_map(|row| (0..N_FIELD).map(move |v| of(row, v))).collect();
             Tensor::from_vec(values, (n, 1, N_FIELD), &Device::Cpu).unwrap()
         };
@@ -270,7 +273,7 @@ fn the_keypoint_losses_of_the_parts_add_up_to_that_of_the_whole() {
         std::array::from_fn(|k| if k < 9 * i { [0.02 * k as f32, 0.9 - 0.01 * k as f32] } else { [f32::NAN; 2] })
     };
     let points: Vec<Points> = (0..5).map(frame).collect();
-    assert!(9 * 4 <= N_POINTS);
+    const { assert!(9 * 4 <= N_POINTS) };
     let counts =
         Counts { points: in_image(&points) as f64, newest_points: in_image(&points) as f64, ..Counts::default() };
     let loss = |range: std::ops::Range<usize>| {
