@@ -283,7 +283,7 @@ pub fn streams(
 ) -> Result<([GloveStream; 2], (Vec<f64>, Vec<DAffine3>))> {
     let mut scene = Scene::load(&scene.display().to_string())?;
     scene.spec.rate = GLOVE_RATE;
-    scene.spec.glove = Some(GloveSpec { gain: 0.1, noise: 0.02, crosstalk: 0.1, ..GloveSpec::ideal("aether_132") });
+    scene.spec.glove = Some(GloveSpec { gain: 0.1, noise: 0.02, ..GloveSpec::ideal("aether_132") });
     let mut rollout = Rollout::new(&scene, seed, &hands(models))?;
     let mut gloves = GLOVE_STEPS.map(|steps| {
         let before = (1..=REST_SAMPLES).rev().map(|k| FIRST_MS - 1e3 / GLOVE_RATE * (steps * k) as f64);
