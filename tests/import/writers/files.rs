@@ -7,9 +7,13 @@ use std::process::{Command, Stdio};
 
 use egotac::hand::{HandModel, Side};
 use glam::DVec3;
+use image::codecs::jpeg::JpegEncoder;
 use image::{ImageFormat, RgbImage};
 
 use super::take::Take;
+
+/// Fingertips of MANO's mesh, thumb to little finger.
+const MANO_TIPS: [usize; 5] = [744, 320, 443, 554, 671];
 
 /// Writes a file and the folders above it.
 pub fn write(path: &Path, content: impl AsRef<[u8]>) {
@@ -23,6 +27,13 @@ pub fn png(image: &RgbImage) -> Vec<u8> {
 
 pub fn jpeg(image: &RgbImage) -> Vec<u8> {
     encoded(image, ImageFormat::Jpeg)
+}
+
+/// Returns a JPEG file of a quality from 1 to 100.
+pub fn jpeg_of(image: &RgbImage, quality: u8) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(image).unwrap();
+    bytes
 }
 
 fn encoded(image: &RgbImage, format: ImageFormat) -> Vec<u8> {
@@ -179,10 +190,26 @@ impl ManoFiles {
     /// Writes both files into `folder`; with `published_sign`, the left hand's `shapedirs` have the sign of x that the
     /// published file has.
     pub fn write(folder: &Path, take: &Take, published_sign: bool) -> Self {
-        let mean: [Vec<f64>; 2] =
-            [1.0, -1.0].map(|sign| (0..45).map(|k| sign * 0.1 * (k as f64 * 0.7).sin()).collect());
+        let mean = means();
         let components = Side::BOTH.map(|side| basis(take, side, &mean[side as usize]));
-        let models = Side::BOTH.map(HandModel::builtin);
+        Self::of_basis(folder, Side::BOTH.map(HandModel::builtin), mean, components, published_sign)
+    }
+
+    /// Writes both files into `folder`; the first components of each basis are the principal ones of these poses, of 45 angles, rad,
+    /// of the left and the right hand. The fingertips have MANO's indices, so that pads of gloves find them.
+    pub fn of_poses(folder: &Path, poses: &[Vec<Vec<f64>>; 2]) -> Self {
+        let mean = means();
+        let components = Side::BOTH.map(|side| principal(&poses[side as usize], &mean[side as usize]));
+        Self::of_basis(folder, Side::BOTH.map(with_mano_tips), mean, components, true)
+    }
+
+    fn of_basis(
+        folder: &Path,
+        models: [HandModel; 2],
+        mean: [Vec<f64>; 2],
+        components: [Vec<Vec<f64>>; 2],
+        published_sign: bool,
+    ) -> Self {
         let [left, right] = ["MANO_LEFT.npz", "MANO_RIGHT.npz"].map(|name| folder.join(name));
         for (path, side) in [(&left, Side::Left), (&right, Side::Right)] {
             let mut model = models[side as usize].clone();
@@ -209,6 +236,45 @@ impl ManoFiles {
 /// Returns the 45 angles of a hand's pose, rad.
 pub fn angles(pose: &[glam::Vec3; 15]) -> Vec<f64> {
     pose.iter().flat_map(|joint| joint.to_array()).map(f64::from).collect()
+}
+
+/// Returns the built-in hand with its fingertips at MANO's indices: each tip changes places with the vertex that is there.
+fn with_mano_tips(side: Side) -> HandModel {
+    let mut model = HandModel::builtin(side);
+    for (place, finger) in MANO_TIPS.into_iter().zip(0..5) {
+        let tip = model.tip_vertices[finger] as usize;
+        model.v_template.swap(tip, place);
+        for (values, width) in [(&mut model.shapedirs, 30), (&mut model.posedirs, 405), (&mut model.lbs_weights, 16)] {
+            (0..width).for_each(|k| values.swap(width * tip + k, width * place + k));
+        }
+        model.j_regressor.chunks_exact_mut(778).for_each(|row| row.swap(tip, place));
+        let renamed = |index: u32| match index as usize {
+            index if index == tip => place as u32,
+            index if index == place => tip as u32,
+            _ => index,
+        };
+        model.faces.iter_mut().for_each(|face| *face = face.map(renamed));
+        model.tip_vertices.iter_mut().for_each(|index| *index = renamed(*index));
+    }
+    model
+}
+
+/// Returns mean poses of both hands, rad; any will do.
+fn means() -> [Vec<f64>; 2] {
+    [1.0, -1.0].map(|sign| (0..45).map(|k| sign * 0.1 * (k as f64 * 0.7).sin()).collect())
+}
+
+/// Returns 45 orthonormal vectors, those that explain most of the poses' differences from the mean first.
+fn principal(poses: &[Vec<f64>], mean: &[f64]) -> Vec<Vec<f64>> {
+    let mut moments = nalgebra::DMatrix::<f64>::zeros(45, 45);
+    for pose in poses {
+        let rest = nalgebra::DVector::from_iterator(45, pose.iter().zip(mean).map(|(angle, mean)| angle - mean));
+        moments += &rest * rest.transpose();
+    }
+    let found = moments.symmetric_eigen();
+    let mut order: Vec<usize> = (0..45).collect();
+    order.sort_by(|a, b| found.eigenvalues[*b].total_cmp(&found.eigenvalues[*a]));
+    order.into_iter().map(|column| found.eigenvectors.column(column).iter().copied().collect()).collect()
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use egotac::hand::Side;
 use glam::{DAffine3, DQuat, DVec3};
+use image::RgbImage;
 
 use super::files::{png, write};
 use super::h5::Node;
@@ -42,19 +43,51 @@ pub fn stamps(step: f64, offset: f64, gap: Option<[usize; 2]>) -> Vec<f64> {
     all.filter(|ms| !gap.is_some_and(|[from, to]| (image_ms(from)..image_ms(to)).contains(ms))).collect()
 }
 
-/// Writes a recording: `touch` are the newtons of each hand's 132 taxels, thumb to little finger, then the palm, at the first
-/// image; the left glove loses its samples between the images `gap`.
+/// Recording of a head camera, two gloves and the head's tracker.
+pub struct RawRecording<'a> {
+    /// Times, whole ms, and images.
+    pub images: Vec<(f64, &'a RgbImage)>,
+    /// Left and right glove.
+    pub gloves: [GloveStream; 2],
+    /// Times, ms, and poses of the head's tracker.
+    pub head: (Vec<f64>, Vec<DAffine3>),
+}
+
+/// Samples of a glove with their times.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GloveStream {
+    /// ms.
+    pub stamps: Vec<f64>,
+    /// Readings of 132 taxels, thumb to little finger, then the palm, at each time.
+    pub taxels: Vec<Vec<f32>>,
+}
+
+/// Writes a recording of a take: `touch` are the newtons of each hand's 132 taxels, thumb to little finger, then the palm, at the
+/// first image; the left glove loses its samples between the images `gap`.
 pub fn write_raw(root: &Path, id: &str, take: &Take, touch: &[Vec<f32>; 2], gap: Option<[usize; 2]>) {
-    let folder = root.join(id);
-    let mut state = Vec::new();
-    for side in Side::BOTH {
+    let glove = |side: Side| {
         let stamps = match side {
             // Neither clock has a sample at the time of an image.
             Side::Left => stamps(10.0, 3.7, gap),
             Side::Right => stamps(8.0, 1.3, None),
         };
-        let n = stamps.len() as u64;
-        let mut channels = vec![("TimeStamps".to_string(), Node::f64s(&[n, 1], stamps.iter().copied()))];
+        let sample = |ms: &f64| touch[side as usize].iter().map(|taxel| (REST + force(*taxel, *ms)) as f32).collect();
+        GloveStream { taxels: stamps.iter().map(sample).collect(), stamps }
+    };
+    // The trackers have the stamps of the file.
+    let common = stamps(11.0, 0.6, None);
+    let poses = common.iter().map(|ms| head(*ms)).collect();
+    let images = take.frames.iter().enumerate().map(|(index, frame)| (image_ms(index), &frame.image)).collect();
+    write_recording(root, id, &RawRecording { images, gloves: Side::BOTH.map(glove), head: (common, poses) });
+}
+
+/// Writes a recording into the folder `id` of `root`.
+pub fn write_recording(root: &Path, id: &str, recording: &RawRecording) {
+    let folder = root.join(id);
+    let mut state = Vec::new();
+    for (side, glove) in Side::BOTH.into_iter().zip(&recording.gloves) {
+        let n = glove.stamps.len() as u64;
+        let mut channels = vec![("TimeStamps".to_string(), Node::f64s(&[n, 1], glove.stamps.iter().copied()))];
         for channel in 1..138usize {
             let taxel = match channel {
                 1..=60 => {
@@ -65,31 +98,29 @@ pub fn write_raw(root: &Path, id: &str, take: &Take, touch: &[Vec<f32>; 2], gap:
                 66.. => Some(channel - 6),
                 _ => None,
             };
-            let value = |ms: &f64| match taxel {
-                Some(taxel) => (REST + force(touch[side as usize][taxel], *ms)) as f32,
-                None => 900.0,
-            };
-            channels.push((format!("data_{channel}"), Node::f32s(&[n], stamps.iter().map(value))));
+            let value = |sample: &Vec<f32>| taxel.map_or(900.0, |taxel| sample[taxel]);
+            channels.push((format!("data_{channel}"), Node::f32s(&[n], glove.taxels.iter().map(value))));
         }
         state.push((
             if side == Side::Left { "LeftPort" } else { "RightPort" }.to_string(),
             Node::Group(channels, Vec::new()),
         ));
     }
-    // The trackers have the stamps of the file.
-    let common = stamps(11.0, 0.6, None);
+    let (common, poses) = &recording.head;
     let n = common.len() as u64;
-    let poses: Vec<DAffine3> = common.iter().map(|ms| head(*ms)).collect();
     let quaternions = poses.iter().flat_map(|pose| DQuat::from_affine3(pose).to_array());
     let tracker = Node::group([
         ("pos", Node::f64s(&[n, 3], poses.iter().flat_map(|pose| pose.translation.to_array()))),
         ("quaternion", Node::f64s(&[n, 4], quaternions)),
     ]);
     state.push(("HeadTracker".to_string(), tracker));
-    let file = Node::group([("TimeStamps", Node::f64s(&[n], common)), ("state", Node::Group(state, Vec::new()))]);
+    let file = Node::group([
+        ("TimeStamps", Node::f64s(&[n], common.iter().copied())),
+        ("state", Node::Group(state, Vec::new())),
+    ]);
     write(&folder.join(format!("Data_{id}.hdf5")), file.file());
     write(&folder.join(format!("Camera_{id}.json")), r#"{"zedParams": {"cameraSerialNumber": 42}}"#);
-    for (index, frame) in take.frames.iter().enumerate() {
-        write(&folder.join(format!("Image_{id}/{}.png", image_ms(index))), png(&frame.image));
+    for (ms, image) in &recording.images {
+        write(&folder.join(format!("Image_{id}/{ms}.png")), png(image));
     }
 }

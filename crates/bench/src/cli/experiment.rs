@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::builder::PossibleValuesParser;
 
 /// Names of all experiments, and `results`, which writes the page about them.
-const NAMES: [&str; 14] = [
+const NAMES: [&str; 15] = [
     "sources",
     "consistency",
     "sampling",
@@ -17,6 +17,7 @@ const NAMES: [&str; 14] = [
     "ablations",
     "limits",
     "motion",
+    "recordings",
     "transfer",
     "decline",
     "attention",
@@ -28,7 +29,8 @@ const NAMES: [&str; 14] = [
 #[command(
     after_help = "Trained: sources (contact by distance beside force: 0 to 3 sources), consistency (loss L_cons), sampling \
     (temperature, quotas), glove (its look), history (EgoTac-i), separation (per-frame crops), scaling (10 to 100 % of the data; \
-    1 to 4 sources), ablations (the parts of the method, the paper's recipe), limits (time, resolution, capacity), motion (forces estimated from motion).\n\
+    1 to 4 sources), ablations (the parts of the method, the paper's recipe), limits (time, resolution, capacity), motion (forces estimated \
+    from motion), recordings (two data sets, written as others record them, imported and mixed).\n\
     Measured on a finished network: transfer (other sensors), decline (worse pictures), attention (where it looks).\n\
     results: the page that sets what was found beside the paper, from the JSON files in --out.\n\
     Data is rendered and runs are trained in the work folder; both stay there, so a stopped experiment resumes."

@@ -7,6 +7,7 @@ use egotac::train::config::{LossWeights, ModelChoice, OptimizerConfig};
 use egotac::train::source::Supervision;
 
 use super::data::{CONTACT_WORLDS, OOD, Stores};
+use super::recording::Layout;
 
 /// One condition of an experiment.
 #[derive(Debug, Clone, Copy)]
@@ -69,6 +70,8 @@ pub struct Experiment {
     pub arms: Vec<Arm>,
     /// Held-out frames that all arms are scored on.
     pub tests: Vec<Test>,
+    /// True if the arms learn from recordings that are imported.
+    pub recorded: bool,
 }
 
 /// The source with force in the domain, as the paper's Table 1.
@@ -109,7 +112,7 @@ impl Test {
 
 impl Experiment {
     /// Names of all experiments that train.
-    pub const NAMES: [&'static str; 10] = [
+    pub const NAMES: [&'static str; 11] = [
         "sources",
         "consistency",
         "sampling",
@@ -120,6 +123,7 @@ impl Experiment {
         "ablations",
         "limits",
         "motion",
+        "recordings",
     ];
 
     /// Returns the experiment of this name.
@@ -140,6 +144,7 @@ impl Experiment {
             "ablations" => Ok(ablations()),
             "limits" => Ok(limits()),
             "motion" => Ok(motion()),
+            "recordings" => Ok(recordings()),
             _ => Err(Error::unknown("experiment", name, Self::NAMES)),
         }
     }
@@ -148,7 +153,7 @@ impl Experiment {
 /// Returns an experiment whose other arms differ from the mixed one.
 fn mixed<const N: usize>(name: &'static str, question: &'static str, others: [Arm; N]) -> Experiment {
     let arms = [MIXED].into_iter().chain(others).collect();
-    Experiment { name, question, arms, tests: vec![FORCE, CONTACT, OOD_FORCE, OOD_CONTACT] }
+    Experiment { name, question, arms, tests: vec![FORCE, CONTACT, OOD_FORCE, OOD_CONTACT], recorded: false }
 }
 
 fn ablations() -> Experiment {
@@ -246,7 +251,7 @@ fn glove() -> Experiment {
         }),
     ];
     let question = "Is a glove's look a domain gap, and do bare hands in other sources or recolouring close it?";
-    Experiment { name: "glove", question, arms, tests: vec![bare, gloved, OOD_FORCE, OOD_CONTACT] }
+    Experiment { name: "glove", question, arms, tests: vec![bare, gloved, OOD_FORCE, OOD_CONTACT], recorded: false }
 }
 
 fn separation() -> Experiment {
@@ -367,7 +372,28 @@ fn motion() -> Experiment {
         },
     ];
     let question = "How much of what true forces teach do forces estimated from motion teach?";
-    Experiment { name: "motion", question, arms, tests: vec![OOD_FORCE, known] }
+    Experiment { name: "motion", question, arms, tests: vec![OOD_FORCE, known], recorded: false }
+}
+
+/// Returns the experiment on recordings in the layouts of two data sets, each of scenes that the other does not have.
+fn recordings() -> Experiment {
+    let arms = vec![
+        arm("mixed", "both data sets", |config, stores| {
+            config.data = vec![stores.imported(Layout::Glove)?, stores.imported(Layout::Hot3d)?];
+            Ok(())
+        }),
+        arm("glove", "the recordings of gloves alone: force and contact", |config, stores| {
+            config.data = vec![stores.imported(Layout::Glove)?];
+            Ok(())
+        }),
+        arm("hot3d", "the HOT3D clips alone: contact by distance, no force", |config, stores| {
+            config.data = vec![stores.imported(Layout::Hot3d)?];
+            Ok(())
+        }),
+    ];
+    let question =
+        "Does training on two imported data sets, poses without force and gloves without poses, beat either alone?";
+    Experiment { name: "recordings", question, arms, tests: vec![OOD_FORCE, OOD_CONTACT], recorded: true }
 }
 
 fn geometry(config: &mut Config, change: impl FnOnce(&mut model::Config)) {

@@ -211,7 +211,7 @@ fn attention(share: &AttentionShare, results: &Results) -> Result<(String, Verdi
 /// Lists the tables that are there.
 fn links(folder: &Path, claims: &[Claim]) -> String {
     let mut names: Vec<&str> =
-        claims.iter().map(|claim| claim.experiment.as_str()).chain(["limits", "policy"]).collect();
+        claims.iter().map(|claim| claim.experiment.as_str()).chain(["limits", "policy", "recordings"]).collect();
     names.sort_unstable();
     names.dedup();
     let there = names.iter().filter(|name| folder.join(format!("{name}.md")).exists());

@@ -7,6 +7,8 @@ use egotac::error::{Error, Result};
 use egotac::sim::scene::Split;
 use egotac::train::source::{Supervision, TrainingSource};
 
+use super::recording::{Layout, Recorded};
+
 /// Worlds of the experiments, YAML; see the file.
 const WORLDS: &str = include_str!("worlds.yaml");
 /// Name of the world that no training sees: the split of the same name.
@@ -15,6 +17,11 @@ pub const OOD: &str = "ood";
 pub const CONTACT_WORLDS: [&str; 3] = ["contact_1", "contact_2", "contact_3"];
 /// Shares of a scene's episodes at which a store ends, per cent: the first n stores hold the n-th share.
 const SHARES: [usize; 4] = [10, 20, 50, 100];
+/// Worlds that are recorded in the layout of a data set.
+const RECORDED: [(&str, Layout); 2] = [("recorded_hot3d", Layout::Hot3d), ("recorded_glove", Layout::Glove)];
+/// Folder of the MANO-format files that stand in for MANO's, and their names.
+pub const MANO_FOLDER: &str = "mano";
+const MANO_FILES: [&str; 2] = ["MANO_LEFT.npz", "MANO_RIGHT.npz"];
 /// First seed of training episodes, and of held-out ones.
 const SEEDS: [u64; 2] = [70_000, 570_000];
 /// Frames per second: at the usual 25, most windows would be nearly the same pictures.
@@ -35,6 +42,8 @@ pub struct Recipe {
     pub seed: u64,
     /// Width and height of the pictures, pixels.
     pub side: u32,
+    /// MANO-format files of the hands, left first; `None` = the built-in hands.
+    pub mano: Option<[PathBuf; 2]>,
 }
 
 /// Stores of one world.
@@ -49,6 +58,8 @@ struct World {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stores {
     worlds: BTreeMap<String, World>,
+    /// Data sets that are recorded in worlds of their own, and imported.
+    recorded: Vec<Recorded>,
 }
 
 impl Stores {
@@ -58,6 +69,33 @@ impl Stores {
     /// # Errors
     /// If the list of worlds does not fit the shipped scenes.
     pub fn plan(folder: &Path, episodes: usize, held_out: usize, side: u32, scenes: usize) -> Result<Self> {
+        Self::with_hands(folder, [episodes, held_out, scenes], side, None)
+    }
+
+    /// Plans as [`Self::plan`] stores whose hands are those of MANO-format files, and the recordings of the worlds `recorded_*`.
+    ///
+    /// # Errors
+    /// As [`Self::plan`].
+    pub fn recorded(folder: &Path, episodes: usize, held_out: usize, side: u32, scenes: usize) -> Result<Self> {
+        let mano = MANO_FILES.map(|name| folder.join(MANO_FOLDER).join(name));
+        let mut stores = Self::with_hands(folder, [episodes, held_out, scenes], side, Some(mano.clone()))?;
+        for (name, layout) in RECORDED {
+            let from: Vec<Recipe> = stores.world(name)?.training.iter().flatten().cloned().collect();
+            let texts: String = from.iter().map(|recipe| format!("{} {}", recipe.episodes, recipe.text)).collect();
+            let hash = &egotac::file::sha256(format!("{side} {texts}").as_bytes())[..8];
+            let at = |part: &str| folder.join(part).join(format!("{}_{hash}", layout.kind()));
+            let (source, path) = (at("recordings"), at("imported"));
+            stores.recorded.push(Recorded { layout, source, path, from, mano: mano.clone() });
+        }
+        Ok(stores)
+    }
+
+    fn with_hands(
+        folder: &Path,
+        [episodes, held_out, scenes]: [usize; 3],
+        side: u32,
+        mano: Option<[PathBuf; 2]>,
+    ) -> Result<Self> {
         let mut splits = Split::parse("worlds.yaml", WORLDS)?;
         splits.insert(OOD.into(), Split { rate: Some(RATE), ..Split::named(OOD)? });
         let mut worlds = BTreeMap::new();
@@ -67,7 +105,8 @@ impl Stores {
                 let text = split.text(scene)?;
                 let file = folder.join("scenes").join(format!("{name}_{scene}.yaml"));
                 // A changed scene or another size makes a new store.
-                let hash = &egotac::file::sha256(format!("{side} {text}").as_bytes())[..8];
+                let hands = if mano.is_some() { "mano " } else { "" };
+                let hash = &egotac::file::sha256(format!("{hands}{side} {text}").as_bytes())[..8];
                 let recipe = |part: &str, episodes: usize, seed: u64| Recipe {
                     path: folder.join(format!("{name}_{scene}_{part}_{episodes}_{hash}.zarr")),
                     scene: file.clone(),
@@ -75,6 +114,7 @@ impl Stores {
                     episodes,
                     seed,
                     side,
+                    mano: mano.clone(),
                 };
                 if name != OOD {
                     world.training.push(shares(episodes, |begin, count| {
@@ -85,7 +125,7 @@ impl Stores {
             }
             worlds.insert(name.clone(), world);
         }
-        Ok(Self { worlds })
+        Ok(Self { worlds, recorded: Vec::new() })
     }
 
     /// Returns the first `n` stores of each of a world's scenes (10, 20, 50, 100 % of the episodes) as a source.
@@ -130,9 +170,25 @@ impl Stores {
         Ok(recipes)
     }
 
+    /// Returns the imported recordings of a data set as a source.
+    ///
+    /// # Errors
+    /// If no recordings of this layout are planned.
+    pub fn imported(&self, layout: Layout) -> Result<TrainingSource> {
+        let known = || self.recorded.iter().map(|recorded| recorded.layout.kind());
+        let found = self.recorded.iter().find(|recorded| recorded.layout == layout);
+        let found = found.ok_or_else(|| Error::unknown("recordings", layout.kind(), known()))?;
+        Ok(TrainingSource { mirror: true, ..TrainingSource::path(&found.path) })
+    }
+
     /// Returns the recipe of a store of a training source.
     pub fn recipe(&self, path: &Path) -> Option<&Recipe> {
         self.worlds.values().flat_map(|world| world.training.iter().flatten()).find(|recipe| recipe.path == path)
+    }
+
+    /// Returns the recordings that are planned.
+    pub fn recordings(&self) -> &[Recorded] {
+        &self.recorded
     }
 
     fn world(&self, name: &str) -> Result<&World> {
@@ -166,6 +222,7 @@ pub fn measured(folder: &Path, episodes: usize, side: u32, scenes: usize) -> Res
         episodes,
         seed: MEASURED_SEED,
         side,
+        mano: None,
     };
     let names: Vec<&str> = egotac::sim::SHIPPED.iter().map(|(name, _)| *name).collect();
     let known = names.iter().take(scenes).map(|name| recipe(name)).collect();

@@ -169,6 +169,7 @@ pub fn run(setup: &Setup, command: String, progress: &mut dyn FnMut(Progress)) -
         network: setup.network.clone(),
         differences: "from the same pictures as they are".into(),
         tests: tests.collect(),
+        imported: Vec::new(),
         arms,
     })
 }

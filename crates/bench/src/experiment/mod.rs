@@ -12,6 +12,7 @@
 //! | `ablations` | contribution of each part of the method |
 //! | `limits` | limit of the scores: time, resolution or capacity |
 //! | `motion` | benefit of forces estimated from motion |
+//! | `recordings` | benefit of training on two imported data sets over either alone |
 //! | `transfer` | dynamics of force against sensors with another layout, gain and spread; no training |
 //! | `decline` | accuracy against occlusion, blur, noise, exposure, resolution and frame rate; no training |
 //! | `attention` | share of the attention on hands and objects; no training |
@@ -32,6 +33,7 @@ mod measure;
 mod motion;
 mod network;
 pub mod plot;
+pub mod recording;
 mod render;
 pub mod report;
 mod sensor;
@@ -125,7 +127,9 @@ pub fn run(
     progress: &mut dyn FnMut(Progress),
 ) -> Result<Report> {
     let Size { episodes, held_out, image, scenes, seeds, .. } = setup.size;
-    let stores = Stores::plan(&setup.work.join("data"), episodes, held_out, image, scenes)?;
+    let folder = setup.work.join("data");
+    let plan = if experiment.recorded { Stores::recorded } else { Stores::plan };
+    let stores = plan(&folder, episodes, held_out, image, scenes)?;
     let mut runs = Vec::new();
     for arm in &experiment.arms {
         for seed in 0..seeds {
@@ -136,7 +140,10 @@ pub fn run(
     for test in &experiment.tests {
         recipes.extend(stores.held_out(test.worlds)?);
     }
-    render(&recipes, progress)?;
+    match experiment.recorded {
+        true => record(&folder, &stores, &recipes, progress)?,
+        false => render(&recipes, progress)?,
+    }
     progress(Progress::Budget(&budget(&runs, device)?));
     for run in &runs {
         let (arm, seed) = (run.arm.name, run.seed);
@@ -147,6 +154,22 @@ pub fn run(
         progress(Progress::Run(arm, seed));
     }
     report::make(experiment, setup, &stores, &runs, command)
+}
+
+/// Renders the missing data with the hands of MANO-format files, and makes the missing recordings from it.
+fn record(
+    folder: &std::path::Path,
+    stores: &Stores,
+    recipes: &[Recipe],
+    progress: &mut dyn FnMut(Progress),
+) -> Result<()> {
+    let recordings = stores.recordings();
+    let mut scenes: Vec<&Recipe> = recordings.iter().flat_map(|recorded| &recorded.from).collect();
+    scenes.dedup_by(|next, first| next.scene == first.scene);
+    scenes.iter().try_for_each(|recipe| render::write_scene(recipe))?;
+    let mano = recording::mano_files(&folder.join(data::MANO_FOLDER), &scenes)?;
+    render(recipes, progress)?;
+    recordings.iter().try_for_each(|recorded| recorded.make(&mano))
 }
 
 /// Counts the missing work and times a step.

@@ -1,9 +1,11 @@
 //! Rendering of the stores that an experiment needs.
 
+use std::ffi::OsString;
 use std::path::Path;
 
 use egotac::error::{Error, Result};
 use egotac::file;
+use egotac::hand::{HandModel, Side};
 use egotac::sim::{DatasetPlan, GenerateProgress, RolloutOptions, Scene, WorkerCommand, generate_in_processes};
 
 use super::Progress;
@@ -23,9 +25,7 @@ pub fn render(recipes: &[Recipe], progress: &mut dyn FnMut(Progress)) -> Result<
     let all: u64 = missing.iter().map(|recipe| recipe.episodes as u64).sum();
     let mut done = 0;
     for recipe in missing {
-        if !recipe.text.is_empty() {
-            file::write(&recipe.scene, recipe.text.as_bytes())?;
-        }
+        write_scene(recipe)?;
         make(recipe)?;
         done += recipe.episodes as u64;
         progress(Progress::Rendered(done, all));
@@ -33,9 +33,26 @@ pub fn render(recipes: &[Recipe], progress: &mut dyn FnMut(Progress)) -> Result<
     Ok(())
 }
 
+/// Writes the scene file of a store that has one.
+///
+/// # Errors
+/// If it can't be written.
+pub(super) fn write_scene(recipe: &Recipe) -> Result<()> {
+    match recipe.text.is_empty() {
+        true => Ok(()),
+        false => file::write(&recipe.scene, recipe.text.as_bytes()),
+    }
+}
+
 fn make(recipe: &Recipe) -> Result<()> {
     let scene = recipe.scene.display().to_string();
-    let options = RolloutOptions { picture: Some((recipe.side, recipe.side)), ..RolloutOptions::default() };
+    let mut options = RolloutOptions { picture: Some((recipe.side, recipe.side)), ..RolloutOptions::default() };
+    let mut arguments: Vec<OsString> = vec!["--size".into(), recipe.side.to_string().into()];
+    if let Some([left, right]) = &recipe.mano {
+        options.hands = [HandModel::load(left, Side::Left)?, HandModel::load(right, Side::Right)?];
+        arguments.extend(["--mano-left".into(), left.into(), "--mano-right".into(), right.into()]);
+    }
+    arguments.extend(["--".into(), scene.clone().into()]);
     let plan = DatasetPlan {
         scenes: vec![Scene::load(&scene)?],
         episodes: recipe.episodes,
@@ -43,7 +60,6 @@ fn make(recipe: &Recipe) -> Result<()> {
         jobs: std::thread::available_parallelism().map_or(1, usize::from).min(recipe.episodes),
         options,
     };
-    let arguments = ["--size", &recipe.side.to_string(), "--", &scene].map(Into::into);
     let workers = WorkerCommand::of_this_program(arguments)?;
     let folder = recipe.path.parent().unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder).map_err(Error::io(folder))?;

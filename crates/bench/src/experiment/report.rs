@@ -18,6 +18,7 @@ use serde_json::Value;
 use super::arm::{Experiment, Test};
 use super::data::{Recipe, Stores};
 use super::network::Network;
+use super::recording::{Agreement, Recorded};
 use super::training::Run;
 use super::{Setup, Size};
 
@@ -49,6 +50,9 @@ pub struct Report {
     pub differences: String,
     /// Held-out frames that the arms are scored on.
     pub tests: Vec<TestInfo>,
+    /// Agreement of imported labels with the simulator's, by data set.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub imported: Vec<Agreement>,
     /// Results of the arms; the others are compared with the first.
     pub arms: Vec<ArmReport>,
 }
@@ -235,6 +239,7 @@ pub(super) fn make(
         parameters: parameter_count(&geometry)?,
         differences: format!("from the arm `{}` with the same seed", experiment.arms[0].name),
         tests,
+        imported: stores.recordings().iter().map(Recorded::agreement).collect::<Result<_>>()?,
         arms,
     })
 }

@@ -69,6 +69,7 @@ impl Report {
             self.machine,
             self.preface(),
         );
+        self.imported(&mut text);
         for test in &self.tests {
             put(&mut text, format_args!("\n## {} ({} frames, {} episodes)\n", test.title, test.frames, test.episodes));
             self.table(test, &mut text);
@@ -105,6 +106,31 @@ impl Report {
             network.has_seen,
             self.differences,
         )
+    }
+
+    /// Tells how far the labels of imported recordings agree with the simulator's.
+    fn imported(&self, text: &mut String) {
+        if self.imported.is_empty() {
+            return;
+        }
+        text.push_str(
+            "\n## Imported labels beside the simulator's\n\nContact of `hot3d` against the simulator's 1 cm rule, of the glove against \
+             contact by force, where the import knows it.\n\n| kind | frames | vertices with known contact | F1 of contact | force kept |\n\
+             |---|---|---|---|---|\n",
+        );
+        for own in &self.imported {
+            let kept = own.force_kept.map_or_else(|| "—".into(), |share| format!("{:.1} %", 100.0 * share));
+            put(
+                text,
+                format_args!(
+                    "| {} | {} | {:.1} % | {:.3} | {kept} |",
+                    own.kind,
+                    own.frames,
+                    100.0 * own.known,
+                    own.contact_f1
+                ),
+            );
+        }
     }
 
     fn table(&self, test: &TestInfo, text: &mut String) {

@@ -60,7 +60,11 @@ impl<'a> Run<'a> {
 
     /// Returns the recipes of the stores that the run learns from.
     pub fn recipes(&self, stores: &Stores) -> Vec<Recipe> {
-        self.paths().iter().filter_map(|path| stores.recipe(&origin(path))).cloned().collect()
+        let of = |path: &PathBuf| match stores.recordings().iter().find(|recorded| recorded.path == *path) {
+            Some(recorded) => recorded.from.clone(),
+            None => stores.recipe(&origin(path)).cloned().into_iter().collect(),
+        };
+        self.paths().iter().flat_map(of).collect()
     }
 
     fn paths(&self) -> Vec<PathBuf> {

@@ -106,6 +106,7 @@ pub fn run(setup: &Setup, command: String, progress: &mut dyn FnMut(Progress)) -
         network: setup.network.clone(),
         differences: "from a constant prediction, the mean force of each vertex, against the same truth".into(),
         tests,
+        imported: Vec::new(),
         arms,
     })
 }
