@@ -244,9 +244,7 @@ fn with_mano_tips(side: Side) -> HandModel {
     for (place, finger) in MANO_TIPS.into_iter().zip(0..5) {
         let tip = model.tip_vertices[finger] as usize;
         model.v_template.swap(tip, place);
-        for (values, width) in
-            [(&mut model.shapedirs, 30), (&mut model.posedirs, 405), (&mut model.lbs_weights, 16)]
-        {
+        for (values, width) in [(&mut model.shapedirs, 30), (&mut model.posedirs, 405), (&mut model.lbs_weights, 16)] {
             (0..width).for_each(|k| values.swap(width * tip + k, width * place + k));
         }
         model.j_regressor.chunks_exact_mut(778).for_each(|row| row.swap(tip, place));

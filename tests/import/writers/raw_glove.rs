@@ -114,8 +114,10 @@ pub fn write_recording(root: &Path, id: &str, recording: &RawRecording) {
         ("quaternion", Node::f64s(&[n, 4], quaternions)),
     ]);
     state.push(("HeadTracker".to_string(), tracker));
-    let file =
-        Node::group([("TimeStamps", Node::f64s(&[n], common.iter().copied())), ("state", Node::Group(state, Vec::new()))]);
+    let file = Node::group([
+        ("TimeStamps", Node::f64s(&[n], common.iter().copied())),
+        ("state", Node::Group(state, Vec::new())),
+    ]);
     write(&folder.join(format!("Data_{id}.hdf5")), file.file());
     write(&folder.join(format!("Camera_{id}.json")), r#"{"zedParams": {"cameraSerialNumber": 42}}"#);
     for (ms, image) in &recording.images {

@@ -342,7 +342,8 @@ fn recordings() -> Experiment {
             Ok(())
         }),
     ];
-    let question = "Does training on two imported data sets, poses without force and gloves without poses, beat either alone?";
+    let question =
+        "Does training on two imported data sets, poses without force and gloves without poses, beat either alone?";
     Experiment { name: "recordings", question, arms, tests: vec![OOD_FORCE, OOD_CONTACT], recorded: true }
 }
 

@@ -132,7 +132,9 @@ impl Recorded {
             let contact = store.read_contact(own.clone())?;
             let mask = store.read_u8(MANO_CONTACT_VALID, own.clone())?;
             let truth: Vec<bool> = match self.layout {
-                Layout::Hot3d => episode.store.read_u8(MANO_PROXIMITY, there.clone())?.iter().map(|x| *x == 1).collect(),
+                Layout::Hot3d => {
+                    episode.store.read_u8(MANO_PROXIMITY, there.clone())?.iter().map(|x| *x == 1).collect()
+                }
                 Layout::Glove => episode.store.read_contact(there.clone())?.iter().map(|x| *x > 0.5).collect(),
             };
             frames += store.len();
@@ -148,7 +150,8 @@ impl Recorded {
                 let newtons = store.read_f32(MANO_FORCE, own.clone())?;
                 let mask = store.read_u8(MANO_FORCE_VALID, own)?;
                 let truth = episode.store.read_f32(MANO_FORCE, there)?;
-                force += newtons.iter().zip(&mask).filter(|(_, mask)| **mask == 1).map(|(x, _)| f64::from(*x)).sum::<f64>();
+                force +=
+                    newtons.iter().zip(&mask).filter(|(_, mask)| **mask == 1).map(|(x, _)| f64::from(*x)).sum::<f64>();
                 // Frames that the gloves say nothing about are left out on both sides.
                 let told = mask.chunks_exact(N_FIELD).map(|mask| mask.contains(&1));
                 let sums = truth.chunks_exact(N_FIELD).zip(told).filter(|(_, told)| *told);
@@ -320,7 +323,10 @@ pub fn mano_files(folder: &Path, recipes: &[&Recipe]) -> Result<ManoFiles> {
         let mut rollout = Rollout::new(&scene, recipe.seed, &options)?;
         while let Some(frame) = rollout.next_frame()? {
             let hands = [frame.frame.left_hand_pose, frame.frame.right_hand_pose];
-            found.iter_mut().zip(hands).for_each(|(found, hand)| found.extend(hand.map(|hand| angles(&hand.hand_pose))));
+            found
+                .iter_mut()
+                .zip(hands)
+                .for_each(|(found, hand)| found.extend(hand.map(|hand| angles(&hand.hand_pose))));
         }
     }
     Ok(ManoFiles::of_poses(folder, &found))
