@@ -274,6 +274,9 @@ impl Episode<'_> {
     }
 }
 
+/// Times, ms, and poses of the head's tracker.
+pub type HeadStream = (Vec<f64>, Vec<DAffine3>);
+
 /// Simulates an episode once more, with gloves and without pictures; returns the samples of both gloves and of the head's tracker,
 /// with their times.
 ///
@@ -283,7 +286,7 @@ pub fn streams(
     scene: &Path,
     seed: u64,
     models: &[HandModel; 2],
-) -> Result<([GloveStream; 2], (Vec<f64>, Vec<DAffine3>))> {
+) -> Result<([GloveStream; 2], HeadStream)> {
     let mut scene = Scene::load(&scene.display().to_string())?;
     scene.spec.rate = GLOVE_RATE;
     scene.spec.glove = Some(GloveSpec { gain: 0.1, noise: 0.02, ..GloveSpec::ideal("aether_132") });
