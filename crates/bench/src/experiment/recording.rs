@@ -282,11 +282,7 @@ pub type HeadStream = (Vec<f64>, Vec<DAffine3>);
 ///
 /// # Errors
 /// If the scene can't be read or simulated.
-pub fn streams(
-    scene: &Path,
-    seed: u64,
-    models: &[HandModel; 2],
-) -> Result<([GloveStream; 2], HeadStream)> {
+pub fn streams(scene: &Path, seed: u64, models: &[HandModel; 2]) -> Result<([GloveStream; 2], HeadStream)> {
     let mut scene = Scene::load(&scene.display().to_string())?;
     scene.spec.rate = GLOVE_RATE;
     scene.spec.glove = Some(GloveSpec { gain: 0.1, noise: 0.02, ..GloveSpec::ideal("aether_132") });
