@@ -5,6 +5,7 @@ use crate::model::{Unknown, View};
 
 /// View of pictures, and rule for touch that is unknown.
 #[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Unknown touch")]
 pub struct Doubt {
     /// View of pictures: crop (the centre), letterbox (all of it, hands smaller), squash (all of it, squeezed), or checkpoint (as
     /// the network was trained).

@@ -8,6 +8,7 @@ use crate::hand::{FieldMap, HandModel, Side};
 
 /// Arguments that name hand models.
 #[derive(Debug, Default, clap::Args)]
+#[command(next_help_heading = "Hands")]
 pub struct Hands {
     /// Left MANO file in place of the built-in hand; needs --mano-right.
     #[arg(long, requires = "mano_right")]
@@ -63,6 +64,7 @@ impl Hands {
 
 /// Width of the kernel that distributes a contact's force over vertices.
 #[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Hands")]
 pub struct Kernel {
     /// Standard deviation of the Gaussian that distributes a contact's force over vertices (label c).
     #[arg(long, value_name = "LENGTH", default_value = "4mm", value_parser = parse_sigma)]

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use clap::Command;
+use clap::{Arg, Command};
 
 /// Groups of the commands in the help of `egotac`.
 const GROUPS: [(&str, &[&str]); 7] = [
@@ -66,6 +66,57 @@ pub const EXAMPLES: [&str; 46] = [
     "man ~/.local/share/man/man1",
 ];
 
+/// Options that `-h` leaves out and `--help` shows, by their name in the code: what few users need.
+const RARE: [&str; 42] = [
+    "follow_links",
+    // Hands, network, images.
+    "mano_left",
+    "mano_right",
+    "sigma",
+    "precision",
+    "view",
+    "unknown",
+    "familiarity_threshold",
+    "presence_threshold",
+    // Simulation.
+    "backgrounds",
+    "budget",
+    "error",
+    "in_process",
+    "skip_failed",
+    "spacing",
+    "tactile_topic",
+    "truth_topic",
+    // Labels.
+    "time_unit",
+    "labels_topic",
+    "prefix",
+    "decoders",
+    "keypoints",
+    "foxglove",
+    "mass",
+    "density",
+    "friction",
+    "meshes",
+    "gravity",
+    "bandwidth",
+    "refine",
+    // Scores.
+    "untrained_force",
+    "baselines_from",
+    "persistence",
+    "calibration",
+    "calibration_from",
+    "calibration_pred",
+    "calibration_out",
+    "right_hand_only",
+    "by_scene",
+    // Live view.
+    "host",
+    "hand_pose",
+    "hand_poses",
+];
+
 /// Adds the examples to `command` and the commands below it, shortens the descriptions that `-h` shows to their first
 /// sentence, and keeps all text for `--help`. `program` stands before each example.
 #[doc(hidden)]
@@ -91,6 +142,13 @@ fn arrange_below(mut command: Command, path: &mut Vec<String>, program: &str, ex
         let long = command.get_after_help().map_or(String::new(), |text| format!("{text}\n\n"));
         command = command.after_long_help(format!("{long}{example}")).after_help(example);
     }
+    let is_rare = |arg: &&Arg| RARE.contains(&arg.get_id().as_str()) && !arg.is_required_set() && !arg.is_positional();
+    if !path.is_empty() && !command.has_subcommands() && command.get_arguments().any(is_rare) {
+        let more = format!("`{program} {} --help` shows all options.", path.join(" "));
+        let short = command.get_after_help().map_or(String::new(), |text| format!("{text}\n"));
+        command = command.after_help(format!("{short}{more}"));
+    }
+    let command = command.mut_args(|arg| if is_rare(&&arg) { arg.hide_short_help(true) } else { arg });
     command.mut_args(|arg| match (arg.get_help().map(ToString::to_string), arg.get_long_help()) {
         (Some(text), None) if first_sentence(&text).len() < text.len() => {
             let short = first_sentence(&text).to_owned();
@@ -165,6 +223,29 @@ mod tests {
                 false if !["bench", "experiment"].contains(&path.as_str()) => drop(leaves.insert(path)),
                 false => {}
             }
+        }
+    }
+
+    #[test]
+    fn each_short_help_fits_on_a_screen_and_long_help_has_every_option() {
+        let mut command = arrange(Cli::command(), "egotac", &EXAMPLES);
+        command.build();
+        check_lengths(&mut command);
+    }
+
+    fn check_lengths(command: &mut Command) {
+        let is_external = ["bench", "experiment"].contains(&command.get_name());
+        for below in command.get_subcommands_mut().filter(|below| !below.is_hide_set()) {
+            check_lengths(below);
+        }
+        if command.has_subcommands() || is_external {
+            return;
+        }
+        let (short, long) = (command.render_help().to_string(), command.render_long_help().to_string());
+        assert!(short.len() < 2500, "{} -h has {} bytes:\n{short}", command.get_name(), short.len());
+        for arg in command.get_arguments().filter(|arg| !arg.is_hide_set()) {
+            let Some(name) = arg.get_long() else { continue };
+            assert!(long.contains(&format!("--{name}")), "{} --help leaves out --{name}", command.get_name());
         }
     }
 

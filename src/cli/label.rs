@@ -69,11 +69,11 @@ pub struct Args {
     /// Prefix of a LeRobot data set's new columns; policies ignore it.
     #[arg(long, default_value = "tactile", value_parser = prefix)]
     prefix: String,
-    /// New columns of a LeRobot data set: region_force (34, N), force (1556, N), contact (1556), total (2, N) [default: force,
-    /// contact and region_force; region_force alone as an input of policies].
+    /// New columns of a LeRobot data set: region_force, force, contact, total. Their sizes are 34, 1556, 1556 and 2; forces in N.
+    /// The default is force, contact and region_force, and region_force alone as an input of policies.
     #[arg(long, value_name = "NAME,..", value_delimiter = ',', hide_possible_values = true)]
     columns: Vec<LabelColumn>,
-    /// Role of a LeRobot data set's new columns: ignored by policies, appended to observation.state, or as
+    /// Role of a LeRobot data set's new columns. Ignored by policies, appended to observation.state, or as
     /// observation.environment_state. An input of policies has 0 where touch is unknown, and ends with two elements: 1 where
     /// touch of the left and of the right hand is known.
     #[arg(long = "as", value_name = "ROLE", default_value = "inert")]

@@ -1,6 +1,9 @@
 //! Reference texts generated from the command line and from the types: pages of docs/reference, and a first configuration.
 
-use std::collections::BTreeMap;
+mod keys;
+#[cfg(feature = "sim")]
+mod scene;
+
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -8,6 +11,7 @@ use anyhow::Context;
 use clap::Command;
 use serde_yaml::Value;
 
+use self::keys::{Key, Types};
 use crate::file;
 use crate::text::{parse_yaml, put};
 use crate::train::Config;
@@ -24,13 +28,15 @@ pub struct Args {
     folder: PathBuf,
 }
 
-/// Writes the pages about `command` and about the keys of a training configuration.
+/// Writes the pages about `command` and about the keys of a training configuration and, with the feature `sim`, of a scene.
 ///
 /// # Errors
 /// If a page can't be written.
 pub fn run(args: &Args, command: Command) -> anyhow::Result<ExitCode> {
     file::write(&args.folder.join("cli.md"), commands_page("Commands of egotac", command).as_bytes())?;
     file::write(&args.folder.join("training-keys.md"), training_page()?.as_bytes())?;
+    #[cfg(feature = "sim")]
+    file::write(&args.folder.join("scene-keys.md"), scene::page()?.as_bytes())?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -58,58 +64,9 @@ fn describe_below(command: &Command, path: &str, page: &mut String) {
     }
 }
 
-/// Key of a configuration: its name, its description, and its keys if it holds others.
-struct Key {
-    name: String,
-    text: String,
-    below: Vec<Key>,
-}
-
-/// Returns the keys of the struct `name`, in the order of the source.
-fn keys(structs: &BTreeMap<&str, Vec<Field>>, name: &str) -> Vec<Key> {
-    let key = |field: &Field| Key {
-        name: field.name.to_owned(),
-        text: field.text.clone(),
-        below: if structs.contains_key(field.kind) { keys(structs, field.kind) } else { Vec::new() },
-    };
-    structs.get(name).map(|fields| fields.iter().map(key).collect()).unwrap_or_default()
-}
-
-/// Field of a struct in Rust source: name, type, and doc comment.
-struct Field<'a> {
-    name: &'a str,
-    kind: &'a str,
-    text: String,
-}
-
-/// Returns the structs in Rust source as rustfmt writes it, with their public fields.
-fn structs(source: &str) -> BTreeMap<&str, Vec<Field<'_>>> {
-    let mut found = BTreeMap::new();
-    let mut current: Option<(&str, Vec<Field>)> = None;
-    let mut text = Vec::new();
-    for line in source.lines() {
-        if let Some(name) = line.strip_prefix("pub struct ").and_then(|rest| rest.strip_suffix(" {")) {
-            current = Some((name, Vec::new()));
-            text.clear();
-        } else if line == "}" {
-            found.extend(current.take());
-        } else if let Some((_, fields)) = &mut current {
-            if let Some(doc) = line.strip_prefix("    /// ") {
-                text.push(doc);
-            } else if let Some((name, kind)) = line.strip_prefix("    pub ").and_then(|rest| rest.split_once(": ")) {
-                // Links of rustdoc are plain code elsewhere.
-                let doc = text.join(" ").replace("[`", "`").replace("`]", "`");
-                fields.push(Field { name, kind: kind.trim_end_matches(','), text: doc });
-                text.clear();
-            }
-        }
-    }
-    found
-}
-
 /// Returns the keys of a training configuration.
 fn training_keys() -> Vec<Key> {
-    keys(&structs(CONFIG_SOURCE), "Config")
+    Types::read(&[CONFIG_SOURCE]).keys("Config")
 }
 
 /// Returns the configuration with all defaults.

@@ -6,11 +6,13 @@ use image::RgbImage;
 use image::imageops::{FilterType, resize};
 use plotters::coord::Shift;
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use crate::error::Result;
 use crate::render;
 use crate::render::figure::{self, Drawn, Figure};
 use crate::render::font::FAMILY;
+use crate::render::plot::{self, LABEL};
 
 /// Edge of a panel, pixels.
 pub const PANEL: u32 = 460;
@@ -26,11 +28,11 @@ pub struct Sheet<'a> {
     /// Titles and pictures, which are scaled to [`PANEL`] squared.
     pub panels: [(String, RgbImage); 3],
     pub bar: Bar<'a>,
-    /// A line below the last panel.
-    pub note: Option<String>,
+    /// Lines below the last panel, at most two.
+    pub note: Vec<String>,
     /// Label of the force axis.
     pub axis: &'a str,
-    pub series: [Series<'a>; 2],
+    pub series: [Series; 2],
     /// Time of the panels, s.
     pub shown: f64,
 }
@@ -45,8 +47,8 @@ pub struct Bar<'a> {
 }
 
 /// A force over time.
-pub struct Series<'a> {
-    pub name: &'a str,
+pub struct Series {
+    pub name: String,
     pub color: RGBColor,
     /// Seconds and newtons, in time order.
     pub points: Vec<(f64, f64)>,
@@ -78,8 +80,9 @@ impl Figure for Sheet<'_> {
         }
         let bar = render::color_bar(self.bar.peak, self.bar.label, (PANEL, 44));
         blit(&upper, bar, (LEFT + (self.bar.column * f64::from(PITCH)) as i32, UPPER as i32 - 46))?;
-        if let Some(note) = &self.note {
-            upper.draw(&Text::new(note.as_str(), (LEFT + 2 * PITCH + 10, UPPER as i32 - 40), (FAMILY, 17)))?;
+        for (index, line) in self.note.iter().enumerate() {
+            let at = (LEFT + 2 * PITCH, UPPER as i32 - 46 + 22 * index as i32);
+            upper.draw(&Text::new(line.as_str(), at, (FAMILY, 16)))?;
         }
         self.draw_forces(&lower)?;
         root.present()?;
@@ -92,37 +95,28 @@ impl Sheet<'_> {
     where
         B::ErrorType: 'static,
     {
+        let keys: Vec<(&str, RGBColor)> = self.series.iter().map(|series| (series.name.as_str(), series.color)).collect();
+        let body = plot::head(area, "", &keys)?;
         let points = || self.series.iter().flat_map(|series| &series.points);
         let end = points().map(|point| point.0).fold(1e-3, f64::max);
+        // Forces far below a newton look small.
         let peak = 1.1 * points().map(|point| point.1).fold(0.5, f64::max);
-        let mut chart = ChartBuilder::on(area)
-            .margin(12)
-            .x_label_area_size(44)
-            .y_label_area_size(64)
-            .build_cartesian_2d(0.0..end, 0.0..peak)?;
-        chart
-            .configure_mesh()
-            .light_line_style(TRANSPARENT)
-            .x_desc("time, s")
-            .y_desc(self.axis)
-            .label_style((FAMILY, 17))
-            .axis_desc_style((FAMILY, 19))
-            .draw()?;
-        chart.draw_series(LineSeries::new([(self.shown, 0.0), (self.shown, peak)], BLACK.mix(0.25)))?;
+        let mut chart = plot::chart(&body, "", [48, 64]).build_cartesian_2d(0.0..end, 0.0..peak)?;
+        let [seconds, newtons] = [end, peak].map(|most| usize::from(most < 8.0));
+        plot::axes(
+            &mut chart,
+            ("time, s", &|x| format!("{x:.seconds$}")),
+            (self.axis, &|y| format!("{y:.newtons$}")),
+            [10, 6],
+        )?;
+        chart.draw_series(LineSeries::new([(self.shown, 0.0), (self.shown, peak)], BLACK.mix(0.5)))?;
+        let side = if self.shown > 0.8 * end { HPos::Right } else { HPos::Left };
+        let style = TextStyle::from((FAMILY, LABEL)).color(&BLACK.mix(0.7)).pos(Pos::new(side, VPos::Top));
+        let away = if side == HPos::Left { 6 } else { -6 };
+        chart.draw_series([EmptyElement::at((self.shown, peak)) + Text::new("shown above", (away, 2), style)])?;
         for series in &self.series {
-            let color = series.color;
-            chart
-                .draw_series(LineSeries::new(series.points.iter().copied(), color.stroke_width(2)))?
-                .label(series.name)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 24, y)], color.stroke_width(3)));
+            chart.draw_series(LineSeries::new(series.points.iter().copied(), series.color.stroke_width(2)))?;
         }
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.8))
-            .border_style(BLACK.mix(0.3))
-            .label_font((FAMILY, 18))
-            .draw()?;
         Ok(())
     }
 }

@@ -28,18 +28,36 @@ pub trait Figure {
         B::ErrorType: 'static;
 }
 
+/// Returns `figure` as pixels.
+///
+/// # Errors
+/// If drawing fails.
+pub fn picture<F: Figure>(figure: &F) -> Drawn<RgbImage> {
+    font::register();
+    let (width, height) = F::SIZE;
+    let mut picture = RgbImage::new(width, height);
+    figure.draw(&BitMapBackend::with_buffer(picture.as_mut(), F::SIZE).into_drawing_area())?;
+    Ok(picture)
+}
+
 /// Writes `figure` to the PNG file `path`.
 ///
 /// # Errors
 /// If drawing or writing fails.
 pub fn write_png<F: Figure>(path: &Path, figure: &F) -> Result<()> {
-    font::register();
-    let (width, height) = F::SIZE;
-    let mut picture = RgbImage::new(width, height);
-    figure
-        .draw(&BitMapBackend::with_buffer(picture.as_mut(), F::SIZE).into_drawing_area())
-        .map_err(|error| Error::file(path, error))?;
+    let picture = picture(figure).map_err(|error| Error::file(path, error))?;
     file::write_png(path, &picture)
+}
+
+/// Returns `figure` as the text of an SVG file.
+///
+/// # Errors
+/// If drawing fails.
+pub fn svg<F: Figure>(figure: &F) -> Drawn<String> {
+    font::register();
+    let mut text = String::new();
+    figure.draw(&SVGBackend::with_string(&mut text, F::SIZE).into_drawing_area())?;
+    Ok(text)
 }
 
 /// Writes `NAME.png` and `NAME.svg` into `folder`.
@@ -49,9 +67,6 @@ pub fn write_png<F: Figure>(path: &Path, figure: &F) -> Result<()> {
 pub fn write<F: Figure>(folder: &Path, name: &str, figure: &F) -> Result<()> {
     write_png(&folder.join(format!("{name}.png")), figure)?;
     let path = folder.join(format!("{name}.svg"));
-    let mut text = String::new();
-    figure
-        .draw(&SVGBackend::with_string(&mut text, F::SIZE).into_drawing_area())
-        .map_err(|error| Error::file(&path, error))?;
+    let text = svg(figure).map_err(|error| Error::file(&path, error))?;
     file::write(&path, text.as_bytes())
 }

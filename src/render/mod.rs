@@ -17,6 +17,7 @@ pub mod figure;
 pub mod font;
 mod hand;
 pub mod heat;
+mod names;
 #[doc(hidden)]
 pub mod plot;
 mod raster;

@@ -1,36 +1,73 @@
-//! Common look of charts: palette, title, axes, legend.
+//! Common look of charts: palette, heading, title, axes, legend, names beside points.
 
 use plotters::chart::{ChartBuilder, ChartContext, SeriesLabelPosition};
 use plotters::coord::cartesian::Cartesian2d;
 use plotters::coord::ranged1d::{Ranged, ValueFormatter};
 use plotters::coord::{CoordTranslate, Shift};
-use plotters::prelude::{BLACK, Circle, Color, DrawingArea, DrawingBackend, PathElement, RGBColor, TRANSPARENT, WHITE};
+use plotters::prelude::*;
 use plotters::style::ShapeStyle;
 
 use super::figure::Drawn;
-use super::font::FAMILY;
+use super::font::{self, FAMILY};
+use super::names::{self, Name};
 
-/// Colours of series, in the order in which series take them.
+/// Colours of series, in the order in which series take them: those of Okabe and Ito (2008), which stay apart for readers with a
+/// colour vision deficiency. Grey stands for their yellow, which is too pale on white.
 pub const PALETTE: [RGBColor; 7] = [
-    RGBColor(31, 119, 180),
+    RGBColor(0, 114, 178),
     ACCENT,
-    RGBColor(44, 160, 44),
-    RGBColor(148, 103, 189),
-    RGBColor(140, 86, 75),
-    RGBColor(23, 150, 170),
-    RGBColor(190, 150, 20),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(86, 180, 233),
+    RGBColor(230, 159, 0),
+    RGBColor(90, 90, 90),
 ];
-/// Colour of a single series that stands out: orange.
-pub const ACCENT: RGBColor = RGBColor(214, 96, 24);
+/// Colour of a single series that stands out: vermilion.
+pub const ACCENT: RGBColor = RGBColor(213, 94, 0);
 
-/// Height of a chart's title, of the axes' descriptions, and of tick labels and legends, pixels.
-const TITLE: u32 = 21;
+/// Height of a figure's heading, of a chart's title, of the axes' descriptions, and of tick labels and legends, pixels.
+const HEADING: u32 = 24;
+const TITLE: u32 = 20;
 const DESCRIPTION: u32 = 17;
-const LABEL: u32 = 15;
+/// Height of tick labels and legends, pixels.
+pub const LABEL: u32 = 15;
 /// Space around a chart, pixels.
 const MARGIN: u32 = 14;
 /// Length of a line in a legend, pixels.
 const KEY_LENGTH: i32 = 18;
+/// Height of a row of keys, pixels.
+const KEY_ROW: u32 = 26;
+/// Radius of the space that names leave around a point, pixels.
+const DOT: i32 = 6;
+
+/// Draws a heading and below it one row of keys for all charts of `area`; returns the part below them.
+///
+/// # Errors
+/// If the backend fails.
+pub fn head<DB>(
+    area: &DrawingArea<DB, Shift>,
+    heading: &str,
+    series: &[(&str, RGBColor)],
+) -> Drawn<DrawingArea<DB, Shift>>
+where
+    DB: DrawingBackend,
+    DB::ErrorType: 'static,
+{
+    let left = MARGIN as i32;
+    let keys = if heading.is_empty() { 8 } else { HEADING as i32 + 18 };
+    let height = keys as u32 + if series.is_empty() { 0 } else { KEY_ROW };
+    let (head, body) = area.split_vertically(height);
+    if !heading.is_empty() {
+        head.draw(&Text::new(heading.to_owned(), (left, 10), (FAMILY, HEADING)))?;
+    }
+    let mut x = left;
+    for (name, color) in series {
+        head.draw(&Rectangle::new([(x, keys + 3), (x + KEY_LENGTH, keys + 13)], color.filled()))?;
+        head.draw(&Text::new((*name).to_owned(), (x + KEY_LENGTH + 6, keys), (FAMILY, LABEL)))?;
+        x += KEY_LENGTH + 34 + font::width(name, f64::from(LABEL)) as i32;
+    }
+    Ok(body)
+}
 
 /// Starts a chart with a title, `[below, left]` pixels of which hold tick labels and descriptions of the axes.
 pub fn chart<'a, 'b, DB: DrawingBackend>(
@@ -39,18 +76,26 @@ pub fn chart<'a, 'b, DB: DrawingBackend>(
     [below, left]: [u32; 2],
 ) -> ChartBuilder<'a, 'b, DB> {
     let mut chart = ChartBuilder::on(area);
-    chart.caption(title, (FAMILY, TITLE)).margin(MARGIN).x_label_area_size(below).y_label_area_size(left);
+    if !title.is_empty() {
+        chart.caption(title, (FAMILY, TITLE));
+    }
+    chart.margin(MARGIN).x_label_area_size(below).y_label_area_size(left);
     chart
 }
 
-/// Description of an axis, and the text of a value on it.
+/// Description of an axis with its unit, and the text of a value on it.
 pub type Axis<'a> = (&'a str, &'a dyn Fn(&f64) -> String);
 
-/// Draws axes and the lines at their ticks.
+/// Draws axes with about `ticks` values on each, and the lines at these.
 ///
 /// # Errors
 /// If the backend fails.
-pub fn axes<DB, X, Y>(chart: &mut ChartContext<'_, DB, Cartesian2d<X, Y>>, x: Axis<'_>, y: Axis<'_>) -> Drawn<()>
+pub fn axes<DB, X, Y>(
+    chart: &mut ChartContext<'_, DB, Cartesian2d<X, Y>>,
+    x: Axis<'_>,
+    y: Axis<'_>,
+    ticks: [usize; 2],
+) -> Drawn<()>
 where
     DB: DrawingBackend,
     DB::ErrorType: 'static,
@@ -60,6 +105,8 @@ where
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
+        .x_labels(ticks[0])
+        .y_labels(ticks[1])
         .x_desc(x.0)
         .y_desc(y.0)
         .x_label_formatter(x.1)
@@ -67,6 +114,52 @@ where
         .label_style((FAMILY, LABEL))
         .axis_desc_style((FAMILY, DESCRIPTION))
         .draw()?;
+    Ok(())
+}
+
+/// Draws the value axis of a chart whose other axis has the categories 0, 1, 2 ..., and their names below it: in one row if they have
+/// room there, else from top to bottom.
+///
+/// # Errors
+/// If the backend fails.
+pub fn categories<DB, X, Y>(
+    area: &DrawingArea<DB, Shift>,
+    chart: &mut ChartContext<'_, DB, Cartesian2d<X, Y>>,
+    names: &[&str],
+    y: Axis<'_>,
+) -> Drawn<()>
+where
+    DB: DrawingBackend,
+    DB::ErrorType: 'static,
+    X: Ranged<ValueType = f64> + ValueFormatter<f64>,
+    Y: Ranged<ValueType = f64> + ValueFormatter<f64>,
+{
+    chart
+        .configure_mesh()
+        .disable_x_mesh()
+        .light_line_style(TRANSPARENT)
+        .x_labels(0)
+        .y_labels(6)
+        .y_desc(y.0)
+        .y_label_formatter(y.1)
+        .label_style((FAMILY, LABEL))
+        .axis_desc_style((FAMILY, DESCRIPTION))
+        .draw()?;
+    let bottom = chart.plotting_area().get_pixel_range().1.end;
+    let (left, upper) = area.get_base_pixel();
+    let zero = chart.plotting_area().get_y_range().start;
+    let place = |index: usize| chart.plotting_area().map_coordinate(&(index as f64, zero)).0 - left;
+    let pitch = if names.len() > 1 { place(1) - place(0) } else { i32::MAX };
+    let fits = |name: &&str| (font::width(name, f64::from(LABEL)) as i32) < pitch - 8;
+    let style = TextStyle::from((FAMILY, LABEL)).color(&BLACK);
+    use plotters::style::text_anchor::{HPos, Pos, VPos};
+    let style = match names.iter().all(fits) {
+        true => style.pos(Pos::new(HPos::Center, VPos::Top)),
+        false => style.transform(FontTransform::Rotate90).pos(Pos::new(HPos::Left, VPos::Center)),
+    };
+    for (index, name) in names.iter().enumerate() {
+        area.draw(&Text::new((*name).to_owned(), (place(index), bottom - upper + 8), style.clone()))?;
+    }
     Ok(())
 }
 
@@ -105,52 +198,117 @@ pub fn front_line() -> ShapeStyle {
     BLACK.mix(0.25).stroke_width(2)
 }
 
-/// Returns where each name is written, as pixels from its point to the text's upper left corner, so that no name covers another one
-/// or a dot: above its point if there is room, else further up or below.
+/// Returns the range of `values` with room at both ends, at least `span` wide, so that differences smaller than that look small.
+pub fn span(values: impl Iterator<Item = f64>, span: f64) -> Option<(f64, f64)> {
+    let finite = values.filter(|value| value.is_finite());
+    let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), value| (l.min(value), h.max(value)));
+    let room = (0.2 * (high - low)).max(0.5 * (span - (high - low)));
+    (low <= high).then_some((low - room, high + room))
+}
+
+/// Name of a point in a chart.
+pub struct Named<'a> {
+    /// The name.
+    pub text: &'a str,
+    /// The point, in the chart's coordinates.
+    pub at: (f64, f64),
+    /// Height of the text, pixels.
+    pub size: u32,
+    /// Colour of the text.
+    pub color: RGBColor,
+}
+
+/// Writes names beside their points, so that they cover neither each other, nor a point of `dots`, nor the line through `front`; a
+/// name that stands apart from its point is joined to it.
 ///
-/// `names`: texts and the pixels of their points; `dots`: pixels of all points; `size`: height of the texts, pixels.
-pub fn name_offsets(names: &[(&str, (i32, i32))], dots: &[(i32, i32)], size: u32) -> Vec<(i32, i32)> {
-    /// Half the side of the square that a dot takes, pixels.
-    const DOT: i32 = 7;
-    let mut taken: Vec<[i32; 4]> = dots.iter().map(|(x, y)| [x - DOT, y - DOT, x + DOT, y + DOT]).collect();
-    let line = size as i32 + 3;
-    let mut place = |(name, (x, y)): &(&str, (i32, i32))| {
-        let width = super::font::width(name, f64::from(size)) as i32;
-        let corners = (1..8).flat_map(|step| [-(9 + step * line), 9 + (step - 1) * line]);
-        let boxed = |dy: i32| (dy, [x - 4, y + dy, x - 4 + width, y + dy + size as i32]);
-        let is_free = |spot: &[i32; 4]| {
-            taken
-                .iter()
-                .all(|other| spot[2] < other[0] || other[2] < spot[0] || spot[3] < other[1] || other[3] < spot[1])
-        };
-        let (dy, spot) = corners.map(boxed).find(|(_, spot)| is_free(spot)).unwrap_or_else(|| boxed(-(9 + line)));
-        taken.push(spot);
-        (-4, dy)
-    };
-    names.iter().map(&mut place).collect()
+/// # Errors
+/// If the backend fails.
+pub fn draw_names<DB, X, Y>(
+    area: &DrawingArea<DB, Shift>,
+    chart: &ChartContext<'_, DB, Cartesian2d<X, Y>>,
+    named: &[Named],
+    dots: impl Iterator<Item = (f64, f64)>,
+    front: &[(f64, f64)],
+) -> Drawn<()>
+where
+    DB: DrawingBackend,
+    DB::ErrorType: 'static,
+    X: Ranged<ValueType = f64>,
+    Y: Ranged<ValueType = f64>,
+{
+    let pixel = |at: (f64, f64)| chart.backend_coord(&at);
+    let mut taken: Vec<[i32; 4]> =
+        dots.map(pixel).map(|(x, y)| [x - DOT, y - DOT, x + DOT, y + DOT]).collect();
+    for ends in front.windows(2) {
+        let ((x0, y0), (x1, y1)) = (pixel(ends[0]), pixel(ends[1]));
+        let steps = ((x1 - x0).abs().max((y1 - y0).abs()) / 4).max(1);
+        taken.extend((0..=steps).map(|step| [x0 + (x1 - x0) * step / steps, y0 + (y1 - y0) * step / steps]).map(|[x, y]| [x, y, x, y]));
+    }
+    let (columns, rows) = chart.plotting_area().get_pixel_range();
+    let texts: Vec<Name> =
+        named.iter().map(|name| Name { text: name.text, at: pixel(name.at), size: name.size }).collect();
+    let frame = [columns.start, rows.start, columns.end, rows.end];
+    let (left, upper) = area.get_base_pixel();
+    for (name, spot) in named.iter().zip(names::place(&texts, taken, frame)) {
+        let own = |(x, y): (i32, i32)| (x - left, y - upper);
+        if let Some(end) = spot.leader {
+            area.draw(&PathElement::new([own(pixel(name.at)), own(end)], BLACK.mix(0.35)))?;
+        }
+        let style = TextStyle::from((FAMILY, name.size)).color(&name.color);
+        area.draw(&Text::new(name.text.to_owned(), own(spot.corner), style))?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// Returns a colour as seen without the cones of red or of green (Machado et al. 2009, severity 1), in linear light.
+    fn seen(color: RGBColor, matrix: [[f64; 3]; 3]) -> [f64; 3] {
+        let linear = [color.0, color.1, color.2].map(|byte| (f64::from(byte) / 255.0).powf(2.2));
+        matrix.map(|row| row.iter().zip(linear).map(|(factor, value)| factor * value).sum())
+    }
+
+    /// Returns lightness and the two opponent colours of CIE L*a*b*.
+    fn lab([red, green, blue]: [f64; 3]) -> [f64; 3] {
+        let x = (0.4124 * red + 0.3576 * green + 0.1805 * blue) / 0.9505;
+        let y = 0.2126 * red + 0.7152 * green + 0.0722 * blue;
+        let z = (0.0193 * red + 0.1192 * green + 0.9505 * blue) / 1.089;
+        let [x, y, z] = [x, y, z].map(|value| value.max(0.0).cbrt());
+        [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
+    }
+
     #[test]
-    fn names_of_near_points_cover_neither_each_other_nor_a_dot() {
-        let points = [(100, 200), (110, 203), (120, 198), (128, 201)];
-        let names: Vec<(&str, (i32, i32))> = points.iter().map(|at| ("egotac-pocket-8", *at)).collect();
-        let offsets = name_offsets(&names, &points, 15);
-        let spots: Vec<[i32; 4]> = names
-            .iter()
-            .zip(&offsets)
-            .map(|((name, (x, y)), (dx, dy))| {
-                let width = super::super::font::width(name, 15.0) as i32;
-                [x + dx, y + dy, x + dx + width, y + dy + 15]
-            })
-            .collect();
-        let apart = |a: &[i32; 4], b: &[i32; 4]| a[2] < b[0] || b[2] < a[0] || a[3] < b[1] || b[3] < a[1];
-        for (index, spot) in spots.iter().enumerate() {
-            assert!(spots[..index].iter().all(|other| apart(spot, other)), "{spots:?}");
-            assert!(points.iter().all(|(x, y)| apart(spot, &[*x, *y, *x, *y])), "{spots:?}");
+    fn colours_stay_apart_without_the_cones_of_red_or_green() {
+        let all = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let no_red = [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]];
+        let no_green = [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]];
+        for eye in [all, no_red, no_green] {
+            for (index, a) in PALETTE.iter().enumerate() {
+                for b in &PALETTE[..index] {
+                    let (first, second) = (lab(seen(*a, eye)), lab(seen(*b, eye)));
+                    let distance: f64 = first.iter().zip(second).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+                    assert!(distance > 12.0, "{a:?} and {b:?}: {distance:.1}");
+                }
+            }
         }
+    }
+
+    #[test]
+    fn colours_stand_out_from_white() {
+        for color in PALETTE {
+            let [lightness, ..] = lab(seen(color, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]));
+            assert!(lightness < 75.0, "{color:?}: {lightness:.1}");
+        }
+    }
+
+    #[test]
+    fn a_small_difference_looks_small() {
+        let (low, high) = span([0.719, 0.728].into_iter(), 0.1).unwrap();
+        assert!((high - low - 0.1).abs() < 1e-9 && (0.5 * (low + high) - 0.7235).abs() < 1e-9);
+        let (low, high) = span([1.0, 3.0, f64::NAN].into_iter(), 0.1).unwrap();
+        assert!((low - 0.6).abs() < 1e-9 && (high - 3.4).abs() < 1e-9);
+        assert_eq!(span([].into_iter(), 0.1), None);
     }
 }

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use serde::de::{self, Deserializer};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 
 use crate::error::{Error, Result};
 
@@ -134,7 +134,7 @@ impl Effect {
 }
 
 /// Quantity that a scene records.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Observation {
     /// Picture of the camera.
@@ -248,6 +248,15 @@ pub enum EffectsSpec {
     Auto,
     /// List: these effects and no others.
     Listed(EffectSet),
+}
+
+impl Serialize for EffectsSpec {
+    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        match self {
+            Self::Auto => serializer.serialize_str("auto"),
+            Self::Listed(effects) => serializer.collect_seq(effects.iter().map(Effect::name)),
+        }
+    }
 }
 
 impl<'de> Deserialize<'de> for EffectsSpec {

@@ -2,7 +2,7 @@
 
 use rand::Rng;
 use serde::de::{self, SeqAccess, Visitor};
-use serde::{Deserialize, Deserializer};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Fixed number, or number drawn uniformly from `low..=high`; in YAML `0.3` or `[0.2, 0.4]`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,6 +36,12 @@ impl UniformRange {
     /// others unchanged.
     pub fn sample(&self, rng: &mut impl Rng) -> f64 {
         self.low + (self.high - self.low) * rng.random::<f64>()
+    }
+}
+
+impl Serialize for UniformRange {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        if self.low == self.high { self.low.serialize(serializer) } else { [self.low, self.high].serialize(serializer) }
     }
 }
 

@@ -85,14 +85,20 @@ impl Figure for Curves {
     {
         root.fill(&WHITE)?;
         let (left, right) = root.split_horizontally(Self::SIZE.0 / 2);
-        panel(&left, "Losses", &self.losses, true)?;
-        panel(&right, "Scores on held-out data", &self.scores, false)?;
+        panel(&left, ["Losses", "loss"], &self.losses, true)?;
+        panel(&right, ["Scores on held-out data", "score"], &self.scores, false)?;
         root.present()?;
         Ok(())
     }
 }
 
-fn panel<B: DrawingBackend>(area: &DrawingArea<B, Shift>, title: &str, curves: &[Curve], decades: bool) -> Drawn<()>
+/// Draws curves; `title`, `what`: title and description of the vertical axis.
+fn panel<B: DrawingBackend>(
+    area: &DrawingArea<B, Shift>,
+    [title, what]: [&str; 2],
+    curves: &[Curve],
+    decades: bool,
+) -> Drawn<()>
 where
     B::ErrorType: 'static,
 {
@@ -108,7 +114,7 @@ where
     };
     let mut chart = plot::chart(area, title, [48, 72]).build_cartesian_2d(0.0..last, low..high)?;
     let name = |y: &f64| if decades { format!("{:.0e}", 10f64.powf(*y)) } else { format!("{y:.1}") };
-    plot::axes(&mut chart, ("step", &|x| format!("{x:.0}")), ("", &name))?;
+    plot::axes(&mut chart, ("step", &|x| format!("{x:.0}")), (what, &name), [6, 8])?;
     for (curve, color) in curves.iter().zip(PALETTE).filter(|(curve, _)| !curve.points.is_empty()) {
         let points: Vec<_> = curve.points.iter().map(|(x, y)| (*x, height(*y))).collect();
         chart

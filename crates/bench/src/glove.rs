@@ -14,7 +14,7 @@ use egotac::sim::{Rollout, RolloutOptions, Scene};
 use egotac::tactile::{CONTACT_FORCE_N, Validity};
 use plotters::coord::Shift;
 use plotters::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Rows and columns of a finger and of the palm, from coarse to fine, on the outlines of `aether_132`.
 const GRIDS: [([usize; 2], [usize; 2]); 8] = [
@@ -227,11 +227,12 @@ impl Report {
     /// If a file can't be written.
     pub fn write(&self, folder: &Path) -> anyhow::Result<()> {
         egotac::file::write(&folder.join("glove.md"), self.markdown().as_bytes())?;
+        let json = serde_json::to_value(self)?;
         egotac::file::write(
             &folder.join("glove.json"),
             format!("{}\n", serde_json::to_string_pretty(self)?).as_bytes(),
         )?;
-        figure::write(folder, "glove", self)?;
+        figure::write(folder, "glove", &Plot::deserialize(&json)?)?;
         Ok(())
     }
 
@@ -283,34 +284,46 @@ impl Report {
     }
 }
 
-impl Figure for Report {
-    const SIZE: (u32, u32) = (900, 520);
+/// Content of the plot, as `glove.json` holds it.
+#[derive(Debug, Clone, Deserialize)]
+pub struct Plot {
+    resolution: Vec<Point>,
+}
+
+/// Grid of taxels that is drawn; see [`Score`].
+#[derive(Debug, Clone, Deserialize)]
+struct Point {
+    taxels: usize,
+    field_error: f64,
+    f1: f64,
+}
+
+impl Figure for Plot {
+    const SIZE: (u32, u32) = (900, 540);
 
     fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
     where
         B::ErrorType: 'static,
     {
         root.fill(&WHITE)?;
-        let most = self.resolution.iter().map(|score| score.field_error.max(score.f1)).fold(0.0, f64::max).max(0.1);
+        type Of = fn(&Point) -> f64;
+        let series: [(&str, Of); 2] = [
+            ("error of the field / force (less is better)", |point| point.field_error),
+            ("F1 of contact (more is better)", |point| point.f1),
+        ];
+        let keys: Vec<(&str, RGBColor)> = series.iter().map(|(name, _)| *name).zip(PALETTE).collect();
+        let body = plot::head(root, "Accuracy of force against the number of taxels", &keys)?;
+        let most = self.resolution.iter().map(|point| point.field_error.max(point.f1)).fold(0.0, f64::max).max(0.1);
         let (low, high) = (4.0, 1200.0);
-        let mut builder = plot::chart(root, "Error of force against the number of taxels", [56, 76]);
-        let mut chart = builder.build_cartesian_2d((low..high).log_scale(), 0.0..1.05 * most)?;
+        let mut chart = plot::chart(&body, "", [48, 68]).build_cartesian_2d((low..high).log_scale(), 0.0..1.05 * most)?;
         let whole = |value: &f64| format!("{value:.0}");
         let tenths = |value: &f64| format!("{value:.1}");
-        plot::axes(&mut chart, ("taxels per hand", &whole), ("share", &tenths))?;
-        type Of = fn(&Score) -> f64;
-        let series: [(&str, Of); 2] =
-            [("field error", |score: &Score| score.field_error), ("F1 of contact", |score: &Score| score.f1)];
-        for ((name, of), color) in series.into_iter().zip(PALETTE) {
-            let points: Vec<(f64, f64)> =
-                self.resolution.iter().map(|score| (score.taxels as f64, of(score))).collect();
-            chart
-                .draw_series(LineSeries::new(points.clone(), color.stroke_width(2)))?
-                .label(name)
-                .legend(plot::line_key(color));
-            chart.draw_series(points.into_iter().map(|point| Circle::new(point, 4, color.filled())))?;
+        plot::axes(&mut chart, ("taxels per hand", &whole), ("relative error, F1", &tenths), [6, 8])?;
+        for ((_, of), color) in series.into_iter().zip(PALETTE) {
+            let points = || self.resolution.iter().map(|point| (point.taxels as f64, of(point)));
+            chart.draw_series(LineSeries::new(points(), color.stroke_width(2)))?;
+            chart.draw_series(points().map(|point| Circle::new(point, 4, color.filled())))?;
         }
-        plot::legend(&mut chart, SeriesLabelPosition::UpperRight)?;
         root.present()?;
         Ok(())
     }

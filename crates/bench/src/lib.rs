@@ -15,8 +15,11 @@
 //! | `node` | the ROS 2 nodes under load and faults |
 //! | `experiment` | the paper's claims: trainings and measurements, compared |
 //! | `policy` | a policy in simulation with and without touch |
+//! | `draw` | nothing: plots again from the files of measurements |
 
 pub mod cli;
+#[cfg(feature = "sim")]
+pub mod draw;
 #[cfg(feature = "sim")]
 pub mod effects;
 #[cfg(feature = "sim")]

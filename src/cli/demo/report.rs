@@ -13,7 +13,7 @@ use crate::file;
 use crate::hand::{HandModel, HandParams, Side};
 use crate::machine::Machine;
 use crate::message::TactileFrame;
-use crate::tactile::TactileField;
+use crate::tactile::{CONTACT_FORCE_N, TactileField};
 use crate::text::significant;
 
 /// Image, prediction and truth of one stamp.
@@ -134,7 +134,7 @@ fn headline(summary: &Value) -> String {
     )
 }
 
-/// Draws the picture of a typical moment.
+/// Draws the picture of a moment in which prediction and truth can be compared.
 fn draw(path: &Path, run: &MessagesByStamp) -> Result<()> {
     let moments = comparisons(run)?;
     ensure!(
@@ -151,7 +151,7 @@ fn draw(path: &Path, run: &MessagesByStamp) -> Result<()> {
         .iter()
         .map(|m| TracePoint { seconds: m.seconds, predicted: total(&m.predicted), truth: total(&m.truth) })
         .collect();
-    let shown = typical(&moments, &trace);
+    let shown = shown(&moments, &trace);
     let side = if shown.truth.total_force(Side::Left) > shown.truth.total_force(Side::Right) {
         Side::Left
     } else {
@@ -187,15 +187,37 @@ fn comparisons(run: &MessagesByStamp) -> Result<Vec<Comparison<'_>>> {
     Ok(moments)
 }
 
-/// Returns the moment with the median error of the total force among those with at least 30 % of the peak force.
-fn typical<'a, 'b>(moments: &'a [Comparison<'b>], trace: &[TracePoint]) -> &'a Comparison<'b> {
-    let peak = trace.iter().map(|point| point.truth).fold(0.0, f64::max);
-    let mut touched: Vec<usize> = (0..moments.len()).filter(|&i| trace[i].truth >= 0.3 * peak).collect();
-    touched.sort_by(|&a, &b| {
-        let error = |i: usize| (trace[i].predicted - trace[i].truth).abs();
-        error(a).total_cmp(&error(b))
+/// Share of the peak force that the shown moment has at least.
+const SHOWN_FORCE: f64 = 0.3;
+/// Largest difference between the totals of the shown moment, as a share of the true one.
+const COMPARABLE: f64 = 0.25;
+
+/// Returns the moment of the picture: of those with much force and comparable totals, the one whose F1 of contact is the median. If no
+/// totals are comparable, it is the one where they differ least.
+fn shown<'a, 'b>(moments: &'a [Comparison<'b>], trace: &[TracePoint]) -> &'a Comparison<'b> {
+    let peak = trace.iter().map(|point| point.truth).filter(|force| force.is_finite()).fold(0.0, f64::max);
+    let off = |index: usize| ((trace[index].predicted - trace[index].truth) / trace[index].truth).abs();
+    let is_known = |index: &usize| off(*index).is_finite() && trace[*index].truth >= SHOWN_FORCE * peak;
+    let mut touched: Vec<usize> = (0..moments.len()).filter(is_known).collect();
+    touched.sort_by(|&a, &b| off(a).total_cmp(&off(b)));
+    let mut comparable: Vec<(f64, usize)> =
+        touched.iter().filter(|index| off(**index) <= COMPARABLE).map(|index| (f1(&moments[*index]), *index)).collect();
+    comparable.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let index = comparable.get(comparable.len() / 2).map(|(_, index)| *index).or_else(|| touched.first().copied());
+    index.map_or(&moments[0], |index| &moments[index])
+}
+
+/// Returns the F1 of contact over the vertices whose prediction is known.
+fn f1(moment: &Comparison) -> f64 {
+    let pairs = moment.predicted.contact.iter().zip(&moment.truth.force).filter(|(contact, _)| contact.is_finite());
+    let [hits, errors] = pairs.fold([0.0, 0.0], |[hits, errors], (contact, force)| {
+        match (*contact > 0.5, *force > CONTACT_FORCE_N) {
+            (true, true) => [hits + 1.0, errors],
+            (false, false) => [hits, errors],
+            _ => [hits, errors + 1.0],
+        }
     });
-    touched.get(touched.len() / 2).map_or(&moments[0], |&index| &moments[index])
+    2.0 * hits / f64::max(2.0 * hits + errors, 1.0)
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::limits::{within, zero};
 use super::object::ObjectSpec;
@@ -18,7 +18,7 @@ const MAX_DISPLACEMENT: f64 = 1.0;
 const MAX_SCRIPT_SECS: f64 = 3600.0;
 
 /// Contact goals of a hand and their course in time. Directions are those of the right hand in the object frame.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActSpec {
     /// Name of the object to touch.
@@ -56,7 +56,7 @@ pub struct ActSpec {
 }
 
 /// Fingers that close with limited torque until contact stops them.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WrapSpec {
     /// Fingers that close.
@@ -66,7 +66,7 @@ pub struct WrapSpec {
 }
 
 /// Part of a hand that can have a contact goal.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[allow(missing_docs)]
 pub enum HandSite {
@@ -85,7 +85,7 @@ impl HandSite {
 }
 
 /// Contact goal: point on the object and normal force.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContactSpec {
     /// Direction from the object's axis to the point, in the object frame; the goal is on the outermost surface in it.
@@ -104,7 +104,7 @@ pub struct ContactSpec {
 }
 
 /// One phase: duration, and values that channels reach at its end. Channels without a value keep theirs.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PhaseSpec {
     /// Name, for readers of the file.
@@ -126,7 +126,7 @@ pub struct PhaseSpec {
 }
 
 /// Channels that a script drives.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Channels {
     /// Distance of the hand from its place at the object, along `from`, m.

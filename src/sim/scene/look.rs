@@ -1,6 +1,6 @@
 //! Look of a scene: colours, lights, and what covers the hands.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::limits::within;
 use crate::error::{Error, Result};
@@ -8,7 +8,7 @@ use crate::sim::effect::{Effect, EffectSet};
 use crate::sim::range::UniformRange;
 
 /// Look of a scene, from which each seed draws; the defaults are those of the shipped scenes.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LookSpec {
     /// Effects that make pictures richer.
@@ -30,7 +30,7 @@ pub struct LookSpec {
 }
 
 /// Set of effects that make pictures richer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LookStyle {
     /// None of them: colours without texture.
@@ -89,7 +89,7 @@ impl LookStyle {
 }
 
 /// Covering of the hands in the picture. Touch and collision are those of the bare hand in all cases.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum HandLook {
     /// Skin.
@@ -103,7 +103,7 @@ pub enum HandLook {
 }
 
 /// Pattern of the table.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TablePattern {
     /// One colour.

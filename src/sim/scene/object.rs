@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::limits::{MAX_ANGLE, positive, within, zero};
 use crate::error::{Error, Result};
 use crate::sim::range::UniformRange;
 
 /// An object on the table.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObjectSpec {
     /// Name, unique in the scene: letters, digits and `_`.
@@ -39,7 +39,7 @@ pub struct ObjectSpec {
 }
 
 /// Shapes; lengths are in metres. All are symmetric about the xz plane of the object frame.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum ShapeSpec {
     /// Cuboid with the given edges along x, y and z.

@@ -1,6 +1,6 @@
 //! A scene as its YAML file gives it.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::act::ActSpec;
 use super::limits::zero;
@@ -12,7 +12,7 @@ use crate::sim::effect::{EffectsSpec, Observation};
 use crate::sim::range::UniformRange;
 
 /// Content of a scene file.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SceneSpec {
     /// One sentence for `egotac sim list`.
@@ -48,7 +48,7 @@ pub struct SceneSpec {
 }
 
 /// A hand and its act.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HandSpec {
     /// Left or right; the second hand of a scene is always the other one.
@@ -62,7 +62,7 @@ pub struct HandSpec {
 }
 
 /// Side of the acting hand.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum SideSpec {
     /// Left hand.
@@ -75,7 +75,7 @@ pub enum SideSpec {
 }
 
 /// Head-mounted camera; positions are in the world frame.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraSpec {
     /// Position of the eye, m.

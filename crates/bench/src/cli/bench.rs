@@ -1,5 +1,6 @@
 //! `egotac bench`: time, memory and accuracy, measured on this machine.
 
+mod draw;
 mod effects;
 mod faults;
 mod glove;
@@ -50,6 +51,8 @@ enum Subject {
     Physics(physics::Args),
     /// Disturb commands while they write their outputs: kills, full disks, two runs at once.
     Faults(faults::Args),
+    /// Measure nothing: draw the plots of earlier measurements again, beside their JSON files.
+    Draw(draw::Args),
     /// Load and disturb the ROS 2 nodes: latency, overload, memory over time, faults, kills.
     #[cfg(all(feature = "ros", feature = "sim"))]
     Node(node::Args),
@@ -71,6 +74,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::Guards(_) => "bench guards",
         Subject::Glove(_) => "bench glove",
         Subject::Physics(_) => "bench physics",
+        Subject::Draw(_) => "bench draw",
     };
     Err(super::feature_off(name))
 }
@@ -92,6 +96,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::Glove(args) => glove::run(&args).map(|()| true)?,
         Subject::Physics(args) => physics::run(&args).map(|()| true)?,
         Subject::Faults(args) => faults::run(&args)?,
+        Subject::Draw(args) => draw::run(&args).map(|()| true)?,
         #[cfg(feature = "ros")]
         Subject::Node(args) => node::run(&args)?,
     })

@@ -12,7 +12,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 /// Example of each command, without the program's name.
-const EXAMPLES: [&str; 15] = [
+const EXAMPLES: [&str; 16] = [
     "bench model --preset toy --threads 2",
     "bench train --preset tiny",
     "bench label --frames 100",
@@ -26,6 +26,7 @@ const EXAMPLES: [&str; 15] = [
     "bench physics --out out/physics",
     "bench faults --short",
     "bench node --short",
+    "bench draw docs/bench/sim.json",
     "experiment policy --quick",
     "experiment transfer --quick",
 ];

@@ -4,11 +4,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use egotac::dataset::zarr::ZarrReader;
-use egotac::error::Result;
+use egotac::error::{Error, Result};
 use egotac::machine::Machine;
 use egotac::model::checkpoint::parameter_count;
 use egotac::render::figure::{self, Drawn, Figure};
-use egotac::render::font::FAMILY;
 use egotac::render::plot::{self, PALETTE};
 use egotac::score::metrics::baseline;
 use egotac::tactile::TactileSequence;
@@ -17,11 +16,13 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
 
 use super::data::{self, Recipe};
 use super::degrade::{Degradation, Episode};
 use super::measure::{self, Finished, Place};
-use super::report::{ArmReport, FORMAT, Report, TestInfo, force_truth, options, score_blind};
+use super::plot::test_title;
+use super::report::{ArmReport, FORMAT, Report, TestInfo, force_truth, options, score, score_blind};
 use super::{Progress, Setup, crop, render};
 
 /// Seed of noise, blocks and directions.
@@ -203,66 +204,54 @@ fn degrader(how: Degradation, data: &Data) -> impl FnMut(Place, RgbImage) -> Res
     }
 }
 
-/// Plot of `decline`: one panel per kind of degradation.
-pub struct Plot<'a>(pub &'a Report);
+/// Plot of `decline`, from its report in JSON: one panel per kind of degradation.
+pub struct Plot(pub Value);
 
 /// Writes `decline.png` and `decline.svg` into `folder`.
 ///
 /// # Errors
 /// If a file can't be written.
 pub fn write_plot(folder: &Path, report: &Report) -> Result<()> {
-    figure::write(folder, "decline", &Plot(report))
+    let json = serde_json::to_value(report).map_err(|error| Error::file(folder, error))?;
+    figure::write(folder, "decline", &Plot(json))
 }
 
-impl Plot<'_> {
+impl Plot {
     /// Returns the score of a condition in a test.
-    fn score(&self, condition: &str, test: &str, score: &str) -> Option<f64> {
-        let arm = self.0.arms.iter().find(|arm| arm.name == condition)?;
-        arm.tests.get(test)?.score(score).first().copied().flatten()
+    fn score(&self, condition: &str, test: &str, name: &str) -> Option<f64> {
+        let arm = self.0["arms"].as_array()?.iter().find(|arm| arm["name"] == condition)?;
+        score(&arm["tests"][test]["seeds"][0], name)
     }
 }
 
-impl Figure for Plot<'_> {
-    const SIZE: (u32, u32) = (1500, 900);
+impl Figure for Plot {
+    const SIZE: (u32, u32) = (1500, 820);
 
     fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
     where
         B::ErrorType: 'static,
     {
         root.fill(&WHITE)?;
-        let panels = root.titled(&self.0.question, (FAMILY, 24))?.split_evenly((2, 3));
+        let series = || DRAWN.iter().flat_map(|drawn| TESTS.iter().map(move |test| (drawn, test))).zip(PALETTE);
+        let titles: Vec<String> =
+            series().map(|(((_, title), (test, _)), _)| format!("{title}, {}", test_title(test))).collect();
+        let keys: Vec<(&str, RGBColor)> = titles.iter().map(String::as_str).zip(PALETTE).collect();
+        let panels = plot::head(root, self.0["question"].as_str().unwrap_or_default(), &keys)?.split_evenly((2, 3));
         for (panel, factor) in panels.iter().zip(&FACTORS) {
             let names: Vec<&str> =
                 std::iter::once(CLEAN).chain(factor.levels.iter().map(|(level, _)| *level)).collect();
             let last = names.len() as f64 - 1.0;
             let mut chart =
-                plot::chart(panel, factor.title, [44, 52]).build_cartesian_2d(-0.2..last + 0.2, 0.0..1.0)?;
-            let tick = |x: &f64| {
-                let at = x.round();
-                let near = (x - at).abs() < 1e-6 && at >= 0.0;
-                names.get(at as usize).filter(|_| near).map_or_else(String::new, |name| (*name).into())
-            };
-            chart
-                .configure_mesh()
-                .light_line_style(TRANSPARENT)
-                .x_labels(names.len() + 1)
-                .x_label_formatter(&tick)
-                .label_style((FAMILY, 14))
-                .draw()?;
-            for (series, ((score, score_title), (test, _))) in
-                DRAWN.iter().flat_map(|drawn| TESTS.iter().map(move |test| (drawn, test))).enumerate()
-            {
+                plot::chart(panel, factor.title, [34, 52]).build_cartesian_2d(-0.3..last + 0.3, 0.0..1.0)?;
+            plot::categories(panel, &mut chart, &names, ("score", &|y| format!("{y:.1}")))?;
+            for (((name, _), (test, _)), color) in series() {
                 let place =
                     |at: usize| if at == 0 { CLEAN.to_string() } else { format!("{} {}", factor.name, names[at]) };
                 let points: Vec<(f64, f64)> =
-                    (0..names.len()).filter_map(|at| Some((at as f64, self.score(&place(at), test, score)?))).collect();
-                let color = PALETTE[series];
-                chart
-                    .draw_series(LineSeries::new(points, color.stroke_width(2)).point_size(3))?
-                    .label(format!("{score_title}, {test}"))
-                    .legend(plot::line_key(color));
+                    (0..names.len()).filter_map(|at| Some((at as f64, self.score(&place(at), test, name)?))).collect();
+                chart.draw_series(LineSeries::new(points.iter().copied(), color.stroke_width(2)))?;
+                chart.draw_series(points.into_iter().map(|point| Circle::new(point, 4, color.filled())))?;
             }
-            plot::legend(&mut chart, SeriesLabelPosition::LowerLeft)?;
         }
         root.present()?;
         Ok(())

@@ -2,105 +2,167 @@
 
 use std::path::Path;
 
-use egotac::error::Result;
+use egotac::error::{Error, Result};
 use egotac::render::figure::{self, Drawn, Figure};
-use egotac::render::font::FAMILY;
-use egotac::render::plot::{self, PALETTE};
+use egotac::render::font::{self, FAMILY};
+use egotac::render::plot::{self, LABEL, PALETTE};
 use plotters::coord::Shift;
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+use serde_json::Value;
 
-use super::report::{ArmReport, Report, TestInfo};
-use super::table::{self, Column};
+use super::report::{Report, score};
 
-/// Names of the scores in the plot.
-const DRAWN: [&str; 6] =
-    ["frame_mean.f1", "frame_mean.auroc", "active_mae", "temporal_pearson", "force_cosine", "rise_f1"];
+/// Scores in the plot: name in the JSON, title, and whether more is better.
+const DRAWN: [(&str, &str, bool); 6] = [
+    ("frame_mean.f1", "contact F1, frame mean", true),
+    ("frame_mean.auroc", "contact AUROC, frame mean", true),
+    ("active_mae", "active MAE, N", false),
+    ("temporal_pearson", "temporal Pearson", true),
+    ("force_cosine", "force cosine", true),
+    ("rise_f1", "rise F1", true),
+];
+/// The same for reports of before format 2, which were chosen by pooled scores.
+const DRAWN_EARLIER: [(&str, &str, bool); 6] = [
+    ("pooled.f1", "contact F1, pooled", true),
+    ("pooled.iou", "contact IoU, pooled", true),
+    ("pooled.auroc", "contact AUROC, pooled", true),
+    ("active_mae", "active MAE, N", false),
+    ("temporal_pearson", "temporal Pearson", true),
+    ("force_cosine", "force cosine", true),
+];
+/// Tests of reports of before format 2.
+const TESTS_EARLIER: [&str; 2] = ["in_domain", "out_of_domain"];
+/// Space on the left of a panel, pixels.
+const LEFT: u32 = 56;
+
+/// Content of the plot.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plot {
+    question: String,
+    tests: Vec<String>,
+    arms: Vec<String>,
+    panels: Vec<Panel>,
+}
+
+/// One score.
+#[derive(Debug, Clone, PartialEq)]
+struct Panel {
+    title: String,
+    /// Values by test, arm and seed.
+    values: Vec<Vec<Vec<f64>>>,
+}
 
 /// Writes `EXPERIMENT.png` and `EXPERIMENT.svg` into `folder`.
 ///
 /// # Errors
 /// If a file can't be written.
 pub fn write(folder: &Path, report: &Report) -> Result<()> {
-    figure::write(folder, &report.experiment, report)
+    let json = serde_json::to_value(report).map_err(|error| Error::file(folder, error))?;
+    figure::write(folder, &report.experiment, &Plot::new(&json))
 }
 
-impl Figure for Report {
-    const SIZE: (u32, u32) = (1500, 900);
+impl Plot {
+    /// Takes what is drawn from a report in JSON; missing parts are empty.
+    pub fn new(json: &Value) -> Self {
+        let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
+        let name = |value: &Value| value["name"].as_str().unwrap_or_default().to_owned();
+        let is_earlier = json.get("tests").is_none();
+        let tests: Vec<String> = match is_earlier {
+            true => TESTS_EARLIER.map(str::to_owned).into(),
+            false => list(&json["tests"]).iter().map(name).collect(),
+        };
+        let arms: Vec<Value> = list(&json["arms"]).into_iter().filter(|arm| arm["constant"] != true).collect();
+        let seeds = |arm: &Value, test: &str| {
+            let scores = if is_earlier { &arm[test] } else { &arm["tests"][test] };
+            list(&scores["seeds"])
+        };
+        let panel = |(of, title, more): &(&str, &str, bool)| {
+            let values = |test: &String| {
+                arms.iter().map(|arm| seeds(arm, test).iter().filter_map(|seed| score(seed, of)).collect()).collect()
+            };
+            let better = if *more { "more" } else { "less" };
+            Panel { title: format!("{title}: {better} is better"), values: tests.iter().map(values).collect() }
+        };
+        Self {
+            question: json["question"].as_str().unwrap_or_default().to_owned(),
+            panels: if is_earlier { &DRAWN_EARLIER } else { &DRAWN }.iter().map(panel).collect(),
+            arms: arms.iter().map(|arm| name(arm).replace('_', " ")).collect(),
+            tests,
+        }
+    }
+}
+
+/// Returns the name of a test for readers.
+pub(super) fn test_title(name: &str) -> String {
+    match name {
+        "known" => "known scenes".into(),
+        "ood" => "ood: new shapes, camera and look".into(),
+        name => name.replace('_', " "),
+    }
+}
+
+impl Figure for Plot {
+    const SIZE: (u32, u32) = (1500, 860);
 
     fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
     where
         B::ErrorType: 'static,
     {
         root.fill(&WHITE)?;
-        let panels = root.titled(&self.question, (FAMILY, 24))?.split_evenly((2, 3));
-        for (panel, name) in panels.iter().zip(DRAWN) {
-            if let Some(column) = table::FORCE.iter().find(|column| column.name == name) {
-                draw_score(panel, self, column)?;
-            }
+        let titles: Vec<String> = self.tests.iter().map(|test| test_title(test)).collect();
+        let keys: Vec<(&str, RGBColor)> =
+            titles.iter().enumerate().map(|(index, title)| (title.as_str(), PALETTE[index % PALETTE.len()])).collect();
+        let panels = plot::head(root, &self.question, &keys)?.split_evenly((2, 3));
+        for (area, panel) in panels.iter().zip(&self.panels) {
+            panel.draw(area, &self.arms)?;
         }
         root.present()?;
         Ok(())
     }
 }
 
-/// Draws one score: a dot for each seed, a bar for their mean, and for each test bars of one colour.
-fn draw_score<B: DrawingBackend>(area: &DrawingArea<B, Shift>, report: &Report, column: &Column) -> Drawn<()>
-where
-    B::ErrorType: 'static,
-{
-    let arms: Vec<&ArmReport> = report.arms.iter().filter(|arm| !arm.constant).collect();
-    let values = |test: &TestInfo| -> Vec<Vec<f64>> {
-        let of = |arm: &&ArmReport| {
-            arm.tests.get(&test.name).map_or_else(Vec::new, |scores| column.of(scores).into_iter().flatten().collect())
-        };
-        arms.iter().map(of).collect()
-    };
-    let drawn: Vec<(&TestInfo, Vec<Vec<f64>>)> = report
-        .tests
-        .iter()
-        .map(|test| (test, values(test)))
-        .filter(|(_, values)| values.iter().any(|seeds| !seeds.is_empty()))
-        .collect();
-    let all = || drawn.iter().flat_map(|(_, values)| values.iter().flatten().copied());
-    let (most, least) = (all().fold(0.0, f64::max), all().fold(0.0, f64::min));
-    let top = if most > 0.0 { 1.3 * most } else { 1.0 };
-    let title = format!("{}, {} is better", column.title, if column.more { "more" } else { "less" });
-    let mut chart =
-        plot::chart(area, &title, [124, 56]).build_cartesian_2d(-0.5..arms.len() as f64 - 0.5, 1.15 * least..top)?;
-    chart
-        .configure_mesh()
-        .disable_x_mesh()
-        .light_line_style(TRANSPARENT)
-        .x_labels(0)
-        .label_style((FAMILY, 14))
-        .draw()?;
-    let width = 0.8 / drawn.len().max(1) as f64;
-    for (index, (test, values)) in drawn.iter().enumerate() {
-        let (shift, color) = (width * (index as f64 + 0.5) - 0.4, PALETTE[index % PALETTE.len()]);
-        let bars = values.iter().enumerate().filter(|(_, seeds)| !seeds.is_empty()).map(|(arm, seeds)| {
-            let (x, mean) = (arm as f64 + shift, seeds.iter().sum::<f64>() / seeds.len() as f64);
-            Rectangle::new([(x - 0.45 * width, 0.0), (x + 0.45 * width, mean)], color.mix(0.55).filled())
-        });
-        chart
-            .draw_series(bars)?
-            .label(&test.name)
-            .legend(move |(x, y)| Rectangle::new([(x, y - 5), (x + 14, y + 5)], color.mix(0.55).filled()));
-        let dots = values.iter().enumerate().flat_map(|(arm, seeds)| {
-            seeds.iter().map(move |value| Circle::new((arm as f64 + shift, *value), 3, color.filled()))
-        });
-        chart.draw_series(dots)?;
+impl Panel {
+    /// Draws a bar for each mean over seeds, and a dot for each seed.
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, arms: &[String]) -> Drawn<()>
+    where
+        B::ErrorType: 'static,
+    {
+        let all = || self.values.iter().flatten().flatten().copied();
+        let (most, least) = (all().fold(0.0, f64::max), all().fold(0.0, f64::min));
+        let top = if most > 0.0 { 1.1 * most } else { 1.0 };
+        // Scores end at 1.
+        let top = if most <= 1.0 { top.min(1.03) } else { top };
+        let names: Vec<&str> = arms.iter().map(String::as_str).collect();
+        let longest = names.iter().map(|name| font::width(name, f64::from(LABEL))).max().unwrap_or(0);
+        let room = (area.dim_in_pixel().0 - LEFT) / arms.len().max(1) as u32;
+        let below = if longest + 16 < room { 34 } else { longest + 16 };
+        let mut chart = plot::chart(area, &self.title, [below, LEFT])
+            .build_cartesian_2d(-0.5..arms.len() as f64 - 0.5, 1.15 * least..top)?;
+        plot::categories(area, &mut chart, &names, ("", &|y| format!("{}", (y * 1e3).round() / 1e3)))?;
+        let tests = self.values.iter().filter(|arms| arms.iter().any(|seeds| !seeds.is_empty())).count();
+        let width = 0.8 / tests.max(1) as f64;
+        let mut place = 0.0;
+        for (arms, color) in self.values.iter().zip(PALETTE.iter().cycle()) {
+            if arms.iter().all(Vec::is_empty) {
+                continue;
+            }
+            let shift = width * (place + 0.5) - 0.4;
+            place += 1.0;
+            for (arm, seeds) in arms.iter().enumerate() {
+                let x = arm as f64 + shift;
+                if seeds.is_empty() {
+                    let style = TextStyle::from((FAMILY, LABEL)).color(&BLACK.mix(0.6));
+                    let style = style.transform(FontTransform::Rotate270).pos(Pos::new(HPos::Left, VPos::Center));
+                    chart.draw_series([EmptyElement::at((x, 0.0)) + Text::new("no value", (0, -8), style)])?;
+                    continue;
+                }
+                let mean = seeds.iter().sum::<f64>() / seeds.len() as f64;
+                let bar = [(x - 0.45 * width, 0.0), (x + 0.45 * width, mean)];
+                chart.draw_series([Rectangle::new(bar, color.mix(0.55).filled())])?;
+                chart.draw_series(seeds.iter().map(|value| Circle::new((x, *value), 3, color.filled())))?;
+            }
+        }
+        Ok(())
     }
-    let style = TextStyle::from((FAMILY, 14)).color(&BLACK).transform(FontTransform::Rotate90).pos(
-        plotters::style::text_anchor::Pos::new(
-            plotters::style::text_anchor::HPos::Left,
-            plotters::style::text_anchor::VPos::Center,
-        ),
-    );
-    for (index, arm) in arms.iter().enumerate() {
-        let (x, y) = chart.backend_coord(&(index as f64, 1.15 * least));
-        let (left, upper) = area.get_base_pixel();
-        area.draw(&Text::new(arm.name.as_str(), (x - left, y - upper + 6), style.clone()))?;
-    }
-    plot::legend(&mut chart, SeriesLabelPosition::UpperRight)?;
-    Ok(())
 }

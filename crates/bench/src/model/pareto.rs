@@ -5,9 +5,9 @@ use std::path::Path;
 use egotac::error::Result;
 use egotac::model::Precision;
 use egotac::render::figure::{self, Drawn, Figure};
-use egotac::render::font::FAMILY;
-use egotac::render::plot::{self, PALETTE};
+use egotac::render::plot::{self, Named, PALETTE};
 use plotters::coord::Shift;
+use plotters::coord::ranged1d::Ranged;
 use plotters::prelude::*;
 
 use super::measure::Row;
@@ -16,6 +16,10 @@ use crate::front::front;
 
 /// Height of the networks' names, pixels.
 const NAME: u32 = 15;
+/// Least height of the axis of accuracy: runs differ by about 0.01, which is to look small.
+const LEAST_SPAN: f64 = 0.1;
+/// Description of the axis of time.
+const LATENCY: &str = "milliseconds per streamed frame (p50)";
 
 /// A configuration in the plot.
 struct Point {
@@ -96,54 +100,63 @@ fn panel<B: DrawingBackend>(
 where
     B::ErrorType: 'static,
 {
-    // Sizes span decades, scores do not: sizes are drawn by their logarithm on a linear axis.
-    let height = |value: f64| if is_accuracy { value } else { value.log10() };
-    let name =
-        |y: &f64| if is_accuracy { format!("{y:.3}") } else { format!("{}", (10.0 * 10f64.powf(*y)).round() / 10.0) };
-    let span = |values: Vec<f64>| {
-        let low = values.iter().copied().fold(f64::INFINITY, f64::min);
-        let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        (low <= high).then_some((low, high))
-    };
-    let x = span(points.iter().map(|p| p.at.0).filter(|ms| *ms > 0.0).collect());
-    let (left, right) = x.map_or((0.1, 1.0), |(low, high)| (0.7 * low, 2.2 * high));
-    let y = span(points.iter().map(|p| height(p.at.1)).filter(|y| y.is_finite()).collect());
-    let (bottom, top) = y.map_or((0.0, 1.0), |(low, high)| {
-        let room = (0.2 * (high - low)).max(0.01);
-        (low - room, high + room)
-    });
-    let mut chart = plot::chart(area, title, [48, 72]).build_cartesian_2d((left..right).log_scale(), bottom..top)?;
-    plot::axes(&mut chart, ("milliseconds per streamed frame (p50)", &|x| format!("{x}")), (what, &name))?;
+    let x = points.iter().map(|point| point.at.0).filter(|ms| *ms > 0.0);
+    let (least, most) = x.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), ms| (low.min(ms), high.max(ms)));
+    let (left, right) = if least <= most { (0.7 * least, 1.6 * most) } else { (0.1, 1.0) };
+    let mut builder = plot::chart(area, title, [48, 72]);
+    let y = points.iter().map(|point| point.at.1);
+    match is_accuracy {
+        true => {
+            let (bottom, top) = plot::span(y, LEAST_SPAN).unwrap_or((0.0, 1.0));
+            let mut chart = builder.build_cartesian_2d((left..right).log_scale(), bottom..top)?;
+            plot::axes(&mut chart, (LATENCY, &|x| format!("{x}")), (what, &|y| format!("{y:.2}")), [8, 6])?;
+            draw_points(area, &mut chart, points)
+        }
+        false => {
+            let (low, high) = plot::span(y.map(f64::log10), 1.0).unwrap_or((0.0, 1.0));
+            let sizes = (10f64.powf(low)..10f64.powf(high)).log_scale();
+            let mut chart = builder.build_cartesian_2d((left..right).log_scale(), sizes)?;
+            plot::axes(&mut chart, (LATENCY, &|x| format!("{x}")), (what, &|y| format!("{y}")), [8, 6])?;
+            draw_points(area, &mut chart, points)
+        }
+    }
+}
+
+fn draw_points<'a, B, X, Y>(
+    area: &DrawingArea<B, Shift>,
+    chart: &mut ChartContext<'a, B, Cartesian2d<X, Y>>,
+    points: &[Point],
+) -> Drawn<()>
+where
+    B: DrawingBackend + 'a,
+    B::ErrorType: 'static,
+    X: Ranged<ValueType = f64>,
+    Y: Ranged<ValueType = f64>,
+{
     // More is better, so the front takes the negated value as the error.
     let front = front(points.iter().map(|point| (point.at.0, -point.at.1)));
-    let front = front.into_iter().map(|(x, y)| (x, height(-y)));
-    chart.draw_series(LineSeries::new(front, plot::front_line()))?;
+    let front: Vec<(f64, f64)> = front.into_iter().map(|(x, y)| (x, -y)).collect();
+    chart.draw_series(LineSeries::new(front.iter().copied(), plot::front_line()))?;
     for (precision, color) in Precision::ALL.into_iter().zip(PALETTE) {
         let own: Vec<&Point> = points.iter().filter(|point| point.precision == precision).collect();
         if own.is_empty() {
             continue;
         }
         chart
-            .draw_series(own.iter().map(|p| Circle::new((p.at.0, height(p.at.1)), 5, color.filled())))?
+            .draw_series(own.iter().map(|point| Circle::new(point.at, 5, color.filled())))?
             .label(precision.name())
             .legend(plot::dot_key(color, 5));
     }
     // All precisions of a network share one name, drawn at the fastest.
     let fastest = |point: &&Point| points.iter().all(|other| other.label != point.label || other.at.0 >= point.at.0);
-    let named: Vec<&Point> = points.iter().filter(fastest).collect();
-    let pixels: Vec<(i32, i32)> =
-        points.iter().map(|point| chart.backend_coord(&(point.at.0, height(point.at.1)))).collect();
-    let names: Vec<(&str, (i32, i32))> = named
+    let named: Vec<Named> = points
         .iter()
-        .map(|point| (point.label.as_str(), chart.backend_coord(&(point.at.0, height(point.at.1)))))
+        .filter(fastest)
+        .map(|point| Named { text: &point.label, at: point.at, size: NAME, color: BLACK })
         .collect();
-    let offsets = plot::name_offsets(&names, &pixels, NAME);
-    chart.draw_series(named.iter().zip(offsets).map(|(point, offset)| {
-        let style = TextStyle::from((FAMILY, NAME)).color(&BLACK);
-        EmptyElement::at((point.at.0, height(point.at.1))) + Text::new(point.label.clone(), offset, style)
-    }))?;
+    plot::draw_names(area, chart, &named, points.iter().map(|point| point.at), &front)?;
     if !points.is_empty() {
-        plot::legend(&mut chart, SeriesLabelPosition::LowerRight)?;
+        plot::legend(chart, SeriesLabelPosition::LowerRight)?;
     }
     Ok(())
 }

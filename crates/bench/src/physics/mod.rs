@@ -1,8 +1,8 @@
 //! Forces from motion against the simulator's contacts: all scenes, under noise, at two frame rates, with masses known,
 //! guessed and wrong.
 
-mod determined;
-mod plot;
+pub mod determined;
+pub mod plot;
 mod record;
 mod report;
 mod score;

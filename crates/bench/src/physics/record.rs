@@ -69,7 +69,7 @@ pub struct Recorded {
 }
 
 /// Disturbance of an episode as a tracker would see it.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Disturbance {
     /// Frames per second.
     pub rate: f64,
@@ -82,7 +82,7 @@ pub struct Disturbance {
 }
 
 /// Knowledge of the masses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MassKnowledge {
     /// The true mass, stated as known.

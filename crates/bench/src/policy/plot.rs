@@ -86,8 +86,9 @@ where
         plot::chart(area, "Success by weight", [46, 60]).build_cartesian_2d((low..high).log_scale(), 0.0..1.05)?;
     plot::axes(
         &mut chart,
-        ("mass of the ball (g)", &|mass| format!("{mass:.0}")),
-        ("success", &|rate| format!("{rate:.1}")),
+        ("mass of the ball, g", &|mass| format!("{mass:.0}")),
+        ("share of trials", &|rate| format!("{rate:.1}")),
+        [6, 6],
     )?;
     for (index, row) in rows.iter().enumerate() {
         let color = PALETTE[index % PALETTE.len()];

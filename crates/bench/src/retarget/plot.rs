@@ -2,16 +2,32 @@
 
 use std::path::Path;
 
-use egotac::error::Result;
+use egotac::error::{Error, Result};
 use egotac::render::figure::{self, Drawn, Figure};
 use egotac::render::plot::{self, PALETTE};
 use plotters::coord::Shift;
 use plotters::prelude::*;
+use serde::Deserialize;
 
 use super::RetargetReport;
 
 /// Smallest relative distance from the best objective that is drawn; smaller ones are drawn at it.
 const LEAST: f64 = 1e-7;
+
+/// Content of the plot, as `retarget.json` holds it.
+#[derive(Debug, Clone, Deserialize)]
+pub struct Plot {
+    costs: Vec<Point>,
+}
+
+/// Choice that is drawn; see [`Cost`](super::Cost).
+#[derive(Debug, Clone, Deserialize)]
+struct Point {
+    robot: String,
+    median_us: f64,
+    /// None if the objective is another one.
+    ratio_p999: Option<f64>,
+}
 
 /// Writes `retarget.png` and `retarget.svg` into a folder; false where nothing was measured that can be drawn.
 ///
@@ -21,41 +37,52 @@ pub fn write(folder: &Path, report: &RetargetReport) -> Result<bool> {
     if report.costs.iter().all(|cost| cost.ratio_p999.is_nan()) {
         return Ok(false);
     }
-    figure::write(folder, "retarget", report)?;
+    let json = serde_json::to_value(report).map_err(|error| Error::file(folder, error))?;
+    let plot = Plot::deserialize(&json).map_err(|error| Error::file(folder, error))?;
+    figure::write(folder, "retarget", &plot)?;
     Ok(true)
 }
 
-impl Figure for RetargetReport {
-    const SIZE: (u32, u32) = (900, 560);
+impl Figure for Plot {
+    const SIZE: (u32, u32) = (900, 580);
 
     fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
     where
         B::ErrorType: 'static,
     {
         root.fill(&WHITE)?;
-        let costs: Vec<_> = self.costs.iter().filter(|cost| !cost.ratio_p999.is_nan()).collect();
-        let times = || costs.iter().map(|cost| cost.median_us);
-        let (left, right) = (times().fold(f64::INFINITY, f64::min), times().fold(0.0, f64::max));
         let off = |ratio: f64| (ratio - 1.0).max(LEAST);
-        let most = costs.iter().map(|cost| off(cost.ratio_p999)).fold(0.0, f64::max);
-        let mut chart = plot::chart(root, "5 mm noise, at most 1 to 30 steps", [48, 80])
+        let point = |cost: &Point| Some((cost.robot.clone(), (cost.median_us, off(cost.ratio_p999?))));
+        let points: Vec<(String, (f64, f64))> = self.costs.iter().filter_map(point).collect();
+        let times = || points.iter().map(|(_, (time, _))| *time);
+        let (left, right) = (times().fold(f64::INFINITY, f64::min), times().fold(0.0, f64::max));
+        let most = points.iter().map(|(_, (_, off))| *off).fold(0.0, f64::max);
+        // A logarithmic axis without bounds would have endless ticks.
+        if !(left > 0.0 && left <= right && right.is_finite()) {
+            return Err("no choice has both a time and an objective".into());
+        }
+        let mut robots: Vec<&str> = points.iter().map(|(robot, _)| robot.as_str()).collect();
+        robots.dedup();
+        let keys: Vec<(&str, RGBColor)> = robots.iter().copied().zip(PALETTE).collect();
+        let body = plot::head(root, "At most 1 to 30 steps of the solver, keypoints with 5 mm noise", &keys)?;
+        let mut chart = plot::chart(&body, "", [48, 84])
             .build_cartesian_2d((0.8 * left..1.3 * right).log_scale(), (0.5 * LEAST..2.0 * most).log_scale())?;
+        let tick = |y: &f64| match *y {
+            value if value <= 1.01 * LEAST => format!("\u{2264} {LEAST:.0e}"),
+            value if (0.1..100.0).contains(&value) => format!("{value}"),
+            value => format!("{value:.0e}"),
+        };
         plot::axes(
             &mut chart,
             ("microseconds per frame (median)", &|x| format!("{x}")),
-            ("objective over the best known, minus 1 (p99.9)", &|y| format!("{y:.0e}")),
+            ("objective / best known - 1 (p99.9)", &tick),
+            [8, 10],
         )?;
-        let mut robots: Vec<&str> = costs.iter().map(|cost| cost.robot.as_str()).collect();
-        robots.dedup();
-        for (robot, color) in robots.iter().zip(PALETTE) {
-            let points = || costs.iter().filter(|cost| cost.robot == **robot).map(|c| (c.median_us, off(c.ratio_p999)));
-            chart
-                .draw_series(LineSeries::new(points(), color.stroke_width(2)))?
-                .label(*robot)
-                .legend(plot::line_key(color));
-            chart.draw_series(points().map(|at| Circle::new(at, 4, color.filled())))?;
+        for (robot, color) in keys {
+            let own = || points.iter().filter(|(of, _)| of == robot).map(|(_, at)| *at);
+            chart.draw_series(LineSeries::new(own(), color.stroke_width(2)))?;
+            chart.draw_series(own().map(|at| Circle::new(at, 4, color.filled())))?;
         }
-        plot::legend(&mut chart, SeriesLabelPosition::LowerLeft)?;
         root.present()?;
         Ok(())
     }

@@ -4,8 +4,7 @@ use std::path::Path;
 
 use egotac::error::Result;
 use egotac::render::figure::{self, Drawn, Figure};
-use egotac::render::font::FAMILY;
-use egotac::render::plot::{self, ACCENT, PALETTE};
+use egotac::render::plot::{self, ACCENT, Named, PALETTE};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
@@ -109,9 +108,11 @@ where
         &mut chart,
         (&format!("milliseconds per simulated second (worst of {scenes})"), &|x| format!("{x}")),
         ("error of quasi-static forces (worst scene)", &|y| format!("{} %", (100.0 * y * 1e6).round() / 1e6)),
+        [8, 8],
     )?;
     let front = front(points.iter().map(|point| (point.cost, point.error)));
-    chart.draw_series(LineSeries::new(front, plot::front_line()))?;
+    chart.draw_series(LineSeries::new(front.iter().copied(), plot::front_line()))?;
+    let mut names: Vec<Named> = Vec::new();
     // The accent is the recommended preset's alone.
     for (knob, color) in KNOBS.into_iter().zip(PALETTE.into_iter().filter(|color| *color != ACCENT)) {
         let own: Vec<&Point> = points.iter().filter(|point| point.knob == knob.name()).collect();
@@ -122,20 +123,20 @@ where
             .draw_series(own.iter().map(|p| Circle::new((p.cost, p.error), 4, color.filled())))?
             .label(knob.name())
             .legend(plot::dot_key(color, 4));
-        let label = |p: &&Point| {
-            EmptyElement::at((p.cost, p.error))
-                + Text::new(p.setting.clone(), (7, -12), TextStyle::from((FAMILY, 12)).color(&color))
-        };
-        chart.draw_series(own.iter().map(label))?;
+        let label = |point: &Point| Named { text: &point.setting, at: (point.cost, point.error), size: 12, color };
+        names.extend(own.into_iter().map(label));
     }
+    let recommended = format!("{marked} (recommended)");
     for point in points.iter().filter(|point| point.knob == Knob::Preset.name()) {
         let is_marked = point.setting == marked;
         let (color, size) = if is_marked { (ACCENT, 9) } else { (BLACK, 6) };
-        let name = if is_marked { format!("{} (recommended)", point.setting) } else { point.setting.clone() };
-        chart.draw_series([EmptyElement::at((point.cost, point.error))
-            + Circle::new((0, 0), size, color.stroke_width(3))
-            + Text::new(name, (9, 6), TextStyle::from((FAMILY, 17)).color(&color))])?;
+        let at = (point.cost, point.error);
+        chart.draw_series([EmptyElement::at(at) + Circle::new((0, 0), size, color.stroke_width(3))])?;
+        let text = if is_marked { &recommended } else { &point.setting };
+        // Presets choose their places first.
+        names.insert(0, Named { text, at, size: 16, color });
     }
+    plot::draw_names(area, &chart, &names, points.iter().map(|point| (point.cost, point.error)), &front)?;
     if KNOBS.iter().any(|knob| points.iter().any(|point| point.knob == knob.name())) {
         plot::legend(&mut chart, SeriesLabelPosition::UpperRight)?;
     }

@@ -13,6 +13,7 @@ use crate::cli::sheet::{Bar, PANEL, Series, Sheet};
 use crate::hand::HandModel;
 use crate::mujoco::{FreeCamera, Renderer, World};
 use crate::render;
+use crate::render::plot::PALETTE;
 use crate::retarget::Robot;
 
 /// Factor by which the robot is drawn larger and then reduced, to smooth the arrows.
@@ -26,7 +27,7 @@ const MIN_DRAWN_FORCE: f64 = 0.02;
 /// Share of the greatest depth beyond which a pixel is background.
 const BACKGROUND_DEPTH: f32 = 0.99;
 const HUMAN: RGBColor = RGBColor(30, 30, 30);
-const ROBOT: RGBColor = RGBColor(31, 119, 180);
+const ROBOT: RGBColor = PALETTE[0];
 
 /// Draws `moments`, of which `shown` in full, to `path` (PNG).
 ///
@@ -40,8 +41,8 @@ pub fn write(path: &Path, hand: &HandModel, robot: &mut Robot, moments: &[Moment
     let human =
         render::hand_picture(hand, &hand.forward(&moment.params), &colors, render::View::Palmar, (PANEL, PANEL));
     let robot_title = format!("{}: {:.1} N expected on its links", robot.spec.robot, moment.robot());
-    let series = |name, color, value: fn(&Moment) -> f64| Series {
-        name,
+    let series = |name: &str, color, value: fn(&Moment) -> f64| Series {
+        name: name.into(),
         color,
         points: moments.iter().map(|moment| (moment.seconds, value(moment))).collect(),
     };
@@ -51,8 +52,8 @@ pub fn write(path: &Path, hand: &HandModel, robot: &mut Robot, moments: &[Moment
             (format!("human hand: {:.1} N on its skin", moment.human()), human),
             (robot_title, robot_picture(robot, moment)?),
         ],
-        bar: Bar { peak, label: "force per vertex", column: 1.0 },
-        note: Some(format!("arrows: force of the world on a link, {:.0} mm per newton", 1e3 * ARROW_PER_NEWTON)),
+        bar: Bar { peak, label: "force per vertex, N", column: 1.0 },
+        note: vec![format!("arrows: force of the world on a link, {:.0} mm per newton", 1e3 * ARROW_PER_NEWTON)],
         axis: "sum of normal forces, N",
         series: [series("human hand", HUMAN, Moment::human), series("robot hand, expected", ROBOT, Moment::robot)],
         shown: moment.seconds,

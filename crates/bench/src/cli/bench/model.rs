@@ -67,7 +67,7 @@ pub struct Args {
     rounds: usize,
     /// Send this number of frames through a stream; exit status 1 if memory grows.
     /// With --out the result is written as growth-PRESET.json.
-    #[arg(long, value_name = "FRAMES", conflicts_with_all = ["checkpoint", "vary", "peer", "draw"])]
+    #[arg(long, value_name = "FRAMES", conflicts_with_all = ["checkpoint", "vary", "peer"])]
     growth: Option<u64>,
     /// Time a checkpoint with and without its estimates of familiarity, presence and keypoints, image by image in turn; exit
     /// status 1 if they cost more than 3 % of an image.
@@ -81,9 +81,6 @@ pub struct Args {
     /// Folder for model.md, model.json, model.png and model.svg.
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Measure nothing: write table and plot of an earlier model.json.
-    #[arg(long, value_name = "FILE", requires = "out")]
-    draw: Option<PathBuf>,
 }
 
 /// Runs the subject; false if memory grew by more than [`GROWTH_MB`].
@@ -95,14 +92,10 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     if let Some(images) = args.estimates {
         return cost_of_estimates(args, images);
     }
-    match (&args.out, args.growth, &args.draw) {
-        (_, Some(frames), _) => grow(args, frames as usize),
-        (Some(out), None, Some(path)) => {
-            let text = std::fs::read_to_string(path).with_context(|| format!("{}", path.display()))?;
-            write(out, &serde_json::from_str(&text).with_context(|| format!("{}", path.display()))?)
-        }
-        (Some(out), None, None) => write(out, &sweep(args, out)?),
-        (None, None, _) => one(args),
+    match (&args.out, args.growth) {
+        (_, Some(frames)) => grow(args, frames as usize),
+        (Some(out), None) => write(out, &sweep(args, out)?),
+        (None, None) => one(args),
     }
 }
 

@@ -1,0 +1,206 @@
+//! Page about the keys of a scene file.
+
+use anyhow::Context;
+use serde_yaml::Value;
+
+use super::keys::{Holds, Key, Types};
+use crate::sim::scene::SceneSpec;
+use crate::text::put;
+
+/// Sources of the types of a scene; their doc comments describe the keys.
+const SOURCES: [&str; 7] = [
+    include_str!("../../sim/scene/spec.rs"),
+    include_str!("../../sim/scene/object.rs"),
+    include_str!("../../sim/scene/act.rs"),
+    include_str!("../../sim/scene/look.rs"),
+    include_str!("../../sim/effect.rs"),
+    include_str!("../../mujoco/options.rs"),
+    include_str!("../../sensor/simulated.rs"),
+];
+/// A scene with all of its optional parts, in which each part has the keys that it must have.
+const WHOLE: &str = "
+description: Press a cube.
+glove: { sensor: opentouch_169 }
+objects:
+  - { name: cube, shape: { cube: { size: 0.05 } }, mass: 0.1, friction: 0.8, position: [0, 0] }
+hands:
+  - act:
+      object: cube
+      fingers: [1, 0, 0]
+      palm: [0, 0, -1]
+      from: [0, 0, 1]
+      contacts: { index: { at: [0, 0, 1] } }
+      wrap: { fingers: [thumb], torque: 0.1 }
+      start: {}
+      script: [{ phase: rest, seconds: 1 }]
+";
+
+/// Returns the page.
+///
+/// # Errors
+/// If a default can't be written as YAML.
+pub(super) fn page() -> anyhow::Result<String> {
+    let mut page = String::from(
+        "# Keys of a scene\n\nWritten by `scripts/reference` from the types. A number can be a value (`0.3`) or a range (`[0.2, 0.4]`), from \
+         which each seed draws. `[]` stands for each entry of a list, `SITE` for a part of a hand. A default is that of a key whose part is \
+         given; *none* means that the part or value is left out. [How to write a scene](../howto/scene.md) has an example, and \
+         [sim/README.md](../../sim/README.md#writing-a-scene) tells how the keys work together.\n\n| key | default | meaning |\n|---|---|---|\n",
+    );
+    let whole: Value = serde_yaml::from_str(WHOLE).context("scene")?;
+    let mut shapes = Vec::new();
+    let keys = Types::read(&SOURCES).keys("SceneSpec");
+    write_rows(&keys, &whole, &mut Vec::new(), "", &mut shapes, &mut page)?;
+    page.push_str("\n## Shapes\n\nEach object has one of these, with all of its keys. Lengths are in metres.\n\n| key | meaning |\n|---|---|\n");
+    for shape in shapes {
+        put(&mut page, format_args!("| `shape.{}` | {} |", shape.name, shape.text));
+        for key in &shape.below {
+            put(&mut page, format_args!("| `shape.{}.{}` | {} |", shape.name, key.name, key.text));
+        }
+    }
+    Ok(page)
+}
+
+/// Step from a YAML value to one inside it.
+#[derive(Debug, Clone, PartialEq)]
+enum Step {
+    Key(String),
+    /// The first entry of a list or of a mapping.
+    First,
+}
+
+/// Writes a row for each key; forms that a key may have are collected in `forms`.
+fn write_rows<'a>(
+    keys: &'a [Key],
+    whole: &Value,
+    path: &mut Vec<Step>,
+    before: &str,
+    forms: &mut Vec<&'a Key>,
+    page: &mut String,
+) -> anyhow::Result<()> {
+    for key in keys {
+        let name = format!("{before}{}", key.name);
+        path.push(Step::Key(key.name.clone()));
+        put(page, format_args!("| `{name}` | {} | {} |", default(whole, path)?, key.text.replace('|', "\\|")));
+        match key.holds {
+            Holds::Choice => forms.extend(&key.below),
+            Holds::Keys => write_rows(&key.below, whole, path, &format!("{name}."), forms, page)?,
+            Holds::List | Holds::Map => {
+                path.push(Step::First);
+                let entry = if key.holds == Holds::List { "[]." } else { ".SITE." };
+                write_rows(&key.below, whole, path, &format!("{name}{entry}"), forms, page)?;
+                path.pop();
+            }
+        }
+        path.pop();
+    }
+    Ok(())
+}
+
+/// Returns what stands for a key that a scene leaves out: found by leaving it out.
+fn default(whole: &Value, path: &[Step]) -> anyhow::Result<String> {
+    let without = without(whole.clone(), path);
+    let Ok(scene) = serde_yaml::from_value::<SceneSpec>(without) else { return Ok("required".into()) };
+    let written = serde_yaml::to_value(&scene)?;
+    Ok(match at(&written, path) {
+        // The keys of a part stand in rows of their own.
+        Some(Value::Mapping(_)) => "as below".into(),
+        None | Some(Value::Null) => "none".into(),
+        Some(value) => format!("`{}`", serde_json::to_string(value)?),
+    })
+}
+
+fn at<'a>(value: &'a Value, path: &[Step]) -> Option<&'a Value> {
+    path.iter().try_fold(value, |value, step| match (step, value) {
+        (Step::Key(name), value) => value.get(name.as_str()),
+        (Step::First, Value::Sequence(entries)) => entries.first(),
+        (Step::First, value) => value.as_mapping()?.values().next(),
+    })
+}
+
+fn without(mut whole: Value, path: &[Step]) -> Value {
+    if let Some((Step::Key(name), above)) = path.split_last() {
+        let part = above.iter().try_fold(&mut whole, |value, step| match (step, value) {
+            (Step::Key(name), value) => value.get_mut(name.as_str()),
+            (Step::First, Value::Sequence(entries)) => entries.first_mut(),
+            (Step::First, value) => value.as_mapping_mut()?.values_mut().next(),
+        });
+        if let Some(Value::Mapping(part)) = part {
+            part.remove(name.as_str());
+        }
+    }
+    whole
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::sim::scene::SHIPPED;
+
+    /// Collects the keys in a YAML value as the page names them.
+    fn collect(value: &Value, before: &str, found: &mut BTreeSet<String>) {
+        for (name, value) in value.as_mapping().into_iter().flatten() {
+            let name = format!("{before}{}", name.as_str().unwrap());
+            match value {
+                Value::Sequence(entries) => {
+                    entries.iter().for_each(|entry| collect(entry, &format!("{name}[]."), found));
+                }
+                Value::Mapping(sites) if name.ends_with(".contacts") => {
+                    sites.values().for_each(|entry| collect(entry, &format!("{name}.SITE."), found));
+                }
+                Value::Mapping(shape) if name.ends_with("[].shape") => {
+                    let (form, keys) = shape.iter().next().unwrap();
+                    collect(keys, &format!("shape.{}.", form.as_str().unwrap()), found);
+                }
+                value => collect(value, &format!("{name}."), found),
+            }
+            found.insert(name);
+        }
+    }
+
+    #[test]
+    fn each_key_of_the_shipped_scenes_stands_on_the_page_with_a_meaning() {
+        let page = page().unwrap();
+        let mut used = BTreeSet::new();
+        for (_, text) in SHIPPED {
+            collect(&serde_yaml::from_str(text).unwrap(), "", &mut used);
+        }
+        assert!(used.len() > 50, "{used:?}");
+        for name in used {
+            let row = page.lines().find(|line| line.starts_with(&format!("| `{name}` |")));
+            let row = row.unwrap_or_else(|| panic!("{name} is not on the page"));
+            assert!(!row.ends_with("|  |"), "{row}");
+        }
+    }
+
+    #[test]
+    fn a_scene_reads_back_as_written() {
+        for (name, text) in SHIPPED {
+            let scene: SceneSpec = serde_yaml::from_str(text).unwrap();
+            let written = serde_yaml::to_string(&scene).unwrap();
+            assert_eq!(serde_yaml::from_str::<SceneSpec>(&written).unwrap(), scene, "{name}");
+        }
+    }
+
+    #[test]
+    fn keys_without_a_default_are_required_and_the_others_have_that_of_the_type() {
+        let page = page().unwrap();
+        for row in [
+            "| `description` | required |",
+            "| `rate` | `25.0` |",
+            "| `effects` | `\"auto\"` |",
+            "| `objects[].mass` | required |",
+            "| `objects[].solid` | `true` |",
+            "| `hands[].act` | none |",
+            "| `hands[].act.curl` | `[0.3,0.6]` |",
+            "| `hands[].act.contacts.SITE.share` | `0.0` |",
+            "| `physics.timestep` | `0.002` |",
+            "| `look.lamps` | `1.0` |",
+            "| `glove.noise` | `0.0` |",
+            "| `shape.mug.wall` |",
+        ] {
+            assert!(page.lines().any(|line| line.starts_with(row)), "{row} in {page}");
+        }
+    }
+}
