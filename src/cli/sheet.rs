@@ -110,9 +110,9 @@ impl Sheet<'_> {
             [10, 6],
         )?;
         chart.draw_series(LineSeries::new([(self.shown, 0.0), (self.shown, peak)], BLACK.mix(0.5)))?;
-        let side = if self.shown > 0.8 * end { HPos::Right } else { HPos::Left };
-        let style = TextStyle::from((FAMILY, LABEL)).color(&BLACK.mix(0.7)).pos(Pos::new(side, VPos::Top));
-        let away = if side == HPos::Left { 6 } else { -6 };
+        let (side, away) = if self.shown > 0.8 * end { (HPos::Right, -6) } else { (HPos::Left, 6) };
+        let grey = BLACK.mix(0.7);
+        let style = TextStyle::from((FAMILY, LABEL)).color(&grey).pos(Pos::new(side, VPos::Top));
         chart.draw_series([EmptyElement::at((self.shown, peak)) + Text::new("shown above", (away, 2), style)])?;
         for series in &self.series {
             chart.draw_series(LineSeries::new(series.points.iter().copied(), series.color.stroke_width(2)))?;

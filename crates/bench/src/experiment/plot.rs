@@ -152,7 +152,8 @@ impl Panel {
             for (arm, seeds) in arms.iter().enumerate() {
                 let x = arm as f64 + shift;
                 if seeds.is_empty() {
-                    let style = TextStyle::from((FAMILY, LABEL)).color(&BLACK.mix(0.6));
+                    let grey = BLACK.mix(0.6);
+                    let style = TextStyle::from((FAMILY, LABEL)).color(&grey);
                     let style = style.transform(FontTransform::Rotate270).pos(Pos::new(HPos::Left, VPos::Center));
                     chart.draw_series([EmptyElement::at((x, 0.0)) + Text::new("no value", (0, -8), style)])?;
                     continue;

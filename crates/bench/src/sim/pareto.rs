@@ -123,8 +123,10 @@ where
             .draw_series(own.iter().map(|p| Circle::new((p.cost, p.error), 4, color.filled())))?
             .label(knob.name())
             .legend(plot::dot_key(color, 4));
-        let label = |point: &Point| Named { text: &point.setting, at: (point.cost, point.error), size: 12, color };
-        names.extend(own.into_iter().map(label));
+        names.extend(own.into_iter().map(|point| {
+            let at = (point.cost, point.error);
+            Named { text: &point.setting, at, size: 12, color }
+        }));
     }
     let recommended = format!("{marked} (recommended)");
     for point in points.iter().filter(|point| point.knob == Knob::Preset.name()) {
