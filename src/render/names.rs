@@ -9,7 +9,7 @@ const RING: i32 = 9;
 /// Rings that are tried.
 const RINGS: i32 = 24;
 /// First ring whose names are joined to their points.
-const JOINED: i32 = 2;
+const JOINED: i32 = 1;
 
 /// Name of a point.
 pub(super) struct Name<'a> {

@@ -5,6 +5,7 @@ use std::path::Path;
 use egotac::error::Result;
 use egotac::model::Precision;
 use egotac::render::figure::{self, Drawn, Figure};
+use egotac::render::font::FAMILY;
 use egotac::render::plot::{self, Named, PALETTE};
 use plotters::coord::Shift;
 use plotters::coord::ranged1d::Ranged;
@@ -62,13 +63,15 @@ impl Figure for ModelReport {
             false,
         )?;
         let scored = points(|row| row.accuracy.as_ref()?.frame_mean_f1);
-        panel(
-            &right,
-            "Accuracy against latency: trained weights",
-            "contact F1 (frame mean), held-out frames",
-            &scored,
-            true,
-        )?;
+        // Measurements of before frame means have pooled scores alone.
+        let (scored, what) = match scored.is_empty() {
+            false => (scored, "contact F1 (frame mean), held-out frames"),
+            true => (points(|row| row.accuracy.as_ref()?.contact_f1), "contact F1 (pooled), held-out frames"),
+        };
+        match scored.is_empty() {
+            false => panel(&right, "Accuracy against latency: trained weights", what, &scored, true)?,
+            true => right.draw(&Text::new("no trained weights were measured", (180, 290), (FAMILY, NAME + 2)))?,
+        }
         root.present()?;
         Ok(())
     }
@@ -109,7 +112,7 @@ where
         true => {
             let (bottom, top) = plot::span(y, LEAST_SPAN).unwrap_or((0.0, 1.0));
             let mut chart = builder.build_cartesian_2d((left..right).log_scale(), bottom..top)?;
-            plot::axes(&mut chart, (LATENCY, &|x| format!("{x}")), (what, &|y| format!("{y:.2}")), [8, 6])?;
+            plot::axes(&mut chart, (LATENCY, &|x| format!("{x}")), (what, &|y| format!("{y:.2}")), [12, 6])?;
             draw_points(area, &mut chart, points)
         }
         false => {

@@ -76,7 +76,7 @@ impl Figure for Plot {
             &mut chart,
             ("microseconds per frame (median)", &|x| format!("{x}")),
             ("objective / best known - 1 (p99.9)", &tick),
-            [8, 10],
+            [12, 10],
         )?;
         for (robot, color) in keys {
             let own = || points.iter().filter(|(of, _)| of == robot).map(|(_, at)| *at);
