@@ -10,7 +10,7 @@ from pathlib import Path
 from browser import Browser
 
 STEP = 3
-SIZE = (1080, 700)
+SIZE = (1240, 800)
 
 
 def show(browser, frame):
@@ -46,6 +46,8 @@ def main():
             (folder / f"frame_{number:03}.png").write_bytes(browser.screenshot())
         choose(browser, 1)
         show(browser, last_image(browser) // 2)
+        # The image alone: its look is what is to be seen.
+        browser.evaluate("document.getElementById('shows-overlay').click()")
         (folder / "still.png").write_bytes(browser.screenshot())
         if browser.errors:
             raise SystemExit(f"the page has errors: {browser.errors}")
