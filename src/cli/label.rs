@@ -38,7 +38,7 @@ pub struct Args {
     /// A Zarr store (folder or zip file), a bag (folder) or an .mcap file, a LeRobot data set, a video, a
     /// folder of images; or a folder of these.
     input: PathBuf,
-    /// The labelled data set; of several inputs, a folder for them and a manifest.json.
+    /// The labelled data set. Of several inputs, a folder for them and a manifest.json.
     #[arg(long)]
     out: PathBuf,
     /// Format of the output.
@@ -78,7 +78,7 @@ pub struct Args {
     /// touch of the left and of the right hand is known.
     #[arg(long = "as", value_name = "ROLE", default_value = "inert")]
     role: ColumnRole,
-    /// Frame rate of a folder of images, 1/s; by default one image per observation step of the network.
+    /// Frame rate of a folder of images, 1/s. By default, one image per observation step of the network.
     #[arg(long, value_name = "F", value_parser = super::positive)]
     fps: Option<f64>,
     /// Upper limit of the shorter side of images in a store made from another format, pixels; 0 = original size.
@@ -96,7 +96,7 @@ pub struct Args {
     keypoints: bool,
     #[command(flatten)]
     json: Json,
-    /// Video of the images with both hands beside them, coloured by force; of several inputs, a folder for them.
+    /// Video of the images with both hands beside them, coloured by force. Of several inputs, a folder for them.
     #[arg(long, value_name = "FILE")]
     video: Option<PathBuf>,
     /// MCAP file that Foxglove shows with the layout launch/foxglove.json: pictures, coloured hands, forces over time; of several

@@ -95,7 +95,8 @@ impl Sheet<'_> {
     where
         B::ErrorType: 'static,
     {
-        let keys: Vec<(&str, RGBColor)> = self.series.iter().map(|series| (series.name.as_str(), series.color)).collect();
+        let keys: Vec<(&str, RGBColor)> =
+            self.series.iter().map(|series| (series.name.as_str(), series.color)).collect();
         let body = plot::head(area, "", &keys)?;
         let points = || self.series.iter().flat_map(|series| &series.points);
         let end = points().map(|point| point.0).fold(1e-3, f64::max);

@@ -97,7 +97,8 @@ mod tests {
         let dots: Vec<[i32; 4]> = points.iter().map(|(x, y)| [x - 5, y - 5, x + 5, y + 5]).collect();
         let spots = place(&names, dots.clone(), [0, 0, 400, 400]);
         let width = font::width("egotac-pocket-8", 15.0) as i32;
-        let boxes: Vec<[i32; 4]> = spots.iter().map(|s| [s.corner.0, s.corner.1, s.corner.0 + width, s.corner.1 + 15]).collect();
+        let boxes: Vec<[i32; 4]> =
+            spots.iter().map(|s| [s.corner.0, s.corner.1, s.corner.0 + width, s.corner.1 + 15]).collect();
         for (index, spot) in boxes.iter().enumerate() {
             assert!(boxes[..index].iter().all(|other| is_apart(spot, other)), "{boxes:?}");
             assert!(dots.iter().all(|dot| is_apart(spot, dot)), "{boxes:?}");

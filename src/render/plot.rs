@@ -237,12 +237,15 @@ where
     Y: Ranged<ValueType = f64>,
 {
     let pixel = |at: (f64, f64)| chart.backend_coord(&at);
-    let mut taken: Vec<[i32; 4]> =
-        dots.map(pixel).map(|(x, y)| [x - DOT, y - DOT, x + DOT, y + DOT]).collect();
+    let mut taken: Vec<[i32; 4]> = dots.map(pixel).map(|(x, y)| [x - DOT, y - DOT, x + DOT, y + DOT]).collect();
     for ends in front.windows(2) {
         let ((x0, y0), (x1, y1)) = (pixel(ends[0]), pixel(ends[1]));
         let steps = ((x1 - x0).abs().max((y1 - y0).abs()) / 4).max(1);
-        taken.extend((0..=steps).map(|step| [x0 + (x1 - x0) * step / steps, y0 + (y1 - y0) * step / steps]).map(|[x, y]| [x, y, x, y]));
+        taken.extend(
+            (0..=steps)
+                .map(|step| [x0 + (x1 - x0) * step / steps, y0 + (y1 - y0) * step / steps])
+                .map(|[x, y]| [x, y, x, y]),
+        );
     }
     let (columns, rows) = chart.plotting_area().get_pixel_range();
     let texts: Vec<Name> =
@@ -282,8 +285,10 @@ mod tests {
     #[test]
     fn colours_stay_apart_without_the_cones_of_red_or_green() {
         let all = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-        let no_red = [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]];
-        let no_green = [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]];
+        let no_red =
+            [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]];
+        let no_green =
+            [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]];
         for eye in [all, no_red, no_green] {
             for (index, a) in PALETTE.iter().enumerate() {
                 for b in &PALETTE[..index] {

@@ -56,7 +56,9 @@ impl Plots {
             ["egotac", "bench", "physics"] => Self::Physics(Deserialize::deserialize(json)?),
             ["egotac", "bench", "retarget"] => Self::Retarget(Deserialize::deserialize(json)?),
             ["egotac", "experiment", "decline"] => Self::Decline(decline::Plot(json.clone())),
-            ["egotac", "experiment", name] if name != "attention" && name != "policy" => Self::Bars(bars::Plot::new(json)),
+            ["egotac", "experiment", name] if name != "attention" && name != "policy" => {
+                Self::Bars(bars::Plot::new(json))
+            }
             _ if json.get("candidates").is_some() => Self::Verify(Deserialize::deserialize(json)?),
             _ => return Ok(None),
         }))

@@ -58,7 +58,8 @@ fn elements<'a>(svg: &'a str, name: &str) -> Vec<&'a str> {
 /// A text and the box that its letters cover: left, upper, right, lower.
 fn texts(svg: &str) -> Vec<(String, [f64; 4])> {
     let boxed = |element: &&str| {
-        let text = element.split_once('>').unwrap().1.trim().replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&");
+        let text =
+            element.split_once('>').unwrap().1.trim().replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&");
         let em = number(element, "font-size");
         let width = f64::from(font::width(&text, em * 1.24));
         let left = match attribute(element, "text-anchor") {
@@ -116,9 +117,9 @@ fn texts_lie_inside_the_picture_and_cover_neither_each_other_nor_a_point() {
         for circle in elements(&svg, "circle") {
             let (x, y) = (number(circle, "cx"), number(circle, "cy"));
             assert!((0.0..width).contains(&x) && (0.0..height).contains(&y), "{}: {circle}", path.display());
-            let covering = texts.iter().find(|(_, [left, upper, right, lower])| {
-                (*left..*right).contains(&x) && (*upper..*lower).contains(&y)
-            });
+            let covering = texts
+                .iter()
+                .find(|(_, [left, upper, right, lower])| (*left..*right).contains(&x) && (*upper..*lower).contains(&y));
             assert!(covering.is_none(), "{}: {covering:?} covers {circle}", path.display());
         }
     }
@@ -126,7 +127,8 @@ fn texts_lie_inside_the_picture_and_cover_neither_each_other_nor_a_point() {
 
 #[test]
 fn colours_are_grey_or_of_the_palette_on_white() {
-    let palette: Vec<String> = PALETTE.iter().map(|color| format!("#{:02X}{:02X}{:02X}", color.0, color.1, color.2)).collect();
+    let palette: Vec<String> =
+        PALETTE.iter().map(|color| format!("#{:02X}{:02X}{:02X}", color.0, color.1, color.2)).collect();
     for (path, svg) in plots() {
         let mut elements = svg.split('<').skip(1);
         let ground = elements.find(|element| element.starts_with("rect")).unwrap();
@@ -135,7 +137,8 @@ fn colours_are_grey_or_of_the_palette_on_white() {
             for color in ["fill", "stroke"].into_iter().filter_map(|name| attribute(element, name)) {
                 let channel = |at: usize| color.get(at..at + 2).and_then(|byte| i32::from_str_radix(byte, 16).ok());
                 let channels: Vec<i32> = [1, 3, 5].into_iter().filter_map(channel).collect();
-                let is_grey = channels.len() == 3 && channels.iter().max().unwrap() - channels.iter().min().unwrap() <= 24;
+                let is_grey =
+                    channels.len() == 3 && channels.iter().max().unwrap() - channels.iter().min().unwrap() <= 24;
                 let known = color == "none" || is_grey || palette.iter().any(|known| known == color);
                 assert!(known, "{}: {color} in {element}", path.display());
             }
@@ -148,10 +151,15 @@ fn bench_draw_writes_beside_the_report_and_refuses_a_report_without_a_plot() {
     let folder = tempfile::tempdir().unwrap();
     let report = folder.path().join("glove.json");
     fs::copy(docs("bench/glove.json"), &report).unwrap();
-    let run = |path: &Path| Command::new(env!("CARGO_BIN_EXE_egotac-bench")).args(["bench", "draw"]).arg(path).output().unwrap();
+    let run = |path: &Path| {
+        Command::new(env!("CARGO_BIN_EXE_egotac-bench")).args(["bench", "draw"]).arg(path).output().unwrap()
+    };
     let output = run(&report);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert!(folder.path().join("glove.svg").is_file() && image::open(folder.path().join("glove.png")).unwrap().width() == 900);
+    assert!(
+        folder.path().join("glove.svg").is_file()
+            && image::open(folder.path().join("glove.png")).unwrap().width() == 900
+    );
     let output = run(&docs("bench/faults.json"));
     let error = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success() && error.contains("faults.json") && error.contains("got another one"), "{error}");

@@ -64,9 +64,8 @@ pub fn write(
         color,
         points: trace.iter().map(|point| (point.seconds, value(point))).collect(),
     };
-    let found = found(trace).map_or_else(String::new, |share| {
-        format!(" ({:.0} % of the true force of the whole run)", 100.0 * share)
-    });
+    let found = found(trace)
+        .map_or_else(String::new, |share| format!(" ({:.0} % of the true force of the whole run)", 100.0 * share));
     let sheet = Sheet {
         panels: [
             (format!("camera, t = {:.1} s", snapshot.seconds), snapshot.image.clone()),

@@ -210,13 +210,12 @@ fn shown<'a, 'b>(moments: &'a [Comparison<'b>], trace: &[TracePoint]) -> &'a Com
 /// Returns the F1 of contact over the vertices whose prediction is known.
 fn f1(moment: &Comparison) -> f64 {
     let pairs = moment.predicted.contact.iter().zip(&moment.truth.force).filter(|(contact, _)| contact.is_finite());
-    let [hits, errors] = pairs.fold([0.0, 0.0], |[hits, errors], (contact, force)| {
-        match (*contact > 0.5, *force > CONTACT_FORCE_N) {
+    let [hits, errors] =
+        pairs.fold([0.0, 0.0], |[hits, errors], (contact, force)| match (*contact > 0.5, *force > CONTACT_FORCE_N) {
             (true, true) => [hits + 1.0, errors],
             (false, false) => [hits, errors],
             _ => [hits, errors + 1.0],
-        }
-    });
+        });
     2.0 * hits / f64::max(2.0 * hits + errors, 1.0)
 }
 

@@ -55,7 +55,8 @@ impl Types {
     fn add(&mut self, source: &str) {
         let mut lines = source.lines();
         while let Some(line) = lines.next() {
-            let named = |word: &str| line.strip_prefix(word).and_then(|rest| rest.strip_suffix(" {")).map(str::to_owned);
+            let named =
+                |word: &str| line.strip_prefix(word).and_then(|rest| rest.strip_suffix(" {")).map(str::to_owned);
             if let Some(name) = named("pub struct ") {
                 let body = lines.by_ref().take_while(|line| *line != "}");
                 self.structs.insert(name, fields(body, "    "));
