@@ -116,7 +116,8 @@ fn write(args: &Args, report: &VerifyReport) -> anyhow::Result<()> {
         let words: Vec<String> = std::env::args().skip(1).collect();
         let text = format!(
             "# Labels and predictions against contact forces\n\nWritten by `egotac {}` (egotac {}). Numbers: \
-             `verify.json`.\n\n![Scores over the distance that counts as touch](verify.png)\n\n```\n{table}\n```\n",
+             `verify.json`.\n\n![Scores over the distance that counts as touch](verify.png)\n\nColumns of the plot: `c` is contact by \
+             force, `a` and `b` are labels by distance to points of the surface and to the surface itself, up to the given distance.\n\n```\n{table}\n```\n",
             words.join(" "),
             env!("CARGO_PKG_VERSION"),
         );
