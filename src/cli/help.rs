@@ -145,8 +145,8 @@ fn arrange_below(mut command: Command, path: &mut Vec<String>, program: &str, ex
     let is_rare = |arg: &Arg| RARE.contains(&arg.get_id().as_str()) && !arg.is_required_set() && !arg.is_positional();
     if !path.is_empty() && !command.has_subcommands() && command.get_arguments().any(is_rare) {
         let more = format!("`{program} {} --help` shows all options.", path.join(" "));
-        let short = command.get_after_help().map_or(String::new(), |text| format!("{text}\n"));
-        command = command.after_help(format!("{short}{more}"));
+        let short = command.get_after_help().map_or(String::new(), |text| format!("\n\n{text}"));
+        command = command.after_help(format!("{more}{short}"));
     }
     let command = command.mut_args(|arg| if is_rare(&arg) { arg.hide_short_help(true) } else { arg });
     command.mut_args(|arg| match (arg.get_help().map(ToString::to_string), arg.get_long_help()) {
