@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 pub(super) struct Key {
     pub(super) name: String,
     pub(super) text: String,
+    #[cfg_attr(not(feature = "sim"), allow(dead_code))]
     pub(super) holds: Holds,
     pub(super) below: Vec<Key>,
 }
