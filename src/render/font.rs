@@ -51,6 +51,22 @@ pub fn draw(picture: &mut RgbImage, text: &str, at: (i32, i32), size: f64, color
     let _ = backend.draw_text(text, &style, at);
 }
 
+/// Draws a line of text as [`draw`] does, in the first colour with a rim of the second one, which keeps it legible on any picture.
+pub fn draw_on(
+    picture: &mut RgbImage,
+    text: &str,
+    at: (i32, i32),
+    size: f64,
+    [color, rim]: [Rgb<u8>; 2],
+    align: Align,
+) {
+    const RIM: [(i32, i32); 8] = [(-2, 0), (2, 0), (0, -2), (0, 2), (-1, -1), (1, -1), (-1, 1), (1, 1)];
+    for (dx, dy) in RIM {
+        draw(picture, text, (at.0 + dx, at.1 + dy), size, rim, align);
+    }
+    draw(picture, text, at, size, color, align);
+}
+
 /// Returns the width of a line of text, pixels.
 pub fn width(text: &str, size: f64) -> u32 {
     register();
@@ -70,6 +86,17 @@ mod tests {
         };
         assert_eq!(dark(0..58), 0);
         assert!(dark(60..60 + width("force", 16.0)) > 40);
+    }
+
+    #[test]
+    fn text_on_a_dark_picture_has_a_light_rim() {
+        let mut picture = RgbImage::new(120, 40);
+        draw_on(&mut picture, "force", (20, 10), 16.0, [Rgb([0; 3]), Rgb([255; 3])], Align::Left);
+        let light = picture.pixels().filter(|pixel| pixel.0[0] > 200).count();
+        assert!(light > 200, "{light}");
+        let row: Vec<u8> = (0..120).map(|x| picture.get_pixel(x, 20).0[0]).collect();
+        let letter = row.windows(5).any(|part| part[0] > 150 && part[2] < 100 && part[4] > 150);
+        assert!(letter, "{row:?}");
     }
 
     #[test]

@@ -2,10 +2,12 @@
 
 use ::image::{GenericImage, Rgb, RgbImage};
 use glam::DVec3;
+use plotters::style::RGBColor;
 
 use crate::mujoco::{FreeCamera, Renderer};
 use crate::render::color::{INK, PAPER};
 use crate::render::font::{self, Align};
+use crate::render::plot::PALETTE;
 use crate::retarget::Robot;
 use crate::retarget::robot::spec::FINGERS;
 
@@ -14,12 +16,11 @@ const VIEW: u32 = 480;
 /// Colour behind the robot.
 const GROUND: Rgb<u8> = Rgb([240, 240, 236]);
 /// Colour of tips and their names.
-const TIP: Rgb<u8> = Rgb([200, 30, 60]);
+const TIP: Rgb<u8> = color(1);
 /// Colour of the pads' normals.
-const PAD: Rgb<u8> = Rgb([20, 90, 190]);
+const PAD: Rgb<u8> = color(0);
 /// Names and colours of the wrist's axes, in the order of [`crate::retarget::robot`]'s frame.
-const AXES: [(&str, Rgb<u8>); 3] =
-    [("palmar", Rgb([190, 60, 20])), ("radial", Rgb([20, 130, 60])), ("distal", Rgb([90, 60, 180]))];
+const AXES: [(&str, Rgb<u8>); 3] = [("palmar", color(3)), ("radial", color(2)), ("distal", color(6))];
 /// Length of a pad's normal and of an axis, m.
 const NORMAL: f64 = 0.02;
 const AXIS: f64 = 0.04;
@@ -121,7 +122,14 @@ fn annotate(view: &mut RgbImage, robot: &Robot, camera: &FreeCamera) {
     for (name, at, color) in names {
         label(view, name, at, color, &mut taken);
     }
-    font::draw(view, "red: tip   blue: outward normal of the pad", (12, VIEW as i32 - 24), 13.0, INK, Align::Left);
+    font::draw(
+        view,
+        "vermilion: tip   blue: outward normal of the pad",
+        (12, VIEW as i32 - 24),
+        13.0,
+        INK,
+        Align::Left,
+    );
 }
 
 /// Draws a line from `from` along `by`, and returns the pixel of its end.
@@ -172,6 +180,12 @@ fn label(view: &mut RgbImage, name: &str, (x, y): (f64, f64), color: Rgb<u8>, ta
     let turns = (0..16).map(|k| f64::from(k) * std::f64::consts::TAU / 16.0);
     let places = (0..12).flat_map(|ring| turns.clone().map(move |turn| place(14.0 + 10.0 * f64::from(ring), turn)));
     let at = places.into_iter().find(|place| is_free(place)).unwrap_or_else(|| place(14.0, 0.0));
-    font::draw(view, name, (at[0] as i32, at[1] as i32), TEXT, color, Align::Left);
+    font::draw_on(view, name, (at[0] as i32, at[1] as i32), TEXT, [color, GROUND], Align::Left);
     taken.push(at);
+}
+
+/// Returns a colour of the common palette.
+const fn color(index: usize) -> Rgb<u8> {
+    let RGBColor(red, green, blue) = PALETTE[index];
+    Rgb([red, green, blue])
 }
