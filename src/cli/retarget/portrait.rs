@@ -20,7 +20,7 @@ const TIP: Rgb<u8> = color(1);
 /// Colour of the pads' normals.
 const PAD: Rgb<u8> = color(0);
 /// Names and colours of the wrist's axes, in the order of [`crate::retarget::robot`]'s frame.
-const AXES: [(&str, Rgb<u8>); 3] = [("palmar", color(3)), ("radial", color(2)), ("distal", color(6))];
+const AXES: [(&str, Rgb<u8>); 3] = [("palmar", color(3)), ("radial", color(2)), ("distal", color(5))];
 /// Length of a pad's normal and of an axis, m.
 const NORMAL: f64 = 0.02;
 const AXIS: f64 = 0.04;
