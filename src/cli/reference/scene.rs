@@ -5,7 +5,7 @@ use serde_yaml::Value;
 
 use super::keys::{Holds, Key, Types};
 use crate::sim::scene::SceneSpec;
-use crate::text::put;
+use crate::text::{parse_yaml, put};
 
 /// Sources of the types of a scene; their doc comments describe the keys.
 const SOURCES: [&str; 7] = [
@@ -46,7 +46,7 @@ pub(super) fn page() -> anyhow::Result<String> {
          given; *none* means that the part or value is left out. [How to write a scene](../howto/scene.md) has an example, and \
          [sim/README.md](../../sim/README.md#writing-a-scene) tells how the keys work together.\n\n| key | default | meaning |\n|---|---|---|\n",
     );
-    let whole: Value = serde_yaml::from_str(WHOLE).context("scene")?;
+    let whole: Value = parse_yaml(WHOLE).context("scene")?;
     let mut shapes = Vec::new();
     let keys = Types::read(&SOURCES).keys("SceneSpec");
     write_rows(&keys, &whole, &mut Vec::new(), "", &mut shapes, &mut page)?;
