@@ -130,15 +130,26 @@ fn a_store_and_its_rollout_have_the_same_scores() {
 }
 
 #[test]
-fn a_store_of_a_custom_scene_needs_the_unchanged_scene_file() {
+fn a_store_holds_its_custom_scene_and_one_of_an_earlier_version_needs_the_unchanged_file() {
     let folder = Folder::new();
     let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/sim/scenes/pinch_cube.yaml")).unwrap();
     let scene = folder.path("mine.yaml");
     std::fs::write(&scene, &text).unwrap();
     let store = folder.store(&scene, "5");
+    let given = score(&verify(&[&store, "--scene", &scene]), "b_5mm", "pooled.f1");
+    let moved_away = folder.path("elsewhere.yaml");
+    std::fs::rename(&scene, &moved_away).unwrap();
+    let held = score(&verify(&[&store]), "b_5mm", "pooled.f1");
+    assert!(held > 0.0 && held == given, "{held} and {given}");
+    std::fs::rename(&moved_away, &scene).unwrap();
+    // Stores of earlier versions only name their scene.
+    let attributes = format!("{store}/.zattrs");
+    let mut stored: Value = serde_json::from_str(&std::fs::read_to_string(&attributes).unwrap()).unwrap();
+    assert!(stored.as_object_mut().unwrap().remove("scenes").is_some());
+    std::fs::write(&attributes, stored.to_string()).unwrap();
     let error = refusal(&[&store]);
     assert!(error.contains("--scene FILE") && error.contains("mine"), "{error}");
-    assert!(score(&verify(&[&store, "--scene", &scene]), "b_5mm", "pooled.f1") > 0.0);
+    assert_eq!(score(&verify(&[&store, "--scene", &scene]), "b_5mm", "pooled.f1"), given);
     // Another scene of the same name is refused.
     let other = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/sim/scenes/hover.yaml")).unwrap();
     let moved = format!("{other}\n");
