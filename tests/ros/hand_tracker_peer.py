@@ -107,8 +107,10 @@ def keypoints():
 
     infos = camera.peer.connected(camera.peer.create_publisher(CameraInfo, "camera_info", RELIABLE))
     k = [FOCAL, 0.0, CENTRE[0], 0.0, FOCAL, CENTRE[1], 0.0, 0.0, 1.0]
-    infos.publish(CameraInfo(width=320, height=240, k=k))
-    camera.peer.rest(0.5)
+    # Cameras send it again and again; the first one may come before the subscription knows its publisher.
+    for _ in range(5):
+        infos.publish(CameraInfo(width=320, height=240, k=k))
+        camera.peer.rest(0.2)
     # Images that contradict themselves or are of another kind are left out.
     camera.send(40, encoding="rgb8", step=3)
     camera.send(41, encoding="rgb16")
