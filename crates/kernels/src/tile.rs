@@ -71,6 +71,13 @@ pub trait Weight: Number {
     /// 16 weights can be read from `at`, and the processor has AVX-512 F.
     #[cfg(target_arch = "x86_64")]
     unsafe fn load(at: *const Self) -> std::arch::x86_64::__m512;
+
+    /// Loads 8 weights as f32.
+    ///
+    /// # Safety
+    /// 8 weights can be read from `at`, and the processor has AVX2.
+    #[cfg(target_arch = "x86_64")]
+    unsafe fn load_half(at: *const Self) -> std::arch::x86_64::__m256;
 }
 
 impl Weight for f32 {
@@ -85,6 +92,14 @@ impl Weight for f32 {
     unsafe fn load(at: *const Self) -> std::arch::x86_64::__m512 {
         // SAFETY: the caller guarantees 16 readable values and the feature; the load needs no alignment.
         unsafe { std::arch::x86_64::_mm512_loadu_ps(at) }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    unsafe fn load_half(at: *const Self) -> std::arch::x86_64::__m256 {
+        // SAFETY: the caller guarantees 8 readable values and the feature; the load needs no alignment.
+        unsafe { std::arch::x86_64::_mm256_loadu_ps(at) }
     }
 }
 
@@ -103,6 +118,16 @@ impl Weight for u16 {
         // SAFETY: the caller guarantees 16 readable weights, 32 bytes, and the feature; the load needs no alignment.
         let half = unsafe { _mm256_loadu_si256(at.cast()) };
         _mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_cvtepu16_epi32(half)))
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    unsafe fn load_half(at: *const Self) -> std::arch::x86_64::__m256 {
+        use std::arch::x86_64::{_mm_loadu_si128, _mm256_castsi256_ps, _mm256_cvtepu16_epi32, _mm256_slli_epi32};
+        // SAFETY: the caller guarantees 8 readable weights, 16 bytes, and the feature; the load needs no alignment.
+        let half = unsafe { _mm_loadu_si128(at.cast()) };
+        _mm256_castsi256_ps(_mm256_slli_epi32::<16>(_mm256_cvtepu16_epi32(half)))
     }
 }
 
@@ -133,8 +158,107 @@ pub unsafe fn compute<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
         // caller guarantees.
         return unsafe { form(tile) };
     }
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
+        // SAFETY: AVX2 and FMA were detected above; sizes and pointers are as the caller guarantees.
+        return unsafe { by_avx2(tile, rows, vectors) };
+    }
     // SAFETY: sizes and pointers are as the caller guarantees.
     unsafe { portable(tile, rows, vectors) }
+}
+
+/// As [`compute`], in pieces of up to 4 rows and 3 vectors of 8 columns, whose sums fit into the 16 registers of AVX2 beside a
+/// line of the panel and a value of `a`.
+///
+/// # Safety
+/// As [`compute`]; the processor has AVX2 and FMA.
+#[cfg(target_arch = "x86_64")]
+unsafe fn by_avx2<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
+    macro_rules! table {
+        ($rows:expr, $vectors:expr; $($r:literal)*) => {
+            match ($rows, $vectors) {
+                $(
+                    ($r, 1) => avx2::<E, $r, 1>,
+                    ($r, 2) => avx2::<E, $r, 2>,
+                    ($r, 3) => avx2::<E, $r, 3>,
+                )*
+                (rows, vectors) => unreachable!("a piece of {rows} rows and {vectors} vectors"),
+            }
+        };
+    }
+    let halves = 2 * vectors;
+    let (row_pieces, column_pieces) = (rows.div_ceil(4), halves.div_ceil(3));
+    let piece = |index: usize, of: usize, pieces: usize| (index * of / pieces, (index + 1) * of / pieces);
+    // The columns of a piece stay in the L1 cache while all rows pass.
+    for column_piece in 0..column_pieces {
+        let (first, last) = piece(column_piece, halves, column_pieces);
+        for row_piece in 0..row_pieces {
+            let (row, end) = piece(row_piece, rows, row_pieces);
+            let form: unsafe fn(&Tile<E>, usize, usize, usize) = table!(end - row, last - first; 1 2 3 4);
+            // SAFETY: rows `row` to `end` and vectors `first` to `last` are inside of the tile, whose pointers are as the
+            // caller guarantees; `form` is the one for their numbers, and the caller guarantees the features.
+            unsafe { form(tile, row, first, halves) };
+        }
+    }
+}
+
+/// A piece of a tile in AVX2: `R` rows from `row` on, `W` vectors of 8 columns from vector `first` of the `halves` of a line.
+///
+/// # Safety
+/// As [`compute`], with `row + R` at most the tile's rows and `first + W` at most `halves`, which is the number of vectors of 8
+/// columns in a line of the panel; the processor has AVX2 and FMA.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+unsafe fn avx2<E: Weight, const R: usize, const W: usize>(tile: &Tile<E>, row: usize, first: usize, halves: usize) {
+    use std::arch::x86_64::{
+        _mm256_add_ps, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_set1_ps, _mm256_setzero_ps, _mm256_storeu_ps,
+    };
+    const HALF: usize = LANES / 2;
+    let Tile { a, lda, b, k, bias, out, ldc, cols, add } = *tile;
+    let mut sums = [[_mm256_setzero_ps(); W]; R];
+    for i in 0..k {
+        let mut line = [_mm256_setzero_ps(); W];
+        for (w, vector) in line.iter_mut().enumerate() {
+            // SAFETY: line i < k of the panel, vector first + w < halves: inside the panel that the caller guarantees.
+            *vector = unsafe { E::load_half(b.add((i * halves + first + w) * HALF)) };
+        }
+        for (r, sums) in sums.iter_mut().enumerate() {
+            // SAFETY: value i < k of row + r, which is a row of the tile.
+            let value = _mm256_set1_ps(unsafe { *a.add((row + r) * lda + i) });
+            for (sum, vector) in sums.iter_mut().zip(line) {
+                *sum = _mm256_fmadd_ps(value, vector, *sum);
+            }
+        }
+    }
+    for w in 0..W {
+        let start = (first + w) * HALF;
+        let there = cols.saturating_sub(start).min(HALF);
+        for (r, sums) in sums.iter().enumerate() {
+            let at = out.wrapping_add((row + r) * ldc + start);
+            if there == HALF {
+                // SAFETY: columns start to start + 8 are below `cols`, which the caller guarantees of a bias that is not null
+                // and of each row of `out`, which nothing else uses.
+                unsafe {
+                    let bias = if bias.is_null() { _mm256_setzero_ps() } else { _mm256_loadu_ps(bias.add(start)) };
+                    let sum = _mm256_add_ps(sums[w], bias);
+                    _mm256_storeu_ps(at, if add { _mm256_add_ps(sum, _mm256_loadu_ps(at)) } else { sum });
+                }
+                continue;
+            }
+            let mut values = [0.0f32; HALF];
+            // SAFETY: the array has 8 values.
+            unsafe { _mm256_storeu_ps(values.as_mut_ptr(), sums[w]) };
+            for (c, value) in values.into_iter().take(there).enumerate() {
+                // SAFETY: column start + c is below `cols`, which the caller guarantees of a bias that is not null and of each
+                // row of `out`, which nothing else uses.
+                unsafe {
+                    let sum = if bias.is_null() { value } else { value + *bias.add(start + c) };
+                    let place = at.add(c);
+                    *place = if add { sum + *place } else { sum };
+                }
+            }
+        }
+    }
 }
 
 /// The tile in AVX-512: `R` x `V` sums stay in registers while the panel passes once.
@@ -222,6 +346,9 @@ unsafe fn portable<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
 mod tests {
     use super::*;
 
+    /// A way to compute a tile of f32 and of bf16 weights.
+    type Form = (unsafe fn(&Tile<f32>, usize, usize), unsafe fn(&Tile<u16>, usize, usize));
+
     #[test]
     fn tiles_cover_all_rows_once_and_none_has_a_single_row() {
         for rows in 1..if cfg!(miri) { 60 } else { 2000 } {
@@ -239,7 +366,12 @@ mod tests {
     }
 
     #[test]
-    fn both_forms_give_the_product_in_f64_for_every_size() {
+    fn all_forms_give_the_product_in_f64_for_every_size() {
+        let mut forms: Vec<Form> = vec![(compute::<f32>, compute::<u16>), (portable::<f32>, portable::<u16>)];
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
+            forms.push((by_avx2::<f32>, by_avx2::<u16>));
+        }
         let value = |i: usize| ((i * 7919 % 1013) as f32 / 1013.0) - 0.5;
         // Miri is slow: a short product.
         let k = if cfg!(miri) { 5 } else { 21 };
@@ -252,13 +384,7 @@ mod tests {
             let half: Vec<u16> = b.iter().map(|b| half::bf16::from_f32(*b).to_bits()).collect();
             let bias: Vec<f32> = (0..cols).map(|i| value(i + 99)).collect();
             let ldc = cols + 2;
-            for (add, portable_form, bf16) in [
-                (false, false, false),
-                (true, false, false),
-                (true, true, false),
-                (false, false, true),
-                (false, true, true),
-            ] {
+            for (form, add, bf16) in forms.iter().flat_map(|form| [0, 1, 2, 3].map(|i| (form, i % 2 == 1, i > 1))) {
                 let mut out = vec![1.0f32; rows * ldc];
                 let base = Tile {
                     a: a.as_ptr(),
@@ -275,11 +401,9 @@ mod tests {
                     Tile { b: half.as_ptr(), a: base.a, lda, k, bias: base.bias, out: base.out, ldc, cols, add };
                 // SAFETY: the slices have the sizes that the tile states, and this thread alone uses `out`.
                 unsafe {
-                    match (portable_form, bf16) {
-                        (false, false) => compute(&base, rows, vectors),
-                        (true, false) => portable(&base, rows, vectors),
-                        (false, true) => compute(&with_half, rows, vectors),
-                        (true, true) => portable(&with_half, rows, vectors),
+                    match bf16 {
+                        false => (form.0)(&base, rows, vectors),
+                        true => (form.1)(&with_half, rows, vectors),
                     }
                 }
                 for (i, got) in out.iter().enumerate() {
