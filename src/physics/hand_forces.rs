@@ -69,7 +69,7 @@ pub struct HandForces {
 /// Sum of the forces on one hand.
 pub(super) struct HandSum {
     side: Side,
-    /// What is known so far; the forces of the links follow in [`Self::finish`].
+    /// The hand's estimate without the forces of its links, which [`Self::finish`] adds.
     pub hand: HandForces,
     /// Samples of each link's force, N; empty = no body pushes it.
     samples: [Vec<f64>; N_JOINTS],

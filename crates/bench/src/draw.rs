@@ -27,7 +27,7 @@ enum Plots {
     Verify(picture::Plot),
 }
 
-/// What to do with a plot of any kind.
+/// Operation on a plot of any kind.
 trait Draw {
     fn draw<F: Figure>(&mut self, name: &str, figure: &F) -> anyhow::Result<()>;
 }

@@ -15,7 +15,7 @@ message! {
 
     /// Statistics of one quantity over one window of time.
     MetricsMessage = "statistics_msgs/msg/MetricsMessage" {
-        /// What was measured, for instance a node and a topic.
+        /// Source of the measurement, for instance a node and a topic.
         measurement_source_name: String,
         /// Name of the quantity, for instance `message_age`.
         metrics_source: String,

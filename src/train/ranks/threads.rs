@@ -26,7 +26,7 @@ struct State {
     lost: Option<(usize, String)>,
 }
 
-/// What a rank contributes to an exchange.
+/// Contribution of a rank to an exchange.
 #[derive(Debug, Clone, PartialEq)]
 enum Values {
     F32(Vec<f32>),
