@@ -25,6 +25,14 @@ pub fn read(path: &Path) -> Result<Mesh> {
         "glb" => glb::read(&input::read(path, limits::FILE)?).map_err(|message| Error::file(path, message))?,
         _ => return Err(Error::file(path, format!("expected a mesh ending in .obj, .ply or .glb, got {ending:?}"))),
     };
+    checked(path, (vertices, triangles))
+}
+
+/// Checks a mesh that was read from `path`.
+///
+/// # Errors
+/// If it holds no triangle, a number that is not finite, or an index without a vertex.
+pub fn checked(path: &Path, (vertices, triangles): Mesh) -> Result<Mesh> {
     if triangles.is_empty() {
         return Err(Error::file(path, "expected a mesh with triangles, got none"));
     }
@@ -36,6 +44,13 @@ pub fn read(path: &Path) -> Result<Mesh> {
         Some(bad) => Err(Error::file(path, format!("expected indices of {count} vertices, got {bad}"))),
         None => Ok((vertices, triangles)),
     }
+}
+
+/// Formats a mesh as an OBJ file.
+pub fn to_obj((vertices, triangles): &Mesh) -> String {
+    let vertices = vertices.iter().map(|vertex| format!("v {} {} {}\n", vertex.x, vertex.y, vertex.z));
+    let triangles = triangles.iter().map(|[a, b, c]| format!("f {} {} {}\n", a + 1, b + 1, c + 1));
+    vertices.chain(triangles).collect()
 }
 
 /// Reads the content of an OBJ file; polygons become triangles, and materials are ignored.

@@ -117,9 +117,16 @@ impl HandModels {
             RecordedHand::Vertices(params, vertices) => {
                 PosedRecord { params: self.params(side, params, convention)?, vertices: vertices.clone() }
             }
-            RecordedHand::Keypoints(keypoints) | RecordedHand::Either(_, keypoints) => {
+            RecordedHand::Keypoints(keypoints)
+            | RecordedHand::Either(_, keypoints)
+            | RecordedHand::Mesh(_, keypoints) => {
                 let fit = fitted(model, keypoints, before.take());
-                let record = PosedRecord { vertices: fit.posed(model).vertices, params: fit.params.clone() };
+                // Without MANO files, vertices have the built-in hand's order.
+                let vertices = match hand {
+                    RecordedHand::Mesh(vertices, _) if self.are_mano() => vertices.clone(),
+                    _ => fit.posed(model).vertices,
+                };
+                let record = PosedRecord { vertices, params: fit.params.clone() };
                 *before = Some(fit);
                 record
             }

@@ -7,7 +7,7 @@ use super::readers;
 use crate::error::{Error, Result};
 
 /// All kinds, in the order of the table.
-pub static ALL: [Kind; 19] = [
+pub static ALL: [Kind; 20] = [
     readers::hot3d::KIND,
     readers::h2o::KIND,
     readers::taco::KIND,
@@ -22,6 +22,7 @@ pub static ALL: [Kind; 19] = [
     readers::dexycb::KIND,
     readers::grab::KIND,
     readers::contactpose::KIND,
+    readers::epic_contact::KIND,
     readers::videos::EPIC,
     readers::videos::EGO4D,
     readers::videos::EGOPAT3D,
@@ -30,17 +31,10 @@ pub static ALL: [Kind; 19] = [
 ];
 
 /// Data sets that can't be imported, and the reasons.
-const NOT_READ: [(&str, &str); 2] = [
-    (
-        "epic-contact",
-        "EPIC-Contact: meshes of hands and objects and their correspondences; the layout of its files is described inside of the \
-         data set alone and was not seen. Its videos are those of `epic`.",
-    ),
-    (
-        "svo2, vrs",
-        "recordings of ZED and Aria cameras: extract images with their makers' tools first (docs/import.md).",
-    ),
-];
+const NOT_READ: [(&str, &str); 1] = [(
+    "svo2, vrs",
+    "recordings of ZED and Aria cameras: extract images with their makers' tools first (docs/import.md).",
+)];
 
 /// Returns the kind of a name.
 ///

@@ -11,6 +11,7 @@ use super::known::{Known, POSE};
 use super::labeller::{ContactRule, FORCE_RULE};
 use super::recording::{Reader, RecordedObject};
 use super::sensors::Sensor;
+use super::shapes::MeshFile;
 use super::source::RecordingSource;
 use crate::dataset::copy::remove;
 use crate::dataset::source::SourceFrame;
@@ -22,6 +23,7 @@ use crate::dataset::{
     SourceLabels, UnlabelledImage,
 };
 use crate::error::{Error, Result};
+use crate::file;
 use crate::geometry::SIGMA;
 use crate::tactile::{ForceKind, N_FIELD, TactileField, Validity};
 
@@ -105,7 +107,8 @@ impl LabelOutput for ImportOutput {
         writer.set_attribute(PROVENANCE_KEY, serde_json::to_value(&*info).unwrap_or_default());
         writer.set_attribute(IMPORT, self.description());
         writer.set_attribute("camera", recording.camera.clone());
-        writer.finish()
+        writer.finish()?;
+        self.write_meshes(at)
     }
 
     fn info(&self, out: &Path) -> Option<LabelInfo> {
@@ -217,6 +220,17 @@ impl ImportOutput {
         }
     }
 
+    /// Writes the meshes that the data set keeps within other files into the store, since readers of the store don't know those files.
+    fn write_meshes(&self, store: &Path) -> Result<()> {
+        for (index, object) in self.reader.recording().objects.iter().enumerate() {
+            // An object without a usable mesh is among the faults of the import.
+            if let Some(Ok(mesh)) = object.mesh.as_ref().filter(|mesh| mesh.part.is_some()).map(MeshFile::read) {
+                file::write(&store.join(mesh_in_store(index)), file::mesh::to_obj(&mesh).as_bytes())?;
+            }
+        }
+        Ok(())
+    }
+
     fn attributes(&self, info: &LabelInfo) -> Attributes {
         let provenance = &info.provenance;
         Attributes {
@@ -269,7 +283,7 @@ impl ImportOutput {
             "mean_pose_added": recording.convention.adds_mean,
             "left_shapedirs_fixed": recording.convention.fixes_left_shapedirs,
             "objects": recording.objects.iter().map(|object| object.name.as_str()).collect::<Vec<_>>(),
-            "object_meshes": recording.objects.iter().map(mesh).collect::<Vec<_>>(),
+            "object_meshes": recording.objects.iter().enumerate().map(mesh).collect::<Vec<_>>(),
             "view": recording.view.name(),
             "sensors": recording.sensors.iter().map(Sensor::description).collect::<Vec<_>>(),
             "about": recording.about,
@@ -277,12 +291,21 @@ impl ImportOutput {
     }
 }
 
-/// Describes the file of an object's mesh, from which forces follow later; null without one.
-fn mesh(object: &RecordedObject) -> Value {
-    object.mesh.as_ref().map_or(Value::Null, |mesh| {
-        let path = std::path::absolute(&mesh.path).unwrap_or_else(|_| mesh.path.clone());
-        json!({ "file": path, "to_metres": mesh.to_metres })
-    })
+/// Describes the file of an object's mesh, from which forces follow later; null without one. A relative path is one in the store.
+fn mesh((index, object): (usize, &RecordedObject)) -> Value {
+    match &object.mesh {
+        None => Value::Null,
+        Some(MeshFile { part: Some(_), .. }) => json!({ "file": mesh_in_store(index), "to_metres": 1.0 }),
+        Some(mesh) => {
+            let path = std::path::absolute(&mesh.path).unwrap_or_else(|_| mesh.path.clone());
+            json!({ "file": path, "to_metres": mesh.to_metres })
+        }
+    }
+}
+
+/// Returns the path in a store of the mesh of an object.
+fn mesh_in_store(index: usize) -> String {
+    format!("meshes/{index}.obj")
 }
 
 fn unknown(info: &LabelInfo) -> TactileField {

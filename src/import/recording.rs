@@ -187,6 +187,8 @@ pub enum RecordedHand {
     Either(ManoParams, [Vec3; N_KEYPOINTS]),
     /// 778 vertices in MANO's order, m, and the parameters nearest to them.
     Vertices(ManoParams, Vec<Vec3>),
+    /// 778 vertices in MANO's order and 21 keypoints, m, to which parameters are fitted.
+    Mesh(Vec<Vec3>, [Vec3; N_KEYPOINTS]),
 }
 
 /// MANO parameters of one hand; [`Convention`] tells their meaning.

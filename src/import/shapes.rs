@@ -1,14 +1,14 @@
 //! Shapes of objects, for the distances of hands from them.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::{DAffine3, Vec3};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::file;
+use crate::file::{self, mesh::Mesh};
 use crate::geometry::{PROXIMITY, SPACING, SampledSurface, Surface};
 
 /// Spacing of the points that stand for an object's vertices in the 1 cm rule, m. The paper's meshes are scans about this
@@ -21,13 +21,15 @@ const PART: usize = 130;
 /// Number of shapes that stay in memory between recordings.
 const KEPT: usize = 64;
 
-/// A mesh file and the length of its unit.
-#[derive(Debug, Clone, PartialEq)]
+/// A file that holds a mesh, and the length of its unit.
+#[derive(Debug, Clone)]
 pub struct MeshFile {
     /// Path of the file.
     pub path: PathBuf,
     /// Length of the file's unit, m.
     pub to_metres: f32,
+    /// Reader of the mesh, of a file that holds more than a mesh.
+    pub part: Option<fn(&Path) -> Result<Mesh>>,
 }
 
 /// Shape of a rigid object, in its own frame.
@@ -56,14 +58,30 @@ struct ShapeList {
     uses: u64,
 }
 
+impl MeshFile {
+    /// Creates the description of a mesh file whose unit has a length of `to_metres`, m.
+    pub fn new(path: PathBuf, to_metres: f32) -> Self {
+        Self { path, to_metres, part: None }
+    }
+
+    /// Reads the mesh, m.
+    ///
+    /// # Errors
+    /// If the file can't be read, or its mesh is invalid.
+    pub fn read(&self) -> Result<Mesh> {
+        let (mut vertices, triangles) = self.part.unwrap_or(file::mesh::read)(&self.path)?;
+        vertices.iter_mut().for_each(|vertex| *vertex *= self.to_metres);
+        Ok((vertices, triangles))
+    }
+}
+
 impl Shape {
     /// Reads a mesh and prepares it for distances.
     ///
     /// # Errors
     /// If the file can't be read, or its mesh is invalid.
     pub fn read(file: &MeshFile) -> Result<Self> {
-        let (mut vertices, triangles) = file::mesh::read(&file.path)?;
-        vertices.iter_mut().for_each(|vertex| *vertex *= file.to_metres);
+        let (vertices, triangles) = file.read()?;
         let named = |error: Error| Error::file(&file.path, error);
         // A large object, such as furniture, would have too many points at the fine spacing.
         let points = SampledSurface::new(&vertices, &triangles, POINT_SPACING)

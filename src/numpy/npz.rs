@@ -94,6 +94,16 @@ pub(crate) fn npy_pickle(bytes: &[u8]) -> Outcome<&[u8]> {
     }
 }
 
+/// Returns the first text of a `.npy` file of Unicode texts; `None` if it is damaged or holds something else.
+pub(crate) fn first_text(bytes: &[u8]) -> Option<String> {
+    let (header, data) = npy_header(bytes).ok()?;
+    let length: usize = field(header, "descr").and_then(quoted)?.strip_prefix("<U")?.parse().ok()?;
+    let words = data.get(..length.checked_mul(4)?)?.as_chunks::<4>().0;
+    let text: Option<String> = words.iter().map(|word| char::from_u32(u32::from_le_bytes(*word))).collect();
+    // Shorter texts are padded with zeros.
+    text.map(|text| text.trim_end_matches('\0').to_string())
+}
+
 /// Splits a `.npy` file into header and data.
 fn npy_header(bytes: &[u8]) -> Outcome<(&str, &[u8])> {
     let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or("no .npy magic number")?;
@@ -166,6 +176,15 @@ mod tests {
         assert_eq!(npz.array("box").unwrap(), Some(dense));
         assert_eq!(npz.array("empty").unwrap().unwrap().shape, [0, 3]);
         assert_eq!(npz.array("absent").unwrap(), None);
+    }
+
+    #[test]
+    fn first_of_several_unicode_texts_is_read_without_its_padding() {
+        let header = "{'descr': '<U3', 'fortran_order': False, 'shape': (2,), }\n";
+        let data: Vec<u8> = "P1\0abc".chars().flat_map(|char| (char as u32).to_le_bytes()).collect();
+        assert_eq!(first_text(&npy(header, &data)).as_deref(), Some("P1"));
+        assert_eq!(first_text(&npy(header, &data[..11])), None);
+        assert_eq!(first_text(&npy(&header.replace("<U3", "<f8"), &data)), None);
     }
 
     #[test]

@@ -1,17 +1,20 @@
-//! Data sets of fixed cameras, or of none, become stores: DexYCB, GRAB, ContactPose.
+//! Data sets of fixed cameras, or of none, and of meshes in the camera's frame become stores: DexYCB, GRAB, ContactPose, EPIC-Contact.
 
 use std::sync::LazyLock;
 
 use egotac::dataset::zarr::CAMERA_POSE;
 use egotac::hand::Side;
+use glam::DAffine3;
 use serde_json::json;
 
 use crate::check::{check_hands, check_poses, check_stamps, f1, open, supervised};
-use crate::common::refused;
+use crate::common::{egotac, refused};
 use crate::run::{import, imported, with_mano};
 use crate::writers::files::{ManoFiles, archive, jpeg, npy, write};
 use crate::writers::take::{FRAMES, Take};
-use crate::writers::third::{SEQUENCE, SERIAL, camera, f32s, write_contactpose, write_dexycb, write_grab};
+use crate::writers::third::{
+    EPIC_CLIP, SEQUENCE, SERIAL, camera, f32s, write_contactpose, write_dexycb, write_epic_contact, write_grab,
+};
 
 static TAKE: LazyLock<Take> = LazyLock::new(Take::simulated);
 
@@ -129,4 +132,71 @@ fn contactpose_places_fitted_hands_in_the_objects_frame() {
     assert_eq!(output.status.code(), Some(3));
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(text.contains("mano_fits_15.json: [0].mTc.rotation: expected 4 numbers"), "{text}");
+}
+
+#[test]
+fn epic_contact_has_the_simulators_contact_and_its_mesh_in_the_store() {
+    let (folder, take) = (tempfile::tempdir().unwrap(), &*TAKE);
+    let (root, out) = (folder.path().join("epic-contact"), folder.path().join("store.zarr"));
+    let mano = ManoFiles::write(folder.path(), take, false);
+    write_epic_contact(&root, take);
+    let output = import("epic-contact", &root, &out, &with_mano(&mano));
+    assert_eq!(output.status.code(), Some(3), "one frame was not extracted");
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let (video, first, step) = EPIC_CLIP;
+    assert!(text.contains(&format!("frame_{:010}.jpg", first + 4 * step)), "{text}");
+    let store = open(&out);
+    check_stamps(&store, (0..FRAMES).map(|index| (first + step * index) as f64 / 50.0));
+    check_poses(&store, CAMERA_POSE, |_| DAffine3::IDENTITY);
+    // Frame 2 has no left hand, frame 3 no object and frame 4 no image. Without the object only the vertices that touch something
+    // else are known, and there is nothing else.
+    assert_eq!(supervised(&store), [0, 1556 * (FRAMES - 3) + 778]);
+    let contact = store.read_contact(0..FRAMES).unwrap();
+    let (mut hits, mut wrong) = (0, 0);
+    for (index, frame) in take.frames.iter().enumerate().filter(|(index, _)| ![2, 3, 4].contains(index)) {
+        for side in Side::BOTH {
+            for (got, want) in contact[1556 * index..][side.range()].iter().zip(frame.touched(take, side)) {
+                hits += usize::from(*got == 1.0 && want);
+                wrong += usize::from((*got == 1.0) != want);
+            }
+        }
+    }
+    let score = 2.0 * hits as f64 / (2 * hits + wrong) as f64;
+    assert!(hits > 100 && score >= 0.99, "F1 {score}");
+    let about = &store.raw_attributes()["import"];
+    assert_eq!((&about["view"], &about["about"]["video"]), (&json!("ego"), &json!(video)));
+    // The mesh is a part of the store: forces from motion need neither the data set nor the place of the store.
+    let moved = folder.path().join("moved.zarr");
+    std::fs::rename(&out, &moved).unwrap();
+    std::fs::remove_dir_all(&root).unwrap();
+    let forces = folder.path().join("forces.zarr");
+    let [from, to] = [&moved, &forces].map(|path| path.to_str().unwrap());
+    let args = ["label", from, "--physics", "--gravity", "0,9.81,0", "--mass", "object=0.3", "--out", to];
+    let output = egotac(&[&args[..], &with_mano(&mano)].concat());
+    let text = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{text}");
+}
+
+#[test]
+fn damaged_members_of_epic_contact_are_named() {
+    let (folder, take) = (tempfile::tempdir().unwrap(), &*TAKE);
+    let (root, out) = (folder.path().join("epic-contact"), folder.path().join("store.zarr"));
+    write_epic_contact(&root, take);
+    let numbers = |values: &[i64]| {
+        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        npy(&[values.len()], "<i8", &bytes)
+    };
+    write(&root.join("clips/backwards.npz"), archive([("_frame_num", numbers(&[4, 3]))]));
+    write(&root.join("clips/other.npz"), archive([("points", numbers(&[1]))]));
+    write(&root.join("clips/cut.npz"), b"PK");
+    let output = import("epic-contact", &root, &out, &[]);
+    assert_eq!(output.status.code(), Some(3));
+    let text = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+    for expected in [
+        "backwards.npz: _frame_num: expected numbers of frames that increase, at least one",
+        "other.npz: _frame_num: expected this member, got none",
+        "cut.npz: no .npz archive",
+    ] {
+        assert!(text.contains(expected), "{expected} is not in: {text}");
+    }
 }

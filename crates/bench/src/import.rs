@@ -109,7 +109,7 @@ fn contact(triangles: usize, folder: &Path) -> Result<ContactRow> {
     let path = folder.join(format!("ball_{triangles}.obj"));
     std::fs::write(&path, ball(triangles)).map_err(Error::io(&path))?;
     let started = Instant::now();
-    let shape = Shape::read(&MeshFile { path, to_metres: 1.0 })?;
+    let shape = Shape::read(&MeshFile::new(path, 1.0))?;
     let prepare_ms = 1e3 * started.elapsed().as_secs_f64();
     let vertices = HandModel::builtin(Side::Right).forward(&HandParams::default()).vertices;
     let middle = vertices.iter().map(|vertex| vertex.as_dvec3()).sum::<DVec3>() / N_VERTICES as f64;

@@ -33,13 +33,21 @@ pub fn npy(path: &Path, shape: &[usize]) -> Result<Array> {
 /// # Errors
 /// If it differs.
 pub fn check(path: &Path, field: &str, array: Array, shape: &[usize]) -> Result<Array> {
+    finite(path, field, check_shape(path, field, array, shape)?)
+}
+
+/// Checks the shape of an array alone.
+///
+/// # Errors
+/// If it differs.
+pub fn check_shape(path: &Path, field: &str, array: Array, shape: &[usize]) -> Result<Array> {
     let fits = |(got, wanted): (&usize, &usize)| *wanted == 0 || got == wanted;
     if array.shape.len() != shape.len() || !array.shape.iter().zip(shape).all(fits) {
         let lengths: Vec<String> = shape.iter().map(|n| if *n == 0 { "any".into() } else { n.to_string() }).collect();
         let expected = format!("{field}: expected shape [{}], got {:?}", lengths.join(", "), array.shape);
         return Err(Error::file(path, expected));
     }
-    finite(path, field, array)
+    Ok(array)
 }
 
 fn finite(path: &Path, field: &str, array: Array) -> Result<Array> {

@@ -23,6 +23,25 @@ pub fn files(folder: &Path, ending: &str) -> Result<Vec<PathBuf>> {
     list(folder, |path| path.is_file() && base_name(path).ends_with(ending))
 }
 
+/// Returns the files of `wanted` names in `folder` and in folders down to `depth` levels below it, level by level; `folder` itself
+/// if it is a file.
+///
+/// # Errors
+/// As [`files`].
+pub fn files_below(folder: &Path, depth: usize, wanted: impl Fn(&str) -> bool) -> Result<Vec<PathBuf>> {
+    if folder.is_file() {
+        return Ok(vec![folder.to_path_buf()]);
+    }
+    let (mut found, mut level) = (Vec::new(), vec![folder.to_path_buf()]);
+    for _ in 0..=depth {
+        for folder in &level {
+            found.extend(files(folder, "")?.into_iter().filter(|path| wanted(&base_name(path))));
+        }
+        level = level.iter().map(|folder| folders(folder)).collect::<Result<Vec<_>>>()?.concat();
+    }
+    Ok(found)
+}
+
 /// Returns the first of `names` that is a folder or file in `root`.
 pub fn first_of(root: &Path, names: &[&str]) -> Option<PathBuf> {
     names.iter().map(|name| root.join(name)).find(|path| path.exists())

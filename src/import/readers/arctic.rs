@@ -104,7 +104,7 @@ impl Sequence {
         let object = base_name(hands).split('_').next().unwrap_or_default().to_string();
         let part = |part: &str| {
             let path = objects.join(&object).join(format!("{part}.obj"));
-            let mesh = path.is_file().then_some(MeshFile { path, to_metres: MILLIMETRE as f32 });
+            let mesh = path.is_file().then_some(MeshFile::new(path, MILLIMETRE as f32));
             RecordedObject { name: format!("{object} {part}"), mesh }
         };
         let mut sequence = Self {

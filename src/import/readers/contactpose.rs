@@ -102,7 +102,7 @@ impl Grasp {
                 frames,
                 objects: vec![RecordedObject {
                     name: object,
-                    mesh: mesh.is_file().then_some(MeshFile { path: mesh, to_metres: 1.0 }),
+                    mesh: mesh.is_file().then_some(MeshFile::new(mesh, 1.0)),
                 }],
                 convention: Convention { adds_mean: true, ..Convention::PLAIN },
                 view: if has_images { View::ThirdPerson } else { View::None },

@@ -172,7 +172,7 @@ impl Sequence {
             let name = id.checked_sub(1).and_then(|index| OBJECTS.get(index)).copied();
             let name = name.ok_or_else(|| Error::file(&meta_path, format!("ycb_ids: expected 1 to 21, got {id}")))?;
             let path = objects.join(name).join("textured_simple.obj");
-            let mesh = path.is_file().then_some(MeshFile { path, to_metres: 1.0 });
+            let mesh = path.is_file().then_some(MeshFile::new(path, 1.0));
             Ok(RecordedObject { name: name.into(), mesh })
         };
         Ok(Self {

@@ -90,7 +90,7 @@ impl Sequence {
         let touched = touched.map(|name| {
             let file = |folder: &Path| folder.join(format!("{name}_model/{name}_model.ply"));
             let path = objects.map(file).filter(|path| path.is_file());
-            RecordedObject { name: (*name).into(), mesh: path.map(|path| MeshFile { path, to_metres: 1.0 }) }
+            RecordedObject { name: (*name).into(), mesh: path.map(|path| MeshFile::new(path, 1.0)) }
         });
         Ok(Self {
             recording: Recording {

@@ -84,10 +84,7 @@ impl Sequence {
                 name,
                 path: path.to_path_buf(),
                 frames,
-                objects: vec![RecordedObject {
-                    name: object,
-                    mesh: mesh.map(|path| MeshFile { path, to_metres: 1.0 }),
-                }],
+                objects: vec![RecordedObject { name: object, mesh: mesh.map(|path| MeshFile::new(path, 1.0)) }],
                 view: View::None,
                 templates,
                 about: json!({ "subject": path.parent().map(base_name) }),

@@ -172,7 +172,7 @@ fn mesh(folder: &Path, name: &str) -> Option<MeshFile> {
     let folder = folder.join(name);
     let usual = folder.join(format!("{name}.obj"));
     let path = if usual.is_file() { usual } else { folders::files(&folder, ".obj").ok()?.into_iter().next()? };
-    Some(MeshFile { path, to_metres: 1.0 })
+    Some(MeshFile::new(path, 1.0))
 }
 
 impl Reader for Sequence {

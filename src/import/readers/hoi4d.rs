@@ -124,7 +124,7 @@ impl Sequence {
             let files = ["", "rigid"].map(|folder| cad.join(folder).join(category).join(format!("{instance:03}.obj")));
             files.into_iter().find(|path| path.is_file())
         };
-        let mesh = cad.and_then(file).map(|path| MeshFile { path, to_metres: 1.0 });
+        let mesh = cad.and_then(file).map(|path| MeshFile::new(path, 1.0));
         Ok(Self {
             recording: Recording {
                 path: path.to_path_buf(),

@@ -143,7 +143,7 @@ impl Clip {
                 };
                 let path = folder.map(|folder| folder.join(format!("obj_{id:06}.glb"))).filter(|path| path.is_file());
                 self.ids.entry(id).or_default().push(self.recording.objects.len());
-                let mesh = path.map(|path| MeshFile { path, to_metres: 1.0 });
+                let mesh = path.map(|path| MeshFile::new(path, 1.0));
                 self.recording.objects.push(RecordedObject { name, mesh });
             }
         }

@@ -7,6 +7,7 @@ pub mod egodex;
 pub mod egopressure;
 pub mod egotac_sc;
 pub mod egotac_sc_raw;
+pub mod epic_contact;
 pub mod fpha;
 pub mod grab;
 pub mod h2o;

@@ -188,7 +188,7 @@ fn of_frames<'a>(node: &Node<'a>, wanted: &BTreeSet<String>) -> Result<Vec<(Stri
 /// Returns the mesh in an object's folder.
 fn mesh(folder: &Path) -> Option<MeshFile> {
     let files = [".obj", ".ply"].iter().filter_map(|ending| folders::files(folder, ending).ok()).flatten();
-    files.into_iter().next().map(|path| MeshFile { path, to_metres: 1.0 })
+    files.into_iter().next().map(|path| MeshFile::new(path, 1.0))
 }
 
 impl Reader for Sequence {

@@ -98,7 +98,7 @@ impl Sequence {
             let name = base_name(path).trim_end_matches(".npy").to_string();
             let id = name.rsplit('_').next().unwrap_or_default();
             let mesh = objects.map(|folder| folder.join(format!("{id}_cm.obj"))).filter(|path| path.is_file());
-            RecordedObject { mesh: mesh.map(|path| MeshFile { path, to_metres: CENTIMETRE }), name }
+            RecordedObject { mesh: mesh.map(|path| MeshFile::new(path, CENTIMETRE)), name }
         };
         Ok(Self {
             recording: Recording {

@@ -76,7 +76,7 @@ fn epic(source: &Path, _: &Options) -> Result<Found> {
             actions.entry(video).or_default().push(action);
         }
     }
-    let videos = videos(source, |name| name.to_ascii_lowercase().ends_with(".mp4"))?;
+    let videos = folders::files_below(source, MAX_DEPTH, |name| name.to_ascii_lowercase().ends_with(".mp4"))?;
     let named = videos.into_iter().map(|path| {
         let name = base_name(&path).rsplit_once('.').map_or_else(String::new, |(stem, _)| stem.to_string());
         let actions = actions.get(&name).cloned().unwrap_or_default();
@@ -91,7 +91,7 @@ fn ego4d(source: &Path, _: &Options) -> Result<Found> {
         true => narrations(&path)?,
         false => BTreeMap::new(),
     };
-    let videos = videos(source, |name| name.ends_with(".mp4"))?;
+    let videos = folders::files_below(source, MAX_DEPTH, |name| name.ends_with(".mp4"))?;
     let named = videos.into_iter().map(|path| {
         let name = path.strip_prefix(source).unwrap_or(&path).with_extension("").display().to_string();
         let uid = base_name(&path).trim_end_matches(".mp4").to_string();
@@ -102,7 +102,7 @@ fn ego4d(source: &Path, _: &Options) -> Result<Found> {
 }
 
 fn egopat3d(source: &Path, _: &Options) -> Result<Found> {
-    let videos = videos(source, |name| name == "rgb_video.mp4")?;
+    let videos = folders::files_below(source, MAX_DEPTH, |name| name == "rgb_video.mp4")?;
     let named = videos.into_iter().map(|path| {
         let folder = path.parent().unwrap_or(source).to_path_buf();
         let name = folder.strip_prefix(source).unwrap_or(&folder).display().to_string();
@@ -125,21 +125,6 @@ fn clips(path: &Path) -> Result<Vec<[f64; 2]>> {
         true => Ok(pairs.to_vec()),
         false => Err(Error::file(path, format!("expected pairs of frame numbers, got {} numbers", values.len()))),
     }
-}
-
-/// Returns the files at or below `source` whose names are `wanted`, in natural order of their folders.
-fn videos(source: &Path, wanted: impl Fn(&str) -> bool) -> Result<Vec<PathBuf>> {
-    if source.is_file() {
-        return Ok(vec![source.to_path_buf()]);
-    }
-    let (mut found, mut level) = (Vec::new(), vec![source.to_path_buf()]);
-    for _ in 0..=MAX_DEPTH {
-        for folder in &level {
-            found.extend(folders::files(folder, "")?.into_iter().filter(|path| wanted(&base_name(path))));
-        }
-        level = level.iter().map(|folder| folders::folders(folder)).collect::<Result<Vec<_>>>()?.concat();
-    }
-    Ok(found)
 }
 
 fn found(videos: impl Iterator<Item = (String, PathBuf, Result<Value>)>) -> Found {

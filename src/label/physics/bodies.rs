@@ -74,7 +74,8 @@ impl BodyOptions {
         for (index, name) in names.enumerate() {
             let recorded = meshes.and_then(|meshes| meshes.get(index)).filter(|mesh| !mesh.is_null());
             let recorded = recorded.and_then(|mesh| {
-                Some((PathBuf::from(mesh.get("file")?.as_str()?), mesh.get("to_metres")?.as_f64()? as f32))
+                // A relative path is one in the store.
+                Some((store.path().join(mesh.get("file")?.as_str()?), mesh.get("to_metres")?.as_f64()? as f32))
             });
             let (path, scale) = match (self.in_folder(name), recorded) {
                 (Some(path), recorded) => (path, recorded.map_or(1.0, |(_, scale)| scale)),

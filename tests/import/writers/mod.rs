@@ -40,6 +40,7 @@ pub fn write_all(root: &Path, take: &Take) -> Vec<(&'static str, PathBuf)> {
     third::write_dexycb(&at("dexycb"), take, &mano);
     third::write_grab(&at("grab"), take, &mano);
     third::write_contactpose(&at("contactpose"), take, &mano);
+    third::write_epic_contact(&at("epic-contact"), take);
     let kinds = [
         "hot3d",
         "h2o",
@@ -55,6 +56,7 @@ pub fn write_all(root: &Path, take: &Take) -> Vec<(&'static str, PathBuf)> {
         "dexycb",
         "grab",
         "contactpose",
+        "epic-contact",
         "egotac-sc-raw",
     ];
     kinds.into_iter().map(|kind| (kind, at(kind))).collect()

@@ -160,3 +160,64 @@ pub fn write_contactpose(root: &Path, take: &Take, mano: &ManoFiles) {
     write(&grasp.join("annotations.json"), annotation.to_string());
     write(&grasp.join("box.ply"), ply(&take.box_mesh()));
 }
+
+/// Video, first frame and step of the frames of the clip of EPIC-Contact.
+pub const EPIC_CLIP: (&str, usize, usize) = ("P01_103", 1201, 2);
+
+/// Writes EPIC-Contact: hands and object in the camera's frame, with the object's mesh padded to a larger one. The left hand is not
+/// valid in frame 2, and the object has no pose in frame 3. Frame 4 was not extracted.
+pub fn write_epic_contact(root: &Path, take: &Take) {
+    let (video, first, step) = EPIC_CLIP;
+    let (corners, triangles) = take.box_mesh();
+    let in_camera = |index: usize| take.frames[index].camera.inverse();
+    let object = |index: usize| in_camera(index) * take.frames[index].object;
+    let of_frames = |numbers: &dyn Fn(usize) -> Vec<f64>| f32s((0..FRAMES).flat_map(numbers));
+    let points = |index: usize, points: &[Vec3]| -> Vec<f64> {
+        points.iter().flat_map(|point| in_camera(index).transform_point3(point.as_dvec3()).to_array()).collect()
+    };
+    let hand = |side: Side, letter: &str, word: &str| {
+        let valid = |index: usize| f64::from(u8::from(side == Side::Right || index != 2));
+        let vertices = |index: usize| points(index, &take.frames[index].hand(side).vertices);
+        let joints = |index: usize| points(index, &take.frames[index].hand(side).keypoints);
+        [
+            (format!("{word}_valid"), npy(&[FRAMES], "<f4", &of_frames(&|index| vec![valid(index)]))),
+            (format!("mano.v3d.cam.{letter}"), npy(&[FRAMES, 778, 3], "<f4", &of_frames(&vertices))),
+            (format!("mano.j3d.cam.{letter}"), npy(&[FRAMES, 21, 3], "<f4", &of_frames(&joints))),
+        ]
+    };
+    let padded = corners.len() + 2;
+    let placed = |index: usize| -> Vec<f64> {
+        let mut values: Vec<f64> =
+            corners.iter().flat_map(|corner| object(index).transform_point3(*corner).to_array()).collect();
+        values.resize(3 * padded, 0.0);
+        values
+    };
+    let rotation = |index: usize| match index {
+        3 => vec![f64::NAN; 9],
+        _ => object(index).matrix3.transpose().to_cols_array().to_vec(),
+    };
+    let place = |index: usize| object(index).translation.to_array().to_vec();
+    let i64s = |values: Vec<i64>| -> Vec<u8> { values.into_iter().flat_map(i64::to_le_bytes).collect() };
+    let faces: Vec<i64> = triangles.iter().flatten().map(|index| *index as i64).collect();
+    let text: Vec<u8> = video.chars().flat_map(|char| (char as u32).to_le_bytes()).collect();
+    let mut members = vec![
+        (
+            "_frame_num".to_string(),
+            npy(&[FRAMES], "<i8", &i64s((0..FRAMES).map(|k| (first + step * k) as i64).collect())),
+        ),
+        ("video_id".to_string(), npy(&[1], &format!("<U{}", video.len()), &text)),
+        ("object.v.cam".to_string(), npy(&[FRAMES, padded, 3], "<f4", &of_frames(&placed))),
+        ("object.v_len".to_string(), npy(&[FRAMES], "<i8", &i64s(vec![corners.len() as i64; FRAMES]))),
+        ("object.f".to_string(), npy(&[FRAMES, triangles.len(), 3], "<i8", &i64s(faces.repeat(FRAMES)))),
+        ("object.rot".to_string(), npy(&[FRAMES, 3, 3], "<f4", &of_frames(&rotation))),
+        ("object.cam_t".to_string(), npy(&[FRAMES, 3], "<f4", &of_frames(&place))),
+    ];
+    members.extend(hand(Side::Left, "l", "left"));
+    members.extend(hand(Side::Right, "r", "right"));
+    let members = members.iter().map(|(name, content)| (name.as_str(), content.clone()));
+    write(&root.join(format!("clips/{video}_12_bottle.npz")), archive(members));
+    for (index, frame) in take.frames.iter().enumerate().filter(|(index, _)| *index != 4) {
+        let number = first + step * index;
+        write(&root.join(format!("P01/rgb_frames/{video}/frame_{number:010}.jpg")), jpeg(&frame.image));
+    }
+}
