@@ -1,4 +1,4 @@
-//! Stores and runs for tests of several ranks: moving discs, with unknown vertices and frames.
+//! Stores of moving discs, and runs on them for tests of several ranks, with unknown vertices and frames.
 
 use std::path::Path;
 
@@ -10,8 +10,15 @@ use image::{Rgb, RgbImage};
 
 /// Writes `a.zarr` and `b.zarr` into a folder: of each, other vertices are unknown in other frames, and a guard refuses some frames.
 pub fn write(folder: &Path) {
-    write_store(&folder.join("a.zarr"), 1, 3, 23);
-    write_store(&folder.join("b.zarr"), 2, 2, 17);
+    // Shares of known vertices from none to all, so that the ranks' counts differ much.
+    let known =
+        |t: usize, offset: usize| (0..N_FIELD).map(|v| u8::from((v + offset) % 7 < (3 * t + offset) % 8)).collect();
+    let partly = |episode: usize, t: usize, frame: &mut Frame| {
+        (frame.force_valid, frame.contact_valid) = (known(t, episode), known(t, episode + 3));
+        frame.validity = if t % 9 == 4 { Validity::TooDeep } else { Validity::Valid };
+    };
+    write_discs(&folder.join("a.zarr"), 1, [3, 23], partly);
+    write_discs(&folder.join("b.zarr"), 2, [2, 17], partly);
 }
 
 /// Returns the configuration of a run on both stores: force and contact of the first, contact alone of the second, which is also
@@ -25,7 +32,9 @@ pub fn config(folder: &Path, out: &str, clips: usize, steps: usize) -> String {
     )
 }
 
-fn write_store(path: &Path, seed: u64, episodes: usize, frames: usize) {
+/// Writes a store with a disc on grey: its quadrant selects the touched vertices, its brightness the force. `change` may change each
+/// frame, whose labels are all known, by its episode and its place in it.
+pub fn write_discs(path: &Path, seed: u64, [episodes, frames]: [usize; 2], change: impl Fn(usize, usize, &mut Frame)) {
     let attributes = Attributes {
         topology: Topology::EgotacHand1,
         sigma: 0.0,
@@ -47,21 +56,18 @@ fn write_store(path: &Path, seed: u64, episodes: usize, frames: usize) {
             });
             let start = 200 * (usize::from(x > 32.0) + 2 * usize::from(y > 32.0));
             let force = (0..N_FIELD).map(|v| if (start..start + 60).contains(&v) { 0.8 * press as f32 } else { 0.0 });
-            // Shares of known vertices from none to all, so that the ranks' counts differ much.
-            let known =
-                |offset: usize| (0..N_FIELD).map(|v| u8::from((v + offset) % 7 < (3 * t + offset) % 8)).collect();
-            writer
-                .push(Frame {
-                    timestamp: 0.04 * t as f64,
-                    camera_ego_rgb: image,
-                    field: TactileField::from_force(Topology::EgotacHand1, force.collect()).unwrap(),
-                    force_valid: known(episode),
-                    contact_valid: known(episode + 3),
-                    validity: if t % 9 == 4 { Validity::TooDeep } else { Validity::Valid },
-                    left_hand_pose: None,
-                    right_hand_pose: None,
-                })
-                .unwrap();
+            let mut frame = Frame {
+                timestamp: 0.04 * t as f64,
+                camera_ego_rgb: image,
+                field: TactileField::from_force(Topology::EgotacHand1, force.collect()).unwrap(),
+                force_valid: vec![1; N_FIELD],
+                contact_valid: vec![1; N_FIELD],
+                validity: Validity::Valid,
+                left_hand_pose: None,
+                right_hand_pose: None,
+            };
+            change(episode, t, &mut frame);
+            writer.push(frame).unwrap();
         }
         writer.end_episode().unwrap();
     }

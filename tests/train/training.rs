@@ -5,62 +5,26 @@ use std::process::{Command, Output};
 
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
+use egotac::dataset::EpisodeReader;
 use egotac::dataset::tensors;
-use egotac::dataset::zarr::{Contact, ZarrReader, ZarrWriter};
-use egotac::dataset::{Attributes, EpisodeReader, EpisodeWriter, Frame};
+use egotac::dataset::zarr::ZarrReader;
 use egotac::hand::Topology;
 use egotac::model::checkpoint::Stored;
 use egotac::model::grow::{Growth, grow};
 use egotac::model::{self, Checkpoint, EgoTac, Predictor, init, predictor};
 use egotac::score::metrics::{EvalOptions, baseline, evaluate};
-use egotac::tactile::{N_FIELD, TactileField, Validity};
+use egotac::tactile::N_FIELD;
 use egotac::train::config::{AugmentConfig, BatchConfig};
 use egotac::train::data::Dataset;
 use egotac::train::source::TrainingSource;
 use egotac::train::{Config, Control, Event, predict, train};
-use image::{Rgb, RgbImage};
 use serde_json::Value;
 
-/// Writes a store with a disc on grey: its quadrant selects the touched vertices, its brightness the force.
+use crate::stores;
+
+/// Writes a store of discs whose labels are all known.
 fn write_store(path: &Path, seed: u64, episodes: usize, frames: usize) {
-    let attributes = Attributes {
-        topology: Topology::EgotacHand1,
-        sigma: 0.0,
-        contact_force: 0.05,
-        producer: "test".into(),
-        version: "1".into(),
-        scene: "disc".into(),
-        seed,
-    };
-    let mut writer = ZarrWriter::create(path, attributes, Contact::Truth, Vec::new()).unwrap();
-    for episode in 0..episodes {
-        for t in 0..frames {
-            let phase = 0.23 * t as f64 + 1.7 * (seed as f64 + 10.0 * episode as f64);
-            let (x, y) = (32.0 + 18.0 * phase.cos(), 32.0 + 18.0 * (1.3 * phase).sin());
-            let press = (0.5 - 0.9 * (0.7 * phase).cos()).clamp(0.0, 1.0);
-            let image = RgbImage::from_fn(64, 64, |px, py| {
-                let inside = (f64::from(px) - x).powi(2) + (f64::from(py) - y).powi(2) < 81.0;
-                if inside { Rgb([(60.0 + 195.0 * press) as u8, 40, 200]) } else { Rgb([110, 110, 110]) }
-            });
-            let quadrant = usize::from(x > 32.0) + 2 * usize::from(y > 32.0);
-            let touched = 200 * quadrant..200 * quadrant + 60;
-            let force = (0..N_FIELD).map(|v| if touched.contains(&v) { 0.8 * press as f32 } else { 0.0 }).collect();
-            writer
-                .push(Frame {
-                    timestamp: 0.04 * t as f64,
-                    camera_ego_rgb: image,
-                    field: TactileField::from_force(Topology::EgotacHand1, force).unwrap(),
-                    force_valid: vec![1; N_FIELD],
-                    contact_valid: vec![1; N_FIELD],
-                    validity: Validity::Valid,
-                    left_hand_pose: None,
-                    right_hand_pose: None,
-                })
-                .unwrap();
-        }
-        writer.end_episode().unwrap();
-    }
-    writer.finish().unwrap();
+    stores::write_discs(path, seed, [episodes, frames], |_, _, _| {});
 }
 
 fn config(folder: &Path, out: &str, steps: usize, extra: &str) -> Config {

@@ -35,6 +35,7 @@ pub mod hard_cases;
 pub mod import;
 pub mod label;
 pub mod model;
+pub mod names;
 #[cfg(all(feature = "ros", feature = "sim"))]
 pub mod node;
 pub mod peer;

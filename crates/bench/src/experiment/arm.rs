@@ -8,6 +8,7 @@ use egotac::train::source::Supervision;
 
 use super::data::{CONTACT_WORLDS, OOD, Stores};
 use super::recording::Layout;
+use crate::names::TRAINED;
 
 /// One condition of an experiment.
 #[derive(Debug, Clone, Copy)]
@@ -111,21 +112,6 @@ impl Test {
 }
 
 impl Experiment {
-    /// Names of all experiments that train.
-    pub const NAMES: [&'static str; 11] = [
-        "sources",
-        "consistency",
-        "sampling",
-        "glove",
-        "history",
-        "separation",
-        "scaling",
-        "ablations",
-        "limits",
-        "motion",
-        "recordings",
-    ];
-
     /// Returns the experiment of this name.
     ///
     /// # Errors
@@ -145,7 +131,7 @@ impl Experiment {
             "limits" => Ok(limits()),
             "motion" => Ok(motion()),
             "recordings" => Ok(recordings()),
-            _ => Err(Error::unknown("experiment", name, Self::NAMES)),
+            _ => Err(Error::unknown("experiment", name, TRAINED)),
         }
     }
 }
@@ -408,7 +394,7 @@ mod tests {
 
     #[test]
     fn names_are_known_and_others_are_refused_with_the_list() {
-        for name in Experiment::NAMES {
+        for name in TRAINED {
             let experiment = Experiment::by_name(name).unwrap();
             assert_eq!(experiment.name, name);
             assert!(experiment.arms.len() > 1 && !experiment.tests.is_empty());

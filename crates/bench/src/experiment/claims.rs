@@ -210,8 +210,11 @@ fn attention(share: &AttentionShare, results: &Results) -> Result<(String, Verdi
 
 /// Lists the tables that are there.
 fn links(folder: &Path, claims: &[Claim]) -> String {
-    let mut names: Vec<&str> =
-        claims.iter().map(|claim| claim.experiment.as_str()).chain(["limits", "policy", "recordings"]).collect();
+    let mut names: Vec<&str> = claims
+        .iter()
+        .map(|claim| claim.experiment.as_str())
+        .chain(["limits", "motion", "policy", "recordings", "reuse"])
+        .collect();
     names.sort_unstable();
     names.dedup();
     let there = names.iter().filter(|name| folder.join(format!("{name}.md")).exists());
@@ -230,7 +233,8 @@ fn links(folder: &Path, claims: &[Claim]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::{Experiment, MEASUREMENTS};
+    use crate::experiment::Experiment;
+    use crate::names::MEASURED;
 
     fn claims() -> Vec<Claim> {
         serde_yaml::from_str(CLAIMS).unwrap()
@@ -240,7 +244,7 @@ mod tests {
     fn claims_name_experiments_arms_and_tests_that_exist() {
         for claim in claims() {
             assert!(!claim.comparisons.is_empty() || !claim.shares.is_empty(), "{}", claim.claim);
-            if MEASUREMENTS.contains(&claim.experiment.as_str()) {
+            if MEASURED.contains(&claim.experiment.as_str()) {
                 continue;
             }
             let experiment = Experiment::by_name(&claim.experiment).unwrap();
