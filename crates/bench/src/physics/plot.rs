@@ -22,7 +22,7 @@ pub struct Plot {
 struct Point {
     condition: Disturbance,
     net_error: [f64; 2],
-    link_error: [f64; 2],
+    link_error: [Option<f64>; 2],
     coverage: [Option<f64>; 3],
 }
 
@@ -38,7 +38,7 @@ impl Figure for Plot {
         let parts = plot::head(root, "Forces from motion against the noise of poses", &keys)?.split_evenly((1, 3));
         self.panel(&parts[0], "Net force", "median error, N", |point| Some(point.net_error[0]))?;
         self.panel(&parts[1], "Force of links", "mean error / mean force", |point| {
-            Some(point.link_error[0] / point.link_error[1])
+            Some(point.link_error[0]? / point.link_error[1]?)
         })?;
         self.panel(&parts[2], "Truth inside the 90 % interval", "share of links", |point| point.coverage[0])?;
         root.present()?;

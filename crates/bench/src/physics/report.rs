@@ -112,7 +112,10 @@ fn table<'a>(text: &mut String, first: &str, rows: impl Iterator<Item = (String,
         let [in_time, fast, missed] = score.net_touched.map(percent);
         let [median, tail] = score.net_error;
         let [moment, moment_tail] = score.moment_error.map(|error| 1e3 * error);
-        let [error, mean] = score.link_error;
+        let links = match score.link_error {
+            [error, _] if error.is_nan() => "–".to_string(),
+            [error, mean] => format!("{error:.3} of {mean:.2}"),
+        };
         let [all, determined, other] = score.coverage.map(percent);
         let relative = match score.determined {
             0 => "–".to_string(),
@@ -123,11 +126,11 @@ fn table<'a>(text: &mut String, first: &str, rows: impl Iterator<Item = (String,
         put(
             text,
             format_args!(
-                "| {name} | {} | {in_time}, {fast}, {missed} | {} | {median:.3}, {tail:.3} | {moment:.1}, {moment_tail:.1} | {relative} | {error:.3} of {mean:.2} | {all}, {determined}, {other} | {} | {} | {:.2} |",
+                "| {name} | {} | {in_time}, {fast}, {missed} | {} | {median:.3}, {tail:.3} | {moment:.1}, {moment_tail:.1} | {relative} | {links} | {all}, {determined}, {other} | {} | {} | {:.2} |",
                 percent(score.net_within),
                 percent(score.net_shown),
                 percent(score.wrongly_flagged),
-                percent(score.unknown.values().sum()),
+                percent(score.unknown.values().fold(0.0, |sum, share| sum + share)),
                 score.milliseconds
             ),
         );

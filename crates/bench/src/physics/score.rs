@@ -154,7 +154,7 @@ pub struct Score {
     pub determined: usize,
     /// Median relative error of their normal force, and share within 10 % + 0.05 N.
     pub determined_error: [f64; 2],
-    /// Mean absolute error of the normal force of all touched links, N, and their mean force, N.
+    /// Mean absolute error of the normal force of all touched links, N, and their mean force, N; NaN without such links.
     pub link_error: [f64; 2],
     /// Share of true forces inside the 90 % interval: all touched links, those that are determined, and the others.
     pub coverage: [f64; 3],
@@ -320,7 +320,7 @@ impl Sums {
             let links = self.links.iter().filter(|link| of(link));
             share(links.clone().filter(|link| link.inside()).count(), links.count())
         };
-        let mean = |value: &dyn Fn(&&Link) -> f64| touched.iter().map(value).sum::<f64>() / touched.len().max(1) as f64;
+        let mean = |value: &dyn Fn(&&Link) -> f64| touched.iter().map(value).sum::<f64>() / touched.len() as f64;
         Score {
             condition,
             net_within: share(within, self.nets.len()),
