@@ -14,6 +14,7 @@ mod mano;
 mod mesh;
 mod pose_basis;
 mod region;
+mod strength;
 mod topology;
 mod transfer;
 
@@ -31,6 +32,7 @@ pub(crate) use fit::{FitCosts, refine};
 pub use mesh::{edges, vertex_areas, vertex_normals};
 pub use pose_basis::PoseBasis;
 pub use region::Region;
+pub use strength::{FINGER_LIMIT, PALM_LIMIT, link_limit};
 pub use topology::Topology;
 pub use transfer::{HandMap, Transfer};
 

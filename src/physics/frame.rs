@@ -11,8 +11,9 @@ use super::contacts::Contact;
 use super::draw::Draw;
 use super::motion::Kinematics;
 use super::patch::Pusher;
-use super::settings::{Settings, link_limit};
+use super::settings::Settings;
 use super::solve::{Point, remaining_variance, solve};
+use crate::hand::link_limit;
 
 /// Probability below which a contact is left out.
 const LEAST_PROBABILITY: f64 = 0.03;

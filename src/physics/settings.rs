@@ -1,7 +1,5 @@
 //! Settings of the estimation: how people grip, and how far geometry is trusted.
 
-use crate::hand::N_JOINTS;
-
 /// Settings of the estimation.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Settings {
@@ -56,12 +54,4 @@ impl Default for Settings {
             refine: false,
         }
     }
-}
-
-/// Returns the largest normal force that a link of a human hand bears, N: a strong pinch is 70 to 100 N.
-pub fn link_limit(link: usize) -> f64 {
-    const FINGER: f64 = 80.0;
-    const PALM: f64 = 250.0;
-    debug_assert!(link < N_JOINTS);
-    if link == 0 { PALM } else { FINGER }
 }

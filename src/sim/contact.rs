@@ -4,6 +4,7 @@ use glam::{DVec3, Vec3};
 
 use crate::error::Result;
 use crate::geometry::{ForceSpreader, LinkContact};
+use crate::hand::{N_JOINTS, link_limit};
 use crate::mujoco::World;
 use crate::mujoco::world::Body;
 
@@ -18,10 +19,19 @@ pub struct HandForce {
     pub sum_residual: f64,
     /// Magnitude of the moment that spreading adds, N m.
     pub moment_residual: f64,
+    /// Normal force on each link, N.
+    pub links: [f64; N_JOINTS],
     /// Number of contact points with force.
     pub contacts: usize,
     /// Positions of the contact points in the world frame, m.
     pub places: Vec<DVec3>,
+}
+
+impl HandForce {
+    /// Returns true if a link bears more than that of a human hand can.
+    pub fn is_too_strong(&self) -> bool {
+        self.links.iter().enumerate().any(|(link, force)| *force > link_limit(link))
+    }
 }
 
 /// Computes label (c) of one hand from all contacts of its `links`; a contact between two links of the hand counts on
@@ -36,8 +46,10 @@ pub fn hand_force(world: &World, links: &[Body], vertices: &[Vec3], spreader: &F
     let label = spreader.spread(vertices, &contacts)?;
     let (sum_residual, moment_residual) = (label.sum_residual(), label.moment_residual.length());
     let places: Vec<DVec3> = contacts.iter().map(|contact| contact.position).collect();
+    let mut on_links = [0.0; N_JOINTS];
+    contacts.iter().for_each(|contact| on_links[contact.link] += contact.force);
     let (force, total) = (label.force, label.total);
-    Ok(HandForce { force, total, sum_residual, moment_residual, contacts: places.len(), places })
+    Ok(HandForce { force, total, sum_residual, moment_residual, links: on_links, contacts: places.len(), places })
 }
 
 /// Computes the (778) sliding speed of touching surfaces, m/s: at each vertex the mean over contacts, weighted by the

@@ -33,11 +33,13 @@ pub enum Validity {
     Creeping = 9,
     /// A friction force is outside of its cone.
     OutsideCone = 10,
+    /// A force on a link is beyond that of a human hand.
+    TooStrong = 11,
 }
 
 impl Validity {
     /// All kinds, in the order of their codes.
-    pub const ALL: [Validity; 11] = [
+    pub const ALL: [Validity; 12] = [
         Self::Valid,
         Self::EngineWarning,
         Self::NotFinite,
@@ -49,6 +51,7 @@ impl Validity {
         Self::MemoryFull,
         Self::Creeping,
         Self::OutsideCone,
+        Self::TooStrong,
     ];
 
     /// Returns the code of stores and messages; 0 is valid.
@@ -70,6 +73,7 @@ impl Validity {
             Self::MemoryFull => "the engine's memory for contacts is nearly full",
             Self::Creeping => "a held object slips slowly",
             Self::OutsideCone => "friction is beyond its cone",
+            Self::TooStrong => "a force is beyond that of a human hand",
         }
     }
 }

@@ -15,7 +15,7 @@ use super::object::Object;
 use super::photo::PhotoDraw;
 use super::range::UniformRange;
 use super::rig::{HandRig, Hinge, HingeMotion, base_joint};
-use super::scene::{ActSpec, HandSite, HandSpec, ObjectSpec, Scene, SceneSpec, ShapeSpec, SideSpec};
+use super::scene::{ActSpec, HandSite, HandSpec, ObjectSpec, Scene, SceneSpec, ShapeSpec, SideSpec, holding_force};
 use super::timeline::Timeline;
 use crate::error::{Error, Result};
 use crate::hand::Side;
@@ -350,8 +350,7 @@ fn draw_goals(
     local: impl Fn([f64; 3]) -> DVec3,
     rng: &mut impl Rng,
 ) -> Result<Vec<ContactGoal>> {
-    // Two opposite sides hold a weight m g if each presses with m g / 2 mu.
-    let holding = object.mass * 9.81 / (2.0 * object.friction) * act.grip.sample(rng);
+    let holding = holding_force(object.mass, object.friction) * act.grip.sample(rng);
     let mut goals = Vec::new();
     for (site, contact) in &act.contacts {
         let at = local(contact.at);

@@ -11,6 +11,7 @@ pub use options::RolloutOptions;
 
 use std::sync::Arc;
 
+use super::contact::HandForce;
 use super::driver::TargetObject;
 use super::effect::{Effect, EffectSet};
 use super::frame::{ObjectPose, SimFrame};
@@ -266,6 +267,8 @@ impl Rollout {
             self.objects.iter_mut().try_for_each(|object| object.refresh(&self.world))?;
         }
         let labels = self.labeller.label(&self.world, &self.hands, &self.objects, lost)?;
+        let is_too_strong = labels.forces.iter().flatten().any(HandForce::is_too_strong);
+        let validity = if validity == Validity::Valid && is_too_strong { Validity::TooStrong } else { validity };
         let (picture, depth) = match lost {
             true => (self.camera.blank(), None),
             false => self.camera.shoot(&mut self.world, &self.hands)?,

@@ -7,9 +7,10 @@ use serde::{Deserialize, Serialize};
 use super::limits::{within, zero};
 use super::object::ObjectSpec;
 use crate::error::{Error, Result};
+use crate::hand::{FINGER_LIMIT, PALM_LIMIT};
 use crate::sim::range::UniformRange;
 
-/// Largest force of a contact goal, N: far above what a hand can exert.
+/// Largest force of a contact goal, N: a bound on numbers; [`ActSpec::check`] knows the strength of hands.
 const MAX_FORCE: f64 = 1000.0;
 /// Largest displacement of a hand, m: beyond the table's edge.
 const MAX_DISPLACEMENT: f64 = 1.0;
@@ -78,7 +79,17 @@ pub enum HandSite {
     Palm,
 }
 
+/// Returns the force with which each of two opposite sides holds a weight at rest, N.
+pub(crate) fn holding_force(mass: f64, friction: f64) -> f64 {
+    mass * 9.81 / (2.0 * friction)
+}
+
 impl HandSite {
+    /// Returns the largest force that the part of a human hand exerts, N.
+    fn limit(self) -> f64 {
+        if self == Self::Palm { PALM_LIMIT } else { FINGER_LIMIT }
+    }
+
     /// The five fingers in anatomical order.
     pub const FINGERS: [HandSite; 5] =
         [HandSite::Thumb, HandSite::Index, HandSite::Middle, HandSite::Ring, HandSite::Little];
@@ -172,9 +183,9 @@ impl ActSpec {
 
     /// Checks ranges and names; `key` names the act in errors.
     pub(super) fn check(&self, key: &str, objects: &[ObjectSpec]) -> Result<()> {
-        if !objects.iter().any(|object| object.name == self.object) {
+        let Some(object) = objects.iter().find(|object| object.name == self.object) else {
             return Err(Error::unknown("object", &self.object, objects.iter().map(|o| o.name.as_str())));
-        }
+        };
         let directions = [("fingers", self.fingers), ("palm", self.palm), ("from", self.from)];
         let goals = self.contacts.values().map(|contact| ("contacts.at", contact.at));
         for (name, [x, y, z]) in directions.into_iter().chain(goals) {
@@ -204,6 +215,7 @@ impl ActSpec {
                 return Err(Error::value(format!("{key}.share"), "0 to 1", contact.share));
             }
         }
+        self.check_strength(key, object)?;
         self.check_wrap(key)?;
         let Channels { standoff, opening, squeeze, shift, twist, wrap } = self.start;
         let start = PhaseSpec {
@@ -218,6 +230,22 @@ impl ActSpec {
         };
         start.check(&format!("{key}.start"))?;
         self.script.iter().enumerate().try_for_each(|(i, phase)| phase.check(&format!("{key}.script[{i}]")))
+    }
+
+    /// Refuses a grip that no human hand can exert in any draw. Single draws beyond it are flagged in their frames.
+    fn check_strength(&self, key: &str, object: &ObjectSpec) -> Result<()> {
+        let (mass, friction, grip) = (object.mass.low(), object.friction.high(), self.grip.low());
+        let hold = holding_force(mass, friction) * grip;
+        for (site, contact) in &self.contacts {
+            let (least, most) = (contact.force.low() + contact.share * hold, site.limit());
+            if least > most {
+                let key = format!("{key}.contacts.{site:?}").to_lowercase();
+                let expected = format!("at most {most} N, the limit of a human hand");
+                let got = format!("at least {least:.0} N: {grip} times what holds {mass} kg at friction {friction}");
+                return Err(Error::value(key, expected, got));
+            }
+        }
+        Ok(())
     }
 
     fn check_wrap(&self, key: &str) -> Result<()> {

@@ -12,6 +12,7 @@ mod split;
 
 use std::path::Path;
 
+pub(crate) use act::holding_force;
 pub use act::{ActSpec, Channels, ContactSpec, HandSite, PhaseSpec, WrapSpec};
 pub use effect_plan::EffectPlan;
 pub use look::{HandLook, LookSpec, LookStyle, TablePattern};

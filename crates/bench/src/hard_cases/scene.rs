@@ -2,9 +2,12 @@
 
 use std::path::Path;
 
-use egotac::error::Result;
+use egotac::error::{Error, Result};
+use egotac::hand::FINGER_LIMIT;
 use egotac::sim::{Rollout, RolloutOptions, Scene};
 use egotac::tactile::Validity;
+use egotac::text::parse_yaml;
+use serde::de::DeserializeOwned;
 
 use super::{Family, HardCase, Outcome};
 
@@ -18,6 +21,18 @@ pub(super) const CASES: &[HardCase] = &[
         object_of(10.0, 1000.0, Good { edge: 0.06, mass: 0.1 })
     }),
     FAMILY.case("far_away", "a cube a thousand kilometres away", "a cube on the table", far_away),
+    FAMILY.case(
+        "grip_of_182_N",
+        "a cube of 0.93 kg with a friction of 0.05 is pinched with twice the force that holds it: 182 N at each finger",
+        "a cube of 50 g with a friction of 0.9",
+        pinch,
+    ),
+    FAMILY.case(
+        "squeeze_of_160_N",
+        "a cube is pinched with 40 to 160 N at each finger: some draws are beyond a human hand",
+        "0.5 to 2 N",
+        squeeze,
+    ),
     FAMILY.case("camera_looks_at_itself", "the camera's eye is where it looks", "an eye apart from it", camera),
 ];
 
@@ -66,6 +81,57 @@ fn outcome(as_written: Result<(f64, String)>, remedied: Result<(f64, String)>) -
 
 fn object_of(edge: f64, mass: f64, good: Good) -> Result<Outcome> {
     Ok(outcome(rest(edge, mass, 0.0, ""), rest(good.edge, good.mass, 0.0, "")))
+}
+
+/// Returns the scene `pinch_cube` with a cube of this mass and friction, and a further force at each finger, N.
+fn pinch_scene(mass: f64, friction: f64, force: [f64; 2]) -> Result<Scene> {
+    let mut spec = Scene::load("pinch_cube")?.spec;
+    spec.objects[0].mass = range([mass; 2])?;
+    spec.objects[0].friction = range([friction; 2])?;
+    if let Some(act) = &mut spec.hands[0].act {
+        act.grip = range([2.0; 2])?;
+        for contact in act.contacts.values_mut() {
+            contact.force = range(force)?;
+        }
+    }
+    Scene::checked("pinch", spec)
+}
+
+/// Returns a range of numbers, as scene files have them.
+fn range<T: DeserializeOwned>(ends: [f64; 2]) -> Result<T> {
+    parse_yaml(&format!("{ends:?}")).map_err(|error| Error::value("range", "two numbers", error))
+}
+
+/// Returns the largest force on a finger's link beyond that of a human hand, N, and the first report of a guard.
+fn beyond_a_hand(scene: &Scene, seed: u64) -> Result<(f64, String)> {
+    let options = RolloutOptions { picture: None, ..RolloutOptions::default() };
+    let mut rollout = Rollout::new(scene, seed, &options)?;
+    let (mut beyond, mut report) = (0.0f64, String::new());
+    while let Some(frame) = rollout.next_frame()? {
+        let links = frame.hands.iter().flatten().flat_map(|hand| hand.links.into_iter().skip(1));
+        beyond = links.fold(beyond, |beyond, force| beyond.max(force - FINGER_LIMIT));
+        if frame.frame.validity != Validity::Valid && report.is_empty() {
+            report = frame.frame.validity.reason().to_owned();
+        }
+    }
+    Ok((beyond, report))
+}
+
+fn strength(as_written: Result<(f64, String)>, remedied: Result<(f64, String)>) -> Outcome {
+    let outcome = outcome(as_written, remedied);
+    Outcome { error_of: "force on a finger's link beyond 80 N, N", tolerance: 0.0, ..outcome }
+}
+
+fn pinch() -> Result<Outcome> {
+    let run = |mass: f64, friction: f64| beyond_a_hand(&pinch_scene(mass, friction, [0.4, 1.2])?, 0);
+    Ok(strength(run(0.93, 0.05), run(0.05, 0.9)))
+}
+
+fn squeeze() -> Result<Outcome> {
+    /// A draw beyond the limit.
+    const SEED: u64 = 1;
+    let run = |most: f64| beyond_a_hand(&pinch_scene(0.05, 0.9, [most / 4.0, most])?, SEED);
+    Ok(strength(run(160.0), run(2.0)))
 }
 
 fn far_away() -> Result<Outcome> {
