@@ -9,12 +9,13 @@ use egotac::file;
 use egotac::image::resize;
 use egotac::machine::Machine;
 use egotac::model::{EgoTac, Metadata, checkpoint};
+use egotac::render::font::{self, Align};
 use egotac::render::heat;
 use egotac::sim::scene::Split;
 use egotac::sim::{Rollout, RolloutOptions, SHIPPED, Scene, SimFrame};
 use egotac::tactile::CONTACT_FORCE_N;
 use egotac::text::put;
-use image::{RgbImage, imageops};
+use image::{Rgb, RgbImage, imageops};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -29,8 +30,8 @@ use super::{Progress, Setup, Size};
 const STRIDE: usize = 5;
 /// Resamples of an interval.
 const RESAMPLES: usize = 1000;
-/// Side of a picture of the figure, pixels.
-const FIGURE_SIDE: u32 = 280;
+/// Side of a picture of the figure, gap between two, and height of the headings above them, pixels.
+const FIGURE: [u32; 3] = [280, 8, 72];
 /// Examples of each world in the figure.
 const EXAMPLES: usize = 2;
 /// Regions, in the order of [`Sample`]'s arrays.
@@ -101,6 +102,7 @@ struct Sample {
 
 /// Picture with the attention of both layers, for the figure.
 struct Example {
+    scene: String,
     picture: RgbImage,
     weights: [Vec<f32>; 2],
 }
@@ -118,8 +120,7 @@ pub fn run(setup: &Setup, command: String, out: &Path, progress: &mut dyn FnMut(
     let all: usize = sets.iter().map(|(_, scenes)| scenes.len() * setup.size.held_out).sum();
     let (mut worlds, mut examples, mut done) = (Vec::new(), Vec::new(), 0);
     for (name, scenes) in &sets {
-        let mut episodes = Vec::new();
-        let first_example = examples.len();
+        let (mut episodes, mut found) = (Vec::new(), Vec::new());
         for scene in scenes {
             for episode in 0..setup.size.held_out {
                 progress(Progress::Measured(done, all));
@@ -129,11 +130,12 @@ pub fn run(setup: &Setup, command: String, out: &Path, progress: &mut dyn FnMut(
                 if !samples.is_empty() {
                     episodes.push(samples);
                 }
-                if examples.len() - first_example < EXAMPLES {
-                    examples.extend(example);
-                }
+                // One of each scene, so that the figure shows different ones.
+                found.extend(example.filter(|_| episode == 0));
             }
         }
+        let step = found.len().div_ceil(EXAMPLES).max(1);
+        examples.extend(found.into_iter().step_by(step));
         worlds.push(world(name, &episodes));
     }
     progress(Progress::Measured(all, all));
@@ -179,7 +181,7 @@ fn episode_samples(
         samples.push(sample(&rollout, &frame, config.grid(), config.image, &weights));
         let force: f32 = frame.frame.field.force.iter().filter(|force| !force.is_nan()).sum();
         if example.as_ref().is_none_or(|(most, _)| force > *most) {
-            example = Some((force, Example { picture: pictures[newest].clone(), weights }));
+            example = Some((force, Example { scene: scene.into(), picture: pictures[newest].clone(), weights }));
         }
     }
     Ok((samples, example.map(|(_, example)| example)))
@@ -268,18 +270,28 @@ fn world(name: &'static str, episodes: &[Vec<Sample>]) -> World {
 
 /// Writes a figure: one row per example with the picture, and the attention of both layers over it.
 fn write_figure(path: &Path, examples: &[Example], model: &EgoTac, metadata: &Metadata) -> Result<()> {
-    let (side, config) = (FIGURE_SIDE, model.config());
-    let mut figure = RgbImage::new(3 * side, side * examples.len().max(1) as u32);
-    for (row, example) in examples.iter().enumerate() {
+    const BLACK: Rgb<u8> = Rgb([0; 3]);
+    const WHITE: Rgb<u8> = Rgb([255; 3]);
+    let ([side, gap, head], config) = (FIGURE, model.config());
+    let [width, height] = [3, examples.len().max(1) as u32].map(|count| count * (side + gap) - gap);
+    let mut figure = RgbImage::from_pixel(width, head + height, WHITE);
+    font::draw(&mut figure, "Attention on a frame with touch", (0, 4), 22.0, BLACK, Align::Left);
+    let titles = ["picture", "attention of the temporal token", "of CLS, last encoder layer"];
+    for (column, title) in (0..).zip(titles) {
+        font::draw(&mut figure, title, (column * (side + gap) as i32, 44), 17.0, BLACK, Align::Left);
+    }
+    for (row, example) in (0..).zip(examples) {
         let square = resize(&example.picture, config.image, metadata.resize, metadata.filter)?;
+        let top = head + row * (side + gap);
         let mut put = |column: u32, picture: &RgbImage| {
-            imageops::replace(&mut figure, picture, i64::from(column * side), i64::from(row as u32 * side));
+            imageops::replace(&mut figure, picture, i64::from(column * (side + gap)), i64::from(top));
         };
         put(0, &imageops::resize(&square, side, side, imageops::FilterType::Triangle));
         for (column, weights) in (1..).zip(&example.weights) {
             let largest = weights.iter().copied().fold(0.0, f32::max);
             put(column, &heat::overlay(&square, weights, config.grid() as u32, largest, side));
         }
+        font::draw_on(&mut figure, &example.scene, (8, top as i32 + 6), 17.0, [BLACK, WHITE], Align::Left);
     }
     file::write_png(path, &figure)
 }
