@@ -1,6 +1,7 @@
 //! Touch from a stream of images, one encoder pass per image.
 
 mod batch;
+mod reuse;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -16,6 +17,7 @@ use crate::error::{Error, Result};
 use crate::hand::{FieldMap, N_KEYPOINTS, Side, Topology};
 use crate::image::{Preparation, Resize};
 use crate::tactile::{Certainty, TactileField};
+use reuse::Reuse;
 
 /// Frames kept per observation step, at most. Bounds the memory under a camera much faster than `frame_dt`.
 const KEPT_PER_STEP: usize = 8;
@@ -38,6 +40,9 @@ pub struct Options {
     pub familiarity_threshold: Option<f32>,
     /// Presence of a hand below which its touch is unknown, 0 to 1. None = the checkpoint's threshold.
     pub presence_threshold: Option<f32>,
+    /// Mean absolute change of a patch, grey levels of 8 bits: an image none of whose patches differs more from the last encoded one
+    /// takes its tokens, which saves the encoder's time. 0 = every image is encoded.
+    pub reuse_below: f32,
 }
 
 impl Default for Options {
@@ -51,6 +56,7 @@ impl Default for Options {
             unknown: Unknown::default(),
             familiarity_threshold: None,
             presence_threshold: None,
+            reuse_below: 0.0,
         }
     }
 }
@@ -71,6 +77,8 @@ pub struct Prediction {
     pub warming_up: bool,
     /// True if this image started a new stream: the first one, a jump back in time, or an interval that is too long.
     pub restarted: bool,
+    /// True if the image was not encoded, but took the tokens of an earlier one; see [`Options::reuse_below`].
+    pub reused: bool,
 }
 
 impl Prediction {
@@ -121,6 +129,7 @@ pub struct Predictor {
     /// Conversion of pictures that replaces the checkpoint's.
     other_view: Option<Resize>,
     frames: Vec<CachedFrame>, // oldest first, stamps strictly increasing
+    reuse: Reuse,
     /// MANO files whose vertices the fields are carried over to; None = the checkpoint's topology.
     mano: Option<Arc<FieldMap>>,
 }
@@ -154,11 +163,12 @@ impl Predictor {
         doubt.familiarity = options.familiarity_threshold.unwrap_or(doubt.familiarity);
         doubt.presence = options.presence_threshold.unwrap_or(doubt.presence);
         doubt.check()?;
-        let Options { device, unknown, view, .. } = options;
+        let Options { device, unknown, view, reuse_below, .. } = options;
+        let reuse = Reuse::new(reuse_below)?;
         let own = checkpoint.metadata.resize;
         let other_view = view.resize().filter(|resize| *resize != own);
         checkpoint.metadata.resize = other_view.unwrap_or(own);
-        Ok(Self { checkpoint, device, max_gap_secs, unknown, other_view, frames: Vec::new(), mano: None })
+        Ok(Self { checkpoint, device, max_gap_secs, unknown, other_view, frames: Vec::new(), reuse, mano: None })
     }
 
     /// Returns the predictor with the output of the force head as force, also where no force ever trained it; otherwise such
@@ -251,7 +261,8 @@ impl Predictor {
         self.frames.len()
     }
 
-    /// Stamps of the frames kept now, s, oldest first. Pushing these frames again after a reset restores the stream.
+    /// Stamps of the frames kept now, s, oldest first. Pushing these frames again after a reset restores the stream, if every image
+    /// is encoded.
     pub fn kept_stamps(&self) -> impl Iterator<Item = f64> {
         self.frames.iter().map(|frame| frame.stamp_secs)
     }
@@ -259,6 +270,7 @@ impl Predictor {
     /// Drops all frames: the next image starts a new stream.
     pub fn reset(&mut self) {
         self.frames.clear();
+        self.reuse.forget();
     }
 
     /// Predicts touch at the instant of `image`.
@@ -281,10 +293,21 @@ impl Predictor {
     /// As [`Predictor::push`], and if the input has another size.
     pub fn push_prepared(&mut self, input: Vec<f32>, stamp_secs: f64) -> Result<Prediction> {
         self.check(&input, stamp_secs)?;
+        if let Some(tokens) = self.reusable(&input) {
+            let prediction = self.push_encoded(&tokens, stamp_secs)?;
+            return Ok(Prediction { reused: true, ..prediction });
+        }
         let side = self.config().image;
-        let input = Tensor::from_vec(input, (1, 3, side, side), &self.device)?;
-        let encoded = self.model().frame_tokens(&input)?;
-        self.push_encoded(encoded, stamp_secs)
+        let image = Tensor::from_slice(&input, (1, 3, side, side), &self.device)?;
+        let encoded = Arc::new(self.model().frame_tokens(&image)?);
+        let prediction = self.push_encoded(&encoded, stamp_secs)?;
+        self.reuse.keep(&input, &encoded);
+        Ok(prediction)
+    }
+
+    /// Returns the tokens of the last encoded image if `input` hardly differs from it.
+    fn reusable(&self, input: &[f32]) -> Option<Arc<FrameTokens>> {
+        self.reuse.tokens(input, self.config(), self.metadata().std)
     }
 
     /// Checks a prepared image, `(3, side, side)`, and its stamp.
@@ -300,9 +323,9 @@ impl Predictor {
     }
 
     /// Predicts touch at the instant of an encoded image; the end of [`Predictor::push_prepared`].
-    fn push_encoded(&mut self, encoded: FrameTokens, stamp_secs: f64) -> Result<Prediction> {
+    fn push_encoded(&mut self, encoded: &FrameTokens, stamp_secs: f64) -> Result<Prediction> {
         let (mut certainty, hands) = self.judge(&encoded.encoded);
-        let tokens = encoded.projected;
+        let tokens = encoded.projected.clone();
 
         // A copy of the list (the tokens are shared) that replaces it only on success.
         let restarted = self.restarts_at(stamp_secs);
@@ -325,7 +348,7 @@ impl Predictor {
         };
         let warming_up = window::is_warming_up(&stamps, horizon, frame_dt);
         self.frames = frames;
-        Ok(Prediction { stamp_secs, field, certainty, hands, warming_up, restarted })
+        Ok(Prediction { stamp_secs, field, certainty, hands, warming_up, restarted, reused: false })
     }
 
     /// Judges a frame by its tokens, `(P, dv)`.

@@ -11,6 +11,10 @@ const DT: f64 = 0.04;
 
 /// A toy network with random weights; none has its initial value of zero.
 fn predictor(has_force: bool, config: &Config) -> Predictor {
+    predictor_with(has_force, config, Options::default())
+}
+
+fn predictor_with(has_force: bool, config: &Config, options: Options) -> Predictor {
     let vars = VarMap::new();
     EgoTac::new(config, init::var_builder(&vars, 11, &Device::Cpu)).unwrap();
     for (name, var) in vars.data().lock().unwrap().iter() {
@@ -23,7 +27,7 @@ fn predictor(has_force: bool, config: &Config) -> Predictor {
     let path = folder.path().join("toy.safetensors");
     let metadata = Metadata { has_force, ..Metadata::new("toy", 0.7, DT) };
     Checkpoint::save(&path, config, &metadata, &vars).unwrap();
-    Predictor::load(&path, Options::default()).unwrap()
+    Predictor::load(&path, options).unwrap()
 }
 
 fn frame(i: usize) -> RgbImage {
@@ -214,4 +218,49 @@ fn an_image_that_fails_leaves_the_other_streams_of_its_batch_untouched() {
     assert_eq!(results[2].as_ref().unwrap(), &want);
     assert_eq!(streams.map(|stream| stream.cached_frames()), [0, 0, 1]);
     assert_eq!(Predictor::push_together(Vec::new()).len(), 0);
+}
+
+/// Returns [`frame`] with one patch of the network's input brighter by this many grey levels.
+fn brighter(i: usize, levels: u8) -> RgbImage {
+    let mut image = RgbImage::from_fn(56, 56, |x, y| Rgb(frame(i).get_pixel(x, y).0.map(|value| value.min(200))));
+    (0..14)
+        .for_each(|y| (0..14).for_each(|x| image.get_pixel_mut(x, y).0.iter_mut().for_each(|value| *value += levels)));
+    image
+}
+
+#[test]
+fn images_that_hardly_change_take_the_tokens_of_the_last_encoded_one() {
+    let config = Config { image: 56, ..Config::toy() };
+    let options = Options { reuse_below: 3.5, ..Options::default() };
+    let mut network = predictor_with(true, &config, options.clone());
+    // 2 and 3 levels beside the first image are too little, 4 are not; then 7 is 3 beside the fourth.
+    for (k, (levels, reused)) in
+        [(0, false), (2, true), (3, true), (4, false), (7, true), (0, false)].into_iter().enumerate()
+    {
+        let prediction = network.push(&brighter(0, levels), DT * k as f64).unwrap();
+        assert_eq!(prediction.reused, reused, "{levels} levels");
+        let same =
+            |levels: u8| predictor_with(true, &config, Options::default()).push(&brighter(0, levels), 0.0).unwrap();
+        if k < 3 {
+            // Windows of equal tokens only.
+            assert_close(&prediction.field.force, &same(0).field.force);
+        }
+    }
+    network.reset();
+    assert!(!network.push(&brighter(0, 0), 0.0).unwrap().reused, "nothing is left of a stream before a reset");
+    // In a batch of streams each compares with its own images.
+    let mut streams = [0, 1, 2].map(|_| network.another_stream());
+    for (round, expected) in [[false; 3], [true, false, true]].into_iter().enumerate() {
+        let inputs = [0, 1, 2].map(|i| if (round, i) == (1, 1) { 9 } else { i });
+        let prepared = inputs.map(|i| network.metadata().preparation(network.config()).apply(&brighter(i, 0)).unwrap());
+        let images = streams.iter_mut().zip(prepared).map(|(stream, input)| (stream, input, DT * round as f64));
+        let results: Vec<bool> =
+            Predictor::push_together(images.collect()).into_iter().map(|r| r.unwrap().reused).collect();
+        assert_eq!(results, expected);
+    }
+    for below in [-1.0, f32::NAN] {
+        let options = Options { reuse_below: below, ..options.clone() };
+        let error = Predictor::load(&egotac::model::shipped::path().unwrap(), options).unwrap_err().to_string();
+        assert!(error.contains("reuse_below"), "{error}");
+    }
 }

@@ -9,7 +9,7 @@ use egotac::score::verify::picture;
 use serde::Deserialize;
 use serde_json::Value;
 
-use crate::experiment::{decline, plot as bars};
+use crate::experiment::{decline, plot as bars, reuse};
 use crate::model::sweep::ModelReport;
 use crate::physics::determined::Determined;
 use crate::sim::table::SimReport;
@@ -23,6 +23,7 @@ enum Plots {
     Physics(physics::plot::Plot),
     Retarget(retarget::plot::Plot),
     Decline(decline::Plot),
+    Reuse(reuse::Plot),
     Bars(bars::Plot),
     Verify(picture::Plot),
 }
@@ -56,6 +57,7 @@ impl Plots {
             ["egotac", "bench", "physics"] => Self::Physics(Deserialize::deserialize(json)?),
             ["egotac", "bench", "retarget"] => Self::Retarget(Deserialize::deserialize(json)?),
             ["egotac", "experiment", "decline"] => Self::Decline(decline::Plot(json.clone())),
+            ["egotac", "experiment", "reuse"] => Self::Reuse(Deserialize::deserialize(json)?),
             ["egotac", "experiment", name] if name != "attention" && name != "policy" => {
                 Self::Bars(bars::Plot::new(json))
             }
@@ -76,6 +78,7 @@ impl Plots {
             }
             Self::Retarget(plot) => draw.draw(name, plot),
             Self::Decline(plot) => draw.draw(name, plot),
+            Self::Reuse(plot) => draw.draw(name, plot),
             Self::Bars(plot) => draw.draw(name, plot),
             Self::Verify(plot) => draw.draw(name, plot),
         }

@@ -128,6 +128,20 @@ fn a_finished_network_is_measured_against_worse_pictures_and_other_sensors() {
 }
 
 #[test]
+fn images_that_hardly_change_are_not_encoded() {
+    let folder = tempfile::tempdir().unwrap();
+    let (text, report) = done("reuse", &folder.path().join("work"), folder.path());
+    let rows = report["rows"].as_array().unwrap();
+    let encoded: Vec<f64> = rows.iter().map(|row| row["encoded"].as_f64().unwrap()).collect();
+    // Two cameras, on the head and on a stand, each without reuse and with much of it.
+    assert_eq!((encoded.len(), encoded[0], encoded[2]), (4, 1.0, 1.0));
+    assert!(encoded[1] <= 1.0 && encoded[3] < 1.0, "{encoded:?}");
+    assert_eq!(rows[0]["scores"]["differences"], Value::Null);
+    assert!(rows[3]["scores"]["differences"][0].is_array() && text.contains("## Camera on a stand"), "{text}");
+    assert!(fs::metadata(folder.path().join("reuse.png")).unwrap().len() > 1000);
+}
+
+#[test]
 fn attention_is_shared_out_over_hands_objects_and_touch() {
     let folder = tempfile::tempdir().unwrap();
     let (text, report) = done("attention", &folder.path().join("work"), folder.path());

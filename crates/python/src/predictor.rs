@@ -23,6 +23,8 @@ const PREPARED: usize = 16;
 /// `checkpoint`: file; by default the one that comes with the package. `precision`: "f32", "bf16" or "int8". `unknown`: form of
 /// touch that the network does not know, "nan" (mask False), "zero" (mask False) or "guess" (its output as it is, mask True).
 /// `familiarity_threshold`, `presence_threshold`: 0 to 1; by default the checkpoint's. `max_gap`: longest interval of a stream, s.
+/// `reuse_below`: mean change of a patch, grey levels of 8 bits, up to which an image takes the tokens of the last encoded one; 0 = encode
+/// every image.
 /// Methods release the GIL; calls from several threads wait for each other.
 ///
 /// >>> predictor = egotac.Predictor(unknown="guess")
@@ -42,7 +44,7 @@ impl Predictor {
 #[pymethods]
 impl Predictor {
     #[new]
-    #[pyo3(signature = (checkpoint=None, *, precision="f32", unknown="nan", familiarity_threshold=None, presence_threshold=None, max_gap=None))]
+    #[pyo3(signature = (checkpoint=None, *, precision="f32", unknown="nan", familiarity_threshold=None, presence_threshold=None, max_gap=None, reuse_below=0.0))]
     fn new(
         py: Python<'_>,
         checkpoint: Option<PathBuf>,
@@ -51,6 +53,7 @@ impl Predictor {
         familiarity_threshold: Option<f32>,
         presence_threshold: Option<f32>,
         max_gap: Option<f64>,
+        reuse_below: f32,
     ) -> PyResult<Self> {
         let load = || {
             let options = predictor::Options {
@@ -59,6 +62,7 @@ impl Predictor {
                 familiarity_threshold,
                 presence_threshold,
                 max_gap_secs: max_gap,
+                reuse_below,
                 ..Default::default()
             };
             egotac::Predictor::load(&checkpoint.map_or_else(shipped::path, Ok)?, options)
@@ -161,7 +165,8 @@ fn sides(images: &PyReadonlyArrayDyn<'_, u8>, first: usize) -> PyResult<(u32, u3
 ///
 /// `stamp`: s. `force`: (1556,) N, `contact`: (1556,) probability; left hand first, NaN = unknown. `mask`: (1556,) True where
 /// touch is known. `familiarity` of the image and `presence` of both hands: 0 to 1, NaN = not estimated. `keypoints`: (2, 21, 3)
-/// x and y as shares of the sides of the network's square input, and confidence, NaN = not estimated. `warming_up`: the window is not full. `restarted`: a new stream began. `total_force`: N on the left and the right hand. `region_force`: (2, 17) N, by `REGIONS`.
+/// x and y as shares of the sides of the network's square input, and confidence, NaN = not estimated. `warming_up`: the window is not full. `restarted`: a new stream began.
+/// `reused`: the image took the tokens of an earlier one. `total_force`: N on the left and the right hand. `region_force`: (2, 17) N, by `REGIONS`.
 /// `reason`: why touch is unknown; empty = it is known. `seconds`: time that the image's preparation and the network took, s.
 #[pyclass(frozen, module = "egotac")]
 pub struct Touch {
@@ -184,6 +189,8 @@ pub struct Touch {
     #[pyo3(get)]
     restarted: bool,
     #[pyo3(get)]
+    reused: bool,
+    #[pyo3(get)]
     total_force: (f32, f32),
     #[pyo3(get)]
     region_force: Py<PyArrayDyn<f32>>,
@@ -197,7 +204,7 @@ pub struct Touch {
 
 impl Touch {
     fn new(py: Python<'_>, prediction: Prediction, seconds: f64) -> PyResult<Self> {
-        let Prediction { stamp_secs, field, certainty, hands, warming_up, restarted } = prediction;
+        let Prediction { stamp_secs, field, certainty, hands, warming_up, restarted, reused } = prediction;
         let keypoints = keypoints(hands.as_ref());
         let known = mask(&field, &certainty);
         let regions = region_forces(&field);
@@ -213,6 +220,7 @@ impl Touch {
             keypoints: give(py, "keypoints", keypoints, [2, N_KEYPOINTS, 3])?,
             warming_up,
             restarted,
+            reused,
             total_force: (left, right),
             region_force: give(py, "region_force", regions, [2, Region::ALL.len()])?,
             reason: certainty.reason(),

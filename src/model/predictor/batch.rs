@@ -1,5 +1,7 @@
 //! Several streams on one network: the newest images of several cameras pass the encoder in one batch.
 
+use std::sync::Arc;
+
 use candle_core::Tensor;
 
 use super::{Prediction, Predictor};
@@ -23,20 +25,26 @@ impl Predictor {
     ///
     /// Returns one result per image. An image that fails leaves the other streams untouched.
     pub fn push_together(images: Vec<StreamImage>) -> Vec<Result<Prediction>> {
-        let encoded = if images.len() > 1 { encode(&images).ok() } else { None };
-        match encoded {
-            Some(encoded) => {
-                let each = images.into_iter().zip(encoded);
-                each.map(|((stream, _, stamp_secs), encoded)| stream.push_encoded(encoded, stamp_secs)).collect()
-            }
-            // One by one, so that an error is that of its own image.
-            None => images.into_iter().map(|(stream, input, secs)| stream.push_prepared(input, secs)).collect(),
-        }
+        let reused: Vec<bool> = images.iter().map(|(stream, input, _)| stream.reusable(input).is_some()).collect();
+        let fresh: Vec<&StreamImage> =
+            images.iter().zip(&reused).filter(|(_, reused)| !**reused).map(|(image, _)| image).collect();
+        // One by one if the batch fails, so that an error is that of its own image.
+        let encoded = if fresh.len() > 1 { encode(&fresh).ok() } else { None };
+        let mut encoded = encoded.unwrap_or_default().into_iter();
+        let push = |((stream, input, stamp_secs), reused): (StreamImage, bool)| {
+            let tokens = if reused { None } else { encoded.next() };
+            let Some(tokens) = tokens else { return stream.push_prepared(input, stamp_secs) };
+            let tokens = Arc::new(tokens);
+            let prediction = stream.push_encoded(&tokens, stamp_secs)?;
+            stream.reuse.keep(&input, &tokens);
+            Ok(prediction)
+        };
+        images.into_iter().zip(reused).map(push).collect()
     }
 }
 
 /// Encodes all images in one batch.
-fn encode(images: &[StreamImage]) -> Result<Vec<FrameTokens>> {
+fn encode(images: &[&StreamImage]) -> Result<Vec<FrameTokens>> {
     let Some((first, ..)) = images.first() else { return Ok(Vec::new()) };
     let side = first.config().image;
     let mut batch = Vec::with_capacity(images.len() * 3 * side * side);

@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
+use crate::model::predictor::Prediction;
 use crate::node::lock::lock;
 use crate::node::log::Log;
 use crate::tactile::{Certainty, Doubt};
@@ -24,11 +25,14 @@ struct Counts {
     unfamiliar: u64,
     /// Familiar images without the left and without the right hand.
     absent: [u64; 2],
+    /// Images that took the tokens of an earlier one.
+    reused: u64,
 }
 
 impl Certainties {
     /// Counts an image. Logs one line when the hands whose touch is unknown have changed for some images.
-    pub(super) fn push(&self, certainty: &Certainty, log: &Log) {
+    pub(super) fn push(&self, Prediction { certainty, reused, .. }: &Prediction, log: &Log) {
+        lock(&self.0).reused += u64::from(*reused);
         if let Some(line) = lock(&self.0).push(certainty) {
             match certainty.is_unfamiliar() {
                 true => log.warn(line),
@@ -55,6 +59,7 @@ impl Certainties {
             ("unfamiliar", counts.unfamiliar.to_string()),
             ("absent left", counts.absent[0].to_string()),
             ("absent right", counts.absent[1].to_string()),
+            ("reused", counts.reused.to_string()),
         ]
         .map(|(name, value)| (name.to_owned(), value))
         .into()

@@ -46,6 +46,7 @@ pub(super) fn load(parameters: &Parameters, log: &Log) -> anyhow::Result<LoadedN
         unknown: parameters.get::<String>("unknown").parse()?,
         familiarity_threshold: threshold("familiarity_threshold"),
         presence_threshold: threshold("presence_threshold"),
+        reuse_below: parameters.get::<f64>("reuse_below") as f32,
         ..Options::default()
     };
     let mano = load_mano(parameters)?;

@@ -94,6 +94,13 @@ fn parameters() -> Vec<Parameter> {
             "Presence of a hand below which its touch is unknown; below 0 = the checkpoint's threshold.",
         ),
         Parameter::fixed(
+            "reuse_below",
+            0.0,
+            Allowed::Doubles(0.0, 255.0),
+            "Mean change of a patch, grey levels: an image none of whose patches differs more from the last encoded one is not \
+             encoded, which saves most of its time; 0 = encode every image.",
+        ),
+        Parameter::fixed(
             "mano_left",
             "",
             Allowed::Any,

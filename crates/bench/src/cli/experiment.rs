@@ -5,24 +5,10 @@ use std::process::ExitCode;
 
 use clap::builder::PossibleValuesParser;
 
-/// Names of all experiments, and `results`, which writes the page about them.
-const NAMES: [&str; 15] = [
-    "sources",
-    "consistency",
-    "sampling",
-    "glove",
-    "history",
-    "separation",
-    "scaling",
-    "ablations",
-    "limits",
-    "motion",
-    "recordings",
-    "transfer",
-    "decline",
-    "attention",
-    "results",
-];
+use crate::names::{MEASURED, TRAINED};
+
+/// Name of the command that writes the page about all experiments.
+const RESULTS: &str = "results";
 
 /// Arguments of `egotac experiment`.
 #[derive(Debug, clap::Args)]
@@ -31,13 +17,14 @@ const NAMES: [&str; 15] = [
     (temperature, quotas), glove (its look), history (EgoTac-i), separation (per-frame crops), scaling (10 to 100 % of the data; \
     1 to 4 sources), ablations (the parts of the method, the paper's recipe), limits (time, resolution, capacity), motion (forces estimated \
     from motion), recordings (two data sets, written as others record them, imported and mixed).\n\
-    Measured on a finished network: transfer (other sensors), decline (worse pictures), attention (where it looks).\n\
+    Measured on a finished network: transfer (other sensors), decline (worse pictures), attention (where it looks), reuse \
+    (images that hardly change, not encoded).\n\
     results: the page that sets what was found beside the paper, from the JSON files in --out.\n\
     Data is rendered and runs are trained in the work folder; both stay there, so a stopped experiment resumes."
 )]
 pub struct Args {
     /// Name of the experiment.
-    #[arg(value_parser = PossibleValuesParser::new(NAMES))]
+    #[arg(value_parser = PossibleValuesParser::new(TRAINED.into_iter().chain(MEASURED).chain([RESULTS])))]
     name: String,
     /// Runs of each arm.
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..=100))]
@@ -87,17 +74,18 @@ pub use enabled::run;
 #[cfg(feature = "sim")]
 mod enabled {
     use egotac::file;
+    use egotac::render::figure;
     use indicatif::ProgressBar;
     use serde::Serialize;
 
     use super::*;
     use crate::experiment::{
-        self, Experiment, MEASUREMENTS, Network, Progress, Setup, Size, attention, claims, decline, plot, transfer,
+        self, Experiment, Network, Progress, Setup, Size, attention, claims, decline, plot, reuse, transfer,
     };
 
     /// Runs the command.
     pub fn run(args: Args) -> anyhow::Result<ExitCode> {
-        if args.name == "results" {
+        if args.name == RESULTS {
             let page = claims::page(&args.out)?;
             file::write(&args.out.join("README.md"), page.as_bytes())?;
             print!("{page}");
@@ -110,6 +98,11 @@ mod enabled {
         let markdown = match args.name.as_str() {
             "attention" => {
                 let report = attention::run(&setup, command, &args.out, &mut show)?;
+                write(&args, &report, report.markdown())?
+            }
+            "reuse" => {
+                let report = reuse::run(&setup, command, &mut show)?;
+                figure::write(&args.out, "reuse", &reuse::Plot::of(&report, &args.out)?)?;
                 write(&args, &report, report.markdown())?
             }
             "transfer" => {
@@ -136,7 +129,7 @@ mod enabled {
 
     /// Returns size and network of an experiment.
     fn setup(args: &Args) -> anyhow::Result<Setup> {
-        let measures = MEASUREMENTS.contains(&args.name.as_str());
+        let measures = MEASURED.contains(&args.name.as_str());
         let size = match args.quick {
             true => Size {
                 episodes: usize::from(!measures),

@@ -6,7 +6,8 @@ use egotac::dataset::EpisodeReader;
 use egotac::dataset::zarr::{TIMESTAMPS, ZarrReader};
 use egotac::error::{Error, Result};
 use egotac::file::{self, input, limits};
-use egotac::model::{Predictor, Unknown, predictor};
+use egotac::model::predictor::{self, Prediction};
+use egotac::model::{Predictor, Unknown};
 use egotac::tactile::{TactileSequence, episode_ranges};
 use image::RgbImage;
 
@@ -52,6 +53,19 @@ pub fn predict(
     recipes: &[Recipe],
     change: &mut dyn FnMut(Place, RgbImage) -> Result<RgbImage>,
 ) -> Result<TactileSequence> {
+    predict_watched(predictor, recipes, change, &mut |_| ())
+}
+
+/// As [`predict`]; `watch` sees each prediction.
+///
+/// # Errors
+/// As [`predict`].
+pub fn predict_watched(
+    predictor: &mut Predictor,
+    recipes: &[Recipe],
+    change: &mut dyn FnMut(Place, RgbImage) -> Result<RgbImage>,
+    watch: &mut dyn FnMut(&Prediction),
+) -> Result<TactileSequence> {
     let mut all = TactileSequence::default();
     for recipe in recipes {
         let reader = ZarrReader::open(&recipe.path)?;
@@ -64,7 +78,9 @@ pub fn predict(
                 for (frame, image) in block.clone().zip(reader.images(block)?) {
                     let place =
                         Place { store: &recipe.path, episode, start: frames.start, frame, stamp: stamps[frame] };
-                    own.push(&predictor.push(&change(place, image)?, stamps[frame])?.field)?;
+                    let prediction = predictor.push(&change(place, image)?, stamps[frame])?;
+                    watch(&prediction);
+                    own.push(&prediction.field)?;
                 }
             }
         }

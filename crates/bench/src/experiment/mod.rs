@@ -16,6 +16,7 @@
 //! | `transfer` | dynamics of force against sensors with another layout, gain and spread; no training |
 //! | `decline` | accuracy against occlusion, blur, noise, exposure, resolution and frame rate; no training |
 //! | `attention` | share of the attention on hands and objects; no training |
+//! | `reuse` | accuracy and time if images that hardly change are not encoded; no training |
 //!
 //! Arms start from the encoder of a network that has learned, the shipped one by default: a network this small spends a whole
 //! run on learning to see otherwise. Finished runs stay in the work folder, so an experiment can be stopped at any time and
@@ -36,6 +37,7 @@ pub mod plot;
 pub mod recording;
 mod render;
 pub mod report;
+pub mod reuse;
 mod sensor;
 pub mod table;
 mod training;
@@ -55,9 +57,6 @@ pub use network::Network;
 pub use render::render;
 pub use report::Report;
 use training::{BATCH, Run};
-
-/// Names of the experiments that measure a finished network.
-pub const MEASUREMENTS: [&str; 3] = ["transfer", "decline", "attention"];
 
 /// Size of an experiment.
 #[derive(Debug, Clone, PartialEq, Serialize)]

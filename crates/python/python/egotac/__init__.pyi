@@ -31,6 +31,7 @@ class Predictor:
         familiarity_threshold: float | None = None,
         presence_threshold: float | None = None,
         max_gap: float | None = None,
+        reuse_below: float = 0.0,
     ) -> None: ...
     def push(self, image: NDArray[np.uint8], stamp: float) -> Touch: ...
     def predict(self, images: NDArray[np.uint8], stamps: NDArray[np.float64]) -> TouchBatch: ...
@@ -56,6 +57,7 @@ class Touch:
     keypoints: _Floats
     warming_up: bool
     restarted: bool
+    reused: bool
     total_force: tuple[float, float]
     region_force: _Floats
     reason: str
