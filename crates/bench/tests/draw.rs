@@ -10,13 +10,18 @@ use egotac::render::plot::PALETTE;
 use egotac_bench::draw::svgs;
 
 /// Reports with plots, below docs/.
-const REPORTS: [&str; 13] = [
+const REPORTS: [&str; 18] = [
     "bench/model.json",
     "bench/epyc/model.json",
     "bench/sim.json",
     "bench/glove.json",
     "bench/physics.json",
     "bench/retarget.json",
+    "results/sources.json",
+    "results/consistency.json",
+    "results/history.json",
+    "results/separation.json",
+    "results/glove.json",
     "results/decline.json",
     "results/transfer.json",
     "results/earlier/ablations.json",

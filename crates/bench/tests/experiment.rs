@@ -34,7 +34,7 @@ fn an_experiment_writes_its_tables_and_repeats_no_run() {
     let folder = tempfile::tempdir().unwrap();
     let [work, first, second] = ["work", "first", "second"].map(|name| folder.path().join(name));
     let (text, report) = done("sources", &work, &first);
-    assert!(text.starts_with("10 runs to make, 600 windows altogether"), "{text}");
+    assert!(text.starts_with("10 runs to make, 80 windows altogether"), "{text}");
 
     let names: Vec<&str> = report["arms"].as_array().unwrap().iter().map(|arm| arm["name"].as_str().unwrap()).collect();
     assert_eq!(names[..5], ["force_only", "plus_1", "plus_2", "plus_3", "contact_only"]);
@@ -62,7 +62,7 @@ fn an_experiment_writes_its_tables_and_repeats_no_run() {
     assert_eq!(again, report);
     // Another experiment takes the runs that are equal: here those of its first arm.
     let (text, history) = done("history", &work, &second);
-    assert!(text.starts_with("2 runs to make, 120 windows altogether"), "{text}");
+    assert!(text.starts_with("2 runs to make, 16 windows altogether"), "{text}");
     assert_eq!(arm(&history, "mixed")["tests"]["force"]["seeds"], arm(&report, "plus_3")["tests"]["force"]["seeds"]);
 
     check_the_per_frame_baseline(&work, &second);

@@ -97,7 +97,8 @@ pub fn page(folder: &Path) -> Result<String> {
          both sides; with several\nseeds the interval spans those of all.\n\nA comparison *agrees* if its interval lies on the side \
          that the paper leads one to expect, *disagrees* if it lies on the other\nside, and is *not certain* if it contains zero; where \
          no difference is expected, it agrees if the interval contains zero,\nwhich is weak evidence. A claim agrees, or disagrees, if \
-         all its comparisons do.\n\n| claim | paper | ours | same split | verdict |\n|---|---|---|---|---|\n",
+         all its comparisons do.\n\nNetworks are trained for minutes. How far they have learned stands in each table, beside constant \
+         predictions: where the first arm\nis hardly better than those, its comparisons say little.\n\n| claim | paper | ours | same split | verdict |\n|---|---|---|---|---|\n",
     );
     for claim in &claims {
         let (ours, verdict) = match results(folder, &claim.experiment)? {

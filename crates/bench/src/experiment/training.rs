@@ -20,8 +20,8 @@ use super::motion;
 use super::network::Network;
 use super::{Setup, Size};
 
-/// Clips and windows of a training step.
-pub const BATCH: BatchConfig = BatchConfig { clips: 10, windows: 3, accumulate: 1 };
+/// Clips and windows of a training step. Runs are short: many small steps teach more than few large ones of the same time.
+pub const BATCH: BatchConfig = BatchConfig { clips: 4, windows: 1, accumulate: 1 };
 /// File name of a run's weights.
 const CHECKPOINT: &str = "checkpoint.safetensors";
 
@@ -173,7 +173,7 @@ fn usual(seed: u64, stores: &Stores, size: &Size, network: &Network) -> Result<C
         batch: BATCH,
         // The encoder learns at a tenth of the rate, as in the paper; the rest starts at random and has few steps.
         optimizer: OptimizerConfig {
-            learning_rate: 1e-3,
+            learning_rate: 6e-4,
             final_learning_rate: 1e-5,
             weight_decay: 0.05,
             encoder_factor: Some(0.1),
@@ -189,7 +189,7 @@ fn usual(seed: u64, stores: &Stores, size: &Size, network: &Network) -> Result<C
             ..LossWeights::default()
         },
         augment: AugmentConfig::default(),
-        ema: 0.995,
+        ema: 0.98,
         save_every: 200,
         validate_every: size.steps,
         threads: 1,
