@@ -83,3 +83,22 @@ fn hand_contacts<'a>(world: &'a World, links: &'a [Body]) -> impl Iterator<Item 
         })
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_link_beyond_its_limit_makes_a_hand_too_strong() {
+        let with = |link: usize, force: f64| {
+            let mut links = [0.0; N_JOINTS];
+            links[link] = force;
+            let (force, places) = (Vec::new(), Vec::new());
+            HandForce { force, total: 0.0, sum_residual: 0.0, moment_residual: 0.0, links, contacts: 1, places }
+        };
+        // A finger bears 80 N, and the palm 250 N.
+        let strong =
+            [(3, 79.0), (3, 81.0), (0, 249.0), (0, 251.0)].map(|(link, force)| with(link, force).is_too_strong());
+        assert_eq!(strong, [false, true, false, true]);
+    }
+}
