@@ -117,11 +117,11 @@ unsafe fn avx2<const R: usize>(tile: &Tile8, row: usize, half: usize, halves: us
     let mut pairs = [[_mm256_setzero_si256(); 2]; R];
     for i in 0..k {
         // SAFETY: group i < k of the panel, half `half` < `halves`: 32 bytes inside of those that the caller guarantees.
-        let weights = unsafe {
+        let [low, high] = unsafe {
             let at = b.add((i * halves + half) * HALF * GROUP);
             [_mm_loadu_si128(at.cast()), _mm_loadu_si128(at.add(16).cast())]
         };
-        let weights = weights.map(|weights| _mm256_cvtepi8_epi16(weights));
+        let weights = [_mm256_cvtepi8_epi16(low), _mm256_cvtepi8_epi16(high)];
         for (r, pairs) in pairs.iter_mut().enumerate() {
             // SAFETY: group i < k of row + r, a row of the tile, four bytes; the read needs no alignment.
             let four = unsafe { a.add((row + r) * lda + i * GROUP).cast::<i32>().read_unaligned() };

@@ -44,6 +44,7 @@ impl Predictor {
 #[pymethods]
 impl Predictor {
     #[new]
+    #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
     #[pyo3(signature = (checkpoint=None, *, precision="f32", unknown="nan", familiarity_threshold=None, presence_threshold=None, max_gap=None, reuse_below=0.0))]
     fn new(
         py: Python<'_>,

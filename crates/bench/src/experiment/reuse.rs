@@ -264,8 +264,8 @@ impl Plot {
     {
         let most = self.rows.iter().map(|point| point.below).fold(1.0, f64::max);
         let mut chart = plot::chart(area, title, [44, 60]).build_cartesian_2d(0.0..most, 0.0..1.05)?;
-        let x = ("level, grey levels", &|x: &f64| format!("{x:.0}") as String);
-        plot::axes(&mut chart, (x.0, x.1), ("", &|y| format!("{y:.1}")), [9, 6])?;
+        let level = ("level, grey levels", &|x: &f64| format!("{x:.0}"));
+        plot::axes(&mut chart, (level.0, level.1), ("", &|y| format!("{y:.1}")), [9, 6])?;
         for ((camera, ..), color) in CAMERAS.iter().zip(PALETTE) {
             let rows: Vec<&Point> = self.rows.iter().filter(|point| point.camera == *camera).collect();
             let points: Vec<(f64, f64)> =

@@ -130,7 +130,7 @@ fn table<'a>(text: &mut String, first: &str, rows: impl Iterator<Item = (String,
                 percent(score.net_within),
                 percent(score.net_shown),
                 percent(score.wrongly_flagged),
-                percent(score.unknown.values().fold(0.0, |sum, share| sum + share)),
+                percent(score.unknown.values().sum::<f64>().abs()),
                 score.milliseconds
             ),
         );
