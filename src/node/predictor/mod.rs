@@ -98,7 +98,7 @@ fn parameters() -> Vec<Parameter> {
             0.0,
             Allowed::Doubles(0.0, 255.0),
             "Mean change of a patch, grey levels: an image none of whose patches differs more from the last encoded one is not \
-             encoded, which saves most of its time; 0 = encode every image.",
+             encoded, which saves the time of the encoder; 0 = encode every image.",
         ),
         Parameter::fixed(
             "mano_left",

@@ -232,7 +232,7 @@ pub struct Plot {
     rows: Vec<Point>,
 }
 
-/// What the plot shows of a [`Row`].
+/// Drawn part of a [`Row`].
 #[derive(Debug, Clone, Deserialize)]
 struct Point {
     camera: String,
