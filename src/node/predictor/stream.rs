@@ -97,7 +97,7 @@ impl CameraStream {
             warming_up: prediction.warming_up,
             ..TactileFrame::from_field(seen.header.clone(), &prediction.field)?.with_certainty(&prediction.certainty)
         };
-        self.certainties.push(&prediction, &self.log);
+        self.certainties.push(prediction, &self.log);
         self.frames.publish(&frame)?;
         self.sequence += 1;
         self.input.tally.processed(self.clock.secs_since(frame.header.stamp));

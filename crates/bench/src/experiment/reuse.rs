@@ -110,7 +110,7 @@ pub fn run(setup: &Setup, command: String, progress: &mut dyn FnMut(Progress)) -
                 below: *below,
                 encoded: 1.0 - reused as f64 / count,
                 mean_ms: times.iter().sum::<f64>() / count,
-                median_ms: egotac::statistics::percentile(times.into_iter(), 0.5),
+                median_ms: egotac::statistics::percentile(times, 0.5),
                 scores,
             });
         }
