@@ -294,8 +294,7 @@ impl Predictor {
     pub fn push_prepared(&mut self, input: Vec<f32>, stamp_secs: f64) -> Result<Prediction> {
         self.check(&input, stamp_secs)?;
         if let Some(tokens) = self.reusable(&input) {
-            let prediction = self.push_encoded(&tokens, stamp_secs)?;
-            return Ok(Prediction { reused: true, ..prediction });
+            return self.push_reused(&tokens, stamp_secs);
         }
         let side = self.config().image;
         let image = Tensor::from_slice(&input, (1, 3, side, side), &self.device)?;
@@ -303,6 +302,11 @@ impl Predictor {
         let prediction = self.push_encoded(&encoded, stamp_secs)?;
         self.reuse.keep(&input, &encoded);
         Ok(prediction)
+    }
+
+    /// Predicts touch from the tokens of an earlier image.
+    fn push_reused(&mut self, tokens: &Arc<FrameTokens>, stamp_secs: f64) -> Result<Prediction> {
+        Ok(Prediction { reused: true, ..self.push_encoded(tokens, stamp_secs)? })
     }
 
     /// Returns the tokens of the last encoded image if `input` hardly differs from it.

@@ -60,7 +60,7 @@ impl EgoTac {
     /// If the last dimension is not dv.
     pub fn project(&self, tokens: &Tensor) -> Result<Tensor> {
         match &self.form {
-            Form::Trainable(layers) => Ok(layers.temporal.project(tokens)?),
+            Form::Trainable(layers) => Ok(layers.temporal.project(&tokens.to_dtype(layers.dtype)?)?),
             Form::Compiled(engine) => {
                 let mut dims = tokens.dims().to_vec();
                 match dims.last_mut() {

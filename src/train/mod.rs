@@ -209,6 +209,7 @@ fn run_steps(
         let mut loader = Loader::start(scope, &data.training, &collate, &whole, batches, share)?;
         let pass = Pass {
             network: &network.model,
+            fixed_encoder: network.fixed_encoder.as_ref(),
             keypoint_heads: network.keypoint_heads.as_ref(),
             geometry: &geometry,
             force_scale: data.metadata.force_scale,

@@ -22,6 +22,8 @@ use crate::model::{self, EgoTac, Precision};
 pub struct Pass<'a> {
     /// The network.
     pub network: &'a EgoTac,
+    /// Compiled network that encodes the frames if the encoder does not learn; without it, the encoder of `network` learns.
+    pub fixed_encoder: Option<&'a EgoTac>,
     /// Heads of the auxiliary keypoint task.
     pub keypoint_heads: Option<&'a Heads>,
     /// Geometry of the network.
@@ -197,7 +199,10 @@ impl Pass<'_> {
         let points = std::mem::take(&mut batch.points);
         let newest = newest_points(&batch, &points, geometry.horizon);
         let (images, windows, truth) = batch.to_device(geometry.image, geometry.predict, self.device)?;
-        let tokens = network.encode(&images)?; // (F, P, dv)
+        let tokens = match self.fixed_encoder {
+            Some(fixed) => fixed.encode(&images)?.detach(),
+            None => network.encode(&images)?,
+        }; // (F, P, dv)
         let projected = network.project(&tokens)?; // (F, P, d)
         let (_, p, d) = projected.dims3()?;
         let clips = projected.index_select(&windows, 0)?.reshape(((), geometry.horizon, p, d))?;

@@ -99,6 +99,8 @@ pub struct Network {
     pub varmap: VarMap,
     /// The network on these variables.
     pub model: EgoTac,
+    /// Compiled network with the initial weights, if the encoder keeps them: the factor on its learning rate is 0.
+    pub fixed_encoder: Option<EgoTac>,
     /// Heads of the auxiliary keypoint task, if its loss has a weight.
     pub keypoint_heads: Option<keypoints::Heads>,
 }
@@ -141,6 +143,10 @@ impl Network {
             }
             false => None,
         };
-        Ok(Self { varmap, model, keypoint_heads })
+        let fixed_encoder = match config.encoder_factor() > 0.0 {
+            true => None,
+            false => Some(EgoTac::new(geometry, model::init::var_builder(&varmap, config.seed, device))?.freeze()?),
+        };
+        Ok(Self { varmap, model, fixed_encoder, keypoint_heads })
     }
 }

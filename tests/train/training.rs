@@ -363,6 +363,34 @@ fn accumulated_gradients_equal_those_of_the_whole_batch() {
 }
 
 #[test]
+fn an_encoder_with_factor_0_keeps_its_weights_and_the_rest_learns_as_beside_one_that_hardly_moves() {
+    let folder = tempfile::tempdir().unwrap();
+    write_store(&folder.path().join("train.zarr"), 1, 2, 30);
+    let run_with = |out: &str, steps: usize, factor: f64| {
+        let mut config = config(folder.path(), out, steps, "");
+        (config.optimizer.encoder_factor, config.optimizer.max_grad_norm) = (Some(factor), 1e9);
+        let outcome = run(&config, false, usize::MAX);
+        (logged(&config, "loss"), candle_core::safetensors::load(outcome.checkpoint, &Device::Cpu).unwrap())
+    };
+    let (fixed, after_4) = run_with("fixed", 4, 0.0);
+    let (learning, _) = run_with("learning", 4, 1e-12);
+    for (a, b) in fixed.iter().zip(&learning) {
+        assert!((a - b).abs() < 1e-3 * b.abs(), "{fixed:?} {learning:?}");
+    }
+    let (_, after_1) = run_with("one", 1, 0.0);
+    let values = |tensor: &Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    let mut same = [0, 0];
+    for (name, tensor) in &after_4 {
+        // The statistics of the features are measured at the end.
+        let Some(before) = after_1.get(name).filter(|_| !name.starts_with("familiarity")) else { continue };
+        let encoder = name.starts_with("encoder");
+        same[usize::from(encoder)] += usize::from(values(tensor) == values(before));
+        assert!(!encoder || values(tensor) == values(before), "{name} has changed");
+    }
+    assert!(same[0] < 5 && same[1] > 20, "tensors that stayed the same, others and of the encoder: {same:?}");
+}
+
+#[test]
 fn a_run_on_mixed_sources_resumes_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
     write_store(&folder.path().join("train.zarr"), 1, 2, 30);

@@ -94,7 +94,15 @@ pub fn step(geometry: &Config, form: Form, runs: usize, device: &Device) -> Resu
     let network = EgoTac::new(geometry, init::var_builder(&varmap, 0, device))?;
     let mut optimizer = AdamW::new(&varmap, &config()?)?;
     let weights = LossWeights::default();
-    let pass = Pass { network: &network, keypoint_heads: None, geometry, force_scale: 1.0, weights: &weights, device };
+    let pass = Pass {
+        network: &network,
+        fixed_encoder: None,
+        keypoint_heads: None,
+        geometry,
+        force_scale: 1.0,
+        weights: &weights,
+        device,
+    };
     let batch = batch(geometry, form);
     let windows = batch.windows.len() / geometry.horizon;
     let mut times = Vec::new();

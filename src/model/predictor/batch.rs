@@ -25,21 +25,26 @@ impl Predictor {
     ///
     /// Returns one result per image. An image that fails leaves the other streams untouched.
     pub fn push_together(images: Vec<StreamImage>) -> Vec<Result<Prediction>> {
-        let reused: Vec<bool> = images.iter().map(|(stream, input, _)| stream.reusable(input).is_some()).collect();
+        let reusable = |(stream, input, stamp_secs): &StreamImage| {
+            stream.check(input, *stamp_secs).ok().and_then(|()| stream.reusable(input))
+        };
+        let reusable: Vec<Option<Arc<FrameTokens>>> = images.iter().map(reusable).collect();
         let fresh: Vec<&StreamImage> =
-            images.iter().zip(&reused).filter(|(_, reused)| !**reused).map(|(image, _)| image).collect();
+            images.iter().zip(&reusable).filter(|(_, tokens)| tokens.is_none()).map(|(image, _)| image).collect();
         // One by one if the batch fails, so that an error is that of its own image.
         let encoded = if fresh.len() > 1 { encode(&fresh).ok() } else { None };
         let mut encoded = encoded.unwrap_or_default().into_iter();
-        let push = |((stream, input, stamp_secs), reused): (StreamImage, bool)| {
-            let tokens = if reused { None } else { encoded.next() };
-            let Some(tokens) = tokens else { return stream.push_prepared(input, stamp_secs) };
+        let push = |((stream, input, stamp_secs), reusable): (StreamImage, Option<Arc<FrameTokens>>)| {
+            if let Some(tokens) = reusable {
+                return stream.push_reused(&tokens, stamp_secs);
+            }
+            let Some(tokens) = encoded.next() else { return stream.push_prepared(input, stamp_secs) };
             let tokens = Arc::new(tokens);
             let prediction = stream.push_encoded(&tokens, stamp_secs)?;
             stream.reuse.keep(&input, &tokens);
             Ok(prediction)
         };
-        images.into_iter().zip(reused).map(push).collect()
+        images.into_iter().zip(reusable).map(push).collect()
     }
 }
 

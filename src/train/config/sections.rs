@@ -45,7 +45,8 @@ pub struct OptimizerConfig {
     pub learning_rate: f64,
     /// Learning rate of the last step.
     pub final_learning_rate: f64,
-    /// Factor on the encoder's learning rate; by default 0.1 with trained initial weights (`init`, `encoder`), else 1.
+    /// Factor on the encoder's learning rate; by default 0.1 with trained initial weights (`init`, `encoder`), else 1. With 0
+    /// the encoder keeps its weights, and no gradient is computed for it.
     pub encoder_factor: Option<f64>,
     /// Share of the steps in which the learning rate grows to its peak.
     pub warmup: f64,

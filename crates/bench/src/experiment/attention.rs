@@ -7,7 +7,6 @@ use candle_core::{Device, Tensor};
 use egotac::error::{Error, Result};
 use egotac::file;
 use egotac::image::resize;
-use egotac::machine::Machine;
 use egotac::model::{EgoTac, Metadata, checkpoint};
 use egotac::render::font::{self, Align};
 use egotac::render::heat;
@@ -22,9 +21,8 @@ use serde::Serialize;
 
 use super::data::{MEASURED_SEED, OOD};
 use super::mask::{Mask, Shown, touched};
-use super::network::Network;
-use super::report::FORMAT;
-use super::{Progress, Setup, Size};
+use super::report::Head;
+use super::{Progress, Setup};
 
 /// Frames between two that are measured: neighbours are nearly the same.
 const STRIDE: usize = 5;
@@ -42,22 +40,9 @@ const LAYERS: [&str; 2] = ["temporal token", "CLS, last encoder layer"];
 /// Results of the experiment.
 #[derive(Debug, Clone, Serialize)]
 pub struct AttentionReport {
-    /// [`FORMAT`].
-    pub format: u32,
-    /// Name of the experiment.
-    pub experiment: &'static str,
-    /// Question of the experiment.
-    pub question: &'static str,
-    /// The command that measures the same again.
-    pub command: String,
-    /// Version of egotac.
-    pub egotac: &'static str,
-    /// The machine that it ran on.
-    pub machine: Machine,
-    /// Size of the experiment.
-    pub size: Size,
-    /// Network that was measured.
-    pub network: Network,
+    /// What was run, and where.
+    #[serde(flatten)]
+    pub head: Head,
     /// Results of both worlds.
     pub worlds: Vec<World>,
 }
@@ -141,14 +126,7 @@ pub fn run(setup: &Setup, command: String, out: &Path, progress: &mut dyn FnMut(
     progress(Progress::Measured(all, all));
     write_figure(&out.join("attention.png"), &examples, &model, &metadata)?;
     Ok(AttentionReport {
-        format: FORMAT,
-        experiment: "attention",
-        question: "Does attention lie on hands, objects and touch?",
-        command,
-        egotac: egotac::VERSION,
-        machine: Machine::this(),
-        size: setup.size.clone(),
-        network: setup.network.clone(),
+        head: Head::new("attention", "Does attention lie on hands, objects and touch?", command, setup),
         worlds,
     })
 }
@@ -299,20 +277,18 @@ fn write_figure(path: &Path, examples: &[Example], model: &EgoTac, metadata: &Me
 impl AttentionReport {
     /// Returns the report as Markdown.
     pub fn markdown(&self) -> String {
+        let network = &self.head.network;
         let mut text = format!(
-            "# attention\n\n{} Written by `{}`, egotac {}, {}. Numbers: `attention.json`.\n\nMeasured is `{}` ({}), which has seen \
+            "{}\nMeasured is `{}` ({}), which has seen \
              {}.\nOf frames with touch, one in {STRIDE}: share of the newest picture's attention (mean over heads, patches alone) that \
              lies on a region, against\nthe region's share of the picture. `hand` is the hand without the forearm, `object` the \
              objects that the scene names, `touch` the patches\nthat show a vertex with more than 0.05 N. A ratio of 1 is chance; \
              intervals (95 %) are over episodes.\nIn the figure: picture, temporal token, CLS of the last encoder layer; two examples \
              of known scenes, two of `ood`.\n\n![Attention](attention.png)\n",
-            self.question,
-            self.command,
-            self.egotac,
-            self.machine,
-            self.network.name,
-            self.network.sha256.get(..12).unwrap_or_default(),
-            self.network.has_seen,
+            self.head.markdown(),
+            network.name,
+            network.sha256.get(..12).unwrap_or_default(),
+            network.has_seen,
         );
         for world in &self.worlds {
             put(

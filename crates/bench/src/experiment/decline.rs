@@ -5,7 +5,6 @@ use std::path::Path;
 
 use egotac::dataset::zarr::ZarrReader;
 use egotac::error::{Error, Result};
-use egotac::machine::Machine;
 use egotac::model::checkpoint::parameter_count;
 use egotac::render::figure::{self, Drawn, Figure};
 use egotac::render::plot::{self, PALETTE};
@@ -22,7 +21,7 @@ use super::data::{self, Recipe};
 use super::degrade::{Degradation, Episode};
 use super::measure::{self, Finished, Place};
 use super::plot::test_title;
-use super::report::{ArmReport, FORMAT, Report, TestInfo, force_truth, options, score, score_blind};
+use super::report::{ArmReport, Head, Report, TestInfo, force_truth, options, score, score_blind};
 use super::{Progress, Setup, crop, render};
 
 /// Seed of noise, blocks and directions.
@@ -158,15 +157,8 @@ pub fn run(setup: &Setup, command: String, progress: &mut dyn FnMut(Progress)) -
         compared: ["frame_mean.f1", "temporal_pearson"],
     });
     Ok(Report {
-        format: FORMAT,
-        experiment: "decline".into(),
-        question: "Does accuracy decline gracefully as pictures get worse?".into(),
-        command,
-        egotac: egotac::VERSION,
-        machine: Machine::this(),
-        size: setup.size.clone(),
+        head: Head::new("decline", "Does accuracy decline gracefully as pictures get worse?", command, setup),
         parameters: parameter_count(&setup.network.geometry)?,
-        network: setup.network.clone(),
         differences: "from the same pictures as they are".into(),
         tests: tests.collect(),
         imported: Vec::new(),

@@ -59,7 +59,7 @@ struct Panel {
 /// If a file can't be written.
 pub fn write(folder: &Path, report: &Report) -> Result<()> {
     let json = serde_json::to_value(report).map_err(|error| Error::file(folder, error))?;
-    figure::write(folder, &report.experiment, &Plot::new(&json))
+    figure::write(folder, report.head.experiment, &Plot::new(&json))
 }
 
 impl Plot {

@@ -25,15 +25,15 @@ use super::{Setup, Size};
 /// Format of the JSON; a changed meaning of a number gets a higher one, and reports of lower ones are not read.
 pub const FORMAT: u32 = 2;
 
-/// Results of an experiment.
+/// What was run, and where: the first entries of every report.
 #[derive(Debug, Clone, Serialize)]
-pub struct Report {
+pub struct Head {
     /// [`FORMAT`].
     pub format: u32,
     /// Name of the experiment.
-    pub experiment: String,
+    pub experiment: &'static str,
     /// Question of the experiment.
-    pub question: String,
+    pub question: &'static str,
     /// The command that measures the same again.
     pub command: String,
     /// Version of egotac.
@@ -44,6 +44,38 @@ pub struct Report {
     pub size: Size,
     /// Network that all arms start from, or that was measured.
     pub network: Network,
+}
+
+impl Head {
+    /// Describes a run of `setup` on this machine.
+    pub fn new(experiment: &'static str, question: &'static str, command: String, setup: &Setup) -> Self {
+        Self {
+            format: FORMAT,
+            experiment,
+            question,
+            command,
+            egotac: egotac::VERSION,
+            machine: Machine::this(),
+            size: setup.size.clone(),
+            network: setup.network.clone(),
+        }
+    }
+
+    /// Returns the first lines of a report's page.
+    pub fn markdown(&self) -> String {
+        let Self { experiment, question, command, egotac, machine, .. } = self;
+        format!(
+            "# {experiment}\n\n{question} Written by `{command}`, egotac {egotac}, {machine}. Numbers: `{experiment}.json`.\n"
+        )
+    }
+}
+
+/// Results of an experiment.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// What was run, and where.
+    #[serde(flatten)]
+    pub head: Head,
     /// Parameters of the first arm's network.
     pub parameters: usize,
     /// How the differences are made, in words.
@@ -228,14 +260,7 @@ pub(super) fn make(
     arms.extend(rows);
     let geometry = runs[0].config.geometry()?;
     Ok(Report {
-        format: FORMAT,
-        experiment: experiment.name.into(),
-        question: experiment.question.into(),
-        command,
-        egotac: egotac::VERSION,
-        machine: Machine::this(),
-        size: setup.size.clone(),
-        network: setup.network.clone(),
+        head: Head::new(experiment.name, experiment.question, command, setup),
         parameters: parameter_count(&geometry)?,
         differences: format!("from the arm `{}` with the same seed", experiment.arms[0].name),
         tests,

@@ -5,47 +5,34 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use egotac::error::{Error, Result};
-use egotac::machine::Machine;
 use egotac::model::{Predictor, Unknown, predictor};
 use egotac::render::figure::{Drawn, Figure};
 use egotac::render::plot::{self, PALETTE};
-use egotac::sim::{SHIPPED, Scene};
-use egotac::text::{parse_yaml, put};
+use egotac::sim::{SHIPPED, Scene, UniformRange};
+use egotac::text::put;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::data::{MEASURED_SEED, Recipe};
 use super::measure;
-use super::network::Network;
-use super::report::{FORMAT, Scores, force_truth, options};
+use super::report::{Head, Scores, force_truth, options};
 use super::{Progress, Setup, Size, render};
 
 /// Changes of a patch up to which tokens are reused, grey levels; 0 = every image is encoded.
 const LEVELS: [f32; 8] = [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0];
 /// Cameras: name, sway of the camera, m, and deviation of its noise, grey levels.
-const CAMERAS: [(&str, [f64; 2], [f64; 2]); 2] =
-    [("on the head", [0.0, 0.008], [1.0, 3.0]), ("on a stand", [0.0, 0.0], [1.0, 3.0])];
+const CAMERAS: [(&str, UniformRange, UniformRange); 2] = [
+    ("on the head", UniformRange::new(0.0, 0.008), UniformRange::new(1.0, 3.0)),
+    ("on a stand", UniformRange::fixed(0.0), UniformRange::new(1.0, 3.0)),
+];
 
 /// Results of the experiment.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReuseReport {
-    /// [`FORMAT`].
-    pub format: u32,
-    /// Name of the experiment.
-    pub experiment: &'static str,
-    /// Question of the experiment.
-    pub question: &'static str,
-    /// The command that measures the same again.
-    pub command: String,
-    /// Version of egotac.
-    pub egotac: &'static str,
-    /// The machine that it ran on.
-    pub machine: Machine,
-    /// Size of the experiment.
-    pub size: Size,
-    /// Network that was measured.
-    pub network: Network,
+    /// What was run, and where.
+    #[serde(flatten)]
+    pub head: Head,
     /// Frames of each camera.
     pub frames: usize,
     /// Episodes of each camera.
@@ -117,14 +104,7 @@ pub fn run(setup: &Setup, command: String, progress: &mut dyn FnMut(Progress)) -
     }
     progress(Progress::Measured(all, all));
     Ok(ReuseReport {
-        format: FORMAT,
-        experiment: "reuse",
-        question: "What does it cost not to encode images that hardly change?",
-        command,
-        egotac: egotac::VERSION,
-        machine: Machine::this(),
-        size: setup.size.clone(),
-        network: setup.network.clone(),
+        head: Head::new("reuse", "What does it cost not to encode images that hardly change?", command, setup),
         frames,
         episodes,
         rows,
@@ -140,14 +120,12 @@ fn predictor(setup: &Setup, reuse_below: f32) -> Result<Predictor> {
 }
 
 /// Returns the stores of the shipped scenes under a camera.
-fn recipes(setup: &Setup, camera: &str, sway: [f64; 2], noise: [f64; 2]) -> Result<Vec<Recipe>> {
+fn recipes(setup: &Setup, camera: &str, sway: UniformRange, noise: UniformRange) -> Result<Vec<Recipe>> {
     let Size { held_out, image, scenes, .. } = setup.size;
     let folder = setup.work.join("data");
     let recipe = |(name, _): &(&str, &str)| {
         let mut spec = Scene::load(name)?.spec;
-        let range =
-            |ends: [f64; 2]| parse_yaml(&format!("{ends:?}")).map_err(|e| Error::value("range", "two numbers", e));
-        (spec.camera.sway, spec.camera.noise) = (range(sway)?, range(noise)?);
+        (spec.camera.sway, spec.camera.noise) = (sway, noise);
         let text = serde_yaml::to_string(&spec).map_err(|e| Error::value("scene", "one that YAML can hold", e))?;
         let hash = &egotac::file::sha256(text.as_bytes())[..8];
         let file = format!("reuse_{name}_{}", camera.replace(' ', "_"));
@@ -167,20 +145,18 @@ fn recipes(setup: &Setup, camera: &str, sway: [f64; 2], noise: [f64; 2]) -> Resu
 impl ReuseReport {
     /// Returns the report as Markdown.
     pub fn markdown(&self) -> String {
+        let network = &self.head.network;
         let mut text = format!(
-            "# reuse\n\n{} Written by `{}`, egotac {}, {}. Numbers: `reuse.json`.\n\nMeasured is `{}` ({}), which has seen {}. \
+            "{}\nMeasured is `{}` ({}), which has seen {}. \
              {} frames of {} episodes at 25 Hz under each camera: *on the head* it sways, *on a stand* it does not; both have noise of 1 \
              to 3 grey levels.\nAn image is not encoded if no patch differs from the last encoded image by more than the level, the mean \
              absolute difference of its pixels in 8 bits; touch is then decoded from the tokens of that image. Times hold the \
              preparation of the picture. Differences are from encoding every image, with 95 % intervals over episodes.\n\n\
              ![Share of encoded images and F1 against the level](reuse.png)\n",
-            self.question,
-            self.command,
-            self.egotac,
-            self.machine,
-            self.network.name,
-            self.network.sha256.get(..12).unwrap_or_default(),
-            self.network.has_seen,
+            self.head.markdown(),
+            network.name,
+            network.sha256.get(..12).unwrap_or_default(),
+            network.has_seen,
             self.frames,
             self.episodes,
         );

@@ -2,7 +2,8 @@
 
 use egotac::text::put;
 
-use super::report::{ArmReport, Report, Scores, TestInfo};
+use super::report::{ArmReport, Head, Report, Scores, TestInfo};
+use super::training::BATCH;
 
 /// Score in tables and plots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -60,15 +61,7 @@ pub fn columns(test: &TestInfo) -> &'static [Column] {
 impl Report {
     /// Returns the report as Markdown: one table per test.
     pub fn markdown(&self) -> String {
-        let mut text = format!(
-            "# {0}\n\n{1} Written by `{2}`, egotac {3}, {4}. Numbers: `{0}.json`.\n\n{5}\n",
-            self.experiment,
-            self.question,
-            self.command,
-            self.egotac,
-            self.machine,
-            self.preface(),
-        );
+        let mut text = format!("{}\n{}\n", self.head.markdown(), self.preface());
         self.imported(&mut text);
         for test in &self.tests {
             put(&mut text, format_args!("\n## {} ({} frames, {} episodes)\n", test.title, test.frames, test.episodes));
@@ -86,13 +79,18 @@ impl Report {
 
     /// Says what was run, and how to read the tables.
     fn preface(&self) -> String {
-        let Self { size, network, .. } = self;
+        let Head { size, network, .. } = &self.head;
         let run = match size.steps {
             0 => String::new(),
             steps => format!(
-                "{} seeds; {steps} steps of up to 30 windows; {} episodes of each training scene, {} held-out ones of each scene; \
+                "{} seeds; {steps} steps of {} windows; {} episodes of each training scene, {} held-out ones of each scene; \
                  pictures of {} pixels, {} parameters.\n",
-                size.seeds, size.episodes, size.held_out, size.image, self.parameters
+                size.seeds,
+                BATCH.clips * BATCH.windows,
+                size.episodes,
+                size.held_out,
+                size.image,
+                self.parameters
             ),
         };
         let part = if size.steps > 0 { "The encoder of all arms is that of" } else { "Measured is" };

@@ -4,7 +4,6 @@
 //! range of calibration episodes that are not scored, as in the paper, which compares relative dynamics across sensors.
 
 use egotac::error::{Error, Result};
-use egotac::machine::Machine;
 use egotac::model::checkpoint::parameter_count;
 use egotac::score::metrics::{self, baseline};
 use egotac::tactile::TactileSequence;
@@ -12,7 +11,7 @@ use egotac::tactile::TactileSequence;
 use super::data::{self, Recipe};
 use super::decline::condition;
 use super::measure::{self, Finished};
-use super::report::{FORMAT, Report, TestInfo, force_truth, options, score_blind};
+use super::report::{Head, Report, TestInfo, force_truth, options, score_blind};
 use super::sensor::Sensor;
 use super::{Progress, Setup, render};
 
@@ -95,15 +94,13 @@ pub fn run(setup: &Setup, command: String, progress: &mut dyn FnMut(Progress)) -
     arms.extend(blind);
     progress(Progress::Measured(done, done));
     Ok(Report {
-        format: FORMAT,
-        experiment: "transfer".into(),
-        question: "Do the dynamics of predicted force hold for sensors with another layout, gain and spread?".into(),
-        command,
-        egotac: egotac::VERSION,
-        machine: Machine::this(),
-        size: setup.size.clone(),
+        head: Head::new(
+            "transfer",
+            "Do the dynamics of predicted force hold for sensors with another layout, gain and spread?",
+            command,
+            setup,
+        ),
         parameters: parameter_count(&setup.network.geometry)?,
-        network: setup.network.clone(),
         differences: "from a constant prediction, the mean force of each vertex, against the same truth".into(),
         tests,
         imported: Vec::new(),

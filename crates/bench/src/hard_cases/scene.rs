@@ -2,12 +2,10 @@
 
 use std::path::Path;
 
-use egotac::error::{Error, Result};
+use egotac::error::Result;
 use egotac::hand::FINGER_LIMIT;
-use egotac::sim::{Rollout, RolloutOptions, Scene};
+use egotac::sim::{Rollout, RolloutOptions, Scene, UniformRange};
 use egotac::tactile::Validity;
-use egotac::text::parse_yaml;
-use serde::de::DeserializeOwned;
 
 use super::{Family, HardCase, Outcome};
 
@@ -78,22 +76,17 @@ fn object_of(edge: f64, mass: f64, good: Good) -> Result<Outcome> {
 }
 
 /// Returns the scene `pinch_cube` with a cube of this mass and friction, and a further force at each finger, N.
-fn pinch_scene(mass: f64, friction: f64, force: [f64; 2]) -> Result<Scene> {
+fn pinch_scene(mass: f64, friction: f64, [low, high]: [f64; 2]) -> Result<Scene> {
     let mut spec = Scene::load("pinch_cube")?.spec;
-    spec.objects[0].mass = range([mass; 2])?;
-    spec.objects[0].friction = range([friction; 2])?;
+    spec.objects[0].mass = UniformRange::fixed(mass);
+    spec.objects[0].friction = UniformRange::fixed(friction);
     if let Some(act) = &mut spec.hands[0].act {
-        act.grip = range([2.0; 2])?;
+        act.grip = UniformRange::fixed(2.0);
         for contact in act.contacts.values_mut() {
-            contact.force = range(force)?;
+            contact.force = UniformRange::new(low, high);
         }
     }
     Scene::checked("pinch", spec)
-}
-
-/// Returns a range of numbers, as scene files have them.
-fn range<T: DeserializeOwned>(ends: [f64; 2]) -> Result<T> {
-    parse_yaml(&format!("{ends:?}")).map_err(|error| Error::value("range", "two numbers", error))
 }
 
 /// Returns the largest force on a finger's link beyond that of a human hand, N, and the first report of a guard.
