@@ -31,7 +31,9 @@ impl Figure for PolicyReport {
         B::ErrorType: 'static,
     {
         root.fill(&WHITE)?;
-        let (left, right) = root.split_horizontally(640);
+        let names: Vec<String> = self.rows.iter().map(|row| row.name.replace('_', " ")).collect();
+        let keys: Vec<(&str, RGBColor)> = names.iter().map(String::as_str).zip(PALETTE).collect();
+        let (left, right) = plot::head(root, "Does touch help a policy?", &keys)?.split_horizontally(640);
         draw_success(&left, &self.rows)?;
         draw_by_mass(&right, &self.rows)?;
         root.present()?;
@@ -82,8 +84,7 @@ where
     B::ErrorType: 'static,
 {
     let [low, high] = MASS.map(|mass| 1000.0 * mass);
-    let mut chart =
-        plot::chart(area, "Success by weight", [46, 60]).build_cartesian_2d((low..high).log_scale(), 0.0..1.05)?;
+    let mut chart = plot::chart(area, "Success by weight", [46, 60]).build_cartesian_2d(low..high, 0.0..1.05)?;
     plot::axes(
         &mut chart,
         ("mass of the ball, g", &|mass| format!("{mass:.0}")),
@@ -92,12 +93,9 @@ where
     )?;
     for (index, row) in rows.iter().enumerate() {
         let color = PALETTE[index % PALETTE.len()];
-        chart
-            .draw_series(LineSeries::new(by_mass(row), color.stroke_width(2)).point_size(4))?
-            .label(row.name.replace('_', " "))
-            .legend(plot::line_key(color));
+        chart.draw_series(LineSeries::new(by_mass(row), color.stroke_width(2)).point_size(4))?;
     }
-    plot::legend(&mut chart, SeriesLabelPosition::LowerLeft)
+    Ok(())
 }
 
 /// Returns the middle of each bin, g, with the success rate in it; bins without trials are left out.
