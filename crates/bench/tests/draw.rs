@@ -10,7 +10,7 @@ use egotac::render::plot::PALETTE;
 use egotac_bench::draw::svgs;
 
 /// Reports with plots, below docs/.
-const REPORTS: [&str; 18] = [
+const REPORTS: [&str; 20] = [
     "bench/model.json",
     "bench/epyc/model.json",
     "bench/sim.json",
@@ -18,6 +18,8 @@ const REPORTS: [&str; 18] = [
     "bench/physics.json",
     "bench/retarget.json",
     "results/sources.json",
+    "results/ablations.json",
+    "results/sampling.json",
     "results/consistency.json",
     "results/history.json",
     "results/separation.json",
