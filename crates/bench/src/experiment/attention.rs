@@ -40,7 +40,7 @@ const LAYERS: [&str; 2] = ["temporal token", "CLS, last encoder layer"];
 /// Results of the experiment.
 #[derive(Debug, Clone, Serialize)]
 pub struct AttentionReport {
-    /// What was run, and where.
+    /// Description of the run.
     #[serde(flatten)]
     pub head: Head,
     /// Results of both worlds.

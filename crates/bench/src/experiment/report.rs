@@ -25,7 +25,7 @@ use super::{Setup, Size};
 /// Format of the JSON; a changed meaning of a number gets a higher one, and reports of lower ones are not read.
 pub const FORMAT: u32 = 2;
 
-/// What was run, and where: the first entries of every report.
+/// Description of a run: the first entries of every report.
 #[derive(Debug, Clone, Serialize)]
 pub struct Head {
     /// [`FORMAT`].
@@ -73,7 +73,7 @@ impl Head {
 /// Results of an experiment.
 #[derive(Debug, Clone, Serialize)]
 pub struct Report {
-    /// What was run, and where.
+    /// Description of the run.
     #[serde(flatten)]
     pub head: Head,
     /// Parameters of the first arm's network.

@@ -30,7 +30,7 @@ const CAMERAS: [(&str, UniformRange, UniformRange); 2] = [
 /// Results of the experiment.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReuseReport {
-    /// What was run, and where.
+    /// Description of the run.
     #[serde(flatten)]
     pub head: Head,
     /// Frames of each camera.

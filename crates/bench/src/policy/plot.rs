@@ -34,19 +34,18 @@ impl Figure for PolicyReport {
         let names: Vec<String> = self.rows.iter().map(|row| row.name.replace('_', " ")).collect();
         let keys: Vec<(&str, RGBColor)> = names.iter().map(String::as_str).zip(PALETTE).collect();
         let (left, right) = plot::head(root, "Does touch help a policy?", &keys)?.split_horizontally(640);
-        draw_success(&left, &self.rows)?;
+        draw_success(&left, &self.rows, &names)?;
         draw_by_mass(&right, &self.rows)?;
         root.present()?;
         Ok(())
     }
 }
 
-/// Draws a bar for each row, its bootstrap interval, and a dot for each training.
-fn draw_success<B: DrawingBackend>(area: &DrawingArea<B, Shift>, rows: &[Row]) -> Drawn<()>
+/// Draws a bar for each row with its name, its bootstrap interval, and a dot for each training.
+fn draw_success<B: DrawingBackend>(area: &DrawingArea<B, Shift>, rows: &[Row], names: &[String]) -> Drawn<()>
 where
     B::ErrorType: 'static,
 {
-    let names: Vec<String> = rows.iter().map(|row| row.name.replace('_', " ")).collect();
     let mut chart = plot::chart(area, "Success (bar: 95 %, dots: trainings)", [40, 190])
         .build_cartesian_2d(0.0..1.05, -0.5..rows.len() as f64 - 0.5)?;
     // The first row stands on top.
