@@ -10,7 +10,7 @@ use egotac::render::plot::PALETTE;
 use egotac_bench::draw::svgs;
 
 /// Reports with plots, below docs/.
-const REPORTS: [&str; 20] = [
+const REPORTS: [&str; 21] = [
     "bench/model.json",
     "bench/epyc/model.json",
     "bench/sim.json",
@@ -26,6 +26,7 @@ const REPORTS: [&str; 20] = [
     "results/glove.json",
     "results/decline.json",
     "results/transfer.json",
+    "results/reuse.json",
     "results/earlier/ablations.json",
     "results/earlier/limits.json",
     "results/earlier/scaling.json",
