@@ -151,6 +151,9 @@ type RunJob<'a> = &'a mut dyn FnMut(usize, usize, &mut LabelTiming, &mut dyn FnM
 
 /// Finds the recordings and hands their jobs to `finish`.
 fn label<T>(args: &Args, finish: impl FnOnce(&Work, RunJob) -> anyhow::Result<T>) -> anyhow::Result<T> {
+    if let Some(option) = args.physics.bodies.given() {
+        anyhow::bail!("{option}: expected together with --physics, which estimates forces from the motion of objects");
+    }
     let path = args.checkpoint.clone().map_or_else(shipped::path, Ok)?;
     let options = Options { device: super::device(args.cuda)?, precision: args.precision, ..Default::default() };
     let mut predictor = Predictor::load(&path, args.doubt.apply(options))?;

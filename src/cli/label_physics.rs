@@ -15,6 +15,54 @@ use crate::label::physics::{BodyOptions, Counts, Label, label};
 use crate::physics::body::DENSITY_CLASSES;
 use crate::physics::{DensityClass, Settings};
 
+/// Arguments about the bodies of a store.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Bodies")]
+pub struct Bodies {
+    /// Mass of an object, kg; once per object.
+    #[arg(long, value_name = "OBJECT=KG", value_parser = mass)]
+    mass: Vec<(String, f64)>,
+    /// Class of the density of objects without --mass: household, filled, wood, plastic, ceramic, glass or metal. By default
+    /// the masses of the simulator, and household for recordings.
+    #[arg(long, value_name = "CLASS", value_parser = density)]
+    density: Option<DensityClass>,
+    /// Coefficient of friction between hands and objects; by default the simulator's, and 0.8 for recordings.
+    #[arg(long, value_name = "F", value_parser = super::positive)]
+    friction: Option<f64>,
+    /// Folder with a mesh OBJECT.obj, .ply, .glb or .stl of each object, in place of the files that the import read.
+    #[arg(long, value_name = "FOLDER")]
+    meshes: Option<PathBuf>,
+    /// Direction of gravity in the store's world frame, such as 0,0,-1; by default found from objects at rest.
+    #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true)]
+    gravity: Option<DVec3>,
+}
+
+impl Bodies {
+    /// Returns the options that the arguments give.
+    pub fn options(&self) -> BodyOptions {
+        BodyOptions {
+            masses: self.mass.iter().cloned().collect(),
+            density: self.density,
+            friction: self.friction,
+            meshes: self.meshes.clone(),
+            gravity: self.gravity,
+        }
+    }
+
+    /// Returns the name of an option that is given; None if none is.
+    pub fn given(&self) -> Option<&'static str> {
+        let Self { mass, density, friction, meshes, gravity } = self;
+        let given = [
+            ("--mass", !mass.is_empty()),
+            ("--density", density.is_some()),
+            ("--friction", friction.is_some()),
+            ("--meshes", meshes.is_some()),
+            ("--gravity", gravity.is_some()),
+        ];
+        given.into_iter().find_map(|(name, given)| given.then_some(name))
+    }
+}
+
 /// Arguments of forces from motion.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Forces from motion")]
@@ -23,22 +71,8 @@ pub struct Physics {
     /// is read.
     #[arg(long)]
     pub physics: bool,
-    /// Mass of an object, kg; once per object.
-    #[arg(long, value_name = "OBJECT=KG", value_parser = mass, requires = "physics")]
-    mass: Vec<(String, f64)>,
-    /// Class of the density of objects without --mass: household, filled, wood, plastic, ceramic, glass or metal. By default
-    /// the masses of the simulator, and household for recordings.
-    #[arg(long, value_name = "CLASS", value_parser = density, requires = "physics")]
-    density: Option<DensityClass>,
-    /// Coefficient of friction between hands and objects; by default the simulator's, and 0.8 for recordings.
-    #[arg(long, value_name = "F", value_parser = super::positive, requires = "physics")]
-    friction: Option<f64>,
-    /// Folder with a mesh OBJECT.obj, .ply, .glb or .stl of each object, in place of the files that the import read.
-    #[arg(long, value_name = "FOLDER", requires = "physics")]
-    meshes: Option<PathBuf>,
-    /// Direction of gravity in the store's world frame, such as 0,0,-1; by default found from objects at rest.
-    #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true, requires = "physics")]
-    gravity: Option<DVec3>,
+    #[command(flatten)]
+    pub bodies: Bodies,
     /// Bandwidth of the smoothed motion, 1/s; by default the largest at which noise of the poses stays small.
     #[arg(long, value_name = "HZ", value_parser = super::positive, requires = "physics")]
     bandwidth: Option<f64>,
@@ -51,29 +85,8 @@ impl Physics {
     /// Writes a copy of the store `input` with forces to `out`.
     pub fn run(&self, input: &Path, out: &Path, hands: &Hands, json: &Json) -> anyhow::Result<ExitCode> {
         let store = ZarrReader::open(input)?;
-        let mut models = match (store.attributes().topology, hands.files()?) {
-            (Topology::Mano, Some(models)) => models,
-            (Topology::Mano, None) => bail!(
-                "{}: is on MANO's vertices; expected --mano-left FILE and --mano-right FILE to pose them",
-                input.display()
-            ),
-            (Topology::EgotacHand1, None) => Side::BOTH.map(HandModel::builtin),
-            (Topology::EgotacHand1, Some(_)) => bail!(
-                "{}: is on the built-in hand's vertices; expected no MANO files, or a store that was imported with them",
-                input.display()
-            ),
-        };
-        let import = store.raw_attributes().get("import");
-        if import.and_then(|import| import.get("left_shapedirs_fixed")).is_some_and(|fixed| fixed == true) {
-            models[0].fix_left_shapedirs();
-        }
-        let bodies = BodyOptions {
-            masses: self.mass.iter().cloned().collect(),
-            density: self.density,
-            friction: self.friction,
-            meshes: self.meshes.clone(),
-            gravity: self.gravity,
-        };
+        let models = models(&store, hands)?;
+        let bodies = self.bodies.options();
         let settings = Settings { bandwidth: self.bandwidth, refine: self.refine, ..Settings::default() };
         let bar = super::progress::bar("images");
         bar.set_length(store.len() as u64);
@@ -83,6 +96,30 @@ impl Physics {
         json.show(&serde_json::to_value(&counts)?, || summary(&counts, out))?;
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// Returns the left and right hand on the topology of a store.
+///
+/// # Errors
+/// If the store is on MANO's vertices and no MANO files are given, or the other way round.
+pub fn models(store: &ZarrReader, hands: &Hands) -> anyhow::Result<[HandModel; 2]> {
+    let mut models = match (store.attributes().topology, hands.files()?) {
+        (Topology::Mano, Some(models)) => models,
+        (Topology::Mano, None) => bail!(
+            "{}: is on MANO's vertices; expected --mano-left FILE and --mano-right FILE to pose them",
+            store.path().display()
+        ),
+        (Topology::EgotacHand1, None) => Side::BOTH.map(HandModel::builtin),
+        (Topology::EgotacHand1, Some(_)) => bail!(
+            "{}: is on the built-in hand's vertices; expected no MANO files, or a store that was imported with them",
+            store.path().display()
+        ),
+    };
+    let import = store.raw_attributes().get("import");
+    if import.and_then(|import| import.get("left_shapedirs_fixed")).is_some_and(|fixed| fixed == true) {
+        models[0].fix_left_shapedirs();
+    }
+    Ok(models)
 }
 
 fn summary(counts: &Counts, out: &Path) -> String {

@@ -39,6 +39,14 @@ impl Solid {
         solid
     }
 
+    /// Returns vertices, m, and triangles of a solid that is one mesh.
+    pub fn mesh(&self) -> Option<(&[Vec3], &[[u32; 3]])> {
+        match self.parts.as_slice() {
+            [BoundedShape { shape: Shape::Mesh(surface), .. }] => Some(surface.mesh()),
+            _ => None,
+        }
+    }
+
     /// Adds a mesh.
     pub fn add_mesh(&mut self, surface: Surface) {
         let [low, high] = surface.bounds();

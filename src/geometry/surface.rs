@@ -56,6 +56,11 @@ impl Surface {
         Ok(surface)
     }
 
+    /// Returns vertices, m, and triangles.
+    pub fn mesh(&self) -> (&[Vec3], &[[u32; 3]]) {
+        (&self.vertices, &self.triangles)
+    }
+
     /// Moves the vertices of a surface that bends. The sides stay, because bending neither opens nor reverses a
     /// surface.
     ///

@@ -25,6 +25,8 @@ mod journal;
 mod labeller;
 mod manifest;
 pub mod physics;
+#[cfg(feature = "sim")]
+pub mod replay;
 mod workspace;
 
 pub use input::{FormatOptions, LabelTask, LabelTasks, OutputFormat, find_tasks};

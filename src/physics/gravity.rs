@@ -22,7 +22,7 @@ const CLEAR: f64 = 0.6;
 /// Factor on the score of a direction whose plane bodies or hands pass through.
 const PIERCED: f64 = 0.2;
 /// Half size of the slab that stands for the support, m.
-const SLAB: Vec3 = Vec3::new(2.0, 2.0, 0.05);
+pub(crate) const SLAB: Vec3 = Vec3::new(2.0, 2.0, 0.05);
 
 /// Direction of gravity and the plane that carries resting bodies.
 #[derive(Debug, Clone)]

@@ -30,6 +30,11 @@ impl Pose {
         self.position + self.orientation * local
     }
 
+    /// Returns the pose whose frame `other` is given in.
+    pub fn of(&self, other: &Self) -> Self {
+        Self { position: self.point(other.position), orientation: self.orientation * other.orientation }
+    }
+
     /// Returns the place of a world point in the body's frame, m.
     pub fn local(&self, world: DVec3) -> DVec3 {
         self.orientation.inverse() * (world - self.position)

@@ -42,7 +42,6 @@ pub mod physical;
 pub mod randomize;
 pub(crate) mod range;
 pub(crate) mod record;
-pub mod replay;
 #[doc(hidden)]
 pub mod rig;
 pub(crate) mod rollout;

@@ -34,6 +34,19 @@ pub struct Batch {
     pub mask_contact: Vec<f32>,
     /// (F) keypoints of each frame; empty without the keypoint task.
     pub points: Vec<Points>,
+    /// (F) identity of each frame.
+    pub keys: Vec<FrameKey>,
+}
+
+/// Identity of a frame in a batch: frames with equal keys have equal pixels if augmentation at most mirrors them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct FrameKey {
+    /// Index of the store.
+    pub store: usize,
+    /// Frame within the store.
+    pub frame: usize,
+    /// True if the image is mirrored.
+    pub mirrored: bool,
 }
 
 /// Settings that turn clips into batches.
@@ -78,6 +91,7 @@ impl Dataset {
             mask_force: vec![0.0; n_windows * item],
             mask_contact: vec![0.0; n_windows * item],
             points: Vec::new(),
+            keys: Vec::new(),
         };
         let mut rows = (0..).step_by(N_FIELD).map(|start| start..start + N_FIELD);
         for (place, clip) in share.of(clips) {
@@ -115,6 +129,8 @@ impl Dataset {
                 let at = (frame - first) * pixels;
                 augmentation.apply(&block.images[at..at + pixels], side, mean, std, out);
             }
+            let key = |frame: &usize| FrameKey { store: clip.store, frame: *frame, mirrored: augmentation.mirrored };
+            batch.keys.extend(needed.iter().map(key));
             if let Some(points) = self.keypoints(clip.store) {
                 let augmented = |frame: &usize| keypoints::augmented(points[*frame], &augmentation);
                 batch.points.extend(needed.iter().map(augmented));

@@ -11,6 +11,7 @@ pub mod config;
 mod curves;
 pub mod data;
 pub mod familiarity;
+pub mod fixed_encoder;
 mod gradients;
 pub mod initial_weights;
 pub mod job;

@@ -8,6 +8,7 @@ use candle_nn::VarMap;
 
 use super::batch::Batch;
 use super::config::{Config, LossWeights};
+use super::fixed_encoder::FixedEncoder;
 use super::gradients::Gradients;
 use super::keypoints::{self, Heads, Points};
 use super::loader::Loader;
@@ -18,12 +19,12 @@ use crate::error::Result;
 use crate::model::{self, EgoTac, Precision};
 
 /// Network and objective that batches are passed through.
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy)]
 pub struct Pass<'a> {
     /// The network.
     pub network: &'a EgoTac,
-    /// Compiled network that encodes the frames if the encoder does not learn; without it, the encoder of `network` learns.
-    pub fixed_encoder: Option<&'a EgoTac>,
+    /// Encodes the frames if the encoder does not learn; without it, the encoder of `network` learns.
+    pub fixed_encoder: Option<&'a FixedEncoder>,
     /// Heads of the auxiliary keypoint task.
     pub keypoint_heads: Option<&'a Heads>,
     /// Geometry of the network.
@@ -196,11 +197,11 @@ impl Pass<'_> {
 
     fn run_here(&self, mut batch: Batch, counts: &Counts, share: f64) -> Result<PassOutput> {
         let Self { network, geometry, .. } = self;
-        let points = std::mem::take(&mut batch.points);
+        let (points, keys) = (std::mem::take(&mut batch.points), std::mem::take(&mut batch.keys));
         let newest = newest_points(&batch, &points, geometry.horizon);
         let (images, windows, truth) = batch.to_device(geometry.image, geometry.predict, self.device)?;
         let tokens = match self.fixed_encoder {
-            Some(fixed) => fixed.encode(&images)?.detach(),
+            Some(fixed) => fixed.encode(&images, &keys)?,
             None => network.encode(&images)?,
         }; // (F, P, dv)
         let projected = network.project(&tokens)?; // (F, P, d)

@@ -8,6 +8,7 @@ use candle_nn::VarMap;
 use super::batch::Collate;
 use super::config::Config;
 use super::data::{Dataset, Statistics};
+use super::fixed_encoder::FixedEncoder;
 use super::source::TrainingSource;
 use super::{Started, initial_weights, keypoints};
 use crate::error::{Error, Result};
@@ -99,8 +100,8 @@ pub struct Network {
     pub varmap: VarMap,
     /// The network on these variables.
     pub model: EgoTac,
-    /// Compiled network with the initial weights, if the encoder keeps them: the factor on its learning rate is 0.
-    pub fixed_encoder: Option<EgoTac>,
+    /// The encoder, if it keeps its initial weights: the factor on its learning rate is 0.
+    pub fixed_encoder: Option<FixedEncoder>,
     /// Heads of the auxiliary keypoint task, if its loss has a weight.
     pub keypoint_heads: Option<keypoints::Heads>,
 }
@@ -145,7 +146,11 @@ impl Network {
         };
         let fixed_encoder = match config.encoder_factor() > 0.0 {
             true => None,
-            false => Some(EgoTac::new(geometry, model::init::var_builder(&varmap, config.seed, device))?.freeze()?),
+            false => {
+                let network =
+                    EgoTac::new(geometry, model::init::var_builder(&varmap, config.seed, device))?.freeze()?;
+                Some(FixedEncoder::new(network, config.keeps_tokens()))
+            }
         };
         Ok(Self { varmap, model, fixed_encoder, keypoint_heads })
     }

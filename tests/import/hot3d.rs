@@ -12,8 +12,10 @@ use crate::writers::take::{FRAMES, Take, cuboid};
 use egotac::dataset::SourceFrames;
 use egotac::dataset::zarr::{CAMERA_POSE, ZarrReader};
 use egotac::error::{Error, Result};
-use egotac::hand::Side;
+use egotac::hand::{HandModel, Side};
 use egotac::import::{ContactRule, HandModels, ImportTasks, Moment, Options, Reader, Recording, Settings, kind};
+use egotac::label::physics::BodyOptions;
+use egotac::label::replay::{Replayed, replay};
 use egotac::label::{LabelTiming, Outcome, Shard};
 use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3};
 use image::imageops::rotate90;
@@ -278,6 +280,37 @@ fn umetrack_profile(keypoints: &[glam::Vec3; 21], wrist: DAffine3, angles: &[f64
         "landmark_rest_bone_indices": landmarks.iter().map(|(_, frame)| [*frame, 0, 0]).collect::<Vec<_>>(),
         "landmark_rest_bone_weights": landmarks.iter().map(|_| [1.0, 0.0, 0.0]).collect::<Vec<_>>(),
     })
+}
+
+#[test]
+fn both_hands_touch_where_the_poses_of_a_clip_are_replayed() {
+    let folder = tempfile::tempdir().unwrap();
+    let (root, mano) = data_set(folder.path(), |_| ());
+    let out = folder.path().join("clip.zarr");
+    assert!(import(&root, &mano, &out, &["--size", "0"]).status.success());
+    let [left, right] = [&mano.left, &mano.right].map(|path| path.to_str().unwrap());
+    let store = out.to_str().unwrap();
+    let mano_files = ["--mano-left", left, "--mano-right", right];
+    let arguments = ["sim", "replay", store, "--gravity", "0,0,-1", "--json"];
+    let output = egotac(&[&arguments[..], &mano_files].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    // The person's hand bends by the built-in hand's hinges; three frames at either end do not count.
+    assert!(report["missed_rotation_degrees"].as_f64().unwrap() < 0.1, "{report}");
+    assert_eq!(report["replayed"], FRAMES - 6);
+    // The clip has no forces to compare with, but in the simulator both hands touch in all of its frames.
+    let models = [HandModel::load(&mano.left, Side::Left).unwrap(), HandModel::load(&mano.right, Side::Right).unwrap()];
+    let bodies = BodyOptions { gravity: Some(DVec3::NEG_Z), ..BodyOptions::default() };
+    let Replayed { frames, .. } = replay(&out, &models, &bodies).unwrap();
+    assert_eq!(frames.len(), FRAMES);
+    for frame in &frames {
+        let sums = frame.links.map(|links| links.iter().sum::<f64>());
+        assert!(sums.iter().all(|sum| *sum > 1.0), "frame {}: {sums:?} N", frame.frame);
+        // The second object's mesh is there, but nothing touches it.
+        assert!(frame.net[0].is_finite() && frame.net[1] == DVec3::ZERO, "{frame:?}");
+    }
+    let error = egotac(&["sim", "replay", store]);
+    assert!(String::from_utf8_lossy(&error.stderr).contains("--mano-left"));
 }
 
 #[test]

@@ -259,3 +259,15 @@ fn data_info_states_the_time_unit_of_a_foreign_store_and_invents_no_forces() {
     let text = String::from_utf8(egotac(&["data", "info", &format!("{DATA}/task.zarr.zip")]).stdout).unwrap();
     assert!(text.contains("no true forces") && text.contains("<U13"), "{text}");
 }
+
+#[test]
+fn options_about_bodies_are_refused_without_physics() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out.zarr");
+    for option in [["--density", "wood"], ["--mass", "cup=0.2"], ["--gravity", "0,0,-1"]] {
+        let output = label(Path::new(&format!("{DATA}/task.zarr.zip")), &out, &option);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && error.contains(option[0]) && error.contains("--physics"), "{error}");
+        assert!(!out.exists());
+    }
+}

@@ -9,6 +9,7 @@ use egotac::dataset::zarr::{
 use egotac::dataset::{Attributes, EpisodeWriter, Frame};
 use egotac::hand::{HandModel, N_FIELD, Side, Topology};
 use egotac::label::physics::{BodyOptions, Counts, Label, label};
+use egotac::label::replay::{ReplayReport, Replayed, replay};
 use egotac::physics::{ForceValidity, Settings};
 use egotac::sim::{Rollout, RolloutOptions, Scene, physical, record};
 use egotac::tactile::{ForceKind, TactileField, Validity};
@@ -152,6 +153,37 @@ fn a_recording_of_poses_and_a_mesh_gets_forces_in_place_of_unknown_ones() {
     let pearson =
         product(&found, &truth, a, b) / (product(&found, &found, a, a) * product(&truth, &truth, b, b)).sqrt();
     assert!(pearson > 0.8, "{pearson}");
+}
+
+#[test]
+fn a_recording_is_replayed_in_a_world_of_its_mesh() {
+    let folder = tempfile::tempdir().unwrap();
+    let (store, truth, mass) = poses_alone("pinch_cube", folder.path());
+    let models = Side::BOTH.map(HandModel::builtin);
+    // The engine's force at a depth grows with the mass.
+    let bodies = BodyOptions { masses: [("cube".to_string(), mass)].into(), ..nothing_given() };
+    let Replayed { frames, missed_rotation } = replay(&store, &models, &bodies).unwrap();
+    // The hand was posed by the same hinges.
+    assert!(missed_rotation < 1e-4, "{missed_rotation}");
+    assert_eq!(frames.len(), truth.len());
+    let inner = frames.iter().filter(|frame| frame.to_edge >= 3);
+    let pairs: Vec<(f64, f64)> =
+        inner.map(|frame| (frame.links.iter().flatten().sum::<f64>(), truth[frame.frame])).collect();
+    let touching: Vec<&(f64, f64)> = pairs.iter().filter(|(own, truth)| *own > 0.05 || *truth > 0.05).collect();
+    let off = touching.iter().map(|(own, truth)| (own - truth).abs()).sum::<f64>();
+    let off = off / touching.iter().map(|pair| pair.1).sum::<f64>();
+    assert!(touching.len() > 20 && off < 0.2, "{off}: {touching:?}");
+    // At rest the support pushes straight up. It is found where the cube rests, so that nothing tells how deep the cube lay in
+    // the simulator's table, and the force is below the weight.
+    let weight = mass * 9.81;
+    let first = &frames[3].net[0];
+    assert!(first.z > 0.1 * weight && first.z < 1.05 * weight && first.truncate().length() < 1e-6, "{first:?}");
+    // Forces from motion are not called recorded ones.
+    let out = folder.path().join("forces.zarr");
+    run(&store, &out, nothing_given()).unwrap();
+    let report = ReplayReport::of(&out, &models, &nothing_given()).unwrap();
+    let names: Vec<&str> = report.agreements.iter().map(|agreement| agreement.quantity.as_str()).collect();
+    assert!(names.len() == 3 && names.iter().all(|name| name.ends_with("forces from motion")), "{names:?}");
 }
 
 #[test]

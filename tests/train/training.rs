@@ -366,18 +366,24 @@ fn accumulated_gradients_equal_those_of_the_whole_batch() {
 fn an_encoder_with_factor_0_keeps_its_weights_and_the_rest_learns_as_beside_one_that_hardly_moves() {
     let folder = tempfile::tempdir().unwrap();
     write_store(&folder.path().join("train.zarr"), 1, 2, 30);
-    let run_with = |out: &str, steps: usize, factor: f64| {
+    let run_with = |out: &str, steps: usize, factor: f64, augment: AugmentConfig| {
         let mut config = config(folder.path(), out, steps, "");
         (config.optimizer.encoder_factor, config.optimizer.max_grad_norm) = (Some(factor), 1e6);
+        config.augment = augment;
         let outcome = run(&config, false, usize::MAX);
         (logged(&config, "loss"), candle_core::safetensors::load(outcome.checkpoint, &Device::Cpu).unwrap())
     };
-    let (fixed, after_4) = run_with("fixed", 4, 0.0);
-    let (learning, _) = run_with("learning", 4, 1e-12);
-    for (a, b) in fixed.iter().zip(&learning) {
-        assert!((a - b).abs() < 1e-3 * b.abs(), "{fixed:?} {learning:?}");
+    // Mirrored images are encoded once in either form; colours and crops differ from step to step. 8 steps are three epochs.
+    let mirrored = AugmentConfig { mirror: 0.5, ..AugmentConfig::none() };
+    for (augment, steps) in [(AugmentConfig::default(), 4), (mirrored, 8)] {
+        let (fixed, _) = run_with(&format!("fixed{steps}"), steps, 0.0, augment);
+        let (learning, _) = run_with(&format!("learning{steps}"), steps, 1e-12, augment);
+        for (a, b) in fixed.iter().zip(&learning) {
+            assert!((a - b).abs() < 1e-3 * b.abs(), "{fixed:?} {learning:?}");
+        }
     }
-    let (_, after_1) = run_with("one", 1, 0.0);
+    let (_, after_4) = run_with("four", 4, 0.0, AugmentConfig::default());
+    let (_, after_1) = run_with("one", 1, 0.0, AugmentConfig::default());
     let values = |tensor: &Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
     let mut same = [0, 0];
     for (name, tensor) in &after_4 {

@@ -10,8 +10,9 @@ use egotac::model::{Config, EgoTac, init};
 use egotac::statistics::median;
 use egotac::tactile::N_FIELD;
 use egotac::text::put;
-use egotac::train::batch::Batch;
+use egotac::train::batch::{Batch, FrameKey};
 use egotac::train::config::LossWeights;
+use egotac::train::fixed_encoder::FixedEncoder;
 use egotac::train::optimizer::AdamW;
 use egotac::train::pass::Pass;
 use rand::{Rng, SeedableRng};
@@ -34,15 +35,17 @@ pub struct Form {
     pub clips: usize,
     /// Windows of each clip, one frame apart; they share the frames of the clip.
     pub windows: usize,
+    /// True if the encoder does not learn and has encoded the frames before.
+    pub encoded: bool,
 }
 
 impl Form {
     /// 4 windows of T frames each.
-    pub const OWN: Self = Self { clips: WINDOWS, windows: 1 };
+    pub const OWN: Self = Self { clips: WINDOWS, windows: 1, encoded: false };
 
     /// Returns all windows of a clip of 16 frames; each frame is encoded once.
     pub fn shared(geometry: &Config) -> Self {
-        Self { clips: 1, windows: CLIP.saturating_sub(geometry.horizon) + 1 }
+        Self { clips: 1, windows: CLIP.saturating_sub(geometry.horizon) + 1, encoded: false }
     }
 }
 
@@ -94,9 +97,16 @@ pub fn step(geometry: &Config, form: Form, runs: usize, device: &Device) -> Resu
     let network = EgoTac::new(geometry, init::var_builder(&varmap, 0, device))?;
     let mut optimizer = AdamW::new(&varmap, &config()?)?;
     let weights = LossWeights::default();
+    let fixed = match form.encoded {
+        true => {
+            let same = EgoTac::new(geometry, init::var_builder(&varmap, 0, device))?;
+            Some(FixedEncoder::new(same.freeze()?, true))
+        }
+        false => None,
+    };
     let pass = Pass {
         network: &network,
-        fixed_encoder: None,
+        fixed_encoder: fixed.as_ref(),
         keypoint_heads: None,
         geometry,
         force_scale: 1.0,
@@ -208,6 +218,7 @@ fn batch(geometry: &Config, form: Form) -> Batch {
         mask_force: vec![1.0; entries],
         mask_contact: vec![1.0; entries],
         points: vec![],
+        keys: (0..frames).map(|frame| FrameKey { store: 0, frame, mirrored: false }).collect(),
     }
 }
 

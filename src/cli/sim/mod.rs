@@ -17,6 +17,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use super::hands::{Hands, Kernel};
+use super::label_physics::Bodies;
 use super::options::{Json, Time};
 #[cfg(feature = "sim")]
 pub(super) use shared::{load, picture};
@@ -159,8 +160,13 @@ struct Generate {
 
 #[derive(Debug, clap::Args)]
 struct Replay {
-    /// Store of the simulator, with poses of hands and objects; also one that `egotac label --physics` made of it.
+    /// Store with poses of hands and objects: of the simulator or of `egotac data import`; also one that `egotac label --physics`
+    /// made of it.
     store: PathBuf,
+    #[command(flatten)]
+    bodies: Bodies,
+    #[command(flatten)]
+    hands: Hands,
     #[command(flatten)]
     json: Json,
 }

@@ -59,6 +59,9 @@ pub struct Counts {
     pub unknown: BTreeMap<&'static str, usize>,
 }
 
+/// Value of the attribute `force_origin` of a store whose forces are estimated from motion.
+pub const ESTIMATED: &str = "estimated from motion";
+
 /// Writes a copy of the store at `path` with forces from motion to `out`; calls `progress` with the frames done and all.
 ///
 /// # Errors
@@ -183,7 +186,7 @@ fn attributes(run: &Label, has_force: bool, force: &str, episodes: Vec<Value>, c
     let description = json!({
         "producer": "egotac label --physics",
         "version": crate::VERSION,
-        "origin": "estimated from motion",
+        "origin": ESTIMATED,
         "force": force,
         "force_kind": ForceKind::Spread.id(),
         "sigma": SIGMA,
@@ -195,7 +198,7 @@ fn attributes(run: &Label, has_force: bool, force: &str, episodes: Vec<Value>, c
     attributes.insert("force_from_motion".into(), description);
     if !has_force {
         attributes.insert(ForceKind::ATTRIBUTE.into(), ForceKind::Spread.id().into());
-        attributes.insert("force_origin".into(), "estimated from motion".into());
+        attributes.insert("force_origin".into(), ESTIMATED.into());
         attributes.insert("sigma".into(), SIGMA.into());
     }
     attributes

@@ -92,7 +92,7 @@ impl RolloutOptions {
     ///
     /// # Errors
     /// If an effect lacks one that it requires, or the physics options are not valid.
-    pub(super) fn effects_and_physics(&self, scene: &SceneSpec) -> Result<(EffectSet, PhysicsOptions)> {
+    pub(crate) fn effects_and_physics(&self, scene: &SceneSpec) -> Result<(EffectSet, PhysicsOptions)> {
         let plan = EffectPlan::of(scene)?;
         let effects = self.select_effects(&plan)?;
         let physics = match &self.physics {

@@ -183,6 +183,11 @@ impl Config {
         self.optimizer.encoder_factor.unwrap_or(if trained { 0.1 } else { 1.0 })
     }
 
+    /// Returns true if each frame has to be encoded only once: the encoder does not learn, and augmentation changes no pixel.
+    pub fn keeps_tokens(&self) -> bool {
+        self.encoder_factor() <= 0.0 && self.augment.keeps_pixels()
+    }
+
     /// Returns the learning rate of step `step`, counted from 0: linear warm-up, then cosine decay.
     pub fn learning_rate(&self, step: usize) -> f64 {
         let OptimizerConfig { learning_rate, final_learning_rate, warmup, .. } = self.optimizer;

@@ -46,7 +46,8 @@ pub struct OptimizerConfig {
     /// Learning rate of the last step.
     pub final_learning_rate: f64,
     /// Factor on the encoder's learning rate; by default 0.1 with trained initial weights (`init`, `encoder`), else 1. With 0
-    /// the encoder keeps its weights, and no gradient is computed for it.
+    /// the encoder keeps its weights, no gradient is computed for it, and without augmentation (mirroring is allowed) each frame is
+    /// encoded once: steps then take a fraction of their time.
     pub encoder_factor: Option<f64>,
     /// Share of the steps in which the learning rate grows to its peak.
     pub warmup: f64,
@@ -144,5 +145,10 @@ impl AugmentConfig {
             view_scale_probability: 0.0,
             mirror: 0.0,
         }
+    }
+
+    /// Returns true if an image changes at most by mirroring.
+    pub fn keeps_pixels(&self) -> bool {
+        Self { mirror: 0.0, view_scale_probability: 0.0, ..*self } == Self::none()
     }
 }

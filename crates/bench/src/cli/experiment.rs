@@ -15,7 +15,7 @@ const RESULTS: &str = "results";
 #[command(
     after_help = "Trained: sources (contact by distance beside force: 0 to 3 sources), consistency (loss L_cons), sampling \
     (temperature, quotas), glove (its look), history (EgoTac-i), separation (per-frame crops), scaling (10 to 100 % of the data; \
-    1 to 4 sources), ablations (the parts of the method, the paper's recipe), limits (time, resolution, capacity), motion (forces estimated \
+    1 to 4 sources), ablations (the parts of the method, other loss weights), limits (time, resolution, capacity), motion (forces estimated \
     from motion), recordings (two data sets, written as others record them, imported and mixed).\n\
     Measured on a finished network: transfer (other sensors), decline (worse pictures), attention (where it looks), reuse \
     (images that hardly change, not encoded).\n\

@@ -177,7 +177,7 @@ fn budget(runs: &[Run], device: &Device) -> Result<Budget> {
     let windows = missing.iter().map(|run| run.config.steps * BATCH.clips * BATCH.windows).sum();
     let windows_per_s = match missing.first() {
         Some(run) => {
-            let form = Form { clips: BATCH.clips, windows: BATCH.windows };
+            let form = Form { clips: BATCH.clips, windows: BATCH.windows, encoded: run.config.keeps_tokens() };
             bench::step(&run.config.geometry()?, form, 3, device)?.windows_per_s
         }
         None => f64::INFINITY,

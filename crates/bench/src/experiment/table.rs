@@ -93,9 +93,15 @@ impl Report {
                 self.parameters
             ),
         };
-        let part = if size.steps > 0 { "The encoder of all arms is that of" } else { "Measured is" };
+        let (part, learning) = match size.steps > 0 {
+            true => (
+                "The encoder of all arms is that of",
+                "; it does not learn here, and the rest learns with the paper's loss weights and optimiser",
+            ),
+            false => ("Measured is", ""),
+        };
         format!(
-            "{run}{part} `{}`{}, which has seen {}.\nA score is the mean over seeds, with the least and the most. Contact scores are \
+            "{run}{part} `{}`{}, which has seen {}{learning}.\nA score is the mean over seeds, with the least and the most. Contact scores are \
              means over frames with contact, as the paper's,\nand pooled where the title says so; scores over time are means over \
              episodes. Differences are {}, with 95 % intervals over\nepisodes, the same ones for both; with several seeds the \
              interval spans those of all, so a difference beyond it holds in each.",

@@ -20,13 +20,15 @@ pub(super) struct HandAngles<'a> {
     hinges: Vec<Vec<usize>>,
     /// Angles of the last frame, from which the search starts, rad.
     last: Vec<f64>,
+    /// Sum of the rotations that the angles miss of the recorded joints, rad, and their number.
+    pub missed: (f64, u32),
 }
 
 impl<'a> HandAngles<'a> {
     pub fn new(rig: &'a HandRig, wrist: DVec3, orientation: DQuat) -> Self {
         let of_joint = |joint: usize| (0..rig.hinges.len()).filter(|i| rig.hinges[*i].joint == joint).collect();
         let hinges = (0..N_JOINTS).map(of_joint).collect();
-        Self { rig, zero: (wrist, orientation), hinges, last: vec![0.0; rig.hinges.len()] }
+        Self { rig, zero: (wrist, orientation), hinges, last: vec![0.0; rig.hinges.len()], missed: (0.0, 0) }
     }
 
     /// Returns the positions of wrist (three slides, three hinges) and hinges, m and rad, nearest to a pose.
@@ -38,13 +40,16 @@ impl<'a> HandAngles<'a> {
         let (x, y, z) = (orientation.inverse() * turn).to_euler(EulerRot::XYZ);
         for joint in 1..N_JOINTS {
             let wanted = DQuat::from_scaled_axis(pose.hand_pose[joint - 1].as_dvec3());
-            self.search(joint, wanted);
+            self.missed.0 += self.search(joint, wanted);
+            self.missed.1 += 1;
         }
         [moved.x, moved.y, moved.z, x, y, z].into_iter().chain(self.last.iter().copied()).collect()
     }
 
-    /// Searches the angles of a joint's hinges whose product is nearest to the rotation `wanted`, by Gauss-Newton steps.
-    fn search(&mut self, joint: usize, wanted: DQuat) {
+    /// Searches the angles of a joint's hinges whose product is nearest to the rotation `wanted`, by Gauss-Newton steps. Returns the
+    /// angle between both, rad.
+    fn search(&mut self, joint: usize, wanted: DQuat) -> f64 {
+        let mut missed = 0.0;
         for _ in 0..STEPS {
             let (mut turn, mut axes) = (DQuat::IDENTITY, Vec::new());
             for index in &self.hinges[joint] {
@@ -53,19 +58,21 @@ impl<'a> HandAngles<'a> {
                 turn *= DQuat::from_axis_angle(axis, self.last[*index]);
             }
             let off = rotation_vector(wanted * turn.inverse());
+            missed = off.length();
             // At most three hinges: missing ones are columns of zeros, and stay where they are.
             let column = |k: usize| Vector3::from(axes.get(k).copied().unwrap_or(DVec3::ZERO).to_array());
             let jacobian = Matrix3::from_columns(&[column(0), column(1), column(2)]);
             let normal = jacobian.transpose() * jacobian + Matrix3::identity() * DAMPING;
-            let Some(inverse) = normal.try_inverse() else { return };
+            let Some(inverse) = normal.try_inverse() else { return missed };
             let step = inverse * jacobian.transpose() * Vector3::from(off.to_array());
             for (k, index) in self.hinges[joint].iter().enumerate().take(3) {
                 self.last[*index] += step[k];
             }
             if step.norm() < 1e-12 {
-                return;
+                break;
             }
         }
+        missed
     }
 }
 

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::{ReplayFrame, replay};
-use crate::dataset::EpisodeReader;
+use super::{ReplayFrame, Replayed, recorded, replay};
 use crate::dataset::zarr::{FRAME_VALIDITY, MANO_FORCE, ZarrReader};
 use crate::error::Result;
-use crate::hand::{HandModel, N_JOINTS, Side};
+use crate::hand::{HandModel, N_JOINTS};
+use crate::label::physics::{BodyOptions, ESTIMATED};
 use crate::sim::rig::site_of;
 use crate::tactile::N_FIELD;
 
@@ -44,32 +44,35 @@ pub struct Agreement {
 pub struct ReplayReport {
     /// Frames of the store.
     pub frames: usize,
+    /// Replayed frames, without those at the edges of episodes and gaps, which do not count.
+    pub replayed: usize,
+    /// Mean rotation that the hinges of the replayed hand miss of a recorded joint, degrees.
+    pub missed_rotation_degrees: f64,
     /// Agreements; those with forces from motion only where the store has them.
     pub agreements: Vec<Agreement>,
 }
 
 impl ReplayReport {
-    /// Replays a store, and compares with the forces that it holds.
+    /// Replays a store, and compares with the forces that it holds. `models` and `bodies` as for [`replay`].
     ///
     /// # Errors
     /// As [`replay`].
-    pub fn of(path: &Path) -> Result<Self> {
-        let replayed = replay(path)?;
+    pub fn of(path: &Path, models: &[HandModel; 2], bodies: &BodyOptions) -> Result<Self> {
+        let Replayed { frames, missed_rotation } = replay(path, models, bodies)?;
         let store = ZarrReader::open(path)?;
         let n = store.len();
-        let mut counts = vec![true; n];
-        for range in crate::tactile::episode_ranges(store.episode_ends()) {
-            let inner = range.start + EDGE..range.end.saturating_sub(EDGE).max(range.start + EDGE);
-            range.filter(|frame| !inner.contains(frame)).for_each(|frame| counts[frame] = false);
-        }
-        for (count, validity) in counts.iter_mut().zip(store.read_u8(FRAME_VALIDITY, 0..n)?) {
-            *count &= validity == 0;
-        }
-        let used: Vec<&ReplayFrame> = replayed.iter().filter(|frame| counts[frame.frame]).collect();
+        let valid = match store.has(FRAME_VALIDITY) {
+            true => store.read_u8(FRAME_VALIDITY, 0..n)?.into_iter().map(|code| code == 0).collect(),
+            false => vec![true; n],
+        };
+        let used: Vec<&ReplayFrame> =
+            frames.iter().filter(|frame| frame.to_edge >= EDGE && valid[frame.frame]).collect();
         let mut agreements = Vec::new();
-        if store.has(MANO_FORCE) {
+        // Forces from motion stand in this array if nothing else was known.
+        let estimated = store.raw_attributes().get("force_origin").is_some_and(|origin| origin == ESTIMATED);
+        if store.has(MANO_FORCE) && store.force_kind()?.is_some() && !estimated {
             let force = store.read_f32(MANO_FORCE, 0..n)?;
-            let joints = Side::BOTH.map(|side| HandModel::builtin(side).strongest_joints());
+            let joints = models.each_ref().map(HandModel::strongest_joints);
             let links = |frame: usize| -> Vec<f64> {
                 let mut links = vec![0.0; 2 * N_JOINTS];
                 for (vertex, force) in force[frame * N_FIELD..(frame + 1) * N_FIELD].iter().enumerate() {
@@ -78,7 +81,8 @@ impl ReplayReport {
                 }
                 links
             };
-            agreements.extend(of_links("truth", &used, &links));
+            let name = if recorded::is_import(&store) { "recorded forces" } else { "truth" };
+            agreements.extend(of_links(name, &used, &links));
         }
         if store.has(LINK_FORCE) {
             let stored = store.read_f32(LINK_FORCE, 0..n)?;
@@ -98,7 +102,8 @@ impl ReplayReport {
             });
             agreements.push(Agreement::of("net force on objects, against forces from motion", pairs.collect()));
         }
-        Ok(Self { frames: n, agreements })
+        let missed_rotation_degrees = missed_rotation.to_degrees();
+        Ok(Self { frames: n, replayed: used.len(), missed_rotation_degrees, agreements })
     }
 }
 

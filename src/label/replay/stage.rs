@@ -1,0 +1,164 @@
+//! World of one episode, in which a replay drives hands and objects.
+
+use glam::{DQuat, DVec3};
+
+use super::courses::{Courses, ObjectState};
+use crate::dataset::EpisodeReader;
+use crate::dataset::zarr::{OBJECT_POSE, ZarrReader};
+use crate::error::{Error, Result};
+use crate::hand::{N_JOINTS, Side};
+use crate::mujoco::World;
+use crate::mujoco::world::{Body, FreeJoint, Servo};
+use crate::physics::{Pose, Take};
+use crate::sim::effect::Effect;
+use crate::sim::rig::{HandRig, JOINT_NAMES};
+use crate::sim::scene::EffectPlan;
+use crate::sim::{Rollout, RolloutOptions, mjcf, stored_scene};
+
+/// Largest distance of a stored object from the one that the seed gives at the first frame, m.
+const TOLERANCE: f64 = 2e-3;
+/// Distance from the table at which hands and objects without a known pose wait, m.
+const AWAY: f64 = 50.0;
+
+/// World of one episode, with handles of what moves.
+pub(super) struct Stage {
+    pub world: World,
+    /// Rigs of the left and the right hand.
+    pub rigs: [HandRig; 2],
+    /// The left and the right hand; None = the hand is never there.
+    pub hands: [Option<StageHand>; 2],
+    /// Body and joint of each object; None = its shape is unknown.
+    pub objects: Vec<Option<(Body, FreeJoint)>>,
+    /// `stage_from_store`: the recording's world in the stage, whose table is at z = 0 and whose z axis points up.
+    pub placing: Pose,
+}
+
+/// A hand of the stage.
+pub(super) struct StageHand {
+    /// Wrist, then hinges.
+    pub servos: Vec<Servo>,
+    pub links: Vec<Body>,
+    /// Position of the wrist, m, and orientation with all servos at zero.
+    pub wrist: DVec3,
+    pub orientation: DQuat,
+}
+
+impl StageHand {
+    /// Finds a hand in the world that was made from its rig.
+    ///
+    /// # Errors
+    /// If the world has no such hand.
+    pub fn find(world: &World, rig: &HandRig, wrist: DVec3, orientation: DQuat) -> Result<Self> {
+        let hinges = rig.hinges.iter().map(|hinge| hinge.name.as_str());
+        let servos = mjcf::WRIST.into_iter().chain(hinges).map(|name| world.servo(&rig.name(name)));
+        let links = JOINT_NAMES.iter().map(|name| world.body(&rig.name(name)));
+        Ok(Self { servos: servos.collect::<Result<_>>()?, links: links.collect::<Result<_>>()?, wrist, orientation })
+    }
+}
+
+impl Stage {
+    /// Builds the world that episode `index` of a store was simulated in.
+    ///
+    /// # Errors
+    /// If the store names no scene, an object does not move freely, or an object is not where the seed puts it.
+    pub fn simulated(store: &ZarrReader, index: usize, take: &Take) -> Result<Self> {
+        let (Some(name), Some(seed)) = stored_scene::origin(store, index) else {
+            let expected = "attribute `episodes` with scene and seed, as `egotac sim run` writes it, or `import`";
+            return Err(Error::value("store", expected, "neither"));
+        };
+        let scene = stored_scene::scene(store, name)?;
+        // Contacts of sleeping bodies are not listed.
+        let effects = Some(EffectPlan::of(&scene.spec)?.effects().without(Effect::Sleep));
+        let hands = Side::BOTH.map(|side| take.models[side as usize].clone());
+        let options = RolloutOptions { picture: None, effects, hands, ..RolloutOptions::default() };
+        store.attributes().topology.must_match(options.hands[0].topology)?;
+        let rollout = Rollout::new(&scene, seed, &options)?;
+        let mut objects = Vec::new();
+        for object in rollout.objects() {
+            match (object.body(), object.joint) {
+                (Some(body), Some(joint)) => objects.push(Some((body, joint))),
+                (Some(_), None) => {
+                    let name = format!("object {}", object.name);
+                    let expected = "an object that moves freely, for a replay";
+                    return Err(Error::value(name, expected, "a joint or a soft body"));
+                }
+                (None, _) => (),
+            }
+        }
+        if take.poses.len() < objects.len() {
+            let expected = format!("(T, >= {}, 7)", objects.len());
+            return Err(Error::shape(OBJECT_POSE, expected, [take.times.len(), take.poses.len(), 7]));
+        }
+        let mut hands = [None, None];
+        for hand in &rollout.episode().hands {
+            let rig = &rollout.rigs()[hand.side as usize];
+            let found = StageHand::find(rollout.world(), rig, hand.wrist, hand.orientation)?;
+            hands[hand.side as usize] = Some(found);
+        }
+        let rigs = rollout.rigs().clone();
+        let stage = Self { world: rollout.into_world(), rigs, hands, objects, placing: Pose::IDENTITY };
+        stage.check_start(take)?;
+        Ok(stage)
+    }
+
+    fn check_start(&self, take: &Take) -> Result<()> {
+        for (object, (found, poses)) in self.objects.iter().zip(&take.poses).enumerate() {
+            let Some(((body, _), pose)) = found.zip(poses.first().copied().flatten()) else { continue };
+            let start = self.world.position(body);
+            let off = pose.position.distance(start);
+            if off > TOLERANCE {
+                let expected = format!("object {object} at {start}, as scene and seed give it");
+                return Err(Error::value(OBJECT_POSE, expected, format!("{off} m away")));
+            }
+        }
+        Ok(())
+    }
+
+    /// Computes the forces of frame `at` of a run: normal forces on the links of both hands, N, and the net force on each object in
+    /// the store's frame, N.
+    ///
+    /// # Errors
+    /// If a pose is not finite.
+    pub fn forces(&mut self, courses: &Courses, at: usize) -> Result<([[f64; N_JOINTS]; 2], Vec<DVec3>)> {
+        let world = &mut self.world;
+        for (side, (hand, course)) in self.hands.iter().zip(&courses.servos).enumerate() {
+            let Some(hand) = hand else { continue };
+            for (index, servo) in hand.servos.iter().enumerate() {
+                let away = if index == side { [AWAY, 0.0, 0.0] } else { [0.0; 3] };
+                let motion = course.as_ref().map_or(away, |course| course[at][index]);
+                world.set_joint_motion(*servo, motion);
+            }
+        }
+        for (index, (object, states)) in self.objects.iter().zip(&courses.objects).enumerate() {
+            let Some((_, joint)) = object else { continue };
+            let away = Pose { position: DVec3::Z * AWAY * (index + 1) as f64, orientation: DQuat::IDENTITY };
+            let at_rest = ObjectState { pose: away, linear: [DVec3::ZERO; 2], angular: [DVec3::ZERO; 2] };
+            let ObjectState { pose, linear, angular } = states.as_ref().map_or(at_rest, |states| states[at]);
+            world.set_free_motion(*joint, (pose.position, pose.orientation), linear, angular)?;
+        }
+        world.inverse();
+        Ok(self.read(courses))
+    }
+
+    fn read(&self, courses: &Courses) -> ([[f64; N_JOINTS]; 2], Vec<DVec3>) {
+        let mut links = [[0.0; N_JOINTS]; 2];
+        let known = courses.objects.iter().map(|states| states.is_some());
+        let mut net: Vec<DVec3> = known.map(|known| if known { DVec3::ZERO } else { DVec3::NAN }).collect();
+        let back = self.placing.orientation.inverse();
+        for contact in self.world.contacts() {
+            for (sign, body) in [-1.0, 1.0].into_iter().zip(contact.bodies) {
+                let object = self.objects.iter().position(|object| object.is_some_and(|(object, _)| object == body));
+                if let Some(net) = object.and_then(|index| net.get_mut(index)) {
+                    *net += back * (sign * contact.force);
+                }
+                for (hand, forces) in self.hands.iter().zip(&mut links) {
+                    let links = hand.as_ref().map(|hand| hand.links.as_slice()).unwrap_or_default();
+                    if let Some(link) = links.iter().position(|link| *link == body) {
+                        forces[link] += contact.normal_force;
+                    }
+                }
+            }
+        }
+        (links, net)
+    }
+}
