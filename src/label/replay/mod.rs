@@ -75,9 +75,8 @@ pub fn replay(path: &Path, models: &[HandModel; 2], bodies: &BodyOptions) -> Res
             let courses = Courses::new(&stage, &episode.take, run.clone()).map_err(named)?;
             missed = (missed.0 + courses.missed_rotation.0, missed.1 + courses.missed_rotation.1);
             for at in 0..run.len() {
-                let links_and_net = stage.forces(&courses, at).map_err(named)?;
+                let (links, net) = stage.forces(&courses, at).map_err(named)?;
                 let to_edge = at.min(run.len() - 1 - at);
-                let (links, net) = links_and_net;
                 frames.push(ReplayFrame { frame: episode.frames.start + run.start + at, to_edge, links, net });
             }
         }
