@@ -103,7 +103,8 @@ fn placing(take: &Take) -> Pose {
 fn draw(index: usize, body: &Body, poses: &[Option<Pose>], placing: &Pose) -> Result<Option<ObjectDraw>> {
     let Some((vertices, triangles)) = body.solid.as_ref().and_then(|solid| solid.mesh()) else { return Ok(None) };
     let vertices: Vec<DVec3> = vertices.iter().copied().map(Vec3::as_dvec3).collect();
-    let Some(shape) = Object::from_surface(vertices, triangles.to_vec()) else {
+    let height = vertices.iter().fold(0.0, |lowest: f64, vertex| lowest.max(-vertex.z));
+    let Some(shape) = Object::from_surface(vertices, triangles.to_vec(), height) else {
         return Err(Error::value(format!("mesh of {}", body.name), "a surface that spans a volume", "a flat one"));
     };
     // Bodies with a shape have at least the mass of their class.

@@ -3,7 +3,6 @@
 use glam::{DQuat, DVec3};
 
 use super::courses::{Courses, ObjectState};
-use crate::dataset::EpisodeReader;
 use crate::dataset::zarr::{OBJECT_POSE, ZarrReader};
 use crate::error::{Error, Result};
 use crate::hand::{N_JOINTS, Side};
@@ -15,8 +14,6 @@ use crate::sim::rig::{HandRig, JOINT_NAMES};
 use crate::sim::scene::EffectPlan;
 use crate::sim::{Rollout, RolloutOptions, mjcf, stored_scene};
 
-/// Largest distance of a stored object from the one that the seed gives at the first frame, m.
-const TOLERANCE: f64 = 2e-3;
 /// Distance from the table at which hands and objects without a known pose wait, m.
 const AWAY: f64 = 50.0;
 
@@ -57,10 +54,11 @@ impl StageHand {
 }
 
 impl Stage {
-    /// Builds the world that episode `index` of a store was simulated in.
+    /// Builds the world that episode `index` of a store was simulated in. The take was read from that episode, so its objects are
+    /// where the seed puts them.
     ///
     /// # Errors
-    /// If the store names no scene, an object does not move freely, or an object is not where the seed puts it.
+    /// If the store names no scene, or an object does not move freely.
     pub fn simulated(store: &ZarrReader, index: usize, take: &Take) -> Result<Self> {
         let (Some(name), Some(seed)) = stored_scene::origin(store, index) else {
             let expected = "attribute `episodes` with scene and seed, as `egotac sim run` writes it, or `import`";
@@ -71,7 +69,6 @@ impl Stage {
         let effects = Some(EffectPlan::of(&scene.spec)?.effects().without(Effect::Sleep));
         let hands = Side::BOTH.map(|side| take.models[side as usize].clone());
         let options = RolloutOptions { picture: None, effects, hands, ..RolloutOptions::default() };
-        store.attributes().topology.must_match(options.hands[0].topology)?;
         let rollout = Rollout::new(&scene, seed, &options)?;
         let mut objects = Vec::new();
         for object in rollout.objects() {
@@ -96,22 +93,7 @@ impl Stage {
             hands[hand.side as usize] = Some(found);
         }
         let rigs = rollout.rigs().clone();
-        let stage = Self { world: rollout.into_world(), rigs, hands, objects, placing: Pose::IDENTITY };
-        stage.check_start(take)?;
-        Ok(stage)
-    }
-
-    fn check_start(&self, take: &Take) -> Result<()> {
-        for (object, (found, poses)) in self.objects.iter().zip(&take.poses).enumerate() {
-            let Some(((body, _), pose)) = found.zip(poses.first().copied().flatten()) else { continue };
-            let start = self.world.position(body);
-            let off = pose.position.distance(start);
-            if off > TOLERANCE {
-                let expected = format!("object {object} at {start}, as scene and seed give it");
-                return Err(Error::value(OBJECT_POSE, expected, format!("{off} m away")));
-            }
-        }
-        Ok(())
+        Ok(Self { world: rollout.into_world(), rigs, hands, objects, placing: Pose::IDENTITY })
     }
 
     /// Computes the forces of frame `at` of a run: normal forces on the links of both hands, N, and the net force on each object in

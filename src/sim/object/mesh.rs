@@ -37,13 +37,13 @@ pub(super) fn mesh(path: &Path, scale: f64) -> Result<Object> {
         return Err(Error::file(path, format!("expected 0.1 mm to 20 m along each axis, got {got}; check `scale`")));
     }
     let flat = || Error::file(path, "expected a surface that spans a volume, got a flat one");
-    Object::from_surface(vertices, triangles).ok_or_else(flat)
+    Object::from_surface(vertices, triangles, 0.5 * size.z).ok_or_else(flat)
 }
 
 impl Object {
-    /// Creates an object from vertices in its own frame, m, and triangles; None if they span no volume.
-    pub(crate) fn from_surface(vertices: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> Option<Self> {
-        let height = vertices.iter().fold(0.0, |lowest: f64, vertex| lowest.max(-vertex.z));
+    /// Creates an object from vertices in its own frame, m, and triangles, whose lowest point is `height` below its origin, m; None if
+    /// they span no volume.
+    pub(crate) fn from_surface(vertices: Vec<DVec3>, triangles: Vec<[u32; 3]>, height: f64) -> Option<Self> {
         let outline = convex::hull(&vertices)?;
         let pieces = decompose(&vertices, &triangles, &outline)?;
         Some(Self { visual: Some((vertices, triangles)), ..Self::free(pieces, height, outline) })
