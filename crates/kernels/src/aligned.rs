@@ -38,6 +38,19 @@ impl<T: Number> Aligned<T> {
     }
 }
 
+impl<T: Number> Default for Aligned<T> {
+    fn default() -> Self {
+        Self::zeros(0)
+    }
+}
+
+/// Makes room for `len` values; forgets those that are there if there is too little.
+pub fn grow<T: Number>(buffer: &mut Aligned<T>, len: usize) {
+    if buffer.len() < len {
+        *buffer = Aligned::zeros(len);
+    }
+}
+
 impl<T: Number> std::ops::Deref for Aligned<T> {
     type Target = [T];
 

@@ -3,18 +3,26 @@
 //! Keys and values are packed into panels per head, as the weights of a layer are; queries are read where they lie. A task
 //! computes the scores of a few queries, their exponentials and the weighted sum of the values while the scores are in its
 //! own cache. The division by the sum of exponentials comes last, on the few outputs instead of the many weights.
+//!
+//! Where fewer bits are wanted and the processor has a matrix unit, both products have operands in bf16 and sums in f32.
 
 use std::cell::RefCell;
 
-use crate::aligned::Aligned;
-use crate::packed::Shared;
+use crate::aligned::{Aligned, grow};
+use crate::amx::{self, Block, Kind, Sums};
+use crate::packed::{Format, PAIR, Shared, Unit};
+use crate::quantise::{LINE, bf16, halve_row};
+use crate::rows::part;
 use crate::simd;
 use crate::team;
 use crate::tile::{self, LANES, MOST_ROWS, TILES_PER_TASK, Tile, VECTORS};
 
+/// bf16 values to a multiple of which the operands of the matrix unit are padded with zeros.
+const HALVES: usize = LINE / PAIR;
+
 thread_local! {
-    /// Scores of the queries that this thread works on, kept so that a task allocates nothing.
-    static SCORES: RefCell<Aligned<f32>> = RefCell::new(Aligned::zeros(0));
+    /// Buffers of the queries that this thread works on, kept so that a task allocates nothing.
+    static SCRATCH: RefCell<Scratch> = RefCell::new(Scratch::default());
 }
 
 /// Multi-head self-attention with buffers for the keys and values of one sequence.
@@ -23,22 +31,47 @@ pub struct Attention {
     n: usize,
     heads: usize,
     size: usize,
-    keys: Aligned<f32>,   // per head: panels of keys, `size` lines each
-    values: Aligned<f32>, // per head: panels of the head's columns, n lines each
+    operands: Operands,
+}
+
+/// Packed keys and values.
+#[derive(Debug, Clone)]
+enum Operands {
+    /// For vector instructions. Keys: per head, panels of keys, `size` lines each. Values: per head, panels of the head's
+    /// columns, n lines each.
+    Lines { keys: Aligned<f32>, values: Aligned<f32> },
+    /// For the matrix unit: as above, but a line has pairs of channels or of tokens, and their number is padded.
+    Pairs { keys: Aligned<u16>, values: Aligned<u16> },
+}
+
+/// Intermediate results of a few queries.
+#[derive(Debug, Default)]
+struct Scratch {
+    scores: Aligned<f32>,
+    /// Queries, then weights of the values, in bf16.
+    halves: Aligned<u16>,
 }
 
 impl Attention {
-    /// Creates buffers for sequences of `n` tokens of width `d`.
-    pub fn new(n: usize, d: usize, heads: usize) -> Self {
+    /// Creates buffers for sequences of `n` tokens of width `d`. A format other than [`Format::F32`] permits operands in bf16.
+    pub fn new(n: usize, d: usize, heads: usize, format: Format) -> Self {
+        Self::for_unit(n, d, heads, Unit::of(format))
+    }
+
+    fn for_unit(n: usize, d: usize, heads: usize, unit: Unit) -> Self {
         let size = d / heads;
         let (wide_n, wide_size) = (n.next_multiple_of(LANES), size.next_multiple_of(LANES));
-        Self {
-            n,
-            heads,
-            size,
-            keys: Aligned::zeros(heads * size * wide_n),
-            values: Aligned::zeros(heads * n * wide_size),
-        }
+        let operands = match unit {
+            Unit::Vectors => Operands::Lines {
+                keys: Aligned::zeros(heads * size * wide_n),
+                values: Aligned::zeros(heads * n * wide_size),
+            },
+            Unit::Matrix => Operands::Pairs {
+                keys: Aligned::zeros(heads * size.next_multiple_of(HALVES) * wide_n),
+                values: Aligned::zeros(heads * n.next_multiple_of(HALVES) * wide_size),
+            },
+        };
+        Self { n, heads, size, operands }
     }
 
     /// Computes softmax(q kᵀ / √size) v for each head.
@@ -51,24 +84,37 @@ impl Attention {
         let (n, heads, size) = (self.n, self.heads, self.size);
         let d = heads * size;
         assert!(qkv.len() >= 3 * d * n && out.len() >= d * n, "attention of {n} tokens leaves its slices");
-        let (wide_n, wide_size) = (n.next_multiple_of(LANES), size.next_multiple_of(LANES));
-        let keys = (&mut self.keys[..], size * wide_n);
-        team::chunks2(keys, (&mut self.values[..], n * wide_size), |head, keys, values| {
-            let part = |token: usize, part: usize| &qkv[3 * d * token + part * d + head * size..][..size];
-            pack_keys(n, size, |token| part(token, 1), keys);
-            pack_values(n, size, |token| part(token, 2), values);
-        });
-        let blocks = tile::count(n).div_ceil(TILES_PER_TASK);
+        let of = |head: usize, token: usize, part: usize| &qkv[3 * d * token + part * d + head * size..][..size];
+        let tasks = match &mut self.operands {
+            Operands::Lines { keys, values } => {
+                let sizes = [keys.len() / heads, values.len() / heads];
+                team::chunks2((keys, sizes[0]), (values, sizes[1]), |head, keys, values| {
+                    pack_keys(n, size, |token| of(head, token, 1), keys);
+                    pack_values(n, size, |token| of(head, token, 2), values);
+                });
+                tile::count(n).div_ceil(TILES_PER_TASK)
+            }
+            Operands::Pairs { keys, values } => {
+                let sizes = [keys.len() / heads, values.len() / heads];
+                team::chunks2((keys, sizes[0]), (values, sizes[1]), |head, keys, values| {
+                    pack_key_pairs(n, size, |token| of(head, token, 1), keys);
+                    pack_value_pairs(n, size, |token| of(head, token, 2), values);
+                });
+                amx::count(n)
+            }
+        };
         let this = &*self;
         let out = Shared(out.as_mut_ptr());
-        team::run(heads * blocks, |index| {
-            let (head, block) = (index / blocks, index % blocks);
-            SCORES.with_borrow_mut(|scores| {
-                if scores.len() < MOST_ROWS * wide_n {
-                    *scores = Aligned::zeros(MOST_ROWS * wide_n);
+        team::run(heads * tasks, |index| {
+            let (head, task) = (index / tasks, index % tasks);
+            SCRATCH.with_borrow_mut(|scratch| match &this.operands {
+                Operands::Lines { keys, values } => {
+                    for (row, count) in tile::of_task(task, n) {
+                        this.rows(qkv, (keys, values), head, (row, count), &mut scratch.scores, out);
+                    }
                 }
-                for (row, count) in tile::of_task(block, n) {
-                    this.rows(qkv, head, row, count, scores, out);
+                Operands::Pairs { keys, values } => {
+                    this.block(qkv, (keys, values), head, part(task, tasks, n), scratch, out);
                 }
             });
         });
@@ -76,14 +122,23 @@ impl Attention {
 
     /// Attends with up to [`MOST_ROWS`] queries of a head. Writes their rows of the head's columns of `out`, and no other
     /// value.
-    fn rows(&self, qkv: &[f32], head: usize, row: usize, rows: usize, scores: &mut [f32], out: Shared) {
+    fn rows(
+        &self,
+        qkv: &[f32],
+        (keys, values): (&[f32], &[f32]),
+        head: usize,
+        (row, rows): (usize, usize),
+        scores: &mut Aligned<f32>,
+        out: Shared,
+    ) {
         let (n, size) = (self.n, self.size);
         let d = self.heads * size;
         let (wide_n, wide_size) = (n.next_multiple_of(LANES), size.next_multiple_of(LANES));
-        let keys = &self.keys[head * size * wide_n..(head + 1) * size * wide_n];
-        let values = &self.values[head * n * wide_size..(head + 1) * n * wide_size];
+        let keys = &keys[head * size * wide_n..(head + 1) * size * wide_n];
+        let values = &values[head * n * wide_size..(head + 1) * n * wide_size];
         let queries = &qkv[row * 3 * d + head * size..(row + rows - 1) * 3 * d + head * size + size];
-        for (first, vectors) in panels(n) {
+        grow(scores, MOST_ROWS * wide_n);
+        for (first, vectors) in panels(n, VECTORS) {
             let tile = Tile {
                 a: queries.as_ptr(),
                 lda: 3 * d,
@@ -109,7 +164,7 @@ impl Attention {
                 }
             },
         );
-        for (first, vectors) in panels(size) {
+        for (first, vectors) in panels(size, VECTORS) {
             let cols = (vectors * LANES).min(size - first);
             let at = out.at(row * d + head * size + first);
             let tile = Tile {
@@ -133,12 +188,86 @@ impl Attention {
             }
         }
     }
+
+    /// As [`Self::rows`], with up to [`amx::ROWS`] queries in the matrix unit.
+    fn block(
+        &self,
+        qkv: &[f32],
+        (keys, values): (&[u16], &[u16]),
+        head: usize,
+        (row, rows): (usize, usize),
+        scratch: &mut Scratch,
+        out: Shared,
+    ) {
+        let (n, size) = (self.n, self.size);
+        let d = self.heads * size;
+        let (wide_n, wide_size) = (n.next_multiple_of(LANES), size.next_multiple_of(LANES));
+        let (padded_n, padded_size) = (n.next_multiple_of(HALVES), size.next_multiple_of(HALVES));
+        let keys = &keys[head * padded_size * wide_n..(head + 1) * padded_size * wide_n];
+        let values = &values[head * padded_n * wide_size..(head + 1) * padded_n * wide_size];
+        let Scratch { scores, halves } = scratch;
+        grow(scores, amx::ROWS * wide_n);
+        grow(halves, amx::ROWS * padded_n.max(padded_size));
+        for (r, halves) in halves.chunks_exact_mut(padded_size).enumerate().take(rows) {
+            halve_row(&qkv[(row + r) * 3 * d + head * size..][..size], &mut halves[..size]);
+            halves[size..].fill(0);
+        }
+        for (first, vectors) in panels(n, amx::VECTORS) {
+            let block = Block {
+                a: halves.as_ptr().cast(),
+                lda: padded_size * PAIR,
+                b: keys[first * padded_size..].as_ptr().cast(),
+                steps: padded_size / HALVES,
+                out: scores[first..].as_mut_ptr(),
+                ldc: wide_n,
+            };
+            // SAFETY: `halves` has `rows` rows of `padded_size` values, the panel `padded_size` / 2 lines of `vectors` vectors
+            // of pairs, since `keys` is padded to whole vectors; `scores` has amx::ROWS rows of `wide_n` values and belongs
+            // to this thread.
+            unsafe { amx::multiply(Kind::Half, &block, rows, vectors) };
+        }
+        let mut weights = [0.0; amx::ROWS];
+        let scale = 1.0 / (size as f32).sqrt();
+        let of_rows = scores.chunks_exact_mut(wide_n).zip(halves.chunks_exact_mut(padded_n)).zip(&mut weights);
+        for ((scores, halves), weight) in of_rows.take(rows) {
+            simd::dispatch(
+                #[inline(always)]
+                || *weight = exponentials(&mut scores[..n], scale),
+            );
+            halve_row(&scores[..n], &mut halves[..n]);
+            halves[n..].fill(0);
+        }
+        for (first, vectors) in panels(size, amx::VECTORS) {
+            let cols = (vectors * LANES).min(size - first);
+            let mut sums = Sums::new();
+            let block = Block {
+                a: halves.as_ptr().cast(),
+                lda: padded_n * PAIR,
+                b: values[first * padded_n..].as_ptr().cast(),
+                steps: padded_n / HALVES,
+                out: sums.start(),
+                ldc: amx::WIDTH,
+            };
+            // SAFETY: `halves` has `rows` rows of `padded_n` values, the panel `padded_n` / 2 lines of `vectors` vectors of
+            // pairs; `rows` and `vectors` are within what the sums have room for.
+            unsafe { amx::multiply(Kind::Half, &block, rows, vectors) };
+            for (r, weight) in weights.iter().enumerate().take(rows) {
+                let at = out.at((row + r) * d + head * size + first);
+                // SAFETY: `forward` asserted that `out` has n rows of d columns; each (head, rows) pair occurs in one task
+                // only, and one row's slice exists at a time.
+                let out = unsafe { std::slice::from_raw_parts_mut(at, cols) };
+                for (out, sum) in out.iter_mut().zip(sums.row(r).as_flattened()) {
+                    *out = sum * weight;
+                }
+            }
+        }
+    }
 }
 
-/// Returns first column and number of vectors of each panel.
-fn panels(columns: usize) -> impl Iterator<Item = (usize, usize)> {
+/// Returns first column and number of vectors of each panel of at most `most` vectors.
+fn panels(columns: usize, most: usize) -> impl Iterator<Item = (usize, usize)> {
     let vectors = columns.div_ceil(LANES);
-    let count = vectors.div_ceil(VECTORS);
+    let count = vectors.div_ceil(most);
     (0..count).map(move |i| {
         let (first, next) = (i * vectors / count, (i + 1) * vectors / count);
         (first * LANES, next - first)
@@ -147,7 +276,7 @@ fn panels(columns: usize) -> impl Iterator<Item = (usize, usize)> {
 
 /// Packs keys: panels of up to 48 keys, one column per key, one line per channel. Padding stays zero.
 fn pack_keys<'a>(n: usize, size: usize, key: impl Fn(usize) -> &'a [f32], out: &mut [f32]) {
-    for (first, vectors) in panels(n) {
+    for (first, vectors) in panels(n, VECTORS) {
         let width = vectors * LANES;
         let panel = &mut out[first * size..(first + width) * size];
         for vector in (0..width).step_by(LANES) {
@@ -165,11 +294,41 @@ fn pack_keys<'a>(n: usize, size: usize, key: impl Fn(usize) -> &'a [f32], out: &
 
 /// Packs values: panels of up to 48 channels of a head, one line per token. Padding stays zero.
 fn pack_values<'a>(n: usize, size: usize, value: impl Fn(usize) -> &'a [f32], out: &mut [f32]) {
-    for (first, vectors) in panels(size) {
+    for (first, vectors) in panels(size, VECTORS) {
         let width = vectors * LANES;
         let there = width.min(size - first);
         for (token, out) in out[first * n..(first + width) * n].chunks_exact_mut(width).enumerate() {
             out[..there].copy_from_slice(&value(token)[first..first + there]);
+        }
+    }
+}
+
+/// As [`pack_keys`] in bf16, for panels of up to 32 keys with one line per pair of channels.
+fn pack_key_pairs<'a>(n: usize, size: usize, key: impl Fn(usize) -> &'a [f32], out: &mut [u16]) {
+    let padded = size.next_multiple_of(HALVES);
+    for (first, vectors) in panels(n, amx::VECTORS) {
+        let width = vectors * LANES;
+        let panel = &mut out[first * padded..(first + width) * padded];
+        for column in 0..width.min(n - first) {
+            let key = key(first + column).chunks(PAIR);
+            for (line, pair) in panel.chunks_exact_mut(width * PAIR).zip(key) {
+                halve_row(pair, &mut line[column * PAIR..][..pair.len()]);
+            }
+        }
+    }
+}
+
+/// As [`pack_values`] in bf16, for panels of up to 32 channels with one line per pair of tokens.
+fn pack_value_pairs<'a>(n: usize, size: usize, value: impl Fn(usize) -> &'a [f32], out: &mut [u16]) {
+    let padded = n.next_multiple_of(HALVES);
+    for (first, vectors) in panels(size, amx::VECTORS) {
+        let width = vectors * LANES;
+        let there = width.min(size - first);
+        let panel = &mut out[first * padded..(first + width) * padded];
+        for (token, line) in (0..n).map(|token| (token, token / PAIR * width * PAIR)) {
+            for (column, value) in value(token)[first..first + there].iter().enumerate() {
+                panel[line + column * PAIR + token % PAIR] = bf16(*value);
+            }
         }
     }
 }
@@ -199,9 +358,13 @@ mod tests {
         for &(n, heads, size) in &sizes[..if cfg!(miri) { 2 } else { sizes.len() }] {
             let d = heads * size;
             let qkv: Vec<f32> = (0..n * 3 * d).map(value).collect();
-            let mut out = vec![0.0; n * d + 1];
-            Attention::new(n, d, heads).forward(&qkv, &mut out);
+            let [mut out, mut halved] = [Unit::Vectors, Unit::Matrix].map(|unit| {
+                let mut out = vec![0.0; n * d + 1];
+                Attention::for_unit(n, d, heads, unit).forward(&qkv, &mut out);
+                out
+            });
             assert_eq!(out.pop(), Some(0.0), "wrote beyond the rows");
+            assert_eq!(halved.pop(), Some(0.0), "wrote beyond the rows in bf16");
             let part = |token: usize, part: usize, head: usize, i: usize| {
                 f64::from(qkv[3 * d * token + part * d + head * size + i])
             };
@@ -215,6 +378,9 @@ mod tests {
                     let want = (0..n).map(|key| weights[key] * part(key, 2, head, i)).sum::<f64>() / sum;
                     let got = f64::from(out[query * d + head * size + i]);
                     assert!((got - want).abs() < 2e-5, "{n} tokens, {heads} heads of {size}: {got} for {want}");
+                    // bf16 has 8 bits; a score of magnitude 10 is rounded by 0.02, which changes its weight by 2 %.
+                    let got = f64::from(halved[query * d + head * size + i]);
+                    assert!((got - want).abs() < 0.1, "bf16, {n} tokens, {heads} heads of {size}: {got} for {want}");
                 }
             }
         }

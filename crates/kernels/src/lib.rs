@@ -8,7 +8,7 @@
 //! | [`team`] | threads that share the many short steps of one inference |
 //! | [`simd`] | loops compiled for the widest vectors of the processor at hand |
 //!
-//! From the bottom of the inference side: `tile` and `tile8` multiply a few rows by a panel of weights in registers,
+//! From the bottom of the inference side: `tile`, `tile8` and `amx` multiply a few rows by a panel of weights in registers,
 //! `packed` cuts a layer into such tiles and distributes them over a `team`. The network itself (which layer follows
 //! which) is not known here.
 //!
@@ -19,6 +19,8 @@
 
 #[allow(unsafe_code)] // plain numbers seen as bytes of cache lines, and back
 mod aligned;
+#[allow(unsafe_code)] // assembly, and pointers into panels
+mod amx;
 #[allow(unsafe_code)] // tiles that write disjoint parts of one result
 pub mod attention;
 #[cfg(not(miri))]

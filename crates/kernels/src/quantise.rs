@@ -1,9 +1,12 @@
-//! Conversion from f32 to 8 bits: weights once, activations row by row.
+//! Conversion from f32 to 8 or 16 bits: weights once, activations row by row.
 
+use crate::aligned::{Aligned, grow};
 use crate::rows::Rows;
 use crate::simd;
 use crate::team;
-use crate::tile8::GROUP;
+
+/// Bytes to a multiple of which converted rows are padded with zeros: a cache line, which the matrix unit reads at once.
+pub const LINE: usize = 64;
 
 /// Rows that one task converts: enough work to be worth handing over, few enough that 257 tokens make several tasks.
 const ROWS_PER_TASK: usize = 32;
@@ -30,34 +33,47 @@ pub fn quantise_weights(weight: &[f32], n: usize) -> (Vec<i8>, Vec<f32>) {
     (bytes, scales)
 }
 
-/// Rows of activations as unsigned integers: value = scale x (integer - zero point), scale and zero point per row.
+/// Rows of activations in 8 bits, or in 16.
 ///
-/// Zero is exact. The rounding is the same on every processor.
+/// In 8 bits: value = scale x (integer - zero point), scale and zero point per row. Zero is exact. The rounding is the same
+/// on every processor. In 16 bits: bf16.
 #[derive(Debug, Clone, Default)]
 pub struct Quantised {
-    bytes: Vec<u8>,
+    bytes: Aligned<u8>,
     scales: Vec<(f32, i32)>,
+    halves: Aligned<u16>,
     stride: usize,
 }
 
 impl Quantised {
-    /// Converts rows of `k` values. The buffers grow to the largest input so far and are kept.
+    /// Converts rows of `k` values to 8 bits. The buffers grow to the largest input so far and are kept.
     pub fn set(&mut self, x: Rows, k: usize) {
-        // The tiles read whole groups of four; the bytes between `k` and the stride meet weights that are zero.
-        self.stride = k.next_multiple_of(GROUP);
-        let count = x.count;
-        if self.bytes.len() < count * self.stride {
-            self.bytes.resize(count * self.stride, 0);
-        }
+        let (stride, count) = (k.next_multiple_of(LINE), x.count);
+        self.stride = stride;
+        grow(&mut self.bytes, count * stride);
         if self.scales.len() < count {
             self.scales.resize(count, (0.0, 0));
         }
-        let stride = self.stride;
         let bytes = (&mut self.bytes[..count * stride], ROWS_PER_TASK * stride);
         team::chunks2(bytes, (&mut self.scales[..count], ROWS_PER_TASK), |block, bytes, scales| {
             for (i, (bytes, scale)) in bytes.chunks_exact_mut(stride).zip(scales).enumerate() {
                 let first = (block * ROWS_PER_TASK + i) * x.stride;
-                *scale = quantise_row(&x.data[first..first + k], bytes);
+                *scale = quantise_row(&x.data[first..first + k], &mut bytes[..k]);
+                bytes[k..].fill(0);
+            }
+        });
+    }
+
+    /// Converts rows of `k` values to bf16.
+    pub fn set_halves(&mut self, x: Rows, k: usize) {
+        let (stride, count) = (k.next_multiple_of(LINE / size_of::<u16>()), x.count);
+        self.stride = stride;
+        grow(&mut self.halves, count * stride);
+        team::chunks(&mut self.halves[..count * stride], ROWS_PER_TASK * stride, |block, halves| {
+            for (i, halves) in halves.chunks_exact_mut(stride).enumerate() {
+                let first = (block * ROWS_PER_TASK + i) * x.stride;
+                halve_row(&x.data[first..first + k], &mut halves[..k]);
+                halves[k..].fill(0);
             }
         });
     }
@@ -66,6 +82,31 @@ impl Quantised {
     pub(crate) fn rows(&self, first: usize, count: usize) -> (&[u8], usize, &[(f32, i32)]) {
         (&self.bytes[first * self.stride..], self.stride, &self.scales[first..first + count])
     }
+
+    /// Returns the values in bf16 from row `first` on, and the distance between rows.
+    pub(crate) fn halves(&self, first: usize) -> (&[u16], usize) {
+        (&self.halves[first * self.stride..], self.stride)
+    }
+}
+
+/// Rounds a row to bf16, ties to even. NaN stays NaN.
+pub(crate) fn halve_row(row: &[f32], halves: &mut [u16]) {
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for (half, value) in halves.iter_mut().zip(row) {
+                *half = bf16(*value);
+            }
+        },
+    );
+}
+
+/// Rounds to the nearest bf16, ties to even. NaN stays NaN. Without branches, so that loops over it are vectorised.
+#[inline(always)]
+pub(crate) fn bf16(value: f32) -> u16 {
+    let bits = value.to_bits();
+    let rounded = bits.wrapping_add(0x7fff + ((bits >> 16) & 1)) >> 16;
+    if value.is_nan() { 0x7fc0 } else { rounded as u16 }
 }
 
 /// Converts one row. A value that is not finite makes the scale NaN, so that it shows in every product of the row.
@@ -147,6 +188,18 @@ mod tests {
         }
         assert_eq!(restored(&[0.0; 7]), [0.0; 7]);
         assert_eq!(restored(&[3.0, 0.0, -2.0])[1], 0.0, "zero is exact");
+    }
+
+    #[test]
+    fn bf16_rounds_as_a_library_does() {
+        let some = (0..if cfg!(miri) { 100 } else { 100_000u32 }).map(|i| i.wrapping_mul(2_654_435_761));
+        for bits in
+            some.chain([0x7f80_0000, 0xff80_0000, 0x7f80_0001, 0x7fff_ffff, 0xffff_ffff, 0x0000_8000, 0x7f7f_ffff])
+        {
+            let value = f32::from_bits(bits);
+            let (got, want) = (half::bf16::from_bits(bf16(value)), half::bf16::from_f32(value));
+            assert!(got == want || got.is_nan() && want.is_nan(), "{value}: {got} for {want}");
+        }
     }
 
     #[test]

@@ -18,3 +18,9 @@ impl<'a> Rows<'a> {
         Self { data, stride: width, count: data.len() / width }
     }
 }
+
+/// Returns start and length of one of `parts` parts of `total`, which differ by at most one.
+pub(crate) fn part(index: usize, parts: usize, total: usize) -> (usize, usize) {
+    let (start, end) = (index * total / parts, (index + 1) * total / parts);
+    (start, end - start)
+}

@@ -1,6 +1,7 @@
 //! The innermost product in floating point: a few rows times a panel of columns, in registers.
 
 use crate::aligned::Number;
+use crate::rows::part;
 use crate::simd;
 
 /// Rows of most tiles. With three vectors of columns the sums take 24 of the 32 registers of AVX-512; three more hold a
@@ -9,7 +10,7 @@ const ROWS: usize = 8;
 /// Rows of the largest tile. A frame has a multiple of 8 patches and one CLS token: in a tile of its own that token would
 /// leave most registers idle, and each multiply-add would wait for the one before.
 pub const MOST_ROWS: usize = ROWS + 1;
-/// Tiles of one task, one below the other: they share the panel, which stays in the L1 or L2 cache between them.
+/// Tiles of one task of an attention, one below the other: they share the panel, which stays in the L1 or L2 cache between them.
 pub const TILES_PER_TASK: usize = 4;
 /// f32 values in a vector of AVX-512.
 pub const LANES: usize = 16;
@@ -42,7 +43,7 @@ pub struct Tile<E> {
     pub add: bool,
 }
 
-/// Number of tiles that `rows` rows are split into.
+/// Number of tiles that `rows` rows are split into by [`part`].
 pub fn count(rows: usize) -> usize {
     match rows % ROWS {
         1 if rows > ROWS => rows / ROWS,
@@ -54,10 +55,7 @@ pub fn count(rows: usize) -> usize {
 pub fn of_task(task: usize, rows: usize) -> impl Iterator<Item = (usize, usize)> {
     let count = count(rows);
     let first = task * TILES_PER_TASK;
-    (first..count.min(first + TILES_PER_TASK)).map(move |i| {
-        let (start, end) = (i * rows / count, (i + 1) * rows / count);
-        (start, end - start)
-    })
+    (first..count.min(first + TILES_PER_TASK)).map(move |tile| part(tile, count, rows))
 }
 
 /// A stored weight that is converted to f32 when it is used.

@@ -74,7 +74,7 @@ impl Decoder {
     }
 
     /// Creates empty buffers; they grow with the batch.
-    pub fn buffers(&self, heads: usize) -> Buffers {
+    pub fn buffers(&self, heads: usize, precision: Precision) -> Buffers {
         let empty = Vec::new;
         Buffers {
             condition: empty(),
@@ -83,7 +83,7 @@ impl Decoder {
             x: empty(),
             qkv: empty(),
             hidden: empty(),
-            attention: Attention::new(self.steps(), self.norm.d(), heads),
+            attention: Attention::new(self.steps(), self.norm.d(), heads, precision.format()),
         }
     }
 

@@ -83,7 +83,7 @@ impl Encoder {
     }
 
     /// Creates the buffers of one frame.
-    pub fn buffers(&self, heads: usize) -> Buffers {
+    pub fn buffers(&self, heads: usize, precision: Precision) -> Buffers {
         let (tokens, dv) = (self.tokens(), self.dv());
         let patches = tokens - 1 - self.registers;
         Buffers {
@@ -92,7 +92,7 @@ impl Encoder {
             x: vec![0.0; tokens * dv],
             qkv: vec![0.0; tokens * 3 * dv],
             hidden: vec![0.0; tokens * (4 * dv + PADDING)],
-            attention: Attention::new(tokens, dv, heads),
+            attention: Attention::new(tokens, dv, heads, precision.format()),
         }
     }
 

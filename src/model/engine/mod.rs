@@ -141,9 +141,9 @@ impl Engine {
     fn with_buffers<R: Send>(&self, run: impl FnOnce(&mut Buffers) -> R + Send) -> R {
         let spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let mut buffers = spare.unwrap_or_else(|| Buffers {
-            encoder: self.encoder.buffers(self.config.vision_heads),
+            encoder: self.encoder.buffers(self.config.vision_heads, self.precision),
             temporal: temporal::Buffers::default(),
-            decoder: self.decoder.buffers(self.config.heads),
+            decoder: self.decoder.buffers(self.config.heads, self.precision),
             quantised: Quantised::default(),
         });
         let result = team::lead(|| run(&mut buffers));
