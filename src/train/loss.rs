@@ -19,7 +19,8 @@ pub struct Targets {
     pub mask_contact: Tensor,
 }
 
-/// Numbers of supervised entries, which the terms of the objective are divided by. Those of several ranks add up: each rank
+/// Numbers of supervised entries, which the terms of the objective are divided by. An entry with a weight counts as much as it
+/// weighs, so that a term is the weighted mean. Those of several ranks add up: each rank
 /// divides its sums by the counts of all, and the sum of the ranks' terms is the term of the whole batch.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Counts {
@@ -36,15 +37,15 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Counts the supervised entries of a batch's labels: `force` in normalised units, and masks.
+    /// Counts the supervised entries of a batch's labels: `force` in normalised units, and masks or weights, 0 to 1.
     pub fn of(force: &[f32], mask_force: &[f32], mask_contact: &[f32], force_scale: f32) -> Self {
         let threshold = CONTACT_FORCE_N / force_scale;
-        let supervised = |mask: &[f32]| mask.iter().filter(|mask| **mask == 1.0).count() as f64;
-        let active = force.iter().zip(mask_force).filter(|(force, mask)| **mask == 1.0 && **force > threshold).count();
+        let supervised = |mask: &[f32]| mask.iter().map(|mask| f64::from(*mask)).sum();
+        let active = force.iter().zip(mask_force).filter(|(force, _)| **force > threshold);
         Self {
             force: supervised(mask_force),
             contact: supervised(mask_contact),
-            active: active as f64,
+            active: active.map(|(_, mask)| f64::from(*mask)).sum(),
             ..Self::default()
         }
     }
@@ -132,7 +133,7 @@ fn consistency(force: &Tensor, contact_logits: &Tensor, mask: &Tensor, force_sca
     masked_mean(&bce_with_logits(&logit, &probability, 1.0)?, mask, count)
 }
 
-/// Returns the sum of `values` where `mask` is 1, divided by `count`: the mean if the mask has that many ones; 0 if the mask is 0 everywhere
+/// Returns the sum of `values` times `mask`, divided by `count`: the weighted mean if that is the sum of the mask; 0 if the mask is 0 everywhere
 /// (epsilon of the paper in the denominator).
 pub fn masked_mean(values: &Tensor, mask: &Tensor, count: f64) -> Result<Tensor> {
     let count = Tensor::new((count + 1e-6) as f32, values.device())?;
@@ -205,6 +206,21 @@ mod tests {
         assert!((value(&o.consistency) - l_consistency).abs() < 1e-4, "{} {l_consistency}", value(&o.consistency));
         let total = 2.0 * l_force + 3.0 * l_contact + 5.0 * l_active + 7.0 * l_consistency;
         assert!((value(&o.total) - total).abs() < 1e-3);
+    }
+
+    #[test]
+    fn weighted_forces_give_weighted_means() {
+        let weighted = |weights: [f32; 4]| Targets { mask_force: tensor(&weights), ..truth() };
+        let (force, logits) = (tensor(&[0.5, 0.0, 0.0, 0.0]), tensor(&[0.0, 2.0, 7.0, -60.0]));
+        let of = |truth: &Targets| objective(&force, &logits, truth, 1.0, &LossWeights::default()).unwrap();
+        let o = of(&weighted([0.5, 0.25, 0.125, 0.0]));
+        assert!((value(&o.force) - (0.5 * 0.25 + 0.25 * 0.25 + 0.125 * 9.0) / 0.875).abs() < 1e-5);
+        assert!((value(&o.active) - (0.25 * 0.125 + 0.125 * 2.5) / 0.375).abs() < 1e-5);
+        // Equal weights, of any size, change nothing.
+        let [plain, small] = [1.0, 0.001].map(|w| of(&weighted([w, w, w, 0.0])));
+        for (a, b) in [(&plain.force, &small.force), (&plain.active, &small.active), (&plain.total, &small.total)] {
+            assert!((value(a) - value(b)).abs() < 1e-2 * value(a), "{} {}", value(a), value(b));
+        }
     }
 
     #[test]

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Times the network in PyTorch, as the peer of `egotac bench model --peer`.
 
-    python crates/bench/benches/peer.py --preset tiny --threads 2 [--runs 20] [--openvino]
+    python crates/bench/benches/peer.py --preset tiny --threads 2 [--runs 20] [--openvino [--nncf]]
     python crates/bench/benches/peer.py --preset tiny --threads 2 --train [--batch 4] [--runs 3]
 
-Needs torch and transformers, and openvino for its encoder. Prints medians in ms and the largest resident memory in MB
+Needs torch and transformers, openvino for its encoder in f32 and bf16, and nncf for its encoder in 8 bits. Prints medians in ms and the largest resident memory in MB
 (2^20 bytes) as JSON: encoder_ms one frame, streaming_ms one more frame of a stream whose other frames' tokens are kept,
 clip_ms the whole window. With --train: step_ms and windows_per_s of an optimisation step.
 """
@@ -101,7 +101,8 @@ def median_ms(run, runs):
     return sorted(times[1:])[runs // 2]
 
 
-def openvino_encoder_ms(model, frame, threads, runs):
+def openvino_ms(model, frame, threads, runs, with_nncf):
+    """Medians of the encoder as OpenVINO compiles it: in f32, in bf16, and quantised by NNCF on random frames."""
     import openvino as ov
 
     class Encoder(nn.Module):
@@ -113,10 +114,22 @@ def openvino_encoder_ms(model, frame, threads, runs):
             return self.inner.encode(x)
 
     converted = ov.convert_model(Encoder().eval(), example_input=frame, input=list(frame.shape))
-    request = ov.Core().compile_model(converted, "CPU", {
-        "INFERENCE_PRECISION_HINT": "f32", "INFERENCE_NUM_THREADS": threads, "PERFORMANCE_HINT": "LATENCY",
-    }).create_infer_request()
-    return median_ms(lambda: request.infer({0: frame.numpy()}), runs)
+
+    def encoder_ms(network, precision):
+        request = ov.Core().compile_model(network, "CPU", {
+            "INFERENCE_PRECISION_HINT": precision, "INFERENCE_NUM_THREADS": threads, "PERFORMANCE_HINT": "LATENCY",
+        }).create_infer_request()
+        return median_ms(lambda: request.infer({0: frame.numpy()}), runs)
+
+    out = {"openvino_encoder_ms": encoder_ms(converted, "f32"), "openvino_bf16_ms": encoder_ms(converted, "bf16")}
+    if with_nncf:
+        import nncf
+
+        frames = nncf.Dataset([torch.randn(frame.shape).numpy() for _ in range(8)])
+        quantised = nncf.quantize(converted, frames, model_type=nncf.ModelType.TRANSFORMER, subset_size=8)
+        # What is not quantised runs in f32 or in bf16, whichever is faster.
+        out["openvino_int8_ms"] = min(encoder_ms(quantised, precision) for precision in ("f32", "bf16"))
+    return out
 
 
 def train_step(c, batch, runs):
@@ -146,6 +159,7 @@ def main():
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--openvino", action="store_true", help="also time the encoder in OpenVINO")
+    parser.add_argument("--nncf", action="store_true", help="with --openvino: and quantised by NNCF")
     parser.add_argument("--train", action="store_true", help="time a training step in place of all else")
     parser.add_argument("--batch", type=int, default=4, help="windows of a training step")
     args = parser.parse_args()
@@ -167,7 +181,7 @@ def main():
         }
         out["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         if args.openvino:
-            out["openvino_encoder_ms"] = openvino_encoder_ms(model, frame, args.threads, args.runs)
+            out |= openvino_ms(model, frame, args.threads, args.runs, args.nncf)
     print(json.dumps(out))
 
 

@@ -4,6 +4,7 @@
 //! | module | measures |
 //! |---|---|
 //! | [`model`], [`train`] | time and memory of the network and of a training step, beside PyTorch and OpenVINO |
+//! | [`layers`] | time of each step of the encoder, beside the processor's peak |
 //! | [`ranks`] | training on several processes |
 //! | [`label`] | time that `egotac label` spends outside the network |
 //! | [`import`] | speed of imports: contact by distance, readers of data sets |
@@ -34,6 +35,7 @@ pub mod guards;
 pub mod hard_cases;
 pub mod import;
 pub mod label;
+pub mod layers;
 pub mod model;
 pub mod names;
 #[cfg(all(feature = "ros", feature = "sim"))]

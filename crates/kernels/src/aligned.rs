@@ -20,7 +20,7 @@ macro_rules! numbers {
         impl private::Sealed for $type {}
     )*};
 }
-numbers!(f32, u16, i8, u8);
+numbers!(f32, u32, u16, i8, u8);
 
 /// A fixed number of values, zero at first.
 #[derive(Debug, Clone)]

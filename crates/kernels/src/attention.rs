@@ -40,8 +40,8 @@ enum Operands {
     /// For vector instructions. Keys: per head, panels of keys, `size` lines each. Values: per head, panels of the head's
     /// columns, n lines each.
     Lines { keys: Aligned<f32>, values: Aligned<f32> },
-    /// For the matrix unit: as above, but a line has pairs of channels or of tokens, and their number is padded.
-    Pairs { keys: Aligned<u16>, values: Aligned<u16> },
+    /// For the matrix unit: as above, but a line has pairs of channels or of tokens in bf16, and their number is padded.
+    Pairs { keys: Aligned<u32>, values: Aligned<u32> },
 }
 
 /// Intermediate results of a few queries.
@@ -67,8 +67,8 @@ impl Attention {
                 values: Aligned::zeros(heads * n * wide_size),
             },
             Unit::Matrix => Operands::Pairs {
-                keys: Aligned::zeros(heads * size.next_multiple_of(HALVES) * wide_n),
-                values: Aligned::zeros(heads * n.next_multiple_of(HALVES) * wide_size),
+                keys: Aligned::zeros(heads * size.next_multiple_of(HALVES) / PAIR * wide_n),
+                values: Aligned::zeros(heads * n.next_multiple_of(HALVES) / PAIR * wide_size),
             },
         };
         Self { n, heads, size, operands }
@@ -193,7 +193,7 @@ impl Attention {
     fn block(
         &self,
         qkv: &[f32],
-        (keys, values): (&[u16], &[u16]),
+        (keys, values): (&[u32], &[u32]),
         head: usize,
         (row, rows): (usize, usize),
         scratch: &mut Scratch,
@@ -203,8 +203,9 @@ impl Attention {
         let d = self.heads * size;
         let (wide_n, wide_size) = (n.next_multiple_of(LANES), size.next_multiple_of(LANES));
         let (padded_n, padded_size) = (n.next_multiple_of(HALVES), size.next_multiple_of(HALVES));
-        let keys = &keys[head * padded_size * wide_n..(head + 1) * padded_size * wide_n];
-        let values = &values[head * padded_n * wide_size..(head + 1) * padded_n * wide_size];
+        let (key_lines, value_lines) = (padded_size / PAIR, padded_n / PAIR);
+        let keys = &keys[head * key_lines * wide_n..(head + 1) * key_lines * wide_n];
+        let values = &values[head * value_lines * wide_size..(head + 1) * value_lines * wide_size];
         let Scratch { scores, halves } = scratch;
         grow(scores, amx::ROWS * wide_n);
         grow(halves, amx::ROWS * padded_n.max(padded_size));
@@ -216,13 +217,13 @@ impl Attention {
             let block = Block {
                 a: halves.as_ptr().cast(),
                 lda: padded_size * PAIR,
-                b: keys[first * padded_size..].as_ptr().cast(),
+                b: keys[first * key_lines..].as_ptr().cast(),
                 steps: padded_size / HALVES,
                 out: scores[first..].as_mut_ptr(),
                 ldc: wide_n,
             };
-            // SAFETY: `halves` has `rows` rows of `padded_size` values, the panel `padded_size` / 2 lines of `vectors` vectors
-            // of pairs, since `keys` is padded to whole vectors; `scores` has amx::ROWS rows of `wide_n` values and belongs
+            // SAFETY: `halves` has `rows` rows of `padded_size` values, the panel `key_lines` lines of `vectors` vectors of
+            // words, since `keys` is padded to whole vectors; `scores` has amx::ROWS rows of `wide_n` values and belongs
             // to this thread.
             unsafe { amx::multiply(Kind::Half, &block, rows, vectors) };
         }
@@ -243,13 +244,13 @@ impl Attention {
             let block = Block {
                 a: halves.as_ptr().cast(),
                 lda: padded_n * PAIR,
-                b: values[first * padded_n..].as_ptr().cast(),
+                b: values[first * value_lines..].as_ptr().cast(),
                 steps: padded_n / HALVES,
                 out: sums.start(),
                 ldc: amx::WIDTH,
             };
-            // SAFETY: `halves` has `rows` rows of `padded_n` values, the panel `padded_n` / 2 lines of `vectors` vectors of
-            // pairs; `rows` and `vectors` are within what the sums have room for.
+            // SAFETY: `halves` has `rows` rows of `padded_n` values, the panel `value_lines` lines of `vectors` vectors of
+            // words; `rows` and `vectors` are within what the sums have room for.
             unsafe { amx::multiply(Kind::Half, &block, rows, vectors) };
             for (r, weight) in weights.iter().enumerate().take(rows) {
                 let at = out.at((row + r) * d + head * size + first);
@@ -303,32 +304,62 @@ fn pack_values<'a>(n: usize, size: usize, value: impl Fn(usize) -> &'a [f32], ou
     }
 }
 
-/// As [`pack_keys`] in bf16, for panels of up to 32 keys with one line per pair of channels.
-fn pack_key_pairs<'a>(n: usize, size: usize, key: impl Fn(usize) -> &'a [f32], out: &mut [u16]) {
-    let padded = size.next_multiple_of(HALVES);
+/// As [`pack_keys`] in bf16, for panels of up to 32 keys with one line of words per pair of channels.
+fn pack_key_pairs<'a>(n: usize, size: usize, key: impl Fn(usize) -> &'a [f32], out: &mut [u32]) {
+    let lines = size.next_multiple_of(HALVES) / PAIR;
+    let mut words = vec![0; LANES * lines];
     for (first, vectors) in panels(n, amx::VECTORS) {
         let width = vectors * LANES;
-        let panel = &mut out[first * padded..(first + width) * padded];
-        for column in 0..width.min(n - first) {
-            let key = key(first + column).chunks(PAIR);
-            for (line, pair) in panel.chunks_exact_mut(width * PAIR).zip(key) {
-                halve_row(pair, &mut line[column * PAIR..][..pair.len()]);
+        let panel = &mut out[first * lines..(first + width) * lines];
+        for vector in (0..width).step_by(LANES) {
+            let there = LANES.min(n.saturating_sub(first + vector));
+            for (lane, words) in words.chunks_exact_mut(lines).enumerate().take(there) {
+                pairs(key(first + vector + lane), words);
+            }
+            let words: [&[u32]; LANES] = std::array::from_fn(|lane| &words[lane * lines..(lane + 1) * lines]);
+            for (line, out) in panel.chunks_exact_mut(width).enumerate() {
+                for (out, words) in out[vector..vector + there].iter_mut().zip(&words) {
+                    *out = words[line];
+                }
             }
         }
     }
 }
 
-/// As [`pack_values`] in bf16, for panels of up to 32 channels with one line per pair of tokens.
-fn pack_value_pairs<'a>(n: usize, size: usize, value: impl Fn(usize) -> &'a [f32], out: &mut [u16]) {
-    let padded = n.next_multiple_of(HALVES);
+/// Rounds a row to bf16, two values in a word.
+fn pairs(row: &[f32], words: &mut [u32]) {
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            let (pairs, rest) = row.as_chunks::<PAIR>();
+            for (word, pair) in words.iter_mut().zip(pairs) {
+                *word = u32::from(bf16(pair[0])) | u32::from(bf16(pair[1])) << 16;
+            }
+            if let [last] = rest {
+                words[pairs.len()] = u32::from(bf16(*last));
+            }
+        },
+    );
+}
+
+/// As [`pack_values`] in bf16, for panels of up to 32 channels with one line of words per pair of tokens.
+fn pack_value_pairs<'a>(n: usize, size: usize, value: impl Fn(usize) -> &'a [f32], out: &mut [u32]) {
+    let lines = n.next_multiple_of(HALVES) / PAIR;
+    let zeros = vec![0.0; size];
     for (first, vectors) in panels(size, amx::VECTORS) {
         let width = vectors * LANES;
-        let there = width.min(size - first);
-        let panel = &mut out[first * padded..(first + width) * padded];
-        for (token, line) in (0..n).map(|token| (token, token / PAIR * width * PAIR)) {
-            for (column, value) in value(token)[first..first + there].iter().enumerate() {
-                panel[line + column * PAIR + token % PAIR] = bf16(*value);
-            }
+        let columns = first..size.min(first + width);
+        for (line, out) in out[first * lines..(first + width) * lines].chunks_exact_mut(width).enumerate() {
+            let [a, b] = [0, 1].map(|i| if line * PAIR + i < n { value(line * PAIR + i) } else { &zeros[..] });
+            let (a, b) = (&a[columns.clone()], &b[columns.clone()]);
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    for (word, (a, b)) in out.iter_mut().zip(a.iter().zip(b)) {
+                        *word = u32::from(bf16(*a)) | u32::from(bf16(*b)) << 16;
+                    }
+                },
+            );
         }
     }
 }
@@ -337,14 +368,20 @@ fn pack_value_pairs<'a>(n: usize, size: usize, value: impl Fn(usize) -> &'a [f32
 #[inline(always)]
 fn exponentials(row: &mut [f32], scale: f32) -> f32 {
     let largest = simd::max(row);
-    for x in row.iter_mut() {
-        *x = simd::exp(scale * (*x - largest));
+    let (chunks, rest) = row.as_chunks_mut::<LANES>();
+    let mut sums = [0.0; LANES];
+    for chunk in chunks {
+        for (x, sum) in chunk.iter_mut().zip(&mut sums) {
+            *x = simd::exp(scale * (*x - largest));
+            *sum += *x;
+        }
     }
-    1.0 / simd::sum(
-        row,
-        #[inline(always)]
-        |x| x,
-    )
+    let mut rest_sum = 0.0;
+    for x in rest {
+        *x = simd::exp(scale * (*x - largest));
+        rest_sum += *x;
+    }
+    1.0 / (simd::fold(sums) + rest_sum)
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 //! | [`packed`], [`norm`], [`attention`] | layers laid out once for inference, on slices |
 //! | [`quantise`], [`rows`] | their inputs: rows of f32, and the same rows in 8 bits |
 //! | [`team`] | threads that share the many short steps of one inference |
+//! | [`peak`] | the most that the processor computes and reads |
 //! | [`simd`] | loops compiled for the widest vectors of the processor at hand |
 //!
 //! From the bottom of the inference side: `tile`, `tile8` and `amx` multiply a few rows by a panel of weights in registers,
@@ -29,6 +30,8 @@ pub mod norm;
 pub mod ops;
 #[allow(unsafe_code)] // tiles that write disjoint parts of one result
 pub mod packed;
+#[allow(unsafe_code)] // vector instructions, and a block of the matrix unit
+pub mod peak;
 pub mod quantise;
 pub mod rows;
 pub mod simd;

@@ -95,7 +95,7 @@ pub fn max(values: &[f32]) -> f32 {
 
 /// Adds all lanes, the upper half onto the lower, until one is left.
 #[inline(always)]
-fn fold(lanes: [f32; LANES]) -> f32 {
+pub fn fold(lanes: [f32; LANES]) -> f32 {
     let mut lanes = lanes;
     let mut half = LANES / 2;
     while half > 0 {

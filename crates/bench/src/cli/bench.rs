@@ -8,6 +8,7 @@ mod guards;
 mod hard_cases;
 mod import;
 mod label;
+mod layers;
 mod model;
 #[cfg(all(feature = "ros", feature = "sim"))]
 mod node;
@@ -30,6 +31,8 @@ pub struct Args {
 enum Subject {
     /// Measure the network: latency and memory by preset, precision and threads, beside accuracy.
     Model(Box<model::Args>),
+    /// Measure each step of the encoder, beside the most that the processor computes and reads.
+    Layers(layers::Args),
     /// Measure a training step, beside another program's.
     Train(train::Args),
     /// Measure training on several processes, and compute it for more machines.
@@ -66,6 +69,7 @@ enum Subject {
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let name = match args.subject {
         Subject::Model(args) => return status(model::run(&args)?),
+        Subject::Layers(args) => return layers::run(&args).map(|()| ExitCode::SUCCESS),
         Subject::Train(args) => return train::run(&args).map(|()| ExitCode::SUCCESS),
         Subject::Ranks(args) => return ranks::run(&args).map(|()| ExitCode::SUCCESS),
         Subject::Label(args) => return status(label::run(&args)?),
@@ -89,6 +93,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     status(match args.subject {
         Subject::Model(args) => model::run(&args)?,
+        Subject::Layers(args) => layers::run(&args).map(|()| true)?,
         Subject::Train(args) => train::run(&args).map(|()| true)?,
         Subject::Ranks(args) => ranks::run(&args).map(|()| true)?,
         Subject::Label(args) => label::run(&args)?,

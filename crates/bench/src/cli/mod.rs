@@ -12,8 +12,9 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 /// Example of each command, without the program's name.
-const EXAMPLES: [&str; 17] = [
+const EXAMPLES: [&str; 18] = [
     "bench model --preset toy --threads 2",
+    "bench layers --preset tiny",
     "bench train --preset tiny",
     "bench ranks --preset tiny --steps 2",
     "bench label --frames 100",
@@ -45,7 +46,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Measurements that the documentation holds: model, train, ranks, label, retarget, sim, effects, glove, hard-cases, guards, faults.
+    /// Measurements that the documentation holds: model, layers, train, ranks, label, retarget, sim, effects, glove, hard-cases, guards, faults.
     Bench(bench::Args),
     /// Test the paper's claims on rendered data: train, measure, compare.
     Experiment(Experiments),

@@ -17,6 +17,12 @@ pub struct Timing {
     /// Encoder as compiled by OpenVINO, if the peer has it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub openvino_encoder_ms: Option<f64>,
+    /// The same in bf16.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub openvino_bf16_ms: Option<f64>,
+    /// The same in 8 bits, as quantised by NNCF.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub openvino_int8_ms: Option<f64>,
     /// Largest resident memory, MB (2²⁰), if reported.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peak_memory_mb: Option<f64>,
@@ -29,6 +35,9 @@ pub struct Rounds {
     pub preset: String,
     /// Ours, f32.
     pub ours: Vec<Timing>,
+    /// Ours, bf16.
+    #[serde(default)]
+    pub ours_bf16: Vec<Timing>,
     /// Ours, int8.
     pub ours_int8: Vec<Timing>,
     /// The peer's.
@@ -58,6 +67,19 @@ impl Rounds {
     }
 }
 
+impl Rounds {
+    /// Returns the least times of our encoder and of OpenVINO's in f32, bf16 and int8, ms. Infinite where there is none.
+    pub fn encoders(&self) -> [[f64; 2]; 3] {
+        let theirs = |value: fn(&Timing) -> Option<f64>| least(&self.peer, |t| value(t).unwrap_or(f64::INFINITY));
+        let ours = |timings: &[Timing]| least(timings, |t| t.encoder_ms);
+        [
+            [ours(&self.ours), theirs(|t| t.openvino_encoder_ms)],
+            [ours(&self.ours_bf16), theirs(|t| t.openvino_bf16_ms)],
+            [ours(&self.ours_int8), theirs(|t| t.openvino_int8_ms)],
+        ]
+    }
+}
+
 /// Returns the least of a value over all rounds: other load on the machine only lengthens times.
 pub fn least(timings: &[Timing], value: impl Fn(&Timing) -> f64) -> f64 {
     timings.iter().map(value).fold(f64::INFINITY, f64::min)
@@ -74,15 +96,18 @@ mod tests {
             streaming_ms,
             clip_ms: 40.0,
             openvino_encoder_ms,
-            peak_memory_mb: None,
+            openvino_bf16_ms: openvino_encoder_ms.map(|ms: f64| ms / 2.0),
+            ..Default::default()
         };
         let rounds = Rounds {
             preset: "toy".into(),
             ours: vec![timing(9.0, 12.0, None), timing(8.0, 14.0, None)],
+            ours_bf16: vec![timing(4.0, 5.0, None)],
             ours_int8: vec![],
             peer: vec![timing(20.0, 24.0, Some(16.0)), timing(21.0, 25.0, Some(17.0))],
         };
         assert_eq!(rounds.ratios(), [0.5, 0.5, 1.0]);
+        assert_eq!(rounds.encoders(), [[8.0, 16.0], [4.0, 8.0], [f64::INFINITY; 2]]);
     }
 
     #[test]

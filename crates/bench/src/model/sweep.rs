@@ -83,18 +83,20 @@ pub fn run(plan: &Plan, mut progress: impl FnMut(&str, usize, usize)) -> Result<
     let mut beside = Vec::new();
     for (i, preset) in plan.presets.iter().enumerate() {
         let Some((command, rounds)) = &plan.peer else { break };
-        let mut pair = Rounds { preset: preset.clone(), ours: vec![], ours_int8: vec![], peer: vec![] };
+        let mut pair =
+            Rounds { preset: preset.clone(), ours: vec![], ours_bf16: vec![], ours_int8: vec![], peer: vec![] };
         let threads = plan.threads.iter().copied().max().unwrap_or(1);
         for round in 0..*rounds {
             progress(&format!("{preset} beside the peer"), done + i * rounds + round, all);
-            for (precision, timings) in [(Precision::F32, &mut pair.ours), (Precision::Int8, &mut pair.ours_int8)] {
+            let ours = [&mut pair.ours, &mut pair.ours_bf16, &mut pair.ours_int8];
+            for (precision, timings) in Precision::ALL.into_iter().zip(ours) {
                 let row = child(&arguments(preset, threads, precision, plan.runs))?;
                 timings.push(Timing {
                     encoder_ms: row.encoder.p50,
                     streaming_ms: row.streaming.p50,
                     clip_ms: row.clip.p50,
-                    openvino_encoder_ms: None,
                     peak_memory_mb: Some(row.peak_memory_mb),
+                    ..Timing::default()
                 });
             }
             pair.peer.push(peer::run(command, preset, threads, plan.runs)?);

@@ -97,11 +97,14 @@ fn beside(peer: &str, rounds: &[Rounds], text: &mut String) {
             )
         };
         text.push_str(&line("egotac", &pair.ours));
+        if !pair.ours_bf16.is_empty() {
+            text.push_str(&line("egotac, bf16", &pair.ours_bf16));
+        }
         text.push_str(&line("egotac, int8", &pair.ours_int8));
         text.push_str(&line("PyTorch", &pair.peer));
-        let openvino = least(&pair.peer, |t| t.openvino_encoder_ms.unwrap_or(f64::INFINITY));
-        if openvino.is_finite() {
-            let _ = writeln!(text, "| {} | OpenVINO | {openvino:.1} | — | — | — |", pair.preset);
+        let formats = ["", ", bf16", ", int8 by NNCF"];
+        for (format, [_, openvino]) in formats.iter().zip(pair.encoders()).filter(|(_, [_, ms])| ms.is_finite()) {
+            let _ = writeln!(text, "| {} | OpenVINO{format} | {openvino:.1} | — | — | — |", pair.preset);
         }
         let [encoder, streaming, clip] = pair.ratios();
         let _ = writeln!(
@@ -110,6 +113,12 @@ fn beside(peer: &str, rounds: &[Rounds], text: &mut String) {
             pair.preset
         );
         let (f32, int8) = (least(&pair.ours, |t| t.streaming_ms), least(&pair.ours_int8, |t| t.streaming_ms));
+        for (format, [ours, openvino]) in formats.iter().zip(pair.encoders()).skip(1) {
+            if (ours / openvino).is_normal() {
+                let ratio = ours / openvino;
+                let _ = writeln!(text, "| {} | **ours / OpenVINO{format}** | **{ratio:.2}** | | | |", pair.preset);
+            }
+        }
         let of_clip = f32 / least(&pair.peer, |t| t.clip_ms);
         let _ = writeln!(
             text,
