@@ -105,7 +105,7 @@ where
 {
     let x = points.iter().map(|point| point.at.0).filter(|ms| *ms > 0.0);
     let (least, most) = x.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), ms| (low.min(ms), high.max(ms)));
-    let (left, right) = if least <= most { (0.7 * least, 1.6 * most) } else { (0.1, 1.0) };
+    let (left, right) = if least <= most { decades(0.7 * least, 1.6 * most) } else { (0.1, 1.0) };
     let mut builder = plot::chart(area, title, [48, 72]);
     let y = points.iter().map(|point| point.at.1);
     match is_accuracy {
@@ -123,6 +123,14 @@ where
             draw_points(area, &mut chart, points)
         }
     }
+}
+
+/// Widens a range to whole powers of ten if it holds fewer than two: ticks stand at these alone.
+fn decades(low: f64, high: f64) -> (f64, f64) {
+    if high.log10().floor() > low.log10().ceil() {
+        return (low, high);
+    }
+    (10f64.powf(low.log10().floor()), 10f64.powf(high.log10().ceil()))
 }
 
 fn draw_points<'a, B, X, Y>(
