@@ -10,7 +10,7 @@ use egotac::render::plot::PALETTE;
 use egotac_bench::draw::svgs;
 
 /// Reports with plots, below docs/.
-const REPORTS: [&str; 21] = [
+const REPORTS: [&str; 24] = [
     "bench/model.json",
     "bench/epyc/model.json",
     "bench/sim.json",

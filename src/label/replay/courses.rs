@@ -1,5 +1,6 @@
 //! Motion of a run of frames: places, velocities and accelerations of everything that a replay drives.
 
+use std::mem::discriminant;
 use std::ops::Range;
 
 use glam::{DQuat, DVec3};
@@ -20,6 +21,8 @@ const BANDWIDTH: f64 = 0.3;
 pub(super) struct Courses {
     /// By side, frame and servo; None = the hand is absent or unknown.
     pub servos: [Option<Vec<Vec<[f64; 3]>>>; 2],
+    /// By side, true if the recording does not tell whether and where the hand is.
+    pub unknown: [bool; 2],
     /// By object and frame; None = the pose or the shape is unknown.
     pub objects: Vec<Option<Vec<ObjectState>>>,
     /// Sum of the rotations that hinges miss of recorded joints, rad, and their number.
@@ -36,12 +39,12 @@ pub(super) struct ObjectState {
     pub angular: [DVec3; 2],
 }
 
-/// Splits an episode into the longest runs of frames in which the same hands and objects are known.
+/// Splits an episode into the longest runs of frames in which the same hands and objects are known, and the same hands absent.
 pub(super) fn runs(take: &Take) -> Vec<Range<usize>> {
     let known = |frame: usize| {
-        let hands = take.hands.iter().map(|hand| matches!(hand.get(frame), Some(Tracked::Present(_))));
+        let hands = take.hands.each_ref().map(|hand| hand.get(frame).map(discriminant));
         let objects = take.poses.iter().map(|poses| poses.get(frame).is_some_and(Option::is_some));
-        hands.chain(objects).collect::<Vec<bool>>()
+        (hands, objects.collect::<Vec<bool>>())
     };
     let mut starts: Vec<usize> = (0..take.times.len()).filter(|i| *i == 0 || known(*i) != known(i - 1)).collect();
     starts.push(take.times.len());
@@ -61,7 +64,8 @@ impl Courses {
         let Some(smoother) = smoother else {
             return Err(Error::value(TIMESTAMPS, "at least two frames at ascending times", times.len()));
         };
-        let mut courses = Self { servos: [None, None], objects: Vec::new(), missed_rotation: (0.0, 0) };
+        let unknown = take.hands.each_ref().map(|hand| matches!(hand.get(run.start), Some(Tracked::Unknown)));
+        let mut courses = Self { servos: [None, None], unknown, objects: Vec::new(), missed_rotation: (0.0, 0) };
         for side in Side::BOTH {
             let present = |tracked: &Tracked| match tracked {
                 Tracked::Present(params) => Some((**params).clone()),

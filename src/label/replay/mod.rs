@@ -40,7 +40,7 @@ pub struct ReplayFrame {
     /// Frames to the nearest frame whose poses are not all known, or to the end of the episode; splines have samples on one side
     /// only there.
     pub to_edge: usize,
-    /// Normal force on each link of the left and the right hand, N; zero for a hand that is absent or unknown.
+    /// Normal force on each link of the left and the right hand, N; zero for a hand that is absent, NaN for one that is unknown.
     pub links: [[f64; N_JOINTS]; 2],
     /// Net force of all contacts on each object, world frame of the store, N; NaN for an object whose pose or shape is unknown.
     pub net: Vec<DVec3>,

@@ -123,7 +123,7 @@ impl Stage {
     }
 
     fn read(&self, courses: &Courses) -> ([[f64; N_JOINTS]; 2], Vec<DVec3>) {
-        let mut links = [[0.0; N_JOINTS]; 2];
+        let mut links = courses.unknown.map(|unknown| [if unknown { f64::NAN } else { 0.0 }; N_JOINTS]);
         let known = courses.objects.iter().map(|states| states.is_some());
         let mut net: Vec<DVec3> = known.map(|known| if known { DVec3::ZERO } else { DVec3::NAN }).collect();
         let back = self.placing.orientation.inverse();

@@ -35,9 +35,9 @@ impl LayersReport {
                 let (bound, by_memory) = step.bound(&row.peaks);
                 let rate = 1e3 * step.gflop / step.ms;
                 bounds += bound;
-                let _ = write!(
+                let _ = writeln!(
                     text,
-                    "| {} | {:.2} | {:.0} % | {rate:.0} | {:.0} % | {:.0} | {bound:.2} | {} |\n",
+                    "| {} | {:.2} | {:.0} % | {rate:.0} | {:.0} % | {:.0} | {bound:.2} | {} |",
                     step.name,
                     step.ms,
                     100.0 * step.ms / total,
@@ -48,9 +48,9 @@ impl LayersReport {
             }
             let all: f64 = row.steps.iter().map(|step| step.gflop).sum();
             let rate = 1e3 * all / total;
-            let _ = write!(
+            let _ = writeln!(
                 text,
-                "| **all** | **{total:.2}** | | **{rate:.0}** | **{:.0} %** | | **{bounds:.2}** | |\n",
+                "| **all** | **{total:.2}** | | **{rate:.0}** | **{:.0} %** | | **{bounds:.2}** | |",
                 100.0 * rate / row.peaks.gflops
             );
         }
