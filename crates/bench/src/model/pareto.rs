@@ -130,7 +130,8 @@ fn decades(low: f64, high: f64) -> (f64, f64) {
     if high.log10().floor() > low.log10().ceil() {
         return (low, high);
     }
-    (10f64.powf(low.log10().floor()), 10f64.powf(high.log10().ceil()))
+    // A little more at the ends, where a tick would be drawn twice.
+    (0.98 * 10f64.powf(low.log10().floor()), 1.02 * 10f64.powf(high.log10().ceil()))
 }
 
 fn draw_points<'a, B, X, Y>(
