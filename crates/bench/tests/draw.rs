@@ -10,7 +10,7 @@ use egotac::render::plot::PALETTE;
 use egotac_bench::draw::svgs;
 
 /// Reports with plots, below docs/.
-const REPORTS: [&str; 24] = [
+const REPORTS: [&str; 21] = [
     "bench/model.json",
     "bench/epyc/model.json",
     "bench/sim.json",
@@ -19,6 +19,7 @@ const REPORTS: [&str; 24] = [
     "bench/retarget.json",
     "results/sources.json",
     "results/scaling.json",
+    "results/limits.json",
     "results/motion.json",
     "results/recordings.json",
     "results/ablations.json",
@@ -30,10 +31,6 @@ const REPORTS: [&str; 24] = [
     "results/decline.json",
     "results/transfer.json",
     "results/reuse.json",
-    "results/earlier/ablations.json",
-    "results/earlier/limits.json",
-    "results/earlier/scaling.json",
-    "results/earlier/sources.json",
     "verify/verify.json",
 ];
 

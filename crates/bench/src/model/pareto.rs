@@ -105,12 +105,18 @@ where
 {
     let x = points.iter().map(|point| point.at.0).filter(|ms| *ms > 0.0);
     let (least, most) = x.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), ms| (low.min(ms), high.max(ms)));
-    let (left, right) = if least <= most { decades(0.7 * least, 1.6 * most) } else { (0.1, 1.0) };
+    let (left, right) = if least <= most { (0.7 * least, 1.6 * most) } else { (0.1, 1.0) };
     let mut builder = plot::chart(area, title, [48, 72]);
     let y = points.iter().map(|point| point.at.1);
     match is_accuracy {
         true => {
             let (bottom, top) = plot::span(y, LEAST_SPAN).unwrap_or((0.0, 1.0));
+            // Ticks of a logarithmic axis stand at powers of ten: a narrow range would have none.
+            if most < 10.0 * least {
+                let mut chart = builder.build_cartesian_2d(0.0..right, bottom..top)?;
+                plot::axes(&mut chart, (LATENCY, &|x| format!("{x:.1}")), (what, &|y| format!("{y:.2}")), [8, 6])?;
+                return draw_points(area, &mut chart, points);
+            }
             let mut chart = builder.build_cartesian_2d((left..right).log_scale(), bottom..top)?;
             plot::axes(&mut chart, (LATENCY, &|x| format!("{x}")), (what, &|y| format!("{y:.2}")), [12, 6])?;
             draw_points(area, &mut chart, points)
@@ -123,15 +129,6 @@ where
             draw_points(area, &mut chart, points)
         }
     }
-}
-
-/// Widens a range to whole powers of ten if it holds fewer than two: ticks stand at these alone.
-fn decades(low: f64, high: f64) -> (f64, f64) {
-    if high.log10().floor() > low.log10().ceil() {
-        return (low, high);
-    }
-    // A little more at the ends, where a tick would be drawn twice.
-    (0.98 * 10f64.powf(low.log10().floor()), 1.02 * 10f64.powf(high.log10().ceil()))
 }
 
 fn draw_points<'a, B, X, Y>(
