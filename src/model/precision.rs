@@ -36,7 +36,7 @@ impl Precision {
     }
 
     /// Format in which the kernels pack a layer.
-    pub(super) fn format(self) -> Format {
+    pub fn format(self) -> Format {
         match self {
             Precision::F32 => Format::F32,
             Precision::Bf16 => Format::Bf16,
@@ -45,7 +45,7 @@ impl Precision {
     }
 
     /// Precision of the first and the last layers: they cost little, and 8 bits would lose most there.
-    pub(super) fn of_small_layers(self) -> Self {
+    pub fn of_small_layers(self) -> Self {
         match self {
             Precision::Int8 => Precision::F32,
             other => other,

@@ -4,8 +4,8 @@
     python crates/bench/benches/peer.py --preset tiny --threads 2 [--runs 20] [--openvino [--nncf]]
     python crates/bench/benches/peer.py --preset tiny --threads 2 --train [--batch 4] [--runs 3]
 
-Needs torch and transformers, openvino for its encoder in f32 and bf16, and nncf for its encoder in 8 bits. Prints medians in ms and the largest resident memory in MB
-(2^20 bytes) as JSON: encoder_ms one frame, streaming_ms one more frame of a stream whose other frames' tokens are kept,
+Needs torch and transformers, openvino for its encoder in f32 and bf16, and nncf for its encoder in 8 bits. Prints medians
+in ms and the largest resident memory in MB (2^20 bytes) as JSON: encoder_ms one frame, streaming_ms one more frame of a stream whose other frames' tokens are kept,
 clip_ms the whole window. With --train: step_ms and windows_per_s of an optimisation step.
 """
 import argparse
@@ -127,7 +127,7 @@ def openvino_ms(model, frame, threads, runs, with_nncf):
 
         frames = nncf.Dataset([torch.randn(frame.shape).numpy() for _ in range(8)])
         quantised = nncf.quantize(converted, frames, model_type=nncf.ModelType.TRANSFORMER, subset_size=8)
-        # What is not quantised runs in f32 or in bf16, whichever is faster.
+        # Layers that NNCF leaves as they are run in f32 or in bf16: the faster of both counts.
         out["openvino_int8_ms"] = min(encoder_ms(quantised, precision) for precision in ("f32", "bf16"))
     return out
 

@@ -9,16 +9,16 @@
 use std::cell::RefCell;
 
 use crate::aligned::{Aligned, grow};
-use crate::amx::{self, Block, Kind, Sums};
+use crate::amx::{self, Block, Kind, STEP, Sums};
 use crate::packed::{Format, PAIR, Shared, Unit};
-use crate::quantise::{LINE, bf16, halve_row};
+use crate::quantise::{bf16, halve_row};
 use crate::rows::part;
 use crate::simd;
 use crate::team;
 use crate::tile::{self, LANES, MOST_ROWS, TILES_PER_TASK, Tile, VECTORS};
 
 /// bf16 values to a multiple of which the operands of the matrix unit are padded with zeros.
-const HALVES: usize = LINE / PAIR;
+const HALVES: usize = STEP / PAIR;
 
 thread_local! {
     /// Buffers of the queries that this thread works on, kept so that a task allocates nothing.
@@ -326,6 +326,12 @@ fn pack_key_pairs<'a>(n: usize, size: usize, key: impl Fn(usize) -> &'a [f32], o
     }
 }
 
+/// Rounds two values to bf16 and joins them, the first in the lower half.
+#[inline(always)]
+fn joined(first: f32, second: f32) -> u32 {
+    u32::from(bf16(first)) | u32::from(bf16(second)) << 16
+}
+
 /// Rounds a row to bf16, two values in a word.
 fn pairs(row: &[f32], words: &mut [u32]) {
     simd::dispatch(
@@ -333,10 +339,10 @@ fn pairs(row: &[f32], words: &mut [u32]) {
         || {
             let (pairs, rest) = row.as_chunks::<PAIR>();
             for (word, pair) in words.iter_mut().zip(pairs) {
-                *word = u32::from(bf16(pair[0])) | u32::from(bf16(pair[1])) << 16;
+                *word = joined(pair[0], pair[1]);
             }
             if let [last] = rest {
-                words[pairs.len()] = u32::from(bf16(*last));
+                words[pairs.len()] = joined(*last, 0.0);
             }
         },
     );
@@ -356,7 +362,7 @@ fn pack_value_pairs<'a>(n: usize, size: usize, value: impl Fn(usize) -> &'a [f32
                 #[inline(always)]
                 || {
                     for (word, (a, b)) in out.iter_mut().zip(a.iter().zip(b)) {
-                        *word = u32::from(bf16(*a)) | u32::from(bf16(*b)) << 16;
+                        *word = joined(*a, *b);
                     }
                 },
             );

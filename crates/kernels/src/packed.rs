@@ -5,8 +5,8 @@
 //! four inputs, which one instruction consumes; in 16 bits pairs, where the processor has a matrix unit.
 
 use crate::aligned::{Aligned, Number};
-use crate::amx::{self, Block, Finish, Kind, Scales, Sums};
-use crate::quantise::{LINE, Quantised, bf16, quantise_weights};
+use crate::amx::{self, Block, Finish, Kind, STEP, Scales, Sums};
+use crate::quantise::{Quantised, bf16, quantise_weights};
 use crate::rows::{Rows, part};
 use crate::simd;
 use crate::team;
@@ -288,7 +288,7 @@ impl Packed {
     fn int8_tile(&self, place: &Place, of: &Int8, quantised: &Quantised) {
         let Place { row, rows, panel, out, stride, add, .. } = *place;
         let (first, cols) = (panel.start(), self.cols(panel));
-        let padded = self.k.next_multiple_of(LINE);
+        let padded = self.k.next_multiple_of(STEP);
         let (bytes, lda, of_rows) = quantised.rows(row, rows);
         assert!(fits(rows, lda, padded, bytes.len()), "the quantised rows leave their slice");
         let tile = Tile8 {
@@ -313,11 +313,11 @@ impl Packed {
     /// Computes a block of an 8-bit layer in the matrix unit, with the bits of [`Self::int8_tile`].
     fn int8_block(&self, place: &Place, of: &Int8, quantised: &Quantised) {
         let (first, width) = (place.panel.start(), place.panel.width());
-        let padded = self.k.next_multiple_of(LINE);
+        let padded = self.k.next_multiple_of(STEP);
         let (bytes, lda, rows) = quantised.rows(place.row, place.rows);
         assert!(fits(place.rows, lda, padded, bytes.len()), "the quantised rows leave their slice");
         let panel = of.weights[first * padded..(first + width) * padded].as_ptr();
-        let operands = (bytes.as_ptr(), lda, panel.cast(), padded / LINE);
+        let operands = (bytes.as_ptr(), lda, panel.cast(), padded / STEP);
         let lanes = first / LANES..;
         let (columns, weights) = (&vectors(of.scales)[lanes.clone()], &vectors(of.sums)[lanes]);
         // SAFETY: the assertion covers the rows, and the slice the panel.
@@ -327,11 +327,11 @@ impl Packed {
     /// Computes a block of a layer in bf16 in the matrix unit.
     fn pair_block(&self, place: &Place, weights: &[u16], quantised: &Quantised) {
         let (first, width) = (place.panel.start(), place.panel.width());
-        let padded = self.k.next_multiple_of(LINE / PAIR);
+        let padded = self.k.next_multiple_of(STEP / PAIR);
         let (halves, lda) = quantised.halves(place.row);
         assert!(fits(place.rows, lda, padded, halves.len()), "the halved rows leave their slice");
         let panel = weights[first * padded..(first + width) * padded].as_ptr();
-        let operands = (halves.as_ptr().cast(), lda * PAIR, panel.cast(), padded * PAIR / LINE);
+        let operands = (halves.as_ptr().cast(), lda * PAIR, panel.cast(), padded * PAIR / STEP);
         // SAFETY: the assertion covers the rows, and the slice the panel; a half has two bytes.
         unsafe { self.block(place, Kind::Half, operands, None) };
     }
@@ -382,7 +382,7 @@ fn lines<const PER: usize, T: Number>(
     k: usize,
     value: impl Fn(usize, usize) -> T,
 ) -> Aligned<T> {
-    let padded = if PER == 1 { k } else { k.next_multiple_of(LINE / size_of::<T>()) };
+    let padded = if PER == 1 { k } else { k.next_multiple_of(STEP / size_of::<T>()) };
     let mut data = Aligned::zeros(n.div_ceil(LANES) * LANES * padded);
     for panel in panels {
         let (first, width) = (panel.start(), panel.width());

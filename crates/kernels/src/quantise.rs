@@ -1,12 +1,10 @@
 //! Conversion from f32 to 8 or 16 bits: weights once, activations row by row.
 
 use crate::aligned::{Aligned, grow};
+use crate::amx::STEP;
 use crate::rows::Rows;
 use crate::simd;
 use crate::team;
-
-/// Bytes to a multiple of which converted rows are padded with zeros: a cache line, which the matrix unit reads at once.
-pub const LINE: usize = 64;
 
 /// Rows that one task converts: enough work to be worth handing over, few enough that 257 tokens make several tasks.
 const ROWS_PER_TASK: usize = 32;
@@ -48,7 +46,7 @@ pub struct Quantised {
 impl Quantised {
     /// Converts rows of `k` values to 8 bits. The buffers grow to the largest input so far and are kept.
     pub fn set(&mut self, x: Rows, k: usize) {
-        let (stride, count) = (k.next_multiple_of(LINE), x.count);
+        let (stride, count) = (k.next_multiple_of(STEP), x.count);
         self.stride = stride;
         grow(&mut self.bytes, count * stride);
         if self.scales.len() < count {
@@ -66,7 +64,7 @@ impl Quantised {
 
     /// Converts rows of `k` values to bf16.
     pub fn set_halves(&mut self, x: Rows, k: usize) {
-        let (stride, count) = (k.next_multiple_of(LINE / size_of::<u16>()), x.count);
+        let (stride, count) = (k.next_multiple_of(STEP / size_of::<u16>()), x.count);
         self.stride = stride;
         grow(&mut self.halves, count * stride);
         team::chunks(&mut self.halves[..count * stride], ROWS_PER_TASK * stride, |block, halves| {

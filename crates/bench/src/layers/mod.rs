@@ -101,26 +101,17 @@ pub fn measure(
         let config = Config::preset(preset)?;
         for precision in precisions {
             progress(preset, *precision);
-            let format = format(*precision);
-            let peaks = Peaks { gflops: operation_rate(format), gbytes };
+            let peaks = Peaks { gflops: operation_rate(precision.format()), gbytes };
             rows.push(Row {
                 preset: preset.clone(),
                 precision: *precision,
                 peaks,
-                steps: steps(&config, format, runs),
+                steps: steps(&config, *precision, runs),
             });
         }
     }
     let (egotac, threads) = (egotac::VERSION, rayon::current_num_threads());
     Ok(LayersReport { command, egotac, machine: Machine::this(), threads, runs, rows })
-}
-
-fn format(precision: Precision) -> Format {
-    match precision {
-        Precision::F32 => Format::F32,
-        Precision::Bf16 => Format::Bf16,
-        Precision::Int8 => Format::Int8,
-    }
 }
 
 /// Operations per second of all threads, 10⁹/s: the best of several tries, since other load only lowers it.
@@ -156,7 +147,8 @@ struct Layer {
 
 /// Measures each step with weights and activations of the encoder's sizes. Each layer has weights of its own, so that they come
 /// from where they would come from in the network.
-fn steps(config: &Config, format: Format, runs: usize) -> Vec<Step> {
+fn steps(config: &Config, precision: Precision, runs: usize) -> Vec<Step> {
+    let format = precision.format();
     let (d, n, depth) = (config.vision_width, config.tokens() + config.registers, config.vision_depth);
     let (patch, wide) = (3 * config.patch * config.patch, 4 * d + PADDING);
     let value = |i: usize| ((i * 7919 % 1013) as f32 / 1013.0) - 0.5;
@@ -169,8 +161,7 @@ fn steps(config: &Config, format: Format, runs: usize) -> Vec<Step> {
         fc2: packed(4 * d, d, format),
     };
     let layers: Vec<Layer> = (0..depth).map(layer).collect();
-    // As the encoder: in f32 also for int8.
-    let first = packed(patch, d, if format == Format::Int8 { Format::F32 } else { format });
+    let first = packed(patch, d, precision.of_small_layers().format());
     let (norm, mut attention) =
         (Norm::new(values(d), values(d), EPS), Attention::new(n, d, config.vision_heads, format));
     let (patches, h) = (values((n - 1) * patch), values(n * d));
@@ -233,7 +224,7 @@ mod tests {
     #[test]
     fn steps_count_the_operations_of_the_encoder() {
         let config = Config::preset("toy").unwrap();
-        let steps = steps(&config, Format::F32, 1);
+        let steps = steps(&config, Precision::F32, 1);
         let (d, n) = (config.vision_width as f64, (config.tokens() + config.registers) as f64);
         let by_hand = 2.0 * n * 12.0 * d * d + 4.0 * n * n * d;
         let counted: f64 = steps[2..].iter().map(|step| 1e9 * step.gflop).sum();

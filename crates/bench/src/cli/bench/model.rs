@@ -10,7 +10,7 @@ use egotac::dataset::zarr;
 use egotac::file;
 use egotac::machine::Machine;
 use egotac::model::predictor::Options;
-use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, Predictor, init};
+use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, Predictor, init, shipped};
 
 use crate::model::{Plan, Setup, estimates, growth, measure, pareto, sweep, table};
 
@@ -235,8 +235,10 @@ fn command(args: &Args, out: &std::path::Path) -> String {
     words += &format!(" --runs {}", args.runs);
     for (name, paths) in [("--checkpoint", &args.checkpoint), ("--data", &args.data)] {
         if !paths.is_empty() {
-            let paths: Vec<String> = paths.iter().map(|path| path.display().to_string()).collect();
-            words += &format!(" {name} {}", paths.join(" "));
+            // The option has put the path of the shipped network in place of its name.
+            let is_shipped = |path: &PathBuf| shipped::path().is_ok_and(|own| own == *path);
+            let written = |path: &PathBuf| if is_shipped(path) { "shipped".into() } else { path.display().to_string() };
+            words += &format!(" {name} {}", paths.iter().map(written).collect::<Vec<String>>().join(" "));
         }
     }
     if let Some(peer) = &args.peer {
