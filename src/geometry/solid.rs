@@ -110,6 +110,11 @@ impl Solid {
         if nearest <= cutoff { nearest } else { f32::INFINITY }
     }
 
+    /// Returns false if no point of a ball is within `reach`, m, of the solid; true proves nothing.
+    pub fn may_reach(&self, centre: Vec3, radius: f32, reach: f32) -> bool {
+        self.parts.iter().any(|part| box_gap(part.low, part.high, centre) <= radius + reach)
+    }
+
     /// Returns [`Sides::Closed`] if the inside of every shape is known, or else the first reason why not.
     pub fn sides(&self) -> Sides {
         let meshes = self.parts.iter().filter_map(|part| match &part.shape {

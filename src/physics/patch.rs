@@ -49,6 +49,10 @@ pub fn hand_patches(
     reach: f64,
 ) -> Vec<Patch> {
     let Some(solid) = &body.solid else { return Vec::new() };
+    let (centre, radius) = ball_around(vertices);
+    if !solid.may_reach(pose.local(centre).as_vec3(), radius, reach as f32) {
+        return Vec::new();
+    }
     let local: Vec<Vec3> = vertices.iter().map(|v| pose.local(v.as_dvec3()).as_vec3()).collect();
     let distances: Vec<f32> = local.iter().map(|v| solid.distance(*v, reach as f32)).collect();
     let mut nearest = [f32::INFINITY; N_JOINTS];
@@ -73,6 +77,10 @@ pub fn hand_patches(
 
 /// Finds the patch of a body on a fixed thing or another body; gaps up to `reach`, m, count.
 pub fn support_patch(body: &Body, pose: &Pose, pusher: Pusher, solid: &Solid, at: &Pose, reach: f64) -> Option<Patch> {
+    let (centre, radius) = ball_around(&body.samples);
+    if !solid.may_reach(at.local(pose.point(centre)).as_vec3(), radius, reach as f32) {
+        return None;
+    }
     let near: Vec<(DVec3, f32)> = body
         .samples
         .iter()
@@ -89,6 +97,14 @@ pub fn support_patch(body: &Body, pose: &Pose, pusher: Pusher, solid: &Solid, at
         .map(|(place, normal)| (at.point(place), -(at.orientation * normal)))
         .collect();
     (!points.is_empty()).then_some(Patch { pusher, gap: f64::from(gap), points })
+}
+
+/// Returns a ball that holds all points, a little larger than rounding asks for: centre and radius, m.
+fn ball_around(points: &[Vec3]) -> (DVec3, f32) {
+    /// Radius that covers the rounding of places in f32, m.
+    const SLACK: f32 = 1e-4;
+    let (low, high) = points.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
+    ((0.5 * (low + high)).as_dvec3(), 0.5 * (high - low).length() + SLACK)
 }
 
 /// Finds links of a hand within reach of things whose forces the motion does not tell.

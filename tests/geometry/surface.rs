@@ -196,6 +196,21 @@ proptest! {
         }
     }
 
+    /// A ball that the solid can't reach has no point within reach: what it spares is never a contact.
+    #[test]
+    fn a_ball_out_of_reach_holds_no_near_point(
+        centre in prop::array::uniform3(-0.08f32..0.08), radius in 0.001f32..0.03, reach in 0.0f32..0.02,
+        directions in prop::collection::vec(prop::array::uniform3(-1.0f32..1.0), 40),
+    ) {
+        let mut solid = Solid::from_mesh(surface(ball(0.02, 8)));
+        solid.add_cuboid(Vec3::new(0.01, 0.02, 0.005), Pose::translation(0.03, 0.0, 0.0)).unwrap();
+        let centre = Vec3::from_array(centre);
+        let near = directions.into_iter().map(|way| centre + radius * Vec3::from_array(way).normalize_or_zero());
+        let touches = near.into_iter().any(|point| solid.distance(point, reach) <= reach);
+        prop_assert!(!touches || solid.may_reach(centre, radius + 1e-5, reach));
+        prop_assert!(!solid.may_reach(centre + Vec3::X, radius, reach), "a ball a metre away");
+    }
+
     #[test]
     fn a_triangle_soup_has_distances_but_no_inside(
         corners in prop::collection::vec(prop::array::uniform3(-0.05..0.05f32), 9..60),

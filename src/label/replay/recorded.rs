@@ -1,6 +1,6 @@
 //! World of an imported episode: its hands, the meshes of its objects, and the support under them.
 
-use glam::{DQuat, DVec3, Vec3};
+use glam::{DQuat, DVec3};
 
 use super::stage::{Stage, StageHand};
 use crate::dataset::zarr::ZarrReader;
@@ -102,11 +102,9 @@ fn placing(take: &Take) -> Pose {
 /// Returns an object of the stage; None if its shape is unknown.
 fn draw(index: usize, body: &Body, poses: &[Option<Pose>], placing: &Pose) -> Result<Option<ObjectDraw>> {
     let Some((vertices, triangles)) = body.solid.as_ref().and_then(|solid| solid.mesh()) else { return Ok(None) };
-    let vertices: Vec<DVec3> = vertices.iter().copied().map(Vec3::as_dvec3).collect();
-    let height = vertices.iter().fold(0.0, |lowest: f64, vertex| lowest.max(-vertex.z));
-    let Some(shape) = Object::from_surface(vertices, triangles.to_vec(), height) else {
-        return Err(Error::value(format!("mesh of {}", body.name), "a surface that spans a volume", "a flat one"));
-    };
+    let height = vertices.iter().fold(0.0, |lowest: f64, vertex| lowest.max(f64::from(-vertex.z)));
+    let mesh = (vertices.to_vec(), triangles.to_vec());
+    let shape = Object::from_foreign_mesh(&format!("mesh of {}", body.name), &mesh, height)?;
     // Bodies with a shape have at least the mass of their class.
     let Some(mass) = body.mass.map(|mass| mass.kilograms) else { return Ok(None) };
     let start = poses.iter().flatten().next().map_or(Pose::IDENTITY, |pose| placing.of(pose));

@@ -11,6 +11,7 @@ use parry3d::transformation::vhacd::VHACDParameters;
 use super::assembly::{Object, TriangleMesh};
 use super::piece::{Piece, PieceShape};
 use crate::error::{Error, Result};
+use crate::file::mesh::Mesh;
 use crate::file::{self, input, limits};
 use crate::mujoco::audit;
 use crate::sim::convex::{self, double, single};
@@ -27,26 +28,53 @@ const MAX_TRIANGLES: usize = 200_000;
 pub(super) fn mesh(path: &Path, scale: f64) -> Result<Object> {
     Trial::Mesh { file: path.to_path_buf(), scale }.run()?;
     let (mut vertices, triangles) = load(path)?;
-    let low = vertices.iter().copied().fold(DVec3::INFINITY, DVec3::min);
-    let high = vertices.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
+    let [low, high] = corners(&vertices);
     let middle = 0.5 * (low + high);
     vertices.iter_mut().for_each(|vertex| *vertex = scale * (*vertex - middle));
-    let size = scale * (high - low);
-    if size.min_element() < 1e-4 || size.max_element() > 20.0 {
-        let got = format!("{:.2e} x {:.2e} x {:.2e} m", size.x, size.y, size.z);
-        return Err(Error::file(path, format!("expected 0.1 mm to 20 m along each axis, got {got}; check `scale`")));
-    }
-    let flat = || Error::file(path, "expected a surface that spans a volume, got a flat one");
-    Object::from_surface(vertices, triangles, 0.5 * size.z).ok_or_else(flat)
+    Object::from_surface(path, vertices, triangles, 0.5 * scale * (high - low).z)
+}
+
+/// Returns the lowest and the highest coordinates of points.
+fn corners(vertices: &[DVec3]) -> [DVec3; 2] {
+    let low = vertices.iter().copied().fold(DVec3::INFINITY, DVec3::min);
+    [low, vertices.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max)]
 }
 
 impl Object {
-    /// Creates an object from vertices in its own frame, m, and triangles, whose lowest point is `height` below its origin, m; None if
-    /// they span no volume.
-    pub(crate) fn from_surface(vertices: Vec<DVec3>, triangles: Vec<[u32; 3]>, height: f64) -> Option<Self> {
-        let outline = convex::hull(&vertices)?;
-        let pieces = decompose(&vertices, &triangles, &outline)?;
-        Some(Self { visual: Some((vertices, triangles)), ..Self::free(pieces, height, outline) })
+    /// Creates an object from a mesh that came from outside, in its own frame, m, whose lowest point is `height` below its origin, m.
+    ///
+    /// The decomposition is tried in a child process first.
+    ///
+    /// # Errors
+    /// If the mesh spans no volume, has an implausible size, or exceeds a limit; the error names the mesh by `name`.
+    pub(crate) fn from_foreign_mesh(name: &str, mesh: &Mesh, height: f64) -> Result<Self> {
+        let folder = tempfile::tempdir().map_err(Error::io(std::env::temp_dir()))?;
+        let file = folder.path().join("object.obj");
+        file::write(&file, file::mesh::to_obj(mesh).as_bytes())?;
+        // The file is a copy, whose path tells nobody anything.
+        let place = format!("{}: ", file.display());
+        let named = |error: Error| Error::file(name, error.to_string().replacen(&place, "", 1));
+        Trial::Mesh { file, scale: 1.0 }.run().map_err(named)?;
+        let vertices = mesh.0.iter().copied().map(Vec3::as_dvec3).collect();
+        Self::from_surface(Path::new(name), vertices, mesh.1.clone(), height)
+    }
+
+    /// Creates an object from vertices in its own frame, m, and triangles, whose lowest point is `height` below its origin, m.
+    ///
+    /// # Errors
+    /// If they span no volume, or have an implausible size; the error names `source`.
+    fn from_surface(source: &Path, vertices: Vec<DVec3>, triangles: Vec<[u32; 3]>, height: f64) -> Result<Self> {
+        let [low, high] = corners(&vertices);
+        let size = high - low;
+        if size.min_element() < 1e-4 || size.max_element() > 20.0 {
+            let got = format!("{:.2e} x {:.2e} x {:.2e} m", size.x, size.y, size.z);
+            let expected = "expected 0.1 mm to 20 m along each axis";
+            return Err(Error::file(source, format!("{expected}, got {got}; check the scale")));
+        }
+        let flat = || Error::file(source, "expected a surface that spans a volume, got a flat one");
+        let outline = convex::hull(&vertices).ok_or_else(flat)?;
+        let pieces = decompose(&vertices, &triangles, &outline).ok_or_else(flat)?;
+        Ok(Self { visual: Some((vertices, triangles)), ..Self::free(pieces, height, outline) })
     }
 }
 
@@ -238,6 +266,20 @@ mod tests {
         let object = mesh(&path, 1e-3).unwrap();
         assert_eq!(object.pieces.len(), 1);
         assert!((volume_of(&object) - 30.0 * 20.0 * 40.0 / 6.0 * 1e-9).abs() < 1e-9, "{}", volume_of(&object));
+    }
+
+    #[test]
+    fn mesh_from_outside_is_cut_or_refused_by_its_name() {
+        let (vertices, triangles) = file::mesh::obj(Path::new("corner.obj"), corner_obj().as_bytes()).unwrap();
+        let scaled = |scale: f32| vertices.iter().map(|vertex| scale * *vertex).collect::<Vec<_>>();
+        let object = Object::from_foreign_mesh("mesh of a corner", &(scaled(1e-3), triangles.clone()), 0.0).unwrap();
+        assert!(object.pieces.len() > 1, "{} pieces", object.pieces.len());
+        let flat = scaled(1e-3).into_iter().map(|vertex| vertex.with_z(0.0)).collect();
+        for vertices in [flat, scaled(1.0)] {
+            let error = Object::from_foreign_mesh("mesh of a corner", &(vertices, triangles.clone()), 0.0);
+            let error = error.err().expect("a flat or huge mesh is refused").to_string();
+            assert!(error.starts_with("mesh of a corner: expected"), "{error}");
+        }
     }
 
     #[test]
