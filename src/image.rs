@@ -1,6 +1,7 @@
 //! Preparation of images for the network: decode, resize, normalise.
 
 mod bayer;
+mod crop;
 #[doc(hidden)]
 pub mod procedural;
 mod raw;
@@ -17,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result};
 use crate::file::limits;
 
+pub use crop::{Framing, Square};
 pub use raw::{ENCODINGS, RawImage, has_16_bits, is_bayer};
 
 /// Longest accepted side of an image, pixels; bounds the memory that a damaged or hostile file can ask for.
@@ -290,7 +292,7 @@ fn resize_view(image: &View, side: usize, resize: Resize, filter: Filter) -> Res
         Resize::Letterbox => (shrunk(width), shrunk(height)),
         Resize::Crop | Resize::Centre | Resize::Squash => (side, side),
     };
-    let cropped = matches!(resize, Resize::Crop | Resize::Centre).then_some((crop_x, crop_y, box_side));
+    let cropped = matches!(resize, Resize::Crop | Resize::Centre).then_some([crop_x, crop_y, box_side, box_side]);
     let out = convolved(image, (out_width, out_height), cropped, filter)?;
     if (out_width, out_height) == (side, side) {
         return Ok(out);
@@ -323,15 +325,15 @@ fn view(pixels: &[u8], width: u32, height: u32) -> Result<View<'_>> {
     image.and_then(|pixels| ImageBuffer::from_raw(width, height, pixels)).ok_or_else(wrong)
 }
 
-/// Scales an image, or the square of it at left, top and side `cropped`, to width and height `size`, pixels.
-fn convolved(image: &View, size: (u32, u32), cropped: Option<(f64, f64, f64)>, filter: Filter) -> Result<RgbImage> {
+/// Scales an image, or the part of it at left, top, width and height `cropped`, to width and height `size`, pixels.
+fn convolved(image: &View, size: (u32, u32), cropped: Option<[f64; 4]>, filter: Filter) -> Result<RgbImage> {
     let algorithm = fir::ResizeAlg::Convolution(match filter {
         Filter::Triangle => fir::FilterType::Bilinear,
         Filter::Bicubic => fir::FilterType::CatmullRom,
     });
     let mut options = fir::ResizeOptions::new().resize_alg(algorithm);
-    if let Some((left, top, side)) = cropped {
-        options = options.crop(left, top, side, side);
+    if let Some([left, top, width, height]) = cropped {
+        options = options.crop(left, top, width, height);
     }
     let failed = |error: &dyn std::fmt::Display| Error::value("image", "an image that can be resized", error);
     let source = fir::images::ImageRef::new(image.width(), image.height(), image.as_raw(), fir::PixelType::U8x3);

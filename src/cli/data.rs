@@ -1,5 +1,6 @@
 //! `egotac data`.
 
+mod crop;
 mod diff;
 mod import;
 mod info;
@@ -32,6 +33,8 @@ enum Command {
     Diff(diff::Args),
     /// Turn data sets of hands and objects into stores: images, contact by distance, poses.
     Import(import::Args),
+    /// Cut squares around the hands out of a store, for training a network that sees single hands.
+    Crop(crop::Args),
 }
 
 /// Runs the command.
@@ -40,5 +43,6 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Command::Info { paths, json } => info::run(&paths, &json),
         Command::Diff(args) => diff::run(args),
         Command::Import(args) => import::run(args),
+        Command::Crop(args) => crop::run(args),
     }
 }

@@ -1,5 +1,8 @@
 //! Options of commands that run a network: its view of pictures, and touch that it does not know.
 
+use std::path::PathBuf;
+
+use super::options;
 use crate::model::predictor::Options;
 use crate::model::{Unknown, View};
 
@@ -11,6 +14,9 @@ pub struct Doubt {
     /// the network was trained).
     #[arg(long, value_name = "VIEW", default_value = "checkpoint")]
     view: View,
+    /// Network of whole pictures that finds the hands, for a network that sees single hands [default: the one shipped with egotac].
+    #[arg(long, value_name = "FILE|shipped", value_parser = options::checkpoint())]
+    locator: Option<PathBuf>,
     /// Form of touch that the network does not know, because the image is unlike those of its training or the hand is not in
     /// it: nan (mask 0), zero (mask 0), or guess (the network's output as it is, mask 1).
     #[arg(long, value_name = "FORM", default_value = "nan")]
@@ -28,6 +34,7 @@ impl Doubt {
     pub fn apply(&self, options: Options) -> Options {
         Options {
             view: self.view,
+            locator: self.locator.clone(),
             unknown: self.unknown,
             familiarity_threshold: self.familiarity_threshold,
             presence_threshold: self.presence_threshold,

@@ -11,9 +11,8 @@ use super::labeller::{InferenceTiming, Labeller};
 use crate::dataset::source::{EncodedImage, SourceFrames};
 use crate::dataset::{ImageSource, LabelFrame, SourceFrame};
 use crate::error::{Error, Result};
-use crate::image::Preparation;
 use crate::model::Predictor;
-use crate::model::predictor::Prediction;
+use crate::model::predictor::{InputPreparation, Prediction, Prepared};
 use crate::text::{printable_name, shortened, tell};
 
 /// Number of labels in a journal block.
@@ -32,8 +31,8 @@ type Batch = (usize, Vec<(usize, SourceFrame, Share)>);
 struct PreparedImage {
     index: usize,
     stamp_secs: f64,
-    /// Input of the network, (3, side, side).
-    input: std::result::Result<Vec<f32>, String>,
+    /// Input of the network.
+    input: std::result::Result<Prepared, String>,
     /// Width and height of the image, pixels; 0 if it can't be decoded.
     size: (u32, u32),
     note: Option<String>,
@@ -85,7 +84,7 @@ fn label_unit(
     // Replay the images that the window of the next one needs.
     let from = done.kept.first().copied().unwrap_or(done.frames).min(done.frames);
     let wanted = |index: usize| index >= done.frames || done.kept.contains(&index);
-    let preparation = predictor.metadata().preparation(predictor.config());
+    let preparation = predictor.preparation();
     let frames = source.frames(unit, from)?;
     predictor.reset();
     let mut recent = Recent::default();
@@ -102,7 +101,7 @@ fn label_unit(
         }
         if input.is_ok()
             && !*view_told
-            && let Some(warning) = preparation.warning(width as usize, height as usize)
+            && let Some(warning) = preparation.whole.warning(width as usize, height as usize)
         {
             *view_told = true;
             let name = &source.units()[unit].name;
@@ -121,7 +120,7 @@ fn label_unit(
                 recent.push(index, &prediction);
                 let warming_up = prediction.warming_up;
                 let certainty = prediction.certainty;
-                let found = keypoints.then(|| prediction.keypoints(&preparation, width, height)).flatten();
+                let found = keypoints.then(|| prediction.keypoints(&preparation.whole, width, height)).flatten();
                 let further = found.map_or_else(Vec::new, |keypoints| keypoints.as_flattened().to_vec());
                 LabelFrame { stamp_secs, warming_up, touch: Ok(prediction.field), certainty, further }
             }
@@ -172,7 +171,7 @@ fn prepare_images(
     frames: SourceFrames,
     from: usize,
     wanted: &(dyn Fn(usize) -> bool + Sync),
-    preparation: &Preparation,
+    preparation: &InputPreparation,
     decoders: usize,
     mut take: impl FnMut(PreparedImage, f64) -> Result<()>,
 ) -> Result<Result<()>> {
@@ -243,7 +242,7 @@ fn read(
 
 fn decode(
     taken: &Mutex<Receiver<Batch>>,
-    preparation: &Preparation,
+    preparation: &InputPreparation,
     to_label: SyncSender<(usize, Vec<PreparedImage>)>,
 ) {
     loop {

@@ -10,7 +10,7 @@ use super::Config;
 use super::unknown::DoubtThresholds;
 use crate::error::{Error, Result};
 use crate::hand::Topology;
-use crate::image::{Filter, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
+use crate::image::{Filter, Framing, IMAGENET_MEAN, IMAGENET_STD, Preparation, Resize};
 use crate::tactile::ForceKind;
 
 /// Key of the threshold of familiarity; absent = the default.
@@ -35,6 +35,8 @@ pub struct Metadata {
     pub has_force: bool,
     /// Seconds between observation steps.
     pub frame_dt: f64,
+    /// Part of the world that the pictures show.
+    pub framing: Framing,
     /// Conversion of images to the square input.
     pub resize: Resize,
     /// Resampling filter.
@@ -61,6 +63,7 @@ impl Metadata {
             force_kind: ForceKind::default(),
             has_force: true,
             frame_dt,
+            framing: Framing::default(),
             resize: Resize::default(),
             filter: Filter::default(),
             mean: IMAGENET_MEAN,
@@ -121,6 +124,9 @@ impl Metadata {
         for (key, value, _) in optional.into_iter().filter(|(_, value, default)| value != default) {
             map.insert(key.into(), json(&value));
         }
+        if !self.framing.is_whole() {
+            map.insert(Framing::KEY.into(), self.framing.name().into());
+        }
         if self.force_kind != ForceKind::default() {
             map.insert(ForceKind::ATTRIBUTE.into(), self.force_kind.id().into());
         }
@@ -158,6 +164,10 @@ impl Metadata {
             force_kind: map.get(ForceKind::ATTRIBUTE).map_or(Ok(ForceKind::default()), |id| ForceKind::from_id(id))?,
             has_force: parse(path, "has_force", &text("has_force")?, "true or false")?,
             frame_dt: parse(path, "frame_dt", &text("frame_dt")?, "a number, seconds")?,
+            framing: match map.get(Framing::KEY) {
+                Some(name) => parse(path, Framing::KEY, &json(name), "frame or hands")?,
+                None => Framing::default(),
+            },
             resize: parse(path, "resize", &quoted("resize")?, "crop, centre, letterbox or squash")?,
             filter: parse(path, "filter", &quoted("filter")?, "triangle or bicubic")?,
             mean: parse(path, "mean", &text("mean")?, "three numbers in brackets")?,

@@ -1,9 +1,12 @@
 //! Touch from a stream of images, one encoder pass per image.
 
 mod batch;
+mod frames;
+mod hands;
+mod input;
 mod reuse;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use ::image::RgbImage;
@@ -12,15 +15,15 @@ use candle_core::{Device, Tensor};
 use super::presence::N_POINTS;
 use super::stages::FrameTokens;
 use super::unknown::Unknown;
-use super::{Checkpoint, Config, EgoTac, HandEstimate, Metadata, Precision, Spread, View, familiarity, window};
+use super::{Checkpoint, Config, EgoTac, HandEstimate, Metadata, Precision, Spread, View, familiarity};
 use crate::error::{Error, Result};
 use crate::hand::{FieldMap, N_KEYPOINTS, Side, Topology};
-use crate::image::{Preparation, Resize};
+use crate::image::{Framing, Preparation, Resize};
 use crate::tactile::{Certainty, TactileField};
+use frames::{Frames, Steps};
+use hands::Hands;
+pub use input::{InputPreparation, Prepared};
 use reuse::Reuse;
-
-/// Frames kept per observation step, at most. Bounds the memory under a camera much faster than `frame_dt`.
-const KEPT_PER_STEP: usize = 8;
 
 /// Options of a predictor that are not part of the checkpoint.
 #[derive(Debug, Clone)]
@@ -34,6 +37,8 @@ pub struct Options {
     pub max_gap_secs: Option<f64>,
     /// Conversion of pictures to the network's input.
     pub view: View,
+    /// Network of whole pictures that finds the hands for one that sees single hands; None = the shipped network.
+    pub locator: Option<PathBuf>,
     /// Form of touch that is unknown.
     pub unknown: Unknown,
     /// Familiarity below which touch is unknown, 0 to 1. None = the checkpoint's threshold.
@@ -53,6 +58,7 @@ impl Default for Options {
             precision: Precision::F32,
             max_gap_secs: None,
             view: View::default(),
+            locator: None,
             unknown: Unknown::default(),
             familiarity_threshold: None,
             presence_threshold: None,
@@ -128,16 +134,13 @@ pub struct Predictor {
     unknown: Unknown,
     /// Conversion of pictures that replaces the checkpoint's.
     other_view: Option<Resize>,
-    frames: Vec<CachedFrame>, // oldest first, stamps strictly increasing
+    /// Frames of a network of whole pictures.
+    frames: Frames,
+    /// Locator and frames of a network that sees single hands.
+    hands: Option<Box<Hands>>,
     reuse: Reuse,
     /// MANO files whose vertices the fields are carried over to; None = the checkpoint's topology.
     mano: Option<Arc<FieldMap>>,
-}
-
-#[derive(Debug, Clone)]
-struct CachedFrame {
-    stamp_secs: f64,
-    tokens: Tensor, // (1, P, d), projected
 }
 
 impl Predictor {
@@ -159,16 +162,22 @@ impl Predictor {
         if max_gap_secs.is_nan() || max_gap_secs <= 0.0 {
             return Err(Error::value("max_gap_secs", "seconds > 0", max_gap_secs));
         }
-        let doubt = &mut checkpoint.metadata.doubt;
+        let mut hands = match checkpoint.metadata.framing {
+            Framing::Whole => None,
+            Framing::Hands => Some(Box::new(Hands::load(&options)?)),
+        };
+        // The network that sees the whole picture.
+        let metadata = hands.as_mut().map_or(&mut checkpoint.metadata, |hands| &mut hands.locator.metadata);
+        let doubt = &mut metadata.doubt;
         doubt.familiarity = options.familiarity_threshold.unwrap_or(doubt.familiarity);
         doubt.presence = options.presence_threshold.unwrap_or(doubt.presence);
         doubt.check()?;
-        let Options { device, unknown, view, reuse_below, .. } = options;
-        let reuse = Reuse::new(reuse_below)?;
-        let own = checkpoint.metadata.resize;
-        let other_view = view.resize().filter(|resize| *resize != own);
-        checkpoint.metadata.resize = other_view.unwrap_or(own);
-        Ok(Self { checkpoint, device, max_gap_secs, unknown, other_view, frames: Vec::new(), reuse, mano: None })
+        let own = metadata.resize;
+        let other_view = options.view.resize().filter(|resize| *resize != own);
+        metadata.resize = other_view.unwrap_or(own);
+        let Options { device, unknown, reuse_below, .. } = options;
+        let (reuse, frames) = (Reuse::new(reuse_below)?, Frames::default());
+        Ok(Self { checkpoint, device, max_gap_secs, unknown, other_view, frames, hands, reuse, mano: None })
     }
 
     /// Returns the predictor with the output of the force head as force, also where no force ever trained it; otherwise such
@@ -176,6 +185,13 @@ impl Predictor {
     #[must_use]
     pub fn with_untrained_force(mut self) -> Self {
         self.checkpoint.metadata.has_force = true;
+        self
+    }
+
+    /// Returns the predictor with another form of touch that is unknown.
+    #[must_use]
+    pub fn with_unknown(mut self, unknown: Unknown) -> Self {
+        self.unknown = unknown;
         self
     }
 
@@ -189,14 +205,31 @@ impl Predictor {
         self.other_view
     }
 
-    /// True if the checkpoint can tell unfamiliar images.
-    pub fn estimates_familiarity(&self) -> bool {
-        self.checkpoint.familiarity.is_some()
+    /// Network that sees the whole picture: the locator of a network that sees single hands.
+    fn whole(&self) -> &Checkpoint {
+        self.hands.as_ref().map_or(&self.checkpoint, |hands| &hands.locator)
     }
 
-    /// True if the checkpoint can tell absent hands.
+    /// Returns the conversion of pictures to what [`Predictor::push_prepared`] takes.
+    pub fn preparation(&self) -> InputPreparation {
+        let whole = self.whole();
+        let preparation = whole.metadata.preparation(whole.model.config());
+        InputPreparation { whole: preparation, framing: self.metadata().framing }
+    }
+
+    /// Locator of a network that sees single hands: its metadata; None for a network of whole pictures.
+    pub fn locator(&self) -> Option<&Metadata> {
+        self.hands.as_ref().map(|hands| &hands.locator.metadata)
+    }
+
+    /// True if unfamiliar images can be told.
+    pub fn estimates_familiarity(&self) -> bool {
+        self.whole().familiarity.is_some()
+    }
+
+    /// True if absent hands can be told.
     pub fn estimates_presence(&self) -> bool {
-        self.checkpoint.presence.is_some()
+        self.whole().presence.is_some()
     }
 
     /// Intervals of predicted forces; None if the checkpoint has none.
@@ -206,7 +239,7 @@ impl Predictor {
 
     /// Returns a warning for people if the checkpoint lacks an estimate of what it does not know; None if it has all.
     pub fn warning(&self) -> Option<String> {
-        let name = &self.metadata().name;
+        let name = &self.whole().metadata.name;
         let (missing, whose, command) = match (self.estimates_familiarity(), self.estimates_presence()) {
             (true, true) => return None,
             (false, _) => ("how familiar an image is", "every image, whatever it shows", "familiarity"),
@@ -256,20 +289,27 @@ impl Predictor {
         &self.checkpoint.sha256
     }
 
-    /// Number of frames kept now.
+    /// Number of frames kept now; frames of the two hands count each.
     pub fn cached_frames(&self) -> usize {
-        self.frames.len()
+        self.all_frames().map(Frames::len).sum()
     }
 
-    /// Stamps of the frames kept now, s, oldest first. Pushing these frames again after a reset restores the stream, if every image
-    /// is encoded.
+    /// Stamps of the frames kept now, s, oldest first for each hand. Pushing these frames again after a reset restores the stream, if
+    /// every image is encoded.
     pub fn kept_stamps(&self) -> impl Iterator<Item = f64> {
-        self.frames.iter().map(|frame| frame.stamp_secs)
+        self.all_frames().flat_map(Frames::stamps)
+    }
+
+    fn all_frames(&self) -> impl Iterator<Item = &Frames> {
+        std::iter::once(&self.frames).chain(self.hands.iter().flat_map(|hands| &hands.frames))
     }
 
     /// Drops all frames: the next image starts a new stream.
     pub fn reset(&mut self) {
         self.frames.clear();
+        if let Some(hands) = &mut self.hands {
+            hands.reset();
+        }
         self.reuse.forget();
     }
 
@@ -282,17 +322,22 @@ impl Predictor {
     /// If the stamp is not finite, the image is empty, or the network's output is not finite. The stream is then as
     /// if the image had not come.
     pub fn push(&mut self, image: &RgbImage, stamp_secs: f64) -> Result<Prediction> {
-        let input = self.metadata().preparation(self.config()).apply(image)?;
+        let input = self.preparation().apply(image)?;
         self.push_prepared(input, stamp_secs)
     }
 
-    /// As [`Predictor::push`], with an image that is already prepared by [`Metadata::preparation`], for instance on another
-    /// thread. `input`: `(3, side, side)`.
+    /// As [`Predictor::push`], with an image that is already prepared by [`Predictor::preparation`], for instance on another
+    /// thread. A network of whole pictures takes the numbers alone too, `(3, side, side)`.
     ///
     /// # Errors
     /// As [`Predictor::push`], and if the input has another size.
-    pub fn push_prepared(&mut self, input: Vec<f32>, stamp_secs: f64) -> Result<Prediction> {
-        self.check(&input, stamp_secs)?;
+    pub fn push_prepared(&mut self, input: impl Into<Prepared>, stamp_secs: f64) -> Result<Prediction> {
+        let input = input.into();
+        self.check(&input.whole, stamp_secs)?;
+        if self.hands.is_some() {
+            return self.push_hands(&input, stamp_secs);
+        }
+        let input = input.whole;
         if let Some(tokens) = self.reusable(&input) {
             return self.push_reused(&tokens, stamp_secs);
         }
@@ -319,7 +364,7 @@ impl Predictor {
         if !stamp_secs.is_finite() {
             return Err(Error::value("image stamp", "finite seconds", stamp_secs));
         }
-        let side = self.config().image;
+        let side = self.whole().model.config().image;
         if input.len() != 3 * side * side {
             return Err(Error::shape("input", format!("[3, {side}, {side}]"), [input.len()]));
         }
@@ -328,65 +373,47 @@ impl Predictor {
 
     /// Predicts touch at the instant of an encoded image; the end of [`Predictor::push_prepared`].
     fn push_encoded(&mut self, encoded: &FrameTokens, stamp_secs: f64) -> Result<Prediction> {
-        let (mut certainty, hands) = self.judge(&encoded.encoded);
-        let tokens = encoded.projected.clone();
-
+        let (mut certainty, hands) = judge(&self.checkpoint, &encoded.encoded);
+        let (restarted, steps) = (self.restarts_after(self.frames.stamps().last(), stamp_secs), self.steps());
         // A copy of the list (the tokens are shared) that replaces it only on success.
-        let restarted = self.restarts_at(stamp_secs);
-        let mut frames = if restarted { Vec::new() } else { self.frames.clone() };
-        if frames.last().is_some_and(|newest| newest.stamp_secs == stamp_secs) {
-            frames.pop();
-        }
-        frames.push(CachedFrame { stamp_secs, tokens });
-        let stamps = self.forget_frames(&mut frames);
-
-        let (horizon, frame_dt) = (self.config().horizon, self.metadata().frame_dt);
-        let places = window::window(&stamps, horizon, frame_dt);
-        let window: Vec<&Tensor> = places.iter().map(|place| &frames[*place].tokens).collect();
-        let (force, contact) = self.model().head_outputs(&window)?.first_step(self.metadata())?;
-        let mut field = TactileField { topology: self.metadata().topology, force, contact };
-        self.unknown.apply(&mut field, &mut certainty);
-        let field = match &self.mano {
-            Some(mano) => field.carried(mano, Topology::Mano)?,
-            None => field,
-        };
-        let warming_up = window::is_warming_up(&stamps, horizon, frame_dt);
+        let frames = if restarted { Frames::default() } else { self.frames.clone() };
+        let frames = frames.with(stamp_secs, encoded.projected.clone(), steps);
+        let (force, contact) = self.model().head_outputs(&frames.window(steps))?.first_step(self.metadata())?;
+        let field = TactileField { topology: self.metadata().topology, force, contact };
+        let field = self.finished(field, &mut certainty)?;
+        let warming_up = frames.are_warming_up(steps);
         self.frames = frames;
         Ok(Prediction { stamp_secs, field, certainty, hands, warming_up, restarted, reused: false })
     }
 
-    /// Judges a frame by its tokens, `(P, dv)`.
-    fn judge(&self, tokens: &[f32]) -> (Certainty, Option<[HandEstimate; 2]>) {
-        let feature = familiarity::features(tokens, self.config().tokens(), self.config().vision_width);
-        let familiarity = self.checkpoint.familiarity.as_ref().map(|statistics| statistics.of(&feature));
-        let hands = self.checkpoint.presence.as_ref().map(|weights| weights.of(tokens));
-        let presence = hands.map_or([None; 2], |hands| hands.map(|hand| Some(hand.presence)));
-        (self.metadata().doubt.judge(familiarity, presence), hands)
+    /// Gives unknown touch its form, and carries a field over to MANO's vertices if there are any.
+    fn finished(&self, mut field: TactileField, certainty: &mut Certainty) -> Result<TactileField> {
+        self.unknown.apply(&mut field, certainty);
+        match &self.mano {
+            Some(mano) => field.carried(mano, Topology::Mano),
+            None => Ok(field),
+        }
     }
 
-    /// True if an image with this stamp starts a new stream.
-    fn restarts_at(&self, stamp_secs: f64) -> bool {
-        self.frames.last().is_none_or(|newest| {
-            let step = stamp_secs - newest.stamp_secs;
+    fn steps(&self) -> Steps {
+        Steps { horizon: self.config().horizon, frame_dt: self.metadata().frame_dt }
+    }
+
+    /// True if an image with this stamp starts a new stream behind one of the stamp `newest`, s; None = there is none.
+    fn restarts_after(&self, newest: Option<f64>, stamp_secs: f64) -> bool {
+        newest.is_none_or(|newest| {
+            let step = stamp_secs - newest;
             step < 0.0 || step > self.max_gap_secs
         })
     }
+}
 
-    /// Drops frames that no later window can contain, and thins out the frames of a camera far faster than the steps.
-    /// Returns the stamps of the others.
-    fn forget_frames(&self, frames: &mut Vec<CachedFrame>) -> Vec<f64> {
-        let mut stamps: Vec<f64> = frames.iter().map(|frame| frame.stamp_secs).collect();
-        let obsolete = window::obsolete(&stamps, self.config().horizon, self.metadata().frame_dt);
-        frames.drain(..obsolete);
-        stamps.drain(..obsolete);
-        if stamps.len() > KEPT_PER_STEP * self.config().horizon {
-            // The frame whose neighbours are closest leaves the smallest gap; the newest and oldest stay.
-            let gap = |i: &usize| stamps[i + 1] - stamps[i - 1];
-            if let Some(least) = (1..stamps.len() - 1).min_by(|a, b| gap(a).total_cmp(&gap(b))) {
-                frames.remove(least);
-                stamps.remove(least);
-            }
-        }
-        stamps
-    }
+/// Judges a frame by its tokens, `(P, dv)`.
+fn judge(network: &Checkpoint, tokens: &[f32]) -> (Certainty, Option<[HandEstimate; 2]>) {
+    let config = network.model.config();
+    let feature = familiarity::features(tokens, config.tokens(), config.vision_width);
+    let familiarity = network.familiarity.as_ref().map(|statistics| statistics.of(&feature));
+    let hands = network.presence.as_ref().map(|weights| weights.of(tokens));
+    let presence = hands.map_or([None; 2], |hands| hands.map(|hand| Some(hand.presence)));
+    (network.metadata.doubt.judge(familiarity, presence), hands)
 }

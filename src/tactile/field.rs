@@ -106,6 +106,11 @@ impl TactileField {
         Self { topology, force: vec![0.0; N_FIELD], contact: vec![0.0; N_FIELD] }
     }
 
+    /// Creates a field of which nothing is known.
+    pub fn unknown(topology: Topology) -> Self {
+        Self { topology, force: vec![f32::NAN; N_FIELD], contact: vec![f32::NAN; N_FIELD] }
+    }
+
     /// Creates a field from forces; contact is force > 0.05 N.
     ///
     /// # Errors

@@ -14,7 +14,7 @@ use crate::dataset::EpisodeReader;
 use crate::dataset::zarr::{self, MANO_FORCE_STD, TIMESTAMPS, ZarrReader, read_labels, read_proximity};
 use crate::error::{Error, Result};
 use crate::hand::{FieldMap, Topology};
-use crate::image::{Preparation, resize};
+use crate::image::{Framing, Preparation, resize};
 use crate::tactile::{CONTACT_FORCE_N, ForceKind, N_FIELD, TactileSequence, episode_ranges};
 
 /// Frames read at once while a store is scanned.
@@ -131,6 +131,8 @@ impl Dataset {
             }
             let timestamps = reader.read(TIMESTAMPS, 0..reader.len())?.into_f64();
             check_timestamps(&reader, &timestamps)?;
+            // All hands are right hands there.
+            let mirrorable = mirrorable && reader.framing()?.is_whole();
             dataset.stores.push(Store {
                 source,
                 mirrorable,
@@ -194,6 +196,22 @@ impl Dataset {
             };
             let fits = found.get_or_insert(kind).must_match(kind);
             fits.map_err(|error| Error::file(store.reader.path(), error))?;
+        }
+        Ok(found.unwrap_or_default())
+    }
+
+    /// Returns what the pictures of all stores show.
+    ///
+    /// # Errors
+    /// If two stores differ, or an attribute is unknown.
+    pub fn framing(&self) -> Result<Framing> {
+        let mut found: Option<Framing> = None;
+        for store in &self.stores {
+            let own = store.reader.framing()?;
+            let first = *found.get_or_insert(own);
+            if own != first {
+                return Err(Error::file(store.reader.path(), Error::value(Framing::KEY, first.name(), own.name())));
+            }
         }
         Ok(found.unwrap_or_default())
     }

@@ -8,6 +8,7 @@ pub mod batch;
 pub mod calibration;
 mod checkpoint;
 pub mod config;
+pub mod crops;
 mod curves;
 pub mod data;
 pub mod familiarity;

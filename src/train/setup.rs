@@ -55,10 +55,15 @@ impl Data {
         if config.loss.keypoints > 0.0 {
             training.find_keypoints()?;
         }
+        metadata.framing = training.framing()?;
         metadata.topology = training.topology();
         metadata.force_kind = training.force_kind()?;
         if let Some((held_out, _)) = &validation {
             metadata.force_kind.must_match(held_out.force_kind()?)?;
+            if held_out.framing()? != metadata.framing {
+                let (expected, got) = (metadata.framing.name(), held_out.framing()?.name());
+                return Err(Error::value("input of the held-out stores", expected, got));
+            }
         }
         let statistics = training.statistics()?;
         match statistics.force_scale {

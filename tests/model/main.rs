@@ -10,6 +10,7 @@ mod engine;
 mod familiarity;
 mod get;
 mod grow;
+mod hands;
 mod import;
 mod ops;
 mod parity;

@@ -2,7 +2,7 @@
 
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
-use egotac::model::predictor::{Options, Predictor};
+use egotac::model::predictor::{Options, Predictor, Prepared};
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, init};
 use egotac::tactile::N_FIELD;
 use image::{Rgb, RgbImage};
@@ -169,8 +169,8 @@ fn invalid_stamps_and_images_are_errors_and_leave_the_stream_unchanged() {
 }
 
 /// Prepared image number `i` of a predictor.
-fn prepared(predictor: &Predictor, i: usize) -> Vec<f32> {
-    predictor.metadata().preparation(predictor.config()).apply(&frame(i)).unwrap()
+fn prepared(predictor: &Predictor, i: usize) -> Prepared {
+    predictor.preparation().apply(&frame(i)).unwrap()
 }
 
 #[test]
@@ -209,7 +209,7 @@ fn an_image_that_fails_leaves_the_other_streams_of_its_batch_untouched() {
     let mut streams = [0, 1, 2].map(|_| network.another_stream());
     let want = network.another_stream().push(&frame(2), 0.0).unwrap();
     let mut inputs = [0, 1, 2].map(|i| prepared(&network, i));
-    inputs[0][7] = f32::NAN;
+    inputs[0].whole[7] = f32::NAN;
     let stamps = [0.0, f64::NAN, 0.0];
     let images = streams.iter_mut().zip(inputs).zip(stamps).map(|((stream, input), stamp)| (stream, input, stamp));
     let results = Predictor::push_together(images.collect());
@@ -251,7 +251,7 @@ fn images_that_hardly_change_take_the_tokens_of_the_last_encoded_one() {
     let mut streams = [0, 1, 2].map(|_| network.another_stream());
     for (round, expected) in [[false; 3], [true, false, true]].into_iter().enumerate() {
         let inputs = [0, 1, 2].map(|i| if (round, i) == (1, 1) { 9 } else { i });
-        let prepared = inputs.map(|i| network.metadata().preparation(network.config()).apply(&brighter(i, 0)).unwrap());
+        let prepared = inputs.map(|i| network.preparation().apply(&brighter(i, 0)).unwrap());
         let images = streams.iter_mut().zip(prepared).map(|(stream, input)| (stream, input, DT * round as f64));
         let results: Vec<bool> =
             Predictor::push_together(images.collect()).into_iter().map(|r| r.unwrap().reused).collect();

@@ -5,6 +5,7 @@
 mod common;
 
 mod budget;
+mod crops;
 mod effects;
 mod environment;
 mod hostile;

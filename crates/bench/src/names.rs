@@ -1,7 +1,7 @@
 //! Names of the experiments. The command line knows them also in a build that can't run them.
 
 /// Experiments that train.
-pub const TRAINED: [&str; 11] = [
+pub const TRAINED: [&str; 12] = [
     "sources",
     "consistency",
     "sampling",
@@ -13,6 +13,7 @@ pub const TRAINED: [&str; 11] = [
     "limits",
     "motion",
     "recordings",
+    "hands",
 ];
 /// Experiments that measure a finished network.
 pub const MEASURED: [&str; 4] = ["transfer", "decline", "attention", "reuse"];

@@ -24,7 +24,8 @@ const PREPARED: usize = 16;
 /// touch that the network does not know, "nan" (mask False), "zero" (mask False) or "guess" (its output as it is, mask True).
 /// `familiarity_threshold`, `presence_threshold`: 0 to 1; by default the checkpoint's. `max_gap`: longest interval of a stream, s.
 /// `reuse_below`: mean change of a patch, grey levels of 8 bits, up to which an image takes the tokens of the last encoded one; 0 = encode
-/// every image.
+/// every image. `locator`: network of whole pictures that finds the hands, for a network that sees single hands; by default the one that
+/// comes with the package.
 /// Methods release the GIL; calls from several threads wait for each other.
 ///
 /// >>> predictor = egotac.Predictor(unknown="guess")
@@ -45,7 +46,7 @@ impl Predictor {
 impl Predictor {
     #[new]
     #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
-    #[pyo3(signature = (checkpoint=None, *, precision="f32", unknown="nan", familiarity_threshold=None, presence_threshold=None, max_gap=None, reuse_below=0.0))]
+    #[pyo3(signature = (checkpoint=None, *, precision="f32", unknown="nan", familiarity_threshold=None, presence_threshold=None, max_gap=None, reuse_below=0.0, locator=None))]
     fn new(
         py: Python<'_>,
         checkpoint: Option<PathBuf>,
@@ -55,6 +56,7 @@ impl Predictor {
         presence_threshold: Option<f32>,
         max_gap: Option<f64>,
         reuse_below: f32,
+        locator: Option<PathBuf>,
     ) -> PyResult<Self> {
         let load = || {
             let options = predictor::Options {
@@ -64,6 +66,7 @@ impl Predictor {
                 presence_threshold,
                 max_gap_secs: max_gap,
                 reuse_below,
+                locator,
                 ..Default::default()
             };
             egotac::Predictor::load(&checkpoint.map_or_else(shipped::path, Ok)?, options)
@@ -81,7 +84,7 @@ impl Predictor {
         let predict = || {
             let mut predictor = self.lock();
             let started = Instant::now();
-            let preparation = predictor.metadata().preparation(predictor.config());
+            let preparation = predictor.preparation();
             let prediction = predictor.push_prepared(preparation.apply_pixels(&pixels, width, height)?, stamp)?;
             Ok((prediction, started.elapsed().as_secs_f64()))
         };
@@ -103,7 +106,7 @@ impl Predictor {
         let bytes = (3 * height as usize * width as usize).max(1);
         let predict = || -> egotac::Result<Vec<Prediction>> {
             let mut predictor = self.lock();
-            let preparation = predictor.metadata().preparation(predictor.config());
+            let preparation = predictor.preparation();
             let mut predictions = Vec::with_capacity(stamps.len());
             for (pixels, stamps) in pixels.chunks(PREPARED * bytes).zip(stamps.chunks(PREPARED)) {
                 let prepare = |pixels| preparation.apply_pixels(pixels, width, height);

@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use candle_core::Tensor;
 
-use super::{Prediction, Predictor};
+use super::{Prediction, Predictor, Prepared};
 use crate::error::{Error, Result};
 use crate::model::stages::FrameTokens;
 
-/// Prepared image of one stream, `(3, side, side)`, with its stamp, s.
-pub type StreamImage<'a> = (&'a mut Predictor, Vec<f32>, f64);
+/// Prepared image of one stream, with its stamp, s.
+pub type StreamImage<'a> = (&'a mut Predictor, Prepared, f64);
 
 impl Predictor {
     /// Creates a predictor for another stream of images on the same network, whose weights exist once.
@@ -25,8 +25,12 @@ impl Predictor {
     ///
     /// Returns one result per image. An image that fails leaves the other streams untouched.
     pub fn push_together(images: Vec<StreamImage>) -> Vec<Result<Prediction>> {
+        if images.iter().any(|(stream, ..)| stream.hands.is_some()) {
+            let push = |(stream, input, stamp_secs): StreamImage| stream.push_prepared(input, stamp_secs);
+            return images.into_iter().map(push).collect();
+        }
         let reusable = |(stream, input, stamp_secs): &StreamImage| {
-            stream.check(input, *stamp_secs).ok().and_then(|()| stream.reusable(input))
+            stream.check(&input.whole, *stamp_secs).ok().and_then(|()| stream.reusable(&input.whole))
         };
         let reusable: Vec<Option<Arc<FrameTokens>>> = images.iter().map(reusable).collect();
         let fresh: Vec<&StreamImage> =
@@ -41,7 +45,7 @@ impl Predictor {
             let Some(tokens) = encoded.next() else { return stream.push_prepared(input, stamp_secs) };
             let tokens = Arc::new(tokens);
             let prediction = stream.push_encoded(&tokens, stamp_secs)?;
-            stream.reuse.keep(&input, &tokens);
+            stream.reuse.keep(&input.whole, &tokens);
             Ok(prediction)
         };
         images.into_iter().zip(reusable).map(push).collect()
@@ -54,12 +58,12 @@ fn encode(images: &[&StreamImage]) -> Result<Vec<FrameTokens>> {
     let side = first.config().image;
     let mut batch = Vec::with_capacity(images.len() * 3 * side * side);
     for (stream, input, stamp_secs) in images {
-        stream.check(input, *stamp_secs)?;
+        stream.check(&input.whole, *stamp_secs)?;
         let network = |of: &Predictor| format!("{} in {}", of.sha256(), of.model().precision());
         if network(stream) != network(first) {
             return Err(Error::value("network of a batch", network(first), network(stream)));
         }
-        batch.extend_from_slice(input);
+        batch.extend_from_slice(&input.whole);
     }
     let input = Tensor::from_vec(batch, (images.len(), 3, side, side), &first.device)?;
     let FrameTokens { projected, encoded } = first.model().frame_tokens(&input)?;

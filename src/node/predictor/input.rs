@@ -9,6 +9,7 @@ use super::camera::Camera;
 use crate::image::Preparation;
 use crate::message::Header;
 use crate::model::Predictor;
+use crate::model::predictor::Prepared;
 use crate::node::clock::RosClock;
 use crate::node::diagnostics::Tally;
 use crate::node::images::ImageTransport;
@@ -52,8 +53,8 @@ pub(super) struct Seen {
     pub(super) image: RgbImage,
     /// Time of the image for the network, s.
     pub(super) stamp_secs: f64,
-    /// Image as the network takes it, `(3, side, side)`; taken out for the network.
-    pub(super) prepared: Vec<f32>,
+    /// Image as the network takes it; taken out for the network.
+    pub(super) prepared: Prepared,
 }
 
 impl Input {
@@ -130,8 +131,8 @@ impl Input {
                 return None;
             }
         };
-        let preparation = predictor.metadata().preparation(predictor.config());
-        self.tell_view(&preparation, &image);
+        let preparation = predictor.preparation();
+        self.tell_view(&preparation.whole, &image);
         let prepared = match preparation.apply(&image) {
             Ok(prepared) => prepared,
             Err(error) => {

@@ -11,7 +11,7 @@ use crate::hand::{FieldMap, HandModel, N_VERTICES, Region, Side, Topology};
 use crate::message::{HandModelInfo, Header, Time};
 use crate::model::budget::{self, Tried};
 use crate::model::predictor::{Options, Predictor};
-use crate::model::shipped;
+use crate::model::{Unknown, shipped};
 use crate::node::device;
 use crate::node::log::Log;
 use crate::node::params::Parameters;
@@ -43,6 +43,7 @@ pub(super) fn load(parameters: &Parameters, log: &Log) -> anyhow::Result<LoadedN
         device: device::open(parameters)?,
         precision,
         view: parameters.get::<String>("view").parse()?,
+        locator: Some(parameters.get::<String>("locator")).filter(|path| !path.is_empty()).map(PathBuf::from),
         unknown: parameters.get::<String>("unknown").parse()?,
         familiarity_threshold: threshold("familiarity_threshold"),
         presence_threshold: threshold("presence_threshold"),
@@ -107,12 +108,13 @@ pub(super) fn load_file(path: &Path, options: Options) -> anyhow::Result<Predict
 ///
 /// # Errors
 /// If the network cannot process an image.
-pub(super) fn measure_inference(predictor: &mut Predictor) -> anyhow::Result<f64> {
+pub(super) fn measure_inference(predictor: &Predictor) -> anyhow::Result<f64> {
+    // A copy that looks for the hands whatever the picture shows.
+    let mut copy = predictor.another_stream().with_unknown(Unknown::Guess);
     let black = RgbImage::new(64, 48);
-    predictor.push(&black, 0.0).context("the model can't process an image")?;
+    copy.push(&black, 0.0).context("the model can't process an image")?;
     let started = Instant::now();
-    predictor.push(&black, 1.0)?;
-    predictor.reset();
+    copy.push(&black, 1.0)?;
     Ok(started.elapsed().as_secs_f64())
 }
 

@@ -136,12 +136,12 @@ impl Loader {
             allowed.check("model", Path::new(path))?;
         }
         let path = if path.is_empty() { default_path } else { Path::new(path) };
-        let mut predictor = on_mano(load_file(path, options.clone())?, mano.as_ref());
+        let predictor = on_mano(load_file(path, options.clone())?, mano.as_ref());
         let loaded = predictor.topology();
         if loaded != *topology {
             bail!("{}: expected topology {}, got {}", path.display(), topology.id(), loaded.id());
         }
-        threads.run(|| measure_inference(&mut predictor)).with_context(|| path.display().to_string())?;
+        threads.run(|| measure_inference(&predictor)).with_context(|| path.display().to_string())?;
         let info = model_info(&predictor, self.clock.now())?;
         Ok(LoadedModel { predictor, info })
     }

@@ -75,6 +75,12 @@ fn parameters() -> Vec<Parameter> {
              as the network was trained.",
         ),
         Parameter::fixed(
+            "locator",
+            "",
+            Allowed::Any,
+            "Network of whole pictures that finds the hands, for a network that sees single hands; empty = the shipped one.",
+        ),
+        Parameter::fixed(
             "unknown",
             "nan",
             Allowed::OneOf(&Unknown::NAMES),
@@ -181,9 +187,9 @@ fn prepare(
     threads: &Threads,
     cameras: Vec<Camera>,
 ) -> anyhow::Result<(Inference, WorkerThread)> {
-    let LoadedNetwork { mut predictor, path, options, mano } = network;
+    let LoadedNetwork { predictor, path, options, mano } = network;
     let log = runtime.log().clone();
-    log.info(format!("one image takes {:.0} ms", threads.run(|| load::measure_inference(&mut predictor))? * 1e3));
+    log.info(format!("one image takes {:.0} ms", threads.run(|| load::measure_inference(&predictor))? * 1e3));
     let model_info = load::model_info(&predictor, runtime.clock().now())?;
     if let Some(warning) = predictor.warning() {
         log.warn(warning);

@@ -101,7 +101,7 @@ impl CameraStream {
         self.frames.publish(&frame)?;
         self.sequence += 1;
         self.input.tally.processed(self.clock.secs_since(frame.header.stamp));
-        let preparation = self.predictor.metadata().preparation(self.predictor.config());
+        let preparation = self.predictor.preparation().whole;
         self.views.publish(&frame, prediction, &seen.image, &preparation)?;
         Ok(frame)
     }

@@ -34,6 +34,17 @@ pub enum View {
     Scene,
     /// One frame, cut out around one hand; contact of this hand.
     Crop,
+    /// Squares around both hands, which the network that all arms start from finds in the whole picture.
+    Hands,
+    /// Squares around both hands, where the recorded poses say that they are.
+    KnownHands,
+}
+
+impl View {
+    /// True if the network learns from squares around the hands.
+    pub fn is_cut(self) -> bool {
+        self != Self::Scene
+    }
 }
 
 /// Origin of the forces of an arm's training data.
@@ -73,6 +84,8 @@ pub struct Experiment {
     pub tests: Vec<Test>,
     /// True if the arms learn from recordings that are imported.
     pub recorded: bool,
+    /// True if the table says how long each arm takes per picture.
+    pub timed: bool,
 }
 
 /// The source with force in the domain, as the paper's Table 1.
@@ -131,6 +144,7 @@ impl Experiment {
             "limits" => Ok(limits()),
             "motion" => Ok(motion()),
             "recordings" => Ok(recordings()),
+            "hands" => Ok(hands()),
             _ => Err(Error::unknown("experiment", name, TRAINED)),
         }
     }
@@ -139,7 +153,14 @@ impl Experiment {
 /// Returns an experiment whose other arms differ from the mixed one.
 fn mixed<const N: usize>(name: &'static str, question: &'static str, others: [Arm; N]) -> Experiment {
     let arms = [MIXED].into_iter().chain(others).collect();
-    Experiment { name, question, arms, tests: vec![FORCE, CONTACT, OOD_FORCE, OOD_CONTACT], recorded: false }
+    Experiment {
+        name,
+        question,
+        arms,
+        tests: vec![FORCE, CONTACT, OOD_FORCE, OOD_CONTACT],
+        recorded: false,
+        timed: false,
+    }
 }
 
 fn ablations() -> Experiment {
@@ -240,7 +261,8 @@ fn glove() -> Experiment {
         }),
     ];
     let question = "Is a glove's look a domain gap, and do bare hands in other sources or recolouring close it?";
-    Experiment { name: "glove", question, arms, tests: vec![bare, gloved, OOD_FORCE, OOD_CONTACT], recorded: false }
+    let tests = vec![bare, gloved, OOD_FORCE, OOD_CONTACT];
+    Experiment { name: "glove", question, arms, tests, recorded: false, timed: false }
 }
 
 fn separation() -> Experiment {
@@ -259,6 +281,20 @@ fn separation() -> Experiment {
     let question = "Does the network separate touch from no touch better than a baseline that sees one crop at a time?";
     let tests = vec![right(CONTACT), right(OOD_CONTACT), right(OOD_FORCE)];
     Experiment { tests, ..mixed("separation", question, [crop]) }
+}
+
+fn hands() -> Experiment {
+    /// Halves the side of the network's input, in whole patches: two squares have half as many patches as the whole picture.
+    fn half(config: &mut Config, _: &Stores) -> Result<()> {
+        geometry(config, |geometry| geometry.image = (geometry.image / 2 / geometry.patch).max(1) * geometry.patch);
+        Ok(())
+    }
+    let found = arm("hands", "squares of half the side around the hands, found by the shipped network", half);
+    let known = arm("known_hands", "the same network, on squares that the true poses give", half);
+    let others = [Arm { view: View::Hands, ..found }, Arm { view: View::KnownHands, ..known }];
+    let question =
+        "Does a network see touch better on squares around the hands than on the whole picture, in the same time?";
+    Experiment { timed: true, ..mixed("hands", question, others) }
 }
 
 fn scaling() -> Experiment {
@@ -361,7 +397,7 @@ fn motion() -> Experiment {
         },
     ];
     let question = "How much of what true forces teach do forces estimated from motion teach?";
-    Experiment { name: "motion", question, arms, tests: vec![OOD_FORCE, known], recorded: false }
+    Experiment { name: "motion", question, arms, tests: vec![OOD_FORCE, known], recorded: false, timed: false }
 }
 
 /// Returns the experiment on recordings in the layouts of two data sets, each of scenes that the other does not have.
@@ -382,7 +418,7 @@ fn recordings() -> Experiment {
     ];
     let question =
         "Does training on two imported data sets, poses without force and gloves without poses, beat either alone?";
-    Experiment { name: "recordings", question, arms, tests: vec![OOD_FORCE, OOD_CONTACT], recorded: true }
+    Experiment { name: "recordings", question, arms, tests: vec![OOD_FORCE, OOD_CONTACT], recorded: true, timed: false }
 }
 
 fn geometry(config: &mut Config, change: impl FnOnce(&mut model::Config)) {

@@ -214,7 +214,7 @@ fn links(folder: &Path, claims: &[Claim]) -> String {
     let mut names: Vec<&str> = claims
         .iter()
         .map(|claim| claim.experiment.as_str())
-        .chain(["limits", "motion", "policy", "recordings", "reuse"])
+        .chain(["hands", "limits", "motion", "policy", "recordings", "reuse"])
         .collect();
     names.sort_unstable();
     names.dedup();

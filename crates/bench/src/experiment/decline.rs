@@ -5,11 +5,13 @@ use std::path::Path;
 
 use egotac::dataset::zarr::ZarrReader;
 use egotac::error::{Error, Result};
+use egotac::image::Square;
 use egotac::model::checkpoint::parameter_count;
 use egotac::render::figure::{self, Drawn, Figure};
 use egotac::render::plot::{self, PALETTE};
 use egotac::score::metrics::baseline;
 use egotac::tactile::TactileSequence;
+use egotac::train::crops;
 use image::RgbImage;
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -22,7 +24,7 @@ use super::degrade::{Degradation, Episode};
 use super::measure::{self, Finished, Place};
 use super::plot::test_title;
 use super::report::{ArmReport, Head, Report, TestInfo, force_truth, options, score, score_blind};
-use super::{Progress, Setup, crop, render};
+use super::{Progress, Setup, render};
 
 /// Seed of noise, blocks and directions.
 const SEED: u64 = 30;
@@ -94,6 +96,15 @@ struct Data {
     clean: TactileSequence,
 }
 
+/// Returns for each frame of a store the square around each hand in view: centre (x, y) and half side, as shares of the sides of its
+/// square pictures.
+fn squares_of(reader: &ZarrReader) -> Result<Vec<Vec<[f32; 3]>>> {
+    let side = reader.image_size().1 as f64;
+    let share = |Square { centre: [x, y], half }: Square| [x, y, half].map(|pixels| (pixels / side) as f32);
+    let frames = crops::hand_squares(reader)?.into_iter();
+    Ok(frames.map(|squares| squares.into_iter().map(share).collect()).collect())
+}
+
 /// Measures a network under all conditions.
 ///
 /// # Errors
@@ -112,9 +123,8 @@ pub fn run(setup: &Setup, command: String, progress: &mut dyn FnMut(Progress)) -
     let mut data = Vec::new();
     for recipes in sets {
         let clean = measure::predict(&mut predictor, &recipes, &mut |_, image| Ok(image))?;
-        let squares = recipes
-            .iter()
-            .map(|recipe| Ok((recipe.path.clone(), crop::hand_squares(&ZarrReader::open(&recipe.path)?)?)));
+        let squares =
+            recipes.iter().map(|recipe| Ok((recipe.path.clone(), squares_of(&ZarrReader::open(&recipe.path)?)?)));
         data.push(Data { truth: force_truth(&recipes)?, squares: squares.collect::<Result<_>>()?, clean, recipes });
     }
     let mut arms = vec![finished.or_measure(CLEAN, || {

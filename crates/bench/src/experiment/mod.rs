@@ -25,7 +25,6 @@
 pub mod arm;
 pub mod attention;
 pub mod claims;
-mod crop;
 pub mod data;
 pub mod decline;
 mod degrade;

@@ -215,9 +215,14 @@ pub(super) fn make(
     let mut arms = Vec::new();
     for arm in &experiment.arms {
         let own: Vec<&Run> = runs.iter().filter(|run| run.arm.name == arm.name).collect();
+        let mut about = arm.about.to_owned();
+        if let Some(run) = own.first().filter(|_| experiment.timed) {
+            let pictures = stores.held_out(experiment.tests[0].worlds)?;
+            about += &format!("; {:.1} ms per picture", run.picture_ms(&pictures)?);
+        }
         arms.push(ArmReport {
             name: arm.name.into(),
-            about: arm.about.into(),
+            about,
             constant: false,
             training_frames: own.first().map(|run| run.frames()).transpose()?,
             minutes: own.iter().map(|run| run.minutes()).collect(),

@@ -1,29 +1,33 @@
 //! Runs of an experiment: configuration, training, prediction. What is finished is not made again.
 
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use candle_core::Device;
 use egotac::dataset::tensors;
-use egotac::dataset::zarr;
+use egotac::dataset::zarr::{self, ZarrReader};
 use egotac::error::{Error, Result};
 use egotac::file;
-use egotac::model::{self, Checkpoint, Metadata, Precision};
+use egotac::model::{self, Checkpoint, Metadata, Precision, Predictor, Unknown, predictor};
+use egotac::statistics::median;
+use egotac::tactile::TactileSequence;
 use egotac::train::config::{AugmentConfig, BatchConfig, LossWeights, ModelChoice, OptimizerConfig, SamplingConfig};
 use egotac::train::data::Dataset;
 use egotac::train::source::TrainingSource;
-use egotac::train::{self, Config, Control, Event, predict};
+use egotac::train::{self, Config, Control, Event, crops, predict};
 
 use super::arm::{Arm, Forces, View};
-use super::crop;
 use super::data::{RATE, Recipe, Stores};
 use super::motion;
 use super::network::Network;
-use super::{Setup, Size};
+use super::{Setup, Size, measure};
 
 /// Clips and windows of a training step. Runs are short: many small steps teach more than few large ones of the same time.
 pub const BATCH: BatchConfig = BatchConfig { clips: 4, windows: 1, accumulate: 1 };
 /// File name of a run's weights.
 const CHECKPOINT: &str = "checkpoint.safetensors";
+/// Producer of the stores of crops.
+const PRODUCER: &str = "egotac experiment";
 
 /// One training: an arm with a seed.
 #[derive(Debug)]
@@ -44,11 +48,12 @@ impl<'a> Run<'a> {
     pub fn plan(arm: &'a Arm, seed: u64, stores: &Stores, setup: &Setup) -> Result<Self> {
         let mut config = usual(seed, stores, &setup.size, &setup.network)?;
         (arm.change)(&mut config, stores)?;
-        if arm.view == View::Crop {
+        if arm.view.is_cut() {
+            let side = side_of(&config)?;
             // A mirrored crop would be one of a left hand, and all crops are of right hands.
             config.data.iter_mut().for_each(|source| {
                 source.mirror = false;
-                source.stores.iter_mut().for_each(|store| *store = cropped(store, setup.size.image));
+                source.stores.iter_mut().for_each(|store| *store = cropped(store, side));
             });
         }
         if arm.forces == Forces::FromMotion {
@@ -81,10 +86,10 @@ impl<'a> Run<'a> {
             return Ok(());
         }
         for path in self.paths().iter().filter(|path| !path.exists()) {
-            match (self.arm.view, self.arm.forces) {
-                (View::Crop, _) => crop::write(&origin(path), path, side_of(config)?)?,
-                (View::Scene, Forces::FromMotion) => motion::write(&origin(path), path)?,
-                (View::Scene, Forces::True) => {}
+            match (self.arm.view.is_cut(), self.arm.forces) {
+                (true, _) => crops::write(&origin(path), path, side_of(config)?, PRODUCER).map(drop)?,
+                (false, Forces::FromMotion) => motion::write(&origin(path), path)?,
+                (false, Forces::True) => {}
             }
         }
         let resume = config.out.join("state.safetensors").exists();
@@ -109,31 +114,68 @@ impl<'a> Run<'a> {
     /// # Errors
     /// If a store or the checkpoint can't be read.
     pub fn predict(&self, worlds: &str, held_out: &[Recipe], device: &Device) -> Result<PathBuf> {
-        let out = self.config.out.join(format!("{worlds}.safetensors"));
+        // Arms that see the same squares otherwise share the network, not what it predicts.
+        let found = if self.arm.view == View::Hands { "found." } else { "" };
+        let out = self.config.out.join(format!("{found}{worlds}.safetensors"));
         if out.exists() {
             return Ok(out);
         }
+        let predicted = match self.arm.view {
+            View::Hands => measure::predict(&mut self.predictor()?, held_out, &mut |_, image| Ok(image))?,
+            view => self.predict_prepared(view, held_out, device)?,
+        };
+        tensors::write(&out, &predicted, Default::default())?;
+        Ok(out)
+    }
+
+    /// Predicts on stores whose pictures are what the network takes.
+    fn predict_prepared(&self, view: View, held_out: &[Recipe], device: &Device) -> Result<TactileSequence> {
         let Checkpoint { model, metadata, .. } = Checkpoint::load(&self.config.out.join(CHECKPOINT), device)?;
         let metadata = Metadata { has_force: metadata.has_force || self.arm.untrained_force, ..metadata };
-        let preparation = metadata.preparation(model.config());
-        let mut all = egotac::TactileSequence::default();
+        let (preparation, side) = (metadata.preparation(model.config()), side_of(&self.config)?);
+        let mut all = TactileSequence::default();
         for recipe in held_out {
-            let path = match self.arm.view {
-                View::Scene => recipe.path.clone(),
-                View::Crop => cropped(&recipe.path, model.config().image as u32),
-            };
-            if self.arm.view == View::Crop && !path.exists() {
-                crop::write(&recipe.path, &path, model.config().image as u32)?;
+            let path = if view.is_cut() { cropped(&recipe.path, side) } else { recipe.path.clone() };
+            if !path.exists() {
+                crops::write(&recipe.path, &path, side, PRODUCER)?;
             }
             let data = Dataset::new(zarr::open_all(&[path])?, preparation.clone(), false)?;
             let predicted = predict(&model, &metadata, &data, device, |_| ())?;
-            all.append(&match self.arm.view {
-                View::Scene => predicted,
-                View::Crop => crop::put_back(&recipe.path, &predicted)?,
-            })?;
+            all.append(&if view.is_cut() { crops::put_back(&recipe.path, &predicted)? } else { predicted })?;
         }
-        tensors::write(&out, &all, Default::default())?;
-        Ok(out)
+        Ok(all)
+    }
+
+    /// Loads the network as one that watches whole pictures; a hand that it does not find has no touch.
+    fn predictor(&self) -> Result<Predictor> {
+        let options = predictor::Options {
+            max_gap_secs: Some(f64::MAX),
+            locator: self.config.encoder.clone(),
+            unknown: Unknown::Zero,
+            // Worlds are compared, also those that look unfamiliar.
+            familiarity_threshold: Some(0.0),
+            ..Default::default()
+        };
+        Predictor::load(&self.config.out.join(CHECKPOINT), options)
+    }
+
+    /// Measures the median time per picture of held-out stores, ms, with the locator if there is one.
+    ///
+    /// # Errors
+    /// If a store or the checkpoint can't be read.
+    pub fn picture_ms(&self, held_out: &[Recipe]) -> Result<f64> {
+        /// Pictures, the first of which do not count.
+        const PICTURES: (usize, usize) = (8, 48);
+        let mut predictor = self.predictor()?;
+        let Some(recipe) = held_out.first() else { return Err(Error::value("held-out stores", "one", "none")) };
+        let reader = ZarrReader::open(&recipe.path)?;
+        let mut times = Vec::new();
+        for (at, picture) in reader.images(0..reader.len().min(PICTURES.1))?.iter().enumerate() {
+            let started = Instant::now();
+            predictor.push(picture, at as f64 / RATE)?;
+            times.push(1e3 * started.elapsed().as_secs_f64());
+        }
+        Ok(median(times.into_iter().skip(PICTURES.0)))
     }
 
     /// Counts the training frames.

@@ -20,6 +20,7 @@ use super::*;
 use crate::dataset::Attributes;
 use crate::dataset::source::LostBytes;
 use crate::error::{Error, Result};
+use crate::image::Framing;
 use crate::tactile::{ForceKind, N_FIELD};
 use check::{array_names, attributes};
 
@@ -228,6 +229,16 @@ impl ZarrReader {
                 kind.map(Some).map_err(|error| self.named(error))
             }
         }
+    }
+
+    /// Returns what the pictures show; stores that do not say anything hold whole pictures.
+    ///
+    /// # Errors
+    /// If the attribute is unknown.
+    pub fn framing(&self) -> Result<Framing> {
+        let Some(name) = self.raw_attributes().get(Framing::KEY) else { return Ok(Framing::default()) };
+        let unknown = || Error::value(Framing::KEY, "frame or hands", name);
+        serde_json::from_value(name.clone()).map_err(|_| self.named(unknown()))
     }
 
     /// Returns all arrays of the store, by name.
