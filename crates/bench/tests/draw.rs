@@ -10,10 +10,11 @@ use egotac::render::plot::PALETTE;
 use egotac_bench::draw::svgs;
 
 /// Reports with plots, below docs/.
-const REPORTS: [&str; 21] = [
+const REPORTS: [&str; 23] = [
     "bench/model.json",
     "bench/epyc/model.json",
     "bench/sim.json",
+    "bench/friction/sim.json",
     "bench/glove.json",
     "bench/physics.json",
     "bench/retarget.json",
@@ -22,6 +23,7 @@ const REPORTS: [&str; 21] = [
     "results/limits.json",
     "results/motion.json",
     "results/recordings.json",
+    "results/hands.json",
     "results/ablations.json",
     "results/sampling.json",
     "results/consistency.json",

@@ -13,6 +13,7 @@
 //! | `limits` | limit of the scores: time, resolution or capacity |
 //! | `motion` | benefit of forces estimated from motion |
 //! | `recordings` | benefit of training on two imported data sets over either alone |
+//! | `hands` | squares around the hands in place of the whole picture, in the same time |
 //! | `transfer` | dynamics of force against sensors with another layout, gain and spread; no training |
 //! | `decline` | accuracy against occlusion, blur, noise, exposure, resolution and frame rate; no training |
 //! | `attention` | share of the attention on hands and objects; no training |

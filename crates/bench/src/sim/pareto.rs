@@ -57,8 +57,13 @@ impl Figure for SimReport {
     {
         root.fill(&WHITE)?;
         let panels = root.split_evenly((1, 2));
+        // More names have no room below a panel.
+        let scenes = match self.shared_scenes() {
+            few if few.len() <= 3 => few.join(", "),
+            many => format!("{} scenes", many.len()),
+        };
         for (panel, (title, error)) in panels.iter().zip(PANELS) {
-            draw_panel(panel, title, &self.shared_scenes().join(", "), &points(self, error), self.recommended.name())?;
+            draw_panel(panel, title, &scenes, &points(self, error), self.recommended.name())?;
         }
         root.present()?;
         Ok(())
