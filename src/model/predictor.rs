@@ -164,6 +164,10 @@ impl Predictor {
         }
         let mut hands = match checkpoint.metadata.framing {
             Framing::Whole => None,
+            Framing::Hands if options.reuse_below > 0.0 => {
+                let expected = "0 for a network that sees single hands, which are cut out of each picture anew";
+                return Err(Error::value("reuse_below", expected, options.reuse_below));
+            }
             Framing::Hands => Some(Box::new(Hands::load(&options)?)),
         };
         // The network that sees the whole picture.

@@ -146,6 +146,8 @@ fn a_locator_that_cannot_find_hands_is_refused_by_its_file() {
         let error = Predictor::load(&files.hands, options).unwrap_err().to_string();
         assert!(error.contains(&locator.display().to_string()) && error.contains(got), "{error}");
     }
+    let reusing = Options { locator: Some(files.locator.clone()), reuse_below: 1.0, ..Options::default() };
+    assert!(Predictor::load(&files.hands, reusing).unwrap_err().to_string().contains("reuse_below"));
     // The shipped network finds hands.
     assert!(Predictor::load(&files.hands, Options::default()).unwrap().estimates_presence());
     let numbers = vec![0.0; 3 * Config::toy().image * Config::toy().image];

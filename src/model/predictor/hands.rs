@@ -14,7 +14,7 @@ use crate::error::{Error, Result};
 use crate::hand::Side;
 use crate::image::{Preparation, Resize, Square};
 use crate::model::{Checkpoint, HandEstimate, Unknown, shipped};
-use crate::tactile::TactileField;
+use crate::tactile::{Doubt, TactileField};
 
 /// Share of the most confident keypoint's confidence from which on a keypoint tells where the hand is.
 const CONFIDENT: f32 = 0.5;
@@ -74,7 +74,14 @@ impl Predictor {
             let Some(estimate) = estimates.filter(|_| is_known).map(|estimates| estimates[hand as usize]) else {
                 continue;
             };
-            let square = square(&estimate, &hands.locator, picture.dimensions());
+            let square = match square(&estimate, &hands.locator, picture.dimensions()) {
+                Some(square) => square,
+                None if self.unknown == Unknown::Guess => middle(picture.dimensions()),
+                None => {
+                    certainty.doubt[hand as usize] = Some(Doubt::Absent);
+                    continue;
+                }
+            };
             let tokens = self.hand_tokens(&square.cut(picture, self.config().image as u32, hand == Side::Left)?)?;
             let frames = &mut frames[hand as usize];
             *frames = frames.since(stamp_secs - self.max_gap_secs).with(stamp_secs, tokens, steps);
@@ -99,15 +106,17 @@ impl Predictor {
     }
 }
 
-/// Returns the square around a hand that the locator has found in a picture of this width and height; the picture's middle if it lies
-/// beyond an edge, which a guess alone may ask for.
-fn square(estimate: &HandEstimate, locator: &Checkpoint, (width, height): (u32, u32)) -> Square {
+/// Returns the square around a hand that the locator has found in a picture of this width and height; None if it lies beyond an edge.
+fn square(estimate: &HandEstimate, locator: &Checkpoint, (width, height): (u32, u32)) -> Option<Square> {
     let preparation = locator.metadata.preparation(locator.model.config());
     let most = estimate.keypoints.iter().map(|keypoint| keypoint.confidence).fold(0.0, f32::max);
     let sure = estimate.keypoints.iter().filter(|keypoint| keypoint.confidence >= CONFIDENT * most);
     let pixels = sure.map(|keypoint| keypoint.pixel(&preparation, width as usize, height as usize));
-    Square::around_hand(pixels, width, height).unwrap_or_else(|| {
-        let [x, y] = [width, height].map(|side| 0.5 * f64::from(side));
-        Square { centre: [x, y], half: x.min(y) }
-    })
+    Square::around_hand(pixels, width, height)
+}
+
+/// Returns the largest square in the middle of a picture of this width and height.
+fn middle((width, height): (u32, u32)) -> Square {
+    let [x, y] = [width, height].map(|side| 0.5 * f64::from(side));
+    Square { centre: [x, y], half: x.min(y) }
 }
