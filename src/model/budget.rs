@@ -62,8 +62,8 @@ pub fn pick(paths: &[PathBuf], budget_ms: f64, options: &Options) -> Result<(Pre
     let mut tried: Vec<Tried> = Vec::new();
     for (_, path) in sized {
         for precision in precisions {
-            let mut predictor = load(path, *precision, options)?;
-            let latency_ms = latency_ms(&mut predictor)?;
+            let predictor = load(path, *precision, options)?;
+            let latency_ms = latency_ms(&predictor)?;
             let now = Tried { path: path.clone(), precision: *precision, latency_ms };
             if latency_ms <= budget_ms {
                 return Ok((predictor, Choice { budget_ms, chosen: now, too_slow: tried, fits: true }));

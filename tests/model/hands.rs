@@ -103,6 +103,22 @@ fn each_hand_is_what_the_weights_say_of_its_square() {
 }
 
 #[test]
+fn squares_of_a_tracker_take_the_place_of_the_locators() {
+    // The locator misses the left hand, which the tracker has found.
+    let files = files([false, true]);
+    let mut predictor = files.predictor(Unknown::Nan);
+    let square = Square { centre: [70.0, 50.0], half: 30.0 };
+    let input = predictor.preparation().apply(&picture(1)).unwrap().with_squares([Some(square), None]);
+    let got = predictor.push_prepared(input, 0.0).unwrap();
+    let cut = square.cut(&picture(1), Config::toy().image as u32, true).unwrap();
+    let want = Predictor::load(&files.whole, Options::default()).unwrap().push(&cut, 0.0).unwrap().field;
+    assert_eq!(got.field.contact[..N_VERTICES], want.contact[N_VERTICES..]);
+    assert_eq!(got.certainty.doubt, [None; 2]);
+    let alone = files.predictor(Unknown::Nan).push(&picture(1), 0.0).unwrap();
+    assert_eq!(got.field.contact[N_VERTICES..], alone.field.contact[N_VERTICES..]);
+}
+
+#[test]
 fn a_hand_that_is_not_there_is_unknown_and_the_other_stays() {
     let files = files([false, true]);
     let mut predictor = files.predictor(Unknown::Nan);

@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use candle_core::Device;
-use egotac::dataset::EpisodeReader;
 use egotac::dataset::zarr::{ZarrReader, read_labels};
 use egotac::hand::Side;
 use egotac::image::Framing;

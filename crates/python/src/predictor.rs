@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use egotac::dataset::lerobot::{LabelColumn, policy_input, policy_input_names as names_of_input};
 use egotac::hand::{HandModel, N_FIELD, N_KEYPOINTS, N_VERTICES, Region, Side, Topology};
+use egotac::image::Square;
 use egotac::model::{HandEstimate, Keypoint, Prediction, predictor, shipped};
 use egotac::{TactileField, tactile::Certainty};
 use numpy::{PyArrayDyn, PyReadonlyArrayDyn, PyUntypedArrayMethods};
@@ -77,15 +78,29 @@ impl Predictor {
     /// Predicts touch at the instant of an image, and returns a `Touch`.
     ///
     /// `image`: (H, W, 3) uint8, RGB; read in place if its memory is contiguous, and not to be written meanwhile. `stamp`: time of the
-    /// image, s; one before the last, or too long after it, starts a new stream.
-    fn push(&self, py: Python<'_>, image: PyReadonlyArrayDyn<'_, u8>, stamp: f64) -> PyResult<Touch> {
+    /// image, s; one before the last, or too long after it, starts a new stream. `keypoints`: (2, 21, 2) float64, pixels, of the left and
+    /// the right hand by a tracker of yours, NaN = not found; a network that sees single hands looks there, others ignore them.
+    #[pyo3(signature = (image, stamp, *, keypoints=None))]
+    fn push(
+        &self,
+        py: Python<'_>,
+        image: PyReadonlyArrayDyn<'_, u8>,
+        stamp: f64,
+        keypoints: Option<PyReadonlyArrayDyn<'_, f64>>,
+    ) -> PyResult<Touch> {
         let (height, width) = sides(&image, 0)?;
         let pixels = take("image", &image, &[0, 0, 3])?;
+        let places = keypoints.as_ref().map(|found| take("keypoints", found, &[2, N_KEYPOINTS, 2])).transpose()?;
+        let square = |hand: usize| {
+            let hand = places.as_ref()?.chunks_exact(2 * N_KEYPOINTS).nth(hand)?;
+            Square::around_hand(hand.chunks_exact(2).map(|point| [point[0], point[1]]), width, height)
+        };
+        let squares = [square(0), square(1)];
         let predict = || {
             let mut predictor = self.lock();
             let started = Instant::now();
-            let preparation = predictor.preparation();
-            let prediction = predictor.push_prepared(preparation.apply_pixels(&pixels, width, height)?, stamp)?;
+            let input = predictor.preparation().apply_pixels(&pixels, width, height)?.with_squares(squares);
+            let prediction = predictor.push_prepared(input, stamp)?;
             Ok((prediction, started.elapsed().as_secs_f64()))
         };
         let (prediction, seconds) = py.detach(predict).map_err(raise)?;

@@ -63,6 +63,10 @@ impl Predictor {
         let whole = Tensor::from_slice(&input.whole, (1, 3, side, side), &self.device)?;
         let encoded = hands.locator.model.frame_tokens(&whole)?.encoded;
         let (mut certainty, estimates) = judge(&hands.locator, &encoded);
+        for (doubt, _) in certainty.doubt.iter_mut().zip(input.squares).filter(|(_, square)| square.is_some()) {
+            // A tracker saw the hand.
+            *doubt = doubt.filter(|doubt| *doubt != Doubt::Absent);
+        }
 
         let restarted = self.restarts_after(hands.newest, stamp_secs);
         let mut frames = if restarted { Default::default() } else { hands.frames.clone() };
@@ -74,7 +78,8 @@ impl Predictor {
             let Some(estimate) = estimates.filter(|_| is_known).map(|estimates| estimates[hand as usize]) else {
                 continue;
             };
-            let square = match square(&estimate, &hands.locator, picture.dimensions()) {
+            let found = || square(&estimate, &hands.locator, picture.dimensions());
+            let square = match input.squares[hand as usize].or_else(found) {
                 Some(square) => square,
                 None if self.unknown == Unknown::Guess => middle(picture.dimensions()),
                 None => {

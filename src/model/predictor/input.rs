@@ -3,7 +3,7 @@
 use ::image::RgbImage;
 
 use crate::error::{Error, Result};
-use crate::image::{Framing, Preparation};
+use crate::image::{Framing, Preparation, Square};
 
 /// Conversion of pictures to what a predictor takes.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,6 +21,8 @@ pub struct Prepared {
     pub whole: Vec<f32>,
     /// The picture itself, for a network that sees hands, whose places are not known yet.
     pub picture: Option<RgbImage>,
+    /// Squares around the left and the right hand, pixels, from a tracker that knows better than the locator; None = ask the locator.
+    pub squares: [Option<Square>; 2],
 }
 
 impl InputPreparation {
@@ -30,7 +32,8 @@ impl InputPreparation {
     /// As [`Preparation::apply`].
     pub fn apply(&self, picture: &RgbImage) -> Result<Prepared> {
         let whole = self.whole.apply(picture)?;
-        Ok(Prepared { whole, picture: (!self.framing.is_whole()).then(|| picture.clone()) })
+        let picture = (!self.framing.is_whole()).then(|| picture.clone());
+        Ok(Prepared { whole, picture, ..Prepared::default() })
     }
 
     /// Prepares pixels of another owner; see [`Preparation::apply_pixels`].
@@ -40,11 +43,20 @@ impl InputPreparation {
     pub fn apply_pixels(&self, pixels: &[u8], width: u32, height: u32) -> Result<Prepared> {
         let whole = self.whole.apply_pixels(pixels, width, height)?;
         let copy = || RgbImage::from_raw(width, height, pixels.to_vec());
-        Ok(Prepared { whole, picture: if self.framing.is_whole() { None } else { copy() } })
+        let picture = if self.framing.is_whole() { None } else { copy() };
+        Ok(Prepared { whole, picture, ..Prepared::default() })
     }
 }
 
 impl Prepared {
+    /// Returns the picture with squares around the left and the right hand that a tracker has found, pixels; None = not found, which
+    /// leaves that hand to the locator.
+    #[must_use]
+    pub fn with_squares(mut self, squares: [Option<Square>; 2]) -> Self {
+        self.squares = squares;
+        self
+    }
+
     /// Returns the picture for a network that sees hands.
     pub(super) fn picture(&self) -> Result<&RgbImage> {
         let missing = || Error::value("input", "a picture, from which hands are cut out", "the prepared whole alone");
@@ -54,6 +66,6 @@ impl Prepared {
 
 impl From<Vec<f32>> for Prepared {
     fn from(whole: Vec<f32>) -> Self {
-        Self { whole, picture: None }
+        Self { whole, ..Self::default() }
     }
 }

@@ -277,7 +277,7 @@ mod tests {
         let flat = scaled(1e-3).into_iter().map(|vertex| vertex.with_z(0.0)).collect();
         for vertices in [flat, scaled(1.0)] {
             let error = Object::from_foreign_mesh("mesh of a corner", &(vertices, triangles.clone()), 0.0);
-            let error = error.err().expect("a flat or huge mesh is refused").to_string();
+            let error = error.expect_err("a flat or huge mesh is refused").to_string();
             assert!(error.starts_with("mesh of a corner: expected"), "{error}");
         }
     }

@@ -247,7 +247,7 @@ pub(super) fn make(
         });
         let read = |arm: &str, seed: u64| -> Result<TactileSequence> {
             let run = runs.iter().find(|run| run.arm.name == arm && run.seed == seed);
-            let path = run.map(|run| run.config.out.join(format!("{}.safetensors", test.file())));
+            let path = run.map(|run| run.predictions(&test.file()));
             tensors::read(&path.unwrap_or_default())
         };
         for seed in 0..setup.size.seeds {

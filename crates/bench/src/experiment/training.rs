@@ -109,14 +109,18 @@ impl<'a> Run<'a> {
             .is_ok_and(|checkpoint| steps(&checkpoint.metadata.training) == Some(self.config.steps as u64))
     }
 
+    /// Returns the file of the predictions on held-out stores. Arms that differ in how the hands are found share the network, not this.
+    pub fn predictions(&self, worlds: &str) -> PathBuf {
+        let found = if self.arm.view == View::Hands { "found." } else { "" };
+        self.config.out.join(format!("{found}{worlds}.safetensors"))
+    }
+
     /// Returns the predictions on held-out stores, made now unless they were made before.
     ///
     /// # Errors
     /// If a store or the checkpoint can't be read.
     pub fn predict(&self, worlds: &str, held_out: &[Recipe], device: &Device) -> Result<PathBuf> {
-        // Arms that see the same squares otherwise share the network, not what it predicts.
-        let found = if self.arm.view == View::Hands { "found." } else { "" };
-        let out = self.config.out.join(format!("{found}{worlds}.safetensors"));
+        let out = self.predictions(worlds);
         if out.exists() {
             return Ok(out);
         }
