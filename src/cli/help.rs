@@ -17,7 +17,7 @@ const GROUPS: [(&str, &[&str]); 7] = [
 
 /// Example of each command, without the program's name.
 #[doc(hidden)]
-pub const EXAMPLES: [&str; 46] = [
+pub const EXAMPLES: [&str; 47] = [
     "doctor",
     "hand forward --params pose.safetensors --out hand.safetensors",
     "hand show --side left --out hand.png",
@@ -59,6 +59,7 @@ pub const EXAMPLES: [&str; 46] = [
     "model info shipped",
     "data info mug.zarr",
     "data diff mug_labelled.zarr mug.zarr",
+    "data crop train.zarr --out hands.zarr",
     "data import --list",
     "demo --duration 15s",
     "limits",

@@ -109,8 +109,7 @@ impl TactileTruth {
     /// # Errors
     /// If the code is unknown.
     pub fn validity(&self) -> Result<Validity> {
-        let known = Validity::ALL.into_iter().find(|validity| validity.code() == self.validity);
-        known.ok_or_else(|| Error::value("validity", format!("0 to {}", Validity::ALL.len() - 1), self.validity))
+        Validity::from_code("validity", self.validity)
     }
 }
 

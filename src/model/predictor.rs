@@ -108,7 +108,7 @@ impl Prediction {
 /// Runs a checkpoint on a stream of images.
 ///
 /// Each image is encoded once. Its tokens, projected for temporal fusion, are kept as long as a window may need them; see
-/// [`window`] for the frames of a window.
+/// [`super::window`] for the frames of a window.
 ///
 /// ```
 /// use egotac::model::{predictor::Options, shipped};

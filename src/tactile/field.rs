@@ -59,6 +59,15 @@ impl Validity {
         self as u8
     }
 
+    /// Returns the kind of a code of the array or field `name`.
+    ///
+    /// # Errors
+    /// If the code is unknown.
+    pub fn from_code(name: &str, code: u8) -> Result<Self> {
+        let known = Self::ALL.get(usize::from(code)).copied();
+        known.ok_or_else(|| Error::value(name, format!("0 to {}", Self::ALL.len() - 1), code))
+    }
+
     /// Describes the guard's finding; empty for a valid frame.
     pub fn reason(self) -> &'static str {
         match self {

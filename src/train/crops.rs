@@ -7,17 +7,21 @@
 use std::ops::Range;
 use std::path::Path;
 
+use ::image::RgbImage;
 use serde_json::json;
 
 use super::keypoints::{self, Points};
 use crate::dataset::zarr::{
-    ArraySpec, Contact, Dtype, MANO_PROXIMITY, TIMESTAMPS, Values, ZarrReader, ZarrWriter, read_labels,
+    ArraySpec, Contact, Dtype, FRAME_VALIDITY, MANO_PROXIMITY, TIMESTAMPS, Values, ZarrReader, ZarrWriter, read_labels,
 };
 use crate::dataset::{Attributes, EpisodeReader, EpisodeWriter, Frame};
 use crate::error::{Error, Result};
 use crate::hand::{N_KEYPOINTS, Side};
 use crate::image::{Framing, Preparation, Resize, Square};
 use crate::tactile::{ForceKind, N_FIELD, TactileField, TactileSequence, Validity, episode_ranges};
+
+/// Frames whose pictures are read at once.
+const BLOCK: usize = 64;
 
 /// One hand in one episode.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,40 +51,57 @@ pub fn write(from: &Path, out: &Path, side: u32, producer: &str) -> Result<usize
         return Err(Error::file(from, "expected a hand in view, got none"));
     }
     let attributes = Attributes { producer: producer.into(), ..reader.attributes().clone() };
-    let by_distance = reader.has(MANO_PROXIMITY);
-    let extra = by_distance.then(|| ArraySpec::new(MANO_PROXIMITY, [N_FIELD], Dtype::U8));
+    let extra = reader.has(MANO_PROXIMITY).then(|| ArraySpec::new(MANO_PROXIMITY, [N_FIELD], Dtype::U8));
     let mut writer = ZarrWriter::create(out, attributes, Contact::Truth, extra.into_iter().collect())?;
     writer.set_attribute(Framing::KEY, json!(Framing::Hands.name()));
     if let Some(kind) = reader.raw_attributes().get(ForceKind::ATTRIBUTE) {
         writer.set_attribute(ForceKind::ATTRIBUTE, kind.clone());
     }
     for part in &parts {
-        let labels = read_labels(&reader, part.frames.clone())?;
-        let stamps = reader.read(TIMESTAMPS, part.frames.clone())?.into_f64();
-        let near = if by_distance { reader.read_u8(MANO_PROXIMITY, part.frames.clone())? } else { Vec::new() };
-        for (at, image) in reader.images(part.frames.clone())?.iter().enumerate() {
-            let frame = Frame {
-                timestamp: stamps[at],
-                camera_ego_rgb: part.squares[at].cut(image, side, part.side == Side::Left)?,
-                field: TactileField {
-                    topology: reader.attributes().topology,
-                    force: one_hand(&labels.force, at, part.side, 0.0),
-                    contact: one_hand(&labels.contact, at, part.side, 0.0),
-                },
-                force_valid: one_hand(&labels.mask_force, at, part.side, 0),
-                contact_valid: one_hand(&labels.mask_contact, at, part.side, 0),
-                validity: Validity::Valid,
-                left_hand_pose: None,
-                right_hand_pose: None,
-            };
-            let near = by_distance.then(|| (MANO_PROXIMITY, Values::U8(one_hand(&near, at, part.side, 0))));
-            writer.push_with(frame, near.into_iter().collect())?;
+        let mut squares = part.squares.iter();
+        for first in part.frames.clone().step_by(BLOCK) {
+            let block = first..(first + BLOCK).min(part.frames.end);
+            for (frame, near) in hands(&reader, block, part.side, &mut squares, side)? {
+                writer.push_with(frame, near.map(|near| (MANO_PROXIMITY, near)).into_iter().collect())?;
+            }
         }
         writer.end_episode()?;
     }
     let written = writer.n_frames();
     writer.finish()?;
     Ok(written)
+}
+
+/// Cuts one hand out of consecutive frames; returns each frame with its contact by distance, if the store has it.
+fn hands<'a>(
+    reader: &ZarrReader,
+    frames: Range<usize>,
+    hand: Side,
+    squares: &mut impl Iterator<Item = &'a Square>,
+    side: u32,
+) -> Result<Vec<(Frame, Option<Values>)>> {
+    let labels = read_labels(reader, frames.clone())?;
+    let stamps = reader.read(TIMESTAMPS, frames.clone())?.into_f64();
+    let near = reader.has(MANO_PROXIMITY).then(|| reader.read_u8(MANO_PROXIMITY, frames.clone())).transpose()?;
+    let images = reader.images(frames)?;
+    let cut = |(at, (image, square)): (usize, (&RgbImage, &Square))| {
+        let frame = Frame {
+            timestamp: stamps[at],
+            camera_ego_rgb: square.cut(image, side, hand == Side::Left)?,
+            field: TactileField {
+                topology: reader.attributes().topology,
+                force: one_hand(&labels.force, at, hand, 0.0),
+                contact: one_hand(&labels.contact, at, hand, 0.0),
+            },
+            force_valid: one_hand(&labels.mask_force, at, hand, 0),
+            contact_valid: one_hand(&labels.mask_contact, at, hand, 0),
+            validity: Validity::from_code(FRAME_VALIDITY, labels.validity[at])?,
+            left_hand_pose: None,
+            right_hand_pose: None,
+        };
+        Ok((frame, near.as_ref().map(|near| Values::U8(one_hand(near, at, hand, 0)))))
+    };
+    images.iter().zip(squares).enumerate().map(cut).collect()
 }
 
 /// Puts the touch predicted on the pictures of [`write`] back in place: frames and hands of the store `from`. A hand out of

@@ -10,8 +10,7 @@ use crate::train::crops;
 #[command(
     after_help = "Every hand in view becomes an episode: its square of each picture, a left hand mirrored, with its labels in the \
     place of the right hand. A network that is trained on such stores sees single hands (`input: hands`): where it is used, a network \
-    of whole pictures, --locator, finds the hands.\n\
-    Example: egotac data crop train.zarr --out hands.zarr --size 112"
+    of whole pictures, --locator, finds the hands."
 )]
 pub struct Args {
     /// Store of whole pictures with poses of camera and hands, as `egotac sim generate` writes it.

@@ -206,9 +206,7 @@ impl Data {
     }
 
     fn validity(&self, at: usize) -> Result<Validity> {
-        let code = self.validity.get(at).copied().unwrap_or(0);
-        let known = Validity::ALL.get(usize::from(code)).copied();
-        known.ok_or_else(|| Error::value(FRAME_VALIDITY, format!("a code below {}", Validity::ALL.len()), code))
+        Validity::from_code(FRAME_VALIDITY, self.validity.get(at).copied().unwrap_or(0))
     }
 
     /// Returns the parameters of both hands; zeros in the store mean an absent hand.

@@ -46,10 +46,8 @@ impl EpisodeReader for ZarrReader {
             true => self.bytes(FRAME_VALIDITY, one(FRAME_VALIDITY)?)?.first().copied().unwrap_or(0),
             false => 0,
         };
-        let validity = Validity::ALL.get(usize::from(code)).copied().ok_or_else(|| {
-            let known = format!("a code below {}", Validity::ALL.len());
-            self.named(Error::value(format!("{FRAME_VALIDITY}[{index}]"), known, code))
-        })?;
+        let validity = Validity::from_code(&format!("{FRAME_VALIDITY}[{index}]"), code);
+        let validity = validity.map_err(|error| self.named(error))?;
         Ok(Frame {
             timestamp: one(TIMESTAMPS)?.into_f64().first().copied().unwrap_or(f64::NAN),
             camera_ego_rgb: self.image(index)?,
