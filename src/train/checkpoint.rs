@@ -8,7 +8,8 @@ use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 
 use super::config::MAX_BATCH;
-use super::optimizer::{AdamW, Param};
+use super::optimizer::AdamW;
+use super::param::Param;
 use crate::error::{Error, Result};
 use crate::file::{self, input, limits};
 

@@ -2,7 +2,7 @@
 
 use candle_core::backprop::GradStore;
 
-use super::optimizer::{Param, with_host};
+use super::param::{Param, with_host};
 use super::ranks::Communicator;
 use crate::error::Result;
 

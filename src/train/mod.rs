@@ -22,6 +22,7 @@ mod log;
 pub mod loss;
 mod mixture;
 pub mod optimizer;
+pub mod param;
 pub mod pass;
 mod predict;
 pub mod presence;

@@ -14,6 +14,7 @@
 mod agreement;
 mod angles;
 mod courses;
+mod forces;
 mod recorded;
 mod stage;
 

@@ -2,10 +2,9 @@
 
 use glam::{DQuat, DVec3};
 
-use super::courses::{Courses, ObjectState};
 use crate::dataset::zarr::{OBJECT_POSE, ZarrReader};
 use crate::error::{Error, Result};
-use crate::hand::{N_JOINTS, Side};
+use crate::hand::Side;
 use crate::mujoco::World;
 use crate::mujoco::world::{Body, FreeJoint, Servo};
 use crate::physics::{Pose, Take};
@@ -13,9 +12,6 @@ use crate::sim::effect::Effect;
 use crate::sim::rig::{HandRig, JOINT_NAMES};
 use crate::sim::scene::EffectPlan;
 use crate::sim::{Rollout, RolloutOptions, mjcf, stored_scene};
-
-/// Distance from the table at which hands and objects without a known pose wait, m.
-const AWAY: f64 = 50.0;
 
 /// World of one episode, with handles of what moves.
 pub(super) struct Stage {
@@ -94,53 +90,5 @@ impl Stage {
         }
         let rigs = rollout.rigs().clone();
         Ok(Self { world: rollout.into_world(), rigs, hands, objects, placing: Pose::IDENTITY })
-    }
-
-    /// Computes the forces of frame `at` of a run: normal forces on the links of both hands, N, and the net force on each object in
-    /// the store's frame, N.
-    ///
-    /// # Errors
-    /// If a pose is not finite.
-    pub fn forces(&mut self, courses: &Courses, at: usize) -> Result<([[f64; N_JOINTS]; 2], Vec<DVec3>)> {
-        let world = &mut self.world;
-        for (side, (hand, course)) in self.hands.iter().zip(&courses.servos).enumerate() {
-            let Some(hand) = hand else { continue };
-            for (index, servo) in hand.servos.iter().enumerate() {
-                let away = if index == side { [AWAY, 0.0, 0.0] } else { [0.0; 3] };
-                let motion = course.as_ref().map_or(away, |course| course[at][index]);
-                world.set_joint_motion(*servo, motion);
-            }
-        }
-        for (index, (object, states)) in self.objects.iter().zip(&courses.objects).enumerate() {
-            let Some((_, joint)) = object else { continue };
-            let away = Pose { position: DVec3::Z * AWAY * (index + 1) as f64, orientation: DQuat::IDENTITY };
-            let at_rest = ObjectState { pose: away, linear: [DVec3::ZERO; 2], angular: [DVec3::ZERO; 2] };
-            let ObjectState { pose, linear, angular } = states.as_ref().map_or(at_rest, |states| states[at]);
-            world.set_free_motion(*joint, (pose.position, pose.orientation), linear, angular)?;
-        }
-        world.inverse();
-        Ok(self.read(courses))
-    }
-
-    fn read(&self, courses: &Courses) -> ([[f64; N_JOINTS]; 2], Vec<DVec3>) {
-        let mut links = courses.unknown.map(|unknown| [if unknown { f64::NAN } else { 0.0 }; N_JOINTS]);
-        let known = courses.objects.iter().map(|states| states.is_some());
-        let mut net: Vec<DVec3> = known.map(|known| if known { DVec3::ZERO } else { DVec3::NAN }).collect();
-        let back = self.placing.orientation.inverse();
-        for contact in self.world.contacts() {
-            for (sign, body) in [-1.0, 1.0].into_iter().zip(contact.bodies) {
-                let object = self.objects.iter().position(|object| object.is_some_and(|(object, _)| object == body));
-                if let Some(net) = object.and_then(|index| net.get_mut(index)) {
-                    *net += back * (sign * contact.force);
-                }
-                for (hand, forces) in self.hands.iter().zip(&mut links) {
-                    let links = hand.as_ref().map(|hand| hand.links.as_slice()).unwrap_or_default();
-                    if let Some(link) = links.iter().position(|link| *link == body) {
-                        forces[link] += contact.normal_force;
-                    }
-                }
-            }
-        }
-        (links, net)
     }
 }

@@ -7,6 +7,7 @@ use egotac::error::{Error, Result};
 use egotac::sim::scene::Split;
 use egotac::train::source::{Supervision, TrainingSource};
 
+use super::recipe::Recipe;
 use super::recording::{Layout, Recorded};
 
 /// Worlds of the experiments, YAML; see the file.
@@ -26,25 +27,6 @@ const MANO_FILES: [&str; 2] = ["MANO_LEFT.npz", "MANO_RIGHT.npz"];
 const SEEDS: [u64; 2] = [70_000, 570_000];
 /// Frames per second: at the usual 25, most windows would be nearly the same pictures.
 pub const RATE: f64 = 10.0;
-
-/// Scene and seeds of a store.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Recipe {
-    /// The store.
-    pub path: PathBuf,
-    /// Path of the scene file, or name of a shipped scene if there is no text.
-    pub scene: PathBuf,
-    /// Text of the scene file; empty for a shipped scene.
-    pub text: String,
-    /// Episodes.
-    pub episodes: usize,
-    /// Seed of the first episode.
-    pub seed: u64,
-    /// Width and height of the pictures, pixels.
-    pub side: u32,
-    /// MANO-format files of the hands, left first; `None` = the built-in hands.
-    pub mano: Option<[PathBuf; 2]>,
-}
 
 /// Stores of one world.
 #[derive(Debug, Clone, Default, PartialEq)]

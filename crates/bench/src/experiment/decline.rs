@@ -19,10 +19,12 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 
-use super::data::{self, Recipe};
+use super::data;
 use super::degrade::{Degradation, Episode};
-use super::measure::{self, Finished, Place};
+use super::finished::Finished;
+use super::measure::{self, Place};
 use super::plot::test_title;
+use super::recipe::Recipe;
 use super::report::{ArmReport, Head, Report, TestInfo, force_truth, options, score, score_blind};
 use super::{Progress, Setup, render};
 

@@ -17,7 +17,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 use image::imageops::rotate270;
 use serde::Serialize;
 
-use super::data::Recipe;
+use super::recipe::Recipe;
 use crate::writers::files::{ManoFiles, angles, glb, jpeg_of, tar, write};
 use crate::writers::hot3d::{ClipFrame, members};
 use crate::writers::raw_glove::{GloveStream, RawRecording, write_recording};

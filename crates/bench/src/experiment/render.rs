@@ -9,7 +9,7 @@ use egotac::hand::{HandModel, Side};
 use egotac::sim::{DatasetPlan, GenerateProgress, RolloutOptions, Scene, WorkerCommand, generate_in_processes};
 
 use super::Progress;
-use super::data::Recipe;
+use super::recipe::Recipe;
 
 /// Renders the stores that are missing. A stopped rendering goes on where it was.
 ///

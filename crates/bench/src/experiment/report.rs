@@ -16,8 +16,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::arm::{Experiment, Test};
-use super::data::{Recipe, Stores};
+use super::data::Stores;
 use super::network::Network;
+use super::recipe::Recipe;
 use super::recording::{Agreement, Recorded};
 use super::training::Run;
 use super::{Setup, Size};

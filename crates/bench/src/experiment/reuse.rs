@@ -14,8 +14,9 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::data::{MEASURED_SEED, Recipe};
+use super::data::MEASURED_SEED;
 use super::measure;
+use super::recipe::Recipe;
 use super::report::{Head, Scores, force_truth, options};
 use super::{Progress, Setup, Size, render};
 

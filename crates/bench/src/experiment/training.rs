@@ -17,9 +17,10 @@ use egotac::train::source::TrainingSource;
 use egotac::train::{self, Config, Control, Event, crops, predict};
 
 use super::arm::{Arm, Forces, View};
-use super::data::{RATE, Recipe, Stores};
+use super::data::{RATE, Stores};
 use super::motion;
 use super::network::Network;
+use super::recipe::Recipe;
 use super::{Setup, Size, measure};
 
 /// Clips and windows of a training step. Runs are short: many small steps teach more than few large ones of the same time.

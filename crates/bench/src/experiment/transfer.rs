@@ -8,9 +8,11 @@ use egotac::model::checkpoint::parameter_count;
 use egotac::score::metrics::{self, baseline};
 use egotac::tactile::TactileSequence;
 
-use super::data::{self, Recipe};
+use super::data;
 use super::decline::condition;
-use super::measure::{self, Finished};
+use super::finished::Finished;
+use super::measure;
+use super::recipe::Recipe;
 use super::report::{Head, Report, TestInfo, force_truth, options, score_blind};
 use super::sensor::Sensor;
 use super::{Progress, Setup, render};
