@@ -63,7 +63,7 @@ impl Validity {
     ///
     /// # Errors
     /// If the code is unknown.
-    pub fn from_code(name: &str, code: u8) -> Result<Self> {
+    pub fn from_code(name: impl ToString, code: u8) -> Result<Self> {
         let known = Self::ALL.get(usize::from(code)).copied();
         known.ok_or_else(|| Error::value(name, format!("0 to {}", Self::ALL.len() - 1), code))
     }

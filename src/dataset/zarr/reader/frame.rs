@@ -46,7 +46,7 @@ impl EpisodeReader for ZarrReader {
             true => self.bytes(FRAME_VALIDITY, one(FRAME_VALIDITY)?)?.first().copied().unwrap_or(0),
             false => 0,
         };
-        let validity = Validity::from_code(&format!("{FRAME_VALIDITY}[{index}]"), code);
+        let validity = Validity::from_code(format_args!("{FRAME_VALIDITY}[{index}]"), code);
         let validity = validity.map_err(|error| self.named(error))?;
         Ok(Frame {
             timestamp: one(TIMESTAMPS)?.into_f64().first().copied().unwrap_or(f64::NAN),
