@@ -32,10 +32,10 @@ mod run;
 pub mod sampler;
 mod setup;
 pub mod source;
+mod steps;
 mod together;
 
 use std::path::PathBuf;
-use std::time::Instant;
 
 use candle_core::Device;
 
@@ -44,19 +44,16 @@ use crate::score::metrics::Metrics;
 
 use checkpoint::Progress;
 pub use config::Config;
-use gradients::Gradients;
 use loader::Loader;
 use optimizer::AdamW;
-use pass::{Accumulated, Losses, Pass};
+use pass::{Losses, Pass};
 pub use predict::predict;
 use ranks::{Communicator, Single};
 use root::Root;
 use run::{Files, Run};
 use sampler::Share;
 use setup::{Data, Network};
-
-/// Consecutive steps whose gradient may be not finite before the run fails: a single one happens, ten mean divergence.
-const MAX_SKIPPED_IN_A_ROW: usize = 10;
+use steps::Steps;
 
 /// Event of a run, for its observer.
 #[derive(Debug)]
@@ -201,10 +198,9 @@ fn run_steps(
     let whole = config.of_ranks(began)?;
     let started = Started { ranks: ranks.size(), ..data.started(config, &network, first) };
     let run = |files| Run { config, geometry: &geometry, data: &data, files, started: &started, device, began };
-    let mut root = files.as_ref().map(|files| Root::new(run(files))).transpose()?;
+    let root = files.as_ref().map(|files| Root::new(run(files))).transpose()?;
     let collate = data.collate(config, &geometry);
     let control = together::agree(ranks, observe(Event::Started(&started)))?;
-    let (mut stop, mut may_validate) = (control != Control::Continue, control != Control::StopUnvalidated);
 
     std::thread::scope(|scope| {
         let share = Share { rank: ranks.rank(), ranks: ranks.size() };
@@ -212,6 +208,7 @@ fn run_steps(
         let mut loader = Loader::start(scope, &data.training, &collate, &whole, batches, share)?;
         let pass = Pass {
             network: &network.model,
+            variables: &network.varmap,
             fixed_encoder: network.fixed_encoder.as_ref(),
             keypoint_heads: network.keypoint_heads.as_ref(),
             geometry: &geometry,
@@ -219,61 +216,8 @@ fn run_steps(
             weights: &config.loss,
             device,
         };
-        let (mut step, mut skipped, mut skipped_in_a_row) = (first, 0, 0);
-        let mut began = Instant::now();
-        while step < config.steps && !stop {
-            let mut sum = pass.accumulate(ranks, &mut loader, &optimizer, config, &network.varmap)?;
-            let mut gradients = Gradients::new(optimizer.params(), sum.gradients.take().as_ref())?;
-            let exchange_bytes = sum.add_over(ranks, &mut gradients)?;
-            let learning_rate = config.learning_rate(step);
-            let grad_norm = optimizer.apply(&gradients, learning_rate)?;
-            step += 1;
-
-            skipped_in_a_row = if grad_norm.is_finite() { 0 } else { skipped_in_a_row + 1 };
-            skipped += usize::from(!grad_norm.is_finite());
-            if skipped_in_a_row >= MAX_SKIPPED_IN_A_ROW {
-                let expected = "a finite number; a lower learning rate may help";
-                return Err(Error::value(format!("gradient at step {step}"), expected, grad_norm));
-            }
-            let Accumulated { losses, windows, frames, wait_secs, exchange_secs, .. } = sum;
-            let secs = began.elapsed().as_secs_f64();
-            let taken = Step {
-                step,
-                losses,
-                learning_rate,
-                grad_norm,
-                windows,
-                frames,
-                secs,
-                wait_secs,
-                exchange_secs,
-                exchange_bytes,
-            };
-            began = Instant::now();
-            root.as_mut().map_or(Ok(()), |root| root.log(&taken))?;
-            let control = together::agree(ranks, observe(Event::Stepped(&taken)))?;
-            stop = control != Control::Continue;
-            may_validate = control != Control::StopUnvalidated;
-            if control == Control::Stop {
-                // Validation may take minutes. A program that is told to end may be killed before that.
-                root.as_ref().map_or(Ok(()), |root| root.save(&optimizer, step))?;
-            }
-
-            let last = stop || step == config.steps;
-            if may_validate && (last || step.is_multiple_of(config.validate_every)) {
-                let control = root.as_mut().map(|root| root.validate(&optimizer, step, observe)).transpose()?;
-                stop |= together::agree(ranks, control.unwrap_or(Control::Continue))? != Control::Continue;
-            }
-            if last || step.is_multiple_of(config.save_every) {
-                together::same_weights(ranks, &optimizer)?;
-                root.as_ref().map_or(Ok(()), |root| root.save(&optimizer, step))?;
-                let control = if ranks.is_root() { observe(Event::Saved(step)) } else { Control::Continue };
-                stop |= together::agree(ranks, control)? != Control::Continue;
-            }
-        }
-        let outcome = root.map(|root| root.finish(&optimizer, step, may_validate, skipped)).transpose()?;
-        // A rank that ended sooner could not be told of an error.
-        ranks.barrier()?;
-        Ok(outcome)
+        let mut steps = Steps::new(ranks, config, pass, optimizer, first, root, control);
+        steps.run(&mut loader, observe)?;
+        steps.finish()
     })
 }

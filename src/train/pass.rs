@@ -23,6 +23,8 @@ use crate::model::{self, EgoTac, Precision};
 pub struct Pass<'a> {
     /// The network.
     pub network: &'a EgoTac,
+    /// Its weights and those of the keypoint heads, which a pass in bf16 rounds.
+    pub variables: &'a VarMap,
     /// Encodes the frames if the encoder does not learn; without it, the encoder of `network` learns.
     pub fixed_encoder: Option<&'a FixedEncoder>,
     /// Heads of the auxiliary keypoint task.
@@ -137,7 +139,6 @@ impl Pass<'_> {
         loader: &mut Loader,
         optimizer: &AdamW,
         config: &Config,
-        varmap: &VarMap,
     ) -> Result<Accumulated> {
         let mut sum = Accumulated::default();
         let share = 1.0 / config.batch.accumulate as f64;
@@ -158,7 +159,7 @@ impl Pass<'_> {
             let PassOutput { losses, gradients } = match config.precision {
                 Precision::Bf16 => {
                     // A new cast for each batch, because a step changes the f32 weights.
-                    let vb = model::init::cast_builder(varmap, DType::BF16, self.device);
+                    let vb = model::init::cast_builder(self.variables, DType::BF16, self.device);
                     let network = EgoTac::new(self.geometry, vb)?;
                     Pass { network: &network, ..*self }.run_share(batch, &counts, share)?
                 }

@@ -106,6 +106,7 @@ pub fn step(geometry: &Config, form: Form, runs: usize, device: &Device) -> Resu
     };
     let pass = Pass {
         network: &network,
+        variables: &varmap,
         fixed_encoder: fixed.as_ref(),
         keypoint_heads: None,
         geometry,
