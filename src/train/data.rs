@@ -189,7 +189,7 @@ impl Dataset {
     /// If two differ, or a store's attribute is unknown.
     pub fn force_kind(&self) -> Result<ForceKind> {
         let mut found: Option<ForceKind> = None;
-        for store in self.stores.iter().filter(|store| store.supervision == Supervision::Both) {
+        for store in self.stores.iter().filter(|store| store.supervision.has_force()) {
             // A store without known force has no meaning of it.
             let Some(kind) = store.reader.force_kind()?.filter(|_| store.reader.has(zarr::MANO_FORCE)) else {
                 continue;
@@ -387,6 +387,12 @@ impl Store {
                 let mut labels = read_labels(&self.reader, frames)?;
                 labels.force.fill(f32::NAN);
                 labels.mask_force.fill(0);
+                Ok(labels)
+            }
+            Supervision::Force => {
+                let mut labels = read_labels(&self.reader, frames)?;
+                labels.contact.fill(f32::NAN);
+                labels.mask_contact.fill(0);
                 Ok(labels)
             }
             Supervision::Proximity => read_proximity(&self.reader, frames),

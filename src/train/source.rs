@@ -34,7 +34,7 @@ pub fn force_weight(std: f32) -> f32 {
     if weight.is_nan() { 0.0 } else { weight }
 }
 
-/// Labels of a source that are supervised. The first two supervise what the store has; the third needs its array.
+/// Labels of a source that are supervised. `Proximity` needs an array of its own; the others supervise what the store has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Supervision {
@@ -43,9 +43,18 @@ pub enum Supervision {
     Both,
     /// Contact only, as if the store had no force.
     Contact,
+    /// Force only, as if the store had no contact: for sensors that miss light touch, beside a source that knows contact better.
+    Force,
     /// Contact only, and by distance in place of force: a vertex within 1 cm of an object counts as touched
     /// (`data/mano_proximity`), as in recordings that know where hands and objects are, but no force.
     Proximity,
+}
+
+impl Supervision {
+    /// Returns true if forces are supervised.
+    pub fn has_force(self) -> bool {
+        matches!(self, Self::Both | Self::Force)
+    }
 }
 
 /// A source as a YAML map.
@@ -133,6 +142,8 @@ mod tests {
         assert_eq!(serde_yaml::to_string(&sources).unwrap(), text);
         let near: TrainingSource = serde_yaml::from_str("{stores: [a.zarr], labels: proximity}").unwrap();
         assert_eq!(near.labels, Supervision::Proximity);
+        let force: TrainingSource = serde_yaml::from_str("{stores: [a.zarr], labels: force}").unwrap();
+        assert_eq!(force.labels, Supervision::Force);
         let weighed: TrainingSource = serde_yaml::from_str("{stores: [a.zarr], weigh_by_std: true}").unwrap();
         assert!(weighed.weigh_by_std && serde_yaml::to_string(&weighed).unwrap().contains("weigh_by_std: true"));
         let error = |text: &str| serde_yaml::from_str::<TrainingSource>(text).unwrap_err().to_string();

@@ -98,6 +98,37 @@ fn a_source_by_distance_supervises_nearness_and_no_force() {
 }
 
 #[test]
+fn a_source_of_force_supervises_no_contact() {
+    let folder = tempfile::tempdir().unwrap();
+    let [force, near] = ["force.zarr", "near.zarr"].map(|name| folder.path().join(name));
+    write_store(&force, false);
+    write_store(&near, true);
+    let preparation = Metadata::new("any", 1.0, 0.1).preparation(&Geometry::toy());
+    let sources = [source(&force, Supervision::Force), source(&near, Supervision::Proximity)];
+    let data = Dataset::open(&sources, preparation, false).unwrap();
+    let labels = data.labels().unwrap();
+    for frame in 0..2 * FRAMES {
+        let (by_distance, refused) = (frame >= FRAMES, frame % FRAMES == 3);
+        for at in N_FIELD * frame..N_FIELD * (frame + 1) {
+            assert_eq!(labels.mask_force[at], u8::from(!refused && !by_distance));
+            assert_eq!(labels.mask_contact[at], u8::from(!refused && by_distance));
+            assert_eq!(labels.contact[at].is_nan(), !by_distance);
+        }
+    }
+    // Each statistic comes from the one source that supervises it.
+    let statistics = data.statistics().unwrap();
+    assert_eq!((statistics.force_scale, statistics.mean_force[105]), (Some(2.0), 2.0));
+    assert_eq!([105, 120, 200].map(|vertex| statistics.contact_rate[vertex]), [1.0, 1.0, 0.0]);
+    // Force alone trains no contact head.
+    let config = folder.path().join("run.yaml");
+    let [store, out] = [&force, &folder.path().join("run")].map(|path| path.display().to_string());
+    let text =
+        format!("{{name: a, data: [{{stores: [{store}], labels: force}}], out: {out}, model: toy, seed: 1, steps: 2}}");
+    std::fs::write(&config, text).unwrap();
+    refused(&["train", "--config", config.to_str().unwrap()], "no contact trains the contact head");
+}
+
+#[test]
 fn a_store_without_distances_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let store = folder.path().join("plain.zarr");
