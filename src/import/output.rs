@@ -284,6 +284,7 @@ impl ImportOutput {
             "left_shapedirs_fixed": recording.convention.fixes_left_shapedirs,
             "objects": recording.objects.iter().map(|object| object.name.as_str()).collect::<Vec<_>>(),
             "object_meshes": recording.objects.iter().enumerate().map(mesh).collect::<Vec<_>>(),
+            "object_joints": recording.joints,
             "view": recording.view.name(),
             "sensors": recording.sensors.iter().map(Sensor::description).collect::<Vec<_>>(),
             "about": recording.about,

@@ -26,6 +26,8 @@ pub struct Recording {
     pub frames: usize,
     /// Objects that hands may touch.
     pub objects: Vec<RecordedObject>,
+    /// Pairs of objects that a joint links, parts of one articulated object: indices, the smaller one first.
+    pub joints: Vec<[usize; 2]>,
     /// Meaning of the hands' parameters.
     pub convention: Convention,
     /// True if a calibrated sensor measures force: contact then follows from it.
@@ -55,6 +57,7 @@ impl Default for Recording {
             path: PathBuf::new(),
             frames: 0,
             objects: Vec::new(),
+            joints: Vec::new(),
             convention: Convention::PLAIN,
             measures_force: false,
             sensors: Vec::new(),

@@ -27,6 +27,8 @@ pub struct Body {
     pub friction: f64,
     /// Reason why the motion does not tell the forces on this body, such as a hinge; `None` = it moves freely.
     pub held: Option<String>,
+    /// Index of the body that a joint links this one to, a part of the same articulated object; always a smaller one.
+    pub joined_to: Option<usize>,
 }
 
 /// Mass of a body.
@@ -108,7 +110,7 @@ impl Body {
             let kept = samples.into_iter().enumerate().filter(|(index, _)| (GOLDEN * *index as f64).fract() < share);
             samples = kept.map(|(_, point)| point).collect();
         }
-        Self { name: name.into(), solid: Some(solid), samples, mass: None, friction: 0.8, held: None }
+        Self { name: name.into(), solid: Some(solid), samples, mass: None, friction: 0.8, held: None, joined_to: None }
     }
 
     /// Creates a free ball of unknown mass around the origin of its frame; `radius` in m.

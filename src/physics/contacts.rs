@@ -37,6 +37,16 @@ pub struct Contact {
     pub deep: bool,
 }
 
+impl Contact {
+    /// Adds the places of another contact with the same pusher.
+    fn add(&mut self, other: Self) {
+        self.patch.gap = self.patch.gap.min(other.patch.gap);
+        self.patch.points.extend(other.patch.points);
+        self.probability = self.probability.max(other.probability);
+        self.deep |= other.deep;
+    }
+}
+
 /// Contacts at one frame.
 #[derive(Debug, Clone, Default)]
 pub struct FrameContacts {
@@ -95,7 +105,7 @@ impl ContactFinder {
             let sd = self.gap_sd(None, noises[index]);
             let reach = SUPPORT_GAP + REACH.0 + REACH.1 * sd;
             let fixed = take.fixed.iter().enumerate().map(|(k, thing)| (Pusher::Fixed(k), &thing.solid, thing.pose));
-            let others = take.bodies.iter().enumerate().filter(|(other, _)| *other != index);
+            let others = take.bodies.iter().enumerate().filter(|(other, _)| take.root(*other) != take.root(index));
             let others = others.filter_map(|(k, other)| Some((Pusher::Body(k), other.solid.as_ref()?, poses[k]?)));
             for (pusher, solid, at) in fixed.chain(others) {
                 let patch = support_patch(body, &pose, pusher, solid, &at, reach);
@@ -159,6 +169,24 @@ impl ContactFinder {
                     if let Some(contact) = contacts.iter_mut().find(|contact| contact.patch.pusher == pusher) {
                         contact.probability = probability;
                     }
+                }
+            }
+        }
+    }
+
+    /// Gives the contacts of all parts of an articulated object to its first one, once their probabilities are known.
+    pub fn join(take: &Take, contacts: &mut FrameContacts) {
+        for part in 0..contacts.bodies.len() {
+            let root = take.root(part);
+            if root == part {
+                continue;
+            }
+            for contact in std::mem::take(&mut contacts.bodies[part]) {
+                let twin = contacts.bodies[root].iter_mut().find(|twin| twin.patch.pusher == contact.patch.pusher);
+                match twin {
+                    // A link or a support that touches several parts pushes at all these places.
+                    Some(twin) => twin.add(contact),
+                    None => contacts.bodies[root].push(contact),
                 }
             }
         }

@@ -1,6 +1,7 @@
 //! Forces on both hands over a take: the whole episode at once, or with a fixed lag.
 
 use super::contacts::{ContactFinder, FrameContacts};
+use super::demand::Demand;
 use super::frame::{BodyEstimate, Memory, estimate};
 use super::hand_forces::{HandForces, HandSum};
 use super::motion::{Motion, MotionFault};
@@ -38,6 +39,7 @@ pub fn whole(take: &Take, settings: &Settings) -> Estimate {
     let prepared = Prepared::new(take, settings);
     let mut contacts: Vec<FrameContacts> = (0..n).map(|frame| prepared.contacts(frame)).collect();
     prepared.finder.smooth(&mut contacts, &take.times, &prepared.motions);
+    contacts.iter_mut().for_each(|contacts| ContactFinder::join(take, contacts));
     let bodies = take.bodies.len();
     let mut memories: Vec<Option<(Memory, f64)>> = vec![None; bodies];
     let pass = |frame: usize, memories: &mut Vec<Option<(Memory, f64)>>| {
@@ -85,6 +87,7 @@ pub fn lagged(
         }
     }
     prepared.finder.smooth(&mut contacts, &take.times, &prepared.motions);
+    ContactFinder::join(take, &mut contacts[lagged]);
     let estimates: Vec<Option<BodyEstimate>> = (0..take.bodies.len())
         .map(|body| prepared.body(body, lagged, &contacts[lagged], memories[body].as_ref()))
         .collect();
@@ -135,12 +138,18 @@ impl<'a> Prepared<'a> {
         contacts: &FrameContacts,
         memory: Option<&(Memory, f64)>,
     ) -> Option<BodyEstimate> {
-        let motion = self.motions[body].as_ref()?;
-        let state = motion.frames[frame].filter(|_| motion.faults[frame].is_none())?;
-        let (gravity, mass) = (self.take.gravity?, self.take.bodies[body].mass.as_ref()?);
+        let demand =
+            Demand::joined(&self.take.parts(body).map(|part| self.demand(part, frame)).collect::<Option<Vec<_>>>()?)?;
         let memory = memory.map(|(memory, time)| (memory, (self.take.times[frame] - time).abs()));
         let contacts = contacts.bodies.get(body)?;
-        Some(estimate(&self.take.bodies[body], mass, &state, gravity, contacts, memory, self.settings))
+        Some(estimate(&self.take.bodies[body], &demand, contacts, memory, self.settings))
+    }
+
+    /// Returns the wrench that the motion of a part asks for; `None` = unknown.
+    fn demand(&self, part: usize, frame: usize) -> Option<Demand> {
+        let motion = self.motions[part].as_ref()?;
+        let state = motion.frames[frame].filter(|_| motion.faults[frame].is_none())?;
+        Some(Demand::of(self.take.bodies[part].mass.as_ref()?, &state, self.take.gravity?))
     }
 
     /// Collects the forces on both hands from those on the bodies.
@@ -159,18 +168,20 @@ impl<'a> Prepared<'a> {
             }
             Tracked::Present(_) => {}
         }
-        for (index, body) in self.take.bodies.iter().enumerate() {
+        let first_parts = self.take.bodies.iter().enumerate().filter(|(index, _)| self.take.root(*index) == *index);
+        for (index, body) in first_parts {
             let near = contacts.bodies.get(index).map(Vec::as_slice).unwrap_or_default();
             match &bodies[index] {
                 Some(estimate) => sum.add(body, near, estimate, self.settings),
-                None => sum.add_unknown(near, self.unknown(body, index, frame)),
+                None => sum.add_unknown(near, self.take.parts(index).find_map(|part| self.unknown(part, frame))),
             }
         }
         sum.finish(&contacts.blocked[side as usize], self.settings.inflation)
     }
 
-    /// Returns the reason why a body has no estimate; `None` where it touches nobody by being held.
-    fn unknown(&self, body: &super::body::Body, index: usize, frame: usize) -> Option<ForceValidity> {
+    /// Returns the reason why the motion of a part is unknown; `None` if it is known.
+    fn unknown(&self, part: usize, frame: usize) -> Option<ForceValidity> {
+        let body = &self.take.bodies[part];
         if body.held.is_some() {
             return Some(ForceValidity::NotFree);
         }
@@ -180,11 +191,13 @@ impl<'a> Prepared<'a> {
         if body.mass.is_none() {
             return Some(ForceValidity::MassUnknown);
         }
-        match self.motions[index].as_ref().and_then(|motion| motion.faults[frame]) {
+        let motion = self.motions[part].as_ref();
+        match motion.and_then(|motion| motion.faults[frame]) {
             Some(MotionFault::Gap) => Some(ForceValidity::PoseGap),
             Some(MotionFault::Jump) => Some(ForceValidity::PoseJump),
             None if self.take.gravity.is_none() => Some(ForceValidity::GravityUnknown),
-            None => Some(ForceValidity::PoseGap),
+            None if motion.is_none_or(|motion| motion.frames[frame].is_none()) => Some(ForceValidity::PoseGap),
+            None => None,
         }
     }
 }

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use nalgebra::{Matrix6, Vector6};
 
-use super::body::{Body, Mass};
+use super::body::Body;
 use super::cone::Cone;
 use super::contacts::Contact;
+use super::demand::Demand;
 use super::draw::Draw;
-use super::motion::Kinematics;
 use super::patch::Pusher;
 use super::settings::Settings;
 use super::solve::{Point, remaining_variance, solve};
@@ -17,14 +17,12 @@ use crate::hand::link_limit;
 
 /// Probability below which a contact is left out.
 const LEAST_PROBABILITY: f64 = 0.03;
+/// Speed up to which a body counts as at rest, m/s.
+const REST_SPEED: f64 = 0.02;
 /// Number of samples for a body that no hand touches.
 const SAMPLES_WITHOUT_HAND: usize = 4;
 /// Largest force of a support at one point, N.
 const SUPPORT_LIMIT: f64 = 1e4;
-/// Standard deviation of the wrench from what no other term holds, relative and N.
-const WRENCH_SD: (f64, f64) = (0.005, 0.01);
-/// Lever by which this acts as a moment, m.
-const WRENCH_LEVER: f64 = 0.005;
 /// Radius of the pad that stands for a single point of a link, m.
 const PAD_RADIUS: f64 = 0.003;
 /// Standard deviations of forces in the search for the least ones, relative to the load: of a hand's link and of a support,
@@ -59,6 +57,8 @@ pub struct BodyEstimate {
     pub residual: Vector6<f64>,
     /// True if the residual is beyond noise.
     pub unexplained: bool,
+    /// True if the body moves, by more than the noise of good poses shows.
+    pub moves: bool,
     /// Links that may push.
     pub links: Vec<LinkEstimate>,
     /// Force of all hands in the world frame, mean over the samples, N.
@@ -70,49 +70,21 @@ pub struct BodyEstimate {
 /// Normal forces of links in each sample, N.
 pub type Memory = BTreeMap<Pusher, Vec<f64>>;
 
-/// Wrench that a motion asks for, about the centre of mass in the world frame, and its covariance.
-pub fn wrench(mass: &Mass, state: &Kinematics, gravity: DVec3) -> (Vector6<f64>, Matrix6<f64>) {
-    let turn = DMat3::from_quat(state.pose.orientation);
-    let inertia = turn * mass.inertia * turn.transpose();
-    let force = mass.kilograms * (state.acceleration - gravity);
-    let spin = state.angular_velocity;
-    let moment = inertia * state.angular_acceleration + spin.cross(inertia * spin);
-    let mut covariance = Matrix6::zeros();
-    let other = WRENCH_SD.0 * force.length() + WRENCH_SD.1 * (mass.kilograms * gravity.length()).min(1.0);
-    for axis in 0..3 {
-        let sd = mass.kilograms * state.acceleration_sd[axis];
-        covariance[(axis, axis)] = sd * sd + other * other;
-    }
-    let angular = state.angular_acceleration_sd;
-    let moments = inertia * DMat3::from_diagonal(angular * angular) * inertia.transpose();
-    for row in 0..3 {
-        for column in 0..3 {
-            covariance[(3 + row, 3 + column)] = moments.col(column)[row];
-        }
-        covariance[(3 + row, 3 + row)] += (other * WRENCH_LEVER).powi(2) + 1e-12;
-    }
-    let [f, m] = [force, moment];
-    (Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z), covariance)
-}
-
-/// Estimates the forces on a free body of known mass. `memory`: forces of a neighbouring frame, `interval` s away.
+/// Estimates the forces on a free body whose motion asks for `demand`. `memory`: forces of a neighbouring frame, and the time to it, s.
 pub fn estimate(
     body: &Body,
-    mass: &Mass,
-    state: &Kinematics,
-    gravity: DVec3,
+    demand: &Demand,
     contacts: &[Contact],
     memory: Option<(&Memory, f64)>,
     settings: &Settings,
 ) -> BodyEstimate {
-    let (wrench, mut covariance) = wrench(mass, state, gravity);
-    let load = (mass.kilograms * gravity.length()).max(wrench.fixed_rows::<3>(0).norm()).max(1e-3);
+    let Demand { wrench, mut covariance, centre, weight, relative_sd, .. } = *demand;
+    let load = weight.max(wrench.fixed_rows::<3>(0).norm()).max(1e-3);
     // Contacts are a little off their true places: moments are off by the load times that.
     for axis in 3..6 {
         covariance[(axis, axis)] += (settings.place_sd * load).powi(2);
     }
     let root = covariance.cholesky().map(|factor| factor.l()).unwrap_or_else(Matrix6::zeros);
-    let centre = state.pose.point(mass.centre);
     let contacts: Vec<Contact> = contacts.iter().filter(|c| c.probability >= LEAST_PROBABILITY).map(as_pad).collect();
     let problem = Problem { body, centre, contacts: &contacts, load, settings };
     // Without a hand, only the residual is asked for: idle things that lie about cost little.
@@ -132,7 +104,7 @@ pub fn estimate(
     for index in 0..n {
         let sample = Sample { draw: Draw(index as u64 / 2 + 1), sign: if index % 2 == 0 { 1.0 } else { -1.0 } };
         let noise = Vector6::from_fn(|row, _| sample.normal(100 + row as u64));
-        let drawn = (wrench + root * noise) * (mass.relative_sd * sample.normal(1)).exp();
+        let drawn = (wrench + root * noise) * (relative_sd * sample.normal(1)).exp();
         let (points, owners) = problem.points(&sample);
         let least = solve(&points, &drawn, &covariance);
         let expected = problem.grip(&sample, points, &owners, &least.forces, memory.map(|(m, dt)| (m, dt, index)));
@@ -156,8 +128,9 @@ pub fn estimate(
     let unexplained = misfit[n / 2] > 22.5 && force > 0.1 * load;
     let memory = links.iter().map(|link| (link.pusher, link.samples.clone())).collect();
     let wrench_sd = covariance.diagonal().map(f64::sqrt);
-    let wrench_sd = wrench_sd.zip_map(&wrench, |sd, part| sd.hypot(part * mass.relative_sd));
-    BodyEstimate { wrench, wrench_sd, load, residual, unexplained, links, hand_force, memory }
+    let wrench_sd = wrench_sd.zip_map(&wrench, |sd, part| sd.hypot(part * relative_sd));
+    let moves = demand.speed > REST_SPEED;
+    BodyEstimate { wrench, wrench_sd, load, residual, unexplained, moves, links, hand_force, memory }
 }
 
 fn mahalanobis(residual: &Vector6<f64>, covariance: &Matrix6<f64>) -> f64 {

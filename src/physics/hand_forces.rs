@@ -106,7 +106,9 @@ impl HandSum {
     /// Adds the forces of `body` on the hand; `near`: its contacts.
     pub fn add(&mut self, body: &Body, near: &[Contact], estimate: &BodyEstimate, settings: &Settings) {
         self.check_depth(near);
-        if estimate.unexplained {
+        // What rests away from the hand stands on something that the recording does not show.
+        let concerns = estimate.moves || near.iter().any(|contact| self.joint(contact.patch.pusher).is_some());
+        if estimate.unexplained && concerns {
             self.hand.lose(ForceValidity::Unexplained);
         }
         let hold = estimate.load / (2.0 * body.friction);

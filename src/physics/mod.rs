@@ -11,6 +11,7 @@
 pub mod body;
 pub mod cone;
 pub mod contacts;
+pub mod demand;
 mod draw;
 pub mod estimate;
 pub mod frame;
@@ -26,6 +27,7 @@ pub mod take;
 pub mod validity;
 
 pub use body::{Body, DensityClass, Mass};
+pub use demand::Demand;
 pub use estimate::{Estimate, FrameEstimate, lagged, whole};
 pub use hand_forces::{HandForces, LinkForce};
 pub use motion::Motion;

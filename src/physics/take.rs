@@ -62,6 +62,17 @@ impl Fixed {
 }
 
 impl Take<'_> {
+    /// Returns the first body of the articulated object that a body is a part of; a rigid body is its own.
+    pub fn root(&self, body: usize) -> usize {
+        let joined_to = |part: &usize| self.bodies.get(*part)?.joined_to.filter(|other| other < part);
+        std::iter::successors(Some(body), joined_to).last().unwrap_or(body)
+    }
+
+    /// Returns the bodies of the articulated object whose first one is `root`; of a rigid body itself, and of another part none.
+    pub fn parts(&self, root: usize) -> impl Iterator<Item = usize> + use<'_> {
+        (root..self.bodies.len()).filter(move |part| self.root(*part) == root)
+    }
+
     /// Poses a hand at a frame: (778) vertices, m, world frame; `None` = absent or unknown.
     pub fn vertices(&self, side: Side, frame: usize) -> Option<Vec<Vec3>> {
         match self.hands[side as usize].get(frame)? {

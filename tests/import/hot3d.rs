@@ -68,6 +68,7 @@ fn a_clip_has_the_simulators_contact_stamps_poses_and_upright_images() {
     assert_eq!((&about["kind"], &about["hand"]["exact"]), (&json!("hot3d"), &json!(true)));
     assert!(about["licence"].as_str().unwrap().contains("CC BY-NC-SA"));
     assert_eq!(store.raw_attributes()["camera"]["projection_params"][0], 611.1);
+    assert_eq!(crate::run::force_validity(&out, &crate::run::with_mano(&mano)), [0; 2 * FRAMES]);
     // The same command again finds the store complete, also of a data set that was moved; another rule would be another store.
     let moved = folder.path().join("moved");
     std::fs::rename(&root, &moved).unwrap();

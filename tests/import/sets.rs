@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use crate::check::{check_hands, check_images, check_poses, check_stamps, f1, open, supervised};
 use crate::common::refused;
-use crate::run::{import, succeeded, with_mano};
+use crate::run::{force_validity, import, succeeded, with_mano};
 use crate::writers::files::{ManoFiles, jpeg, write};
 use crate::writers::sets::{OFFSET, sequence, write_arctic, write_fpha, write_h2o, write_oakink2};
 use crate::writers::take::{FRAMES, Take};
@@ -34,6 +34,7 @@ fn h2o_has_the_simulators_contact_stamps_poses_and_images() {
     assert_eq!(supervised(&store), [0, FRAMES * 1556]);
     assert_eq!(store.raw_attributes()["camera"]["fx"], 636.6593);
     assert_eq!(store.raw_attributes()["topology"], "mano");
+    assert_eq!(force_validity(&out, &with_mano(&mano)), [0; 2 * FRAMES]);
 }
 
 #[test]
@@ -106,6 +107,8 @@ fn fpha_fits_the_hand_to_its_joints() {
     let several = folder.path().join("several");
     succeeded(&import("fpha", &root, &several, &[]));
     assert_eq!(supervised(&open(&several.join("Subject_2_wash_sponge_1.zarr"))), [0, 0]);
+    // Without the left hand nothing explains how the box is held.
+    assert_eq!(force_validity(&out, &[]), [1, 4].repeat(FRAMES));
 }
 
 #[test]
@@ -156,6 +159,10 @@ fn arctic_turns_the_top_part_and_skips_images_without_annotation() {
     let position = DVec3::new(values[0].into(), values[1].into(), values[2].into());
     assert!(position.distance(take.frames[0].camera.translation) < 1e-5);
     assert_eq!(whole.raw_attributes()["camera"]["distortion"][7], 0.1);
+    // Images before and after the annotated ones know no poses; the two parts of the box are one articulated object.
+    let validity = force_validity(&out, &with_mano(&mano));
+    let annotated = 2 * before..2 * (before + FRAMES);
+    assert!(validity.iter().enumerate().all(|(at, code)| *code == u8::from(!annotated.contains(&at))), "{validity:?}");
 }
 
 #[test]
@@ -174,6 +181,7 @@ fn oakink2_has_the_simulators_contact_stamps_poses_and_images() {
     check_poses(&store, CAMERA_POSE, |index| take.frames[index].camera);
     check_poses(&store, "data/object_pose", |index| take.frames[index].object);
     assert_eq!(store.raw_attributes()["camera"]["fy"], 601.0);
+    assert_eq!(force_validity(&out, &with_mano(&mano)), [0; 2 * FRAMES]);
 }
 
 #[test]

@@ -9,7 +9,7 @@ use serde_json::json;
 
 use crate::check::{check_hands, check_poses, check_stamps, f1, open, supervised};
 use crate::common::{egotac, refused};
-use crate::run::{import, imported, with_mano};
+use crate::run::{force_validity, import, imported, with_mano};
 use crate::writers::files::{ManoFiles, archive, jpeg, npy, write};
 use crate::writers::take::{FRAMES, Take};
 use crate::writers::third::{
@@ -42,6 +42,10 @@ fn dexycb_has_the_simulators_contact_from_a_fixed_camera() {
     let about = &store.raw_attributes()["import"];
     assert_eq!((&about["view"], &about["objects"]), (&json!("third person"), &json!(["003_cracker_box", "025_mug"])));
     assert_eq!(store.raw_attributes()["camera"]["cx"], 312.0);
+    // Without the left hand nothing explains how the box is held; in frame 3 the hand is not known and in frame 4 the box.
+    let expected = |frame: usize| [1, [4, 4, 4, 1, 2].get(frame).copied().unwrap_or(4)];
+    let validity = force_validity(&out, &with_mano(&mano));
+    assert_eq!(validity, (0..FRAMES).flat_map(expected).collect::<Vec<_>>());
 }
 
 #[test]
@@ -95,6 +99,7 @@ fn grab_has_the_simulators_contact_and_no_images_to_learn_from() {
     assert_eq!(output.status.code(), Some(1));
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(error.contains("s1_rhand.ply: "), "{error}");
+    assert_eq!(force_validity(&out, &with_mano(&mano)), [0; 2 * FRAMES]);
 }
 
 #[test]
@@ -132,6 +137,7 @@ fn contactpose_places_fitted_hands_in_the_objects_frame() {
     assert_eq!(output.status.code(), Some(3));
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(text.contains("mano_fits_15.json: [0].mTc.rotation: expected 4 numbers"), "{text}");
+    assert_eq!(force_validity(&out, &with_mano(&mano)), [0; 2 * FRAMES]);
 }
 
 #[test]

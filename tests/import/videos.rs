@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use crate::check::{check_hands, check_images, check_poses, check_stamps, f1, open, supervised};
 use crate::common::egotac;
-use crate::run::{import, imported, succeeded, with_mano};
+use crate::run::{force_validity, import, imported, succeeded, with_mano};
 use crate::writers::files::{ManoFiles, video, write};
 use crate::writers::take::{FRAMES, Take};
 use crate::writers::videos::{SEQUENCE, write_hoi4d, write_taco};
@@ -31,6 +31,7 @@ fn taco_has_the_simulators_contact_stamps_poses_and_images() {
     check_poses(&store, CAMERA_POSE, |index| take.frames[index].camera);
     assert_eq!(supervised(&store), [0, FRAMES * 1556]);
     assert_eq!(store.raw_attributes()["import"]["objects"], json!(["target_003", "tool_017"]));
+    assert_eq!(force_validity(&out, &with_mano(&mano)), [0; 2 * FRAMES]);
 }
 
 #[test]
@@ -84,6 +85,12 @@ fn hoi4d_has_the_simulators_contact_in_the_cameras_frame() {
     }
     let score = 2.0 * f64::from(hits as u32) / f64::from((2 * hits + wrong) as u32);
     assert!(score >= 0.99, "F1 {score}");
+    // Without the left hand nothing explains how the box is held; in frame 4 no pose is known.
+    let validity = force_validity(&out, &with_mano(&mano));
+    assert!(
+        validity.chunks(2).enumerate().all(|(frame, of)| *of == [1, if frame == 4 { 1 } else { 4 }]),
+        "{validity:?}"
+    );
 }
 
 #[test]

@@ -6,7 +6,9 @@ use egotac::physics::contacts::Contact;
 use egotac::physics::frame::{BodyEstimate, estimate};
 use egotac::physics::motion::Kinematics;
 use egotac::physics::patch::{Patch, Pusher};
-use egotac::physics::{Body, Estimate, ForceValidity, Mass, Pose, PoseNoise, Settings, Take, Tracked, lagged, whole};
+use egotac::physics::{
+    Body, Demand, Estimate, ForceValidity, Mass, Pose, PoseNoise, Settings, Take, Tracked, lagged, whole,
+};
 use glam::{DMat3, DQuat, DVec3, Vec3};
 
 const G: DVec3 = DVec3::new(0.0, 0.0, -9.81);
@@ -43,7 +45,8 @@ fn finger(link: usize) -> Pusher {
 }
 
 fn forces(body: &Body, acceleration: DVec3, contacts: &[Contact]) -> BodyEstimate {
-    estimate(body, body.mass.as_ref().unwrap(), &state(acceleration), G, contacts, None, &Settings::default())
+    let demand = Demand::of(body.mass.as_ref().unwrap(), &state(acceleration), G);
+    estimate(body, &demand, contacts, None, &Settings::default())
 }
 
 fn mean(samples: &[f64]) -> f64 {

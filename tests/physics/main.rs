@@ -1,6 +1,7 @@
 //! Forces from motion.
 
 mod balance;
+mod joined;
 mod motion;
 mod optimum;
 #[cfg(feature = "sim")]

@@ -2,7 +2,7 @@
 
 use egotac::physics::motion::MotionFault;
 use egotac::physics::spline::Smoother;
-use egotac::physics::{Mass, Motion, Pose, PoseNoise, frame};
+use egotac::physics::{Demand, Mass, Motion, Pose, PoseNoise};
 use glam::{DMat3, DQuat, DVec3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -103,7 +103,7 @@ fn a_free_top_needs_no_moment() {
     let motion = Motion::new(&times, &poses, DVec3::ZERO, None);
     let mass = Mass { kilograms: 0.2, relative_sd: 0.0, centre: DVec3::ZERO, inertia: DMat3::from_diagonal(inertia) };
     for state in motion.frames[30..210].iter().flatten() {
-        let (wrench, _) = frame::wrench(&mass, state, DVec3::ZERO);
+        let Demand { wrench, .. } = Demand::of(&mass, state, DVec3::ZERO);
         let moment = wrench.fixed_rows::<3>(3).norm();
         let gyroscopic = state.angular_velocity.cross(inertia * state.angular_velocity).length();
         assert!(moment < 2e-6 && gyroscopic > 0.0, "{moment} N m");

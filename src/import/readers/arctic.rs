@@ -112,6 +112,7 @@ impl Sequence {
                 path: hands.to_path_buf(),
                 frames: files.len(),
                 objects: vec![part("top"), part("bottom")],
+                joints: vec![[0, 1]],
                 convention: Convention { adds_mean: true, ..Convention::PLAIN },
                 about: json!({ "object": object, "images": folder.strip_prefix(root).unwrap_or(folder).display().to_string() }),
                 name,

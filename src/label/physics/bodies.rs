@@ -95,6 +95,18 @@ impl BodyOptions {
                 "names no mesh of an object: import it again with this version, or give --meshes FOLDER",
             ));
         }
+        for joint in import.get("object_joints").and_then(Value::as_array).into_iter().flatten() {
+            let index = |end: usize| joint.get(end)?.as_u64().map(|index| index as usize);
+            match (index(0), index(1)) {
+                (Some(first), Some(second)) if first < second && second < bodies.len() => {
+                    bodies[second].joined_to = Some(first);
+                }
+                _ => {
+                    let expected = format!("two indices of {} objects, the smaller one first", bodies.len());
+                    return Err(Error::file(store.path(), Error::value("import.object_joints", expected, joint)));
+                }
+            }
+        }
         Ok(Surroundings { bodies, fixed: Vec::new(), gravity: None, zeros_are_absent: false })
     }
 
@@ -108,7 +120,7 @@ impl BodyOptions {
 
 /// A body of unknown shape.
 fn unknown(name: &str) -> Body {
-    Body { name: name.into(), solid: None, samples: Vec::new(), mass: None, friction: 0.8, held: None }
+    Body { name: name.into(), solid: None, samples: Vec::new(), mass: None, friction: 0.8, held: None, joined_to: None }
 }
 
 /// Builds the bodies of the scene that an episode was simulated from.

@@ -171,6 +171,7 @@ fn description(bodies: &[crate::physics::Body], estimate: &Estimate, gravity: &s
             "mass_kg": body.mass.map(|mass| mass.kilograms),
             "mass_log_sd": body.mass.map(|mass| mass.relative_sd),
             "held": body.held,
+            "joined_to": body.joined_to,
             "pose_noise": estimate.body_noise[index],
             "bandwidth_hz": estimate.bandwidth[index],
         })

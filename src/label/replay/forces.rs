@@ -40,13 +40,19 @@ impl Stage {
 
     fn read(&self, courses: &Courses) -> ([[f64; N_JOINTS]; 2], Vec<DVec3>) {
         let mut links = courses.unknown.map(|unknown| [if unknown { f64::NAN } else { 0.0 }; N_JOINTS]);
-        let known = courses.objects.iter().map(|states| states.is_some());
-        let mut net: Vec<DVec3> = known.map(|known| if known { DVec3::ZERO } else { DVec3::NAN }).collect();
+        let known = |index: usize| courses.objects[index].is_some();
+        let parts = |root: usize| (0..self.roots.len()).filter(move |part| self.roots[*part] == root);
+        // The first part of an articulated object stands for all: what its parts push on each other cancels in the sum.
+        let start = |index: usize| match self.roots[index] == index && parts(index).all(known) {
+            true => DVec3::ZERO,
+            false => DVec3::NAN,
+        };
+        let mut net: Vec<DVec3> = (0..self.objects.len()).map(start).collect();
         let back = self.placing.orientation.inverse();
         for contact in self.world.contacts() {
             for (sign, body) in [-1.0, 1.0].into_iter().zip(contact.bodies) {
                 let object = self.objects.iter().position(|object| object.is_some_and(|(object, _)| object == body));
-                if let Some(net) = object.and_then(|index| net.get_mut(index)) {
+                if let Some(net) = object.and_then(|index| net.get_mut(self.roots[index])) {
                     *net += back * (sign * contact.force);
                 }
                 for (hand, forces) in self.hands.iter().zip(&mut links) {

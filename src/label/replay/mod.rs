@@ -43,7 +43,8 @@ pub struct ReplayFrame {
     pub to_edge: usize,
     /// Normal force on each link of the left and the right hand, N; zero for a hand that is absent, NaN for one that is unknown.
     pub links: [[f64; N_JOINTS]; 2],
-    /// Net force of all contacts on each object, world frame of the store, N; NaN for an object whose pose or shape is unknown.
+    /// Net force of all contacts on each object, world frame of the store, N; NaN for an object whose pose or shape is unknown. That of an
+    /// articulated object stands in the row of its first part, and the rows of its other parts are NaN.
     pub net: Vec<DVec3>,
 }
 

@@ -72,7 +72,8 @@ pub(super) fn stage(take: &Take) -> Result<Stage> {
         draw.map(|draw| Ok((world.body(&draw.name)?, world.free_joint(&draw.name)?))).transpose()
     };
     let objects = draws.into_iter().map(find).collect::<Result<_>>()?;
-    Ok(Stage { world, rigs, hands, objects, placing })
+    let roots = (0..take.bodies.len()).map(|body| take.root(body)).collect();
+    Ok(Stage { world, rigs, hands, objects, roots, placing })
 }
 
 /// Returns the known poses of a hand.

@@ -22,6 +22,8 @@ pub(super) struct Stage {
     pub hands: [Option<StageHand>; 2],
     /// Body and joint of each object; None = its shape is unknown.
     pub objects: Vec<Option<(Body, FreeJoint)>>,
+    /// First part of the articulated object that each object is a part of; a rigid object is its own.
+    pub roots: Vec<usize>,
     /// `stage_from_store`: the recording's world in the stage, whose table is at z = 0 and whose z axis points up.
     pub placing: Pose,
 }
@@ -89,6 +91,7 @@ impl Stage {
             hands[hand.side as usize] = Some(found);
         }
         let rigs = rollout.rigs().clone();
-        Ok(Self { world: rollout.into_world(), rigs, hands, objects, placing: Pose::IDENTITY })
+        let roots = (0..objects.len()).collect();
+        Ok(Self { world: rollout.into_world(), rigs, hands, objects, roots, placing: Pose::IDENTITY })
     }
 }

@@ -6,7 +6,7 @@ use egotac::physics::contacts::Contact;
 use egotac::physics::frame::estimate;
 use egotac::physics::motion::Kinematics;
 use egotac::physics::patch::{Patch, Pusher};
-use egotac::physics::{Body, Pose, PoseNoise, Settings};
+use egotac::physics::{Body, Demand, Pose, PoseNoise, Settings};
 use egotac::render::figure::{Drawn, Figure};
 use egotac::render::font::FAMILY;
 use egotac::render::plot::{ACCENT, PALETTE};
@@ -92,7 +92,7 @@ fn grip(title: &'static str, table: bool, contacts: &[Contact]) -> Result<Grip> 
     };
     let settings = Settings { samples: 400, ..Settings::default() };
     let Some(mass) = body.mass else { return Ok(Grip { title, caption: String::new(), table, arrows: Vec::new() }) };
-    let found = estimate(&body, &mass, &state, DVec3::NEG_Z * 9.81, contacts, None, &settings);
+    let found = estimate(&body, &Demand::of(&mass, &state, DVec3::NEG_Z * 9.81), contacts, None, &settings);
     let arrows: Vec<Arrow> = found
         .links
         .iter()
