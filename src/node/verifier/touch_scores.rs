@@ -4,9 +4,9 @@ use crate::score::agreement::{Scorer, Sums, TruthFrame};
 use crate::score::verify::recording::RestHands;
 use crate::tactile::TactileField;
 
-/// Most frames of one episode, which bound its memory to about 2 MB; touches under way where a longer one is cut have no known
-/// onset or offset.
-const MAX_EPISODE_FRAMES: u64 = 100_000;
+/// Most frames of one episode, 11 minutes at 30 Hz, which bound its memory to about 0.5 MB; touches under way where a longer one is
+/// cut have no known onset or offset.
+const MAX_EPISODE_FRAMES: u64 = 20_000;
 
 /// Sums of touch scores over the episodes of the truth.
 #[derive(Default)]
