@@ -23,6 +23,11 @@ string(CONCAT rpath "${prefix}/lib:" "$ENV{EGOTAC_RPATH}")
 string(REGEX REPLACE ":$" "" rpath "${rpath}")
 set(ENV{EGOTAC_RPATH} "${rpath}")
 
+# r2r 0.9.7 refuses the name of Kilted (name_for_r2r in scripts/lib/write-env.sh).
+if("$ENV{ROS_DISTRO}" STREQUAL "kilted")
+  set(ENV{ROS_DISTRO} "rolling")
+endif()
+
 execute_process(
   COMMAND "${CARGO}" build --locked --package egotac --bins --features "${FEATURES}" --profile "${PROFILE}"
     --target-dir "${TARGET_DIR}" ${CARGO_ARGS}

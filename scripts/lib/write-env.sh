@@ -17,6 +17,12 @@ prepend() {
         "$1" "$(quoted "$2")" "$1" "$(quoted "$2")" "$1" "$1"
 }
 
+# Prints the name by which r2r knows a distribution. r2r 0.9.7 refuses `kilted`; it reads all but the name from the distribution's own
+# files, and what it does for rolling fits kilted.
+name_for_r2r() {
+    if [ "$1" = kilted ]; then echo rolling; else echo "$1"; fi
+}
+
 # Uses root, cache, venv, msgs, more_msgs (wheels only), robots, ros (wheels or sourced), mujoco, and for a sourced ROS its variables.
 env_file() {
     local site package packages=() rpath
@@ -39,7 +45,7 @@ env_file() {
         done
         rpath=$(join_path "$msgs/lib" "${more_msgs[@]/%//lib}" "$venv/lib" "$site"/ros_*.libs "$mujoco")
     else
-        assign ROS_DISTRO "$ROS_DISTRO"
+        assign ROS_DISTRO "$(name_for_r2r "$ROS_DISTRO")"
         assign ROS_VERSION 2
         assign AMENT_PREFIX_PATH "$(join_path "$msgs" "$(without "$AMENT_PREFIX_PATH" "$cache")")"
         assign CMAKE_PREFIX_PATH \

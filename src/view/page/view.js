@@ -171,7 +171,7 @@ function show(moment, picture) {
   state.moment = moment;
   if (picture) drawImage(picture, moment.size);
   else {
-    const g = at("image").getContext("2d");
+    const g = imageContext();
     g.clearRect(0, 0, at("image").width, at("image").height);
   }
   at("reason").textContent = moment.fault ?? (moment.reason ? `Touch is unknown: ${moment.reason}` : "");
@@ -185,11 +185,14 @@ function show(moment, picture) {
   count(moment);
 }
 
+/** Context of the image: without a GPU, the browser draws images much faster into memory. */
+const imageContext = () => at("image").getContext("2d", { willReadFrequently: true });
+
 function drawImage(picture, [width, height]) {
   for (const canvas of [at("image"), at("overlay")]) {
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
   }
-  at("image").getContext("2d").drawImage(picture, 0, 0);
+  imageContext().drawImage(picture, 0, 0);
 }
 
 function drawHands() {

@@ -404,7 +404,7 @@ fn motion() -> Experiment {
 fn recordings() -> Experiment {
     let arms = vec![
         arm("mixed", "force of the gloves, contact of the clips", |config, stores| {
-            // Taxels miss light touch, which would teach that it is none.
+            // Taxels miss light touch: their contact would teach that nothing is touched there.
             let glove = TrainingSource { labels: Supervision::Force, ..stores.imported(Layout::Glove)? };
             config.data = vec![glove, stores.imported(Layout::Hot3d)?];
             Ok(())
