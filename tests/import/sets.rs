@@ -10,6 +10,8 @@ use crate::writers::sets::{OFFSET, sequence, write_arctic, write_fpha, write_h2o
 use crate::writers::take::{FRAMES, Take};
 use egotac::dataset::zarr::CAMERA_POSE;
 use egotac::hand::Side;
+use egotac::label::physics::BodyOptions;
+use egotac::label::replay::{Replayed, replay};
 use glam::{DAffine3, DVec3};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
@@ -162,6 +164,17 @@ fn arctic_turns_the_top_part_and_skips_images_without_annotation() {
     // Images before and after the annotated ones know no poses; the two parts of the box are one articulated object.
     let validity = force_validity(&out, &with_mano(&mano));
     let annotated = 2 * before..2 * (before + FRAMES);
+    // The engine knows the box as one object, too: its first part stands for both.
+    let bodies = BodyOptions { gravity: Some(DVec3::NEG_Z), ..BodyOptions::default() };
+    let Replayed { frames, .. } = replay(&out, &mano.models, &bodies).unwrap();
+    assert_eq!(
+        frames.iter().map(|frame| frame.frame).collect::<Vec<_>>(),
+        (before..before + FRAMES).collect::<Vec<_>>()
+    );
+    for frame in frames {
+        assert!(frame.net[0].is_finite() && frame.net[1].is_nan(), "{frame:?}");
+        assert!(frame.links.iter().all(|links| links.iter().sum::<f64>() > 1.0), "{frame:?}");
+    }
     assert!(validity.iter().enumerate().all(|(at, code)| *code == u8::from(!annotated.contains(&at))), "{validity:?}");
 }
 

@@ -57,6 +57,7 @@ pub use arm::{Arm, Experiment};
 use data::Stores;
 pub use network::Network;
 use recipe::Recipe;
+use recording::Layout;
 pub use render::render;
 pub use report::Report;
 use training::{BATCH, Run};
@@ -169,7 +170,10 @@ fn record(
     let mut scenes: Vec<&Recipe> = recordings.iter().flat_map(|recorded| &recorded.from).collect();
     scenes.dedup_by(|next, first| next.scene == first.scene);
     scenes.iter().try_for_each(|recipe| render::write_scene(recipe))?;
-    let mano = recording::mano_files(&folder.join(data::MANO_FOLDER), &scenes)?;
+    // Clips alone hold poses as coefficients of the files' basis.
+    let clips = recordings.iter().filter(|recorded| recorded.layout == Layout::Hot3d);
+    let clips: Vec<&Recipe> = clips.flat_map(|recorded| &recorded.from).collect();
+    let mano = recording::mano_files(&folder.join(data::MANO_FOLDER), &clips)?;
     render(recipes, progress)?;
     recordings.iter().try_for_each(|recorded| recorded.make(&mano))
 }

@@ -309,8 +309,8 @@ pub fn streams(scene: &Path, seed: u64, models: &[HandModel; 2]) -> Result<([Glo
     Ok((gloves, (stamps, poses)))
 }
 
-/// Writes MANO-format files of the built-in hands into `folder`, whose basis explains the poses of the first episode of each
-/// recipe: they stand in for MANO's licensed files.
+/// Writes MANO-format files of the built-in hands into `folder`, whose basis explains the poses of all episodes of the
+/// recipes: they stand in for MANO's licensed files.
 ///
 /// # Errors
 /// If a scene can't be read or simulated.
@@ -319,13 +319,13 @@ pub fn mano_files(folder: &Path, recipes: &[&Recipe]) -> Result<ManoFiles> {
     for recipe in recipes {
         let options = RolloutOptions { picture: None, ..RolloutOptions::default() };
         let scene = Scene::load(&recipe.scene.display().to_string())?;
-        let mut rollout = Rollout::new(&scene, recipe.seed, &options)?;
-        while let Some(frame) = rollout.next_frame()? {
-            let hands = [frame.frame.left_hand_pose, frame.frame.right_hand_pose];
-            found
-                .iter_mut()
-                .zip(hands)
-                .for_each(|(found, hand)| found.extend(hand.map(|hand| angles(&hand.hand_pose))));
+        for episode in 0..recipe.episodes as u64 {
+            let mut rollout = Rollout::new(&scene, recipe.seed + episode, &options)?;
+            while let Some(frame) = rollout.next_frame()? {
+                let hands = [frame.frame.left_hand_pose, frame.frame.right_hand_pose];
+                let poses = hands.map(|hand| hand.map(|hand| angles(&hand.hand_pose)));
+                found.iter_mut().zip(poses).for_each(|(found, pose)| found.extend(pose));
+            }
         }
     }
     Ok(ManoFiles::of_poses(folder, &found))
