@@ -9,7 +9,7 @@ use crate::writers::files::{ManoFiles, jpeg, write};
 use crate::writers::sets::{OFFSET, sequence, write_arctic, write_fpha, write_h2o, write_oakink2};
 use crate::writers::take::{FRAMES, Take};
 use egotac::dataset::zarr::CAMERA_POSE;
-use egotac::hand::Side;
+use egotac::hand::{HandModel, Side};
 use egotac::label::physics::BodyOptions;
 use egotac::label::replay::{Replayed, replay};
 use glam::{DAffine3, DVec3};
@@ -166,7 +166,9 @@ fn arctic_turns_the_top_part_and_skips_images_without_annotation() {
     let annotated = 2 * before..2 * (before + FRAMES);
     // The engine knows the box as one object, too: its first part stands for both.
     let bodies = BodyOptions { gravity: Some(DVec3::NEG_Z), ..BodyOptions::default() };
-    let Replayed { frames, .. } = replay(&out, &mano.models, &bodies).unwrap();
+    let models = [(&mano.left, Side::Left), (&mano.right, Side::Right)];
+    let models = models.map(|(path, side)| HandModel::load(path, side).unwrap());
+    let Replayed { frames, .. } = replay(&out, &models, &bodies).unwrap();
     assert_eq!(
         frames.iter().map(|frame| frame.frame).collect::<Vec<_>>(),
         (before..before + FRAMES).collect::<Vec<_>>()
