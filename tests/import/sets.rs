@@ -169,13 +169,13 @@ fn arctic_turns_the_top_part_and_skips_images_without_annotation() {
     let models = [(&mano.left, Side::Left), (&mano.right, Side::Right)];
     let models = models.map(|(path, side)| HandModel::load(path, side).unwrap());
     let Replayed { frames, .. } = replay(&out, &models, &bodies).unwrap();
-    assert_eq!(
-        frames.iter().map(|frame| frame.frame).collect::<Vec<_>>(),
-        (before..before + FRAMES).collect::<Vec<_>>()
-    );
+    let annotated_frames = before..before + FRAMES;
+    assert_eq!(frames.iter().filter(|frame| annotated_frames.contains(&frame.frame)).count(), FRAMES);
     for frame in frames {
-        assert!(frame.net[0].is_finite() && frame.net[1].is_nan(), "{frame:?}");
-        assert!(frame.links.iter().all(|links| links.iter().sum::<f64>() > 1.0), "{frame:?}");
+        let known = annotated_frames.contains(&frame.frame);
+        assert!(frame.net[0].is_finite() == known && frame.net[1].is_nan(), "{frame:?}");
+        let sums = frame.links.map(|links| links.iter().sum::<f64>());
+        assert!(sums.iter().all(|sum| if known { *sum > 1.0 } else { sum.is_nan() }), "{frame:?}");
     }
     assert!(validity.iter().enumerate().all(|(at, code)| *code == u8::from(!annotated.contains(&at))), "{validity:?}");
 }
