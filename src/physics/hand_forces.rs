@@ -106,7 +106,7 @@ impl HandSum {
     /// Adds the forces of `body` on the hand; `near`: its contacts.
     pub fn add(&mut self, body: &Body, near: &[Contact], estimate: &BodyEstimate, settings: &Settings) {
         self.check_depth(near);
-        // What rests away from the hand stands on something that the recording does not show.
+        // A body at rest that no hand is near stands on something unrecorded: it says nothing about this hand.
         let concerns = estimate.moves || near.iter().any(|contact| self.joint(contact.patch.pusher).is_some());
         if estimate.unexplained && concerns {
             self.hand.lose(ForceValidity::Unexplained);
