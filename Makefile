@@ -1,6 +1,6 @@
 # Thin names for scripts/ and cargo.
 
-.PHONY: help setup demo demo-retarget test doctor lint miri bench fuzz build-times check-cuda check-mpi wheel dist docs
+.PHONY: help setup demo demo-retarget test doctor lint miri bench fuzz build-times check-cuda check-mpi check-rerun wheel dist docs
 
 help:
 	@echo 'make setup       what this machine lacks: Python environment, ROS 2, messages, MuJoCo; writes env.sh'
@@ -18,6 +18,7 @@ help:
 	@echo 'make build-times the crates that a first build spends its time on'
 	@echo 'make check-cuda  clippy and a build of the feature cuda, with a toolkit from Python wheels'
 	@echo 'make check-mpi   clippy, a build and tests of the feature mpi: training on several processes (installs Open MPI as root)'
+	@echo 'make check-rerun clippy, a build and tests of the feature rerun: files and data for the viewer Rerun'
 
 setup:
 	@scripts/setup
@@ -57,6 +58,9 @@ check-cuda:
 
 check-mpi:
 	@scripts/check-mpi
+
+check-rerun:
+	@scripts/check-rerun
 
 wheel:
 	@scripts/wheel

@@ -50,6 +50,15 @@ once() { # DIR WHAT COMMAND...
     ) 9>"$dir.lock"
 }
 
+# Fetches the Python packages of scripts/python/NAME.lock into a folder of the cache, once, for the Python of VENV: $packages.
+find_packages() { # NAME WHAT [VENV]
+    local key
+    find_cache
+    key=$(key_of "$root/scripts/python/$1.lock" "$lib/build-packages" <<<"$("$EGOTAC_PYTHON" -V)")
+    packages=$cache/$1/$key
+    once "$packages" "$2" "$lib/build-packages" "${3:-$root/.env/python}" "$1"
+}
+
 # The entries of a colon-separated list that are not the folder given, nor below it, each once.
 without() { # LIST FOLDER
     local entry result=() seen=:

@@ -68,7 +68,7 @@ pub const EXAMPLES: [&str; 47] = [
 ];
 
 /// Options that `-h` leaves out and `--help` shows, by their name in the code: what few users need.
-const RARE: [&str; 42] = [
+const RARE: [&str; 43] = [
     "follow_links",
     // Hands, network, images.
     "mano_left",
@@ -95,6 +95,7 @@ const RARE: [&str; 42] = [
     "decoders",
     "keypoints",
     "foxglove",
+    "rerun",
     "mass",
     "density",
     "friction",

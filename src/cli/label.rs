@@ -103,6 +103,10 @@ pub struct Args {
     /// inputs, a folder for them.
     #[arg(long, value_name = "FILE")]
     foxglove: Option<PathBuf>,
+    /// File (.rrd) for the viewer Rerun, or the address of one that runs (rerun+http://127.0.0.1:9876/proxy): images, coloured hands,
+    /// forces over time; of several inputs, a folder for files. Needs a build with the feature rerun.
+    #[arg(long, value_name = "FILE|ADDRESS")]
+    rerun: Option<PathBuf>,
     #[command(flatten)]
     physics: Physics,
     #[command(flatten)]
@@ -185,7 +189,7 @@ fn label<T>(args: &Args, finish: impl FnOnce(&Work, RunJob) -> anyhow::Result<T>
         mano_regions: predictor.mano().map(|mano| mano.regions(Topology::Mano)),
     };
     let LabelTasks { tasks, unreadable } = find_tasks(&args.input, &args.out, &options)?;
-    let views = [(Kind::Video, &args.video), (Kind::Foxglove, &args.foxglove)];
+    let views = [(Kind::Video, &args.video), (Kind::Foxglove, &args.foxglove), (Kind::Rerun, &args.rerun)];
     let views = views.into_iter().filter_map(|(kind, path)| Some((kind, kind.paths(path.as_ref()?, &tasks))));
     let views = views.map(|(kind, paths)| Ok((kind, paths?))).collect::<anyhow::Result<Vec<_>>>()?;
     let jobs: Vec<Job> = tasks.iter().map(|task| job(task, &predictor, args)).collect();

@@ -1,4 +1,4 @@
-//! Files of labelled recordings for people: `egotac label --video` and `--foxglove`.
+//! Files of labelled recordings for people: `egotac label --video`, `--foxglove` and `--rerun`.
 
 use std::path::{Path, PathBuf};
 
@@ -17,13 +17,21 @@ pub(super) enum Kind {
     Video,
     /// `--foxglove`.
     Foxglove,
+    /// `--rerun`: a file, or the address of a viewer that runs.
+    Rerun,
 }
+
+/// Extension of the files for Rerun.
+const RERUN_EXTENSION: &str = "rrd";
+/// Beginnings of the addresses of Rerun's viewers.
+const VIEWERS: [&str; 3] = ["rerun://", "rerun+http://", "rerun+https://"];
 
 impl Kind {
     fn option(self) -> &'static str {
         match self {
             Self::Video => "--video",
             Self::Foxglove => "--foxglove",
+            Self::Rerun => "--rerun",
         }
     }
 
@@ -32,6 +40,7 @@ impl Kind {
         match self {
             Self::Video => &video::EXTENSIONS,
             Self::Foxglove => &[SCENE_EXTENSION],
+            Self::Rerun => &[RERUN_EXTENSION],
         }
     }
 
@@ -39,15 +48,27 @@ impl Kind {
         match self {
             Self::Video => write_video(clip, path, progress),
             Self::Foxglove => write_scene(clip, path, progress),
+            Self::Rerun => show_in_rerun(clip, path, progress),
         }
     }
 
     /// Returns the file of each recording: `path`, or of several recordings one for each name in the folder `path`.
     ///
     /// # Errors
-    /// If the name of a single file has another extension than those of its kind.
+    /// If the name of a single file has another extension than those of its kind, or this program can't write it.
     pub(super) fn paths(self, path: &Path, tasks: &[LabelTask]) -> anyhow::Result<Vec<PathBuf>> {
         let extensions = self.extensions();
+        if matches!(self, Self::Rerun) {
+            if cfg!(not(feature = "rerun")) {
+                bail!(
+                    "--rerun: expected a program that is built with the feature `rerun` (`cargo build --release --features rerun`), got \
+                     one without it; the Python script examples/to_rerun.py writes such files too"
+                );
+            }
+            if viewer(path).is_some() {
+                return Ok(vec![path.to_path_buf(); tasks.len()]);
+            }
+        }
         if tasks.len() > 1 {
             let name = |task: &LabelTask| task.out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             return Ok(tasks.iter().map(|task| path.join(format!("{}.{}", name(task), extensions[0]))).collect());
@@ -55,7 +76,12 @@ impl Kind {
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
         if !extensions.contains(&extension.as_str()) {
             let expected = extensions.join(", .");
-            bail!("{} {}: expected a name that ends in .{expected}", self.option(), path.display());
+            let or = if matches!(self, Self::Rerun) {
+                ", or the address of a viewer, rerun+http://HOST:PORT/proxy"
+            } else {
+                ""
+            };
+            bail!("{} {}: expected a name that ends in .{expected}{or}", self.option(), path.display());
         }
         Ok(vec![path.to_path_buf()])
     }
@@ -77,4 +103,23 @@ impl Kind {
         }
         Ok(())
     }
+}
+
+/// Returns the address of a viewer of Rerun; None for the name of a file.
+fn viewer(path: &Path) -> Option<&str> {
+    path.to_str().filter(|text| VIEWERS.iter().any(|scheme| text.starts_with(scheme)))
+}
+
+#[cfg(feature = "rerun")]
+fn show_in_rerun(clip: &mut Clip, path: &Path, progress: impl FnMut()) -> Result<usize> {
+    match viewer(path) {
+        Some(address) => crate::view::send_rerun(clip, address, progress),
+        None => crate::view::write_rerun(clip, path, progress),
+    }
+}
+
+/// Without the feature, [`Kind::paths`] has refused the option before.
+#[cfg(not(feature = "rerun"))]
+fn show_in_rerun(_: &mut Clip, path: &Path, _: impl FnMut()) -> Result<usize> {
+    Err(crate::Error::value("--rerun", "the feature rerun", path.display()))
 }

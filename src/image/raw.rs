@@ -119,6 +119,15 @@ impl RawImage<'_> {
     /// # Errors
     /// If the encoding is unknown, or width, height, step and size of the data contradict each other.
     pub fn to_rgb(&self) -> Result<RgbImage> {
+        self.to_rgb_in(Vec::new())
+    }
+
+    /// As [`Self::to_rgb`], in the memory of `spare`, whose content is lost: for streams, whose images are then written into memory
+    /// that the process has already.
+    ///
+    /// # Errors
+    /// As [`Self::to_rgb`].
+    pub fn to_rgb_in(&self, spare: Vec<u8>) -> Result<RgbImage> {
         let layout = self.layout()?;
         self.check(layout)?;
         let (width, height, step) = (self.width as usize, self.height as usize, self.step as usize);
@@ -126,34 +135,52 @@ impl RawImage<'_> {
             let rows: Vec<&[u8]> = self.data.chunks_exact(step).take(height).collect();
             return Ok(bayer::to_rgb(self.width, self.height, red, |x, y| depth.value(rows[y], x), |v| depth.to_u8(v)));
         }
-        let mut rgb = Vec::with_capacity(width * height * 3);
-        for (y, row) in self.data.chunks_exact(step).take(height).enumerate() {
+        let size = width * height * 3;
+        // One large image of a stream does not hold its memory for good.
+        let mut rgb = if spare.capacity() > 2 * size { Vec::new() } else { spare };
+        rgb.resize(size, 0);
+        let rows = self.data.chunks_exact(step).zip(rgb.chunks_exact_mut(width * 3));
+        for (y, (row, out)) in rows.enumerate() {
+            let pixels = out.as_chunks_mut::<3>().0;
             match layout {
-                Layout::Packed(depth @ Depth::Bits16, size, places) => {
-                    let value = |pixel: usize, place: usize| depth.to_u8(depth.value(row, pixel * size + place));
-                    rgb.extend((0..width).flat_map(|pixel| places.map(|place| value(pixel, place))));
+                Layout::Packed(Depth::Bits8, 3, [0, 1, 2]) => out.copy_from_slice(&row[..width * 3]),
+                // Sizes and places that the compiler knows are several times faster.
+                Layout::Packed(Depth::Bits8, 3, [2, 1, 0]) => {
+                    let bgr = row[..width * 3].as_chunks::<3>().0;
+                    pixels.iter_mut().zip(bgr).for_each(|(out, [b, g, r])| *out = [*r, *g, *b]);
                 }
                 Layout::Packed(Depth::Bits8, size, [r, g, b]) => {
-                    rgb.extend(row[..width * size].chunks_exact(size).flat_map(|p| [p[r], p[g], p[b]]));
+                    let values = row[..width * size].chunks_exact(size);
+                    pixels.iter_mut().zip(values).for_each(|(out, p)| *out = [p[r], p[g], p[b]]);
+                }
+                Layout::Packed(depth @ Depth::Bits16, size, places) => {
+                    let value = |pixel: usize, place: usize| depth.to_u8(depth.value(row, pixel * size + place));
+                    for (pixel, out) in pixels.iter_mut().enumerate() {
+                        *out = places.map(|place| value(pixel, place));
+                    }
                 }
                 Layout::Yuv422([y0, y1, u, v]) => {
-                    let pairs = row[..width * 2].chunks_exact(4);
-                    rgb.extend(pairs.flat_map(|p| [p[y0], p[y1]].map(|y| from_yuv(y, p[u], p[v]))).flatten());
+                    let pairs = row[..width * 2].as_chunks::<4>().0;
+                    for ([left, right], p) in pixels.as_chunks_mut::<2>().0.iter_mut().zip(pairs) {
+                        [*left, *right] = [p[y0], p[y1]].map(|y| from_yuv(y, p[u], p[v]));
+                    }
                 }
                 Layout::Yuv420([u, v]) => {
-                    let chroma = &self.data[step * (height + y / 2)..][..width];
-                    let pairs = row[..width].chunks_exact(2).zip(chroma.chunks_exact(2));
-                    rgb.extend(pairs.flat_map(|(p, c)| [p[0], p[1]].map(|y| from_yuv(y, c[u], c[v]))).flatten());
+                    let chroma = self.data[step * (height + y / 2)..][..width].as_chunks::<2>().0;
+                    let pairs = row[..width].as_chunks::<2>().0.iter().zip(chroma);
+                    for ([left, right], (p, c)) in pixels.as_chunks_mut::<2>().0.iter_mut().zip(pairs) {
+                        [*left, *right] = p.map(|y| from_yuv(y, c[u], c[v]));
+                    }
                 }
                 Layout::Yuv444 => {
-                    let chroma = &self.data[step * (height + 2 * y)..][..2 * width];
-                    let pixels = row[..width].iter().zip(chroma.chunks_exact(2));
-                    rgb.extend(pixels.flat_map(|(y, c)| from_yuv(*y, c[0], c[1])));
+                    let chroma = self.data[step * (height + 2 * y)..][..2 * width].as_chunks::<2>().0;
+                    for (out, (y, c)) in pixels.iter_mut().zip(row[..width].iter().zip(chroma)) {
+                        *out = from_yuv(*y, c[0], c[1]);
+                    }
                 }
                 Layout::Bayer(..) => {} // converted above
             }
         }
-        let size = rgb.len();
         RgbImage::from_raw(self.width, self.height, rgb)
             .ok_or_else(|| Error::shape("image", format!("[{height}, {width}, 3]"), [size]))
     }

@@ -61,8 +61,16 @@ impl<'a> Reader<'a> {
     /// If the header is not that of XCDR1 little endian, the payload is too short or too long, or a field holds an invalid
     /// value. The error names the field, starting with `message`.
     pub fn payload<T: Wire>(message: &'static str, payload: &'a [u8]) -> Result<T> {
+        Self::whole(message, payload, T::read)
+    }
+
+    /// Reads a payload that `read` takes to its end.
+    ///
+    /// # Errors
+    /// As [`Self::payload`].
+    pub fn whole<T>(message: &'static str, payload: &'a [u8], read: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         let mut reader = Self::begin(message, payload)?;
-        let value = T::read(&mut reader)?;
+        let value = read(&mut reader)?;
         if reader.left() > MAX_PADDING {
             let got = format!("{} bytes after it", reader.left());
             return Err(Error::value(
@@ -103,6 +111,18 @@ impl<'a> Reader<'a> {
         let value = T::read(self)?;
         self.path.pop();
         Ok(value)
+    }
+
+    /// Reads the field `name`, a sequence of bytes, which stay where they are.
+    ///
+    /// # Errors
+    /// If the payload is too short; the error names the field.
+    pub fn bytes(&mut self, name: &'static str) -> Result<&'a [u8]> {
+        self.path.push(Step::Field(name));
+        let length = self.length(1)?;
+        let bytes = self.take(length)?;
+        self.path.pop();
+        Ok(bytes)
     }
 
     /// Reads the field `name`, a sequence of at most `max` items.

@@ -1,5 +1,7 @@
 //! Image subscription of a node, raw or compressed.
 
+use std::borrow::Cow;
+
 use ::image::RgbImage;
 use anyhow::Context as _;
 
@@ -87,15 +89,16 @@ impl ImageTransport {
     /// # Errors
     /// If the bytes are not this message, or its image has an unknown encoding or contradicts itself.
     pub(crate) fn decode(self, payload: &[u8]) -> Result<(Header, RgbImage)> {
+        self.decode_in(payload, Vec::new())
+    }
+
+    /// As [`Self::decode`]; raw images in the memory of `spare`, whose content is lost.
+    ///
+    /// # Errors
+    /// As [`Self::decode`].
+    pub(crate) fn decode_in(self, payload: &[u8], spare: Vec<u8>) -> Result<(Header, RgbImage)> {
         match self {
-            Self::Raw => {
-                let Image { header, height, width, encoding, is_bigendian, step, mut data } = Image::from_cdr(payload)?;
-                if is_bigendian != 0 && image::has_16_bits(&encoding) {
-                    data.chunks_exact_mut(2).for_each(|value| value.swap(0, 1));
-                }
-                let raw = RawImage { width, height, encoding: &encoding, step, data: &data };
-                Ok((header, raw.to_rgb()?))
-            }
+            Self::Raw => decode_raw(payload, spare),
             Self::Compressed => {
                 let CompressedImage { header, format, data } = CompressedImage::from_cdr(payload)?;
                 // For instance `bayer_rggb8; jpeg compressed`: the first part is the encoding before compression.
@@ -104,6 +107,22 @@ impl ImageTransport {
             }
         }
     }
+}
+
+/// Decodes a `sensor_msgs/Image`, whose pixels are read where they are in the payload.
+fn decode_raw(payload: &[u8], spare: Vec<u8>) -> Result<(Header, RgbImage)> {
+    Reader::whole(Image::TYPE, payload, |message| {
+        let header = message.field("header")?;
+        let (height, width) = (message.field("height")?, message.field("width")?);
+        let encoding: String = message.field("encoding")?;
+        let (is_bigendian, step) = (message.field::<u8>("is_bigendian")?, message.field("step")?);
+        let mut data = Cow::Borrowed(message.bytes("data")?);
+        if is_bigendian != 0 && image::has_16_bits(&encoding) {
+            data.to_mut().chunks_exact_mut(2).for_each(|value| value.swap(0, 1));
+        }
+        let raw = RawImage { width, height, encoding: &encoding, step, data: &data };
+        Ok((header, raw.to_rgb_in(spare)?))
+    })
 }
 
 /// Compresses an image.

@@ -395,6 +395,16 @@ impl Store {
                 labels.mask_contact.fill(0);
                 Ok(labels)
             }
+            Supervision::Felt => {
+                let mut labels = read_labels(&self.reader, frames)?;
+                for (mask, contact) in labels.mask_contact.iter_mut().zip(&mut labels.contact) {
+                    let felt = *mask == 1 && *contact > 0.5;
+                    if !felt {
+                        (*mask, *contact) = (0, f32::NAN);
+                    }
+                }
+                Ok(labels)
+            }
             Supervision::Proximity => read_proximity(&self.reader, frames),
         }
     }

@@ -45,6 +45,8 @@ pub enum Supervision {
     Contact,
     /// Force only, as if the store had no contact: for sensors that miss light touch, beside a source that knows contact better.
     Force,
+    /// Force, and contact only where there is some: of sensors that miss light touch, contact is certain and its absence is not.
+    Felt,
     /// Contact only, and by distance in place of force: a vertex within 1 cm of an object counts as touched
     /// (`data/mano_proximity`), as in recordings that know where hands and objects are, but no force.
     Proximity,
@@ -53,7 +55,12 @@ pub enum Supervision {
 impl Supervision {
     /// Returns true if forces are supervised.
     pub fn has_force(self) -> bool {
-        matches!(self, Self::Both | Self::Force)
+        matches!(self, Self::Both | Self::Force | Self::Felt)
+    }
+
+    /// Returns true if both contact and its absence are supervised.
+    pub fn has_contact(self) -> bool {
+        matches!(self, Self::Both | Self::Contact | Self::Proximity)
     }
 }
 
@@ -144,6 +151,8 @@ mod tests {
         assert_eq!(near.labels, Supervision::Proximity);
         let force: TrainingSource = serde_yaml::from_str("{stores: [a.zarr], labels: force}").unwrap();
         assert_eq!(force.labels, Supervision::Force);
+        let felt: TrainingSource = serde_yaml::from_str("{stores: [a.zarr], labels: felt}").unwrap();
+        assert_eq!(felt.labels, Supervision::Felt);
         let weighed: TrainingSource = serde_yaml::from_str("{stores: [a.zarr], weigh_by_std: true}").unwrap();
         assert!(weighed.weigh_by_std && serde_yaml::to_string(&weighed).unwrap().contains("weigh_by_std: true"));
         let error = |text: &str| serde_yaml::from_str::<TrainingSource>(text).unwrap_err().to_string();

@@ -190,6 +190,19 @@ impl Clip {
         let Self { source, touch, truth, poses, .. } = self;
         Player { images: RandomImages::new(&**source), touch, truth: truth.as_ref(), poses: poses.as_ref(), seen: None }
     }
+
+    /// Calls `show` with what is shown of each image, in their order. Returns the number of images.
+    ///
+    /// # Errors
+    /// If the recording can't be read, the network fails, or `show` does.
+    pub(super) fn each(&mut self, mut show: impl FnMut(&Moment) -> Result<()>) -> Result<usize> {
+        let (mut player, mut frames) = (self.player(), 0);
+        while let Some(moment) = player.moment(frames)? {
+            show(&moment)?;
+            frames += 1;
+        }
+        Ok(frames)
+    }
 }
 
 /// Returns the hands that touch of `topology` is drawn on.

@@ -1,10 +1,11 @@
-//! Images with their touch, shown on a local page (`egotac view`), in videos (`egotac label --video`) and in Foxglove
-//! (`egotac label --foxglove`).
+//! Images with their touch, shown on a local page (`egotac view`), in videos (`egotac label --video`), in Foxglove
+//! (`egotac label --foxglove`) and in Rerun (`egotac label --rerun`).
 //!
 //! ```text
 //! recording ──> Clip ──> Moment ─┬─> packet ──> Feed ──> server ──> page
 //! camera, topic ─────────────────┘ ├──────────> picture ──> video
-//!                                  └──────────> scene (MCAP)
+//!                                  ├──────────> scene (MCAP)
+//!                                  └──────────> rerun
 //! ```
 //!
 //! A [`Moment`] is all that is shown of one image. A [`Clip`] gives the moments of a recording in any order; a [`Feed`] encodes
@@ -15,6 +16,7 @@ mod about;
 mod cache;
 mod camera;
 mod clip;
+mod clock;
 mod feed;
 mod guard;
 mod live;
@@ -25,12 +27,17 @@ mod page;
 mod picture;
 mod place;
 mod projection;
+mod publish;
+#[cfg(feature = "rerun")]
+mod rerun;
 mod scene;
 mod server;
 mod store_poses;
 mod trace;
 mod video;
 
+#[cfg(feature = "rerun")]
+pub use self::rerun::{send_rerun, write_rerun};
 pub use about::{About, Kind};
 pub use camera::{is_camera, run as run_camera};
 pub use clip::{Clip, ClipOptions, Player, open_clips};

@@ -8,6 +8,7 @@ use ::image::RgbImage;
 
 use super::clip::Clip;
 use super::picture::Picture;
+use super::publish::publish;
 use crate::dataset::video::EXTENSIONS;
 use crate::error::{Error, Result};
 
@@ -30,26 +31,22 @@ pub fn write_video(clip: &mut Clip, path: &Path, mut progress: impl FnMut()) -> 
     }
     let picture = Picture::new(clip.hands().clone(), clip.about().scale, HEIGHT);
     let fps = clip.about().fps.unwrap_or(DEFAULT_FPS);
-    let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    std::fs::create_dir_all(folder).map_err(Error::io(folder))?;
-    let unfinished = tempfile::Builder::new().prefix(".video-").tempdir_in(folder).map_err(Error::io(folder))?;
-    let at = unfinished.path().join(format!("video.{extension}"));
-    let mut player = clip.player();
-    let (mut encoder, mut frames) = (None::<Encoder>, 0);
-    while let Some(moment) = player.moment(frames)? {
-        let drawn = picture.draw(&moment);
-        let encoder = match &mut encoder {
-            Some(encoder) => encoder,
-            None => encoder.insert(Encoder::start(&at, even(&drawn), fps)?),
-        };
-        encoder.push(&drawn)?;
-        frames += 1;
-        progress();
-    }
-    let encoder = encoder.ok_or_else(|| Error::file(path, "would be empty: the recording has no image"))?;
-    encoder.finish()?;
-    std::fs::rename(&at, path).map_err(Error::io(path))?;
-    Ok(frames)
+    publish(path, |folder| {
+        let at = folder.join(format!("video.{extension}"));
+        let mut encoder = None::<Encoder>;
+        let frames = clip.each(|moment| {
+            let drawn = picture.draw(moment);
+            let encoder = match &mut encoder {
+                Some(encoder) => encoder,
+                None => encoder.insert(Encoder::start(&at, even(&drawn), fps)?),
+            };
+            encoder.push(&drawn)?;
+            progress();
+            Ok(())
+        })?;
+        encoder.map_or(Ok(()), Encoder::finish)?;
+        Ok((at, frames))
+    })
 }
 
 /// Returns the size of a picture, rounded up to even numbers, which usual codecs need.

@@ -119,13 +119,36 @@ fn a_source_of_force_supervises_no_contact() {
     let statistics = data.statistics().unwrap();
     assert_eq!((statistics.force_scale, statistics.mean_force[105]), (Some(2.0), 2.0));
     assert_eq!([105, 120, 200].map(|vertex| statistics.contact_rate[vertex]), [1.0, 1.0, 0.0]);
-    // Force alone trains no contact head.
+    // Neither force alone nor felt contact trains a contact head.
     let config = folder.path().join("run.yaml");
     let [store, out] = [&force, &folder.path().join("run")].map(|path| path.display().to_string());
-    let text =
-        format!("{{name: a, data: [{{stores: [{store}], labels: force}}], out: {out}, model: toy, seed: 1, steps: 2}}");
-    std::fs::write(&config, text).unwrap();
-    refused(&["train", "--config", config.to_str().unwrap()], "no contact trains the contact head");
+    for labels in ["force", "felt"] {
+        let text = format!(
+            "{{name: a, data: [{{stores: [{store}], labels: {labels}}}], out: {out}, model: toy, seed: 1, steps: 2}}"
+        );
+        std::fs::write(&config, text).unwrap();
+        refused(&["train", "--config", config.to_str().unwrap()], "a source that knows contact and its absence");
+    }
+}
+
+#[test]
+fn a_source_of_felt_contact_supervises_contact_where_there_is_some() {
+    let folder = tempfile::tempdir().unwrap();
+    let force = folder.path().join("force.zarr");
+    write_store(&force, false);
+    let preparation = Metadata::new("any", 1.0, 0.1).preparation(&Geometry::toy());
+    let labels_of = |supervision| {
+        let data = Dataset::open(&[source(&force, supervision)], preparation.clone(), false).unwrap();
+        data.labels().unwrap()
+    };
+    let (all, felt) = (labels_of(Supervision::Both), labels_of(Supervision::Felt));
+    assert_eq!(felt.mask_force, all.mask_force);
+    let touched = |at: &usize| all.mask_contact[*at] == 1 && all.contact[*at] == 1.0;
+    assert_eq!((0..all.contact.len()).filter(touched).count(), PRESSED.len() * (FRAMES - 1));
+    for at in 0..all.contact.len() {
+        assert_eq!(felt.mask_contact[at] == 1, touched(&at), "{at}");
+        assert!(if touched(&at) { felt.contact[at] == 1.0 } else { felt.contact[at].is_nan() }, "{at}");
+    }
 }
 
 #[test]

@@ -112,7 +112,7 @@ fn paint_touch(picture: &mut RgbImage, frame: &SimFrame, rollout: &Rollout) {
             let reach = radius.ceil() as i64;
             for (dx, dy) in (-reach..=reach).flat_map(|dx| (-reach..=reach).map(move |dy| (dx, dy))) {
                 let (px, py) = (x as i64 + dx, y as i64 + dy);
-                let inside = px >= 0 && py >= 0 && px < picture.width().into() && py < picture.height().into();
+                let inside = px >= 0 && py >= 0 && px < i64::from(picture.width()) && py < i64::from(picture.height());
                 if inside && ((dx * dx + dy * dy) as f64) <= radius * radius {
                     picture.put_pixel(px as u32, py as u32, Rgb([255, green, 0]));
                 }

@@ -71,10 +71,12 @@ impl Inference {
         let results = Predictor::push_together(batch);
         let secs = started.elapsed().as_secs_f64();
         let mut frames = Vec::with_capacity(seen.len());
-        for ((camera, seen), result) in seen.iter().zip(results) {
-            if let Some(frame) = self.streams[*camera].finish(seen, result, secs) {
-                frames.push((*camera, frame));
+        for ((camera, seen), result) in seen.into_iter().zip(results) {
+            let stream = &mut self.streams[camera];
+            if let Some(frame) = stream.finish(&seen, result, secs) {
+                frames.push((camera, frame));
             }
+            stream.input.give_back(seen.image);
         }
         if let Some(fusion) = &mut self.fusion {
             fusion.publish(frames, &self.log);

@@ -1,7 +1,7 @@
 //! Image subscription of one camera, and decoding of its images.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 
 use ::image::RgbImage;
 
@@ -14,6 +14,7 @@ use crate::node::clock::RosClock;
 use crate::node::diagnostics::Tally;
 use crate::node::images::ImageTransport;
 use crate::node::input_topics::{InputTopic, Need};
+use crate::node::lock::lock;
 use crate::node::log::Log;
 use crate::node::mailbox::Mailbox;
 use crate::node::params::Parameters;
@@ -43,6 +44,8 @@ pub(super) struct Input {
     parameters: Arc<Parameters>,
     /// True once the log has told that the network does not see the whole picture.
     view_told: Arc<AtomicBool>,
+    /// Memory of an image that nobody needs any more, for the next one.
+    spare: Arc<Mutex<Vec<u8>>>,
     clock: RosClock,
     log: Log,
 }
@@ -79,6 +82,7 @@ impl Input {
             rectification: Rectification::subscribe(runtime, &camera.input("camera_info"))?,
             parameters: Arc::clone(runtime.parameters()),
             view_told: Arc::default(),
+            spare: Arc::default(),
             clock: runtime.clock().clone(),
             log: runtime.log().clone(),
             camera,
@@ -111,7 +115,8 @@ impl Input {
     /// Decodes an image for the network of `predictor`; counts and logs one that is malformed, too old or not usable, and
     /// returns None.
     pub(super) fn decode(&self, payload: &[u8], predictor: &Predictor) -> Option<Seen> {
-        let (header, image) = match self.transport.decode(payload) {
+        let spare = std::mem::take(&mut *lock(&self.spare));
+        let (header, image) = match self.transport.decode_in(payload, spare) {
             Ok(image) => image,
             Err(error) => {
                 self.drop_image("malformed", &format!("malformed {}", cause(&error)), &error);
@@ -143,6 +148,11 @@ impl Input {
         // Images without a stamp are ordered by their arrival.
         let stamp = if header.stamp.is_zero() { self.clock.now() } else { header.stamp };
         Some(Seen { stamp_secs: stamp.secs(), header, image, prepared })
+    }
+
+    /// Takes back the memory of an image.
+    pub(super) fn give_back(&self, image: RgbImage) {
+        *lock(&self.spare) = image.into_raw();
     }
 
     /// Warns once if more than a tenth of the camera's pictures lies outside of the network's view.

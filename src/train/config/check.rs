@@ -3,7 +3,6 @@
 use super::{Config, LossWeights};
 use crate::error::{Error, Result};
 use crate::model::Precision;
-use crate::train::source::Supervision;
 
 /// Largest number of steps; some counters are 32 bits wide.
 const MAX_STEPS: usize = 1 << 30;
@@ -36,9 +35,9 @@ impl Config {
         if self.mano_left.is_some() != self.mano_right.is_some() {
             return Err(Error::value("mano_left and mano_right", "both files or neither", "one of them"));
         }
-        if self.data.iter().all(|source| source.labels == Supervision::Force) {
-            let expected = "a source with contact too: no contact trains the contact head";
-            return Err(Error::value("data, labels", expected, "`labels: force` for all sources"));
+        if !self.data.iter().any(|source| source.labels.has_contact()) {
+            let expected = "a source that knows contact and its absence, which train the contact head";
+            return Err(Error::value("data, labels", expected, "`labels: force` or `labels: felt` for all sources"));
         }
         self.geometry()?;
         let stores = self.data.iter().flat_map(|source| &source.stores);

@@ -403,12 +403,11 @@ fn motion() -> Experiment {
 /// Returns the experiment on recordings in the layouts of two data sets, each of scenes that the other does not have.
 fn recordings() -> Experiment {
     let arms = vec![
-        arm("mixed", "force of the gloves, contact of the clips", |config, stores| {
-            // Taxels miss light touch: their contact would teach that nothing is touched there.
-            let glove = TrainingSource { labels: Supervision::Force, ..stores.imported(Layout::Glove)? };
-            config.data = vec![glove, stores.imported(Layout::Hot3d)?];
-            Ok(())
-        }),
+        arm(
+            "mixed",
+            "force and felt contact of the gloves, contact of the clips; twice the steps: as many windows of each as alone",
+            |config, stores| both_recordings(config, stores, Supervision::Felt),
+        ),
         arm("glove", "the recordings of gloves alone: force and contact", |config, stores| {
             config.data = vec![stores.imported(Layout::Glove)?];
             Ok(())
@@ -417,10 +416,11 @@ fn recordings() -> Experiment {
             config.data = vec![stores.imported(Layout::Hot3d)?];
             Ok(())
         }),
-        arm("all_labels", "both, with the contact of the gloves too", all_labels),
-        arm("all_labels_longer", "the same, twice the steps: as many windows of each as alone", |config, stores| {
-            config.steps *= 2;
-            all_labels(config, stores)
+        arm("force", "as `mixed`, the gloves with force alone", |config, stores| {
+            both_recordings(config, stores, Supervision::Force)
+        }),
+        arm("both", "as `mixed`, the gloves with all their labels", |config, stores| {
+            both_recordings(config, stores, Supervision::Both)
         }),
     ];
     let question =
@@ -428,9 +428,11 @@ fn recordings() -> Experiment {
     Experiment { name: "recordings", question, arms, tests: vec![OOD_FORCE, OOD_CONTACT], recorded: true, timed: false }
 }
 
-/// Takes all labels of two imported data sets.
-fn all_labels(config: &mut Config, stores: &Stores) -> Result<()> {
-    config.data = vec![stores.imported(Layout::Glove)?, stores.imported(Layout::Hot3d)?];
+/// Takes some labels of the gloves and all of the clips, and twice the steps: as many windows of each as training on one alone.
+fn both_recordings(config: &mut Config, stores: &Stores, glove: Supervision) -> Result<()> {
+    let glove = TrainingSource { labels: glove, ..stores.imported(Layout::Glove)? };
+    config.data = vec![glove, stores.imported(Layout::Hot3d)?];
+    config.steps *= 2;
     Ok(())
 }
 
