@@ -128,8 +128,8 @@ fn a_hand_whose_touch_is_unknown_has_gaps_and_no_zeros() {
     let folder = tempfile::tempdir().unwrap();
     write_bright_store(&folder.path().join("in.zarr"), FRAMES);
     let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    // No image is as familiar as that.
-    let doubt = ["--familiarity-threshold", "2"];
+    // No image is so familiar, and no hand so sure.
+    let doubt = ["--familiarity-threshold", "1", "--presence-threshold", "1"];
     let arguments = ["label", &at("in.zarr"), "--out", &at("out.zarr"), "--rerun", &at("touch.rrd")];
     let output = egotac(&[&arguments[..], &doubt].concat());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
