@@ -1,6 +1,7 @@
 //! Touch from a stream of images, one encoder pass per image.
 
 mod batch;
+mod focus;
 mod frames;
 mod hands;
 mod input;
@@ -12,6 +13,7 @@ use std::sync::Arc;
 use ::image::RgbImage;
 use candle_core::{Device, Tensor};
 
+use super::engine::Part;
 use super::presence::N_POINTS;
 use super::stages::FrameTokens;
 use super::unknown::Unknown;
@@ -20,6 +22,8 @@ use crate::error::{Error, Result};
 use crate::hand::{FieldMap, N_KEYPOINTS, Side, Topology};
 use crate::image::{Framing, Preparation, Resize};
 use crate::tactile::{Certainty, TactileField};
+pub use focus::Focus;
+use focus::{Before, Focused};
 use frames::{Frames, Steps};
 use hands::Hands;
 pub use input::{InputPreparation, Prepared};
@@ -48,6 +52,8 @@ pub struct Options {
     /// Mean absolute change of a patch, grey levels of 8 bits: an image none of whose patches differs more from the last encoded one
     /// takes its tokens, which saves the encoder's time. 0 = every image is encoded.
     pub reuse_below: f32,
+    /// Patches of an image that the encoder computes anew; None = all. Needs a network that estimates keypoints, on the CPU.
+    pub focus: Option<Focus>,
 }
 
 impl Default for Options {
@@ -63,6 +69,7 @@ impl Default for Options {
             familiarity_threshold: None,
             presence_threshold: None,
             reuse_below: 0.0,
+            focus: None,
         }
     }
 }
@@ -83,11 +90,17 @@ pub struct Prediction {
     pub warming_up: bool,
     /// True if this image started a new stream: the first one, a jump back in time, or an interval that is too long.
     pub restarted: bool,
-    /// True if the image was not encoded, but took the tokens of an earlier one; see [`Options::reuse_below`].
-    pub reused: bool,
+    /// Share of the image's patches that all layers of the encoder computed, 0 to 1: below 1 with [`Options::focus`], and 0 if the
+    /// image took the tokens of an earlier one ([`Options::reuse_below`]).
+    pub encoded: f32,
 }
 
 impl Prediction {
+    /// True if the image was not encoded, but took the tokens of an earlier one.
+    pub fn is_reused(&self) -> bool {
+        self.encoded == 0.0
+    }
+
     /// Returns the keypoints of both hands in the image, which was prepared by `preparation` and has this width and height,
     /// pixels: (42) of x, y, pixels from its left and upper edge, and confidence, 0 to 1; left hand first, each in the order of
     /// [`HandEstimate::keypoints`]. NaN for a hand whose touch is not known. None if the checkpoint does not estimate them.
@@ -139,6 +152,7 @@ pub struct Predictor {
     /// Locator and frames of a network that sees single hands.
     hands: Option<Box<Hands>>,
     reuse: Reuse,
+    focused: Focused,
     /// MANO files whose vertices the fields are carried over to; None = the checkpoint's topology.
     mano: Option<Arc<FieldMap>>,
 }
@@ -179,9 +193,12 @@ impl Predictor {
         let own = metadata.resize;
         let other_view = options.view.resize().filter(|resize| *resize != own);
         metadata.resize = other_view.unwrap_or(own);
-        let Options { device, unknown, reuse_below, .. } = options;
-        let (reuse, frames) = (Reuse::new(reuse_below)?, Frames::default());
-        Ok(Self { checkpoint, device, max_gap_secs, unknown, other_view, frames, hands, reuse, mano: None })
+        if let Some(focus) = &options.focus {
+            check_focus(focus, &checkpoint, &options.device)?;
+        }
+        let Options { device, unknown, reuse_below, focus, .. } = options;
+        let (reuse, focused, frames) = (Reuse::new(reuse_below)?, Focused::new(focus), Frames::default());
+        Ok(Self { checkpoint, device, max_gap_secs, unknown, other_view, frames, hands, reuse, focused, mano: None })
     }
 
     /// Returns the predictor with the output of the force head as force, also where no force ever trained it; otherwise such
@@ -315,6 +332,7 @@ impl Predictor {
             hands.reset();
         }
         self.reuse.forget();
+        self.focused.forget();
     }
 
     /// Predicts touch at the instant of `image`.
@@ -347,15 +365,30 @@ impl Predictor {
         }
         let side = self.config().image;
         let image = Tensor::from_slice(&input, (1, 3, side, side), &self.device)?;
-        let encoded = Arc::new(self.model().frame_tokens(&image)?);
+        let (encoded, share) = self.encode(&image, stamp_secs)?;
+        let encoded = Arc::new(encoded);
         let prediction = self.push_encoded(&encoded, stamp_secs)?;
         self.reuse.keep(&input, &encoded);
-        Ok(prediction)
+        self.focused.keep(&encoded, share == 1.0, prediction.hands, side / self.config().patch);
+        Ok(Prediction { encoded: share, ..prediction })
+    }
+
+    /// Encodes an image, `(1, 3, side, side)`, whole or in part. Returns the share of its patches that all layers computed, too.
+    fn encode(&self, image: &Tensor, stamp_secs: f64) -> Result<(FrameTokens, f32)> {
+        // The image before a new stream says nothing about this one.
+        let continues = !self.restarts_after(self.frames.stamps().last(), stamp_secs);
+        if let Some(Before { after, near, tokens }) = self.focused.before().filter(|_| continues)
+            && let Some(tokens) = self.model().part_tokens(image, Part { after, patches: near }, tokens)?
+        {
+            let patches = (self.config().image / self.config().patch).pow(2);
+            return Ok((tokens, near.len() as f32 / patches as f32));
+        }
+        Ok((self.model().frame_tokens(image)?, 1.0))
     }
 
     /// Predicts touch from the tokens of an earlier image.
     fn push_reused(&mut self, tokens: &Arc<FrameTokens>, stamp_secs: f64) -> Result<Prediction> {
-        Ok(Prediction { reused: true, ..self.push_encoded(tokens, stamp_secs)? })
+        Ok(Prediction { encoded: 0.0, ..self.push_encoded(tokens, stamp_secs)? })
     }
 
     /// Returns the tokens of the last encoded image if `input` hardly differs from it.
@@ -387,7 +420,7 @@ impl Predictor {
         let field = self.finished(field, &mut certainty)?;
         let warming_up = frames.are_warming_up(steps);
         self.frames = frames;
-        Ok(Prediction { stamp_secs, field, certainty, hands, warming_up, restarted, reused: false })
+        Ok(Prediction { stamp_secs, field, certainty, hands, warming_up, restarted, encoded: 1.0 })
     }
 
     /// Gives unknown touch its form, and carries a field over to MANO's vertices if there are any.
@@ -410,6 +443,21 @@ impl Predictor {
             step < 0.0 || step > self.max_gap_secs
         })
     }
+}
+
+/// Checks that a network can encode images in part.
+fn check_focus(focus: &Focus, checkpoint: &Checkpoint, device: &Device) -> Result<()> {
+    let refused = |expected: &str, got: &str| Err(Error::value("focus", expected, got));
+    if !checkpoint.metadata.framing.is_whole() {
+        return refused("none for a network that sees single hands, which are cut out of each picture", "a focus");
+    }
+    if checkpoint.presence.is_none() {
+        return refused("a network that estimates keypoints (`egotac model presence`)", "one that does not");
+    }
+    if !device.is_cpu() {
+        return refused("a network on the CPU", "one on a GPU");
+    }
+    focus.check(checkpoint.model.config().vision_depth)
 }
 
 /// Judges a frame by its tokens, `(P, dv)`.

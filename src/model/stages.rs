@@ -6,6 +6,7 @@
 use candle_core::{DType, Device, Tensor};
 use egotac_kernels::ops::with_slices;
 
+use super::engine::Part;
 use super::heads::HeadOutputs;
 use super::{EgoTac, Form, Layers};
 use crate::error::{Error, Result};
@@ -94,6 +95,21 @@ impl EgoTac {
                 Ok(FrameTokens { projected: Tensor::from_vec(projected, shape, frames.device())?, encoded })
             }
         }
+    }
+
+    /// Encodes a part of one frame and projects it; its other tokens are those of `earlier`. None if the network is not compiled.
+    ///
+    /// `frame`: `(1, 3, H, W)`, ImageNet-normalised.
+    ///
+    /// # Errors
+    /// As [`EgoTac::encode`].
+    pub(crate) fn part_tokens(&self, frame: &Tensor, part: Part, earlier: &FrameTokens) -> Result<Option<FrameTokens>> {
+        let Form::Compiled(engine) = &self.form else { return Ok(None) };
+        self.check_frames(frame)?;
+        let encoded = with_slices(&[frame], |values| engine.encode_part(values[0], part, &earlier.encoded))?;
+        let projected = engine.project(&encoded);
+        let shape = (1, self.config.tokens(), self.config.width);
+        Ok(Some(FrameTokens { projected: Tensor::from_vec(projected, shape, frame.device())?, encoded }))
     }
 
     /// Fuses a window of projected frames into the scene vector z.

@@ -8,6 +8,7 @@ mod checkpoint;
 mod cli;
 mod engine;
 mod familiarity;
+mod focus;
 mod get;
 mod grow;
 mod hands;

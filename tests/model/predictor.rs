@@ -238,7 +238,7 @@ fn images_that_hardly_change_take_the_tokens_of_the_last_encoded_one() {
         [(0, false), (2, true), (3, true), (4, false), (7, true), (0, false)].into_iter().enumerate()
     {
         let prediction = network.push(&brighter(0, levels), DT * k as f64).unwrap();
-        assert_eq!(prediction.reused, reused, "{levels} levels");
+        assert_eq!(prediction.is_reused(), reused, "{levels} levels");
         if k < 3 {
             // The window holds equal tokens only.
             let want = network.another_stream().push(&brighter(0, 0), 0.0).unwrap();
@@ -246,7 +246,7 @@ fn images_that_hardly_change_take_the_tokens_of_the_last_encoded_one() {
         }
     }
     network.reset();
-    assert!(!network.push(&brighter(0, 0), 0.0).unwrap().reused, "nothing is left of a stream before a reset");
+    assert!(!network.push(&brighter(0, 0), 0.0).unwrap().is_reused(), "nothing is left of a stream before a reset");
     // In a batch of streams each compares with its own images.
     let mut streams = [0, 1, 2].map(|_| network.another_stream());
     for (round, expected) in [[false; 3], [true, false, true]].into_iter().enumerate() {
@@ -254,7 +254,7 @@ fn images_that_hardly_change_take_the_tokens_of_the_last_encoded_one() {
         let prepared = inputs.map(|i| network.preparation().apply(&brighter(i, 0)).unwrap());
         let images = streams.iter_mut().zip(prepared).map(|(stream, input)| (stream, input, DT * round as f64));
         let results: Vec<bool> =
-            Predictor::push_together(images.collect()).into_iter().map(|r| r.unwrap().reused).collect();
+            Predictor::push_together(images.collect()).into_iter().map(|r| r.unwrap().is_reused()).collect();
         assert_eq!(results, expected);
     }
     for below in [-1.0, f32::NAN] {

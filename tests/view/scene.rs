@@ -65,4 +65,11 @@ fn a_scene_holds_the_labels_and_truth_of_each_image_and_hands_in_their_colours()
     assert!(sooner > 0.0 && later < 0.0, "the right hand is on the right");
 
     refused(&[&arguments[..], &[&at("touch.bag")]].concat(), "expected a name that ends in .mcap");
+
+    // `make check-rerun` tests a program with the feature.
+    #[cfg(not(feature = "rerun"))]
+    refused(
+        &["label", &at("in.zarr"), "--out", &at("other.zarr"), "--rerun", &at("touch.rrd")],
+        "with the feature `rerun`",
+    );
 }

@@ -223,7 +223,8 @@ pub struct Touch {
 
 impl Touch {
     fn new(py: Python<'_>, prediction: Prediction, seconds: f64) -> PyResult<Self> {
-        let Prediction { stamp_secs, field, certainty, hands, warming_up, restarted, reused } = prediction;
+        let reused = prediction.is_reused();
+        let Prediction { stamp_secs, field, certainty, hands, warming_up, restarted, .. } = prediction;
         let keypoints = keypoints(hands.as_ref());
         let known = mask(&field, &certainty);
         let regions = region_forces(&field);

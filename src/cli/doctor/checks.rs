@@ -31,7 +31,13 @@ pub fn all(hand_model: &str) -> Vec<Row> {
 
 /// Reports the version and the features of this build.
 fn egotac() -> Row {
-    let features = [("ros", cfg!(feature = "ros")), ("sim", cfg!(feature = "sim")), ("cuda", cfg!(feature = "cuda"))];
+    let features = [
+        ("ros", cfg!(feature = "ros")),
+        ("sim", cfg!(feature = "sim")),
+        ("cuda", cfg!(feature = "cuda")),
+        ("mpi", cfg!(feature = "mpi")),
+        ("rerun", cfg!(feature = "rerun")),
+    ];
     let built: Vec<_> = features.iter().filter(|(_, built)| *built).map(|(name, _)| *name).collect();
     let built = if built.is_empty() { "none".to_string() } else { built.join(", ") };
     Row::ok("egotac", format!("{}, features: {built}", env!("CARGO_PKG_VERSION")))

@@ -1,12 +1,14 @@
 //! The compiled vision encoder: one frame at a time, through one set of buffers.
 
+use std::ops::Range;
+
 use egotac_kernels::attention::Attention;
 use egotac_kernels::norm::Norm;
-use egotac_kernels::packed::{Packed, Then};
+use egotac_kernels::packed::{Format, Packed, Then};
 use egotac_kernels::quantise::Quantised;
 use egotac_kernels::rows::Rows;
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::model::config::Config;
 use crate::model::dinov2::{self, Dinov2};
 use crate::model::finite::check_finite;
@@ -15,6 +17,16 @@ use crate::model::precision::Precision;
 /// Unused values at the end of each row of the hidden layer. The width of that layer is a multiple of a memory page at
 /// common sizes; rows at such a distance would all map to the same few sets of the cache.
 const PADDING: usize = 16;
+
+/// Patches of a frame that all layers compute anew; the others leave after the first layers, and their tokens stay those of an
+/// earlier frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Part<'a> {
+    /// Number of layers that all patches pass.
+    pub after: usize,
+    /// Indices of the patches, ascending, at least one.
+    pub patches: &'a [usize],
+}
 
 /// Weights of the encoder.
 #[derive(Debug, Clone)]
@@ -49,6 +61,10 @@ pub struct Buffers {
     qkv: Vec<f32>,     // (tokens, 3 dv)
     hidden: Vec<f32>,  // (tokens, 4 dv + PADDING)
     attention: Attention,
+    /// Attention of the last part, and its number of tokens.
+    part: Option<(usize, Attention)>,
+    heads: usize,
+    format: Format,
 }
 
 impl Encoder {
@@ -93,54 +109,86 @@ impl Encoder {
             qkv: vec![0.0; tokens * 3 * dv],
             hidden: vec![0.0; tokens * (4 * dv + PADDING)],
             attention: Attention::new(tokens, dv, heads, precision.format()),
+            part: None,
+            heads,
+            format: precision.format(),
         }
     }
 
-    /// Encodes one frame, `(3, H, W)`, into `out`, `(P, dv)`.
+    /// Encodes one frame, `(3, H, W)`, into `out`, `(P, dv)`. With `part`, `out` must hold the tokens of an earlier frame, and only
+    /// those of CLS and of its patches are replaced.
     ///
     /// # Errors
     /// With `checked`: if the result of a step is not finite; names the first one.
     pub fn forward(
         &self,
         frame: &[f32],
+        part: Option<Part>,
         out: &mut [f32],
         buffers: &mut Buffers,
         quantised: &mut Quantised,
         checked: bool,
     ) -> Result<()> {
-        let (dv, tokens) = (self.dv(), self.tokens());
-        let Buffers { patches, h, x, qkv, hidden, attention } = buffers;
+        let (dv, tokens, lead) = (self.dv(), self.tokens(), 1 + self.registers);
+        let Buffers { patches, h, x, qkv, hidden, attention, part: smaller, heads, format } = buffers;
         if checked {
             check_finite("images", frame)?;
         }
         self.gather(frame, patches);
         h.copy_from_slice(&self.start);
         let size = 3 * self.patch * self.patch;
-        let place = &mut h[(1 + self.registers) * dv..];
+        let place = &mut h[lead * dv..];
         self.projection.forward(Rows::new(patches, size), place, dv, Then::Add, quantised);
         if checked {
             check_finite("encoder.embeddings", h)?;
         }
-        let wide = 4 * dv + PADDING;
-        for (i, layer) in self.layers.iter().enumerate() {
-            layer.norm1.forward(Rows::new(h, dv), x);
-            layer.qkv.forward(Rows::new(x, dv), qkv, 3 * dv, Then::Store, quantised);
-            attention.forward(qkv, x);
-            layer.out.forward(Rows::new(x, dv), h, dv, Then::Add, quantised);
-            if checked {
-                check_finite(&format!("encoder.encoder.layer.{i}.attention"), h)?;
+        let after = part.map_or(self.layers.len(), |part| part.after.min(self.layers.len()));
+        let mut run = |layers: Range<usize>, tokens: usize, h: &mut [f32], attention: &mut Attention| {
+            let (x, qkv, wide) = (&mut x[..tokens * dv], &mut qkv[..tokens * 3 * dv], 4 * dv + PADDING);
+            for i in layers {
+                let layer = &self.layers[i];
+                layer.norm1.forward(Rows::new(h, dv), x);
+                layer.qkv.forward(Rows::new(x, dv), qkv, 3 * dv, Then::Store, quantised);
+                attention.forward(qkv, x);
+                layer.out.forward(Rows::new(x, dv), h, dv, Then::Add, quantised);
+                if checked {
+                    check_finite(&format!("encoder.encoder.layer.{i}.attention"), h)?;
+                }
+                layer.norm2.forward(Rows::new(h, dv), x);
+                layer.fc1.forward(Rows::new(x, dv), &mut hidden[..tokens * wide], wide, Then::Gelu, quantised);
+                let input = Rows { data: hidden, stride: wide, count: tokens };
+                layer.fc2.forward(input, h, dv, Then::Add, quantised);
+                if checked {
+                    check_finite(&format!("encoder.encoder.layer.{i}.mlp"), h)?;
+                }
             }
-            layer.norm2.forward(Rows::new(h, dv), x);
-            layer.fc1.forward(Rows::new(x, dv), hidden, wide, Then::Gelu, quantised);
-            let input = Rows { data: hidden, stride: wide, count: tokens };
-            layer.fc2.forward(input, h, dv, Then::Add, quantised);
-            if checked {
-                check_finite(&format!("encoder.encoder.layer.{i}.mlp"), h)?;
+            Ok::<(), Error>(())
+        };
+        run(0..after, tokens, h, attention)?;
+        if let Some(Part { patches, .. }) = part {
+            // The rows of the part move up behind CLS and registers.
+            for (to, from) in patches.iter().enumerate() {
+                h.copy_within((lead + from) * dv..(lead + from + 1) * dv, (lead + to) * dv);
+            }
+            let count = lead + patches.len();
+            if smaller.as_ref().is_none_or(|(tokens, _)| *tokens != count) {
+                *smaller = Some((count, Attention::new(count, dv, *heads, *format)));
+            }
+            if let Some((_, attention)) = smaller {
+                run(after..self.layers.len(), count, &mut h[..count * dv], attention)?;
             }
         }
         // CLS, then the patches; the registers between them have served their purpose.
         self.norm.forward(Rows::new(&h[..dv], dv), &mut out[..dv]);
-        self.norm.forward(Rows::new(&h[(1 + self.registers) * dv..], dv), &mut out[dv..]);
+        match part {
+            None => self.norm.forward(Rows::new(&h[lead * dv..], dv), &mut out[dv..]),
+            Some(Part { patches, .. }) => {
+                for (from, to) in patches.iter().enumerate() {
+                    let row = &h[(lead + from) * dv..(lead + from + 1) * dv];
+                    self.norm.forward(Rows::new(row, dv), &mut out[(1 + to) * dv..(2 + to) * dv]);
+                }
+            }
+        }
         if checked {
             check_finite("encoder.layernorm", out)?;
         }

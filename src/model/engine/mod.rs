@@ -10,6 +10,8 @@ mod temporal;
 
 use std::sync::{Mutex, PoisonError};
 
+pub use encoder::Part;
+
 use egotac_kernels::norm::Norm;
 use egotac_kernels::packed::Packed;
 use egotac_kernels::quantise::Quantised;
@@ -78,13 +80,30 @@ impl Engine {
         let mut out = vec![0.0; frames.len() / size * wide];
         self.with_buffers(|Buffers { encoder, quantised, .. }| -> Result<()> {
             for (frame, out) in frames.chunks_exact(size).zip(out.chunks_exact_mut(wide)) {
-                self.encoder.forward(frame, out, encoder, quantised, false)?;
+                self.encoder.forward(frame, None, out, encoder, quantised, false)?;
                 if !all_finite(out) {
                     // A second pass with checks after each step names the first one that fails.
-                    self.encoder.forward(frame, out, encoder, quantised, true)?;
+                    self.encoder.forward(frame, None, out, encoder, quantised, true)?;
                 }
             }
             Ok(())
+        })?;
+        Ok(out)
+    }
+
+    /// Encodes a part of one frame, `(3, H, W)`. `earlier`: tokens of an earlier frame, `(P, dv)`, which stay where the part has no
+    /// patch. Returns `(P, dv)`.
+    ///
+    /// # Errors
+    /// If a result is not finite; names the step.
+    pub fn encode_part(&self, frame: &[f32], part: Part, earlier: &[f32]) -> Result<Vec<f32>> {
+        let mut out = earlier.to_vec();
+        self.with_buffers(|Buffers { encoder, quantised, .. }| {
+            self.encoder.forward(frame, Some(part), &mut out, encoder, quantised, false)?;
+            match all_finite(&out) {
+                true => Ok(()),
+                false => self.encoder.forward(frame, Some(part), &mut out, encoder, quantised, true),
+            }
         })?;
         Ok(out)
     }

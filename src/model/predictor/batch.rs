@@ -25,7 +25,8 @@ impl Predictor {
     ///
     /// Returns one result per image. An image that fails leaves the other streams untouched.
     pub fn push_together(images: Vec<StreamImage>) -> Vec<Result<Prediction>> {
-        if images.iter().any(|(stream, ..)| stream.hands.is_some()) {
+        // Those whose images are not encoded whole.
+        if images.iter().any(|(stream, ..)| stream.hands.is_some() || stream.focused.is_on()) {
             let push = |(stream, input, stamp_secs): StreamImage| stream.push_prepared(input, stamp_secs);
             return images.into_iter().map(push).collect();
         }

@@ -99,7 +99,7 @@ impl Predictor {
         if let Some(hands) = &mut self.hands {
             (hands.frames, hands.newest) = (frames, Some(stamp_secs));
         }
-        Ok(Prediction { stamp_secs, field, certainty, hands: estimates, warming_up, restarted, reused: false })
+        Ok(Prediction { stamp_secs, field, certainty, hands: estimates, warming_up, restarted, encoded: 1.0 })
     }
 
     /// Encodes the picture of one hand.

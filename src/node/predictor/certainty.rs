@@ -31,8 +31,9 @@ struct Counts {
 
 impl Certainties {
     /// Counts an image. Logs one line when the hands whose touch is unknown have changed for some images.
-    pub(super) fn push(&self, Prediction { certainty, reused, .. }: &Prediction, log: &Log) {
-        lock(&self.0).reused += u64::from(*reused);
+    pub(super) fn push(&self, prediction: &Prediction, log: &Log) {
+        lock(&self.0).reused += u64::from(prediction.is_reused());
+        let certainty = &prediction.certainty;
         if let Some(line) = lock(&self.0).push(certainty) {
             match certainty.is_unfamiliar() {
                 true => log.warn(line),

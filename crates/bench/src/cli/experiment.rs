@@ -18,7 +18,7 @@ const RESULTS: &str = "results";
     1 to 4 sources), ablations (the parts of the method, other loss weights), limits (time, resolution, capacity), motion (forces estimated \
     from motion), recordings (two data sets, written as others record them, imported and mixed).\n\
     Measured on a finished network: transfer (other sensors), decline (worse pictures), attention (where it looks), reuse \
-    (images that hardly change, not encoded).\n\
+    (encoder work that is skipped: images that hardly change, patches without hands).\n\
     results: the page that sets what was found beside the paper, from the JSON files in --out.\n\
     Data is rendered and runs are trained in the work folder; both stay there, so a stopped experiment resumes."
 )]

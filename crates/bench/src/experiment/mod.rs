@@ -17,7 +17,7 @@
 //! | `transfer` | dynamics of force against sensors with another layout, gain and spread; no training |
 //! | `decline` | accuracy against occlusion, blur, noise, exposure, resolution and frame rate; no training |
 //! | `attention` | share of the attention on hands and objects; no training |
-//! | `reuse` | accuracy and time if images that hardly change are not encoded; no training |
+//! | `reuse` | accuracy and time if images that hardly change are not encoded, or patches without hands; no training |
 //!
 //! Arms start from the encoder of a network that has learned, the shipped one by default: a network this small spends a whole
 //! run on learning to see otherwise. Finished runs stay in the work folder, so an experiment can be stopped at any time and
