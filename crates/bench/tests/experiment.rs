@@ -128,16 +128,17 @@ fn a_finished_network_is_measured_against_worse_pictures_and_other_sensors() {
 }
 
 #[test]
-fn images_that_hardly_change_are_not_encoded() {
+fn images_that_hardly_change_and_patches_without_hands_are_not_encoded() {
     let folder = tempfile::tempdir().unwrap();
     let (text, report) = done("reuse", &folder.path().join("work"), folder.path());
     let rows = report["rows"].as_array().unwrap();
     let encoded: Vec<f64> = rows.iter().map(|row| row["encoded"].as_f64().unwrap()).collect();
-    // Two cameras, on the head and on a stand, each without reuse and with much of it.
-    assert_eq!((encoded.len(), encoded[0], encoded[2]), (4, 1.0, 1.0));
-    assert!(encoded[1] <= 1.0 && encoded[3] < 1.0, "{encoded:?}");
+    // Two cameras, on the head and on a stand, each with all images, with much reuse, and with patches near the hands alone.
+    assert_eq!((encoded.len(), encoded[0], encoded[3]), (6, 1.0, 1.0));
+    assert!(encoded[1] <= 1.0 && encoded[4] < 1.0, "{encoded:?}");
+    assert!([2, 5].iter().all(|row| encoded[*row] < 1.0 && rows[*row]["focus"]["after"] == 0), "{encoded:?}");
     assert_eq!(rows[0]["scores"]["differences"], Value::Null);
-    assert!(rows[3]["scores"]["differences"][0].is_array() && text.contains("## Camera on a stand"), "{text}");
+    assert!(rows[4]["scores"]["differences"][0].is_array() && text.contains("## Camera on a stand"), "{text}");
     assert!(fs::metadata(folder.path().join("reuse.png")).unwrap().len() > 1000);
 }
 
