@@ -63,7 +63,7 @@ struct Last {
     since_whole: usize,
 }
 
-/// What is known of the image before, for a part of the next one.
+/// What the last image gives to one that is encoded in part.
 pub(super) struct Before<'a> {
     /// Layers that all patches pass.
     pub after: usize,
