@@ -21,7 +21,7 @@ old or an argument is missing. The compiler refuses `unsafe` elsewhere (`unsafe_
 `make miri` interprets the tests of the kernels' plain forms, at small sizes. Miri of 19 May 2026 (nightly) finds no undefined
 behaviour in `aligned`, `attention`, `packed`, `quantise`, `tile` and `tile8` under stacked borrows (8 tests), and none in `team`
 under tree borrows (3 tests: rayon's queue, whose threads a team borrows, breaks the rules of stacked borrows); all take 70 s
-of processor time. Every interleaving of a team's threads, of the mailbox and of two processes that label one output:
+of processor time. It was not run again since activations have forms of their own. Every interleaving of a team's threads, of the mailbox and of two processes that label one output:
 `cargo test --test team_interleavings -p egotac-kernels`, `--test node mailbox_interleavings` and `label::interleavings`, with loom.
 """
 

@@ -17,8 +17,8 @@
 use std::collections::BTreeMap;
 
 use candle_core::{Device, Tensor};
+use egotac_kernels::activations::Activations;
 use egotac_kernels::packed::{Format, Packed, Then};
-use egotac_kernels::quantise::Quantised;
 use egotac_kernels::rows::Rows;
 use egotac_kernels::{simd, team};
 
@@ -146,7 +146,7 @@ impl Presence {
         let mut outputs = vec![0.0; n_patches * PATCH_OUTPUTS];
         team::lead(|| {
             let rows = Rows::new(patches, self.width);
-            self.patch.forward(rows, &mut outputs, PATCH_OUTPUTS, Then::Store, &mut Quantised::default());
+            self.patch.forward(rows, &mut outputs, PATCH_OUTPUTS, Then::Store, &mut Activations::default());
         });
         let pooled = pool(&outputs, n_patches);
         let presence = [0, 1].map(|hand| probability(self.hand.output(hand, &pooled)));

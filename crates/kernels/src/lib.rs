@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`ops`] | operations on candle tensors with their gradients, for training and as the reference of inference |
 //! | [`packed`], [`norm`], [`attention`] | layers laid out once for inference, on slices |
-//! | [`quantise`], [`rows`] | their inputs: rows of f32, and the same rows in 8 bits |
+//! | [`activations`], [`rows`] | their inputs: rows of f32, and the same rows in 16 or 8 bits |
 //! | [`team`] | threads that share the many short steps of one inference |
 //! | [`peak`] | the most that the processor computes and reads |
 //! | [`simd`] | loops compiled for the widest vectors of the processor at hand |
@@ -18,6 +18,8 @@
 //! All of it lies in the modules marked below. Everything public is safe to call: sizes are checked against slices
 //! before a pointer is formed from them.
 
+#[allow(unsafe_code)] // a pointer shared by tasks that write disjoint parts
+pub mod activations;
 #[allow(unsafe_code)] // plain numbers seen as bytes of cache lines, and back
 mod aligned;
 #[allow(unsafe_code)] // assembly, and pointers into panels
@@ -32,7 +34,8 @@ pub mod ops;
 pub mod packed;
 #[allow(unsafe_code)] // vector instructions, and a block of the matrix unit
 pub mod peak;
-pub mod quantise;
+#[allow(unsafe_code)] // vector instructions
+mod quantise;
 pub mod rows;
 pub mod simd;
 #[allow(unsafe_code)] // a borrowed task and disjoint parts of one slice, shared between threads

@@ -1,5 +1,6 @@
 //! Layer norm of rows.
 
+use crate::activations::{Activations, Form};
 use crate::ops::statistics;
 use crate::rows::Rows;
 use crate::{simd, team};
@@ -36,6 +37,12 @@ impl Norm {
                 self.row(&x.data[first..first + d], out);
             }
         });
+    }
+
+    /// Normalises the rows of `x` into rows of the form in which a layer reads them.
+    pub fn apply_into(&self, x: Rows, out: &mut Activations, form: Form) {
+        let d = self.d();
+        out.fill(form, x.count, d, |row, out| self.row(&x.data[row * x.stride..][..d], out));
     }
 
     /// Normalises the sum of a row and `shift`.

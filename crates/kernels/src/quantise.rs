@@ -1,13 +1,7 @@
 //! Conversion from f32 to 8 or 16 bits: weights once, activations row by row.
 
-use crate::aligned::{Aligned, grow};
-use crate::amx::STEP;
-use crate::rows::Rows;
 use crate::simd;
-use crate::team;
 
-/// Rows that one task converts: enough work to be worth handing over, few enough that 257 tokens make several tasks.
-const ROWS_PER_TASK: usize = 32;
 /// Magnitude below which values count as zero, since the inverse of their scale would not be finite.
 const SMALLEST: f32 = 1e-30;
 /// 1.5 · 2²³. Adding it to a number below 2²² rounds that number to an integer, ties to even, and leaves the integer
@@ -31,64 +25,17 @@ pub fn quantise_weights(weight: &[f32], n: usize) -> (Vec<i8>, Vec<f32>) {
     (bytes, scales)
 }
 
-/// Rows of activations in 8 bits, or in 16.
+/// Rounds a row to bf16, ties to even. NaN stays NaN. Some processors take subnormal numbers for zero.
 ///
-/// In 8 bits: value = scale x (integer - zero point), scale and zero point per row. Zero is exact. The rounding is the same
-/// on every processor. In 16 bits: bf16.
-#[derive(Debug, Clone, Default)]
-pub struct Quantised {
-    bytes: Aligned<u8>,
-    scales: Vec<(f32, i32)>,
-    halves: Aligned<u16>,
-    stride: usize,
-}
-
-impl Quantised {
-    /// Converts rows of `k` values to 8 bits. The buffers grow to the largest input so far and are kept.
-    pub fn set(&mut self, x: Rows, k: usize) {
-        let (stride, count) = (k.next_multiple_of(STEP), x.count);
-        self.stride = stride;
-        grow(&mut self.bytes, count * stride);
-        if self.scales.len() < count {
-            self.scales.resize(count, (0.0, 0));
-        }
-        let bytes = (&mut self.bytes[..count * stride], ROWS_PER_TASK * stride);
-        team::chunks2(bytes, (&mut self.scales[..count], ROWS_PER_TASK), |block, bytes, scales| {
-            for (i, (bytes, scale)) in bytes.chunks_exact_mut(stride).zip(scales).enumerate() {
-                let first = (block * ROWS_PER_TASK + i) * x.stride;
-                *scale = quantise_row(&x.data[first..first + k], &mut bytes[..k]);
-                bytes[k..].fill(0);
-            }
-        });
-    }
-
-    /// Converts rows of `k` values to bf16.
-    pub fn set_halves(&mut self, x: Rows, k: usize) {
-        let (stride, count) = (k.next_multiple_of(STEP / size_of::<u16>()), x.count);
-        self.stride = stride;
-        grow(&mut self.halves, count * stride);
-        team::chunks(&mut self.halves[..count * stride], ROWS_PER_TASK * stride, |block, halves| {
-            for (i, halves) in halves.chunks_exact_mut(stride).enumerate() {
-                let first = (block * ROWS_PER_TASK + i) * x.stride;
-                halve_row(&x.data[first..first + k], &mut halves[..k]);
-                halves[k..].fill(0);
-            }
-        });
-    }
-
-    /// Returns the integers from row `first` on, the distance between rows, and scale and zero point of `count` rows.
-    pub(crate) fn rows(&self, first: usize, count: usize) -> (&[u8], usize, &[(f32, i32)]) {
-        (&self.bytes[first * self.stride..], self.stride, &self.scales[first..first + count])
-    }
-
-    /// Returns the values in bf16 from row `first` on, and the distance between rows.
-    pub(crate) fn halves(&self, first: usize) -> (&[u16], usize) {
-        (&self.halves[first * self.stride..], self.stride)
-    }
-}
-
-/// Rounds a row to bf16, ties to even. NaN stays NaN.
+/// # Panics
+/// If there is no room.
 pub(crate) fn halve_row(row: &[f32], halves: &mut [u16]) {
+    assert!(halves.len() >= row.len(), "a row leaves its place");
+    #[cfg(target_arch = "x86_64")]
+    if halved_by_processor() {
+        // SAFETY: the features were detected.
+        return unsafe { avx512::halve_row(row, halves) };
+    }
     simd::dispatch(
         #[inline(always)]
         || {
@@ -99,6 +46,12 @@ pub(crate) fn halve_row(row: &[f32], halves: &mut [u16]) {
     );
 }
 
+/// True if the processor has an instruction that rounds to bf16.
+#[cfg(target_arch = "x86_64")]
+pub(crate) fn halved_by_processor() -> bool {
+    !cfg!(miri) && std::arch::is_x86_feature_detected!("avx512f") && std::arch::is_x86_feature_detected!("avx512bf16")
+}
+
 /// Rounds to the nearest bf16, ties to even. NaN stays NaN. Without branches, so that loops over it are vectorised.
 #[inline(always)]
 pub(crate) fn bf16(value: f32) -> u16 {
@@ -107,20 +60,31 @@ pub(crate) fn bf16(value: f32) -> u16 {
     if value.is_nan() { 0x7fc0 } else { rounded as u16 }
 }
 
-/// Converts one row. A value that is not finite makes the scale NaN, so that it shows in every product of the row.
-fn quantise_row(row: &[f32], bytes: &mut [u8]) -> (f32, i32) {
+/// Converts one row. Returns scale and zero point. A value that is not finite makes the scale NaN, so that it shows in every product
+/// of the row.
+///
+/// # Panics
+/// If there is no room.
+pub(crate) fn quantise_row(row: &[f32], bytes: &mut [u8]) -> (f32, i32) {
+    assert!(bytes.len() >= row.len(), "a row leaves its place");
+    #[cfg(target_arch = "x86_64")]
+    if !cfg!(miri) && std::arch::is_x86_feature_detected!("avx512f") {
+        // SAFETY: AVX-512 F was detected.
+        return unsafe { avx512::quantise_row(row, bytes) };
+    }
+    plain_quantise_row(row, bytes)
+}
+
+/// As [`quantise_row`], for all processors.
+fn plain_quantise_row(row: &[f32], bytes: &mut [u8]) -> (f32, i32) {
     simd::dispatch(
         #[inline(always)]
         || {
             let (low, high) = extremes(row);
-            // Divided before the subtraction: the difference itself may overflow.
-            let scale = (high / 255.0) - (low / 255.0);
-            if scale.is_nan() || scale <= SMALLEST {
-                bytes.fill(0);
-                return (if scale.is_nan() { scale } else { 0.0 }, 0);
-            }
-            let inverse = 1.0 / scale;
-            let zero = (-low * inverse).round_ties_even();
+            let Some((scale, inverse, zero)) = step(low, high) else {
+                bytes[..row.len()].fill(0);
+                return (if (low + high).is_nan() { f32::NAN } else { 0.0 }, 0);
+            };
             for (byte, value) in bytes.iter_mut().zip(row) {
                 let shifted = value.mul_add(inverse, zero).clamp(0.0, 255.0) + ROUNDING;
                 *byte = shifted.to_bits() as u8;
@@ -128,6 +92,97 @@ fn quantise_row(row: &[f32], bytes: &mut [u8]) -> (f32, i32) {
             (scale, zero as i32)
         },
     )
+}
+
+/// Returns scale, its inverse and the zero point of a row between two values; None if the scale is NaN or too small.
+#[inline(always)]
+fn step(low: f32, high: f32) -> Option<(f32, f32, f32)> {
+    // Divided before the subtraction: the difference itself may overflow.
+    let scale = (high / 255.0) - (low / 255.0);
+    if scale.is_nan() || scale <= SMALLEST {
+        return None;
+    }
+    let inverse = 1.0 / scale;
+    Some((scale, inverse, (-low * inverse).round_ties_even()))
+}
+
+/// Both conversions in AVX-512.
+#[cfg(target_arch = "x86_64")]
+pub(crate) mod avx512 {
+    use std::arch::x86_64::{
+        __m256i, __m512, _mm_storeu_si128, _mm256_storeu_si256, _mm512_cvtneps_pbh, _mm512_cvtps_epi32,
+        _mm512_cvtusepi32_epi8, _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_max_epi32, _mm512_max_ps, _mm512_min_ps,
+        _mm512_reduce_add_ps, _mm512_reduce_max_ps, _mm512_reduce_min_ps, _mm512_set1_ps, _mm512_setzero_ps,
+        _mm512_setzero_si512,
+    };
+
+    use super::step;
+    use crate::simd::LANES;
+
+    /// Rounds to bf16, ties to even; subnormal numbers become zero.
+    #[inline]
+    #[target_feature(enable = "avx512f,avx512bf16")]
+    pub fn halve(value: __m512) -> __m256i {
+        // SAFETY: both are 32 bytes of any bits.
+        unsafe { std::mem::transmute(_mm512_cvtneps_pbh(value)) }
+    }
+
+    /// As [`super::halve_row`]; the slices have equal lengths, or there is more room.
+    #[target_feature(enable = "avx512f,avx512bf16")]
+    pub fn halve_row(row: &[f32], halves: &mut [u16]) {
+        let (vectors, rest) = row.as_chunks::<LANES>();
+        let (places, room) = halves[..row.len()].as_chunks_mut::<LANES>();
+        for (vector, place) in vectors.iter().zip(places) {
+            // SAFETY: a load and a store of 16 values, which need no alignment.
+            unsafe { _mm256_storeu_si256(place.as_mut_ptr().cast(), halve(_mm512_loadu_ps(vector.as_ptr()))) };
+        }
+        let mut last = [0.0; LANES];
+        last[..rest.len()].copy_from_slice(rest);
+        let mut place = [0; LANES];
+        // SAFETY: as above.
+        unsafe { _mm256_storeu_si256(place.as_mut_ptr().cast(), halve(_mm512_loadu_ps(last.as_ptr()))) };
+        room.copy_from_slice(&place[..rest.len()]);
+    }
+
+    /// As [`super::quantise_row`], with the same bits.
+    #[target_feature(enable = "avx512f")]
+    pub fn quantise_row(row: &[f32], bytes: &mut [u8]) -> (f32, i32) {
+        let (vectors, rest) = row.as_chunks::<LANES>();
+        let (places, room) = bytes[..row.len()].as_chunks_mut::<LANES>();
+        let mut last = [0.0; LANES];
+        last[..rest.len()].copy_from_slice(rest);
+        let zeros = _mm512_setzero_ps();
+        let (mut low, mut high, mut broken) = (zeros, zeros, zeros);
+        for vector in vectors.iter().chain([&last]) {
+            // SAFETY: a load of 16 values, which needs no alignment.
+            let values = unsafe { _mm512_loadu_ps(vector.as_ptr()) };
+            (low, high) = (_mm512_min_ps(values, low), _mm512_max_ps(values, high));
+            // Stays zero unless a value is not finite: zero times such a value is NaN.
+            broken = _mm512_fmadd_ps(values, zeros, broken);
+        }
+        let broken = _mm512_reduce_add_ps(broken);
+        let (low, high) = (_mm512_reduce_min_ps(low) + broken, _mm512_reduce_max_ps(high) + broken);
+        let Some((scale, inverse, zero)) = step(low, high) else {
+            bytes[..row.len()].fill(0);
+            return (if broken.is_nan() { f32::NAN } else { 0.0 }, 0);
+        };
+        let (inverses, zero_points) = (_mm512_set1_ps(inverse), _mm512_set1_ps(zero));
+        let convert = |vector: &[f32; LANES], place: &mut [u8; LANES]| {
+            // SAFETY: a load and a store of 16 values, which need no alignment.
+            unsafe {
+                let shifted = _mm512_fmadd_ps(_mm512_loadu_ps(vector.as_ptr()), inverses, zero_points);
+                let rounded = _mm512_max_epi32(_mm512_cvtps_epi32(shifted), _mm512_setzero_si512());
+                _mm_storeu_si128(place.as_mut_ptr().cast(), _mm512_cvtusepi32_epi8(rounded));
+            }
+        };
+        for (vector, place) in vectors.iter().zip(places) {
+            convert(vector, place);
+        }
+        let mut place = [0; LANES];
+        convert(&last, &mut place);
+        room.copy_from_slice(&place[..rest.len()]);
+        (scale, zero as i32)
+    }
 }
 
 /// Returns the smallest and the largest value, zero included; NaN twice if a value is not finite.
@@ -168,11 +223,9 @@ mod tests {
     const LENGTH: usize = if cfg!(miri) { 21 } else { 103 };
 
     fn restored(row: &[f32]) -> Vec<f32> {
-        let mut quantised = Quantised::default();
-        quantised.set(Rows::new(row, row.len()), row.len());
-        let (bytes, _, scales) = quantised.rows(0, 1);
-        let (scale, zero) = scales[0];
-        bytes[..row.len()].iter().map(|byte| scale * (i32::from(*byte) - zero) as f32).collect()
+        let mut bytes = vec![0; row.len()];
+        let (scale, zero) = quantise_row(row, &mut bytes);
+        bytes.iter().map(|byte| scale * (i32::from(*byte) - zero) as f32).collect()
     }
 
     #[test]
@@ -189,6 +242,20 @@ mod tests {
     }
 
     #[test]
+    fn both_forms_of_a_row_in_bytes_have_the_same_bits() {
+        for (length, low, high) in [(1, -1.0f32, 2.0f32), (16, 0.0, 3.0), (LENGTH, -0.17, 900.0), (40, -1e30, 3e38)] {
+            let mut row: Vec<f32> = (0..length).map(|i| low + (high - low) * (i as f32 * 0.37).sin().abs()).collect();
+            for bad in [0.0, f32::NAN, f32::INFINITY, 1e-35] {
+                row[length / 2] = if bad == 0.0 { row[length / 2] } else { bad };
+                let (mut bytes, mut plain) = (vec![7; length + 3], vec![7; length + 3]);
+                let (scale, zero) = quantise_row(&row, &mut bytes);
+                let (want, want_zero) = plain_quantise_row(&row, &mut plain);
+                assert_eq!((scale.to_bits(), zero, bytes), (want.to_bits(), want_zero, plain), "{length} {bad}");
+            }
+        }
+    }
+
+    #[test]
     fn bf16_rounds_as_a_library_does() {
         let some = (0..if cfg!(miri) { 100 } else { 100_000u32 }).map(|i| i.wrapping_mul(2_654_435_761));
         for bits in
@@ -197,6 +264,14 @@ mod tests {
             let value = f32::from_bits(bits);
             let (got, want) = (half::bf16::from_bits(bf16(value)), half::bf16::from_f32(value));
             assert!(got == want || got.is_nan() && want.is_nan(), "{value}: {got} for {want}");
+            let mut of_row = [0];
+            halve_row(&[value], &mut of_row);
+            let of_row = half::bf16::from_bits(of_row[0]);
+            let zero = value.is_subnormal() && of_row == half::bf16::ZERO;
+            assert!(
+                of_row == want || of_row.is_nan() && want.is_nan() || zero,
+                "{value}: {of_row} for {want} in a row"
+            );
         }
     }
 

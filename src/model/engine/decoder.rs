@@ -1,9 +1,9 @@
 //! The compiled tactile decoder. It has few rows, so reading the weights takes most of its time.
 
+use egotac_kernels::activations::Activations;
 use egotac_kernels::attention::Attention;
 use egotac_kernels::norm::{Norm, modulated};
 use egotac_kernels::packed::{Packed, Then};
-use egotac_kernels::quantise::Quantised;
 use egotac_kernels::rows::Rows;
 
 use crate::error::Result;
@@ -97,7 +97,7 @@ impl Decoder {
         force: &mut [f32],
         contact: &mut [f32],
         buffers: &mut Buffers,
-        quantised: &mut Quantised,
+        buffer: &mut Activations,
         checked: bool,
     ) -> Result<()> {
         let (d, steps) = (self.norm.d(), self.steps());
@@ -111,34 +111,34 @@ impl Decoder {
             h.copy_from_slice(&self.queries);
         }
         for (i, layer) in self.layers.iter().enumerate() {
-            layer.ada_attn.forward(Rows::new(condition, d), modulation, 2 * d, Then::Store, quantised);
+            layer.ada_attn.forward(Rows::new(condition, d), modulation, 2 * d, Then::Store, buffer);
             modulate(h, modulation, steps, d, x);
             let wide = layer.qkv.n();
-            layer.qkv.forward(Rows::new(x, d), qkv, wide, Then::Store, quantised);
+            layer.qkv.forward(Rows::new(x, d), qkv, wide, Then::Store, buffer);
             let attended = match steps {
                 1 => Rows::new(qkv, d),
                 _ => {
                     for (qkv, x) in qkv.chunks_exact(steps * wide).zip(x.chunks_exact_mut(steps * d)) {
-                        attention.forward(qkv, x);
+                        attention.forward(qkv, x, buffer);
                     }
                     Rows::new(x, d)
                 }
             };
-            layer.out.forward(attended, h, d, Then::Add, quantised);
+            layer.out.forward(attended, h, d, Then::Add, buffer);
             if checked {
                 check_finite(&format!("decoder.{i}.attn"), h)?;
             }
-            layer.ada_mlp.forward(Rows::new(condition, d), modulation, 2 * d, Then::Store, quantised);
+            layer.ada_mlp.forward(Rows::new(condition, d), modulation, 2 * d, Then::Store, buffer);
             modulate(h, modulation, steps, d, x);
-            layer.fc1.forward(Rows::new(x, d), hidden, 4 * d, Then::Gelu, quantised);
-            layer.fc2.forward(Rows::new(hidden, 4 * d), h, d, Then::Add, quantised);
+            layer.fc1.forward(Rows::new(x, d), hidden, 4 * d, Then::Gelu, buffer);
+            layer.fc2.forward(Rows::new(hidden, 4 * d), h, d, Then::Add, buffer);
             if checked {
                 check_finite(&format!("decoder.{i}.mlp"), h)?;
             }
         }
         self.norm.forward(Rows::new(h, d), x);
-        self.force_head.forward(Rows::new(x, d), force, self.force_head.n(), Then::Store, quantised);
-        self.contact_head.forward(Rows::new(x, d), contact, self.contact_head.n(), Then::Store, quantised);
+        self.force_head.forward(Rows::new(x, d), force, self.force_head.n(), Then::Store, buffer);
+        self.contact_head.forward(Rows::new(x, d), contact, self.contact_head.n(), Then::Store, buffer);
         if checked {
             check_finite("force_head", force)?;
             check_finite("contact_head", contact)?;

@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
+use egotac_kernels::activations::Activations;
 use egotac_kernels::attention::Attention;
 use egotac_kernels::norm::Norm;
 use egotac_kernels::packed::{Format, Packed, Then};
-use egotac_kernels::quantise::Quantised;
 use egotac_kernels::rows::Rows;
 
 use crate::error::{Error, Result};
@@ -13,10 +13,6 @@ use crate::model::config::Config;
 use crate::model::dinov2::{self, Dinov2};
 use crate::model::finite::check_finite;
 use crate::model::precision::Precision;
-
-/// Unused values at the end of each row of the hidden layer. The width of that layer is a multiple of a memory page at
-/// common sizes; rows at such a distance would all map to the same few sets of the cache.
-const PADDING: usize = 16;
 
 /// Patches of a frame that all layers compute anew; the others leave after the first layers, and their tokens stay those of an
 /// earlier frame.
@@ -55,11 +51,10 @@ struct Layer {
 /// Intermediate results of one frame.
 #[derive(Debug, Clone)]
 pub struct Buffers {
-    patches: Vec<f32>, // (patches, 3 · patch²)
-    h: Vec<f32>,       // (tokens, dv)
-    x: Vec<f32>,       // (tokens, dv)
-    qkv: Vec<f32>,     // (tokens, 3 dv)
-    hidden: Vec<f32>,  // (tokens, 4 dv + PADDING)
+    patches: Vec<f32>,   // (patches, 3 · patch²)
+    h: Vec<f32>,         // (tokens, dv)
+    qkv: Activations,    // (tokens, 3 dv)
+    hidden: Activations, // (tokens, 4 dv)
     attention: Attention,
     /// Attention of the last part, and its number of tokens.
     part: Option<(usize, Attention)>,
@@ -105,9 +100,8 @@ impl Encoder {
         Buffers {
             patches: vec![0.0; patches * 3 * self.patch * self.patch],
             h: vec![0.0; tokens * dv],
-            x: vec![0.0; tokens * dv],
-            qkv: vec![0.0; tokens * 3 * dv],
-            hidden: vec![0.0; tokens * (4 * dv + PADDING)],
+            qkv: Activations::default(),
+            hidden: Activations::default(),
             attention: Attention::new(tokens, dv, heads, precision.format()),
             part: None,
             heads,
@@ -126,11 +120,11 @@ impl Encoder {
         part: Option<Part>,
         out: &mut [f32],
         buffers: &mut Buffers,
-        quantised: &mut Quantised,
+        buffer: &mut Activations,
         checked: bool,
     ) -> Result<()> {
-        let (dv, tokens, lead) = (self.dv(), self.tokens(), 1 + self.registers);
-        let Buffers { patches, h, x, qkv, hidden, attention, part: smaller, heads, format } = buffers;
+        let (dv, lead) = (self.dv(), 1 + self.registers);
+        let Buffers { patches, h, qkv, hidden, attention, part: smaller, heads, format } = buffers;
         if checked {
             check_finite("images", frame)?;
         }
@@ -138,33 +132,31 @@ impl Encoder {
         h.copy_from_slice(&self.start);
         let size = 3 * self.patch * self.patch;
         let place = &mut h[lead * dv..];
-        self.projection.forward(Rows::new(patches, size), place, dv, Then::Add, quantised);
+        self.projection.forward(Rows::new(patches, size), place, dv, Then::Add, buffer);
         if checked {
             check_finite("encoder.embeddings", h)?;
         }
         let after = part.map_or(self.layers.len(), |part| part.after.min(self.layers.len()));
-        let mut run = |layers: Range<usize>, tokens: usize, h: &mut [f32], attention: &mut Attention| {
-            let (x, qkv, wide) = (&mut x[..tokens * dv], &mut qkv[..tokens * 3 * dv], 4 * dv + PADDING);
+        let mut run = |layers: Range<usize>, h: &mut [f32], attention: &mut Attention| {
             for i in layers {
                 let layer = &self.layers[i];
-                layer.norm1.forward(Rows::new(h, dv), x);
-                layer.qkv.forward(Rows::new(x, dv), qkv, 3 * dv, Then::Store, quantised);
-                attention.forward(qkv, x);
-                layer.out.forward(Rows::new(x, dv), h, dv, Then::Add, quantised);
+                layer.norm1.apply_into(Rows::new(h, dv), buffer, layer.qkv.form());
+                layer.qkv.apply_into(buffer, qkv, attention.form(), Then::Store);
+                attention.apply_into(qkv, buffer, layer.out.form());
+                layer.out.apply(buffer, h, dv, Then::Add);
                 if checked {
                     check_finite(&format!("encoder.encoder.layer.{i}.attention"), h)?;
                 }
-                layer.norm2.forward(Rows::new(h, dv), x);
-                layer.fc1.forward(Rows::new(x, dv), &mut hidden[..tokens * wide], wide, Then::Gelu, quantised);
-                let input = Rows { data: hidden, stride: wide, count: tokens };
-                layer.fc2.forward(input, h, dv, Then::Add, quantised);
+                layer.norm2.apply_into(Rows::new(h, dv), buffer, layer.fc1.form());
+                layer.fc1.apply_into(buffer, hidden, layer.fc2.form(), Then::Gelu);
+                layer.fc2.apply(hidden, h, dv, Then::Add);
                 if checked {
                     check_finite(&format!("encoder.encoder.layer.{i}.mlp"), h)?;
                 }
             }
             Ok::<(), Error>(())
         };
-        run(0..after, tokens, h, attention)?;
+        run(0..after, h, attention)?;
         if let Some(Part { patches, .. }) = part {
             // The rows of the part move up behind CLS and registers.
             for (to, from) in patches.iter().enumerate() {
@@ -175,7 +167,7 @@ impl Encoder {
                 *smaller = Some((count, Attention::new(count, dv, *heads, *format)));
             }
             if let Some((_, attention)) = smaller {
-                run(after..self.layers.len(), count, &mut h[..count * dv], attention)?;
+                run(after..self.layers.len(), &mut h[..count * dv], attention)?;
             }
         }
         // CLS, then the patches; the registers between them have served their purpose.

@@ -12,9 +12,9 @@ use std::sync::{Mutex, PoisonError};
 
 pub use encoder::Part;
 
+use egotac_kernels::activations::Activations;
 use egotac_kernels::norm::Norm;
 use egotac_kernels::packed::Packed;
-use egotac_kernels::quantise::Quantised;
 use egotac_kernels::rows::Rows;
 use egotac_kernels::team;
 
@@ -42,7 +42,7 @@ struct Buffers {
     encoder: encoder::Buffers,
     temporal: temporal::Buffers,
     decoder: decoder::Buffers,
-    quantised: Quantised,
+    buffer: Activations,
 }
 
 impl Engine {
@@ -78,12 +78,12 @@ impl Engine {
     pub fn encode(&self, frames: &[f32]) -> Result<Vec<f32>> {
         let (size, wide) = (3 * self.config.image.pow(2), self.config.tokens() * self.config.vision_width);
         let mut out = vec![0.0; frames.len() / size * wide];
-        self.with_buffers(|Buffers { encoder, quantised, .. }| -> Result<()> {
+        self.with_buffers(|Buffers { encoder, buffer, .. }| -> Result<()> {
             for (frame, out) in frames.chunks_exact(size).zip(out.chunks_exact_mut(wide)) {
-                self.encoder.forward(frame, None, out, encoder, quantised, false)?;
+                self.encoder.forward(frame, None, out, encoder, buffer, false)?;
                 if !all_finite(out) {
                     // A second pass with checks after each step names the first one that fails.
-                    self.encoder.forward(frame, None, out, encoder, quantised, true)?;
+                    self.encoder.forward(frame, None, out, encoder, buffer, true)?;
                 }
             }
             Ok(())
@@ -98,11 +98,11 @@ impl Engine {
     /// If a result is not finite; names the step.
     pub fn encode_part(&self, frame: &[f32], part: Part, earlier: &[f32]) -> Result<Vec<f32>> {
         let mut out = earlier.to_vec();
-        self.with_buffers(|Buffers { encoder, quantised, .. }| {
-            self.encoder.forward(frame, Some(part), &mut out, encoder, quantised, false)?;
+        self.with_buffers(|Buffers { encoder, buffer, .. }| {
+            self.encoder.forward(frame, Some(part), &mut out, encoder, buffer, false)?;
             match all_finite(&out) {
                 true => Ok(()),
-                false => self.encoder.forward(frame, Some(part), &mut out, encoder, quantised, true),
+                false => self.encoder.forward(frame, Some(part), &mut out, encoder, buffer, true),
             }
         })?;
         Ok(out)
@@ -112,9 +112,7 @@ impl Engine {
     pub fn project(&self, tokens: &[f32]) -> Vec<f32> {
         let dv = self.config.vision_width;
         let mut out = vec![0.0; tokens.len() / dv * self.config.width];
-        self.with_buffers(|Buffers { quantised, .. }| {
-            self.temporal.project(Rows::new(tokens, dv), &mut out, quantised)
-        });
+        self.with_buffers(|Buffers { buffer, .. }| self.temporal.project(Rows::new(tokens, dv), &mut out, buffer));
         out
     }
 
@@ -125,12 +123,12 @@ impl Engine {
     pub fn fuse(&self, windows: &[&[f32]]) -> Result<Vec<f32>> {
         let (horizon, d) = (self.config.horizon, self.config.width);
         let mut z = vec![0.0; windows.len() / horizon * d];
-        self.with_buffers(|Buffers { temporal, quantised, .. }| -> Result<()> {
+        self.with_buffers(|Buffers { temporal, buffer, .. }| -> Result<()> {
             for (frames, z) in windows.chunks_exact(horizon).zip(z.chunks_exact_mut(d)) {
-                self.temporal.fuse(frames, z, temporal, quantised, false)?;
+                self.temporal.fuse(frames, z, temporal, buffer, false)?;
                 if !all_finite(z) {
                     frames.iter().try_for_each(|frame| check_finite("temporal.proj", frame))?;
-                    self.temporal.fuse(frames, z, temporal, quantised, true)?;
+                    self.temporal.fuse(frames, z, temporal, buffer, true)?;
                 }
             }
             Ok(())
@@ -145,11 +143,11 @@ impl Engine {
     pub fn heads(&self, z: &[f32]) -> Result<[Vec<f32>; 2]> {
         let outputs = z.len() / self.config.width * self.decoder.steps() * N_FIELD;
         let (mut force, mut contact) = (vec![0.0; outputs], vec![0.0; outputs]);
-        self.with_buffers(|Buffers { decoder, quantised, .. }| -> Result<()> {
-            self.decoder.forward(z, &mut force, &mut contact, decoder, quantised, false)?;
+        self.with_buffers(|Buffers { decoder, buffer, .. }| -> Result<()> {
+            self.decoder.forward(z, &mut force, &mut contact, decoder, buffer, false)?;
             if !all_finite(&force) || !all_finite(&contact) {
                 check_finite("temporal.norm_out", z)?;
-                self.decoder.forward(z, &mut force, &mut contact, decoder, quantised, true)?;
+                self.decoder.forward(z, &mut force, &mut contact, decoder, buffer, true)?;
             }
             Ok(())
         })?;
@@ -163,7 +161,7 @@ impl Engine {
             encoder: self.encoder.buffers(self.config.vision_heads, self.precision),
             temporal: temporal::Buffers::default(),
             decoder: self.decoder.buffers(self.config.heads, self.precision),
-            quantised: Quantised::default(),
+            buffer: Activations::default(),
         });
         let result = team::lead(|| run(&mut buffers));
         self.spare.lock().unwrap_or_else(PoisonError::into_inner).push(buffers);

@@ -5,9 +5,9 @@
 
 use std::cell::RefCell;
 
+use egotac_kernels::activations::Activations;
 use egotac_kernels::norm::Norm;
 use egotac_kernels::packed::{Packed, Then};
-use egotac_kernels::quantise::Quantised;
 use egotac_kernels::rows::Rows;
 use egotac_kernels::{simd, team};
 
@@ -85,8 +85,8 @@ impl Temporal {
     }
 
     /// Projects tokens, `(rows, dv)`, into `out`, `(rows, d)`.
-    pub fn project(&self, tokens: Rows, out: &mut [f32], quantised: &mut Quantised) {
-        self.proj.forward(tokens, out, self.token.len(), Then::Store, quantised);
+    pub fn project(&self, tokens: Rows, out: &mut [f32], buffer: &mut Activations) {
+        self.proj.forward(tokens, out, self.token.len(), Then::Store, buffer);
     }
 
     /// Fuses one window, T times `(P, d)`, oldest first, into `z`, `(d)`.
@@ -98,7 +98,7 @@ impl Temporal {
         frames: &[&[f32]],
         z: &mut [f32],
         buffers: &mut Buffers,
-        quantised: &mut Quantised,
+        buffer: &mut Activations,
         checked: bool,
     ) -> Result<()> {
         let (d, heads) = (self.token.len(), self.heads);
@@ -129,10 +129,10 @@ impl Temporal {
                 );
         }
         h.copy_from_slice(&self.token);
-        self.out.forward(Rows::new(values, d), h, d, Then::Add, quantised);
+        self.out.forward(Rows::new(values, d), h, d, Then::Add, buffer);
         self.norm_mlp.row(h, x);
-        self.fc1.forward(Rows::new(x, d), hidden, 4 * d, Then::Gelu, quantised);
-        self.fc2.forward(Rows::new(hidden, 4 * d), h, d, Then::Add, quantised);
+        self.fc1.forward(Rows::new(x, d), hidden, 4 * d, Then::Gelu, buffer);
+        self.fc2.forward(Rows::new(hidden, 4 * d), h, d, Then::Add, buffer);
         self.norm_out.row(h, z);
         if checked {
             check_finite("temporal.norm_out", z)?;

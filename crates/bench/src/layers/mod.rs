@@ -9,18 +9,16 @@ use egotac::error::Result;
 use egotac::machine::Machine;
 use egotac::model::{Config, Precision};
 use egotac::statistics::median;
+use egotac_kernels::activations::{Activations, Form};
 use egotac_kernels::attention::Attention;
 use egotac_kernels::norm::Norm;
 use egotac_kernels::packed::{Format, Packed, Then};
-use egotac_kernels::quantise::Quantised;
 use egotac_kernels::rows::Rows;
 use egotac_kernels::{peak, team};
 use serde::Serialize;
 
 /// Values that are read to measure the memory: 512 MB, more than most caches hold.
 const READ: usize = 1 << 27;
-/// Values between rows of the hidden layer; see the encoder.
-const PADDING: usize = 16;
 /// Epsilon of the norms.
 const EPS: f32 = 1e-6;
 
@@ -150,7 +148,7 @@ struct Layer {
 fn steps(config: &Config, precision: Precision, runs: usize) -> Vec<Step> {
     let format = precision.format();
     let (d, n, depth) = (config.vision_width, config.tokens() + config.registers, config.vision_depth);
-    let (patch, wide) = (3 * config.patch * config.patch, 4 * d + PADDING);
+    let patch = 3 * config.patch * config.patch;
     let value = |i: usize| ((i * 7919 % 1013) as f32 / 1013.0) - 0.5;
     let values = |count: usize| -> Vec<f32> { (0..count).map(value).collect() };
     let packed = |k: usize, n: usize, format| Packed::new(&values(n * k), values(n), format);
@@ -165,8 +163,7 @@ fn steps(config: &Config, precision: Precision, runs: usize) -> Vec<Step> {
     let (norm, mut attention) =
         (Norm::new(values(d), values(d), EPS), Attention::new(n, d, config.vision_heads, format));
     let (patches, h) = (values((n - 1) * patch), values(n * d));
-    let (mut x, mut qkv, mut hidden) = (values(n * d), values(n * 3 * d), values(n * wide));
-    let mut small = Quantised::default();
+    let [mut x, mut qkv, mut hidden] = std::array::from_fn(|_| Activations::default());
     let mut sum = values(n * d);
     let mut times: [Vec<f64>; 7] = Default::default();
     for _ in 0..=runs {
@@ -178,34 +175,50 @@ fn steps(config: &Config, precision: Precision, runs: usize) -> Vec<Step> {
                 of_frame[step] += 1e3 * begun.elapsed().as_secs_f64();
             };
             let rows = Rows::new(&patches, patch);
-            timed(0, &mut || first.forward(rows, &mut sum[d..], d, Then::Add, &mut small));
+            timed(0, &mut || first.forward(rows, &mut sum[d..], d, Then::Add, &mut x));
             for layer in &layers {
-                timed(1, &mut || norm.forward(Rows::new(&h, d), &mut x));
-                timed(2, &mut || layer.qkv.forward(Rows::new(&x, d), &mut qkv, 3 * d, Then::Store, &mut small));
-                timed(3, &mut || attention.forward(&qkv, &mut x));
-                timed(4, &mut || layer.out.forward(Rows::new(&x, d), &mut sum, d, Then::Add, &mut small));
-                timed(1, &mut || norm.forward(Rows::new(&h, d), &mut x));
-                timed(5, &mut || layer.fc1.forward(Rows::new(&x, d), &mut hidden, wide, Then::Gelu, &mut small));
-                let rows = Rows { data: &hidden, stride: wide, count: n };
-                timed(6, &mut || layer.fc2.forward(rows, &mut sum, d, Then::Add, &mut small));
+                timed(1, &mut || norm.apply_into(Rows::new(&h, d), &mut x, layer.qkv.form()));
+                timed(2, &mut || layer.qkv.apply_into(&x, &mut qkv, attention.form(), Then::Store));
+                timed(3, &mut || attention.apply_into(&qkv, &mut x, layer.out.form()));
+                timed(4, &mut || layer.out.apply(&x, &mut sum, d, Then::Add));
+                timed(1, &mut || norm.apply_into(Rows::new(&h, d), &mut x, layer.fc1.form()));
+                timed(5, &mut || layer.fc1.apply_into(&x, &mut hidden, layer.fc2.form(), Then::Gelu));
+                timed(6, &mut || layer.fc2.apply(&hidden, &mut sum, d, Then::Add));
             }
             black_box(&sum);
         });
         times.iter_mut().zip(of_frame).for_each(|(times, ms)| times.push(ms));
     }
     let product = |k: usize, n_out: usize, rows: usize| 2.0 * (k * n_out * rows) as f64;
-    // Inputs and outputs are f32 in every precision.
-    let moved = |layer: &Packed, k: usize, n_out: usize, rows: usize| (layer.bytes() + 4 * rows * (k + n_out)) as f64;
+    let bytes = |form: Form| match form {
+        Form::Floats => 4,
+        Form::Halves => 2,
+        Form::Bytes => 1,
+    };
+    // A layer reads its input in a form of its own, and writes its output in that of the next one; None: the sum, in f32.
+    let moved = |layer: &Packed, k: usize, next: Option<Form>, rows: usize| {
+        let (inputs, outputs) = (k * bytes(layer.form()), layer.n() * bytes(next.unwrap_or_default()));
+        (layer.bytes() + rows * (inputs + outputs)) as f64
+    };
     let of_layers = |operations: f64, bytes: f64| (depth as f64 * operations, depth as f64 * bytes);
     let sample = &layers[0];
     let work = [
-        ("patch projection", (product(patch, d, n - 1), moved(&first, patch, d, n - 1))),
-        ("layer norms", of_layers(2.0 * 8.0 * (n * d) as f64, 2.0 * 8.0 * (n * d) as f64)),
-        ("queries, keys, values", of_layers(product(d, 3 * d, n), moved(&sample.qkv, d, 3 * d, n))),
-        ("attention", of_layers(4.0 * (n * n * d) as f64, 16.0 * (n * d) as f64)),
-        ("output", of_layers(product(d, d, n), moved(&sample.out, d, d, n))),
-        ("first layer of the MLP, GELU", of_layers(product(d, 4 * d, n), moved(&sample.fc1, d, 4 * d, n))),
-        ("second layer of the MLP", of_layers(product(4 * d, d, n), moved(&sample.fc2, 4 * d, d, n))),
+        ("patch projection", (product(patch, d, n - 1), moved(&first, patch, None, n - 1))),
+        ("layer norms", of_layers(2.0 * 8.0 * (n * d) as f64, (2 * n * d * (4 + bytes(sample.qkv.form()))) as f64)),
+        ("queries, keys, values", of_layers(product(d, 3 * d, n), moved(&sample.qkv, d, Some(attention.form()), n))),
+        (
+            "attention",
+            of_layers(
+                4.0 * (n * n * d) as f64,
+                (n * d * (3 * bytes(attention.form()) + bytes(sample.out.form()))) as f64,
+            ),
+        ),
+        ("output", of_layers(product(d, d, n), moved(&sample.out, d, None, n))),
+        (
+            "first layer of the MLP, GELU",
+            of_layers(product(d, 4 * d, n), moved(&sample.fc1, d, Some(sample.fc2.form()), n)),
+        ),
+        ("second layer of the MLP", of_layers(product(4 * d, d, n), moved(&sample.fc2, 4 * d, None, n))),
     ];
     // The first frame fills caches and is left out.
     let timed = work.into_iter().zip(times);

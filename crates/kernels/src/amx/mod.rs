@@ -12,7 +12,7 @@ mod finish;
 #[cfg(all(target_arch = "x86_64", target_os = "linux", not(miri)))]
 mod unit;
 
-pub use finish::{Finish, Scales, finish};
+pub use finish::{Finish, Scales, finish, scale};
 
 use crate::tile::LANES;
 
@@ -71,10 +71,22 @@ impl Sums {
         self.0.as_mut_ptr()
     }
 
+    /// Returns the sums of all rows by vectors.
+    #[inline(always)]
+    fn rows(&self) -> &[[[f32; LANES]; VECTORS]] {
+        self.0.as_chunks().0.as_chunks().0
+    }
+
+    /// As [`Self::rows`], to be changed.
+    #[inline(always)]
+    fn rows_mut(&mut self) -> &mut [[[f32; LANES]; VECTORS]] {
+        self.0.as_chunks_mut().0.as_chunks_mut().0
+    }
+
     /// Returns the sums of a row by vectors.
     #[inline(always)]
     pub fn row(&self, row: usize) -> &[[f32; LANES]; VECTORS] {
-        &self.0.as_chunks().0.as_chunks().0[row]
+        &self.rows()[row]
     }
 }
 
@@ -112,6 +124,12 @@ pub unsafe fn multiply(kind: Kind, block: &Block, rows: usize, vectors: usize) {
     }
     // SAFETY: sizes and pointers are as the caller guarantees.
     unsafe { portable(kind, block, rows, vectors) }
+}
+
+/// To be called by a thread after its last [`multiply`] for some time.
+pub fn release() {
+    #[cfg(all(target_arch = "x86_64", target_os = "linux", not(miri)))]
+    unit::release();
 }
 
 /// As [`multiply`], in plain Rust: what the instructions do, word by word. It checks the layout on processors without the

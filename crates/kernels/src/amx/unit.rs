@@ -2,8 +2,15 @@
 
 use std::arch::asm;
 use std::arch::x86_64::{__cpuid, __cpuid_count};
+use std::cell::Cell;
 
 use super::{Block, Kind, STEP, TILE_ROWS, WORD};
+
+thread_local! {
+    /// Rows of the blocks that this thread's tiles have the shapes for; 0 for none. The shapes last from block to block, since
+    /// loading them takes as long as a small block.
+    static SHAPED: Cell<usize> = const { Cell::new(0) };
+}
 
 /// Rows and bytes of each tile: what `ldtilecfg` reads.
 #[repr(C, align(64))]
@@ -49,6 +56,15 @@ pub fn permitted() -> bool {
     status == 0
 }
 
+/// Gives up this thread's tiles, which the system would otherwise save whenever it suspends the thread.
+pub fn release() {
+    if SHAPED.replace(0) > 0 {
+        // SAFETY: changes tiles alone, which nothing uses until [`multiply`] shapes them again. It shaped these, so the unit is
+        // there and permitted.
+        unsafe { asm!("tilerelease", options(nostack, nomem)) };
+    }
+}
+
 /// As [`super::multiply`], in the unit.
 ///
 /// # Safety
@@ -56,18 +72,22 @@ pub fn permitted() -> bool {
 pub unsafe fn multiply(kind: Kind, block: &Block, rows: usize, vectors: usize) {
     // Two tiles of about the same height; one instruction takes as many cycles as its tile has rows.
     let first = if rows > TILE_ROWS { rows.div_ceil(2) } else { rows };
-    let shapes = Shapes::new(first, rows - first);
+    if SHAPED.get() != rows {
+        let shapes = Shapes::new(first, rows - first);
+        // SAFETY: reads the 64 bytes of `shapes`, which describe tiles that the processor has; nothing else uses tiles.
+        unsafe { asm!("ldtilecfg [{}]", in(reg) shapes.0.as_ptr(), options(nostack)) };
+        SHAPED.set(rows);
+    }
     let line = vectors * STEP;
     let second = block.out.wrapping_add(first * block.ldc);
     /// Clears the sums, runs the steps and stores the sums.
     macro_rules! run {
         ([$($clear:literal)*] [$($step:expr),*] [$($store:literal)*]) => {
-            // SAFETY: the loads read the rows and lines that the caller guarantees, since `shapes` has `rows` rows and a
+            // SAFETY: the tiles have the shapes for `rows` rows, so the loads read the rows and lines that the caller guarantees; a
             // panel of one vector is read by the forms of one tile alone. The stores write the result that the caller guarantees.
             // The registers that change are named; nothing else uses tiles.
             unsafe {
                 asm!(
-                    "ldtilecfg [{shapes}]",
                     $($clear,)*
                     "2:",
                     $($step,)*
@@ -77,9 +97,7 @@ pub unsafe fn multiply(kind: Kind, block: &Block, rows: usize, vectors: usize) {
                     "dec {steps}",
                     "jnz 2b",
                     $($store,)*
-                    "tilerelease",
                     "/* {second} */", // not every form stores there
-                    shapes = in(reg) shapes.0.as_ptr(),
                     a = inout(reg) block.a => _,
                     a2 = inout(reg) block.a.wrapping_add(first * block.lda) => _,
                     b = inout(reg) block.b => _,

@@ -4,14 +4,17 @@
 //! outputs, so that a tile reads it from start to end and each line feeds whole vectors. In 8 bits a line holds groups of
 //! four inputs, which one instruction consumes; in 16 bits pairs, where the processor has a matrix unit.
 
+mod matrix;
+mod vectors;
+
+use crate::activations::{Activations, Form, Input, Target};
 use crate::aligned::{Aligned, Number};
-use crate::amx::{self, Block, Finish, Kind, STEP, Scales, Sums};
-use crate::quantise::{Quantised, bf16, quantise_weights};
+use crate::amx::{self, STEP};
+use crate::quantise::{bf16, quantise_weights};
 use crate::rows::{Rows, part};
-use crate::simd;
 use crate::team;
-use crate::tile::{self, LANES, Tile, VECTORS, Weight};
-use crate::tile8::{self, GROUP, Tile8};
+use crate::tile::{self, LANES, VECTORS};
+use crate::tile8::GROUP;
 
 /// Multiply-adds below which one thread computes the whole product: handing tasks to others would take longer.
 const SMALL: usize = 1 << 17;
@@ -128,24 +131,16 @@ enum Weights {
     },
 }
 
-/// Parts of [`Weights::Int8`].
-struct Int8<'a> {
-    weights: &'a [i8],
-    scales: &'a [f32],
-    sums: &'a [i32],
-}
-
 /// One tile of a product: its rows, its panel, and the place of its result.
-struct Place<'a> {
-    x: Rows<'a>,
+struct Place {
     /// First row and number of rows.
     row: usize,
     rows: usize,
     panel: Panel,
     /// First value of the tile in the result, and values from row to row.
-    out: *mut f32,
+    out: Target,
     stride: usize,
-    add: bool,
+    then: Then,
 }
 
 impl Packed {
@@ -177,12 +172,12 @@ impl Packed {
         Self { n, k, unit, panels, weights, bias }
     }
 
-    /// Bytes of an activation as the tiles read it.
-    fn bytes_per_input(&self) -> usize {
+    /// Form in which the layer reads its input.
+    pub fn form(&self) -> Form {
         match self.weights {
-            Weights::F32(_) | Weights::Bf16(_) => 4,
-            Weights::Pairs(_) => 2,
-            Weights::Int8 { .. } => 1,
+            Weights::F32(_) | Weights::Bf16(_) => Form::Floats,
+            Weights::Pairs(_) => Form::Halves,
+            Weights::Int8 { .. } => Form::Bytes,
         }
     }
 
@@ -202,38 +197,83 @@ impl Packed {
     }
 
     /// Applies the layer to each row of `x`. Rows of `out` are `stride` apart; values between them are not touched.
-    /// `quantised` is a buffer for the input in fewer bits.
+    /// `buffer` holds the input in fewer bits.
     ///
     /// # Panics
     /// If a slice is too short for its rows. Sizes depend on the configuration alone, never on the data.
-    pub fn forward(&self, x: Rows, out: &mut [f32], stride: usize, then: Then, quantised: &mut Quantised) {
-        let rows = x.count;
+    pub fn forward(&self, x: Rows, out: &mut [f32], stride: usize, then: Then, buffer: &mut Activations) {
+        let input = match self.form() {
+            Form::Floats => Input::Floats(x),
+            form => {
+                buffer.set(x, self.k, form);
+                buffer.rows()
+            }
+        };
+        self.checked(input, x.count, out, stride, then);
+    }
+
+    /// As [`Self::forward`], from rows in the [`Self::form`] of this layer.
+    ///
+    /// # Panics
+    /// As [`Self::forward`], and if the rows have another form or width.
+    pub fn apply(&self, x: &Activations, out: &mut [f32], stride: usize, then: Then) {
+        assert_eq!(x.width(), self.k, "the rows have another width than the layer");
+        self.checked(x.rows(), x.count(), out, stride, then);
+    }
+
+    /// As [`Self::apply`], into rows of the form in which another layer reads them. They are those of [`Self::apply`], converted.
+    ///
+    /// # Panics
+    /// If the rows have another form or width than those that the layer reads, or the result is to be added.
+    pub fn apply_into(&self, x: &Activations, out: &mut Activations, form: Form, then: Then) {
+        assert_eq!(x.width(), self.k, "the rows have another width than the layer");
+        assert_ne!(then, Then::Add, "activations are replaced, not added to");
+        out.receive(form, x.count(), self.n, self.unit == Unit::Matrix, |target, stride| {
+            self.run(x.rows(), x.count(), target, stride, then);
+        });
+    }
+
+    /// Outputs of a panel, padding not included.
+    fn cols(&self, panel: Panel) -> usize {
+        panel.width().min(self.n - panel.start())
+    }
+
+    fn checked(&self, x: Input, rows: usize, out: &mut [f32], stride: usize, then: Then) {
+        if rows > 0 && self.n > 0 {
+            assert!(fits(rows, stride, self.n, out.len()), "the result leaves its slice");
+            self.run(x, rows, Target::Floats(out.as_mut_ptr()), stride, then);
+        }
+    }
+
+    /// Applies the layer to `rows` rows; `out` must have room for as many, `stride` values apart.
+    fn run(&self, x: Input, rows: usize, out: Target, stride: usize, then: Then) {
         if rows == 0 || self.n == 0 {
             return;
         }
-        assert!(fits(rows, x.stride, self.k, x.data.len()), "the input leaves its slice");
-        assert!(fits(rows, stride, self.n, out.len()), "the result leaves its slice");
-        match self.weights {
-            Weights::Int8 { .. } => quantised.set(x, self.k),
-            Weights::Pairs(_) => quantised.set_halves(x, self.k),
-            Weights::F32(_) | Weights::Bf16(_) => {}
-        }
-        let quantised = &*quantised;
+        let bytes_per_input = match x {
+            Input::Floats(x) => {
+                assert!(fits(rows, x.stride, self.k, x.data.len()), "the input leaves its slice");
+                size_of::<f32>()
+            }
+            Input::Halves(..) => size_of::<u16>(),
+            Input::Bytes(..) => size_of::<u8>(),
+        };
         // A task takes one panel, so that weights come from memory once, and the rows of as many tiles as stay in a core's
         // own cache; fewer where the panels give too few tasks.
         let tiles = self.unit.tiles(rows);
-        let bytes = rows * self.k * self.bytes_per_input();
+        let bytes = rows * self.k * bytes_per_input;
         let blocks = TASKS.div_ceil(self.panels.len()).max(bytes.div_ceil(CACHE)).min(tiles);
-        let out = Shared(out.as_mut_ptr());
         let task = |index: usize| {
             // Consecutive tasks have the same panel.
             let (panel, block) = (self.panels[index / blocks], index % blocks);
             let (first, count) = part(block, blocks, tiles);
-            for tile in first..first + count {
-                let (row, count) = part(tile, tiles, rows);
-                let out = out.at(row * stride + panel.start());
-                let add = then == Then::Add;
-                self.tile(&Place { x, row, rows: count, panel, out, stride, add }, quantised, then);
+            let places = (first..first + count).map(|tile| {
+                let (row, rows) = part(tile, tiles, rows);
+                Place { row, rows, panel, out: out.at(row * stride + panel.start()), stride, then }
+            });
+            match self.unit {
+                Unit::Vectors => places.for_each(|place| self.tile(x, &place)),
+                Unit::Matrix => self.blocks(x, places),
             }
         };
         let tasks = blocks * self.panels.len();
@@ -243,129 +283,6 @@ impl Packed {
             team::run(tasks, task);
         }
     }
-
-    /// Computes one tile: writes its rows and columns of the result, and no other value.
-    fn tile(&self, place: &Place, quantised: &Quantised, then: Then) {
-        match &self.weights {
-            Weights::F32(weights) => self.float_tile(place, weights),
-            Weights::Bf16(weights) => self.float_tile(place, weights),
-            Weights::Pairs(weights) => self.pair_block(place, weights, quantised),
-            Weights::Int8 { weights, scales, sums } => {
-                let int8 = Int8 { weights, scales, sums };
-                match self.unit {
-                    Unit::Vectors => self.int8_tile(place, &int8, quantised),
-                    Unit::Matrix => self.int8_block(place, &int8, quantised),
-                }
-            }
-        }
-        if then == Then::Gelu {
-            let cols = self.cols(place.panel);
-            for r in 0..place.rows {
-                // SAFETY: `forward` asserted that row `row + r` of the result has this panel's `cols` columns, and no other
-                // task has this tile. One row's slice exists at a time, so none spans the values between rows.
-                gelu(unsafe { std::slice::from_raw_parts_mut(place.out.wrapping_add(r * place.stride), cols) });
-            }
-        }
-    }
-
-    /// Outputs of a panel, padding not included.
-    fn cols(&self, panel: Panel) -> usize {
-        panel.width().min(self.n - panel.start())
-    }
-
-    fn float_tile<E: Weight>(&self, place: &Place, weights: &[E]) {
-        let Place { x, row, rows, panel, out, stride, add } = *place;
-        let (k, first, cols) = (self.k, panel.start(), self.cols(panel));
-        let a = &x.data[row * x.stride..(row + rows - 1) * x.stride + k];
-        let b = &weights[first * k..(first + panel.width()) * k];
-        let bias = self.bias[first..first + cols].as_ptr();
-        let tile = Tile { a: a.as_ptr(), lda: x.stride, b: b.as_ptr(), k, bias, out, ldc: stride, cols, add };
-        // SAFETY: the slices `a`, `b` and the bias hold what the tile reads. `forward` asserted that the result has these
-        // rows and columns, and each tile and panel occur in one task only.
-        unsafe { tile::compute(&tile, rows, panel.vectors) };
-    }
-
-    fn int8_tile(&self, place: &Place, of: &Int8, quantised: &Quantised) {
-        let Place { row, rows, panel, out, stride, add, .. } = *place;
-        let (first, cols) = (panel.start(), self.cols(panel));
-        let padded = self.k.next_multiple_of(STEP);
-        let (bytes, lda, of_rows) = quantised.rows(row, rows);
-        assert!(fits(rows, lda, padded, bytes.len()), "the quantised rows leave their slice");
-        let tile = Tile8 {
-            a: bytes.as_ptr(),
-            lda,
-            b: of.weights[first * padded..(first + panel.width()) * padded].as_ptr(),
-            k: self.k.div_ceil(GROUP),
-            rows: of_rows.as_ptr(),
-            scales: of.scales[first..first + cols].as_ptr(),
-            sums: of.sums[first..first + cols].as_ptr(),
-            bias: self.bias[first..first + cols].as_ptr(),
-            out,
-            ldc: stride,
-            cols,
-            add,
-        };
-        // SAFETY: the assertion and the slices above cover what the tile reads; `of_rows` has `rows` entries. `forward`
-        // asserted that the result has these rows and columns, and no other task has this tile.
-        unsafe { tile8::compute(&tile, rows, panel.vectors) };
-    }
-
-    /// Computes a block of an 8-bit layer in the matrix unit, with the bits of [`Self::int8_tile`].
-    fn int8_block(&self, place: &Place, of: &Int8, quantised: &Quantised) {
-        let (first, width) = (place.panel.start(), place.panel.width());
-        let padded = self.k.next_multiple_of(STEP);
-        let (bytes, lda, rows) = quantised.rows(place.row, place.rows);
-        assert!(fits(place.rows, lda, padded, bytes.len()), "the quantised rows leave their slice");
-        let panel = of.weights[first * padded..(first + width) * padded].as_ptr();
-        let operands = (bytes.as_ptr(), lda, panel.cast(), padded / STEP);
-        let lanes = first / LANES..;
-        let (columns, weights) = (&vectors(of.scales)[lanes.clone()], &vectors(of.sums)[lanes]);
-        // SAFETY: the assertion covers the rows, and the slice the panel.
-        unsafe { self.block(place, Kind::Byte, operands, Some(Scales { rows, columns, weights })) };
-    }
-
-    /// Computes a block of a layer in bf16 in the matrix unit.
-    fn pair_block(&self, place: &Place, weights: &[u16], quantised: &Quantised) {
-        let (first, width) = (place.panel.start(), place.panel.width());
-        let padded = self.k.next_multiple_of(STEP / PAIR);
-        let (halves, lda) = quantised.halves(place.row);
-        assert!(fits(place.rows, lda, padded, halves.len()), "the halved rows leave their slice");
-        let panel = weights[first * padded..(first + width) * padded].as_ptr();
-        let operands = (halves.as_ptr().cast(), lda * PAIR, panel.cast(), padded * PAIR / STEP);
-        // SAFETY: the assertion covers the rows, and the slice the panel; a half has two bytes.
-        unsafe { self.block(place, Kind::Half, operands, None) };
-    }
-
-    /// Computes a block in the matrix unit. `a`, `lda`, `b`, `steps`: see [`Block`].
-    ///
-    /// # Safety
-    /// `place.rows` rows of 64 `steps` bytes can be read from `a`, `lda` bytes apart, and 16 `steps` lines of the panel's
-    /// vectors from `b`.
-    unsafe fn block(
-        &self,
-        place: &Place,
-        kind: Kind,
-        (a, lda, b, steps): (*const u8, usize, *const u8, usize),
-        scales: Option<Scales>,
-    ) {
-        let Place { rows, panel, out, stride, add, .. } = *place;
-        let mut sums = Sums::new();
-        let block = Block { a, lda, b, steps, out: sums.start(), ldc: amx::WIDTH };
-        let bias = &vectors(&self.bias)[panel.first..];
-        let to = Finish { out, ldc: stride, rows, cols: self.cols(panel), add, bias, scales };
-        // SAFETY: operands are as the caller guarantees. `Unit::tiles` gives blocks of at most `amx::ROWS` rows and
-        // `Unit::vectors` panels of at most `amx::VECTORS`, for which the sums have room. `forward` asserted that the result has
-        // these rows and columns, and no other task has this block.
-        unsafe {
-            amx::multiply(kind, &block, rows, panel.vectors);
-            amx::finish(&sums, &to);
-        }
-    }
-}
-
-/// Returns values of the outputs by vectors; the padding completes the last.
-fn vectors<T>(values: &[T]) -> &[[T; LANES]] {
-    values.as_chunks().0
 }
 
 /// True if `rows` rows of `width` values, `stride` apart, do not overlap and lie inside a slice of `len` values.
@@ -399,40 +316,6 @@ fn lines<const PER: usize, T: Number>(
     data
 }
 
-/// Exact GELU of a row, in place.
-#[inline(always)]
-fn gelu(row: &mut [f32]) {
-    simd::dispatch(
-        #[inline(always)]
-        || {
-            let (chunks, rest) = row.as_chunks_mut::<LANES>();
-            for chunk in chunks {
-                for value in chunk.iter_mut() {
-                    *value = simd::gelu(*value);
-                }
-            }
-            for value in rest {
-                *value = simd::gelu(*value);
-            }
-        },
-    );
-}
-
-/// Start of a result whose tasks write disjoint tiles.
-#[derive(Clone, Copy)]
-pub(crate) struct Shared(pub *mut f32);
-
-impl Shared {
-    /// Address of a value; to be used inside the slice that the pointer was taken from.
-    pub fn at(&self, index: usize) -> *mut f32 {
-        self.0.wrapping_add(index)
-    }
-}
-
-// SAFETY: the pointer itself is never changed. Its users, `Packed::forward` and `Attention::forward`, give every task its
-// own tiles of the result, so threads never share a value, and keep the result borrowed until all tasks are done.
-unsafe impl Sync for Shared {}
-
 /// Distributes the vectors of `n` outputs evenly over panels of at most `most`.
 fn panels(n: usize, most: usize) -> Vec<Panel> {
     let vectors = n.div_ceil(LANES);
@@ -444,6 +327,8 @@ fn panels(n: usize, most: usize) -> Vec<Panel> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::activations::tests::restored;
+    use crate::simd;
 
     #[test]
     fn a_layer_of_any_size_gives_the_product_in_f64() {
@@ -470,7 +355,7 @@ mod tests {
                 for then in [Then::Store, Then::Add, Then::Gelu] {
                     let mut out = vec![0.25; rows * out_stride];
                     let input = Rows { data: &x, stride, count: rows };
-                    layer.forward(input, &mut out, out_stride, then, &mut Quantised::default());
+                    layer.forward(input, &mut out, out_stride, then, &mut Activations::default());
                     for (r, c) in [(0, 0), (rows - 1, n - 1), (rows / 2, n / 2), (rows - 1, 0), (0, n - 1)] {
                         let product: f64 =
                             (0..k).map(|i| f64::from(x[r * stride + i]) * f64::from(weight[c * k + i])).sum();
@@ -494,18 +379,47 @@ mod tests {
     }
 
     #[test]
+    fn rows_for_the_next_layer_are_those_of_the_layer_converted() {
+        let value = |i: usize| ((i * 7919 % 1013) as f32 / 1013.0) - 0.5;
+        let (rows, k, n) = if cfg!(miri) { (3, 5, 18) } else { (67, 150, 100) };
+        let x: Vec<f32> = (0..rows * k).map(value).collect();
+        let weight: Vec<f32> = (0..n * k).map(|i| value(i + 3)).collect();
+        for (format, unit) in [Format::F32, Format::Bf16, Format::Int8]
+            .into_iter()
+            .flat_map(|format| [(format, Unit::Vectors), (format, Unit::Matrix)])
+            .filter(|pair| *pair != (Format::F32, Unit::Matrix))
+        {
+            let layer = Packed::for_unit(&weight, (0..n).map(value).collect(), format, unit);
+            for (then, form) in [Then::Store, Then::Gelu]
+                .into_iter()
+                .flat_map(|then| [Form::Floats, Form::Halves, Form::Bytes].map(|form| (then, form)))
+            {
+                let [mut input, mut got, mut want] = std::array::from_fn(|_| Activations::default());
+                let mut out = vec![0.0; rows * n];
+                layer.forward(Rows::new(&x, k), &mut out, n, then, &mut Activations::default());
+                want.set(Rows::new(&out, n), n, form);
+                input.set(Rows::new(&x, k), k, layer.form());
+                layer.apply_into(&input, &mut got, form, then);
+                assert_eq!(restored(&got), restored(&want), "{format:?} {unit:?} {then:?} {form:?}");
+            }
+        }
+    }
+
+    #[test]
     fn an_8_bit_layer_has_the_same_bits_in_both_units() {
         let value = |i: usize| ((i * 7919 % 1013) as f32 / 1013.0) - 0.5;
         let (rows, k, n) = if cfg!(miri) { (3, 5, 18) } else { (67, 150, 100) };
         let x: Vec<f32> = (0..rows * k).map(value).collect();
         let weight: Vec<f32> = (0..n * k).map(|i| value(i + 3)).collect();
         let bias: Vec<f32> = (0..n).map(|i| value(i + 77)).collect();
-        let results = [Unit::Vectors, Unit::Matrix].map(|unit| {
-            let layer = Packed::for_unit(&weight, bias.clone(), Format::Int8, unit);
-            let mut out = vec![0.25; rows * n];
-            layer.forward(Rows::new(&x, k), &mut out, n, Then::Add, &mut Quantised::default());
-            out
-        });
-        assert_eq!(results[0], results[1]);
+        for then in [Then::Store, Then::Add, Then::Gelu] {
+            let results = [Unit::Vectors, Unit::Matrix].map(|unit| {
+                let layer = Packed::for_unit(&weight, bias.clone(), Format::Int8, unit);
+                let mut out = vec![0.25; rows * n];
+                layer.forward(Rows::new(&x, k), &mut out, n, then, &mut Activations::default());
+                out
+            });
+            assert_eq!(results[0], results[1], "{then:?}");
+        }
     }
 }
