@@ -90,18 +90,18 @@ impl Follower for Lifecycle {
         }
     }
 
-    /// Answers a request to configure the node that failed; returns true if there was one.
+    /// Answers a request to configure the node that failed. Returns true if an answer may still be on its way: that one, or that to
+    /// the request that ends the node.
     fn ended(&self, log: &Log) -> bool {
-        let request = {
+        let (request, was_asked) = {
             let mut inner = self.0.borrow_mut();
-            inner.is_ending = true;
-            inner.configuring.take()
+            (inner.configuring.take(), std::mem::replace(&mut inner.is_ending, true))
         };
         let is_pending = request.is_some();
         if let Some(request) = request {
             answer(request, false, log);
         }
-        is_pending
+        is_pending || was_asked
     }
 }
 
@@ -222,7 +222,11 @@ impl Lifecycle {
                 (inner.cleaned_up, inner.is_ending) = (true, true);
                 inner.node.request();
             }
-            _ => self.0.borrow().program.request(),
+            _ => {
+                let mut inner = self.0.borrow_mut();
+                inner.is_ending = true;
+                inner.program.request();
+            }
         }
         answer(request, true, log);
     }

@@ -400,14 +400,15 @@ impl Runtime {
     }
 }
 
-/// Time for a last response to leave.
-const FAREWELL: Duration = Duration::from_millis(100);
+/// Time for a last response to leave: the middleware drops those that wait when their service ends.
+const FAREWELL: Duration = Duration::from_millis(300);
 
 impl Drop for Runtime {
-    /// Tells who asked for a configuration that failed.
+    /// Tells who asked for a configuration that failed, and waits until last answers have left.
     fn drop(&mut self) {
         if self.follower.take().is_some_and(|follower| follower.ended(&self.log)) {
-            self.spin_for(FAREWELL);
+            // The middleware's own threads send; timers and subscriptions of a node that ended must not run again.
+            std::thread::sleep(FAREWELL);
         }
     }
 }
