@@ -7,15 +7,16 @@ import json
 import math
 import os
 import random
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
-from egotac_msgs.msg import HandPose, TactileFrame, TactileMetrics, TactileRegions, TactileTruth, TrainerStatus
+from egotac_msgs.msg import HandPose, HandTactile, TactileFrame, TactileMetrics, TactileRegions, TactileTruth, TrainerStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image, JointState, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
@@ -43,10 +44,12 @@ def latencies(peer, sent):
 
 
 def overhead(settings):
-    """Latency with a network of almost no cost, at 30 Hz, also beside a subscriber that takes one message per second."""
-    predictor(settings, "toy_model")
+    """Latency with a network of almost no cost, at 30 Hz, also beside a subscriber that takes one message per second; and that of
+    a node that only answers."""
     peer = Peer()
     peer.take_results()
+    answers = bare(settings, peer)
+    predictor(settings, "toy_model")
     peer.ready()
     rows = []
     for name, width, height in (("VGA", 640, 480), ("1080p", 1920, 1080)):
@@ -66,7 +69,47 @@ def overhead(settings):
     )
     slow.kill()
     slow.wait()
-    return {"rows": rows}
+    return {"bare": answers, "rows": rows}
+
+
+def bare(settings, peer):
+    """Latency of a node that answers each image with a message of a result's size, but for its stamp the same each time: what is left
+    of a node's time is the middleware's."""
+    echo_ = subprocess.Popen([sys.executable, __file__, "echo", sys.argv[2]])
+    rows = []
+    for name, width, height in (("VGA", 640, 480), ("1080p", 1920, 1080)):
+        image = picture(width, height)
+        assert peer.wait(lambda: peer.images.get_subscription_count() > 0, 60.0) is not None, "the bare node does not start"
+        peer.stream(image, 30, 2.0)
+        sent = peer.stream(image, 30, settings["secs"])
+        peer.rest(1.5)
+        rows.append({"images": name, **latencies(peer, sent)})
+    echo_.send_signal(signal.SIGINT)  # so that it takes leave of the middleware
+    echo_.wait()
+    peer.results.clear()
+    peer.wait(lambda: peer.images.get_subscription_count() == 0)
+    return rows
+
+
+def echo(settings):
+    """Answers each image with a result that has its stamp, until it is killed. Neither message is decoded."""
+    import rclpy
+
+    peer = Peer()
+    publisher = peer.create_publisher(TactileFrame, "predictor/tactile", RELIABLE)
+    hands = [HandTactile(force=[0.0] * 778, contact=[0.0] * 778) for _ in range(2)]
+    answer = bytearray(serialize_message(TactileFrame(hands=hands)))
+
+    def take(payload):
+        # Both messages begin with the header of CDR, 4 bytes, and the stamp, 8 bytes.
+        answer[4:12] = payload[4:12]
+        publisher.publish(bytes(answer))
+
+    peer.create_subscription(Image, "image", take, RELIABLE, raw=True)
+    try:
+        rclpy.spin(peer)
+    except KeyboardInterrupt:
+        peer.destroy_node()
 
 
 def slow(settings):

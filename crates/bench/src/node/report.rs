@@ -83,6 +83,16 @@ impl NodeReport {
                     ),
                 );
             }
+            if let Some(rows) = measurements["overhead"]["bare"].as_array() {
+                text += "\nA node in Python that takes the image undecoded and answers with a message of a result's size, for comparison: \
+                         its time is the middleware's.\n\n| images | sent | answers | from the stamp p50 / p99 | from the send p50 / p99 \
+                         |\n|---|---|---|---|---|\n";
+                for row in rows {
+                    let (stamp, send) = (times(&row["from_stamp"]), times(&row["from_send"]));
+                    let (images, sent, results) = (word(&row["images"]), &row["sent"], &row["results"]);
+                    put(&mut text, format_args!("| {images} | {sent} | {results} | {stamp} | {send} |"));
+                }
+            }
         }
         if let Some(rows) = measurements.get("faults").and_then(|value| value["rows"].as_array()) {
             text += "\n## Faults\n\n| fault | nodes live | told by diagnostics or log | recovered after |\n|---|---|---|---|\n";
