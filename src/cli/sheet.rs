@@ -102,7 +102,7 @@ impl Sheet<'_> {
         let end = points().map(|point| point.0).fold(1e-3, f64::max);
         // Forces far below a newton look small.
         let peak = 1.1 * points().map(|point| point.1).fold(0.5, f64::max);
-        let mut chart = plot::chart(&body, "", [48, 64]).build_cartesian_2d(0.0..end, 0.0..peak)?;
+        let mut chart = plot::chart(&body, "", [60, 80]).build_cartesian_2d(0.0..end, 0.0..peak)?;
         let [seconds, newtons] = [end, peak].map(|most| usize::from(most < 8.0));
         plot::axes(
             &mut chart,

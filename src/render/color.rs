@@ -65,7 +65,7 @@ pub fn region_color(region: Region) -> Rgb<u8> {
 /// Draws a colour bar from zero to `max`, N, with the label above.
 pub fn color_bar(max: f32, label: &str, (width, height): (u32, u32)) -> RgbImage {
     let mut picture = RgbImage::from_pixel(width, height, PAPER);
-    let text = f64::from(height) * 0.30;
+    let text = f64::from(height) * 0.36;
     let (top, bottom) = (height * 2 / 5, height * 3 / 5);
     let (left, right) = (width / 12, width - width / 12);
     for x in left..right {
@@ -77,7 +77,7 @@ pub fn color_bar(max: f32, label: &str, (width, height): (u32, u32)) -> RgbImage
     font::draw(&mut picture, label, (left as i32, (height / 24) as i32), text, INK, font::Align::Left);
     for (fraction, x) in [(0.0, left), (0.5, (left + right) / 2), (1.0, right)] {
         let number = format!("{:.*} N", if max < 5.0 { 2 } else { 1 }, max * fraction);
-        font::draw(&mut picture, &number, (x as i32, (bottom + height / 24) as i32), text, INK, font::Align::Centre);
+        font::draw(&mut picture, &number, (x as i32, (bottom + height / 12) as i32), text, INK, font::Align::Centre);
     }
     picture
 }

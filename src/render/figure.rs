@@ -3,10 +3,11 @@
 use std::error::Error as StdError;
 use std::path::Path;
 
-use image::RgbImage;
+use image::{RgbImage, imageops};
 use plotters::coord::Shift;
 use plotters::prelude::{BitMapBackend, DrawingArea, DrawingBackend, IntoDrawingArea, SVGBackend};
 
+use super::enlarged::{Enlarged, SCALE};
 use super::font;
 use crate::error::{Error, Result};
 use crate::file;
@@ -28,16 +29,17 @@ pub trait Figure {
         B::ErrorType: 'static;
 }
 
-/// Returns `figure` as pixels.
+/// Returns `figure` as pixels. It is drawn enlarged and then reduced, so that lines, dots and letters have smooth edges.
 ///
 /// # Errors
 /// If drawing fails.
 pub fn picture<F: Figure>(figure: &F) -> Drawn<RgbImage> {
     font::register();
     let (width, height) = F::SIZE;
-    let mut picture = RgbImage::new(width, height);
-    figure.draw(&BitMapBackend::with_buffer(picture.as_mut(), F::SIZE).into_drawing_area())?;
-    Ok(picture)
+    let large = (SCALE * width, SCALE * height);
+    let mut picture = RgbImage::new(large.0, large.1);
+    figure.draw(&Enlarged(BitMapBackend::with_buffer(picture.as_mut(), large)).into_drawing_area())?;
+    Ok(imageops::thumbnail(&picture, width, height))
 }
 
 /// Writes `figure` to the PNG file `path`.

@@ -13,6 +13,7 @@
 //! ```
 
 pub mod color;
+mod enlarged;
 pub mod figure;
 pub mod font;
 mod hand;

@@ -26,21 +26,21 @@ pub const PALETTE: [RGBColor; 7] = [
 pub const ACCENT: RGBColor = RGBColor(213, 94, 0);
 
 /// Height of a figure's heading, of a chart's title, of the axes' descriptions, and of tick labels and legends, pixels.
-const HEADING: u32 = 24;
-const TITLE: u32 = 20;
-const DESCRIPTION: u32 = 17;
+const HEADING: u32 = 30;
+const TITLE: u32 = 25;
+const DESCRIPTION: u32 = 20;
 /// Height of tick labels and legends, pixels.
-pub const LABEL: u32 = 15;
+pub const LABEL: u32 = 19;
 /// Space around a chart, pixels.
 const MARGIN: u32 = 14;
 /// Length of a line in a legend, pixels.
 const KEY_LENGTH: i32 = 18;
 /// Height of a row of keys, pixels.
-const KEY_ROW: u32 = 26;
+const KEY_ROW: u32 = 32;
 /// Radius of the space that names leave around a point, pixels.
 const DOT: i32 = 6;
 
-/// Draws a heading and below it one row of keys for all charts of `area`; returns the part below them.
+/// Draws a heading and below it the keys for all charts of `area`, both in as many rows as they need; returns the part below them.
 ///
 /// # Errors
 /// If the backend fails.
@@ -54,19 +54,45 @@ where
     DB::ErrorType: 'static,
 {
     let left = MARGIN as i32;
-    let keys = if heading.is_empty() { 8 } else { HEADING as i32 + 18 };
-    let height = keys as u32 + if series.is_empty() { 0 } else { KEY_ROW };
-    let (head, body) = area.split_vertically(height);
-    if !heading.is_empty() {
-        head.draw(&Text::new(heading.to_owned(), (left, 10), (FAMILY, HEADING)))?;
-    }
-    let mut x = left;
+    let room = area.dim_in_pixel().0.saturating_sub(2 * MARGIN);
+    let lines = wrapped(heading, room);
+    let top = if lines.is_empty() { 8 } else { (HEADING * lines.len() as u32) as i32 + 18 };
+    let (mut x, mut y) = (left, top);
+    let mut keys = Vec::new();
     for (name, color) in series {
-        head.draw(&Rectangle::new([(x, keys + 3), (x + KEY_LENGTH, keys + 13)], color.filled()))?;
-        head.draw(&Text::new((*name).to_owned(), (x + KEY_LENGTH + 6, keys), (FAMILY, LABEL)))?;
-        x += KEY_LENGTH + 34 + font::width(name, f64::from(LABEL)) as i32;
+        let width = KEY_LENGTH + 6 + font::width(name, f64::from(LABEL)) as i32;
+        if x > left && x + width > left + room as i32 {
+            (x, y) = (left, y + KEY_ROW as i32);
+        }
+        keys.push((*name, *color, (x, y)));
+        x += width + 24;
+    }
+    let height = if series.is_empty() { top } else { y + KEY_ROW as i32 };
+    let (head, body) = area.split_vertically(height);
+    for (row, line) in lines.iter().enumerate() {
+        head.draw(&Text::new(line.clone(), (left, 10 + HEADING as i32 * row as i32), (FAMILY, HEADING)))?;
+    }
+    for (name, color, (x, y)) in keys {
+        head.draw(&Rectangle::new([(x, y + 1), (x + KEY_LENGTH, y + 11)], color.filled()))?;
+        head.draw(&Text::new(name.to_owned(), (x + KEY_LENGTH + 6, y), (FAMILY, LABEL)))?;
     }
     Ok(body)
+}
+
+/// Breaks a heading into lines of at most `room` pixels, between words; none for an empty one.
+fn wrapped(heading: &str, room: u32) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in heading.split_whitespace() {
+        let longer = lines.last().map(|line| format!("{line} {word}"));
+        match longer.filter(|line| font::width(line, f64::from(HEADING)) <= room) {
+            Some(longer) => {
+                lines.pop();
+                lines.push(longer);
+            }
+            None => lines.push(word.to_owned()),
+        }
+    }
+    lines
 }
 
 /// Starts a chart with a title, `[below, left]` pixels of which hold tick labels and descriptions of the axes.
@@ -198,6 +224,16 @@ pub fn front_line() -> ShapeStyle {
     BLACK.mix(0.25).stroke_width(2)
 }
 
+/// Returns the values with a tick on a logarithmic axis: 1, 2 and 5 times the powers of ten, or those alone where they are many.
+pub fn log_ticks(low: f64, high: f64) -> Vec<f64> {
+    let steps: &[f64] = if high / low < 1e3 { &[1.0, 2.0, 5.0] } else { &[1.0] };
+    let powers = low.log10().floor() as i32..=high.log10().ceil() as i32;
+    powers
+        .flat_map(|power| steps.iter().map(move |step| step * 10f64.powi(power)))
+        .filter(|tick| (low..=high).contains(tick))
+        .collect()
+}
+
 /// Returns the range of `values` with room at both ends, at least `span` wide, so that differences smaller than that look small.
 pub fn span(values: impl Iterator<Item = f64>, span: f64) -> Option<(f64, f64)> {
     let finite = values.filter(|value| value.is_finite());
@@ -306,6 +342,22 @@ mod tests {
             let [lightness, ..] = lab(seen(color, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]));
             assert!(lightness < 75.0, "{color:?}: {lightness:.1}");
         }
+    }
+
+    #[test]
+    fn long_headings_take_several_lines() {
+        let text = "Does training on two imported data sets beat either alone?";
+        let lines = wrapped(text, 500);
+        assert!(lines.len() > 1 && lines.iter().all(|line| font::width(line, f64::from(HEADING)) <= 500));
+        assert_eq!(lines.join(" "), text);
+        assert_eq!(wrapped("", 500).len(), 0);
+    }
+
+    #[test]
+    fn a_narrow_logarithmic_axis_has_ticks_too() {
+        assert_eq!(log_ticks(70.0, 300.0), [100.0, 200.0]);
+        assert_eq!(log_ticks(4.0, 60.0), [5.0, 10.0, 20.0, 50.0]);
+        assert_eq!(log_ticks(0.5, 2000.0), [1.0, 10.0, 100.0, 1000.0]);
     }
 
     #[test]

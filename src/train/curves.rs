@@ -112,7 +112,7 @@ where
         ],
         false => [all().map(|p| p.1).fold(0.0, f64::min), 1.0],
     };
-    let mut chart = plot::chart(area, title, [48, 72]).build_cartesian_2d(0.0..last, low..high)?;
+    let mut chart = plot::chart(area, title, [60, 90]).build_cartesian_2d(0.0..last, low..high)?;
     let name = |y: &f64| if decades { format!("{:.0e}", 10f64.powf(*y)) } else { format!("{y:.1}") };
     plot::axes(&mut chart, ("step", &|x| format!("{x:.0}")), (what, &name), [6, 8])?;
     for (curve, color) in curves.iter().zip(PALETTE).filter(|(curve, _)| !curve.points.is_empty()) {

@@ -99,7 +99,7 @@ pub fn markdown(report: &EffectsReport) -> String {
          Written by `{command}` (egotac {version}, {machine}).\n\n\
          Milliseconds per simulated second that an effect costs, together with those that come and go with it: the median\n\
          difference of frames with and without it, taken in turn around the middle of the episode. Plain numbers are effects that\n\
-         the scene calls for and gets; (in brackets) is what one would cost that it does not call for, so does not pay.\n\
+         the scene calls for and gets; (in brackets) is the cost of an effect that the scene does not call for and does not pay.\n\
          Differences near 0 may come out negative. Why each is on or off: `egotac sim explain SCENE`.\n\n",
     );
     let header: Vec<&str> = Effect::ALL.iter().map(|effect| effect.name()).collect();

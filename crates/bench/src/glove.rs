@@ -316,7 +316,7 @@ impl Figure for Plot {
         let most = self.resolution.iter().map(|point| point.field_error.max(point.f1)).fold(0.0, f64::max).max(0.1);
         let (low, high) = (4.0, 1200.0);
         let mut chart =
-            plot::chart(&body, "", [48, 68]).build_cartesian_2d((low..high).log_scale(), 0.0..1.05 * most)?;
+            plot::chart(&body, "", [60, 86]).build_cartesian_2d((low..high).log_scale(), 0.0..1.05 * most)?;
         let whole = |value: &f64| format!("{value:.0}");
         let tenths = |value: &f64| format!("{value:.1}");
         plot::axes(&mut chart, ("taxels per hand", &whole), ("relative error, F1", &tenths), [6, 8])?;

@@ -106,7 +106,7 @@ impl Plot {
         let names: Vec<String> = self.candidates.iter().map(|column| column.name.replace('_', " ")).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let mut chart =
-            plot::chart(&body, "", [34, 60]).build_cartesian_2d(-0.5..names.len() as f64 - 0.5, -0.02..top)?;
+            plot::chart(&body, "", [40, 76]).build_cartesian_2d(-0.5..names.len() as f64 - 0.5, -0.02..top)?;
         plot::categories(&body, &mut chart, &names, (better, &|y| format!("{y:.1}")))?;
         for (index, ((_, name), color)) in curves.iter().zip(PALETTE).enumerate() {
             let shift = (index as f64 - 0.5 * (curves.len() - 1) as f64) * SHIFT;

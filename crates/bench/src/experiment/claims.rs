@@ -94,8 +94,8 @@ pub fn page(folder: &Path) -> Result<String> {
          head of its table.\n\nThe paper trains a far larger network on recordings of people; here hands, objects and pictures are \
          rendered, and networks\nsmall. Levels can't be compared, directions can. Contact scores are means over frames with contact, \
          as the paper's; scores\nover time are means over episodes. Differences have 95 % intervals over episodes, the same ones for \
-         both sides; with several\nseeds the interval spans those of all.\n\nA comparison *agrees* if its interval lies on the side \
-         that the paper leads one to expect, *disagrees* if it lies on the other\nside, and is *not certain* if it contains zero; where \
+         both sides; with several\nseeds the interval spans those of all.\n\nA comparison *agrees* if its interval has the sign \
+         that the paper's numbers have, *disagrees* if it has the other\nsign, and is *not certain* if it contains zero; where \
          no difference is expected, it agrees if the interval contains zero,\nwhich is weak evidence. A claim agrees, or disagrees, if \
          all its comparisons do.\n\nNetworks are trained for minutes. How far they have learned stands in each table, beside constant \
          predictions: where the first arm\nis hardly better than those, its comparisons say little.\n\n| claim | paper | ours | same split | verdict |\n|---|---|---|---|---|\n",

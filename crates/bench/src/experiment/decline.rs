@@ -54,7 +54,7 @@ static FACTORS: [Factor; 6] = [
     },
     Factor {
         name: "noise",
-        title: "Noise, standard deviation of 8 bits",
+        title: "Noise, standard deviation, grey levels of 255",
         levels: &[("5", Noise(5.0)), ("10", Noise(10.0)), ("20", Noise(20.0)), ("40", Noise(40.0))],
     },
     Factor {
@@ -230,7 +230,7 @@ impl Plot {
 }
 
 impl Figure for Plot {
-    const SIZE: (u32, u32) = (1500, 820);
+    const SIZE: (u32, u32) = (1200, 1120);
 
     fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
     where
@@ -241,17 +241,19 @@ impl Figure for Plot {
         let titles: Vec<String> =
             series().map(|(((_, title), (test, _)), _)| format!("{title}, {}", test_title(test))).collect();
         let keys: Vec<(&str, RGBColor)> = titles.iter().map(String::as_str).zip(PALETTE).collect();
-        let panels = plot::head(root, self.0["question"].as_str().unwrap_or_default(), &keys)?.split_evenly((2, 3));
+        let panels = plot::head(root, self.0["question"].as_str().unwrap_or_default(), &keys)?.split_evenly((3, 2));
         for (panel, factor) in panels.iter().zip(&FACTORS) {
-            let names: Vec<&str> =
-                std::iter::once(CLEAN).chain(factor.levels.iter().map(|(level, _)| *level)).collect();
+            let mut names: Vec<&str> = factor.levels.iter().map(|(level, _)| *level).collect();
+            // From good to bad pictures; too dark, right, too bright.
+            names.insert(names.iter().position(|level| level.starts_with('+')).unwrap_or(0), CLEAN);
             let last = names.len() as f64 - 1.0;
             let mut chart =
-                plot::chart(panel, factor.title, [34, 52]).build_cartesian_2d(-0.3..last + 0.3, 0.0..1.0)?;
+                plot::chart(panel, factor.title, [40, 66]).build_cartesian_2d(-0.3..last + 0.3, 0.0..1.0)?;
             plot::categories(panel, &mut chart, &names, ("score", &|y| format!("{y:.1}")))?;
             for (((name, _), (test, _)), color) in series() {
-                let place =
-                    |at: usize| if at == 0 { CLEAN.to_string() } else { format!("{} {}", factor.name, names[at]) };
+                let place = |at: usize| {
+                    if names[at] == CLEAN { CLEAN.into() } else { format!("{} {}", factor.name, names[at]) }
+                };
                 let points: Vec<(f64, f64)> =
                     (0..names.len()).filter_map(|at| Some((at as f64, self.score(&place(at), test, name)?))).collect();
                 chart.draw_series(LineSeries::new(points.iter().copied(), color.stroke_width(2)))?;

@@ -34,7 +34,7 @@ const DRAWN_EARLIER: [(&str, &str, bool); 6] = [
 /// Tests of reports of before format 2.
 const TESTS_EARLIER: [&str; 2] = ["in_domain", "out_of_domain"];
 /// Space on the left of a panel, pixels.
-const LEFT: u32 = 56;
+const LEFT: u32 = 72;
 
 /// Content of the plot.
 #[derive(Debug, Clone, PartialEq)]
@@ -86,24 +86,39 @@ impl Plot {
         };
         Self {
             question: json["question"].as_str().unwrap_or_default().to_owned(),
-            panels: if is_earlier { &DRAWN_EARLIER } else { &DRAWN }.iter().map(panel).collect(),
+            panels: if is_earlier { &DRAWN_EARLIER } else { &DRAWN }
+                .iter()
+                .map(panel)
+                .filter(Panel::compares)
+                .collect(),
             arms: arms.iter().map(|arm| name(arm).replace('_', " ")).collect(),
             tests,
         }
     }
 }
 
+/// Returns the colour of a test, which is the same in all plots; `at`: its place in this plot.
+fn color(test: &str, at: usize) -> RGBColor {
+    const FIXED: [&str; 4] = ["force", "contact", "ood_force", "ood_contact"];
+    let place = FIXED.iter().position(|fixed| *fixed == test);
+    PALETTE[place.unwrap_or(at) % PALETTE.len()]
+}
+
 /// Returns the name of a test for readers.
 pub(super) fn test_title(name: &str) -> String {
     match name {
         "known" => "known scenes".into(),
-        "ood" => "ood: new shapes, camera and look".into(),
+        "ood" => "new shapes, camera and look".into(),
+        "force" => "known scenes, truth by force".into(),
+        "contact" => "known scenes, truth by distance".into(),
+        "ood_force" => "new scenes, truth by force".into(),
+        "ood_contact" => "new scenes, truth by distance".into(),
         name => name.replace('_', " "),
     }
 }
 
 impl Figure for Plot {
-    const SIZE: (u32, u32) = (1500, 860);
+    const SIZE: (u32, u32) = (1200, 1180);
 
     fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
     where
@@ -111,11 +126,14 @@ impl Figure for Plot {
     {
         root.fill(&WHITE)?;
         let titles: Vec<String> = self.tests.iter().map(|test| test_title(test)).collect();
-        let keys: Vec<(&str, RGBColor)> =
-            titles.iter().enumerate().map(|(index, title)| (title.as_str(), PALETTE[index % PALETTE.len()])).collect();
-        let panels = plot::head(root, &self.question, &keys)?.split_evenly((2, 3));
+        let keys: Vec<(&str, RGBColor)> = titles
+            .iter()
+            .zip(self.tests.iter().enumerate())
+            .map(|(title, (at, test))| (title.as_str(), color(test, at)))
+            .collect();
+        let panels = plot::head(root, &self.question, &keys)?.split_evenly((self.panels.len().div_ceil(2).max(1), 2));
         for (area, panel) in panels.iter().zip(&self.panels) {
-            panel.draw(area, &self.arms)?;
+            panel.draw(area, &self.arms, &self.tests)?;
         }
         root.present()?;
         Ok(())
@@ -123,8 +141,14 @@ impl Figure for Plot {
 }
 
 impl Panel {
+    /// True if at least two arms have values to compare.
+    fn compares(&self) -> bool {
+        let arms = self.values.first().map_or(0, Vec::len);
+        (0..arms).filter(|arm| self.values.iter().any(|test| !test[*arm].is_empty())).count() >= arms.min(2)
+    }
+
     /// Draws a bar for each mean over seeds, and a dot for each seed.
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, arms: &[String]) -> Drawn<()>
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, arms: &[String], tests: &[String]) -> Drawn<()>
     where
         B::ErrorType: 'static,
     {
@@ -136,14 +160,14 @@ impl Panel {
         let names: Vec<&str> = arms.iter().map(String::as_str).collect();
         let longest = names.iter().map(|name| font::width(name, f64::from(LABEL))).max().unwrap_or(0);
         let room = (area.dim_in_pixel().0 - LEFT) / arms.len().max(1) as u32;
-        let below = if longest + 16 < room { 34 } else { longest + 16 };
+        let below = if longest + 16 < room { 40 } else { longest + 18 };
         let mut chart = plot::chart(area, &self.title, [below, LEFT])
             .build_cartesian_2d(-0.5..arms.len() as f64 - 0.5, 1.15 * least..top)?;
         plot::categories(area, &mut chart, &names, ("", &|y| format!("{}", (y * 1e3).round() / 1e3)))?;
-        let tests = self.values.iter().filter(|arms| arms.iter().any(|seeds| !seeds.is_empty())).count();
-        let width = 0.8 / tests.max(1) as f64;
+        let drawn = self.values.iter().filter(|arms| arms.iter().any(|seeds| !seeds.is_empty())).count();
+        let width = 0.8 / drawn.max(1) as f64;
         let mut place = 0.0;
-        for (arms, color) in self.values.iter().zip(PALETTE.iter().cycle()) {
+        for (arms, color) in self.values.iter().zip(tests.iter().enumerate().map(|(at, test)| color(test, at))) {
             if arms.iter().all(Vec::is_empty) {
                 continue;
             }

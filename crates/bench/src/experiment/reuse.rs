@@ -276,7 +276,7 @@ impl Plot {
         B::ErrorType: 'static,
     {
         let most = self.rows.iter().map(|point| point.below).fold(1.0, f64::max);
-        let mut chart = plot::chart(area, title, [44, 60]).build_cartesian_2d(0.0..most, 0.0..1.05)?;
+        let mut chart = plot::chart(area, title, [55, 76]).build_cartesian_2d(0.0..most, 0.0..1.05)?;
         let level = ("level, grey levels", &|x: &f64| format!("{x:.0}"));
         plot::axes(&mut chart, (level.0, level.1), ("", &|y| format!("{y:.1}")), [9, 6])?;
         for ((camera, ..), color) in CAMERAS.iter().zip(PALETTE) {
@@ -301,9 +301,9 @@ impl Plot {
         let values: Vec<f64> = self.rows.iter().filter_map(f1).collect();
         let (low, high) = values.iter().fold((f64::INFINITY, 0.0f64), |(low, high), y| (low.min(*y), high.max(*y)));
         let (low, high) = if low.is_finite() { (low - 0.02, high + 0.02) } else { (0.0, 1.0) };
-        let title = "F1 by time (rings: patches)";
-        let mut chart = plot::chart(area, title, [44, 60]).build_cartesian_2d(0.0..1.2, low..high)?;
-        let time = ("mean time, of encoding all", &|x: &f64| format!("{x:.1}"));
+        let title = "F1 by time (rings: patches without hands skipped)";
+        let mut chart = plot::chart(area, title, [55, 76]).build_cartesian_2d(0.5..1.1, low..high)?;
+        let time = ("time as a share of encoding all images", &|x: &f64| format!("{x:.1}"));
         plot::axes(&mut chart, (time.0, time.1), ("", &|y| format!("{y:.2}")), [7, 6])?;
         for ((camera, ..), color) in CAMERAS.iter().zip(PALETTE) {
             let rows: Vec<&Point> = self.rows.iter().filter(|point| point.camera == *camera).collect();
@@ -320,7 +320,7 @@ impl Plot {
 }
 
 impl Figure for Plot {
-    const SIZE: (u32, u32) = (1500, 440);
+    const SIZE: (u32, u32) = (1200, 860);
 
     fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
     where
@@ -329,9 +329,11 @@ impl Figure for Plot {
         root.fill(&WHITE)?;
         let names = CAMERAS.map(|(camera, ..)| format!("camera {camera}"));
         let keys: Vec<(&str, RGBColor)> = names.iter().map(String::as_str).zip(PALETTE).collect();
-        let parts = plot::head(root, &self.question, &keys)?.split_evenly((1, 4));
+        let parts = plot::head(root, &self.question, &keys)?.split_evenly((2, 2));
         self.panel(&parts[0], "Share of images encoded", |point, _| Some(point.encoded))?;
-        self.panel(&parts[1], "Mean time, of encoding all", |point, all| Some(point.mean_ms / all.mean_ms))?;
+        self.panel(&parts[1], "Time as a share of encoding all images", |point, all| {
+            Some(point.mean_ms / all.mean_ms)
+        })?;
         self.panel(&parts[2], "F1, frame mean", |point, _| *point.scores.score("frame_mean.f1").first()?)?;
         self.price(&parts[3])?;
         root.present()?;

@@ -61,7 +61,7 @@ pub fn columns(test: &TestInfo) -> &'static [Column] {
 impl Report {
     /// Returns the report as Markdown: one table per test.
     pub fn markdown(&self) -> String {
-        let mut text = format!("{}\n{}\n", self.head.markdown(), self.preface());
+        let mut text = format!("{}\n{}\n{}\n", self.head.markdown(), self.figure(), self.preface());
         self.imported(&mut text);
         for test in &self.tests {
             put(&mut text, format_args!("\n## {} ({} frames, {} episodes)\n", test.title, test.frames, test.episodes));
@@ -75,6 +75,18 @@ impl Report {
             }
         }
         text
+    }
+
+    /// Shows the plot, and says how to read it.
+    fn figure(&self) -> String {
+        let name = self.head.experiment;
+        let (alt, reading) = match name {
+            "decline" => ("Scores against the strength of each degradation", "Curves are scores on a test."),
+            _ => {
+                ("Scores of each arm on each test", "Bars are means over seeds, dots single seeds; colours are tests.")
+            }
+        };
+        format!("![{alt}]({name}.png)\n\n{reading}\n")
     }
 
     /// Says what was run, and how to read the tables.

@@ -106,7 +106,7 @@ where
     let x = points.iter().map(|point| point.at.0).filter(|ms| *ms > 0.0);
     let (least, most) = x.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), ms| (low.min(ms), high.max(ms)));
     let (left, right) = if least <= most { (0.7 * least, 1.6 * most) } else { (0.1, 1.0) };
-    let mut builder = plot::chart(area, title, [48, 72]);
+    let mut builder = plot::chart(area, title, [60, 90]);
     let y = points.iter().map(|point| point.at.1);
     match is_accuracy {
         true => {
@@ -117,14 +117,17 @@ where
                 plot::axes(&mut chart, (LATENCY, &|x| format!("{x:.1}")), (what, &|y| format!("{y:.2}")), [8, 6])?;
                 return draw_points(area, &mut chart, points);
             }
-            let mut chart = builder.build_cartesian_2d((left..right).log_scale(), bottom..top)?;
+            let times = (left..right).log_scale().with_key_points(plot::log_ticks(left, right));
+            let mut chart = builder.build_cartesian_2d(times, bottom..top)?;
             plot::axes(&mut chart, (LATENCY, &|x| format!("{x}")), (what, &|y| format!("{y:.2}")), [12, 6])?;
             draw_points(area, &mut chart, points)
         }
         false => {
             let (low, high) = plot::span(y.map(f64::log10), 1.0).unwrap_or((0.0, 1.0));
-            let sizes = (10f64.powf(low)..10f64.powf(high)).log_scale();
-            let mut chart = builder.build_cartesian_2d((left..right).log_scale(), sizes)?;
+            let (low, high) = (10f64.powf(low), 10f64.powf(high));
+            let times = (left..right).log_scale().with_key_points(plot::log_ticks(left, right));
+            let sizes = (low..high).log_scale().with_key_points(plot::log_ticks(low, high));
+            let mut chart = builder.build_cartesian_2d(times, sizes)?;
             plot::axes(&mut chart, (LATENCY, &|x| format!("{x}")), (what, &|y| format!("{y}")), [8, 6])?;
             draw_points(area, &mut chart, points)
         }

@@ -19,7 +19,7 @@ pub fn render(report: &ModelReport) -> String {
     let mut text = String::from("# What the network's accuracy costs in time\n\n");
     let _ = writeln!(
         text,
-        "Written by `{}`: {} runs of each kind, egotac {}, {}.\nNumbers: `model.json`. Plot: `model.png`, `model.svg`.\n",
+        "Written by `{}`: {} runs of each kind, egotac {}, {}.\nNumbers: `model.json`.\n\n![Size and accuracy of networks against milliseconds per frame](model.png)\n",
         report.command, report.runs, report.egotac, report.machine
     );
     text.push_str(LEGEND);

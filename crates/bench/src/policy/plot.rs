@@ -46,7 +46,7 @@ fn draw_success<B: DrawingBackend>(area: &DrawingArea<B, Shift>, rows: &[Row], n
 where
     B::ErrorType: 'static,
 {
-    let mut chart = plot::chart(area, "Success (bar: 95 %, dots: trainings)", [40, 190])
+    let mut chart = plot::chart(area, "Success (bar: 95 %, dots: trainings)", [48, 236])
         .build_cartesian_2d(0.0..1.05, -0.5..rows.len() as f64 - 0.5)?;
     // The first row stands on top.
     let place = |row: usize| (rows.len() - 1 - row) as f64;
@@ -83,7 +83,7 @@ where
     B::ErrorType: 'static,
 {
     let [low, high] = MASS.map(|mass| 1000.0 * mass);
-    let mut chart = plot::chart(area, "Success by weight", [46, 60]).build_cartesian_2d(low..high, 0.0..1.05)?;
+    let mut chart = plot::chart(area, "Success by weight", [58, 76]).build_cartesian_2d(low..high, 0.0..1.05)?;
     plot::axes(
         &mut chart,
         ("mass of the ball, g", &|mass| format!("{mass:.0}")),

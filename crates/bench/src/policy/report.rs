@@ -222,7 +222,7 @@ impl PolicyReport {
         put(
             &mut text,
             format_args!(
-                "# policy\n\nDoes touch help a policy? Written by `{}`, egotac {}, {}. Numbers: `policy.json`; plot: `policy.png`.\n",
+                "# policy\n\nDoes touch help a policy? Written by `{}`, egotac {}, {}. Numbers: `policy.json`.\n\n![Success of each arm, and success by the weight of the ball](policy.png)\n",
                 self.command, self.egotac, self.machine
             ),
         );

@@ -29,7 +29,8 @@ fn head(text: &mut String, report: &RetargetReport) {
     put(
         text,
         format_args!(
-            "{} frames at 30 Hz of the built-in hand, seed {}: free motion and pinches, with contact flags and forces.\n",
+            "{} frames at 30 Hz of the built-in hand, seed {}: free motion and pinches, with contact flags and forces.\n\n\
+             ![Distance from the best objective against the time per frame](retarget.png)\n",
             report.frames, report.seed
         ),
     );

@@ -25,8 +25,8 @@ pub fn render(report: &SimReport) -> String {
     let seeds = if report.seeds == 1 { "1 seed".into() } else { format!("{} seeds", report.seeds) };
     let _ = writeln!(
         text,
-        "Written by `{}`: {seeds} from {}, egotac {}, MuJoCo {}, {}.\nNumbers: `sim.json`. Plot: `sim.png`, `sim.svg`. \
-         The recommended preset is **{}**.\n",
+        "Written by `{}`: {seeds} from {}, egotac {}, MuJoCo {}, {}.\nNumbers: `sim.json`. \
+         The recommended preset is **{}**.\n\n![Error of forces against computation per simulated second](sim.png)\n",
         report.command,
         report.seed,
         report.egotac,

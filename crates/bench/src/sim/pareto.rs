@@ -14,6 +14,8 @@ use crate::front::front;
 
 /// Smallest relative error that is drawn; smaller ones are drawn at it.
 const FLOOR: f64 = 1e-5;
+/// Colour of the names of settings: that of their points is too pale for letters.
+const NAME: RGBColor = RGBColor(70, 70, 70);
 /// Knobs whose settings are drawn beside the presets.
 const KNOBS: [Knob; 6] = [Knob::Timestep, Knob::Cone, Knob::Iterations, Knob::Integrator, Knob::Impratio, Knob::Hull];
 
@@ -107,8 +109,12 @@ where
     if !(least > 0.0 && least <= most && most.is_finite()) {
         return Err("no setting has both a cost and an error".into());
     }
-    let mut chart = plot::chart(area, &format!("Force error {title}"), [48, 72])
-        .build_cartesian_2d((0.6 * least..2.5 * most).log_scale(), (0.7 * FLOOR..2.0).log_scale())?;
+    let errors = points.iter().map(|point| point.error);
+    let (low, high) = (0.5 * errors.clone().fold(2.0, f64::min), 2.0 * errors.fold(FLOOR, f64::max));
+    let mut chart = plot::chart(area, &format!("Force error {title}"), [60, 90]).build_cartesian_2d(
+        (0.6 * least..2.5 * most).log_scale().with_key_points(plot::log_ticks(0.6 * least, 2.5 * most)),
+        (low..high).log_scale().with_key_points(plot::log_ticks(low, high)),
+    )?;
     plot::axes(
         &mut chart,
         (&format!("milliseconds per simulated second (worst of {scenes})"), &|x| format!("{x}")),
@@ -130,7 +136,7 @@ where
             .legend(plot::dot_key(color, 4));
         names.extend(own.into_iter().map(|point| {
             let at = (point.cost, point.error);
-            Named { text: &point.setting, at, size: 12, color }
+            Named { text: &point.setting, at, size: 15, color: NAME }
         }));
     }
     let recommended = format!("{marked} (recommended)");
@@ -141,7 +147,7 @@ where
         chart.draw_series([EmptyElement::at(at) + Circle::new((0, 0), size, color.stroke_width(3))])?;
         let text = if is_marked { &recommended } else { &point.setting };
         // Presets choose their places first.
-        names.insert(0, Named { text, at, size: 16, color });
+        names.insert(0, Named { text, at, size: 19, color });
     }
     plot::draw_names(area, &chart, &names, points.iter().map(|point| (point.cost, point.error)), &front)?;
     if KNOBS.iter().any(|knob| points.iter().any(|point| point.knob == knob.name())) {
