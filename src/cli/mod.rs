@@ -125,7 +125,7 @@ enum Command {
     Sensor(sensor::Args),
     /// Network: forward, attention, import, start, info.
     Model(model::Args),
-    /// Benchmarks of the documentation: model, train, ranks, label, retarget, sim, physics, effects, glove, hard-cases, guards, faults.
+    /// Benchmarks of the documentation: model, layers, train, ranks, label, import, retarget, sim, physics, effects, glove, node, hard-cases, guards, faults.
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Bench(external::Args),
     /// Recordings and labels: info, diff, import.

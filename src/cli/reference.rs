@@ -9,16 +9,22 @@ use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::Command;
+use serde_json::json;
 use serde_yaml::Value;
 
 use self::keys::{Key, Types};
 use crate::file;
+use crate::model;
 use crate::text::{parse_yaml, put};
 use crate::train::Config;
+use crate::train::source::TrainingSource;
 
 /// Source of the types of a training configuration; their doc comments describe the keys.
 const CONFIG_SOURCE: &str =
     concat!(include_str!("../train/config/mod.rs"), include_str!("../train/config/sections.rs"));
+/// Sources of the types of an entry of `data`, and of a network's geometry.
+const SOURCE_SOURCE: &str = include_str!("../train/source.rs");
+const GEOMETRY_SOURCE: &str = include_str!("../model/config.rs");
 /// Keys that a configuration must have, with values to start from. All others have defaults.
 const REQUIRED: &str = "{name: first, data: [train.zarr], out: run, model: pocket, seed: 1, steps: 1000}";
 
@@ -113,6 +119,26 @@ fn training_page() -> anyhow::Result<String> {
          file with all keys; `--set KEY=VALUE` replaces one, dotted as below.\n\n| key | default | meaning |\n|---|---|---|\n",
     );
     write_rows(&training_keys(), &defaults, &needed, "", &mut page)?;
+    page += "\n## Sources\n\nAn entry of `data` is a path, or a mapping with these keys.\n\n| key | default | meaning |\n|---|---|---|\n";
+    let needed: Value = parse_yaml("stores: [train.zarr]")?;
+    let TrainingSource { quota, mirror, labels, weigh_by_std, .. } =
+        parse_yaml("stores: [train.zarr]").context("source")?;
+    let defaults = json!({ "quota": quota, "mirror": mirror, "labels": labels, "weigh_by_std": weigh_by_std });
+    let keys = Types::read(&[SOURCE_SOURCE]).keys("TrainingSource");
+    write_rows(&keys, &serde_yaml::to_value(defaults)?, &needed, "", &mut page)?;
+    put(
+        &mut page,
+        format_args!(
+            "\n## Geometry\n\n`model` is the name of a preset ({}), or a mapping with these keys.\n\n| key | in `small` | meaning |\n|---|---|---|",
+            model::Config::PRESETS.map(|name| format!("`{name}`")).join(", ")
+        ),
+    );
+    let mut small = serde_yaml::to_value(model::Config::small())?;
+    // Left out of files at its default.
+    if let Some(values) = small.as_mapping_mut() {
+        values.entry("registers".into()).or_insert(0.into());
+    }
+    write_rows(&Types::read(&[GEOMETRY_SOURCE]).keys("Config"), &small, &Value::Null, "", &mut page)?;
     Ok(page)
 }
 
@@ -154,6 +180,19 @@ mod tests {
     fn the_written_configuration_reads_back_as_the_defaults() {
         let written: Config = parse_yaml(&training_config().unwrap()).unwrap();
         assert_eq!(written, parse_yaml::<Config>(REQUIRED).unwrap());
+    }
+
+    #[test]
+    fn sources_and_geometry_are_described_with_their_defaults() {
+        let page = training_page().unwrap();
+        for row in [
+            "| `stores` | required |",
+            "| `labels` | `\"both\"` | Labels that are supervised. One of `both`, `contact`, `force`, `felt`, `proximity`. |",
+            "| `vision_width` | `384` |",
+            "| `registers` | `0` |",
+        ] {
+            assert!(page.contains(row), "{row}");
+        }
     }
 
     #[test]

@@ -44,7 +44,7 @@ enum Command {
     tip_contact (T, 5), tip_force (T, 5, 3) N, force and contact (T, 778) or (T, 1556).\n\
     Output: qpos (T, n) with joint_names in the metadata, ctrl, tip_force (T, 5, 3) in the frame of the keypoints, \
     objective, solve_time_us, status, and the expected touch of each link.\n\
-    A frame that is not a hand is reported on standard error; the last good pose is held (status 4)."
+    A frame that is not a hand is reported on standard error; the last good pose is held, and the field `status` is 4."
 )]
 struct Run {
     /// Robot: a name of `egotac retarget list` or its start, a YAML file, or a model (MJCF or URDF).
