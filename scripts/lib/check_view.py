@@ -115,7 +115,7 @@ def video(browser):
 
 def main():
     url, frame = sys.argv[1], int(sys.argv[2])
-    browser = Browser(1400, 1060)
+    browser = Browser(1400, 1240)
     try:
         browser.open(url)
         browser.wait("Number(document.body.dataset.updates) > 0")

@@ -1,6 +1,6 @@
 """Takes pictures of the page of `egotac view` in a headless Chromium: film_view.py URL FOLDER.
 
-Source 0 is a labelled store: FOLDER gets frame_000.png, frame_001.png ... of every third image. Source 1 is a labelled store with
+Source 0 is a labelled store: FOLDER gets frame_000.png, frame_001.png ... of every third image, from one in which the hand grips. Source 1 is a labelled store with
 another look: FOLDER gets still.png of the image in its middle.
 """
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from browser import Browser
 
 STEP = 3
-SIZE = (1240, 800)
+SIZE = (1240, 900)
 
 
 def show(browser, frame):
@@ -41,7 +41,11 @@ def main():
     try:
         browser.open(url)
         browser.wait("Number(document.body.dataset.updates) > 0")
-        for number, frame in enumerate(range(0, last_image(browser) + 1, STEP)):
+        # Pages that don't move show the first frame: it has touch. The rate is that of the filming.
+        browser.evaluate("document.getElementById('rate').hidden = true")
+        frames = list(range(0, last_image(browser) + 1, STEP))
+        begin = 2 * len(frames) // 5
+        for number, frame in enumerate(frames[begin:] + frames[:begin]):
             show(browser, frame)
             (folder / f"frame_{number:03}.png").write_bytes(browser.screenshot())
         choose(browser, 1)

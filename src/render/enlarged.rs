@@ -121,9 +121,9 @@ impl<B: DrawingBackend> DrawingBackend for Enlarged<B> {
 #[cfg(test)]
 mod tests {
     use image::{Rgb, RgbImage, imageops};
-    use plotters::prelude::{BLACK, BitMapBackend, Circle, IntoDrawingArea, PathElement, Rectangle, WHITE};
+    use plotters::prelude::{BLACK, BitMapBackend, Circle, Color as _, IntoDrawingArea, PathElement, Rectangle, WHITE};
 
-    use super::*;
+    use super::{Enlarged, SCALE};
 
     #[test]
     fn shapes_keep_their_places_and_sizes_and_edges_become_smooth() {

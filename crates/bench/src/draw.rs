@@ -13,7 +13,7 @@ use crate::experiment::{decline, plot as bars, reuse};
 use crate::model::sweep::ModelReport;
 use crate::physics::determined::Determined;
 use crate::sim::table::SimReport;
-use crate::{glove, physics, retarget};
+use crate::{glove, physics, policy, retarget};
 
 /// Plots that belong to one JSON file.
 enum Plots {
@@ -24,6 +24,7 @@ enum Plots {
     Retarget(retarget::plot::Plot),
     Decline(decline::Plot),
     Reuse(reuse::Plot),
+    Policy(policy::plot::Plot),
     Bars(bars::Plot),
     Verify(picture::Plot),
 }
@@ -58,9 +59,8 @@ impl Plots {
             ["egotac", "bench", "retarget"] => Self::Retarget(Deserialize::deserialize(json)?),
             ["egotac", "experiment", "decline"] => Self::Decline(decline::Plot(json.clone())),
             ["egotac", "experiment", "reuse"] => Self::Reuse(Deserialize::deserialize(json)?),
-            ["egotac", "experiment", name] if name != "attention" && name != "policy" => {
-                Self::Bars(bars::Plot::new(json))
-            }
+            ["egotac", "experiment", "policy"] => Self::Policy(Deserialize::deserialize(json)?),
+            ["egotac", "experiment", name] if name != "attention" => Self::Bars(bars::Plot::new(json)),
             _ if json.get("candidates").is_some() => Self::Verify(Deserialize::deserialize(json)?),
             _ => return Ok(None),
         }))
@@ -79,6 +79,7 @@ impl Plots {
             Self::Retarget(plot) => draw.draw(name, plot),
             Self::Decline(plot) => draw.draw(name, plot),
             Self::Reuse(plot) => draw.draw(name, plot),
+            Self::Policy(plot) => draw.draw(name, plot),
             Self::Bars(plot) => draw.draw(name, plot),
             Self::Verify(plot) => draw.draw(name, plot),
         }

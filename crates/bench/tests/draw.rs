@@ -10,7 +10,7 @@ use egotac::render::plot::PALETTE;
 use egotac_bench::draw::svgs;
 
 /// Reports with plots, below docs/.
-const REPORTS: [&str; 23] = [
+const REPORTS: [&str; 24] = [
     "bench/model.json",
     "bench/epyc/model.json",
     "bench/sim.json",
@@ -33,6 +33,7 @@ const REPORTS: [&str; 23] = [
     "results/decline.json",
     "results/transfer.json",
     "results/reuse.json",
+    "results/policy.json",
     "verify/verify.json",
 ];
 

@@ -3,6 +3,8 @@
 const COLORS = ["#1b5fae", "#c2410c"];
 const MARGIN = { left: 46, right: 10, top: 8, bottom: 22 };
 const STRIP = 8;
+/** Height of the band that marks unknown force of a hand. */
+const BAND = 18;
 
 /** Returns a round number at or above `value`, and its half. */
 function round(value) {
@@ -53,8 +55,8 @@ export class Chart {
     const x = stamp => MARGIN.left + (stamp - first) / (last - first) * (width - MARGIN.left - MARGIN.right);
     const y = force => height - MARGIN.bottom - force / top * (height - MARGIN.top - MARGIN.bottom - STRIP);
 
-    this.gaps(points, x, height);
     g.font = "12px system-ui, 'DejaVu Sans', sans-serif";
+    this.gaps(points, x, height);
     g.fillStyle = "#555";
     g.strokeStyle = "#ddd";
     g.lineWidth = 1;
@@ -97,24 +99,30 @@ export class Chart {
     g.stroke();
   }
 
-  /** Shades the time in which the force of a hand is unknown: the upper half for the left hand, the lower for the right. */
+  /** Marks the time in which the force of a hand is unknown, in a band of its own for each hand. */
   gaps(points, x, height) {
     const g = this.context;
-    const [top, bottom] = [MARGIN.top + STRIP, height - MARGIN.bottom];
-    g.fillStyle = "#e2e4e8";
-    points.forEach((point, index) => {
-      for (const side of [0, 1].filter(side => point.force[side] === null)) {
-        const half = (bottom - top) / 2;
-        g.fillRect(x(point.stamp), top + side * half, this.length(points, index, x), half);
-      }
-    });
+    for (const side of [0, 1]) {
+      const top = height - MARGIN.bottom - BAND * (2 - side);
+      let label = null;
+      points.forEach((point, index) => {
+        if (point.force[side] !== null) return;
+        label ??= x(point.stamp);
+        g.fillStyle = "#e2e4e8";
+        g.fillRect(x(point.stamp), top, this.length(points, index, x), BAND - 2);
+      });
+      if (label === null) continue;
+      g.fillStyle = "#555";
+      g.textAlign = "left";
+      g.fillText(`${["left", "right"][side]} hand unknown`, label + 6, top + BAND - 6);
+    }
   }
 
   strip(points, x, threshold) {
     const g = this.context;
     points.forEach((point, index) => {
       if (point.familiarity === null || point.familiarity === undefined) return;
-      g.fillStyle = threshold !== null && point.familiarity < threshold ? "#c0392b" : "#7fb98b";
+      g.fillStyle = threshold !== null && point.familiarity < threshold ? "#d55e00" : "#9ecae8";
       g.fillRect(x(point.stamp), MARGIN.top - 4, this.length(points, index, x), STRIP - 2);
     });
   }

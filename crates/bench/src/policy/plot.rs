@@ -5,9 +5,10 @@ use std::path::Path;
 use egotac::error::Result;
 use egotac::render::figure::{self, Drawn, Figure};
 use egotac::render::font::FAMILY;
-use egotac::render::plot::{self, PALETTE};
+use egotac::render::plot::{self, LABEL, PALETTE};
 use plotters::coord::Shift;
 use plotters::prelude::*;
+use serde::Deserialize;
 
 use super::report::{PolicyReport, Row};
 use super::task::{End, MASS};
@@ -15,15 +16,21 @@ use super::task::{End, MASS};
 /// Bins of the ball's mass; equally wide in its logarithm.
 const BINS: usize = 4;
 
+/// Content of the plot.
+#[derive(Debug, Clone, Deserialize)]
+pub struct Plot {
+    rows: Vec<Row>,
+}
+
 /// Writes `policy.png` and `policy.svg` into `folder`.
 ///
 /// # Errors
 /// If a file can't be written.
 pub fn write(folder: &Path, report: &PolicyReport) -> Result<()> {
-    figure::write(folder, "policy", report)
+    figure::write(folder, "policy", &Plot { rows: report.rows.clone() })
 }
 
-impl Figure for PolicyReport {
+impl Figure for Plot {
     const SIZE: (u32, u32) = (1400, 560);
 
     fn draw<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<()>
@@ -46,7 +53,7 @@ fn draw_success<B: DrawingBackend>(area: &DrawingArea<B, Shift>, rows: &[Row], n
 where
     B::ErrorType: 'static,
 {
-    let mut chart = plot::chart(area, "Success (bar: 95 %, dots: trainings)", [48, 236])
+    let mut chart = plot::chart(area, "Success (black line: 95 %, dots: trainings)", [48, 236])
         .build_cartesian_2d(0.0..1.05, -0.5..rows.len() as f64 - 0.5)?;
     // The first row stands on top.
     let place = |row: usize| (rows.len() - 1 - row) as f64;
@@ -64,7 +71,7 @@ where
         .light_line_style(TRANSPARENT)
         .y_labels(2 * rows.len() + 1)
         .y_label_formatter(&label)
-        .label_style((FAMILY, 15))
+        .label_style((FAMILY, LABEL))
         .draw()?;
     for (index, row) in rows.iter().enumerate() {
         let (y, color) = (place(index), PALETTE[index % PALETTE.len()]);

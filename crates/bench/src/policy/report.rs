@@ -2,7 +2,7 @@
 
 use egotac::machine::Machine;
 use egotac::text::put;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::arm::Arm;
 use super::demonstrations::Demonstrations;
@@ -54,7 +54,7 @@ pub struct TouchQuality {
 }
 
 /// Results of one arm or baseline.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Row {
     /// Name.
     pub name: String,
@@ -83,7 +83,7 @@ pub struct Row {
 }
 
 /// Difference of two success rates.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Difference {
     /// The difference.
     pub difference: f64,
