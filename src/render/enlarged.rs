@@ -45,10 +45,10 @@ impl<B: DrawingBackend> DrawingBackend for Enlarged<B> {
         self.0.present()
     }
 
-    fn draw_pixel(&mut self, at: BackendCoord, color: BackendColor) -> Result<(), DrawingErrorKind<B::ErrorType>> {
+    fn draw_pixel(&mut self, (x, y): BackendCoord, color: BackendColor) -> Result<(), DrawingErrorKind<B::ErrorType>> {
         let BackendColor { alpha, rgb: (red, green, blue) } = color;
         let style = RGBAColor(red, green, blue, alpha).filled();
-        self.draw_rect(at, at, &style, true)
+        self.draw_rect((x, y), (x + 1, y + 1), &style, true)
     }
 
     fn draw_line<S: BackendStyle>(
@@ -68,10 +68,9 @@ impl<B: DrawingBackend> DrawingBackend for Enlarged<B> {
         fill: bool,
     ) -> Result<(), DrawingErrorKind<B::ErrorType>> {
         if fill {
-            // The pixels of both corners belong to the rectangle.
+            // As in the pictures and in SVG, the pixel of the second corner lies outside.
             let scale = SCALE as i32;
-            let corner = (scale * (right + 1) - 1, scale * (bottom + 1) - 1);
-            return self.0.draw_rect((scale * left, scale * top), corner, style, true);
+            return self.0.draw_rect((scale * left, scale * top), (scale * right, scale * bottom), style, true);
         }
         let corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)];
         corners.windows(2).try_for_each(|ends| self.draw_line(ends[0], ends[1], style))
@@ -134,11 +133,12 @@ mod tests {
             let root = Enlarged(BitMapBackend::with_buffer(picture.as_mut(), large)).into_drawing_area();
             assert_eq!(root.dim_in_pixel(), (width, height));
             root.fill(&WHITE).unwrap();
-            root.draw(&Rectangle::new([(5, 5), (9, 14)], BLACK.filled())).unwrap();
+            root.draw(&Rectangle::new([(5, 5), (10, 15)], BLACK.filled())).unwrap();
             root.draw(&Circle::new((40, 20), 6, BLACK.filled())).unwrap();
             root.draw(&PathElement::new([(20, 2), (20, 36)], BLACK.stroke_width(1))).unwrap();
         }
         let picture: RgbImage = imageops::thumbnail(&picture, width, height);
+        assert_eq!(picture.get_pixel(width - 1, height - 1), &Rgb([255; 3]), "the ground reaches the last pixel");
         let dark = |x: u32, y: u32| picture.get_pixel(x, y).0[0] < 100;
         for (x, y) in (0..16).flat_map(|x| (0..20).map(move |y| (x, y))) {
             assert_eq!(dark(x, y), (5..=9).contains(&x) && (5..=14).contains(&y), "{x} {y}");
