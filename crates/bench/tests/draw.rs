@@ -70,7 +70,8 @@ fn elements<'a>(svg: &'a str, name: &str) -> Vec<&'a str> {
 fn texts(svg: &str) -> Vec<(String, [f64; 4])> {
     let boxed = |element: &&str| {
         let text =
-            element.split_once('>').unwrap().1.trim().replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&");
+            element.split_once('>').unwrap().1.trim().replace("&lt;", "<").replace("&gt;", ">").replace("&apos;", "'");
+        let text = text.replace("&quot;", "\"").replace("&amp;", "&");
         let em = number(element, "font-size");
         let width = f64::from(font::width(&text, em * 1.24));
         let left = match attribute(element, "text-anchor") {
@@ -94,7 +95,8 @@ fn texts(svg: &str) -> Vec<(String, [f64; 4])> {
         let high = |axis: usize| turned[0][axis].max(turned[1][axis]);
         (text, [x + low(0), y + low(1), x + high(0), y + high(1)])
     };
-    elements(svg, "text").iter().map(boxed).collect()
+    // Ticks without a label have an empty text.
+    elements(svg, "text").iter().map(boxed).filter(|(text, _)| !text.is_empty()).collect()
 }
 
 #[test]

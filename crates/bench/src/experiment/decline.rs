@@ -54,7 +54,7 @@ static FACTORS: [Factor; 6] = [
     },
     Factor {
         name: "noise",
-        title: "Noise, standard deviation, grey levels of 255",
+        title: "Noise, standard deviation of 255",
         levels: &[("5", Noise(5.0)), ("10", Noise(10.0)), ("20", Noise(20.0)), ("40", Noise(40.0))],
     },
     Factor {

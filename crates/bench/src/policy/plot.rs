@@ -90,7 +90,7 @@ where
     B::ErrorType: 'static,
 {
     let [low, high] = MASS.map(|mass| 1000.0 * mass);
-    let mut chart = plot::chart(area, "Success by weight", [58, 76]).build_cartesian_2d(low..high, 0.0..1.05)?;
+    let mut chart = plot::chart(area, "Success by weight", [58, 76]).build_cartesian_2d(low..1.03 * high, 0.0..1.05)?;
     plot::axes(
         &mut chart,
         ("mass of the ball, g", &|mass| format!("{mass:.0}")),
