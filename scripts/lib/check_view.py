@@ -67,7 +67,7 @@ def store(browser, frame):
     check("only the predicted right hand is unknown", grey[1] > 2000 and max(grey[0], grey[2], grey[3]) < 200, grey)
     chart = part(browser, picture, "#chart")
     check("the curve of a hand is drawn", near(chart, [0x1B, 0x5F, 0xAE], 40) + near(chart, [0xC2, 0x41, 0x0C], 40) > 300)
-    check("familiarity is drawn", near(chart, [0x7F, 0xB9, 0x8B], 12) > 300)
+    check("familiarity is drawn", near(chart, [0x9E, 0xCA, 0xE8], 12) > 300)
     image = part(browser, picture, "#image")
     check("the image is drawn", image.std() > 15, round(float(image.std()), 1))
     browser.evaluate("document.getElementById('shows-overlay').click()")

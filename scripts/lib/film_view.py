@@ -10,7 +10,7 @@ from pathlib import Path
 from browser import Browser
 
 STEP = 3
-SIZE = (1240, 900)
+SIZE = (1240, 1060)
 
 
 def show(browser, frame):
