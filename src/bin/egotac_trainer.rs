@@ -2,10 +2,25 @@
 
 use std::process::ExitCode;
 
+use libmimalloc_sys::{mi_option_set, mi_option_t};
+
 // Training allocates and frees many large tensors per step, which mimalloc does faster than the system's allocator.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
+/// Option `mi_option_purge_delay` of mimalloc, which the bindings do not name.
+const PURGE_DELAY: mi_option_t = 15;
+
 fn main() -> ExitCode {
-    egotac::node::trainer::main()
+    egotac::node::trainer::main(keep_memory)
+}
+
+/// Keeps freed memory for a second, which is mimalloc's usual delay, or returns it to the system at once.
+fn keep_memory(keep: bool) {
+    let delay_ms = if keep { 1000 } else { 0 };
+    // SAFETY: `mi_option_set` stores the number atomically, which any thread may do at any time; an unknown option is ignored.
+    #[allow(unsafe_code)]
+    unsafe {
+        mi_option_set(PURGE_DELAY, delay_ms);
+    }
 }

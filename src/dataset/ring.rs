@@ -87,6 +87,11 @@ impl EpisodeRing {
         writer.push(frame)
     }
 
+    /// Returns true if a frame has the image size and topology of the open episode, or none is open.
+    pub fn fits(&self, frame: &Frame) -> bool {
+        self.open.as_ref().is_none_or(|writer| writer.fits(frame))
+    }
+
     /// Returns the number of frames in the open episode.
     pub fn open_frames(&self) -> usize {
         self.open.as_ref().map_or(0, ZarrWriter::n_frames)
@@ -251,6 +256,7 @@ mod tests {
         let mut ring = EpisodeRing::open(folder.path(), u64::MAX).unwrap();
         ring.push(frame(0), attributes).unwrap();
         let other = Frame { camera_ego_rgb: RgbImage::new(8, 8), ..frame(1) };
+        assert!(!ring.fits(&other) && ring.fits(&frame(1)));
         assert!(ring.push(other, attributes).is_err());
         ring.push(frame(1), attributes).unwrap();
         ring.end_episode().unwrap();

@@ -234,18 +234,21 @@ impl Writer {
         open.number != number || stamp - open.first_stamp >= self.episode_secs || stamp < open.first_stamp
     }
 
-    /// Writes a frame; another image size or topology starts another episode.
+    /// Writes a frame; another image size or topology starts another episode, and an episode that fails to take a frame ends.
     fn push(&mut self, frame: Frame, scene: &str) -> crate::Result<()> {
         let attributes = attributes(&frame, scene);
         let ring = Arc::clone(&self.ring);
         let mut ring = lock(&ring);
-        match ring.push(frame.clone(), || attributes.clone()) {
-            Err(_) if ring.open_frames() > 0 => {
-                self.open = None;
-                ring.end_episode().and_then(|()| ring.push(frame, || attributes))
-            }
-            result => result,
+        if !ring.fits(&frame) {
+            self.open = None;
+            ring.end_episode()?;
         }
+        let pushed = ring.push(frame, || attributes);
+        if pushed.is_err() && ring.open_frames() > 0 {
+            self.open = None;
+            ring.end_episode()?;
+        }
+        pushed
     }
 
     fn end_episode(&mut self) {

@@ -71,6 +71,10 @@ impl ArrayWriter {
     }
 
     pub(super) fn push(&mut self, values: Values, root: &StoreRoot) -> Result<()> {
+        if self.buffer.is_empty() {
+            // Growing step by step would leave blocks of many sizes behind in a process that records for days.
+            self.buffer.reserve_exact(self.chunk_len * self.spec.frame_bytes());
+        }
         match values {
             Values::U8(v) => self.buffer.extend_from_slice(&v),
             Values::F32(v) => v.iter().for_each(|x| self.buffer.extend_from_slice(&x.to_ne_bytes())),

@@ -79,6 +79,12 @@ impl ZarrWriter {
         self.n_frames
     }
 
+    /// Returns true if a frame has the topology of the store and the image size of its first frame.
+    pub fn fits(&self, frame: &Frame) -> bool {
+        let has_size = self.image_size.is_none_or(|size| size == frame.camera_ego_rgb.dimensions());
+        has_size && self.attributes.topology == frame.field.topology
+    }
+
     /// Appends one frame and the values of all extra arrays, by name.
     ///
     /// # Errors
