@@ -28,8 +28,8 @@ use super::{Progress, Setup};
 const STRIDE: usize = 5;
 /// Resamples of an interval.
 const RESAMPLES: usize = 1000;
-/// Side of a picture of the figure, gap between two, and height of the headings above them, pixels.
-const FIGURE: [u32; 3] = [280, 8, 72];
+/// Side of a picture of the figure, gap between two, margin of the figure, and height of the headings, pixels.
+const FIGURE: [u32; 4] = [280, 8, 16, 72];
 /// Examples of each world in the figure.
 const EXAMPLES: usize = 2;
 /// Regions, in the order of [`Sample`]'s arrays.
@@ -250,26 +250,34 @@ fn world(name: &'static str, episodes: &[Vec<Sample>]) -> World {
 fn write_figure(path: &Path, examples: &[Example], model: &EgoTac, metadata: &Metadata) -> Result<()> {
     const BLACK: Rgb<u8> = Rgb([0; 3]);
     const WHITE: Rgb<u8> = Rgb([255; 3]);
-    let ([side, gap, head], config) = (FIGURE, model.config());
-    let [width, height] = [3, examples.len().max(1) as u32].map(|count| count * (side + gap) - gap);
+    let ([side, gap, margin, head], config) = (FIGURE, model.config());
+    let [width, height] = [3, examples.len().max(1) as u32].map(|count| count * (side + gap) - gap + 2 * margin);
     let mut figure = RgbImage::from_pixel(width, head + height, WHITE);
-    font::draw(&mut figure, "Attention on a frame with touch", (0, 4), 22.0, BLACK, Align::Left);
+    let left_of = |column: u32| margin + column * (side + gap);
+    font::draw(&mut figure, "Attention on a frame with touch", (left_of(0) as i32, 16), 22.0, BLACK, Align::Left);
     let titles = ["picture", "attention of the temporal token", "of CLS, last encoder layer"];
     for (column, title) in (0..).zip(titles) {
-        font::draw(&mut figure, title, (column * (side + gap) as i32, 44), 17.0, BLACK, Align::Left);
+        font::draw(&mut figure, title, (left_of(column) as i32, 58), 17.0, BLACK, Align::Left);
     }
     for (row, example) in (0..).zip(examples) {
         let square = resize(&example.picture, config.image, metadata.resize, metadata.filter)?;
-        let top = head + row * (side + gap);
+        let top = margin + head + row * (side + gap);
         let mut put = |column: u32, picture: &RgbImage| {
-            imageops::replace(&mut figure, picture, i64::from(column * (side + gap)), i64::from(top));
+            imageops::replace(&mut figure, picture, i64::from(left_of(column)), i64::from(top));
         };
         put(0, &imageops::resize(&square, side, side, imageops::FilterType::Triangle));
         for (column, weights) in (1..).zip(&example.weights) {
             let largest = weights.iter().copied().fold(0.0, f32::max);
             put(column, &heat::overlay(&square, weights, config.grid() as u32, largest, side));
         }
-        font::draw_on(&mut figure, &example.scene, (8, top as i32 + 6), 17.0, [BLACK, WHITE], Align::Left);
+        font::draw_on(
+            &mut figure,
+            &example.scene,
+            (left_of(0) as i32 + 8, top as i32 + 6),
+            17.0,
+            [BLACK, WHITE],
+            Align::Left,
+        );
     }
     file::write_png(path, &figure)
 }

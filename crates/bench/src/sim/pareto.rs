@@ -12,7 +12,7 @@ use super::knob::Knob;
 use super::table::{Entry, SimReport};
 use crate::front::front;
 
-/// Smallest relative error that is drawn; smaller ones are drawn at it.
+/// Smallest relative error that is drawn. The reference has none: drawn, it would leave the others a corner of the plot.
 const FLOOR: f64 = 1e-5;
 /// Colour of the names of settings: that of their points is too pale for letters.
 const NAME: RGBColor = RGBColor(70, 70, 70);
@@ -77,8 +77,8 @@ fn points(report: &SimReport, error: ErrorOf) -> Vec<Point> {
     let shared = report.shared_scenes();
     let point = |row: &super::table::Row| {
         let worst = row.worst_of(|scene| shared.contains(&scene));
-        let (cost, error) = (worst.ms_per_second?, error(&worst)?);
-        Some(Point { knob: row.knob.clone(), setting: row.setting.clone(), cost, error: error.max(FLOOR) })
+        let (cost, error) = (worst.ms_per_second?, error(&worst).filter(|error| *error > FLOOR)?);
+        Some(Point { knob: row.knob.clone(), setting: row.setting.clone(), cost, error })
     };
     let physics = report.rows.iter().filter(|row| row.knob != Knob::Label.name());
     let mut points: Vec<Point> = physics.filter_map(point).collect();
