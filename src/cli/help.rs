@@ -50,13 +50,13 @@ pub const EXAMPLES: [&str; 47] = [
     "model import --checkpoint net.pth --mapping names.yaml --out net.safetensors",
     "model get dinov2-small --accept-licence",
     "model init --encoder dinov2.safetensors --out start.safetensors",
-    "model grow run/checkpoint.safetensors --width 192 --out larger.safetensors",
-    "model half run/checkpoint.safetensors --out half.safetensors",
-    "model familiarity run/checkpoint.safetensors train.zarr --out net.safetensors",
-    "model presence run/checkpoint.safetensors train.zarr --out net.safetensors",
-    "model calibrate run/checkpoint.safetensors val.zarr --out net.safetensors",
+    "model grow --checkpoint run/checkpoint.safetensors --width 192 --out larger.safetensors",
+    "model half --checkpoint run/checkpoint.safetensors --out half.safetensors",
+    "model familiarity --checkpoint run/checkpoint.safetensors --data train.zarr --out net.safetensors",
+    "model presence --checkpoint run/checkpoint.safetensors --data train.zarr --out net.safetensors",
+    "model calibrate --checkpoint run/checkpoint.safetensors --data val.zarr --out net.safetensors",
     "model doubt --data mug.zarr",
-    "model info shipped",
+    "model info --checkpoint shipped",
     "data info mug.zarr",
     "data diff mug_labelled.zarr mug.zarr",
     "data crop train.zarr --out hands.zarr",
@@ -135,9 +135,10 @@ fn arrange_below(mut command: Command, path: &mut Vec<String>, program: &str, ex
     }
     let is_own = |example: &&&str| {
         let mut words = example.split(' ');
-        !path.is_empty() && path.iter().all(|name| words.next() == Some(name))
+        let is_below = |word: &str| command.find_subcommand(word).is_some();
+        !path.is_empty() && path.iter().all(|name| words.next() == Some(name)) && !words.next().is_some_and(is_below)
     };
-    if !command.has_subcommands()
+    if is_runnable(&command)
         && let Some(example) = examples.iter().find(is_own)
     {
         let example = format!("Example: {program} {example}");
@@ -145,7 +146,7 @@ fn arrange_below(mut command: Command, path: &mut Vec<String>, program: &str, ex
         command = command.after_long_help(format!("{long}{example}")).after_help(example);
     }
     let is_rare = |arg: &Arg| RARE.contains(&arg.get_id().as_str()) && !arg.is_required_set() && !arg.is_positional();
-    if !path.is_empty() && !command.has_subcommands() && command.get_arguments().any(is_rare) {
+    if !path.is_empty() && is_runnable(&command) && command.get_arguments().any(is_rare) {
         let more = format!("`{program} {} --help` shows all options.", path.join(" "));
         let short = command.get_after_help().map_or(String::new(), |text| format!("\n\n{text}"));
         command = command.after_help(format!("{more}{short}"));
@@ -158,6 +159,25 @@ fn arrange_below(mut command: Command, path: &mut Vec<String>, program: &str, ex
         }
         _ => arg,
     })
+}
+
+/// Returns true if a command runs without the name of a command below it.
+pub(super) fn is_runnable(command: &Command) -> bool {
+    !command.has_subcommands() || command.is_args_conflicts_with_subcommands_set()
+}
+
+/// Returns the runnable commands below `command`, each behind its names in one text. Hidden commands are left out.
+#[doc(hidden)]
+pub fn runnable(command: &Command) -> Vec<(String, &Command)> {
+    let mut found = Vec::new();
+    for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
+        let name = below.get_name();
+        if is_runnable(below) {
+            found.push((name.to_owned(), below));
+        }
+        found.extend(runnable(below).into_iter().map(|(path, below)| (format!("{name} {path}"), below)));
+    }
+    found
 }
 
 /// Returns the first sentence of a text without its full stop. A sentence ends at a full stop before a capital letter.
@@ -206,49 +226,49 @@ mod tests {
 
     #[test]
     fn each_command_has_an_example_that_parses() {
-        let mut leaves = BTreeSet::new();
-        collect_leaves(&Cli::command(), "", &mut leaves);
-        for leaf in leaves {
-            let found = EXAMPLES.iter().find(|example| format!("{example} ").starts_with(&format!("{leaf} ")));
-            let example = found.unwrap_or_else(|| panic!("no example of {leaf}"));
+        for (path, _) in own(&Cli::command()) {
+            let found = EXAMPLES.iter().find(|example| format!("{example} ").starts_with(&format!("{path} ")));
+            let example = found.unwrap_or_else(|| panic!("no example of {path}"));
             let words = std::iter::once("egotac").chain(example.split(' '));
             Cli::command().try_get_matches_from(words).unwrap_or_else(|error| panic!("{example}: {error}"));
         }
     }
 
-    fn collect_leaves(command: &Command, path: &str, leaves: &mut BTreeSet<String>) {
-        for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
-            let path = format!("{path} {}", below.get_name()).trim().to_owned();
-            match below.has_subcommands() {
-                true => collect_leaves(below, &path, leaves),
-                // Their help is that of egotac-bench.
-                false if !["bench", "experiment"].contains(&path.as_str()) => drop(leaves.insert(path)),
-                false => {}
+    /// Returns the runnable commands, except for those of egotac-bench, whose own tests check them.
+    fn own(command: &Command) -> Vec<(String, &Command)> {
+        let is_own = |path: &str| !["bench", "experiment"].contains(&path);
+        runnable(command).into_iter().filter(|(path, _)| is_own(path)).collect()
+    }
+
+    #[test]
+    fn each_short_help_fits_on_a_screen_and_long_help_has_every_option() {
+        let mut command = arrange(Cli::command(), "egotac", &EXAMPLES).disable_help_subcommand(true);
+        command.build();
+        for (path, command) in own(&command) {
+            let (short, long) =
+                (command.clone().render_help().to_string(), command.clone().render_long_help().to_string());
+            assert!(short.len() < 2500, "{path} -h has {} bytes:\n{short}", short.len());
+            for arg in command.get_arguments().filter(|arg| !arg.is_hide_set()) {
+                let Some(name) = arg.get_long() else { continue };
+                assert!(long.contains(&format!("--{name}")), "{path} --help leaves out --{name}");
             }
         }
     }
 
     #[test]
-    fn each_short_help_fits_on_a_screen_and_long_help_has_every_option() {
-        let mut command = arrange(Cli::command(), "egotac", &EXAMPLES);
-        command.build();
-        check_lengths(&mut command);
-    }
-
-    fn check_lengths(command: &mut Command) {
-        let is_external = ["bench", "experiment"].contains(&command.get_name());
-        for below in command.get_subcommands_mut().filter(|below| !below.is_hide_set()) {
-            check_lengths(below);
-        }
-        if command.has_subcommands() || is_external {
-            return;
-        }
-        let (short, long) = (command.render_help().to_string(), command.render_long_help().to_string());
-        assert!(short.len() < 2500, "{} -h has {} bytes:\n{short}", command.get_name(), short.len());
-        for arg in command.get_arguments().filter(|arg| !arg.is_hide_set()) {
-            let Some(name) = arg.get_long() else { continue };
-            assert!(long.contains(&format!("--{name}")), "{} --help leaves out --{name}", command.get_name());
-        }
+    fn a_command_with_commands_below_it_shows_an_example_of_its_own() {
+        let command = Command::new("egotac").subcommand(
+            Command::new("try")
+                .args_conflicts_with_subcommands(true)
+                .arg(Arg::new("name"))
+                .subcommand(Command::new("all")),
+        );
+        let command = arrange(command, "egotac", &["try all --quick", "try one"]);
+        let ends: Vec<String> = runnable(&command)
+            .into_iter()
+            .map(|(path, below)| format!("{path}: {}", below.get_after_help().unwrap()))
+            .collect();
+        assert_eq!(ends, ["try: Example: egotac try one", "try all: Example: egotac try all --quick"]);
     }
 
     #[test]

@@ -98,9 +98,9 @@ impl Say {
 enum Command {
     /// Check the installation and print fixes for missing parts.
     Doctor(doctor::Args),
-    /// Hand model: forward, show, map.
+    /// Hand model: forward, show, build, map.
     Hand(hand::Args),
-    /// Simulated hand-object scenes: list, show, run.
+    /// Simulated hand-object scenes: list, show, explain, run, replay, generate.
     Sim(sim::Args),
     /// Train a network on stores.
     Train(train::Args),
@@ -123,12 +123,12 @@ enum Command {
     Retarget(retarget::Args),
     /// Tactile gloves: list, show, new, convert.
     Sensor(sensor::Args),
-    /// Network: forward, attention, import, start, info.
+    /// Network: forward, attention, import, get, init, grow, half, familiarity, presence, calibrate, doubt, info.
     Model(model::Args),
     /// Benchmarks of the documentation: model, layers, train, ranks, label, import, retarget, sim, physics, effects, glove, node, hard-cases, guards, faults.
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Bench(external::Args),
-    /// Recordings and labels: info, diff, import.
+    /// Recordings and labels: info, diff, crop, import.
     Data(data::Args),
     /// Run simulator, predictor and verifier end to end on this machine.
     Demo(demo::Args),

@@ -76,9 +76,9 @@ struct Forward {
 
 #[derive(Debug, clap::Args)]
 struct Info {
-    /// Checkpoint (safetensors).
-    #[arg(value_name = "CHECKPOINT|shipped", value_parser = super::options::checkpoint())]
-    weights: PathBuf,
+    /// Checkpoint to describe.
+    #[arg(long, value_name = "FILE|shipped", value_parser = super::options::checkpoint())]
+    checkpoint: PathBuf,
     #[command(flatten)]
     json: Json,
 }
@@ -143,11 +143,11 @@ fn images(path: &Path, device: &Device) -> anyhow::Result<Tensor> {
 
 fn info(args: &Info) -> anyhow::Result<()> {
     let Checkpoint { model, metadata, familiarity, presence, spread, sha256 } =
-        Checkpoint::load(&args.weights, &Device::Cpu)?;
+        Checkpoint::load(&args.checkpoint, &Device::Cpu)?;
     let config = model.config();
     let parameters = checkpoint::parameter_count(config)?;
     let facts = serde_json::json!({
-        "file": args.weights, "sha256": sha256, "parameters": parameters, "config": config,
+        "file": args.checkpoint, "sha256": sha256, "parameters": parameters, "config": config,
         "metadata": metadata.to_map(), "familiarity": familiarity.is_some(), "presence": presence.is_some(),
         "spread": spread.is_some(),
     });
@@ -169,8 +169,8 @@ fn info(args: &Info) -> anyhow::Result<()> {
     println!("  decoder     {} x {} wide, {} heads", config.depth, config.width, config.heads);
     println!("  window      {} frames, {} s apart; {} predicted", config.horizon, metadata.frame_dt, config.predict);
     match familiarity {
-        Some(_) => println!("  familiarity  estimated; touch is unknown below {}", metadata.doubt.familiarity),
-        None => println!("  familiarity  not estimated: `egotac model familiarity` adds it"),
+        Some(_) => println!("  familiarity estimated; touch is unknown below {}", metadata.doubt.familiarity),
+        None => println!("  familiarity not estimated: `egotac model familiarity` adds it"),
     }
     match presence {
         Some(_) => println!("  presence    estimated; touch of a hand is unknown below {}", metadata.doubt.presence),

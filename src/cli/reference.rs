@@ -1,8 +1,12 @@
 //! Reference texts generated from the command line and from the types: pages of docs/reference, and a first configuration.
 
+mod glove;
 mod keys;
 #[cfg(feature = "sim")]
+mod robot;
+#[cfg(feature = "sim")]
 mod scene;
+mod table;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -13,6 +17,7 @@ use serde_json::json;
 use serde_yaml::Value;
 
 use self::keys::{Key, Types};
+use super::help;
 use crate::file;
 use crate::model;
 use crate::text::{parse_yaml, put};
@@ -35,15 +40,19 @@ pub struct Args {
     folder: PathBuf,
 }
 
-/// Writes the pages about `command` and about the keys of a training configuration and, with the feature `sim`, of a scene.
+/// Writes the pages about `command` and about the keys of a training configuration, of a glove and, with the feature `sim`, of a
+/// scene and of a robot.
 ///
 /// # Errors
 /// If a page can't be written.
 pub fn run(args: &Args, command: Command) -> anyhow::Result<ExitCode> {
     file::write(&args.folder.join("cli.md"), commands_page("Commands of egotac", command).as_bytes())?;
     file::write(&args.folder.join("training-keys.md"), training_page()?.as_bytes())?;
+    file::write(&args.folder.join("glove-keys.md"), glove::page()?.as_bytes())?;
     #[cfg(feature = "sim")]
     file::write(&args.folder.join("scene-keys.md"), scene::page()?.as_bytes())?;
+    #[cfg(feature = "sim")]
+    file::write(&args.folder.join("robot-keys.md"), robot::page()?.as_bytes())?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -59,9 +68,9 @@ pub fn commands_page(title: &str, command: Command) -> String {
 fn describe_below(command: &Command, path: &str, page: &mut String) {
     for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
         let path = format!("{path} {}", below.get_name());
-        match below.has_subcommands() && !below.is_args_conflicts_with_subcommands_set() {
-            true => describe_below(below, &path, page),
-            false => {
+        match help::is_runnable(below) {
+            false => describe_below(below, &path, page),
+            true => {
                 let help = below.clone().render_long_help().to_string();
                 let lines: Vec<&str> = help.lines().map(str::trim_end).collect();
                 put(page, format_args!("\n## {path}\n\n```text\n{}\n```", lines.join("\n").trim_end()));

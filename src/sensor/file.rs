@@ -25,13 +25,13 @@ const PLACE: usize = 3;
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Written {
-    /// Meaning of the vertex indices.
+    /// Numbering of the vertices: `egotac-hand-1` (the built-in hand) or `mano`.
     topology: Topology,
-    /// File of the weights, beside this one.
+    /// Name of the safetensors file of the weights, beside this file.
     weights: String,
     /// SHA-256 of the file of the weights.
     weights_sha256: String,
-    /// Layout.
+    /// Layout that the map was built from.
     layout: Layout,
 }
 

@@ -57,11 +57,11 @@ impl Placement {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Layout {
-    /// Name, as `--sensor` takes it.
+    /// Name of the glove, for files and messages.
     pub name: String,
     /// One line for people.
     pub title: String,
-    /// Origin of the places.
+    /// Origin of the taxels' places: published by the sensor's makers, or outlined by hand after a description or picture.
     pub placement: Placement,
     /// Source of numbers and places of the taxels.
     pub source: String,
@@ -69,7 +69,7 @@ pub struct Layout {
     pub unit: String,
     /// Number of channels of one hand; channels that no pad has carry no taxel.
     pub channels: usize,
-    /// Pads.
+    /// Pads: grids of taxels, each on one part of the hand.
     pub pads: Vec<Pad>,
 }
 
@@ -80,19 +80,19 @@ pub struct Layout {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pad {
-    /// Name.
+    /// Name, for errors and pictures.
     pub name: String,
     /// Keypoint at u = 0.
     pub from: String,
     /// Keypoint at u = 1.
     pub to: String,
-    /// Direction that the pad faces, in the frame of the right hand at rest; default: that of the palm.
+    /// Direction that the pad faces, in the frame of the right hand at rest; by default that of the palm, `[0, -1, 0]`.
     #[serde(default = "palmar", skip_serializing_if = "is_palmar")]
     pub facing: [f32; 3],
     /// Outer corners (u, v) of the grid: first row and column, first row and last column, last row and column, last row and
     /// first column.
     pub corners: [[f32; 2]; 4],
-    /// Rows and columns.
+    /// Numbers of rows and columns.
     pub grid: [usize; 2],
     /// Channel of the first taxel; the others follow row by row. Not together with `channels`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -100,10 +100,10 @@ pub struct Pad {
     /// Channel of each taxel, row by row; null = no taxel there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub channels: Option<Vec<Option<usize>>>,
-    /// Channels of the left hand where they differ.
+    /// Channel of each taxel of the left hand, if they differ from those of the right hand.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub left_channels: Option<Vec<Option<usize>>>,
-    /// True if the grid is larger than the hand: taxels beside the hand then do not exist; otherwise they lie on its edge.
+    /// True if the grid is larger than the hand: taxels beside the hand then do not exist. By default they lie on its edge.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub clip: bool,
     /// Links of the hand that the pad covers, by the names of their joints.

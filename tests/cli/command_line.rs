@@ -63,9 +63,9 @@ fn the_short_help_is_shorter_and_both_end_with_an_example() {
 fn json_goes_to_standard_output_or_beside_the_text() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("info.json");
-    let (text, _) = texts(&egotac(&["model", "info", "shipped"]));
-    let (json, _) = texts(&egotac(&["model", "info", "shipped", "--json"]));
-    let (beside, _) = texts(&egotac(&["model", "info", "shipped", "--json", file.to_str().unwrap()]));
+    let (text, _) = texts(&egotac(&["model", "info", "--checkpoint", "shipped"]));
+    let (json, _) = texts(&egotac(&["model", "info", "--checkpoint", "shipped", "--json"]));
+    let (beside, _) = texts(&egotac(&["model", "info", "--checkpoint", "shipped", "--json", file.to_str().unwrap()]));
     assert_eq!((beside, fs::read_to_string(&file).unwrap()), (text, json.clone()));
     assert!(serde_json::from_str::<serde_json::Value>(&json).unwrap()["sha256"].is_string());
     // An option written before a recording must not overwrite the recording.

@@ -11,3 +11,4 @@ mod examples;
 mod external;
 mod limits;
 mod reference;
+mod terminal;

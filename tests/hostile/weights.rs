@@ -71,7 +71,7 @@ fn a_checkpoint_that_promises_a_large_network_is_refused() {
         let path = files.write(&format!("{name}.safetensors"), &promise(&config));
         for command in ["info", "half"] {
             let out = files.out();
-            let mut arguments = vec!["model", command, text(&path)];
+            let mut arguments = vec!["model", command, "--checkpoint", text(&path)];
             arguments.extend(if command == "half" { vec!["--out", &out] } else { vec![] });
             refused(&arguments, word);
         }
@@ -118,7 +118,7 @@ fn tables_and_growth_beyond_any_network_are_refused() {
         );
     }
     let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/models/egotac.safetensors");
-    let grown = ["model", "grow", shipped, "--width", "8192", "--depth", "96", "--out", &files.out()];
+    let grown = ["model", "grow", "--checkpoint", shipped, "--width", "8192", "--depth", "96", "--out", &files.out()];
     refused(&grown, "EGOTAC_LIMIT_PARAMETERS");
 }
 
@@ -128,7 +128,7 @@ fn special_files_are_refused_as_weights() {
     let pipe = files.0.path().join("pipe");
     assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     for path in [text(&pipe), "/dev/zero"] {
-        refused(&["model", "info", path], "expected a regular file");
+        refused(&["model", "info", "--checkpoint", path], "expected a regular file");
         refused(&["hand", "show", "--model", path, "--out", &files.out()], "expected a regular file");
     }
 }
@@ -159,6 +159,7 @@ fn hostile_hand_models_are_refused() {
 
 #[test]
 fn the_shipped_network_loads_within_the_bounds_of_these_tests() {
-    let output = egotac_bounded(&["model", "info", concat!(env!("CARGO_MANIFEST_DIR"), "/models/egotac.safetensors")]);
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/models/egotac.safetensors");
+    let output = egotac_bounded(&["model", "info", "--checkpoint", shipped]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }

@@ -73,7 +73,8 @@ fn import_and_init_write_checkpoints_that_load() {
     // The name of the command in earlier versions.
     good(&init.map(|argument| if argument == "init" { "start" } else { argument }), folder.path());
     let info: Value =
-        serde_json::from_str(&good(&["model", "info", "init.safetensors", "--json"], folder.path())).unwrap();
+        serde_json::from_str(&good(&["model", "info", "--checkpoint", "init.safetensors", "--json"], folder.path()))
+            .unwrap();
     assert_eq!((&info["config"]["registers"], &info["metadata"]["resize"]), (&4.into(), &"centre".into()));
     let import = [
         "model",
@@ -89,7 +90,8 @@ fn import_and_init_write_checkpoints_that_load() {
     std::fs::write(folder.path().join("table.yaml"), table).unwrap();
     good(&import, folder.path());
     let again: Value =
-        serde_json::from_str(&good(&["model", "info", "again.safetensors", "--json"], folder.path())).unwrap();
+        serde_json::from_str(&good(&["model", "info", "--checkpoint", "again.safetensors", "--json"], folder.path()))
+            .unwrap();
     assert_eq!((&again["config"], &again["metadata"]["has_force"]), (&info["config"], &"false".into()));
     std::fs::write(folder.path().join("table.yaml"), "config: 3").unwrap();
     assert!(refused(&import, folder.path()).contains("table.yaml"));
@@ -130,11 +132,13 @@ fn a_grown_and_a_halved_checkpoint_load_again() {
     let shipped = shipped::path().unwrap();
     let shipped = shipped.to_str().unwrap();
     let info = |file: &str| -> Value {
-        serde_json::from_str(&good(&["model", "info", file, "--json"], folder.path())).unwrap()
+        serde_json::from_str(&good(&["model", "info", "--checkpoint", file, "--json"], folder.path())).unwrap()
     };
     let own = info(shipped);
     let grow = |width: &str| {
-        ["model", "grow", shipped, "--width", width, "--out", "grown.safetensors"].map(String::from).to_vec()
+        ["model", "grow", "--checkpoint", shipped, "--width", width, "--out", "grown.safetensors"]
+            .map(String::from)
+            .to_vec()
     };
     let width = 2 * own["config"]["width"].as_u64().unwrap();
     let wide = grow(&width.to_string());
@@ -146,7 +150,7 @@ fn a_grown_and_a_halved_checkpoint_load_again() {
     let error = refused(&grow("16").iter().map(String::as_str).collect::<Vec<_>>(), folder.path());
     assert!(error.contains("width: expected at least the"), "{error}");
 
-    good(&["model", "half", "grown.safetensors", "--out", "half.safetensors"], folder.path());
+    good(&["model", "half", "--checkpoint", "grown.safetensors", "--out", "half.safetensors"], folder.path());
     let half = info("half.safetensors");
     assert_eq!((&half["config"], &half["metadata"]), (&grown["config"], &grown["metadata"]));
     let bytes = |file: &str| folder.path().join(file).metadata().unwrap().len() as f64;

@@ -124,7 +124,9 @@ fn the_commands_add_presence_and_calibration_and_leave_the_network_as_it_is() {
     let text = run(&[
         "model",
         "presence",
+        "--checkpoint",
         &at("toy"),
+        "--data",
         &at("a.zarr"),
         "--held-out",
         &at("b.zarr"),
@@ -136,7 +138,8 @@ fn the_commands_add_presence_and_calibration_and_leave_the_network_as_it_is() {
         &at("with"),
     ]);
     assert!(text.contains("AUROC of presence") && text.contains("unknown below 0.25"), "{text}");
-    let text = run(&["model", "calibrate", &at("with"), &at("a.zarr"), "--out", &at("calibrated")]);
+    let text =
+        run(&["model", "calibrate", "--checkpoint", &at("with"), "--data", &at("a.zarr"), "--out", &at("calibrated")]);
     assert!(text.contains("temperature") && text.contains("200 frames"), "{text}");
 
     let load = |name: &str| checkpoint::load_tensors(Path::new(&at(name))).unwrap();
@@ -147,7 +150,8 @@ fn the_commands_add_presence_and_calibration_and_leave_the_network_as_it_is() {
     }
     assert_eq!(metadata.doubt.presence, 0.25);
     assert!(metadata.contact_temperature > 0.0 && metadata.contact_temperature != 1.0);
-    let info: Value = serde_json::from_str(&run(&["model", "info", &at("calibrated"), "--json"])).unwrap();
+    let info: Value =
+        serde_json::from_str(&run(&["model", "info", "--checkpoint", &at("calibrated"), "--json"])).unwrap();
     assert_eq!((&info["presence"], &info["spread"], &info["familiarity"]), (&json!(true), &json!(true), &json!(false)));
     assert_eq!(info["metadata"]["presence_threshold"], "0.25");
 
@@ -198,7 +202,7 @@ fn stores_without_poses_are_refused() {
     let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     save_toy(Path::new(&at("toy")));
     crate::common::small_store(Path::new(&at("a.zarr")));
-    let output = egotac(&["model", "presence", &at("toy"), &at("a.zarr"), "--out", &at("b")]);
+    let output = egotac(&["model", "presence", "--checkpoint", &at("toy"), "--data", &at("a.zarr"), "--out", &at("b")]);
     let error = String::from_utf8(output.stderr).unwrap();
     assert!(!output.status.success() && error.contains("camera and hand poses"), "{error}");
 }

@@ -21,11 +21,11 @@ use crate::train::calibration;
     within the intervals; take other stores for it."
 )]
 pub struct Args {
-    /// Checkpoint (safetensors). The weights stay as they are.
-    #[arg(value_name = "CHECKPOINT|shipped", value_parser = crate::cli::options::checkpoint())]
-    weights: PathBuf,
+    /// Checkpoint to start from. The weights stay as they are.
+    #[arg(long, value_name = "FILE|shipped", value_parser = crate::cli::options::checkpoint())]
+    checkpoint: PathBuf,
     /// Zarr stores with truth that training has not seen, or folders of them.
-    #[arg(required = true, value_name = "STORE")]
+    #[arg(long, value_name = "STORE", num_args = 1.., required = true)]
     data: Vec<PathBuf>,
     /// Checkpoint to write.
     #[arg(long, value_name = "FILE")]
@@ -34,9 +34,9 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let stored = checkpoint::stored(&args.weights)?;
-    let (config, mut metadata, mut tensors) = checkpoint::load_tensors(&args.weights)?;
-    let mut network = Checkpoint::load(&args.weights, &Options::default().device)?;
+    let stored = checkpoint::stored(&args.checkpoint)?;
+    let (config, mut metadata, mut tensors) = checkpoint::load_tensors(&args.checkpoint)?;
+    let mut network = Checkpoint::load(&args.checkpoint, &Options::default().device)?;
     network.metadata.contact_temperature = 1.0;
     let (topology, has_force) = (metadata.topology, metadata.has_force);
     let mut target = TactileSequence::default();

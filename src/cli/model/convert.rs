@@ -54,9 +54,9 @@ pub struct Init {
 /// Arguments of `egotac model grow`.
 #[derive(Debug, clap::Args)]
 pub struct Grow {
-    /// Checkpoint (safetensors).
-    #[arg(value_name = "CHECKPOINT|shipped", value_parser = crate::cli::options::checkpoint())]
-    weights: PathBuf,
+    /// Checkpoint to enlarge.
+    #[arg(long, value_name = "FILE|shipped", value_parser = crate::cli::options::checkpoint())]
+    checkpoint: PathBuf,
     /// Width of fusion and decoder; a multiple of the present width keeps the function exactly [default: the present width].
     #[arg(long)]
     width: Option<usize>,
@@ -77,9 +77,9 @@ pub struct Grow {
 /// Arguments of `egotac model half`.
 #[derive(Debug, clap::Args)]
 pub struct Half {
-    /// Checkpoint (safetensors).
-    #[arg(value_name = "CHECKPOINT|shipped", value_parser = crate::cli::options::checkpoint())]
-    weights: PathBuf,
+    /// Checkpoint to convert.
+    #[arg(long, value_name = "FILE|shipped", value_parser = crate::cli::options::checkpoint())]
+    checkpoint: PathBuf,
     /// Checkpoint to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -98,21 +98,21 @@ pub fn init(args: &Init) -> anyhow::Result<()> {
 
 /// Runs `egotac model grow`.
 pub fn grow(args: &Grow) -> anyhow::Result<()> {
-    let (config, mut metadata, tensors) = checkpoint::load_tensors(&args.weights)?;
+    let (config, mut metadata, tensors) = checkpoint::load_tensors(&args.checkpoint)?;
     let growth = Growth {
         width: args.width.unwrap_or(config.width),
         vision_depth: args.vision_depth.unwrap_or(config.vision_depth),
         depth: args.depth.unwrap_or(config.depth),
         seed: args.seed,
     };
-    let (config, tensors) = grow::grow(&args.weights, &config, &tensors, &growth)?;
+    let (config, tensors) = grow::grow(&args.checkpoint, &config, &tensors, &growth)?;
     metadata.name = format!("{}, grown", metadata.name);
     save(&args.out, (config, metadata, tensors))
 }
 
 /// Runs `egotac model half`.
 pub fn half(args: &Half) -> anyhow::Result<()> {
-    let (config, metadata, tensors) = checkpoint::load_tensors(&args.weights)?;
+    let (config, metadata, tensors) = checkpoint::load_tensors(&args.checkpoint)?;
     let sha256 = Checkpoint::save_as(&args.out, &config, &metadata, &tensors, Stored::F16)?;
     println!("{}: {} tensors in f16, sha256 {sha256}", args.out.display(), tensors.len());
     Ok(())

@@ -13,11 +13,11 @@ use crate::train::familiarity;
 /// Arguments of `egotac model familiarity`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Checkpoint (safetensors). The weights stay as they are.
-    #[arg(value_name = "CHECKPOINT|shipped", value_parser = crate::cli::options::checkpoint())]
-    weights: PathBuf,
+    /// Checkpoint to start from. The weights stay as they are.
+    #[arg(long, value_name = "FILE|shipped", value_parser = crate::cli::options::checkpoint())]
+    checkpoint: PathBuf,
     /// Zarr stores of training images, or folders of them.
-    #[arg(required = true, value_name = "STORE")]
+    #[arg(long, value_name = "STORE", num_args = 1.., required = true)]
     data: Vec<PathBuf>,
     /// Stores of held-out images of the same kind; by default every fifth episode is held out.
     #[arg(long, value_name = "STORE", num_args = 1..)]
@@ -32,12 +32,12 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let stored = checkpoint::stored(&args.weights)?;
-    let (config, mut metadata, mut tensors) = checkpoint::load_tensors(&args.weights)?;
+    let stored = checkpoint::stored(&args.checkpoint)?;
+    let (config, mut metadata, mut tensors) = checkpoint::load_tensors(&args.checkpoint)?;
     metadata.doubt.familiarity = args.threshold.unwrap_or(DoubtThresholds::default().familiarity);
     metadata.check()?;
     let device = Device::Cpu;
-    let model = Checkpoint::load(&args.weights, &device)?.model;
+    let model = Checkpoint::load(&args.checkpoint, &device)?.model;
     let open = |paths: &[PathBuf]| Dataset::new(zarr::open_all(paths)?, metadata.preparation(&config), false);
     let training = open(&args.data)?;
     let held_out = if args.held_out.is_empty() { None } else { Some(open(&args.held_out)?) };

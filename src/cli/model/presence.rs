@@ -18,11 +18,11 @@ use crate::train::presence::{self, Settings};
     procedural pictures without hands. A hand counts as present with three of its 21 keypoints in view, as absent with none."
 )]
 pub struct Args {
-    /// Checkpoint (safetensors). The weights stay as they are.
-    #[arg(value_name = "CHECKPOINT|shipped", value_parser = crate::cli::options::checkpoint())]
-    weights: PathBuf,
+    /// Checkpoint to start from. The weights stay as they are.
+    #[arg(long, value_name = "FILE|shipped", value_parser = crate::cli::options::checkpoint())]
+    checkpoint: PathBuf,
     /// Zarr stores of training images, or folders of them.
-    #[arg(required = true, value_name = "STORE")]
+    #[arg(long, value_name = "STORE", num_args = 1.., required = true)]
     data: Vec<PathBuf>,
     /// Stores of held-out images of the same kind, for the score; by default every fifth episode is held out.
     #[arg(long, value_name = "STORE", num_args = 1..)]
@@ -52,11 +52,11 @@ fn frames(text: &str) -> Result<usize, String> {
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let stored = checkpoint::stored(&args.weights)?;
-    let (config, mut metadata, mut tensors) = checkpoint::load_tensors(&args.weights)?;
+    let stored = checkpoint::stored(&args.checkpoint)?;
+    let (config, mut metadata, mut tensors) = checkpoint::load_tensors(&args.checkpoint)?;
     metadata.doubt.presence = args.threshold.unwrap_or(DoubtThresholds::default().presence);
     metadata.check()?;
-    let model = Checkpoint::load(&args.weights, &Device::Cpu)?.model;
+    let model = Checkpoint::load(&args.checkpoint, &Device::Cpu)?.model;
     let open = |paths: &[PathBuf]| {
         let mut dataset = Dataset::new(zarr::open_all(paths)?, metadata.preparation(&config), false)?;
         dataset.find_keypoints()?;

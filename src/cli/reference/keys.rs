@@ -6,7 +6,6 @@ use std::collections::BTreeMap;
 pub(super) struct Key {
     pub(super) name: String,
     pub(super) text: String,
-    #[cfg_attr(not(feature = "sim"), allow(dead_code))]
     pub(super) holds: Holds,
     pub(super) below: Vec<Key>,
 }
@@ -46,7 +45,7 @@ struct Variant {
 }
 
 impl Types {
-    /// Reads the public types of sources.
+    /// Reads the types of sources.
     pub(super) fn read(sources: &[&str]) -> Self {
         let mut types = Self::default();
         sources.iter().for_each(|source| types.add(source));
@@ -56,12 +55,13 @@ impl Types {
     fn add(&mut self, source: &str) {
         let mut lines = source.lines();
         while let Some(line) = lines.next() {
+            let line = line.strip_prefix("pub ").unwrap_or(line);
             let named =
                 |word: &str| line.strip_prefix(word).and_then(|rest| rest.strip_suffix(" {")).map(str::to_owned);
-            if let Some(name) = named("pub struct ") {
+            if let Some(name) = named("struct ") {
                 let body = lines.by_ref().take_while(|line| *line != "}");
                 self.structs.insert(name, fields(body, "    "));
-            } else if let Some(name) = named("pub enum ") {
+            } else if let Some(name) = named("enum ") {
                 let body: Vec<&str> = lines.by_ref().take_while(|line| *line != "}").collect();
                 // A file has no such form for variants without names inside.
                 if !body.iter().any(|line| line.starts_with("    ") && line.ends_with("),")) {
@@ -119,6 +119,8 @@ fn inner(kind: &str) -> (Holds, &str) {
         Some((_, kind)) => (Holds::Map, kind),
         // Checked options are read as the struct of their values.
         None if kind == "PhysicsOptions" => (Holds::Keys, "Unchecked"),
+        // A list, or the word `auto`.
+        None if kind == "CouplingsSpec" => (Holds::List, "CouplingSpec"),
         None => (Holds::Keys, kind),
     }
 }
@@ -139,17 +141,19 @@ fn fields<'a>(body: impl Iterator<Item = &'a str>, indent: &str) -> Vec<Field> {
     fields
 }
 
-/// Returns the variants in the lines of an enum's body; YAML has their names in lower case.
+/// Returns the variants in the lines of an enum's body; YAML has their names in lower case, or other names that they give.
 fn variants(body: &[&str]) -> Vec<Variant> {
-    let (mut variants, mut text) = (Vec::new(), Vec::new());
+    let (mut variants, mut text, mut renamed) = (Vec::new(), Vec::new(), None);
     for (index, line) in body.iter().enumerate() {
         let Some(line) = line.strip_prefix("    ") else { continue };
         if let Some(doc) = line.strip_prefix("/// ") {
             text.push(doc);
+        } else if let Some(name) = line.strip_prefix("#[serde(rename = \"").and_then(|rest| rest.strip_suffix("\")]")) {
+            renamed = Some(name.to_owned());
         } else if line.starts_with(|first: char| first.is_ascii_uppercase()) {
             let has_fields = line.ends_with(" {");
             let own = body[index + 1..].iter().copied().take_while(|line| has_fields && *line != "    },");
-            let name = line.trim_end_matches([' ', '{', ',']).to_lowercase();
+            let name = renamed.take().unwrap_or_else(|| line.trim_end_matches([' ', '{', ',']).to_lowercase());
             variants.push(Variant { name, text: joined(&text), fields: fields(own, "        ") });
             text.clear();
         }

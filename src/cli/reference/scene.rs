@@ -1,11 +1,9 @@
 //! Page about the keys of a scene file.
 
-use anyhow::Context;
-use serde_yaml::Value;
-
-use super::keys::{Holds, Key, Types};
+use super::keys::Types;
+use super::table::Form;
 use crate::sim::scene::SceneSpec;
-use crate::text::{parse_yaml, put};
+use crate::text::put;
 
 /// Sources of the types of a scene; their doc comments describe the keys.
 const SOURCES: [&str; 7] = [
@@ -44,12 +42,10 @@ pub(super) fn page() -> anyhow::Result<String> {
         "# Keys of a scene\n\nWritten by `scripts/reference` from the types. A number can be a value (`0.3`) or a range (`[0.2, 0.4]`), from \
          which each seed draws. `[]` stands for each entry of a list, `SITE` for a part of a hand. A default is that of a key whose part is \
          given; *none* means that the part or value is left out. [How to write a scene](../howto/scene.md) has an example, and \
-         [sim/README.md](../../sim/README.md#writing-a-scene) tells how the keys work together.\n\n| key | default | meaning |\n|---|---|---|\n",
+         [sim/README.md](../../sim/README.md#writing-a-scene) tells how the keys work together.\n\n",
     );
-    let whole: Value = parse_yaml(WHOLE).context("scene")?;
-    let mut shapes = Vec::new();
     let keys = Types::read(&SOURCES).keys("SceneSpec");
-    write_rows(&keys, &whole, &mut Vec::new(), "", &mut shapes, &mut page)?;
+    let shapes = Form::of::<SceneSpec>(WHOLE, "SITE")?.write(&keys, &mut page)?;
     page.push_str("\n## Shapes\n\nEach object has one of these, with all of its keys. Lengths are in metres.\n\n| key | meaning |\n|---|---|\n");
     for shape in shapes {
         put(&mut page, format_args!("| `shape.{}` | {} |", shape.name, shape.text));
@@ -60,80 +56,11 @@ pub(super) fn page() -> anyhow::Result<String> {
     Ok(page)
 }
 
-/// Step from a YAML value to one inside it.
-#[derive(Debug, Clone, PartialEq)]
-enum Step {
-    Key(String),
-    /// The first entry of a list or of a mapping.
-    First,
-}
-
-/// Writes a row for each key; forms that a key may have are collected in `forms`.
-fn write_rows<'a>(
-    keys: &'a [Key],
-    whole: &Value,
-    path: &mut Vec<Step>,
-    before: &str,
-    forms: &mut Vec<&'a Key>,
-    page: &mut String,
-) -> anyhow::Result<()> {
-    for key in keys {
-        let name = format!("{before}{}", key.name);
-        path.push(Step::Key(key.name.clone()));
-        put(page, format_args!("| `{name}` | {} | {} |", default(whole, path)?, key.text.replace('|', "\\|")));
-        match key.holds {
-            Holds::Choice => forms.extend(&key.below),
-            Holds::Keys => write_rows(&key.below, whole, path, &format!("{name}."), forms, page)?,
-            Holds::List | Holds::Map => {
-                path.push(Step::First);
-                let entry = if key.holds == Holds::List { "[]." } else { ".SITE." };
-                write_rows(&key.below, whole, path, &format!("{name}{entry}"), forms, page)?;
-                path.pop();
-            }
-        }
-        path.pop();
-    }
-    Ok(())
-}
-
-/// Returns what stands for a key that a scene leaves out: found by leaving it out.
-fn default(whole: &Value, path: &[Step]) -> anyhow::Result<String> {
-    let without = without(whole.clone(), path);
-    let Ok(scene) = serde_yaml::from_value::<SceneSpec>(without) else { return Ok("required".into()) };
-    let written = serde_yaml::to_value(&scene)?;
-    Ok(match at(&written, path) {
-        // The keys of a part stand in rows of their own.
-        Some(Value::Mapping(_)) => "as below".into(),
-        None | Some(Value::Null) => "none".into(),
-        Some(value) => format!("`{}`", serde_json::to_string(value)?),
-    })
-}
-
-fn at<'a>(value: &'a Value, path: &[Step]) -> Option<&'a Value> {
-    path.iter().try_fold(value, |value, step| match (step, value) {
-        (Step::Key(name), value) => value.get(name.as_str()),
-        (Step::First, Value::Sequence(entries)) => entries.first(),
-        (Step::First, value) => value.as_mapping()?.values().next(),
-    })
-}
-
-fn without(mut whole: Value, path: &[Step]) -> Value {
-    if let Some((Step::Key(name), above)) = path.split_last() {
-        let part = above.iter().try_fold(&mut whole, |value, step| match (step, value) {
-            (Step::Key(name), value) => value.get_mut(name.as_str()),
-            (Step::First, Value::Sequence(entries)) => entries.first_mut(),
-            (Step::First, value) => value.as_mapping_mut()?.values_mut().next(),
-        });
-        if let Some(Value::Mapping(part)) = part {
-            part.remove(name.as_str());
-        }
-    }
-    whole
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
+
+    use serde_yaml::Value;
 
     use super::*;
     use crate::sim::scene::SHIPPED;

@@ -18,34 +18,38 @@ pub const FINGERS: [&str; 5] = ["thumb", "index", "middle", "ring", "little"];
 pub struct RobotSpec {
     /// Name, for files and messages.
     pub robot: String,
-    /// Model.
+    /// Location of the model: exactly one of `mjcf` and `urdf`, or none if `--model` names it.
     #[serde(default)]
     pub model: ModelSpec,
-    /// Side of the hand; None = the side to whose palm the fingers close.
+    /// Side of the hand, `left` or `right`; by default the side to whose palm the fingers close.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub side: Option<Side>,
-    /// Wrist frame.
+    /// Wrist frame; by default derived from the fingers and the direction in which they close.
     #[serde(default, skip_serializing_if = "WristSpec::is_default")]
     pub wrist: WristSpec,
-    /// Robot finger of each human finger; empty = by the names in the model, otherwise by geometry.
+    /// Robot finger of each human finger; by default found by the names in the model, otherwise by geometry.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub fingers: BTreeMap<String, FingerSpec>,
-    /// For a human finger that the robot lacks, the human finger whose robot finger takes its force.
+    /// For a human finger that the robot lacks, the human finger whose robot finger takes its force, as
+    /// in `little: ring`; by default the nearest.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub merge: BTreeMap<String, String>,
-    /// Robot metres per human metre (`scaling_factor` of dex-retargeting).
+    /// Robot metres per human metre (`scaling_factor` of dex-retargeting): one number, one for each human finger, or `auto`, the
+    /// length of each robot finger over the measured length of the human finger.
     #[serde(default)]
     pub scale: ScaleSpec,
-    /// Couplings of joints beside those of the model.
+    /// List of couplings beside those of the model (equalities, mimic joints, actuated tendons), or `auto`, those of the model
+    /// alone. A coupling is `joint = ratio * of + offset`.
     #[serde(default)]
     pub couplings: CouplingsSpec,
-    /// Positions of joints that stand still, rad or m.
+    /// Positions of joints that stand still, rad or m, by the joints' names. Joints of the arm that carries the hand also stand still.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub fixed_joints: BTreeMap<String, f64>,
-    /// Positions to which joints tend if no other term of the cost determines them, rad or m.
+    /// Positions to which joints tend if no other term of the cost determines them, rad or m, by the joints' names; by default
+    /// the rest pose.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub neutral: BTreeMap<String, f64>,
-    /// Weights of the cost's terms.
+    /// Weights of the cost's terms. Distances count in metres, angles as 0.1 m per radian.
     #[serde(default)]
     pub weights: Weights,
     /// Limits beside the model's.
@@ -75,7 +79,7 @@ pub struct ModelSpec {
     /// URDF file, likewise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub urdf: Option<PathBuf>,
-    /// Body that carries the fingers; None = the lowest one that all fingers share.
+    /// Body that carries the fingers; by default the lowest one that all fingers share.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub root: Option<String>,
 }
@@ -84,14 +88,14 @@ pub struct ModelSpec {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WristSpec {
-    /// Body that the frame is fixed to (`wrist_link_name` of dex-retargeting); None = the model's root.
+    /// Body that the frame is fixed to (`wrist_link_name` of dex-retargeting); by default the model's root.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub body: Option<String>,
-    /// Position of the human's wrist in the body's frame, m, if `scale` is a number; None = the bases of the robot's and the
-    /// human's fingers coincide on average.
+    /// Position of the human's wrist in the body's frame, m, if `scale` is a number; by default the bases of the robot's
+    /// and the human's fingers coincide on average.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pos: Option<[f64; 3]>,
-    /// Axes.
+    /// Axes: rows palmar, radial, distal in the body's frame, or `auto`, derived from the model.
     #[serde(default)]
     pub frame: WristAxes,
 }
@@ -118,15 +122,15 @@ pub enum WristAxes {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FingerSpec {
-    /// Tip.
+    /// Tip: exactly one of body (`target_link_names` of dex-retargeting), site or geom.
     pub tip: TipSpec,
-    /// Bodies from base to tip that carry the proximal and middle phalanx; empty = derived from the joints.
+    /// Bodies from base to tip that carry the proximal and middle phalanx; by default derived from the joints.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub links: Vec<String>,
-    /// Geoms of the fingertip; empty = all of the tip's link.
+    /// Geoms of the fingertip; by default all of the tip's link.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pad_geoms: Vec<String>,
-    /// Outward normal of the pad in the tip body's frame; None = across the last phalanx, in the direction of closing.
+    /// Outward normal of the pad in the tip body's frame; by default across the last phalanx, in the direction of closing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pad_normal: Option<[f64; 3]>,
 }
@@ -144,7 +148,7 @@ pub struct TipSpec {
     /// Name of a geom.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub geom: Option<String>,
-    /// Position of the tip in the body's frame, m; None = the site's, or the far end of the body's or geom's shapes.
+    /// Position of the tip in the body's frame, m; by default the site's, or the far end of the body's or geom's shapes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pos: Option<[f64; 3]>,
 }
@@ -183,7 +187,7 @@ pub struct CouplingSpec {
     pub joint: String,
     /// Joint that leads.
     pub of: String,
-    /// Ratio.
+    /// Change of `joint` per change of `of`.
     pub ratio: f64,
     /// Offset, rad or m.
     #[serde(default)]
@@ -236,7 +240,8 @@ impl Default for LimitSpec {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CollisionSpec {
-    /// Selection of pairs.
+    /// Pairs of links that are kept apart: `auto` (all that the model lets collide, of different fingers or of a finger and the
+    /// palm) or `none`.
     pub pairs: PairSelection,
     /// Distance to keep, m.
     pub margin: f64,
@@ -265,11 +270,11 @@ pub enum PairSelection {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ContactSpec {
-    /// Regions that take force.
+    /// Regions that take force; each choice includes those before it.
     pub regions: ContactRegions,
     /// Friction coefficient of the robot's skin.
     pub friction: f64,
-    /// Greatest normal force of a link, N; None = limited by the actuators only.
+    /// Greatest normal force of a link, N; by default limited by the actuators only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_force: Option<f64>,
 }
@@ -314,7 +319,8 @@ impl Default for FilterSpec {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OutputSpec {
-    /// Order of `ctrl`.
+    /// Order of `ctrl`: that of the model's actuators, if all are position servos (otherwise as `joints`), or that of the joints
+    /// of the free coordinates.
     pub order: CommandOrder,
 }
 

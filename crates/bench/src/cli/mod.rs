@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
+use egotac::cli::help;
 
 /// Example of each command, without the program's name.
 const EXAMPLES: [&str; 18] = [
@@ -36,7 +37,7 @@ const EXAMPLES: [&str; 18] = [
 /// Benchmarks and experiments of egotac.
 // Its users type `egotac bench`, so help and errors name it so.
 #[derive(Debug, Parser)]
-#[command(name = "egotac", version = egotac::VERSION, propagate_version = true)]
+#[command(name = "egotac", bin_name = "egotac", version = egotac::VERSION, propagate_version = true)]
 struct Cli {
     #[command(flatten)]
     say: egotac::cli::Say,
@@ -46,7 +47,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Measurements that the documentation holds: model, layers, train, ranks, label, retarget, sim, effects, glove, hard-cases, guards, faults.
+    /// Benchmarks of the documentation: model, layers, train, ranks, label, import, retarget, sim, physics, effects, glove, node, hard-cases, guards, faults.
     Bench(bench::Args),
     /// Test the paper's claims on rendered data: train, measure, compare.
     Experiment(Experiments),
@@ -109,7 +110,7 @@ pub fn main() -> ExitCode {
         Command::Bench(args) => bench::run(args),
         Command::Experiment(args) => run_experiment(args),
         Command::Reference { folder } => {
-            let command = egotac::cli::help::arrange(Cli::command(), "egotac", &EXAMPLES);
+            let command = help::arrange(Cli::command(), "egotac", &EXAMPLES);
             let page = egotac::cli::reference::commands_page("Benchmarks and experiments", command);
             egotac::file::write(&folder.join("bench.md"), page.as_bytes())?;
             Ok(ExitCode::SUCCESS)
@@ -151,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_example_parses_and_each_command_has_one() {
+    fn each_example_parses() {
         for example in EXAMPLES {
             // A subject or experiment whose feature is not compiled in has other arguments.
             if cfg!(all(feature = "ros", feature = "sim")) {
@@ -159,18 +160,29 @@ mod tests {
                 Cli::command().try_get_matches_from(words).unwrap_or_else(|error| panic!("{example}: {error}"));
             }
         }
-        let mut command = Cli::command();
-        let bench = command.find_subcommand_mut("bench").unwrap();
-        for subject in bench.get_subcommands() {
-            let begin = format!("bench {} ", subject.get_name());
-            assert!(EXAMPLES.iter().any(|example| example.starts_with(&begin)), "no example of {begin}");
+    }
+
+    #[test]
+    fn the_help_of_each_command_is_short_and_ends_with_an_example() {
+        let mut command = help::arrange(Cli::command(), "egotac", &EXAMPLES).disable_help_subcommand(true);
+        command.build();
+        let commands = help::runnable(&command);
+        assert!(commands.iter().any(|(path, _)| path == "experiment"));
+        for (path, command) in commands {
+            let (short, long) =
+                (command.clone().render_help().to_string(), command.clone().render_long_help().to_string());
+            assert!(short.len() < 2500, "{path} -h has {} bytes:\n{short}", short.len());
+            for help in [&short, &long] {
+                let end = help.trim_end().lines().next_back().unwrap();
+                assert!(end.starts_with(&format!("Example: egotac {path} ")), "{path}:\n{help}");
+            }
         }
     }
 
     #[test]
     #[cfg(all(feature = "ros", feature = "sim"))]
     fn the_reference_in_the_docs_is_up_to_date() {
-        let command = egotac::cli::help::arrange(Cli::command(), "egotac", &EXAMPLES);
+        let command = help::arrange(Cli::command(), "egotac", &EXAMPLES);
         let page = egotac::cli::reference::commands_page("Benchmarks and experiments", command);
         assert!(page == include_str!("../../../../docs/reference/bench.md"), "run scripts/reference");
     }
