@@ -18,7 +18,8 @@ fn main() -> ExitCode {
 /// Keeps freed memory for a second, which is mimalloc's usual delay, or returns it to the system at once.
 fn keep_memory(keep: bool) {
     let delay_ms = if keep { 1000 } else { 0 };
-    // SAFETY: `mi_option_set` stores the number atomically, which any thread may do at any time; an unknown option is ignored.
+    // SAFETY: `mi_option_set` stores one aligned machine word, and threads that free memory read the old or the new delay; an unknown
+    // option is ignored.
     #[allow(unsafe_code)]
     unsafe {
         mi_option_set(PURGE_DELAY, delay_ms);

@@ -10,13 +10,17 @@ use crate::names::{MEASURED, TRAINED};
 /// Name of the command that writes the page about all experiments.
 const RESULTS: &str = "results";
 
+/// The paper's peak learning rate.
+const LEARNING_RATE: f64 = 1e-4;
+
 /// Arguments of `egotac experiment`.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Trained: sources (contact by distance beside force: 0 to 3 sources), consistency (loss L_cons), sampling \
     (temperature, quotas), glove (its look), history (EgoTac-i), separation (per-frame crops), scaling (10 to 100 % of the data; \
     1 to 4 sources), ablations (the parts of the method, other loss weights), limits (time, resolution, capacity), motion (forces estimated \
-    from motion), recordings (two data sets, written as others record them, imported and mixed).\n\
+    from motion), recordings (two data sets, written as others record them, imported and mixed), hands (squares around the hands in place \
+    of the whole picture).\n\
     Measured on a finished network: transfer (other sensors), decline (worse pictures), attention (where it looks), reuse \
     (encoder work that is skipped: images that hardly change, patches without hands).\n\
     results: the page that sets what was found beside the paper, from the JSON files in --out.\n\
@@ -32,6 +36,9 @@ pub struct Args {
     /// Optimisation steps of a run.
     #[arg(long, default_value_t = 1200, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     steps: u64,
+    /// Peak learning rate of the runs.
+    #[arg(long, value_name = "RATE", default_value_t = LEARNING_RATE)]
+    learning_rate: f64,
     /// Training episodes of each scene.
     #[arg(long, default_value_t = 25, value_parser = clap::value_parser!(u64).range(1..=900))]
     episodes: u64,
@@ -49,7 +56,7 @@ pub struct Args {
     checkpoint: Option<PathBuf>,
     /// Try the command in seconds: one scene, one or two episodes, two steps and, where it trains, a tiny network with random
     /// weights. The numbers mean nothing.
-    #[arg(long, conflicts_with_all = ["seeds", "steps", "episodes", "held_out", "size", "scenes", "checkpoint"])]
+    #[arg(long, conflicts_with_all = ["seeds", "steps", "learning_rate", "episodes", "held_out", "size", "scenes", "checkpoint"])]
     quick: bool,
     /// Index of the CUDA device that trains; by default the CPU.
     #[arg(long, value_name = "INDEX")]
@@ -135,6 +142,7 @@ mod enabled {
                 episodes: usize::from(!measures),
                 held_out: 2,
                 steps: if measures { 0 } else { 2 },
+                learning_rate: args.learning_rate,
                 seeds: if measures { 1 } else { 2 },
                 image: 56,
                 scenes: 1,
@@ -143,6 +151,7 @@ mod enabled {
                 episodes: if measures { 0 } else { args.episodes as usize },
                 held_out: args.held_out.unwrap_or(if measures { 3 } else { 6 }) as usize,
                 steps: if measures { 0 } else { args.steps as usize },
+                learning_rate: args.learning_rate,
                 seeds: if measures { 1 } else { args.seeds },
                 image: args.size.unwrap_or(if measures { 176 } else { 112 }),
                 scenes: args.scenes as usize,
@@ -155,13 +164,19 @@ mod enabled {
     /// Returns the command line that measures the same again.
     fn command(args: &Args, size: &Size) -> String {
         let init = args.checkpoint.as_ref().map(|path| format!(" --checkpoint {}", path.display())).unwrap_or_default();
-        let Size { episodes, held_out, steps, seeds, image, .. } = size;
+        let Size { episodes, held_out, steps, learning_rate, seeds, image, .. } = size;
         if args.quick {
             return format!("egotac experiment {} --quick", args.name);
         }
         let training = match steps {
             0 => String::new(),
-            steps => format!(" --seeds {seeds} --steps {steps} --episodes {episodes}"),
+            steps => {
+                let rate = match *learning_rate == LEARNING_RATE {
+                    true => String::new(),
+                    false => format!(" --learning-rate {learning_rate}"),
+                };
+                format!(" --seeds {seeds} --steps {steps}{rate} --episodes {episodes}")
+            }
         };
         let scenes = if args.scenes < 19 { format!(" --scenes {}", args.scenes) } else { String::new() };
         format!("egotac experiment {}{training} --held-out {held_out} --size {image}{scenes}{init}", args.name)

@@ -71,6 +71,8 @@ pub struct Size {
     pub held_out: usize,
     /// Optimisation steps of a run; 0 without training.
     pub steps: usize,
+    /// Peak learning rate of a run.
+    pub learning_rate: f64,
     /// Runs of each arm.
     pub seeds: u64,
     /// Side of the pictures, pixels.

@@ -108,9 +108,12 @@ impl Report {
         let (part, learning) = match size.steps > 0 {
             true => (
                 "The encoder of all arms is that of",
-                "; it does not learn here, and the rest learns with the paper's loss weights and optimiser",
+                format!(
+                    "; it does not learn here, and the rest learns with the paper's loss weights and optimiser, at a learning rate of {}",
+                    size.learning_rate
+                ),
             ),
-            false => ("Measured is", ""),
+            false => ("Measured is", String::new()),
         };
         format!(
             "{run}{part} `{}`{}, which has seen {}{learning}.\nA score is the mean over seeds, with the least and the most. Contact scores are \

@@ -222,9 +222,13 @@ fn usual(seed: u64, stores: &Stores, size: &Size, network: &Network) -> Result<C
         precision: Precision::F32,
         steps: size.steps,
         batch: BATCH,
-        // The paper's, but for the encoder, which has learned and stays as it is: each frame is encoded once, so that the rest takes
-        // several times as many steps in the same time.
-        optimizer: OptimizerConfig { encoder_factor: Some(0.0), ..OptimizerConfig::default() },
+        // The encoder has learned and stays as it is: each frame is encoded once, so that the rest takes several times as many steps
+        // in the same time.
+        optimizer: OptimizerConfig {
+            learning_rate: size.learning_rate,
+            encoder_factor: Some(0.0),
+            ..OptimizerConfig::default()
+        },
         loss: LossWeights::default(),
         augment: AugmentConfig { mirror: 0.5, ..AugmentConfig::none() },
         ema: 0.98,
@@ -289,7 +293,7 @@ mod tests {
     #[test]
     fn experiments_share_equal_runs_and_seeds_and_arms_differ() {
         let setup = Setup {
-            size: Size { episodes: 10, held_out: 2, steps: 5, seeds: 2, image: 112, scenes: 9 },
+            size: Size { episodes: 10, held_out: 2, steps: 5, learning_rate: 1e-4, seeds: 2, image: 112, scenes: 9 },
             network: Network::toy(),
             work: "work".into(),
             quick: true,
