@@ -15,13 +15,15 @@ fn main() -> ExitCode {
     egotac::node::trainer::main(keep_memory)
 }
 
-/// Keeps freed memory for a second, which is mimalloc's usual delay, or returns it to the system at once.
+/// Keeps freed memory for a second, which is mimalloc's usual delay, and in huge pages; or returns it to the system at once, and in
+/// small pages: a huge one stays for a single block that is in use.
 fn keep_memory(keep: bool) {
     let delay_ms = if keep { 1000 } else { 0 };
     // SAFETY: `mi_option_set` stores one aligned machine word, and threads that free memory read the old or the new delay; an unknown
-    // option is ignored.
+    // option is ignored. This `prctl` takes numbers alone, and only chooses the size of pages.
     #[allow(unsafe_code)]
     unsafe {
         mi_option_set(PURGE_DELAY, delay_ms);
+        libc::prctl(libc::PR_SET_THP_DISABLE, libc::c_ulong::from(!keep), 0, 0, 0);
     }
 }
