@@ -412,8 +412,8 @@ fn recordings() -> Experiment {
     let arms = vec![
         arm(
             "mixed",
-            "force and contact of the gloves, contact of the clips; in as many steps as either alone",
-            |config, stores| both_recordings(config, stores, Supervision::Both),
+            "force of the gloves, contact of the clips; in as many steps as either alone",
+            |config, stores| both_recordings(config, stores, Supervision::Force),
         ),
         arm("glove", "the recordings of gloves alone: force and contact", |config, stores| {
             config.data = vec![stores.imported(Layout::Glove)?];
@@ -423,10 +423,10 @@ fn recordings() -> Experiment {
             config.data = vec![stores.imported(Layout::Hot3d)?];
             Ok(())
         }),
-        arm("force", "as `mixed`, the gloves with force alone", |config, stores| {
-            both_recordings(config, stores, Supervision::Force)
+        arm("both", "as `mixed`, the gloves also with contact", |config, stores| {
+            both_recordings(config, stores, Supervision::Both)
         }),
-        arm("felt", "as `mixed`, the gloves without their \"no contact\"", |config, stores| {
+        arm("felt", "as `both`, without the \"no contact\" of the gloves", |config, stores| {
             both_recordings(config, stores, Supervision::Felt)
         }),
     ];
