@@ -113,6 +113,8 @@ pub(super) fn test_title(name: &str) -> String {
         "contact" => "known scenes, truth by distance".into(),
         "ood_force" => "new scenes, truth by force".into(),
         "ood_contact" => "new scenes, truth by distance".into(),
+        "elsewhere_force" => "other scenes in a known look, truth by force".into(),
+        "elsewhere_contact" => "other scenes in a known look, truth by distance".into(),
         name => name.replace('_', " "),
     }
 }
