@@ -91,7 +91,7 @@ impl Plot {
                 .map(panel)
                 .filter(Panel::compares)
                 .collect(),
-            arms: arms.iter().map(|arm| name(arm).replace('_', " ")).collect(),
+            arms: arms.iter().map(|arm| arm_title(&name(arm))).collect(),
             tests,
         }
     }
@@ -102,6 +102,19 @@ fn color(test: &str, at: usize) -> RGBColor {
     const FIXED: [&str; 4] = ["force", "contact", "ood_force", "ood_contact"];
     let place = FIXED.iter().position(|fixed| *fixed == test);
     PALETTE[place.unwrap_or(at) % PALETTE.len()]
+}
+
+/// Returns the name of an arm for readers.
+fn arm_title(name: &str) -> String {
+    match name.split_once('_') {
+        Some(("tau", "0")) => "equal shares".into(),
+        Some(("tau", "05")) => "by root of size".into(),
+        Some(("tau", "1")) => "by size".into(),
+        Some(("tau", "1_quota")) => "by size, quotas".into(),
+        Some(("share", percent)) => format!("{percent} %"),
+        Some(("plus", sources)) => format!("+ {sources}"),
+        _ => name.replace('_', " "),
+    }
 }
 
 /// Returns the name of a test for readers.
