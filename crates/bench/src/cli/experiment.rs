@@ -54,9 +54,13 @@ pub struct Args {
     /// Checkpoint whose encoder all arms start from, or which is measured [default: the one shipped with egotac].
     #[arg(long, value_name = "FILE|shipped", value_parser = egotac::cli::options::checkpoint())]
     checkpoint: Option<PathBuf>,
+    /// Repeat the experiment with other episodes for training and test, and other seeds of the runs: 1 is the first repetition. What was chosen by
+    /// the scores of one is tested by another.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=100))]
+    repetition: u64,
     /// Try the command in seconds: one scene, one or two episodes, two steps and, where it trains, a tiny network with random
     /// weights. The numbers mean nothing.
-    #[arg(long, conflicts_with_all = ["seeds", "steps", "learning_rate", "episodes", "held_out", "size", "scenes", "checkpoint"])]
+    #[arg(long, conflicts_with_all = ["seeds", "steps", "learning_rate", "episodes", "held_out", "size", "scenes", "repetition", "checkpoint"])]
     quick: bool,
     /// Index of the CUDA device that trains; by default the CPU.
     #[arg(long, value_name = "INDEX")]
@@ -146,6 +150,7 @@ mod enabled {
                 seeds: if measures { 1 } else { 2 },
                 image: 56,
                 scenes: 1,
+                repetition: 0,
             },
             false => Size {
                 episodes: if measures { 0 } else { args.episodes as usize },
@@ -155,6 +160,7 @@ mod enabled {
                 seeds: if measures { 1 } else { args.seeds },
                 image: args.size.unwrap_or(if measures { 176 } else { 112 }),
                 scenes: args.scenes as usize,
+                repetition: args.repetition,
             },
         };
         let network = if args.quick && !measures { Network::toy() } else { Network::load(args.checkpoint.as_deref())? };
@@ -179,7 +185,8 @@ mod enabled {
             }
         };
         let scenes = if args.scenes < 19 { format!(" --scenes {}", args.scenes) } else { String::new() };
-        format!("egotac experiment {}{training} --held-out {held_out} --size {image}{scenes}{init}", args.name)
+        let again = if args.repetition > 0 { format!(" --repetition {}", args.repetition) } else { String::new() };
+        format!("egotac experiment {}{training} --held-out {held_out} --size {image}{scenes}{again}{init}", args.name)
     }
 
     /// Writes the report as JSON and Markdown; returns the latter.

@@ -472,7 +472,7 @@ mod tests {
 
     #[test]
     fn ablations_start_from_the_mixture_and_change_one_thing() {
-        let stores = Stores::plan(std::path::Path::new("data"), 10, 2, 112, 9).unwrap();
+        let stores = Stores::plan(std::path::Path::new("data"), &super::super::Size::of(10)).unwrap();
         let text = "{name: a, data: [.], out: x, model: {vision_width: 48, vision_depth: 2, vision_heads: 3, width: 32, \
                     depth: 2, heads: 4, image: 56, patch: 14, pretrain_image: 70, horizon: 3, predict: 1}, seed: 1, steps: 9}";
         let usual = Config { data: stores.mixture(3).unwrap(), ..serde_yaml::from_str(text).unwrap() };

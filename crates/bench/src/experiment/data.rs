@@ -7,6 +7,7 @@ use egotac::error::{Error, Result};
 use egotac::sim::scene::Split;
 use egotac::train::source::{Supervision, TrainingSource};
 
+use super::Size;
 use super::recipe::Recipe;
 use super::recording::{Layout, Recorded};
 
@@ -25,8 +26,15 @@ pub const MANO_FOLDER: &str = "mano";
 const MANO_FILES: [&str; 2] = ["MANO_LEFT.npz", "MANO_RIGHT.npz"];
 /// First seed of training episodes, and of held-out ones.
 const SEEDS: [u64; 2] = [70_000, 570_000];
+/// Seeds from one repetition to the next, more than a scene has episodes.
+pub const REPETITION: u64 = 1000;
 /// Frames per second: at the usual 25, most windows would be nearly the same pictures.
 pub const RATE: f64 = 10.0;
+
+/// What the names of a repetition's stores are hashed with.
+fn again(size: &Size) -> String {
+    if size.repetition == 0 { String::new() } else { format!("repetition {} ", size.repetition) }
+}
 
 /// Stores of one world.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -45,26 +53,25 @@ pub struct Stores {
 }
 
 impl Stores {
-    /// Plans the stores in `folder`: `episodes` training and `held_out` held-out episodes of each scene, with pictures of
-    /// `side` x `side` pixels. At most `scenes` of each world are used.
+    /// Plans the stores of an experiment of this size in `folder`.
     ///
     /// # Errors
     /// If the list of worlds does not fit the shipped scenes.
-    pub fn plan(folder: &Path, episodes: usize, held_out: usize, side: u32, scenes: usize) -> Result<Self> {
-        Self::with_hands(folder, [episodes, held_out, scenes], side, None)
+    pub fn plan(folder: &Path, size: &Size) -> Result<Self> {
+        Self::with_hands(folder, size, None)
     }
 
     /// Plans as [`Self::plan`] stores whose hands are those of MANO-format files, and the recordings of the worlds `recorded_*`.
     ///
     /// # Errors
     /// As [`Self::plan`].
-    pub fn recorded(folder: &Path, episodes: usize, held_out: usize, side: u32, scenes: usize) -> Result<Self> {
+    pub fn recorded(folder: &Path, size: &Size) -> Result<Self> {
         let mano = MANO_FILES.map(|name| folder.join(MANO_FOLDER).join(name));
-        let mut stores = Self::with_hands(folder, [episodes, held_out, scenes], side, Some(mano.clone()))?;
+        let mut stores = Self::with_hands(folder, size, Some(mano.clone()))?;
         for (name, layout) in RECORDED {
             let from: Vec<Recipe> = stores.world(name)?.training.iter().flatten().cloned().collect();
             let texts: String = from.iter().map(|recipe| format!("{} {}", recipe.episodes, recipe.text)).collect();
-            let hash = &egotac::file::sha256(format!("{side} {texts}").as_bytes())[..8];
+            let hash = &egotac::file::sha256(format!("{}{} {texts}", again(size), size.image).as_bytes())[..8];
             let at = |part: &str| folder.join(part).join(format!("{}_{hash}", layout.kind()));
             let (source, path) = (at("recordings"), at("imported"));
             stores.recorded.push(Recorded { layout, source, path, from, mano: mano.clone() });
@@ -72,12 +79,9 @@ impl Stores {
         Ok(stores)
     }
 
-    fn with_hands(
-        folder: &Path,
-        [episodes, held_out, scenes]: [usize; 3],
-        side: u32,
-        mano: Option<[PathBuf; 2]>,
-    ) -> Result<Self> {
+    fn with_hands(folder: &Path, size: &Size, mano: Option<[PathBuf; 2]>) -> Result<Self> {
+        let Size { episodes, held_out, image: side, scenes, repetition, .. } = *size;
+        let [first, first_held_out] = SEEDS.map(|seed| seed + REPETITION * repetition);
         let mut splits = Split::parse("worlds.yaml", WORLDS)?;
         splits.insert(OOD.into(), Split { rate: Some(RATE), ..Split::named(OOD)? });
         let mut worlds = BTreeMap::new();
@@ -88,7 +92,7 @@ impl Stores {
                 let file = folder.join("scenes").join(format!("{name}_{scene}.yaml"));
                 // A changed scene or another size makes a new store.
                 let hands = if mano.is_some() { "mano " } else { "" };
-                let hash = &egotac::file::sha256(format!("{hands}{side} {text}").as_bytes())[..8];
+                let hash = &egotac::file::sha256(format!("{}{hands}{side} {text}", again(size)).as_bytes())[..8];
                 let recipe = |part: &str, episodes: usize, seed: u64| Recipe {
                     path: folder.join(format!("{name}_{scene}_{part}_{episodes}_{hash}.zarr")),
                     scene: file.clone(),
@@ -100,10 +104,10 @@ impl Stores {
                 };
                 if name != OOD {
                     world.training.push(shares(episodes, |begin, count| {
-                        recipe(&format!("train{begin}"), count, SEEDS[0] + begin as u64)
+                        recipe(&format!("train{begin}"), count, first + begin as u64)
                     }));
                 }
-                world.held_out.push(recipe("test", held_out, SEEDS[1]));
+                world.held_out.push(recipe("test", held_out, first_held_out));
             }
             worlds.insert(name.clone(), world);
         }
@@ -220,7 +224,7 @@ mod tests {
     use super::*;
 
     fn plan(episodes: usize) -> Stores {
-        Stores::plan(Path::new("data"), episodes, 3, 112, 9).unwrap()
+        Stores::plan(Path::new("data"), &Size { held_out: 3, ..Size::of(episodes) }).unwrap()
     }
 
     #[test]
@@ -244,6 +248,24 @@ mod tests {
                 .collect();
             seeds.sort_unstable();
             assert_eq!(seeds, (SEEDS[0]..SEEDS[0] + 10).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn a_repetition_has_other_stores_and_seeds() {
+        let plans = [0, 1].map(|repetition| {
+            Stores::plan(Path::new("data"), &Size { repetition, held_out: 900, ..Size::of(900) }).unwrap()
+        });
+        let [first, again] = plans.each_ref().map(|stores| {
+            let training = stores.source("force", Supervision::Both).unwrap().stores.clone();
+            let training = training.iter().filter_map(|path| stores.recipe(path).cloned()).collect::<Vec<_>>();
+            training.into_iter().chain(stores.held_out(&[OOD]).unwrap().into_iter().cloned()).collect::<Vec<Recipe>>()
+        });
+        for a in &first {
+            for b in &again {
+                let seeds = |recipe: &Recipe| recipe.seed..recipe.seed + recipe.episodes as u64;
+                assert!(a.path != b.path && (seeds(a).end <= seeds(b).start || seeds(b).end <= seeds(a).start));
+            }
         }
     }
 

@@ -79,6 +79,16 @@ pub struct Size {
     pub image: u32,
     /// Scenes of each world at most.
     pub scenes: usize,
+    /// Repetition, from 0: each has other episodes for training and test, and other seeds of the runs.
+    pub repetition: u64,
+}
+
+impl Size {
+    /// A size for tests, with this many training episodes of each scene.
+    #[cfg(test)]
+    fn of(episodes: usize) -> Self {
+        Self { episodes, held_out: 2, steps: 5, learning_rate: 1e-4, seeds: 2, image: 112, scenes: 9, repetition: 0 }
+    }
 }
 
 /// Size, network and work folder of an experiment.
@@ -131,13 +141,12 @@ pub fn run(
     command: String,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<Report> {
-    let Size { episodes, held_out, image, scenes, seeds, .. } = setup.size;
     let folder = setup.work.join("data");
     let plan = if experiment.recorded { Stores::recorded } else { Stores::plan };
-    let stores = plan(&folder, episodes, held_out, image, scenes)?;
+    let stores = plan(&folder, &setup.size)?;
     let mut runs = Vec::new();
     for arm in &experiment.arms {
-        for seed in 0..seeds {
+        for seed in 0..setup.size.seeds {
             runs.push(Run::plan(arm, seed, &stores, setup)?);
         }
     }
@@ -187,7 +196,7 @@ fn budget(runs: &[Run], device: &Device) -> Result<Budget> {
     let windows_per_s = match missing.first() {
         Some(run) => {
             let form = Form { clips: BATCH.clips, windows: BATCH.windows, encoded: run.config.keeps_tokens() };
-            bench::step(&run.config.geometry()?, form, 3, device)?.windows_per_s
+            bench::step(&run.config.geometry()?, form, 3, run.config.precision, device)?.windows_per_s
         }
         None => f64::INFINITY,
     };

@@ -115,8 +115,14 @@ impl Report {
             ),
             false => ("Measured is", String::new()),
         };
+        let again = match size.repetition {
+            0 => String::new(),
+            n => format!(
+                "Repetition {n}: episodes for training and test, and seeds of the runs, are others than those of the first time.\n"
+            ),
+        };
         format!(
-            "{run}{part} `{}`{}, which has seen {}{learning}.\nA score is the mean over seeds, with the least and the most. Contact scores are \
+            "{run}{again}{part} `{}`{}, which has seen {}{learning}.\nA score is the mean over seeds, with the least and the most. Contact scores are \
              means over frames with contact, as the paper's,\nand pooled where the title says so; scores over time are means over \
              episodes. Differences are {}, with 95 % intervals over\nepisodes, the same ones for both; with several seeds the \
              interval spans those of all, so a difference beyond it holds in each.",

@@ -17,7 +17,7 @@ use egotac::train::source::TrainingSource;
 use egotac::train::{self, Config, Control, Event, crops, predict};
 
 use super::arm::{Arm, Forces, View};
-use super::data::{RATE, Stores};
+use super::data::{RATE, REPETITION, Stores};
 use super::motion;
 use super::network::Network;
 use super::recipe::Recipe;
@@ -217,7 +217,7 @@ fn usual(seed: u64, stores: &Stores, size: &Size, network: &Network) -> Result<C
         model: ModelChoice::Explicit(geometry),
         init: None,
         encoder: network.path.clone(),
-        seed: seed + 1,
+        seed: seed + 1 + REPETITION * size.repetition,
         frame_dt: 1.0 / RATE,
         precision: Precision::F32,
         steps: size.steps,
@@ -292,13 +292,8 @@ mod tests {
 
     #[test]
     fn experiments_share_equal_runs_and_seeds_and_arms_differ() {
-        let setup = Setup {
-            size: Size { episodes: 10, held_out: 2, steps: 5, learning_rate: 1e-4, seeds: 2, image: 112, scenes: 9 },
-            network: Network::toy(),
-            work: "work".into(),
-            quick: true,
-        };
-        let stores = Stores::plan(Path::new("work/data"), 10, 2, 112, 9).unwrap();
+        let setup = Setup { size: Size::of(10), network: Network::toy(), work: "work".into(), quick: true };
+        let stores = Stores::plan(Path::new("work/data"), &setup.size).unwrap();
         let folder = |experiment: &str, arm: &str, seed: u64| {
             let experiment = Experiment::by_name(experiment).unwrap();
             let arm = experiment.arms.iter().find(|other| other.name == arm).unwrap();
